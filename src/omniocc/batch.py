@@ -1,0 +1,32 @@
+"""What travels between data, task and model."""
+
+from typing import NamedTuple
+
+from jaxtyping import Float32, Float64, UInt8
+from torch import Tensor
+
+from omniocc.camera import Rig
+
+
+class Batch(NamedTuple):
+    """Windows of T frames, oldest first; all labels belong to the newest frame, in its ego frame.
+
+    Attributes:
+        images: RGB, 0..255.
+        rigs: one per sample.
+        world_from_ego: pose of every frame of the window.
+        voxels: class of every cell, 255 unknown.
+        pixel_labels: class of every pixel; 0 sky, 255 own car or outside the lens.
+        lidar_range_m: true range along the ego LiDAR's rays, inf where nothing is hit.
+        lidar_labels: true class along these rays, 0 where nothing is hit.
+        frame_ids: `scene/frame` of the newest frame, for messages and pictures.
+    """
+
+    images: UInt8[Tensor, "B T N 3 H W"]
+    rigs: tuple[Rig, ...]
+    world_from_ego: Float64[Tensor, "B T 4 4"]
+    voxels: UInt8[Tensor, "B X Y Z"]
+    pixel_labels: UInt8[Tensor, "B N H W"]
+    lidar_range_m: Float32[Tensor, "B R"]
+    lidar_labels: UInt8[Tensor, "B R"]
+    frame_ids: tuple[str, ...]

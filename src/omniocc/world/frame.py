@@ -1,0 +1,48 @@
+"""What one moment of the virtual world records."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Box:
+    """A moving actor's box: `center_m` and `yaw_rad` in the ego frame, `size_m` along its own x, y, z, `velocity_mps` (x, y) in the ego frame's axes."""
+
+    id: int
+    label: int
+    center_m: tuple[float, float, float]
+    size_m: tuple[float, float, float]
+    yaw_rad: float
+    velocity_mps: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One recorded moment; every array is in the ego frame of this moment.
+
+    Attributes:
+        time_s: since the scene began.
+        world_from_ego: (4, 4) float64.
+        images: (N, H, W, 3) uint8 RGB.
+        semantics: (N, H, W) uint8; 0 sky, 255 own car or outside the lens.
+        range_m: (N, H, W) float32; inf for sky, nan for own car or outside the lens.
+        erp_range_m: (h, w) float32 range from the ego origin over the full turn; inf for sky, own car not present.
+        points_m: (P, 3) float32 semantic surface points (own car not present).
+        point_labels: (P,) uint8.
+        lidar_range_m: (R,) float32 along the ego LiDAR's rays (`omniocc.world.lidar.ego_directions`), inf where nothing is hit.
+        lidar_labels: (R,) uint8; 0 where nothing is hit.
+        boxes: the moving actors near by.
+    """
+
+    time_s: float
+    world_from_ego: np.ndarray
+    images: np.ndarray
+    semantics: np.ndarray
+    range_m: np.ndarray
+    erp_range_m: np.ndarray
+    points_m: np.ndarray
+    point_labels: np.ndarray
+    lidar_range_m: np.ndarray
+    lidar_labels: np.ndarray
+    boxes: tuple[Box, ...]
