@@ -15,7 +15,7 @@ class Mesh:
         uv: (F, 3, 2) float32 texture coordinates of each corner in metres on the surface (or along it), so that a texture keeps its size and
             moves with the object.
         label: (F,) uint8 class id, 1..11 (`omniocc.classes`).
-        material: (F,) uint8 row of `omniocc.world.texture.MATERIALS`.
+        material: (F,) uint8 `omniocc.world.material.Material`.
         color: (F, 3) uint8 base colour, RGB.
         instance: (F,) int32, -1 for what never moves, otherwise the actor's id.
     """
