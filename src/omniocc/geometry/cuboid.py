@@ -1,0 +1,59 @@
+"""The rectangular voxel grid."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from omniocc.geometry.grid import Grid, as_axis, as_shape
+
+
+@dataclass(frozen=True)
+class Cuboid(Grid):
+    """Cells along x, y and z. The defaults are the paper's comparison grid of 1.04 M cells: 0.2 m x 0.2 m x 0.4 m.
+
+    Args:
+        shape: cells along x, y, z.
+        x_m: rear and front end in the ego frame.
+        y_m: right and left end in the ego frame.
+        height_m: lower and upper end in the ego frame.
+
+    Raises:
+        ValueError: if the sizes make no grid.
+    """
+
+    shape: tuple[int, int, int] = (256, 256, 16)
+    x_m: tuple[float, float] = (-25.6, 25.6)
+    y_m: tuple[float, float] = (-25.6, 25.6)
+    height_m: tuple[float, float] = (-2.8, 3.6)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "shape", as_shape(self.shape))
+        for name in ("x_m", "y_m", "height_m"):
+            object.__setattr__(self, name, as_axis(name, getattr(self, name)))
+
+    @property
+    def periodic(self) -> tuple[bool, bool, bool]:
+        """No axis wraps around."""
+        return (False, False, False)
+
+    @property
+    def bounds(self) -> tuple[tuple[float, float], tuple[float, float], tuple[float, float]]:
+        """Ends along x, y and z in metres."""
+        return self.x_m, self.y_m, self.height_m
+
+    @property
+    def cell_m(self) -> tuple[float, float, float]:
+        """Size of every cell."""
+        x, y, z = ((high - low) / cells for (low, high), cells in zip(self.bounds, self.shape, strict=True))
+        return x, y, z
+
+    def to_axes(self, points: Float[Tensor, "... 3"]) -> tuple[Tensor, Tensor, Tensor]:
+        """The points' own x, y, z."""
+        x, y, z = points.unbind(-1)
+        return x, y, z
+
+    def from_axes(self, first: Tensor, second: Tensor, third: Tensor) -> Float[Tensor, "... 3"]:
+        """Points from x, y, z."""
+        return torch.stack([first, second, third], dim=-1)

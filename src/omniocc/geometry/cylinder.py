@@ -1,0 +1,64 @@
+"""The cylindrical voxel grid (paper, section III-A)."""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from omniocc.geometry.grid import Grid, as_axis, as_shape
+
+
+@dataclass(frozen=True)
+class Cylinder(Grid):
+    """Cells along radius, azimuth and height around the ego z axis.
+
+    Azimuth index 0 begins at -pi and the axis wraps around; azimuth runs counter-clockwise from +x. The defaults are the paper's grid:
+    0.2 m x 1.8 degrees x 0.4 m.
+
+    Args:
+        shape: cells along r, theta, z.
+        radius_m: inner and outer radius.
+        height_m: lower and upper end in the ego frame.
+
+    Raises:
+        ValueError: if the sizes make no grid.
+    """
+
+    shape: tuple[int, int, int] = (128, 200, 16)
+    radius_m: tuple[float, float] = (0.0, 25.6)
+    height_m: tuple[float, float] = (-2.8, 3.6)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "shape", as_shape(self.shape))
+        object.__setattr__(self, "radius_m", as_axis("radius_m", self.radius_m))
+        object.__setattr__(self, "height_m", as_axis("height_m", self.height_m))
+        if self.radius_m[0] < 0:
+            raise ValueError(f"radius_m must not be negative, got {self.radius_m}; use (0.0, outer radius)")
+
+    @property
+    def periodic(self) -> tuple[bool, bool, bool]:
+        """Only the azimuth wraps around."""
+        return (False, True, False)
+
+    @property
+    def bounds(self) -> tuple[tuple[float, float], tuple[float, float], tuple[float, float]]:
+        """Radius in metres, azimuth in radians, height in metres."""
+        return self.radius_m, (-math.pi, math.pi), self.height_m
+
+    @property
+    def cell_m(self) -> tuple[float, float, float]:
+        """Radial size, arc length at the middle radius, height."""
+        arc_m = math.pi * (self.radius_m[0] + self.radius_m[1]) / self.shape[1]
+        radial_m = (self.radius_m[1] - self.radius_m[0]) / self.shape[0]
+        return radial_m, arc_m, (self.height_m[1] - self.height_m[0]) / self.shape[2]
+
+    def to_axes(self, points: Float[Tensor, "... 3"]) -> tuple[Tensor, Tensor, Tensor]:
+        """Radius (m), azimuth (rad, in [-pi, pi]) and height (m)."""
+        x, y, z = points.unbind(-1)
+        return torch.hypot(x, y), torch.atan2(y, x), z
+
+    def from_axes(self, first: Tensor, second: Tensor, third: Tensor) -> Float[Tensor, "... 3"]:
+        """Points from radius (m), azimuth (rad) and height (m)."""
+        return torch.stack([first * torch.cos(second), first * torch.sin(second), third], dim=-1)

@@ -1,0 +1,166 @@
+"""What a cylindrical and a rectangular voxel grid share: everything but the map between points and axis values."""
+
+from abc import ABC, abstractmethod
+
+import torch
+from jaxtyping import Bool, Float, Int64, UInt8
+from torch import Tensor
+
+from omniocc.classes import NUM_CLASSES
+from omniocc.geometry.vote import majority
+from omniocc.geometry.warp import interpolate, trilinear
+
+
+class Grid(ABC):
+    """A regular grid along three axes, in the ego frame; subclasses are frozen dataclasses, so equal grids share caches.
+
+    Attributes:
+        shape: number of cells along each axis.
+    """
+
+    shape: tuple[int, int, int]
+
+    @property
+    @abstractmethod
+    def periodic(self) -> tuple[bool, bool, bool]:
+        """Which axes wrap around."""
+
+    @property
+    @abstractmethod
+    def bounds(self) -> tuple[tuple[float, float], tuple[float, float], tuple[float, float]]:
+        """Lower and upper end of each axis, metres (radians for an angle); half open, the upper end is outside."""
+
+    @property
+    @abstractmethod
+    def cell_m(self) -> tuple[float, float, float]:
+        """Extent of a cell along each axis, metres; of an angle, the arc at the middle radius."""
+
+    @abstractmethod
+    def to_axes(self, points: Float[Tensor, "... 3"]) -> tuple[Tensor, Tensor, Tensor]:
+        """Values along the three axes of Cartesian ego points in metres."""
+
+    @abstractmethod
+    def from_axes(self, first: Tensor, second: Tensor, third: Tensor) -> Float[Tensor, "... 3"]:
+        """Cartesian ego points in metres with these values along the three axes; the inverse of `to_axes`."""
+
+    @property
+    def num_cells(self) -> int:
+        """Cells in the whole grid."""
+        return self.shape[0] * self.shape[1] * self.shape[2]
+
+    def edges(self, axis: int) -> Float[Tensor, " cells+1"]:
+        """Cell boundaries along one axis, float64, metres (radians for an angle)."""
+        low, high = self.bounds[axis]
+        return torch.linspace(low, high, self.shape[axis] + 1, dtype=torch.float64)
+
+    def centers(
+        self, dtype: torch.dtype = torch.float32, device: torch.device | str | None = None
+    ) -> Float[Tensor, "X Y Z 3"]:
+        """Cell centres: the middle along each axis, as Cartesian ego points in metres."""
+        middles = [(self.edges(axis)[1:] + self.edges(axis)[:-1]) / 2 for axis in range(3)]
+        return self.from_axes(*torch.meshgrid(*middles, indexing="ij")).to(device=device, dtype=dtype)
+
+    def coordinates(self, points: Float[Tensor, "... 3"]) -> tuple[Tensor, Tensor, Tensor]:
+        """Position along each axis in units of cells: cell i spans [i, i+1). At least float32."""
+        if points.dtype not in (torch.float32, torch.float64):
+            points = points.float()
+        scaled = [
+            (value - low) * (cells / (high - low))
+            for value, (low, high), cells in zip(self.to_axes(points), self.bounds, self.shape, strict=True)
+        ]
+        return scaled[0], scaled[1], scaled[2]
+
+    def index(self, points: Float[Tensor, "... 3"]) -> tuple[Int64[Tensor, "... 3"], Bool[Tensor, "..."]]:
+        """Finds the cell of each ego point (metres).
+
+        Returns:
+            The index along each axis (for a point outside, that of the nearest cell) and whether the point is inside. A point that is not finite
+            is outside.
+        """
+        indices, inside = [], torch.ones(points.shape[:-1], dtype=torch.bool, device=points.device)
+        for position, cells, periodic in zip(self.coordinates(points), self.shape, self.periodic, strict=True):
+            floor = position.floor()
+            inside &= floor.isfinite() if periodic else (floor >= 0) & (floor < cells)
+            # the angle is folded as an integer: float32 can round it up to a whole turn
+            whole = floor.nan_to_num(0.0).clamp(-cells, 2 * cells).long()
+            indices.append(whole.remainder(cells) if periodic else whole.clamp(0, cells - 1))
+        return torch.stack(indices, dim=-1), inside
+
+    def flat_index(self, points: Float[Tensor, "... 3"]) -> tuple[Int64[Tensor, "..."], Bool[Tensor, "..."]]:
+        """As `index`, with one number per cell: the row-major index into a volume of `shape`."""
+        index, inside = self.index(points)
+        return (index[..., 0] * self.shape[1] + index[..., 1]) * self.shape[2] + index[..., 2], inside
+
+    def voxelize(
+        self, points: Float[Tensor, "P 3"], labels: UInt8[Tensor, " P"], num_classes: int = NUM_CLASSES
+    ) -> UInt8[Tensor, "X Y Z"]:
+        """Labels every cell with the most frequent class of its points (see `omniocc.geometry.vote.majority`).
+
+        Args:
+            points: surface points in the ego frame, metres; those outside the grid do not count.
+            labels: their classes, 1 .. num_classes-1, or 255 for unknown.
+            num_classes: number of classes, free (0) included.
+
+        Raises:
+            ValueError: if a label is free or not a class.
+        """
+        cells, inside = self.flat_index(points)
+        return majority(cells[inside], labels[inside], self.num_cells, num_classes).reshape(self.shape)
+
+    def warp(
+        self, volume: Float[Tensor, "B C X Y Z"], past_from_current: Float[Tensor, "B 4 4"]
+    ) -> Float[Tensor, "B C X Y Z"]:
+        """Samples a past volume where the current cell centres were then.
+
+        Trilinear along the grid's axes; an angle wraps around, elsewhere the half cell at the border takes the border cell's value (also around
+        a cylinder's axis, across which nothing is interpolated). Cells whose centre was outside become 0; `warp_valid` tells which.
+        The identity pose returns the volume itself, bit for bit. Differentiable in `volume`.
+
+        Args:
+            volume: features of a past frame in its ego frame.
+            past_from_current: pose that takes current ego coordinates to those of the past frame.
+        """
+        warped = []
+        for features, pose in zip(volume, past_from_current, strict=True):
+            cells, weights, inside = trilinear(self, self._moved_centers(pose))
+            weights = (weights * inside.unsqueeze(-1)).to(features.dtype)
+            warped.append(interpolate(features.flatten(1), cells.to(features.device), weights.to(features.device)))
+        return torch.stack(warped).reshape(volume.shape)
+
+    def warp_valid(self, past_from_current: Float[Tensor, "B 4 4"]) -> Bool[Tensor, "B X Y Z"]:
+        """Which current cells had their centre inside the past frame's grid."""
+        return torch.stack([self.index(self._moved_centers(pose))[1].reshape(self.shape) for pose in past_from_current])
+
+    def _moved_centers(self, pose: Float[Tensor, "4 4"]) -> Float[Tensor, "N 3"]:
+        pose = pose.double()
+        return self.centers(torch.float64, pose.device).reshape(-1, 3) @ pose[:3, :3].T + pose[:3, 3]
+
+
+def as_axis(name: str, values: object) -> tuple[float, float]:
+    """Checks a (low, high) pair from a config.
+
+    Raises:
+        ValueError: if it is not two increasing finite numbers.
+    """
+    try:
+        low, high = (float(value) for value in values)  # type: ignore[attr-defined]
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} must be two numbers (low, high) in metres, got {values!r}") from None
+    if not (low < high and abs(low) < float("inf") and abs(high) < float("inf")):
+        raise ValueError(f"{name} must be finite and increasing (low, high) in metres, got {values!r}")
+    return low, high
+
+
+def as_shape(values: object) -> tuple[int, int, int]:
+    """Checks the number of cells along three axes.
+
+    Raises:
+        ValueError: if it is not three positive whole numbers.
+    """
+    try:
+        shape = tuple(values)  # type: ignore[arg-type]
+    except TypeError:
+        shape = ()
+    if len(shape) != 3 or not all(isinstance(cells, int) and cells > 0 for cells in shape):
+        raise ValueError(f"shape must be three positive whole numbers of cells, got {values!r}")
+    return shape
