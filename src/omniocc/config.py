@@ -1,0 +1,170 @@
+"""Composed configuration -> checked -> built objects. The only file that calls Hydra's `instantiate`."""
+
+import functools
+import inspect
+import sys
+import types
+from collections.abc import Callable, Iterator, Sequence
+from difflib import get_close_matches
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+from hydra.errors import InstantiationException
+from hydra.utils import get_object, instantiate
+from omegaconf import DictConfig, ListConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+
+class ConfigError(ValueError):
+    """What is wrong in a configuration, all of it, one line each."""
+
+    def __init__(self, problems: Sequence[str]):
+        self.problems = tuple(problems)
+        noun = "problem" if len(problems) == 1 else "problems"
+        super().__init__("\n  ".join([f"{len(problems)} {noun} in the configuration:", *problems]))
+
+
+def check(cfg: DictConfig, root_keys: Sequence[str] | None = None, packages: Sequence[str] | None = None) -> None:
+    """Compare a composed tree with the signatures it names, before anything is built.
+
+    Args:
+        cfg: the tree; every mapping with a `_target_` is compared with that class or function.
+        root_keys: keys allowed at the root; None allows any.
+        packages: packages that a `_target_` may come from (for configurations out of files of others); None allows any.
+
+    Raises:
+        ConfigError: with every problem found: unknown, missing, unresolvable and wrongly typed arguments.
+    """
+    problems = []
+    if root_keys is not None:
+        problems += [_unknown(str(key), "train.py", root_keys) for key in cfg if key not in root_keys]
+    problems += _walk(cfg, "", packages)
+    if problems:
+        raise ConfigError(problems)
+
+
+def build(cfg: DictConfig, **extra: Any) -> Any:
+    """Build the object a checked node names; modules get plain lists and dicts. `extra`: arguments that no file can hold.
+
+    Raises:
+        ConfigError: when a constructor refuses a value.
+    """
+    try:
+        return instantiate(cfg, _convert_="all", **extra)
+    except InstantiationException as error:
+        cause = error.__cause__
+        if isinstance(cause, ValueError | FileNotFoundError):
+            key = str(error).rsplit("full_key: ", 1)[-1] if "full_key: " in str(error) else cfg._get_full_key(None)
+            raise ConfigError([f"{key}: {cause}"]) from cause
+        raise cause or error from None
+
+
+def lines_not_tracebacks(main: Callable[..., None]) -> Callable[..., None]:
+    """Decorate a script's main: users' mistakes end it with the message alone and exit code 1."""
+
+    @functools.wraps(main)
+    def wrapped(*args: Any) -> None:
+        try:
+            main(*args)
+        except (ConfigError, FileNotFoundError, PermissionError) as error:
+            sys.exit(str(error))
+
+    return wrapped
+
+
+def _walk(node: Any, path: str, packages: Sequence[str] | None) -> Iterator[str]:
+    if isinstance(node, DictConfig) and "_target_" in node:
+        yield from _check_call(node, path, packages)
+    if isinstance(node, DictConfig | ListConfig):
+        for key in node if isinstance(node, DictConfig) else range(len(node)):
+            if OmegaConf.is_interpolation(node, key):
+                continue  # what it points to is checked where it stands; whether it resolves, by _check_call
+            if not OmegaConf.is_missing(node, key):
+                yield from _walk(node[key], f"{path}.{key}".lstrip("."), packages)
+
+
+def _check_call(node: DictConfig, path: str, packages: Sequence[str] | None) -> Iterator[str]:
+    name = str(node["_target_"])
+    if packages is not None and not name.startswith(tuple(f"{package}." for package in packages)):
+        yield f"{path}._target_: {name} is not in a trusted package ({', '.join(packages)})"
+        return
+    try:
+        target = get_object(name)
+    except Exception as error:  # whatever importing the user's module raises is the user's problem to read
+        yield f"{path}._target_: {name} cannot be imported: {error}"
+        return
+    parameters = inspect.signature(target).parameters
+    hints = _hints(target)
+    open_ended = any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters.values())
+    for key in map(str, node):
+        if key.startswith("_") and key.endswith("_"):
+            continue
+        if key not in parameters:
+            if not open_ended:
+                yield _unknown(f"{path}.{key}", name, list(parameters))
+            continue
+        yield from _check_value(node, key, path, hints.get(key, Any))
+    for key, parameter in parameters.items():
+        if parameter.default is inspect.Parameter.empty and key not in node and parameter.kind in (
+            inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY
+        ):
+            yield f"{path}.{key}: {name} needs it"
+
+
+def _check_value(node: DictConfig, key: str, path: str, hint: Any) -> Iterator[str]:
+    if OmegaConf.is_missing(node, key):
+        yield f"{path}.{key}: needs a value"
+        return
+    try:
+        value = node[key]
+        plain = OmegaConf.to_container(value, resolve=True) if isinstance(value, DictConfig | ListConfig) else value
+    except OmegaConfBaseException as error:
+        yield f"{path}.{key}: {str(error).splitlines()[0]}"
+        return
+    if not fits(plain, hint):
+        yield f"{path}.{key}: {plain!r} is not {_describe(hint)}"
+
+
+def _unknown(path: str, owner: str, known: Sequence[str]) -> str:
+    close = get_close_matches(path.rsplit(".", 1)[-1], known, n=1)
+    return f"{path}: {owner} has no such argument" + (f"; did you mean '{close[0]}'?" if close else f" (it has: {', '.join(known)})")
+
+
+def _hints(target: Any) -> dict[str, Any]:
+    function = target.__init__ if inspect.isclass(target) and "__init__" in vars(target) else target
+    try:
+        return get_type_hints(function)
+    except (NameError, TypeError):  # annotations of other libraries that only a type checker can resolve
+        return {}
+
+
+def fits(value: Any, hint: Any) -> bool:
+    """Whether a plain configuration value can be passed where `hint` is asked for. What is built (`_target_`) and unknown hints fit."""
+    if isinstance(value, dict) and "_target_" in value:
+        return True
+    if hint is bool or hint is str:
+        return isinstance(value, hint)
+    if hint is int:
+        return isinstance(value, int) and not isinstance(value, bool)
+    if hint is float:
+        return isinstance(value, int | float) and not isinstance(value, bool)
+    if hint is type(None):
+        return value is None
+    origin, arguments = get_origin(hint), get_args(hint)
+    if origin is Literal:
+        return value in arguments
+    if origin in (Union, types.UnionType):
+        return any(fits(value, option) for option in arguments)
+    if origin is tuple and isinstance(value, list | tuple):
+        items = arguments[:1] * len(value) if arguments[1:] == (...,) else arguments
+        return len(items) == len(value) and all(map(fits, value, items))
+    if inspect.isclass(origin) and issubclass(origin, Sequence):
+        return isinstance(value, list | tuple) and all(fits(item, arguments[0]) for item in value)
+    return True
+
+
+def _describe(hint: Any) -> str:
+    if get_origin(hint) is Literal:
+        return "one of " + ", ".join(map(repr, get_args(hint)))
+    if get_origin(hint) in (Union, types.UnionType):
+        return " or ".join(map(_describe, get_args(hint)))
+    return {int: "a whole number", float: "a number", bool: "true or false", str: "a text", type(None): "null"}.get(hint) or str(hint)

@@ -1,0 +1,45 @@
+"""AdamW with a linear warm-up and a cosine decay by steps."""
+
+import math
+
+import torch
+from lightning.pytorch.utilities.types import OptimizerLRSchedulerConfig
+from torch import nn
+
+
+def warmup_cosine(step: int, warmup_steps: int, total_steps: int, final_share: float) -> float:
+    """Learning rate at `step` as a share of its peak."""
+    if step < warmup_steps:
+        return (step + 1) / (warmup_steps + 1)
+    progress = min(1.0, (step - warmup_steps) / max(1, total_steps - warmup_steps))
+    return final_share + (1 - final_share) * 0.5 * (1 + math.cos(math.pi * progress))
+
+
+class AdamW:
+    """Recipe for a Lightning module's `configure_optimizers`.
+
+    Args:
+        learning_rate: at the end of the warm-up.
+        warmup_steps: steps of linear growth.
+        weight_decay: on tensors of two dimensions and more; norms and biases are left alone.
+        final_share: learning rate at the last step as a share of `learning_rate`.
+    """
+
+    def __init__(self, learning_rate: float, warmup_steps: int, weight_decay: float, final_share: float):
+        self.learning_rate = learning_rate
+        self.warmup_steps = warmup_steps
+        self.weight_decay = weight_decay
+        self.final_share = final_share
+
+    def configure(self, model: nn.Module, total_steps: int) -> OptimizerLRSchedulerConfig:
+        """Optimiser and per-step schedule for the parameters of `model` that ask for gradients."""
+        parameters = [p for p in model.parameters() if p.requires_grad]
+        groups = [
+            {"params": [p for p in parameters if p.ndim >= 2], "weight_decay": self.weight_decay},
+            {"params": [p for p in parameters if p.ndim < 2], "weight_decay": 0.0},
+        ]
+        optimizer = torch.optim.AdamW(groups, lr=self.learning_rate)
+        schedule = torch.optim.lr_scheduler.LambdaLR(
+            optimizer, lambda step: warmup_cosine(step, self.warmup_steps, total_steps, self.final_share)
+        )
+        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}

@@ -1,0 +1,102 @@
+"""The occupancy stage: train the model, validate by RayIoU, test beside two yardsticks."""
+
+from typing import Any
+
+import torch
+from lightning.pytorch import LightningModule
+from lightning.pytorch.utilities.types import OptimizerLRSchedulerConfig
+from torch import Tensor
+
+from omniocc.batch import Batch
+from omniocc.classes import UNKNOWN
+from omniocc.loss import Total
+from omniocc.model import OccupancyModel
+from omniocc.task.adamw import AdamW
+from omniocc.task.scores import Scores
+
+
+class Occupancy(LightningModule):
+    """Trains `model` with `loss`; the yardsticks of the test are scored in the same pass.
+
+    * `prior`: the most frequent training class of every voxel, what a model knows that never opens its eyes.
+    * `label`: the true voxels themselves, scored against the true LiDAR rays: the ceiling the grid allows.
+
+    Args:
+        model: what is trained.
+        loss: named terms over a prediction.
+        optimizer: recipe for optimiser and schedule.
+        config: the run's resolved configuration as plain data; travels in the checkpoint, which then suffices to rebuild the model.
+    """
+
+    def __init__(self, model: OccupancyModel, loss: Total, optimizer: AdamW, config: dict[str, Any]):
+        super().__init__()
+        self.model = model
+        self.loss = loss
+        self.optimizer = optimizer
+        self.config = config
+        self.scores = Scores(model.geometry)
+        self.prior_scores = Scores(model.geometry)
+        self.label_scores = Scores(model.geometry)
+        self.register_buffer("prior", torch.zeros(model.geometry.shape, dtype=torch.uint8))
+
+    def set_training_statistics(self, voxel_counts: Tensor) -> None:
+        """Class weights and prior from how often each class stood in each cell of the training set.
+
+        Args:
+            voxel_counts: (C, *shape) integers.
+        """
+        self.loss.set_class_counts(voxel_counts.flatten(1).sum(1))
+        self.prior.copy_(voxel_counts.argmax(0))
+
+    def predict_labels(self, batch: Batch) -> Tensor:
+        """(B, *shape) uint8 class of every cell."""
+        return self.model(batch.images, batch.rigs, batch.world_from_ego).logits.argmax(1).to(torch.uint8)
+
+    def training_step(self, batch: Batch, batch_index: int) -> Tensor:
+        """Sum of the loss terms; each is logged by name."""
+        prediction = self.model(batch.images, batch.rigs, batch.world_from_ego)
+        terms = self.loss(prediction, batch.voxels, batch.pixel_labels)
+        total = torch.stack(list(terms.values())).sum()
+        size = len(batch.frame_ids)
+        self.log_dict({f"train/loss/{name}": term.detach() for name, term in terms.items()}, batch_size=size)
+        self.log("train/loss", total.detach(), batch_size=size)
+        if not torch.isfinite(total):
+            values = ", ".join(f"{name}={float(term):.3g}" for name, term in terms.items())
+            raise ValueError(f"the loss is not finite at step {self.global_step} ({values}); frames: {', '.join(batch.frame_ids)}")
+        return total
+
+    def validation_step(self, batch: Batch, batch_index: int) -> Tensor:
+        """Score a batch; returns the predicted labels."""
+        labels = self.predict_labels(batch)
+        self.scores.update(labels, batch)
+        return labels
+
+    def on_validation_epoch_end(self) -> None:
+        """Log `val/rayiou` and the rest."""
+        self._log_scores("val", self.scores)
+
+    def test_step(self, batch: Batch, batch_index: int) -> Tensor:
+        """Score a batch and both yardsticks on it; returns the predicted labels."""
+        labels = self.predict_labels(batch)
+        self.scores.update(labels, batch)
+        self.prior_scores.update(self.prior.expand_as(labels), batch)
+        # an unknown cell is no prediction: seen from the label's side it is empty
+        self.label_scores.update(batch.voxels.masked_fill(batch.voxels == UNKNOWN, 0), batch)
+        return labels
+
+    def on_test_epoch_end(self) -> None:
+        """Log `test/...`, `prior/...` and `label/...`."""
+        for name, scores in (("test", self.scores), ("prior", self.prior_scores), ("label", self.label_scores)):
+            self._log_scores(name, scores)
+
+    def _log_scores(self, prefix: str, scores: Scores) -> None:
+        self.log_dict({f"{prefix}/{key}": value for key, value in scores.compute().items()}, sync_dist=False)
+        scores.reset()
+
+    def configure_optimizers(self) -> OptimizerLRSchedulerConfig:
+        """As the recipe says, over all steps the trainer will take."""
+        return self.optimizer.configure(self.model, int(self.trainer.estimated_stepping_batches))
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """The configuration travels with the weights."""
+        checkpoint["config"] = self.config
