@@ -5,6 +5,7 @@ import inspect
 import sys
 import types
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
@@ -13,8 +14,10 @@ from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from omniocc.errors import UserError
 
-class ConfigError(ValueError):
+
+class ConfigError(UserError):
     """What is wrong in a configuration, all of it, one line each."""
 
     def __init__(self, problems: Sequence[str]):
@@ -42,6 +45,36 @@ def check(cfg: DictConfig, root_keys: Sequence[str] | None = None, packages: Seq
         raise ConfigError(problems)
 
 
+@dataclass
+class Root:
+    """The plain keys at the root of `train.yaml`; groups stand beside them."""
+
+    name: str
+    seed: int
+    resume: str
+    checkpoint_every_n_steps: int
+    pictures: int
+
+
+GROUPS = ("preset", "model", "data", "loss", "optimizer", "trainer", "logger", "paths")
+
+
+def check_root(cfg: DictConfig) -> None:
+    """`check` for the whole tree of `train.yaml`, with its root keys and their types.
+
+    Raises:
+        ConfigError: with every problem found.
+    """
+    hints = get_type_hints(Root)
+    problems = [problem for key, hint in hints.items() for problem in _check_value(cfg, key, "", hint)]
+    try:
+        check(cfg, root_keys=(*hints, *GROUPS))
+    except ConfigError as error:
+        problems += error.problems
+    if problems:
+        raise ConfigError([problem.lstrip(".") for problem in problems])
+
+
 def build(cfg: DictConfig, **extra: Any) -> Any:
     """Build the object a checked node names; modules get plain lists and dicts. `extra`: arguments that no file can hold.
 
@@ -65,7 +98,7 @@ def lines_not_tracebacks(main: Callable[..., None]) -> Callable[..., None]:
     def wrapped(*args: Any) -> None:
         try:
             main(*args)
-        except (ConfigError, FileNotFoundError, PermissionError) as error:
+        except (UserError, OSError) as error:
             sys.exit(str(error))
 
     return wrapped

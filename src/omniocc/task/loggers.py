@@ -8,6 +8,8 @@ from typing import Literal
 
 from lightning.pytorch.loggers import CSVLogger, Logger, WandbLogger
 
+from omniocc.errors import UserError
+
 
 class Loggers:
     """Recipe for the loggers of one run.
@@ -31,7 +33,7 @@ class Loggers:
         """Loggers that write below `folder`; a resumed run continues its W&B curve, because the id follows from the folder.
 
         Raises:
-            ValueError: for `mode=online` without W&B credentials (W&B itself would stop and ask).
+            UserError: for `mode=online` without W&B credentials (W&B itself would stop and ask).
         """
         loggers: list[Logger] = [CSVLogger(folder, name="csv")]
         if self.mode != "disabled":
@@ -42,7 +44,7 @@ class Loggers:
         import wandb  # seconds of import that CSV-only runs do not pay
 
         if self.mode == "online" and not wandb.api.api_key:
-            raise ValueError("logger.mode=online needs W&B credentials: run `wandb login` or set WANDB_API_KEY")
+            raise UserError("logger.mode=online needs W&B credentials: run `wandb login` or set WANDB_API_KEY")
         os.environ.setdefault("WANDB_SILENT", "true")
         return WandbLogger(
             name=folder.name,

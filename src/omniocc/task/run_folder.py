@@ -10,6 +10,8 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
+from omniocc.errors import UserError
+
 LAST, BEST, METRICS = "last.ckpt", "best.ckpt", "metrics.json"
 VOLATILE = ("resume", "paths", "logger", "pictures", "checkpoint_every_n_steps")
 """Root keys that do not change what a run computes."""
@@ -46,7 +48,7 @@ def open_run(runs: Path, name: str, digest: str, resume: str) -> RunFolder:
         resume: `auto` continues the folder of the same hash; `never` takes a fresh one beside it; anything else is a checkpoint to go on from.
 
     Raises:
-        ValueError: when another process works in the folder.
+        UserError: when another process works in the folder.
         FileNotFoundError: when the checkpoint to go on from is not there.
     """
     path = runs / f"{name}-{digest}"
@@ -58,7 +60,7 @@ def open_run(runs: Path, name: str, digest: str, resume: str) -> RunFolder:
     try:
         lock.acquire()
     except Timeout:
-        raise ValueError(f"another process is working in {path}; wait for it, or give this run another name=...") from None
+        raise UserError(f"another process is working in {path}; wait for it, or give this run another name=...") from None
     checkpoint = path / LAST
     if resume not in ("auto", "never"):
         checkpoint = Path(resume)

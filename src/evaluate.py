@@ -1,0 +1,42 @@
+"""Test a checkpoint again: `python src/evaluate.py runs/demo-.../best.ckpt [key=value ...]`."""
+
+import argparse
+from pathlib import Path
+
+from lightning.pytorch import Trainer
+
+from omniocc.config import build, lines_not_tracebacks
+from omniocc.report.run import save_results, show_results
+from omniocc.task import StepProgress
+from omniocc.task.checkpoint import load_task
+from omniocc.task.pictures import Pictures
+from omniocc.task.run_folder import git_commit
+from train import quiet
+
+
+@lines_not_tracebacks
+def main(arguments: list[str] | None = None) -> None:
+    """Rebuild the model from its file, score it on the test scenes, write the results beside the checkpoint."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("checkpoint", type=Path, help="file written by train.py")
+    parser.add_argument("overrides", nargs="*", help="key=value, for example data.batch_size=1 or data.world.root=elsewhere")
+    parser.add_argument("--output", type=Path, help="folder of the results (default: evaluation-<checkpoint> beside it)")
+    parser.add_argument("--pictures", type=int, default=4, help="test frames to draw")
+    options = parser.parse_args(arguments)
+    quiet()
+    task, cfg = load_task(options.checkpoint, options.overrides)
+    folder = options.output or options.checkpoint.parent / f"evaluation-{options.checkpoint.stem}"
+    folder.mkdir(parents=True, exist_ok=True)
+    data = build(cfg.data)
+    trainer = Trainer(
+        callbacks=[StepProgress("occupancy"), Pictures(folder / "pictures", options.pictures)],
+        logger=False, enable_checkpointing=False, enable_model_summary=False, devices=1,
+    )
+    metrics = trainer.test(task, datamodule=data, verbose=False)[0]
+    facts = {"checkpoint": str(options.checkpoint), "commit": git_commit(), "data": data.world.fingerprint}
+    save_results(folder, metrics, facts)
+    show_results(folder)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,31 @@
+"""What one run leaves behind: metrics.json, table.md and the same table on the screen."""
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from omniocc.report.table import as_markdown, as_text
+from omniocc.task.run_folder import METRICS, write_whole
+
+
+def save_results(folder: Path, metrics: Mapping[str, float], facts: Mapping[str, Any]) -> None:
+    """Write `table.md`, then `metrics.json`: the presence of the latter says that the run is finished."""
+    caption = ", ".join(f"{key} {value}" for key, value in facts.items())
+    write_whole(folder / "table.md", as_markdown(metrics, caption))
+    plain = {key: None if math.isnan(value) else value for key, value in metrics.items()}
+    write_whole(folder / METRICS, json.dumps({**facts, "metrics": plain}, indent=1) + "\n")
+
+
+def load_metrics(folder: Path) -> dict[str, float]:
+    """The figures of a finished run, NaN for classes without cases."""
+    metrics = json.loads((folder / METRICS).read_text())["metrics"]
+    return {key: math.nan if value is None else value for key, value in metrics.items()}
+
+
+def show_results(folder: Path) -> None:
+    """Print the table of a finished run and where its files are."""
+    print(f"\n{as_text(load_metrics(folder))}\n")
+    pictures = sorted(str(path) for path in (folder / "pictures").glob("test-*.png"))
+    print("\n".join([f"table     {folder / 'table.md'}", f"figures   {folder / METRICS}", *(f"picture   {path}" for path in pictures)]), flush=True)

@@ -1,0 +1,54 @@
+"""Rebuild a trained task from its checkpoint file alone."""
+
+import pickle
+from pathlib import Path
+
+import torch
+from omegaconf import DictConfig, OmegaConf
+
+from omniocc.config import build, check
+from omniocc.errors import UserError
+from omniocc.task.occupancy import Occupancy
+
+TRUSTED = ("omniocc",)
+"""A stranger's checkpoint may only name classes of ours: reading it runs no code of its own."""
+
+
+def load_config(path: Path) -> tuple[DictConfig, dict[str, torch.Tensor]]:
+    """Configuration and weights of a checkpoint.
+
+    Raises:
+        FileNotFoundError: when it is not there.
+        UserError: when it is damaged or not one of ours.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: there is no such checkpoint")
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+        return OmegaConf.create(content["config"]), content["state_dict"]
+    except (pickle.UnpicklingError, RuntimeError, EOFError, KeyError, TypeError) as error:
+        raise UserError(f"{path} is not a checkpoint of this platform, or it is damaged: {str(error).splitlines()[0]}") from error
+
+
+def build_task(cfg: DictConfig) -> Occupancy:
+    """The task a configuration describes, with fresh weights."""
+    config = OmegaConf.to_container(cfg, resolve=True)
+    assert isinstance(config, dict)
+    return Occupancy(build(cfg.model), build(cfg.loss), build(cfg.optimizer), {str(key): value for key, value in config.items()})
+
+
+def load_task(path: Path, overrides: list[str]) -> tuple[Occupancy, DictConfig]:
+    """The trained task of a checkpoint and its configuration with `key=value` overrides.
+
+    Raises:
+        ConfigError: when an override does not fit.
+        FileNotFoundError, UserError: see `load_config`.
+    """
+    cfg, weights = load_config(path)
+    cfg = OmegaConf.merge(cfg, OmegaConf.from_dotlist(overrides))
+    assert isinstance(cfg, DictConfig)
+    for part in ("model", "data", "loss", "optimizer"):
+        check(OmegaConf.create({part: cfg[part]}), packages=TRUSTED)
+    task = build_task(cfg)
+    task.load_state_dict(weights, strict=True)
+    return task, cfg

@@ -1,0 +1,44 @@
+import json
+
+import pytest
+
+from omniocc.errors import UserError
+from omniocc.task.run_folder import LAST, METRICS, open_run, run_hash, write_whole
+
+
+def test_hash_follows_what_decides_a_result_and_nothing_else():
+    config = {"seed": 0, "model": {"channels": 32}, "paths": {"runs": "a"}, "resume": "auto"}
+    assert run_hash(config, "data") == run_hash({**config, "paths": {"runs": "b"}, "resume": "never"}, "data")
+    assert run_hash(config, "data") != run_hash({**config, "seed": 1}, "data")
+    assert run_hash(config, "data") != run_hash(config, "other data")
+
+
+def test_same_command_finds_its_folder_and_checkpoint(tmp_path):
+    first = open_run(tmp_path, "train", "abc", "auto")
+    assert first.checkpoint is None
+    assert not first.finished
+    (first.path / LAST).write_bytes(b"weights")
+    first.lock.release()
+    second = open_run(tmp_path, "train", "abc", "auto")
+    assert second.path == first.path
+    assert second.checkpoint == first.path / LAST
+    write_whole(second.path / METRICS, json.dumps({}))
+    assert second.finished
+
+
+def test_never_starts_beside_what_is_there(tmp_path):
+    names = [open_run(tmp_path, "train", "abc", "never").path.name for _ in range(3)]
+    assert names == ["train-abc", "train-abc-2", "train-abc-3"]
+
+
+def test_two_processes_do_not_share_a_folder(tmp_path):
+    held = open_run(tmp_path, "train", "abc", "auto")
+    with pytest.raises(UserError, match="another process"):
+        open_run(tmp_path, "train", "abc", "auto")
+    held.lock.release()
+    open_run(tmp_path, "train", "abc", "auto")
+
+
+def test_a_checkpoint_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"gone\.ckpt"):
+        open_run(tmp_path, "train", "abc", str(tmp_path / "gone.ckpt"))

@@ -1,0 +1,105 @@
+"""Configuration: every problem is found before anything is built, and named."""
+
+import inspect
+from pathlib import Path
+from typing import Literal
+
+import pytest
+from hydra import compose, initialize_config_dir
+from hydra.utils import get_object
+from omegaconf import OmegaConf
+
+from omniocc.config import ConfigError, build, check, check_root, fits
+
+CONF = Path(__file__).parents[1] / "conf"
+OPTIONS = sorted(
+    path for path in CONF.rglob("*.yaml") if path.parent != CONF and path.parts[len(CONF.parts)] not in ("preset", "ablation", "trainer")
+)
+
+
+def composed(*overrides: str):
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        return compose("train", list(overrides))
+
+
+@pytest.mark.parametrize("path", OPTIONS, ids=lambda path: str(path.relative_to(CONF)))
+def test_every_option_lists_exactly_the_arguments_of_its_class(path):
+    node = OmegaConf.to_container(OmegaConf.load(path), resolve=False)
+    slots = [entry for entry in node.pop("defaults", []) if isinstance(entry, dict)]
+    listed = {key for key in node if not key.startswith("_")} | {key for entry in slots for key in entry}
+    parameters = set(inspect.signature(get_object(node["_target_"])).parameters)
+    assert listed == parameters
+
+
+@pytest.mark.parametrize("path", OPTIONS, ids=lambda path: str(path.relative_to(CONF)))
+def test_option_file_and_class_share_a_name(path):
+    target = OmegaConf.load(path)["_target_"]
+    assert target.startswith("omniocc.")
+    assert inspect.getmodule(get_object(target)).__name__.startswith(target.rsplit(".", 1)[0])
+
+
+@pytest.mark.parametrize("preset", ["tiny", "small", "paper"])
+def test_every_preset_composes_and_passes_the_check(preset):
+    check_root(composed(f"preset={preset}"))
+
+
+def slot_options():
+    for folder in sorted((CONF / "model").iterdir()):
+        if folder.is_dir():
+            yield from (f"model/{folder.name}={path.stem}" for path in sorted(folder.glob("*.yaml")))
+
+
+@pytest.mark.parametrize("override", slot_options())
+def test_every_slot_option_builds_a_model(override):
+    cfg = composed(override)
+    check_root(cfg)
+    model = build(cfg.model)
+    assert model.geometry.shape == build(cfg.model.geometry).shape
+
+
+def test_all_problems_are_reported_at_once_with_hints():
+    cfg = composed("+model.lifter.heds=3", "model.lifter.points=abc", "model.sketch._target_=omniocc.model.sketch.Nope", "seed=x")
+    with pytest.raises(ConfigError) as caught:
+        check_root(cfg)
+    text = str(caught.value)
+    assert "4 problems" in text
+    assert "model.lifter.heds: omniocc.model.lifter.Coloring has no such argument; did you mean 'heads'?" in text
+    assert "model.lifter.points: 'abc' is not a whole number" in text
+    assert "model.sketch._target_: omniocc.model.sketch.Nope cannot be imported" in text
+    assert "seed: 'x' is not a whole number" in text
+
+
+def test_missing_argument_and_broken_interpolation_are_named():
+    cfg = OmegaConf.create({"part": {"_target_": "omniocc.task.AdamW", "learning_rate": "${nowhere}", "warmup_steps": 3, "weight_decay": 0.1}})
+    with pytest.raises(ConfigError) as caught:
+        check(cfg)
+    assert any("part.learning_rate" in line and "nowhere" in line for line in caught.value.problems)
+    assert any(line == "part.final_share: omniocc.task.AdamW needs it" for line in caught.value.problems)
+
+
+def test_unknown_root_key_is_refused():
+    with pytest.raises(ConfigError, match="sed: train.py has no such argument; did you mean 'seed'"):
+        check_root(composed("+sed=1"))
+
+
+def test_foreign_targets_are_refused_for_configurations_of_strangers():
+    with pytest.raises(ConfigError, match="not in a trusted package"):
+        check(OmegaConf.create({"x": {"_target_": "os.system", "command": "true"}}), packages=["omniocc"])
+
+
+def test_a_value_the_constructor_refuses_is_named():
+    cfg = OmegaConf.create({"_target_": "omniocc.geometry.Cylinder", "shape": [4, 4], "radius_m": [0.0, 1.0], "height_m": [0.0, 1.0]})
+    with pytest.raises(ConfigError, match="shape"):
+        build(cfg)
+
+
+@pytest.mark.parametrize(
+    ("value", "hint", "expected"),
+    [
+        (1, int, True), (True, int, False), (1, float, True), ("1", float, False), ([1, 2], tuple[int, int], True),
+        ([1, 2, 3], tuple[int, int], False), ([1, "a"], list[int], False), (None, int | None, True), ("a", Literal["a", "b"], True),
+        ("c", Literal["a", "b"], False), ([1.0, 2], tuple[float, ...], True),
+    ],
+)  # fmt: skip
+def test_fits(value, hint, expected):
+    assert fits(value, hint) is expected
