@@ -1,0 +1,107 @@
+"""The scripts as users start them: whole runs, kills, mistakes."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+
+def command(script: str, *arguments: str) -> list[str]:
+    return [sys.executable, str(ROOT / "src" / script), *arguments]
+
+
+def run(*parts: str, cwd: Path) -> subprocess.CompletedProcess:
+    return subprocess.run(command(*parts), cwd=cwd, capture_output=True, text=True, check=False, timeout=400)
+
+
+def smoke(data_root: Path, *more: str) -> list[str]:
+    return ["preset=smoke", f"paths.data={data_root}", "logger.mode=disabled", "data.num_workers=0", *more]
+
+
+def metrics_of(folder: Path, name: str) -> dict:
+    (path,) = folder.glob(f"runs/{name}-*/metrics.json")
+    return json.loads(path.read_text())["metrics"]
+
+
+def test_a_run_leaves_figures_pictures_and_curves(tmp_path, data_root):
+    arguments = smoke(data_root, "name=first", "logger.mode=offline", "pictures=1")
+    result = run("train.py", *arguments, cwd=tmp_path)
+    assert result.returncode == 0, result.stdout + result.stderr
+    metrics = metrics_of(tmp_path, "first")
+    for key in ("test/rayiou", "test/rayiou@1", "test/rayiou/Road", "test/rayiou_0-8.5m", "prior/rayiou", "label/lidar/rayiou", "test/voxel/miou"):
+        assert key in metrics
+    assert metrics["label/rayiou"] == 1.0
+    (folder,) = tmp_path.glob("runs/first-*")
+    assert list(folder.glob("pictures/test-00-*.png"))
+    assert list(folder.glob("wandb/offline-run-*/*.wandb"))
+    assert (folder / "config.yaml").exists()
+    assert "RayIoU" in result.stdout
+
+    again = run("train.py", *arguments, cwd=tmp_path)
+    assert again.returncode == 0
+    assert "is finished" in again.stdout
+
+    evaluated = run("evaluate.py", str(folder / "best.ckpt" if (folder / "best.ckpt").exists() else folder / "last.ckpt"), "--pictures", "0", cwd=tmp_path)
+    assert evaluated.returncode == 0, evaluated.stdout + evaluated.stderr
+    (path,) = folder.glob("evaluation-*/metrics.json")
+    assert json.loads(path.read_text())["metrics"] == metrics
+
+
+def test_killed_training_continues_to_the_same_figures(tmp_path, data_root):
+    arguments = smoke(data_root, "trainer.max_steps=12", "checkpoint_every_n_steps=1", "pictures=0")
+    whole = run("train.py", *arguments, "name=whole", cwd=tmp_path)
+    assert whole.returncode == 0, whole.stdout + whole.stderr
+
+    process = subprocess.Popen(command("train.py", *arguments, "name=killed"), cwd=tmp_path, stdout=subprocess.DEVNULL, start_new_session=True)
+    deadline = time.monotonic() + 120
+    while not list(tmp_path.glob("runs/killed-*/last.ckpt")) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    assert list(tmp_path.glob("runs/killed-*/last.ckpt"))
+    assert not list(tmp_path.glob("runs/killed-*/metrics.json")), "the run ended before it could be killed"
+
+    resumed = run("train.py", *arguments, "name=killed", cwd=tmp_path)
+    assert resumed.returncode == 0, resumed.stdout + resumed.stderr
+    assert "goes on from" in resumed.stdout
+    assert metrics_of(tmp_path, "killed") == pytest.approx(metrics_of(tmp_path, "whole"), abs=1e-6, nan_ok=True)
+
+
+@pytest.mark.parametrize(
+    ("override", "expected"),
+    [
+        ("model/sketch=mnoo", ["mnoo", "dense", "random"]),
+        ("model.lifter.points=many", ["model.lifter.points", "'many' is not a whole number"]),
+        ("+model.lifter.pionts=3", ["did you mean 'points'"]),
+        ("resume=nowhere.ckpt", ["nowhere.ckpt"]),
+    ],
+)
+def test_mistakes_end_in_lines_not_tracebacks(override, expected, tmp_path, data_root):
+    result = run("train.py", *smoke(data_root, override), cwd=tmp_path)
+    text = result.stdout + result.stderr
+    assert result.returncode != 0
+    assert "Traceback" not in text
+    for words in expected:
+        assert words in text
+
+
+@pytest.mark.parametrize("overrides", [("model/geometry=cuboid",), ("model/sketch=random", "model/refiner=none", "model/semantic_head=none")])
+def test_swapped_modules_train(overrides, tmp_path, data_root):
+    result = run("train.py", *smoke(data_root, *overrides, "trainer.max_steps=2", "pictures=0"), cwd=tmp_path)
+    assert result.returncode == 0, result.stdout + result.stderr
+
+
+def test_a_checkpoint_of_a_stranger_runs_nothing(tmp_path):
+    bad = tmp_path / "bad.ckpt"
+    bad.write_bytes(b"not a checkpoint")
+    result = run("evaluate.py", str(bad), cwd=tmp_path)
+    assert result.returncode != 0
+    assert "Traceback" not in result.stderr
+    assert "bad.ckpt" in result.stderr
