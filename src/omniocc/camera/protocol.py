@@ -1,0 +1,73 @@
+"""What a camera model offers, and the checks that all of them share."""
+
+import math
+from typing import Protocol, runtime_checkable
+
+from jaxtyping import Bool, Float
+from torch import Tensor
+from typing_extensions import Self
+
+
+@runtime_checkable
+class Camera(Protocol):
+    """A map between points in the camera's frame (x right, y down, z forward) and pixels, as a frozen dataclass.
+
+    Rays have unit length and never pass through the plane z = 1, so that angles past 90 degrees are as exact as others.
+    Values are finite and gradients free of NaN also where `valid` is false. Float32 and float64, any device.
+    """
+
+    @property
+    def width(self) -> int:
+        """Pixels in a row."""
+        ...
+
+    @property
+    def height(self) -> int:
+        """Pixels in a column."""
+        ...
+
+    def project(self, points: Float[Tensor, "*batch 3"]) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"]]:
+        """Pixel (u, v) of each point; valid where the model covers the angle and the pixel lies in the image."""
+        ...
+
+    def unproject(self, pixels: Float[Tensor, "*batch 2"]) -> tuple[Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
+        """Unit ray of each pixel, in the image or not; valid where the model covers the angle."""
+        ...
+
+    def resized(self, width: int, height: int) -> Self:
+        """The same camera with its image scaled to another size."""
+        ...
+
+
+def check_size(width: int, height: int) -> None:
+    """Raises ValueError unless both are positive whole numbers."""
+    for name, value in (("width", width), ("height", height)):
+        if isinstance(value, bool) or not isinstance(value, int) or value < 1:
+            raise ValueError(f"{name} is {value!r}; it must be a positive whole number of pixels")
+
+
+def finite(name: str, value: float) -> float:
+    """`value` as a float; raises ValueError if it is no finite number."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ValueError(f"{name} is {value!r}; it must be a finite number")
+    return float(value)
+
+
+def positive(name: str, value: float) -> float:
+    """`value` as a float; raises ValueError unless it is finite and above zero."""
+    number = finite(name, value)
+    if number <= 0:
+        raise ValueError(f"{name} is {value!r}; it must be above 0")
+    return number
+
+
+def pair(name: str, value: tuple[float, float]) -> tuple[float, float]:
+    """`value` as a tuple of two floats; raises ValueError if it is not two finite numbers."""
+    if not isinstance(value, list | tuple) or len(value) != 2:
+        raise ValueError(f"{name} is {value!r}; it must be two numbers")
+    return finite(name, value[0]), finite(name, value[1])
+
+
+def scaled_center(center_px: tuple[float, float], scale_x: float, scale_y: float) -> tuple[float, float]:
+    """A principal point after scaling the image: the image's corner (-0.5, -0.5) stays where it is."""
+    return (center_px[0] + 0.5) * scale_x - 0.5, (center_px[1] + 0.5) * scale_y - 0.5

@@ -1,0 +1,147 @@
+"""A rig: calibrated cameras at known places on the vehicle."""
+
+import hashlib
+from dataclasses import dataclass, replace
+from functools import cached_property
+from os import PathLike
+from typing import Any
+
+import torch
+from jaxtyping import Bool, Float, Float32, Float64
+from torch import Tensor
+from typing_extensions import Self
+
+from omniocc.camera.pixels import pixel_centers
+from omniocc.camera.pose import check_rigid, invert_pose
+from omniocc.camera.protocol import Camera
+from omniocc.camera.rig_file import read_rig, write_rig
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """Cameras and their poses. Equal rigs are equal as keys of a cache, whatever file they came from.
+
+    Attributes:
+        cameras: models of the N cameras.
+        ego_from_camera: rigid poses, camera frame (x right, y down, z forward) to ego frame.
+        names: unique, in the order of the cameras.
+        masks: for each camera None or (height, width), true where the image is usable; None if no camera has one.
+    """
+
+    cameras: tuple[Camera, ...]
+    ego_from_camera: Float64[Tensor, "N 4 4"]
+    names: tuple[str, ...]
+    masks: tuple[Bool[Tensor, "height width"] | None, ...] | None = None
+
+    def __post_init__(self) -> None:
+        """Raises ValueError naming the camera whose pose or mask is wrong."""
+        count = len(self.cameras)
+        if count == 0 or len(self.names) != count or self.ego_from_camera.shape != (count, 4, 4):
+            raise ValueError(
+                f"{count} cameras, {len(self.names)} names, poses of shape {tuple(self.ego_from_camera.shape)}: "
+                "a rig needs at least one camera and one name and one 4x4 pose for each"
+            )
+        if len(set(self.names)) != count:
+            raise ValueError(f"camera names {list(self.names)} are not unique")
+        if self.masks is not None and len(self.masks) != count:
+            raise ValueError(f"{len(self.masks)} masks for {count} cameras; give one each, None where there is none")
+        for index, name in enumerate(self.names):
+            check_rigid(self.ego_from_camera[index], f"camera '{name}'")
+            _check_mask(self._mask(index), self.cameras[index], f"camera '{name}'")
+
+    @classmethod
+    def load(cls, path: str | PathLike[str]) -> Self:
+        """Reads a rig file (see `omniocc.camera.rig_file`) or a built-in rig by name: `fisheye6`, `pinhole6`.
+
+        Raises:
+            ValueError: naming file, camera and value of what is wrong.
+        """
+        return cls(*read_rig(path))
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Writes a rig file, and masks as PNG files beside it; loading it gives an equal rig."""
+        write_rig(path, self.cameras, self.ego_from_camera, self.names, self.masks)
+
+    def project(
+        self, points_ego: Float[Tensor, "*batch 3"]
+    ) -> tuple[Float[Tensor, "N *batch 2"], Bool[Tensor, "N *batch"]]:
+        """Pixels of ego-frame points in every camera; not valid where a camera's mask says so."""
+        camera_from_ego = invert_pose(self.ego_from_camera).to(points_ego)
+        results = [self._project_one(i, points_ego, camera_from_ego[i]) for i in range(len(self.cameras))]
+        return torch.stack([pixels for pixels, _ in results]), torch.stack([valid for _, valid in results])
+
+    def rays(self, camera: int) -> tuple[Float32[Tensor, "height width 3"], Bool[Tensor, "height width"]]:
+        """Unit direction, in the ego frame, of every pixel of one camera, and whether lens and mask let it see."""
+        model = self.cameras[camera]
+        rays, valid = model.unproject(pixel_centers(model.width, model.height, torch.float64))
+        mask = self._mask(camera)
+        rays = rays @ self.ego_from_camera[camera, :3, :3].T
+        return rays.float(), valid if mask is None else valid & mask
+
+    def resized(self, width: int, height: int) -> Self:
+        """The same rig with every image scaled to `width` x `height`."""
+        cameras = tuple(camera.resized(width, height) for camera in self.cameras)
+        masks = None
+        if self.masks is not None:
+            masks = tuple(None if mask is None else _resized_mask(mask, width, height) for mask in self.masks)
+        return replace(self, cameras=cameras, masks=masks)
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Hash of models, poses, names and masks: equal for equal rigs, in every process."""
+        digest = hashlib.sha256()
+        for index, (name, camera) in enumerate(zip(self.names, self.cameras, strict=True)):
+            digest.update(f"{name}\n{camera!r}\n".encode())
+            digest.update((self.ego_from_camera[index] + 0.0).numpy().tobytes())
+            mask = self._mask(index)
+            digest.update(b"-" if mask is None else mask.numpy().tobytes())
+        return digest.hexdigest()
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Rig) and self.fingerprint == other.fingerprint
+
+    def __hash__(self) -> int:
+        return hash(self.fingerprint)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Tensors travel as arrays: between worker processes each tensor would cost an open file."""
+        masks = None if self.masks is None else [None if mask is None else mask.numpy() for mask in self.masks]
+        return self.__dict__ | {"ego_from_camera": self.ego_from_camera.numpy(), "masks": masks}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        masks = state["masks"]
+        if masks is not None:
+            masks = tuple(None if mask is None else torch.from_numpy(mask) for mask in masks)
+        poses = torch.from_numpy(state["ego_from_camera"])
+        self.__dict__.update(state | {"ego_from_camera": poses, "masks": masks})
+
+    def _mask(self, camera: int) -> Bool[Tensor, "height width"] | None:
+        return None if self.masks is None else self.masks[camera]
+
+    def _project_one(
+        self, index: int, points_ego: Float[Tensor, "*batch 3"], camera_from_ego: Float[Tensor, "4 4"]
+    ) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"]]:
+        x, y, z = points_ego[..., :1], points_ego[..., 1:2], points_ego[..., 2:]
+        # Sums instead of a matrix product, which autocast or TF32 would round.
+        right, down, forward, origin = camera_from_ego[:3].unbind(-1)
+        pixels, valid = self.cameras[index].project(x * right + y * down + z * forward + origin)
+        mask = self._mask(index)
+        if mask is None:
+            return pixels, valid
+        nearest = torch.where(valid[..., None], pixels, 0).round().long()
+        u = nearest[..., 0].clamp(0, mask.shape[1] - 1)
+        v = nearest[..., 1].clamp(0, mask.shape[0] - 1)
+        return pixels, valid & mask.to(points_ego.device)[v, u]
+
+
+def _check_mask(mask: Bool[Tensor, "height width"] | None, camera: Camera, whose: str) -> None:
+    if mask is not None and mask.shape != (camera.height, camera.width):
+        size = f"{mask.shape[1]}x{mask.shape[0]}"
+        raise ValueError(f"{whose}: mask is {size} px but the image is {camera.width}x{camera.height} px")
+
+
+def _resized_mask(mask: Bool[Tensor, "height width"], width: int, height: int) -> Bool[Tensor, "height width"]:
+    """The mask at the old pixel nearest to each new pixel's centre."""
+    rows = ((torch.arange(height) + 0.5) * mask.shape[0] / height).long()
+    columns = ((torch.arange(width) + 0.5) * mask.shape[1] / width).long()
+    return mask[rows][:, columns]

@@ -1,0 +1,169 @@
+"""Rig files: one YAML per rig.
+
+    cameras:
+      front:
+        model: equidistant                    # file name of the model in omniocc/camera
+        width: 512                            # then the model's own parameters, by name
+        height: 288
+        focal_px: 154.4
+        center_px: [255.5, 143.5]
+        max_angle_deg: 95.0
+        ego_from_camera: {position_m: [0.9, 0, 0], yaw_deg: 0, pitch_deg: -10, roll_deg: 0}
+        mask: front.png                       # optional, relative to this file; white where the image is usable
+
+Angles are those of `omniocc.camera.pose.pose_from_angles`. `ego_from_camera` may also be the four rows of a 4x4 matrix,
+which is what `write_rig` writes, as angles would not reproduce a calibrated pose to the last bit.
+"""
+
+import dataclasses
+import difflib
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+import yaml
+from jaxtyping import Bool, Float64
+from torch import Tensor
+
+from omniocc.camera.equidistant import Equidistant
+from omniocc.camera.pinhole import Pinhole
+from omniocc.camera.pose import check_rigid, pose_from_angles
+from omniocc.camera.protocol import Camera, finite
+
+MODELS = {"equidistant": Equidistant, "pinhole": Pinhole}
+BUILT_IN = Path(__file__).parent / "rigs"
+ANGLES = ("yaw_deg", "pitch_deg", "roll_deg")
+
+Mask = Bool[Tensor, "height width"]
+Masks = tuple[Mask | None, ...]
+
+
+def read_rig(
+    path: str | PathLike[str],
+) -> tuple[tuple[Camera, ...], Float64[Tensor, "N 4 4"], tuple[str, ...], Masks | None]:
+    """The arguments of `Rig` from a file, or from a built-in rig by name. Raises ValueError, see `Rig.load`."""
+    file = _find(path)
+    content = _mapping(yaml.safe_load(file.read_text(encoding="utf-8")), f"{file}: its content")
+    _check_keys(content, ["cameras"], [], f"{file}: ")
+    entries = _mapping(content["cameras"], f"{file}: 'cameras'")
+    read = [_read_entry(file, str(name), entry) for name, entry in entries.items()]
+    masks = tuple(mask for _, _, mask in read)
+    cameras, poses = tuple(camera for camera, _, _ in read), torch.stack([pose for _, pose, _ in read])
+    return cameras, poses, tuple(str(name) for name in entries), None if all(m is None for m in masks) else masks
+
+
+def write_rig(
+    path: str | PathLike[str],
+    cameras: tuple[Camera, ...],
+    ego_from_camera: Float64[Tensor, "N 4 4"],
+    names: tuple[str, ...],
+    masks: Masks | None,
+) -> None:
+    """See `Rig.save`."""
+    file = Path(path)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    model_names = {model: name for name, model in MODELS.items()}
+    entries = {}
+    for index, (name, camera) in enumerate(zip(names, cameras, strict=True)):
+        parameters = {key: list(v) if isinstance(v, tuple) else v for key, v in vars(camera).items()}
+        entry = {"model": model_names[type(camera)], **parameters, "ego_from_camera": ego_from_camera[index].tolist()}
+        mask = None if masks is None else masks[index]
+        if mask is not None:
+            entry["mask"] = f"{file.stem}.{name}.png"
+            _write_mask(file.parent / entry["mask"], mask)
+        entries[name] = entry
+    file.write_text(yaml.safe_dump({"cameras": entries}, sort_keys=False, default_flow_style=None), encoding="utf-8")
+
+
+def _read_entry(file: Path, name: str, entry: Any) -> tuple[Camera, Float64[Tensor, "4 4"], Mask | None]:
+    try:
+        camera = _read_camera(_mapping(entry, "its entry"))
+        pose = _read_pose(entry["ego_from_camera"])
+        mask = _read_mask(file.parent / entry["mask"], camera) if "mask" in entry else None
+    except ValueError as error:
+        raise ValueError(f"{file}: camera '{name}': {error}") from error
+    return camera, pose, mask
+
+
+def _find(path: str | PathLike[str]) -> Path:
+    built_in = {file.stem: file for file in sorted(BUILT_IN.glob("*.yaml"))}
+    if str(path) in built_in:
+        return built_in[str(path)]
+    if not Path(path).is_file():
+        hint = _did_you_mean(str(path), list(built_in))
+        raise ValueError(f"no rig file '{path}'{hint}; built-in rigs: {', '.join(built_in)}")
+    return Path(path)
+
+
+def _read_camera(entry: dict[str, Any]) -> Camera:
+    name = entry.get("model")
+    if name not in MODELS:
+        raise ValueError(f"unknown model '{name}'{_did_you_mean(str(name), list(MODELS))}; models: {', '.join(MODELS)}")
+    model = MODELS[name]
+    parameters = [field.name for field in dataclasses.fields(model)]
+    _check_keys(entry, ["model", *parameters, "ego_from_camera"], ["mask"])
+    values = {key: tuple(entry[key]) if isinstance(entry[key], list) else entry[key] for key in parameters}
+    return model(**values)
+
+
+def _read_pose(value: Any) -> Float64[Tensor, "4 4"]:
+    if isinstance(value, dict):
+        _check_keys(value, ["position_m", *ANGLES], [], "ego_from_camera.")
+        x, y, z = _numbers("ego_from_camera.position_m", value["position_m"], 3)
+        yaw, pitch, roll = (finite(f"ego_from_camera.{key}", value[key]) for key in ANGLES)
+        return pose_from_angles((x, y, z), yaw, pitch, roll)
+    if not isinstance(value, list) or len(value) != 4:
+        raise ValueError(
+            f"ego_from_camera is {value!r}; give position_m, {', '.join(ANGLES)}, or four rows of 4 numbers"
+        )
+    rows = [_numbers("a row of ego_from_camera", row, 4) for row in value]
+    pose = torch.tensor(rows, dtype=torch.float64)
+    check_rigid(pose, "its pose")
+    return pose
+
+
+def _read_mask(file: Path, camera: Camera) -> Mask:
+    if not file.is_file():
+        raise ValueError(f"mask {file} does not exist")
+    pixels = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
+    if pixels is None:
+        raise ValueError(f"mask {file} is no image that can be read")
+    if pixels.shape != (camera.height, camera.width):
+        size = f"{pixels.shape[1]}x{pixels.shape[0]}"
+        raise ValueError(f"mask {file} is {size} px but the image is {camera.width}x{camera.height} px")
+    return torch.from_numpy(pixels > 127)
+
+
+def _write_mask(file: Path, mask: Mask) -> None:
+    if not cv2.imwrite(str(file), mask.numpy().astype(np.uint8) * 255):
+        raise OSError(f"cannot write {file}")
+
+
+def _numbers(name: str, value: Any, count: int) -> list[float]:
+    if not isinstance(value, list) or len(value) != count:
+        raise ValueError(f"{name} is {value!r}; it must be {count} numbers")
+    return [finite(name, number) for number in value]
+
+
+def _mapping(value: Any, what: str) -> dict[str, Any]:
+    if not isinstance(value, dict) or not value:
+        raise ValueError(f"{what} is {value!r}; it must be a mapping with entries")
+    return value
+
+
+def _check_keys(entry: dict[str, Any], required: list[str], optional: list[str], prefix: str = "") -> None:
+    for key in required:
+        if key not in entry:
+            raise ValueError(f"{prefix}{key} is missing")
+    known = required + optional
+    for key in entry:
+        if key not in known:
+            raise ValueError(f"unknown key {prefix}{key}{_did_you_mean(str(key), known)}; keys: {', '.join(known)}")
+
+
+def _did_you_mean(word: str, choices: list[str]) -> str:
+    close = difflib.get_close_matches(word, choices, n=1)
+    return f"; did you mean '{close[0]}'?" if close else ""
