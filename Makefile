@@ -32,4 +32,13 @@ types: $(READY)  ## Check types
 bench: $(READY)  ## Measure speed and memory (tests/bench)
 	@for script in tests/bench/bench_*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done
 
-.PHONY: help setup demo test lint types bench
+ABLATIONS ?= $(basename $(notdir $(wildcard conf/ablation/*.yaml)))
+SEEDS ?= 0
+
+ablations: $(READY)  ## Train every row of conf/ablation (SEEDS="0 1" ABLATIONS="dense random"), then one table
+	@failed=""; for row in $(ABLATIONS); do for seed in $(SEEDS); do echo "== $$row, seed $$seed"; \
+	  $(BIN)/python src/train.py +ablation=$$row preset=$(PRESET) seed=$$seed || failed="$$failed $$row/$$seed"; done; done; \
+	$(BIN)/python src/report.py; \
+	if [ -n "$$failed" ]; then echo "failed:$$failed"; exit 1; fi
+
+.PHONY: help setup demo test lint types bench ablations

@@ -98,6 +98,14 @@ def test_swapped_modules_train(overrides, tmp_path, data_root):
     assert result.returncode == 0, result.stdout + result.stderr
 
 
+def test_two_processes_train_one_model(tmp_path, data_root):
+    distributed = ("trainer.accelerator=cpu", "trainer.devices=2", "trainer.strategy=ddp", "trainer.max_steps=2", "data.batch_size=1")
+    result = run("train.py", *smoke(data_root, *distributed, "pictures=0", "name=pair"), cwd=tmp_path)
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert metrics_of(tmp_path, "pair")["label/rayiou"] == 1.0
+    assert len(list(tmp_path.glob("runs/*"))) == 1
+
+
 def test_a_checkpoint_of_a_stranger_runs_nothing(tmp_path):
     bad = tmp_path / "bad.ckpt"
     bad.write_bytes(b"not a checkpoint")

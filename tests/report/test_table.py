@@ -1,7 +1,11 @@
 import json
 import math
 
-from omniocc.report.run import load_metrics, save_results
+import pytest
+
+from omniocc.errors import UserError
+from omniocc.report.run import load_results, save_results
+from omniocc.report.runs import read_runs, table_of_runs
 from omniocc.report.table import as_markdown, per_class, summary
 
 METRICS = {
@@ -30,7 +34,23 @@ def test_results_survive_the_file(tmp_path):
     raw = json.loads((tmp_path / "metrics.json").read_text(), parse_constant=lambda name: f"not JSON: {name}")
     assert raw["seed"] == 3
     assert raw["metrics"]["test/rayiou/Pedestrian"] is None
-    loaded = load_metrics(tmp_path)
+    facts, loaded = load_results(tmp_path)
+    assert facts == {"seed": 3}
     assert math.isnan(loaded.pop("test/rayiou/Pedestrian"))
     assert loaded == {key: value for key, value in METRICS.items() if key != "test/rayiou/Pedestrian"}
     assert as_markdown(METRICS, "seed 3").startswith("seed 3\n\n|  | RayIoU |")
+
+
+def test_runs_stand_side_by_side_best_first(tmp_path):
+    for name, value in (("low", 0.1), ("high", 0.3)):
+        (tmp_path / name).mkdir()
+        save_results(tmp_path / name, {**METRICS, "test/rayiou": value}, {"seed": 3, "steps": 7})
+    (tmp_path / "unfinished").mkdir()
+    head, rows = table_of_runs(read_runs(tmp_path))
+    assert [row[0] for row in rows] == ["high", "low"]
+    assert rows[0][head.index("8.5-17m")] == "0.200"
+
+
+def test_no_runs_is_an_error_that_says_what_to_do(tmp_path):
+    with pytest.raises(UserError, match=r"train\.py"):
+        read_runs(tmp_path)

@@ -18,14 +18,15 @@ def save_results(folder: Path, metrics: Mapping[str, float], facts: Mapping[str,
     write_whole(folder / METRICS, json.dumps({**facts, "metrics": plain}, indent=1) + "\n")
 
 
-def load_metrics(folder: Path) -> dict[str, float]:
-    """The figures of a finished run, NaN for classes without cases."""
-    metrics = json.loads((folder / METRICS).read_text())["metrics"]
-    return {key: math.nan if value is None else value for key, value in metrics.items()}
+def load_results(folder: Path) -> tuple[dict[str, Any], dict[str, float]]:
+    """Facts and figures of a finished run; NaN for classes without cases."""
+    facts = json.loads((folder / METRICS).read_text())
+    metrics = facts.pop("metrics")
+    return facts, {key: math.nan if value is None else value for key, value in metrics.items()}
 
 
 def show_results(folder: Path) -> None:
     """Print the table of a finished run and where its files are."""
-    print(f"\n{as_text(load_metrics(folder))}\n")
+    print(f"\n{as_text(load_results(folder)[1])}\n")
     pictures = sorted(str(path) for path in (folder / "pictures").glob("test-*.png"))
     print("\n".join([f"table     {folder / 'table.md'}", f"figures   {folder / METRICS}", *(f"picture   {path}" for path in pictures)]), flush=True)

@@ -14,11 +14,17 @@ EXPLANATION = (
 
 def summary(metrics: Mapping[str, float]) -> tuple[list[str], list[list[str]]]:
     """Head and rows of the overview: RayIoU, its distance bands, RayIoU against LiDAR rays, voxel IoU and mIoU."""
-    bands = sorted((key for key in metrics if key.startswith("test/rayiou_")), key=lambda key: float(key.split("_")[1].split("-")[0]))
-    columns = ["rayiou", *(key.removeprefix("test/") for key in bands), "lidar/rayiou", "voxel/iou", "voxel/miou"]
-    head = ["", "RayIoU", *(column.removeprefix("rayiou_").replace("m", " m") for column in columns[1 : 1 + len(bands)]), "RayIoU, LiDAR", "IoU", "mIoU"]
+    bands = band_keys(metrics)
+    columns = ["rayiou", *bands, "lidar/rayiou", "voxel/iou", "voxel/miou"]
+    head = ["", "RayIoU", *(band.removeprefix("rayiou_").replace("m", " m") for band in bands), "RayIoU, LiDAR", "IoU", "mIoU"]
     rows = [[label, *(number(metrics.get(f"{row}/{column}")) for column in columns)] for row, label in ROWS.items()]
     return head, rows
+
+
+def band_keys(metrics: Mapping[str, float]) -> list[str]:
+    """The keys `rayiou_<lo>-<hi>m`, nearest band first."""
+    keys = [key.removeprefix("test/") for key in metrics if key.startswith("test/rayiou_")]
+    return sorted(keys, key=lambda key: float(key.split("_")[1].split("-")[0]))
 
 
 def per_class(metrics: Mapping[str, float]) -> tuple[list[str], list[list[str]]]:

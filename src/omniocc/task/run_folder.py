@@ -15,15 +15,17 @@ from omniocc.errors import UserError
 LAST, BEST, METRICS = "last.ckpt", "best.ckpt", "metrics.json"
 VOLATILE = ("resume", "paths", "logger", "pictures", "checkpoint_every_n_steps")
 """Root keys that do not change what a run computes."""
+RANK_FOLDER = "OMNIOCC_RUN_FOLDER"
+"""Environment variable by which the first process of a distributed run tells its children the folder."""
 
 
 @dataclass(frozen=True)
 class RunFolder:
-    """A run's folder, locked by this process; `checkpoint` is where to continue, None at the start."""
+    """A run's folder; `checkpoint` is where to continue, None at the start; `lock` is held by the run's first process."""
 
     path: Path
     checkpoint: Path | None
-    lock: FileLock
+    lock: FileLock | None
 
     @property
     def finished(self) -> bool:
@@ -51,22 +53,31 @@ def open_run(runs: Path, name: str, digest: str, resume: str) -> RunFolder:
         UserError: when another process works in the folder.
         FileNotFoundError: when the checkpoint to go on from is not there.
     """
-    path = runs / f"{name}-{digest}"
-    number = 2
-    while resume == "never" and path.exists():
-        path, number = runs / f"{name}-{digest}-{number}", number + 1
-    path.mkdir(parents=True, exist_ok=True)
-    lock = FileLock(path / ".lock", timeout=0)
-    try:
-        lock.acquire()
-    except Timeout:
-        raise UserError(f"another process is working in {path}; wait for it, or give this run another name=...") from None
+    path, lock = runs / f"{name}-{digest}", None
+    if os.environ.get("LOCAL_RANK", "0") == "0":
+        path, lock = _claim(path, fresh=resume == "never")
+        os.environ[RANK_FOLDER] = str(path)
+    else:
+        path = Path(os.environ.get(RANK_FOLDER, path))
     checkpoint = path / LAST
     if resume not in ("auto", "never"):
         checkpoint = Path(resume)
         if not checkpoint.is_file():
             raise FileNotFoundError(f"resume={resume}: there is no such checkpoint")
     return RunFolder(path, checkpoint if checkpoint.exists() else None, lock)
+
+
+def _claim(path: Path, fresh: bool) -> tuple[Path, FileLock]:
+    number, candidate = 2, path
+    while fresh and candidate.exists():
+        number, candidate = number + 1, path.with_name(f"{path.name}-{number}")
+    candidate.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(candidate / ".lock", timeout=0)
+    try:
+        lock.acquire()
+    except Timeout:
+        raise UserError(f"another process is working in {candidate}; wait for it, or give this run another name=...") from None
+    return candidate, lock
 
 
 def write_whole(path: Path, text: str) -> None:
