@@ -1,5 +1,6 @@
 """The rectangular voxel grid."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -9,7 +10,7 @@ from torch import Tensor
 from omniocc.geometry.grid import Grid, as_axis, as_shape
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class Cuboid(Grid):
     """Cells along x, y and z. The defaults are the paper's comparison grid of 1.04 M cells: 0.2 m x 0.2 m x 0.4 m.
 
@@ -23,15 +24,22 @@ class Cuboid(Grid):
         ValueError: if the sizes make no grid.
     """
 
-    shape: tuple[int, int, int] = (256, 256, 16)
-    x_m: tuple[float, float] = (-25.6, 25.6)
-    y_m: tuple[float, float] = (-25.6, 25.6)
-    height_m: tuple[float, float] = (-2.8, 3.6)
+    shape: tuple[int, int, int]
+    x_m: tuple[float, float]
+    y_m: tuple[float, float]
+    height_m: tuple[float, float]
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "shape", as_shape(self.shape))
-        for name in ("x_m", "y_m", "height_m"):
-            object.__setattr__(self, name, as_axis(name, getattr(self, name)))
+    def __init__(
+        self,
+        shape: Sequence[int] = (256, 256, 16),
+        x_m: Sequence[float | int] = (-25.6, 25.6),
+        y_m: Sequence[float | int] = (-25.6, 25.6),
+        height_m: Sequence[float | int] = (-2.8, 3.6),
+    ) -> None:
+        object.__setattr__(self, "shape", as_shape(shape))
+        object.__setattr__(self, "x_m", as_axis("x_m", x_m))
+        object.__setattr__(self, "y_m", as_axis("y_m", y_m))
+        object.__setattr__(self, "height_m", as_axis("height_m", height_m))
 
     @property
     def periodic(self) -> tuple[bool, bool, bool]:

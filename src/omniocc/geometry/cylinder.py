@@ -1,6 +1,7 @@
 """The cylindrical voxel grid (paper, section III-A)."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -10,12 +11,12 @@ from torch import Tensor
 from omniocc.geometry.grid import Grid, as_axis, as_shape
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class Cylinder(Grid):
     """Cells along radius, azimuth and height around the ego z axis.
 
-    Azimuth index 0 begins at -pi and the axis wraps around; azimuth runs counter-clockwise from +x. The defaults are the paper's grid:
-    0.2 m x 1.8 degrees x 0.4 m.
+    Azimuth index 0 begins at -pi and the axis wraps around; azimuth runs counter-clockwise from +x. The defaults are
+    the paper's grid: 0.2 m x 1.8 degrees x 0.4 m.
 
     Args:
         shape: cells along r, theta, z.
@@ -26,14 +27,19 @@ class Cylinder(Grid):
         ValueError: if the sizes make no grid.
     """
 
-    shape: tuple[int, int, int] = (128, 200, 16)
-    radius_m: tuple[float, float] = (0.0, 25.6)
-    height_m: tuple[float, float] = (-2.8, 3.6)
+    shape: tuple[int, int, int]
+    radius_m: tuple[float, float]
+    height_m: tuple[float, float]
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "shape", as_shape(self.shape))
-        object.__setattr__(self, "radius_m", as_axis("radius_m", self.radius_m))
-        object.__setattr__(self, "height_m", as_axis("height_m", self.height_m))
+    def __init__(
+        self,
+        shape: Sequence[int] = (128, 200, 16),
+        radius_m: Sequence[float | int] = (0.0, 25.6),
+        height_m: Sequence[float | int] = (-2.8, 3.6),
+    ) -> None:
+        object.__setattr__(self, "shape", as_shape(shape))
+        object.__setattr__(self, "radius_m", as_axis("radius_m", radius_m))
+        object.__setattr__(self, "height_m", as_axis("height_m", height_m))
         if self.radius_m[0] < 0:
             raise ValueError(f"radius_m must not be negative, got {self.radius_m}; use (0.0, outer radius)")
 
@@ -57,7 +63,7 @@ class Cylinder(Grid):
     def to_axes(self, points: Float[Tensor, "... 3"]) -> tuple[Tensor, Tensor, Tensor]:
         """Radius (m), azimuth (rad, in [-pi, pi]) and height (m)."""
         x, y, z = points.unbind(-1)
-        return torch.hypot(x, y), torch.atan2(y, x), z
+        return torch.sqrt(x * x + y * y), torch.atan2(y, x), z
 
     def from_axes(self, first: Tensor, second: Tensor, third: Tensor) -> Float[Tensor, "... 3"]:
         """Points from radius (m), azimuth (rad) and height (m)."""

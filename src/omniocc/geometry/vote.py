@@ -12,8 +12,8 @@ def majority(
 ) -> UInt8[Tensor, " cells"]:
     """Gives each cell the most frequent class of the points in it.
 
-    A tie goes to the highest class id (the thin classes Pole, Pedestrian and Roadline are the last). Unknown points (255) do not vote; a cell with
-    unknown points only is unknown. A cell without points is free (0).
+    A tie goes to the highest class id (the thin classes Pole, Pedestrian and Roadline are the last). Unknown points
+    (255) do not vote; a cell with unknown points only is unknown. A cell without points is free (0).
 
     Args:
         cells: cell of each point.
@@ -28,17 +28,10 @@ def majority(
     wrong = [label for label in present if label == FREE or num_classes <= label != UNKNOWN]
     if wrong:
         raise ValueError(f"points must have a class 1..{num_classes - 1} or {UNKNOWN} (unknown), got labels {wrong}")
-    votes = [label for label in present if label != UNKNOWN]
-    rank = torch.zeros(256, dtype=torch.int64, device=labels.device)
-    rank[torch.tensor(present, dtype=torch.int64)] = torch.arange(len(present), device=labels.device)
-    # one row per class that occurs; unknown is the largest id, so its row is the last
-    keys = torch.add(cells, rank[labels.int()], alpha=num_cells)
-    counts = torch.bincount(keys, minlength=len(present) * num_cells).reshape(len(present), num_cells)
-    result = torch.full((num_cells,), FREE, dtype=torch.uint8, device=labels.device)
-    if UNKNOWN in present:
-        result[counts[-1] > 0] = UNKNOWN
-    most = torch.ones(num_cells, dtype=counts.dtype, device=labels.device)
-    for label, count in zip(votes, counts, strict=False):
-        result.masked_fill_(count >= most, label)
-        torch.maximum(most, count, out=most)
-    return result
+    key_type = torch.int32 if num_cells < 2**23 else torch.int64
+    keys, counts = torch.unique_consecutive((cells.to(key_type) * 256 + labels).sort().values, return_counts=True)
+    label = (keys % 256).long()
+    # most votes first, then the higher class; unknown counts as no vote at all
+    score = torch.where(label == UNKNOWN, 0, counts) * 256 + label
+    best = score.new_zeros(num_cells).scatter_reduce_(0, (keys // 256).long(), score, "amax")
+    return (best % 256).to(torch.uint8)

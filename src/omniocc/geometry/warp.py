@@ -1,7 +1,5 @@
 """Trilinear interpolation along the axes of a grid."""
 
-from typing import Protocol
-
 import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
@@ -10,42 +8,40 @@ SNAP_CELLS = 1e-6
 """Positions this close to a cell centre count as the centre, so that a pose without motion changes no bit."""
 
 
-class Axes(Protocol):
-    """The part of a grid that interpolation needs."""
-
-    shape: tuple[int, int, int]
-
-    @property
-    def periodic(self) -> tuple[bool, bool, bool]: ...  # noqa: D102
-
-    def coordinates(self, points: Tensor) -> tuple[Tensor, Tensor, Tensor]: ...  # noqa: D102
+def fold(index: Int64[Tensor, "..."], cells: int) -> Int64[Tensor, "..."]:
+    """Takes indices of a periodic axis from within one turn of the grid back into it; cheaper than a remainder."""
+    return index + cells * ((index < 0).long() - (index >= cells).long())
 
 
 def trilinear(
-    grid: Axes, points: Float[Tensor, "N 3"]
+    position: tuple[Float[Tensor, " N"], Float[Tensor, " N"], Float[Tensor, " N"]],
+    shape: tuple[int, int, int],
+    periodic: tuple[bool, bool, bool],
 ) -> tuple[Int64[Tensor, "N 8"], Float[Tensor, "N 8"], Bool[Tensor, " N"]]:
     """Finds the eight cells whose centres surround each point, with their weights.
 
     Args:
-        grid: the grid to sample.
-        points: ego frame, metres; float64 keeps the weights of a resting pose exact.
+        position: points along each axis in units of cells (`Grid.coordinates`); float64 keeps a resting pose exact.
+        shape: cells along each axis.
+        periodic: which axes wrap around.
 
     Returns:
-        Flat cell indices, weights that sum to 1 (border cells are repeated beyond the border), and whether the point is inside the grid.
+        Flat cell indices, weights that sum to 1 (border cells are repeated beyond the border), and whether the point is
+        inside the grid.
     """
-    flat = torch.zeros(len(points), 1, dtype=torch.int64, device=points.device)
-    weights = points.new_ones(len(points), 1)
-    inside = torch.ones(len(points), dtype=torch.bool, device=points.device)
-    for position, cells, periodic in zip(grid.coordinates(points), grid.shape, grid.periodic, strict=True):
-        if not periodic:
-            inside &= (position >= 0) & (position < cells)
-        position = (position - 0.5).clamp(-1, cells)
-        nearest = position.round()
-        position = torch.where((position - nearest).abs() < SNAP_CELLS, nearest, position)
-        lower = position.floor()
+    weights = torch.ones_like(position[0]).unsqueeze(-1)
+    flat = torch.zeros_like(weights, dtype=torch.int64)
+    inside = torch.ones_like(position[0], dtype=torch.bool)
+    for along, cells, wraps in zip(position, shape, periodic, strict=True):
+        if not wraps:
+            inside &= (along >= 0) & (along < cells)
+        offset = (along - 0.5).clamp(-1, cells)
+        nearest = offset.round()
+        offset = torch.where((offset - nearest).abs() < SNAP_CELLS, nearest, offset)
+        lower = offset.floor()
         pair = torch.stack([lower, lower + 1], dim=-1).long()
-        pair = pair.remainder(cells) if periodic else pair.clamp(0, cells - 1)
-        fraction = position - lower
+        pair = fold(pair, cells) if wraps else pair.clamp(0, cells - 1)
+        fraction = offset - lower
         flat = (flat.unsqueeze(-1) * cells + pair.unsqueeze(-2)).flatten(1)
         weights = (weights.unsqueeze(-1) * torch.stack([1 - fraction, fraction], dim=-1).unsqueeze(-2)).flatten(1)
     return flat, weights, inside
