@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
-from typing_extensions import Self
 
 from omniocc.camera.pixels import in_image
 from omniocc.camera.protocol import check_size, pair, positive, scaled_center
@@ -58,7 +57,7 @@ class Equidistant:
         rays = torch.cat([sinc[..., None] * angles, cosine[..., None]], dim=-1)
         return rays, near_axis | (theta <= math.radians(self.max_angle_deg))
 
-    def resized(self, width: int, height: int) -> Self:
+    def resized(self, width: int, height: int) -> "Equidistant":
         """See `Camera.resized`; raises ValueError if the aspect ratio changes, as the model has one focal length."""
         scale_x, scale_y = width / self.width, height / self.height
         if not math.isclose(scale_x, scale_y, rel_tol=1e-9):
@@ -85,6 +84,6 @@ def _theta_over_radius(
     radius = torch.where(near_axis, 1, squared).sqrt()
     away = torch.atan2(radius, torch.where(near_axis, 1, z))
     inverse_z = torch.where(in_front, z, 1).reciprocal()
-    series = inverse_z * (1 - squared * inverse_z.square() / 3)
+    series = inverse_z * (1 - squared * inverse_z * inverse_z / 3)
     quotient = torch.where(near_axis, torch.where(in_front, series, 0), away / radius)
     return quotient, torch.where(near_axis, 0, away), in_front | ~near_axis

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 import torch
 from jaxtyping import Bool, Float, Float32
 from torch import Tensor
-from typing_extensions import Self
 
 from omniocc.camera.pixels import in_image, pixel_centers
 from omniocc.camera.protocol import check_size, finite
@@ -16,8 +15,8 @@ from omniocc.camera.protocol import check_size, finite
 class Equirectangular:
     """Columns are azimuths over the full turn, rows are elevations; its 'camera frame' is the ego frame.
 
-    Column j looks to azimuth pi - (j + 0.5) * 2 pi / width: forward is the middle of the picture, the car's left is left
-    in the picture. Row i looks to elevation top - (i + 0.5) * (top - bottom) / height.
+    Column j looks to azimuth pi - (j + 0.5) * 2 pi / width: forward is the middle of the picture, the car's left is its
+    left. Row i looks to elevation top - (i + 0.5) * (top - bottom) / height.
 
     Attributes:
         width: of the image, px.
@@ -74,6 +73,6 @@ class Equirectangular:
         """Unit ray of every pixel in the ego frame."""
         return self.unproject(pixel_centers(self.width, self.height, torch.float64, device))[0].float()
 
-    def resized(self, width: int, height: int) -> Self:
+    def resized(self, width: int, height: int) -> "Equirectangular":
         """See `Camera.resized`."""
         return replace(self, width=width, height=height)

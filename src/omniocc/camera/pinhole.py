@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
-from typing_extensions import Self
 
 from omniocc.camera.pixels import in_image
 from omniocc.camera.protocol import check_size, pair, positive, scaled_center
@@ -49,7 +48,7 @@ class Pinhole:
         rays = rays / rays.norm(dim=-1, keepdim=True)
         return rays, torch.ones_like(slopes[..., 0], dtype=torch.bool)
 
-    def resized(self, width: int, height: int) -> Self:
+    def resized(self, width: int, height: int) -> "Pinhole":
         """See `Camera.resized`."""
         scale_x, scale_y = width / self.width, height / self.height
         return replace(

@@ -5,7 +5,6 @@ from typing import Protocol, runtime_checkable
 
 from jaxtyping import Bool, Float
 from torch import Tensor
-from typing_extensions import Self
 
 
 @runtime_checkable
@@ -34,26 +33,26 @@ class Camera(Protocol):
         """Unit ray of each pixel, in the image or not; valid where the model covers the angle."""
         ...
 
-    def resized(self, width: int, height: int) -> Self:
+    def resized(self, width: int, height: int) -> "Camera":
         """The same camera with its image scaled to another size."""
         ...
 
 
-def check_size(width: int, height: int) -> None:
+def check_size(width: object, height: object) -> None:
     """Raises ValueError unless both are positive whole numbers."""
     for name, value in (("width", width), ("height", height)):
         if isinstance(value, bool) or not isinstance(value, int) or value < 1:
             raise ValueError(f"{name} is {value!r}; it must be a positive whole number of pixels")
 
 
-def finite(name: str, value: float) -> float:
+def finite(name: str, value: object) -> float:
     """`value` as a float; raises ValueError if it is no finite number."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise ValueError(f"{name} is {value!r}; it must be a finite number")
     return float(value)
 
 
-def positive(name: str, value: float) -> float:
+def positive(name: str, value: object) -> float:
     """`value` as a float; raises ValueError unless it is finite and above zero."""
     number = finite(name, value)
     if number <= 0:
@@ -61,7 +60,7 @@ def positive(name: str, value: float) -> float:
     return number
 
 
-def pair(name: str, value: tuple[float, float]) -> tuple[float, float]:
+def pair(name: str, value: object) -> tuple[float, float]:
     """`value` as a tuple of two floats; raises ValueError if it is not two finite numbers."""
     if not isinstance(value, list | tuple) or len(value) != 2:
         raise ValueError(f"{name} is {value!r}; it must be two numbers")

@@ -9,7 +9,6 @@ from typing import Any
 import torch
 from jaxtyping import Bool, Float, Float32, Float64
 from torch import Tensor
-from typing_extensions import Self
 
 from omniocc.camera.pixels import pixel_centers
 from omniocc.camera.pose import check_rigid, invert_pose
@@ -31,7 +30,7 @@ class Rig:
     cameras: tuple[Camera, ...]
     ego_from_camera: Float64[Tensor, "N 4 4"]
     names: tuple[str, ...]
-    masks: tuple[Bool[Tensor, "height width"] | None, ...] | None = None
+    masks: tuple[Bool[Tensor, "_ _"] | None, ...] | None = None
 
     def __post_init__(self) -> None:
         """Raises ValueError naming the camera whose pose or mask is wrong."""
@@ -50,7 +49,7 @@ class Rig:
             _check_mask(self._mask(index), self.cameras[index], f"camera '{name}'")
 
     @classmethod
-    def load(cls, path: str | PathLike[str]) -> Self:
+    def load(cls, path: str | PathLike[str]) -> "Rig":
         """Reads a rig file (see `omniocc.camera.rig_file`) or a built-in rig by name: `fisheye6`, `pinhole6`.
 
         Raises:
@@ -78,7 +77,7 @@ class Rig:
         rays = rays @ self.ego_from_camera[camera, :3, :3].T
         return rays.float(), valid if mask is None else valid & mask
 
-    def resized(self, width: int, height: int) -> Self:
+    def resized(self, width: int, height: int) -> "Rig":
         """The same rig with every image scaled to `width` x `height`."""
         cameras = tuple(camera.resized(width, height) for camera in self.cameras)
         masks = None

@@ -37,7 +37,7 @@ MODELS = {"equidistant": Equidistant, "pinhole": Pinhole}
 BUILT_IN = Path(__file__).parent / "rigs"
 ANGLES = ("yaw_deg", "pitch_deg", "roll_deg")
 
-Mask = Bool[Tensor, "height width"]
+Mask = Bool[Tensor, "_ _"]
 Masks = tuple[Mask | None, ...]
 
 
@@ -46,7 +46,10 @@ def read_rig(
 ) -> tuple[tuple[Camera, ...], Float64[Tensor, "N 4 4"], tuple[str, ...], Masks | None]:
     """The arguments of `Rig` from a file, or from a built-in rig by name. Raises ValueError, see `Rig.load`."""
     file = _find(path)
-    content = _mapping(yaml.safe_load(file.read_text(encoding="utf-8")), f"{file}: its content")
+    try:
+        content = _mapping(yaml.safe_load(file.read_text(encoding="utf-8")), "its content")
+    except (ValueError, yaml.YAMLError) as error:
+        raise ValueError(f"{file}: {error}") from error
     _check_keys(content, ["cameras"], [], f"{file}: ")
     entries = _mapping(content["cameras"], f"{file}: 'cameras'")
     read = [_read_entry(file, str(name), entry) for name, entry in entries.items()]
@@ -105,8 +108,13 @@ def _read_camera(entry: dict[str, Any]) -> Camera:
     model = MODELS[name]
     parameters = [field.name for field in dataclasses.fields(model)]
     _check_keys(entry, ["model", *parameters, "ego_from_camera"], ["mask"])
-    values = {key: tuple(entry[key]) if isinstance(entry[key], list) else entry[key] for key in parameters}
-    return model(**values)
+    return model(**{key: _parameter(key, entry[key]) for key in parameters})
+
+
+def _parameter(key: str, value: Any) -> Any:
+    if key in ("width", "height"):
+        return value
+    return tuple(finite(key, number) for number in value) if isinstance(value, list) else finite(key, value)
 
 
 def _read_pose(value: Any) -> Float64[Tensor, "4 4"]:

@@ -1,0 +1,199 @@
+import math
+import pickle
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from omniocc.camera import Equidistant, Pinhole, Rig
+from omniocc.camera.pose import pose_from_angles
+
+
+def two_cameras(mask=None):
+    cameras = (Equidistant(40, 20, 12.0, (19.5, 9.5), 95.0), Pinhole(30, 20, (15.0, 16.0), (14.5, 9.0)))
+    poses = [pose_from_angles((0.9, 0.1, 0.2), 12.3, -4.5, 6.7), pose_from_angles((-0.9, 0.0, 0.0), 180.0, 0.0, 0.0)]
+    return Rig(cameras, torch.stack(poses), ("front", "rear"), None if mask is None else (mask, None))
+
+
+def test_order_of_the_hexagon():
+    rig = Rig.load("fisheye6")
+    assert rig.names == ("front", "front_right", "rear_right", "rear", "rear_left", "front_left")
+    points = torch.tensor([[9, 0, -1], [9, -9, -1], [0, -9, -1], [-9, -9, -1], [-9, 0, -1], [0, 9, -1.0]])
+    _, valid = rig.project(points)
+    seen = [set(valid[:, k].nonzero()[:, 0].tolist()) for k in range(len(points))]
+    assert {0, 1, 5} <= seen[0]
+    assert {0, 1, 2} <= seen[1]
+    assert {1, 2} <= seen[2]
+    assert not {4, 5} & seen[2]
+    assert {1, 2, 3} <= seen[3]
+    assert {2, 3, 4} <= seen[4]
+    assert {4, 5} <= seen[5]
+    assert not {1, 2} & seen[5]
+
+
+@pytest.mark.parametrize("name", ["fisheye6", "pinhole6"])
+def test_built_in_rigs_look_outwards_and_down(name):
+    rig = Rig.load(name)
+    for index, yaw_deg in enumerate((0, -60, -120, 180, 120, 60)):
+        pose = rig.ego_from_camera[index]
+        yaw = math.radians(yaw_deg)
+        flat = math.cos(math.radians(10))
+        forward = [flat * math.cos(yaw), flat * math.sin(yaw), -math.sin(math.radians(10))]
+        assert pose[:3, 2].tolist() == pytest.approx(forward, abs=1e-12)
+        assert pose[:3, 3].tolist() == pytest.approx([0.9 * math.cos(yaw), 0.9 * math.sin(yaw), 0], abs=1e-4)
+        assert rig.cameras[index].width * 9 == rig.cameras[index].height * 16
+
+
+def test_fisheye_covers_190_degrees_and_has_black_corners():
+    rig = Rig.load("fisheye6")
+    rays, valid = rig.rays(0)
+    assert rays.shape == (288, 512, 3)
+    assert not valid[[0, 0, -1, -1], [0, -1, 0, -1]].any()
+    assert valid[144, 0]
+    assert valid[144, 511]
+    to_axis = rays @ rig.ego_from_camera[0, :3, 2].float()
+    assert math.degrees(math.acos(float(to_axis[144, 0]))) == pytest.approx(95, abs=0.3)
+
+
+def test_rays_and_project_are_inverse():
+    rig = two_cameras()
+    for index, camera in enumerate(rig.cameras):
+        rays, valid = rig.rays(index)
+        pixels, seen = rig.project(rig.ego_from_camera[index, :3, 3] + 4 * rays.double())
+        u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+        np.testing.assert_allclose(pixels[index].numpy(), np.stack([u, v], -1), atol=1e-4)
+        assert torch.equal(valid, seen[index])
+
+
+def test_project_keeps_dtype_and_batch_shape_also_under_autocast():
+    rig = Rig.load("fisheye6")
+    points = torch.rand(2, 7, 3) * 20
+    pixels, valid = rig.project(points)
+    assert pixels.shape == (6, 2, 7, 2)
+    assert valid.shape == (6, 2, 7)
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        assert torch.equal(rig.project(points)[0], pixels)
+    exact, _ = rig.project(points.double())
+    assert exact.dtype == torch.float64
+    torch.testing.assert_close(pixels.double(), exact, rtol=0, atol=5e-4)
+
+
+def test_mask_hides_pixels():
+    mask = torch.ones(20, 40, dtype=torch.bool)
+    mask[12:] = False
+    free, hidden = two_cameras(), two_cameras(mask)
+    rays, valid = free.rays(0)
+    points = free.ego_from_camera[0, :3, 3].float() + rays
+    _, seen_free = free.project(points)
+    _, seen = hidden.project(points)
+    assert seen_free[0, 12:].any()
+    assert torch.equal(seen[0], seen_free[0] & mask)
+    assert torch.equal(seen[1], seen_free[1])
+    assert torch.equal(hidden.rays(0)[1], valid & mask)
+
+
+def test_resized_scales_cameras_and_mask():
+    mask = torch.zeros(20, 40, dtype=torch.bool)
+    mask[:10, 4:8] = True
+    rig = two_cameras(mask)
+    small = Rig(rig.cameras[:1], rig.ego_from_camera[:1], rig.names[:1], (mask,)).resized(20, 10)
+    expected = torch.zeros(10, 20, dtype=torch.bool)
+    expected[:5, 2:4] = True
+    assert torch.equal(small.masks[0], expected)
+    assert small.cameras[0] == rig.cameras[0].resized(20, 10)
+
+
+@pytest.mark.parametrize("with_mask", [False, True])
+def test_file_round_trip_is_exact(tmp_path, with_mask):
+    rig = two_cameras(torch.rand(20, 40) > 0.5 if with_mask else None)
+    rig.save(tmp_path / "sub" / "car.yaml")
+    loaded = Rig.load(tmp_path / "sub" / "car.yaml")
+    assert loaded == rig
+    assert torch.equal(loaded.ego_from_camera, rig.ego_from_camera)
+    assert loaded.cameras == rig.cameras
+
+
+def test_equal_rigs_are_one_cache_key():
+    mask = torch.ones(20, 40, dtype=torch.bool)
+    assert two_cameras() == two_cameras()
+    assert len({two_cameras(), two_cameras(), two_cameras(mask)}) == 2
+    moved = two_cameras().ego_from_camera.clone()
+    moved[0, 0, 3] += 1e-9
+    assert Rig(two_cameras().cameras, moved, ("front", "rear")) != two_cameras()
+    assert two_cameras() != two_cameras(mask)
+    assert two_cameras(mask) != two_cameras(~mask)
+
+
+def test_pickles_without_shared_memory():
+    rig = two_cameras(torch.rand(20, 40) > 0.5)
+    again = pickle.loads(pickle.dumps(rig))
+    assert again == rig
+    points = torch.rand(9, 3) * 5
+    assert torch.equal(again.project(points)[1], rig.project(points)[1])
+
+
+GOOD = """
+cameras:
+  front:
+    model: equidistant
+    width: 40
+    height: 20
+    focal_px: 12.0
+    center_px: [19.5, 9.5]
+    max_angle_deg: 95
+    ego_from_camera: {position_m: [0.9, 0, 0], yaw_deg: 0, pitch_deg: -10, roll_deg: 0}
+"""
+POSE = "{position_m: [0.9, 0, 0], yaw_deg: 0, pitch_deg: -10, roll_deg: 0}"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("model: equidistant", "model: equidistnat", "unknown model 'equidistnat'; did you mean 'equidistant'"),
+        ("focal_px: 12.0", "focal_px: .nan", "focal_px is nan"),
+        ("    focal_px: 12.0\n", "", "focal_px is missing"),
+        ("focal_px: 12.0", "focal_px: twelve", "focal_px is 'twelve'"),
+        ("max_angle_deg", "max_angel_deg", "max_angle_deg is missing"),
+        ("max_angle_deg: 95", "max_angle_deg: 95\n    k1: 3", "unknown key k1"),
+        ("yaw_deg", "yaw", "ego_from_camera.yaw_deg is missing"),
+        (POSE, "[[2,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]", "not rigid"),
+        (POSE, "[[-1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]", "determinant -1"),
+        (POSE, "[[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,1,1]]", "last row"),
+        (POSE, "[1, 2, 3]", r"ego_from_camera is \[1, 2, 3\]"),
+        (POSE, POSE + "\n    mask: none.png", "none.png does not exist"),
+        (POSE, POSE + "\n    mask: wrong.png", "wrong.png is 5x4 px but the image is 40x20 px"),
+    ],
+)
+def test_wrong_calibration_names_file_camera_and_value(tmp_path, old, new, message):
+    cv2.imwrite(str(tmp_path / "wrong.png"), np.zeros((4, 5), np.uint8))
+    assert old in GOOD
+    file = tmp_path / "car.yaml"
+    file.write_text(GOOD.replace(old, new))
+    with pytest.raises(ValueError, match=rf"car\.yaml: camera 'front': .*{message}"):
+        Rig.load(file)
+
+
+def test_unreadable_files_are_named(tmp_path):
+    with pytest.raises(ValueError, match="did you mean 'fisheye6'"):
+        Rig.load("fisheye")
+    for text in ("", "cameras:", "cameras: [", "camera: {}"):
+        (tmp_path / "bad.yaml").write_text(text)
+        with pytest.raises(ValueError, match=r"bad\.yaml: "):
+            Rig.load(tmp_path / "bad.yaml")
+
+
+def test_wrong_arguments_are_named():
+    rig = two_cameras()
+    with pytest.raises(ValueError, match="not unique"):
+        Rig(rig.cameras, rig.ego_from_camera, ("a", "a"))
+    with pytest.raises(ValueError, match="2 cameras, 1 names"):
+        Rig(rig.cameras, rig.ego_from_camera, ("a",))
+    with pytest.raises(ValueError, match="camera 'front': mask is 3x2 px"):
+        Rig(rig.cameras, rig.ego_from_camera, rig.names, (torch.ones(2, 3, dtype=torch.bool), None))
+    with pytest.raises(ValueError, match="camera 'rear': ego_from_camera is not rigid"):
+        Rig(
+            rig.cameras,
+            torch.stack([rig.ego_from_camera[0], torch.diag(torch.tensor([1.0, 1, 3, 1])).double()]),
+            rig.names,
+        )
