@@ -1,0 +1,28 @@
+"""Lifter slot: from image features to voxel features."""
+
+from typing import Protocol, runtime_checkable
+
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from omniocc.camera import Rig
+from omniocc.model.lifter.coloring import Coloring
+
+__all__ = ["Coloring", "Lifter"]
+
+
+@runtime_checkable
+class Lifter(Protocol):
+    """Gives the candidate voxels of one frame their features.
+
+    Attributes:
+        channels: of the volume.
+    """
+
+    channels: int
+
+    def __call__(
+        self, features: list[Float[Tensor, "B N C _ _"]], candidates: Bool[Tensor, "B X Y Z"], rigs: tuple[Rig, ...]
+    ) -> Float[Tensor, "B D X Y Z"]:
+        """Feature maps that each cover the whole image, finest first -> features of all voxels, ego frame."""
+        ...

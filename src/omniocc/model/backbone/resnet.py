@@ -1,0 +1,64 @@
+"""ResNet and feature pyramid."""
+
+from typing import Literal
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from transformers import ResNetConfig
+
+from omniocc.model.backbone.fpn import FPN
+from omniocc.model.backbone.pretrained import build_resnet
+
+STRIDES = [4, 8, 16, 32]
+IMAGENET_MEAN = (0.485, 0.456, 0.406)
+IMAGENET_STD = (0.229, 0.224, 0.225)
+
+
+class ResNet(nn.Module):
+    """The residual network of transformers with a feature pyramid on top.
+
+    Args:
+        layer_type: kind of block.
+        embedding_size: channels after the stem.
+        hidden_sizes: channels of the four stages.
+        depths: blocks of the four stages.
+        weights: pretrained weights on the Hugging Face hub, or None. Where they cannot be reached: a warning and random
+            ones.
+        channels: of the maps that come out.
+        levels: strides of the maps that come out, some of 4, 8, 16, 32 px.
+
+    Raises:
+        ValueError: if a level does not exist or the weights have other sizes.
+    """
+
+    mean: Tensor
+    std: Tensor
+
+    def __init__(
+        self,
+        layer_type: Literal["basic", "bottleneck"],
+        embedding_size: int,
+        hidden_sizes: list[int],
+        depths: list[int],
+        weights: str | None,
+        channels: int,
+        levels: list[int],
+    ):
+        super().__init__()
+        if not levels or any(level not in STRIDES for level in levels):
+            raise ValueError(f"levels are {levels}; they must be some of the strides {STRIDES}")
+        self.channels = channels
+        config = ResNetConfig(
+            layer_type=layer_type, embedding_size=embedding_size, hidden_sizes=hidden_sizes, depths=depths
+        )
+        self.encoder = build_resnet(config, weights)
+        self.fpn = FPN(hidden_sizes, channels, [STRIDES.index(level) for level in levels])
+        self.register_buffer("mean", torch.tensor(IMAGENET_MEAN).view(3, 1, 1), persistent=False)
+        self.register_buffer("std", torch.tensor(IMAGENET_STD).view(3, 1, 1), persistent=False)
+
+    def forward(self, images: Float[Tensor, "B N 3 H W"]) -> list[Float[Tensor, "B N C _ _"]]:
+        """Feature maps of RGB in [0, 1], finest first."""
+        flat = ((images - self.mean) / self.std).flatten(0, 1).contiguous(memory_format=torch.channels_last)
+        stages = self.encoder(flat, output_hidden_states=True).hidden_states[1:]
+        return [level.unflatten(0, images.shape[:2]) for level in self.fpn(list(stages))]

@@ -1,0 +1,127 @@
+"""The coloring module: candidate voxels attend to image features (paper, section III-B)."""
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+
+from omniocc.camera import Rig
+from omniocc.geometry import Grid
+from omniocc.model.lifter.attention import CrossAttention
+from omniocc.model.lifter.position import position_features
+from omniocc.model.lifter.visible import Pairs, reference_points, visible_pairs
+
+
+class ColoringLayer(nn.Module):
+    """Cross-attention, add & norm, feed-forward, add & norm."""
+
+    def __init__(self, channels: int, heads: int, points: int, levels: int, feedforward_channels: int):
+        super().__init__()
+        self.attention = CrossAttention(channels, heads, points, levels)
+        self.attention_norm = nn.LayerNorm(channels)
+        self.feedforward = nn.Sequential(
+            nn.Linear(channels, feedforward_channels), nn.ReLU(), nn.Linear(feedforward_channels, channels)
+        )
+        self.feedforward_norm = nn.LayerNorm(channels)
+
+    def forward(
+        self, queries: Float[Tensor, "G Q C"], features: list[Float[Tensor, "B N C _ _"]], pairs: Pairs
+    ) -> Float[Tensor, "B Q C"]:
+        """Queries of each sample; G is B, or 1 before the samples differ."""
+        queries = self.attention_norm(queries + self.attention(queries, features, pairs))
+        return self.feedforward_norm(queries + self.feedforward(queries))
+
+
+class Coloring(nn.Module):
+    """Lifts image features into the candidate voxels by deformable cross-attention through each sample's own rig.
+
+    A query starts as an embedding of its voxel's position. Work and memory grow with the number of visible (candidate,
+    camera) pairs. Candidates that no camera sees keep their embedding; all other voxels get one learned vector.
+
+    Args:
+        geometry: the voxel grid.
+        channels: of image features, queries and volume.
+        levels: strides of the feature maps that come in, px.
+        layers: number of layers.
+        heads: of attention, a divisor of the channels.
+        points: samples per head and level.
+        feedforward_channels: hidden channels of the feed-forward part.
+
+    Raises:
+        ValueError: if the heads do not divide the channels.
+    """
+
+    positions: Tensor
+
+    def __init__(
+        self,
+        geometry: Grid,
+        channels: int,
+        levels: list[int],
+        layers: int,
+        heads: int,
+        points: int,
+        feedforward_channels: int,
+    ):
+        super().__init__()
+        if channels % heads:
+            raise ValueError(f"{channels} channels cannot be split among {heads} heads; give a divisor")
+        self.geometry = geometry
+        self.channels = channels
+        self.register_buffer("positions", position_features(geometry), persistent=False)
+        self.embedding = nn.Sequential(
+            nn.Linear(self.positions.shape[1], channels),
+            nn.ReLU(),
+            nn.Linear(channels, channels),
+            nn.LayerNorm(channels),
+        )
+        self.layers = nn.ModuleList(
+            ColoringLayer(channels, heads, points, len(levels), feedforward_channels) for _ in range(layers)
+        )
+        self.empty = nn.Parameter(torch.zeros(channels))
+
+    def forward(
+        self, features: list[Float[Tensor, "B N C _ _"]], candidates: Bool[Tensor, "B X Y Z"], rigs: tuple[Rig, ...]
+    ) -> Float[Tensor, "B C X Y Z"]:
+        """Colours the candidates; samples of equal rig and candidates go through together.
+
+        Raises:
+            ValueError: if a rig has another number of cameras than there are images.
+        """
+        marked = candidates.flatten(1)
+        volumes: list[Tensor] = [self.empty] * len(rigs)
+        for samples in group_samples(marked, rigs):
+            maps = [level[samples] for level in features]
+            for sample, volume in zip(samples, self._color(maps, marked[samples[0]], rigs[samples[0]]), strict=True):
+                volumes[sample] = volume
+        # channels last in memory, as 3D convolutions like it
+        return torch.stack(volumes).unflatten(1, self.geometry.shape).movedim(-1, 1)
+
+    def _color(
+        self, features: list[Float[Tensor, "B N C _ _"]], marked: Bool[Tensor, " cells"], rig: Rig
+    ) -> Float[Tensor, "B cells C"]:
+        batch, cameras = features[0].shape[:2]
+        if len(rig.cameras) != cameras:
+            raise ValueError(f"the rig has {len(rig.cameras)} cameras but there are images of {cameras}")
+        points, valid = reference_points(rig, self.geometry, marked.device)
+        cells = marked.nonzero()[:, 0]
+        embedding = self.embedding(self.positions[cells])
+        seen = valid.any(0)[cells].nonzero()[:, 0]
+        queries = embedding[None, seen]
+        pairs = visible_pairs(points, valid, cells[seen])
+        for layer in self.layers:
+            queries = layer(queries, features, pairs)
+        volume = self.empty.to(queries.dtype).expand(len(marked), -1).index_copy(0, cells, embedding.to(queries.dtype))
+        return volume.expand(batch, -1, -1).index_copy(1, cells[seen], queries)
+
+
+def group_samples(marked: Bool[Tensor, "B cells"], rigs: tuple[Rig, ...]) -> list[list[int]]:
+    """Samples that have rig and candidates in common."""
+    groups: list[list[int]] = []
+    for sample, rig in enumerate(rigs):
+        for group in groups:
+            if rigs[group[0]] == rig and torch.equal(marked[group[0]], marked[sample]):
+                group.append(sample)
+                break
+        else:
+            groups.append([sample])
+    return groups

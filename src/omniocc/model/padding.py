@@ -1,0 +1,81 @@
+"""3D layers that know where a grid wraps around: what leaves a periodic axis at one end enters it at the other."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+Axes = tuple[int, int, int]
+Periodic = tuple[bool, bool, bool]
+
+
+def pad3d(volume: Float[Tensor, "B C X Y Z"], padding: Axes, periodic: Periodic) -> Float[Tensor, "B C _ _ _"]:
+    """Adds `padding` cells at both ends of each axis: copies from the other end where periodic, zeros elsewhere.
+
+    Raises:
+        ValueError: if a periodic axis has fewer cells than are to be copied.
+    """
+    for axis, (cells, wraps) in enumerate(zip(padding, periodic, strict=True), start=2):
+        if not (wraps and cells):
+            continue
+        size = volume.shape[axis]
+        if cells > size:
+            raise ValueError(f"cannot wrap {cells} cells around an axis of {size}; use fewer levels or smaller kernels")
+        volume = torch.cat([volume.narrow(axis, size - cells, cells), volume, volume.narrow(axis, 0, cells)], dim=axis)
+    zeros = [0 if wraps else cells for cells, wraps in zip(padding, periodic, strict=True)]
+    if not any(zeros):
+        return volume
+    return F.pad(volume, [cells for cells in reversed(zeros) for _ in range(2)])
+
+
+class Conv3d(nn.Conv3d):
+    """A convolution that keeps the size of the volume (odd kernels, stride 1) and wraps around on periodic axes."""
+
+    def __init__(self, in_channels: int, out_channels: int, kernel_size: int, periodic: Periodic, bias: bool = True):
+        super().__init__(in_channels, out_channels, kernel_size, bias=bias)
+        self.periodic = periodic
+        self.wrap: Axes = tuple(kernel_size // 2 if wraps else 0 for wraps in periodic)  # type: ignore[assignment]
+        self.zeros: Axes = tuple(0 if wraps else kernel_size // 2 for wraps in periodic)  # type: ignore[assignment]
+
+    def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B D X Y Z"]:
+        """Convolves; zeros are left to the kernel, which needs no copy for them."""
+        wrapped = pad3d(volume, self.wrap, self.periodic)
+        return F.conv3d(wrapped, self.weight, self.bias, padding=self.zeros)
+
+
+class Downsample(nn.Conv3d):
+    """Halves every axis by a 2x2x2 convolution, so that a coarse cell covers exactly two fine ones.
+
+    Rolling the volume by two cells along a periodic axis rolls the output by one. Other axes may be odd: a zero cell is
+    added at their upper end.
+    """
+
+    def __init__(self, in_channels: int, out_channels: int, periodic: Periodic):
+        super().__init__(in_channels, out_channels, kernel_size=2, stride=2)
+        self.periodic = periodic
+
+    def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B D _ _ _"]:
+        """Halves, rounding up.
+
+        Raises:
+            ValueError: if a periodic axis is odd.
+        """
+        odd = [size % 2 for size in volume.shape[2:]]
+        for size, wraps in zip(volume.shape[2:], self.periodic, strict=True):
+            if wraps and size % 2:
+                raise ValueError(f"a periodic axis of {size} cells cannot be halved; use fewer levels")
+        if any(odd):
+            volume = F.pad(volume, [cells for size in reversed(odd) for cells in (0, size)])
+        return super().forward(volume)
+
+
+def upsample(volume: Float[Tensor, "B C X Y Z"], shape: Axes, periodic: Periodic) -> Float[Tensor, "B C _ _ _"]:
+    """Doubles every axis by trilinear interpolation between cell centres, then crops to `shape`: undoes `Downsample`.
+
+    Interpolates across the seam of periodic axes and holds the border's value elsewhere.
+    """
+    wrap: Axes = tuple(int(wraps) for wraps in periodic)  # type: ignore[assignment]
+    fine = F.interpolate(pad3d(volume, wrap, periodic), scale_factor=2, mode="trilinear", align_corners=False)
+    for axis, (size, wraps) in enumerate(zip(shape, periodic, strict=True), start=2):
+        fine = fine.narrow(axis, 2 if wraps else 0, size)
+    return fine

@@ -1,0 +1,83 @@
+"""3D encoder-decoder with skips (paper, section III-E)."""
+
+from itertools import pairwise
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from omniocc.geometry import Grid
+from omniocc.model.padding import Conv3d, Downsample, Periodic, upsample
+
+GROUP_CHANNELS = 8
+
+
+def group_norm(channels: int) -> nn.GroupNorm:
+    """Normalises each sample on its own, so that a batch of two is two batches of one.
+
+    Raises:
+        ValueError: if the channels do not split into groups.
+    """
+    if channels % GROUP_CHANNELS:
+        raise ValueError(f"{channels} channels; every level needs a multiple of {GROUP_CHANNELS}")
+    return nn.GroupNorm(channels // GROUP_CHANNELS, channels)
+
+
+class Residual(nn.Module):
+    """x + relu(norm(conv(x)))."""
+
+    def __init__(self, channels: int, periodic: Periodic):
+        super().__init__()
+        self.conv = Conv3d(channels, channels, 3, periodic, bias=False)
+        self.norm = group_norm(channels)
+
+    def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B C X Y Z"]:
+        """A volume of the same size."""
+        return volume + F.relu(self.norm(self.conv(volume)))
+
+
+class UNet(nn.Module):
+    """Residual blocks on a pyramid of halved grids; skips are added. Wraps around on the grid's periodic axes.
+
+    Rolling the input along a periodic axis by a multiple of 2**(levels-1) cells rolls the output.
+
+    Args:
+        geometry: the voxel grid.
+        in_channels: of the lifted volume.
+        channels: of each level, finest first; multiples of 8. The finest is what comes out.
+
+    Raises:
+        ValueError: if a periodic axis cannot be halved often enough, or the channels do not split into groups.
+    """
+
+    def __init__(self, geometry: Grid, in_channels: int, channels: list[int]):
+        super().__init__()
+        factor = 2 ** (len(channels) - 1)
+        for cells, wraps in zip(geometry.shape, geometry.periodic, strict=True):
+            if wraps and cells % factor:
+                raise ValueError(
+                    f"{len(channels)} levels need a periodic axis in multiples of {factor} cells, not {cells}; "
+                    "change the grid or give fewer channels"
+                )
+        self.periodic = geometry.periodic
+        self.channels = channels[0]
+        pairs = list(pairwise(channels))
+        self.stem = Conv3d(in_channels, channels[0], 1, self.periodic)
+        self.encoder = nn.ModuleList(Residual(c, self.periodic) for c in channels)
+        self.down = nn.ModuleList(Downsample(fine, coarse, self.periodic) for fine, coarse in pairs)
+        self.up = nn.ModuleList(Conv3d(coarse, fine, 1, self.periodic) for fine, coarse in pairs)
+        self.decoder = nn.ModuleList(Residual(c, self.periodic) for c in channels[:-1])
+
+    def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B D X Y Z"]:
+        """Refines a volume; the result has `channels` channels."""
+        # channels last: 3D convolutions run about a third faster on the CPU
+        volume = self.encoder[0](self.stem(volume.contiguous(memory_format=torch.channels_last_3d)))
+        skips = []
+        for down, block in zip(self.down, self.encoder[1:], strict=True):
+            skips.append(volume)
+            volume = block(down(volume))
+        for up, block in reversed(list(zip(self.up, self.decoder, strict=True))):
+            skip = skips.pop()
+            volume = block(skip + upsample(up(volume), skip.shape[2:], self.periodic))
+        return volume

@@ -1,0 +1,28 @@
+"""A small fully convolutional head (paper, section III-C)."""
+
+from jaxtyping import Float
+from torch import Tensor, nn
+
+
+class FCN(nn.Module):
+    """3x3 convolution, batch norm, ReLU, 1x1 convolution on the finest feature map.
+
+    Args:
+        in_channels: of the backbone's maps.
+        hidden_channels: between the two convolutions.
+        num_classes: logits per pixel; class 0 is the sky.
+    """
+
+    def __init__(self, in_channels: int, hidden_channels: int, num_classes: int):
+        super().__init__()
+        self.layers = nn.Sequential(
+            nn.Conv2d(in_channels, hidden_channels, 3, padding=1, bias=False),
+            nn.BatchNorm2d(hidden_channels),
+            nn.ReLU(),
+            nn.Conv2d(hidden_channels, num_classes, 1),
+        )
+
+    def forward(self, features: list[Float[Tensor, "B N C _ _"]]) -> Float[Tensor, "B N K h w"]:
+        """Logits at the resolution of the finest map."""
+        finest = features[0]
+        return self.layers(finest.flatten(0, 1)).unflatten(0, finest.shape[:2])

@@ -1,0 +1,16 @@
+"""No temporal fusion."""
+
+from jaxtyping import Float
+from torch import Tensor, nn
+
+
+class NoTemporal(nn.Module):
+    """Sees the newest frame only."""
+
+    frames = 1
+
+    def forward(
+        self, volumes: list[Float[Tensor, "B C X Y Z"]], world_from_ego: Float[Tensor, "B T 4 4"]
+    ) -> Float[Tensor, "B C X Y Z"]:
+        """The newest volume, untouched."""
+        return volumes[-1]
