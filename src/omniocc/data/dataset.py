@@ -1,0 +1,107 @@
+"""Windows of frames as training samples."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float32, Float64, UInt8
+from torch import Tensor
+from torch.utils.data import Dataset
+
+from omniocc.batch import Batch
+from omniocc.camera import Rig
+from omniocc.data.codec import decode_image, decode_labels, decode_lidar
+from omniocc.data.reader import SceneReader
+from omniocc.data.voxels import VoxelCache
+
+
+class Sample(NamedTuple):
+    """One window; fields as in `Batch`, without its first axis."""
+
+    images: UInt8[Tensor, "T N 3 H W"]
+    rig: Rig
+    world_from_ego: Float64[Tensor, "T 4 4"]
+    voxels: UInt8[Tensor, "X Y Z"]
+    pixel_labels: UInt8[Tensor, "N H W"]
+    lidar_range_m: Float32[Tensor, " R"]
+    lidar_labels: UInt8[Tensor, " R"]
+    frame_id: str
+
+
+class WindowDataset(Dataset):
+    """Every recorded frame once, as the newest of a window of T consecutive frames of its scene.
+
+    Where a scene has not begun T frames ago, its first frame is repeated with its own pose: equal poses in a window mean the same
+    frame.
+
+    Args:
+        scenes: recorded scenes.
+        voxels: labels in the wanted geometry.
+        window: T.
+    """
+
+    def __init__(self, scenes: Sequence[SceneReader], voxels: VoxelCache, window: int):
+        if window < 1:
+            raise ValueError(f"window must be at least 1 frame, got {window}")
+        self.scenes = tuple(scenes)
+        self.voxels = voxels
+        self.window = window
+        self._ends = np.cumsum([len(scene) for scene in self.scenes])
+
+    def __len__(self) -> int:
+        return int(self._ends[-1]) if len(self._ends) else 0
+
+    def locate(self, index: int) -> tuple[SceneReader, int]:
+        """Scene and frame number of a sample's newest frame."""
+        if not 0 <= index < len(self):
+            raise IndexError(f"sample {index} of {len(self)}")
+        at = int(np.searchsorted(self._ends, index, side="right"))
+        return self.scenes[at], index - (int(self._ends[at - 1]) if at else 0)
+
+    def __getitem__(self, index: int) -> Sample:
+        scene, newest = self.locate(index)
+        frames = window_frames(newest, self.window)
+        rig = scene.rig
+        cameras = range(len(rig.cameras))
+        members = [f"semantic{k}.png" for k in cameras] + ["lidar.zst"]
+        blobs = scene.read(newest, members)
+        range_m, labels = decode_lidar(blobs["lidar.zst"])
+        return Sample(
+            images=torch.stack([read_images(scene, frame) for frame in frames]),
+            rig=rig,
+            world_from_ego=torch.from_numpy(scene.world_from_ego[frames]),
+            voxels=self.voxels.read(scene, newest),
+            pixel_labels=torch.from_numpy(np.stack([decode_labels(blobs[f"semantic{k}.png"]) for k in cameras])),
+            lidar_range_m=torch.from_numpy(range_m),
+            lidar_labels=torch.from_numpy(labels),
+            frame_id=f"{scene.name}/{newest:06d}",
+        )
+
+
+def window_frames(newest: int, window: int) -> list[int]:
+    """Numbers of the frames of a window, oldest first; never before the scene's first."""
+    return [max(0, frame) for frame in range(newest - window + 1, newest + 1)]
+
+
+def read_images(scene: SceneReader, frame: int) -> UInt8[Tensor, "N 3 H W"]:
+    """All cameras' colour images of a frame."""
+    names = [f"rgb{k}.jpg" for k in range(len(scene.rig.cameras))]
+    blobs = scene.read(frame, names)
+    images = np.stack([decode_image(blobs[name]) for name in names])
+    return torch.from_numpy(images).permute(0, 3, 1, 2).contiguous()
+
+
+def collate(samples: Sequence[Sample]) -> Batch:
+    """Stack samples along a new first axis."""
+    columns = Sample(*zip(*samples, strict=True))
+    return Batch(
+        images=torch.stack(columns.images),
+        rigs=columns.rig,
+        world_from_ego=torch.stack(columns.world_from_ego),
+        voxels=torch.stack(columns.voxels),
+        pixel_labels=torch.stack(columns.pixel_labels),
+        lidar_range_m=torch.stack(columns.lidar_range_m),
+        lidar_labels=torch.stack(columns.lidar_labels),
+        frame_ids=columns.frame_id,
+    )

@@ -1,0 +1,79 @@
+"""Progress of rendering: a bar on a terminal, plain lines elsewhere."""
+
+import sys
+import time
+from types import TracebackType
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from typing_extensions import Self
+
+LINE_EVERY_S = 15.0
+
+
+class FrameProgress:
+    """Counts frames; shows how many, how fast and how long it will still take.
+
+    Args:
+        title: what is being made.
+        total: frames to be made in this run.
+    """
+
+    def __init__(self, title: str, total: int):
+        self.title = title
+        self.total = total
+        self.done = 0
+        self._began_s = self._shown_s = time.monotonic()
+        self._bar: Progress | None = None
+        if sys.stderr.isatty():
+            columns = (
+                TextColumn("{task.description}"),
+                BarColumn(),
+                MofNCompleteColumn(),
+                TextColumn("{task.fields[rate]}"),
+            )
+            self._bar = Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True))
+            self._task = self._bar.add_task(title, total=total, rate="")
+
+    @property
+    def rate_hz(self) -> float:
+        """Frames per second since the beginning."""
+        return self.done / max(time.monotonic() - self._began_s, 1e-9)
+
+    def __enter__(self) -> Self:
+        if self._bar is not None:
+            self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+        elif kind is None and self.done:
+            self._line()
+
+    def advance(self, frames: int = 1) -> None:
+        """Count frames that are done."""
+        self.done += frames
+        if self._bar is not None:
+            self._bar.update(self._task, completed=self.done, rate=f"{self.rate_hz:.1f} frames/s")
+        elif time.monotonic() - self._shown_s > LINE_EVERY_S:
+            self._line()
+
+    def message(self, text: str) -> None:
+        """A line between the counts."""
+        if self._bar is not None:
+            self._bar.console.print(text, highlight=False)
+        else:
+            print(text, file=sys.stderr, flush=True)
+
+    def _line(self) -> None:
+        self._shown_s = time.monotonic()
+        left_s = (self.total - self.done) / max(self.rate_hz, 1e-9)
+        eta = f", {int(left_s // 60)}:{int(left_s % 60):02d} left" if self.done < self.total else ""
+        print(
+            f"{self.title}: {self.done}/{self.total} frames, {self.rate_hz:.1f} frames/s{eta}",
+            file=sys.stderr,
+            flush=True,
+        )

@@ -1,0 +1,62 @@
+"""Which samples a process sees, and in which order."""
+
+from collections.abc import Iterator
+
+import torch
+from torch.utils.data import DistributedSampler
+
+# Both derive from DistributedSampler so that Lightning leaves them in place under DDP; it would put its own instead, which starts an
+# interrupted epoch from its beginning, and scores some test samples twice.
+
+
+class EpochSampler(DistributedSampler):
+    """Training order: a function of (seed, epoch) only, dealt out to the ranks; can begin in the middle of one epoch.
+
+    Every rank gets equally many samples; the at most `world_size - 1` left over sit out this epoch. `len` stays that of a whole epoch.
+
+    Args:
+        size: number of samples in the dataset.
+        seed: of the order.
+        rank: this process.
+        world_size: number of processes.
+        resume_epoch: epoch that was interrupted.
+        resume_samples: samples this rank has already seen in it; other epochs are whole.
+    """
+
+    def __init__(
+        self, size: int, seed: int, rank: int = 0, world_size: int = 1, resume_epoch: int = 0, resume_samples: int = 0
+    ):
+        super().__init__(range(size), world_size, rank, shuffle=True, seed=seed, drop_last=True)  # type: ignore[arg-type]
+        self.size = size
+        self.resume_epoch = resume_epoch
+        self.resume_samples = resume_samples
+        self.epoch = resume_epoch  # workers fetch ahead before anybody calls set_epoch
+
+    def __iter__(self) -> Iterator[int]:
+        generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.epoch)
+        order = torch.randperm(self.size, generator=generator).tolist()
+        mine = order[self.rank :: self.num_replicas][: len(self)]
+        return iter(mine[self.resume_samples :] if self.epoch == self.resume_epoch else mine)
+
+    def __len__(self) -> int:
+        return self.size // self.num_replicas
+
+
+class RankSampler(DistributedSampler):
+    """Validation and test: every sample exactly once over all ranks, in order.
+
+    Args:
+        size: number of samples in the dataset.
+        rank: this process.
+        world_size: number of processes.
+    """
+
+    def __init__(self, size: int, rank: int = 0, world_size: int = 1):
+        super().__init__(range(size), world_size, rank, shuffle=False)  # type: ignore[arg-type]
+        self._mine = range(rank, size, world_size)
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self._mine)
+
+    def __len__(self) -> int:
+        return len(self._mine)

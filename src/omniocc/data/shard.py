@@ -1,0 +1,239 @@
+"""Scene folders: `meta.json`, `index.json` and uncompressed tar shards of one blob per member.
+
+    <scene>/meta.json         schema, facts of the scene, size and sha256 of every other file; its own digest
+            index.json        per frame: shard, and per member byte offset, size and crc32; the frame's entry (time, pose)
+            frames-000.tar    members `000012.rgb0.jpg`; a new shard begins when the next frame would pass the limit
+
+The folder gets its name by one rename when it is complete. Until then it is called `<scene>.partial`, and `journal.jsonl` lists the frames that
+are whole: after a kill at any moment `SceneWriter` cuts off what came after the last of them and goes on. Nothing in a folder depends
+on when, where or in how many pieces it was made, so equal frames give equal bytes.
+"""
+
+import hashlib
+import json
+import tarfile
+import zlib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from omniocc.data.errors import DataError, cannot_write, write_whole
+
+SCHEMA = 1
+SHARD_LIMIT_BYTES = 256 * 2**20
+META, INDEX, JOURNAL = "meta.json", "index.json", "journal.jsonl"
+_BLOCK = tarfile.BLOCKSIZE
+_END = bytes(2 * _BLOCK)
+
+
+class SceneWriter:
+    """Appends frames to a scene; picks up after the last whole frame of an interrupted run.
+
+    One process at a time may write a scene: callers hold a lock.
+
+    Args:
+        folder: final name of the scene.
+        shard_limit_bytes: size that no shard passes unless a single frame does.
+
+    Raises:
+        DataError: when the disk refuses (full, read-only), here and in every method.
+    """
+
+    def __init__(self, folder: Path, shard_limit_bytes: int = SHARD_LIMIT_BYTES):
+        self.folder = folder
+        self.work = folder.with_name(folder.name + ".partial")
+        self._limit = shard_limit_bytes
+        self._shard: BinaryIO | None = None
+        self._records: list[dict[str, Any]] = []
+        if not self.finished:
+            self._guard(self._recover)
+
+    @property
+    def finished(self) -> bool:
+        """Whether the scene is complete; a kill just before the last rename is made good."""
+        if not self.folder.exists() and (self.work / META).exists():
+            self._guard(self._publish)
+        return self.folder.exists()
+
+    @property
+    def num_frames(self) -> int:
+        """Frames that are whole so far."""
+        return len(self._records)
+
+    def append(self, blobs: Mapping[str, bytes], entry: Mapping[str, Any]) -> None:
+        """Write one frame; all frames of a scene have members of the same names.
+
+        Args:
+            blobs: content by member name.
+            entry: plain values that the index holds of this frame.
+        """
+        frame = self.num_frames
+        assert not self._records or list(blobs) == self._records[0]["members"]
+        shard, begin = self._position()
+        chunk, offsets = _tar_members(frame, blobs)
+        if begin and begin + len(chunk) + len(_END) > self._limit:
+            self._guard(self._close_shard)
+            shard, begin = shard + 1, 0
+        record = {
+            "shard": shard,
+            "end": begin + len(chunk),
+            "members": list(blobs),
+            "offset": [begin + offset for offset in offsets],
+            "size": [len(blob) for blob in blobs.values()],
+            "crc32": [zlib.crc32(blob) for blob in blobs.values()],
+            "entry": dict(entry),
+        }
+        self._guard(lambda: self._write(shard, chunk, record))
+        self._records.append(record)
+
+    def attach(self, name: str, save: Callable[[Path], None]) -> None:
+        """Let `save(path)` write a further file (and files beside it) into the scene; call it just before `finish`."""
+        self._guard(lambda: save(self.work / name))
+
+    def finish(self, facts: Mapping[str, Any]) -> None:
+        """Seal the scene: index, checksums, then the final name.
+
+        Args:
+            facts: plain values that say how the scene was made.
+        """
+        assert self._records
+        self._guard(self._close_shard)
+        frames = [{k: v for k, v in record.items() if k not in ("end", "members")} for record in self._records]
+        write_whole(self.work / INDEX, _dump({"members": self._records[0]["members"], "frames": frames}))
+        names = sorted(
+            path.name for path in self.work.iterdir() if path.name not in (META, JOURNAL) and path.suffix != ".tmp"
+        )
+        files = {
+            name: {"size": (self.work / name).stat().st_size, "sha256": sha256(self.work / name)} for name in names
+        }
+        meta = {
+            "schema": SCHEMA,
+            "scene": self.folder.name,
+            "frames": self.num_frames,
+            "facts": dict(facts),
+            "files": files,
+        }
+        write_whole(self.work / META, _dump(meta | {"digest": digest(meta)}))
+        self._guard(self._publish)
+
+    def close(self) -> None:
+        """Release the open shard; what is whole stays whole."""
+        if self._shard is not None:
+            self._shard.close()
+            self._shard = None
+
+    def _guard(self, action: Callable[[], None]) -> None:
+        try:
+            action()
+        except DataError:
+            raise
+        except OSError as error:
+            self.close()
+            raise cannot_write(self.folder, error) from error
+
+    def _position(self) -> tuple[int, int]:
+        return (self._records[-1]["shard"], self._records[-1]["end"]) if self._records else (0, 0)
+
+    def _write(self, shard: int, chunk: bytes, record: dict[str, Any]) -> None:
+        if self._shard is None:
+            self._shard = (self.work / shard_name(shard)).open("ab", buffering=0)
+        _write_all(self._shard, chunk)
+        line = json.dumps(record, default=float).encode()
+        with (self.work / JOURNAL).open("ab", buffering=0) as journal:
+            _write_all(journal, b"%08x %s\n" % (zlib.crc32(line), line))
+
+    def _close_shard(self) -> None:
+        shard, end = self._position()
+        self.close()
+        with (self.work / shard_name(shard)).open("r+b") as file:
+            file.truncate(end)
+            file.seek(end)
+            file.write(_END)
+
+    def _recover(self) -> None:
+        self.work.mkdir(parents=True, exist_ok=True)
+        journal = self.work / JOURNAL
+        kept = 0
+        for line in journal.read_bytes().splitlines(keepends=True) if journal.exists() else []:
+            record = _parse(line)
+            if record is None or not _is_whole(self.work / shard_name(record["shard"]), record):
+                break
+            self._records.append(record)
+            kept += len(line)
+        if journal.exists():
+            with journal.open("r+b") as file:
+                file.truncate(kept)
+        shard, end = self._position()
+        for path in self.work.iterdir():
+            if path.name == shard_name(shard) and self._records:
+                with path.open("r+b") as file:
+                    file.truncate(end)
+            elif path.name != JOURNAL and not (path.suffix == ".tar" and path.name < shard_name(shard)):
+                path.unlink()
+
+    def _publish(self) -> None:
+        (self.work / JOURNAL).unlink(missing_ok=True)
+        self.work.rename(self.folder)
+
+
+def shard_name(shard: int) -> str:
+    """File name of a shard."""
+    return f"frames-{shard:03d}.tar"
+
+
+def member_name(frame: int, member: str) -> str:
+    """Name of a member within its tar file."""
+    return f"{frame:06d}.{member}"
+
+
+def sha256(path: Path) -> str:
+    """Hex digest of a file."""
+    with path.open("rb") as file:
+        state = hashlib.sha256()
+        while block := file.read(2**20):
+            state.update(block)
+    return state.hexdigest()
+
+
+def digest(plain: Any) -> str:
+    """Hex digest of plain data, independent of the order of keys."""
+    return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()
+
+
+def _tar_members(frame: int, blobs: Mapping[str, bytes]) -> tuple[bytes, list[int]]:
+    chunk, offsets = bytearray(), []
+    for name, blob in blobs.items():
+        info = tarfile.TarInfo(member_name(frame, name))  # mtime, uid and gid are 0 unless set
+        info.size = len(blob)
+        chunk += info.tobuf(tarfile.USTAR_FORMAT)
+        offsets.append(len(chunk))
+        chunk += blob + bytes(-len(blob) % _BLOCK)
+    return bytes(chunk), offsets
+
+
+def _write_all(file: BinaryIO, content: bytes) -> None:
+    view = memoryview(content)
+    while view:
+        view = view[file.write(view) :]
+
+
+def _dump(plain: Any) -> bytes:
+    return (json.dumps(plain, indent=None, separators=(",", ":")) + "\n").encode()
+
+
+def _parse(line: bytes) -> dict[str, Any] | None:
+    checksum, _, content = line.rstrip(b"\n").partition(b" ")
+    if not line.endswith(b"\n") or checksum != b"%08x" % zlib.crc32(content):
+        return None
+    return json.loads(content)
+
+
+def _is_whole(shard: Path, record: Mapping[str, Any]) -> bool:
+    if not shard.exists() or shard.stat().st_size < record["end"]:
+        return False
+    with shard.open("rb") as file:
+        for offset, size, crc32 in zip(record["offset"], record["size"], record["crc32"], strict=True):
+            file.seek(offset)
+            if zlib.crc32(file.read(size)) != crc32:
+                return False
+    return True
