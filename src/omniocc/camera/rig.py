@@ -139,7 +139,7 @@ def _check_mask(mask: Bool[Tensor, "height width"] | None, camera: Camera, whose
         raise ValueError(f"{whose}: mask is {size} px but the image is {camera.width}x{camera.height} px")
 
 
-def _resized_mask(mask: Bool[Tensor, "height width"], width: int, height: int) -> Bool[Tensor, "height width"]:
+def _resized_mask(mask: Bool[Tensor, "old_height old_width"], width: int, height: int) -> Bool[Tensor, "height width"]:
     """The mask at the old pixel nearest to each new pixel's centre."""
     rows = ((torch.arange(height) + 0.5) * mask.shape[0] / height).long()
     columns = ((torch.arange(width) + 0.5) * mask.shape[1] / width).long()

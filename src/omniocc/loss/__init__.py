@@ -1,0 +1,9 @@
+"""Losses: one file, one class; `Total` names and weighs them."""
+
+from omniocc.loss.cross_entropy import CrossEntropy
+from omniocc.loss.dice import Dice
+from omniocc.loss.scal import Scal
+from omniocc.loss.semantics import Semantics
+from omniocc.loss.total import Total
+
+__all__ = ["CrossEntropy", "Dice", "Scal", "Semantics", "Total"]

@@ -1,0 +1,30 @@
+"""Soft confusion matrix: everything that the scene-wide losses need to know of a batch."""
+
+import torch
+from jaxtyping import Float, Float32, UInt8
+from torch import Tensor
+from torch.nn import functional as F
+
+from omniocc.classes import UNKNOWN
+
+
+def soft_confusion(logits: Float[Tensor, "B C *grid"], target: UInt8[Tensor, "B *grid"]) -> Float32[Tensor, "C C"]:
+    """Probability mass by true class (rows) and predicted class (columns), summed over the known voxels of the batch.
+
+    All later sums add entries of this matrix and subtract nothing, so that they stay exact where a probability is
+    close to 0 or 1. Computed in float32, also under autocast.
+    """
+    classes = logits.shape[1]
+    with torch.autocast(logits.device.type, enabled=False):
+        probability = F.softmax(logits.float().flatten(2), dim=1)
+        labels = target.flatten(1)
+        ids = torch.arange(classes, dtype=torch.uint8, device=target.device)
+        one_hot = (labels[:, None] == ids[:, None]).float()  # UNKNOWN equals no id: its rows are 0
+        assert classes <= UNKNOWN
+        return torch.bmm(one_hot, probability.transpose(1, 2)).sum(0)
+
+
+def log_ratio(part: Float32[Tensor, "*batch"], whole: Float32[Tensor, "*batch"]) -> Float32[Tensor, "*batch"]:
+    """log(part / whole) for part <= whole; finite, with 0 / 0 = 1."""
+    tiny = torch.finfo(part.dtype).tiny
+    return part.clamp(min=tiny).log() - whole.clamp(min=tiny).log()
