@@ -1,0 +1,89 @@
+"""What one camera records of one moment: colours, classes and ranges."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from omniocc.classes import UNKNOWN
+from omniocc.world.caster import Hits
+from omniocc.world.light import Sensor, develop
+from omniocc.world.shade import Shading, shade
+from omniocc.world.stage import Stage
+from omniocc.world.view import View
+
+_STEP_M = 0.08  # a step between two planes at the eye's scale that is worth smoothing
+_STEP_SHARE = 0.02
+
+
+class Picture(NamedTuple):
+    """One image: `rgb` (H, W, 3) uint8, `label` (H, W) uint8 and `range_m` (H, W) float32 as `omniocc.world.Frame` has them."""
+
+    rgb: np.ndarray
+    label: np.ndarray
+    range_m: np.ndarray
+
+
+def record(view: View, stage: Stage, sensor: Sensor, rng: np.random.Generator) -> Picture:
+    """Takes one picture.
+
+    Every pixel gets a ray through its centre, which decides class and range. Where neighbours see different surfaces, or light beside
+    shadow, further rays are cast and the colours averaged in linear light; elsewhere the texture's mip levels are average enough.
+    """
+    hits = stage.cast(view.origin_m, view.center, _own_hits(view.own_center, stage))
+    seen = _shade(view, stage, hits, view.center)
+    color = seen.color
+    if view.extra.shape[2]:
+        index = np.flatnonzero(_borders(view, _keys(hits, stage), seen))
+        color[:, index] = _smooth(view, stage, index, color[:, index])
+    own = hits.face >= stage.own_start
+    label = np.where(hits.face >= 0, stage.surfaces.label[hits.face], 0).astype(np.uint8)
+    label[own] = UNKNOWN
+    range_m = np.where(own, np.float32(np.nan), hits.range_m)
+    return Picture(
+        _image(view, develop(color, sensor, view.falloff, rng), 0), _image(view, label, UNKNOWN), _image(view, range_m, np.nan)
+    )
+
+
+def _shade(view: View, stage: Stage, hits: Hits, directions_ego: np.ndarray) -> Shading:
+    eye, directions = stage.place(view.origin_m), stage.turn(directions_ego)
+    return shade(hits, eye, directions, stage.surfaces, stage.shadows, stage.light, view.pixel_rad)
+
+
+def _own_hits(own: Hits, stage: Stage) -> Hits:
+    return own._replace(face=np.where(own.face >= 0, own.face + stage.own_start, -1))
+
+
+def _smooth(view: View, stage: Stage, index: np.ndarray, center_color: np.ndarray) -> np.ndarray:
+    """(3, E) mean colour of pixels `index` over all their rays."""
+    count = view.extra.shape[2]
+    directions = view.extra[:, index].reshape(3, -1)
+    rays = (index[:, None] * count + np.arange(count)).ravel()
+    hits = stage.cast(view.origin_m, directions, _own_hits(view.own_extra.take(rays), stage))
+    color = _shade(view, stage, hits, directions).color.reshape(3, len(index), count)
+    total = center_color
+    for ray in range(count):
+        total = total + np.minimum(color[:, :, ray], 4.0)
+    return total / (count + 1)
+
+
+def _keys(hits: Hits, stage: Stage) -> np.ndarray:
+    return np.where(hits.face >= 0, stage.surfaces.key[hits.face], 0)
+
+
+def _borders(view: View, key: np.ndarray, seen: Shading) -> np.ndarray:
+    """(P,) bool: whether a pixel above, below, left or right sees another surface or another light."""
+    keys, lit = _image(view, key, 0), _image(view, seen.lit, False)
+    plane = _image(view, seen.offset_m, np.float32(0))
+    border = np.zeros(view.size, dtype=bool)
+    for one, other in (((slice(None), slice(1, None)), (slice(None), slice(-1))), ((slice(1, None),), (slice(-1),))):
+        step = np.abs(plane[one] - plane[other]) > _STEP_M + _STEP_SHARE * plane[one]
+        differ = (keys[one] != keys[other]) | (lit[one] != lit[other]) | step
+        border[one] |= differ
+        border[other] |= differ
+    return border.ravel()[view.pixel]
+
+
+def _image(view: View, values: np.ndarray, outside: float) -> np.ndarray:
+    image = np.full((view.size[0] * view.size[1], *values.shape[1:]), outside, values.dtype)
+    image[view.pixel] = values
+    return image.reshape(*view.size, *values.shape[1:])

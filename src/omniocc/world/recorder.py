@@ -1,0 +1,88 @@
+"""Everything one moment is recorded with: cameras, panorama of ranges, ego LiDAR and semantic LiDARs."""
+
+import numpy as np
+
+from omniocc.camera import Rig
+from omniocc.world.capture import Picture, record
+from omniocc.world.caster import Caster
+from omniocc.world.frame import Box, Frame
+from omniocc.world.lidar import ego_directions, scan_ego, scan_surfaces, virtual_lidars
+from omniocc.world.light import Sensor
+from omniocc.world.mesh import Mesh
+from omniocc.world.stage import Stage
+from omniocc.world.view import make_view
+
+
+def panorama_directions(width: int, height: int, top_deg: float, bottom_deg: float) -> np.ndarray:
+    """(3, height * width) float32 unit directions of an equirectangular picture (docs/design.md, frames and units)."""
+    azimuth = np.pi - (np.arange(width) + 0.5) * (2 * np.pi / width)
+    elevation = np.radians(top_deg - (np.arange(height) + 0.5) * ((top_deg - bottom_deg) / height))
+    elevation, azimuth = (grid.ravel() for grid in np.meshgrid(elevation, azimuth, indexing="ij"))
+    flat = np.cos(elevation)
+    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)]).astype(np.float32)
+
+
+class Recorder:
+    """The sensors of one vehicle; all their rays are worked out once.
+
+    Args:
+        rig: cameras.
+        own_car: mesh in the ego frame, which the cameras see and the LiDARs do not.
+        supersample: camera rays per pixel along each side where a pixel needs smoothing.
+        erp_size: width and height of the panorama of ranges, px.
+        erp_top_deg: elevation of its upper edge.
+        erp_bottom_deg: elevation of its lower edge.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        own_car: Mesh,
+        supersample: int,
+        erp_size: tuple[int, int],
+        erp_top_deg: float,
+        erp_bottom_deg: float,
+    ) -> None:
+        caster = Caster(own_car)
+        self.views = [make_view(rig, camera, supersample, caster) for camera in range(len(rig.cameras))]
+        self.erp_size = erp_size
+        self._panorama = panorama_directions(*erp_size, erp_top_deg, erp_bottom_deg)
+        self._ego_rays = np.ascontiguousarray(ego_directions().T)
+        self._lidars = virtual_lidars()
+
+    def frame(
+        self,
+        stage: Stage,
+        sensor: Sensor,
+        seed: tuple[int, ...],
+        time_s: float,
+        world_from_ego: np.ndarray,
+        boxes: tuple[Box, ...],
+    ) -> Frame:
+        """Records one moment; `seed` decides the sensors' noise."""
+        pictures = [
+            record(view, stage, sensor, np.random.default_rng([*seed, number])) for number, view in enumerate(self.views)
+        ]
+        points_m, point_labels = scan_surfaces(stage, self._lidars)
+        lidar_range_m, lidar_labels = scan_ego(stage, self._ego_rays)
+        return Frame(
+            time_s=time_s,
+            world_from_ego=world_from_ego,
+            images=_stack(pictures, 0),
+            semantics=_stack(pictures, 1),
+            range_m=_stack(pictures, 2),
+            erp_range_m=self._panorama_range(stage),
+            points_m=points_m,
+            point_labels=point_labels,
+            lidar_range_m=lidar_range_m,
+            lidar_labels=lidar_labels,
+            boxes=boxes,
+        )
+
+    def _panorama_range(self, stage: Stage) -> np.ndarray:
+        width, height = self.erp_size
+        return scan_ego(stage, self._panorama)[0].reshape(height, width)
+
+
+def _stack(pictures: list[Picture], part: int) -> np.ndarray:
+    return np.stack([picture[part] for picture in pictures])

@@ -1,0 +1,153 @@
+"""From hits to colours: what each triangle looks like, and the light that it sends to the camera."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from omniocc.world.caster import Hits, Layers
+from omniocc.world.light import Light, ambient
+from omniocc.world.material import Material
+from omniocc.world.mesh import Mesh
+from omniocc.world.sky import sky_color
+from omniocc.world.texture import layer_of, sample
+
+_GLOSS = {Material.GLASS: 0.9, Material.CAR_PAINT: 0.5, Material.METAL: 0.15, Material.FACADE: 0.0}
+_GLAZED = (Material.FACADE, Material.GLASS)
+_LIFT_M = np.float32(0.02)  # of shadow rays off their surface
+
+
+@dataclass(frozen=True)
+class Surfaces:
+    """Per-triangle facts in one table each, so that a hit costs one gather.
+
+    Attributes:
+        table: (F, 15) float32: unit normal 3, linear base colour 3, uv of the first corner 2, uv edges 2 + 2, texture layer, ground step,
+            gloss; one more column says whether windows in the texture reflect.
+        label: (F,) uint8.
+        key: (F,) int32, differs between surfaces whose border needs smoothing.
+    """
+
+    table: np.ndarray
+    label: np.ndarray
+    key: np.ndarray
+
+
+def make_surfaces(mesh: Mesh, rotation: np.ndarray | None = None) -> Surfaces:
+    """Tables of a mesh; `rotation` (3, 3) turns its normals."""
+    corner = mesh.vertices[mesh.faces]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    if rotation is not None:
+        normal = np.einsum("ij,fj->fi", rotation, normal)
+    table = np.empty((len(mesh), 16), np.float32)
+    table[:, 0:3] = normal
+    table[:, 3:6] = 0.85 * (mesh.color / 255) ** 2.2
+    table[:, 6:8] = mesh.uv[:, 0]
+    table[:, 8:10] = mesh.uv[:, 1] - mesh.uv[:, 0]
+    table[:, 10:12] = mesh.uv[:, 2] - mesh.uv[:, 0]
+    table[:, 12], table[:, 13] = layer_of(mesh.material, mesh.color)
+    gloss = np.zeros(len(Material), np.float32)
+    gloss[list(_GLOSS)] = list(_GLOSS.values())
+    table[:, 14] = gloss[mesh.material]
+    table[:, 15] = np.isin(mesh.material, _GLAZED)
+    return Surfaces(table, mesh.label, _surface_key(mesh, normal))
+
+
+def join(parts: list[Surfaces]) -> Surfaces:
+    """One table of several, in order."""
+    return Surfaces(
+        np.concatenate([part.table for part in parts]),
+        np.concatenate([part.label for part in parts]),
+        np.concatenate([part.key for part in parts]),
+    )
+
+
+def _surface_key(mesh: Mesh, normal: np.ndarray) -> np.ndarray:
+    parts = [mesh.label, mesh.material, *mesh.color.T, mesh.instance, *np.rint(normal * 2).astype(np.int32).T]
+    key = np.zeros(len(mesh), np.uint32)
+    for part in parts:
+        key = (key ^ part.astype(np.int64).astype(np.uint32)) * np.uint32(16777619)
+    return key.view(np.int32)
+
+
+class Shading(NamedTuple):
+    """Of R rays: linear colour (3, R); `offset_m` (R,) of the hit plane from the eye; `lit` (R,) bool, in direct sun."""
+
+    color: np.ndarray
+    offset_m: np.ndarray
+    lit: np.ndarray
+
+
+def shade(
+    hits: Hits, origin: np.ndarray, directions: np.ndarray, surfaces: Surfaces, shadows: Layers, light: Light, pixel_rad: float
+) -> Shading:
+    """Light along each ray: texture, sun with shadow, sky, reflection, haze; the sky itself where nothing is hit.
+
+    Args:
+        hits: of R rays from `origin` (3,) along `directions` (3, R) float32, world axes.
+        origin: eye.
+        directions: unit vectors.
+        surfaces: of the faces in `hits`.
+        shadows: what keeps the sun off.
+        light: of the scene.
+        pixel_rad: angle between neighbouring pixels.
+    """
+    color = np.empty((3, len(hits.face)), np.float32)
+    offset_m, lit = np.zeros(len(hits.face), np.float32), np.zeros(len(hits.face), bool)
+    sky, ground = np.flatnonzero(hits.face < 0), np.flatnonzero(hits.face >= 0)
+    color[:, sky] = sky_color(light, directions[:, sky])
+    some = Hits(*(array[ground] for array in hits))
+    toward = directions[:, ground]
+    facts = np.ascontiguousarray(surfaces.table[some.face].T)
+    cosine = -_dot(facts[:3], toward)
+    facts[:3] *= np.where(cosine < 0, np.float32(-1), np.float32(1))
+    cosine = np.abs(cosine)
+    sunny = _sunlight(some, origin, toward, facts[:3], shadows, light)
+    color[:, ground] = _surface_color(some, toward, facts, cosine, sunny, light, pixel_rad)
+    offset_m[ground], lit[ground] = some.range_m * cosine, sunny > 0
+    return Shading(color, offset_m, lit)
+
+
+def _sunlight(
+    hits: Hits, origin: np.ndarray, directions: np.ndarray, normal: np.ndarray, shadows: Layers, light: Light
+) -> np.ndarray:
+    """(R,) cosine to the sun, 0 in shadow."""
+    cosine = np.maximum(_dot(normal, light.sun_direction), 0)
+    index = np.flatnonzero(cosine > 0)
+    points = directions[:, index] * hits.range_m[index] + normal[:, index] * _LIFT_M + origin[:, None]
+    cosine[index[shadows.blocked(points.T, light.sun_direction[None])]] = 0
+    return cosine
+
+
+def _surface_color(
+    hits: Hits, directions: np.ndarray, facts: np.ndarray, cosine: np.ndarray, sunny: np.ndarray, light: Light, pixel_rad: float
+) -> np.ndarray:
+    u_m = facts[6] + hits.u * facts[8] + hits.v * facts[10]
+    v_m = facts[7] + hits.u * facts[9] + hits.v * facts[11]
+    footprint_m = hits.range_m * np.float32(pixel_rad) / np.sqrt(np.maximum(cosine, 0.05))
+    tint, own = sample(facts[12].astype(np.int32), facts[13].astype(np.int32), u_m, v_m, footprint_m)
+    color = facts[3:6] * tint
+    color += own
+    color *= light.sun[:, None] * sunny + ambient(light, facts[2])
+    mirror = np.flatnonzero((facts[14] > 0) | ((facts[15] > 0) & (tint < 0.15)))
+    gloss = np.maximum(facts[14][mirror], 0.8 * facts[15][mirror])
+    color[:, mirror] = _reflect(color[:, mirror], directions[:, mirror], facts[:3, mirror], cosine[mirror], gloss, light)
+    clear = np.exp(hits.range_m * np.float32(-1 / light.haze_m))
+    return color * clear + light.horizon[:, None] * (1 - clear)
+
+
+def _reflect(
+    color: np.ndarray, directions: np.ndarray, normal: np.ndarray, cosine: np.ndarray, gloss: np.ndarray, light: Light
+) -> np.ndarray:
+    """Adds the mirrored sky, or what stands below the horizon as a dim even grey, by Schlick's Fresnel term."""
+    mirrored = directions + 2 * cosine * normal
+    seen = sky_color(light, mirrored)
+    blend = np.clip(mirrored[2] * 4 + 0.3, 0, 1)
+    seen = seen * blend + 0.12 * light.horizon[:, None] * (1 - blend)
+    share = gloss * (0.06 + 0.94 * (1 - np.minimum(cosine, 1)) ** 5)
+    return color * (1 - share) + np.minimum(seen, 3) * share
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
