@@ -11,9 +11,10 @@ from omniocc.classes import UNKNOWN
 def class_weights(counts: Int64[Tensor, " C"], constant: float) -> Float32[Tensor, " C"]:
     """w_c = 1 / log(f_c + constant), with f_c the share of class c among all known voxels, in [0, 1] (paper, eq. 4).
 
-    The paper gives neither f_c nor the constant. In MonoScene, where the formula comes from, f_c is the number of voxels
-    and the constant 0.001: weights then depend on the size of the data set, and one of a class that never occurs is
-    negative. With shares and a constant above 1 all weights are positive and finite; 2 bounds them by 0.91 and 1.44.
+    The paper gives neither f_c nor the constant. In MonoScene, where the formula comes from, f_c is the number of
+    voxels and the constant 0.001: weights then depend on the size of the data set, and that of a class that never
+    occurs is negative. With shares and a constant above 1 all weights are positive and finite; 2 keeps them in 0.91 to
+    1.44.
     """
     share = counts.double() / counts.sum().clamp(min=1)
     return (share + constant).log().reciprocal().float()

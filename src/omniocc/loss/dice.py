@@ -10,8 +10,8 @@ from omniocc.loss.soft_confusion import soft_confusion
 class Dice(nn.Module):
     """1 - 2 TP / (2 TP + FP + FN) with probabilities for counts (paper, eq. 5), the mean over classes.
 
-    The paper leaves open which classes count. Ours: those that occur in the target, free included. A class that does not
-    occur has TP = 0 whatever is predicted: its term would be 1 with no gradient.
+    The paper leaves open which classes count. Ours: those that occur in the target, free included. A class that does
+    not occur has TP = 0 whatever is predicted: its term would be 1 with no gradient.
     """
 
     def forward(self, logits: Float[Tensor, "B C *grid"], target: UInt8[Tensor, "B *grid"]) -> Float32[Tensor, ""]:

@@ -17,8 +17,8 @@ def semantic_scal(confusion: Float32[Tensor, "C C"]) -> Float32[Tensor, ""]:
     hits = confusion.diagonal()
     count, predicted, total = confusion.sum(1), confusion.sum(0), confusion.sum()
     other = ~torch.eye(len(hits), dtype=torch.bool, device=hits.device)
-    # rejected[c] = mass on classes other than c, of voxels whose class is not c
-    rejected = torch.einsum("kc,cj,kj->c", other.float(), other.float(), confusion)
+    # [c]: mass on classes other than c, of voxels whose class is not c
+    rejected = (confusion * (other[:, :, None] & other[:, None, :])).sum((1, 2))
     elsewhere = total - count
     affinity = log_ratio(hits, predicted) + log_ratio(hits, count)
     affinity = affinity + torch.where(elsewhere > 0.5, log_ratio(rejected, elsewhere), 0)

@@ -18,8 +18,8 @@ def labels_at(labels: UInt8[Tensor, "*batch H W"], height: int, width: int) -> U
 class Semantics(nn.Module):
     """Mean cross-entropy over known pixels, at the resolution of the logits.
 
-    Labels are read at the logits' cell centres. Enlarging the logits instead costs stride^2 times the memory and compares
-    a bilinear blend with every pixel of a cell; what the features can tell apart is the same.
+    Labels are read at the logits' cell centres. Enlarging the logits instead costs stride^2 times the memory and
+    compares a bilinear blend with every pixel of a cell; what the features can tell apart is the same.
     """
 
     def forward(self, logits: Float[Tensor, "B N C h w"], labels: UInt8[Tensor, "B N H W"]) -> Float32[Tensor, ""]:

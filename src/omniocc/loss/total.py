@@ -1,7 +1,7 @@
 """The training loss: named terms, summed by whoever trains."""
 
 from collections.abc import Mapping
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from jaxtyping import Float, Float32, Int64, UInt8
 from torch import Tensor, nn
@@ -9,6 +9,7 @@ from torch import Tensor, nn
 from omniocc.loss.cross_entropy import CrossEntropy
 
 
+@runtime_checkable
 class HasLogits(Protocol):
     """What the losses read of a prediction (`omniocc.model.Prediction`)."""
 

@@ -1,0 +1,48 @@
+from typing import NamedTuple
+
+import pytest
+import torch
+
+from omniocc.loss import CrossEntropy, Dice, Semantics, Total
+
+
+class Prediction(NamedTuple):
+    logits: torch.Tensor
+    pixel_logits: torch.Tensor | None
+
+
+def total(weights):
+    return Total({"ce": CrossEntropy(2.0, 3), "dice": Dice()}, {"semantics": Semantics()}, weights)
+
+
+def batch():
+    torch.manual_seed(0)
+    voxels = torch.randint(0, 3, (2, 4, 3, 2), dtype=torch.uint8)
+    pixels = torch.randint(0, 3, (2, 6, 4, 8), dtype=torch.uint8)
+    return Prediction(torch.randn(2, 3, 4, 3, 2), torch.randn(2, 6, 3, 2, 4)), voxels, pixels
+
+
+def test_named_weighted_terms():
+    loss = total({"ce": 1.0, "dice": 0.5, "semantics": 2.0})
+    prediction, voxels, pixels = batch()
+    terms = loss(prediction, voxels, pixels)
+    assert list(terms) == ["ce", "dice", "semantics"]
+    torch.testing.assert_close(terms["dice"], 0.5 * Dice()(prediction.logits, voxels))
+    torch.testing.assert_close(terms["semantics"], 2 * Semantics()(prediction.pixel_logits, pixels))
+
+
+def test_no_pixel_terms_without_a_semantic_head():
+    prediction, voxels, pixels = batch()
+    terms = total({"ce": 1.0, "dice": 1.0, "semantics": 1.0})(prediction._replace(pixel_logits=None), voxels, pixels)
+    assert list(terms) == ["ce", "dice"]
+
+
+def test_class_counts_reach_the_cross_entropy_and_the_state_dict():
+    loss = total({"ce": 1.0, "dice": 1.0, "semantics": 1.0})
+    loss.set_class_counts(torch.tensor([8, 1, 1]))
+    assert loss.state_dict()["voxel.ce.weights"][0] < loss.state_dict()["voxel.ce.weights"][1]
+
+
+def test_names_must_match():
+    with pytest.raises(ValueError, match="same names"):
+        total({"ce": 1.0, "dise": 1.0, "semantics": 1.0})
