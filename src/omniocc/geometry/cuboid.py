@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from omniocc.geometry.axes import Planes, clip_slab
 from omniocc.geometry.grid import Grid, as_axis, as_shape
 
 
@@ -65,3 +66,18 @@ class Cuboid(Grid):
     def from_axes(self, first: Tensor, second: Tensor, third: Tensor) -> Float[Tensor, "... 3"]:
         """Points from x, y, z."""
         return torch.stack([first, second, third], dim=-1)
+
+    def clip(
+        self, origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"]
+    ) -> tuple[Float[Tensor, " R"], Float[Tensor, " R"]]:
+        """The stretch between all three pairs of faces."""
+        slabs = [clip_slab(origins[:, i], directions[:, i], self.bounds[i]) for i in range(3)]
+        enter = torch.stack([slab[0] for slab in slabs]).amax(0)
+        return enter, torch.stack([slab[1] for slab in slabs]).amin(0)
+
+    def axes(
+        self, origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"], start_m: Float[Tensor, " R"]
+    ) -> tuple[Planes, Planes, Planes]:
+        """Three sets of planes."""
+        x, y, z = (Planes(origins[:, i], directions[:, i], start_m, self.bounds[i], self.shape[i]) for i in range(3))
+        return x, y, z

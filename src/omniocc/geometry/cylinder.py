@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from omniocc.geometry.axes import Planes, Rings, Sectors, clip_disc, clip_slab
 from omniocc.geometry.grid import Grid, as_axis, as_shape
 
 
@@ -42,6 +43,8 @@ class Cylinder(Grid):
         object.__setattr__(self, "height_m", as_axis("height_m", height_m))
         if self.radius_m[0] < 0:
             raise ValueError(f"radius_m must not be negative, got {self.radius_m}; use (0.0, outer radius)")
+        if self.shape[1] < 3:
+            raise ValueError(f"shape needs at least 3 cells along theta, got {self.shape}")
 
     @property
     def periodic(self) -> tuple[bool, bool, bool]:
@@ -68,3 +71,21 @@ class Cylinder(Grid):
     def from_axes(self, first: Tensor, second: Tensor, third: Tensor) -> Float[Tensor, "... 3"]:
         """Points from radius (m), azimuth (rad) and height (m)."""
         return torch.stack([first * torch.cos(second), first * torch.sin(second), third], dim=-1)
+
+    def clip(
+        self, origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"]
+    ) -> tuple[Float[Tensor, " R"], Float[Tensor, " R"]]:
+        """The stretch inside the outer radius and between bottom and top; a hole around the axis is not cut out."""
+        disc = clip_disc(origins, directions, self.radius_m[1])
+        slab = clip_slab(origins[:, 2], directions[:, 2], self.height_m)
+        return torch.maximum(disc[0], slab[0]), torch.minimum(disc[1], slab[1])
+
+    def axes(
+        self, origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"], start_m: Float[Tensor, " R"]
+    ) -> tuple[Rings, Sectors, Planes]:
+        """Cylinders, half-planes and planes."""
+        return (
+            Rings(origins, directions, start_m, self.radius_m, self.shape[0]),
+            Sectors(origins, directions, start_m, self.shape[1]),
+            Planes(origins[:, 2], directions[:, 2], start_m, self.height_m, self.shape[2]),
+        )

@@ -3,12 +3,15 @@
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from typing import Literal
 
 import torch
-from jaxtyping import Bool, Float, Int64, UInt8
+from jaxtyping import Bool, Float, Float32, Int64, UInt8
 from torch import Tensor
 
 from omniocc.classes import NUM_CLASSES
+from omniocc.geometry.axes import Axis
+from omniocc.geometry.trace import Paths, paths, trace
 from omniocc.geometry.vote import majority
 from omniocc.geometry.warp import fold, interpolate, trilinear
 
@@ -44,6 +47,18 @@ class Grid(ABC):
     @abstractmethod
     def from_axes(self, first: Tensor, second: Tensor, third: Tensor) -> Float[Tensor, "... 3"]:
         """Cartesian ego points in metres with these values along the three axes; the inverse of `to_axes`."""
+
+    @abstractmethod
+    def clip(
+        self, origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"]
+    ) -> tuple[Float[Tensor, " R"], Float[Tensor, " R"]]:
+        """Distances at which rays of unit length (float64) enter and leave the grid; enter > leave if they miss it."""
+
+    @abstractmethod
+    def axes(
+        self, origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"], start_m: Float[Tensor, " R"]
+    ) -> tuple[Axis, Axis, Axis]:
+        """State of rays that stand at the distance `start_m`, inside the grid (see `omniocc.geometry.axes`)."""
 
     @property
     def num_cells(self) -> int:
@@ -140,6 +155,20 @@ class Grid(ABC):
     def warp_valid(self, past_from_current: Float[Tensor, "B 4 4"]) -> Bool[Tensor, "B X Y Z"]:
         """Which current cells had their centre inside the past frame's grid."""
         return torch.stack([self.index(self._moved_centers(pose))[1].reshape(self.shape) for pose in past_from_current])
+
+    def paths(self, origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"]) -> Paths:
+        """All cells that each ray crosses, in order (see `omniocc.geometry.trace.paths`)."""
+        return paths(self, origins, directions)
+
+    def trace(
+        self,
+        labels: UInt8[Tensor, "X Y Z"],
+        origins: Float[Tensor, "R 3"],
+        directions: Float[Tensor, "R 3"],
+        hit: Literal["exit", "entry"] = "exit",
+    ) -> tuple[Float32[Tensor, " R"], UInt8[Tensor, " R"]]:
+        """First cell along each ray that is not free (see `omniocc.geometry.trace.trace`)."""
+        return trace(self, labels, origins, directions, hit)
 
     def _moved_centers(self, pose: Float[Tensor, "4 4"]) -> Float[Tensor, "N 3"]:
         pose = pose.double()

@@ -1,0 +1,185 @@
+"""Exact traversal of a voxel grid by rays: every cell crossed, in order, with entry and exit distances.
+
+All rays step from boundary to boundary together, in float64: Amanatides and Woo's algorithm (1987), where boundaries
+may be planes, cylinders or half-planes (`omniocc.geometry.axes`).
+"""
+
+from collections.abc import Iterator
+from typing import Literal, NamedTuple, Protocol, runtime_checkable
+
+import torch
+from jaxtyping import Bool, Float, Float32, Int32, Int64, UInt8
+from torch import Tensor
+
+from omniocc.classes import FREE
+from omniocc.geometry.axes import TOUCH_M, Axis
+
+CHUNK_RAYS = 1 << 15
+"""Rays that step together; their state should stay in the processor's cache."""
+
+
+@runtime_checkable
+class Traversable(Protocol):
+    """The part of a grid that tracing needs; see `omniocc.geometry.Grid`."""
+
+    @property
+    def shape(self) -> tuple[int, int, int]: ...  # noqa: D102
+
+    def clip(self, origins: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]: ...  # noqa: D102
+
+    def axes(self, origins: Tensor, directions: Tensor, start_m: Tensor) -> tuple[Axis, Axis, Axis]: ...  # noqa: D102
+
+
+class Paths(NamedTuple):
+    """The cells that R rays cross, L at most.
+
+    Attributes:
+        cells: flat (row-major) cell index; -1 after the last cell and where a ray crosses the hole of a cylinder.
+        bounds_m: distance along the ray at which the cell in the same column begins; the next column is where it ends.
+        valid: whether the ray meets the grid at all, a cylinder's hole included.
+    """
+
+    cells: Int32[Tensor, "R L"]
+    bounds_m: Float32[Tensor, "R L+1"]
+    valid: Bool[Tensor, " R"]
+
+    @property
+    def entry_m(self) -> Float32[Tensor, "R L"]:
+        """Distance at which each cell is entered; 0 for the cell that holds the origin."""
+        return self.bounds_m[:, :-1]
+
+    @property
+    def exit_m(self) -> Float32[Tensor, "R L"]:
+        """Distance at which each cell is left."""
+        return self.bounds_m[:, 1:]
+
+
+class Stretch(NamedTuple):
+    """One cell each of K rays: which ray, flat cell (-1 in a cylinder's hole), where it begins and ends."""
+
+    rays: Int64[Tensor, " K"]
+    cells: Int64[Tensor, " K"]
+    entry_m: Float[Tensor, " K"]
+    exit_m: Float[Tensor, " K"]
+
+
+def paths(grid: Traversable, origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"]) -> Paths:
+    """Finds all cells that rays cross.
+
+    Cells crossed over less than a nanometre are left out, so a ray through an edge goes from cell to opposite cell.
+
+    Args:
+        grid: cylinder or cuboid.
+        origins: ego frame, metres; anywhere, inside or outside.
+        directions: any length but zero.
+    """
+    steps: list[Stretch] = []
+    count = torch.zeros(len(origins), dtype=torch.int64, device=origins.device)
+    columns: list[Tensor] = []
+    for stretch in walk(grid, origins, directions):
+        steps.append(stretch)
+        columns.append(count[stretch.rays])
+        count[stretch.rays] += 1
+    length = int(count.max()) if len(count) else 0
+    cells = torch.full((len(origins), length), -1, dtype=torch.int32, device=origins.device)
+    bounds_m = torch.zeros(len(origins), length + 1, device=origins.device)
+    for stretch, column in zip(steps, columns, strict=True):
+        cells[stretch.rays, column] = stretch.cells.int()
+        bounds_m[stretch.rays, column] = stretch.entry_m.float()
+        bounds_m[stretch.rays, column + 1] = stretch.exit_m.float()
+    after = torch.arange(length + 1, device=count.device) > count.unsqueeze(1)
+    last_m = bounds_m.gather(1, count.unsqueeze(1))
+    return Paths(cells, torch.where(after, last_m, bounds_m), count > 0)
+
+
+def trace(
+    grid: Traversable,
+    labels: UInt8[Tensor, "X Y Z"],
+    origins: Float[Tensor, "R 3"],
+    directions: Float[Tensor, "R 3"],
+    hit: Literal["exit", "entry"] = "exit",
+) -> tuple[Float32[Tensor, " R"], UInt8[Tensor, " R"]]:
+    """Finds the first cell along each ray that is not free; unknown (255) is not free.
+
+    Args:
+        grid: cylinder or cuboid.
+        labels: class of every cell.
+        origins: ego frame, metres.
+        directions: any length but zero.
+        hit: report the distance at which the hit cell is left (as the public RayIoU does) or entered.
+
+    Returns:
+        Range in metres and class. A ray that hits nothing has the distance at which it leaves the grid, and class
+        free; one that never meets the grid has range inf and class free.
+
+    Raises:
+        ValueError: if the labels do not have the grid's shape.
+    """
+    if labels.shape != grid.shape:
+        raise ValueError(f"labels must have the grid's shape {grid.shape}, got {tuple(labels.shape)}")
+    flat = labels.flatten()
+    range_m = torch.full((len(origins),), float("inf"), device=origins.device)
+    found = torch.zeros(len(origins), dtype=torch.uint8, device=origins.device)
+    wanted = torch.ones(len(origins), dtype=torch.bool, device=origins.device)
+    for rays, cells, entry_m, exit_m in walk(grid, origins, directions, wanted):
+        label = torch.where(cells >= 0, flat[cells], FREE)
+        stop = label != FREE
+        end_m = torch.where(stop, entry_m, exit_m) if hit == "entry" else exit_m
+        range_m[rays] = end_m.float()
+        found[rays] = label
+        wanted[rays] = ~stop
+    return range_m, found
+
+
+def walk(
+    grid: Traversable,
+    origins: Float[Tensor, "R 3"],
+    directions: Float[Tensor, "R 3"],
+    wanted: Bool[Tensor, " R"] | None = None,
+) -> Iterator[Stretch]:
+    """Steps all rays through the grid, one cell at a time.
+
+    Args:
+        grid: cylinder or cuboid.
+        origins: ego frame, metres.
+        directions: any length but zero.
+        wanted: rays to follow; the caller may clear entries between steps to stop rays.
+    """
+    for first in range(0, len(origins), CHUNK_RAYS):
+        chunk = slice(first, first + CHUNK_RAYS)
+        going = None if wanted is None else wanted[chunk]
+        for stretch in _walk_chunk(grid, origins[chunk].double(), directions[chunk].double(), going):
+            yield stretch._replace(rays=stretch.rays + first)
+
+
+def _walk_chunk(
+    grid: Traversable, origins: Tensor, directions: Tensor, wanted: Bool[Tensor, " R"] | None
+) -> Iterator[Stretch]:
+    directions = torch.nn.functional.normalize(directions, dim=-1, eps=0.0)
+    enter_m, leave_m = grid.clip(origins, directions)
+    now_m = enter_m.clamp(min=0)
+    rays = (leave_m > now_m + TOUCH_M).nonzero().flatten()
+    now_m, leave_m = now_m[rays], leave_m[rays]
+    axes = grid.axes(origins[rays], directions[rays], now_m)
+    for axis in axes:
+        axis.advance(axis.next_m <= now_m + TOUCH_M)
+    while len(rays):
+        end_m = torch.minimum(torch.minimum(axes[0].next_m, axes[1].next_m), torch.minimum(axes[2].next_m, leave_m))
+        going = now_m < leave_m - TOUCH_M
+        if wanted is not None:
+            going &= wanted[rays]
+        seen = (going & (end_m > now_m + TOUCH_M)).nonzero().flatten()
+        yield Stretch(rays[seen], _flat(axes, grid.shape)[seen], now_m[seen], end_m[seen])
+        for axis in axes:
+            axis.advance(axis.next_m <= end_m + TOUCH_M)
+        now_m = end_m
+        if 4 * int(going.sum()) < 3 * len(going):
+            kept = going.nonzero().flatten()
+            rays, now_m, leave_m = rays[kept], now_m[kept], leave_m[kept]
+            for axis in axes:
+                axis.keep(kept)
+
+
+def _flat(axes: tuple[Axis, Axis, Axis], shape: tuple[int, int, int]) -> Int64[Tensor, " R"]:
+    cell = (axes[0].index * shape[1] + axes[1].index) * shape[2] + axes[2].index
+    return torch.where(axes[0].index < 0, -1, cell)
