@@ -1,0 +1,89 @@
+"""Bird's-eye views: forward is up, left is left."""
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import UInt8
+from torch import Tensor
+
+from omniocc.classes import FREE, PALETTE, UNKNOWN
+from omniocc.geometry import Grid
+from omniocc.view.canvas import Rgb
+
+OUTSIDE: Rgb = (255, 255, 255)
+EMPTY: Rgb = (238, 240, 243)
+RIGHT: Rgb = (196, 222, 200)
+WRONG: Rgb = (240, 170, 50)
+MISSED: Rgb = (50, 105, 195)
+HALLUCINATED: Rgb = (205, 50, 60)
+ERRORS: tuple[tuple[str, Rgb], ...] = (
+    ("right", RIGHT),
+    ("wrong class", WRONG),
+    ("missed", MISSED),
+    ("hallucinated", HALLUCINATED),
+)
+
+
+def bev(labels: UInt8[Tensor, "X Y Z"], geometry: Grid, size_px: int) -> np.ndarray:
+    """Colour of the topmost occupied cell of every column; a square picture of the whole grid."""
+    columns = topmost(labels)
+    colors = PALETTE[columns]
+    colors[columns == FREE] = EMPTY
+    return _draw(colors, geometry, size_px)
+
+
+def error_bev(
+    truth: UInt8[Tensor, "X Y Z"], prediction: UInt8[Tensor, "X Y Z"], geometry: Grid, size_px: int
+) -> np.ndarray:
+    """What is most frequent among the cells of each column that are occupied in truth or prediction.
+
+    Kinds and colours are `ERRORS`; of equally frequent kinds the later one shows. Cells of unknown truth do not count.
+    """
+    true, said = truth.numpy(), prediction.numpy()
+    known = true != UNKNOWN
+    kinds = [
+        (true == said) & (true != FREE),
+        (true != said) & (true != FREE) & (said != FREE),
+        (true != FREE) & (said == FREE),
+        (true == FREE) & (said != FREE),
+    ]
+    counts = np.stack([(kind & known).sum(2) for kind in kinds])
+    most = len(kinds) - 1 - counts[::-1].argmax(0)
+    colors = np.array([rgb for _, rgb in ERRORS], dtype=np.uint8)[most]
+    colors[counts.sum(0) == 0] = EMPTY
+    return _draw(colors, geometry, size_px)
+
+
+def topmost(labels: UInt8[Tensor, "X Y Z"]) -> np.ndarray:
+    """(X, Y) class of the highest cell of each column that is neither free nor unknown; free if there is none."""
+    cells = labels.numpy()[:, :, ::-1]
+    occupied = (cells != FREE) & (cells != UNKNOWN)
+    first = occupied.argmax(2)
+    return np.where(occupied.any(2), np.take_along_axis(cells, first[..., None], 2)[..., 0], FREE).astype(np.uint8)
+
+
+def _draw(colors: np.ndarray, geometry: Grid, size_px: int) -> np.ndarray:
+    """The picture of (X, Y, 3) column colours: every pixel shows the column its centre lies in."""
+    half_m = _half_width_m(geometry)
+    axis = half_m - (torch.arange(size_px, dtype=torch.float64) + 0.5) * (2 * half_m / size_px)
+    x, y = torch.meshgrid(axis, axis, indexing="ij")
+    middle = sum(geometry.bounds[2]) / 2
+    index, inside = geometry.index(torch.stack([x, y, torch.full_like(x, middle)], dim=-1))
+    picture = colors[index[..., 0].numpy(), index[..., 1].numpy()]
+    picture[~inside.numpy()] = OUTSIDE
+    _own_car(picture, size_px / (2 * half_m))
+    return picture
+
+
+def _half_width_m(geometry: Grid) -> float:
+    corners = geometry.centers(torch.float64)[..., :2].abs().max()
+    return float(corners) + max(geometry.cell_m[0], 0.0) / 2
+
+
+def _own_car(picture: np.ndarray, px_per_m: float) -> None:
+    """An arrowhead at the origin, pointing forward."""
+    outline = np.array([[2.4, 0.0], [-2.0, 1.3], [-1.2, 0.0], [-2.0, -1.3]])  # x, y in metres
+    pixels = np.stack([-outline[:, 1], -outline[:, 0]], 1) * px_per_m + picture.shape[0] / 2 - 0.5
+    points = np.round(pixels * 16).astype(np.int32)
+    cv2.fillPoly(picture, [points], (255, 255, 255), cv2.LINE_AA, 4)
+    cv2.polylines(picture, [points], True, (30, 30, 30), 1, cv2.LINE_AA, 4)

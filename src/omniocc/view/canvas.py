@@ -1,0 +1,84 @@
+"""Drawing helpers: text, labels on pictures, files. Pictures are (height, width, 3) uint8 RGB arrays."""
+
+from os import PathLike
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+Rgb = tuple[int, int, int]
+
+FONT = cv2.FONT_HERSHEY_DUPLEX
+INK: Rgb = (40, 44, 52)
+PAPER: Rgb = (255, 255, 255)
+
+
+def save_png(path: str | PathLike[str], image: np.ndarray) -> None:
+    """Writes a picture.
+
+    Raises:
+        OSError: naming the path that cannot be written.
+    """
+    done, data = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    assert done
+    Path(path).write_bytes(data.tobytes())
+
+
+def blank(width: int, height: int, rgb: Rgb = PAPER) -> np.ndarray:
+    """An empty picture."""
+    return np.full((height, width, 3), rgb, dtype=np.uint8)
+
+
+def fitted(image: np.ndarray, width: int) -> np.ndarray:
+    """The picture scaled to a width."""
+    height = round(image.shape[0] * width / image.shape[1])
+    smaller = width < image.shape[1]
+    return cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA if smaller else cv2.INTER_CUBIC)
+
+
+def paste(canvas: np.ndarray, image: np.ndarray, left: int, top: int) -> None:
+    """Copies `image` into `canvas` in place."""
+    canvas[top : top + image.shape[0], left : left + image.shape[1]] = image
+
+
+def text_width(text: str, height_px: int) -> int:
+    """Width of a line of text."""
+    return cv2.getTextSize(text, FONT, _scale(height_px), 1)[0][0]
+
+
+def write(canvas: np.ndarray, text: str, left: int, baseline: int, height_px: int, rgb: Rgb = INK) -> None:
+    """Writes a line of text in place; `height_px` is that of a capital letter."""
+    cv2.putText(canvas, text, (left, baseline), FONT, _scale(height_px), rgb, 1, cv2.LINE_AA)
+
+
+def tag(canvas: np.ndarray, text: str, left: int, top: int, height_px: int = 10) -> None:
+    """Writes white text on a dark translucent plate in place."""
+    pad = height_px * 2 // 3
+    right, bottom = left + text_width(text, height_px) + 2 * pad, top + height_px + 2 * pad
+    plate = canvas[top:bottom, left:right]
+    plate[:] = (0.35 * plate + 0.65 * np.array([25, 28, 34])).astype(np.uint8)
+    write(canvas, text, left + pad, top + pad + height_px, height_px, (255, 255, 255))
+
+
+def legend(entries: list[tuple[str, Rgb]], width: int, height_px: int = 10) -> np.ndarray:
+    """Colour swatches with names, in as many lines as they need."""
+    swatch, gap, line = 2 * height_px, height_px * 2, height_px * 5 // 2
+    lines, left = [[]], 0
+    for name, rgb in entries:
+        needed = swatch + height_px // 2 + text_width(name, height_px) + gap
+        if left + needed - gap > width and lines[-1]:
+            lines, left = [*lines, []], 0
+        lines[-1].append((left, name, rgb))
+        left += needed
+    canvas = blank(width, line * len(lines))
+    for row, items in enumerate(lines):
+        for start, name, rgb in items:
+            top = row * line + (line - height_px) // 2
+            cv2.rectangle(canvas, (start, top - 1), (start + swatch - 1, top + height_px), rgb, -1)
+            cv2.rectangle(canvas, (start, top - 1), (start + swatch - 1, top + height_px), (190, 190, 190), 1)
+            write(canvas, name, start + swatch + height_px // 2, top + height_px, height_px)
+    return canvas
+
+
+def _scale(height_px: int) -> float:
+    return height_px / cv2.getTextSize("H", FONT, 1.0, 1)[0][1]

@@ -1,0 +1,162 @@
+"""A 3D picture of labelled voxels, seen from behind and above the car."""
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import UInt8
+from torch import Tensor
+
+from omniocc.classes import FREE, PALETTE, UNKNOWN
+from omniocc.geometry import Grid
+
+SKY_TOP, SKY_BOTTOM = (214, 226, 240), (252, 252, 252)
+LIGHT = np.array([-0.35, 0.45, 0.82])
+SUPERSAMPLE = 2
+NEAR_M = 0.2
+CAR_BOX_M = ((-2.3, 2.3), (-0.95, 0.95), (-2.0, -0.6))
+CAR_RGB = (245, 246, 248)
+
+
+class Faces(NamedTuple):
+    """Quadrilaterals: corners (F, 4, 3) m, outward unit normals (F, 3), colours (F, 3), and the order to draw them in.
+
+    Painting farther cells first is exact for a grid: along a ray, each next cell lies beyond a boundary that separates
+    its centre from the previous one's. (Only where a ray grazes a ring of a cylinder may two cells swap.)
+    """
+
+    corners: np.ndarray
+    normals: np.ndarray
+    colors: np.ndarray
+    depth_m: np.ndarray
+
+
+def render_voxels(
+    labels: UInt8[Tensor, "X Y Z"],
+    geometry: Grid,
+    width: int,
+    height: int,
+    eye_m: tuple[float, float, float] = (-27.0, 0.0, 21.0),
+    target_m: tuple[float, float, float] = (1.5, 0.0, -3.0),
+    view_deg: float = 60.0,
+) -> np.ndarray:
+    """Draws occupied cells in their class colours, and the own car as a white box; unknown cells stay invisible.
+
+    Args:
+        labels: class of every cell.
+        geometry: the grid.
+        width: of the picture, px.
+        height: of the picture, px.
+        eye_m: where the picture is taken from, ego frame.
+        target_m: the point in its middle.
+        view_deg: horizontal angle it spans.
+    """
+    eye = np.array(eye_m)
+    faces = _join(_cell_faces(labels, geometry, eye), _car_faces(eye))
+    size = (width * SUPERSAMPLE, height * SUPERSAMPLE)
+    pixels, in_front = _project(faces.corners, eye, np.array(target_m), view_deg, size)
+    low, high = pixels.min(1), pixels.max(1)
+    seen = in_front & (high > 0).all(1) & (low < size).all(1)
+    order = np.flatnonzero(seen)[np.argsort(-faces.depth_m[seen], kind="stable")]
+    colors = _shade(faces)
+    canvas = _background(*size)
+    spans = np.minimum(high - low, 24 * SUPERSAMPLE).min(1)
+    edges = colors * (1 - 0.22 * np.clip(spans / (8 * SUPERSAMPLE), 0, 1))[:, None]
+    quads = np.round(pixels * 16).astype(np.int32)
+    for k in order:
+        cv2.fillConvexPoly(canvas, quads[k], colors[k].tolist(), cv2.LINE_8, 4)
+        cv2.polylines(canvas, quads[k][None], True, edges[k].tolist(), 1, cv2.LINE_AA, 4)
+    return cv2.resize(canvas, (width, height), interpolation=cv2.INTER_AREA)
+
+
+def _cell_faces(labels: Tensor, geometry: Grid, eye: np.ndarray) -> Faces:
+    """Faces between occupied and empty cells that look towards the eye."""
+    cells = labels.numpy()
+    occupied = (cells != FREE) & (cells != UNKNOWN)
+    edges = [geometry.edges(axis) for axis in range(3)]
+    lattice = geometry.from_axes(*torch.meshgrid(*edges, indexing="ij")).numpy()
+    centers = geometry.centers(torch.float64).numpy()
+    parts = []
+    for axis, periodic in enumerate(geometry.periodic):
+        for side in (0, 1):
+            index = np.argwhere(occupied & ~_neighbor(occupied, axis, side, periodic))
+            corners = lattice[tuple(_corner_index(index, axis, side).transpose(2, 0, 1))]
+            middle = centers[tuple(index.T)]
+            normals = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
+            normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+            normals *= np.sign(((corners.mean(1) - middle) * normals).sum(1, keepdims=True))
+            towards = ((eye - corners.mean(1)) * normals).sum(1) > 0
+            colors = PALETTE[cells[tuple(index.T)]].astype(np.float64)
+            faces = Faces(corners, normals, colors, np.linalg.norm(middle - eye, axis=1))
+            parts.append(Faces(*(part[towards] for part in faces)))
+    return _join(*parts)
+
+
+def _neighbor(occupied: np.ndarray, axis: int, side: int, periodic: bool) -> np.ndarray:
+    """Whether the next cell on one side is occupied; beyond the grid's ends nothing is."""
+    neighbor = np.roll(occupied, 1 - 2 * side, axis)
+    if not periodic:
+        neighbor[(slice(None),) * axis + (-side,)] = False
+    return neighbor
+
+
+def _corner_index(index: np.ndarray, axis: int, side: int) -> np.ndarray:
+    """(F, 4, 3) lattice indices of the corners of one face of each cell, around the face."""
+    offsets = np.zeros((4, 3), dtype=np.int64)
+    offsets[:, axis] = side
+    offsets[:, (axis + 1) % 3] = [0, 1, 1, 0]
+    offsets[:, (axis + 2) % 3] = [0, 0, 1, 1]
+    return index[:, None] + offsets
+
+
+def _car_faces(eye: np.ndarray) -> Faces:
+    """The own car; drawn a little early in the order, since its faces are larger than cells."""
+    bounds = np.array(CAR_BOX_M)
+    corners, normals = [], []
+    for axis in range(3):
+        for side in (0, 1):
+            picks = _corner_index(np.zeros((1, 3), dtype=np.int64), axis, side)[0]
+            corners.append(np.take_along_axis(bounds, picks.T, 1).T)
+            normals.append((2 * side - 1) * np.eye(3)[axis])
+    corners, normals = np.array(corners), np.array(normals)
+    middle = corners.mean(1)
+    towards = ((eye - middle) * normals).sum(1) > 0
+    colors = np.tile(np.array(CAR_RGB, dtype=np.float64), (6, 1))
+    faces = Faces(corners, normals, colors, np.linalg.norm(middle - eye, axis=1) - 2.0)
+    return Faces(*(part[towards] for part in faces))
+
+
+def _join(*parts: Faces) -> Faces:
+    return Faces(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+def _project(
+    points: np.ndarray, eye: np.ndarray, target: np.ndarray, view_deg: float, size: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels of (F, 4, 3) corners, and whether all four lie in front of the eye."""
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    down = np.cross(forward, right)
+    relative = points - eye
+    z = relative @ forward
+    focal = size[0] / 2 / np.tan(np.radians(view_deg) / 2)
+    safe = np.maximum(z, NEAR_M)[..., None]
+    slopes = np.stack([relative @ right, relative @ down], -1) / safe
+    return slopes * focal + (np.array(size) - 1) / 2, (z > NEAR_M).all(1)
+
+
+def _shade(faces: Faces) -> np.ndarray:
+    """Colours under a fixed sun, a little lighter higher up and paler far away."""
+    diffuse = np.clip(faces.normals @ (LIGHT / np.linalg.norm(LIGHT)), 0, 1)
+    height = np.clip((faces.corners[..., 2].mean(1) + 2.4) / 6, 0, 1)
+    lit = faces.colors * (0.62 + 0.42 * diffuse + 0.14 * height)[:, None] + 26 * height[:, None]
+    haze = np.clip((faces.depth_m - 30) / 60, 0, 0.3)[:, None]
+    return np.clip(lit * (1 - haze) + haze * np.array(SKY_BOTTOM), 0, 255)
+
+
+def _background(width: int, height: int) -> np.ndarray:
+    mix = np.linspace(0, 1, height)[:, None, None]
+    column = (1 - mix) * np.array(SKY_TOP) + mix * np.array(SKY_BOTTOM)
+    return np.ascontiguousarray(np.broadcast_to(column, (height, width, 3)).astype(np.uint8))
