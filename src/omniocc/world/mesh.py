@@ -1,8 +1,11 @@
 """Triangles with a class, a material and texture coordinates: the only thing the ray caster and the shader know of the world."""
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
+
+from omniocc.world.material import Material
 
 
 @dataclass(frozen=True)
@@ -30,3 +33,72 @@ class Mesh:
 
     def __len__(self) -> int:
         return len(self.faces)
+
+
+def empty() -> Mesh:
+    """A mesh without faces."""
+    return Mesh(
+        np.zeros((0, 3), np.float32),
+        np.zeros((0, 3), np.int32),
+        np.zeros((0, 3, 2), np.float32),
+        np.zeros(0, np.uint8),
+        np.zeros(0, np.uint8),
+        np.zeros((0, 3), np.uint8),
+        np.zeros(0, np.int32),
+    )
+
+
+def concatenate(meshes: Iterable[Mesh]) -> Mesh:
+    """All faces in one mesh, in the given order."""
+    parts = [mesh for mesh in meshes if len(mesh)]
+    if not parts:
+        return empty()
+    first_vertex = np.cumsum([0] + [len(mesh.vertices) for mesh in parts[:-1]])
+    return Mesh(
+        np.concatenate([mesh.vertices for mesh in parts]),
+        np.concatenate([mesh.faces + np.int32(first) for mesh, first in zip(parts, first_vertex, strict=True)]),
+        np.concatenate([mesh.uv for mesh in parts]),
+        np.concatenate([mesh.label for mesh in parts]),
+        np.concatenate([mesh.material for mesh in parts]),
+        np.concatenate([mesh.color for mesh in parts]),
+        np.concatenate([mesh.instance for mesh in parts]),
+    )
+
+
+def transform(mesh: Mesh, a_from_b: np.ndarray) -> Mesh:
+    """The mesh of frame b in frame a; `a_from_b` is (4, 4), a rotation (or uniform scale) and a shift."""
+    vertices = mesh.vertices @ a_from_b[:3, :3].T.astype(np.float32) + a_from_b[:3, 3].astype(np.float32)
+    return replace(mesh, vertices=vertices)
+
+
+def with_instance(mesh: Mesh, instance: int) -> Mesh:
+    """The same faces, all belonging to one actor."""
+    return replace(mesh, instance=np.full(len(mesh), instance, np.int32))
+
+
+def instances(mesh: Mesh, a_from_b: np.ndarray, material: Material | None = None, color: np.ndarray | None = None) -> Mesh:
+    """Copies of one mesh.
+
+    Args:
+        mesh: the prototype in frame b.
+        a_from_b: (K, 4, 4) one pose (or similarity) per copy.
+        material: faces of this material take the copy's colour, the others keep the prototype's.
+        color: (K, 3) uint8, needed with `material`.
+    """
+    count, vertex_count, face_count = len(a_from_b), len(mesh.vertices), len(mesh)
+    linear, shift = a_from_b[:, :3, :3].astype(np.float32), a_from_b[:, None, :3, 3].astype(np.float32)
+    vertices = (mesh.vertices @ linear.transpose(0, 2, 1) + shift).reshape(-1, 3)
+    offsets = (np.arange(count, dtype=np.int32) * vertex_count)[:, None, None]
+    colors = np.tile(mesh.color, (count, 1))
+    if material is not None and color is not None:
+        chosen = mesh.material == material
+        colors.reshape(count, face_count, 3)[:, chosen] = color[:, None]
+    return Mesh(
+        vertices,
+        (mesh.faces + offsets).reshape(-1, 3),
+        np.tile(mesh.uv, (count, 1, 1)),
+        np.tile(mesh.label, count),
+        np.tile(mesh.material, count),
+        colors,
+        np.tile(mesh.instance, count),
+    )

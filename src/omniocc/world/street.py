@@ -1,0 +1,164 @@
+"""What stands along a street: plots behind the sidewalk, furniture on it, parked cars beside it."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from omniocc.world import plot, prop, tree, vehicle
+from omniocc.world.barrier import PIECE_M
+from omniocc.world.marking import CROSSING_M
+from omniocc.world.material import Material
+from omniocc.world.network import Network, Ring, Side
+from omniocc.world.site import Plan, Pose2, Site
+from omniocc.world.stock import Stock, one, pick
+from omniocc.world.theme import Theme
+
+_STREET_TREES = ("round", "tall", "birch", "young")
+
+
+def furniture_m(theme: Theme) -> float:
+    """Width of the strip beside the kerb that furniture may fill; walkers keep to the rest of the sidewalk."""
+    return min(1.3, 0.38 * theme.sidewalk_m)
+
+
+def reserve(theme: Theme, network: Network, plan: Plan) -> None:
+    """Takes streets and sidewalks from the free land."""
+    for ring in network.rings:
+        closed = [np.concatenate([points, points[:1]]) for points in (ring.kerb_m, ring.normal, ring.inner_m)]
+        fine = np.arange(0, len(ring.kerb_m), 0.1)
+        kerb, normal, inner = (
+            np.stack([np.interp(fine, np.arange(len(points)), points[:, k]) for k in (0, 1)], -1) for points in closed
+        )
+        for share in np.linspace(0, 1, 28):
+            plan.block(kerb + share * (inner - kerb))
+        for offset in np.arange(0, theme.sidewalk_m + 0.15, 0.25):
+            plan.block(kerb + offset * normal)
+
+
+@dataclass(frozen=True)
+class _Line:
+    """Poses along one side of a block: x along the ring, y into the block, from the kerb."""
+
+    side: Side
+
+    def at(self, along_m: float, into_block_m: float, yaw_rad: float = 0.0) -> Pose2:
+        s, xy = self.side.along_m, self.side.kerb_m
+        a, b = (np.array([np.interp(along_m + d, s, xy[:, 0]), np.interp(along_m + d, s, xy[:, 1])]) for d in (-0.5, 0.5))
+        x, y = (a + b) / 2
+        return Pose2(float(x), float(y), float(np.arctan2(b[1] - a[1], b[0] - a[0]))).at(0, into_block_m, yaw_rad)
+
+
+def furnish(
+    theme: Theme, network: Network, ring: Ring, paved: bool, crossings: frozenset[tuple[int, bool]], site: Site, stock: Stock,
+    rng: np.random.Generator,
+) -> None:  # fmt: skip
+    """Fills the surroundings of one block's sides."""
+    for side in ring.sides:
+        line, first, last = _Line(side), float(side.along_m[0]), float(side.along_m[-1])
+        if paved:
+            _furniture(theme, line, first, last, site, stock, rng)
+        elif rng.uniform() < theme.guard_rail_share:
+            for s in np.arange(first + 6, last - 6, PIECE_M):
+                site.put(stock.barriers["guard"][0], line.at(float(s), 0.6))
+        else:
+            _verge(theme, line, first, last, site, stock, rng)
+        zebra = (side.edge, not side.forward) in crossings
+        _corner_poles(network, line, first + (CROSSING_M[1] if zebra else 0.4), site, stock, rng)
+        _parked(theme, line, first + CROSSING_M[1] + 8, last - CROSSING_M[1] - 3, site, stock, rng)
+    for side in ring.sides:
+        _plots(theme, side, site, stock, rng)
+
+
+def _walk(rng: np.random.Generator, first: float, last: float, gap_m: float) -> Iterator[float]:
+    """Positions a mean gap apart."""
+    s = first + rng.uniform(0.2, 0.8) * gap_m
+    while s < last:
+        yield float(s)
+        s += gap_m * rng.uniform(0.75, 1.25)
+
+
+def _furniture(theme: Theme, line: _Line, first: float, last: float, site: Site, stock: Stock, rng: np.random.Generator) -> None:
+    taken = np.zeros(int((last - first) / 0.25) + 1, bool)
+
+    def free(s: float, length_m: float) -> bool:
+        low, high = int((s - length_m / 2 - first) / 0.25), int((s + length_m / 2 - first) / 0.25) + 1
+        if low < 22 or high > len(taken) - 22 or taken[low:high].any():
+            return False
+        taken[low:high] = True
+        return True
+
+    strip = furniture_m(theme)
+    for s in _walk(rng, first, last, theme.lamp_gap_m):
+        if free(s, 1.0):
+            site.put(one(rng, stock.lamps), line.at(s, 0.5, np.pi))
+    kinds = {kind: weight for kind, weight in theme.trees.items() if kind in _STREET_TREES}
+    for s in _walk(rng, first, last, theme.tree_gap_m):
+        if free(s, 1.6):
+            color = tree.LEAF_COLORS[int(rng.integers(len(tree.LEAF_COLORS)))]
+            site.put(one(rng, stock.trees[pick(rng, kinds)]), line.at(s, 0.6, float(rng.uniform(0, 6))), material=Material.LEAVES, color=color)
+    for s in _walk(rng, first, last, theme.prop_gap_m):
+        kind = pick(rng, theme.props)
+        length, across = prop.KINDS[kind].size_m
+        if across > strip:
+            pose = line.at(s, theme.sidewalk_m + 0.5 + across / 2, np.pi)
+            if site.plan.claim(pose, (length + 0.3, across + 0.1)):
+                site.put(one(rng, stock.props[kind]), pose)
+        elif free(s, length + 0.4):
+            site.put(one(rng, stock.props[kind]), line.at(s, 0.12 + strip / 2, np.pi))
+    for s in _walk(rng, first, last, 34.0):
+        if free(s, 0.8):
+            site.put(one(rng, stock.signs), line.at(s, 0.5))
+
+
+def _verge(theme: Theme, line: _Line, first: float, last: float, site: Site, stock: Stock, rng: np.random.Generator) -> None:
+    """Delineator signs and trees on the grass beside the street."""
+    for k, s in enumerate(_walk(rng, first + 4, last - 4, theme.tree_gap_m)):
+        if k % 3 == 2:
+            site.put(one(rng, stock.signs), line.at(s, 0.7))
+        else:
+            color = tree.LEAF_COLORS[int(rng.integers(len(tree.LEAF_COLORS)))]
+            site.put(one(rng, stock.trees["round" if k % 3 else "young"]), line.at(s, 1.1), material=Material.LEAVES, color=color)
+
+
+def _corner_poles(network: Network, line: _Line, along_m: float, site: Site, stock: Stock, rng: np.random.Generator) -> None:
+    """A traffic light (or a sign) where the cars of this side leave it, looking at them."""
+    busy = network.edges[line.side.edge].lanes > 1
+    site.put(one(rng, stock.lights if busy else stock.signs), line.at(along_m + 0.6, 0.55))
+
+
+def _parked(theme: Theme, line: _Line, first: float, last: float, site: Site, stock: Stock, rng: np.random.Generator) -> None:
+    if not np.isfinite(theme.parked_gap_m):
+        return
+    end = first
+    for s in _walk(rng, first, last, theme.parked_gap_m):
+        mesh = one(rng, stock.cars)
+        length, width, _ = vehicle.size_m(mesh)
+        if s - length / 2 < end + 0.5 or s + length / 2 > last:
+            continue
+        end = s + length / 2
+        pose = line.at(s, -0.12 - width / 2, np.pi + float(rng.uniform(-0.015, 0.015)))
+        color = vehicle.PAINTS[int(rng.integers(len(vehicle.PAINTS)))]
+        site.put(mesh, pose, lift_m=0.03, material=Material.CAR_PAINT, color=color)
+
+
+def _plots(theme: Theme, side: Side, site: Site, stock: Stock, rng: np.random.Generator) -> None:
+    line, s = _Line(side), float(side.along_m[0]) - 8.0
+    while s < side.along_m[-1] + 8:
+        wide, deep = float(rng.uniform(*theme.plot_width_m)), float(rng.uniform(20, 30))
+        kind = pick(rng, theme.plots)
+        for shrink in (1.0, 0.75, 0.55):
+            width, depth = wide * (1 if shrink == 1 else 0.8), deep * shrink
+            front = _front(line, side, s + width / 2, theme.sidewalk_m + 0.35)
+            if depth > theme.setback_m[1] + 6 and site.plan.claim(front.at(0, depth / 2), (width - 0.4, depth - 0.2)):
+                plot.KINDS[kind](plot.Plot(site, theme, stock, rng, front, width - 0.4, depth - 0.2))
+                s += width + 0.3
+                break
+        else:
+            s += 3.0
+
+
+def _front(line: _Line, side: Side, along_m: float, into_block_m: float) -> Pose2:
+    """The pose behind the sidewalk, also a little past the ends of the side."""
+    inside = float(np.clip(along_m, side.along_m[0] + 0.5, side.along_m[-1] - 0.5))
+    return line.at(inside, into_block_m).at(along_m - inside, 0.0)
