@@ -1,0 +1,167 @@
+"""Everything that moves in a place, as a function of time, and the car that carries the cameras."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from omniocc.world import driving, person, seeding, walking
+from omniocc.world.material import Material
+from omniocc.world.mesh import Mesh, concatenate, transform, with_instance
+from omniocc.world.place import Place
+from omniocc.world.vehicle import EGO_ROAD_M, PAINTS
+
+_VEHICLE, _PEDESTRIAN = 7, 10
+_RANGE_M = 80.0
+_STEP_S = 0.05  # for velocities
+_PEOPLE = 10
+
+
+@dataclass(frozen=True)
+class Actor:
+    """A thing that moves.
+
+    Attributes:
+        id: the instance number of its faces.
+        label: class id.
+        world_from_actor: (4, 4) float64; the origin is on the ground below its middle, x forward.
+        size_m: along its own x, y, z.
+        velocity_mps: (2,) in the world frame.
+    """
+
+    id: int
+    label: int
+    world_from_actor: np.ndarray
+    size_m: tuple[float, float, float]
+    velocity_mps: tuple[float, float]
+
+
+class Traffic:
+    """The traffic of a place; every method is a function of time alone."""
+
+    def __init__(self, place: Place, seed: int) -> None:
+        rng = seeding.generator(place.theme.name, seed, "traffic")
+        self._place = place
+        self._fleet = driving.draw_fleet(rng)
+        self._lanes = driving.draw_lanes(place, self._fleet, rng)
+        self._rounds = walking.draw_rounds(place, rng)
+        self._crossers = walking.draw_crossers(place, self._lanes, self._fleet, rng)
+        self._people = [person.walking(rng) for _ in range(_PEOPLE)]
+        self._ego_lane = int(rng.integers(len(self._lanes)))
+        self._ego_car = int(rng.integers(len(self._lanes[self._ego_lane].delay_s)))
+        self._shake = rng.uniform(size=(3, 3, 2))
+        self._cars = [_painted(mesh, PAINTS[k % len(PAINTS)]) for k, mesh in enumerate(self._fleet.meshes)]
+        first = np.cumsum([0] + [len(lane.delay_s) for lane in self._lanes])
+        self._first_car, self._first_walker = first[:-1], int(first[-1])
+
+    def ego_along_m(self, time_s: float) -> float:
+        """How far the ego has come on its path."""
+        lane = self._lanes[self._ego_lane]
+        return float(lane.timetable.at(np.float64(time_s + lane.delay_s[self._ego_car])))
+
+    def world_from_ego(self, time_s: float) -> np.ndarray:
+        """(4, 4) float64 pose of the ego frame, its origin 2.2 m above the road; the car pitches and rolls by about 0.02 rad and heaves by 0.1 m."""
+        lane, along = self._lanes[self._ego_lane], self.ego_along_m(time_s)
+        front, rear = lane.path.at(np.array([along + 1.4, along - 1.4]))
+        road = _standing(self._place, 0.5 * (front + rear), front - rear)
+        roll, pitch, heave = (_shake(time_s, draws) for draws in self._shake)
+        tilt = _tilt(0.02 * roll, 0.02 * pitch)
+        pose = road.copy()
+        pose[:3, :3] = road[:3, :3] @ tilt
+        pose[:3, 3] += road[:3, 2] * (0.1 * heave - EGO_ROAD_M)
+        return pose
+
+    def actors(self, time_s: float) -> tuple[Mesh, tuple[Actor, ...]]:
+        """Everything moving within 80 m of the ego: faces in the world frame with instance = actor id, and the actors."""
+        middle = self.world_from_ego(time_s)[:2, 3]
+        pairs = [*self._driving(time_s, middle), *self._walking(time_s, middle), *self._crossing(time_s, middle)]
+        return concatenate(mesh for mesh, _ in pairs), tuple(actor for _, actor in pairs)
+
+    def _driving(self, time_s: float, middle: np.ndarray) -> list[tuple[Mesh, Actor]]:
+        found = []
+        for index, lane in enumerate(self._lanes):
+            center, heading = driving.positions(lane, self._fleet, time_s)
+            later, _ = driving.positions(lane, self._fleet, time_s + _STEP_S)
+            near = np.linalg.norm(center[:, :2] - middle, axis=1) < _RANGE_M
+            if index == self._ego_lane:
+                near[self._ego_car] = False
+            for k in np.flatnonzero(near):
+                number = int(self._first_car[index] + k)
+                pose = _standing(self._place, center[k], heading[k])
+                velocity = (later[k] - center[k])[:2] / _STEP_S
+                mesh = self._cars[(lane.kind[k])]
+                found.append(self._actor(mesh, number, _VEHICLE, pose, self._fleet.size_m[lane.kind[k]], velocity))
+        return found
+
+    def _walking(self, time_s: float, middle: np.ndarray) -> list[tuple[Mesh, Actor]]:
+        found, number = [], self._first_walker
+        for walk in self._rounds:
+            along = walk.along_m + walk.speed_mps * time_s
+            points, ahead = walk.path.at(along), walk.path.at(along + 0.5)
+            heading = ahead - points
+            for k in np.flatnonzero(np.linalg.norm(points[:, :2] - middle, axis=1) < _RANGE_M):
+                velocity = walk.speed_mps * heading[k, :2] / np.linalg.norm(heading[k])
+                found.append(self._person(number + int(k), points[k], heading[k], velocity, float(along[k])))
+            number += len(along)
+        return found
+
+    def _crossing(self, time_s: float, middle: np.ndarray) -> list[tuple[Mesh, Actor]]:
+        found, number = [], self._first_walker + sum(len(walk.along_m) for walk in self._rounds)
+        for k, crosser in enumerate(self._crossers):
+            share, direction = crosser.share(time_s)
+            point = walking.crossing_point(self._place, crosser, share)
+            if np.linalg.norm(point[:2] - middle) > _RANGE_M:
+                continue
+            way = crosser.end_m - crosser.start_m
+            heading = way * (direction or (1.0 if share < 0.5 else -1.0))
+            velocity = direction * way[:2] / crosser.duration_s
+            pace_m = share * float(np.linalg.norm(way)) if direction else 0.0
+            found.append(self._person(number + k, point, heading, velocity, pace_m))
+        return found
+
+    def _person(self, number: int, point: np.ndarray, heading: np.ndarray, velocity: np.ndarray, pace_m: float) -> tuple[Mesh, Actor]:
+        poses = self._people[number % _PEOPLE]
+        mesh = poses[int(pace_m / person.STRIDE_M * person.PHASES) % person.PHASES]
+        upright = _upright(point, float(np.arctan2(heading[1], heading[0])))
+        return self._actor(mesh, number, _PEDESTRIAN, upright, np.array(person.SIZE_M), velocity)
+
+    @staticmethod
+    def _actor(mesh: Mesh, number: int, label: int, pose: np.ndarray, size: np.ndarray, velocity: np.ndarray) -> tuple[Mesh, Actor]:
+        size_m = (float(size[0]), float(size[1]), float(size[2]))
+        actor = Actor(number, label, pose, size_m, (float(velocity[0]), float(velocity[1])))
+        return with_instance(transform(mesh, pose), number), actor
+
+
+def _painted(mesh: Mesh, color: tuple[int, int, int]) -> Mesh:
+    paint = (mesh.material == Material.CAR_PAINT)[:, None]
+    return replace(mesh, color=np.where(paint, np.array(color, np.uint8), mesh.color))
+
+
+def _upright(point: np.ndarray, yaw_rad: float) -> np.ndarray:
+    cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
+    return np.array([[cos, -sin, 0, point[0]], [sin, cos, 0, point[1]], [0, 0, 1, point[2]], [0, 0, 0, 1]])
+
+
+def _standing(place: Place, point: np.ndarray, heading: np.ndarray) -> np.ndarray:
+    """Pose of a car at a point of the road: x along its heading (which follows the slope), rolled with the land."""
+    forward = heading / np.linalg.norm(heading)
+    left = np.array([-forward[1], forward[0], 0.0])
+    left /= np.linalg.norm(left)
+    rise = place.height(point[0] + np.array([1.0, -1.0]) * left[0], point[1] + np.array([1.0, -1.0]) * left[1])
+    left[2] = 0.5 * (rise[0] - rise[1])
+    up = np.cross(forward, left)
+    up /= np.linalg.norm(up)
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([forward, np.cross(up, forward), up], 1)
+    pose[:3, 3] = point
+    return pose
+
+
+def _tilt(roll_rad: float, pitch_rad: float) -> np.ndarray:
+    cr, sr, cp, sp = np.cos(roll_rad), np.sin(roll_rad), np.cos(pitch_rad), np.sin(pitch_rad)
+    return np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]]) @ np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+
+
+def _shake(time_s: float, draws: np.ndarray) -> float:
+    """A smooth function of time with unit variance: three sines of 0.1 to 1 Hz; `draws` (3, 2) in [0, 1] set frequency and phase."""
+    frequency_hz = np.array([0.12, 0.35, 0.8]) * (0.8 + 0.4 * draws[:, 0])
+    return float((np.sqrt(2) * np.array([0.75, 0.55, 0.37]) * np.sin(2 * np.pi * (frequency_hz * time_s + draws[:, 1]))).sum())
