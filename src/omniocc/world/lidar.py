@@ -10,7 +10,9 @@ from omniocc.world.stage import Stage
 ROAD_M = -2.2  # height of the road under the ego origin
 REACH_M = 32.0  # points farther off in x or y are not kept
 _COUNT = 20
-_SHRINK = (1.0, 0.8, 0.6, 0.4, 0.2)
+_SPREAD_M = 20.0
+_ROUGH = 79  # one ray of so many in the scans that choose places
+_SEEN_AGAIN = 0.25
 _CUBE_M = 0.1
 _NEAR_M = 4.0
 _THIN_CLASSES = (9, 10, 11)  # pole, pedestrian, road line
@@ -29,34 +31,33 @@ def ego_directions() -> np.ndarray:
     return _unit(azimuth.ravel(), elevation.ravel())
 
 
-class Pattern(NamedTuple):
-    """One virtual LiDAR: candidate positions (K, 3), best first, and directions (3, R), both float32 in the ego frame."""
+class Lidars(NamedTuple):
+    """The virtual semantic LiDARs, in the ego frame.
 
-    positions_m: np.ndarray
-    directions: np.ndarray
+    Attributes:
+        middle: (3, R) float32 rays of the one at the ego origin.
+        outer: (3, R) float32 rays of each of the others.
+        spots_m: (K, 3) float32 places where the others may stand.
+    """
+
+    middle: np.ndarray
+    outer: np.ndarray
+    spots_m: np.ndarray
 
 
-def virtual_lidars() -> tuple[Pattern, ...]:
-    """The 20 semantic LiDARs: one at the ego origin, the others within 20 m and 1.8 to 4.6 m above the road (the paper, Sec. IV).
+def virtual_lidars() -> Lidars:
+    """Rays and possible places of the 20 semantic LiDARs: within 20 m of the ego and 1.6 to 4.8 m above the road (the paper, Sec. IV).
 
     Rays are dealt by where they land rather than by angle: about one for each 0.2 m square of road within 13 m of each LiDAR, and for the
-    one in the middle a polar raster as fine as the innermost cells of a cylinder; above that even angles up to +30 degrees. Where a LiDAR
-    would stand inside something, the next candidate, closer to the ego, is taken.
+    one in the middle a polar raster as fine as the innermost cells of a cylinder; above that even angles up to +30 degrees.
     """
-    middle = Pattern(np.zeros((1, 3), np.float32), np.concatenate([_polar_rays(), _upper_rays(-ROAD_M, 8.0)], axis=1))
-    return (middle, *(_outer(index) for index in range(1, _COUNT)))
-
-
-def _outer(index: int) -> Pattern:
-    """Six on an inner ring, thirteen on an outer one."""
-    inner = index <= 6
-    turn = index / 6 if inner else (index - 7) / 13 + 0.02
-    distance_m = 9.0 if inner else 18.5
-    height_m = 1.8 + 2.8 * ((index * 0.618) % 1)
-    place = np.array([distance_m * np.cos(2 * np.pi * turn), distance_m * np.sin(2 * np.pi * turn)])
-    spots = [(*(place * shrink), ROAD_M + height_m) for shrink in _SHRINK]
-    rays = np.concatenate([_sunflower_rays(height_m, 13.0, 13000), _upper_rays(height_m, 13.0)], axis=1)
-    return Pattern(np.array(spots, np.float32), rays)
+    across = np.arange(-_SPREAD_M, _SPREAD_M + 1, 4.0)
+    x, y = (grid.ravel() for grid in np.meshgrid(across, across, indexing="ij"))
+    height_m = 1.6 + 3.2 * ((np.arange(len(x)) * 0.618) % 1)
+    spots = np.stack([x, y, ROAD_M + height_m], axis=1).astype(np.float32)
+    middle = np.concatenate([_polar_rays(), _upper_rays(-ROAD_M, 8.0)], axis=1)
+    outer = np.concatenate([_sunflower_rays(3.2, 13.0, 13000), _upper_rays(3.2, 13.0)], axis=1)
+    return Lidars(middle, outer, spots[np.hypot(x, y) > 3])
 
 
 def _polar_rays() -> np.ndarray:
@@ -90,36 +91,65 @@ def scan_ego(stage: Stage, directions_ego: np.ndarray) -> tuple[np.ndarray, np.n
     return hits.range_m, labels
 
 
-def scan_surfaces(stage: Stage, patterns: tuple[Pattern, ...]) -> tuple[np.ndarray, np.ndarray]:
+def scan_surfaces(stage: Stage, lidars: Lidars) -> tuple[np.ndarray, np.ndarray]:
     """Points (P, 3) float32 in the ego frame and their classes (P,) uint8, as all virtual LiDARs together see them.
 
     Beyond 4 m from the ego at most one point is kept in each cube of 0.1 m, a thin thing's before others. Surfaces hit from behind (the
     sensor is inside something) give no points.
     """
-    spots = choose_positions(stage, patterns)
-    parts = [_scan(stage, spot, pattern.directions) for spot, pattern in zip(spots, patterns, strict=True) if spot is not None]
+    parts = [_scan(stage, np.zeros(3, np.float32), lidars.middle)]
+    parts += [_scan(stage, spot, lidars.outer) for spot in choose_spots(stage, lidars)]
     points_m = np.concatenate([points for points, _ in parts])
     labels = np.concatenate([label for _, label in parts])
     keep = _thin_out(points_m, labels)
     return points_m[keep], labels[keep]
 
 
-def choose_positions(stage: Stage, patterns: tuple[Pattern, ...]) -> list[np.ndarray | None]:
-    """For each LiDAR the first candidate (3,) in the open, None if all are inside something."""
-    candidates = np.concatenate([pattern.positions_m for pattern in patterns])
+def choose_spots(stage: Stage, lidars: Lidars) -> np.ndarray:
+    """(19, 3) float32 places of the outer LiDARs at this moment, fewer if fewer are in the open.
+
+    One after the other takes the place from which a sparse scan finds most that the earlier ones miss: blocks of 1.6 m count less each
+    time that they are seen again.
+    """
+    spots = lidars.spots_m[_in_the_open(stage, lidars.spots_m)]
+    seen = _rough_scans(stage, spots, lidars.outer[:, ::_ROUGH])
+    worth = np.full(seen.shape[1], 256, np.float32)  # whole numbers: sums do not depend on their order
+    chosen: list[int] = []
+    for _ in range(min(_COUNT - 1, len(spots))):
+        gain = seen @ worth
+        gain[chosen] = -1
+        best = int(np.argmax(gain))
+        chosen.append(best)
+        worth[seen[best] > 0] = np.floor(worth[seen[best] > 0] * _SEEN_AGAIN)
+    return spots[chosen]
+
+
+def _in_the_open(stage: Stage, spots_m: np.ndarray) -> np.ndarray:
+    """(K,) bool: no surface is seen from behind along six axes."""
     probes = np.concatenate([np.eye(3), -np.eye(3)]).astype(np.float32)
-    turned = stage.turn(probes.T).T
-    origins = np.stack([stage.place(spot) for spot in candidates])
-    hits = stage.layers.cast(np.repeat(origins, len(probes), axis=0), np.tile(turned, (len(candidates), 1)))
-    inside = _from_behind(stage, hits, np.tile(turned.T, len(candidates)))
-    free = ~inside.reshape(len(candidates), len(probes)).any(axis=1)
-    result: list[np.ndarray | None] = []
-    start = 0
-    for pattern in patterns:
-        index = np.flatnonzero(free[start : start + len(pattern.positions_m)])
-        result.append(pattern.positions_m[index[0]] if len(index) else None)
-        start += len(pattern.positions_m)
-    return result
+    directions = np.tile(probes, (len(spots_m), 1)).T
+    hits = _cast_from(stage, spots_m, len(probes), directions)
+    return ~_from_behind(stage, hits, stage.turn(directions)).reshape(len(spots_m), len(probes)).any(axis=1)
+
+
+def _rough_scans(stage: Stage, spots_m: np.ndarray, rays: np.ndarray) -> np.ndarray:
+    """(K, blocks) float32: 1 where a few rays from a place meet the block of 1.6 m within 14 m, otherwise 0."""
+    count = rays.shape[1]
+    directions = np.tile(rays, len(spots_m))
+    hits = _cast_from(stage, spots_m, count, directions)
+    points = np.repeat(spots_m, count, axis=0) + directions.T * np.minimum(hits.range_m, 1e4)[:, None]
+    block = np.floor((points - (0, 0, ROAD_M - 1.2)) / 1.6).astype(np.int64) + (16, 16, 0)
+    good = (hits.range_m < 14) & ((block >= 0) & (block < (32, 32, 4))).all(axis=1)
+    good &= ~_from_behind(stage, hits, stage.turn(directions)) & (np.hypot(points[:, 0], points[:, 1]) < 26)
+    seen = np.zeros((len(spots_m), 32, 32, 4), np.float32)
+    seen[(np.repeat(np.arange(len(spots_m)), count)[good], *block[good].T)] = 1
+    return seen.reshape(len(spots_m), -1)
+
+
+def _cast_from(stage: Stage, spots_m: np.ndarray, count: int, directions: np.ndarray) -> Hits:
+    """Hits of `count` rays from each place; directions (3, K * count)."""
+    origins = np.array([stage.place(spot) for spot in spots_m], np.float32).reshape(-1, 3)
+    return stage.layers.cast(np.repeat(origins, count, axis=0), stage.turn(directions).T)
 
 
 def _scan(stage: Stage, spot: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -138,14 +168,12 @@ def _from_behind(stage: Stage, hits: Hits, directions: np.ndarray) -> np.ndarray
 
 def _thin_out(points_m: np.ndarray, labels: np.ndarray) -> np.ndarray:
     """(P,) bool: all points near the ego, and one of each cube farther off."""
-    cell = np.floor(points_m / _CUBE_M).astype(np.int32)
-    side, height = round(2 * REACH_M / _CUBE_M), 128
-    flat = ((cell[:, 0] + side // 2) * side + cell[:, 1] + side // 2) * height + np.mod(cell[:, 2], height)
-    order = np.arange(len(flat), dtype=np.int32)
-    winner = np.empty(side * side * height, np.int32)
-    thin = np.isin(labels, _THIN_CLASSES)
-    # Later writes win: thin things last.
-    winner[flat[~thin]] = order[~thin]
-    winner[flat[thin]] = order[thin]
-    near = points_m[:, 0] ** 2 + points_m[:, 1] ** 2 < _NEAR_M**2
-    return near | (winner[flat] == order)
+    cell = np.floor(points_m / _CUBE_M).astype(np.int64) + 4096
+    common = ~np.isin(labels, _THIN_CLASSES)
+    cube = ((cell[:, 0] << 13 | cell[:, 1]) << 13 | cell[:, 2]) << 1 | common
+    # Number in the low bits: sorted without a separate permutation, and no two keys are equal.
+    ordered = np.sort(cube << 23 | np.arange(len(cube)))
+    first = np.append(True, np.diff(ordered >> 24) != 0)
+    keep = points_m[:, 0] ** 2 + points_m[:, 1] ** 2 < _NEAR_M**2
+    keep[ordered[first] & ((1 << 23) - 1)] = True
+    return keep

@@ -1,0 +1,111 @@
+"""A scene: one drive through one place, recorded moment by moment."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from omniocc.camera import Rig
+from omniocc.world import place, seeding
+from omniocc.world.caster import Caster, Layers
+from omniocc.world.frame import Box, Frame
+from omniocc.world.light import draw_light, draw_sensor
+from omniocc.world.mesh import transform
+from omniocc.world.recorder import Recorder
+from omniocc.world.shade import join, make_surfaces
+from omniocc.world.stage import Stage
+from omniocc.world.traffic import Actor, Traffic
+from omniocc.world.vehicle import ego_car
+
+
+class Scene:
+    """A deterministic film of (theme, seed): `frame(index)` is the same whatever was asked before and in whichever process.
+
+    Args:
+        theme: one of `omniocc.world.THEMES`.
+        seed: decides streets, traffic, light and noise.
+        rig: cameras of the ego vehicle.
+        frame_interval_s: time between frames.
+        supersample: camera rays per pixel along each side where a pixel needs smoothing; 1 for one ray per pixel.
+        erp_size: width and height of the panorama of ranges around the ego origin, px.
+        erp_top_deg: elevation of the panorama's upper edge.
+        erp_bottom_deg: elevation of its lower edge.
+
+    Raises:
+        ValueError: no such theme, or an option out of range.
+        ImportError: Embree is not there.
+    """
+
+    def __init__(
+        self,
+        theme: str,
+        seed: int,
+        rig: Rig,
+        frame_interval_s: float = 0.1,
+        supersample: int = 2,
+        erp_size: Sequence[int] = (192, 48),
+        erp_top_deg: float = 45.0,
+        erp_bottom_deg: float = -45.0,
+    ) -> None:
+        _check(frame_interval_s, supersample, erp_size)
+        town = place.build(theme, seed)
+        self._interval_s = frame_interval_s
+        self._seed = (seed, *theme.encode())
+        self._traffic = Traffic(town, seed)
+        self._own_car = ego_car()
+        self._static = Caster(town.mesh)
+        self._static_surfaces = make_surfaces(town.mesh)
+        rng = seeding.generator(theme, seed, "light")
+        self._light = draw_light(rng)
+        self._sensor = draw_sensor(rng, self._light)
+        size = (int(erp_size[0]), int(erp_size[1]))
+        self._recorder = Recorder(rig, self._own_car, supersample, size, erp_top_deg, erp_bottom_deg)
+
+    def frame(self, index: int) -> Frame:
+        """Records the moment `index * frame_interval_s`; raises ValueError for a negative index."""
+        if index < 0:
+            raise ValueError(f"frame {index}: frames are counted from 0")
+        time_s = index * self._interval_s
+        world_from_ego = self._traffic.world_from_ego(time_s)
+        stage, actors = self._stage(time_s, world_from_ego)
+        boxes = tuple(ego_box(actor, world_from_ego) for actor in actors)
+        return self._recorder.frame(stage, self._sensor, (*self._seed, index), time_s, world_from_ego, boxes)
+
+    def _stage(self, time_s: float, world_from_ego: np.ndarray) -> tuple[Stage, tuple[Actor, ...]]:
+        moving_mesh, actors = self._traffic.actors(time_s)
+        own_mesh = transform(self._own_car, world_from_ego)
+        moving = Caster(moving_mesh)
+        stage = Stage(
+            Layers([self._static, moving]),
+            Layers([self._static, moving, Caster(own_mesh)]),
+            join([self._static_surfaces, make_surfaces(moving_mesh), make_surfaces(own_mesh)]),
+            self._static.size + moving.size,
+            world_from_ego[:3, :3].astype(np.float32),
+            world_from_ego[:3, 3].astype(np.float32),
+            self._light,
+        )
+        return stage, actors
+
+
+def ego_box(actor: Actor, world_from_ego: np.ndarray) -> Box:
+    """An actor's box as the ego sees it; the box's middle is half its height above the actor's origin."""
+    ego_from_actor = np.linalg.inv(world_from_ego) @ actor.world_from_actor
+    center = ego_from_actor[:3, :3] @ (0, 0, actor.size_m[2] / 2) + ego_from_actor[:3, 3]
+    velocity = world_from_ego[:3, :3].T @ (*actor.velocity_mps, 0.0)
+    yaw = np.arctan2(ego_from_actor[1, 0], ego_from_actor[0, 0])
+    return Box(
+        id=actor.id,
+        label=actor.label,
+        center_m=(float(center[0]), float(center[1]), float(center[2])),
+        size_m=actor.size_m,
+        yaw_rad=float(yaw),
+        velocity_mps=(float(velocity[0]), float(velocity[1])),
+    )
+
+
+def _check(frame_interval_s: float, supersample: int, erp_size: Sequence[int]) -> None:
+    if frame_interval_s <= 0:
+        raise ValueError(f"frame_interval_s is {frame_interval_s}; give a time above 0")
+    if not 1 <= supersample <= 8:
+        raise ValueError(f"supersample is {supersample}; give 1 to 8 rays per pixel along each side")
+    if len(erp_size) != 2 or min(erp_size) < 1:
+        raise ValueError(f"erp_size is {list(erp_size)}; give width and height in pixels, e.g. [192, 48]")
