@@ -1,9 +1,21 @@
 """Recorded scenes: on disk, as datasets, as batches."""
 
+from typing import TYPE_CHECKING, Any
+
 from omniocc.data.dataset import WindowDataset, collate
 from omniocc.data.errors import DataError
-from omniocc.data.module import OccupancyData
 from omniocc.data.reader import SceneReader
 from omniocc.data.virtual import VirtualWorld
 
+if TYPE_CHECKING:
+    from omniocc.data.module import OccupancyData
+
 __all__ = ["DataError", "OccupancyData", "SceneReader", "VirtualWorld", "WindowDataset", "collate"]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "OccupancyData":  # render processes start without Lightning, whose import takes seconds
+        from omniocc.data.module import OccupancyData
+
+        return OccupancyData
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

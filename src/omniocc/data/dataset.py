@@ -32,8 +32,8 @@ class Sample(NamedTuple):
 class WindowDataset(Dataset):
     """Every recorded frame once, as the newest of a window of T consecutive frames of its scene.
 
-    Where a scene has not begun T frames ago, its first frame is repeated with its own pose: equal poses in a window mean the same
-    frame.
+    Where a scene has not begun T frames ago, its first frame is repeated with its own pose: equal poses in a window
+    mean the same frame.
 
     Args:
         scenes: recorded scenes.
@@ -94,14 +94,13 @@ def read_images(scene: SceneReader, frame: int) -> UInt8[Tensor, "N 3 H W"]:
 
 def collate(samples: Sequence[Sample]) -> Batch:
     """Stack samples along a new first axis."""
-    columns = Sample(*zip(*samples, strict=True))
     return Batch(
-        images=torch.stack(columns.images),
-        rigs=columns.rig,
-        world_from_ego=torch.stack(columns.world_from_ego),
-        voxels=torch.stack(columns.voxels),
-        pixel_labels=torch.stack(columns.pixel_labels),
-        lidar_range_m=torch.stack(columns.lidar_range_m),
-        lidar_labels=torch.stack(columns.lidar_labels),
-        frame_ids=columns.frame_id,
+        images=torch.stack([sample.images for sample in samples]),
+        rigs=tuple(sample.rig for sample in samples),
+        world_from_ego=torch.stack([sample.world_from_ego for sample in samples]),
+        voxels=torch.stack([sample.voxels for sample in samples]),
+        pixel_labels=torch.stack([sample.pixel_labels for sample in samples]),
+        lidar_range_m=torch.stack([sample.lidar_range_m for sample in samples]),
+        lidar_labels=torch.stack([sample.lidar_labels for sample in samples]),
+        frame_ids=tuple(sample.frame_id for sample in samples),
     )

@@ -18,8 +18,9 @@ from omniocc.data.voxels import Geometry, VoxelCache
 class OccupancyData(LightningDataModule):
     """Batches of windows of recorded frames with voxels of one geometry.
 
-    The order of training is a function of (seed, epoch). A run that resumes from a checkpoint written anywhere in an epoch sees exactly
-    the batches that were left.
+    The order of training is a function of (seed, epoch). A run that resumes from a checkpoint written after any batch or
+    validation sees exactly the batches that were left. (Of checkpoints written in `on_train_epoch_end` that holds with
+    `max_epochs` only: with `max_steps`, Lightning 2.6 counts such an epoch twice and goes on with the order of the next.)
 
     Args:
         world: the recorded scenes; rendered when missing.
@@ -92,11 +93,17 @@ class OccupancyData(LightningDataModule):
         if self.trainer is None:
             return dict(self._resume)
         loop = self.trainer.fit_loop
-        epoch, batches = loop.epoch_progress.current.processed, loop.epoch_loop.batch_progress.current.processed
-        if loop.epoch_progress.current.started == epoch or batches >= self.trainer.num_training_batches:
-            # between two epochs; the second case is a checkpoint after the last batch, before the epoch counts as done
-            epoch, batches = max(epoch, loop.epoch_progress.current.started), 0
-        return {"epoch": epoch, "batches": batches}
+        epoch, batch = (
+            loop.epoch_progress.state_dict()["current"],
+            loop.epoch_loop.batch_progress.state_dict()["current"],
+        )
+        if epoch["started"] == epoch["processed"]:  # between two epochs
+            return {"epoch": epoch["processed"], "batches": 0}
+        if (
+            batch["processed"] >= self.trainer.num_training_batches
+        ):  # after the last batch, before the epoch counts as done
+            return {"epoch": epoch["processed"] + 1, "batches": 0}
+        return {"epoch": epoch["processed"], "batches": batch["processed"]}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Go on where the checkpoint was written."""
@@ -104,7 +111,8 @@ class OccupancyData(LightningDataModule):
 
     def transfer_batch_to_device(self, batch: Batch, device: device, dataloader_idx: int) -> Batch:
         """Tensors move; rigs and names stay."""
-        return Batch(*(item.to(device, non_blocking=True) if isinstance(item, Tensor) else item for item in batch))
+        tensors = {name: item for name, item in batch._asdict().items() if isinstance(item, Tensor)}
+        return batch._replace(**{name: item.to(device, non_blocking=True) for name, item in tensors.items()})
 
     def _in_order(self, split: Split) -> DataLoader[Batch]:
         dataset = self.dataset(split)

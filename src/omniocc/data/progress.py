@@ -32,8 +32,9 @@ class FrameProgress:
                 MofNCompleteColumn(),
                 TextColumn("{task.fields[rate]}"),
             )
-            self._bar = Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True))
-            self._task = self._bar.add_task(title, total=total, rate="")
+            bar = Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True))
+            self._task = bar.add_task(title, total=total, rate="")
+            self._bar = bar
 
     @property
     def rate_hz(self) -> float:

@@ -17,7 +17,7 @@ _RIGS: dict[tuple[str, ...], Rig] = {}
 
 
 class SceneReader:
-    """A complete scene. Nothing is opened before it is needed and no file stays open: it can be sent to other processes.
+    """A complete scene. Opens nothing before it is needed and keeps no file open: it can be sent to other processes.
 
     Args:
         folder: the scene's folder.
@@ -101,8 +101,8 @@ class SceneReader:
         where = f", frame {frame}" if frame is not None else ""
         where += f", member '{member}'" if member is not None else ""
         return DataError(
-            f"{path}: scene '{self.name}'{where}: {what}. Delete the folder {self.folder} and run the same command again: "
-            "only this scene is made anew"
+            f"{path}: scene '{self.name}'{where}: {what}. Delete the folder {self.folder} and run the same command "
+            "again: only this scene is made anew"
         )
 
     def __getstate__(self) -> dict[str, Any]:

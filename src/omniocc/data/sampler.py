@@ -5,14 +5,15 @@ from collections.abc import Iterator
 import torch
 from torch.utils.data import DistributedSampler
 
-# Both derive from DistributedSampler so that Lightning leaves them in place under DDP; it would put its own instead, which starts an
-# interrupted epoch from its beginning, and scores some test samples twice.
+# Both derive from DistributedSampler so that Lightning leaves them in place under DDP. Its own would start an
+# interrupted epoch from its beginning, and score some test samples twice.
 
 
 class EpochSampler(DistributedSampler):
     """Training order: a function of (seed, epoch) only, dealt out to the ranks; can begin in the middle of one epoch.
 
-    Every rank gets equally many samples; the at most `world_size - 1` left over sit out this epoch. `len` stays that of a whole epoch.
+    Every rank gets equally many samples; the at most `world_size - 1` left over sit out this epoch. `len` stays that of
+    a whole epoch.
 
     Args:
         size: number of samples in the dataset.

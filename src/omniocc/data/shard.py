@@ -1,12 +1,13 @@
 """Scene folders: `meta.json`, `index.json` and uncompressed tar shards of one blob per member.
 
     <scene>/meta.json         schema, facts of the scene, size and sha256 of every other file; its own digest
-            index.json        per frame: shard, and per member byte offset, size and crc32; the frame's entry (time, pose)
+            index.json        per frame: shard, time, pose; per member: byte offset, size and crc32
             frames-000.tar    members `000012.rgb0.jpg`; a new shard begins when the next frame would pass the limit
 
-The folder gets its name by one rename when it is complete. Until then it is called `<scene>.partial`, and `journal.jsonl` lists the frames that
-are whole: after a kill at any moment `SceneWriter` cuts off what came after the last of them and goes on. Nothing in a folder depends
-on when, where or in how many pieces it was made, so equal frames give equal bytes.
+The folder gets its name by one rename when it is complete. Until then it is called `<scene>.partial`, and
+`journal.jsonl` lists the frames that are whole: after a kill at any moment `SceneWriter` cuts off what came after the
+last of them and goes on. Nothing in a folder depends on when, where or in how many pieces it was made, so equal frames
+give equal bytes.
 """
 
 import hashlib

@@ -19,7 +19,7 @@ from omniocc.data.shard import SCHEMA, SceneWriter, digest
 from omniocc.world.frame import Frame
 
 VIRTUAL_WORLD_VERSION = 1
-"""Raise it when the same theme and seed would give other frames: old datasets are left alone then and new ones are made."""
+"""Raise it when the same theme and seed would give other frames: old datasets are left alone and new ones made."""
 
 Split = Literal["train", "val", "test"]
 SPLITS: tuple[Split, ...] = ("train", "val", "test")
@@ -47,8 +47,8 @@ class Recordable(Protocol):
 class VirtualWorld:
     """A dataset rendered on first use under `root/virtual-<fingerprint of one scene's recipe>`.
 
-    Scenes of the three splits have disjoint seeds: other streets. Adding scenes keeps those that exist; every other change of
-    what a frame holds leads to another folder, so that settings never mix.
+    Scenes of the three splits have disjoint seeds: other streets. Adding scenes keeps those that exist; every other
+    change of what a frame holds leads to another folder, so that settings never mix.
 
     Args:
         root: folder of all datasets.

@@ -50,6 +50,7 @@ class VoxelCache:
     def __init__(self, folder: Path, geometry: Geometry):
         self.folder = Path(folder) / f"voxels-{geometry_hash(geometry)}"
         self.geometry = geometry
+        self._cached: dict[str, SceneReader] = {}
 
     def prepare(self, scenes: Sequence[SceneReader], workers: int) -> None:
         """Vote for the scenes that are not there yet or whose cache cannot be opened.
@@ -67,21 +68,22 @@ class VoxelCache:
     def read(self, scene: SceneReader, frame: int) -> UInt8[Tensor, "X Y Z"]:
         """Labels of one frame; a damaged cache costs a warning and a new vote, never a wrong label."""
         try:
-            blob = SceneReader(self.folder / scene.name).read(frame, [MEMBER])[MEMBER]
+            cached = self._cached.setdefault(scene.name, SceneReader(self.folder / scene.name))
+            blob = cached.read(frame, [MEMBER])[MEMBER]
         except DataError as error:
             warnings.warn(f"voxels are voted anew: {error}", stacklevel=2)
             return vote(scene, frame, self.geometry)
         cells = np.frombuffer(bytearray(zstandard.ZstdDecompressor().decompress(blob)), dtype=np.uint8)
         return torch.from_numpy(cells).reshape(self.geometry.shape)
 
-    def counts(self, scenes: Sequence[SceneReader], key: str) -> Int64[Tensor, "C X Y Z"]:
+    def counts(self, scenes: Sequence[SceneReader], fingerprint: str) -> Int64[Tensor, "C X Y Z"]:
         """How often each class stood in each cell; unknown is not counted.
 
         Args:
             scenes: what is counted.
-            key: name of this set of scenes, such as the dataset's fingerprint and split: what is counted once is kept under it.
+            fingerprint: of the data; what is counted once is kept under it.
         """
-        path = self.folder / f"counts-{digest([key, [scene.name for scene in scenes]])[:12]}.zst"
+        path = self.folder / f"counts-{digest([fingerprint, [scene.name for scene in scenes]])[:12]}.zst"
         shape = (NUM_CLASSES, *self.geometry.shape)
         if path.exists():
             try:
@@ -92,7 +94,9 @@ class VoxelCache:
         counts = torch.zeros(shape, dtype=torch.int64)
         for scene in scenes:
             for frame in range(len(scene)):
-                counts += torch.stack([self.read(scene, frame) == label for label in range(NUM_CLASSES)])
+                labels = self.read(scene, frame).flatten().long()
+                known = labels < NUM_CLASSES
+                counts.view(-1)[(labels * len(labels) + torch.arange(len(labels)))[known]] += 1
         compressor = zstandard.ZstdCompressor(level=3, write_checksum=True)
         write_whole(path, compressor.compress(counts.numpy().astype("<i8").tobytes()))
         return counts

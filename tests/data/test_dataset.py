@@ -1,0 +1,156 @@
+import pickle
+import shutil
+
+import numpy as np
+import pytest
+import torch
+from fake_scene import FakeWorld, fake_frame
+
+from omniocc.data import codec
+from omniocc.data.dataset import WindowDataset, collate, window_frames
+from omniocc.data.errors import DataError
+from omniocc.data.voxels import VoxelCache
+from omniocc.geometry import Cuboid, Cylinder
+
+GRID = Cylinder(shape=(8, 10, 4), radius_m=(0.0, 25.6), height_m=(-2.8, 3.6))
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory):
+    world = FakeWorld(tmp_path_factory.mktemp("world"))
+    world.prepare()
+    return world
+
+
+@pytest.fixture
+def own_world(world, tmp_path):
+    shutil.copytree(world.root, tmp_path / "copy")
+    return FakeWorld(tmp_path / "copy")
+
+
+def dataset(world, window=1, geometry=GRID, split="train"):
+    cache = VoxelCache(world.folder, geometry)
+    cache.prepare(world.readers(split), workers=0)
+    return WindowDataset(world.readers(split), cache, window)
+
+
+def votes(points_m, labels):
+    """Most frequent class per cell, the highest id of a tie, in plain Python."""
+    counts = {}
+    for (x, y, z), label in zip(points_m.astype(np.float64), labels, strict=True):
+        r, theta = np.hypot(x, y), np.arctan2(y, x)
+        cell = int(r // 3.2), int((theta + np.pi) // (2 * np.pi / 10)), int((z + 2.8) // 1.6)
+        if cell[0] < 8 and 0 <= cell[2] < 4:
+            counts.setdefault(cell, np.zeros(12, dtype=int))[label] += 1
+    grid = np.zeros((8, 10, 4), dtype=np.uint8)
+    for cell, count in counts.items():
+        grid[cell] = 11 - np.argmax(count[::-1])
+    return grid
+
+
+def test_a_sample_holds_what_was_recorded(world):
+    data = dataset(world)
+    assert len(data) == 8
+    sample = data[6]  # second scene, third frame
+    frame = fake_frame(seed=1, index=2)
+    assert sample.frame_id == "train-001-suburb/000002"
+    assert sample.rig == world.rig
+    images = np.stack([codec.decode_image(codec.encode_image(image)) for image in frame.images])
+    np.testing.assert_array_equal(sample.images[0], images.transpose(0, 3, 1, 2))
+    np.testing.assert_array_equal(sample.pixel_labels, frame.semantics)
+    np.testing.assert_array_equal(sample.world_from_ego[0], frame.world_from_ego)
+    np.testing.assert_allclose(sample.lidar_range_m, frame.lidar_range_m, atol=1 / 512, rtol=0)
+    np.testing.assert_array_equal(sample.lidar_labels, frame.lidar_labels)
+    points_m, labels = codec.decode_points(codec.encode_points(frame.points_m, frame.point_labels))
+    np.testing.assert_array_equal(sample.voxels, votes(points_m, labels))
+
+
+def test_a_window_never_crosses_the_beginning_of_its_scene(world):
+    data = dataset(world, window=3)
+    for index, frames in ((4, [0, 0, 0]), (5, [0, 0, 1]), (6, [0, 1, 2]), (7, [1, 2, 3])):
+        sample = data[index]
+        assert sample.world_from_ego[:, 0, 3].tolist() == [3.0 * frame for frame in frames]
+        for at, frame in enumerate(frames):
+            assert torch.equal(sample.images[at], data[4 + frame].images[-1])
+    assert window_frames(newest=1, window=4) == [0, 0, 0, 1]
+
+
+def test_collate_gives_a_batch(world):
+    data = dataset(world, window=2)
+    batch = collate([data[0], data[5], data[7]])
+    assert batch.images.shape == (3, 2, 6, 3, 18, 32)
+    assert batch.world_from_ego.shape == (3, 2, 4, 4)
+    assert batch.world_from_ego.dtype == torch.float64
+    assert batch.voxels.shape == (3, 8, 10, 4)
+    assert batch.pixel_labels.shape == (3, 6, 18, 32)
+    assert batch.lidar_range_m.shape == batch.lidar_labels.shape == (3, 64)
+    assert {t.dtype for t in (batch.images, batch.voxels, batch.pixel_labels, batch.lidar_labels)} == {torch.uint8}
+    assert batch.rigs == (world.rig,) * 3
+    assert batch.frame_ids == ("train-000-downtown/000000", "train-001-suburb/000001", "train-001-suburb/000003")
+
+
+def test_a_dataset_travels_small_and_reads_elsewhere(world):
+    data = dataset(world)
+    data[0]
+    blob = pickle.dumps(data)
+    assert len(blob) < 3000  # no index, no open file
+    assert torch.equal(pickle.loads(blob)[3].images, data[3].images)
+
+
+def test_geometries_have_caches_of_their_own(world):
+    other = Cuboid(shape=(6, 5, 4), x_m=(-20.0, 20.0), y_m=(-20.0, 20.0), height_m=(-2.8, 3.6))
+    assert dataset(world, geometry=other)[0].voxels.shape == (6, 5, 4)
+    assert dataset(world)[0].voxels.shape == (8, 10, 4)
+    assert len(list(world.folder.glob("voxels-*"))) == 2
+
+
+def test_a_damaged_voxel_cache_costs_a_warning_and_gives_the_same_labels(own_world):
+    expected = dataset(own_world)[1].voxels
+    folder = VoxelCache(own_world.folder, GRID).folder / "train-000-downtown"
+    shard = folder / "frames-000.tar"
+    raw = bytearray(shard.read_bytes())
+    raw[600:2600] = bytes(2000)
+    shard.write_bytes(raw)
+    with pytest.warns(UserWarning, match=r"voxels are voted anew: .*train-000-downtown.*frame 1"):
+        assert torch.equal(dataset(own_world)[1].voxels, expected)
+    (folder / "index.json").write_text("{}")
+    with pytest.warns(UserWarning, match=r"index\.json: .*its checksum differs"):
+        assert torch.equal(dataset(own_world)[1].voxels, expected)
+    assert torch.equal(dataset(own_world)[1].voxels, expected)  # made anew: no warning any more
+
+
+def test_damaged_recordings_are_one_error_naming_scene_frame_and_member(own_world):
+    data = dataset(own_world)
+    shard = data.scenes[1].folder / "frames-000.tar"
+    offset = data.scenes[1].index["frames"][0]["offset"][1]
+    raw = bytearray(shard.read_bytes())
+    raw[offset + 100] ^= 255
+    shard.write_bytes(raw)
+    with pytest.raises(DataError, match=r"scene 'train-001-suburb', frame 0, member 'rgb0\.jpg': checksum differs"):
+        dataset(own_world)[4]
+
+
+def test_class_counts_are_kept_and_counted_anew_when_damaged(own_world, monkeypatch):
+    data = dataset(own_world)
+    expected = sum(torch.nn.functional.one_hot(data[i].voxels.long(), 12) for i in range(8)).permute(3, 0, 1, 2)
+    counts = data.voxels.counts(data.scenes, "fingerprint")
+    assert counts.dtype == torch.int64
+    assert torch.equal(counts, expected)
+    with monkeypatch.context() as patch:
+        patch.setattr(VoxelCache, "read", None)  # is not needed a second time
+        assert torch.equal(data.voxels.counts(data.scenes, "fingerprint"), expected)
+    kept = next(iter(data.voxels.folder.glob("counts-*")))
+    raw = bytearray(kept.read_bytes())
+    raw[len(raw) // 2] ^= 8
+    kept.write_bytes(raw)
+    with pytest.warns(UserWarning, match="is damaged"):
+        assert torch.equal(data.voxels.counts(data.scenes, "fingerprint"), expected)
+
+
+def test_unknown_cells_are_not_counted(own_world, monkeypatch):
+    data = dataset(own_world)
+    labels = torch.full(GRID.shape, 255, dtype=torch.uint8)
+    labels[0, 0, 0] = 4
+    monkeypatch.setattr(VoxelCache, "read", lambda *_: labels)
+    counts = data.voxels.counts(data.scenes, "another")
+    assert counts.sum() == counts[4, 0, 0, 0] == 8

@@ -1,0 +1,141 @@
+import pytest
+import torch
+from fake_scene import FakeWorld
+from lightning.pytorch import LightningModule, Trainer
+from lightning.pytorch.callbacks import Callback
+
+from omniocc.data import OccupancyData
+from omniocc.geometry import Cylinder
+
+GRID = Cylinder(shape=(4, 6, 2), radius_m=(0.0, 25.6), height_m=(-2.8, 3.6))
+pytestmark = [
+    pytest.mark.filterwarnings("ignore::UserWarning:lightning.*"),
+    pytest.mark.filterwarnings("ignore:`isinstance:FutureWarning"),
+]
+
+
+class Recorder(LightningModule):
+    """Learns nothing; remembers which samples it saw."""
+
+    def __init__(self):
+        super().__init__()
+        self.weight = torch.nn.Parameter(torch.zeros(()))
+        self.seen = []
+
+    def training_step(self, batch, batch_index):
+        self.seen.append(batch.frame_ids)
+        return self.weight * batch.images.float().mean()
+
+    def validation_step(self, batch, batch_index):
+        pass
+
+    def configure_optimizers(self):
+        return torch.optim.SGD(self.parameters(), lr=0.1)
+
+
+class SaveEverywhere(Callback):
+    def __init__(self, folder, moments=("batch", "validation", "epoch")):
+        self.folder, self.moments = folder, moments
+        self.seen = {}
+
+    def save(self, trainer, module, moment):
+        if moment not in self.moments:
+            return
+        path = self.folder / f"{len(self.seen):02d}-{moment}.ckpt"
+        trainer.save_checkpoint(path)
+        self.seen[path] = len(module.seen)
+
+    def on_train_batch_end(self, trainer, module, *_):
+        self.save(trainer, module, "batch")
+
+    def on_validation_end(self, trainer, module):
+        if not trainer.sanity_checking:
+            self.save(trainer, module, "validation")
+
+    def on_train_epoch_end(self, trainer, module):
+        self.save(trainer, module, "epoch")
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory):
+    root = tmp_path_factory.mktemp("data")
+    make(root).prepare_data()
+    return root
+
+
+def make(root, num_workers=0, batch_size=2, seed=0):
+    return OccupancyData(FakeWorld(root), GRID, window=1, batch_size=batch_size, num_workers=num_workers, seed=seed)
+
+
+def run(root, length, checkpoint=None, callbacks=(), num_workers=0):
+    module = Recorder()
+    trainer = Trainer(
+        accelerator="cpu",
+        logger=False,
+        enable_checkpointing=False,
+        enable_progress_bar=False,
+        enable_model_summary=False,
+        callbacks=list(callbacks),
+        num_sanity_val_steps=0,
+        **length,
+    )
+    trainer.fit(module, datamodule=make(root, num_workers), ckpt_path=checkpoint)
+    return module.seen
+
+
+@pytest.mark.parametrize(
+    ("length", "moments"),
+    [
+        ({"max_epochs": 3}, ("batch", "validation", "epoch")),
+        ({"max_epochs": -1, "max_steps": 10, "val_check_interval": 2}, ("batch", "validation")),
+    ],
+)
+def test_a_resumed_run_sees_the_batches_that_were_left(root, tmp_path, length, moments):
+    saver = SaveEverywhere(tmp_path, moments)
+    whole = run(root, length, callbacks=[saver])
+    assert len(set(whole[:4])) == 4
+    assert whole[:4] != whole[4:8]
+    assert len(whole) == (12 if "max_steps" not in length else 10)
+    for path, seen in saver.seen.items():
+        assert run(root, length, checkpoint=path) == whole[seen:], path.name
+
+
+def test_a_resumed_run_with_loader_processes(root, tmp_path):
+    saver = SaveEverywhere(tmp_path)
+    whole = run(root, {"max_epochs": 2}, callbacks=[saver])
+    for path, seen in saver.seen.items():
+        if path.name[:2] in ("02", "05"):  # within the first epoch, and right after it
+            assert run(root, {"max_epochs": 2}, checkpoint=path, num_workers=1) == whole[seen:], path.name
+
+
+def test_loaders(root):
+    data = make(root, batch_size=3)
+    data.setup()
+    train = list(data.train_dataloader())
+    assert [len(batch.frame_ids) for batch in train] == [3, 3]
+    test = list(data.test_dataloader())
+    assert [batch.frame_ids for batch in test] == [
+        ("test-000-downtown/000000", "test-000-downtown/000001", "test-000-downtown/000002"),
+        ("test-000-downtown/000003",),
+    ]
+    assert data.voxel_counts().shape == (12, *GRID.shape)
+    assert data.voxel_counts().sum() == 8 * 48
+
+
+def test_moving_a_batch_leaves_rigs_alone(root):
+    data = make(root)
+    data.setup()
+    batch = next(iter(data.val_dataloader()))
+    moved = data.transfer_batch_to_device(batch, torch.device("meta"), 0)
+    assert moved.images.device.type == moved.world_from_ego.device.type == "meta"
+    assert moved.rigs is batch.rigs
+    assert moved.frame_ids == batch.frame_ids
+
+
+def test_more_than_a_batch_is_needed(root):
+    data = make(root, batch_size=9)
+    data.setup()
+    with pytest.raises(ValueError, match=r"8 training samples per process are less than one batch of 9: render more"):
+        data.train_dataloader()
+    with pytest.raises(ValueError, match="got 0 and 0"):
+        make(root, batch_size=0)

@@ -1,0 +1,42 @@
+import pytest
+
+from omniocc.data.sampler import EpochSampler, RankSampler
+
+
+def epoch(sampler, number):
+    sampler.set_epoch(number)
+    return list(sampler)
+
+
+def test_the_order_depends_on_seed_and_epoch_only():
+    first = EpochSampler(20, seed=3)
+    assert epoch(first, 1) == epoch(EpochSampler(20, seed=3), 1)
+    assert sorted(epoch(first, 1)) == list(range(20))
+    orders = [epoch(first, 0), epoch(first, 1), epoch(EpochSampler(20, seed=4), 0), epoch(EpochSampler(20, seed=2), 1)]
+    assert len({tuple(order) for order in orders}) == 4
+
+
+@pytest.mark.parametrize("world_size", [2, 3])
+def test_ranks_share_an_epoch_without_overlap(world_size):
+    whole = epoch(EpochSampler(20, seed=0), 5)
+    parts = [epoch(EpochSampler(20, 0, rank, world_size), 5) for rank in range(world_size)]
+    assert {len(part) for part in parts} == {20 // world_size}
+    together = [sample for part in parts for sample in part]
+    assert len(set(together)) == len(together) == 20 // world_size * world_size
+    # together the ranks walk through the very order of one process
+    assert [sample for samples in zip(*parts, strict=True) for sample in samples] == whole[: len(together)]
+
+
+def test_only_the_interrupted_epoch_is_shortened():
+    whole = EpochSampler(20, seed=0)
+    resumed = EpochSampler(20, seed=0, resume_epoch=2, resume_samples=6)
+    assert list(resumed) == epoch(whole, 2)[6:]  # also before anybody calls set_epoch
+    assert epoch(resumed, 2) == epoch(whole, 2)[6:]
+    assert epoch(resumed, 3) == epoch(whole, 3)
+    assert len(resumed) == 20
+
+
+def test_testing_scores_every_sample_exactly_once():
+    parts = [RankSampler(7, rank, 3) for rank in range(3)]
+    assert [list(part) for part in parts] == [[0, 3, 6], [1, 4], [2, 5]]
+    assert [len(part) for part in parts] == [3, 2, 2]

@@ -1,0 +1,175 @@
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from fake_scene import FakeWorld
+from filelock import FileLock
+
+import omniocc
+from omniocc.data.errors import DataError
+from omniocc.data.reader import SceneReader
+
+SCRIPT = """
+import sys
+from fake_scene import FakeWorld
+if __name__ == "__main__":
+    FakeWorld(sys.argv[1], workers=int(sys.argv[2]), delay_s=float(sys.argv[3])).prepare()
+"""
+SCENES = ["test-000-downtown", "train-000-downtown", "train-001-suburb", "val-000-downtown"]
+
+
+def tree(folder):
+    files = [path for path in Path(folder).rglob("*") if path.is_file() and ".locks" not in path.parts]
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory):
+    root = tmp_path_factory.mktemp("reference")
+    FakeWorld(root).prepare()
+    return root
+
+
+@pytest.fixture
+def render(tmp_path):
+    """Starts rendering in a process of its own."""
+    script = tmp_path / "script.py"
+    script.write_text(SCRIPT)
+    source = Path(omniocc.__file__).parents[1]
+    env = os.environ | {"PYTHONPATH": f"{source}:{Path(__file__).parent}", "OMP_NUM_THREADS": "1"}
+
+    def start(root, workers, delay_s, mark):
+        command = [sys.executable, str(script), str(root), str(workers), str(delay_s)]
+        return subprocess.Popen(command, env=env | {"FAKE_SCENE_MARK": str(mark)}, stderr=subprocess.PIPE, text=True)
+
+    return start
+
+
+def wait_for_frames(mark, count):
+    give_up = time.monotonic() + 60
+    while not mark.exists() or len(mark.read_text().splitlines()) < count:
+        assert time.monotonic() < give_up
+        time.sleep(0.02)
+
+
+def test_the_plan(tmp_path):
+    world = FakeWorld(tmp_path, scenes=(3, 2, 1))
+    assert [plan.name for plan in world.plans] == [
+        *("train-000-downtown", "train-001-suburb", "train-002-downtown"),
+        *("val-000-downtown", "val-001-suburb", "test-000-downtown"),
+    ]
+    assert len({plan.seed for plan in world.plans}) == 6
+    other = FakeWorld(tmp_path, scenes=(3, 2, 1), seed=1)
+    assert not {plan.seed for plan in world.plans} & {plan.seed for plan in other.plans}
+
+
+def test_what_makes_the_data_is_in_the_fingerprint(tmp_path):
+    world = FakeWorld(tmp_path)
+    assert world.fingerprint == FakeWorld(tmp_path / "elsewhere", workers=2).fingerprint
+    more = FakeWorld(tmp_path, scenes=(3, 1, 1))
+    assert more.fingerprint != world.fingerprint
+    assert more.folder == world.folder  # scenes that exist are kept
+    longer = FakeWorld(tmp_path, frames=5)
+    assert longer.folder != world.folder
+
+
+@pytest.mark.parametrize(("argument", "value"), [("frames", 0), ("workers", -1), ("scenes", (-1, 0, 0))])
+def test_impossible_numbers_are_named(tmp_path, argument, value):
+    with pytest.raises(ValueError, match=r"-1|0"):
+        FakeWorld(tmp_path, **{argument: value})
+
+
+def test_scenes_are_complete_and_know_how_they_were_made(reference):
+    world = FakeWorld(reference)
+    assert world.missing() == []
+    reader = world.readers("train")[1]
+    assert reader.name == "train-001-suburb"
+    assert len(reader) == 4
+    assert reader.rig == world.rig
+    assert reader.world_from_ego[:, 0, 3].tolist() == [0.0, 3.0, 6.0, 9.0]
+    facts = reader.meta["facts"]
+    assert (facts["split"], facts["theme"], facts["seed"]) == ("train", "suburb", 1)
+    assert facts["classes"]["11"] == "Roadline"
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_killed_while_rendering_ends_with_the_same_bytes(reference, tmp_path, render, workers, monkeypatch):
+    root, mark = tmp_path / "data", tmp_path / "mark"
+    process = render(root, workers, 0.05, mark)
+    wait_for_frames(mark, 6)
+    process.kill()
+    process.wait()
+    time.sleep(0.2)
+    made = mark.read_text().splitlines()
+    assert list(root.rglob("*.partial"))
+    whole = [path.parent for path in root.glob("*/*/meta.json") if path.parent.suffix != ".partial"]
+    assert {len(SceneReader(folder)) for folder in whole} <= {4}
+    time.sleep(0.2)
+    assert mark.read_text().splitlines() == made  # no worker outlives its parent
+    monkeypatch.setenv("FAKE_SCENE_MARK", str(mark))
+    FakeWorld(root).prepare()
+    assert tree(root) == tree(reference)
+    again = mark.read_text().splitlines()
+    assert len(again) - len(set(again)) <= max(workers, 1)  # only frames that were not whole were made twice
+
+
+def test_ctrl_c_leaves_no_process_and_what_was_made(reference, tmp_path, render):
+    root, mark = tmp_path / "data", tmp_path / "mark"
+    process = render(root, 2, 0.05, mark)
+    wait_for_frames(mark, 3)
+    process.send_signal(signal.SIGINT)
+    _, stderr = process.communicate(timeout=30)
+    assert process.returncode != 0
+    assert "KeyboardInterrupt" in stderr
+    made = mark.read_text()
+    time.sleep(0.3)
+    assert mark.read_text() == made
+    FakeWorld(root).prepare()
+    assert tree(root) == tree(reference)
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_a_failing_frame_is_named_and_the_rest_kept(reference, tmp_path, workers):
+    world = FakeWorld(tmp_path, workers=workers, fail_at=("train-001-suburb", 2))
+    with pytest.raises(RuntimeError, match=r"scene train-001-suburb, frame 2: ZeroDivisionError: no such street"):
+        world.prepare()
+    FakeWorld(tmp_path).prepare()
+    assert tree(tmp_path) == tree(reference)
+
+
+def test_two_runs_on_one_folder(reference, tmp_path, render, monkeypatch):
+    root, mark = tmp_path / "data", tmp_path / "mark"
+    other = render(root, 0, 0.05, mark)
+    wait_for_frames(mark, 1)
+    monkeypatch.setenv("FAKE_SCENE_MARK", str(mark))
+    FakeWorld(root, delay_s=0.05).prepare()
+    assert other.wait() == 0
+    assert tree(root) == tree(reference)
+    frames = mark.read_text().splitlines()
+    assert len(frames) == len(set(frames)) == 16  # they share the work
+
+
+def test_a_scene_held_by_another_process_is_waited_for(tmp_path, capsys, monkeypatch):
+    world = FakeWorld(tmp_path, scenes=(2, 0, 0))
+    locks = world.folder / ".locks"
+    locks.mkdir(parents=True)
+    (locks / "train-000-downtown.owner").write_text('{"pid": 4711, "host": "elsewhere"}')
+    held = FileLock(locks / "train-000-downtown.lock")
+    held.acquire()
+    monkeypatch.setattr("omniocc.data.progress.FrameProgress.message", lambda _, text: (print(text), held.release()))
+    world.prepare()
+    assert "another process (pid 4711 on elsewhere) renders train-000-downtown, waiting" in capsys.readouterr().out
+    assert world.missing() == []
+
+
+def test_missing_scenes_and_a_folder_that_cannot_be_written(tmp_path):
+    world = FakeWorld(tmp_path / "data")
+    with pytest.raises(DataError, match=r"train-000-downtown is missing: call prepare\(\), or run"):
+        world.readers("train")
+    (tmp_path / "data").write_text("a file where the folder should be")
+    with pytest.raises(DataError, match=r"cannot write .*data"):
+        world.prepare()
