@@ -11,7 +11,7 @@ from torch import Tensor
 
 from omniocc.classes import NUM_CLASSES
 from omniocc.geometry.axes import Axis
-from omniocc.geometry.trace import Paths, paths, trace
+from omniocc.geometry.trace import Hits, Paths, cast, paths
 from omniocc.geometry.vote import majority
 from omniocc.geometry.warp import fold, interpolate, trilinear
 
@@ -160,6 +160,12 @@ class Grid(ABC):
         """All cells that each ray crosses, in order (see `omniocc.geometry.trace.paths`)."""
         return paths(self, origins, directions)
 
+    def cast(
+        self, labels: UInt8[Tensor, "X Y Z"], origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"]
+    ) -> Hits:
+        """First cell along each ray that is not free (see `omniocc.geometry.trace.cast`)."""
+        return cast(self, labels, origins, directions)
+
     def trace(
         self,
         labels: UInt8[Tensor, "X Y Z"],
@@ -167,8 +173,20 @@ class Grid(ABC):
         directions: Float[Tensor, "R 3"],
         hit: Literal["exit", "entry"] = "exit",
     ) -> tuple[Float32[Tensor, " R"], UInt8[Tensor, " R"]]:
-        """First cell along each ray that is not free (see `omniocc.geometry.trace.trace`)."""
-        return trace(self, labels, origins, directions, hit)
+        """Range in metres and class of the first cell along each ray that is not free (0); unknown (255) is not free.
+
+        Args:
+            labels: class of every cell.
+            origins: ego frame, metres.
+            directions: any length but zero.
+            hit: report the distance at which the hit cell is left (as the public RayIoU does) or entered.
+
+        Returns:
+            A ray that hits nothing has the distance at which it leaves the grid, and class free; one that never meets
+            the grid has range inf and class free.
+        """
+        hits = cast(self, labels, origins, directions)
+        return (hits.entry_m if hit == "entry" else hits.exit_m), hits.labels
 
     def _moved_centers(self, pose: Float[Tensor, "4 4"]) -> Float[Tensor, "N 3"]:
         pose = pose.double()

@@ -5,7 +5,7 @@ may be planes, cylinders or half-planes (`omniocc.geometry.axes`).
 """
 
 from collections.abc import Iterator
-from typing import Literal, NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float, Float32, Int32, Int64, UInt8
@@ -54,6 +54,33 @@ class Paths(NamedTuple):
         return self.bounds_m[:, 1:]
 
 
+class Hits(NamedTuple):
+    """Where R rays end.
+
+    Attributes:
+        cells: flat index of the cell hit; -1 for none.
+        labels: its class; free for none.
+        entry_m: distance at which it is entered; without a hit that at which the ray leaves the grid, and inf for a ray
+            that never meets the grid.
+        exit_m: distance at which it is left; otherwise as `entry_m`.
+    """
+
+    cells: Int32[Tensor, " R"]
+    labels: UInt8[Tensor, " R"]
+    entry_m: Float32[Tensor, " R"]
+    exit_m: Float32[Tensor, " R"]
+
+    @classmethod
+    def nothing(cls, count: int, device: torch.device) -> "Hits":
+        """Rays that never meet the grid."""
+        return cls(
+            torch.full((count,), -1, dtype=torch.int32, device=device),
+            torch.full((count,), FREE, dtype=torch.uint8, device=device),
+            torch.full((count,), float("inf"), device=device),
+            torch.full((count,), float("inf"), device=device),
+        )
+
+
 class Stretch(NamedTuple):
     """One cell each of K rays: which ray, flat cell (-1 in a cylinder's hole), where it begins and ends."""
 
@@ -92,25 +119,19 @@ def paths(grid: Traversable, origins: Float[Tensor, "R 3"], directions: Float[Te
     return Paths(cells, torch.where(after, last_m, bounds_m), count > 0)
 
 
-def trace(
+def cast(
     grid: Traversable,
     labels: UInt8[Tensor, "X Y Z"],
     origins: Float[Tensor, "R 3"],
     directions: Float[Tensor, "R 3"],
-    hit: Literal["exit", "entry"] = "exit",
-) -> tuple[Float32[Tensor, " R"], UInt8[Tensor, " R"]]:
-    """Finds the first cell along each ray that is not free; unknown (255) is not free.
+) -> Hits:
+    """Finds the first cell along each ray that is not free (0); unknown (255) is not free.
 
     Args:
         grid: cylinder or cuboid.
         labels: class of every cell.
         origins: ego frame, metres.
         directions: any length but zero.
-        hit: report the distance at which the hit cell is left (as the public RayIoU does) or entered.
-
-    Returns:
-        Range in metres and class. A ray that hits nothing has the distance at which it leaves the grid, and class
-        free; one that never meets the grid has range inf and class free.
 
     Raises:
         ValueError: if the labels do not have the grid's shape.
@@ -118,17 +139,17 @@ def trace(
     if labels.shape != grid.shape:
         raise ValueError(f"labels must have the grid's shape {grid.shape}, got {tuple(labels.shape)}")
     flat = labels.flatten()
-    range_m = torch.full((len(origins),), float("inf"), device=origins.device)
-    found = torch.zeros(len(origins), dtype=torch.uint8, device=origins.device)
+    hits = Hits.nothing(len(origins), origins.device)
     wanted = torch.ones(len(origins), dtype=torch.bool, device=origins.device)
     for rays, cells, entry_m, exit_m in walk(grid, origins, directions, wanted):
         label = torch.where(cells >= 0, flat[cells], FREE)
         stop = label != FREE
-        end_m = torch.where(stop, entry_m, exit_m) if hit == "entry" else exit_m
-        range_m[rays] = end_m.float()
-        found[rays] = label
+        hits.entry_m[rays] = torch.where(stop, entry_m, exit_m).float()
+        hits.exit_m[rays] = exit_m.float()
+        hits.labels[rays] = label
+        hits.cells[rays] = torch.where(stop, cells, -1).int()
         wanted[rays] = ~stop
-    return range_m, found
+    return hits
 
 
 def walk(
