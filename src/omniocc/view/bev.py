@@ -76,8 +76,8 @@ def _draw(colors: np.ndarray, geometry: Grid, size_px: int) -> np.ndarray:
 
 
 def _half_width_m(geometry: Grid) -> float:
-    corners = geometry.centers(torch.float64)[..., :2].abs().max()
-    return float(corners) + max(geometry.cell_m[0], 0.0) / 2
+    edges = torch.meshgrid(*(geometry.edges(axis) for axis in range(3)), indexing="ij")
+    return float(geometry.from_axes(*edges)[..., :2].abs().max())
 
 
 def _own_car(picture: np.ndarray, px_per_m: float) -> None:

@@ -15,8 +15,12 @@ SKY_TOP, SKY_BOTTOM = (214, 226, 240), (252, 252, 252)
 LIGHT = np.array([-0.35, 0.45, 0.82])
 SUPERSAMPLE = 2
 NEAR_M = 0.2
-CAR_BOX_M = ((-2.3, 2.3), (-0.95, 0.95), (-2.0, -0.6))
-CAR_RGB = (245, 246, 248)
+EDGE_DARKENING = 0.22
+# Body and cabin of the own car: x, y and z from ... to in the ego frame, and colour.
+CAR_BOXES = (
+    (((-2.3, 2.3), (-0.95, 0.95), (-1.95, -1.2)), (250, 250, 252)),
+    (((-1.7, 0.9), (-0.8, 0.8), (-1.2, -0.65)), (70, 80, 95)),
+)
 
 
 class Faces(NamedTuple):
@@ -37,8 +41,8 @@ def render_voxels(
     geometry: Grid,
     width: int,
     height: int,
-    eye_m: tuple[float, float, float] = (-27.0, 0.0, 21.0),
-    target_m: tuple[float, float, float] = (1.5, 0.0, -3.0),
+    eye_m: tuple[float, float, float] = (-28.0, 0.0, 22.0),
+    target_m: tuple[float, float, float] = (0.5, 0.0, -3.0),
     view_deg: float = 60.0,
 ) -> np.ndarray:
     """Draws occupied cells in their class colours, and the own car as a white box; unknown cells stay invisible.
@@ -53,7 +57,7 @@ def render_voxels(
         view_deg: horizontal angle it spans.
     """
     eye = np.array(eye_m)
-    faces = _join(_cell_faces(labels, geometry, eye), _car_faces(eye))
+    faces = _join(_cell_faces(labels, geometry, eye), *(_box_faces(bounds, rgb, eye) for bounds, rgb in CAR_BOXES))
     size = (width * SUPERSAMPLE, height * SUPERSAMPLE)
     pixels, in_front = _project(faces.corners, eye, np.array(target_m), view_deg, size)
     low, high = pixels.min(1), pixels.max(1)
@@ -62,11 +66,11 @@ def render_voxels(
     colors = _shade(faces)
     canvas = _background(*size)
     spans = np.minimum(high - low, 24 * SUPERSAMPLE).min(1)
-    edges = colors * (1 - 0.22 * np.clip(spans / (8 * SUPERSAMPLE), 0, 1))[:, None]
+    edges = colors * (1 - EDGE_DARKENING * np.clip(spans / (8 * SUPERSAMPLE), 0, 1))[:, None]
     quads = np.round(pixels * 16).astype(np.int32)
     for k in order:
         cv2.fillConvexPoly(canvas, quads[k], colors[k].tolist(), cv2.LINE_8, 4)
-        cv2.polylines(canvas, quads[k][None], True, edges[k].tolist(), 1, cv2.LINE_AA, 4)
+        cv2.polylines(canvas, [quads[k]], True, edges[k].tolist(), 1, cv2.LINE_AA, 4)
     return cv2.resize(canvas, (width, height), interpolation=cv2.INTER_AREA)
 
 
@@ -110,9 +114,9 @@ def _corner_index(index: np.ndarray, axis: int, side: int) -> np.ndarray:
     return index[:, None] + offsets
 
 
-def _car_faces(eye: np.ndarray) -> Faces:
-    """The own car; drawn a little early in the order, since its faces are larger than cells."""
-    bounds = np.array(CAR_BOX_M)
+def _box_faces(bounds_m: tuple[tuple[float, float], ...], rgb: tuple[int, int, int], eye: np.ndarray) -> Faces:
+    """A box of the own car; drawn a little late in the order, since its faces are larger than cells."""
+    bounds = np.array(bounds_m)
     corners, normals = [], []
     for axis in range(3):
         for side in (0, 1):
@@ -120,11 +124,10 @@ def _car_faces(eye: np.ndarray) -> Faces:
             corners.append(np.take_along_axis(bounds, picks.T, 1).T)
             normals.append((2 * side - 1) * np.eye(3)[axis])
     corners, normals = np.array(corners), np.array(normals)
-    middle = corners.mean(1)
-    towards = ((eye - middle) * normals).sum(1) > 0
-    colors = np.tile(np.array(CAR_RGB, dtype=np.float64), (6, 1))
-    faces = Faces(corners, normals, colors, np.linalg.norm(middle - eye, axis=1) - 2.0)
-    return Faces(*(part[towards] for part in faces))
+    towards = ((eye - corners.mean(1)) * normals).sum(1) > 0
+    colors = np.tile(np.array(rgb, dtype=np.float64), (6, 1))
+    depth_m = np.full(6, np.linalg.norm(bounds.mean(1) - eye) - 4.0)
+    return Faces(*(part[towards] for part in Faces(corners, normals, colors, depth_m)))
 
 
 def _join(*parts: Faces) -> Faces:
@@ -144,7 +147,7 @@ def _project(
     focal = size[0] / 2 / np.tan(np.radians(view_deg) / 2)
     safe = np.maximum(z, NEAR_M)[..., None]
     slopes = np.stack([relative @ right, relative @ down], -1) / safe
-    return slopes * focal + (np.array(size) - 1) / 2, (z > NEAR_M).all(1)
+    return slopes * focal + (np.array(size) - 1) / 2, np.all(z > NEAR_M, axis=1)
 
 
 def _shade(faces: Faces) -> np.ndarray:

@@ -1,0 +1,40 @@
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from omniocc.geometry import Cuboid, Cylinder
+from omniocc.view import comparison, save_png
+from omniocc.view.compare import AS_SEEN, NAMES
+
+
+def sheet(count, geometry, width_px=900, caption="street/0003"):
+    images = np.stack([np.full((36, 64, 3), 20 * (k + 1), dtype=np.uint8) for k in range(count)])
+    truth = torch.randint(0, 12, geometry.shape, dtype=torch.uint8)
+    return comparison(images, truth, truth.flip(0), geometry, caption, width_px)
+
+
+def test_cameras_stand_where_they_look():
+    assert [NAMES[k] for k in AS_SEEN] == ["front left", "front", "front right", "rear left", "rear", "rear right"]
+    picture = sheet(6, Cylinder(shape=(6, 10, 4)), caption="")
+    height = (900 - 2 * 14 - 2 * 6) // 3 * 36 // 64
+    for row, cameras in enumerate(((5, 0, 1), (4, 3, 2))):
+        for column, camera in enumerate(cameras):
+            top, left = 14 + row * (height + 6), 14 + column * 292
+            assert (picture[top + height // 2, left + 140] == 20 * (camera + 1)).all()
+
+
+@pytest.mark.parametrize("count", [1, 4, 6, 8])
+@pytest.mark.parametrize("geometry", [Cylinder(shape=(6, 10, 4)), Cuboid(shape=(6, 8, 4))], ids=["cylinder", "cuboid"])
+def test_any_number_of_cameras(count, geometry):
+    picture = sheet(count, geometry)
+    assert picture.dtype == np.uint8
+    assert picture.shape[1:] == (900, 3)
+
+
+def test_save_png_keeps_rgb(tmp_path):
+    picture = np.random.default_rng(0).integers(0, 256, (5, 7, 3), dtype=np.uint8)
+    save_png(tmp_path / "a.png", picture)
+    assert np.array_equal(cv2.imread(str(tmp_path / "a.png"))[..., ::-1], picture)
+    with pytest.raises(OSError, match="missing"):
+        save_png(tmp_path / "missing" / "a.png", picture)
