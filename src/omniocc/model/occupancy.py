@@ -10,6 +10,7 @@ from omniocc.camera import Rig
 from omniocc.geometry import Grid
 from omniocc.model.backbone import Backbone
 from omniocc.model.lifter import Lifter
+from omniocc.model.padding import Pointwise
 from omniocc.model.refiner import Refiner
 from omniocc.model.semantic_head import SemanticHead
 from omniocc.model.sketch import Sketch
@@ -61,7 +62,7 @@ class OccupancyModel(nn.Module):
         self.temporal = temporal
         self.refiner = refiner
         self.semantic_head = semantic_head
-        self.classifier = nn.Linear(refiner.channels, num_classes)
+        self.classifier = Pointwise(refiner.channels, num_classes)
 
     def forward(
         self,
@@ -84,8 +85,7 @@ class OccupancyModel(nn.Module):
         volumes.append(self.lift(features, newest, rigs))
         volume = self.temporal(volumes, world_from_ego[:, -len(volumes) :])
         volume = self.refiner(volume)
-        logits = self.classifier(volume.movedim(1, -1)).movedim(-1, 1)
-        return Prediction(logits, self.semantic_head(features))
+        return Prediction(self.classifier(volume), self.semantic_head(features))
 
     def lift(
         self, features: list[Float[Tensor, "B N C _ _"]], images: Float[Tensor, "B N 3 H W"], rigs: tuple[Rig, ...]

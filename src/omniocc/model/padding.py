@@ -43,6 +43,14 @@ class Conv3d(nn.Conv3d):
         return F.conv3d(wrapped, self.weight, self.bias, padding=self.zeros)
 
 
+class Pointwise(nn.Linear):
+    """The same linear map in every cell: a 1x1x1 convolution, but as one matrix product."""
+
+    def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B D X Y Z"]:
+        """Maps the channels."""
+        return super().forward(volume.movedim(1, -1)).movedim(-1, 1)
+
+
 class Downsample(nn.Conv3d):
     """Halves every axis by a 2x2x2 convolution, so that a coarse cell covers exactly two fine ones.
 

@@ -6,16 +6,20 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from omniocc.model.lifter.deformable import deformable_sum, make_anchors, make_table
+from omniocc.model.lifter.deformable import deformable_sum, make_level, make_table
 from omniocc.model.lifter.visible import Pairs
 
 
-def ring_offsets(heads: int, levels: int, points: int) -> Float[Tensor, "H 2 levels*points"]:
+def ring_offsets(heads: int, levels: int, points: int) -> Float[Tensor, "H L 2 K"]:
     """Where samples begin, in pixels: each head looks in a direction of its own, its points 1, 2, ... pixels away."""
     angle = torch.arange(heads) * (2 * math.pi / heads)
     direction = torch.stack([angle.cos(), angle.sin()], dim=-1)
     direction = direction / direction.abs().amax(-1, keepdim=True)
-    return direction[..., None] * torch.arange(1, points + 1).repeat(levels)
+    return (direction[..., None] * torch.arange(1, points + 1))[:, None].expand(-1, levels, -1, -1)
+
+
+def _transposed(linear: nn.Linear, queries: Float[Tensor, "Q C"]) -> Float[Tensor, "D Q"]:
+    return torch.addmm(linear.bias[:, None], linear.weight, queries.T)
 
 
 class CrossAttention(nn.Module):
@@ -59,14 +63,19 @@ class CrossAttention(nn.Module):
         """One set of queries on B samples, whose channels travel side by side: positions are computed once."""
         with torch.autocast(queries.device.type, enabled=False):
             dtype = torch.promote_types(queries.dtype, torch.float32)
-            queries = queries.to(dtype)
-            offsets = self.offsets(queries).unflatten(-1, (self.heads, 2, -1)).permute(1, 2, 0, 3)
-            attention = self.attention(queries).unflatten(-1, (self.heads, -1)).softmax(-1).permute(1, 0, 2)
-            table = make_table([self._value(level.to(dtype), index) for index, level in enumerate(features)])
-            sizes = [(level.shape[-2], level.shape[-1]) for level in features]
-            anchors = make_anchors(pairs, features[0].shape[1], sizes, self.points, dtype)
-            sums = deformable_sum(table, offsets.contiguous(), attention.contiguous(), anchors)
+            offsets, attention = self._sampling(queries.to(dtype))
+            tables = [make_table(self._value(level.to(dtype), index)) for index, level in enumerate(features)]
+            levels = [make_level(pairs, level.shape[-2], level.shape[-1], self.points, dtype) for level in features]
+            sums = deformable_sum(tables, offsets, attention, pairs, levels) / pairs.counts[:, None]
         return sums.unflatten(-1, (len(features[0]), -1)).permute(2, 1, 0, 3).flatten(2)
+
+    def _sampling(self, queries: Float[Tensor, "Q C"]) -> tuple[Float[Tensor, "H L 2 Q K"], Float[Tensor, "H L Q K"]]:
+        """Offsets and attention; queries run along the last axis until the end, where softmax is many times faster."""
+        shape = (self.heads, self.levels, self.points)
+        offsets = _transposed(self.offsets, queries).unflatten(0, (*shape[:2], 2, self.points))
+        attention = _transposed(self.attention, queries).unflatten(0, (self.heads, -1)).softmax(1)
+        attention = attention.unflatten(1, shape[1:])
+        return offsets.transpose(-1, -2).contiguous(), attention.transpose(-1, -2).contiguous()
 
     def _value(self, level: Float[Tensor, "B N C h w"], index: int) -> Float[Tensor, "B N H D h w"]:
         values = self.value(level.movedim(2, -1) + self.level_embedding[index])

@@ -88,13 +88,17 @@ class Coloring(nn.Module):
             ValueError: if a rig has another number of cameras than there are images.
         """
         marked = candidates.flatten(1)
-        volumes: list[Tensor] = [self.empty] * len(rigs)
-        for samples in group_samples(marked, rigs):
-            maps = [level[samples] for level in features]
-            for sample, volume in zip(samples, self._color(maps, marked[samples[0]], rigs[samples[0]]), strict=True):
-                volumes[sample] = volume
+        groups = group_samples(marked, rigs)
+        if len(groups) == 1:
+            volumes = self._color(features, marked[0], rigs[0])
+        else:
+            parts = [
+                self._color([level[group] for level in features], marked[group[0]], rigs[group[0]]) for group in groups
+            ]
+            order = torch.tensor([sample for group in groups for sample in group], device=marked.device)
+            volumes = torch.cat(parts)[order.argsort()]
         # channels last in memory, as 3D convolutions like it
-        return torch.stack(volumes).unflatten(1, self.geometry.shape).movedim(-1, 1)
+        return volumes.unflatten(1, self.geometry.shape).movedim(-1, 1)
 
     def _color(
         self, features: list[Float[Tensor, "B N C _ _"]], marked: Bool[Tensor, " cells"], rig: Rig

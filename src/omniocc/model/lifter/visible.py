@@ -19,12 +19,14 @@ class Pairs(NamedTuple):
         camera: index of the camera.
         points: where the camera sees it, in `grid_sample` coordinates.
         counts: cameras that see each query.
+        first: index of each query's first pair.
     """
 
     query: Int64[Tensor, " P"]
     camera: Int64[Tensor, " P"]
     points: Float[Tensor, "P 2"]
     counts: Int64[Tensor, " Q"]
+    first: Int64[Tensor, " Q"]
 
 
 @lru_cache(maxsize=16)
@@ -51,4 +53,5 @@ def visible_pairs(
     """The pairs of the queries at `cells` (row-major indices)."""
     seen = valid.T[cells]
     query, camera = seen.nonzero(as_tuple=True)
-    return Pairs(query, camera, points[camera, cells[query]], seen.sum(1))
+    counts = seen.sum(1)
+    return Pairs(query, camera, points[camera, cells[query]], counts, counts.cumsum(0) - counts)

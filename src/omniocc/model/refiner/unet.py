@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from omniocc.geometry import Grid
-from omniocc.model.padding import Conv3d, Downsample, Periodic, upsample
+from omniocc.model.padding import Conv3d, Downsample, Periodic, Pointwise, upsample
 
 GROUP_CHANNELS = 8
 
@@ -40,7 +40,7 @@ class Residual(nn.Module):
 class UNet(nn.Module):
     """Residual blocks on a pyramid of halved grids; skips are added. Wraps around on the grid's periodic axes.
 
-    Rolling the input along a periodic axis by a multiple of 2**(levels-1) cells rolls the output.
+    The finest level, where a block costs as much as all others together, has one on the way up only. Rolling the input along a periodic axis by a multiple of 2**(levels-1) cells rolls the output.
 
     Args:
         geometry: the voxel grid.
@@ -63,18 +63,18 @@ class UNet(nn.Module):
         self.periodic = geometry.periodic
         self.channels = channels[0]
         pairs = list(pairwise(channels))
-        self.stem = Conv3d(in_channels, channels[0], 1, self.periodic)
-        self.encoder = nn.ModuleList(Residual(c, self.periodic) for c in channels)
+        self.stem = Pointwise(in_channels, channels[0])
         self.down = nn.ModuleList(Downsample(fine, coarse, self.periodic) for fine, coarse in pairs)
-        self.up = nn.ModuleList(Conv3d(coarse, fine, 1, self.periodic) for fine, coarse in pairs)
-        self.decoder = nn.ModuleList(Residual(c, self.periodic) for c in channels[:-1])
+        self.encoder = nn.ModuleList(Residual(coarse, self.periodic) for _, coarse in pairs)
+        self.up = nn.ModuleList(Pointwise(coarse, fine) for fine, coarse in pairs)
+        self.decoder = nn.ModuleList(Residual(fine, self.periodic) for fine, _ in pairs)
 
     def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B D X Y Z"]:
         """Refines a volume; the result has `channels` channels."""
         # channels last: 3D convolutions run about a third faster on the CPU
-        volume = self.encoder[0](self.stem(volume.contiguous(memory_format=torch.channels_last_3d)))
+        volume = self.stem(volume.contiguous(memory_format=torch.channels_last_3d))
         skips = []
-        for down, block in zip(self.down, self.encoder[1:], strict=True):
+        for down, block in zip(self.down, self.encoder, strict=True):
             skips.append(volume)
             volume = block(down(volume))
         for up, block in reversed(list(zip(self.up, self.decoder, strict=True))):
