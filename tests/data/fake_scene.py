@@ -73,6 +73,8 @@ class FakeWorld(VirtualWorld):
             frame_interval_s=0.5,
             supersample=1,
             erp_size=(16, 8),
+            erp_top_deg=45.0,
+            erp_bottom_deg=-45.0,
             seed=seed,
             workers=workers,
         )

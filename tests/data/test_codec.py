@@ -7,6 +7,7 @@ import pytest
 from fake_scene import fake_frame
 
 from omniocc.data import codec
+from omniocc.data.morton import interleave, separate
 
 
 def test_everything_but_colour_comes_back_within_two_millimetres():
@@ -14,13 +15,32 @@ def test_everything_but_colour_comes_back_within_two_millimetres():
     back = codec.decode_frame(codec.encode_frame(frame))
     assert back.time_s == frame.time_s
     assert back.boxes == frame.boxes
-    for name in ("world_from_ego", "semantics", "point_labels", "lidar_labels"):
+    for name in ("world_from_ego", "semantics", "lidar_labels"):
         np.testing.assert_array_equal(getattr(back, name), getattr(frame, name), err_msg=name)
         assert getattr(back, name).dtype == getattr(frame, name).dtype
-    for name in ("range_m", "erp_range_m", "points_m", "lidar_range_m"):
+    for name in ("range_m", "erp_range_m", "lidar_range_m"):
         expected, actual = getattr(frame, name), getattr(back, name)
         np.testing.assert_allclose(actual, expected, rtol=0, atol=1 / 512 + 1e-6, err_msg=name)
         assert actual.dtype == np.float32
+
+
+def test_points_come_back_in_another_order_within_two_millimetres():
+    frame = fake_frame(seed=3, index=2)
+    points_m, labels = codec.decode_points(codec.encode_points(frame.points_m, frame.point_labels))
+    assert points_m.dtype == np.float32
+    steps = np.rint(frame.points_m.astype(np.float64) * 256) / 256
+    assert np.abs(steps - frame.points_m).max() <= 1 / 512
+    rows = sorted(map(tuple, np.column_stack([steps, frame.point_labels]).tolist()))
+    assert sorted(map(tuple, np.column_stack([points_m, labels]).tolist())) == rows
+
+
+def test_morton_codes():
+    steps = np.array([[-32768, -32768, -32768], [-32767, -32768, -32768], [-32768, -32766, -32767], [32767, 0, -1]])
+    codes = interleave(steps.astype(np.int16))
+    assert codes.tolist()[:3] == [0, 0b001, 0b010100]
+    everything = np.random.default_rng(0).integers(-32768, 32768, (1000, 3)).astype(np.int16)
+    np.testing.assert_array_equal(separate(interleave(everything)), everything)
+    np.testing.assert_array_equal(separate(codes), steps)
 
 
 def test_range_codes():

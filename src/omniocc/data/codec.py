@@ -1,14 +1,14 @@
 """One recorded frame <-> named blobs.
 
-| blob              | content                               | error after a round trip                              |
-| ----------------- | ------------------------------------- | ----------------------------------------------------- |
-| `frame.json`      | time, pose, boxes                     | none                                                  |
-| `rgb<k>.jpg`      | colour of camera k, JPEG quality 95   | lossy: a few grey levels                              |
-| `semantic<k>.png` | class ids of camera k                 | none                                                  |
-| `range<k>.png`    | range of camera k, 16 bit             | 1/512 m; inf, nan kept; saturates beyond 255.99 m     |
-| `erp_range.png`   | range around the ego origin, 16 bit   | as range                                              |
-| `points.zst`      | surface points, 3 x 16 bit, and class | 1/512 m per axis; points beyond 127.99 m are left out |
-| `lidar.zst`       | range (16 bit) and class of every ray | as range; classes none                                |
+| blob              | content                               | error after a round trip                                  |
+| ----------------- | ------------------------------------- | --------------------------------------------------------- |
+| `frame.json`      | time, pose, boxes                     | none                                                      |
+| `rgb<k>.jpg`      | colour of camera k, JPEG quality 95   | lossy: a few grey levels                                  |
+| `semantic<k>.png` | class ids of camera k                 | none                                                      |
+| `range<k>.png`    | range of camera k, 16 bit             | 1/512 m; inf, nan kept; saturates beyond 255.99 m         |
+| `erp_range.png`   | range around the ego origin, 16 bit   | as range                                                  |
+| `points.zst`      | surface points, 3 x 16 bit, and class | 1/512 m per axis; beyond 127.99 m left out; order changes |
+| `lidar.zst`       | range (16 bit) and class of every ray | as range; classes none                                    |
 
 With steps of 1/256 m a point changes its cell of 0.2 m with a chance of 0.5 % per axis, and only if it lies within
 2 mm of the boundary. All encoders are deterministic: equal frames give equal bytes.
@@ -22,13 +22,15 @@ import cv2
 import numpy as np
 import zstandard
 
+from omniocc.data.morton import interleave, separate
 from omniocc.world.frame import Box, Frame
 
 STEPS_PER_M = 256
 UNMEASURED_CODE = 0
 SKY_CODE = 65535
 JPEG_QUALITY = 95
-ZSTD_LEVEL = 9
+ZSTD_LEVEL = 3
+_CODE_BYTES = 6
 
 
 def encode_frame(frame: Frame) -> dict[str, bytes]:
@@ -122,17 +124,22 @@ def restore_range(codes: np.ndarray) -> np.ndarray:
 
 
 def encode_points(points_m: np.ndarray, labels: np.ndarray) -> bytes:
-    """(P, 3) metres and (P,) classes as byte planes under zstd."""
+    """(P, 3) metres and (P,) classes: sorted along a Morton curve, steps between codes as byte planes under zstd."""
     steps = np.rint(points_m.astype(np.float64) * STEPS_PER_M)
     kept = np.all(np.abs(steps) <= np.iinfo(np.int16).max, axis=1)
-    return _compress([*steps[kept].astype("<i2").T, labels[kept]])
+    codes, labels = interleave(steps[kept].astype(np.int16)), labels[kept]
+    order = np.lexsort((labels, codes))
+    gaps = np.diff(codes[order], prepend=np.uint64(0)).astype("<u8")
+    return _compress([*_byte_planes(gaps)[:_CODE_BYTES], labels[order]])
 
 
 def decode_points(blob: bytes) -> tuple[np.ndarray, np.ndarray]:
-    """(P, 3) float32 metres and (P,) uint8 classes."""
-    planes = _decompress(blob, 7)
-    steps = np.stack([_join(planes[2 * axis : 2 * axis + 2], "<i2") for axis in range(3)], axis=1)
-    return steps.astype(np.float32) / STEPS_PER_M, planes[6].copy()
+    """(P, 3) float32 metres and (P,) uint8 classes, in the order of the Morton curve."""
+    planes = _decompress(blob, _CODE_BYTES + 1)
+    padded = np.zeros((8, planes.shape[1]), dtype=np.uint8)
+    padded[:_CODE_BYTES] = planes[:_CODE_BYTES]
+    codes = np.cumsum(_join(padded, "<u8"), dtype=np.uint64)
+    return separate(codes).astype(np.float32) / STEPS_PER_M, planes[_CODE_BYTES].copy()
 
 
 def encode_lidar(range_m: np.ndarray, labels: np.ndarray) -> bytes:

@@ -18,9 +18,9 @@ from omniocc.data.voxels import Geometry, VoxelCache
 class OccupancyData(LightningDataModule):
     """Batches of windows of recorded frames with voxels of one geometry.
 
-    The order of training is a function of (seed, epoch). A run that resumes from a checkpoint written after any batch or
-    validation sees exactly the batches that were left. (Of checkpoints written in `on_train_epoch_end` that holds with
-    `max_epochs` only: with `max_steps`, Lightning 2.6 counts such an epoch twice and goes on with the order of the next.)
+    The order of training is a function of (seed, epoch). A run that resumes from a checkpoint written after any batch
+    or validation sees exactly the batches that were left. (Of checkpoints written in `on_train_epoch_end` that holds
+    with `max_epochs` only: with `max_steps`, Lightning 2.6 counts such an epoch twice and skips one order.)
 
     Args:
         world: the recorded scenes; rendered when missing.

@@ -16,7 +16,7 @@ from omniocc.data.pool import Report, Stopped, make_scenes, usable_cores
 from omniocc.data.progress import FrameProgress
 from omniocc.data.reader import SceneReader
 from omniocc.data.shard import SCHEMA, SceneWriter, digest
-from omniocc.world.frame import Frame
+from omniocc.world import THEMES, Frame, Scene
 
 VIRTUAL_WORLD_VERSION = 1
 """Raise it when the same theme and seed would give other frames: old datasets are left alone and new ones made."""
@@ -62,6 +62,8 @@ class VirtualWorld:
         frame_interval_s: time between recorded frames.
         supersample: camera rays per pixel along each side.
         erp_size: width and height of the panorama of ranges, px.
+        erp_top_deg: elevation of the panorama's upper edge.
+        erp_bottom_deg: elevation of its lower edge.
         seed: another number gives other streets in all splits.
         shard_limit_mib: size at which a new tar shard begins, MiB.
         workers: processes that render; 0 renders in this process, None takes all usable cores.
@@ -80,6 +82,8 @@ class VirtualWorld:
         frame_interval_s: float,
         supersample: int,
         erp_size: Sequence[int],
+        erp_top_deg: float,
+        erp_bottom_deg: float,
         seed: int = 0,
         shard_limit_mib: int = 256,
         workers: int | None = None,
@@ -92,11 +96,14 @@ class VirtualWorld:
         self.frame_interval_s = float(frame_interval_s)
         self.supersample = _at_least("supersample", supersample, 1)
         self.erp_size = tuple(erp_size)
+        self.erp_top_deg = float(erp_top_deg)
+        self.erp_bottom_deg = float(erp_bottom_deg)
         self.seed = _at_least("seed", seed, 0)
         self.shard_limit_bytes = _at_least("shard_limit_mib", shard_limit_mib, 1) * 2**20
         self.workers = usable_cores() if workers is None else _at_least("workers", workers, 0)
-        if not self.themes:
-            raise ValueError("themes is empty: name at least one kind of place")
+        unknown = [theme for theme in self.themes if theme not in THEMES]
+        if unknown or not self.themes:
+            raise ValueError(f"themes are {list(self.themes)}: choose one or more of {', '.join(THEMES)}")
         for split, count in self.num_scenes.items():
             if not 0 <= count < SEEDS_PER_SPLIT:
                 raise ValueError(f"{split}_scenes must be from 0 to {SEEDS_PER_SPLIT - 1}, got {count}")
@@ -112,6 +119,8 @@ class VirtualWorld:
             "frame_interval_s": self.frame_interval_s,
             "supersample": self.supersample,
             "erp_size": list(self.erp_size),
+            "erp_top_deg": self.erp_top_deg,
+            "erp_bottom_deg": self.erp_bottom_deg,
             "shard_limit_bytes": self.shard_limit_bytes,
         }
 
@@ -132,8 +141,6 @@ class VirtualWorld:
 
     def scene(self, plan: ScenePlan) -> Recordable:
         """Build the world of one scene."""
-        from omniocc.world import Scene
-
         return Scene(
             theme=plan.theme,
             seed=plan.seed,
@@ -141,6 +148,8 @@ class VirtualWorld:
             frame_interval_s=self.frame_interval_s,
             supersample=self.supersample,
             erp_size=self.erp_size,
+            erp_top_deg=self.erp_top_deg,
+            erp_bottom_deg=self.erp_bottom_deg,
         )
 
     def missing(self) -> list[ScenePlan]:
