@@ -1,0 +1,66 @@
+import pytest
+import torch
+
+from omniocc.camera import Rig
+from omniocc.geometry import Cuboid, Cylinder
+from omniocc.model import OccupancyModel
+from omniocc.model.backbone import ResNet
+from omniocc.model.lifter import Coloring
+from omniocc.model.refiner import UNet
+from omniocc.model.semantic_head import FCN
+from omniocc.model.sketch import Dense
+from omniocc.model.temporal import NoTemporal
+
+WIDTH, HEIGHT = 64, 36
+
+
+@pytest.fixture(autouse=True)
+def _seed():
+    torch.manual_seed(0)
+
+
+@pytest.fixture(params=["cylinder", "cuboid"])
+def geometry(request):
+    return Cylinder((8, 12, 4)) if request.param == "cylinder" else Cuboid((8, 8, 4))
+
+
+@pytest.fixture(scope="session")
+def fisheye():
+    return Rig.load("fisheye6").resized(WIDTH, HEIGHT)
+
+
+@pytest.fixture(scope="session")
+def pinhole():
+    return Rig.load("pinhole6").resized(WIDTH, HEIGHT)
+
+
+@pytest.fixture
+def images():
+    return torch.randint(0, 256, (2, 1, 6, 3, HEIGHT, WIDTH), dtype=torch.uint8)
+
+
+@pytest.fixture
+def poses():
+    return torch.eye(4, dtype=torch.float64).expand(2, 1, 4, 4)
+
+
+@pytest.fixture
+def make_backbone():
+    return lambda levels=(4,): ResNet("basic", 8, [8, 8, 16, 16], [1, 1, 1, 1], None, 8, list(levels))
+
+
+@pytest.fixture
+def make_model(make_backbone):
+    def make(geometry, sketch=None):
+        return OccupancyModel(
+            make_backbone([4, 8]),
+            geometry,
+            sketch or Dense(geometry),
+            Coloring(geometry, 8, [4, 8], layers=2, heads=2, points=2, feedforward_channels=16),
+            NoTemporal(),
+            UNet(geometry, 8, [8, 8, 16]),
+            FCN(8, 8, 12),
+            num_classes=12,
+        )
+
+    return make

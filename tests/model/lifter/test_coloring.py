@@ -1,0 +1,153 @@
+import math
+
+import pytest
+import torch
+
+from omniocc.geometry import Cuboid, Cylinder
+from omniocc.model.lifter import Coloring
+from omniocc.model.lifter.coloring import group_samples
+from omniocc.model.lifter.position import position_features
+from omniocc.model.lifter.visible import reference_points
+
+GRID = Cylinder((4, 8, 3))
+SIZES = [(9, 16), (5, 8)]
+
+
+def make(geometry=GRID, layers=2, **options):
+    lifter = Coloring(geometry, 8, [4, 8], layers, heads=2, points=2, feedforward_channels=12, **options).double()
+    for layer in lifter.layers:  # away from the special values at which training begins
+        torch.nn.init.normal_(layer.attention.offsets.weight, std=0.2)
+        torch.nn.init.normal_(layer.attention.attention.weight, std=0.2)
+        torch.nn.init.normal_(layer.attention.level_embedding)
+    torch.nn.init.normal_(lifter.empty)
+    return lifter
+
+
+def make_features(batch=2):
+    return [torch.randn(batch, 6, 8, *size, dtype=torch.float64) for size in SIZES]
+
+
+def bilinear(values, u, v):
+    """(h, w, C) at pixel (u, v), zeros outside, by hand."""
+    total = torch.zeros(values.shape[-1], dtype=values.dtype)
+    for row in (math.floor(v), math.floor(v) + 1):
+        for column in (math.floor(u), math.floor(u) + 1):
+            if 0 <= row < values.shape[0] and 0 <= column < values.shape[1]:
+                total += (1 - abs(u - column)) * (1 - abs(v - row)) * values[row, column]
+    return total
+
+
+def attend(attention, query, features, pixels, seen, rig):
+    """One query, one sample: mean over its cameras of the weighted samples of every head, level and point."""
+    heads, levels, points = attention.heads, attention.levels, attention.points
+    offsets = attention.offsets(query).view(heads, levels, 2, points)
+    weights = attention.attention(query).view(heads, levels * points).softmax(-1).view(heads, levels, points)
+    total = torch.zeros(8, dtype=torch.float64)
+    for camera in seen.nonzero().flatten().tolist():
+        u, v = pixels[camera].tolist()
+        for level, maps in enumerate(features):
+            height, width = maps.shape[-2:]
+            values = attention.value(maps[camera].permute(1, 2, 0) + attention.level_embedding[level])
+            column = (u + 0.5) * width / rig.cameras[camera].width - 0.5
+            row = (v + 0.5) * height / rig.cameras[camera].height - 0.5
+            for head in range(heads):
+                part = slice(head * 4, head * 4 + 4)
+                for point in range(points):
+                    du, dv = offsets[head, level, :, point].tolist()
+                    sample = bilinear(values[..., part], column + du, row + dv)
+                    total[part] += weights[head, level, point] * sample
+    return attention.output(total / seen.sum())
+
+
+def color_by_loops(lifter, features, candidates, rig):
+    """The coloring module for one sample, a voxel at a time."""
+    pixels, valid = rig.project(lifter.geometry.centers(torch.float64).reshape(-1, 3))
+    volume = lifter.empty.expand(candidates.numel(), -1).clone()
+    for cell in candidates.flatten().nonzero().flatten().tolist():
+        query = lifter.embedding(lifter.positions[cell])
+        for layer in lifter.layers if valid[:, cell].any() else []:
+            mixed = attend(layer.attention, query, features, pixels[:, cell], valid[:, cell], rig)
+            query = layer.attention_norm(query + mixed)
+            query = layer.feedforward_norm(query + layer.feedforward(query))
+        volume[cell] = query
+    return volume.T.reshape(-1, *lifter.geometry.shape)
+
+
+@torch.no_grad()
+def test_equals_loops_over_voxels_cameras_heads_levels_and_points(fisheye):
+    lifter, features = make(), make_features(batch=1)
+    candidates = torch.rand(1, *GRID.shape) < 0.6
+    expected = color_by_loops(lifter, [level[0] for level in features], candidates[0], fisheye)
+    result = lifter(features, candidates, (fisheye,))
+    # reference points are kept in float32
+    torch.testing.assert_close(result[0], expected, rtol=1e-5, atol=1e-5)
+
+
+@torch.no_grad()
+def test_batch_with_different_rigs_and_candidate_counts_equals_single_samples(fisheye, pinhole):
+    lifter, features = make(), make_features(batch=4)
+    candidates = torch.rand(4, *GRID.shape) < torch.tensor([0.2, 0.9, 0.5, 0.0])[:, None, None, None]
+    candidates[2] = candidates[0]
+    rigs = (fisheye, pinhole, fisheye, pinhole)
+    both = lifter(features, candidates, rigs)
+    for index, rig in enumerate(rigs):
+        alone = lifter([level[index : index + 1] for level in features], candidates[index : index + 1], (rig,))
+        torch.testing.assert_close(both[index], alone[0])
+
+
+def test_samples_are_grouped_by_rig_and_candidates(fisheye, pinhole):
+    marked = torch.tensor([[True, False], [True, True], [True, False], [True, False]])
+    assert group_samples(marked, (fisheye, fisheye, pinhole, fisheye)) == [[0, 3], [1], [2]]
+
+
+@torch.no_grad()
+def test_unseen_voxels_and_non_candidates_ignore_the_images(fisheye):
+    geometry = Cuboid((6, 6, 4), height_m=(-8.0, 30.0))
+    lifter = make(geometry)
+    candidates = torch.rand(1, *geometry.shape) < 0.7
+    valid = reference_points(fisheye, geometry, torch.device("cpu"))[1].any(0).reshape(geometry.shape)
+    first = lifter(make_features(1), candidates, (fisheye,))[0].movedim(0, -1)
+    second = lifter(make_features(1), candidates, (fisheye,))[0].movedim(0, -1)
+    unseen, seen = candidates[0] & ~valid, candidates[0] & valid
+    assert unseen.any()
+    assert seen.any()
+    assert torch.equal(first[unseen], second[unseen])
+    torch.testing.assert_close(first[unseen], lifter.embedding(lifter.positions[unseen.flatten()]))
+    assert (first[seen] != second[seen]).any(-1).all()
+    assert torch.equal(first[~candidates[0]], lifter.empty.expand(int((~candidates).sum()), -1))
+
+
+def test_no_candidates_at_all_still_train(fisheye):
+    lifter = make()
+    lifter(make_features(1), torch.zeros(1, *GRID.shape, dtype=torch.bool), (fisheye,)).sum().backward()
+    assert lifter.empty.grad.abs().sum() > 0
+
+
+def test_cost_grows_with_candidates(fisheye):
+    """The rows that pass through the feed-forward part are the visible candidates, no more."""
+    lifter = make(layers=1)
+    rows = []
+    lifter.layers[0].feedforward.register_forward_pre_hook(lambda _, arguments: rows.append(arguments[0].shape[1]))
+    valid = reference_points(fisheye, GRID, torch.device("cpu"))[1].any(0).reshape(GRID.shape)
+    for share in (0.1, 0.5, 1.0):
+        candidates = torch.rand(1, *GRID.shape) < share
+        lifter(make_features(1), candidates, (fisheye,))
+        assert rows[-1] == int((candidates[0] & valid).sum())
+
+
+def test_positions_do_not_jump_where_the_azimuth_does():
+    features = position_features(Cylinder((2, 720, 2))).reshape(2, 720, 2, -1)
+    steps = (features - features.roll(1, dims=1)).abs().amax(dim=(0, 2, 3))
+    assert steps[0] <= 1.01 * steps[1:].max()
+    assert features.abs().max() <= 1 + 1e-6
+
+
+def test_a_rig_with_other_cameras_than_the_images_is_named(fisheye):
+    features = [level[:, :4] for level in make_features(1)]
+    with pytest.raises(ValueError, match="6 cameras but there are images of 4"):
+        make()(features, torch.ones(1, *GRID.shape, dtype=torch.bool), (fisheye,))
+
+
+def test_heads_must_divide_channels():
+    with pytest.raises(ValueError, match="8 channels cannot be split among 3 heads"):
+        Coloring(GRID, 8, [4], layers=1, heads=3, points=1, feedforward_channels=8)

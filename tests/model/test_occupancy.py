@@ -1,0 +1,128 @@
+import io
+import pickle
+
+import pytest
+import torch
+
+from omniocc.geometry import Cylinder
+from omniocc.model import OccupancyModel
+from omniocc.model.backbone import Backbone
+from omniocc.model.lifter import Coloring, Lifter
+from omniocc.model.refiner import NoRefiner, Refiner, UNet
+from omniocc.model.semantic_head import FCN, NoSemanticHead, SemanticHead
+from omniocc.model.sketch import Dense, Random, Sketch
+from omniocc.model.temporal import NoTemporal, Temporal
+
+
+def loss_of(prediction):
+    return prediction.logits.square().mean() + prediction.pixel_logits.square().mean()
+
+
+def test_shapes_on_both_grids(geometry, make_model, images, poses, fisheye):
+    prediction = make_model(geometry)(images, (fisheye, fisheye), poses)
+    assert prediction.logits.shape == (2, 12, *geometry.shape)
+    assert prediction.pixel_logits.shape == (2, 6, 12, 9, 16)
+    assert torch.isfinite(prediction.logits).all()
+
+
+def test_every_option_keeps_its_slots_contract(make_backbone, make_model, geometry):
+    model = make_model(geometry)
+    options = {
+        Backbone: [make_backbone()],
+        Sketch: [Dense(geometry), Random(geometry)],
+        Lifter: [model.lifter],
+        Temporal: [NoTemporal()],
+        Refiner: [NoRefiner(8), UNet(geometry, 8, [8, 8])],
+        SemanticHead: [FCN(8, 8, 12), NoSemanticHead()],
+    }
+    for slot, modules in options.items():
+        arguments = list(slot.__call__.__annotations__)
+        for module in modules:
+            assert isinstance(module, slot), (slot, module)
+            assert list(type(module).forward.__annotations__) == arguments, (slot, module)
+
+
+def test_gradients_reach_every_parameter_with_a_subset_of_candidates(make_model, geometry, images, poses, fisheye):
+    model = make_model(geometry, Random(geometry, ratio=0.5, seed=1))
+    loss_of(model(images, (fisheye, fisheye), poses)).backward()
+    for name, parameter in model.named_parameters():
+        assert parameter.grad is not None, name
+        assert torch.isfinite(parameter.grad).all(), name
+        assert parameter.grad.abs().sum() > 0, name
+
+
+def test_batch_of_two_rigs_equals_two_batches_of_one(make_model, images, poses, fisheye, pinhole):
+    geometry = Cylinder((8, 12, 4))
+    model = make_model(geometry, Random(geometry, 0.5)).double().eval()
+    images = images.double() / 255
+    both = model(images, (fisheye, pinhole), poses)
+    for index, rig in enumerate((fisheye, pinhole)):
+        alone = model(images[index : index + 1], (rig,), poses[index : index + 1])
+        torch.testing.assert_close(both.logits[index], alone.logits[0])
+        torch.testing.assert_close(both.pixel_logits[index], alone.pixel_logits[0])
+
+
+def test_bytes_and_unit_floats_are_the_same_image(make_model, geometry, images, poses, fisheye):
+    model = make_model(geometry).eval()
+    rigs = (fisheye, fisheye)
+    torch.testing.assert_close(model(images, rigs, poses).logits, model(images.float() / 255, rigs, poses).logits)
+
+
+def test_only_the_frames_the_temporal_slot_wants_are_used(make_model, geometry, images, poses, fisheye):
+    model = make_model(geometry).eval()
+    longer = torch.cat([torch.zeros_like(images), images], dim=1)
+    rigs = (fisheye, fisheye)
+    expected = model(images, rigs, poses).logits
+    torch.testing.assert_close(model(longer, rigs, poses.expand(-1, 2, -1, -1)).logits, expected)
+
+
+class Oldest(torch.nn.Module):
+    frames = 2
+
+    def forward(self, volumes, world_from_ego):
+        assert len(volumes) == world_from_ego.shape[1] == 2
+        assert not volumes[0].requires_grad
+        return volumes[0] + 0 * volumes[1]
+
+
+def test_past_frames_are_lifted_without_gradient_oldest_first(make_model, geometry, images, poses, fisheye):
+    model = make_model(geometry).eval()
+    rigs = (fisheye, fisheye)
+    expected = model(images, rigs, poses).logits
+    model.temporal = Oldest()
+    window = torch.cat([images, torch.zeros_like(images)], dim=1)
+    torch.testing.assert_close(model(window, rigs, poses.expand(-1, 2, -1, -1)).logits, expected)
+
+
+def test_pickle_and_state_dict_round_trip(make_model, images, poses, fisheye):
+    geometry = Cylinder((8, 12, 4))
+    model = make_model(geometry, Random(geometry, 0.3, seed=5)).eval()
+    rigs = (fisheye, fisheye)
+    expected = model(images, rigs, poses).logits
+    copy = pickle.loads(pickle.dumps(model))
+    assert torch.equal(copy(images, rigs, poses).logits, expected)
+    buffer = io.BytesIO()
+    torch.save(model.state_dict(), buffer)
+    buffer.seek(0)
+    torch.manual_seed(9)
+    other = make_model(geometry, Random(geometry, 0.3, seed=6)).eval()
+    assert not torch.equal(other(images, rigs, poses).logits, expected)
+    other.load_state_dict(torch.load(buffer, weights_only=True), strict=True)
+    assert torch.equal(other(images, rigs, poses).logits, expected)
+
+
+@pytest.mark.parametrize("refiner", ["none", "unet"])
+def test_no_semantic_head_predicts_no_pixels(make_backbone, geometry, images, poses, fisheye, refiner):
+    model = OccupancyModel(
+        make_backbone(),
+        geometry,
+        Dense(geometry),
+        Coloring(geometry, 8, [4], layers=1, heads=2, points=1, feedforward_channels=8),
+        NoTemporal(),
+        NoRefiner(8) if refiner == "none" else UNet(geometry, 8, [8, 8]),
+        NoSemanticHead(),
+        num_classes=3,
+    )
+    prediction = model(images, (fisheye, fisheye), poses)
+    assert prediction.pixel_logits is None
+    assert prediction.logits.shape == (2, 3, *geometry.shape)
