@@ -27,7 +27,7 @@ def fill(theme: Theme, site: Site, stock: Stock, rng: np.random.Generator) -> No
         if site.plan.claim(pose, (17.0, 14.0)):
             color = theme.wall_colors[int(rng.integers(len(theme.wall_colors)))]
             site.put(one(rng, blocks), pose, material=Material.FACADE, color=color)
-    woods = [blob(rng, (14, 10, 9), (0, 0, 1), Skin(7, Material.LEAVES, (70, 92, 52)), 0.25, 9, 6) for _ in range(4)]
+    woods = [blob(rng, (15, 11, 9), (0, 0, 1), Skin(6, Material.LEAVES, (70, 92, 52)), 0.25, 8, 4) for _ in range(4)]
     for _ in range(_WOODS):
         color = tree.LEAF_COLORS[int(rng.integers(3))]
         site.put(one(rng, woods), _somewhere(rng, 320, 420), material=Material.LEAVES, color=color)

@@ -38,7 +38,7 @@ def picket_fence(rng: np.random.Generator) -> Mesh:
     height = float(rng.uniform(0.85, 1.3))
     color = ((226, 224, 216), (136, 104, 76), (104, 88, 74))[int(rng.integers(3))]
     wood = Skin(_WALL, Material.WOOD, color)
-    boards = [box((0.13, 0.025, height), (float(x), 0.04, height / 2 + 0.06), wood) for x in np.arange(-0.9, 1.0, 0.2)]
+    boards = [box((0.2, 0.025, height), (float(x), 0.04, height / 2 + 0.06), wood) for x in np.arange(-0.85, 1.0, 0.34)]
     rails = [box((PIECE_M + 0.04, 0.05, 0.08), (0, 0, z * height), wood) for z in (0.3, 0.8)]
     return concatenate([*boards, *rails, box((0.1, 0.1, height + 0.5), (-PIECE_M / 2, 0, height / 2 - 0.2), wood)])
 
@@ -57,7 +57,7 @@ def mesh_fence(rng: np.random.Generator) -> Mesh:
     """Steel posts, rails and thin bars."""
     height = float(rng.uniform(1.6, 2.2))
     steel = Skin(_WALL, Material.METAL, ((70, 96, 80), (120, 124, 126), (52, 56, 60))[int(rng.integers(3))])
-    bars = [box((0.03, 0.02, height - 0.1), (float(x), 0, height / 2), steel) for x in np.arange(-0.9, 1.0, 0.2)]
+    bars = [box((0.04, 0.03, height - 0.1), (float(x), 0, height / 2), steel) for x in np.arange(-0.8, 1.0, 0.4)]
     rails = [box((PIECE_M + 0.02, 0.04, 0.05), (0, 0, z), steel) for z in (0.15, height)]
     return concatenate([*bars, *rails, box((0.08, 0.08, height + 0.5), (-PIECE_M / 2, 0, height / 2 - 0.2), steel)])
 

@@ -46,7 +46,11 @@ def row(rng: np.random.Generator, width: float, depth: float, wall: Color, roof:
     height = STOREY_M * storeys
     face = Skin(_BUILDING, Material.FACADE, wall)
     tiles = Skin(_BUILDING, Material.ROOF, roof)
-    parts = [_plinth(width, depth), _block(width, depth, 0, height, face, tiles), _gable(width, depth, height, float(rng.uniform(2, 3.6)), tiles, face)]
+    parts = [
+        _plinth(width, depth),
+        _block(width, depth, 0, height, face, tiles),
+        _gable(width, depth, height, float(rng.uniform(2, 3.6)), tiles, face),
+    ]
     parts.append(box((width, 0.3, 0.25), (0, -0.05, height - 0.1), _TRIM))
     parts.append(_chimney(rng, width, depth, height))
     lower = _shops(rng, width) if rng.uniform() < 0.5 else _entrance(float(rng.uniform(-0.3, 0.3)) * width)
@@ -61,7 +65,12 @@ def house(rng: np.random.Generator, width: float, depth: float, wall: Color, roo
     body = _gable(width, depth, height, float(rng.uniform(2.0, 3.4)), tiles, face)
     if rng.uniform() < 0.4 and width < 1.3 * depth:
         body = _turned_gable(width, depth, height, float(rng.uniform(2.2, 3.4)), tiles, face)
-    parts = [_plinth(width, depth), _block(width, depth, 0, height, face, tiles), body, _chimney(rng, width, depth, height)]
+    parts = [
+        _plinth(width, depth),
+        _block(width, depth, 0, height, face, tiles),
+        body,
+        _chimney(rng, width, depth, height),
+    ]
     door = float(rng.uniform(-0.25, 0.25)) * width
     parts += _entrance(door)
     parts.append(box((2.2, 1.5, 0.14), (door, -0.7, 2.55), tiles))
@@ -108,7 +117,11 @@ def barn(rng: np.random.Generator, width: float, depth: float, wall: Color, roof
     face = Skin(_BUILDING, Material.WOOD, ((140, 58, 46), (120, 96, 74), (104, 84, 66))[int(rng.integers(3))])
     tiles = Skin(_BUILDING, Material.ROOF, roof)
     gable = _turned_gable if rng.uniform() < 0.6 else _gable
-    gate = box((3.2, 0.1, 3.0), (0, -0.04, 1.5), Skin(_BUILDING, Material.WOOD, (226, 220, 206) if wall[0] > 180 else (84, 62, 48)))
+    gate = box(
+        (3.2, 0.1, 3.0),
+        (0, -0.04, 1.5),
+        Skin(_BUILDING, Material.WOOD, (226, 220, 206) if wall[0] > 180 else (84, 62, 48)),
+    )
     return concatenate([_plinth(width, depth), _block(width, depth, 0, height, face, tiles),
                         gable(width, depth, height, float(rng.uniform(3, 4.5)), tiles, face), gate])  # fmt: skip
 
@@ -133,7 +146,9 @@ def _gable(width: float, depth: float, height: float, rise: float, tiles: Skin, 
 def _turned_gable(width: float, depth: float, height: float, rise: float, tiles: Skin, wall: Skin) -> Mesh:
     """The same with the ridge across, so that a gable looks to the street."""
     roof = _gable(depth, width, height, rise, tiles, wall)
-    turned = roof.vertices[:, [1, 0, 2]] * np.array([-1, 1, 1], np.float32) + np.array([width / 2, depth / 2, 0], np.float32)
+    turned = roof.vertices[:, [1, 0, 2]] * np.array([-1, 1, 1], np.float32) + np.array(
+        [width / 2, depth / 2, 0], np.float32
+    )
     return Mesh(turned, roof.faces, roof.uv, roof.label, roof.material, roof.color, roof.instance)
 
 

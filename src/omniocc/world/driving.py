@@ -74,15 +74,17 @@ def draw_lanes(place: Place, fleet: Fleet, rng: np.random.Generator) -> list[Lan
     return lanes
 
 
-def _lane(place: Place, fleet: Fleet, index: int, from_kerb_m: float, stops: np.ndarray, rng: np.random.Generator) -> Lane:
+def _lane(
+    place: Place, fleet: Fleet, index: int, from_kerb_m: float, stops: np.ndarray, rng: np.random.Generator
+) -> Lane:
     ring, theme = place.network.rings[index], place.theme
-    path = close(street_path(ring, place.terrain, from_kerb_m)[::-1])
-    around = np.concatenate([ring.side[::-1], ring.side[-1:]])
+    points = street_path(ring, place.terrain, from_kerb_m)[::-1]
+    path, around = close(points), ring.side[::-1]
+    reached = np.array([along_at(path, point) for point in points])
     speeds = rng.uniform(*theme.speed_mps, len(ring.sides) + 1)
-    closed = np.concatenate([street_path(ring, place.terrain, from_kerb_m)[::-1], path.points_m[:1]])
-    reached = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
-    free = speeds[around[np.searchsorted(reached, path.along_m, side="right").clip(1, len(around)) - 1]]
-    ends = [reached[np.flatnonzero(around[:-1] == k).max()] - _STOP_LINE_M for k in range(len(ring.sides))]
+    even = np.linspace(0, path.length_m, int(path.length_m) + 1)
+    free = speeds[around[np.searchsorted(reached, even, side="right").clip(1) - 1]]
+    ends = [reached[np.flatnonzero(around == k).max()] - _STOP_LINE_M for k in range(len(ring.sides))]
     table = timetable(path, free, np.array(ends)[stops], float(rng.uniform(1.5, 2.5)), CYCLE_S)
     delay, kind = _platoon(theme.car_headway_s, fleet, table, rng)
     rounds = round(table.period_s / CYCLE_S)
@@ -93,7 +95,14 @@ def _lane(place: Place, fleet: Fleet, index: int, from_kerb_m: float, stops: np.
     return Lane(index, from_kerb_m, path, table, every_delay[there], every_kind[there], delay, kind)
 
 
-def _platoon(headway_s: float, fleet: Fleet, table: Timetable, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def along_at(path: Path, point: np.ndarray) -> float:
+    """Arc length of the path's point nearest to a point (2,) or (3,), seen from above."""
+    return float(path.along_m[np.argmin(((path.points_m[:-1, :2] - point[:2]) ** 2).sum(1))])
+
+
+def _platoon(
+    headway_s: float, fleet: Fleet, table: Timetable, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
     """Delays and kinds of the cars of one cycle: close behind one another, but never closer than their lengths allow."""
     tried = np.arange(1.5, CYCLE_S / 2, 0.5)
     gap = table.least_gap_m(tried)
@@ -126,5 +135,7 @@ def passing(lane: Lane, fleet: Fleet, along_m: float, reach_m: float, time_s: np
     """(T,) whether at these times of the cycle any car of the lane may be within `reach_m` of a point of its path."""
     rounds = CYCLE_S * np.arange(round(lane.timetable.period_s / CYCLE_S))
     when = time_s[:, None, None] + lane.cycle_delay_s[:, None] + rounds
-    away = np.mod(lane.timetable.at(when) - along_m + lane.path.length_m / 2, lane.path.length_m) - lane.path.length_m / 2
+    away = (
+        np.mod(lane.timetable.at(when) - along_m + lane.path.length_m / 2, lane.path.length_m) - lane.path.length_m / 2
+    )
     return (np.abs(away) < reach_m + 0.5 * fleet.size_m[lane.cycle_kind, 0][:, None]).any((1, 2))

@@ -42,7 +42,10 @@ def _half_street(
     patches += [_rectangles(dashes, theme.parking_m + k * theme.lane_width_m) for k in range(1, edge.lanes)]
     patches.append(_rectangles(solid, width - 0.25) if edge.lanes > 1 else _rectangles(dashes, width, one_sided=True))
     patches.append(_strip(stop, stop + 0.45, theme.parking_m, width - 0.12))
-    for zebra, low, high in ((at_start, first + CROSSING_M[0], first + CROSSING_M[1]), (at_end, last - CROSSING_M[1], last - CROSSING_M[0])):
+    for zebra, low, high in (
+        (at_start, first + CROSSING_M[0], first + CROSSING_M[1]),
+        (at_end, last - CROSSING_M[1], last - CROSSING_M[0]),
+    ):
         if zebra:
             patches += [_strip(low, high, d, d + 0.5) for d in np.arange(0.45, width - 0.3, 1.0)]
     if edge.lanes > 1:

@@ -76,7 +76,9 @@ def with_instance(mesh: Mesh, instance: int) -> Mesh:
     return replace(mesh, instance=np.full(len(mesh), instance, np.int32))
 
 
-def instances(mesh: Mesh, a_from_b: np.ndarray, material: Material | None = None, color: np.ndarray | None = None) -> Mesh:
+def instances(
+    mesh: Mesh, a_from_b: np.ndarray, material: Material | None = None, color: np.ndarray | None = None
+) -> Mesh:
     """Copies of one mesh.
 
     Args:

@@ -130,7 +130,8 @@ def center_line(junctions_m: np.ndarray, edge: Edge, along_m: np.ndarray) -> tup
 def _rings(junctions: np.ndarray, edges: tuple[Edge, ...], radius_m: float) -> tuple[Ring, ...]:
     faces = _faces(junctions, edges)
     corners = [
-        [_corner(junctions, edges, face[k], face[(k + 1) % len(face)], radius_m) for k in range(len(face))] for face in faces
+        [_corner(junctions, edges, face[k], face[(k + 1) % len(face)], radius_m) for k in range(len(face))]
+        for face in faces
     ]
     trim: dict[tuple[int, bool], float] = {}  # (edge, at its end?) -> distance from the junction where corners begin
     for face, arcs in zip(faces, corners, strict=True):
@@ -202,7 +203,9 @@ def _corner(
     return _Corner(center - np.sign(turn) * radius_m * normal, normal, max(before, 0.0), max(after_m, 0.0), node)
 
 
-def _arrival(junctions: np.ndarray, edges: tuple[Edge, ...], index: int, forward: bool) -> tuple[np.ndarray, float, int]:
+def _arrival(
+    junctions: np.ndarray, edges: tuple[Edge, ...], index: int, forward: bool
+) -> tuple[np.ndarray, float, int]:
     """Direction of a half-edge, its half width, and the junction it runs to."""
     edge = edges[index]
     start, end = (edge.start, edge.end) if forward else (edge.end, edge.start)

@@ -8,7 +8,7 @@ from omniocc.world.shape import Color, Skin, beam, blob, lathe
 
 _PEDESTRIAN = 10
 PHASES = 10
-SIZE_M = (0.9, 0.6, 1.75)
+SIZE_M = (1.0, 0.6, 1.75)
 STRIDE_M = 1.5  # two steps: one turn of the loop of poses
 _CLOTHES: tuple[Color, ...] = (
     (168, 52, 44), (44, 62, 104), (60, 60, 64), (214, 206, 190), (92, 116, 84), (198, 158, 66), (120, 70, 110), (70, 128, 150),
@@ -32,10 +32,12 @@ def walking(rng: np.random.Generator) -> list[Mesh]:
         blob(rng, (0.105, 0.1, 0.085), (-0.02, 0, 0.965 * height), hair, 0.05, sides=8, rows=5),
     ]  # fmt: skip
     if rng.uniform() < 0.3:
-        still.append(blob(rng, (0.12, 0.16, 0.22), (-0.22, 0, 0.7 * height), Skin(_PEDESTRIAN, Material.CLOTH, legs), 0.05))
+        still.append(
+            blob(rng, (0.12, 0.16, 0.22), (-0.22, 0, 0.7 * height), Skin(_PEDESTRIAN, Material.CLOTH, legs), 0.05)
+        )
     poses = []
     for phase in range(PHASES):
-        swing = 0.5 * np.sin(2 * np.pi * phase / PHASES)
+        swing = 0.45 * np.sin(2 * np.pi * phase / PHASES)
         limbs = [part for side in (-1, 1) for part in _limbs(side, side * swing, height, wide, coat, trousers, skin)]
         poses.append(concatenate(still + limbs))
     return poses

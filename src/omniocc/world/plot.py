@@ -55,7 +55,9 @@ class Plot:
     def car(self, x_m: float, y_m: float, yaw_rad: float) -> None:
         """Parks a car."""
         color = vehicle.PAINTS[int(self.rng.integers(len(vehicle.PAINTS)))]
-        self.site.put(one(self.rng, self.stock.cars), self.front.at(x_m, y_m, yaw_rad), material=Material.CAR_PAINT, color=color)
+        self.site.put(
+            one(self.rng, self.stock.cars), self.front.at(x_m, y_m, yaw_rad), material=Material.CAR_PAINT, color=color
+        )
 
     def colors(self) -> tuple[Color, Color]:
         """A wall's and a roof's."""
@@ -100,7 +102,10 @@ def _boundary(plot: Plot, gate: tuple[float, float]) -> None:
 def _house(plot: Plot) -> None:
     rng, half = plot.rng, plot.width_m / 2
     back = float(rng.uniform(*plot.theme.setback_m))
-    wide, deep = min(float(rng.uniform(8, 12.5)), plot.width_m - 5.5), min(float(rng.uniform(7.5, 10.5)), plot.depth_m - back - 1)
+    wide, deep = (
+        min(float(rng.uniform(8, 12.5)), plot.width_m - 5.5),
+        min(float(rng.uniform(7.5, 10.5)), plot.depth_m - back - 1),
+    )
     wall, roof = plot.colors()
     side = -1.0 if rng.uniform() < 0.5 else 1.0
     drive = side * (half - 2.2)
@@ -113,8 +118,12 @@ def _house(plot: Plot) -> None:
     _boundary(plot, (drive - 1.8, drive + 1.8))
     if rng.uniform() < 0.5 and back > 5.6:
         plot.car(drive, back - 2.6, (-1 if rng.uniform() < 0.5 else 1) * np.pi / 2)
-    for _ in range(int(rng.integers(1, 4))):
-        plot.tree(-side * float(rng.uniform(-0.2, 0.9)) * (half - 1), float(rng.uniform(1.8, back - 1.9)), {**plot.theme.trees, "bush": 5})
+    for _ in range(int(rng.integers(1, 3))):
+        plot.tree(
+            -side * float(rng.uniform(-0.2, 0.9)) * (half - 1),
+            float(rng.uniform(1.8, back - 1.9)),
+            {**plot.theme.trees, "bush": 5},
+        )
     if plot.depth_m > back + deep + 4:
         plot.tree(float(rng.uniform(-0.6, 0.6)) * half, plot.depth_m - 2)
 
@@ -162,16 +171,18 @@ def _park(plot: Plot) -> None:
         for y in np.arange(2.5, plot.depth_m - 1.5, 5.5):
             if rng.uniform() < 0.75:
                 plot.tree(float(x + rng.uniform(-1, 1)), float(y + rng.uniform(-1, 1)), {**plot.theme.trees, "bush": 2})
-    plot.line(plot.stock.hedges if rng.uniform() < 0.5 else plot.stock.barriers["mesh"], (-half, 0.4), (0.3 * half, 0.4))
+    plot.line(
+        plot.stock.hedges if rng.uniform() < 0.5 else plot.stock.barriers["mesh"], (-half, 0.4), (0.3 * half, 0.4)
+    )
     plot.stand(one(rng, plot.stock.park_lamps), 0.5 * half, 0.7)
 
 
 def _lot(plot: Plot) -> None:
     """Parking lot: a row of cars nose to the street, one further back."""
     rng, half = plot.rng, plot.width_m / 2
-    for y in np.arange(4.2, plot.depth_m - 3, 7.5)[:2]:
+    for y in np.arange(4.2, plot.depth_m - 3, 7.5)[: int(rng.integers(1, 3))]:
         for x in np.arange(-half + 1.6, half - 1.2, 2.7):
-            if rng.uniform() < 0.65:
+            if rng.uniform() < 0.5:
                 plot.car(float(x), float(y), (-1 if rng.uniform() < 0.5 else 1) * np.pi / 2)
     kind = "guard" if rng.uniform() < 0.4 else "mesh"
     plot.line(plot.stock.barriers[kind], (-half, 0.4), (half - 5, 0.4))
@@ -184,13 +195,21 @@ def _field(plot: Plot) -> None:
     for _ in range(int(rng.integers(2, 6))):
         plot.tree(float(rng.uniform(-0.9, 0.9)) * half, float(rng.uniform(3, plot.depth_m - 2)))
     for _ in range(int(rng.integers(0, 4))):
-        plot.stand(one(rng, plot.stock.props["bales"]), float(rng.uniform(-0.8, 0.8)) * half, float(rng.uniform(3, plot.depth_m - 2)), float(rng.uniform(0, 3)))
+        plot.stand(
+            one(rng, plot.stock.props["bales"]),
+            float(rng.uniform(-0.8, 0.8)) * half,
+            float(rng.uniform(3, plot.depth_m - 2)),
+            float(rng.uniform(0, 3)),
+        )
 
 
 def _farm(plot: Plot) -> None:
     rng = plot.rng
     back = float(rng.uniform(*plot.theme.setback_m))
-    wide, deep = min(plot.width_m - 4, float(rng.uniform(11, 18))), min(plot.depth_m - back - 1, float(rng.uniform(8, 12)))
+    wide, deep = (
+        min(plot.width_m - 4, float(rng.uniform(11, 18))),
+        min(plot.depth_m - back - 1, float(rng.uniform(8, 12))),
+    )
     plot.stand(building.barn(rng, wide, deep, *plot.colors()), 0, back)
     plot.line(plot.stock.barriers["rail"], (-plot.width_m / 2, 0.6), (-3, 0.6))
     plot.line(plot.stock.barriers["brick"], (3, 0.6), (plot.width_m / 2, 0.6))

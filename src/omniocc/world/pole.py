@@ -33,7 +33,10 @@ def park_lamp(rng: np.random.Generator) -> Mesh:
 def sign(rng: np.random.Generator) -> Mesh:
     """A traffic sign facing +x: disc, triangle, square or a name board."""
     height, color = float(rng.uniform(2.2, 2.7)), SIGN_COLORS[int(rng.integers(len(SIGN_COLORS)))]
-    face, post = Skin(_POLE, Material.SIGN, color), lathe([0.04, 0.04, 0], [-0.3, height + 0.35, height + 0.35], 6, _STEEL)
+    face, post = (
+        Skin(_POLE, Material.SIGN, color),
+        lathe([0.04, 0.04, 0], [-0.3, height + 0.35, height + 0.35], 6, _STEEL),
+    )
     sides = int(rng.choice([3, 4, 12]))
     angle = np.linspace(0, 2 * np.pi, sides, endpoint=False) + np.pi / 2 + (np.pi / 4 if sides == 4 else 0)
     rim = 0.36 * np.stack([np.cos(angle), np.sin(angle)], 1)
@@ -70,5 +73,9 @@ def utility_pole(rng: np.random.Generator) -> Mesh:
     wood = Skin(_POLE, Material.WOOD, (112, 88, 66))
     parts = [lathe([0.15, 0.11, 0], [-0.4, height, height], 7, wood)]
     parts += [box((0.1, 1.8, 0.12), (0, 0, z), wood) for z in (height - 0.4, height - 1.0)]
-    parts += [lathe([0.04, 0.05, 0], [z + 0.06, z + 0.2, z + 0.22], 5, _DARK, (0, y)) for z in (height - 0.4, height - 1.0) for y in (-0.8, 0.8)]
+    parts += [
+        lathe([0.04, 0.05, 0], [z + 0.06, z + 0.2, z + 0.22], 5, _DARK, (0, y))
+        for z in (height - 0.4, height - 1.0)
+        for y in (-0.8, 0.8)
+    ]
     return concatenate(parts)

@@ -76,7 +76,9 @@ def cabinet(rng: np.random.Generator) -> Mesh:
     if kind == 1:
         skin = _skin(rng, Material.METAL)
         return concatenate([box((0.5, 0.42, 0.75), (0, 0, 0.95), skin), box((0.34, 0.3, 0.65), (0, 0, 0.28), _STEEL)])
-    return concatenate([lathe([0.05, 0.05], [-0.1, 1.1], 6, _STEEL), box((0.26, 0.2, 0.4), (0, 0, 1.25), _skin(rng, Material.METAL))])
+    return concatenate(
+        [lathe([0.05, 0.05], [-0.1, 1.1], 6, _STEEL), box((0.26, 0.2, 0.4), (0, 0, 1.25), _skin(rng, Material.METAL))]
+    )
 
 
 def bollards(rng: np.random.Generator) -> Mesh:
@@ -121,7 +123,9 @@ def bales(rng: np.random.Generator) -> Mesh:
 
 def post_box(rng: np.random.Generator) -> Mesh:
     """Letter box on a post."""
-    return concatenate([box((0.1, 0.1, 1.1), (0, 0, 0.5), _WOOD), box((0.24, 0.5, 0.26), (0, 0.05, 1.15), _skin(rng, Material.METAL))])
+    return concatenate(
+        [box((0.1, 0.1, 1.1), (0, 0, 0.5), _WOOD), box((0.24, 0.5, 0.26), (0, 0.05, 1.15), _skin(rng, Material.METAL))]
+    )
 
 
 class Kind(NamedTuple):

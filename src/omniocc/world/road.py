@@ -66,7 +66,9 @@ def _edge(theme: Theme, terrain: Terrain, ring: Ring, kerb: np.ndarray, paved: b
     if paved:
         shade = int(rng.integers(120, 172))
         stone = Skin(_SIDEWALK, Material.CONCRETE, (170, 168, 162))
-        walk = Skin(_SIDEWALK, Material.PAVING, (shade, shade - int(rng.integers(0, 12)), shade - int(rng.integers(4, 22))))
+        walk = Skin(
+            _SIDEWALK, Material.PAVING, (shade, shade - int(rng.integers(0, 12)), shade - int(rng.integers(4, 22)))
+        )
     else:
         stone = walk = Skin(_GROUND, Material.GRASS, (96, 116, 60))
     return concatenate([sheet(closed, face_uv, stone), _surface(rows[:2], stone), _surface(rows[1:], walk)])

@@ -45,7 +45,9 @@ def quads(corners_m: np.ndarray, uv_m: np.ndarray, skin: Skin) -> Mesh:
 _BOX_FACES = np.array([[0, 1, 5, 4], [1, 3, 7, 5], [3, 2, 6, 7], [2, 0, 4, 6], [4, 5, 7, 6], [2, 3, 1, 0]])
 
 
-def box(size_m: tuple[float, float, float], center_m: tuple[float, float, float], skin: Skin, top: Skin | None = None) -> Mesh:
+def box(
+    size_m: tuple[float, float, float], center_m: tuple[float, float, float], skin: Skin, top: Skin | None = None
+) -> Mesh:
     """A cuboid. Side faces have u along the wall and v = height above the frame's z = 0; `top` skins its upper face."""
     signs = np.array([[x, y, z] for z in (-0.5, 0.5) for y in (-0.5, 0.5) for x in (-0.5, 0.5)])
     corners = (signs * size_m + center_m)[_BOX_FACES]
@@ -127,7 +129,9 @@ def blob(
     scale[:, -1] = scale[:, 0]
     scale[[0, -1]] = 1
     twist = angle + np.pi / sides * (np.arange(rows)[:, None] % 2)
-    unit = np.stack(np.broadcast_arrays(np.cos(polar) * np.cos(twist), np.cos(polar) * np.sin(twist), np.sin(polar)), -1)
+    unit = np.stack(
+        np.broadcast_arrays(np.cos(polar) * np.cos(twist), np.cos(polar) * np.sin(twist), np.sin(polar)), -1
+    )
     points = unit * scale[..., None] * radius_m + center_m
     uv = np.stack(np.broadcast_arrays(angle * radius_m[0], polar * radius_m[2]), -1)
     return sheet(points, uv, skin)
@@ -149,7 +153,9 @@ def loft(profile_m: np.ndarray, half_width_m: np.ndarray, across: list[Skin], si
         j = (i + 1) % len(across)
         length = float(np.hypot(*(profile_m[j] - profile_m[i])))
         corners = np.stack([right[i], right[j], left[j], left[i]])[None, ::-1]
-        uv = np.array([[half_width_m[i], 0], [half_width_m[j], length], [-half_width_m[j], length], [-half_width_m[i], 0]])
+        uv = np.array(
+            [[half_width_m[i], 0], [half_width_m[j], length], [-half_width_m[j], length], [-half_width_m[i], 0]]
+        )
         meshes.append(quads(corners, uv[None, ::-1], skin))
     for rim in (right, left[::-1]):
         corners = np.stack([np.broadcast_to(rim.mean(0), rim.shape), rim, np.roll(rim, -1, 0)], 1)

@@ -44,7 +44,9 @@ class _Line:
 
     def at(self, along_m: float, into_block_m: float, yaw_rad: float = 0.0) -> Pose2:
         s, xy = self.side.along_m, self.side.kerb_m
-        a, b = (np.array([np.interp(along_m + d, s, xy[:, 0]), np.interp(along_m + d, s, xy[:, 1])]) for d in (-0.5, 0.5))
+        a, b = (
+            np.array([np.interp(along_m + d, s, xy[:, 0]), np.interp(along_m + d, s, xy[:, 1])]) for d in (-0.5, 0.5)
+        )
         x, y = (a + b) / 2
         return Pose2(float(x), float(y), float(np.arctan2(b[1] - a[1], b[0] - a[0]))).at(0, into_block_m, yaw_rad)
 
@@ -78,7 +80,9 @@ def _walk(rng: np.random.Generator, first: float, last: float, gap_m: float) -> 
         s += gap_m * rng.uniform(0.75, 1.25)
 
 
-def _furniture(theme: Theme, line: _Line, first: float, last: float, site: Site, stock: Stock, rng: np.random.Generator) -> None:
+def _furniture(
+    theme: Theme, line: _Line, first: float, last: float, site: Site, stock: Stock, rng: np.random.Generator
+) -> None:
     taken = np.zeros(int((last - first) / 0.25) + 1, bool)
 
     def free(s: float, length_m: float) -> bool:
@@ -96,38 +100,54 @@ def _furniture(theme: Theme, line: _Line, first: float, last: float, site: Site,
     for s in _walk(rng, first, last, theme.tree_gap_m):
         if free(s, 1.6):
             color = tree.LEAF_COLORS[int(rng.integers(len(tree.LEAF_COLORS)))]
-            site.put(one(rng, stock.trees[pick(rng, kinds)]), line.at(s, 0.6, float(rng.uniform(0, 6))), material=Material.LEAVES, color=color)
+            site.put(
+                one(rng, stock.trees[pick(rng, kinds)]),
+                line.at(s, 0.6, float(rng.uniform(0, 6))),
+                material=Material.LEAVES,
+                color=color,
+            )
     for s in _walk(rng, first, last, theme.prop_gap_m):
         kind = pick(rng, theme.props)
         length, across = prop.KINDS[kind].size_m
-        if across > strip:
+        if across > strip - 0.1:
             pose = line.at(s, theme.sidewalk_m + 0.5 + across / 2, np.pi)
             if site.plan.claim(pose, (length + 0.3, across + 0.1)):
                 site.put(one(rng, stock.props[kind]), pose)
         elif free(s, length + 0.4):
-            site.put(one(rng, stock.props[kind]), line.at(s, 0.12 + strip / 2, np.pi))
+            site.put(one(rng, stock.props[kind]), line.at(s, 0.1 + across / 2, np.pi))
     for s in _walk(rng, first, last, 34.0):
         if free(s, 0.8):
             site.put(one(rng, stock.signs), line.at(s, 0.5))
 
 
-def _verge(theme: Theme, line: _Line, first: float, last: float, site: Site, stock: Stock, rng: np.random.Generator) -> None:
+def _verge(
+    theme: Theme, line: _Line, first: float, last: float, site: Site, stock: Stock, rng: np.random.Generator
+) -> None:
     """Delineator signs and trees on the grass beside the street."""
     for k, s in enumerate(_walk(rng, first + 4, last - 4, theme.tree_gap_m)):
         if k % 3 == 2:
             site.put(one(rng, stock.signs), line.at(s, 0.7))
         else:
             color = tree.LEAF_COLORS[int(rng.integers(len(tree.LEAF_COLORS)))]
-            site.put(one(rng, stock.trees["round" if k % 3 else "young"]), line.at(s, 1.1), material=Material.LEAVES, color=color)
+            site.put(
+                one(rng, stock.trees["round" if k % 3 else "young"]),
+                line.at(s, 1.1),
+                material=Material.LEAVES,
+                color=color,
+            )
 
 
-def _corner_poles(network: Network, line: _Line, along_m: float, site: Site, stock: Stock, rng: np.random.Generator) -> None:
+def _corner_poles(
+    network: Network, line: _Line, along_m: float, site: Site, stock: Stock, rng: np.random.Generator
+) -> None:
     """A traffic light (or a sign) where the cars of this side leave it, looking at them."""
     busy = network.edges[line.side.edge].lanes > 1
     site.put(one(rng, stock.lights if busy else stock.signs), line.at(along_m + 0.6, 0.55))
 
 
-def _parked(theme: Theme, line: _Line, first: float, last: float, site: Site, stock: Stock, rng: np.random.Generator) -> None:
+def _parked(
+    theme: Theme, line: _Line, first: float, last: float, site: Site, stock: Stock, rng: np.random.Generator
+) -> None:
     if not np.isfinite(theme.parked_gap_m):
         return
     end = first

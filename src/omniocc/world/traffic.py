@@ -118,14 +118,18 @@ class Traffic:
             found.append(self._person(number + k, point, heading, velocity, pace_m))
         return found
 
-    def _person(self, number: int, point: np.ndarray, heading: np.ndarray, velocity: np.ndarray, pace_m: float) -> tuple[Mesh, Actor]:
+    def _person(
+        self, number: int, point: np.ndarray, heading: np.ndarray, velocity: np.ndarray, pace_m: float
+    ) -> tuple[Mesh, Actor]:
         poses = self._people[number % _PEOPLE]
         mesh = poses[int(pace_m / person.STRIDE_M * person.PHASES) % person.PHASES]
         upright = _upright(point, float(np.arctan2(heading[1], heading[0])))
         return self._actor(mesh, number, _PEDESTRIAN, upright, np.array(person.SIZE_M), velocity)
 
     @staticmethod
-    def _actor(mesh: Mesh, number: int, label: int, pose: np.ndarray, size: np.ndarray, velocity: np.ndarray) -> tuple[Mesh, Actor]:
+    def _actor(
+        mesh: Mesh, number: int, label: int, pose: np.ndarray, size: np.ndarray, velocity: np.ndarray
+    ) -> tuple[Mesh, Actor]:
         size_m = (float(size[0]), float(size[1]), float(size[2]))
         actor = Actor(number, label, pose, size_m, (float(velocity[0]), float(velocity[1])))
         return with_instance(transform(mesh, pose), number), actor
@@ -164,4 +168,6 @@ def _tilt(roll_rad: float, pitch_rad: float) -> np.ndarray:
 def _shake(time_s: float, draws: np.ndarray) -> float:
     """A smooth function of time with unit variance: three sines of 0.1 to 1 Hz; `draws` (3, 2) in [0, 1] set frequency and phase."""
     frequency_hz = np.array([0.12, 0.35, 0.8]) * (0.8 + 0.4 * draws[:, 0])
-    return float((np.sqrt(2) * np.array([0.75, 0.55, 0.37]) * np.sin(2 * np.pi * (frequency_hz * time_s + draws[:, 1]))).sum())
+    return float(
+        (np.sqrt(2) * np.array([0.75, 0.55, 0.37]) * np.sin(2 * np.pi * (frequency_hz * time_s + draws[:, 1]))).sum()
+    )

@@ -8,11 +8,18 @@ from omniocc.world.material import Material
 from omniocc.world.mesh import Mesh, concatenate
 from omniocc.world.shape import Color, Skin, beam, blob, box, lathe
 
-_VEGETATION = 7
+_VEGETATION = 6
 _LEAVES = Skin(_VEGETATION, Material.LEAVES, (80, 112, 52))
 _BARK = Skin(_VEGETATION, Material.BARK, (94, 76, 58))
 _BIRCH = Skin(_VEGETATION, Material.BARK, (198, 194, 184))
-LEAF_COLORS: tuple[Color, ...] = ((72, 104, 46), (92, 120, 52), (60, 92, 50), (110, 126, 58), (84, 104, 66), (134, 128, 56))
+LEAF_COLORS: tuple[Color, ...] = (
+    (72, 104, 46),
+    (92, 120, 52),
+    (60, 92, 50),
+    (110, 126, 58),
+    (84, 104, 66),
+    (134, 128, 56),
+)
 
 
 def round_tree(rng: np.random.Generator) -> Mesh:
@@ -20,11 +27,15 @@ def round_tree(rng: np.random.Generator) -> Mesh:
     height, crown = rng.uniform(6.5, 10), rng.uniform(1.5, 2.3)
     stem = rng.uniform(2.3, 3.2)
     parts = [lathe([0.24, 0.17, 0.13], [-0.3, 0.5, stem + 0.8], 6, _BARK)]
-    for k in range(int(rng.integers(3, 6))):
+    for k in range(int(rng.integers(2, 5))):
         angle, out = k * 2.4 + rng.uniform(0, 1), crown * rng.uniform(0.3, 0.55)
-        center = (float(out * np.cos(angle)), float(out * np.sin(angle)), float(rng.uniform(stem + 0.75 * crown, height - 0.6 * crown)))
+        center = (
+            float(out * np.cos(angle)),
+            float(out * np.sin(angle)),
+            float(rng.uniform(stem + 0.75 * crown, height - 0.6 * crown)),
+        )
         size = crown * rng.uniform(0.55, 0.8)
-        parts.append(blob(rng, (size, size, 0.85 * size), center, _LEAVES, 0.22))
+        parts.append(blob(rng, (size, size, 0.85 * size), center, _LEAVES, 0.22, sides=6))
         parts.append(beam((0, 0, stem), center, 0.07, _BARK))
     parts.append(blob(rng, (crown * 0.75, crown * 0.75, crown * 0.8), (0, 0, height - 0.8 * crown), _LEAVES, 0.22))
     return concatenate(parts)
@@ -34,7 +45,7 @@ def tall_tree(rng: np.random.Generator) -> Mesh:
     """Slender upright crown, as of poplars."""
     height, crown = rng.uniform(8, 13), rng.uniform(1.0, 1.6)
     stem = rng.uniform(2.2, 2.8)
-    body = blob(rng, (crown, crown, (height - stem) / 2), (0, 0, (height + stem) / 2), _LEAVES, 0.2, sides=8, rows=8)
+    body = blob(rng, (crown, crown, (height - stem) / 2), (0, 0, (height + stem) / 2), _LEAVES, 0.2, sides=7, rows=6)
     return concatenate([lathe([0.22, 0.15], [-0.3, stem + 1], 6, _BARK), body])
 
 
@@ -47,7 +58,7 @@ def conifer(rng: np.random.Generator) -> Mesh:
         low = 1.0 + (height - 1.5) * k / tiers
         wide = skirt * (1 - 0.8 * k / tiers)
         tip = min(low + 1.9 * (height - 1) / tiers, height)
-        parts.append(lathe([0.25, wide, 0.45 * wide, 0], [low + 0.3, low, low + 0.35 * (tip - low), tip], 9, _LEAVES))
+        parts.append(lathe([0.25, wide, 0.45 * wide, 0], [low + 0.3, low, low + 0.35 * (tip - low), tip], 7, _LEAVES))
     return concatenate(parts)
 
 
@@ -55,9 +66,13 @@ def birch(rng: np.random.Generator) -> Mesh:
     """Pale stem, sparse light crown."""
     height = rng.uniform(6, 10)
     parts = [lathe([0.14, 0.1, 0.03], [-0.3, 0.4 * height, 0.95 * height], 6, _BIRCH)]
-    for k in range(5):
+    for k in range(4):
         angle, size = 2.4 * k + rng.uniform(0, 1), rng.uniform(0.7, 1.15)
-        center = (float(0.7 * np.cos(angle)), float(0.7 * np.sin(angle)), float(max(height * (0.45 + 0.11 * k), 2.2 + 1.4 * size)))
+        center = (
+            float(0.7 * np.cos(angle)),
+            float(0.7 * np.sin(angle)),
+            float(max(height * (0.45 + 0.14 * k), 2.2 + 1.4 * size)),
+        )
         parts.append(blob(rng, (size, size, 1.25 * size), center, _LEAVES, 0.28, sides=6, rows=5))
     return concatenate(parts)
 
@@ -77,7 +92,7 @@ def bush(rng: np.random.Generator) -> Mesh:
     for _ in range(int(rng.integers(2, 4))):
         size = rng.uniform(0.4, 0.8)
         center = (float(rng.uniform(-0.5, 0.5)), float(rng.uniform(-0.5, 0.5)), 0.55 * float(size))
-        parts.append(blob(rng, (size, size, 0.9 * size), center, _LEAVES, 0.25, sides=6, rows=5))
+        parts.append(blob(rng, (size, size, 0.9 * size), center, _LEAVES, 0.25, sides=6, rows=4))
     return concatenate(parts)
 
 
@@ -86,7 +101,7 @@ def hedge(rng: np.random.Generator, length_m: float = 2.0) -> Mesh:
     height, width = rng.uniform(1.0, 1.7), rng.uniform(0.6, 0.8)
     return concatenate([
         box((length_m + 0.05, width, height + 0.3), (0, 0, height / 2 - 0.15), _LEAVES),
-        blob(rng, (0.55 * length_m, 0.42 * width, 0.16), (0, 0, height), _LEAVES, 0.3, sides=8, rows=5),
+        blob(rng, (0.55 * length_m, 0.42 * width, 0.16), (0, 0, height), _LEAVES, 0.3, sides=6, rows=4),
     ])  # fmt: skip
 
 

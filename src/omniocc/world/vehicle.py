@@ -6,7 +6,7 @@ import numpy as np
 
 from omniocc.world.material import Material
 from omniocc.world.mesh import Mesh, concatenate, transform
-from omniocc.world.shape import Color, Skin, beam, blob, box, lathe, loft
+from omniocc.world.shape import Color, Skin, beam, blob, box, lathe, loft, quads
 
 _VEHICLE = 7
 EGO_ROAD_M = -2.2  # height of the road in the ego frame
@@ -28,7 +28,7 @@ def _wheel(x_m: float, y_m: float, radius_m: float) -> Mesh:
     """A wheel around the y axis, its disc on the outer side."""
     flat = concatenate([
         lathe([radius_m, radius_m, 0.6 * radius_m], [-0.11, 0.1, 0.115], 12, _RUBBER),
-        lathe([0.6 * radius_m, 0.55 * radius_m, 0], [0.11, 0.1, 0.125], 8, _RIM),
+        lathe([0.62 * radius_m, 0], [0.117, 0.125], 6, _RIM),
     ])  # fmt: skip
     side = 1.0 if y_m > 0 else -1.0
     turn = np.array([[1.0, 0, 0, x_m], [0, 0, side, y_m], [0, -side, 0, radius_m], [0, 0, 0, 1]])
@@ -40,12 +40,20 @@ def _lights(length_m: float, width_m: float, z_m: float, tail_z_m: float) -> lis
     for side in (-1, 1):
         parts.append(box((0.1, 0.34, 0.14), (length_m / 2 - 0.05, side * (width_m / 2 - 0.3), z_m), _HEADLIGHT))
         parts.append(box((0.08, 0.24, 0.22), (-length_m / 2 + 0.03, side * (width_m / 2 - 0.2), tail_z_m), _TAIL_LIGHT))
-    parts += [box((0.03, 0.5, 0.11), (end * length_m / 2, 0, 0.48), _PLATE) for end in (-1, 1)]
+    y, z = 0.25 * np.array([-1, 1, 1, -1]), 0.48 + 0.055 * np.array([-1, -1, 1, 1])
+    for end in (-1, 1):
+        face = np.stack([np.full(4, end * (length_m / 2 + 0.01)), end * y, z], 1)
+        parts.append(quads(face[None], face[None, :, 1:], _PLATE))
     return parts
 
 
 def _car(
-    length: float, width: float, height: float, hood: float, cabin: tuple[float, float, float, float], belt: float = 0.92
+    length: float,
+    width: float,
+    height: float,
+    hood: float,
+    cabin: tuple[float, float, float, float],
+    belt: float = 0.92,
 ) -> Mesh:
     """A body below the belt line, glass above it. `cabin`: x of rear foot, rear roof, front roof, front foot as shares of the length."""
     h, w = length / 2, width / 2
@@ -54,8 +62,18 @@ def _car(
     narrow = np.array([0.9, 0.94, 0.94, 0.86, 0.88, 0.9, 0.97, 0.97, 0.92, 0.95]) * w
     parts = [loft(body, narrow, [_TRIM, _TRIM, _TRIM] + [_PAINT] * 7, _PAINT)]
     rear, rear_top, front_top, front = (share * length for share in cabin)
-    top = np.array([(rear, belt), (front, belt - 0.02), (front_top, height - 0.03), (0.5 * (front_top + rear_top), height), (rear_top, height - 0.05)])
-    parts.append(loft(top, np.array([0.94, 0.94, 0.76, 0.76, 0.75]) * w, [_TRIM, _GLASS, _PAINT, _PAINT, _GLASS], _GLASS))
+    top = np.array(
+        [
+            (rear, belt),
+            (front, belt - 0.02),
+            (front_top, height - 0.03),
+            (0.5 * (front_top + rear_top), height),
+            (rear_top, height - 0.05),
+        ]
+    )
+    parts.append(
+        loft(top, np.array([0.94, 0.94, 0.76, 0.76, 0.75]) * w, [_TRIM, _GLASS, _PAINT, _PAINT, _GLASS], _GLASS)
+    )
     pillar = 0.5 * (front_top + rear_top) - 0.05 * length
     parts += [beam((pillar, s * 0.93 * w, belt), (pillar, s * 0.765 * w, height - 0.05), 0.05, _PAINT) for s in (-1, 1)]
     radius = 0.31 + 0.03 * (height > 1.6)
@@ -71,20 +89,33 @@ def sedan(rng: np.random.Generator) -> Mesh:
 
 def hatchback(rng: np.random.Generator) -> Mesh:
     """Short, with a steep tail."""
-    return _car(rng.uniform(3.6, 4.3), rng.uniform(1.65, 1.8), rng.uniform(1.45, 1.58), 0.92, (-0.48, -0.38, 0.05, 0.24))
+    return _car(
+        rng.uniform(3.6, 4.3), rng.uniform(1.65, 1.8), rng.uniform(1.45, 1.58), 0.92, (-0.48, -0.38, 0.05, 0.24)
+    )
 
 
 def suv(rng: np.random.Generator) -> Mesh:
     """High, with a long roof."""
-    return _car(rng.uniform(4.4, 4.9), rng.uniform(1.82, 1.95), rng.uniform(1.65, 1.85), 1.05, (-0.48, -0.42, 0.04, 0.2), 1.05)
+    return _car(
+        rng.uniform(4.4, 4.9), rng.uniform(1.82, 1.95), rng.uniform(1.65, 1.85), 1.05, (-0.48, -0.42, 0.04, 0.2), 1.05
+    )
 
 
 def van(rng: np.random.Generator) -> Mesh:
     """Delivery van: closed box behind a short nose."""
     length, width, height = rng.uniform(5.0, 5.9), rng.uniform(1.9, 2.05), rng.uniform(1.95, 2.5)
     h, w = length / 2, width / 2
-    outline = np.array([(-h, 0.36), (h, 0.36), (h, 0.95), (h - 0.55, 1.2), (h - 1.25, height - 0.05), (h - 1.6, height), (-h, height)])
-    parts = [loft(outline, np.array([1, 0.95, 0.93, 0.96, 0.92, 0.94, 0.95]) * w, [_TRIM, _PAINT, _PAINT, _GLASS, _PAINT, _PAINT, _PAINT], _PAINT)]
+    outline = np.array(
+        [(-h, 0.36), (h, 0.36), (h, 0.95), (h - 0.55, 1.2), (h - 1.25, height - 0.05), (h - 1.6, height), (-h, height)]
+    )
+    parts = [
+        loft(
+            outline,
+            np.array([1, 0.95, 0.93, 0.96, 0.92, 0.94, 0.95]) * w,
+            [_TRIM, _PAINT, _PAINT, _GLASS, _PAINT, _PAINT, _PAINT],
+            _PAINT,
+        )
+    ]
     parts += [box((0.8, 0.02, 0.5), (h - 1.5, s * (w * 0.965), 0.62 * height), _GLASS) for s in (-1, 1)]
     parts += [_wheel(x * length, s * (w - 0.1), 0.35) for x in (-0.31, 0.33) for s in (-1, 1)]
     return concatenate(parts + _lights(length, width, 0.8, 1.0))
@@ -110,7 +141,11 @@ def bus(rng: np.random.Generator) -> Mesh:
     h, w = length / 2, width / 2
     parts = [box((length, width, height - 0.35), (0, 0, (height + 0.35) / 2), _PAINT)]
     parts += [box((length - 0.5, 0.02, 0.95), (-0.05, s * (w + 0.005), 0.62 * height), _GLASS) for s in (-1, 1)]
-    parts += [box((0.1, 0.04, 1.0), (x, s * (w + 0.005), 0.62 * height), _PAINT) for x in np.arange(-h + 1.4, h - 1, 1.4) for s in (-1, 1)]
+    parts += [
+        box((0.1, 0.04, 1.0), (x, s * (w + 0.005), 0.62 * height), _PAINT)
+        for x in np.arange(-h + 1.4, h - 1, 1.4)
+        for s in (-1, 1)
+    ]
     parts += [box((0.02, width - 0.3, 1.3), (end * (h + 0.005), 0, 0.58 * height), _GLASS) for end in (-1, 1)]
     parts.append(box((0.04, 1.4, 0.25), (h + 0.01, 0, height - 0.2), Skin(_VEHICLE, Material.LAMP, (240, 190, 60))))
     parts.append(box((1.6, 1.4, 0.25), (-1.0, 0, height + 0.1), _TRIM))
@@ -131,7 +166,10 @@ def bicycle(rng: np.random.Generator) -> Mesh:
     bars = [beam(a, b, 0.025, frame) for a, b in (
         ((-0.52, 0, 0.34), (-0.15, 0, 0.85)), ((-0.15, 0, 0.85), (0.4, 0, 0.8)), ((0.52, 0, 0.34), (0.38, 0, 1.0)),
         ((-0.05, 0, 0.32), (0.4, 0, 0.75)), ((-0.52, 0, 0.34), (-0.05, 0, 0.32)), ((0.38, -0.28, 1.02), (0.38, 0.28, 1.02)))]  # fmt: skip
-    rider = [beam((-0.18, 0, 0.95), (0.12, 0, 1.45), 0.19, cloth), blob(rng, (0.11, 0.1, 0.14), (0.2, 0, 1.66), skin, 0.03)]
+    rider = [
+        beam((-0.18, 0, 0.95), (0.12, 0, 1.45), 0.19, cloth),
+        blob(rng, (0.11, 0.1, 0.14), (0.2, 0, 1.66), skin, 0.03),
+    ]
     for side in (-1, 1):
         rider.append(beam((0.08, side * 0.18, 1.4), (0.38, side * 0.24, 1.04), 0.05, cloth))
         rider.append(beam((-0.16, side * 0.09, 0.95), (0.16, side * 0.1, 0.78 - 0.1 * side), 0.075, trousers))

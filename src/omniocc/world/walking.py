@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from omniocc.world.driving import CYCLE_S, Fleet, Lane, passing
+from omniocc.world.driving import CYCLE_S, Fleet, Lane, along_at, passing
 from omniocc.world.marking import CROSSING_M
 from omniocc.world.motion import Path, close
 from omniocc.world.network import Side
@@ -14,7 +14,10 @@ from omniocc.world.street import furniture_m
 
 _LEAST_SPACE_M = 2.5
 _WAIT_M = 0.35  # from the kerb
-_CAUTION_M = 4.0  # free space wanted along the street on both sides of a crossing's middle
+_CAUTION_M = 2.0  # free space wanted along the street on both sides of a walker
+_MARGIN_S = 0.6
+_TICK_S = 0.1
+_CLOCK_S = np.arange(0, CYCLE_S, _TICK_S)
 
 
 @dataclass(frozen=True)
@@ -28,20 +31,22 @@ class Round:
 
 @dataclass(frozen=True)
 class Crosser:
-    """Goes over from `start_m` to `end_m` (3,) at `leave_s` of every even cycle, and back in every odd one."""
+    """Goes over from `start_m` to `end_m` (3,) at `leave_s` of every even cycle, and back at `return_s` of every odd one."""
 
     start_m: np.ndarray
     end_m: np.ndarray
     leave_s: float
+    return_s: float
     duration_s: float
     road_share: float
 
     def share(self, time_s: float) -> tuple[float, float]:
         """How far over, and the direction of walking (+1, -1, or 0 while waiting)."""
-        since = (time_s - self.leave_s) % (2 * CYCLE_S)
-        back = since >= CYCLE_S
-        part = min((since - CYCLE_S * back) / self.duration_s, 1.0)
-        return (1 - part, -1.0 if part < 1 else 0.0) if back else (part, 1.0 if part < 1 else 0.0)
+        over = (time_s - self.leave_s) % (2 * CYCLE_S)
+        back = (time_s - self.return_s - CYCLE_S) % (2 * CYCLE_S)
+        part, direction = (over, 1.0) if over < back else (back, -1.0)
+        part = min(part / self.duration_s, 1.0)
+        return (part if direction > 0 else 1 - part), (direction if part < 1 else 0.0)
 
 
 def draw_rounds(place: Place, rng: np.random.Generator) -> list[Round]:
@@ -70,8 +75,13 @@ def draw_crossers(place: Place, lanes: list[Lane], fleet: Fleet, rng: np.random.
                 halves.setdefault((side.edge, end), []).append((index, side))
     crossers = []
     for arm in sorted(place.crossings):
-        pair, pick, pace, across = halves[arm], rng.uniform(), float(rng.uniform(1.3, 1.7)), float(rng.uniform(-0.8, 0.8))
-        if pick > 0.6 or not all(place.paved[index] for index, _ in pair):
+        pair, pick, pace, across = (
+            halves[arm],
+            rng.uniform(),
+            float(rng.uniform(1.3, 1.7)),
+            float(rng.uniform(-0.8, 0.8)),
+        )
+        if pick > 0.75 or not all(place.paved[index] for index, _ in pair):
             continue
         crosser = _crosser(place, lanes, fleet, pair, arm, pace, across)
         if crosser is not None:
@@ -80,30 +90,42 @@ def draw_crossers(place: Place, lanes: list[Lane], fleet: Fleet, rng: np.random.
 
 
 def _crosser(
-    place: Place, lanes: list[Lane], fleet: Fleet, pair: list[tuple[int, Side]], arm: tuple[int, bool], pace: float, across: float
+    place: Place,
+    lanes: list[Lane],
+    fleet: Fleet,
+    pair: list[tuple[int, Side]],
+    arm: tuple[int, bool],
+    pace: float,
+    across: float,
 ) -> Crosser | None:
-    time = np.arange(0, CYCLE_S, 0.1)
-    busy = np.zeros(len(time), bool)
-    feet = []
-    for index, side in pair:
-        into = 0.5 * (CROSSING_M[0] + CROSSING_M[1]) + across
-        at_end = side.forward == arm[1]
-        s = side.along_m[-1] - into if at_end else side.along_m[0] + into
-        kerb, center = (np.array([np.interp(s, side.along_m, p[:, k]) for k in (0, 1)]) for p in (side.kerb_m, side.center_m))
-        outward = (kerb - center) / np.linalg.norm(kerb - center)
-        feet.append(kerb + _WAIT_M * outward)
-        for lane in lanes:
-            if lane.ring == index:
-                on_lane = kerb - lane.from_kerb_m * outward
-                nearest = int(np.argmin(np.linalg.norm(lane.path.points_m[:, :2] - on_lane, axis=1)))
-                busy |= passing(lane, fleet, float(lane.path.along_m[nearest]), _CAUTION_M, time)
-    length = float(np.linalg.norm(feet[1] - feet[0]))
-    need = int((length / pace + 0.6) / 0.1)
-    free = [k for k in range(len(time)) if not np.take(busy, np.arange(k, k + need), mode="wrap").any()]
-    if not free:
+    into = 0.5 * (CROSSING_M[0] + CROSSING_M[1]) + across
+    kerbs = []
+    for _, side in pair:
+        s = side.along_m[-1] - into if side.forward == arm[1] else side.along_m[0] + into
+        kerbs.append(np.array([np.interp(s, side.along_m, side.kerb_m[:, k]) for k in (0, 1)]))
+    street = float(np.linalg.norm(kerbs[1] - kerbs[0]))
+    ahead = (kerbs[1] - kerbs[0]) / street
+    length = street + 2 * _WAIT_M
+    leave, back = np.zeros(len(_CLOCK_S), bool), np.zeros(len(_CLOCK_S), bool)
+    for (index, _), kerb, inward in zip(pair, kerbs, (ahead, -ahead), strict=True):
+        for lane in (lane for lane in lanes if lane.ring == index):
+            place_m = along_at(lane.path, kerb + lane.from_kerb_m * inward)
+            busy = passing(lane, fleet, place_m, _CAUTION_M, _CLOCK_S)
+            reached = _WAIT_M + (lane.from_kerb_m if index == pair[0][0] else street - lane.from_kerb_m)
+            leave |= _blocked(busy, reached / pace, place.theme.lane_width_m / pace)
+            back |= _blocked(busy, (length - reached) / pace, place.theme.lane_width_m / pace)
+    if leave.all() or back.all() or pair[0][0] == pair[1][0]:
         return None
-    ends = [np.append(xy, place.terrain.height(*xy) + KERB_M) for xy in feet]
-    return Crosser(ends[0], ends[1], float(time[free[0]]) + 0.3, length / pace, 1 - 2 * _WAIT_M / length)
+    ends = [kerbs[0] - _WAIT_M * ahead, kerbs[1] + _WAIT_M * ahead]
+    start, end = (np.append(xy, place.terrain.height(*xy) + KERB_M) for xy in ends)
+    leave_s, return_s = (float(_CLOCK_S[np.flatnonzero(~late)[0]]) for late in (leave, back))
+    return Crosser(start, end, leave_s, return_s, length / pace, street / length)
+
+
+def _blocked(busy: np.ndarray, reached_s: float, width_s: float) -> np.ndarray:
+    """(T,) start times of the cycle at which the walker, in a lane around `reached_s` later, would meet a car there."""
+    first, last = (int(np.floor((reached_s + sign * (0.5 * width_s + _MARGIN_S)) / _TICK_S)) for sign in (-1, 1))
+    return np.any([np.roll(busy, -shift) for shift in range(first, last + 1)], axis=0)
 
 
 def crossing_point(place: Place, crosser: Crosser, share: float) -> np.ndarray:
