@@ -25,10 +25,10 @@ def main(cfg: DictConfig) -> None:
     except DataError as error:
         sys.exit(str(error))
     scenes = [scene for split in SPLITS for scene in world.readers(split)]
-    size = sum(facts["size"] for scene in scenes for facts in scene.meta["files"].values())
+    megabytes = sum(facts["size"] for scene in scenes for facts in scene.meta["files"].values()) / 1e6
     frames = sum(map(len, scenes))
     print(
-        f"{world.folder}: {len(scenes)} scenes, {frames} frames, {size / 1e6:.0f} MB, {size / frames / 1e3:.0f} kB a frame"
+        f"{world.folder}: {len(scenes)} scenes, {frames} frames, {megabytes:.0f} MB ({megabytes / frames:.2f} a frame)"
     )
 
 

@@ -1,14 +1,14 @@
 """One recorded frame <-> named blobs.
 
-| blob              | content                               | error after a round trip                                  |
-| ----------------- | ------------------------------------- | --------------------------------------------------------- |
-| `frame.json`      | time, pose, boxes                     | none                                                      |
-| `rgb<k>.jpg`      | colour of camera k, JPEG quality 95   | lossy: a few grey levels                                  |
-| `semantic<k>.png` | class ids of camera k                 | none                                                      |
-| `range<k>.png`    | range of camera k, 16 bit             | 1/512 m; inf, nan kept; saturates beyond 255.99 m         |
-| `erp_range.png`   | range around the ego origin, 16 bit   | as range                                                  |
-| `points.zst`      | surface points, 3 x 16 bit, and class | 1/512 m per axis; beyond 127.99 m left out; order changes |
-| `lidar.zst`       | range (16 bit) and class of every ray | as range; classes none                                    |
+| blob              | content                               | error after a round trip                              |
+| ----------------- | ------------------------------------- | ----------------------------------------------------- |
+| `frame.json`      | time, pose, boxes                     | none                                                  |
+| `rgb<k>.jpg`      | colour of camera k, JPEG quality 95   | lossy: a few grey levels                              |
+| `semantic<k>.png` | class ids of camera k                 | none                                                  |
+| `range<k>.png`    | range of camera k, 16 bit             | 1/512 m; inf, nan kept; saturates beyond 255.99 m     |
+| `erp_range.png`   | range around the ego origin, 16 bit   | as range                                              |
+| `points.zst`      | surface points, 3 x 16 bit, and class | 1/512 m per axis; beyond 127.99 m left out, reordered |
+| `lidar.zst`       | range (16 bit) and class of each ray  | as range; classes none                                |
 
 With steps of 1/256 m a point changes its cell of 0.2 m with a chance of 0.5 % per axis, and only if it lies within
 2 mm of the boundary. All encoders are deterministic: equal frames give equal bytes.

@@ -6,7 +6,6 @@ from types import TracebackType
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from typing_extensions import Self
 
 LINE_EVERY_S = 15.0
 
@@ -41,7 +40,7 @@ class FrameProgress:
         """Frames per second since the beginning."""
         return self.done / max(time.monotonic() - self._began_s, 1e-9)
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "FrameProgress":
         if self._bar is not None:
             self._bar.start()
         return self
