@@ -83,7 +83,7 @@ class RayIoU(Metric):
     def update(
         self,
         prediction: Shaped[Tensor, "B X Y Z"],
-        target: Shaped[Tensor, "B Xt Yt Zt"],
+        target: Shaped[Tensor, "Bt Xt Yt Zt"],
         origins: Float[Tensor, "B O 3"] | None = None,
     ) -> None:
         """Adds predicted and true class ids of a batch.

@@ -1,0 +1,57 @@
+import math
+
+import pytest
+import torch
+
+from omniocc.metric import VoxelIoU
+
+
+def test_by_hand_over_two_batches():
+    # truth:      free Road Road Wall Wall unknown | Road free
+    # prediction: Road Road free Wall Road Road    | Road free
+    metric = VoxelIoU()
+    metric.update(voxels(1, 1, 0, 5, 1, 1), voxels(0, 1, 1, 5, 5, 255))
+    metric.update(voxels(1, 0), voxels(1, 0))
+    scores = metric.compute()
+    assert scores["iou/Road"].item() == pytest.approx(2 / 5)
+    assert scores["iou/Wall"].item() == pytest.approx(1 / 2)
+    assert math.isnan(scores["iou/Pole"].item())
+    assert scores["miou"].item() == pytest.approx((2 / 5 + 1 / 2) / 2)
+    assert scores["iou"].item() == pytest.approx(4 / 6)
+    assert scores["precision"].item() == pytest.approx(4 / 5)
+    assert scores["recall"].item() == pytest.approx(4 / 5)
+    assert len(scores) == 4 + 11
+
+
+def voxels(*labels):
+    return torch.tensor(labels, dtype=torch.uint8).reshape(1, -1, 1, 1)
+
+
+def test_agrees_with_a_plain_loop():
+    generator = torch.Generator().manual_seed(0)
+    target = torch.randint(0, 12, (3, 5, 6, 4), generator=generator, dtype=torch.uint8)
+    prediction = torch.where(torch.rand(target.shape, generator=generator) < 0.5, target, target.flip(0))
+    target[target == 3] = 255
+    metric = VoxelIoU()
+    for i in range(3):
+        metric.update(prediction[i : i + 1], target[i : i + 1])
+    scores = metric.compute()
+    pairs = [(t, p) for t, p in zip(target.flatten().tolist(), prediction.flatten().tolist(), strict=True) if t != 255]
+    both = sum(t > 0 and p > 0 for t, p in pairs)
+    assert scores["iou"].item() == pytest.approx(both / sum(t > 0 or p > 0 for t, p in pairs))
+    assert scores["precision"].item() == pytest.approx(both / sum(p > 0 for _, p in pairs))
+    assert scores["recall"].item() == pytest.approx(both / sum(t > 0 for t, _ in pairs))
+    per_class = [sum(t == c == p for t, p in pairs) / sum(t == c or p == c for t, p in pairs) for c in range(1, 12)]
+    assert scores["miou"].item() == pytest.approx(sum(per_class) / 11)
+
+
+def test_wrong_input_is_named():
+    metric = VoxelIoU()
+    with pytest.raises(ValueError, match="must have the same shape"):
+        metric.update(voxels(1, 1), voxels(1))
+    with pytest.raises(ValueError, match=r"prediction must hold class ids 0\.\.11, got \[255\]"):
+        metric.update(voxels(255), voxels(1))
+    with pytest.raises(ValueError, match=r"target must hold class ids 0\.\.11 or 255, got \[77\]"):
+        metric.update(voxels(1), voxels(77))
+    with pytest.raises(ValueError, match=r"integer type, got torch\.float32"):
+        metric.update(voxels(1).float(), voxels(1))
