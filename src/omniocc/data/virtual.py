@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
 
 from omniocc.camera import Rig
 from omniocc.classes import CLASSES
@@ -36,6 +36,7 @@ class ScenePlan(NamedTuple):
     seed: int
 
 
+@runtime_checkable
 class Recordable(Protocol):
     """What a scene offers: `omniocc.world.Scene` and whatever else makes frames."""
 
