@@ -12,7 +12,9 @@ from omniocc.world.shade import join, make_surfaces
 from omniocc.world.stage import Stage
 
 
-def make_quad(corners, label: int, material: Material = Material.CONCRETE, color=(150, 150, 150), instance: int = -1) -> Mesh:
+def make_quad(
+    corners, label: int, material: Material = Material.CONCRETE, color=(150, 150, 150), instance: int = -1
+) -> Mesh:
     corners = np.array(corners, np.float32)
     along = np.linalg.norm(corners[1] - corners[0]), np.linalg.norm(corners[3] - corners[0])
     uv = np.array([[0, 0], [along[0], 0], along, [0, along[1]]], np.float32)
@@ -58,7 +60,7 @@ def street() -> Mesh:
         [
             make_quad([[-60, -5, 0], [60, -5, 0], [60, 5, 0], [-60, 5, 0]], 1, Material.ASPHALT, (90, 90, 90)),
             make_quad([[-60, 5, 0], [60, 5, 0], [60, 40, 0], [-60, 40, 0]], 3, Material.GRASS, (90, 120, 60)),
-            make_quad([[-60, -5, 0], [-60, -5, 8], [60, -5, 8], [60, -5, 0]][::-1], 5, Material.BRICK, (150, 80, 60)),
+            make_quad([[-60, -5, 0], [-60, -5, 8], [60, -5, 8], [60, -5, 0]], 5, Material.BRICK, (150, 80, 60)),
             make_box([10, 5, 0], [16, 9, 6], 4, material=Material.FACADE, color=(200, 180, 150)),
             make_box([5.9, -3.1, 0], [6.1, -2.9, 5], 9, material=Material.METAL),
         ]
@@ -75,7 +77,15 @@ def noon() -> Light:
     light = draw_light(np.random.default_rng(0))
     direction = np.array([0.0, -0.6, 0.8], np.float32)
     return Light(
-        direction, np.float32([1, 1, 1]), light.zenith, light.horizon, light.bounce, 0.0, 0.3, light.cloud_shift, haze_m=1e6
+        direction,
+        np.float32([1, 1, 1]),
+        light.zenith,
+        light.horizon,
+        light.bounce,
+        0.0,
+        0.3,
+        light.cloud_shift,
+        haze_m=1e6,
     )
 
 
@@ -91,7 +101,9 @@ def make_stage(static: Mesh, moving: Mesh, own: Mesh, light: Light, x_m: float =
     layers = [Caster(static), Caster(moving)]
     surfaces = join([make_surfaces(static), make_surfaces(moving), make_surfaces(own)])
     start = len(static) + len(moving)
-    return Stage(Layers(layers), Layers([*layers, Caster(here)]), surfaces, start, np.eye(3, dtype=np.float32), place, light)
+    return Stage(
+        Layers(layers), Layers([*layers, Caster(here)]), surfaces, start, np.eye(3, dtype=np.float32), place, light
+    )
 
 
 @pytest.fixture(scope="session")
@@ -101,4 +113,6 @@ def stage_of():
 
 @pytest.fixture(scope="session")
 def stage(street, own_car, noon) -> Stage:
-    return make_stage(street, make_box([8, 1, 0.2], [12, 2.8, 1.6], 7, material=Material.CAR_PAINT, instance=0), own_car, noon)
+    return make_stage(
+        street, make_box([8, 1, 0.2], [12, 2.8, 1.6], 7, material=Material.CAR_PAINT, instance=0), own_car, noon
+    )

@@ -72,7 +72,9 @@ def test_known_hits_stay_where_they_are_nearer(quad):
 
 
 def test_blocked_sees_every_layer(quad, box):
-    layers = Layers([Caster(quad([[-9, -9, 5], [9, -9, 5], [9, 9, 5], [-9, 9, 5]], 1)), Caster(box([20, 0, 0], [21, 1, 9], 4))])
+    layers = Layers(
+        [Caster(quad([[-9, -9, 5], [9, -9, 5], [9, 9, 5], [-9, 9, 5]], 1)), Caster(box([20, 0, 0], [21, 1, 9], 4))]
+    )
     origins = np.float32([[0, 0, 0], [20.5, 0.5, -1], [15, 0, 0]])
     assert layers.blocked(origins, np.float32([[0, 0, 1]])).tolist() == [True, True, False]
 

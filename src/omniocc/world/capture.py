@@ -40,7 +40,9 @@ def record(view: View, stage: Stage, sensor: Sensor, rng: np.random.Generator) -
     label[own] = UNKNOWN
     range_m = np.where(own, np.float32(np.nan), hits.range_m)
     return Picture(
-        _image(view, develop(color, sensor, view.falloff, rng), 0), _image(view, label, UNKNOWN), _image(view, range_m, np.nan)
+        _image(view, develop(color, sensor, view.falloff, rng), 0),
+        _image(view, label, UNKNOWN),
+        _image(view, range_m, np.nan),
     )
 
 

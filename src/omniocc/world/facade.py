@@ -49,7 +49,9 @@ def _wall(look: Style, rng: np.random.Generator, size: int) -> np.ndarray:
     return tint
 
 
-def _glaze(wall: np.ndarray, bays: int, window: tuple[float, float, float, float], bars: int, rng: np.random.Generator) -> Picture:
+def _glaze(
+    wall: np.ndarray, bays: int, window: tuple[float, float, float, float], bars: int, rng: np.random.Generator
+) -> Picture:
     size = len(wall)
     left, right, bottom, top = window
     y = ((np.arange(size) + 0.5) * _STOREYS / size)[:, None]

@@ -11,7 +11,7 @@ ROAD_M = -2.2  # height of the road under the ego origin
 REACH_M = 32.0  # points farther off in x or y are not kept
 _COUNT = 20
 _SPREAD_M = 20.0
-_ROUGH = 79  # one ray of so many in the scans that choose places
+_ROUGH = 89  # one ray of so many in the scans that choose places
 _SEEN_AGAIN = 0.25
 _CUBE_M = 0.1
 _NEAR_M = 4.0
@@ -57,11 +57,12 @@ def virtual_lidars() -> Lidars:
     spots = np.stack([x, y, ROAD_M + height_m], axis=1).astype(np.float32)
     middle = np.concatenate([_polar_rays(), _upper_rays(-ROAD_M, 8.0)], axis=1)
     outer = np.concatenate([_sunflower_rays(3.2, 13.0, 13000), _upper_rays(3.2, 13.0)], axis=1)
-    return Lidars(middle, outer, spots[np.hypot(x, y) > 3])
+    return Lidars(_neighbors_first(middle), _neighbors_first(outer), spots[np.hypot(x, y) > 3])
 
 
 def _polar_rays() -> np.ndarray:
-    radius_m, azimuth = np.meshgrid(np.arange(0.05, 8.0, 0.1), (np.arange(400) + 0.5) * (2 * np.pi / 400), indexing="ij")
+    rings = np.concatenate([np.arange(0.05, 4.0, 0.1), np.arange(4.1, 9.0, 0.2)])
+    radius_m, azimuth = np.meshgrid(rings, (np.arange(400) + 0.5) * (2 * np.pi / 400), indexing="ij")
     return np.ascontiguousarray(_unit(azimuth.ravel(), np.arctan2(ROAD_M, radius_m.ravel())).T)
 
 
@@ -72,11 +73,27 @@ def _sunflower_rays(height_m: float, radius_m: float, count: int) -> np.ndarray:
 
 
 def _upper_rays(height_m: float, radius_m: float) -> np.ndarray:
-    step = np.radians(0.9)
-    bottom = -np.arctan2(height_m, radius_m)
-    azimuth, elevation = np.meshgrid(np.arange(400) * (2 * np.pi / 400), np.arange(bottom, np.radians(30), step), indexing="xy")
-    row = np.arange(azimuth.shape[0])[:, None]
-    return np.ascontiguousarray(_unit((azimuth + row * 0.0061).ravel(), elevation.ravel()).T)
+    """Even angles from where the rays on the road end up to +30 degrees; steeper than 2.6 m rise over 13 m they may be sparser, as only
+    what is nearer still lies in a grid's height.
+    """
+    rows = [-np.arctan2(height_m, radius_m)]
+    while rows[-1] < np.radians(30):
+        rows.append(rows[-1] + _step(rows[-1]))
+    turn = [np.arange(0, 2 * np.pi, _step(row)) + number * 0.0061 for number, row in enumerate(rows)]
+    elevation = np.repeat(rows, [len(azimuth) for azimuth in turn])
+    return np.ascontiguousarray(_unit(np.concatenate(turn), elevation).T)
+
+
+def _step(elevation: float) -> float:
+    return np.radians(0.9) * max(1.0, np.tan(elevation) * 13 / 2.6)
+
+
+def _neighbors_first(rays: np.ndarray) -> np.ndarray:
+    """The rays in an order (Morton's) in which neighbours follow one another: Embree is about twice as fast on them."""
+    azimuth = ((np.arctan2(rays[1], rays[0]) / (2 * np.pi) + 0.5) * 511).astype(np.int64)
+    elevation = ((np.arcsin(np.clip(rays[2], -1, 1)) / np.pi + 0.5) * 255).astype(np.int64)
+    code = sum((azimuth >> bit & 1) << 2 * bit + 1 | (elevation >> bit & 1) << 2 * bit for bit in range(9))
+    return np.ascontiguousarray(rays[:, np.argsort(code, kind="stable")])
 
 
 def _unit(azimuth: np.ndarray, elevation: np.ndarray) -> np.ndarray:

@@ -59,13 +59,15 @@ def draw_light(rng: np.random.Generator) -> Light:
     shift, haze_m = rng.uniform(0, 1, 2).astype(np.float32), float(rng.uniform(300, 900))
     if not clear:
         sky = rng.uniform(0.55, 0.8) * _color(0.93, 0.97, 1.0)
-        return Light(direction, 0.45 * sky, 0.85 * sky, 0.8 * sky, 0.25 * sky, 0.0, 0.95, shift, 0.5 * haze_m)
+        return Light(direction, 0.45 * sky, 0.85 * sky, 0.8 * sky, 0.25 * sky, 0.0, 0.95, shift, 0.8 * haze_m)
     low = float(np.clip((np.radians(45) - elevation) / np.radians(30), 0, 1))
     sun = (1.15 - 0.25 * low) * _color(1.0, 0.95 - 0.14 * low, 0.86 - 0.30 * low)
     zenith = rng.uniform(0.8, 1.1) * _color(0.12, 0.23, 0.50)
     horizon = _color(0.46 + 0.12 * low, 0.54, 0.64 - 0.10 * low)
     bounce = 0.16 * np.sin(elevation) * _color(1.0, 0.93, 0.85)
-    return Light(direction, sun, zenith, horizon, bounce.astype(np.float32), 0.6, float(rng.uniform(0.1, 0.6)), shift, haze_m)
+    return Light(
+        direction, sun, zenith, horizon, bounce.astype(np.float32), 0.6, float(rng.uniform(0.1, 0.6)), shift, haze_m
+    )
 
 
 def draw_sensor(rng: np.random.Generator, light: Light) -> Sensor:

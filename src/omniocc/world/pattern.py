@@ -44,7 +44,9 @@ def fractal(rng: np.random.Generator, size: int, cells: int, octaves: int, stret
     return total / weight
 
 
-def cells(rng: np.random.Generator, size: int, rows: int, columns: int, shift: float, joint_px: float) -> tuple[np.ndarray, np.ndarray]:
+def cells(
+    rng: np.random.Generator, size: int, rows: int, columns: int, shift: float, joint_px: float
+) -> tuple[np.ndarray, np.ndarray]:
     """A wall of stones: (size, size) random number of each stone, and whether a pixel lies in a joint; every second row shifted."""
     y = (np.arange(size) + 0.5)[:, None] * rows / size
     row = np.floor(y).astype(int) % rows
@@ -92,7 +94,13 @@ def concrete(rng: np.random.Generator, size: int) -> Picture:
     """Cast panels with rain streaks."""
     panel, joint = cells(rng, size, 2, 2, 0.0, 2.0)
     streak = fractal(rng, size, 24, 3, stretch=12)
-    tint = 0.75 + 0.2 * panel + 0.35 * (fractal(rng, size, 5, 6) - 0.5) + 0.3 * (streak - 0.5) + 0.08 * rng.random((size, size))
+    tint = (
+        0.75
+        + 0.2 * panel
+        + 0.35 * (fractal(rng, size, 5, 6) - 0.5)
+        + 0.3 * (streak - 0.5)
+        + 0.08 * rng.random((size, size))
+    )
     return _plain(6.0, np.where(joint, 0.6, tint))
 
 

@@ -61,7 +61,8 @@ class Recorder:
     ) -> Frame:
         """Records one moment; `seed` decides the sensors' noise."""
         pictures = [
-            record(view, stage, sensor, np.random.default_rng([*seed, number])) for number, view in enumerate(self.views)
+            record(view, stage, sensor, np.random.default_rng([*seed, number]))
+            for number, view in enumerate(self.views)
         ]
         points_m, point_labels = scan_surfaces(stage, self._lidars)
         lidar_range_m, lidar_labels = scan_ego(stage, self._ego_rays)

@@ -80,7 +80,13 @@ class Shading(NamedTuple):
 
 
 def shade(
-    hits: Hits, origin: np.ndarray, directions: np.ndarray, surfaces: Surfaces, shadows: Layers, light: Light, pixel_rad: float
+    hits: Hits,
+    origin: np.ndarray,
+    directions: np.ndarray,
+    surfaces: Surfaces,
+    shadows: Layers,
+    light: Light,
+    pixel_rad: float,
 ) -> Shading:
     """Light along each ray: texture, sun with shadow, sky, reflection, haze; the sky itself where nothing is hit.
 
@@ -121,7 +127,13 @@ def _sunlight(
 
 
 def _surface_color(
-    hits: Hits, directions: np.ndarray, facts: np.ndarray, cosine: np.ndarray, sunny: np.ndarray, light: Light, pixel_rad: float
+    hits: Hits,
+    directions: np.ndarray,
+    facts: np.ndarray,
+    cosine: np.ndarray,
+    sunny: np.ndarray,
+    light: Light,
+    pixel_rad: float,
 ) -> np.ndarray:
     u_m = facts[6] + hits.u * facts[8] + hits.v * facts[10]
     v_m = facts[7] + hits.u * facts[9] + hits.v * facts[11]
@@ -132,7 +144,9 @@ def _surface_color(
     color *= light.sun[:, None] * sunny + ambient(light, facts[2])
     mirror = np.flatnonzero((facts[14] > 0) | ((facts[15] > 0) & (tint < 0.15)))
     gloss = np.maximum(facts[14][mirror], 0.8 * facts[15][mirror])
-    color[:, mirror] = _reflect(color[:, mirror], directions[:, mirror], facts[:3, mirror], cosine[mirror], gloss, light)
+    color[:, mirror] = _reflect(
+        color[:, mirror], directions[:, mirror], facts[:3, mirror], cosine[mirror], gloss, light
+    )
     clear = np.exp(hits.range_m * np.float32(-1 / light.haze_m))
     return color * clear + light.horizon[:, None] * (1 - clear)
 

@@ -42,7 +42,9 @@ class Stage:
 
     def cast(self, point_ego: np.ndarray, directions_ego: np.ndarray, known: Hits | None = None) -> Hits:
         """Nearest hits from one ego point (3,) along ego directions (3, R); the own car is invisible but for hits `known`."""
-        return self.layers.cast(repeat(self.place(point_ego), directions_ego.shape[1]), self.turn(directions_ego).T, known)
+        return self.layers.cast(
+            repeat(self.place(point_ego), directions_ego.shape[1]), self.turn(directions_ego).T, known
+        )
 
 
 def repeat(point: np.ndarray, count: int) -> np.ndarray:

@@ -49,7 +49,9 @@ def layer_of(material: np.ndarray, color: np.ndarray) -> tuple[np.ndarray, np.nd
     return layer, facade.astype(np.int32)
 
 
-def sample(layer: np.ndarray, ground_step: np.ndarray, u_m: np.ndarray, v_m: np.ndarray, footprint_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def sample(
+    layer: np.ndarray, ground_step: np.ndarray, u_m: np.ndarray, v_m: np.ndarray, footprint_m: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Looks up the textures.
 
     Args:

@@ -51,7 +51,8 @@ def make_view(rig: Rig, camera: int, supersample: int, own_car: Caster) -> View:
     pixel = np.flatnonzero(valid.numpy())
     center = directions.numpy().reshape(-1, 3)[pixel]
     origin_m = rig.ego_from_camera[camera, :3, 3].numpy().astype(np.float32)
-    extra = np.stack([_shifted(rig, camera, pixel, center, offset) for offset in _offsets(supersample)], axis=1)
+    beside = [_shifted(rig, camera, pixel, center, offset) for offset in _offsets(supersample)]
+    extra = np.stack(beside, axis=1) if beside else np.empty((len(pixel), 0, 3), np.float32)
     flat = extra.reshape(-1, 3)
     neighbor = np.flatnonzero(np.diff(pixel) == 1)
     steps = np.linalg.norm(center[neighbor + 1] - center[neighbor], axis=1)
@@ -74,7 +75,10 @@ def _offsets(supersample: int) -> np.ndarray:
     """(S-1, 2) points of a pixel beside its centre, spread evenly over a disc."""
     count = supersample**2 - 1
     number = np.arange(1, count + 1)
-    radius, turn = 0.55 * np.sqrt(number / max(count, 1)) * (0.75 if count <= 3 else 1.0), number * np.pi * (3 - np.sqrt(5))
+    radius, turn = (
+        0.55 * np.sqrt(number / max(count, 1)) * (0.75 if count <= 3 else 1.0),
+        number * np.pi * (3 - np.sqrt(5)),
+    )
     return np.stack([radius * np.cos(turn), radius * np.sin(turn)], axis=1)
 
 
