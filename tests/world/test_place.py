@@ -4,7 +4,7 @@ import hashlib
 import subprocess
 import sys
 import time
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +17,7 @@ _ARRAYS = ("vertices", "faces", "uv", "label", "material", "color", "instance")
 _SOURCE = Path(places.__file__).parents[2]
 
 
-@lru_cache(maxsize=None)
+@cache
 def built(theme: str) -> Place:
     start = time.perf_counter()
     place = places.build(theme, 7)
@@ -45,7 +45,7 @@ def test_seeds_make_different_streets() -> None:
 
 
 def test_an_unknown_theme_names_the_possible_ones() -> None:
-    with pytest.raises(ValueError, match="suburbia.*downtown, suburb"):
+    with pytest.raises(ValueError, match=r"suburbia.*downtown, suburb"):
         places.build("suburbia", 0)
 
 
@@ -54,12 +54,19 @@ def test_mesh_is_sound(theme: str) -> None:
     mesh = built(theme).mesh
     count = len(mesh)
     assert 20_000 < count < 300_000
-    assert mesh.vertices.dtype == np.float32 and mesh.faces.dtype == np.int32 and mesh.uv.dtype == np.float32
-    assert mesh.uv.shape == (count, 3, 2) and mesh.color.shape == (count, 3)
-    assert np.isfinite(mesh.vertices).all() and np.isfinite(mesh.uv).all()
-    assert mesh.faces.min() == 0 and mesh.faces.max() == len(mesh.vertices) - 1
-    assert mesh.label.min() >= 1 and mesh.label.max() <= 11
-    assert mesh.material.max() <= 20 and (mesh.instance == -1).all()
+    assert mesh.vertices.dtype == np.float32
+    assert mesh.faces.dtype == np.int32
+    assert mesh.uv.dtype == np.float32
+    assert mesh.uv.shape == (count, 3, 2)
+    assert mesh.color.shape == (count, 3)
+    assert np.isfinite(mesh.vertices).all()
+    assert np.isfinite(mesh.uv).all()
+    assert mesh.faces.min() == 0
+    assert mesh.faces.max() == len(mesh.vertices) - 1
+    assert mesh.label.min() >= 1
+    assert mesh.label.max() <= 11
+    assert mesh.material.max() <= 20
+    assert (mesh.instance == -1).all()
     a, b, c = (mesh.vertices[mesh.faces[:, k]].astype(float) for k in range(3))
     assert (0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)).min() > 1e-8
 
@@ -78,7 +85,8 @@ def test_streets_face_up_and_follow_the_land(theme: str) -> None:
     normal = np.cross(b - a, c - a)
     assert (normal[:, 2] > 0).all()
     over = a[:, 2] - place.height(a[:, 0], a[:, 1])
-    assert over.min() > -0.02 and over.max() < 0.2
+    assert over.min() > -0.02
+    assert over.max() < 0.2
     slope = np.hypot(normal[:, 0], normal[:, 1]) / normal[:, 2]
     assert 0.02 < np.quantile(slope, 0.9) < 0.1
 
@@ -92,8 +100,10 @@ def test_streets_leave_no_hole_and_do_not_overlap() -> None:
     points = middle + rng.uniform(-90, 90, (400, 2))
     surfaces = np.flatnonzero(np.isin(mesh.label, (1, 2, 3)))[:40_000]
     corners = mesh.vertices[mesh.faces[surfaces]].astype(float)[..., :2]
-    from_up = np.cross(mesh.vertices[mesh.faces[surfaces, 1]] - mesh.vertices[mesh.faces[surfaces, 0]],
-                       mesh.vertices[mesh.faces[surfaces, 2]] - mesh.vertices[mesh.faces[surfaces, 0]])[:, 2]  # fmt: skip
+    from_up = np.cross(
+        mesh.vertices[mesh.faces[surfaces, 1]] - mesh.vertices[mesh.faces[surfaces, 0]],
+        mesh.vertices[mesh.faces[surfaces, 2]] - mesh.vertices[mesh.faces[surfaces, 0]],
+    )[:, 2]
     ground = (from_up > 1e-5) & (np.ptp(mesh.vertices[mesh.faces[surfaces]][..., 2], axis=1) < 3)
     a, b, c = corners[ground].transpose(1, 0, 2)
 

@@ -1,7 +1,7 @@
 """Traffic: nothing passes through anything, the ego keeps to its road and moves smoothly."""
 
 import time
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ _EGO_SIZE_M = (4.6, 2.0, 1.65)
 _TIMES_S = np.arange(0.0, 180.0, 1.3)
 
 
-@lru_cache(maxsize=None)
+@cache
 def world(theme: str) -> tuple[places.Place, Traffic]:
     place = places.build(theme, 3)
     return place, Traffic(place, 3)
@@ -115,12 +115,14 @@ def test_the_ego_moves_smoothly(theme: str) -> None:
         poses[:, :3, :3].transpose(0, 2, 1) @ poses[:, :3, :3], np.tile(np.eye(3), (len(poses), 1, 1)), atol=1e-9
     )
     speed = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1) / step
-    assert speed.max() < 15 and speed.mean() > 3
+    assert speed.max() < 15
+    assert speed.mean() > 3
     assert np.abs(np.diff(speed)).max() / step < 6
     turn = np.arccos(np.clip((poses[1:, :3, 0] * poses[:-1, :3, 0]).sum(1), -1, 1)) / step
     assert turn.max() < 1.2
     pitch_and_roll = np.std(poses[:, 2, :2], axis=0)
-    assert (pitch_and_roll > 0.01).all() and (pitch_and_roll < 0.08).all()
+    assert (pitch_and_roll > 0.01).all()
+    assert (pitch_and_roll < 0.08).all()
 
 
 def test_any_moment_in_any_order() -> None:

@@ -20,8 +20,15 @@ def fill(theme: Theme, site: Site, stock: Stock, rng: np.random.Generator) -> No
             color = tree.LEAF_COLORS[int(rng.integers(len(tree.LEAF_COLORS)))]
             site.put(one(rng, stock.trees[pick(rng, theme.trees)]), pose, material=Material.LEAVES, color=color)
     height_m = 24.0 if theme.name == "downtown" else 8.0
-    blocks = [box((16, 13, h + 4), (0, 0, h / 2 - 2), Skin(4, Material.FACADE, (150, 150, 150)), Skin(4, Material.ROOF, (96, 84, 78)))
-              for h in height_m * rng.uniform(0.6, 1.5, 5)]  # fmt: skip
+    blocks = [
+        box(
+            (16, 13, h + 4),
+            (0, 0, h / 2 - 2),
+            Skin(4, Material.FACADE, (150, 150, 150)),
+            Skin(4, Material.ROOF, (96, 84, 78)),
+        )
+        for h in height_m * rng.uniform(0.6, 1.5, 5)
+    ]
     for _ in range(_HOUSES):
         pose = _somewhere(rng, 200, 330)
         if site.plan.claim(pose, (17.0, 14.0)):

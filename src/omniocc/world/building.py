@@ -1,4 +1,4 @@
-"""Buildings. The front stands on y = 0 and looks along -y (to the street), x runs along it, z = 0 is the ground at the door."""
+"""Buildings. The front stands on y = 0 and looks along -y (to the street); z = 0 is the ground at the door."""
 
 import numpy as np
 
@@ -83,11 +83,18 @@ def garage(rng: np.random.Generator, wall: Color) -> Mesh:
     """A single garage, 3.2 x 5.5 m, its gate to the street."""
     face, gate = Skin(_BUILDING, Material.PLASTER, wall), Skin(_BUILDING, Material.METAL, (206, 206, 200))
     height = float(rng.uniform(2.4, 2.8))
-    return concatenate([
-        box((3.2, 5.5, height + 1.0), (0, 2.75, height / 2 - 0.5), face, Skin(_BUILDING, Material.CONCRETE, (112, 108, 104))),
-        box((2.5, 0.05, 2.1), (0, -0.03, 1.05), gate),
-        box((3.5, 5.8, 0.18), (0, 2.75, height + 0.09), _TRIM),
-    ])  # fmt: skip
+    return concatenate(
+        [
+            box(
+                (3.2, 5.5, height + 1.0),
+                (0, 2.75, height / 2 - 0.5),
+                face,
+                Skin(_BUILDING, Material.CONCRETE, (112, 108, 104)),
+            ),
+            box((2.5, 0.05, 2.1), (0, -0.03, 1.05), gate),
+            box((3.5, 5.8, 0.18), (0, 2.75, height + 0.09), _TRIM),
+        ]
+    )
 
 
 def hall(rng: np.random.Generator, width: float, depth: float, wall: Color, roof: Color) -> Mesh:
@@ -122,8 +129,14 @@ def barn(rng: np.random.Generator, width: float, depth: float, wall: Color, roof
         (0, -0.04, 1.5),
         Skin(_BUILDING, Material.WOOD, (226, 220, 206) if wall[0] > 180 else (84, 62, 48)),
     )
-    return concatenate([_plinth(width, depth), _block(width, depth, 0, height, face, tiles),
-                        gable(width, depth, height, float(rng.uniform(3, 4.5)), tiles, face), gate])  # fmt: skip
+    return concatenate(
+        [
+            _plinth(width, depth),
+            _block(width, depth, 0, height, face, tiles),
+            gable(width, depth, height, float(rng.uniform(3, 4.5)), tiles, face),
+            gate,
+        ]
+    )
 
 
 def _gable(width: float, depth: float, height: float, rise: float, tiles: Skin, wall: Skin) -> Mesh:
@@ -136,11 +149,20 @@ def _gable(width: float, depth: float, height: float, rise: float, tiles: Skin, 
     under = panes[:, ::-1] - np.array([0, 0, 0.12])
     uv = np.array([[0, 0], [2 * x, 0], [2 * x, run], [0, run]])
     half = width / 2
-    ends = np.array([[[half, 0, height], [half, depth, height], [half, depth / 2, height + rise - 0.15]] * 1,
-                     [[-half, depth, height], [-half, 0, height], [-half, depth / 2, height + rise - 0.15]]])  # fmt: skip
+    ends = np.array(
+        [
+            [[half, 0, height], [half, depth, height], [half, depth / 2, height + rise - 0.15]] * 1,
+            [[-half, depth, height], [-half, 0, height], [-half, depth / 2, height + rise - 0.15]],
+        ]
+    )
     ends = np.concatenate([ends, ends[:, 2:]], 1)
-    return concatenate([quads(panes, np.stack([uv, uv]), tiles), quads(under, np.stack([uv, uv])[:, ::-1], tiles),
-                        quads(ends, ends[..., 1:], wall)])  # fmt: skip
+    return concatenate(
+        [
+            quads(panes, np.stack([uv, uv]), tiles),
+            quads(under, np.stack([uv, uv])[:, ::-1], tiles),
+            quads(ends, ends[..., 1:], wall),
+        ]
+    )
 
 
 def _turned_gable(width: float, depth: float, height: float, rise: float, tiles: Skin, wall: Skin) -> Mesh:

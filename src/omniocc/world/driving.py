@@ -103,7 +103,7 @@ def along_at(path: Path, point: np.ndarray) -> float:
 def _platoon(
     headway_s: float, fleet: Fleet, table: Timetable, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Delays and kinds of the cars of one cycle: close behind one another, but never closer than their lengths allow."""
+    """Delays and kinds of the cars of one cycle, close together but never closer than their lengths allow."""
     tried = np.arange(1.5, CYCLE_S / 2, 0.5)
     gap = table.least_gap_m(tried)
     kinds = rng.integers(len(fleet.names), size=max(1, round(CYCLE_S / headway_s)))
@@ -115,7 +115,7 @@ def _platoon(
         back = np.flatnonzero(gap >= 0.5 * (fleet.size_m[kind, 0] + fleet.size_m[chosen[0], 0]) + _CLEAR_M)
         if not len(wide) or not len(back):
             continue
-        after = delay[-1] + tried[wide[0]] + float(rng.uniform(0, 1.5))
+        after = float(delay[-1] + tried[wide[0]] + rng.uniform(0, 1.5))
         if start + CYCLE_S - after >= tried[back[0]]:
             delay.append(after)
             chosen.append(int(kind))

@@ -11,7 +11,7 @@ from omniocc.world.terrain import Terrain
 from omniocc.world.theme import Theme
 
 _RAISED_M = 0.012
-_WIDTH_M = 0.24  # wide, so that lines survive the vote in cells of 0.2 m and more
+_WIDTH_M = 0.2  # wide, so that lines survive the vote in cells of 0.2 m
 _DASH_M, _GAP_M = 3.0, 4.5
 CROSSING_M = (0.8, 4.0)  # from the end of the corner along the street
 _STOP_M = (4.8, 5.25)
@@ -38,10 +38,10 @@ def _half_street(
     solid = np.stack([solid[:-1], solid[1:]], 1)
     dashes = _dashes(first + _STOP_M[1], last - _STOP_M[1])
     stop = first + (_STOP_M[0] if at_start else 1.0)
-    patches = [_rectangles(solid, theme.parking_m)]
+    patches = [_rectangles(dashes, theme.parking_m)]
     patches += [_rectangles(dashes, theme.parking_m + k * theme.lane_width_m) for k in range(1, edge.lanes)]
-    patches.append(_rectangles(solid, width - 0.25) if edge.lanes > 1 else _rectangles(dashes, width, one_sided=True))
-    patches.append(_strip(stop, stop + 0.45, theme.parking_m, width - 0.12))
+    patches.append(_rectangles(solid, width - 0.22) if edge.lanes > 1 else _rectangles(dashes, width, one_sided=True))
+    patches.append(_strip(stop, stop + 0.4, theme.parking_m, width - 0.12))
     for zebra, low, high in (
         (at_start, first + CROSSING_M[0], first + CROSSING_M[1]),
         (at_end, last - CROSSING_M[1], last - CROSSING_M[0]),
@@ -61,7 +61,7 @@ def _dashes(first: float, last: float) -> np.ndarray:
 
 
 def _rectangles(spans: np.ndarray, from_kerb_m: float, one_sided: bool = False) -> np.ndarray:
-    """(2 D, 3, 2) triangles in (along, from kerb) of a line in pieces; `one_sided` is this half of a line on the street's middle."""
+    """(2 D, 3, 2) triangles in (along, from kerb) of a line in pieces; `one_sided` for the street's middle."""
     low, high = from_kerb_m - _WIDTH_M / 2, from_kerb_m + (0 if one_sided else _WIDTH_M / 2)
     (a, b), ones = spans.T, np.ones(len(spans))
     corners = np.stack([np.stack([s, d * ones], 1) for s, d in ((a, high), (b, high), (b, low), (a, low))], 1)

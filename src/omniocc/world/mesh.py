@@ -1,4 +1,4 @@
-"""Triangles with a class, a material and texture coordinates: the only thing the ray caster and the shader know of the world."""
+"""Triangles with a class, a material and texture coordinates: all that ray caster and shader know of the world."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -15,8 +15,8 @@ class Mesh:
     Attributes:
         vertices: (V, 3) float32, metres, world frame.
         faces: (F, 3) int32 vertex indices, counter-clockwise seen from outside.
-        uv: (F, 3, 2) float32 texture coordinates of each corner in metres on the surface (or along it), so that a texture keeps its size and
-            moves with the object.
+        uv: (F, 3, 2) float32 texture coordinates of each corner in metres on the surface (or along it), so that a
+            texture keeps its size and moves with the object.
         label: (F,) uint8 class id, 1..11 (`omniocc.classes`).
         material: (F,) uint8 `omniocc.world.material.Material`.
         color: (F, 3) uint8 base colour, RGB.

@@ -30,7 +30,7 @@ class Path:
 
 
 def close(points_m: np.ndarray) -> Path:
-    """The closed path along (n, 3) points with its corners rounded (by some centimetres), in steps of about half a metre."""
+    """The closed path along (n, 3) points, its corners rounded by some centimetres, in steps of half a metre."""
     closed = np.concatenate([points_m, points_m[:1]])
     along = _lengths(closed)
     fine = np.linspace(0, along[-1], int(np.ceil(along[-1] / _STEP_M)) + 1)[:-1]
@@ -65,7 +65,7 @@ class Timetable:
         """Time for once around."""
         return float(self.time_s[-1])
 
-    def at(self, time_s: np.ndarray) -> np.ndarray:
+    def at(self, time_s: np.ndarray | float) -> np.ndarray:
         """Arc length, counted on over the rounds, at any times."""
         rounds = np.floor(np.asarray(time_s) / self.period_s)
         time = time_s - rounds * self.period_s
@@ -86,7 +86,8 @@ def timetable(path: Path, free_mps: np.ndarray, stops_m: np.ndarray, dwell_s: fl
     Args:
         path: what is driven.
         free_mps: (m + 1,) speed wanted at evenly spaced arc lengths.
-        stops_m: (S,) arc lengths where to stop for `dwell_s`.
+        stops_m: (S,) arc lengths where to stop.
+        dwell_s: how long to stop there.
         multiple_s: the period becomes a multiple of this, by slowing everything down (or speeding it up a little).
     """
     count = len(free_mps) - 1

@@ -18,7 +18,7 @@ _SAME_DIRECTION_RAD = 0.3  # a smaller turn is the same street going on
 
 @dataclass(frozen=True)
 class Edge:
-    """A street from junction `start` to junction `end`; `half_width_m` from centre line to kerb; `bulge_m` to its left."""
+    """A street between two junctions; `half_width_m` from centre line to kerb, `bulge_m` to its left."""
 
     start: int
     end: int

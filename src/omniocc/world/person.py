@@ -11,8 +11,15 @@ PHASES = 10
 SIZE_M = (1.0, 0.6, 1.75)
 STRIDE_M = 1.5  # two steps: one turn of the loop of poses
 _CLOTHES: tuple[Color, ...] = (
-    (168, 52, 44), (44, 62, 104), (60, 60, 64), (214, 206, 190), (92, 116, 84), (198, 158, 66), (120, 70, 110), (70, 128, 150),
-)  # fmt: skip
+    (168, 52, 44),
+    (44, 62, 104),
+    (60, 60, 64),
+    (214, 206, 190),
+    (92, 116, 84),
+    (198, 158, 66),
+    (120, 70, 110),
+    (70, 128, 150),
+)
 _SKINS: tuple[Color, ...] = ((226, 184, 154), (198, 150, 122), (142, 100, 76), (92, 64, 50))
 _HAIR: tuple[Color, ...] = ((40, 32, 28), (92, 64, 40), (170, 130, 80), (120, 120, 120))
 
@@ -27,10 +34,15 @@ def walking(rng: np.random.Generator) -> list[Mesh]:
     hair = Skin(_PEDESTRIAN, Material.CLOTH, _HAIR[int(rng.integers(len(_HAIR)))])
     wide = float(rng.uniform(0.85, 1.15))
     still = [
-        lathe([0.0, 0.15 * wide, 0.17 * wide, 0.14 * wide, 0.19 * wide, 0.06], [h * height for h in (0.45, 0.46, 0.52, 0.62, 0.79, 0.84)], 8, coat),
+        lathe(
+            [0.0, 0.15 * wide, 0.17 * wide, 0.14 * wide, 0.19 * wide, 0.06],
+            [h * height for h in (0.45, 0.46, 0.52, 0.62, 0.79, 0.84)],
+            8,
+            coat,
+        ),
         blob(rng, (0.1, 0.085, 0.125), (0.01, 0, 0.925 * height), skin, 0.02, sides=8, rows=6),
         blob(rng, (0.105, 0.1, 0.085), (-0.02, 0, 0.965 * height), hair, 0.05, sides=8, rows=5),
-    ]  # fmt: skip
+    ]
     if rng.uniform() < 0.3:
         still.append(
             blob(rng, (0.12, 0.16, 0.22), (-0.22, 0, 0.7 * height), Skin(_PEDESTRIAN, Material.CLOTH, legs), 0.05)
@@ -52,7 +64,14 @@ def _limbs(side: int, swing: float, height: float, wide: float, coat: Skin, trou
     elbow = (0.16 * height * np.sin(-swing), 0.23 * side * wide, shoulder - 0.17 * height)
     hand = (elbow[0] + 0.15 * height * np.sin(0.35 - swing), 0.24 * side * wide, elbow[2] - 0.15 * height)
     return [
-        beam((0, y, hip), knee, 0.085 * wide, trousers), beam(knee, foot, 0.065 * wide, trousers),
-        beam((foot[0] - 0.08, y, foot[2]), (foot[0] + 0.17, y, foot[2]), 0.05, Skin(_PEDESTRIAN, Material.RUBBER, (40, 36, 34))),
-        beam((0, 0.19 * side * wide, shoulder), elbow, 0.055, coat), beam(elbow, hand, 0.045, skin),
-    ]  # fmt: skip
+        beam((0, y, hip), knee, 0.085 * wide, trousers),
+        beam(knee, foot, 0.065 * wide, trousers),
+        beam(
+            (foot[0] - 0.08, y, foot[2]),
+            (foot[0] + 0.17, y, foot[2]),
+            0.05,
+            Skin(_PEDESTRIAN, Material.RUBBER, (40, 36, 34)),
+        ),
+        beam((0, 0.19 * side * wide, shoulder), elbow, 0.055, coat),
+        beam(elbow, hand, 0.045, skin),
+    ]

@@ -12,7 +12,7 @@ from omniocc.world.terrain import Terrain
 from omniocc.world.theme import Theme
 
 THEMES: tuple[str, ...] = tuple(themes.ALL)
-_CROSSING_SHARE = 0.65
+_CROSSING_SHARE = 0.5
 _PLAN_RADIUS_M = 300.0
 
 

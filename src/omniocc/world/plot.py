@@ -19,7 +19,7 @@ from omniocc.world.theme import Theme
 class Plot:
     """A rectangle whose front edge lies behind the sidewalk.
 
-    `front` is the middle of that edge; its x runs along the street and its y into the plot. All of the rectangle is claimed.
+    `front` is the middle of that edge; its x runs along the street and its y into the plot.
     """
 
     site: Site

@@ -47,7 +47,7 @@ def sign(rng: np.random.Generator) -> Mesh:
 
 def _board(rim: np.ndarray, place: tuple[float, float], skin: Skin) -> Mesh:
     """A thin plate over an outline in (y, z), its face at x = place[0], its centre at z = place[1]."""
-    flat = loft(rim + [0, place[1]], np.full(len(rim), 0.012), [skin] * len(rim), skin)
+    flat = loft(rim + np.array([0, place[1]]), np.full(len(rim), 0.012), [skin] * len(rim), skin)
     turned = flat.vertices[:, [1, 0, 2]] * np.array([-1, 1, 1], np.float32) + np.array([place[0], 0, 0], np.float32)
     return Mesh(turned, flat.faces, flat.uv, flat.label, flat.material, flat.color, flat.instance)
 

@@ -61,10 +61,14 @@ def shelter(rng: np.random.Generator) -> Mesh:
 def kiosk(rng: np.random.Generator) -> Mesh:
     """Newspaper stand with an awning."""
     body, band = _skin(rng, Material.PLASTER), _skin(rng, Material.SIGN)
-    return concatenate([
-        box((2.4, 1.6, 2.5), (0, 0, 1.2), body), box((1.8, 0.04, 1.0), (0, 0.81, 1.5), Skin(_OTHER, Material.GLASS, (90, 104, 112))),
-        box((2.6, 1.8, 0.25), (0, 0, 2.55), band), box((2.2, 0.5, 0.06), (0, 1.05, 2.3), band),
-    ])  # fmt: skip
+    return concatenate(
+        [
+            box((2.4, 1.6, 2.5), (0, 0, 1.2), body),
+            box((1.8, 0.04, 1.0), (0, 0.81, 1.5), Skin(_OTHER, Material.GLASS, (90, 104, 112))),
+            box((2.6, 1.8, 0.25), (0, 0, 2.55), band),
+            box((2.2, 0.5, 0.06), (0, 1.05, 2.3), band),
+        ]
+    )
 
 
 def cabinet(rng: np.random.Generator) -> Mesh:
@@ -136,8 +140,16 @@ class Kind(NamedTuple):
 
 
 KINDS: dict[str, Kind] = {
-    "bench": Kind(bench, (2.0, 0.7)), "bin": Kind(bin_, (0.7, 0.7)), "hydrant": Kind(hydrant, (0.5, 0.5)),
-    "shelter": Kind(shelter, (4.4, 1.5)), "kiosk": Kind(kiosk, (2.8, 2.0)), "box": Kind(cabinet, (1.4, 0.6)),
-    "bollards": Kind(bollards, (2.8, 0.4)), "planter": Kind(planter, (1.5, 0.8)), "crates": Kind(crates, (1.9, 0.9)),
-    "pallets": Kind(pallets, (1.3, 0.9)), "bales": Kind(bales, (1.3, 1.0)), "post": Kind(post_box, (0.4, 0.6)),
-}  # fmt: skip
+    "bench": Kind(bench, (2.0, 0.7)),
+    "bin": Kind(bin_, (0.7, 0.7)),
+    "hydrant": Kind(hydrant, (0.5, 0.5)),
+    "shelter": Kind(shelter, (4.4, 1.5)),
+    "kiosk": Kind(kiosk, (2.8, 2.0)),
+    "box": Kind(cabinet, (1.4, 0.6)),
+    "bollards": Kind(bollards, (2.8, 0.4)),
+    "planter": Kind(planter, (1.5, 0.8)),
+    "crates": Kind(crates, (1.9, 0.9)),
+    "pallets": Kind(pallets, (1.3, 0.9)),
+    "bales": Kind(bales, (1.3, 1.0)),
+    "post": Kind(post_box, (0.4, 0.6)),
+}

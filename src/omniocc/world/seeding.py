@@ -6,6 +6,6 @@ import numpy as np
 
 
 def generator(theme: str, seed: int, purpose: str) -> np.random.Generator:
-    """The generator of one purpose ('network', 'lots', ...) in the world (theme, seed); equal on every machine and in every process."""
+    """The generator of one purpose ('network', 'stock', ...) in the world (theme, seed); equal in every process."""
     digest = hashlib.sha256(f"{theme}/{seed}/{purpose}".encode()).digest()
     return np.random.default_rng(np.frombuffer(digest, dtype="<u4"))

@@ -1,4 +1,4 @@
-"""Simple solids as meshes, in the frame of the thing they are part of. Faces are counter-clockwise seen from outside."""
+"""Simple solids as meshes, in the frame of their thing; faces are counter-clockwise seen from outside."""
 
 from typing import NamedTuple
 
@@ -95,7 +95,7 @@ def beam(start_m: tuple[float, float, float], end_m: tuple[float, float, float],
     angle = np.pi / 4 + np.pi / 2 * np.arange(5)
     around = radius_m * (np.cos(angle)[:, None] * right + np.sin(angle)[:, None] * up)
     net = np.stack([start + around, end + around])
-    uv = np.stack(np.meshgrid(radius_m * 1.4 * np.arange(5), [0, np.linalg.norm(end - start)]), -1)
+    uv = np.stack(np.meshgrid(radius_m * 1.4 * np.arange(5), [0.0, float(np.linalg.norm(end - start))]), -1)
     return sheet(net, uv, skin)
 
 

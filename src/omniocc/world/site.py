@@ -59,7 +59,7 @@ class Plan:
 
 @dataclass
 class Site:
-    """Collects the things of a place. Copies of one prototype are laid out together, which is what makes building fast."""
+    """Collects the things of a place; copies of one prototype are laid out together, which is fast."""
 
     terrain: Terrain
     plan: Plan

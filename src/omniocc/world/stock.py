@@ -1,4 +1,4 @@
-"""The prototypes a place is furnished with: a few variants of every kind, so that copies are cheap and no two streets equal."""
+"""The prototypes a place is furnished with: a few variants of every kind."""
 
 from dataclasses import dataclass
 

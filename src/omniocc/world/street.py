@@ -52,9 +52,15 @@ class _Line:
 
 
 def furnish(
-    theme: Theme, network: Network, ring: Ring, paved: bool, crossings: frozenset[tuple[int, bool]], site: Site, stock: Stock,
+    theme: Theme,
+    network: Network,
+    ring: Ring,
+    paved: bool,
+    crossings: frozenset[tuple[int, bool]],
+    site: Site,
+    stock: Stock,
     rng: np.random.Generator,
-) -> None:  # fmt: skip
+) -> None:
     """Fills the surroundings of one block's sides."""
     for side in ring.sides:
         line, first, last = _Line(side), float(side.along_m[0]), float(side.along_m[-1])

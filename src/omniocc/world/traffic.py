@@ -56,10 +56,13 @@ class Traffic:
     def ego_along_m(self, time_s: float) -> float:
         """How far the ego has come on its path."""
         lane = self._lanes[self._ego_lane]
-        return float(lane.timetable.at(np.float64(time_s + lane.delay_s[self._ego_car])))
+        return float(lane.timetable.at(time_s + float(lane.delay_s[self._ego_car])))
 
     def world_from_ego(self, time_s: float) -> np.ndarray:
-        """(4, 4) float64 pose of the ego frame, its origin 2.2 m above the road; the car pitches and rolls by about 0.02 rad and heaves by 0.1 m."""
+        """(4, 4) float64 pose of the ego frame, 2.2 m above the road.
+
+        The car pitches and rolls by about 0.02 rad and heaves by 0.1 m (standard deviations) on top of the slope.
+        """
         lane, along = self._lanes[self._ego_lane], self.ego_along_m(time_s)
         front, rear = lane.path.at(np.array([along + 1.4, along - 1.4]))
         road = _standing(self._place, 0.5 * (front + rear), front - rear)
@@ -71,7 +74,7 @@ class Traffic:
         return pose
 
     def actors(self, time_s: float) -> tuple[Mesh, tuple[Actor, ...]]:
-        """Everything moving within 80 m of the ego: faces in the world frame with instance = actor id, and the actors."""
+        """All that moves within 80 m of the ego: faces in the world frame with instance = actor id, and the actors."""
         middle = self.world_from_ego(time_s)[:2, 3]
         pairs = [*self._driving(time_s, middle), *self._walking(time_s, middle), *self._crossing(time_s, middle)]
         return concatenate(mesh for mesh, _ in pairs), tuple(actor for _, actor in pairs)
@@ -166,7 +169,7 @@ def _tilt(roll_rad: float, pitch_rad: float) -> np.ndarray:
 
 
 def _shake(time_s: float, draws: np.ndarray) -> float:
-    """A smooth function of time with unit variance: three sines of 0.1 to 1 Hz; `draws` (3, 2) in [0, 1] set frequency and phase."""
+    """Three sines of 0.1 to 1 Hz with unit variance in all; `draws` (3, 2) in [0, 1] set frequency and phase."""
     frequency_hz = np.array([0.12, 0.35, 0.8]) * (0.8 + 0.4 * draws[:, 0])
     return float(
         (np.sqrt(2) * np.array([0.75, 0.55, 0.37]) * np.sin(2 * np.pi * (frequency_hz * time_s + draws[:, 1]))).sum()

@@ -11,9 +11,17 @@ from omniocc.world.shape import Color, Skin, beam, blob, box, lathe, loft, quads
 _VEHICLE = 7
 EGO_ROAD_M = -2.2  # height of the road in the ego frame
 PAINTS: tuple[Color, ...] = (
-    (196, 198, 200), (236, 236, 234), (40, 42, 46), (96, 100, 106), (150, 30, 34), (34, 62, 120), (60, 92, 76), (190, 150, 60),
-    (116, 84, 64), (150, 176, 196),
-)  # fmt: skip
+    (196, 198, 200),
+    (236, 236, 234),
+    (40, 42, 46),
+    (96, 100, 106),
+    (150, 30, 34),
+    (34, 62, 120),
+    (60, 92, 76),
+    (190, 150, 60),
+    (116, 84, 64),
+    (150, 176, 196),
+)
 _PAINT = Skin(_VEHICLE, Material.CAR_PAINT, (150, 150, 150))
 _GLASS = Skin(_VEHICLE, Material.GLASS, (38, 46, 54))
 _RUBBER = Skin(_VEHICLE, Material.RUBBER, (30, 30, 32))
@@ -26,10 +34,12 @@ _PLATE = Skin(_VEHICLE, Material.SIGN, (226, 226, 220))
 
 def _wheel(x_m: float, y_m: float, radius_m: float) -> Mesh:
     """A wheel around the y axis, its disc on the outer side."""
-    flat = concatenate([
-        lathe([radius_m, radius_m, 0.6 * radius_m], [-0.11, 0.1, 0.115], 12, _RUBBER),
-        lathe([0.62 * radius_m, 0], [0.117, 0.125], 6, _RIM),
-    ])  # fmt: skip
+    flat = concatenate(
+        [
+            lathe([radius_m, radius_m, 0.6 * radius_m], [-0.11, 0.1, 0.115], 12, _RUBBER),
+            lathe([0.62 * radius_m, 0], [0.117, 0.125], 6, _RIM),
+        ]
+    )
     side = 1.0 if y_m > 0 else -1.0
     turn = np.array([[1.0, 0, 0, x_m], [0, 0, side, y_m], [0, -side, 0, radius_m], [0, 0, 0, 1]])
     return transform(flat, turn)
@@ -55,10 +65,25 @@ def _car(
     cabin: tuple[float, float, float, float],
     belt: float = 0.92,
 ) -> Mesh:
-    """A body below the belt line, glass above it. `cabin`: x of rear foot, rear roof, front roof, front foot as shares of the length."""
+    """A body below the belt line, glass above it.
+
+    `cabin`: x of rear foot, rear roof, front roof and front foot, as shares of the length.
+    """
     h, w = length / 2, width / 2
-    body = np.array([(-h, 0.36), (-h + 0.1, 0.24), (h - 0.15, 0.24), (h, 0.38), (h, 0.62), (h - 0.1, hood - 0.12),
-                     (cabin[3] * length, belt), (cabin[0] * length, belt + 0.02), (-h + 0.05, belt - 0.04), (-h, 0.7)])  # fmt: skip
+    body = np.array(
+        [
+            (-h, 0.36),
+            (-h + 0.1, 0.24),
+            (h - 0.15, 0.24),
+            (h, 0.38),
+            (h, 0.62),
+            (h - 0.1, hood - 0.12),
+            (cabin[3] * length, belt),
+            (cabin[0] * length, belt + 0.02),
+            (-h + 0.05, belt - 0.04),
+            (-h, 0.7),
+        ]
+    )
     narrow = np.array([0.9, 0.94, 0.94, 0.86, 0.88, 0.9, 0.97, 0.97, 0.92, 0.95]) * w
     parts = [loft(body, narrow, [_TRIM, _TRIM, _TRIM] + [_PAINT] * 7, _PAINT)]
     rear, rear_top, front_top, front = (share * length for share in cabin)
@@ -159,13 +184,32 @@ def bicycle(rng: np.random.Generator) -> Mesh:
     cloth = Skin(_VEHICLE, Material.CLOTH, PAINTS[int(rng.integers(len(PAINTS)))])
     trousers = Skin(_VEHICLE, Material.CLOTH, (52, 56, 72))
     skin = Skin(_VEHICLE, Material.SKIN, (198, 150, 122))
-    wheels = [transform(lathe([0.33, 0.35, 0.33], [-0.025, 0, 0.025], 12, _RUBBER),
-                        np.array([[1.0, 0, 0, x], [0, 0, 1, 0], [0, -1, 0, 0.34], [0, 0, 0, 1]])) for x in (-0.52, 0.52)]  # fmt: skip
-    disc = [transform(lathe([0.33, 0], [0, 0.005], 12, _RIM), np.array([[1.0, 0, 0, x], [0, 0, s, 0], [0, -s, 0, 0.34], [0, 0, 0, 1]]))
-            for x in (-0.52, 0.52) for s in (-1, 1)]  # fmt: skip
-    bars = [beam(a, b, 0.025, frame) for a, b in (
-        ((-0.52, 0, 0.34), (-0.15, 0, 0.85)), ((-0.15, 0, 0.85), (0.4, 0, 0.8)), ((0.52, 0, 0.34), (0.38, 0, 1.0)),
-        ((-0.05, 0, 0.32), (0.4, 0, 0.75)), ((-0.52, 0, 0.34), (-0.05, 0, 0.32)), ((0.38, -0.28, 1.02), (0.38, 0.28, 1.02)))]  # fmt: skip
+    wheels = [
+        transform(
+            lathe([0.33, 0.35, 0.33], [-0.025, 0, 0.025], 12, _RUBBER),
+            np.array([[1.0, 0, 0, x], [0, 0, 1, 0], [0, -1, 0, 0.34], [0, 0, 0, 1]]),
+        )
+        for x in (-0.52, 0.52)
+    ]
+    disc = [
+        transform(
+            lathe([0.33, 0], [0, 0.005], 12, _RIM),
+            np.array([[1.0, 0, 0, x], [0, 0, s, 0], [0, -s, 0, 0.34], [0, 0, 0, 1]]),
+        )
+        for x in (-0.52, 0.52)
+        for s in (-1, 1)
+    ]
+    bars = [
+        beam(a, b, 0.025, frame)
+        for a, b in (
+            ((-0.52, 0, 0.34), (-0.15, 0, 0.85)),
+            ((-0.15, 0, 0.85), (0.4, 0, 0.8)),
+            ((0.52, 0, 0.34), (0.38, 0, 1.0)),
+            ((-0.05, 0, 0.32), (0.4, 0, 0.75)),
+            ((-0.52, 0, 0.34), (-0.05, 0, 0.32)),
+            ((0.38, -0.28, 1.02), (0.38, 0.28, 1.02)),
+        )
+    ]
     rider = [
         beam((-0.18, 0, 0.95), (0.12, 0, 1.45), 0.19, cloth),
         blob(rng, (0.11, 0.1, 0.14), (0.2, 0, 1.66), skin, 0.03),
@@ -178,8 +222,14 @@ def bicycle(rng: np.random.Generator) -> Mesh:
 
 
 KINDS: dict[str, Callable[[np.random.Generator], Mesh]] = {
-    "sedan": sedan, "hatchback": hatchback, "suv": suv, "van": van, "truck": truck, "bus": bus, "bicycle": bicycle,
-}  # fmt: skip
+    "sedan": sedan,
+    "hatchback": hatchback,
+    "suv": suv,
+    "van": van,
+    "truck": truck,
+    "bus": bus,
+    "bicycle": bicycle,
+}
 
 
 def size_m(mesh: Mesh) -> tuple[float, float, float]:
@@ -189,9 +239,9 @@ def size_m(mesh: Mesh) -> tuple[float, float, float]:
 
 
 def ego_car() -> Mesh:
-    """The car below the rig, in the ego frame: 4.6 x 1.9 m, its roof 0.55 m below the origin, its wheels on z = -2.2 m."""
+    """The car below the rig, in the ego frame: 4.6 x 1.9 m, its roof at z = -0.55 m, its wheels on z = -2.2 m."""
     mesh = _car(4.6, 1.86, 1.65, 1.02, (-0.47, -0.4, 0.06, 0.22), 1.03)
-    painted = np.where((mesh.material == Material.CAR_PAINT)[:, None], np.uint8([128, 24, 28]), mesh.color)
+    painted = np.where((mesh.material == Material.CAR_PAINT)[:, None], np.array([128, 24, 28], np.uint8), mesh.color)
     down = np.eye(4)
     down[2, 3] = EGO_ROAD_M
     mesh = transform(mesh, down)

@@ -31,7 +31,7 @@ class Round:
 
 @dataclass(frozen=True)
 class Crosser:
-    """Goes over from `start_m` to `end_m` (3,) at `leave_s` of every even cycle, and back at `return_s` of every odd one."""
+    """Goes from `start_m` to `end_m` (3,) at `leave_s` of every even cycle, and back at `return_s` of every odd one."""
 
     start_m: np.ndarray
     end_m: np.ndarray
