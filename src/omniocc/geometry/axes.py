@@ -1,7 +1,7 @@
 """Where a ray next crosses a cell boundary, one class per kind of boundary; each holds the state of R rays.
 
-All tensors are of shape (R,) and float64 or int64. `next_m` is the distance along the ray to the next boundary of this
-axis (`FAR` if there is none) and `index` the cell the ray is in on this axis.
+All tensors are float64 of shape (R,). `next_m` is the distance along the ray to the next boundary of this axis (`FAR`
+if there is none) and `index` the cell the ray is in on this axis, a whole number kept as float64 to save conversions.
 Directions have length 1, so distances are metres.
 """
 
@@ -53,16 +53,17 @@ class Planes(_Columns):
         low, size = bounds[0], (bounds[1] - bounds[0]) / cells
         still = direction == 0
         speed = torch.where(still, 1.0, direction)
-        self.index = ((origin + start_m * direction - low) / size).floor().clamp(0, cells - 1).long()
-        self.sign = direction.sign().long()
+        self.index = ((origin + start_m * direction - low) / size).floor().clamp(0, cells - 1)
+        self.sign = direction.sign()
         self.stride_m = torch.where(still, 0.0, size / speed.abs())
-        boundary = low + (self.index + (direction > 0)).double() * size
+        boundary = low + (self.index + (direction > 0)) * size
         self.next_m = torch.where(still, FAR, (boundary - origin) / speed)
 
     def advance(self, reached: Bool[Tensor, " R"]) -> None:
         """See `Axis`."""
-        self.index += reached * self.sign
-        self.next_m += reached * self.stride_m
+        step = reached.double()
+        self.index.addcmul_(step, self.sign)
+        self.next_m.addcmul_(step, self.stride_m)
 
 
 class Rings(_Columns):
@@ -77,9 +78,9 @@ class Rings(_Columns):
     def __init__(self, origin: Tensor, direction: Tensor, start_m: Tensor, bounds: tuple[float, float], cells: int):
         self.low, self.size = bounds[0], (bounds[1] - bounds[0]) / cells
         self.speed2, self.nearest_m, self.miss2 = closest_approach(origin, direction)
-        self.innermost = ((self.miss2.sqrt() - self.low) / self.size).floor().clamp(-1, cells - 1).long()
+        self.innermost = ((self.miss2.sqrt() - self.low) / self.size).floor().clamp(-1, cells - 1)
         x, y = (origin + start_m.unsqueeze(-1) * direction)[:, :2].unbind(-1)
-        ring = ((torch.sqrt(x * x + y * y) - self.low) / self.size).floor().clamp(-1, cells - 1).long()
+        ring = ((torch.sqrt(x * x + y * y) - self.low) / self.size).floor().clamp(-1, cells - 1)
         distance = (ring - self.innermost).clamp(min=0)
         self.turn = torch.where(start_m < self.nearest_m, -distance, distance)
         self._update()
@@ -92,7 +93,7 @@ class Rings(_Columns):
     def _update(self) -> None:
         leaving = self.turn >= 0
         self.index = self.innermost + self.turn.abs()
-        radius = self.low + (self.index + leaving).double() * self.size
+        radius = self.low + (self.index + leaving) * self.size
         offset = ((radius * radius - self.miss2).clamp_(min=0) / self.speed2).sqrt_()
         self.next_m = torch.where(leaving, self.nearest_m + offset, self.nearest_m - offset).clamp_(max=FAR)
 
@@ -114,31 +115,34 @@ class Sectors(_Columns):
         vertical = speed2 < TOUCH_M**2
         meets = (miss2 < TOUCH_M**2) & ~vertical
         self.axial = meets | vertical
-        self.sweep = (origin[:, 0] * direction[:, 1] - origin[:, 1] * direction[:, 0]).sign().long()
+        self.sweep = (origin[:, 0] * direction[:, 1] - origin[:, 1] * direction[:, 0]).sign()
         self.after = self._sector(self.direction)
         there = self._sector(self.origin + start_m.unsqueeze(-1) * self.direction)
         coming = meets & (start_m < nearest_m - TOUCH_M)
         self.index = torch.where(coming, self._sector(-self.direction), torch.where(meets, self.after, there))
         self.next_m = torch.where(coming, nearest_m, FAR)
-        self.next_m = torch.where(self.axial, self.next_m, self._next(start_m))
+        ahead = self._next(self.index, self.sweep, self.origin, self.direction, start_m)
+        self.next_m = torch.where(self.axial, self.next_m, ahead)
 
     def advance(self, reached: Bool[Tensor, " R"]) -> None:
         """See `Axis`."""
-        index = self.index + self.sweep
-        index += self.cells * ((index < 0).long() - (index >= self.cells).long())
-        self.index = torch.where(reached, torch.where(self.axial, self.after, index), self.index)
-        ahead = torch.where(self.axial, FAR, self._next(self.next_m))
-        self.next_m = torch.where(reached, ahead, self.next_m)
+        rays = reached.nonzero().flatten()
+        axial, sweep = self.axial[rays], self.sweep[rays]
+        index = self.index[rays] + sweep
+        index += self.cells * ((index < 0).double() - (index >= self.cells).double())
+        ahead = self._next(index, sweep, self.origin[rays], self.direction[rays], self.next_m[rays])
+        self.index[rays] = torch.where(axial, self.after[rays], index)
+        self.next_m[rays] = torch.where(axial, FAR, ahead)
 
-    def _sector(self, xy: Float[Tensor, "R 2"]) -> Int64[Tensor, " R"]:
+    def _sector(self, xy: Float[Tensor, "R 2"]) -> Float[Tensor, " R"]:
         turned = (torch.atan2(xy[:, 1], xy[:, 0]) + math.pi) * (self.cells / (2 * math.pi))
-        return turned.floor().long().remainder(self.cells)
+        return turned.floor().remainder(self.cells)
 
-    def _next(self, now_m: Float[Tensor, " R"]) -> Float[Tensor, " R"]:
-        boundary = self.index + (self.sweep > 0)
+    def _next(self, index: Tensor, sweep: Tensor, origin: Tensor, direction: Tensor, now_m: Tensor) -> Tensor:
+        boundary = (index + (sweep > 0)).long()
         sin, cos = self.sin[boundary], self.cos[boundary]
-        across = self.direction[:, 1] * cos - self.direction[:, 0] * sin
-        distance = (self.origin[:, 0] * sin - self.origin[:, 1] * cos) / across
+        across = direction[:, 1] * cos - direction[:, 0] * sin
+        distance = (origin[:, 0] * sin - origin[:, 1] * cos) / across
         # the line meets a boundary that the ray has left behind on the far side of the axis, earlier
         return torch.where((distance >= now_m - TOUCH_M) & (distance < FAR), distance, FAR)
 

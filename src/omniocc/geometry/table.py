@@ -38,7 +38,7 @@ class RayTable:
             raise ValueError(f"labels must have {self.num_cells} cells, got shape {tuple(labels.shape)}")
         flat = torch.cat([labels.flatten(), labels.new_full((1,), FREE)])
         column = torch.full_like(self.valid, self.bounds_m.shape[1] - 1, dtype=torch.int64)
-        hits = Hits.nothing(len(self.valid), labels.device)
+        hits = Hits.nothing(self._bound(column))
         going = self.valid.nonzero().flatten()
         for number, block in enumerate(self.blocks):
             cells = block.index_select(0, going)

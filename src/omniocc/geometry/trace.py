@@ -5,6 +5,7 @@ may be planes, cylinders or half-planes (`omniocc.geometry.axes`).
 """
 
 from collections.abc import Iterator
+from math import prod
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
@@ -71,20 +72,25 @@ class Hits(NamedTuple):
     exit_m: Float32[Tensor, " R"]
 
     @classmethod
-    def nothing(cls, count: int, device: torch.device) -> "Hits":
-        """Rays that never meet the grid."""
-        return cls(
-            torch.full((count,), -1, dtype=torch.int32, device=device),
-            torch.full((count,), FREE, dtype=torch.uint8, device=device),
-            torch.full((count,), float("inf"), device=device),
-            torch.full((count,), float("inf"), device=device),
-        )
+    def nothing(cls, leave_m: Float32[Tensor, " R"]) -> "Hits":
+        """Rays that leave the grid at these distances without a hit; inf if they never meet it."""
+        cells = torch.full_like(leave_m, -1, dtype=torch.int32)
+        return cls(cells, torch.full_like(leave_m, FREE, dtype=torch.uint8), leave_m.clone(), leave_m.clone())
 
 
 class Stretch(NamedTuple):
-    """One cell each of K rays: which ray, flat cell (-1 in a cylinder's hole), where it begins and ends."""
+    """The next cell of K rays.
+
+    Attributes:
+        rays: which rays.
+        crossed: whether there is a next cell; the other columns mean nothing where there is none.
+        cells: its flat index, or the number of cells in a cylinder's hole.
+        entry_m: distance at which it is entered.
+        exit_m: distance at which it is left.
+    """
 
     rays: Int64[Tensor, " K"]
+    crossed: Bool[Tensor, " K"]
     cells: Int64[Tensor, " K"]
     entry_m: Float[Tensor, " K"]
     exit_m: Float[Tensor, " K"]
@@ -104,6 +110,8 @@ def paths(grid: Traversable, origins: Float[Tensor, "R 3"], directions: Float[Te
     count = torch.zeros(len(origins), dtype=torch.int64, device=origins.device)
     columns: list[Tensor] = []
     for stretch in walk(grid, origins, directions):
+        crossed = stretch.crossed.nonzero().flatten()
+        stretch = Stretch(*(part[crossed] for part in stretch))
         steps.append(stretch)
         columns.append(count[stretch.rays])
         count[stretch.rays] += 1
@@ -111,7 +119,7 @@ def paths(grid: Traversable, origins: Float[Tensor, "R 3"], directions: Float[Te
     cells = torch.full((len(origins), length), -1, dtype=torch.int32, device=origins.device)
     bounds_m = torch.zeros(len(origins), length + 1, device=origins.device)
     for stretch, column in zip(steps, columns, strict=True):
-        cells[stretch.rays, column] = stretch.cells.int()
+        cells[stretch.rays, column] = torch.where(stretch.cells == prod(grid.shape), -1, stretch.cells).int()
         bounds_m[stretch.rays, column] = stretch.entry_m.float()
         bounds_m[stretch.rays, column + 1] = stretch.exit_m.float()
     after = torch.arange(length + 1, device=count.device) > count.unsqueeze(1)
@@ -138,17 +146,19 @@ def cast(
     """
     if labels.shape != grid.shape:
         raise ValueError(f"labels must have the grid's shape {grid.shape}, got {tuple(labels.shape)}")
-    flat = labels.flatten()
-    hits = Hits.nothing(len(origins), origins.device)
+    flat = torch.cat([labels.flatten(), labels.new_full((1,), FREE)])
+    _, start_m, leave_m = _clip(grid, origins, directions)
+    hits = Hits.nothing(torch.where(start_m < leave_m, leave_m, float("inf")).float())
     wanted = torch.ones(len(origins), dtype=torch.bool, device=origins.device)
-    for rays, cells, entry_m, exit_m in walk(grid, origins, directions, wanted):
-        label = torch.where(cells >= 0, flat[cells], FREE)
-        stop = label != FREE
-        hits.entry_m[rays] = torch.where(stop, entry_m, exit_m).float()
-        hits.exit_m[rays] = exit_m.float()
-        hits.labels[rays] = label
-        hits.cells[rays] = torch.where(stop, cells, -1).int()
-        wanted[rays] = ~stop
+    for stretch in walk(grid, origins, directions, wanted):
+        label = flat.index_select(0, stretch.cells)
+        stop = ((label != FREE) & stretch.crossed).nonzero().flatten()
+        rays = stretch.rays[stop]
+        hits.cells[rays] = stretch.cells[stop].int()
+        hits.labels[rays] = label[stop]
+        hits.entry_m[rays] = stretch.entry_m[stop].float()
+        hits.exit_m[rays] = stretch.exit_m[stop].float()
+        wanted[rays] = False
     return hits
 
 
@@ -169,38 +179,46 @@ def walk(
     for first in range(0, len(origins), CHUNK_RAYS):
         chunk = slice(first, first + CHUNK_RAYS)
         going = None if wanted is None else wanted[chunk]
-        for stretch in _walk_chunk(grid, origins[chunk].double(), directions[chunk].double(), going):
+        for stretch in _walk_chunk(grid, origins[chunk], directions[chunk], going):
             yield stretch._replace(rays=stretch.rays + first)
+
+
+def _clip(grid: Traversable, origins: Tensor, directions: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Unit directions, and where rays start and leave the grid; start >= leave for those that never meet it."""
+    directions = torch.nn.functional.normalize(directions.double(), dim=-1, eps=0.0)
+    enter_m, leave_m = grid.clip(origins.double(), directions)
+    start_m = enter_m.clamp(min=0)
+    return directions, start_m, torch.where(leave_m > start_m + TOUCH_M, leave_m, -1.0)
 
 
 def _walk_chunk(
     grid: Traversable, origins: Tensor, directions: Tensor, wanted: Bool[Tensor, " R"] | None
 ) -> Iterator[Stretch]:
-    directions = torch.nn.functional.normalize(directions, dim=-1, eps=0.0)
-    enter_m, leave_m = grid.clip(origins, directions)
-    now_m = enter_m.clamp(min=0)
-    rays = (leave_m > now_m + TOUCH_M).nonzero().flatten()
+    directions, now_m, leave_m = _clip(grid, origins, directions)
+    rays = (now_m < leave_m).nonzero().flatten()
     now_m, leave_m = now_m[rays], leave_m[rays]
-    axes = grid.axes(origins[rays], directions[rays], now_m)
+    axes = grid.axes(origins[rays].double(), directions[rays], now_m)
     for axis in axes:
         axis.advance(axis.next_m <= now_m + TOUCH_M)
     while len(rays):
         end_m = torch.minimum(torch.minimum(axes[0].next_m, axes[1].next_m), torch.minimum(axes[2].next_m, leave_m))
         going = now_m < leave_m - TOUCH_M
         if wanted is not None:
-            going &= wanted[rays]
-        seen = (going & (end_m > now_m + TOUCH_M)).nonzero().flatten()
-        yield Stretch(rays[seen], _flat(axes, grid.shape)[seen], now_m[seen], end_m[seen])
-        for axis in axes:
-            axis.advance(axis.next_m <= end_m + TOUCH_M)
-        now_m = end_m
-        if 4 * int(going.sum()) < 3 * len(going):
-            kept = going.nonzero().flatten()
-            rays, now_m, leave_m = rays[kept], now_m[kept], leave_m[kept]
+            going &= wanted.index_select(0, rays)
+        kept = going.nonzero().flatten()
+        if 4 * len(kept) < 3 * len(rays):
+            rays, now_m, end_m, leave_m = rays[kept], now_m[kept], end_m[kept], leave_m[kept]
+            going = going[kept]
             for axis in axes:
                 axis.keep(kept)
+        reached_m = end_m + TOUCH_M
+        crossed = going & (reached_m > now_m + 2 * TOUCH_M)
+        yield Stretch(rays, crossed, _flat(axes, grid.shape, crossed), now_m, end_m)
+        for axis in axes:
+            axis.advance(axis.next_m <= reached_m)
+        now_m = end_m
 
 
-def _flat(axes: tuple[Axis, Axis, Axis], shape: tuple[int, int, int]) -> Int64[Tensor, " R"]:
+def _flat(axes: tuple[Axis, Axis, Axis], shape: tuple[int, int, int], crossed: Bool[Tensor, " K"]) -> Tensor:
     cell = (axes[0].index * shape[1] + axes[1].index) * shape[2] + axes[2].index
-    return torch.where(axes[0].index < 0, -1, cell)
+    return torch.where(crossed & (axes[0].index >= 0), cell, prod(shape)).long()
