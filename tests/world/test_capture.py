@@ -58,7 +58,7 @@ def test_own_car_is_seen_at_the_bottom_and_has_no_range(rig, stage, own_car, sen
 
 
 def test_cameras_and_lidar_agree_on_points_that_both_see(rig, stage, own_car, sensor):
-    """A pixel's point, looked at from the ego origin, is hit there with the same class unless something stands before it."""
+    """A pixel's point, looked at from the ego origin, has the same class unless something stands before it."""
     from omniocc.world.lidar import scan_ego
 
     agree, same = [], []

@@ -16,7 +16,7 @@ _STEP_SHARE = 0.02
 
 
 class Picture(NamedTuple):
-    """One image: `rgb` (H, W, 3) uint8, `label` (H, W) uint8 and `range_m` (H, W) float32 as `omniocc.world.Frame` has them."""
+    """One image: `rgb` (H, W, 3) uint8, `label` (H, W) uint8, `range_m` (H, W) float32, as in `omniocc.world.Frame`."""
 
     rgb: np.ndarray
     label: np.ndarray
@@ -26,8 +26,9 @@ class Picture(NamedTuple):
 def record(view: View, stage: Stage, sensor: Sensor, rng: np.random.Generator) -> Picture:
     """Takes one picture.
 
-    Every pixel gets a ray through its centre, which decides class and range. Where neighbours see different surfaces, or light beside
-    shadow, further rays are cast and the colours averaged in linear light; elsewhere the texture's mip levels are average enough.
+    Every pixel gets a ray through its centre, which decides class and range. Where neighbours see different surfaces,
+    or light beside shadow, further rays are cast and the colours averaged in linear light; elsewhere the texture's mip
+    levels are average enough.
     """
     hits = stage.cast(view.origin_m, view.center, _own_hits(view.own_center, stage))
     seen = _shade(view, stage, hits, view.center)
@@ -39,8 +40,9 @@ def record(view: View, stage: Stage, sensor: Sensor, rng: np.random.Generator) -
     label = np.where(hits.face >= 0, stage.surfaces.label[hits.face], 0).astype(np.uint8)
     label[own] = UNKNOWN
     range_m = np.where(own, np.float32(np.nan), hits.range_m)
+    rgb = develop(color, sensor, view.falloff, rng)
     return Picture(
-        _image(view, develop(color, sensor, view.falloff, rng), 0),
+        _image(view, rgb, 0),
         _image(view, label, UNKNOWN),
         _image(view, range_m, np.nan),
     )
@@ -75,7 +77,7 @@ def _keys(hits: Hits, stage: Stage) -> np.ndarray:
 def _borders(view: View, key: np.ndarray, seen: Shading) -> np.ndarray:
     """(P,) bool: whether a pixel above, below, left or right sees another surface or another light."""
     keys, lit = _image(view, key, 0), _image(view, seen.lit, False)
-    plane = _image(view, seen.offset_m, np.float32(0))
+    plane = _image(view, seen.offset_m, 0)
     border = np.zeros(view.size, dtype=bool)
     for one, other in (((slice(None), slice(1, None)), (slice(None), slice(-1))), ((slice(1, None),), (slice(-1),))):
         step = np.abs(plane[one] - plane[other]) > _STEP_M + _STEP_SHARE * plane[one]

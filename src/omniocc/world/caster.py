@@ -48,8 +48,8 @@ def _embree() -> tuple[ModuleType, ModuleType]:
 class Caster:
     """One immutable set of triangles.
 
-    Rays are given in the mesh's frame shifted by `origin_m`: with an origin near the scene's middle float32 keeps coordinates of some
-    hundred metres to within 0.03 mm.
+    Rays are given in the mesh's frame shifted by `origin_m`: with an origin near the scene's middle float32 keeps
+    coordinates of some hundred metres to within 0.03 mm.
     """
 
     def __init__(self, mesh: Mesh, origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
@@ -90,7 +90,7 @@ class Caster:
 
 
 class Layers:
-    """Several casters as one: face indices count through them in order; the nearest hit wins, of equal ones the earlier layer's."""
+    """Several casters as one: face indices count through them; the nearest hit wins, of equals the earlier layer's."""
 
     def __init__(self, casters: list[Caster]) -> None:
         self.casters = casters

@@ -1,4 +1,4 @@
-"""Ray patterns of the ego LiDAR, which scores models, and of the virtual semantic LiDARs around it, which label voxels."""
+"""The ego LiDAR, whose rays score models, and the virtual semantic LiDARs around it, whose points label voxels."""
 
 from typing import NamedTuple
 
@@ -19,10 +19,10 @@ _THIN_CLASSES = (9, 10, 11)  # pole, pedestrian, road line
 
 
 def ego_directions() -> np.ndarray:
-    """(14040, 3) float32 unit rays of RayIoU's LiDAR at the ego origin: 39 elevations, each with azimuths 0, 1, .. 359 degrees.
+    """(14040, 3) float32 unit rays of RayIoU's LiDAR at the ego origin: 39 elevations x 360 azimuths.
 
-    The first ten elevations, -atan(1 / k) for k = 1..10, meet flat ground at equal steps; the others continue upwards by atan(10) - atan(9)
-    while below 0.21 rad (SparseOcc, Liu et al. 2024).
+    The first ten elevations, -atan(1 / k) for k = 1..10, meet flat ground at equal steps; the others continue
+    by atan(10) - atan(9) while below 0.21 rad (SparseOcc, Liu et al. 2024).
     """
     pitch = [-(np.pi / 2 - np.arctan(k)) for k in range(1, 11)]
     while pitch[-1] < 0.21:
@@ -46,10 +46,11 @@ class Lidars(NamedTuple):
 
 
 def virtual_lidars() -> Lidars:
-    """Rays and possible places of the 20 semantic LiDARs: within 20 m of the ego and 1.6 to 4.8 m above the road (the paper, Sec. IV).
+    """Rays and possible places of the paper's 20 semantic LiDARs: within 20 m, 1.6 to 4.8 m above the road.
 
-    Rays are dealt by where they land rather than by angle: about one for each 0.2 m square of road within 13 m of each LiDAR, and for the
-    one in the middle a polar raster as fine as the innermost cells of a cylinder; above that even angles up to +30 degrees.
+    Rays are dealt by where they land rather than by angle: about one for each 0.2 m square of road within 13 m of each
+    LiDAR, and for the one in the middle a polar raster as fine as the innermost cells of a cylinder; above that even
+    angles up to +30 degrees.
     """
     across = np.arange(-_SPREAD_M, _SPREAD_M + 1, 4.0)
     x, y = (grid.ravel() for grid in np.meshgrid(across, across, indexing="ij"))
@@ -73,8 +74,9 @@ def _sunflower_rays(height_m: float, radius_m: float, count: int) -> np.ndarray:
 
 
 def _upper_rays(height_m: float, radius_m: float) -> np.ndarray:
-    """Even angles from where the rays on the road end up to +30 degrees; steeper than 2.6 m rise over 13 m they may be sparser, as only
-    what is nearer still lies in a grid's height.
+    """Even angles from where the rays on the road end up to +30 degrees.
+
+    Those steeper than a rise of 2.6 m over 13 m are sparser: only near things lie within a grid's height there.
     """
     rows = [-np.arctan2(height_m, radius_m)]
     while rows[-1] < np.radians(30):
@@ -111,8 +113,8 @@ def scan_ego(stage: Stage, directions_ego: np.ndarray) -> tuple[np.ndarray, np.n
 def scan_surfaces(stage: Stage, lidars: Lidars) -> tuple[np.ndarray, np.ndarray]:
     """Points (P, 3) float32 in the ego frame and their classes (P,) uint8, as all virtual LiDARs together see them.
 
-    Beyond 4 m from the ego at most one point is kept in each cube of 0.1 m, a thin thing's before others. Surfaces hit from behind (the
-    sensor is inside something) give no points.
+    Beyond 4 m from the ego at most one point is kept in each cube of 0.1 m, a thin thing's before others. Surfaces hit
+    from behind (the sensor is inside something) give no points.
     """
     parts = [_scan(stage, np.zeros(3, np.float32), lidars.middle)]
     parts += [_scan(stage, spot, lidars.outer) for spot in choose_spots(stage, lidars)]
@@ -125,8 +127,8 @@ def scan_surfaces(stage: Stage, lidars: Lidars) -> tuple[np.ndarray, np.ndarray]
 def choose_spots(stage: Stage, lidars: Lidars) -> np.ndarray:
     """(19, 3) float32 places of the outer LiDARs at this moment, fewer if fewer are in the open.
 
-    One after the other takes the place from which a sparse scan finds most that the earlier ones miss: blocks of 1.6 m count less each
-    time that they are seen again.
+    One after the other takes the place from which a sparse scan finds most that the earlier ones miss: blocks of 1.6 m
+    count less each time that they are seen again.
     """
     spots = lidars.spots_m[_in_the_open(stage, lidars.spots_m)]
     seen = _rough_scans(stage, spots, lidars.outer[:, ::_ROUGH])
@@ -146,7 +148,8 @@ def _in_the_open(stage: Stage, spots_m: np.ndarray) -> np.ndarray:
     probes = np.concatenate([np.eye(3), -np.eye(3)]).astype(np.float32)
     directions = np.tile(probes, (len(spots_m), 1)).T
     hits = _cast_from(stage, spots_m, len(probes), directions)
-    return ~_from_behind(stage, hits, stage.turn(directions)).reshape(len(spots_m), len(probes)).any(axis=1)
+    inside = _from_behind(stage, hits, stage.turn(directions)).reshape(len(spots_m), len(probes))
+    return np.logical_not(inside.any(axis=1))
 
 
 def _rough_scans(stage: Stage, spots_m: np.ndarray, rays: np.ndarray) -> np.ndarray:
@@ -155,7 +158,7 @@ def _rough_scans(stage: Stage, spots_m: np.ndarray, rays: np.ndarray) -> np.ndar
     directions = np.tile(rays, len(spots_m))
     hits = _cast_from(stage, spots_m, count, directions)
     points = np.repeat(spots_m, count, axis=0) + directions.T * np.minimum(hits.range_m, 1e4)[:, None]
-    block = np.floor((points - (0, 0, ROAD_M - 1.2)) / 1.6).astype(np.int64) + (16, 16, 0)
+    block = np.floor((points - (0, 0, ROAD_M - 1.2)) / 1.6).astype(np.int64) + np.array([16, 16, 0])
     good = (hits.range_m < 14) & ((block >= 0) & (block < (32, 32, 4))).all(axis=1)
     good &= ~_from_behind(stage, hits, stage.turn(directions)) & (np.hypot(points[:, 0], points[:, 1]) < 26)
     seen = np.zeros((len(spots_m), 32, 32, 4), np.float32)

@@ -9,7 +9,7 @@ from omniocc.world.material import Material
 
 
 class Picture(NamedTuple):
-    """A square tile of `size_m` metres: `tint` (N, N) multiplies the base colour, `own` (N, N, 3) linear light is added."""
+    """A square tile of `size_m` metres: `tint` (N, N) multiplies the base colour, `own` (N, N, 3), linear, is added."""
 
     size_m: float
     tint: np.ndarray
@@ -35,7 +35,10 @@ def value_noise(rng: np.random.Generator, size: int, rows: int, columns: int) ->
 
 
 def fractal(rng: np.random.Generator, size: int, cells: int, octaves: int, stretch: int = 1) -> np.ndarray:
-    """(size, size) sum of noises in [0, 1], each octave twice as fine and half as strong; `stretch` times longer along the rows' axis."""
+    """(size, size) sum of noises in [0, 1], each octave twice as fine and half as strong.
+
+    `stretch` makes it so many times longer along the rows' axis.
+    """
     total, weight = np.zeros((size, size)), 0.0
     for octave in range(octaves):
         columns = min(cells << octave, size)
@@ -47,7 +50,11 @@ def fractal(rng: np.random.Generator, size: int, cells: int, octaves: int, stret
 def cells(
     rng: np.random.Generator, size: int, rows: int, columns: int, shift: float, joint_px: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A wall of stones: (size, size) random number of each stone, and whether a pixel lies in a joint; every second row shifted."""
+    """A wall of stones, every second row shifted.
+
+    Returns:
+        (size, size) random number of each stone, and whether a pixel lies in a joint.
+    """
     y = (np.arange(size) + 0.5)[:, None] * rows / size
     row = np.floor(y).astype(int) % rows
     x = (np.arange(size) + 0.5)[None, :] * columns / size + (row % 2) * shift

@@ -18,7 +18,7 @@ from omniocc.world.vehicle import ego_car
 
 
 class Scene:
-    """A deterministic film of (theme, seed): `frame(index)` is the same whatever was asked before and in whichever process.
+    """A deterministic film of (theme, seed): `frame(index)` is the same in every process and order of asking.
 
     Args:
         theme: one of `omniocc.world.THEMES`.

@@ -22,8 +22,8 @@ class Surfaces:
     """Per-triangle facts in one table each, so that a hit costs one gather.
 
     Attributes:
-        table: (F, 15) float32: unit normal 3, linear base colour 3, uv of the first corner 2, uv edges 2 + 2, texture layer, ground step,
-            gloss; one more column says whether windows in the texture reflect.
+        table: (F, 15) float32: unit normal 3, linear base colour 3, uv of the first corner 2, uv edges 2 + 2, texture
+            layer, ground step, gloss; one more column says whether windows in the texture reflect.
         label: (F,) uint8.
         key: (F,) int32, differs between surfaces whose border needs smoothing.
     """
@@ -72,7 +72,7 @@ def _surface_key(mesh: Mesh, normal: np.ndarray) -> np.ndarray:
 
 
 class Shading(NamedTuple):
-    """Of R rays: linear colour (3, R); `offset_m` (R,) of the hit plane from the eye; `lit` (R,) bool, in direct sun."""
+    """Of R rays: linear colour (3, R), `offset_m` (R,) of the hit plane from the eye, `lit` (R,) bool: in the sun."""
 
     color: np.ndarray
     offset_m: np.ndarray

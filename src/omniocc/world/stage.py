@@ -32,7 +32,8 @@ class Stage:
     light: Light
 
     def turn(self, directions_ego: np.ndarray) -> np.ndarray:
-        """(3, R) ego directions in the caster frame. Sums instead of a matrix product, whose rounding may depend on threads."""
+        """(3, R) ego directions in the caster frame."""
+        # Sums instead of a matrix product, whose rounding may depend on threads.
         x, y, z = directions_ego
         return np.stack([row[0] * x + row[1] * y + row[2] * z for row in self.rotation])
 
@@ -41,10 +42,9 @@ class Stage:
         return (self.rotation.astype(np.float64) @ point_ego + self.origin_m).astype(np.float32)
 
     def cast(self, point_ego: np.ndarray, directions_ego: np.ndarray, known: Hits | None = None) -> Hits:
-        """Nearest hits from one ego point (3,) along ego directions (3, R); the own car is invisible but for hits `known`."""
-        return self.layers.cast(
-            repeat(self.place(point_ego), directions_ego.shape[1]), self.turn(directions_ego).T, known
-        )
+        """Nearest hits from one ego point (3,) along ego directions (3, R); of the own car only those `known`."""
+        origins = repeat(self.place(point_ego), directions_ego.shape[1])
+        return self.layers.cast(origins, self.turn(directions_ego).T, known)
 
 
 def repeat(point: np.ndarray, count: int) -> np.ndarray:

@@ -1,7 +1,7 @@
-"""Procedural surface textures: small tiling pictures with mip levels, made once per process and looked up by metres on the surface.
+"""Procedural surface textures: tiling pictures with mip levels, painted once per process, looked up by metres.
 
-A texel holds how much of the surface's base colour remains (`tint`, 1 = all, up to 2) and a colour of its own that is added, so that one
-brick pattern serves walls of any colour while its mortar stays grey and windows stay dark.
+A texel holds how much of the surface's base colour remains (`tint`, 1 = all, up to 2) and a colour of its own that is
+added, so that one brick pattern serves walls of any colour while its mortar stays grey and windows stay dark.
 """
 
 from functools import lru_cache
@@ -25,7 +25,8 @@ class Atlas(NamedTuple):
     """All textures.
 
     Attributes:
-        texels: (layers * texels of a layer,) uint32: bytes tint / 128, then red, green and blue as square roots of linear light.
+        texels: (layers * texels of a layer,) uint32: bytes tint / 128, then red, green and blue as square roots of
+            linear light.
         texel_m: (layers,) float32, size of a texel of the finest level.
         macro: (SIZE_PX**2,) float32, slow brightness variation that hides the tiling, mean 1.
     """
