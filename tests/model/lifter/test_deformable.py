@@ -72,3 +72,17 @@ def test_samples_far_outside_are_zero_and_finite(offset):
     assert result.abs().max() == 0
     gradient = torch.autograd.grad(result.sum(), far)[0]
     assert gradient.abs().max() == 0
+
+
+def test_an_offset_that_is_not_a_number_shows_in_its_query_alone():
+    pairs = make_pairs()
+    offsets, attention, *maps = inputs(pairs)
+    query = int(pairs.query[0])
+    broken = offsets.detach().clone()
+    broken[0, 0, 0, query, 0] = float("nan")
+    broken.requires_grad_()
+    result = ours(pairs, broken, attention, *maps)
+    assert result[0, query].isnan().all()
+    assert torch.equal(result[1], ours(pairs, offsets, attention, *maps)[1])
+    result.sum().backward()
+    assert broken.grad[0, :, :, query].isnan().any()

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from omniocc.model.lifter.deformable import deformable_sum, make_level, make_table
+from omniocc.model.lifter.deformable import Level, deformable_sum, make_table
 from omniocc.model.lifter.visible import Pairs
 
 
@@ -49,23 +49,30 @@ class CrossAttention(nn.Module):
         self.offsets.bias.data.copy_(ring_offsets(heads, levels, points).flatten())
 
     def forward(
-        self, queries: Float[Tensor, "G Q C"], features: list[Float[Tensor, "B N C _ _"]], pairs: Pairs
+        self,
+        queries: Float[Tensor, "G Q C"],
+        features: list[Float[Tensor, "B N C _ _"]],
+        pairs: Pairs,
+        levels: list[Level],
     ) -> Float[Tensor, "B Q C"]:
         """Attends for B samples of equal rig and candidates; G is B, or 1 if the samples still share their queries."""
         share = len(features[0]) // len(queries)
         maps = zip(*(level.split(share) for level in features), strict=True)
-        sums = [self._attend(query, list(levels), pairs) for query, levels in zip(queries, maps, strict=True)]
+        sums = [self._attend(query, list(own), pairs, levels) for query, own in zip(queries, maps, strict=True)]
         return self.output(torch.cat(sums))
 
     def _attend(
-        self, queries: Float[Tensor, "Q C"], features: list[Float[Tensor, "B N C _ _"]], pairs: Pairs
+        self,
+        queries: Float[Tensor, "Q C"],
+        features: list[Float[Tensor, "B N C _ _"]],
+        pairs: Pairs,
+        levels: list[Level],
     ) -> Float[Tensor, "B Q C"]:
         """One set of queries on B samples, whose channels travel side by side: positions are computed once."""
         with torch.autocast(queries.device.type, enabled=False):
             dtype = torch.promote_types(queries.dtype, torch.float32)
             offsets, attention = self._sampling(queries.to(dtype))
             tables = [make_table(self._value(level.to(dtype), index)) for index, level in enumerate(features)]
-            levels = [make_level(pairs, level.shape[-2], level.shape[-1], self.points, dtype) for level in features]
             sums = deformable_sum(tables, offsets, attention, pairs, levels) / pairs.counts[:, None]
         return sums.unflatten(-1, (len(features[0]), -1)).permute(2, 1, 0, 3).flatten(2)
 

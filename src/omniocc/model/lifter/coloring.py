@@ -7,6 +7,7 @@ from torch import Tensor, nn
 from omniocc.camera import Rig
 from omniocc.geometry import Grid
 from omniocc.model.lifter.attention import CrossAttention
+from omniocc.model.lifter.deformable import Level, make_level
 from omniocc.model.lifter.position import position_features
 from omniocc.model.lifter.visible import Pairs, reference_points, visible_pairs
 
@@ -24,10 +25,14 @@ class ColoringLayer(nn.Module):
         self.feedforward_norm = nn.LayerNorm(channels)
 
     def forward(
-        self, queries: Float[Tensor, "G Q C"], features: list[Float[Tensor, "B N C _ _"]], pairs: Pairs
+        self,
+        queries: Float[Tensor, "G Q C"],
+        features: list[Float[Tensor, "B N C _ _"]],
+        pairs: Pairs,
+        levels: list[Level],
     ) -> Float[Tensor, "B Q C"]:
         """Queries of each sample; G is B, or 1 before the samples differ."""
-        queries = self.attention_norm(queries + self.attention(queries, features, pairs))
+        queries = self.attention_norm(queries + self.attention(queries, features, pairs, levels))
         return self.feedforward_norm(queries + self.feedforward(queries))
 
 
@@ -67,6 +72,7 @@ class Coloring(nn.Module):
             raise ValueError(f"{channels} channels cannot be split among {heads} heads; give a divisor")
         self.geometry = geometry
         self.channels = channels
+        self.points = points
         self.register_buffer("positions", position_features(geometry), persistent=False)
         self.embedding = nn.Sequential(
             nn.Linear(self.positions.shape[1], channels),
@@ -112,8 +118,10 @@ class Coloring(nn.Module):
         seen = valid.any(0)[cells].nonzero()[:, 0]
         queries = embedding[None, seen]
         pairs = visible_pairs(points, valid, cells[seen])
+        dtype = torch.promote_types(embedding.dtype, torch.float32)
+        levels = [make_level(pairs, level.shape[-2], level.shape[-1], self.points, dtype) for level in features]
         for layer in self.layers:
-            queries = layer(queries, features, pairs)
+            queries = layer(queries, features, pairs, levels)
         volume = self.empty.to(queries.dtype).expand(len(marked), -1).index_copy(0, cells, embedding.to(queries.dtype))
         return volume.expand(batch, -1, -1).index_copy(1, cells[seen], queries)
 

@@ -89,8 +89,8 @@ def _axis(anchor: Tensor, offset: Tensor, size: int) -> tuple[Tensor, Tensor, Te
 def _locate(level: Level, query: Int64[Tensor, " P"], offsets: Float[Tensor, "2 Q K"]) -> Samples:
     x, fx, inside_x = _axis(level.x, offsets[0].index_select(0, query), level.width)
     y, fy, inside_y = _axis(level.y, offsets[1].index_select(0, query), level.height)
-    # exact in float32: a map has far fewer than 2**24 pixels
-    row = torch.add(x, y, alpha=level.width).int().add_(level.row)
+    # exact in float32: a map has far fewer than 2**24 pixels. The index of a NaN is valid, its fraction remains NaN
+    row = torch.add(x, y, alpha=level.width).int().clamp_(min=0).add_(level.row)
     return Samples(row, fx, fy, inside_x, inside_y)
 
 
