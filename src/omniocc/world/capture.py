@@ -87,7 +87,7 @@ def _borders(view: View, key: np.ndarray, seen: Shading) -> np.ndarray:
     return border.ravel()[view.pixel]
 
 
-def _image(view: View, values: np.ndarray, outside: float) -> np.ndarray:
+def _image(view: View, values: np.ndarray, outside: float | int) -> np.ndarray:
     image = np.full((view.size[0] * view.size[1], *values.shape[1:]), outside, values.dtype)
     image[view.pixel] = values
     return image.reshape(*view.size, *values.shape[1:])

@@ -13,6 +13,7 @@ _COUNT = 20
 _SPREAD_M = 20.0
 _ROUGH = 89  # one ray of so many in the scans that choose places
 _SEEN_AGAIN = 0.25
+_FARTHEST_M = 46.0  # of a point from its LiDAR: beyond, points are too sparse to fill voxels
 _CUBE_M = 0.1
 _NEAR_M = 4.0
 _THIN_CLASSES = (9, 10, 11)  # pole, pedestrian, road line
@@ -173,8 +174,11 @@ def _cast_from(stage: Stage, spots_m: np.ndarray, count: int, directions: np.nda
 
 
 def _scan(stage: Stage, spot: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    hits = stage.cast(spot, directions)
-    reach = np.abs(spot[:2, None] + directions[:2] * np.minimum(hits.range_m, 1e4)).max(axis=0) < REACH_M
+    count = directions.shape[1]
+    nothing = np.zeros(count, np.float32)
+    within = Hits(np.full(count, _FARTHEST_M, np.float32), np.full(count, -1, np.int32), nothing, nothing)
+    hits = stage.cast(spot, directions, within)
+    reach = np.abs(spot[:2, None] + directions[:2] * hits.range_m).max(axis=0) < REACH_M
     index = np.flatnonzero(reach & (hits.face >= 0) & ~_from_behind(stage, hits, stage.turn(directions)))
     points = spot + directions[:, index].T * hits.range_m[index, None]
     return points, stage.surfaces.label[hits.face[index]]

@@ -91,7 +91,7 @@ def ambient(light: Light, up: np.ndarray) -> np.ndarray:
 
 
 def develop(linear: np.ndarray, sensor: Sensor, falloff: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Linear light (3, P) to RGB (P, 3) uint8; `falloff` (P,) is 0 on the axis and 1 at the rim, `rng` draws the noise."""
+    """Linear light (3, P) to RGB (P, 3) uint8; `falloff` (P,) is 0 on the axis and 1 at the rim; `rng` draws noise."""
     gain = sensor.exposure * (1 - sensor.vignette * falloff)
     result = np.empty((linear.shape[1], 3), np.uint8)
     grain = _grain()

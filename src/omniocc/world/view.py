@@ -75,10 +75,8 @@ def _offsets(supersample: int) -> np.ndarray:
     """(S-1, 2) points of a pixel beside its centre, spread evenly over a disc."""
     count = supersample**2 - 1
     number = np.arange(1, count + 1)
-    radius, turn = (
-        0.55 * np.sqrt(number / max(count, 1)) * (0.75 if count <= 3 else 1.0),
-        number * np.pi * (3 - np.sqrt(5)),
-    )
+    reach_px = 0.41 if count <= 3 else 0.55
+    radius, turn = reach_px * np.sqrt(number / max(count, 1)), number * np.pi * (3 - np.sqrt(5))
     return np.stack([radius * np.cos(turn), radius * np.sin(turn)], axis=1)
 
 
