@@ -133,4 +133,6 @@ class OccupancyData(LightningDataModule):
             num_workers=self.num_workers,
             worker_init_fn=limit_threads,
             persistent_workers=self.num_workers > 0,
+            # a plain fork copies the locks other threads (W&B, OpenMP) hold just then: the loader would wait forever
+            multiprocessing_context="forkserver" if self.num_workers else None,
         )

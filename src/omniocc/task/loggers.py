@@ -41,11 +41,11 @@ class Loggers:
         return loggers
 
     def _wandb(self, folder: Path, config: dict) -> WandbLogger:
+        os.environ.setdefault("WANDB_SILENT", "true")
         import wandb  # seconds of import that CSV-only runs do not pay
 
         if self.mode == "online" and not wandb.api.api_key:
             raise UserError("logger.mode=online needs W&B credentials: run `wandb login` or set WANDB_API_KEY")
-        os.environ.setdefault("WANDB_SILENT", "true")
         return WandbLogger(
             name=folder.name,
             save_dir=folder,

@@ -34,7 +34,7 @@ class Pictures(Callback):
             return
         size = trainer.test_dataloaders.batch_size  # type: ignore[union-attr]
         total = len(trainer.test_dataloaders.dataset)  # type: ignore[union-attr, arg-type]
-        chosen = [round(k * (total - 1) / max(1, self.count - 1)) for k in range(self.count)]
+        chosen = sorted({round(k * (total - 1) / max(1, self.count - 1)) for k in range(self.count)})
         for sample, frame_id in enumerate(batch.frame_ids):
             index = batch_idx * size + sample
             if index in chosen:
