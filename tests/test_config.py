@@ -9,7 +9,7 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import get_object
 from omegaconf import OmegaConf
 
-from omniocc.config import ConfigError, build, check, check_root, fits
+from omniocc.config import ConfigError, build, check, check_root, fits, parameters_of
 
 CONF = Path(__file__).parents[1] / "conf"
 OPTIONS = sorted(
@@ -27,8 +27,7 @@ def test_every_option_lists_exactly_the_arguments_of_its_class(path):
     node = OmegaConf.to_container(OmegaConf.load(path), resolve=False)
     slots = [entry for entry in node.pop("defaults", []) if isinstance(entry, dict)]
     listed = {key for key in node if not key.startswith("_")} | {key for entry in slots for key in entry}
-    parameters = set(inspect.signature(get_object(node["_target_"])).parameters)
-    assert listed == parameters
+    assert listed == set(parameters_of(get_object(node["_target_"])))
 
 
 @pytest.mark.parametrize("path", OPTIONS, ids=lambda path: str(path.relative_to(CONF)))
@@ -49,7 +48,7 @@ def slot_options():
             yield from (f"model/{folder.name}={path.stem}" for path in sorted(folder.glob("*.yaml")))
 
 
-@pytest.mark.parametrize("override", slot_options())
+@pytest.mark.parametrize("override", list(slot_options()))
 def test_every_slot_option_builds_a_model(override):
     cfg = composed(override)
     check_root(cfg)

@@ -125,7 +125,7 @@ def _check_call(node: DictConfig, path: str, packages: Sequence[str] | None) -> 
     except Exception as error:  # whatever importing the user's module raises is the user's problem to read
         yield f"{path}._target_: {name} cannot be imported: {error}"
         return
-    parameters = inspect.signature(target).parameters
+    parameters = parameters_of(target)
     hints = _hints(target)
     open_ended = any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters.values())
     for key in map(str, node):
@@ -141,6 +141,13 @@ def _check_call(node: DictConfig, path: str, packages: Sequence[str] | None) -> 
             inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY
         ):
             yield f"{path}.{key}: {name} needs it"
+
+
+def parameters_of(target: Callable[..., Any]) -> dict[str, inspect.Parameter]:
+    """What can be passed by name; a class with nothing but the `*args, **kwargs` of a base class takes nothing."""
+    parameters = dict(inspect.signature(target).parameters)
+    variable = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+    return {} if all(p.kind in variable for p in parameters.values()) else parameters
 
 
 def _check_value(node: DictConfig, key: str, path: str, hint: Any) -> Iterator[str]:

@@ -12,6 +12,7 @@ from filelock import FileLock
 import omniocc
 from omniocc.data.errors import DataError
 from omniocc.data.reader import SceneReader
+from omniocc.data.virtual import code_fingerprint
 
 SCRIPT = """
 import sys
@@ -173,3 +174,13 @@ def test_missing_scenes_and_a_folder_that_cannot_be_written(tmp_path):
     (tmp_path / "data").write_text("a file where the folder should be")
     with pytest.raises(DataError, match=r"cannot write .*data"):
         world.prepare()
+
+
+def test_code_fingerprint_follows_what_code_does(tmp_path):
+    prints = []
+    for number, (says, comment, value) in enumerate([("A", "", 1), ("B", "  # why", 1), ("A", "", 2)]):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        (folder / "a.py").write_text(f'"""{says}."""\ndef f():\n    """{says}."""\n    return {value}{comment}\n')
+        prints.append(code_fingerprint(folder))
+    assert prints[0] == prints[1] != prints[2]
