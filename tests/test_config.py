@@ -61,7 +61,7 @@ def test_all_problems_are_reported_at_once_with_hints():
     with pytest.raises(ConfigError) as caught:
         check_root(cfg)
     text = str(caught.value)
-    assert "4 problems" in text
+    assert "5 problems" in text  # the seed is also the one of the data
     assert "model.lifter.heds: omniocc.model.lifter.Coloring has no such argument; did you mean 'heads'?" in text
     assert "model.lifter.points: 'abc' is not a whole number" in text
     assert "model.sketch._target_: omniocc.model.sketch.Nope cannot be imported" in text
