@@ -9,6 +9,9 @@ class NoTemporal(nn.Module):
 
     frames = 1
 
+    def __init__(self):  # of its own: nn.Module's would accept anything
+        super().__init__()
+
     def forward(
         self, volumes: list[Float[Tensor, "B C X Y Z"]], world_from_ego: Float[Tensor, "B T 4 4"]
     ) -> Float[Tensor, "B C X Y Z"]:
