@@ -78,7 +78,7 @@ class FakeWorld(VirtualWorld):
             seed=seed,
             workers=workers,
         )
-        self.shard_limit_bytes = 150_000
+        self.shard_limit_bytes = 120_000
         self.delay_s, self.fail_at = delay_s, fail_at
 
     def scene(self, plan: ScenePlan) -> FakeScene:

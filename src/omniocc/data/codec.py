@@ -1,17 +1,19 @@
 """One recorded frame <-> named blobs.
 
-| blob              | content                               | error after a round trip                              |
-| ----------------- | ------------------------------------- | ----------------------------------------------------- |
-| `frame.json`      | time, pose, boxes                     | none                                                  |
-| `rgb<k>.jpg`      | colour of camera k, JPEG quality 95   | lossy: a few grey levels                              |
-| `semantic<k>.png` | class ids of camera k                 | none                                                  |
-| `range<k>.png`    | range of camera k, 16 bit             | 1/512 m; inf, nan kept; saturates beyond 255.99 m     |
-| `erp_range.png`   | range around the ego origin, 16 bit   | as range                                              |
-| `points.zst`      | surface points, 3 x 16 bit, and class | 1/512 m per axis; beyond 127.99 m left out, reordered |
-| `lidar.zst`       | range (16 bit) and class of each ray  | as range; classes none                                |
+| blob              | content                                 | error after a round trip                              |
+| ----------------- | --------------------------------------- | ----------------------------------------------------- |
+| `frame.json`      | time, pose, boxes                       | none                                                  |
+| `rgb<k>.jpg`      | colour of camera k, JPEG quality 95     | lossy: a few grey levels                              |
+| `semantic<k>.zst` | class ids of camera k (`raster`)        | none                                                  |
+| `range<k>.zst`    | range of camera k, 16 bit (`raster`)    | 1/512 m; inf, nan kept; saturates beyond 255.99 m     |
+| `erp_range.zst`   | range around the ego origin (`raster`)  | as range                                              |
+| `points.zst`      | surface points, 3 x 16 bit, and class   | 1/256 m per axis; beyond 255.99 m left out, reordered |
+| `lidar.zst`       | range (16 bit) and class of each ray    | as range; classes none                                |
 
-With steps of 1/256 m a point changes its cell of 0.2 m with a chance of 0.5 % per axis, and only if it lies within
-2 mm of the boundary. All encoders are deterministic: equal frames give equal bytes.
+Points keep steps of 1/128 m: a finer step would store the noise of where a ray happened to land. They come back as odd
+multiples of 1/256 m, so that none lies on the boundary between cells of round sizes. A point changes its cell of 0.2 m
+with a chance of 1 % per axis, and only if it lies within 4 mm of the boundary. All encoders are deterministic: equal
+frames give equal bytes.
 """
 
 import json
@@ -23,13 +25,15 @@ import numpy as np
 import zstandard
 
 from omniocc.data.morton import interleave, separate
+from omniocc.data.raster import pack, unpack
 from omniocc.world.frame import Box, Frame
 
 STEPS_PER_M = 256
+POINT_STEPS_PER_M = 128
 UNMEASURED_CODE = 0
 SKY_CODE = 65535
 JPEG_QUALITY = 95
-ZSTD_LEVEL = 3
+ZSTD_LEVEL = 1
 _CODE_BYTES = 6
 
 
@@ -39,10 +43,10 @@ def encode_frame(frame: Frame) -> dict[str, bytes]:
     for k, image in enumerate(frame.images):
         blobs[f"rgb{k}.jpg"] = encode_image(image)
     for k, labels in enumerate(frame.semantics):
-        blobs[f"semantic{k}.png"] = encode_labels(labels)
+        blobs[f"semantic{k}.zst"] = encode_labels(labels)
     for k, range_m in enumerate(frame.range_m):
-        blobs[f"range{k}.png"] = encode_range(range_m)
-    blobs["erp_range.png"] = encode_range(frame.erp_range_m)
+        blobs[f"range{k}.zst"] = encode_range(range_m)
+    blobs["erp_range.zst"] = encode_range(frame.erp_range_m)
     blobs["points.zst"] = encode_points(frame.points_m, frame.point_labels)
     blobs["lidar.zst"] = encode_lidar(frame.lidar_range_m, frame.lidar_labels)
     return blobs
@@ -58,9 +62,9 @@ def decode_frame(blobs: Mapping[str, bytes]) -> Frame:
         time_s=facts["time_s"],
         world_from_ego=np.array(facts["world_from_ego"], dtype=np.float64),
         images=np.stack([decode_image(blobs[f"rgb{k}.jpg"]) for k in cameras]),
-        semantics=np.stack([decode_labels(blobs[f"semantic{k}.png"]) for k in cameras]),
-        range_m=np.stack([decode_range(blobs[f"range{k}.png"]) for k in cameras]),
-        erp_range_m=decode_range(blobs["erp_range.png"]),
+        semantics=np.stack([decode_labels(blobs[f"semantic{k}.zst"]) for k in cameras]),
+        range_m=np.stack([decode_range(blobs[f"range{k}.zst"]) for k in cameras]),
+        erp_range_m=decode_range(blobs["erp_range.zst"]),
         points_m=points_m,
         point_labels=point_labels,
         lidar_range_m=lidar_range_m,
@@ -80,23 +84,23 @@ def decode_image(blob: bytes) -> np.ndarray:
 
 
 def encode_labels(labels: np.ndarray) -> bytes:
-    """(H, W) uint8 as PNG."""
-    return _encode(".png", labels, [cv2.IMWRITE_PNG_COMPRESSION, 6])
+    """(H, W) uint8 without loss."""
+    return pack(labels)
 
 
 def decode_labels(blob: bytes) -> np.ndarray:
     """(H, W) uint8."""
-    return _decode(blob, cv2.IMREAD_UNCHANGED)
+    return unpack(blob)
 
 
 def encode_range(range_m: np.ndarray) -> bytes:
-    """(H, W) metres, inf for sky, nan for no measurement, as 16-bit PNG."""
-    return _encode(".png", quantize_range(range_m), [cv2.IMWRITE_PNG_COMPRESSION, 3])
+    """(H, W) metres, inf for sky, nan for no measurement, in 16 bits."""
+    return pack(quantize_range(range_m))
 
 
 def decode_range(blob: bytes) -> np.ndarray:
     """(H, W) float32 metres."""
-    return restore_range(_decode(blob, cv2.IMREAD_UNCHANGED))
+    return restore_range(unpack(blob))
 
 
 def quantize_range(range_m: np.ndarray) -> np.ndarray:
@@ -107,10 +111,10 @@ def quantize_range(range_m: np.ndarray) -> np.ndarray:
     """
     if np.any(range_m < 0):
         raise ValueError(f"a range cannot be negative, got {np.nanmin(range_m)} m")
-    finite = np.isfinite(range_m)
-    steps = np.rint(np.where(finite, range_m, 0.0).astype(np.float64) * STEPS_PER_M)
+    unmeasured = np.isnan(range_m)
+    steps = np.rint(np.where(unmeasured, 0.0, range_m) * STEPS_PER_M)  # a power of two: exact in float32
     codes = np.clip(steps, UNMEASURED_CODE + 1, SKY_CODE - 1).astype(np.uint16)
-    codes[np.isnan(range_m)] = UNMEASURED_CODE
+    codes[unmeasured] = UNMEASURED_CODE
     codes[np.isposinf(range_m)] = SKY_CODE
     return codes
 
@@ -125,12 +129,15 @@ def restore_range(codes: np.ndarray) -> np.ndarray:
 
 def encode_points(points_m: np.ndarray, labels: np.ndarray) -> bytes:
     """(P, 3) metres and (P,) classes: sorted along a Morton curve, steps between codes as byte planes under zstd."""
-    steps = np.rint(points_m.astype(np.float64) * STEPS_PER_M)
-    kept = np.all(np.abs(steps) <= np.iinfo(np.int16).max, axis=1)
-    codes, labels = interleave(steps[kept].astype(np.int16)), labels[kept]
-    order = np.lexsort((labels, codes))
-    gaps = np.diff(codes[order], prepend=np.uint64(0)).astype("<u8")
-    return _compress([*_byte_planes(gaps)[:_CODE_BYTES], labels[order]])
+    steps = np.floor(points_m * POINT_STEPS_PER_M)
+    reach = np.iinfo(np.int16).max
+    if np.abs(steps).max(initial=0) > reach:
+        kept = np.abs(steps).max(axis=1) <= reach
+        steps, labels = steps[kept], labels[kept]
+    # the class in the low bits: sorted as one number, without a permutation
+    keys = np.sort((interleave(steps.astype(np.int16)) << np.uint64(8) | labels).astype(np.int64), kind="stable")
+    gaps = np.diff(keys >> 8, prepend=0).astype("<u8")
+    return _compress([*_byte_planes(gaps)[:_CODE_BYTES], keys.astype(np.uint8)])
 
 
 def decode_points(blob: bytes) -> tuple[np.ndarray, np.ndarray]:
@@ -139,7 +146,7 @@ def decode_points(blob: bytes) -> tuple[np.ndarray, np.ndarray]:
     padded = np.zeros((8, planes.shape[1]), dtype=np.uint8)
     padded[:_CODE_BYTES] = planes[:_CODE_BYTES]
     codes = np.cumsum(_join(padded, "<u8"), dtype=np.uint64)
-    return separate(codes).astype(np.float32) / STEPS_PER_M, planes[_CODE_BYTES].copy()
+    return (separate(codes) + np.float32(0.5)) / np.float32(POINT_STEPS_PER_M), planes[_CODE_BYTES].copy()
 
 
 def encode_lidar(range_m: np.ndarray, labels: np.ndarray) -> bytes:

@@ -64,7 +64,7 @@ class WindowDataset(Dataset):
         frames = window_frames(newest, self.window)
         rig = scene.rig
         cameras = range(len(rig.cameras))
-        members = [f"semantic{k}.png" for k in cameras] + ["lidar.zst"]
+        members = [f"semantic{k}.zst" for k in cameras] + ["lidar.zst"]
         blobs = scene.read(newest, members)
         range_m, labels = decode_lidar(blobs["lidar.zst"])
         return Sample(
@@ -72,7 +72,7 @@ class WindowDataset(Dataset):
             rig=rig,
             world_from_ego=torch.from_numpy(scene.world_from_ego[frames]),
             voxels=self.voxels.read(scene, newest),
-            pixel_labels=torch.from_numpy(np.stack([decode_labels(blobs[f"semantic{k}.png"]) for k in cameras])),
+            pixel_labels=torch.from_numpy(np.stack([decode_labels(blobs[f"semantic{k}.zst"]) for k in cameras])),
             lidar_range_m=torch.from_numpy(range_m),
             lidar_labels=torch.from_numpy(labels),
             frame_id=f"{scene.name}/{newest:06d}",

@@ -20,7 +20,7 @@ from typing import Any, BinaryIO
 
 from omniocc.data.errors import DataError, cannot_write, write_whole
 
-SCHEMA = 1
+SCHEMA = 2
 SHARD_LIMIT_BYTES = 256 * 2**20
 META, INDEX, JOURNAL = "meta.json", "index.json", "journal.jsonl"
 _BLOCK = tarfile.BLOCKSIZE
