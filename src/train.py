@@ -41,7 +41,8 @@ def main(cfg: DictConfig) -> None:
     task.set_training_statistics(data.voxel_counts())
     trainer = build(cfg.trainer, callbacks=callbacks(cfg, run), logger=loggers.build(run.path, config), default_root_dir=str(run.path))
     began_s = time.monotonic()
-    announce(run, task, data)
+    if trainer.is_global_zero:
+        announce(run, task, data)
     trainer.fit(task, datamodule=data, ckpt_path=run.checkpoint and str(run.checkpoint))
     trainer.save_checkpoint(run.path / LAST)
     minutes = (time.monotonic() - began_s) / 60
@@ -82,6 +83,7 @@ def quiet() -> None:
     os.environ.setdefault("TOKENIZERS_PARALLELISM", "false")
     warnings.filterwarnings("ignore", module="lightning")
     warnings.filterwarnings("ignore", module="torch.utils.data")
+    warnings.filterwarnings("ignore", message="Grad strides do not match bucket view strides")
 
 
 if __name__ == "__main__":

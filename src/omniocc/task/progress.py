@@ -18,16 +18,21 @@ class StepProgress(ProgressBar):
         self.seconds = seconds
         self._console = Console()
         self._bar: Progress | None = None
+        self._silent = False
         self._last_line_s = 0.0
         self._began_s = 0.0
         self._began_step = 0
+
+    def disable(self) -> None:
+        """Lightning asks for this in every process but the first."""
+        self._silent = True
 
     def _start(self, title: str, total: int, done: int = 0) -> None:
         self._stop()
         self._title, self._total = title, total
         self._began_s = self._last_line_s = time.monotonic()
         self._began_step = done
-        if self._console.is_terminal:
+        if self._console.is_terminal and not self._silent:
             columns = (
                 TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
                 TextColumn("left"), TimeRemainingColumn(), TextColumn("{task.fields[text]}"),
@@ -39,6 +44,7 @@ class StepProgress(ProgressBar):
     def _show(self, done: int, text: str) -> None:
         if self._bar is not None:
             self._bar.update(self._task, completed=done, text=text)
+        if self._bar is not None or self._silent:
             return
         now_s = time.monotonic()
         if now_s - self._last_line_s >= self.seconds or done == self._total:
