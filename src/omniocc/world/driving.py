@@ -14,7 +14,7 @@ from omniocc.world.mesh import Mesh
 from omniocc.world.motion import Path, Timetable, close, timetable
 from omniocc.world.place import Place
 from omniocc.world.road import street_path
-from omniocc.world.stock import pick
+from omniocc.world.stock import one, pick
 
 CYCLE_S = 32.0
 _MIX = {"sedan": 4.0, "hatchback": 3.0, "suv": 3.0, "van": 1.4, "truck": 0.8, "bus": 0.6, "bicycle": 0.6}
@@ -58,7 +58,7 @@ class Fleet:
 def draw_fleet(rng: np.random.Generator, count: int = 14) -> Fleet:
     """A mix of vehicles, one of each kind at least."""
     names = (*vehicle.KINDS, *(pick(rng, _MIX) for _ in range(count - len(vehicle.KINDS))))
-    meshes = tuple(vehicle.KINDS[name](rng) for name in names)
+    meshes = tuple(one(rng, "vehicle", name) for name in names)
     return Fleet(meshes, np.array([vehicle.size_m(mesh) for mesh in meshes]), names)
 
 

@@ -1,6 +1,6 @@
 """Triangles with a class, a material and texture coordinates: all that ray caster and shader know of the world."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -76,31 +76,28 @@ def with_instance(mesh: Mesh, instance: int) -> Mesh:
     return replace(mesh, instance=np.full(len(mesh), instance, np.int32))
 
 
-def instances(
-    mesh: Mesh, a_from_b: np.ndarray, material: Material | None = None, color: np.ndarray | None = None
-) -> Mesh:
+def instances(mesh: Mesh, a_from_b: np.ndarray, paint: Mapping[Material, np.ndarray]) -> Mesh:
     """Copies of one mesh.
 
     Args:
         mesh: the prototype in frame b.
-        a_from_b: (K, 4, 4) one pose (or similarity) per copy.
-        material: faces of this material take the copy's colour, the others keep the prototype's.
-        color: (K, 3) uint8, needed with `material`.
+        a_from_b: (K, 4, 4) one pose per copy, which may stretch it.
+        paint: (K, 3) uint8 colours of the copies' faces of some materials; the others keep the prototype's.
     """
     count, vertex_count, face_count = len(a_from_b), len(mesh.vertices), len(mesh)
     linear, shift = a_from_b[:, :3, :3].astype(np.float32), a_from_b[:, None, :3, 3].astype(np.float32)
     vertices = (mesh.vertices @ linear.transpose(0, 2, 1) + shift).reshape(-1, 3)
     offsets = (np.arange(count, dtype=np.int32) * vertex_count)[:, None, None]
-    colors = np.tile(mesh.color, (count, 1))
-    if material is not None and color is not None:
-        chosen = mesh.material == material
-        colors.reshape(count, face_count, 3)[:, chosen] = color[:, None]
+    colors = np.empty((count, face_count, 3), np.uint8)
+    colors[:] = mesh.color
+    for material, color in paint.items():
+        colors[:, mesh.material == material] = color[:, None]
     return Mesh(
         vertices,
         (mesh.faces + offsets).reshape(-1, 3),
         np.tile(mesh.uv, (count, 1, 1)),
         np.tile(mesh.label, count),
         np.tile(mesh.material, count),
-        colors,
+        colors.reshape(-1, 3),
         np.tile(mesh.instance, count),
     )

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from omniocc.world import backdrop, marking, network, road, seeding, stock, street, terrain, themes
+from omniocc.world import backdrop, marking, network, road, seeding, street, terrain, themes
 from omniocc.world.mesh import Mesh, concatenate
 from omniocc.world.network import Network
 from omniocc.world.site import Plan, Site
@@ -37,7 +37,7 @@ class Place:
     paved: tuple[bool, ...]
     crossings: frozenset[tuple[int, bool]]
 
-    def height(self, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
+    def height(self, x_m: np.ndarray | float, y_m: np.ndarray | float) -> np.ndarray:
         """Terrain height at world positions; kerbs and streets lie within 0.15 m of it."""
         return self.terrain.height(x_m, y_m)
 
@@ -59,12 +59,11 @@ def build(theme: str, seed: int) -> Place:
     crossings = frozenset(arm for arm, x in zip(arms, rng.uniform(size=len(arms)), strict=True) if x < _CROSSING_SHARE)
     site = Site(land, Plan(_PLAN_RADIUS_M))
     street.reserve(recipe, town, site.plan)
-    goods = stock.draw(recipe, seeding.generator(theme, seed, "stock"))
     for index, (ring, has_sidewalk) in enumerate(zip(town.rings, paved, strict=True)):
         street.furnish(
-            recipe, town, ring, has_sidewalk, crossings, site, goods, seeding.generator(theme, seed, f"block {index}")
+            recipe, town, ring, has_sidewalk, crossings, site, seeding.generator(theme, seed, f"block {index}")
         )
-    backdrop.fill(recipe, site, goods, seeding.generator(theme, seed, "backdrop"))
+    backdrop.fill(recipe, site, seeding.generator(theme, seed, "backdrop"))
     surfaces = road.build(recipe, land, town, paved, seeding.generator(theme, seed, "surfaces"))
     mesh = concatenate([surfaces, marking.build(recipe, land, town, crossings), site.mesh()])
     return Place(recipe, seed, mesh, land, town, paved, crossings)

@@ -5,13 +5,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from omniocc.world import building, tree, vehicle
+from omniocc.world import tree, vehicle
 from omniocc.world.barrier import PIECE_M
 from omniocc.world.material import Material
-from omniocc.world.mesh import Mesh, concatenate
-from omniocc.world.shape import Color, Skin, box
+from omniocc.world.mesh import Mesh
+from omniocc.world.road import KERB_M
+from omniocc.world.shape import Color, Number, Skin, box
 from omniocc.world.site import Pose2, Site
-from omniocc.world.stock import Stock, one, pick
+from omniocc.world.stock import fitting, one, pick
 from omniocc.world.theme import Theme
 
 
@@ -24,51 +25,53 @@ class Plot:
 
     site: Site
     theme: Theme
-    stock: Stock
     rng: np.random.Generator
     front: Pose2
-    width_m: float
-    depth_m: float
+    width_m: Number
+    depth_m: Number
 
-    def tree(self, x_m: float, y_m: float, kinds: dict[str, float] | None = None) -> None:
+    def tree(self, x_m: Number, y_m: Number, kinds: dict[str, Number] | None = None) -> None:
         """Plants a tree (or bush) of the theme."""
         kind = pick(self.rng, kinds or self.theme.trees)
         color = tree.LEAF_COLORS[int(self.rng.integers(len(tree.LEAF_COLORS)))]
         pose = self.front.at(x_m, y_m, float(self.rng.uniform(0, 2 * np.pi)))
-        scale = float(self.rng.uniform(0.8, 1.2))
-        self.site.put(one(self.rng, self.stock.trees[kind]), pose, scale=scale, material=Material.LEAVES, color=color)
+        wide, high = (float(x) for x in self.rng.uniform(0.8, 1.25, 2))
+        self.site.put(one(self.rng, "tree", kind), pose, stretch=(wide, wide, high), paint={Material.LEAVES: color})
 
-    def line(self, pieces: list[Mesh], start: tuple[float, float], end: tuple[float, float]) -> None:
-        """Sets equal pieces of a fence, wall or hedge end to end."""
+    def line(self, kind: str, start: tuple[Number, Number], end: tuple[Number, Number]) -> None:
+        """Sets equal pieces of a fence, wall or hedge (`barrier.KINDS`) end to end."""
         run = np.subtract(end, start)
         count, yaw = int(np.hypot(*run) / PIECE_M), float(np.arctan2(run[1], run[0]))
-        piece = one(self.rng, pieces)
+        piece = one(self.rng, "barrier", kind)
         color = tree.LEAF_COLORS[int(self.rng.integers(3))]
         for k in range(count):
             x, y = np.asarray(start) + run * (k + 0.5) / max(count, 1)
-            self.site.put(piece, self.front.at(float(x), float(y), yaw), material=Material.LEAVES, color=color)
+            self.site.put(piece, self.front.at(float(x), float(y), yaw), paint={Material.LEAVES: color})
 
-    def stand(self, mesh: Mesh, x_m: float, y_m: float, yaw_rad: float = 0.0) -> None:
+    def stand(self, mesh: Mesh, x_m: Number, y_m: Number, yaw_rad: Number = 0.0) -> None:
         """Stands a thing on the plot."""
         self.site.put(mesh, self.front.at(x_m, y_m, yaw_rad))
 
-    def car(self, x_m: float, y_m: float, yaw_rad: float) -> None:
+    def car(self, x_m: Number, y_m: Number, yaw_rad: Number) -> None:
         """Parks a car."""
         color = vehicle.PAINTS[int(self.rng.integers(len(vehicle.PAINTS)))]
-        self.site.put(
-            one(self.rng, self.stock.cars), self.front.at(x_m, y_m, yaw_rad), material=Material.CAR_PAINT, color=color
-        )
+        mesh = one(self.rng, "vehicle", pick(self.rng, vehicle.PARKED))
+        self.site.put(mesh, self.front.at(x_m, y_m, yaw_rad), paint={Material.CAR_PAINT: color})
 
-    def colors(self) -> tuple[Color, Color]:
-        """A wall's and a roof's."""
+    def building(self, kind: str, width_m: Number, depth_m: Number, x_m: Number, y_m: Number) -> None:
+        """Puts up a building of about this size, its front at y, in colours of the theme."""
+        mesh, (wide, deep) = fitting(self.rng, kind, (width_m, depth_m))
         walls, roofs = self.theme.wall_colors, self.theme.roof_colors
-        return walls[int(self.rng.integers(len(walls)))], roofs[int(self.rng.integers(len(roofs)))]
+        wall, roof = walls[int(self.rng.integers(len(walls)))], roofs[int(self.rng.integers(len(roofs)))]
+        paint = {Material.FACADE: wall, Material.PLASTER: wall, Material.ROOF: roof}
+        stretch = (wide, deep, float(self.rng.uniform(0.88, 1.22)))
+        self.site.put(mesh, self.front.at(x_m, y_m), stretch=stretch, paint=paint)
 
 
 def _tower(plot: Plot) -> None:
     back = float(plot.rng.uniform(*plot.theme.setback_m))
     deep = min(plot.depth_m - back - 0.6, float(plot.rng.uniform(11, 17)))
-    plot.stand(building.tower(plot.rng, plot.width_m - 0.8, deep, *plot.colors()), 0, back)
+    plot.building("tower", plot.width_m - 0.8, deep, 0, back)
     if back > 3.5:
         for x in np.arange(-plot.width_m / 2 + 2, plot.width_m / 2 - 1, 6):
             plot.tree(float(x), 1.2, {"bush": 3, "young": 1})
@@ -80,23 +83,25 @@ def _row(plot: Plot) -> None:
     wide = (plot.width_m - 0.6) / count
     deep = min(plot.depth_m - back - 0.5, float(plot.rng.uniform(9, 12)))
     for k in range(count):
-        plot.stand(building.row(plot.rng, wide, deep, *plot.colors()), (k + 0.5 - count / 2) * wide, back)
+        plot.building("row", wide, deep, (k + 0.5 - count / 2) * wide, back)
     if back > 2.5:
         kind = ("brick", "picket", "mesh")[int(plot.rng.integers(3))]
         for a, b in ((-0.5, -0.12), (0.12, 0.5)):
-            plot.line(plot.stock.barriers[kind], (a * plot.width_m, 0.3), (b * plot.width_m, 0.3))
+            plot.line(kind, (a * plot.width_m, 0.3), (b * plot.width_m, 0.3))
 
 
-def _boundary(plot: Plot, gate: tuple[float, float]) -> None:
+def _boundary(plot: Plot, gate: tuple[Number, Number]) -> None:
     """Fence, wall or hedge along the front (open at the gate) and one side."""
     half = plot.width_m / 2
     kind = pick(plot.rng, {"hedge": 3, "picket": 2, "brick": 1.5, "mesh": 1, "none": 2})
-    pieces = plot.stock.hedges if kind == "hedge" else plot.stock.barriers.get(kind)
-    if pieces:
-        plot.line(pieces, (-half, 0.5), (gate[0], 0.5))
-        plot.line(pieces, (gate[1], 0.5), (half, 0.5))
-    side = plot.stock.hedges if plot.rng.uniform() < 0.4 else plot.stock.barriers["board"]
+    if kind != "none":
+        plot.line(kind, (-half, 0.5), (gate[0], 0.5))
+        plot.line(kind, (gate[1], 0.5), (half, 0.5))
+    side = "hedge" if plot.rng.uniform() < 0.4 else "board"
     plot.line(side, (half - 0.1, 3.0), (half - 0.1, plot.depth_m - 0.5))
+
+
+_DRIVEWAY = box((2.9, PIECE_M, 0.4), (0, 0, -0.17), Skin(3, Material.PAVING, (150, 142, 132)))
 
 
 def _house(plot: Plot) -> None:
@@ -106,15 +111,13 @@ def _house(plot: Plot) -> None:
         min(float(rng.uniform(8, 12.5)), plot.width_m - 5.5),
         min(float(rng.uniform(7.5, 10.5)), plot.depth_m - back - 1),
     )
-    wall, roof = plot.colors()
     side = -1.0 if rng.uniform() < 0.5 else 1.0
     drive = side * (half - 2.2)
-    plot.stand(building.house(rng, wide, deep, wall, roof), -side * (half - wide / 2 - 0.9), back)
+    plot.building("house", wide, deep, -side * (half - wide / 2 - 0.9), back)
     if half * 2 - wide > 5.2 and rng.uniform() < 0.6 and plot.depth_m > back + 7.5:
-        plot.stand(building.garage(rng, wall), drive, back + 1.5)
-    paving = Skin(3, Material.PAVING, (150, 142, 132))
+        plot.building("garage", 3.2, 5.5, drive, back + 1.5)
     for k in range(int(back // PIECE_M)):
-        plot.site.put(box((2.9, PIECE_M, 0.4), (0, 0, -0.17), paving), plot.front.at(drive, PIECE_M * (k + 0.5)))
+        plot.site.put(_DRIVEWAY, plot.front.at(drive, PIECE_M * (k + 0.5)))
     _boundary(plot, (drive - 1.8, drive + 1.8))
     if rng.uniform() < 0.5 and back > 5.6:
         plot.car(drive, back - 2.6, (-1 if rng.uniform() < 0.5 else 1) * np.pi / 2)
@@ -132,18 +135,22 @@ def _hall(plot: Plot) -> None:
     rng = plot.rng
     back = float(rng.uniform(*plot.theme.setback_m))
     deep = plot.depth_m - back - 1
-    plot.stand(building.hall(rng, plot.width_m - 4, deep, *plot.colors()), 0, back)
+    plot.building("hall", plot.width_m - 4, deep, 0, back)
     kind = ("mesh", "concrete", "brick")[int(rng.integers(3))]
     gate = float(rng.uniform(-0.2, 0.2)) * plot.width_m
-    plot.line(plot.stock.barriers[kind], (-plot.width_m / 2, 0.4), (gate - 4, 0.4))
-    plot.line(plot.stock.barriers[kind], (gate + 4, 0.4), (plot.width_m / 2, 0.4))
+    plot.line(kind, (-plot.width_m / 2, 0.4), (gate - 4, 0.4))
+    plot.line(kind, (gate + 4, 0.4), (plot.width_m / 2, 0.4))
     for x in rng.permutation(np.arange(-plot.width_m / 2 + 3, plot.width_m / 2 - 2, 4.2))[: int(rng.integers(1, 5))]:
         if back < 4.5 or abs(x - gate) < 3:
             continue
         if rng.uniform() < 0.4 and back > 6.5:
             plot.car(float(x), back - 3.4, np.pi / 2)
         else:
-            plot.stand(one(rng, plot.stock.props[pick(rng, plot.theme.props)]), float(x), back - 2.2, np.pi)
+            plot.stand(one(rng, "prop", pick(rng, plot.theme.props)), float(x), back - 2.2, np.pi)
+
+
+_CONTAINER = box((6.06, 2.44, 2.59), (0, 0, 1.3), Skin(8, Material.METAL, (140, 140, 140)))
+_CONTAINERS: tuple[Color, ...] = ((150, 60, 44), (44, 92, 130), (60, 110, 76), (190, 150, 60), (140, 140, 140))
 
 
 def _yard(plot: Plot) -> None:
@@ -152,17 +159,13 @@ def _yard(plot: Plot) -> None:
     for x in np.arange(-half + 4.5, half - 4, 7.0):
         for y in np.arange(4.0, plot.depth_m - 2.0, 3.4):
             if rng.uniform() < 0.7:
-                plot.stand(_containers(rng), float(x), float(y))
+                for k in range(int(rng.integers(1, 3))):
+                    color = _CONTAINERS[int(rng.integers(len(_CONTAINERS)))]
+                    pose = plot.front.at(float(x), float(y))
+                    plot.site.put(_CONTAINER, pose, lift_m=KERB_M + 2.6 * k, paint={Material.METAL: color})
     kind = "mesh" if rng.uniform() < 0.6 else "concrete"
-    plot.line(plot.stock.barriers[kind], (-half, 0.4), (-3.5, 0.4))
-    plot.line(plot.stock.barriers[kind], (3.5, 0.4), (half, 0.4))
-
-
-def _containers(rng: np.random.Generator) -> Mesh:
-    """Two high at most; class Other."""
-    colors = ((150, 60, 44), (44, 92, 130), (60, 110, 76), (190, 150, 60), (140, 140, 140))
-    skins = [Skin(8, Material.METAL, colors[int(k)]) for k in rng.integers(len(colors), size=int(rng.integers(1, 3)))]
-    return concatenate(box((6.06, 2.44, 2.59), (0, 0, 1.3 + 2.6 * k), skin) for k, skin in enumerate(skins))
+    plot.line(kind, (-half, 0.4), (-3.5, 0.4))
+    plot.line(kind, (3.5, 0.4), (half, 0.4))
 
 
 def _park(plot: Plot) -> None:
@@ -171,10 +174,8 @@ def _park(plot: Plot) -> None:
         for y in np.arange(2.5, plot.depth_m - 1.5, 5.5):
             if rng.uniform() < 0.75:
                 plot.tree(float(x + rng.uniform(-1, 1)), float(y + rng.uniform(-1, 1)), {**plot.theme.trees, "bush": 2})
-    plot.line(
-        plot.stock.hedges if rng.uniform() < 0.5 else plot.stock.barriers["mesh"], (-half, 0.4), (0.3 * half, 0.4)
-    )
-    plot.stand(one(rng, plot.stock.park_lamps), 0.5 * half, 0.7)
+    plot.line("hedge" if rng.uniform() < 0.5 else "mesh", (-half, 0.4), (0.3 * half, 0.4))
+    plot.stand(one(rng, "pole", "park"), 0.5 * half, 0.7)
 
 
 def _lot(plot: Plot) -> None:
@@ -185,18 +186,18 @@ def _lot(plot: Plot) -> None:
             if rng.uniform() < 0.5:
                 plot.car(float(x), float(y), (-1 if rng.uniform() < 0.5 else 1) * np.pi / 2)
     kind = "guard" if rng.uniform() < 0.4 else "mesh"
-    plot.line(plot.stock.barriers[kind], (-half, 0.4), (half - 5, 0.4))
+    plot.line(kind, (-half, 0.4), (half - 5, 0.4))
 
 
 def _field(plot: Plot) -> None:
     rng, half = plot.rng, plot.width_m / 2
     kind = pick(rng, {"rail": 3, "hedge": 2, "mesh": 1, "brick": 1})
-    plot.line(plot.stock.hedges if kind == "hedge" else plot.stock.barriers[kind], (-half, 0.8), (half, 0.8))
+    plot.line(kind, (-half, 0.8), (half, 0.8))
     for _ in range(int(rng.integers(2, 6))):
         plot.tree(float(rng.uniform(-0.9, 0.9)) * half, float(rng.uniform(3, plot.depth_m - 2)))
     for _ in range(int(rng.integers(0, 4))):
         plot.stand(
-            one(rng, plot.stock.props["bales"]),
+            one(rng, "prop", "bales"),
             float(rng.uniform(-0.8, 0.8)) * half,
             float(rng.uniform(3, plot.depth_m - 2)),
             float(rng.uniform(0, 3)),
@@ -210,12 +211,12 @@ def _farm(plot: Plot) -> None:
         min(plot.width_m - 4, float(rng.uniform(11, 18))),
         min(plot.depth_m - back - 1, float(rng.uniform(8, 12))),
     )
-    plot.stand(building.barn(rng, wide, deep, *plot.colors()), 0, back)
-    plot.line(plot.stock.barriers["rail"], (-plot.width_m / 2, 0.6), (-3, 0.6))
-    plot.line(plot.stock.barriers["brick"], (3, 0.6), (plot.width_m / 2, 0.6))
+    plot.building("barn", wide, deep, 0, back)
+    plot.line("rail", (-plot.width_m / 2, 0.6), (-3, 0.6))
+    plot.line("brick", (3, 0.6), (plot.width_m / 2, 0.6))
     for x in (-0.4, 0.4):
         plot.tree(x * plot.width_m, float(rng.uniform(2, max(back - 2, 2.5))))
-        plot.stand(one(rng, plot.stock.props["crates"]), 0.6 * x * plot.width_m, back - 1.5)
+        plot.stand(one(rng, "prop", "crates"), 0.6 * x * plot.width_m, back - 1.5)
 
 
 KINDS: dict[str, Callable[[Plot], None]] = {

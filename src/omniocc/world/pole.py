@@ -1,5 +1,7 @@
 """Lamp posts, signs and traffic lights."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from omniocc.world.material import Material
@@ -79,3 +81,8 @@ def utility_pole(rng: np.random.Generator) -> Mesh:
         for y in (-0.8, 0.8)
     ]
     return concatenate(parts)
+
+
+KINDS: dict[str, Callable[[np.random.Generator], Mesh]] = {
+    "street": street_lamp, "park": park_lamp, "utility": utility_pole, "sign": sign, "light": traffic_light,
+}  # fmt: skip

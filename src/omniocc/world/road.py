@@ -78,7 +78,7 @@ def _land(theme: Theme, terrain: Terrain, ring: Ring, rng: np.random.Generator) 
     """From the back of the sidewalk to the middle of the block, or to the horizon."""
     rim = ring.offset(theme.sidewalk_m)
     middle = np.zeros(2) if ring.outside else rim.mean(0)
-    shares = (1.0, 1.08, 1.2, 1.4, 1.8, 2.5, 3.6, 5.0) if ring.outside else (1.0, 0.8, 0.6, 0.4, 0.2)
+    shares = (1.0, 1.12, 1.4, 2.0, 3.0, 5.0) if ring.outside else (1.0, 0.75, 0.45)
     rows = []
     for share in shares:
         xy = middle + share * (rim - middle)
@@ -88,5 +88,5 @@ def _land(theme: Theme, terrain: Terrain, ring: Ring, rng: np.random.Generator) 
     skin = Skin(_GROUND, material, (int(varied[0]), int(varied[1]), int(varied[2])))
     far = Skin(_GROUND, Material.GRASS, (92, 112, 66))
     if ring.outside:
-        return concatenate([_surface(rows[:4], skin), _surface(rows[3:], far)])
+        return concatenate([_surface(rows[:3], skin), _surface(rows[2:], far)])
     return concatenate([_surface(rows, skin), fan(rows[-1], skin)])

@@ -1,31 +1,32 @@
 """Where things stand: a plan of the free land, and a list of what was put on it."""
 
 from dataclasses import dataclass, field
+from math import cos, sin
 
 import numpy as np
 
 from omniocc.world.material import Material
 from omniocc.world.mesh import Mesh, concatenate, instances
 from omniocc.world.road import KERB_M
-from omniocc.world.shape import Color, similarity
+from omniocc.world.shape import Color, Number, Triple, upright
 from omniocc.world.terrain import Terrain
 
 _CELL_M = 0.4
+_SAMPLE_M = 0.28
 
 
 @dataclass(frozen=True)
 class Pose2:
     """A place on the plan: position and heading; x runs along the heading, y to its left."""
 
-    x_m: float
-    y_m: float
-    yaw_rad: float
+    x_m: Number
+    y_m: Number
+    yaw_rad: Number
 
-    def at(self, along_m: float, left_m: float, yaw_rad: float = 0.0) -> "Pose2":
+    def at(self, along_m: Number, left_m: Number, yaw_rad: Number = 0.0) -> "Pose2":
         """The pose with these coordinates in this pose's own frame."""
-        cos, sin = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
-        x, y = self.x_m + cos * along_m - sin * left_m, self.y_m + sin * along_m + cos * left_m
-        return Pose2(float(x), float(y), self.yaw_rad + yaw_rad)
+        c, s = cos(self.yaw_rad), sin(self.yaw_rad)
+        return Pose2(self.x_m + c * along_m - s * left_m, self.y_m + s * along_m + c * left_m, self.yaw_rad + yaw_rad)
 
 
 class Plan:
@@ -33,28 +34,33 @@ class Plan:
 
     def __init__(self, radius_m: float) -> None:
         self._radius_m = radius_m
-        count = int(2 * radius_m / _CELL_M)
-        self._taken = np.zeros((count, count), bool)
+        self._count = int(2 * radius_m / _CELL_M)
+        self._taken = np.zeros(self._count**2, bool)
 
     def block(self, points_m: np.ndarray) -> None:
         """Takes the cells of (..., 2) points."""
-        index = self._cells(points_m)
-        self._taken[index[..., 0], index[..., 1]] = True
+        self._taken[self._cells(points_m[..., 0], points_m[..., 1])] = True
 
-    def claim(self, pose: Pose2, size_m: tuple[float, float]) -> bool:
+    def claim(self, pose: Pose2, size_m: tuple[Number, Number]) -> bool:
         """Takes a rectangle centred on the pose, if all of it is free."""
-        (length, width), cos, sin = size_m, np.cos(pose.yaw_rad), np.sin(pose.yaw_rad)
-        a = np.linspace(-length / 2, length / 2, int(length / 0.28) + 2)[:, None]
-        b = np.linspace(-width / 2, width / 2, int(width / 0.28) + 2)[None]
-        index = self._cells(np.stack([pose.x_m + cos * a - sin * b, pose.y_m + sin * a + cos * b], -1))
-        if self._taken[index[..., 0], index[..., 1]].any():
+        if self._taken[self._rectangle(pose, size_m, 6.0)].any():  # most that fail do so here
             return False
-        self._taken[index[..., 0], index[..., 1]] = True
+        index = self._rectangle(pose, size_m, _SAMPLE_M)
+        if self._taken[index].any():
+            return False
+        self._taken[index] = True
         return True
 
-    def _cells(self, points_m: np.ndarray) -> np.ndarray:
-        index = np.floor((points_m + self._radius_m) / _CELL_M).astype(np.int64)
-        return np.clip(index, 0, len(self._taken) - 1)
+    def _rectangle(self, pose: Pose2, size_m: tuple[Number, Number], step_m: float) -> np.ndarray:
+        c, s = cos(pose.yaw_rad), sin(pose.yaw_rad)
+        a, b = (np.arange(-0.5, 0.5 + 1e-9, 1 / (int(side / step_m) + 1)) * side for side in size_m)
+        a = a[:, None]
+        return self._cells(pose.x_m + c * a - s * b, pose.y_m + s * a + c * b)
+
+    def _cells(self, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
+        x, y = ((v + self._radius_m) * (1 / _CELL_M) for v in (x_m, y_m))
+        x, y = (np.minimum(np.maximum(v, 0), self._count - 1).astype(np.int64) for v in (x, y))
+        return x * self._count + y
 
 
 @dataclass
@@ -63,22 +69,25 @@ class Site:
 
     terrain: Terrain
     plan: Plan
-    _copies: dict[int, tuple[Mesh, list, list, Material | None]] = field(default_factory=dict)
+    _copies: dict[tuple[int, tuple[Material, ...]], tuple[Mesh, list, list]] = field(default_factory=dict)
 
     def put(
-        self, mesh: Mesh, pose: Pose2, *, scale: float = 1.0, lift_m: float = KERB_M, material: Material | None = None,
-        color: Color = (0, 0, 0),
+        self, mesh: Mesh, pose: Pose2, *, stretch: Triple = (1.0, 1.0, 1.0), lift_m: Number = KERB_M,
+        paint: dict[Material, Color] | None = None,
     ) -> None:  # fmt: skip
-        """Stands a copy of `mesh` on the land; faces of `material` take `color`. Claims nothing on the plan."""
-        _, poses, colors, _ = self._copies.setdefault(id(mesh), (mesh, [], [], material))
-        poses.append((pose.x_m, pose.y_m, lift_m, pose.yaw_rad, scale))
-        colors.append(color)
+        """Stands a copy of `mesh` on the land, some materials repainted. Claims nothing on the plan."""
+        paint = paint or {}
+        _, poses, colors = self._copies.setdefault((id(mesh), tuple(paint)), (mesh, [], []))
+        poses.append((pose.x_m, pose.y_m, lift_m, pose.yaw_rad, *stretch))
+        colors.append(tuple(paint.values()))
 
     def mesh(self) -> Mesh:
         """Everything put so far."""
         parts = []
-        for prototype, rows, colors, material in self._copies.values():
-            x, y, lift, yaw, scale = np.array(rows).T
+        for (_, materials), (prototype, rows, colors) in self._copies.items():
+            x, y, lift, yaw, *stretch = np.array(rows).T
             position = np.stack([x, y, self.terrain.height(x, y) + lift], 1)
-            parts.append(instances(prototype, similarity(position, yaw, scale), material, np.array(colors, np.uint8)))
+            poses = upright(position, yaw, np.stack(stretch, 1))
+            tints = np.array(colors, np.uint8)
+            parts.append(instances(prototype, poses, {m: tints[:, k] for k, m in enumerate(materials)}))
         return concatenate(parts)

@@ -1,54 +1,63 @@
-"""The prototypes a place is furnished with: a few variants of every kind."""
+"""The prototypes that places are furnished with: some variants of every kind, made once in a process."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from functools import lru_cache
 
 import numpy as np
 
-from omniocc.world import barrier, pole, prop, tree, vehicle
+from omniocc.world import barrier, building, person, pole, prop, seeding, tree, vehicle
 from omniocc.world.mesh import Mesh
-from omniocc.world.theme import Theme
+from omniocc.world.shape import Number
 
-_PARKED = ("sedan", "hatchback", "suv", "sedan", "hatchback", "suv", "van")
-
-
-@dataclass(frozen=True)
-class Stock:
-    """Variants by kind; see the modules of the same names."""
-
-    trees: dict[str, list[Mesh]]
-    hedges: list[Mesh]
-    barriers: dict[str, list[Mesh]]
-    props: dict[str, list[Mesh]]
-    lamps: list[Mesh]
-    park_lamps: list[Mesh]
-    signs: list[Mesh]
-    lights: list[Mesh]
-    cars: list[Mesh]
+_MAKERS = {
+    "tree": tree.KINDS,
+    "barrier": barrier.KINDS,
+    "prop": {kind: made.make for kind, made in prop.KINDS.items()},
+    "pole": pole.KINDS,
+    "vehicle": vehicle.KINDS,
+    "building": building.KINDS,
+}
+_VARIANTS = {"tree": 8, "barrier": 4, "prop": 5, "pole": 8, "vehicle": 6, "building": 12}
 
 
-def draw(theme: Theme, rng: np.random.Generator) -> Stock:
-    """The stock of one place."""
-    wooden = theme.name == "countryside"
-    return Stock(
-        trees={kind: [make(rng) for _ in range(4)] for kind, make in tree.KINDS.items()},
-        hedges=[tree.hedge(rng) for _ in range(4)],
-        barriers={kind: [make(rng) for _ in range(3)] for kind, make in barrier.KINDS.items()},
-        props={kind: [prop.KINDS[kind].make(rng) for _ in range(3)] for kind in theme.props},
-        lamps=[pole.utility_pole(rng) if wooden and k else pole.street_lamp(rng) for k in range(2)],
-        park_lamps=[pole.park_lamp(rng) for _ in range(2)],
-        signs=[pole.sign(rng) for _ in range(8)],
-        lights=[pole.traffic_light(rng) for _ in range(4)],
-        cars=[vehicle.KINDS[kind](rng) for kind in _PARKED],
-    )
+_PEOPLE = 12
 
 
-def pick(rng: np.random.Generator, weights: dict[str, float]) -> str:
+@lru_cache(maxsize=256)
+def shelf(group: str, kind: str) -> tuple[Mesh, ...]:
+    """All variants of a kind (see `KINDS` of the module of that name); the same in every process."""
+    make, rng = _MAKERS[group][kind], seeding.generator(group, 0, kind)
+    return tuple(make(rng) for _ in range(_VARIANTS[group]))
+
+
+@lru_cache(maxsize=1)
+def people() -> tuple[list[Mesh], ...]:
+    """Walkers, each in all poses of a stride (see `person.walking`)."""
+    rng = seeding.generator("person", 0, "walking")
+    return tuple(person.walking(rng) for _ in range(_PEOPLE))
+
+
+def pick(rng: np.random.Generator, weights: Mapping[str, Number]) -> str:
     """One key, with probability proportional to its weight."""
     names = list(weights)
     share = np.cumsum([weights[name] for name in names])
     return names[int(np.searchsorted(share, rng.uniform() * share[-1], side="right"))]
 
 
-def one(rng: np.random.Generator, variants: list) -> Mesh:
+def one(rng: np.random.Generator, group: str, kind: str) -> Mesh:
     """One of the variants."""
+    variants = shelf(group, kind)
     return variants[int(rng.integers(len(variants)))]
+
+
+def fitting(rng: np.random.Generator, kind: str, size_m: tuple[Number, Number]) -> tuple[Mesh, tuple[float, float]]:
+    """One of the three buildings that need the least stretching to stand on (width, depth), and the two stretches."""
+    stretch = np.log(np.asarray(size_m) / _footprints(kind))
+    index = np.argsort(np.abs(stretch).sum(1))[int(rng.integers(3))]
+    wide, deep = np.exp(stretch[index])
+    return shelf("building", kind)[index], (float(wide), float(deep))
+
+
+@lru_cache(maxsize=32)
+def _footprints(kind: str) -> np.ndarray:
+    return np.array([building.footprint_m(mesh) for mesh in shelf("building", kind)])

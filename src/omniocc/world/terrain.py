@@ -24,14 +24,13 @@ class Terrain:
     phase_rad: np.ndarray
     horizon_m: float
 
-    def height(self, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
+    def height(self, x_m: np.ndarray | float, y_m: np.ndarray | float) -> np.ndarray:
         """Height (...) at world positions (...), float64."""
         x_m, y_m = np.asarray(x_m, float), np.asarray(y_m, float)
         angle = x_m[..., None] * self.wave_vector[:, 0] + y_m[..., None] * self.wave_vector[:, 1] + self.phase_rad
         outside = np.clip((np.hypot(x_m, y_m) - _HORIZON_START_M) / 300, 0, None)
-        return (np.sin(angle) * self.amplitude_m).sum(-1) + self.horizon_m * outside * (
-            1 + 0.5 * np.sin(5 * np.arctan2(y_m, x_m))
-        )
+        hills = self.horizon_m * outside * (1 + 0.5 * np.sin(5 * np.arctan2(y_m, x_m)))
+        return np.asarray((np.sin(angle) * self.amplitude_m).sum(-1) + hills)
 
 
 def draw(rng: np.random.Generator, slope: float, horizon_m: float) -> Terrain:

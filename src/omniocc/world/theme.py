@@ -16,7 +16,8 @@ class Theme:
         lanes: choices of lanes per direction of a street.
         lane_width_m, parking_m, sidewalk_m, corner_radius_m: cross-section; the kerb's radius at corners.
         paved_share: share of blocks with a sidewalk; the others have a verge.
-        slope, horizon_m: steepest slopes (rise over run), height of the hills on the horizon.
+        slope, horizon_m, skyline_m: steepest slopes (rise over run), heights of hills and buildings on the horizon.
+        lamp: kind of lamp post (`pole.KINDS`).
         plots: kind of plot (`plot.KINDS`) -> weight.
         plot_width_m, setback_m: least and most.
         ground: (material, colour) choices of the land inside blocks.
@@ -42,6 +43,8 @@ class Theme:
     paved_share: float
     slope: float
     horizon_m: float
+    skyline_m: float
+    lamp: str
     plots: dict[str, float]
     plot_width_m: tuple[float, float]
     setback_m: tuple[float, float]

@@ -8,12 +8,12 @@ from omniocc.world import driving, person, seeding, walking
 from omniocc.world.material import Material
 from omniocc.world.mesh import Mesh, concatenate, transform, with_instance
 from omniocc.world.place import Place
+from omniocc.world.stock import people
 from omniocc.world.vehicle import EGO_ROAD_M, PAINTS
 
 _VEHICLE, _PEDESTRIAN = 7, 10
 _RANGE_M = 80.0
 _STEP_S = 0.05  # for velocities
-_PEOPLE = 10
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Traffic:
         self._lanes = driving.draw_lanes(place, self._fleet, rng)
         self._rounds = walking.draw_rounds(place, rng)
         self._crossers = walking.draw_crossers(place, self._lanes, self._fleet, rng)
-        self._people = [person.walking(rng) for _ in range(_PEOPLE)]
+        self._people = people()
         self._ego_lane = int(rng.integers(len(self._lanes)))
         self._ego_car = int(rng.integers(len(self._lanes[self._ego_lane].delay_s)))
         self._shake = rng.uniform(size=(3, 3, 2))
@@ -124,7 +124,7 @@ class Traffic:
     def _person(
         self, number: int, point: np.ndarray, heading: np.ndarray, velocity: np.ndarray, pace_m: float
     ) -> tuple[Mesh, Actor]:
-        poses = self._people[number % _PEOPLE]
+        poses = self._people[number % len(self._people)]
         mesh = poses[int(pace_m / person.STRIDE_M * person.PHASES) % person.PHASES]
         upright = _upright(point, float(np.arctan2(heading[1], heading[0])))
         return self._actor(mesh, number, _PEDESTRIAN, upright, np.array(person.SIZE_M), velocity)

@@ -6,10 +6,10 @@ import numpy as np
 
 from omniocc.world.material import Material
 from omniocc.world.mesh import Mesh, concatenate
-from omniocc.world.shape import Color, Skin, beam, blob, box, lathe
+from omniocc.world.shape import Color, Skin, blob, lathe
 
 _VEGETATION = 6
-_LEAVES = Skin(_VEGETATION, Material.LEAVES, (80, 112, 52))
+LEAVES = Skin(_VEGETATION, Material.LEAVES, (80, 112, 52))
 _BARK = Skin(_VEGETATION, Material.BARK, (94, 76, 58))
 _BIRCH = Skin(_VEGETATION, Material.BARK, (198, 194, 184))
 LEAF_COLORS: tuple[Color, ...] = (
@@ -26,7 +26,7 @@ def round_tree(rng: np.random.Generator) -> Mesh:
     """Broad crown of several lumps over a forked trunk."""
     height, crown = rng.uniform(6.5, 10), rng.uniform(1.5, 2.3)
     stem = rng.uniform(2.3, 3.2)
-    parts = [lathe([0.24, 0.17, 0.13], [-0.3, 0.5, stem + 0.8], 6, _BARK)]
+    parts = [lathe([0.24, 0.17, 0.13], [-0.3, 0.5, stem + 0.8], 5, _BARK)]
     for k in range(int(rng.integers(2, 5))):
         angle, out = k * 2.4 + rng.uniform(0, 1), crown * rng.uniform(0.3, 0.55)
         center = (
@@ -35,9 +35,8 @@ def round_tree(rng: np.random.Generator) -> Mesh:
             float(rng.uniform(stem + 0.75 * crown, height - 0.6 * crown)),
         )
         size = crown * rng.uniform(0.55, 0.8)
-        parts.append(blob(rng, (size, size, 0.85 * size), center, _LEAVES, 0.22, sides=6))
-        parts.append(beam((0, 0, stem), center, 0.07, _BARK))
-    parts.append(blob(rng, (crown * 0.75, crown * 0.75, crown * 0.8), (0, 0, height - 0.8 * crown), _LEAVES, 0.22))
+        parts.append(blob(rng, (size, size, 0.85 * size), center, LEAVES, 0.24, sides=6, rows=4))
+    parts.append(blob(rng, (crown * 0.75, crown * 0.75, crown * 0.8), (0, 0, height - 0.8 * crown), LEAVES, 0.22))
     return concatenate(parts)
 
 
@@ -45,7 +44,7 @@ def tall_tree(rng: np.random.Generator) -> Mesh:
     """Slender upright crown, as of poplars."""
     height, crown = rng.uniform(8, 13), rng.uniform(1.0, 1.6)
     stem = rng.uniform(2.2, 2.8)
-    body = blob(rng, (crown, crown, (height - stem) / 2), (0, 0, (height + stem) / 2), _LEAVES, 0.2, sides=7, rows=6)
+    body = blob(rng, (crown, crown, (height - stem) / 2), (0, 0, (height + stem) / 2), LEAVES, 0.2, sides=7, rows=6)
     return concatenate([lathe([0.22, 0.15], [-0.3, stem + 1], 6, _BARK), body])
 
 
@@ -58,7 +57,7 @@ def conifer(rng: np.random.Generator) -> Mesh:
         low = 1.0 + (height - 1.5) * k / tiers
         wide = skirt * (1 - 0.8 * k / tiers)
         tip = min(low + 1.9 * (height - 1) / tiers, height)
-        parts.append(lathe([0.25, wide, 0.45 * wide, 0], [low + 0.3, low, low + 0.35 * (tip - low), tip], 7, _LEAVES))
+        parts.append(lathe([0.25, wide, 0.45 * wide, 0], [low + 0.3, low, low + 0.35 * (tip - low), tip], 6, LEAVES))
     return concatenate(parts)
 
 
@@ -73,7 +72,7 @@ def birch(rng: np.random.Generator) -> Mesh:
             float(0.7 * np.sin(angle)),
             float(max(height * (0.45 + 0.14 * k), 2.2 + 1.4 * size)),
         )
-        parts.append(blob(rng, (size, size, 1.25 * size), center, _LEAVES, 0.28, sides=6, rows=5))
+        parts.append(blob(rng, (size, size, 1.25 * size), center, LEAVES, 0.28, sides=6, rows=4))
     return concatenate(parts)
 
 
@@ -83,7 +82,7 @@ def young_tree(rng: np.random.Generator) -> Mesh:
     height = rng.uniform(2.1, 2.6) + 2.3 * crown
     stake = lathe([0.04, 0.04, 0], [-0.2, 1.6, 1.6], 5, _BARK, (0.25, 0.0))
     stem = lathe([0.08, 0.06], [-0.3, height - crown], 6, _BARK)
-    return concatenate([stem, stake, blob(rng, (crown, crown, 1.1 * crown), (0, 0, height - crown), _LEAVES, 0.2)])
+    return concatenate([stem, stake, blob(rng, (crown, crown, 1.1 * crown), (0, 0, height - crown), LEAVES, 0.2)])
 
 
 def bush(rng: np.random.Generator) -> Mesh:
@@ -92,17 +91,8 @@ def bush(rng: np.random.Generator) -> Mesh:
     for _ in range(int(rng.integers(2, 4))):
         size = rng.uniform(0.4, 0.8)
         center = (float(rng.uniform(-0.5, 0.5)), float(rng.uniform(-0.5, 0.5)), 0.55 * float(size))
-        parts.append(blob(rng, (size, size, 0.9 * size), center, _LEAVES, 0.25, sides=6, rows=4))
+        parts.append(blob(rng, (size, size, 0.9 * size), center, LEAVES, 0.25, sides=6, rows=4))
     return concatenate(parts)
-
-
-def hedge(rng: np.random.Generator, length_m: float = 2.0) -> Mesh:
-    """A clipped hedge's piece along x, centred."""
-    height, width = rng.uniform(1.0, 1.7), rng.uniform(0.6, 0.8)
-    return concatenate([
-        box((length_m + 0.05, width, height + 0.3), (0, 0, height / 2 - 0.15), _LEAVES),
-        blob(rng, (0.55 * length_m, 0.42 * width, 0.16), (0, 0, height), _LEAVES, 0.3, sides=6, rows=4),
-    ])  # fmt: skip
 
 
 KINDS: dict[str, Callable[[np.random.Generator], Mesh]] = {

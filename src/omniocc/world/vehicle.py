@@ -6,7 +6,7 @@ import numpy as np
 
 from omniocc.world.material import Material
 from omniocc.world.mesh import Mesh, concatenate, transform
-from omniocc.world.shape import Color, Skin, beam, blob, box, lathe, loft, quads
+from omniocc.world.shape import Color, Number, Skin, beam, blob, box, lathe, loft, panel, quads
 
 _VEHICLE = 7
 EGO_ROAD_M = -2.2  # height of the road in the ego frame
@@ -32,12 +32,12 @@ _TAIL_LIGHT = Skin(_VEHICLE, Material.SIGN, (170, 24, 24))
 _PLATE = Skin(_VEHICLE, Material.SIGN, (226, 226, 220))
 
 
-def _wheel(x_m: float, y_m: float, radius_m: float) -> Mesh:
+def _wheel(x_m: Number, y_m: Number, radius_m: Number) -> Mesh:
     """A wheel around the y axis, its disc on the outer side."""
     flat = concatenate(
         [
-            lathe([radius_m, radius_m, 0.6 * radius_m], [-0.11, 0.1, 0.115], 12, _RUBBER),
-            lathe([0.62 * radius_m, 0], [0.117, 0.125], 6, _RIM),
+            lathe([radius_m, radius_m, 0], [-0.11, 0.1, 0.11], 9, _RUBBER),
+            lathe([0.62 * radius_m, 0], [0.112, 0.12], 6, _RIM),
         ]
     )
     side = 1.0 if y_m > 0 else -1.0
@@ -45,11 +45,15 @@ def _wheel(x_m: float, y_m: float, radius_m: float) -> Mesh:
     return transform(flat, turn)
 
 
-def _lights(length_m: float, width_m: float, z_m: float, tail_z_m: float) -> list[Mesh]:
+def _lights(length_m: Number, width_m: Number, z_m: Number, tail_z_m: Number) -> list[Mesh]:
     parts = []
     for side in (-1, 1):
-        parts.append(box((0.1, 0.34, 0.14), (length_m / 2 - 0.05, side * (width_m / 2 - 0.3), z_m), _HEADLIGHT))
-        parts.append(box((0.08, 0.24, 0.22), (-length_m / 2 + 0.03, side * (width_m / 2 - 0.2), tail_z_m), _TAIL_LIGHT))
+        front, rear = (
+            (length_m / 2 - 0.05, side * (width_m / 2 - 0.3)),
+            (-length_m / 2 + 0.03, side * (width_m / 2 - 0.2)),
+        )
+        parts.append(panel((0.1, 0.34, 0.14), (*front, z_m), _HEADLIGHT, "frbt"))
+        parts.append(panel((0.08, 0.24, 0.22), (*rear, tail_z_m), _TAIL_LIGHT, "flb"))
     y, z = 0.25 * np.array([-1, 1, 1, -1]), 0.48 + 0.055 * np.array([-1, -1, 1, 1])
     for end in (-1, 1):
         face = np.stack([np.full(4, end * (length_m / 2 + 0.01)), end * y, z], 1)
@@ -103,7 +107,7 @@ def _car(
     parts += [beam((pillar, s * 0.93 * w, belt), (pillar, s * 0.765 * w, height - 0.05), 0.05, _PAINT) for s in (-1, 1)]
     radius = 0.31 + 0.03 * (height > 1.6)
     parts += [_wheel(x * length, s * (w - 0.1), radius) for x in (-0.31, 0.31) for s in (-1, 1)]
-    parts += [box((0.12, 0.18, 0.13), (front - 0.25, s * (w + 0.06), belt + 0.08), _PAINT) for s in (-1, 1)]
+    parts += [panel((0.12, 0.18, 0.13), (front - 0.25, s * (w + 0.06), belt + 0.08), _PAINT, "frblt") for s in (-1, 1)]
     return concatenate(parts + _lights(length, width, 0.66, 0.76))
 
 
@@ -186,14 +190,14 @@ def bicycle(rng: np.random.Generator) -> Mesh:
     skin = Skin(_VEHICLE, Material.SKIN, (198, 150, 122))
     wheels = [
         transform(
-            lathe([0.33, 0.35, 0.33], [-0.025, 0, 0.025], 12, _RUBBER),
+            lathe([0.33, 0.35, 0.33], [-0.025, 0, 0.025], 10, _RUBBER),
             np.array([[1.0, 0, 0, x], [0, 0, 1, 0], [0, -1, 0, 0.34], [0, 0, 0, 1]]),
         )
         for x in (-0.52, 0.52)
     ]
     disc = [
         transform(
-            lathe([0.33, 0], [0, 0.005], 12, _RIM),
+            lathe([0.33, 0], [0, 0.005], 8, _RIM),
             np.array([[1.0, 0, 0, x], [0, 0, s, 0], [0, -s, 0, 0.34], [0, 0, 0, 1]]),
         )
         for x in (-0.52, 0.52)
@@ -230,6 +234,9 @@ KINDS: dict[str, Callable[[np.random.Generator], Mesh]] = {
     "bus": bus,
     "bicycle": bicycle,
 }
+
+
+PARKED = {"sedan": 2.0, "hatchback": 2.0, "suv": 2.0, "van": 1.0}
 
 
 def size_m(mesh: Mesh) -> tuple[float, float, float]:
