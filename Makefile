@@ -27,7 +27,7 @@ lint: $(READY)  ## Check style
 	$(BIN)/ruff format --check .
 
 types: $(READY)  ## Check types
-	$(BIN)/pyright
+	$(BIN)/pyright --pythonpath $(BIN)/python
 
 bench: $(READY)  ## Measure speed and memory (tests/bench)
 	@for script in tests/bench/bench_*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done

@@ -19,8 +19,12 @@ def main(arguments: list[str] | None = None) -> None:
     """Rebuild the model from its file, score it on the test scenes, write the results beside the checkpoint."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("checkpoint", type=Path, help="file written by train.py")
-    parser.add_argument("overrides", nargs="*", help="key=value, for example data.batch_size=1 or data.world.root=elsewhere")
-    parser.add_argument("--output", type=Path, help="folder of the results (default: evaluation-<checkpoint> beside it)")
+    parser.add_argument(
+        "overrides", nargs="*", help="key=value, for example data.batch_size=1 or data.world.root=elsewhere"
+    )
+    parser.add_argument(
+        "--output", type=Path, help="folder of the results (default: evaluation-<checkpoint> beside it)"
+    )
     parser.add_argument("--pictures", type=int, default=4, help="test frames to draw")
     options = parser.parse_args(arguments)
     quiet()
@@ -30,7 +34,10 @@ def main(arguments: list[str] | None = None) -> None:
     data = build(cfg.data)
     trainer = Trainer(
         callbacks=[StepProgress("occupancy"), Pictures(folder / "pictures", options.pictures)],
-        logger=False, enable_checkpointing=False, enable_model_summary=False, devices=1,
+        logger=False,
+        enable_checkpointing=False,
+        enable_model_summary=False,
+        devices=1,
     )
     metrics = trainer.test(task, datamodule=data, verbose=False)[0]
     facts = {"checkpoint": str(options.checkpoint), "commit": git_commit(), "data": data.world.fingerprint}

@@ -1,21 +1,24 @@
-"""Train a model, test its best checkpoint on unseen scenes, write figures and pictures. `--help` lists what can be chosen."""
+"""Train a model, test its best checkpoint on unseen scenes, write figures and pictures.
+
+`--help` lists what can be chosen.
+"""
 
 import logging
 import os
 import time
 import warnings
 from pathlib import Path
-from typing import Any
 
 import hydra
 from lightning.pytorch import Trainer, seed_everything
 from lightning.pytorch.callbacks import Callback, ModelCheckpoint
 from omegaconf import DictConfig, OmegaConf
 
-from omniocc.config import build, check_root, lines_not_tracebacks
+from omniocc.config import build, check_root, lines_not_tracebacks, plain
+from omniocc.data import OccupancyData
 from omniocc.report.run import save_results, show_results
-from omniocc.task import StepProgress
-from omniocc.task.checkpoint import build_task
+from omniocc.task import Occupancy, StepProgress
+from omniocc.task.checkpoint import build_task, load_config
 from omniocc.task.pictures import Pictures
 from omniocc.task.run_folder import BEST, LAST, RunFolder, git_commit, open_run, run_hash, write_whole
 
@@ -28,51 +31,59 @@ def main(cfg: DictConfig) -> None:
     quiet()
     seed_everything(cfg.seed, workers=True, verbose=False)
     data, loggers = build(cfg.data), build(cfg.logger)
-    config = OmegaConf.to_container(cfg, resolve=True)
-    assert isinstance(config, dict)
+    config = plain(cfg)
     run = open_run(Path(cfg.paths.runs), cfg.name, run_hash(config, data.world.fingerprint), cfg.resume)
     if run.finished:
         print(f"{run.path} is finished; resume=never trains anew beside it")
-        return show_results(run.path)
+        show_results(run.path)
+        return
     write_whole(run.path / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True))
     data.prepare_data()
     data.setup("fit")
     task = build_task(cfg)
     task.set_training_statistics(data.voxel_counts())
-    trainer = build(cfg.trainer, callbacks=callbacks(cfg, run), logger=loggers.build(run.path, config), default_root_dir=str(run.path))
-    began_s = time.monotonic()
+    files = loggers.build(run.path, config)
+    trainer = build(cfg.trainer, callbacks=callbacks(cfg, run), logger=files, default_root_dir=str(run.path))
     if trainer.is_global_zero:
         announce(run, task, data)
-    trainer.fit(task, datamodule=data, ckpt_path=run.checkpoint and str(run.checkpoint))
-    trainer.save_checkpoint(run.path / LAST)
-    minutes = (time.monotonic() - began_s) / 60
-    best = run.path / BEST
-    tested = best if best.exists() else run.path / LAST
+    minutes = fit(trainer, task, data, run)
+    tested = run.path / (BEST if (run.path / BEST).exists() else LAST)
     metrics = trainer.test(task, datamodule=data, ckpt_path=str(tested), verbose=False)[0]
     if trainer.is_global_zero:
-        facts = {
-            "run": run.path.name, "checkpoint": tested.name, "seed": cfg.seed, "steps": trainer.global_step,
-            "training minutes (this process)": round(minutes, 1), "commit": git_commit(), "data": data.world.fingerprint,
-        }
+        facts = {"run": run.path.name, "checkpoint": tested.name, "seed": cfg.seed, "steps": trainer.global_step}
+        facts |= {"minutes of training": minutes, "commit": git_commit(), "data": data.world.fingerprint}
         save_results(run.path, metrics, facts)
         show_results(run.path)
+
+
+def fit(trainer: Trainer, task: Occupancy, data: OccupancyData, run: RunFolder) -> float:
+    """Train to the end; minutes it took this process."""
+    began_s = time.monotonic()
+    if run.checkpoint is not None:
+        load_config(run.checkpoint)  # a damaged file is named here, before Lightning stumbles over it
+    trainer.fit(task, datamodule=data, ckpt_path=run.checkpoint and str(run.checkpoint))
+    trainer.save_checkpoint(run.path / LAST)
+    return round((time.monotonic() - began_s) / 60, 1)
 
 
 def callbacks(cfg: DictConfig, run: RunFolder) -> list[Callback]:
     """Progress, the last and the best checkpoint, pictures."""
     return [
         StepProgress("occupancy"),
-        ModelCheckpoint(run.path, "last", every_n_train_steps=cfg.checkpoint_every_n_steps, enable_version_counter=False),
+        ModelCheckpoint(
+            run.path, "last", every_n_train_steps=cfg.checkpoint_every_n_steps, enable_version_counter=False
+        ),
         ModelCheckpoint(run.path, "best", monitor="val/rayiou", mode="max", enable_version_counter=False),
         Pictures(run.path / "pictures", cfg.pictures),
     ]
 
 
-def announce(run: RunFolder, task: Any, data: Any) -> None:
+def announce(run: RunFolder, task: Occupancy, data: OccupancyData) -> None:
     """One line each: what is trained, on what, where."""
     parameters = sum(p.numel() for p in task.model.parameters()) / 1e6
     print(f"run       {run.path}" + (f", goes on from {run.checkpoint.name}" if run.checkpoint else ""))
-    print(f"model     {parameters:.2f} M parameters, {type(task.model.geometry).__name__} {'x'.join(map(str, task.model.geometry.shape))}")
+    grid = task.model.geometry
+    print(f"model     {parameters:.2f} M parameters, {type(grid).__name__} {'x'.join(map(str, grid.shape))}")
     print(f"data      {data.world.folder}", flush=True)
 
 

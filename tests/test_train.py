@@ -35,7 +35,15 @@ def test_a_run_leaves_figures_pictures_and_curves(tmp_path, data_root):
     result = run("train.py", *arguments, cwd=tmp_path)
     assert result.returncode == 0, result.stdout + result.stderr
     metrics = metrics_of(tmp_path, "first")
-    for key in ("test/rayiou", "test/rayiou@1", "test/rayiou/Road", "test/rayiou_0-8.5m", "prior/rayiou", "label/lidar/rayiou", "test/voxel/miou"):
+    for key in (
+        "test/rayiou",
+        "test/rayiou@1",
+        "test/rayiou/Road",
+        "test/rayiou_0-8.5m",
+        "prior/rayiou",
+        "label/lidar/rayiou",
+        "test/voxel/miou",
+    ):
         assert key in metrics
     assert metrics["label/rayiou"] == 1.0
     (folder,) = tmp_path.glob("runs/first-*")
@@ -48,7 +56,13 @@ def test_a_run_leaves_figures_pictures_and_curves(tmp_path, data_root):
     assert again.returncode == 0
     assert "is finished" in again.stdout
 
-    evaluated = run("evaluate.py", str(folder / "best.ckpt" if (folder / "best.ckpt").exists() else folder / "last.ckpt"), "--pictures", "0", cwd=tmp_path)
+    evaluated = run(
+        "evaluate.py",
+        str(folder / "best.ckpt" if (folder / "best.ckpt").exists() else folder / "last.ckpt"),
+        "--pictures",
+        "0",
+        cwd=tmp_path,
+    )
     assert evaluated.returncode == 0, evaluated.stdout + evaluated.stderr
     (path,) = folder.glob("evaluation-*/metrics.json")
     assert json.loads(path.read_text())["metrics"] == metrics
@@ -59,7 +73,9 @@ def test_killed_training_continues_to_the_same_figures(tmp_path, data_root):
     whole = run("train.py", *arguments, "name=whole", cwd=tmp_path)
     assert whole.returncode == 0, whole.stdout + whole.stderr
 
-    process = subprocess.Popen(command("train.py", *arguments, "name=killed"), cwd=tmp_path, stdout=subprocess.DEVNULL, start_new_session=True)
+    process = subprocess.Popen(
+        command("train.py", *arguments, "name=killed"), cwd=tmp_path, stdout=subprocess.DEVNULL, start_new_session=True
+    )
     deadline = time.monotonic() + 120
     while not list(tmp_path.glob("runs/killed-*/last.ckpt")) and time.monotonic() < deadline:
         time.sleep(0.02)
@@ -92,14 +108,22 @@ def test_mistakes_end_in_lines_not_tracebacks(override, expected, tmp_path, data
         assert words in text
 
 
-@pytest.mark.parametrize("overrides", [("model/geometry=cuboid",), ("model/sketch=random", "model/refiner=none", "model/semantic_head=none")])
+@pytest.mark.parametrize(
+    "overrides", [("model/geometry=cuboid",), ("model/sketch=random", "model/refiner=none", "model/semantic_head=none")]
+)
 def test_swapped_modules_train(overrides, tmp_path, data_root):
     result = run("train.py", *smoke(data_root, *overrides, "trainer.max_steps=2", "pictures=0"), cwd=tmp_path)
     assert result.returncode == 0, result.stdout + result.stderr
 
 
 def test_two_processes_train_one_model(tmp_path, data_root):
-    distributed = ("trainer.accelerator=cpu", "trainer.devices=2", "trainer.strategy=ddp", "trainer.max_steps=2", "data.batch_size=1")
+    distributed = (
+        "trainer.accelerator=cpu",
+        "trainer.devices=2",
+        "trainer.strategy=ddp",
+        "trainer.max_steps=2",
+        "data.batch_size=1",
+    )
     result = run("train.py", *smoke(data_root, *distributed, "pictures=0", "name=pair"), cwd=tmp_path)
     assert result.returncode == 0, result.stdout + result.stderr
     assert metrics_of(tmp_path, "pair")["label/rayiou"] == 1.0

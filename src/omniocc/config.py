@@ -4,10 +4,10 @@ import functools
 import inspect
 import sys
 import types
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, Union, cast, get_args, get_origin, get_type_hints
 
 from hydra.errors import InstantiationException
 from hydra.utils import get_object, instantiate
@@ -76,7 +76,11 @@ def check_root(cfg: DictConfig) -> None:
 
 
 def build(cfg: DictConfig, **extra: Any) -> Any:
-    """Build the object a checked node names; modules get plain lists and dicts. `extra`: arguments that no file can hold.
+    """Build the object a checked node names; modules get plain lists and dicts.
+
+    Args:
+        cfg: the node.
+        extra: arguments that no file can hold.
 
     Raises:
         ConfigError: when a constructor refuses a value.
@@ -89,6 +93,11 @@ def build(cfg: DictConfig, **extra: Any) -> Any:
             key = str(error).rsplit("full_key: ", 1)[-1] if "full_key: " in str(error) else cfg._get_full_key(None)
             raise ConfigError([f"{key}: {cause}"]) from cause
         raise cause or error from None
+
+
+def plain(cfg: DictConfig) -> dict[str, Any]:
+    """The whole tree, resolved, as plain dicts and lists."""
+    return {str(key): value for key, value in cast(dict, OmegaConf.to_container(cfg, resolve=True)).items()}
 
 
 def lines_not_tracebacks(main: Callable[..., None]) -> Callable[..., None]:
@@ -108,7 +117,8 @@ def _walk(node: Any, path: str, packages: Sequence[str] | None) -> Iterator[str]
     if isinstance(node, DictConfig) and "_target_" in node:
         yield from _check_call(node, path, packages)
     if isinstance(node, DictConfig | ListConfig):
-        for key in node if isinstance(node, DictConfig) else range(len(node)):
+        keys: Iterable[Any] = node if isinstance(node, DictConfig) else range(len(node))
+        for key in keys:
             if OmegaConf.is_interpolation(node, key):
                 continue  # what it points to is checked where it stands; whether it resolves, by _check_call
             if not OmegaConf.is_missing(node, key):
@@ -137,8 +147,10 @@ def _check_call(node: DictConfig, path: str, packages: Sequence[str] | None) -> 
             continue
         yield from _check_value(node, key, path, hints.get(key, Any))
     for key, parameter in parameters.items():
-        if parameter.default is inspect.Parameter.empty and key not in node and parameter.kind in (
-            inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY
+        if (
+            parameter.default is inspect.Parameter.empty
+            and key not in node
+            and parameter.kind in (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
         ):
             yield f"{path}.{key}: {name} needs it"
 
@@ -166,7 +178,8 @@ def _check_value(node: DictConfig, key: str, path: str, hint: Any) -> Iterator[s
 
 def _unknown(path: str, owner: str, known: Sequence[str]) -> str:
     close = get_close_matches(path.rsplit(".", 1)[-1], known, n=1)
-    return f"{path}: {owner} has no such argument" + (f"; did you mean '{close[0]}'?" if close else f" (it has: {', '.join(known)})")
+    hint = f"; did you mean '{close[0]}'?" if close else f" (it has: {', '.join(known)})"
+    return f"{path}: {owner} has no such argument{hint}"
 
 
 def _hints(target: Any) -> dict[str, Any]:
@@ -178,7 +191,10 @@ def _hints(target: Any) -> dict[str, Any]:
 
 
 def fits(value: Any, hint: Any) -> bool:
-    """Whether a plain configuration value can be passed where `hint` is asked for. What is built (`_target_`) and unknown hints fit."""
+    """Whether a plain configuration value can be passed where `hint` is asked for.
+
+    What is built (`_target_`) and hints we do not know fit.
+    """
     if isinstance(value, dict) and "_target_" in value:
         return True
     if hint is bool or hint is str:
@@ -207,4 +223,6 @@ def _describe(hint: Any) -> str:
         return "one of " + ", ".join(map(repr, get_args(hint)))
     if get_origin(hint) in (Union, types.UnionType):
         return " or ".join(map(_describe, get_args(hint)))
-    return {int: "a whole number", float: "a number", bool: "true or false", str: "a text", type(None): "null"}.get(hint) or str(hint)
+    return {int: "a whole number", float: "a number", bool: "true or false", str: "a text", type(None): "null"}.get(
+        hint
+    ) or str(hint)

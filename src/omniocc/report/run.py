@@ -29,4 +29,13 @@ def show_results(folder: Path) -> None:
     """Print the table of a finished run and where its files are."""
     print(f"\n{as_text(load_results(folder)[1])}\n")
     pictures = sorted(str(path) for path in (folder / "pictures").glob("test-*.png"))
-    print("\n".join([f"table     {folder / 'table.md'}", f"figures   {folder / METRICS}", *(f"picture   {path}" for path in pictures)]), flush=True)
+    print(
+        "\n".join(
+            [
+                f"table     {folder / 'table.md'}",
+                f"figures   {folder / METRICS}",
+                *(f"picture   {path}" for path in pictures),
+            ]
+        ),
+        flush=True,
+    )

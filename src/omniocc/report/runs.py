@@ -32,10 +32,23 @@ def read_runs(folder: Path) -> list[FinishedRun]:
 def table_of_runs(runs: list[FinishedRun]) -> tuple[list[str], list[list[str]]]:
     """Head and rows: run, seed, steps, RayIoU, its distance bands, RayIoU against LiDAR rays, mIoU."""
     bands = band_keys(runs[0].metrics)
-    head = ["run", "seed", "steps", "RayIoU", *(band.removeprefix("rayiou_") for band in bands), "RayIoU, LiDAR", "mIoU"]
+    head = [
+        "run",
+        "seed",
+        "steps",
+        "RayIoU",
+        *(band.removeprefix("rayiou_") for band in bands),
+        "RayIoU, LiDAR",
+        "mIoU",
+    ]
     keys = ["rayiou", *bands, "lidar/rayiou", "voxel/miou"]
     rows = [
-        [run.name, str(run.facts.get("seed", "–")), str(run.facts.get("steps", "–")), *(number(run.metrics.get(f"test/{key}")) for key in keys)]
+        [
+            run.name,
+            str(run.facts.get("seed", "–")),
+            str(run.facts.get("steps", "–")),
+            *(number(run.metrics.get(f"test/{key}")) for key in keys),
+        ]
         for run in runs
     ]
     return head, rows

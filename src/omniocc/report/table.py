@@ -7,8 +7,9 @@ from omniocc.classes import CLASSES, FREE
 
 ROWS = {"test": "model", "prior": "prior", "label": "label"}
 EXPLANATION = (
-    "Rays against the true voxels as in the paper (mean over 1, 2, 4 m); 'LiDAR' scores the same voxels against true LiDAR rays. "
-    "prior: most frequent training class of every voxel. label: the true voxels themselves, so its LiDAR column is the ceiling of the grid."
+    "Rays against the true voxels as in the paper (mean over 1, 2, 4 m); 'LiDAR' scores the same voxels against true "
+    "LiDAR rays. prior: most frequent training class of every voxel. label: the true voxels themselves, so its LiDAR "
+    "column is the ceiling of the grid."
 )
 
 
@@ -16,7 +17,14 @@ def summary(metrics: Mapping[str, float]) -> tuple[list[str], list[list[str]]]:
     """Head and rows of the overview: RayIoU, its distance bands, RayIoU against LiDAR rays, voxel IoU and mIoU."""
     bands = band_keys(metrics)
     columns = ["rayiou", *bands, "lidar/rayiou", "voxel/iou", "voxel/miou"]
-    head = ["", "RayIoU", *(band.removeprefix("rayiou_").replace("m", " m") for band in bands), "RayIoU, LiDAR", "IoU", "mIoU"]
+    head = [
+        "",
+        "RayIoU",
+        *(band.removeprefix("rayiou_").replace("m", " m") for band in bands),
+        "RayIoU, LiDAR",
+        "IoU",
+        "mIoU",
+    ]
     rows = [[label, *(number(metrics.get(f"{row}/{column}")) for column in columns)] for row, label in ROWS.items()]
     return head, rows
 
@@ -29,9 +37,18 @@ def band_keys(metrics: Mapping[str, float]) -> list[str]:
 
 def per_class(metrics: Mapping[str, float]) -> tuple[list[str], list[list[str]]]:
     """Head and rows of RayIoU by class: model, prior, and both with the ceiling against LiDAR rays."""
-    columns = [("model", "test/rayiou"), ("prior", "prior/rayiou"), ("model, LiDAR", "test/lidar/rayiou"),
-               ("prior, LiDAR", "prior/lidar/rayiou"), ("label, LiDAR", "label/lidar/rayiou")]
-    rows = [[row.name, *(number(metrics.get(f"{key}/{row.name}")) for _, key in columns)] for row in CLASSES if row.id != FREE]
+    columns = [
+        ("model", "test/rayiou"),
+        ("prior", "prior/rayiou"),
+        ("model, LiDAR", "test/lidar/rayiou"),
+        ("prior, LiDAR", "prior/lidar/rayiou"),
+        ("label, LiDAR", "label/lidar/rayiou"),
+    ]
+    rows = [
+        [row.name, *(number(metrics.get(f"{key}/{row.name}")) for _, key in columns)]
+        for row in CLASSES
+        if row.id != FREE
+    ]
     return ["class", *(title for title, _ in columns)], rows
 
 
@@ -59,6 +76,9 @@ def as_text(metrics: Mapping[str, float]) -> str:
 def _columns(head: list[str], rows: list[list[str]]) -> str:
     widths = [max(len(line[i]) for line in [head, *rows]) for i in range(len(head))]
     return "\n".join(
-        "  ".join(cell.ljust(width) if i == 0 else cell.rjust(width) for i, (cell, width) in enumerate(zip(line, widths, strict=True)))
+        "  ".join(
+            cell.ljust(width) if i == 0 else cell.rjust(width)
+            for i, (cell, width) in enumerate(zip(line, widths, strict=True))
+        )
         for line in [head, *rows]
     )

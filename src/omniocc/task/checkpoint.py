@@ -6,7 +6,7 @@ from pathlib import Path
 import torch
 from omegaconf import DictConfig, OmegaConf
 
-from omniocc.config import build, check
+from omniocc.config import build, check, plain
 from omniocc.errors import UserError
 from omniocc.task.occupancy import Occupancy
 
@@ -25,16 +25,16 @@ def load_config(path: Path) -> tuple[DictConfig, dict[str, torch.Tensor]]:
         raise FileNotFoundError(f"{path}: there is no such checkpoint")
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
-        return OmegaConf.create(content["config"]), content["state_dict"]
+        return DictConfig(content["config"]), content["state_dict"]
     except (pickle.UnpicklingError, RuntimeError, EOFError, KeyError, TypeError) as error:
-        raise UserError(f"{path} is not a checkpoint of this platform, or it is damaged: {str(error).splitlines()[0]}") from error
+        raise UserError(
+            f"{path} is not a checkpoint of this platform, or it is damaged: {str(error).splitlines()[0]}"
+        ) from error
 
 
 def build_task(cfg: DictConfig) -> Occupancy:
     """The task a configuration describes, with fresh weights."""
-    config = OmegaConf.to_container(cfg, resolve=True)
-    assert isinstance(config, dict)
-    return Occupancy(build(cfg.model), build(cfg.loss), build(cfg.optimizer), {str(key): value for key, value in config.items()})
+    return Occupancy(build(cfg.model), build(cfg.loss), build(cfg.optimizer), plain(cfg))
 
 
 def load_task(path: Path, overrides: list[str]) -> tuple[Occupancy, DictConfig]:

@@ -30,7 +30,7 @@ class Loggers:
         self.tags = list(tags)
 
     def build(self, folder: Path, config: dict) -> list[Logger]:
-        """Loggers that write below `folder`; a resumed run continues its W&B curve, because the id follows from the folder.
+        """Loggers that write below `folder`; the W&B id follows from it, so a resumed run continues its curve.
 
         Raises:
             UserError: for `mode=online` without W&B credentials (W&B itself would stop and ask).

@@ -25,7 +25,7 @@ class Occupancy(LightningModule):
         model: what is trained.
         loss: named terms over a prediction.
         optimizer: recipe for optimiser and schedule.
-        config: the run's resolved configuration as plain data; travels in the checkpoint, which then suffices to rebuild the model.
+        config: the run's resolved configuration as plain data; with it the checkpoint suffices to rebuild the model.
     """
 
     def __init__(self, model: OccupancyModel, loss: Total, optimizer: AdamW, config: dict[str, Any]):
@@ -37,6 +37,7 @@ class Occupancy(LightningModule):
         self.scores = Scores(model.geometry)
         self.prior_scores = Scores(model.geometry)
         self.label_scores = Scores(model.geometry)
+        self.prior: Tensor
         self.register_buffer("prior", torch.zeros(model.geometry.shape, dtype=torch.uint8))
 
     def set_training_statistics(self, voxel_counts: Tensor) -> None:
@@ -62,7 +63,9 @@ class Occupancy(LightningModule):
         self.log("train/loss", total.detach(), batch_size=size)
         if not torch.isfinite(total):
             values = ", ".join(f"{name}={float(term):.3g}" for name, term in terms.items())
-            raise ValueError(f"the loss is not finite at step {self.global_step} ({values}); frames: {', '.join(batch.frame_ids)}")
+            raise ValueError(
+                f"the loss is not finite at step {self.global_step} ({values}); frames: {', '.join(batch.frame_ids)}"
+            )
         return total
 
     def validation_step(self, batch: Batch, batch_index: int) -> Tensor:

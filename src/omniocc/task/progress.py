@@ -34,8 +34,13 @@ class StepProgress(ProgressBar):
         self._began_step = done
         if self._console.is_terminal and not self._silent:
             columns = (
-                TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
-                TextColumn("left"), TimeRemainingColumn(), TextColumn("{task.fields[text]}"),
+                TextColumn("{task.description}"),
+                BarColumn(),
+                MofNCompleteColumn(),
+                TimeElapsedColumn(),
+                TextColumn("left"),
+                TimeRemainingColumn(),
+                TextColumn("{task.fields[text]}"),
             )
             self._bar = Progress(*columns, console=self._console)
             self._task = self._bar.add_task(title, total=total, completed=done, text="")
@@ -51,7 +56,10 @@ class StepProgress(ProgressBar):
             self._last_line_s = now_s
             rate = (now_s - self._began_s) / max(1, done - self._began_step)
             left_s = round(rate * (self._total - done))
-            print(f"{self._title} {done}/{self._total}, {rate:.2f} s each, left {left_s // 60}:{left_s % 60:02d}  {text}", flush=True)
+            print(
+                f"{self._title} {done}/{self._total}, {rate:.2f} s each, left {left_s // 60}:{left_s % 60:02d}  {text}",
+                flush=True,
+            )
 
     def _stop(self) -> None:
         if self._bar is not None:
@@ -72,7 +80,15 @@ class StepProgress(ProgressBar):
     def on_test_start(self, trainer: Trainer, pl_module: LightningModule) -> None:  # noqa: D102
         self._start(f"{self.stage} test", int(sum(trainer.num_test_batches)))
 
-    def on_test_batch_end(self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int, dataloader_idx: int = 0) -> None:  # noqa: D102
+    def on_test_batch_end(  # noqa: D102
+        self,
+        trainer: Trainer,
+        pl_module: LightningModule,
+        outputs: Any,
+        batch: Any,
+        batch_idx: int,
+        dataloader_idx: int = 0,
+    ) -> None:
         self._show(batch_idx + 1, "")
 
     def on_test_end(self, trainer: Trainer, pl_module: LightningModule) -> None:  # noqa: D102

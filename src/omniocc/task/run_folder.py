@@ -21,7 +21,7 @@ RANK_FOLDER = "OMNIOCC_RUN_FOLDER"
 
 @dataclass(frozen=True)
 class RunFolder:
-    """A run's folder; `checkpoint` is where to continue, None at the start; `lock` is held by the run's first process."""
+    """A run's folder; `checkpoint` is where to go on, None at the start; `lock` is held by the run's first process."""
 
     path: Path
     checkpoint: Path | None
@@ -47,7 +47,8 @@ def open_run(runs: Path, name: str, digest: str, resume: str) -> RunFolder:
         runs: folder of all runs.
         name: human part of the folder's name.
         digest: `run_hash` of the run.
-        resume: `auto` continues the folder of the same hash; `never` takes a fresh one beside it; anything else is a checkpoint to go on from.
+        resume: `auto` continues the folder of the same hash; `never` takes a fresh one beside it; anything else is a
+            checkpoint to go on from.
 
     Raises:
         UserError: when another process works in the folder.
@@ -76,7 +77,9 @@ def _claim(path: Path, fresh: bool) -> tuple[Path, FileLock]:
     try:
         lock.acquire()
     except Timeout:
-        raise UserError(f"another process is working in {candidate}; wait for it, or give this run another name=...") from None
+        raise UserError(
+            f"another process is working in {candidate}; wait for it, or give this run another name=..."
+        ) from None
     return candidate, lock
 
 
@@ -91,7 +94,9 @@ def git_commit() -> str:
     """Commit of the source tree, `+` when it has changes; `unknown` outside a repository."""
     here = Path(__file__).parent
     try:
-        show = subprocess.run(["git", "describe", "--always", "--dirty=+"], cwd=here, capture_output=True, text=True, check=True)
+        show = subprocess.run(
+            ["git", "describe", "--always", "--dirty=+"], cwd=here, capture_output=True, text=True, check=True
+        )
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
     return show.stdout.strip()

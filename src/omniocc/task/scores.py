@@ -3,7 +3,7 @@
 from torch import Tensor, nn
 
 from omniocc.batch import Batch
-from omniocc.geometry import Cuboid, Cylinder
+from omniocc.geometry import Grid
 from omniocc.metric import RayIoU, VoxelIoU
 
 RANGE_EDGES_M = (0.0, 8.5, 17.0, 25.6)
@@ -13,10 +13,11 @@ RANGE_EDGES_M = (0.0, 8.5, 17.0, 25.6)
 class Scores(nn.Module):
     """RayIoU against the true voxels (as the paper does), RayIoU against the ego LiDAR's true rays, and voxel IoU.
 
-    The keys of `compute` are the metrics' own: plain for rays against voxels, `lidar/...` for true rays, `voxel/...` for cells.
+    The keys of `compute` are the metrics' own: plain for rays against voxels, `lidar/...` for true rays, `voxel/...`
+    for cells.
     """
 
-    def __init__(self, geometry: Cylinder | Cuboid):
+    def __init__(self, geometry: Grid):
         super().__init__()
         self.rays = RayIoU(geometry, range_edges_m=RANGE_EDGES_M)
         self.lidar = RayIoU(geometry, range_edges_m=RANGE_EDGES_M)
