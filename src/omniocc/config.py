@@ -4,7 +4,7 @@ import functools
 import inspect
 import sys
 import types
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any, Literal, Union, cast, get_args, get_origin, get_type_hints
@@ -116,13 +116,13 @@ def lines_not_tracebacks(main: Callable[..., None]) -> Callable[..., None]:
 def _walk(node: Any, path: str, packages: Sequence[str] | None) -> Iterator[str]:
     if isinstance(node, DictConfig) and "_target_" in node:
         yield from _check_call(node, path, packages)
-    if isinstance(node, DictConfig | ListConfig):
-        keys: Iterable[Any] = node if isinstance(node, DictConfig) else range(len(node))
-        for key in keys:
-            if OmegaConf.is_interpolation(node, key):
-                continue  # what it points to is checked where it stands; whether it resolves, by _check_call
-            if not OmegaConf.is_missing(node, key):
-                yield from _walk(node[key], f"{path}.{key}".lstrip("."), packages)
+    if not isinstance(node, DictConfig | ListConfig):
+        return
+    tree: Any = node
+    for key in tree if isinstance(node, DictConfig) else range(len(tree)):
+        # what an interpolation points to is checked where it stands; whether it resolves, by _check_call
+        if not OmegaConf.is_interpolation(tree, key) and not OmegaConf.is_missing(tree, key):
+            yield from _walk(tree[key], f"{path}.{key}".lstrip("."), packages)
 
 
 def _check_call(node: DictConfig, path: str, packages: Sequence[str] | None) -> Iterator[str]:

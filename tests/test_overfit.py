@@ -1,0 +1,33 @@
+"""One frame, learned by heart: everything between pixels and metric has to be in order for that."""
+
+from pathlib import Path
+
+import torch
+from hydra import compose, initialize_config_dir
+
+from omniocc.config import build
+from omniocc.task.checkpoint import build_task
+from omniocc.task.scores import Scores
+
+CONF = Path(__file__).parents[1] / "conf"
+
+
+def test_one_frame_is_learned_by_heart(data_root):
+    torch.manual_seed(0)
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        cfg = compose("train", ["preset=smoke", f"paths.data={data_root}", "preset.channels=16", "data.batch_size=1"])
+    data = build(cfg.data)
+    data.prepare_data()
+    data.setup()
+    batch = next(iter(data.val_dataloader()))
+    task = build_task(cfg)
+    task.set_training_statistics(data.voxel_counts())
+    optimizer = torch.optim.AdamW(task.parameters(), lr=1e-2, weight_decay=0.0)
+    for _ in range(300):
+        terms = task.loss(task.model(batch.images, batch.rigs, batch.world_from_ego), batch.voxels, batch.pixel_labels)
+        optimizer.zero_grad()
+        torch.stack(list(terms.values())).sum().backward()
+        optimizer.step()
+    scores = Scores(task.model.geometry)
+    scores.update(task.predict_labels(batch), batch)
+    assert scores.compute()["rayiou"] > 0.9
