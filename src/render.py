@@ -1,46 +1,113 @@
-"""Render the virtual dataset of a preset, or read it back and list what is wrong. `--help` lists what can be chosen."""
+"""Render the virtual dataset of a preset, read it back, or make a page to browse it. `--help` says more."""
 
 import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
 
 import hydra
 from omegaconf import DictConfig
 
 from omniocc.config import build, check, lines_not_tracebacks
-from omniocc.data import DataError, VirtualWorld
-from omniocc.data.check import check_scene
-from omniocc.data.virtual import SPLITS
+from omniocc.data import DataError, SceneReader, VirtualWorld
+from omniocc.data.check import SceneSurvey, survey
+from omniocc.data.progress import clock
+from omniocc.data.record import ScenePlan
+from omniocc.data.shares import share_table
+from omniocc.errors import UserError
+from omniocc.geometry import Cylinder
+
+LOOKED_AT_FRAMES = 400
 
 
 @hydra.main(version_base="1.3", config_path="../conf", config_name="render")
 @lines_not_tracebacks
 def main(cfg: DictConfig) -> None:
-    """Check -> build -> render or read back."""
+    """Check -> build -> render, read back or draw."""
+    if cfg.frames is not None:
+        cfg.data.world.frames_per_scene = cfg.frames
     check(cfg.data.world)
     world = build(cfg.data.world)
-    try:
-        if cfg.check:
-            read_back(world)
-        else:
-            world.prepare()
-    except DataError as error:
-        sys.exit(str(error))
-    scenes = [scene for split in SPLITS for scene in world.readers(split)]
-    megabytes = sum(facts["size"] for scene in scenes for facts in scene.meta["files"].values()) / 1e6
-    frames = sum(map(len, scenes))
-    print(
-        f"{world.folder}: {len(scenes)} scenes, {frames} frames, {megabytes:.0f} MB ({megabytes / frames:.2f} a frame)"
+    plans = chosen(world.plans, cfg.first_scene, cfg.scenes)
+    if cfg.check:
+        read_back(world, plans)
+    elif cfg.page:
+        draw_page(world, plans)
+    else:
+        render(world, plans)
+
+
+def chosen(plans: Sequence[ScenePlan], first: int, count: int | None) -> Sequence[ScenePlan]:
+    """The scenes a run is to work on.
+
+    Raises:
+        UserError: when there are none.
+    """
+    end = len(plans) if count is None else first + count
+    if first < 0 or not plans[first:end]:
+        raise UserError(f"first_scene={first} scenes={count}: there are {len(plans)} scenes in this preset")
+    return plans[first:end]
+
+
+def render(world: VirtualWorld, plans: Sequence[ScenePlan]) -> None:
+    """Render what is missing; then say how much there is, and what all of the preset would take."""
+    missing = len(world.missing(plans)) * world.frames_per_scene
+    began_s = time.monotonic()
+    world.prepare(plans)
+    elapsed_s = time.monotonic() - began_s
+    scenes = [world.reader(plan) for plan in plans]
+    frames, size = sum(map(len, scenes)), total_bytes(scenes)
+    print(f"{amount(world, scenes)} ({size / 1e6 / frames:.2f} a frame)")
+    whole = len(world.plans) * world.frames_per_scene
+    if frames < whole:
+        print(f"all {len(world.plans)} scenes, {whole} frames: {size / frames * whole / 1e9:.1f} GB", end="")
+        print(f", {clock(elapsed_s / missing * whole)} with {world.workers} processes" if missing else "")
+
+
+def read_back(world: VirtualWorld, plans: Sequence[ScenePlan]) -> None:
+    """Print one line per problem, and the classes beside those of the paper's dataset; exit code 1 for problems."""
+    missing = world.missing(plans)
+    problems = [f"{world.source}: scene '{plan.name}' is missing: run without check=true" for plan in missing]
+    scenes = [world.reader(plan) for plan in plans if plan not in missing]
+    work = SceneSurvey(
+        world.frames_per_scene, world.frame_interval_s, Cylinder(), max(1, LOOKED_AT_FRAMES // len(plans))
     )
-
-
-def read_back(world: VirtualWorld) -> None:
-    """Print one line per problem; exit code 1 if there is any."""
-    missing = [f"{world.folder / plan.name}: the scene is missing: run without check=true" for plan in world.missing()]
-    scenes = [] if missing else [scene for split in SPLITS for scene in world.readers(split)]
-    problems = missing + [problem for scene in scenes for problem in check_scene(scene, world.frames_per_scene)]
+    found = survey(work, scenes, world.workers)
+    problems += [line for result in found for line in result.problems]
+    voxels = sum(result.voxels for result in found)
+    if found and voxels.any():
+        print(share_table(voxels))
     if problems:
         print("\n".join(problems))
         sys.exit(1)
-    print("everything is whole")
+    print(f"{amount(world, scenes)}: everything is whole")
+
+
+def draw_page(world: VirtualWorld, plans: Sequence[ScenePlan]) -> None:
+    """Write the page beside the scenes that are there."""
+    from omniocc.view.dataset_page import save_page  # not needed to render
+
+    missing = world.missing(plans)
+    scenes = [world.reader(plan) for plan in plans if plan not in missing]
+    if not scenes:
+        raise DataError(f"{world.source} has none of the chosen scenes: run without page=true first")
+    path = Path(world.folder) / "index.html"
+    save_page(path, scenes, Cylinder())
+    print(
+        f"{path}: {path.stat().st_size / 1e6:.1f} MB, {len(scenes)} scenes"
+        + (f", {len(missing)} missing" if missing else "")
+    )
+
+
+def amount(world: VirtualWorld, scenes: Sequence[SceneReader]) -> str:
+    """Where the scenes lie and how much they are."""
+    megabytes = total_bytes(scenes) / 1e6
+    return f"{world.source}: {len(scenes)} scenes, {sum(map(len, scenes))} frames, {megabytes:.0f} MB"
+
+
+def total_bytes(scenes: Sequence[SceneReader]) -> int:
+    """Size of all files that the scenes list."""
+    return sum(facts["size"] for scene in scenes for facts in scene.meta["files"].values())
 
 
 if __name__ == "__main__":

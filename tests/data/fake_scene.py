@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from omniocc.data.virtual import ScenePlan, VirtualWorld
+from omniocc.data.record import ScenePlan
+from omniocc.data.virtual import VirtualWorld
 from omniocc.world.frame import Box, Frame
 
 CAMERAS, WIDTH, HEIGHT = 6, 32, 18
@@ -60,6 +61,7 @@ class FakeWorld(VirtualWorld):
         delay_s: float = 0.0,
         fail_at: tuple[str, int] | None = None,
         seed: int = 0,
+        cache: str | None = None,
     ):
         super().__init__(
             root=str(root),
@@ -77,6 +79,7 @@ class FakeWorld(VirtualWorld):
             erp_bottom_deg=-45.0,
             seed=seed,
             workers=workers,
+            cache=cache,
         )
         self.shard_limit_bytes = 120_000
         self.delay_s, self.fail_at = delay_s, fail_at

@@ -14,8 +14,8 @@ def scene(tmp_path):
 
 
 def test_a_whole_scene_has_no_problem(scene):
-    assert check_scene(scene, 4) == []
-    assert "4 frames instead of 5" in check_scene(scene, 5)[0]
+    assert check_scene(scene, 4, 0.5) == []
+    assert "4 frames instead of 5" in check_scene(scene, 5, 0.5)[0]
 
 
 def test_a_flipped_byte_anywhere_in_a_shard_is_found(scene):
@@ -31,7 +31,7 @@ def test_a_flipped_byte_anywhere_in_a_shard_is_found(scene):
         raw = bytearray(whole)
         raw[at] ^= 32
         shard.write_bytes(raw)
-        problems = check_scene(scene, 4)
+        problems = check_scene(scene, 4, 0.5)
         assert any(words in problem and "train-000-downtown" in problem for problem in problems), problems
 
 
@@ -40,11 +40,11 @@ def test_each_missing_or_short_file_is_named(scene, tmp_path):
         kept = tmp_path / "kept"
         shutil.copy(scene.folder / name, kept)
         (scene.folder / name).unlink()
-        problems = check_scene(type(scene)(scene.folder), 4)
+        problems = check_scene(type(scene)(scene.folder), 4, 0.5)
         assert len(problems) == 1
         assert problems[0].startswith(f"{scene.folder / name}: ")
         assert "the file is missing" in problems[0]
         shutil.copy(kept, scene.folder / name)
     with (scene.folder / "frames-000.tar").open("r+b") as file:
         file.truncate(5000)
-    assert "5000 bytes instead of" in check_scene(scene, 4)[0]
+    assert "5000 bytes instead of" in check_scene(scene, 4, 0.5)[0]

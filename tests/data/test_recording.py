@@ -25,7 +25,7 @@ def test_what_the_world_shows_is_what_is_read(tmp_path):
     )
     world.prepare()
     (reader,) = world.readers("val")
-    assert check_scene(reader, 2) == []
+    assert check_scene(reader, 2, 0.5) == []
     rig = Rig.load("fisheye6").resized(48, 27)
     frame = Scene("suburb", 1_000_000, rig, 0.5, 2, (32, 8), 45.0, -45.0).frame(1)
     back = codec.decode_frame(reader.read(1, reader.index["members"]))

@@ -12,7 +12,7 @@ from filelock import FileLock
 import omniocc
 from omniocc.data.errors import DataError
 from omniocc.data.reader import SceneReader
-from omniocc.data.virtual import code_fingerprint
+from omniocc.data.record import code_fingerprint
 
 SCRIPT = """
 import sys

@@ -12,7 +12,8 @@ from omniocc.data.dataset import WindowDataset, collate
 from omniocc.data.pool import limit_threads
 from omniocc.data.sampler import EpochSampler, RankSampler
 from omniocc.data.virtual import SPLITS, Split, VirtualWorld
-from omniocc.data.voxels import Geometry, VoxelCache
+from omniocc.data.voxels import Unknown, VoxelCache
+from omniocc.geometry import Grid
 
 
 class OccupancyData(LightningDataModule):
@@ -29,10 +30,18 @@ class OccupancyData(LightningDataModule):
         batch_size: samples per process and step.
         num_workers: loader processes; 0 loads in the training process.
         seed: of the order of training samples.
+        unknown: what cells without points are: `free` (the paper) or `unobserved` (255 where no sensor looked).
     """
 
     def __init__(
-        self, world: VirtualWorld, geometry: Geometry, window: int, batch_size: int, num_workers: int, seed: int
+        self,
+        world: VirtualWorld,
+        geometry: Grid,
+        window: int,
+        batch_size: int,
+        num_workers: int,
+        seed: int,
+        unknown: Unknown = "free",
     ):
         super().__init__()
         if batch_size < 1 or num_workers < 0:
@@ -45,7 +54,7 @@ class OccupancyData(LightningDataModule):
         self.batch_size = batch_size
         self.num_workers = num_workers
         self.seed = seed
-        self.voxels = VoxelCache(world.folder, geometry)
+        self.voxels = VoxelCache(world.folder, geometry, unknown)
         self._datasets: dict[Split, WindowDataset] = {}
         self._resume = {"epoch": 0, "batches": 0}
 

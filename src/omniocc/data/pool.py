@@ -4,7 +4,9 @@ import contextlib
 import json
 import multiprocessing
 import os
+import pickle
 import socket
+import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
@@ -17,6 +19,7 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
+import omniocc
 from omniocc.data.errors import DataError, cannot_write
 from omniocc.data.progress import FrameProgress
 
@@ -52,15 +55,13 @@ def make_scenes(work: Work, folders: Sequence[Path], workers: int, progress: Fra
         for folder in busy:
             _make(work, progress.advance, folder, progress.message)
         return
-    context = multiprocessing.get_context("spawn")
-    events, stop = context.Queue(), context.Event()
-    with (
-        single_threaded(),
-        ProcessPoolExecutor(min(workers, len(folders)), context, _start_worker, (events, stop)) as pool,
-    ):
+    context = process_context()
+    with worker_environment(needs_main=b"__main__" in pickle.dumps(work)):
+        events, stop = context.Queue(), context.Event()
+        pool = ProcessPoolExecutor(min(workers, len(folders)), context, _start_worker, (work, events, stop))
         try:
             for patient in (False, True):
-                jobs = {folder: pool.submit(_make_in_worker, work, folder, patient) for folder in folders}
+                jobs = {folder: pool.submit(_make_in_worker, folder, patient) for folder in folders}
                 _follow(list(jobs.values()), events, progress)
                 folders = [folder for folder, job in jobs.items() if not job.result()]
         except BrokenProcessPool as error:
@@ -73,20 +74,44 @@ def make_scenes(work: Work, folders: Sequence[Path], workers: int, progress: Fra
             pool.shutdown(wait=True, cancel_futures=True)
 
 
+def process_context() -> Any:
+    """How processes start: copies of one that has only imported what they need, so that a second pool costs nothing."""
+    if "forkserver" not in multiprocessing.get_all_start_methods():
+        return multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["omniocc.data.virtual", "omniocc.data.voxels"])
+    return context
+
+
 @contextlib.contextmanager
-def single_threaded() -> Iterator[None]:
-    """Processes started inside use one thread each in numerical libraries."""
-    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-    before = {name: os.environ.get(name) for name in names}
-    os.environ.update(dict.fromkeys(names, "1"))
+def worker_environment(needs_main: bool) -> Iterator[None]:
+    """Processes started inside use one thread each in numerical libraries, and find this package.
+
+    Args:
+        needs_main: let them import the script that runs here too. It may import Lightning: seconds in each of them.
+    """
+    paths = [str(Path(omniocc.__file__).parents[1]), *filter(None, [os.environ.get("PYTHONPATH")])]
+    threads = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    wanted = dict.fromkeys(threads, "1") | {"PYTHONPATH": os.pathsep.join(paths)}
+    before = {name: os.environ.get(name) for name in wanted}
+    main = {} if needs_main else {name: value for name, value in _main_origin().items() if value is not None}
+    os.environ.update(wanted)
+    for name in main:
+        setattr(sys.modules["__main__"], name, None)
     try:
         yield
     finally:
+        for name, value in main.items():
+            setattr(sys.modules["__main__"], name, value)
         for name, value in before.items():
             if value is None:
                 os.environ.pop(name, None)
             else:
                 os.environ[name] = value
+
+
+def _main_origin() -> dict[str, Any]:
+    return {name: getattr(sys.modules["__main__"], name, None) for name in ("__file__", "__spec__")}
 
 
 def limit_threads(_worker: int = 0) -> None:
@@ -112,9 +137,9 @@ def _follow(jobs: list[Future], events: Any, progress: FrameProgress) -> None:
             return
 
 
-def _start_worker(events: Any, stop: Any) -> None:
-    global _events, _stop
-    _events, _stop = events, stop
+def _start_worker(work: Work, events: Any, stop: Any) -> None:
+    global _work, _events, _stop
+    _work, _events, _stop = work, events, stop
     signal(SIGINT, SIG_IGN)  # the parent hears Ctrl-C and tells us to stop
     limit_threads()
     parent = multiprocessing.parent_process()
@@ -127,8 +152,8 @@ def _die_with(parent: int) -> None:
     os._exit(1)
 
 
-def _make_in_worker(work: Work, folder: Path, patient: bool) -> bool:
-    return _make(work, _report, folder, _events.put if patient else None)
+def _make_in_worker(folder: Path, patient: bool) -> bool:
+    return _make(_work, _report, folder, _events.put if patient else None)
 
 
 def _report(frames: int) -> None:
@@ -177,5 +202,6 @@ def _owner(path: Path) -> str:
         return "(unknown)"
 
 
+_work: Any = None
 _events: Any = None
 _stop: Any = None

@@ -71,9 +71,18 @@ class FrameProgress:
     def _line(self) -> None:
         self._shown_s = time.monotonic()
         left_s = (self.total - self.done) / max(self.rate_hz, 1e-9)
-        eta = f", {int(left_s // 60)}:{int(left_s % 60):02d} left" if self.done < self.total else ""
+        eta = f", {clock(left_s)} left" if 0 < self.done < self.total else ""
         print(
             f"{self.title}: {self.done}/{self.total} frames, {self.rate_hz:.1f} frames/s{eta}",
             file=sys.stderr,
             flush=True,
         )
+
+
+def clock(seconds: float) -> str:
+    """Minutes and seconds, or hours and minutes, or days and hours."""
+    if seconds < 3600:
+        return f"{int(seconds // 60)}:{int(seconds % 60):02d} min"
+    if seconds < 86400:
+        return f"{int(seconds // 3600)}:{int(seconds % 3600 // 60):02d} h"
+    return f"{seconds / 86400:.1f} days"

@@ -37,7 +37,7 @@ def unpack(blob: bytes) -> np.ndarray:
 
 
 def _foretold(pixels: np.ndarray) -> np.ndarray:
-    """Second differences modulo 2**16, small ones of either sign as small numbers (0, -1, 1, -2 ... as 0, 1, 2, 3 ...)."""
+    """Second differences modulo 2**16, those near zero as small numbers: 0, -1, 1, -2 as 0, 1, 2, 3."""
     across = pixels.copy()
     across[:, 1:] -= pixels[:, :-1]
     residual = across.copy()

@@ -1,67 +1,22 @@
 """The virtual world as a dataset: which scenes there are, where they lie, and how they come to be."""
 
-import ast
-import functools
-import hashlib
 import inspect
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from functools import cached_property
-from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
+from typing import Any
 
 from omniocc.camera import Rig
-from omniocc.classes import CLASSES
-from omniocc.data.codec import encode_frame
 from omniocc.data.errors import DataError
-from omniocc.data.pool import Report, Stopped, make_scenes, usable_cores
+from omniocc.data.files import is_url, open_folder
+from omniocc.data.pool import make_scenes, usable_cores
 from omniocc.data.progress import FrameProgress
 from omniocc.data.reader import SceneReader
-from omniocc.data.shard import SCHEMA, SceneWriter, digest
-from omniocc.world import THEMES, Frame, Scene
+from omniocc.data.record import SPLITS, Recordable, SceneJob, ScenePlan, Split, code_fingerprint
+from omniocc.data.shard import META, SCHEMA, digest
+from omniocc.world import THEMES, Scene
 
-Split = Literal["train", "val", "test"]
-SPLITS: tuple[Split, ...] = ("train", "val", "test")
 SEEDS_PER_SPLIT = 1_000_000
-RECORDERS = ("numpy", "opencv-python-headless", "zstandard", "embreex")
-
-
-class ScenePlan(NamedTuple):
-    """One scene to be: its name, the map it lies in, and the seed of everything random in it."""
-
-    name: str
-    split: Split
-    theme: str
-    seed: int
-
-
-@runtime_checkable
-class Recordable(Protocol):
-    """What a scene offers: `omniocc.world.Scene` and whatever else makes frames."""
-
-    def frame(self, index: int) -> Frame:
-        """The frame with this number; depends on nothing but the scene and the number."""
-        ...
-
-
-@functools.cache
-def code_fingerprint(folder: Path) -> str:
-    """Hash of what the modules of a folder do: comments, docstrings and layout do not count."""
-    digest = hashlib.sha256()
-    for path in sorted(folder.glob("*.py")):
-        tree = ast.parse(path.read_text())
-        for node in ast.walk(tree):
-            body = getattr(node, "body", None)
-            if (
-                isinstance(body, list)
-                and body
-                and isinstance(body[0], ast.Expr)
-                and isinstance(body[0].value, ast.Constant)
-            ):
-                body[0].value.value = ""
-        digest.update(f"{path.name}\n{ast.dump(tree)}\n".encode())
-    return digest.hexdigest()[:16]
 
 
 class VirtualWorld:
@@ -71,7 +26,7 @@ class VirtualWorld:
     change of what a frame holds leads to another folder, so that settings never mix.
 
     Args:
-        root: folder of all datasets.
+        root: folder of all datasets, or a URL (memory://, http://, s3:// ...) of data rendered elsewhere.
         rig: built-in rig by name, or a rig file.
         image_size: width and height of every camera image, px.
         themes: kinds of places; scenes go through them in turn.
@@ -87,6 +42,7 @@ class VirtualWorld:
         seed: another number gives other streets in all splits.
         shard_limit_mib: size at which a new tar shard begins, MiB.
         workers: processes that render; 0 renders in this process, None takes all usable cores.
+        cache: folder for what is derived from the scenes (voxels); None puts it beside them. A URL as root needs one.
     """
 
     def __init__(
@@ -107,8 +63,12 @@ class VirtualWorld:
         seed: int = 0,
         shard_limit_mib: int = 256,
         workers: int | None = None,
+        cache: str | None = None,
     ):
-        self.root = Path(root)
+        if is_url(root) and cache is None:
+            raise ValueError(f"root is a URL ({root}): set cache to a local folder, where voxels are kept")
+        self.root = root
+        self.cache = cache
         self.rig = Rig.load(rig).resized(*image_size)
         self.themes = tuple(themes)
         self.num_scenes = {"train": train_scenes, "val": val_scenes, "test": test_scenes}
@@ -155,9 +115,19 @@ class VirtualWorld:
         return digest({"recipe": self.recipe, "plans": [list(plan) for plan in self.plans]})
 
     @property
+    def name(self) -> str:
+        """Of the folder that holds the scenes."""
+        return f"virtual-{digest(self.recipe)[:12]}"
+
+    @property
+    def source(self) -> Path | str:
+        """Where the scenes lie: a folder, or a URL."""
+        return f"{self.root.rstrip('/')}/{self.name}" if is_url(self.root) else Path(self.root) / self.name
+
+    @property
     def folder(self) -> Path:
-        """Where the scenes lie."""
-        return self.root / f"virtual-{digest(self.recipe)[:12]}"
+        """Local folder of the dataset and of what is derived from it."""
+        return Path(self.root if self.cache is None else self.cache) / self.name
 
     def scene(self, plan: ScenePlan) -> Recordable:
         """Build the world of one scene."""
@@ -172,25 +142,33 @@ class VirtualWorld:
             erp_bottom_deg=self.erp_bottom_deg,
         )
 
-    def missing(self) -> list[ScenePlan]:
-        """Scenes that are not complete on disk."""
-        return [plan for plan in self.plans if not (self.folder / plan.name).exists()]
+    def missing(self, plans: Sequence[ScenePlan] | None = None) -> list[ScenePlan]:
+        """Those of the planned scenes (all of them by default) that are not complete."""
+        return [plan for plan in (self.plans if plans is None else plans) if not self._exists(plan)]
 
-    def prepare(self) -> None:
+    def prepare(self, plans: Sequence[ScenePlan] | None = None) -> None:
         """Render what is missing; safe to call from several processes at once and to repeat after a kill.
 
+        Args:
+            plans: scenes to be rendered; None for all.
+
         Raises:
-            DataError: when the disk refuses.
+            DataError: when the disk refuses, or scenes are missing in an object store.
             RuntimeError: naming scene and frame, when rendering fails.
         """
-        missing = self.missing()
+        missing = self.missing(plans)
         if not missing:
             return
+        if isinstance(self.source, str):
+            raise DataError(
+                f"{self.source}: {len(missing)} scenes are missing there, the first is {missing[0].name}. Rendering writes "
+                "to local folders only: render with data.world.root=<folder>, then upload that folder"
+            )
         work = SceneJob(
             self.scene, tuple(missing), self.recipe, self.rig, self.frames_per_scene, self.shard_limit_bytes
         )
-        with FrameProgress(f"rendering {self.folder}", len(missing) * self.frames_per_scene) as progress:
-            make_scenes(work, [self.folder / plan.name for plan in missing], self.workers, progress)
+        with FrameProgress(f"rendering {self.source}", len(missing) * self.frames_per_scene) as progress:
+            make_scenes(work, [self.source / plan.name for plan in missing], self.workers, progress)
 
     def readers(self, split: Split) -> list[SceneReader]:
         """The scenes of a split, in order.
@@ -198,13 +176,27 @@ class VirtualWorld:
         Raises:
             DataError: when a scene is not there.
         """
-        names = [plan.name for plan in self.plans if plan.split == split]
-        for name in names:
-            if not (self.folder / name).is_dir():
-                raise DataError(
-                    f"{self.folder / name} is missing: call prepare(), or run `python src/render.py`, first"
-                )
-        return [SceneReader(self.folder / name) for name in names]
+        plans = [plan for plan in self.plans if plan.split == split]
+        for plan in self.missing(plans)[:1]:
+            raise DataError(f"{self._place(plan)} is missing: call prepare(), or run `python src/render.py`, first")
+        return [self.reader(plan) for plan in plans]
+
+    def reader(self, plan: ScenePlan) -> SceneReader:
+        """One scene; nothing is opened yet."""
+        return SceneReader(self._place(plan))
+
+    def _place(self, plan: ScenePlan) -> Path | str:
+        return f"{self.source}/{plan.name}" if isinstance(self.source, str) else self.source / plan.name
+
+    def _exists(self, plan: ScenePlan) -> bool:
+        if isinstance(self.source, Path):
+            return (self.source / plan.name).is_dir()
+        try:
+            return open_folder(self._place(plan)).size(META) > 0
+        except FileNotFoundError:
+            return False
+        except Exception as error:  # each kind of store has errors of its own
+            raise self.reader(plan).unreadable(META, error) from error
 
     def _plan(self, split: Split, number: int) -> ScenePlan:
         theme = self.themes[number % len(self.themes)]
@@ -212,66 +204,6 @@ class VirtualWorld:
         seed = (self.seed * len(SPLITS) + SPLITS.index(split)) * SEEDS_PER_SPLIT + number
         name = f"{split}-{number:03d}-{theme}" if self.seed == 0 else f"{split}-{number:03d}-{theme}-seed{self.seed}"
         return ScenePlan(name, split, theme, seed)
-
-
-@dataclass(frozen=True)
-class SceneJob:
-    """Renders one scene folder after another; can be sent to other processes.
-
-    Attributes:
-        build: world of a planned scene.
-        plans: the scenes it may be asked for.
-        recipe: is written beside the frames.
-        rig: likewise.
-        frames: number of frames of each scene.
-        shard_limit_bytes: see `SceneWriter`.
-    """
-
-    build: Callable[[ScenePlan], Recordable]
-    plans: tuple[ScenePlan, ...]
-    recipe: dict[str, Any]
-    rig: Rig
-    frames: int
-    shard_limit_bytes: int
-
-    def __call__(self, folder: Path, report: Report) -> None:
-        """Render the frames of `folder` that are missing, then seal it.
-
-        Raises:
-            RuntimeError: naming scene and frame, when the world fails.
-        """
-        writer = SceneWriter(folder, self.shard_limit_bytes)
-        try:
-            if writer.finished:
-                report(self.frames)
-            else:
-                self._record(writer, next(plan for plan in self.plans if plan.name == folder.name), report)
-        finally:
-            writer.close()
-
-    def _record(self, writer: SceneWriter, plan: ScenePlan, report: Report) -> None:
-        report(writer.num_frames)
-        index = writer.num_frames
-        try:
-            scene = self.build(plan) if index < self.frames else None
-            for index in range(writer.num_frames, self.frames):
-                assert scene is not None
-                frame = scene.frame(index)
-                entry = {"time_s": float(frame.time_s), "world_from_ego": frame.world_from_ego.tolist()}
-                writer.append(encode_frame(frame), entry)
-                report(1)
-        except (DataError, Stopped):
-            raise
-        except Exception as error:  # whatever went wrong: say where
-            raise RuntimeError(f"scene {plan.name}, frame {index}: {type(error).__name__}: {error}") from error
-        writer.attach("rig.yaml", self.rig.save)
-        facts = {"split": plan.split, "theme": plan.theme, "seed": plan.seed, "recipe": self.recipe}
-        writer.finish(facts | {"classes": {str(row.id): row.name for row in CLASSES}, "software": _software()})
-
-
-@functools.cache
-def _software() -> dict[str, str]:
-    return {name: version(name) for name in RECORDERS}
 
 
 def _at_least(name: str, value: int, least: int) -> int:

@@ -5,6 +5,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal, get_args
 
 import numpy as np
 import torch
@@ -12,31 +13,38 @@ import zstandard
 from jaxtyping import Int64, UInt8
 from torch import Tensor
 
-from omniocc.classes import NUM_CLASSES
+from omniocc.classes import NUM_CLASSES, UNKNOWN
 from omniocc.data.codec import decode_points
 from omniocc.data.errors import DataError, write_whole
+from omniocc.data.observed import OBSERVED_VERSION, observed
 from omniocc.data.pool import Report, make_scenes
 from omniocc.data.progress import FrameProgress
 from omniocc.data.reader import SceneReader
 from omniocc.data.shard import SHARD_LIMIT_BYTES, SceneWriter, digest
-from omniocc.geometry import Cuboid, Cylinder
+from omniocc.geometry import Grid
 
 VOTE_VERSION = 1
 """Raise it when the same points would give other voxels."""
 
-Geometry = Cylinder | Cuboid
 MEMBER = "voxels.zst"
 
+Unknown = Literal["free", "unobserved"]
+"""What a cell without points is: free, as in the paper, or unknown (255) unless a sensor saw through it."""
 
-def geometry_hash(geometry: Geometry) -> str:
+
+def geometry_hash(geometry: Grid, unknown: Unknown = "free") -> str:
     """Short hash of the grid and of the way cells are labelled."""
-    return digest([repr(geometry), VOTE_VERSION])[:12]
+    how = [repr(geometry), VOTE_VERSION]
+    return digest(how if unknown == "free" else [*how, unknown, OBSERVED_VERSION])[:12]
 
 
-def vote(scene: SceneReader, frame: int, geometry: Geometry) -> UInt8[Tensor, "X Y Z"]:
+def vote(scene: SceneReader, frame: int, geometry: Grid, unknown: Unknown = "free") -> UInt8[Tensor, "X Y Z"]:
     """Labels of every cell of one frame, from its points."""
     points_m, labels = decode_points(scene.read(frame, ["points.zst"])["points.zst"])
-    return geometry.voxelize(torch.from_numpy(points_m), torch.from_numpy(labels))
+    cells = geometry.voxelize(torch.from_numpy(points_m), torch.from_numpy(labels))
+    if unknown == "unobserved":
+        cells[observed(scene, frame, geometry) == 0] = UNKNOWN
+    return cells
 
 
 class VoxelCache:
@@ -45,11 +53,15 @@ class VoxelCache:
     Args:
         folder: of the dataset; the cache is its subfolder `voxels-<hash of the geometry>`.
         geometry: the grid.
+        unknown: what cells without points are.
     """
 
-    def __init__(self, folder: Path, geometry: Geometry):
-        self.folder = Path(folder) / f"voxels-{geometry_hash(geometry)}"
+    def __init__(self, folder: Path, geometry: Grid, unknown: Unknown = "free"):
+        if unknown not in get_args(Unknown):
+            raise ValueError(f"unknown must be one of {', '.join(get_args(Unknown))}, got {unknown!r}")
+        self.folder = Path(folder) / f"voxels-{geometry_hash(geometry, unknown)}"
         self.geometry = geometry
+        self.unknown: Unknown = unknown
         self._cached: dict[str, SceneReader] = {}
 
     def prepare(self, scenes: Sequence[SceneReader], workers: int) -> None:
@@ -61,7 +73,7 @@ class VoxelCache:
         wanted = [scene for scene in scenes if not self._opens(scene)]
         if not wanted:
             return
-        work = VoteJob({scene.name: scene.folder for scene in wanted}, self.geometry)
+        work = VoteJob({scene.name: scene.folder for scene in wanted}, self.geometry, self.unknown)
         with FrameProgress(f"voxels {self.folder.name}", sum(map(len, wanted))) as progress:
             make_scenes(work, [self.folder / scene.name for scene in wanted], workers, progress)
 
@@ -72,7 +84,7 @@ class VoxelCache:
             blob = cached.read(frame, [MEMBER])[MEMBER]
         except DataError as error:
             warnings.warn(f"voxels are voted anew: {error}", stacklevel=2)
-            return vote(scene, frame, self.geometry)
+            return vote(scene, frame, self.geometry, self.unknown)
         cells = np.frombuffer(bytearray(zstandard.ZstdDecompressor().decompress(blob)), dtype=np.uint8)
         return torch.from_numpy(cells).reshape(self.geometry.shape)
 
@@ -102,14 +114,15 @@ class VoxelCache:
         return counts
 
     def _opens(self, scene: SceneReader) -> bool:
-        cached = SceneReader(self.folder / scene.name)
-        if not cached.folder.exists():
+        folder = self.folder / scene.name
+        cached = SceneReader(folder)
+        if not folder.exists():
             return False
         try:
             return len(cached.index["frames"]) == len(scene)
         except DataError as error:
             warnings.warn(f"voxels are voted anew: {error}", stacklevel=2)
-            shutil.rmtree(cached.folder)
+            shutil.rmtree(folder)
             return False
 
 
@@ -120,10 +133,12 @@ class VoteJob:
     Attributes:
         sources: folder of each scene's recording by name.
         geometry: the grid.
+        unknown: what cells without points are.
     """
 
-    sources: dict[str, Path]
-    geometry: Geometry
+    sources: dict[str, Path | str]
+    geometry: Grid
+    unknown: Unknown
 
     def __call__(self, folder: Path, report: Report) -> None:
         """Vote for every frame that is missing, then seal the folder."""
@@ -134,9 +149,9 @@ class VoteJob:
             if writer.finished:
                 return
             for frame in range(writer.num_frames, len(scene)):
-                cells = vote(scene, frame, self.geometry).contiguous().numpy()
+                cells = vote(scene, frame, self.geometry, self.unknown).contiguous().numpy()
                 writer.append({MEMBER: zstandard.ZstdCompressor(level=3).compress(cells.tobytes())}, {})
                 report(1)
-            writer.finish({"geometry": repr(self.geometry), "vote": VOTE_VERSION})
+            writer.finish({"geometry": repr(self.geometry), "vote": VOTE_VERSION, "unknown": self.unknown})
         finally:
             writer.close()

@@ -1,0 +1,129 @@
+"""The files of one folder, on this disk or in an object store (any URL that fsspec understands), read by byte range."""
+
+import hashlib
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import BinaryIO, Protocol, cast
+
+import fsspec
+
+BLOCK_BYTES = 2**22
+JOINED_GAP_BYTES = 4096
+"""Ranges nearer to one another than this are read as one: headers between members cost less than another request."""
+
+
+class Files(Protocol):
+    """What reading a scene needs; every method raises FileNotFoundError for a file that is not there."""
+
+    def where(self, name: str) -> str:
+        """Path or URL of a file, for people."""
+        ...
+
+    def size(self, name: str) -> int:
+        """Length in bytes."""
+        ...
+
+    def open(self, name: str) -> BinaryIO:
+        """The file, to be read from its beginning."""
+        ...
+
+    def ranges(self, name: str, spans: Sequence[tuple[int, int]]) -> list[bytes]:
+        """Bytes from `begin` up to `end` of each (begin, end); fewer where the file ends early."""
+        ...
+
+
+class LocalFiles:
+    """A folder on this disk."""
+
+    def __init__(self, folder: Path):
+        self.folder = folder
+
+    def where(self, name: str) -> str:  # noqa: D102
+        return str(self.folder / name)
+
+    def size(self, name: str) -> int:  # noqa: D102
+        return (self.folder / name).stat().st_size
+
+    def open(self, name: str) -> BinaryIO:  # noqa: D102
+        return (self.folder / name).open("rb")
+
+    def ranges(self, name: str, spans: Sequence[tuple[int, int]]) -> list[bytes]:  # noqa: D102
+        with self.open(name) as file:
+            return [self._range(file, begin, end) for begin, end in spans]
+
+    def _range(self, file: BinaryIO, begin: int, end: int) -> bytes:
+        file.seek(begin)
+        return file.read(end - begin)
+
+
+class RemoteFiles:
+    """A folder behind a URL; the connection is made at the first use, in the process that uses it."""
+
+    def __init__(self, url: str):
+        self.url = url
+        self._fs, self._root = fsspec.core.url_to_fs(url)
+
+    def where(self, name: str) -> str:  # noqa: D102
+        return f"{self.url}/{name}"
+
+    def size(self, name: str) -> int:  # noqa: D102
+        return int(self._fs.size(self._path(name)))
+
+    def open(self, name: str) -> BinaryIO:  # noqa: D102
+        return cast(BinaryIO, self._fs.open(self._path(name), "rb", block_size=BLOCK_BYTES))
+
+    def ranges(self, name: str, spans: Sequence[tuple[int, int]]) -> list[bytes]:
+        """As `Files.ranges`, all requests at once.
+
+        Raises:
+            OSError: when a server sends more than was asked for: it does not know byte ranges.
+        """
+        begins, ends = [begin for begin, _ in spans], [end for _, end in spans]
+        parts = self._fs.cat_ranges([self._path(name)] * len(spans), begins, ends, on_error="raise")
+        for (begin, end), part in zip(spans, parts, strict=True):
+            if len(part) > end - begin:
+                raise OSError(f"the server does not support byte ranges: {len(part)} bytes instead of {end - begin}")
+        return parts
+
+    def _path(self, name: str) -> str:
+        return f"{self._root.rstrip('/')}/{name}"
+
+
+def is_url(place: str | os.PathLike[str]) -> bool:
+    """Whether this is a URL and not a path."""
+    return isinstance(place, str) and "://" in place
+
+
+def open_folder(folder: Path | str) -> Files:
+    """The files of a folder: a URL, or a path on this disk."""
+    return RemoteFiles(str(folder)) if is_url(folder) else LocalFiles(Path(folder))
+
+
+def sha256_of(file: BinaryIO) -> str:
+    """Hex digest of what is left of an open file."""
+    state = hashlib.sha256()
+    while block := file.read(BLOCK_BYTES):
+        state.update(block)
+    return state.hexdigest()
+
+
+def read_members(files: Files, name: str, offsets: Sequence[int], sizes: Sequence[int]) -> list[bytes]:
+    """The stretches of a file that begin at `offsets` and are `sizes` long, in as few reads as sensible.
+
+    Returns:
+        One per offset; shorter than asked for where the file ends early.
+    """
+    spans: list[tuple[int, int]] = []
+    for begin, size in sorted(zip(offsets, sizes, strict=True)):
+        if spans and begin - spans[-1][1] <= JOINED_GAP_BYTES:
+            spans[-1] = spans[-1][0], max(spans[-1][1], begin + size)
+        else:
+            spans.append((begin, begin + size))
+    parts = list(zip(spans, files.ranges(name, spans), strict=True))
+    return [_cut(parts, begin, size) for begin, size in zip(offsets, sizes, strict=True)]
+
+
+def _cut(parts: Sequence[tuple[tuple[int, int], bytes]], begin: int, size: int) -> bytes:
+    (first, _), part = next(item for item in parts if item[0][0] <= begin <= item[0][1])
+    return part[begin - first : begin - first + size]
