@@ -6,10 +6,11 @@ from omniocc.camera import Rig
 from omniocc.world.capture import Picture, record
 from omniocc.world.caster import Caster
 from omniocc.world.frame import Box, Frame
-from omniocc.world.lidar import ego_directions, scan_ego, scan_surfaces, virtual_lidars
+from omniocc.world.lidar import ego_directions, scan_ego
 from omniocc.world.light import Sensor
 from omniocc.world.mesh import Mesh
 from omniocc.world.stage import Stage
+from omniocc.world.survey import Survey
 from omniocc.world.view import make_view
 
 
@@ -28,6 +29,7 @@ class Recorder:
     Args:
         rig: cameras.
         own_car: mesh in the ego frame, which the cameras see and the LiDARs do not.
+        survey: the virtual LiDARs.
         supersample: camera rays per pixel along each side where a pixel needs smoothing.
         erp_size: width and height of the panorama of ranges, px.
         erp_top_deg: elevation of its upper edge.
@@ -38,6 +40,7 @@ class Recorder:
         self,
         rig: Rig,
         own_car: Mesh,
+        survey: Survey,
         supersample: int,
         erp_size: tuple[int, int],
         erp_top_deg: float,
@@ -48,7 +51,7 @@ class Recorder:
         self.erp_size = erp_size
         self._panorama = panorama_directions(*erp_size, erp_top_deg, erp_bottom_deg)
         self._ego_rays = np.ascontiguousarray(ego_directions().T)
-        self._lidars = virtual_lidars()
+        self._survey = survey
 
     def frame(
         self,
@@ -64,7 +67,7 @@ class Recorder:
             record(view, stage, sensor, np.random.default_rng([*seed, number]))
             for number, view in enumerate(self.views)
         ]
-        points_m, point_labels = scan_surfaces(stage, self._lidars)
+        points_m, point_labels = self._survey.scan(stage)
         lidar_range_m, lidar_labels = scan_ego(stage, self._ego_rays)
         return Frame(
             time_s=time_s,

@@ -11,8 +11,9 @@ from omniocc.world.frame import Box, Frame
 from omniocc.world.light import draw_light, draw_sensor
 from omniocc.world.mesh import transform
 from omniocc.world.recorder import Recorder
-from omniocc.world.shade import join, make_surfaces
+from omniocc.world.shade import SurfaceStack, make_surfaces
 from omniocc.world.stage import Stage
+from omniocc.world.survey import Survey
 from omniocc.world.traffic import Actor, Traffic
 from omniocc.world.vehicle import ego_car
 
@@ -53,12 +54,14 @@ class Scene:
         self._traffic = Traffic(town, seed)
         self._own_car = ego_car()
         self._static = Caster(town.mesh)
-        self._static_surfaces = make_surfaces(town.mesh)
+        static_surfaces = make_surfaces(town.mesh)
+        self._surfaces = SurfaceStack(static_surfaces)
         rng = seeding.generator(theme, seed, "light")
         self._light = draw_light(rng)
         self._sensor = draw_sensor(rng, self._light)
         size = (int(erp_size[0]), int(erp_size[1]))
-        self._recorder = Recorder(rig, self._own_car, supersample, size, erp_top_deg, erp_bottom_deg)
+        survey = Survey(self._static, static_surfaces, town.height)
+        self._recorder = Recorder(rig, self._own_car, survey, supersample, size, erp_top_deg, erp_bottom_deg)
 
     def frame(self, index: int) -> Frame:
         """Records the moment `index * frame_interval_s`; raises ValueError for a negative index."""
@@ -77,7 +80,7 @@ class Scene:
         stage = Stage(
             Layers([self._static, moving]),
             Layers([self._static, moving, Caster(own_mesh)]),
-            join([self._static_surfaces, make_surfaces(moving_mesh), make_surfaces(own_mesh)]),
+            self._surfaces.topped([make_surfaces(moving_mesh), make_surfaces(own_mesh)]),
             self._static.size + moving.size,
             world_from_ego[:3, :3].astype(np.float32),
             world_from_ego[:3, 3].astype(np.float32),

@@ -63,6 +63,41 @@ def join(parts: list[Surfaces]) -> Surfaces:
     )
 
 
+class SurfaceStack:
+    """Tables whose first part stays and whose last part changes every frame, without copying the first.
+
+    Args:
+        fixed: the part that stays.
+    """
+
+    def __init__(self, fixed: Surfaces) -> None:
+        self._fixed = len(fixed.label)
+        self._all = _enlarged(fixed, self._fixed + 16384)
+
+    def topped(self, parts: list[Surfaces]) -> Surfaces:
+        """The fixed part and then `parts`, in order; good until the next call."""
+        top = join(parts)
+        end = self._fixed + len(top.label)
+        if end > len(self._all.label):
+            self._all = _enlarged(self._all, 2 * end)
+        for whole, part in zip(_arrays(self._all), _arrays(top), strict=True):
+            whole[self._fixed : end] = part
+        return Surfaces(*(whole[:end] for whole in _arrays(self._all)))
+
+
+def _arrays(surfaces: Surfaces) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return surfaces.table, surfaces.label, surfaces.key
+
+
+def _enlarged(surfaces: Surfaces, size: int) -> Surfaces:
+    def grown(array: np.ndarray) -> np.ndarray:
+        result = np.zeros((size, *array.shape[1:]), array.dtype)
+        result[: len(array)] = array
+        return result
+
+    return Surfaces(*(grown(array) for array in _arrays(surfaces)))
+
+
 def _surface_key(mesh: Mesh, normal: np.ndarray) -> np.ndarray:
     parts = [mesh.label, mesh.material, *mesh.color.T, mesh.instance, *np.rint(normal * 2).astype(np.int32).T]
     key = np.zeros(len(mesh), np.uint32)

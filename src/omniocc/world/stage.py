@@ -41,6 +41,11 @@ class Stage:
         """(3,) float32 ego point in the caster frame."""
         return (self.rotation.astype(np.float64) @ point_ego + self.origin_m).astype(np.float32)
 
+    def unplace(self, points: np.ndarray) -> np.ndarray:
+        """(P, 3) float32 points of the caster frame in the ego frame."""
+        x, y, z = (points - self.origin_m).T
+        return np.stack([x * row[0] + y * row[1] + z * row[2] for row in self.rotation.T], axis=1)
+
     def cast(self, point_ego: np.ndarray, directions_ego: np.ndarray, known: Hits | None = None) -> Hits:
         """Nearest hits from one ego point (3,) along ego directions (3, R); of the own car only those `known`."""
         origins = repeat(self.place(point_ego), directions_ego.shape[1])
