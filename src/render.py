@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import hydra
+import numpy as np
 from omegaconf import DictConfig
 
 from omniocc.config import build, check, lines_not_tracebacks
@@ -24,6 +25,7 @@ LOOKED_AT_FRAMES = 400
 @lines_not_tracebacks
 def main(cfg: DictConfig) -> None:
     """Check -> build -> render, read back or draw."""
+    whole_length = cfg.data.world.frames_per_scene
     if cfg.frames is not None:
         cfg.data.world.frames_per_scene = cfg.frames
     check(cfg.data.world)
@@ -34,7 +36,7 @@ def main(cfg: DictConfig) -> None:
     elif cfg.page:
         draw_page(world, plans)
     else:
-        render(world, plans)
+        render(world, plans, whole_length)
 
 
 def chosen(plans: Sequence[ScenePlan], first: int, count: int | None) -> Sequence[ScenePlan]:
@@ -49,8 +51,8 @@ def chosen(plans: Sequence[ScenePlan], first: int, count: int | None) -> Sequenc
     return plans[first:end]
 
 
-def render(world: VirtualWorld, plans: Sequence[ScenePlan]) -> None:
-    """Render what is missing; then say how much there is, and what all of the preset would take."""
+def render(world: VirtualWorld, plans: Sequence[ScenePlan], whole_length: int) -> None:
+    """Render what is missing; then say how much there is, and what all scenes of `whole_length` frames would take."""
     missing = len(world.missing(plans)) * world.frames_per_scene
     began_s = time.monotonic()
     world.prepare(plans)
@@ -58,7 +60,7 @@ def render(world: VirtualWorld, plans: Sequence[ScenePlan]) -> None:
     scenes = [world.reader(plan) for plan in plans]
     frames, size = sum(map(len, scenes)), total_bytes(scenes)
     print(f"{amount(world, scenes)} ({size / 1e6 / frames:.2f} a frame)")
-    whole = len(world.plans) * world.frames_per_scene
+    whole = len(world.plans) * whole_length
     if frames < whole:
         print(f"all {len(world.plans)} scenes, {whole} frames: {size / frames * whole / 1e9:.1f} GB", end="")
         print(f", {clock(elapsed_s / missing * whole)} with {world.workers} processes" if missing else "")
@@ -74,9 +76,8 @@ def read_back(world: VirtualWorld, plans: Sequence[ScenePlan]) -> None:
     )
     found = survey(work, scenes, world.workers)
     problems += [line for result in found for line in result.problems]
-    voxels = sum(result.voxels for result in found)
-    if found and voxels.any():
-        print(share_table(voxels))
+    if found:
+        print(share_table(np.sum([result.voxels for result in found], axis=0)))
     if problems:
         print("\n".join(problems))
         sys.exit(1)

@@ -1,4 +1,6 @@
+import errno
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -11,6 +13,7 @@ from filelock import FileLock
 
 import omniocc
 from omniocc.data.errors import DataError
+from omniocc.data.pool import worker_environment
 from omniocc.data.reader import SceneReader
 from omniocc.data.record import code_fingerprint
 
@@ -18,7 +21,8 @@ SCRIPT = """
 import sys
 from fake_scene import FakeWorld
 if __name__ == "__main__":
-    FakeWorld(sys.argv[1], workers=int(sys.argv[2]), delay_s=float(sys.argv[3])).prepare()
+    world = FakeWorld(sys.argv[1], workers=int(sys.argv[2]), delay_s=float(sys.argv[3]))
+    world.prepare(world.plans[slice(*map(int, sys.argv[4:]))])
 """
 SCENES = ["test-000-downtown", "train-000-downtown", "train-001-suburb", "val-000-downtown"]
 
@@ -43,8 +47,8 @@ def render(tmp_path):
     source = Path(omniocc.__file__).parents[1]
     env = os.environ | {"PYTHONPATH": f"{source}:{Path(__file__).parent}", "OMP_NUM_THREADS": "1"}
 
-    def start(root, workers, delay_s, mark):
-        command = [sys.executable, str(script), str(root), str(workers), str(delay_s)]
+    def start(root, workers, delay_s, mark, scenes=(0, 4)):
+        command = [sys.executable, str(script), str(root), str(workers), str(delay_s), *map(str, scenes)]
         return subprocess.Popen(command, env=env | {"FAKE_SCENE_MARK": str(mark)}, stderr=subprocess.PIPE, text=True)
 
     return start
@@ -152,6 +156,58 @@ def test_two_runs_on_one_folder(reference, tmp_path, render, monkeypatch):
     assert tree(root) == tree(reference)
     frames = mark.read_text().splitlines()
     assert len(frames) == len(set(frames)) == 16  # they share the work
+
+
+def test_jobs_of_a_few_scenes_each_make_one_dataset(reference, tmp_path, render):
+    root = tmp_path / "data"
+    marks = [tmp_path / "first", tmp_path / "second"]
+    jobs = [render(root, 0, 0.0, mark, scenes) for mark, scenes in zip(marks, ((0, 1), (1, 4)), strict=True)]
+    assert [job.wait() for job in jobs] == [0, 0]
+    assert tree(root) == tree(reference)
+    assert {line.split()[0] for line in marks[0].read_text().splitlines()} == {"train-000-downtown"}
+    assert len(marks[1].read_text().splitlines()) == 12
+    again = render(root, 0, 0.0, tmp_path / "third")
+    assert again.wait() == 0
+    assert not (tmp_path / "third").exists()  # a second run finds all there and makes nothing
+
+
+def test_a_limit_on_the_size_of_files_is_one_line_and_loses_nothing(reference, tmp_path):
+    script = (
+        "import resource, sys; from fake_scene import FakeWorld\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (70_000, 70_000))\n"
+        "try: FakeWorld(sys.argv[1]).prepare()\n"
+        "except OSError as error: sys.exit(str(error))"
+    )
+    env = os.environ | {"PYTHONPATH": f"{Path(omniocc.__file__).parents[1]}:{Path(__file__).parent}"}
+    done = subprocess.run([sys.executable, "-c", script, tmp_path], env=env, capture_output=True, text=True)
+    assert done.returncode == 1
+    (line,) = done.stderr.splitlines()
+    assert re.fullmatch(
+        r"cannot write .*train-000-downtown: files may not grow .*; it continues where it stopped", line
+    )
+    assert [path.name for path in tmp_path.glob("*/train*")] == ["train-000-downtown.partial"]
+    FakeWorld(tmp_path).prepare()
+    assert tree(tmp_path) == tree(reference)
+
+
+def test_a_read_only_folder_is_one_line(tmp_path, monkeypatch):
+    def refuse(path, *_, **__):
+        raise OSError(errno.EROFS, "Read-only file system", str(path))
+
+    monkeypatch.setattr(Path, "mkdir", refuse)
+    with pytest.raises(DataError, match=r"cannot write .*: the folder is read-only: choose another one \(paths\.data="):
+        FakeWorld(tmp_path).prepare()
+
+
+def test_workers_import_the_script_only_if_they_must():
+    file = sys.modules["__main__"].__file__
+    with worker_environment(needs_main=False):
+        assert sys.modules["__main__"].__file__ is None
+        assert os.environ["OMP_NUM_THREADS"] == "1"
+        assert os.environ["PYTHONPATH"].startswith(str(Path(omniocc.__file__).parents[1]))
+    assert sys.modules["__main__"].__file__ == file
+    with worker_environment(needs_main=True):
+        assert sys.modules["__main__"].__file__ == file
 
 
 def test_a_scene_held_by_another_process_is_waited_for(tmp_path, capsys, monkeypatch):

@@ -11,6 +11,7 @@ class DataError(OSError):
 
 _REMEDIES = {
     errno.ENOSPC: "the disk is full: free some space",
+    errno.EFBIG: "files may not grow that large here: raise the limit (ulimit -f)",
     errno.EDQUOT: "the disk quota is used up: free some space",
     errno.EROFS: "the folder is read-only: choose another one (paths.data=...)",
     errno.EACCES: "the folder may not be written to: choose another one (paths.data=...)",

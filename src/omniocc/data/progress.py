@@ -21,7 +21,7 @@ class FrameProgress:
     def __init__(self, title: str, total: int):
         self.title = title
         self.total = total
-        self.done = 0
+        self.done = self._shown = 0
         self._began_s = self._shown_s = time.monotonic()
         self._bar: Progress | None = None
         if sys.stderr.isatty():
@@ -50,7 +50,7 @@ class FrameProgress:
     ) -> None:
         if self._bar is not None:
             self._bar.stop()
-        elif kind is None and self.done:
+        elif kind is None and self.done > self._shown:
             self._line()
 
     def advance(self, frames: int = 1) -> None:
@@ -69,7 +69,7 @@ class FrameProgress:
             print(text, file=sys.stderr, flush=True)
 
     def _line(self) -> None:
-        self._shown_s = time.monotonic()
+        self._shown, self._shown_s = self.done, time.monotonic()
         left_s = (self.total - self.done) / max(self.rate_hz, 1e-9)
         eta = f", {clock(left_s)} left" if 0 < self.done < self.total else ""
         print(

@@ -161,8 +161,8 @@ class VirtualWorld:
             return
         if isinstance(self.source, str):
             raise DataError(
-                f"{self.source}: {len(missing)} scenes are missing there, the first is {missing[0].name}. Rendering writes "
-                "to local folders only: render with data.world.root=<folder>, then upload that folder"
+                f"{self.source}: {len(missing)} scenes are missing there, the first is {missing[0].name}. "
+                "Rendering writes to local folders only: render with data.world.root=<folder>, then upload that folder"
             )
         work = SceneJob(
             self.scene, tuple(missing), self.recipe, self.rig, self.frames_per_scene, self.shard_limit_bytes

@@ -133,7 +133,7 @@ def _speed_mps(scene: SceneReader, frame: int) -> float:
 
 
 def range_picture(range_m: np.ndarray, width: int) -> np.ndarray:
-    """(H, W) metres as colours, even steps of the logarithm from 1 m (red) to 64 m (blue); sky pale, no measurement dark."""
+    """(H, W) metres as colours: the logarithm from 1 m (red) to 64 m (blue); sky pale, no measurement dark."""
     finite = np.isfinite(range_m)
     level = np.log(np.where(finite, range_m, FAR_M).clip(NEAR_M, FAR_M) / NEAR_M) / np.log(FAR_M / NEAR_M)
     picture = cv2.applyColorMap((245 - 230 * level).astype(np.uint8), cv2.COLORMAP_TURBO)[..., ::-1].copy()

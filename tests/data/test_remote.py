@@ -1,0 +1,155 @@
+import pickle
+import re
+import threading
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from typing import ClassVar
+
+import fsspec
+import numpy as np
+import pytest
+import torch
+from fake_scene import FakeWorld
+
+from omniocc.data import DataError, SceneReader, VirtualWorld
+from omniocc.data.check import check_scene
+from omniocc.data.dataset import WindowDataset
+from omniocc.data.files import LocalFiles, read_members
+from omniocc.data.voxels import VoxelCache
+from omniocc.geometry import Cuboid
+
+GRID = Cuboid(shape=(6, 5, 4), x_m=(-20.0, 20.0), y_m=(-20.0, 20.0), height_m=(-2.8, 3.6))
+
+
+class RangeHandler(SimpleHTTPRequestHandler):
+    """Serves byte ranges, which the standard library's server does not."""
+
+    ranges = True
+    asked: ClassVar[list[tuple[str, str]]] = []
+
+    def do_GET(self):
+        wanted = re.fullmatch(r"bytes=(\d+)-(\d*)", self.headers.get("Range", ""))
+        self.asked.append((self.path, self.headers.get("Range", "")))
+        if not (self.ranges and wanted):
+            super().do_GET()
+            return
+        with open(self.translate_path(self.path), "rb") as file:
+            content = file.read()
+        begin, end = int(wanted[1]), int(wanted[2] or len(content) - 1)
+        part = content[begin : end + 1]
+        self.send_response(206)
+        self.send_header("Content-Range", f"bytes {begin}-{begin + len(part) - 1}/{len(content)}")
+        self.send_header("Content-Length", str(len(part)))
+        self.end_headers()
+        self.wfile.write(part)
+
+    def log_message(self, *_):
+        pass
+
+
+class WholeHandler(RangeHandler):
+    ranges = False
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory):
+    world = FakeWorld(tmp_path_factory.mktemp("world"))
+    world.prepare()
+    return world
+
+
+def serve(folder, handler):
+    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(handler, directory=str(folder)))
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    return server, f"http://127.0.0.1:{server.server_port}"
+
+
+@pytest.fixture(params=["memory", "http"])
+def url(request, world):
+    if request.param == "memory":
+        store = fsspec.filesystem("memory")
+        store.put(str(world.root), "/bucket/data", recursive=True)
+        yield "memory://bucket/data"
+        store.rm("/bucket", recursive=True)
+        return
+    server, url = serve(world.root, RangeHandler)
+    yield url
+    server.shutdown()
+    server.server_close()
+
+
+def test_samples_are_the_same_from_a_store(world, url, tmp_path):
+    local = VoxelCache(tmp_path / "local", GRID)
+    local.prepare(world.readers("train"), workers=0)
+    there = FakeWorld(url, cache=str(tmp_path / "cache"))
+    assert there.missing() == []
+    there.prepare()
+    scenes = there.readers("train")
+    cache = VoxelCache(there.folder, GRID)
+    cache.prepare(scenes, workers=0)
+    here = WindowDataset(world.readers("train"), local, 2)
+    remote = pickle.loads(pickle.dumps(WindowDataset(scenes, cache, 2)))
+    assert len(remote) == len(here) == 8
+    for a, b in zip(here[5], remote[5], strict=True):
+        assert torch.equal(a, b) if isinstance(a, torch.Tensor) else a == b
+    assert check_scene(scenes[0], 4, 0.5) == []
+    assert cache.folder.is_relative_to(tmp_path / "cache")
+
+
+def test_members_side_by_side_are_one_request(world):
+    server, url = serve(world.root, RangeHandler)
+    reader = SceneReader(f"{url}/{world.name}/train-000-downtown")
+    assert len(reader.index["frames"]) == 4
+    RangeHandler.asked.clear()
+    names = [f"rgb{k}.jpg" for k in range(6)]
+    assert reader.read(2, names) == world.readers("train")[0].read(2, names)
+    assert len([path for path, span in RangeHandler.asked if span]) == 1
+    server.shutdown()
+    server.server_close()
+
+
+def test_a_server_without_byte_ranges_is_named(world):
+    server, url = serve(world.root, WholeHandler)
+    reader = SceneReader(f"{url}/{world.name}/train-000-downtown")
+    with pytest.raises(DataError, match=r"train-000-downtown/frames-000\.tar: .*does not support byte ranges"):
+        reader.read(1, ["rgb0.jpg"])
+    server.shutdown()
+    server.server_close()
+
+
+def test_damage_in_a_store_is_named(world):
+    store = fsspec.filesystem("memory")
+    store.put(str(world.root), "/harmed", recursive=True)
+    place = f"/harmed/{world.name}/train-000-downtown"
+    reader = SceneReader(f"memory:/{place}")
+    raw = bytearray(store.cat(f"{place}/frames-000.tar"))
+    raw[reader.index["frames"][0]["offset"][3] + 9] ^= 1
+    store.pipe(f"{place}/frames-000.tar", bytes(raw))
+    with pytest.raises(DataError, match=r"frame 0, member 'rgb2\.jpg': checksum differs\. Copy the scene there again"):
+        reader.read(0, ["rgb2.jpg"])
+    assert any(
+        "frames-000.tar: scene 'train-000-downtown': its checksum" in line for line in check_scene(reader, 4, 0.5)
+    )
+    store.rm("/harmed", recursive=True)
+
+
+def test_nothing_is_written_to_a_store(tmp_path):
+    world = FakeWorld("memory://empty/data", cache=str(tmp_path))
+    with pytest.raises(
+        DataError, match=r"4 scenes are missing there.*writes to local folders only: render with data\.w"
+    ):
+        world.prepare()
+    with pytest.raises(ValueError, match=r"root is a URL \(memory://empty\): set cache to a local folder"):
+        FakeWorld("memory://empty")
+    gone = VirtualWorld.reader(world, world.plans[0])
+    with pytest.raises(DataError, match=r"memory://empty/data/.*meta\.json: .*the file is missing"):
+        len(gone)
+
+
+def test_read_members_against_slices(tmp_path):
+    content = np.random.default_rng(0).bytes(60_000)
+    (tmp_path / "file").write_bytes(content)
+    offsets, sizes = [40_000, 0, 700, 8_000, 59_990], [5, 700, 100, 9_000, 100]
+    parts = read_members(LocalFiles(tmp_path), "file", offsets, sizes)
+    assert parts == [content[begin : begin + size] for begin, size in zip(offsets, sizes, strict=True)]
+    assert len(parts[-1]) == 10

@@ -1,0 +1,109 @@
+"""The script `render.py`, in this process."""
+
+import json
+import re
+import runpy
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fake_scene import FakeWorld
+
+import omniocc
+from omniocc.data.shares import AUTHORS_PERCENT
+from omniocc.geometry import Cylinder
+from omniocc.view.dataset_page import SKY, UNMEASURED, range_picture, save_page
+
+SCRIPT = Path(omniocc.__file__).parents[1] / "render.py"
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch, capsys):
+    def call(*arguments):
+        common = ["preset=smoke", f"paths.data={tmp_path}", "data.world.workers=0", "frames=2", *arguments]
+        monkeypatch.setattr(sys, "argv", ["render.py", *common])
+        try:
+            runpy.run_path(str(SCRIPT), run_name="__main__")
+            code = 0
+        except SystemExit as error:
+            code = error.code
+        return code, capsys.readouterr().out
+
+    return call
+
+
+def test_render_check_and_page(run, tmp_path):
+    code, out = run("first_scene=2", "scenes=2")
+    assert code == 0
+    (folder,) = tmp_path.glob("virtual-*")
+    assert sorted(path.name for path in folder.iterdir() if path.name[0] != ".") == [
+        "train-002-industrial",
+        "val-000-downtown",
+    ]
+    assert re.search(r"2 scenes, 4 frames, \d+ MB \(0\.\d\d a frame\)", out)
+    assert re.search(r"all 5 scenes, 10 frames: 0\.\d GB, 0:\d\d min with 0 processes", out)
+    code, out = run("first_scene=2", "scenes=2", "check=true")
+    assert code == 0
+    assert re.search(r"Road +\d\d\.\d\d +57\.03", out)
+    assert "2 scenes, 4 frames" in out
+    assert "everything is whole" in out
+    code, out = run("page=true")
+    assert code == 0
+    assert "2 scenes, 3 missing" in out
+    assert 100_000 < (folder / "index.html").stat().st_size < 5_000_000
+
+    shard = folder / "val-000-downtown" / "frames-000.tar"
+    raw = bytearray(shard.read_bytes())
+    raw[raw.index(b"\xff\xd8\xff") + 700] ^= 1  # in the first JPEG
+    shard.write_bytes(raw)
+    code, out = run("check=true")
+    assert code == 1
+    lines = [line for line in out.splitlines() if line.startswith(str(tmp_path))]
+    assert len([line for line in lines if "is missing: run without check=true" in line]) == 3
+    assert any("scene 'val-000-downtown', frame 0, member 'rgb0.jpg': checksum differs" in line for line in lines)
+
+
+def test_no_scene_is_a_line(run):
+    code, _ = run("first_scene=5")
+    assert code == "first_scene=5 scenes=None: there are 5 scenes in this preset"
+    code, _ = run("page=true")
+    assert "has none of the chosen scenes: run without page=true first" in str(code)
+
+
+def test_the_page_stands_alone(tmp_path):
+    world = FakeWorld(tmp_path, scenes=(2, 1, 0))
+    world.prepare()
+    scenes = [*world.readers("train"), *world.readers("val")]
+    scenes[0].meta["facts"]["theme"] = "</script>"
+    save_page(tmp_path / "page.html", scenes, Cylinder(shape=(8, 10, 4)))
+    page = (tmp_path / "page.html").read_text("utf-8")
+    own = re.sub(r"data:image/(png|jpeg);base64,[A-Za-z0-9+/=]+", "", page)
+    assert not re.search(r"//[a-z]|<link|@import|url\(|src=\"[^\"]", own)
+    assert page.count("</script>") == 1
+    content = json.loads(page.split("const content = ", 1)[1].split(";\nconst at", 1)[0])
+    assert [scene["name"] for scene in content["scenes"]] == [
+        "train-000-downtown",
+        "train-001-suburb",
+        "val-000-downtown",
+    ]
+    frames = content["scenes"][1]["frames"]
+    assert [frame["number"] for frame in frames] == [0, 1, 2, 3]
+    assert [frame["time"] for frame in frames] == [0.0, 0.5, 1.0, 1.5]
+    assert [frame["speed"] for frame in frames] == [6.0] * 4
+    for layer in ("rgb", "semantic", "range"):
+        assert all(len(frame[layer]) == 6 for frame in frames)
+    assert content["table"][-1] == ["This dataset", False, True, True, True, True, 12]
+    assert content["authors"] == AUTHORS_PERCENT
+    assert sum(content["ours"].values()) == pytest.approx(100)
+    assert content["scenes"][0]["theme"] == "</script>"
+
+
+def test_range_colours():
+    picture = range_picture(np.array([[1.0, 8.0, 64.0, 900.0, np.inf, np.nan]]), 6)[0]
+    assert picture[0, 0] > picture[0, 2]  # near: red
+    assert picture[2, 2] > picture[2, 0]  # far: blue
+    assert picture[1].argmax() == 1  # the middle of the logarithm: green
+    assert picture[2].tolist() == picture[3].tolist()
+    assert picture[4].tolist() == list(SKY)
+    assert picture[5].tolist() == list(UNMEASURED)
