@@ -5,11 +5,12 @@ import pytest
 
 from omniocc.camera import Rig
 from omniocc.world.caster import Caster, Layers
-from omniocc.world.light import Light, draw_light
+from omniocc.world.light import Light
 from omniocc.world.material import Material
 from omniocc.world.mesh import Mesh, concatenate
 from omniocc.world.shade import join, make_surfaces
 from omniocc.world.stage import Stage
+from omniocc.world.weather import draw_light
 
 
 def make_quad(
@@ -74,7 +75,7 @@ def own_car() -> Mesh:
 
 @pytest.fixture(scope="session")
 def noon() -> Light:
-    light = draw_light(np.random.default_rng(0))
+    light = draw_light("clear", np.random.default_rng(0))
     direction = np.array([0.0, -0.6, 0.8], np.float32)
     return Light(
         direction,

@@ -4,15 +4,15 @@ import torch
 
 from omniocc.world.capture import record
 from omniocc.world.caster import Caster
-from omniocc.world.light import draw_light, draw_sensor
 from omniocc.world.mesh import empty
 from omniocc.world.recorder import panorama_directions
 from omniocc.world.view import make_view
+from omniocc.world.weather import draw_light, draw_sensor
 
 
 @pytest.fixture(scope="module")
 def sensor():
-    return draw_sensor(np.random.default_rng(0), draw_light(np.random.default_rng(0)))
+    return draw_sensor(np.random.default_rng(0), draw_light("clear", np.random.default_rng(0)))
 
 
 def _take(rig, camera, stage, own_car, sensor, supersample=2):

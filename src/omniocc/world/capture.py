@@ -7,6 +7,7 @@ import numpy as np
 from omniocc.classes import UNKNOWN
 from omniocc.world.caster import Hits
 from omniocc.world.light import Sensor, develop
+from omniocc.world.rain import streaks
 from omniocc.world.shade import Shading, shade
 from omniocc.world.stage import Stage
 from omniocc.world.view import View
@@ -40,6 +41,9 @@ def record(view: View, stage: Stage, sensor: Sensor, rng: np.random.Generator) -
     label = np.where(hits.face >= 0, stage.surfaces.label[hits.face], 0).astype(np.uint8)
     label[own] = UNKNOWN
     range_m = np.where(own, np.float32(np.nan), hits.range_m)
+    if stage.light.streaks:
+        drops = streaks(view.size, view.pixel, rng) * stage.light.streaks
+        color += (0.9 * stage.light.horizon[:, None] - color) * drops
     rgb = develop(color, sensor, view.falloff, rng)
     return Picture(
         _image(view, rgb, 0),

@@ -1,4 +1,4 @@
-"""What lights a scene, and how the cameras answer: drawn once per scene."""
+"""What lights a scene, and how the cameras answer."""
 
 from dataclasses import dataclass
 
@@ -19,6 +19,10 @@ class Light:
         cloud_cover: share of the sky under clouds, 0..1.
         cloud_shift: (2,) where in the pattern of clouds this scene lies.
         haze_m: distance at which haze hides 63 % of a thing.
+        wet: how wet upward surfaces are, 0..1: darker, and mirrors of the sky where water stands.
+        streaks: rain between things and camera, 0..1.
+        lamps: brightness of street lamps, car lights and windows, 0 by day.
+        pools: light on the ground below street lamps, from `omniocc.world.lamp.lamp_pools`.
     """
 
     sun_direction: np.ndarray
@@ -30,6 +34,10 @@ class Light:
     cloud_cover: float
     cloud_shift: np.ndarray
     haze_m: float
+    wet: float = 0.0
+    streaks: float = 0.0
+    lamps: float = 0.0
+    pools: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -51,43 +59,16 @@ class Sensor:
     shot_noise: float
 
 
-def draw_light(rng: np.random.Generator) -> Light:
-    """A clear day at some hour (two of three scenes) or an overcast one."""
-    azimuth, clear = rng.uniform(0, 2 * np.pi), rng.random() < 0.67
-    elevation = np.radians(rng.uniform(20, 65) if clear else rng.uniform(60, 85))
-    direction = _color(np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation))
-    shift, haze_m = rng.uniform(0, 1, 2).astype(np.float32), float(rng.uniform(300, 900))
-    if not clear:
-        sky = rng.uniform(0.55, 0.8) * _color(0.93, 0.97, 1.0)
-        return Light(direction, 0.45 * sky, 0.85 * sky, 0.8 * sky, 0.25 * sky, 0.0, 0.95, shift, 0.8 * haze_m)
-    low = float(np.clip((np.radians(45) - elevation) / np.radians(30), 0, 1))
-    sun = (1.15 - 0.25 * low) * _color(1.0, 0.95 - 0.14 * low, 0.86 - 0.30 * low)
-    zenith = rng.uniform(0.8, 1.1) * _color(0.12, 0.23, 0.50)
-    horizon = _color(0.46 + 0.12 * low, 0.54, 0.64 - 0.10 * low)
-    bounce = 0.16 * np.sin(elevation) * _color(1.0, 0.93, 0.85)
-    return Light(
-        direction, sun, zenith, horizon, bounce.astype(np.float32), 0.6, float(rng.uniform(0.1, 0.6)), shift, haze_m
-    )
-
-
-def draw_sensor(rng: np.random.Generator, light: Light) -> Sensor:
-    """Exposed for a grey road in this light, give or take a third."""
-    ambient = 0.5 * (light.zenith + light.horizon)
-    grey = float((light.sun * max(light.sun_direction[2], 0.3) + ambient).mean())
-    return Sensor(
-        exposure=float(rng.uniform(0.85, 1.15) * 1.5 / grey),
-        white_balance=(1 + rng.uniform(-0.05, 0.05, 3)).astype(np.float32),
-        vignette=float(rng.uniform(0.2, 0.4)),
-        read_noise=float(rng.uniform(0.0015, 0.004)),
-        shot_noise=float(rng.uniform(0.008, 0.02)),
-    )
-
-
 def ambient(light: Light, up: np.ndarray) -> np.ndarray:
     """(3, R) light from sky and ground on surfaces whose normals have the upward component `up` (R,)."""
     sky = 0.5 * (light.zenith + light.horizon)
     share = 0.5 + 0.5 * up
     return sky[:, None] * share + light.bounce[:, None] * (1 - share)
+
+
+def standing_water(light: Light, tint: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """(R,) how much of a mirror wet surfaces are; water stands where the texture is dark. `tint`, `up` are (R,)."""
+    return light.wet * np.clip((1.35 - tint) * 0.9, 0.15, 1) * np.clip(3 * up - 2, 0, 1)
 
 
 def develop(linear: np.ndarray, sensor: Sensor, falloff: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -102,10 +83,6 @@ def develop(linear: np.ndarray, sensor: Sensor, falloff: np.ndarray, rng: np.ran
         value += noise * (sensor.read_noise + sensor.shot_noise * np.sqrt(np.minimum(value, 1)))
         result[:, channel] = _CURVE[np.clip(value * 1024, 0, len(_CURVE) - 1).astype(np.int32)]
     return result
-
-
-def _color(red: float, green: float, blue: float) -> np.ndarray:
-    return np.array([red, green, blue], np.float32)
 
 
 def _tone_curve() -> np.ndarray:

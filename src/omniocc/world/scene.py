@@ -1,6 +1,7 @@
 """A scene: one drive through one place, recorded moment by moment."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -8,7 +9,7 @@ from omniocc.camera import Rig
 from omniocc.world import place, seeding
 from omniocc.world.caster import Caster, Layers
 from omniocc.world.frame import Box, Frame
-from omniocc.world.light import draw_light, draw_sensor
+from omniocc.world.lamp import lamp_pools
 from omniocc.world.mesh import transform
 from omniocc.world.recorder import Recorder
 from omniocc.world.shade import SurfaceStack, make_surfaces
@@ -16,6 +17,7 @@ from omniocc.world.stage import Stage
 from omniocc.world.survey import Survey
 from omniocc.world.traffic import Actor, Traffic
 from omniocc.world.vehicle import ego_car
+from omniocc.world.weather import Weather, draw_light, draw_sensor, draw_weather
 
 
 class Scene:
@@ -30,6 +32,7 @@ class Scene:
         erp_size: width and height of the panorama of ranges around the ego origin, px.
         erp_top_deg: elevation of the panorama's upper edge.
         erp_bottom_deg: elevation of its lower edge.
+        weather: clear, overcast, rain, fog or dusk; None draws one by the seed.
 
     Raises:
         ValueError: no such theme, or an option out of range.
@@ -46,6 +49,7 @@ class Scene:
         erp_size: Sequence[int] = (192, 48),
         erp_top_deg: float = 45.0,
         erp_bottom_deg: float = -45.0,
+        weather: Weather | None = None,
     ) -> None:
         _check(frame_interval_s, supersample, erp_size)
         town = place.build(theme, seed)
@@ -57,7 +61,9 @@ class Scene:
         static_surfaces = make_surfaces(town.mesh)
         self._surfaces = SurfaceStack(static_surfaces)
         rng = seeding.generator(theme, seed, "light")
-        self._light = draw_light(rng)
+        drawn = draw_weather(rng)
+        light = draw_light(drawn if weather is None else weather, rng)
+        self._light = replace(light, pools=lamp_pools(town.mesh)) if light.lamps else light
         self._sensor = draw_sensor(rng, self._light)
         size = (int(erp_size[0]), int(erp_size[1]))
         survey = Survey(self._static, static_surfaces, town.height)

@@ -6,7 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from omniocc.world.caster import Hits, Layers
-from omniocc.world.light import Light, ambient
+from omniocc.world.lamp import lamp_light, lamp_strength
+from omniocc.world.light import Light, ambient, standing_water
 from omniocc.world.material import Material
 from omniocc.world.mesh import Mesh
 from omniocc.world.sky import sky_color
@@ -15,6 +16,8 @@ from omniocc.world.texture import layer_of, sample
 _GLOSS = {Material.GLASS: 0.9, Material.CAR_PAINT: 0.5, Material.METAL: 0.15, Material.FACADE: 0.0}
 _GLAZED = (Material.FACADE, Material.GLASS)
 _LIFT_M = np.float32(0.02)  # of shadow rays off their surface
+_LOW_M = 2.5  # how far up things are looked for that hide the sky from the ground
+_UPWARD = np.array([[0.55, 0.18, 0.8155], [-0.43, 0.39, 0.8143]], np.float32)
 
 
 @dataclass(frozen=True)
@@ -22,8 +25,9 @@ class Surfaces:
     """Per-triangle facts in one table each, so that a hit costs one gather.
 
     Attributes:
-        table: (F, 15) float32: unit normal 3, linear base colour 3, uv of the first corner 2, uv edges 2 + 2, texture
-            layer, ground step, gloss; one more column says whether windows in the texture reflect.
+        table: (F, 16) float32: unit normal 3, linear base colour 3, uv of the first corner 2, uv edges 2 + 2, twice the
+            texture layer plus its ground step, light of its own after dark, gloss, and whether there is glass in the
+            texture.
         label: (F,) uint8.
         key: (F,) int32, differs between surfaces whose border needs smoothing.
     """
@@ -46,7 +50,8 @@ def make_surfaces(mesh: Mesh, rotation: np.ndarray | None = None) -> Surfaces:
     table[:, 6:8] = mesh.uv[:, 0]
     table[:, 8:10] = mesh.uv[:, 1] - mesh.uv[:, 0]
     table[:, 10:12] = mesh.uv[:, 2] - mesh.uv[:, 0]
-    table[:, 12], table[:, 13] = layer_of(mesh.material, mesh.color)
+    layer, ground_step = layer_of(mesh.material, mesh.color)
+    table[:, 12], table[:, 13] = 2 * layer + ground_step, lamp_strength(mesh)
     gloss = np.zeros(len(Material), np.float32)
     gloss[list(_GLOSS)] = list(_GLOSS.values())
     table[:, 14] = gloss[mesh.material]
@@ -144,46 +149,88 @@ def shade(
     cosine = -_dot(facts[:3], toward)
     facts[:3] *= np.where(cosine < 0, np.float32(-1), np.float32(1))
     cosine = np.abs(cosine)
-    sunny = _sunlight(some, origin, toward, facts[:3], shadows, light)
-    color[:, ground] = _surface_color(some, toward, facts, cosine, sunny, light, pixel_rad)
-    offset_m[ground], lit[ground] = some.range_m * cosine, sunny > 0
+    sunlight = _sunlight(some, origin, toward, facts[:3], shadows, light)
+    points = toward * some.range_m + origin[:, None] if light.lamps else toward
+    color[:, ground] = _surface_color(some, points, toward, facts, cosine, sunlight, light, pixel_rad)
+    sunny, open_share = sunlight
+    offset_m[ground], lit[ground] = some.range_m * cosine, sunny > 0 if open_share is None else open_share > 0.9
     return Shading(color, offset_m, lit)
 
 
 def _sunlight(
     hits: Hits, origin: np.ndarray, directions: np.ndarray, normal: np.ndarray, shadows: Layers, light: Light
-) -> np.ndarray:
-    """(R,) cosine to the sun, 0 in shadow."""
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """(R,) cosine to the sun, 0 in shadow; and under a covered sky instead the share (R,) of it that is open."""
+    points = directions * hits.range_m + normal * _LIFT_M + origin[:, None]
+    if not light.sun.any():
+        return np.zeros(points.shape[1], np.float32), _open_sky(points, normal[2], shadows)
     cosine = np.maximum(_dot(normal, light.sun_direction), 0)
     index = np.flatnonzero(cosine > 0)
-    points = directions[:, index] * hits.range_m[index] + normal[:, index] * _LIFT_M + origin[:, None]
-    cosine[index[shadows.blocked(points.T, light.sun_direction[None])]] = 0
-    return cosine
+    cosine[index[shadows.blocked(points.T[index], light.sun_direction[None])]] = 0
+    return cosine, None
+
+
+def _open_sky(points: np.ndarray, up: np.ndarray, shadows: Layers) -> np.ndarray:
+    """(R,) how little of the sky cars and other low things hide from level ground: 1 nothing, 0 all; 1 elsewhere."""
+    share = np.ones(points.shape[1], np.float32)
+    level = np.flatnonzero(up > 0.8)
+    low = points.T[level]
+    for toward in _UPWARD:
+        share[level] -= np.float32(1 / len(_UPWARD)) * shadows.blocked(low, toward[None], _LOW_M)
+    return share
 
 
 def _surface_color(
     hits: Hits,
+    points: np.ndarray,
     directions: np.ndarray,
     facts: np.ndarray,
     cosine: np.ndarray,
-    sunny: np.ndarray,
+    sunlight: tuple[np.ndarray, np.ndarray | None],
     light: Light,
     pixel_rad: float,
 ) -> np.ndarray:
     u_m = facts[6] + hits.u * facts[8] + hits.v * facts[10]
     v_m = facts[7] + hits.u * facts[9] + hits.v * facts[11]
     footprint_m = hits.range_m * np.float32(pixel_rad) / np.sqrt(np.maximum(cosine, 0.05))
-    tint, own = sample(facts[12].astype(np.int32), facts[13].astype(np.int32), u_m, v_m, footprint_m)
-    color = facts[3:6] * tint
-    color += own
-    color *= light.sun[:, None] * sunny + ambient(light, facts[2])
-    mirror = np.flatnonzero((facts[14] > 0) | ((facts[15] > 0) & (tint < 0.15)))
-    gloss = np.maximum(facts[14][mirror], 0.8 * facts[15][mirror])
-    color[:, mirror] = _reflect(
-        color[:, mirror], directions[:, mirror], facts[:3, mirror], cosine[mirror], gloss, light
-    )
+    code = facts[12].astype(np.int32)
+    tint, own = sample(code >> 1, code & 1, u_m, v_m, footprint_m)
+    base = facts[3:6] * tint
+    base += own
+    sunny, open_share = sunlight
+    sky = ambient(light, facts[2])
+    if open_share is not None:
+        sky *= 0.3 + 0.7 * open_share
+    if light.sun.any():
+        sky += light.sun[:, None] * sunny
+    water = standing_water(light, tint, facts[2]) if light.wet else np.zeros(0, np.float32)
+    if light.wet:
+        base *= 1 - 0.45 * light.wet * np.clip(facts[2] + 0.3, 0, 1)
+    color = base * sky
+    if light.lamps:
+        color += lamp_light(light, base, own, tint, facts, points)
+    _mirror(color, directions, facts, cosine, tint, water, light)
     clear = np.exp(hits.range_m * np.float32(-1 / light.haze_m))
     return color * clear + light.horizon[:, None] * (1 - clear)
+
+
+def _mirror(
+    color: np.ndarray,
+    directions: np.ndarray,
+    facts: np.ndarray,
+    cosine: np.ndarray,
+    tint: np.ndarray,
+    water: np.ndarray,
+    light: Light,
+) -> None:
+    """Adds what glossy surfaces reflect, in place."""
+    gloss = np.maximum(facts[14], np.float32(0.8) * facts[15] * (tint < 0.15))
+    if len(water):
+        gloss = np.maximum(gloss, water)
+    index = np.flatnonzero(gloss > 0)
+    color[:, index] = _reflect(
+        color[:, index], directions[:, index], facts[:3, index], cosine[index], gloss[index], light
+    )
 
 
 def _reflect(
