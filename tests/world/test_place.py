@@ -53,7 +53,7 @@ def test_an_unknown_theme_names_the_possible_ones() -> None:
 def test_mesh_is_sound(theme: str) -> None:
     mesh = built(theme).mesh
     count = len(mesh)
-    assert 20_000 < count < 300_000
+    assert 50_000 < count < 220_000
     assert mesh.vertices.dtype == np.float32
     assert mesh.faces.dtype == np.int32
     assert mesh.uv.dtype == np.float32
@@ -73,7 +73,8 @@ def test_mesh_is_sound(theme: str) -> None:
 
 @pytest.mark.parametrize("theme", THEMES)
 def test_every_static_class_is_there(theme: str) -> None:
-    assert set(np.unique(built(theme).mesh.label)) >= {1, 2, 3, 4, 5, 6, 7, 8, 9, 11}
+    parked = set() if theme in ("oldtown", "campus") else {7}
+    assert set(np.unique(built(theme).mesh.label)) >= {1, 2, 3, 4, 5, 6, 8, 9, 11} | parked
 
 
 @pytest.mark.parametrize("theme", THEMES)

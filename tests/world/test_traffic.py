@@ -12,13 +12,14 @@ from omniocc.world.traffic import Actor, Traffic
 from omniocc.world.vehicle import ego_car
 
 _EGO_SIZE_M = (4.6, 2.0, 1.65)
-_TIMES_S = np.arange(0.0, 180.0, 1.3)
+_TIMES_S = np.arange(0.0, 180.0, 1.9)
+_SEEDS = (3, 11)
 
 
 @cache
-def world(theme: str) -> tuple[places.Place, Traffic]:
-    place = places.build(theme, 3)
-    return place, Traffic(place, 3)
+def world(theme: str, seed: int = 3) -> tuple[places.Place, Traffic]:
+    place = places.build(theme, seed)
+    return place, Traffic(place, seed)
 
 
 def rectangle(pose: np.ndarray, size_m: tuple[float, float, float]) -> np.ndarray:
@@ -37,15 +38,16 @@ def overlap(a: np.ndarray, b: np.ndarray) -> bool:
 
 
 def rectangles(traffic: Traffic, time_s: float) -> tuple[list[np.ndarray], tuple[Actor, ...]]:
-    actors = traffic.actors(time_s)[1]
+    actors = traffic.boxes(time_s)
     return [rectangle(traffic.world_from_ego(time_s), _EGO_SIZE_M)] + [
         rectangle(a.world_from_actor, a.size_m) for a in actors
     ], actors
 
 
+@pytest.mark.parametrize("seed", _SEEDS)
 @pytest.mark.parametrize("theme", THEMES)
-def test_no_actor_passes_through_another(theme: str) -> None:
-    _, traffic = world(theme)
+def test_no_actor_passes_through_another(theme: str, seed: int) -> None:
+    _, traffic = world(theme, seed)
     found = []
     for time_s in _TIMES_S:
         boxes, actors = rectangles(traffic, time_s)
@@ -74,7 +76,7 @@ def test_no_actor_passes_through_what_stands(theme: str) -> None:
         ego = traffic.world_from_ego(time_s).copy()
         ego[:3, 3] -= 2.2 * ego[:3, 2]
         things = [("ego", ego, _EGO_SIZE_M)] + [
-            (str(x.label), x.world_from_actor, x.size_m) for x in traffic.actors(time_s)[1]
+            (str(x.label), x.world_from_actor, x.size_m) for x in traffic.boxes(time_s)
         ]
         for name, pose, size in things:
             first, last = np.searchsorted(points[:, 0], pose[0, 3] + np.array([-8, 8]))
@@ -118,7 +120,7 @@ def test_the_ego_moves_smoothly(theme: str) -> None:
     )
     speed = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1) / step
     assert speed.max() < 15
-    assert speed.mean() > 3
+    assert speed.mean() > 2.5
     assert np.abs(np.diff(speed)).max() / step < 6
     turn = np.arccos(np.clip((poses[1:, :3, 0] * poses[:-1, :3, 0]).sum(1), -1, 1)) / step
     assert turn.max() < 1.2
@@ -146,7 +148,7 @@ def test_actors_carry_their_faces_and_speeds(theme: str) -> None:
     print(f"{theme}: {len(actors)} actors, {1e3 * (time.perf_counter() - start):.1f} ms")
     assert len({a.id for a in actors}) == len(actors) > 3
     assert set(np.unique(mesh.instance)) == {a.id for a in actors}
-    later = {a.id: a for a in traffic.actors(12.1)[1]}
+    later = {a.id: a for a in traffic.boxes(12.1)}
     middle = traffic.world_from_ego(12.0)[:2, 3]
     for actor in actors:
         faces = mesh.instance == actor.id
@@ -165,10 +167,37 @@ def test_people_walk_and_cars_drive_somewhere() -> None:
     labels, crossing = set(), 0
     for theme in THEMES:
         _, traffic = world(theme)
-        labels |= {a.label for t in (0.0, 40.0) for a in traffic.actors(t)[1]}
-        crossing += len(traffic._crossers)
+        labels |= {a.label for t in (0.0, 40.0) for a in traffic.boxes(t)}
+        crossing += len(traffic._flow.crossers)
     assert labels == {7, 10}
     assert crossing >= 4
+
+
+def test_the_ego_turns_both_ways_goes_straight_and_stops() -> None:
+    ways, speeds = [], []
+    for theme in THEMES:
+        _, traffic = world(theme)
+        poses = np.stack([traffic.world_from_ego(t) for t in np.arange(0, 180, 0.5)])
+        speeds.append(np.linalg.norm(np.diff(poses[:, :2, 3], axis=0), axis=1) / 0.5)
+        heading = np.unwrap(np.arctan2(poses[:, 1, 0], poses[:, 0, 0]))
+        ways.append(heading[16:] - heading[:-16])
+    turn, speed = np.concatenate(ways), np.concatenate(speeds)
+    assert turn.min() < -1.2
+    assert turn.max() > 1.2
+    assert 0.02 < (speed < 0.1).mean() < 0.4
+    assert 11 < speed.max() < 15
+    assert speed.mean() > 4
+
+
+def test_the_future_does_not_depend_on_what_was_asked() -> None:
+    """Remembered steps are never simulated twice, and reading them changes nothing."""
+    _, asked = world("downtown")
+    for time_s in (30.0, 3.0, 90.0):
+        asked.boxes(time_s)
+    fresh = Traffic(places.build("downtown", 3), 3)
+    for mine, theirs in zip(asked.boxes(60.0), fresh.boxes(60.0), strict=True):
+        assert mine.id == theirs.id
+        np.testing.assert_array_equal(mine.world_from_actor, theirs.world_from_actor)
 
 
 def test_ego_car_stands_below_the_rig() -> None:

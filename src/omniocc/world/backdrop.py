@@ -16,13 +16,14 @@ _TREES, _HOUSES, _WOODS = 50, 50, 60
 
 
 def fill(theme: Theme, site: Site, rng: np.random.Generator) -> None:
-    """Scatters trees, plain buildings and, further out, woods between 190 and 420 m from the middle."""
-    for pose in _scattered(rng, _TREES, 190.0, 300.0):
+    """Scatters trees, plain buildings and, further out, woods between the town and 420 m from its middle."""
+    edge = 1.5 * theme.spacing_m + 38.0
+    for pose in _scattered(rng, _TREES, edge, 300.0):
         if site.plan.claim(pose, (4.0, 4.0)):
             color = tree.LEAF_COLORS[int(rng.integers(len(tree.LEAF_COLORS)))]
             site.put(one(rng, "tree", pick(rng, theme.trees)), pose, paint={Material.LEAVES: color})
     block, woods = _far_things()
-    for pose in _scattered(rng, _HOUSES, 200.0, 330.0):
+    for pose in _scattered(rng, _HOUSES, edge + 10.0, 330.0):
         if site.plan.claim(pose, (17.0, 14.0)):
             color = theme.wall_colors[int(rng.integers(len(theme.wall_colors)))]
             high = theme.skyline_m / 8.0 * float(rng.uniform(0.6, 1.5))

@@ -11,7 +11,7 @@ from omniocc.world.shape import Skin, blob, box, panel
 from omniocc.world.tree import LEAVES
 
 _WALL = 5
-PIECE_M = 2.0
+PIECE_M = 4.0
 
 
 def brick_wall(rng: np.random.Generator) -> Mesh:
@@ -41,8 +41,7 @@ def picket_fence(rng: np.random.Generator) -> Mesh:
     color = ((226, 224, 216), (136, 104, 76), (104, 88, 74))[int(rng.integers(3))]
     wood = Skin(_WALL, Material.WOOD, color)
     boards = [
-        panel((0.2, 0.025, height), (float(x), 0.04, height / 2 + 0.06), wood, "fbt")
-        for x in np.arange(-0.85, 1.0, 0.34)
+        panel((0.2, 0.025, height), (float(x), 0.04, height / 2 + 0.06), wood, "fbt") for x in np.arange(-1.8, 2.0, 0.4)
     ]
     rails = [panel((PIECE_M + 0.04, 0.05, 0.08), (0, 0, z * height), wood, "fbtd") for z in (0.3, 0.8)]
     return concatenate([*boards, *rails, _post(0.1, height, wood)])
@@ -63,7 +62,7 @@ def mesh_fence(rng: np.random.Generator) -> Mesh:
     height = float(rng.uniform(1.6, 2.2))
     steel = Skin(_WALL, Material.METAL, ((70, 96, 80), (120, 124, 126), (52, 56, 60))[int(rng.integers(3))])
     bars = [
-        panel((0.04, 0.03, height - 0.1), (float(x), 0, height / 2), steel, "frbl") for x in np.arange(-0.6, 1.0, 0.4)
+        panel((0.04, 0.03, height - 0.1), (float(x), 0, height / 2), steel, "frbl") for x in np.arange(-1.5, 2.0, 0.5)
     ]
     rails = [panel((PIECE_M + 0.02, 0.04, 0.05), (0, 0, z), steel, "fbt") for z in (0.15, height)]
     return concatenate([*bars, *rails, _post(0.08, height, steel)])
@@ -103,7 +102,7 @@ def hedge(rng: np.random.Generator) -> Mesh:
     height, width = float(rng.uniform(1.0, 1.7)), float(rng.uniform(0.6, 0.8))
     return concatenate([
         panel((PIECE_M + 0.05, width, height + 0.3), (0, 0, height / 2 - 0.15), LEAVES, "frblt"),
-        blob(rng, (0.55 * PIECE_M, 0.42 * width, 0.16), (0, 0, height), LEAVES, 0.3, sides=6, rows=3),
+        blob(rng, (0.55 * PIECE_M, 0.42 * width, 0.16), (0, 0, height), LEAVES, 0.3, sides=8, rows=3),
     ])  # fmt: skip
 
 

@@ -19,6 +19,11 @@ _PAINT = Skin(11, Material.PAINT, (226, 224, 214))
 _QUAD = np.array([[0, 1, 2], [0, 2, 3]])
 
 
+def stop_m(zebra: bool) -> float:
+    """Where the fronts of waiting cars stop, from the end of the corner."""
+    return (_STOP_M[0] if zebra else 1.0) + 0.6
+
+
 def build(theme: Theme, terrain: Terrain, network: Network, crossings: frozenset[tuple[int, bool]]) -> Mesh:
     """All lines; `crossings` are (street, at its end) of the junction arms with a zebra crossing."""
     return concatenate(
@@ -30,7 +35,7 @@ def _half_street(
     theme: Theme, terrain: Terrain, network: Network, ring: Ring, side: Side, crossings: frozenset[tuple[int, bool]]
 ) -> Mesh:
     edge = network.edges[side.edge]
-    first, last, width = side.along_m[0], side.along_m[-1], edge.half_width_m
+    first, last, width = side.along_m[0], side.along_m[-1], edge.half_width_m - 0.5 * theme.median_m
     at_start, at_end = ((side.edge, side.forward != end) in crossings for end in (True, False))
     begin = first + (_STOP_M[1] if at_start else 1.6)
     end = last - (CROSSING_M[1] + 0.5 if at_end else 0.5)
@@ -38,10 +43,11 @@ def _half_street(
     solid = np.stack([solid[:-1], solid[1:]], 1)
     dashes = _dashes(first + _STOP_M[1], last - _STOP_M[1])
     stop = first + (_STOP_M[0] if at_start else 1.0)
-    patches = [_rectangles(dashes, theme.parking_m)]
-    patches += [_rectangles(dashes, theme.parking_m + k * theme.lane_width_m) for k in range(1, edge.lanes)]
-    patches.append(_rectangles(solid, width - 0.22) if edge.lanes > 1 else _rectangles(dashes, width, one_sided=True))
-    patches.append(_strip(stop, stop + 0.4, theme.parking_m, width - 0.12))
+    patches = [_strip(stop, stop + 0.4, theme.parking_m, width - 0.12)]
+    if theme.lane_lines:
+        patches += [_rectangles(dashes, theme.parking_m + k * theme.lane_width_m) for k in range(edge.lanes)]
+        divided = edge.lanes > 1 or theme.median_m > 0
+        patches.append(_rectangles(solid, width - 0.22) if divided else _rectangles(dashes, width, one_sided=True))
     for zebra, low, high in (
         (at_start, first + CROSSING_M[0], first + CROSSING_M[1]),
         (at_end, last - CROSSING_M[1], last - CROSSING_M[0]),
@@ -50,7 +56,7 @@ def _half_street(
             patches += [_strip(low, high, d, d + 0.5) for d in np.arange(0.45, width - 0.3, 1.0)]
     if edge.lanes > 1:
         patches += [_arrow(stop + 2.5, theme.parking_m + (k + 0.5) * theme.lane_width_m) for k in range(edge.lanes)]
-    return _paint(terrain, side, width, np.concatenate(patches))
+    return _paint(terrain, side, edge.half_width_m, np.concatenate(patches))
 
 
 def _dashes(first: float, last: float) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Closed paths, and timetables along them that are functions of time: any moment can be asked for in any order."""
+"""Closed paths."""
 
 from dataclasses import dataclass
 
@@ -6,9 +6,6 @@ import numpy as np
 
 _STEP_M = 0.5
 _ROUNDING = np.hanning(15)[1:-1] / np.hanning(15).sum()  # over 7 m
-_LATERAL_MPS2 = 2.6
-_ACCELERATE_MPS2, _BRAKE_MPS2 = 1.8, 2.2
-_HURRY = 1.12  # how much faster than planned a path may be driven
 
 
 @dataclass(frozen=True)
@@ -44,73 +41,3 @@ def close(points_m: np.ndarray) -> Path:
 
 def _lengths(points_m: np.ndarray) -> np.ndarray:
     return np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points_m, axis=0), axis=1))])
-
-
-@dataclass(frozen=True)
-class Timetable:
-    """Arc length as a function of time on a closed path, with constant acceleration in each of m pieces.
-
-    Attributes:
-        time_s: (m + 1,) from 0 to the period.
-        along_m: (m + 1,) from 0 to the path's length.
-        speed_mps: (m + 1,) at these times.
-    """
-
-    time_s: np.ndarray
-    along_m: np.ndarray
-    speed_mps: np.ndarray
-
-    @property
-    def period_s(self) -> float:
-        """Time for once around."""
-        return float(self.time_s[-1])
-
-    def at(self, time_s: np.ndarray | float) -> np.ndarray:
-        """Arc length, counted on over the rounds, at any times."""
-        rounds = np.floor(np.asarray(time_s) / self.period_s)
-        time = time_s - rounds * self.period_s
-        k = np.clip(np.searchsorted(self.time_s, time, side="right") - 1, 0, len(self.time_s) - 2)
-        since, whole = time - self.time_s[k], self.time_s[k + 1] - self.time_s[k]
-        gain = (self.speed_mps[k + 1] - self.speed_mps[k]) / whole
-        return rounds * self.along_m[-1] + self.along_m[k] + since * (self.speed_mps[k] + 0.5 * gain * since)
-
-    def least_gap_m(self, delay_s: np.ndarray) -> np.ndarray:
-        """(D,) shortest distance ever between two that go the same round `delay_s` (D,) apart."""
-        time = np.arange(0, self.period_s, 0.25)
-        return (self.at(time[None] + delay_s[:, None]) - self.at(time)[None]).min(1)
-
-
-def timetable(path: Path, free_mps: np.ndarray, stops_m: np.ndarray, dwell_s: float, multiple_s: float) -> Timetable:
-    """Drives a path: free speed, slower in curves, full stops.
-
-    Args:
-        path: what is driven.
-        free_mps: (m + 1,) speed wanted at evenly spaced arc lengths.
-        stops_m: (S,) arc lengths where to stop.
-        dwell_s: how long to stop there.
-        multiple_s: the period becomes a multiple of this, by slowing everything down (or speeding it up a little).
-    """
-    count = len(free_mps) - 1
-    step = path.length_m / count
-    stop = np.unique(np.round(np.mod(stops_m, path.length_m) / step).astype(int) % count)
-    speed = np.minimum(free_mps[:-1], _curve_speed(path, step * np.arange(count)))
-    speed[stop] = 0
-    for k in range(-2 * count, 0):
-        speed[k % count] = min(speed[k % count], np.sqrt(speed[(k - 1) % count] ** 2 + 2 * _ACCELERATE_MPS2 * step))
-    for k in range(2 * count, 0, -1):
-        speed[k % count] = min(speed[k % count], np.sqrt(speed[(k + 1) % count] ** 2 + 2 * _BRAKE_MPS2 * step))
-    point = np.sort(np.concatenate([np.arange(count + 1), stop]))  # stops twice: the car stands between the two
-    at_point = speed[point % count]
-    standing = np.diff(point) == 0
-    duration = np.where(standing, dwell_s, 2 * step / np.where(standing, 1.0, at_point[:-1] + at_point[1:]))
-    time = np.concatenate([[0], np.cumsum(duration)])
-    stretch = max(np.ceil(time[-1] / multiple_s / _HURRY), 1) * multiple_s / time[-1]
-    return Timetable(time * stretch, point * step, at_point / stretch)
-
-
-def _curve_speed(path: Path, along_m: np.ndarray) -> np.ndarray:
-    """(n,) speed at which a curve pulls sideways with 2.6 m/s2, judged over chords of 4 m."""
-    here, before, after = (path.at(along_m + shift)[:, :2] for shift in (0, -4, 4))
-    ahead, behind = after - here, here - before
-    turn = np.arctan2(behind[:, 0] * ahead[:, 1] - behind[:, 1] * ahead[:, 0], (behind * ahead).sum(1))
-    return np.sqrt(_LATERAL_MPS2 / np.maximum(np.abs(turn) / 4, 1e-3))

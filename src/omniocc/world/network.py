@@ -11,20 +11,23 @@ import numpy as np
 
 from omniocc.world.theme import Theme
 
-_STRAIGHT_M = 24.0  # streets are straight this far from a junction, so that corners are plain arcs
 _STEP_M = 3.0
 _SAME_DIRECTION_RAD = 0.3  # a smaller turn is the same street going on
 
 
 @dataclass(frozen=True)
 class Edge:
-    """A street between two junctions; `half_width_m` from centre line to kerb, `bulge_m` to its left."""
+    """A street between two junctions.
+
+    `half_width_m` from centre line to kerb, bowed by `bulge_m` to its left but for `straight_m` at both ends.
+    """
 
     start: int
     end: int
     lanes: int
     half_width_m: float
     bulge_m: float
+    straight_m: float
 
 
 @dataclass(frozen=True)
@@ -90,16 +93,17 @@ def draw(theme: Theme, rng: np.random.Generator, cells: int = 3) -> Network:
     junctions = position.reshape(-1, 2) @ linear.T
     lanes = rng.choice(theme.lanes, (2, count))
     edges = []
-    for i, j, axis in _kept_edges(rng, count):
+    for i, j, axis in _kept_edges(rng, count, 0 if theme.island_m else count // 2):
         start, end = i * count + j, (i + (axis == 0)) * count + j + (axis == 1)
         number = int(lanes[axis, j if axis == 0 else i])
         bulge = rng.uniform(-theme.bulge_m, theme.bulge_m)
-        edges.append(Edge(start, end, number, number * theme.lane_width_m + theme.parking_m, bulge))
+        half = number * theme.lane_width_m + theme.parking_m + 0.5 * theme.median_m
+        edges.append(Edge(start, end, number, half, bulge, theme.straight_m))
     return Network(junctions, tuple(edges), _rings(junctions, tuple(edges), theme.corner_radius_m))
 
 
-def _kept_edges(rng: np.random.Generator, count: int) -> list[tuple[int, int, int]]:
-    """Grid edges (i, j, axis) but for a few inner ones, never two around the same cell."""
+def _kept_edges(rng: np.random.Generator, count: int, most: int) -> list[tuple[int, int, int]]:
+    """Grid edges (i, j, axis) but for at most so many inner ones, never two around the same cell."""
     edges = [(i, j, axis) for axis in (0, 1) for i in range(count - (axis == 0)) for j in range(count - (axis == 1))]
     merged: set[tuple[int, int]] = set()
     removed = set()
@@ -107,10 +111,16 @@ def _kept_edges(rng: np.random.Generator, count: int) -> list[tuple[int, int, in
         i, j, axis = edges[index]
         across = j if axis == 0 else i
         pair = {(i, j), (i, j - 1)} if axis == 0 else {(i, j), (i - 1, j)}
-        if 0 < across < count - 1 and not pair & merged and len(removed) < count // 2:
+        if 0 < across < count - 1 and not pair & merged and len(removed) < most:
             merged |= pair
             removed.add((i, j, axis))
     return [edge for edge in edges if edge not in removed]
+
+
+def degrees(network: Network) -> np.ndarray:
+    """(N,) how many streets meet at each junction."""
+    ends = [node for edge in network.edges for node in (edge.start, edge.end)]
+    return np.bincount(ends, minlength=len(network.junctions_m))
 
 
 def center_line(junctions_m: np.ndarray, edge: Edge, along_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -119,9 +129,10 @@ def center_line(junctions_m: np.ndarray, edge: Edge, along_m: np.ndarray) -> tup
     length = np.linalg.norm(end - start)
     chord = (end - start) / length
     left = np.array([-chord[1], chord[0]])
-    share = np.clip((along_m - _STRAIGHT_M) / (length - 2 * _STRAIGHT_M), 0, 1)
+    bowed = length - 2 * edge.straight_m
+    share = np.clip((along_m - edge.straight_m) / bowed, 0, 1)
     lateral = edge.bulge_m * np.sin(np.pi * share) ** 2
-    slope = edge.bulge_m * np.pi / (length - 2 * _STRAIGHT_M) * np.sin(2 * np.pi * share)
+    slope = edge.bulge_m * np.pi / bowed * np.sin(2 * np.pi * share)
     normal = left - slope[:, None] * chord
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     return start + along_m[:, None] * chord + lateral[:, None] * left, normal

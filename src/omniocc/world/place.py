@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from omniocc.world import backdrop, marking, network, road, seeding, street, terrain, themes
+from omniocc.world import backdrop, marking, network, road, seeding, street, terrain, themes, viaduct
 from omniocc.world.mesh import Mesh, concatenate
 from omniocc.world.network import Network
 from omniocc.world.site import Plan, Site
@@ -59,11 +59,15 @@ def build(theme: str, seed: int) -> Place:
     crossings = frozenset(arm for arm, x in zip(arms, rng.uniform(size=len(arms)), strict=True) if x < _CROSSING_SHARE)
     site = Site(land, Plan(_PLAN_RADIUS_M))
     street.reserve(recipe, town, site.plan)
+    rng = seeding.generator(theme, seed, "middle")
+    extras = [viaduct.islands(recipe, town, site, rng), viaduct.medians(recipe, town, land, site, rng)]
+    if recipe.viaduct:
+        extras.append(viaduct.railway(town, site))
     for index, (ring, has_sidewalk) in enumerate(zip(town.rings, paved, strict=True)):
         street.furnish(
             recipe, town, ring, has_sidewalk, crossings, site, seeding.generator(theme, seed, f"block {index}")
         )
     backdrop.fill(recipe, site, seeding.generator(theme, seed, "backdrop"))
     surfaces = road.build(recipe, land, town, paved, seeding.generator(theme, seed, "surfaces"))
-    mesh = concatenate([surfaces, marking.build(recipe, land, town, crossings), site.mesh()])
+    mesh = concatenate([surfaces, marking.build(recipe, land, town, crossings), *extras, site.mesh()])
     return Place(recipe, seed, mesh, land, town, paved, crossings)

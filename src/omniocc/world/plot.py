@@ -8,9 +8,9 @@ import numpy as np
 from omniocc.world import tree, vehicle
 from omniocc.world.barrier import PIECE_M
 from omniocc.world.material import Material
-from omniocc.world.mesh import Mesh
+from omniocc.world.mesh import Mesh, concatenate
 from omniocc.world.road import KERB_M
-from omniocc.world.shape import Color, Number, Skin, box
+from omniocc.world.shape import Color, Number, Skin, box, lathe, panel
 from omniocc.world.site import Pose2, Site
 from omniocc.world.stock import fitting, one, pick
 from omniocc.world.theme import Theme
@@ -41,12 +41,25 @@ class Plot:
     def line(self, kind: str, start: tuple[Number, Number], end: tuple[Number, Number]) -> None:
         """Sets equal pieces of a fence, wall or hedge (`barrier.KINDS`) end to end."""
         run = np.subtract(end, start)
-        count, yaw = int(np.hypot(*run) / PIECE_M), float(np.arctan2(run[1], run[0]))
+        length, yaw = float(np.hypot(*run)), float(np.arctan2(run[1], run[0]))
+        count = max(1, round(length / PIECE_M))
         piece = one(self.rng, "barrier", kind)
-        color = tree.LEAF_COLORS[int(self.rng.integers(3))]
+        paint = {Material.LEAVES: tree.LEAF_COLORS[int(self.rng.integers(3))]}
+        stretch = (length / count / PIECE_M, 1.0, 1.0)
         for k in range(count):
-            x, y = np.asarray(start) + run * (k + 0.5) / max(count, 1)
-            self.site.put(piece, self.front.at(float(x), float(y), yaw), paint={Material.LEAVES: color})
+            x, y = np.asarray(start) + run * (k + 0.5) / count
+            pose = self.front.at(float(x), float(y), yaw)
+            self.site.put(piece, pose, stretch=stretch, paint=paint, follow=True)
+
+    def pave(self, start: tuple[Number, Number], end: tuple[Number, Number]) -> None:
+        """Lays a path of 3 m width."""
+        run = np.subtract(end, start)
+        length, yaw = float(np.hypot(*run)), float(np.arctan2(run[1], run[0]))
+        count = max(1, round(length / PIECE_M))
+        for k in range(count):
+            x, y = np.asarray(start) + run * (k + 0.5) / count
+            stretch = (length / count / PIECE_M, 1.0, 1.0)
+            self.site.put(_PATH, self.front.at(float(x), float(y), yaw), stretch=stretch, follow=True)
 
     def stand(self, mesh: Mesh, x_m: Number, y_m: Number, yaw_rad: Number = 0.0) -> None:
         """Stands a thing on the plot."""
@@ -79,11 +92,14 @@ def _tower(plot: Plot) -> None:
 
 def _row(plot: Plot) -> None:
     back = float(plot.rng.uniform(plot.theme.setback_m[0], 0.6 * plot.theme.setback_m[1]))
-    count = max(1, round(plot.width_m / 8))
-    wide = (plot.width_m - 0.6) / count
+    passage = 2.2 if back < 1.5 and plot.rng.uniform() < 0.4 else 0.0
+    count = max(1, round((plot.width_m - passage) / 8))
+    wide = (plot.width_m - passage - 0.6) / count
+    if passage:
+        plot.line("brick", (0.5 * plot.width_m - passage, back + 0.6), (0.5 * plot.width_m, back + 0.6))
     deep = min(plot.depth_m - back - 0.5, float(plot.rng.uniform(9, 12)))
     for k in range(count):
-        plot.building("row", wide, deep, (k + 0.5 - count / 2) * wide, back)
+        plot.building("row", wide, deep, (k + 0.5 - count / 2) * wide - 0.5 * passage, back)
     if back > 2.5:
         kind = ("brick", "picket", "mesh")[int(plot.rng.integers(3))]
         for a, b in ((-0.5, -0.12), (0.12, 0.5)):
@@ -101,7 +117,7 @@ def _boundary(plot: Plot, gate: tuple[Number, Number]) -> None:
     plot.line(side, (half - 0.1, 3.0), (half - 0.1, plot.depth_m - 0.5))
 
 
-_DRIVEWAY = box((2.9, PIECE_M, 0.4), (0, 0, -0.17), Skin(3, Material.PAVING, (150, 142, 132)))
+_DRIVEWAY = panel((2.06, 2.9, 0.4), (0, 0, -0.17), Skin(3, Material.PAVING, (150, 142, 132)), "frblt")
 
 
 def _house(plot: Plot) -> None:
@@ -116,15 +132,15 @@ def _house(plot: Plot) -> None:
     plot.building("house", wide, deep, -side * (half - wide / 2 - 0.9), back)
     if half * 2 - wide > 5.2 and rng.uniform() < 0.6 and plot.depth_m > back + 7.5:
         plot.building("garage", 3.2, 5.5, drive, back + 1.5)
-    for k in range(int(back // PIECE_M)):
-        plot.site.put(_DRIVEWAY, plot.front.at(drive, PIECE_M * (k + 0.5)))
+    for k in range(int(back // 2)):
+        plot.site.put(_DRIVEWAY, plot.front.at(drive, 2.0 * k + 1.0, np.pi / 2), follow=True)
     _boundary(plot, (drive - 1.8, drive + 1.8))
     if rng.uniform() < 0.5 and back > 5.6:
         plot.car(drive, back - 2.6, (-1 if rng.uniform() < 0.5 else 1) * np.pi / 2)
     for _ in range(int(rng.integers(1, 3))):
         plot.tree(
             -side * float(rng.uniform(-0.2, 0.9)) * (half - 1),
-            float(rng.uniform(1.8, back - 1.9)),
+            float(rng.uniform(1.8, max(back - 1.9, 2.0))),
             {**plot.theme.trees, "bush": 5},
         )
     if plot.depth_m > back + deep + 4:
@@ -170,8 +186,8 @@ def _yard(plot: Plot) -> None:
 
 def _park(plot: Plot) -> None:
     rng, half = plot.rng, plot.width_m / 2
-    for x in np.arange(-half + 2, half - 1.5, 5.5):
-        for y in np.arange(2.5, plot.depth_m - 1.5, 5.5):
+    for x in np.arange(-half + 2, half - 1.5, 6.5):
+        for y in np.arange(2.5, plot.depth_m - 1.5, 6.5):
             if rng.uniform() < 0.75:
                 plot.tree(float(x + rng.uniform(-1, 1)), float(y + rng.uniform(-1, 1)), {**plot.theme.trees, "bush": 2})
     plot.line("hedge" if rng.uniform() < 0.5 else "mesh", (-half, 0.4), (0.3 * half, 0.4))
@@ -183,7 +199,7 @@ def _lot(plot: Plot) -> None:
     rng, half = plot.rng, plot.width_m / 2
     for y in np.arange(4.2, plot.depth_m - 3, 7.5)[: int(rng.integers(1, 3))]:
         for x in np.arange(-half + 1.6, half - 1.2, 2.7):
-            if rng.uniform() < 0.5:
+            if rng.uniform() < 0.3:
                 plot.car(float(x), float(y), (-1 if rng.uniform() < 0.5 else 1) * np.pi / 2)
     kind = "guard" if rng.uniform() < 0.4 else "mesh"
     plot.line(kind, (-half, 0.4), (half - 5, 0.4))
@@ -219,7 +235,71 @@ def _farm(plot: Plot) -> None:
         plot.stand(one(rng, "prop", "crates"), 0.6 * x * plot.width_m, back - 1.5)
 
 
+def _college(plot: Plot) -> None:
+    rng, half = plot.rng, plot.width_m / 2
+    back = float(rng.uniform(*plot.theme.setback_m))
+    plot.building("college", plot.width_m - 3, min(plot.depth_m - back - 1, float(rng.uniform(12, 16))), 0, back)
+    plot.pave((0, 0), (0, back - 3.5))
+    for x in np.arange(-half + 2, half - 1, 6.0):
+        if abs(x) > 5:
+            plot.tree(float(x), float(rng.uniform(1.5, max(back - 3, 2.0))))
+    plot.line("hedge", (-half, 0.4), (-5, 0.4))
+    plot.line("hedge", (5, 0.4), (half, 0.4))
+
+
+def _green(plot: Plot) -> None:
+    """A lawn with a path across, benches and lamps beside it, and old trees."""
+    rng, half = plot.rng, plot.width_m / 2
+    start, end = np.array([-0.7 * half, 0.0]), np.array([0.7 * half, plot.depth_m - 1])
+    run = (end - start) / np.hypot(*(end - start))
+    yaw, length = float(np.arctan2(run[1], run[0])), float(np.hypot(*(end - start)))
+    plot.pave((float(start[0]), float(start[1])), (float(end[0]), float(end[1])))
+    for number, s in enumerate(np.arange(4.0, length - 2, 7.0)):
+        x, y = start + s * run + np.array([-run[1], run[0]]) * 2.2
+        mesh = one(rng, "prop", "bench") if number % 2 else one(rng, "pole", "park")
+        plot.stand(mesh, float(x), float(y), yaw + np.pi)
+    for _ in range(int(plot.width_m * plot.depth_m / 110)):
+        x, y = float(rng.uniform(-half + 1.5, half - 1.5)), float(rng.uniform(1.5, plot.depth_m - 1))
+        if abs(run[0] * (y - start[1]) - run[1] * (x - start[0])) > 3.5:
+            plot.tree(x, y)
+
+
+def _churchyard(plot: Plot) -> None:
+    rng, half = plot.rng, plot.width_m / 2
+    wide = min(plot.width_m - 1.5, 16.0)
+    plot.building("church", wide, min(plot.depth_m - 4.5, 19.0), 0, 3.5)
+    plot.line("brick", (-half, 0.4), (-2, 0.4))
+    plot.line("brick", (2, 0.4), (half, 0.4))
+    for x in (-half + 1.2, half - 1.2):
+        plot.tree(x, float(rng.uniform(1.6, 3)), {"young": 2, "bush": 1})
+
+
+def _square(plot: Plot) -> None:
+    """Paved, with stalls and a fountain."""
+    rng, half = plot.rng, plot.width_m / 2
+    across, down = int(plot.width_m // 3), int((plot.depth_m - 0.2) // 3)
+    for x in (np.arange(across) + 0.5 - across / 2) * 3:
+        for y in (np.arange(down) + 0.5) * 3:
+            plot.site.put(_TILE, plot.front.at(float(x), float(y)))
+    plot.stand(_FOUNTAIN, 0.0, 0.5 * plot.depth_m)
+    for x in np.arange(-half + 2.5, half - 2, 5.0):
+        for y in (3.0, plot.depth_m - 3.0):
+            if rng.uniform() < 0.6:
+                kind = pick(rng, {"kiosk": 3, "bench": 2, "planter": 2})
+                plot.stand(one(rng, "prop", kind), float(x), float(y), np.pi if y < 4 else 0.0)
+    plot.line("brick", (-half, plot.depth_m - 0.4), (half, plot.depth_m - 0.4))
+
+
+_PATH = panel((PIECE_M + 0.1, 3.0, 0.4), (0, 0, -0.17), Skin(2, Material.PAVING, (172, 160, 140)), "frblt")
+_TILE = panel((3.06, 3.06, 0.6), (0, 0, -0.26), Skin(2, Material.PAVING, (160, 150, 136)), "frblt")
+_STONE = Skin(8, Material.CONCRETE, (168, 164, 154))
+_FOUNTAIN = concatenate([
+    lathe([2.2, 2.3, 2.0, 1.9], [-0.3, 0.6, 0.6, 0.35], 14, _STONE),
+    lathe([1.95, 0.0], [0.4, 0.41], 14, Skin(8, Material.GLASS, (70, 100, 110))),
+    lathe([0.3, 0.2, 0.8, 0.0], [0.2, 1.5, 1.8, 1.7], 10, _STONE),
+])  # fmt: skip
+
 KINDS: dict[str, Callable[[Plot], None]] = {
     "tower": _tower, "row": _row, "house": _house, "hall": _hall, "yard": _yard, "park": _park, "lot": _lot,
-    "field": _field, "farm": _farm,
+    "field": _field, "farm": _farm, "college": _college, "green": _green, "church": _churchyard, "square": _square,
 }  # fmt: skip

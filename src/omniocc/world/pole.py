@@ -19,15 +19,15 @@ def street_lamp(rng: np.random.Generator) -> Mesh:
     height, reach = float(rng.uniform(6.5, 9)), float(rng.uniform(1.2, 2.2))
     head = box((0.26, 0.7, 0.12), (0, reach + 0.2, height + 0.25), _DARK)
     light = box((0.2, 0.5, 0.03), (0, reach + 0.2, height + 0.175), Skin(_POLE, Material.LAMP, (255, 236, 190)))
-    post = lathe([0.16, 0.16, 0.1, 0.06, 0], [-0.3, 0.6, 0.65, height, height], 8, _STEEL)
+    post = lathe([0.16, 0.16, 0.1, 0.06, 0], [-0.3, 0.6, 0.65, height, height], 6, _STEEL)
     return concatenate([post, beam((0, 0, height - 0.05), (0, reach, height + 0.25), 0.05, _STEEL), head, light])
 
 
 def park_lamp(rng: np.random.Generator) -> Mesh:
     """A low post with a globe."""
     height = float(rng.uniform(3.2, 4.2))
-    post = lathe([0.12, 0.12, 0.06, 0.05], [-0.3, 0.4, 0.45, height], 7, _DARK)
-    globe = lathe([0.05, 0.22, 0.26, 0.2, 0], [height, height + 0.08, height + 0.25, height + 0.42, height + 0.48], 8,
+    post = lathe([0.12, 0.12, 0.06, 0.05], [-0.3, 0.4, 0.45, height], 5, _DARK)
+    globe = lathe([0.05, 0.22, 0.26, 0.2, 0], [height, height + 0.08, height + 0.25, height + 0.42, height + 0.48], 6,
                   Skin(_POLE, Material.LAMP, (250, 240, 214)))  # fmt: skip
     return concatenate([post, globe])
 
@@ -58,7 +58,7 @@ def traffic_light(rng: np.random.Generator) -> Mesh:
     """A post with one light on it and one on an arm along -y, facing +x."""
     height, reach = float(rng.uniform(5.2, 6.0)), float(rng.uniform(2.5, 4.0))
     lit = int(rng.integers(3))
-    parts = [lathe([0.14, 0.1, 0.07, 0], [-0.3, 0.5, height, height], 8, _DARK),
+    parts = [lathe([0.14, 0.1, 0.07, 0], [-0.3, 0.5, height, height], 6, _DARK),
              beam((0, 0, height - 0.1), (0, -reach, height), 0.05, _DARK)]  # fmt: skip
     for y, z in ((0.0, 2.9), (-reach, height - 0.15)):
         parts.append(box((0.24, 0.3, 0.9), (0.18 * (y == 0), y, z), _DARK))

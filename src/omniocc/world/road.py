@@ -40,8 +40,9 @@ def sidewalk_path(ring: Ring, terrain: Terrain, from_kerb_m: float) -> np.ndarra
 
 def build(theme: Theme, terrain: Terrain, network: Network, paved: tuple[bool, ...], rng: np.random.Generator) -> Mesh:
     """All surfaces; `paved` says which blocks have a sidewalk rather than a verge."""
-    shade = int(rng.integers(62, 104))
-    asphalt = Skin(_ROAD, Material.ASPHALT, (shade, shade, shade + 3))
+    material, dark, light = theme.road
+    shade = int(rng.integers(dark, light))
+    asphalt = Skin(_ROAD, material, (shade, shade, shade + 3))
     meshes = []
     for ring, has_sidewalk in zip(network.rings, paved, strict=True):
         kerb, inner = kerb_points(ring, terrain), inner_points(ring, terrain)

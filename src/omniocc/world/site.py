@@ -73,21 +73,31 @@ class Site:
 
     def put(
         self, mesh: Mesh, pose: Pose2, *, stretch: Triple = (1.0, 1.0, 1.0), lift_m: Number = KERB_M,
-        paint: dict[Material, Color] | None = None,
+        paint: dict[Material, Color] | None = None, follow: bool = False,
     ) -> None:  # fmt: skip
-        """Stands a copy of `mesh` on the land, some materials repainted. Claims nothing on the plan."""
+        """Stands a copy of `mesh` on the land, some materials repainted. Claims nothing on the plan.
+
+        With `follow` its x runs up and down with the land, as fences do.
+        """
         paint = paint or {}
         _, poses, colors = self._copies.setdefault((id(mesh), tuple(paint)), (mesh, [], []))
-        poses.append((pose.x_m, pose.y_m, lift_m, pose.yaw_rad, *stretch))
+        poses.append((pose.x_m, pose.y_m, lift_m, pose.yaw_rad, follow, *stretch))
         colors.append(tuple(paint.values()))
 
     def mesh(self) -> Mesh:
         """Everything put so far."""
         parts = []
         for (_, materials), (prototype, rows, colors) in self._copies.items():
-            x, y, lift, yaw, *stretch = np.array(rows).T
+            x, y, lift, yaw, follow, *stretch = np.array(rows, float).T
             position = np.stack([x, y, self.terrain.height(x, y) + lift], 1)
             poses = upright(position, yaw, np.stack(stretch, 1))
+            poses[:, 2, 0] = follow * stretch[0] * self._slope(x, y, yaw)
             tints = np.array(colors, np.uint8)
             parts.append(instances(prototype, poses, {m: tints[:, k] for k, m in enumerate(materials)}))
         return concatenate(parts)
+
+    def _slope(self, x: np.ndarray, y: np.ndarray, yaw: np.ndarray) -> np.ndarray:
+        """Rise over run along the headings."""
+        ahead = np.stack([np.cos(yaw), np.sin(yaw)])
+        front, back = (self.terrain.height(x + d * ahead[0], y + d * ahead[1]) for d in (1.5, -1.5))
+        return (front - back) / 3

@@ -34,7 +34,7 @@ def reserve(theme: Theme, network: Network, plan: Plan) -> None:
         )
         for share in np.linspace(0, 1, 28):
             plan.block(kerb + share * (inner - kerb))
-        for offset in np.arange(0, theme.sidewalk_m + 0.15, 0.25):
+        for offset in np.arange(0, theme.sidewalk_m + 0.01, 0.25):
             plan.block(kerb + offset * normal)
 
 
@@ -74,7 +74,7 @@ def furnish(
         elif rng.uniform() < theme.guard_rail_share:
             rail = one(rng, "barrier", "guard")
             for s in np.arange(first + 6, last - 6, PIECE_M):
-                site.put(rail, line.at(float(s), 0.6))
+                site.put(rail, line.at(float(s), 0.6), follow=True)
         else:
             _verge(theme, line, first, last, site, rng)
         zebra = (side.edge, not side.forward) in crossings
@@ -82,6 +82,9 @@ def furnish(
         _parked(theme, line, first + CROSSING_M[1] + 8, last - CROSSING_M[1] - 3, site, rng)
     for side in ring.sides:
         _plots(theme, side, site, rng)
+    if theme.infill:
+        for side in ring.sides:
+            _infill(theme, side, site, rng)
 
 
 def _walk(rng: np.random.Generator, first: Number, last: Number, gap_m: Number) -> Iterator[float]:
@@ -160,20 +163,35 @@ def _parked(theme: Theme, line: _Line, first: Number, last: Number, site: Site, 
         site.put(mesh, pose, lift_m=0.03, paint={Material.CAR_PAINT: color})
 
 
+_TRIALS = ((1.0, 1.0, 0.55), (1.0, 0.8, 1.2), (0.75, 0.8, 0.55), (0.55, 0.8, 0.55), (0.55, 0.6, 1.2))
+"""Shares of depth and width, and metres behind the sidewalk, that a plot is tried with."""
+
+
 def _plots(theme: Theme, side: Side, site: Site, rng: np.random.Generator) -> None:
     line, s = _Line(side), float(side.along_m[0]) - 8.0
     while s < side.along_m[-1] + 8:
         wide, deep = float(rng.uniform(*theme.plot_width_m)), float(rng.uniform(20, 30))
         kind = pick(rng, theme.plots)
-        for shrink in (1.0, 0.75, 0.55):
-            width, depth = wide * (1 if shrink == 1 else 0.8), deep * shrink
-            front = _front(line, side, s + width / 2, theme.sidewalk_m + 0.35)
+        for shrink, narrow, back in _TRIALS:
+            width, depth = wide * narrow, deep * shrink
+            front = _front(line, side, s + width / 2, theme.sidewalk_m + back)
             if depth > theme.setback_m[1] + 6 and site.plan.claim(front.at(0, depth / 2), (width - 0.4, depth - 0.2)):
                 plot.KINDS[kind](plot.Plot(site, theme, rng, front, width - 0.4, depth - 0.2))
                 s += width + 0.3
                 break
         else:
-            s += 3.0
+            s += 2.5
+
+
+def _infill(theme: Theme, side: Side, site: Site, rng: np.random.Generator) -> None:
+    """Narrow houses in the gaps between plots."""
+    line = _Line(side)
+    for s in np.arange(float(side.along_m[0]) - 6, float(side.along_m[-1]) + 6, 2.2):
+        for width, depth in ((6.5, 9.0), (4.6, 8.0)):
+            front = _front(line, side, float(s), theme.sidewalk_m + 0.55)
+            if site.plan.claim(front.at(0, depth / 2), (width, depth)):
+                plot.KINDS["row"](plot.Plot(site, theme, rng, front, width + 0.3, depth))
+                break
 
 
 def _front(line: _Line, side: Side, along_m: Number, into_block_m: Number) -> Pose2:

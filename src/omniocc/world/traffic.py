@@ -4,7 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from omniocc.world import driving, person, seeding, walking
+from omniocc.world import driving, person, route, seeding, walking
+from omniocc.world.flow import Flow
 from omniocc.world.material import Material
 from omniocc.world.mesh import Mesh, concatenate, transform, with_instance
 from omniocc.world.place import Place
@@ -13,7 +14,7 @@ from omniocc.world.vehicle import EGO_ROAD_M, PAINTS
 
 _VEHICLE, _PEDESTRIAN = 7, 10
 _RANGE_M = 80.0
-_STEP_S = 0.05  # for velocities
+_WARM_UP_S = 10.0
 
 
 @dataclass(frozen=True)
@@ -36,35 +37,31 @@ class Actor:
 
 
 class Traffic:
-    """The traffic of a place; every method is a function of time alone."""
+    """The traffic of a place; every method is a function of time alone (from 0 on)."""
 
     def __init__(self, place: Place, seed: int) -> None:
         rng = seeding.generator(place.theme.name, seed, "traffic")
         self._place = place
-        self._fleet = driving.draw_fleet(rng)
-        self._lanes = driving.draw_lanes(place, self._fleet, rng)
+        roads = route.draw(place.theme, place.network, place.terrain, place.crossings, rng)
+        self._fleet, cars = driving.draw_fleet(place, roads, rng)
         self._rounds = walking.draw_rounds(place, rng)
-        self._crossers = walking.draw_crossers(place, self._lanes, self._fleet, rng)
-        self._people = people()
-        self._ego_lane = int(rng.integers(len(self._lanes)))
-        self._ego_car = int(rng.integers(len(self._lanes[self._ego_lane].delay_s)))
         self._shake = rng.uniform(size=(3, 3, 2))
-        self._cars = [_painted(mesh, PAINTS[k % len(PAINTS)]) for k, mesh in enumerate(self._fleet.meshes)]
-        first = np.cumsum([0] + [len(lane.delay_s) for lane in self._lanes])
-        self._first_car, self._first_walker = first[:-1], int(first[-1])
+        self._warm_up_s = float(rng.uniform(0, _WARM_UP_S))
+        paint = rng.integers(len(PAINTS), size=len(cars))
+        self._cars = [_painted(mesh, PAINTS[k]) for mesh, k in zip(self._fleet.meshes, paint, strict=True)]
+        self._flow = Flow(roads, cars, walking.draw_crossers(place, rng), rng)
 
     def ego_along_m(self, time_s: float) -> float:
-        """How far the ego has come on its path."""
-        lane = self._lanes[self._ego_lane]
-        return float(lane.timetable.at(time_s + float(lane.delay_s[self._ego_car])))
+        """How far the ego has come on its way."""
+        return float(self._flow.motion(time_s + self._warm_up_s)[0][0])
 
     def world_from_ego(self, time_s: float) -> np.ndarray:
         """(4, 4) float64 pose of the ego frame, 2.2 m above the road.
 
         The car pitches and rolls by about 0.02 rad and heaves by 0.1 m (standard deviations) on top of the slope.
         """
-        lane, along = self._lanes[self._ego_lane], self.ego_along_m(time_s)
-        front, rear = lane.path.at(np.array([along + 1.4, along - 1.4]))
+        along = self.ego_along_m(time_s)
+        front, rear = self._flow.place(0, along + 1.4), self._flow.place(0, along - 1.4)
         road = _standing(self._place, 0.5 * (front + rear), front - rear)
         roll, pitch, heave = (_shake(time_s, draws) for draws in self._shake)
         tilt = _tilt(0.02 * roll, 0.02 * pitch)
@@ -75,28 +72,34 @@ class Traffic:
 
     def actors(self, time_s: float) -> tuple[Mesh, tuple[Actor, ...]]:
         """All that moves within 80 m of the ego: faces in the world frame with instance = actor id, and the actors."""
+        pairs = self._near(time_s)
+        moved = (with_instance(transform(mesh, actor.world_from_actor), actor.id) for mesh, actor in pairs)
+        return concatenate(moved), tuple(actor for _, actor in pairs)
+
+    def boxes(self, time_s: float) -> tuple[Actor, ...]:
+        """The actors alone, which is faster."""
+        return tuple(actor for _, actor in self._near(time_s))
+
+    def _near(self, time_s: float) -> list[tuple[Mesh, Actor]]:
+        """Prototypes and actors."""
         middle = self.world_from_ego(time_s)[:2, 3]
-        pairs = [*self._driving(time_s, middle), *self._walking(time_s, middle), *self._crossing(time_s, middle)]
-        return concatenate(mesh for mesh, _ in pairs), tuple(actor for _, actor in pairs)
+        return [*self._driving(time_s, middle), *self._walking(time_s, middle), *self._crossing(time_s, middle)]
 
     def _driving(self, time_s: float, middle: np.ndarray) -> list[tuple[Mesh, Actor]]:
         found = []
-        for index, lane in enumerate(self._lanes):
-            center, heading = driving.positions(lane, self._fleet, time_s)
-            later, _ = driving.positions(lane, self._fleet, time_s + _STEP_S)
-            near = np.linalg.norm(center[:, :2] - middle, axis=1) < _RANGE_M
-            if index == self._ego_lane:
-                near[self._ego_car] = False
-            for k in np.flatnonzero(near):
-                number = int(self._first_car[index] + k)
-                pose = _standing(self._place, center[k], heading[k])
-                velocity = (later[k] - center[k])[:2] / _STEP_S
-                mesh = self._cars[(lane.kind[k])]
-                found.append(self._actor(mesh, number, _VEHICLE, pose, self._fleet.size_m[lane.kind[k]], velocity))
+        along, speed = self._flow.motion(time_s + self._warm_up_s)
+        for car in range(1, len(along)):
+            if np.linalg.norm(self._flow.place(car, along[car])[:2] - middle) > _RANGE_M:
+                continue
+            half = driving.half_wheelbase_m(self._flow.cars[car].length_m)
+            front, rear = self._flow.place(car, along[car] + half), self._flow.place(car, along[car] - half)
+            pose = _standing(self._place, 0.5 * (front + rear), front - rear)
+            velocity = speed[car] * pose[:2, 0]
+            found.append(self._actor(self._cars[car], car, _VEHICLE, pose, self._fleet.size_m[car], velocity))
         return found
 
     def _walking(self, time_s: float, middle: np.ndarray) -> list[tuple[Mesh, Actor]]:
-        found, number = [], self._first_walker
+        found, number = [], len(self._cars)
         for walk in self._rounds:
             along = walk.along_m + walk.speed_mps * time_s
             points, ahead = walk.path.at(along), walk.path.at(along + 0.5)
@@ -108,9 +111,9 @@ class Traffic:
         return found
 
     def _crossing(self, time_s: float, middle: np.ndarray) -> list[tuple[Mesh, Actor]]:
-        found, number = [], self._first_walker + sum(len(walk.along_m) for walk in self._rounds)
-        for k, crosser in enumerate(self._crossers):
-            share, direction = crosser.share(time_s)
+        found, number = [], len(self._cars) + sum(len(walk.along_m) for walk in self._rounds)
+        for k, crosser in enumerate(self._flow.crossers):
+            share, direction = crosser.share(time_s + self._warm_up_s)
             point = walking.crossing_point(self._place, crosser, share)
             if np.linalg.norm(point[:2] - middle) > _RANGE_M:
                 continue
@@ -124,7 +127,7 @@ class Traffic:
     def _person(
         self, number: int, point: np.ndarray, heading: np.ndarray, velocity: np.ndarray, pace_m: float
     ) -> tuple[Mesh, Actor]:
-        poses = self._people[number % len(self._people)]
+        poses = people()[number % len(people())]
         mesh = poses[int(pace_m / person.STRIDE_M * person.PHASES) % person.PHASES]
         upright = _upright(point, float(np.arctan2(heading[1], heading[0])))
         return self._actor(mesh, number, _PEDESTRIAN, upright, np.array(person.SIZE_M), velocity)
@@ -134,8 +137,7 @@ class Traffic:
         mesh: Mesh, number: int, label: int, pose: np.ndarray, size: np.ndarray, velocity: np.ndarray
     ) -> tuple[Mesh, Actor]:
         size_m = (float(size[0]), float(size[1]), float(size[2]))
-        actor = Actor(number, label, pose, size_m, (float(velocity[0]), float(velocity[1])))
-        return with_instance(transform(mesh, pose), number), actor
+        return mesh, Actor(number, label, pose, size_m, (float(velocity[0]), float(velocity[1])))
 
 
 def _painted(mesh: Mesh, color: tuple[int, int, int]) -> Mesh:
