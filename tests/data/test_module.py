@@ -115,8 +115,8 @@ def test_loaders(root):
     assert [len(batch.frame_ids) for batch in train] == [3, 3]
     test = list(data.test_dataloader())
     assert [batch.frame_ids for batch in test] == [
-        ("test-000-downtown/000000", "test-000-downtown/000001", "test-000-downtown/000002"),
-        ("test-000-downtown/000003",),
+        ("test-000-suburb/000000", "test-000-suburb/000001", "test-000-suburb/000002"),
+        ("test-000-suburb/000003",),
     ]
     assert data.voxel_counts().shape == (12, *GRID.shape)
     assert data.voxel_counts().sum() == 8 * 48

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -12,10 +13,12 @@ from fake_scene import FakeWorld
 from filelock import FileLock
 
 import omniocc
+from omniocc.data import VirtualWorld
 from omniocc.data.errors import DataError
 from omniocc.data.pool import worker_environment
 from omniocc.data.reader import SceneReader
 from omniocc.data.record import code_fingerprint
+from omniocc.world import THEMES
 
 SCRIPT = """
 import sys
@@ -24,7 +27,7 @@ if __name__ == "__main__":
     world = FakeWorld(sys.argv[1], workers=int(sys.argv[2]), delay_s=float(sys.argv[3]))
     world.prepare(world.plans[slice(*map(int, sys.argv[4:]))])
 """
-SCENES = ["test-000-downtown", "train-000-downtown", "train-001-suburb", "val-000-downtown"]
+SCENES = ["test-000-suburb", "train-000-downtown", "train-001-suburb", "val-000-downtown"]
 
 
 def tree(folder):
@@ -65,11 +68,25 @@ def test_the_plan(tmp_path):
     world = FakeWorld(tmp_path, scenes=(3, 2, 1))
     assert [plan.name for plan in world.plans] == [
         *("train-000-downtown", "train-001-suburb", "train-002-downtown"),
-        *("val-000-downtown", "val-001-suburb", "test-000-downtown"),
+        *("val-000-downtown", "val-001-suburb", "test-000-suburb"),
     ]
     assert len({plan.seed for plan in world.plans}) == 6
     other = FakeWorld(tmp_path, scenes=(3, 2, 1), seed=1)
     assert not {plan.seed for plan in world.plans} & {plan.seed for plan in other.plans}
+
+
+def test_the_papers_preset_has_four_scenes_of_each_theme(tmp_path):
+    arguments = {"root": str(tmp_path), "rig": "fisheye6", "image_size": (32, 18), "themes": THEMES, "train_scenes": 24}
+    arguments |= {"val_scenes": 4, "test_scenes": 4, "frames_per_scene": 1800, "frame_interval_s": 0.1}
+    arguments |= {"supersample": 1, "erp_size": (8, 4), "erp_top_deg": 45.0, "erp_bottom_deg": -45.0}
+    plans = VirtualWorld(**arguments).plans
+    assert Counter(plan.theme for plan in plans) == dict.fromkeys(THEMES, 4)
+    assert len(THEMES) == 8
+    with pytest.raises(ValueError, match="weather is hail: choose one of clear,"):
+        VirtualWorld(**arguments, weather="hail")
+    other = VirtualWorld(**arguments, weather="rain")
+    assert other.folder != VirtualWorld(**arguments).folder
+    assert other.plans == plans
 
 
 def test_what_makes_the_data_is_in_the_fingerprint(tmp_path):

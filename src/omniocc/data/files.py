@@ -4,7 +4,7 @@ import hashlib
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import BinaryIO, Protocol, cast
+from typing import Any, BinaryIO, Protocol, runtime_checkable
 
 import fsspec
 
@@ -13,6 +13,7 @@ JOINED_GAP_BYTES = 4096
 """Ranges nearer to one another than this are read as one: headers between members cost less than another request."""
 
 
+@runtime_checkable
 class Files(Protocol):
     """What reading a scene needs; every method raises FileNotFoundError for a file that is not there."""
 
@@ -24,8 +25,8 @@ class Files(Protocol):
         """Length in bytes."""
         ...
 
-    def open(self, name: str) -> BinaryIO:
-        """The file, to be read from its beginning."""
+    def open(self, name: str) -> Any:
+        """The file, binary, to be read from its beginning; stores have file classes of their own."""
         ...
 
     def ranges(self, name: str, spans: Sequence[tuple[int, int]]) -> list[bytes]:
@@ -70,8 +71,8 @@ class RemoteFiles:
     def size(self, name: str) -> int:  # noqa: D102
         return int(self._fs.size(self._path(name)))
 
-    def open(self, name: str) -> BinaryIO:  # noqa: D102
-        return cast(BinaryIO, self._fs.open(self._path(name), "rb", block_size=BLOCK_BYTES))
+    def open(self, name: str) -> Any:  # noqa: D102
+        return self._fs.open(self._path(name), "rb", block_size=BLOCK_BYTES)
 
     def ranges(self, name: str, spans: Sequence[tuple[int, int]]) -> list[bytes]:
         """As `Files.ranges`, all requests at once.
@@ -100,7 +101,7 @@ def open_folder(folder: Path | str) -> Files:
     return RemoteFiles(str(folder)) if is_url(folder) else LocalFiles(Path(folder))
 
 
-def sha256_of(file: BinaryIO) -> str:
+def sha256_of(file: Any) -> str:
     """Hex digest of what is left of an open file."""
     state = hashlib.sha256()
     while block := file.read(BLOCK_BYTES):

@@ -15,6 +15,7 @@ from omniocc.data.reader import SceneReader
 from omniocc.data.record import SPLITS, Recordable, SceneJob, ScenePlan, Split, code_fingerprint
 from omniocc.data.shard import META, SCHEMA, digest
 from omniocc.world import THEMES, Scene
+from omniocc.world.weather import WEATHERS, Weather
 
 SEEDS_PER_SPLIT = 1_000_000
 
@@ -29,7 +30,7 @@ class VirtualWorld:
         root: folder of all datasets, or a URL (memory://, http://, s3:// ...) of data rendered elsewhere.
         rig: built-in rig by name, or a rig file.
         image_size: width and height of every camera image, px.
-        themes: kinds of places; scenes go through them in turn.
+        themes: kinds of places; the scenes of a split go through them in turn, those of the test from the middle on.
         train_scenes: number of scenes to train on.
         val_scenes: number of scenes to validate on.
         test_scenes: number of scenes to test on.
@@ -39,6 +40,7 @@ class VirtualWorld:
         erp_size: width and height of the panorama of ranges, px.
         erp_top_deg: elevation of the panorama's upper edge.
         erp_bottom_deg: elevation of its lower edge.
+        weather: of all scenes; None draws one for each by its seed.
         seed: another number gives other streets in all splits.
         shard_limit_mib: size at which a new tar shard begins, MiB.
         workers: processes that render; 0 renders in this process, None takes all usable cores.
@@ -60,6 +62,7 @@ class VirtualWorld:
         erp_size: Sequence[int],
         erp_top_deg: float,
         erp_bottom_deg: float,
+        weather: Weather | None = None,
         seed: int = 0,
         shard_limit_mib: int = 256,
         workers: int | None = None,
@@ -78,12 +81,17 @@ class VirtualWorld:
         self.erp_size = tuple(erp_size)
         self.erp_top_deg = float(erp_top_deg)
         self.erp_bottom_deg = float(erp_bottom_deg)
+        self.weather: Weather | None = weather
         self.seed = _at_least("seed", seed, 0)
         self.shard_limit_bytes = _at_least("shard_limit_mib", shard_limit_mib, 1) * 2**20
         self.workers = usable_cores() if workers is None else _at_least("workers", workers, 0)
         unknown = [theme for theme in self.themes if theme not in THEMES]
         if unknown or not self.themes:
             raise ValueError(f"themes are {list(self.themes)}: choose one or more of {', '.join(THEMES)}")
+        if weather is not None and weather not in WEATHERS:
+            raise ValueError(
+                f"weather is {weather}: choose one of {', '.join(WEATHERS)}, or none to draw one by the seed"
+            )
         for split, count in self.num_scenes.items():
             if not 0 <= count < SEEDS_PER_SPLIT:
                 raise ValueError(f"{split}_scenes must be from 0 to {SEEDS_PER_SPLIT - 1}, got {count}")
@@ -101,6 +109,7 @@ class VirtualWorld:
             "erp_size": list(self.erp_size),
             "erp_top_deg": self.erp_top_deg,
             "erp_bottom_deg": self.erp_bottom_deg,
+            "weather": self.weather,
             "shard_limit_bytes": self.shard_limit_bytes,
         }
 
@@ -140,6 +149,7 @@ class VirtualWorld:
             erp_size=self.erp_size,
             erp_top_deg=self.erp_top_deg,
             erp_bottom_deg=self.erp_bottom_deg,
+            weather=self.weather,
         )
 
     def missing(self, plans: Sequence[ScenePlan] | None = None) -> list[ScenePlan]:
@@ -199,7 +209,9 @@ class VirtualWorld:
             raise self.reader(plan).unreadable(META, error) from error
 
     def _plan(self, split: Split, number: int) -> ScenePlan:
-        theme = self.themes[number % len(self.themes)]
+        # with 24 + 4 + 4 scenes of eight themes, as in the paper, each theme has four
+        first = len(self.themes) // 2 if split == "test" else 0
+        theme = self.themes[(first + number) % len(self.themes)]
         # one street never stands in two splits, whatever the numbers of scenes
         seed = (self.seed * len(SPLITS) + SPLITS.index(split)) * SEEDS_PER_SPLIT + number
         name = f"{split}-{number:03d}-{theme}" if self.seed == 0 else f"{split}-{number:03d}-{theme}-seed{self.seed}"
