@@ -103,7 +103,14 @@ def make_stage(static: Mesh, moving: Mesh, own: Mesh, light: Light, x_m: float =
     surfaces = join([make_surfaces(static), make_surfaces(moving), make_surfaces(own)])
     start = len(static) + len(moving)
     return Stage(
-        Layers(layers), Layers([*layers, Caster(here)]), surfaces, start, np.eye(3, dtype=np.float32), place, light
+        Layers(layers),
+        Layers([*layers, Caster(here)]),
+        surfaces,
+        start,
+        np.eye(3, dtype=np.float32),
+        place,
+        moving,
+        light,
     )
 
 

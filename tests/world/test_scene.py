@@ -91,6 +91,36 @@ def test_another_seed_is_another_world(frame):
     assert np.abs(other.images.astype(int) - frame.images).mean() > 10
 
 
+def test_another_rig_sees_the_same_world(frame):
+    """Only what the cameras record depends on the rig."""
+    rig = Rig.load("pinhole6").resized(32, 18)
+    other = Scene("suburb", 5, rig, frame_interval_s=0.5, erp_size=(32, 8)).frame(3)
+    for field in fields(Frame):
+        mine, theirs = getattr(frame, field.name), getattr(other, field.name)
+        if field.name in ("images", "semantics", "range_m"):
+            assert not np.array_equal(mine, theirs)
+        elif isinstance(mine, np.ndarray):
+            assert np.array_equal(mine, theirs), field.name
+        else:
+            assert mine == theirs, field.name
+    # The same light: the mean brightness of what both see differs little.
+    assert abs(frame.images[frame.semantics < 255].mean() - other.images[other.semantics < 255].mean()) < 30
+
+
+def test_options_change_what_they_name_and_nothing_else(frame):
+    def take(**options) -> Frame:
+        rig = Rig.load("fisheye6").resized(32, 18)
+        return Scene("suburb", 5, rig, frame_interval_s=0.5, erp_size=(32, 8), **options).frame(3)
+
+    fog, complete, cube = take(weather="fog"), take(label_mode="geometry", lidars=3), take(capture="cubemap")
+    points, pictures = {"points_m", "point_labels"}, {"images", "semantics", "range_m"}
+    for other, changed in ((fog, {"images"}), (complete, points), (cube, pictures)):
+        for field in ("images", "semantics", "range_m", "erp_range_m", "points_m", "point_labels", "lidar_range_m"):
+            same = np.array_equal(getattr(frame, field), getattr(other, field), equal_nan=True)
+            assert same != (field in changed), field
+    assert set(np.unique(complete.point_labels)) >= set(np.unique(frame.point_labels))
+
+
 def test_box_in_the_ego_frame():
     turned = np.array([[0.0, -1, 0, 10], [1, 0, 0, 20], [0, 0, 1, 2.2], [0, 0, 0, 1]])
     actor_pose = np.eye(4)
@@ -119,6 +149,10 @@ def test_boxes_hold_the_points_of_their_actors(scene, frame):
         ({"supersample": 0}, "supersample is 0"),
         ({"frame_interval_s": 0.0}, "frame_interval_s is 0"),
         ({"erp_size": (0, 8)}, "erp_size"),
+        ({"weather": "hail"}, "weather is 'hail'.*dusk"),
+        ({"label_mode": "lidar"}, "label_mode is 'lidar'.*geometry"),
+        ({"lidars": 0}, "lidars is 0"),
+        ({"capture": "fast"}, "capture is 'fast'.*cubemap"),
     ],
 )
 def test_wrong_options_are_named(options, message):

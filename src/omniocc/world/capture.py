@@ -6,7 +6,7 @@ import numpy as np
 
 from omniocc.classes import UNKNOWN
 from omniocc.world.caster import Hits
-from omniocc.world.light import Sensor, develop
+from omniocc.world.light import Light, Sensor, develop
 from omniocc.world.rain import streaks
 from omniocc.world.shade import Shading, shade
 from omniocc.world.stage import Stage
@@ -24,8 +24,26 @@ class Picture(NamedTuple):
     range_m: np.ndarray
 
 
-def record(view: View, stage: Stage, sensor: Sensor, rng: np.random.Generator) -> Picture:
-    """Takes one picture.
+class Look(NamedTuple):
+    """What P pixels see.
+
+    Attributes:
+        color: (3, P) float32, linear.
+        label: (P,) uint8, 0 for the sky.
+        range_m: (P,) float32, inf for the sky.
+        key: (P,) int32 of the surface, see `omniocc.world.shade.Surfaces`.
+        own: (P,) bool, whether it is the own car.
+    """
+
+    color: np.ndarray
+    label: np.ndarray
+    range_m: np.ndarray
+    key: np.ndarray
+    own: np.ndarray
+
+
+def look(view: View, stage: Stage) -> Look:
+    """Casts the pixels' rays.
 
     Every pixel gets a ray through its centre, which decides class and range. Where neighbours see different surfaces,
     or light beside shadow, further rays are cast and the colours averaged in linear light; elsewhere the texture's mip
@@ -33,23 +51,31 @@ def record(view: View, stage: Stage, sensor: Sensor, rng: np.random.Generator) -
     """
     hits = stage.cast(view.origin_m, view.center, _own_hits(view.own_center, stage))
     seen = _shade(view, stage, hits, view.center)
-    color = seen.color
+    color, key = seen.color, np.where(hits.face >= 0, stage.surfaces.key[hits.face], 0)
     if view.extra.shape[2]:
-        index = np.flatnonzero(_borders(view, _keys(hits, stage), seen))
+        index = np.flatnonzero(_borders(view, key, seen))
         color[:, index] = _smooth(view, stage, index, color[:, index])
-    own = hits.face >= stage.own_start
-    label = np.where(hits.face >= 0, stage.surfaces.label[hits.face], 0).astype(np.uint8)
-    label[own] = UNKNOWN
-    range_m = np.where(own, np.float32(np.nan), hits.range_m)
-    if stage.light.streaks:
-        drops = streaks(view.size, view.pixel, rng) * stage.light.streaks
-        color += (0.9 * stage.light.horizon[:, None] - color) * drops
+    label = np.where(hits.face >= 0, stage.surfaces.label[hits.face], np.uint8(0))
+    return Look(color, label, hits.range_m, key, hits.face >= stage.own_start)
+
+
+def expose(view: View, seen: Look, light: Light, sensor: Sensor, rng: np.random.Generator) -> Picture:
+    """The picture of what is seen: rain before the lens, exposure and noise; own car and lens rim without a class."""
+    color = seen.color
+    if light.streaks:
+        drops = streaks(view.size, view.pixel, rng) * light.streaks
+        color = color + (0.9 * light.horizon[:, None] - color) * drops
     rgb = develop(color, sensor, view.falloff, rng)
     return Picture(
         _image(view, rgb, 0),
-        _image(view, label, UNKNOWN),
-        _image(view, range_m, np.nan),
+        _image(view, np.where(seen.own, np.uint8(UNKNOWN), seen.label), UNKNOWN),
+        _image(view, np.where(seen.own, np.float32(np.nan), seen.range_m), np.nan),
     )
+
+
+def record(view: View, stage: Stage, sensor: Sensor, rng: np.random.Generator) -> Picture:
+    """Takes one picture; `rng` draws drops and noise."""
+    return expose(view, look(view, stage), stage.light, sensor, rng)
 
 
 def _shade(view: View, stage: Stage, hits: Hits, directions_ego: np.ndarray) -> Shading:
@@ -72,10 +98,6 @@ def _smooth(view: View, stage: Stage, index: np.ndarray, center_color: np.ndarra
     for ray in range(count):
         total = total + np.minimum(color[:, :, ray], 4.0)
     return total / (count + 1)
-
-
-def _keys(hits: Hits, stage: Stage) -> np.ndarray:
-    return np.where(hits.face >= 0, stage.surfaces.key[hits.face], 0)
 
 
 def _borders(view: View, key: np.ndarray, seen: Shading) -> np.ndarray:

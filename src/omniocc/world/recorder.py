@@ -1,17 +1,23 @@
 """Everything one moment is recorded with: cameras, panorama of ranges, ego LiDAR and semantic LiDARs."""
 
+from collections.abc import Callable
+from functools import partial
+from typing import Literal, Protocol
+
 import numpy as np
 
 from omniocc.camera import Rig
-from omniocc.world.capture import Picture, record
+from omniocc.world.capture import Look, Picture, expose, look
 from omniocc.world.caster import Caster
+from omniocc.world.cubemap import look_through, make_cube
 from omniocc.world.frame import Box, Frame
 from omniocc.world.lidar import ego_directions, scan_ego
 from omniocc.world.light import Sensor
 from omniocc.world.mesh import Mesh
 from omniocc.world.stage import Stage
-from omniocc.world.survey import Survey
 from omniocc.world.view import make_view
+
+Capture = Literal["direct", "cubemap"]
 
 
 def panorama_directions(width: int, height: int, top_deg: float, bottom_deg: float) -> np.ndarray:
@@ -23,14 +29,23 @@ def panorama_directions(width: int, height: int, top_deg: float, bottom_deg: flo
     return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)]).astype(np.float32)
 
 
+class Labeller(Protocol):
+    """Where labelled surface points come from."""
+
+    def scan(self, stage: Stage) -> tuple[np.ndarray, np.ndarray]:
+        """Points (P, 3) float32 in the ego frame and their classes (P,) uint8."""
+        ...
+
+
 class Recorder:
     """The sensors of one vehicle; all their rays are worked out once.
 
     Args:
         rig: cameras.
         own_car: mesh in the ego frame, which the cameras see and the LiDARs do not.
-        survey: the virtual LiDARs.
+        labeller: of the surface points.
         supersample: camera rays per pixel along each side where a pixel needs smoothing.
+        capture: direct (a ray through every pixel) or cubemap (the paper's way).
         erp_size: width and height of the panorama of ranges, px.
         erp_top_deg: elevation of its upper edge.
         erp_bottom_deg: elevation of its lower edge.
@@ -40,18 +55,23 @@ class Recorder:
         self,
         rig: Rig,
         own_car: Mesh,
-        survey: Survey,
+        labeller: Labeller,
         supersample: int,
+        capture: Capture,
         erp_size: tuple[int, int],
         erp_top_deg: float,
         erp_bottom_deg: float,
     ) -> None:
         caster = Caster(own_car)
         self.views = [make_view(rig, camera, supersample, caster) for camera in range(len(rig.cameras))]
+        self.looks: list[Callable[[Stage], Look]] = [partial(look, view) for view in self.views]
+        if capture == "cubemap":
+            cubes = [make_cube(rig, k, view, supersample, caster) for k, view in enumerate(self.views)]
+            self.looks = [partial(look_through, cube) for cube in cubes]
         self.erp_size = erp_size
         self._panorama = panorama_directions(*erp_size, erp_top_deg, erp_bottom_deg)
         self._ego_rays = np.ascontiguousarray(ego_directions().T)
-        self._survey = survey
+        self.labeller = labeller
 
     def frame(
         self,
@@ -64,18 +84,18 @@ class Recorder:
     ) -> Frame:
         """Records one moment; `seed` decides the sensors' noise."""
         pictures = [
-            record(view, stage, sensor, np.random.default_rng([*seed, number]))
-            for number, view in enumerate(self.views)
+            expose(view, see(stage), stage.light, sensor, np.random.default_rng([*seed, number]))
+            for number, (view, see) in enumerate(zip(self.views, self.looks, strict=True))
         ]
-        points_m, point_labels = self._survey.scan(stage)
-        lidar_range_m, lidar_labels = scan_ego(stage, self._ego_rays)
+        points_m, point_labels = self.labeller.scan(stage)
+        erp_range_m, lidar_range_m, lidar_labels = self.ranges(stage)
         return Frame(
             time_s=time_s,
             world_from_ego=world_from_ego,
             images=_stack(pictures, 0),
             semantics=_stack(pictures, 1),
             range_m=_stack(pictures, 2),
-            erp_range_m=self._panorama_range(stage),
+            erp_range_m=erp_range_m,
             points_m=points_m,
             point_labels=point_labels,
             lidar_range_m=lidar_range_m,
@@ -83,9 +103,10 @@ class Recorder:
             boxes=boxes,
         )
 
-    def _panorama_range(self, stage: Stage) -> np.ndarray:
+    def ranges(self, stage: Stage) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The panorama's ranges (h, w), and ranges and classes along the ego LiDAR's rays; as in `Frame`."""
         width, height = self.erp_size
-        return scan_ego(stage, self._panorama)[0].reshape(height, width)
+        return scan_ego(stage, self._panorama)[0].reshape(height, width), *scan_ego(stage, self._ego_rays)
 
 
 def _stack(pictures: list[Picture], part: int) -> np.ndarray:

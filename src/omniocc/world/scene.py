@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -11,13 +12,16 @@ from omniocc.world.caster import Caster, Layers
 from omniocc.world.frame import Box, Frame
 from omniocc.world.lamp import lamp_pools
 from omniocc.world.mesh import transform
-from omniocc.world.recorder import Recorder
+from omniocc.world.recorder import Capture, Labeller, Recorder
+from omniocc.world.sample import GeometryLabels
 from omniocc.world.shade import SurfaceStack, make_surfaces
 from omniocc.world.stage import Stage
 from omniocc.world.survey import Survey
 from omniocc.world.traffic import Actor, Traffic
 from omniocc.world.vehicle import ego_car
-from omniocc.world.weather import Weather, draw_light, draw_sensor, draw_weather
+from omniocc.world.weather import WEATHERS, Weather, draw_light, draw_sensor, draw_weather
+
+LabelMode = Literal["lidar20", "geometry"]
 
 
 class Scene:
@@ -33,6 +37,10 @@ class Scene:
         erp_top_deg: elevation of the panorama's upper edge.
         erp_bottom_deg: elevation of its lower edge.
         weather: clear, overcast, rain, fog or dusk; None draws one by the seed.
+
+        label_mode: lidar20 (virtual semantic LiDARs, as in the paper) or geometry (all surfaces, seen or not).
+        lidars: number of virtual LiDARs of `lidar20`, the ego's included.
+        capture: direct (a ray through every pixel) or cubemap (flat pictures, then looked up, as in the paper).
 
     Raises:
         ValueError: no such theme, or an option out of range.
@@ -50,8 +58,12 @@ class Scene:
         erp_top_deg: float = 45.0,
         erp_bottom_deg: float = -45.0,
         weather: Weather | None = None,
+        label_mode: LabelMode = "lidar20",
+        lidars: int = 20,
+        capture: Capture = "direct",
     ) -> None:
-        _check(frame_interval_s, supersample, erp_size)
+        _check(frame_interval_s, supersample, erp_size, lidars)
+        _check_names(weather, label_mode, capture)
         town = place.build(theme, seed)
         self._interval_s = frame_interval_s
         self._seed = (seed, *theme.encode())
@@ -64,10 +76,12 @@ class Scene:
         drawn = draw_weather(rng)
         light = draw_light(drawn if weather is None else weather, rng)
         self._light = replace(light, pools=lamp_pools(town.mesh)) if light.lamps else light
-        self._sensor = draw_sensor(rng, self._light)
+        self.sensor = draw_sensor(rng, self._light)
         size = (int(erp_size[0]), int(erp_size[1]))
-        survey = Survey(self._static, static_surfaces, town.height)
-        self._recorder = Recorder(rig, self._own_car, survey, supersample, size, erp_top_deg, erp_bottom_deg)
+        labeller: Labeller = GeometryLabels(town.mesh)
+        if label_mode == "lidar20":
+            labeller = Survey(self._static, static_surfaces, town.height, lidars)
+        self.recorder = Recorder(rig, self._own_car, labeller, supersample, capture, size, erp_top_deg, erp_bottom_deg)
 
     def frame(self, index: int) -> Frame:
         """Records the moment `index * frame_interval_s`; raises ValueError for a negative index."""
@@ -75,11 +89,13 @@ class Scene:
             raise ValueError(f"frame {index}: frames are counted from 0")
         time_s = index * self._interval_s
         world_from_ego = self._traffic.world_from_ego(time_s)
-        stage, actors = self._stage(time_s, world_from_ego)
+        stage, actors = self.stage(time_s)
         boxes = tuple(ego_box(actor, world_from_ego) for actor in actors)
-        return self._recorder.frame(stage, self._sensor, (*self._seed, index), time_s, world_from_ego, boxes)
+        return self.recorder.frame(stage, self.sensor, (*self._seed, index), time_s, world_from_ego, boxes)
 
-    def _stage(self, time_s: float, world_from_ego: np.ndarray) -> tuple[Stage, tuple[Actor, ...]]:
+    def stage(self, time_s: float) -> tuple[Stage, tuple[Actor, ...]]:
+        """The world at a moment, ready to be seen, and who moves in it; good until the next call."""
+        world_from_ego = self._traffic.world_from_ego(time_s)
         moving_mesh, actors = self._traffic.actors(time_s)
         own_mesh = transform(self._own_car, world_from_ego)
         moving = Caster(moving_mesh)
@@ -90,6 +106,7 @@ class Scene:
             self._static.size + moving.size,
             world_from_ego[:3, :3].astype(np.float32),
             world_from_ego[:3, 3].astype(np.float32),
+            moving_mesh,
             self._light,
         )
         return stage, actors
@@ -111,10 +128,22 @@ def ego_box(actor: Actor, world_from_ego: np.ndarray) -> Box:
     )
 
 
-def _check(frame_interval_s: float, supersample: int, erp_size: Sequence[int]) -> None:
+def _check(frame_interval_s: float, supersample: int, erp_size: Sequence[int], lidars: int) -> None:
     if frame_interval_s <= 0:
         raise ValueError(f"frame_interval_s is {frame_interval_s}; give a time above 0")
     if not 1 <= supersample <= 8:
         raise ValueError(f"supersample is {supersample}; give 1 to 8 rays per pixel along each side")
     if len(erp_size) != 2 or min(erp_size) < 1:
         raise ValueError(f"erp_size is {list(erp_size)}; give width and height in pixels, e.g. [192, 48]")
+    if lidars < 1:
+        raise ValueError(f"lidars is {lidars}; give 1 for the ego's alone, or more")
+
+
+def _check_names(weather: str | None, label_mode: str, capture: str) -> None:
+    for name, value, possible in (
+        ("weather", weather, (None, *WEATHERS)),
+        ("label_mode", label_mode, get_args(LabelMode)),
+        ("capture", capture, get_args(Capture)),
+    ):
+        if value not in possible:
+            raise ValueError(f"{name} is {value!r}; possible: {', '.join(map(str, possible))}")

@@ -6,6 +6,7 @@ import numpy as np
 
 from omniocc.world.caster import Hits, Layers
 from omniocc.world.light import Light
+from omniocc.world.mesh import Mesh
 from omniocc.world.shade import Surfaces
 
 
@@ -20,6 +21,7 @@ class Stage:
         own_start: first face of the own car.
         rotation: (3, 3) float32, caster frame from ego frame.
         origin_m: (3,) float32, the ego origin in the caster frame.
+        moving: the moving things' mesh.
         light: of the scene.
     """
 
@@ -29,6 +31,7 @@ class Stage:
     own_start: int
     rotation: np.ndarray
     origin_m: np.ndarray
+    moving: Mesh
     light: Light
 
     def turn(self, directions_ego: np.ndarray) -> np.ndarray:

@@ -1,0 +1,102 @@
+"""Labels from geometry: points spread evenly over all surfaces near the ego, whether anything sees them or not."""
+
+import numpy as np
+
+from omniocc.world.mesh import Mesh
+from omniocc.world.stage import Stage
+from omniocc.world.thin import REACH_M, within_reach
+
+_POINT_M2 = 0.0125  # surface per point: three in a square of 0.2 m
+_PIECE_M2 = 2.0
+_COVER_M = 0.1
+_LIFT_M = np.float32(0.002)  # less than a road line's height above its road
+_STEP = np.array([0.7548776662466927, 0.5698402909980532])
+
+
+class GeometryLabels:
+    """Surface points of a scene without any sensor.
+
+    Every surface counts, backs of houses and undersides of cars too, and so does what lies inside a closed house; only
+    what another surface covers at less than 0.1 m (the road under its paint) does not.
+
+    Args:
+        static: all that never moves.
+    """
+
+    def __init__(self, static: Mesh) -> None:
+        self._static = static
+        corner = static.vertices[static.faces][..., :2]
+        self._low, self._high = corner.min(axis=1), corner.max(axis=1)
+
+    def scan(self, stage: Stage) -> tuple[np.ndarray, np.ndarray]:
+        """Points (P, 3) float32 in the ego frame and their classes (P,) uint8."""
+        ego = stage.origin_m[:2]
+        reach = np.float32(REACH_M * np.sqrt(2))
+        near = np.flatnonzero(((self._low < ego + reach) & (self._high > ego - reach)).all(axis=1))
+        corners = [self._static.vertices[self._static.faces[near]], stage.moving.vertices[stage.moving.faces]]
+        labels = np.concatenate([self._static.label[near], stage.moving.label])
+        pieces, number = cut(np.concatenate(corners), ego, float(reach))
+        points, normal, piece = spread(pieces)
+        keep = np.flatnonzero(within_reach(stage.unplace(points)))
+        points, normal, label = points[keep], normal[piece[keep]], labels[number[piece[keep]]]
+        free = ~stage.layers.blocked(points + normal * _LIFT_M, normal, _COVER_M)
+        return stage.unplace(points[free]), label[free]
+
+
+def cut(corners: np.ndarray, middle: np.ndarray, reach_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Halves triangles along their longest edges until none is larger than 2 m2, and drops what is out of reach.
+
+    Args:
+        corners: (F, 3, 3).
+        middle: (2,) of the square that counts.
+        reach_m: half its side.
+
+    Returns:
+        Pieces (N, 3, 3), and the triangle (N,) that each was cut from.
+    """
+    number = np.arange(len(corners))
+    done: list[tuple[np.ndarray, np.ndarray]] = []
+    while len(corners) or not done:
+        flat = corners[..., :2] - middle.astype(np.float32)
+        inside = ((flat.min(axis=1) < reach_m) & (flat.max(axis=1) > -reach_m)).all(axis=1)
+        corners, number = corners[inside], number[inside]
+        large = _area_normal(corners)[0] > _PIECE_M2
+        done.append((corners[~large], number[~large]))
+        corners, number = _halves(corners[large]), np.repeat(number[large], 2)
+    return np.concatenate([piece for piece, _ in done]), np.concatenate([index for _, index in done])
+
+
+def _halves(corners: np.ndarray) -> np.ndarray:
+    edge = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)
+    first, row = edge.argmax(axis=1), np.arange(len(corners))
+    a, b, c = (corners[row, (first + k) % 3] for k in range(3))
+    middle = 0.5 * (a + b)
+    return np.stack([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)], axis=1).reshape(-1, 3, 3)
+
+
+def spread(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points spread evenly over triangles, at least one on each.
+
+    Args:
+        corners: (F, 3, 3) float32.
+
+    Returns:
+        Points (P, 3) float32, unit normals (F, 3) float32, and the triangle (P,) of each point.
+    """
+    area, normal = _area_normal(corners)
+    count = np.ceil(area / _POINT_M2).astype(np.int64)
+    count = np.maximum(count, 1)
+    triangle = np.repeat(np.arange(len(corners)), count)
+    step = np.arange(len(triangle)) - np.repeat(np.cumsum(count) - count, count)
+    # The additive recurrence of Roberts (2018) fills a square evenly; folding it along the diagonal fills a triangle.
+    u, v = ((step[:, None] + 0.5) * _STEP + triangle[:, None] * _STEP[::-1]).T % 1
+    fold = u + v > 1
+    u, v = (np.where(fold, 1 - x, x).astype(np.float32)[:, None] for x in (u, v))
+    a, b, c = (corners[:, k][triangle] for k in range(3))
+    return a * (1 - u - v) + b * u + c * v, normal, triangle
+
+
+def _area_normal(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(cross, axis=1)
+    return 0.5 * length, cross / np.maximum(length, 1e-12)[:, None]
