@@ -7,7 +7,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Box:
-    """A moving actor's box: `center_m` and `yaw_rad` in the ego frame, `size_m` along its own x, y, z, `velocity_mps` (x, y) in the ego frame's axes."""
+    """A moving actor's box in the ego frame; `size_m` runs along its own x, y, z, `velocity_mps` is (x, y)."""
 
     id: int
     label: int
@@ -30,7 +30,8 @@ class Frame:
         erp_range_m: (h, w) float32 range from the ego origin over the full turn; inf for sky, own car not present.
         points_m: (P, 3) float32 semantic surface points (own car not present).
         point_labels: (P,) uint8.
-        lidar_range_m: (R,) float32 along the ego LiDAR's rays (`omniocc.world.lidar.ego_directions`), inf where nothing is hit.
+        lidar_range_m: (R,) float32 along the ego LiDAR's rays (`omniocc.world.lidar.ego_directions`), inf where
+            nothing is hit.
         lidar_labels: (R,) uint8; 0 where nothing is hit.
         boxes: the moving actors near by.
     """
