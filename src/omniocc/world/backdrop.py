@@ -9,7 +9,7 @@ from omniocc.world.material import Material
 from omniocc.world.mesh import Mesh
 from omniocc.world.shape import Skin, blob, box
 from omniocc.world.site import Pose2, Site
-from omniocc.world.stock import one, pick
+from omniocc.world.stock import one
 from omniocc.world.theme import Theme
 
 _TREES, _HOUSES, _WOODS = 50, 50, 60
@@ -21,7 +21,7 @@ def fill(theme: Theme, site: Site, rng: np.random.Generator) -> None:
     for pose in _scattered(rng, _TREES, edge, 300.0):
         if site.plan.claim(pose, (4.0, 4.0)):
             color = tree.LEAF_COLORS[int(rng.integers(len(tree.LEAF_COLORS)))]
-            site.put(one(rng, "tree", pick(rng, theme.trees)), pose, paint={Material.LEAVES: color})
+            site.put(one(rng, "tree", "distant"), pose, paint={Material.LEAVES: color})
     block, woods = _far_things()
     for pose in _scattered(rng, _HOUSES, edge + 10.0, 330.0):
         if site.plan.claim(pose, (17.0, 14.0)):

@@ -12,7 +12,7 @@ from omniocc.world.theme import Theme
 
 _RAISED_M = 0.012
 _WIDTH_M = 0.2  # wide, so that lines survive the vote in cells of 0.2 m
-_DASH_M, _GAP_M = 3.0, 4.5
+_DASH_M, _GAP_M = 3.0, 6.0
 CROSSING_M = (0.8, 4.0)  # from the end of the corner along the street
 _STOP_M = (4.8, 5.25)
 _PAINT = Skin(11, Material.PAINT, (226, 224, 214))

@@ -8,7 +8,7 @@ from omniocc.world.shape import Color, Skin, beam, blob, lathe
 
 _PEDESTRIAN = 10
 PHASES = 10
-SIZE_M = (1.0, 0.6, 1.75)
+_CHILDREN = 0.2
 STRIDE_M = 1.5  # two steps: one turn of the loop of poses
 _CLOTHES: tuple[Color, ...] = (
     (168, 52, 44),
@@ -26,7 +26,7 @@ _HAIR: tuple[Color, ...] = ((40, 32, 28), (92, 64, 40), (170, 130, 80), (120, 12
 
 def walking(rng: np.random.Generator) -> list[Mesh]:
     """One person in `PHASES` poses of a stride; the first is also how the person stands."""
-    height = float(rng.uniform(1.5, 1.9))
+    height = float(rng.uniform(1.1, 1.5) if rng.uniform() < _CHILDREN else rng.uniform(1.5, 1.98))
     tops, legs = (_CLOTHES[int(k)] for k in rng.integers(len(_CLOTHES), size=2))
     coat = Skin(_PEDESTRIAN, Material.CLOTH, tops)
     trousers = Skin(_PEDESTRIAN, Material.CLOTH, tuple(int(0.55 * c) for c in legs))  # pyright: ignore[reportArgumentType]
@@ -53,6 +53,13 @@ def walking(rng: np.random.Generator) -> list[Mesh]:
         limbs = [part for side in (-1, 1) for part in _limbs(side, side * swing, height, wide, coat, trousers, skin)]
         poses.append(concatenate(still + limbs))
     return poses
+
+
+def size_m(poses: list[Mesh]) -> tuple[float, float, float]:
+    """Length of a stride, width and height; the body's middle is the middle of the box."""
+    points = np.concatenate([mesh.vertices for mesh in poses])
+    length, width = 2 * np.abs(points[:, :2]).max(0)
+    return float(length), float(width), float(points[:, 2].max())
 
 
 def _limbs(side: int, swing: float, height: float, wide: float, coat: Skin, trousers: Skin, skin: Skin) -> list[Mesh]:

@@ -15,6 +15,8 @@ from omniocc.world.site import Pose2, Site
 from omniocc.world.stock import fitting, one, pick
 from omniocc.world.theme import Theme
 
+_NEAR_M = 11.0  # from the sidewalk
+
 
 @dataclass(frozen=True)
 class Plot:
@@ -31,8 +33,8 @@ class Plot:
     depth_m: Number
 
     def tree(self, x_m: Number, y_m: Number, kinds: dict[str, Number] | None = None) -> None:
-        """Plants a tree (or bush) of the theme."""
-        kind = pick(self.rng, kinds or self.theme.trees)
+        """Plants a tree (or bush) of the theme; a plain one far from the street."""
+        kind = pick(self.rng, kinds or self.theme.trees) if y_m < _NEAR_M else "distant"
         color = tree.LEAF_COLORS[int(self.rng.integers(len(tree.LEAF_COLORS)))]
         pose = self.front.at(x_m, y_m, float(self.rng.uniform(0, 2 * np.pi)))
         wide, high = (float(x) for x in self.rng.uniform(0.8, 1.25, 2))

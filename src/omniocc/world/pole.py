@@ -6,7 +6,7 @@ import numpy as np
 
 from omniocc.world.material import Material
 from omniocc.world.mesh import Mesh, concatenate
-from omniocc.world.shape import Color, Skin, beam, box, lathe, loft
+from omniocc.world.shape import Color, Skin, beam, box, lathe, triangles
 
 _POLE = 9
 _STEEL = Skin(_POLE, Material.METAL, (112, 116, 118))
@@ -37,9 +37,9 @@ def sign(rng: np.random.Generator) -> Mesh:
     height, color = float(rng.uniform(2.2, 2.7)), SIGN_COLORS[int(rng.integers(len(SIGN_COLORS)))]
     face, post = (
         Skin(_POLE, Material.SIGN, color),
-        lathe([0.04, 0.04, 0], [-0.3, height + 0.35, height + 0.35], 6, _STEEL),
+        lathe([0.04, 0.04], [-0.3, height + 0.35], 5, _STEEL),
     )
-    sides = int(rng.choice([3, 4, 12]))
+    sides = int(rng.choice([3, 4, 9]))
     angle = np.linspace(0, 2 * np.pi, sides, endpoint=False) + np.pi / 2 + (np.pi / 4 if sides == 4 else 0)
     rim = 0.36 * np.stack([np.cos(angle), np.sin(angle)], 1)
     board = _board(rim, (0.07, height), face)
@@ -48,10 +48,12 @@ def sign(rng: np.random.Generator) -> Mesh:
 
 
 def _board(rim: np.ndarray, place: tuple[float, float], skin: Skin) -> Mesh:
-    """A thin plate over an outline in (y, z), its face at x = place[0], its centre at z = place[1]."""
-    flat = loft(rim + np.array([0, place[1]]), np.full(len(rim), 0.012), [skin] * len(rim), skin)
-    turned = flat.vertices[:, [1, 0, 2]] * np.array([-1, 1, 1], np.float32) + np.array([place[0], 0, 0], np.float32)
-    return Mesh(turned, flat.faces, flat.uv, flat.label, flat.material, flat.color, flat.instance)
+    """A flat plate over an outline in (y, z), seen from both sides, at x = place[0], its centre at z = place[1]."""
+    points = np.column_stack([np.full(len(rim), place[0]), rim[:, 0], rim[:, 1] + place[1]])
+    corners = np.stack([np.broadcast_to(points.mean(0), points.shape), points, np.roll(points, -1, 0)], 1)
+    behind = corners[:, ::-1] - np.array([0.01, 0, 0])
+    both = np.concatenate([corners, behind])
+    return triangles(both, both[..., 1:], skin)
 
 
 def traffic_light(rng: np.random.Generator) -> Mesh:

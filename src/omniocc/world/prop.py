@@ -42,7 +42,7 @@ def bin_(rng: np.random.Generator) -> Mesh:
 def hydrant(rng: np.random.Generator) -> Mesh:
     """Fire hydrant."""
     skin = Skin(_OTHER, Material.METAL, (188, 44, 36) if rng.uniform() < 0.7 else (214, 176, 44))
-    body = lathe([0.17, 0.17, 0.12, 0.12, 0.16, 0.12, 0], [-0.05, 0.08, 0.1, 0.55, 0.58, 0.7, 0.78], 8, skin)
+    body = lathe([0.17, 0.17, 0.12, 0.12, 0.16, 0.12, 0], [-0.05, 0.08, 0.1, 0.55, 0.58, 0.7, 0.78], 6, skin)
     return concatenate([body, box((0.4, 0.12, 0.12), (0, 0, 0.45), skin)])
 
 
@@ -88,7 +88,7 @@ def cabinet(rng: np.random.Generator) -> Mesh:
 def bollards(rng: np.random.Generator) -> Mesh:
     """A row of bollards."""
     skin = _skin(rng, Material.METAL)
-    return concatenate(lathe([0.09, 0.09, 0.06, 0], [-0.1, 0.8, 0.88, 0.92], 7, skin, (x, 0)) for x in (-1.2, 0.0, 1.2))
+    return concatenate(lathe([0.09, 0.09, 0.06, 0], [-0.1, 0.8, 0.88, 0.92], 5, skin, (x, 0)) for x in (-1.2, 0.0, 1.2))
 
 
 def planter(rng: np.random.Generator) -> Mesh:

@@ -99,7 +99,10 @@ def draw(
     first = len(lanes)
     clashes = _clashes(network, lanes, turns, pieces[first:])
     onward = tuple(tuple(first + k for k, turn in enumerate(turns) if turn[0] == lane) for lane in range(first))
-    built = tuple(Turn(*turn, frozenset(first + k for k in clash)) for turn, clash in zip(turns, clashes, strict=True))
+    built = tuple(
+        Turn(origin, target, angle, frozenset(first + k for k in clash))
+        for (origin, target, angle), clash in zip(turns, clashes, strict=True)
+    )
     return Roads(tuple(pieces), tuple(lanes), built, onward)
 
 
@@ -159,7 +162,8 @@ def _turn_piece(origin: Piece, target: Piece, node: np.ndarray, island_m: float,
             tangent = np.stack([-np.sin(angle), np.cos(angle)], 1)
             into, out = _bend(a[:2], ahead, ring[0], tangent[0]), _bend(ring[-1], tangent[-1], b[:2], leave)
             xy = np.concatenate([into[:-1], ring, out[1:]])
-    over = np.linspace(*(p[2] - float(terrain.height(*p[:2])) for p in (a, b)), len(xy))
+    start, end = (float(p[2]) - float(terrain.height(p[0], p[1])) for p in (a, b))
+    over = np.linspace(start, end, len(xy))
     piece = _piece(np.column_stack([xy, terrain.height(*xy.T) + over]), 1.0)
     speed = min(origin.speed_mps, target.speed_mps, float(np.sqrt(_LATERAL_MPS2 * _least_radius_m(piece))))
     return Piece(piece.points_m, piece.along_m, max(speed, 2.5))

@@ -20,7 +20,7 @@ _MAKERS = {
 _VARIANTS = {"tree": 8, "barrier": 4, "prop": 5, "pole": 8, "vehicle": 6, "building": 12}
 
 
-_PEOPLE = 12
+_PEOPLE = 16
 
 
 @lru_cache(maxsize=256)
@@ -31,10 +31,11 @@ def shelf(group: str, kind: str) -> tuple[Mesh, ...]:
 
 
 @lru_cache(maxsize=1)
-def people() -> tuple[list[Mesh], ...]:
-    """Walkers, each in all poses of a stride (see `person.walking`)."""
+def people() -> tuple[tuple[list[Mesh], tuple[float, float, float]], ...]:
+    """Walkers, each in all poses of a stride (see `person.walking`), and their sizes."""
     rng = seeding.generator("person", 0, "walking")
-    return tuple(person.walking(rng) for _ in range(_PEOPLE))
+    drawn = [person.walking(rng) for _ in range(_PEOPLE)]
+    return tuple((poses, person.size_m(poses)) for poses in drawn)
 
 
 def pick(rng: np.random.Generator, weights: Mapping[str, Number]) -> str:

@@ -127,10 +127,10 @@ class Traffic:
     def _person(
         self, number: int, point: np.ndarray, heading: np.ndarray, velocity: np.ndarray, pace_m: float
     ) -> tuple[Mesh, Actor]:
-        poses = people()[number % len(people())]
+        poses, size = people()[number % len(people())]
         mesh = poses[int(pace_m / person.STRIDE_M * person.PHASES) % person.PHASES]
         upright = _upright(point, float(np.arctan2(heading[1], heading[0])))
-        return self._actor(mesh, number, _PEDESTRIAN, upright, np.array(person.SIZE_M), velocity)
+        return self._actor(mesh, number, _PEDESTRIAN, upright, np.array(size), velocity)
 
     @staticmethod
     def _actor(

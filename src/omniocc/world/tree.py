@@ -95,6 +95,15 @@ def bush(rng: np.random.Generator) -> Mesh:
     return concatenate(parts)
 
 
+def distant(rng: np.random.Generator) -> Mesh:
+    """A plain tree for where nobody comes near."""
+    height, crown = rng.uniform(6, 11), rng.uniform(1.3, 2.2)
+    stem = rng.uniform(1.8, 3.0)
+    body = blob(rng, (crown, crown, (height - stem) / 2), (0, 0, (height + stem) / 2), LEAVES, 0.3, sides=6, rows=4)
+    return concatenate([lathe([0.2, 0.15], [-0.3, stem + 0.6], 4, _BARK), body])
+
+
 KINDS: dict[str, Callable[[np.random.Generator], Mesh]] = {
     "round": round_tree, "tall": tall_tree, "conifer": conifer, "birch": birch, "young": young_tree, "bush": bush,
+    "distant": distant,
 }  # fmt: skip

@@ -113,7 +113,7 @@ def _car(
 
 def sedan(rng: np.random.Generator) -> Mesh:
     """Three boxes."""
-    return _car(rng.uniform(4.3, 4.9), rng.uniform(1.75, 1.88), rng.uniform(1.4, 1.5), 0.9, (-0.38, -0.22, 0.02, 0.2))
+    return _car(rng.uniform(4.3, 5.2), rng.uniform(1.75, 1.9), rng.uniform(1.4, 1.5), 0.9, (-0.38, -0.22, 0.02, 0.2))
 
 
 def hatchback(rng: np.random.Generator) -> Mesh:
