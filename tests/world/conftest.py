@@ -5,10 +5,12 @@ import pytest
 
 from omniocc.camera import Rig
 from omniocc.world.caster import Caster, Layers
+from omniocc.world.cull import spheres_of
 from omniocc.world.light import Light
 from omniocc.world.material import Material
 from omniocc.world.mesh import Mesh, concatenate
 from omniocc.world.shade import join, make_surfaces
+from omniocc.world.shadow import Shadows
 from omniocc.world.stage import Stage
 from omniocc.world.weather import draw_light
 
@@ -104,12 +106,13 @@ def make_stage(static: Mesh, moving: Mesh, own: Mesh, light: Light, x_m: float =
     start = len(static) + len(moving)
     return Stage(
         Layers(layers),
-        Layers([*layers, Caster(here)]),
+        Shadows(layers[0], [layers[1], Caster(here)], np.concatenate([spheres_of(moving), spheres_of(here)]), light),
         surfaces,
         start,
         np.eye(3, dtype=np.float32),
         place,
         moving,
+        spheres_of(moving),
         light,
     )
 

@@ -66,10 +66,10 @@ def test_wet_road_is_darker_below_and_mirrors_the_sky_ahead(stage):
     assert wet[1] > before[1]
 
 
-def test_under_a_grey_sky_it_is_dark_below_cars(stage_of, street, own_car, noon, box):
+def test_under_a_grey_sky_it_is_dark_below_cars(stage_of, street, own_car, box):
     car = box([4, -1, 0.3], [8, 0.8, 1.6], 7)
     light = draw_light("overcast", np.random.default_rng(0))
-    with_car, without = (stage_of(street, moving, own_car, noon) for moving in (car, empty()))
+    with_car, without = (stage_of(street, moving, own_car, light) for moving in (car, empty()))
     eye = np.array([5.0, -0.1, -2.0])  # of a camera under the car
     directions = np.array([[0.05, 0.0, -1.0]], np.float32).T
     directions /= np.linalg.norm(directions)

@@ -49,12 +49,13 @@ def look(view: View, stage: Stage) -> Look:
     or light beside shadow, further rays are cast and the colours averaged in linear light; elsewhere the texture's mip
     levels are average enough.
     """
-    hits = stage.cast(view.origin_m, view.center, _own_hits(view.own_center, stage))
+    maybe = stage.meets(view.cones, view.origin_m)[view.cones.bundle]
+    hits = stage.cast(view.origin_m, view.center, _own_hits(view.own_center, stage), maybe)
     seen = _shade(view, stage, hits, view.center)
     color, key = seen.color, np.where(hits.face >= 0, stage.surfaces.key[hits.face], 0)
     if view.extra.shape[2]:
         index = np.flatnonzero(_borders(view, key, seen))
-        color[:, index] = _smooth(view, stage, index, color[:, index])
+        color[:, index] = _smooth(view, stage, index, color[:, index], maybe[index])
     label = np.where(hits.face >= 0, stage.surfaces.label[hits.face], np.uint8(0))
     return Look(color, label, hits.range_m, key, hits.face >= stage.own_start)
 
@@ -87,12 +88,12 @@ def _own_hits(own: Hits, stage: Stage) -> Hits:
     return own._replace(face=np.where(own.face >= 0, own.face + stage.own_start, -1))
 
 
-def _smooth(view: View, stage: Stage, index: np.ndarray, center_color: np.ndarray) -> np.ndarray:
+def _smooth(view: View, stage: Stage, index: np.ndarray, center_color: np.ndarray, maybe: np.ndarray) -> np.ndarray:
     """(3, E) mean colour of pixels `index` over all their rays."""
     count = view.extra.shape[2]
     directions = view.extra[:, index].reshape(3, -1)
     rays = (index[:, None] * count + np.arange(count)).ravel()
-    hits = stage.cast(view.origin_m, directions, _own_hits(view.own_extra.take(rays), stage))
+    hits = stage.cast(view.origin_m, directions, _own_hits(view.own_extra.take(rays), stage), maybe.repeat(count))
     color = _shade(view, stage, hits, directions).color.reshape(3, len(index), count)
     total = center_color
     for ray in range(count):

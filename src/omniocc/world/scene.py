@@ -9,12 +9,14 @@ import numpy as np
 from omniocc.camera import Rig
 from omniocc.world import place, seeding
 from omniocc.world.caster import Caster, Layers
+from omniocc.world.cull import spheres_of
 from omniocc.world.frame import Box, Frame
 from omniocc.world.lamp import lamp_pools
 from omniocc.world.mesh import transform
 from omniocc.world.recorder import Capture, Labeller, Recorder
 from omniocc.world.sample import GeometryLabels
 from omniocc.world.shade import SurfaceStack, make_surfaces
+from omniocc.world.shadow import Shadows
 from omniocc.world.stage import Stage
 from omniocc.world.survey import Survey
 from omniocc.world.traffic import Actor, Traffic
@@ -98,15 +100,17 @@ class Scene:
         world_from_ego = self._traffic.world_from_ego(time_s)
         moving_mesh, actors = self._traffic.actors(time_s)
         own_mesh = transform(self._own_car, world_from_ego)
-        moving = Caster(moving_mesh)
+        moving, spheres = Caster(moving_mesh), spheres_of(moving_mesh)
+        in_light = np.concatenate([spheres, spheres_of(own_mesh)])
         stage = Stage(
             Layers([self._static, moving]),
-            Layers([self._static, moving, Caster(own_mesh)]),
+            Shadows(self._static, [moving, Caster(own_mesh)], in_light, self._light),
             self._surfaces.topped([make_surfaces(moving_mesh), make_surfaces(own_mesh)]),
             self._static.size + moving.size,
             world_from_ego[:3, :3].astype(np.float32),
             world_from_ego[:3, 3].astype(np.float32),
             moving_mesh,
+            spheres,
             self._light,
         )
         return stage, actors

@@ -5,19 +5,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from omniocc.world.caster import Hits, Layers
+from omniocc.world.caster import Hits
 from omniocc.world.lamp import lamp_light, lamp_strength
 from omniocc.world.light import Light, ambient, standing_water
 from omniocc.world.material import Material
 from omniocc.world.mesh import Mesh
+from omniocc.world.shadow import Shadows
 from omniocc.world.sky import sky_color
 from omniocc.world.texture import layer_of, sample
 
 _GLOSS = {Material.GLASS: 0.9, Material.CAR_PAINT: 0.5, Material.METAL: 0.15, Material.FACADE: 0.0}
 _GLAZED = (Material.FACADE, Material.GLASS)
 _LIFT_M = np.float32(0.02)  # of shadow rays off their surface
-_LOW_M = 2.5  # how far up things are looked for that hide the sky from the ground
-_UPWARD = np.array([[0.55, 0.18, 0.8155], [-0.43, 0.39, 0.8143]], np.float32)
 
 
 @dataclass(frozen=True)
@@ -124,7 +123,7 @@ def shade(
     origin: np.ndarray,
     directions: np.ndarray,
     surfaces: Surfaces,
-    shadows: Layers,
+    shadows: Shadows,
     light: Light,
     pixel_rad: float,
 ) -> Shading:
@@ -158,26 +157,23 @@ def shade(
 
 
 def _sunlight(
-    hits: Hits, origin: np.ndarray, directions: np.ndarray, normal: np.ndarray, shadows: Layers, light: Light
+    hits: Hits, origin: np.ndarray, directions: np.ndarray, normal: np.ndarray, shadows: Shadows, light: Light
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """(R,) cosine to the sun, 0 in shadow; and under a covered sky instead the share (R,) of it that is open."""
-    points = directions * hits.range_m + normal * _LIFT_M + origin[:, None]
-    if not light.sun.any():
-        return np.zeros(points.shape[1], np.float32), _open_sky(points, normal[2], shadows)
+    """(R,) cosine to the sun, 0 in shadow; and under a covered sky instead the share (R,) of it that is open.
+
+    Under a covered sky only level ground is asked whether a car or another low thing stands over it.
+    """
+    covered = not light.sun.any()
     cosine = np.maximum(_dot(normal, light.sun_direction), 0)
-    index = np.flatnonzero(cosine > 0)
-    cosine[index[shadows.blocked(points.T[index], light.sun_direction[None])]] = 0
-    return cosine, None
-
-
-def _open_sky(points: np.ndarray, up: np.ndarray, shadows: Layers) -> np.ndarray:
-    """(R,) how little of the sky cars and other low things hide from level ground: 1 nothing, 0 all; 1 elsewhere."""
-    share = np.ones(points.shape[1], np.float32)
-    level = np.flatnonzero(up > 0.8)
-    low = points.T[level]
-    for toward in _UPWARD:
-        share[level] -= np.float32(1 / len(_UPWARD)) * shadows.blocked(low, toward[None], _LOW_M)
-    return share
+    index = np.flatnonzero(normal[2] > 0.8 if covered else cosine > 0)
+    points = directions[:, index] * hits.range_m[index] + normal[:, index] * _LIFT_M + origin[:, None]
+    dark = index[shadows.fall_on(points)]
+    if not covered:
+        cosine[dark] = 0
+        return cosine, None
+    share = np.ones(len(cosine), np.float32)
+    share[dark] = 0
+    return np.zeros_like(share), share
 
 
 def _surface_color(

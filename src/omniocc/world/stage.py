@@ -5,9 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from omniocc.world.caster import Hits, Layers
+from omniocc.world.cull import Cones, meets
 from omniocc.world.light import Light
 from omniocc.world.mesh import Mesh
 from omniocc.world.shade import Surfaces
+from omniocc.world.shadow import Shadows
 
 
 @dataclass(frozen=True)
@@ -16,22 +18,24 @@ class Stage:
 
     Attributes:
         layers: static things, moving things; the own car is not in it.
-        shadows: the same and the own car.
+        shadows: of the same and of the own car.
         surfaces: of static, moving and own faces, in this order.
         own_start: first face of the own car.
         rotation: (3, 3) float32, caster frame from ego frame.
         origin_m: (3,) float32, the ego origin in the caster frame.
         moving: the moving things' mesh.
+        spheres: (K, 4) float32 around each of them, caster frame.
         light: of the scene.
     """
 
     layers: Layers
-    shadows: Layers
+    shadows: Shadows
     surfaces: Surfaces
     own_start: int
     rotation: np.ndarray
     origin_m: np.ndarray
     moving: Mesh
+    spheres: np.ndarray
     light: Light
 
     def turn(self, directions_ego: np.ndarray) -> np.ndarray:
@@ -49,10 +53,32 @@ class Stage:
         x, y, z = (points - self.origin_m).T
         return np.stack([x * row[0] + y * row[1] + z * row[2] for row in self.rotation.T], axis=1)
 
-    def cast(self, point_ego: np.ndarray, directions_ego: np.ndarray, known: Hits | None = None) -> Hits:
-        """Nearest hits from one ego point (3,) along ego directions (3, R); of the own car only those `known`."""
-        origins = repeat(self.place(point_ego), directions_ego.shape[1])
-        return self.layers.cast(origins, self.turn(directions_ego).T, known)
+    def meets(self, cones: Cones, point_ego: np.ndarray) -> np.ndarray:
+        """(B,) bool: whether bundles of rays in the ego frame may meet something that moves."""
+        return meets(cones._replace(axis=self.turn(cones.axis.T).T), self.place(point_ego), self.spheres)
+
+    def cast(
+        self,
+        point_ego: np.ndarray,
+        directions_ego: np.ndarray,
+        known: Hits | None = None,
+        maybe: np.ndarray | None = None,
+    ) -> Hits:
+        """Nearest hits from one ego point (3,) along ego directions (3, R); of the own car only those `known`.
+
+        `maybe` (R,) bool tells which rays may meet something that moves, if that is known.
+        """
+        place, directions = self.place(point_ego), self.turn(directions_ego).T
+        if maybe is None:
+            return self.layers.cast(repeat(place, len(directions)), directions, known)
+        hits = Layers(self.layers.casters[:1]).cast(repeat(place, len(directions)), directions, known)
+        index = np.flatnonzero(maybe)
+        found = self.layers.casters[1].cast(repeat(place, len(index)), directions[index], hits.range_m[index])
+        hit = np.flatnonzero(found.face >= 0)
+        found.face[:] += np.int32(self.layers.offsets[1])
+        for whole, part in zip(hits, found, strict=True):
+            whole[index[hit]] = part[hit]
+        return hits
 
 
 def repeat(point: np.ndarray, count: int) -> np.ndarray:

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from omniocc.world.caster import Caster, Hits, no_hits
+from omniocc.world.cull import make_cones, meets
 from omniocc.world.lidar import FARTHEST_M, inner_rays, outer_rays
 from omniocc.world.shade import Surfaces
 from omniocc.world.stage import Stage, repeat
@@ -20,6 +21,7 @@ LATTICE_M = 6.0
 _SPREAD_M = 21.0  # from the ego to a LiDAR of the lattice
 _TRIES = 4  # places in a square of the lattice before it stays empty
 _KEPT = 48
+_BUNDLE = 64
 _NOTHING = np.empty((0, 3), np.float32), np.empty(0, np.uint8), np.empty(0, np.int32)
 _PROBES = np.concatenate([np.eye(3), -np.eye(3)]).astype(np.float32)
 
@@ -63,6 +65,7 @@ class Survey:
         self._count = count
         self._inner = inner_rays()
         self._outer = np.ascontiguousarray(outer_rays().T)
+        self._cones = make_cones(self._outer.T, np.arange(len(self._outer)) // _BUNDLE)
         self._scratch = np.zeros(SCRATCH, np.int32)
         self._places: dict[tuple[int, int], np.ndarray | None] = {}
         self._sweeps: OrderedDict[tuple[int, int], Sweep] = OrderedDict()
@@ -135,12 +138,14 @@ class Survey:
     def _look(self, stage: Stage, sweep: Sweep) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Points, classes and cubes of a sweep with what moves in front of it."""
         offset, moving = int(stage.layers.offsets[1]), stage.layers.casters[1]
-        hits = moving.cast(repeat(sweep.place_m, len(self._outer)), self._outer, sweep.range_m)
-        hit = hits.face >= 0
-        ray = np.flatnonzero(hit)
-        if len(ray) == 0:
+        maybe = np.flatnonzero(meets(self._cones, sweep.place_m, stage.spheres)[self._cones.bundle])
+        found = moving.cast(repeat(sweep.place_m, len(maybe)), self._outer[maybe], sweep.range_m[maybe])
+        reached = np.flatnonzero(found.face >= 0)
+        if len(reached) == 0:
             return sweep.points_m, sweep.labels, sweep.cube
-        some = hits.take(ray)
+        ray, some = maybe[reached], found.take(reached)
+        hit = np.zeros(len(self._outer), dtype=bool)
+        hit[ray] = True
         some.face[:] += np.int32(offset)
         _, points, labels = _points(stage.surfaces, some, sweep.place_m, self._outer[ray])
         stay = np.flatnonzero(~hit[sweep.ray])

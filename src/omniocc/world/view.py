@@ -7,7 +7,10 @@ import torch
 
 from omniocc.camera import Rig
 from omniocc.world.caster import Caster, Hits
+from omniocc.world.cull import Cones, make_cones
 from omniocc.world.stage import repeat
+
+_TILES = 32  # across the image
 
 
 @dataclass(frozen=True)
@@ -23,6 +26,7 @@ class View:
         own_center: hits of the centre rays on the own car.
         own_extra: hits of the other rays, flattened (P * (S-1)).
         pixel_rad: mean angle between neighbouring pixels.
+        cones: bundles of neighbouring pixels' rays, ego frame.
         falloff: (P,) float32, 0 on the optical axis and 1 at the lens's rim.
     """
 
@@ -34,6 +38,7 @@ class View:
     own_center: Hits
     own_extra: Hits
     pixel_rad: float
+    cones: Cones
     falloff: np.ndarray
 
 
@@ -67,8 +72,17 @@ def make_view(rig: Rig, camera: int, supersample: int, own_car: Caster) -> View:
         own_car.cast(repeat(origin_m, len(center)), center),
         own_car.cast(repeat(origin_m, len(flat)), flat),
         float(steps.mean()),
+        _tiles(pixel, (height, width), center, float(steps.max())),
         ((angle / angle.max()) ** 2).astype(np.float32),
     )
+
+
+def _tiles(pixel: np.ndarray, size: tuple[int, int], center: np.ndarray, step_rad: float) -> Cones:
+    """One cone for each of some hundred tiles of the image, wide enough for rays beside the pixels' centres."""
+    side = max(size[1] // _TILES, 1)
+    number = pixel // size[1] // side * size[1] + pixel % size[1] // side
+    cones = make_cones(center.T, np.unique(number, return_inverse=True)[1])
+    return cones._replace(half_rad=cones.half_rad + np.float32(step_rad))
 
 
 def _offsets(supersample: int) -> np.ndarray:
