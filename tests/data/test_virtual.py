@@ -84,9 +84,12 @@ def test_the_papers_preset_has_four_scenes_of_each_theme(tmp_path):
     assert len(THEMES) == 8
     with pytest.raises(ValueError, match="weather is hail: choose one of clear,"):
         VirtualWorld(**arguments, weather="hail")
-    other = VirtualWorld(**arguments, weather="rain")
-    assert other.folder != VirtualWorld(**arguments).folder
-    assert other.plans == plans
+    with pytest.raises(ValueError, match="capture is lens: choose one of direct, cubemap"):
+        VirtualWorld(**arguments, capture="lens")
+    for choice in ({"weather": "rain"}, {"label_mode": "geometry"}, {"capture": "cubemap"}, {"lidars": 8}):
+        other = VirtualWorld(**arguments, **choice)
+        assert other.folder != VirtualWorld(**arguments).folder
+        assert other.plans == plans
 
 
 def test_what_makes_the_data_is_in_the_fingerprint(tmp_path):

@@ -4,7 +4,7 @@ import inspect
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from omniocc.camera import Rig
 from omniocc.data.errors import DataError
@@ -15,7 +15,9 @@ from omniocc.data.reader import SceneReader
 from omniocc.data.record import SPLITS, Recordable, SceneJob, ScenePlan, Split, code_fingerprint
 from omniocc.data.shard import META, SCHEMA, digest
 from omniocc.world import THEMES, Scene
-from omniocc.world.weather import WEATHERS, Weather
+from omniocc.world.recorder import Capture
+from omniocc.world.scene import LabelMode
+from omniocc.world.weather import Weather
 
 SEEDS_PER_SPLIT = 1_000_000
 
@@ -41,6 +43,9 @@ class VirtualWorld:
         erp_top_deg: elevation of the panorama's upper edge.
         erp_bottom_deg: elevation of its lower edge.
         weather: of all scenes; None draws one for each by its seed.
+        label_mode: `lidar20`, points of virtual LiDARs as in the paper, or `geometry`, all surfaces, seen or not.
+        lidars: number of virtual LiDARs of `lidar20`.
+        capture: `direct`, a ray through every pixel, or `cubemap`, flat pictures looked up as in the paper.
         seed: another number gives other streets in all splits.
         shard_limit_mib: size at which a new tar shard begins, MiB.
         workers: processes that render; 0 renders in this process, None takes all usable cores.
@@ -63,6 +68,9 @@ class VirtualWorld:
         erp_top_deg: float,
         erp_bottom_deg: float,
         weather: Weather | None = None,
+        label_mode: LabelMode = "lidar20",
+        lidars: int = 20,
+        capture: Capture = "direct",
         seed: int = 0,
         shard_limit_mib: int = 256,
         workers: int | None = None,
@@ -81,17 +89,16 @@ class VirtualWorld:
         self.erp_size = tuple(erp_size)
         self.erp_top_deg = float(erp_top_deg)
         self.erp_bottom_deg = float(erp_bottom_deg)
-        self.weather: Weather | None = weather
+        self.weather: Weather | None = None if weather is None else _one_of("weather", weather, get_args(Weather))
+        self.label_mode: LabelMode = _one_of("label_mode", label_mode, get_args(LabelMode))
+        self.lidars = _at_least("lidars", lidars, 1)
+        self.capture: Capture = _one_of("capture", capture, get_args(Capture))
         self.seed = _at_least("seed", seed, 0)
         self.shard_limit_bytes = _at_least("shard_limit_mib", shard_limit_mib, 1) * 2**20
         self.workers = usable_cores() if workers is None else _at_least("workers", workers, 0)
         unknown = [theme for theme in self.themes if theme not in THEMES]
         if unknown or not self.themes:
             raise ValueError(f"themes are {list(self.themes)}: choose one or more of {', '.join(THEMES)}")
-        if weather is not None and weather not in WEATHERS:
-            raise ValueError(
-                f"weather is {weather}: choose one of {', '.join(WEATHERS)}, or none to draw one by the seed"
-            )
         for split, count in self.num_scenes.items():
             if not 0 <= count < SEEDS_PER_SPLIT:
                 raise ValueError(f"{split}_scenes must be from 0 to {SEEDS_PER_SPLIT - 1}, got {count}")
@@ -110,6 +117,9 @@ class VirtualWorld:
             "erp_top_deg": self.erp_top_deg,
             "erp_bottom_deg": self.erp_bottom_deg,
             "weather": self.weather,
+            "label_mode": self.label_mode,
+            "lidars": self.lidars,
+            "capture": self.capture,
             "shard_limit_bytes": self.shard_limit_bytes,
         }
 
@@ -150,6 +160,9 @@ class VirtualWorld:
             erp_top_deg=self.erp_top_deg,
             erp_bottom_deg=self.erp_bottom_deg,
             weather=self.weather,
+            label_mode=self.label_mode,
+            lidars=self.lidars,
+            capture=self.capture,
         )
 
     def missing(self, plans: Sequence[ScenePlan] | None = None) -> list[ScenePlan]:
@@ -221,4 +234,10 @@ class VirtualWorld:
 def _at_least(name: str, value: int, least: int) -> int:
     if value < least:
         raise ValueError(f"{name} must be at least {least}, got {value}")
+    return value
+
+
+def _one_of(name: str, value: Any, options: Sequence[str]) -> Any:
+    if value not in options:
+        raise ValueError(f"{name} is {value}: choose one of {', '.join(options)}")
     return value
