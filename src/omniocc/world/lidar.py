@@ -33,10 +33,10 @@ def inner_rays() -> np.ndarray:
 def outer_rays() -> np.ndarray:
     """(3, R) float32 rays of every other virtual LiDAR.
 
-    Dealt by where they land rather than by angle: about one for each 0.2 m square of road within 13 m; above that even
+    Dealt by where they land rather than by angle: about one for each 0.25 m square of road within 13 m; above that even
     angles up to +30 degrees.
     """
-    return _neighbors_first(np.concatenate([_sunflower_rays(3.2, 13.0, 13000), _upper_rays(3.2, 13.0, 0.9)], axis=1))
+    return _neighbors_first(np.concatenate([_sunflower_rays(3.2, 13.0, 8000), _upper_rays(3.2, 13.0, 1.2)], axis=1))
 
 
 def _polar_rays() -> np.ndarray:
