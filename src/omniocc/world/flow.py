@@ -19,6 +19,7 @@ _GAP_M, _GAP_S = 2.2, 1.1
 _CLEAR_M = 5.0  # of the zebra behind the junction, before the right of way is given back
 _PATIENCE_S = 5.0  # after which those who wait are no longer overtaken
 _LOOK_M = 45.0
+_YELLOW_STEPS = 8
 
 
 @dataclass
@@ -77,6 +78,7 @@ class Flow:
         self._rng = rng
         self._lane_count = len(roads.lanes)
         self._past: list[tuple[np.ndarray, np.ndarray]] = []
+        self._open: list[frozenset[Arm]] = [frozenset()]
         self._remember()
 
     def motion(self, time_s: float) -> tuple[np.ndarray, np.ndarray]:
@@ -92,6 +94,14 @@ class Flow:
         """Simulates until the time lies within what is remembered."""
         while len(self._past) < int(time_s / STEP_S) + 2:
             self._step((len(self._past) - 1) * STEP_S)
+
+    def signal(self, arm: Arm, time_s: float) -> int:
+        """What the light at an arm shows: red (0), yellow (1), or green (2) while a car has the right of way."""
+        step = int(time_s / STEP_S)
+        self.run_to(time_s)
+        if arm in self._open[step]:
+            return 2
+        return int(any(arm in before for before in self._open[max(step - _YELLOW_STEPS, 0) : step]))
 
     def place(self, car: int, along_m: float) -> np.ndarray:
         """(3,) the point of the road at an arc length of a car's way."""
@@ -119,6 +129,8 @@ class Flow:
         for row in onto.values():
             row.sort()
         self._give_way(time_s, current, onto)
+        coming = (car.pieces[k] for car, k in zip(self.cars, current, strict=True) if k + 1 in car.right_of_way)
+        self._open.append(frozenset(self.roads.lanes[lane].end for lane in coming if lane < self._lane_count))
         push = [self._acceleration(index, k, onto) for index, k in enumerate(current)]
         for car, gain in zip(self.cars, push, strict=True):
             after = max(car.speed_mps + gain * STEP_S, 0.0)

@@ -7,7 +7,7 @@ import numpy as np
 from omniocc.world import backdrop, marking, network, road, seeding, street, terrain, themes, viaduct
 from omniocc.world.mesh import Mesh, concatenate
 from omniocc.world.network import Network
-from omniocc.world.site import Plan, Site
+from omniocc.world.site import Plan, Signal, Site
 from omniocc.world.terrain import Terrain
 from omniocc.world.theme import Theme
 
@@ -27,6 +27,7 @@ class Place:
         network: streets and blocks.
         paved: which blocks (rings of the network) have a sidewalk.
         crossings: (street, at its end) of the junction arms with a zebra crossing.
+        signals: traffic lights, whose lamps `traffic` lights.
     """
 
     theme: Theme
@@ -36,6 +37,7 @@ class Place:
     network: Network
     paved: tuple[bool, ...]
     crossings: frozenset[tuple[int, bool]]
+    signals: tuple[Signal, ...]
 
     def height(self, x_m: np.ndarray | float, y_m: np.ndarray | float) -> np.ndarray:
         """Terrain height at world positions; kerbs and streets lie within 0.15 m of it."""
@@ -70,4 +72,4 @@ def build(theme: str, seed: int) -> Place:
     backdrop.fill(recipe, site, seeding.generator(theme, seed, "backdrop"))
     surfaces = road.build(recipe, land, town, paved, seeding.generator(theme, seed, "surfaces"))
     mesh = concatenate([surfaces, marking.build(recipe, land, town, crossings), *extras, site.mesh()])
-    return Place(recipe, seed, mesh, land, town, paved, crossings)
+    return Place(recipe, seed, mesh, land, town, paved, crossings, tuple(site.signals))

@@ -6,7 +6,7 @@ import numpy as np
 
 from omniocc.world.material import Material
 from omniocc.world.mesh import Mesh, concatenate
-from omniocc.world.shape import Color, Skin, beam, box, lathe, triangles
+from omniocc.world.shape import Color, Skin, beam, box, lathe, panel, triangles
 
 _POLE = 9
 _STEEL = Skin(_POLE, Material.METAL, (112, 116, 118))
@@ -56,19 +56,32 @@ def _board(rim: np.ndarray, place: tuple[float, float], skin: Skin) -> Mesh:
     return triangles(both, both[..., 1:], skin)
 
 
+_LIGHT_M, _ARM_M = 5.6, 3.2
+_HEADS = ((0.0, 2.9), (-_ARM_M, _LIGHT_M - 0.15))
+SIGNALS: tuple[Color, ...] = ((230, 40, 30), (240, 180, 30), (40, 210, 90))
+"""Red, yellow, green."""
+
+
 def traffic_light(rng: np.random.Generator) -> Mesh:
-    """A post with one light on it and one on an arm along -y, facing +x."""
-    height, reach = float(rng.uniform(5.2, 6.0)), float(rng.uniform(2.5, 4.0))
-    lit = int(rng.integers(3))
-    parts = [lathe([0.14, 0.1, 0.07, 0], [-0.3, 0.5, height, height], 6, _DARK),
-             beam((0, 0, height - 0.1), (0, -reach, height), 0.05, _DARK)]  # fmt: skip
-    for y, z in ((0.0, 2.9), (-reach, height - 0.15)):
-        parts.append(box((0.24, 0.3, 0.9), (0.18 * (y == 0), y, z), _DARK))
-        for k, color in enumerate(((230, 40, 30), (240, 180, 30), (40, 210, 90))):
-            glow = color if k == lit else (color[0] // 4, color[1] // 4, color[2] // 4)
-            skin = Skin(_POLE, Material.LAMP if k == lit else Material.SIGN, glow)
-            parts.append(box((0.04, 0.18, 0.18), (0.18 * (y == 0) + 0.14, y, z + 0.28 - 0.28 * k), skin))
+    """A post with a head on it and one on an arm along -y, facing +x, all lamps dark; see `lit_lamps`."""
+    shade = int(rng.integers(38, 60))
+    dark = Skin(_POLE, Material.METAL, (shade, shade + 4, shade + 6))
+    parts = [lathe([0.14, 0.1, 0.07, 0], [-0.3, 0.5, _LIGHT_M, _LIGHT_M], 6, dark),
+             beam((0, 0, _LIGHT_M - 0.1), (0, -_ARM_M, _LIGHT_M), 0.05, dark)]  # fmt: skip
+    parts += [box((0.24, 0.3, 0.9), (0.18 * (y == 0), y, z), dark) for y, z in _HEADS]
+    for k, color in enumerate(SIGNALS):
+        parts += _lamps(k, Skin(_POLE, Material.SIGN, (color[0] // 4, color[1] // 4, color[2] // 4)), 0.14)
     return concatenate(parts)
+
+
+def _lamps(number: int, skin: Skin, out_m: float) -> list[Mesh]:
+    z_m = 0.28 - 0.28 * number
+    return [panel((0.04, 0.18, 0.18), (0.18 * (y == 0) + out_m, y, z + z_m), skin, "frltd") for y, z in _HEADS]
+
+
+def lit_lamps(number: int) -> Mesh:
+    """What shines of a traffic light that shows red (0), yellow (1) or green (2)."""
+    return concatenate(_lamps(number, Skin(_POLE, Material.LAMP, SIGNALS[number]), 0.15))
 
 
 def utility_pole(rng: np.random.Generator) -> Mesh:

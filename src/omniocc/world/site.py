@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 from math import cos, sin
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,6 +28,13 @@ class Pose2:
         """The pose with these coordinates in this pose's own frame."""
         c, s = cos(self.yaw_rad), sin(self.yaw_rad)
         return Pose2(self.x_m + c * along_m - s * left_m, self.y_m + s * along_m + c * left_m, self.yaw_rad + yaw_rad)
+
+
+class Signal(NamedTuple):
+    """A traffic light for the cars that come in at an arm (street, at its end) of a junction."""
+
+    arm: tuple[int, bool]
+    pose: Pose2
 
 
 class Plan:
@@ -69,6 +77,7 @@ class Site:
 
     terrain: Terrain
     plan: Plan
+    signals: list[Signal] = field(default_factory=list)
     _copies: dict[tuple[int, tuple[Material, ...]], tuple[Mesh, list, list]] = field(default_factory=dict)
 
     def put(

@@ -10,9 +10,9 @@ from omniocc.world import plot, prop, tree, vehicle
 from omniocc.world.barrier import PIECE_M
 from omniocc.world.marking import CROSSING_M
 from omniocc.world.material import Material
-from omniocc.world.network import Network, Ring, Side
+from omniocc.world.network import Network, Ring, Side, degrees
 from omniocc.world.shape import Number
-from omniocc.world.site import Plan, Pose2, Site
+from omniocc.world.site import Plan, Pose2, Signal, Site
 from omniocc.world.stock import one, pick
 from omniocc.world.theme import Theme
 
@@ -144,8 +144,13 @@ def _verge(theme: Theme, line: _Line, first: Number, last: Number, site: Site, r
 
 def _corner_poles(network: Network, line: _Line, along_m: Number, site: Site, rng: np.random.Generator) -> None:
     """A traffic light (or a sign) where the cars of this side leave it, looking at them."""
-    busy = network.edges[line.side.edge].lanes > 1
-    site.put(one(rng, "pole", "light" if busy else "sign"), line.at(along_m + 0.6, 0.55))
+    edge, pose = network.edges[line.side.edge], line.at(along_m + 0.6, 0.55)
+    meeting = degrees(network)[edge.start if line.side.forward else edge.end]
+    if edge.lanes > 1 and meeting > 2:
+        site.put(one(rng, "pole", "light"), pose)
+        site.signals.append(Signal((line.side.edge, not line.side.forward), pose))
+    else:
+        site.put(one(rng, "pole", "sign"), pose)
 
 
 def _parked(theme: Theme, line: _Line, first: Number, last: Number, site: Site, rng: np.random.Generator) -> None:

@@ -72,7 +72,7 @@ COUNTRYSIDE = Theme(
     spacing_m=106.0, jitter_m=8.0, bulge_m=6.0, straight_m=24.0, lanes=(1, 2),
     lane_width_m=3.7, parking_m=2.2, sidewalk_m=2.7, corner_radius_m=10.0, road=(Material.ASPHALT, 62, 104),
     lane_lines=True,
-    paved_share=0.75, slope=0.065, horizon_m=40.0, skyline_m=7.0, lamp="utility",
+    paved_share=0.4, slope=0.065, horizon_m=40.0, skyline_m=7.0, lamp="utility",
     plots={"field": 6.0, "farm": 3.0, "house": 3.0, "park": 1.0},
     plot_width_m=(22.0, 34.0), setback_m=(5.0, 10.0), infill=False,
     ground=(*_GRASS, (Material.SOIL, (128, 104, 74)), (Material.GRASS, (150, 146, 82))),

@@ -4,11 +4,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from omniocc.world import driving, person, route, seeding, walking
+from omniocc.world import driving, person, pole, route, seeding, walking
 from omniocc.world.flow import Flow
 from omniocc.world.material import Material
 from omniocc.world.mesh import Mesh, concatenate, transform, with_instance
 from omniocc.world.place import Place
+from omniocc.world.road import KERB_M
 from omniocc.world.stock import people
 from omniocc.world.vehicle import EGO_ROAD_M, PAINTS
 
@@ -71,14 +72,28 @@ class Traffic:
         return pose
 
     def actors(self, time_s: float) -> tuple[Mesh, tuple[Actor, ...]]:
-        """All that moves within 80 m of the ego: faces in the world frame with instance = actor id, and the actors."""
+        """All that moves within 80 m of the ego: faces in the world frame with instance = actor id, and the actors.
+
+        Lit lamps of traffic lights are among the faces, with instance -1.
+        """
         pairs = self._near(time_s)
         moved = (with_instance(transform(mesh, actor.world_from_actor), actor.id) for mesh, actor in pairs)
-        return concatenate(moved), tuple(actor for _, actor in pairs)
+        return concatenate([*moved, *self._lamps(time_s)]), tuple(actor for _, actor in pairs)
 
     def boxes(self, time_s: float) -> tuple[Actor, ...]:
         """The actors alone, which is faster."""
         return tuple(actor for _, actor in self._near(time_s))
+
+    def _lamps(self, time_s: float) -> list[Mesh]:
+        """What the traffic lights near by show."""
+        middle, lit = self.world_from_ego(time_s)[:2, 3], []
+        for signal in self._place.signals:
+            x, y, yaw = signal.pose.x_m, signal.pose.y_m, signal.pose.yaw_rad
+            if np.hypot(x - middle[0], y - middle[1]) < _RANGE_M:
+                shown = self._flow.signal(signal.arm, time_s + self._warm_up_s)
+                foot = np.array([x, y, float(self._place.height(x, y)) + KERB_M])
+                lit.append(transform(pole.lit_lamps(shown), _upright(foot, yaw)))
+        return lit
 
     def _near(self, time_s: float) -> list[tuple[Mesh, Actor]]:
         """Prototypes and actors."""
