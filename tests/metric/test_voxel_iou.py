@@ -20,7 +20,8 @@ def test_by_hand_over_two_batches():
     assert scores["iou"].item() == pytest.approx(4 / 6)
     assert scores["precision"].item() == pytest.approx(4 / 5)
     assert scores["recall"].item() == pytest.approx(4 / 5)
-    assert len(scores) == 4 + 11
+    assert scores["f1"].item() == pytest.approx(4 / 5)
+    assert len(scores) == 5 + 11
 
 
 def voxels(*labels):
@@ -53,5 +54,5 @@ def test_wrong_input_is_named():
         metric.update(voxels(255), voxels(1))
     with pytest.raises(ValueError, match=r"target must hold class ids 0\.\.11 or 255, got \[77\]"):
         metric.update(voxels(1), voxels(77))
-    with pytest.raises(ValueError, match=r"integer type, got torch\.float32"):
-        metric.update(voxels(1).float(), voxels(1))
+    with pytest.raises(ValueError, match=r"got \[1\.5\] in torch\.float32"):
+        metric.update(voxels(1) + 0.5, voxels(1))

@@ -2,8 +2,22 @@
 
 from omniocc.geometry.cuboid import Cuboid
 from omniocc.geometry.cylinder import Cylinder
+from omniocc.geometry.fans import Fans, Scan
 from omniocc.geometry.grid import Grid
 from omniocc.geometry.table import RayTable, ray_table
 from omniocc.geometry.trace import Hits, Paths
+from omniocc.geometry.vote import downsample, majority
 
-__all__ = ["Cuboid", "Cylinder", "Grid", "Hits", "Paths", "RayTable", "ray_table"]
+__all__ = [
+    "Cuboid",
+    "Cylinder",
+    "Fans",
+    "Grid",
+    "Hits",
+    "Paths",
+    "RayTable",
+    "Scan",
+    "downsample",
+    "majority",
+    "ray_table",
+]

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Float64
 from torch import Tensor
 
-from omniocc.geometry.axes import Planes, clip_slab
+from omniocc.geometry.crossings import Crossings, clip_slab, plane_crossings
 from omniocc.geometry.grid import Grid, as_axis, as_shape
 
 
@@ -67,6 +67,11 @@ class Cuboid(Grid):
         """Points from x, y, z."""
         return torch.stack([first, second, third], dim=-1)
 
+    def volumes_m3(self) -> Float64[Tensor, "X Y Z"]:
+        """The same for every cell."""
+        x, y, z = self.cell_m
+        return torch.full(self.shape, x * y * z, dtype=torch.float64)
+
     def clip(
         self, origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"]
     ) -> tuple[Float[Tensor, " R"], Float[Tensor, " R"]]:
@@ -75,9 +80,11 @@ class Cuboid(Grid):
         enter = torch.stack([slab[0] for slab in slabs]).amax(0)
         return enter, torch.stack([slab[1] for slab in slabs]).amin(0)
 
-    def axes(
+    def crossings(
         self, origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"], start_m: Float[Tensor, " R"]
-    ) -> tuple[Planes, Planes, Planes]:
-        """Three sets of planes."""
-        x, y, z = (Planes(origins[:, i], directions[:, i], start_m, self.bounds[i], self.shape[i]) for i in range(3))
+    ) -> tuple[Crossings, Crossings, Crossings]:
+        """With three sets of planes."""
+        x, y, z = (
+            plane_crossings(origins[:, i], directions[:, i], start_m, self.bounds[i], self.shape[i]) for i in range(3)
+        )
         return x, y, z

@@ -5,10 +5,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Float64
 from torch import Tensor
 
-from omniocc.geometry.axes import Planes, Rings, Sectors, clip_disc, clip_slab
+from omniocc.geometry.crossings import (
+    Crossings,
+    clip_disc,
+    clip_slab,
+    plane_crossings,
+    ring_crossings,
+    sector_crossings,
+)
 from omniocc.geometry.grid import Grid, as_axis, as_shape
 
 
@@ -72,6 +79,12 @@ class Cylinder(Grid):
         """Points from radius (m), azimuth (rad) and height (m)."""
         return torch.stack([first * torch.cos(second), first * torch.sin(second), third], dim=-1)
 
+    def volumes_m3(self) -> Float64[Tensor, "X Y Z"]:
+        """Growing with the radius."""
+        squared = self.edges(0).square().diff()
+        cell = squared * (math.pi / self.shape[1]) * self.cell_m[2]
+        return cell.reshape(-1, 1, 1).expand(self.shape).contiguous()
+
     def clip(
         self, origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"]
     ) -> tuple[Float[Tensor, " R"], Float[Tensor, " R"]]:
@@ -80,12 +93,12 @@ class Cylinder(Grid):
         slab = clip_slab(origins[:, 2], directions[:, 2], self.height_m)
         return torch.maximum(disc[0], slab[0]), torch.minimum(disc[1], slab[1])
 
-    def axes(
+    def crossings(
         self, origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"], start_m: Float[Tensor, " R"]
-    ) -> tuple[Rings, Sectors, Planes]:
-        """Cylinders, half-planes and planes."""
+    ) -> tuple[Crossings, Crossings, Crossings]:
+        """With cylinders, half-planes and planes."""
         return (
-            Rings(origins, directions, start_m, self.radius_m, self.shape[0]),
-            Sectors(origins, directions, start_m, self.shape[1]),
-            Planes(origins[:, 2], directions[:, 2], start_m, self.height_m, self.shape[2]),
+            ring_crossings(origins, directions, start_m, self.radius_m, self.shape[0]),
+            sector_crossings(origins, directions, start_m, self.shape[1]),
+            plane_crossings(origins[:, 2], directions[:, 2], start_m, self.height_m, self.shape[2]),
         )

@@ -6,12 +6,14 @@ from collections.abc import Sequence
 from typing import Literal
 
 import torch
-from jaxtyping import Bool, Float, Float32, Int64, UInt8
+from jaxtyping import Bool, Float, Float32, Float64, Int64, UInt8
 from torch import Tensor
 
 from omniocc.classes import NUM_CLASSES
-from omniocc.geometry.axes import Axis
-from omniocc.geometry.trace import Hits, Paths, cast, paths
+from omniocc.geometry.crossings import Crossings
+from omniocc.geometry.dilate import dilate
+from omniocc.geometry.table import cast
+from omniocc.geometry.trace import Hits, Paths, paths
 from omniocc.geometry.vote import majority
 from omniocc.geometry.warp import fold, interpolate, trilinear
 
@@ -41,6 +43,10 @@ class Grid(ABC):
         """Extent of a cell along each axis, metres; of an angle, the arc at the middle radius."""
 
     @abstractmethod
+    def volumes_m3(self) -> Float64[Tensor, "X Y Z"]:
+        """Volume of every cell."""
+
+    @abstractmethod
     def to_axes(self, points: Float[Tensor, "... 3"]) -> tuple[Tensor, Tensor, Tensor]:
         """Values along the three axes of Cartesian ego points in metres."""
 
@@ -55,10 +61,10 @@ class Grid(ABC):
         """Distances at which rays of unit length (float64) enter and leave the grid; enter > leave if they miss it."""
 
     @abstractmethod
-    def axes(
+    def crossings(
         self, origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"], start_m: Float[Tensor, " R"]
-    ) -> tuple[Axis, Axis, Axis]:
-        """State of rays that stand at the distance `start_m`, inside the grid (see `omniocc.geometry.axes`)."""
+    ) -> tuple[Crossings, Crossings, Crossings]:
+        """Crossings with the cell boundaries of each axis, of rays (float64) that begin inside, at `start_m`."""
 
     @property
     def num_cells(self) -> int:
@@ -76,6 +82,10 @@ class Grid(ABC):
         """Cell centres: the middle along each axis, as Cartesian ego points in metres."""
         middles = [(self.edges(axis)[1:] + self.edges(axis)[:-1]) / 2 for axis in range(3)]
         return self.from_axes(*torch.meshgrid(*middles, indexing="ij")).to(device=device, dtype=dtype)
+
+    def distances_m(self) -> Float64[Tensor, "X Y"]:
+        """Horizontal distance of every column's middle from the z axis."""
+        return self.centers(torch.float64)[:, :, 0, :2].norm(dim=-1)
 
     def coordinates(self, points: Float[Tensor, "... 3"]) -> tuple[Tensor, Tensor, Tensor]:
         """Position along each axis in units of cells: cell i spans [i, i+1). At least float32."""
@@ -131,6 +141,21 @@ class Grid(ABC):
         cells, inside = self.flat_index(points)
         return majority(cells[inside], labels[inside], self.num_cells, num_classes).reshape(self.shape)
 
+    def dilate(
+        self, mask: Bool[Tensor, "*B X Y Z"], windows: Sequence[int], edges_m: Sequence[float | int]
+    ) -> Bool[Tensor, "*B X Y Z"]:
+        """Widens a mask towards and away from the z axis (see `omniocc.geometry.dilate.dilate`).
+
+        Args:
+            mask: cells that are candidates.
+            windows: half-width in cells for each range band, one more than there are edges.
+            edges_m: distances from the axis at which one band ends and the next begins.
+
+        Raises:
+            ValueError: if mask, windows and edges do not fit together.
+        """
+        return dilate(self, mask, windows, edges_m)
+
     def warp(
         self, volume: Float[Tensor, "B C X Y Z"], past_from_current: Float[Tensor, "B 4 4"]
     ) -> Float[Tensor, "B C X Y Z"]:
@@ -163,7 +188,7 @@ class Grid(ABC):
     def cast(
         self, labels: UInt8[Tensor, "X Y Z"], origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"]
     ) -> Hits:
-        """First cell along each ray that is not free (see `omniocc.geometry.trace.cast`)."""
+        """First cell along each ray that is not free (see `omniocc.geometry.table.cast`)."""
         return cast(self, labels, origins, directions)
 
     def trace(

@@ -1,22 +1,20 @@
 """Exact traversal of a voxel grid by rays: every cell crossed, in order, with entry and exit distances.
 
-All rays step from boundary to boundary together, in float64: Amanatides and Woo's algorithm (1987), where boundaries
-may be planes, cylinders or half-planes (`omniocc.geometry.axes`).
+The crossings with all boundaries of all axes (`omniocc.geometry.crossings`) are put in order of distance, in float64;
+each changes the cell by one along its axis.
 """
 
-from collections.abc import Iterator
-from math import prod
+from collections.abc import Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
-from jaxtyping import Bool, Float, Float32, Int32, Int64, UInt8
+from jaxtyping import Bool, Float, Float32, Float64, Int32, UInt8
 from torch import Tensor
 
-from omniocc.classes import FREE
-from omniocc.geometry.axes import TOUCH_M, Axis
+from omniocc.geometry.crossings import FAR, TOUCH_M, Crossings
 
-CHUNK_RAYS = 1 << 15
-"""Rays that step together; their state should stay in the processor's cache."""
+CHUNK_RAYS = 1024
+"""Rays whose crossings are sorted together; they should stay in the processor's cache."""
 
 
 @runtime_checkable
@@ -26,9 +24,14 @@ class Traversable(Protocol):
     @property
     def shape(self) -> tuple[int, int, int]: ...  # noqa: D102
 
+    @property
+    def bounds(self) -> tuple[tuple[float, float], tuple[float, float], tuple[float, float]]: ...  # noqa: D102
+
     def clip(self, origins: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]: ...  # noqa: D102
 
-    def axes(self, origins: Tensor, directions: Tensor, start_m: Tensor) -> tuple[Axis, Axis, Axis]: ...  # noqa: D102
+    def crossings(  # noqa: D102
+        self, origins: Tensor, directions: Tensor, start_m: Tensor
+    ) -> tuple[Crossings, Crossings, Crossings]: ...
 
 
 class Paths(NamedTuple):
@@ -71,30 +74,6 @@ class Hits(NamedTuple):
     entry_m: Float32[Tensor, " R"]
     exit_m: Float32[Tensor, " R"]
 
-    @classmethod
-    def nothing(cls, leave_m: Float32[Tensor, " R"]) -> "Hits":
-        """Rays that leave the grid at these distances without a hit; inf if they never meet it."""
-        cells = torch.full_like(leave_m, -1, dtype=torch.int32)
-        return cls(cells, torch.full_like(leave_m, FREE, dtype=torch.uint8), leave_m.clone(), leave_m.clone())
-
-
-class Stretch(NamedTuple):
-    """The next cell of K rays.
-
-    Attributes:
-        rays: which rays.
-        crossed: whether there is a next cell; the other columns mean nothing where there is none.
-        cells: its flat index, or the number of cells in a cylinder's hole.
-        entry_m: distance at which it is entered.
-        exit_m: distance at which it is left.
-    """
-
-    rays: Int64[Tensor, " K"]
-    crossed: Bool[Tensor, " K"]
-    cells: Int64[Tensor, " K"]
-    entry_m: Float[Tensor, " K"]
-    exit_m: Float[Tensor, " K"]
-
 
 def paths(grid: Traversable, origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"]) -> Paths:
     """Finds all cells that rays cross.
@@ -106,119 +85,77 @@ def paths(grid: Traversable, origins: Float[Tensor, "R 3"], directions: Float[Te
         origins: ego frame, metres; anywhere, inside or outside.
         directions: any length but zero.
     """
-    steps: list[Stretch] = []
-    count = torch.zeros(len(origins), dtype=torch.int64, device=origins.device)
-    columns: list[Tensor] = []
-    for stretch in walk(grid, origins, directions):
-        crossed = stretch.crossed.nonzero().flatten()
-        stretch = Stretch(*(part[crossed] for part in stretch))
-        steps.append(stretch)
-        columns.append(count[stretch.rays])
-        count[stretch.rays] += 1
+    chunks = range(0, max(len(origins), 1), CHUNK_RAYS)
+    parts = [_paths(grid, origins[i : i + CHUNK_RAYS], directions[i : i + CHUNK_RAYS]) for i in chunks]
+    cells, bounds_m, valid = zip(*parts, strict=True)
+    return Paths(stack_ragged(cells, -1), stack_ragged(bounds_m, None), torch.cat(valid))
+
+
+def _paths(grid: Traversable, origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"]) -> Paths:
+    origins, directions = origins.double(), unit(directions)
+    start_m, leave_m = clip(grid, origins, directions)
+    _, second, third = grid.shape
+    strides = (second * third, third, 1)
+    cells, bounds_m = in_order(grid.crossings(origins, directions, start_m), strides, start_m, leave_m)
+    ray, place = (bounds_m.diff(dim=1) > TOUCH_M).nonzero().unbind(-1)
+    count = torch.bincount(ray, minlength=len(origins))
+    column = torch.arange(len(ray), device=ray.device) - (count.cumsum(0) - count)[ray]
     length = int(count.max()) if len(count) else 0
-    cells = torch.full((len(origins), length), -1, dtype=torch.int32, device=origins.device)
-    bounds_m = torch.zeros(len(origins), length + 1, device=origins.device)
-    for stretch, column in zip(steps, columns, strict=True):
-        cells[stretch.rays, column] = torch.where(stretch.cells == prod(grid.shape), -1, stretch.cells).int()
-        bounds_m[stretch.rays, column] = stretch.entry_m.float()
-        bounds_m[stretch.rays, column + 1] = stretch.exit_m.float()
-    after = torch.arange(length + 1, device=count.device) > count.unsqueeze(1)
-    last_m = bounds_m.gather(1, count.unsqueeze(1))
-    return Paths(cells, torch.where(after, last_m, bounds_m), count > 0)
+    packed = cells.new_full((len(origins), length), -1)
+    packed[ray, column] = cells[ray, place].clamp(min=-1)
+    packed_m = leave_m.float().unsqueeze(1).repeat(1, length + 1)
+    packed_m[ray, column] = bounds_m[ray, place].float()
+    return Paths(packed, packed_m, count > 0)
 
 
-def cast(
-    grid: Traversable,
-    labels: UInt8[Tensor, "X Y Z"],
-    origins: Float[Tensor, "R 3"],
-    directions: Float[Tensor, "R 3"],
-) -> Hits:
-    """Finds the first cell along each ray that is not free (0); unknown (255) is not free.
-
-    Args:
-        grid: cylinder or cuboid.
-        labels: class of every cell.
-        origins: ego frame, metres.
-        directions: any length but zero.
-
-    Raises:
-        ValueError: if the labels do not have the grid's shape.
-    """
-    if labels.shape != grid.shape:
-        raise ValueError(f"labels must have the grid's shape {grid.shape}, got {tuple(labels.shape)}")
-    flat = torch.cat([labels.flatten(), labels.new_full((1,), FREE)])
-    _, start_m, leave_m = _clip(grid, origins, directions)
-    hits = Hits.nothing(torch.where(start_m < leave_m, leave_m, float("inf")).float())
-    wanted = torch.ones(len(origins), dtype=torch.bool, device=origins.device)
-    for stretch in walk(grid, origins, directions, wanted):
-        label = flat.index_select(0, stretch.cells)
-        stop = ((label != FREE) & stretch.crossed).nonzero().flatten()
-        rays = stretch.rays[stop]
-        hits.cells[rays] = stretch.cells[stop].int()
-        hits.labels[rays] = label[stop]
-        hits.entry_m[rays] = stretch.entry_m[stop].float()
-        hits.exit_m[rays] = stretch.exit_m[stop].float()
-        wanted[rays] = False
-    return hits
+def unit(directions: Float[Tensor, "R 3"]) -> Float64[Tensor, "R 3"]:
+    """The directions with length 1."""
+    return torch.nn.functional.normalize(directions.double(), dim=-1, eps=0.0)
 
 
-def walk(
-    grid: Traversable,
-    origins: Float[Tensor, "R 3"],
-    directions: Float[Tensor, "R 3"],
-    wanted: Bool[Tensor, " R"] | None = None,
-) -> Iterator[Stretch]:
-    """Steps all rays through the grid, one cell at a time.
+def clip(
+    grid: Traversable, origins: Float64[Tensor, "R 3"], directions: Float64[Tensor, "R 3"]
+) -> tuple[Float64[Tensor, " R"], Float64[Tensor, " R"]]:
+    """Distances at which rays start in the grid and leave it; equal for those that never meet it."""
+    enter_m, leave_m = grid.clip(origins, directions)
+    start_m, leave_m = enter_m.clamp(min=0), leave_m.clamp(max=FAR)
+    meets = leave_m > start_m + TOUCH_M
+    return torch.where(meets, start_m, 0.0), torch.where(meets, leave_m, 0.0)
+
+
+def in_order(
+    crossings: Sequence[Crossings],
+    strides: Sequence[int],
+    start_m: Float64[Tensor, " R"],
+    leave_m: Float64[Tensor, " R"],
+) -> tuple[Int32[Tensor, "R N"], Float64[Tensor, "R N+1"]]:
+    """Puts the crossings of several axes in order.
 
     Args:
-        grid: cylinder or cuboid.
-        origins: ego frame, metres.
-        directions: any length but zero.
-        wanted: rays to follow; the caller may clear entries between steps to stop rays.
+        crossings: of each axis.
+        strides: of each axis in a flat cell index.
+        start_m: where rays begin.
+        leave_m: where they end; crossings beyond count as being there.
+
+    Returns:
+        Flat index of the cell in each stretch between two crossings, negative in a cylinder's hole, and the ends of the
+        stretches. Some have no length.
     """
-    for first in range(0, len(origins), CHUNK_RAYS):
-        chunk = slice(first, first + CHUNK_RAYS)
-        going = None if wanted is None else wanted[chunk]
-        for stretch in _walk_chunk(grid, origins[chunk], directions[chunk], going):
-            yield stretch._replace(rays=stretch.rays + first)
+    at_m = torch.cat([axis.at_m for axis in crossings], dim=1).clamp_(start_m.unsqueeze(1), leave_m.unsqueeze(1))
+    at_m, order = at_m.sort(dim=1, stable=True)
+    last = int((at_m < leave_m.unsqueeze(1)).sum(dim=1).max()) if len(at_m) else 0
+    step = torch.cat([axis.step * stride for axis, stride in zip(crossings, strides, strict=True)], dim=1)
+    first = sum(axis.index * stride for axis, stride in zip(crossings, strides, strict=True))
+    assert isinstance(first, Tensor)
+    cells = torch.cat([first.int().unsqueeze(1), step.gather(1, order[:, :last])], dim=1)
+    cells = cells.cumsum(dim=1, dtype=torch.int32)
+    return cells, torch.cat([start_m.unsqueeze(1), at_m[:, :last], leave_m.unsqueeze(1)], dim=1)
 
 
-def _clip(grid: Traversable, origins: Tensor, directions: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Unit directions, and where rays start and leave the grid; start >= leave for those that never meet it."""
-    directions = torch.nn.functional.normalize(directions.double(), dim=-1, eps=0.0)
-    enter_m, leave_m = grid.clip(origins.double(), directions)
-    start_m = enter_m.clamp(min=0)
-    return directions, start_m, torch.where(leave_m > start_m + TOUCH_M, leave_m, -1.0)
-
-
-def _walk_chunk(
-    grid: Traversable, origins: Tensor, directions: Tensor, wanted: Bool[Tensor, " R"] | None
-) -> Iterator[Stretch]:
-    directions, now_m, leave_m = _clip(grid, origins, directions)
-    rays = (now_m < leave_m).nonzero().flatten()
-    now_m, leave_m = now_m[rays], leave_m[rays]
-    axes = grid.axes(origins[rays].double(), directions[rays], now_m)
-    for axis in axes:
-        axis.advance(axis.next_m <= now_m + TOUCH_M)
-    while len(rays):
-        end_m = torch.minimum(torch.minimum(axes[0].next_m, axes[1].next_m), torch.minimum(axes[2].next_m, leave_m))
-        going = now_m < leave_m - TOUCH_M
-        if wanted is not None:
-            going &= wanted.index_select(0, rays)
-        kept = going.nonzero().flatten()
-        if 4 * len(kept) < 3 * len(rays):
-            rays, now_m, end_m, leave_m = rays[kept], now_m[kept], end_m[kept], leave_m[kept]
-            going = going[kept]
-            for axis in axes:
-                axis.keep(kept)
-        reached_m = end_m + TOUCH_M
-        crossed = going & (reached_m > now_m + 2 * TOUCH_M)
-        yield Stretch(rays, crossed, _flat(axes, grid.shape, crossed), now_m, end_m)
-        for axis in axes:
-            axis.advance(axis.next_m <= reached_m)
-        now_m = end_m
-
-
-def _flat(axes: tuple[Axis, Axis, Axis], shape: tuple[int, int, int], crossed: Bool[Tensor, " K"]) -> Tensor:
-    cell = (axes[0].index * shape[1] + axes[1].index) * shape[2] + axes[2].index
-    return torch.where(crossed & (axes[0].index >= 0), cell, prod(shape)).long()
+def stack_ragged(parts: Sequence[Tensor], fill: int | None) -> Tensor:
+    """Puts tables of different width below one another, filled on the right with a number or with their last column."""
+    table = parts[0].new_empty(sum(len(part) for part in parts), max(part.shape[1] for part in parts))
+    for part, rows in zip(parts, table.split([len(part) for part in parts]), strict=True):
+        rows[:, : part.shape[1]] = part
+        rows[:, part.shape[1] :] = part[:, -1:] if fill is None else fill
+    return table

@@ -35,3 +35,32 @@ def majority(
     score = torch.where(label == UNKNOWN, 0, counts) * 256 + label
     best = score.new_zeros(num_cells).scatter_reduce_(0, (keys // 256).long(), score, "amax")
     return (best % 256).to(torch.uint8)
+
+
+def downsample(
+    labels: UInt8[Tensor, "*B X Y Z"], factor: int, num_classes: int = NUM_CLASSES
+) -> UInt8[Tensor, "*B x y z"]:
+    """Joins blocks of `factor` cells along every axis into one by majority, so that thin objects survive.
+
+    Only occupied cells vote: a block with a single pole among free or unknown cells is pole. A tie goes to the highest
+    class id, as in `majority`. A block without occupied cells is free, or unknown if most of it is.
+
+    Args:
+        labels: class of every cell, or 255 for unknown; batch axes first.
+        factor: cells along each axis that become one.
+        num_classes: number of classes, free included.
+
+    Raises:
+        ValueError: if an axis is no multiple of the factor.
+    """
+    if factor < 1 or any(size % factor for size in labels.shape[-3:]):
+        raise ValueError(f"the last three axes must be multiples of factor {factor}, got shape {tuple(labels.shape)}")
+    x, y, z = (size // factor for size in labels.shape[-3:])
+    blocks = labels.reshape(-1, x, factor, y, factor, z, factor).permute(0, 1, 3, 5, 2, 4, 6).flatten(4)
+    best = torch.zeros(blocks.shape[:-1], dtype=torch.int32, device=labels.device)
+    for label in range(1, num_classes):
+        votes = (blocks == label).sum(dim=-1, dtype=torch.int32)
+        best = torch.maximum(best, torch.where(votes > 0, votes * 256 + label, 0))
+    unknown = 2 * (blocks == UNKNOWN).sum(dim=-1) > factor**3
+    joined = torch.where((best == 0) & unknown, UNKNOWN, best % 256)
+    return joined.to(torch.uint8).reshape(*labels.shape[:-3], x, y, z)

@@ -1,7 +1,19 @@
 """Scores of occupancy."""
 
-from omniocc.metric.directions import sparseocc_directions
-from omniocc.metric.ray_iou import RayIoU, ray_iou
+from omniocc.metric.depth import DepthMetrics, sphere_index
+from omniocc.metric.directions import eight_origins, sparseocc_directions
+from omniocc.metric.ray_hits import ray_hits
+from omniocc.metric.ray_iou import RayIoU, RayTruth, ray_iou
 from omniocc.metric.voxel_iou import VoxelIoU
 
-__all__ = ["RayIoU", "VoxelIoU", "ray_iou", "sparseocc_directions"]
+__all__ = [
+    "DepthMetrics",
+    "RayIoU",
+    "RayTruth",
+    "VoxelIoU",
+    "eight_origins",
+    "ray_hits",
+    "ray_iou",
+    "sparseocc_directions",
+    "sphere_index",
+]

@@ -1,19 +1,36 @@
 """RayIoU: occupancy scored by what LiDAR rays would hit first (SparseOcc, Liu et al. 2024), on any grid."""
 
-import itertools
 from collections.abc import Sequence
-from typing import Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import torch
-from jaxtyping import Float, Shaped
+from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 from torchmetrics import Metric
 
 from omniocc.classes import CLASSES, FREE, NUM_CLASSES, UNKNOWN
-from omniocc.geometry import Cuboid, Cylinder, Hits, ray_table
-from omniocc.metric.checks import check_labels, check_same_batch
+from omniocc.geometry import Cuboid, Cylinder, Hits, RayTable, Scan, ray_table
+from omniocc.metric.checks import check_classes, check_increasing, check_labels, check_mask, check_same_batch
 from omniocc.metric.directions import sparseocc_directions
+from omniocc.metric.plot import plot_bars
 from omniocc.metric.ray_counts import RayCounts, count_rays, ray_scores
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+class RayTruth(NamedTuple):
+    """What real LiDAR rays saw: truth without a grid; see `RayIoU.update_rays`.
+
+    Attributes:
+        range_m: distance along each ray, inf where nothing is hit; the rays are the metric's directions from each
+            origin in turn.
+        labels: class of what is hit; free where nothing is hit.
+    """
+
+    range_m: Float[Tensor, "B R"]
+    labels: Shaped[Tensor, "B R"]
 
 
 class RayIoU(Metric):
@@ -22,12 +39,12 @@ class RayIoU(Metric):
     A ray counts if its true first hit is of a class other than free and unknown. It is correct at a threshold if the
     predicted first hit has the same class and lies at a distance that differs by less than the threshold. Counts are
     summed over rays, frames and processes; IoU = correct / (true + predicted - correct) for each class and threshold,
-    and the mean runs over thresholds and over the classes present. A ray whose truth is free is dropped, so
-    hallucinations on it go unpunished, as in the public protocol; a ray that never meets the grid is invalid (the
+    and the mean runs over thresholds and over the classes present. A ray that never meets the grid is invalid (the
     public script takes voxel (0, 0, 0) for it).
 
     The paper does not say which thresholds, rays and origins it used. The default here is the mean over 1, 2 and 4 m of
     the public 39 x 360 rays from an ego LiDAR at the ego origin. Range bins go by the true distance along the ray.
+    `docs/rayiou.md` compares all this with the public script.
 
     Args:
         geometry: grid of the predictions.
@@ -40,9 +57,21 @@ class RayIoU(Metric):
         target_geometry: grid of the targets, if another one. Rays whose true hit lies outside the prediction's grid
             are dropped.
         hit: distance of a hit: where the ray leaves the cell hit (the public protocol) or where it enters it.
+        count_free_rays: also count rays whose truth is free, so that what is predicted on them costs its class, at the
+            distance at which the ray leaves the grid. The public protocol drops them: hallucinations go unpunished.
 
     Raises:
         ValueError: if an argument makes no sense.
+
+    Example:
+        >>> grid = Cylinder((32, 50, 4), (0.0, 12.8), (-2.8, 3.6))
+        >>> target = torch.zeros(1, 32, 50, 4, dtype=torch.uint8)
+        >>> target[..., 0] = 1
+        >>> target[:, 26] = 4  # a round building, 10.4 to 10.8 m away
+        >>> metric = RayIoU(grid)
+        >>> metric.update(target.roll(3, dims=1), target)  # found 1.2 m too far
+        >>> [round(metric.compute()[key].item(), 2) for key in ("rayiou", "rayiou@1", "rayiou@2", "rayiou/Building")]
+        [0.77, 0.44, 0.93, 0.65]
     """
 
     is_differentiable = False
@@ -51,7 +80,6 @@ class RayIoU(Metric):
     truth: Tensor
     predicted: Tensor
     correct: Tensor
-    directions: Tensor
 
     def __init__(
         self,
@@ -64,16 +92,21 @@ class RayIoU(Metric):
         directions: Float[Tensor, "D 3"] | None = None,
         target_geometry: Cylinder | Cuboid | None = None,
         hit: Literal["exit", "entry"] = "exit",
+        count_free_rays: bool = False,
     ):
         super().__init__()
+        check_classes(num_classes, free_class, ignore_class)
+        if hit not in ("exit", "entry"):
+            raise ValueError(f"hit must be 'exit' or 'entry', got {hit!r}")
         self.geometry, self.target_geometry = geometry, target_geometry or geometry
         self.num_classes, self.free_class, self.ignore_class = num_classes, free_class, ignore_class
-        self.thresholds_m = _increasing("thresholds_m", thresholds_m, at_least=1)
-        self.range_edges_m = () if range_edges_m is None else _increasing("range_edges_m", range_edges_m, at_least=2)
-        self.hit = hit
-        _check_classes(num_classes, free_class, ignore_class)
-        rays = sparseocc_directions() if directions is None else directions
-        self.register_buffer("directions", rays, persistent=False)
+        self.thresholds_m = tuple(float(edge) for edge in thresholds_m)
+        check_increasing("thresholds_m", self.thresholds_m, at_least=1)
+        self.range_edges_m = tuple(float(edge) for edge in range_edges_m or ())
+        if range_edges_m is not None:
+            check_increasing("range_edges_m", self.range_edges_m, at_least=2)
+        self.hit, self.count_free_rays = hit, count_free_rays
+        self.scan = Scan(sparseocc_directions() if directions is None else directions)
         bins, thresholds = max(len(self.range_edges_m), 1), len(self.thresholds_m)
         zeros = torch.zeros(bins, num_classes, dtype=torch.int64)
         self.add_state("truth", zeros, dist_reduce_fx="sum")
@@ -83,32 +116,39 @@ class RayIoU(Metric):
     def update(
         self,
         prediction: Shaped[Tensor, "B X Y Z"],
-        target: Shaped[Tensor, "Bt Xt Yt Zt"],
+        target: Shaped[Tensor, "Bt Xt Yt Zt"] | RayTruth,
         origins: Float[Tensor, "B O 3"] | None = None,
+        observed: Bool[Tensor, "Bt Xt Yt Zt"] | None = None,
     ) -> None:
         """Adds predicted and true class ids of a batch.
 
         Args:
-            prediction: class of every cell.
-            target: true class of every cell, or `ignore_class`.
-            origins: places in the ego frame (metres) that the rays start from; default the ego origin, for which
-                the cells of all rays are found once and kept.
+            prediction: class of every cell; any integer type, or whole numbers in a floating one.
+            target: true class of every cell, or `ignore_class`. Or what real rays saw: see `update_rays`.
+            origins: places in the ego frame (metres) that the rays start from; default the ego origin. Those of the
+                public protocol: `eight_origins`.
+            observed: cells of the target that count; the others are unknown.
 
         Raises:
             ValueError: naming a wrong shape, type or value.
         """
-        prediction = self._check("prediction", prediction, self.geometry, None)
-        target = self._check("target", target, self.target_geometry, self.ignore_class)
+        prediction = check_labels("prediction", prediction, self.geometry.shape, self.num_classes)
+        if origins is not None and (origins.ndim != 3 or len(origins) != len(prediction) or origins.shape[2] != 3):
+            raise ValueError(f"origins must have shape ({len(prediction)}, O, 3), got {tuple(origins.shape)}")
+        places = torch.zeros(1, 3).expand(len(prediction), 1, 3) if origins is None else origins
+        places = places.to(prediction.device)
+        if isinstance(target, RayTruth):
+            self._check_rays(prediction, target, places)
+            for sample in zip(prediction, target.range_m, target.labels, places, strict=True):
+                self._add_rays(*sample)
+            return
+        target = check_labels("target", target, self.target_geometry.shape, self.num_classes, self.ignore_class)
         check_same_batch("prediction", prediction, "target", target)
-        for i in range(len(prediction)):
-            places = self._origins(origins, i, prediction.device)
-            found = self._cast(self.geometry, prediction[i], places)
-            truth = self._cast(self.target_geometry, target[i], places)
-            valid = truth.labels != self.free_class
-            if self.target_geometry != self.geometry:
-                valid &= self._inside(places, (truth.entry_m + truth.exit_m) / 2)
-            true_m, predicted_m = (hits.entry_m if self.hit == "entry" else hits.exit_m for hits in (truth, found))
-            self._add(truth.labels, true_m, found.labels, (true_m - predicted_m).abs(), valid)
+        check_mask("observed", observed, target.shape)
+        if observed is not None:
+            target = target.masked_fill(~observed, self.ignore_class)
+        for sample in zip(prediction, target, places, strict=True):
+            self._add_voxels(*sample)
 
     def update_rays(
         self,
@@ -121,34 +161,19 @@ class RayIoU(Metric):
 
         A voxel only says that something is in it, not where, so the error of a ray is the distance from the true range
         to the stretch of the ray inside the predicted cell: 0 if the true point lies in it. (`hit` is for voxels
-        against voxels, where both sides share the bias.) A ray that hit nothing or a point outside the grid counts as
-        free in truth, and is dropped.
+        against voxels, where both sides share the bias.) A ray that hit nothing, or a point outside the grid, is free
+        in truth, and is dropped unless `count_free_rays`; it says nothing about what lies behind its point.
 
         Args:
             prediction: class of every cell.
-            range_m: true distance along each ray, inf where nothing is hit; the rays are `directions` from each
-                origin in turn.
-            labels: true class of what is hit; free where nothing is hit.
+            range_m: see `RayTruth`.
+            labels: see `RayTruth`.
             origins: as in `update`.
 
         Raises:
             ValueError: naming a wrong shape, type or value.
         """
-        prediction = self._check("prediction", prediction, self.geometry, None)
-        rays = len(self.directions) * (1 if origins is None else origins.shape[1])
-        labels = check_labels("labels", labels, (rays,), self.num_classes, self.ignore_class)
-        check_same_batch("prediction", prediction, "labels", labels)
-        if range_m.shape != labels.shape:
-            raise ValueError(f"range_m must have shape {tuple(labels.shape)}, got {tuple(range_m.shape)}")
-        for i in range(len(prediction)):
-            places = self._origins(origins, i, prediction.device)
-            found = self._cast(self.geometry, prediction[i], places)
-            error_m = torch.maximum(found.entry_m - range_m[i], range_m[i] - found.exit_m).clamp(min=0)
-            valid = (labels[i] != self.free_class) & self._inside(places, range_m[i])
-            self._add(labels[i], range_m[i], found.labels, error_m, valid)
-        # what torchmetrics does around `update`
-        self._computed = None
-        self._update_count += 1
+        self.update(prediction, RayTruth(range_m, labels), origins)
 
     def compute(self) -> dict[str, Tensor]:
         """Scores over everything seen: see `omniocc.metric.ray_counts.ray_scores` for the keys."""
@@ -157,27 +182,73 @@ class RayIoU(Metric):
         names = [CLASSES[c].name if known else str(c) for c in range(self.num_classes)]
         return ray_scores(counts, names, self.free_class, self.thresholds_m, self.range_edges_m)
 
-    def _check(self, name: str, labels: Tensor, grid: Cylinder | Cuboid, ignore_class: int | None) -> Tensor:
-        return check_labels(name, labels, grid.shape, self.num_classes, ignore_class)
+    def plot(
+        self,
+        val: dict[str, Tensor] | None = None,
+        ax: "Axes | None" = None,
+        by: Literal["class", "threshold", "range"] = "class",
+    ) -> "tuple[Figure, Axes]":
+        """Draws scores as bars (needs matplotlib).
 
-    def _origins(self, origins: Tensor | None, sample: int, device: torch.device) -> Tensor:
-        return torch.zeros(1, 3, device=device) if origins is None else origins[sample].to(device)
+        Args:
+            val: what `compute` returned; default now.
+            ax: where to draw; default a new figure.
+            by: one bar for each class, threshold or range bin.
+        """
+        scores = self.compute() if val is None else val
+        prefix = {"class": "rayiou/", "threshold": "rayiou@", "range": "rayiou_"}[by]
+        return plot_bars(scores, [key for key in scores if key.startswith(prefix)], ax)
 
-    def _rays(self, places: Float[Tensor, "O 3"]) -> tuple[Tensor, Tensor]:
-        directions = self.directions.to(places.device)
-        return places.repeat_interleave(len(directions), dim=0), directions.repeat(len(places), 1)
+    def _check_rays(self, prediction: Tensor, target: RayTruth, places: Tensor) -> None:
+        rays = len(self.scan) * places.shape[1]
+        check_labels("labels", target.labels, (rays,), self.num_classes, self.ignore_class)
+        check_same_batch("prediction", prediction, "labels", target.labels)
+        if target.range_m.shape != target.labels.shape:
+            shapes = f"{tuple(target.labels.shape)}, got {tuple(target.range_m.shape)}"
+            raise ValueError(f"range_m must have shape {shapes}")
 
-    def _cast(self, grid: Cylinder | Cuboid, labels: Tensor, places: Float[Tensor, "O 3"]) -> Hits:
+    def _add_voxels(self, prediction: Tensor, target: Tensor, places: Float[Tensor, "O 3"]) -> None:
+        if self.target_geometry == self.geometry:
+            found, truth = self._cast(ray_table(self.geometry, places, self.scan), prediction, target)
+        else:
+            found = self._cast(ray_table(self.geometry, places, self.scan), prediction)[0]
+            truth = self._cast(ray_table(self.target_geometry, places, self.scan), target)[0]
+        free = truth.labels == self.free_class
+        valid = ~free
+        if self.target_geometry != self.geometry:
+            valid &= self._inside(places, (truth.entry_m.double() + truth.exit_m) / 2)
+        true_m, predicted_m = (hits.entry_m if self.hit == "entry" else hits.exit_m for hits in (truth, found))
+        if self.count_free_rays:
+            valid |= free & self._clear(found, truth.exit_m)
+        self._add(truth.labels, true_m, found.labels, (true_m - predicted_m).abs(), valid)
+
+    def _add_rays(self, prediction: Tensor, range_m: Tensor, labels: Tensor, places: Float[Tensor, "O 3"]) -> None:
+        table = ray_table(self.geometry, places, self.scan)
+        found = self._cast(table, prediction)[0]
+        range_m, labels = range_m.double(), labels.to(torch.uint8)
+        error_m = torch.maximum(found.entry_m - range_m, range_m - found.exit_m).clamp(min=0)
+        valid = (labels != self.free_class) & self._inside(places, range_m)
+        if self.count_free_rays:
+            leave_m = table.reach_m()
+            free = ((labels == self.free_class) | (range_m >= leave_m)) & (labels != self.ignore_class)
+            clear_m = torch.minimum(range_m, leave_m.double())
+            valid |= free & self._clear(found, clear_m)
+            labels, range_m = labels.masked_fill(free, self.free_class), torch.where(free, clear_m, range_m)
+        self._add(labels, range_m, found.labels, error_m, valid)
+
+    def _cast(self, table: RayTable, *volumes: Tensor) -> list[Hits]:
         # uint8 wraps around, so the free class becomes 0 and no other one does
-        shifted = labels - self.free_class
-        rays = self._rays(places)
-        hits = ray_table(grid, *rays).cast(shifted) if len(places) == 1 else grid.cast(shifted, *rays)
-        return hits._replace(labels=hits.labels + self.free_class)
+        hits = table.cast_all([labels - self.free_class for labels in volumes])
+        return [found._replace(labels=found.labels + self.free_class) for found in hits]
 
-    def _inside(self, places: Float[Tensor, "O 3"], range_m: Float[Tensor, " R"]) -> Tensor:
-        origins, directions = self._rays(places)
-        points = origins + torch.nn.functional.normalize(directions, dim=-1) * range_m.unsqueeze(-1)
-        return self.geometry.index(points)[1]
+    def _inside(self, places: Float[Tensor, "O 3"], range_m: Float[Tensor, " R"]) -> Bool[Tensor, " R"]:
+        """Whether the points at these distances lie in the prediction's grid."""
+        origins, directions = self.scan.rays(places)
+        return self.geometry.index(origins + directions * range_m.unsqueeze(-1))[1]
+
+    def _clear(self, found: Hits, clear_m: Float[Tensor, " R"]) -> Bool[Tensor, " R"]:
+        """Whether rays that are free up to these distances can judge the prediction: what lies beyond is not known."""
+        return clear_m.isfinite() & ((found.labels == self.free_class) | (found.entry_m < clear_m))
 
     def _add(self, true_labels: Tensor, true_m: Tensor, labels: Tensor, error_m: Tensor, valid: Tensor) -> None:
         valid = valid & (true_labels != self.ignore_class)
@@ -194,6 +265,7 @@ def ray_iou(
     target: Shaped[Tensor, "B Xt Yt Zt"],
     geometry: Cylinder | Cuboid,
     origins: Float[Tensor, "B O 3"] | None = None,
+    observed: Bool[Tensor, "B Xt Yt Zt"] | None = None,
     num_classes: int = NUM_CLASSES,
     free_class: int = FREE,
     ignore_class: int = UNKNOWN,
@@ -202,8 +274,20 @@ def ray_iou(
     directions: Float[Tensor, "D 3"] | None = None,
     target_geometry: Cylinder | Cuboid | None = None,
     hit: Literal["exit", "entry"] = "exit",
+    count_free_rays: bool = False,
 ) -> dict[str, Tensor]:
-    """RayIoU of these frames alone; see `RayIoU` for the definition, the arguments and the keys."""
+    """RayIoU of these frames alone; see `RayIoU` for the definition, the arguments and the keys.
+
+    Example:
+        >>> grid = Cylinder((8, 16, 4), (0.0, 8.0), (-2.0, 2.0))
+        >>> target = torch.zeros(1, 8, 16, 4, dtype=torch.uint8)
+        >>> target[:, 4] = 4
+        >>> level = torch.eye(3)[:2]
+        >>> ray_iou(target.roll(1, dims=1), target, grid, directions=level, thresholds_m=(1.5,))["rayiou"].item()
+        1.0
+        >>> ray_iou(target.roll(1, dims=1), target, grid, directions=level, thresholds_m=(0.5,))["rayiou"].item()
+        0.0
+    """
     metric = RayIoU(
         geometry,
         num_classes,
@@ -214,23 +298,7 @@ def ray_iou(
         directions,
         target_geometry,
         hit,
+        count_free_rays,
     )
-    metric.update(prediction, target, origins)
+    metric.update(prediction, target, origins, observed)
     return metric.compute()
-
-
-def _increasing(name: str, values: Sequence[float | int], at_least: int) -> tuple[float, ...]:
-    numbers = tuple(float(value) for value in values)
-    rising = all(low < high for low, high in itertools.pairwise(numbers))
-    if len(numbers) < at_least or not rising or numbers[0] < 0:
-        raise ValueError(f"{name} must be {at_least} or more increasing distances in metres, got {numbers}")
-    return numbers
-
-
-def _check_classes(num_classes: int, free_class: int, ignore_class: int) -> None:
-    if not 2 <= num_classes <= 255:
-        raise ValueError(f"num_classes must be 2..255, got {num_classes}")
-    if not 0 <= free_class < num_classes:
-        raise ValueError(f"free_class must be 0..{num_classes - 1}, got {free_class}")
-    if not num_classes <= ignore_class <= 255:
-        raise ValueError(f"ignore_class must be {num_classes}..255, beyond the classes, got {ignore_class}")

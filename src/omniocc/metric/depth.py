@@ -1,0 +1,148 @@
+"""Errors of predicted ranges, in metres and in indices of inverse range."""
+
+import itertools
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Bool, Float, Float64
+from torch import Tensor
+from torchmetrics import Metric
+
+from omniocc.metric.checks import check_increasing, check_mask
+
+NAMES = (
+    *("mae", "absrel", "rmse", "delta1", "delta2", "delta3"),
+    *("index_mae", "index_rmse", "index>1", "index>3", "index>5"),
+)
+"""What is averaged over rays; of the squared errors the root is taken afterwards."""
+
+
+def sphere_index(
+    range_m: Float[Tensor, "..."], nearest_m: float, farthest_m: float, spheres: int
+) -> Float[Tensor, "..."]:
+    """Where ranges lie among spheres of equal steps in inverse range: 0 the farthest, `spheres - 1` the nearest.
+
+    This is how omnidirectional stereo samples space (OmniMVS, Won et al. 2019), whose farthest sphere is infinity.
+    """
+    step = (1 / nearest_m - 1 / farthest_m) / (spheres - 1)
+    return (1 / range_m - 1 / farthest_m) / step
+
+
+def depth_sums(
+    prediction_m: Float64[Tensor, " R"],
+    target_m: Float64[Tensor, " R"],
+    nearest_m: float,
+    farthest_m: float,
+    spheres: int,
+) -> Float64[Tensor, "R sums"]:
+    """The errors of every ray, in the order of `NAMES`."""
+    error_m = (prediction_m - target_m).abs()
+    ratio = torch.maximum(prediction_m / target_m, target_m / prediction_m)
+    ours, true = (sphere_index(range_m, nearest_m, farthest_m, spheres) for range_m in (prediction_m, target_m))
+    percent = (ours - true).abs() / spheres * 100
+    parts = [error_m, error_m / target_m, error_m**2, *(ratio < 1.25**k for k in (1, 2, 3))]
+    parts += [percent, percent**2, *(percent > k for k in (1, 3, 5))]
+    return torch.stack([part.double() for part in parts], dim=-1)
+
+
+def depth_scores(
+    sums: Float64[Tensor, "bins sums"], count: Float64[Tensor, " bins"], edges_m: Sequence[float]
+) -> dict[str, Tensor]:
+    """Divides sums over rays; see `DepthMetrics` for the keys. What has no rays is nan."""
+    means = torch.cat([sums.sum(0, keepdim=True) / count.sum(), sums / count.unsqueeze(1)])
+    means[:, [NAMES.index("rmse"), NAMES.index("index_rmse")]] **= 0.5
+    scores = dict(zip(NAMES, means[0], strict=True))
+    for row, (low, high) in zip(means[1:], itertools.pairwise(edges_m), strict=False):
+        scores |= {f"{name}_{low:g}-{high:g}m": value for name, value in zip(NAMES, row, strict=True)}
+    return {key: value.float() for key, value in scores.items()}
+
+
+class DepthMetrics(Metric):
+    """Errors of predicted ranges over a dataset.
+
+    Rays count whose true range lies between the nearest and the farthest sphere; sky does not. Predictions are
+    clamped to that span. Keys: `mae` and `rmse` (m), `absrel`, `delta1`..`delta3` (share of rays with a ratio below
+    1.25^k), `index_mae`, `index_rmse` (percent of the number of spheres) and `index>1`, `index>3`, `index>5` (share of
+    rays whose index is off by more than so many percent, after OmniMVS); with `_<lower>-<upper>m` the same for each
+    range bin.
+
+    Args:
+        nearest_m: nearest sphere.
+        farthest_m: farthest sphere; may be infinite.
+        spheres: number of spheres.
+        range_edges_m: ends of bins of the true range; none for no bins.
+
+    Raises:
+        ValueError: if an argument makes no sense.
+
+    Example:
+        >>> metric = DepthMetrics(nearest_m=1.0, farthest_m=50.0)
+        >>> metric.update(torch.tensor([10.0, 22.0, 5.0]), torch.tensor([10.0, 20.0, float("inf")]))
+        >>> round(metric.compute()["mae"].item(), 3), round(metric.compute()["absrel"].item(), 3)
+        (1.0, 0.05)
+    """
+
+    is_differentiable = False
+    higher_is_better = False
+    full_state_update = False
+    sums: Tensor
+    count: Tensor
+
+    def __init__(
+        self,
+        nearest_m: float = 0.5,
+        farthest_m: float = float("inf"),
+        spheres: int = 192,
+        range_edges_m: Sequence[float | int] | None = None,
+    ):
+        super().__init__()
+        check_increasing("nearest_m and farthest_m", (float(nearest_m), float(farthest_m)), at_least=2)
+        if nearest_m <= 0 or spheres < 2:
+            raise ValueError(f"nearest_m must be above 0 and spheres at least 2, got {nearest_m} and {spheres}")
+        self.nearest_m, self.farthest_m, self.spheres = nearest_m, farthest_m, spheres
+        self.range_edges_m = tuple(float(edge) for edge in range_edges_m or ())
+        if range_edges_m is not None:
+            check_increasing("range_edges_m", self.range_edges_m, at_least=2)
+        bins = max(len(self.range_edges_m), 1)
+        self.add_state("sums", torch.zeros(bins, len(NAMES), dtype=torch.float64), dist_reduce_fx="sum")
+        self.add_state("count", torch.zeros(bins, dtype=torch.float64), dist_reduce_fx="sum")
+
+    def update(
+        self,
+        prediction_m: Float[Tensor, "..."],
+        target_m: Float[Tensor, "..."],
+        observed: Bool[Tensor, "..."] | None = None,
+    ) -> None:
+        """Adds predicted and true ranges along the same rays.
+
+        Args:
+            prediction_m: above 0.
+            target_m: inf for sky, which does not count.
+            observed: rays that count; default all with a truth.
+
+        Raises:
+            ValueError: naming a wrong shape, type or value.
+        """
+        if prediction_m.shape != target_m.shape:
+            sizes = f"{tuple(prediction_m.shape)} and {tuple(target_m.shape)}"
+            raise ValueError(f"prediction_m and target_m must have the same shape, got {sizes}")
+        check_mask("observed", observed, target_m.shape)
+        counted = (target_m >= self.nearest_m) & (target_m <= self.farthest_m) & target_m.isfinite()
+        counted = counted if observed is None else counted & observed
+        ours, true = prediction_m[counted].double(), target_m[counted].double()
+        wrong = ~(ours > 0) | (ours.clamp(max=self.farthest_m) == float("inf"))
+        if bool(wrong.any()):
+            hint = "; give a finite farthest_m to clamp to" if self.farthest_m == float("inf") else ""
+            raise ValueError(f"prediction_m must be ranges above 0, got {ours[wrong][0].item()}{hint}")
+        ours = ours.clamp(self.nearest_m, self.farthest_m)
+        errors = depth_sums(ours, true, self.nearest_m, self.farthest_m, self.spheres)
+        bins = len(self.count) - 1
+        edges = torch.tensor(self.range_edges_m or (0.0,), dtype=torch.float64, device=true.device)
+        place = torch.bucketize(true, edges, right=True) - 1
+        place = torch.where((place >= 0) & (place < bins), place, bins)
+        self.sums.index_add_(0, place, errors)
+        self.count.index_add_(0, place, torch.ones_like(true))
+
+    def compute(self) -> dict[str, Tensor]:
+        """Scores over everything seen."""
+        return depth_scores(self.sums, self.count, self.range_edges_m)

@@ -1,0 +1,53 @@
+"""What rays hit, for other metrics and other programs."""
+
+import torch
+from jaxtyping import Float, Shaped
+from torch import Tensor
+
+from omniocc.classes import FREE, NUM_CLASSES, UNKNOWN
+from omniocc.geometry import Cuboid, Cylinder, Hits, Scan, ray_table
+from omniocc.metric.checks import check_classes, check_labels
+from omniocc.metric.directions import sparseocc_directions
+
+
+def ray_hits(
+    labels: Shaped[Tensor, "X Y Z"],
+    geometry: Cylinder | Cuboid,
+    origins: Float[Tensor, "O 3"] | None = None,
+    directions: Float[Tensor, "D 3"] | None = None,
+    num_classes: int = NUM_CLASSES,
+    free_class: int = FREE,
+    ignore_class: int = UNKNOWN,
+) -> Hits:
+    """What rays hit first in one label volume: range, class and cell, as RayPQ and dumps for other tools need it.
+
+    Args:
+        labels: class of every cell, or `ignore_class`, which stops a ray as well.
+        geometry: their grid.
+        origins: places the rays start from, ego frame, metres; default the ego origin.
+        directions: of the rays from every origin; default `sparseocc_directions()`.
+        num_classes: number of classes, free included.
+        free_class: id of free space, and of rays without a hit.
+        ignore_class: id of unknown cells.
+
+    Returns:
+        All rays from the first origin, then those from the next. `cells` indexes the flattened volume, so instance ids
+        of hits are `instances.flatten()[hits.cells]` where `hits.cells >= 0`.
+
+    Raises:
+        ValueError: naming a wrong shape, type or value.
+
+    Example:
+        >>> grid = Cuboid((10, 1, 1), (0.0, 10.0), (-0.5, 0.5), (-0.5, 0.5))
+        >>> labels = torch.zeros(10, 1, 1, dtype=torch.uint8)
+        >>> labels[3] = 4
+        >>> hits = ray_hits(labels, grid, directions=torch.tensor([[1.0, 0.0, 0.0]]))
+        >>> hits.labels.item(), hits.cells.item(), hits.entry_m.item(), hits.exit_m.item()
+        (4, 3, 3.0, 4.0)
+    """
+    check_classes(num_classes, free_class, ignore_class)
+    checked = check_labels("labels", labels.unsqueeze(0), geometry.shape, num_classes, ignore_class)[0]
+    places = torch.zeros(1, 3) if origins is None else origins
+    scan = Scan(sparseocc_directions() if directions is None else directions)
+    hits = ray_table(geometry, places.to(labels.device), scan).cast(checked - free_class)
+    return hits._replace(labels=hits.labels + free_class)

@@ -1,0 +1,64 @@
+import pytest
+import torch
+
+from omniocc.geometry import Scan
+from omniocc.metric import sparseocc_directions
+
+
+def rays_of(fans):
+    """Origin and unit direction of every ray, from its fan."""
+    count, headings = fans.headings.shape[:2]
+    climbs = fans.slopes.shape[1]
+    k, rest = fans.place // (headings * climbs), fans.place % (headings * climbs)
+    a, e = rest // climbs, rest % climbs
+    flat = torch.cat([fans.headings[k, a], fans.slopes[k, e].unsqueeze(1)], dim=1)
+    return fans.origins[k], flat / fans.stretches[k, e].unsqueeze(1), count
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_the_public_rays_are_a_raster_in_any_order(dtype):
+    directions = sparseocc_directions()[torch.randperm(14040, generator=torch.Generator().manual_seed(0))]
+    scan = Scan(3 * directions.to(dtype))
+    origins = torch.tensor([[0.0, 0.0, 0.0], [1.0, 2.0, 3.0]])
+    fans = scan.fans(origins)
+    assert fans.headings.shape == (2, 360, 2)
+    assert fans.slopes.shape == (2, 39)
+    start, unit, _ = rays_of(fans)
+    expected_start, expected_unit = scan.rays(origins)
+    assert torch.equal(start, expected_start)
+    torch.testing.assert_close(unit, expected_unit, rtol=0, atol=1e-15)
+    # float32 directions move by no more than their own rounding
+    worst = (scan.directions - directions).abs().max().item()
+    assert worst < (2e-7 if dtype == torch.float32 else 1e-15)
+
+
+def test_headings_on_both_sides_of_the_seam_are_one():
+    heading = torch.tensor([[-1.0, 1e-17], [-1.0, -1e-17], [0.0, 1.0], [0.0, 1.0]], dtype=torch.float64)
+    directions = torch.cat([heading, torch.tensor([[0.1], [0.5], [0.1], [0.5]])], dim=1)
+    scan = Scan(directions)
+    assert scan.raster is not None
+    assert scan.raster.headings.shape == (2, 2)
+
+
+@pytest.mark.parametrize(
+    "directions",
+    [
+        torch.randn(50, 3, generator=torch.Generator().manual_seed(0)),
+        sparseocc_directions()[:-1],
+        torch.cat([sparseocc_directions(), sparseocc_directions()[:1]]),
+        torch.tensor([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]),
+    ],
+)
+def test_other_directions_are_fans_of_one_ray(directions):
+    scan = Scan(directions)
+    assert scan.raster is None
+    start, unit, count = rays_of(scan.fans(torch.ones(2, 3)))
+    assert count == 2 * len(directions)
+    torch.testing.assert_close(unit, scan.rays(torch.ones(2, 3))[1])
+    assert (start == 1).all()
+
+
+@pytest.mark.parametrize("bad", [[0.0, 0.0, 0.0], [1.0, float("nan"), 0.0], [float("inf"), 0.0, 0.0]])
+def test_directions_without_length_are_refused(bad):
+    with pytest.raises(ValueError, match="directions must be finite and of a length above 0"):
+        Scan(torch.tensor([[1.0, 0.0, 0.0], bad]))
