@@ -53,7 +53,8 @@ def test_turned_and_lofted_bodies_face_outwards() -> None:
     np.testing.assert_allclose(volume(loft(outline, np.full(4, 0.5), [_STONE] * 4, _STONE)), 4, rtol=1e-5)
     along = beam((0, 0, 0), (0, 0, 3), 0.5, _STONE)
     np.testing.assert_allclose(np.ptp(along.vertices[:, 2]), 3)
-    outward = np.cross(*(along.vertices[along.faces[:, k]] - along.vertices[along.faces[:, 0]] for k in (1, 2)))
+    first, second, third = along.vertices[along.faces].transpose(1, 0, 2)
+    outward = np.cross(second - first, third - first)
     assert ((outward * along.vertices[along.faces].mean(1))[:, :2].sum(1) > 0).all()
 
 
