@@ -14,6 +14,7 @@ from omniocc.world.view import View
 
 _STEP_M = 0.08  # a step between two planes at the eye's scale that is worth smoothing
 _STEP_SHARE = 0.02
+_SKY_M = 1e4
 
 
 class Picture(NamedTuple):
@@ -54,7 +55,7 @@ def look(view: View, stage: Stage) -> Look:
     seen = _shade(view, stage, hits, view.center)
     color, key = seen.color, np.where(hits.face >= 0, stage.surfaces.key[hits.face], 0)
     if view.extra.shape[2]:
-        index = np.flatnonzero(_borders(view, key, seen))
+        index = np.flatnonzero(_borders(view, key, seen, hits.range_m))
         color[:, index] = _smooth(view, stage, index, color[:, index], maybe[index])
     label = np.where(hits.face >= 0, stage.surfaces.label[hits.face], np.uint8(0))
     return Look(color, label, hits.range_m, key, hits.face >= stage.own_start)
@@ -101,13 +102,15 @@ def _smooth(view: View, stage: Stage, index: np.ndarray, center_color: np.ndarra
     return total / (count + 1)
 
 
-def _borders(view: View, key: np.ndarray, seen: Shading) -> np.ndarray:
+def _borders(view: View, key: np.ndarray, seen: Shading, range_m: np.ndarray) -> np.ndarray:
     """(P,) bool: whether a pixel above, below, left or right sees another surface or another light."""
     keys, lit = _image(view, key, 0), _image(view, seen.lit, False)
-    plane = _image(view, seen.offset_m, 0)
+    plane, distance = _image(view, seen.offset_m, 0), _image(view, np.minimum(range_m, _SKY_M), _SKY_M)
     border = np.zeros(view.size, dtype=bool)
     for one, other in (((slice(None), slice(1, None)), (slice(None), slice(-1))), ((slice(1, None),), (slice(-1),))):
+        # Facets of a crown differ in plane, road at a grazing angle in range, one thing behind another in both.
         step = np.abs(plane[one] - plane[other]) > _STEP_M + _STEP_SHARE * plane[one]
+        step &= np.abs(distance[one] - distance[other]) > _STEP_M + _STEP_SHARE * distance[one]
         differ = (keys[one] != keys[other]) | (lit[one] != lit[other]) | step
         border[one] |= differ
         border[other] |= differ

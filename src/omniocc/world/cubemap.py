@@ -119,9 +119,9 @@ def look_through(cube: Cube, stage: Stage) -> Look:
     key, label, range_m, own = (
         np.concatenate([getattr(part, name) for part in seen]) for name in ("key", "label", "range_m", "own")
     )
-    color = sum(colors[:, cube.corner[k]] * cube.weight[k] for k in range(4))
+    color = np.einsum("ckp,kp->cp", colors[:, cube.corner], cube.weight)
     inverse = 1 / (range_m * cube.forward)
-    blended = sum(inverse[cube.corner[k]] * cube.weight[k] for k in range(4))
+    blended = (inverse[cube.corner] * cube.weight).sum(axis=0)
     even = (key[cube.corner] == key[cube.nearest]).all(axis=0)
     with np.errstate(divide="ignore"):
         distance = 1 / (np.where(even, blended, inverse[cube.nearest]) * cube.own_forward)

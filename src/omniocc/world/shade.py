@@ -103,7 +103,9 @@ def _enlarged(surfaces: Surfaces, size: int) -> Surfaces:
 
 
 def _surface_key(mesh: Mesh, normal: np.ndarray) -> np.ndarray:
-    parts = [mesh.label, mesh.material, *mesh.color.T, mesh.instance, *np.rint(normal * 2).astype(np.int32).T]
+    # The facets of a crown or hedge stand for leaves: their edges need no smoothing.
+    facing = np.where((mesh.material == Material.LEAVES)[:, None], 0, np.rint(normal * 2)).astype(np.int32)
+    parts = [mesh.label, mesh.material, *mesh.color.T, mesh.instance, *facing.T]
     key = np.zeros(len(mesh), np.uint32)
     for part in parts:
         key = (key ^ part.astype(np.int64).astype(np.uint32)) * np.uint32(16777619)

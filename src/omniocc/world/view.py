@@ -59,7 +59,7 @@ def make_view(rig: Rig, camera: int, supersample: int, own_car: Caster) -> View:
     beside = [_shifted(rig, camera, pixel, center, offset) for offset in _offsets(supersample)]
     extra = np.stack(beside, axis=1) if beside else np.empty((len(pixel), 0, 3), np.float32)
     flat = extra.reshape(-1, 3)
-    neighbor = np.flatnonzero(np.diff(pixel) == 1)
+    neighbor = np.flatnonzero((np.diff(pixel) == 1) & (pixel[:-1] % width < width - 1))
     steps = np.linalg.norm(center[neighbor + 1] - center[neighbor], axis=1)
     axis = rig.ego_from_camera[camera, :3, 2].numpy()
     angle = np.arccos(np.clip(center @ axis, -1, 1))
