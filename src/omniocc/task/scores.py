@@ -1,9 +1,11 @@
 """One row of the results table: predictions scored against true voxels and against true LiDAR rays."""
 
+from typing import cast
+
 from torch import Tensor, nn
 
 from omniocc.batch import Batch
-from omniocc.geometry import Grid
+from omniocc.geometry import Cuboid, Cylinder, Grid
 from omniocc.metric import RayIoU, VoxelIoU
 
 RANGE_EDGES_M = (0.0, 8.5, 17.0, 25.6)
@@ -19,8 +21,9 @@ class Scores(nn.Module):
 
     def __init__(self, geometry: Grid):
         super().__init__()
-        self.rays = RayIoU(geometry, range_edges_m=RANGE_EDGES_M)
-        self.lidar = RayIoU(geometry, range_edges_m=RANGE_EDGES_M)
+        grid = cast(Cylinder | Cuboid, geometry)
+        self.rays = RayIoU(grid, range_edges_m=RANGE_EDGES_M)
+        self.lidar = RayIoU(grid, range_edges_m=RANGE_EDGES_M)
         self.cells = VoxelIoU()
 
     def update(self, labels: Tensor, batch: Batch) -> None:

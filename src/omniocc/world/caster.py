@@ -42,7 +42,7 @@ def _embree() -> tuple[ModuleType, ModuleType]:
             f"platform ({platform.system()} {platform.machine()}, Python {platform.python_version()}); install it with "
             "`pip install embreex` on an x86-64 machine, or use a data set rendered on another machine"
         ) from error
-    return rtcore_scene, mesh_construction
+    return rtcore_scene, mesh_construction  # pyright: ignore[reportReturnType]  (compiled modules without types)
 
 
 class Caster:
