@@ -2,9 +2,7 @@
 
 import platform
 from functools import lru_cache
-from importlib import import_module
-from types import ModuleType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -34,15 +32,16 @@ class Hits(NamedTuple):
 
 
 @lru_cache(maxsize=1)
-def _embree() -> tuple[ModuleType, ModuleType]:
+def _embree() -> tuple[Any, Any]:
     try:
-        return import_module("embreex.rtcore_scene"), import_module("embreex.mesh_construction")
+        from embreex import mesh_construction, rtcore_scene
     except ImportError as error:
         raise ImportError(
             f"rendering the virtual world needs the package 'embreex', which is not installed or has no wheel for this "
             f"platform ({platform.system()} {platform.machine()}, Python {platform.python_version()}); install it with "
             "`pip install embreex` on an x86-64 machine, or use a data set rendered on another machine"
         ) from error
+    return rtcore_scene, mesh_construction
 
 
 class Caster:
