@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -29,6 +29,7 @@ def panorama_directions(width: int, height: int, top_deg: float, bottom_deg: flo
     return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)]).astype(np.float32)
 
 
+@runtime_checkable
 class Labeller(Protocol):
     """Where labelled surface points come from."""
 
