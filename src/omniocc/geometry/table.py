@@ -87,7 +87,7 @@ class RayTable:
         last = torch.minimum(self.ends[..., -1:], leave.unsqueeze(1))
         return (last * fans.stretches.unsqueeze(1)).masked_fill_(last <= first + TOUCH_M, float("inf")).float()
 
-    def _bits(self, labels: UInt8[Tensor, "X Y Z"]) -> Int[Tensor, " columns+1"]:
+    def _bits(self, labels: UInt8[Tensor, "X Y Z"]) -> Int[Tensor, " bits"]:
         """The occupied levels of each column, and none for a place that is no column."""
         dtype = self.levels.entered.dtype
         occupied = (labels != FREE).flatten(0, 1)
@@ -119,7 +119,7 @@ class RayTable:
         masks &= self.levels.entered.flatten(0, 1).index_select(0, rank[1:].flatten())
         return masks.reshape(*shape, -1)
 
-    def _passed(self, volumes: Sequence[Int[Tensor, " columns+1"]]) -> list[Int32[Tensor, "K A E"]]:
+    def _passed(self, volumes: Sequence[Int[Tensor, " bits"]]) -> list[Int32[Tensor, "K A E"]]:
         """How many columns each ray crosses before the one with the hit, by the columns' bits of each volume."""
         done = [torch.zeros_like(self.leave_m, dtype=torch.bool) for _ in volumes]
         passed = [torch.zeros_like(self.leave_m, dtype=torch.int32) for _ in volumes]
@@ -136,7 +136,7 @@ class RayTable:
         return passed
 
     def _hits(
-        self, passed: Int32[Tensor, "K A E"], bits: Int[Tensor, " columns+1"], labels: UInt8[Tensor, "X Y Z"]
+        self, passed: Int32[Tensor, "K A E"], bits: Int[Tensor, " bits"], labels: UInt8[Tensor, "X Y Z"]
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Cell, class, entry and exit distance of every ray, all (K, A, E)."""
         fans, levels = self.fans, self.levels

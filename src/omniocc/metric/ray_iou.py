@@ -115,19 +115,20 @@ class RayIoU(Metric):
 
     def update(
         self,
-        prediction: Shaped[Tensor, "B X Y Z"],
-        target: Shaped[Tensor, "Bt Xt Yt Zt"] | RayTruth,
-        origins: Float[Tensor, "B O 3"] | None = None,
-        observed: Bool[Tensor, "Bt Xt Yt Zt"] | None = None,
+        prediction: Shaped[Tensor, "B *grid"],
+        target: Shaped[Tensor, "Bt *target_grid"] | RayTruth,
+        origins: Float[Tensor, "*places 3"] | None = None,
+        observed: Shaped[Tensor, "Bo *observed_grid"] | None = None,
     ) -> None:
         """Adds predicted and true class ids of a batch.
 
         Args:
-            prediction: class of every cell; any integer type, or whole numbers in a floating one.
-            target: true class of every cell, or `ignore_class`. Or what real rays saw: see `update_rays`.
-            origins: places in the ego frame (metres) that the rays start from; default the ego origin. Those of the
-                public protocol: `eight_origins`.
-            observed: cells of the target that count; the others are unknown.
+            prediction: (B, *geometry.shape) class of every cell; any integer type, or whole numbers in a floating one.
+            target: (B, *target_geometry.shape) true class of every cell, or `ignore_class`. Or what real rays saw: see
+                `update_rays`.
+            origins: (B, O, 3) places in the ego frame (metres) that the rays start from; default the ego origin. Those
+                of the public protocol: `eight_origins`.
+            observed: bool, as the target: cells that count; the others are unknown.
 
         Raises:
             ValueError: naming a wrong shape, type or value.
