@@ -52,7 +52,14 @@ def render(tmp_path):
 
     def start(root, workers, delay_s, mark, scenes=(0, 4)):
         command = [sys.executable, str(script), str(root), str(workers), str(delay_s), *map(str, scenes)]
-        return subprocess.Popen(command, env=env | {"FAKE_SCENE_MARK": str(mark)}, stderr=subprocess.PIPE, text=True)
+        return subprocess.Popen(
+            command,
+            env=env | {"FAKE_SCENE_MARK": str(mark)},
+            stderr=subprocess.PIPE,
+            text=True,
+            # a test run started in the background of a shell ignores Ctrl-C, and children inherit that
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        )
 
     return start
 
@@ -219,8 +226,9 @@ def test_a_read_only_folder_is_one_line(tmp_path, monkeypatch):
         FakeWorld(tmp_path).prepare()
 
 
-def test_workers_import_the_script_only_if_they_must():
-    file = sys.modules["__main__"].__file__
+def test_workers_import_the_script_only_if_they_must(monkeypatch):
+    file = __file__
+    monkeypatch.setattr(sys.modules["__main__"], "__file__", file, raising=False)  # a worker of xdist has none
     with worker_environment(needs_main=False):
         assert sys.modules["__main__"].__file__ is None
         assert os.environ["OMP_NUM_THREADS"] == "1"
