@@ -136,3 +136,19 @@ def test_voxelize_states_its_rules():
     for label in (0, 12, 254):
         with pytest.raises(ValueError, match=f"got labels \\[{label}\\]"):
             grid.voxelize(points[:1], torch.tensor([label], dtype=torch.uint8))
+
+
+def test_volumes_fill_the_grid():
+    cylinder = Cylinder(shape=(6, 9, 4), radius_m=(3.0, 12.0), height_m=(-2.0, 2.0))
+    cuboid = Cuboid(shape=(8, 7, 5), x_m=(-8.0, 8.0), y_m=(-7.0, 7.0), height_m=(-2.0, 3.0))
+    assert cylinder.volumes_m3().sum().item() == pytest.approx(math.pi * (144 - 9) * 4)
+    assert cylinder.volumes_m3()[5, 0, 0].item() == pytest.approx(math.pi / 9 * (144 - 10.5**2))
+    assert cuboid.volumes_m3().sum().item() == pytest.approx(16 * 14 * 5)
+    assert cuboid.volumes_m3().shape == (8, 7, 5)
+
+
+def test_distances_of_columns():
+    cylinder = Cylinder(shape=(6, 9, 4), radius_m=(3.0, 12.0), height_m=(-2.0, 2.0))
+    torch.testing.assert_close(cylinder.distances_m()[:, 4], torch.arange(3.75, 12, 1.5, dtype=torch.float64))
+    cuboid = Cuboid(shape=(8, 7, 5), x_m=(-8.0, 8.0), y_m=(-7.0, 7.0), height_m=(-2.0, 3.0))
+    assert cuboid.distances_m()[7, 0].item() == pytest.approx(math.hypot(7, 6))

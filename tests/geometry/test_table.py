@@ -10,7 +10,7 @@ GRIDS = [
     Cylinder(shape=(24, 30, 6), radius_m=(0.0, 14.0), height_m=(-2.0, 3.0)),
     Cylinder(shape=(12, 9, 4), radius_m=(3.0, 12.0), height_m=(-2.0, 2.0)),
     Cuboid(shape=(20, 20, 8), x_m=(-10.0, 10.0), y_m=(-10.0, 10.0), height_m=(-4.0, 4.0)),
-    Cuboid(shape=(9, 12, 40), x_m=(-9.0, 9.0), y_m=(-6.0, 6.0), height_m=(-5.0, 5.0)),
+    Cuboid(shape=(9, 12, 48), x_m=(-9.0, 9.0), y_m=(-6.0, 6.0), height_m=(-5.0, 5.0)),
 ]
 
 
@@ -106,5 +106,5 @@ def test_wrong_input_is_named():
     table = ray_table(GRIDS[0], torch.zeros(1, 3), Scan(torch.ones(1, 3)))
     with pytest.raises(ValueError, match=r"labels must have the grid's shape \(24, 30, 6\), got \(2, 2, 2\)"):
         table.cast(torch.zeros(2, 2, 2, dtype=torch.uint8))
-    with pytest.raises(ValueError, match=r"at most 63 levels, got shape \(2, 2, 64\)"):
-        RayTable(Cuboid(shape=(2, 2, 64)), Fans.single(torch.zeros(1, 3), torch.ones(1, 3)))
+    with pytest.raises(ValueError, match=r"at most 48 levels, got shape \(2, 2, 49\)"):
+        RayTable(Cuboid(shape=(2, 2, 49)), Fans.single(torch.zeros(1, 3), torch.ones(1, 3)))

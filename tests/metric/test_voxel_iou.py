@@ -3,6 +3,7 @@ import math
 import pytest
 import torch
 
+from omniocc.geometry import Cylinder
 from omniocc.metric import VoxelIoU
 
 
@@ -22,6 +23,37 @@ def test_by_hand_over_two_batches():
     assert scores["recall"].item() == pytest.approx(4 / 5)
     assert scores["f1"].item() == pytest.approx(4 / 5)
     assert len(scores) == 5 + 11
+
+
+def test_cells_not_observed_do_not_count():
+    metric = VoxelIoU()
+    observed = torch.tensor([True, False, True, True]).reshape(1, 4, 1, 1)
+    metric.update(voxels(1, 1, 0, 5), voxels(1, 0, 0, 255), observed)
+    scores = metric.compute()
+    assert scores["iou"].item() == scores["miou"].item() == 1.0
+    assert metric.confusion.sum() == 2
+
+
+def test_a_cylinders_cells_count_by_their_volume():
+    grid = Cylinder(shape=(2, 4, 1), radius_m=(0.0, 2.0), height_m=(0.0, 1.0))
+    target = torch.zeros(1, 2, 4, 1, dtype=torch.uint8)
+    target[0, :, 0] = 1
+    prediction = target.clone()
+    prediction[0, 0, 0] = 0  # the inner cell of the sector, a quarter of its volume, is missed
+    by_cell, by_volume = VoxelIoU(), VoxelIoU(geometry=grid)
+    for metric in (by_cell, by_volume):
+        metric.update(prediction, target)
+    assert by_cell.compute()["recall"].item() == pytest.approx(1 / 2)
+    assert by_volume.compute()["recall"].item() == pytest.approx(3 / 4)
+    assert by_volume.confusion.sum().item() == pytest.approx(4 * math.pi)
+
+
+def test_other_classes():
+    metric = VoxelIoU(num_classes=3, free_class=2, ignore_class=9)
+    metric.update(voxels(0, 1, 2, 2), voxels(0, 0, 2, 9))
+    scores = metric.compute()
+    assert scores["iou"].item() == 1.0
+    assert (scores["iou/0"].item(), scores["iou/1"].item()) == (0.5, 0.0)
 
 
 def voxels(*labels):

@@ -10,8 +10,8 @@ from omniocc.geometry.crossings import FAR, TOUCH_M
 from omniocc.geometry.fans import Fans
 from omniocc.geometry.trace import CHUNK_RAYS, Traversable, clip, in_order, stack_ragged
 
-MASKS = {8: torch.int8, 16: torch.int16, 32: torch.int32, 63: torch.int64}
-"""Type of a mask by the most levels it holds."""
+MASKS = {8: torch.int8, 16: torch.int16, 32: torch.int32, 48: torch.int64}
+"""Type of a mask by the most levels it holds; 48 bits still fit into a float64."""
 
 
 class Columns(NamedTuple):

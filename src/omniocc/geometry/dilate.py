@@ -86,4 +86,4 @@ def _moved(
     shift = torch.zeros_like(points)
     shift[:, :2] = points[:, :2] / distance_m.clamp(min=1e-9).unsqueeze(1) * by_m
     cell, inside = grid.flat_index(points + shift)
-    return cell // grid.shape[2], inside & (distance_m + by_m > 0)
+    return cell // grid.shape[2], inside & (distance_m + by_m > -1e-6)

@@ -209,6 +209,15 @@ class Grid(ABC):
         Returns:
             A ray that hits nothing has the distance at which it leaves the grid, and class free; one that never meets
             the grid has range inf and class free.
+
+        Example:
+            >>> from omniocc.geometry import Cylinder
+            >>> grid = Cylinder((8, 16, 4), (0.0, 8.0), (-2.0, 2.0))
+            >>> labels = torch.zeros(grid.shape, dtype=torch.uint8)
+            >>> labels[5] = 4  # a wall all around, from 5 to 6 m
+            >>> origins, directions = torch.zeros(2, 3), torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+            >>> grid.trace(labels, origins, directions)
+            (tensor([6., 2.]), tensor([4, 0], dtype=torch.uint8))
         """
         hits = cast(self, labels, origins, directions)
         return (hits.entry_m if hit == "entry" else hits.exit_m), hits.labels

@@ -89,12 +89,13 @@ class RayTable:
 
     def _bits(self, labels: UInt8[Tensor, "X Y Z"]) -> Int[Tensor, " bits"]:
         """The occupied levels of each column, and none for a place that is no column."""
-        dtype = self.levels.entered.dtype
-        occupied = (labels != FREE).flatten(0, 1)
-        bits = torch.zeros(len(occupied) + 1, dtype=dtype, device=labels.device)
-        for level in range(labels.shape[2]):
-            bits[:-1] |= occupied[:, level].to(dtype) << level
-        return bits
+        padded = torch.nn.functional.pad(labels, (0, -labels.shape[2] % 8)).to(torch.bool).contiguous()
+        # eight cells of 0 or 1 in a word; the product has the lowest bits of all its bytes side by side on top
+        packed = ((padded.flatten(0, 1).view(torch.int64) * 0x0102040810204080) >> 56) & 255
+        bits = torch.zeros(len(packed) + 1, dtype=torch.int64, device=labels.device)
+        for word in range(packed.shape[1]):
+            bits[:-1] |= packed[:, word] << 8 * word
+        return bits.to(self.levels.entered.dtype)
 
     def _blocks(self) -> Iterator[tuple[Int32[Tensor, "b k a"], Int[Tensor, "b k a E"]]]:
         """Some columns of all headings that have any left at a time: their cells and the rays' masks."""
@@ -117,7 +118,7 @@ class RayTable:
         self.rank[first : first + len(rank), :origins, :headings] = rank
         masks = self.levels.ahead.flatten(0, 1).index_select(0, rank[:-1].flatten())
         masks &= self.levels.entered.flatten(0, 1).index_select(0, rank[1:].flatten())
-        return masks.reshape(*shape, -1)
+        return masks.reshape(*shape, masks.shape[1])
 
     def _passed(self, volumes: Sequence[Int[Tensor, " bits"]]) -> list[Int32[Tensor, "K A E"]]:
         """How many columns each ray crosses before the one with the hit, by the columns' bits of each volume."""
@@ -172,11 +173,10 @@ def _take(values: Tensor, place: Int32[Tensor, "K A E"]) -> Tensor:
 
 def _next_level(found: Int[Tensor, "K A E"], rising: Tensor, levels: int) -> Int32[Tensor, "K A E"]:
     """The lowest level in a mask for rising rays, else the highest; 0 for none."""
-    wide, real, fraction_bits = (torch.int32, torch.float32, 23) if levels <= 16 else (torch.int64, torch.float64, 52)
-    found = found.to(wide) & ((1 << levels) - 1)
+    found = found.long() & ((1 << levels) - 1)
     # the highest bit stays the highest, and what is left below it is too little to round up to the next one
     single = torch.where(rising, found & -found, found & ~(found >> 1))
-    exponent = (single.to(real).view(wide) >> fraction_bits) - (1 << (30 - fraction_bits if levels <= 16 else 10)) + 1
+    exponent = (single.double().view(torch.int64) >> 52) - 1023
     return exponent.clamp_(min=0).int()
 
 

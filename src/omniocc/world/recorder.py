@@ -58,7 +58,7 @@ class Recorder:
         own_car: Mesh,
         labeller: Labeller,
         supersample: int,
-        capture: Capture,
+        capture: str,
         erp_size: tuple[int, int],
         erp_top_deg: float,
         erp_bottom_deg: float,

@@ -21,7 +21,7 @@ from omniocc.world.stage import Stage
 from omniocc.world.survey import Survey
 from omniocc.world.traffic import Actor, Traffic
 from omniocc.world.vehicle import ego_car
-from omniocc.world.weather import WEATHERS, Weather, draw_light, draw_sensor, draw_weather
+from omniocc.world.weather import WEATHERS, draw_light, draw_sensor, draw_weather
 
 LabelMode = Literal["lidar20", "geometry"]
 
@@ -59,10 +59,10 @@ class Scene:
         erp_size: Sequence[int] = (192, 48),
         erp_top_deg: float = 45.0,
         erp_bottom_deg: float = -45.0,
-        weather: Weather | None = None,
-        label_mode: LabelMode = "lidar20",
+        weather: str | None = None,
+        label_mode: str = "lidar20",
         lidars: int = 20,
-        capture: Capture = "direct",
+        capture: str = "direct",
     ) -> None:
         _check(frame_interval_s, supersample, erp_size, lidars)
         _check_names(weather, label_mode, capture)

@@ -8,16 +8,16 @@ import numpy as np
 from omniocc.world.light import Light, Sensor
 
 Weather = Literal["clear", "overcast", "rain", "fog", "dusk"]
-WEATHERS: tuple[Weather, ...] = get_args(Weather)
+WEATHERS: tuple[str, ...] = get_args(Weather)
 _SHARES = (0.48, 0.17, 0.13, 0.08, 0.14)
 
 
-def draw_weather(rng: np.random.Generator) -> Weather:
+def draw_weather(rng: np.random.Generator) -> str:
     """Clear in about half of all scenes; fog is rarest."""
     return WEATHERS[int(rng.choice(len(WEATHERS), p=_SHARES))]
 
 
-def draw_light(weather: Weather, rng: np.random.Generator) -> Light:
+def draw_light(weather: str, rng: np.random.Generator) -> Light:
     """Sun, sky and air of one scene.
 
     Raises:
@@ -97,8 +97,8 @@ def _dusk(direction: np.ndarray, depth: float, cover: float, shift: np.ndarray, 
 def _grey(brightness: float, cover: float, shift: np.ndarray, haze_m: float) -> Light:
     sky = brightness * _color(0.93, 0.97, 1.0)
     return Light(
-        sun_direction=_color(0, 0, 1),
-        sun=_color(0, 0, 0),
+        sun_direction=_color(0.0, 0.0, 1.0),
+        sun=_color(0.0, 0.0, 0.0),
         zenith=1.05 * sky,
         horizon=0.85 * sky,
         bounce=0.2 * sky,

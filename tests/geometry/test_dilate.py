@@ -1,0 +1,82 @@
+import pytest
+import torch
+
+from omniocc.geometry import Cuboid, Cylinder
+
+CYLINDER = Cylinder(shape=(20, 12, 3), radius_m=(0.0, 20.0), height_m=(-1.0, 2.0))
+CUBOID = Cuboid(shape=(41, 41, 3), x_m=(-20.5, 20.5), y_m=(-20.5, 20.5), height_m=(-1.0, 2.0))
+WINDOWS, EDGES_M = (0, 1, 3), (8.0, 15.0)
+
+
+def random_mask(grid, seed, share=0.02):
+    return torch.rand(2, *grid.shape, generator=torch.Generator().manual_seed(seed)) < share
+
+
+def test_a_cylinder_widens_along_r_by_the_window_of_the_band():
+    mask = random_mask(CYLINDER, 0)
+    expected = torch.zeros_like(mask)
+    for b, r, theta, z in mask.nonzero().tolist():
+        window = WINDOWS[(r + 0.5 >= 8.0) + (r + 0.5 >= 15.0)]
+        expected[b, max(r - window, 0) : r + window + 1, theta, z] = True
+    assert torch.equal(CYLINDER.dilate(mask, WINDOWS, EDGES_M), expected)
+
+
+def test_turning_the_mask_turns_the_result():
+    mask = random_mask(CYLINDER, 1)
+    for turn in (1, 5, -3):
+        turned = CYLINDER.dilate(mask.roll(turn, dims=2), WINDOWS, EDGES_M)
+        assert torch.equal(turned, CYLINDER.dilate(mask, WINDOWS, EDGES_M).roll(turn, dims=2))
+    # in the cuboid quarter turns are exact
+    mask = random_mask(CUBOID, 2)
+    turned = CUBOID.dilate(mask.rot90(1, dims=(1, 2)), WINDOWS, EDGES_M)
+    assert torch.equal(turned, CUBOID.dilate(mask, WINDOWS, EDGES_M).rot90(1, dims=(1, 2)))
+
+
+def test_a_cuboid_widens_along_the_ray():
+    mask = torch.zeros(CUBOID.shape, dtype=torch.bool)
+    mask[20 + 10, 20, 1] = True  # 10 m ahead: one cell on either side
+    mask[20, 20 - 16, 2] = True  # 16 m to the right: three
+    mask[20 + 12, 20 + 12, 0] = True  # 17 m away on the diagonal: three steps of 0.71 cells along each axis
+    marked = CUBOID.dilate(mask, WINDOWS, EDGES_M).nonzero().sub(torch.tensor([20, 20, 0])).tolist()
+    diagonal = [[d, d, 0] for d in (10, 11, 12, 13, 14)]
+    ahead, right = [[d, 0, 1] for d in (9, 10, 11)], [[0, d, 2] for d in range(-19, -12)]
+    assert sorted(marked) == sorted(diagonal + ahead + right)
+
+
+def test_marks_lie_near_the_ray_and_within_the_window():
+    mask = torch.zeros(CUBOID.shape, dtype=torch.bool)
+    mask[33, 27, 1] = True
+    seen = CUBOID.centers()[CUBOID.dilate(mask, (2,), ())]
+    source = torch.tensor([13.0, 7.0])
+    along = seen[:, :2] @ (source / source.norm())
+    across = (seen[:, 0] * source[1] - seen[:, 1] * source[0]) / source.norm()
+    assert (along - source.norm()).abs().max() < 2.71
+    assert across.abs().max() < 0.71
+    assert 4 <= len(seen) <= 5
+
+
+def test_nothing_passes_the_axis():
+    mask = torch.zeros(CYLINDER.shape, dtype=torch.bool)
+    mask[1, 3, 1] = True
+    assert CYLINDER.dilate(mask, (5,), ()).nonzero()[:, 1].unique().tolist() == [3]
+    mask = torch.zeros(CUBOID.shape, dtype=torch.bool)
+    mask[22, 20, 1] = True
+    assert CUBOID.dilate(mask, (5,), ()).nonzero()[:, 0].min() == 20
+
+
+def test_many_marks_on_one_cell_do_not_overflow():
+    assert CUBOID.dilate(torch.ones(CUBOID.shape, dtype=torch.bool), (9,), ()).all()
+
+
+@pytest.mark.parametrize(
+    ("mask", "windows", "edges_m", "message"),
+    [
+        ((2, 20, 12, 4), (0,), (), r"mask must end with the grid's shape \(20, 12, 3\), got \(2, 20, 12, 4\)"),
+        ((20, 12, 3), (0, 1), (), r"one more window, none negative, got windows \(0, 1\) and edges_m \(\)"),
+        ((20, 12, 3), (0, -1), (5.0,), "none negative"),
+        ((20, 12, 3), (0, 1, 2), (5.0, 4.0), "increasing edges_m"),
+    ],
+)
+def test_wrong_input_is_named(mask, windows, edges_m, message):
+    with pytest.raises(ValueError, match=message):
+        CYLINDER.dilate(torch.zeros(mask, dtype=torch.bool), windows, edges_m)

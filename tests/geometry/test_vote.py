@@ -1,0 +1,45 @@
+import pytest
+import torch
+
+from omniocc.geometry import downsample
+
+
+def vote(block):
+    """The rule, for one block."""
+    occupied = [label for label in block if label not in (0, 255)]
+    if occupied:
+        return max(sorted(set(occupied), reverse=True), key=occupied.count)
+    return 255 if 2 * block.count(255) > len(block) else 0
+
+
+@pytest.mark.parametrize("factor", [1, 2, 3])
+def test_agrees_with_the_rule_block_by_block(factor):
+    generator = torch.Generator().manual_seed(0)
+    fine = torch.randint(0, 12, (2, 12, 6, 6), generator=generator, dtype=torch.uint8)
+    fine[torch.rand(fine.shape, generator=generator) < 0.7] = 0
+    fine[torch.rand(fine.shape, generator=generator) < 0.5] = 255
+    coarse = downsample(fine, factor)
+    assert coarse.shape == (2, 12 // factor, 6 // factor, 6 // factor)
+    for b, x, y, z in torch.cartesian_prod(*map(torch.arange, coarse.shape)).tolist():
+        window = [slice(i * factor, (i + 1) * factor) for i in (x, y, z)]
+        assert coarse[b, x, y, z] == vote(fine[b][tuple(window)].flatten().tolist())
+
+
+def test_a_thin_object_survives():
+    fine = torch.zeros(4, 4, 4, dtype=torch.uint8)
+    fine[:, :, 2:] = 255
+    fine[1, 1] = 9  # a pole
+    coarse = downsample(fine, 2)
+    assert coarse[0, 0].tolist() == [9, 9]
+    assert coarse[1, 1].tolist() == [0, 255]
+
+
+def test_turning_a_cylinder_by_whole_blocks_turns_the_result():
+    fine = torch.randint(0, 12, (4, 12, 4), generator=torch.Generator().manual_seed(1), dtype=torch.uint8)
+    assert torch.equal(downsample(fine.roll(4, dims=1), 2), downsample(fine, 2).roll(2, dims=1))
+
+
+@pytest.mark.parametrize(("shape", "factor"), [((4, 5, 4), 2), ((4, 4, 4), 3), ((4, 4, 4), 0)])
+def test_sizes_that_do_not_fit_are_named(shape, factor):
+    with pytest.raises(ValueError, match=rf"multiples of factor {factor}, got shape \(4"):
+        downsample(torch.zeros(shape, dtype=torch.uint8), factor)
