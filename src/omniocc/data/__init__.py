@@ -2,15 +2,26 @@
 
 from typing import TYPE_CHECKING, Any
 
-from omniocc.data.dataset import WindowDataset, collate
+from omniocc.data.dataset import Extras, WindowDataset, collate
 from omniocc.data.errors import DataError
+from omniocc.data.frame_cache import CandidateCache, RangeCache
 from omniocc.data.reader import SceneReader
 from omniocc.data.virtual import VirtualWorld
 
 if TYPE_CHECKING:
     from omniocc.data.module import OccupancyData
 
-__all__ = ["DataError", "OccupancyData", "SceneReader", "VirtualWorld", "WindowDataset", "collate"]
+__all__ = [
+    "CandidateCache",
+    "DataError",
+    "Extras",
+    "OccupancyData",
+    "RangeCache",
+    "SceneReader",
+    "VirtualWorld",
+    "WindowDataset",
+    "collate",
+]
 
 
 def __getattr__(name: str) -> Any:

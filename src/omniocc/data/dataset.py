@@ -5,13 +5,14 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float32, Float64, UInt8
+from jaxtyping import Bool, Float32, Float64, UInt8
 from torch import Tensor
 from torch.utils.data import Dataset
 
 from omniocc.batch import Batch
 from omniocc.camera import Rig
-from omniocc.data.codec import decode_image, decode_labels, decode_lidar
+from omniocc.data.codec import decode_image, decode_labels, decode_lidar, decode_range
+from omniocc.data.frame_cache import CandidateCache, RangeCache
 from omniocc.data.reader import SceneReader
 from omniocc.data.voxels import VoxelCache
 
@@ -27,6 +28,24 @@ class Sample(NamedTuple):
     lidar_range_m: Float32[Tensor, " R"]
     lidar_labels: UInt8[Tensor, " R"]
     frame_id: str
+    erp_range_m: Float32[Tensor, "h w"] | None = None
+    camera_range_m: Float32[Tensor, "N H W"] | None = None
+    depth_range_m: Float32[Tensor, "h w"] | None = None
+    candidates: Bool[Tensor, "T X Y Z"] | None = None
+
+
+class Extras(NamedTuple):
+    """What a sample holds beyond the images and labels that every stage needs.
+
+    Attributes:
+        true_ranges: of the panorama and of every pixel.
+        depth: panoramas that the depth stage predicted.
+        candidates: voxels that the sketch stage chose.
+    """
+
+    true_ranges: bool = False
+    depth: RangeCache | None = None
+    candidates: CandidateCache | None = None
 
 
 class WindowDataset(Dataset):
@@ -39,14 +58,16 @@ class WindowDataset(Dataset):
         scenes: recorded scenes.
         voxels: labels in the wanted geometry.
         window: T.
+        extras: what else is read.
     """
 
-    def __init__(self, scenes: Sequence[SceneReader], voxels: VoxelCache, window: int):
+    def __init__(self, scenes: Sequence[SceneReader], voxels: VoxelCache, window: int, extras: Extras | None = None):
         if window < 1:
             raise ValueError(f"window must be at least 1 frame, got {window}")
         self.scenes = tuple(scenes)
         self.voxels = voxels
         self.window = window
+        self.extras = extras or Extras()
         self._ends = np.cumsum([len(scene) for scene in self.scenes])
 
     def __len__(self) -> int:
@@ -67,6 +88,8 @@ class WindowDataset(Dataset):
         members = [f"semantic{k}.zst" for k in cameras] + ["lidar.zst"]
         blobs = scene.read(newest, members)
         range_m, labels = decode_lidar(blobs["lidar.zst"])
+        depth, candidates = self.extras.depth, self.extras.candidates
+        erp_range_m, camera_range_m = read_true_ranges(scene, newest) if self.extras.true_ranges else (None, None)
         return Sample(
             images=torch.stack([read_images(scene, frame) for frame in frames]),
             rig=rig,
@@ -76,6 +99,10 @@ class WindowDataset(Dataset):
             lidar_range_m=torch.from_numpy(range_m),
             lidar_labels=torch.from_numpy(labels),
             frame_id=f"{scene.name}/{newest:06d}",
+            erp_range_m=erp_range_m,
+            camera_range_m=camera_range_m,
+            depth_range_m=depth and depth.read(scene.name, newest),
+            candidates=candidates and torch.stack([candidates.read(scene.name, frame) for frame in frames]),
         )
 
 
@@ -92,15 +119,18 @@ def read_images(scene: SceneReader, frame: int) -> UInt8[Tensor, "N 3 H W"]:
     return torch.from_numpy(images).permute(0, 3, 1, 2).contiguous()
 
 
+def read_true_ranges(scene: SceneReader, frame: int) -> tuple[Float32[Tensor, "h w"], Float32[Tensor, "N H W"]]:
+    """Panorama and cameras' ranges of a frame; see `Batch`."""
+    names = ["erp_range.zst", *(f"range{k}.zst" for k in range(len(scene.rig.cameras)))]
+    blobs = scene.read(frame, names)
+    erp, *cameras = (torch.from_numpy(decode_range(blobs[name])) for name in names)
+    return erp, torch.stack(cameras)
+
+
 def collate(samples: Sequence[Sample]) -> Batch:
     """Stack samples along a new first axis."""
-    return Batch(
-        images=torch.stack([sample.images for sample in samples]),
-        rigs=tuple(sample.rig for sample in samples),
-        world_from_ego=torch.stack([sample.world_from_ego for sample in samples]),
-        voxels=torch.stack([sample.voxels for sample in samples]),
-        pixel_labels=torch.stack([sample.pixel_labels for sample in samples]),
-        lidar_range_m=torch.stack([sample.lidar_range_m for sample in samples]),
-        lidar_labels=torch.stack([sample.lidar_labels for sample in samples]),
-        frame_ids=tuple(sample.frame_id for sample in samples),
-    )
+    columns = dict(zip(Sample._fields, zip(*samples, strict=True), strict=True))
+    rigs, frame_ids = columns.pop("rig"), columns.pop("frame_id")
+    # an extra that was not asked for is None in every sample
+    stacked = {name: None if column[0] is None else torch.stack(column) for name, column in columns.items()}
+    return Batch(rigs=rigs, frame_ids=frame_ids, **stacked)  # type: ignore[arg-type]

@@ -8,7 +8,7 @@ from torch import Tensor, device
 from torch.utils.data import DataLoader
 
 from omniocc.batch import Batch
-from omniocc.data.dataset import WindowDataset, collate
+from omniocc.data.dataset import Extras, WindowDataset, collate
 from omniocc.data.pool import limit_threads
 from omniocc.data.sampler import EpochSampler, RankSampler
 from omniocc.data.virtual import SPLITS, Split, VirtualWorld
@@ -55,6 +55,7 @@ class OccupancyData(LightningDataModule):
         self.num_workers = num_workers
         self.seed = seed
         self.voxels = VoxelCache(world.folder, geometry, unknown)
+        self.extras = Extras()
         self._datasets: dict[Split, WindowDataset] = {}
         self._resume = {"epoch": 0, "batches": 0}
 
@@ -67,7 +68,13 @@ class OccupancyData(LightningDataModule):
     def setup(self, stage: str | None = None) -> None:
         """Open the three splits; `prepare_data` has been called, here or in another process."""
         for split in SPLITS:
-            self._datasets.setdefault(split, WindowDataset(self.world.readers(split), self.voxels, self.window))
+            readers = self.world.readers(split)
+            self._datasets.setdefault(split, WindowDataset(readers, self.voxels, self.window, self.extras))
+
+    def read_also(self, extras: Extras) -> None:
+        """What samples hold beside images and labels, from the next `setup` on."""
+        self.extras = extras
+        self._datasets = {}
 
     def dataset(self, split: Split) -> WindowDataset:
         """The samples of a split, after `setup`."""

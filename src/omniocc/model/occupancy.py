@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 from torch import Tensor, nn
 
 from omniocc.camera import Rig
@@ -69,6 +69,7 @@ class OccupancyModel(nn.Module):
         images: UInt8[Tensor, "B T N 3 H W"] | Float[Tensor, "B T N 3 H W"],
         rigs: tuple[Rig, ...],
         world_from_ego: Float[Tensor, "B T 4 4"],
+        candidates: Bool[Tensor, "B T X Y Z"] | None = None,
     ) -> Prediction:
         """Logits for the newest frame.
 
@@ -76,22 +77,21 @@ class OccupancyModel(nn.Module):
             images: RGB 0..255 as uint8, or [0, 1] as floats; frames oldest first.
             rigs: cameras of each sample.
             world_from_ego: pose of each frame.
+            candidates: what the sketch says about these frames, where it has been asked before.
         """
         window = to_unit_range(images[:, -self.temporal.frames :])
         *past, newest = window.unbind(1)
+        if candidates is None:
+            *past_voxels, voxels = [self.sketch(frame, rigs) for frame in window.unbind(1)]
+        else:
+            *past_voxels, voxels = candidates[:, -self.temporal.frames :].unbind(1)
         with torch.no_grad():
-            volumes = [self.lift(self.backbone(frame), frame, rigs) for frame in past]
+            volumes = [self.lifter(self.backbone(f), v, rigs) for f, v in zip(past, past_voxels, strict=True)]
         features = self.backbone(newest)
-        volumes.append(self.lift(features, newest, rigs))
+        volumes.append(self.lifter(features, voxels, rigs))
         volume = self.temporal(volumes, world_from_ego[:, -len(volumes) :])
         volume = self.refiner(volume)
         return Prediction(self.classifier(volume), self.semantic_head(features))
-
-    def lift(
-        self, features: list[Float[Tensor, "B N C _ _"]], images: Float[Tensor, "B N 3 H W"], rigs: tuple[Rig, ...]
-    ) -> Float[Tensor, "B D X Y Z"]:
-        """Voxel features of one frame, in its ego frame."""
-        return self.lifter(features, self.sketch(images, rigs), rigs)
 
 
 def to_unit_range(images: UInt8[Tensor, "..."] | Float[Tensor, "..."]) -> Float[Tensor, "..."]:
