@@ -3,12 +3,12 @@
 import math
 from dataclasses import dataclass, replace
 
-import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from omniocc.camera.angle import rays_at_radius, theta_over_radius
 from omniocc.camera.pixels import in_image
-from omniocc.camera.protocol import check_size, pair, positive, scaled_center
+from omniocc.camera.protocol import angle_from_axis, check_size, pair, positive, scaled_center
 
 
 @dataclass(frozen=True)
@@ -34,13 +34,11 @@ class Equidistant:
         check_size(self.width, self.height)
         object.__setattr__(self, "focal_px", positive("focal_px", self.focal_px))
         object.__setattr__(self, "center_px", pair("center_px", self.center_px))
-        object.__setattr__(self, "max_angle_deg", positive("max_angle_deg", self.max_angle_deg))
-        if self.max_angle_deg > 180:
-            raise ValueError(f"max_angle_deg is {self.max_angle_deg}; it is measured from the axis and ends at 180")
+        object.__setattr__(self, "max_angle_deg", angle_from_axis("max_angle_deg", self.max_angle_deg))
 
     def project(self, points: Float[Tensor, "*batch 3"]) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"]]:
         """See `Camera.project`. Points straight behind the camera have no one pixel and are invalid."""
-        theta_per_r, theta, defined = _theta_over_radius(points)
+        theta_per_r, theta, defined = theta_over_radius(points)
         center = points.new_tensor(self.center_px)
         pixels = self.focal_px * theta_per_r[..., None] * points[..., :2] + center
         valid = defined & (theta <= math.radians(self.max_angle_deg)) & in_image(pixels, self.width, self.height)
@@ -49,13 +47,8 @@ class Equidistant:
     def unproject(self, pixels: Float[Tensor, "*batch 2"]) -> tuple[Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
         """See `Camera.unproject`."""
         angles = (pixels - pixels.new_tensor(self.center_px)) / self.focal_px
-        squared = angles.square().sum(-1)
-        near_axis = squared <= torch.finfo(pixels.dtype).eps
-        theta = torch.where(near_axis, 1, squared).sqrt()
-        sinc = torch.where(near_axis, 1 - squared / 6, theta.sin() / theta)
-        cosine = torch.where(near_axis, 1 - squared / 2, theta.cos())
-        rays = torch.cat([sinc[..., None] * angles, cosine[..., None]], dim=-1)
-        return rays, near_axis | (theta <= math.radians(self.max_angle_deg))
+        valid = angles.square().sum(-1) <= math.radians(self.max_angle_deg) ** 2
+        return rays_at_radius(angles, lambda theta: theta), valid
 
     def resized(self, width: int, height: int) -> "Equidistant":
         """See `Camera.resized`; raises ValueError if the aspect ratio changes, as the model has one focal length."""
@@ -67,23 +60,3 @@ class Equidistant:
             )
         center = scaled_center(self.center_px, scale_x, scale_y)
         return replace(self, width=width, height=height, focal_px=self.focal_px * scale_x, center_px=center)
-
-
-def _theta_over_radius(
-    points: Float[Tensor, "*batch 3"],
-) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"], Bool[Tensor, "*batch"]]:
-    """Angle from the axis divided by the distance from it, that angle, and whether the first is defined.
-
-    Near the axis, where the quotient is 0/0, its series takes over; the unused branch gets harmless arguments, because
-    autograd visits both.
-    """
-    x, y, z = points.unbind(-1)
-    squared = x.square() + y.square()
-    near_axis = squared <= torch.finfo(points.dtype).eps * z.square()
-    in_front = near_axis & (z > 0)
-    radius = torch.where(near_axis, 1, squared).sqrt()
-    away = torch.atan2(radius, torch.where(near_axis, 1, z))
-    inverse_z = torch.where(in_front, z, 1).reciprocal()
-    series = inverse_z * (1 - squared * inverse_z * inverse_z / 3)
-    quotient = torch.where(near_axis, torch.where(in_front, series, 0), away / radius)
-    return quotient, torch.where(near_axis, 0, away), in_front | ~near_axis

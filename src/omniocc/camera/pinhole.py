@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from omniocc.camera.pixels import in_image
-from omniocc.camera.protocol import check_size, pair, positive, scaled_center
+from omniocc.camera.protocol import check_size, pair, positive_pair, scaled_center
 
 
 @dataclass(frozen=True)
@@ -29,8 +29,7 @@ class Pinhole:
     def __post_init__(self) -> None:
         """Raises ValueError for a size, focal length or centre that no camera has."""
         check_size(self.width, self.height)
-        fx, fy = pair("focal_px", self.focal_px)
-        object.__setattr__(self, "focal_px", (positive("focal_px", fx), positive("focal_px", fy)))
+        object.__setattr__(self, "focal_px", positive_pair("focal_px", self.focal_px))
         object.__setattr__(self, "center_px", pair("center_px", self.center_px))
 
     def project(self, points: Float[Tensor, "*batch 3"]) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"]]:

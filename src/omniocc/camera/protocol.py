@@ -67,6 +67,28 @@ def pair(name: str, value: object) -> tuple[float, float]:
     return finite(name, value[0]), finite(name, value[1])
 
 
+def positive_pair(name: str, value: object) -> tuple[float, float]:
+    """`value` as a tuple of two floats; raises ValueError unless both are finite and above zero."""
+    first, second = pair(name, value)
+    return positive(name, first), positive(name, second)
+
+
+def numbers(name: str, value: object, least: int, most: int) -> tuple[float, ...]:
+    """`value` as a tuple of floats; raises ValueError unless it is `least` to `most` finite numbers."""
+    wanted = str(least) if least == most else f"{least} to {most}"
+    if not isinstance(value, list | tuple) or not least <= len(value) <= most:
+        raise ValueError(f"{name} is {value!r}; it must be {wanted} numbers")
+    return tuple(finite(name, number) for number in value)
+
+
+def angle_from_axis(name: str, value: object) -> float:
+    """`value` as a float; raises ValueError unless it is an angle from the optical axis, in (0, 180] degrees."""
+    angle_deg = positive(name, value)
+    if angle_deg > 180:
+        raise ValueError(f"{name} is {value}; it is measured from the axis and ends at 180")
+    return angle_deg
+
+
 def scaled_center(center_px: tuple[float, float], scale_x: float, scale_y: float) -> tuple[float, float]:
     """A principal point after scaling the image: the image's corner (-0.5, -0.5) stays where it is."""
     return (center_px[0] + 0.5) * scale_x - 0.5, (center_px[1] + 0.5) * scale_y - 0.5

@@ -28,12 +28,27 @@ import yaml
 from jaxtyping import Bool, Float64
 from torch import Tensor
 
+from omniocc.camera.double_sphere import DoubleSphere
 from omniocc.camera.equidistant import Equidistant
+from omniocc.camera.eucm import EUCM
+from omniocc.camera.kannala_brandt import KannalaBrandt
+from omniocc.camera.mei import MEI
+from omniocc.camera.ocam import OCam
 from omniocc.camera.pinhole import Pinhole
 from omniocc.camera.pose import check_rigid, pose_from_angles
 from omniocc.camera.protocol import Camera, finite
+from omniocc.camera.radial_polynomial import RadialPolynomial
 
-MODELS = {"equidistant": Equidistant, "pinhole": Pinhole}
+MODELS = {
+    "equidistant": Equidistant,
+    "pinhole": Pinhole,
+    "kannala_brandt": KannalaBrandt,
+    "mei": MEI,
+    "ocam": OCam,
+    "double_sphere": DoubleSphere,
+    "eucm": EUCM,
+    "radial_polynomial": RadialPolynomial,
+}
 BUILT_IN = Path(__file__).parent / "rigs"
 ANGLES = ("yaw_deg", "pitch_deg", "roll_deg")
 

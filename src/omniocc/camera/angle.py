@@ -1,0 +1,63 @@
+"""The angle from the optical axis, without 0/0 on the axis: what all radial models share."""
+
+import math
+from collections.abc import Callable
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+
+def theta_over_radius(
+    points: Float[Tensor, "*batch 3"],
+) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"], Bool[Tensor, "*batch"]]:
+    """Angle from the axis divided by the distance from it, that angle, and whether the first is defined.
+
+    Near the axis, where the quotient is 0/0, its series takes over; the unused branch gets harmless arguments, because
+    autograd visits both.
+    """
+    x, y, z = points.unbind(-1)
+    squared = x.square() + y.square()
+    near_axis = squared <= torch.finfo(points.dtype).eps * z.square()
+    in_front = near_axis & (z > 0)
+    radius = torch.where(near_axis, 1, squared).sqrt()
+    away = torch.atan2(radius, torch.where(near_axis, 1, z))
+    inverse_z = torch.where(in_front, z, 1).reciprocal()
+    series = inverse_z * (1 - squared * inverse_z * inverse_z / 3)
+    quotient = torch.where(near_axis, torch.where(in_front, series, 0), away / radius)
+    return quotient, torch.where(near_axis, 0, away), in_front | ~near_axis
+
+
+def rays_at_radius(
+    offsets: Float[Tensor, "*batch 2"], angle_at: Callable[[Float[Tensor, "*batch"]], Float[Tensor, "*batch"]]
+) -> Float[Tensor, "*batch 3"]:
+    """Unit rays of image points, given the angle from the axis as a function of the distance from it.
+
+    `offsets` are scaled such that angle and distance agree to first order on the axis.
+    """
+    squared = offsets.square().sum(-1)
+    near_axis = squared <= torch.finfo(offsets.dtype).eps
+    radius = torch.where(near_axis, 1, squared).sqrt()
+    theta = angle_at(radius)
+    sine_per_radius = torch.where(near_axis, 1 - squared / 6, theta.sin() / radius)
+    cosine = torch.where(near_axis, 1 - squared / 2, theta.cos())
+    return torch.cat([sine_per_radius[..., None] * offsets, cosine[..., None]], dim=-1)
+
+
+def unit(points: Float[Tensor, "*batch 3"]) -> tuple[Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
+    """Points moved onto the unit sphere, and whether they had a direction; the camera's own place stays at 0."""
+    largest = points.abs().amax(-1, keepdim=True).detach()
+    scaled = points / torch.where(largest > 0, largest, 1)
+    squared = scaled.square().sum(-1, keepdim=True)
+    somewhere = squared > 0
+    return scaled / torch.where(somewhere, squared, 1).sqrt(), somewhere[..., 0]
+
+
+def min_cosine(max_angle_deg: float) -> float:
+    """Cosine of the largest angle from the axis; below every cosine, also a rounded one, if that is 180."""
+    return math.cos(math.radians(max_angle_deg)) if max_angle_deg < 180 else -2.0
+
+
+def pinhole_bound(alpha: float) -> float:
+    """w of the unified model: it covers z > -w * d. Usenko et al., 3DV 2018, eq. 19 and 44."""
+    return (1 - alpha) / alpha if alpha > 0.5 else alpha / (1 - alpha)
