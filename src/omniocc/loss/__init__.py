@@ -2,8 +2,9 @@
 
 from omniocc.loss.cross_entropy import CrossEntropy
 from omniocc.loss.dice import Dice
+from omniocc.loss.lovasz import Lovasz
 from omniocc.loss.scal import Scal
 from omniocc.loss.semantics import Semantics
 from omniocc.loss.total import Total
 
-__all__ = ["CrossEntropy", "Dice", "Scal", "Semantics", "Total"]
+__all__ = ["CrossEntropy", "Dice", "Lovasz", "Scal", "Semantics", "Total"]

@@ -1,5 +1,6 @@
 """Scores of occupancy."""
 
+from omniocc.metric.candidates import Candidates
 from omniocc.metric.depth import DepthMetrics, sphere_index
 from omniocc.metric.directions import eight_origins, sparseocc_directions
 from omniocc.metric.ray_hits import ray_hits
@@ -7,6 +8,7 @@ from omniocc.metric.ray_iou import RayIoU, RayTruth, ray_iou
 from omniocc.metric.voxel_iou import VoxelIoU
 
 __all__ = [
+    "Candidates",
     "DepthMetrics",
     "RayIoU",
     "RayTruth",

@@ -7,9 +7,10 @@ from torch import Tensor
 
 from omniocc.camera import Rig
 from omniocc.model.sketch.dense import Dense
+from omniocc.model.sketch.omni import Omni
 from omniocc.model.sketch.random import Random
 
-__all__ = ["Dense", "Random", "Sketch"]
+__all__ = ["Dense", "Omni", "Random", "Sketch"]
 
 
 @runtime_checkable

@@ -1,0 +1,91 @@
+"""What a panorama of ranges says about each cell: in front of what was seen, at it, or behind."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float, Float64, Int64
+from torch import Tensor, nn
+
+from omniocc.camera import Equirectangular
+from omniocc.geometry import Grid
+
+EVIDENCE_CHANNELS = 4
+"""Of the evidence: known share, and the gap at three scales."""
+
+
+def cell_samples(geometry: Grid, per_axis: Sequence[int]) -> Float64[Tensor, "K X Y Z 3"]:
+    """Points spread evenly in every cell, `per_axis` of them along each axis; ego frame, metres."""
+    axes = []
+    for axis, count in enumerate(per_axis):
+        edges = geometry.edges(axis)
+        fractions = (torch.arange(count, dtype=torch.float64) + 0.5) / count
+        axes.append([edges[:-1] + edges.diff() * fraction for fraction in fractions])
+    first, second, third = axes
+    grids = [torch.meshgrid(x, y, z, indexing="ij") for x in first for y in second for z in third]
+    return torch.stack([geometry.from_axes(*grid) for grid in grids])
+
+
+class Sight(NamedTuple):
+    """Where in the panorama the samples of the cells are looked up."""
+
+    pixel: Int64[Tensor, "K cells"]
+    """Row-major number of the pixel."""
+    distance_m: Float[Tensor, "K cells"]
+    """Of the sample from the ego origin."""
+    inside: Bool[Tensor, "K cells"]
+    """Whether the panorama covers the direction."""
+
+
+def sight(geometry: Grid, panorama: Equirectangular, per_axis: Sequence[int]) -> Sight:
+    """Looks up the direction of every sample."""
+    points = cell_samples(geometry, per_axis).flatten(1, 3)
+    pixels, inside = panorama.project(points)
+    column = pixels[..., 0].round().long().remainder(panorama.width)
+    row = pixels[..., 1].round().long().clamp(0, panorama.height - 1)
+    return Sight(row * panorama.width + column, points.norm(dim=-1).float(), inside)
+
+
+def sight_evidence(
+    range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"], where: Sight, step_m: float
+) -> Float[Tensor, "B 4 cells"]:
+    """Compares the distance of each cell's samples with the range seen in their direction.
+
+    Returns:
+        The share of samples whose direction has a valid range; then means over all samples, 0 for those without, of
+        the gap range - distance cut off at one step and at four, and of log(range / distance) cut off at 1. Positive is
+        in front of what was seen: free. Around 0 is its surface. Negative is hidden behind it: unknown.
+    """
+    seen = range_m.float().flatten(1)[:, where.pixel]
+    known = valid.flatten(1)[:, where.pixel] & where.inside
+    gap = torch.where(known, (seen - where.distance_m) / step_m, 0)
+    ratio = torch.where(known, seen.clamp(min=1e-3) / where.distance_m.clamp(min=1e-3), 1)
+    parts = [known.float(), gap.clamp(-1, 1), (gap / 4).clamp(-1, 1), ratio.log().clamp(-1, 1)]
+    return torch.stack([part.mean(1) for part in parts], dim=1)
+
+
+class Evidence(nn.Module):
+    """Evidence of free and hidden space (see `sight_evidence`) for every cell of a grid; no parameters.
+
+    Args:
+        geometry: the voxel grid.
+        panorama: of the ranges, around the ego origin.
+        samples: points looked up in each cell, along each axis.
+    """
+
+    pixel: Tensor
+    distance_m: Tensor
+    inside: Tensor
+
+    def __init__(self, geometry: Grid, panorama: Equirectangular, samples: Sequence[int]):
+        super().__init__()
+        self.geometry = geometry
+        where = sight(geometry, panorama, samples)
+        for name, tensor in where._asdict().items():
+            self.register_buffer(name, tensor, persistent=False)
+
+    def forward(self, range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"]) -> Float[Tensor, "B 4 X Y Z"]:
+        """Range in metres, finite, and where it counts."""
+        where = Sight(self.pixel, self.distance_m, self.inside)
+        evidence = sight_evidence(range_m, valid, where, self.geometry.cell_m[0])
+        return evidence.unflatten(2, self.geometry.shape)

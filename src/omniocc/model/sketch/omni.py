@@ -1,0 +1,150 @@
+"""Cylinder sketch: candidates from omnidirectional depth (paper, section III-C)."""
+
+from collections.abc import Sequence
+from typing import Protocol, runtime_checkable
+
+import torch
+from jaxtyping import Bool, Float, Float32, UInt8
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from omniocc.camera import Equirectangular, Rig
+from omniocc.classes import FREE, UNKNOWN
+from omniocc.geometry import Grid
+from omniocc.loss import Lovasz
+from omniocc.model.sketch.cylinder3d import Cylinder3D
+from omniocc.model.sketch.evidence import EVIDENCE_CHANNELS, Evidence
+from omniocc.model.sketch.points import PointEncoder, pseudo_points, still_axes
+from omniocc.model.sketch.select import above, likeliest
+
+
+@runtime_checkable
+class _Ranges(Protocol):
+    @property
+    def range_m(self) -> Tensor: ...
+
+    @property
+    def valid(self) -> Tensor: ...
+
+
+@runtime_checkable
+class _Depth(Protocol):
+    @property
+    def panorama(self) -> Equirectangular: ...
+
+    def __call__(self, images: Tensor, rigs: tuple[Rig, ...], true_range_m: Tensor | None = None) -> _Ranges: ...
+
+
+def occupancy(voxels: UInt8[Tensor, "B X Y Z"]) -> UInt8[Tensor, "B X Y Z"]:
+    """0 free, 1 occupied by any class, 255 unknown."""
+    return torch.where(voxels == UNKNOWN, voxels, (voxels != FREE).to(torch.uint8))
+
+
+def place_of_cells(geometry: Grid) -> Float[Tensor, "A X Y Z"]:
+    """Where each cell lies along the axes that do not wrap around, from -1 to 1."""
+    middles = [(2 * torch.arange(cells) + 1) / cells - 1 for cells in geometry.shape]
+    grids = torch.meshgrid(*middles, indexing="ij")
+    return torch.stack([grids[axis] for axis in still_axes(geometry)])
+
+
+class Omni(nn.Module):
+    """Ranges all around -> points and evidence of every cell -> how likely it is occupied -> candidates.
+
+    Depth is made elsewhere: here it stays frozen and in evaluation mode.
+
+    Args:
+        geometry: the voxel grid.
+        depth: ranges of a panorama around the ego origin.
+        point_channels: features of the points in a cell.
+        samples: directions of each cell that are compared with the panorama, along each axis.
+        channels: of each level of the network, finest first; multiples of 8.
+        threshold: candidates are the cells at least this likely to be occupied, between 0 and 1; None: see `share`.
+        share: candidates are the likeliest cells, this share of all, above 0 and at most 1; None: see `threshold`.
+        windows: cells by which the candidates of each band then grow towards and away from the z axis; 0 is not at all.
+        band_edges_m: horizontal distances at which one band ends and the next begins, one fewer than windows.
+
+    Raises:
+        ValueError: unless one of threshold and share is given and in range, or if sizes do not fit.
+    """
+
+    place: Tensor
+
+    def __init__(
+        self,
+        geometry: Grid,
+        depth: _Depth,
+        point_channels: int,
+        samples: Sequence[int],
+        channels: list[int],
+        threshold: float | None,
+        share: float | None,
+        windows: Sequence[int],
+        band_edges_m: Sequence[float | int],
+    ):
+        super().__init__()
+        if (threshold is None) == (share is None):
+            raise ValueError(f"threshold is {threshold} and share is {share}; give one and set the other to null")
+        if not 0 < (share if threshold is None else threshold) <= 1:  # type: ignore[operator]
+            raise ValueError(f"threshold or share is {share if threshold is None else threshold}; use 0 < value <= 1")
+        geometry.dilate(torch.zeros(geometry.shape, dtype=torch.bool), windows, band_edges_m)  # do they fit together?
+        assert isinstance(depth, nn.Module)
+        self.geometry = geometry
+        self.threshold, self.share = threshold, share
+        self.windows, self.band_edges_m = tuple(windows), tuple(band_edges_m)
+        self.panorama = depth.panorama
+        self.depth = depth.requires_grad_(False).eval()
+        self.points = PointEncoder(geometry, point_channels)
+        self.evidence = Evidence(geometry, self.panorama, samples)
+        self.register_buffer("place", place_of_cells(geometry), persistent=False)
+        inputs = point_channels + 1 + EVIDENCE_CHANNELS + len(self.place)
+        self.network = Cylinder3D(geometry, inputs, channels, 2)
+        self.lovasz = Lovasz()
+
+    def train(self, mode: bool = True) -> "Omni":
+        """As always, but depth stays in evaluation mode."""
+        super().train(mode)
+        self.depth.eval()
+        return self
+
+    def forward(
+        self,
+        images: Float[Tensor, "B N 3 H W"],
+        rigs: tuple[Rig, ...],
+        true_range_m: Float[Tensor, "B h w"] | None = None,
+    ) -> Bool[Tensor, "B X Y Z"]:
+        """Candidates; true ranges are for a depth that is nothing but them."""
+        with torch.no_grad():
+            seen = self.depth(images, rigs, true_range_m)
+        return self.select(self.logits(seen.range_m, seen.valid))
+
+    def logits(self, range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"]) -> Float[Tensor, "B 2 X Y Z"]:
+        """Free and occupied, of every cell.
+
+        Args:
+            range_m: of the panorama's pixels from the ego origin; where not valid, it does not count.
+            valid: where the range is known.
+        """
+        encoded, hit = self.points(pseudo_points(range_m, valid, self.panorama))
+        place = self.place.expand(len(range_m), *self.place.shape)
+        return self.network(torch.cat([encoded, hit, self.evidence(range_m, valid), place], dim=1))
+
+    def choose(self, logits: Float[Tensor, "B 2 X Y Z"]) -> Bool[Tensor, "B X Y Z"]:
+        """Candidates by threshold or share, before they are dilated."""
+        probability = logits.detach().float().softmax(1)[:, 1]
+        if self.threshold is not None:
+            return above(probability, self.threshold)
+        assert self.share is not None
+        return likeliest(probability, self.share)
+
+    def select(self, logits: Float[Tensor, "B 2 X Y Z"]) -> Bool[Tensor, "B X Y Z"]:
+        """Candidates by threshold or share, then dilated."""
+        return self.geometry.dilate(self.choose(logits), self.windows, self.band_edges_m)
+
+    def training_terms(
+        self, range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"], voxels: UInt8[Tensor, "B X Y Z"]
+    ) -> dict[str, Float32[Tensor, ""]]:
+        """Cross-entropy and Lovász loss of free against occupied; 255 does not count."""
+        logits, target = self.logits(range_m, valid).float(), occupancy(voxels)
+        known = (target != UNKNOWN).sum().clamp(min=1)
+        ce = F.cross_entropy(logits, target.long(), ignore_index=UNKNOWN, reduction="sum") / known
+        return {"ce": ce, "lovasz": self.lovasz(logits, target)}

@@ -1,0 +1,17 @@
+"""From probabilities to candidates."""
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+
+def above(probability: Float[Tensor, "B X Y Z"], threshold: float) -> Bool[Tensor, "B X Y Z"]:
+    """Cells at least this likely to be occupied."""
+    return probability >= threshold
+
+
+def likeliest(probability: Float[Tensor, "B X Y Z"], share: float) -> Bool[Tensor, "B X Y Z"]:
+    """The round(share * cells) likeliest cells of each sample, exactly so many also where values are equal."""
+    cells = probability.flatten(1)
+    chosen = cells.topk(round(share * cells.shape[1]), dim=1, sorted=False).indices
+    return torch.zeros_like(cells, dtype=torch.bool).scatter_(1, chosen, True).reshape(probability.shape)
