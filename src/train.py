@@ -15,22 +15,40 @@ from lightning.pytorch.callbacks import Callback, ModelCheckpoint
 from omegaconf import DictConfig, OmegaConf
 
 from omniocc.config import build, check_root, lines_not_tracebacks, plain
-from omniocc.data import OccupancyData
+from omniocc.data import Extras, OccupancyData
 from omniocc.report.run import save_results, show_results
 from omniocc.task import Occupancy, StepProgress
 from omniocc.task.checkpoint import build_task, load_config
 from omniocc.task.pictures import Pictures
 from omniocc.task.run_folder import BEST, LAST, RunFolder, git_commit, open_run, run_hash, write_whole
+from omniocc.task.stages import Stages, is_learned, wanted_stages
 
 
 @hydra.main(version_base="1.3", config_path="../conf", config_name="train")
 @lines_not_tracebacks
 def main(cfg: DictConfig) -> None:
-    """Check -> build -> fit -> test."""
+    """Check -> build -> the stages that are missing, occupancy last."""
     check_root(cfg)
     quiet()
+    stages = wanted_stages(cfg)
+    data = build(cfg.data)
+    data.prepare_data()
+    before = Stages(cfg, data) if is_learned(cfg) else None
+    figures: dict[str, float] = {}
+    for number, stage in enumerate(stages, start=1):
+        title = f"{stage}, stage {number} of {len(stages)}"
+        if stage == "occupancy":
+            train_occupancy(cfg, data, before, figures, title)
+        elif before is not None:
+            figures |= before.run(stage, title)
+            show_results(before.folders[stage])
+
+
+def train_occupancy(
+    cfg: DictConfig, data: OccupancyData, before: Stages | None, figures: dict[str, float], title: str
+) -> None:
+    """Fit -> test -> figures and pictures, those of the stages before beside them."""
     seed_everything(cfg.seed, workers=True, verbose=False)
-    data, loggers = build(cfg.data), build(cfg.logger)
     config = plain(cfg)
     run = open_run(Path(cfg.paths.runs), cfg.name, run_hash(config, data.world.fingerprint), cfg.resume)
     if run.finished:
@@ -38,21 +56,25 @@ def main(cfg: DictConfig) -> None:
         show_results(run.path)
         return
     write_whole(run.path / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True))
-    data.prepare_data()
-    data.setup("fit")
     task = build_task(cfg)
+    if before is not None:
+        task.model.sketch.load_state_dict(before.sketch_weights())  # type: ignore[union-attr]
+        data.read_also(Extras(candidates=before.candidates))
+    data.setup("fit")
     task.set_training_statistics(data.voxel_counts())
-    files = loggers.build(run.path, config)
-    trainer = build(cfg.trainer, callbacks=callbacks(cfg, run), logger=files, default_root_dir=str(run.path))
+    files = build(cfg.logger).build(run.path, config)
+    trainer = build(cfg.trainer, callbacks=callbacks(cfg, run, title), logger=files, default_root_dir=str(run.path))
     if trainer.is_global_zero:
         announce(run, task, data)
     minutes = fit(trainer, task, data, run)
     tested = run.path / (BEST if (run.path / BEST).exists() else LAST)
     metrics = trainer.test(task, datamodule=data, ckpt_path=str(tested), verbose=False)[0]
     if trainer.is_global_zero:
+        for logger in trainer.loggers:
+            logger.log_metrics(figures, trainer.global_step)
         facts = {"run": run.path.name, "checkpoint": tested.name, "seed": cfg.seed, "steps": trainer.global_step}
         facts |= {"minutes of training": minutes, "commit": git_commit(), "data": data.world.fingerprint}
-        save_results(run.path, metrics, facts)
+        save_results(run.path, metrics | figures, facts)
         show_results(run.path)
 
 
@@ -66,10 +88,10 @@ def fit(trainer: Trainer, task: Occupancy, data: OccupancyData, run: RunFolder) 
     return round((time.monotonic() - began_s) / 60, 1)
 
 
-def callbacks(cfg: DictConfig, run: RunFolder) -> list[Callback]:
+def callbacks(cfg: DictConfig, run: RunFolder, title: str) -> list[Callback]:
     """Progress, the last and the best checkpoint, pictures."""
     return [
-        StepProgress("occupancy"),
+        StepProgress(title),
         ModelCheckpoint(
             run.path, "last", every_n_train_steps=cfg.checkpoint_every_n_steps, enable_version_counter=False
         ),

@@ -52,11 +52,12 @@ class Root:
     name: str
     seed: int
     resume: str
+    stage: str | None
     checkpoint_every_n_steps: int
     pictures: int
 
 
-GROUPS = ("preset", "model", "data", "loss", "optimizer", "trainer", "logger", "paths")
+GROUPS = ("preset", "stages", "depth", "model", "data", "loss", "optimizer", "trainer", "logger", "paths")
 
 
 def check_root(cfg: DictConfig) -> None:

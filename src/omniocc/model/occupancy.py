@@ -57,7 +57,7 @@ class OccupancyModel(nn.Module):
         super().__init__()
         self.geometry = geometry
         self.backbone = backbone
-        self.sketch = sketch
+        self.sketch = sketch.requires_grad_(False) if isinstance(sketch, nn.Module) else sketch
         self.lifter = lifter
         self.temporal = temporal
         self.refiner = refiner
@@ -82,9 +82,8 @@ class OccupancyModel(nn.Module):
         window = to_unit_range(images[:, -self.temporal.frames :])
         *past, newest = window.unbind(1)
         if candidates is None:
-            *past_voxels, voxels = [self.sketch(frame, rigs) for frame in window.unbind(1)]
-        else:
-            *past_voxels, voxels = candidates[:, -self.temporal.frames :].unbind(1)
+            candidates = self.choose(window, rigs)
+        *past_voxels, voxels = candidates[:, -self.temporal.frames :].unbind(1)
         with torch.no_grad():
             volumes = [self.lifter(self.backbone(f), v, rigs) for f, v in zip(past, past_voxels, strict=True)]
         features = self.backbone(newest)
@@ -92,6 +91,11 @@ class OccupancyModel(nn.Module):
         volume = self.temporal(volumes, world_from_ego[:, -len(volumes) :])
         volume = self.refiner(volume)
         return Prediction(self.classifier(volume), self.semantic_head(features))
+
+    @torch.no_grad()
+    def choose(self, images: Float[Tensor, "B T N 3 H W"], rigs: tuple[Rig, ...]) -> Bool[Tensor, "B T X Y Z"]:
+        """Candidates of every frame; the sketch has learned in a stage of its own."""
+        return torch.stack([self.sketch(frame, rigs) for frame in images.unbind(1)], dim=1)
 
 
 def to_unit_range(images: UInt8[Tensor, "..."] | Float[Tensor, "..."]) -> Float[Tensor, "..."]:

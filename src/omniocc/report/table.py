@@ -32,7 +32,7 @@ def summary(metrics: Mapping[str, float]) -> tuple[list[str], list[list[str]]]:
 def band_keys(metrics: Mapping[str, float]) -> list[str]:
     """The keys `rayiou_<lo>-<hi>m`, nearest band first."""
     keys = [key.removeprefix("test/") for key in metrics if key.startswith("test/rayiou_")]
-    return sorted(keys, key=lambda key: float(key.split("_")[1].split("-")[0]))
+    return sorted(keys, key=lambda key: _lower_edge(key.split("_")[1]))
 
 
 def per_class(metrics: Mapping[str, float]) -> tuple[list[str], list[list[str]]]:
@@ -63,14 +63,72 @@ def markdown(head: list[str], rows: list[list[str]]) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
 
 
+DEPTH_COLUMNS = {
+    "mae": "MAE, m",
+    "absrel": "AbsRel",
+    "rmse": "RMSE, m",
+    "index>1": "index > 1 %",
+    "index>3": "> 3 %",
+    "index>5": "> 5 %",
+}
+SKETCH_COLUMNS = {"recall": "recall", "precision": "precision", "share": "share"}
+DEPTH_EXPLANATION = (
+    "Ranges over the test panoramas, every ray with a true range; index errors in percent of the spheres."
+)
+SKETCH_EXPLANATION = "Candidates against occupied true voxels; share: of all voxels. raw: before dilation."
+
+
+def depth_table(metrics: Mapping[str, float]) -> tuple[list[str], list[list[str]]]:
+    """Head and rows by distance band: errors of the panorama of ranges."""
+    rows = [
+        [title, *(number(metrics.get(f"test/depth/{key}{band}")) for key in DEPTH_COLUMNS)]
+        for title, band in _bands(metrics, "test/depth/mae_")
+    ]
+    return ["range", *DEPTH_COLUMNS.values()], rows
+
+
+def sketch_table(metrics: Mapping[str, float]) -> tuple[list[str], list[list[str]]]:
+    """Head and rows by distance band: candidates after dilation, then before."""
+    head = ["candidates", *SKETCH_COLUMNS.values(), *(f"{title}, raw" for title in SKETCH_COLUMNS.values())]
+    keys = [f"test/sketch/{raw}{key}" for raw in ("", "raw/") for key in SKETCH_COLUMNS]
+    rows = [
+        [title, *(number(metrics.get(f"{key}{band}")) for key in keys)]
+        for title, band in _bands(metrics, "test/sketch/recall_")
+    ]
+    return head, rows
+
+
+def tables(metrics: Mapping[str, float]) -> list[tuple[tuple[list[str], list[list[str]]], str]]:
+    """The tables that the figures of a run or stage allow, each with what it means."""
+    found = []
+    if "test/rayiou" in metrics:
+        found += [(summary(metrics), EXPLANATION), (per_class(metrics), "")]
+    if "test/sketch/recall" in metrics:
+        found.append((sketch_table(metrics), SKETCH_EXPLANATION))
+    if "test/depth/mae" in metrics:
+        found.append((depth_table(metrics), DEPTH_EXPLANATION))
+    return found
+
+
 def as_markdown(metrics: Mapping[str, float], caption: str) -> str:
-    """Both tables and what they mean."""
-    return "\n".join([caption, "", markdown(*summary(metrics)), markdown(*per_class(metrics)), EXPLANATION, ""])
+    """All tables and what they mean."""
+    parts = [part for table, meaning in tables(metrics) for part in (markdown(*table), meaning and f"{meaning}\n")]
+    return "\n".join([caption, "", *filter(None, parts)])
 
 
 def as_text(metrics: Mapping[str, float]) -> str:
-    """Both tables for a terminal, in columns."""
-    return "\n\n".join(_columns(head, rows) for head, rows in (summary(metrics), per_class(metrics)))
+    """All tables for a terminal, in columns."""
+    return "\n\n".join(_columns(*table) for table, _ in tables(metrics))
+
+
+def _bands(metrics: Mapping[str, float], prefix: str) -> list[tuple[str, str]]:
+    """Title and ending of the keys of everything and of each distance band, nearest first."""
+    bands = sorted((key.removeprefix(prefix) for key in metrics if key.startswith(prefix)), key=_lower_edge)
+    return [("all", ""), *((band.replace("m", " m"), f"_{band}") for band in bands)]
+
+
+def _lower_edge(band: str) -> float:
+    return float(band.split("-")[0])
 
 
 def _columns(head: list[str], rows: list[list[str]]) -> str:

@@ -10,9 +10,10 @@ from torch import Tensor
 from omniocc.batch import Batch
 from omniocc.classes import UNKNOWN
 from omniocc.loss import Total
-from omniocc.model import OccupancyModel
+from omniocc.model import OccupancyModel, Prediction
 from omniocc.task.adamw import AdamW
 from omniocc.task.scores import Scores
+from omniocc.task.terms import log_terms
 
 
 class Occupancy(LightningModule):
@@ -51,22 +52,16 @@ class Occupancy(LightningModule):
 
     def predict_labels(self, batch: Batch) -> Tensor:
         """(B, *shape) uint8 class of every cell."""
-        return self.model(batch.images, batch.rigs, batch.world_from_ego).logits.argmax(1).to(torch.uint8)
+        return self.predict(batch).logits.argmax(1).to(torch.uint8)
+
+    def predict(self, batch: Batch) -> Prediction:
+        """Logits of the newest frame, from the batch's candidates where it has any."""
+        return self.model(batch.images, batch.rigs, batch.world_from_ego, batch.candidates)
 
     def training_step(self, batch: Batch, batch_index: int) -> Tensor:
         """Sum of the loss terms; each is logged by name."""
-        prediction = self.model(batch.images, batch.rigs, batch.world_from_ego)
-        terms = self.loss(prediction, batch.voxels, batch.pixel_labels)
-        total = torch.stack(list(terms.values())).sum()
-        size = len(batch.frame_ids)
-        self.log_dict({f"train/loss/{name}": term.detach() for name, term in terms.items()}, batch_size=size)
-        self.log("train/loss", total.detach(), batch_size=size)
-        if not torch.isfinite(total):
-            values = ", ".join(f"{name}={float(term):.3g}" for name, term in terms.items())
-            raise ValueError(
-                f"the loss is not finite at step {self.global_step} ({values}); frames: {', '.join(batch.frame_ids)}"
-            )
-        return total
+        prediction = self.predict(batch)
+        return log_terms(self, self.loss(prediction, batch.voxels, batch.pixel_labels), batch)
 
     def validation_step(self, batch: Batch, batch_index: int) -> Tensor:
         """Score a batch; returns the predicted labels."""

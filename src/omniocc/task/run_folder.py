@@ -13,7 +13,7 @@ from filelock import FileLock, Timeout
 from omniocc.errors import UserError
 
 LAST, BEST, METRICS = "last.ckpt", "best.ckpt", "metrics.json"
-VOLATILE = ("resume", "paths", "logger", "pictures", "checkpoint_every_n_steps")
+VOLATILE = ("resume", "stage", "paths", "logger", "pictures", "checkpoint_every_n_steps")
 """Root keys that do not change what a run computes."""
 RANK_FOLDER = "OMNIOCC_RUN_FOLDER"
 """Environment variable by which the first process of a distributed run tells its children the folder."""
@@ -35,7 +35,8 @@ class RunFolder:
 
 def run_hash(config: dict[str, Any], data_fingerprint: str) -> str:
     """Eight hex digits of everything that decides a run's result."""
-    kept = {key: value for key, value in config.items() if key not in VOLATILE}
+    unused = () if "depth" in config["model"]["sketch"] else ("depth", "stages")
+    kept = {key: value for key, value in config.items() if key not in (*VOLATILE, *unused)}
     text = json.dumps([kept, data_fingerprint], sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:8]
 

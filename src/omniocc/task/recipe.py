@@ -1,0 +1,24 @@
+"""How long and on what batches a stage before occupancy trains."""
+
+from dataclasses import dataclass
+
+from omniocc.task.adamw import AdamW
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Training of one stage.
+
+    Attributes:
+        max_steps: optimiser steps.
+        batch_size: samples per step.
+        validate_every_n_epochs: epochs between validations.
+        seed: of weights and order of samples.
+        optimizer: recipe for optimiser and schedule.
+    """
+
+    max_steps: int
+    batch_size: int
+    validate_every_n_epochs: int
+    seed: int
+    optimizer: AdamW
