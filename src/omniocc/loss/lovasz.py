@@ -25,7 +25,7 @@ def jaccard_steps(foreground: Float32[Tensor, "C N"]) -> Float32[Tensor, "C N"]:
 
 
 class Lovasz(nn.Module):
-    """Lovász extension of the Jaccard loss, the mean over the classes in the target, free included (Berman et al. 2018).
+    """Lovász extension of the Jaccard loss (Berman et al. 2018): the mean over classes in the target, free included.
 
     Sets run over the known voxels of the whole batch. Computed in float32, also under autocast.
     """

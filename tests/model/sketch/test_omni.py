@@ -1,0 +1,192 @@
+from typing import NamedTuple
+
+import pytest
+import torch
+from torch import nn
+
+from omniocc.camera import Equirectangular
+from omniocc.geometry import Cuboid, Cylinder
+from omniocc.model.sketch import Omni, Sketch
+from omniocc.model.sketch.omni import occupancy
+
+PANORAMA = Equirectangular(24, 12, 45.0, -45.0)
+
+
+class Seen(NamedTuple):
+    range_m: torch.Tensor
+    valid: torch.Tensor
+
+
+class FakeDepth(nn.Module):
+    """Ranges from a weight and the true ones, so that gradients and modes can be seen."""
+
+    def __init__(self):
+        super().__init__()
+        self.panorama = PANORAMA
+        self.scale = nn.Parameter(torch.tensor(2.0))
+        self.norm = nn.BatchNorm2d(3)
+
+    def forward(self, images, rigs, true_range_m=None):
+        self.norm(images.flatten(0, 1))
+        base = images.mean((1, 2, 3, 4))[:, None, None].expand(-1, 12, 24) if true_range_m is None else true_range_m
+        return Seen(self.scale * base, base < 15)
+
+
+def make(geometry, threshold: float | None = 0.5, share=None, windows=(0, 0, 0)):
+    return Omni(geometry, FakeDepth(), 8, [1, 2, 2], [8, 8, 16], threshold, share, windows, [8.5, 17.0])
+
+
+def scene(batch=2):
+    return torch.rand(batch, 12, 24) * 20 + 1, torch.rand(batch, 12, 24) < 0.8
+
+
+def labels(geometry, batch=2):
+    return torch.tensor([0, 0, 3, 9, 255], dtype=torch.uint8)[torch.randint(0, 5, (batch, *geometry.shape))]
+
+
+def test_it_is_a_sketch(geometry, fisheye):
+    sketch = make(geometry)
+    candidates = sketch(torch.rand(2, 6, 3, 4, 4), (fisheye, fisheye), torch.rand(2, 12, 24) * 20 + 1)
+    assert isinstance(sketch, Sketch)
+    assert candidates.shape == (2, *geometry.shape)
+    assert candidates.dtype == torch.bool
+
+
+def test_forward_is_depth_then_logits_then_select(geometry, fisheye):
+    sketch = make(geometry).eval()
+    truth = torch.rand(2, 12, 24) * 20 + 1
+    expected = sketch.select(sketch.logits(2 * truth, truth < 15))
+    assert torch.equal(sketch(torch.rand(2, 6, 3, 4, 4), (fisheye, fisheye), truth), expected)
+
+
+def test_a_batch_of_two_is_two_batches_of_one(geometry):
+    sketch = make(geometry)
+    range_m, valid = scene()
+    apart = torch.cat([sketch.logits(range_m[i : i + 1], valid[i : i + 1]) for i in range(2)])
+    assert torch.allclose(sketch.logits(range_m, valid), apart, atol=1e-5)
+
+
+def test_turning_the_panorama_turns_the_sketch():
+    grid = Cylinder((8, 12, 4))
+    sketch = make(grid)
+    range_m, valid = scene()
+    # 4 cells counter-clockwise are 8 pixels to the left
+    turned = sketch.logits(range_m.roll(-8, 2), valid.roll(-8, 2))
+    assert torch.allclose(turned, sketch.logits(range_m, valid).roll(4, 3), atol=1e-4)
+
+
+def test_ranges_of_invalid_pixels_change_nothing(geometry):
+    sketch = make(geometry)
+    range_m, valid = scene()
+    other = torch.where(valid, range_m, torch.tensor(torch.inf))
+    other[:, 0] = torch.where(valid[:, 0], range_m[:, 0], torch.nan)
+    assert torch.equal(sketch.logits(range_m, valid), sketch.logits(other, valid))
+    changed = torch.where(valid, range_m + 3, range_m)
+    assert not torch.allclose(sketch.logits(range_m, valid), sketch.logits(changed, valid))
+
+
+def test_a_panorama_without_a_valid_pixel(geometry):
+    sketch = make(geometry)
+    terms = sketch.training_terms(*(scene()[0], torch.zeros(2, 12, 24, dtype=torch.bool)), labels(geometry))
+    assert all(term.isfinite() for term in terms.values())
+    sum(terms.values()).backward()
+    grads = [p.grad for p in sketch.parameters() if p.grad is not None]
+    assert grads
+    assert all(grad.isfinite().all() for grad in grads)
+
+
+def test_gradients_reach_every_parameter_but_those_of_depth(geometry):
+    sketch = make(geometry)
+    terms = sketch.training_terms(*scene(), labels(geometry))
+    assert set(terms) == {"ce", "lovasz"}
+    sum(terms.values()).backward()
+    for name, parameter in sketch.named_parameters():
+        if name.startswith("depth."):
+            assert parameter.grad is None, name
+            assert not parameter.requires_grad, name
+        else:
+            assert parameter.grad is not None, name
+            assert parameter.grad.any(), name
+
+
+def test_depth_stays_frozen_in_evaluation_mode(geometry, fisheye):
+    sketch = make(geometry).train()
+    assert sketch.network.training
+    assert not sketch.depth.training
+    before = sketch.depth.norm.running_mean.clone()
+    sketch(torch.rand(1, 6, 3, 4, 4), (fisheye,))
+    assert torch.equal(sketch.depth.norm.running_mean, before)
+    outer = nn.Sequential(sketch)
+    outer.train()
+    assert not sketch.depth.norm.training
+
+
+def test_unknown_voxels_do_not_count(geometry):
+    sketch = make(geometry)
+    range_m, valid = scene()
+    voxels = torch.full((2, *geometry.shape), 255, dtype=torch.uint8)
+    assert all(term == 0 for term in sketch.training_terms(range_m, valid, voxels).values())
+    assert occupancy(torch.tensor([[[[0, 1, 11, 255]]]], dtype=torch.uint8)).flatten().tolist() == [0, 1, 1, 255]
+
+
+def test_cross_entropy_by_hand():
+    grid = Cuboid((4, 4, 2))
+    sketch = make(grid)
+    range_m, valid = scene(1)
+    voxels = labels(grid, 1)
+    logits = sketch.logits(range_m, valid).detach().double().log_softmax(1)
+    known = [(i, v) for i, v in enumerate(voxels.flatten().tolist()) if v != 255]
+    expected = -sum(float(logits[0].flatten(1)[int(v > 0), i]) for i, v in known) / len(known)
+    assert sketch.training_terms(range_m, valid, voxels)["ce"].item() == pytest.approx(expected, rel=1e-4)
+
+
+def test_learns_to_find_what_is_there():
+    grid = Cylinder((8, 12, 4))
+    sketch = make(grid)
+    range_m, valid = torch.full((1, 12, 24), 10.0), torch.ones(1, 12, 24, dtype=torch.bool)
+    range_m[:, :, 12:] = 20.0  # right half
+    voxels = torch.zeros(1, *grid.shape, dtype=torch.uint8)
+    voxels[:, 3, 6:, 1:3] = 5  # 9.6 to 12.8 m, left
+    voxels[:, 6, :6, 1:3] = 5  # 19.2 to 22.4 m, right
+    optimizer = torch.optim.Adam([p for p in sketch.parameters() if p.requires_grad], lr=1e-2)
+    for _ in range(40):
+        optimizer.zero_grad()
+        sum(sketch.training_terms(range_m, valid, voxels).values()).backward()
+        optimizer.step()
+    found = sketch.select(sketch.logits(range_m, valid))
+    assert torch.equal(found, voxels > 0)
+
+
+def test_share_is_exact_and_dilation_comes_after(geometry):
+    plain = make(geometry, None, 0.2)
+    range_m, valid = scene()
+    logits = plain.logits(range_m, valid)
+    chosen = plain.select(logits)
+    assert chosen.sum((1, 2, 3)).tolist() == [round(0.2 * geometry.num_cells)] * 2
+    wide = make(geometry, None, 0.2, (0, 1, 2))
+    assert torch.equal(wide.choose(logits), chosen)
+    assert torch.equal(wide.select(logits), geometry.dilate(chosen, (0, 1, 2), (8.5, 17.0)))
+    assert wide.select(logits).sum() > chosen.sum()
+
+
+def test_threshold_is_that_of_the_probability(geometry):
+    sketch = make(geometry, 0.3)
+    logits = torch.randn(2, 2, *geometry.shape)
+    assert torch.equal(sketch.select(logits), logits.softmax(1)[:, 1] >= 0.3)
+
+
+@pytest.mark.parametrize(("threshold", "share"), [(None, None), (0.5, 0.2)])
+def test_exactly_one_of_threshold_and_share(threshold, share):
+    with pytest.raises(ValueError, match=f"threshold is {threshold} and share is {share}"):
+        make(Cylinder((8, 12, 4)), threshold, share)
+
+
+@pytest.mark.parametrize(("threshold", "share"), [(0.0, None), (1.1, None), (None, 0.0), (None, -0.1), (None, 1.5)])
+def test_impossible_values_are_named(threshold, share):
+    with pytest.raises(ValueError, match=f"is {share if threshold is None else threshold}"):
+        make(Cylinder((8, 12, 4)), threshold, share)
+
+
+def test_windows_that_do_not_fit_are_named():
+    with pytest.raises(ValueError, match="one more window"):
+        make(Cylinder((8, 12, 4)), windows=(0, 1))
