@@ -1,8 +1,10 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
-from omniocc.world.capture import record
+from omniocc.world.capture import look, record
 from omniocc.world.caster import Caster
 from omniocc.world.mesh import empty
 from omniocc.world.recorder import panorama_directions
@@ -83,14 +85,34 @@ def test_supersampling_changes_colours_at_borders_only(rig, stage, own_car, sens
     assert np.array_equal(once.range_m, smooth.range_m, equal_nan=True)
     changed = (once.rgb != smooth.rgb).any(axis=-1)
     assert 0.02 < changed.mean() < 0.6
-    border, seen = np.zeros_like(changed), once.label != 255
-    border[:, 1:] = (once.label[:, 1:] != once.label[:, :-1]) & seen[:, 1:] & seen[:, :-1]
-    assert changed[border].mean() > 0.8
+    view = make_view(rig, 0, 3, Caster(own_car))
+    rays = view.extra.shape[2]
+    label, other = (
+        np.where(hits.face >= 0, stage.surfaces.label[hits.face], 0)
+        for hits in (stage.cast(view.origin_m, part.reshape(3, -1)) for part in (view.center, view.extra))
+    )
+    mixed = (other.reshape(-1, rays) != label[:, None]).any(axis=1)
+    mixed &= (view.own_center.face < 0) & (view.own_extra.face < 0).reshape(-1, rays).all(axis=1)
+    assert mixed.sum() > 50
+    assert changed.ravel()[view.pixel[mixed]].mean() > 0.95
+
+
+def test_a_pixel_on_an_edge_shows_both_sides_in_proportion(rig, stage_of, quad, own_car, noon):
+    """The wall's upper edge against an even sky: colours lie between the two, by the share of rays that meet each."""
+    wall = quad([[10, -40, 0], [10, 40, 0], [10, 40, 3.3], [10, -40, 3.3]], 4)
+    stage = stage_of(wall, empty(), empty(), replace(noon, glow=0.0, cloud_cover=0.0, zenith=noon.horizon))
+    view = make_view(rig, 0, 2, Caster(empty()))
+    seen, once = look(view, stage), look(replace(view, extra=view.extra[:, :, :0]), stage)
+    on_wall = stage.cast(view.origin_m, view.extra.reshape(3, -1)).face.reshape(-1, 3) >= 0
+    share = (on_wall.sum(axis=1) + (once.label == 4)) / 4
+    sky = once.color[:, once.label == 0].mean(axis=1)
+    edge = np.flatnonzero((share > 0) & (share < 1) & (once.label == 4))
+    assert len(edge) > 10
+    expected = share[edge] * once.color[:, edge] + (1 - share[edge]) * sky[:, None]
+    np.testing.assert_allclose(seen.color[:, edge], expected, atol=0.03)
 
 
 def test_mask_of_the_rig_blanks_pixels(rig, stage, own_car, sensor):
-    from dataclasses import replace
-
     mask = torch.ones(36, 64, dtype=torch.bool)
     mask[10:14, 30:40] = False
     picture = _take(replace(rig, masks=(mask, *[None] * 5)), 0, stage, own_car, sensor)

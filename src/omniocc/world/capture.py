@@ -53,11 +53,12 @@ def look(view: View, stage: Stage) -> Look:
     maybe = stage.meets(view.cones, view.origin_m)[view.cones.bundle]
     hits = stage.cast(view.origin_m, view.center, _own_hits(view.own_center, stage), maybe)
     seen = _shade(view, stage, hits, view.center)
-    color, key = seen.color, np.where(hits.face >= 0, stage.surfaces.key[hits.face], 0)
+    color, key = seen.color, np.where(hits.face >= 0, stage.surfaces.key.take(hits.face), 0)
     if view.extra.shape[2]:
-        index = np.flatnonzero(_borders(view, key, seen, hits.range_m))
-        color[:, index] = _smooth(view, stage, index, color[:, index], maybe[index])
-    label = np.where(hits.face >= 0, stage.surfaces.label[hits.face], np.uint8(0))
+        surface, shadow = _borders(view, key, seen, hits.range_m)
+        index = np.flatnonzero(surface | shadow)
+        color[:, index] = _smooth(view, stage, index, hits.face[index], shadow[index], color[:, index], maybe[index])
+    label = np.where(hits.face >= 0, stage.surfaces.label.take(hits.face), np.uint8(0))
     return Look(color, label, hits.range_m, key, hits.face >= stage.own_start)
 
 
@@ -89,32 +90,46 @@ def _own_hits(own: Hits, stage: Stage) -> Hits:
     return own._replace(face=np.where(own.face >= 0, own.face + stage.own_start, -1))
 
 
-def _smooth(view: View, stage: Stage, index: np.ndarray, center_color: np.ndarray, maybe: np.ndarray) -> np.ndarray:
-    """(3, E) mean colour of pixels `index` over all their rays."""
+def _smooth(
+    view: View,
+    stage: Stage,
+    index: np.ndarray,
+    face: np.ndarray,
+    shadow: np.ndarray,
+    center_color: np.ndarray,
+    maybe: np.ndarray,
+) -> np.ndarray:
+    """(3, E) mean colour of pixels `index` over all their rays.
+
+    A ray that meets the triangle (E,) `face` of the centre ray gets its colour, unless a `shadow` (E,) ends near by.
+    """
     count = view.extra.shape[2]
-    directions = view.extra[:, index].reshape(3, -1)
+    directions = np.take(view.extra, index, axis=1).reshape(3, -1)
     rays = (index[:, None] * count + np.arange(count)).ravel()
     hits = stage.cast(view.origin_m, directions, _own_hits(view.own_extra.take(rays), stage), maybe.repeat(count))
-    color = _shade(view, stage, hits, directions).color.reshape(3, len(index), count)
-    total = center_color
+    color = center_color.repeat(count, axis=1)
+    other = np.flatnonzero((hits.face != face.repeat(count)) | shadow.repeat(count))
+    color[:, other] = _shade(view, stage, hits.take(other), np.take(directions, other, axis=1)).color
+    color, total = color.reshape(3, len(index), count), center_color
     for ray in range(count):
         total = total + np.minimum(color[:, :, ray], 4.0)
     return total / (count + 1)
 
 
-def _borders(view: View, key: np.ndarray, seen: Shading, range_m: np.ndarray) -> np.ndarray:
-    """(P,) bool: whether a pixel above, below, left or right sees another surface or another light."""
+def _borders(view: View, key: np.ndarray, seen: Shading, range_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(P,) bool each: whether a pixel above, below, left or right sees another surface, or another light."""
     keys, lit = _image(view, key, 0), _image(view, seen.lit, False)
     plane, distance = _image(view, seen.offset_m, 0), _image(view, np.minimum(range_m, _SKY_M), _SKY_M)
-    border = np.zeros(view.size, dtype=bool)
+    surface, shadow = np.zeros(view.size, dtype=bool), np.zeros(view.size, dtype=bool)
     for one, other in (((slice(None), slice(1, None)), (slice(None), slice(-1))), ((slice(1, None),), (slice(-1),))):
         # Facets of a crown differ in plane, road at a grazing angle in range, one thing behind another in both.
         step = np.abs(plane[one] - plane[other]) > _STEP_M + _STEP_SHARE * plane[one]
         step &= np.abs(distance[one] - distance[other]) > _STEP_M + _STEP_SHARE * distance[one]
-        differ = (keys[one] != keys[other]) | (lit[one] != lit[other]) | step
-        border[one] |= differ
-        border[other] |= differ
-    return border.ravel()[view.pixel]
+        differ = keys[one] != keys[other]
+        for border, found in ((surface, differ | step), (shadow, (lit[one] != lit[other]) & ~differ)):
+            border[one] |= found
+            border[other] |= found
+    return surface.ravel()[view.pixel], shadow.ravel()[view.pixel]
 
 
 def _image(view: View, values: np.ndarray, outside: float | int) -> np.ndarray:

@@ -28,7 +28,7 @@ class Hits(NamedTuple):
 
     def take(self, index: np.ndarray) -> "Hits":
         """The hits of some of the rays."""
-        return Hits(*(array[index] for array in self))
+        return Hits(*(array.take(index) for array in self))
 
 
 @lru_cache(maxsize=1)

@@ -93,4 +93,4 @@ class ShadowMask:
             np.floor((points[k] - self._slope[k] * points[2]) * np.float32(1 / _CELL_M)).astype(np.int32) & (_SIDE - 1)
             for k in (0, 1)
         )
-        return self._mask.ravel()[row * _SIDE + column]
+        return self._mask.ravel().take(row * _SIDE + column)

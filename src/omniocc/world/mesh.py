@@ -20,7 +20,7 @@ class Mesh:
         label: (F,) uint8 class id, 1..11 (`omniocc.classes`).
         material: (F,) uint8 `omniocc.world.material.Material`.
         color: (F, 3) uint8 base colour, RGB.
-        instance: (F,) int32, -1 for what never moves, otherwise the actor's id.
+        instance: (F,) int32, -1 for what never changes, the actor's id, or below -1 for a traffic light's lamps.
     """
 
     vertices: np.ndarray

@@ -143,10 +143,9 @@ def shade(
     color = np.empty((3, len(hits.face)), np.float32)
     offset_m, lit = np.zeros(len(hits.face), np.float32), np.zeros(len(hits.face), bool)
     sky, ground = np.flatnonzero(hits.face < 0), np.flatnonzero(hits.face >= 0)
-    color[:, sky] = sky_color(light, directions[:, sky])
-    some = Hits(*(array[ground] for array in hits))
-    toward = directions[:, ground]
-    facts = np.ascontiguousarray(surfaces.table[some.face].T)
+    color[:, sky] = sky_color(light, np.take(directions, sky, axis=1))
+    some, toward = hits.take(ground), np.take(directions, ground, axis=1)
+    facts = np.ascontiguousarray(surfaces.table.take(some.face, axis=0).T)
     cosine = -_dot(facts[:3], toward)
     facts[:3] *= np.where(cosine < 0, np.float32(-1), np.float32(1))
     cosine = np.abs(cosine)
@@ -168,7 +167,9 @@ def _sunlight(
     covered = not light.sun.any()
     cosine = np.maximum(_dot(normal, light.sun_direction), 0)
     index = np.flatnonzero(normal[2] > 0.8 if covered else cosine > 0)
-    points = directions[:, index] * hits.range_m[index] + normal[:, index] * _LIFT_M + origin[:, None]
+    points = np.take(directions, index, axis=1) * hits.range_m.take(index)
+    points += np.take(normal, index, axis=1) * _LIFT_M
+    points += origin[:, None]
     dark = index[shadows.fall_on(points)]
     if not covered:
         cosine[dark] = 0
@@ -239,7 +240,8 @@ def _reflect(
     seen = sky_color(light, mirrored)
     blend = np.clip(mirrored[2] * 4 + 0.3, 0, 1)
     seen = seen * blend + 0.12 * light.horizon[:, None] * (1 - blend)
-    share = gloss * (0.06 + 0.94 * (1 - np.minimum(cosine, 1)) ** 5)
+    slant = 1 - np.minimum(cosine, 1)
+    share = gloss * (0.06 + 0.94 * (slant * slant * slant * slant * slant))
     return color * (1 - share) + np.minimum(seen, 3) * share
 
 

@@ -32,7 +32,7 @@ class Shadows:
         """(R,) bool: whether something stands between a point (3, R) and the light."""
         result = self._static.blocked(points.T, self._toward, self._limit_m)
         maybe = np.flatnonzero(self._mask.touches(points) & ~result)
-        some = points[:, maybe].T
+        some = np.take(points, maybe, axis=1).T
         for caster in self._movers:
             result[maybe] |= caster.blocked(some, self._toward, self._limit_m)
         return result

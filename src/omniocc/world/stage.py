@@ -68,12 +68,15 @@ class Stage:
 
         `maybe` (R,) bool tells which rays may meet something that moves, if that is known.
         """
-        place, directions = self.place(point_ego), self.turn(directions_ego).T
+        place, turned = self.place(point_ego), self.turn(directions_ego)
+        directions = turned.T
         if maybe is None:
             return self.layers.cast(repeat(place, len(directions)), directions, known)
         hits = Layers(self.layers.casters[:1]).cast(repeat(place, len(directions)), directions, known)
         index = np.flatnonzero(maybe)
-        found = self.layers.casters[1].cast(repeat(place, len(index)), directions[index], hits.range_m[index])
+        found = self.layers.casters[1].cast(
+            repeat(place, len(index)), np.take(turned, index, axis=1).T, hits.range_m[index]
+        )
         hit = np.flatnonzero(found.face >= 0)
         found.face[:] += np.int32(self.layers.offsets[1])
         for whole, part in zip(hits, found, strict=True):

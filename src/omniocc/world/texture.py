@@ -73,12 +73,12 @@ def sample(
     column = np.floor(u_m / texel_m).astype(np.int32) & (SIZE_PX - 1)
     row = np.floor(v_m / texel_m).astype(np.int32) & (SIZE_PX - 1)
     index = layer * _LAYER_PX + _LEVEL_START[level] + ((row >> level) * (SIZE_PX >> level)) + (column >> level)
-    texel = atlas.texels[index].view(np.uint8).reshape(-1, 4)
+    texel = atlas.texels.take(index).view(np.uint8).reshape(-1, 4)
     scale = np.float32(SIZE_PX / _MACRO_M)
     macro_row = np.floor(v_m * scale).astype(np.int32) & (SIZE_PX - 1)
     macro_column = np.floor(u_m * scale).astype(np.int32) & (SIZE_PX - 1)
-    tint = _TINT[texel[:, 0]] * atlas.macro[macro_row * SIZE_PX + macro_column]
-    return tint, np.stack([_OWN[texel[:, channel]] for channel in (1, 2, 3)])
+    tint = _TINT.take(texel[:, 0]) * atlas.macro.take(macro_row * SIZE_PX + macro_column)
+    return tint, np.stack([_OWN.take(texel[:, channel]) for channel in (1, 2, 3)])
 
 
 _TINT = (np.arange(256) / 128).astype(np.float32)

@@ -74,7 +74,7 @@ class Traffic:
     def actors(self, time_s: float) -> tuple[Mesh, tuple[Actor, ...]]:
         """All that moves within 80 m of the ego: faces in the world frame with instance = actor id, and the actors.
 
-        Lit lamps of traffic lights are among the faces, with instance -1.
+        Lit lamps of traffic lights are among the faces, with an instance below -1 for each light.
         """
         pairs = self._near(time_s)
         moved = (with_instance(transform(mesh, actor.world_from_actor), actor.id) for mesh, actor in pairs)
@@ -87,12 +87,13 @@ class Traffic:
     def _lamps(self, time_s: float) -> list[Mesh]:
         """What the traffic lights near by show."""
         middle, lit = self.world_from_ego(time_s)[:2, 3], []
-        for signal in self._place.signals:
+        for number, signal in enumerate(self._place.signals):
             x, y, yaw = signal.pose.x_m, signal.pose.y_m, signal.pose.yaw_rad
             if np.hypot(x - middle[0], y - middle[1]) < _RANGE_M:
                 shown = self._flow.signal(signal.arm, time_s + self._warm_up_s)
                 foot = np.array([x, y, float(self._place.height(x, y)) + KERB_M])
-                lit.append(transform(pole.lit_lamps(shown), _upright(foot, yaw)))
+                lamps = transform(pole.lit_lamps(shown), _upright(foot, yaw))
+                lit.append(with_instance(lamps, -2 - number))
         return lit
 
     def _near(self, time_s: float) -> list[tuple[Mesh, Actor]]:
