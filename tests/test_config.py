@@ -28,7 +28,8 @@ def composed(*overrides: str):
 def test_every_option_lists_exactly_the_arguments_of_its_class(path):
     node = OmegaConf.to_container(OmegaConf.load(path), resolve=False)
     slots = [entry for entry in node.pop("defaults", []) if isinstance(entry, dict)]
-    listed = {key for key in node if not key.startswith("_")} | {key for entry in slots for key in entry}
+    filled = {key for entry in slots for key in entry if not key.startswith("override ")}
+    listed = {key for key in node if not key.startswith("_")} | filled
     assert listed == set(parameters_of(get_object(node["_target_"])))
 
 
@@ -52,10 +53,16 @@ def slot_options():
 
 @pytest.mark.parametrize("override", list(slot_options()))
 def test_every_slot_option_builds_a_model(override):
-    cfg = composed(override)
+    cfg = composed(override, *(["model/sketch=omni"] if override.startswith("model/depth=") else []))
     check_root(cfg)
     model = build(cfg.model)
     assert model.geometry.shape == build(cfg.model.geometry).shape
+
+
+def test_mono_sketches_on_monocular_depth_unless_told_otherwise():
+    assert composed("model/sketch=omni").depth._target_ == "omniocc.model.depth.OmniMVS"
+    assert composed("model/sketch=mono").depth._target_ == "omniocc.model.depth.Mono"
+    assert composed("model/sketch=mono", "model/depth=truth").depth._target_ == "omniocc.model.depth.Truth"
 
 
 def test_all_problems_are_reported_at_once_with_hints():

@@ -90,10 +90,71 @@ def test_killed_training_continues_to_the_same_figures(tmp_path, data_root):
     assert metrics_of(tmp_path, "killed") == pytest.approx(metrics_of(tmp_path, "whole"), abs=1e-6, nan_ok=True)
 
 
+def test_stages_run_once_and_are_shared(tmp_path, data_root):
+    arguments = smoke(data_root, "model/sketch=omni", "trainer.max_steps=2")
+    depth = run("train.py", *arguments, "stage=depth", cwd=tmp_path)
+    assert depth.returncode == 0, depth.stdout + depth.stderr
+    assert "depth, stage 1 of 1 begins" in depth.stdout
+    assert "AbsRel" in depth.stdout
+    assert not list(tmp_path.glob("runs/stages/sketch-*"))
+
+    whole = run("train.py", *arguments, "name=whole", "pictures=1", cwd=tmp_path)
+    assert whole.returncode == 0, whole.stdout + whole.stderr
+    assert "depth, stage 1 of 3 is there" in whole.stdout
+    assert "sketch, stage 2 of 3 begins" in whole.stdout
+    metrics = metrics_of(tmp_path, "whole")
+    for key in ("test/rayiou", "test/depth/mae_0-8.5m", "test/sketch/recall", "test/sketch/raw/recall_17-25.6m"):
+        assert key in metrics
+
+    other = run("train.py", *arguments, "name=other", "model/refiner=none", "pictures=0", cwd=tmp_path)
+    assert other.returncode == 0, other.stdout + other.stderr
+    assert "sketch, stage 2 of 3 is there" in other.stdout
+
+    evaluated = run("evaluate.py", str(next(tmp_path.glob("runs/whole-*/last.ckpt"))), "--pictures=0", cwd=tmp_path)
+    assert evaluated.returncode == 0, evaluated.stdout + evaluated.stderr
+    (path,) = tmp_path.glob("runs/whole-*/evaluation-*/metrics.json")
+    online = json.loads(path.read_text())["metrics"]["test/voxel/miou"]  # the sketch at work, not its cache
+    assert online == pytest.approx(metrics["test/voxel/miou"], abs=2e-3)
+
+    cached = next(tmp_path.glob("runs/stages/sketch-*/candidates-*/train-*.frames"))
+    blob = bytearray(cached.read_bytes())
+    blob[3] ^= 1
+    cached.write_bytes(blob)
+    damaged = run("train.py", *arguments, "name=damaged", "pictures=0", cwd=tmp_path)
+    assert damaged.returncode == 1
+    assert f"{cached.name}: frame 0 is damaged; delete the file" in damaged.stderr
+    assert "Traceback" not in damaged.stderr
+
+
+def test_a_killed_stage_continues_to_the_same_figures(tmp_path, data_root):
+    arguments = smoke(data_root, "model/sketch=omni", "model/depth=truth", "stage=sketch", "stages.sketch.max_steps=12")
+    whole = run("train.py", *arguments, "checkpoint_every_n_steps=1", "paths.runs=whole", cwd=tmp_path)
+    assert whole.returncode == 0, whole.stdout + whole.stderr
+    process = subprocess.Popen(
+        command("train.py", *arguments, "checkpoint_every_n_steps=1", "paths.runs=killed"),
+        cwd=tmp_path, stdout=subprocess.DEVNULL, start_new_session=True,
+    )  # fmt: skip
+    deadline = time.monotonic() + 120
+    while not list(tmp_path.glob("killed/stages/sketch-*/last.ckpt")) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    assert not list(tmp_path.glob("killed/stages/sketch-*/metrics.json")), "it ended before it could be killed"
+    resumed = run("train.py", *arguments, "checkpoint_every_n_steps=1", "paths.runs=killed", cwd=tmp_path)
+    assert resumed.returncode == 0, resumed.stdout + resumed.stderr
+    assert "sketch, stage 2 of 2 goes on" in resumed.stdout
+    figures = [
+        json.loads(next(tmp_path.glob(f"{runs}/stages/sketch-*/metrics.json")).read_text())["metrics"]
+        for runs in ("whole", "killed")
+    ]
+    assert figures[0] == pytest.approx(figures[1], abs=1e-6, nan_ok=True)
+
+
 @pytest.mark.parametrize(
     ("override", "expected"),
     [
         ("model/sketch=mnoo", ["mnoo", "dense", "random"]),
+        ("stage=dpeth", ["dpeth", "depth, sketch, occupancy"]),
         ("model.lifter.points=many", ["model.lifter.points", "'many' is not a whole number"]),
         ("+model.lifter.pionts=3", ["did you mean 'points'"]),
         ("resume=nowhere.ckpt", ["nowhere.ckpt"]),

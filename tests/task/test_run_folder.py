@@ -7,10 +7,13 @@ from omniocc.task.run_folder import LAST, METRICS, open_run, run_hash, write_who
 
 
 def test_hash_follows_what_decides_a_result_and_nothing_else():
-    config = {"seed": 0, "model": {"channels": 32}, "paths": {"runs": "a"}, "resume": "auto"}
+    config = {"seed": 0, "model": {"sketch": {"share": 0.2}}, "depth": {"spheres": 8}, "paths": {"runs": "a"}, "resume": "auto"}
     assert run_hash(config, "data") == run_hash({**config, "paths": {"runs": "b"}, "resume": "never"}, "data")
     assert run_hash(config, "data") != run_hash({**config, "seed": 1}, "data")
     assert run_hash(config, "data") != run_hash(config, "other data")
+    assert run_hash(config, "data") == run_hash({**config, "depth": {"spheres": 9}}, "data"), "nothing looks at depth"
+    learned = {**config, "model": {"sketch": {"depth": {}}}}
+    assert run_hash(learned, "data") != run_hash({**learned, "depth": {"spheres": 9}}, "data")
 
 
 def test_same_command_finds_its_folder_and_checkpoint(tmp_path):

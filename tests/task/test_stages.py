@@ -1,0 +1,80 @@
+"""Which stages run, what their results are filed under, and who waits for whom."""
+
+import threading
+import time
+from pathlib import Path
+
+import pytest
+from hydra import compose, initialize_config_dir
+
+from omniocc.errors import UserError
+from omniocc.task.stages import claimed, stage_keys, wanted_stages
+
+CONF = Path(__file__).parents[2] / "conf"
+
+
+def composed(*overrides: str):
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        return compose("train", ["preset=smoke", "model/sketch=omni", *overrides])
+
+
+def changed(*overrides: str) -> list[str]:
+    """Names of the keys that the overrides change."""
+    before, after = stage_keys(composed(), "data"), stage_keys(composed(*overrides), "data")
+    return [name for name in before._fields if getattr(before, name) != getattr(after, name)]
+
+
+def test_a_learned_sketch_has_stages_before_occupancy():
+    assert wanted_stages(composed()) == ("depth", "sketch", "occupancy")
+    assert wanted_stages(composed("stage=sketch")) == ("depth", "sketch")
+    assert wanted_stages(composed("stage=depth")) == ("depth",)
+    assert wanted_stages(composed("model/sketch=dense")) == ("occupancy",)
+
+
+def test_a_stage_that_is_not_there_is_an_error_with_a_remedy():
+    with pytest.raises(UserError, match="stage=skethc: choose one of depth, sketch, occupancy"):
+        wanted_stages(composed("stage=skethc"))
+    with pytest.raises(UserError, match="choose model/sketch=omni"):
+        wanted_stages(composed("model/sketch=dense", "stage=depth"))
+
+
+@pytest.mark.parametrize(
+    ("override", "expected"),
+    [
+        ("model/depth=truth", ["depth", "sketch", "candidates"]),
+        ("stages.depth.max_steps=5", ["depth", "sketch", "candidates"]),
+        ("trainer.gradient_clip_val=1.0", ["depth", "sketch", "candidates"]),
+        ("model/geometry=cuboid", ["sketch", "candidates"]),
+        ("data.unknown=unobserved", ["sketch", "candidates"]),
+        ("stages.sketch.seed=3", ["sketch", "candidates"]),
+        ("model.sketch.windows=[0,0,0]", ["candidates"]),
+        ("model.sketch.threshold=0.4", ["candidates"]),
+        ("model/refiner=none", []),
+        ("trainer.max_steps=5", []),
+        ("seed=3", []),
+        ("paths.runs=elsewhere", []),
+    ],
+)
+def test_keys_change_with_what_makes_the_result_and_with_nothing_else(override, expected):
+    assert changed(override) == expected
+
+
+def test_other_data_is_another_result():
+    assert all(one != other for one, other in zip(stage_keys(composed(), "a"), stage_keys(composed(), "b"), strict=True))
+
+
+def test_a_second_process_waits_and_says_so(tmp_path, capsys):
+    events = []
+
+    def second():
+        with claimed(tmp_path, "depth"):
+            events.append("second")
+
+    with claimed(tmp_path, "depth"):
+        thread = threading.Thread(target=second)
+        thread.start()
+        while "waits for another process" not in capsys.readouterr().out:
+            time.sleep(0.01)
+        events.append("first")
+    thread.join(timeout=10)
+    assert events == ["first", "second"]
