@@ -1,0 +1,127 @@
+"""Where a calibrated camera sits, from points on the road whose places are known: a cloth with squares will do."""
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Float64
+from torch import Tensor
+
+from omniocc.camera.pose import invert_pose
+from omniocc.camera.protocol import Camera
+
+STEPS = 30
+NEAR_ENOUGH = 1e-10  # change of the pose, in radians and metres, at which the search ends
+
+
+def pose_from_ground(
+    camera: Camera, pixels: Float64[Tensor, "n 2"], points_ego: Float64[Tensor, "n 3"]
+) -> tuple[Float64[Tensor, "4 4"], Float64[Tensor, " n"]]:
+    """`ego_from_camera` from n >= 4 points of one plane, and each point's reprojection error in px.
+
+    Pixels become rays, so any model and any angle will do. The plane's two-fold pose (Collins and Bartoli, IJCV 2014,
+    as OpenCV's IPPE) starts a least-squares fit of the pixels; of two poses the one above the plane that fits better
+    is kept.
+
+    Raises:
+        ValueError: fewer than 4 points, points on one line or off the plane, a pixel the lens does not see, or no pose
+            above the ground.
+    """
+    rays, seen = camera.unproject(pixels)
+    if not bool(seen.all()):
+        raise ValueError(f"the lens does not see the pixels {pixels[~seen].tolist()}; leave them out")
+    _check_plane(points_ego)
+    found = []
+    for start in _starts(rays, points_ego):
+        pose, errors = _refined(camera, pixels, points_ego, start)
+        if bool(pose[2, 3] > points_ego[:, 2].mean()):
+            found.append((float(errors.square().sum()), pose, errors))
+    if not found:
+        raise ValueError("every pose that fits lies under the ground; do pixels and points come in the same order?")
+    _, pose, errors = min(found, key=lambda candidate: candidate[0])
+    return pose, errors
+
+
+def _check_plane(points_ego: Float64[Tensor, "n 3"]) -> None:
+    if len(points_ego) < 4:
+        raise ValueError(f"{len(points_ego)} points; a pose needs at least 4 on the ground, not all on one line")
+    spread = torch.linalg.svdvals(points_ego - points_ego.mean(0))
+    if spread[1] < 1e-3 * spread[0]:
+        raise ValueError("all points lie on one line; a pose needs points beside it too")
+    if spread[2] > 1e-6 * spread[0]:
+        raise ValueError("the points do not lie in one plane; give points on the road only")
+
+
+def _starts(rays: Float64[Tensor, "n 3"], points_ego: Float64[Tensor, "n 3"]) -> list[Float64[Tensor, "4 4"]]:
+    """Poses of the plane as seen by a pinhole that looks at the middle of the points."""
+    virtual_from_camera = _turn_to_front(rays.mean(0))
+    turned = rays @ virtual_from_camera.T
+    ahead = turned[:, 2] > 0.1
+    slopes = (turned[ahead, :2] / turned[ahead, 2:]).numpy()
+    if len(slopes) < 4:
+        raise ValueError("fewer than 4 points lie within 84 degrees of their common direction; give points closer by")
+    _, turns, shifts, _ = cv2.solvePnPGeneric(
+        points_ego[ahead].numpy(), slopes[:, None], np.eye(3), None, flags=cv2.SOLVEPNP_IPPE
+    )
+    starts = []
+    for turn, shift in zip(turns, shifts, strict=True):
+        pose = torch.eye(4, dtype=torch.float64)
+        pose[:3, :3] = virtual_from_camera.T @ torch.from_numpy(cv2.Rodrigues(turn)[0])
+        pose[:3, 3] = virtual_from_camera.T @ torch.from_numpy(shift[:, 0])
+        starts.append(pose)
+    return starts
+
+
+def _turn_to_front(direction: Float64[Tensor, "3"]) -> Float64[Tensor, "3 3"]:
+    """A rotation that takes `direction` to (0, 0, 1)."""
+    front = direction / direction.norm()
+    side = torch.zeros(3, dtype=torch.float64)
+    side[int(front.abs().argmin())] = 1
+    right = torch.linalg.cross(side, front)
+    right = right / right.norm()
+    return torch.stack([right, torch.linalg.cross(front, right), front])
+
+
+def _refined(
+    camera: Camera, pixels: Float64[Tensor, "n 2"], points_ego: Float64[Tensor, "n 3"], camera_from_ego: Tensor
+) -> tuple[Float64[Tensor, "4 4"], Float64[Tensor, " n"]]:
+    """Levenberg-Marquardt on the pixels, over a small turn and shift of the pose; and the errors left, in px."""
+
+    def residuals(change: Float64[Tensor, "6"]) -> Float64[Tensor, " m"]:
+        moved = _moved(camera_from_ego, change)
+        seen, _ = camera.project(points_ego @ moved[:3, :3].T + moved[:3, 3])
+        return (seen - pixels).flatten()
+
+    still = torch.zeros(6, dtype=torch.float64)
+    damping = 1e-3
+    error = residuals(still)
+    for _ in range(STEPS):
+        jacobian = torch.autograd.functional.jacobian(residuals, still)
+        assert isinstance(jacobian, Tensor)
+        normal = jacobian.T @ jacobian
+        change = -torch.linalg.solve(normal + damping * normal.diagonal().diag(), jacobian.T @ error)
+        trial = residuals(change)
+        if trial.square().sum() > error.square().sum():
+            damping *= 10
+            continue
+        camera_from_ego, error, damping = _moved(camera_from_ego, change), trial, damping / 10
+        if change.abs().max() < NEAR_ENOUGH:
+            break
+    return invert_pose(_orthonormal(camera_from_ego)), error.view(-1, 2).norm(dim=-1)
+
+
+def _moved(pose: Float64[Tensor, "4 4"], change: Float64[Tensor, "6"]) -> Float64[Tensor, "4 4"]:
+    """The pose after a turn by the vector change[:3], in rad, and a shift by change[3:], in metres."""
+    x, y, z = change[:3]
+    zero = torch.zeros_like(x)
+    generator = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero]).view(3, 3)
+    turn = torch.linalg.matrix_exp(generator)
+    top = torch.cat([turn @ pose[:3, :3], (turn @ pose[:3, 3] + change[3:])[:, None]], dim=1)
+    return torch.cat([top, pose[3:]])
+
+
+def _orthonormal(pose: Float64[Tensor, "4 4"]) -> Float64[Tensor, "4 4"]:
+    """The nearest rigid pose: rounding has added up over the steps."""
+    left, _, right = torch.linalg.svd(pose[:3, :3])
+    rigid = pose.clone()
+    rigid[:3, :3] = left @ right
+    return rigid
