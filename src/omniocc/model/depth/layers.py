@@ -1,0 +1,126 @@
+"""2D layers for panoramas, which wrap around in azimuth, and for images, which do not; and the answer of a sweep."""
+
+from itertools import pairwise
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+GROUP_CHANNELS = 8
+
+
+def norm(channels: int) -> nn.GroupNorm:
+    """Normalises each sample on its own, so that a batch of two is two batches of one.
+
+    Raises:
+        ValueError: if the channels do not split into groups of 8.
+    """
+    if channels % GROUP_CHANNELS:
+        raise ValueError(f"{channels} channels; every level needs a multiple of {GROUP_CHANNELS}")
+    return nn.GroupNorm(channels // GROUP_CHANNELS, channels)
+
+
+class Conv(nn.Conv2d):
+    """A 2D convolution that keeps the size (odd kernels, stride 1) and can wrap around along the width."""
+
+    def __init__(self, in_channels: int, out_channels: int, kernel_size: int, wrap: bool, bias: bool = True):
+        super().__init__(in_channels, out_channels, kernel_size, bias=bias)
+        self.wrap = wrap
+
+    def forward(self, maps: Float[Tensor, "B C H W"]) -> Float[Tensor, "B D H W"]:
+        """Convolves; zeros above and below, and at the sides unless it wraps."""
+        border = self.kernel_size[0] // 2
+        if not (self.wrap and border):
+            return F.conv2d(maps, self.weight, self.bias, padding=border)
+        maps = F.pad(maps, (border, border, 0, 0), mode="circular")
+        return F.conv2d(maps, self.weight, self.bias, padding=(border, 0))
+
+
+class Residual(nn.Module):
+    """x + relu(norm(conv(x)))."""
+
+    def __init__(self, channels: int, wrap: bool):
+        super().__init__()
+        self.conv = Conv(channels, channels, 3, wrap, bias=False)
+        self.norm = norm(channels)
+
+    def forward(self, maps: Float[Tensor, "B C H W"]) -> Float[Tensor, "B C H W"]:
+        """Maps of the same size."""
+        return maps + F.relu(self.norm(self.conv(maps)))
+
+
+def double(maps: Float[Tensor, "B C _ _"], height: int, width: int, wrap: bool) -> Float[Tensor, "B C H W"]:
+    """Doubles by bilinear interpolation, across the seam if it wraps, and crops what was padded to halve it."""
+    if wrap:
+        maps = F.pad(maps, (1, 1, 0, 0), mode="circular")
+    fine = F.interpolate(maps, scale_factor=2, mode="bilinear", align_corners=False)
+    first = 2 if wrap else 0
+    return fine[..., :height, first : first + width]
+
+
+class UNet2d(nn.Module):
+    """Residual blocks on a pyramid of halved maps, with added skips.
+
+    A coarse pixel covers exactly 2x2 fine ones, so that flipping the input of a mirrored network flips the output, and,
+    if it wraps, rolling the columns by a multiple of 2**(levels-1) rolls the output.
+
+    Args:
+        channels: of each level, finest first; multiples of 8.
+        blocks: residual blocks on each level, on the way down and again on the way up.
+        wrap: whether the left and right edge are neighbours.
+    """
+
+    def __init__(self, channels: list[int], blocks: int, wrap: bool):
+        super().__init__()
+        self.wrap = wrap
+        pairs = list(pairwise(channels))
+        self.encoder = nn.ModuleList(_blocks(count, blocks, wrap) for count in channels)
+        self.down = nn.ModuleList(nn.Conv2d(fine, coarse, 2, stride=2) for fine, coarse in pairs)
+        self.up = nn.ModuleList(nn.Conv2d(coarse, fine, 1) for fine, coarse in pairs)
+        self.decoder = nn.ModuleList(_blocks(fine, blocks, wrap) for fine, _ in pairs)
+
+    def forward(self, maps: Float[Tensor, "B C H W"]) -> Float[Tensor, "B C H W"]:
+        """Maps of the same size and channels.
+
+        Raises:
+            ValueError: if it wraps and the width cannot be halved often enough.
+        """
+        factor = 2 ** len(self.down)
+        if self.wrap and maps.shape[-1] % factor:
+            raise ValueError(f"{len(self.down) + 1} levels need widths in multiples of {factor}, not {maps.shape[-1]}")
+        skips = []
+        maps = self.encoder[0](maps)
+        for down, block in zip(self.down, list(self.encoder)[1:], strict=True):
+            skips.append(maps)
+            height, width = maps.shape[-2:]
+            maps = block(down(F.pad(maps, (0, width % 2, 0, height % 2))))
+        for up, block in reversed(list(zip(self.up, self.decoder, strict=True))):
+            skip = skips.pop()
+            height, width = skip.shape[-2:]
+            maps = block(skip + double(up(maps), height, width, self.wrap))
+        return maps
+
+
+def _blocks(channels: int, count: int, wrap: bool) -> nn.Sequential:
+    return nn.Sequential(*(Residual(channels, wrap) for _ in range(count)))
+
+
+def window_argmax(
+    logits: Float[Tensor, "B D h w"], radius: int
+) -> tuple[Float[Tensor, "B h w"], Float[Tensor, "B h w"]]:
+    """Index with fractions, and how sure it is.
+
+    The mean index, weighted by probability, of the spheres up to `radius` from the peak. Unlike the mean over all
+    spheres it stays on one of two surfaces when both are likely. The peak is where three neighbours hold the most
+    probability; the confidence is what the window holds.
+    """
+    probability = logits.float().softmax(1)
+    padded = F.pad(probability.detach(), (0, 0, 0, 0, 1, 1))
+    peak = (padded[:, :-2] + padded[:, 1:-1] + padded[:, 2:]).argmax(1, keepdim=True)
+    offsets = torch.arange(-radius, radius + 1, device=logits.device).view(1, -1, 1, 1)
+    spheres = peak + offsets
+    inside = (spheres >= 0) & (spheres < logits.shape[1])
+    window = probability.gather(1, spheres.clamp(0, logits.shape[1] - 1)) * inside
+    mass = window.sum(1)
+    return (window * spheres).sum(1) / mass.clamp(min=1e-6), mass

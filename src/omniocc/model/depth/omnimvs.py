@@ -1,0 +1,173 @@
+"""Omnidirectional depth by one combined sweep and 2D regularisation (paper, section III-B; RtHexa-OmniMVS)."""
+
+from collections.abc import Iterator, Sequence
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from omniocc.camera import Rig
+from omniocc.model.depth.features import FeatureNet
+from omniocc.model.depth.layers import Conv, UNet2d, norm
+from omniocc.model.depth.projection import (
+    Sampler,
+    Sweep,
+    alternate_cameras,
+    correlate,
+    present_cameras,
+    samplers,
+    table,
+)
+from omniocc.model.depth.sphere_net import SphereNet
+
+CONTEXT_SHARES = (0.06, 0.25)
+"""Spheres on which the views' own features are put side by side, as shares of the index of the nearest."""
+
+LEAST_SHARE = 0.05
+"""Of a point's cameras that must be there for its features to be scaled up to what all of them would give."""
+
+
+class OmniMVS(SphereNet):
+    """One panorama of features per sphere from every other camera, one from the rest: where they agree is a surface.
+
+    The correlation of the two panoramas on all spheres, by groups of channels, and the views' own features (their mean
+    and their difference, so that the two sets may be swapped) go through a 2D network that wraps around. Rotating a rig
+    of even symmetry by one camera rotates the answer.
+
+    Args:
+        erp_size: width and height of the panorama, px.
+        erp_top_deg: elevation of its upper edge.
+        erp_bottom_deg: elevation of its lower edge.
+        spheres: number of spheres.
+        min_range_m: of the nearest sphere; None derives it from each rig.
+        feature_channels: per level of the feature network, finest (half the image size) first; multiples of 8.
+        match_channels: features that are compared.
+        groups: correlations per sphere, a divisor of `match_channels`.
+        context_channels: features that are passed on as they are.
+        sweep_stride: panorama pixels per swept point along each side, 1 or 2.
+        channels: per level of the 2D network, finest (half the panorama) first; multiples of 8.
+        blocks: residual blocks on each level, down and up again.
+        window: spheres to each side of the peak that make up the answer.
+        min_confidence: answers below are not valid, in [0, 1].
+        log_range_weight: of that term of the loss beside the index's.
+        entropy_weight: likewise, of the cross-entropy over spheres.
+        mirror: train on the mirrored world as often as on the true one.
+
+    Raises:
+        ValueError: if sizes do not fit together.
+    """
+
+    def __init__(
+        self,
+        erp_size: Sequence[int],
+        erp_top_deg: float,
+        erp_bottom_deg: float,
+        spheres: int,
+        min_range_m: float | None,
+        feature_channels: list[int],
+        match_channels: int,
+        groups: int,
+        context_channels: int,
+        sweep_stride: int,
+        channels: list[int],
+        blocks: int,
+        window: int,
+        min_confidence: float,
+        log_range_weight: float,
+        entropy_weight: float,
+        mirror: bool,
+    ):
+        view = erp_size, erp_top_deg, erp_bottom_deg
+        super().__init__(*view, spheres, min_range_m, window, min_confidence, log_range_weight, entropy_weight, mirror)
+        if match_channels % groups:
+            raise ValueError(f"{match_channels} match_channels cannot be split into {groups} groups; give a divisor")
+        if sweep_stride not in (1, 2):
+            raise ValueError(f"sweep_stride is {sweep_stride}; it must be 1 or 2")
+        if erp_size[0] % 2 ** len(channels) or erp_size[1] % 2:
+            raise ValueError(
+                f"erp_size is {list(erp_size)}; {len(channels)} levels need an even height "
+                f"and a width in multiples of {2 ** len(channels)}"
+            )
+        self.match_channels, self.groups, self.sweep_stride = match_channels, groups, sweep_stride
+        self.swept = self.panorama.resized(erp_size[0] // sweep_stride, erp_size[1] // sweep_stride)
+        self.features = FeatureNet(feature_channels, match_channels + context_channels)
+        inputs = groups * spheres + 2 * len(CONTEXT_SHARES) * context_channels + 3
+        self.stem = nn.Conv2d(inputs, channels[0], 2 // sweep_stride, stride=2 // sweep_stride)
+        self.net = UNet2d(channels, blocks, wrap=True)
+        self.head = nn.Sequential(
+            Conv(channels[0], channels[0], 3, wrap=True, bias=False),
+            norm(channels[0]),
+            nn.ReLU(),
+            nn.Conv2d(channels[0], 4 * spheres, 1),
+            nn.PixelShuffle(2),
+        )
+
+    def logits(
+        self, images: Float[Tensor, "B N 3 H W"], rig: Rig, flip: bool = False
+    ) -> tuple[Float[Tensor, "B D h w"], Bool[Tensor, "B h w"]]:
+        """Of every sphere, for samples of one rig, and whether any camera sees the direction; mirrored if asked.
+
+        Mirrored, images and panoramas go through the networks flipped, while the sweep between them stays: the same as
+        a mirrored rig in a mirrored world.
+        """
+        features = self.features(images.flip(-1) if flip else images)
+        features = features.flip(-1) if flip else features
+        panoramas, seen = self._sweep(features, images, rig)
+        if flip:
+            panoramas, seen = panoramas.flip(-1), seen.flip(-1)
+        logits = self.head(self.net(self.stem(panoramas)))
+        return logits, F.interpolate(seen.float(), logits.shape[-2:])[:, 0] > 0
+
+    def _sweep(
+        self, features: Float[Tensor, "B N C _ _"], images: Float[Tensor, "B N 3 H W"], rig: Rig
+    ) -> tuple[Float[Tensor, "B E h w"], Bool[Tensor, "B 1 h w"]]:
+        """Everything the 2D network sees, and where any camera sees."""
+        present = present_cameras(images)
+        match, context = features.split([self.match_channels, features.shape[2] - self.match_channels], 2)
+        planes = [float(k) for k in range(self.spheres)]
+        agreement, one, two = zip(*self._agreement(match, present, rig, planes), strict=True)
+        views = self._views(context, present, rig, [share * (self.spheres - 1) for share in CONTEXT_SHARES])
+        one, two = (self._maps(torch.cat(parts)[..., None]) for parts in (one, two))
+        both, either = torch.minimum(one, two).mean(1, keepdim=True), torch.maximum(one, two).mean(1, keepdim=True)
+        height = self.swept.height
+        row = 1 - 2 * (torch.arange(height, device=images.device) + 0.5) / height
+        row = row[:, None].expand_as(both)
+        maps = [self._maps(part) for part in (torch.cat(agreement), *views)]
+        return torch.cat([*maps, both, either, row], 1), either > 0
+
+    def _agreement(
+        self, match: Float[Tensor, "B N C _ _"], present: Bool[Tensor, "B N"], rig: Rig, planes: list[float]
+    ) -> Iterator[tuple[Float[Tensor, "P B G"], Float[Tensor, "P B"], Float[Tensor, "P B"]]]:
+        """Block by block of spheres: correlations, and how much of either set is there."""
+        rows = table(match, present)
+        for one, two in self._samplers(match, rig, planes):
+            shares = one.share(present), two.share(present)
+            sums = correlate(rows, one, two, len(match), self.groups)
+            yield sums / (shares[0] * shares[1]).clamp(min=LEAST_SHARE)[..., None], *shares
+
+    def _views(
+        self, context: Float[Tensor, "B N C _ _"], present: Bool[Tensor, "B N"], rig: Rig, planes: list[float]
+    ) -> list[Float[Tensor, "P B C"]]:
+        """Mean and absolute difference of what the two sets see."""
+        rows = table(context, present)
+        sets = []
+        for sampler in next(iter(self._samplers(context, rig, planes))):
+            sums = sampler(rows).unflatten(1, (len(context), -1))
+            sets.append(sums / sampler.share(present).clamp(min=LEAST_SHARE)[..., None])
+        return [(sets[0] + sets[1]) / 2, (sets[0] - sets[1]).abs()]
+
+    def _samplers(
+        self, features: Float[Tensor, "B N C _ _"], rig: Rig, planes: list[float]
+    ) -> Iterator[tuple[Sampler, Sampler]]:
+        size = features.shape[-1], features.shape[-2]
+        sweeps = [
+            Sweep(rig, self.swept, self.rig_spheres(rig), size, cameras, tuple(planes))
+            for cameras in alternate_cameras(rig)
+        ]
+        return zip(*(samplers(sweep, features.device) for sweep in sweeps), strict=True)
+
+    def _maps(self, points: Float[Tensor, "P B C"]) -> Float[Tensor, "B DC h w"]:
+        """Points of all spheres, in the order of spheres, rows and columns, as maps."""
+        shape = (-1, self.swept.height, self.swept.width)
+        return points.unflatten(0, shape).permute(3, 0, 4, 1, 2).flatten(1, 2)

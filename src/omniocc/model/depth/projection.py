@@ -1,0 +1,205 @@
+"""Feature maps of some cameras -> features on spheres, as one sparse matrix for each block of spheres.
+
+Where a point of a sphere falls into which camera depends on rig and sizes alone. Projection, bilinear sampling and the
+weighted sum over cameras are linear in the features: one matrix in compressed rows does all three, and its transpose
+is the backward pass. On the CPU this is several times faster than `grid_sample` for every camera, which also samples
+where a camera sees nothing.
+"""
+
+import warnings
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Float32
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from omniocc.camera import Equirectangular, Rig
+from omniocc.model.depth.spheres import Spheres
+
+TAPER = 0.08
+"""Width of the band at the edge of a camera's field where its weight falls to zero, in image heights."""
+BLOCK_ROWS = 1 << 16
+FAR_M = 1e6
+
+
+@dataclass(frozen=True, eq=False)
+class Sampler:
+    """A sparse matrix whose rows sum to 1, or to 0 where no camera sees, and, once it is needed, its transpose.
+
+    Attributes:
+        matrix: (points, pixels of all cameras), compressed rows.
+    """
+
+    matrix: Tensor
+
+    @cached_property
+    def seen(self) -> Bool[Tensor, " points"]:
+        """Points that any camera sees."""
+        return self.matrix.crow_indices().diff() > 0
+
+    @cached_property
+    def transpose(self) -> Tensor:
+        """(pixels of all cameras, points), compressed rows."""
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message="Sparse CSR tensor support is in beta")
+            swapped = self.matrix.to_sparse_coo().T.coalesce().to_sparse_csr()
+            crow, col = swapped.crow_indices().int(), swapped.col_indices().int()
+            return torch.sparse_csr_tensor(crow, col, swapped.values(), swapped.shape, check_invariants=False)
+
+    def __call__(self, rows: Float[Tensor, "pixels BC"]) -> Float[Tensor, "points BC"]:
+        """Weighted means of rows, in float32; differentiable."""
+        return _Sample.apply(rows, self)
+
+    def share(self, present: Bool[Tensor, "B N"]) -> Float[Tensor, "points B"]:
+        """How much of each point's weight lies in cameras that are present."""
+        if bool(present.all()):
+            return self.seen[:, None].float().expand(-1, len(present))
+        pixels = present.T.float().repeat_interleave(self.matrix.shape[1] // present.shape[1], 0)
+        return self.matrix @ pixels
+
+
+class _Sample(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, rows: Tensor, sampler: Sampler) -> Tensor:
+        ctx.sampler = sampler
+        with torch.autocast(rows.device.type, enabled=False):
+            return sampler.matrix @ rows.float()
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None]:
+        return ctx.sampler.transpose @ grads[0].contiguous(), None
+
+
+class _Correlation(torch.autograd.Function):
+    """One product and one sum over channels, nothing else of the size of the swept features."""
+
+    @staticmethod
+    def forward(ctx: Any, rows: Tensor, one: Sampler, two: Sampler, pool: Tensor) -> Tensor:
+        ctx.samplers = one, two
+        with torch.autocast(rows.device.type, enabled=False):
+            left, right = one.matrix @ rows.float(), two.matrix @ rows.float()
+            ctx.save_for_backward(left, right, pool)
+            return (left * right).view(-1, len(pool)) @ pool
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None, None, None]:
+        left, right, pool = ctx.saved_tensors
+        one, two = ctx.samplers
+        spread = (grads[0] @ pool.T).view_as(left)
+        return one.transpose @ (spread * right) + two.transpose @ (spread * left), None, None, None
+
+
+def correlate(
+    rows: Float[Tensor, "pixels BC"], one: Sampler, two: Sampler, batch: int, groups: int
+) -> Float[Tensor, "points B G"]:
+    """Mean product, in each group of channels, of what two sets of cameras see at the same points; in float32."""
+    channels = rows.shape[1] // batch
+    pool = torch.eye(groups, device=rows.device).repeat_interleave(channels // groups, 0) * (groups / channels)
+    return _Correlation.apply(rows, one, two, pool).view(-1, batch, groups)
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """What a projection depends on; the key of its cache.
+
+    Attributes:
+        rig: the cameras.
+        panorama: directions of the swept points.
+        spheres: their ranges.
+        feature_size: width and height of the feature maps, px; they span the whole image.
+        cameras: indices of those that are summed over.
+        planes: indices of the spheres, which need not be whole numbers.
+    """
+
+    rig: Rig
+    panorama: Equirectangular
+    spheres: Spheres
+    feature_size: tuple[int, int]
+    cameras: tuple[int, ...]
+    planes: tuple[float, ...]
+
+
+@lru_cache(maxsize=32)
+def field_weight(rig: Rig, camera: int) -> Float32[Tensor, "height width"]:
+    """1 inside a camera's field, falling linearly to 0 at its edge (image border, end of the lens, mask)."""
+    seen = rig.rays(camera)[1].numpy().astype(np.uint8)
+    distance = cv2.distanceTransform(np.pad(seen, 1), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
+    return torch.from_numpy(np.clip((distance - 0.5) / (TAPER * seen.shape[0]), 0, 1)).float()
+
+
+def _taps(
+    rig: Rig, camera: int, pixels: Float[Tensor, "P 2"], valid: Bool[Tensor, " P"], width: int, height: int
+) -> tuple[Tensor, Tensor]:
+    """Columns and weights of the four neighbours of each point in one camera's feature map."""
+    model = rig.cameras[camera]
+    pixels = torch.where(valid[:, None], pixels, 0.0)
+    u, v = pixels.round().long().unbind(-1)
+    weight = field_weight(rig, camera)[v.clamp(0, model.height - 1), u.clamp(0, model.width - 1)].double() * valid
+    x = ((pixels[:, 0] + 0.5) * width / model.width - 0.5).clamp(0, width - 1)
+    y = ((pixels[:, 1] + 0.5) * height / model.height - 0.5).clamp(0, height - 1)
+    left, top = x.floor().clamp(max=max(width - 2, 0)), y.floor().clamp(max=max(height - 2, 0))
+    fx, fy = x - left, y - top
+    corner = (camera * height + top.long()) * width + left.long()
+    column = torch.stack([corner, corner + 1, corner + width, corner + width + 1], -1)
+    tap = torch.stack([(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy], -1) * weight[:, None]
+    return column, tap
+
+
+def _rows(sweep: Sweep, plane: float, rays: Float[Tensor, "P 3"]) -> tuple[Tensor, Tensor, Tensor]:
+    """Entries of the rows of one sphere: how many in each row, their columns, their values."""
+    points_m = rays * min(1 / (plane * sweep.spheres.step_per_m) if plane else FAR_M, FAR_M)
+    pixels, valid = sweep.rig.project(points_m)
+    width, height = sweep.feature_size
+    taps = [_taps(sweep.rig, k, pixels[k], valid[k], width, height) for k in sweep.cameras]
+    column = torch.cat([column for column, _ in taps], -1)
+    value = torch.cat([value for _, value in taps], -1)
+    kept = value > 1e-6
+    return kept.sum(-1), column[kept].int(), value[kept].float()
+
+
+def _sampler(sweep: Sweep, planes: tuple[float, ...], device: torch.device) -> Sampler:
+    rays = sweep.panorama.rays().double().reshape(-1, 3)
+    parts = [_rows(sweep, plane, rays) for plane in planes]
+    counts, columns, values = (torch.cat(part) for part in zip(*parts, strict=True))
+    row = torch.arange(len(counts)).repeat_interleave(counts)
+    values = values / torch.zeros(len(counts)).index_add_(0, row, values)[row]
+    crow = torch.cat([counts.new_zeros(1), counts.cumsum(0)]).int()
+    shape = (len(counts), len(sweep.rig.cameras) * sweep.feature_size[0] * sweep.feature_size[1])
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Sparse CSR tensor support is in beta")
+        return Sampler(torch.sparse_csr_tensor(crow, columns, values, shape, check_invariants=False).to(device))
+
+
+@lru_cache(maxsize=24)
+def samplers(sweep: Sweep, device: torch.device) -> tuple[Sampler, ...]:
+    """The matrices of a sweep, in blocks of about 64k rows, which stay in the cache; made once for each rig."""
+    size = max(1, BLOCK_ROWS // (sweep.panorama.width * sweep.panorama.height))
+    blocks = [sweep.planes[first : first + size] for first in range(0, len(sweep.planes), size)]
+    return tuple(_sampler(sweep, block, device) for block in blocks)
+
+
+def table(features: Float[Tensor, "B N C H W"], present: Bool[Tensor, "B N"]) -> Float[Tensor, "pixels BC"]:
+    """One row per pixel of all cameras, the channels of all samples side by side; zeros in cameras that are missing."""
+    rows = features.permute(1, 3, 4, 0, 2)
+    if not bool(present.all()):
+        rows = rows * present.T[:, None, None, :, None]
+    return rows.flatten(3).flatten(0, 2)
+
+
+def present_cameras(images: Float[Tensor, "B N 3 H W"]) -> Bool[Tensor, "B N"]:
+    """Cameras whose image is not black all over."""
+    return images.flatten(2).amax(-1) > 0
+
+
+def alternate_cameras(rig: Rig) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Every other camera by the azimuth of its axis, and the rest: {0, 2, 4} and {1, 3, 5} in a hexagon."""
+    forward = rig.ego_from_camera[:, :2, 2]
+    order = torch.atan2(forward[:, 1], forward[:, 0]).argsort(stable=True).tolist()
+    return tuple(sorted(order[0::2])), tuple(sorted(order[1::2]))
