@@ -22,7 +22,9 @@ def run(*parts: str, cwd: Path) -> subprocess.CompletedProcess:
 
 
 def smoke(data_root: Path, *more: str) -> list[str]:
-    return ["preset=smoke", f"paths.data={data_root}", "logger.mode=disabled", "data.num_workers=0", *more]
+    """Without the stages before occupancy, unless a sketch is chosen."""
+    sketch = [] if any(override.startswith("model/sketch=") for override in more) else ["model/sketch=dense"]
+    return ["preset=smoke", f"paths.data={data_root}", "logger.mode=disabled", "data.num_workers=0", *sketch, *more]
 
 
 def metrics_of(folder: Path, name: str) -> dict:
