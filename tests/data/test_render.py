@@ -11,9 +11,9 @@ import pytest
 from fake_scene import FakeWorld
 
 import omniocc
-from omniocc.data.shares import AUTHORS_PERCENT
 from omniocc.geometry import Cylinder
 from omniocc.view.dataset_page import SKY, UNMEASURED, range_picture, save_page
+from omniocc.world.shares import AUTHORS_SHARES
 
 SCRIPT = Path(omniocc.__file__).parents[1] / "render.py"
 
@@ -94,7 +94,7 @@ def test_the_page_stands_alone(tmp_path):
     for layer in ("rgb", "semantic", "range"):
         assert all(len(frame[layer]) == 6 for frame in frames)
     assert content["table"][-1] == ["This dataset", False, True, True, True, True, 12]
-    assert content["authors"] == AUTHORS_PERCENT
+    assert content["authors"] == AUTHORS_SHARES
     assert sum(content["ours"].values()) == pytest.approx(100)
     assert content["scenes"][0]["theme"] == "</script>"
 

@@ -13,12 +13,14 @@ from fake_scene import FakeWorld
 from filelock import FileLock
 
 import omniocc
+from omniocc.camera import Rig
 from omniocc.data import VirtualWorld
 from omniocc.data.errors import DataError
 from omniocc.data.pool import worker_environment
 from omniocc.data.reader import SceneReader
-from omniocc.data.record import code_fingerprint
-from omniocc.world import THEMES
+from omniocc.data.record import code_fingerprint, weather_of
+from omniocc.world import THEMES, Scene
+from omniocc.world.weather import WEATHERS
 
 SCRIPT = """
 import sys
@@ -126,6 +128,15 @@ def test_scenes_are_complete_and_know_how_they_were_made(reference):
     facts = reader.meta["facts"]
     assert (facts["split"], facts["theme"], facts["seed"]) == ("train", "suburb", 1)
     assert facts["classes"]["11"] == "Roadline"
+    assert facts["weather"] == weather_of("suburb", 1)
+
+
+def test_the_weather_of_a_scene_can_be_told_without_building_it():
+    assert {weather_of("suburb", seed) for seed in range(40)} == set(WEATHERS)
+    rig = Rig.load("fisheye6").resized(16, 9)
+    for seed in (0, 3):
+        drawn, named = Scene("suburb", seed, rig), Scene("suburb", seed, rig, weather=weather_of("suburb", seed))
+        assert repr(drawn.stage(0.0)[0].light) == repr(named.stage(0.0)[0].light)
 
 
 @pytest.mark.parametrize("workers", [0, 2])

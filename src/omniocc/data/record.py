@@ -15,7 +15,8 @@ from omniocc.data.codec import encode_frame
 from omniocc.data.errors import DataError
 from omniocc.data.pool import Report, Stopped
 from omniocc.data.shard import SceneWriter
-from omniocc.world import Frame
+from omniocc.world import Frame, seeding
+from omniocc.world.weather import draw_weather
 
 Split = Literal["train", "val", "test"]
 SPLITS: tuple[Split, ...] = ("train", "val", "test")
@@ -110,8 +111,14 @@ class SceneJob:
         except Exception as error:  # whatever went wrong: say where
             raise RuntimeError(f"scene {plan.name}, frame {index}: {type(error).__name__}: {error}") from error
         writer.attach("rig.yaml", self.rig.save)
-        facts = {"split": plan.split, "theme": plan.theme, "seed": plan.seed, "recipe": self.recipe}
+        weather = self.recipe["weather"] or weather_of(plan.theme, plan.seed)
+        facts = {"split": plan.split, "theme": plan.theme, "seed": plan.seed, "weather": weather, "recipe": self.recipe}
         writer.finish(facts | {"classes": {str(row.id): row.name for row in CLASSES}, "software": _software()})
+
+
+def weather_of(theme: str, seed: int) -> str:
+    """What `omniocc.world.Scene` draws for a scene when no weather is asked for."""
+    return draw_weather(seeding.generator(theme, seed, "light"))
 
 
 @functools.cache

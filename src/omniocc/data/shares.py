@@ -8,21 +8,7 @@ from omniocc.classes import CLASSES, FREE, NUM_CLASSES
 from omniocc.data.reader import SceneReader
 from omniocc.data.voxels import vote
 from omniocc.geometry import Grid
-
-AUTHORS_PERCENT: dict[str, float] = {
-    "Road": 57.03,
-    "Sidewalk": 13.96,
-    "Ground": 13.63,
-    "Building": 6.83,
-    "Wall": 2.04,
-    "Vegetation": 6.83,
-    "Vehicle": 0.56,
-    "Other": 0.71,
-    "Pole": 0.36,
-    "Pedestrian": 0.02,
-    "Roadline": 1.09,
-}
-"""The legend on the authors' page. It sums to 103 %, so one entry or another is misprinted: take it as indicative."""
+from omniocc.world.shares import AUTHORS_SHARES
 
 
 def spread(count: int, wanted: int) -> list[int]:
@@ -48,7 +34,7 @@ def share_table(counts: np.ndarray) -> str:
     """Lines of ours beside the authors'; marked where they differ by more than two times."""
     lines = [f"{'class':<12}{'ours %':>8}{'authors %':>11}"]
     for name, ours in occupied_percent(counts).items():
-        theirs = AUTHORS_PERCENT[name]
+        theirs = AUTHORS_SHARES[name]
         far = "  more than two times apart" if not theirs / 2 <= ours <= theirs * 2 else ""
         lines.append(f"{name:<12}{ours:>8.2f}{theirs:>11.2f}{far}")
     return "\n".join(lines)

@@ -14,7 +14,7 @@ from omniocc.classes import CLASSES, FREE, PALETTE
 from omniocc.data.codec import decode_frame
 from omniocc.data.errors import write_whole
 from omniocc.data.reader import SceneReader
-from omniocc.data.shares import AUTHORS_PERCENT, count_voxels, occupied_percent, spread
+from omniocc.data.shares import count_voxels, occupied_percent, spread
 from omniocc.data.voxels import vote
 from omniocc.geometry import Grid
 from omniocc.view.bev import bev
@@ -22,6 +22,7 @@ from omniocc.view.canvas import fitted
 from omniocc.view.compare import AS_SEEN, NAMES
 from omniocc.view.voxels import render_voxels
 from omniocc.world import Frame
+from omniocc.world.shares import AUTHORS_SHARES
 
 MAX_FRAMES = 64
 MAX_FRAMES_PER_SCENE = 6
@@ -58,7 +59,7 @@ def save_page(path: Path, scenes: Sequence[SceneReader], geometry: Grid) -> None
         "table": [*OTHER_DATASETS, _own_row(scenes)],
         "classes": [{"name": row.name, "rgb": row.rgb} for row in CLASSES if row.id != FREE],
         "ours": occupied_percent(np.asarray(counts)),
-        "authors": AUTHORS_PERCENT,
+        "authors": AUTHORS_SHARES,
         "scenes": [_scene(scene, per_scene, geometry) for scene in shown],
     }
     # "</" would end the script element
