@@ -1,76 +1,143 @@
-"""Rays per second through the paper's grids, on this machine: `python tests/bench/bench_rays.py [threads]`.
+"""Rays per second through the paper's grids, on this machine: `python tests/bench/bench_rays.py [threads] [repeats]`.
 
-14,040 rays from each of 8 origins, seven of them spread over the grid and one at the ego origin. 'paths' finds all
-cells of all rays, 'cast' steps only as far as the first hit, 'static' looks hits up in cells found before. The floor is
-what no method gets around: the cells up to the first hit, one byte gathered for each.
+14,040 rays from each of 8 origins, one at the ego origin and seven spread over the grid.
+
+* 'all cells' lists every cell of every ray (`Grid.paths`), where nothing is skipped.
+* 'fresh' finds first hits from origins not seen before: making the table counts (`RayTable(...).cast`).
+* 'static' finds first hits from the same origins in new labels (`RayTable.cast`).
+* 'scattered' finds first hits of rays that share nothing (`Grid.cast`).
+
+The floor is what no method gets around that looks cells up on the way to the hit. One cell at a time that is a byte for
+each cell; by columns, as here, a mask of the ray and the bits of the column for each column. 'Floor' is the time of a
+single pass over those bytes, one `and` for each column, on memory in order.
 """
 
+import statistics
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
 
 import torch
 
-from omniocc.geometry import Cuboid, Cylinder, Grid, RayTable
+sys.path.insert(0, str(Path(__file__).parents[2] / "src"))
+
+from omniocc.geometry import Cuboid, Cylinder, RayTable, Scan
 from omniocc.metric import RayIoU, sparseocc_directions
 
 ROAD_CELLS = 2
 CLUTTER = 0.01
+PAPER = (Cylinder((128, 200, 16)), Cuboid((256, 256, 16)))
+SOME_RAYS = 4000
 
 
-def scene(grid: Grid) -> torch.Tensor:
+class Time(NamedTuple):
+    """Seconds that some work takes: the best and the median of the repeats."""
+
+    best_s: float
+    median_s: float
+
+
+class Floor(NamedTuple):
+    """What first hits of some rays cannot do without."""
+
+    cells: int
+    columns: int
+    column_bytes: int
+    best_s: float
+
+
+def scene(grid: Cylinder | Cuboid) -> torch.Tensor:
     """Road everywhere, clutter in one cell of a hundred."""
     labels = torch.zeros(grid.shape, dtype=torch.uint8)
-    labels[torch.rand(grid.shape) < CLUTTER] = 4
+    labels[torch.rand(grid.shape, generator=torch.Generator().manual_seed(0)) < CLUTTER] = 4
     labels[..., :ROAD_CELLS] = 1
     return labels
 
 
-def rays() -> tuple[torch.Tensor, torch.Tensor]:
-    """8 x 14,040 rays."""
-    directions = sparseocc_directions()
-    angle = torch.arange(8) * 0.8
-    origins = torch.stack([angle * 2.5 * angle.cos(), angle * 2.5 * angle.sin(), 0 * angle], dim=-1)
-    return origins.repeat_interleave(len(directions), dim=0), directions.repeat(8, 1)
+def eight_places(reach_m: float) -> torch.Tensor:
+    """The ego origin and seven places on a spiral to 55 % of the grid's reach."""
+    angle = torch.arange(8, dtype=torch.float64) * 0.8
+    return torch.stack([angle.cos(), angle.sin(), 0 * angle], dim=-1) * (angle * 0.1 * reach_m).unsqueeze(1)
 
 
-def seconds(work: Callable[[], object], repeats: int) -> float:
-    """The fastest of some repeats, after one that does not count."""
+def timed(work: Callable[[], object], repeats: int) -> Time:
+    """Times some work, after one run that does not count."""
     work()
-    best = float("inf")
+    spent = []
     for _ in range(repeats):
         start = time.perf_counter()
         work()
-        best = min(best, time.perf_counter() - start)
-    return best
+        spent.append(time.perf_counter() - start)
+    return Time(min(spent), statistics.median(spent))
 
 
-def main() -> None:
+def find_floor(grid: Cylinder | Cuboid, labels: torch.Tensor, origins: torch.Tensor, scan: Scan, repeats: int) -> Floor:
+    """Counts cells and columns up to the first hit, on the paths of all rays, and times a pass over their bytes."""
+    hits = RayTable(grid, scan.fans(origins)).cast(labels)
+    cells = columns = 0
+    for place, entry_m in zip(origins, hits.entry_m.reshape(len(origins), -1), strict=True):
+        found = grid.paths(place.expand(len(scan), 3), scan.directions)
+        crossed = (found.cells >= 0) & (found.entry_m <= entry_m.unsqueeze(1))
+        column = torch.where(crossed, found.cells // grid.shape[2], -1)
+        cells += int(crossed.sum())
+        columns += int((crossed[:, :1]).sum() + (crossed[:, 1:] & (column.diff(dim=1) != 0)).sum())
+    masks = torch.ones(columns, dtype=torch.int16)
+    bits, result = masks.clone(), masks.clone()
+    pass_ = timed(lambda: torch.bitwise_and(masks, bits, out=result), repeats)
+    return Floor(cells, columns, 4 * columns, pass_.best_s)
+
+
+def measure(grid: Cylinder | Cuboid, scan: Scan, repeats: int) -> dict[str, float]:
+    """Prints one block; returns Mray/s (best) by name."""
+    origins, labels = eight_places(grid.bounds[0][1]), scene(grid)
+    rays = len(origins) * len(scan)
+    starts, directions = scan.rays(origins)
+    some = torch.randperm(rays, generator=torch.Generator().manual_seed(0))[:SOME_RAYS]
+    starts, directions = starts[some], directions[some]
+    table = RayTable(grid, scan.fans(origins))
+    table.cast(labels)  # masks are kept from the second look-up on
+    works: list[tuple[str, int, Callable[[], object]]] = [
+        ("all cells", len(some), lambda: grid.paths(starts, directions)),
+        ("fresh", rays, lambda: RayTable(grid, scan.fans(origins)).cast(labels)),
+        ("static", rays, lambda: table.cast(labels)),
+        ("scattered", len(some), lambda: grid.cast(labels, starts, directions)),
+    ]
+    floor = find_floor(grid, labels, origins, scan, repeats)
+    threads, best_ms = torch.get_num_threads(), floor.best_s * 1e3
+    print(f"{type(grid).__name__} {grid.shape}, {rays} rays from {len(origins)} origins, {threads} threads")
+    print(f"  to the first hit {floor.cells / rays:.1f} cells and bytes per ray, {floor.columns / rays:.1f} columns")
+    print(
+        f"  floor {floor.column_bytes / 1e6:.1f} MB in {best_ms:.2f} ms = {rays / best_ms / 1e3:.0f} Mray/s", flush=True
+    )
+    found = {}
+    for name, count, work in works:
+        spent = timed(work, repeats)
+        found[name], median = count / spent.best_s / 1e6, count / spent.median_s / 1e6
+        floors = spent.best_s / count * rays / floor.best_s
+        print(f"  {name:9} {found[name]:8.3f} Mray/s, median {median:8.3f}; {floors:6.1f} floors", flush=True)
+    return found
+
+
+def measure_update(grid: Cylinder | Cuboid, repeats: int) -> float:
+    """Prints and returns ms per frame (best) of RayIoU from the ego origin, the default."""
+    metric, frame = RayIoU(grid), scene(grid).unsqueeze(0)
+    spent = timed(lambda: metric.update(frame.roll(1, 1), frame), repeats)
+    text = f"{spent.best_s * 1e3:.1f} ms per frame, median {spent.median_s * 1e3:.1f}"
+    print(f"RayIoU.update, {type(grid).__name__} {grid.shape}, ego origin: {text}")
+    return spent.best_s * 1e3
+
+
+def main(threads: int = 2, repeats: int = 15) -> None:
     """Prints one block per grid."""
-    torch.manual_seed(0)
-    torch.set_num_threads(int(sys.argv[1]) if len(sys.argv) > 1 else 2)
-    origins, directions = rays()
-    for grid in (Cylinder((128, 200, 16)), Cuboid((256, 256, 16))):
-        labels = scene(grid)
-        found = grid.paths(origins, directions)
-        table = RayTable(found, grid.num_cells)
-        hits = table.cast(labels)
-        crossed = (found.cells >= 0) & (found.entry_m <= hits.entry_m.unsqueeze(1))
-        print(f"{type(grid).__name__} {grid.shape}, {len(origins)} rays, {torch.get_num_threads()} threads")
-        cells, visited = int((found.cells >= 0).sum()), int(crossed.sum())
-        print(f"  cells crossed {cells / 1e6:.1f} M; floor: {visited / 1e6:.1f} M cells and bytes up to the first hit")
-        for name, work, repeats in (
-            ("paths ", lambda grid=grid: grid.paths(origins, directions), 1),
-            ("cast  ", lambda grid=grid, labels=labels: grid.cast(labels, origins, directions), 2),
-            ("static", lambda table=table, labels=labels: table.cast(labels), 10),
-        ):
-            print(f"  {name} {len(origins) / seconds(work, repeats) / 1e6:8.3f} Mray/s")
-    for shape in ((64, 100, 8), (128, 200, 16)):
-        grid = Cylinder(shape)
-        metric, frame = RayIoU(grid), scene(grid).unsqueeze(0)
-        spent = seconds(lambda metric=metric, frame=frame: metric.update(frame.roll(1, 1), frame), 20)
-        print(f"RayIoU.update, cylinder {shape}, ego origin: {spent * 1e3:.1f} ms per frame")
+    torch.set_num_threads(threads)
+    scan = Scan(sparseocc_directions())
+    for grid in PAPER:
+        measure(grid, scan, repeats)
+    for grid in (Cylinder((64, 100, 8)), *PAPER):
+        measure_update(grid, repeats)
 
 
 if __name__ == "__main__":
-    main()
+    main(*(int(value) for value in sys.argv[1:]))
