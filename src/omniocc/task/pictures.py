@@ -1,25 +1,36 @@
-"""Pictures of test frames: what the cameras saw, true beside predicted voxels."""
+"""Pictures of test frames: what the cameras saw, and true beside predicted."""
 
+from abc import ABC, abstractmethod
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
+import numpy as np
+import torch
 from lightning.pytorch import Callback, LightningModule, Trainer
 from lightning.pytorch.loggers import WandbLogger
 from torch import Tensor
 
 from omniocc.batch import Batch
-from omniocc.view import comparison, save_png
+from omniocc.data.shares import spread
+from omniocc.task.sketch import panorama
+from omniocc.view import comparison, depth_sheet, save_png, sketch_sheet
 
 
-class Pictures(Callback):
+class FramePictures(Callback, ABC):
     """Draws `count` frames spread evenly over the test set, and the first validation frame after each validation.
 
-    Files go to `folder` (`test-00-<scene>-<frame>.png`), and to W&B where it is in use.
+    Files go to `folder` (`test-00-<scene>-<frame>.png`), and to W&B (`val/<key>`, `test/<key>`) where it is in use.
     """
+
+    key: ClassVar[str]
 
     def __init__(self, folder: Path, count: int):
         self.folder = folder
         self.count = count
+
+    @abstractmethod
+    def picture(self, task: Any, output: Tensor, batch: Batch, sample: int) -> np.ndarray:
+        """The sheet of one sample of a batch, `output` being what the task's step returned for it."""
 
     def on_validation_batch_end(  # noqa: D102
         self,
@@ -31,7 +42,8 @@ class Pictures(Callback):
         dataloader_idx: int = 0,
     ) -> None:
         if batch_idx == 0 and self.count and trainer.is_global_zero:
-            self._draw(trainer, pl_module, "val", f"val-step{trainer.global_step:06d}", outputs, batch, 0)
+            picture = self.picture(pl_module, outputs[0].cpu(), batch, 0)
+            self._keep(trainer, "val", f"val-step{trainer.global_step:06d}", batch.frame_ids[0], picture)
 
     def on_test_batch_end(  # noqa: D102
         self,
@@ -42,29 +54,74 @@ class Pictures(Callback):
         batch_idx: int,
         dataloader_idx: int = 0,
     ) -> None:
-        if not trainer.is_global_zero:
+        if not trainer.is_global_zero or not self.count:
             return
         size = trainer.test_dataloaders.batch_size  # type: ignore[union-attr]
         total = len(trainer.test_dataloaders.dataset)  # type: ignore[union-attr, arg-type]
-        chosen = sorted({round(k * (total - 1) / max(1, self.count - 1)) for k in range(self.count)})
+        chosen = spread(total, self.count)
         for sample, frame_id in enumerate(batch.frame_ids):
             index = batch_idx * size + sample
             if index in chosen:
                 name = f"test-{chosen.index(index):02d}-{frame_id.replace('/', '-')}"
-                self._draw(trainer, pl_module, "test", name, outputs, batch, sample)
+                picture = self.picture(pl_module, outputs[sample].cpu(), batch, sample)
+                self._keep(trainer, "test", name, frame_id, picture)
 
-    def _draw(
-        self, trainer: Trainer, task: LightningModule, stage: str, name: str, labels: Tensor, batch: Batch, sample: int
-    ) -> None:
-        picture = comparison(
-            batch.images[sample, -1].permute(0, 2, 3, 1).cpu().numpy(),
-            batch.voxels[sample].cpu(),
-            labels[sample].cpu(),
-            task.model.geometry,  # type: ignore[union-attr, arg-type]
-            caption=batch.frame_ids[sample],
-        )
+    def _keep(self, trainer: Trainer, stage: str, name: str, frame_id: str, picture: np.ndarray) -> None:
         self.folder.mkdir(parents=True, exist_ok=True)
         save_png(self.folder / f"{name}.png", picture)
         for logger in trainer.loggers:
             if isinstance(logger, WandbLogger):
-                logger.log_image(f"{stage}/voxels", [picture], caption=[batch.frame_ids[sample]])
+                logger.log_image(f"{stage}/{self.key}", [picture], caption=[frame_id])
+
+
+class Pictures(FramePictures):
+    """True beside predicted voxels, of the occupancy stage."""
+
+    key = "voxels"
+
+    def picture(self, task: Any, output: Tensor, batch: Batch, sample: int) -> np.ndarray:  # noqa: D102
+        images, truth = newest_images(batch, sample), batch.voxels[sample].cpu()
+        return comparison(images, truth, output, task.model.geometry, batch.frame_ids[sample])
+
+
+class DepthPictures(FramePictures):
+    """Ranges on the cameras' pictures, and as panoramas beside the true ones, of the depth stage."""
+
+    key = "depth"
+
+    def picture(self, task: Any, output: Tensor, batch: Batch, sample: int) -> np.ndarray:  # noqa: D102
+        assert batch.erp_range_m is not None
+        return depth_sheet(
+            list(newest_images(batch, sample)),
+            batch.rigs[sample],
+            task.model.panorama,
+            output,
+            batch.erp_range_m[sample].cpu(),
+            batch.frame_ids[sample],
+        )
+
+
+class SketchPictures(FramePictures):
+    """Candidates over true voxels, before and after dilation, of the sketch stage."""
+
+    key = "sketch"
+
+    def picture(self, task: Any, output: Tensor, batch: Batch, sample: int) -> np.ndarray:  # noqa: D102
+        range_m, valid = (part[sample : sample + 1] for part in panorama(batch))
+        with torch.inference_mode():
+            chosen = task.model.choose(task.model.logits(range_m, valid))[0].cpu()
+        return sketch_sheet(
+            list(newest_images(batch, sample)),
+            batch.voxels[sample].cpu(),
+            chosen,
+            output,
+            task.model.geometry,
+            task.model.panorama,
+            range_m[0].masked_fill(~valid[0], torch.nan).cpu(),
+            batch.frame_ids[sample],
+        )
+
+
+def newest_images(batch: Batch, sample: int) -> np.ndarray:
+    """(N, H, W, 3) uint8 RGB of the newest frame of a sample's window."""
+    return batch.images[sample, -1].permute(0, 2, 3, 1).cpu().numpy()

@@ -29,7 +29,7 @@ def bev(labels: UInt8[Tensor, "X Y Z"], geometry: Grid, size_px: int) -> np.ndar
     columns = topmost(labels)
     colors = PALETTE[columns]
     colors[columns == FREE] = EMPTY
-    return _draw(colors, geometry, size_px)
+    return draw_columns(colors, geometry, size_px)
 
 
 def error_bev(
@@ -51,7 +51,7 @@ def error_bev(
     most = len(kinds) - 1 - counts[::-1].argmax(0)
     colors = np.array([rgb for _, rgb in ERRORS], dtype=np.uint8)[most]
     colors[counts.sum(0) == 0] = EMPTY
-    return _draw(colors, geometry, size_px)
+    return draw_columns(colors, geometry, size_px)
 
 
 def topmost(labels: UInt8[Tensor, "X Y Z"]) -> np.ndarray:
@@ -62,7 +62,7 @@ def topmost(labels: UInt8[Tensor, "X Y Z"]) -> np.ndarray:
     return np.where(occupied.any(2), np.take_along_axis(cells, first[..., None], 2)[..., 0], FREE).astype(np.uint8)
 
 
-def _draw(colors: np.ndarray, geometry: Grid, size_px: int) -> np.ndarray:
+def draw_columns(colors: np.ndarray, geometry: Grid, size_px: int) -> np.ndarray:
     """The picture of (X, Y, 3) column colours: every pixel shows the column its centre lies in."""
     half_m = _half_width_m(geometry)
     axis = half_m - (torch.arange(size_px, dtype=torch.float64) + 0.5) * (2 * half_m / size_px)

@@ -1,0 +1,133 @@
+"""One sheet per frame of what a depth network says: on the cameras' pictures, and as a panorama beside the truth."""
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from omniocc.camera import Equirectangular, Rig
+from omniocc.view.canvas import fitted, legend, tag
+from omniocc.view.ranges import (
+    INVENTED,
+    NO_ANSWER,
+    SKY,
+    enlarged,
+    error_bar,
+    error_colors,
+    range_bar,
+    range_colors,
+)
+from omniocc.view.sheet import NAMES, camera_rows, caption_line, column_width, inner_width, stack
+
+COVER = 1.8
+"""Diameter of a point over the distance to its neighbour."""
+
+
+def depth_sheet(
+    images: Sequence[np.ndarray],
+    rig: Rig,
+    panorama: Equirectangular,
+    predicted_m: Float[Tensor, "h w"],
+    true_m: Float[Tensor, "h w"] | None = None,
+    caption: str = "",
+    width_px: int = 1280,
+) -> np.ndarray:
+    """Draws the sheet.
+
+    Args:
+        images: (H, W, 3) uint8 RGB of every camera of the rig.
+        rig: the cameras.
+        panorama: directions of the pixels of the ranges.
+        predicted_m: ranges around the ego origin, nan where there is no answer.
+        true_m: likewise, inf for sky; None if nobody knows.
+        caption: a line at the top.
+        width_px: of the sheet.
+    """
+    inner = inner_width(width_px)
+    columns = 3 if len(images) % 3 == 0 else 2
+    painted = paint_ranges(images, rig, panorama, predicted_m, column_width(inner, columns))
+    hexagon = len(rig.names) == len(NAMES)
+    rows = [
+        *caption_line(caption, inner),
+        *camera_rows(painted, inner, columns, None if hexagon else rig.names),
+        *_panoramas(predicted_m.numpy(), None if true_m is None else true_m.numpy(), inner),
+    ]
+    return stack(rows, width_px)
+
+
+def paint_ranges(
+    images: Sequence[np.ndarray], rig: Rig, panorama: Equirectangular, range_m: Float[Tensor, "h w"], width: int
+) -> list[np.ndarray]:
+    """The cameras' pictures, scaled to a width, with the points of a panorama in the colours of their range.
+
+    A point is as large as the panorama's pixel seems from the camera, and nearer points hide farther ones. The
+    brightness is the picture's own, so that one sees what was given which range.
+    """
+    known = range_m.isfinite().flatten()
+    points = (range_m.unsqueeze(-1) * panorama.rays()).flatten(0, 1)[known].double()
+    order = points.norm(dim=-1).argsort(descending=True)
+    pixels, valid = rig.project(points[order])
+    colors = range_colors(range_m.flatten()[known][order].numpy())
+    step_rad = 2 * np.pi / panorama.width
+    pictures = []
+    for k, image in enumerate(images):
+        camera = fitted(image, width)
+        scale = width / rig.cameras[k].width
+        from_camera = (points[order] - rig.ego_from_camera[k, :3, 3]).norm(dim=-1).clamp(min=1e-3)
+        extent_rad = step_rad * points[order].norm(dim=-1) / from_camera
+        radius = extent_rad * _pixels_per_rad(rig, k) * scale * COVER / 2
+        seen = valid[k]
+        places = (pixels[k][seen] + 0.5) * scale - 0.5
+        pictures.append(_dotted(camera, places.numpy(), radius[seen].clamp(1, 12).numpy(), colors[seen.numpy()]))
+    return pictures
+
+
+def _pixels_per_rad(rig: Rig, k: int) -> float:
+    """Mean over the image's width."""
+    camera = rig.cameras[k]
+    row = torch.stack([torch.linspace(0, camera.width - 1, 65), torch.full((65,), camera.height / 2)], -1).double()
+    rays, valid = camera.unproject(row)
+    both = valid[1:] & valid[:-1]
+    angles = torch.linalg.vector_norm(rays[1:] - rays[:-1], dim=-1)[both]
+    return float((camera.width - 1) / 64 / angles.mean()) if bool(both.any()) else float(camera.width)
+
+
+def _dotted(image: np.ndarray, places: np.ndarray, radius: np.ndarray, colors: np.ndarray) -> np.ndarray:
+    """Discs in this order on a grey picture, lit by its brightness."""
+    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    paint = np.repeat((grey * 0.6).astype(np.uint8)[..., None], 3, axis=2)
+    drawn = np.zeros(grey.shape, np.uint8)
+    fixed, sizes = np.round(places * 16).astype(int).tolist(), np.round(radius * 16).astype(int).tolist()
+    for center, size, rgb in zip(fixed, sizes, colors.tolist(), strict=True):
+        cv2.circle(paint, center, size, rgb, -1, cv2.LINE_8, 4)
+        cv2.circle(drawn, center, size, 1, -1, cv2.LINE_8, 4)
+    light = 0.45 + 0.75 * (grey / 255.0)
+    lit = (paint * light[..., None]).clip(0, 255).astype(np.uint8)
+    return np.where(drawn[..., None] > 0, lit, paint)
+
+
+def _panoramas(predicted_m: np.ndarray, true_m: np.ndarray | None, width: int) -> list[np.ndarray]:
+    said = _tagged(range_colors(predicted_m), "predicted range", width)
+    if true_m is None:
+        return [said, range_bar(width), legend([("no answer", NO_ANSWER)], width)]
+    both = np.isfinite(predicted_m) & np.isfinite(true_m)
+    error_m = np.abs(predicted_m[both] - true_m[both])
+    mean = f", {error_m.mean():.2f} m on average" if both.any() else ""
+    return [
+        _tagged(range_colors(true_m), "true range", width),
+        said,
+        range_bar(width),
+        legend([("sky", SKY), ("no answer", NO_ANSWER)], width),
+        _tagged(error_colors(predicted_m, true_m), f"error: predicted minus true{mean}", width),
+        error_bar(width),
+        legend([("sky", SKY), ("answer where there is sky", INVENTED), ("no answer", NO_ANSWER)], width),
+    ]
+
+
+def _tagged(colors: np.ndarray, name: str, width: int) -> np.ndarray:
+    picture = enlarged(colors, width)
+    tag(picture, name, 8, 8)
+    return picture

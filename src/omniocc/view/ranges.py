@@ -1,0 +1,93 @@
+"""Colours of ranges and of their errors, with the bars that say what they mean."""
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from omniocc.view.canvas import Rgb, blank, text_width, write
+
+NEAR_M, FAR_M = 1.0, 64.0
+SKY: Rgb = (225, 233, 242)
+NO_ANSWER: Rgb = (104, 108, 116)
+INVENTED: Rgb = (150, 60, 170)
+
+TURBO = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_TURBO)[:, 0, ::-1]
+
+RANGE_TICKS_M = (1, 2, 4, 8, 16, 32, 64)
+ERROR_TICKS_M = (-8, -4, -2, -1, -0.5, 0, 0.5, 1, 2, 4, 8)
+LINEAR_M, GREATEST_M = 0.5, 8.0
+"""Errors are drawn on a scale that is linear below the first and logarithmic up to the second."""
+
+
+def range_colors(range_m: np.ndarray) -> np.ndarray:
+    """(..., 3) colours: the logarithm from 1 m (red) to 64 m (blue); inf is sky, nan no answer."""
+    finite = np.isfinite(range_m)
+    level = np.log(np.where(finite, range_m, FAR_M).clip(NEAR_M, FAR_M) / NEAR_M) / np.log(FAR_M / NEAR_M)
+    colors = TURBO[(245 - 230 * level).round().astype(np.uint8)]
+    colors[np.isposinf(range_m)] = SKY
+    colors[np.isnan(range_m)] = NO_ANSWER
+    return colors
+
+
+def error_colors(predicted_m: np.ndarray, true_m: np.ndarray) -> np.ndarray:
+    """(..., 3) colours of what is predicted too near (blue) or too far (red), with colours of their own for the rest.
+
+    Args:
+        predicted_m: nan where there is no answer.
+        true_m: inf for sky, nan where it was not measured.
+    """
+    answer = np.isfinite(predicted_m)
+    both = answer & np.isfinite(true_m)
+    error_m = np.where(both, predicted_m, 0.0) - np.where(both, true_m, 0.0)
+    colors = _diverging_colors(_level(error_m))
+    colors[~both] = NO_ANSWER
+    colors[answer & np.isposinf(true_m)] = INVENTED
+    colors[~answer & np.isposinf(true_m)] = SKY
+    return colors
+
+
+def enlarged(panorama: np.ndarray, width: int) -> np.ndarray:
+    """A picture of few pixels scaled to a width, every pixel a rectangle."""
+    height = round(panorama.shape[0] * width / panorama.shape[1])
+    return cv2.resize(panorama, (width, height), interpolation=cv2.INTER_NEAREST)
+
+
+def range_bar(width: int) -> np.ndarray:
+    """What the colours of `range_colors` mean."""
+    span = np.geomspace(NEAR_M, FAR_M, width)
+    places = [np.log(tick / NEAR_M) / np.log(FAR_M / NEAR_M) for tick in RANGE_TICKS_M]
+    return _bar(range_colors(span), places, [f"{tick:g} m" for tick in RANGE_TICKS_M])
+
+
+def error_bar(width: int) -> np.ndarray:
+    """What the colours of `error_colors` mean."""
+    places = [(float(_level(np.array(float(tick)))) + 1) / 2 for tick in ERROR_TICKS_M]
+    texts = [f"{tick:+g} m" if tick else "0" for tick in ERROR_TICKS_M]
+    return _bar(_diverging_colors(np.linspace(-1, 1, width)), places, texts)
+
+
+def _level(error_m: np.ndarray) -> np.ndarray:
+    """-1 to 1."""
+    size = np.log1p(np.abs(error_m) / LINEAR_M) / np.log1p(GREATEST_M / LINEAR_M)
+    return np.sign(error_m) * size.clip(0, 1)
+
+
+def _diverging_colors(level: np.ndarray) -> np.ndarray:
+    """White at 0, blue towards -1, red towards 1."""
+    white = np.array([250.0, 250.0, 250.0])
+    end = np.where(level[..., None] < 0, np.array([20.0, 70.0, 190.0]), np.array([195.0, 25.0, 30.0]))
+    share = np.abs(level)[..., None] ** 0.8
+    return (white + share * (end - white)).round().astype(np.uint8)
+
+
+def _bar(colors: np.ndarray, places: Sequence[float], texts: Sequence[str]) -> np.ndarray:
+    width, thick, height_px = len(colors), 12, 10
+    canvas = blank(width, thick + 8 + height_px + 4)
+    canvas[:thick] = colors
+    for place, text in zip(places, texts, strict=True):
+        at = min(round(place * width), width - 1)
+        canvas[thick : thick + 5, max(at - 1, 0) : at + 1] = 90
+        left = min(max(at - text_width(text, height_px) // 2, 0), width - text_width(text, height_px) - 1)
+        write(canvas, text, left, thick + 8 + height_px, height_px)
+    return canvas

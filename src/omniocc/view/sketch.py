@@ -1,0 +1,104 @@
+"""One sheet per frame of what a sketch chooses: candidate voxels over the true ones, from above."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, UInt8
+from torch import Tensor
+
+from omniocc.camera import Equirectangular
+from omniocc.classes import FREE, UNKNOWN
+from omniocc.geometry import Grid
+from omniocc.view.bev import EMPTY, MISSED, bev, draw_columns
+from omniocc.view.canvas import Rgb, legend
+from omniocc.view.compare import class_legend
+from omniocc.view.ranges import range_bar, range_colors
+from omniocc.view.sheet import camera_rows, caption_line, column_width, inner_width, row, stack
+
+HIT: Rgb = (90, 165, 100)
+SUPERFLUOUS: Rgb = (240, 190, 90)
+KINDS: tuple[tuple[str, Rgb], ...] = (
+    ("occupied and a candidate", HIT),
+    ("free but a candidate", SUPERFLUOUS),
+    ("occupied but missed", MISSED),
+)
+
+
+def sketch_sheet(
+    images: Sequence[np.ndarray],
+    truth: UInt8[Tensor, "X Y Z"],
+    chosen: Bool[Tensor, "X Y Z"],
+    dilated: Bool[Tensor, "X Y Z"],
+    geometry: Grid,
+    panorama: Equirectangular,
+    range_m: Float[Tensor, "h w"],
+    caption: str = "",
+    width_px: int = 1280,
+) -> np.ndarray:
+    """Draws the sheet: cameras; true voxels beside the points the sketch got; candidates before and after dilation.
+
+    Args:
+        images: (H, W, 3) uint8 RGB of every camera.
+        truth: class of every cell.
+        chosen: candidates before they are dilated.
+        dilated: candidates.
+        geometry: the grid of all three.
+        panorama: directions of the ranges.
+        range_m: around the ego origin, not finite where there is no answer.
+        caption: a line at the top.
+        width_px: of the sheet.
+    """
+    inner = inner_width(width_px)
+    half = column_width(inner, 2)
+    seen = [bev(truth, geometry, half), points_bev(range_m, panorama, geometry, half)]
+    found = [candidate_bev(truth, candidates, geometry, half) for candidates in (chosen, dilated)]
+    names = [
+        f"{name}: {scores(truth, candidates)}"
+        for name, candidates in (("candidates before dilation", chosen), ("after", dilated))
+    ]
+    rows = [
+        *caption_line(caption, inner),
+        *camera_rows(images, inner, columns=6 if len(images) % 6 == 0 else 4),
+        row(seen, ("true voxels, topmost", "points of the predicted ranges"), inner),
+        class_legend(inner),
+        range_bar(inner),
+        row(found, names, inner),
+        legend(
+            [("Most cells of the column: " + KINDS[0][0], HIT), *KINDS[1:], ("free, not a candidate", EMPTY)], inner
+        ),
+    ]
+    return stack(rows, width_px)
+
+
+def candidate_bev(
+    truth: UInt8[Tensor, "X Y Z"], candidates: Bool[Tensor, "X Y Z"], geometry: Grid, size_px: int
+) -> np.ndarray:
+    """What is most frequent in each column: `KINDS`, of equally frequent ones the later. Unknown cells do not count."""
+    occupied, free = (truth != FREE) & (truth != UNKNOWN), truth == FREE
+    kinds = (occupied & candidates, free & candidates, occupied & ~candidates)
+    counts = torch.stack([kind.sum(2) for kind in kinds]).numpy()
+    most = len(kinds) - 1 - counts[::-1].argmax(0)
+    colors = np.array([rgb for _, rgb in KINDS], dtype=np.uint8)[most]
+    colors[counts.sum(0) == 0] = EMPTY
+    return draw_columns(colors, geometry, size_px)
+
+
+def points_bev(range_m: Float[Tensor, "h w"], panorama: Equirectangular, geometry: Grid, size_px: int) -> np.ndarray:
+    """The range of the points in each column, in the colours of `range_colors`; the highest point decides."""
+    points = (range_m.unsqueeze(-1) * panorama.rays())[range_m.isfinite()]
+    points = points[points[:, 2].argsort()]
+    index, inside = geometry.index(points)
+    columns = np.full((*geometry.shape[:2], 3), EMPTY, dtype=np.uint8)
+    first, second = index[inside][:, :2].unbind(1)
+    columns[first.numpy(), second.numpy()] = range_colors(points[inside].norm(dim=-1).numpy())
+    return draw_columns(columns, geometry, size_px)
+
+
+def scores(truth: UInt8[Tensor, "X Y Z"], candidates: Bool[Tensor, "X Y Z"]) -> str:
+    """Recall, precision and share in a few words."""
+    occupied, known = (truth != FREE) & (truth != UNKNOWN), truth != UNKNOWN
+    found = (occupied & candidates).sum()
+    recall = found / occupied.sum().clamp(min=1)
+    precision = found / (known & candidates).sum().clamp(min=1)
+    return f"recall {recall:.2f}, precision {precision:.2f}, share {candidates.float().mean():.2f}"

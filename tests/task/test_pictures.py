@@ -1,0 +1,78 @@
+from types import SimpleNamespace
+
+import cv2
+import pytest
+import torch
+
+from omniocc.batch import Batch
+from omniocc.camera import Equirectangular, Rig
+from omniocc.geometry import Cylinder
+from omniocc.task.pictures import DepthPictures, Pictures, SketchPictures
+
+GRID = Cylinder(shape=(6, 10, 4))
+PANORAMA = Equirectangular(24, 6, 45.0, -45.0)
+RIG = Rig.load("fisheye6").resized(64, 36)
+FRAMES, BATCH = 7, 2
+
+
+class FakeModel:
+    geometry = GRID
+    panorama = PANORAMA
+
+    def logits(self, range_m, valid):
+        assert bool((range_m[valid] > 0).all())
+        return torch.zeros(1, 2, *GRID.shape)
+
+    def choose(self, logits):
+        return logits[:, 0] > 1
+
+
+def batch_of(names):
+    count = len(names)
+    depth_m = torch.rand(count, 6, 24) * 20 + 1
+    depth_m[:, 0] = torch.nan
+    return Batch(
+        images=torch.randint(0, 256, (count, 1, 6, 3, 36, 64), dtype=torch.uint8),
+        rigs=(RIG,) * count,
+        world_from_ego=torch.eye(4, dtype=torch.float64).expand(count, 1, 4, 4),
+        voxels=torch.randint(0, 12, (count, *GRID.shape), dtype=torch.uint8),
+        pixel_labels=torch.zeros(count, 6, 36, 64, dtype=torch.uint8),
+        lidar_range_m=torch.zeros(count, 1),
+        lidar_labels=torch.zeros(count, 1, dtype=torch.uint8),
+        frame_ids=names,
+        erp_range_m=torch.rand(count, 6, 24) * 20 + 1,
+        depth_range_m=depth_m,
+    )
+
+
+OUTPUTS = {
+    Pictures: lambda batch: batch.voxels,
+    DepthPictures: lambda batch: batch.depth_range_m,
+    SketchPictures: lambda batch: batch.voxels > 6,
+}
+
+
+def run(callback, root=True):
+    """Passes all frames through the callback, as a test and as a validation."""
+    loader = SimpleNamespace(batch_size=BATCH, dataset=range(FRAMES))
+    trainer = SimpleNamespace(is_global_zero=root, loggers=[], global_step=30, test_dataloaders=loader)
+    task = SimpleNamespace(model=FakeModel())
+    for number, first in enumerate(range(0, FRAMES, BATCH)):
+        batch = batch_of(tuple(f"scene/{k:04d}" for k in range(first, min(first + BATCH, FRAMES))))
+        outputs = OUTPUTS[type(callback)](batch)
+        callback.on_test_batch_end(trainer, task, outputs, batch, number)
+        callback.on_validation_batch_end(trainer, task, outputs, batch, number)
+
+
+@pytest.mark.parametrize("kind", list(OUTPUTS))
+def test_frames_are_spread_over_the_test_set(kind, tmp_path):
+    run(kind(tmp_path / "pictures", 3))
+    names = sorted(path.name for path in tmp_path.glob("pictures/*"))
+    assert names == ["test-00-scene-0000.png", "test-01-scene-0003.png", "test-02-scene-0006.png", "val-step000030.png"]
+    assert cv2.imread(str(tmp_path / "pictures" / names[1])).shape[1] == 1280
+
+
+@pytest.mark.parametrize(("count", "root"), [(0, True), (3, False)])
+def test_nothing_is_drawn_unasked_or_by_other_ranks(count, root, tmp_path):
+    run(DepthPictures(tmp_path / "pictures", count), root)
+    assert not list(tmp_path.iterdir())

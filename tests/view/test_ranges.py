@@ -1,0 +1,54 @@
+import numpy as np
+
+from omniocc.view.canvas import INK
+from omniocc.view.ranges import (
+    INVENTED,
+    NO_ANSWER,
+    RANGE_TICKS_M,
+    SKY,
+    enlarged,
+    error_bar,
+    error_colors,
+    range_bar,
+    range_colors,
+)
+
+
+def test_near_is_red_far_is_blue_and_the_rest_has_its_own_colour():
+    colors = range_colors(np.array([[0.2, 1.0, 8.0], [64.0, 500.0, 5.0]])).astype(int)
+    assert (colors[0, 0] == colors[0, 1]).all()
+    assert (colors[1, 0] == colors[1, 1]).all()
+    assert colors[0, 1, 0] > 2 * colors[0, 1, 2]
+    assert colors[1, 0, 2] > 2 * colors[1, 0, 0]
+    assert range_colors(np.array([np.inf, np.nan])).tolist() == [list(SKY), list(NO_ANSWER)]
+
+
+def test_the_bar_shows_the_colour_of_its_ticks():
+    width = 601
+    bar = range_bar(width)
+    for k, tick in enumerate(RANGE_TICKS_M):
+        at = round(k / (len(RANGE_TICKS_M) - 1) * (width - 1))
+        assert np.abs(bar[2, at].astype(int) - range_colors(np.array([float(tick)]))[0]).max() <= 4
+    assert (bar == INK).all(2).any()
+
+
+def test_errors_have_a_side_and_a_size():
+    predicted = np.array([5.0, 4.0, 4.9, 9.0, np.nan, 7.0, np.nan, 3.0])
+    true = np.array([5.0, 5.0, 5.0, 5.0, 5.0, np.inf, np.inf, np.nan])
+    colors = error_colors(predicted, true).astype(int)
+    assert (colors[0] == 250).all()
+    assert colors[1, 2] - colors[1, 0] > colors[2, 2] - colors[2, 0] > 0
+    assert colors[3, 0] - colors[3, 2] > 100
+    assert colors[4:].tolist() == [list(NO_ANSWER), list(INVENTED), list(SKY), list(NO_ANSWER)]
+
+
+def test_the_error_bar_is_symmetric_and_white_in_the_middle():
+    bar = error_bar(501).astype(int)
+    assert (bar[0, 250] == 250).all()
+    assert bar[0, 0, 2] > bar[0, 0, 0]
+    assert bar[0, -1, 0] > bar[0, -1, 2]
+
+
+def test_enlarging_keeps_pixels_whole():
+    small = np.random.default_rng(0).integers(0, 255, (3, 8, 3), dtype=np.uint8)
+    assert np.array_equal(enlarged(small, 32)[2::4, 2::4], small)
