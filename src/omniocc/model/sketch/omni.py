@@ -1,38 +1,21 @@
 """Cylinder sketch: candidates from omnidirectional depth (paper, section III-C)."""
 
 from collections.abc import Sequence
-from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float, Float32, UInt8
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from omniocc.camera import Equirectangular, Rig
+from omniocc.camera import Rig
 from omniocc.classes import FREE, UNKNOWN
 from omniocc.geometry import Grid
 from omniocc.loss import Lovasz
+from omniocc.model.depth import Depth
 from omniocc.model.sketch.cylinder3d import Cylinder3D
 from omniocc.model.sketch.evidence import EVIDENCE_CHANNELS, Evidence
 from omniocc.model.sketch.points import PointEncoder, pseudo_points, still_axes
 from omniocc.model.sketch.select import above, likeliest
-
-
-@runtime_checkable
-class _Ranges(Protocol):
-    @property
-    def range_m(self) -> Tensor: ...
-
-    @property
-    def valid(self) -> Tensor: ...
-
-
-@runtime_checkable
-class _Depth(Protocol):
-    @property
-    def panorama(self) -> Equirectangular: ...
-
-    def __call__(self, images: Tensor, rigs: tuple[Rig, ...], true_range_m: Tensor | None = None) -> _Ranges: ...
 
 
 def occupancy(voxels: UInt8[Tensor, "B X Y Z"]) -> UInt8[Tensor, "B X Y Z"]:
@@ -72,7 +55,7 @@ class Omni(nn.Module):
     def __init__(
         self,
         geometry: Grid,
-        depth: _Depth,
+        depth: Depth,
         point_channels: int,
         samples: Sequence[int],
         channels: list[int],
