@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import torch
 from filelock import FileLock, Timeout
 from lightning.pytorch import LightningModule, Trainer, seed_everything
-from lightning.pytorch.callbacks import ModelCheckpoint
+from lightning.pytorch.callbacks import Callback, ModelCheckpoint
 from omegaconf import DictConfig, OmegaConf
 from torch import Tensor
 
@@ -31,6 +31,7 @@ from omniocc.model.occupancy import to_unit_range
 from omniocc.report.run import load_results, save_results
 from omniocc.task.checkpoint import load_config
 from omniocc.task.depth import Depth, unless_valid
+from omniocc.task.pictures import DepthPictures, SketchPictures
 from omniocc.task.progress import StepProgress
 from omniocc.task.recipe import Recipe
 from omniocc.task.run_folder import LAST, METRICS, git_commit, write_whole
@@ -129,7 +130,8 @@ class Stages:
             )
             task = Depth(model, recipe.optimizer, spheres, plain(self.cfg))
             trains = hasattr(model, "training_terms")
-            self._finish(task, recipe, Extras(true_ranges=True), self.depth, title, trains)
+            drawn = DepthPictures(self.depth / "pictures", self.cfg.pictures)
+            self._finish(task, recipe, Extras(true_ranges=True), drawn, self.depth, title, trains)
             self._fill(self.ranges, lambda scene, frame: predict_range_m(task, scene, frame), f"{title}, ranges")
         return load_results(self.depth)[1]
 
@@ -140,7 +142,8 @@ class Stages:
             task = Sketch(build(self.cfg.model.sketch), recipe.optimizer, plain(self.cfg))
             task.model.depth.load_state_dict(weights_of(self.depth / LAST))
             extras = Extras(true_ranges=True, depth=self.ranges)
-            self._finish(task, recipe, extras, self.sketch, title, trains=True)
+            drawn = SketchPictures(self.sketch / "pictures", self.cfg.pictures)
+            self._finish(task, recipe, extras, drawn, self.sketch, title, trains=True)
             self._fill(self.candidates, lambda scene, frame: self._choose(task, scene, frame), f"{title}, candidates")
         return load_results(self.sketch)[1]
 
@@ -154,7 +157,14 @@ class Stages:
         return recipe
 
     def _finish(
-        self, task: LightningModule, recipe: Recipe, extras: Extras, folder: Path, title: str, trains: bool
+        self,
+        task: LightningModule,
+        recipe: Recipe,
+        extras: Extras,
+        pictures: Callback,
+        folder: Path,
+        title: str,
+        trains: bool,
     ) -> None:
         """Leave the task trained and tested: by loading it, or by what is left of training and testing."""
         last = folder / LAST
@@ -165,7 +175,7 @@ class Stages:
         print(f"{title:<20} {'goes on' if last.exists() else 'begins'}: {folder}", flush=True)
         data = build(self.cfg.data, window=1, batch_size=recipe.batch_size, seed=recipe.seed)
         data.read_also(extras)
-        trainer = self._trainer(recipe, folder, title)
+        trainer = self._trainer(recipe, pictures, folder, title)
         if trains:
             if last.exists():
                 load_config(last)  # a damaged file is named here, before Lightning stumbles over it
@@ -175,7 +185,7 @@ class Stages:
         facts = {"run": folder.name, "steps": trainer.global_step, "seed": recipe.seed, "commit": git_commit()}
         save_results(folder, metrics, facts | {"data": self.fingerprint})
 
-    def _trainer(self, recipe: Recipe, folder: Path, title: str) -> Trainer:
+    def _trainer(self, recipe: Recipe, pictures: Callback, folder: Path, title: str) -> Trainer:
         write_whole(folder / "config.yaml", OmegaConf.to_yaml(self.cfg, resolve=True))
         steps = self.cfg.checkpoint_every_n_steps
         return build(
@@ -186,6 +196,7 @@ class Stages:
             strategy="auto",
             callbacks=[
                 StepProgress(title),
+                pictures,
                 ModelCheckpoint(folder, "last", every_n_train_steps=steps, enable_version_counter=False),
             ],
             logger=build(self.cfg.logger).build(folder, plain(self.cfg)),
