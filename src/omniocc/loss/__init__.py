@@ -5,6 +5,7 @@ from omniocc.loss.dice import Dice
 from omniocc.loss.lovasz import Lovasz
 from omniocc.loss.scal import Scal
 from omniocc.loss.semantics import Semantics
+from omniocc.loss.silog import SILog
 from omniocc.loss.total import Total
 
-__all__ = ["CrossEntropy", "Dice", "Lovasz", "Scal", "Semantics", "Total"]
+__all__ = ["CrossEntropy", "Dice", "Lovasz", "SILog", "Scal", "Semantics", "Total"]

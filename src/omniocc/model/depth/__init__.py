@@ -7,11 +7,12 @@ from torch import Tensor
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.model.depth.depth_map import DepthMap
+from omniocc.model.depth.mono import Mono
 from omniocc.model.depth.omnimvs import OmniMVS
 from omniocc.model.depth.spheres import Spheres
 from omniocc.model.depth.truth import Truth
 
-__all__ = ["Depth", "DepthMap", "OmniMVS", "Spheres", "Truth"]
+__all__ = ["Depth", "DepthMap", "Mono", "OmniMVS", "Spheres", "Truth"]
 
 
 @runtime_checkable

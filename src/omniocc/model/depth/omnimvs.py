@@ -9,7 +9,7 @@ from torch.nn import functional as F
 
 from omniocc.camera import Rig
 from omniocc.model.depth.features import FeatureNet
-from omniocc.model.depth.layers import Conv, UNet2d, norm
+from omniocc.model.depth.layers import Conv, UNet2d, double, norm
 from omniocc.model.depth.projection import (
     Sampler,
     Sweep,
@@ -47,6 +47,7 @@ class OmniMVS(SphereNet):
         context_channels: features that are passed on as they are.
         sweep_stride: panorama pixels per swept point along each side, 1 or 2.
         channels: per level of the 2D network, finest (half the panorama) first; multiples of 8.
+        fine_channels: of the layers at full size, which see the correlations once more.
         blocks: residual blocks on each level, down and up again.
         window: spheres to each side of the peak that make up the answer.
         min_confidence: answers below are not valid, in [0, 1].
@@ -71,6 +72,7 @@ class OmniMVS(SphereNet):
         context_channels: int,
         sweep_stride: int,
         channels: list[int],
+        fine_channels: int,
         blocks: int,
         window: int,
         min_confidence: float,
@@ -92,16 +94,18 @@ class OmniMVS(SphereNet):
         self.match_channels, self.groups, self.sweep_stride = match_channels, groups, sweep_stride
         self.swept = self.panorama.resized(erp_size[0] // sweep_stride, erp_size[1] // sweep_stride)
         self.features = FeatureNet(feature_channels, match_channels + context_channels)
-        inputs = groups * spheres + 2 * len(CONTEXT_SHARES) * context_channels + 3
+        compared = groups * spheres
+        inputs = compared + 2 * len(CONTEXT_SHARES) * context_channels + 3
         self.stem = nn.Conv2d(inputs, channels[0], 2 // sweep_stride, stride=2 // sweep_stride)
         self.net = UNet2d(channels, blocks, wrap=True)
-        self.head = nn.Sequential(
-            Conv(channels[0], channels[0], 3, wrap=True, bias=False),
-            norm(channels[0]),
+        self.up = nn.Sequential(nn.Conv2d(channels[0], 4 * fine_channels, 1), nn.PixelShuffle(2))
+        self.fine = nn.Sequential(
+            Conv(compared + fine_channels, fine_channels, 3, wrap=True, bias=False),
+            norm(fine_channels),
             nn.ReLU(),
-            nn.Conv2d(channels[0], 4 * spheres, 1),
-            nn.PixelShuffle(2),
+            Conv(fine_channels, spheres, 3, wrap=True),
         )
+        self.trust = nn.Parameter(torch.ones(()))
 
     def logits(
         self, images: Float[Tensor, "B N 3 H W"], rig: Rig, flip: bool = False
@@ -116,8 +120,14 @@ class OmniMVS(SphereNet):
         panoramas, seen = self._sweep(features, images, rig)
         if flip:
             panoramas, seen = panoramas.flip(-1), seen.flip(-1)
-        logits = self.head(self.net(self.stem(panoramas)))
-        return logits, F.interpolate(seen.float(), logits.shape[-2:])[:, 0] > 0
+        coarse = self.up(self.net(self.stem(panoramas)))
+        size = coarse.shape[-2:]
+        agreement = panoramas[:, : self.groups * self.spheres]
+        if self.sweep_stride == 2:
+            agreement = double(agreement, *size, wrap=True)
+        logits = self.fine(torch.cat([agreement, coarse], 1))
+        logits = logits + self.trust * agreement.unflatten(1, (self.spheres, self.groups)).mean(2)
+        return logits, F.interpolate(seen.float(), size)[:, 0] > 0
 
     def _sweep(
         self, features: Float[Tensor, "B N C _ _"], images: Float[Tensor, "B N 3 H W"], rig: Rig

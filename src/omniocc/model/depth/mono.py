@@ -1,0 +1,138 @@
+"""Range from each camera on its own, merged into one panorama: what depth is worth without overlap."""
+
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from omniocc.camera import Rig
+from omniocc.camera.pixels import pixel_centers
+from omniocc.loss import SILog
+from omniocc.model.depth.depth_map import DepthMap, check_images, from_index, make_panorama, per_rig
+from omniocc.model.depth.features import FeatureNet
+from omniocc.model.depth.spheres import rig_spheres
+from omniocc.model.depth.zbuffer import fill_holes, merge_cameras
+
+TYPICAL_M = 8.0
+"""Range that the network's zero stands for."""
+HOLE_PASSES = 2
+
+
+@lru_cache(maxsize=16)
+def ray_maps(rig: Rig, device: torch.device) -> Float[Tensor, "N 4 H W"]:
+    """Where every pixel looks: unit ray in the camera's own frame, and the sine of its elevation in the ego frame."""
+    maps = []
+    for k, camera in enumerate(rig.cameras):
+        rays, _ = camera.unproject(pixel_centers(camera.width, camera.height, torch.float64))
+        up = rays @ rig.ego_from_camera[k, 2, :3]
+        maps.append(torch.cat([rays, up[..., None]], -1).movedim(-1, 0).float())
+    return torch.stack(maps).to(device)
+
+
+class Mono(nn.Module):
+    """One network looks at each image and where its pixels look, and gives the log of the range, and whether it is sky.
+
+    Maps of all cameras, at half the size of the images, are drawn into the panorama, the nearest in front; the cameras'
+    places on the vehicle are taken into account.
+
+    Args:
+        erp_size: width and height of the panorama, px.
+        erp_top_deg: elevation of its upper edge.
+        erp_bottom_deg: elevation of its lower edge.
+        spheres: number of spheres, in whose indices the range is also given.
+        min_range_m: of the nearest sphere; None derives it from each rig.
+        channels: per level of the network, finest (half the image size) first; multiples of 8.
+        focus: of the scale-invariant loss, see `SILog`.
+        sky_weight: of the cross-entropy of sky beside it.
+        mirror: train on mirrored images as often as on the true ones.
+
+    Raises:
+        ValueError: if sizes do not fit together.
+    """
+
+    def __init__(
+        self,
+        erp_size: Sequence[int],
+        erp_top_deg: float,
+        erp_bottom_deg: float,
+        spheres: int,
+        min_range_m: float | None,
+        channels: list[int],
+        focus: float,
+        sky_weight: float,
+        mirror: bool,
+    ):
+        super().__init__()
+        self.panorama = make_panorama(erp_size, erp_top_deg, erp_bottom_deg)
+        self.spheres, self.min_range_m = spheres, min_range_m
+        self.sky_weight, self.mirror = sky_weight, mirror
+        self.net = FeatureNet(channels, out_channels=2, extra_channels=4)
+        self.silog = SILog(focus)
+
+    def forward(
+        self,
+        images: Float[Tensor, "B N 3 H W"],
+        rigs: tuple[Rig, ...],
+        true_range_m: Float[Tensor, "B h w"] | None = None,
+    ) -> DepthMap:
+        """Depth from RGB in [0, 1]; the true range is not looked at.
+
+        Raises:
+            ValueError: if images and rigs do not fit together, or images hold NaN.
+        """
+        check_images(images, rigs)
+        log_range, sky = self.camera_ranges(images, rigs)
+
+        def one(rig: Rig, samples: list[int]) -> DepthMap:
+            spheres = rig_spheres(rig, self.panorama, self.spheres, self.min_range_m)
+            range_m = log_range[samples].exp().clamp(max=spheres.farthest_m)
+            present = images[samples].flatten(2).amax(-1) > 0
+            drawn = (sky[samples] < 0) & present[:, :, None, None]
+            merged, confidence = merge_cameras(range_m, (-sky[samples]).sigmoid(), drawn, rig, self.panorama)
+            merged = fill_holes(merged, HOLE_PASSES)
+            return from_index(spheres.index(merged), merged.isfinite(), confidence, spheres)
+
+        return per_rig(rigs, one)
+
+    def training_terms(
+        self,
+        images: Float[Tensor, "B N 3 H W"],
+        rigs: tuple[Rig, ...],
+        erp_range_m: Float[Tensor, "B h w"],
+        camera_range_m: Float[Tensor, "B N H W"] | None = None,
+    ) -> dict[str, Float[Tensor, ""]]:
+        """Losses `silog` and `sky`. Looks at the ranges of single cameras only (inf: sky, nan: unknown).
+
+        Raises:
+            ValueError: if images and rigs do not fit together, images hold NaN, or there are no ranges of cameras.
+        """
+        check_images(images, rigs)
+        if camera_range_m is None:
+            raise ValueError("model/depth=mono learns from the range of every camera; this data has none")
+        flip = self.mirror and bool(torch.rand(()) < 0.5)
+        log_range, sky = self.camera_ranges(images, rigs, flip)
+        true_m = nearest_of_four(camera_range_m.flip(-1) if flip else camera_range_m)
+        known = ~true_m.isnan()
+        wrong = F.binary_cross_entropy_with_logits(sky, true_m.isinf().to(sky), reduction="none")
+        entropy = torch.where(known, wrong, 0).sum() / known.sum().clamp(min=1)
+        return {"silog": self.silog(log_range, true_m), "sky": self.sky_weight * entropy}
+
+    def camera_ranges(
+        self, images: Float[Tensor, "B N 3 H W"], rigs: tuple[Rig, ...], flip: bool = False
+    ) -> tuple[Float[Tensor, "B N _ _"], Float[Tensor, "B N _ _"]]:
+        """Log of the range from each camera's centre (m) and logit of sky, at half size; mirrored if asked."""
+        rays = torch.stack([ray_maps(rig, images.device) for rig in rigs])
+        if flip:
+            images, rays = images.flip(-1), rays.flip(-1) * rays.new_tensor([-1, 1, 1, 1])[:, None, None]
+        log_range, sky = self.net(images, rays).float().unbind(2)
+        return log_range + math.log(TYPICAL_M), sky
+
+
+def nearest_of_four(range_m: Float[Tensor, "B N H W"]) -> Float[Tensor, "B N _ _"]:
+    """The nearest range in each 2x2 block; nan where any of the four is unknown."""
+    nearest = -F.max_pool2d(-range_m.nan_to_num(0.0, posinf=torch.inf), 2)
+    return torch.where(F.max_pool2d(range_m.isnan().to(range_m), 2) > 0, torch.nan, nearest)
