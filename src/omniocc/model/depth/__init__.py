@@ -10,9 +10,10 @@ from omniocc.model.depth.depth_map import DepthMap
 from omniocc.model.depth.mono import Mono
 from omniocc.model.depth.omnimvs import OmniMVS
 from omniocc.model.depth.spheres import Spheres
+from omniocc.model.depth.sweep import Sweep
 from omniocc.model.depth.truth import Truth
 
-__all__ = ["Depth", "DepthMap", "Mono", "OmniMVS", "Spheres", "Truth"]
+__all__ = ["Depth", "DepthMap", "Mono", "OmniMVS", "Spheres", "Sweep", "Truth"]
 
 
 @runtime_checkable

@@ -11,8 +11,8 @@ from omniocc.camera import Rig
 from omniocc.model.depth.features import FeatureNet
 from omniocc.model.depth.layers import Conv, UNet2d, double, norm
 from omniocc.model.depth.projection import (
+    Projection,
     Sampler,
-    Sweep,
     alternate_cameras,
     correlate,
     present_cameras,
@@ -172,7 +172,7 @@ class OmniMVS(SphereNet):
     ) -> Iterator[tuple[Sampler, Sampler]]:
         size = features.shape[-1], features.shape[-2]
         sweeps = [
-            Sweep(rig, self.swept, self.rig_spheres(rig), size, cameras, tuple(planes))
+            Projection(rig, self.swept, self.rig_spheres(rig), size, cameras, tuple(planes))
             for cameras in alternate_cameras(rig)
         ]
         return zip(*(samplers(sweep, features.device) for sweep in sweeps), strict=True)

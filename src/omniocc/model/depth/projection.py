@@ -106,7 +106,7 @@ def correlate(
 
 
 @dataclass(frozen=True)
-class Sweep:
+class Projection:
     """What a projection depends on; the key of its cache.
 
     Attributes:
@@ -152,37 +152,37 @@ def _taps(
     return column, tap
 
 
-def _rows(sweep: Sweep, plane: float, rays: Float[Tensor, "P 3"]) -> tuple[Tensor, Tensor, Tensor]:
+def _rows(projection: Projection, plane: float, rays: Float[Tensor, "P 3"]) -> tuple[Tensor, Tensor, Tensor]:
     """Entries of the rows of one sphere: how many in each row, their columns, their values."""
-    points_m = rays * min(1 / (plane * sweep.spheres.step_per_m) if plane else FAR_M, FAR_M)
-    pixels, valid = sweep.rig.project(points_m)
-    width, height = sweep.feature_size
-    taps = [_taps(sweep.rig, k, pixels[k], valid[k], width, height) for k in sweep.cameras]
+    points_m = rays * min(1 / (plane * projection.spheres.step_per_m) if plane else FAR_M, FAR_M)
+    pixels, valid = projection.rig.project(points_m)
+    width, height = projection.feature_size
+    taps = [_taps(projection.rig, k, pixels[k], valid[k], width, height) for k in projection.cameras]
     column = torch.cat([column for column, _ in taps], -1)
     value = torch.cat([value for _, value in taps], -1)
     kept = value > 1e-6
     return kept.sum(-1), column[kept].int(), value[kept].float()
 
 
-def _sampler(sweep: Sweep, planes: tuple[float, ...], device: torch.device) -> Sampler:
-    rays = sweep.panorama.rays().double().reshape(-1, 3)
-    parts = [_rows(sweep, plane, rays) for plane in planes]
+def _sampler(projection: Projection, planes: tuple[float, ...], device: torch.device) -> Sampler:
+    rays = projection.panorama.rays().double().reshape(-1, 3)
+    parts = [_rows(projection, plane, rays) for plane in planes]
     counts, columns, values = (torch.cat(part) for part in zip(*parts, strict=True))
     row = torch.arange(len(counts)).repeat_interleave(counts)
     values = values / torch.zeros(len(counts)).index_add_(0, row, values)[row]
     crow = torch.cat([counts.new_zeros(1), counts.cumsum(0)]).int()
-    shape = (len(counts), len(sweep.rig.cameras) * sweep.feature_size[0] * sweep.feature_size[1])
+    shape = (len(counts), len(projection.rig.cameras) * projection.feature_size[0] * projection.feature_size[1])
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Sparse CSR tensor support is in beta")
         return Sampler(torch.sparse_csr_tensor(crow, columns, values, shape, check_invariants=False).to(device))
 
 
-@lru_cache(maxsize=24)
-def samplers(sweep: Sweep, device: torch.device) -> tuple[Sampler, ...]:
-    """The matrices of a sweep, in blocks of about 64k rows, which stay in the cache; made once for each rig."""
-    size = max(1, BLOCK_ROWS // (sweep.panorama.width * sweep.panorama.height))
-    blocks = [sweep.planes[first : first + size] for first in range(0, len(sweep.planes), size)]
-    return tuple(_sampler(sweep, block, device) for block in blocks)
+@lru_cache(maxsize=8)
+def samplers(projection: Projection, device: torch.device) -> tuple[Sampler, ...]:
+    """The matrices of a projection, in blocks of about 64k rows, which stay in the cache; made once for each rig."""
+    size = max(1, BLOCK_ROWS // (projection.panorama.width * projection.panorama.height))
+    blocks = [projection.planes[first : first + size] for first in range(0, len(projection.planes), size)]
+    return tuple(_sampler(projection, block, device) for block in blocks)
 
 
 def table(features: Float[Tensor, "B N C H W"], present: Bool[Tensor, "B N"]) -> Float[Tensor, "pixels BC"]:

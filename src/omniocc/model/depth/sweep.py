@@ -1,0 +1,152 @@
+"""A sphere sweep without weights: works on any calibrated rig whose fields overlap."""
+
+import itertools
+from collections.abc import Iterator, Sequence
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from omniocc.camera import Equirectangular, Rig
+from omniocc.model.depth.depth_map import SKY_INDEX, DepthMap, check_images, from_index, make_panorama, per_rig
+from omniocc.model.depth.projection import Projection, present_cameras, samplers, table
+from omniocc.model.depth.spheres import rig_spheres
+
+NOISE = 0.01
+"""Standard deviation of grey values (of 1) up to which a window has no texture."""
+UNSEEN = -1.0
+
+
+class Sweep(nn.Module):
+    """Compares all pairs of cameras by zero-mean normalised cross-correlation of windows on every sphere.
+
+    The sphere with the best mean over the pairs wins, and a parabola through it and its neighbours gives the fraction.
+    Images are first brought to about the resolution of the panorama.
+
+    Args:
+        erp_size: width and height of the panorama, px.
+        erp_top_deg: elevation of its upper edge.
+        erp_bottom_deg: elevation of its lower edge.
+        spheres: number of spheres.
+        min_range_m: of the nearest sphere; None derives it from each rig.
+        window_px: side of the windows in the panorama, odd.
+        min_confidence: answers below are not valid, in [0, 1].
+
+    Raises:
+        ValueError: if sizes make no sense.
+    """
+
+    def __init__(
+        self,
+        erp_size: Sequence[int],
+        erp_top_deg: float,
+        erp_bottom_deg: float,
+        spheres: int,
+        min_range_m: float | None,
+        window_px: int,
+        min_confidence: float,
+    ):
+        super().__init__()
+        self.panorama = make_panorama(erp_size, erp_top_deg, erp_bottom_deg)
+        if window_px < 3 or window_px % 2 == 0 or window_px > min(erp_size):
+            raise ValueError(f"window_px is {window_px}; it must be odd, at least 3, and fit into {list(erp_size)}")
+        self.spheres, self.min_range_m = spheres, min_range_m
+        self.window_px, self.min_confidence = window_px, min_confidence
+
+    @torch.no_grad()
+    def forward(
+        self,
+        images: Float[Tensor, "B N 3 H W"],
+        rigs: tuple[Rig, ...],
+        true_range_m: Float[Tensor, "B h w"] | None = None,
+    ) -> DepthMap:
+        """Depth from RGB in [0, 1]; the true range is not looked at.
+
+        Raises:
+            ValueError: if images and rigs do not fit together, or images hold NaN.
+        """
+        check_images(images, rigs)
+
+        def one(rig: Rig, samples: list[int]) -> DepthMap:
+            score = torch.cat(list(self._scores(images[samples], rig)), 1)
+            index, confidence = peak(score)
+            compared = score.amax(1) > UNSEEN
+            valid = compared & (index >= SKY_INDEX) & (confidence >= self.min_confidence)
+            spheres = rig_spheres(rig, self.panorama, self.spheres, self.min_range_m)
+            return from_index(index, valid, confidence * compared, spheres)
+
+        return per_rig(rigs, one)
+
+    def _scores(self, images: Float[Tensor, "B N 3 H W"], rig: Rig) -> Iterator[Float[Tensor, "B D h w"]]:
+        """Block by block of spheres, the mean correlation."""
+        present = present_cameras(images)
+        grey = F.interpolate(images.float().mean(2), self._working_size(rig), mode="area")
+        size = grey.shape[-1], grey.shape[-2]
+        spheres = rig_spheres(rig, self.panorama, self.spheres, self.min_range_m)
+        planes = tuple(float(k) for k in range(self.spheres))
+        cameras = [
+            samplers(Projection(rig, self.panorama, spheres, size, (k,), planes), images.device)
+            for k in range(len(rig.cameras))
+        ]
+        rows = table(grey[:, :, None], present)
+        shape = (-1, self.panorama.height, self.panorama.width)
+        for block in zip(*cameras, strict=True):
+            swept = torch.stack([sampler(rows).T.unflatten(1, shape) for sampler in block], 2)
+            seen = torch.stack([sampler.seen.unflatten(0, shape) for sampler in block], 1)
+            score = correlation(
+                swept.flatten(0, 1), (seen & present[:, None, :, None, None]).flatten(0, 1), self.window_px
+            )
+            yield score.unflatten(0, swept.shape[:2])
+
+    def _working_size(self, rig: Rig) -> tuple[int, int]:
+        """Height and width of the images when their pixels are as wide as the panorama's, or as they are if coarser."""
+        camera = rig.cameras[0]
+        middle = torch.tensor([[camera.width / 2, camera.height / 2], [camera.width / 2 + 1, camera.height / 2]])
+        rays, _ = camera.unproject(middle.double())
+        angle_rad = float((rays[0] - rays[1]).norm())
+        factor = max(1.0, panorama_step_rad(self.panorama) / angle_rad)
+        return max(2, round(camera.height / factor)), max(2, round(camera.width / factor))
+
+
+def panorama_step_rad(panorama: Equirectangular) -> float:
+    """Angle between neighbouring columns at the horizon."""
+    return 2 * torch.pi / panorama.width
+
+
+def box(maps: Float[Tensor, "M N h w"], side_px: int) -> Float[Tensor, "M N h w"]:
+    """Mean over square windows; wraps around in azimuth, repeats the first and last row."""
+    half = side_px // 2
+    maps = F.pad(maps, (half, half, 0, 0), mode="circular")
+    return F.avg_pool2d(F.pad(maps, (0, 0, half, half), mode="replicate"), side_px, stride=1)
+
+
+def correlation(swept: Float[Tensor, "M N h w"], seen: Bool[Tensor, "M N h w"], side_px: int) -> Float[Tensor, "M h w"]:
+    """Mean zero-mean normalised cross-correlation over all pairs of cameras that see a whole window; -1 without any."""
+    mean = box(swept, side_px)
+    deviation = (box(swept.square(), side_px) - mean.square()).clamp(min=0).add(NOISE**2).sqrt()
+    whole = box(seen.to(swept), side_px) > 1 - 0.5 / side_px**2
+    total, pairs = torch.zeros_like(mean[:, 0]), torch.zeros_like(mean[:, 0])
+    for i, j in itertools.combinations(range(swept.shape[1]), 2):
+        both = whole[:, i] & whole[:, j]
+        if bool(both.any()):
+            product = box((swept[:, i] * swept[:, j])[:, None], side_px)[:, 0]
+            common = (product - mean[:, i] * mean[:, j]) / (deviation[:, i] * deviation[:, j])
+            total, pairs = total + common * both, pairs + both
+    return torch.where(pairs > 0, total / pairs.clamp(min=1), UNSEEN)
+
+
+def peak(score: Float[Tensor, "B D h w"]) -> tuple[Float[Tensor, "B h w"], Float[Tensor, "B h w"]]:
+    """Index of the best sphere with a fraction from a parabola, and how much better it is than others, in [0, 1].
+
+    The confidence is the best score less the best one that is at least three spheres away.
+    """
+    best, place = score.max(1, keepdim=True)
+    last = score.shape[1] - 1
+    left, right = (score.gather(1, (place + side).clamp(0, last)) for side in (-1, 1))
+    bend = left - 2 * best + right
+    inner = (place > 0) & (place < last) & (bend < 0)
+    shift = torch.where(inner, 0.5 * (left - right) / torch.where(inner, bend, 1), 0)
+    spheres = torch.arange(last + 1, device=score.device).view(1, -1, 1, 1)
+    rival = torch.where((spheres - place).abs() > 2, score, 0).amax(1, keepdim=True)
+    return (place + shift)[:, 0], (best - rival).clamp(0, 1)[:, 0]
