@@ -59,5 +59,5 @@ def min_cosine(max_angle_deg: float) -> float:
 
 
 def pinhole_bound(alpha: float) -> float:
-    """w of the unified model: it covers z > -w * d. Usenko et al., 3DV 2018, eq. 19 and 44."""
+    """Factor w of the unified models, which cover z > -w * d. Usenko et al., 3DV 2018."""
     return (1 - alpha) / alpha if alpha > 0.5 else alpha / (1 - alpha)

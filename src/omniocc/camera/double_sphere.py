@@ -14,7 +14,7 @@ from omniocc.camera.protocol import angle_from_axis, check_size, finite, pair, p
 
 @dataclass(frozen=True)
 class DoubleSphere:
-    """Usenko, Demmel and Cremers, 3DV 2018, eq. 40 to 54.
+    """Usenko, Demmel and Cremers, "The Double Sphere Camera Model", 3DV 2018.
 
     Attributes:
         width: of the image, px.
@@ -48,7 +48,7 @@ class DoubleSphere:
             raise ValueError(f"alpha is {self.alpha}; the double sphere model needs 0 <= alpha <= 1")
 
     def project(self, points: Float[Tensor, "*batch 3"]) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"]]:
-        """See `Camera.project`; eq. 40 to 45."""
+        """See `Camera.project`."""
         rays, somewhere = unit(points)
         x, y, z = rays.unbind(-1)
         shifted = self.xi + z
@@ -60,7 +60,7 @@ class DoubleSphere:
         return pixels, covered & in_image(pixels, self.width, self.height)
 
     def unproject(self, pixels: Float[Tensor, "*batch 2"]) -> tuple[Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
-        """See `Camera.unproject`; eq. 46 to 51."""
+        """See `Camera.unproject`."""
         m = (pixels - pixels.new_tensor(self.center_px)) / pixels.new_tensor(self.focal_px)
         covered = 1 - (2 * self.alpha - 1) * m.square().sum(-1) > torch.finfo(m.dtype).eps
         m = torch.where(covered[..., None], m, 0)
@@ -70,7 +70,8 @@ class DoubleSphere:
         reach = (height.square() + (1 - self.xi**2) * squared).sqrt()
         scale = (height * self.xi + reach) / (height.square() + squared)
         rays = torch.cat([scale[..., None] * m, (scale * height - self.xi)[..., None]], dim=-1)
-        return rays, covered & (rays[..., 2] >= self._min_cosine)
+        z = rays[..., 2]
+        return rays, covered & (z > -self._behind) & (z >= self._min_cosine)
 
     def resized(self, width: int, height: int) -> "DoubleSphere":
         """See `Camera.resized`."""
@@ -85,7 +86,7 @@ class DoubleSphere:
 
     @property
     def _behind(self) -> float:
-        """w2 of eq. 43: the model covers z > -w2 * distance."""
+        """The paper's w2: the model covers z > -w2 * distance, which ends a tenth of a degree before its rim."""
         w1 = pinhole_bound(self.alpha)
         return (w1 + self.xi) / math.sqrt(2 * w1 * self.xi + self.xi**2 + 1)
 

@@ -13,7 +13,7 @@ from omniocc.camera.protocol import angle_from_axis, check_size, finite, pair, p
 
 @dataclass(frozen=True)
 class EUCM:
-    """Khomutenko, Garcia and Martinet, RA-L 2016, as written by Usenko et al., 3DV 2018, eq. 20 to 28.
+    """Khomutenko, Garcia and Martinet, RA-L 2016, as written by Usenko et al., 3DV 2018.
 
     Attributes:
         width: of the image, px.
@@ -45,7 +45,7 @@ class EUCM:
             raise ValueError(f"alpha is {self.alpha}; the extended unified model needs 0 <= alpha <= 1")
 
     def project(self, points: Float[Tensor, "*batch 3"]) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"]]:
-        """See `Camera.project`; eq. 20 to 23."""
+        """See `Camera.project`."""
         rays, somewhere = unit(points)
         x, y, z = rays.unbind(-1)
         squared = self.beta * (x.square() + y.square()) + z.square()
@@ -58,7 +58,7 @@ class EUCM:
         return pixels, covered & in_image(pixels, self.width, self.height)
 
     def unproject(self, pixels: Float[Tensor, "*batch 2"]) -> tuple[Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
-        """See `Camera.unproject`; eq. 24 to 28."""
+        """See `Camera.unproject`."""
         m = (pixels - pixels.new_tensor(self.center_px)) / pixels.new_tensor(self.focal_px)
         bend = (2 * self.alpha - 1) * self.beta
         covered = 1 - bend * m.square().sum(-1) > torch.finfo(m.dtype).eps

@@ -125,7 +125,7 @@ class MEI:
         return torch.stack([vv * du - uv * dv, uu * dv - uv * du], dim=-1) / determinant[..., None]
 
     def _undistorted(self, seen: Float[Tensor, "*batch 2"]) -> tuple[Tensor, Bool[Tensor, "*batch"]]:
-        """Newton's method from the radial part's inverse; the last step carries the gradient. And whether it arrived."""
+        """Newton's method from the radial part's inverse; its last step carries the gradient. Whether it arrived."""
         limit = self._limit
         with torch.no_grad():
             radius = seen.square().sum(-1).sqrt()

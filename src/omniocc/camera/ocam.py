@@ -17,7 +17,7 @@ MOST_COEFFICIENTS = 40
 
 @dataclass(frozen=True)
 class OCam:
-    """A pixel at distance rho from the centre sees the ray (x, y, -f(rho)) (Scaramuzza et al., IROS 2006, eq. 7).
+    """A pixel at distance rho from the centre sees the ray (x, y, -f(rho)) (Scaramuzza et al., IROS 2006).
 
     Calibration files carry a second polynomial, fitted to the inverse. On real cameras the two disagree by up to 3 px:
     with `inverse_polynomial` `project` follows the file; without it, it solves f and is the inverse of `unproject`.
@@ -72,7 +72,7 @@ class OCam:
         return pixels, defined & (theta <= self.limit_rad) & in_image(pixels, self.width, self.height)
 
     def unproject(self, pixels: Float[Tensor, "*batch 2"]) -> tuple[Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
-        """See `Camera.unproject`; eq. 7 with the affine part undone."""
+        """See `Camera.unproject`."""
         u, v = (pixels - pixels.new_tensor(self.center_px)).unbind(-1)
         c, d, e = self.affine
         x, y = (c * u - e * v) / (c - d * e), (v - d * u) / (c - d * e)

@@ -50,7 +50,10 @@ class Rig:
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> "Rig":
-        """Reads a rig file (see `omniocc.camera.rig_file`) or a built-in rig by name: `fisheye6`, `pinhole6`.
+        """Reads a rig file (see `omniocc.camera.rig_file`), or a built-in rig: `fisheye6`, `pinhole6`, `surround_view`.
+
+        Calibrations of OpenCV, Kalibr, OCamCalib, KITTI-360 and OmniMVS are recognised by their content, see
+        `omniocc.camera.calibration`.
 
         Raises:
             ValueError: naming file, camera and value of what is wrong.

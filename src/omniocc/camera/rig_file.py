@@ -10,6 +10,9 @@
         max_angle_deg: 95.0
         ego_from_camera: {position_m: [0.9, 0, 0], yaw_deg: 0, pitch_deg: -10, roll_deg: 0}
         mask: front.png                       # optional, relative to this file; white where the image is usable
+      rear:
+        calibration: rear_opencv.yaml         # or, in place of model and parameters, a calibration file of one camera
+        ego_from_camera: {position_m: [-0.9, 0, 0], yaw_deg: 180, pitch_deg: -10, roll_deg: 0}
 
 Angles are those of `omniocc.camera.pose.pose_from_angles`. `ego_from_camera` may also be the four rows of a 4x4 matrix,
 which is what `write_rig` writes, as angles would not reproduce a calibrated pose to the last bit.
@@ -28,6 +31,8 @@ import yaml
 from jaxtyping import Bool, Float64
 from torch import Tensor
 
+from omniocc.camera.calibration import Calibration, read_calibration, read_calibration_folder
+from omniocc.camera.calibration.fields import parse_yaml
 from omniocc.camera.double_sphere import DoubleSphere
 from omniocc.camera.equidistant import Equidistant
 from omniocc.camera.eucm import EUCM
@@ -36,7 +41,7 @@ from omniocc.camera.mei import MEI
 from omniocc.camera.ocam import OCam
 from omniocc.camera.pinhole import Pinhole
 from omniocc.camera.pose import check_rigid, pose_from_angles
-from omniocc.camera.protocol import Camera, finite
+from omniocc.camera.protocol import Camera, finite, numbers
 from omniocc.camera.radial_polynomial import RadialPolynomial
 
 MODELS = {
@@ -53,24 +58,36 @@ BUILT_IN = Path(__file__).parent / "rigs"
 ANGLES = ("yaw_deg", "pitch_deg", "roll_deg")
 
 Mask = Bool[Tensor, "_ _"]
-Masks = tuple[Mask | None, ...]
 
 
-def read_rig(
-    path: str | PathLike[str],
-) -> tuple[tuple[Camera, ...], Float64[Tensor, "N 4 4"], tuple[str, ...], Masks | None]:
-    """The arguments of `Rig` from a file, or from a built-in rig by name. Raises ValueError, see `Rig.load`."""
-    file = _find(path)
+def read_rig(path: str | PathLike[str]) -> Calibration:
+    """The arguments of `Rig` from a rig file, another tool's calibration or a built-in rig. Raises ValueError."""
+    file: Path | Calibration = _find(path)
+    if file.is_dir():
+        file = read_calibration_folder(file)
+    if isinstance(file, Calibration):
+        return file
     try:
-        content = _mapping(yaml.safe_load(file.read_text(encoding="utf-8")), "its content")
-    except (ValueError, yaml.YAMLError) as error:
+        text = file.read_text(encoding="utf-8")
+        content = parse_yaml(text)
+        if not _is_rig(content):
+            return read_calibration(file, text, content)
+        _check_keys(content, ["cameras"], [])
+    except ValueError as error:
         raise ValueError(f"{file}: {error}") from error
-    _check_keys(content, ["cameras"], [], f"{file}: ")
-    entries = _mapping(content["cameras"], f"{file}: 'cameras'")
+    return _read_cameras(file, _mapping(content["cameras"], f"{file}: 'cameras'"))
+
+
+def _is_rig(content: Any) -> bool:
+    return isinstance(content, dict) and "cameras" in content and not isinstance(content["cameras"], list)
+
+
+def _read_cameras(file: Path, entries: dict[str, Any]) -> Calibration:
     read = [_read_entry(file, str(name), entry) for name, entry in entries.items()]
     masks = tuple(mask for _, _, mask in read)
     cameras, poses = tuple(camera for camera, _, _ in read), torch.stack([pose for _, pose, _ in read])
-    return cameras, poses, tuple(str(name) for name in entries), None if all(m is None for m in masks) else masks
+    names = tuple(str(name) for name in entries)
+    return Calibration(cameras, poses, names, None if all(mask is None for mask in masks) else masks)
 
 
 def write_rig(
@@ -78,7 +95,7 @@ def write_rig(
     cameras: tuple[Camera, ...],
     ego_from_camera: Float64[Tensor, "N 4 4"],
     names: tuple[str, ...],
-    masks: Masks | None,
+    masks: tuple[Mask | None, ...] | None,
 ) -> None:
     """See `Rig.save`."""
     file = Path(path)
@@ -98,7 +115,7 @@ def write_rig(
 
 def _read_entry(file: Path, name: str, entry: Any) -> tuple[Camera, Float64[Tensor, "4 4"], Mask | None]:
     try:
-        camera = _read_camera(_mapping(entry, "its entry"))
+        camera = _read_camera(file.parent, _mapping(entry, "its entry"))
         pose = _read_pose(entry["ego_from_camera"])
         mask = _read_mask(file.parent / entry["mask"], camera) if "mask" in entry else None
     except ValueError as error:
@@ -110,13 +127,19 @@ def _find(path: str | PathLike[str]) -> Path:
     built_in = {file.stem: file for file in sorted(BUILT_IN.glob("*.yaml"))}
     if str(path) in built_in:
         return built_in[str(path)]
-    if not Path(path).is_file():
+    if not Path(path).exists():
         hint = _did_you_mean(str(path), list(built_in))
         raise ValueError(f"no rig file '{path}'{hint}; built-in rigs: {', '.join(built_in)}")
     return Path(path)
 
 
-def _read_camera(entry: dict[str, Any]) -> Camera:
+def _read_camera(folder: Path, entry: dict[str, Any]) -> Camera:
+    if "calibration" in entry:
+        _check_keys(entry, ["calibration", "ego_from_camera"], ["mask"])
+        cameras = read_rig(folder / str(entry["calibration"])).cameras
+        if len(cameras) != 1:
+            raise ValueError(f"calibration {entry['calibration']} holds {len(cameras)} cameras; it must be one")
+        return cameras[0]
     name = entry.get("model")
     if name not in MODELS:
         raise ValueError(f"unknown model '{name}'{_did_you_mean(str(name), list(MODELS))}; models: {', '.join(MODELS)}")
@@ -135,14 +158,14 @@ def _parameter(key: str, value: Any) -> Any:
 def _read_pose(value: Any) -> Float64[Tensor, "4 4"]:
     if isinstance(value, dict):
         _check_keys(value, ["position_m", *ANGLES], [], "ego_from_camera.")
-        x, y, z = _numbers("ego_from_camera.position_m", value["position_m"], 3)
+        x, y, z = numbers("ego_from_camera.position_m", value["position_m"], 3, 3)
         yaw, pitch, roll = (finite(f"ego_from_camera.{key}", value[key]) for key in ANGLES)
         return pose_from_angles((x, y, z), yaw, pitch, roll)
     if not isinstance(value, list) or len(value) != 4:
         raise ValueError(
             f"ego_from_camera is {value!r}; give position_m, {', '.join(ANGLES)}, or four rows of 4 numbers"
         )
-    rows = [_numbers("a row of ego_from_camera", row, 4) for row in value]
+    rows = [numbers("a row of ego_from_camera", row, 4, 4) for row in value]
     pose = torch.tensor(rows, dtype=torch.float64)
     check_rigid(pose, "its pose")
     return pose
@@ -163,12 +186,6 @@ def _read_mask(file: Path, camera: Camera) -> Mask:
 def _write_mask(file: Path, mask: Mask) -> None:
     if not cv2.imwrite(str(file), mask.numpy().astype(np.uint8) * 255):
         raise OSError(f"cannot write {file}")
-
-
-def _numbers(name: str, value: Any, count: int) -> list[float]:
-    if not isinstance(value, list) or len(value) != count:
-        raise ValueError(f"{name} is {value!r}; it must be {count} numbers")
-    return [finite(name, number) for number in value]
 
 
 def _mapping(value: Any, what: str) -> dict[str, Any]:

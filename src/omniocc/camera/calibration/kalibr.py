@@ -1,0 +1,69 @@
+"""Kalibr's camchain YAML."""
+
+from typing import Any
+
+import torch
+from jaxtyping import Float64
+from torch import Tensor
+
+from omniocc.camera.calibration.fields import Calibration, ego_from_first, pose, required, row, size
+from omniocc.camera.double_sphere import DoubleSphere
+from omniocc.camera.eucm import EUCM
+from omniocc.camera.kannala_brandt import KannalaBrandt
+from omniocc.camera.mei import MEI
+from omniocc.camera.pinhole import Pinhole
+from omniocc.camera.pose import invert_pose
+from omniocc.camera.protocol import Camera
+
+
+def read_kalibr(content: dict[str, Any]) -> Calibration:
+    """Cameras cam0, cam1, ... and their chain `T_cn_cnm1` of poses.
+
+    The file knows no vehicle: the ego frame looks where cam0 looks, as if that were level, its origin amid the cameras.
+
+    Raises:
+        ValueError: naming the camera and the key.
+    """
+    names = [f"cam{index}" for index in range(len(content))]
+    cameras, poses = [], []
+    for name in names:
+        entry = required(content, name)
+        try:
+            if not isinstance(entry, dict):
+                raise ValueError(f"its entry is {entry!r}; it must be a mapping")
+            cameras.append(_camera(entry))
+            poses.append(_cam0_from(entry, poses[-1]) if poses else torch.eye(4, dtype=torch.float64))
+        except ValueError as error:
+            raise ValueError(f"{name}: {error}") from error
+    return Calibration(tuple(cameras), ego_from_first(torch.stack(poses)), tuple(names), None)
+
+
+def _cam0_from(entry: dict[str, Any], cam0_from_previous: Float64[Tensor, "4 4"]) -> Float64[Tensor, "4 4"]:
+    this_from_previous = pose(required(entry, "T_cn_cnm1"), "T_cn_cnm1")
+    return cam0_from_previous @ invert_pose(this_from_previous)
+
+
+def _camera(entry: dict[str, Any]) -> Camera:
+    lens, distortion = str(required(entry, "camera_model")), str(required(entry, "distortion_model"))
+    width, height = size(entry, "resolution")
+    coefficients = tuple(row(entry, 0 if distortion == "none" else 4, "distortion_coeffs"))
+    undistorted = not any(coefficients)
+    if lens == "pinhole":
+        fx, fy, cx, cy = row(entry, 4, "intrinsics")
+        if distortion == "equidistant":
+            return KannalaBrandt(width, height, (fx, fy), (cx, cy), coefficients, 180.0)
+        if undistorted:
+            return Pinhole(width, height, (fx, fy), (cx, cy))
+    if lens == "omni" and (distortion == "radtan" or undistorted):
+        xi, fx, fy, cx, cy = row(entry, 5, "intrinsics")
+        return MEI(width, height, (fx, fy), (cx, cy), xi, coefficients or (0.0, 0.0, 0.0, 0.0), 180.0)
+    if lens == "ds" and undistorted:
+        xi, alpha, fx, fy, cx, cy = row(entry, 6, "intrinsics")
+        return DoubleSphere(width, height, (fx, fy), (cx, cy), xi, alpha, 180.0)
+    if lens == "eucm" and undistorted:
+        alpha, beta, fx, fy, cx, cy = row(entry, 6, "intrinsics")
+        return EUCM(width, height, (fx, fy), (cx, cy), alpha, beta, 180.0)
+    raise ValueError(
+        f"camera_model {lens} with distortion_model {distortion} is not among the models; these are "
+        "pinhole-equidistant, pinhole-none, omni-radtan, omni-none, ds-none and eucm-none: calibrate with one of them"
+    )

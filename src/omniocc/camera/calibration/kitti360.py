@@ -1,0 +1,88 @@
+"""KITTI-360's fisheye YAML (CamOdoCal's MEI), and the poses in the folder beside it."""
+
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from omniocc.camera.calibration.fields import (
+    Calibration,
+    alone,
+    centered,
+    number,
+    parse_yaml,
+    pose,
+    required,
+    whole,
+)
+from omniocc.camera.mei import MEI
+
+POSES = "calib_cam_to_pose.txt"
+
+
+def read_kitti360(content: dict[str, Any], name: str) -> Calibration:
+    """One camera: `mirror_parameters`, `distortion_parameters` and `projection_parameters` of `model_type: MEI`.
+
+    Raises:
+        ValueError: naming what is missing or another model.
+    """
+    model = required(content, "model_type")
+    if model != "MEI":
+        raise ValueError(f"model_type is {model!r}; of CamOdoCal's models only MEI is read")
+    mirror, distortion, projection = (
+        _section(content, key) for key in ("mirror_parameters", "distortion_parameters", "projection_parameters")
+    )
+    camera = MEI(
+        whole(content, "image_width"),
+        whole(content, "image_height"),
+        (number(projection, "gamma1"), number(projection, "gamma2")),
+        (number(projection, "u0"), number(projection, "v0")),
+        number(mirror, "xi"),
+        tuple(number(distortion, key) for key in ("k1", "k2", "p1", "p2")),
+        180.0,
+    )
+    return alone(camera, str(content.get("camera_name", name)))
+
+
+def read_kitti360_folder(folder: Path) -> Calibration:
+    """The fisheyes of a `calibration` folder with their poses.
+
+    The poses are in the IMU's frame (x forward, y right, z down); the ego frame keeps its axes, with y and z turned
+    over, and moves its origin amid the cameras.
+
+    Raises:
+        ValueError: naming the file and what is wrong in it.
+    """
+    files = sorted(folder.glob("image_*.yaml"))
+    if not files:
+        raise ValueError(f"{folder}: {POSES} lies here but no image_02.yaml; download KITTI-360's calibration")
+    imu_from_camera = _poses(folder / POSES)
+    ego_from_imu = torch.diag(torch.tensor([1.0, -1, -1, 1], dtype=torch.float64))
+    cameras, poses = [], []
+    for file in files:
+        try:
+            cameras.append(read_kitti360(parse_yaml(file.read_text(encoding="utf-8")), file.stem).cameras[0])
+        except ValueError as error:
+            raise ValueError(f"{file}: {error}") from error
+        if file.stem not in imu_from_camera:
+            raise ValueError(f"{folder / POSES}: {file.stem} is missing; it holds {', '.join(imu_from_camera)}")
+        poses.append(ego_from_imu @ imu_from_camera[file.stem])
+    names = tuple(file.stem for file in files)
+    return Calibration(tuple(cameras), centered(torch.stack(poses)), names, None)
+
+
+def _poses(file: Path) -> dict[str, torch.Tensor]:
+    poses = {}
+    for line in file.read_text(encoding="utf-8").splitlines():
+        name, _, values = line.partition(":")
+        if values:
+            words = values.split()
+            poses[name.strip()] = pose([words[i : i + 4] for i in range(0, len(words), 4)], f"{file}: {name}")
+    return poses
+
+
+def _section(content: dict[str, Any], key: str) -> dict[str, Any]:
+    section = required(content, key)
+    if not isinstance(section, dict):
+        raise ValueError(f"{key} is {section!r}; it must be a mapping")
+    return section

@@ -1,0 +1,63 @@
+"""OpenCV's FileStorage YAML, and ROS's camera_info, which has the same keys."""
+
+from typing import Any
+
+from omniocc.camera.calibration.fields import Calibration, alone, number, required, row, size, whole
+from omniocc.camera.kannala_brandt import KannalaBrandt
+from omniocc.camera.pinhole import Pinhole
+from omniocc.camera.protocol import Camera
+
+FISHEYE = ("equidistant", "fisheye", "kannala_brandt")
+
+
+def read_opencv(content: dict[str, Any], name: str) -> Calibration:
+    """One camera: `camera_matrix`, `dist_coeffs` or `distortion_coefficients`, `resolution` or `image_width/height`.
+
+    Four coefficients are `cv2.fisheye`'s (Kannala-Brandt) unless `distortion_model` or `fisheye_model` says otherwise;
+    `cv2.calibrateCamera` writes five or more.
+
+    Raises:
+        ValueError: naming what is missing, or a distortion that no model here has.
+    """
+    matrix = row(content, 9, "camera_matrix")
+    fx, skew, cx, zero, fy, cy, *last = matrix
+    if skew != 0 or zero != 0 or last != [0, 0, 1]:
+        raise ValueError(f"camera_matrix is {matrix}; it must be [fx, 0, cx, 0, fy, cy, 0, 0, 1]")
+    width, height = _image_size(content)
+    coefficients = row(content, None, "dist_coeffs", "distortion_coefficients")
+    return alone(_camera(content, width, height, (fx, fy), (cx, cy), coefficients), name)
+
+
+def _camera(
+    content: dict[str, Any],
+    width: int,
+    height: int,
+    focal_px: tuple[float, float],
+    center_px: tuple[float, float],
+    coefficients: list[float],
+) -> Camera:
+    if _is_fisheye(content, len(coefficients)):
+        if len(coefficients) != 4:
+            raise ValueError(f"a fisheye has 4 coefficients, this file holds {len(coefficients)}: {coefficients}")
+        return KannalaBrandt(width, height, focal_px, center_px, tuple(coefficients), 180.0)
+    if any(coefficients):
+        raise ValueError(
+            f"dist_coeffs are {coefficients}: a pinhole with distortion is not among the models; undistort the images "
+            "(cv2.undistort) and set the coefficients to 0, or calibrate with cv2.fisheye"
+        )
+    return Pinhole(width, height, focal_px, center_px)
+
+
+def _is_fisheye(content: dict[str, Any], count: int) -> bool:
+    if "fisheye_model" in content:
+        return number(content, "fisheye_model") != 0
+    if "distortion_model" in content:
+        return str(content["distortion_model"]).lower() in FISHEYE
+    return count == 4
+
+
+def _image_size(content: dict[str, Any]) -> tuple[int, int]:
+    if "image_width" in content or "image_height" in content:
+        return whole(content, "image_width"), whole(content, "image_height")
+    required(content, "resolution", "image_width")
+    return size(content, "resolution")
