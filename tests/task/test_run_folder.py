@@ -7,7 +7,13 @@ from omniocc.task.run_folder import LAST, METRICS, open_run, run_hash, write_who
 
 
 def test_hash_follows_what_decides_a_result_and_nothing_else():
-    config = {"seed": 0, "model": {"sketch": {"share": 0.2}}, "depth": {"spheres": 8}, "paths": {"runs": "a"}, "resume": "auto"}
+    config = {
+        "seed": 0,
+        "model": {"sketch": {"share": 0.2}},
+        "depth": {"spheres": 8},
+        "paths": {"runs": "a"},
+        "resume": "auto",
+    }
     assert run_hash(config, "data") == run_hash({**config, "paths": {"runs": "b"}, "resume": "never"}, "data")
     assert run_hash(config, "data") != run_hash({**config, "seed": 1}, "data")
     assert run_hash(config, "data") != run_hash(config, "other data")

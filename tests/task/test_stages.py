@@ -60,7 +60,9 @@ def test_keys_change_with_what_makes_the_result_and_with_nothing_else(override, 
 
 
 def test_other_data_is_another_result():
-    assert all(one != other for one, other in zip(stage_keys(composed(), "a"), stage_keys(composed(), "b"), strict=True))
+    assert all(
+        one != other for one, other in zip(stage_keys(composed(), "a"), stage_keys(composed(), "b"), strict=True)
+    )
 
 
 def test_a_second_process_waits_and_says_so(tmp_path, capsys):
