@@ -11,6 +11,7 @@ from omniocc.camera import Rig
 from omniocc.model.depth.features import FeatureNet
 from omniocc.model.depth.layers import Conv, UNet2d, double, norm
 from omniocc.model.depth.projection import (
+    LEAST_SHARE,
     Projection,
     Sampler,
     alternate_cameras,
@@ -23,9 +24,6 @@ from omniocc.model.depth.sphere_net import SphereNet
 
 CONTEXT_SHARES = (0.06, 0.25)
 """Spheres on which the views' own features are put side by side, as shares of the index of the nearest."""
-
-LEAST_SHARE = 0.05
-"""Of a point's cameras that must be there for its features to be scaled up to what all of them would give."""
 
 
 class OmniMVS(SphereNet):

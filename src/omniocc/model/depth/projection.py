@@ -25,6 +25,8 @@ TAPER = 0.08
 """Width of the band at the edge of a camera's field where its weight falls to zero, in image heights."""
 BLOCK_ROWS = 1 << 16
 FAR_M = 1e6
+LEAST_SHARE = 0.05
+"""Of a point's cameras that must be there for its features to be scaled up to what all of them would give."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,149 @@
+"""Omnidirectional depth by a cost volume over all cameras and 3D regularisation (OmniMVS, Won et al. 2019)."""
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from omniocc.camera import Rig
+from omniocc.model.depth.features import FeatureNet
+from omniocc.model.depth.projection import LEAST_SHARE, Projection, present_cameras, samplers, table
+from omniocc.model.depth.sphere_net import SphereNet
+from omniocc.model.padding import Conv3d, Downsample, Pointwise, upsample
+from omniocc.model.refiner.unet import Residual
+
+AROUND = (False, False, True)
+"""Of spheres, rows and columns only the columns wrap around."""
+
+
+class OmniMVS3D(SphereNet):
+    """Mean and variance over all cameras of the features on every sphere, regularised by a 3D encoder-decoder.
+
+    The paper puts the features of its four cameras side by side; mean and variance take any number in any order
+    (MVSNet, Yao et al. 2018), a missing one too. The variance is small where the cameras agree.
+
+    Args:
+        erp_size: width and height of the panorama, px.
+        erp_top_deg: elevation of its upper edge.
+        erp_bottom_deg: elevation of its lower edge.
+        spheres: number of spheres.
+        min_range_m: of the nearest sphere; None derives it from each rig.
+        feature_channels: per level of the feature network, finest (half the image size) first; multiples of 8.
+        match_channels: features whose mean and variance go into the volume.
+        sweep_stride: panorama pixels per swept point along each side.
+        channels: per level of the 3D network, finest first; multiples of 8.
+        window: spheres to each side of the peak that make up the answer.
+        min_confidence: answers below are not valid, in [0, 1].
+        log_range_weight: of that term of the loss beside the index's.
+        entropy_weight: likewise, of the cross-entropy over spheres.
+        mirror: train on the mirrored world as often as on the true one.
+
+    Raises:
+        ValueError: if sizes do not fit together.
+    """
+
+    def __init__(
+        self,
+        erp_size: Sequence[int],
+        erp_top_deg: float,
+        erp_bottom_deg: float,
+        spheres: int,
+        min_range_m: float | None,
+        feature_channels: list[int],
+        match_channels: int,
+        sweep_stride: int,
+        channels: list[int],
+        window: int,
+        min_confidence: float,
+        log_range_weight: float,
+        entropy_weight: float,
+        mirror: bool,
+    ):
+        view = erp_size, erp_top_deg, erp_bottom_deg
+        super().__init__(*view, spheres, min_range_m, window, min_confidence, log_range_weight, entropy_weight, mirror)
+        multiple = sweep_stride * 2 ** (len(channels) - 1)
+        if erp_size[0] % multiple or erp_size[1] % sweep_stride:
+            raise ValueError(
+                f"erp_size is {list(erp_size)}; {len(channels)} levels and sweep_stride {sweep_stride} need a width in "
+                f"multiples of {multiple} and a height in multiples of {sweep_stride}"
+            )
+        self.swept = self.panorama.resized(erp_size[0] // sweep_stride, erp_size[1] // sweep_stride)
+        self.features = FeatureNet(feature_channels, match_channels)
+        self.net = VolumeNet(2 * match_channels, channels)
+
+    def logits(
+        self, images: Float[Tensor, "B N 3 H W"], rig: Rig, flip: bool = False
+    ) -> tuple[Float[Tensor, "B D h w"], Bool[Tensor, "B h w"]]:
+        """See `SphereNet.logits`."""
+        features = self.features(images.flip(-1) if flip else images)
+        volume, seen = self._volume(features.flip(-1) if flip else features, present_cameras(images), rig)
+        if flip:
+            volume, seen = volume.flip(-1), seen.flip(-1)
+        logits = self.net(volume)
+        return resize_panorama(logits, self.panorama.height, self.panorama.width), F.interpolate(
+            seen.float(), (self.panorama.height, self.panorama.width)
+        )[:, 0] > 0
+
+    def _volume(
+        self, features: Float[Tensor, "B N C _ _"], present: Bool[Tensor, "B N"], rig: Rig
+    ) -> tuple[Float[Tensor, "B E D h w"], Bool[Tensor, "B 1 h w"]]:
+        """Mean and variance on all spheres, and where any camera sees."""
+        batch = len(features)
+        rows = table(torch.cat([features, features.square()], 2), present)
+        size = features.shape[-1], features.shape[-2]
+        planes = tuple(float(k) for k in range(self.spheres))
+        everyone = tuple(range(len(rig.cameras)))
+        projection = Projection(rig, self.swept, self.rig_spheres(rig), size, everyone, planes)
+        parts, shares = [], []
+        for sampler in samplers(projection, features.device):
+            shares.append(sampler.share(present))
+            parts.append(sampler(rows).unflatten(1, (batch, -1)) / shares[-1].clamp(min=LEAST_SHARE)[..., None])
+        mean, square = torch.cat(parts).chunk(2, -1)
+        moments = torch.cat([mean, square - mean.square()], -1)
+        shape = (self.spheres, self.swept.height, self.swept.width)
+        seen = torch.cat(shares).gt(0).unflatten(0, shape).any(0).permute(2, 0, 1)[:, None]
+        return moments.unflatten(0, shape).permute(3, 4, 0, 1, 2), seen
+
+
+class VolumeNet(nn.Module):
+    """3D encoder-decoder with added skips over (spheres, rows, columns); wraps around along the columns.
+
+    Args:
+        in_channels: of the volume.
+        channels: of each level, finest first; multiples of 8.
+    """
+
+    def __init__(self, in_channels: int, channels: list[int]):
+        super().__init__()
+        pairs = list(pairwise(channels))
+        self.stem = Conv3d(in_channels, channels[0], 3, AROUND)
+        self.encoder = nn.ModuleList(Residual(count, AROUND) for count in channels)
+        self.down = nn.ModuleList(Downsample(fine, coarse, AROUND) for fine, coarse in pairs)
+        self.up = nn.ModuleList(Pointwise(coarse, fine) for fine, coarse in pairs)
+        self.decoder = nn.ModuleList(Residual(fine, AROUND) for fine, _ in pairs)
+        self.out = Conv3d(channels[0], 1, 3, AROUND)
+
+    def forward(self, volume: Float[Tensor, "B C D h w"]) -> Float[Tensor, "B D h w"]:
+        """One score for every sphere and direction."""
+        volume = self.encoder[0](self.stem(volume.contiguous(memory_format=torch.channels_last_3d)))
+        skips = []
+        for down, block in zip(self.down, list(self.encoder)[1:], strict=True):
+            skips.append(volume)
+            volume = block(down(volume))
+        for up, block in reversed(list(zip(self.up, self.decoder, strict=True))):
+            skip = skips.pop()
+            volume = block(skip + upsample(up(volume), skip.shape[2:], AROUND))
+        return self.out(volume)[:, 0]
+
+
+def resize_panorama(maps: Float[Tensor, "B D _ _"], height: int, width: int) -> Float[Tensor, "B D h w"]:
+    """Bilinear interpolation to a whole multiple of the size, across the seam."""
+    factor = width // maps.shape[-1]
+    if factor == 1:
+        return maps
+    wrapped = F.pad(maps, (1, 1, 0, 0), mode="circular")
+    fine = F.interpolate(wrapped, size=(height, width + 2 * factor), mode="bilinear", align_corners=False)
+    return fine[..., factor : factor + width]
