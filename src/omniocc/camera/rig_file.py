@@ -31,8 +31,7 @@ import yaml
 from jaxtyping import Bool, Float64
 from torch import Tensor
 
-from omniocc.camera.calibration import Calibration, read_calibration, read_calibration_folder
-from omniocc.camera.calibration.fields import parse_yaml
+from omniocc.camera.calibration import Calibration, parse, read_calibration, read_calibration_folder
 from omniocc.camera.double_sphere import DoubleSphere
 from omniocc.camera.equidistant import Equidistant
 from omniocc.camera.eucm import EUCM
@@ -69,7 +68,7 @@ def read_rig(path: str | PathLike[str]) -> Calibration:
         return file
     try:
         text = file.read_text(encoding="utf-8")
-        content = parse_yaml(text)
+        content = parse(text)
         if not _is_rig(content):
             return read_calibration(file, text, content)
         _check_keys(content, ["cameras"], [])

@@ -3,14 +3,14 @@
 from pathlib import Path
 from typing import Any
 
-from omniocc.camera.calibration.fields import Calibration
+from omniocc.camera.calibration.fields import Calibration, parse_yaml
 from omniocc.camera.calibration.kalibr import read_kalibr
 from omniocc.camera.calibration.kitti360 import POSES, read_kitti360, read_kitti360_folder
 from omniocc.camera.calibration.ocamcalib import is_ocamcalib, read_ocamcalib
 from omniocc.camera.calibration.omnimvs import read_omnimvs
 from omniocc.camera.calibration.opencv import read_opencv
 
-__all__ = ["Calibration", "read_calibration", "read_calibration_folder"]
+__all__ = ["Calibration", "parse", "read_calibration", "read_calibration_folder"]
 
 FORMATS = (
     "a rig file ('cameras' is a mapping), OmniMVS ('cameras' is a list), Kalibr camchain ('cam0'), "
@@ -18,8 +18,13 @@ FORMATS = (
 )
 
 
+def parse(text: str) -> Any:
+    """What YAML makes of a text; None for OCamCalib's, which is no YAML. Raises ValueError."""
+    return None if is_ocamcalib(text) else parse_yaml(text)
+
+
 def read_calibration(file: Path, text: str, content: Any) -> Calibration:
-    """Cameras of a file that is no rig file, given its text and what YAML made of it.
+    """Cameras of a file that is no rig file, given its text and what `parse` made of it.
 
     A file with one camera and no pose gives a rig that looks where the camera looks.
 
