@@ -15,7 +15,7 @@ from omniocc.model.depth.projection import (
     Projection,
     Sampler,
     alternate_cameras,
-    correlate,
+    likeness,
     present_cameras,
     samplers,
     table,
@@ -24,6 +24,9 @@ from omniocc.model.depth.sphere_net import SphereNet
 
 CONTEXT_SHARES = (0.06, 0.25)
 """Spheres on which the views' own features are put side by side, as shares of the index of the nearest."""
+
+FIRST_TRUST = 4.0
+"""Score that full likeness adds to a sphere before training."""
 
 
 class OmniMVS(SphereNet):
@@ -103,7 +106,7 @@ class OmniMVS(SphereNet):
             nn.ReLU(),
             Conv(fine_channels, spheres, 3, wrap=True),
         )
-        self.trust = nn.Parameter(torch.ones(()))
+        self.trust = nn.Parameter(torch.full((), FIRST_TRUST))
 
     def logits(
         self, images: Float[Tensor, "B N 3 H W"], rig: Rig, flip: bool = False
@@ -147,12 +150,10 @@ class OmniMVS(SphereNet):
     def _agreement(
         self, match: Float[Tensor, "B N C _ _"], present: Bool[Tensor, "B N"], rig: Rig, planes: list[float]
     ) -> Iterator[tuple[Float[Tensor, "P B G"], Float[Tensor, "P B"], Float[Tensor, "P B"]]]:
-        """Block by block of spheres: correlations, and how much of either set is there."""
+        """Block by block of spheres: likeness, and how much of either set is there."""
         rows = table(match, present)
         for one, two in self._samplers(match, rig, planes):
-            shares = one.share(present), two.share(present)
-            sums = correlate(rows, one, two, len(match), self.groups)
-            yield sums / (shares[0] * shares[1]).clamp(min=LEAST_SHARE)[..., None], *shares
+            yield likeness(rows, one, two, present, self.groups)
 
     def _views(
         self, context: Float[Tensor, "B N C _ _"], present: Bool[Tensor, "B N"], rig: Rig, planes: list[float]

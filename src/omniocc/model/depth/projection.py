@@ -78,33 +78,49 @@ class _Sample(torch.autograd.Function):
         return ctx.sampler.transpose @ grads[0].contiguous(), None
 
 
-class _Correlation(torch.autograd.Function):
-    """One product and one sum over channels, nothing else of the size of the swept features."""
+class _SquaredGap(torch.autograd.Function):
+    """One difference, one square and one sum over channels: nothing else of the size of the swept features."""
 
     @staticmethod
-    def forward(ctx: Any, rows: Tensor, one: Sampler, two: Sampler, pool: Tensor) -> Tensor:
-        ctx.samplers = one, two
+    def forward(
+        ctx: Any, rows: Tensor, one: Sampler, two: Sampler, scales: tuple[Tensor, Tensor] | None, pool: Tensor
+    ) -> Tensor:
+        ctx.samplers, ctx.scales = (one, two), scales
         with torch.autocast(rows.device.type, enabled=False):
-            left, right = one.matrix @ rows.float(), two.matrix @ rows.float()
-            ctx.save_for_backward(left, right, pool)
-            return (left * right).view(-1, len(pool)) @ pool
+            sides = [(sampler.matrix @ rows.float()).unflatten(1, (-1, len(pool))) for sampler in (one, two)]
+            if scales is not None:
+                sides = [side * scale[..., None] for side, scale in zip(sides, scales, strict=True)]
+            gap = sides[0].sub_(sides[1])
+            ctx.save_for_backward(gap, pool)
+            return gap.square().flatten(0, 1) @ pool
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None, None, None]:
-        left, right, pool = ctx.saved_tensors
-        one, two = ctx.samplers
-        spread = (grads[0] @ pool.T).view_as(left)
-        return one.transpose @ (spread * right) + two.transpose @ (spread * left), None, None, None
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None, None, None, None]:
+        gap, pool = ctx.saved_tensors
+        spread = (grads[0] @ (2 * pool).T).view_as(gap).mul_(gap)
+        one, two = (sampler.transpose for sampler in ctx.samplers)
+        if ctx.scales is None:
+            return one @ spread.flatten(1) - two @ spread.flatten(1), None, None, None, None
+        sides = [(spread * scale[..., None]).flatten(1) for scale in ctx.scales]
+        return one @ sides[0] - two @ sides[1], None, None, None, None
 
 
-def correlate(
-    rows: Float[Tensor, "pixels BC"], one: Sampler, two: Sampler, batch: int, groups: int
-) -> Float[Tensor, "points B G"]:
-    """Mean product, in each group of channels, of what two sets of cameras see at the same points; in float32."""
-    channels = rows.shape[1] // batch
+def likeness(
+    rows: Float[Tensor, "pixels BC"], one: Sampler, two: Sampler, present: Bool[Tensor, "B N"], groups: int
+) -> tuple[Float[Tensor, "points B G"], Float[Tensor, "points B"], Float[Tensor, "points B"]]:
+    """How alike two sets of cameras see the same points, and how much of either set is there; in float32.
+
+    The likeness is 1 / (1 + mean squared difference) in each group of channels, and 0 where one set sees nothing.
+    Unlike a product it is greatest where both see the same, whatever the features are: it guides from the first step.
+    """
+    channels = rows.shape[1] // len(present)
     pool = torch.eye(groups, device=rows.device).repeat_interleave(channels // groups, 0) * (groups / channels)
-    return _Correlation.apply(rows, one, two, pool).view(-1, batch, groups)
+    shares = one.share(present), two.share(present)
+    missing = None if bool(present.all()) else tuple(1 / share.clamp(min=LEAST_SHARE) for share in shares)
+    gap = _SquaredGap.apply(rows, one, two, missing, pool).view(-1, len(present), groups)
+    both = torch.minimum(*shares) > 0
+    return both[..., None] / (1 + gap), *shares
 
 
 @dataclass(frozen=True)
