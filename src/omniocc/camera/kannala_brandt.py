@@ -82,5 +82,9 @@ class KannalaBrandt:
     def _angle_at(self, radius: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
         slope = derivative(self._radius)
         return invert_increasing(
-            lambda theta: evaluate(self._radius, theta), lambda theta: evaluate(slope, theta), radius, 0, self.limit_rad
+            lambda theta: evaluate(self._radius, theta),
+            lambda theta: evaluate(slope, theta),
+            radius,
+            0.0,
+            self.limit_rad,
         )

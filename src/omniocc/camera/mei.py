@@ -131,7 +131,7 @@ class MEI:
             radius = seen.square().sum(-1).sqrt()
             slope = derivative(self._radius)
             start = invert_increasing(
-                lambda r: evaluate(self._radius, r), lambda r: evaluate(slope, r), radius, 0, limit
+                lambda r: evaluate(self._radius, r), lambda r: evaluate(slope, r), radius, 0.0, limit
             )
             plane = seen * (start / torch.where(radius > 0, radius, 1))[..., None]
             for _ in range(NEWTON_STEPS):

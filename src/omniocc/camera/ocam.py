@@ -64,7 +64,7 @@ class OCam:
             rho = evaluate(self.inverse_polynomial, away - math.pi / 2)
         else:
             on_axis = -self.polynomial[0]
-            rho = invert_increasing(self._angle, self._angle_slope, away, 0, self._rho_limit)
+            rho = invert_increasing(self._angle, self._angle_slope, away, 0.0, self._rho_limit)
         stretch = torch.where(near_axis, on_axis, rho / away) * theta_per_r
         x, y = (stretch[..., None] * points[..., :2]).unbind(-1)
         c, d, e = self.affine

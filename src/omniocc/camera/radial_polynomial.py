@@ -84,5 +84,9 @@ class RadialPolynomial:
     def _angle_at(self, radius: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
         slope = derivative(self._radius)
         return invert_increasing(
-            lambda theta: evaluate(self._radius, theta), lambda theta: evaluate(slope, theta), radius, 0, self.limit_rad
+            lambda theta: evaluate(self._radius, theta),
+            lambda theta: evaluate(slope, theta),
+            radius,
+            0.0,
+            self.limit_rad,
         )
