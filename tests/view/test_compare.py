@@ -5,7 +5,7 @@ import torch
 
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.view import comparison, save_png
-from omniocc.view.compare import AS_SEEN, NAMES
+from omniocc.view.sheet import AS_SEEN, NAMES, panorama_row
 
 
 def sheet(count, geometry, width_px=900, caption="street/0003"):
@@ -38,3 +38,10 @@ def test_save_png_keeps_rgb(tmp_path):
     assert np.array_equal(cv2.imread(str(tmp_path / "a.png"))[..., ::-1], picture)
     with pytest.raises(OSError, match="missing"):
         save_png(tmp_path / "missing" / "a.png", picture)
+
+
+def test_a_panorama_is_enlarged_pixel_by_pixel():
+    small = np.random.default_rng(0).integers(0, 255, (12, 24, 3), dtype=np.uint8)
+    large = panorama_row(small, "x", 240)
+    assert large.shape == (120, 240, 3)
+    assert np.array_equal(large[45::10, 5::10], small[4:])

@@ -6,7 +6,6 @@ from omniocc.view.ranges import (
     NO_ANSWER,
     RANGE_TICKS_M,
     SKY,
-    enlarged,
     error_bar,
     error_colors,
     range_bar,
@@ -47,8 +46,3 @@ def test_the_error_bar_is_symmetric_and_white_in_the_middle():
     assert (bar[0, 250] == 250).all()
     assert bar[0, 0, 2] > bar[0, 0, 0]
     assert bar[0, -1, 0] > bar[0, -1, 2]
-
-
-def test_enlarging_keeps_pixels_whole():
-    small = np.random.default_rng(0).integers(0, 255, (3, 8, 3), dtype=np.uint8)
-    assert np.array_equal(enlarged(small, 32)[2::4, 2::4], small)

@@ -4,7 +4,17 @@ from omniocc.view.bev import bev, error_bev
 from omniocc.view.canvas import save_png
 from omniocc.view.compare import comparison
 from omniocc.view.depth import depth_sheet
+from omniocc.view.predicted import predicted_sheet
 from omniocc.view.sketch import sketch_sheet
 from omniocc.view.voxels import render_voxels
 
-__all__ = ["bev", "comparison", "depth_sheet", "error_bev", "render_voxels", "save_png", "sketch_sheet"]
+__all__ = [
+    "bev",
+    "comparison",
+    "depth_sheet",
+    "error_bev",
+    "predicted_sheet",
+    "render_voxels",
+    "save_png",
+    "sketch_sheet",
+]

@@ -9,18 +9,17 @@ from jaxtyping import Float
 from torch import Tensor
 
 from omniocc.camera import Equirectangular, Rig
-from omniocc.view.canvas import fitted, legend, tag
+from omniocc.view.canvas import fitted, legend
 from omniocc.view.ranges import (
     INVENTED,
     NO_ANSWER,
     SKY,
-    enlarged,
     error_bar,
     error_colors,
     range_bar,
     range_colors,
 )
-from omniocc.view.sheet import NAMES, camera_rows, caption_line, column_width, inner_width, stack
+from omniocc.view.sheet import NAMES, camera_rows, caption_line, column_width, inner_width, panorama_row, stack
 
 COVER = 1.8
 """Diameter of a point over the distance to its neighbour."""
@@ -31,7 +30,7 @@ def depth_sheet(
     rig: Rig,
     panorama: Equirectangular,
     predicted_m: Float[Tensor, "h w"],
-    true_m: Float[Tensor, "h w"] | None = None,
+    true_m: Float[Tensor, "h w"],
     caption: str = "",
     width_px: int = 1280,
 ) -> np.ndarray:
@@ -42,20 +41,26 @@ def depth_sheet(
         rig: the cameras.
         panorama: directions of the pixels of the ranges.
         predicted_m: ranges around the ego origin, nan where there is no answer.
-        true_m: likewise, inf for sky; None if nobody knows.
+        true_m: likewise, inf for sky.
         caption: a line at the top.
         width_px: of the sheet.
     """
     inner = inner_width(width_px)
-    columns = 3 if len(images) % 3 == 0 else 2
-    painted = paint_ranges(images, rig, panorama, predicted_m, column_width(inner, columns))
-    hexagon = len(rig.names) == len(NAMES)
     rows = [
         *caption_line(caption, inner),
-        *camera_rows(painted, inner, columns, None if hexagon else rig.names),
-        *_panoramas(predicted_m.numpy(), None if true_m is None else true_m.numpy(), inner),
+        *painted_rows(images, rig, panorama, predicted_m, inner),
+        *_panoramas(predicted_m.numpy(), true_m.numpy(), inner),
     ]
     return stack(rows, width_px)
+
+
+def painted_rows(
+    images: Sequence[np.ndarray], rig: Rig, panorama: Equirectangular, range_m: Float[Tensor, "h w"], width: int
+) -> list[np.ndarray]:
+    """Rows of the cameras' pictures with the points of a panorama on them, see `paint_ranges`."""
+    columns = 3 if len(images) % 3 == 0 else 2
+    painted = paint_ranges(images, rig, panorama, range_m, column_width(width, columns))
+    return camera_rows(painted, width, columns, None if len(rig.names) == len(NAMES) else rig.names)
 
 
 def paint_ranges(
@@ -109,25 +114,16 @@ def _dotted(image: np.ndarray, places: np.ndarray, radius: np.ndarray, colors: n
     return np.where(drawn[..., None] > 0, lit, paint)
 
 
-def _panoramas(predicted_m: np.ndarray, true_m: np.ndarray | None, width: int) -> list[np.ndarray]:
-    said = _tagged(range_colors(predicted_m), "predicted range", width)
-    if true_m is None:
-        return [said, range_bar(width), legend([("no answer", NO_ANSWER)], width)]
+def _panoramas(predicted_m: np.ndarray, true_m: np.ndarray, width: int) -> list[np.ndarray]:
     both = np.isfinite(predicted_m) & np.isfinite(true_m)
     error_m = np.abs(predicted_m[both] - true_m[both])
     mean = f", {error_m.mean():.2f} m on average" if both.any() else ""
     return [
-        _tagged(range_colors(true_m), "true range", width),
-        said,
+        panorama_row(range_colors(true_m), "true range", width),
+        panorama_row(range_colors(predicted_m), "predicted range", width),
         range_bar(width),
         legend([("sky", SKY), ("no answer", NO_ANSWER)], width),
-        _tagged(error_colors(predicted_m, true_m), f"error: predicted minus true{mean}", width),
+        panorama_row(error_colors(predicted_m, true_m), f"error: predicted minus true{mean}", width),
         error_bar(width),
         legend([("sky", SKY), ("answer where there is sky", INVENTED), ("no answer", NO_ANSWER)], width),
     ]
-
-
-def _tagged(colors: np.ndarray, name: str, width: int) -> np.ndarray:
-    picture = enlarged(colors, width)
-    tag(picture, name, 8, 8)
-    return picture

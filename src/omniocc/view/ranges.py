@@ -47,12 +47,6 @@ def error_colors(predicted_m: np.ndarray, true_m: np.ndarray) -> np.ndarray:
     return colors
 
 
-def enlarged(panorama: np.ndarray, width: int) -> np.ndarray:
-    """A picture of few pixels scaled to a width, every pixel a rectangle."""
-    height = round(panorama.shape[0] * width / panorama.shape[1])
-    return cv2.resize(panorama, (width, height), interpolation=cv2.INTER_NEAREST)
-
-
 def range_bar(width: int) -> np.ndarray:
     """What the colours of `range_colors` mean."""
     span = np.geomspace(NEAR_M, FAR_M, width)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+import cv2
 import numpy as np
 
 from omniocc.view.canvas import blank, fitted, paste, tag, write
@@ -50,6 +51,14 @@ def row(pictures: Sequence[np.ndarray], names: Sequence[str], width: int) -> np.
         paste(canvas, picture, left, 0)
         left += picture.shape[1] + GAP
     return canvas
+
+
+def panorama_row(colors: np.ndarray, name: str, width: int) -> np.ndarray:
+    """A picture of few pixels scaled to a width, every pixel a rectangle, with its name on it."""
+    height = round(colors.shape[0] * width / colors.shape[1])
+    picture = cv2.resize(colors, (width, height), interpolation=cv2.INTER_NEAREST)
+    tag(picture, name, 8, 8)
+    return picture
 
 
 def caption_line(text: str, width: int) -> list[np.ndarray]:

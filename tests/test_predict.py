@@ -1,0 +1,140 @@
+"""`src/predict.py` as users start it."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from hydra import compose, initialize_config_dir
+
+import predict as script
+from omniocc.camera import Rig
+from omniocc.config import build, plain
+from omniocc.errors import UserError
+
+ROOT = Path(__file__).parents[1]
+SMALL = ("preset=smoke", "image_width=64", "rig=fisheye6")
+
+
+def start(*arguments: str, cwd: Path) -> subprocess.CompletedProcess:
+    command = [sys.executable, str(ROOT / "src" / "predict.py"), *arguments]
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False, timeout=300)
+
+
+def draw_frame(folder: Path, seed: int) -> Path:
+    """Pictures of noise, but the same all around: what is infinitely far looks the same to every camera."""
+    folder.mkdir(parents=True)
+    sky = np.random.default_rng(seed).integers(0, 255, (24, 48, 3), dtype=np.uint8)
+    rig = Rig.load("fisheye6").resized(128, 72)
+    for k, name in enumerate(rig.names):
+        rays = rig.rays(k)[0].numpy()
+        column = ((np.pi - np.arctan2(rays[..., 1], rays[..., 0])) / (2 * np.pi) * 48).astype(int) % 48
+        row = ((1 - rays[..., 2]) / 2 * 24).astype(int).clip(0, 23)
+        cv2.imwrite(str(folder / f"{name}.png"), sky[row, column])
+    return folder
+
+
+@pytest.fixture(scope="module")
+def frames(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("frames")
+    for name, seed in (("0000", 0), ("0001", 1)):
+        draw_frame(folder / name, seed)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def checkpoint(tmp_path_factory) -> Path:
+    """What the depth stage leaves, with the weights it begins with."""
+    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
+        cfg = compose("train", ["preset=smoke", "model/depth=mono"])
+    weights = {f"model.{name}": value for name, value in build(cfg.depth).state_dict().items()}
+    path = tmp_path_factory.mktemp("stage") / "last.ckpt"
+    torch.save({"config": plain(cfg), "state_dict": weights}, path)
+    return path
+
+
+def test_frames_without_weights(frames, tmp_path):
+    result = start("depth", *SMALL, f"images={frames}", "output=out", cwd=tmp_path)
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert len(result.stdout.splitlines()) == 2
+    assert "depth " in result.stdout
+    names = ["picture.png", "points.ply", "range.npz", "range.png"]
+    for frame in ("0000", "0001"):
+        assert sorted(path.name for path in (tmp_path / "out" / frame).iterdir()) == names
+        range_m = np.load(tmp_path / "out" / frame / "range.npz")["range_m"]
+        code = cv2.imread(str(tmp_path / "out" / frame / "range.png"), cv2.IMREAD_UNCHANGED)
+        assert range_m.shape == code.shape == (12, 48)
+        assert ((code > 0) == np.isfinite(range_m)).all()
+
+
+def run_here(*overrides: str) -> None:
+    """Without the seconds that a process needs to begin."""
+    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
+        cfg = compose("predict_depth", list(overrides))
+    script.run(cfg, list(overrides))
+
+
+def test_a_checkpoint_and_a_list_of_pictures(frames, checkpoint, tmp_path, capsys):
+    names = Rig.load("fisheye6").names
+    listed = ",".join(str(frames / "0000" / f"{name}.png") for name in names)
+    run_here("rig=fisheye6", f"images=[{listed}]", f"checkpoint={checkpoint}", f"output={tmp_path}", "without=[rear]")
+    assert "48x12 px" in capsys.readouterr().out
+    assert np.load(tmp_path / "range.npz")["range_m"].shape == (12, 48)
+    assert (tmp_path / "points.ply").stat().st_size > 300
+
+
+def test_a_checkpoint_takes_other_edges_but_not_other_sizes_of_its_network(frames, checkpoint, tmp_path):
+    arguments = ("rig=fisheye6", f"images={frames / '0000'}", f"checkpoint={checkpoint}", f"output={tmp_path}")
+    run_here(*arguments, "depth.erp_bottom_deg=-60")
+    assert float(np.load(tmp_path / "range.npz")["bottom_deg"]) == -60
+    with pytest.raises(UserError, match="weights do not fit"):
+        run_here(*arguments, "+depth.channels=[8,8,8,8]")
+
+
+def test_mistakes_are_named(frames, checkpoint, tmp_path):
+    lacking = tmp_path / "lacking"
+    shutil.copytree(frames / "0000", lacking)
+    (lacking / "rear.png").unlink()
+    damaged = tmp_path / "damaged.ckpt"
+    damaged.write_bytes(checkpoint.read_bytes()[:500])
+    content = torch.load(checkpoint, weights_only=True)
+    next(iter(content["state_dict"].values())).fill_(torch.nan)
+    torch.save(content, tmp_path / "nan.ckpt")
+    frame, output = f"images={frames / '0000'}", f"output={tmp_path / 'out'}"
+    for arguments, words in (
+        ([frame], ["rig=... is needed"]),
+        (["rig=fisheye7", frame], ["fisheye7", "fisheye6"]),
+        ([*SMALL, f"images={lacking}"], ["'rear'", "without=rear"]),
+        ([*SMALL, frame, "model/depth=truth"], ["truth needs the recorded range"]),
+        ([*SMALL, frame, "+depth.windov_px=3"], ["did you mean 'window_px'"]),
+        (["rig=fisheye6", frame, f"checkpoint={damaged}"], ["damaged.ckpt"]),
+        (["rig=fisheye6", frame, f"checkpoint={tmp_path / 'nan.ckpt'}"], ["nan.ckpt", "NaN"]),
+        (["rig=fisheye6", frame, f"checkpoint={checkpoint}", "preset=tiny"], ["preset=tiny", "knows its own"]),
+    ):
+        with pytest.raises(UserError) as caught:
+            run_here(*arguments, output)
+        for word in words:
+            assert word in str(caught.value)
+    with pytest.raises(FileNotFoundError, match=r"nowhere\.ckpt"):
+        run_here("rig=fisheye6", frame, "checkpoint=nowhere.ckpt", output)
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_command_line_speaks_in_lines(tmp_path):
+    result = start("depth", "rig=fisheye6", f"images={tmp_path / 'nothing'}", cwd=tmp_path)
+    assert result.returncode == 1
+    assert result.stdout == ""
+    assert result.stderr.strip() == f"images={tmp_path / 'nothing'}: there is no such folder"
+
+
+def test_help_and_unknown_commands(capsys, monkeypatch):
+    for arguments, code in ((["--help"], 0), ([], 2), (["occupanzy"], 2)):
+        monkeypatch.setattr(sys, "argv", ["predict.py", *arguments])
+        with pytest.raises(SystemExit) as caught:
+            script.main()
+        assert caught.value.code == code
+        assert "usage: python src/predict.py {depth}" in capsys.readouterr().out
