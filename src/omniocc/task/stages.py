@@ -169,10 +169,10 @@ class Stages:
         """Leave the task trained and tested: by loading it, or by what is left of training and testing."""
         last = folder / LAST
         if (folder / METRICS).exists():
-            print(f"{title:<20} is there: {folder}", flush=True)
+            print(f"{title} is there: {folder}", flush=True)
             task.model.load_state_dict(weights_of(last))  # type: ignore[union-attr]
             return
-        print(f"{title:<20} {'goes on' if last.exists() else 'begins'}: {folder}", flush=True)
+        print(f"{title} {'goes on' if last.exists() else 'begins'}: {folder}", flush=True)
         data = build(self.cfg.data, window=1, batch_size=recipe.batch_size, seed=recipe.seed)
         data.read_also(extras)
         trainer = self._trainer(recipe, pictures, folder, title)
@@ -244,7 +244,7 @@ def claimed(folder: Path, title: str) -> Iterator[None]:
     try:
         lock.acquire(timeout=0)
     except Timeout:
-        print(f"{title:<20} waits for another process that works in {folder}", flush=True)
+        print(f"{title} waits for another process that works in {folder}", flush=True)
         lock.acquire()
     try:
         yield
