@@ -18,12 +18,13 @@ class Columns(NamedTuple):
     """The columns of cells along G headings, L at most, in order.
 
     Attributes:
-        cells: row-major index over the first two axes; their product where there is no cell.
+        cells: row-major index over the first two axes of the nth column of each heading; their product where there is
+            no cell.
         ends: way along the heading at which each column begins and the last one ends.
         count: how many columns there are.
     """
 
-    cells: Int32[Tensor, "G L"]
+    cells: Int32[Tensor, "L G"]
     ends: Float64[Tensor, "G L+1"]
     count: Int64[Tensor, " G"]
 
@@ -48,20 +49,37 @@ class Levels(NamedTuple):
 
 def find_columns(grid: Traversable, origins: Float64[Tensor, "G 3"], headings: Float64[Tensor, "G 2"]) -> Columns:
     """Finds the columns along headings; how high they are does not matter."""
-    middle = (grid.bounds[2][0] + grid.bounds[2][1]) / 2
     none = grid.shape[0] * grid.shape[1]
-    origins = torch.nn.functional.pad(origins[:, :2], (0, 1), value=middle)
-    directions = torch.nn.functional.pad(headings, (0, 1))
-    cells, ends, counts = [], [], []
+    origins, directions = _level(grid, origins, headings)
+    parts, ends, counts = [], [], []
     for first in range(0, max(len(origins), 1), CHUNK_RAYS):
         chunk = slice(first, first + CHUNK_RAYS)
         start, leave = clip(grid, origins[chunk], directions[chunk])
         crossings = grid.crossings(origins[chunk], directions[chunk], start)[:2]
         cell, end = in_order(crossings, (grid.shape[1], 1), start, leave)
-        cells.append(cell.masked_fill_((cell < 0) | (end.diff(dim=1) <= TOUCH_M), none))
+        parts.append(cell.masked_fill_((cell < 0) | (end.diff(dim=1) <= TOUCH_M), none))
         ends.append(end)
         counts.append((end < leave.unsqueeze(1)).sum(dim=1))
-    return Columns(stack_ragged(cells, none), stack_ragged(ends, None), torch.cat(counts))
+    cells = parts[0].new_full((max(part.shape[1] for part in parts), len(origins)), none)
+    for part, rows in zip(parts, cells.split([len(part) for part in parts], dim=1), strict=True):
+        rows[: part.shape[1]] = part.T
+    return Columns(cells, stack_ragged(ends, None), torch.cat(counts))
+
+
+def find_lengths(
+    grid: Traversable, origins: Float64[Tensor, "G 3"], headings: Float64[Tensor, "G 2"]
+) -> Float64[Tensor, " G"]:
+    """Way along each heading inside the grid."""
+    start, leave = clip(grid, *_level(grid, origins, headings))
+    return leave - start
+
+
+def _level(
+    grid: Traversable, origins: Float64[Tensor, "G 3"], headings: Float64[Tensor, "G 2"]
+) -> tuple[Float64[Tensor, "G 3"], Float64[Tensor, "G 3"]]:
+    """Level rays at half the grid's height."""
+    middle = (grid.bounds[2][0] + grid.bounds[2][1]) / 2
+    return torch.nn.functional.pad(origins[:, :2], (0, 1), value=middle), torch.nn.functional.pad(headings, (0, 1))
 
 
 def find_levels(grid: Traversable, fans: Fans) -> Levels:

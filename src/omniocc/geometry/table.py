@@ -9,11 +9,11 @@ import functools
 from collections.abc import Iterator, Sequence
 
 import torch
-from jaxtyping import Float, Float32, Int, Int32, UInt8
+from jaxtyping import Float, Float32, Int, Int32, Int64, UInt8
 from torch import Tensor
 
 from omniocc.classes import FREE
-from omniocc.geometry.columns import find_columns, find_levels
+from omniocc.geometry.columns import find_columns, find_lengths, find_levels
 from omniocc.geometry.crossings import TOUCH_M, clip_slab
 from omniocc.geometry.fans import Fans, Scan
 from omniocc.geometry.trace import Hits, Traversable
@@ -38,17 +38,14 @@ class RayTable:
     def __init__(self, grid: Traversable, fans: Fans):
         self.shape = grid.shape
         origins, headings = fans.headings.shape[:2]
-        found = find_columns(grid, fans.origins.repeat_interleave(headings, dim=0), fans.headings.flatten(0, 1))
-        # those with many columns first, so that whoever still has some left is always among the first
-        count, inner = found.count.reshape(origins, headings).sort(dim=1, descending=True)
-        outer = count[:, 0].argsort(descending=True) if headings else count.new_zeros(0)
-        order = (inner + torch.arange(origins, device=inner.device).unsqueeze(1) * headings)[outer].flatten()
-        self.cells = found.cells[order].T.contiguous().reshape(found.cells.shape[1], origins, headings)
-        self.ends = found.ends[order].reshape(origins, headings, found.ends.shape[1])
+        # those with a long way first, so that whoever still has columns left is among the first
+        outer, order = _longest_first(grid, fans)
+        along = fans.headings.flatten(0, 1).index_select(0, order)
+        found = find_columns(grid, fans.origins.index_select(0, order // max(headings, 1)), along)
+        self.cells = found.cells.reshape(len(found.cells), origins, headings)
+        self.ends = found.ends.reshape(origins, headings, found.ends.shape[1])
         self.rank = torch.zeros(len(self.cells) + 1, origins, headings, dtype=torch.int32, device=order.device)
-        starts = torch.arange(0, len(self.cells), BLOCK, device=order.device)
-        left = count[outer] > starts.reshape(-1, 1, 1)
-        self.widths = list(zip(left.any(2).sum(1).tolist(), left.any(1).sum(1).tolist(), strict=True))
+        self.widths = _widths(found.count.reshape(origins, headings), len(self.cells))
         climbs = fans.slopes.shape[1]
         place = order.argsort()[fans.place // climbs] * climbs + fans.place % climbs
         self.fans = fans._replace(
@@ -165,6 +162,32 @@ class RayTable:
             torch.where(hit, entry, self.leave_m),
             torch.where(hit, exit_, self.leave_m),
         )
+
+
+def _longest_first(grid: Traversable, fans: Fans) -> tuple[Int64[Tensor, " K"], Int64[Tensor, " G"]]:
+    """Order of the origins, and of all headings, origin by origin: the longest way through the grid comes first."""
+    origins, headings = fans.headings.shape[:2]
+    repeated = fans.origins.repeat_interleave(headings, dim=0)
+    length, inner = (
+        find_lengths(grid, repeated, fans.headings.flatten(0, 1))
+        .reshape(origins, headings)
+        .sort(dim=1, descending=True)
+    )
+    outer = length[:, 0].argsort(descending=True) if headings else inner.new_zeros(0)
+    return outer, (inner + torch.arange(origins, device=inner.device).unsqueeze(1) * headings)[outer].flatten()
+
+
+def _widths(count: Int64[Tensor, "K A"], columns: int) -> list[tuple[int, int]]:
+    """How many of the first origins and of their first headings have columns left where each block begins."""
+    if not count.numel():
+        return []
+    left = count > torch.arange(0, columns, BLOCK, device=count.device).reshape(-1, 1, 1)
+    widths = []
+    for dim in (2, 1):
+        some = left.any(dim)
+        number = torch.arange(1, some.shape[1] + 1, device=count.device)
+        widths.append((some * number).amax(1).tolist())
+    return list(zip(*widths, strict=True))
 
 
 def _take(values: Tensor, place: Int32[Tensor, "K A E"]) -> Tensor:

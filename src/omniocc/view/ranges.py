@@ -56,7 +56,7 @@ def range_bar(width: int) -> np.ndarray:
 
 def error_bar(width: int) -> np.ndarray:
     """What the colours of `error_colors` mean."""
-    places = [(float(_level(np.array(float(tick)))) + 1) / 2 for tick in ERROR_TICKS_M]
+    places = ((_level(np.array(ERROR_TICKS_M)) + 1) / 2).tolist()
     texts = [f"{tick:+g} m" if tick else "0" for tick in ERROR_TICKS_M]
     return _bar(_diverging_colors(np.linspace(-1, 1, width)), places, texts)
 

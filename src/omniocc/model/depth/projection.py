@@ -175,6 +175,8 @@ def _rows(projection: Projection, plane: float, rays: Float[Tensor, "P 3"]) -> t
     points_m = rays * min(1 / (plane * projection.spheres.step_per_m) if plane else FAR_M, FAR_M)
     pixels, valid = projection.rig.project(points_m)
     width, height = projection.feature_size
+    if not projection.cameras:
+        return torch.zeros(len(rays), dtype=torch.long), torch.empty(0, dtype=torch.int32), torch.empty(0)
     taps = [_taps(projection.rig, k, pixels[k], valid[k], width, height) for k in projection.cameras]
     column = torch.cat([column for column, _ in taps], -1)
     value = torch.cat([value for _, value in taps], -1)

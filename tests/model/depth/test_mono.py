@@ -1,0 +1,58 @@
+import math
+
+import pytest
+import torch
+
+from omniocc.camera import Rig
+from omniocc.model.depth.mono import nearest_of_four, ray_maps
+
+INF, NAN = float("inf"), float("nan")
+
+
+def test_rays_of_a_level_and_a_tilted_camera():
+    rig = Rig.load("fisheye6").resized(64, 36)
+    maps = ray_maps(rig, torch.device("cpu"))
+    assert maps.shape == (6, 4, 36, 64)
+    torch.testing.assert_close(maps[:, :3].norm(dim=1), torch.ones(6, 36, 64))
+    middle = maps[:, :, 17:19, 31:33].mean((2, 3))
+    assert middle[:, 2].tolist() == pytest.approx([1] * 6, abs=1e-3)
+    assert middle[:, 3].tolist() == pytest.approx([math.sin(math.radians(-10))] * 6, abs=1e-3)
+
+
+def test_nearest_of_four():
+    block = torch.tensor([[3.0, INF, INF, INF, 5.0, NAN], [4.0, 2.0, INF, INF, 5.0, 5.0]])
+    nearest = nearest_of_four(block[None, None])[0, 0, 0]
+    assert nearest[:2].tolist() == [2, INF]
+    assert nearest[2].isnan()
+
+
+def test_a_network_that_knows_the_range_gives_the_panorama(small, make_ring, monkeypatch):
+    # a ball of 6 m around the ego origin, its range from each camera's own centre
+    rig = make_ring(6)
+    model = small("Mono", erp_size=[16, 6]).eval()
+    rays = torch.stack([rig.resized(32, 18).rays(k)[0] for k in range(6)])
+    centers_m = rig.ego_from_camera[:, None, None, :3, 3].float()
+    along = (rays * centers_m).sum(-1)
+    range_m = -along + (along.square() + 36 - centers_m.square().sum(-1)).sqrt()
+    sky = torch.full((1, 6, 18, 32), -3.0)
+    monkeypatch.setattr(model, "camera_ranges", lambda images, rigs, flip=False: (range_m.log()[None], sky))
+    depth = model(torch.rand(1, 6, 3, 36, 64), (rig,))
+    assert depth.valid.float().mean() > 0.9
+    torch.testing.assert_close(depth.range_m[depth.valid], torch.full_like(depth.range_m[depth.valid], 6.0))
+    assert depth.confidence.amax().item() == pytest.approx(1 / (1 + math.exp(-3)), abs=1e-5)
+    sky += 6
+    assert not model(torch.rand(1, 6, 3, 36, 64), (rig,)).valid.any()
+
+
+def test_ranges_of_cameras_are_needed(small, rig):
+    with pytest.raises(ValueError, match="range of every camera"):
+        small("Mono").training_terms(torch.rand(1, 6, 3, 36, 64), (rig,), torch.ones(1, 12, 48))
+
+
+def test_mirrored_images_have_mirrored_ranges(small, make_ring):
+    rig, model = make_ring(6), small("Mono").eval()
+    images = torch.rand(1, 6, 3, 36, 64)
+    with torch.no_grad():
+        ours, _ = model.camera_ranges(images, (rig,), flip=True)
+        expected, _ = model.camera_ranges(images.flip(-1), (rig,))
+    torch.testing.assert_close(ours, expected, atol=1e-4, rtol=1e-4)

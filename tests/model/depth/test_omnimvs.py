@@ -1,0 +1,74 @@
+import pytest
+import torch
+
+from omniocc.camera import Rig
+
+
+@pytest.mark.parametrize("stride", [1, 2])
+def test_turning_the_car_by_one_camera_turns_the_panorama(stride, small, make_ring):
+    # camera k takes the place of camera k + 1: the world turns by 60 degrees, 8 columns of 48; the sets change places
+    rig = make_ring(6)
+    model = small("OmniMVS", sweep_stride=stride).eval()
+    torch.manual_seed(0)
+    images = torch.rand(1, 6, 3, 36, 64)
+    with torch.no_grad():
+        logits, _ = model.logits(images, rig)
+        turned, _ = model.logits(images.roll(1, 1), rig)
+    torch.testing.assert_close(turned, logits.roll(8, -1), atol=2e-3, rtol=1e-3)
+    assert not torch.allclose(turned, logits, atol=0.1)
+
+
+@pytest.mark.parametrize("name", ["OmniMVS", "OmniMVS3D"])
+def test_the_mirrored_world(name, small, make_ring):
+    # a rig of even symmetry: mirroring images and the order of cameras mirrors the world
+    rig = make_ring(6)
+    model = small(name).eval()
+    torch.manual_seed(0)
+    images = torch.rand(1, 6, 3, 36, 64)
+    mirrored = images.flip(-1)[:, [0, 5, 4, 3, 2, 1]]
+    with torch.no_grad():
+        expected, _ = model.logits(mirrored, rig)
+        ours, _ = model.logits(images, rig, flip=True)
+    torch.testing.assert_close(ours, expected, atol=2e-3, rtol=1e-3)
+
+
+def test_order_of_cameras_does_not_matter(small, make_ring):
+    rig, order = make_ring(6), [4, 1, 0, 5, 3, 2]
+    shuffled = Rig(rig.cameras, rig.ego_from_camera[order], tuple(rig.names[k] for k in order))
+    model = small("OmniMVS").eval()
+    images = torch.rand(1, 6, 3, 36, 64)
+    with torch.no_grad():
+        ours, _ = model.logits(images[:, order], shuffled)
+        expected, _ = model.logits(images, rig)
+    torch.testing.assert_close(ours, expected, atol=2e-3, rtol=1e-3)
+
+
+def test_the_true_range_is_not_looked_at(small, rig):
+    model = small("OmniMVS").eval()
+    images = torch.rand(1, 6, 3, 36, 64)
+    with torch.no_grad():
+        one, two = model(images, (rig,), torch.full((1, 12, 48), 3.0)), model(images, (rig,))
+    assert all(torch.equal(ours, expected) for ours, expected in zip(one, two, strict=True))
+
+
+def test_uncertain_answers_are_not_valid(small, rig):
+    images = torch.rand(1, 6, 3, 36, 64)
+    with torch.no_grad():
+        free, strict = (small("OmniMVS", min_confidence=level).eval()(images, (rig,)) for level in (0.0, 0.9))
+    assert torch.equal(strict.valid, free.valid & (free.confidence >= 0.9))
+    assert free.valid.any()
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"groups": 3}, "4 match_channels cannot be split into 3"),
+        ({"sweep_stride": 3}, "sweep_stride is 3"),
+        ({"erp_size": [46, 12]}, "multiples of 4"),
+        ({"erp_size": [48, 12, 1]}, "give width and height"),
+        ({"erp_top_deg": -50.0}, "need -90"),
+    ],
+)
+def test_sizes_that_do_not_fit_are_named(changes, words, small):
+    with pytest.raises(ValueError, match=words):
+        small("OmniMVS", **changes)

@@ -1,0 +1,38 @@
+import pytest
+import torch
+
+from omniocc.model.depth.omnimvs3d import VolumeNet, resize_panorama
+
+
+@pytest.mark.parametrize("roll", [2, 8])
+def test_rolling_the_volume_rolls_the_scores(roll):
+    torch.manual_seed(0)
+    net = VolumeNet(3, [8, 8]).double()
+    volume = torch.randn(1, 3, 5, 7, 12, dtype=torch.float64)
+    scores = net(volume)
+    assert scores.shape == (1, 5, 7, 12)
+    torch.testing.assert_close(net(volume.roll(roll, -1)), scores.roll(roll, -1))
+
+
+def test_turning_the_car_by_one_camera_turns_the_panorama(small, make_ring):
+    rig, model = make_ring(6), small("OmniMVS3D").eval()
+    torch.manual_seed(0)
+    images = torch.rand(1, 6, 3, 36, 64)
+    with torch.no_grad():
+        logits, _ = model.logits(images, rig)
+        turned, _ = model.logits(images.roll(1, 1), rig)
+    torch.testing.assert_close(turned, logits.roll(8, -1), atol=2e-3, rtol=1e-3)
+
+
+def test_resizing_keeps_directions():
+    columns = torch.arange(6.0).expand(1, 1, 2, 6)
+    fine = resize_panorama(columns, 4, 12)
+    assert fine[0, 0, 0].tolist() == pytest.approx(
+        [1.25, 0.25, 0.75, 0.25 + 1, 1.75, 2.25, 2.75, 3.25, 3.75, 4.25, 4.75, 3.75]
+    )
+    assert resize_panorama(columns, 2, 6) is columns
+
+
+def test_sizes_that_do_not_fit_are_named(small):
+    with pytest.raises(ValueError, match="multiples of 4"):
+        small("OmniMVS3D", erp_size=[46, 12])
