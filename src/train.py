@@ -41,7 +41,7 @@ def main(cfg: DictConfig) -> None:
             train_occupancy(cfg, data, before, figures, title)
         elif before is not None:
             figures |= before.run(stage, title)
-            show_results(before.folders[stage])
+            show_results(before.results[stage])
 
 
 def train_occupancy(

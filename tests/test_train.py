@@ -112,6 +112,18 @@ def test_stages_run_once_and_are_shared(tmp_path, data_root):
     assert other.returncode == 0, other.stdout + other.stderr
     assert "sketch, stage 2 of 3 is there" in other.stdout
 
+    chosen = ["model.sketch.threshold=null", "model.sketch.share=0.1", "model.sketch.windows=[0,0,0]"]
+    fewer = run("train.py", *arguments, "stage=sketch", *chosen, cwd=tmp_path)
+    assert fewer.returncode == 0, fewer.stdout + fewer.stderr
+    assert len(list(tmp_path.glob("runs/stages/sketch-*"))) == 1  # other candidates of the same network
+    shares = [
+        json.loads(path.read_text())["metrics"]["test/sketch/share"]
+        for path in tmp_path.glob("runs/stages/sketch-*/candidates-*/metrics.json")
+    ]
+    assert len(shares) == 2
+    assert metrics["test/sketch/share"] in shares
+    assert min(abs(share - 0.1) for share in shares) < 1e-3
+
     evaluated = run("evaluate.py", str(next(tmp_path.glob("runs/whole-*/last.ckpt"))), "--pictures=0", cwd=tmp_path)
     assert evaluated.returncode == 0, evaluated.stdout + evaluated.stderr
     (path,) = tmp_path.glob("runs/whole-*/evaluation-*/metrics.json")
@@ -141,12 +153,12 @@ def test_a_killed_stage_continues_to_the_same_figures(tmp_path, data_root):
         time.sleep(0.02)
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
-    assert not list(tmp_path.glob("killed/stages/sketch-*/metrics.json")), "it ended before it could be killed"
+    assert not list(tmp_path.glob("killed/stages/sketch-*/*/metrics.json")), "it ended before it could be killed"
     resumed = run("train.py", *arguments, "checkpoint_every_n_steps=1", "paths.runs=killed", cwd=tmp_path)
     assert resumed.returncode == 0, resumed.stdout + resumed.stderr
     assert "sketch, stage 2 of 2 goes on" in resumed.stdout
     figures = [
-        json.loads(next(tmp_path.glob(f"{runs}/stages/sketch-*/metrics.json")).read_text())["metrics"]
+        json.loads(next(tmp_path.glob(f"{runs}/stages/sketch-*/candidates-*/metrics.json")).read_text())["metrics"]
         for runs in ("whole", "killed")
     ]
     assert figures[0] == pytest.approx(figures[1], abs=1e-6, nan_ok=True)

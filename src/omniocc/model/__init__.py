@@ -1,5 +1,6 @@
 """The occupancy network and its slots."""
 
-from omniocc.model.occupancy import OccupancyModel, Prediction
+from omniocc.model.occupancy import Lifted, OccupancyModel, Prediction
+from omniocc.model.stream import Stream
 
-__all__ = ["OccupancyModel", "Prediction"]
+__all__ = ["Lifted", "OccupancyModel", "Prediction", "Stream"]

@@ -29,6 +29,18 @@ class Prediction(NamedTuple):
     pixel_logits: Float[Tensor, "B N C h w"] | None
 
 
+class Lifted(NamedTuple):
+    """What single frames give.
+
+    Attributes:
+        volume: features of every voxel, in each frame's own ego frame.
+        features: of the images, finest first.
+    """
+
+    volume: Float[Tensor, "B C X Y Z"]
+    features: list[Float[Tensor, "B N C _ _"]]
+
+
 class OccupancyModel(nn.Module):
     """Camera images to semantic occupancy, in exchangeable parts (paper, figure 'Overall architecture').
 
@@ -70,6 +82,7 @@ class OccupancyModel(nn.Module):
         rigs: tuple[Rig, ...],
         world_from_ego: Float[Tensor, "B T 4 4"],
         candidates: Bool[Tensor, "B T X Y Z"] | None = None,
+        exists: Bool[Tensor, "B T"] | None = None,
     ) -> Prediction:
         """Logits for the newest frame.
 
@@ -78,24 +91,59 @@ class OccupancyModel(nn.Module):
             rigs: cameras of each sample.
             world_from_ego: pose of each frame.
             candidates: what the sketch says about these frames, where it has been asked before.
+            exists: which frames were recorded; the others, before a scene's first, cost nothing. None: all.
         """
-        window = to_unit_range(images[:, -self.temporal.frames :])
-        *past, newest = window.unbind(1)
-        if candidates is None:
-            candidates = self.choose(window, rigs)
-        *past_voxels, voxels = candidates[:, -self.temporal.frames :].unbind(1)
-        with torch.no_grad():
-            volumes = [self.lifter(self.backbone(f), v, rigs) for f, v in zip(past, past_voxels, strict=True)]
-        features = self.backbone(newest)
-        volumes.append(self.lifter(features, voxels, rigs))
-        volume = self.temporal(volumes, world_from_ego[:, -len(volumes) :])
-        volume = self.refiner(volume)
-        return Prediction(self.classifier(volume), self.semantic_head(features))
+        if exists is None:
+            exists = torch.ones(images.shape[:2], dtype=torch.bool, device=images.device)
+        window = slice(-self.temporal.frames, None)
+        images, world_from_ego, exists = images[:, window], world_from_ego[:, window], exists[:, window]
+        candidates = None if candidates is None else candidates[:, window]
+        # the newest first: autocast keeps the weights it has cast, and those of the past may have no gradient
+        newest = self.lift(images[:, -1], rigs, None if candidates is None else candidates[:, -1])
+        with torch.set_grad_enabled(torch.is_grad_enabled() and self.temporal.history_gradient):
+            past = self._lift_past(images, rigs, candidates, exists, newest.volume)
+        volume = self.fuse([*past, newest.volume], world_from_ego, exists)
+        return Prediction(volume, self.semantic_head(newest.features))
 
-    @torch.no_grad()
-    def choose(self, images: Float[Tensor, "B T N 3 H W"], rigs: tuple[Rig, ...]) -> Bool[Tensor, "B T X Y Z"]:
-        """Candidates of every frame; the sketch has learned in a stage of its own."""
-        return torch.stack([self.sketch(frame, rigs) for frame in images.unbind(1)], dim=1)
+    def lift(
+        self,
+        images: UInt8[Tensor, "B N 3 H W"] | Float[Tensor, "B N 3 H W"],
+        rigs: tuple[Rig, ...],
+        candidates: Bool[Tensor, "B X Y Z"] | None = None,
+    ) -> Lifted:
+        """What single frames give: features of the images, and of the voxels in each frame's own ego frame."""
+        images = to_unit_range(images)
+        if candidates is None:
+            with torch.no_grad():  # the sketch has learned in a stage of its own
+                candidates = self.sketch(images, rigs)
+        features = self.backbone(images)
+        return Lifted(self.lifter(features, candidates, rigs), features)
+
+    def fuse(
+        self,
+        volumes: list[Float[Tensor, "B C X Y Z"]],
+        world_from_ego: Float[Tensor, "B T 4 4"],
+        exists: Bool[Tensor, "B T"],
+    ) -> Float[Tensor, "B classes X Y Z"]:
+        """Logits of the newest frame from the lifted volumes of a window, oldest first."""
+        return self.classifier(self.refiner(self.temporal(volumes, world_from_ego, exists)))
+
+    def _lift_past(
+        self,
+        images: UInt8[Tensor, "B T N 3 H W"] | Float[Tensor, "B T N 3 H W"],
+        rigs: tuple[Rig, ...],
+        candidates: Bool[Tensor, "B T X Y Z"] | None,
+        exists: Bool[Tensor, "B T"],
+        like: Float[Tensor, "B C X Y Z"],
+    ) -> list[Float[Tensor, "B C X Y Z"]]:
+        """All past frames that exist in one go; zeros for the others."""
+        sample, frame = exists[:, :-1].nonzero(as_tuple=True)
+        past = like.new_zeros(exists.shape[1] - 1, *like.shape)
+        if len(sample):
+            chosen = None if candidates is None else candidates[sample, frame]
+            lifted = self.lift(images[sample, frame], tuple(rigs[i] for i in sample.tolist()), chosen)
+            past = past.index_put((frame, sample), lifted.volume)
+        return list(past.unbind(0))
 
 
 def to_unit_range(images: UInt8[Tensor, "..."] | Float[Tensor, "..."]) -> Float[Tensor, "..."]:

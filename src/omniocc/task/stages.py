@@ -2,7 +2,8 @@
 
 What a stage leaves lies in `runs/stages/<stage>-<hash>`: weights, figures, what it says about every frame. The hash
 covers everything that made it, so that runs share it and never mix it up; a lock lets parallel runs wait for one
-another.
+another. What depends on how a sketch chooses among its probabilities lies one folder deeper, so that runs that choose
+in other ways share its weights.
 """
 
 import hashlib
@@ -111,10 +112,10 @@ class Stages:
         keys = stage_keys(cfg, self.fingerprint)
         stages = Path(cfg.paths.runs) / "stages"
         self.depth, self.sketch = stages / f"depth-{keys.depth}", stages / f"sketch-{keys.sketch}"
-        self.folders = {"depth": self.depth, "sketch": self.sketch}
         width, height = cfg.depth.erp_size
         self.ranges = RangeCache(self.depth / "ranges", (height, width))
         self.candidates = CandidateCache(self.sketch / f"candidates-{keys.candidates}", data.geometry.shape)
+        self.results = {"depth": self.depth, "sketch": self.candidates.folder}
 
     def run(self, stage: str, title: str) -> dict[str, float]:
         """Run a stage if it is missing; returns the figures of its test."""
@@ -130,10 +131,10 @@ class Stages:
             )
             task = Depth(model, recipe.optimizer, spheres, plain(self.cfg))
             trains = hasattr(model, "training_terms")
-            drawn = DepthPictures(self.depth / "pictures", self.cfg.pictures)
-            self._finish(task, recipe, Extras(true_ranges=True), drawn, self.depth, title, trains)
+            drawn = DepthPictures(self.results["depth"] / "pictures", self.cfg.pictures)
+            self._finish(task, recipe, Extras(true_ranges=True), drawn, "depth", title, trains)
             self._fill(self.ranges, lambda scene, frame: predict_range_m(task, scene, frame), f"{title}, ranges")
-        return load_results(self.depth)[1]
+        return load_results(self.results["depth"])[1]
 
     def run_sketch(self, title: str) -> dict[str, float]:
         """Train and test the sketch on predicted panoramas, then choose every frame's candidates; returns figures."""
@@ -142,10 +143,10 @@ class Stages:
             task = Sketch(build(self.cfg.model.sketch), recipe.optimizer, plain(self.cfg))
             task.model.depth.load_state_dict(weights_of(self.depth / LAST))
             extras = Extras(true_ranges=True, depth=self.ranges)
-            drawn = SketchPictures(self.sketch / "pictures", self.cfg.pictures)
-            self._finish(task, recipe, extras, drawn, self.sketch, title, trains=True)
+            drawn = SketchPictures(self.results["sketch"] / "pictures", self.cfg.pictures)
+            self._finish(task, recipe, extras, drawn, "sketch", title, trains=True)
             self._fill(self.candidates, lambda scene, frame: self._choose(task, scene, frame), f"{title}, candidates")
-        return load_results(self.sketch)[1]
+        return load_results(self.results["sketch"])[1]
 
     def sketch_weights(self) -> dict[str, Tensor]:
         """Weights of the trained sketch, depth included, as the occupancy model's `sketch` loads them."""
@@ -162,14 +163,15 @@ class Stages:
         recipe: Recipe,
         extras: Extras,
         pictures: Callback,
-        folder: Path,
+        stage: str,
         title: str,
         trains: bool,
     ) -> None:
         """Leave the task trained and tested: by loading it, or by what is left of training and testing."""
+        folder, results = {"depth": self.depth, "sketch": self.sketch}[stage], self.results[stage]
         last = folder / LAST
-        if (folder / METRICS).exists():
-            print(f"{title} is there: {folder}", flush=True)
+        if (results / METRICS).exists():
+            print(f"{title} is there: {results}", flush=True)
             task.model.load_state_dict(weights_of(last))  # type: ignore[union-attr]
             return
         print(f"{title} {'goes on' if last.exists() else 'begins'}: {folder}", flush=True)
@@ -183,7 +185,7 @@ class Stages:
         metrics = trainer.test(task, datamodule=data, verbose=False)[0]
         trainer.save_checkpoint(last)
         facts = {"run": folder.name, "steps": trainer.global_step, "seed": recipe.seed, "commit": git_commit()}
-        save_results(folder, metrics, facts | {"data": self.fingerprint})
+        save_results(results, metrics, facts | {"data": self.fingerprint})
 
     def _trainer(self, recipe: Recipe, pictures: Callback, folder: Path, title: str) -> Trainer:
         write_whole(folder / "config.yaml", OmegaConf.to_yaml(self.cfg, resolve=True))

@@ -2,12 +2,13 @@
 
 from typing import Protocol, runtime_checkable
 
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
+from omniocc.model.temporal.mean import Mean
 from omniocc.model.temporal.none import NoTemporal
 
-__all__ = ["NoTemporal", "Temporal"]
+__all__ = ["Mean", "NoTemporal", "Temporal"]
 
 
 @runtime_checkable
@@ -16,12 +17,20 @@ class Temporal(Protocol):
 
     Attributes:
         frames: length of the window it wants, the newest frame included.
+        history_gradient: whether training reaches the network also through the past frames.
     """
 
     frames: int
+    history_gradient: bool
 
     def __call__(
-        self, volumes: list[Float[Tensor, "B C X Y Z"]], world_from_ego: Float[Tensor, "B T 4 4"]
+        self,
+        volumes: list[Float[Tensor, "B C X Y Z"]],
+        world_from_ego: Float[Tensor, "B T 4 4"],
+        exists: Bool[Tensor, "B T"],
     ) -> Float[Tensor, "B C X Y Z"]:
-        """Volumes oldest first, each in the ego frame of its time -> one in the newest frame's."""
+        """Volumes oldest first, each in the ego frame of its time -> one in the newest frame's.
+
+        Volumes and poses of frames that do not exist mean nothing; the newest always exists.
+        """
         ...

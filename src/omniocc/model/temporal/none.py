@@ -1,6 +1,6 @@
 """No temporal fusion."""
 
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 
@@ -8,12 +8,16 @@ class NoTemporal(nn.Module):
     """Sees the newest frame only."""
 
     frames = 1
+    history_gradient = False
 
     def __init__(self):  # of its own: nn.Module's would accept anything
         super().__init__()
 
     def forward(
-        self, volumes: list[Float[Tensor, "B C X Y Z"]], world_from_ego: Float[Tensor, "B T 4 4"]
+        self,
+        volumes: list[Float[Tensor, "B C X Y Z"]],
+        world_from_ego: Float[Tensor, "B T 4 4"],
+        exists: Bool[Tensor, "B T"],
     ) -> Float[Tensor, "B C X Y Z"]:
         """The newest volume, untouched."""
         return volumes[-1]
