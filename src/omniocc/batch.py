@@ -11,7 +11,7 @@ from omniocc.camera import Rig
 class Batch(NamedTuple):
     """Windows of T frames, oldest first; all labels belong to the newest frame, in its ego frame.
 
-    The last four are there only where a stage asked for them (`omniocc.data.Extras`).
+    Ranges and candidates are there only where a stage asked for them (`omniocc.data.Extras`).
 
     Attributes:
         images: RGB, 0..255.
@@ -26,6 +26,7 @@ class Batch(NamedTuple):
         camera_range_m: true range of every pixel; inf for sky, nan for own car or outside the lens.
         depth_range_m: panorama that the depth stage predicted, nan where it knows nothing.
         candidates: voxels that the sketch stage chose in every frame of the window.
+        exists: which frames of the window were recorded; before a scene's first, that one stands in. None: all.
     """
 
     images: UInt8[Tensor, "B T N 3 H W"]
@@ -40,3 +41,4 @@ class Batch(NamedTuple):
     camera_range_m: Float32[Tensor, "B N H W"] | None = None
     depth_range_m: Float32[Tensor, "B h w"] | None = None
     candidates: Bool[Tensor, "B T X Y Z"] | None = None
+    exists: Bool[Tensor, "B T"] | None = None

@@ -11,7 +11,7 @@ from omniocc.model.lifter import Coloring, Lifter
 from omniocc.model.refiner import NoRefiner, Refiner, UNet
 from omniocc.model.semantic_head import FCN, NoSemanticHead, SemanticHead
 from omniocc.model.sketch import Dense, Random, Sketch
-from omniocc.model.temporal import NoTemporal, Temporal
+from omniocc.model.temporal import Mean, NoTemporal, Temporal
 
 
 def loss_of(prediction):
@@ -31,7 +31,7 @@ def test_every_option_keeps_its_slots_contract(make_backbone, make_model, geomet
         Backbone: [make_backbone()],
         Sketch: [Dense(geometry), Random(geometry)],
         Lifter: [model.lifter],
-        Temporal: [NoTemporal()],
+        Temporal: [NoTemporal(), Mean(geometry, 4, False)],
         Refiner: [NoRefiner(8), UNet(geometry, 8, [8, 8])],
         SemanticHead: [FCN(8, 8, 12), NoSemanticHead()],
     }
@@ -78,8 +78,9 @@ def test_only_the_frames_the_temporal_slot_wants_are_used(make_model, geometry, 
 
 class Oldest(torch.nn.Module):
     frames = 2
+    history_gradient = False
 
-    def forward(self, volumes, world_from_ego):
+    def forward(self, volumes, world_from_ego, exists):
         assert len(volumes) == world_from_ego.shape[1] == 2
         assert not volumes[0].requires_grad
         return volumes[0] + 0 * volumes[1]
@@ -92,6 +93,47 @@ def test_past_frames_are_lifted_without_gradient_oldest_first(make_model, geomet
     model.temporal = Oldest()
     window = torch.cat([images, torch.zeros_like(images)], dim=1)
     torch.testing.assert_close(model(window, rigs, poses.expand(-1, 2, -1, -1)).logits, expected)
+
+
+def moving(frames):
+    poses = torch.eye(4, dtype=torch.float64).repeat(2, frames, 1, 1)
+    poses[:, :, 0, 3] = torch.arange(frames) * 2.5
+    return poses
+
+
+def test_frames_that_do_not_exist_are_as_if_the_window_were_shorter(make_model, geometry, images, fisheye):
+    model = make_model(geometry, Random(geometry, 0.5)).double().eval()
+    window = torch.rand(2, 3, *images.shape[2:], dtype=torch.float64)
+    rigs, poses = (fisheye, fisheye), moving(3)
+    model.temporal = Mean(geometry, 3, False)
+    exists = torch.tensor([[False, False, True], [False, True, True]])
+    logits = model(window, rigs, poses, None, exists).logits
+    model.temporal = Mean(geometry, 2, False)
+    second = model(window[1:], rigs[1:], poses[1:]).logits
+    torch.testing.assert_close(logits[1:], second)
+    model.temporal = NoTemporal()
+    torch.testing.assert_close(logits[:1], model(window[:1], rigs[:1], poses[:1]).logits)
+
+
+@pytest.mark.parametrize("history_gradient", [False, True])
+def test_history_has_a_gradient_only_if_asked(make_model, geometry, images, fisheye, history_gradient):
+    model = make_model(geometry)
+    model.temporal = Mean(geometry, 2, history_gradient)
+    window = torch.rand(2, 2, *images.shape[2:], requires_grad=True)
+    loss_of(model(window, (fisheye, fisheye), moving(2))).backward()
+    past, newest = window.grad.abs().sum((0, 2, 3, 4, 5))
+    assert newest > 0
+    assert (past > 0) == history_gradient
+
+
+def test_history_without_gradient_leaves_autocast_its_gradients(make_model, geometry, images, fisheye):
+    model = make_model(geometry, Random(geometry, 0.5))
+    model.temporal = Mean(geometry, 2, False)
+    window = torch.cat([images, images.flip(0)], dim=1)
+    with torch.autocast("cpu", torch.bfloat16):
+        prediction = model(window, (fisheye, fisheye), moving(2))
+    loss_of(prediction).backward()
+    assert [name for name, parameter in model.named_parameters() if parameter.grad is None] == []
 
 
 def test_pickle_and_state_dict_round_trip(make_model, images, poses, fisheye):

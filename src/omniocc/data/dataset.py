@@ -32,6 +32,7 @@ class Sample(NamedTuple):
     camera_range_m: Float32[Tensor, "N H W"] | None = None
     depth_range_m: Float32[Tensor, "h w"] | None = None
     candidates: Bool[Tensor, "T X Y Z"] | None = None
+    exists: Bool[Tensor, " T"] | None = None
 
 
 class Extras(NamedTuple):
@@ -51,8 +52,7 @@ class Extras(NamedTuple):
 class WindowDataset(Dataset):
     """Every recorded frame once, as the newest of a window of T consecutive frames of its scene.
 
-    Where a scene has not begun T frames ago, its first frame is repeated with its own pose: equal poses in a window
-    mean the same frame.
+    Where a scene has not begun T frames ago, its first frame stands in, and `exists` says so.
 
     Args:
         scenes: recorded scenes.
@@ -89,9 +89,10 @@ class WindowDataset(Dataset):
         blobs = scene.read(newest, members)
         range_m, labels = decode_lidar(blobs["lidar.zst"])
         depth, candidates = self.extras.depth, self.extras.candidates
+        images = {frame: read_images(scene, frame) for frame in set(frames)}
         erp_range_m, camera_range_m = read_true_ranges(scene, newest) if self.extras.true_ranges else (None, None)
         return Sample(
-            images=torch.stack([read_images(scene, frame) for frame in frames]),
+            images=torch.stack([images[frame] for frame in frames]),
             rig=rig,
             world_from_ego=torch.from_numpy(scene.world_from_ego[frames]),
             voxels=self.voxels.read(scene, newest),
@@ -103,6 +104,7 @@ class WindowDataset(Dataset):
             camera_range_m=camera_range_m,
             depth_range_m=depth and depth.read(scene.name, newest),
             candidates=candidates and torch.stack([candidates.read(scene.name, frame) for frame in frames]),
+            exists=torch.arange(newest - self.window + 1, newest + 1) >= 0,
         )
 
 

@@ -10,7 +10,7 @@ from torch import Tensor
 from omniocc.batch import Batch
 from omniocc.classes import UNKNOWN
 from omniocc.loss import Total
-from omniocc.model import OccupancyModel, Prediction
+from omniocc.model import OccupancyModel, Prediction, Stream
 from omniocc.task.adamw import AdamW
 from omniocc.task.scores import Scores
 from omniocc.task.terms import log_terms
@@ -35,6 +35,7 @@ class Occupancy(LightningModule):
         self.loss = loss
         self.optimizer = optimizer
         self.config = config
+        self.stream = Stream(model)
         self.scores = Scores(model.geometry)
         self.prior_scores = Scores(model.geometry)
         self.label_scores = Scores(model.geometry)
@@ -56,7 +57,15 @@ class Occupancy(LightningModule):
 
     def predict(self, batch: Batch) -> Prediction:
         """Logits of the newest frame, from the batch's candidates where it has any."""
-        return self.model(batch.images, batch.rigs, batch.world_from_ego, batch.candidates)
+        return self.model(batch.images, batch.rigs, batch.world_from_ego, batch.candidates, batch.exists)
+
+    def evaluate(self, batch: Batch) -> Tensor:
+        """As `predict_labels`, with the past frames' volumes from memory where the frames before have left them."""
+        exists = batch.exists
+        if exists is None:
+            exists = torch.ones(batch.images.shape[:2], dtype=torch.bool, device=batch.images.device)
+        window = batch.images, batch.rigs, batch.world_from_ego, batch.candidates, exists, batch.frame_ids
+        return self.stream.windows(*window).argmax(1).to(torch.uint8)
 
     def training_step(self, batch: Batch, batch_index: int) -> Tensor:
         """Sum of the loss terms; each is logged by name."""
@@ -65,17 +74,26 @@ class Occupancy(LightningModule):
 
     def validation_step(self, batch: Batch, batch_index: int) -> Tensor:
         """Score a batch; returns the predicted labels."""
-        labels = self.predict_labels(batch)
+        labels = self.evaluate(batch)
         self.scores.update(labels, batch)
         return labels
 
+    def on_validation_epoch_start(self) -> None:
+        """The weights are others than last time."""
+        self.stream.reset()
+
+    def on_test_epoch_start(self) -> None:
+        """The weights are others than last time."""
+        self.stream.reset()
+
     def on_validation_epoch_end(self) -> None:
         """Log `val/rayiou` and the rest."""
+        self.stream.reset()
         self._log_scores("val", self.scores)
 
     def test_step(self, batch: Batch, batch_index: int) -> Tensor:
         """Score a batch and both yardsticks on it; returns the predicted labels."""
-        labels = self.predict_labels(batch)
+        labels = self.evaluate(batch)
         self.scores.update(labels, batch)
         self.prior_scores.update(self.prior.expand_as(labels), batch)
         # an unknown cell is no prediction: seen from the label's side it is empty

@@ -1,0 +1,125 @@
+"""A drive frame by frame: every frame is lifted once, and its volume serves all windows that it is part of."""
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float, UInt8
+from torch import Tensor
+
+from omniocc.camera import Rig
+from omniocc.model.occupancy import OccupancyModel
+
+
+class Remembered(NamedTuple):
+    """One lifted frame."""
+
+    volume: Float[Tensor, "C X Y Z"]
+    world_from_ego: Float[Tensor, "4 4"]
+
+
+Key = tuple[str, int]
+"""Scene and number of a frame."""
+
+MISSING: Key = ("", -1)
+"""Stands for a frame that was not recorded."""
+
+
+def window_keys(frame_ids: tuple[str, ...], exists: Bool[Tensor, "B T"]) -> list[list[Key]]:
+    """The frames of windows of consecutive frames, oldest first; `frame_ids` are `scene/number` of the newest."""
+    windows = []
+    for frame_id, recorded in zip(frame_ids, exists.tolist(), strict=True):
+        scene, newest = frame_id.rsplit("/", 1)
+        numbers = range(int(newest) - len(recorded) + 1, int(newest) + 1)
+        windows.append([(scene, number) if there else MISSING for number, there in zip(numbers, recorded, strict=True)])
+    return windows
+
+
+class Stream:
+    """Predicts as the model does, and remembers lifted volumes; the model has to be in evaluation mode.
+
+    Between calls it holds at most as many volumes as the temporal slot wants past frames. Call `reset` when the model's
+    weights have changed, and before another drive.
+
+    Args:
+        model: whose volumes are remembered.
+    """
+
+    def __init__(self, model: OccupancyModel):
+        self.model = model
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all frames."""
+        self._frames: dict[Key, Remembered] = {}
+        self._number = 0
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    @torch.no_grad()
+    def step(
+        self,
+        images: UInt8[Tensor, "N 3 H W"] | Float[Tensor, "N 3 H W"],
+        rig: Rig,
+        world_from_ego: Float[Tensor, "4 4"],
+        candidates: Bool[Tensor, "X Y Z"] | None = None,
+    ) -> Float[Tensor, "C X Y Z"]:
+        """Logits of the next frame of a drive; the past ones are those of the calls since `reset`."""
+        window = [("", self._number - back) for back in reversed(range(self.model.temporal.frames))]
+        self._number += 1
+        chosen = None if candidates is None else candidates[None]
+        self._lift(window[-1:], images[None], (rig,), world_from_ego[None], chosen)
+        return self._fuse([window])[0]
+
+    @torch.no_grad()
+    def windows(
+        self,
+        images: UInt8[Tensor, "B T N 3 H W"] | Float[Tensor, "B T N 3 H W"],
+        rigs: tuple[Rig, ...],
+        world_from_ego: Float[Tensor, "B T 4 4"],
+        candidates: Bool[Tensor, "B T X Y Z"] | None,
+        exists: Bool[Tensor, "B T"],
+        frame_ids: tuple[str, ...],
+    ) -> Float[Tensor, "B C X Y Z"]:
+        """Logits as the model gives for these windows of consecutive frames (`scene/number` of the newest).
+
+        Frames in order cost one lift each, in any other order more; the result is the same.
+        """
+        first = max(0, images.shape[1] - self.model.temporal.frames)
+        windows = [window[first:] for window in window_keys(frame_ids, exists)]
+        wanted = {
+            key: (sample, first + at)
+            for sample, window in enumerate(windows)
+            for at, key in enumerate(window)
+            if key != MISSING and key not in self._frames
+        }
+        if wanted:
+            samples, frames = (list(column) for column in zip(*wanted.values(), strict=True))
+            chosen = None if candidates is None else candidates[samples, frames]
+            some_rigs = tuple(rigs[sample] for sample in samples)
+            self._lift(list(wanted), images[samples, frames], some_rigs, world_from_ego[samples, frames], chosen)
+        return self._fuse(windows)
+
+    def _lift(
+        self,
+        keys: list[Key],
+        images: UInt8[Tensor, "M N 3 H W"] | Float[Tensor, "M N 3 H W"],
+        rigs: tuple[Rig, ...],
+        world_from_ego: Float[Tensor, "M 4 4"],
+        candidates: Bool[Tensor, "M X Y Z"] | None,
+    ) -> None:
+        assert not self.model.training
+        volumes = self.model.lift(images, rigs, candidates).volume
+        for key, volume, pose in zip(keys, volumes, world_from_ego, strict=True):
+            # a copy: a view would keep the volumes of the whole batch
+            self._frames[key] = Remembered(volume.clone(), pose)
+
+    def _fuse(self, windows: list[list[Key]]) -> Float[Tensor, "B C X Y Z"]:
+        """Logits of windows of remembered frames; afterwards only what the next frame needs is remembered."""
+        known = self._frames
+        frames = [[known.get(key, known[window[-1]]) for key in window] for window in windows]
+        volumes = [torch.stack([frame.volume for frame in column]) for column in zip(*frames, strict=True)]
+        poses = torch.stack([torch.stack([frame.world_from_ego for frame in window]) for window in frames])
+        exists = torch.tensor([[key in known for key in window] for window in windows], device=poses.device)
+        self._frames = {key: known[key] for key in windows[-1][1:] if key in known}
+        return self.model.fuse(volumes, poses, exists)
