@@ -32,13 +32,14 @@ types: $(READY)  ## Check types
 bench: $(READY)  ## Measure speed and memory (tests/bench)
 	@for script in tests/bench/bench_*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done
 
-ABLATIONS ?= $(basename $(notdir $(wildcard conf/ablation/*.yaml)))
+comma := ,
+empty :=
+ABLATIONS ?= $(subst $(empty) $(empty),$(comma),$(basename $(notdir $(wildcard conf/ablation/*.yaml))))
 SEEDS ?= 0
+JOBS ?= 2
 
-ablations: $(READY)  ## Train every row of conf/ablation (SEEDS="0 1" ABLATIONS="dense random"), then one table
-	@failed=""; for row in $(ABLATIONS); do for seed in $(SEEDS); do echo "== $$row, seed $$seed"; \
-	  $(BIN)/python src/train.py +ablation=$$row preset=$(PRESET) seed=$$seed || failed="$$failed $$row/$$seed"; done; done; \
-	$(BIN)/python src/report.py; \
-	if [ -n "$$failed" ]; then echo "failed:$$failed"; exit 1; fi
+ablations: $(READY)  ## Train every row of conf/ablation (SEEDS=0,1 ABLATIONS=ours,mono JOBS=2 PRESET=small), then one table
+	@$(BIN)/python src/train.py --multirun +ablation=$(ABLATIONS) seed=$(SEEDS) preset=$(PRESET) \
+	  hydra.launcher.n_jobs=$(JOBS); code=$$?; $(BIN)/python src/report.py; exit $$code
 
 .PHONY: help setup demo test lint types bench ablations

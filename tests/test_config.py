@@ -15,7 +15,7 @@ CONF = Path(__file__).parents[1] / "conf"
 OPTIONS = sorted(
     path
     for path in CONF.rglob("*.yaml")
-    if path.parent != CONF and path.parts[len(CONF.parts)] not in ("preset", "ablation", "trainer")
+    if path.parent != CONF and path.parts[len(CONF.parts)] not in ("preset", "ablation", "trainer", "hydra")
 )
 
 

@@ -1,0 +1,101 @@
+"""One job of a multirun: a process, and a log file that says how far it is."""
+
+import ctypes
+import os
+import re
+import signal
+import subprocess
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+WAITS = " waits for another process"
+"""What a job prints last while it has nothing to do."""
+TAIL_BYTES = 4096
+LINES_OF_A_FAILURE = 12
+PR_SET_PDEATHSIG = 1
+
+
+class Job:
+    """A process that is started later, in a process group of its own.
+
+    Args:
+        label: how it is called in messages.
+        command: program and arguments.
+        log: file that gets everything it prints; an old one is replaced.
+    """
+
+    def __init__(self, label: str, command: Sequence[str], log: Path):
+        self.label = label
+        self.command = list(command)
+        self.log = log
+        self.process: subprocess.Popen[bytes] | None = None
+        self.began_s = self.elapsed_s = 0.0
+
+    def start(self, environment: dict[str, str]) -> None:
+        """Begin."""
+        with self.log.open("wb") as output:
+            self.process = subprocess.Popen(
+                self.command,
+                env={**os.environ, **environment},
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+                preexec_fn=die_with_parent,
+            )
+        self.began_s = time.monotonic()
+
+    @property
+    def code(self) -> int | None:
+        """Exit code; None before the end."""
+        if self.process is None:
+            return None
+        code = self.process.poll()
+        if code is not None and not self.elapsed_s:
+            self.elapsed_s = time.monotonic() - self.began_s
+        return code
+
+    @property
+    def running(self) -> bool:
+        """Started and not at its end."""
+        return self.process is not None and self.code is None
+
+    @property
+    def waiting(self) -> bool:
+        """Whether it waits for what another job makes."""
+        return self.running and WAITS in self.last_line()
+
+    def last_line(self) -> str:
+        """The last line it has printed, empty before the first."""
+        lines = self.last_lines(1)
+        return lines[0] if lines else ""
+
+    def last_lines(self, count: int = LINES_OF_A_FAILURE) -> list[str]:
+        """Its last lines that are not empty."""
+        if not self.log.exists():
+            return []
+        with self.log.open("rb") as file:
+            file.seek(max(0, self.log.stat().st_size - TAIL_BYTES))
+            text = file.read().decode(errors="replace")
+        return [line.rstrip() for line in text.splitlines() if line.strip()][-count:]
+
+    def interrupt(self, number: int) -> None:
+        """Send a signal to the process and its children."""
+        if self.process is not None and self.running:
+            os.killpg(self.process.pid, number)
+
+
+def die_with_parent() -> None:
+    """In the child: be told to end when the parent does, however that happens (Linux)."""
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
+def label_of(overrides: Sequence[str]) -> str:
+    """What tells a job from others: `+ablation=mono seed=1` is `mono seed=1`."""
+    return " ".join(override.removeprefix("+ablation=") for override in overrides)
+
+
+def file_name(label: str, number: int) -> str:
+    """A log file's name."""
+    return f"{number:03d}-{re.sub(r'[^A-Za-z0-9_.=-]+', '_', label)[:80]}.log"

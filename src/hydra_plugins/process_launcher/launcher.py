@@ -1,0 +1,128 @@
+"""See the package: jobs as processes, one line about all of them, failures at the end."""
+
+import os
+import signal
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from hydra.core.utils import JobReturn, JobStatus
+from hydra.plugins.launcher import Launcher
+from hydra.types import HydraContext, TaskFunction
+from omegaconf import DictConfig
+from rich.console import Console
+
+from hydra_plugins.process_launcher.job import Job, file_name, label_of
+
+POLL_S = 0.5
+LINE_EVERY_S = 60.0
+PATIENCE_S = 20.0
+
+
+class ProcessLauncher(Launcher):
+    """Runs the jobs of a multirun as `python <script> <overrides>`, in the order given.
+
+    A job that fails stops no other; its last lines are printed at the end and the exit code is 1. Jobs end with their
+    parent. The script itself continues what was interrupted and leaves alone what is finished.
+
+    Args:
+        n_jobs: jobs at a time; while one waits for what another makes, the next begins. Cores are shared evenly by
+            `OMP_NUM_THREADS`, where it is not set.
+        force: train again beside what is finished (`resume=never` for every job).
+    """
+
+    def __init__(self, n_jobs: int, force: bool):
+        if n_jobs < 1:
+            raise ValueError(f"hydra.launcher.n_jobs={n_jobs}: give 1 or more")
+        self.n_jobs, self.force = n_jobs, force
+        self.folder = Path()
+
+    def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
+        """Hydra's hook: note where logs go."""
+        self.folder = Path(str(config.hydra.sweep.dir))
+
+    def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
+        """Run all jobs; ends the process with exit code 1 if any fails."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        varied = varying(job_overrides)
+        jobs = []
+        for number, overrides in enumerate(job_overrides, start=initial_job_idx):
+            label = label_of([o for o in overrides if o in varied]) or "job"
+            arguments = [*overrides, *(["resume=never"] if self.force else [])]
+            command = [sys.executable, str(Path(sys.argv[0]).resolve()), *arguments]
+            jobs.append(Job(label, command, self.folder / file_name(label, number)))
+        print(f"{len(jobs)} jobs, {self.n_jobs} at a time; logs in {self.folder}", flush=True)
+        run_all(jobs, self.n_jobs)
+        failed = [job for job in jobs if job.code != 0]
+        print(summary(jobs, failed), flush=True)
+        if failed:
+            sys.exit(1)
+        return [JobReturn(overrides=list(o), status=JobStatus.COMPLETED) for o in job_overrides]
+
+
+def varying(job_overrides: Sequence[Sequence[str]]) -> set[str]:
+    """Overrides that not all jobs have; all of them if there is one job."""
+    everywhere = set.intersection(*map(set, job_overrides)) if len(job_overrides) > 1 else set()
+    return {override for overrides in job_overrides for override in overrides} - everywhere
+
+
+def run_all(jobs: Sequence[Job], n_jobs: int) -> None:
+    """Start jobs as places get free and say how far they are, until all are at their end."""
+    threads = str(max(1, (os.cpu_count() or 1) // n_jobs))
+    environment = {} if "OMP_NUM_THREADS" in os.environ else {"OMP_NUM_THREADS": threads}
+    console = Console()
+    began_s = said_s = time.monotonic()
+    try:
+        with console.status("") as status:
+            while any(job.code is None for job in jobs):
+                busy = sum(job.running and not job.waiting for job in jobs)
+                for job in [job for job in jobs if job.process is None][: max(0, n_jobs - busy)]:
+                    job.start(environment)
+                line = progress(jobs, n_jobs, time.monotonic() - began_s)
+                status.update(line)
+                if not console.is_terminal and time.monotonic() - said_s > LINE_EVERY_S:
+                    said_s = time.monotonic()
+                    print(line, flush=True)
+                time.sleep(POLL_S)
+    finally:
+        stop(jobs)
+
+
+def stop(jobs: Sequence[Job]) -> None:
+    """End what still runs: first as Ctrl-C would, then for good."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
+        for job in jobs:
+            job.interrupt(number)
+        deadline_s = time.monotonic() + PATIENCE_S
+        while any(job.running for job in jobs) and time.monotonic() < deadline_s:
+            time.sleep(0.1)
+
+
+def progress(jobs: Sequence[Job], n_jobs: int, elapsed_s: float) -> str:
+    """One line: how many are done, when the rest will be, what each running job says last."""
+    done = [job for job in jobs if job.code is not None]
+    failed = sum(job.code != 0 for job in done)
+    left = f", about {_minutes(mean_s(done) * (len(jobs) - len(done)) / n_jobs)} left" if done else ""
+    parts = [f"{len(done)} of {len(jobs)} jobs done{f', {failed} failed' if failed else ''}{left}"]
+    parts += [f"{job.label}: {job.last_line()}" for job in jobs if job.running]
+    return " | ".join([f"{_minutes(elapsed_s)} {parts[0]}", *parts[1:]])
+
+
+def mean_s(jobs: Sequence[Job]) -> float:
+    """Mean duration."""
+    return sum(job.elapsed_s for job in jobs) / len(jobs)
+
+
+def summary(jobs: Sequence[Job], failed: Sequence[Job]) -> str:
+    """What became of the jobs, with the last lines of those that failed."""
+    lines = [f"{len(jobs) - len(failed)} of {len(jobs)} jobs finished"]
+    for job in failed:
+        lines += [f"\nfailed: {job.label} (exit code {job.code}), {job.log}"]
+        lines += [f"  {line}" for line in job.last_lines()]
+        lines += [f"  again: {' '.join(job.command)}"]
+    return "\n".join(lines)
+
+
+def _minutes(seconds: float) -> str:
+    return f"{int(seconds // 60)}:{int(seconds % 60):02d}"

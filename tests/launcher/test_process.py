@@ -1,0 +1,131 @@
+"""Jobs of a multirun as processes."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from omegaconf import OmegaConf
+
+from hydra_plugins.process_launcher.job import Job, file_name
+from hydra_plugins.process_launcher.launcher import ProcessLauncher, progress, run_all, summary, varying
+
+SRC = Path(__file__).parents[2] / "src"
+
+
+def job(folder: Path, label: str, code: str) -> Job:
+    return Job(label, [sys.executable, "-u", "-c", code], folder / f"{label}.log")
+
+
+def appears(path: Path, within_s: float = 20.0) -> bool:
+    deadline_s = time.monotonic() + within_s
+    while not path.exists() and time.monotonic() < deadline_s:
+        time.sleep(0.02)
+    return path.exists()
+
+
+def alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().split()[2] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def test_no_more_jobs_than_asked_for_run_at_a_time(tmp_path):
+    code = f"import time, pathlib; p = pathlib.Path({str(tmp_path)!r}); a = time.time(); time.sleep(0.6);" + (
+        " print(a, time.time())"
+    )
+    jobs = [job(tmp_path, str(k), code) for k in range(4)]
+    run_all(jobs, 2)
+    spans = [tuple(map(float, j.last_line().split())) for j in jobs]
+    most = max(sum(begin <= at < end for begin, end in spans) for at, _ in spans)
+    assert most <= 2
+    assert [j.code for j in jobs] == [0, 0, 0, 0]
+
+
+def test_while_a_job_waits_for_another_the_next_begins(tmp_path):
+    done = tmp_path / "done"
+    waits = "import time, pathlib; print('x waits for another process that', flush=True)\n" + (
+        f"while not pathlib.Path({str(done)!r}).exists(): time.sleep(0.05)"
+    )
+    jobs = [job(tmp_path, "waits", waits), job(tmp_path, "makes", f"open({str(done)!r}, 'w')")]
+    run_all(jobs, 1)
+    assert [j.code for j in jobs] == [0, 0]
+
+
+def test_a_failure_stops_nothing_and_is_told_with_its_last_lines(tmp_path):
+    jobs = [job(tmp_path, "bad", "print('on the way'); raise SystemExit('no such grid')"), job(tmp_path, "good", "")]
+    run_all(jobs, 1)
+    text = summary(jobs, [j for j in jobs if j.code])
+    assert "1 of 2 jobs finished" in text
+    assert "failed: bad (exit code 1)" in text
+    assert "no such grid" in text
+    assert "good" not in text.split("failed:")[1].splitlines()[0]
+
+
+def test_progress_names_what_runs_and_what_is_left(tmp_path):
+    jobs = [job(tmp_path, "one", "print('stage 1')"), job(tmp_path, "two", "")]
+    run_all(jobs[:1], 1)
+    jobs[0].elapsed_s = 120.0
+    assert progress(jobs, 1, 125.0) == "2:05 1 of 2 jobs done, about 2:00 left"
+
+
+def test_jobs_end_when_their_parent_is_killed(tmp_path):
+    child = f"import os, time; open({str(tmp_path / 'pid')!r}, 'w').write(str(os.getpid()) + '\\n'); time.sleep(60)"
+    parent = (
+        "import sys; from pathlib import Path; from hydra_plugins.process_launcher.job import Job\n"
+        "from hydra_plugins.process_launcher.launcher import run_all\n"
+        f"run_all([Job('x', [sys.executable, '-c', {child!r}], Path({str(tmp_path / 'log')!r}))], 1)"
+    )
+    process = subprocess.Popen([sys.executable, "-c", parent], env={**os.environ, "PYTHONPATH": str(SRC)})
+    assert appears(tmp_path / "pid")
+    time.sleep(0.1)
+    pid = int((tmp_path / "pid").read_text())
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    deadline_s = time.monotonic() + 10
+    while alive(pid) and time.monotonic() < deadline_s:
+        time.sleep(0.05)
+    assert not alive(pid)
+
+
+def test_an_interrupt_ends_all_jobs(tmp_path):
+    jobs = [job(tmp_path, "long", f"import time; open({str(tmp_path / 'on')!r}, 'w'); time.sleep(60)")]
+    alarm = signal.signal(signal.SIGALRM, lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    signal.setitimer(signal.ITIMER_REAL, 1.5)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            run_all(jobs, 1)
+    finally:
+        signal.signal(signal.SIGALRM, alarm)
+    assert jobs[0].code is not None
+    assert jobs[0].code != 0
+
+
+def test_hydra_gets_one_result_per_job_and_exit_code_1_for_failures(tmp_path, monkeypatch, capsys):
+    script = tmp_path / "script.py"
+    script.write_text("import sys; print(sys.argv[1:]); sys.exit('broken' in sys.argv[1])")
+    monkeypatch.setattr(sys, "argv", [str(script), "--multirun"])
+    launcher = ProcessLauncher(n_jobs=2, force=True)
+    config = OmegaConf.create({"hydra": {"sweep": {"dir": str(tmp_path / "sweep")}}})
+    launcher.setup(hydra_context=None, task_function=None, config=config)  # type: ignore[arg-type]
+    assert len(launcher.launch([["+ablation=a", "seed=1"], ["+ablation=b", "seed=1"]], 0)) == 2
+    assert "'resume=never'" in (tmp_path / "sweep" / "000-a.log").read_text()
+    with pytest.raises(SystemExit) as error:
+        launcher.launch([["broken=1"], ["x=1"]], 2)
+    assert error.value.code == 1
+    assert "1 of 2 jobs finished" in capsys.readouterr().out
+
+
+def test_labels_and_names_tell_jobs_apart():
+    assert varying([["preset=tiny", "seed=0"], ["preset=tiny", "seed=1"]]) == {"seed=0", "seed=1"}
+    assert varying([["seed=0"]]) == {"seed=0"}
+    assert file_name("mono seed=1/../x", 3) == "003-mono_seed=1_.._x.log"
+
+
+def test_no_jobs_at_a_time_is_refused():
+    with pytest.raises(ValueError, match="n_jobs=0"):
+        ProcessLauncher(n_jobs=0, force=False)
