@@ -5,6 +5,8 @@
 
 import logging
 import os
+import shlex
+import sys
 import time
 import warnings
 from pathlib import Path
@@ -73,6 +75,7 @@ def train_occupancy(
         for logger in trainer.loggers:
             logger.log_metrics(figures, trainer.global_step)
         facts = {"run": run.path.name, "checkpoint": tested.name, "seed": cfg.seed, "steps": trainer.global_step}
+        facts |= {"preset": cfg.preset.name, "command": shlex.join(["python", *sys.argv])}
         facts |= {"minutes of training": minutes, "commit": git_commit(), "data": data.world.fingerprint}
         save_results(run.path, metrics | figures, facts)
         show_results(run.path)

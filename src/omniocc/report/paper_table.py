@@ -1,0 +1,172 @@
+"""Tables of the paper: its figures beside those of the runs here, mean and spread over seeds."""
+
+import csv
+import io
+import math
+import statistics
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import yaml
+
+from omniocc.errors import UserError
+from omniocc.report.runs import FinishedRun
+from omniocc.report.table import markdown
+
+
+class PaperRow(NamedTuple):
+    """A method: the run's name, its title, the paper's figures by column."""
+
+    run: str
+    title: str
+    paper: Mapping[str, float | None]
+
+
+class PaperTable(NamedTuple):
+    """What `sweeps/<table>.yaml` says.
+
+    Attributes:
+        name: of the file.
+        title: of the table.
+        columns: title of each metric's key.
+        order_by: key of the metric that decides which method is better.
+        rows: methods in the paper's order.
+    """
+
+    name: str
+    title: str
+    columns: Mapping[str, str]
+    order_by: str
+    rows: Sequence[PaperRow]
+
+
+class Figure(NamedTuple):
+    """Mean and sample standard deviation over seeds; the latter is nan for one seed."""
+
+    mean: float
+    spread: float
+    seeds: int
+
+
+def load_table(path: Path) -> PaperTable:
+    """Read a table's file.
+
+    Raises:
+        UserError: if it lacks something, or a row has another number of figures than there are columns.
+    """
+    content = yaml.safe_load(path.read_text())
+    try:
+        columns, order_by = content["columns"], content["order_by"]
+        rows = [PaperRow(run, row["title"], _by_column(columns, row, run)) for run, row in content["rows"].items()]
+        table = PaperTable(path.stem, content["title"], columns, order_by, rows)
+    except (KeyError, TypeError, ValueError) as error:
+        raise UserError(f"{path} is not a table of the paper: {error}; see the other files beside it") from error
+    if order_by not in columns:
+        raise UserError(f"{path}: order_by is {order_by}, which is no column")
+    return table
+
+
+def is_table(path: Path) -> bool:
+    """Whether a file of `sweeps/` is a table (others are sweeps of W&B)."""
+    return "order_by" in (yaml.safe_load(path.read_text()) or {})
+
+
+def _by_column(columns: Mapping[str, str], row: Mapping[str, Any], run: str) -> dict[str, float | None]:
+    if len(row["paper"]) != len(columns):
+        raise ValueError(f"row {run} has {len(row['paper'])} figures for {len(columns)} columns")
+    return dict(zip(columns, row["paper"], strict=True))
+
+
+def figure_of(runs: Sequence[FinishedRun], key: str) -> Figure | None:
+    """Of one metric over the seeds of one method; None where it was not measured."""
+    values = [value for run in runs if (value := run.metrics.get(key)) is not None and not math.isnan(value)]
+    if not values:
+        return None
+    return Figure(statistics.mean(values), statistics.stdev(values) if len(values) > 1 else math.nan, len(values))
+
+
+def kendall_tau(paper: Sequence[float], ours: Sequence[float]) -> float:
+    """Agreement of two orders, 1 for the same, -1 for the opposite (tau-a: ties count as half agreed)."""
+    pairs = [(i, j) for i in range(len(paper)) for j in range(i)]
+    signs = [_sign(paper[i] - paper[j]) * _sign(ours[i] - ours[j]) for i, j in pairs]
+    return sum(signs) / len(pairs) if pairs else math.nan
+
+
+def _sign(value: float) -> int:
+    return (value > 0) - (value < 0)
+
+
+def rows_of(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> list[tuple[PaperRow, list[Figure | None]]]:
+    """Our figures of each row, by column."""
+    return [(row, [figure_of(runs.get(row.run, []), key) for key in table.columns]) for row in table.rows]
+
+
+def as_markdown(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> str:
+    """Two lines a method, the paper's and ours; below, what both say about the order."""
+    lines = []
+    for row, figures in rows_of(table, runs):
+        if any(value is not None for value in row.paper.values()):
+            lines.append([row.title, "paper", *(_plain(value) for value in row.paper.values())])
+        seeds = max((figure.seeds for figure in figures if figure is not None), default=0)
+        source = f"here, {seeds} seed{'s' * (seeds > 1)}" if seeds else "here: not run"
+        lines.append([row.title, source, *(_spread(figure) for figure in figures)])
+    head = ["method", "", *table.columns.values()]
+    return f"## {table.title}\n\n{markdown(head, lines)}\n{order_line(table, runs)}\n"
+
+
+def order_line(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> str:
+    """The paper's order and ours, and Kendall's tau between them, of the methods that have both figures."""
+    both = []
+    for row in table.rows:
+        figure, paper = figure_of(runs.get(row.run, []), table.order_by), row.paper[table.order_by]
+        if figure is not None and paper is not None:
+            both.append((row.title, paper, figure.mean))
+    if len(both) < 2:
+        return "No order to compare: fewer than two methods have run."
+    orders = [" > ".join(entry[0] for entry in sorted(both, key=lambda entry: -entry[place])) for place in (1, 2)]
+    tau = kendall_tau([entry[1] for entry in both], [entry[2] for entry in both])
+    title = table.columns[table.order_by]
+    same = "the same order here" if orders[0] == orders[1] else f"here {orders[1]}"
+    return f"By {title}, the paper says {orders[0]}; {same} (Kendall's tau {tau:.2f})."
+
+
+def as_csv(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> str:
+    """One line per method and column."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(["row", "method", "metric", "paper", "mean", "standard_deviation", "seeds"])
+    for row, figures in rows_of(table, runs):
+        for key, figure in zip(table.columns, figures, strict=True):
+            ours = figure or Figure(math.nan, math.nan, 0)
+            known = ["" if math.isnan(value) else f"{value:.6g}" for value in ours[:2]]
+            paper = row.paper[key]
+            writer.writerow([row.run, row.title, key, "" if paper is None else paper, *known, ours.seeds])
+    return out.getvalue()
+
+
+def as_latex(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> str:
+    """A tabular; the paper's figure in brackets behind ours."""
+    lines = [f"% {table.title}: here (paper)", rf"\begin{{tabular}}{{l{'c' * len(table.columns)}}}", r"\toprule"]
+    lines += [" & ".join(["method", *map(_tex, table.columns.values())]) + r" \\", r"\midrule"]
+    for row, figures in rows_of(table, runs):
+        cells = []
+        for value, figure in zip(row.paper.values(), figures, strict=True):
+            ours = _spread(figure).replace("±", r"$\pm$").replace("–", "--")
+            cells.append(ours + ("" if value is None else f" ({value:.3f})"))
+        lines.append(" & ".join([_tex(row.title), *cells]) + r" \\")
+    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
+
+
+def _tex(text: str) -> str:
+    return text.replace("&", r"\&").replace("%", r"\%").replace("_", r"\_")
+
+
+def _plain(value: float | None) -> str:
+    return "–" if value is None else f"{value:.3f}"
+
+
+def _spread(figure: Figure | None) -> str:
+    if figure is None:
+        return "–"
+    return f"{figure.mean:.3f}" + ("" if math.isnan(figure.spread) else f" ± {figure.spread:.3f}")
