@@ -11,6 +11,7 @@ from omegaconf import DictConfig
 
 from omniocc.config import build, check, lines_not_tracebacks
 from omniocc.data import DataError, SceneReader, VirtualWorld
+from omniocc.data.budget import announcement, begun, size
 from omniocc.data.check import SceneSurvey, survey
 from omniocc.data.progress import clock
 from omniocc.data.record import ScenePlan
@@ -52,18 +53,23 @@ def chosen(plans: Sequence[ScenePlan], first: int, count: int | None) -> Sequenc
 
 
 def render(world: VirtualWorld, plans: Sequence[ScenePlan], whole_length: int) -> None:
-    """Render what is missing; then say how much there is, and what all scenes of `whole_length` frames would take."""
-    missing = len(world.missing(plans)) * world.frames_per_scene
+    """Say what is coming, render it, say how much there is and what all scenes of `whole_length` frames would take."""
+    missing = world.missing(plans)
+    if isinstance(world.source, Path):
+        print(announcement(world, plans), flush=True)
+    timed = missing and not begun(world, missing)
     began_s = time.monotonic()
     world.prepare(plans)
     elapsed_s = time.monotonic() - began_s
     scenes = [world.reader(plan) for plan in plans]
-    frames, size = sum(map(len, scenes)), total_bytes(scenes)
-    print(f"{amount(world, scenes)} ({size / 1e6 / frames:.2f} a frame)")
+    frames, taken = sum(map(len, scenes)), total_bytes(scenes)
+    print(f"{amount(world, scenes)} ({taken / 1e6 / frames:.2f} a frame)")
     whole = len(world.plans) * whole_length
     if frames < whole:
-        print(f"all {len(world.plans)} scenes, {whole} frames: {size / frames * whole / 1e9:.1f} GB", end="")
-        print(f", {clock(elapsed_s / missing * whole)} with {world.workers} processes" if missing else "")
+        print(f"all {len(world.plans)} scenes, {whole} frames: {size(taken / frames * whole)}", end="")
+        frame_s = elapsed_s / (len(missing) * world.frames_per_scene or 1)
+        # a place is built once for all frames of a scene, so long scenes are cheaper
+        print(f", at most {clock(frame_s * whole)} with {max(1, world.workers)} processes" if timed else "")
 
 
 def read_back(world: VirtualWorld, plans: Sequence[ScenePlan]) -> None:
@@ -102,8 +108,7 @@ def draw_page(world: VirtualWorld, plans: Sequence[ScenePlan]) -> None:
 
 def amount(world: VirtualWorld, scenes: Sequence[SceneReader]) -> str:
     """Where the scenes lie and how much they are."""
-    megabytes = total_bytes(scenes) / 1e6
-    return f"{world.source}: {len(scenes)} scenes, {sum(map(len, scenes))} frames, {megabytes:.0f} MB"
+    return f"{world.source}: {len(scenes)} scenes, {sum(map(len, scenes))} frames, {size(total_bytes(scenes))}"
 
 
 def total_bytes(scenes: Sequence[SceneReader]) -> int:

@@ -21,7 +21,7 @@ class FrameProgress:
     def __init__(self, title: str, total: int):
         self.title = title
         self.total = total
-        self.done = self._shown = 0
+        self.done = self._made = self._shown = 0
         self._began_s = self._shown_s = time.monotonic()
         self._bar: Progress | None = None
         if sys.stderr.isatty():
@@ -37,8 +37,8 @@ class FrameProgress:
 
     @property
     def rate_hz(self) -> float:
-        """Frames per second since the beginning."""
-        return self.done / max(time.monotonic() - self._began_s, 1e-9)
+        """Frames made per second since the beginning."""
+        return self._made / max(time.monotonic() - self._began_s, 1e-9)
 
     def __enter__(self) -> "FrameProgress":
         if self._bar is not None:
@@ -54,8 +54,9 @@ class FrameProgress:
             self._line()
 
     def advance(self, frames: int = 1) -> None:
-        """Count frames that are done."""
+        """Count frames that are done: one just made, or all that an interrupted run has left of a scene."""
         self.done += frames
+        self._made += frames == 1
         if self._bar is not None:
             self._bar.update(self._task, completed=self.done, rate=f"{self.rate_hz:.1f} frames/s")
         elif time.monotonic() - self._shown_s > LINE_EVERY_S:
@@ -71,7 +72,7 @@ class FrameProgress:
     def _line(self) -> None:
         self._shown, self._shown_s = self.done, time.monotonic()
         left_s = (self.total - self.done) / max(self.rate_hz, 1e-9)
-        eta = f", {clock(left_s)} left" if 0 < self.done < self.total else ""
+        eta = f", {clock(left_s)} left" if self._made and self.done < self.total else ""
         print(
             f"{self.title}: {self.done}/{self.total} frames, {self.rate_hz:.1f} frames/s{eta}",
             file=sys.stderr,

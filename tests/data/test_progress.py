@@ -1,0 +1,24 @@
+import pytest
+
+from omniocc.data.progress import FrameProgress, clock
+
+
+def test_frames_that_were_there_do_not_count_as_fast(monkeypatch, capsys):
+    now = [100.0]
+    monkeypatch.setattr("omniocc.data.progress.time.monotonic", lambda: now[0])
+    with FrameProgress("rendering", 1000) as progress:
+        progress.advance(900)  # what an interrupted run has left
+        now[0] += 20.0
+        for _ in range(10):
+            progress.advance()
+        assert progress.rate_hz == pytest.approx(0.5)
+        now[0] += 20.0
+    first, last = capsys.readouterr().err.splitlines()
+    assert first == "rendering: 901/1000 frames, 0.1 frames/s, 33:00 min left"
+    assert last == "rendering: 910/1000 frames, 0.2 frames/s, 6:00 min left"
+
+
+def test_clock():
+    assert [clock(value) for value in (59.9, 3599, 3600, 86399, 129600)] == [
+        *("0:59 min", "59:59 min", "1:00 h", "23:59 h", "1.5 days")
+    ]
