@@ -1,5 +1,6 @@
 """ResNet and feature pyramid."""
 
+from collections.abc import Sequence
 from typing import Literal
 
 import torch
@@ -7,6 +8,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from transformers import ResNetConfig
 
+from omniocc.model.backbone.deformable import DeformableConv2d
 from omniocc.model.backbone.fpn import FPN
 from omniocc.model.backbone.pretrained import build_resnet
 
@@ -27,9 +29,10 @@ class ResNet(nn.Module):
             ones.
         channels: of the maps that come out.
         levels: strides of the maps that come out, some of 4, 8, 16, 32 px.
+        deformable_stages: those of the stages 1 to 4 whose 3x3 convolutions are deformable; they keep their weights.
 
     Raises:
-        ValueError: if a level does not exist or the weights have other sizes.
+        ValueError: if a level or stage does not exist or the weights have other sizes.
     """
 
     mean: Tensor
@@ -44,15 +47,20 @@ class ResNet(nn.Module):
         weights: str | None,
         channels: int,
         levels: list[int],
+        deformable_stages: Sequence[int] = (),
     ):
         super().__init__()
         if not levels or any(level not in STRIDES for level in levels):
             raise ValueError(f"levels are {levels}; they must be some of the strides {STRIDES}")
+        if any(stage not in (1, 2, 3, 4) for stage in deformable_stages):
+            raise ValueError(f"deformable_stages are {list(deformable_stages)}; they must be some of 1, 2, 3, 4")
         self.channels = channels
         config = ResNetConfig(
             layer_type=layer_type, embedding_size=embedding_size, hidden_sizes=hidden_sizes, depths=depths
         )
         self.encoder = build_resnet(config, weights)
+        for stage in deformable_stages:
+            make_deformable(self.encoder.encoder.stages[stage - 1])
         self.fpn = FPN(hidden_sizes, channels, [STRIDES.index(level) for level in levels])
         self.register_buffer("mean", torch.tensor(IMAGENET_MEAN).view(3, 1, 1), persistent=False)
         self.register_buffer("std", torch.tensor(IMAGENET_STD).view(3, 1, 1), persistent=False)
@@ -62,3 +70,11 @@ class ResNet(nn.Module):
         flat = ((images - self.mean) / self.std).flatten(0, 1).contiguous(memory_format=torch.channels_last)
         stages = self.encoder(flat, output_hidden_states=True).hidden_states[1:]
         return [level.unflatten(0, images.shape[:2]) for level in self.fpn(list(stages))]
+
+
+def make_deformable(stage: nn.Module) -> None:
+    """Replaces every 3x3 convolution of a stage by a deformable one that starts out equal."""
+    for parent in list(stage.modules()):
+        for name, layer in list(parent.named_children()):
+            if isinstance(layer, nn.Conv2d) and layer.kernel_size == (3, 3):
+                setattr(parent, name, DeformableConv2d(layer))
