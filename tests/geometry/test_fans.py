@@ -9,8 +9,9 @@ def rays_of(fans):
     """Origin and unit direction of every ray, from its fan."""
     count, headings = fans.headings.shape[:2]
     climbs = fans.slopes.shape[1]
-    k, rest = fans.place // (headings * climbs), fans.place % (headings * climbs)
-    a, e = rest // climbs, rest % climbs
+    k = torch.arange(count).repeat_interleave(headings * climbs)
+    place = fans.order.argsort().repeat(count)
+    a, e = place // climbs, place % climbs
     flat = torch.cat([fans.headings[k, a], fans.slopes[k, e].unsqueeze(1)], dim=1)
     return fans.origins[k], flat / fans.stretches[k, e].unsqueeze(1), count
 

@@ -4,6 +4,7 @@ import torch
 from omniocc.geometry import Cuboid, Cylinder, Scan, ray_table
 from omniocc.geometry.fans import Fans
 from omniocc.geometry.table import RayTable
+from omniocc.geometry.tensor_table import TensorTable
 from omniocc.metric import sparseocc_directions
 
 GRIDS = [
@@ -30,6 +31,17 @@ def first_hits(grid, labels, origins, directions):
     )
 
 
+class OnTensors(RayTable):
+    """As a table on a GPU."""
+
+    def __init__(self, grid, fans):
+        super().__init__(grid, fans)
+        self.table = TensorTable(grid, fans)
+
+
+BOTH = [RayTable, OnTensors]
+
+
 def check_same(hits, expected):
     assert torch.equal(hits.cells, expected[0])
     assert torch.equal(hits.labels, expected[1])
@@ -43,21 +55,27 @@ def random_labels(grid, share, generator):
     return labels
 
 
+@pytest.mark.parametrize("table", BOTH)
 @pytest.mark.parametrize("grid", GRIDS)
 @pytest.mark.parametrize("share", [0.0, 0.01, 0.2, 1.0])
-def test_rays_that_share_nothing(grid, share):
+def test_rays_that_share_nothing(grid, share, table):
     generator = torch.Generator().manual_seed(0)
     origins = ((torch.rand(3000, 3, generator=generator) - 0.5) * 24).double()
     directions = torch.randn(3000, 3, generator=generator).double()
     directions[:200, :2] = 0  # vertical
     directions[200:400, 2] = 0
     labels = random_labels(grid, share, generator)
-    check_same(grid.cast(labels, origins, directions), first_hits(grid, labels, origins, directions))
+    hits = table(grid, Fans.single(origins, directions)).cast(labels)
+    check_same(hits, first_hits(grid, labels, origins, directions))
+    if table is RayTable:
+        for mine, theirs in zip(grid.cast(labels, origins, directions), hits, strict=True):
+            assert torch.equal(mine, theirs)
 
 
+@pytest.mark.parametrize("table", BOTH)
 @pytest.mark.parametrize("grid", GRIDS)
 @pytest.mark.parametrize("share", [0.005, 0.2])
-def test_a_lidar_raster_finds_what_its_rays_find_alone(grid, share):
+def test_a_lidar_raster_finds_what_its_rays_find_alone(grid, share, table):
     generator = torch.Generator().manual_seed(1)
     scan = Scan(sparseocc_directions().reshape(39, 360, 3)[::2, ::7].reshape(-1, 3))
     assert scan.raster is not None
@@ -66,10 +84,10 @@ def test_a_lidar_raster_finds_what_its_rays_find_alone(grid, share):
     origins[1] = torch.tensor([2.0, 0.0, -2.0])  # on faces
     labels = random_labels(grid, share, generator)
     expected = first_hits(grid, labels, *scan.rays(origins))
-    table = RayTable(grid, scan.fans(origins))
-    for _ in range(3):  # the masks are made, made and kept, and reused
-        check_same(table.cast(labels), expected)
-    torch.testing.assert_close(table.reach_m(), first_hits(grid, labels * 0, *scan.rays(origins))[2], rtol=0, atol=4e-6)
+    rays = table(grid, scan.fans(origins))
+    for _ in range(3):  # the columns are found, found and kept, and reused
+        check_same(rays.cast(labels), expected)
+    torch.testing.assert_close(rays.reach_m, first_hits(grid, labels * 0, *scan.rays(origins))[2], rtol=0, atol=4e-6)
 
 
 def test_the_public_rays_on_the_papers_grids():
@@ -106,5 +124,13 @@ def test_wrong_input_is_named():
     table = ray_table(GRIDS[0], torch.zeros(1, 3), Scan(torch.ones(1, 3)))
     with pytest.raises(ValueError, match=r"labels must have the grid's shape \(24, 30, 6\), got \(2, 2, 2\)"):
         table.cast(torch.zeros(2, 2, 2, dtype=torch.uint8))
-    with pytest.raises(ValueError, match=r"at most 48 levels, got shape \(2, 2, 49\)"):
-        RayTable(Cuboid(shape=(2, 2, 49)), Fans.single(torch.zeros(1, 3), torch.ones(1, 3)))
+    with pytest.raises(ValueError, match=r"at most 48 levels, got \(2, 2, 49\); cast on the CPU"):
+        TensorTable(Cuboid(shape=(2, 2, 49)), Fans.single(torch.zeros(1, 3), torch.ones(1, 3)))
+
+
+def test_any_number_of_levels():
+    grid = Cuboid(shape=(1, 1, 70), x_m=(0.0, 1.0), y_m=(0.0, 1.0), height_m=(0.0, 70.0))
+    labels = torch.zeros(grid.shape, dtype=torch.uint8)
+    labels[0, 0, 66] = 3
+    hits = grid.cast(labels, torch.tensor([[0.5, 0.5, 0.5]]), torch.tensor([[0.0, 0.0, 1.0]]))
+    assert (hits.cells.item(), hits.labels.item(), hits.entry_m.item(), hits.exit_m.item()) == (66, 3, 65.5, 66.5)

@@ -3,15 +3,15 @@
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float64, Int, Int32, Int64
+from jaxtyping import Float64, Int64
 from torch import Tensor
 
 from omniocc.geometry.crossings import FAR, TOUCH_M
 from omniocc.geometry.fans import Fans
 from omniocc.geometry.trace import CHUNK_RAYS, Traversable, clip, in_order, stack_ragged
 
-MASKS = {8: torch.int8, 16: torch.int16, 32: torch.int32, 48: torch.int64}
-"""Type of a mask by the most levels it holds; 48 bits still fit into a float64."""
+MOST_LEVELS = 48
+"""Levels in a mask; the bits must fit into a float64."""
 
 
 class Columns(NamedTuple):
@@ -21,12 +21,10 @@ class Columns(NamedTuple):
         cells: row-major index over the first two axes of the nth column of each heading; their product where there is
             no cell.
         ends: way along the heading at which each column begins and the last one ends.
-        count: how many columns there are.
     """
 
-    cells: Int32[Tensor, "L G"]
+    cells: Int64[Tensor, "G L"]
     ends: Float64[Tensor, "G L+1"]
-    count: Int64[Tensor, " G"]
 
 
 class Levels(NamedTuple):
@@ -43,35 +41,23 @@ class Levels(NamedTuple):
     enter: Float64[Tensor, "K E Z"]
     leave: Float64[Tensor, "K E Z"]
     ways: Float64[Tensor, "K N"]
-    entered: Int[Tensor, "K N+1 E"]
-    ahead: Int[Tensor, "K N+1 E"]
+    entered: Int64[Tensor, "K N+1 E"]
+    ahead: Int64[Tensor, "K N+1 E"]
 
 
 def find_columns(grid: Traversable, origins: Float64[Tensor, "G 3"], headings: Float64[Tensor, "G 2"]) -> Columns:
     """Finds the columns along headings; how high they are does not matter."""
     none = grid.shape[0] * grid.shape[1]
     origins, directions = _level(grid, origins, headings)
-    parts, ends, counts = [], [], []
+    cells, ends = [], []
     for first in range(0, max(len(origins), 1), CHUNK_RAYS):
         chunk = slice(first, first + CHUNK_RAYS)
         start, leave = clip(grid, origins[chunk], directions[chunk])
         crossings = grid.crossings(origins[chunk], directions[chunk], start)[:2]
         cell, end = in_order(crossings, (grid.shape[1], 1), start, leave)
-        parts.append(cell.masked_fill_((cell < 0) | (end.diff(dim=1) <= TOUCH_M), none))
+        cells.append(cell.masked_fill_((cell < 0) | (end.diff(dim=1) <= TOUCH_M), none))
         ends.append(end)
-        counts.append((end < leave.unsqueeze(1)).sum(dim=1))
-    cells = parts[0].new_full((max(part.shape[1] for part in parts), len(origins)), none)
-    for part, rows in zip(parts, cells.split([len(part) for part in parts], dim=1), strict=True):
-        rows[: part.shape[1]] = part.T
-    return Columns(cells, stack_ragged(ends, None), torch.cat(counts))
-
-
-def find_lengths(
-    grid: Traversable, origins: Float64[Tensor, "G 3"], headings: Float64[Tensor, "G 2"]
-) -> Float64[Tensor, " G"]:
-    """Way along each heading inside the grid."""
-    start, leave = clip(grid, *_level(grid, origins, headings))
-    return leave - start
+    return Columns(stack_ragged(cells, none).long(), stack_ragged(ends, None))
 
 
 def _level(
@@ -89,9 +75,9 @@ def find_levels(grid: Traversable, fans: Fans) -> Levels:
         ValueError: if the grid has more levels than a mask holds.
     """
     (low, high), count = grid.bounds[2], grid.shape[2]
-    if count > max(MASKS):
-        raise ValueError(f"rays can be cast through at most {max(MASKS)} levels, got shape {grid.shape}; use paths()")
-    dtype = next(dtype for most, dtype in MASKS.items() if count <= most)
+    if count > MOST_LEVELS:
+        hint = "cast on the CPU, or use paths()"
+        raise ValueError(f"on a GPU rays can be cast through at most {MOST_LEVELS} levels, got {grid.shape}; {hint}")
     edges = torch.linspace(low, high, count + 1, dtype=torch.float64, device=fans.origins.device)
     height, slope = fans.origins[:, 2].reshape(-1, 1, 1), fans.slopes.unsqueeze(-1)
     level = slope == 0
@@ -105,10 +91,10 @@ def find_levels(grid: Traversable, fans: Fans) -> Levels:
     place = torch.arange(1, ways.shape[1] + 1, device=ways.device).expand_as(ways)
     place = place * slope.shape[1] + elevation
     behind = [
-        torch.zeros(len(ways), (ways.shape[1] + 1) * slope.shape[1], dtype=dtype, device=ways.device)
-        .scatter_(1, place, torch.where(chosen, bit, 0).to(dtype))
+        torch.zeros(len(ways), (ways.shape[1] + 1) * slope.shape[1], dtype=torch.int64, device=ways.device)
+        .scatter_(1, place, torch.where(chosen, bit, 0))
         .reshape(len(ways), ways.shape[1] + 1, slope.shape[1])
-        .cumsum(dim=1, dtype=dtype)
+        .cumsum(dim=1)
         for chosen in (event < count, event >= count)
     ]
     return Levels(enter, leave, ways, behind[0], ~behind[1])

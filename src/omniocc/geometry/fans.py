@@ -18,29 +18,30 @@ STEEP = 0.02
 
 
 class Fans(NamedTuple):
-    """K origins x A headings x E climbs, and which of these rays are wanted.
+    """K origins x A headings x E climbs.
 
     Attributes:
         origins: ego frame, metres.
         headings: horizontal directions.
         slopes: height gained per unit of the heading's length.
         stretches: distance per unit of the heading's length.
-        place: row-major place of each of R rays in (K, A, E).
+        order: which ray it is, among those from one origin, that has the first heading and each climb, then the second
+            heading, and so on. The rays from one origin follow those from the one before.
     """
 
     origins: Float64[Tensor, "K 3"]
     headings: Float64[Tensor, "K A 2"]
     slopes: Float64[Tensor, "K E"]
     stretches: Float64[Tensor, "K E"]
-    place: Int64[Tensor, " R"]
+    order: Int64[Tensor, " D"]
 
     @classmethod
     def single(cls, origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"]) -> "Fans":
         """Rays that have nothing in common, each a fan of its own."""
         directions = unit(directions)
-        place = torch.arange(len(origins), device=origins.device)
         slopes = directions[:, 2:]
-        return cls(origins.double(), directions[:, None, :2], slopes, torch.ones_like(slopes), place)
+        order = torch.zeros(1, dtype=torch.int64, device=origins.device)
+        return cls(origins.double(), directions[:, None, :2], slopes, torch.ones_like(slopes), order)
 
 
 class Scan:
@@ -86,15 +87,14 @@ class Scan:
         """The rays from these origins (ego frame, metres), in the order of `rays`."""
         if self.raster is None:
             return Fans.single(*self.rays(origins))
-        headings, slopes, stretches, place = (part.to(origins.device) for part in self.raster)
+        headings, slopes, stretches, _, order = (part.to(origins.device) for part in self.raster)
         count = len(origins)
-        first = torch.arange(count, device=origins.device).unsqueeze(1) * len(place)
         return Fans(
             origins.double(),
             headings.expand(count, -1, -1),
             slopes.expand(count, -1),
             stretches.expand(count, -1),
-            (first + place).flatten(),
+            order,
         )
 
 
@@ -103,6 +103,7 @@ class _Raster(NamedTuple):
     slopes: Float64[Tensor, " E"]
     stretches: Float64[Tensor, " E"]
     place: Int64[Tensor, " D"]
+    order: Int64[Tensor, " D"]
 
     def directions(self) -> Float64[Tensor, "D 3"]:
         """The unit directions that this raster stands for."""
@@ -128,6 +129,7 @@ def _raster(directions: Float64[Tensor, "D 3"], tolerance: float) -> _Raster | N
         (directions[:, 2] / level)[first_climb],
         1 / level[first_climb],
         place,
+        place.argsort(),
     )
 
 

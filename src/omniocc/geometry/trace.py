@@ -25,6 +25,9 @@ class Traversable(Protocol):
     def shape(self) -> tuple[int, int, int]: ...  # noqa: D102
 
     @property
+    def periodic(self) -> tuple[bool, bool, bool]: ...  # noqa: D102
+
+    @property
     def bounds(self) -> tuple[tuple[float, float], tuple[float, float], tuple[float, float]]: ...  # noqa: D102
 
     def clip(self, origins: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]: ...  # noqa: D102

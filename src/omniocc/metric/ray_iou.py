@@ -230,7 +230,7 @@ class RayIoU(Metric):
         error_m = torch.maximum(found.entry_m - range_m, range_m - found.exit_m).clamp(min=0)
         valid = (labels != self.free_class) & self._inside(places, range_m)
         if self.count_free_rays:
-            leave_m = table.reach_m()
+            leave_m = table.reach_m
             free = ((labels == self.free_class) | (range_m >= leave_m)) & (labels != self.ignore_class)
             clear_m = torch.minimum(range_m, leave_m.double())
             valid |= free & self._clear(found, clear_m)

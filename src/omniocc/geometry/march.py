@@ -1,0 +1,342 @@
+"""First hits of rays on a CPU, compiled by numba: fans of rays cross columns of cells, climb by climb.
+
+The ways at which a heading crosses the boundaries of either horizontal axis are computed in closed form and merged into
+columns. Per level, the next occupied column is then known at every column, so that a ray takes one look per level. The
+rules of `omniocc.geometry.crossings` hold: float64, boundaries closer than `TOUCH_M` are the same, nothing accumulates.
+"""
+
+from collections.abc import Callable
+from math import atan2, copysign, floor, pi, sqrt
+from typing import no_type_check
+
+import numpy as np
+from numba import njit
+
+from omniocc.geometry.crossings import FACE, FAR, TOUCH_M
+
+BATCH = 16
+"""Ways computed together, before it is asked whether they lead out of the grid."""
+
+
+def compiled(function: Callable) -> Callable:
+    """Compiles at the first call and keeps the result on disk, where there is a place to write to."""
+    try:
+        return njit(cache=True, nogil=True, error_model="numpy")(function)
+    except RuntimeError:  # neither the package's folder nor the user's cache folder can be written
+        return njit(nogil=True, error_model="numpy")(function)
+
+
+@compiled
+@no_type_check
+def plane_ways(origin, along, start, reach, low, size, cells, ways):
+    """As `plane_crossings` for one ray: fills `ways`; returns the first cell, its change at each, their number."""
+    index = min(max(floor((origin + start * along - low) / size), 0), cells - 1)
+    if along == 0:
+        return index, 0, 0
+    step = 1 if along > 0 else -1
+    first = index + (along > 0)
+    total = cells - index if along > 0 else index + 1
+    count = 0
+    while count < total:
+        until = min(count + BATCH, total)
+        for i in range(count, until):
+            ways[i] = ((first + step * i) * size + low - origin) / along
+        count = until
+        if ways[count - 1] >= reach:
+            break
+    return index, step, count
+
+
+@compiled
+@no_type_check
+def ring_ways(x, y, along_x, along_y, start, reach, low, size, cells, ways):
+    """As `ring_crossings`: fills `ways`; returns the first ring, how many crossings lead inwards, and their number."""
+    speed2 = along_x * along_x + along_y * along_y
+    here_x, here_y = x + start * along_x, y + start * along_y
+    ring = min(max(floor((sqrt(here_x * here_x + here_y * here_y) - low) / size), -1), cells - 1)
+    if speed2 < TOUCH_M**2:
+        return ring, 0, 0
+    nearest = -(x * along_x + y * along_y) / speed2
+    miss2 = (x * along_y - y * along_x) ** 2 / speed2
+    innermost = min(max(floor((sqrt(miss2) - low) / size), -1), cells - 1)
+    distance = max(ring - innermost, 0)
+    turn = -distance if start < nearest else distance
+    middle = low + (innermost + 0.5) * size
+    total = cells - innermost - turn
+    count = 0
+    while count < total:
+        until = min(count + BATCH, total)
+        for i in range(count, until):
+            later = turn + i + 0.5
+            radius = abs(later) * size + middle
+            ways[i] = nearest + copysign(sqrt(max(radius * radius - miss2, 0.0) / speed2), later)
+        count = until
+        if ways[count - 1] >= reach:
+            break
+    return innermost + distance, max(-turn, 0), count
+
+
+@compiled
+@no_type_check
+def sector_of(x, y, cells, ahead):
+    """The sector of a point, as `crossings._sector`."""
+    return floor((atan2(y, x) + pi) * (cells / (2 * pi)) + ahead) % cells
+
+
+@compiled
+@no_type_check
+def sector_ways(x, y, along_x, along_y, start, reach, cells, faces, ways):
+    """As `sector_crossings`: fills `ways`; returns the first sector, its change at each, and their number."""
+    speed2 = along_x * along_x + along_y * along_y
+    side = x * along_y - y * along_x
+    if speed2 < TOUCH_M**2:
+        return sector_of(x + start * along_x, y + start * along_y, cells, 0.0), 0, 0
+    if side**2 / speed2 < TOUCH_M**2:
+        after, nearest = sector_of(along_x, along_y, cells, FACE), -(x * along_x + y * along_y) / speed2
+        if start >= nearest - TOUCH_M:
+            return after, 0, 0
+        before = sector_of(-along_x, -along_y, cells, FACE)
+        ways[0] = nearest
+        return before, after - before, 1
+    index = sector_of(x + start * along_x, y + start * along_y, cells, 0.0)
+    sweep = 1 if side > 0 else -1
+    # faces lie in the order of the sweep, twice around
+    sin, cos = (faces[0], faces[1]) if side > 0 else (faces[2], faces[3])
+    first = index + 1 if side > 0 else cells - 1 - index
+    total, count = (cells + 1) // 2, 0
+    while count < total:
+        until = min(count + BATCH, total)
+        for i in range(count, until):
+            across = along_y * cos[first + i] - along_x * sin[first + i]
+            way = (sin[first + i] * x - cos[first + i] * y) / across
+            ways[i] = max(way, start) if across * sweep > 0 else FAR
+        count = until
+        if ways[count - 1] >= reach:
+            break
+    return index, sweep, count
+
+
+@compiled
+@no_type_check
+def merge(first, second, place, sizes, start, leave, cells, ends):
+    """Puts the crossings of two axes in order; returns the number of columns. Cells of no length are -1.
+
+    Args:
+        first: ways, their number, and how many of them lead to a smaller index; with room for one more.
+        second: ways, their number, and the change of index at each, around the end of the axis; likewise.
+        place: first cell on both axes.
+        sizes: of both axes.
+        start: where the first column begins.
+        leave: where the last one ends.
+        cells: to be filled.
+        ends: to be filled.
+    """
+    (ways, number, down), (others, other_number, step) = first, second
+    row, column = place
+    rows, columns = sizes
+    ways[number] = others[other_number] = FAR
+    i, j, count = 0, 0, 0
+    last = ends[0] = start
+    while last < leave:
+        take = ways[i] <= others[j]
+        way = min(max(ways[i] if take else others[j], last), leave)
+        inside = (way - last > TOUCH_M) & (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+        cells[count] = row * columns + column if inside else -1
+        count += 1
+        last = ends[count] = way
+        row += (1 if i >= down else -1) if take else 0
+        column += 0 if take else step
+        column += columns if column < 0 else (-columns if column >= columns else 0)
+        i += take
+        j += not take
+    return count
+
+
+@compiled
+@no_type_check
+def clip_round(x, y, along_x, along_y, radius):
+    """As `clip_disc` for one ray."""
+    speed2 = along_x * along_x + along_y * along_y
+    if speed2 < TOUCH_M**2:
+        return (-FAR, FAR) if x * x + y * y < radius * radius else (FAR, -FAR)
+    nearest = -(x * along_x + y * along_y) / speed2
+    miss2 = (x * along_y - y * along_x) ** 2 / speed2
+    if not miss2 < radius * radius:
+        return FAR, -FAR
+    offset = sqrt((radius * radius - miss2) / speed2)
+    return nearest - offset, nearest + offset
+
+
+@compiled
+@no_type_check
+def clip_flat(origin, along, low, high):
+    """As `clip_slab` for one ray."""
+    if along == 0:
+        return (-FAR, FAR) if low <= origin < high else (FAR, -FAR)
+    one, other = (low - origin) / along, (high - origin) / along
+    return min(one, other), max(one, other)
+
+
+@compiled
+@no_type_check
+def find_columns(x, y, along_x, along_y, span, bounds, sizes, faces, scratch, cells, ends):
+    """Finds the columns along one heading between two ways; returns their number.
+
+    Args:
+        x: origin.
+        y: origin.
+        along_x: heading.
+        along_y: heading.
+        span: ways between which some ray of the fan is between bottom and top.
+        bounds: (2, 2) of the horizontal axes.
+        sizes: cells on them.
+        faces: sines and cosines of the sectors' faces (`sector_faces`), empty for a cuboid.
+        scratch: (2, longest + 1).
+        cells: to be filled.
+        ends: to be filled.
+    """
+    size = (bounds[0, 1] - bounds[0, 0]) / sizes[0]
+    if faces.size:
+        enter, leave = clip_round(x, y, along_x, along_y, bounds[0, 1])
+    else:
+        one = clip_flat(x, along_x, bounds[0, 0], bounds[0, 1])
+        other = clip_flat(y, along_y, bounds[1, 0], bounds[1, 1])
+        enter, leave = max(one[0], other[0]), min(one[1], other[1])
+    start, leave = max(enter, span[0], 0.0), min(leave, span[1], FAR)
+    if not leave > start + TOUCH_M:
+        ends[0] = 0.0
+        return 0
+    if faces.size:
+        row, down, number = ring_ways(x, y, along_x, along_y, start, leave, bounds[0, 0], size, sizes[0], scratch[0])
+        column, step, others = sector_ways(x, y, along_x, along_y, start, leave, sizes[1], faces, scratch[1])
+    else:
+        row, step, number = plane_ways(x, along_x, start, leave, bounds[0, 0], size, sizes[0], scratch[0])
+        down = number if step < 0 else 0
+        size = (bounds[1, 1] - bounds[1, 0]) / sizes[1]
+        column, step, others = plane_ways(y, along_y, start, leave, bounds[1, 0], size, sizes[1], scratch[1])
+    first, second = (scratch[0], number, down), (scratch[1], others, step)
+    return merge(first, second, (row, column), sizes, start, leave, cells, ends)
+
+
+@compiled
+@no_type_check
+def next_hits(labels, levels, cells, count, hits):
+    """For every column and level, the first column from there on that is not free; `count` for none."""
+    for level in range(levels):
+        hits[count * levels + level] = count
+    for column in range(count - 1, -1, -1):
+        here, after, cell = column * levels, (column + 1) * levels, cells[column] * levels
+        if cell < 0:
+            for level in range(levels):
+                hits[here + level] = hits[after + level]
+        else:
+            for level in range(levels):
+                hits[here + level] = column if labels[cell + level] != 0 else hits[after + level]
+
+
+@compiled
+@no_type_check
+def reaching(ends, first, count, way):
+    """The first column, from `first` on, that ends at a way or beyond; `count` for none."""
+    left = count - first
+    while left > 0:
+        half = left >> 1
+        behind = ends[first + half + 1] < way
+        first = first + half + 1 if behind else first
+        left = left - half - 1 if behind else half
+    return first
+
+
+@compiled
+@no_type_check
+def first_hit(height, slope, edges, ends, count, hits):
+    """Column and level of the first hit of a ray, and the ways at which it enters and leaves the level; -1 for none."""
+    levels = len(edges) - 1
+    if slope == 0:
+        level = int(np.searchsorted(edges, height, side="right")) - 1
+        if level < 0 or level >= levels or hits[level] >= count:
+            return -1, 0, 0.0, 0.0
+        return hits[level], level, -FAR, FAR
+    step, ahead = (1, 1) if slope > 0 else (-1, 0)
+    place = floor((height + ends[0] * slope - edges[0]) / (edges[levels] - edges[0]) * levels) - step
+    level, column = min(max(place, 0), levels - 1), 0
+    enter, leave = (edges[level + 1 - ahead] - height) / slope, (edges[level + ahead] - height) / slope
+    while True:
+        if leave - TOUCH_M > ends[0]:
+            column = reaching(ends, column, count, enter + TOUCH_M)
+            if column >= count:
+                return -1, 0, 0.0, 0.0
+            hit = hits[column * levels + level]
+            if hit < count and ends[hit] < leave - TOUCH_M:
+                return hit, level, enter, leave
+        level += step
+        if level < 0 or level >= levels:
+            return -1, 0, 0.0, 0.0
+        enter, leave = leave, (edges[level + ahead] - height) / slope
+
+
+@compiled
+@no_type_check
+def cast_heading(origin, slopes, stretches, edges, cells, ends, count, hits, labels, rays, out):
+    """Casts all rays of one heading; `rays` are their places in `out`: cells, labels, entry and exit distances."""
+    found_cells, found_labels, entry_m, exit_m = out
+    levels = len(edges) - 1
+    for climb in range(len(slopes)):
+        slope, stretch, ray = slopes[climb], stretches[climb], rays[climb]
+        column, level, enter, leave = -1, 0, 0.0, 0.0
+        if count > 0:
+            column, level, enter, leave = first_hit(origin[2], slope, edges, ends, count, hits)
+        if column < 0:
+            enter, leave = clip_flat(origin[2], slope, edges[0], edges[levels])
+            first, last = max(ends[0], enter), min(ends[count], leave)
+            way_m = last * stretch if last > first + TOUCH_M else np.inf
+            found_cells[ray], found_labels[ray], entry_m[ray], exit_m[ray] = -1, 0, way_m, way_m
+        else:
+            cell = cells[column] * levels + level
+            found_cells[ray], found_labels[ray] = cell, labels[cell]
+            entry_m[ray] = max(ends[column], enter) * stretch
+            exit_m[ray] = min(ends[column + 1], leave) * stretch
+
+
+@compiled
+@no_type_check
+def build(first, last, origins, headings, spans, bounds, sizes, faces, kept):
+    """Fills the columns of some headings: `kept` is cells (G, L), ends (G, L + 1) and their number (G)."""
+    cells, ends, counts = kept
+    scratch = np.empty((2, ends.shape[1]))
+    each = headings.shape[1]
+    for group in range(first, last):
+        fan, heading = group // each, group % each
+        x, y, along_x, along_y = origins[fan, 0], origins[fan, 1], headings[fan, heading, 0], headings[fan, heading, 1]
+        counts[group] = find_columns(
+            x, y, along_x, along_y, spans[fan], bounds, sizes, faces, scratch, cells[group], ends[group]
+        )
+
+
+@compiled
+@no_type_check
+def cast(
+    first, last, origins, headings, slopes, stretches, order, spans, edges, bounds, sizes, faces, kept, volumes, out
+):
+    """Casts the rays of some headings through several volumes (V, cells); `out` has V rows."""
+    kept_cells, kept_ends, counts = kept
+    longest, each, climbs = kept_ends.shape[1], headings.shape[1], slopes.shape[1]
+    levels = len(edges) - 1
+    scratch, hits = np.empty((2, longest)), np.empty(longest * levels, dtype=np.int32)
+    cells, ends = np.empty(longest, dtype=np.int32), np.empty(longest)
+    rays = np.empty(climbs, dtype=np.int64)
+    for group in range(first, last):
+        fan, heading = group // each, group % each
+        if len(counts):
+            cells, ends, count = kept_cells[group], kept_ends[group], counts[group]
+        else:
+            x, y = origins[fan, 0], origins[fan, 1]
+            along_x, along_y = headings[fan, heading, 0], headings[fan, heading, 1]
+            count = find_columns(x, y, along_x, along_y, spans[fan], bounds, sizes, faces, scratch, cells, ends)
+        for climb in range(climbs):
+            rays[climb] = fan * each * climbs + order[heading * climbs + climb]
+        for volume in range(len(volumes)):
+            labels = volumes[volume]
+            next_hits(labels, levels, cells, count, hits)
+            rows = (out[0][volume], out[1][volume], out[2][volume], out[3][volume])
+            cast_heading(origins[fan], slopes[fan], stretches[fan], edges, cells, ends, count, hits, labels, rays, rows)
