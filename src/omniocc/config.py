@@ -55,9 +55,10 @@ class Root:
     stage: str | None
     checkpoint_every_n_steps: int
     pictures: int
+    ema_decay: float | None
 
 
-GROUPS = ("preset", "stages", "depth", "model", "data", "loss", "optimizer", "trainer", "logger", "paths")
+GROUPS = ("preset", "stages", "depth", "model", "data", "loss", "optimizer", "augment", "trainer", "logger", "paths")
 
 
 def check_root(cfg: DictConfig) -> None:

@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING, Any
 
+from omniocc.data.augment import Augment
 from omniocc.data.dataset import Extras, WindowDataset, collate
 from omniocc.data.errors import DataError
 from omniocc.data.frame_cache import CandidateCache, RangeCache
@@ -12,6 +13,7 @@ if TYPE_CHECKING:
     from omniocc.data.module import OccupancyData
 
 __all__ = [
+    "Augment",
     "CandidateCache",
     "DataError",
     "Extras",

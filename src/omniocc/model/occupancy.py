@@ -98,7 +98,7 @@ class OccupancyModel(nn.Module):
         window = slice(-self.temporal.frames, None)
         images, world_from_ego, exists = images[:, window], world_from_ego[:, window], exists[:, window]
         candidates = None if candidates is None else candidates[:, window]
-        # the newest first: autocast keeps the weights it has cast, and those of the past may have no gradient
+        # the newest first: autocast keeps what it casts, in older PyTorch without gradient if the past came first
         newest = self.lift(images[:, -1], rigs, None if candidates is None else candidates[:, -1])
         with torch.set_grad_enabled(torch.is_grad_enabled() and self.temporal.history_gradient):
             past = self._lift_past(images, rigs, candidates, exists, newest.volume)
@@ -113,11 +113,14 @@ class OccupancyModel(nn.Module):
     ) -> Lifted:
         """What single frames give: features of the images, and of the voxels in each frame's own ego frame."""
         images = to_unit_range(images)
-        if candidates is None:
-            with torch.no_grad():  # the sketch has learned in a stage of its own
-                candidates = self.sketch(images, rigs)
+        chosen = self.choose(images, rigs) if candidates is None else candidates
         features = self.backbone(images)
-        return Lifted(self.lifter(features, candidates, rigs), features)
+        return Lifted(self.lifter(features, chosen, rigs), features)
+
+    @torch.no_grad()
+    def choose(self, images: Float[Tensor, "B N 3 H W"], rigs: tuple[Rig, ...]) -> Bool[Tensor, "B X Y Z"]:
+        """Candidates of single frames; the sketch has learned in a stage of its own."""
+        return self.sketch(images, rigs)
 
     def fuse(
         self,

@@ -10,6 +10,9 @@ from omniocc.config import build, check, plain
 from omniocc.errors import UserError
 from omniocc.task.occupancy import Occupancy
 
+PARTS = ("model", "loss", "optimizer", "augment")
+"""What a task is built of."""
+
 TRUSTED = ("omniocc",)
 """A stranger's checkpoint may only name classes of ours: reading it runs no code of its own."""
 
@@ -34,7 +37,8 @@ def load_config(path: Path) -> tuple[DictConfig, dict[str, torch.Tensor]]:
 
 def build_task(cfg: DictConfig) -> Occupancy:
     """The task a configuration describes, with fresh weights."""
-    return Occupancy(build(cfg.model), build(cfg.loss), build(cfg.optimizer), plain(cfg))
+    model, loss, optimizer, augment = (build(cfg[part]) for part in PARTS)
+    return Occupancy(model, loss, optimizer, augment, cfg.ema_decay, plain(cfg))
 
 
 def load_task(path: Path, overrides: list[str]) -> tuple[Occupancy, DictConfig]:
@@ -47,7 +51,10 @@ def load_task(path: Path, overrides: list[str]) -> tuple[Occupancy, DictConfig]:
     cfg, weights = load_config(path)
     cfg = OmegaConf.merge(cfg, OmegaConf.from_dotlist(overrides))
     assert isinstance(cfg, DictConfig)
-    for part in ("model", "data", "loss", "optimizer"):
+    absent = [key for key in (*PARTS, "data", "ema_decay") if key not in cfg]
+    if absent:
+        raise UserError(f"{path} is of another version or stage: its configuration has no {', '.join(absent)}")
+    for part in (*PARTS, "data"):
         check(OmegaConf.create({part: cfg[part]}), packages=TRUSTED)
     task = build_task(cfg)
     task.load_state_dict(weights, strict=True)

@@ -2,13 +2,16 @@
 
 from typing import Any
 
+import numpy as np
 import torch
-from lightning.pytorch import LightningModule
+from lightning.pytorch import Callback, LightningModule
+from lightning.pytorch.callbacks import EMAWeightAveraging
 from lightning.pytorch.utilities.types import OptimizerLRSchedulerConfig
 from torch import Tensor
 
 from omniocc.batch import Batch
 from omniocc.classes import UNKNOWN
+from omniocc.data import Augment
 from omniocc.loss import Total
 from omniocc.model import OccupancyModel, Prediction, Stream
 from omniocc.task.adamw import AdamW
@@ -26,14 +29,27 @@ class Occupancy(LightningModule):
         model: what is trained.
         loss: named terms over a prediction.
         optimizer: recipe for optimiser and schedule.
+        augment: random changes of training batches.
+        ema_decay: the weights that are validated, tested and saved are this moving average over steps, for example
+            0.999; None: those of the last step.
         config: the run's resolved configuration as plain data; with it the checkpoint suffices to rebuild the model.
     """
 
-    def __init__(self, model: OccupancyModel, loss: Total, optimizer: AdamW, config: dict[str, Any]):
+    def __init__(
+        self,
+        model: OccupancyModel,
+        loss: Total,
+        optimizer: AdamW,
+        augment: Augment,
+        ema_decay: float | None,
+        config: dict[str, Any],
+    ):
         super().__init__()
         self.model = model
         self.loss = loss
         self.optimizer = optimizer
+        self.augment = augment
+        self.ema_decay = ema_decay
         self.config = config
         self.stream = Stream(model)
         self.scores = Scores(model.geometry)
@@ -67,8 +83,19 @@ class Occupancy(LightningModule):
         window = batch.images, batch.rigs, batch.world_from_ego, batch.candidates, exists, batch.frame_ids
         return self.stream.windows(*window).argmax(1).to(torch.uint8)
 
+    def draws(self, batch_index: int) -> torch.Generator:
+        """Of one training batch: a function of seed, step and process, so that a resumed run draws what was left."""
+        key = [self.config["seed"], self.global_step, batch_index, self.global_rank]
+        return torch.Generator().manual_seed(int(np.random.SeedSequence(key).generate_state(1)[0]))
+
+    def configure_callbacks(self) -> list[Callback]:
+        """The moving average of the weights, if asked for."""
+        # buffers follow the last step: averaging would round the prior's class ids
+        return [] if self.ema_decay is None else [EMAWeightAveraging(decay=self.ema_decay, use_buffers=False)]
+
     def training_step(self, batch: Batch, batch_index: int) -> Tensor:
         """Sum of the loss terms; each is logged by name."""
+        batch = self.augment(batch, self.draws(batch_index))
         prediction = self.predict(batch)
         return log_terms(self, self.loss(prediction, batch.voxels, batch.pixel_labels), batch)
 

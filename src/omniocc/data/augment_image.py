@@ -1,0 +1,86 @@
+"""Random changes of pixels: erased boxes and colours."""
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+LUMINANCE = (0.299, 0.587, 0.114)
+YIQ_FROM_RGB = (LUMINANCE, (0.5959, -0.2746, -0.3213), (0.2115, -0.5227, 0.3112))
+
+
+def uniform(size: Sequence[int], low: float, high: float, generator: torch.Generator) -> Tensor:
+    """Even draws on the CPU: the same whatever device the images are on."""
+    return torch.rand(tuple(size), generator=generator) * (high - low) + low
+
+
+def erase(
+    images: Tensor,
+    probability: float,
+    share: Sequence[float],
+    aspect: Sequence[float],
+    generator: torch.Generator,
+) -> Tensor:
+    """Covers one box in some images with an even colour (Random Erasing, Zhong et al. 2020; the paper's cropping).
+
+    Args:
+        images: (..., 3, H, W) uint8.
+        probability: that an image loses a box.
+        share: smallest and largest area, as a share of the image's; evenly drawn.
+        aspect: smallest and largest width / height; its logarithm is evenly drawn.
+        generator: of all draws, on the CPU.
+    """
+    *many, _, height, width = images.shape
+    hit = torch.rand(tuple(many), generator=generator) < probability
+    area_px = uniform(many, share[0], share[1], generator) * (height * width)
+    ratio = uniform(many, math.log(aspect[0]), math.log(aspect[1]), generator).exp()
+    wide = (area_px * ratio).sqrt().round().clamp(1, width)
+    high = (area_px / ratio).sqrt().round().clamp(1, height)
+    left = (torch.rand(tuple(many), generator=generator) * (width - wide + 1)).floor()
+    top = (torch.rand(tuple(many), generator=generator) * (height - high + 1)).floor()
+    color = torch.randint(0, 256, (*many, 3, 1, 1), generator=generator, dtype=torch.uint8)
+    columns, rows = torch.arange(width), torch.arange(height)
+    inside_columns = (columns >= left[..., None]) & (columns < (left + wide)[..., None]) & hit[..., None]
+    inside_rows = (rows >= top[..., None]) & (rows < (top + high)[..., None])
+    box = inside_rows[..., None, :, None].to(images.device) & inside_columns[..., None, None, :].to(images.device)
+    return torch.where(box, color.to(images.device), images)
+
+
+def jitter(
+    images: Tensor, brightness: float, contrast: float, saturation: float, hue_deg: float, generator: torch.Generator
+) -> Tensor:
+    """Other colours for every camera of every sample; all frames of a window share them, as one exposure would.
+
+    Args:
+        images: (B, T, N, 3, H, W) uint8.
+        brightness: factors are drawn from 1 - brightness to 1 + brightness.
+        contrast: likewise, around the image's mean luminance.
+        saturation: likewise, around each pixel's luminance.
+        hue_deg: largest turn of the colour circle, either way.
+        generator: of all draws, on the CPU.
+    """
+    many = (images.shape[0], 1, images.shape[2])
+    factors = [uniform(many, 1 - spread, 1 + spread, generator) for spread in (brightness, contrast, saturation)]
+    bright, steep, vivid = (factor[..., None, None].to(images.device) for factor in factors)
+    angle_rad = uniform(many, -math.radians(hue_deg), math.radians(hue_deg), generator).to(images.device)
+    color = bright * (steep * (hue_matrix(angle_rad) * vivid + grey_matrix(images.device) * (1 - vivid)))
+    pixels = images.float()
+    luminance = pixels.mean((-2, -1)) @ torch.tensor(LUMINANCE, device=images.device)
+    lift = bright * (1 - steep) * luminance[..., None, None]
+    return ((color @ pixels.flatten(-2)) + lift).round().clamp(0, 255).to(torch.uint8).view_as(images)
+
+
+def hue_matrix(angle_rad: Tensor) -> Tensor:
+    """(..., 3, 3) matrices that turn RGB around the grey axis, luminance kept."""
+    yiq = torch.tensor(YIQ_FROM_RGB, device=angle_rad.device)
+    turn = torch.zeros(*angle_rad.shape, 3, 3, device=angle_rad.device)
+    turn[..., 0, 0] = 1
+    turn[..., 1, 1] = turn[..., 2, 2] = angle_rad.cos()
+    turn[..., 1, 2], turn[..., 2, 1] = -angle_rad.sin(), angle_rad.sin()
+    return torch.linalg.inv(yiq) @ turn @ yiq
+
+
+def grey_matrix(device: torch.device) -> Tensor:
+    """(3, 3) matrix that makes every colour its luminance."""
+    return torch.tensor(LUMINANCE, device=device).expand(3, 3)

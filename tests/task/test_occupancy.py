@@ -1,0 +1,235 @@
+"""The occupancy task on batches out of thin air: what trains, what is scored, what is saved."""
+
+from itertools import product
+from pathlib import Path
+
+import pytest
+import torch
+from hydra import compose, initialize_config_dir
+from lightning.pytorch import Callback, LightningDataModule, Trainer
+from lightning.pytorch.callbacks import ModelCheckpoint
+
+from omniocc.batch import Batch
+from omniocc.camera import Rig
+from omniocc.task.checkpoint import build_task, load_task
+from omniocc.task.scores import Scores
+
+CONF = Path(__file__).parents[2] / "conf"
+RIG = Rig.load("fisheye6").resized(64, 36)
+pytestmark = [
+    pytest.mark.filterwarnings("ignore::UserWarning:lightning.*"),
+    pytest.mark.filterwarnings("ignore:`isinstance:FutureWarning"),
+]
+
+
+def composed(*overrides):
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        return compose("train", ["preset=smoke", *overrides])
+
+
+def make_task(*overrides):
+    torch.manual_seed(0)
+    return build_task(composed(*overrides))
+
+
+def make_batch(task, samples, with_candidates=True):
+    """Windows of scenes whose content is a function of scene and frame."""
+    shape, frames = task.model.geometry.shape, task.model.temporal.frames
+
+    def frame(scene, number):
+        generator = torch.Generator().manual_seed(1000 * scene + number)
+        pose = torch.eye(4, dtype=torch.float64)
+        pose[0, 3] = 2.3 * number
+        images = torch.randint(0, 256, (6, 3, 36, 64), generator=generator, dtype=torch.uint8)
+        marked = torch.rand(shape, generator=generator) < 0.4
+        voxels = torch.randint(0, 12, shape, generator=generator) * (torch.rand(shape, generator=generator) < 0.2)
+        labels = torch.randint(0, 12, (6, 36, 64), generator=generator, dtype=torch.uint8)
+        return images, pose, marked, voxels.to(torch.uint8), labels
+
+    windows = [[frame(scene, max(0, number - back)) for back in reversed(range(frames))] for scene, number in samples]
+    images, poses, marked = (torch.stack([torch.stack([f[k] for f in w]) for w in windows]) for k in range(3))
+    return Batch(
+        images=images,
+        rigs=(RIG,) * len(samples),
+        world_from_ego=poses,
+        voxels=torch.stack([w[-1][3] for w in windows]),
+        pixel_labels=torch.stack([w[-1][4] for w in windows]),
+        lidar_range_m=torch.full((len(samples), 14040), 5.0),
+        lidar_labels=torch.ones(len(samples), 14040, dtype=torch.uint8),
+        frame_ids=tuple(f"{scene}/{number:06d}" for scene, number in samples),
+        candidates=marked if with_candidates else None,
+        exists=torch.tensor([[number >= back for back in reversed(range(frames))] for _, number in samples]),
+    )
+
+
+SAMPLES = [[(0, 0), (0, 1)], [(0, 2), (0, 3)], [(1, 0), (1, 1)], [(1, 2)]]
+
+
+def test_streamed_evaluation_scores_what_whole_windows_score():
+    task = make_task("model/temporal=mean", "model/sketch=dense").eval()
+    expected, lifted = Scores(task.model.geometry), []
+    lift = task.model.lift
+    for samples in SAMPLES:
+        batch = make_batch(task, samples)
+        labels = task.predict_labels(batch)
+        expected.update(labels, batch)
+        task.model.lift = lambda images, *rest: lifted.append(len(images)) or lift(images, *rest)
+        assert torch.equal(task.validation_step(batch, 0), labels)
+        task.model.lift = lift
+    assert lifted == [2, 2, 2, 1]
+    assert {k: float(v) for k, v in task.scores.compute().items()} == pytest.approx(
+        {k: float(v) for k, v in expected.compute().items()}, nan_ok=True
+    )
+
+
+def test_every_evaluation_begins_without_memories():
+    task = make_task("model/temporal=mean", "model/sketch=dense").eval()
+    for begin, step in (
+        (task.on_validation_epoch_start, task.validation_step),
+        (task.on_test_epoch_start, task.test_step),
+    ):
+        step(make_batch(task, SAMPLES[1]), 0)
+        assert len(task.stream) == 2
+        begin()
+        assert len(task.stream) == 0
+
+
+def options(slot):
+    return sorted(path.stem for path in (CONF / "model" / slot).glob("*.yaml"))
+
+
+PAIRS = [
+    [f"model/temporal={temporal}", f"model/refiner={refiner}", f"model/semantic_head={head}"]
+    for temporal, refiner, head in product(options("temporal"), options("refiner"), options("semantic_head"))
+]
+HISTORY = ["model/temporal=mean", "model.temporal.history_gradient=true"]
+SINGLES = [[f"model/{slot}={name}"] for slot in ("backbone", "geometry", "lifter", "sketch") for name in options(slot)]
+
+
+@pytest.mark.parametrize(
+    "overrides", [*PAIRS, *SINGLES, ["model/temporal=mean", "model.temporal.history_gradient=true"]]
+)
+def test_every_combination_trains_all_its_parameters(overrides):
+    task = make_task("model/sketch=dense", *overrides)
+    counts = torch.randint(1, 100, (12, *task.model.geometry.shape))
+    task.set_training_statistics(counts)
+    batch = make_batch(task, [(0, 1), (1, 2)])
+    batch = task.augment(batch, task.draws(0))
+    terms = task.loss(task.predict(batch), batch.voxels, batch.pixel_labels)
+    torch.stack(list(terms.values())).sum().backward()
+    trained = {name: p.grad for name, p in task.model.named_parameters() if p.requires_grad}
+    assert [name for name, grad in trained.items() if grad is None] == []
+    assert [name for name, grad in trained.items() if not grad.isfinite().all()] == []
+    frozen = [p.grad for p in task.model.sketch.parameters()] if hasattr(task.model.sketch, "parameters") else []
+    assert all(grad is None for grad in frozen)
+
+
+class Batches(LightningDataModule):
+    def __init__(self, task):
+        super().__init__()
+        self.train = [make_batch(task, SAMPLES[0]), make_batch(task, SAMPLES[1])]
+        self.val = [make_batch(task, SAMPLES[2])]
+
+    def train_dataloader(self):
+        return torch.utils.data.DataLoader(self.train, batch_size=None)
+
+    def val_dataloader(self):
+        return torch.utils.data.DataLoader(self.val, batch_size=None)
+
+    def transfer_batch_to_device(self, batch, device, dataloader_idx):
+        return batch
+
+
+class Remember(Callback):
+    """Weights after every step, and while validating."""
+
+    def __init__(self):
+        self.steps, self.validated = [], []
+
+    def on_train_batch_end(self, trainer, module, *_):
+        self.steps.append(module.model.classifier.weight.detach().clone())
+
+    def on_validation_batch_end(self, trainer, module, *_):
+        self.validated.append(module.model.classifier.weight.detach().clone())
+
+
+def train(folder, task, max_steps, checkpoint=None):
+    remember = Remember()
+    trainer = Trainer(
+        accelerator="cpu", logger=False, enable_progress_bar=False, enable_model_summary=False,
+        num_sanity_val_steps=0, max_steps=max_steps, gradient_clip_val=35.0,
+        callbacks=[
+            remember,
+            ModelCheckpoint(folder, "last", every_n_train_steps=1, enable_version_counter=False),
+            ModelCheckpoint(folder, "best", monitor="val/rayiou", mode="max", enable_version_counter=False),
+        ],
+    )  # fmt: skip
+    trainer.fit(task, datamodule=Batches(task), ckpt_path=checkpoint)
+    return remember
+
+
+EMA = ("model/sketch=dense", "model/temporal=mean", "ema_decay=0.8", "trainer.max_steps=4")
+
+
+def averaging_task():
+    task = make_task(*EMA)
+    task.set_training_statistics(torch.randint(1, 100, (12, *task.model.geometry.shape)))
+    assert len(task.prior.unique()) == 12
+    return task
+
+
+@pytest.fixture(scope="module")
+def averaged(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("whole")
+    task = averaging_task()
+    return folder, train(folder, task, 4), task.prior.clone()
+
+
+def test_the_average_is_validated_and_saved(averaged):
+    folder, remembered, prior = averaged
+    average, averages = remembered.steps[0], []
+    for step, weights in enumerate(remembered.steps):
+        average = weights if step == 0 else 0.8 * average + 0.2 * weights
+        averages.append(average)
+    assert len(averages) == 4
+    torch.testing.assert_close(remembered.validated, [averages[1], averages[3]])
+    last, best = (torch.load(folder / f"{name}.ckpt", weights_only=True) for name in ("last", "best"))
+    torch.testing.assert_close(last["state_dict"]["model.classifier.weight"], averages[3])
+    torch.testing.assert_close(last["current_model_state"]["model.classifier.weight"], remembered.steps[3])
+    torch.testing.assert_close(best["state_dict"]["model.classifier.weight"], averages[best["global_step"] - 1])
+    assert torch.equal(last["state_dict"]["prior"], prior)
+    assert torch.equal(prior, averaging_task().prior)
+    rebuilt, _ = load_task(folder / "last.ckpt", [])
+    torch.testing.assert_close(rebuilt.model.classifier.weight, averages[3])
+
+
+def test_a_resumed_run_goes_on_with_weights_and_average(averaged, tmp_path):
+    folder, whole, _ = averaged
+    first = train(tmp_path, averaging_task(), 2)
+    torch.testing.assert_close(first.steps, whole.steps[:2], rtol=0, atol=1e-7)
+    rest = train(tmp_path, averaging_task(), 4, tmp_path / "last.ckpt")
+    torch.testing.assert_close(rest.steps, whole.steps[2:], rtol=0, atol=1e-7)
+    saved = [torch.load(place / "last.ckpt", weights_only=True)["state_dict"] for place in (folder, tmp_path)]
+    torch.testing.assert_close(*[state["model.classifier.weight"] for state in saved], rtol=0, atol=1e-7)
+
+
+def test_only_training_is_augmented():
+    task = make_task("model/sketch=dense", "model/refiner=none", "model/semantic_head=none")
+    asked = []
+    task.augment = lambda batch, generator: asked.append(batch) or batch
+    batch = make_batch(task, SAMPLES[0])
+    task.log = task.log_dict = lambda *_, **__: None
+    task.training_step(batch, 0)
+    assert len(asked) == 1
+    task.eval()
+    task.validation_step(batch, 0)
+    task.test_step(batch, 0)
+    task.predict_labels(batch)
+    assert len(asked) == 1
+
+
+def test_draws_are_a_function_of_seed_and_batch():
+    task, other = make_task("model/sketch=dense"), make_task("model/sketch=dense", "seed=1")
+    draws = [torch.rand(4, generator=t.draws(i)).tolist() for t, i in ((task, 0), (task, 0), (task, 1), (other, 0))]
+    assert draws[0] == draws[1]
+    assert len({tuple(draw) for draw in draws}) == 3
