@@ -1,3 +1,4 @@
+import itertools
 import math
 
 import pytest
@@ -37,31 +38,45 @@ def bilinear(values, u, v):
     return total
 
 
+def cells_at(grid, anchor):
+    """Points of a cylinder's or cuboid's cells, by hand."""
+    first, second, third = (
+        (torch.arange(cells, dtype=torch.float64) + 0.5 + part) * (high - low) / cells + low
+        for cells, (low, high), part in zip(grid.shape, grid.bounds, anchor, strict=True)
+    )
+    first, second, third = torch.meshgrid(first, second, third, indexing="ij")
+    if isinstance(grid, Cylinder):
+        first, second = first * second.cos(), first * second.sin()
+    return torch.stack([first, second, third], dim=-1).reshape(-1, 3)
+
+
 def attend(attention, query, features, pixels, seen, rig):
     """One query, one sample: mean over its cameras of the weighted samples of every head, level and point."""
     heads, levels, points = attention.heads, attention.levels, attention.points
     offsets = attention.offsets(query).view(heads, levels, 2, points)
     weights = attention.attention(query).view(heads, levels * points).softmax(-1).view(heads, levels, points)
     total = torch.zeros(8, dtype=torch.float64)
-    for camera in seen.nonzero().flatten().tolist():
-        u, v = pixels[camera].tolist()
+    for camera in seen.any(1).nonzero().flatten().tolist():
         for level, maps in enumerate(features):
             height, width = maps.shape[-2:]
             values = attention.value(maps[camera].permute(1, 2, 0) + attention.level_embedding[level])
-            column = (u + 0.5) * width / rig.cameras[camera].width - 0.5
-            row = (v + 0.5) * height / rig.cameras[camera].height - 0.5
-            for head in range(heads):
-                part = slice(head * 4, head * 4 + 4)
-                for point in range(points):
+            for head, point in itertools.product(range(heads), range(points)):
+                anchor = point * seen.shape[1] // points
+                if seen[camera, anchor]:
+                    u, v = pixels[camera, anchor].tolist()
+                    column = (u + 0.5) * width / rig.cameras[camera].width - 0.5
+                    row = (v + 0.5) * height / rig.cameras[camera].height - 0.5
+                    part = slice(head * 4, head * 4 + 4)
                     du, dv = offsets[head, level, :, point].tolist()
                     sample = bilinear(values[..., part], column + du, row + dv)
                     total[part] += weights[head, level, point] * sample
-    return attention.output(total / seen.sum())
+    return attention.output(total / seen.any(1).sum())
 
 
 def color_by_loops(lifter, features, candidates, rig):
     """The coloring module for one sample, a voxel at a time."""
-    pixels, valid = rig.project(lifter.geometry.centers(torch.float64).reshape(-1, 3))
+    points_m = torch.stack([cells_at(lifter.geometry, anchor) for anchor in lifter.anchors], dim=1)
+    pixels, valid = rig.project(points_m)
     volume = lifter.empty.expand(candidates.numel(), -1).clone()
     for cell in candidates.flatten().nonzero().flatten().tolist():
         query = lifter.embedding(lifter.positions[cell])
@@ -73,12 +88,20 @@ def color_by_loops(lifter, features, candidates, rig):
     return volume.T.reshape(-1, *lifter.geometry.shape)
 
 
+HEIGHTS = ((0.0, 0.0, -0.5), (0.0, 0.0, 0.5))
+RADII = ((-0.25, 0.0, 0.0), (0.25, 0.0, 0.0))
+
+
 @torch.no_grad()
-def test_equals_loops_over_voxels_cameras_heads_levels_and_points(fisheye):
-    lifter, features = make(), make_features(batch=1)
-    candidates = torch.rand(1, *GRID.shape) < 0.6
+@pytest.mark.parametrize("anchors", [((0.0, 0.0, 0.0),), HEIGHTS, RADII], ids=["centre", "heights", "radii"])
+@pytest.mark.parametrize("geometry", [GRID, Cuboid((6, 5, 3), height_m=(-8.0, 9.0))], ids=["cylinder", "cuboid"])
+def test_equals_loops_over_voxels_cameras_heads_levels_and_points(fisheye, geometry, anchors):
+    lifter, features = make(geometry, anchors=anchors), make_features(batch=1)
+    candidates = torch.rand(1, *geometry.shape) < 0.6
     expected = color_by_loops(lifter, [level[0] for level in features], candidates[0], fisheye)
     result = lifter(features, candidates, (fisheye,))
+    seen = torch.stack([reference_points(fisheye, geometry, torch.device("cpu"), (one,))[1] for one in anchors])
+    assert len(anchors) == 1 or (seen.any(0) & ~seen.all(0)).any()  # a camera that sees one anchor and not the other
     # reference points are kept in float32
     torch.testing.assert_close(result[0], expected, rtol=1e-5, atol=1e-5)
 
@@ -146,6 +169,19 @@ def test_a_rig_with_other_cameras_than_the_images_is_named(fisheye):
     features = [level[:, :4] for level in make_features(1)]
     with pytest.raises(ValueError, match="6 cameras but there are images of 4"):
         make()(features, torch.ones(1, *GRID.shape, dtype=torch.bool), (fisheye,))
+
+
+@pytest.mark.parametrize(
+    ("anchors", "message"),
+    [
+        ([], "2 points cannot be split among 0 anchors"),
+        ([(0.0, 0.0, 0.0)] * 3, "2 points cannot be split among 3 anchors"),
+        ([(0.0, 0.0, 0.6)], "from -0.5 to 0.5"),
+    ],
+)
+def test_anchors_share_the_points_and_stay_in_their_cell(anchors, message):
+    with pytest.raises(ValueError, match=message):
+        make(anchors=anchors)
 
 
 def test_heads_must_divide_channels():

@@ -9,13 +9,13 @@ SAMPLES, CAMERAS, HEADS, CHANNELS, POINTS = 2, 3, 2, 4, 3
 SIZES = [(5, 7), (3, 4)]
 
 
-def make_pairs(queries=6):
+def make_pairs(queries=6, anchors=1):
     seen = torch.rand(queries, CAMERAS) < 0.6
     seen[1] = False
     query, camera = seen.nonzero(as_tuple=True)
     counts = seen.sum(1)
     # up to 30 % beyond the border of the image
-    points = (torch.rand(len(query), 2, dtype=torch.float64) * 2 - 1) * 1.3
+    points = (torch.rand(len(query), anchors, 2, dtype=torch.float64) * 2 - 1) * 1.3
     return Pairs(query, camera, points, counts, counts.cumsum(0) - counts)
 
 
@@ -39,15 +39,17 @@ def by_grid_sample(pairs, offsets, attention, *maps):
         for index, (level, (height, width)) in enumerate(zip(maps, SIZES, strict=True)):
             for head in range(HEADS):
                 shift = offsets[head, index, :, query].T * 2 / torch.tensor([width, height])
-                grid = (pairs.points[pair] + shift).expand(SAMPLES, 1, -1, -1)
+                own = pairs.points[pair].repeat_interleave(POINTS // pairs.points.shape[1], dim=0)
+                grid = (own + shift).expand(SAMPLES, 1, -1, -1)
                 values = F.grid_sample(level[:, camera, head], grid, align_corners=False)[:, :, 0]
                 part = (values * attention[head, index, query]).sum(-1)
                 total = total.index_put((torch.tensor(head), torch.tensor(query)), part, accumulate=True)
     return total
 
 
-def test_values_and_gradients_are_those_of_grid_sample():
-    pairs = make_pairs()
+@pytest.mark.parametrize("anchors", [1, 3])
+def test_values_and_gradients_are_those_of_grid_sample(anchors):
+    pairs = make_pairs(anchors=anchors)
     tensors = inputs(pairs)
     result, expected = ours(pairs, *tensors), by_grid_sample(pairs, *tensors)
     torch.testing.assert_close(result, expected)

@@ -10,12 +10,12 @@ from omniocc.model.lifter.deformable import Level, deformable_sum, make_table
 from omniocc.model.lifter.visible import Pairs
 
 
-def ring_offsets(heads: int, levels: int, points: int) -> Float[Tensor, "H L 2 K"]:
-    """Where samples begin, in pixels: each head looks in a direction of its own, its points 1, 2, ... pixels away."""
+def ring_offsets(heads: int, levels: int, points: int, anchors: int) -> Float[Tensor, "H L 2 K"]:
+    """Where samples begin, in pixels: each head looks in a direction of its own, 1, 2, ... pixels from each anchor."""
     angle = torch.arange(heads) * (2 * math.pi / heads)
     direction = torch.stack([angle.cos(), angle.sin()], dim=-1)
     direction = direction / direction.abs().amax(-1, keepdim=True)
-    return (direction[..., None] * torch.arange(1, points + 1))[:, None].expand(-1, levels, -1, -1)
+    return (direction[..., None] * (torch.arange(points) % (points // anchors) + 1))[:, None].expand(-1, levels, -1, -1)
 
 
 def _transposed(linear: nn.Linear, queries: Float[Tensor, "Q C"]) -> Float[Tensor, "D Q"]:
@@ -32,9 +32,10 @@ class CrossAttention(nn.Module):
         heads: a divisor of the channels.
         points: samples per head and level.
         levels: number of feature maps.
+        anchors: reference points of each query, a divisor of the points, which they share equally.
     """
 
-    def __init__(self, channels: int, heads: int, points: int, levels: int):
+    def __init__(self, channels: int, heads: int, points: int, levels: int, anchors: int):
         super().__init__()
         self.heads, self.points, self.levels = heads, points, levels
         samples = levels * points
@@ -46,7 +47,7 @@ class CrossAttention(nn.Module):
         for layer in (self.offsets, self.attention):
             nn.init.zeros_(layer.weight)
             nn.init.zeros_(layer.bias)
-        self.offsets.bias.data.copy_(ring_offsets(heads, levels, points).flatten())
+        self.offsets.bias.data.copy_(ring_offsets(heads, levels, points, anchors).flatten())
 
     def forward(
         self,

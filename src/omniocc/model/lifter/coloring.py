@@ -1,4 +1,6 @@
-"""The coloring module: candidate voxels attend to image features (paper, section III-B)."""
+"""The coloring module: candidate voxels attend to image features (paper, 'Coloring Module', eq. 1)."""
+
+from collections.abc import Sequence
 
 import torch
 from jaxtyping import Bool, Float
@@ -9,15 +11,15 @@ from omniocc.geometry import Grid
 from omniocc.model.lifter.attention import CrossAttention
 from omniocc.model.lifter.deformable import Level, make_level
 from omniocc.model.lifter.position import position_features
-from omniocc.model.lifter.visible import Pairs, reference_points, visible_pairs
+from omniocc.model.lifter.visible import CENTRE, Pairs, reference_points, visible_pairs
 
 
 class ColoringLayer(nn.Module):
     """Cross-attention, add & norm, feed-forward, add & norm."""
 
-    def __init__(self, channels: int, heads: int, points: int, levels: int, feedforward_channels: int):
+    def __init__(self, channels: int, heads: int, points: int, levels: int, anchors: int, feedforward_channels: int):
         super().__init__()
-        self.attention = CrossAttention(channels, heads, points, levels)
+        self.attention = CrossAttention(channels, heads, points, levels, anchors)
         self.attention_norm = nn.LayerNorm(channels)
         self.feedforward = nn.Sequential(
             nn.Linear(channels, feedforward_channels), nn.ReLU(), nn.Linear(feedforward_channels, channels)
@@ -40,7 +42,8 @@ class Coloring(nn.Module):
     """Lifts image features into the candidate voxels by deformable cross-attention through each sample's own rig.
 
     A query starts as an embedding of its voxel's position. Work and memory grow with the number of visible (candidate,
-    camera) pairs. Candidates that no camera sees keep their embedding; all other voxels get one learned vector.
+    camera) pairs. Candidates that no camera sees keep their embedding; all other voxels get one learned vector, the
+    mask token of VoxFormer (Li et al., 2023).
 
     Args:
         geometry: the voxel grid.
@@ -50,9 +53,11 @@ class Coloring(nn.Module):
         heads: of attention, a divisor of the channels.
         points: samples per head and level.
         feedforward_channels: hidden channels of the feed-forward part.
+        anchors: reference points of a voxel, as offsets from its centre along the grid's axes in cells, -0.5 to 0.5.
+            They share the points, so that more of them cost nothing. A camera is hit if it sees one.
 
     Raises:
-        ValueError: if the heads do not divide the channels.
+        ValueError: if the heads do not divide the channels, the anchors not the points, or an anchor leaves its cell.
     """
 
     positions: Tensor
@@ -66,13 +71,19 @@ class Coloring(nn.Module):
         heads: int,
         points: int,
         feedforward_channels: int,
+        anchors: Sequence[tuple[float, float, float]] = CENTRE,
     ):
         super().__init__()
         if channels % heads:
             raise ValueError(f"{channels} channels cannot be split among {heads} heads; give a divisor")
+        if not anchors or points % len(anchors):
+            raise ValueError(f"{points} points cannot be split among {len(anchors)} anchors; give a multiple")
+        if any(len(anchor) != 3 or max(map(abs, anchor)) > 0.5 for anchor in anchors):
+            raise ValueError(f"anchors are {list(anchors)}; each must be three numbers from -0.5 to 0.5")
         self.geometry = geometry
         self.channels = channels
         self.points = points
+        self.anchors = tuple((float(first), float(second), float(third)) for first, second, third in anchors)
         self.register_buffer("positions", position_features(geometry), persistent=False)
         self.embedding = nn.Sequential(
             nn.Linear(self.positions.shape[1], channels),
@@ -81,7 +92,8 @@ class Coloring(nn.Module):
             nn.LayerNorm(channels),
         )
         self.layers = nn.ModuleList(
-            ColoringLayer(channels, heads, points, len(levels), feedforward_channels) for _ in range(layers)
+            ColoringLayer(channels, heads, points, len(levels), len(anchors), feedforward_channels)
+            for _ in range(layers)
         )
         self.empty = nn.Parameter(torch.zeros(channels))
 
@@ -112,7 +124,7 @@ class Coloring(nn.Module):
         batch, cameras = features[0].shape[:2]
         if len(rig.cameras) != cameras:
             raise ValueError(f"the rig has {len(rig.cameras)} cameras but there are images of {cameras}")
-        points, valid = reference_points(rig, self.geometry, marked.device)
+        points, valid = reference_points(rig, self.geometry, marked.device, self.anchors)
         cells = marked.nonzero()[:, 0]
         embedding = self.embedding(self.positions[cells])
         seen = valid.any(0)[cells].nonzero()[:, 0]

@@ -69,13 +69,12 @@ def make_table(maps: Float[Tensor, "B N H C _ _"]) -> Float[Tensor, "H R BC"]:
 
 
 def make_level(pairs: Pairs, height: int, width: int, points: int, dtype: torch.dtype) -> Level:
-    """Reference points of the pairs on a level whose maps are height x width px."""
-    u, v = pairs.points.to(dtype).unbind(-1)
+    """Reference points of the pairs on a level whose maps are height x width px; anchors share the samples."""
+    u, v = pairs.points.to(dtype).repeat_interleave(points // pairs.points.shape[1], dim=1).unbind(-1)
     x = ((u + 1) * width + 1) / 2
     y = ((v + 1) * height + 1) / 2
     row = pairs.camera.int() * ((height + 2) * (width + 2))
-    x, y, row = (each[:, None].expand(-1, points).contiguous() for each in (x, y, row))
-    return Level(x, y, row, width + 2, height + 2)
+    return Level(x, y, row[:, None].expand(-1, points).contiguous(), width + 2, height + 2)
 
 
 def _axis(anchor: Tensor, offset: Tensor, size: int) -> tuple[Tensor, Tensor, Tensor]:

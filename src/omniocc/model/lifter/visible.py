@@ -1,54 +1,73 @@
 """Which camera sees which voxel, and where."""
 
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float, Float32, Int64
+from jaxtyping import Bool, Float, Float32, Float64, Int64
 from torch import Tensor
 
 from omniocc.camera import Rig, normalize_pixels
 from omniocc.geometry import Grid
 
+CENTRE = ((0.0, 0.0, 0.0),)
+OUTSIDE = -1e4
+
 
 class Pairs(NamedTuple):
-    """Every (query, camera) of which the camera sees the query's voxel, sorted by query.
+    """Every (query, camera) of which the camera sees an anchor of the query's voxel, sorted by query.
 
     Attributes:
         query: index of the query.
         camera: index of the camera.
-        points: where the camera sees it, in `grid_sample` coordinates.
+        points: where the camera sees each anchor, in `grid_sample` coordinates; far outside if it does not.
         counts: cameras that see each query.
         first: index of each query's first pair.
     """
 
     query: Int64[Tensor, " P"]
     camera: Int64[Tensor, " P"]
-    points: Float[Tensor, "P 2"]
+    points: Float[Tensor, "P A 2"]
     counts: Int64[Tensor, " Q"]
     first: Int64[Tensor, " Q"]
 
 
+def anchor_points(geometry: Grid, anchors: Sequence[tuple[float, float, float]]) -> Float64[Tensor, "X Y Z A 3"]:
+    """Points in every cell, ego frame, metres.
+
+    Args:
+        geometry: the voxel grid.
+        anchors: offsets from the middle of the cell along the grid's axes, in cells.
+    """
+    points = []
+    for anchor in anchors:
+        edges = [geometry.edges(axis) for axis in range(3)]
+        places = [low[:-1] + (0.5 + part) * low.diff() for low, part in zip(edges, anchor, strict=True)]
+        points.append(geometry.from_axes(*torch.meshgrid(*places, indexing="ij")))
+    return torch.stack(points, dim=-2)
+
+
 @lru_cache(maxsize=16)
 def reference_points(
-    rig: Rig, geometry: Grid, device: torch.device
-) -> tuple[Float32[Tensor, "N cells 2"], Bool[Tensor, "N cells"]]:
-    """Projects all cell centres into all cameras: `grid_sample` coordinates, and whether they are visible there.
+    rig: Rig, geometry: Grid, device: torch.device, anchors: tuple[tuple[float, float, float], ...] = CENTRE
+) -> tuple[Float32[Tensor, "N cells A 2"], Bool[Tensor, "N cells"]]:
+    """Projects the anchors of all cells into all cameras: `grid_sample` coordinates, and which cells are visible there.
 
-    Depends on rig and grid alone, so each rig is projected once. The result is shared: never write to it.
+    A cell is visible where one of its anchors is; anchors that are not lie far outside the image. Depends on rig and
+    grid alone, so each rig is projected once. The result is shared: never write to it.
     """
-    centers_m = geometry.centers(torch.float64).reshape(-1, 3)
-    pixels, valid = rig.project(centers_m)
+    pixels, valid = rig.project(anchor_points(geometry, anchors).flatten(0, 2))
     points = [
         normalize_pixels(pixels_px, camera.width, camera.height)
         for pixels_px, camera in zip(pixels, rig.cameras, strict=True)
     ]
-    points = torch.where(valid[..., None], torch.stack(points), 0.0)
-    return points.to(device=device, dtype=torch.float32), valid.to(device)
+    points = torch.where(valid[..., None], torch.stack(points), OUTSIDE)
+    return points.to(device=device, dtype=torch.float32), valid.any(-1).to(device)
 
 
 def visible_pairs(
-    points: Float32[Tensor, "N cells 2"], valid: Bool[Tensor, "N cells"], cells: Int64[Tensor, " Q"]
+    points: Float32[Tensor, "N cells A 2"], valid: Bool[Tensor, "N cells"], cells: Int64[Tensor, " Q"]
 ) -> Pairs:
     """The pairs of the queries at `cells` (row-major indices)."""
     seen = valid.T[cells]
