@@ -35,6 +35,7 @@ OFF = {
     "hue_deg": 0.0,
     "flip_probability": 0.0,
     "yaw_probability": 0.0,
+    "drop_past_probability": 0.0,
 }
 
 
@@ -216,7 +217,7 @@ def test_all_off_changes_nothing(grid, batch):
 def test_draws_follow_the_seed(grid, batch):
     options = {
         "erase_probability": 0.5, "brightness": 0.2, "contrast": 0.2, "saturation": 0.2, "hue_deg": 20.0,
-        "flip_probability": 0.5, "yaw_probability": 0.5,
+        "flip_probability": 0.5, "yaw_probability": 0.5, "drop_past_probability": 0.5,
     }  # fmt: skip
     changed = augment(grid, **options)
     same(changed(batch, seeded(3)), changed(batch, seeded(3)))
@@ -231,6 +232,14 @@ def test_flips_and_turns_come_as_often_as_asked(batch, grid):
     share = sum(name == "Mirrored" for name, _ in drawn) / 200
     assert share == pytest.approx(0.3, abs=0.1)
     assert len({rig for _, rig in drawn}) == 2 * possible_turns(batch, grid)
+
+
+def test_dropped_frames_are_past_ones_that_existed(batch, grid):
+    change = augment(grid, drop_past_probability=0.25)
+    drawn = torch.stack([change(batch, seeded(seed)).exists for seed in range(300)]).double().mean(0)
+    expected = torch.tensor([[0.75, 0.75, 1.0], [0.0, 0.75, 1.0], [0.75, 0.75, 1.0]], dtype=torch.float64)
+    torch.testing.assert_close(drawn, expected, rtol=0, atol=0.1)
+    assert torch.equal((drawn == 1) | (drawn == 0), (expected == 1) | (expected == 0))
 
 
 def test_erased_boxes_are_even_and_as_large_as_asked():

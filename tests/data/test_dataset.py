@@ -70,6 +70,7 @@ def test_a_window_never_crosses_the_beginning_of_its_scene(world):
     for index, frames in ((4, [0, 0, 0]), (5, [0, 0, 1]), (6, [0, 1, 2]), (7, [1, 2, 3])):
         sample = data[index]
         assert sample.world_from_ego[:, 0, 3].tolist() == [3.0 * frame for frame in frames]
+        assert sample.exists.tolist() == [newest >= 0 for newest in range(index - 6, index - 3)]
         for at, frame in enumerate(frames):
             assert torch.equal(sample.images[at], data[4 + frame].images[-1])
     assert window_frames(newest=1, window=4) == [0, 0, 0, 1]
@@ -81,6 +82,7 @@ def test_collate_gives_a_batch(world):
     assert batch.images.shape == (3, 2, 6, 3, 18, 32)
     assert batch.world_from_ego.shape == (3, 2, 4, 4)
     assert batch.world_from_ego.dtype == torch.float64
+    assert batch.exists.tolist() == [[False, True], [True, True], [True, True]]
     assert batch.voxels.shape == (3, 8, 10, 4)
     assert batch.pixel_labels.shape == (3, 6, 18, 32)
     assert batch.lidar_range_m.shape == batch.lidar_labels.shape == (3, 64)

@@ -168,7 +168,7 @@ def train(folder, task, max_steps, checkpoint=None):
     return remember
 
 
-EMA = ("model/sketch=dense", "model/temporal=mean", "ema_decay=0.8", "trainer.max_steps=4")
+EMA = ("model/sketch=dense", "model/temporal=mean", "ema_decay=0.9", "trainer.max_steps=4")
 
 
 def averaging_task():
@@ -189,7 +189,7 @@ def test_the_average_is_validated_and_saved(averaged):
     folder, remembered, prior = averaged
     average, averages = remembered.steps[0], []
     for step, weights in enumerate(remembered.steps):
-        average = weights if step == 0 else 0.8 * average + 0.2 * weights
+        average = weights if step == 0 else 0.9 * average + 0.1 * weights
         averages.append(average)
     assert len(averages) == 4
     torch.testing.assert_close(remembered.validated, [averages[1], averages[3]])

@@ -11,7 +11,7 @@ from omniocc.geometry import Grid
 
 
 class Augment:
-    """Erased boxes, other colours, mirrored and turned scenes; each can be switched off with 0.
+    """Erased boxes, other colours, mirrored and turned scenes, shorter histories; 0 switches each off.
 
     Erasing is the paper's ('random cropping on the input RGB images to enhance robustness against occlusion'). Labels
     stay: what is behind an erased box is to be inferred from other cameras, other frames and the surroundings.
@@ -27,6 +27,7 @@ class Augment:
         hue_deg: largest turn of the colour circle.
         flip_probability: that a scene is mirrored left to right.
         yaw_probability: that a scene is turned about the vertical axis, by any step that takes cells to cells.
+        drop_past_probability: that a past frame counts as not recorded, which saves its cost.
 
     Raises:
         ValueError: for a value that is no probability or share, or an empty range.
@@ -44,11 +45,13 @@ class Augment:
         hue_deg: float,
         flip_probability: float,
         yaw_probability: float,
+        drop_past_probability: float,
     ):
         units = {
             "erase_probability": erase_probability,
             "flip_probability": flip_probability,
             "yaw_probability": yaw_probability,
+            "drop_past_probability": drop_past_probability,
             "brightness": brightness,
             "contrast": contrast,
             "saturation": saturation,
@@ -63,11 +66,14 @@ class Augment:
         self.erasing = (erase_probability, tuple(erase_share), tuple(erase_aspect))
         self.colors = (brightness, contrast, saturation, hue_deg)
         self.flip_probability, self.yaw_probability = flip_probability, yaw_probability
+        self.drop_past_probability = drop_past_probability
 
     def __call__(self, batch: Batch, generator: torch.Generator) -> Batch:
         """A changed batch; the same for the same state of `generator` (on the CPU), whatever device the batch is on."""
         if self.flip_probability or self.yaw_probability:
             batch = change_scenes(batch, self.geometry, self._changes(batch, generator))
+        if self.drop_past_probability:
+            batch = drop_past(batch, self.drop_past_probability, generator)
         images = batch.images
         if any(self.colors):
             images = jitter(images, *self.colors, generator)
@@ -84,3 +90,11 @@ class Augment:
         return [
             Change(flip, step, parts if step else 1) for flip, step in zip(flips.tolist(), steps.tolist(), strict=True)
         ]
+
+
+def drop_past(batch: Batch, probability: float, generator: torch.Generator) -> Batch:
+    """Windows in which past frames do not exist, each with this probability; the newest always stays."""
+    kept = torch.rand(batch.images.shape[:2], generator=generator) >= probability
+    kept[:, -1] = True
+    kept = kept.to(batch.images.device)
+    return batch._replace(exists=kept if batch.exists is None else batch.exists & kept)
