@@ -5,10 +5,11 @@ from typing import Protocol, runtime_checkable
 from jaxtyping import Float
 from torch import Tensor
 
+from omniocc.model.refiner.attention import Attention
 from omniocc.model.refiner.none import NoRefiner
 from omniocc.model.refiner.unet import UNet
 
-__all__ = ["NoRefiner", "Refiner", "UNet"]
+__all__ = ["Attention", "NoRefiner", "Refiner", "UNet"]
 
 
 @runtime_checkable
