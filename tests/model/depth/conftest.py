@@ -49,6 +49,7 @@ SIZES = {
         "min_confidence": 0.0,
         "log_range_weight": 2.0,
         "entropy_weight": 0.5,
+        "sky_weight": 0.5,
         "mirror": False,
     },
     "OmniMVS3D": {
@@ -60,6 +61,7 @@ SIZES = {
         "min_confidence": 0.0,
         "log_range_weight": 2.0,
         "entropy_weight": 0.5,
+        "sky_weight": 0.5,
         "mirror": False,
     },
 }

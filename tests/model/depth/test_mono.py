@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from omniocc.camera import Rig
-from omniocc.model.depth.mono import nearest_of_four, ray_maps
+from omniocc.model.depth.mono import range_of_four, ray_maps
 
 INF, NAN = float("inf"), float("nan")
 
@@ -19,11 +19,11 @@ def test_rays_of_a_level_and_a_tilted_camera():
     assert middle[:, 3].tolist() == pytest.approx([math.sin(math.radians(-10))] * 6, abs=1e-3)
 
 
-def test_nearest_of_four():
-    block = torch.tensor([[3.0, INF, INF, INF, 5.0, NAN], [4.0, 2.0, INF, INF, 5.0, 5.0]])
-    nearest = nearest_of_four(block[None, None])[0, 0, 0]
-    assert nearest[:2].tolist() == [2, INF]
-    assert nearest[2].isnan()
+def test_range_of_four():
+    rows = [[3.0, 6.0, INF, INF, INF, 4.0, 5.0, NAN], [6.0, 3.0, INF, 2.0, 4.0, INF, 5.0, INF]]
+    blocks = range_of_four(torch.tensor(rows)[None, None])[0, 0, 0]
+    assert blocks[:3].tolist() == pytest.approx([4, INF, 4])  # 1 / mean(1/3, 1/6); a lone surface; the two surfaces
+    assert blocks[3].isnan()
 
 
 def test_a_network_that_knows_the_range_gives_the_panorama(small, make_ring, monkeypatch):
@@ -41,7 +41,9 @@ def test_a_network_that_knows_the_range_gives_the_panorama(small, make_ring, mon
     torch.testing.assert_close(depth.range_m[depth.valid], torch.full_like(depth.range_m[depth.valid], 6.0))
     assert depth.confidence.amax().item() == pytest.approx(1 / (1 + math.exp(-3)), abs=1e-5)
     sky += 6
-    assert not model(torch.rand(1, 6, 3, 36, 64), (rig,)).valid.any()
+    doubtful = model(torch.rand(1, 6, 3, 36, 64), (rig,))
+    assert not doubtful.valid.any()
+    torch.testing.assert_close(doubtful.range_m[depth.valid], depth.range_m[depth.valid])
 
 
 def test_ranges_of_cameras_are_needed(small, rig):

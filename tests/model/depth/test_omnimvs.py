@@ -51,10 +51,26 @@ def test_the_true_range_is_not_looked_at(small, rig):
     assert all(torch.equal(ours, expected) for ours, expected in zip(one, two, strict=True))
 
 
+@pytest.mark.parametrize("name", ["OmniMVS", "OmniMVS3D"])
+def test_where_sky_is_likelier_the_range_stands_but_is_not_valid(name, small, rig, monkeypatch):
+    model = small(name)
+    logits = torch.zeros(1, 9, 12, 48)  # eight spheres and the sky
+    logits[:, 3], logits[:, 8, :5], logits[:, 8, 5:] = 20.0, 2.0, -2.0
+    monkeypatch.setattr(model, "logits", lambda images, rig: (logits, torch.ones(1, 12, 48, dtype=torch.bool)))
+    depth = model(torch.rand(1, 6, 3, 36, 64), (rig,))
+    torch.testing.assert_close(depth.index, torch.full((1, 12, 48), 3.0))
+    assert depth.valid[:, 5:].all()
+    assert not depth.valid[:, :5].any()
+    assert depth.confidence[0, :, 0].unique().tolist() == pytest.approx([0.1192, 0.8808], abs=1e-3)
+
+
 def test_uncertain_answers_are_not_valid(small, rig):
     images = torch.rand(1, 6, 3, 36, 64)
+    models = [small("OmniMVS", min_confidence=level).eval() for level in (0.0, 0.9)]
     with torch.no_grad():
-        free, strict = (small("OmniMVS", min_confidence=level).eval()(images, (rig,)) for level in (0.0, 0.9))
+        for model in models:
+            model.fine[-1].bias[-1] = -6  # hardly any sky
+        free, strict = (model(images, (rig,)) for model in models)
     assert torch.equal(strict.valid, free.valid & (free.confidence >= 0.9))
     assert free.valid.any()
 

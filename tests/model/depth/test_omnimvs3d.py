@@ -10,7 +10,7 @@ def test_rolling_the_volume_rolls_the_scores(roll):
     net = VolumeNet(3, [8, 8]).double()
     volume = torch.randn(1, 3, 5, 7, 12, dtype=torch.float64)
     scores = net(volume)
-    assert scores.shape == (1, 5, 7, 12)
+    assert scores.shape == (1, 6, 7, 12)  # five spheres and the sky
     torch.testing.assert_close(net(volume.roll(roll, -1)), scores.roll(roll, -1))
 
 

@@ -91,10 +91,14 @@ class Mono(nn.Module):
             spheres = rig_spheres(rig, self.panorama, self.spheres, self.min_range_m)
             range_m = log_range[samples].exp().clamp(max=spheres.farthest_m)
             present = images[samples].flatten(2).amax(-1) > 0
-            drawn = (sky[samples] < 0) & present[:, :, None, None]
-            merged, confidence = merge_cameras(range_m, (-sky[samples]).sigmoid(), drawn, rig, self.panorama)
-            merged = fill_holes(merged, HOLE_PASSES)
-            return from_index(spheres.index(merged), merged.isfinite(), confidence, spheres)
+            there, solid = present[:, :, None, None].expand_as(range_m), (-sky[samples]).sigmoid()
+            # what holds for the sky is the range of a surface that may be there after all
+            doubtful, _ = merge_cameras(range_m, solid, there, rig, self.panorama)
+            surface, confidence = merge_cameras(range_m, solid, there & (solid > 0.5), rig, self.panorama)
+            filled = fill_holes(doubtful, HOLE_PASSES)
+            valid = surface.isfinite() | (doubtful.isinf() & filled.isfinite())
+            index = spheres.index(torch.where(surface.isfinite(), surface, filled))
+            return from_index(index, valid, confidence, spheres)
 
         return per_rig(rigs, one)
 
@@ -115,7 +119,7 @@ class Mono(nn.Module):
             raise ValueError("model/depth=mono learns from the range of every camera; this data has none")
         flip = self.mirror and bool(torch.rand(()) < 0.5)
         log_range, sky = self.camera_ranges(images, rigs, flip)
-        true_m = nearest_of_four(camera_range_m.flip(-1) if flip else camera_range_m)
+        true_m = range_of_four(camera_range_m.flip(-1) if flip else camera_range_m)
         known = ~true_m.isnan()
         wrong = F.binary_cross_entropy_with_logits(sky, true_m.isinf().to(sky), reduction="none")
         entropy = torch.where(known, wrong, 0).sum() / known.sum().clamp(min=1)
@@ -132,7 +136,9 @@ class Mono(nn.Module):
         return log_range + math.log(TYPICAL_M), sky
 
 
-def nearest_of_four(range_m: Float[Tensor, "B N H W"]) -> Float[Tensor, "B N _ _"]:
-    """The nearest range in each 2x2 block; nan where any of the four is unknown."""
-    nearest = -F.max_pool2d(-range_m.nan_to_num(0.0, posinf=torch.inf), 2)
-    return torch.where(F.max_pool2d(range_m.isnan().to(range_m), 2) > 0, torch.nan, nearest)
+def range_of_four(range_m: Float[Tensor, "B N H W"]) -> Float[Tensor, "B N _ _"]:
+    """The harmonic mean of the ranges in each 2x2 block; inf where three or four are, nan where any is unknown."""
+    inverse = 4 * F.avg_pool2d(range_m.nan_to_num(1.0, posinf=torch.inf).reciprocal(), 2)
+    surfaces = 4 * F.avg_pool2d((~range_m.isinf()).to(range_m), 2)
+    blocks = torch.where(surfaces > 1, surfaces / inverse, torch.inf)
+    return torch.where(F.max_pool2d(range_m.isnan().to(range_m), 2) > 0, torch.nan, blocks)

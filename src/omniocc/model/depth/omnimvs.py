@@ -54,6 +54,7 @@ class OmniMVS(SphereNet):
         min_confidence: answers below are not valid, in [0, 1].
         log_range_weight: of that term of the loss beside the index's.
         entropy_weight: likewise, of the cross-entropy over spheres.
+        sky_weight: likewise, of the cross-entropy of sky or surface.
         mirror: train on the mirrored world as often as on the true one.
 
     Raises:
@@ -79,10 +80,12 @@ class OmniMVS(SphereNet):
         min_confidence: float,
         log_range_weight: float,
         entropy_weight: float,
+        sky_weight: float,
         mirror: bool,
     ):
         view = erp_size, erp_top_deg, erp_bottom_deg
-        super().__init__(*view, spheres, min_range_m, window, min_confidence, log_range_weight, entropy_weight, mirror)
+        weights = log_range_weight, entropy_weight, sky_weight
+        super().__init__(*view, spheres, min_range_m, window, min_confidence, *weights, mirror)
         if match_channels % groups:
             raise ValueError(f"{match_channels} match_channels cannot be split into {groups} groups; give a divisor")
         if sweep_stride not in (1, 2):
@@ -104,17 +107,17 @@ class OmniMVS(SphereNet):
             Conv(compared + fine_channels, fine_channels, 3, wrap=True, bias=False),
             norm(fine_channels),
             nn.ReLU(),
-            Conv(fine_channels, spheres, 3, wrap=True),
+            Conv(fine_channels, spheres + 1, 3, wrap=True),
         )
         self.trust = nn.Parameter(torch.full((), FIRST_TRUST))
 
     def logits(
         self, images: Float[Tensor, "B N 3 H W"], rig: Rig, flip: bool = False
-    ) -> tuple[Float[Tensor, "B D h w"], Bool[Tensor, "B h w"]]:
-        """Of every sphere, for samples of one rig, and whether any camera sees the direction; mirrored if asked.
+    ) -> tuple[Float[Tensor, "B E h w"], Bool[Tensor, "B h w"]]:
+        """Of every sphere and, last, of the sky, for samples of one rig, and whether any camera sees the direction.
 
-        Mirrored, images and panoramas go through the networks flipped, while the sweep between them stays: the same as
-        a mirrored rig in a mirrored world.
+        Mirrored if asked: images and panoramas go through the networks flipped, while the sweep between them stays, as
+        with a mirrored rig in a mirrored world.
         """
         features = self.features(images.flip(-1) if flip else images)
         features = features.flip(-1) if flip else features
@@ -127,7 +130,8 @@ class OmniMVS(SphereNet):
         if self.sweep_stride == 2:
             agreement = double(agreement, *size, wrap=True)
         logits = self.fine(torch.cat([agreement, coarse], 1))
-        logits = logits + self.trust * agreement.unflatten(1, (self.spheres, self.groups)).mean(2)
+        alike = agreement.unflatten(1, (self.spheres, self.groups)).mean(2)
+        logits = logits + self.trust * F.pad(alike, (0, 0, 0, 0, 0, 1))
         return logits, F.interpolate(seen.float(), size)[:, 0] > 0
 
     def _sweep(

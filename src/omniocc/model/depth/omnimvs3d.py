@@ -39,6 +39,7 @@ class OmniMVS3D(SphereNet):
         min_confidence: answers below are not valid, in [0, 1].
         log_range_weight: of that term of the loss beside the index's.
         entropy_weight: likewise, of the cross-entropy over spheres.
+        sky_weight: likewise, of the cross-entropy of sky or surface.
         mirror: train on the mirrored world as often as on the true one.
 
     Raises:
@@ -60,10 +61,12 @@ class OmniMVS3D(SphereNet):
         min_confidence: float,
         log_range_weight: float,
         entropy_weight: float,
+        sky_weight: float,
         mirror: bool,
     ):
         view = erp_size, erp_top_deg, erp_bottom_deg
-        super().__init__(*view, spheres, min_range_m, window, min_confidence, log_range_weight, entropy_weight, mirror)
+        weights = log_range_weight, entropy_weight, sky_weight
+        super().__init__(*view, spheres, min_range_m, window, min_confidence, *weights, mirror)
         multiple = sweep_stride * 2 ** (len(channels) - 1)
         if erp_size[0] % multiple or erp_size[1] % sweep_stride:
             raise ValueError(
@@ -76,7 +79,7 @@ class OmniMVS3D(SphereNet):
 
     def logits(
         self, images: Float[Tensor, "B N 3 H W"], rig: Rig, flip: bool = False
-    ) -> tuple[Float[Tensor, "B D h w"], Bool[Tensor, "B h w"]]:
+    ) -> tuple[Float[Tensor, "B E h w"], Bool[Tensor, "B h w"]]:
         """See `SphereNet.logits`."""
         features = self.features(images.flip(-1) if flip else images)
         volume, seen = self._volume(features.flip(-1) if flip else features, present_cameras(images), rig)
@@ -111,6 +114,8 @@ class OmniMVS3D(SphereNet):
 class VolumeNet(nn.Module):
     """3D encoder-decoder with added skips over (spheres, rows, columns); wraps around along the columns.
 
+    The sky's score is a mean over spheres.
+
     Args:
         in_channels: of the volume.
         channels: of each level, finest first; multiples of 8.
@@ -124,10 +129,10 @@ class VolumeNet(nn.Module):
         self.down = nn.ModuleList(Downsample(fine, coarse, AROUND) for fine, coarse in pairs)
         self.up = nn.ModuleList(Pointwise(coarse, fine) for fine, coarse in pairs)
         self.decoder = nn.ModuleList(Residual(fine, AROUND) for fine, _ in pairs)
-        self.out = Conv3d(channels[0], 1, 3, AROUND)
+        self.out = Conv3d(channels[0], 2, 3, AROUND)
 
-    def forward(self, volume: Float[Tensor, "B C D h w"]) -> Float[Tensor, "B D h w"]:
-        """One score for every sphere and direction."""
+    def forward(self, volume: Float[Tensor, "B C D h w"]) -> Float[Tensor, "B E h w"]:
+        """In every direction one score for every sphere, and last the sky's."""
         volume = self.encoder[0](self.stem(volume.contiguous(memory_format=torch.channels_last_3d)))
         skips = []
         for down, block in zip(self.down, list(self.encoder)[1:], strict=True):
@@ -136,7 +141,8 @@ class VolumeNet(nn.Module):
         for up, block in reversed(list(zip(self.up, self.decoder, strict=True))):
             skip = skips.pop()
             volume = block(skip + upsample(up(volume), skip.shape[2:], AROUND))
-        return self.out(volume)[:, 0]
+        scores, sky = self.out(volume).unbind(1)
+        return torch.cat([scores, sky.mean(1, keepdim=True)], 1)
 
 
 def resize_panorama(maps: Float[Tensor, "B D _ _"], height: int, width: int) -> Float[Tensor, "B D h w"]:

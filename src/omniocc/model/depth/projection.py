@@ -62,7 +62,19 @@ class Sampler:
         if bool(present.all()):
             return self.seen[:, None].float().expand(-1, len(present))
         pixels = present.T.float().repeat_interleave(self.matrix.shape[1] // present.shape[1], 0)
-        return self.matrix @ pixels
+        return product(self.matrix, pixels)
+
+
+def product(
+    matrix: Tensor, rows: Float[Tensor, "columns K"], less: Float[Tensor, "points K"] | None = None
+) -> Float[Tensor, "points K"]:
+    """Sparse `matrix @ rows`, or `less - matrix @ rows`, in place.
+
+    Three times as fast on the CPU as the operator, which fills, copies and then adds its result.
+    """
+    if less is None:
+        return torch.addmm(empty := rows.new_empty(matrix.shape[0], rows.shape[1]), matrix, rows, beta=0, out=empty)
+    return torch.addmm(less, matrix, rows, alpha=-1, out=less)
 
 
 class _Sample(torch.autograd.Function):
@@ -70,12 +82,12 @@ class _Sample(torch.autograd.Function):
     def forward(ctx: Any, rows: Tensor, sampler: Sampler) -> Tensor:
         ctx.sampler = sampler
         with torch.autocast(rows.device.type, enabled=False):
-            return sampler.matrix @ rows.float()
+            return product(sampler.matrix, rows.float())
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None]:
-        return ctx.sampler.transpose @ grads[0].contiguous(), None
+        return product(ctx.sampler.transpose, grads[0].contiguous()), None
 
 
 class _SquaredGap(torch.autograd.Function):
@@ -86,11 +98,13 @@ class _SquaredGap(torch.autograd.Function):
         ctx: Any, rows: Tensor, one: Sampler, two: Sampler, scales: tuple[Tensor, Tensor] | None, pool: Tensor
     ) -> Tensor:
         ctx.samplers, ctx.scales = (one, two), scales
+        rows, batch = rows.float(), len(pool)
         with torch.autocast(rows.device.type, enabled=False):
-            sides = [(sampler.matrix @ rows.float()).unflatten(1, (-1, len(pool))) for sampler in (one, two)]
-            if scales is not None:
-                sides = [side * scale[..., None] for side, scale in zip(sides, scales, strict=True)]
-            gap = sides[0].sub_(sides[1])
+            if scales is None:
+                gap = product(two.matrix, rows, less=product(one.matrix, rows)).unflatten(1, (-1, batch))
+            else:
+                sides = [product(sampler.matrix, rows).unflatten(1, (-1, batch)) for sampler in (one, two)]
+                gap = sides[0].mul_(scales[0][..., None]).sub_(sides[1].mul_(scales[1][..., None]))
             ctx.save_for_backward(gap, pool)
             return gap.square().flatten(0, 1) @ pool
 
@@ -100,10 +114,8 @@ class _SquaredGap(torch.autograd.Function):
         gap, pool = ctx.saved_tensors
         spread = (grads[0] @ (2 * pool).T).view_as(gap).mul_(gap)
         one, two = (sampler.transpose for sampler in ctx.samplers)
-        if ctx.scales is None:
-            return one @ spread.flatten(1) - two @ spread.flatten(1), None, None, None, None
-        sides = [(spread * scale[..., None]).flatten(1) for scale in ctx.scales]
-        return one @ sides[0] - two @ sides[1], None, None, None, None
+        sides = [spread if ctx.scales is None else spread * scale[..., None] for scale in ctx.scales or (None, None)]
+        return product(two, sides[1].flatten(1), less=product(one, sides[0].flatten(1))), None, None, None, None
 
 
 def likeness(

@@ -23,7 +23,10 @@ from omniocc.model.depth.terms import sphere_terms
 
 
 class SphereNet(nn.Module):
-    """A network that gives every sphere a score in every direction; subclasses say how, in `logits`.
+    """A network that gives every sphere a score in every direction, and the sky; subclasses say how, in `logits`.
+
+    Whether there is a surface and how far it would be are two questions: the sky is no sphere, so that a doubtful edge
+    against the sky does not pull the range to infinity. Where it is likelier than a surface the answer is not valid.
 
     Args:
         erp_size: width and height of the panorama, px.
@@ -35,6 +38,7 @@ class SphereNet(nn.Module):
         min_confidence: answers below are not valid, in [0, 1].
         log_range_weight: of that term of the loss beside the index's.
         entropy_weight: likewise, of the cross-entropy over spheres.
+        sky_weight: likewise, of the cross-entropy of sky or surface.
         mirror: train on the mirrored world as often as on the true one.
     """
 
@@ -49,21 +53,23 @@ class SphereNet(nn.Module):
         min_confidence: float,
         log_range_weight: float,
         entropy_weight: float,
+        sky_weight: float,
         mirror: bool,
     ):
         super().__init__()
         self.panorama = make_panorama(erp_size, erp_top_deg, erp_bottom_deg)
         self.spheres, self.min_range_m = spheres, min_range_m
         self.window, self.min_confidence = window, min_confidence
-        self.log_range_weight, self.entropy_weight, self.mirror = log_range_weight, entropy_weight, mirror
+        self.log_range_weight, self.entropy_weight, self.sky_weight = log_range_weight, entropy_weight, sky_weight
+        self.mirror = mirror
 
     def logits(
         self, images: Float[Tensor, "B N 3 H W"], rig: Rig, flip: bool = False
-    ) -> tuple[Float[Tensor, "B D h w"], Bool[Tensor, "B h w"]]:
-        """Of every sphere, for samples of one rig, and whether any camera sees the direction; mirrored if asked.
+    ) -> tuple[Float[Tensor, "B E h w"], Bool[Tensor, "B h w"]]:
+        """Of every sphere and, last, of the sky, for samples of one rig, and whether any camera sees the direction.
 
-        Mirrored, images and panoramas go through the networks flipped, while the sweep between them stays: the same as
-        a mirrored rig in a mirrored world.
+        Mirrored if asked: images and panoramas go through the networks flipped, while the sweep between them stays, as
+        with a mirrored rig in a mirrored world.
         """
         raise NotImplementedError
 
@@ -82,8 +88,10 @@ class SphereNet(nn.Module):
 
         def one(rig: Rig, samples: list[int]) -> DepthMap:
             logits, seen = self.logits(images[samples], rig)
-            index, confidence = window_argmax(logits, self.window)
-            valid = seen & (index >= SKY_INDEX) & (confidence >= self.min_confidence)
+            index, mass = window_argmax(logits[:, :-1], self.window)
+            solid = (-logits[:, -1].float()).sigmoid()
+            confidence = mass * solid
+            valid = seen & (solid > 0.5) & (index >= SKY_INDEX) & (confidence >= self.min_confidence)
             return from_index(index, valid, confidence, self.rig_spheres(rig))
 
         return per_rig(rigs, one)
@@ -95,7 +103,7 @@ class SphereNet(nn.Module):
         erp_range_m: Float[Tensor, "B h w"],
         camera_range_m: Float[Tensor, "B N H W"] | None = None,
     ) -> dict[str, Float[Tensor, ""]]:
-        """Losses `index`, `log_range` and `spheres`, see `sphere_terms`; ranges of single cameras are not looked at.
+        """Losses `index`, `log_range`, `spheres` and `sky`, see `sphere_terms`, from the panorama alone.
 
         Raises:
             ValueError: if images and rigs do not fit together, or images hold NaN.
@@ -106,8 +114,8 @@ class SphereNet(nn.Module):
         parts = []
         for rig, samples in rig_groups(rigs):
             logits, _ = self.logits(images[samples], rig, flip)
-            index, _ = window_argmax(logits, self.window)
-            weights = self.log_range_weight, self.entropy_weight
+            index, _ = window_argmax(logits[:, :-1], self.window)
+            weights = self.log_range_weight, self.entropy_weight, self.sky_weight
             terms = sphere_terms(logits, index, target_m[samples], self.rig_spheres(rig), *weights)
             parts.append((len(samples) / len(images), terms))
         return weighted_sum(parts)

@@ -30,23 +30,30 @@ def sphere_terms(
     spheres: Spheres,
     log_range_weight: float,
     entropy_weight: float,
+    sky_weight: float,
 ) -> dict[str, Float[Tensor, ""]]:
-    """Smooth L1 on the index, smooth L1 on the log of the range, cross-entropy over spheres; means over pixels.
+    """Losses of index, log range and spheres where there is a surface, and of telling the sky from surfaces.
+
+    Smooth L1 on the index and on the log of the range, and cross-entropy over spheres, over pixels nearer than
+    `SKY_INDEX`; cross-entropy of sky or surface over all that are known. Means over pixels.
 
     Args:
-        logits: of the spheres.
+        logits: of the spheres and, last, of the sky.
         index: predicted.
-        true_range_m: inf for the sky, whose index is 0; nan does not count.
+        true_range_m: inf for the sky; nan does not count.
         spheres: what indices mean.
-        log_range_weight: of the second term, which only looks at what is nearer than `SKY_INDEX`.
+        log_range_weight: of the second term.
         entropy_weight: of the third.
+        sky_weight: of the fourth.
     """
     known = ~true_range_m.isnan()
     true = spheres.index(torch.where(known, true_range_m, torch.inf)).clamp(max=spheres.count - 1)
     near = known & (true > SKY_INDEX)
+    sky = F.binary_cross_entropy_with_logits(logits[:, -1].float(), (~near).float(), reduction="none")
     ratio = (index.clamp(min=SKY_INDEX) / true.clamp(min=SKY_INDEX)).log()
     return {
-        "index": _mean(F.smooth_l1_loss(index, true, reduction="none"), known),
+        "index": _mean(F.smooth_l1_loss(index, true, reduction="none"), near),
         "log_range": log_range_weight * _mean(F.smooth_l1_loss(ratio, 0 * ratio, beta=0.05, reduction="none"), near),
-        "spheres": entropy_weight * _mean(two_hot_cross_entropy(logits, true), known),
+        "spheres": entropy_weight * _mean(two_hot_cross_entropy(logits[:, :-1], true), near),
+        "sky": sky_weight * _mean(sky, known),
     }

@@ -1,4 +1,4 @@
-"""Ranges seen from several cameras, drawn into one panorama around the ego origin: the nearest wins."""
+"""Ranges seen from several cameras, drawn into one panorama around the ego origin: the nearest surface wins."""
 
 from functools import lru_cache
 
@@ -7,6 +7,9 @@ from jaxtyping import Bool, Float, Float32
 from torch import Tensor
 
 from omniocc.camera import Equirectangular, Rig
+
+SAME_SURFACE = 1.5
+"""Points of a pixel up to this many times as far as its nearest belong to the same surface."""
 
 
 @lru_cache(maxsize=16)
@@ -19,32 +22,50 @@ def camera_rays(
     return torch.stack(rays).to(device), torch.stack(seen).to(device)
 
 
-def draw_nearest(
+def draw_front(
     points_m: Float[Tensor, "B P 3"],
     value: Float[Tensor, "B P"],
     drawn: Bool[Tensor, "B P"],
     panorama: Equirectangular,
 ) -> tuple[Float[Tensor, "B h w"], Float[Tensor, "B h w"]]:
-    """Distance from the origin to the nearest point in each pixel, and that point's value; inf and 0 where none is.
+    """Distance from the origin to the nearest surface in each pixel, and its points' mean value; inf and 0 if none.
+
+    The nearest point decides which surface it is. Its range is the mean over the points of that surface around the
+    middle of the pixel, by bilinear weights: the nearest point itself would be too near wherever a surface is seen at a
+    slant, on the ground above all, and the more so the more cameras see it.
 
     Args:
         points_m: ego frame.
-        value: above 0; of equally near points the greatest counts.
+        value: of each point.
         drawn: points that count.
         panorama: whose pixels are filled.
     """
     pixels, inside = panorama.project(points_m)
-    column, row = pixels.round().long().unbind(-1)
-    # straight behind lies half a pixel beyond the first or last column
-    column = column % panorama.width
     size = panorama.height * panorama.width
-    cell = torch.where(inside & drawn, row.clamp(0, panorama.height - 1) * panorama.width + column, size)
     range_m = points_m.norm(dim=-1)
-    nearest = range_m.new_full((len(points_m), size + 1), float("inf")).scatter_reduce(1, cell, range_m, "amin")
-    won = torch.where(range_m <= nearest.gather(1, cell), value, 0.0)
-    values = torch.zeros_like(nearest).scatter_reduce(1, cell, won, "amax")
-    shape = (panorama.height, panorama.width)
-    return nearest[:, :size].unflatten(1, shape), values[:, :size].unflatten(1, shape)
+    nearest = range_m.new_full((len(points_m), size + 1), float("inf"))
+    nearest.scatter_reduce_(1, _cell(pixels.round(), inside & drawn, panorama), range_m, "amin")
+    sums = [torch.zeros_like(nearest)] * 3
+    corner = pixels.floor()
+    share = pixels - corner
+    for step in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        offset = corner.new_tensor(step)
+        weight = (1 - (share - offset).abs()).prod(-1)
+        cell = _cell(corner + offset, inside & drawn, panorama)
+        weight = torch.where(range_m <= SAME_SURFACE * nearest.gather(1, cell), weight, 0)
+        amounts = weight, weight / range_m, weight * value
+        sums = [total.scatter_add(1, cell, amount) for total, amount in zip(sums, amounts, strict=True)]
+    maps = (total[:, :size].unflatten(1, (panorama.height, panorama.width)) for total in (*sums, nearest))
+    weight, inverse, values, nearest = maps
+    found = (weight > 0) & nearest.isfinite()
+    return torch.where(found, weight / inverse, torch.inf), torch.where(found, values / weight, 0)
+
+
+def _cell(pixels: Float[Tensor, "B P 2"], drawn: Bool[Tensor, "B P"], panorama: Equirectangular) -> Tensor:
+    """Place of each pixel in a flat panorama, wrapped in azimuth; one beyond the last for what is not drawn."""
+    column, row = pixels.long().unbind(-1)
+    drawn = drawn & (row >= 0) & (row < panorama.height)
+    return torch.where(drawn, row * panorama.width + column % panorama.width, panorama.height * panorama.width)
 
 
 def fill_holes(range_m: Float[Tensor, "B h w"], passes: int) -> Float[Tensor, "B h w"]:
@@ -69,11 +90,11 @@ def merge_cameras(
     rig: Rig,
     panorama: Equirectangular,
 ) -> tuple[Float[Tensor, "B h w"], Float[Tensor, "B h w"]]:
-    """Ranges from the cameras' own centres -> ranges from the ego origin, and values; see `draw_nearest`.
+    """Ranges from the cameras' own centres -> ranges from the ego origin, and values; see `draw_front`.
 
     Args:
         range_m: on maps that span the images; finite.
-        value: goes with the range that wins; above 0.
+        value: goes with the ranges.
         drawn: pixels that count, beside what lens and mask let the camera see.
         rig: the cameras.
         panorama: whose pixels are filled.
@@ -81,4 +102,4 @@ def merge_cameras(
     rays, seen = camera_rays(rig, (range_m.shape[-1], range_m.shape[-2]), range_m.device)
     centers_m = rig.ego_from_camera[:, :3, 3].to(rays)
     points_m = centers_m[:, None, None] + range_m[..., None] * rays
-    return draw_nearest(points_m.flatten(1, 3), value.flatten(1), (drawn & seen).flatten(1), panorama)
+    return draw_front(points_m.flatten(1, 3), value.flatten(1), (drawn & seen).flatten(1), panorama)
