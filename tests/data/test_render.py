@@ -11,6 +11,7 @@ import pytest
 from fake_scene import FakeWorld
 
 import omniocc
+from omniocc.camera import Rig
 from omniocc.geometry import Cylinder
 from omniocc.view.dataset_page import SKY, UNMEASURED, range_picture, save_page
 from omniocc.world.shares import AUTHORS_SHARES
@@ -79,7 +80,7 @@ def test_the_page_stands_alone(tmp_path):
     scenes[0].meta["facts"]["theme"] = "</script>"
     save_page(tmp_path / "page.html", scenes, Cylinder(shape=(8, 10, 4)))
     page = (tmp_path / "page.html").read_text("utf-8")
-    own = re.sub(r"data:image/(png|jpeg);base64,[A-Za-z0-9+/=]+", "", page)
+    own = re.sub(r"data:image/(png|webp);base64,[A-Za-z0-9+/=]+", "", page)
     assert not re.search(r"//[a-z]|<link|@import|url\(|src=\"[^\"]", own)
     assert page.count("</script>") == 1
     content = json.loads(page.split("const content = ", 1)[1].split(";\nconst at", 1)[0])
@@ -96,8 +97,25 @@ def test_the_page_stands_alone(tmp_path):
         assert all(len(frame[layer]) == 6 for frame in frames)
     assert content["table"][-1] == ["This dataset", False, True, True, True, True, 12]
     assert content["authors"] == AUTHORS_SHARES
+    assert content["scenes"][1]["weather"] == scenes[1].meta["facts"]["weather"]
+    assert content["scenes"][1]["day"].startswith(("day", "dusk", "morning"))
+    assert [(len(scene["pinholes"]), len(scene["frames"][0]["pinhole"])) for scene in content["scenes"]] == [(0, 0)] * 3
     assert sum(content["ours"].values()) == pytest.approx(100)
     assert content["scenes"][0]["theme"] == "</script>"
+
+
+def test_the_page_shows_the_pinhole_dataset_beside_it(tmp_path):
+    pinholes = FakeWorld(tmp_path, scenes=(1, 0, 0), frames=2)
+    pinholes.rig = Rig.load("pinhole6").resized(32, 18)
+    pinholes.prepare()
+    world = FakeWorld(tmp_path, scenes=(1, 0, 0))
+    world.prepare()
+    save_page(tmp_path / "page.html", world.readers("train"), Cylinder(shape=(8, 10, 4)))
+    (scene,) = json.loads(
+        (tmp_path / "page.html").read_text("utf-8").split("const content = ", 1)[1].split(";\nconst at", 1)[0]
+    )["scenes"]
+    assert [len(frame["pinhole"]) for frame in scene["frames"]] == [6, 6, 0, 0]
+    assert scene["pinholes"] == ["front left", "front", "front right", "rear left", "rear", "rear right"]
 
 
 def test_range_colours():

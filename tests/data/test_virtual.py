@@ -19,6 +19,7 @@ from omniocc.data.errors import DataError
 from omniocc.data.pool import worker_environment
 from omniocc.data.reader import SceneReader
 from omniocc.data.record import code_fingerprint, weather_of
+from omniocc.view.dataset_facts import light_of
 from omniocc.world import THEMES, Scene
 from omniocc.world.weather import WEATHERS
 
@@ -137,6 +138,7 @@ def test_the_weather_of_a_scene_can_be_told_without_building_it():
     for seed in (0, 3):
         drawn, named = Scene("suburb", seed, rig), Scene("suburb", seed, rig, weather=weather_of("suburb", seed))
         assert repr(drawn.stage(0.0)[0].light) == repr(named.stage(0.0)[0].light)
+        assert repr(light_of("suburb", seed, weather_of("suburb", seed))) == repr(named.stage(0.0)[0].light)
 
 
 @pytest.mark.parametrize("workers", [0, 2])

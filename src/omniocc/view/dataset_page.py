@@ -9,9 +9,9 @@ from typing import Any
 import cv2
 import numpy as np
 
-from omniocc.camera import Pinhole, Rig
+from omniocc.camera import Rig
 from omniocc.classes import CLASSES, FREE, PALETTE
-from omniocc.data.codec import decode_frame
+from omniocc.data.codec import decode_frame, decode_image
 from omniocc.data.errors import write_whole
 from omniocc.data.reader import SceneReader
 from omniocc.data.shares import count_voxels, occupied_percent, spread
@@ -19,7 +19,16 @@ from omniocc.data.voxels import vote
 from omniocc.geometry import Grid
 from omniocc.view.bev import bev
 from omniocc.view.canvas import fitted
-from omniocc.view.compare import AS_SEEN, NAMES
+from omniocc.view.dataset_facts import (
+    OTHER_DATASETS,
+    facts_of,
+    frame_at,
+    own_row,
+    pinhole_twin,
+    speed_mps,
+    time_of_day,
+)
+from omniocc.view.sheet import AS_SEEN, NAMES
 from omniocc.view.voxels import render_voxels
 from omniocc.world import Frame
 from omniocc.world.shares import AUTHORS_SHARES
@@ -31,17 +40,11 @@ NEAR_M, FAR_M = 1.0, 64.0
 SKY, UNMEASURED = (225, 233, 242), (24, 26, 30)
 TEMPLATE = Path(__file__).with_suffix(".html")
 
-OTHER_DATASETS = (
-    ("SemanticKITTI", True, False, True, False, False, 23201),
-    ("Occ3D-nuScenes", True, False, True, False, False, 40000),
-    ("CarlaSC", True, False, True, True, False, 43200),
-    ("OmniDepth-Occ (paper)", True, True, True, True, True, 57600),
-)
-"""Table I of the paper: pinhole images, fisheye images, cuboid voxels, polar voxels, 2D semantics and depth, frames."""
-
 
 def save_page(path: Path, scenes: Sequence[SceneReader], geometry: Grid) -> None:
     """Writes the page: some frames of each scene, or of evenly spread scenes if there are many.
+
+    Where a pinhole dataset of the same scenes lies beside this one, its images of the same moments are shown too.
 
     Args:
         path: the .html file.
@@ -53,52 +56,34 @@ def save_page(path: Path, scenes: Sequence[SceneReader], geometry: Grid) -> None
     """
     shown = [scenes[at] for at in spread(len(scenes), MAX_FRAMES)]
     per_scene = max(1, min(MAX_FRAMES_PER_SCENE, MAX_FRAMES // len(shown)))
+    twins = [pinhole_twin(scene) for scene in shown]
     counts = sum(count_voxels(scene, spread(len(scene), per_scene), geometry) for scene in shown)
     content = {
-        "facts": _facts(scenes, len(shown), geometry),
-        "table": [*OTHER_DATASETS, _own_row(scenes)],
+        "facts": facts_of(scenes, len(shown), geometry),
+        "table": [*OTHER_DATASETS, own_row(scenes, twins)],
         "classes": [{"name": row.name, "rgb": row.rgb} for row in CLASSES if row.id != FREE],
         "ours": occupied_percent(np.asarray(counts)),
         "authors": AUTHORS_SHARES,
-        "scenes": [_scene(scene, per_scene, geometry) for scene in shown],
+        "sky": SKY,
+        "scenes": [_scene(scene, twin, per_scene, geometry) for scene, twin in zip(shown, twins, strict=True)],
     }
     # "</" would end the script element
     plain = json.dumps(content, separators=(",", ":")).replace("</", "<\\/")
     write_whole(Path(path), TEMPLATE.read_text("utf-8").replace("__CONTENT__", plain).encode())
 
 
-def _facts(scenes: Sequence[SceneReader], shown: int, geometry: Grid) -> dict[str, str]:
-    first = scenes[0]
-    rig = first.rig
-    frames = sum(map(len, scenes))
-    size = sum(facts["size"] for scene in scenes for facts in scene.meta["files"].values())
-    step_s = float(np.diff(first.time_s).mean()) if len(first) > 1 else 0.0
-    return {
-        "Scenes": f"{len(scenes)}" + (f", {shown} shown" if shown < len(scenes) else ""),
-        "Frames": f"{frames:,}" + (f", one each {step_s:g} s" if step_s else ""),
-        "Places": str(len({scene.meta["facts"]["theme"] for scene in scenes})),
-        "Cameras": f"{len(rig.cameras)} of {rig.cameras[0].width} x {rig.cameras[0].height} px",
-        "Size": f"{size / 1e9:.2f} GB, {size / 1e6 / frames:.2f} MB a frame",
-        "Voxels drawn": f"{type(geometry).__name__} {' x '.join(map(str, geometry.shape))}",
-    }
-
-
-def _own_row(scenes: Sequence[SceneReader]) -> tuple[Any, ...]:
-    pinhole = any(isinstance(camera, Pinhole) for scene in scenes for camera in scene.rig.cameras)
-    fisheye = any(not isinstance(camera, Pinhole) for scene in scenes for camera in scene.rig.cameras)
-    # any grid can be voted from the points of any scene
-    return ("This dataset", pinhole, fisheye, True, True, True, sum(map(len, scenes)))
-
-
-def _scene(scene: SceneReader, per_scene: int, geometry: Grid) -> dict[str, Any]:
+def _scene(scene: SceneReader, twin: SceneReader | None, per_scene: int, geometry: Grid) -> dict[str, Any]:
     facts = scene.meta["facts"]
-    order = AS_SEEN if len(scene.rig.cameras) == len(NAMES) else range(len(scene.rig.cameras))
+    frames = spread(len(scene), per_scene)
     return {
         "name": scene.name,
         "theme": facts["theme"],
         "split": facts["split"],
-        "cameras": [_camera_name(scene.rig, k) for k in order],
-        "frames": [_frame(scene, at, list(order), geometry) for at in spread(len(scene), per_scene)],
+        "weather": facts["weather"],
+        "day": time_of_day(facts),
+        "cameras": [_camera_name(scene.rig, k) for k in _order(scene.rig)],
+        "pinholes": [_camera_name(twin.rig, k) for k in _order(twin.rig)] if twin else [],
+        "frames": [_frame(scene, at, geometry) | _pinholes(twin, float(scene.time_s[at])) for at in frames],
     }
 
 
@@ -106,31 +91,36 @@ def _camera_name(rig: Rig, camera: int) -> str:
     return NAMES[camera] if len(rig.cameras) == len(NAMES) else rig.names[camera]
 
 
-def _frame(scene: SceneReader, number: int, order: list[int], geometry: Grid) -> dict[str, Any]:
+def _order(rig: Rig) -> Sequence[int]:
+    return AS_SEEN if len(rig.cameras) == len(NAMES) else range(len(rig.cameras))
+
+
+def _pinholes(twin: SceneReader | None, time_s: float) -> dict[str, Any]:
+    number = frame_at(twin, time_s) if twin else None
+    if twin is None or number is None:
+        return {"pinhole": []}
+    blobs = twin.read(number, [f"rgb{k}.jpg" for k in _order(twin.rig)])
+    return {"pinhole": [_webp(_smaller(decode_image(blob))) for blob in blobs.values()]}
+
+
+def _frame(scene: SceneReader, number: int, geometry: Grid) -> dict[str, Any]:
     frame = decode_frame(scene.read(number, scene.index["members"]))
+    order = _order(scene.rig)
     voxels = vote(scene, number, geometry)
     shares = occupied_percent(np.bincount(voxels.numpy().ravel(), minlength=256)[: len(CLASSES)])
     return {
         "number": number,
         "time": round(frame.time_s, 3),
-        "speed": round(_speed_mps(scene, number), 1),
+        "speed": round(speed_mps(scene, number), 1),
         "actors": len(frame.boxes),
-        "rgb": [_jpeg(_smaller(frame.images[k]), 82) for k in order],
+        "rgb": [_webp(_smaller(frame.images[k])) for k in order],
         "semantic": [_png(_semantics(frame, k)) for k in order],
-        "range": [_jpeg(range_picture(frame.range_m[k], CAMERA_PX), 82) for k in order],
-        "panorama": _jpeg(range_picture(frame.erp_range_m, PANORAMA_PX), 82),
+        "range": [_webp(range_picture(frame.range_m[k], CAMERA_PX)) for k in order],
+        "panorama": _webp(range_picture(frame.erp_range_m, PANORAMA_PX)),
         "bev": _png(bev(voxels, geometry, BEV_PX)),
-        "voxels": _jpeg(render_voxels(voxels, geometry, *VOXELS_PX), 85),
+        "voxels": _webp(render_voxels(voxels, geometry, *VOXELS_PX)),
         "shares": [round(share, 2) for share in shares.values()],
     }
-
-
-def _speed_mps(scene: SceneReader, frame: int) -> float:
-    if len(scene) < 2:
-        return 0.0
-    first = min(frame, len(scene) - 2)
-    moved = scene.world_from_ego[first + 1, :3, 3] - scene.world_from_ego[first, :3, 3]
-    return float(np.linalg.norm(moved) / (scene.time_s[first + 1] - scene.time_s[first]))
 
 
 def range_picture(range_m: np.ndarray, width: int) -> np.ndarray:
@@ -157,8 +147,8 @@ def _smaller(image: np.ndarray) -> np.ndarray:
     return fitted(image, CAMERA_PX) if image.shape[1] > CAMERA_PX else image
 
 
-def _jpeg(picture: np.ndarray, quality: int) -> str:
-    return _inline(".jpg", "image/jpeg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])
+def _webp(picture: np.ndarray) -> str:
+    return _inline(".webp", "image/webp", picture, [cv2.IMWRITE_WEBP_QUALITY, 80])
 
 
 def _png(picture: np.ndarray) -> str:
