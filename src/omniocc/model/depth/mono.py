@@ -92,11 +92,13 @@ class Mono(nn.Module):
             range_m = log_range[samples].exp().clamp(max=spheres.farthest_m)
             present = images[samples].flatten(2).amax(-1) > 0
             there, solid = present[:, :, None, None].expand_as(range_m), (-sky[samples]).sigmoid()
+            surface, _ = merge_cameras(range_m, solid, there & (solid > 0.5), rig, self.panorama)
             # what holds for the sky is the range of a surface that may be there after all
-            doubtful, _ = merge_cameras(range_m, solid, there, rig, self.panorama)
-            surface, confidence = merge_cameras(range_m, solid, there & (solid > 0.5), rig, self.panorama)
-            filled = fill_holes(doubtful, HOLE_PASSES)
-            valid = surface.isfinite() | (doubtful.isinf() & filled.isfinite())
+            guess, _ = merge_cameras(range_m, solid, there, rig, self.panorama)
+            range_or_sky_m = torch.where(solid > 0.5, range_m, spheres.farthest_m)
+            _, confidence = merge_cameras(range_or_sky_m, solid, there, rig, self.panorama, depth_ratio=math.inf)
+            filled = fill_holes(guess, HOLE_PASSES)
+            valid = (surface.isfinite() & (confidence > 0.5)) | (guess.isinf() & filled.isfinite())
             index = spheres.index(torch.where(surface.isfinite(), surface, filled))
             return from_index(index, valid, confidence, spheres)
 

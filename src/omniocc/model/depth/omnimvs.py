@@ -48,7 +48,7 @@ class OmniMVS(SphereNet):
         context_channels: features that are passed on as they are.
         sweep_stride: panorama pixels per swept point along each side, 1 or 2.
         channels: per level of the 2D network, finest (half the panorama) first; multiples of 8.
-        fine_channels: of the layers at full size, which see the correlations once more.
+        fine_channels: of the layers at full size, which see the correlations and the mean features once more.
         blocks: residual blocks on each level, down and up again.
         window: spheres to each side of the peak that make up the answer.
         min_confidence: answers below are not valid, in [0, 1].
@@ -103,8 +103,9 @@ class OmniMVS(SphereNet):
         self.stem = nn.Conv2d(inputs, channels[0], 2 // sweep_stride, stride=2 // sweep_stride)
         self.net = UNet2d(channels, blocks, wrap=True)
         self.up = nn.Sequential(nn.Conv2d(channels[0], 4 * fine_channels, 1), nn.PixelShuffle(2))
+        self.seen_again = compared + len(CONTEXT_SHARES) * context_channels
         self.fine = nn.Sequential(
-            Conv(compared + fine_channels, fine_channels, 3, wrap=True, bias=False),
+            Conv(self.seen_again + fine_channels, fine_channels, 3, wrap=True, bias=False),
             norm(fine_channels),
             nn.ReLU(),
             Conv(fine_channels, spheres + 1, 3, wrap=True),
@@ -126,11 +127,11 @@ class OmniMVS(SphereNet):
             panoramas, seen = panoramas.flip(-1), seen.flip(-1)
         coarse = self.up(self.net(self.stem(panoramas)))
         size = coarse.shape[-2:]
-        agreement = panoramas[:, : self.groups * self.spheres]
+        again = panoramas[:, : self.seen_again]
         if self.sweep_stride == 2:
-            agreement = double(agreement, *size, wrap=True)
-        logits = self.fine(torch.cat([agreement, coarse], 1))
-        alike = agreement.unflatten(1, (self.spheres, self.groups)).mean(2)
+            again = double(again, *size, wrap=True)
+        logits = self.fine(torch.cat([again, coarse], 1))
+        alike = again[:, : self.groups * self.spheres].unflatten(1, (self.spheres, self.groups)).mean(2)
         logits = logits + self.trust * F.pad(alike, (0, 0, 0, 0, 0, 1))
         return logits, F.interpolate(seen.float(), size)[:, 0] > 0
 

@@ -114,7 +114,9 @@ class _SquaredGap(torch.autograd.Function):
         gap, pool = ctx.saved_tensors
         spread = (grads[0] @ (2 * pool).T).view_as(gap).mul_(gap)
         one, two = (sampler.transpose for sampler in ctx.samplers)
-        sides = [spread if ctx.scales is None else spread * scale[..., None] for scale in ctx.scales or (None, None)]
+        sides = [spread, spread]
+        if ctx.scales is not None:
+            sides = [spread * scale[..., None] for scale in ctx.scales]
         return product(two, sides[1].flatten(1), less=product(one, sides[0].flatten(1))), None, None, None, None
 
 

@@ -27,6 +27,7 @@ def draw_front(
     value: Float[Tensor, "B P"],
     drawn: Bool[Tensor, "B P"],
     panorama: Equirectangular,
+    depth_ratio: float = SAME_SURFACE,
 ) -> tuple[Float[Tensor, "B h w"], Float[Tensor, "B h w"]]:
     """Distance from the origin to the nearest surface in each pixel, and its points' mean value; inf and 0 if none.
 
@@ -39,6 +40,7 @@ def draw_front(
         value: of each point.
         drawn: points that count.
         panorama: whose pixels are filled.
+        depth_ratio: points up to this many times as far as the nearest are of its surface; inf takes all.
     """
     pixels, inside = panorama.project(points_m)
     size = panorama.height * panorama.width
@@ -52,7 +54,7 @@ def draw_front(
         offset = corner.new_tensor(step)
         weight = (1 - (share - offset).abs()).prod(-1)
         cell = _cell(corner + offset, inside & drawn, panorama)
-        weight = torch.where(range_m <= SAME_SURFACE * nearest.gather(1, cell), weight, 0)
+        weight = torch.where(range_m <= depth_ratio * nearest.gather(1, cell), weight, 0)
         amounts = weight, weight / range_m, weight * value
         sums = [total.scatter_add(1, cell, amount) for total, amount in zip(sums, amounts, strict=True)]
     maps = (total[:, :size].unflatten(1, (panorama.height, panorama.width)) for total in (*sums, nearest))
@@ -89,6 +91,7 @@ def merge_cameras(
     drawn: Bool[Tensor, "B N H W"],
     rig: Rig,
     panorama: Equirectangular,
+    depth_ratio: float = SAME_SURFACE,
 ) -> tuple[Float[Tensor, "B h w"], Float[Tensor, "B h w"]]:
     """Ranges from the cameras' own centres -> ranges from the ego origin, and values; see `draw_front`.
 
@@ -98,8 +101,9 @@ def merge_cameras(
         drawn: pixels that count, beside what lens and mask let the camera see.
         rig: the cameras.
         panorama: whose pixels are filled.
+        depth_ratio: see `draw_front`.
     """
     rays, seen = camera_rays(rig, (range_m.shape[-1], range_m.shape[-2]), range_m.device)
     centers_m = rig.ego_from_camera[:, :3, 3].to(rays)
     points_m = centers_m[:, None, None] + range_m[..., None] * rays
-    return draw_front(points_m.flatten(1, 3), value.flatten(1), (drawn & seen).flatten(1), panorama)
+    return draw_front(points_m.flatten(1, 3), value.flatten(1), (drawn & seen).flatten(1), panorama, depth_ratio)
