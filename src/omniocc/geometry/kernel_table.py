@@ -47,34 +47,38 @@ class KernelTable:
         self.grid = (edges, np.array(grid.bounds[:2]), grid.shape[:2], sector_faces(grid.shape[1] if round_ else 0))
         # the most columns along a heading: rings are crossed twice, half of the sectors' faces once
         self.longest = 3 + (2 * grid.shape[0] + (grid.shape[1] + 1) // 2 if round_ else sum(grid.shape[:2]))
-        self.uses, self.kept = 0, self._columns(0)
+        self.uses, self.kept = 0, None
 
     def cast_all(self, volumes: Sequence[UInt8[Tensor, "X Y Z"]]) -> list[Hits]:
         """First hits in each volume; see `RayTable.cast_all`."""
         groups, rays = math.prod(self.fans.headings.shape[:2]), len(self.fans.origins) * len(self.fans.order)
-        self.uses += 1
-        if self.uses == 2:
-            self._keep(groups, rays)
-        labels = torch.stack([labels.reshape(-1) for labels in volumes]).numpy()
+        columns = self.grid[2][0] * self.grid[2][1]
+        labels = torch.stack([labels.reshape(columns, -1) for labels in volumes]).numpy()
         dtypes = (torch.int32, torch.uint8, torch.float32, torch.float32)
         found = [torch.empty(len(volumes), rays, dtype=dtype) for dtype in dtypes]
         out = tuple(part.numpy() for part in found)
-        share(lambda first, last: march.cast(first, last, *self.rays, *self.grid, self.kept, labels, out), groups, rays)
+        self.uses += 1
+        if self.uses == 1:
+            bits = np.empty((len(labels), columns), dtype=np.int64)
+            march.pack(labels, bits)
+            share(lambda *part: march.cast(*part, self.rays, self.grid, self.longest, labels, bits, out), groups, rays)
+        else:
+            kept = self._kept(groups, rays)
+            for number, volume in enumerate(labels):
+                row = tuple(part[number] for part in out)
+                share(lambda *part: march.cast_kept(*part, self.rays, self.grid, kept, volume, row), groups, rays)
         return [Hits(*row) for row in zip(*found, strict=True)]
 
-    def _keep(self, groups: int, rays: int) -> None:
-        kept = self._columns(groups)
-        origins, headings, *_, spans = self.rays
-        share(
-            lambda first, last: march.build(first, last, origins, headings, spans, *self.grid[1:], kept), groups, rays
-        )
-        cells, ends, counts = kept
-        used = int(counts.max(initial=0)) + 1
-        self.kept = (cells[:, : used - 1].copy(), ends[:, :used].copy(), counts)
-
-    def _columns(self, groups: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        cells = np.empty((groups, self.longest - 1), dtype=np.int32)
-        return cells, np.empty((groups, self.longest)), np.empty(groups, dtype=np.int64)
+    def _kept(self, groups: int, rays: int) -> tuple[np.ndarray, ...]:
+        if self.kept is None:
+            cells, ends = np.empty((groups, self.longest - 1), dtype=np.int32), np.empty((groups, self.longest))
+            turn = np.uint16 if self.longest < 1 << 15 else np.uint32
+            turns = np.empty((groups, self.fans.slopes.shape[1], len(self.grid[0])), dtype=turn)
+            kept = cells, ends, np.empty(groups, dtype=np.int64), turns
+            share(lambda *part: march.build(*part, self.rays, self.grid, kept), groups, rays)
+            used = int(kept[2].max(initial=0)) + 1
+            self.kept = (cells[:, : used - 1].copy(), ends[:, :used].copy(), *kept[2:])
+        return self.kept
 
 
 def sector_faces(sectors: int) -> np.ndarray:

@@ -220,123 +220,187 @@ def find_columns(x, y, along_x, along_y, span, bounds, sizes, faces, scratch, ce
 
 @compiled
 @no_type_check
-def next_hits(labels, levels, cells, count, hits):
-    """For every column and level, the first column from there on that is not free; `count` for none."""
-    for level in range(levels):
-        hits[count * levels + level] = count
-    for column in range(count - 1, -1, -1):
-        here, after, cell = column * levels, (column + 1) * levels, cells[column] * levels
-        if cell < 0:
+def pack(labels, bits):
+    """Sets the bits of the levels of each column of (V, columns, levels) that are not free."""
+    volumes, columns, levels = labels.shape
+    for volume in range(volumes):
+        for column in range(columns):
+            word = 0
             for level in range(levels):
-                hits[here + level] = hits[after + level]
-        else:
-            for level in range(levels):
-                hits[here + level] = column if labels[cell + level] != 0 else hits[after + level]
+                word |= np.int64(labels[volume, column, level] != 0) << level
+            bits[volume, column] = word
 
 
 @compiled
 @no_type_check
-def reaching(ends, first, count, way):
-    """The first column, from `first` on, that ends at a way or beyond; `count` for none."""
-    left = count - first
-    while left > 0:
-        half = left >> 1
-        behind = ends[first + half + 1] < way
-        first = first + half + 1 if behind else first
-        left = left - half - 1 if behind else half
-    return first
-
-
-@compiled
-@no_type_check
-def first_hit(height, slope, edges, ends, count, hits):
-    """Column and level of the first hit of a ray, and the ways at which it enters and leaves the level; -1 for none."""
+def first_hit(height, slope, edges, ends, count, bits):
+    """Column and level of the first hit of a ray; column -1 for none."""
     levels = len(edges) - 1
-    if slope == 0:
-        level = int(np.searchsorted(edges, height, side="right")) - 1
-        if level < 0 or level >= levels or hits[level] >= count:
-            return -1, 0, 0.0, 0.0
-        return hits[level], level, -FAR, FAR
     step, ahead = (1, 1) if slope > 0 else (-1, 0)
-    place = floor((height + ends[0] * slope - edges[0]) / (edges[levels] - edges[0]) * levels) - step
-    level, column = min(max(place, 0), levels - 1), 0
-    enter, leave = (edges[level + 1 - ahead] - height) / slope, (edges[level + ahead] - height) / slope
-    while True:
-        if leave - TOUCH_M > ends[0]:
-            column = reaching(ends, column, count, enter + TOUCH_M)
-            if column >= count:
-                return -1, 0, 0.0, 0.0
-            hit = hits[column * levels + level]
-            if hit < count and ends[hit] < leave - TOUCH_M:
-                return hit, level, enter, leave
-        level += step
-        if level < 0 or level >= levels:
-            return -1, 0, 0.0, 0.0
+    if slope == 0:
+        level, enter, leave = np.searchsorted(edges, height, side="right") - 1, -FAR, FAR
+    else:
+        place = floor((height + ends[0] * slope - edges[0]) / (edges[levels] - edges[0]) * levels) - step
+        level = min(max(place, 0), levels - 1)
+        enter, leave = (edges[level + 1 - ahead] - height) / slope, (edges[level + ahead] - height) / slope
+    column = 0
+    while 0 <= level < levels:
+        while column < count and ends[column + 1] < enter + TOUCH_M:
+            column += 1
+        limit, bit = leave - TOUCH_M, 1 << level
+        while ends[column] < limit:
+            if bits[column] & bit:
+                return (column if column < count else -1), level
+            column += 1
+        level, column = level + step, max(column - 1, 0)
+        if leave == FAR:
+            break
         enter, leave = leave, (edges[level + ahead] - height) / slope
+    return -1, 0
 
 
 @compiled
 @no_type_check
-def cast_heading(origin, slopes, stretches, edges, cells, ends, count, hits, labels, rays, out):
-    """Casts all rays of one heading; `rays` are their places in `out`: cells, labels, entry and exit distances."""
+def way_through(height, slope, edges, level):
+    """Ways at which a ray enters and leaves a level it crosses."""
+    if slope == 0:
+        return -FAR, FAR
+    one, other = (edges[level] - height) / slope, (edges[level + 1] - height) / slope
+    return min(one, other), max(one, other)
+
+
+@compiled
+@no_type_check
+def find_turns(height, slope, edges, ends, count, turns):
+    """Notes for each edge of the levels, in a ray's order, twice the number of columns that begin before it.
+
+    It is one more where the edge lies within the last of them, which then belongs to the levels on both sides.
+    """
+    levels, column = len(edges) - 1, 0
+    if slope == 0:
+        own = np.searchsorted(edges, height, side="right") - 1
+        for edge in range(levels + 1):
+            turns[edge] = 2 * count if 0 <= own < edge and own < levels else 0
+        return
+    for edge in range(levels + 1):
+        way = (edges[edge if slope > 0 else levels - edge] - height) / slope
+        while column < count and ends[column] < way - TOUCH_M:
+            column += 1
+        turns[edge] = 2 * column + (column > 0 and ends[column] >= way + TOUCH_M)
+
+
+@compiled
+@no_type_check
+def next_hits(labels, cells, count, hits):
+    """For every column and level, the first column from there on that is not free; `count` for none."""
+    levels = labels.shape[1]
+    hits[count] = count
+    for column in range(count - 1, -1, -1):
+        cell = cells[column]
+        if cell < 0:
+            hits[column] = hits[column + 1]
+        else:
+            for level in range(levels):
+                hits[column, level] = hits[column + 1, level] if labels[cell, level] == 0 else column
+
+
+@compiled
+@no_type_check
+def known_hit(first, rising, turns, hits):
+    """As `first_hit` for a ray whose turns are known: from the `first` level in its order on, one look for each."""
+    levels = len(turns) - 1
+    for edge in range(first, levels):
+        level = edge if rising else levels - 1 - edge
+        hit = hits[(turns[edge] >> 1) - (turns[edge] & 1), level]
+        if hit < turns[edge + 1] >> 1:
+            return hit, level
+    return -1, 0
+
+
+@compiled
+@no_type_check
+def write(ray, height, slope, stretch, column, level, edges, path, labels, out):
+    """Writes what a ray found, and how far away."""
+    cells, ends, count = path
     found_cells, found_labels, entry_m, exit_m = out
-    levels = len(edges) - 1
-    for climb in range(len(slopes)):
-        slope, stretch, ray = slopes[climb], stretches[climb], rays[climb]
-        column, level, enter, leave = -1, 0, 0.0, 0.0
-        if count > 0:
-            column, level, enter, leave = first_hit(origin[2], slope, edges, ends, count, hits)
-        if column < 0:
-            enter, leave = clip_flat(origin[2], slope, edges[0], edges[levels])
-            first, last = max(ends[0], enter), min(ends[count], leave)
-            way_m = last * stretch if last > first + TOUCH_M else np.inf
-            found_cells[ray], found_labels[ray], entry_m[ray], exit_m[ray] = -1, 0, way_m, way_m
-        else:
-            cell = cells[column] * levels + level
-            found_cells[ray], found_labels[ray] = cell, labels[cell]
-            entry_m[ray] = max(ends[column], enter) * stretch
-            exit_m[ray] = min(ends[column + 1], leave) * stretch
+    if column < 0:
+        enter, leave = clip_flat(height, slope, edges[0], edges[-1])
+        first, last = max(ends[0], enter), min(ends[count], leave)
+        way_m = last * stretch if last > first + TOUCH_M else np.inf
+        found_cells[ray], found_labels[ray], entry_m[ray], exit_m[ray] = -1, 0, way_m, way_m
+    else:
+        enter, leave = way_through(height, slope, edges, level)
+        cell = cells[column]
+        found_cells[ray], found_labels[ray] = cell * (len(edges) - 1) + level, labels[cell, level]
+        entry_m[ray] = max(ends[column], enter) * stretch
+        exit_m[ray] = min(ends[column + 1], leave) * stretch
 
 
 @compiled
 @no_type_check
-def build(first, last, origins, headings, spans, bounds, sizes, faces, kept):
-    """Fills the columns of some headings: `kept` is cells (G, L), ends (G, L + 1) and their number (G)."""
-    cells, ends, counts = kept
+def columns_of(group, rays, grid, scratch, cells, ends):
+    """Finds the columns along one heading, counted over all fans; returns their number."""
+    origins, headings, spans = rays[0], rays[1], rays[5]
+    _, bounds, sizes, faces = grid
+    fan, heading = group // headings.shape[1], group % headings.shape[1]
+    x, y, along_x, along_y = origins[fan, 0], origins[fan, 1], headings[fan, heading, 0], headings[fan, heading, 1]
+    return find_columns(x, y, along_x, along_y, spans[fan], bounds, sizes, faces, scratch, cells, ends)
+
+
+@compiled
+@no_type_check
+def build(first, last, rays, grid, kept):
+    """Fills what is kept of some headings: cells (G, L), ends (G, L + 1), their number (G) and turns (G, E, Z + 1)."""
+    origins, headings, slopes = rays[0], rays[1], rays[2]
+    cells, ends, counts, turns = kept
     scratch = np.empty((2, ends.shape[1]))
-    each = headings.shape[1]
     for group in range(first, last):
-        fan, heading = group // each, group % each
-        x, y, along_x, along_y = origins[fan, 0], origins[fan, 1], headings[fan, heading, 0], headings[fan, heading, 1]
-        counts[group] = find_columns(
-            x, y, along_x, along_y, spans[fan], bounds, sizes, faces, scratch, cells[group], ends[group]
-        )
+        fan = group // headings.shape[1]
+        counts[group] = columns_of(group, rays, grid, scratch, cells[group], ends[group])
+        for climb in range(slopes.shape[1]):
+            find_turns(origins[fan, 2], slopes[fan, climb], grid[0], ends[group], counts[group], turns[group, climb])
 
 
 @compiled
 @no_type_check
-def cast(
-    first, last, origins, headings, slopes, stretches, order, spans, edges, bounds, sizes, faces, kept, volumes, out
-):
-    """Casts the rays of some headings through several volumes (V, cells); `out` has V rows."""
-    kept_cells, kept_ends, counts = kept
-    longest, each, climbs = kept_ends.shape[1], headings.shape[1], slopes.shape[1]
-    levels = len(edges) - 1
-    scratch, hits = np.empty((2, longest)), np.empty(longest * levels, dtype=np.int32)
-    cells, ends = np.empty(longest, dtype=np.int32), np.empty(longest)
-    rays = np.empty(climbs, dtype=np.int64)
+def cast_kept(first, last, rays, grid, kept, labels, out):
+    """Casts the rays of some headings, whose columns and turns are known, through labels (columns, levels)."""
+    origins, headings, slopes, stretches, order, _ = rays
+    edges, cells, ends, counts, turns = grid[0], kept[0], kept[1], kept[2], kept[3]
+    each, climbs, levels = headings.shape[1], slopes.shape[1], len(edges) - 1
+    hits = np.empty((ends.shape[1], levels), dtype=np.int32)
     for group in range(first, last):
         fan, heading = group // each, group % each
-        if len(counts):
-            cells, ends, count = kept_cells[group], kept_ends[group], counts[group]
-        else:
-            x, y = origins[fan, 0], origins[fan, 1]
-            along_x, along_y = headings[fan, heading, 0], headings[fan, heading, 1]
-            count = find_columns(x, y, along_x, along_y, spans[fan], bounds, sizes, faces, scratch, cells, ends)
+        height, path = origins[fan, 2], (cells[group], ends[group], counts[group])
+        next_hits(labels, cells[group], counts[group], hits)
+        # a ray that rises from here crosses none of the levels below; one more for the rounding
+        level = min(max(floor((height - edges[0]) / (edges[levels] - edges[0]) * levels), -1), levels + 1)
         for climb in range(climbs):
-            rays[climb] = fan * each * climbs + order[heading * climbs + climb]
+            slope, ray = slopes[fan, climb], fan * each * climbs + order[heading * climbs + climb]
+            begin = max((level if slope > 0 else levels - 1 - level) - 1, 0)
+            column, at = known_hit(begin, slope > 0, turns[group, climb], hits)
+            write(ray, height, slope, stretches[fan, climb], column, at, edges, path, labels, out)
+
+
+@compiled
+@no_type_check
+def cast(first, last, rays, grid, longest, volumes, packed, out):
+    """Casts the rays of some headings through several volumes (V, columns, levels); `out` has V rows."""
+    origins, headings, slopes, stretches, order, _ = rays
+    edges = grid[0]
+    each, climbs = headings.shape[1], slopes.shape[1]
+    scratch, bits = np.empty((2, longest)), np.empty(longest, dtype=np.int64)
+    cells, ends = np.empty(longest, dtype=np.int32), np.empty(longest)
+    for group in range(first, last):
+        fan, heading = group // each, group % each
+        count = columns_of(group, rays, grid, scratch, cells, ends)
+        height, path = origins[fan, 2], (cells, ends, count)
         for volume in range(len(volumes)):
-            labels = volumes[volume]
-            next_hits(labels, levels, cells, count, hits)
+            for column in range(count):
+                bits[column] = packed[volume, cells[column]] if cells[column] >= 0 else 0
+            bits[count] = -1  # the walk ends there
             rows = (out[0][volume], out[1][volume], out[2][volume], out[3][volume])
-            cast_heading(origins[fan], slopes[fan], stretches[fan], edges, cells, ends, count, hits, labels, rays, rows)
+            for climb in range(climbs):
+                slope, ray = slopes[fan, climb], fan * each * climbs + order[heading * climbs + climb]
+                column, level = first_hit(height, slope, edges, ends, count, bits)
+                write(ray, height, slope, stretches[fan, climb], column, level, edges, path, volumes[volume], rows)
