@@ -40,15 +40,14 @@ def test_cubemap_agrees_with_direct_casting(stage, own_car, sensor, camera):
         or ((direct.label == 255) != (cube.label == 255)).mean() < 0.01
     )
     seen = (direct.label != 255) & (cube.label != 255)
-    assert (direct.label == cube.label)[seen].mean() > 0.98  # borders included
+    assert (direct.label == cube.label)[seen].mean() > 0.99  # borders included; measured 99.4 to 99.7 %
     inner = _inner(direct.label) & seen
-    assert (direct.label == cube.label)[inner].mean() > 0.999
+    assert (direct.label == cube.label)[inner].mean() > 0.9999
     difference = np.abs(direct.rgb.astype(float) - cube.rgb)[inner]
-    assert difference.mean() < 4  # grey levels of 255: the blur of resampling
+    assert difference.mean() < 4  # grey levels of 255: the blur of resampling; measured 1.4 to 3.1
     finite = inner & np.isfinite(direct.range_m) & np.isfinite(cube.range_m)
     error = np.abs(direct.range_m[finite] - cube.range_m[finite]) / direct.range_m[finite]
-    assert np.percentile(error, 95) < 1e-4
-    assert np.percentile(error, 99) < 0.02
+    assert np.percentile(error, 99) < 1e-6
 
 
 def test_ranges_on_a_plane_are_exact_across_faces(stage_of, quad, noon, sensor):
