@@ -2,6 +2,7 @@ import pytest
 import torch
 
 from omniocc.camera import Rig
+from omniocc.model.depth import projection
 
 
 @pytest.mark.parametrize("stride", [1, 2])
@@ -30,6 +31,17 @@ def test_the_mirrored_world(name, small, make_ring):
         expected, _ = model.logits(mirrored, rig)
         ours, _ = model.logits(images, rig, flip=True)
     torch.testing.assert_close(ours, expected, atol=2e-3, rtol=1e-3)
+
+
+def test_panoramas_larger_than_a_block_of_the_sweep(small, rig, monkeypatch):
+    images, model = torch.rand(1, 6, 3, 36, 64), small("OmniMVS").eval()
+    with torch.no_grad():
+        expected, _ = model.logits(images, rig)
+        monkeypatch.setattr(projection, "BLOCK_ROWS", 100)  # of 576 points on each sphere
+        projection.samplers.cache_clear()
+        ours, _ = model.logits(images, rig)
+    projection.samplers.cache_clear()
+    torch.testing.assert_close(ours, expected, atol=1e-4, rtol=1e-4)
 
 
 def test_order_of_cameras_does_not_matter(small, make_ring):

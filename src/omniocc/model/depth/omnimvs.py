@@ -165,11 +165,14 @@ class OmniMVS(SphereNet):
     ) -> list[Float[Tensor, "P B C"]]:
         """Mean and absolute difference of what the two sets see."""
         rows = table(context, present)
-        sets = []
-        for sampler in next(iter(self._samplers(context, rig, planes))):
+
+        def seen_by(sampler: Sampler) -> Tensor:
             sums = sampler(rows).unflatten(1, (len(context), -1))
-            sets.append(sums / sampler.share(present).clamp(min=LEAST_SHARE)[..., None])
-        return [(sets[0] + sets[1]) / 2, (sets[0] - sets[1]).abs()]
+            return sums / sampler.share(present).clamp(min=LEAST_SHARE)[..., None]
+
+        blocks = [(seen_by(one), seen_by(two)) for one, two in self._samplers(context, rig, planes)]
+        one, two = (torch.cat(parts) for parts in zip(*blocks, strict=True))
+        return [(one + two) / 2, (one - two).abs()]
 
     def _samplers(
         self, features: Float[Tensor, "B N C _ _"], rig: Rig, planes: list[float]
