@@ -39,7 +39,7 @@ from omniocc.task.run_folder import LAST, METRICS, git_commit, write_whole
 from omniocc.task.sketch import Sketch, known
 
 STAGES = ("depth", "sketch", "occupancy")
-VERSIONS = {"depth": 1, "sketch": 1, "candidates": 1}
+VERSIONS = {"depth": 2, "sketch": 1, "candidates": 1}
 """Raise a number when the same configuration would give another result."""
 
 SELECTION = ("threshold", "share", "windows", "band_edges_m")
