@@ -6,8 +6,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from omniocc.model.backbone.resnet import ResNet
+from omniocc.model.backbone.transformers import Transformers
 
-__all__ = ["Backbone", "ResNet"]
+__all__ = ["Backbone", "ResNet", "Transformers"]
 
 
 @runtime_checkable

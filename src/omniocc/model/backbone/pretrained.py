@@ -4,8 +4,11 @@ import logging
 import os
 import urllib.error
 import urllib.request
+from collections.abc import Callable, Iterable
+from typing import TypeVar
 
-from transformers import ResNetConfig, ResNetModel
+from torch import nn
+from transformers import PretrainedConfig, ResNetConfig, ResNetModel
 
 log = logging.getLogger(__name__)
 
@@ -13,29 +16,52 @@ PROBE_TIMEOUT_S = 3.0
 COMPARED = ("layer_type", "embedding_size", "hidden_sizes", "depths")
 
 
-def build_resnet(config: ResNetConfig, weights: str | None) -> ResNetModel:
-    """A ResNet with the named weights, or with random ones after one line of warning where they cannot be reached.
+Network = TypeVar("Network", bound=nn.Module)
+
+
+def load_or_random(weights: str | None, load: Callable[[str, bool], Network], random: Callable[[], Network]) -> Network:
+    """The network with the named weights, or with random ones after one line of warning where they cannot be reached.
 
     Args:
-        config: sizes of the network.
         weights: name on the hub or a folder; None for random weights, without any access to the network.
+        load: takes that name and whether to keep to local files.
+        random: builds the network with random weights.
+    """
+    if weights is None:
+        return random()
+    try:
+        return load(weights, not _hub_reachable(weights))
+    except OSError as error:
+        reason = str(error).strip().splitlines()[0]
+        log.warning("no pretrained weights '%s', training from random ones: %s", weights, reason)
+        return random()
+
+
+def require_equal(found: PretrainedConfig, wanted: PretrainedConfig, names: Iterable[str], weights: str) -> None:
+    """Compares entries of two configurations.
 
     Raises:
         ValueError: if the weights belong to a network of other sizes.
     """
-    if weights is None:
-        return ResNetModel(config)
-    try:
-        model = ResNetModel.from_pretrained(weights, local_files_only=not _hub_reachable(weights))
-    except OSError as error:
-        reason = str(error).strip().splitlines()[0]
-        log.warning("no pretrained weights '%s', training from random ones: %s", weights, reason)
-        return ResNetModel(config)
-    for name in COMPARED:
-        found, wanted = getattr(model.config, name), getattr(config, name)
-        if found != wanted:
-            raise ValueError(f"weights '{weights}' have {name} {found}, the config asks for {wanted}; make them agree")
-    return model
+    for name in names:
+        ours, theirs = getattr(wanted, name), getattr(found, name)
+        if ours != theirs:
+            raise ValueError(f"weights '{weights}' have {name} {theirs}, the config asks for {ours}; make them agree")
+
+
+def build_resnet(config: ResNetConfig, weights: str | None) -> ResNetModel:
+    """A ResNet with the named weights, or with random ones (see `load_or_random`).
+
+    Raises:
+        ValueError: if the weights belong to a network of other sizes.
+    """
+
+    def load(name: str, local: bool) -> ResNetModel:
+        model = ResNetModel.from_pretrained(name, local_files_only=local)
+        require_equal(model.config, config, COMPARED, name)
+        return model
+
+    return load_or_random(weights, load, lambda: ResNetModel(config))
 
 
 def _hub_reachable(weights: str) -> bool:

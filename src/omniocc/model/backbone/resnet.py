@@ -3,18 +3,16 @@
 from collections.abc import Sequence
 from typing import Literal
 
-import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 from transformers import ResNetConfig
 
 from omniocc.model.backbone.deformable import DeformableConv2d
 from omniocc.model.backbone.fpn import FPN
+from omniocc.model.backbone.imagenet import Normalize
 from omniocc.model.backbone.pretrained import build_resnet
 
 STRIDES = [4, 8, 16, 32]
-IMAGENET_MEAN = (0.485, 0.456, 0.406)
-IMAGENET_STD = (0.229, 0.224, 0.225)
 
 
 class ResNet(nn.Module):
@@ -35,9 +33,6 @@ class ResNet(nn.Module):
         ValueError: if a level or stage does not exist or the weights have other sizes.
     """
 
-    mean: Tensor
-    std: Tensor
-
     def __init__(
         self,
         layer_type: Literal["basic", "bottleneck"],
@@ -55,6 +50,7 @@ class ResNet(nn.Module):
         if any(stage not in (1, 2, 3, 4) for stage in deformable_stages):
             raise ValueError(f"deformable_stages are {list(deformable_stages)}; they must be some of 1, 2, 3, 4")
         self.channels = channels
+        self.normalize = Normalize()
         config = ResNetConfig(
             layer_type=layer_type, embedding_size=embedding_size, hidden_sizes=hidden_sizes, depths=depths
         )
@@ -62,13 +58,10 @@ class ResNet(nn.Module):
         for stage in deformable_stages:
             make_deformable(self.encoder.encoder.stages[stage - 1])
         self.fpn = FPN(hidden_sizes, channels, [STRIDES.index(level) for level in levels])
-        self.register_buffer("mean", torch.tensor(IMAGENET_MEAN).view(3, 1, 1), persistent=False)
-        self.register_buffer("std", torch.tensor(IMAGENET_STD).view(3, 1, 1), persistent=False)
 
     def forward(self, images: Float[Tensor, "B N 3 H W"]) -> list[Float[Tensor, "B N C _ _"]]:
         """Feature maps of RGB in [0, 1], finest first."""
-        flat = ((images - self.mean) / self.std).flatten(0, 1).contiguous(memory_format=torch.channels_last)
-        stages = self.encoder(flat, output_hidden_states=True).hidden_states[1:]
+        stages = self.encoder(self.normalize(images), output_hidden_states=True).hidden_states[1:]
         return [level.unflatten(0, images.shape[:2]) for level in self.fpn(list(stages))]
 
 

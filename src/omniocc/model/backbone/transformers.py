@@ -1,0 +1,116 @@
+"""Any image backbone of the transformers library."""
+
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional as F
+from transformers import AutoBackbone, AutoConfig, PretrainedConfig
+from transformers.models.auto.modeling_auto import MODEL_FOR_BACKBONE_MAPPING, MODEL_FOR_BACKBONE_MAPPING_NAMES
+
+from omniocc.model.backbone.fpn import FPN
+from omniocc.model.backbone.imagenet import Normalize
+from omniocc.model.backbone.pretrained import load_or_random, require_equal
+
+PROBE_PX = 224
+
+
+class Transformers(nn.Module):
+    """A backbone of transformers, by name, with a feature pyramid on top.
+
+    Of the stages of equal stride the deepest counts. Images are padded at the right and at the bottom to a multiple of
+    the coarsest stride. Parameters that no map depends on (a mask token, say) are frozen.
+
+    Args:
+        architecture: the library's name of the network, such as convnext, swin or dinov2.
+        sizes: entries of the architecture's configuration that differ from the library's.
+        weights: pretrained weights on the Hugging Face hub, or None. Where they cannot be reached: a warning and random
+            ones.
+        channels: of the maps that come out.
+        levels: strides of the maps that come out, some of those that the network has, px.
+
+    Raises:
+        ValueError: if there is no such architecture, size or level, or the weights are of another network.
+    """
+
+    def __init__(self, architecture: str, sizes: dict[str, Any], weights: str | None, channels: int, levels: list[int]):
+        super().__init__()
+        self.channels = channels
+        self.normalize = Normalize()
+        self.encoder = build(make_config(architecture, sizes), list(sizes), weights)
+        maps = probe(self.encoder)
+        deepest = {round(PROBE_PX / level.shape[-1]): index for index, level in enumerate(maps)}
+        self.strides = sorted(deepest)
+        if not levels or any(level not in deepest for level in levels):
+            raise ValueError(f"levels are {levels}; {architecture} has the strides {self.strides}")
+        self.stages = [deepest[stride] for stride in self.strides]
+        in_channels = [maps[stage].shape[1] for stage in self.stages]
+        self.fpn = FPN(in_channels, channels, [self.strides.index(level) for level in levels])
+        freeze_unused(self.encoder, [maps[stage] for stage in self.stages[self.strides.index(min(levels)) :]])
+
+    def forward(self, images: Float[Tensor, "B N 3 H W"]) -> list[Float[Tensor, "B N C _ _"]]:
+        """Feature maps of RGB in [0, 1], finest first."""
+        height, width = images.shape[-2:]
+        coarsest = self.strides[-1]
+        padded = F.pad(self.normalize(images), (0, -width % coarsest, 0, -height % coarsest))
+        found = self.encoder(padded).feature_maps
+        maps = [
+            found[stage][..., : -(-height // stride), : -(-width // stride)]
+            for stage, stride in zip(self.stages, self.strides, strict=True)
+        ]
+        return [level.unflatten(0, images.shape[:2]) for level in self.fpn(maps)]
+
+
+def make_config(architecture: str, sizes: dict[str, Any]) -> PretrainedConfig:
+    """The library's configuration, with other sizes.
+
+    Raises:
+        ValueError: if there is no such architecture or size.
+    """
+    if architecture not in MODEL_FOR_BACKBONE_MAPPING_NAMES:
+        known = ", ".join(sorted(MODEL_FOR_BACKBONE_MAPPING_NAMES))
+        raise ValueError(f"transformers has no backbone '{architecture}'; it has {known}")
+    usual = AutoConfig.for_model(architecture)
+    unknown = [name for name in sizes if not hasattr(usual, name)]
+    if unknown:
+        raise ValueError(f"{architecture} has no sizes {unknown}; see {type(usual).__name__} of transformers")
+    return with_all_stages(AutoConfig.for_model(architecture, **sizes))
+
+
+def with_all_stages(config: PretrainedConfig) -> PretrainedConfig:
+    """Asks a backbone for the maps of all its stages."""
+    config.out_indices = list(range(len(config.stage_names)))
+    return config
+
+
+def build(config: PretrainedConfig, compared: list[str], weights: str | None) -> nn.Module:
+    """The network with pretrained weights, or with random ones where there are none.
+
+    Raises:
+        ValueError: if the weights are of another network.
+    """
+
+    def load(name: str, local: bool) -> nn.Module:
+        found = AutoConfig.from_pretrained(name, local_files_only=local)
+        require_equal(found, config, ["model_type", *compared], name)
+        network = MODEL_FOR_BACKBONE_MAPPING[type(config)]
+        return network.from_pretrained(name, config=with_all_stages(found), local_files_only=local)  # type: ignore
+
+    return load_or_random(weights, load, lambda: AutoBackbone.from_config(config))
+
+
+def probe(encoder: nn.Module) -> list[Tensor]:
+    """The maps of a grey image; running statistics stay as they are."""
+    encoder.eval()
+    maps = encoder(torch.zeros(1, 3, PROBE_PX, PROBE_PX)).feature_maps
+    encoder.train()
+    return list(maps)
+
+
+def freeze_unused(encoder: nn.Module, maps: list[Tensor]) -> None:
+    """Keeps parameters that these maps do not depend on from training."""
+    parameters = list(encoder.parameters())
+    gradients = torch.autograd.grad(torch.stack([level.sum() for level in maps]).sum(), parameters, allow_unused=True)
+    for parameter, gradient in zip(parameters, gradients, strict=True):
+        parameter.requires_grad_(gradient is not None)
