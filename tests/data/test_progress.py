@@ -19,6 +19,6 @@ def test_frames_that_were_there_do_not_count_as_fast(monkeypatch, capsys):
 
 
 def test_clock():
-    assert [clock(value) for value in (59.9, 3599, 3600, 86399, 129600)] == [
+    assert [clock(value) for value in (59.9, 3599.0, 3600.0, 86399.0, 129600.0)] == [
         *("0:59 min", "59:59 min", "1:00 h", "23:59 h", "1.5 days")
     ]
