@@ -139,14 +139,21 @@ class OccupancyModel(nn.Module):
         exists: Bool[Tensor, "B T"],
         like: Float[Tensor, "B C X Y Z"],
     ) -> list[Float[Tensor, "B C X Y Z"]]:
-        """All past frames that exist in one go; zeros for the others."""
-        sample, frame = exists[:, :-1].nonzero(as_tuple=True)
-        past = like.new_zeros(exists.shape[1] - 1, *like.shape)
-        if len(sample):
-            chosen = None if candidates is None else candidates[sample, frame]
-            lifted = self.lift(images[sample, frame], tuple(rigs[i] for i in sample.tolist()), chosen)
-            past = past.index_put((frame, sample), lifted.volume)
-        return list(past.unbind(0))
+        """All past frames that exist in one go; zeros, laid out as `like`, for the others."""
+        if exists.shape[1] == 1:
+            return []
+        frames, samples = exists[:, :-1].T.nonzero(as_tuple=True)
+        lifted = like[:0]
+        if len(frames):
+            chosen = None if candidates is None else candidates[samples, frames]
+            lifted = self.lift(images[samples, frames], tuple(rigs[i] for i in samples.tolist()), chosen).volume
+        counts = exists[:, :-1].sum(0).tolist()
+        parts = zip(lifted.split(counts), samples.split(counts), strict=True)
+        # slices and `zeros_like` keep channels last in memory
+        return [
+            part if len(part) == len(like) else torch.zeros_like(like).index_copy(0, sample, part)
+            for part, sample in parts
+        ]
 
 
 def to_unit_range(images: UInt8[Tensor, "..."] | Float[Tensor, "..."]) -> Float[Tensor, "..."]:

@@ -13,7 +13,7 @@ from omniocc.model.occupancy import OccupancyModel
 class Remembered(NamedTuple):
     """One lifted frame."""
 
-    volume: Float[Tensor, "C X Y Z"]
+    volume: Float[Tensor, "1 C X Y Z"]
     world_from_ego: Float[Tensor, "4 4"]
 
 
@@ -110,7 +110,7 @@ class Stream:
     ) -> None:
         assert not self.model.training
         volumes = self.model.lift(images, rigs, candidates).volume
-        for key, volume, pose in zip(keys, volumes, world_from_ego, strict=True):
+        for key, volume, pose in zip(keys, volumes.split(1), world_from_ego, strict=True):
             # a copy: a view would keep the volumes of the whole batch
             self._frames[key] = Remembered(volume.clone(), pose)
 
@@ -118,7 +118,7 @@ class Stream:
         """Logits of windows of remembered frames; afterwards only what the next frame needs is remembered."""
         known = self._frames
         frames = [[known.get(key, known[window[-1]]) for key in window] for window in windows]
-        volumes = [torch.stack([frame.volume for frame in column]) for column in zip(*frames, strict=True)]
+        volumes = [torch.cat([frame.volume for frame in column]) for column in zip(*frames, strict=True)]
         poses = torch.stack([torch.stack([frame.world_from_ego for frame in window]) for window in frames])
         exists = torch.tensor([[key in known for key in window] for window in windows], device=poses.device)
         self._frames = {key: known[key] for key in windows[-1][1:] if key in known}

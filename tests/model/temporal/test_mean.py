@@ -107,7 +107,7 @@ def test_frames_that_do_not_exist_count_for_nothing():
     poses = drive(pose(0), pose(1, 0.5), pose(2, yaw_rad=0.2)).repeat(2, 1, 1, 1)
     volumes = [torch.randn(2, 3, *CYLINDER.shape) for _ in range(3)]
     exists = torch.tensor([[False, True, True], [True, True, True]])
-    volumes[0][0] = torch.nan
+    volumes[0][0] = 1e6
     fused = Mean(CYLINDER, 3, False)(volumes, poses, exists)
     shorter = Mean(CYLINDER, 2, False)([v[:1] for v in volumes[1:]], poses[:1, 1:], exists[:1, 1:])
     assert torch.equal(fused[:1], shorter)

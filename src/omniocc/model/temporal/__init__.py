@@ -31,6 +31,6 @@ class Temporal(Protocol):
     ) -> Float[Tensor, "B C X Y Z"]:
         """Volumes oldest first, each in the ego frame of its time -> one in the newest frame's.
 
-        Volumes and poses of frames that do not exist mean nothing; the newest always exists.
+        The newest frame always exists; volumes of those that do not hold any finite numbers, their poses any pose.
         """
         ...

@@ -43,8 +43,8 @@ class Mean(nn.Module):
         count = torch.ones_like(total[:, :1])
         for volume, pose, there in zip(past, world_from_ego.unbind(1), exists.unbind(1), strict=False):
             past_from_current = invert_pose(pose.double()) @ world_from_ego[:, -1].double()
-            inside = self.geometry.warp_valid(past_from_current) & there[:, None, None, None]
-            aligned = self.geometry.warp(volume, past_from_current)  # 0 outside
-            total = total + torch.where(inside.unsqueeze(1), aligned, 0)
-            count = count + inside.unsqueeze(1)
+            there = there[:, None, None, None, None]
+            inside = self.geometry.warp_valid(past_from_current).unsqueeze(1)
+            total = total.addcmul(self.geometry.warp(volume, past_from_current), there.to(total.dtype))  # 0 outside
+            count = count + (inside & there)
         return total / count
