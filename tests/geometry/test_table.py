@@ -124,13 +124,18 @@ def test_wrong_input_is_named():
     table = ray_table(GRIDS[0], torch.zeros(1, 3), Scan(torch.ones(1, 3)))
     with pytest.raises(ValueError, match=r"labels must have the grid's shape \(24, 30, 6\), got \(2, 2, 2\)"):
         table.cast(torch.zeros(2, 2, 2, dtype=torch.uint8))
-    with pytest.raises(ValueError, match=r"at most 48 levels, got \(2, 2, 49\); cast on the CPU"):
-        TensorTable(Cuboid(shape=(2, 2, 49)), Fans.single(torch.zeros(1, 3), torch.ones(1, 3)))
+    with pytest.raises(ValueError, match=r"at most 48 levels, got shape \(2, 2, 49\)"):
+        RayTable(Cuboid(shape=(2, 2, 49)), Fans.single(torch.zeros(1, 3), torch.ones(1, 3)))
 
 
-def test_any_number_of_levels():
-    grid = Cuboid(shape=(1, 1, 70), x_m=(0.0, 1.0), y_m=(0.0, 1.0), height_m=(0.0, 70.0))
-    labels = torch.zeros(grid.shape, dtype=torch.uint8)
-    labels[0, 0, 66] = 3
-    hits = grid.cast(labels, torch.tensor([[0.5, 0.5, 0.5]]), torch.tensor([[0.0, 0.0, 1.0]]))
-    assert (hits.cells.item(), hits.labels.item(), hits.entry_m.item(), hits.exit_m.item()) == (66, 3, 65.5, 66.5)
+@pytest.mark.parametrize("bad", [float("nan"), float("inf"), -float("inf"), 1e300])
+@pytest.mark.parametrize("grid", GRIDS)
+def test_numbers_that_make_no_ray_hit_nothing(grid, bad):
+    origins = torch.zeros(6, 3, dtype=torch.float64)
+    directions = torch.ones(6, 3, dtype=torch.float64)
+    for axis in range(3):
+        origins[axis, axis] = bad
+        directions[3 + axis, axis] = bad
+    hits = grid.cast(torch.ones(grid.shape, dtype=torch.uint8), origins, directions)
+    assert hits.labels[:3].tolist() == [0, 0, 0]
+    assert (hits.cells < grid.num_cells).all()

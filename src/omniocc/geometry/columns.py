@@ -69,15 +69,8 @@ def _level(
 
 
 def find_levels(grid: Traversable, fans: Fans) -> Levels:
-    """Finds when rays are in which level.
-
-    Raises:
-        ValueError: if the grid has more levels than a mask holds.
-    """
+    """Finds when rays are in which of at most `MOST_LEVELS` levels."""
     (low, high), count = grid.bounds[2], grid.shape[2]
-    if count > MOST_LEVELS:
-        hint = "cast on the CPU, or use paths()"
-        raise ValueError(f"on a GPU rays can be cast through at most {MOST_LEVELS} levels, got {grid.shape}; {hint}")
     edges = torch.linspace(low, high, count + 1, dtype=torch.float64, device=fans.origins.device)
     height, slope = fans.origins[:, 2].reshape(-1, 1, 1), fans.slopes.unsqueeze(-1)
     level = slope == 0

@@ -63,11 +63,13 @@ class KernelTable:
             march.pack(labels, bits)
             share(lambda *part: march.cast(*part, self.rays, self.grid, self.longest, labels, bits, out), groups, rays)
         else:
-            kept = self._kept(groups, rays)
             for number, volume in enumerate(labels):
-                row = tuple(part[number] for part in out)
-                share(lambda *part: march.cast_kept(*part, self.rays, self.grid, kept, volume, row), groups, rays)
+                self._cast_kept(volume, tuple(part[number] for part in out), groups, rays)
         return [Hits(*row) for row in zip(*found, strict=True)]
+
+    def _cast_kept(self, labels: np.ndarray, out: tuple[np.ndarray, ...], groups: int, rays: int) -> None:
+        kept = self._kept(groups, rays)
+        share(lambda *part: march.cast_kept(*part, self.rays, self.grid, kept, labels, out), groups, rays)
 
     def _kept(self, groups: int, rays: int) -> tuple[np.ndarray, ...]:
         if self.kept is None:

@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float, Float32, UInt8
 from torch import Tensor
 
+from omniocc.geometry.columns import MOST_LEVELS
 from omniocc.geometry.fans import Fans, Scan
 from omniocc.geometry.kernel_table import KernelTable
 from omniocc.geometry.tensor_table import TensorTable
@@ -24,9 +25,16 @@ class RayTable:
     Args:
         grid: cylinder or cuboid.
         fans: the rays.
+
+    Raises:
+        ValueError: if the grid has more than 48 levels.
     """
 
     def __init__(self, grid: Traversable, fans: Fans):
+        if grid.shape[2] > MOST_LEVELS:
+            raise ValueError(
+                f"rays can be cast through at most {MOST_LEVELS} levels, got shape {grid.shape}; use paths()"
+            )
         self.shape, self.device = grid.shape, fans.origins.device
         self.table = KernelTable(grid, fans) if self.device.type == "cpu" else TensorTable(grid, fans)
 

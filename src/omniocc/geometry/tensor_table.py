@@ -23,9 +23,6 @@ class TensorTable:
     Args:
         grid: cylinder or cuboid.
         fans: the rays.
-
-    Raises:
-        ValueError: if the grid has more levels.
     """
 
     def __init__(self, grid: Traversable, fans: Fans):
