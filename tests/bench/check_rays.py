@@ -2,8 +2,9 @@
 
 For every ray all crossings with all surfaces are computed in float64 and sorted, and the midpoint between two of them
 tells the cell (`reference` in tests/geometry/test_trace.py). Cells must agree in number and order; the worst difference
-of a distance is printed. First hits in random labels must be the first occupied cell of the path. Some rays are
-vertical or level, start on faces, on the axis or outside, or run through the axis.
+of a distance is printed. First hits in random labels, by the compiled kernels and by tensors, must be the first
+occupied cell of the path. Some rays are vertical or level, start on faces, on the axis or outside, or run through the
+axis.
 """
 
 import importlib.util
@@ -18,6 +19,8 @@ ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "src"))
 
 from omniocc.geometry import Cuboid, Cylinder  # noqa: E402
+from omniocc.geometry.fans import Fans  # noqa: E402
+from omniocc.geometry.tensor_table import TensorTable  # noqa: E402
 
 RAYS_PER_GRID = 1000
 
@@ -79,13 +82,15 @@ def check_grid(seed: int, compare: Callable[..., float], first_hits: Callable[..
     worst = compare(grid, origins, directions)
     labels = torch.randint(1, 12, grid.shape, generator=generator, dtype=torch.uint8)
     labels[torch.rand(grid.shape, generator=generator) < torch.rand((), generator=generator)] = 0
-    hits, expected = grid.cast(labels, origins, directions), first_hits(grid, labels, origins, directions)
-    assert torch.equal(hits.cells, expected[0]), (seed, grid)
-    assert torch.equal(hits.labels, expected[1]), (seed, grid)
-    for found_m, expected_m in ((hits.entry_m, expected[2]), (hits.exit_m, expected[3])):
-        finite = expected_m.isfinite()
-        assert torch.equal(finite, found_m.isfinite()), (seed, grid)
-        worst = max(worst, (found_m - expected_m)[finite].abs().amax().item() if finite.any() else 0.0)
+    expected = first_hits(grid, labels, origins, directions)
+    on_tensors = TensorTable(grid, Fans.single(origins, directions)).cast_all([labels])[0]
+    for hits in (grid.cast(labels, origins, directions), on_tensors):
+        assert torch.equal(hits.cells, expected[0]), (seed, grid)
+        assert torch.equal(hits.labels, expected[1]), (seed, grid)
+        for found_m, expected_m in ((hits.entry_m, expected[2]), (hits.exit_m, expected[3])):
+            finite = expected_m.isfinite()
+            assert torch.equal(finite, found_m.isfinite()), (seed, grid)
+            worst = max(worst, (found_m - expected_m)[finite].abs().amax().item() if finite.any() else 0.0)
     return worst
 
 

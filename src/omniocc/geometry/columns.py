@@ -55,7 +55,8 @@ def find_columns(grid: Traversable, origins: Float64[Tensor, "G 3"], headings: F
         start, leave = clip(grid, origins[chunk], directions[chunk])
         crossings = grid.crossings(origins[chunk], directions[chunk], start)[:2]
         cell, end = in_order(crossings, (grid.shape[1], 1), start, leave)
-        cells.append(cell.masked_fill_((cell < 0) | (end.diff(dim=1) <= TOUCH_M), none))
+        # almost vertical rays leave so far away that rounding makes a cell beyond the grid
+        cells.append(cell.masked_fill_((cell < 0) | (cell > none) | (end.diff(dim=1) <= TOUCH_M), none))
         ends.append(end)
     return Columns(stack_ragged(cells, none).long(), stack_ragged(ends, None))
 
