@@ -1,90 +1,243 @@
-"""CPU time and peak memory of every slot: `python tests/bench/bench_model.py [preset] [threads] [repeats]`.
+"""What every slot costs: `python tests/bench/bench_model.py [preset] [--device cuda] [--threads 2] [group=option ...]`.
 
-Each row runs forward alone, then forward and backward; the best wall-clock time of the repeats counts. The last row is
-a training step but for the loss. Peak memory is that of the process so far: a row that adds none leaves it as it was.
+Three tables and a profile. Slots: parameters, billions of floating-point operations forward (a multiplication and an
+addition are two), time forward and of forward and backward, peak memory above what was held before. Options beside the
+chosen ones. The lifter by share of candidates. Then the three operators that cost most in a training step.
+
+Times are the best of the repeats: on one CPU thread its CPU time, which other processes disturb least, otherwise wall
+time. Memory of a CPU is what the process held at its peak (Linux with glibc; elsewhere NaN).
 """
 
-import resource
-import sys
+import argparse
+import ctypes
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import torch
 from hydra import compose, initialize_config_dir
-from torch import Tensor
+from omegaconf import DictConfig
+from torch import Tensor, nn
+from torch.profiler import profile
+from torch.utils.flop_counter import FlopCounterMode
 
-ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "src"))
+from omniocc.camera import Rig
+from omniocc.config import build
+from omniocc.model.sketch import Random
 
-from omniocc.camera import Rig  # noqa: E402
-from omniocc.config import build  # noqa: E402
+CONF = Path(__file__).parents[2] / "conf"
+STATUS, CLEAR_REFS = Path("/proc/self/status"), Path("/proc/self/clear_refs")
+SHARES = (0.1, 0.25, 0.5, 1.0)
+Run = Callable[[], object]
 
 
-def timed(run: Callable[[], object], repeats: int) -> float:
-    """Best of some runs, s."""
-    best = float("inf")
-    for _ in range(repeats):
-        start = time.perf_counter()
+def bag_flops(table: Tensor, rows: Tensor, *arguments: Any, **options: Any) -> int:
+    """A bag multiplies and adds one table row per entry."""
+    return 2 * rows.numel() * table.shape[1]
+
+
+def product_flops(left: Tensor, right: Tensor, **options: Any) -> int:
+    """Of a sparse matrix only the entries that are stored count."""
+    stored = left._nnz() if left.layout != torch.strided else left.numel()
+    return 2 * stored * right.shape[1]
+
+
+for formula in (bag_flops, product_flops):
+    formula._get_raw = True  # type: ignore[attr-defined]
+FORMULAS = {
+    torch.ops.aten._embedding_bag: bag_flops,
+    torch.ops.aten._embedding_bag_forward_only: bag_flops,
+    torch.ops.aten.mm: product_flops,
+    torch.ops.aten.addmm: lambda bias, left, right, **options: product_flops(left, right),
+}
+FORMULAS[torch.ops.aten.addmm]._get_raw = True  # type: ignore[attr-defined]
+
+
+class Meter:
+    """Measures on one device."""
+
+    def __init__(self, device: torch.device, threads: int, repeats: int):
+        self.device, self.repeats = device, repeats
+        self.clock = time.process_time if device.type == "cpu" and threads == 1 else time.perf_counter
+
+    def ms(self, run: Run) -> float:
+        """Best of some runs."""
+        best = float("inf")
+        for _ in range(self.repeats):
+            self._wait()
+            start = self.clock()
+            run()
+            self._wait()
+            best = min(best, self.clock() - start)
+        return best * 1e3
+
+    def peak_mib(self, run: Run) -> float:
+        """Most memory held at a time, above what was held before; NaN where the system does not tell."""
+        if self.device.type == "cuda":
+            torch.cuda.reset_peak_memory_stats()
+            before = torch.cuda.memory_allocated()
+            run()
+            return (torch.cuda.max_memory_allocated() - before) / 2**20
+        if not CLEAR_REFS.exists() or not hasattr(ctypes.CDLL(None), "malloc_trim"):
+            return float("nan")
+        ctypes.CDLL(None).malloc_trim(0)  # what is free but kept would hide what is used
+        CLEAR_REFS.write_text("5")  # forget the peak so far
+        before = status_kib("VmRSS")
         run()
-        best = min(best, time.perf_counter() - start)
-    return best
+        return max(status_kib("VmHWM") - before, 0) / 2**10
+
+    def _wait(self) -> None:
+        if self.device.type == "cuda":
+            torch.cuda.synchronize()
 
 
-def peak_gib() -> float:
-    """Peak resident memory of this process so far."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+def status_kib(key: str) -> int:
+    """An entry of this process' status."""
+    return next(int(line.split()[1]) for line in STATUS.read_text().splitlines() if line.startswith(key))
+
+
+def gflops(run: Run) -> float:
+    """Billions of floating-point operations of a forward pass."""
+    with FlopCounterMode(display=False, custom_mapping=FORMULAS) as counter, torch.no_grad():
+        run()
+    return counter.get_total_flops() / 1e9
 
 
 def total(output: object) -> Tensor:
     """A scalar to call backward on."""
     if isinstance(output, Tensor):
-        return output.square().mean()
+        return output.float().square().mean()
     return sum((total(part) for part in output if part is not None), torch.zeros(()))  # type: ignore[attr-defined]
 
 
-def rows(preset: str) -> list[tuple[str, Callable[[], object]]]:
-    """Each slot on inputs made by the slots before it, and the whole model."""
-    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
-        cfg = compose("train", overrides=[f"preset={preset}", "model.backbone.weights=null"])
-    torch.manual_seed(0)
-    model = build(cfg.model)
-    width, height = cfg.preset.image_size
-    batch = cfg.preset.train.batch_size
-    rigs = (Rig.load("fisheye6").resized(width, height),) * batch
-    images = torch.randint(0, 256, (batch, 1, 6, 3, height, width), dtype=torch.uint8)
-    poses = torch.eye(4, dtype=torch.float64).expand(batch, 1, 4, 4)
-    newest = images[:, 0].float() / 255
+def count(module: object) -> int:
+    """Parameters."""
+    return sum(parameter.numel() for parameter in module.parameters()) if isinstance(module, nn.Module) else 0
+
+
+def row(meter: Meter, name: str, module: object, run: Run, trains: bool = True) -> None:
+    """Measures and prints one line."""
+
+    def step() -> None:
+        total(run()).backward()
+
     with torch.no_grad():
-        features = [level.requires_grad_() for level in model.backbone(newest)]
-        candidates = model.sketch(newest, rigs)
-        volume = model.lifter(features, candidates, rigs).requires_grad_()
-        refined = model.refiner(volume).requires_grad_()
-    for slot in ("backbone", "sketch", "lifter", "refiner", "semantic_head", "classifier"):
-        count = sum(parameter.numel() for parameter in getattr(model, slot).parameters())
-        print(f"{slot:14} {type(getattr(model, slot)).__name__:10} {count:>10,} parameters")
-    return [
-        ("backbone", lambda: model.backbone(newest)),
-        ("lifter", lambda: model.lifter(features, candidates, rigs)),
-        ("refiner", lambda: model.refiner(volume)),
-        ("semantic_head", lambda: model.semantic_head(features)),
-        ("classifier", lambda: model.classifier(refined)),
-        ("whole model", lambda: model(images, rigs, poses)),
-    ]
+        run()  # caches of rigs and grids
+        forward, memory = meter.ms(run), meter.peak_mib(run)
+    cost = gflops(run)
+    both, held = (meter.ms(step), meter.peak_mib(step)) if trains else (float("nan"), float("nan"))
+    figures = f"{cost:9.2f} {forward:9.0f} {both:9.0f} {memory:9.0f} {held:9.0f}"
+    print(f"{name:28} {count(module) / 1e6:8.3f} {figures}", flush=True)
 
 
-def main(preset: str = "tiny", threads: int = 1, repeats: int = 5) -> None:
-    """Prints the table."""
-    torch.set_num_threads(threads)
-    print(f"preset={preset}, {threads} thread(s), best of {repeats}")
-    parts = rows(preset)
-    print(f"\n{'slot':14} {'forward ms':>11} {'+ backward ms':>14} {'peak GiB':>9}")
-    for name, run in parts:
+def header(title: str) -> None:
+    """The first line of a table."""
+    columns = ("M param", "GFLOP fw", "ms fw", "ms fw+bw", "MiB fw", "MiB fw+bw")
+    print(f"\n{title:28} {columns[0]:>8} " + " ".join(f"{column:>9}" for column in columns[1:]))
+
+
+class Inputs:
+    """What every slot receives from the slots before it."""
+
+    def __init__(self, cfg: DictConfig, model: nn.Module, device: torch.device):
+        width, height = cfg.preset.image_size
+        self.batch = cfg.preset.train.batch_size
+        frames = model.temporal.frames
+        self.rigs = (Rig.load("fisheye6").resized(width, height),) * self.batch
+        self.images = torch.randint(0, 256, (self.batch, frames, 6, 3, height, width), dtype=torch.uint8, device=device)
+        self.poses = torch.eye(4, dtype=torch.float64, device=device).repeat(self.batch, frames, 1, 1)
+        self.poses[:, :, 0, 3] = torch.arange(frames, device=device)  # a metre a frame
+        self.exists = torch.ones(self.batch, frames, dtype=torch.bool, device=device)
+        self.newest = self.images[:, -1].float() / 255
         with torch.no_grad():
-            forward = timed(run, repeats)
-        both = timed(lambda run=run: total(run()).backward(), repeats)
-        print(f"{name:14} {forward * 1e3:11.0f} {both * 1e3:14.0f} {peak_gib():9.2f}", flush=True)
+            self.features = [level.requires_grad_() for level in model.backbone(self.newest)]
+            volume = model.lifter(self.features, self.candidates(model.geometry, 0.25), self.rigs)
+            self.volume = volume.requires_grad_()
+            self.volumes = [torch.rand_like(volume) for _ in range(frames - 1)] + [self.volume]
+            self.refined = model.refiner(volume).requires_grad_()
+
+    def candidates(self, geometry: Any, share: float) -> Tensor:
+        """The same random cells for every sample."""
+        return Random(geometry, share).to(self.newest.device)(self.newest, self.rigs)
+
+
+def slots(meter: Meter, model: Any, inputs: Inputs) -> None:
+    """The chain, slot by slot, and as a whole."""
+    header("slot")
+    quarter = inputs.candidates(model.geometry, 0.25)
+    window = quarter[:, None].expand(-1, inputs.images.shape[1], -1, -1, -1)
+    everything = (inputs.images, inputs.rigs, inputs.poses, window, inputs.exists)
+    row(meter, "sketch and depth", model.sketch, lambda: model.sketch(inputs.newest, inputs.rigs), trains=False)
+    row(meter, "backbone", model.backbone, lambda: model.backbone(inputs.newest))
+    row(meter, "lifter", model.lifter, lambda: model.lifter(inputs.features, quarter, inputs.rigs))
+    row(meter, "temporal", model.temporal, lambda: model.temporal(inputs.volumes, inputs.poses, inputs.exists))
+    row(meter, "refiner", model.refiner, lambda: model.refiner(inputs.volume))
+    row(meter, "semantic_head", model.semantic_head, lambda: model.semantic_head(inputs.features))
+    row(meter, "classifier", model.classifier, lambda: model.classifier(inputs.refined))
+    row(meter, "all but the sketch", model, lambda: model(*everything))
+    with profile() as profiler:
+        total(model(*everything)).backward()
+    events = profiler.key_averages()
+    key = "self_cpu_time_total" if meter.device.type == "cpu" else "self_device_time_total"
+    whole = sum(getattr(event, key) for event in events)
+    print("\nthe three largest costs of a training step")
+    for event in sorted(events, key=lambda event: -getattr(event, key))[:3]:
+        spent = getattr(event, key)
+        print(f"{event.key:44} {spent / whole:5.0%} {spent / 1e3:8.0f} ms {event.count:6} calls")
+
+
+def options(meter: Meter, cfgs: dict[str, DictConfig], inputs: Inputs, device: torch.device) -> None:
+    """Options beside those of the model."""
+    header("option")
+    for name, cfg in cfgs.items():
+        slot = name.split("=")[0].split(".")[0].split("/")[-1]
+        module = build(cfg.model[slot]).to(device)
+        argument = inputs.newest if slot == "backbone" else inputs.volume
+        row(meter, name, module, lambda module=module, argument=argument: module(argument))
+
+
+def shares(meter: Meter, model: Any, inputs: Inputs) -> None:
+    """The lifter's cost by share of candidates."""
+    header("lifter, candidates")
+    for share in SHARES:
+        chosen = inputs.candidates(model.geometry, share)
+        run = lambda chosen=chosen: model.lifter(inputs.features, chosen, inputs.rigs)  # noqa: E731
+        row(meter, f"{share:.0%}", model.lifter, run)
+
+
+def main() -> None:
+    """Prints the tables."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("preset", nargs="?", default="tiny")
+    parser.add_argument("overrides", nargs="*")
+    parser.add_argument("--device", default="cpu", type=torch.device)
+    parser.add_argument("--threads", default=1, type=int)
+    parser.add_argument("--repeats", default=3, type=int)
+    chosen = parser.parse_args()
+    torch.set_num_threads(chosen.threads)
+    torch.manual_seed(0)
+    base = [f"preset={chosen.preset}", "preset.backbone.weights=null", "preset.transformers.weights=null"]
+    base += chosen.overrides
+    others = {
+        "model/refiner=unet": ["model/refiner=unet"],
+        "model/refiner=attention": ["model/refiner=attention"],
+        "backbone=stages []": ["model/backbone=resnet", "model.backbone.deformable_stages=[]"],
+        "backbone=stages [3,4]": ["model/backbone=resnet", "model.backbone.deformable_stages=[3,4]"],
+        "model/backbone=transformers": ["model/backbone=transformers"],
+    }
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        cfg = compose("train", overrides=base)
+        cfgs = {name: compose("train", [*base, *own]) for name, own in others.items()}
+    model = build(cfg.model).to(chosen.device)
+    meter = Meter(chosen.device, chosen.threads, chosen.repeats)
+    inputs = Inputs(cfg, model, chosen.device)
+    print(f"preset={chosen.preset} {' '.join(chosen.overrides)}, batch of {inputs.batch}, {chosen.device}", end=", ")
+    print(f"{chosen.threads} thread(s), best of {chosen.repeats}; a quarter of the voxels are candidates")
+    slots(meter, model, inputs)
+    options(meter, cfgs, inputs, chosen.device)
+    shares(meter, model, inputs)
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:2], *(int(value) for value in sys.argv[2:]))
+    main()
