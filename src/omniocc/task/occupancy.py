@@ -129,6 +129,7 @@ class Occupancy(LightningModule):
 
     def on_test_epoch_end(self) -> None:
         """Log `test/...`, `prior/...` and `label/...`."""
+        self.stream.reset()
         for name, scores in (("test", self.scores), ("prior", self.prior_scores), ("label", self.label_scores)):
             self._log_scores(name, scores)
 
