@@ -1,12 +1,14 @@
 import copy
+import logging
 import math
+import sys
 
 import pytest
 import torch
 from torch import nn
 from transformers import ResNetConfig, ResNetModel
 
-from omniocc.model.backbone import ResNet
+from omniocc.model.backbone import ResNet, deformable
 from omniocc.model.backbone.deformable import OPERATORS, DeformableConv2d
 
 SIZES = {"layer_type": "bottleneck", "embedding_size": 8, "hidden_sizes": [8, 8, 16, 16], "depths": [1, 1, 1, 2]}
@@ -64,23 +66,23 @@ def test_starts_equal_to_the_ordinary_convolution(stride):
     conv = nn.Conv2d(3, 4, 3, stride, 1, bias=False).double()
     maps = torch.randn(2, 3, 7, 8, dtype=torch.float64)
     expected = conv(maps)
-    deformable = DeformableConv2d(conv).double()
-    assert deformable.weight is conv.weight
-    torch.testing.assert_close(deformable(maps), expected)
-    deformable(maps).square().sum().backward()
-    for name, parameter in deformable.named_parameters():
+    layer = DeformableConv2d(conv).double()
+    assert layer.weight is conv.weight
+    torch.testing.assert_close(layer(maps), expected)
+    layer(maps).square().sum().backward()
+    for name, parameter in layer.named_parameters():
         assert parameter.grad.abs().sum() > 0, name
 
 
 def test_offsets_move_and_factors_scale_the_samples():
-    deformable = DeformableConv2d(nn.Conv2d(1, 1, 3, 1, 1, bias=False)).double()
-    nn.init.zeros_(deformable.weight)
-    deformable.weight.data[0, 0, 1, 1] = 1.0  # the middle tap alone
+    layer = DeformableConv2d(nn.Conv2d(1, 1, 3, 1, 1, bias=False)).double()
+    nn.init.zeros_(layer.weight)
+    layer.weight.data[0, 0, 1, 1] = 1.0  # the middle tap alone
     maps = torch.arange(20.0, dtype=torch.float64).view(1, 1, 4, 5)
-    deformable.taps.bias.data[8:10] = torch.tensor([1.0, -0.5])  # one row down, half a column left
-    deformable.taps.bias.data[18 + 4] = math.log(0.75 / 0.25)  # 2 * 0.75
-    assert deformable(maps)[0, 0, 1, 1:].tolist() == pytest.approx([1.5 * 10.5, 1.5 * 11.5, 1.5 * 12.5, 1.5 * 13.5])
-    assert deformable(maps)[0, 0, 3].abs().max() == 0
+    layer.taps.bias.data[8:10] = torch.tensor([1.0, -0.5])  # one row down, half a column left
+    layer.taps.bias.data[18 + 4] = math.log(0.75 / 0.25)  # 2 * 0.75
+    assert layer(maps)[0, 0, 1, 1:].tolist() == pytest.approx([1.5 * 10.5, 1.5 * 11.5, 1.5 * 12.5, 1.5 * 13.5])
+    assert layer(maps)[0, 0, 3].abs().max() == 0
 
 
 def test_a_convolution_with_groups_is_refused():
@@ -106,3 +108,15 @@ def test_stages_three_and_four_become_deformable_and_keep_loaded_weights(tmp_pat
 def test_unknown_stages_are_named():
     with pytest.raises(ValueError, match=r"deformable_stages are \[5\]"):
         ResNet(**SIZES, weights=None, channels=5, levels=[8], deformable_stages=[5])
+
+
+def test_a_torchvision_built_for_another_torch_is_named_and_left_out(monkeypatch, caplog, tmp_path):
+    package = tmp_path / "torchvision"
+    package.mkdir()
+    (package / "__init__.py").write_text("raise RuntimeError('operator torchvision::nms does not exist')")
+    for name in [name for name in sys.modules if name.split(".")[0] == "torchvision"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.syspath_prepend(tmp_path)
+    with caplog.at_level(logging.WARNING, logger=deformable.__name__):
+        assert deformable._torchvision() is None
+    assert "torchvision::nms does not exist" in caplog.text
