@@ -53,7 +53,8 @@ class KernelTable:
         """First hits in each volume; see `RayTable.cast_all`."""
         groups, rays = math.prod(self.fans.headings.shape[:2]), len(self.fans.origins) * len(self.fans.order)
         columns = self.grid[2][0] * self.grid[2][1]
-        labels = torch.stack([labels.reshape(columns, -1) for labels in volumes]).numpy()
+        # numpy's copy: torch would leave a thread spinning on the core that one of ours needs
+        labels = np.stack([labels.contiguous().numpy().reshape(columns, -1) for labels in volumes])
         dtypes = (torch.int32, torch.uint8, torch.float32, torch.float32)
         found = [torch.empty(len(volumes), rays, dtype=dtype) for dtype in dtypes]
         out = tuple(part.numpy() for part in found)

@@ -3,6 +3,9 @@
 The ways at which a heading crosses the boundaries of either horizontal axis are computed in closed form and merged into
 columns. Per level, the next occupied column is then known at every column, so that a ray takes one look per level. The
 rules of `omniocc.geometry.crossings` hold: float64, boundaries closer than `TOUCH_M` are the same, nothing accumulates.
+
+All kernels stand in one file, since numba's cache does not notice changes in another. Inside loops over rays arrays are
+indexed and never sliced: numba counts references to slices atomically, and threads would wait for one another.
 """
 
 from collections.abc import Callable
@@ -261,16 +264,6 @@ def first_hit(height, slope, edges, ends, count, bits):
 
 @compiled
 @no_type_check
-def way_through(height, slope, edges, level):
-    """Ways at which a ray enters and leaves a level it crosses."""
-    if slope == 0:
-        return -FAR, FAR
-    one, other = (edges[level] - height) / slope, (edges[level + 1] - height) / slope
-    return min(one, other), max(one, other)
-
-
-@compiled
-@no_type_check
 def find_turns(height, slope, edges, ends, count, turns):
     """Notes for each edge of the levels, in a ray's order, twice the number of columns that begin before it.
 
@@ -291,49 +284,51 @@ def find_turns(height, slope, edges, ends, count, turns):
 
 @compiled
 @no_type_check
-def next_hits(labels, cells, count, hits):
-    """For every column and level, the first column from there on that is not free; `count` for none."""
+def next_hits(labels, cells, group, count, hits):
+    """For every column of a heading and level, the first column from there on that is not free; `count` for none."""
     levels = labels.shape[1]
-    hits[count] = count
+    for level in range(levels):
+        hits[count, level] = count
     for column in range(count - 1, -1, -1):
-        cell = cells[column]
-        if cell < 0:
-            hits[column] = hits[column + 1]
-        else:
-            for level in range(levels):
-                hits[column, level] = hits[column + 1, level] if labels[cell, level] == 0 else column
+        cell = cells[group, column]
+        for level in range(levels):
+            free = cell < 0 or labels[cell, level] == 0
+            hits[column, level] = hits[column + 1, level] if free else column
 
 
 @compiled
 @no_type_check
-def known_hit(first, rising, turns, hits):
-    """As `first_hit` for a ray whose turns are known: from the `first` level in its order on, one look for each."""
-    levels = len(turns) - 1
-    for edge in range(first, levels):
+def known_hit(group, climb, begin, rising, turns, hits):
+    """As `first_hit` for a ray whose turns are known: from an edge in its order on, one look for each level."""
+    levels = turns.shape[2] - 1
+    turn = np.int64(turns[group, climb, begin])
+    for edge in range(begin, levels):
         level = edge if rising else levels - 1 - edge
-        hit = hits[(turns[edge] >> 1) - (turns[edge] & 1), level]
-        if hit < turns[edge + 1] >> 1:
+        after = np.int64(turns[group, climb, edge + 1])
+        hit = hits[(turn >> 1) - (turn & 1), level]
+        if hit < after >> 1:
             return hit, level
+        turn = after
     return -1, 0
 
 
 @compiled
 @no_type_check
-def write(ray, height, slope, stretch, column, level, edges, path, labels, out):
-    """Writes what a ray found, and how far away."""
-    cells, ends, count = path
-    found_cells, found_labels, entry_m, exit_m = out
-    if column < 0:
-        enter, leave = clip_flat(height, slope, edges[0], edges[-1])
-        first, last = max(ends[0], enter), min(ends[count], leave)
-        way_m = last * stretch if last > first + TOUCH_M else np.inf
-        found_cells[ray], found_labels[ray], entry_m[ray], exit_m[ray] = -1, 0, way_m, way_m
-    else:
-        enter, leave = way_through(height, slope, edges, level)
-        cell = cells[column]
-        found_cells[ray], found_labels[ray] = cell * (len(edges) - 1) + level, labels[cell, level]
-        entry_m[ray] = max(ends[column], enter) * stretch
-        exit_m[ray] = min(ends[column + 1], leave) * stretch
+def ways_of_hit(height, slope, edges, level, begin, end):
+    """Ways at which a ray enters and leaves the cell of a level in a column from `begin` to `end`."""
+    if slope == 0:
+        return begin, end
+    one, other = (edges[level] - height) / slope, (edges[level + 1] - height) / slope
+    return max(begin, min(one, other)), min(end, max(one, other))
+
+
+@compiled
+@no_type_check
+def way_out(height, slope, bottom, top, begin, end):
+    """Way at which a ray that hits nothing leaves the grid; inf if it never meets it."""
+    enter, leave = clip_flat(height, slope, bottom, top)
+    leave = min(end, leave)
+    return leave if leave > max(begin, enter) + TOUCH_M else np.inf
 
 
 @compiled
@@ -367,19 +362,30 @@ def cast_kept(first, last, rays, grid, kept, labels, out):
     """Casts the rays of some headings, whose columns and turns are known, through labels (columns, levels)."""
     origins, headings, slopes, stretches, order, _ = rays
     edges, cells, ends, counts, turns = grid[0], kept[0], kept[1], kept[2], kept[3]
+    found_cells, found_labels, entry_m, exit_m = out
     each, climbs, levels = headings.shape[1], slopes.shape[1], len(edges) - 1
+    bottom, top = edges[0], edges[levels]
     hits = np.empty((ends.shape[1], levels), dtype=np.int32)
     for group in range(first, last):
-        fan, heading = group // each, group % each
-        height, path = origins[fan, 2], (cells[group], ends[group], counts[group])
-        next_hits(labels, cells[group], counts[group], hits)
+        fan, heading, count = group // each, group % each, counts[group]
+        height = origins[fan, 2]
+        next_hits(labels, cells, group, count, hits)
         # a ray that rises from here crosses none of the levels below; one more for the rounding
-        level = min(max(floor((height - edges[0]) / (edges[levels] - edges[0]) * levels), -1), levels + 1)
+        own = min(max(floor((height - bottom) / (top - bottom) * levels), -1), levels + 1)
         for climb in range(climbs):
-            slope, ray = slopes[fan, climb], fan * each * climbs + order[heading * climbs + climb]
-            begin = max((level if slope > 0 else levels - 1 - level) - 1, 0)
-            column, at = known_hit(begin, slope > 0, turns[group, climb], hits)
-            write(ray, height, slope, stretches[fan, climb], column, at, edges, path, labels, out)
+            slope, stretch = slopes[fan, climb], stretches[fan, climb]
+            ray = fan * each * climbs + order[heading * climbs + climb]
+            begin = max((own if slope > 0 else levels - 1 - own) - 1, 0)
+            column, level = known_hit(group, climb, begin, slope > 0, turns, hits)
+            if column < 0:
+                way = way_out(height, slope, bottom, top, ends[group, 0], ends[group, count])
+                found_cells[ray], found_labels[ray] = -1, 0
+                entry_m[ray] = exit_m[ray] = way * stretch
+                continue
+            cell = cells[group, column]
+            enter, leave = ways_of_hit(height, slope, edges, level, ends[group, column], ends[group, column + 1])
+            found_cells[ray], found_labels[ray] = cell * levels + level, labels[cell, level]
+            entry_m[ray], exit_m[ray] = enter * stretch, leave * stretch
 
 
 @compiled
@@ -388,19 +394,28 @@ def cast(first, last, rays, grid, longest, volumes, packed, out):
     """Casts the rays of some headings through several volumes (V, columns, levels); `out` has V rows."""
     origins, headings, slopes, stretches, order, _ = rays
     edges = grid[0]
-    each, climbs = headings.shape[1], slopes.shape[1]
+    found_cells, found_labels, entry_m, exit_m = out
+    each, climbs, levels = headings.shape[1], slopes.shape[1], len(edges) - 1
     scratch, bits = np.empty((2, longest)), np.empty(longest, dtype=np.int64)
     cells, ends = np.empty(longest, dtype=np.int32), np.empty(longest)
     for group in range(first, last):
         fan, heading = group // each, group % each
-        count = columns_of(group, rays, grid, scratch, cells, ends)
-        height, path = origins[fan, 2], (cells, ends, count)
+        count, height = columns_of(group, rays, grid, scratch, cells, ends), origins[fan, 2]
         for volume in range(len(volumes)):
             for column in range(count):
                 bits[column] = packed[volume, cells[column]] if cells[column] >= 0 else 0
             bits[count] = -1  # the walk ends there
-            rows = (out[0][volume], out[1][volume], out[2][volume], out[3][volume])
             for climb in range(climbs):
-                slope, ray = slopes[fan, climb], fan * each * climbs + order[heading * climbs + climb]
+                slope, stretch = slopes[fan, climb], stretches[fan, climb]
+                ray = fan * each * climbs + order[heading * climbs + climb]
                 column, level = first_hit(height, slope, edges, ends, count, bits)
-                write(ray, height, slope, stretches[fan, climb], column, level, edges, path, volumes[volume], rows)
+                if column < 0:
+                    way = way_out(height, slope, edges[0], edges[levels], ends[0], ends[count])
+                    found_cells[volume, ray], found_labels[volume, ray] = -1, 0
+                    entry_m[volume, ray] = exit_m[volume, ray] = way * stretch
+                    continue
+                cell = cells[column]
+                enter, leave = ways_of_hit(height, slope, edges, level, ends[column], ends[column + 1])
+                found_cells[volume, ray] = cell * levels + level
+                found_labels[volume, ray] = volumes[volume, cell, level]
+                entry_m[volume, ray], exit_m[volume, ray] = enter * stretch, leave * stretch
