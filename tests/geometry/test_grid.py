@@ -1,3 +1,4 @@
+import itertools
 import math
 import pickle
 
@@ -152,3 +153,18 @@ def test_distances_of_columns():
     torch.testing.assert_close(cylinder.distances_m()[:, 4], torch.arange(3.75, 12, 1.5, dtype=torch.float64))
     cuboid = Cuboid(shape=(8, 7, 5), x_m=(-8.0, 8.0), y_m=(-7.0, 7.0), height_m=(-2.0, 3.0))
     assert cuboid.distances_m()[7, 0].item() == pytest.approx(math.hypot(7, 6))
+
+
+@pytest.mark.parametrize("grid", SMALL)
+def test_neighbors_are_the_cells_one_step_along_each_axis(grid):
+    found = grid.neighbors()
+    for cell in itertools.product(*map(range, grid.shape)):
+        expected = []
+        for axis, step in itertools.product(range(3), (-1, 1)):
+            other = list(cell)
+            other[axis] += step
+            if grid.periodic[axis]:
+                other[axis] %= grid.shape[axis]
+            inside = 0 <= other[axis] < grid.shape[axis]
+            expected.append((other[0] * grid.shape[1] + other[1]) * grid.shape[2] + other[2] if inside else -1)
+        assert found[cell].tolist() == expected

@@ -87,6 +87,21 @@ class Grid(ABC):
         """Horizontal distance of every column's middle from the z axis."""
         return self.centers(torch.float64)[:, :, 0, :2].norm(dim=-1)
 
+    def neighbors(self, device: torch.device | str | None = None) -> Int64[Tensor, "X Y Z 6"]:
+        """Cells that share a face with each cell: down and up along the first axis, the second, the third.
+
+        Returns:
+            Row-major indices into a volume of `shape`; -1 beyond the ends of an axis that does not wrap around. No cell
+            has a neighbour across the z axis, where cells of a cylinder share an edge only.
+        """
+        flat = torch.arange(self.num_cells, device=device).reshape(self.shape)
+        found = []
+        for axis, wraps in enumerate(self.periodic):
+            for step, end in ((1, 0), (-1, self.shape[axis] - 1)):
+                moved = flat.roll(step, axis)
+                found.append(moved if wraps else moved.index_fill(axis, moved.new_tensor([end]), -1))
+        return torch.stack(found, dim=-1)
+
     def coordinates(self, points: Float[Tensor, "... 3"]) -> tuple[Tensor, Tensor, Tensor]:
         """Position along each axis in units of cells: cell i spans [i, i+1). At least float32."""
         if points.dtype not in (torch.float32, torch.float64):
