@@ -120,3 +120,16 @@ def test_frames_that_do_not_exist_count_for_nothing():
 def test_a_window_without_past_is_refused():
     with pytest.raises(ValueError, match="frames is 1; a window needs at least 2"):
         Mean(CUBOID, 1, False)
+
+
+def test_turning_the_ego_frame_rolls_the_mean():
+    poses = drive(pose(0.0, 0.0), pose(1.3, 0.4, yaw_rad=0.2), pose(2.5, 1.1, 0.2, yaw_rad=0.5))
+    torch.manual_seed(0)
+    volumes = list(torch.randn(3, 1, 2, *CYLINDER.shape))
+    mean = Mean(CYLINDER, 3, history_gradient=False)
+    exists = torch.ones(1, 3, dtype=torch.bool)
+    turned_from_ego = pose(yaw_rad=3 * TURN_RAD)
+    rolled = mean([volume.roll(3, dims=3) for volume in volumes], poses @ turned_from_ego.inverse(), exists)
+    straight = mean(volumes, poses, exists)
+    assert not torch.allclose(rolled, straight, atol=1e-3)
+    torch.testing.assert_close(rolled, straight.roll(3, dims=3), atol=1e-5, rtol=0)
