@@ -27,6 +27,9 @@ def main(arguments: list[str] | None = None) -> None:
     )
     parser.add_argument("--pictures", type=int, default=4, help="test frames to draw")
     options = parser.parse_args(arguments)
+    for override in options.overrides:
+        if "=" not in override:
+            parser.error(f"'{override}' is not key=value; one checkpoint at a time")
     quiet()
     task, cfg = load_task(options.checkpoint, options.overrides)
     folder = options.output or options.checkpoint.parent / f"evaluation-{options.checkpoint.stem}"

@@ -21,6 +21,8 @@ from omniocc.data import Extras, OccupancyData
 from omniocc.report.run import save_results, show_results
 from omniocc.task import Occupancy, StepProgress
 from omniocc.task.checkpoint import build_task, load_config
+from omniocc.task.loggers import finish
+from omniocc.task.memory import keep_freed_memory
 from omniocc.task.pictures import Pictures
 from omniocc.task.run_folder import BEST, LAST, RunFolder, git_commit, open_run, run_hash, write_whole
 from omniocc.task.stages import Stages, is_learned, wanted_stages
@@ -32,6 +34,7 @@ def main(cfg: DictConfig) -> None:
     """Check -> build -> the stages that are missing, occupancy last."""
     check_root(cfg)
     quiet()
+    keep_freed_memory()
     stages = wanted_stages(cfg)
     data = build(cfg.data)
     data.prepare_data()
@@ -78,6 +81,7 @@ def train_occupancy(
         facts |= {"preset": cfg.preset.name, "command": shlex.join(["python", *sys.argv])}
         facts |= {"minutes of training": minutes, "commit": git_commit(), "data": data.world.fingerprint}
         save_results(run.path, metrics | figures, facts)
+        finish(trainer.loggers)
         show_results(run.path)
 
 

@@ -100,8 +100,10 @@ def test_stages_run_once_and_are_shared(tmp_path, data_root):
     assert "AbsRel" in depth.stdout
     assert not list(tmp_path.glob("runs/stages/sketch-*"))
 
-    whole = run("train.py", *arguments, "name=whole", "pictures=1", cwd=tmp_path)
+    whole = run("train.py", *arguments, "name=whole", "pictures=1", "logger.mode=offline", cwd=tmp_path)
     assert whole.returncode == 0, whole.stdout + whole.stderr
+    for folder in ("runs/stages/sketch-*", "runs/whole-*"):  # a W&B run of its own each, in one process
+        assert len(list(tmp_path.glob(f"{folder}/wandb/offline-run-*/*.wandb"))) == 1
     assert "depth, stage 1 of 3 is there" in whole.stdout
     assert "sketch, stage 2 of 3 begins" in whole.stdout
     metrics = metrics_of(tmp_path, "whole")

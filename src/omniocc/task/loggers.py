@@ -59,6 +59,13 @@ class Loggers:
         )
 
 
+def finish(loggers: Sequence[Logger]) -> None:
+    """End the W&B run of a trainer that is done; another one in this process would go on in it."""
+    for logger in loggers:
+        if isinstance(logger, WandbLogger):
+            logger.experiment.finish()
+
+
 def run_id(folder: Path) -> str:
     """A W&B run id that is the same each time this run folder is used, on this machine."""
     return hashlib.sha256(str(folder.resolve()).encode()).hexdigest()[:16]

@@ -32,6 +32,7 @@ from omniocc.model.occupancy import to_unit_range
 from omniocc.report.run import load_results, save_results
 from omniocc.task.checkpoint import load_config
 from omniocc.task.depth import Depth, unless_valid
+from omniocc.task.loggers import finish
 from omniocc.task.pictures import DepthPictures, SketchPictures
 from omniocc.task.progress import StepProgress
 from omniocc.task.recipe import Recipe
@@ -186,6 +187,7 @@ class Stages:
         trainer.save_checkpoint(last)
         facts = {"run": folder.name, "steps": trainer.global_step, "seed": recipe.seed, "commit": git_commit()}
         save_results(results, metrics, facts | {"data": self.fingerprint})
+        finish(trainer.loggers)
 
     def _trainer(self, recipe: Recipe, pictures: Callback, folder: Path, title: str) -> Trainer:
         write_whole(folder / "config.yaml", OmegaConf.to_yaml(self.cfg, resolve=True))
