@@ -12,7 +12,7 @@ import yaml
 
 from omniocc.errors import UserError
 from omniocc.report.runs import FinishedRun
-from omniocc.report.table import markdown
+from omniocc.report.table import markdown, number
 
 
 class PaperRow(NamedTuple):
@@ -107,7 +107,7 @@ def as_markdown(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) ->
     lines = []
     for row, figures in rows_of(table, runs):
         if any(value is not None for value in row.paper.values()):
-            lines.append([row.title, "paper", *(_plain(value) for value in row.paper.values())])
+            lines.append([row.title, "paper", *(number(value) for value in row.paper.values())])
         seeds = max((figure.seeds for figure in figures if figure is not None), default=0)
         source = f"here, {seeds} seed{'s' * (seeds > 1)}" if seeds else "here: not run"
         lines.append([row.title, source, *(_spread(figure) for figure in figures)])
@@ -162,11 +162,7 @@ def _tex(text: str) -> str:
     return text.replace("&", r"\&").replace("%", r"\%").replace("_", r"\_")
 
 
-def _plain(value: float | None) -> str:
-    return "–" if value is None else f"{value:.3f}"
-
-
 def _spread(figure: Figure | None) -> str:
     if figure is None:
-        return "–"
-    return f"{figure.mean:.3f}" + ("" if math.isnan(figure.spread) else f" ± {figure.spread:.3f}")
+        return number(None)
+    return number(figure.mean) + ("" if math.isnan(figure.spread) else f" ± {figure.spread:.3f}")

@@ -6,15 +6,15 @@ from functools import lru_cache
 
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn import functional as F
 
 from omniocc.camera import Rig
 from omniocc.camera.pixels import pixel_centers
 from omniocc.loss import SILog
-from omniocc.model.depth.depth_map import DepthMap, check_images, from_index, make_panorama, per_rig
+from omniocc.model.depth.depth_map import DepthMap, check_images, from_index, per_rig
 from omniocc.model.depth.features import FeatureNet
-from omniocc.model.depth.spheres import rig_spheres
+from omniocc.model.depth.panoramic import Panoramic
 from omniocc.model.depth.zbuffer import fill_holes, merge_cameras
 
 TYPICAL_M = 8.0
@@ -33,7 +33,7 @@ def ray_maps(rig: Rig, device: torch.device) -> Float[Tensor, "N 4 H W"]:
     return torch.stack(maps).to(device)
 
 
-class Mono(nn.Module):
+class Mono(Panoramic):
     """One network looks at each image and where its pixels look, and gives the log of the range, and whether it is sky.
 
     Maps of all cameras, at half the size of the images, are drawn into the panorama, the nearest in front; the cameras'
@@ -66,9 +66,7 @@ class Mono(nn.Module):
         sky_weight: float,
         mirror: bool,
     ):
-        super().__init__()
-        self.panorama = make_panorama(erp_size, erp_top_deg, erp_bottom_deg)
-        self.spheres, self.min_range_m = spheres, min_range_m
+        super().__init__(erp_size, erp_top_deg, erp_bottom_deg, spheres, min_range_m)
         self.sky_weight, self.mirror = sky_weight, mirror
         self.net = FeatureNet(channels, out_channels=2, extra_channels=4)
         self.silog = SILog(focus)
@@ -88,7 +86,7 @@ class Mono(nn.Module):
         log_range, sky = self.camera_ranges(images, rigs)
 
         def one(rig: Rig, samples: list[int]) -> DepthMap:
-            spheres = rig_spheres(rig, self.panorama, self.spheres, self.min_range_m)
+            spheres = self.rig_spheres(rig)
             range_m = log_range[samples].exp().clamp(max=spheres.farthest_m)
             present = images[samples].flatten(2).amax(-1) > 0
             there, solid = present[:, :, None, None].expand_as(range_m), (-sky[samples]).sigmoid()

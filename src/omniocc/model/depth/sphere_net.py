@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import torch
 from jaxtyping import Bool, Float
-from torch import Tensor, nn
+from torch import Tensor
 
 from omniocc.camera import Rig
 from omniocc.model.depth.depth_map import (
@@ -12,17 +12,16 @@ from omniocc.model.depth.depth_map import (
     DepthMap,
     check_images,
     from_index,
-    make_panorama,
     per_rig,
     rig_groups,
     weighted_sum,
 )
 from omniocc.model.depth.layers import window_argmax
-from omniocc.model.depth.spheres import Spheres, rig_spheres
+from omniocc.model.depth.panoramic import Panoramic
 from omniocc.model.depth.terms import sphere_terms
 
 
-class SphereNet(nn.Module):
+class SphereNet(Panoramic):
     """A network that gives every sphere a score in every direction, and the sky; subclasses say how, in `logits`.
 
     Whether there is a surface and how far it would be are two questions: the sky is no sphere, so that a doubtful edge
@@ -56,9 +55,7 @@ class SphereNet(nn.Module):
         sky_weight: float,
         mirror: bool,
     ):
-        super().__init__()
-        self.panorama = make_panorama(erp_size, erp_top_deg, erp_bottom_deg)
-        self.spheres, self.min_range_m = spheres, min_range_m
+        super().__init__(erp_size, erp_top_deg, erp_bottom_deg, spheres, min_range_m)
         self.window, self.min_confidence = window, min_confidence
         self.log_range_weight, self.entropy_weight, self.sky_weight = log_range_weight, entropy_weight, sky_weight
         self.mirror = mirror
@@ -119,7 +116,3 @@ class SphereNet(nn.Module):
             terms = sphere_terms(logits, index, target_m[samples], self.rig_spheres(rig), *weights)
             parts.append((len(samples) / len(images), terms))
         return weighted_sum(parts)
-
-    def rig_spheres(self, rig: Rig) -> Spheres:
-        """What indices mean with this rig."""
-        return rig_spheres(rig, self.panorama, self.spheres, self.min_range_m)

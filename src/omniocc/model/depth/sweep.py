@@ -5,20 +5,20 @@ from collections.abc import Iterator, Sequence
 
 import torch
 from jaxtyping import Bool, Float
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn import functional as F
 
 from omniocc.camera import Equirectangular, Rig
-from omniocc.model.depth.depth_map import SKY_INDEX, DepthMap, check_images, from_index, make_panorama, per_rig
+from omniocc.model.depth.depth_map import SKY_INDEX, DepthMap, check_images, from_index, per_rig
+from omniocc.model.depth.panoramic import Panoramic
 from omniocc.model.depth.projection import Projection, present_cameras, samplers, table
-from omniocc.model.depth.spheres import rig_spheres
 
 NOISE = 0.01
 """Standard deviation of grey values (of 1) up to which a window has no texture."""
 UNSEEN = -1.0
 
 
-class Sweep(nn.Module):
+class Sweep(Panoramic):
     """Compares all pairs of cameras by zero-mean normalised cross-correlation of windows on every sphere.
 
     The sphere with the best mean over the pairs wins, and a parabola through it and its neighbours gives the fraction.
@@ -47,11 +47,9 @@ class Sweep(nn.Module):
         window_px: int,
         min_confidence: float,
     ):
-        super().__init__()
-        self.panorama = make_panorama(erp_size, erp_top_deg, erp_bottom_deg)
+        super().__init__(erp_size, erp_top_deg, erp_bottom_deg, spheres, min_range_m)
         if window_px < 3 or window_px % 2 == 0 or window_px > min(erp_size):
             raise ValueError(f"window_px is {window_px}; it must be odd, at least 3, and fit into {list(erp_size)}")
-        self.spheres, self.min_range_m = spheres, min_range_m
         self.window_px, self.min_confidence = window_px, min_confidence
 
     @torch.no_grad()
@@ -73,8 +71,7 @@ class Sweep(nn.Module):
             index, confidence = peak(score)
             compared = score.amax(1) > UNSEEN
             valid = compared & (index >= SKY_INDEX) & (confidence >= self.min_confidence)
-            spheres = rig_spheres(rig, self.panorama, self.spheres, self.min_range_m)
-            return from_index(index, valid, confidence * compared, spheres)
+            return from_index(index, valid, confidence * compared, self.rig_spheres(rig))
 
         return per_rig(rigs, one)
 
@@ -83,7 +80,7 @@ class Sweep(nn.Module):
         present = present_cameras(images)
         grey = F.interpolate(images.float().mean(2), self._working_size(rig), mode="area")
         size = grey.shape[-1], grey.shape[-2]
-        spheres = rig_spheres(rig, self.panorama, self.spheres, self.min_range_m)
+        spheres = self.rig_spheres(rig)
         planes = tuple(float(k) for k in range(self.spheres))
         cameras = [
             samplers(Projection(rig, self.panorama, spheres, size, (k,), planes), images.device)

@@ -3,14 +3,14 @@
 from collections.abc import Sequence
 
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 
 from omniocc.camera import Rig
-from omniocc.model.depth.depth_map import DepthMap, from_index, make_panorama, per_rig
-from omniocc.model.depth.spheres import rig_spheres
+from omniocc.model.depth.depth_map import DepthMap, from_index, per_rig
+from omniocc.model.depth.panoramic import Panoramic
 
 
-class Truth(nn.Module):
+class Truth(Panoramic):
     """Passes the recorded range through: an upper bound for everything that follows.
 
     Args:
@@ -32,10 +32,7 @@ class Truth(nn.Module):
         spheres: int,
         min_range_m: float | None,
     ):
-        super().__init__()
-        self.panorama = make_panorama(erp_size, erp_top_deg, erp_bottom_deg)
-        self.spheres = spheres
-        self.min_range_m = min_range_m
+        super().__init__(erp_size, erp_top_deg, erp_bottom_deg, spheres, min_range_m)
 
     def forward(
         self,
@@ -59,7 +56,7 @@ class Truth(nn.Module):
             )
 
         def one(rig: Rig, samples: list[int]) -> DepthMap:
-            spheres = rig_spheres(rig, self.panorama, self.spheres, self.min_range_m)
+            spheres = self.rig_spheres(rig)
             index = spheres.index(true_range_m[samples]).nan_to_num(0.0)
             seen = true_range_m[samples].isfinite()
             result = from_index(index, seen, seen.to(index), spheres)
