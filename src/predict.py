@@ -28,7 +28,6 @@ from omniocc.predict import (
     resized_to_width,
     write_depth,
 )
-from omniocc.predict.output import known_range_m
 from omniocc.view import predicted_sheet
 
 
@@ -92,7 +91,7 @@ def predict_frame(
     times_s.append(time.perf_counter())
     answer = predict_depth(model, batch, scaled, device)
     times_s.append(time.perf_counter())
-    range_m, panorama = known_range_m(answer), cast(Equirectangular, model.panorama)
+    range_m, panorama = answer.known_range_m()[0], cast(Equirectangular, model.panorama)
     cloud = cloud_of(range_m, panorama, images, rig)
     missing = [name for name, file in zip(rig.names, frame.files, strict=True) if file is None]
     caption = " ".join([frame.name, f"without {', '.join(missing)}" if missing else ""]).strip()

@@ -11,7 +11,7 @@ from omniocc.camera import Rig
 from omniocc.config import build, check
 from omniocc.errors import UserError
 from omniocc.model.depth import DepthMap
-from omniocc.task.checkpoint import TRUSTED, load_config
+from omniocc.task.checkpoint import TRUSTED, load_config, model_weights
 
 
 def load_depth(path: Path, overrides: Sequence[str] = ()) -> tuple[nn.Module, DictConfig]:
@@ -27,13 +27,13 @@ def load_depth(path: Path, overrides: Sequence[str] = ()) -> tuple[nn.Module, Di
         ConfigError: when an override names no argument.
     """
     cfg, weights = load_config(path)
-    if "depth" not in cfg or not any(name.startswith("model.") for name in weights):
+    own = model_weights(weights)
+    if "depth" not in cfg or not own:
         raise UserError(f"{path} is no checkpoint of the depth stage; those are runs/stages/depth-*/last.ckpt")
     merged = OmegaConf.merge(cfg, OmegaConf.from_dotlist(list(overrides)))
     assert isinstance(merged, DictConfig)
     check(OmegaConf.create({"depth": merged.depth}), packages=TRUSTED)
     model = build(merged.depth)
-    own = {name.removeprefix("model."): value for name, value in weights.items() if name.startswith("model.")}
     try:
         model.load_state_dict(own)
     except RuntimeError as error:

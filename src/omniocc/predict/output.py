@@ -37,7 +37,7 @@ def write_depth(folder: Path, depth: DepthMap, panorama: Equirectangular, cloud:
         OSError: naming the path that cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    range_m = known_range_m(depth)
+    range_m = depth.known_range_m()[0]
     _, data = cv2.imencode(".png", range_code(range_m))
     (folder / "range.png").write_bytes(data.tobytes())
     np.savez_compressed(
@@ -49,11 +49,6 @@ def write_depth(folder: Path, depth: DepthMap, panorama: Equirectangular, cloud:
     )
     save_png(folder / "picture.png", picture)
     return write_ply(folder / "points.ply", cloud)
-
-
-def known_range_m(depth: DepthMap) -> Float[Tensor, "h w"]:
-    """Ranges of the first frame, nan where it is not valid."""
-    return depth.range_m[0].float().masked_fill(~depth.valid[0], torch.nan)
 
 
 def range_code(range_m: Float[Tensor, "h w"]) -> np.ndarray:

@@ -35,6 +35,12 @@ def load_config(path: Path) -> tuple[DictConfig, dict[str, torch.Tensor]]:
         ) from error
 
 
+def model_weights(weights: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    """Those of the task's model, named as in the model."""
+    prefix = "model."
+    return {name.removeprefix(prefix): value for name, value in weights.items() if name.startswith(prefix)}
+
+
 def build_task(cfg: DictConfig) -> Occupancy:
     """The task a configuration describes, with fresh weights."""
     model, loss, optimizer, augment = (build(cfg[part]) for part in PARTS)

@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import torch
 from lightning.pytorch import LightningModule
 from lightning.pytorch.utilities.types import OptimizerLRSchedulerConfig
 from torch import Tensor, nn
@@ -10,7 +9,7 @@ from torchmetrics import MeanMetric
 
 from omniocc.batch import Batch
 from omniocc.metric import DepthMetrics
-from omniocc.model.depth import DepthMap, Spheres
+from omniocc.model.depth import Spheres
 from omniocc.model.occupancy import to_unit_range
 from omniocc.task.adamw import AdamW
 from omniocc.task.scores import RANGE_EDGES_M
@@ -58,7 +57,7 @@ class Depth(LightningModule):
         # every ray counts, also those the model calls uncertain
         self.errors.update(depth.range_m.float(), batch.erp_range_m)
         self.coverage.update(depth.valid[batch.erp_range_m.isfinite()].float())
-        return unless_valid(depth)
+        return depth.known_range_m()
 
     def on_validation_epoch_end(self) -> None:
         """Log `val/depth/...`."""
@@ -81,8 +80,3 @@ class Depth(LightningModule):
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """The configuration travels with the weights."""
         checkpoint["config"] = self.config
-
-
-def unless_valid(depth: DepthMap) -> Tensor:
-    """(B, h, w) ranges, nan where the map knows nothing."""
-    return depth.range_m.float().masked_fill(~depth.valid, torch.nan)

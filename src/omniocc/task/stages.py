@@ -30,8 +30,8 @@ from omniocc.errors import UserError
 from omniocc.model.depth.spheres import rig_spheres
 from omniocc.model.occupancy import to_unit_range
 from omniocc.report.run import load_results, save_results
-from omniocc.task.checkpoint import load_config
-from omniocc.task.depth import Depth, unless_valid
+from omniocc.task.checkpoint import load_config, model_weights
+from omniocc.task.depth import Depth
 from omniocc.task.loggers import finish
 from omniocc.task.pictures import DepthPictures, SketchPictures
 from omniocc.task.progress import StepProgress
@@ -227,7 +227,7 @@ def predict_range_m(task: Depth, scene: SceneReader, frame: int) -> Tensor:
     images = to_unit_range(read_images(scene, frame).unsqueeze(0).to(task.device))
     true_range_m = read_true_ranges(scene, frame)[0].unsqueeze(0).to(task.device)
     depth = task.eval().model(images, (scene.rig,), true_range_m)
-    return unless_valid(depth)[0]
+    return depth.known_range_m()[0]
 
 
 def weights_of(path: Path) -> dict[str, Tensor]:
@@ -236,8 +236,7 @@ def weights_of(path: Path) -> dict[str, Tensor]:
     Raises:
         FileNotFoundError, UserError: see `load_config`.
     """
-    prefix = "model."
-    return {k.removeprefix(prefix): v for k, v in load_config(path)[1].items() if k.startswith(prefix)}
+    return model_weights(load_config(path)[1])
 
 
 @contextmanager

@@ -27,6 +27,10 @@ class DepthMap(NamedTuple):
     valid: Bool[Tensor, "B h w"]
     confidence: Float[Tensor, "B h w"]
 
+    def known_range_m(self) -> Float[Tensor, "B h w"]:
+        """Ranges, nan where they are not valid."""
+        return self.range_m.float().masked_fill(~self.valid, torch.nan)
+
 
 SKY_INDEX = 0.5
 """Below this index nothing can be told from the sky: half a step from infinity."""
