@@ -3,6 +3,7 @@
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Literal
 
 import torch
@@ -15,7 +16,7 @@ from omniocc.geometry.dilate import dilate
 from omniocc.geometry.table import cast
 from omniocc.geometry.trace import Hits, Paths, paths
 from omniocc.geometry.vote import majority
-from omniocc.geometry.warp import fold, interpolate, trilinear
+from omniocc.geometry.warp import Corners, fold, interpolate, trilinear
 
 
 class Grid(ABC):
@@ -185,12 +186,17 @@ class Grid(ABC):
             volume: features of a past frame in its ego frame.
             past_from_current: pose that takes current ego coordinates to those of the past frame.
         """
-        warped = []
-        for features, pose in zip(volume, past_from_current, strict=True):
-            cells, weights, inside = trilinear(self.coordinates(self._moved_centers(pose)), self.shape, self.periodic)
-            weights = (weights * inside.unsqueeze(-1)).to(features.dtype)
-            warped.append(interpolate(features.flatten(1), cells.to(features.device), weights.to(features.device)))
-        return torch.stack(warped).reshape(volume.shape)
+        table = volume.movedim(1, -1).flatten(1, 3)
+        warped = [
+            interpolate(rows, self.corners(pose.to(rows.device), rows.dtype))
+            for rows, pose in zip(table, past_from_current, strict=True)
+        ]
+        return torch.stack(warped).unflatten(1, self.shape).movedim(-1, 1)
+
+    def corners(self, past_from_current: Float[Tensor, "4 4"], dtype: torch.dtype) -> Corners:
+        """Where `warp` looks for each current cell, row-major, in one sample's past volume; weights as `dtype`."""
+        position = self.coordinates(self._moved_centers(past_from_current))
+        return trilinear(position, self.shape, self.periodic, dtype)
 
     def warp_valid(self, past_from_current: Float[Tensor, "B 4 4"]) -> Bool[Tensor, "B X Y Z"]:
         """Which current cells had their centre inside the past frame's grid."""
@@ -237,9 +243,14 @@ class Grid(ABC):
         hits = cast(self, labels, origins, directions)
         return (hits.entry_m if hit == "entry" else hits.exit_m), hits.labels
 
-    def _moved_centers(self, pose: Float[Tensor, "4 4"]) -> Float[Tensor, "N 3"]:
+    def _moved_centers(self, pose: Float[Tensor, "4 4"]) -> Float64[Tensor, "N 3"]:
         pose = pose.double()
-        return self.centers(torch.float64, pose.device).reshape(-1, 3) @ pose[:3, :3].T + pose[:3, 3]
+        return (pose[:3, :3] @ _center_columns(self, pose.device) + pose[:3, 3:]).T
+
+
+@lru_cache(maxsize=8)
+def _center_columns(grid: Grid, device: torch.device) -> Float64[Tensor, "3 N"]:
+    return grid.centers(torch.float64, device).reshape(-1, 3).T.contiguous()
 
 
 def as_axis(name: str, values: Sequence[float | int]) -> tuple[float, float]:

@@ -1,11 +1,29 @@
 """Trilinear interpolation along the axes of a grid."""
 
+from functools import lru_cache
+from typing import NamedTuple
+
 import torch
-from jaxtyping import Bool, Float, Int64
+from jaxtyping import Bool, Float, Int32, Int64
 from torch import Tensor
+from torch.nn import functional as F
 
 SNAP_CELLS = 1e-6
 """Positions this close to a cell centre count as the centre, so that a pose without motion changes no bit."""
+
+
+class Corners(NamedTuple):
+    """The eight cells whose centres surround each point.
+
+    Attributes:
+        cells: row-major indices.
+        weights: sum to 1; 0 for points outside the grid.
+        inside: whether the point is inside the grid.
+    """
+
+    cells: Int32[Tensor, "N 8"]
+    weights: Float[Tensor, "N 8"]
+    inside: Bool[Tensor, " N"]
 
 
 def fold(index: Int64[Tensor, "..."], cells: int) -> Int64[Tensor, "..."]:
@@ -17,39 +35,53 @@ def trilinear(
     position: tuple[Float[Tensor, " N"], Float[Tensor, " N"], Float[Tensor, " N"]],
     shape: tuple[int, int, int],
     periodic: tuple[bool, bool, bool],
-) -> tuple[Int64[Tensor, "N 8"], Float[Tensor, "N 8"], Bool[Tensor, " N"]]:
-    """Finds the eight cells whose centres surround each point, with their weights.
+    dtype: torch.dtype,
+) -> Corners:
+    """Finds the eight cells around each point, with their weights; border cells are repeated beyond the border.
 
     Args:
         position: points along each axis in units of cells (`Grid.coordinates`); float64 keeps a resting pose exact.
         shape: cells along each axis.
         periodic: which axes wrap around.
-
-    Returns:
-        Flat cell indices, weights that sum to 1 (border cells are repeated beyond the border), and whether the point is
-        inside the grid.
+        dtype: of the weights.
     """
-    weights = torch.ones_like(position[0]).unsqueeze(-1)
-    flat = torch.zeros_like(weights, dtype=torch.int64)
     inside = torch.ones_like(position[0], dtype=torch.bool)
-    for along, cells, wraps in zip(position, shape, periodic, strict=True):
+    cells, weights, stride = [], [], shape[0] * shape[1] * shape[2]
+    for along, count, wraps in zip(position, shape, periodic, strict=True):
         if not wraps:
-            inside &= (along >= 0) & (along < cells)
-        offset = (along - 0.5).clamp(-1, cells)
-        nearest = offset.round()
-        offset = torch.where((offset - nearest).abs() < SNAP_CELLS, nearest, offset)
-        lower = offset.floor()
-        pair = torch.stack([lower, lower + 1], dim=-1).long()
-        pair = fold(pair, cells) if wraps else pair.clamp(0, cells - 1)
+            inside &= (along >= 0) & (along < count)
+        stride //= count
+        offset = (along - 0.5).clamp(-1, count)
+        lower = (offset + SNAP_CELLS).floor()
         fraction = offset - lower
-        flat = (flat.unsqueeze(-1) * cells + pair.unsqueeze(-2)).flatten(1)
-        weights = (weights.unsqueeze(-1) * torch.stack([1 - fraction, fraction], dim=-1).unsqueeze(-2)).flatten(1)
-    return flat, weights, inside
+        fraction = (fraction * (fraction > SNAP_CELLS)).to(torch.promote_types(dtype, torch.float32))
+        steps, first = axis_steps(count, wraps, stride, along.device), lower.int() + 1
+        cells.append((steps.index_select(0, first), steps.index_select(0, first + 1)))
+        weights.append((1 - fraction, fraction))
+    weights[0] = (weights[0][0] * inside, weights[0][1] * inside)
+    # corner by corner on whole columns: many times faster than broadcasting pairs
+    columns = [(x + y, u * v) for x, u in zip(cells[0], weights[0], strict=True) for y, v in _pairs(cells, weights, 1)]
+    corners = [(xy + z, uv * w) for xy, uv in columns for z, w in _pairs(cells, weights, 2)]
+    row, weight = (torch.stack(parts, dim=-1) for parts in zip(*corners, strict=True))
+    return Corners(row, weight.to(dtype), inside)
 
 
-def interpolate(
-    features: Float[Tensor, "C M"], cells: Int64[Tensor, "N K"], weights: Float[Tensor, "N K"]
-) -> Float[Tensor, "C N"]:
-    """Weighted sum of K cells' features per point; differentiable in the features."""
-    rows = features.T.contiguous()
-    return torch.nn.functional.embedding_bag(cells, rows, per_sample_weights=weights, mode="sum").T
+def _pairs(
+    cells: list[tuple[Tensor, Tensor]], weights: list[tuple[Tensor, Tensor]], axis: int
+) -> list[tuple[Tensor, Tensor]]:
+    return list(zip(cells[axis], weights[axis], strict=True))
+
+
+@lru_cache(maxsize=64)
+def axis_steps(cells: int, wraps: bool, stride: int, device: torch.device) -> Int32[Tensor, " steps"]:
+    """What the indices -1 .. cells+1 of an axis add to a row-major index: beyond its ends it wraps around or stops."""
+    index = torch.arange(-1, cells + 2, dtype=torch.int32, device=device)
+    return (index.remainder(cells) if wraps else index.clamp(0, cells - 1)) * stride
+
+
+def interpolate(rows: Float[Tensor, "M C"], corners: Corners) -> Float[Tensor, "N C"]:
+    """Weighted sum of the corners' rows for each point, 0 outside; differentiable in the rows.
+
+    No corner's row is ever copied: eight rows are read and one is written per point.
+    """
+    return F.embedding_bag(corners.cells, rows, per_sample_weights=corners.weights, mode="sum")

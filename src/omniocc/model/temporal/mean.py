@@ -6,6 +6,7 @@ from torch import Tensor, nn
 
 from omniocc.camera.pose import invert_pose
 from omniocc.geometry import Grid
+from omniocc.geometry.warp import interpolate
 
 
 class Mean(nn.Module):
@@ -39,12 +40,21 @@ class Mean(nn.Module):
         exists: Bool[Tensor, "B T"],
     ) -> Float[Tensor, "B C X Y Z"]:
         """The mean in the newest frame; alone, the newest volume itself, bit for bit."""
-        *past, total = volumes
-        count = torch.ones_like(total[:, :1])
-        for volume, pose, there in zip(past, world_from_ego.unbind(1), exists.unbind(1), strict=False):
-            past_from_current = invert_pose(pose.double()) @ world_from_ego[:, -1].double()
-            there = there[:, None, None, None, None]
-            inside = self.geometry.warp_valid(past_from_current).unsqueeze(1)
-            total = total.addcmul(self.geometry.warp(volume, past_from_current), there.to(total.dtype))  # 0 outside
-            count = count + (inside & there)
-        return total / count
+        *past, newest = volumes
+        if not past:
+            return newest
+        total = torch.zeros_like(newest)  # keeps channels last in memory
+        count = newest.new_ones(len(newest), 1, *self.geometry.shape)
+        past_from_current = invert_pose(world_from_ego[:, :-1].double()) @ world_from_ego[:, -1:].double()
+        for frame, sample in existing(exists[:, :-1]):
+            rows = past[frame][sample].movedim(0, -1).flatten(0, 2)
+            corners = self.geometry.corners(past_from_current[sample, frame].to(rows.device), rows.dtype)
+            moved = interpolate(rows, corners).unflatten(0, self.geometry.shape).movedim(-1, 0)
+            total[sample] += moved
+            count[sample, 0] += corners.inside.unflatten(0, self.geometry.shape)
+        return (total + newest) / count
+
+
+def existing(exists: Bool[Tensor, "B P"]) -> list[tuple[int, int]]:
+    """Frame and sample of what exists."""
+    return [(frame, sample) for frame, there in enumerate(exists.T.tolist()) for sample, yes in enumerate(there) if yes]
