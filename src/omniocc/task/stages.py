@@ -186,6 +186,7 @@ class Stages:
         metrics = trainer.test(task, datamodule=data, verbose=False)[0]
         trainer.save_checkpoint(last)
         facts = {"run": folder.name, "steps": trainer.global_step, "seed": recipe.seed, "commit": git_commit()}
+        results.mkdir(parents=True, exist_ok=True)
         save_results(results, metrics, facts | {"data": self.fingerprint})
         finish(trainer.loggers)
 
