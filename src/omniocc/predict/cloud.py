@@ -11,9 +11,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from omniocc.camera import Camera, Equirectangular, Rig, normalize_pixels
-
-VERTEX = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")])
-_PLY_TYPES = {"f4": "float", "u1": "uchar"}
+from omniocc.predict.ply import ply_bytes
 
 
 class Cloud(NamedTuple):
@@ -82,14 +80,6 @@ def write_ply(path: Path, cloud: Cloud) -> int:
         OSError: naming the path that cannot be written.
     """
     known = cloud.points_m.isfinite().all(-1)
-    points, colors = cloud.points_m[known].numpy(), cloud.colors[known].numpy()
-    vertices = np.empty(len(points), VERTEX)
-    for k, name in enumerate("xyz"):
-        vertices[name] = points[:, k]
-    for k, name in enumerate(("red", "green", "blue")):
-        vertices[name] = colors[:, k]
-    fields = [f"property {_PLY_TYPES[VERTEX[name].str[1:]]} {name}" for name in VERTEX.names or ()]
-    header = ["ply", "format binary_little_endian 1.0", "comment ego frame: x forward, y left, z up; metres"]
-    header += [f"element vertex {len(vertices)}", *fields, "end_header", ""]
-    path.write_bytes("\n".join(header).encode("ascii") + vertices.tobytes())
-    return len(vertices)
+    points = cloud.points_m[known].numpy()
+    path.write_bytes(ply_bytes(points, cloud.colors[known].numpy()))
+    return len(points)

@@ -1,0 +1,108 @@
+"""Where the rig was at every moment of a drive.
+
+A text file, one line per moment, with the moment's name (that of its folder) and `world_from_ego`, either as a position
+and a unit quaternion or as the rows of a 4x4 matrix; a first line that begins with `moment` is a heading:
+
+    moment,x_m,y_m,z_m,qw,qx,qy,qz
+    0000,0.0,0.0,0.0,1,0,0,0
+    0001,4.2,0.1,0.0,0.9998477,0,0,0.0174524
+
+Ego: x forward, y left, z up, origin as in the rig file. World: any fixed frame in metres.
+"""
+
+import csv
+import math
+from collections.abc import Sequence
+from difflib import get_close_matches
+from pathlib import Path
+
+import torch
+from jaxtyping import Float64
+from torch import Tensor
+
+from omniocc.errors import UserError
+
+QUATERNION = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
+MATRIX = tuple(f"m{row}{column}" for row in range(4) for column in range(4))
+TOLERANCE = 1e-3
+"""By which a quaternion's length, or a rotation's product with its transpose, may differ from 1."""
+
+
+def read_poses(path: Path, moments: Sequence[str]) -> Float64[Tensor, "F 4 4"]:
+    """`world_from_ego` of moments, in their order; poses of other moments may be there too.
+
+    Raises:
+        UserError: naming the line that is no pose, or the moment without one.
+        OSError: naming the file that cannot be read.
+    """
+    poses: dict[str, Tensor] = {}
+    with path.open(newline="", encoding="utf-8-sig") as file:
+        for number, cells in enumerate(csv.reader(file), start=1):
+            words = [cell.strip() for cell in cells]
+            if not any(words) or words[0].startswith("#") or (not poses and words[0] == "moment"):
+                continue
+            where = f"{path}, line {number}"
+            if words[0] in poses:
+                raise UserError(f"{where}: moment '{words[0]}' has a pose already; leave one")
+            poses[words[0]] = _pose(words[1:], f"{where}, moment '{words[0]}'")
+    for name in moments:
+        if name not in poses:
+            close = get_close_matches(name, poses, n=1)
+            hint = f" (is it '{close[0]}'?)" if close else f"; its moments begin with {', '.join(list(poses)[:3])}"
+            raise UserError(f"{path} has no pose of moment '{name}'{hint if poses else ''}")
+    return torch.stack([poses[name] for name in moments])
+
+
+def write_poses(path: Path, moments: Sequence[str], world_from_ego: Float64[Tensor, "F 4 4"]) -> None:
+    """Writes matrices to the last bit: reading gives equal poses."""
+    lines = [",".join(("moment", *MATRIX))]
+    for name, pose in zip(moments, world_from_ego, strict=True):
+        lines.append(",".join((name, *(repr(value) for value in pose.flatten().tolist()))))
+    path.write_text("\n".join([*lines, ""]), encoding="utf-8")
+
+
+def _pose(words: Sequence[str], where: str) -> Float64[Tensor, "4 4"]:
+    try:
+        values = [float(word) for word in words]
+    except ValueError as error:
+        raise UserError(f"{where}: {error}; give numbers, separated by commas") from error
+    if not all(math.isfinite(value) for value in values):
+        raise UserError(f"{where}: the pose holds a value that is not finite: {', '.join(words)}")
+    if len(values) == len(QUATERNION):
+        return _from_quaternion(values, where)
+    if len(values) == len(MATRIX):
+        return _from_rows(values, where)
+    raise UserError(
+        f"{where}: {len(values)} numbers; give {len(QUATERNION)} ({','.join(QUATERNION)}) or the {len(MATRIX)} of a "
+        "4x4 matrix, row by row"
+    )
+
+
+def _from_quaternion(values: Sequence[float], where: str) -> Float64[Tensor, "4 4"]:
+    length = math.hypot(*values[3:])
+    if abs(length - 1) > TOLERANCE:
+        raise UserError(f"{where}: the quaternion qw,qx,qy,qz has the length {length:.4g}; it must be 1")
+    w, x, y, z = (value / length for value in values[3:])
+    pose = torch.eye(4, dtype=torch.float64)
+    pose[:3, :3] = torch.tensor(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ],
+        dtype=torch.float64,
+    )
+    pose[:3, 3] = torch.tensor(values[:3], dtype=torch.float64)
+    return pose
+
+
+def _from_rows(values: Sequence[float], where: str) -> Float64[Tensor, "4 4"]:
+    pose = torch.tensor(values, dtype=torch.float64).view(4, 4)
+    rotation = pose[:3, :3]
+    error = float((rotation @ rotation.T - torch.eye(3, dtype=torch.float64)).abs().max())
+    if error > TOLERANCE or float(torch.linalg.det(rotation)) < 0 or pose[3].tolist() != [0, 0, 0, 1]:
+        raise UserError(
+            f"{where}: the matrix is no rigid pose: its 3x3 part must be a rotation (off by {error:.3g}), its "
+            "last row 0,0,0,1"
+        )
+    return pose
