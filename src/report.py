@@ -1,16 +1,18 @@
-"""Tables over all finished runs: `python src/report.py [--runs runs] [--sweeps sweeps] [--output runs/report]`.
+"""Report over all finished runs: `python src/report.py [--runs runs] [--sweeps sweeps] [--output runs/report]`.
 
-Every table of the paper (`sweeps/*.yaml`) as Markdown, CSV and LaTeX, the paper's figures beside ours; also after a
-part of a sweep. A run belongs to the row of its name (`+ablation=mono` gives `mono-<hash>`).
+Every table of the paper (`sweeps/*.yaml`) as Markdown, CSV and LaTeX, the paper's figures beside ours; plots, the same
+test frames across rows, and one page with all of it; also after a part of a sweep. A run belongs to the row of its name
+(`+ablation=mono` gives `mono-<hash>`).
 """
 
 import argparse
+from importlib.util import find_spec
 from pathlib import Path
 
 from omniocc.config import lines_not_tracebacks
-from omniocc.report.paper_table import as_csv, as_latex, as_markdown, is_table, load_table
-from omniocc.report.runs import by_row, comparable, read_runs, table_of_runs
-from omniocc.report.table import markdown
+from omniocc.report.gallery import gallery
+from omniocc.report.page import page
+from omniocc.report.sweep import Sweep, read_sweep, report_markdown, write_tables
 from omniocc.task.run_folder import write_whole
 
 SWEEPS = Path(__file__).parents[1] / "sweeps"
@@ -18,25 +20,35 @@ SWEEPS = Path(__file__).parents[1] / "sweeps"
 
 @lines_not_tracebacks
 def main(arguments: list[str] | None = None) -> None:
-    """Read the runs' own files, print the tables and write them."""
+    """Read the runs' own files, print the tables and write everything."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=Path, default=Path("runs"), help="folder of runs")
     parser.add_argument("--sweeps", type=Path, default=SWEEPS, help="folder of the paper's tables")
     parser.add_argument("--preset", help="only runs of this preset (default: that of most runs)")
-    parser.add_argument("--output", type=Path, help="folder of tables (default: report in the folder of runs)")
+    parser.add_argument("--output", type=Path, help="folder of the report (default: report in the folder of runs)")
     options = parser.parse_args(arguments)
-    runs, remark = comparable(read_runs(options.runs), options.preset)
-    rows = by_row(runs)
+    sweep = read_sweep(options.runs, options.sweeps, options.preset)
     output = options.output or options.runs / "report"
-    output.mkdir(parents=True, exist_ok=True)
-    tables = [load_table(path) for path in sorted(options.sweeps.glob("*.yaml")) if is_table(path)]
-    parts = [f"{remark}\n", markdown(*table_of_runs(runs)), *(as_markdown(table, rows) for table in tables)]
-    text = "\n".join(parts)
-    write_whole(output / "report.md", text)
-    for table in tables:
-        write_whole(output / f"{table.name}.csv", as_csv(table, rows))
-        write_whole(output / f"{table.name}.tex", as_latex(table, rows))
-    print(f"{text}\n{output}")
+    write_tables(sweep, output)
+    write_whole(output / "index.html", page(sweep, draw(sweep, output), gallery(sweep.rows), output))
+    print(f"{report_markdown(sweep)}\ntables  {output / 'report.md'}\npage    {output / 'index.html'}")
+
+
+def draw(sweep: Sweep, output: Path) -> dict[str, tuple[str, str]]:
+    """Every plot as PNG below `output` and as title and SVG by name."""
+    if find_spec("matplotlib") is None:
+        print("No plots: matplotlib is missing (pip install 'omniocc[plot]').")
+        return {}
+    from omniocc.report.plots import PLOTS
+    from omniocc.report.svg import as_svg
+
+    (output / "plots").mkdir(exist_ok=True)
+    drawn = {}
+    for name, (title, plot) in PLOTS.items():
+        if (figure := plot(sweep.rows)) is not None:
+            figure.savefig(output / "plots" / f"{name}.png", dpi=150, facecolor="white")
+            drawn[name] = (title, as_svg(figure, name, title))
+    return drawn
 
 
 if __name__ == "__main__":

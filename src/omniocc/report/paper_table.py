@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import yaml
 
 from omniocc.errors import UserError
-from omniocc.report.runs import FinishedRun
+from omniocc.report.runs import VOXELS, FinishedRun
 from omniocc.report.table import markdown, number
 
 
@@ -32,6 +32,7 @@ class PaperTable(NamedTuple):
         columns: title of each metric's key.
         order_by: key of the metric that decides which method is better.
         rows: methods in the paper's order.
+        note: where in the paper it stands, and what is odd about it.
     """
 
     name: str
@@ -39,6 +40,7 @@ class PaperTable(NamedTuple):
     columns: Mapping[str, str]
     order_by: str
     rows: Sequence[PaperRow]
+    note: str = ""
 
 
 class Figure(NamedTuple):
@@ -59,7 +61,7 @@ def load_table(path: Path) -> PaperTable:
     try:
         columns, order_by = content["columns"], content["order_by"]
         rows = [PaperRow(run, row["title"], _by_column(columns, row, run)) for run, row in content["rows"].items()]
-        table = PaperTable(path.stem, content["title"], columns, order_by, rows)
+        table = PaperTable(path.stem, content["title"], columns, order_by, rows, content.get("note", ""))
     except (KeyError, TypeError, ValueError) as error:
         raise UserError(f"{path} is not a table of the paper: {error}; see the other files beside it") from error
     if order_by not in columns:
@@ -97,6 +99,13 @@ def _sign(value: float) -> int:
     return (value > 0) - (value < 0)
 
 
+def in_cell(key: str, value: float | None) -> str:
+    """One figure as it stands in a table: numbers of voxels short, everything else with three digits."""
+    if key != VOXELS or value is None or math.isnan(value):
+        return number(value)
+    return f"{value / 1e6:.2f}M" if value >= 1e5 else f"{value / 1e3:.0f}k"
+
+
 def rows_of(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> list[tuple[PaperRow, list[Figure | None]]]:
     """Our figures of each row, by column."""
     return [(row, [figure_of(runs.get(row.run, []), key) for key in table.columns]) for row in table.rows]
@@ -106,13 +115,23 @@ def as_markdown(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) ->
     """Two lines a method, the paper's and ours; below, what both say about the order."""
     lines = []
     for row, figures in rows_of(table, runs):
-        if any(value is not None for value in row.paper.values()):
-            lines.append([row.title, "paper", *(number(value) for value in row.paper.values())])
-        seeds = max((figure.seeds for figure in figures if figure is not None), default=0)
-        source = f"here, {seeds} seed{'s' * (seeds > 1)}" if seeds else "here: not run"
-        lines.append([row.title, source, *(_spread(figure) for figure in figures)])
+        if has_paper(row):
+            lines.append([row.title, "paper", *(in_cell(key, value) for key, value in row.paper.items())])
+        lines.append([row.title, source_of(figures), *map(with_spread, table.columns, figures)])
     head = ["method", "", *table.columns.values()]
-    return f"## {table.title}\n\n{markdown(head, lines)}\n{order_line(table, runs)}\n"
+    parts = [f"## {table.title}", table.note, markdown(head, lines).rstrip(), order_line(table, runs)]
+    return "\n\n".join(filter(None, parts)) + "\n"
+
+
+def has_paper(row: PaperRow) -> bool:
+    """Whether the paper has any figure of this method."""
+    return any(value is not None for value in row.paper.values())
+
+
+def source_of(figures: Sequence[Figure | None]) -> str:
+    """What our line of a method is the mean of."""
+    seeds = max((figure.seeds for figure in figures if figure is not None), default=0)
+    return f"here, {seeds} seed{'s' * (seeds > 1)}" if seeds else "here: not run"
 
 
 def order_line(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> str:
@@ -151,9 +170,9 @@ def as_latex(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> st
     lines += [" & ".join(["method", *map(_tex, table.columns.values())]) + r" \\", r"\midrule"]
     for row, figures in rows_of(table, runs):
         cells = []
-        for value, figure in zip(row.paper.values(), figures, strict=True):
-            ours = _spread(figure).replace("±", r"$\pm$").replace("–", "--")
-            cells.append(ours + ("" if value is None else f" ({value:.3f})"))
+        for (key, value), figure in zip(row.paper.items(), figures, strict=True):
+            ours = with_spread(key, figure).replace("±", r"$\pm$").replace("–", "--")
+            cells.append(ours + ("" if value is None else f" ({in_cell(key, value)})"))
         lines.append(" & ".join([_tex(row.title), *cells]) + r" \\")
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
 
@@ -162,7 +181,9 @@ def _tex(text: str) -> str:
     return text.replace("&", r"\&").replace("%", r"\%").replace("_", r"\_")
 
 
-def _spread(figure: Figure | None) -> str:
+def with_spread(key: str, figure: Figure | None) -> str:
+    """Our figure in its cell: mean ± standard deviation over seeds, which numbers of voxels do not have."""
     if figure is None:
-        return number(None)
-    return number(figure.mean) + ("" if math.isnan(figure.spread) else f" ± {figure.spread:.3f}")
+        return in_cell(key, None)
+    no_spread = math.isnan(figure.spread) or key == VOXELS
+    return in_cell(key, figure.mean) + ("" if no_spread else f" ± {figure.spread:.3f}")

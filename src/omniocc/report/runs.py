@@ -1,10 +1,14 @@
 """All finished runs of a folder, side by side."""
 
+import math
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import yaml
 
 from omniocc.errors import UserError
 from omniocc.report.run import load_results
@@ -12,14 +16,18 @@ from omniocc.report.table import band_keys, number
 from omniocc.task.run_folder import METRICS
 
 HASH = re.compile(r"-[0-9a-f]{8}(-\d+)?$")
+SHARE, RECALL, VOXELS = "test/sketch/share", "test/sketch/recall", "voxels"
+OF_MACHINES = ("root", "cache", "workers", "num_workers", "seed")
 
 
 class FinishedRun(NamedTuple):
-    """A finished run: its folder's name, its facts and its figures."""
+    """A finished run: its folder's name, its facts and figures, its folder and its configuration."""
 
     name: str
     facts: dict
     metrics: dict[str, float]
+    folder: Path = Path()
+    config: Mapping[str, Any] = MappingProxyType({})
 
     @property
     def row(self) -> str:
@@ -38,14 +46,37 @@ def read_runs(folder: Path) -> list[FinishedRun]:
     Raises:
         UserError: when there is none.
     """
-    runs = [FinishedRun(path.parent.name, *load_results(path.parent)) for path in sorted(folder.glob(f"*/{METRICS}"))]
+    runs = [_read(path.parent) for path in sorted(folder.glob(f"*/{METRICS}"))]
     if not runs:
         raise UserError(f"{folder} holds no finished run ({METRICS}); train one: python src/train.py")
     return sorted(runs, key=lambda run: -run.metrics["test/rayiou"])
 
 
+def _read(folder: Path) -> FinishedRun:
+    facts, metrics = load_results(folder)
+    path = folder / "config.yaml"
+    config = yaml.safe_load(path.read_text()) if path.exists() else {}
+    return FinishedRun(folder.name, facts, figures_of_config(config) | metrics, folder, config)
+
+
+def figures_of_config(config: Mapping[str, Any]) -> dict[str, float]:
+    """What a configuration decides alone: number of voxels; share of candidates where the sketch looks at nothing."""
+    model = config.get("model", {})
+    figures = {}
+    if "shape" in model.get("geometry", {}):
+        figures[VOXELS] = float(math.prod(model["geometry"]["shape"]))
+    sketch = model.get("sketch", {})
+    if sketch.get("_target_", "").endswith(".Dense"):
+        figures |= {SHARE: 1.0, RECALL: 1.0}
+    if sketch.get("_target_", "").endswith(".Random"):
+        figures[SHARE] = float(sketch["ratio"])
+    return figures
+
+
 def comparable(runs: Sequence[FinishedRun], preset: str | None) -> tuple[list[FinishedRun], str]:
     """The runs of one preset, number of steps and dataset, and a sentence on what they are and what is left out.
+
+    Of several runs of a row with one seed the newest is taken.
 
     Args:
         runs: at least one.
@@ -59,22 +90,54 @@ def comparable(runs: Sequence[FinishedRun], preset: str | None) -> tuple[list[Fi
         found = sorted({str(run.facts.get("preset", "unknown")) for run in runs})
         raise UserError(f"no finished run of preset {preset}; there are runs of {', '.join(found)}")
     chosen = Counter(run.setting for run in candidates).most_common(1)[0][0]
-    kept = [run for run in candidates if run.setting == chosen]
-    others = sorted(run.name for run in runs if run.setting != chosen)
+    same = [run for run in candidates if run.setting == chosen]
+    kept = _newest(same)
     commits = sorted({str(run.facts.get("commit", "unknown")) for run in kept})
     name, steps, data = chosen
     text = f"preset={name}, {steps} steps, data {data[:8]}, commit {', '.join(commits)}."
-    return kept, text + (f" Left out, of another setting: {', '.join(others)}." if others else "")
+    if others := sorted(run.name for run in runs if run.setting != chosen):
+        text += f" Left out, of another setting: {', '.join(others)}."
+    if older := sorted({run.name for run in same} - {run.name for run in kept}):
+        text += f" Left out, older runs of the same row and seed: {', '.join(older)}."
+    return kept, text + "".join(f" {line}" for line in _mixtures(by_row(kept)))
+
+
+def _newest(runs: Sequence[FinishedRun]) -> list[FinishedRun]:
+    def age(run: FinishedRun) -> tuple[float, str]:
+        path = run.folder / METRICS
+        return (path.stat().st_mtime if path.exists() else 0.0, run.name)
+
+    newest = {(run.row, run.facts.get("seed")): run.name for run in sorted(runs, key=age)}
+    return [run for run in runs if newest[run.row, run.facts.get("seed")] == run.name]
+
+
+def _mixtures(rows: Mapping[str, Sequence[FinishedRun]]) -> Iterator[str]:
+    """A warning for each row whose seeds were trained with other values of one key."""
+    for row, runs in rows.items():
+        values = [dict(_flat(run.config)) for run in runs]
+        shared = set.intersection(*(set(value) for value in values))
+        if keys := sorted(key for key in shared if any(value[key] != values[0][key] for value in values)):
+            yield f"Mind: the runs of row {row} differ in {', '.join(keys[:4])}{' and more' * (len(keys) > 4)}."
+
+
+def _flat(config: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in config.items():
+        if key in OF_MACHINES or (not prefix and key in ("paths", "logger", "pictures", "resume", "stage")):
+            continue
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
 
 
 def by_row(runs: Sequence[FinishedRun]) -> dict[str, list[FinishedRun]]:
-    """Runs of each row of the tables.
+    """Runs of each row of the tables, by seed.
 
     Raises:
         UserError: when a row has two runs with the same seed, since then they differ in something else.
     """
     rows: dict[str, list[FinishedRun]] = {}
-    for run in runs:
+    for run in sorted(runs, key=lambda run: run.facts.get("seed") or 0):
         rows.setdefault(run.row, []).append(run)
     for row, members in rows.items():
         seed, times = Counter(run.facts.get("seed") for run in members).most_common(1)[0]

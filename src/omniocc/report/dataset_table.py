@@ -1,0 +1,130 @@
+"""The paper's comparison of datasets, with the one that the runs used beside it."""
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from inspect import signature
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import yaml
+
+from omniocc.data import VirtualWorld
+from omniocc.data.files import is_url
+from omniocc.data.reader import SceneReader
+from omniocc.data.record import SPLITS
+from omniocc.data.shard import digest
+from omniocc.errors import UserError
+from omniocc.report.runs import FinishedRun
+from omniocc.report.table import markdown
+from omniocc.view.dataset_facts import own_row, pinhole_twin
+
+Row = tuple[str, Sequence[bool | int]]
+
+
+class DatasetTable(NamedTuple):
+    """What `sweeps/dataset.yaml` says: titles of the columns by key; name and cells of each dataset."""
+
+    name: str
+    title: str
+    note: str
+    columns: Mapping[str, str]
+    rows: Sequence[Row]
+
+
+def is_dataset_table(path: Path) -> bool:
+    """Whether a file of `sweeps/` compares datasets."""
+    return (yaml.safe_load(path.read_text()) or {}).get("kind") == "datasets"
+
+
+def load_dataset_table(path: Path) -> DatasetTable:
+    """Read the table's file.
+
+    Raises:
+        UserError: if a row has another number of cells than there are columns.
+    """
+    content = yaml.safe_load(path.read_text())
+    columns = content["columns"]
+    for key, row in content["rows"].items():
+        if len(row["paper"]) != len(columns):
+            raise UserError(f"{path}: row {key} has {len(row['paper'])} cells for {len(columns)} columns")
+    rows = [(f"{row['title']} (paper)", row["paper"]) for row in content["rows"].values()]
+    return DatasetTable(path.stem, content["title"], content["note"], columns, rows)
+
+
+def with_ours(table: DatasetTable, runs: Sequence[FinishedRun]) -> DatasetTable:
+    """The table with the row of the dataset that the runs used, if it lies on this machine."""
+    scenes = scenes_of(runs[0])
+    if not scenes:
+        return table._replace(rows=[*table.rows, ("here: not on this machine", ())])
+    name, *cells = own_row(scenes, [pinhole_twin(scenes[0])])
+    return table._replace(rows=[*table.rows, (f"{name} (here)", cells)])
+
+
+def scenes_of(run: FinishedRun) -> list[SceneReader]:
+    """All scenes that a run was trained, validated and tested on; none if that very data is not there.
+
+    The code of the world may have changed since: a folder counts if what its scenes say of themselves, together with
+    the run's list of scenes, has the fingerprint that the run wrote down.
+    """
+    described: dict[str, Any] = run.config.get("data", {}).get("world", {})
+    choices = {key: value for key, value in described.items() if key != "_target_"}
+    known = set(choices) <= set(signature(VirtualWorld).parameters)  # not so for runs of another version
+    if described.get("_target_") != "omniocc.data.VirtualWorld" or not known or is_url(choices["root"]):
+        return []
+    world = VirtualWorld(**choices)
+    plans = [list(plan) for plan in world.plans]
+    for folder in sorted(Path(world.root).glob("virtual-*")):
+        scenes = [SceneReader(folder / plan.name) for plan in world.plans]
+        if all((folder / plan.name).is_dir() for plan in world.plans):
+            recipe = scenes[0].meta["facts"]["recipe"]
+            if digest({"recipe": recipe, "plans": plans}) == run.facts.get("data"):
+                return scenes
+    return []
+
+
+def facts_of_scenes(scenes: Sequence[SceneReader]) -> str:
+    """How many scenes and frames each split has, in a sentence."""
+    parts = []
+    for split in SPLITS:
+        frames = [len(scene) for scene in scenes if scene.meta["facts"]["split"] == split]
+        parts.append(f"{len(frames)} scenes ({sum(frames):,} frames) for {split}")
+    places = len({scene.meta["facts"]["theme"] for scene in scenes})
+    return f"{', '.join(parts)}; {places} kinds of places."
+
+
+def dataset_cells(table: DatasetTable) -> tuple[list[str], list[list[str]]]:
+    """Head and rows in text."""
+    head = ["dataset", *table.columns.values()]
+    return head, [[name, *(_cell(cells, k) for k in range(len(table.columns)))] for name, cells in table.rows]
+
+
+def _cell(cells: Sequence[bool | int], column: int) -> str:
+    if not cells:
+        return "–"
+    value = cells[column]
+    return ("✓" if value else "–") if isinstance(value, bool) else f"{value:,}"
+
+
+def dataset_markdown(table: DatasetTable) -> str:
+    """The table with its title and note."""
+    return f"## {table.title}\n\n{table.note}\n\n{markdown(*dataset_cells(table))}"
+
+
+def dataset_csv(table: DatasetTable) -> str:
+    """One line per dataset."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(["dataset", *table.columns])
+    for name, cells in table.rows:
+        writer.writerow([name, *(cells or [""] * len(table.columns))])
+    return out.getvalue()
+
+
+def dataset_latex(table: DatasetTable) -> str:
+    """A tabular."""
+    head, rows = dataset_cells(table)
+    lines = [f"% {table.title}", rf"\begin{{tabular}}{{l{'c' * len(table.columns)}}}", r"\toprule"]
+    lines += [" & ".join(head) + r" \\", r"\midrule"]
+    lines += [" & ".join(row).replace("✓", r"\checkmark").replace("–", "") + r" \\" for row in rows]
+    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])

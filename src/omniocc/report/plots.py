@@ -1,0 +1,178 @@
+"""Plots of a sweep: one colour per row, means over seeds with one standard deviation.
+
+Every function takes the runs of each row, in the order in which rows are drawn, and says None when there is nothing
+to draw. matplotlib is the extra `plot`.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+
+from matplotlib import colormaps, rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Canvas
+
+from omniocc.classes import CLASSES, FREE
+from omniocc.report.curves import over_seeds, read_curve, smoothed
+from omniocc.report.paper_table import figure_of
+from omniocc.report.runs import SHARE, FinishedRun
+from omniocc.report.table import band_keys
+
+Rows = Mapping[str, Sequence[FinishedRun]]
+
+INK, LINE = "#1d2430", "#c9d0d9"
+STYLE = {
+    "font.size": 10,
+    "axes.edgecolor": LINE,
+    "axes.labelcolor": INK,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "grid.color": LINE,
+    "grid.linewidth": 0.6,
+    "legend.frameon": False,
+    "legend.labelcolor": INK,
+    "text.color": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "omniocc",
+}
+WHISKER = {"ecolor": INK, "elinewidth": 1.0, "capsize": 2.0}
+
+
+def colors_of(rows: Rows) -> dict[str, tuple[float, ...]]:
+    """A colour for each row; the first ten are far apart."""
+    palette = [*colormaps["tab10"].colors, *colormaps["Dark2"].colors, *colormaps["Set2"].colors]  # type: ignore[attr-defined]
+    return {row: palette[k % len(palette)] for k, row in enumerate(rows)}
+
+
+def ranking(rows: Rows) -> Canvas | None:
+    """RayIoU of each row, best on top; a diamond is the score against LiDAR rays, dots are single seeds."""
+    figures = {row: figure for row, runs in rows.items() if (figure := figure_of(runs, "test/rayiou"))}
+    if not figures:
+        return None
+    order = sorted(figures, key=lambda row: figures[row].mean)
+    colors = colors_of(rows)
+    with rc_context(STYLE):
+        canvas = Canvas(figsize=(8.6, 0.9 + 0.36 * len(order)), layout="constrained")
+        axes = canvas.subplots()
+        axes.barh(order, [figures[row].mean for row in order], color=[colors[row] for row in order], height=0.66)
+        for place, row in enumerate(order):
+            seeds = [run.metrics["test/rayiou"] for run in rows[row]]
+            axes.plot(seeds, [place] * len(seeds), "o", color=INK, markersize=3.2)
+            if lidar := figure_of(rows[row], "test/lidar/rayiou"):
+                axes.plot([lidar.mean], [place], "D", markersize=4.5, color=INK, markerfacecolor="none")
+            axes.text(max(seeds), place, f"  {figures[row].mean:.3f}", va="center", color=INK, fontsize=9)
+        axes.grid(axis="y", visible=False)
+        axes.set_xlim(0, 1.12 * max(figure.mean for figure in figures.values()))
+        axes.set_xlabel("RayIoU (bar: mean, dots: seeds, diamond: against LiDAR rays)")
+        axes.tick_params(axis="y", length=0)
+    return canvas
+
+
+def by_range(rows: Rows) -> Canvas | None:
+    """RayIoU of each row in each distance band."""
+    every = [run for runs in rows.values() for run in runs]
+    bands = band_keys(every[0].metrics) if every else []
+    if not bands:
+        return None
+    with rc_context(STYLE):
+        canvas = Canvas(figsize=(8.6, 3.6), layout="constrained")
+        axes = canvas.subplots()
+        _grouped(axes, rows, {band.removeprefix("rayiou_").replace("m", " m"): f"test/{band}" for band in bands})
+        axes.set_ylabel("RayIoU")
+        _legend(canvas, axes, rows)
+    return canvas
+
+
+def by_class(rows: Rows) -> Canvas | None:
+    """RayIoU of each row and class, in two lines."""
+    keys = {entry.name: f"test/rayiou/{entry.name}" for entry in CLASSES if entry.id != FREE}
+    if not any(figure_of(runs, key) for runs in rows.values() for key in keys.values()):
+        return None
+    names = list(keys)
+    with rc_context(STYLE):
+        canvas = Canvas(figsize=(8.6, 5.6), layout="constrained")
+        upper, lower = canvas.subplots(2, 1)
+        for axes, part in ((upper, names[:6]), (lower, names[6:])):
+            _grouped(axes, rows, {name: keys[name] for name in part})
+            axes.set_ylabel("RayIoU")
+        _legend(canvas, upper, rows)
+    return canvas
+
+
+def by_share(rows: Rows) -> Canvas | None:
+    """RayIoU against the share of voxels that are candidates."""
+    points = {row: (figure_of(runs, SHARE), figure_of(runs, "test/rayiou")) for row, runs in rows.items()}
+    if not any(share and score for share, score in points.values()):
+        return None
+    colors = colors_of(rows)
+    with rc_context(STYLE):
+        canvas = Canvas(figsize=(8.6, 3.8), layout="constrained")
+        axes = canvas.subplots()
+        for row, (share, score) in points.items():
+            if share and score:
+                xerr, yerr = (0.0 if math.isnan(figure.spread) else figure.spread for figure in (share, score))
+                label = f"{row} ({100 * share.mean:.0f} %, {score.mean:.3f})"
+                axes.errorbar(
+                    share.mean, score.mean, yerr, xerr, fmt="o", markersize=8, color=colors[row], label=label, **WHISKER
+                )
+        axes.set_xlim(0, 1.05)
+        axes.set_xlabel("candidates, share of all voxels")
+        axes.set_ylabel("RayIoU")
+        canvas.legend(loc="outside right upper", fontsize=9)
+    return canvas
+
+
+def training(rows: Rows) -> Canvas | None:
+    """RayIoU on validation streets and the training loss over the steps; the band goes from lowest to highest seed."""
+    colors = colors_of(rows)
+    with rc_context(STYLE):
+        canvas = Canvas(figsize=(8.6, 3.6), layout="constrained")
+        panels = canvas.subplots(1, 2)
+        drawn = 0
+        for axes, key in zip(panels, ("val/rayiou", "train/loss"), strict=True):
+            for row, runs in rows.items():
+                curves = [curve for run in runs if (curve := read_curve(run.folder, key))]
+                mean = over_seeds([smoothed(curve) for curve in curves] if key == "train/loss" else curves)
+                drawn += len(mean.steps)
+                axes.plot(mean.steps, mean.mean, color=colors[row], linewidth=1.6, label=row)
+                if len(curves) > 1:
+                    axes.fill_between(mean.steps, mean.low, mean.high, color=colors[row], alpha=0.18, linewidth=0)
+            axes.set_xlabel("optimizer step")
+        panels[0].set_ylabel("RayIoU, validation")
+        panels[1].set_ylabel("training loss, mean of five")
+        _legend(canvas, panels[0], rows)
+    return canvas if drawn else None
+
+
+PLOTS = {
+    "ranking": ("Every row", ranking),
+    "range": ("By distance", by_range),
+    "class": ("By class", by_class),
+    "share": ("RayIoU against candidates", by_share),
+    "training": ("Training curves", training),
+}
+"""Title and function of every plot, by the name of its file."""
+
+
+def _grouped(axes: Axes, rows: Rows, keys: Mapping[str, str]) -> None:
+    """Bars of all rows beside one another, for each of some metrics."""
+    colors, width = colors_of(rows), 0.84 / max(len(rows), 1)
+    for k, (row, runs) in enumerate(rows.items()):
+        places = [group - 0.42 + (k + 0.5) * width for group in range(len(keys))]
+        figures = [figure_of(runs, key) for key in keys.values()]
+        means = [figure.mean if figure else math.nan for figure in figures]
+        spreads = [figure.spread if figure and not math.isnan(figure.spread) else 0.0 for figure in figures]
+        axes.bar(places, means, width * 0.92, color=colors[row], label=row)
+        if any(spreads):
+            axes.errorbar(places, means, spreads, fmt="none", **WHISKER)
+    axes.set_xticks(range(len(keys)), list(keys))
+    axes.tick_params(axis="x", length=0)
+    axes.grid(axis="x", visible=False)
+
+
+def _legend(canvas: Canvas, axes: Axes, rows: Rows) -> None:
+    handles, labels = axes.get_legend_handles_labels()
+    canvas.legend(handles, labels, loc="outside upper left", ncols=min(6, max(len(rows), 1)), fontsize=9)

@@ -1,0 +1,31 @@
+"""matplotlib's figures as SVG that stands inside a page: its fonts, its colours in light and dark, ids of its own."""
+
+import io
+import re
+
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+
+from omniocc.report.plots import INK, LINE, STYLE
+
+
+def as_svg(figure: Figure, name: str, title: str) -> str:
+    """An `<svg>` element.
+
+    Args:
+        figure: whose text is drawn in `INK` and whose lines are drawn in `LINE`.
+        name: goes before every id, so that several figures can stand in one page.
+        title: what the picture shows, for readers of screens.
+    """
+    buffer = io.StringIO()
+    with rc_context(STYLE):
+        figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
+    svg = buffer.getvalue()
+    svg = svg[svg.index("<svg") :]
+    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
+    svg = re.sub(r' xmlns(:xlink)?="[^"]*"', "", svg).replace("xlink:href", "href")
+    svg = re.sub(r'\bid="', f'id="{name}-', svg)
+    svg = re.sub(r"(url\(|href=\")#", rf"\1#{name}-", svg)
+    svg = re.sub(r"<style.*?</style>|font-family:[^;\"]*;? ?", "", svg, flags=re.DOTALL)
+    svg = svg.replace(INK, "currentColor").replace(LINE, "var(--line)")
+    return re.sub(r"<svg[^>]*?viewBox", f'<svg role="img" aria-label="{title}" viewBox', svg, count=1)

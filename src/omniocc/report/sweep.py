@@ -1,0 +1,88 @@
+"""Everything a report is made of, and the files it becomes."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from omniocc.report.claims import claim_cells, claims_of
+from omniocc.report.dataset_table import (
+    DatasetTable,
+    dataset_csv,
+    dataset_latex,
+    dataset_markdown,
+    facts_of_scenes,
+    is_dataset_table,
+    load_dataset_table,
+    scenes_of,
+    with_ours,
+)
+from omniocc.report.paper_table import PaperTable, as_csv, as_latex, as_markdown, is_table, load_table
+from omniocc.report.runs import FinishedRun, by_row, comparable, read_runs, table_of_runs
+from omniocc.report.table import markdown
+from omniocc.task.run_folder import write_whole
+
+
+class Sweep(NamedTuple):
+    """Comparable runs and the paper's tables.
+
+    Attributes:
+        runs: by falling RayIoU.
+        rows: runs of each row, in the order of the tables, then those that stand in none.
+        remark: what the runs have in common, and what is left out.
+        data: scenes and frames of the dataset; empty if it is not on this machine.
+        tables: of methods.
+        datasets: tables of datasets.
+    """
+
+    runs: list[FinishedRun]
+    rows: Mapping[str, Sequence[FinishedRun]]
+    remark: str
+    data: str
+    tables: Sequence[PaperTable]
+    datasets: Sequence[DatasetTable]
+
+    @property
+    def not_run(self) -> list[str]:
+        """Rows of the tables without a run."""
+        return [
+            row for row in dict.fromkeys(row.run for table in self.tables for row in table.rows) if row not in self.rows
+        ]
+
+
+def read_sweep(runs: Path, tables: Path, preset: str | None) -> Sweep:
+    """Collect the finished runs of a folder and the tables of another.
+
+    Raises:
+        UserError: when there is no run, none of that preset, or a table is broken.
+    """
+    kept, remark = comparable(read_runs(runs), preset)
+    paths = sorted(tables.glob("*.yaml"))
+    found = [load_table(path) for path in paths if is_table(path)]
+    datasets = [with_ours(load_dataset_table(path), kept) for path in paths if is_dataset_table(path)]
+    rows, scenes = by_row(kept), scenes_of(kept[0])
+    first = ["ours", *(row.run for table in found for row in table.rows)]
+    order = [row for row in dict.fromkeys([*first, *rows]) if row in rows]
+    data = facts_of_scenes(scenes) if scenes else ""
+    return Sweep(kept, {row: rows[row] for row in order}, remark, data, found, datasets)
+
+
+def report_markdown(sweep: Sweep) -> str:
+    """All tables in one text."""
+    parts = [f"{sweep.remark}\n", markdown(*table_of_runs(sweep.runs)), *map(dataset_markdown, sweep.datasets)]
+    for table in sweep.tables:
+        parts.append(as_markdown(table, sweep.rows))
+        if claims := claims_of(table, sweep.rows):
+            parts.append(markdown(*claim_cells(claims)))
+    return "\n".join(parts)
+
+
+def write_tables(sweep: Sweep, output: Path) -> None:
+    """`report.md`, and every table as CSV and LaTeX."""
+    output.mkdir(parents=True, exist_ok=True)
+    write_whole(output / "report.md", report_markdown(sweep))
+    for table in sweep.tables:
+        write_whole(output / f"{table.name}.csv", as_csv(table, sweep.rows))
+        write_whole(output / f"{table.name}.tex", as_latex(table, sweep.rows))
+    for datasets in sweep.datasets:
+        write_whole(output / f"{datasets.name}.csv", dataset_csv(datasets))
+        write_whole(output / f"{datasets.name}.tex", dataset_latex(datasets))
