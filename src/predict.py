@@ -1,6 +1,6 @@
-"""What a trained model says about your own pictures: `python src/predict.py depth rig=... images=...`.
+"""What a trained model says about your own pictures: `python src/predict.py {depth,occupancy} rig=... images=...`.
 
-`python src/predict.py depth --help` says more.
+`python src/predict.py occupancy --help` says more.
 """
 
 import itertools
@@ -28,7 +28,9 @@ from omniocc.predict import (
     resized_to_width,
     write_depth,
 )
+from omniocc.predict.occupancy import options_of, predict_occupancy
 from omniocc.view import predicted_sheet
+from train import quiet
 
 
 @hydra.main(version_base="1.3", config_path="../conf", config_name="predict_depth")
@@ -36,6 +38,14 @@ from omniocc.view import predicted_sheet
 def depth(cfg: DictConfig) -> None:
     """Check -> build -> one folder of files per frame."""
     run(cfg, [str(override) for override in HydraConfig.get().overrides.task])
+
+
+@hydra.main(version_base="1.3", config_path="../conf", config_name="predict_occupancy")
+@lines_not_tracebacks
+def occupancy(cfg: DictConfig) -> None:
+    """Check -> build -> one folder of files per moment."""
+    quiet()
+    predict_occupancy(options_of(cfg))
 
 
 def run(cfg: DictConfig, overrides: list[str]) -> None:
@@ -106,14 +116,14 @@ def predict_frame(
     )
 
 
-COMMANDS = {"depth": depth}
+COMMANDS = {"depth": depth, "occupancy": occupancy}
 
 
 def main() -> None:
     """Hand over to the command that the first argument names."""
     if len(sys.argv) < 2 or sys.argv[1] not in COMMANDS:
         asked = len(sys.argv) > 1 and sys.argv[1] in ("-h", "--help")
-        print(f"usage: python src/predict.py {{{','.join(COMMANDS)}}} key=value ...    (depth --help says more)")
+        print(f"usage: python src/predict.py {{{','.join(COMMANDS)}}} key=value ...    (occupancy --help says more)")
         sys.exit(0 if asked else 2)
     COMMANDS[sys.argv.pop(1)]()
 

@@ -1,6 +1,7 @@
 """Pictures of the cameras of a rig: which file is whose, and do they fit the calibration?"""
 
 import math
+import re
 from collections.abc import Sequence
 from difflib import get_close_matches
 from pathlib import Path
@@ -50,10 +51,15 @@ def find_frames(images: str | Sequence[str], rig: Rig, without: Sequence[str] = 
     if not folder.is_dir():
         hint = "; give a folder, or a list with one picture per camera: images=[a.png,b.png]" * folder.exists()
         raise UserError(f"images={images}: there is no such folder{hint}")
-    moments = sorted(path for path in folder.iterdir() if path.is_dir() and _pictures(path))
+    moments = sorted((path for path in folder.iterdir() if path.is_dir() and _pictures(path)), key=_in_time)
     if _pictures(folder) or not moments:
         return [Frame("", _named(folder, rig, without))]
     return [Frame(moment.name, _named(moment, rig, without)) for moment in moments]
+
+
+def _in_time(moment: Path) -> list[tuple[int, str]]:
+    """Names in the order of the numbers in them: 9 before 10."""
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", moment.name)]
 
 
 def _listed(paths: list[Path], rig: Rig, without: Sequence[str]) -> Frame:

@@ -1,7 +1,8 @@
-"""A depth option from a checkpoint or from a configuration, and its answer for pictures of any rig."""
+"""A depth option or a whole occupancy model from its checkpoint, and the answer of a depth option for any rig."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 import torch
 from omegaconf import DictConfig, OmegaConf
@@ -10,8 +11,11 @@ from torch import Tensor, nn
 from omniocc.camera import Rig
 from omniocc.config import build, check
 from omniocc.errors import UserError
+from omniocc.model import OccupancyModel
 from omniocc.model.depth import DepthMap
 from omniocc.task.checkpoint import TRUSTED, load_config, model_weights
+
+Network = TypeVar("Network", bound=nn.Module)
 
 
 def load_depth(path: Path, overrides: Sequence[str] = ()) -> tuple[nn.Module, DictConfig]:
@@ -33,17 +37,59 @@ def load_depth(path: Path, overrides: Sequence[str] = ()) -> tuple[nn.Module, Di
     merged = OmegaConf.merge(cfg, OmegaConf.from_dotlist(list(overrides)))
     assert isinstance(merged, DictConfig)
     check(OmegaConf.create({"depth": merged.depth}), packages=TRUSTED)
-    model = build(merged.depth)
+    return _with_weights(build(merged.depth), own, path, "is it of the depth stage, are overrides needed?"), merged
+
+
+def load_occupancy(path: Path) -> tuple[OccupancyModel, DictConfig]:
+    """The trained model of an occupancy checkpoint, sketch and depth included, and the configuration of its training.
+
+    Args:
+        path: `runs/<name>-<hash>/best.ckpt` or `last.ckpt`.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        UserError: when it is damaged, of another stage, or its weights do not fit or are no numbers.
+        ConfigError: when its configuration names what this version does not have.
+    """
+    cfg, weights = load_config(path)
+    own = model_weights(weights)
+    stage = stage_of(own)
+    if "model" not in cfg or stage != "occupancy":
+        raise UserError(
+            f"{path} is a checkpoint of the {stage} stage; predict occupancy needs one of the occupancy stage, "
+            "such as runs/<name>-<hash>/best.ckpt"
+        )
+    check(OmegaConf.create({"model": cfg.model}), packages=TRUSTED)
+    return _with_weights(build(without_download(cfg.model)), own, path, "was it written by another version?"), cfg
+
+
+def stage_of(weights: Mapping[str, Tensor]) -> str:
+    """Which stage trained the model that these weights are of."""
+    parts = {name.split(".")[0] for name in weights}
+    return "occupancy" if "classifier" in parts else "sketch" if "depth" in parts else "depth"
+
+
+def without_download(model: DictConfig) -> DictConfig:
+    """The configuration of a model whose ResNet begins with random weights: a checkpoint holds the trained ones.
+
+    Other backbones take more than weights from the hub: entries of their configuration.
+    """
+    if not str(model.backbone["_target_"]).endswith(".ResNet"):
+        return model
+    merged = OmegaConf.merge(model, {"backbone": {"weights": None}})
+    assert isinstance(merged, DictConfig)
+    return merged
+
+
+def _with_weights(model: Network, weights: Mapping[str, Tensor], path: Path, question: str) -> Network:
     try:
-        model.load_state_dict(own)
+        model.load_state_dict(weights)
     except RuntimeError as error:
         first = str(error).splitlines()[1:2] or [str(error)]
-        raise UserError(
-            f"{path}: its weights do not fit: {first[0].strip()}; is it of the depth stage, are overrides needed?"
-        ) from error
-    if not all(bool(value.isfinite().all()) for value in own.values()):
+        raise UserError(f"{path}: its weights do not fit: {first[0].strip()}; {question}") from error
+    if not all(bool(value.isfinite().all()) for value in weights.values()):
         raise UserError(f"{path} holds weights that are no numbers (NaN): its training failed, take another checkpoint")
-    return model.eval(), merged
+    return model.eval()
 
 
 def predict_depth(model: nn.Module, images: Tensor, rig: Rig, device: torch.device) -> DepthMap:

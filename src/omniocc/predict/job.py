@@ -1,0 +1,209 @@
+"""Drive after drive through a predictor, into folders; moments that are finished already are left alone."""
+
+import hashlib
+import json
+import statistics
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from omniocc.data.errors import write_whole
+from omniocc.data.progress import FrameProgress, clock
+from omniocc.data.voxels import Unknown
+from omniocc.errors import UserError
+from omniocc.metric import VoxelIoU
+from omniocc.predict.drive import Drive, Truth
+from omniocc.predict.predictor import STEPS, Answer, Predictor, Watch
+from omniocc.predict.schedule import History, Visit, schedule
+from omniocc.predict.voxel_files import PICTURE, VOXELS, read_labels, voxel_arrays, write_mesh, write_voxels
+from omniocc.task.scores import Scores
+from omniocc.view import save_png
+from omniocc.view.occupancy import SeenRange, occupancy_sheet
+
+FACTS = "prediction.json"
+"""What made the answers in a folder."""
+
+
+@dataclass
+class Job:
+    """Predicts and writes.
+
+    Attributes:
+        predictor: the model at work.
+        history: how moments get their past.
+        unknown: what true cells without points are, as in training.
+        output: folder of everything.
+        force: whether finished moments are predicted again.
+        mesh: whether `voxels.ply` is written.
+        picture: whether `picture.png` is drawn.
+        scores: against the truth, where there is any.
+        seconds: by step, of every moment that was predicted.
+    """
+
+    predictor: Predictor
+    history: History
+    unknown: Unknown
+    output: Path
+    force: bool
+    mesh: bool
+    picture: bool
+    scores: Scores
+    seconds: list[dict[str, float]] = field(default_factory=list)
+
+    @property
+    def frames(self) -> int:
+        """Of a window, the newest included."""
+        return self.predictor.model.temporal.frames
+
+    def run(self, drives: Sequence[Drive]) -> None:
+        """All wanted moments of drives.
+
+        Raises:
+            UserError, OSError: naming the picture that cannot be used or the file that cannot be written.
+        """
+        left = [self.left_of(drive) for drive in drives]
+        total, skipped = sum(map(len, left)), sum(len(drive.wanted) for drive in drives) - sum(map(len, left))
+        if skipped:
+            print(f"{skipped} moments are finished in {self.output} and left alone; force=true predicts them again")
+        with FrameProgress(f"predicting {self.output}", total) as progress:
+            for drive, wanted in zip(drives, left, strict=True):
+                for moment in sorted(set(drive.wanted) - set(wanted)):
+                    self._score_finished(drive, moment)
+                for visit in schedule(wanted, self.frames, self.history):
+                    line = self._visit(drive, visit)
+                    if line:
+                        progress.message(line)
+                        progress.advance()
+
+    def left_of(self, drive: Drive) -> list[int]:
+        """Wanted moments of a drive that are not finished."""
+        return [k for k in drive.wanted if self.force or not (self._folder(drive, k) / VOXELS).is_file()]
+
+    def summary(self) -> list[str]:
+        """Lines about time."""
+        if not self.seconds:
+            return []
+        median = {step: statistics.median(seconds[step] for seconds in self.seconds) for step in STEPS}
+        whole_s = sum(sum(seconds.values()) for seconds in self.seconds)
+        steps = ", ".join(f"{step} {value:.2f} s" for step, value in median.items())
+        return [f"{len(self.seconds)} moments in {clock(whole_s)}; of a moment, median: {steps}"]
+
+    def _visit(self, drive: Drive, visit: Visit) -> str:
+        """One lift; a line about it if its answer is wanted."""
+        predictor, watch = self.predictor, Watch(self.predictor.device)
+        if visit.reset:
+            predictor.reset()
+        with watch("read"):
+            images, true_range_m = drive.images(visit.moment), drive.true_range_m(visit.moment)
+        pose = None if drive.world_from_ego is None else drive.world_from_ego[visit.moment]
+        answer = predictor.step(images, drive.rig, pose, true_range_m, watch)
+        if not visit.wanted:
+            return ""
+        truth = drive.truth(visit.moment, predictor.model.geometry, self.unknown)
+        with watch("write"):
+            self._write(drive, visit.moment, images, answer, truth)
+        scored = "" if truth is None else f"{self._score(answer.labels, truth)}; "
+        self.seconds.append(watch.seconds)
+        steps = ", ".join(f"{step} {value:.2f} s" for step, value in watch.seconds.items())
+        occupied = int((answer.labels > 0).sum())
+        return f"{self._folder(drive, visit.moment)}: {occupied} voxels; {scored}{steps}"
+
+    def _write(
+        self, drive: Drive, moment: int, images: Sequence[np.ndarray], answer: Answer, truth: Truth | None
+    ) -> None:
+        folder, geometry = self._folder(drive, moment), self.predictor.model.geometry
+        folder.mkdir(parents=True, exist_ok=True)
+        if self.mesh:
+            write_mesh(folder, answer.labels, geometry)
+        if self.picture:
+            panorama, caption = self.predictor.panorama, f"{drive.name} {drive.moments[moment]}".strip()
+            missing = f", without {', '.join(self.predictor.without)}" * bool(self.predictor.without)
+            seen = None if panorama is None or answer.range_m is None else SeenRange(panorama, answer.range_m)
+            voxels = None if truth is None else truth.voxels
+            sheet = occupancy_sheet(
+                images, drive.rig, answer.labels, geometry, seen, voxels, f"{caption}{missing}".lstrip(", ")
+            )
+            save_png(folder / PICTURE, sheet)
+        pose = None if drive.world_from_ego is None else drive.world_from_ego[moment]
+        write_voxels(folder, voxel_arrays(answer, geometry, pose))
+
+    def _score_finished(self, drive: Drive, moment: int) -> None:
+        truth = drive.truth(moment, self.predictor.model.geometry, self.unknown)
+        if truth is not None:
+            self._score(read_labels(self._folder(drive, moment), self.predictor.model.geometry), truth)
+
+    def _score(self, labels: Tensor, truth: Truth) -> str:
+        """Add a moment to the scores; its own in a few words."""
+        voxels = truth.voxels.unsqueeze(0)
+        self.scores.rays.update(labels.unsqueeze(0), voxels)
+        self.scores.lidar.update_rays(labels.unsqueeze(0), truth.lidar_range_m[None], truth.lidar_labels[None])
+        self.scores.cells.update(labels.unsqueeze(0), voxels)
+        alone = VoxelIoU()
+        alone.update(labels.unsqueeze(0), voxels)
+        own = alone.compute()
+        return f"IoU {own['iou']:.3f}, mIoU {own['miou']:.3f}"
+
+    def _folder(self, drive: Drive, moment: int) -> Path:
+        return self.output / drive.name / drive.moments[moment]
+
+
+def claim(output: Path, facts: Mapping[str, Any], force: bool) -> None:
+    """Leave in the folder what its answers are made of, so that answers of two models never stand side by side.
+
+    Raises:
+        UserError: when the folder cannot be written, or holds answers of something else.
+    """
+    path = output / FACTS
+    text = json.dumps(facts, indent=1) + "\n"
+    if path.is_file() and path.read_text() != text and not force:
+        changed = _changed(path.read_text(), facts)
+        raise UserError(
+            f"{output} holds answers that were made otherwise ({changed}); choose another output=..., or force=true "
+            "to predict all moments again"
+        )
+    try:
+        write_whole(path, text.encode())
+    except OSError as error:
+        reason = (error.__cause__ and str(error.__cause__)) or str(error)
+        raise UserError(f"output={output} cannot be written: {reason}; choose another folder: output=...") from error
+
+
+def _changed(old: str, new: Mapping[str, Any]) -> str:
+    try:
+        before = json.loads(old)
+    except ValueError:
+        return f"{FACTS} is damaged"
+    return ", ".join(f"{key}: {before.get(key)!r} then" for key in new if before.get(key) != new[key]) or "other facts"
+
+
+def digest_of(path: Path) -> str:
+    """The first 16 hex digits of a file's SHA-256."""
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        for block in iter(lambda: file.read(1 << 20), b""):
+            digest.update(block)
+    return digest.hexdigest()[:16]
+
+
+def fingerprint_of_poses(poses: Tensor | None) -> str | None:
+    """Of poses to the last bit."""
+    return None if poses is None else hashlib.sha256(poses.contiguous().numpy().tobytes()).hexdigest()[:16]
+
+
+def chosen_device(name: str | None) -> torch.device:
+    """The one asked for, or the GPU if there is one.
+
+    Raises:
+        UserError: for a device that is not there.
+    """
+    try:
+        device = torch.device(name or ("cuda" if torch.cuda.is_available() else "cpu"))
+        torch.zeros(1, device=device)
+    except (RuntimeError, AssertionError) as error:
+        raise UserError(f"device={name}: {str(error).splitlines()[0]}; use cpu or cuda") from error
+    return device

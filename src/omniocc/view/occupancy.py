@@ -1,0 +1,120 @@
+"""One sheet per moment of what an occupancy model says about pictures, beside the truth where it is known."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+
+from omniocc.camera import Equirectangular, Rig
+from omniocc.geometry import Grid
+from omniocc.view.bev import ERRORS, bev, error_bev
+from omniocc.view.canvas import legend
+from omniocc.view.compare import class_legend
+from omniocc.view.paint import paint_voxels, voxel_panorama
+from omniocc.view.ranges import NO_ANSWER, range_bar, range_colors
+from omniocc.view.sheet import camera_rows, caption_line, column_width, inner_width, panorama_row, row, stack
+from omniocc.view.voxels import render_voxels
+
+ALL_AROUND = Equirectangular(360, 90, 45.0, -45.0)
+"""Directions of the voxels' panorama where no depth network has directions of its own."""
+
+
+class SeenRange(NamedTuple):
+    """A panorama of ranges around the ego origin.
+
+    Attributes:
+        panorama: its directions.
+        range_m: nan where there is no answer.
+    """
+
+    panorama: Equirectangular
+    range_m: Float[Tensor, "h w"]
+
+
+def occupancy_sheet(
+    images: Sequence[np.ndarray],
+    rig: Rig,
+    prediction: UInt8[Tensor, "X Y Z"],
+    geometry: Grid,
+    seen: SeenRange | None = None,
+    truth: UInt8[Tensor, "X Y Z"] | None = None,
+    caption: str = "",
+    width_px: int = 1280,
+) -> np.ndarray:
+    """Draws the sheet: voxels on the pictures, as a panorama, from behind and from above.
+
+    Args:
+        images: (H, W, 3) uint8 RGB of every camera.
+        rig: the cameras.
+        prediction: class of every cell.
+        geometry: the grid.
+        seen: what the depth network answered; None if there is none.
+        truth: class of every cell, 255 unknown; None if nobody knows.
+        caption: a line at the top.
+        width_px: of the sheet.
+    """
+    inner = inner_width(width_px)
+    order, columns = as_seen(rig), columns_of(len(images))
+    painted = paint_voxels(images, rig, prediction, geometry, column_width(inner, columns))
+    named = {"predicted voxels": prediction} if truth is None else {"true voxels": truth, "predicted": prediction}
+    rows = [
+        *caption_line(caption, inner),
+        *camera_rows([painted[k] for k in order], inner, columns, [rig.names[k] for k in order]),
+        *_panoramas(named, geometry, seen, inner),
+        *_whole(named, geometry, inner),
+        class_legend(inner),
+    ]
+    if truth is not None:
+        rows.append(
+            legend([(f"Difference: {name}" if k == 0 else name, rgb) for k, (name, rgb) in enumerate(ERRORS)], inner)
+        )
+    return stack(rows, width_px)
+
+
+def as_seen(rig: Rig) -> list[int]:
+    """Cameras from left to right: those that look ahead or to a side, then those that look back."""
+    ahead = rig.ego_from_camera[:, :3, 2]
+    yaw_deg = torch.rad2deg(torch.atan2(ahead[:, 1], ahead[:, 0])).round(decimals=6).tolist()
+    front = [k for k, yaw in enumerate(yaw_deg) if abs(yaw) <= 90]
+    back = [k for k, yaw in enumerate(yaw_deg) if abs(yaw) > 90]
+    return sorted(front, key=lambda k: -yaw_deg[k]) + sorted(back, key=lambda k: yaw_deg[k] % 360)
+
+
+def columns_of(cameras: int) -> int:
+    """Pictures in a row."""
+    return cameras if cameras < 3 else 4 if cameras % 4 == 0 else 3
+
+
+def _panoramas(named: dict[str, Tensor], geometry: Grid, seen: SeenRange | None, width: int) -> list[np.ndarray]:
+    directions = ALL_AROUND if seen is None else seen.panorama
+    rows = [
+        panorama_row(voxel_panorama(labels, geometry, directions, width), f"{name}, all around", width)
+        for name, labels in named.items()
+    ]
+    if seen is None:
+        return rows
+    ranges = panorama_row(range_colors(seen.range_m.numpy()), "predicted range", width)
+    return [*rows, ranges, range_bar(width), legend([("no answer", NO_ANSWER)], width)]
+
+
+def _whole(named: dict[str, Tensor], geometry: Grid, width: int) -> list[np.ndarray]:
+    """The voxels from behind and from above."""
+    half, third = column_width(width, 2), column_width(width, 3)
+    if len(named) == 1:
+        ((name, labels),) = named.items()
+        views = [render_voxels(labels, geometry, half, half * 9 // 16), bev(labels, geometry, half)]
+        return [row(views, (name, "from above"), width)]
+    truth, prediction = named.values()
+    views = [render_voxels(labels, geometry, half, half * 9 // 16) for labels in (truth, prediction)]
+    maps = [
+        bev(truth, geometry, third),
+        bev(prediction, geometry, third),
+        error_bev(truth, prediction, geometry, third),
+    ]
+    return [
+        row(views, tuple(named), width),
+        row(maps, ("truth from above", "prediction from above", "differences"), width),
+    ]

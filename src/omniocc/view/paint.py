@@ -1,0 +1,118 @@
+"""Voxels as the cameras see them, and as they look from the ego origin."""
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, UInt8
+from torch import Tensor
+
+from omniocc.camera import Equirectangular, Rig
+from omniocc.classes import FREE, PALETTE, UNKNOWN
+from omniocc.geometry import Grid
+from omniocc.geometry.fans import Fans
+from omniocc.geometry.table import RayTable
+from omniocc.view.canvas import fitted
+
+COARSE = 2
+"""Pixels of a picture along each side that share a ray."""
+
+EDGE = 0.72
+"""Brightness of pixels where one voxel ends, over that inside."""
+
+NOTHING = (225, 233, 242)
+"""Colour of directions in which there is no voxel."""
+
+
+class View(NamedTuple):
+    """Rays of one picture, prepared for any labels.
+
+    Attributes:
+        valid: pixels that have a ray.
+        table: their rays, in row-major order.
+    """
+
+    valid: Bool[Tensor, "h w"]
+    table: RayTable
+
+
+def paint_voxels(
+    images: Sequence[np.ndarray], rig: Rig, labels: UInt8[Tensor, "X Y Z"], geometry: Grid, width: int
+) -> list[np.ndarray]:
+    """The cameras' pictures, scaled to a width, with the first voxel along every pixel's ray in its class colour.
+
+    The brightness is the picture's own, so that one sees what was given which class; where there is no voxel the
+    picture is dim and grey.
+    """
+    painted = []
+    for k, image in enumerate(images):
+        picture = fitted(image, width)
+        size = picture.shape[1] // COARSE, picture.shape[0] // COARSE
+        colors, hit = _colors(camera_view(geometry, rig, k, *size), labels)
+        painted.append(_blended(picture, *(_enlarged(part, picture) for part in (colors, hit))))
+    return painted
+
+
+def voxel_panorama(labels: UInt8[Tensor, "X Y Z"], geometry: Grid, panorama: Equirectangular, width: int) -> np.ndarray:
+    """(about width / 2 wide) class colour of the first voxel in every direction from the ego origin."""
+    columns = width // COARSE
+    rows = round(columns * panorama.height / panorama.width)
+    colors, hit = _colors(panorama_view(geometry, panorama, columns, rows), labels)
+    colors[~hit] = NOTHING
+    return colors
+
+
+@lru_cache(maxsize=32)
+def camera_view(geometry: Grid, rig: Rig, camera: int, columns: int, rows: int) -> View:
+    """Rays through the middles of so many equal parts of a camera's picture."""
+    model = rig.cameras[camera]
+    u = (torch.arange(columns, dtype=torch.float64) + 0.5) * model.width / columns - 0.5
+    v = (torch.arange(rows, dtype=torch.float64) + 0.5) * model.height / rows - 0.5
+    pixels = torch.stack(torch.meshgrid(u, v, indexing="xy"), -1)
+    rays, valid = model.unproject(pixels)
+    mask = None if rig.masks is None else rig.masks[camera]
+    if mask is not None:
+        nearest = pixels.round().long()
+        valid = valid & mask[nearest[..., 1], nearest[..., 0]]
+    pose = rig.ego_from_camera[camera]
+    return _view(geometry, pose[:3, 3], rays @ pose[:3, :3].T, valid)
+
+
+@lru_cache(maxsize=4)
+def panorama_view(geometry: Grid, panorama: Equirectangular, columns: int, rows: int) -> View:
+    """Rays from the ego origin."""
+    rays = panorama.resized(columns, rows).rays().double()
+    return _view(geometry, torch.zeros(3, dtype=torch.float64), rays, torch.ones(rays.shape[:2], dtype=torch.bool))
+
+
+def _view(geometry: Grid, origin: Float[Tensor, "3"], rays: Float[Tensor, "h w 3"], valid: Bool[Tensor, "h w"]) -> View:
+    directions = rays[valid]
+    return View(valid, RayTable(geometry, Fans.single(origin.expand_as(directions), directions)))
+
+
+def _colors(view: View, labels: UInt8[Tensor, "X Y Z"]) -> tuple[np.ndarray, np.ndarray]:
+    """(h, w, 3) class colours, darker where voxels end, and (h, w) whether there is a voxel."""
+    hits = view.table.cast(labels.masked_fill(labels == UNKNOWN, FREE))
+    cells = torch.full(view.valid.shape, -1, dtype=torch.int32)
+    classes = torch.zeros(view.valid.shape, dtype=torch.uint8)
+    cells[view.valid], classes[view.valid] = hits.cells, hits.labels
+    edge = torch.zeros_like(view.valid)
+    edge[:-1] |= cells[:-1] != cells[1:]
+    edge[:, :-1] |= cells[:, :-1] != cells[:, 1:]
+    colors = PALETTE[classes.numpy()]
+    colors[edge.numpy()] = (colors[edge.numpy()] * EDGE).astype(np.uint8)
+    return colors, classes.numpy() != FREE
+
+
+def _enlarged(part: np.ndarray, like: np.ndarray) -> np.ndarray:
+    size = like.shape[1], like.shape[0]
+    return cv2.resize(part.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
+
+
+def _blended(picture: np.ndarray, colors: np.ndarray, hit: np.ndarray) -> np.ndarray:
+    grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)[..., None]
+    lit = colors * (0.45 + 0.75 * grey / 255) * 0.7 + 0.3 * picture
+    return np.where(hit[..., None] > 0, lit, 0.6 * grey).clip(0, 255).astype(np.uint8)
