@@ -7,8 +7,9 @@ from torch import Tensor
 
 from omniocc.camera import Rig
 from omniocc.model.lifter.coloring import Coloring
+from omniocc.model.lifter.lift_splat import LiftSplat
 
-__all__ = ["Coloring", "Lifter"]
+__all__ = ["Coloring", "LiftSplat", "Lifter"]
 
 
 @runtime_checkable

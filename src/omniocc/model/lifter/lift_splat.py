@@ -1,0 +1,68 @@
+"""Lift, splat: image features spread along their rays by a predicted distribution of range (BEVDet)."""
+
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from omniocc.camera import Rig
+from omniocc.geometry import Grid
+from omniocc.model.lifter.splat import find_entries, splat
+
+
+class LiftSplat(nn.Module):
+    """Every pixel says how its feature is distributed over bins of range; voxels sum what falls into them.
+
+    Philion & Fidler (2020, 'Lift, Splat, Shoot') as in the occupancy version of BEVDet (Huang et al., 2021), but along
+    each camera's own unit rays: bins are distances from the camera, not depths along its axis, so that a fisheye lens
+    works past 90 degrees. All voxels are filled; candidates are not asked for. Of several feature maps the finer ones
+    are averaged down to the coarsest and added.
+
+    Args:
+        geometry: the voxel grid.
+        in_channels: of image features.
+        channels: of the volume.
+        bins: of range, of equal size.
+        range_m: where the first bin begins and the last one ends, along the ray.
+
+    Raises:
+        ValueError: if there is no bin, or the ranges do not increase from zero on.
+    """
+
+    def __init__(self, geometry: Grid, in_channels: int, channels: int, bins: int, range_m: Sequence[float | int]):
+        super().__init__()
+        if bins < 1:
+            raise ValueError(f"bins is {bins}; at least one is needed")
+        if len(range_m) != 2 or not 0 <= range_m[0] < range_m[1]:
+            raise ValueError(f"range_m is {list(range_m)}; it must be two increasing distances in metres, from 0 on")
+        self.geometry = geometry
+        self.channels = channels
+        step_m = (range_m[1] - range_m[0]) / bins
+        self.ranges_m = tuple(range_m[0] + (index + 0.5) * step_m for index in range(bins))
+        self.split = nn.Linear(in_channels, bins + channels)
+
+    def forward(
+        self, features: list[Float[Tensor, "B N C _ _"]], candidates: Bool[Tensor, "B X Y Z"], rigs: tuple[Rig, ...]
+    ) -> Float[Tensor, "B D X Y Z"]:
+        """Lifts and splats each sample through its own rig.
+
+        Raises:
+            ValueError: if a rig has another number of cameras than there are images.
+        """
+        cameras, height, width = features[-1].shape[1], *features[-1].shape[-2:]
+        maps = sum((F.adaptive_avg_pool2d(level.flatten(0, 1), (height, width)) for level in features[:-1]), 0)
+        pixels = (maps + features[-1].flatten(0, 1)).unflatten(0, (-1, cameras)).movedim(2, -1).flatten(1, 3)
+        with torch.autocast(pixels.device.type, enabled=False):
+            dtype = torch.promote_types(pixels.dtype, torch.float32)
+            scores, context = self.split(pixels.to(dtype)).split([len(self.ranges_m), self.channels], dim=-1)
+            share = scores.softmax(-1)
+            volumes = []
+            for sample, rig in enumerate(rigs):
+                if len(rig.cameras) != cameras:
+                    raise ValueError(f"the rig has {len(rig.cameras)} cameras but there are images of {cameras}")
+                entries = find_entries(rig, self.geometry, height, width, self.ranges_m, pixels.device)
+                volumes.append(splat(context[sample].contiguous(), share[sample], entries))
+        # channels last in memory, as 3D convolutions like it
+        return torch.stack(volumes).unflatten(1, self.geometry.shape).movedim(-1, 1)

@@ -1,0 +1,127 @@
+"""Sums of pixel features over the voxels that their rays pass, weighted by where along the ray the surface may be."""
+
+import warnings
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import torch
+from jaxtyping import Bool, Float, Float64, Int32, Int64
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+from torch.nn import functional as F
+
+from omniocc.camera import Rig
+from omniocc.geometry import Grid
+
+
+class Entries(NamedTuple):
+    """Every (pixel, bin) of a rig whose point lies in the grid; in order of pixels, and once more in order of voxels.
+
+    Attributes:
+        slot: index of each entry among all pixels x bins.
+        voxel: that each entry falls into.
+        pixel_ends: how many entries all pixels before each one have, and how many there are.
+        by_voxel: the entries sorted by voxel, and by pixel within one.
+        pixel: of the sorted entries.
+        voxel_first: index of each voxel's first sorted entry.
+    """
+
+    slot: Int64[Tensor, " E"]
+    voxel: Int32[Tensor, " E"]
+    pixel_ends: Int32[Tensor, " ends"]
+    by_voxel: Int64[Tensor, " E"]
+    pixel: Int32[Tensor, " E"]
+    voxel_first: Int32[Tensor, " cells"]
+
+
+def bin_points(
+    rig: Rig, height: int, width: int, ranges_m: Float64[Tensor, " D"]
+) -> tuple[Float64[Tensor, "P D 3"], Bool[Tensor, " P"]]:
+    """Points along the rays through the pixels of feature maps that cover the whole images.
+
+    Args:
+        rig: cameras.
+        height: of the maps, px.
+        width: of the maps, px.
+        ranges_m: distances from the camera along its unit rays.
+
+    Returns:
+        Points in the ego frame, metres, by camera, row, column; and whether the camera sees anything at that pixel.
+    """
+    points, seen = [], []
+    for index, camera in enumerate(rig.cameras):
+        scale = torch.tensor([camera.width / width, camera.height / height], dtype=torch.float64)
+        rows, columns = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
+        pixels = (torch.stack([columns, rows], dim=-1).reshape(-1, 2) + 0.5) * scale - 0.5
+        rays, valid = camera.unproject(pixels)
+        pose = rig.ego_from_camera[index]
+        directions = torch.where(valid[:, None], rays, 0.0) @ pose[:3, :3].T
+        points.append(pose[:3, 3] + directions[:, None] * ranges_m[:, None])
+        mask = None if rig.masks is None else rig.masks[index]
+        if mask is not None:
+            nearest = pixels.round().long()
+            u, v = nearest[:, 0].clamp(0, camera.width - 1), nearest[:, 1].clamp(0, camera.height - 1)
+            valid = valid & mask[v, u]
+        seen.append(valid)
+    return torch.cat(points), torch.cat(seen)
+
+
+@lru_cache(maxsize=16)
+def find_entries(
+    rig: Rig, geometry: Grid, height: int, width: int, ranges_m: tuple[float, ...], device: torch.device
+) -> Entries:
+    """Once per rig, as it depends on nothing else. The result is shared: never write to it."""
+    points_m, seen = bin_points(rig, height, width, torch.tensor(ranges_m, dtype=torch.float64))
+    cells, inside = geometry.flat_index(points_m)
+    inside &= seen[:, None]
+    slot = inside.flatten().nonzero()[:, 0]
+    voxel = cells.flatten()[slot]
+    order = voxel.argsort(stable=True)
+    counts = torch.bincount(voxel, minlength=geometry.num_cells)
+    pixel = torch.div(slot, len(ranges_m), rounding_mode="floor")
+    ends = F.pad(inside.sum(1).cumsum(0), (1, 0))
+    parts = (slot, voxel.int(), ends.int(), order, pixel[order].int(), (counts.cumsum(0) - counts).int())
+    return Entries(*(part.to(device) for part in parts))
+
+
+class _Splat(torch.autograd.Function):
+    """See `splat`; neither the outer product nor its gradient is ever written to memory."""
+
+    @staticmethod
+    def forward(ctx: Any, context: Tensor, share: Tensor, entries: Entries) -> Tensor:
+        ctx.save_for_backward(context, share)
+        ctx.entries = entries
+        weights = share.flatten().index_select(0, entries.slot).index_select(0, entries.by_voxel)
+        return F.embedding_bag(entries.pixel, context, entries.voxel_first, mode="sum", per_sample_weights=weights)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, grad: Tensor) -> Any:
+        context, share = ctx.saved_tensors
+        entries: Entries = ctx.entries
+        grad = grad.contiguous()
+        weights = share.flatten().index_select(0, entries.slot)
+        first = entries.pixel_ends[:-1]
+        grad_context = F.embedding_bag(entries.voxel, grad, first, mode="sum", per_sample_weights=weights)
+        products = _products(context, grad, entries)
+        grad_share = torch.zeros_like(share).flatten().index_copy_(0, entries.slot, products).view_as(share)
+        return grad_context, grad_share, None
+
+
+def _products(context: Tensor, grad: Tensor, entries: Entries) -> Tensor:
+    """Inner product of each entry's pixel with the gradient of its voxel."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Sparse")  # CSR is marked beta
+        pattern = torch.sparse_csr_tensor(
+            entries.pixel_ends, entries.voxel, grad.new_zeros(len(entries.voxel)), (len(context), len(grad))
+        )
+        return torch.sparse.sampled_addmm(pattern, context, grad.T, beta=0.0).values()
+
+
+def splat(context: Float[Tensor, "P C"], share: Float[Tensor, "P D"], entries: Entries) -> Float[Tensor, "cells C"]:
+    """Adds each pixel's feature to the voxel of each of its bins, times the bin's share of the pixel.
+
+    As a sum of the outer products of features and shares (Philion & Fidler, 2020), without them. Bins outside the grid
+    are lost. Differentiable once.
+    """
+    return _Splat.apply(context, share, entries)  # type: ignore[return-value]

@@ -1,0 +1,81 @@
+"""3D residual encoder and feature pyramid (the occupancy version of BEVDet)."""
+
+from itertools import pairwise
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from omniocc.geometry import Grid
+from omniocc.model.padding import Conv3d, Downsample, Periodic, Pointwise, upsample
+from omniocc.model.refiner.unet import group_norm
+
+
+class Block(nn.Module):
+    """relu(x + norm(conv(relu(norm(conv(x))))))."""
+
+    def __init__(self, channels: int, periodic: Periodic):
+        super().__init__()
+        self.first = Conv3d(channels, channels, 3, periodic, bias=False)
+        self.first_norm = group_norm(channels)
+        self.second = Conv3d(channels, channels, 3, periodic, bias=False)
+        self.second_norm = group_norm(channels)
+
+    def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B C X Y Z"]:
+        """A volume of the same size."""
+        change = self.second_norm(self.second(F.relu(self.first_norm(self.first(volume)))))
+        return F.relu(volume + change)
+
+
+class Conv(nn.Module):
+    """Residual blocks on a pyramid of halved grids, whose levels are merged at the finest: one way down, none up.
+
+    As ResNet and pyramid of BEVDet's occupancy version (Huang et al., 2021). There the levels are upsampled, laid side
+    by side and mixed by a 1x1x1 convolution; mixing first and adding after upsampling is the same and cheaper. With one
+    level it is a few convolutions, as in the occupancy head of BEVFormer (Li et al., 2022).
+
+    Args:
+        geometry: the voxel grid.
+        in_channels: of the lifted volume.
+        channels: of each level, finest first; multiples of 8. The finest is what comes out.
+        blocks: of each level.
+
+    Raises:
+        ValueError: if channels and blocks do not fit, a periodic axis cannot be halved often enough, or the channels
+            do not split into groups.
+    """
+
+    def __init__(self, geometry: Grid, in_channels: int, channels: list[int], blocks: list[int]):
+        super().__init__()
+        if len(channels) != len(blocks) or not channels:
+            raise ValueError(f"channels {channels} and blocks {blocks} must be one number each for every level")
+        factor = 2 ** (len(channels) - 1)
+        for cells, wraps in zip(geometry.shape, geometry.periodic, strict=True):
+            if wraps and cells % factor:
+                raise ValueError(
+                    f"{len(channels)} levels need a periodic axis in multiples of {factor} cells, not {cells}; "
+                    "change the grid or give fewer channels"
+                )
+        self.periodic = geometry.periodic
+        self.channels = channels[0]
+        self.stem = Pointwise(in_channels, channels[0])
+        self.down = nn.ModuleList(Downsample(fine, coarse, self.periodic) for fine, coarse in pairwise(channels))
+        self.stages = nn.ModuleList(
+            nn.Sequential(*(Block(own, self.periodic) for _ in range(count)))
+            for own, count in zip(channels, blocks, strict=True)
+        )
+        self.merge = nn.ModuleList(Pointwise(own, channels[0]) for own in channels)
+        self.norm = group_norm(channels[0])
+
+    def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B D X Y Z"]:
+        """Refines a volume; the result has `channels` channels."""
+        # channels last: 3D convolutions run about a third faster on the CPU
+        volume = self.stages[0](self.stem(volume.contiguous(memory_format=torch.channels_last_3d)))
+        levels = [volume]
+        for down, stage in zip(self.down, self.stages[1:], strict=True):
+            levels.append(stage(down(levels[-1])))
+        merged = self.merge[-1](levels[-1])
+        for level, merge in reversed(list(zip(levels[:-1], self.merge[:-1], strict=True))):
+            merged = merge(level) + upsample(merged, level.shape[2:], self.periodic)  # type: ignore[arg-type]
+        return F.relu(self.norm(merged))
