@@ -142,7 +142,9 @@ def test_stages_run_once_and_are_shared(tmp_path, data_root):
 
 
 def test_a_killed_stage_continues_to_the_same_figures(tmp_path, data_root):
-    arguments = smoke(data_root, "model/sketch=omni", "model/depth=truth", "stage=sketch", "stages.sketch.max_steps=12", "pictures=0")
+    arguments = smoke(
+        data_root, "model/sketch=omni", "model/depth=truth", "stage=sketch", "stages.sketch.max_steps=12", "pictures=0"
+    )
     whole = run("train.py", *arguments, "checkpoint_every_n_steps=1", "paths.runs=whole", cwd=tmp_path)
     assert whole.returncode == 0, whole.stdout + whole.stderr
     process = subprocess.Popen(
