@@ -133,3 +133,15 @@ def test_turning_the_ego_frame_rolls_the_mean():
     straight = mean(volumes, poses, exists)
     assert not torch.allclose(rolled, straight, atol=1e-3)
     torch.testing.assert_close(rolled, straight.roll(3, dims=3), atol=1e-5, rtol=0)
+
+
+def test_gradient_reaches_past_and_newest_but_not_what_is_missing():
+    poses = drive(pose(0), pose(0.7, 0.3, yaw_rad=0.1), pose(1.9, yaw_rad=0.3))
+    small = Cylinder((2, 4, 2), (0.0, 4.0), (-1.0, 1.0))
+    torch.manual_seed(0)
+    volumes = [torch.randn(1, 1, *small.shape, dtype=torch.float64, requires_grad=True) for _ in range(3)]
+    mean, exists = Mean(small, 3, history_gradient=True), torch.tensor([[False, True, True]])
+    assert torch.autograd.gradcheck(lambda *v: mean(list(v), poses, exists), tuple(volumes))
+    mean(volumes, poses, exists).sum().backward()
+    assert volumes[0].grad is None
+    assert volumes[1].grad.abs().sum() > 0
