@@ -1,8 +1,9 @@
-"""What every slot costs: `python tests/bench/bench_model.py [preset] [--device cuda] [--threads 2] [group=option ...]`.
+"""What every slot costs: `python tests/bench/bench_model.py [tiny,paper] [--device cuda] [--threads 2] [key=value ...]`.
 
-Three tables and a profile. Slots: parameters, billions of floating-point operations forward (a multiplication and an
-addition are two), time forward and of forward and backward, peak memory above what was held before. Options beside the
-chosen ones. The lifter by share of candidates. Then the three operators that cost most in a training step.
+Three tables and a profile for each preset. Slots: parameters, billions of floating-point operations forward (a
+multiplication and an addition are two), time forward and of forward and backward, peak memory above what was held
+before. The three operators that cost most in a training step. Options beside the chosen ones. The lifter by share of
+candidates.
 
 Times are the best of the repeats: on one CPU thread its CPU time, which other processes disturb least, otherwise wall
 time. Memory of a CPU is what the process held at its peak (Linux with glibc; elsewhere NaN).
@@ -25,6 +26,7 @@ from torch.utils.flop_counter import FlopCounterMode
 from omniocc.camera import Rig
 from omniocc.config import build
 from omniocc.model.sketch import Random
+from omniocc.task.memory import keep_freed_memory
 
 CONF = Path(__file__).parents[2] / "conf"
 STATUS, CLEAR_REFS = Path("/proc/self/status"), Path("/proc/self/clear_refs")
@@ -61,40 +63,46 @@ class Meter:
         self.device, self.repeats = device, repeats
         self.clock = time.process_time if device.type == "cpu" and threads == 1 else time.perf_counter
 
-    def ms(self, run: Run) -> float:
-        """Best of some runs."""
-        best = float("inf")
-        for _ in range(self.repeats):
-            self._wait()
-            start = self.clock()
-            run()
-            self._wait()
-            best = min(best, self.clock() - start)
-        return best * 1e3
+    def measure(self, run: Run) -> tuple[float, float]:
+        """Milliseconds, best of the repeats, and the most MiB held at a time, above what was held before.
 
-    def peak_mib(self, run: Run) -> float:
-        """Most memory held at a time, above what was held before; NaN where the system does not tell."""
+        NaN where the system does not tell how much memory is held.
+        """
+        before = self._forget_peak()
+        best = min(self._seconds(run) for _ in range(self.repeats))
+        return best * 1e3, max(self._peak() - before, 0) / 2**20
+
+    def _seconds(self, run: Run) -> float:
+        self._wait()
+        start = self.clock()
+        run()
+        self._wait()
+        return self.clock() - start
+
+    def _forget_peak(self) -> float:
+        """Bytes held now."""
         if self.device.type == "cuda":
             torch.cuda.reset_peak_memory_stats()
-            before = torch.cuda.memory_allocated()
-            run()
-            return (torch.cuda.max_memory_allocated() - before) / 2**20
+            return torch.cuda.memory_allocated()
         if not CLEAR_REFS.exists() or not hasattr(ctypes.CDLL(None), "malloc_trim"):
             return float("nan")
         ctypes.CDLL(None).malloc_trim(0)  # what is free but kept would hide what is used
-        CLEAR_REFS.write_text("5")  # forget the peak so far
-        before = status_kib("VmRSS")
-        run()
-        return max(status_kib("VmHWM") - before, 0) / 2**10
+        CLEAR_REFS.write_text("5")
+        return status_bytes("VmRSS")
+
+    def _peak(self) -> float:
+        if self.device.type == "cuda":
+            return torch.cuda.max_memory_allocated()
+        return status_bytes("VmHWM") if STATUS.exists() else float("nan")
 
     def _wait(self) -> None:
         if self.device.type == "cuda":
             torch.cuda.synchronize()
 
 
-def status_kib(key: str) -> int:
+def status_bytes(key: str) -> int:
     """An entry of this process' status."""
-    return next(int(line.split()[1]) for line in STATUS.read_text().splitlines() if line.startswith(key))
+    return next(int(line.split()[1]) for line in STATUS.read_text().splitlines() if line.startswith(key)) * 1024
 
 
 def gflops(run: Run) -> float:
@@ -122,11 +130,10 @@ def row(meter: Meter, name: str, module: object, run: Run, trains: bool = True) 
     def step() -> None:
         total(run()).backward()
 
+    cost = gflops(run)  # first: it fills the caches of rigs and grids
     with torch.no_grad():
-        run()  # caches of rigs and grids
-        forward, memory = meter.ms(run), meter.peak_mib(run)
-    cost = gflops(run)
-    both, held = (meter.ms(step), meter.peak_mib(step)) if trains else (float("nan"), float("nan"))
+        forward, memory = meter.measure(run)
+    both, held = meter.measure(step) if trains else (float("nan"), float("nan"))
     figures = f"{cost:9.2f} {forward:9.0f} {both:9.0f} {memory:9.0f} {held:9.0f}"
     print(f"{name:28} {count(module) / 1e6:8.3f} {figures}", flush=True)
 
@@ -143,7 +150,7 @@ class Inputs:
     def __init__(self, cfg: DictConfig, model: nn.Module, device: torch.device):
         width, height = cfg.preset.image_size
         self.batch = cfg.preset.train.batch_size
-        frames = model.temporal.frames
+        frames = cfg.preset.temporal.frames
         self.rigs = (Rig.load("fisheye6").resized(width, height),) * self.batch
         self.images = torch.randint(0, 256, (self.batch, frames, 6, 3, height, width), dtype=torch.uint8, device=device)
         self.poses = torch.eye(4, dtype=torch.float64, device=device).repeat(self.batch, frames, 1, 1)
@@ -156,6 +163,11 @@ class Inputs:
             self.volume = volume.requires_grad_()
             self.volumes = [torch.rand_like(volume) for _ in range(frames - 1)] + [self.volume]
             self.refined = model.refiner(volume).requires_grad_()
+
+    def of(self, slot: str) -> tuple[Any, ...]:
+        """Arguments of a slot that may be exchanged."""
+        window = self.volumes, self.poses, self.exists
+        return {"backbone": (self.newest,), "refiner": (self.volume,), "temporal": window}[slot]
 
     def candidates(self, geometry: Any, share: float) -> Tensor:
         """The same random cells for every sample."""
@@ -193,8 +205,8 @@ def options(meter: Meter, cfgs: dict[str, DictConfig], inputs: Inputs, device: t
     for name, cfg in cfgs.items():
         slot = name.split("=")[0].split(".")[0].split("/")[-1]
         module = build(cfg.model[slot]).to(device)
-        argument = inputs.newest if slot == "backbone" else inputs.volume
-        row(meter, name, module, lambda module=module, argument=argument: module(argument))
+        arguments = inputs.of(slot)
+        row(meter, name, module, lambda module=module, arguments=arguments: module(*arguments))
 
 
 def shares(meter: Meter, model: Any, inputs: Inputs) -> None:
@@ -206,20 +218,11 @@ def shares(meter: Meter, model: Any, inputs: Inputs) -> None:
         row(meter, f"{share:.0%}", model.lifter, run)
 
 
-def main() -> None:
-    """Prints the tables."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("preset", nargs="?", default="tiny")
-    parser.add_argument("overrides", nargs="*")
-    parser.add_argument("--device", default="cpu", type=torch.device)
-    parser.add_argument("--threads", default=1, type=int)
-    parser.add_argument("--repeats", default=3, type=int)
-    chosen = parser.parse_args()
-    torch.set_num_threads(chosen.threads)
-    torch.manual_seed(0)
-    base = [f"preset={chosen.preset}", "preset.backbone.weights=null", "preset.transformers.weights=null"]
-    base += chosen.overrides
+def compare(preset: str, overrides: list[str], meter: Meter, threads: int) -> None:
+    """Prints the tables of one preset."""
+    base = [f"preset={preset}", "preset.backbone.weights=null", "preset.transformers.weights=null", *overrides]
     others = {
+        "model/temporal=mean": ["model/temporal=mean"],
         "model/refiner=unet": ["model/refiner=unet"],
         "model/refiner=attention": ["model/refiner=attention"],
         "backbone=stages []": ["model/backbone=resnet", "model.backbone.deformable_stages=[]"],
@@ -229,14 +232,29 @@ def main() -> None:
     with initialize_config_dir(str(CONF), version_base="1.3"):
         cfg = compose("train", overrides=base)
         cfgs = {name: compose("train", [*base, *own]) for name, own in others.items()}
-    model = build(cfg.model).to(chosen.device)
-    meter = Meter(chosen.device, chosen.threads, chosen.repeats)
-    inputs = Inputs(cfg, model, chosen.device)
-    print(f"preset={chosen.preset} {' '.join(chosen.overrides)}, batch of {inputs.batch}, {chosen.device}", end=", ")
-    print(f"{chosen.threads} thread(s), best of {chosen.repeats}; a quarter of the voxels are candidates")
+    model = build(cfg.model).to(meter.device)
+    inputs = Inputs(cfg, model, meter.device)
+    print(f"\npreset={preset} {' '.join(overrides)}, batch of {inputs.batch}, {meter.device}", end=", ")
+    print(f"{threads} thread(s), best of {meter.repeats}; a quarter of the voxels are candidates")
     slots(meter, model, inputs)
-    options(meter, cfgs, inputs, chosen.device)
+    options(meter, cfgs, inputs, meter.device)
     shares(meter, model, inputs)
+
+
+def main() -> None:
+    """Prints the tables."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("presets", nargs="?", default="tiny", help="names of presets, with commas between")
+    parser.add_argument("overrides", nargs="*")
+    parser.add_argument("--device", default="cpu", type=torch.device)
+    parser.add_argument("--threads", default=1, type=int)
+    parser.add_argument("--repeats", default=3, type=int)
+    chosen = parser.parse_args()
+    torch.set_num_threads(chosen.threads)
+    torch.manual_seed(0)
+    keep_freed_memory()
+    for preset in chosen.presets.split(","):
+        compare(preset, chosen.overrides, Meter(chosen.device, chosen.threads, chosen.repeats), chosen.threads)
 
 
 if __name__ == "__main__":
