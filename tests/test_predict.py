@@ -137,4 +137,12 @@ def test_help_and_unknown_commands(capsys, monkeypatch):
         with pytest.raises(SystemExit) as caught:
             script.main()
         assert caught.value.code == code
-        assert "usage: python src/predict.py {depth}" in capsys.readouterr().out
+        assert "usage: python src/predict.py {depth,occupancy}" in capsys.readouterr().out
+
+
+def test_help_of_occupancy_shows_files_examples_and_options(tmp_path):
+    result = start("occupancy", "--help", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    for words in ("voxels.npz", "poses=my_poses.csv", "\nhistory: null"):
+        assert words in result.stdout
+    assert not list(tmp_path.iterdir())

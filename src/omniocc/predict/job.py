@@ -23,7 +23,7 @@ from omniocc.predict.schedule import History, Visit, schedule
 from omniocc.predict.voxel_files import PICTURE, VOXELS, read_labels, voxel_arrays, write_mesh, write_voxels
 from omniocc.task.scores import Scores
 from omniocc.view import save_png
-from omniocc.view.occupancy import SeenRange, occupancy_sheet
+from omniocc.view.voxel_sheet import SeenRange, occupancy_sheet
 
 FACTS = "prediction.json"
 """What made the answers in a folder."""

@@ -21,6 +21,9 @@ from omniocc.view.voxels import render_voxels
 ALL_AROUND = Equirectangular(360, 90, 45.0, -45.0)
 """Directions of the voxels' panorama where no depth network has directions of its own."""
 
+SIDE_DEG = 105.0
+"""How far to the side a camera may look and still stand among those that look ahead."""
+
 
 class SeenRange(NamedTuple):
     """A panorama of ranges around the ego origin.
@@ -78,8 +81,8 @@ def as_seen(rig: Rig) -> list[int]:
     """Cameras from left to right: those that look ahead or to a side, then those that look back."""
     ahead = rig.ego_from_camera[:, :3, 2]
     yaw_deg = torch.rad2deg(torch.atan2(ahead[:, 1], ahead[:, 0])).round(decimals=6).tolist()
-    front = [k for k, yaw in enumerate(yaw_deg) if abs(yaw) <= 90]
-    back = [k for k, yaw in enumerate(yaw_deg) if abs(yaw) > 90]
+    front = [k for k, yaw in enumerate(yaw_deg) if abs(yaw) <= SIDE_DEG]
+    back = [k for k, yaw in enumerate(yaw_deg) if abs(yaw) > SIDE_DEG]
     return sorted(front, key=lambda k: -yaw_deg[k]) + sorted(back, key=lambda k: yaw_deg[k] % 360)
 
 

@@ -1,0 +1,302 @@
+"""`predict.py occupancy` on a scene out of thin air, against the way that evaluate.py takes."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from hydra import compose, initialize_config_dir
+
+from omniocc.camera import Rig
+from omniocc.camera.pose import pose_from_angles
+from omniocc.config import plain
+from omniocc.data import SceneReader, WindowDataset, collate
+from omniocc.data.codec import encode_frame
+from omniocc.data.shard import SceneWriter
+from omniocc.data.voxels import VoxelCache
+from omniocc.errors import UserError
+from omniocc.predict.export import export_scene
+from omniocc.predict.occupancy import options_of, predict_occupancy
+from omniocc.predict.predictor import blinded
+from omniocc.task.checkpoint import build_task, load_task
+from omniocc.task.scores import Scores
+from omniocc.world.frame import Frame
+
+ROOT = Path(__file__).parents[2]
+RIG = Rig.load("fisheye6").resized(64, 36)
+MOMENTS = [f"{k:06d}" for k in range(5)]
+QUICK = ("picture=false", "mesh=false")
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:voxels are voted anew"),
+    pytest.mark.filterwarnings("ignore:Sparse CSR"),
+]
+
+
+def composed(name, *overrides):
+    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
+        return compose(name, list(overrides))
+
+
+def make_frame(index: int) -> Frame:
+    rng = np.random.default_rng(index)
+    range_m = rng.uniform(0.5, 60, (6, 36, 64)).astype(np.float32)
+    # a car that turns; patches instead of noise, so that JPEG leaves something of them
+    patches = rng.integers(0, 256, (6, 6, 8, 3), dtype=np.uint8)
+    level = pose_from_angles((0, 0, 0), 0, 0, 0).inverse()
+    pose = pose_from_angles((2.3 * index, 0.4 * index, 0.0), 11.0 * index, 0.0, 0.0) @ level
+    return Frame(
+        time_s=0.5 * index,
+        world_from_ego=pose.numpy(),
+        images=np.stack([cv2.resize(patch, (64, 36), interpolation=cv2.INTER_NEAREST) for patch in patches]),
+        semantics=np.zeros((6, 36, 64), np.uint8),
+        range_m=range_m,
+        erp_range_m=rng.uniform(0.5, 60, (12, 48)).astype(np.float32),
+        points_m=rng.uniform([-20, -20, -2.5], [20, 20, 3], (3000, 3)).astype(np.float32),
+        point_labels=rng.integers(1, 12, 3000).astype(np.uint8),
+        lidar_range_m=rng.uniform(1, 50, 14040).astype(np.float32),
+        lidar_labels=rng.integers(1, 12, 14040).astype(np.uint8),
+        boxes=(),
+    )
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("data") / "test-000-nowhere"
+    writer = SceneWriter(folder)
+    for index in range(len(MOMENTS)):
+        frame = make_frame(index)
+        entry = {"time_s": frame.time_s, "world_from_ego": frame.world_from_ego.tolist()}
+        writer.append(encode_frame(frame), entry)
+    writer.attach("rig.yaml", RIG.save)
+    writer.finish({"split": "test"})
+    writer.close()
+    return folder
+
+
+@pytest.fixture(scope="module")
+def checkpoint(tmp_path_factory) -> Path:
+    """With the weights that training begins with."""
+    torch.manual_seed(3)
+    task = build_task(composed("train", "preset=smoke"))
+    path = tmp_path_factory.mktemp("run") / "best.ckpt"
+    torch.save({"config": plain(composed("train", "preset=smoke")), "state_dict": task.state_dict()}, path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def evaluated(scene, checkpoint):
+    """Labels of every frame as `evaluate.py` has them, and its figures."""
+    task, _ = load_task(checkpoint, [])
+    task.eval()
+    geometry = task.model.geometry
+    data = WindowDataset([SceneReader(scene)], VoxelCache(scene.parent, geometry), task.model.temporal.frames)
+    scores, labels = Scores(geometry), []
+    for k in range(len(data)):
+        batch = collate([data[k]])
+        labels.append(task.evaluate(batch)[0])
+        scores.update(labels[-1][None], batch)
+    return torch.stack(labels).numpy(), {f"test/{key}": float(value) for key, value in scores.compute().items()}
+
+
+@pytest.fixture(scope="module")
+def pictures(scene, tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("pictures") / "drive"
+    assert export_scene(scene, folder) == len(MOMENTS)
+    return folder
+
+
+def run(*overrides) -> None:
+    predict_occupancy(options_of(composed("predict_occupancy", *map(str, overrides))))
+
+
+def labels_in(folder: Path) -> np.ndarray:
+    return np.stack([np.load(folder / name / "voxels.npz")["labels"] for name in MOMENTS])
+
+
+def drive_of(pictures, checkpoint):
+    return f"checkpoint={checkpoint}", f"images={pictures}", f"rig={pictures / 'rig.yaml'}"
+
+
+def test_pictures_give_the_labels_of_evaluation(evaluated, pictures, checkpoint, tmp_path, capsys):
+    expected, _ = evaluated
+    assert len(np.unique(expected)) > 3  # or equality would mean nothing
+    source, poses = drive_of(pictures, checkpoint), f"poses={pictures / 'poses.csv'}"
+    run(*source, poses, *QUICK, f"output={tmp_path / 'stream'}")
+    assert np.array_equal(labels_in(tmp_path / "stream"), expected)
+    assert "history   stream: up to 2 past moments" in capsys.readouterr().out
+    run(*source, poses, *QUICK, f"output={tmp_path / 'window'}", "history=window")
+    assert np.array_equal(labels_in(tmp_path / "window"), expected)
+    run(*source, *QUICK, f"output={tmp_path / 'none'}")
+    assert "history   off: without poses=..." in capsys.readouterr().out
+    alone = labels_in(tmp_path / "none")
+    assert np.array_equal(alone[0], expected[0])
+    assert all((alone[k] != expected[k]).any() for k in range(1, len(MOMENTS)))
+
+
+def test_recorded_frames_give_labels_and_figures_of_evaluation(evaluated, scene, checkpoint, tmp_path, capsys):
+    expected, figures = evaluated
+    run(f"checkpoint={checkpoint}", f"recorded={scene.parent}", *QUICK, f"output={tmp_path}")
+    assert np.array_equal(labels_in(tmp_path / scene.name), expected)
+    metrics = json.loads((tmp_path / "metrics.json").read_text())["metrics"]
+    assert {key: np.nan if value is None else value for key, value in metrics.items()} == pytest.approx(
+        figures, nan_ok=True
+    )
+    assert f"5 frames: RayIoU {figures['test/rayiou']:.3f}" in capsys.readouterr().out
+
+
+def test_a_few_frames_have_the_history_of_all(evaluated, scene, checkpoint, tmp_path):
+    run(f"checkpoint={checkpoint}", f"recorded={scene}", "frames=[4,2]", *QUICK, f"output={tmp_path}")
+    folder = tmp_path / scene.name
+    assert sorted(path.name for path in folder.iterdir()) == ["000002", "000004"]
+    for k in (2, 4):
+        assert np.array_equal(np.load(folder / MOMENTS[k] / "voxels.npz")["labels"], evaluated[0][k])
+
+
+def test_a_stopped_run_goes_on(evaluated, scene, checkpoint, tmp_path, capsys):
+    arguments = (f"checkpoint={checkpoint}", f"recorded={scene}", *QUICK, f"output={tmp_path}")
+    run(*arguments)
+    files = {name: tmp_path / scene.name / name / "voxels.npz" for name in MOMENTS}
+    before = {name: path.stat().st_mtime_ns for name, path in files.items()}
+    whole = (tmp_path / "metrics.json").read_text()
+    files["000003"].unlink()
+    capsys.readouterr()
+    run(*arguments)
+    assert "4 moments are finished" in capsys.readouterr().out
+    assert [name for name in MOMENTS if files[name].stat().st_mtime_ns != before[name]] == ["000003"]
+    assert np.array_equal(labels_in(tmp_path / scene.name), evaluated[0])
+    assert (tmp_path / "metrics.json").read_text() == whole
+    run(*arguments, "force=true")
+    assert all(files[name].stat().st_mtime_ns != before[name] for name in MOMENTS)
+    with pytest.raises(UserError, match=r"made otherwise \(history: 'stream' then\).*force=true"):
+        run(*arguments, "history=none")
+
+
+def test_files_of_a_moment(pictures, scene, checkpoint, tmp_path, evaluated, monkeypatch):
+    run(f"checkpoint={checkpoint}", f"recorded={scene}", "frames=[1]", f"output={tmp_path}")
+    folder = tmp_path / scene.name / "000001"
+    assert sorted(path.name for path in folder.iterdir()) == ["picture.png", "voxels.npz", "voxels.ply"]
+    assert cv2.imread(str(folder / "picture.png")).shape[1] == 1280
+    header = (folder / "voxels.ply").read_bytes().split(b"end_header")[0].decode()
+    assert (
+        int(re.search(r"element vertex (\d+)", header)[1]) == 2 * int(re.search(r"element face (\d+)", header)[1]) > 0
+    )
+    arrays = np.load(folder / "voxels.npz")
+    assert np.array_equal(arrays["labels"], evaluated[0][1])
+    assert arrays["labels"].dtype == np.uint8
+    assert arrays["class_names"][7] == "Vehicle"
+    assert arrays["class_colors"][7].tolist() == [142, 0, 0]
+    assert np.array_equal(arrays["world_from_ego"], SceneReader(scene).world_from_ego[1])
+    # the documented way to place voxels, word for word
+    (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "predict.md").read_text(), re.DOTALL)
+    (tmp_path / "occupancy" / "0000").mkdir(parents=True)
+    shutil.copy(folder / "voxels.npz", tmp_path / "occupancy" / "0000")
+    monkeypatch.chdir(tmp_path)
+    found: dict = {}
+    exec(code, found)
+    geometry = load_task(checkpoint, [])[0].model.geometry
+    occupied = evaluated[0][1] > 0
+    assert np.allclose(found["xyz_m"], geometry.centers(torch.float64).numpy()[occupied])
+    assert found["names"].tolist() == [arrays["class_names"][k] for k in evaluated[0][1][occupied]]
+
+
+def test_cameras_of_another_rig_and_fewer_of_them(checkpoint, pictures, tmp_path, capsys):
+    rig = Rig.load("surround_view").resized(96, 64)
+    for moment in ("9", "10"):  # in this order
+        (tmp_path / "drive" / moment).mkdir(parents=True)
+        for k, name in enumerate(rig.names[:3]):
+            shutil.copy(pictures / MOMENTS[0] / f"{RIG.names[k]}.png", tmp_path / "drive" / moment / f"{name}.png")
+            image = cv2.imread(str(tmp_path / "drive" / moment / f"{name}.png"))
+            cv2.imwrite(str(tmp_path / "drive" / moment / f"{name}.png"), cv2.resize(image, (96, 64)))
+    rig.save(tmp_path / "four.yaml")
+    (tmp_path / "poses.csv").write_text("9,0,0,0,1,0,0,0\n10,1,0,0,1,0,0,0\n")
+    source = (f"checkpoint={checkpoint}", f"images={tmp_path / 'drive'}", f"rig={tmp_path / 'four.yaml'}")
+    run(*source, f"poses={tmp_path / 'poses.csv'}", f"without=[{rig.names[3]}]", f"output={tmp_path / 'out'}")
+    assert "others than in training (fisheye6)" in capsys.readouterr().out
+    first, second = (np.load(tmp_path / "out" / name / "voxels.npz")["labels"] for name in ("9", "10"))
+    assert (first != second).any()  # 10 has a past, 9 has none
+    shutil.copytree(tmp_path / "drive" / "9", tmp_path / "alone" / "9")
+    source = (f"checkpoint={checkpoint}", f"images={tmp_path / 'alone'}", f"rig={tmp_path / 'four.yaml'}")
+    run(*source, f"without=[{rig.names[3]}]", f"output={tmp_path / 'out2'}", *QUICK)
+    assert np.array_equal(np.load(tmp_path / "out2" / "9" / "voxels.npz")["labels"], first)
+
+
+def test_a_camera_left_out_colours_nothing(checkpoint, pictures, tmp_path):
+    """Whatever is in its picture."""
+    ring = torch.tensor([[5.0, 0, 0], [-5, 0, 0], [0, 5, 0], [0, -5, 0]])
+    sees = RIG.project(ring)[1]
+    assert sees[RIG.names.index("rear")].any()
+    sees[RIG.names.index("rear")] = False
+    assert torch.equal(blinded(RIG, ("rear",)).project(ring)[1], sees)
+    other = tmp_path / "other"
+    shutil.copytree(pictures, other)
+    (other / MOMENTS[0] / "rear.png").write_bytes((other / MOMENTS[0] / "front.png").read_bytes())
+    labels = []
+    for k, folder in enumerate((pictures, other)):
+        source = f"checkpoint={checkpoint}", f"images={folder / MOMENTS[0]}", f"rig={folder / 'rig.yaml'}"
+        run(*source, "without=[rear]", *QUICK, f"output={tmp_path / str(k)}")
+        labels.append(np.load(tmp_path / str(k) / "voxels.npz")["labels"])
+    assert np.array_equal(*labels)
+
+
+def test_mistakes_are_named_in_a_line(pictures, scene, checkpoint, tmp_path, capsys):
+    content = torch.load(checkpoint, weights_only=True)
+    depth = {
+        name.replace("sketch.depth.", ""): value for name, value in content["state_dict"].items() if ".depth." in name
+    }
+    torch.save({"config": content["config"], "state_dict": depth}, tmp_path / "depth.ckpt")
+    (tmp_path / "damaged.ckpt").write_bytes(checkpoint.read_bytes()[:3000])
+    next(value for name, value in content["state_dict"].items() if "classifier" in name).fill_(torch.nan)
+    torch.save(content, tmp_path / "nan.ckpt")
+    cropped = tmp_path / "cropped"
+    shutil.copytree(pictures / MOMENTS[0], cropped)
+    cv2.imwrite(str(cropped / "rear.png"), np.zeros((48, 64, 3), np.uint8))
+    poses = (pictures / "poses.csv").read_text().splitlines()
+    (tmp_path / "few.csv").write_text("\n".join(poses[:-1]))
+    (tmp_path / "nan.csv").write_text("\n".join([*poses[:-1], "000004" + ",nan" * 16]))
+    (tmp_path / "file").write_text("in the way")
+    trained, own, rig = f"checkpoint={checkpoint}", f"images={pictures}", f"rig={pictures / 'rig.yaml'}"
+    cases = (
+        ([own, rig], ["checkpoint=... is needed"]),
+        ([f"checkpoint={tmp_path / 'depth.ckpt'}", own, rig], ["of the depth stage", "best.ckpt"]),
+        ([f"checkpoint={tmp_path / 'damaged.ckpt'}", own, rig], ["damaged.ckpt"]),
+        ([f"checkpoint={tmp_path / 'nan.ckpt'}", own, rig], ["nan.ckpt", "NaN"]),
+        ([trained], ["either images=", "or recorded="]),
+        ([trained, own], ["rig=... is needed", f"there is {pictures / 'rig.yaml'}"]),
+        ([trained, own, "rig=fisheye7"], ["fisheye7", "fisheye6"]),
+        ([trained, own, rig, "history=strem"], ["history", "'strem'", "'stream'"]),
+        ([trained, own, rig, "history=stream"], ["history=stream needs the pose", "poses=..."]),
+        ([trained, own, rig, f"poses={tmp_path / 'few.csv'}"], ["few.csv", "no pose of moment '000004'", "'000003'"]),
+        ([trained, own, rig, f"poses={tmp_path / 'nan.csv'}"], ["line 6", "moment '000004'", "not finite"]),
+        ([trained, f"images={pictures / MOMENTS[0]}", rig, f"poses={pictures / 'poses.csv'}"], ["a single moment"]),
+        ([trained, f"images={cropped}", rig], ["rear.png", "64x48", "64x36"]),
+        ([trained, f"images={pictures / MOMENTS[0]}", "rig=surround_view"], ["no image of camera", "rear_left"]),
+        ([trained, own, rig, f"output={tmp_path / 'file' / 'x'}"], ["cannot be written", "output="]),
+        ([trained, own, rig, "device=tpu9"], ["device=tpu9"]),
+        ([trained, own, rig, "scene=x"], ["scene=", "recorded="]),
+        ([trained, f"recorded={scene}", rig], ["rig=", "images="]),
+        ([trained, f"recorded={scene}", "frames=[5]"], ["frames=[5]", "0 to 4"]),
+        ([trained, f"recorded={scene.parent}", "scene=test-000-nowere"], ["did you mean 'test-000-nowhere'"]),
+        ([trained, f"recorded={tmp_path}"], ["holds no recorded scenes"]),
+        ([trained, f"recorded={scene}", "without=[raer]"], ["without=raer", "front_left"]),
+    )
+    for k, (arguments, words) in enumerate(cases):
+        with pytest.raises(UserError) as caught:
+            run(f"output={tmp_path / f'out{k}'}", *arguments)
+        for word in words:
+            assert word in str(caught.value), arguments
+        assert len(str(caught.value).splitlines()) <= 2, arguments
+    for path, arguments in (("nowhere.ckpt", [own, rig]), ("no.csv", [own, rig, trained, "poses=no.csv"])):
+        with pytest.raises(FileNotFoundError, match=path):
+            run(
+                f"output={tmp_path / 'out'}",
+                *(arguments if trained in arguments else [f"checkpoint={path}", *arguments]),
+            )
+
+
+def test_a_scene_that_is_none_cannot_be_exported(tmp_path):
+    with pytest.raises(UserError, match="is no recorded scene"):
+        export_scene(tmp_path, tmp_path / "out")
