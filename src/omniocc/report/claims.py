@@ -29,13 +29,13 @@ class Claim(NamedTuple):
 
     @property
     def verdict(self) -> str:
-        """In words; a sign alone, where nothing is known of the spread over seeds."""
+        """In words, with the number of standard errors; a sign alone where the spread over seeds is unknown."""
         same = self.paper * self.here > 0
         if math.isnan(self.error):
-            return "same sign, spread unknown" if same else "no gap or opposite sign, spread unknown"
+            return f"{'same' if same else 'not the same'} sign (spread unknown)"
         errors = abs(self.here) / self.error if self.error else math.inf
         kind = "cannot be told apart" if errors < CLEAR else "holds" if same else "opposite"
-        return f"{kind}, {errors:.1f} standard errors"
+        return f"{kind} ({errors:.1f})"
 
 
 def pooled_spread(rows: Iterable[Sequence[FinishedRun]], key: str) -> float:
@@ -80,4 +80,4 @@ def claim_cells(claims: Sequence[Claim]) -> tuple[list[str], list[list[str]]]:
     for claim in claims:
         error = "" if math.isnan(claim.error) else f" ± {claim.error:.3f}"
         rows.append([claim.title, f"{claim.paper:+.3f}", f"{claim.here:+.3f}{error}", claim.verdict])
-    return ["ahead of", "paper", "here ± standard error", "the claim"], rows
+    return ["ahead of", "paper", "here ± standard error", "claim (standard errors)"], rows

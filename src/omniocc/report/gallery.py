@@ -30,12 +30,12 @@ class SheetParts(NamedTuple):
 
 
 class Shown(NamedTuple):
-    """One row's answer to a frame; `truth` says whether its true voxels are those of another grid than before it."""
+    """One row's answer to a frame; `grid` names its grid where that is another than those of the rows before it."""
 
     row: str
     run: FinishedRun
     parts: SheetParts
-    truth: bool
+    grid: str
 
 
 class GalleryFrame(NamedTuple):
@@ -67,18 +67,19 @@ def cut(sheet: np.ndarray) -> SheetParts:
 def gallery(rows: Mapping[str, Sequence[FinishedRun]]) -> list[GalleryFrame]:
     """Every frame that a row has a picture of, as the first seed of each row saw it."""
     frames: dict[tuple[str, str, str], list[Shown]] = {}
-    grids: dict[tuple[str, str, str], set[str]] = {}
+    grids: dict[tuple[str, str, str], list[dict]] = {}
     for row, runs in rows.items():
-        grid = str(runs[0].config.get("model", {}).get("geometry"))
+        geometry = runs[0].config.get("model", {}).get("geometry", {})
+        kind = geometry.get("_target_", "grid").split(".")[-1].lower()
         for path in sorted((runs[0].folder / "pictures").glob("test-*.png")):
             sheet, match = cv2.imread(str(path)), NAME.fullmatch(path.name)
             if sheet is None or match is None:
                 continue
             key = (match[1], match[2], match[3])
-            new = grid not in grids.setdefault(key, set())
-            grids[key].add(grid)
+            new = geometry not in grids.setdefault(key, [])
+            grids[key].append(geometry)
             parts = cut(cv2.cvtColor(sheet, cv2.COLOR_BGR2RGB))
-            frames.setdefault(key, []).append(Shown(row, runs[0], parts, new))
+            frames.setdefault(key, []).append(Shown(row, runs[0], parts, kind if new else ""))
     return [GalleryFrame(key[1], key[2], frames[key]) for key in sorted(frames)]
 
 

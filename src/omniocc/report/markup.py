@@ -12,15 +12,21 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]], kind: str = "") ->
 
     Args:
         head: cells, HTML.
-        rows: cells of each line, HTML.
+        rows: cells of each line, HTML or what `cell` makes.
         kind: class of the table.
     """
-    top = "".join(f"<th>{cell}</th>" for cell in head)
-    body = "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>" for row in rows)
+    top = "".join(f"<th>{title}</th>" for title in head)
+    lines = (("".join(part if part.startswith("<td") else f"<td>{part}</td>" for part in row)) for row in rows)
+    body = "".join(f"<tr>{line}</tr>" for line in lines)
     return (
         f'<div class="scroll" tabindex="0"><table class="{kind}"><thead><tr>{top}</tr></thead>'
         f"<tbody>{body}</tbody></table></div>"
     )
+
+
+def cell(content: str, kind: str, lines: int = 1) -> str:
+    """A cell of a class, over several lines."""
+    return f'<td class="{kind}" rowspan="{lines}">{content}</td>'
 
 
 def plain_table(head: Sequence[str], rows: Sequence[Sequence[str]], kind: str = "") -> str:

@@ -8,7 +8,17 @@ from omniocc.report import markup
 from omniocc.report.claims import claim_cells, claims_of
 from omniocc.report.dataset_table import DatasetTable, dataset_cells
 from omniocc.report.gallery import GalleryFrame, Shown, inline
-from omniocc.report.paper_table import PaperTable, has_paper, in_cell, order_line, rows_of, source_of, with_spread
+from omniocc.report.paper_table import (
+    Figure,
+    PaperRow,
+    PaperTable,
+    has_paper,
+    in_cell,
+    order_line,
+    rows_of,
+    source_of,
+    with_spread,
+)
 from omniocc.report.runs import FinishedRun
 from omniocc.report.sweep import Sweep
 from omniocc.report.table import number
@@ -27,22 +37,25 @@ def page(sweep: Sweep, plots: Mapping[str, tuple[str, str]], frames: Sequence[Ga
         frames: of the gallery.
         folder: in which the page will lie; links to runs start there.
     """
-    sections = [
-        *(_table_card(table, sweep) for table in sweep.tables),
-        *(_dataset_card(table) for table in sweep.datasets),
-        *(
-            markup.card(f"plot-{name}", title, f'<div class="scroll plot">{svg}</div>')
-            for name, (title, svg) in plots.items()
-        ),
-        *([_gallery_card(frames)] if frames else []),
-        _runs_card(sweep, folder),
+    pictures = [
+        (
+            f"plot-{name}",
+            title,
+            markup.card(f"plot-{name}", title, f'<div class="scroll plot" tabindex="0">{svg}</div>'),
+        )
+        for name, (title, svg) in plots.items()
     ]
-    links = [(table.name, table.title) for table in (*sweep.tables, *sweep.datasets)]
-    links += [(f"plot-{name}", title) for name, (title, _) in plots.items()]
-    links += [("gallery", "Same frames, every row")] * bool(frames) + [("runs", "Runs")]
-    contents = "".join(f"<li>{markup.link(f'#{name}', title)}</li>" for name, title in links)
-    body = f'{_facts(sweep)}<nav aria-label="Contents"><ul>{contents}</ul></nav>{"".join(sections)}'
-    return TEMPLATE.read_text("utf-8").replace("__BODY__", body)
+    sections = [
+        *pictures[:1],
+        *((table.name, table.title, _dataset_card(table)) for table in sweep.datasets),
+        *((table.name, table.title, _table_card(table, sweep)) for table in sweep.tables),
+        *pictures[1:],
+        *([("gallery", "Same frames, every row", _gallery_card(frames))] if frames else []),
+        ("runs", "Runs", _runs_card(sweep, folder)),
+    ]
+    contents = "".join(f"<li>{markup.link(f'#{name}', title)}</li>" for name, title, _ in sections)
+    body = [_facts(sweep), f'<nav aria-label="Contents"><ul>{contents}</ul></nav>', *(part for *_, part in sections)]
+    return TEMPLATE.read_text("utf-8").replace("__BODY__", "".join(body))
 
 
 def _facts(sweep: Sweep) -> str:
@@ -64,24 +77,34 @@ def _facts(sweep: Sweep) -> str:
 
 
 def _table_card(table: PaperTable, sweep: Sweep) -> str:
-    lines = []
-    for row, figures in rows_of(table, sweep.rows):
-        if has_paper(row):
-            paper = (f'<span class="soft">{in_cell(key, value)}</span>' for key, value in row.paper.items())
-            lines.append([markup.text(row.title), '<span class="soft">paper</span>', *paper])
-        ours = [with_spread(key, figure) for key, figure in zip(table.columns, figures, strict=True)]
-        cells = [source_of(figures), *ours]
-        if row.run in sweep.rows:
-            cells = [markup.link(f"#row-{row.run}", cell) for cell in cells]
-        else:
-            cells = [f'<span class="soft">{markup.text(cell)}</span>' for cell in cells]
-        lines.append([markup.text(row.title), *cells])
+    lines = [line for row, figures in rows_of(table, sweep.rows) for line in _pair(table, row, figures, sweep)]
     head = ["method", "", *map(markup.text, table.columns.values())]
+    order = markup.note(order_line(table, sweep.rows))
     claims = claims_of(table, sweep.rows)
-    parts = [markup.note(table.note), markup.table(head, lines, "pairs"), markup.note(order_line(table, sweep.rows))]
-    if claims:
-        parts.append(markup.plain_table(*claim_cells(claims), "claims"))
-    return markup.card(table.name, table.title, *parts, _files(table.name))
+    answer = order + (markup.plain_table(*claim_cells(claims), "claims") if claims else "")
+    wide = len(table.columns) > 5
+    body = markup.table(head, lines, "pairs wide" if wide else "pairs")
+    both = f'<div class="{"stack" if wide else "sides"}"><div>{body}</div><div>{answer}</div></div>'
+    return markup.card(table.name, table.title, markup.note(table.note), both, _files(table.name))
+
+
+def _pair(table: PaperTable, row: PaperRow, figures: Sequence[Figure | None], sweep: Sweep) -> list[list[str]]:
+    """The paper's line and ours, or ours alone."""
+    source, *cells = (
+        _linked(row.run, cell, sweep) for cell in (source_of(figures), *map(with_spread, table.columns, figures))
+    )
+    name, ours = markup.text(row.title), [markup.cell(source, "source"), *cells]
+    if not has_paper(row):
+        return [[markup.cell(name, "name"), *ours]]
+    paper = (f'<span class="soft">{in_cell(key, value)}</span>' for key, value in row.paper.items())
+    return [[markup.cell(name, "name", 2), markup.cell("paper", "source soft"), *paper], ours]
+
+
+def _linked(row: str, cell: str, sweep: Sweep) -> str:
+    if row not in sweep.rows:
+        return f'<span class="soft">{markup.text(cell)}</span>'
+    mean, *spread = cell.split(" ± ")
+    return markup.link(f"#row-{row}", mean) + "".join(f" <small>± {part}</small>" for part in spread)
 
 
 def _dataset_card(table: DatasetTable) -> str:
@@ -113,8 +136,10 @@ def _gallery_card(frames: Sequence[GalleryFrame]) -> str:
 
 def _shown(shown: Shown) -> str:
     parts, lines = shown.parts, ""
-    if shown.truth:
-        lines += _strip("truth", shown.row, (parts.truth, parts.truth_map, None), "true voxels on the grid of ")
+    if shown.grid:
+        lines += _strip(
+            f"truth, {shown.grid}", shown.row, (parts.truth, parts.truth_map, None), "true voxels on the grid of "
+        )
     score = f"RayIoU {number(shown.run.metrics.get('test/rayiou'))} over the test"
     label = f"{markup.link(f'#row-{shown.row}', shown.row)}<small>{score}</small>"
     return lines + _strip(

@@ -33,6 +33,7 @@ class PaperTable(NamedTuple):
         order_by: key of the metric that decides which method is better.
         rows: methods in the paper's order.
         note: where in the paper it stands, and what is odd about it.
+        number: its number in the paper.
     """
 
     name: str
@@ -41,6 +42,7 @@ class PaperTable(NamedTuple):
     order_by: str
     rows: Sequence[PaperRow]
     note: str = ""
+    number: int = 0
 
 
 class Figure(NamedTuple):
@@ -61,7 +63,9 @@ def load_table(path: Path) -> PaperTable:
     try:
         columns, order_by = content["columns"], content["order_by"]
         rows = [PaperRow(run, row["title"], _by_column(columns, row, run)) for run, row in content["rows"].items()]
-        table = PaperTable(path.stem, content["title"], columns, order_by, rows, content.get("note", ""))
+        table = PaperTable(
+            path.stem, content["title"], columns, order_by, rows, content.get("note", ""), content.get("number", 0)
+        )
     except (KeyError, TypeError, ValueError) as error:
         raise UserError(f"{path} is not a table of the paper: {error}; see the other files beside it") from error
     if order_by not in columns:

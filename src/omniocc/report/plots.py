@@ -55,7 +55,7 @@ def ranking(rows: Rows) -> Canvas | None:
     order = sorted(figures, key=lambda row: figures[row].mean)
     colors = colors_of(rows)
     with rc_context(STYLE):
-        canvas = Canvas(figsize=(8.6, 0.9 + 0.36 * len(order)), layout="constrained")
+        canvas = Canvas(figsize=(5.2, 0.8 + 0.26 * len(order)), layout="constrained")
         axes = canvas.subplots()
         axes.barh(order, [figures[row].mean for row in order], color=[colors[row] for row in order], height=0.66)
         for place, row in enumerate(order):
@@ -63,10 +63,17 @@ def ranking(rows: Rows) -> Canvas | None:
             axes.plot(seeds, [place] * len(seeds), "o", color=INK, markersize=3.2)
             if lidar := figure_of(rows[row], "test/lidar/rayiou"):
                 axes.plot([lidar.mean], [place], "D", markersize=4.5, color=INK, markerfacecolor="none")
-            axes.text(max(seeds), place, f"  {figures[row].mean:.3f}", va="center", color=INK, fontsize=9)
+            axes.annotate(
+                f"{figures[row].mean:.3f}",
+                (max(seeds), place),
+                (6, 0),
+                textcoords="offset points",
+                va="center",
+                fontsize=9,
+            )
         axes.grid(axis="y", visible=False)
         axes.set_xlim(0, 1.12 * max(figure.mean for figure in figures.values()))
-        axes.set_xlabel("RayIoU (bar: mean, dots: seeds, diamond: against LiDAR rays)")
+        axes.set_xlabel("RayIoU (dots: seeds; diamond: LiDAR rays)")
         axes.tick_params(axis="y", length=0)
     return canvas
 
@@ -115,9 +122,8 @@ def by_share(rows: Rows) -> Canvas | None:
             if share and score:
                 xerr, yerr = (0.0 if math.isnan(figure.spread) else figure.spread for figure in (share, score))
                 label = f"{row} ({100 * share.mean:.0f} %, {score.mean:.3f})"
-                axes.errorbar(
-                    share.mean, score.mean, yerr, xerr, fmt="o", markersize=8, color=colors[row], label=label, **WHISKER
-                )
+                axes.errorbar(share.mean, score.mean, yerr, xerr, fmt="none", **WHISKER)
+                axes.plot(share.mean, score.mean, "o", markersize=8, color=colors[row], label=label)
         axes.set_xlim(0, 1.05)
         axes.set_xlabel("candidates, share of all voxels")
         axes.set_ylabel("RayIoU")
@@ -169,6 +175,7 @@ def _grouped(axes: Axes, rows: Rows, keys: Mapping[str, str]) -> None:
         if any(spreads):
             axes.errorbar(places, means, spreads, fmt="none", **WHISKER)
     axes.set_xticks(range(len(keys)), list(keys))
+    axes.set_ylim(bottom=0)
     axes.tick_params(axis="x", length=0)
     axes.grid(axis="x", visible=False)
 

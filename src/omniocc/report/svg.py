@@ -8,6 +8,9 @@ from matplotlib.figure import Figure
 
 from omniocc.report.plots import INK, LINE, STYLE
 
+SMALLEST, LARGEST = 0.65, 1.5
+"""How far a page may scale a plot; below that, it scrolls."""
+
 
 def as_svg(figure: Figure, name: str, title: str) -> str:
     """An `<svg>` element.
@@ -28,4 +31,6 @@ def as_svg(figure: Figure, name: str, title: str) -> str:
     svg = re.sub(r"(url\(|href=\")#", rf"\1#{name}-", svg)
     svg = re.sub(r"<style.*?</style>|font-family:[^;\"]*;? ?", "", svg, flags=re.DOTALL)
     svg = svg.replace(INK, "currentColor").replace(LINE, "var(--line)")
-    return re.sub(r"<svg[^>]*?viewBox", f'<svg role="img" aria-label="{title}" viewBox', svg, count=1)
+    width_px = figure.get_figwidth() * 96
+    size = f"min-width: {SMALLEST * width_px:.0f}px; max-width: {LARGEST * width_px:.0f}px"
+    return re.sub(r"<svg[^>]*?viewBox", f'<svg role="img" aria-label="{title}" style="{size}" viewBox', svg, count=1)

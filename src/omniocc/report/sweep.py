@@ -57,7 +57,7 @@ def read_sweep(runs: Path, tables: Path, preset: str | None) -> Sweep:
     """
     kept, remark = comparable(read_runs(runs), preset)
     paths = sorted(tables.glob("*.yaml"))
-    found = [load_table(path) for path in paths if is_table(path)]
+    found = sorted((load_table(path) for path in paths if is_table(path)), key=lambda table: table.number)
     datasets = [with_ours(load_dataset_table(path), kept) for path in paths if is_dataset_table(path)]
     rows, scenes = by_row(kept), scenes_of(kept[0])
     first = ["ours", *(row.run for table in found for row in table.rows)]
