@@ -135,6 +135,39 @@ def test_bfloat16_keeps_positions_in_single_precision():
     torch.testing.assert_close(refined.float(), refiner(volume), atol=0.1, rtol=0.1)
 
 
+def halfway(coarse, cell, periodic):
+    """(C,) of (C, x, y, z) by trilinear interpolation at the centre of a cell of half the size, borders held."""
+    total = 0
+    for corner in itertools.product((0, 1), repeat=3):
+        at, share = [], 1.0
+        for fine, step, size, wraps in zip(cell, corner, coarse.shape[1:], periodic, strict=True):
+            near, far = fine // 2, fine // 2 + (1 if fine % 2 else -1)
+            index = far if step else near
+            at.append(index % size if wraps else min(max(index, 0), size - 1))
+            share *= 0.25 if step else 0.75
+        total = total + share * coarse[(slice(None), *at)]
+    return total
+
+
+@torch.no_grad()
+@pytest.mark.parametrize("geometry", [Cylinder((4, 8, 4)), Cuboid((4, 6, 2))], ids=["cylinder", "cuboid"])
+def test_halved_attends_among_means_of_eight_voxels_and_interpolates(geometry):
+    half = Cylinder((2, 4, 2)) if isinstance(geometry, Cylinder) else Cuboid((2, 3, 1))
+    refiner = Attention(geometry, 8, 1, heads=2, points=3, feedforward_channels=12, halved=True).double()
+    coarse = Attention(half, 8, 1, heads=2, points=3, feedforward_channels=12).double()
+    coarse.load_state_dict(refiner.state_dict())
+    volume = torch.randn(1, 8, *geometry.shape, dtype=torch.float64)
+    means = sum(volume[:, :, x::2, y::2, z::2] for x, y, z in itertools.product((0, 1), repeat=3)) / 8
+    refined, expected = refiner(volume)[0], coarse(means)[0]
+    for cell in itertools.product(*map(range, geometry.shape)):
+        torch.testing.assert_close(refined[(slice(None), *cell)], halfway(expected, cell, geometry.periodic))
+
+
+def test_only_grids_of_even_size_can_be_halved():
+    with pytest.raises(ValueError, match="4x6x3 cells does not divide into blocks of 2x2x2"):
+        Attention(CYLINDER, 8, 1, heads=2, points=1, feedforward_channels=8, halved=True)
+
+
 def test_heads_must_divide_channels():
     with pytest.raises(ValueError, match="8 channels cannot be split among 3 heads"):
         Attention(CYLINDER, 8, 1, heads=3, points=1, feedforward_channels=8)

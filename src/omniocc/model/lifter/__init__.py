@@ -6,10 +6,11 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from omniocc.camera import Rig
+from omniocc.model.lifter.coarse_coloring import CoarseColoring
 from omniocc.model.lifter.coloring import Coloring
 from omniocc.model.lifter.lift_splat import LiftSplat
 
-__all__ = ["Coloring", "LiftSplat", "Lifter"]
+__all__ = ["CoarseColoring", "Coloring", "LiftSplat", "Lifter"]
 
 
 @runtime_checkable

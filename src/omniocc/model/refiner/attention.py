@@ -8,10 +8,12 @@ from torch import Tensor, nn
 from torch.utils.checkpoint import checkpoint
 
 from omniocc.geometry import Grid
+from omniocc.model.blocks import block_means, coarsened
 from omniocc.model.multilinear import corners, sum_samples
-from omniocc.model.padding import Periodic, pad3d
+from omniocc.model.padding import Axes, Periodic, pad3d, upsample
 
 CHUNK_SAMPLES = 2**21
+HALF: Axes = (2, 2, 2)
 
 
 def sphere_offsets(heads: int, points: int) -> Float[Tensor, "3 H K"]:
@@ -143,16 +145,28 @@ class Attention(nn.Module):
         heads: of attention, a divisor of the channels.
         points: samples per head.
         feedforward_channels: hidden channels of the feed-forward part.
+        halved: attend on the grid of half the resolution, in means of 2x2x2 voxels, and come back by trilinear
+            interpolation, as VoxFormer does; false: on the grid itself.
 
     Raises:
-        ValueError: if the heads do not divide the channels.
+        ValueError: if the heads do not divide the channels, or the grid cannot be halved.
     """
 
-    def __init__(self, geometry: Grid, channels: int, layers: int, heads: int, points: int, feedforward_channels: int):
+    def __init__(
+        self,
+        geometry: Grid,
+        channels: int,
+        layers: int,
+        heads: int,
+        points: int,
+        feedforward_channels: int,
+        halved: bool = False,
+    ):
         super().__init__()
         if channels % heads:
             raise ValueError(f"{channels} channels cannot be split among {heads} heads; give a divisor")
-        self.geometry = geometry
+        self.halved = halved
+        self.geometry = geometry = coarsened(geometry, HALF) if halved else geometry
         self.channels = channels
         self.places = nn.ParameterList()
         for axis, (cells, wraps) in enumerate(zip(geometry.shape, geometry.periodic, strict=True)):
@@ -165,6 +179,11 @@ class Attention(nn.Module):
 
     def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B C X Y Z"]:
         """Refines a volume."""
+        if not self.halved:
+            return self._attend(volume)
+        return upsample(self._attend(block_means(volume, HALF)), volume.shape[2:], self.geometry.periodic)  # type: ignore[arg-type]
+
+    def _attend(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B C X Y Z"]:
         voxels = volume.movedim(1, -1)
         for place in self.places:
             voxels = voxels + place

@@ -1,0 +1,64 @@
+"""Coloring on a coarser grid."""
+
+from collections.abc import Sequence
+
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+
+from omniocc.camera import Rig
+from omniocc.geometry import Grid
+from omniocc.model.blocks import block_any, coarsened, repeat_blocks
+from omniocc.model.lifter.coloring import Coloring
+from omniocc.model.lifter.visible import CENTRE
+from omniocc.model.padding import Axes
+
+
+class CoarseColoring(nn.Module):
+    """Blocks of voxels share a query: `Coloring` on the coarser grid, whose answer every voxel of a block holds.
+
+    VoxFormer (Li et al., 2023) looks at the images and attends among voxels at half the resolution of its output; the
+    refiner that does the latter finds the blocks' own features again as means. A block is a candidate if one of its
+    voxels is.
+
+    Args:
+        geometry: the voxel grid.
+        channels: of image features, queries and volume.
+        levels: strides of the feature maps that come in, px.
+        layers: number of layers.
+        heads: of attention, a divisor of the channels.
+        points: samples per head and level.
+        feedforward_channels: hidden channels of the feed-forward part.
+        block: cells along each axis of a block.
+        anchors: reference points of a block, as offsets from its centre in blocks, -0.5 to 0.5; see `Coloring`.
+
+    Raises:
+        ValueError: if the grid does not divide into blocks, or as `Coloring`.
+    """
+
+    def __init__(
+        self,
+        geometry: Grid,
+        channels: int,
+        levels: list[int],
+        layers: int,
+        heads: int,
+        points: int,
+        feedforward_channels: int,
+        block: int,
+        anchors: Sequence[tuple[float, float, float]] = CENTRE,
+    ):
+        super().__init__()
+        self.channels = channels
+        self.block: Axes = (block, block, block)
+        grid = coarsened(geometry, self.block)
+        self.coloring = Coloring(grid, channels, levels, layers, heads, points, feedforward_channels, anchors)
+
+    def forward(
+        self, features: list[Float[Tensor, "B N C _ _"]], candidates: Bool[Tensor, "B X Y Z"], rigs: tuple[Rig, ...]
+    ) -> Float[Tensor, "B C X Y Z"]:
+        """Colours the blocks that hold candidates.
+
+        Raises:
+            ValueError: if a rig has another number of cameras than there are images.
+        """
+        return repeat_blocks(self.coloring(features, block_any(candidates, self.block), rigs), self.block)
