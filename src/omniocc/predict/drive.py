@@ -31,21 +31,32 @@ class Truth(NamedTuple):
 
 
 class Drive(Protocol):
-    """Moments in the order of time.
+    """Moments in the order of time."""
 
-    Attributes:
-        name: of the folder of its results in that of all; empty for none.
-        rig: the cameras.
-        moments: their names.
-        wanted: numbers of those that are to be predicted; the others serve as history.
-        world_from_ego: pose of every moment, None if they are not known.
-    """
+    @property
+    def name(self) -> str:
+        """Of the folder of its results in that of all; empty for none."""
+        ...
 
-    name: str
-    rig: Rig
-    moments: tuple[str, ...]
-    wanted: tuple[int, ...]
-    world_from_ego: Float64[Tensor, "F 4 4"] | None
+    @property
+    def rig(self) -> Rig:
+        """The cameras."""
+        ...
+
+    @property
+    def moments(self) -> tuple[str, ...]:
+        """Their names."""
+        ...
+
+    @property
+    def wanted(self) -> tuple[int, ...]:
+        """Numbers of those that are to be predicted; the others serve as history."""
+        ...
+
+    @property
+    def world_from_ego(self) -> Float64[Tensor, "F 4 4"] | None:
+        """Pose of every moment, None if they are not known."""
+        ...
 
     def images(self, moment: int) -> list[np.ndarray]:
         """(H, W, 3) uint8 RGB of every camera."""

@@ -1,21 +1,15 @@
 """Drive after drive through a predictor, into folders; moments that are finished already are left alone."""
 
-import hashlib
-import json
 import statistics
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import torch
 from torch import Tensor
 
-from omniocc.data.errors import write_whole
 from omniocc.data.progress import FrameProgress, clock
 from omniocc.data.voxels import Unknown
-from omniocc.errors import UserError
 from omniocc.metric import VoxelIoU
 from omniocc.predict.drive import Drive, Truth
 from omniocc.predict.predictor import STEPS, Answer, Predictor, Watch
@@ -24,9 +18,6 @@ from omniocc.predict.voxel_files import PICTURE, VOXELS, read_labels, voxel_arra
 from omniocc.task.scores import Scores
 from omniocc.view import save_png
 from omniocc.view.voxel_sheet import SeenRange, occupancy_sheet
-
-FACTS = "prediction.json"
-"""What made the answers in a folder."""
 
 
 @dataclass
@@ -150,60 +141,3 @@ class Job:
 
     def _folder(self, drive: Drive, moment: int) -> Path:
         return self.output / drive.name / drive.moments[moment]
-
-
-def claim(output: Path, facts: Mapping[str, Any], force: bool) -> None:
-    """Leave in the folder what its answers are made of, so that answers of two models never stand side by side.
-
-    Raises:
-        UserError: when the folder cannot be written, or holds answers of something else.
-    """
-    path = output / FACTS
-    text = json.dumps(facts, indent=1) + "\n"
-    if path.is_file() and path.read_text() != text and not force:
-        changed = _changed(path.read_text(), facts)
-        raise UserError(
-            f"{output} holds answers that were made otherwise ({changed}); choose another output=..., or force=true "
-            "to predict all moments again"
-        )
-    try:
-        write_whole(path, text.encode())
-    except OSError as error:
-        reason = (error.__cause__ and str(error.__cause__)) or str(error)
-        raise UserError(f"output={output} cannot be written: {reason}; choose another folder: output=...") from error
-
-
-def _changed(old: str, new: Mapping[str, Any]) -> str:
-    try:
-        before = json.loads(old)
-    except ValueError:
-        return f"{FACTS} is damaged"
-    return ", ".join(f"{key}: {before.get(key)!r} then" for key in new if before.get(key) != new[key]) or "other facts"
-
-
-def digest_of(path: Path) -> str:
-    """The first 16 hex digits of a file's SHA-256."""
-    digest = hashlib.sha256()
-    with path.open("rb") as file:
-        for block in iter(lambda: file.read(1 << 20), b""):
-            digest.update(block)
-    return digest.hexdigest()[:16]
-
-
-def fingerprint_of_poses(poses: Tensor | None) -> str | None:
-    """Of poses to the last bit."""
-    return None if poses is None else hashlib.sha256(poses.contiguous().numpy().tobytes()).hexdigest()[:16]
-
-
-def chosen_device(name: str | None) -> torch.device:
-    """The one asked for, or the GPU if there is one.
-
-    Raises:
-        UserError: for a device that is not there.
-    """
-    try:
-        device = torch.device(name or ("cuda" if torch.cuda.is_available() else "cpu"))
-        torch.zeros(1, device=device)
-    except (RuntimeError, AssertionError) as error:
-        raise UserError(f"device={name}: {str(error).splitlines()[0]}; use cpu or cuda") from error
-    return device

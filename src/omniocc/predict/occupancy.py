@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import torch
 from omegaconf import DictConfig, OmegaConf
 
 from omniocc.camera import Rig
@@ -11,10 +12,11 @@ from omniocc.config import build, check
 from omniocc.errors import UserError
 from omniocc.geometry import Grid
 from omniocc.model import OccupancyModel
+from omniocc.predict.claim import claim, digest_of, fingerprint_of_poses
 from omniocc.predict.drive import Drive, PictureDrive, find_scenes
 from omniocc.predict.export import RIG
 from omniocc.predict.images import find_frames
-from omniocc.predict.job import Job, chosen_device, claim, digest_of, fingerprint_of_poses
+from omniocc.predict.job import Job
 from omniocc.predict.network import load_occupancy
 from omniocc.predict.poses import read_poses
 from omniocc.predict.predictor import Predictor
@@ -166,6 +168,20 @@ def facts_of(
         "image_width": width,
         "without": list(options.without),
     }
+
+
+def chosen_device(name: str | None) -> torch.device:
+    """The one asked for, or the GPU if there is one.
+
+    Raises:
+        UserError: for a device that is not there.
+    """
+    try:
+        device = torch.device(name or ("cuda" if torch.cuda.is_available() else "cpu"))
+        torch.zeros(1, device=device)
+    except (RuntimeError, AssertionError) as error:
+        raise UserError(f"device={name}: {str(error).splitlines()[0]}; use cpu or cuda") from error
+    return device
 
 
 def announcement(

@@ -18,7 +18,7 @@ from omniocc.model.depth import DepthMap
 from omniocc.model.sketch import Omni
 from omniocc.predict.images import resized_to_width
 
-STEPS = ("read", "depth", "sketch", "occupancy", "write")
+STEPS: tuple[str, ...] = ("read", "depth", "sketch", "occupancy", "write")
 """What takes time, in order."""
 
 
@@ -45,7 +45,7 @@ class Watch:
 
     def __init__(self, device: torch.device):
         self.device = device
-        self.seconds = dict.fromkeys(STEPS, 0.0)
+        self.seconds: dict[str, float] = dict.fromkeys(STEPS, 0.0)
 
     @contextmanager
     def __call__(self, step: str) -> Iterator[None]:

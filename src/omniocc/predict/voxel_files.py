@@ -61,7 +61,7 @@ def write_voxels(folder: Path, arrays: dict[str, np.ndarray]) -> None:
         DataError: naming the file that cannot be written.
     """
     content = io.BytesIO()
-    np.savez_compressed(content, **arrays)
+    np.savez_compressed(content, **arrays)  # type: ignore[arg-type]
     write_whole(folder / VOXELS, content.getvalue())
 
 
