@@ -67,7 +67,7 @@ def train_occupancy(
         data.read_also(Extras(candidates=before.candidates))
     data.setup("fit")
     task.set_training_statistics(data.voxel_counts())
-    files = build(cfg.logger).build(run.path, config)
+    files = build(cfg.logger).build(run.path, config, "occupancy")
     trainer = build(cfg.trainer, callbacks=callbacks(cfg, run, title), logger=files, default_root_dir=str(run.path))
     if trainer.is_global_zero:
         announce(run, task, data)

@@ -2,13 +2,20 @@
 
 import hashlib
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from lightning.pytorch.loggers import CSVLogger, Logger, WandbLogger
+from lightning.pytorch.utilities.rank_zero import rank_zero_only
 
 from omniocc.errors import UserError
+from omniocc.task.media import Named, wandb_object
+from omniocc.task.result_tables import result_tables
+from omniocc.task.slots import slots_of
+from omniocc.task.wandb_file import logged
+
+JobType = Literal["depth", "sketch", "occupancy"]
 
 
 class Loggers:
@@ -18,7 +25,7 @@ class Loggers:
         mode: of W&B; `disabled` leaves only the CSV file.
         project: W&B project.
         group: W&B group, the sweep a run belongs to.
-        tags: W&B tags.
+        tags: W&B tags, beside the row (`name`) of an occupancy run.
     """
 
     def __init__(
@@ -29,41 +36,107 @@ class Loggers:
         self.group = group
         self.tags = list(tags)
 
-    def build(self, folder: Path, config: dict) -> list[Logger]:
-        """Loggers that write below `folder`; the W&B id follows from it, so a resumed run continues its curve.
+    def build(self, folder: Path, config: dict[str, Any], job_type: JobType) -> list[Logger]:
+        """Loggers that write below `folder`.
+
+        The W&B id follows from the folder, so that a resumed run continues its curve. Its config is the resolved one
+        with `row` and `slots.<slot>`, the option in every slot, to group runs by.
 
         Raises:
             UserError: for `mode=online` without W&B credentials (W&B itself would stop and ask).
         """
         loggers: list[Logger] = [CSVLogger(folder, name="csv")]
-        if self.mode != "disabled":
-            loggers.append(self._wandb(folder, config))
+        # an agent has named one run, and a W&B run of a stage before it would take that name
+        wanted = "WANDB_SWEEP_ID" not in os.environ or job_type == (config.get("stage") or "occupancy")
+        if self.mode != "disabled" and wanted:
+            loggers.append(self._wandb(folder, config, job_type))
         return loggers
 
-    def _wandb(self, folder: Path, config: dict) -> WandbLogger:
+    def _wandb(self, folder: Path, config: dict[str, Any], job_type: JobType) -> "WandbCurves":
         os.environ.setdefault("WANDB_SILENT", "true")
         import wandb  # seconds of import that CSV-only runs do not pay
 
         if self.mode == "online" and not wandb.api.api_key:
             raise UserError("logger.mode=online needs W&B credentials: run `wandb login` or set WANDB_API_KEY")
-        return WandbLogger(
+        return WandbCurves(folder, self.mode == "offline", self.project, self.group, self.tags, job_type, config)
+
+
+class WandbCurves(WandbLogger):
+    """Lightning's logger for W&B; what the run has logged before it was interrupted is not logged again.
+
+    Args:
+        folder: of the run.
+        offline: whether nothing leaves the machine before `make wandb-sync`.
+        project: W&B project.
+        group: W&B group.
+        tags: W&B tags; the row of an occupancy run is added.
+        job_type: W&B job type, the stage.
+        config: the run's resolved configuration.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        offline: bool,
+        project: str,
+        group: str | None,
+        tags: Sequence[str],
+        job_type: JobType,
+        config: dict[str, Any],
+    ):
+        row = {"row": config["name"]} if job_type == "occupancy" else {}
+        super().__init__(
             name=folder.name,
             save_dir=folder,
             id=run_id(folder),
-            project=self.project,
-            offline=self.mode == "offline",
-            group=self.group,
-            tags=self.tags,
+            project=project,
+            offline=offline,
+            group=group,
+            job_type=job_type,
+            tags=list(dict.fromkeys([*row.values(), *tags])),
             resume="allow",
-            config=config,
+            config={**config, **row, "slots": slots_of(config)},
         )
+        self.before: set[tuple[int, str]] = logged(folder) if rank_zero_only.rank == 0 else set()
+        self.figures: dict[str, float] = {}
+
+    @rank_zero_only
+    def log_metrics(self, metrics: Mapping[str, Any], step: int | None = None) -> None:
+        """Log what this step has not been said to have."""
+        self.figures.update({key: value for key, value in metrics.items() if isinstance(value, float)})
+        fresh = {key: value for key, value in metrics.items() if (step, key) not in self.before}
+        if set(fresh) - {"epoch"}:
+            super().log_metrics(fresh, step)
+
+    @rank_zero_only
+    def log_media(self, media: Mapping[str, Sequence[Named]], step: int) -> None:
+        """Log pictures and points under their keys, all of one step in one row."""
+        fresh = {key: items for key, items in media.items() if (step, key) not in self.before}
+        if fresh:
+            self.log_metrics({key: [wandb_object(item) for item in items] for key, items in fresh.items()}, step)
+
+    @rank_zero_only
+    def finish(self) -> None:
+        """Log the tables of a test and end the run; another one in this process would go on in it."""
+        import wandb
+
+        tables = result_tables(self.figures)
+        if tables:
+            self.log_metrics(
+                {key: wandb.Table(columns=table.columns, data=table.rows) for key, table in tables.items()}
+            )
+        self.experiment.finish()
+
+
+def wandb_of(loggers: Sequence[Logger]) -> list[WandbCurves]:
+    """Those that write to W&B."""
+    return [logger for logger in loggers if isinstance(logger, WandbCurves)]
 
 
 def finish(loggers: Sequence[Logger]) -> None:
-    """End the W&B run of a trainer that is done; another one in this process would go on in it."""
-    for logger in loggers:
-        if isinstance(logger, WandbLogger):
-            logger.experiment.finish()
+    """End the W&B runs of a trainer that is done."""
+    for logger in wandb_of(loggers):
+        logger.finish()
 
 
 def run_id(folder: Path) -> str:

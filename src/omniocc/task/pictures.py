@@ -7,11 +7,12 @@ from typing import Any, ClassVar
 import numpy as np
 import torch
 from lightning.pytorch import Callback, LightningModule, Trainer
-from lightning.pytorch.loggers import WandbLogger
 from torch import Tensor
 
 from omniocc.batch import Batch
 from omniocc.data.shares import spread
+from omniocc.task.loggers import wandb_of
+from omniocc.task.media import Named, range_media, voxel_media
 from omniocc.task.sketch import panorama
 from omniocc.view import comparison, depth_sheet, save_png, sketch_sheet
 
@@ -19,7 +20,8 @@ from omniocc.view import comparison, depth_sheet, save_png, sketch_sheet
 class FramePictures(Callback, ABC):
     """Draws `count` frames spread evenly over the test set, and the first validation frame after each validation.
 
-    Files go to `folder` (`test-00-<scene>-<frame>.png`), and to W&B (`val/<key>`, `test/<key>`) where it is in use.
+    Files go to `folder` (`test-00-<scene>-<frame>.png`). Where W&B is in use it gets them too (`val/<key>`,
+    `test/<key>`), and of the test frames also `media` (`test/<its key>`).
     """
 
     key: ClassVar[str]
@@ -27,10 +29,15 @@ class FramePictures(Callback, ABC):
     def __init__(self, folder: Path, count: int):
         self.folder = folder
         self.count = count
+        self.shown: dict[str, list[Named]] = {}
 
     @abstractmethod
     def picture(self, task: Any, output: Tensor, batch: Batch, sample: int) -> np.ndarray:
         """The sheet of one sample of a batch, `output` being what the task's step returned for it."""
+
+    def media(self, task: Any, output: Tensor, batch: Batch, sample: int) -> dict[str, list[Named]]:
+        """What W&B shows besides, by key."""
+        return {}
 
     def on_validation_batch_end(  # noqa: D102
         self,
@@ -43,7 +50,9 @@ class FramePictures(Callback, ABC):
     ) -> None:
         if batch_idx == 0 and self.count and trainer.is_global_zero:
             picture = self.picture(pl_module, outputs[0].cpu(), batch, 0)
-            self._keep(trainer, "val", f"val-step{trainer.global_step:06d}", batch.frame_ids[0], picture)
+            self._save(f"val-step{trainer.global_step:06d}", picture)
+            for curves in wandb_of(trainer.loggers):
+                curves.log_media({f"val/{self.key}": [Named(picture, batch.frame_ids[0])]}, trainer.global_step)
 
     def on_test_batch_end(  # noqa: D102
         self,
@@ -62,16 +71,26 @@ class FramePictures(Callback, ABC):
         for sample, frame_id in enumerate(batch.frame_ids):
             index = batch_idx * size + sample
             if index in chosen:
-                name = f"test-{chosen.index(index):02d}-{frame_id.replace('/', '-')}"
-                picture = self.picture(pl_module, outputs[sample].cpu(), batch, sample)
-                self._keep(trainer, "test", name, frame_id, picture)
+                output = outputs[sample].cpu()
+                picture = self.picture(pl_module, output, batch, sample)
+                self._save(f"test-{chosen.index(index):02d}-{frame_id.replace('/', '-')}", picture)
+                if wandb_of(trainer.loggers):
+                    media = {self.key: [Named(picture, "")]} | self.media(pl_module, output, batch, sample)
+                    self._show(media, frame_id)
 
-    def _keep(self, trainer: Trainer, stage: str, name: str, frame_id: str, picture: np.ndarray) -> None:
+    def on_test_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:  # noqa: D102
+        for curves in wandb_of(trainer.loggers):
+            curves.log_media(self.shown, trainer.global_step)
+        self.shown = {}
+
+    def _show(self, media: dict[str, list[Named]], frame_id: str) -> None:
+        for key, items in media.items():
+            named = [Named(item.content, " ".join([frame_id, item.caption]).strip()) for item in items]
+            self.shown.setdefault(f"test/{key}", []).extend(named)
+
+    def _save(self, name: str, picture: np.ndarray) -> None:
         self.folder.mkdir(parents=True, exist_ok=True)
         save_png(self.folder / f"{name}.png", picture)
-        for logger in trainer.loggers:
-            if isinstance(logger, WandbLogger):
-                logger.log_image(f"{stage}/{self.key}", [picture], caption=[frame_id])
 
 
 class Pictures(FramePictures):
@@ -82,6 +101,10 @@ class Pictures(FramePictures):
     def picture(self, task: Any, output: Tensor, batch: Batch, sample: int) -> np.ndarray:  # noqa: D102
         images, truth = newest_images(batch, sample), batch.voxels[sample].cpu()
         return comparison(images, truth, output, task.model.geometry, batch.frame_ids[sample])
+
+    def media(self, task: Any, output: Tensor, batch: Batch, sample: int) -> dict[str, list[Named]]:  # noqa: D102
+        images, truth = newest_images(batch, sample), batch.voxels[sample].cpu()
+        return voxel_media(images, batch.rigs[sample], truth, output, task.model.geometry)
 
 
 class DepthPictures(FramePictures):
@@ -99,6 +122,10 @@ class DepthPictures(FramePictures):
             batch.erp_range_m[sample].cpu(),
             batch.frame_ids[sample],
         )
+
+    def media(self, task: Any, output: Tensor, batch: Batch, sample: int) -> dict[str, list[Named]]:  # noqa: D102
+        assert batch.erp_range_m is not None
+        return range_media(output, batch.erp_range_m[sample].cpu(), task.model.panorama)
 
 
 class SketchPictures(FramePictures):

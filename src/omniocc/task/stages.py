@@ -178,7 +178,7 @@ class Stages:
         print(f"{title} {'goes on' if last.exists() else 'begins'}: {folder}", flush=True)
         data = build(self.cfg.data, window=1, batch_size=recipe.batch_size, seed=recipe.seed)
         data.read_also(extras)
-        trainer = self._trainer(recipe, pictures, folder, title)
+        trainer = self._trainer(recipe, pictures, folder, stage, title)
         if trains:
             if last.exists():
                 load_config(last)  # a damaged file is named here, before Lightning stumbles over it
@@ -190,7 +190,7 @@ class Stages:
         save_results(results, metrics, facts | {"data": self.fingerprint})
         finish(trainer.loggers)
 
-    def _trainer(self, recipe: Recipe, pictures: Callback, folder: Path, title: str) -> Trainer:
+    def _trainer(self, recipe: Recipe, pictures: Callback, folder: Path, stage: str, title: str) -> Trainer:
         write_whole(folder / "config.yaml", OmegaConf.to_yaml(self.cfg, resolve=True))
         steps = self.cfg.checkpoint_every_n_steps
         return build(
@@ -204,7 +204,7 @@ class Stages:
                 pictures,
                 ModelCheckpoint(folder, "last", every_n_train_steps=steps, enable_version_counter=False),
             ],
-            logger=build(self.cfg.logger).build(folder, plain(self.cfg)),
+            logger=build(self.cfg.logger).build(folder, plain(self.cfg), stage),
             default_root_dir=str(folder),
         )
 

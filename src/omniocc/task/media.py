@@ -1,0 +1,81 @@
+"""What W&B shows of a test frame besides its sheet: pictures that can be enlarged, voxels that can be turned."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from torch import Tensor
+
+from omniocc.camera import Equirectangular, Rig
+from omniocc.classes import FREE, PALETTE, UNKNOWN
+from omniocc.geometry import Grid
+from omniocc.view.bev import bev, error_bev
+from omniocc.view.paint import paint_voxels
+from omniocc.view.ranges import error_colors, range_colors
+from omniocc.view.sheet import panorama_row
+
+CAMERA_PX, BEV_PX, PANORAMA_PX = 400, 400, 960
+CAR_CENTER_M, CAR_SIZE_M = (0.0, 0.0, -1.45), (4.6, 1.9, 1.5)
+
+
+class Named(NamedTuple):
+    """A picture (H, W, 3) uint8 RGB, or points (P, 6) x, y, z in metres and RGB, and what is said below it."""
+
+    content: np.ndarray
+    caption: str
+
+
+def class_cloud(labels: UInt8[Tensor, "X Y Z"], geometry: Grid) -> Float[np.ndarray, "P 6"]:
+    """Centres of all occupied cells, ego frame, to the centimetre, and their class colours."""
+    occupied = (labels != FREE) & (labels != UNKNOWN)
+    centers_m = geometry.centers()[occupied].double().numpy().round(2)
+    return np.concatenate([centers_m, PALETTE[labels[occupied].numpy()].astype(np.float64)], axis=1)
+
+
+def voxel_media(
+    images: UInt8[np.ndarray, "N H W 3"],
+    rig: Rig,
+    truth: UInt8[Tensor, "X Y Z"],
+    prediction: UInt8[Tensor, "X Y Z"],
+    geometry: Grid,
+) -> dict[str, list[Named]]:
+    """The cameras with predicted semantics; truth, prediction and differences from above; voxels as points."""
+    painted = paint_voxels(list(images), rig, prediction, geometry, CAMERA_PX)
+    maps = {
+        "truth": bev(truth, geometry, BEV_PX),
+        "prediction": bev(prediction, geometry, BEV_PX),
+        "differences": error_bev(truth, prediction, geometry, BEV_PX),
+    }
+    return {
+        "cameras": [Named(picture, name) for picture, name in zip(painted, rig.names, strict=True)],
+        "bev": [Named(picture, name) for name, picture in maps.items()],
+        "points_truth": [Named(class_cloud(truth, geometry), "truth")],
+        "points_prediction": [Named(class_cloud(prediction, geometry), "prediction")],
+    }
+
+
+def range_media(
+    predicted_m: Float[Tensor, "h w"], true_m: Float[Tensor, "h w"], panorama: Equirectangular
+) -> dict[str, list[Named]]:
+    """Panoramas of range, true and predicted (nan: no answer), and the error."""
+    assert true_m.shape == (panorama.height, panorama.width)
+    predicted, true = predicted_m.numpy(), true_m.numpy()
+    rows = {
+        "true range": range_colors(true),
+        "predicted range": range_colors(predicted),
+        "predicted minus true": error_colors(predicted, true),
+    }
+    return {"erp": [Named(panorama_row(colors, name, PANORAMA_PX), name) for name, colors in rows.items()]}
+
+
+def wandb_object(item: Named) -> Any:
+    """As W&B stores it; points come with a box for the own car."""
+    import wandb
+
+    if item.content.ndim == 3:
+        return wandb.Image(item.content, caption=item.caption, file_type="jpg")
+    car = wandb.box3d(
+        center=CAR_CENTER_M, size=CAR_SIZE_M, orientation=(1, 0, 0, 0), color=(255, 255, 255), label="own car"
+    )
+    cloud = {"type": "lidar/beta", "points": item.content, "boxes": np.array([car]), "vectors": np.array([])}
+    return wandb.Object3D(cloud, caption=item.caption)
