@@ -20,7 +20,7 @@ from omniocc.report.paper_table import (
     with_spread,
 )
 from omniocc.report.runs import FinishedRun
-from omniocc.report.sweep import Sweep
+from omniocc.report.sweep import Sweep, open_ends
 from omniocc.report.table import number
 from omniocc.view.bev import ERRORS
 
@@ -64,7 +64,7 @@ def _facts(sweep: Sweep) -> str:
     facts = {
         "Preset": sweep.runs[0].setting[0],
         "Steps": sweep.runs[0].setting[1],
-        "Rows with runs": f"{len(sweep.rows)}, {len(sweep.runs)} runs",
+        "Rows, runs": f"{len(sweep.rows)}, {len(sweep.runs)}",
         "Seeds": ", ".join(seeds),
         "Training, occupancy stage": f"{minutes / 60:.1f} h in all",
         "Data": sweep.data or "not on this machine",
@@ -72,8 +72,8 @@ def _facts(sweep: Sweep) -> str:
     cells = "".join(
         f"<div><dt>{markup.text(key)}</dt><dd>{markup.text(value)}</dd></div>" for key, value in facts.items()
     )
-    missing = f"Not run: {', '.join(sweep.not_run)}." if sweep.not_run else ""
-    return f'{markup.note(sweep.remark)}{markup.note(missing)}<dl class="facts">{cells}</dl>'
+    notes = "".join(map(markup.note, (sweep.remark, *open_ends(sweep))))
+    return f'{notes}<dl class="facts">{cells}</dl>'
 
 
 def _table_card(table: PaperTable, sweep: Sweep) -> str:

@@ -143,7 +143,7 @@ def training(rows: Rows) -> Canvas | None:
                 curves = [curve for run in runs if (curve := read_curve(run.folder, key))]
                 mean = over_seeds([smoothed(curve) for curve in curves] if key == "train/loss" else curves)
                 drawn += len(mean.steps)
-                axes.plot(mean.steps, mean.mean, color=colors[row], linewidth=1.6, label=row)
+                axes.plot(mean.steps, mean.mean, color=colors[row], marker=".", linewidth=1.6, label=row)
                 if len(curves) > 1:
                     axes.fill_between(mean.steps, mean.low, mean.high, color=colors[row], alpha=0.18, linewidth=0)
             axes.set_xlabel("optimizer step")

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from omniocc.report.claims import claim_cells, claims_of
+from omniocc.report.curves import read_curve
 from omniocc.report.dataset_table import (
     DatasetTable,
     dataset_csv,
@@ -19,7 +20,7 @@ from omniocc.report.dataset_table import (
 from omniocc.report.paper_table import PaperTable, as_csv, as_latex, as_markdown, is_table, load_table
 from omniocc.report.runs import FinishedRun, by_row, comparable, read_runs, table_of_runs
 from omniocc.report.table import markdown
-from omniocc.task.run_folder import write_whole
+from omniocc.task.run_folder import METRICS, write_whole
 
 
 class Sweep(NamedTuple):
@@ -32,6 +33,7 @@ class Sweep(NamedTuple):
         data: scenes and frames of the dataset; empty if it is not on this machine.
         tables: of methods.
         datasets: tables of datasets.
+        unfinished: other runs that were begun, with their last step that was written down.
     """
 
     runs: list[FinishedRun]
@@ -40,6 +42,7 @@ class Sweep(NamedTuple):
     data: str
     tables: Sequence[PaperTable]
     datasets: Sequence[DatasetTable]
+    unfinished: Sequence[str] = ()
 
     @property
     def not_run(self) -> list[str]:
@@ -63,12 +66,33 @@ def read_sweep(runs: Path, tables: Path, preset: str | None) -> Sweep:
     first = ["ours", *(row.run for table in found for row in table.rows)]
     order = [row for row in dict.fromkeys([*first, *rows]) if row in rows]
     data = facts_of_scenes(scenes) if scenes else ""
-    return Sweep(kept, {row: rows[row] for row in order}, remark, data, found, datasets)
+    return Sweep(kept, {row: rows[row] for row in order}, remark, data, found, datasets, unfinished(runs))
+
+
+def unfinished(runs: Path) -> list[str]:
+    """Runs of a folder that have a configuration and no figures yet: still training, or stopped."""
+    found = []
+    for path in sorted(runs.glob("*/config.yaml")):
+        if not (path.parent / METRICS).exists():
+            step = max(read_curve(path.parent, "train/loss"), default=0)
+            found.append(f"{path.parent.name} (step {step})")
+    return found
+
+
+def open_ends(sweep: Sweep) -> list[str]:
+    """Sentences on what has not been run and what has not ended."""
+    missing = f"Not run: {', '.join(sweep.not_run)}."
+    begun = f"Begun, not finished: {', '.join(sweep.unfinished)}."
+    return [missing] * bool(sweep.not_run) + [begun] * bool(sweep.unfinished)
 
 
 def report_markdown(sweep: Sweep) -> str:
     """All tables in one text."""
-    parts = [f"{sweep.remark}\n", markdown(*table_of_runs(sweep.runs)), *map(dataset_markdown, sweep.datasets)]
+    parts = [
+        f"{' '.join([sweep.remark, *open_ends(sweep)])}\n",
+        markdown(*table_of_runs(sweep.runs)),
+        *map(dataset_markdown, sweep.datasets),
+    ]
     for table in sweep.tables:
         parts.append(as_markdown(table, sweep.rows))
         if claims := claims_of(table, sweep.rows):

@@ -1,0 +1,75 @@
+"""Finished runs as `train.py` leaves them, without training: figures, configuration, curves, pictures, dataset."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import torch
+import yaml
+
+from omniocc.classes import CLASSES, FREE
+from omniocc.geometry import Cuboid, Cylinder, Grid
+from omniocc.report.run import save_results
+from omniocc.view import comparison, save_png
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "data"))
+from fake_scene import HEIGHT, WIDTH, FakeWorld
+
+CYLINDER = {"_target_": "omniocc.geometry.Cylinder", "shape": [8, 10, 4]}
+CUBOID = {"_target_": "omniocc.geometry.Cuboid", "shape": [8, 8, 4]}
+OMNI = {"_target_": "omniocc.model.sketch.Omni"}
+DENSE = {"_target_": "omniocc.model.sketch.Dense"}
+PICTURE = "test-00-test-000-suburb-000001.png"
+
+
+def sheet(geometry: Grid, prediction_seed: int) -> np.ndarray:
+    truth, prediction = (labels(geometry, seed) for seed in (0, prediction_seed))
+    images = np.random.default_rng(3).integers(0, 256, (6, 18, 32, 3), dtype=np.uint8)
+    return comparison(images, truth, prediction, geometry, "test-000-suburb/000001")
+
+
+def labels(geometry: Grid, seed: int) -> torch.Tensor:
+    generator = torch.Generator().manual_seed(seed)
+    return torch.randint(0, 12, geometry.shape, generator=generator, dtype=torch.uint8)
+
+
+def figures(rayiou: float) -> dict[str, float]:
+    classes = {f"test/rayiou/{entry.name}": rayiou / entry.id for entry in CLASSES if entry.id != FREE}
+    bands = {"test/rayiou_0-8.5m": rayiou, "test/rayiou_8.5-17m": rayiou / 2, "test/rayiou_17-25.6m": rayiou / 4}
+    return {"test/rayiou": rayiou, "test/lidar/rayiou": rayiou / 2, "test/voxel/miou": 0.1} | classes | bands
+
+
+def write_run(folder: Path, seed: int, rayiou: float, world: FakeWorld, sketch: dict, geometry: dict) -> None:
+    (folder / "csv" / "version_0").mkdir(parents=True)
+    described = {
+        "_target_": "omniocc.data.VirtualWorld", "root": world.root, "rig": "fisheye6", "image_size": [WIDTH, HEIGHT],
+        "themes": ["downtown", "suburb"], "train_scenes": 2, "val_scenes": 1, "test_scenes": 1, "frames_per_scene": 4,
+        "frame_interval_s": 0.5, "supersample": 1, "erp_size": [16, 8], "erp_top_deg": 45.0, "erp_bottom_deg": -45.0,
+    }  # fmt: skip
+    config = {"model": {"geometry": geometry, "sketch": sketch}, "data": {"seed": seed, "world": described}, "lr": 0.1}
+    (folder / "config.yaml").write_text(yaml.safe_dump(config))
+    lines = ["step,train/loss,val/rayiou", *(f"{step},{9 - step / 10}," for step in range(0, 40, 10)), f"39,,{rayiou}"]
+    (folder / "csv" / "version_0" / "metrics.csv").write_text("\n".join(lines) + "\n")
+    metrics = figures(rayiou) | ({"test/sketch/share": 0.25, "test/depth/mae": 2.0} if sketch == OMNI else {})
+    facts = {"run": folder.name, "seed": seed, "steps": 40, "preset": "tiny", "minutes of training": 1.5}
+    command = f"python src/train.py '+ablation={folder.name}' seed={seed} <&>"
+    save_results(folder, metrics, facts | {"command": command, "commit": "abc", "data": world.fingerprint})
+
+
+def write_sweep(root: Path) -> Path:
+    """Rows ours (two seeds), dense, cuboid (no pictures of another frame), and a run of no table; returns `runs`."""
+    world, runs = FakeWorld(str(root / "data")), root / "runs"
+    world.prepare()
+    rows = [
+        ("ours-00000001", 0, 0.30, OMNI, CYLINDER),
+        ("ours-00000002", 1, 0.34, OMNI, CYLINDER),
+        ("dense-00000001", 0, 0.20, DENSE, CYLINDER),
+        ("cuboid-00000001", 0, 0.10, OMNI, CUBOID),
+        ("my <own>-00000001", 0, 0.25, OMNI, CYLINDER),
+    ]
+    sheets = [sheet(Cylinder(shape=(8, 10, 4)), 1), sheet(Cuboid(shape=(8, 8, 4)), 1)]
+    for name, seed, rayiou, sketch, geometry in rows:
+        write_run(runs / name, seed, rayiou, world, sketch, geometry)
+        (runs / name / "pictures").mkdir()
+        save_png(runs / name / "pictures" / PICTURE, sheets[geometry is CUBOID])
+    return runs

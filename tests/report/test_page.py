@@ -1,0 +1,136 @@
+"""The page over a sweep: nothing is missing, nothing comes from outside."""
+
+import base64
+import importlib.util
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import unquote
+
+import cv2
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+
+class Outline(HTMLParser):
+    """Ids, links, pictures, text and whether every element is closed."""
+
+    def __init__(self):
+        super().__init__()
+        self.ids, self.links, self.sources, self.text, self.open = [], [], [], [], []
+
+    def handle_starttag(self, tag, attributes):
+        found = dict(attributes)
+        self.ids += [found["id"]] if "id" in found else []
+        self.links += [found["href"]] if tag == "a" else []
+        self.sources += [found["src"]] if "src" in found else []
+        assert tag not in ("script", "iframe", "link")
+        if tag not in ("meta", "img"):
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attributes):
+        self.handle_starttag(tag, attributes)
+        self.handle_endtag(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+def report(*arguments: str) -> None:
+    spec = importlib.util.spec_from_file_location("report_script", ROOT / "src" / "report.py")
+    assert spec is not None
+    assert spec.loader is not None
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    script.main(list(arguments))
+
+
+@pytest.fixture(scope="module")
+def output(runs, tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("report") / "made here"
+    report("--runs", str(runs), "--output", str(folder))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def outline(output) -> Outline:
+    parser = Outline()
+    parser.feed((output / "index.html").read_text("utf-8"))
+    parser.close()
+    return parser
+
+
+def test_the_page_is_whole_and_every_link_leads_somewhere(output, outline):
+    assert outline.open == []
+    assert len(outline.ids) == len(set(outline.ids))
+    targets = [link[1:] for link in outline.links if link.startswith("#")]
+    files = [output / unquote(link) for link in outline.links if not link.startswith("#")]
+    assert len(targets) > 30
+    assert set(map(unquote, targets)) <= set(outline.ids)
+    assert len(files) > 30
+    assert [path for path in files if not path.exists()] == []
+
+
+def test_nothing_comes_from_outside_and_every_picture_decodes(output, outline):
+    page = (output / "index.html").read_text("utf-8")
+    assert "http" not in page
+    assert "@import" not in page
+    assert len(outline.sources) == 1 + 2 * 2 + 4 * 3
+    for source in outline.sources:
+        kind, data = source.split(",", 1)
+        assert kind == "data:image/webp;base64"
+        picture = cv2.imdecode(np.frombuffer(base64.b64decode(data), np.uint8), cv2.IMREAD_COLOR)
+        assert picture is not None
+        assert picture.std() > 5
+
+
+def test_figures_lead_to_run_configuration_and_command(outline, runs):
+    text = "".join(outline.text)
+    assert "python src/train.py '+ablation=my <own>-00000001' seed=0 <&>" in text
+    assert "Not run: bevdet, bevformer, voxformer, wo_semantic_head" in text
+    assert "0.320 ± 0.028" in text
+    assert "here: not run" in text
+    assert "cuboid voxel representation" in text
+    wanted = [(runs / "ours-00000002" / name).resolve() for name in ("", "config.yaml", "metrics.json")]
+    assert [str(path).split("/runs/")[1] for path in wanted if not any(
+        unquote(link).rstrip("/").endswith(str(path).split("/runs/")[1]) for link in outline.links
+    )] == []  # fmt: skip
+
+
+def test_tables_and_plots_lie_beside_the_page(output, capsys):
+    tables = {path.stem for path in output.glob("*.tex")} & {path.stem for path in output.glob("*.csv")}
+    assert tables == {
+        "comparison", "dataset", "distance", "refine", "representation", "semantic_temporal", "sketch",
+    }  # fmt: skip
+    markdown = (output / "report.md").read_text("utf-8")
+    assert "| dense voxels | +0.036 | +0.120 ± 0.035 | holds (3.5) |" in markdown
+    assert "| This dataset (here) | – | ✓ |" in markdown
+    assert markdown.index("## Comparison of datasets") < markdown.index("## Comparison against")
+    names = {path.name for path in (output / "plots").glob("*.png")}
+    assert names == {"class.png", "ranking.png", "range.png", "share.png", "training.png"}
+    assert all(cv2.imread(str(output / "plots" / name)) is not None for name in names)
+
+
+def test_it_says_where_the_page_is_and_works_after_a_part_of_a_sweep(runs, tmp_path, capsys):
+    part = tmp_path / "runs"
+    (part / "mono-00000001" / "csv" / "version_0").mkdir(parents=True)
+    (part / "mono-00000001" / "config.yaml").write_text("seed: 0\n")
+    (part / "mono-00000001" / "csv" / "version_0" / "metrics.csv").write_text("step,train/loss\n19,8.0\n")
+    (part / "dense-00000001").symlink_to(runs / "dense-00000001")
+    report("--runs", str(part))
+    assert capsys.readouterr().out.splitlines()[-1] == f"page    {part / 'report' / 'index.html'}"
+    page = (part / "report" / "index.html").read_text("utf-8")
+    assert "here: not run" in page
+    assert "Begun, not finished: mono-00000001 (step 19)." in page
+
+
+def test_no_run_is_one_line(tmp_path):
+    with pytest.raises(SystemExit) as caught:
+        report("--runs", str(tmp_path))
+    assert str(caught.value.code) == (
+        f"{tmp_path} holds no finished run (metrics.json); train one: python src/train.py"
+    )

@@ -1,0 +1,51 @@
+"""Which runs are compared, and what their configurations say."""
+
+import os
+import shutil
+
+import yaml
+
+from omniocc.report.runs import by_row, comparable, figures_of_config, read_runs
+
+
+def test_figures_that_the_configuration_decides():
+    grid = {"shape": [64, 100, 8]}
+    random = {"_target_": "omniocc.model.sketch.Random", "ratio": 0.25}
+    assert figures_of_config({"model": {"geometry": grid, "sketch": random}}) == {
+        "voxels": 51_200.0,
+        "test/sketch/share": 0.25,
+    }
+    dense = {"_target_": "omniocc.model.sketch.Dense"}
+    assert figures_of_config({"model": {"sketch": dense}}) == {"test/sketch/share": 1.0, "test/sketch/recall": 1.0}
+    assert figures_of_config({}) == {}
+
+
+def test_measured_figures_win_over_configured_ones(runs):
+    by_name = {run.name: run for run in read_runs(runs)}
+    assert by_name["ours-00000001"].metrics["test/sketch/share"] == 0.25
+    assert by_name["dense-00000001"].metrics["test/sketch/share"] == 1.0
+    assert by_name["cuboid-00000001"].metrics["voxels"] == 256.0
+
+
+def test_of_two_runs_with_one_seed_the_newest_counts(runs, tmp_path):
+    folder = tmp_path / "runs"
+    shutil.copytree(runs, folder)
+    shutil.copytree(runs / "ours-00000001", folder / "ours-0000000a")
+    os.utime(folder / "ours-0000000a" / "metrics.json", (1, 1))
+    kept, remark = comparable(read_runs(folder), None)
+    assert [run.name for run in by_row(kept)["ours"]] == ["ours-00000001", "ours-00000002"]
+    assert "older runs of the same row and seed: ours-0000000a" in remark
+    os.utime(folder / "ours-0000000a" / "metrics.json", (2e10, 2e10))
+    kept, _ = comparable(read_runs(folder), None)
+    assert "ours-0000000a" in [run.name for run in by_row(kept)["ours"]]
+
+
+def test_seeds_of_one_row_with_other_settings_are_named(runs, tmp_path):
+    folder = tmp_path / "runs"
+    shutil.copytree(runs, folder)
+    assert "Mind" not in comparable(read_runs(folder), None)[1]
+    path = folder / "ours-00000002" / "config.yaml"
+    config = yaml.safe_load(path.read_text())
+    config["data"]["world"]["root"], config["lr"], config["new key"] = "elsewhere", 0.2, 1
+    path.write_text(yaml.safe_dump(config))
+    assert comparable(read_runs(folder), None)[1].endswith("Mind: the runs of row ours differ in lr.")
