@@ -46,7 +46,7 @@ def make_frame(index: int) -> Frame:
     range_m = rng.uniform(0.5, 60, (6, 36, 64)).astype(np.float32)
     # a car that turns; patches instead of noise, so that JPEG leaves something of them
     patches = rng.integers(0, 256, (6, 6, 8, 3), dtype=np.uint8)
-    level = pose_from_angles((0, 0, 0), 0, 0, 0).inverse()
+    level = pose_from_angles((0.0, 0.0, 0.0), 0.0, 0.0, 0.0).inverse()
     pose = pose_from_angles((2.3 * index, 0.4 * index, 0.0), 11.0 * index, 0.0, 0.0) @ level
     return Frame(
         time_s=0.5 * index,

@@ -3,9 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
-from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -30,6 +29,7 @@ class Truth(NamedTuple):
     lidar_labels: UInt8[Tensor, " R"]
 
 
+@runtime_checkable
 class Drive(Protocol):
     """Moments in the order of time."""
 
@@ -119,11 +119,11 @@ class RecordedDrive:
     def rig(self) -> Rig:  # noqa: D102
         return self.scene.rig
 
-    @cached_property
+    @property
     def moments(self) -> tuple[str, ...]:  # noqa: D102
         return tuple(moment_name(frame) for frame in range(len(self.scene)))
 
-    @cached_property
+    @property
     def world_from_ego(self) -> Float64[Tensor, "F 4 4"]:  # noqa: D102
         return torch.from_numpy(self.scene.world_from_ego)
 
