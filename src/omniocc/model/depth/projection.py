@@ -14,12 +14,14 @@ from typing import Any
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Float32
+from jaxtyping import Bool, Float, Float32, Int32
 from torch import Tensor
 from torch.autograd.function import once_differentiable
+from torch.nn import functional as F
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.model.depth.spheres import Spheres
+from omniocc.model.static import is_static
 
 TAPER = 0.08
 """Width of the band at the edge of a camera's field where its weight falls to zero, in image heights."""
@@ -35,9 +37,15 @@ class Sampler:
 
     Attributes:
         matrix: (points, pixels of all cameras), compressed rows.
+        first: index of each row's first entry.
+        columns: of the entries.
+        values: of the entries.
     """
 
     matrix: Tensor
+    first: Int32[Tensor, " points"]
+    columns: Int32[Tensor, " entries"]
+    values: Float32[Tensor, " entries"]
 
     @cached_property
     def seen(self) -> Bool[Tensor, " points"]:
@@ -59,10 +67,23 @@ class Sampler:
 
     def share(self, present: Bool[Tensor, "B N"]) -> Float[Tensor, "points B"]:
         """How much of each point's weight lies in cameras that are present."""
-        if bool(present.all()):
+        if all_there(present):
             return self.seen[:, None].float().expand(-1, len(present))
         pixels = present.T.float().repeat_interleave(self.matrix.shape[1] // present.shape[1], 0)
-        return product(self.matrix, pixels)
+        return self.product(pixels)
+
+    def product(self, rows: Float[Tensor, "columns K"], less: Float[Tensor, "points K"] | None = None) -> Tensor:
+        """`matrix @ rows`, or `less - matrix @ rows`, in place."""
+        if not is_static():
+            return product(self.matrix, rows, less)
+        # exported programs know no sparse matrices
+        sums = F.embedding_bag(self.columns, rows, self.first, mode="sum", per_sample_weights=self.values)
+        return sums if less is None else less - sums
+
+
+def all_there(present: Bool[Tensor, "B N"]) -> bool:
+    """Whether no camera is missing, which saves work."""
+    return not is_static() and bool(present.all())
 
 
 def product(
@@ -82,7 +103,7 @@ class _Sample(torch.autograd.Function):
     def forward(ctx: Any, rows: Tensor, sampler: Sampler) -> Tensor:
         ctx.sampler = sampler
         with torch.autocast(rows.device.type, enabled=False):
-            return product(sampler.matrix, rows.float())
+            return sampler.product(rows.float())
 
     @staticmethod
     @once_differentiable
@@ -101,9 +122,9 @@ class _SquaredGap(torch.autograd.Function):
         rows, batch = rows.float(), len(pool)
         with torch.autocast(rows.device.type, enabled=False):
             if scales is None:
-                gap = product(two.matrix, rows, less=product(one.matrix, rows)).unflatten(1, (-1, batch))
+                gap = two.product(rows, less=one.product(rows)).unflatten(1, (-1, batch))
             else:
-                sides = [product(sampler.matrix, rows).unflatten(1, (-1, batch)) for sampler in (one, two)]
+                sides = [sampler.product(rows).unflatten(1, (-1, batch)) for sampler in (one, two)]
                 gap = sides[0].mul_(scales[0][..., None]).sub_(sides[1].mul_(scales[1][..., None]))
             ctx.save_for_backward(gap, pool)
             return gap.square().flatten(0, 1) @ pool
@@ -131,7 +152,7 @@ def likeness(
     channels = rows.shape[1] // len(present)
     pool = torch.eye(groups, device=rows.device).repeat_interleave(channels // groups, 0) * (groups / channels)
     shares = one.share(present), two.share(present)
-    missing = None if bool(present.all()) else tuple(1 / share.clamp(min=LEAST_SHARE) for share in shares)
+    missing = None if all_there(present) else tuple(1 / share.clamp(min=LEAST_SHARE) for share in shares)
     gap = _SquaredGap.apply(rows, one, two, missing, pool).view(-1, len(present), groups)
     both = torch.minimum(*shares) > 0
     return both[..., None] / (1 + gap), *shares
@@ -208,7 +229,9 @@ def _sampler(projection: Projection, planes: tuple[float, ...], device: torch.de
     shape = (len(counts), len(projection.rig.cameras) * projection.feature_size[0] * projection.feature_size[1])
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Sparse CSR tensor support is in beta")
-        return Sampler(torch.sparse_csr_tensor(crow, columns, values, shape, check_invariants=False).to(device))
+        crow, columns, values = (part.to(device) for part in (crow, columns, values))
+        matrix = torch.sparse_csr_tensor(crow, columns, values, shape, check_invariants=False)
+        return Sampler(matrix, crow[:-1].clone(), columns, values)  # columns and values share memory with the matrix
 
 
 @lru_cache(maxsize=8)
@@ -222,7 +245,7 @@ def samplers(projection: Projection, device: torch.device) -> tuple[Sampler, ...
 def table(features: Float[Tensor, "B N C H W"], present: Bool[Tensor, "B N"]) -> Float[Tensor, "pixels BC"]:
     """One row per pixel of all cameras, the channels of all samples side by side; zeros in cameras that are missing."""
     rows = features.permute(1, 3, 4, 0, 2)
-    if not bool(present.all()):
+    if not all_there(present):
         rows = rows * present.T[:, None, None, :, None]
     return rows.flatten(3).flatten(0, 2)
 
@@ -232,6 +255,7 @@ def present_cameras(images: Float[Tensor, "B N 3 H W"]) -> Bool[Tensor, "B N"]:
     return images.flatten(2).amax(-1) > 0
 
 
+@lru_cache(maxsize=16)
 def alternate_cameras(rig: Rig) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """Every other camera by the azimuth of its axis, and the rest: {0, 2, 4} and {1, 3, 5} in a hexagon."""
     forward = rig.ego_from_camera[:, :2, 2]

@@ -1,9 +1,11 @@
 """The coloring module: candidate voxels attend to image features (paper, 'Coloring Module', eq. 1)."""
 
 from collections.abc import Sequence
+from functools import lru_cache
+from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int64
 from torch import Tensor, nn
 
 from omniocc.camera import Rig
@@ -12,6 +14,7 @@ from omniocc.model.lifter.attention import CrossAttention
 from omniocc.model.lifter.deformable import Level, make_level
 from omniocc.model.lifter.position import position_features
 from omniocc.model.lifter.visible import CENTRE, Pairs, reference_points, visible_pairs
+from omniocc.model.static import is_static
 
 
 class ColoringLayer(nn.Module):
@@ -124,18 +127,55 @@ class Coloring(nn.Module):
         batch, cameras = features[0].shape[:2]
         if len(rig.cameras) != cameras:
             raise ValueError(f"the rig has {len(rig.cameras)} cameras but there are images of {cameras}")
-        points, valid = reference_points(rig, self.geometry, marked.device, self.anchors)
-        cells = marked.nonzero()[:, 0]
+        whole = is_static()  # the same for every cell that is chosen: queries do not look at each other
+        place = rig, self.geometry, marked.device, self.anchors
+        cells, seen, pairs = every_cell(*place) if whole else chosen_cells(marked, *place)
         embedding = self.embedding(self.positions[cells])
-        seen = valid.any(0)[cells].nonzero()[:, 0]
         queries = embedding[None, seen]
-        pairs = visible_pairs(points, valid, cells[seen])
         dtype = torch.promote_types(embedding.dtype, torch.float32)
         levels = [make_level(pairs, level.shape[-2], level.shape[-1], self.points, dtype) for level in features]
         for layer in self.layers:
             queries = layer(queries, features, pairs, levels)
         volume = self.empty.to(queries.dtype).expand(len(marked), -1).index_copy(0, cells, embedding.to(queries.dtype))
-        return volume.expand(batch, -1, -1).index_copy(1, cells[seen], queries)
+        volume = volume.expand(batch, -1, -1).index_copy(1, cells[seen], queries)
+        return torch.where(marked[:, None], volume, self.empty.to(volume.dtype)) if whole else volume
+
+
+class Chosen(NamedTuple):
+    """Cells that become queries.
+
+    Attributes:
+        cells: row-major indices.
+        seen: those of `cells` that any camera sees, as indices into it.
+        pairs: the cameras that see them.
+    """
+
+    cells: Int64[Tensor, " E"]
+    seen: Int64[Tensor, " Q"]
+    pairs: Pairs
+
+
+def chosen_cells(
+    marked: Bool[Tensor, " cells"],
+    rig: Rig,
+    geometry: Grid,
+    device: torch.device,
+    anchors: tuple[tuple[float, float, float], ...],
+) -> Chosen:
+    """The marked ones."""
+    points, valid = reference_points(rig, geometry, device, anchors)
+    cells = marked.nonzero()[:, 0]
+    seen = valid.any(0)[cells].nonzero()[:, 0]
+    return Chosen(cells, seen, visible_pairs(points, valid, cells[seen]))
+
+
+@lru_cache(maxsize=2)
+def every_cell(
+    rig: Rig, geometry: Grid, device: torch.device, anchors: tuple[tuple[float, float, float], ...]
+) -> Chosen:
+    """All of them; never write to the result."""
+    everything = torch.ones(geometry.num_cells, dtype=torch.bool, device=device)
+    return chosen_cells(everything, rig, geometry, device, anchors)
 
 
 def group_samples(marked: Bool[Tensor, "B cells"], rigs: tuple[Rig, ...]) -> list[list[int]]:

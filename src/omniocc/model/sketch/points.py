@@ -1,5 +1,7 @@
 """Pseudo point cloud of a panorama of ranges, and its features in the cells of a grid."""
 
+from functools import lru_cache
+
 import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor, nn
@@ -7,6 +9,7 @@ from torch.nn import functional as F
 
 from omniocc.camera import Equirectangular
 from omniocc.geometry import Grid
+from omniocc.model.static import is_static
 
 
 def pseudo_points(
@@ -37,8 +40,13 @@ def point_features(points: Float[Tensor, "P 3"], geometry: Grid) -> Float[Tensor
     cells = torch.tensor(geometry.shape, device=points.device)
     axes = still_axes(geometry)
     coordinates = (2 * places / cells - 1)[:, axes]
-    reach_m = float(geometry.distances_m().max())
-    return torch.cat([offset, coordinates, points.norm(dim=-1, keepdim=True) / reach_m], dim=-1)
+    return torch.cat([offset, coordinates, points.norm(dim=-1, keepdim=True) / reach_m(geometry)], dim=-1)
+
+
+@lru_cache(maxsize=16)
+def reach_m(geometry: Grid) -> float:
+    """Horizontal distance of the farthest column."""
+    return float(geometry.distances_m().max())
 
 
 def voxel_max(
@@ -72,10 +80,27 @@ class PointEncoder(nn.Module):
         batch = len(points)
         cells, inside = self.geometry.flat_index(points)
         sample = torch.arange(batch, device=points.device).unsqueeze(1) * self.geometry.num_cells
+        if is_static():
+            return self._of_all(points, cells + sample, inside)
         features = point_features(points[inside], self.geometry)
         encoded = F.relu(self.out(F.relu(self.hidden(features))))
         places = (cells + sample)[inside]
         volume = voxel_max(encoded, places, batch * self.geometry.num_cells)
         hit = volume.new_zeros(len(volume), 1).index_fill_(0, places, 1)
-        volume = torch.cat([volume, hit], dim=1).reshape(batch, *self.geometry.shape, -1).movedim(-1, 1)
+        return self._split(torch.cat([volume, hit], dim=1), batch)
+
+    def _of_all(
+        self, points: Float[Tensor, "B P 3"], places: Int64[Tensor, "B P"], inside: Bool[Tensor, "B P"]
+    ) -> tuple[Float[Tensor, "B C X Y Z"], Float[Tensor, "B 1 X Y Z"]]:
+        """The same without picking points: those that do not count add zeros, which the maximum ignores."""
+        features = point_features(points.flatten(0, 1), self.geometry)
+        encoded = F.relu(self.out(F.relu(self.hidden(features))))
+        marked = torch.cat([encoded, torch.ones_like(encoded[:, :1])], dim=1)
+        marked = torch.where(inside.flatten()[:, None], marked, 0)
+        return self._split(voxel_max(marked, places.flatten(), len(points) * self.geometry.num_cells), len(points))
+
+    def _split(
+        self, volume: Float[Tensor, "cells D"], batch: int
+    ) -> tuple[Float[Tensor, "B C X Y Z"], Float[Tensor, "B 1 X Y Z"]]:
+        volume = volume.reshape(batch, *self.geometry.shape, -1).movedim(-1, 1)
         return volume[:, :-1], volume[:, -1:]

@@ -7,6 +7,7 @@ from torch import Tensor, nn
 from omniocc.camera.pose import invert_pose
 from omniocc.geometry import Grid
 from omniocc.geometry.warp import interpolate
+from omniocc.model.static import is_static
 
 
 class Mean(nn.Module):
@@ -49,12 +50,15 @@ class Mean(nn.Module):
         for frame, sample in existing(exists[:, :-1]):
             rows = past[frame][sample].movedim(0, -1).flatten(0, 2)
             corners = self.geometry.corners(past_from_current[sample, frame].to(rows.device), rows.dtype)
-            moved = interpolate(rows, corners).unflatten(0, self.geometry.shape).movedim(-1, 0)
-            total[sample] += moved
-            count[sample, 0] += corners.inside.unflatten(0, self.geometry.shape)
+            there = exists[sample, frame]
+            moved = interpolate(rows, corners._replace(weights=corners.weights * there))
+            total[sample] += moved.unflatten(0, self.geometry.shape).movedim(-1, 0)
+            count[sample, 0] += (corners.inside & there).unflatten(0, self.geometry.shape)
         return (total + newest) / count
 
 
 def existing(exists: Bool[Tensor, "B P"]) -> list[tuple[int, int]]:
-    """Frame and sample of what exists."""
+    """Frame and sample of what exists; everything, where the program must do for any."""
+    if is_static():
+        exists = torch.ones(exists.shape, dtype=torch.bool, device="cpu")
     return [(frame, sample) for frame, there in enumerate(exists.T.tolist()) for sample, yes in enumerate(there) if yes]

@@ -1,0 +1,25 @@
+"""Networks whose shapes and branches do not depend on the data, as exported programs need them."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+
+_static = ContextVar("static", default=False)
+
+
+@contextmanager
+def static_shapes() -> Iterator[None]:
+    """Inside, options that choose voxels or points compute all of them and keep what is chosen: equal, but slower.
+
+    One sample at a time.
+    """
+    token = _static.set(True)
+    try:
+        yield
+    finally:
+        _static.reset(token)
+
+
+def is_static() -> bool:
+    """Whether shapes must not depend on the data."""
+    return _static.get()
