@@ -9,8 +9,9 @@ from omniocc.camera import Rig
 from omniocc.model.lifter.coarse_coloring import CoarseColoring
 from omniocc.model.lifter.coloring import Coloring
 from omniocc.model.lifter.lift_splat import LiftSplat
+from omniocc.model.lifter.pillar import Pillar
 
-__all__ = ["CoarseColoring", "Coloring", "LiftSplat", "Lifter"]
+__all__ = ["CoarseColoring", "Coloring", "LiftSplat", "Lifter", "Pillar"]
 
 
 @runtime_checkable

@@ -7,8 +7,9 @@ from torch import Tensor
 
 from omniocc.model.temporal.mean import Mean
 from omniocc.model.temporal.none import NoTemporal
+from omniocc.model.temporal.recurrent import Recurrent
 
-__all__ = ["Mean", "NoTemporal", "Temporal"]
+__all__ = ["Mean", "NoTemporal", "Recurrent", "Temporal"]
 
 
 @runtime_checkable

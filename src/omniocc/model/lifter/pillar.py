@@ -1,0 +1,89 @@
+"""Bird's-eye-view queries that look at the images along pillars (BEVFormer's spatial cross-attention)."""
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+
+from omniocc.camera import Rig
+from omniocc.geometry import Grid
+from omniocc.model.blocks import block_any, coarsened
+from omniocc.model.lifter.coloring import Coloring
+from omniocc.model.padding import Axes
+
+
+def pillar_anchors(cells: int, heights: int) -> list[tuple[float, float, float]]:
+    """Reference points of a pillar: from the middle of its lowest voxel to that of its highest at equal distances.
+
+    Args:
+        cells: voxels of a pillar.
+        heights: points of a pillar; a single one lies in the middle of the lowest voxel.
+
+    Returns:
+        Offsets from the middle of the pillar, in pillars.
+    """
+    places = torch.linspace(0.5, cells - 0.5, heights, dtype=torch.float64) / cells - 0.5
+    return [(0.0, 0.0, place) for place in places.tolist()]
+
+
+class Pillar(nn.Module):
+    """Columns of voxels share a query that attends to the cameras which see some of its heights.
+
+    Li et al. (2022, 'BEVFormer', eq. 3 and 4): deformable attention around the projections of several points of each
+    pillar, averaged over the cameras that see one, of every sample for itself. Each query then becomes the features of
+    its voxels by a linear map, as the occupancy head on BEVFormer lays channels out as heights. A pillar is a candidate
+    if one of its voxels is. On a cylinder the bird's-eye view is polar.
+
+    Args:
+        geometry: the voxel grid.
+        in_channels: of image features and queries.
+        channels: of the volume.
+        levels: strides of the feature maps that come in, px.
+        layers: number of layers.
+        heads: of attention, a divisor of `in_channels`.
+        points: samples per head and level, a multiple of the heights, which share them.
+        heights: reference points of each pillar.
+        feedforward_channels: hidden channels of the feed-forward part.
+
+    Raises:
+        ValueError: if the heads do not divide the channels, or the heights not the points.
+    """
+
+    def __init__(
+        self,
+        geometry: Grid,
+        in_channels: int,
+        channels: int,
+        levels: list[int],
+        layers: int,
+        heads: int,
+        points: int,
+        heights: int,
+        feedforward_channels: int,
+    ):
+        super().__init__()
+        cells = geometry.shape[2]
+        self.channels = channels
+        self.block: Axes = (1, 1, cells)
+        self.coloring = Coloring(
+            coarsened(geometry, self.block),
+            in_channels,
+            levels,
+            layers,
+            heads,
+            points,
+            feedforward_channels,
+            pillar_anchors(cells, heights),
+        )
+        self.raise_up = nn.Linear(in_channels, cells * channels)
+
+    def forward(
+        self, features: list[Float[Tensor, "B N C _ _"]], candidates: Bool[Tensor, "B X Y Z"], rigs: tuple[Rig, ...]
+    ) -> Float[Tensor, "B D X Y Z"]:
+        """Lifts each sample through its own rig.
+
+        Raises:
+            ValueError: if a rig has another number of cameras than there are images.
+        """
+        view = self.coloring(features, block_any(candidates, self.block), rigs)[..., 0]
+        # channels last in memory, as 3D convolutions like it
+        return self.raise_up(view.movedim(1, -1)).unflatten(-1, (self.block[2], -1)).movedim(-1, 1)

@@ -1,0 +1,210 @@
+"""Temporal self-attention on the aligned bird's-eye view before (BEVFormer)."""
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+
+from omniocc.camera.pose import invert_pose
+from omniocc.geometry import Grid
+from omniocc.model.blocks import coarsened
+from omniocc.model.lifter.attention import ring_offsets
+from omniocc.model.multilinear import corners, sum_samples
+from omniocc.model.padding import Periodic, pad3d
+from omniocc.model.static import is_static
+
+VIEWS = 2
+"""The one before and the present one."""
+
+
+class TemporalAttention(nn.Module):
+    """Every cell of a bird's-eye view sums samples around itself, half from the view before, half from the present one.
+
+    Where and how much follows from the cell's features in both (Li et al., 2022, 'BEVFormer', eq. 5).
+
+    Args:
+        channels: of the views.
+        heads: a divisor of the channels.
+        points: samples per head and view.
+    """
+
+    def __init__(self, channels: int, heads: int, points: int):
+        super().__init__()
+        self.heads, self.points = heads, points
+        self.value = nn.Linear(channels, channels)
+        self.offsets = nn.Linear(VIEWS * channels, 2 * heads * VIEWS * points)
+        self.attention = nn.Linear(VIEWS * channels, heads * VIEWS * points)
+        self.output = nn.Linear(channels, channels)
+        for layer in (self.offsets, self.attention):
+            nn.init.zeros_(layer.weight)
+            nn.init.zeros_(layer.bias)
+        rings = ring_offsets(heads, VIEWS, points, anchors=1)
+        self.offsets.bias.data.copy_(rings.permute(2, 0, 1, 3).flatten())
+
+    def forward(
+        self, before: Float[Tensor, "B X Y C"], present: Float[Tensor, "B X Y C"], periodic: Periodic
+    ) -> Float[Tensor, "B X Y C"]:
+        """What is added to the present view."""
+        with torch.autocast(present.device.type, enabled=False):
+            dtype = torch.promote_types(present.dtype, torch.float32)
+            views = torch.stack([before, present], dim=1).to(dtype)
+            offsets, weights = self._sampling(torch.cat([before, present], dim=-1).to(dtype).flatten(0, 2))
+            _, x_cells, y_cells, _ = present.shape
+            index = torch.arange(len(weights), dtype=torch.int32, device=weights.device)
+            y, x = index % y_cells, torch.div(index, y_cells, rounding_mode="floor") % x_cells
+            places = torch.stack([x, y]).to(dtype)[:, :, None, None] + offsets
+            found = corners(places, weights, (x_cells, y_cells), periodic[:2])
+            row = (found.row + self._first_rows(views, index)) * self.heads
+            row = row + torch.arange(self.heads, dtype=torch.int32, device=row.device)[:, None]
+            steps = tuple(step * self.heads for step in found.steps)
+            table = self._table(views, periodic)
+            sums = sum_samples(table, row.flatten(0, 1), found.weights.flatten(0, 1), steps)
+        return self.output(sums.view(present.shape))
+
+    def _table(self, views: Float[Tensor, "B 2 X Y C"], periodic: Periodic) -> Float[Tensor, "R D"]:
+        """Values by sample, view, cell and head; one cell more at every end, as `corners` wants it."""
+        values = self.value(views).flatten(0, 1).movedim(-1, 1).unsqueeze(-1)
+        return pad3d(values, (1, 1, 0), periodic).movedim(1, -1).reshape(-1, views.shape[-1] // self.heads)
+
+    def _first_rows(self, views: Tensor, index: Tensor) -> Tensor:
+        """(N, 1, 2 * points) first cell of the padded view that each sample comes from."""
+        x_cells, y_cells = views.shape[2:4]
+        sample = torch.div(index, x_cells * y_cells, rounding_mode="floor")
+        view = torch.arange(VIEWS, dtype=torch.int32, device=index.device).repeat_interleave(self.points)
+        return (sample[:, None, None] * VIEWS + view) * ((x_cells + 2) * (y_cells + 2))
+
+    def _sampling(self, queries: Float[Tensor, "N E"]) -> tuple[Float[Tensor, "2 N H K"], Float[Tensor, "N H K"]]:
+        """Offsets in cells along both axes, and attention, of both views; softmax over a long last axis is fast."""
+        offsets = self.offsets(queries).view(len(queries), 2, self.heads, -1).transpose(0, 1)
+        scores = torch.addmm(self.attention.bias[:, None], self.attention.weight, queries.T)
+        weights = scores.view(self.heads, VIEWS, self.points, -1).softmax(2) / VIEWS
+        return offsets, weights.flatten(1, 2).permute(2, 0, 1).contiguous()
+
+
+class TemporalLayer(nn.Module):
+    """Temporal attention, add & norm, feed-forward, add & norm."""
+
+    def __init__(self, channels: int, heads: int, points: int, feedforward_channels: int):
+        super().__init__()
+        self.attention = TemporalAttention(channels, heads, points)
+        self.attention_norm = nn.LayerNorm(channels)
+        self.feedforward = nn.Sequential(
+            nn.Linear(channels, feedforward_channels), nn.ReLU(), nn.Linear(feedforward_channels, channels)
+        )
+        self.feedforward_norm = nn.LayerNorm(channels)
+
+    def forward(
+        self, before: Float[Tensor, "B X Y C"], present: Float[Tensor, "B X Y C"], periodic: Periodic
+    ) -> Float[Tensor, "B X Y C"]:
+        """The present view, knowing the one before."""
+        present = self.attention_norm(present + self.attention(before, present, periodic))
+        return self.feedforward_norm(present + self.feedforward(present))
+
+
+class History(NamedTuple):
+    """What is known of the past of each sample.
+
+    Attributes:
+        view: after attention.
+        pose: world_from_ego of its frame.
+        there: whether there is any past.
+    """
+
+    view: Float[Tensor, "B X Y C"]
+    pose: Float[Tensor, "B 4 4"]
+    there: Bool[Tensor, " B"]
+
+
+class Recurrent(nn.Module):
+    """Bird's-eye views attend to the one before, from the oldest frame to the newest.
+
+    As BEVFormer (Li et al., 2022): the result of a frame, moved into the next one's ego frame, is the history of the
+    next; a frame without history is its own. There the attention stands in every layer of the encoder, here behind all
+    of them. Volumes become views by a linear map of each column of voxels, and the newest view is mapped back and added
+    to the newest volume.
+
+    Args:
+        geometry: the voxel grid.
+        channels: of the volumes.
+        view_channels: of the bird's-eye views.
+        layers: number of layers.
+        heads: of attention, a divisor of `view_channels`.
+        points: samples per head and view.
+        feedforward_channels: hidden channels of the feed-forward part.
+        frames: of a window, the newest included.
+        history_gradient: whether training reaches the network also through the past frames; BEVFormer does without.
+
+    Raises:
+        ValueError: if there are no past frames, or the heads do not divide the channels.
+    """
+
+    def __init__(
+        self,
+        geometry: Grid,
+        channels: int,
+        view_channels: int,
+        layers: int,
+        heads: int,
+        points: int,
+        feedforward_channels: int,
+        frames: int,
+        history_gradient: bool,
+    ):
+        super().__init__()
+        if frames < 2:
+            raise ValueError(f"frames is {frames}; a window needs at least 2, without past frames use NoTemporal")
+        if view_channels % heads:
+            raise ValueError(f"{view_channels} channels cannot be split among {heads} heads; give a divisor")
+        self.view = coarsened(geometry, (1, 1, geometry.shape[2]))
+        self.frames = frames
+        self.history_gradient = history_gradient
+        self.fold = nn.Linear(geometry.shape[2] * channels, view_channels)
+        self.unfold = nn.Linear(view_channels, geometry.shape[2] * channels)
+        self.layers = nn.ModuleList(
+            TemporalLayer(view_channels, heads, points, feedforward_channels) for _ in range(layers)
+        )
+
+    def forward(
+        self,
+        volumes: list[Float[Tensor, "B C X Y Z"]],
+        world_from_ego: Float[Tensor, "B T 4 4"],
+        exists: Bool[Tensor, "B T"],
+    ) -> Float[Tensor, "B C X Y Z"]:
+        """The newest volume, knowing the past."""
+        *past, newest = volumes
+        poses = world_from_ego.double()
+        with torch.set_grad_enabled(torch.is_grad_enabled() and self.history_gradient):
+            history = self._remember(past, poses, exists)
+        view = self._look(newest, poses[:, -1], history)
+        change = self.unfold(view).unflatten(-1, (newest.shape[-1], -1)).movedim(-1, 1)
+        return newest + change
+
+    def _remember(
+        self, past: list[Float[Tensor, "B C X Y Z"]], poses: Float[Tensor, "B T 4 4"], exists: Bool[Tensor, "B T"]
+    ) -> History | None:
+        """Goes through the frames before the newest; each sample keeps its last view that exists."""
+        history: History | None = None
+        for volume, pose, there in zip(past, poses.unbind(1), exists.unbind(1), strict=False):
+            if not is_static() and not there.any():
+                continue
+            view = self._look(volume, pose, history)
+            if history is not None:
+                view = torch.where(there[:, None, None, None], view, history.view)
+                pose = torch.where(there[:, None, None], pose, history.pose)
+                there = there | history.there
+            history = History(view, pose, there)
+        return history
+
+    def _look(
+        self, volume: Float[Tensor, "B C X Y Z"], pose: Float[Tensor, "B 4 4"], history: History | None
+    ) -> Float[Tensor, "B X Y D"]:
+        """The view of a frame after attention."""
+        present = self.fold(volume.movedim(1, -1).flatten(-2))
+        before = present
+        if history is not None:
+            moved = self.view.warp(history.view.movedim(-1, 1).unsqueeze(-1), invert_pose(history.pose) @ pose)
+            before = torch.where(history.there[:, None, None, None], moved[..., 0].movedim(1, -1), present)
+        for layer in self.layers:
+            present = layer(before, present, self.view.periodic)
+        return present
