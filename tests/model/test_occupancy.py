@@ -7,11 +7,11 @@ import torch
 from omniocc.geometry import Cylinder
 from omniocc.model import OccupancyModel
 from omniocc.model.backbone import Backbone
-from omniocc.model.lifter import Coloring, Lifter
-from omniocc.model.refiner import NoRefiner, Refiner, UNet
+from omniocc.model.lifter import CoarseColoring, Coloring, Lifter, LiftSplat, Pillar
+from omniocc.model.refiner import Attention, Conv, NoRefiner, Refiner, UNet
 from omniocc.model.semantic_head import FCN, NoSemanticHead, SemanticHead
 from omniocc.model.sketch import Dense, Random, Sketch
-from omniocc.model.temporal import Mean, NoTemporal, Temporal
+from omniocc.model.temporal import Mean, NoTemporal, Recurrent, Temporal
 
 
 def loss_of(prediction):
@@ -30,9 +30,19 @@ def test_every_option_keeps_its_slots_contract(make_backbone, make_model, geomet
     options = {
         Backbone: [make_backbone()],
         Sketch: [Dense(geometry), Random(geometry)],
-        Lifter: [model.lifter],
-        Temporal: [NoTemporal(), Mean(geometry, 4, False)],
-        Refiner: [NoRefiner(8), UNet(geometry, 8, [8, 8])],
+        Lifter: [
+            model.lifter,
+            CoarseColoring(geometry, 8, [4], 1, 2, 2, 8, block=2),
+            LiftSplat(geometry, 8, 8, 4, (0.5, 20.5)),
+            Pillar(geometry, 8, 8, [4], 1, 2, 2, 2, 8),
+        ],
+        Temporal: [NoTemporal(), Mean(geometry, 4, False), Recurrent(geometry, 8, 8, 1, 2, 2, 8, 4, False)],
+        Refiner: [
+            NoRefiner(8),
+            UNet(geometry, 8, [8, 8]),
+            Conv(geometry, 8, [8, 8], [1, 1]),
+            Attention(geometry, 8, 1, 2, 2, 8, halved=True),
+        ],
         SemanticHead: [FCN(8, 8, 12), NoSemanticHead()],
     }
     for slot, modules in options.items():

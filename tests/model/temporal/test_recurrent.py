@@ -153,6 +153,14 @@ def test_bfloat16_keeps_positions_in_single_precision():
     torch.testing.assert_close(fused.float(), temporal(volumes, moving(3, 0.5), ALL), atol=0.15, rtol=0.1)
 
 
+def test_the_past_leaves_autocast_the_gradients_of_the_newest_frame():
+    temporal, volumes = make(CUBOID).float(), [volume.float() for volume in make_volumes(CUBOID)]
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        fused = temporal(volumes, moving(3, 0.5), ALL)
+    fused.float().square().mean().backward()
+    assert [name for name, parameter in temporal.named_parameters() if parameter.grad is None] == []
+
+
 def test_a_window_needs_a_past_and_heads_must_divide_channels():
     with pytest.raises(ValueError, match="frames is 1"):
         make(CUBOID, frames=1)

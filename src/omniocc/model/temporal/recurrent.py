@@ -174,7 +174,12 @@ class Recurrent(nn.Module):
         """The newest volume, knowing the past."""
         *past, newest = volumes
         poses = world_from_ego.double()
-        with torch.set_grad_enabled(torch.is_grad_enabled() and self.history_gradient):
+        device, learns = newest.device.type, torch.is_grad_enabled() and self.history_gradient
+        # autocast keeps what it casts, in older PyTorch without gradient if the past comes first
+        cast = torch.autocast(
+            device, torch.get_autocast_dtype(device), torch.is_autocast_enabled(device), cache_enabled=learns
+        )
+        with torch.set_grad_enabled(learns), cast:
             history = self._remember(past, poses, exists)
         view = self._look(newest, poses[:, -1], history)
         change = self.unfold(view).unflatten(-1, (newest.shape[-1], -1)).movedim(-1, 1)

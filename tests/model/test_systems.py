@@ -1,0 +1,92 @@
+"""The systems the paper compares with, composed as `train.py` composes them, at the smallest sizes."""
+
+from pathlib import Path
+
+import pytest
+import torch
+from hydra import compose, initialize_config_dir
+
+from omniocc.config import build, check_root
+from omniocc.model.sketch import Random
+
+CONF = Path(__file__).parents[2] / "conf"
+PARTS = {
+    "bevdet": ("Dense", "LiftSplat", "NoTemporal", "Conv"),
+    "bevformer": ("Dense", "Pillar", "Recurrent", "Conv"),
+    "voxformer": ("Omni", "CoarseColoring", "NoTemporal", "Attention"),
+}
+SYSTEMS = pytest.mark.parametrize("name", list(PARTS))
+ON_BOTH_GRIDS = pytest.mark.parametrize("grid", ["cuboid", "cylinder"])
+
+
+def composed(*overrides):
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        return compose("train", ["preset=smoke", *overrides])
+
+
+def make(name, grid="cuboid"):
+    return build(composed(f"model={name}", f"model/geometry={grid}").model)
+
+
+def window(model, batch=2):
+    """Images, poses and a quarter of the voxels as candidates."""
+    frames = model.temporal.frames
+    images = torch.rand(batch, frames, 6, 3, 36, 64)
+    poses = torch.eye(4, dtype=torch.float64).repeat(batch, frames, 1, 1)
+    poses[:, :, 0, 3] = torch.arange(frames)
+    chosen = Random(model.geometry, 0.1)(images[:, 0], (None,) * batch)
+    return images, poses, chosen[:, None].expand(-1, frames, -1, -1, -1)
+
+
+@SYSTEMS
+def test_each_is_a_composition_of_slots_on_the_same_backbone(name):
+    ours, cfg = composed(), composed(f"+ablation={name}")
+    check_root(cfg)
+    assert cfg.name == name
+    assert cfg.model.backbone == ours.model.backbone
+    parts = tuple(cfg.model[slot]._target_.rsplit(".", 1)[-1] for slot in ("sketch", "lifter", "temporal", "refiner"))
+    assert parts == PARTS[name]
+    assert cfg.model.geometry._target_.endswith("Cuboid")
+    assert cfg.model.semantic_head._target_.endswith("NoSemanticHead")
+
+
+def test_voxformer_looks_at_monocular_depth():
+    assert composed("model=voxformer").depth._target_ == "omniocc.model.depth.Mono"
+
+
+@SYSTEMS
+@pytest.mark.parametrize("preset", ["tiny", "small", "paper"])
+def test_every_preset_has_sizes_that_fit(name, preset):
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        cfg = compose("train", [f"preset={preset}", f"model={name}", "preset.backbone.weights=null"])
+    check_root(cfg)
+    for slot in ("lifter", "temporal", "refiner"):
+        build(cfg.model[slot])
+
+
+@SYSTEMS
+@ON_BOTH_GRIDS
+def test_batch_of_fisheye_and_pinhole_rig_equals_two_batches_of_one(name, grid, fisheye, pinhole):
+    model = make(name, grid).double().eval()
+    images, poses, chosen = window(model)
+    with torch.no_grad():
+        both = model(images.double(), (fisheye, pinhole), poses, chosen).logits
+        assert both.shape == (2, 12, *model.geometry.shape)
+        for index, rig in enumerate((fisheye, pinhole)):
+            part = slice(index, index + 1)
+            alone = model(images[part].double(), (rig,), poses[part], chosen[part]).logits
+            torch.testing.assert_close(both[part], alone)
+
+
+@SYSTEMS
+@ON_BOTH_GRIDS
+def test_gradients_reach_every_parameter_that_learns(name, grid, fisheye):
+    model = make(name, grid)
+    images, poses, chosen = window(model)
+    model(images, (fisheye, fisheye), poses, chosen).logits.square().mean().backward()
+    for parameter_name, parameter in model.named_parameters():
+        if not parameter_name.startswith("sketch."):
+            assert parameter.grad is not None, parameter_name
+            assert torch.isfinite(parameter.grad).all(), parameter_name
+            # the vector for voxels without a query is there although every voxel has one
+            assert parameter.grad.abs().sum() > 0 or parameter_name.endswith("coloring.empty"), parameter_name
