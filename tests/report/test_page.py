@@ -110,6 +110,8 @@ def test_tables_and_plots_lie_beside_the_page(output, capsys):
     assert "| dense voxels | +0.036 | +0.120 ± 0.035 | holds (3.5) |" in markdown
     assert "| This dataset (here) | – | ✓ |" in markdown
     assert markdown.index("## Comparison of datasets") < markdown.index("## Comparison against")
+    where = unquote(markdown.split("- [dense-00000001](")[1].split("/)")[0])
+    assert (output / where / "config.yaml").exists()
     names = {path.name for path in (output / "plots").glob("*.png")}
     assert names == {"class.png", "ranking.png", "range.png", "share.png", "training.png"}
     assert all(cv2.imread(str(output / "plots" / name)) is not None for name in names)

@@ -9,6 +9,7 @@ from scipy import stats
 
 from omniocc.classes import CLASSES, FREE
 from omniocc.errors import UserError
+from omniocc.report.claims import claims_of
 from omniocc.report.paper_table import (
     as_csv,
     as_latex,
@@ -112,3 +113,15 @@ def test_two_runs_of_a_row_with_one_seed_are_refused():
     assert list(by_row(RUNS["ours"])) == ["ours"]
     with pytest.raises(UserError, match="row ours has 2 runs with seed 0"):
         by_row([*RUNS["ours"], run("ours-0123456a-2", 0, 0.5)])
+
+
+def test_a_table_of_ones_own_needs_no_figures_of_the_paper(tmp_path):
+    path = tmp_path / "own.yaml"
+    path.write_text(
+        "title: x\norder_by: test/rayiou\ncolumns: {test/rayiou: R}\nrows: {ours: {title: o}, mono: {title: m}}\n"
+    )
+    table = load_table(path)
+    text = as_markdown(table, RUNS)
+    assert "| o | here, 2 seeds | 0.300 ± 0.141 |" in text
+    assert "| paper |" not in text
+    assert claims_of(table, RUNS) == []

@@ -63,9 +63,10 @@ def claims_of(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> l
     spread = pooled_spread(runs.values(), key)
     measured = {row.run: figure_of(runs.get(row.run, []), key) for row in table.rows}
     printed = [row for row in table.rows if row.paper[key] is not None]
-    best = max(printed, key=lambda row: row.paper[key] or 0.0)
+    best = max(printed, key=lambda row: row.paper[key] or 0.0, default=None)
     claims = []
     for row in printed:
+        assert best is not None
         ours, theirs = measured[best.run], measured[row.run]
         if row is not best and ours and theirs:
             error = spread * math.sqrt(1 / ours.seeds + 1 / theirs.seeds)

@@ -79,9 +79,10 @@ def is_table(path: Path) -> bool:
 
 
 def _by_column(columns: Mapping[str, str], row: Mapping[str, Any], run: str) -> dict[str, float | None]:
-    if len(row["paper"]) != len(columns):
-        raise ValueError(f"row {run} has {len(row['paper'])} figures for {len(columns)} columns")
-    return dict(zip(columns, row["paper"], strict=True))
+    paper = row.get("paper", [None] * len(columns))
+    if len(paper) != len(columns):
+        raise ValueError(f"row {run} has {len(paper)} figures for {len(columns)} columns")
+    return dict(zip(columns, paper, strict=True))
 
 
 def figure_of(runs: Sequence[FinishedRun], key: str) -> Figure | None:

@@ -6,6 +6,7 @@ to draw. matplotlib is the extra `plot`.
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from matplotlib import colormaps, rc_context
 from matplotlib.axes import Axes
@@ -20,7 +21,7 @@ from omniocc.report.table import band_keys
 Rows = Mapping[str, Sequence[FinishedRun]]
 
 INK, LINE = "#1d2430", "#c9d0d9"
-STYLE = {
+STYLE: dict[Any, Any] = {
     "font.size": 10,
     "axes.edgecolor": LINE,
     "axes.labelcolor": INK,

@@ -17,6 +17,7 @@ from omniocc.report.dataset_table import (
     scenes_of,
     with_ours,
 )
+from omniocc.report.markup import path_between
 from omniocc.report.paper_table import PaperTable, as_csv, as_latex, as_markdown, is_table, load_table
 from omniocc.report.runs import FinishedRun, by_row, comparable, read_runs, table_of_runs
 from omniocc.report.table import markdown
@@ -100,10 +101,20 @@ def report_markdown(sweep: Sweep) -> str:
     return "\n".join(parts)
 
 
+def run_list(sweep: Sweep, folder: Path) -> str:
+    """Where each run lies, seen from a folder, and the command that made it."""
+    lines = ["## Runs", ""]
+    for run in (run for runs in sweep.rows.values() for run in runs):
+        where = path_between(folder, run.folder)
+        command = str(run.facts.get("command", "command not recorded"))
+        lines.append(f"- [{run.name}]({where}/) ([config.yaml]({where}/config.yaml)): `{command}`")
+    return "\n".join([*lines, ""])
+
+
 def write_tables(sweep: Sweep, output: Path) -> None:
     """`report.md`, and every table as CSV and LaTeX."""
     output.mkdir(parents=True, exist_ok=True)
-    write_whole(output / "report.md", report_markdown(sweep))
+    write_whole(output / "report.md", f"{report_markdown(sweep)}\n{run_list(sweep, output)}")
     for table in sweep.tables:
         write_whole(output / f"{table.name}.csv", as_csv(table, sweep.rows))
         write_whole(output / f"{table.name}.tex", as_latex(table, sweep.rows))
