@@ -20,6 +20,8 @@ from omniocc.data.shard import SceneWriter
 from omniocc.data.voxels import VoxelCache
 from omniocc.errors import UserError
 from omniocc.predict.export import export_scene
+from omniocc.predict.export import main as export
+from omniocc.predict.network import load_depth
 from omniocc.predict.occupancy import options_of, predict_occupancy
 from omniocc.predict.predictor import blinded
 from omniocc.task.checkpoint import build_task, load_task
@@ -105,7 +107,8 @@ def evaluated(scene, checkpoint):
 @pytest.fixture(scope="module")
 def pictures(scene, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("pictures") / "drive"
-    assert export_scene(scene, folder) == len(MOMENTS)
+    export([str(scene), str(folder)])
+    assert sorted(path.name for path in folder.iterdir()) == [*MOMENTS, "poses.csv", "rig.yaml"]
     return folder
 
 
@@ -295,6 +298,19 @@ def test_mistakes_are_named_in_a_line(pictures, scene, checkpoint, tmp_path, cap
                 f"output={tmp_path / 'out'}",
                 *(arguments if trained in arguments else [f"checkpoint={path}", *arguments]),
             )
+
+
+def test_the_depth_network_of_an_occupancy_checkpoint(checkpoint, tmp_path):
+    depth, _ = load_depth(checkpoint)
+    inside = load_task(checkpoint, [])[0].model.sketch.depth.state_dict()
+    assert len(inside) > 20
+    assert depth.state_dict().keys() == inside.keys()
+    assert all(torch.equal(value, inside[name]) for name, value in depth.state_dict().items())
+    content = torch.load(checkpoint, weights_only=True)
+    rest = {name: value for name, value in content["state_dict"].items() if ".sketch." not in name}
+    torch.save({"config": content["config"], "state_dict": rest}, tmp_path / "dense.ckpt")
+    with pytest.raises(UserError, match=r"dense\.ckpt holds no depth network"):
+        load_depth(tmp_path / "dense.ckpt")
 
 
 def test_a_scene_that_is_none_cannot_be_exported(tmp_path):

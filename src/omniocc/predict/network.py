@@ -19,21 +19,21 @@ Network = TypeVar("Network", bound=nn.Module)
 
 
 def load_depth(path: Path, overrides: Sequence[str] = ()) -> tuple[nn.Module, DictConfig]:
-    """The trained depth option of a stage's checkpoint, and the configuration it was trained with.
+    """The trained depth option of a checkpoint, and the configuration it was trained with.
 
     Args:
-        path: `runs/stages/depth-<hash>/last.ckpt`.
+        path: `runs/stages/depth-<hash>/last.ckpt`, or a checkpoint of a later stage, which holds the same weights.
         overrides: `depth.<argument>=<value>`, in which it is to differ from the trained one.
 
     Raises:
         FileNotFoundError: when there is no such file.
-        UserError: when it is damaged, not of the depth stage, or an override does not fit its weights.
+        UserError: when it is damaged, holds no depth network, or an override does not fit its weights.
         ConfigError: when an override names no argument.
     """
     cfg, weights = load_config(path)
-    own = model_weights(weights)
+    own = depth_weights(model_weights(weights))
     if "depth" not in cfg or not own:
-        raise UserError(f"{path} is no checkpoint of the depth stage; those are runs/stages/depth-*/last.ckpt")
+        raise UserError(f"{path} holds no depth network; the stage's own checkpoints are runs/stages/depth-*/last.ckpt")
     merged = OmegaConf.merge(cfg, OmegaConf.from_dotlist(list(overrides)))
     assert isinstance(merged, DictConfig)
     check(OmegaConf.create({"depth": merged.depth}), packages=TRUSTED)
@@ -61,6 +61,12 @@ def load_occupancy(path: Path) -> tuple[OccupancyModel, DictConfig]:
         )
     check(OmegaConf.create({"model": cfg.model}), packages=TRUSTED)
     return _with_weights(build(without_download(cfg.model)), own, path, "was it written by another version?"), cfg
+
+
+def depth_weights(weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Those of the depth network among the weights of any stage's model, named as in the network."""
+    prefix = {"occupancy": "sketch.depth.", "sketch": "depth.", "depth": ""}[stage_of(weights)]
+    return {name.removeprefix(prefix): value for name, value in weights.items() if name.startswith(prefix)}
 
 
 def stage_of(weights: Mapping[str, Tensor]) -> str:
