@@ -40,6 +40,14 @@ JOBS ?= 2
 
 ablations: $(READY)  ## Train every row of conf/ablation (SEEDS=0,1 ABLATIONS=ours,mono JOBS=2 PRESET=small), then one table
 	@$(BIN)/python src/train.py --multirun +ablation=$(ABLATIONS) seed=$(SEEDS) preset=$(PRESET) \
-	  hydra.launcher.n_jobs=$(JOBS); code=$$?; $(BIN)/python src/report.py; exit $$code
+	  hydra.launcher.n_jobs=$(JOBS) logger.group=ablations-$(PRESET); code=$$?; $(BIN)/python src/report.py; exit $$code
 
-.PHONY: help setup demo test lint types bench ablations
+RUNS ?= runs
+
+wandb-sync: $(READY)  ## Upload all offline W&B runs that are not there yet, and the report's tables (RUNS=runs)
+	@$(BIN)/python -m omniocc.report.upload --runs $(RUNS)
+
+dashboard: $(READY)  ## Save the W&B dashboard to the project omniocc (docs/dashboards.md)
+	@$(BIN)/python -m omniocc.report.dashboard
+
+.PHONY: help setup demo test lint types bench ablations wandb-sync dashboard
