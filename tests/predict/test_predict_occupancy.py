@@ -23,6 +23,7 @@ from omniocc.predict.export import export_scene
 from omniocc.predict.export import main as export
 from omniocc.predict.network import load_depth
 from omniocc.predict.occupancy import options_of, predict_occupancy
+from omniocc.predict.poses import read_poses, write_poses
 from omniocc.predict.predictor import blinded
 from omniocc.task.checkpoint import build_task, load_task
 from omniocc.task.scores import Scores
@@ -225,6 +226,28 @@ def test_cameras_of_another_rig_and_fewer_of_them(checkpoint, pictures, tmp_path
     source = (f"checkpoint={checkpoint}", f"images={tmp_path / 'alone'}", f"rig={tmp_path / 'four.yaml'}")
     run(*source, f"without=[{rig.names[3]}]", f"output={tmp_path / 'out2'}", *QUICK)
     assert np.array_equal(np.load(tmp_path / "out2" / "9" / "voxels.npz")["labels"], first)
+
+
+def test_a_rig_whose_origin_lies_elsewhere(evaluated, pictures, checkpoint, tmp_path):
+    """The same car with the origin of its files 1.7 m lower: half a metre above the road."""
+    poses = RIG.ego_from_camera.clone()
+    poses[:, 2, 3] += 1.7
+    Rig(RIG.cameras, poses, RIG.names).save(tmp_path / "low.yaml")
+    lower = torch.eye(4, dtype=torch.float64)
+    lower[2, 3] = -1.7
+    world_from_low = read_poses(pictures / "poses.csv", MOMENTS) @ lower
+    write_poses(tmp_path / "low.csv", MOMENTS, world_from_low)
+    source = (f"checkpoint={checkpoint}", f"images={pictures}", f"rig={tmp_path / 'low.yaml'}")
+    run(*source, f"poses={tmp_path / 'low.csv'}", "road_z_m=-0.5", "picture=false", f"output={tmp_path / 'out'}")
+    assert (labels_in(tmp_path / "out") == evaluated[0]).mean() > 0.999  # but for rounding of poses
+    arrays = np.load(tmp_path / "out" / MOMENTS[1] / "voxels.npz")
+    assert np.allclose((arrays["low"][2], arrays["high"][2]), (-2.8 + 1.7, 3.6 + 1.7))
+    assert np.allclose(arrays["world_from_ego"], world_from_low[1].numpy())
+    header, _, body = (tmp_path / "out" / MOMENTS[1] / "voxels.ply").read_bytes().partition(b"end_header\n")
+    count = int(re.search(rb"element vertex (\d+)", header)[1])
+    z = np.frombuffer(body, [("xyz", "<f4", 3), ("rgb", "u1", 3)], count)["xyz"][:, 2]
+    assert -1.1001 <= z.min() < -1.0
+    assert z.max() <= 5.3001
 
 
 def test_a_camera_left_out_colours_nothing(checkpoint, pictures, tmp_path):

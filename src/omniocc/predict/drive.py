@@ -1,7 +1,7 @@
 """Where pictures come from: a folder of a user's own, or a recorded scene with its truth."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import NamedTuple, Protocol, runtime_checkable
@@ -58,6 +58,11 @@ class Drive(Protocol):
         """Pose of every moment, None if they are not known."""
         ...
 
+    @property
+    def origin_z_m(self) -> float:
+        """Height of the origin of rig and poses in the frame of their files, in which answers are written."""
+        ...
+
     def images(self, moment: int) -> list[np.ndarray]:
         """(H, W, 3) uint8 RGB of every camera."""
         ...
@@ -78,7 +83,16 @@ class PictureDrive:
     rig: Rig
     frames: tuple[Frame, ...]
     world_from_ego: Float64[Tensor, "F 4 4"] | None
+    origin_z_m: float = 0.0
     name: str = ""
+
+    def raised(self, height_m: float) -> "PictureDrive":
+        """The same drive around an origin that lies higher by so much."""
+        poses = self.rig.ego_from_camera.clone()
+        poses[:, 2, 3] -= height_m
+        world_from_ego = None if self.world_from_ego is None else moved_origin(self.world_from_ego, height_m)
+        rig = Rig(self.rig.cameras, poses, self.rig.names, self.rig.masks)
+        return replace(self, rig=rig, world_from_ego=world_from_ego, origin_z_m=self.origin_z_m + height_m)
 
     @property
     def moments(self) -> tuple[str, ...]:  # noqa: D102
@@ -120,6 +134,10 @@ class RecordedDrive:
         return self.scene.rig
 
     @property
+    def origin_z_m(self) -> float:  # noqa: D102
+        return 0.0
+
+    @property
     def moments(self) -> tuple[str, ...]:  # noqa: D102
         return tuple(moment_name(frame) for frame in range(len(self.scene)))
 
@@ -140,6 +158,13 @@ class RecordedDrive:
     def true_range_m(self, moment: int) -> Float32[Tensor, "1 h w"]:  # noqa: D102
         blob = self.scene.read(moment, ["erp_range.zst"])["erp_range.zst"]
         return torch.from_numpy(decode_range(blob)).unsqueeze(0)
+
+
+def moved_origin(world_from_ego: Float64[Tensor, "*F 4 4"], height_m: float) -> Float64[Tensor, "*F 4 4"]:
+    """Poses of an origin that lies higher in the ego frame."""
+    moved = world_from_ego.clone()
+    moved[..., :3, 3] += height_m * world_from_ego[..., :3, 2]
+    return moved
 
 
 def moment_name(frame: int) -> str:

@@ -11,10 +11,18 @@ from torch import Tensor
 from omniocc.data.progress import FrameProgress, clock
 from omniocc.data.voxels import Unknown
 from omniocc.metric import VoxelIoU
-from omniocc.predict.drive import Drive, Truth
+from omniocc.predict.drive import Drive, Truth, moved_origin
 from omniocc.predict.predictor import STEPS, Answer, Predictor, Watch
 from omniocc.predict.schedule import History, Visit, schedule
-from omniocc.predict.voxel_files import PICTURE, VOXELS, read_labels, voxel_arrays, write_mesh, write_voxels
+from omniocc.predict.voxel_files import (
+    PICTURE,
+    VOXELS,
+    raised_grid,
+    read_labels,
+    voxel_arrays,
+    write_mesh,
+    write_voxels,
+)
 from omniocc.task.scores import Scores
 from omniocc.view import save_png
 from omniocc.view.voxel_sheet import SeenRange, occupancy_sheet
@@ -109,8 +117,9 @@ class Job:
     ) -> None:
         folder, geometry = self._folder(drive, moment), self.predictor.model.geometry
         folder.mkdir(parents=True, exist_ok=True)
+        own = raised_grid(geometry, drive.origin_z_m)
         if self.mesh:
-            write_mesh(folder, answer.labels, geometry)
+            write_mesh(folder, answer.labels, own)
         if self.picture:
             panorama, caption = self.predictor.panorama, f"{drive.name} {drive.moments[moment]}".strip()
             missing = f", without {', '.join(self.predictor.without)}" * bool(self.predictor.without)
@@ -120,8 +129,9 @@ class Job:
                 images, drive.rig, answer.labels, geometry, seen, voxels, f"{caption}{missing}".lstrip(", ")
             )
             save_png(folder / PICTURE, sheet)
-        pose = None if drive.world_from_ego is None else drive.world_from_ego[moment]
-        write_voxels(folder, voxel_arrays(answer, geometry, pose))
+        poses = drive.world_from_ego
+        pose = None if poses is None else moved_origin(poses[moment], -drive.origin_z_m)
+        write_voxels(folder, voxel_arrays(answer, own, pose))
 
     def _score_finished(self, drive: Drive, moment: int) -> None:
         truth = drive.truth(moment, self.predictor.model.geometry, self.unknown)

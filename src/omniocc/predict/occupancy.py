@@ -25,6 +25,9 @@ from omniocc.report.run import save_results
 from omniocc.report.table import summary
 from omniocc.task.scores import Scores
 
+TRAINED_ROAD_Z_M = -2.2
+"""Where the road lies in the ego frame of recorded scenes."""
+
 
 @dataclass(frozen=True)
 class Options:
@@ -34,6 +37,7 @@ class Options:
     images: str | Sequence[str] | None
     rig: str | None
     poses: str | None
+    road_z_m: float | None
     recorded: str | None
     scene: str | None
     frames: Sequence[int] | None
@@ -62,8 +66,8 @@ def options_of(cfg: DictConfig) -> Options:
     options: Options = build(node.occupancy)
     if (options.images is None) == (options.recorded is None):
         raise UserError("give either images=... (with rig=...), your own pictures, or recorded=..., rendered scenes")
-    if options.images is None and (options.rig or options.poses):
-        raise UserError("rig=... and poses=... go with images=...; recorded scenes have their own")
+    if options.images is None and (options.rig or options.poses or options.road_z_m is not None):
+        raise UserError("rig=..., poses=... and road_z_m=... go with images=...; recorded scenes have their own")
     if options.recorded is None and (options.scene or options.frames is not None):
         raise UserError("scene=... and frames=... go with recorded=...; choose pictures by their folder")
     if not Path(options.checkpoint).is_file():
@@ -125,11 +129,13 @@ def drives_of(options: Options) -> Sequence[Drive]:
     rig = rig_of(options)
     images = options.images if isinstance(options.images, str) else list(options.images)
     frames = tuple(find_frames(images, rig, options.without))
-    if options.poses is None:
-        return [PictureDrive(rig, frames, None)]
-    if frames[0].name == "":
-        raise UserError(f"poses={options.poses}: a single moment has no past; leave poses=... out")
-    return [PictureDrive(rig, frames, read_poses(Path(options.poses), [frame.name for frame in frames]))]
+    poses = None
+    if options.poses is not None:
+        if frames[0].name == "":
+            raise UserError(f"poses={options.poses}: a single moment has no past; leave poses=... out")
+        poses = read_poses(Path(options.poses), [frame.name for frame in frames])
+    drive = PictureDrive(rig, frames, poses)
+    return [drive if options.road_z_m is None else drive.raised(options.road_z_m - TRAINED_ROAD_Z_M)]
 
 
 def rig_of(options: Options) -> Rig:

@@ -1,6 +1,7 @@
 """Files of predicted voxels."""
 
 import io
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from torch import Tensor
 from omniocc.classes import CLASSES
 from omniocc.data.errors import write_whole
 from omniocc.errors import UserError
-from omniocc.geometry import Cylinder, Grid
+from omniocc.geometry import Cuboid, Cylinder, Grid
 from omniocc.predict.ply import ply_bytes
 from omniocc.predict.predictor import Answer
 from omniocc.predict.voxel_mesh import voxel_mesh
@@ -43,6 +44,13 @@ def voxel_arrays(
         "class_colors": np.array([entry.rgb for entry in CLASSES], dtype=np.uint8),
     }
     return arrays if world_from_ego is None else {**arrays, "world_from_ego": world_from_ego.numpy()}
+
+
+def raised_grid(geometry: Grid, height_m: float) -> Grid:
+    """The grid in a frame whose origin lies lower by so much."""
+    assert isinstance(geometry, Cylinder | Cuboid)
+    low, high = geometry.height_m
+    return replace(geometry, height_m=(low + height_m, high + height_m))
 
 
 def write_mesh(folder: Path, labels: UInt8[Tensor, "X Y Z"], geometry: Grid) -> None:

@@ -108,7 +108,7 @@ def _whole(named: dict[str, Tensor], geometry: Grid, width: int) -> list[np.ndar
     half, third = column_width(width, 2), column_width(width, 3)
     if len(named) == 1:
         ((name, labels),) = named.items()
-        views = [render_voxels(labels, geometry, half, half * 9 // 16), bev(labels, geometry, half)]
+        views = [render_voxels(labels, geometry, half, half), bev(labels, geometry, half)]
         return [row(views, (name, "from above"), width)]
     truth, prediction = named.values()
     views = [render_voxels(labels, geometry, half, half * 9 // 16) for labels in (truth, prediction)]
