@@ -169,7 +169,7 @@ def test_a_stopped_run_goes_on(evaluated, scene, checkpoint, tmp_path, capsys):
     files["000003"].unlink()
     capsys.readouterr()
     run(*arguments)
-    assert "4 moments are finished" in capsys.readouterr().out
+    assert "left alone: 4 of the moments" in capsys.readouterr().out
     assert [name for name in MOMENTS if files[name].stat().st_mtime_ns != before[name]] == ["000003"]
     assert np.array_equal(labels_in(tmp_path / scene.name), evaluated[0])
     assert (tmp_path / "metrics.json").read_text() == whole

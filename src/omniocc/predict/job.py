@@ -68,7 +68,7 @@ class Job:
         left = [self.left_of(drive) for drive in drives]
         total, skipped = sum(map(len, left)), sum(len(drive.wanted) for drive in drives) - sum(map(len, left))
         if skipped:
-            print(f"{skipped} moments are finished in {self.output} and left alone; force=true predicts them again")
+            print(f"finished in {self.output} and left alone: {skipped} of the moments; force=true predicts them again")
         with FrameProgress(f"predicting {self.output}", total) as progress:
             for drive, wanted in zip(drives, left, strict=True):
                 for moment in sorted(set(drive.wanted) - set(wanted)):
@@ -90,7 +90,8 @@ class Job:
         median = {step: statistics.median(seconds[step] for seconds in self.seconds) for step in STEPS}
         whole_s = sum(sum(seconds.values()) for seconds in self.seconds)
         steps = ", ".join(f"{step} {value:.2f} s" for step, value in median.items())
-        return [f"{len(self.seconds)} moments in {clock(whole_s)}; of a moment, median: {steps}"]
+        count = len(self.seconds)
+        return [f"{count} moment{'s' * (count != 1)} in {clock(whole_s)}; of one, median: {steps}"]
 
     def _visit(self, drive: Drive, visit: Visit) -> str:
         """One lift; a line about it if its answer is wanted."""
