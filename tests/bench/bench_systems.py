@@ -78,7 +78,7 @@ def measure(name: str, cfg: DictConfig, meter: Meter, trains: bool) -> None:
 
 def main() -> None:
     """Prints a table for each preset."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description="Cost of the systems of the comparison.")
     parser.add_argument("presets", nargs="?", default="tiny,paper", help="names of presets, with commas between")
     parser.add_argument("overrides", nargs="*")
     parser.add_argument("--device", default="cpu", type=torch.device)

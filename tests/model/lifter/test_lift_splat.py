@@ -22,7 +22,7 @@ def test_shares_of_a_pixel_sum_to_one_over_bins_of_equal_size(fisheye, geometry)
     share = scores.exp() / scores.exp().sum(-1, keepdim=True)
     entries = find_entries(fisheye, geometry, 5, 7, (2.5, 6.5, 10.5, 14.5, 18.5, 22.5), torch.device("cpu"))
     expected = splat(pixels @ weight[6:].T + bias[6:], share, entries)
-    volume = lifter([features], CANDIDATES[:1], (fisheye,))
+    volume = lifter([features], torch.ones(1, *geometry.shape, dtype=torch.bool), (fisheye,))
     torch.testing.assert_close(volume[0].flatten(1).T, expected)
 
 
