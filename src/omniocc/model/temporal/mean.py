@@ -59,6 +59,6 @@ class Mean(nn.Module):
 
 def existing(exists: Bool[Tensor, "B P"]) -> list[tuple[int, int]]:
     """Frame and sample of what exists; everything, where the program must do for any."""
-    if is_static():
-        exists = torch.ones(exists.shape, dtype=torch.bool, device="cpu")
-    return [(frame, sample) for frame, there in enumerate(exists.T.tolist()) for sample, yes in enumerate(there) if yes]
+    samples, frames = exists.shape
+    there = [[True] * samples] * frames if is_static() else exists.T.tolist()
+    return [(frame, sample) for frame, row in enumerate(there) for sample, yes in enumerate(row) if yes]

@@ -1,0 +1,64 @@
+"""What goes into a program and what comes out, for those who run it without this package."""
+
+import dataclasses
+from typing import Any
+
+from omniocc.classes import CLASSES
+from omniocc.export.program import Frame, Step, example_inputs
+from omniocc.geometry import Grid
+
+MEANINGS = {
+    "images": "RGB 0..255 of every camera in the rig's order, rows from the top; black: this camera is missing",
+    "past_volumes": "volume of each frame before as it came out of the program, oldest first; where there is none, zeros",
+    "past_exists": "whether there was such a frame",
+    "world_from_ego": "poses of the frames before and, last, of this one: p_world = world_from_ego @ p_ego, metres; "
+    "ego x forward, y left, z up; any rigid pose where there was no frame",
+    "labels": "class of every cell, see classes; axes as in grid.axes",
+    "volume": "features of this frame, for past_volumes of the next frames",
+}
+AXES = {
+    "Cylinder": ["radius, metres", "azimuth, radians, from -pi counter-clockwise from x, periodic", "height, metres"],
+    "Cuboid": ["x, metres", "y, metres", "z, metres"],
+}
+
+
+def contract_of(module: Frame | Step) -> dict[str, Any]:
+    """Names, shapes, types and units of inputs and outputs, the grid, the classes and the rig, as plain data."""
+    model, rig = module.model, module.rig
+    names = ["images", "past_volumes", "past_exists", "world_from_ego"]
+    inputs = [
+        _port(name, tuple(tensor.shape), str(tensor.dtype).removeprefix("torch."))
+        for name, tensor in zip(names, example_inputs(module), strict=False)
+    ]
+    outputs = [_port("labels", model.geometry.shape, "uint8")]
+    if isinstance(module, Step):
+        outputs.append(_port("volume", (model.lifter.channels, *model.geometry.shape), "float32"))
+    camera = rig.cameras[0]
+    return {
+        "inputs": inputs,
+        "outputs": outputs,
+        "frames": model.temporal.frames,
+        "rig": {
+            "cameras": list(rig.names),
+            "image_size_px": [camera.width, camera.height],
+            "fingerprint": rig.fingerprint,
+        },
+        "grid": grid_of(model.geometry),
+        "classes": [kind.name for kind in CLASSES],
+    }
+
+
+def grid_of(geometry: Grid) -> dict[str, Any]:
+    """Kind, sizes and axes of a grid: cell i along an axis spans low + (high - low) * [i, i + 1] / shape."""
+    assert dataclasses.is_dataclass(geometry)
+    kind = type(geometry).__name__
+    return {
+        "kind": kind,
+        "axes": AXES[kind],
+        "shape": list(geometry.shape),
+        "bounds": [list(ends) for ends in geometry.bounds],
+    }
+
+
+def _port(name: str, shape: tuple[int, ...], dtype: str) -> dict[str, Any]:
+    return {"name": name, "shape": list(shape), "dtype": dtype, "meaning": MEANINGS[name]}

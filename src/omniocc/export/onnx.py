@@ -1,0 +1,73 @@
+"""From a recorded program to ONNX."""
+
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.export import ExportedProgram
+
+from omniocc.errors import UserError
+
+
+def write_onnx(program: ExportedProgram, inputs: list[str], outputs: list[str], path: Path) -> None:
+    """Writes an ONNX file.
+
+    Raises:
+        UserError: if packages are missing or an operator has no counterpart.
+    """
+    try:
+        import onnxscript  # noqa: F401
+    except ImportError as error:
+        raise UserError(f"{path}: ONNX needs more packages: pip install 'omniocc[export]'; .pt2 needs none") from error
+    program = program.run_decompositions(DECOMPOSITIONS)
+    try:
+        written = torch.onnx.export(program, dynamo=True, input_names=inputs, output_names=outputs, verbose=False)
+    except torch.onnx.OnnxExporterError as error:
+        raise UserError(f"{path}: an operator has no counterpart in ONNX: {str(error).splitlines()[0]}") from error
+    assert written is not None
+    written.save(str(path))
+
+
+def weighted_bags(
+    weight: Tensor,
+    indices: Tensor,
+    offsets: Tensor,
+    scale_grad_by_freq: bool = False,
+    mode: int = 0,
+    sparse: bool = False,
+    per_sample_weights: Tensor | None = None,
+    include_last_offset: bool = False,
+    padding_idx: int | None = None,
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """`embedding_bag` (mode sum) by gathering rows and adding them where they belong; ONNX has no such operator."""
+    assert mode == 0
+    assert per_sample_weights is not None
+    assert not include_last_offset
+    begins = torch.zeros(len(indices) + 1, dtype=torch.int64)  # empty bags at the end begin beyond
+    begins = begins.index_add(0, offsets.long(), torch.ones(len(offsets), dtype=torch.int64))
+    bag = begins.cumsum(0)[:-1] - 1
+    rows = weight.index_select(0, indices.long()) * per_sample_weights[:, None]
+    sums = weight.new_zeros(len(offsets), weight.shape[1]).index_add(0, bag, rows)
+    return sums, bag, bag, bag
+
+
+def convolution3d(
+    volume: Tensor,
+    weight: Tensor,
+    bias: Tensor | None = None,
+    stride: Any = (1, 1, 1),
+    padding: Any = (0, 0, 0),
+    dilation: Any = (1, 1, 1),
+    groups: int = 1,
+) -> Tensor:
+    """With a bias of zeros where there is none: onnxscript 0.7 makes one of a wrong shape."""
+    if bias is None:
+        bias = weight.new_zeros(len(weight))
+    return torch.ops.aten.convolution(volume, weight, bias, stride, padding, dilation, False, [0, 0, 0], groups)
+
+
+DECOMPOSITIONS = {
+    torch.ops.aten.embedding_bag.padding_idx: weighted_bags,
+    torch.ops.aten.conv3d.default: convolution3d,
+}

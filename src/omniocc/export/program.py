@@ -1,0 +1,127 @@
+"""The whole network for one rig as a program of plain operators: `torch.export`."""
+
+import traceback
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float, Float64, UInt8
+from torch import Tensor, nn
+from torch.export import ExportedProgram
+
+from omniocc.camera import Rig
+from omniocc.errors import UserError
+from omniocc.model import OccupancyModel
+from omniocc.model.static import static_shapes
+
+SLOTS = ("backbone", "sketch", "lifter", "temporal", "refiner")
+
+
+class Answer(NamedTuple):
+    """What a program says about a frame.
+
+    Attributes:
+        labels: class of every cell.
+        volume: what the next frames need of this one.
+    """
+
+    labels: UInt8[Tensor, "X Y Z"]
+    volume: Float[Tensor, "C X Y Z"]
+
+
+class Frame(nn.Module):
+    """One frame at a time, for a model that looks at no other.
+
+    Args:
+        model: in evaluation mode.
+        rig: at the size of the images.
+    """
+
+    def __init__(self, model: OccupancyModel, rig: Rig):
+        super().__init__()
+        self.model, self.rig = model, rig
+
+    def forward(self, images: UInt8[Tensor, "N 3 H W"]) -> UInt8[Tensor, "X Y Z"]:
+        """Class of every cell, from RGB 0..255."""
+        pose = torch.eye(4, dtype=torch.float64, device=images.device)[None, None]
+        there = torch.ones(1, 1, dtype=torch.bool, device=images.device)
+        volume = self.model.lift(images[None], (self.rig,)).volume
+        return self.model.fuse([volume], pose, there).argmax(1)[0].to(torch.uint8)
+
+
+class Step(nn.Module):
+    """One frame of a drive; whoever runs the program keeps the volumes of the frames before.
+
+    Args:
+        model: in evaluation mode.
+        rig: at the size of the images.
+    """
+
+    def __init__(self, model: OccupancyModel, rig: Rig):
+        super().__init__()
+        self.model, self.rig = model, rig
+
+    def forward(
+        self,
+        images: UInt8[Tensor, "N 3 H W"],
+        past_volumes: Float[Tensor, "P C X Y Z"],
+        past_exists: Bool[Tensor, " P"],
+        world_from_ego: Float64[Tensor, "T 4 4"],
+    ) -> Answer:
+        """Labels and volume of the newest frame.
+
+        Args:
+            images: RGB 0..255.
+            past_volumes: of the frames before, oldest first; any finite numbers where there was no frame.
+            past_exists: which of them there are.
+            world_from_ego: of the frames before and, last, of the newest.
+        """
+        volume = self.model.lift(images[None], (self.rig,)).volume
+        exists = torch.cat([past_exists, torch.ones_like(past_exists[:1])])[None]
+        logits = self.model.fuse([*past_volumes.split(1), volume], world_from_ego[None], exists)
+        return Answer(logits.argmax(1)[0].to(torch.uint8), volume[0])
+
+
+def make_module(model: OccupancyModel, rig: Rig) -> Frame | Step:
+    """The model as a function of one frame's images."""
+    return (Frame if model.temporal.frames == 1 else Step)(model.eval().requires_grad_(False), rig)
+
+
+def example_inputs(module: Frame | Step) -> tuple[Tensor, ...]:
+    """Black images and a car that stands still at the start of its drive, in the shapes that the program takes."""
+    camera, model = module.rig.cameras[0], module.model
+    images = torch.zeros(len(module.rig.cameras), 3, camera.height, camera.width, dtype=torch.uint8)
+    if isinstance(module, Frame):
+        return (images,)
+    past = model.temporal.frames - 1
+    volumes = torch.zeros(past, model.lifter.channels, *model.geometry.shape)
+    poses = torch.eye(4, dtype=torch.float64).repeat(past + 1, 1, 1)
+    return images, volumes, torch.zeros(past, dtype=torch.bool), poses
+
+
+@torch.no_grad()
+def export_program(module: Frame | Step) -> ExportedProgram:
+    """Records the operators of a frame.
+
+    Raises:
+        UserError: naming the option, if one of the model cannot be recorded.
+    """
+    inputs = example_inputs(module)
+    try:
+        with static_shapes():
+            module(*inputs)  # fills the caches of rig and grid: the program gets what they hold as constants
+            return torch.export.export(module, inputs, strict=False)
+    except Exception as error:  # whatever an operator or the recorder raises is about the option it happened in
+        reason = str(error).splitlines()[0]
+        raise UserError(f"{option_of(error, module.model)} cannot be exported: {reason}") from error
+
+
+def option_of(error: BaseException, model: OccupancyModel) -> str:
+    """The option in whose code an error was raised, as `model/slot=Class`."""
+    parts = {slot: getattr(model, slot) for slot in SLOTS}
+    parts["depth"] = getattr(model.sketch, "depth", None)
+    for frame in reversed(traceback.extract_tb(error.__traceback__)):
+        slot = Path(frame.filename).parent.name
+        if slot in parts and "omniocc" in frame.filename:
+            return f"model/{slot}={type(parts[slot]).__name__}"
+    return "the model"

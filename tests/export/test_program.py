@@ -1,0 +1,63 @@
+"""Programs give the labels of the model they were made of, also when the number of candidates changes."""
+
+import pytest
+import torch
+
+from omniocc.errors import UserError
+from omniocc.export import example_inputs, export_program, make_module
+from omniocc.model.static import static_shapes
+
+OPTIONS = [
+    ["model/temporal=none"],
+    ["model/temporal=none", "model.sketch.share=0.2", "model.sketch.threshold=null"],
+    ["model/temporal=none", "model/depth=omnimvs3d"],
+    ["model/temporal=none", "model/depth=mono"],
+    ["model/temporal=none", "model/sketch=random", "model/refiner=attention"],
+    ["model/temporal=none", "model/sketch=dense", "model/refiner=none", "preset.backbone.deformable_stages=[3,4]"],
+]
+
+
+@pytest.mark.parametrize("overrides", OPTIONS, ids=lambda overrides: " ".join(overrides[1:]) or "default")
+def test_static_shapes_give_the_same_labels(overrides, make_model, rig, draw_images):
+    module = make_module(make_model(*overrides), rig)
+    for seed, black in ((0, ()), (1, (2,)), (2, ())):
+        images = draw_images(seed, black)
+        expected = module(images)
+        with static_shapes():
+            assert torch.equal(module(images), expected)
+    assert len(expected.unique()) > 1
+
+
+def test_candidates_of_the_frames_that_are_compared_differ_in_number(make_model, rig, draw_images):
+    sketch = make_model("model/temporal=none").sketch
+    images = [draw_images(seed)[None].float() / 255 for seed in (0, 1, 2)]
+    counts = {int(sketch(frame, (rig,)).sum()) for frame in images}
+    assert len(counts) > 1
+
+
+def test_a_recorded_drive_gives_the_labels_of_the_model(make_model, rig, draw_images):
+    model = make_model("model/temporal=mean")
+    module = make_module(model, rig)
+    program = export_program(module).module()
+    _, volumes, exists, _ = example_inputs(module)
+    frames, images, poses = 5, [], torch.eye(4, dtype=torch.float64).repeat(5, 1, 1)
+    poses[:, 0, 3] = torch.arange(frames) * 0.7
+    for frame in range(frames):
+        images.append(draw_images(frame, (1,) if frame == 3 else ()))
+        window = slice(max(0, frame - 2), frame + 1)
+        real = torch.stack(images[window])[None]
+        expected = model(real, (rig,), poses[None, window]).logits.argmax(1)[0]
+        first = torch.eye(4, dtype=torch.float64).expand(2 - min(frame, 2), 4, 4)
+        answer = program(
+            draw_images(frame, (1,) if frame == 3 else ()), volumes, exists, torch.cat([first, poses[window]])
+        )
+        assert torch.equal(answer.labels, expected.to(torch.uint8))
+        volumes = torch.cat([volumes[1:], answer.volume[None]])
+        exists = torch.cat([exists[1:], torch.tensor([True])])
+
+
+def test_an_option_that_cannot_be_recorded_is_named(make_model, rig):
+    with pytest.raises(UserError, match=r"^model/depth=Sweep cannot be exported: .*"):
+        export_program(make_module(make_model("model/temporal=none", "model/depth=sweep"), rig))
+    with pytest.raises(UserError, match=r"^model/depth=TrueDepth cannot be exported: .* needs the recorded range"):
+        export_program(make_module(make_model("model/temporal=none", "model/depth=truth"), rig))
