@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from omniocc.report.claims import Claim, claims_of, pooled_spread
+from omniocc.report.claims import Claim, claim_cells, claims_of, pooled_spread
 from omniocc.report.paper_table import load_table
 from omniocc.report.runs import FinishedRun
 
@@ -26,7 +26,7 @@ def test_the_spread_of_all_rows_is_that_of_their_deviations():
 
 def test_gaps_stand_beside_the_papers_with_their_standard_error():
     runs = {"ours": row("ours", 0.30, 0.34), "dense": row("dense", 0.20), "mono": row("mono", 0.33, 0.33)}
-    claims = {claim.title: claim for claim in claims_of(SKETCH, runs)}
+    claims = {claim.title: claim for claim in claims_of(SKETCH, runs, "test/rayiou")}
     assert set(claims) == {"dense voxels", "mono depth"}
     spread = math.sqrt(statistics.variance([0.30, 0.34]) / 2)
     assert claims["dense voxels"].paper == pytest.approx(0.470 - 0.434)
@@ -41,3 +41,20 @@ def test_verdicts():
     assert Claim("a", 0.1, 0.3, math.nan).verdict == "same sign (spread unknown)"
     assert Claim("a", 0.1, -0.3, math.nan).verdict == "not the same sign (spread unknown)"
     assert Claim("a", 0.1, 0.3, 0.0).verdict == "holds (inf)"
+
+
+def test_the_same_claims_are_made_against_lidar_rays():
+    def with_lidar(runs):
+        return [
+            run._replace(metrics=run.metrics | {"test/lidar/rayiou": 1 - run.metrics["test/rayiou"]}) for run in runs
+        ]
+
+    runs = {"ours": with_lidar(row("ours", 0.30, 0.34)), "dense": with_lidar(row("dense", 0.20))}
+    head, rows = claim_cells(SKETCH, runs)
+    assert head[-2:] == ["LiDAR", "claim"]
+    assert rows == [
+        ["dense voxels", "+0.036", "+0.120 ± 0.035", "holds (3.5)", "-0.120 ± 0.035", "opposite (3.5)"],
+    ]
+    assert claim_cells(SKETCH, {"ours": row("ours", 0.3), "dense": row("dense", 0.2)})[1] == [
+        ["dense voxels", "+0.036", "+0.100", "same sign (spread unknown)"],
+    ]

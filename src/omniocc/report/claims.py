@@ -8,6 +8,7 @@ from typing import NamedTuple
 from omniocc.report.paper_table import PaperTable, figure_of
 from omniocc.report.runs import FinishedRun
 
+RAYIOU, LIDAR = "test/rayiou", "test/lidar/rayiou"
 CLEAR = 2.0
 """Standard errors from which on a gap is called found."""
 
@@ -26,6 +27,11 @@ class Claim(NamedTuple):
     paper: float
     here: float
     error: float
+
+    @property
+    def gap(self) -> str:
+        """What was measured, with its standard error."""
+        return f"{self.here:+.3f}" + ("" if math.isnan(self.error) else f" ± {self.error:.3f}")
 
     @property
     def verdict(self) -> str:
@@ -53,32 +59,38 @@ def pooled_spread(rows: Iterable[Sequence[FinishedRun]], key: str) -> float:
     return math.sqrt(sum((len(row) - 1) * statistics.variance(row) for row in several) / freedom)
 
 
-def claims_of(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> list[Claim]:
+def claims_of(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]], key: str) -> list[Claim]:
     """The gaps of a table that can be looked at here.
 
     The standard error of a gap between means over n and m seeds is s sqrt(1/n + 1/m), with one s of all rows that
     have run: two or three seeds say little about the spread of one row alone.
+
+    Args:
+        table: gives the paper's gaps, in the metric that it is ordered by.
+        runs: of each row.
+        key: of the metric that is compared here.
     """
-    key = table.order_by
     spread = pooled_spread(runs.values(), key)
     measured = {row.run: figure_of(runs.get(row.run, []), key) for row in table.rows}
-    printed = [row for row in table.rows if row.paper[key] is not None]
-    best = max(printed, key=lambda row: row.paper[key] or 0.0, default=None)
+    printed = [(row, value) for row in table.rows if (value := row.paper[table.order_by]) is not None]
+    best, most = max(printed, key=lambda entry: entry[1], default=(None, 0.0))
     claims = []
-    for row in printed:
+    for row, value in printed:
         assert best is not None
         ours, theirs = measured[best.run], measured[row.run]
         if row is not best and ours and theirs:
             error = spread * math.sqrt(1 / ours.seeds + 1 / theirs.seeds)
-            gap = (best.paper[key] or 0.0) - (row.paper[key] or 0.0)
-            claims.append(Claim(row.title, gap, ours.mean - theirs.mean, error))
+            claims.append(Claim(row.title, most - value, ours.mean - theirs.mean, error))
     return claims
 
 
-def claim_cells(claims: Sequence[Claim]) -> tuple[list[str], list[list[str]]]:
-    """Head and rows of a table of claims."""
-    rows = []
-    for claim in claims:
-        error = "" if math.isnan(claim.error) else f" ± {claim.error:.3f}"
-        rows.append([claim.title, f"{claim.paper:+.3f}", f"{claim.here:+.3f}{error}", claim.verdict])
-    return ["ahead of", "paper", "here ± standard error", "claim (standard errors)"], rows
+def claim_cells(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> tuple[list[str], list[list[str]]]:
+    """Head and rows of a table of claims; also against LiDAR rays, where the paper's metric is RayIoU."""
+    claims = claims_of(table, runs, table.order_by)
+    lidar = claims_of(table, runs, LIDAR) if table.order_by == RAYIOU else []
+    head = ["ahead of", "paper", "here ± standard error", "claim (standard errors)"]
+    rows = [[claim.title, f"{claim.paper:+.3f}", claim.gap, claim.verdict] for claim in claims]
+    if claims and [claim.title for claim in lidar] == [claim.title for claim in claims]:
+        head += ["LiDAR", "claim"]
+        rows = [[*row, claim.gap, claim.verdict] for row, claim in zip(rows, lidar, strict=True)]
+    return head, rows

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from omniocc.classes import CLASSES, FREE
 from omniocc.report import markup
-from omniocc.report.claims import claim_cells, claims_of
+from omniocc.report.claims import claim_cells
 from omniocc.report.dataset_table import DatasetTable, dataset_cells
 from omniocc.report.gallery import GalleryFrame, Shown, inline
 from omniocc.report.paper_table import (
@@ -80,8 +80,8 @@ def _table_card(table: PaperTable, sweep: Sweep) -> str:
     lines = [line for row, figures in rows_of(table, sweep.rows) for line in _pair(table, row, figures, sweep)]
     head = ["method", "", *map(markup.text, table.columns.values())]
     order = markup.note(order_line(table, sweep.rows))
-    claims = claims_of(table, sweep.rows)
-    answer = order + (markup.plain_table(*claim_cells(claims), "claims") if claims else "")
+    claims_head, claims = claim_cells(table, sweep.rows)
+    answer = order + (markup.plain_table(claims_head, claims, "claims") if claims else "")
     wide = len(table.columns) > 5
     body = markup.table(head, lines, "pairs wide" if wide else "pairs")
     both = f'<div class="{"stack" if wide else "sides"}"><div>{body}</div><div>{answer}</div></div>'

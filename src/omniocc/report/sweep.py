@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from omniocc.report.claims import claim_cells, claims_of
+from omniocc.report.claims import claim_cells
 from omniocc.report.curves import read_curve
 from omniocc.report.dataset_table import (
     DatasetTable,
@@ -96,8 +96,8 @@ def report_markdown(sweep: Sweep) -> str:
     ]
     for table in sweep.tables:
         parts.append(as_markdown(table, sweep.rows))
-        if claims := claims_of(table, sweep.rows):
-            parts.append(markdown(*claim_cells(claims)))
+        head, claims = claim_cells(table, sweep.rows)
+        parts += [markdown(head, claims)] * bool(claims)
     return "\n".join(parts)
 
 
