@@ -60,7 +60,8 @@ def train_occupancy(
         print(f"{run.path} is finished; resume=never trains anew beside it")
         show_results(run.path)
         return
-    write_whole(run.path / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True))
+    if run.lock is not None:
+        write_whole(run.path / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True))
     task = build_task(cfg)
     if before is not None:
         task.model.sketch.load_state_dict(before.sketch_weights())  # type: ignore[union-attr]

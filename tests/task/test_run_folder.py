@@ -51,3 +51,15 @@ def test_two_processes_do_not_share_a_folder(tmp_path):
 def test_a_checkpoint_that_is_not_there_is_named(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"gone\.ckpt"):
         open_run(tmp_path, "train", "abc", str(tmp_path / "gone.ckpt"))
+
+
+def test_of_processes_that_slurm_starts_only_the_first_claims_the_folder(tmp_path, monkeypatch):
+    monkeypatch.delenv("LOCAL_RANK", raising=False)
+    monkeypatch.delenv("OMNIOCC_RUN_FOLDER", raising=False)
+    monkeypatch.setenv("SLURM_PROCID", "1")
+    second = open_run(tmp_path, "train", "abc", "auto")
+    assert (second.lock, second.path.is_dir()) == (None, True)
+    monkeypatch.setenv("SLURM_PROCID", "0")
+    first = open_run(tmp_path, "train", "abc", "auto")
+    assert first.lock is not None
+    assert first.path == second.path

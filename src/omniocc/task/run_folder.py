@@ -56,11 +56,13 @@ def open_run(runs: Path, name: str, digest: str, resume: str) -> RunFolder:
         FileNotFoundError: when the checkpoint to go on from is not there.
     """
     path, lock = runs / f"{name}-{digest}", None
-    if os.environ.get("LOCAL_RANK", "0") == "0":
+    # Lightning tells its children LOCAL_RANK; Slurm starts all processes itself, and at once
+    if os.environ.get("LOCAL_RANK", os.environ.get("SLURM_PROCID", "0")) == "0":
         path, lock = _claim(path, fresh=resume == "never")
         os.environ[RANK_FOLDER] = str(path)
     else:
         path = Path(os.environ.get(RANK_FOLDER, path))
+        path.mkdir(parents=True, exist_ok=True)
     checkpoint = path / LAST
     if resume not in ("auto", "never"):
         checkpoint = Path(resume)

@@ -1,0 +1,50 @@
+"""Multiruns as users start them, other than many rows on one machine (`test_process.py`)."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from hydra import compose, initialize_config_dir
+
+ROOT = Path(__file__).parents[2]
+SMOKE = ("preset=smoke", "logger.mode=disabled", "pictures=0")
+
+
+def multirun(folder: Path, data: Path, *overrides: str) -> subprocess.CompletedProcess:
+    command = [sys.executable, str(ROOT / "src" / "train.py"), "--multirun", *SMOKE, f"paths.data={data}", *overrides]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT / "src")}
+    return subprocess.run(
+        command, cwd=folder, env=environment, capture_output=True, text=True, check=False, timeout=600
+    )
+
+
+@pytest.mark.slow
+def test_a_job_of_two_processes_trains_one_model(tmp_path, data_root):
+    overrides = ["model/sketch=dense", "trainer.max_steps=2", "data.batch_size=1", "seed=4"]
+    distributed = ["trainer.accelerator=cpu", "trainer.devices=2", "trainer.strategy=ddp"]
+    result = multirun(tmp_path, data_root, *overrides, *distributed)
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert "1 of 1 jobs finished" in result.stdout
+    (path,) = tmp_path.glob("runs/train-*/metrics.json")
+    assert json.loads(path.read_text())["steps"] == 2
+    (log,) = tmp_path.glob("runs/sweeps/*/*.log")  # a child that began the sweep anew would have a folder of its own
+    assert "Traceback" not in log.read_text()
+
+
+@pytest.mark.slow
+def test_submitit_runs_jobs_of_this_machine(tmp_path, data_root):
+    overrides = ["model/depth=truth", "stage=depth", "hydra/launcher=submitit_local", "stages.depth.seed=1,2"]
+    result = multirun(tmp_path, data_root, *overrides)
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert len(list(tmp_path.glob("runs/stages/depth-*/metrics.json"))) == 2
+
+
+def test_slurm_jobs_ask_for_four_gpus_with_a_process_each():
+    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
+        launcher = compose("train", ["hydra/launcher=slurm_4gpu"], return_hydra_config=True).hydra.launcher
+    assert launcher._target_.endswith("SlurmLauncher")
+    assert (launcher.nodes, launcher.gpus_per_node, launcher.tasks_per_node) == (1, 4, 4)
+    assert launcher.cpus_per_task == 8
