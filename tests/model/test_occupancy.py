@@ -8,7 +8,7 @@ from omniocc.geometry import Cylinder
 from omniocc.model import OccupancyModel
 from omniocc.model.backbone import Backbone
 from omniocc.model.lifter import CoarseColoring, Coloring, Lifter, LiftSplat, Pillar
-from omniocc.model.refiner import Attention, Conv, NoRefiner, Refiner, UNet
+from omniocc.model.refiner import Attention, ChannelToHeight, Conv, NoRefiner, Refiner, UNet
 from omniocc.model.semantic_head import FCN, NoSemanticHead, SemanticHead
 from omniocc.model.sketch import Dense, Random, Sketch
 from omniocc.model.temporal import Mean, NoTemporal, Recurrent, Temporal
@@ -41,6 +41,7 @@ def test_every_option_keeps_its_slots_contract(make_backbone, make_model, geomet
             NoRefiner(8),
             UNet(geometry, 8, [8, 8]),
             Conv(geometry, 8, [8, 8], [1, 1]),
+            ChannelToHeight(geometry, 8, 8, [8, 8], [1, 1]),
             Attention(geometry, 8, 1, 2, 2, 8, halved=True),
         ],
         SemanticHead: [FCN(8, 8, 12), NoSemanticHead()],

@@ -6,11 +6,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from omniocc.model.refiner.attention import Attention
+from omniocc.model.refiner.channel_to_height import ChannelToHeight
 from omniocc.model.refiner.conv import Conv
 from omniocc.model.refiner.none import NoRefiner
 from omniocc.model.refiner.unet import UNet
 
-__all__ = ["Attention", "Conv", "NoRefiner", "Refiner", "UNet"]
+__all__ = ["Attention", "ChannelToHeight", "Conv", "NoRefiner", "Refiner", "UNet"]
 
 
 @runtime_checkable
