@@ -2,14 +2,17 @@
 
 from omniocc.predict.cloud import cloud_of, write_ply
 from omniocc.predict.images import Frame, find_frames, read_frame, resized_to_width
-from omniocc.predict.network import load_depth, predict_depth
+from omniocc.predict.network import load_depth, load_occupancy, predict_depth
 from omniocc.predict.output import write_depth
+from omniocc.predict.predictor import Predictor
 
 __all__ = [
     "Frame",
+    "Predictor",
     "cloud_of",
     "find_frames",
     "load_depth",
+    "load_occupancy",
     "predict_depth",
     "read_frame",
     "resized_to_width",
