@@ -55,7 +55,7 @@ def test_voxformer_looks_at_monocular_depth():
 
 
 @SYSTEMS
-@pytest.mark.parametrize("preset", ["tiny", "small", "paper"])
+@pytest.mark.parametrize("preset", ["small", "paper"])
 def test_every_preset_has_sizes_that_fit(name, preset):
     with initialize_config_dir(str(CONF), version_base="1.3"):
         cfg = compose("train", [f"preset={preset}", f"model={name}", "preset.backbone.weights=null"])

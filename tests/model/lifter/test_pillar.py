@@ -8,7 +8,7 @@ from omniocc.geometry import Cuboid, Cylinder
 from omniocc.model.lifter import Pillar
 from omniocc.model.lifter.pillar import pillar_anchors
 
-CYLINDER, CUBOID = Cylinder((3, 7, 4), (0.0, 12.0)), Cuboid((4, 3, 4), (-9.0, 8.0), (-7.0, 10.0), (-6.0, 7.0))
+CYLINDER, CUBOID = Cylinder((2, 5, 4), (0.0, 12.0)), Cuboid((3, 3, 4), (-9.0, 8.0), (-7.0, 10.0), (-6.0, 7.0))
 SIZES = [(9, 16), (5, 8)]
 
 
