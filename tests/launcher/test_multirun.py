@@ -34,12 +34,31 @@ def test_a_job_of_two_processes_trains_one_model(tmp_path, data_root):
     assert "Traceback" not in log.read_text()
 
 
-@pytest.mark.slow
-def test_submitit_runs_jobs_of_this_machine(tmp_path, data_root):
-    overrides = ["model/depth=truth", "stage=depth", "hydra/launcher=submitit_local", "stages.depth.seed=1,2"]
-    result = multirun(tmp_path, data_root, *overrides)
+SCRIPT = """
+import os
+from pathlib import Path
+
+import hydra
+
+
+@hydra.main(version_base="1.3", config_path={conf!r}, config_name="train")
+def main(cfg):
+    Path(f"seed{{cfg.seed}}.txt").write_text(f"{{os.getpid()}} {{cfg.model.sketch._target_}}")
+
+
+main()
+"""
+
+
+def test_submitit_runs_jobs_of_this_machine_in_processes_of_their_own(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(SCRIPT.format(conf=str(ROOT / "conf")))
+    command = [sys.executable, str(script), "--multirun", "hydra/launcher=submitit_local", "seed=1,2"]
+    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=300)
     assert result.returncode == 0, result.stdout + result.stderr
-    assert len(list(tmp_path.glob("runs/stages/depth-*/metrics.json"))) == 2
+    said = [(tmp_path / f"seed{seed}.txt").read_text().split() for seed in (1, 2)]
+    assert said[0][0] != said[1][0]
+    assert {sketch for _, sketch in said} == {"omniocc.model.sketch.Omni"}
 
 
 def test_slurm_jobs_ask_for_four_gpus_with_a_process_each():
