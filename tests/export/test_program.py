@@ -43,14 +43,13 @@ def test_a_recorded_drive_gives_the_labels_of_the_model(make_model, rig, draw_im
     frames, images, poses = 5, [], torch.eye(4, dtype=torch.float64).repeat(5, 1, 1)
     poses[:, 0, 3] = torch.arange(frames) * 0.7
     for frame in range(frames):
-        images.append(draw_images(frame, (1,) if frame == 3 else ()))
+        newest = draw_images(frame, (1,) if frame == 3 else ())
+        images.append(newest)
         window = slice(max(0, frame - 2), frame + 1)
         real = torch.stack(images[window])[None]
         expected = model(real, (rig,), poses[None, window]).logits.argmax(1)[0]
         first = torch.eye(4, dtype=torch.float64).expand(2 - min(frame, 2), 4, 4)
-        answer = program(
-            draw_images(frame, (1,) if frame == 3 else ()), volumes, exists, torch.cat([first, poses[window]])
-        )
+        answer = program(newest, volumes, exists, torch.cat([first, poses[window]]))
         assert torch.equal(answer.labels, expected.to(torch.uint8))
         volumes = torch.cat([volumes[1:], answer.volume[None]])
         exists = torch.cat([exists[1:], torch.tensor([True])])
@@ -59,5 +58,5 @@ def test_a_recorded_drive_gives_the_labels_of_the_model(make_model, rig, draw_im
 def test_an_option_that_cannot_be_recorded_is_named(make_model, rig):
     with pytest.raises(UserError, match=r"^model/depth=Sweep cannot be exported: .*"):
         export_program(make_module(make_model("model/temporal=none", "model/depth=sweep"), rig))
-    with pytest.raises(UserError, match=r"^model/depth=TrueDepth cannot be exported: .* needs the recorded range"):
+    with pytest.raises(UserError, match=r"^model/depth=Truth cannot be exported: .* needs the recorded range"):
         export_program(make_module(make_model("model/temporal=none", "model/depth=truth"), rig))

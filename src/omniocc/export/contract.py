@@ -9,7 +9,7 @@ from omniocc.geometry import Grid
 
 MEANINGS = {
     "images": "RGB 0..255 of every camera in the rig's order, rows from the top; black: this camera is missing",
-    "past_volumes": "volume of each frame before as it came out of the program, oldest first; where there is none, zeros",
+    "past_volumes": "volume of each frame before as the program gave it, oldest first; where there is none, zeros",
     "past_exists": "whether there was such a frame",
     "world_from_ego": "poses of the frames before and, last, of this one: p_world = world_from_ego @ p_ego, metres; "
     "ego x forward, y left, z up; any rigid pose where there was no frame",
