@@ -4,7 +4,7 @@ Everything it shows is logged by the runs themselves; `KEYS` are tested against 
 """
 
 import argparse
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from omniocc.config import lines_not_tracebacks
 from omniocc.errors import UserError
@@ -120,10 +120,10 @@ def _section(name: str, charts: tuple[Chart, ...]) -> "Section":
     )
 
 
-def _panel(chart: Chart) -> object:
+def _panel(chart: Chart) -> Any:
     from wandb_workspaces.reports.v2 import interface as panels
 
-    keys = list(chart.keys)
+    keys: list[Any] = list(chart.keys)
     if chart.kind == "bars":
         return panels.BarPlot(title=chart.title, metrics=keys, groupby=panels.Config("row"), max_runs_to_show=40)
     if chart.kind == "lines":
@@ -146,7 +146,10 @@ def main(arguments: list[str] | None = None) -> None:
 
     if not wandb.api.api_key:
         raise UserError("the dashboard is saved to W&B: run `wandb login` or set WANDB_API_KEY")
-    board = workspace(options.entity or wandb.Api().default_entity, options.project)
+    entity = options.entity or wandb.Api().default_entity
+    if entity is None:
+        raise UserError("this login has no default entity: name the W&B user or team with --entity")
+    board = workspace(entity, options.project)
     board.save()
     print(f"dashboard {board.url}")
 

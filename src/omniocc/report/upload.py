@@ -64,7 +64,7 @@ def log_report(report: Path, project: str) -> bool:
     with wandb.init(dir=report, id=name, name="report", project=project, job_type="report", mode="offline") as run:
         for path in files:
             head, *rows = csv.reader(path.read_text().splitlines())
-            run.log({f"paper/{path.stem}": wandb.Table(columns=head, data=rows)})
+            run.log({f"paper/{path.stem}": wandb.Table(columns=[*head], data=rows)})
     return True
 
 

@@ -123,7 +123,7 @@ class WandbCurves(WandbLogger):
         tables = result_tables(self.figures)
         if tables:
             self.log_metrics(
-                {key: wandb.Table(columns=table.columns, data=table.rows) for key, table in tables.items()}
+                {key: wandb.Table(columns=[*table.columns], data=table.rows) for key, table in tables.items()}
             )
         self.experiment.finish()
 

@@ -44,10 +44,12 @@ def raw_records(path: Path) -> Iterator[bytes]:
 
 def records(path: Path) -> Iterator[Any]:
     """W&B's `Record` messages."""
-    from wandb.proto.wandb_internal_pb2 import Record
+    from wandb.proto import wandb_internal_pb2 as messages
+
+    record_type: Any = vars(messages)["Record"]  # generated when imported
 
     for content in raw_records(path):
-        yield Record.FromString(content)
+        yield record_type.FromString(content)
 
 
 def history(path: Path) -> Iterator[dict[str, Any]]:
