@@ -1,0 +1,26 @@
+"""What replaces operators that ONNX has not computes the same."""
+
+import pytest
+import torch
+from torch.nn import functional as F
+
+from omniocc.export.onnx import convolution3d, weighted_bags
+
+
+@pytest.mark.parametrize(
+    "begins", [[0, 2, 5], [0, 0, 3, 7], [0, 4, 8, 8]], ids=["all full", "empty first", "empty last"]
+)
+def test_bags_are_weighted_sums(begins):
+    torch.manual_seed(0)
+    table, weights = torch.randn(6, 4), torch.rand(8)
+    rows, offsets = torch.randint(0, 6, (8,), dtype=torch.int32), torch.tensor(begins, dtype=torch.int32)
+    expected = F.embedding_bag(rows, table, offsets, mode="sum", per_sample_weights=weights)
+    found = weighted_bags(table, rows, offsets, per_sample_weights=weights)[0]
+    torch.testing.assert_close(found, expected)
+
+
+def test_convolution_without_bias():
+    torch.manual_seed(0)
+    volume, weight = torch.randn(1, 2, 4, 5, 6), torch.randn(3, 2, 3, 3, 3)
+    found = convolution3d(volume, weight, None, [1, 1, 1], [1, 0, 1], [1, 1, 1], 1)
+    torch.testing.assert_close(found, F.conv3d(volume, weight, padding=(1, 0, 1)))
