@@ -2,21 +2,34 @@
 
 from typing import cast
 
+from jaxtyping import Float, UInt8
 from torch import Tensor, nn
 
 from omniocc.batch import Batch
+from omniocc.classes import FREE
 from omniocc.geometry import Cuboid, Cylinder, Grid
-from omniocc.metric import RayIoU, VoxelIoU
+from omniocc.metric import RayIoU, VoxelIoU, sparseocc_directions
 
 RANGE_EDGES_M = (0.0, 8.5, 17.0, 25.6)
 """The paper's distance bands (its Table 'result in different distance')."""
+
+
+def within_reach(
+    labels: UInt8[Tensor, "B R"], range_m: Float[Tensor, "B R"], directions: Float[Tensor, "R 3"]
+) -> UInt8[Tensor, "B R"]:
+    """Classes of hits, free where the hit is beyond the last band, measured from the z axis.
+
+    Only the corners of a cuboid reach farther: without them, grids of any outline are judged on the same rays.
+    """
+    distance_m = range_m * directions[:, :2].norm(dim=-1)
+    return labels.masked_fill(distance_m >= RANGE_EDGES_M[-1], FREE)
 
 
 class Scores(nn.Module):
     """RayIoU against the true voxels (as the paper does), RayIoU against the ego LiDAR's true rays, and voxel IoU.
 
     The keys of `compute` are the metrics' own: plain for rays against voxels, `lidar/...` for true rays, `voxel/...`
-    for cells.
+    for cells. LiDAR hits beyond the last band count for no grid.
     """
 
     def __init__(self, geometry: Grid):
@@ -25,11 +38,14 @@ class Scores(nn.Module):
         self.rays = RayIoU(grid, range_edges_m=RANGE_EDGES_M)
         self.lidar = RayIoU(grid, range_edges_m=RANGE_EDGES_M)
         self.cells = VoxelIoU()
+        self.directions: Tensor
+        self.register_buffer("directions", sparseocc_directions().float(), persistent=False)
 
     def update(self, labels: Tensor, batch: Batch) -> None:
         """Add a batch of predicted labels (B, *shape)."""
         self.rays.update(labels, batch.voxels)
-        self.lidar.update_rays(labels, batch.lidar_range_m, batch.lidar_labels)
+        hits = within_reach(batch.lidar_labels, batch.lidar_range_m, self.directions)
+        self.lidar.update_rays(labels, batch.lidar_range_m, hits)
         self.cells.update(labels, batch.voxels)
 
     def compute(self) -> dict[str, Tensor]:
