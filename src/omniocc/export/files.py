@@ -76,8 +76,8 @@ def scaled(rig: Rig, width: int) -> Rig:
 def write_program(program: ExportedProgram, contract: dict[str, Any], output: Path) -> None:
     """One file, of the kind that its name says."""
     if output.suffix == ".onnx":
-        names = [[port["name"] for port in contract[side]] for side in ("inputs", "outputs")]
-        write_onnx(program, *names, output)
+        inputs, outputs = ([port["name"] for port in contract[side]] for side in ("inputs", "outputs"))
+        write_onnx(program, inputs, outputs, output)
     else:
         torch.export.save(program, output)
 

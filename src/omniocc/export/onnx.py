@@ -67,7 +67,7 @@ def convolution3d(
     return torch.ops.aten.convolution(volume, weight, bias, stride, padding, dilation, False, [0, 0, 0], groups)
 
 
-DECOMPOSITIONS = {
+DECOMPOSITIONS: dict[Any, Any] = {
     torch.ops.aten.embedding_bag.padding_idx: weighted_bags,
     torch.ops.aten.conv3d.default: convolution3d,
 }
