@@ -1,4 +1,4 @@
-"""What every slot costs: `python tests/bench/bench_model.py [tiny,paper] [--device cuda] [--threads 2] [key=value ...]`.
+"""What every slot costs: `python tests/bench/bench_model.py [tiny,paper] [--device cuda] [--threads 2] [key=value]`.
 
 Three tables and a profile for each preset. Slots: parameters, billions of floating-point operations forward (a
 multiplication and an addition are two), time forward and of forward and backward, peak memory above what was held
