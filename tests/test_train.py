@@ -10,6 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from omniocc.report.dashboard import KEYS
+from omniocc.task.wandb_file import files_of, history, records
+
 ROOT = Path(__file__).parents[1]
 
 
@@ -93,17 +96,17 @@ def test_killed_training_continues_to_the_same_figures(tmp_path, data_root):
 
 
 def test_stages_run_once_and_are_shared(tmp_path, data_root):
-    arguments = smoke(data_root, "model/sketch=omni", "trainer.max_steps=2")
-    depth = run("train.py", *arguments, "stage=depth", cwd=tmp_path)
+    arguments = smoke(data_root, "model/sketch=omni", "trainer.max_steps=3", "trainer.log_every_n_steps=1")
+    logged = ["logger.mode=offline", "pictures=1"]
+    depth = run("train.py", *arguments, "stage=depth", *logged, cwd=tmp_path)
     assert depth.returncode == 0, depth.stdout + depth.stderr
     assert "depth, stage 1 of 1 begins" in depth.stdout
     assert "AbsRel" in depth.stdout
     assert not list(tmp_path.glob("runs/stages/sketch-*"))
 
-    whole = run("train.py", *arguments, "name=whole", "pictures=1", "logger.mode=offline", cwd=tmp_path)
+    whole = run("train.py", *arguments, "name=whole", *logged, cwd=tmp_path)
     assert whole.returncode == 0, whole.stdout + whole.stderr
-    for folder in ("runs/stages/sketch-*", "runs/whole-*"):  # a W&B run of its own each, in one process
-        assert len(list(tmp_path.glob(f"{folder}/wandb/offline-run-*/*.wandb"))) == 1
+    runs_of_wandb_are_complete(tmp_path / "runs")
     assert "depth, stage 1 of 3 is there" in whole.stdout
     assert "sketch, stage 2 of 3 begins" in whole.stdout
     metrics = metrics_of(tmp_path, "whole")
@@ -165,6 +168,24 @@ def test_a_killed_stage_continues_to_the_same_figures(tmp_path, data_root):
         for runs in ("whole", "killed")
     ]
     assert figures[0] == pytest.approx(figures[1], abs=1e-6, nan_ok=True)
+
+
+def runs_of_wandb_are_complete(runs: Path) -> None:
+    """One for each stage, two of them in one process; together they have all that the dashboard shows."""
+    seen = set()
+    for folder, job_type, tags in (
+        ("stages/depth-*", "depth", []),
+        ("stages/sketch-*", "sketch", []),
+        ("whole-*", "occupancy", ["whole"]),
+    ):
+        (path,) = files_of(next(runs.glob(folder)))
+        (begun,) = [record.run for record in records(path) if record.WhichOneof("record_type") == "run"]
+        assert (begun.job_type, begun.run_group, list(begun.tags)) == (job_type, "smoke", tags)
+        config = {item.key: json.loads(item.value_json) for item in begun.config.update}
+        assert config["slots"]["sketch"] == "omni"
+        seen |= {key for row in history(path) for key in row}
+    assert KEYS - seen == set()
+    assert {"train/loss/ce", "train/loss/dice"} <= seen
 
 
 @pytest.mark.parametrize(

@@ -31,7 +31,7 @@ def test_a_run_in_progress_is_left_alone(tmp_path):
 
 
 def test_without_a_login_there_is_one_clear_line(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("wandb.api", type("Api", (), {"api_key": None}))
+    monkeypatch.setattr("omniocc.report.upload.logged_in", lambda: False)
     main(["--runs", str(tmp_path)])
     assert "nothing waits for upload" in capsys.readouterr().out
     offline_run(tmp_path / "mono-1")
@@ -40,7 +40,7 @@ def test_without_a_login_there_is_one_clear_line(tmp_path, monkeypatch, capsys):
 
 
 def test_all_files_go_to_wandb_in_one_command(tmp_path, monkeypatch):
-    monkeypatch.setattr("wandb.api", type("Api", (), {"api_key": "k"}))
+    monkeypatch.setattr("omniocc.report.upload.logged_in", lambda: True)
     calls = []
     run = lambda command, check: calls.append(command) or subprocess.CompletedProcess(command, 3)  # noqa: E731
     monkeypatch.setattr("omniocc.report.upload.subprocess.run", run)

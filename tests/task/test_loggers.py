@@ -7,6 +7,7 @@ from collections import Counter
 import numpy as np
 import pytest
 import torch
+import wandb
 from lightning.pytorch import LightningModule, Trainer
 from lightning.pytorch.callbacks import ModelCheckpoint
 from torch.utils.data import DataLoader
@@ -73,6 +74,7 @@ def resumed(tmp_path_factory):
     with pytest.raises(ConnectionAbortedError):
         first.fit(Line(DIES_AT), many, one)
     finish(first.loggers)
+    wandb.teardown()
     time.sleep(1.1)  # folders of W&B are named by the second
     second = trainer_of(folder)
     second.fit(Line(), many, one, ckpt_path=folder / "last.ckpt")
@@ -85,6 +87,7 @@ def resumed(tmp_path_factory):
         }
         curves.log_media(media, second.global_step)
     finish(second.loggers)
+    wandb.teardown()
     return folder
 
 
@@ -128,6 +131,20 @@ def test_pictures_points_and_tables_are_kept_as_files(resumed):
     assert tables["tables/by_range"]["nrows"] == 3
 
 
+def test_what_wandb_lost_when_a_run_was_killed_is_logged_first(tmp_path):
+    """W&B's file ends at step 1, the journal at step 3, the checkpoint was written at step 2."""
+    (curves,) = wandb_of(Loggers("offline", "p", None, []).build(tmp_path, CONFIG, "occupancy"))
+    curves.before |= {(step, "train/loss") for step in range(4)}
+    curves.lost = [(2, {"train/loss": 2.0}), (3, {"train/loss": 3.0})]
+    for step in (2, 3, 4):
+        curves.log_metrics({"train/loss": float(step), "epoch": 0}, step)
+    finish([curves])
+    wandb.teardown()
+    (path,) = files_of(tmp_path)
+    assert [row[STEP] for row in history(path) if "train/loss" in row] == [2, 3, 4]
+    assert curves.journal.read()[-1] == (4, {"train/loss": 4.0, "epoch": 0})
+
+
 def test_the_machine_is_measured(resumed):
     kinds = Counter(r.WhichOneof("record_type") for path in files_of(resumed) for r in records(path))
     assert kinds["stats"] > 0
@@ -152,6 +169,7 @@ def test_of_a_run_that_an_agent_begins_only_the_last_stage_is_logged(tmp_path, m
 
 def test_without_wandb_only_the_csv_file_is_left_and_online_needs_a_login(tmp_path, monkeypatch):
     assert len(Loggers("disabled", "p", None, []).build(tmp_path, CONFIG, "occupancy")) == 1
-    monkeypatch.setattr("wandb.api", type("Api", (), {"api_key": None}))
+    monkeypatch.delenv("WANDB_API_KEY", raising=False)
+    monkeypatch.setenv("NETRC", str(tmp_path / "netrc"))
     with pytest.raises(UserError, match="wandb login"):
         Loggers("online", "p", None, []).build(tmp_path, CONFIG, "occupancy")

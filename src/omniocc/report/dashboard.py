@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from omniocc.config import lines_not_tracebacks
 from omniocc.errors import UserError
+from omniocc.task.loggers import logged_in
 from omniocc.task.result_tables import BANDS, CLASS_NAMES
 
 if TYPE_CHECKING:
@@ -142,10 +143,10 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--entity", help="W&B user or team (default: that of the login)")
     parser.add_argument("--project", default="omniocc", help="W&B project")
     options = parser.parse_args(arguments)
+    if not logged_in():
+        raise UserError("the dashboard is saved to W&B: run `wandb login` or set WANDB_API_KEY")
     import wandb
 
-    if not wandb.api.api_key:
-        raise UserError("the dashboard is saved to W&B: run `wandb login` or set WANDB_API_KEY")
     entity = options.entity or wandb.Api().default_entity
     if entity is None:
         raise UserError("this login has no default entity: name the W&B user or team with --entity")

@@ -12,6 +12,7 @@ from filelock import FileLock, Timeout
 
 from omniocc.config import lines_not_tracebacks
 from omniocc.errors import UserError
+from omniocc.task.loggers import logged_in
 
 OFFLINE = "wandb/offline-run-*/run-*.wandb"
 MARK = ".synced"
@@ -65,6 +66,7 @@ def log_report(report: Path, project: str) -> bool:
         for path in files:
             head, *rows = csv.reader(path.read_text().splitlines())
             run.log({f"paper/{path.stem}": wandb.Table(columns=[*head], data=rows)})
+    wandb.teardown()  # `finish` alone may return before the file is whole
     return True
 
 
@@ -80,9 +82,7 @@ def main(arguments: list[str] | None = None) -> None:
     if not files:
         print(f"{options.runs}: nothing waits for upload")
         return
-    import wandb
-
-    if not wandb.api.api_key:
+    if not logged_in():
         raise UserError(f"{len(files)} files wait in {options.runs}: run `wandb login` or set WANDB_API_KEY first")
     done = subprocess.run([sys.executable, "-m", "wandb", "sync", *map(str, files)], check=False)
     sys.exit(done.returncode)

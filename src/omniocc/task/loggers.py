@@ -10,6 +10,7 @@ from lightning.pytorch.loggers import CSVLogger, Logger, WandbLogger
 from lightning.pytorch.utilities.rank_zero import rank_zero_only
 
 from omniocc.errors import UserError
+from omniocc.task.journal import Journal
 from omniocc.task.media import Named, wandb_object
 from omniocc.task.result_tables import result_tables
 from omniocc.task.slots import slots_of
@@ -54,9 +55,7 @@ class Loggers:
 
     def _wandb(self, folder: Path, config: dict[str, Any], job_type: JobType) -> "WandbCurves":
         os.environ.setdefault("WANDB_SILENT", "true")
-        import wandb  # seconds of import that CSV-only runs do not pay
-
-        if self.mode == "online" and not wandb.api.api_key:
+        if self.mode == "online" and not logged_in():
             raise UserError("logger.mode=online needs W&B credentials: run `wandb login` or set WANDB_API_KEY")
         return WandbCurves(folder, self.mode == "offline", self.project, self.group, self.tags, job_type, config)
 
@@ -97,22 +96,39 @@ class WandbCurves(WandbLogger):
             resume="allow",
             config={**config, **row, "slots": slots_of(config)},
         )
-        self.before: set[tuple[int, str]] = logged(folder) if rank_zero_only.rank == 0 else set()
+        self.journal = Journal(folder / "wandb" / "rows.jsonl")
+        self.before: set[tuple[int, str]] = set()
+        self.lost: list[tuple[int, dict[str, float]]] = []
         self.figures: dict[str, float] = {}
+        if rank_zero_only.rank == 0:
+            self.before, rows = logged(folder), self.journal.read()
+            self.lost = [(step, self._fresh(row, step)) for step, row in rows]
+            self.before |= {(step, key) for step, row in rows for key in row}
 
     @rank_zero_only
     def log_metrics(self, metrics: Mapping[str, Any], step: int | None = None) -> None:
-        """Log what this step has not been said to have."""
-        self.figures.update({key: value for key, value in metrics.items() if isinstance(value, float)})
-        fresh = {key: value for key, value in metrics.items() if (step, key) not in self.before}
-        if set(fresh) - {"epoch"}:
-            super().log_metrics(fresh, step)
+        """Log what this step has not been said to have, and before that what W&B lost when the run was killed."""
+        while self.lost:
+            lost_step, row = self.lost.pop(0)
+            self._log(row, lost_step)
+        scalars = {key: value for key, value in metrics.items() if isinstance(value, int | float)}
+        self.figures |= scalars
+        fresh = self._fresh(metrics, step)
+        if step is not None and (noted := self._fresh(scalars, step)):
+            self.journal.add(step, noted)
+        self._log(fresh, step)
+
+    def _fresh(self, metrics: Mapping[str, Any], step: int | None) -> dict[str, Any]:
+        return {key: value for key, value in metrics.items() if (step, key) not in self.before}
+
+    def _log(self, metrics: dict[str, Any], step: int | None) -> None:
+        if set(metrics) - {"epoch"}:
+            super().log_metrics(metrics, step)
 
     @rank_zero_only
     def log_media(self, media: Mapping[str, Sequence[Named]], step: int) -> None:
         """Log pictures and points under their keys, all of one step in one row."""
-        fresh = {key: items for key, items in media.items() if (step, key) not in self.before}
-        if fresh:
+        if fresh := self._fresh(media, step):
             self.log_metrics({key: [wandb_object(item) for item in items] for key, items in fresh.items()}, step)
 
     @rank_zero_only
@@ -126,6 +142,13 @@ class WandbCurves(WandbLogger):
                 {key: wandb.Table(columns=[*table.columns], data=table.rows) for key, table in tables.items()}
             )
         self.experiment.finish()
+
+
+def logged_in() -> bool:
+    """Whether there are W&B credentials; nothing is asked, and no server either."""
+    import wandb  # seconds of import that CSV-only runs do not pay
+
+    return wandb.login(prompt=False, verify=False)
 
 
 def wandb_of(loggers: Sequence[Logger]) -> list[WandbCurves]:
