@@ -27,6 +27,28 @@ def write_onnx(program: ExportedProgram, inputs: list[str], outputs: list[str], 
         raise UserError(f"{path}: an operator has no counterpart in ONNX: {str(error).splitlines()[0]}") from error
     assert written is not None
     written.save(str(path))
+    single_arctangents(path)
+
+
+def single_arctangents(path: Path) -> None:
+    """Computes in float32 what arctangents an ONNX file has of float64, which onnxruntime 1.31 lacks."""
+    import onnx
+
+    model = onnx.load(path)
+    values = [*model.graph.value_info, *model.graph.input]
+    double = {value.name for value in values if value.type.tensor_type.elem_type == onnx.TensorProto.DOUBLE}
+    nodes = []
+    for node in model.graph.node:
+        if node.op_type == "Atan" and node.input[0] in double:
+            source, result = f"{node.output[0]}_from", f"{node.output[0]}_single"
+            nodes.append(onnx.helper.make_node("Cast", [node.input[0]], [source], to=onnx.TensorProto.FLOAT))
+            nodes.append(onnx.helper.make_node("Atan", [source], [result], name=node.name))
+            nodes.append(onnx.helper.make_node("Cast", [result], [node.output[0]], to=onnx.TensorProto.DOUBLE))
+        else:
+            nodes.append(node)
+    del model.graph.node[:]
+    model.graph.node.extend(nodes)
+    onnx.save(model, path)
 
 
 def weighted_bags(
