@@ -4,7 +4,8 @@ import pytest
 import torch
 
 from omniocc.errors import UserError
-from omniocc.export import example_inputs, export_program, make_module
+from omniocc.export import contract_of, example_inputs, export_program, make_module
+from omniocc.export.files import write_program
 from omniocc.model.static import static_shapes
 
 OPTIONS = [
@@ -35,10 +36,12 @@ def test_candidates_of_the_frames_that_are_compared_differ_in_number(make_model,
     assert len(counts) > 1
 
 
-def test_a_recorded_drive_gives_the_labels_of_the_model(make_model, rig, draw_images):
+def test_a_drive_through_the_file_gives_the_labels_of_the_model(make_model, rig, draw_images, tmp_path):
     model = make_model("model/temporal=mean")
     module = make_module(model, rig)
-    program = export_program(module).module()
+    write_program(export_program(module), contract_of(module), tmp_path / "model.pt2")
+    assert [path.name for path in tmp_path.iterdir()] == ["model.pt2"]
+    program = torch.export.load(tmp_path / "model.pt2").module()  # as one does without this package
     _, volumes, exists, _ = example_inputs(module)
     frames, images, poses = 5, [], torch.eye(4, dtype=torch.float64).repeat(5, 1, 1)
     poses[:, 0, 3] = torch.arange(frames) * 0.7
@@ -49,9 +52,9 @@ def test_a_recorded_drive_gives_the_labels_of_the_model(make_model, rig, draw_im
         real = torch.stack(images[window])[None]
         expected = model(real, (rig,), poses[None, window]).logits.argmax(1)[0]
         first = torch.eye(4, dtype=torch.float64).expand(2 - min(frame, 2), 4, 4)
-        answer = program(newest, volumes, exists, torch.cat([first, poses[window]]))
-        assert torch.equal(answer.labels, expected.to(torch.uint8))
-        volumes = torch.cat([volumes[1:], answer.volume[None]])
+        labels, volume = program(newest, volumes, exists, torch.cat([first, poses[window]]))
+        assert torch.equal(labels, expected.to(torch.uint8))
+        volumes = torch.cat([volumes[1:], volume[None]])
         exists = torch.cat([exists[1:], torch.tensor([True])])
 
 

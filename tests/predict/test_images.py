@@ -52,7 +52,7 @@ def test_a_camera_that_is_left_out_is_black(tmp_path):
 @pytest.mark.parametrize(
     ("files", "without", "words"),
     [
-        (["front.png"], [], ["'back'", "back.png", "without=back"]),
+        (["front.png"], [], ["'back'", "back.png", "without=[back]"]),
         (["front.png", "bcak.png"], [], ["'back'", "is it 'bcak'?"]),
         (["front.png", "back.png", "back.jpg"], [], ["several images", "back.jpg, back.png"]),
         (["front.png", "back.png"], ["bakc"], ["without=bakc", "is it 'back'?", "front, back"]),

@@ -5,8 +5,9 @@ import statistics
 from pathlib import Path
 
 import pytest
+from scipy import stats
 
-from omniocc.report.claims import Claim, claim_cells, claims_of, pooled_spread
+from omniocc.report.claims import STUDENT, Claim, claim_cells, claims_of, pooled_spread
 from omniocc.report.paper_table import load_table
 from omniocc.report.runs import FinishedRun
 
@@ -20,8 +21,8 @@ def row(name: str, *values: float) -> list[FinishedRun]:
 def test_the_spread_of_all_rows_is_that_of_their_deviations():
     rows = [row("a", 0.30, 0.34), row("b", 0.1, 0.2, 0.3), row("c", 0.9)]
     deviations = [-0.02, 0.02, -0.1, 0.0, 0.1]
-    assert pooled_spread(rows, "test/rayiou") == pytest.approx(math.sqrt(sum(d * d for d in deviations) / 3))
-    assert math.isnan(pooled_spread([row("a", 0.3), row("c", 0.9)], "test/rayiou"))
+    assert pooled_spread(rows, "test/rayiou") == (pytest.approx(math.sqrt(sum(d * d for d in deviations) / 3)), 3)
+    assert math.isnan(pooled_spread([row("a", 0.3), row("c", 0.9)], "test/rayiou")[0])
 
 
 def test_gaps_stand_beside_the_papers_with_their_standard_error():
@@ -37,10 +38,15 @@ def test_gaps_stand_beside_the_papers_with_their_standard_error():
 
 
 def test_verdicts():
-    assert Claim("a", 0.1, -0.3, 0.1).verdict == "opposite (3.0)"
-    assert Claim("a", 0.1, 0.3, math.nan).verdict == "same sign (spread unknown)"
-    assert Claim("a", 0.1, -0.3, math.nan).verdict == "not the same sign (spread unknown)"
-    assert Claim("a", 0.1, 0.3, 0.0).verdict == "holds (inf)"
+    assert Claim("a", 0.1, -0.3, 0.1, 4).verdict == "opposite (3.0)"
+    assert Claim("a", 0.1, -0.3, 0.1, 2).verdict == "cannot be told apart (3.0)"
+    assert Claim("a", 0.1, 0.3, math.nan, 0).verdict == "same sign (spread unknown)"
+    assert Claim("a", 0.1, -0.3, math.nan, 0).verdict == "not the same sign (spread unknown)"
+    assert Claim("a", 0.1, 0.3, 0.0, 40).verdict == "holds (inf)"
+
+
+def test_what_is_clear_follows_students_t():
+    assert pytest.approx(stats.t.ppf(0.975, range(1, len(STUDENT) + 1)), abs=0.006) == list(STUDENT)
 
 
 def test_the_same_claims_are_made_against_lidar_rays():
@@ -53,7 +59,14 @@ def test_the_same_claims_are_made_against_lidar_rays():
     head, rows = claim_cells(SKETCH, runs)
     assert head[-2:] == ["LiDAR", "claim"]
     assert rows == [
-        ["dense voxels", "+0.036", "+0.120 ± 0.035", "holds (3.5)", "-0.120 ± 0.035", "opposite (3.5)"],
+        [
+            "dense voxels",
+            "+0.036",
+            "+0.120 ± 0.035",
+            "cannot be told apart (3.5)",
+            "-0.120 ± 0.035",
+            "cannot be told apart (3.5)",
+        ],
     ]
     assert claim_cells(SKETCH, {"ours": row("ours", 0.3), "dense": row("dense", 0.2)})[1] == [
         ["dense voxels", "+0.036", "+0.100", "same sign (spread unknown)"],

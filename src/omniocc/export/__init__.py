@@ -2,10 +2,9 @@
 
 from omniocc.export.contract import contract_of
 from omniocc.export.files import Options, export_files, load_program
-from omniocc.export.program import Answer, Frame, Step, example_inputs, export_program, make_module
+from omniocc.export.program import Frame, Step, example_inputs, export_program, make_module
 
 __all__ = [
-    "Answer",
     "Frame",
     "Options",
     "Step",

@@ -47,7 +47,7 @@ def export_files(options: Options) -> str:
     if output.suffix not in SUFFIXES:
         raise UserError(f"output={output}: its name must end with one of {', '.join(SUFFIXES)}")
     model, cfg = load_occupancy(options.checkpoint)
-    rig = scaled(options.rig, options.image_width or cfg.preset.image_size[0])
+    rig = scaled(options.rig, options.image_width or cfg.data.world.image_size[0])
     module = make_module(model, rig)
     program = export_program(module)
     contract = contract_of(module)
@@ -74,12 +74,14 @@ def scaled(rig: Rig, width: int) -> Rig:
 
 
 def write_program(program: ExportedProgram, contract: dict[str, Any], output: Path) -> None:
-    """One file, of the kind that its name says."""
+    """One file, of the kind that its name says; it has this name only once it is whole."""
+    partial = output.with_name(f".{output.stem}.partial{output.suffix}")
     if output.suffix == ".onnx":
         inputs, outputs = ([port["name"] for port in contract[side]] for side in ("inputs", "outputs"))
-        write_onnx(program, inputs, outputs, output)
+        write_onnx(program, inputs, outputs, partial)
     else:
-        torch.export.save(program, output)
+        torch.export.save(program, partial)
+    partial.replace(output)
 
 
 def load_program(path: Path) -> Callable[..., Any]:

@@ -2,7 +2,6 @@
 
 import traceback
 from pathlib import Path
-from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, Float64, UInt8
@@ -15,18 +14,6 @@ from omniocc.model import OccupancyModel
 from omniocc.model.static import static_shapes
 
 SLOTS = ("backbone", "sketch", "lifter", "temporal", "refiner")
-
-
-class Answer(NamedTuple):
-    """What a program says about a frame.
-
-    Attributes:
-        labels: class of every cell.
-        volume: what the next frames need of this one.
-    """
-
-    labels: UInt8[Tensor, "X Y Z"]
-    volume: Float[Tensor, "C X Y Z"]
 
 
 class Frame(nn.Module):
@@ -67,8 +54,10 @@ class Step(nn.Module):
         past_volumes: Float[Tensor, "P C X Y Z"],
         past_exists: Bool[Tensor, " P"],
         world_from_ego: Float64[Tensor, "T 4 4"],
-    ) -> Answer:
-        """Labels and volume of the newest frame.
+    ) -> tuple[UInt8[Tensor, "X Y Z"], Float[Tensor, "C X Y Z"]]:
+        """Class of every cell of the newest frame, and its volume, which the next frames need.
+
+        A plain tuple: a type of this package in the file would make readers need the package.
 
         Args:
             images: RGB 0..255.
@@ -79,7 +68,7 @@ class Step(nn.Module):
         volume = self.model.lift(images[None], (self.rig,)).volume
         exists = torch.cat([past_exists, torch.ones_like(past_exists[:1])])[None]
         logits = self.model.fuse([*past_volumes.split(1), volume], world_from_ego[None], exists)
-        return Answer(logits.argmax(1)[0].to(torch.uint8), volume[0])
+        return logits.argmax(1)[0].to(torch.uint8), volume[0]
 
 
 def make_module(model: OccupancyModel, rig: Rig) -> Frame | Step:

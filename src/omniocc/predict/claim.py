@@ -10,6 +10,7 @@ from torch import Tensor
 
 from omniocc.data.errors import write_whole
 from omniocc.errors import UserError
+from omniocc.predict.voxel_files import VOXELS
 
 FACTS = "prediction.json"
 """What made the answers in a folder."""
@@ -18,18 +19,24 @@ FACTS = "prediction.json"
 def claim(output: Path, facts: Mapping[str, Any], force: bool) -> None:
     """Leave in the folder what its answers are made of, so that answers of two models never stand side by side.
 
+    Forced, answers of something else are removed first: a stop halfway leaves none of them.
+
     Raises:
         UserError: when the folder cannot be written, or holds answers of something else.
     """
     path = output / FACTS
     text = json.dumps(facts, indent=1) + "\n"
-    if path.is_file() and path.read_text() != text and not force:
+    other = path.is_file() and path.read_text() != text
+    if other and not force:
         changed = _changed(path.read_text(), facts)
         raise UserError(
             f"{output} holds answers that were made otherwise ({changed}); choose another output=..., or force=true "
             "to predict all moments again"
         )
     try:
+        if other:  # before anything says that these answers are the new ones
+            for answer in output.rglob(VOXELS):
+                answer.unlink()
         write_whole(path, text.encode())
     except OSError as error:
         reason = (error.__cause__ and str(error.__cause__)) or str(error)

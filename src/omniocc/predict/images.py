@@ -94,7 +94,7 @@ def _not_one(folder: Path, name: str, mine: list[Path], others: list[str]) -> st
     others_text = f"; there are images of no camera of the rig: {', '.join(sorted(others)[:8])}" if others else ""
     return (
         f"{folder}: no image of camera '{name}' (a file {name}.png or {name}.jpg)"
-        f"{_near(name, others)}{others_text}; without={name} does without it"
+        f"{_near(name, others)}{others_text}; without=[{name}] does without it"
     )
 
 
