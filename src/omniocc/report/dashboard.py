@@ -144,7 +144,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--project", default="omniocc", help="W&B project")
     options = parser.parse_args(arguments)
     if not logged_in():
-        raise UserError("the dashboard is saved to W&B: run `wandb login` or set WANDB_API_KEY")
+        raise UserError("not saved, since the dashboard lives on a W&B server: run `wandb login` or set WANDB_API_KEY")
     import wandb
 
     entity = options.entity or wandb.Api().default_entity
