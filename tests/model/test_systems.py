@@ -6,6 +6,7 @@ import pytest
 import torch
 from hydra import compose, initialize_config_dir
 
+from omniocc.camera import Rig
 from omniocc.config import build, check_root
 from omniocc.model.sketch import Random
 
@@ -34,7 +35,7 @@ def window(model, batch=2):
     images = torch.rand(batch, frames, 6, 3, 36, 64)
     poses = torch.eye(4, dtype=torch.float64).repeat(batch, frames, 1, 1)
     poses[:, :, 0, 3] = torch.arange(frames)
-    chosen = Random(model.geometry, 0.1)(images[:, 0], (None,) * batch)
+    chosen = Random(model.geometry, 0.1)(images[:, 0], (Rig.load("fisheye6"),) * batch)
     return images, poses, chosen[:, None].expand(-1, frames, -1, -1, -1)
 
 

@@ -45,7 +45,7 @@ class CoarseColoring(nn.Module):
         points: int,
         feedforward_channels: int,
         block: int,
-        anchors: Sequence[tuple[float, float, float]] = CENTRE,
+        anchors: Sequence[Sequence[float | int]] = CENTRE,
     ):
         super().__init__()
         self.channels = channels

@@ -74,7 +74,7 @@ class Coloring(nn.Module):
         heads: int,
         points: int,
         feedforward_channels: int,
-        anchors: Sequence[tuple[float, float, float]] = CENTRE,
+        anchors: Sequence[Sequence[float | int]] = CENTRE,
     ):
         super().__init__()
         if channels % heads:
