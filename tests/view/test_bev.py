@@ -7,7 +7,7 @@ import torch
 from omniocc.classes import PALETTE
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.view import bev, error_bev
-from omniocc.view.bev import EMPTY, HALLUCINATED, MISSED, OUTSIDE, RIGHT, WRONG
+from omniocc.view.bev import EMPTY, HALLUCINATED, MISSED, OUTSIDE, RIGHT, SHIFTED, WRONG
 
 CYLINDER = Cylinder(shape=(7, 9, 3), radius_m=(1.0, 20.0), height_m=(-2.8, 3.6))
 CUBOID = Cuboid(shape=(6, 4, 3), x_m=(-8.0, 16.0), y_m=(-10.0, 12.0), height_m=(-2.8, 3.6))
@@ -55,10 +55,22 @@ def test_forward_is_up_and_left_is_left():
 
 
 def test_differences():
-    geometry = Cuboid(shape=(1, 7, 3), x_m=(-28, 28), y_m=(-28, 28), height_m=(-2, 2))
-    truth = torch.tensor([[1, 1, 1], [1, 1, 0], [1, 1, 1], [0, 0, 0], [0, 0, 0], [255, 255, 1], [1, 2, 0]])
-    said = torch.tensor([[1, 1, 1], [2, 2, 0], [1, 0, 0], [0, 4, 0], [0, 0, 0], [4, 4, 1], [1, 1, 0]])
-    expected = [RIGHT, WRONG, MISSED, HALLUCINATED, EMPTY, RIGHT, WRONG]
-    picture = error_bev(truth[None].to(torch.uint8), said[None].to(torch.uint8), geometry, 70)
+    geometry = Cuboid(shape=(1, 11, 3), x_m=(-44, 44), y_m=(-44, 44), height_m=(-2, 2))
+    cases = [
+        ([1, 1, 1], [1, 1, 1], RIGHT),
+        ([1, 1, 0], [2, 2, 0], WRONG),
+        ([1, 1, 1], [1, 0, 0], MISSED),
+        ([0, 0, 0], [0, 4, 0], HALLUCINATED),
+        ([0, 0, 0], [0, 0, 0], EMPTY),
+        ([255, 255, 1], [4, 4, 1], RIGHT),
+        ([1, 2, 0], [1, 1, 0], RIGHT),  # as much right as wrong
+        ([0, 1, 0], [0, 0, 1], SHIFTED),
+        ([0, 1, 0], [0, 0, 2], MISSED),  # another class at another height
+        ([1, 0, 0], [0, 1, 1], HALLUCINATED),
+        ([1, 1, 0], [0, 1, 1], RIGHT),
+    ]
+    truth, said = (torch.tensor([case[part] for case in cases]) for part in (0, 1))
+    expected = [case[2] for case in cases]
+    picture = error_bev(truth[None].to(torch.uint8), said[None].to(torch.uint8), geometry, 110)
     for column, color in enumerate(expected):
-        assert tuple(picture[2, 65 - 10 * column]) == color, column
+        assert tuple(picture[2, 105 - 10 * column]) == color, column

@@ -13,11 +13,13 @@ from omniocc.view.canvas import Rgb
 OUTSIDE: Rgb = (255, 255, 255)
 EMPTY: Rgb = (238, 240, 243)
 RIGHT: Rgb = (196, 222, 200)
+SHIFTED: Rgb = (240, 225, 150)
 WRONG: Rgb = (240, 170, 50)
 MISSED: Rgb = (50, 105, 195)
 HALLUCINATED: Rgb = (205, 50, 60)
 ERRORS: tuple[tuple[str, Rgb], ...] = (
     ("right", RIGHT),
+    ("at another height", SHIFTED),
     ("wrong class", WRONG),
     ("missed", MISSED),
     ("hallucinated", HALLUCINATED),
@@ -37,18 +39,20 @@ def error_bev(
 ) -> np.ndarray:
     """What is most frequent among the cells of each column that are occupied in truth or prediction.
 
-    Kinds and colours are `ERRORS`; of equally frequent kinds the later one shows. Cells of unknown truth do not count.
+    Kinds and colours are `ERRORS`; of equally frequent kinds the milder one shows. Where as many cells are missed as
+    hallucinated under the same topmost class, it is there, but a layer off. Cells of unknown truth do not count.
     """
     true, said = truth.numpy(), prediction.numpy()
     known = true != UNKNOWN
-    kinds = [
-        (true == said) & (true != FREE),
-        (true != said) & (true != FREE) & (said != FREE),
-        (true != FREE) & (said == FREE),
-        (true == FREE) & (said != FREE),
-    ]
-    counts = np.stack([(kind & known).sum(2) for kind in kinds])
-    most = len(kinds) - 1 - counts[::-1].argmax(0)
+
+    def count(kind: np.ndarray) -> np.ndarray:
+        return (kind & known).sum(2)
+
+    right, wrong = count((true == said) & (true != FREE)), count((true != said) & (true != FREE) & (said != FREE))
+    missed, hallucinated = count((true != FREE) & (said == FREE)), count((true == FREE) & (said != FREE))
+    shifted = np.where((missed == hallucinated) & (topmost(truth) == topmost(prediction)), missed, 0)
+    counts = np.stack([right, shifted, wrong, missed, hallucinated])
+    most = counts.argmax(0)
     colors = np.array([rgb for _, rgb in ERRORS], dtype=np.uint8)[most]
     colors[counts.sum(0) == 0] = EMPTY
     return draw_columns(colors, geometry, size_px)
