@@ -108,7 +108,7 @@ def test_mistakes_are_named(frames, checkpoint, tmp_path):
     for arguments, words in (
         ([frame], ["rig=... is needed"]),
         (["rig=fisheye7", frame], ["fisheye7", "fisheye6"]),
-        ([*SMALL, f"images={lacking}"], ["'rear'", "without=rear"]),
+        ([*SMALL, f"images={lacking}"], ["'rear'", "without=[rear]"]),
         ([*SMALL, frame, "model/depth=truth"], ["truth needs the recorded range"]),
         ([*SMALL, frame, "+depth.windov_px=3"], ["did you mean 'window_px'"]),
         (["rig=fisheye6", frame, f"checkpoint={damaged}"], ["damaged.ckpt"]),
