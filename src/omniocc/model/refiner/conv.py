@@ -9,7 +9,7 @@ from torch.nn import functional as F
 
 from omniocc.geometry import Grid
 from omniocc.model.padding import Conv3d, Downsample, Periodic, Pointwise, upsample
-from omniocc.model.refiner.unet import group_norm
+from omniocc.model.refiner.unet import check_halvings, group_norm
 
 
 class Block(nn.Module):
@@ -50,13 +50,7 @@ class Conv(nn.Module):
         super().__init__()
         if len(channels) != len(blocks) or not channels:
             raise ValueError(f"channels {channels} and blocks {blocks} must be one number each for every level")
-        factor = 2 ** (len(channels) - 1)
-        for cells, wraps in zip(geometry.shape, geometry.periodic, strict=True):
-            if wraps and cells % factor:
-                raise ValueError(
-                    f"{len(channels)} levels need a periodic axis in multiples of {factor} cells, not {cells}; "
-                    "change the grid or give fewer channels"
-                )
+        check_halvings(geometry, len(channels))
         self.periodic = geometry.periodic
         self.channels = channels[0]
         self.stem = Pointwise(in_channels, channels[0])

@@ -24,6 +24,21 @@ def group_norm(channels: int) -> nn.GroupNorm:
     return nn.GroupNorm(channels // GROUP_CHANNELS, channels)
 
 
+def check_halvings(geometry: Grid, levels: int) -> None:
+    """Periodic axes must halve evenly from level to level, or what wraps around would not meet itself.
+
+    Raises:
+        ValueError: naming the axis's cells and the multiple they need.
+    """
+    factor = 2 ** (levels - 1)
+    for cells, wraps in zip(geometry.shape, geometry.periodic, strict=True):
+        if wraps and cells % factor:
+            raise ValueError(
+                f"{levels} levels need a periodic axis in multiples of {factor} cells, not {cells}; "
+                "change the grid or give fewer channels"
+            )
+
+
 class Residual(nn.Module):
     """x + relu(norm(conv(x)))."""
 
@@ -54,13 +69,7 @@ class UNet(nn.Module):
 
     def __init__(self, geometry: Grid, in_channels: int, channels: list[int]):
         super().__init__()
-        factor = 2 ** (len(channels) - 1)
-        for cells, wraps in zip(geometry.shape, geometry.periodic, strict=True):
-            if wraps and cells % factor:
-                raise ValueError(
-                    f"{len(channels)} levels need a periodic axis in multiples of {factor} cells, not {cells}; "
-                    "change the grid or give fewer channels"
-                )
+        check_halvings(geometry, len(channels))
         self.periodic = geometry.periodic
         self.channels = channels[0]
         pairs = list(pairwise(channels))
