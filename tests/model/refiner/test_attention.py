@@ -7,13 +7,13 @@ import torch
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.model.lifter import Coloring
 from omniocc.model.refiner import Attention, attention
-from omniocc.model.refiner.attention import sphere_offsets
+from omniocc.model.refiner.attention import sheet, sphere_offsets
 
 CYLINDER, CUBOID = Cylinder((4, 6, 3)), Cuboid((4, 5, 3))
 
 
-def make(geometry, layers=2):
-    refiner = Attention(geometry, 8, layers, heads=2, points=3, feedforward_channels=12).double()
+def make(geometry, layers=2, flat=False):
+    refiner = Attention(geometry, 8, layers, heads=2, points=3, feedforward_channels=12, flat=flat).double()
     for layer in refiner.layers:  # away from the special values at which training begins
         torch.nn.init.normal_(layer.attention.offsets.weight, std=0.3)
         torch.nn.init.normal_(layer.attention.attention.weight, std=0.3)
@@ -21,9 +21,9 @@ def make(geometry, layers=2):
 
 
 def sample(values, position, periodic):
-    """(C,) of (X, Y, Z, C) at a position in cells, by hand."""
+    """(C,) of (*cells, C) at a position in cells, by hand."""
     total = torch.zeros(values.shape[-1], dtype=values.dtype)
-    for corner in itertools.product((0, 1), repeat=3):
+    for corner in itertools.product((0, 1), repeat=len(position)):
         cell = [math.floor(place) + step for place, step in zip(position, corner, strict=True)]
         share = math.prod(1 - abs(place - at) for place, at in zip(position, cell, strict=True))
         cell = [at % size if wraps else at for at, size, wraps in zip(cell, values.shape, periodic, strict=False)]
@@ -35,7 +35,7 @@ def sample(values, position, periodic):
 def attend(layer, voxels, cell, periodic):
     """One voxel: the weighted samples of every head and point."""
     heads, points = layer.heads, layer.points
-    offsets = layer.offsets(voxels[cell]).view(3, heads, points)
+    offsets = layer.offsets(voxels[cell]).view(len(cell), heads, points)
     weights = layer.attention(voxels[cell]).view(heads, points).softmax(1)
     values = layer.value(voxels)
     total = torch.zeros(8, dtype=torch.float64)
@@ -48,20 +48,22 @@ def attend(layer, voxels, cell, periodic):
 
 def refine_by_loops(refiner, volume):
     """One sample, a voxel at a time."""
-    voxels = volume.movedim(0, -1) + sum(refiner.places)
+    shape, periodic = refiner.layout
+    voxels = volume.movedim(0, -1).reshape(*shape, -1) + sum(refiner.places)
     for layer in refiner.layers:
         refined = voxels.clone()
-        for cell in itertools.product(*map(range, refiner.geometry.shape)):
-            mixed = attend(layer.attention, voxels, cell, refiner.geometry.periodic)
+        for cell in itertools.product(*map(range, shape)):
+            mixed = attend(layer.attention, voxels, cell, periodic)
             refined[cell] = layer.attention_norm(voxels[cell] + mixed)
         voxels = layer.feedforward_norm(refined + layer.feedforward(refined))
-    return voxels.movedim(-1, 0)
+    return voxels.movedim(-1, 0).reshape(volume.shape)
 
 
 @torch.no_grad()
+@pytest.mark.parametrize("flat", [False, True], ids=["volume", "flat"])
 @pytest.mark.parametrize("geometry", [CYLINDER, CUBOID], ids=["cylinder", "cuboid"])
-def test_equals_loops_over_voxels_heads_points_and_corners(geometry):
-    refiner, volume = make(geometry), torch.randn(2, 8, *geometry.shape, dtype=torch.float64)
+def test_equals_loops_over_voxels_heads_points_and_corners(geometry, flat):
+    refiner, volume = make(geometry, flat=flat), torch.randn(2, 8, *geometry.shape, dtype=torch.float64)
     expected = torch.stack([refine_by_loops(refiner, sample) for sample in volume])
     torch.testing.assert_close(refiner(volume), expected)
 
@@ -99,8 +101,14 @@ def test_rotating_the_world_rotates_the_answer(roll):
     torch.testing.assert_close(refiner(volume.roll(roll, dims=3)), refiner(volume).roll(roll, dims=3))
 
 
-def test_training_reaches_every_parameter_from_its_first_step():
-    refiner = Attention(CUBOID, 8, 2, heads=2, points=3, feedforward_channels=12)
+@pytest.mark.parametrize(("cells", "shape"), [(128 * 128 * 16, (512, 512)), (128 * 128 * 8, (256, 512)), (7, (1, 7))])
+def test_flat_voxels_form_a_picture_as_nearly_square_as_can_be(cells, shape):
+    assert sheet(cells) == (shape, (False, False))
+
+
+@pytest.mark.parametrize("flat", [False, True], ids=["volume", "flat"])
+def test_training_reaches_every_parameter_from_its_first_step(flat):
+    refiner = Attention(CUBOID, 8, 2, heads=2, points=3, feedforward_channels=12, flat=flat)
     refiner(torch.randn(1, 8, *CUBOID.shape)).square().mul(torch.rand(8, *CUBOID.shape)).sum().backward()
     for name, parameter in refiner.named_parameters():
         assert parameter.grad.abs().sum() > 0, name

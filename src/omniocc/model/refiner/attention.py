@@ -1,6 +1,7 @@
 """Deformable self-attention among voxels (VoxFormer, Li et al., 2023, stage 2)."""
 
 import math
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -9,11 +10,35 @@ from torch.utils.checkpoint import checkpoint
 
 from omniocc.geometry import Grid
 from omniocc.model.blocks import block_means, coarsened
+from omniocc.model.lifter.attention import ring_offsets
 from omniocc.model.multilinear import corners, sum_samples
-from omniocc.model.padding import Axes, Periodic, pad3d, upsample
+from omniocc.model.padding import Axes, pad3d, upsample
 
 CHUNK_SAMPLES = 2**21
 HALF: Axes = (2, 2, 2)
+
+
+class Layout(NamedTuple):
+    """Where voxels lie when they look around.
+
+    Attributes:
+        shape: cells along each of two or three axes.
+        periodic: which axes wrap around.
+    """
+
+    shape: tuple[int, ...]
+    periodic: tuple[bool, ...]
+
+
+def sheet(cells: int) -> Layout:
+    """A picture of so many pixels, as nearly square as can be: 512x512 for 128x128x16 voxels."""
+    rows = next(rows for rows in range(math.isqrt(cells), 0, -1) if cells % rows == 0)
+    return Layout((rows, cells // rows), (False, False))
+
+
+def first_offsets(heads: int, points: int, axes: int) -> Float[Tensor, "axes H K"]:
+    """Where samples begin, in cells, among voxels along two or three axes."""
+    return ring_offsets(heads, 1, points, 1)[:, 0].transpose(0, 1) if axes == 2 else sphere_offsets(heads, points)
 
 
 def sphere_offsets(heads: int, points: int) -> Float[Tensor, "3 H K"]:
@@ -37,61 +62,65 @@ class SelfAttention(nn.Module):
         channels: of the voxels.
         heads: a divisor of the channels.
         points: samples per head.
+        layout: of the voxels.
     """
 
-    def __init__(self, channels: int, heads: int, points: int):
+    def __init__(self, channels: int, heads: int, points: int, layout: Layout):
         super().__init__()
-        self.heads, self.points = heads, points
+        self.heads, self.points, self.layout = heads, points, layout
+        self.axes = len(layout.shape)
         self.value = nn.Linear(channels, channels)
-        self.offsets = nn.Linear(channels, 3 * heads * points)
+        self.offsets = nn.Linear(channels, self.axes * heads * points)
         self.attention = nn.Linear(channels, heads * points)
         self.output = nn.Linear(channels, channels)
         for layer in (self.offsets, self.attention):
             nn.init.zeros_(layer.weight)
             nn.init.zeros_(layer.bias)
-        self.offsets.bias.data.copy_(sphere_offsets(heads, points).flatten())
+        self.offsets.bias.data.copy_(first_offsets(heads, points, self.axes).flatten())
 
-    def make_table(self, volume: Float[Tensor, "B X Y Z C"], periodic: Periodic) -> Float[Tensor, "R D"]:
+    def make_table(self, voxels: Float[Tensor, "B cells C"]) -> Float[Tensor, "R D"]:
         """Values by sample, cell and head; one cell more at every end: the other end's on periodic axes, else zeros."""
-        values = self.value(volume)
-        values = values.to(torch.promote_types(values.dtype, torch.float32)).movedim(-1, 1)
-        return pad3d(values, (1, 1, 1), periodic).movedim(1, -1).reshape(-1, values.shape[1] // self.heads)
+        values = self.value(voxels)
+        values = values.to(torch.promote_types(values.dtype, torch.float32)).transpose(1, 2)
+        flat = 3 - self.axes
+        volume = values.unflatten(-1, (*self.layout.shape, *[1] * flat))
+        padded = pad3d(volume, (1, 1, 1 - flat), (*self.layout.periodic, *[False] * flat))  # type: ignore[arg-type]
+        return padded.movedim(1, -1).reshape(-1, values.shape[1] // self.heads)
 
-    def forward(
-        self, queries: Float[Tensor, "Q C"], first: int, table: Float[Tensor, "R D"], geometry: Grid
-    ) -> Float[Tensor, "Q C"]:
+    def forward(self, queries: Float[Tensor, "Q C"], first: int, table: Float[Tensor, "R D"]) -> Float[Tensor, "Q C"]:
         """Attends from consecutive voxels.
 
         Args:
             queries: voxels of all samples in row-major order, from the first one asked for.
             first: index of the first one.
             table: from `make_table`.
-            geometry: the voxel grid.
         """
         with torch.autocast(queries.device.type, enabled=False):
             offsets, weights = self._sampling(queries.to(table.dtype))
-            sample, place = _unravel(first, len(queries), geometry, queries.device)
-            found = corners(place[:, :, None, None] + offsets, weights, geometry.shape, geometry.periodic)
-            rows = sample * math.prod(cells + 2 for cells in geometry.shape)
+            sample, place = _unravel(first, len(queries), self.layout.shape, queries.device)
+            found = corners(place[:, :, None, None] + offsets, weights, *self.layout)
+            rows = sample * math.prod(cells + 2 for cells in self.layout.shape)
             head = torch.arange(self.heads, dtype=torch.int32, device=rows.device)
             row = (found.row + rows[:, None, None]) * self.heads + head[:, None]
             steps = tuple(step * self.heads for step in found.steps)
             sums = sum_samples(table, row.flatten(0, 1), found.weights.flatten(0, 1), steps)
         return self.output(sums.view(len(queries), -1))
 
-    def _sampling(self, queries: Float[Tensor, "Q C"]) -> tuple[Float[Tensor, "3 Q H K"], Float[Tensor, "Q H K"]]:
+    def _sampling(self, queries: Float[Tensor, "Q C"]) -> tuple[Float[Tensor, "axes Q H K"], Float[Tensor, "Q H K"]]:
         """Offsets in cells, and attention; softmax over a short last axis would be many times slower."""
-        offsets = self.offsets(queries).view(-1, 3, self.heads, self.points).transpose(0, 1)
+        offsets = self.offsets(queries).view(-1, self.axes, self.heads, self.points).transpose(0, 1)
         scores = torch.addmm(self.attention.bias[:, None], self.attention.weight, queries.T)
         weights = scores.view(self.heads, self.points, -1).softmax(1)
         return offsets, weights.permute(2, 0, 1).contiguous()
 
 
-def _unravel(first: int, count: int, geometry: Grid, device: torch.device) -> tuple[Tensor, Float[Tensor, "3 Q"]]:
+def _unravel(
+    first: int, count: int, shape: tuple[int, ...], device: torch.device
+) -> tuple[Tensor, Float[Tensor, "axes Q"]]:
     """Sample and place (in cells along each axis) of consecutive voxels of a batch."""
     index = torch.arange(first, first + count, dtype=torch.int32, device=device)
     places = []
-    for cells in reversed(geometry.shape):
+    for cells in reversed(shape):
         places.append(index % cells)
         index = torch.div(index, cells, rounding_mode="floor")
     return index, torch.stack(places[::-1]).to(torch.float32)
@@ -100,9 +129,9 @@ def _unravel(first: int, count: int, geometry: Grid, device: torch.device) -> tu
 class AttentionLayer(nn.Module):
     """Self-attention, add & norm, feed-forward, add & norm."""
 
-    def __init__(self, channels: int, heads: int, points: int, feedforward_channels: int):
+    def __init__(self, channels: int, heads: int, points: int, feedforward_channels: int, layout: Layout):
         super().__init__()
-        self.attention = SelfAttention(channels, heads, points)
+        self.attention = SelfAttention(channels, heads, points, layout)
         self.attention_norm = nn.LayerNorm(channels)
         self.feedforward = nn.Sequential(
             nn.Linear(channels, feedforward_channels), nn.ReLU(), nn.Linear(feedforward_channels, channels)
@@ -110,23 +139,21 @@ class AttentionLayer(nn.Module):
         self.feedforward_norm = nn.LayerNorm(channels)
         self.chunk = max(CHUNK_SAMPLES // (heads * points), 1)
 
-    def forward(self, volume: Float[Tensor, "B X Y Z C"], geometry: Grid) -> Float[Tensor, "B X Y Z C"]:
+    def forward(self, voxels: Float[Tensor, "B cells C"]) -> Float[Tensor, "B cells C"]:
         """Voxels go through in chunks, which training computes anew on the way back."""
-        table = self.attention.make_table(volume, geometry.periodic)
-        chunks = volume.reshape(-1, volume.shape[-1]).split(self.chunk)
+        table = self.attention.make_table(voxels)
+        chunks = voxels.reshape(-1, voxels.shape[-1]).split(self.chunk)
         if len(chunks) == 1:
-            return self._refine(chunks[0], 0, table, geometry).view(volume.shape)
+            return self._refine(chunks[0], 0, table).view(voxels.shape)
         starts = range(0, len(chunks) * self.chunk, self.chunk)
         parts = [
-            checkpoint(self._refine, chunk, first, table, geometry, use_reentrant=False, preserve_rng_state=False)
+            checkpoint(self._refine, chunk, first, table, use_reentrant=False, preserve_rng_state=False)
             for first, chunk in zip(starts, chunks, strict=True)
         ]
-        return torch.cat(parts).view(volume.shape)  # type: ignore[arg-type]
+        return torch.cat(parts).view(voxels.shape)  # type: ignore[arg-type]
 
-    def _refine(
-        self, queries: Float[Tensor, "Q C"], first: int, table: Float[Tensor, "R D"], geometry: Grid
-    ) -> Float[Tensor, "Q C"]:
-        queries = self.attention_norm(queries + self.attention(queries, first, table, geometry))
+    def _refine(self, queries: Float[Tensor, "Q C"], first: int, table: Float[Tensor, "R D"]) -> Float[Tensor, "Q C"]:
+        queries = self.attention_norm(queries + self.attention(queries, first, table))
         return self.feedforward_norm(queries + self.feedforward(queries))
 
 
@@ -147,6 +174,8 @@ class Attention(nn.Module):
         feedforward_channels: hidden channels of the feed-forward part.
         halved: attend on the grid of half the resolution, in means of 2x2x2 voxels, and come back by trilinear
             interpolation, as VoxFormer does; false: on the grid itself.
+        flat: attend in two dimensions, voxels in row-major order laid out as a picture that wraps around nowhere, as
+            VoxFormer's released code does (128x128x16 as 512x512); false: in three.
 
     Raises:
         ValueError: if the heads do not divide the channels, or the grid cannot be halved.
@@ -161,6 +190,7 @@ class Attention(nn.Module):
         points: int,
         feedforward_channels: int,
         halved: bool = False,
+        flat: bool = False,
     ):
         super().__init__()
         if channels % heads:
@@ -168,13 +198,15 @@ class Attention(nn.Module):
         self.halved = halved
         self.geometry = geometry = coarsened(geometry, HALF) if halved else geometry
         self.channels = channels
+        layout = sheet(geometry.num_cells) if flat else Layout(geometry.shape, geometry.periodic)
         self.places = nn.ParameterList()
-        for axis, (cells, wraps) in enumerate(zip(geometry.shape, geometry.periodic, strict=True)):
+        for axis, (cells, wraps) in enumerate(zip(*layout, strict=True)):
             if not wraps:
-                shape = [cells if own == axis else 1 for own in range(3)]
+                shape = [cells if own == axis else 1 for own in range(len(layout.shape))]
                 self.places.append(nn.Parameter(0.02 * torch.randn(*shape, channels)))
+        self.layout = layout
         self.layers = nn.ModuleList(
-            AttentionLayer(channels, heads, points, feedforward_channels) for _ in range(layers)
+            AttentionLayer(channels, heads, points, feedforward_channels, layout) for _ in range(layers)
         )
 
     def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B C X Y Z"]:
@@ -184,9 +216,10 @@ class Attention(nn.Module):
         return upsample(self._attend(block_means(volume, HALF)), volume.shape[2:], self.geometry.periodic)  # type: ignore[arg-type]
 
     def _attend(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B C X Y Z"]:
-        voxels = volume.movedim(1, -1)
+        voxels = volume.movedim(1, -1).reshape(len(volume), *self.layout.shape, self.channels)
         for place in self.places:
             voxels = voxels + place
+        voxels = voxels.flatten(1, -2)
         for layer in self.layers:
-            voxels = layer(voxels, self.geometry)
-        return voxels.movedim(-1, 1)
+            voxels = layer(voxels)
+        return voxels.unflatten(1, volume.shape[2:]).movedim(-1, 1)
