@@ -65,7 +65,7 @@ def train_occupancy(
     task = build_task(cfg)
     if before is not None:
         task.model.sketch.load_state_dict(before.sketch_weights())  # type: ignore[union-attr]
-        data.read_also(Extras(candidates=before.candidates))
+    data.read_also(Extras(true_ranges=len(task.loss.ray) > 0, candidates=before and before.candidates))
     data.setup("fit")
     task.set_training_statistics(data.voxel_counts())
     files = build(cfg.logger).build(run.path, config, "occupancy")

@@ -208,7 +208,12 @@ def test_mistakes_end_in_lines_not_tracebacks(override, expected, tmp_path, data
 
 
 @pytest.mark.parametrize(
-    "overrides", [("model/geometry=cuboid",), ("model/sketch=random", "model/refiner=none", "model/semantic_head=none")]
+    "overrides",
+    [
+        ("model/geometry=cuboid",),
+        ("model/sketch=random", "model/refiner=none", "model/semantic_head=none"),
+        ("model=bevdet", "loss=with_ranges"),
+    ],
 )
 def test_swapped_modules_train(overrides, tmp_path, data_root):
     result = run("train.py", *smoke(data_root, *overrides, "trainer.max_steps=2", "pictures=0"), cwd=tmp_path)

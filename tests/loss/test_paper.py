@@ -18,6 +18,7 @@ COUNTS = [90_000, 4_000, 2_500, 900, 700, 50, 40, 300, 20, 5, 1_400, 85]
 class Prediction(NamedTuple):
     logits: torch.Tensor
     pixel_logits: torch.Tensor | None
+    range_logits: torch.Tensor | None = None
 
 
 @pytest.fixture(scope="module")

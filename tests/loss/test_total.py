@@ -3,12 +3,13 @@ from typing import NamedTuple
 import pytest
 import torch
 
-from omniocc.loss import CrossEntropy, Dice, Semantics, Total
+from omniocc.loss import CrossEntropy, Dice, RangeBins, Semantics, Total
 
 
 class Prediction(NamedTuple):
     logits: torch.Tensor
     pixel_logits: torch.Tensor | None
+    range_logits: torch.Tensor | None = None
 
 
 def total(weights):
@@ -46,3 +47,15 @@ def test_class_counts_reach_the_cross_entropy_and_the_state_dict():
 def test_names_must_match():
     with pytest.raises(ValueError, match="same names"):
         total({"ce": 1.0, "dise": 1.0, "semantics": 1.0})
+
+
+def test_terms_of_rays_need_a_lifter_that_guesses_ranges_and_the_true_ones():
+    prediction, voxels, pixels = batch()
+    range_m, ranges = torch.rand(2, 6, 4, 8) * 10, torch.randn(2, 6, 5, 2, 4)
+    loss = Total({"dice": Dice()}, {}, {"dice": 1.0, "ranges": 3.0}, ray={"ranges": RangeBins((1.0, 9.0))})
+    terms = loss(prediction._replace(range_logits=ranges), voxels, pixels, range_m)
+    torch.testing.assert_close(terms["ranges"], 3 * RangeBins((1.0, 9.0))(ranges, range_m))
+    with pytest.raises(ValueError, match="model/lifter=lift_splat"):
+        loss(prediction, voxels, pixels, range_m)
+    with pytest.raises(ValueError, match="camera_range_m"):
+        loss(prediction._replace(range_logits=ranges), voxels, pixels)

@@ -3,9 +3,10 @@
 from omniocc.loss.cross_entropy import CrossEntropy
 from omniocc.loss.dice import Dice
 from omniocc.loss.lovasz import Lovasz
+from omniocc.loss.range_bins import RangeBins
 from omniocc.loss.scal import Scal
 from omniocc.loss.semantics import Semantics
 from omniocc.loss.silog import SILog
 from omniocc.loss.total import Total
 
-__all__ = ["CrossEntropy", "Dice", "Lovasz", "SILog", "Scal", "Semantics", "Total"]
+__all__ = ["CrossEntropy", "Dice", "Lovasz", "RangeBins", "SILog", "Scal", "Semantics", "Total"]

@@ -23,6 +23,11 @@ class HasLogits(Protocol):
         """Of every pixel, or None without a semantic head."""
         ...
 
+    @property
+    def range_logits(self) -> Float[Tensor, "B N D h w"] | None:
+        """Of bins of range along the rays of pixels, or None if the lifter guesses none."""
+        ...
+
 
 class Total(nn.Module):
     """Weighted terms by name; the loss is their sum (paper, eq. 3, where all weights are 1).
@@ -30,19 +35,28 @@ class Total(nn.Module):
     Args:
         voxel: losses of (voxel logits, voxel labels).
         pixel: losses of (pixel logits, pixel labels).
-        weights: factor of every term named in `voxel` and `pixel`.
+        weights: factor of every term.
+        ray: losses of (range logits, true range of every pixel), for lifters that guess ranges.
 
     Raises:
-        ValueError: if the names in `weights` are not those of the terms, or a name stands in both groups.
+        ValueError: if the names in `weights` are not those of the terms, or a name stands in two groups.
     """
 
-    def __init__(self, voxel: Mapping[str, nn.Module], pixel: Mapping[str, nn.Module], weights: Mapping[str, float]):
+    def __init__(
+        self,
+        voxel: Mapping[str, nn.Module],
+        pixel: Mapping[str, nn.Module],
+        weights: Mapping[str, float],
+        ray: Mapping[str, nn.Module] | None = None,
+    ):
         super().__init__()
-        names = [*voxel, *pixel]
+        ray = ray or {}
+        names = [*voxel, *pixel, *ray]
         if sorted(names) != sorted(weights):
             raise ValueError(f"loss terms {sorted(names)} and weights {sorted(weights)} must have the same names")
         self.voxel = nn.ModuleDict(dict(voxel))
         self.pixel = nn.ModuleDict(dict(pixel))
+        self.ray = nn.ModuleDict(dict(ray))
         self.weights = dict(weights)
 
     def set_class_counts(self, counts: Int64[Tensor, " C"]) -> None:
@@ -52,10 +66,24 @@ class Total(nn.Module):
                 loss.set_class_counts(counts)
 
     def forward(
-        self, prediction: HasLogits, voxels: UInt8[Tensor, "B X Y Z"], pixel_labels: UInt8[Tensor, "B N H W"]
+        self,
+        prediction: HasLogits,
+        voxels: UInt8[Tensor, "B X Y Z"],
+        pixel_labels: UInt8[Tensor, "B N H W"],
+        camera_range_m: Float[Tensor, "B N H W"] | None = None,
     ) -> dict[str, Float32[Tensor, ""]]:
-        """Weighted scalar terms by name; those of pixels only where the model predicts pixels."""
+        """Weighted scalar terms by name; those of pixels only where the model predicts pixels.
+
+        Raises:
+            ValueError: if there are terms of rays, but the lifter guesses no ranges or the true ones are not given.
+        """
         terms = {name: loss(prediction.logits, voxels) for name, loss in self.voxel.items()}
         if prediction.pixel_logits is not None:
             terms |= {name: loss(prediction.pixel_logits, pixel_labels) for name, loss in self.pixel.items()}
+        if len(self.ray):
+            if prediction.range_logits is None:
+                raise ValueError("loss=with_ranges needs a lifter that guesses ranges: model/lifter=lift_splat")
+            if camera_range_m is None:
+                raise ValueError("the terms of rays need camera_range_m, the true range of every pixel")
+            terms |= {name: loss(prediction.range_logits, camera_range_m) for name, loss in self.ray.items()}
         return {name: self.weights[name] * term for name, term in terms.items()}

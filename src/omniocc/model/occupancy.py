@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from omniocc.camera import Rig
 from omniocc.geometry import Grid
 from omniocc.model.backbone import Backbone
-from omniocc.model.lifter import Lifter
+from omniocc.model.lifter import GuessesRanges, Lifter
 from omniocc.model.padding import Pointwise
 from omniocc.model.refiner import Refiner
 from omniocc.model.semantic_head import SemanticHead
@@ -23,10 +23,12 @@ class Prediction(NamedTuple):
     Attributes:
         logits: of the class of every voxel.
         pixel_logits: of the class of every pixel, at the finest feature map's size; None without a semantic head.
+        range_logits: of bins of range along the rays, at the coarsest map's size; None if the lifter guesses none.
     """
 
     logits: Float[Tensor, "B C X Y Z"]
     pixel_logits: Float[Tensor, "B N C h w"] | None
+    range_logits: Float[Tensor, "B N D h w"] | None
 
 
 class Lifted(NamedTuple):
@@ -103,7 +105,8 @@ class OccupancyModel(nn.Module):
         with torch.set_grad_enabled(torch.is_grad_enabled() and self.temporal.history_gradient):
             past = self._lift_past(images, rigs, candidates, exists, newest.volume)
         volume = self.fuse([*past, newest.volume], world_from_ego, exists)
-        return Prediction(volume, self.semantic_head(newest.features))
+        ranges = self.lifter.range_logits(newest.features) if isinstance(self.lifter, GuessesRanges) else None
+        return Prediction(volume, self.semantic_head(newest.features), ranges)
 
     def lift(
         self,

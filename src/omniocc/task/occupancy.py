@@ -97,7 +97,7 @@ class Occupancy(LightningModule):
         """Sum of the loss terms; each is logged by name."""
         batch = self.augment(batch, self.draws(batch_index))
         prediction = self.predict(batch)
-        return log_terms(self, self.loss(prediction, batch.voxels, batch.pixel_labels), batch)
+        return log_terms(self, self.loss(prediction, batch.voxels, batch.pixel_labels, batch.camera_range_m), batch)
 
     def validation_step(self, batch: Batch, batch_index: int) -> Tensor:
         """Score a batch; returns the predicted labels."""

@@ -71,3 +71,13 @@ def test_bins_and_ranges_are_checked():
         make(bins=0)
     with pytest.raises(ValueError, match=r"range_m is \[5.0, 1.0\]"):
         LiftSplat(GRID, 8, 8, 3, [5.0, 1.0])
+
+
+def test_range_logits_are_the_scores_that_share_features_out(fisheye):
+    lifter, features = make(), [torch.randn(1, 6, 8, *size, dtype=torch.float64) for size in ((8, 12), (4, 6))]
+    logits = lifter.range_logits(features)
+    assert logits.shape == (1, 6, 6, 4, 6)
+    seen = []
+    lifter.split.register_forward_hook(lambda layer, inputs, output: seen.append(output))
+    lifter(features, CANDIDATES[:1], (fisheye,))
+    torch.testing.assert_close(logits.movedim(2, -1).flatten(1, 3), seen[0][..., :6])

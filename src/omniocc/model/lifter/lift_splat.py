@@ -52,11 +52,9 @@ class LiftSplat(nn.Module):
             ValueError: if a rig has another number of cameras than there are images.
         """
         cameras, height, width = features[-1].shape[1], *features[-1].shape[-2:]
-        maps = sum((F.adaptive_avg_pool2d(level.flatten(0, 1), (height, width)) for level in features[:-1]), 0)
-        pixels = (maps + features[-1].flatten(0, 1)).unflatten(0, (-1, cameras)).movedim(2, -1).flatten(1, 3)
+        pixels = self._pixels(features).flatten(1, 3)
         with torch.autocast(pixels.device.type, enabled=False):
-            dtype = torch.promote_types(pixels.dtype, torch.float32)
-            scores, context = self.split(pixels.to(dtype)).split([len(self.ranges_m), self.channels], dim=-1)
+            scores, context = self.split(pixels).split([len(self.ranges_m), self.channels], dim=-1)
             share = scores.softmax(-1)
             volumes = []
             for sample, rig in enumerate(rigs):
@@ -66,3 +64,16 @@ class LiftSplat(nn.Module):
                 volumes.append(splat(context[sample].contiguous(), share[sample], entries))
         # channels last in memory, as 3D convolutions like it
         return torch.stack(volumes).unflatten(1, self.geometry.shape).movedim(-1, 1)
+
+    def range_logits(self, features: list[Float[Tensor, "B N C _ _"]]) -> Float[Tensor, "B N D h w"]:
+        """Scores of the bins, which a loss may compare with true ranges (`omniocc.loss.RangeBins`)."""
+        pixels, bins = self._pixels(features), len(self.ranges_m)
+        with torch.autocast(pixels.device.type, enabled=False):
+            return F.linear(pixels, self.split.weight[:bins], self.split.bias[:bins]).movedim(-1, 2)
+
+    def _pixels(self, features: list[Float[Tensor, "B N C _ _"]]) -> Float[Tensor, "B N h w C"]:
+        """All maps on the coarsest, in float32 at least."""
+        size, coarsest = tuple(features[-1].shape[-2:]), features[-1].flatten(0, 1)
+        maps = sum((F.adaptive_avg_pool2d(level.flatten(0, 1), size) for level in features[:-1]), 0)  # type: ignore[arg-type]
+        pixels = (maps + coarsest).unflatten(0, features[-1].shape[:2]).movedim(2, -1)
+        return pixels.to(torch.promote_types(pixels.dtype, torch.float32))
