@@ -21,6 +21,7 @@ from omniocc.data import Extras, OccupancyData
 from omniocc.report.run import save_results, show_results
 from omniocc.task import Occupancy, StepProgress
 from omniocc.task.checkpoint import build_task, load_config
+from omniocc.task.cost import PEAK, cost_of, peak_mib
 from omniocc.task.loggers import finish
 from omniocc.task.memory import keep_freed_memory
 from omniocc.task.pictures import Pictures
@@ -80,7 +81,9 @@ def train_occupancy(
             logger.log_metrics(figures, trainer.global_step)
         facts = {"run": run.path.name, "checkpoint": tested.name, "seed": cfg.seed, "steps": trainer.global_step}
         facts |= {"preset": cfg.preset.name, "command": shlex.join(["python", *sys.argv])}
-        facts |= {"minutes of training": minutes, "commit": git_commit(), "data": data.world.fingerprint}
+        facts |= {"minutes of training": minutes, PEAK: peak_mib(trainer.strategy.root_device)}
+        facts |= cost_of(task.model, data.dataset("test")[0])
+        facts |= {"commit": git_commit(), "data": data.world.fingerprint}
         save_results(run.path, metrics | figures, facts)
         finish(trainer.loggers)
         show_results(run.path)

@@ -21,39 +21,17 @@ from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig
 from torch import Tensor, nn
 from torch.profiler import profile
-from torch.utils.flop_counter import FlopCounterMode
 
 from omniocc.camera import Rig
 from omniocc.config import build
 from omniocc.model.sketch import Random
+from omniocc.task.cost import count_gflop
 from omniocc.task.memory import keep_freed_memory
 
 CONF = Path(__file__).parents[2] / "conf"
 STATUS, CLEAR_REFS = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 SHARES = (0.1, 0.25, 0.5, 1.0)
 Run = Callable[[], object]
-
-
-def bag_flops(table: Tensor, rows: Tensor, *arguments: Any, **options: Any) -> int:
-    """A bag multiplies and adds one table row per entry."""
-    return 2 * rows.numel() * table.shape[1]
-
-
-def product_flops(left: Tensor, right: Tensor, **options: Any) -> int:
-    """Of a sparse matrix only the entries that are stored count."""
-    stored = left._nnz() if left.layout != torch.strided else left.numel()
-    return 2 * stored * right.shape[1]
-
-
-for formula in (bag_flops, product_flops):
-    formula._get_raw = True  # type: ignore[attr-defined]
-FORMULAS = {
-    torch.ops.aten._embedding_bag: bag_flops,
-    torch.ops.aten._embedding_bag_forward_only: bag_flops,
-    torch.ops.aten.mm: product_flops,
-    torch.ops.aten.addmm: lambda bias, left, right, **options: product_flops(left, right),
-}
-FORMULAS[torch.ops.aten.addmm]._get_raw = True  # type: ignore[attr-defined]
 
 
 class Meter:
@@ -105,13 +83,6 @@ def status_bytes(key: str) -> int:
     return next(int(line.split()[1]) for line in STATUS.read_text().splitlines() if line.startswith(key)) * 1024
 
 
-def gflops(run: Run) -> float:
-    """Billions of floating-point operations of a forward pass."""
-    with FlopCounterMode(display=False, custom_mapping=FORMULAS) as counter, torch.no_grad():
-        run()
-    return counter.get_total_flops() / 1e9
-
-
 def total(output: object) -> Tensor:
     """A scalar to call backward on."""
     if isinstance(output, Tensor):
@@ -130,7 +101,7 @@ def row(meter: Meter, name: str, module: object, run: Run, trains: bool = True) 
     def step() -> None:
         total(run()).backward()
 
-    cost = gflops(run)  # first: it fills the caches of rigs and grids
+    cost = count_gflop(run)  # first: it fills the caches of rigs and grids
     with torch.no_grad():
         forward, memory = meter.measure(run)
     both, held = meter.measure(step) if trains else (float("nan"), float("nan"))

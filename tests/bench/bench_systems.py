@@ -12,7 +12,7 @@ Times and memory are as in `bench_model.py`.
 import argparse
 
 import torch
-from bench_model import CONF, Meter, gflops, total
+from bench_model import CONF, Meter, total
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig
 
@@ -20,6 +20,7 @@ from omniocc.camera import Rig
 from omniocc.config import build
 from omniocc.model import OccupancyModel, Stream
 from omniocc.model.sketch import Dense, Random
+from omniocc.task.cost import count_gflop
 from omniocc.task.memory import keep_freed_memory
 
 SYSTEMS = {"ours": "default", "VoxFormer": "voxformer", "BEVFormer": "bevformer", "BEVDet": "bevdet"}
@@ -66,7 +67,7 @@ def measure(name: str, cfg: DictConfig, meter: Meter, trains: bool) -> None:
     model.eval()
     for _ in range(drive.frames - 2):  # fills the memory of past frames
         drive.frame()
-    cost = gflops(drive.frame)  # before times: it fills the caches of rig and grid
+    cost = count_gflop(drive.frame)  # before times: it fills the caches of rig and grid
     ms, mib = meter.measure(drive.frame)
     drive.stream.reset()
     model.train()

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from omniocc.classes import CLASSES, FREE
 from omniocc.report import markup
+from omniocc.report.budget import BUDGET_NOTE, YARDSTICKS_NOTE, budget_cells, yardstick_cells
 from omniocc.report.claims import claim_cells
 from omniocc.report.dataset_table import DatasetTable, dataset_cells
 from omniocc.report.gallery import GalleryFrame, Shown, inline
@@ -47,10 +48,12 @@ def page(sweep: Sweep, plots: Mapping[str, tuple[str, str]], frames: Sequence[Ga
     ]
     sections = [
         *pictures[:1],
+        ("yardsticks", "Yardsticks", _plain_card("yardsticks", YARDSTICKS_NOTE, *yardstick_cells(sweep.rows))),
         *((table.name, table.title, _dataset_card(table)) for table in sweep.datasets),
         *((table.name, table.title, _table_card(table, sweep)) for table in sweep.tables),
         *pictures[1:],
         *([("gallery", "Same frames, every row", _gallery_card(frames))] if frames else []),
+        ("budget", "Budget", _plain_card("budget", BUDGET_NOTE, *budget_cells(sweep.rows))),
         ("runs", "Runs", _runs_card(sweep, folder)),
     ]
     contents = "".join(f"<li>{markup.link(f'#{name}', title)}</li>" for name, title, _ in sections)
@@ -105,6 +108,10 @@ def _linked(row: str, cell: str, sweep: Sweep) -> str:
         return f'<span class="soft">{markup.text(cell)}</span>'
     mean, *spread = cell.split(" ± ")
     return markup.link(f"#row-{row}", mean) + "".join(f" <small>± {part}</small>" for part in spread)
+
+
+def _plain_card(name: str, note: str, head: list[str], lines: list[list[str]]) -> str:
+    return markup.card(name, name.capitalize(), markup.note(note), markup.plain_table(head, lines))
 
 
 def _dataset_card(table: DatasetTable) -> str:

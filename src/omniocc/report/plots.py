@@ -39,6 +39,7 @@ STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "omniocc",
 }
+WHISKERS = " (whiskers: one standard deviation over seeds)"
 WHISKER = {"ecolor": INK, "elinewidth": 1.0, "capsize": 2.0}
 
 
@@ -90,6 +91,7 @@ def by_range(rows: Rows) -> Canvas | None:
         axes = canvas.subplots()
         _grouped(axes, rows, {band.removeprefix("rayiou_").replace("m", " m"): f"test/{band}" for band in bands})
         axes.set_ylabel("RayIoU")
+        axes.set_xlabel(f"distance of the true hit{WHISKERS * any(len(runs) > 1 for runs in rows.values())}")
         _legend(canvas, axes, rows)
     return canvas
 
@@ -106,6 +108,7 @@ def by_class(rows: Rows) -> Canvas | None:
         for axes, part in ((upper, names[:6]), (lower, names[6:])):
             _grouped(axes, rows, {name: keys[name] for name in part})
             axes.set_ylabel("RayIoU")
+        lower.set_xlabel(f"class{WHISKERS * any(len(runs) > 1 for runs in rows.values())}")
         _legend(canvas, upper, rows)
     return canvas
 

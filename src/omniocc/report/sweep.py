@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from omniocc.report.budget import BUDGET_NOTE, YARDSTICKS_NOTE, budget_cells, yardstick_cells
 from omniocc.report.claims import claim_cells
 from omniocc.report.curves import read_curve
 from omniocc.report.dataset_table import (
@@ -92,12 +93,14 @@ def report_markdown(sweep: Sweep) -> str:
     parts = [
         f"{' '.join([sweep.remark, *open_ends(sweep)])}\n",
         markdown(*table_of_runs(sweep.runs)),
+        f"## Yardsticks\n\n{YARDSTICKS_NOTE}\n\n{markdown(*yardstick_cells(sweep.rows))}",
         *map(dataset_markdown, sweep.datasets),
     ]
     for table in sweep.tables:
         parts.append(as_markdown(table, sweep.rows))
         head, claims = claim_cells(table, sweep.rows)
         parts += [markdown(head, claims)] * bool(claims)
+    parts.append(f"## Budget\n\n{BUDGET_NOTE}\n\n{markdown(*budget_cells(sweep.rows))}")
     return "\n".join(parts)
 
 
