@@ -82,7 +82,7 @@ def train_occupancy(
         facts = {"run": run.path.name, "checkpoint": tested.name, "seed": cfg.seed, "steps": trainer.global_step}
         facts |= {"preset": cfg.preset.name, "command": shlex.join(["python", *sys.argv])}
         facts |= {"minutes of training": minutes, PEAK: peak_mib(trainer.strategy.root_device)}
-        facts |= cost_of(task.model, data.dataset("test")[0])
+        facts |= cost_of(task.model.eval(), data.dataset("test")[0])
         facts |= {"commit": git_commit(), "data": data.world.fingerprint}
         save_results(run.path, metrics | figures, facts)
         finish(trainer.loggers)

@@ -52,6 +52,8 @@ def test_a_run_leaves_figures_pictures_and_curves(tmp_path, data_root):
         assert key in metrics
     assert metrics["label/rayiou"] == 1.0
     (folder,) = tmp_path.glob("runs/first-*")
+    facts = json.loads((folder / "metrics.json").read_text())
+    assert min(facts[key] for key in ("million parameters", "GFLOP a frame", "peak MiB")) > 0
     assert list(folder.glob("pictures/test-00-*.png"))
     assert list(folder.glob("wandb/offline-run-*/*.wandb"))
     assert (folder / "config.yaml").exists()
