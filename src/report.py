@@ -37,7 +37,7 @@ def main(arguments: list[str] | None = None) -> None:
 def draw(sweep: Sweep, output: Path) -> dict[str, tuple[str, str]]:
     """Every plot as PNG below `output` and as title and SVG by name."""
     if find_spec("matplotlib") is None:
-        print("No plots: matplotlib is missing (pip install 'omniocc[plot]').")
+        print("No plots: matplotlib is missing (pip install --editable '.[plot]').")
         return {}
     from omniocc.report.plots import PLOTS
     from omniocc.report.svg import as_svg

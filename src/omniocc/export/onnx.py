@@ -19,7 +19,9 @@ def write_onnx(program: ExportedProgram, inputs: list[str], outputs: list[str], 
     try:
         import onnxscript  # noqa: F401
     except ImportError as error:
-        raise UserError(f"{path}: ONNX needs more packages: pip install 'omniocc[export]'; .pt2 needs none") from error
+        raise UserError(
+            f"{path}: ONNX needs more packages: pip install --editable '.[export]'; .pt2 needs none"
+        ) from error
     program = program.run_decompositions(DECOMPOSITIONS)
     try:
         written = torch.onnx.export(program, dynamo=True, input_names=inputs, output_names=outputs, verbose=False)

@@ -95,7 +95,7 @@ def workspace(entity: str, project: str) -> "Workspace":
     try:
         from wandb_workspaces import workspaces as ws
     except ImportError as error:
-        raise UserError("the dashboard needs wandb-workspaces: pip install 'omniocc[dashboard]'") from error
+        raise UserError("the dashboard needs wandb-workspaces: pip install --editable '.[dashboard]'") from error
     return ws.Workspace(
         entity=entity,
         project=project,
