@@ -26,7 +26,7 @@ def main(arguments: list[str] | None = None) -> None:
         "--output", type=Path, help="folder of the results (default: evaluation-<checkpoint> beside it)"
     )
     parser.add_argument("--pictures", type=int, default=4, help="test frames to draw")
-    options = parser.parse_args(arguments)
+    options = parser.parse_intermixed_args(arguments)
     for override in options.overrides:
         if "=" not in override:
             parser.error(f"'{override}' is not key=value; one checkpoint at a time")

@@ -10,10 +10,10 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from omniocc.config import lines_not_tracebacks
+from omniocc.data.errors import write_whole
 from omniocc.report.gallery import gallery
 from omniocc.report.page import page
 from omniocc.report.sweep import Sweep, read_sweep, report_markdown, write_tables
-from omniocc.task.run_folder import write_whole
 
 SWEEPS = Path(__file__).parents[1] / "sweeps"
 

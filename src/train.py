@@ -18,6 +18,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from omniocc.config import build, check_root, lines_not_tracebacks, plain
 from omniocc.data import Extras, OccupancyData
+from omniocc.data.errors import write_whole
 from omniocc.report.run import save_results, show_results
 from omniocc.task import Occupancy, StepProgress
 from omniocc.task.checkpoint import build_task, load_config
@@ -25,7 +26,7 @@ from omniocc.task.cost import PEAK, cost_of, peak_mib
 from omniocc.task.loggers import finish
 from omniocc.task.memory import keep_freed_memory
 from omniocc.task.pictures import Pictures
-from omniocc.task.run_folder import BEST, LAST, RunFolder, git_commit, open_run, run_hash, write_whole
+from omniocc.task.run_folder import BEST, LAST, RunFolder, git_commit, open_run, run_hash
 from omniocc.task.stages import Stages, is_learned, wanted_stages
 
 

@@ -3,7 +3,7 @@ import json
 import pytest
 
 from omniocc.errors import UserError
-from omniocc.task.run_folder import LAST, METRICS, open_run, run_hash, write_whole
+from omniocc.task.run_folder import LAST, METRICS, open_run, run_hash
 
 
 def test_hash_follows_what_decides_a_result_and_nothing_else():
@@ -31,7 +31,7 @@ def test_same_command_finds_its_folder_and_checkpoint(tmp_path):
     second = open_run(tmp_path, "train", "abc", "auto")
     assert second.path == first.path
     assert second.checkpoint == first.path / LAST
-    write_whole(second.path / METRICS, json.dumps({}))
+    (second.path / METRICS).write_text(json.dumps({}))
     assert second.finished
 
 

@@ -26,8 +26,8 @@ def cannot_write(path: Path, error: OSError) -> DataError:
     return DataError(f"cannot write {path}: {reason}, then run the same command again; it continues where it stopped")
 
 
-def write_whole(path: Path, content: bytes) -> None:
-    """Write to a temporary name, then rename: readers see the old file or the new one, never a part.
+def write_whole(path: Path, content: bytes | str) -> None:
+    """Write bytes or a text to a temporary name, then rename: readers see the old file or the new one, never a part.
 
     Raises:
         DataError: when the disk refuses.
@@ -36,7 +36,7 @@ def write_whole(path: Path, content: bytes) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with temporary.open("wb") as file:
-            file.write(content)
+            file.write(content.encode() if isinstance(content, str) else content)
             file.flush()
             os.fsync(file.fileno())
         temporary.replace(path)

@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from omniocc.data.errors import write_whole
 from omniocc.report.table import as_markdown, as_text
-from omniocc.task.run_folder import METRICS, write_whole
+from omniocc.task.run_folder import METRICS
 
 
 def save_results(folder: Path, metrics: Mapping[str, float], facts: Mapping[str, Any]) -> None:

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from omniocc.data.errors import write_whole
 from omniocc.report.budget import BUDGET_NOTE, YARDSTICKS_NOTE, budget_cells, yardstick_cells
 from omniocc.report.claims import claim_cells
 from omniocc.report.curves import read_curve
@@ -22,7 +23,7 @@ from omniocc.report.markup import path_between
 from omniocc.report.paper_table import PaperTable, as_csv, as_latex, as_markdown, is_table, load_table
 from omniocc.report.runs import FinishedRun, by_row, comparable, read_runs, table_of_runs
 from omniocc.report.table import markdown
-from omniocc.task.run_folder import METRICS, write_whole
+from omniocc.task.run_folder import METRICS
 
 
 class Sweep(NamedTuple):

@@ -86,13 +86,6 @@ def _claim(path: Path, fresh: bool) -> tuple[Path, FileLock]:
     return candidate, lock
 
 
-def write_whole(path: Path, text: str) -> None:
-    """Write a file that is either the old one or the new one, never a part."""
-    partial = path.with_name(path.name + ".partial")
-    partial.write_text(text)
-    os.replace(partial, path)
-
-
 def git_commit() -> str:
     """Commit of the source tree, `+` when it has changes; `unknown` outside a repository."""
     here = Path(__file__).parent

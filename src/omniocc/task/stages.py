@@ -23,6 +23,7 @@ from torch import Tensor
 from omniocc.config import build, plain
 from omniocc.data import CandidateCache, Extras, OccupancyData, RangeCache, SceneReader
 from omniocc.data.dataset import read_images, read_true_ranges
+from omniocc.data.errors import write_whole
 from omniocc.data.frame_cache import FrameCache
 from omniocc.data.progress import FrameProgress
 from omniocc.data.record import SPLITS
@@ -36,7 +37,7 @@ from omniocc.task.loggers import finish
 from omniocc.task.pictures import DepthPictures, SketchPictures
 from omniocc.task.progress import StepProgress
 from omniocc.task.recipe import Recipe
-from omniocc.task.run_folder import LAST, METRICS, git_commit, write_whole
+from omniocc.task.run_folder import LAST, METRICS, git_commit
 from omniocc.task.sketch import Sketch, known
 
 STAGES = ("depth", "sketch", "occupancy")
