@@ -24,9 +24,18 @@ def composed(*overrides: str):
         return compose("train", list(overrides))
 
 
+def loaded(path: Path) -> dict:
+    """An option as it stands in its file, on top of the option of the same slot that it starts from."""
+    node = OmegaConf.to_container(OmegaConf.load(path), resolve=False)
+    for entry in node.get("defaults", []):
+        if isinstance(entry, str) and entry != "_self_":
+            node = loaded(path.with_name(f"{entry}.yaml")) | node
+    return node
+
+
 @pytest.mark.parametrize("path", OPTIONS, ids=lambda path: str(path.relative_to(CONF)))
 def test_every_option_lists_exactly_the_arguments_of_its_class(path):
-    node = OmegaConf.to_container(OmegaConf.load(path), resolve=False)
+    node = loaded(path)
     slots = [entry for entry in node.pop("defaults", []) if isinstance(entry, dict)]
     filled = {key for entry in slots for key in entry if not key.startswith("override ")}
     listed = {key for key in node if not key.startswith("_")} | filled
@@ -35,7 +44,7 @@ def test_every_option_lists_exactly_the_arguments_of_its_class(path):
 
 @pytest.mark.parametrize("path", OPTIONS, ids=lambda path: str(path.relative_to(CONF)))
 def test_option_file_and_class_share_a_name(path):
-    target = OmegaConf.load(path)["_target_"]
+    target = loaded(path)["_target_"]
     assert target.startswith("omniocc.")
     assert inspect.getmodule(get_object(target)).__name__.startswith(target.rsplit(".", 1)[0])
 
@@ -72,7 +81,7 @@ def test_all_problems_are_reported_at_once_with_hints():
     with pytest.raises(ConfigError) as caught:
         check_root(cfg)
     text = str(caught.value)
-    assert "5 problems" in text  # the seed is also the one of the data
+    assert "7 problems" in text  # the seed is also the one of data and stages
     assert "model.lifter.heds: omniocc.model.lifter.Coloring has no such argument; did you mean 'heads'?" in text
     assert "model.lifter.points: 'abc' is not a whole number" in text
     assert "model.sketch._target_: omniocc.model.sketch.Nope cannot be imported" in text

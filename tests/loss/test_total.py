@@ -52,7 +52,7 @@ def test_names_must_match():
 def test_terms_of_rays_need_a_lifter_that_guesses_ranges_and_the_true_ones():
     prediction, voxels, pixels = batch()
     range_m, ranges = torch.rand(2, 6, 4, 8) * 10, torch.randn(2, 6, 5, 2, 4)
-    loss = Total({"dice": Dice()}, {}, {"dice": 1.0, "ranges": 3.0}, ray={"ranges": RangeBins((1.0, 9.0))})
+    loss = Total({"dice": Dice()}, {}, {"dice": 1.0, "ranges": 3.0}, {"ranges": RangeBins((1.0, 9.0))})
     terms = loss(prediction._replace(range_logits=ranges), voxels, pixels, range_m)
     torch.testing.assert_close(terms["ranges"], 3 * RangeBins((1.0, 9.0))(ranges, range_m))
     with pytest.raises(ValueError, match="model/lifter=lift_splat"):

@@ -107,7 +107,7 @@ def test_tables_and_plots_lie_beside_the_page(output, capsys):
         "comparison", "dataset", "distance", "refine", "representation", "semantic_temporal", "sketch",
     }  # fmt: skip
     markdown = (output / "report.md").read_text("utf-8")
-    assert "| dense voxels | +0.036 | +0.120 ± 0.035 | cannot be told apart (3.5) | +0.060" in markdown
+    assert "| dense voxels | +0.036 | +0.100 | same sign (spread unknown) | +0.050" in markdown
     assert "| This dataset (here) | – | ✓ |" in markdown
     assert markdown.index("## Comparison of datasets") < markdown.index("## Comparison against")
     where = unquote(markdown.split("- [dense-00000001](")[1].split("/)")[0])

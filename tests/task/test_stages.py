@@ -51,12 +51,13 @@ def test_a_stage_that_is_not_there_is_an_error_with_a_remedy():
         ("model.sketch.threshold=0.4", ["candidates"]),
         ("model/refiner=none", []),
         ("trainer.max_steps=5", []),
-        ("seed=3", []),
+        ("seed=3", ["depth", "sketch", "candidates"]),
+        (("seed=3", "stages.depth.seed=0", "stages.sketch.seed=0"), []),
         ("paths.runs=elsewhere", []),
     ],
 )
 def test_keys_change_with_what_makes_the_result_and_with_nothing_else(override, expected):
-    assert changed(override) == expected
+    assert changed(*([override] if isinstance(override, str) else override)) == expected
 
 
 def test_other_data_is_another_result():

@@ -50,7 +50,7 @@ class Total(nn.Module):
         ray: Mapping[str, nn.Module] | None = None,
     ):
         super().__init__()
-        ray = ray or {}
+        ray = ray or {}  # configurations from before had none
         names = [*voxel, *pixel, *ray]
         if sorted(names) != sorted(weights):
             raise ValueError(f"loss terms {sorted(names)} and weights {sorted(weights)} must have the same names")

@@ -1,11 +1,12 @@
 """The paper's gaps between methods, and whether they are found here."""
 
 import math
-import statistics
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from omniocc.report.paper_table import PaperTable, figure_of
+import numpy as np
+
+from omniocc.report.paper_table import PaperTable
 from omniocc.report.runs import FinishedRun
 
 RAYIOU, LIDAR = "test/rayiou", "test/lidar/rayiou"
@@ -22,7 +23,7 @@ class Claim(NamedTuple):
     Attributes:
         title: of the other method.
         paper: the gap there.
-        here: the gap of the means here.
+        here: the gap here, see `Gaps`.
         error: its standard error; nan as long as no method has two seeds.
         freedom: degrees of freedom of the spread behind it.
     """
@@ -44,7 +45,7 @@ class Claim(NamedTuple):
         same = self.paper * self.here > 0
         if math.isnan(self.error):
             return f"{'same' if same else 'not the same'} sign (spread unknown)"
-        errors = abs(self.here) / self.error if self.error else math.inf
+        errors = abs(self.here) / self.error if self.error > 1e-9 else math.inf
         kind = (
             "cannot be told apart"
             if errors < STUDENT[min(self.freedom, len(STUDENT)) - 1]
@@ -55,45 +56,74 @@ class Claim(NamedTuple):
         return f"{kind} ({errors:.1f})"
 
 
-def pooled_spread(rows: Iterable[Sequence[FinishedRun]], key: str) -> tuple[float, int]:
-    """Standard deviation over seeds within rows, of all rows together, and its degrees of freedom.
+class Gaps:
+    """How far rows lie apart in one metric, the luck of seeds taken out.
 
-    It is nan if no row has two seeds.
+    A figure is taken to be the sum of what its row, its seed and chance contribute (least squares over all runs), since
+    rows share depth, sketch and order of samples of a seed. Of two rows with the same seeds this is the paired t-test;
+    a row that lacks a seed is compared on those it has. Chance is taken to be of one size in all rows: two or three
+    seeds say little about one row alone.
 
     Args:
         rows: the runs of each row.
-        key: of the metric.
+        key: of the metric; runs without it do not count.
+
+    Attributes:
+        freedom: degrees of freedom of the spread that is left; 0 if no row has a second seed.
     """
-    values = [[value for run in runs if not math.isnan(value := run.metrics.get(key, math.nan))] for runs in rows]
-    several = [row for row in values if len(row) > 1]
-    freedom = sum(len(row) - 1 for row in several)
-    if not freedom:
-        return math.nan, 0
-    return math.sqrt(sum((len(row) - 1) * statistics.variance(row) for row in several) / freedom), freedom
+
+    def __init__(self, rows: Mapping[str, Sequence[FinishedRun]], key: str):
+        entries = [
+            (row, str(run.facts.get("seed")), value)
+            for row, runs in rows.items()
+            for run in runs
+            if not math.isnan(value := run.metrics.get(key, math.nan))
+        ]
+        self._place = {name: k for k, name in enumerate(dict.fromkeys(("row", row) for row, *_ in entries))}
+        for _, seed, _ in entries:
+            self._place.setdefault(("seed", seed), len(self._place))
+        self._design = np.zeros((len(entries), len(self._place)))
+        for line, (row, seed, _) in enumerate(entries):
+            self._design[line, [self._place["row", row], self._place["seed", seed]]] = 1
+        values = np.array([value for *_, value in entries])
+        self._inverse = np.linalg.pinv(self._design)
+        self._effects = self._inverse @ values
+        self.freedom = len(entries) - int(np.linalg.matrix_rank(self._design)) if entries else 0
+        left = float(np.square(values - self._design @ self._effects).sum())
+        self._spread = math.sqrt(left / self.freedom) if self.freedom else math.nan
+
+    def between(self, better: str, other: str) -> tuple[float, float]:
+        """Gap between two rows and its standard error, which is nan where nothing is known of the spread.
+
+        Both are nan if a row has not run, or the rows have no seeds in common, directly or by way of others.
+        """
+        if ("row", better) not in self._place or ("row", other) not in self._place:
+            return math.nan, math.nan
+        contrast = np.zeros(len(self._place))
+        contrast[self._place["row", better]], contrast[self._place["row", other]] = 1, -1
+        shares = contrast @ self._inverse
+        if not np.allclose(shares @ self._design, contrast):
+            return math.nan, math.nan
+        return float(contrast @ self._effects), self._spread * math.sqrt(float(shares @ shares))
 
 
 def claims_of(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]], key: str) -> list[Claim]:
     """The gaps of a table that can be looked at here.
 
-    The standard error of a gap between means over n and m seeds is s sqrt(1/n + 1/m), with one s of all rows that
-    have run: two or three seeds say little about the spread of one row alone.
-
     Args:
         table: gives the paper's gaps, in the metric that it is ordered by.
-        runs: of each row.
+        runs: of each row, also of those that are not in the table: they tell about the spread.
         key: of the metric that is compared here.
     """
-    spread, freedom = pooled_spread(runs.values(), key)
-    measured = {row.run: figure_of(runs.get(row.run, []), key) for row in table.rows}
+    gaps = Gaps(runs, key)
     printed = [(row, value) for row in table.rows if (value := row.paper[table.order_by]) is not None]
     best, most = max(printed, key=lambda entry: entry[1], default=(None, 0.0))
     claims = []
     for row, value in printed:
         assert best is not None
-        ours, theirs = measured[best.run], measured[row.run]
-        if row is not best and ours and theirs:
-            error = spread * math.sqrt(1 / ours.seeds + 1 / theirs.seeds)
-            claims.append(Claim(row.title, most - value, ours.mean - theirs.mean, error, freedom))
+        here, error = gaps.between(best.run, row.run)
+        if row is not best and not math.isnan(here):
+            claims.append(Claim(row.title, most - value, here, error, gaps.freedom))
     return claims
 
 
