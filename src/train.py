@@ -5,8 +5,6 @@
 
 import logging
 import os
-import shlex
-import sys
 import time
 import warnings
 from pathlib import Path
@@ -26,7 +24,7 @@ from omniocc.task.cost import PEAK, cost_of, peak_mib
 from omniocc.task.loggers import finish
 from omniocc.task.memory import keep_freed_memory
 from omniocc.task.pictures import Pictures
-from omniocc.task.run_folder import BEST, LAST, RunFolder, git_commit, open_run, run_hash
+from omniocc.task.run_folder import BEST, LAST, RunFolder, command_line, git_commit, open_run, run_hash
 from omniocc.task.stages import Stages, is_learned, wanted_stages
 
 
@@ -81,7 +79,7 @@ def train_occupancy(
         for logger in trainer.loggers:
             logger.log_metrics(figures, trainer.global_step)
         facts = {"run": run.path.name, "checkpoint": tested.name, "seed": cfg.seed, "steps": trainer.global_step}
-        facts |= {"preset": cfg.preset.name, "command": shlex.join(["python", *sys.argv])}
+        facts |= {"preset": cfg.preset.name, "command": command_line()}
         facts |= {"minutes of training": minutes, PEAK: peak_mib(trainer.strategy.root_device)}
         facts |= cost_of(task.model.eval(), data.dataset("test")[0])
         facts |= {"commit": git_commit(), "data": data.world.fingerprint}

@@ -3,7 +3,7 @@ import json
 import pytest
 
 from omniocc.errors import UserError
-from omniocc.task.run_folder import LAST, METRICS, open_run, run_hash
+from omniocc.task.run_folder import LAST, METRICS, command_line, open_run, run_hash
 
 
 def test_hash_follows_what_decides_a_result_and_nothing_else():
@@ -63,3 +63,10 @@ def test_of_processes_that_slurm_starts_only_the_first_claims_the_folder(tmp_pat
     first = open_run(tmp_path, "train", "abc", "auto")
     assert first.lock is not None
     assert first.path == second.path
+
+
+def test_a_command_names_no_machine(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for script in ("src/train.py", str(tmp_path / "src" / "train.py")):
+        monkeypatch.setattr("sys.argv", [script, "name=my run", "+ablation=mono"])
+        assert command_line() == "python src/train.py 'name=my run' +ablation=mono"

@@ -3,7 +3,9 @@
 import hashlib
 import json
 import os
+import shlex
 import subprocess
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -84,6 +86,15 @@ def _claim(path: Path, fresh: bool) -> tuple[Path, FileLock]:
             f"another process is working in {candidate}; wait for it, or give this run another name=..."
         ) from None
     return candidate, lock
+
+
+def command_line() -> str:
+    """What started this process, to be typed in the same folder; a multirun starts its jobs by whole paths."""
+    script, *arguments = sys.argv
+    path = Path(script)
+    if path.is_absolute() and path.is_relative_to(Path.cwd()):
+        script = str(path.relative_to(Path.cwd()))
+    return shlex.join(["python", script, *arguments])
 
 
 def git_commit() -> str:
