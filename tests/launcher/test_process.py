@@ -105,6 +105,20 @@ def test_an_interrupt_ends_all_jobs(tmp_path):
     assert jobs[0].code != 0
 
 
+def test_ctrl_c_ends_a_multirun_with_a_line(tmp_path, monkeypatch, capsys):
+    def interrupted(jobs, n_jobs):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("hydra_plugins.process_launcher.launcher.run_all", interrupted)
+    launcher = ProcessLauncher(n_jobs=2, force=False)
+    config = OmegaConf.create({"hydra": {"sweep": {"dir": str(tmp_path / "sweep")}}})
+    launcher.setup(hydra_context=None, task_function=None, config=config)  # type: ignore[arg-type]
+    with pytest.raises(SystemExit) as ended:
+        launcher.launch([["+ablation=a"], ["+ablation=b"]], 0)
+    assert ended.value.code == 130
+    assert "stopped, 0 of 2 jobs are finished; the same command goes on" in capsys.readouterr().out
+
+
 def test_hydra_gets_one_result_per_job_and_exit_code_1_for_failures(tmp_path, monkeypatch, capsys):
     script = tmp_path / "script.py"
     script.write_text("import sys; print(sys.argv[1:]); sys.exit('broken' in sys.argv[1])")

@@ -16,6 +16,7 @@ from rich.console import Console
 from hydra_plugins.process_launcher.job import Job, file_name, label_of
 
 POLL_S = 0.5
+INTERRUPTED = 130  # as shells say it of a process that Ctrl-C has ended
 LINE_EVERY_S = 60.0
 PATIENCE_S = 20.0
 
@@ -43,7 +44,7 @@ class ProcessLauncher(Launcher):
         self.folder = Path(str(config.hydra.sweep.dir))
 
     def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
-        """Run all jobs; ends the process with exit code 1 if any fails."""
+        """Run all jobs; ends the process with exit code 1 if any fails, 130 after Ctrl-C."""
         self.folder.mkdir(parents=True, exist_ok=True)
         varied = varying(job_overrides)
         jobs = []
@@ -53,7 +54,12 @@ class ProcessLauncher(Launcher):
             command = [sys.executable, str(Path(sys.argv[0]).resolve()), *arguments]
             jobs.append(Job(label, command, self.folder / file_name(label, number)))
         print(f"{len(jobs)} jobs, {self.n_jobs} at a time; logs in {self.folder}", flush=True)
-        run_all(jobs, self.n_jobs)
+        try:
+            run_all(jobs, self.n_jobs)
+        except KeyboardInterrupt:
+            done = sum(job.code == 0 for job in jobs)
+            print(f"\nstopped, {done} of {len(jobs)} jobs are finished; the same command goes on", flush=True)
+            sys.exit(INTERRUPTED)
         failed = [job for job in jobs if job.code != 0]
         print(summary(jobs, failed), flush=True)
         if failed:
