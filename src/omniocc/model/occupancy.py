@@ -23,7 +23,8 @@ class Prediction(NamedTuple):
     Attributes:
         logits: of the class of every voxel.
         pixel_logits: of the class of every pixel, at the finest feature map's size; None without a semantic head.
-        range_logits: of bins of range along the rays, at the coarsest map's size; None if the lifter guesses none.
+        range_logits: of bins of range along the rays, at the coarsest map's size; None if not asked for, or if the
+            lifter guesses none.
     """
 
     logits: Float[Tensor, "B C X Y Z"]
@@ -85,6 +86,7 @@ class OccupancyModel(nn.Module):
         world_from_ego: Float[Tensor, "B T 4 4"],
         candidates: Bool[Tensor, "B T X Y Z"] | None = None,
         exists: Bool[Tensor, "B T"] | None = None,
+        with_ranges: bool = False,
     ) -> Prediction:
         """Logits for the newest frame.
 
@@ -94,6 +96,7 @@ class OccupancyModel(nn.Module):
             world_from_ego: pose of each frame.
             candidates: what the sketch says about these frames, where it has been asked before.
             exists: which frames were recorded; the others, before a scene's first, cost nothing. None: all.
+            with_ranges: whether a loss looks at what the lifter guesses of ranges.
         """
         if exists is None:
             exists = torch.ones(images.shape[:2], dtype=torch.bool, device=images.device)
@@ -105,7 +108,8 @@ class OccupancyModel(nn.Module):
         with torch.set_grad_enabled(torch.is_grad_enabled() and self.temporal.history_gradient):
             past = self._lift_past(images, rigs, candidates, exists, newest.volume)
         volume = self.fuse([*past, newest.volume], world_from_ego, exists)
-        ranges = self.lifter.range_logits(newest.features) if isinstance(self.lifter, GuessesRanges) else None
+        guessed = with_ranges and isinstance(self.lifter, GuessesRanges)
+        ranges = self.lifter.range_logits(newest.features) if guessed else None  # type: ignore[union-attr]
         return Prediction(volume, self.semantic_head(newest.features), ranges)
 
     def lift(

@@ -46,14 +46,9 @@ class Claim(NamedTuple):
         if math.isnan(self.error):
             return f"{'same' if same else 'not the same'} sign (spread unknown)"
         errors = abs(self.here) / self.error if self.error > 1e-9 else math.inf
-        kind = (
-            "cannot be told apart"
-            if errors < STUDENT[min(self.freedom, len(STUDENT)) - 1]
-            else "holds"
-            if same
-            else "opposite"
-        )
-        return f"{kind} ({errors:.1f})"
+        if errors < STUDENT[min(self.freedom, len(STUDENT)) - 1]:
+            return f"cannot be told apart ({errors:.1f})"
+        return f"{'holds' if same else 'opposite'} ({errors:.1f})"
 
 
 class Gaps:

@@ -39,7 +39,6 @@ STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "omniocc",
 }
-WHISKERS = " (whiskers: one standard deviation over seeds)"
 WHISKER = {"ecolor": INK, "elinewidth": 1.0, "capsize": 2.0}
 
 
@@ -91,7 +90,7 @@ def by_range(rows: Rows) -> Canvas | None:
         axes = canvas.subplots()
         _grouped(axes, rows, {band.removeprefix("rayiou_").replace("m", " m"): f"test/{band}" for band in bands})
         axes.set_ylabel("RayIoU")
-        axes.set_xlabel(f"distance of the true hit{WHISKERS * any(len(runs) > 1 for runs in rows.values())}")
+        axes.set_xlabel(f"distance of the true hit{_whiskers(rows)}")
         _legend(canvas, axes, rows)
     return canvas
 
@@ -108,7 +107,7 @@ def by_class(rows: Rows) -> Canvas | None:
         for axes, part in ((upper, names[:6]), (lower, names[6:])):
             _grouped(axes, rows, {name: keys[name] for name in part})
             axes.set_ylabel("RayIoU")
-        lower.set_xlabel(f"class{WHISKERS * any(len(runs) > 1 for runs in rows.values())}")
+        lower.set_xlabel(f"class{_whiskers(rows)}")
         _legend(canvas, upper, rows)
     return canvas
 
@@ -182,6 +181,10 @@ def _grouped(axes: Axes, rows: Rows, keys: Mapping[str, str]) -> None:
     axes.set_ylim(bottom=0)
     axes.tick_params(axis="x", length=0)
     axes.grid(axis="x", visible=False)
+
+
+def _whiskers(rows: Rows) -> str:
+    return " (whiskers: one standard deviation over seeds)" * any(len(runs) > 1 for runs in rows.values())
 
 
 def _legend(canvas: Canvas, axes: Axes, rows: Rows) -> None:

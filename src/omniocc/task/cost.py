@@ -64,7 +64,8 @@ def cost_of(model: OccupancyModel, sample: Sample) -> dict[str, float]:
     stream, runs = Stream(model), [lambda: stream.step(images, sample.rig, pose, candidates)]
     if candidates is not None and not isinstance(model.sketch.depth, Truth):  # type: ignore[union-attr]
         runs.append(lambda: model.choose(to_unit_range(images)[None], (sample.rig,))[0])
-    for run in runs * model.temporal.frames:  # what is computed once for a rig belongs to no frame
+    once_and_past = [*runs, *runs[:1] * (model.temporal.frames - 1)]
+    for run in once_and_past:  # what is computed once for a rig belongs to no frame
         count_gflop(run)
     parameters = sum(parameter.numel() for parameter in model.parameters())
     return {PARAMETERS: round(parameters / 1e6, 3), GFLOP: round(sum(map(count_gflop, runs)), 4)}

@@ -72,8 +72,9 @@ class Occupancy(LightningModule):
         return self.predict(batch).logits.argmax(1).to(torch.uint8)
 
     def predict(self, batch: Batch) -> Prediction:
-        """Logits of the newest frame, from the batch's candidates where it has any."""
-        return self.model(batch.images, batch.rigs, batch.world_from_ego, batch.candidates, batch.exists)
+        """Logits of the newest frame, from the batch's candidates if it has any; of ranges if it has true ones."""
+        with_ranges = batch.camera_range_m is not None
+        return self.model(batch.images, batch.rigs, batch.world_from_ego, batch.candidates, batch.exists, with_ranges)
 
     def evaluate(self, batch: Batch) -> Tensor:
         """As `predict_labels`, with the past frames' volumes from memory where the frames before have left them."""
