@@ -2,6 +2,7 @@
 
 import sys
 import time
+from collections.abc import Callable
 from types import TracebackType
 
 from rich.console import Console
@@ -16,12 +17,14 @@ class FrameProgress:
     Args:
         title: what is being made.
         total: frames to be made in this run.
+        finished: how many of them are there by now, whoever made them, where several processes share the work.
     """
 
-    def __init__(self, title: str, total: int):
+    def __init__(self, title: str, total: int, finished: Callable[[], int] = int):
         self.title = title
         self.total = total
-        self.done = self._made = self._shown = 0
+        self.finished = finished
+        self._own = self._made = self._shown = self._others = 0
         self._began_s = self._shown_s = time.monotonic()
         self._bar: Progress | None = None
         if sys.stderr.isatty():
@@ -36,9 +39,14 @@ class FrameProgress:
             self._bar = bar
 
     @property
+    def done(self) -> int:
+        """Frames that are there."""
+        return self._own + self._others
+
+    @property
     def rate_hz(self) -> float:
         """Frames made per second since the beginning."""
-        return self._made / max(time.monotonic() - self._began_s, 1e-9)
+        return (self._made + self._others) / max(time.monotonic() - self._began_s, 1e-9)
 
     def __enter__(self) -> "FrameProgress":
         if self._bar is not None:
@@ -55,9 +63,10 @@ class FrameProgress:
 
     def advance(self, frames: int = 1) -> None:
         """Count frames that are done: one just made, or all that an interrupted run has left of a scene."""
-        self.done += frames
+        self._own += frames
         self._made += frames == 1
         if self._bar is not None:
+            self._ask_others()
             self._bar.update(self._task, completed=self.done, rate=f"{self.rate_hz:.1f} frames/s")
         elif time.monotonic() - self._shown_s > LINE_EVERY_S:
             self._line()
@@ -69,7 +78,11 @@ class FrameProgress:
         else:
             print(text, file=sys.stderr, flush=True)
 
+    def _ask_others(self) -> None:
+        self._others = max(self.finished() - self._own, 0)
+
     def _line(self) -> None:
+        self._ask_others()
         self._shown, self._shown_s = self.done, time.monotonic()
         left_s = (self.total - self.done) / max(self.rate_hz, 1e-9)
         eta = f", {clock(left_s)} left" if self._made and self.done < self.total else ""
