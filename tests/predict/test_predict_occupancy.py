@@ -307,7 +307,11 @@ def test_mistakes_are_named_in_a_line(pictures, scene, checkpoint, tmp_path, cap
         ([trained, f"recorded={scene}", "frames=[5]"], ["frames=[5]", "0 to 4"]),
         ([trained, f"recorded={scene.parent}", "scene=test-000-nowere"], ["did you mean 'test-000-nowhere'"]),
         ([trained, f"recorded={tmp_path}"], ["holds no recorded scenes"]),
-        ([trained, f"recorded={scene}", "without=[raer]"], ["without=raer", "front_left"]),
+        ([trained, f"recorded={scene}", "without=[raer]"], ["without=raer", "is it 'rear'", "front_left"]),
+        (
+            [trained, f"recorded={scene}", f"without=[{','.join(Rig.load(pictures / 'rig.yaml').names)}]"],
+            ["every camera is left out"],
+        ),
     )
     for k, (arguments, words) in enumerate(cases):
         with pytest.raises(UserError) as caught:

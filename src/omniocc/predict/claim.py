@@ -37,7 +37,7 @@ def claim(output: Path, facts: Mapping[str, Any], force: bool) -> None:
         if other:  # before anything says that these answers are the new ones
             for answer in output.rglob(VOXELS):
                 answer.unlink()
-        write_whole(path, text.encode())
+        write_whole(path, text)
     except OSError as error:
         reason = (error.__cause__ and str(error.__cause__)) or str(error)
         raise UserError(f"output={output} cannot be written: {reason}; choose another folder: output=...") from error

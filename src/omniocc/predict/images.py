@@ -40,11 +40,7 @@ def find_frames(images: str | Sequence[str], rig: Rig, without: Sequence[str] = 
     Raises:
         UserError: naming what is missing, superfluous or misspelt.
     """
-    for name in without:
-        if name not in rig.names:
-            raise UserError(f"without={name}: no such camera{_near(name, rig.names)}; cameras: {', '.join(rig.names)}")
-    if len(set(without)) == len(rig.names):
-        raise UserError("every camera is left out; leave some in")
+    check_without(without, rig)
     if not isinstance(images, str):
         return [_listed([Path(path) for path in images], rig, without)]
     folder = Path(images)
@@ -55,6 +51,19 @@ def find_frames(images: str | Sequence[str], rig: Rig, without: Sequence[str] = 
     if _pictures(folder) or not moments:
         return [Frame("", _named(folder, rig, without))]
     return [Frame(moment.name, _named(moment, rig, without)) for moment in moments]
+
+
+def check_without(without: Sequence[str], rig: Rig) -> None:
+    """Names of cameras to do without must be some of the rig's, not all.
+
+    Raises:
+        UserError: naming the one that is not, and those there are.
+    """
+    for name in without:
+        if name not in rig.names:
+            raise UserError(f"without={name}: no such camera{_near(name, rig.names)}; cameras: {', '.join(rig.names)}")
+    if len(set(without)) == len(rig.names):
+        raise UserError("every camera is left out; leave some in")
 
 
 def _in_time(moment: Path) -> list[tuple[int, str]]:

@@ -15,7 +15,7 @@ from omniocc.model import OccupancyModel
 from omniocc.predict.claim import claim, digest_of, fingerprint_of_poses
 from omniocc.predict.drive import Drive, PictureDrive, find_scenes
 from omniocc.predict.export import RIG
-from omniocc.predict.images import find_frames
+from omniocc.predict.images import check_without, find_frames
 from omniocc.predict.job import Job
 from omniocc.predict.network import load_occupancy
 from omniocc.predict.poses import read_poses
@@ -121,9 +121,7 @@ def drives_of(options: Options) -> Sequence[Drive]:
     """
     if options.recorded is not None:
         drives = find_scenes(Path(options.recorded), options.scene, options.frames)
-        for name in options.without:
-            if name not in drives[0].rig.names:
-                raise UserError(f"without={name}: no such camera; cameras: {', '.join(drives[0].rig.names)}")
+        check_without(options.without, drives[0].rig)
         return drives
     assert options.images is not None
     rig = rig_of(options)
