@@ -36,6 +36,8 @@ def main(cfg: DictConfig) -> None:
     quiet()
     keep_freed_memory()
     stages = wanted_stages(cfg)
+    if "occupancy" in stages:
+        build_task(cfg)  # what a part refuses is said now, not when the stages before have been trained
     data = build(cfg.data)
     data.prepare_data()
     before = Stages(cfg, data) if is_learned(cfg) else None

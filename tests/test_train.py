@@ -209,6 +209,13 @@ def test_mistakes_end_in_lines_not_tracebacks(override, expected, tmp_path, data
         assert words in text
 
 
+def test_what_the_last_stage_refuses_is_said_before_the_first_trains(tmp_path, data_root):
+    result = run("train.py", *smoke(data_root, "model/sketch=omni", "model.lifter.heads=5"), cwd=tmp_path)
+    assert result.returncode != 0
+    assert "model.lifter: 8 channels cannot be split among 5 heads; give a divisor" in result.stderr
+    assert not list(tmp_path.glob("runs/stages/*"))
+
+
 @pytest.mark.parametrize(
     "overrides",
     [

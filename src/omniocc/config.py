@@ -2,6 +2,7 @@
 
 import functools
 import inspect
+import re
 import sys
 import types
 from collections.abc import Callable, Iterator, Sequence
@@ -12,7 +13,7 @@ from typing import Any, Literal, Union, cast, get_args, get_origin, get_type_hin
 from hydra.errors import InstantiationException
 from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, ListConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
+from omegaconf.errors import InterpolationKeyError, OmegaConfBaseException
 
 from omniocc.errors import UserError
 
@@ -171,6 +172,10 @@ def _check_value(node: DictConfig, key: str, path: str, hint: Any) -> Iterator[s
     try:
         value = node[key]
         plain = OmegaConf.to_container(value, resolve=True) if isinstance(value, DictConfig | ListConfig) else value
+    except InterpolationKeyError as error:
+        absent = re.search("'(.+)'", str(error))
+        yield f"{path}.{key}: takes {absent[1] if absent else error}, which is not in this choice of options"
+        return
     except OmegaConfBaseException as error:
         yield f"{path}.{key}: {str(error).splitlines()[0]}"
         return

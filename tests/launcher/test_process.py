@@ -11,7 +11,16 @@ import pytest
 from omegaconf import OmegaConf
 
 from hydra_plugins.process_launcher.job import Job, file_name
-from hydra_plugins.process_launcher.launcher import ProcessLauncher, progress, run_all, summary, varying
+from hydra_plugins.process_launcher.launcher import (
+    ProcessLauncher,
+    left_s,
+    places,
+    progress,
+    run_all,
+    stop,
+    summary,
+    varying,
+)
 
 SRC = Path(__file__).parents[2] / "src"
 
@@ -71,6 +80,36 @@ def test_progress_names_what_runs_and_what_is_left(tmp_path):
     run_all(jobs[:1], 1)
     jobs[0].elapsed_s = 120.0
     assert progress(jobs, 1, 125.0) == "2:05 1 of 2 jobs done, about 2:00 left"
+
+
+def test_time_left_is_at_least_what_a_running_job_says_of_its_stage(tmp_path):
+    jobs = [job(tmp_path, "done", ""), *(job(tmp_path, name, "import time; time.sleep(60)") for name in "abc")]
+    run_all(jobs[:1], 1)
+    jobs[0].elapsed_s = 600.0
+    try:
+        for running in jobs[1:3]:
+            running.start({})
+            running.began_s -= 540.0  # a minute is left of what the finished one took
+        assert left_s(jobs, 2) == pytest.approx((60 + 60 + 600) / 2, abs=2)
+        jobs[1].log.write_text("x: occupancy, stage 3 of 3 train 107/1000, 1.75 s each, left 26:03  train/loss=7.7\n")
+        assert left_s(jobs, 2) == pytest.approx(26 * 60 + 3)
+    finally:
+        stop(jobs)
+
+
+def test_not_many_jobs_wait_for_one(tmp_path):
+    waits = "import time; print('x waits for another process that', flush=True); time.sleep(60)"
+    jobs = [job(tmp_path, str(number), waits) for number in range(5)]
+    try:
+        for number in range(4):
+            assert places(jobs, 2) == min(2, 4 - number)
+            jobs[number].start({})
+            assert appears(jobs[number].log)
+            while not jobs[number].waiting:
+                time.sleep(0.02)
+        assert places(jobs, 2) == 0
+    finally:
+        stop(jobs)
 
 
 def test_jobs_end_when_their_parent_is_killed(tmp_path):

@@ -56,6 +56,8 @@ def test_nothing_is_said_of_rows_that_no_seed_connects():
     assert all(map(math.isnan, gaps.between("ours", "dense")))
     assert all(map(math.isnan, gaps.between("ours", "mono")))
     assert claims_of(SKETCH, {}, "test/rayiou") == []
+    claim, *_ = claims_of(SKETCH, {"ours": row("ours", 0.30, 0.34), "dense": other}, "test/rayiou")
+    assert (claim.title, claim.gap, claim.verdict) == ("dense voxels", "–", "no seed in common")
 
 
 def test_gaps_stand_beside_the_papers_with_their_standard_error():

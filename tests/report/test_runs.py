@@ -48,4 +48,32 @@ def test_seeds_of_one_row_with_other_settings_are_named(runs, tmp_path):
     config = yaml.safe_load(path.read_text())
     config["data"]["world"]["root"], config["lr"], config["new key"] = "elsewhere", 0.2, 1
     path.write_text(yaml.safe_dump(config))
-    assert comparable(read_runs(folder), None)[1].endswith("Mind: the runs of row ours differ in lr.")
+    assert comparable(read_runs(folder), None)[1].endswith(
+        "Mind: the runs of row ours differ in lr, new key; another name=... makes a row of its own."
+    )
+
+
+def test_a_damaged_file_is_named_and_its_run_left_out(runs, tmp_path, capsys):
+    folder = tmp_path / "runs"
+    shutil.copytree(runs, folder)
+    metrics, listed, config = (folder / f"{name}-00000001" for name in ("ours", "dense", "cuboid"))
+    (metrics / "metrics.json").write_text((metrics / "metrics.json").read_text()[:60])
+    (listed / "metrics.json").write_text("[1, 2]")
+    (config / "config.yaml").write_text("model: {geometry: [")
+    left = {run.name for run in read_runs(folder)}
+    assert left == {run.name for run in read_runs(runs)} - {metrics.name, listed.name, config.name}
+    said = capsys.readouterr().err.splitlines()
+    assert [line.split(" is damaged")[0] for line in said] == [
+        f"left out: {path}" for path in (config / "config.yaml", listed / "metrics.json", metrics / "metrics.json")
+    ]
+
+
+def test_what_tells_a_replaced_run_from_the_newer_one_is_said(runs, tmp_path):
+    folder = tmp_path / "runs"
+    shutil.copytree(runs, folder)
+    other = folder / "ours-0000000a"
+    shutil.copytree(runs / "ours-00000001", other)
+    config = yaml.safe_load((other / "config.yaml").read_text())
+    (other / "config.yaml").write_text(yaml.safe_dump(config | {"loss": {"weights": {"ranges": 1.0}}}))
+    os.utime(other / "metrics.json", (1, 1))
+    assert "ours-0000000a (of another loss.weights.ranges than ours-00000001)" in comparable(read_runs(folder), None)[1]

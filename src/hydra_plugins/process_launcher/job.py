@@ -57,6 +57,11 @@ class Job:
         return code
 
     @property
+    def age_s(self) -> float:
+        """Since it began."""
+        return time.monotonic() - self.began_s
+
+    @property
     def running(self) -> bool:
         """Started and not at its end."""
         return self.process is not None and self.code is None

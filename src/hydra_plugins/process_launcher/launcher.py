@@ -1,6 +1,7 @@
 """See the package: jobs as processes, one line about all of them, failures at the end."""
 
 import os
+import re
 import signal
 import sys
 import time
@@ -28,8 +29,8 @@ class ProcessLauncher(Launcher):
     parent. The script itself continues what was interrupted and leaves alone what is finished.
 
     Args:
-        n_jobs: jobs at a time; while one waits for what another makes, the next begins. Cores are shared evenly by
-            `OMP_NUM_THREADS`, where it is not set.
+        n_jobs: jobs at a time; while one waits for what another makes, the next begins, up to as many again. Cores are
+            shared evenly by `OMP_NUM_THREADS`, where it is not set.
         force: train again beside what is finished (`resume=never` for every job).
     """
 
@@ -82,8 +83,7 @@ def run_all(jobs: Sequence[Job], n_jobs: int) -> None:
     try:
         with console.status("") as status:
             while any(job.code is None for job in jobs):
-                busy = sum(job.running and not job.waiting for job in jobs)
-                for job in [job for job in jobs if job.process is None][: max(0, n_jobs - busy)]:
+                for job in [job for job in jobs if job.process is None][: places(jobs, n_jobs)]:
                     job.start(environment)
                 line = progress(jobs, n_jobs, time.monotonic() - began_s)
                 status.update(line)
@@ -93,6 +93,13 @@ def run_all(jobs: Sequence[Job], n_jobs: int) -> None:
                 time.sleep(POLL_S)
     finally:
         stop(jobs)
+
+
+def places(jobs: Sequence[Job], n_jobs: int) -> int:
+    """How many jobs may begin now. Those that wait will all work one day, so that not many are let wait."""
+    running = sum(job.running for job in jobs)
+    waiting = sum(job.waiting for job in jobs)
+    return max(0, min(n_jobs - (running - waiting), 2 * n_jobs - running))
 
 
 def stop(jobs: Sequence[Job]) -> None:
@@ -109,15 +116,25 @@ def progress(jobs: Sequence[Job], n_jobs: int, elapsed_s: float) -> str:
     """One line: how many are done, when the rest will be, what each running job says last."""
     done = [job for job in jobs if job.code is not None]
     failed = sum(job.code != 0 for job in done)
-    left = f", about {_minutes(mean_s(done) * (len(jobs) - len(done)) / n_jobs)} left" if done else ""
+    left = f", about {_minutes(left_s(jobs, n_jobs))} left" if done else ""
     parts = [f"{len(done)} of {len(jobs)} jobs done{f', {failed} failed' if failed else ''}{left}"]
     parts += [f"{job.label}: {job.last_line()}" for job in jobs if job.running]
     return " | ".join([f"{_minutes(elapsed_s)} {parts[0]}", *parts[1:]])
 
 
-def mean_s(jobs: Sequence[Job]) -> float:
-    """Mean duration."""
-    return sum(job.elapsed_s for job in jobs) / len(jobs)
+def left_s(jobs: Sequence[Job], n_jobs: int) -> float:
+    """Time until all are done, if each takes as long as those that are, or longer where it says so itself."""
+    done = [job for job in jobs if job.code is not None]
+    each_s = sum(job.elapsed_s for job in done) / len(done)
+    running = [max(each_s - job.age_s, said_left_s(job.last_line())) for job in jobs if job.running]
+    waiting = each_s * sum(job.process is None for job in jobs)
+    return max([(sum(running) + waiting) / n_jobs, *running])
+
+
+def said_left_s(line: str) -> float:
+    """Seconds that a job's line says are left of its stage (`left 12:56`); 0 if it says nothing of that."""
+    said = re.search(r"\bleft (\d+):(\d\d)\b", line)
+    return 60.0 * int(said[1]) + int(said[2]) if said else 0.0
 
 
 def summary(jobs: Sequence[Job], failed: Sequence[Job]) -> str:

@@ -23,7 +23,7 @@ class Claim(NamedTuple):
     Attributes:
         title: of the other method.
         paper: the gap there.
-        here: the gap here, see `Gaps`.
+        here: the gap here, see `Gaps`; nan if no seed connects the two.
         error: its standard error; nan as long as no method has two seeds.
         freedom: degrees of freedom of the spread behind it.
     """
@@ -37,11 +37,15 @@ class Claim(NamedTuple):
     @property
     def gap(self) -> str:
         """What was measured, with its standard error."""
+        if math.isnan(self.here):
+            return "–"
         return f"{self.here:+.3f}" + ("" if math.isnan(self.error) else f" ± {self.error:.3f}")
 
     @property
     def verdict(self) -> str:
         """In words, with the number of standard errors; a sign alone where the spread over seeds is unknown."""
+        if math.isnan(self.here):
+            return "no seed in common"
         same = self.paper * self.here > 0
         if math.isnan(self.error):
             return f"{'same' if same else 'not the same'} sign (spread unknown)"
@@ -87,12 +91,16 @@ class Gaps:
         left = float(np.square(values - self._design @ self._effects).sum())
         self._spread = math.sqrt(left / self.freedom) if self.freedom else math.nan
 
+    def has(self, row: str) -> bool:
+        """Whether the row has a figure."""
+        return ("row", row) in self._place
+
     def between(self, better: str, other: str) -> tuple[float, float]:
         """Gap between two rows and its standard error, which is nan where nothing is known of the spread.
 
         Both are nan if a row has not run, or the rows have no seeds in common, directly or by way of others.
         """
-        if ("row", better) not in self._place or ("row", other) not in self._place:
+        if not (self.has(better) and self.has(other)):
             return math.nan, math.nan
         contrast = np.zeros(len(self._place))
         contrast[self._place["row", better]], contrast[self._place["row", other]] = 1, -1
@@ -116,8 +124,8 @@ def claims_of(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]], key:
     claims = []
     for row, value in printed:
         assert best is not None
-        here, error = gaps.between(best.run, row.run)
-        if row is not best and not math.isnan(here):
+        if row is not best and gaps.has(best.run) and gaps.has(row.run):
+            here, error = gaps.between(best.run, row.run)
             claims.append(Claim(row.title, most - value, here, error, gaps.freedom))
     return claims
 

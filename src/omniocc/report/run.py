@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from omniocc.data.errors import write_whole
+from omniocc.errors import UserError
 from omniocc.report.table import as_markdown, as_text
 from omniocc.task.run_folder import METRICS
 
@@ -20,10 +21,19 @@ def save_results(folder: Path, metrics: Mapping[str, float], facts: Mapping[str,
 
 
 def load_results(folder: Path) -> tuple[dict[str, Any], dict[str, float]]:
-    """Facts and figures of a finished run; NaN for classes without cases."""
-    facts = json.loads((folder / METRICS).read_text())
-    metrics = facts.pop("metrics")
-    return facts, {key: math.nan if value is None else value for key, value in metrics.items()}
+    """Facts and figures of a finished run; NaN for classes without cases.
+
+    Raises:
+        UserError: naming the file, when it is damaged.
+    """
+    path = folder / METRICS
+    try:
+        facts = json.loads(path.read_text())
+        metrics = facts.pop("metrics")
+        return facts, {key: math.nan if value is None else float(value) for key, value in metrics.items()}
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        reason = str(error).splitlines()[0]
+        raise UserError(f"{path} is damaged ({reason}); remove it, and the command that made it tests again") from error
 
 
 def show_results(folder: Path) -> None:

@@ -2,6 +2,7 @@
 
 import math
 import re
+import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -41,22 +42,42 @@ class FinishedRun(NamedTuple):
 
 
 def read_runs(folder: Path) -> list[FinishedRun]:
-    """Finished runs by falling RayIoU.
+    """Finished runs by falling RayIoU; those whose files are damaged are left out with a warning that names the file.
 
     Raises:
         UserError: when there is none.
     """
-    runs = [_read(path.parent) for path in sorted(folder.glob(f"*/{METRICS}"))]
+    found = [_read_or_tell(path.parent) for path in sorted(folder.glob(f"*/{METRICS}"))]
+    runs = [run for run in found if run is not None]
     if not runs:
         raise UserError(f"{folder} holds no finished run ({METRICS}); train one: python src/train.py")
     return sorted(runs, key=lambda run: -run.metrics["test/rayiou"])
 
 
+def _read_or_tell(folder: Path) -> FinishedRun | None:
+    try:
+        return _read(folder)
+    except UserError as error:
+        print(f"left out: {error}", file=sys.stderr, flush=True)
+        return None
+
+
 def _read(folder: Path) -> FinishedRun:
     facts, metrics = load_results(folder)
-    path = folder / "config.yaml"
-    config = yaml.safe_load(path.read_text()) if path.exists() else {}
+    config = _read_config(folder / "config.yaml")
     return FinishedRun(folder.name, facts, figures_of_config(config) | metrics, folder, config)
+
+
+def _read_config(path: Path) -> Mapping[str, Any]:
+    if not path.exists():
+        return {}
+    try:
+        config = yaml.safe_load(path.read_text())
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise UserError(f"{path} is damaged: {str(error).splitlines()[0]}") from error
+    if not isinstance(config, dict):
+        raise UserError(f"{path} is damaged: it holds no configuration")
+    return config
 
 
 def figures_of_config(config: Mapping[str, Any]) -> dict[str, float]:
@@ -97,7 +118,7 @@ def comparable(runs: Sequence[FinishedRun], preset: str | None) -> tuple[list[Fi
     text = f"preset={name}, {steps} steps, data {data[:8]}, commit {', '.join(commits)}."
     if others := sorted(run.name for run in runs if run.setting != chosen):
         text += f" Left out, of another setting: {', '.join(others)}."
-    if older := sorted({run.name for run in same} - {run.name for run in kept}):
+    if older := sorted(_replaced(same, kept)):
         text += f" Left out, older runs of the same row and seed: {', '.join(older)}."
     return kept, text + "".join(f" {line}" for line in _mixtures(by_row(kept)))
 
@@ -111,13 +132,31 @@ def _newest(runs: Sequence[FinishedRun]) -> list[FinishedRun]:
     return [run for run in runs if newest[run.row, run.facts.get("seed")] == run.name]
 
 
+def _replaced(runs: Sequence[FinishedRun], kept: Sequence[FinishedRun]) -> Iterator[str]:
+    """Names of runs that are not kept, and in what they differ from the one that is."""
+    for run in runs:
+        if run not in kept:
+            newer = next(
+                other for other in kept if (other.row, other.facts.get("seed")) == (run.row, run.facts.get("seed"))
+            )
+            keys = differences([run, newer])
+            yield run.name + (f" (of another {keys} than {newer.name})" if keys else "")
+
+
 def _mixtures(rows: Mapping[str, Sequence[FinishedRun]]) -> Iterator[str]:
     """A warning for each row whose seeds were trained with other values of one key."""
     for row, runs in rows.items():
-        values = [dict(_flat(run.config)) for run in runs]
-        shared = set.intersection(*(set(value) for value in values))
-        if keys := sorted(key for key in shared if any(value[key] != values[0][key] for value in values)):
-            yield f"Mind: the runs of row {row} differ in {', '.join(keys[:4])}{' and more' * (len(keys) > 4)}."
+        if keys := differences(runs):
+            yield f"Mind: the runs of row {row} differ in {keys}; another name=... makes a row of its own."
+
+
+def differences(runs: Sequence[FinishedRun]) -> str:
+    """Keys, four at most, which not all of the runs have with the same value."""
+    values = [dict(_flat(run.config)) for run in runs]
+    absent = object()
+    every = sorted(set().union(*values))
+    keys = [key for key in every if any(value.get(key, absent) != values[0].get(key, absent) for value in values)]
+    return f"{', '.join(keys[:4])}{' and more' * (len(keys) > 4)}"
 
 
 def _flat(config: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

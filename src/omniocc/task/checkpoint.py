@@ -29,9 +29,10 @@ def load_config(path: Path) -> tuple[DictConfig, dict[str, torch.Tensor]]:
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
         return DictConfig(content["config"]), content["state_dict"]
-    except (pickle.UnpicklingError, RuntimeError, EOFError, KeyError, TypeError) as error:
+    except (pickle.UnpicklingError, RuntimeError, OSError, EOFError, KeyError, TypeError) as error:
         raise UserError(
-            f"{path} is not a checkpoint of this platform, or it is damaged: {str(error).splitlines()[0]}"
+            f"{path} is not a checkpoint of this platform, or it is damaged ({str(error).split('. ')[0].strip()}). "
+            "If it is one of a run here, remove its folder and give the run's command again"
         ) from error
 
 

@@ -96,6 +96,8 @@ class WandbCurves(WandbLogger):
             resume="allow",
             config={**config, **row, "slots": slots_of(config)},
         )
+        # Lightning passes on a setting that W&B has given up, and W&B says so in every run
+        self._wandb_init.pop("anonymous", None)
         self.journal = Journal(folder / "wandb" / "rows.jsonl")
         self.before: set[tuple[int, str]] = set()
         self.lost: list[tuple[int, dict[str, float]]] = []
