@@ -16,7 +16,7 @@ $(READY): pyproject.toml constraints.txt
 
 setup: $(READY)  ## Make .venv from pyproject.toml and constraints.txt
 
-demo: $(READY)  ## Render streets, train, test on unseen streets, show table and picture (20 to 25 minutes on 2 cores)
+demo: $(READY)  ## Render streets, train, test on unseen streets, show table and picture (20 to 25 minutes on 2 cores; PRESET=smoke: one)
 	$(BIN)/python src/train.py name=demo preset=$(PRESET)
 
 test: $(READY)  ## Run the tests
