@@ -157,6 +157,7 @@ def test_a_stage_has_a_job_type_of_its_own_and_no_row(tmp_path):
     settings = curves._wandb_init
     assert (settings["job_type"], settings["tags"], settings["id"] != "") == ("depth", [], True)
     assert "row" not in settings["config"]
+    assert "anonymous" not in settings  # W&B warns of it in every run
 
 
 def test_of_a_run_that_an_agent_begins_only_the_last_stage_is_logged(tmp_path, monkeypatch):
