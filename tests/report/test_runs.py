@@ -1,5 +1,6 @@
 """Which runs are compared, and what their configurations say."""
 
+import json
 import os
 import shutil
 
@@ -51,6 +52,10 @@ def test_seeds_of_one_row_with_other_settings_are_named(runs, tmp_path):
     assert comparable(read_runs(folder), None)[1].endswith(
         "Mind: the runs of row ours differ in lr, new key; another name=... makes a row of its own."
     )
+    facts = yaml.safe_load((path.parent / "metrics.json").read_text())
+    (path.parent / "metrics.json").write_text(json.dumps(facts | {"commit": "0123abc"}))
+    remark = comparable(read_runs(folder), None)[1]
+    assert "of row ours differ in lr;" in remark  # of another version, which had a new option
 
 
 def test_a_damaged_file_is_named_and_its_run_left_out(runs, tmp_path, capsys):

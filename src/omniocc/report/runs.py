@@ -5,6 +5,7 @@ import re
 import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import combinations
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -18,6 +19,7 @@ from omniocc.task.run_folder import METRICS
 
 HASH = re.compile(r"-[0-9a-f]{8}(-\d+)?$")
 SHARE, RECALL, VOXELS = "test/sketch/share", "test/sketch/recall", "voxels"
+ABSENT = object()
 OF_MACHINES = ("root", "cache", "workers", "num_workers", "seed")
 
 
@@ -34,6 +36,11 @@ class FinishedRun(NamedTuple):
     def row(self) -> str:
         """The name it was given: that of its row in the tables."""
         return HASH.sub("", self.name)
+
+    @property
+    def place(self) -> tuple[str, Any]:
+        """Row and seed: where one run counts."""
+        return self.row, self.facts.get("seed")
 
     @property
     def setting(self) -> tuple[str, ...]:
@@ -128,17 +135,15 @@ def _newest(runs: Sequence[FinishedRun]) -> list[FinishedRun]:
         path = run.folder / METRICS
         return (path.stat().st_mtime if path.exists() else 0.0, run.name)
 
-    newest = {(run.row, run.facts.get("seed")): run.name for run in sorted(runs, key=age)}
-    return [run for run in runs if newest[run.row, run.facts.get("seed")] == run.name]
+    newest = {run.place: run.name for run in sorted(runs, key=age)}
+    return [run for run in runs if newest[run.place] == run.name]
 
 
 def _replaced(runs: Sequence[FinishedRun], kept: Sequence[FinishedRun]) -> Iterator[str]:
     """Names of runs that are not kept, and in what they differ from the one that is."""
     for run in runs:
         if run not in kept:
-            newer = next(
-                other for other in kept if (other.row, other.facts.get("seed")) == (run.row, run.facts.get("seed"))
-            )
+            newer = next(other for other in kept if other.place == run.place)
             keys = differences([run, newer])
             yield run.name + (f" (of another {keys} than {newer.name})" if keys else "")
 
@@ -151,11 +156,17 @@ def _mixtures(rows: Mapping[str, Sequence[FinishedRun]]) -> Iterator[str]:
 
 
 def differences(runs: Sequence[FinishedRun]) -> str:
-    """Keys, four at most, which not all of the runs have with the same value."""
-    values = [dict(_flat(run.config)) for run in runs]
-    absent = object()
-    every = sorted(set().union(*values))
-    keys = [key for key in every if any(value.get(key, absent) != values[0].get(key, absent) for value in values)]
+    """Keys, four at most, which not all of the runs have with the same value.
+
+    A key that only one of two commits had is a new option, not a difference.
+    """
+    found: set[str] = set()
+    for one, other in combinations(runs, 2):
+        left, right = dict(_flat(one.config)), dict(_flat(other.config))
+        same_version = one.facts.get("commit") == other.facts.get("commit")
+        keys = left.keys() | right.keys() if same_version else left.keys() & right.keys()
+        found |= {key for key in keys if left.get(key, ABSENT) != right.get(key, ABSENT)}
+    keys = sorted(found)
     return f"{', '.join(keys[:4])}{' and more' * (len(keys) > 4)}"
 
 
