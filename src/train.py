@@ -24,7 +24,16 @@ from omniocc.task.cost import PEAK, cost_of, peak_mib
 from omniocc.task.loggers import finish
 from omniocc.task.memory import keep_freed_memory
 from omniocc.task.pictures import Pictures
-from omniocc.task.run_folder import BEST, LAST, RunFolder, command_line, git_commit, open_run, run_hash
+from omniocc.task.run_folder import (
+    BEST,
+    LAST,
+    RunFolder,
+    command_line,
+    git_commit,
+    given_checkpoint,
+    open_run,
+    run_hash,
+)
 from omniocc.task.stages import Stages, is_learned, wanted_stages
 
 
@@ -37,7 +46,9 @@ def main(cfg: DictConfig) -> None:
     keep_freed_memory()
     stages = wanted_stages(cfg)
     if "occupancy" in stages:
-        build_task(cfg)  # what a part refuses is said now, not when the stages before have been trained
+        # mistakes of the last stage are said now, not when the stages before have been trained
+        given_checkpoint(cfg.resume)
+        build_task(cfg)
     data = build(cfg.data)
     data.prepare_data()
     before = Stages(cfg, data) if is_learned(cfg) else None

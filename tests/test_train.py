@@ -210,9 +210,13 @@ def test_mistakes_end_in_lines_not_tracebacks(override, expected, tmp_path, data
 
 
 def test_what_the_last_stage_refuses_is_said_before_the_first_trains(tmp_path, data_root):
-    result = run("train.py", *smoke(data_root, "model/sketch=omni", "model.lifter.heads=5"), cwd=tmp_path)
-    assert result.returncode != 0
-    assert "model.lifter: 8 channels cannot be split among 5 heads; give a divisor" in result.stderr
+    for override, said in (
+        ("model.lifter.heads=5", "model.lifter: 8 channels cannot be split among 5 heads; give a divisor"),
+        ("resume=nowhere.ckpt", "resume=nowhere.ckpt: there is no such checkpoint"),
+    ):
+        result = run("train.py", *smoke(data_root, "model/sketch=omni", override), cwd=tmp_path)
+        assert result.returncode != 0
+        assert said in result.stderr
     assert not list(tmp_path.glob("runs/stages/*"))
 
 

@@ -65,12 +65,21 @@ def open_run(runs: Path, name: str, digest: str, resume: str) -> RunFolder:
     else:
         path = Path(os.environ.get(RANK_FOLDER, path))
         path.mkdir(parents=True, exist_ok=True)
-    checkpoint = path / LAST
-    if resume not in ("auto", "never"):
-        checkpoint = Path(resume)
-        if not checkpoint.is_file():
-            raise FileNotFoundError(f"resume={resume}: there is no such checkpoint")
+    checkpoint = given_checkpoint(resume) or path / LAST
     return RunFolder(path, checkpoint if checkpoint.exists() else None, lock)
+
+
+def given_checkpoint(resume: str) -> Path | None:
+    """The checkpoint that `resume` names, if it names one.
+
+    Raises:
+        FileNotFoundError: when it is not there.
+    """
+    if resume in ("auto", "never"):
+        return None
+    if not Path(resume).is_file():
+        raise FileNotFoundError(f"resume={resume}: there is no such checkpoint; auto goes on where this run was")
+    return Path(resume)
 
 
 def _claim(path: Path, fresh: bool) -> tuple[Path, FileLock]:
