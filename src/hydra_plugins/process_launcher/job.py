@@ -53,7 +53,7 @@ class Job:
             return None
         code = self.process.poll()
         if code is not None and not self.elapsed_s:
-            self.elapsed_s = time.monotonic() - self.began_s
+            self.elapsed_s = self.age_s
         return code
 
     @property

@@ -99,7 +99,7 @@ def places(jobs: Sequence[Job], n_jobs: int) -> int:
     """How many jobs may begin now. Those that wait will all work one day, so that not many are let wait."""
     running = sum(job.running for job in jobs)
     waiting = sum(job.waiting for job in jobs)
-    return max(0, min(n_jobs - (running - waiting), 2 * n_jobs - running))
+    return max(0, n_jobs + min(waiting, n_jobs) - running)
 
 
 def stop(jobs: Sequence[Job]) -> None:

@@ -190,12 +190,8 @@ class VirtualWorld:
         work = SceneJob(
             self.scene, tuple(missing), self.recipe, self.rig, self.frames_per_scene, self.shard_limit_bytes
         )
-        total = len(missing) * self.frames_per_scene
-
-        def finished() -> int:
-            return total - len(self.missing(missing)) * self.frames_per_scene
-
-        with FrameProgress(f"rendering {self.source}", total, finished) as progress:
+        title, total = f"rendering {self.source}", len(missing) * self.frames_per_scene
+        with FrameProgress(title, total, lambda: sum(map(self._exists, missing)) * self.frames_per_scene) as progress:
             make_scenes(work, [self.source / plan.name for plan in missing], self.workers, progress)
 
     def readers(self, split: Split) -> list[SceneReader]:

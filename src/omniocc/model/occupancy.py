@@ -108,8 +108,9 @@ class OccupancyModel(nn.Module):
         with torch.set_grad_enabled(torch.is_grad_enabled() and self.temporal.history_gradient):
             past = self._lift_past(images, rigs, candidates, exists, newest.volume)
         volume = self.fuse([*past, newest.volume], world_from_ego, exists)
-        guessed = with_ranges and isinstance(self.lifter, GuessesRanges)
-        ranges = self.lifter.range_logits(newest.features) if guessed else None  # type: ignore[union-attr]
+        ranges = None
+        if with_ranges and isinstance(self.lifter, GuessesRanges):
+            ranges = self.lifter.range_logits(newest.features)
         return Prediction(volume, self.semantic_head(newest.features), ranges)
 
     def lift(

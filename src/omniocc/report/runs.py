@@ -135,15 +135,15 @@ def _newest(runs: Sequence[FinishedRun]) -> list[FinishedRun]:
         path = run.folder / METRICS
         return (path.stat().st_mtime if path.exists() else 0.0, run.name)
 
-    newest = {run.place: run.name for run in sorted(runs, key=age)}
-    return [run for run in runs if newest[run.place] == run.name]
+    newest = {run.place: run for run in sorted(runs, key=age)}
+    return [run for run in runs if newest[run.place] is run]
 
 
 def _replaced(runs: Sequence[FinishedRun], kept: Sequence[FinishedRun]) -> Iterator[str]:
     """Names of runs that are not kept, and in what they differ from the one that is."""
+    newest = {run.place: run for run in kept}
     for run in runs:
-        if run not in kept:
-            newer = next(other for other in kept if other.place == run.place)
+        if (newer := newest[run.place]) is not run:
             keys = differences([run, newer])
             yield run.name + (f" (of another {keys} than {newer.name})" if keys else "")
 
@@ -161,10 +161,9 @@ def differences(runs: Sequence[FinishedRun]) -> str:
     A key that only one of two commits had is a new option, not a difference.
     """
     found: set[str] = set()
-    for one, other in combinations(runs, 2):
-        left, right = dict(_flat(one.config)), dict(_flat(other.config))
-        same_version = one.facts.get("commit") == other.facts.get("commit")
-        keys = left.keys() | right.keys() if same_version else left.keys() & right.keys()
+    versions = [(run.facts.get("commit"), dict(_flat(run.config))) for run in runs]
+    for (commit, left), (other_commit, right) in combinations(versions, 2):
+        keys = left.keys() | right.keys() if commit == other_commit else left.keys() & right.keys()
         found |= {key for key in keys if left.get(key, ABSENT) != right.get(key, ABSENT)}
     keys = sorted(found)
     return f"{', '.join(keys[:4])}{' and more' * (len(keys) > 4)}"

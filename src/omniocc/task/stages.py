@@ -172,7 +172,7 @@ class Stages:
         """Leave the task trained and tested: by loading it, or by what is left of training and testing."""
         folder, results = {"depth": self.depth, "sketch": self.sketch}[stage], self.results[stage]
         last = folder / LAST
-        if (results / METRICS).exists() and last.exists():
+        if (results / METRICS).exists():
             print(f"{title} is there: {results}", flush=True)
             task.model.load_state_dict(weights_of(last))  # type: ignore[union-attr]
             return
