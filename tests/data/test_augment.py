@@ -245,9 +245,10 @@ def test_dropped_frames_are_past_ones_that_existed(batch, grid):
 def test_erased_boxes_are_even_and_as_large_as_asked():
     images = torch.full((50, 2, 6, 3, 40, 60), 7, dtype=torch.uint8)
     images[..., ::2] = 9
-    erased = erase(images, 0.4, (0.1, 0.3), (0.5, 2.0), seeded())
+    erased, mask = erase(images, 0.4, (0.1, 0.3), (0.5, 2.0), seeded())
     assert torch.equal(images[..., 1], torch.full_like(images[..., 1], 7))  # the input stays as it was
     changed = (erased != images).any(-3).flatten(0, 2)
+    assert torch.equal(mask, (erased != images).any(-3))
     hit = changed.flatten(1).any(1)
     assert hit.double().mean() == pytest.approx(0.4, abs=0.06)
     for image, box in zip(erased.flatten(0, 2)[hit], changed[hit], strict=True):
@@ -258,9 +259,20 @@ def test_erased_boxes_are_even_and_as_large_as_asked():
         assert 0.4 < area.shape[2] / area.shape[1] < 2.5
 
 
+def test_erased_pixels_of_the_newest_frame_lose_their_labels_and_no_others_do(batch, grid):
+    changed = augment(grid, erase_probability=1.0)(batch, seeded())
+    differ = (changed.images[:, -1] != batch.images[:, -1]).any(-3)
+    lost = changed.pixel_labels == 255
+    assert (differ & ~lost).sum() == 0
+    assert lost.flatten(2).any(-1).all()
+    assert torch.equal(changed.pixel_labels[~lost], batch.pixel_labels[~lost])
+    assert lost.double().mean() < 0.25
+    assert torch.equal(changed.voxels, batch.voxels)
+
+
 def test_no_share_of_images_is_spared_by_probability_one():
     images = torch.randint(0, 256, (4, 1, 6, 3, 30, 40), dtype=torch.uint8)
-    erased = erase(images, 1.0, (0.05, 0.05), (1.0, 1.0), seeded())
+    erased, _ = erase(images, 1.0, (0.05, 0.05), (1.0, 1.0), seeded())
     assert (erased != images).flatten(3).any(-1).all()
 
 

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import torch
 
 from omniocc.batch import Batch
+from omniocc.classes import UNKNOWN
 from omniocc.data.augment_image import erase, jitter
 from omniocc.data.augment_scene import Change, change_scenes, possible_turns
 from omniocc.geometry import Grid
@@ -14,7 +15,8 @@ class Augment:
     """Erased boxes, other colours, mirrored and turned scenes, shorter histories; 0 switches each off.
 
     Erasing is the paper's ('random cropping on the input RGB images to enhance robustness against occlusion'). Labels
-    stay: what is behind an erased box is to be inferred from other cameras, other frames and the surroundings.
+    of voxels stay: what is behind an erased box is to be inferred from other cameras, other frames and the
+    surroundings. Labels of erased pixels become 255, since nothing of their class is left in the image.
 
     Args:
         geometry: grid of the voxel labels.
@@ -78,7 +80,9 @@ class Augment:
         if any(self.colors):
             images = jitter(images, *self.colors, generator)
         if self.erasing[0]:
-            images = erase(images, *self.erasing, generator)
+            images, erased = erase(images, *self.erasing, generator)
+            # the newest frame's pixels alone have labels
+            batch = batch._replace(pixel_labels=batch.pixel_labels.masked_fill(erased[:, -1], UNKNOWN))
         return batch._replace(images=images)
 
     def _changes(self, batch: Batch, generator: torch.Generator) -> list[Change]:

@@ -21,7 +21,7 @@ def erase(
     share: Sequence[float],
     aspect: Sequence[float],
     generator: torch.Generator,
-) -> Tensor:
+) -> tuple[Tensor, Tensor]:
     """Covers one box in some images with an even colour (Random Erasing, Zhong et al. 2020; the paper's cropping).
 
     Args:
@@ -30,6 +30,9 @@ def erase(
         share: smallest and largest area, as a share of the image's; evenly drawn.
         aspect: smallest and largest width / height; its logarithm is evenly drawn.
         generator: of all draws, on the CPU.
+
+    Returns:
+        The images and the erased pixels, (..., H, W) bool.
     """
     *many, _, height, width = images.shape
     hit = torch.rand(tuple(many), generator=generator) < probability
@@ -44,7 +47,7 @@ def erase(
     inside_columns = (columns >= left[..., None]) & (columns < (left + wide)[..., None]) & hit[..., None]
     inside_rows = (rows >= top[..., None]) & (rows < (top + high)[..., None])
     box = inside_rows[..., None, :, None].to(images.device) & inside_columns[..., None, None, :].to(images.device)
-    return torch.where(box, color.to(images.device), images)
+    return torch.where(box, color.to(images.device), images), box.squeeze(-3)
 
 
 def jitter(

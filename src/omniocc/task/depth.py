@@ -12,6 +12,7 @@ from omniocc.metric import DepthMetrics
 from omniocc.model.depth import Spheres
 from omniocc.model.occupancy import to_unit_range
 from omniocc.task.adamw import AdamW
+from omniocc.task.draws import step_generator
 from omniocc.task.scores import RANGE_EDGES_M
 from omniocc.task.terms import log_terms
 
@@ -26,13 +27,15 @@ class Depth(LightningModule):
         model: option of the depth slot.
         optimizer: recipe for optimiser and schedule.
         spheres: of the rig, in whose indices errors are counted; what is nearer than all of them is not judged.
+        seed: of the random choices of training, such as mirrored batches.
         config: the run's resolved configuration as plain data.
     """
 
-    def __init__(self, model: nn.Module, optimizer: AdamW, spheres: Spheres, config: dict[str, Any]):
+    def __init__(self, model: nn.Module, optimizer: AdamW, spheres: Spheres, seed: int, config: dict[str, Any]):
         super().__init__()
         self.model = model
         self.optimizer = optimizer
+        self.seed = seed
         self.config = config
         self.errors = DepthMetrics(spheres.min_range_m, FARTHEST_M, spheres.count, RANGE_EDGES_M)
         self.coverage = MeanMetric()
@@ -40,7 +43,9 @@ class Depth(LightningModule):
     def training_step(self, batch: Batch, batch_index: int) -> Tensor:
         """Sum of the model's own loss terms; each is logged by name."""
         images = to_unit_range(batch.images[:, -1])
-        terms = self.model.training_terms(images, batch.rigs, batch.erp_range_m, batch.camera_range_m)  # type: ignore[operator]
+        ranges = batch.erp_range_m, batch.camera_range_m
+        generator = step_generator(self, self.seed, batch_index)
+        terms = self.model.training_terms(images, batch.rigs, *ranges, generator)  # type: ignore[operator]
         return log_terms(self, terms, batch)
 
     def validation_step(self, batch: Batch, batch_index: int) -> Tensor:

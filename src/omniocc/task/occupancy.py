@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import numpy as np
 import torch
 from lightning.pytorch import Callback, LightningModule
 from lightning.pytorch.callbacks import EMAWeightAveraging
@@ -15,6 +14,7 @@ from omniocc.data import Augment
 from omniocc.loss import Total
 from omniocc.model import OccupancyModel, Prediction, Stream
 from omniocc.task.adamw import AdamW
+from omniocc.task.draws import step_generator
 from omniocc.task.scores import Scores
 from omniocc.task.terms import log_terms
 
@@ -84,11 +84,6 @@ class Occupancy(LightningModule):
         window = batch.images, batch.rigs, batch.world_from_ego, batch.candidates, exists, batch.frame_ids
         return self.stream.windows(*window).argmax(1).to(torch.uint8)
 
-    def draws(self, batch_index: int) -> torch.Generator:
-        """Of one training batch: a function of seed, step and process, so that a resumed run draws what was left."""
-        key = [self.config["seed"], self.global_step, batch_index, self.global_rank]
-        return torch.Generator().manual_seed(int(np.random.SeedSequence(key).generate_state(1)[0]))
-
     def configure_callbacks(self) -> list[Callback]:
         """The moving average of the weights, if asked for."""
         # buffers follow the last step: averaging would round the prior's class ids
@@ -96,7 +91,7 @@ class Occupancy(LightningModule):
 
     def training_step(self, batch: Batch, batch_index: int) -> Tensor:
         """Sum of the loss terms; each is logged by name."""
-        batch = self.augment(batch, self.draws(batch_index))
+        batch = self.augment(batch, step_generator(self, self.config["seed"], batch_index))
         prediction = self.predict(batch)
         return log_terms(self, self.loss(prediction, batch.voxels, batch.pixel_labels, batch.camera_range_m), batch)
 

@@ -41,7 +41,7 @@ from omniocc.task.run_folder import LAST, METRICS, git_commit
 from omniocc.task.sketch import Sketch, known
 
 STAGES = ("depth", "sketch", "occupancy")
-VERSIONS = {"depth": 2, "sketch": 1, "candidates": 1}
+VERSIONS = {"depth": 3, "sketch": 1, "candidates": 1}
 """Raise a number when the same configuration would give another result."""
 
 SELECTION = ("threshold", "share", "windows", "band_edges_m")
@@ -131,7 +131,7 @@ class Stages:
             spheres = rig_spheres(
                 self.scenes[0].rig, model.panorama, self.cfg.depth.spheres, self.cfg.depth.min_range_m
             )
-            task = Depth(model, recipe.optimizer, spheres, plain(self.cfg))
+            task = Depth(model, recipe.optimizer, spheres, recipe.seed, plain(self.cfg))
             trains = hasattr(model, "training_terms")
             drawn = DepthPictures(self.results["depth"] / "pictures", self.cfg.pictures)
             self._finish(task, recipe, Extras(true_ranges=True), drawn, "depth", title, trains)

@@ -48,7 +48,9 @@ def test_a_network_that_knows_the_range_gives_the_panorama(small, make_ring, mon
 
 def test_ranges_of_cameras_are_needed(small, rig):
     with pytest.raises(ValueError, match="range of every camera"):
-        small("Mono").training_terms(torch.rand(1, 6, 3, 36, 64), (rig,), torch.ones(1, 12, 48))
+        small("Mono").training_terms(
+            torch.rand(1, 6, 3, 36, 64), (rig,), torch.ones(1, 12, 48), None, torch.Generator()
+        )
 
 
 def test_mirrored_images_have_mirrored_ranges(small, make_ring):

@@ -94,13 +94,34 @@ def test_wrong_images_are_named(name, small, rig, make_ring):
         model(images, (rig,))
 
 
+def drawing(flip):
+    """Return a generator whose next draw does or does not mirror the batch."""
+    for seed in range(100):
+        if (torch.rand((), generator=torch.Generator().manual_seed(seed)) < 0.5) == flip:
+            return torch.Generator().manual_seed(seed)
+    raise AssertionError("no seed below 100 draws this")
+
+
+@pytest.mark.parametrize("name", ["Mono", *NETS])
+def test_mirroring_follows_the_generator_and_not_the_global_state(name, small, rig):
+    model, images, (erp_m, camera_m) = small(name, mirror=True), images_of((rig,)), targets((rig,))
+
+    def terms(flip, global_seed):
+        torch.manual_seed(global_seed)
+        with torch.no_grad():
+            return model.training_terms(images, (rig,), erp_m, camera_m, drawing(flip))
+
+    assert terms(True, 0) == terms(True, 1)
+    assert terms(False, 0) == terms(False, 1)
+    assert terms(True, 0) != terms(False, 0)
+
+
 @pytest.mark.parametrize("name", ["Mono", *NETS])
 @pytest.mark.parametrize("flip", [False, True])
-def test_every_parameter_learns(name, flip, small, rig, monkeypatch):
+def test_every_parameter_learns(name, flip, small, rig):
     model, rigs = small(name, mirror=True), (rig, rig)
     images, (erp_m, camera_m) = images_of(rigs), targets(rigs)
-    monkeypatch.setattr(torch, "rand", lambda *_: torch.tensor(0.0 if flip else 0.9))
-    terms = model.training_terms(images, rigs, erp_m, camera_m)
+    terms = model.training_terms(images, rigs, erp_m, camera_m, drawing(flip))
     sum(terms.values()).backward()
     assert all(term.ndim == 0 and term.isfinite() for term in terms.values())
     silent = [key for key, value in model.named_parameters() if value.grad is None or not value.grad.any()]
@@ -112,9 +133,11 @@ def test_losses_of_a_mixed_batch_are_means_over_samples(name, small, rig, make_r
     rigs = (rig, make_ring(6, radius_m=1.2), rig)
     images, model, (erp_m, camera_m) = images_of(rigs), small(name), targets(rigs)
     with torch.no_grad():
-        together = model.training_terms(images, rigs, erp_m, camera_m)
+        together = model.training_terms(images, rigs, erp_m, camera_m, drawing(flip=False))
         single = [
-            model.training_terms(images[k : k + 1], rigs[k : k + 1], erp_m[k : k + 1], camera_m[k : k + 1])
+            model.training_terms(
+                images[k : k + 1], rigs[k : k + 1], erp_m[k : k + 1], camera_m[k : k + 1], drawing(flip=False)
+            )
             for k in range(3)
         ]
     for key in ("index", "spheres"):
@@ -127,9 +150,9 @@ def test_training_brings_the_answer_closer(name, small, rig):
     model, images, (erp_m, camera_m) = small(name), images_of((rig,)), targets((rig,))
     erp_m[:, 3:], camera_m[:, :, 9:-4] = 6.0, 6.0
     optimizer = torch.optim.Adam(model.parameters(), lr=1e-2)
-    losses = []
+    losses, generator = [], torch.Generator().manual_seed(0)
     for _ in range(15):
-        loss = sum(model.training_terms(images, (rig,), erp_m, camera_m).values())
+        loss = sum(model.training_terms(images, (rig,), erp_m, camera_m, generator).values())
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()

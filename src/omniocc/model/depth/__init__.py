@@ -21,7 +21,8 @@ __all__ = ["Depth", "DepthMap", "Mono", "OmniMVS", "OmniMVS3D", "Spheres", "Swee
 class Depth(Protocol):
     """Estimates a panorama of ranges in the ego frame.
 
-    Options that learn also have `training_terms(images, rigs, erp_range_m, camera_range_m)`, a dict of weighted losses.
+    Options that learn also have `training_terms(images, rigs, erp_range_m, camera_range_m, generator)`, a dict of
+    weighted losses; random choices are drawn from `generator`.
 
     Attributes:
         panorama: directions of its pixels.

@@ -107,9 +107,17 @@ class Mono(Panoramic):
         images: Float[Tensor, "B N 3 H W"],
         rigs: tuple[Rig, ...],
         erp_range_m: Float[Tensor, "B h w"],
-        camera_range_m: Float[Tensor, "B N H W"] | None = None,
+        camera_range_m: Float[Tensor, "B N H W"] | None,
+        generator: torch.Generator,
     ) -> dict[str, Float[Tensor, ""]]:
         """Losses `silog` and `sky`. Looks at the ranges of single cameras only (inf: sky, nan: unknown).
+
+        Args:
+            images: RGB in [0, 1].
+            rigs: one per sample.
+            erp_range_m: is not looked at.
+            camera_range_m: true range of every pixel.
+            generator: decides whether this batch is mirrored, on the CPU.
 
         Raises:
             ValueError: if images and rigs do not fit together, images hold NaN, or there are no ranges of cameras.
@@ -117,7 +125,7 @@ class Mono(Panoramic):
         check_images(images, rigs)
         if camera_range_m is None:
             raise ValueError("model/depth=mono learns from the range of every camera; this data has none")
-        flip = self.mirror and bool(torch.rand(()) < 0.5)
+        flip = self.mirror and bool(torch.rand((), generator=generator) < 0.5)
         log_range, sky = self.camera_ranges(images, rigs, flip)
         true_m = range_of_four(camera_range_m.flip(-1) if flip else camera_range_m)
         known = ~true_m.isnan()

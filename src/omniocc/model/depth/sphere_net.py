@@ -98,15 +98,23 @@ class SphereNet(Panoramic):
         images: Float[Tensor, "B N 3 H W"],
         rigs: tuple[Rig, ...],
         erp_range_m: Float[Tensor, "B h w"],
-        camera_range_m: Float[Tensor, "B N H W"] | None = None,
+        camera_range_m: Float[Tensor, "B N H W"] | None,
+        generator: torch.Generator,
     ) -> dict[str, Float[Tensor, ""]]:
         """Losses `index`, `log_range`, `spheres` and `sky`, see `sphere_terms`, from the panorama alone.
+
+        Args:
+            images: RGB in [0, 1].
+            rigs: one per sample.
+            erp_range_m: true panorama; inf for the sky, nan does not count.
+            camera_range_m: is not looked at.
+            generator: decides whether this batch is mirrored, on the CPU.
 
         Raises:
             ValueError: if images and rigs do not fit together, or images hold NaN.
         """
         check_images(images, rigs)
-        flip = self.mirror and bool(torch.rand(()) < 0.5)
+        flip = self.mirror and bool(torch.rand((), generator=generator) < 0.5)
         target_m = erp_range_m.flip(-1) if flip else erp_range_m
         parts = []
         for rig, samples in rig_groups(rigs):

@@ -1,0 +1,23 @@
+"""Random draws of a training step depend on its place in the run and on nothing else."""
+
+from types import SimpleNamespace
+
+import torch
+
+from omniocc.task.draws import step_generator
+
+
+def draw(seed=0, step=0, batch=0, rank=0):
+    task = SimpleNamespace(global_step=step, global_rank=rank)
+    return torch.rand(3, generator=step_generator(task, seed, batch)).tolist()
+
+
+def test_a_resumed_run_draws_what_the_undisturbed_one_would_have_drawn():
+    undisturbed = [draw(step=step) for step in range(4)]
+    torch.rand(17)  # another past of the global generator
+    assert [draw(step=step) for step in (2, 3)] == undisturbed[2:]
+
+
+def test_every_coordinate_counts():
+    places = [{}, {"seed": 1}, {"step": 1}, {"batch": 1}, {"rank": 1}]
+    assert len({tuple(draw(**place)) for place in places}) == len(places)
