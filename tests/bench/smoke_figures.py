@@ -3,8 +3,8 @@
     python tests/bench/smoke_figures.py record before.json
     python tests/bench/smoke_figures.py compare before.json after.json [--renamed renamed.json]
 
-Figures depend on the machine and on the number of threads: record both files on one machine. `renamed.json` maps old names of
-figures to new ones.
+Figures depend on the machine and on the number of threads: record both files on one machine. `renamed.json` maps old
+names of figures to new ones.
 """
 
 import argparse
@@ -48,9 +48,8 @@ def compare(before: Path, after: Path, renamed: dict[str, str]) -> list[str]:
     for row in sorted(old.keys() & new.keys()):
         left = {renamed.get(key, key): repr(value) for key, value in old[row].items()}
         right = {key: repr(value) for key, value in new[row].items()}
-        for key in sorted(left.keys() | right.keys()):
-            if left.get(key) != right.get(key):
-                lines.append(f"{row}: {key}: {left.get(key)} -> {right.get(key)}")
+        changed = [key for key in sorted(left.keys() | right.keys()) if left.get(key) != right.get(key)]
+        lines += [f"{row}: {key}: {left.get(key)} -> {right.get(key)}" for key in changed]
     return lines
 
 
