@@ -1,4 +1,4 @@
-"""Record the figures of every ablation row at preset=smoke, and compare two recordings digit by digit.
+"""Record figures and training losses of every ablation row at preset=smoke, and compare two recordings digit by digit.
 
     python tests/bench/smoke_figures.py record before.json
     python tests/bench/smoke_figures.py compare before.json after.json [--renamed renamed.json]
@@ -8,6 +8,7 @@ names of figures to new ones.
 """
 
 import argparse
+import csv
 import json
 import os
 import subprocess
@@ -38,7 +39,19 @@ def figures_of_row(row: str, folder: Path) -> dict[str, float]:
     if done.returncode:
         sys.exit(f"{row} failed:\n{done.stdout}\n{done.stderr}")
     (metrics,) = (folder / "runs").glob(f"{row}-*/metrics.json")
-    return json.loads(metrics.read_text())["metrics"]
+    figures = json.loads(metrics.read_text())["metrics"]
+    for curves in (folder / "runs").glob(f"{row}-*/csv/**/metrics.csv"):
+        figures |= losses(curves)
+    return figures
+
+
+def losses(curves: Path) -> dict[str, float]:
+    """Return every training loss of a CSV file of curves as {name@step: value}."""
+    with curves.open() as file:
+        rows = [row for row in csv.DictReader(file) if row["train/loss"]]
+    return {
+        f"{key}@{row['step']}": float(row[key]) for row in rows for key in row if key.startswith("train/") and row[key]
+    }
 
 
 def compare(before: Path, after: Path, renamed: dict[str, str]) -> list[str]:
