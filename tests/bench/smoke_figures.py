@@ -33,6 +33,7 @@ def record(output: Path, rows: list[str]) -> None:
 def figures_of_row(row: str, folder: Path) -> dict[str, float]:
     """Train a row below `folder`, which holds the rendered scenes and the stages that rows share."""
     command = [sys.executable, "src/train.py", f"+ablation={row}", "preset=smoke", "logger.mode=disabled", "pictures=0"]
+    command += ["trainer.log_every_n_steps=1"]
     command += [f"paths.data={folder / 'data'}", f"paths.runs={folder / 'runs'}", "trainer.accelerator=cpu"]
     environment = os.environ | {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
@@ -48,7 +49,7 @@ def figures_of_row(row: str, folder: Path) -> dict[str, float]:
 def losses(curves: Path) -> dict[str, float]:
     """Return every training loss of a CSV file of curves as {name@step: value}."""
     with curves.open() as file:
-        rows = [row for row in csv.DictReader(file) if row["train/loss"]]
+        rows = [row for row in csv.DictReader(file) if row.get("train/loss")]
     return {
         f"{key}@{row['step']}": float(row[key]) for row in rows for key in row if key.startswith("train/") and row[key]
     }
