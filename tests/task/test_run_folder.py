@@ -3,7 +3,7 @@ import json
 import pytest
 
 from omniocc.errors import UserError
-from omniocc.task.run_folder import LAST, METRICS, command_line, open_run, run_hash
+from omniocc.task.run_folder import METRICS, command_line, open_run, run_hash
 
 
 def test_hash_follows_what_decides_a_result_and_nothing_else():
