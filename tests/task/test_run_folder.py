@@ -3,6 +3,7 @@ import json
 import pytest
 
 from omniocc.errors import UserError
+from omniocc.task.checkpoint_io import LAST, write_checkpoint
 from omniocc.task.run_folder import METRICS, command_line, open_run, run_hash
 
 
@@ -26,7 +27,7 @@ def test_same_command_finds_its_folder_and_checkpoint(tmp_path):
     first = open_run(tmp_path, "train", "abc", "auto")
     assert first.checkpoint is None
     assert not first.finished
-    (first.path / LAST).write_bytes(b"weights")
+    write_checkpoint({"config": {}, "state_dict": {}}, first.path / LAST)
     first.lock.release()
     second = open_run(tmp_path, "train", "abc", "auto")
     assert second.path == first.path

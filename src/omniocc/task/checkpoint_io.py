@@ -58,8 +58,8 @@ def read_checkpoint(path: Path, map_location: Any = "cpu", weights_only: bool = 
             if (damaged := members.testzip()) is not None:
                 raise zipfile.BadZipFile(f"the checksum of {damaged} differs")
         content = torch.load(path, map_location=map_location, weights_only=weights_only)
-        if absent := {"config", "state_dict"} - content.keys():
-            raise KeyError(f"it has no {' and no '.join(sorted(absent))}")
+        if not isinstance(content, dict) or not {"config", "state_dict"} <= content.keys():
+            raise ValueError("it has no config or no state_dict")
     except UNREADABLE as error:
         remedy = "the file" if path.name == BEST else "its folder"
         raise UserError(
@@ -102,7 +102,7 @@ def resumable(path: Path) -> tuple[Path | None, str | None]:
 
 def _brief(error: Exception) -> str:
     """Return the first sentence of an error."""
-    return str(error.args[0] if error.args else error).split(". ")[0].strip() or type(error).__name__
+    return str(error).split(". ")[0].strip() or type(error).__name__
 
 
 class AtomicCheckpointIO(CheckpointIO):
