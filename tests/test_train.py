@@ -122,7 +122,7 @@ def test_a_damaged_checkpoint_costs_the_steps_since_the_one_before(tmp_path, dat
 
 
 def test_a_loss_that_is_not_finite_is_one_line(tmp_path, data_root):
-    result = run("train.py", *smoke(data_root, "optimizer.lr=1e30", "pictures=0"), cwd=tmp_path)
+    result = run("train.py", *smoke(data_root, "optimizer.learning_rate=1e30", "pictures=0"), cwd=tmp_path)
     assert result.returncode == 1
     (line,) = result.stderr.strip().splitlines()
     assert line.startswith("the loss is not finite at step 1 (ce=nan")

@@ -93,6 +93,7 @@ def test_a_kill_at_any_stage_of_saving_costs_at_most_one_save(prepare, step, tmp
 
     assert in_child(save) in (-signal.SIGKILL, -signal.SIGXFSZ)
     found, mishap = resumable(last)
+    assert found is not None
     assert step_of(found) == step
     assert (mishap is None) == (found == last)
 
@@ -249,7 +250,7 @@ def trained(folder: Path, steps: int, resume: Path | None = None) -> Line:
             ),
         ],
     )  # fmt: skip
-    trainer.fit(task, DataLoader(torch.ones(8, 1)), ckpt_path=resume and str(resume))
+    trainer.fit(task, DataLoader([torch.ones(1)] * 8), ckpt_path=resume and str(resume))
     trainer.save_checkpoint(folder / LAST)
     return task
 

@@ -21,7 +21,7 @@ def log_terms(task: LightningModule, terms: Mapping[str, Tensor], batch: Batch) 
     task.log_dict({f"train/loss/{name}": term.detach() for name, term in terms.items()}, batch_size=size)
     task.log("train/loss", total.detach(), batch_size=size)
     if not torch.isfinite(total):
-        values = ", ".join(f"{name}={float(term):.3g}" for name, term in terms.items())
+        values = ", ".join(f"{name}={float(term.detach()):.3g}" for name, term in terms.items())
         raise UserError(
             f"the loss is not finite at step {task.global_step} ({values}); frames: {', '.join(batch.frame_ids)}"
         )
