@@ -13,7 +13,7 @@ import pytest
 import torch
 from lightning.pytorch import LightningModule, Trainer
 from lightning.pytorch.callbacks import ModelCheckpoint
-from torch.utils.data import DataLoader
+from torch.utils.data import DataLoader, TensorDataset
 
 from omniocc.errors import DataError, UserError
 from omniocc.task.checkpoint_io import LAST, AtomicCheckpointIO, previous_of, read_checkpoint, resumable
@@ -226,7 +226,7 @@ class Line(LightningModule):
         self.layer = torch.nn.Linear(1, 1)
 
     def training_step(self, batch):
-        loss = self.layer(batch).square().mean()
+        loss = self.layer(batch[0]).square().mean()
         self.log("val/rayiou", self.global_step)
         return loss
 
@@ -250,7 +250,7 @@ def trained(folder: Path, steps: int, resume: Path | None = None) -> Line:
             ),
         ],
     )  # fmt: skip
-    trainer.fit(task, DataLoader([torch.ones(1)] * 8), ckpt_path=resume and str(resume))
+    trainer.fit(task, DataLoader(TensorDataset(torch.ones(8, 1))), ckpt_path=resume and str(resume))
     trainer.save_checkpoint(folder / LAST)
     return task
 
