@@ -10,7 +10,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from omniocc.config import lines_not_tracebacks
-from omniocc.data.errors import write_whole
+from omniocc.io import atomic_write
 from omniocc.report.gallery import gallery
 from omniocc.report.page import page
 from omniocc.report.sweep import Sweep, read_sweep, report_markdown, write_tables
@@ -30,7 +30,7 @@ def main(arguments: list[str] | None = None) -> None:
     sweep = read_sweep(options.runs, options.sweeps, options.preset)
     output = options.output or options.runs / "report"
     write_tables(sweep, output)
-    write_whole(output / "index.html", page(sweep, draw(sweep, output), gallery(sweep.rows), output))
+    atomic_write(output / "index.html", page(sweep, draw(sweep, output), gallery(sweep.rows), output))
     print(f"{report_markdown(sweep)}\ntables  {output / 'report.md'}\npage    {output / 'index.html'}")
 
 

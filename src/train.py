@@ -16,17 +16,16 @@ from omegaconf import DictConfig, OmegaConf
 
 from omniocc.config import build, check_root, lines_not_tracebacks, plain
 from omniocc.data import Extras, OccupancyData
-from omniocc.data.errors import write_whole
+from omniocc.io import atomic_write
 from omniocc.report.run import save_results, show_results
 from omniocc.task import Occupancy, StepProgress
-from omniocc.task.checkpoint import build_task, load_config
+from omniocc.task.checkpoint import build_task
+from omniocc.task.checkpoint_io import BEST, LAST, AtomicCheckpointIO
 from omniocc.task.cost import PEAK, cost_of, peak_mib
 from omniocc.task.loggers import finish
 from omniocc.task.memory import keep_freed_memory
 from omniocc.task.pictures import Pictures
 from omniocc.task.run_folder import (
-    BEST,
-    LAST,
     RunFolder,
     command_line,
     git_commit,
@@ -74,7 +73,7 @@ def train_occupancy(
         show_results(run.path)
         return
     if run.lock is not None:
-        write_whole(run.path / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True))
+        atomic_write(run.path / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True))
     task = build_task(cfg)
     if before is not None:
         task.model.sketch.load_state_dict(before.sketch_weights())  # type: ignore[union-attr]
@@ -82,7 +81,13 @@ def train_occupancy(
     data.setup("fit")
     task.set_training_statistics(data.voxel_counts())
     files = build(cfg.logger).build(run.path, config, "occupancy")
-    trainer = build(cfg.trainer, callbacks=callbacks(cfg, run, title), logger=files, default_root_dir=str(run.path))
+    trainer = build(
+        cfg.trainer,
+        callbacks=callbacks(cfg, run, title),
+        plugins=[AtomicCheckpointIO()],
+        logger=files,
+        default_root_dir=str(run.path),
+    )
     if trainer.is_global_zero:
         announce(run, task, data)
     minutes = fit(trainer, task, data, run)
@@ -104,8 +109,6 @@ def train_occupancy(
 def fit(trainer: Trainer, task: Occupancy, data: OccupancyData, run: RunFolder) -> float:
     """Train to the end; minutes it took this process."""
     began_s = time.monotonic()
-    if run.checkpoint is not None:
-        load_config(run.checkpoint)  # a damaged file is named here, before Lightning stumbles over it
     trainer.fit(task, datamodule=data, ckpt_path=run.checkpoint and str(run.checkpoint))
     trainer.save_checkpoint(run.path / LAST)
     return round((time.monotonic() - began_s) / 60, 1)

@@ -97,6 +97,39 @@ def test_killed_training_continues_to_the_same_figures(tmp_path, data_root):
     assert metrics_of(tmp_path, "killed") == pytest.approx(metrics_of(tmp_path, "whole"), abs=1e-6, nan_ok=True)
 
 
+def test_a_damaged_checkpoint_costs_the_steps_since_the_one_before(tmp_path, data_root):
+    arguments = smoke(data_root, "trainer.max_steps=2", "checkpoint_every_n_steps=1", "pictures=0", "name=damaged")
+    whole = run("train.py", *arguments, cwd=tmp_path)
+    assert whole.returncode == 0, whole.stdout + whole.stderr
+    (folder,) = tmp_path.glob("runs/damaged-*")
+    figures = metrics_of(tmp_path, "damaged")
+    (folder / "metrics.json").unlink()
+    last = folder / "last.ckpt"
+    last.write_bytes(last.read_bytes()[:-1000])
+    resumed = run("train.py", *arguments, cwd=tmp_path)
+    assert resumed.returncode == 0, resumed.stdout + resumed.stderr
+    assert resumed.stdout.count("goes on from the one before, last.previous.ckpt") == 1
+    assert metrics_of(tmp_path, "damaged") == pytest.approx(figures, abs=1e-6, nan_ok=True)
+
+    (folder / "metrics.json").unlink()
+    for path in (last, folder / "last.previous.ckpt"):
+        path.write_bytes(b"damaged")
+    refused = run("train.py", *arguments, cwd=tmp_path)
+    assert refused.returncode == 1
+    (line,) = refused.stderr.strip().splitlines()
+    assert "neither" in line
+    assert "Remove the folder" in line
+
+
+def test_a_loss_that_is_not_finite_is_one_line(tmp_path, data_root):
+    result = run("train.py", *smoke(data_root, "optimizer.learning_rate=1e30", "pictures=0"), cwd=tmp_path)
+    assert result.returncode == 1
+    *before, line = result.stderr.strip().splitlines()  # before it, what rendering says where this test is the first
+    assert not [words for words in before if "Traceback" in words or "Warning" in words or "finite" in words]
+    assert line.startswith("the loss is not finite at step 1 (ce=nan")
+    assert "frames: train-" in line
+
+
 def test_stages_run_once_and_are_shared(tmp_path, data_root):
     arguments = smoke(data_root, "model/sketch=omni", "trainer.max_steps=3", "trainer.log_every_n_steps=1")
     logged = ["logger.mode=offline", "pictures=1"]
@@ -157,14 +190,16 @@ def test_a_killed_stage_continues_to_the_same_figures(tmp_path, data_root):
         cwd=tmp_path, stdout=subprocess.DEVNULL, start_new_session=True,
     )  # fmt: skip
     deadline = time.monotonic() + 120
-    while not list(tmp_path.glob("killed/stages/sketch-*/last.ckpt")) and time.monotonic() < deadline:
+    while not list(tmp_path.glob("killed/stages/sketch-*/last.previous.ckpt")) and time.monotonic() < deadline:
         time.sleep(0.02)
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
+    next(tmp_path.glob("killed/stages/sketch-*/last.previous.ckpt")).with_name("last.ckpt").write_bytes(b"damaged")
     assert not list(tmp_path.glob("killed/stages/sketch-*/*/metrics.json")), "it ended before it could be killed"
     resumed = run("train.py", *arguments, "checkpoint_every_n_steps=1", "paths.runs=killed", cwd=tmp_path)
     assert resumed.returncode == 0, resumed.stdout + resumed.stderr
     assert "sketch, stage 2 of 2 goes on" in resumed.stdout
+    assert resumed.stdout.count("goes on from the one before, last.previous.ckpt") == 1
     figures = [
         json.loads(next(tmp_path.glob(f"{runs}/stages/sketch-*/candidates-*/metrics.json")).read_text())["metrics"]
         for runs in ("whole", "killed")

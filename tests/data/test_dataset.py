@@ -8,8 +8,8 @@ from fake_scene import FakeWorld, fake_frame
 
 from omniocc.data import codec
 from omniocc.data.dataset import WindowDataset, collate, window_frames
-from omniocc.data.errors import DataError
 from omniocc.data.voxels import VoxelCache
+from omniocc.errors import DataError
 from omniocc.geometry import Cuboid, Cylinder
 
 GRID = Cylinder(shape=(8, 10, 4), radius_m=(0.0, 25.6), height_m=(-2.8, 3.6))

@@ -3,9 +3,9 @@ import tarfile
 
 import pytest
 
-from omniocc.data.errors import DataError
 from omniocc.data.reader import SceneReader
 from omniocc.data.shard import JOURNAL, SceneWriter
+from omniocc.errors import DataError
 
 LIMIT = 40_000
 
@@ -90,9 +90,9 @@ def test_killed_while_sealing(tmp_path, moment, monkeypatch):
         if moment == "rename":
             patch.setattr(SceneWriter, "_publish", killed)
         else:
-            real = __import__("omniocc.data.shard", fromlist=["write_whole"]).write_whole
+            real = __import__("omniocc.data.shard", fromlist=["atomic_write"]).atomic_write
             name = f"{moment}.json"
-            patch.setattr("omniocc.data.shard.write_whole", lambda p, c: killed() if p.name == name else real(p, c))
+            patch.setattr("omniocc.data.shard.atomic_write", lambda p, c: killed() if p.name == name else real(p, c))
         with pytest.raises(KeyboardInterrupt):
             write(target)
     assert not target.exists()

@@ -15,10 +15,10 @@ from filelock import FileLock
 import omniocc
 from omniocc.camera import Rig
 from omniocc.data import VirtualWorld
-from omniocc.data.errors import DataError
 from omniocc.data.pool import worker_environment
 from omniocc.data.reader import SceneReader
 from omniocc.data.record import code_fingerprint, weather_of
+from omniocc.errors import DataError
 from omniocc.view.dataset_facts import light_of
 from omniocc.world import THEMES, Scene
 from omniocc.world.weather import WEATHERS

@@ -14,7 +14,7 @@ def test_a_truncated_checkpoint_is_named(share, tmp_path):
     assert load_config(path)[0]["seed"] == 1
     content = path.read_bytes()
     path.write_bytes(content[: int(share * len(content))])
-    with pytest.raises(UserError, match=r"best\.ckpt is not a checkpoint .* damaged \(.*remove its folder"):
+    with pytest.raises(UserError, match=r"best\.ckpt is not a checkpoint .* damaged \(.*remove the file"):
         load_config(path)
 
 

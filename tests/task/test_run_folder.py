@@ -3,7 +3,8 @@ import json
 import pytest
 
 from omniocc.errors import UserError
-from omniocc.task.run_folder import LAST, METRICS, command_line, open_run, run_hash
+from omniocc.task.checkpoint_io import LAST, write_checkpoint
+from omniocc.task.run_folder import METRICS, command_line, open_run, run_hash
 
 
 def test_hash_follows_what_decides_a_result_and_nothing_else():
@@ -26,7 +27,7 @@ def test_same_command_finds_its_folder_and_checkpoint(tmp_path):
     first = open_run(tmp_path, "train", "abc", "auto")
     assert first.checkpoint is None
     assert not first.finished
-    (first.path / LAST).write_bytes(b"weights")
+    write_checkpoint({"config": {}, "state_dict": {}}, first.path / LAST)
     first.lock.release()
     second = open_run(tmp_path, "train", "abc", "auto")
     assert second.path == first.path

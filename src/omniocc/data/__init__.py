@@ -4,10 +4,10 @@ from typing import TYPE_CHECKING, Any
 
 from omniocc.data.augment import Augment
 from omniocc.data.dataset import Extras, WindowDataset, collate
-from omniocc.data.errors import DataError
 from omniocc.data.frame_cache import CandidateCache, RangeCache
 from omniocc.data.reader import SceneReader
 from omniocc.data.virtual import VirtualWorld
+from omniocc.errors import DataError
 
 if TYPE_CHECKING:
     from omniocc.data.module import OccupancyData

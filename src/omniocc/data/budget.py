@@ -4,9 +4,9 @@ import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
-from omniocc.data.errors import DataError
 from omniocc.data.record import ScenePlan
 from omniocc.data.virtual import VirtualWorld
+from omniocc.errors import DataError
 
 OTHER_BYTES = 45_000
 """Ego LiDAR, poses and boxes, tar headers and the frame's lines in the index."""

@@ -10,12 +10,12 @@ import numpy as np
 
 from omniocc.classes import NUM_CLASSES, UNKNOWN
 from omniocc.data.codec import decode_frame
-from omniocc.data.errors import DataError
 from omniocc.data.files import sha256_of
 from omniocc.data.pool import limit_threads, process_context, worker_environment
 from omniocc.data.reader import SceneReader
 from omniocc.data.shard import INDEX, member_name, shard_name
 from omniocc.data.shares import count_voxels, spread
+from omniocc.errors import DataError
 from omniocc.geometry import Grid
 
 MAX_SPEED_MPS = 25.0

@@ -16,8 +16,9 @@ from jaxtyping import Bool, Float32
 from torch import Tensor
 
 from omniocc.data.codec import quantize_range, restore_range
-from omniocc.data.errors import DataError, write_whole
 from omniocc.data.reader import SceneReader
+from omniocc.errors import DataError
+from omniocc.io import atomic_write
 
 _CRC_BYTES = 4
 Array = TypeVar("Array", bound=Tensor)
@@ -67,7 +68,7 @@ class FrameCache(ABC, Generic[Array]):
         """
         payloads = [self.pack(array) for array in arrays]
         rows = (payload + zlib.crc32(payload).to_bytes(_CRC_BYTES, "little") for payload in payloads)
-        write_whole(self.path(scene), b"".join(rows))
+        atomic_write(self.path(scene), b"".join(rows))
 
     def read(self, scene: str, frame: int) -> Array:
         """One frame.

@@ -20,8 +20,9 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 import omniocc
-from omniocc.data.errors import DataError, cannot_write
 from omniocc.data.progress import FrameProgress
+from omniocc.errors import DataError
+from omniocc.io import cannot_write
 
 Report = Callable[[int], None]
 Work = Callable[[Path, Report], None]

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from omniocc.camera import Rig
-from omniocc.data.errors import DataError
 from omniocc.data.files import Files, is_url, open_folder, read_members
 from omniocc.data.shard import INDEX, META, SCHEMA, digest, shard_name
+from omniocc.errors import DataError
 
 _RIGS: dict[tuple[str, ...], Rig] = {}
 

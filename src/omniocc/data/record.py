@@ -12,9 +12,9 @@ from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
 from omniocc.camera import Rig
 from omniocc.classes import CLASSES
 from omniocc.data.codec import encode_frame
-from omniocc.data.errors import DataError
 from omniocc.data.pool import Report, Stopped
 from omniocc.data.shard import SceneWriter
+from omniocc.errors import DataError
 from omniocc.world import Frame, seeding
 from omniocc.world.weather import draw_weather
 

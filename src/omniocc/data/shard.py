@@ -18,7 +18,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from omniocc.data.errors import DataError, cannot_write, write_whole
+from omniocc.errors import DataError
+from omniocc.io import atomic_write, cannot_write
 
 SCHEMA = 2
 SHARD_LIMIT_BYTES = 256 * 2**20
@@ -100,7 +101,7 @@ class SceneWriter:
         assert self._records
         self._guard(self._close_shard)
         frames = [{k: v for k, v in record.items() if k not in ("end", "members")} for record in self._records]
-        write_whole(self.work / INDEX, _dump({"members": self._records[0]["members"], "frames": frames}))
+        atomic_write(self.work / INDEX, _dump({"members": self._records[0]["members"], "frames": frames}))
         names = sorted(
             path.name for path in self.work.iterdir() if path.name not in (META, JOURNAL) and path.suffix != ".tmp"
         )
@@ -114,7 +115,7 @@ class SceneWriter:
             "facts": dict(facts),
             "files": files,
         }
-        write_whole(self.work / META, _dump(meta | {"digest": digest(meta)}))
+        atomic_write(self.work / META, _dump(meta | {"digest": digest(meta)}))
         self._guard(self._publish)
 
     def close(self) -> None:

@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any, get_args
 
 from omniocc.camera import Rig
-from omniocc.data.errors import DataError
 from omniocc.data.files import is_url, open_folder
 from omniocc.data.pool import make_scenes, usable_cores
 from omniocc.data.progress import FrameProgress
 from omniocc.data.reader import SceneReader
 from omniocc.data.record import SPLITS, Recordable, SceneJob, ScenePlan, Split, code_fingerprint
 from omniocc.data.shard import META, SCHEMA, digest
+from omniocc.errors import DataError
 from omniocc.world import THEMES, Scene
 from omniocc.world.recorder import Capture
 from omniocc.world.scene import LabelMode

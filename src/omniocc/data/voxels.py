@@ -15,13 +15,14 @@ from torch import Tensor
 
 from omniocc.classes import NUM_CLASSES, UNKNOWN
 from omniocc.data.codec import decode_points
-from omniocc.data.errors import DataError, write_whole
 from omniocc.data.observed import OBSERVED_VERSION, observed
 from omniocc.data.pool import Report, make_scenes
 from omniocc.data.progress import FrameProgress
 from omniocc.data.reader import SceneReader
 from omniocc.data.shard import SHARD_LIMIT_BYTES, SceneWriter, digest
+from omniocc.errors import DataError
 from omniocc.geometry import Grid
+from omniocc.io import atomic_write
 
 VOTE_VERSION = 1
 """Raise it when the same points would give other voxels."""
@@ -110,7 +111,7 @@ class VoxelCache:
                 known = labels < NUM_CLASSES
                 counts.view(-1)[(labels * len(labels) + torch.arange(len(labels)))[known]] += 1
         compressor = zstandard.ZstdCompressor(level=3, write_checksum=True)
-        write_whole(path, compressor.compress(counts.numpy().astype("<i8").tobytes()))
+        atomic_write(path, compressor.compress(counts.numpy().astype("<i8").tobytes()))
         return counts
 
     def _opens(self, scene: SceneReader) -> bool:

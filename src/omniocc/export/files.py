@@ -1,5 +1,6 @@
 """Checkpoint and rig -> program file, and its contract beside it."""
 
+import io
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,8 +13,9 @@ from torch.export import ExportedProgram
 from omniocc.camera import Rig
 from omniocc.errors import UserError
 from omniocc.export.contract import contract_of
-from omniocc.export.onnx import write_onnx
+from omniocc.export.onnx import onnx_bytes
 from omniocc.export.program import export_program, make_module
+from omniocc.io import atomic_write
 from omniocc.predict.images import even_size
 from omniocc.predict.network import load_occupancy
 
@@ -51,10 +53,9 @@ def export_files(options: Options) -> str:
     module = make_module(model, rig)
     program = export_program(module)
     contract = contract_of(module)
-    output.parent.mkdir(parents=True, exist_ok=True)
     write_program(program, contract, output)
     facts = {"program": output.name, "checkpoint": str(options.checkpoint), "torch": torch.__version__}
-    output.with_suffix(".json").write_text(json.dumps(facts | contract, indent=2) + "\n")
+    atomic_write(output.with_suffix(".json"), json.dumps(facts | contract, indent=2) + "\n")
     return f"{output}: {output.stat().st_size / 2**20:.0f} MiB; inputs and outputs: {output.with_suffix('.json')}"
 
 
@@ -74,14 +75,19 @@ def scaled(rig: Rig, width: int) -> Rig:
 
 
 def write_program(program: ExportedProgram, contract: dict[str, Any], output: Path) -> None:
-    """One file, of the kind that its name says; it has this name only once it is whole."""
-    partial = output.with_name(f".{output.stem}.partial{output.suffix}")
+    """Write one file, of the kind that its name says, whole or not at all.
+
+    Raises:
+        UserError: if packages are missing or an operator has no counterpart in ONNX.
+        DataError: when the disk refuses.
+    """
     if output.suffix == ".onnx":
         inputs, outputs = ([port["name"] for port in contract[side]] for side in ("inputs", "outputs"))
-        write_onnx(program, inputs, outputs, partial)
+        atomic_write(output, onnx_bytes(program, inputs, outputs))
     else:
-        torch.export.save(program, partial)
-    partial.replace(output)
+        buffer = io.BytesIO()
+        torch.export.save(program, buffer)
+        atomic_write(output, buffer.getbuffer())
 
 
 def load_program(path: Path) -> Callable[..., Any]:

@@ -1,6 +1,5 @@
 """From a recorded program to ONNX."""
 
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -10,8 +9,13 @@ from torch.export import ExportedProgram
 from omniocc.errors import UserError
 
 
-def write_onnx(program: ExportedProgram, inputs: list[str], outputs: list[str], path: Path) -> None:
-    """Writes an ONNX file.
+def onnx_bytes(program: ExportedProgram, inputs: list[str], outputs: list[str]) -> bytes:
+    """Return the content of an ONNX file.
+
+    Args:
+        program: what is to be computed.
+        inputs: names of its inputs, in order.
+        outputs: names of its outputs, in order.
 
     Raises:
         UserError: if packages are missing or an operator has no counterpart.
@@ -19,24 +23,22 @@ def write_onnx(program: ExportedProgram, inputs: list[str], outputs: list[str], 
     try:
         import onnxscript  # noqa: F401
     except ImportError as error:
-        raise UserError(
-            f"{path}: ONNX needs more packages: pip install --editable '.[export]'; .pt2 needs none"
-        ) from error
+        raise UserError("ONNX needs more packages: pip install --editable '.[export]'; .pt2 needs none") from error
     program = program.run_decompositions(DECOMPOSITIONS)
     try:
         written = torch.onnx.export(program, dynamo=True, input_names=inputs, output_names=outputs, verbose=False)
     except torch.onnx.OnnxExporterError as error:
-        raise UserError(f"{path}: an operator has no counterpart in ONNX: {str(error).splitlines()[0]}") from error
+        raise UserError(f"an operator has no counterpart in ONNX: {str(error).splitlines()[0]}") from error
     assert written is not None
-    written.save(str(path))
-    single_arctangents(path)
+    model = written.model_proto
+    single_arctangents(model)
+    return model.SerializeToString()
 
 
-def single_arctangents(path: Path) -> None:
-    """Computes in float32 what arctangents an ONNX file has of float64, which onnxruntime 1.31 lacks."""
+def single_arctangents(model: Any) -> None:
+    """Compute in float32 what arctangents an ONNX model has of float64, which onnxruntime 1.31 lacks."""
     import onnx
 
-    model = onnx.load(path)
     values = [*model.graph.value_info, *model.graph.input]
     double = {value.name for value in values if value.type.tensor_type.elem_type == onnx.TensorProto.DOUBLE}
     nodes = []
@@ -50,7 +52,6 @@ def single_arctangents(path: Path) -> None:
             nodes.append(node)
     del model.graph.node[:]
     model.graph.node.extend(nodes)
-    onnx.save(model, path)
 
 
 def weighted_bags(

@@ -8,8 +8,8 @@ from typing import Any
 
 from torch import Tensor
 
-from omniocc.data.errors import write_whole
 from omniocc.errors import UserError
+from omniocc.io import atomic_write
 from omniocc.predict.voxel_files import VOXELS
 
 FACTS = "prediction.json"
@@ -37,7 +37,7 @@ def claim(output: Path, facts: Mapping[str, Any], force: bool) -> None:
         if other:  # before anything says that these answers are the new ones
             for answer in output.rglob(VOXELS):
                 answer.unlink()
-        write_whole(path, text)
+        atomic_write(path, text)
     except OSError as error:
         reason = (error.__cause__ and str(error.__cause__)) or str(error)
         raise UserError(f"output={output} cannot be written: {reason}; choose another folder: output=...") from error

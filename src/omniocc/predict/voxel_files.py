@@ -10,9 +10,9 @@ from jaxtyping import Float64, UInt8
 from torch import Tensor
 
 from omniocc.classes import CLASSES
-from omniocc.data.errors import write_whole
 from omniocc.errors import UserError
 from omniocc.geometry import Cuboid, Cylinder, Grid
+from omniocc.io import atomic_write
 from omniocc.predict.ply import ply_bytes
 from omniocc.predict.predictor import Answer
 from omniocc.predict.voxel_mesh import voxel_mesh
@@ -59,7 +59,7 @@ def write_mesh(folder: Path, labels: UInt8[Tensor, "X Y Z"], geometry: Grid) -> 
     Raises:
         DataError: naming the file that cannot be written.
     """
-    write_whole(folder / MESH, ply_bytes(*voxel_mesh(labels, geometry)))
+    atomic_write(folder / MESH, ply_bytes(*voxel_mesh(labels, geometry)))
 
 
 def write_voxels(folder: Path, arrays: dict[str, np.ndarray]) -> None:
@@ -70,7 +70,7 @@ def write_voxels(folder: Path, arrays: dict[str, np.ndarray]) -> None:
     """
     content = io.BytesIO()
     np.savez_compressed(content, **arrays)  # type: ignore[arg-type]
-    write_whole(folder / VOXELS, content.getvalue())
+    atomic_write(folder / VOXELS, content.getvalue())
 
 
 def read_labels(folder: Path, geometry: Grid) -> UInt8[Tensor, "X Y Z"]:

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from omniocc.data.errors import write_whole
 from omniocc.errors import UserError
+from omniocc.io import atomic_write
 from omniocc.report.table import as_markdown, as_text
 from omniocc.task.run_folder import METRICS
 
@@ -15,9 +15,9 @@ from omniocc.task.run_folder import METRICS
 def save_results(folder: Path, metrics: Mapping[str, float], facts: Mapping[str, Any]) -> None:
     """Write `table.md`, then `metrics.json`: the presence of the latter says that the run is finished."""
     caption = ", ".join(f"{key} {value}" for key, value in facts.items())
-    write_whole(folder / "table.md", as_markdown(metrics, caption))
+    atomic_write(folder / "table.md", as_markdown(metrics, caption))
     plain = {key: None if math.isnan(value) else value for key, value in metrics.items()}
-    write_whole(folder / METRICS, json.dumps({**facts, "metrics": plain}, indent=1) + "\n")
+    atomic_write(folder / METRICS, json.dumps({**facts, "metrics": plain}, indent=1) + "\n")
 
 
 def load_results(folder: Path) -> tuple[dict[str, Any], dict[str, float]]:

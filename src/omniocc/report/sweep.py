@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from omniocc.data.errors import write_whole
+from omniocc.io import atomic_write
 from omniocc.report.budget import BUDGET_NOTE, YARDSTICKS_NOTE, budget_cells, yardstick_cells
 from omniocc.report.claims import claim_cells
 from omniocc.report.curves import read_curve
@@ -118,10 +118,10 @@ def run_list(sweep: Sweep, folder: Path) -> str:
 def write_tables(sweep: Sweep, output: Path) -> None:
     """`report.md`, and every table as CSV and LaTeX."""
     output.mkdir(parents=True, exist_ok=True)
-    write_whole(output / "report.md", f"{report_markdown(sweep)}\n{run_list(sweep, output)}")
+    atomic_write(output / "report.md", f"{report_markdown(sweep)}\n{run_list(sweep, output)}")
     for table in sweep.tables:
-        write_whole(output / f"{table.name}.csv", as_csv(table, sweep.rows))
-        write_whole(output / f"{table.name}.tex", as_latex(table, sweep.rows))
+        atomic_write(output / f"{table.name}.csv", as_csv(table, sweep.rows))
+        atomic_write(output / f"{table.name}.tex", as_latex(table, sweep.rows))
     for datasets in sweep.datasets:
-        write_whole(output / f"{datasets.name}.csv", dataset_csv(datasets))
-        write_whole(output / f"{datasets.name}.tex", dataset_latex(datasets))
+        atomic_write(output / f"{datasets.name}.csv", dataset_csv(datasets))
+        atomic_write(output / f"{datasets.name}.tex", dataset_latex(datasets))

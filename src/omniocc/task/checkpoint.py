@@ -1,6 +1,5 @@
 """Rebuild a trained task from its checkpoint file alone."""
 
-import pickle
 from pathlib import Path
 
 import torch
@@ -8,6 +7,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from omniocc.config import build, check, plain
 from omniocc.errors import UserError
+from omniocc.task.checkpoint_io import read_checkpoint
 from omniocc.task.occupancy import Occupancy
 
 PARTS = ("model", "loss", "optimizer", "augment")
@@ -24,16 +24,8 @@ def load_config(path: Path) -> tuple[DictConfig, dict[str, torch.Tensor]]:
         FileNotFoundError: when it is not there.
         UserError: when it is damaged or not one of ours.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: there is no such checkpoint")
-    try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
-        return DictConfig(content["config"]), content["state_dict"]
-    except (pickle.UnpicklingError, RuntimeError, OSError, EOFError, KeyError, TypeError) as error:
-        raise UserError(
-            f"{path} is not a checkpoint of this platform, or it is damaged ({str(error).split('. ')[0].strip()}). "
-            "If it is one of a run here, remove its folder and give the run's command again"
-        ) from error
+    content = read_checkpoint(path)
+    return DictConfig(content["config"]), content["state_dict"]
 
 
 def model_weights(weights: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:

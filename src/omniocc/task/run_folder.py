@@ -6,15 +6,16 @@ import os
 import shlex
 import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from filelock import FileLock, Timeout
 
 from omniocc.errors import UserError
+from omniocc.task.checkpoint_io import LAST, resumable
 
-LAST, BEST, METRICS = "last.ckpt", "best.ckpt", "metrics.json"
+METRICS = "metrics.json"
 VOLATILE = ("resume", "stage", "paths", "logger", "pictures", "checkpoint_every_n_steps")
 """Root keys that do not change what a run computes."""
 RANK_FOLDER = "OMNIOCC_RUN_FOLDER"
@@ -23,7 +24,13 @@ RANK_FOLDER = "OMNIOCC_RUN_FOLDER"
 
 @dataclass(frozen=True)
 class RunFolder:
-    """A run's folder; `checkpoint` is where to go on, None at the start; `lock` is held by the run's first process."""
+    """The folder of a run.
+
+    Attributes:
+        path: the folder.
+        checkpoint: readable file to go on from; None at the start, and when the run is finished.
+        lock: held by the run's first process, None in the others.
+    """
 
     path: Path
     checkpoint: Path | None
@@ -54,7 +61,7 @@ def open_run(runs: Path, name: str, digest: str, resume: str) -> RunFolder:
             checkpoint to go on from.
 
     Raises:
-        UserError: when another process works in the folder.
+        UserError: when another process works in the folder, or its checkpoints are damaged.
         FileNotFoundError: when the checkpoint to go on from is not there.
     """
     path, lock = runs / f"{name}-{digest}", None
@@ -65,8 +72,14 @@ def open_run(runs: Path, name: str, digest: str, resume: str) -> RunFolder:
     else:
         path = Path(os.environ.get(RANK_FOLDER, path))
         path.mkdir(parents=True, exist_ok=True)
-    checkpoint = given_checkpoint(resume) or path / LAST
-    return RunFolder(path, checkpoint if checkpoint.exists() else None, lock)
+    given = given_checkpoint(resume)
+    run = RunFolder(path, None, lock)
+    if run.finished:
+        return run
+    checkpoint, mishap = resumable(given or path / LAST)
+    if mishap and lock is not None:
+        print(mishap, flush=True)
+    return replace(run, checkpoint=checkpoint)
 
 
 def given_checkpoint(resume: str) -> Path | None:

@@ -23,21 +23,22 @@ from torch import Tensor
 from omniocc.config import build, plain
 from omniocc.data import CandidateCache, Extras, OccupancyData, RangeCache, SceneReader
 from omniocc.data.dataset import read_images, read_true_ranges
-from omniocc.data.errors import write_whole
 from omniocc.data.frame_cache import FrameCache
 from omniocc.data.progress import FrameProgress
 from omniocc.data.record import SPLITS
 from omniocc.errors import UserError
+from omniocc.io import atomic_write
 from omniocc.model.depth.spheres import rig_spheres
 from omniocc.model.occupancy import to_unit_range
 from omniocc.report.run import load_results, save_results
 from omniocc.task.checkpoint import load_config, model_weights
+from omniocc.task.checkpoint_io import LAST, AtomicCheckpointIO, resumable
 from omniocc.task.depth import Depth
 from omniocc.task.loggers import finish
 from omniocc.task.pictures import DepthPictures, SketchPictures
 from omniocc.task.progress import StepProgress
 from omniocc.task.recipe import Recipe
-from omniocc.task.run_folder import LAST, METRICS, git_commit
+from omniocc.task.run_folder import METRICS, git_commit
 from omniocc.task.sketch import Sketch, known
 
 STAGES = ("depth", "sketch", "occupancy")
@@ -176,14 +177,15 @@ class Stages:
             print(f"{title} is there: {results}", flush=True)
             task.model.load_state_dict(weights_of(last))  # type: ignore[union-attr]
             return
-        print(f"{title} {'goes on' if last.exists() else 'begins'}: {folder}", flush=True)
+        checkpoint, mishap = resumable(last) if trains else (None, None)
+        if mishap:
+            print(mishap, flush=True)
+        print(f"{title} {'goes on' if checkpoint else 'begins'}: {folder}", flush=True)
         data = build(self.cfg.data, window=1, batch_size=recipe.batch_size, seed=recipe.seed)
         data.read_also(extras)
         trainer = self._trainer(recipe, pictures, folder, stage, title)
         if trains:
-            if last.exists():
-                load_config(last)  # a damaged file is named here, before Lightning stumbles over it
-            trainer.fit(task, datamodule=data, ckpt_path=str(last) if last.exists() else None)
+            trainer.fit(task, datamodule=data, ckpt_path=checkpoint and str(checkpoint))
         metrics = trainer.test(task, datamodule=data, verbose=False)[0]
         trainer.save_checkpoint(last)
         facts = {"run": folder.name, "steps": trainer.global_step, "seed": recipe.seed, "commit": git_commit()}
@@ -192,7 +194,7 @@ class Stages:
         finish(trainer.loggers)
 
     def _trainer(self, recipe: Recipe, pictures: Callback, folder: Path, stage: str, title: str) -> Trainer:
-        write_whole(folder / "config.yaml", OmegaConf.to_yaml(self.cfg, resolve=True))
+        atomic_write(folder / "config.yaml", OmegaConf.to_yaml(self.cfg, resolve=True))
         steps = self.cfg.checkpoint_every_n_steps
         return build(
             self.cfg.trainer,
@@ -200,6 +202,7 @@ class Stages:
             check_val_every_n_epoch=recipe.validate_every_n_epochs,
             devices=1,
             strategy="auto",
+            plugins=[AtomicCheckpointIO()],
             callbacks=[
                 StepProgress(title),
                 pictures,

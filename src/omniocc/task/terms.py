@@ -7,21 +7,22 @@ from lightning.pytorch import LightningModule
 from torch import Tensor
 
 from omniocc.batch import Batch
+from omniocc.errors import UserError
 
 
 def log_terms(task: LightningModule, terms: Mapping[str, Tensor], batch: Batch) -> Tensor:
     """The sum of the terms; logs `train/loss/<name>` and `train/loss`.
 
     Raises:
-        ValueError: naming terms and frames, when the sum is not finite.
+        UserError: naming terms and frames, when the sum is not finite.
     """
     total = torch.stack(list(terms.values())).sum()
     size = len(batch.frame_ids)
     task.log_dict({f"train/loss/{name}": term.detach() for name, term in terms.items()}, batch_size=size)
     task.log("train/loss", total.detach(), batch_size=size)
     if not torch.isfinite(total):
-        values = ", ".join(f"{name}={float(term):.3g}" for name, term in terms.items())
-        raise ValueError(
+        values = ", ".join(f"{name}={float(term.detach()):.3g}" for name, term in terms.items())
+        raise UserError(
             f"the loss is not finite at step {task.global_step} ({values}); frames: {', '.join(batch.frame_ids)}"
         )
     return total

@@ -12,11 +12,11 @@ import numpy as np
 from omniocc.camera import Rig
 from omniocc.classes import CLASSES, FREE, PALETTE
 from omniocc.data.codec import decode_frame, decode_image
-from omniocc.data.errors import write_whole
 from omniocc.data.reader import SceneReader
 from omniocc.data.shares import count_voxels, occupied_percent, spread
 from omniocc.data.voxels import vote
 from omniocc.geometry import Grid
+from omniocc.io import atomic_write
 from omniocc.view.bev import bev
 from omniocc.view.canvas import fitted
 from omniocc.view.dataset_facts import (
@@ -69,7 +69,7 @@ def save_page(path: Path, scenes: Sequence[SceneReader], geometry: Grid) -> None
     }
     # "</" would end the script element
     plain = json.dumps(content, separators=(",", ":")).replace("</", "<\\/")
-    write_whole(Path(path), TEMPLATE.read_text("utf-8").replace("__CONTENT__", plain).encode())
+    atomic_write(Path(path), TEMPLATE.read_text("utf-8").replace("__CONTENT__", plain).encode())
 
 
 def _scene(scene: SceneReader, twin: SceneReader | None, per_scene: int, geometry: Grid) -> dict[str, Any]:

@@ -1,0 +1,86 @@
+"""Write files whole or not at all."""
+
+import contextlib
+import errno
+import os
+import shutil
+from pathlib import Path
+
+from omniocc.errors import DataError
+
+_REMEDIES = {
+    errno.ENOSPC: "the disk is full: free some space",
+    errno.EFBIG: "files may not grow that large here: raise the limit (ulimit -f)",
+    errno.EDQUOT: "the disk quota is used up: free some space",
+    errno.EROFS: "the folder is read-only: choose another one (paths.data=... or paths.runs=...)",
+    errno.EACCES: "the folder may not be written to: choose another one (paths.data=... or paths.runs=...)",
+    errno.EPERM: "the folder may not be written to: choose another one (paths.data=... or paths.runs=...)",
+    errno.EMFILE: "too many open files: raise the limit (ulimit -n)",
+}
+
+
+def atomic_write(path: Path, content: bytes | memoryview | str, previous: Path | None = None) -> None:
+    """Write a file under a temporary name beside it, flush it to the disk, then rename it.
+
+    Readers see the old file or the new one, never a part, whenever the process or the machine stops.
+
+    Args:
+        path: the file; its folder is made if missing.
+        content: all of it; text is encoded as UTF-8.
+        previous: name in the same folder that the old file is kept under; None keeps nothing. The old file is renamed
+            just before the new one, so that a stop between the two leaves it under this name alone.
+
+    Raises:
+        DataError: when the disk refuses; the old file is untouched and nothing temporary is left.
+    """
+    data = content.encode() if isinstance(content, str) else content
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with temporary.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        if previous is not None and path.exists():
+            os.replace(path, previous)
+        os.replace(temporary, path)
+        _flush_folder(path.parent)
+    except BaseException as error:
+        with contextlib.suppress(OSError):  # the error that counts is the one before
+            temporary.unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            raise cannot_write(path, error, len(data)) from error
+        raise
+
+
+def remove_leftovers(path: Path) -> None:
+    """Remove what killed processes left of writing this file; for the only process that writes it."""
+    for leftover in path.parent.glob(f".{path.name}.*.tmp"):
+        leftover.unlink(missing_ok=True)
+
+
+def cannot_write(path: Path, error: OSError, needed_bytes: int | None = None) -> DataError:
+    """Return the error to raise when writing to `path` failed; what was complete before stays valid.
+
+    Args:
+        path: file or folder.
+        error: what the system said.
+        needed_bytes: size of the file, told beside the free space when the disk is full; None if unknown.
+    """
+    reason = _REMEDIES.get(error.errno or 0, f"{error.strerror or error}")
+    if error.errno == errno.ENOSPC and needed_bytes is not None:
+        free_bytes = shutil.disk_usage(path.parent).free
+        reason += f" ({needed_bytes:,} bytes are needed, {free_bytes:,} are free)"
+    return DataError(f"cannot write {path}: {reason}, then run the same command again; it continues where it stopped")
+
+
+def _flush_folder(folder: Path) -> None:
+    """Make renames in a folder survive a power cut, where its file system can."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        if error.errno != errno.EINVAL:  # some network file systems do not flush folders
+            raise
+    finally:
+        os.close(descriptor)

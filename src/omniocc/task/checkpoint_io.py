@@ -1,0 +1,139 @@
+"""Checkpoint files: written whole or not at all, the one before kept, damage found before anything is built on it."""
+
+import io
+import pickle
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import torch
+from lightning.pytorch.plugins.io import CheckpointIO
+
+from omniocc.errors import UserError
+from omniocc.io import atomic_write, remove_leftovers
+
+LAST, BEST = "last.ckpt", "best.ckpt"
+UNREADABLE = (zipfile.BadZipFile, pickle.UnpicklingError, RuntimeError, OSError, EOFError, LookupError, ValueError)
+"""What `zipfile` and `torch.load` raise for files that are damaged or of another kind."""
+
+
+def previous_of(path: Path) -> Path:
+    """Return the name that the checkpoint before the one at `path` is kept under."""
+    return path.with_name(f"{path.stem}.previous{path.suffix}")
+
+
+def write_checkpoint(content: dict[str, Any], path: Path, previous: Path | None = None) -> None:
+    """Write a checkpoint whole or not at all; only one process may write to `path`.
+
+    Args:
+        content: what `torch.save` takes.
+        path: the file; its folder is made if missing.
+        previous: name that the old file is kept under; None keeps nothing.
+
+    Raises:
+        DataError: when the disk refuses; the old file is untouched.
+    """
+    buffer = io.BytesIO()
+    torch.save(content, buffer)
+    remove_leftovers(path)
+    atomic_write(path, buffer.getbuffer(), previous)
+
+
+def read_checkpoint(path: Path, map_location: Any = "cpu", weights_only: bool = True) -> dict[str, Any]:
+    """Return the content of a checkpoint, after comparing it with its checksums, which `torch.load` does not.
+
+    Args:
+        path: the file.
+        map_location: as of `torch.load`.
+        weights_only: whether to refuse everything but tensors and plain values.
+
+    Raises:
+        FileNotFoundError: when it is not there.
+        UserError: when it is damaged or not a checkpoint.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: there is no such checkpoint")
+    try:
+        with zipfile.ZipFile(path) as members:
+            if (damaged := members.testzip()) is not None:
+                raise zipfile.BadZipFile(f"the checksum of {damaged} differs")
+        content = torch.load(path, map_location=map_location, weights_only=weights_only)
+        if not isinstance(content, dict) or not {"config", "state_dict"} <= content.keys():
+            raise ValueError("it has no config or no state_dict")
+    except UNREADABLE as error:
+        remedy = "the file" if path.name == BEST else "its folder"
+        raise UserError(
+            f"{path} is not a checkpoint of this platform, or it is damaged ({_brief(error)}). "
+            f"If it is one of a run here, remove {remedy} and give the run's command again"
+        ) from error
+    return content
+
+
+def resumable(path: Path) -> tuple[Path | None, str | None]:
+    """Return the checkpoint to go on from: the one at `path`, or the one before it when that cannot be read.
+
+    Returns:
+        The file, None where there is none yet; and a line to tell when it is the one before, else None.
+
+    Raises:
+        UserError: when there are checkpoints and none can be read.
+    """
+    previous = previous_of(path)
+    try:
+        read_checkpoint(path)
+        return path, None
+    except FileNotFoundError as error:
+        if not previous.is_file():
+            return None, None
+        reason: Exception = error
+    except UserError as error:
+        if not previous.is_file():
+            raise
+        reason = error.__cause__ if isinstance(error.__cause__, Exception) else error
+    try:
+        read_checkpoint(previous)
+    except UserError as error:
+        raise UserError(
+            f"neither {path} nor {previous.name} can be read, the last save was cut off and the one before is damaged "
+            f"({_brief(reason)}). Remove the folder and give the run's command again: it begins anew"
+        ) from error
+    return previous, f"{path} cannot be read ({_brief(reason)}); goes on from the one before, {previous.name}"
+
+
+def _brief(error: Exception) -> str:
+    """Return the first sentence of an error."""
+    return str(error).split(". ")[0].strip() or type(error).__name__
+
+
+class AtomicCheckpointIO(CheckpointIO):
+    """Lightning's way to checkpoint files, by the functions above.
+
+    The checkpoint before `last.ckpt` is kept beside it. Only a file that this process has read or written becomes the
+    one before: a damaged one never takes the place of a good one.
+    """
+
+    def __init__(self) -> None:
+        self._known_good: set[Path] = set()
+
+    def save_checkpoint(self, checkpoint: dict[str, Any], path: Any, storage_options: Any | None = None) -> None:
+        """Write a checkpoint; see `write_checkpoint`."""
+        if storage_options is not None:
+            raise TypeError("checkpoints are files on this machine: storage_options does not apply")
+        path = Path(path).absolute()
+        keep = path.name == LAST and path in self._known_good
+        self._known_good.discard(path)
+        write_checkpoint(checkpoint, path, previous_of(path) if keep else None)
+        self._known_good.add(path)
+
+    def load_checkpoint(
+        self, path: Any, map_location: Any | None = "cpu", weights_only: bool | None = None
+    ) -> dict[str, Any]:
+        """Read a checkpoint; see `read_checkpoint`."""
+        path = Path(path).absolute()
+        content = read_checkpoint(path, map_location, weights_only is not False)
+        self._known_good.add(path)
+        return content
+
+    def remove_checkpoint(self, path: Any) -> None:
+        """Remove a checkpoint if it is there."""
+        Path(path).unlink(missing_ok=True)
