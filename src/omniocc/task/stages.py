@@ -87,9 +87,7 @@ class Keys(NamedTuple):
 def stage_keys(cfg: DictConfig, data_fingerprint: str) -> Keys:
     """Hashes for a configuration with a learned sketch."""
     config = plain(cfg)
-    trainer = {
-        k: v for k, v in config["trainer"].items() if k not in ("max_steps", "devices", "strategy", "accelerator")
-    }
+    trainer = {key: value for key, value in config["trainer"].items() if key not in OVERRULED}
     sketch = {k: v for k, v in config["model"]["sketch"].items() if k not in ("depth", *SELECTION)}
     selection = [config["model"]["sketch"].get(name) for name in SELECTION]
     stages = config["stages"]
