@@ -15,6 +15,8 @@ from filelock import FileLock, Timeout
 from omniocc.errors import UserError
 
 LAST, BEST, METRICS = "last.ckpt", "best.ckpt", "metrics.json"
+PICTURES, PARTS = "pictures", "parts"
+"""Folder of a run's pictures, and in it the folder of their parts."""
 VOLATILE = ("resume", "stage", "paths", "logger", "pictures", "checkpoint_every_n_steps")
 """Root keys that do not change what a run computes."""
 RANK_FOLDER = "OMNIOCC_RUN_FOLDER"
