@@ -89,7 +89,7 @@ class RayCounter:
             target = self._known(prediction, target, observed)
             found = [self._count_voxels(*sample) for sample in zip(prediction, target, places, strict=True)]
         zero = (part.to(prediction.device) for part in self.zero())
-        return RayCounts(*(sum(parts[1:], parts[0]) for parts in zip(zero, *found, strict=True)))
+        return RayCounts(*(torch.stack(parts).sum(0) for parts in zip(zero, *found, strict=True)))
 
     def scores(self, counts: RayCounts) -> dict[str, Tensor]:
         """Return the scores of counts: see `omniocc.metric.ray_counts.ray_scores` for the keys."""
