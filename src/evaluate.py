@@ -10,7 +10,7 @@ from omniocc.report.run import save_results, show_results
 from omniocc.task import StepProgress
 from omniocc.task.checkpoint import load_task
 from omniocc.task.pictures import Pictures
-from omniocc.task.run_folder import git_commit
+from omniocc.task.run_folder import PICTURES, git_commit
 from train import quiet
 
 
@@ -36,7 +36,7 @@ def main(arguments: list[str] | None = None) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     data = build(cfg.data)
     trainer = Trainer(
-        callbacks=[StepProgress("occupancy"), Pictures(folder / "pictures", options.pictures)],
+        callbacks=[StepProgress("occupancy"), Pictures(folder / PICTURES, options.pictures)],
         logger=False,
         enable_checkpointing=False,
         enable_model_summary=False,

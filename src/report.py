@@ -2,7 +2,7 @@
 
 Every table of the paper (`sweeps/*.yaml`) as Markdown, CSV and LaTeX, the paper's figures beside ours; plots, the same
 test frames across rows, and one page with all of it; also after a part of a sweep. A run belongs to the row of its name
-(`+ablation=mono` gives `mono-<hash>`).
+(`+ablation=mono` gives `mono-<hash>`), or else to the row whose configuration it has (`make demo`: `ours`).
 """
 
 import argparse
@@ -15,7 +15,7 @@ from omniocc.report.gallery import gallery
 from omniocc.report.page import page
 from omniocc.report.sweep import Sweep, read_sweep, report_markdown, write_tables
 
-SWEEPS = Path(__file__).parents[1] / "sweeps"
+ROOT = Path(__file__).parents[1]
 
 
 @lines_not_tracebacks
@@ -23,11 +23,12 @@ def main(arguments: list[str] | None = None) -> None:
     """Read the runs' own files, print the tables and write everything."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=Path, default=Path("runs"), help="folder of runs")
-    parser.add_argument("--sweeps", type=Path, default=SWEEPS, help="folder of the paper's tables")
+    parser.add_argument("--sweeps", type=Path, default=ROOT / "sweeps", help="folder of the paper's tables")
+    parser.add_argument("--conf", type=Path, default=ROOT / "conf", help="folder of the configuration")
     parser.add_argument("--preset", help="only runs of this preset (default: that of most runs)")
     parser.add_argument("--output", type=Path, help="folder of the report (default: report in the folder of runs)")
     options = parser.parse_args(arguments)
-    sweep = read_sweep(options.runs, options.sweeps, options.preset)
+    sweep = read_sweep(options.runs, options.sweeps, options.conf, options.preset)
     output = options.output or options.runs / "report"
     write_tables(sweep, output)
     atomic_write(output / "index.html", page(sweep, draw(sweep, output), gallery(sweep.rows), output))

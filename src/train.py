@@ -26,6 +26,7 @@ from omniocc.task.loggers import finish
 from omniocc.task.memory import keep_freed_memory
 from omniocc.task.pictures import Pictures
 from omniocc.task.run_folder import (
+    PICTURES,
     RunFolder,
     command_line,
     git_commit,
@@ -122,7 +123,7 @@ def callbacks(cfg: DictConfig, run: RunFolder, title: str) -> list[Callback]:
             run.path, "last", every_n_train_steps=cfg.checkpoint_every_n_steps, enable_version_counter=False
         ),
         ModelCheckpoint(run.path, "best", monitor="val/rayiou", mode="max", enable_version_counter=False),
-        Pictures(run.path / "pictures", cfg.pictures),
+        Pictures(run.path / PICTURES, cfg.pictures),
     ]
 
 

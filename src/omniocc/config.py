@@ -1,4 +1,4 @@
-"""Composed configuration -> checked -> built objects. The only file that calls Hydra's `instantiate`."""
+"""Composed configuration -> checked -> built objects. The only file that calls Hydra's `compose` and `instantiate`."""
 
 import functools
 import inspect
@@ -8,9 +8,11 @@ import types
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
+from pathlib import Path
 from typing import Any, Literal, Union, cast, get_args, get_origin, get_type_hints
 
-from hydra.errors import InstantiationException
+from hydra import compose, initialize_config_dir
+from hydra.errors import HydraException, InstantiationException
 from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import InterpolationKeyError, OmegaConfBaseException
@@ -101,6 +103,25 @@ def build(cfg: DictConfig, **extra: Any) -> Any:
 def plain(cfg: DictConfig) -> dict[str, Any]:
     """The whole tree, resolved, as plain dicts and lists."""
     return {str(key): value for key, value in cast(dict, OmegaConf.to_container(cfg, resolve=True)).items()}
+
+
+def compose_plain(folder: Path, name: str, overrides: Sequence[str]) -> dict[str, Any]:
+    """Return the tree that a script would get with these overrides, resolved, as plain dicts and lists.
+
+    Args:
+        folder: of the configuration.
+        name: of the file at its root, without ending.
+        overrides: as on the command line.
+
+    Raises:
+        ConfigError: when it cannot be composed.
+    """
+    try:
+        with initialize_config_dir(str(folder.resolve()), version_base="1.3"):
+            return plain(compose(name, list(overrides)))
+    except (HydraException, OmegaConfBaseException) as error:
+        first = next(iter(str(error).splitlines()), type(error).__name__)
+        raise ConfigError([f"{folder / name}.yaml with {' '.join(overrides)}: {first}"]) from error
 
 
 def lines_not_tracebacks(main: Callable[..., None]) -> Callable[..., None]:

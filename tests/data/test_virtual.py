@@ -281,3 +281,21 @@ def test_code_fingerprint_follows_what_code_does(tmp_path):
         (folder / "a.py").write_text(f'"""{says}."""\ndef f():\n    """{says}."""\n    return {value}{comment}\n')
         prints.append(code_fingerprint(folder))
     assert prints[0] == prints[1] != prints[2]
+
+
+def test_code_fingerprint_covers_subfolders_and_where_a_module_lies(tmp_path):
+    def fingerprint(**files: str) -> str:
+        folder = tmp_path / str(len(list(tmp_path.iterdir())))
+        for name, text in files.items():
+            path = folder / f"{name.replace('_in_', '/')}.py"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text)
+        cache = folder / "town" / "__pycache__" / "left_over.py"
+        cache.parent.mkdir(parents=True)
+        cache.write_text(f"number = {len(list(tmp_path.iterdir()))}\n")
+        return code_fingerprint(folder)
+
+    one = fingerprint(a="x = 1\n", town_in_b="y = 1\n")
+    assert one == fingerprint(a="x = 1\n", town_in_b="y = 1  # why\n")
+    assert one != fingerprint(a="x = 1\n", town_in_b="y = 2\n")
+    assert one != fingerprint(a="x = 1\n", traffic_in_b="y = 1\n")

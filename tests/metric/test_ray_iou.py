@@ -1,4 +1,5 @@
 import copy
+import datetime
 import itertools
 import math
 import os
@@ -299,14 +300,19 @@ def half_of_the_frames(rank, folder):
     return scores
 
 
-def test_two_processes_equal_one(tmp_path):
+def second_process(function, folder):
+    """Start a function of this file as rank 1 in a process of its own, which saves what it returns as `1.pt`."""
     code = (
         "import runpy, sys, torch; torch.set_num_threads(1);"
-        "scores = runpy.run_path(sys.argv[1])['half_of_the_frames'](1, sys.argv[2]);"
+        "scores = runpy.run_path(sys.argv[1])[sys.argv[3]](1, sys.argv[2]);"
         "torch.save(scores, sys.argv[2] + '/1.pt')"
     )
     path = {**os.environ, "PYTHONPATH": str(Path(omniocc.__file__).parents[1])}
-    other = subprocess.Popen([sys.executable, "-c", code, __file__, str(tmp_path)], env=path)
+    return subprocess.Popen([sys.executable, "-c", code, __file__, str(folder), function], env=path)
+
+
+def test_two_processes_equal_one(tmp_path):
+    other = second_process("half_of_the_frames", tmp_path)
     scores = half_of_the_frames(0, tmp_path)
     assert other.wait(timeout=120) == 0
     prediction, target = frames(CUBOID, 5)
@@ -316,3 +322,24 @@ def test_two_processes_equal_one(tmp_path):
             assert alone.compute().keys() == theirs.keys()
             for key, value in alone.compute().items():
                 torch.testing.assert_close(theirs[key], value, rtol=1e-7, atol=0, equal_nan=True)
+
+
+def first_process_scores_alone(rank, folder):
+    """Score frames in the first of two processes; the second only joins the group and waits to be let go."""
+    timeout = datetime.timedelta(seconds=20)
+    meet = f"file://{folder}/meet"
+    torch.distributed.init_process_group("gloo", init_method=meet, rank=rank, world_size=2, timeout=timeout)
+    scores = ray_iou(*frames(CUBOID, 2), CUBOID) if rank == 0 else None
+    torch.distributed.barrier()
+    torch.distributed.destroy_process_group()
+    return scores
+
+
+def test_the_function_talks_to_no_other_process(tmp_path):
+    other = second_process("first_process_scores_alone", tmp_path)
+    scores = first_process_scores_alone(0, tmp_path)
+    assert other.wait(timeout=120) == 0
+    alone = ray_iou(*frames(CUBOID, 2), CUBOID)
+    assert scores.keys() == alone.keys()
+    for key, value in alone.items():
+        torch.testing.assert_close(scores[key], value, rtol=0, atol=0, equal_nan=True)

@@ -10,7 +10,7 @@ import yaml
 from omniocc.classes import CLASSES, FREE
 from omniocc.geometry import Cuboid, Cylinder, Grid
 from omniocc.report.run import save_results
-from omniocc.view import comparison, save_png
+from omniocc.view import SheetParts, comparison_parts, comparison_sheet, save_png
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "data"))
 from fake_scene import HEIGHT, WIDTH, FakeWorld
@@ -19,13 +19,21 @@ CYLINDER = {"_target_": "omniocc.geometry.Cylinder", "shape": [8, 10, 4]}
 CUBOID = {"_target_": "omniocc.geometry.Cuboid", "shape": [8, 8, 4]}
 OMNI = {"_target_": "omniocc.model.sketch.Omni"}
 DENSE = {"_target_": "omniocc.model.sketch.Dense"}
-PICTURE = "test-00-test-000-suburb-000001.png"
+PICTURE = "test-00-test-000-suburb-000001"
 
 
-def sheet(geometry: Grid, prediction_seed: int) -> np.ndarray:
+def parts(geometry: Grid, prediction_seed: int) -> SheetParts:
     truth, prediction = (labels(geometry, seed) for seed in (0, prediction_seed))
     images = np.random.default_rng(3).integers(0, 256, (6, 18, 32, 3), dtype=np.uint8)
-    return comparison(images, truth, prediction, geometry, "test-000-suburb/000001")
+    return comparison_parts(images, truth, prediction, geometry)
+
+
+def save_parts(folder: Path, parts: SheetParts) -> None:
+    """Save a sheet and its parts as `omniocc.task.pictures` does."""
+    (folder / "parts" / PICTURE).mkdir(parents=True)
+    save_png(folder / f"{PICTURE}.png", comparison_sheet(parts, "test-000-suburb/000001"))
+    for name, part in parts._asdict().items():
+        save_png(folder / "parts" / PICTURE / f"{name}.png", part)
 
 
 def labels(geometry: Grid, seed: int) -> torch.Tensor:
@@ -67,9 +75,8 @@ def write_sweep(root: Path) -> Path:
         ("cuboid-00000001", 0, 0.10, OMNI, CUBOID),
         ("my <own>-00000001", 0, 0.25, OMNI, CYLINDER),
     ]
-    sheets = [sheet(Cylinder(shape=(8, 10, 4)), 1), sheet(Cuboid(shape=(8, 8, 4)), 1)]
+    drawn = [parts(Cylinder(shape=(8, 10, 4)), 1), parts(Cuboid(shape=(8, 8, 4)), 1)]
     for name, seed, rayiou, sketch, geometry in rows:
         write_run(runs / name, seed, rayiou, world, sketch, geometry)
-        (runs / name / "pictures").mkdir()
-        save_png(runs / name / "pictures" / PICTURE, sheets[geometry is CUBOID])
+        save_parts(runs / name / "pictures", drawn[geometry is CUBOID])
     return runs

@@ -1,35 +1,14 @@
-"""Sheets taken apart again."""
+"""Parts of sheets, shown side by side for all rows."""
+
+import shutil
 
 import numpy as np
 import pytest
-from fake_sweep import PICTURE, labels, sheet
+from fake_sweep import PICTURE, parts, save_parts
 
 from omniocc.geometry import Cylinder
-from omniocc.report.gallery import cut, gallery
+from omniocc.report.gallery import gallery
 from omniocc.report.runs import by_row, read_runs
-from omniocc.view import bev, error_bev, render_voxels
-
-GRID = Cylinder(shape=(8, 10, 4))
-TAG_PX = 40
-
-
-def test_the_parts_of_a_sheet_are_what_was_put_on_it():
-    parts = cut(sheet(GRID, 1))
-    truth, prediction = labels(GRID, 0), labels(GRID, 1)
-    size = len(parts.truth_map)
-    expected = {
-        "truth_map": bev(truth, GRID, size),
-        "prediction_map": bev(prediction, GRID, size),
-        "differences": error_bev(truth, prediction, GRID, size),
-        "truth": render_voxels(truth, GRID, 623, 350),
-        "prediction": render_voxels(prediction, GRID, 623, 350),
-    }
-    for name, picture in expected.items():
-        part = getattr(parts, name)
-        assert part.shape == picture.shape, name
-        np.testing.assert_array_equal(part[TAG_PX:], picture[TAG_PX:], err_msg=name)
-    assert parts.cameras.shape[1] == 1252
-    assert (parts.cameras[-1] != 255).any()
 
 
 def test_every_row_shows_the_same_frame_and_every_grid_its_truth_once(runs):
@@ -41,9 +20,37 @@ def test_every_row_shows_the_same_frame_and_every_grid_its_truth_once(runs):
     assert next(shown.run.name for shown in frame.shown if shown.row == "ours") == "ours-00000001"
 
 
-@pytest.mark.parametrize("name", ["test-00-odd.png", "val-step000040.png"])
-def test_other_pictures_are_left_alone(runs, tmp_path, name):
-    run = read_runs(runs)[0]
+def test_parts_are_shown_as_they_were_saved(runs):
+    (frame,) = gallery(by_row(read_runs(runs)))
+    drawn = parts(Cylinder(shape=(8, 10, 4)), 1)
+    shown = next(shown.parts for shown in frame.shown if shown.row == "ours")
+    for name, picture in drawn._asdict().items():
+        np.testing.assert_array_equal(getattr(shown, name), picture, err_msg=name)
+
+
+def test_a_run_without_parts_is_left_out_with_a_line(runs, tmp_path, capsys):
+    run = read_runs(runs)[0]._replace(folder=tmp_path)
     (tmp_path / "pictures").mkdir()
-    (tmp_path / "pictures" / name).write_bytes((run.folder / "pictures" / PICTURE).read_bytes())
-    assert gallery({"ours": [run._replace(folder=tmp_path)]}) == []
+    assert gallery({"ours": [run]}) == []
+    assert capsys.readouterr().err == "", "no picture was asked for"
+    save_parts(tmp_path / "pictures", parts(Cylinder(shape=(8, 10, 4)), 1))
+    folder = tmp_path / "pictures" / "parts" / PICTURE
+    assert len(gallery({"ours": [run]})) == 1
+    (folder / "truth.png").write_bytes(b"damaged")
+    (folder / "cameras.png").unlink()
+    assert gallery({"ours": [run]}) == []
+    assert capsys.readouterr().err == f"left out of the gallery: {folder} lacks cameras, truth\n"
+    shutil.rmtree(folder.parent)
+    assert gallery({"ours": [run]}) == []
+    assert capsys.readouterr().err.startswith(f"left out of the gallery: {folder} lacks cameras, truth, prediction")
+
+
+@pytest.mark.parametrize("name", ["test-00-odd", "val-step000040"])
+def test_other_pictures_are_left_alone(runs, tmp_path, name):
+    run = read_runs(runs)[0]._replace(folder=tmp_path)
+    save_parts(tmp_path / "pictures", parts(Cylinder(shape=(8, 10, 4)), 1))
+    for folder, ending in (("", ".png"), ("parts", "")):
+        (tmp_path / "pictures" / folder / f"{PICTURE}{ending}").rename(
+            tmp_path / "pictures" / folder / f"{name}{ending}"
+        )
+    assert gallery({"ours": [run]}) == []

@@ -43,9 +43,12 @@ class Recordable(Protocol):
 
 @functools.cache
 def code_fingerprint(folder: Path) -> str:
-    """Hash of what the modules of a folder do: comments, docstrings and layout do not count."""
+    """Return a hash of what the modules below a folder do: comments, docstrings and layout do not count."""
     digest = hashlib.sha256()
-    for path in sorted(folder.glob("*.py")):
+    modules = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*.py")}
+    for name, path in sorted(modules.items()):
+        if "__pycache__" in name.split("/"):
+            continue
         tree = ast.parse(path.read_text())
         for node in ast.walk(tree):
             body = getattr(node, "body", None)
@@ -56,7 +59,7 @@ def code_fingerprint(folder: Path) -> str:
                 and isinstance(body[0].value, ast.Constant)
             ):
                 body[0].value.value = ""
-        digest.update(f"{path.name}\n{ast.dump(tree)}\n".encode())
+        digest.update(f"{name}\n{ast.dump(tree)}\n".encode())
     return digest.hexdigest()[:16]
 
 

@@ -1,4 +1,4 @@
-"""The cylindrical voxel grid (paper, section III-A)."""
+"""The cylindrical voxel grid (paper, section I, figure 2b; its size: section V-A)."""
 
 import math
 from collections.abc import Sequence

@@ -33,7 +33,7 @@ class Dilatable(Protocol):
 def dilate(
     grid: Dilatable, mask: Bool[Tensor, "*B X Y Z"], windows: Sequence[int], edges_m: Sequence[float | int]
 ) -> Bool[Tensor, "*B X Y Z"]:
-    """Widens a mask towards and away from the z axis, by more the farther a cell is (paper, section III-C).
+    """Widens a mask towards and away from the z axis, by more the farther a cell is (paper, section IV-B).
 
     In a cylinder a cell marks the `window` next cells on either side of it along r. In a cuboid it marks the cells that
     hold the points up to `window` cell lengths before and behind its middle, on the horizontal ray from the axis: the

@@ -1,36 +1,21 @@
 """RayIoU: occupancy scored by what LiDAR rays would hit first (SparseOcc, Liu et al. 2024), on any grid."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal
 
-import torch
 from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 from torchmetrics import Metric
 
-from omniocc.classes import CLASSES, FREE, NUM_CLASSES, UNKNOWN
-from omniocc.geometry import Cuboid, Cylinder, Hits, RayTable, Scan, ray_table
-from omniocc.metric.checks import check_classes, check_increasing, check_labels, check_mask, check_same_batch
-from omniocc.metric.directions import sparseocc_directions
+from omniocc.classes import FREE, NUM_CLASSES, UNKNOWN
+from omniocc.geometry import Cuboid, Cylinder
 from omniocc.metric.plot import plot_bars
-from omniocc.metric.ray_counts import RayCounts, count_rays, ray_scores
+from omniocc.metric.ray_counter import RayCounter, RayTruth
+from omniocc.metric.ray_counts import RayCounts
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-
-class RayTruth(NamedTuple):
-    """What real LiDAR rays saw: truth without a grid; see `RayIoU.update_rays`.
-
-    Attributes:
-        range_m: distance along each ray, inf where nothing is hit; the rays are the metric's directions from each
-            origin in turn.
-        labels: class of what is hit; free where nothing is hit.
-    """
-
-    range_m: Float[Tensor, "B R"]
-    labels: Shaped[Tensor, "B R"]
 
 
 class RayIoU(Metric):
@@ -64,6 +49,7 @@ class RayIoU(Metric):
         ValueError: if an argument makes no sense.
 
     Example:
+        >>> import torch
         >>> grid = Cylinder((32, 50, 4), (0.0, 12.8), (-2.8, 3.6))
         >>> target = torch.zeros(1, 32, 50, 4, dtype=torch.uint8)
         >>> target[..., 0] = 1
@@ -95,23 +81,20 @@ class RayIoU(Metric):
         count_free_rays: bool = False,
     ):
         super().__init__()
-        check_classes(num_classes, free_class, ignore_class)
-        if hit not in ("exit", "entry"):
-            raise ValueError(f"hit must be 'exit' or 'entry', got {hit!r}")
-        self.geometry, self.target_geometry = geometry, target_geometry or geometry
-        self.num_classes, self.free_class, self.ignore_class = num_classes, free_class, ignore_class
-        self.thresholds_m = tuple(float(edge) for edge in thresholds_m)
-        check_increasing("thresholds_m", self.thresholds_m, at_least=1)
-        self.range_edges_m = tuple(float(edge) for edge in range_edges_m or ())
-        if range_edges_m is not None:
-            check_increasing("range_edges_m", self.range_edges_m, at_least=2)
-        self.hit, self.count_free_rays = hit, count_free_rays
-        self.scan = Scan(sparseocc_directions() if directions is None else directions)
-        bins, thresholds = max(len(self.range_edges_m), 1), len(self.thresholds_m)
-        zeros = torch.zeros(bins, num_classes, dtype=torch.int64)
-        self.add_state("truth", zeros, dist_reduce_fx="sum")
-        self.add_state("predicted", zeros.clone(), dist_reduce_fx="sum")
-        self.add_state("correct", zeros.unsqueeze(1).repeat(1, thresholds, 1), dist_reduce_fx="sum")
+        self.counter = RayCounter(
+            geometry,
+            num_classes,
+            free_class,
+            ignore_class,
+            thresholds_m,
+            range_edges_m,
+            directions,
+            target_geometry,
+            hit,
+            count_free_rays,
+        )
+        for name, counts in self.counter.zero()._asdict().items():
+            self.add_state(name, counts, dist_reduce_fx="sum")
 
     def update(
         self,
@@ -133,23 +116,10 @@ class RayIoU(Metric):
         Raises:
             ValueError: naming a wrong shape, type or value.
         """
-        prediction = check_labels("prediction", prediction, self.geometry.shape, self.num_classes)
-        if origins is not None and (origins.ndim != 3 or len(origins) != len(prediction) or origins.shape[2] != 3):
-            raise ValueError(f"origins must have shape ({len(prediction)}, O, 3), got {tuple(origins.shape)}")
-        places = torch.zeros(1, 3).expand(len(prediction), 1, 3) if origins is None else origins
-        places = places.to(prediction.device)
-        if isinstance(target, RayTruth):
-            self._check_rays(prediction, target, places)
-            for sample in zip(prediction, target.range_m, target.labels, places, strict=True):
-                self._add_rays(*sample)
-            return
-        target = check_labels("target", target, self.target_geometry.shape, self.num_classes, self.ignore_class)
-        check_same_batch("prediction", prediction, "target", target)
-        check_mask("observed", observed, target.shape)
-        if observed is not None:
-            target = target.masked_fill(~observed, self.ignore_class)
-        for sample in zip(prediction, target, places, strict=True):
-            self._add_voxels(*sample)
+        counts = self.counter.count(prediction, target, origins, observed)
+        self.truth += counts.truth
+        self.predicted += counts.predicted
+        self.correct += counts.correct
 
     def update_rays(
         self,
@@ -178,10 +148,7 @@ class RayIoU(Metric):
 
     def compute(self) -> dict[str, Tensor]:
         """Scores over everything seen: see `omniocc.metric.ray_counts.ray_scores` for the keys."""
-        counts = RayCounts(self.truth, self.predicted, self.correct)
-        known = self.num_classes == NUM_CLASSES
-        names = [CLASSES[c].name if known else str(c) for c in range(self.num_classes)]
-        return ray_scores(counts, names, self.free_class, self.thresholds_m, self.range_edges_m)
+        return self.counter.scores(RayCounts(self.truth, self.predicted, self.correct))
 
     def plot(
         self,
@@ -200,66 +167,6 @@ class RayIoU(Metric):
         prefix = {"class": "rayiou/", "threshold": "rayiou@", "range": "rayiou_"}[by]
         return plot_bars(scores, [key for key in scores if key.startswith(prefix)], ax)
 
-    def _check_rays(self, prediction: Tensor, target: RayTruth, places: Tensor) -> None:
-        rays = len(self.scan) * places.shape[1]
-        check_labels("labels", target.labels, (rays,), self.num_classes, self.ignore_class)
-        check_same_batch("prediction", prediction, "labels", target.labels)
-        if target.range_m.shape != target.labels.shape:
-            shapes = f"{tuple(target.labels.shape)}, got {tuple(target.range_m.shape)}"
-            raise ValueError(f"range_m must have shape {shapes}")
-
-    def _add_voxels(self, prediction: Tensor, target: Tensor, places: Float[Tensor, "O 3"]) -> None:
-        if self.target_geometry == self.geometry:
-            found, truth = self._cast(ray_table(self.geometry, places, self.scan), prediction, target)
-        else:
-            found = self._cast(ray_table(self.geometry, places, self.scan), prediction)[0]
-            truth = self._cast(ray_table(self.target_geometry, places, self.scan), target)[0]
-        free = truth.labels == self.free_class
-        valid = ~free
-        if self.target_geometry != self.geometry:
-            valid &= self._inside(places, (truth.entry_m.double() + truth.exit_m) / 2)
-        true_m, predicted_m = (hits.entry_m if self.hit == "entry" else hits.exit_m for hits in (truth, found))
-        if self.count_free_rays:
-            valid |= free & self._clear(found, truth.exit_m)
-        self._add(truth.labels, true_m, found.labels, (true_m - predicted_m).abs(), valid)
-
-    def _add_rays(self, prediction: Tensor, range_m: Tensor, labels: Tensor, places: Float[Tensor, "O 3"]) -> None:
-        table = ray_table(self.geometry, places, self.scan)
-        found = self._cast(table, prediction)[0]
-        range_m, labels = range_m.double(), labels.to(torch.uint8)
-        error_m = torch.maximum(found.entry_m - range_m, range_m - found.exit_m).clamp(min=0)
-        valid = (labels != self.free_class) & self._inside(places, range_m)
-        if self.count_free_rays:
-            leave_m = table.reach_m
-            free = ((labels == self.free_class) | (range_m >= leave_m)) & (labels != self.ignore_class)
-            clear_m = torch.minimum(range_m, leave_m.double())
-            valid |= free & self._clear(found, clear_m)
-            labels, range_m = labels.masked_fill(free, self.free_class), torch.where(free, clear_m, range_m)
-        self._add(labels, range_m, found.labels, error_m, valid)
-
-    def _cast(self, table: RayTable, *volumes: Tensor) -> list[Hits]:
-        # uint8 wraps around, so the free class becomes 0 and no other one does
-        hits = table.cast_all([labels - self.free_class for labels in volumes])
-        return [found._replace(labels=found.labels + self.free_class) for found in hits]
-
-    def _inside(self, places: Float[Tensor, "O 3"], range_m: Float[Tensor, " R"]) -> Bool[Tensor, " R"]:
-        """Whether the points at these distances lie in the prediction's grid."""
-        origins, directions = self.scan.rays(places)
-        return self.geometry.index(origins + directions * range_m.unsqueeze(-1))[1]
-
-    def _clear(self, found: Hits, clear_m: Float[Tensor, " R"]) -> Bool[Tensor, " R"]:
-        """Whether rays that are free up to these distances can judge the prediction: what lies beyond is not known."""
-        return clear_m.isfinite() & ((found.labels == self.free_class) | (found.entry_m < clear_m))
-
-    def _add(self, true_labels: Tensor, true_m: Tensor, labels: Tensor, error_m: Tensor, valid: Tensor) -> None:
-        valid = valid & (true_labels != self.ignore_class)
-        counts = count_rays(
-            true_labels, true_m, labels, error_m, valid, self.num_classes, self.thresholds_m, self.range_edges_m
-        )
-        self.truth += counts.truth
-        self.predicted += counts.predicted
-        self.correct += counts.correct
-
 
 def ray_iou(
     prediction: Shaped[Tensor, "B X Y Z"],
@@ -277,9 +184,12 @@ def ray_iou(
     hit: Literal["exit", "entry"] = "exit",
     count_free_rays: bool = False,
 ) -> dict[str, Tensor]:
-    """RayIoU of these frames alone; see `RayIoU` for the definition, the arguments and the keys.
+    """Return the RayIoU of these frames alone; see `RayIoU` for the definition, the arguments and the keys.
+
+    A function of its arguments: in a distributed run each process gets the figures of its own frames at once.
 
     Example:
+        >>> import torch
         >>> grid = Cylinder((8, 16, 4), (0.0, 8.0), (-2.0, 2.0))
         >>> target = torch.zeros(1, 8, 16, 4, dtype=torch.uint8)
         >>> target[:, 4] = 4
@@ -289,7 +199,7 @@ def ray_iou(
         >>> ray_iou(target.roll(1, dims=1), target, grid, directions=level, thresholds_m=(0.5,))["rayiou"].item()
         0.0
     """
-    metric = RayIoU(
+    counter = RayCounter(
         geometry,
         num_classes,
         free_class,
@@ -301,5 +211,4 @@ def ray_iou(
         hit,
         count_free_rays,
     )
-    metric.update(prediction, target, origins, observed)
-    return metric.compute()
+    return counter.scores(counter.count(prediction, target, origins, observed))

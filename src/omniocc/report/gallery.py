@@ -1,32 +1,21 @@
-"""The same test frames across rows, cut out of the sheets that every run leaves in `pictures`."""
+"""The same test frames across rows, from the parts of sheets that every run leaves in `pictures/parts`."""
 
 import base64
 import re
-from collections.abc import Mapping, Sequence
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from omniocc.report.runs import FinishedRun
-from omniocc.view.bev import ERRORS
-from omniocc.view.canvas import legend
-from omniocc.view.compare import class_legend
-from omniocc.view.sheet import GAP, MARGIN, column_width
+from omniocc.task.run_folder import PARTS, PICTURES
+from omniocc.view import SheetParts
 
-NAME = re.compile(r"test-(\d+)-(.+)-(\d+)\.png")
+NAME = re.compile(r"test-(\d+)-(.+)-(\d+)")
 WEBP_QUALITY = 78
-
-
-class SheetParts(NamedTuple):
-    """What `omniocc.view.comparison` put on a sheet, RGB: from the cameras, in perspective, and from above."""
-
-    cameras: np.ndarray
-    truth: np.ndarray
-    prediction: np.ndarray
-    truth_map: np.ndarray
-    prediction_map: np.ndarray
-    differences: np.ndarray
 
 
 class Shown(NamedTuple):
@@ -46,41 +35,35 @@ class GalleryFrame(NamedTuple):
     shown: Sequence[Shown]
 
 
-def cut(sheet: np.ndarray) -> SheetParts:
-    """Take a sheet apart again.
-
-    Args:
-        sheet: (H, W, 3) uint8 RGB, as `omniocc.view.comparison` drew it with a caption.
-    """
-    inner = sheet.shape[1] - 2 * MARGIN
-    half, third = column_width(inner, 2), column_width(inner, 3)
-    classes = class_legend(inner)
-    errors = legend([(f"Difference: {name}" if k == 0 else name, rgb) for k, (name, rgb) in enumerate(ERRORS)], inner)
-    maps = sheet.shape[0] - MARGIN - len(errors) - len(classes) - 2 * GAP - third
-    views = maps - GAP - half * 9 // 16
-    columns = [MARGIN + k * (third + GAP) for k in range(3)]
-    above = [sheet[maps : maps + third, left : left + third] for left in columns]
-    sides = [sheet[views : maps - GAP, left : left + half] for left in (MARGIN, MARGIN + half + GAP)]
-    return SheetParts(sheet[MARGIN + 24 + GAP : views - GAP, MARGIN : MARGIN + inner], *sides, *above)
-
-
 def gallery(rows: Mapping[str, Sequence[FinishedRun]]) -> list[GalleryFrame]:
-    """Every frame that a row has a picture of, as the first seed of each row saw it."""
+    """Return every frame that a row has pictures of, as the first seed of each row saw it.
+
+    Runs that saved no parts of their pictures are left out with a line that says so.
+    """
     frames: dict[tuple[str, str, str], list[Shown]] = {}
     grids: dict[tuple[str, str, str], list[dict]] = {}
     for row, runs in rows.items():
         geometry = runs[0].config.get("model", {}).get("geometry", {})
         kind = geometry.get("_target_", "grid").split(".")[-1].lower()
-        for path in sorted((runs[0].folder / "pictures").glob("test-*.png")):
-            sheet, match = cv2.imread(str(path)), NAME.fullmatch(path.name)
-            if sheet is None or match is None:
-                continue
-            key = (match[1], match[2], match[3])
+        for key, parts in _frames(runs[0].folder / PICTURES):
             new = geometry not in grids.setdefault(key, [])
             grids[key].append(geometry)
-            parts = cut(cv2.cvtColor(sheet, cv2.COLOR_BGR2RGB))
             frames.setdefault(key, []).append(Shown(row, runs[0], parts, kind if new else ""))
     return [GalleryFrame(key[1], key[2], frames[key]) for key in sorted(frames)]
+
+
+def _frames(pictures: Path) -> Iterator[tuple[tuple[str, str, str], SheetParts]]:
+    """Yield number, scene and frame of every test frame of a run with its parts."""
+    for sheet in sorted(pictures.glob("test-*.png")):
+        folder, match = pictures / PARTS / sheet.stem, NAME.fullmatch(sheet.stem)
+        if match is None:
+            continue
+        read = {name: cv2.imread(str(folder / f"{name}.png")) for name in SheetParts._fields if folder.is_dir()}
+        found = {name: cv2.cvtColor(part, cv2.COLOR_BGR2RGB) for name, part in read.items() if part is not None}
+        if missing := [name for name in SheetParts._fields if name not in found]:
+            print(f"left out of the gallery: {folder} lacks {', '.join(missing)}", file=sys.stderr, flush=True)
+            continue
+        yield (match[1], match[2], match[3]), SheetParts(**found)
 
 
 def inline(picture: np.ndarray, width: int) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 from omniocc.errors import UserError
 from omniocc.io import atomic_write
 from omniocc.report.table import as_markdown, as_text
-from omniocc.task.run_folder import METRICS
+from omniocc.task.run_folder import METRICS, PICTURES
 
 
 def save_results(folder: Path, metrics: Mapping[str, float], facts: Mapping[str, Any]) -> None:
@@ -39,7 +39,7 @@ def load_results(folder: Path) -> tuple[dict[str, Any], dict[str, float]]:
 def show_results(folder: Path) -> None:
     """Print the table of a finished run and where its files are."""
     print(f"\n{as_text(load_results(folder)[1])}\n")
-    pictures = sorted(str(path) for path in (folder / "pictures").glob("test-*.png"))
+    pictures = sorted(str(path) for path in (folder / PICTURES).glob("test-*.png"))
     print(
         "\n".join(
             [

@@ -15,27 +15,38 @@ import yaml
 from omniocc.errors import UserError
 from omniocc.report.run import load_results
 from omniocc.report.table import band_keys, number
-from omniocc.task.run_folder import METRICS
+from omniocc.task.run_folder import METRICS, VOLATILE
 
 HASH = re.compile(r"-[0-9a-f]{8}(-\d+)?$")
 SHARE, RECALL, VOXELS = "test/sketch/share", "test/sketch/recall", "voxels"
 ABSENT = object()
-OF_MACHINES = ("root", "cache", "workers", "num_workers", "seed")
+OF_MACHINES = ("root", "cache", "workers", "num_workers", "accelerator", "seed")
+"""Keys at any depth that may differ between runs of one row."""
 
 
 class FinishedRun(NamedTuple):
-    """A finished run: its folder's name, its facts and figures, its folder and its configuration."""
+    """A finished run.
+
+    Attributes:
+        name: of its folder.
+        facts: what was recorded of it.
+        metrics: its figures.
+        folder: where it lies.
+        config: its resolved configuration; empty if it was not saved.
+        same_as: the row whose configuration it has, where its own name is not that of a row.
+    """
 
     name: str
     facts: dict
     metrics: dict[str, float]
     folder: Path = Path()
     config: Mapping[str, Any] = MappingProxyType({})
+    same_as: str | None = None
 
     @property
     def row(self) -> str:
-        """The name it was given: that of its row in the tables."""
-        return HASH.sub("", self.name)
+        """Return its row in the tables: the one whose configuration it has, or the name it was given."""
+        return self.same_as or HASH.sub("", self.name)
 
     @property
     def place(self) -> tuple[str, Any]:
@@ -125,6 +136,8 @@ def comparable(runs: Sequence[FinishedRun], preset: str | None) -> tuple[list[Fi
     text = f"preset={name}, {steps} steps, data {data[:8]}, commit {', '.join(commits)}."
     if others := sorted(run.name for run in runs if run.setting != chosen):
         text += f" Left out, of another setting: {', '.join(others)}."
+    if alike := sorted(f"{run.name} ({run.same_as})" for run in kept if run.same_as):
+        text += f" Counted in the row whose configuration they have: {', '.join(alike)}."
     if older := sorted(_replaced(same, kept)):
         text += f" Left out, older runs of the same row and seed: {', '.join(older)}."
     return kept, text + "".join(f" {line}" for line in _mixtures(by_row(kept)))
@@ -161,7 +174,7 @@ def differences(runs: Sequence[FinishedRun]) -> str:
     A key that only one of two commits had is a new option, not a difference.
     """
     found: set[str] = set()
-    versions = [(run.facts.get("commit"), dict(_flat(run.config))) for run in runs]
+    versions = [(run.facts.get("commit"), compared(run.config)) for run in runs]
     for (commit, left), (other_commit, right) in combinations(versions, 2):
         keys = left.keys() | right.keys() if commit == other_commit else left.keys() & right.keys()
         found |= {key for key in keys if left.get(key, ABSENT) != right.get(key, ABSENT)}
@@ -169,9 +182,14 @@ def differences(runs: Sequence[FinishedRun]) -> str:
     return f"{', '.join(keys[:4])}{' and more' * (len(keys) > 4)}"
 
 
+def compared(config: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what runs of one row have in common, by dotted key: all but name, seed, machine and `VOLATILE`."""
+    return dict(_flat({key: value for key, value in config.items() if key not in ("name", *VOLATILE)}))
+
+
 def _flat(config: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
     for key, value in config.items():
-        if key in OF_MACHINES or (not prefix and key in ("paths", "logger", "pictures", "resume", "stage")):
+        if key in OF_MACHINES:
             continue
         if isinstance(value, Mapping):
             yield from _flat(value, f"{prefix}{key}.")

@@ -21,6 +21,7 @@ from omniocc.report.dataset_table import (
 )
 from omniocc.report.markup import path_between
 from omniocc.report.paper_table import PaperTable, as_csv, as_latex, as_markdown, is_table, load_table
+from omniocc.report.rows import assign_rows
 from omniocc.report.runs import FinishedRun, by_row, comparable, read_runs, table_of_runs
 from omniocc.report.table import markdown
 from omniocc.task.run_folder import METRICS
@@ -55,18 +56,24 @@ class Sweep(NamedTuple):
         ]
 
 
-def read_sweep(runs: Path, tables: Path, preset: str | None) -> Sweep:
+def read_sweep(runs: Path, tables: Path, conf: Path, preset: str | None) -> Sweep:
     """Collect the finished runs of a folder and the tables of another.
 
+    Args:
+        runs: folder of runs.
+        tables: folder of the tables.
+        conf: folder of the configuration, which says what the rows are.
+        preset: of the runs; None takes the setting that most runs have.
+
     Raises:
-        UserError: when there is no run, none of that preset, or a table is broken.
+        UserError: when there is no run, none of that preset, or a table or row is broken.
     """
-    kept, remark = comparable(read_runs(runs), preset)
     paths = sorted(tables.glob("*.yaml"))
     found = sorted((load_table(path) for path in paths if is_table(path)), key=lambda table: table.number)
+    first = list(dict.fromkeys(["ours", *(row.run for table in found for row in table.rows)]))
+    kept, remark = comparable(assign_rows(read_runs(runs), conf, first), preset)
     datasets = [with_ours(load_dataset_table(path), kept) for path in paths if is_dataset_table(path)]
     rows, scenes = by_row(kept), scenes_of(kept[0])
-    first = ["ours", *(row.run for table in found for row in table.rows)]
     order = [row for row in dict.fromkeys([*first, *rows]) if row in rows]
     data = facts_of_scenes(scenes) if scenes else ""
     return Sweep(kept, {row: rows[row] for row in order}, remark, data, found, datasets, unfinished(runs))

@@ -1,8 +1,10 @@
 """Pictures of test frames: what the cameras saw, and true beside predicted."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar
+from types import MappingProxyType
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
@@ -13,14 +15,23 @@ from omniocc.batch import Batch
 from omniocc.data.shares import spread
 from omniocc.task.loggers import wandb_of
 from omniocc.task.media import Named, range_media, voxel_media
+from omniocc.task.run_folder import PARTS
 from omniocc.task.sketch import panorama
-from omniocc.view import comparison, depth_sheet, save_png, sketch_sheet
+from omniocc.view import comparison_parts, comparison_sheet, depth_sheet, save_png, sketch_sheet
+
+
+class Drawn(NamedTuple):
+    """A sheet of a frame, and by name those of its parts that are also saved alone."""
+
+    sheet: np.ndarray
+    parts: Mapping[str, np.ndarray] = MappingProxyType({})
 
 
 class FramePictures(Callback, ABC):
     """Draws `count` frames spread evenly over the test set, and the first validation frame after each validation.
 
-    Files go to `folder` (`test-00-<scene>-<frame>.png`). Where W&B is in use it gets them too (`val/<key>`,
+    Files go to `folder` (`test-00-<scene>-<frame>.png`), the parts of a test frame's sheet that the report shows beside
+    it (`parts/test-00-<scene>-<frame>/<part>.png`). Where W&B is in use it gets them too (`val/<key>`,
     `test/<key>`), and of the test frames also `media` (`test/<its key>`).
     """
 
@@ -32,8 +43,8 @@ class FramePictures(Callback, ABC):
         self.shown: dict[str, list[Named]] = {}
 
     @abstractmethod
-    def picture(self, task: Any, output: Tensor, batch: Batch, sample: int) -> np.ndarray:
-        """The sheet of one sample of a batch, `output` being what the task's step returned for it."""
+    def picture(self, task: Any, output: Tensor, batch: Batch, sample: int) -> Drawn:
+        """Draw the sheet of one sample of a batch, `output` being what the task's step returned for it."""
 
     def media(self, task: Any, output: Tensor, batch: Batch, sample: int) -> dict[str, list[Named]]:
         """What W&B shows besides, by key."""
@@ -49,7 +60,7 @@ class FramePictures(Callback, ABC):
         dataloader_idx: int = 0,
     ) -> None:
         if batch_idx == 0 and self.count and trainer.is_global_zero:
-            picture = self.picture(pl_module, outputs[0].cpu(), batch, 0)
+            picture = self.picture(pl_module, outputs[0].cpu(), batch, 0).sheet
             self._save(f"val-step{trainer.global_step:06d}", picture)
             for curves in wandb_of(trainer.loggers):
                 curves.log_media({f"val/{self.key}": [Named(picture, batch.frame_ids[0])]}, trainer.global_step)
@@ -72,10 +83,13 @@ class FramePictures(Callback, ABC):
             index = batch_idx * size + sample
             if index in chosen:
                 output = outputs[sample].cpu()
-                picture = self.picture(pl_module, output, batch, sample)
-                self._save(f"test-{chosen.index(index):02d}-{frame_id.replace('/', '-')}", picture)
+                drawn = self.picture(pl_module, output, batch, sample)
+                name = f"test-{chosen.index(index):02d}-{frame_id.replace('/', '-')}"
+                self._save(name, drawn.sheet)
+                for part, picture in drawn.parts.items():
+                    self._save(f"{PARTS}/{name}/{part}", picture)
                 if wandb_of(trainer.loggers):
-                    media = {self.key: [Named(picture, "")]} | self.media(pl_module, output, batch, sample)
+                    media = {self.key: [Named(drawn.sheet, "")]} | self.media(pl_module, output, batch, sample)
                     self._show(media, frame_id)
 
     def on_test_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:  # noqa: D102
@@ -89,8 +103,9 @@ class FramePictures(Callback, ABC):
             self.shown.setdefault(f"test/{key}", []).extend(named)
 
     def _save(self, name: str, picture: np.ndarray) -> None:
-        self.folder.mkdir(parents=True, exist_ok=True)
-        save_png(self.folder / f"{name}.png", picture)
+        path = self.folder / f"{name}.png"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        save_png(path, picture)
 
 
 class Pictures(FramePictures):
@@ -98,9 +113,10 @@ class Pictures(FramePictures):
 
     key = "voxels"
 
-    def picture(self, task: Any, output: Tensor, batch: Batch, sample: int) -> np.ndarray:  # noqa: D102
+    def picture(self, task: Any, output: Tensor, batch: Batch, sample: int) -> Drawn:  # noqa: D102
         images, truth = newest_images(batch, sample), batch.voxels[sample].cpu()
-        return comparison(images, truth, output, task.model.geometry, batch.frame_ids[sample])
+        parts = comparison_parts(images, truth, output, task.model.geometry)
+        return Drawn(comparison_sheet(parts, batch.frame_ids[sample]), parts._asdict())
 
     def media(self, task: Any, output: Tensor, batch: Batch, sample: int) -> dict[str, list[Named]]:  # noqa: D102
         images, truth = newest_images(batch, sample), batch.voxels[sample].cpu()
@@ -112,9 +128,9 @@ class DepthPictures(FramePictures):
 
     key = "depth"
 
-    def picture(self, task: Any, output: Tensor, batch: Batch, sample: int) -> np.ndarray:  # noqa: D102
+    def picture(self, task: Any, output: Tensor, batch: Batch, sample: int) -> Drawn:  # noqa: D102
         assert batch.erp_range_m is not None
-        return depth_sheet(
+        sheet = depth_sheet(
             list(newest_images(batch, sample)),
             batch.rigs[sample],
             task.model.panorama,
@@ -122,6 +138,7 @@ class DepthPictures(FramePictures):
             batch.erp_range_m[sample].cpu(),
             batch.frame_ids[sample],
         )
+        return Drawn(sheet)
 
     def media(self, task: Any, output: Tensor, batch: Batch, sample: int) -> dict[str, list[Named]]:  # noqa: D102
         assert batch.erp_range_m is not None
@@ -133,11 +150,11 @@ class SketchPictures(FramePictures):
 
     key = "sketch"
 
-    def picture(self, task: Any, output: Tensor, batch: Batch, sample: int) -> np.ndarray:  # noqa: D102
+    def picture(self, task: Any, output: Tensor, batch: Batch, sample: int) -> Drawn:  # noqa: D102
         range_m, valid = (part[sample : sample + 1] for part in panorama(batch))
         with torch.inference_mode():
             chosen = task.model.choose(task.model.logits(range_m, valid))[0].cpu()
-        return sketch_sheet(
+        sheet = sketch_sheet(
             list(newest_images(batch, sample)),
             batch.voxels[sample].cpu(),
             chosen,
@@ -147,6 +164,7 @@ class SketchPictures(FramePictures):
             range_m[0].masked_fill(~valid[0], torch.nan).cpu(),
             batch.frame_ids[sample],
         )
+        return Drawn(sheet)
 
 
 def newest_images(batch: Batch, sample: int) -> np.ndarray:

@@ -16,6 +16,8 @@ from omniocc.errors import UserError
 from omniocc.task.checkpoint_io import LAST, resumable
 
 METRICS = "metrics.json"
+PICTURES, PARTS = "pictures", "parts"
+"""Folder of a run's pictures, and in it the folder of their parts."""
 VOLATILE = ("resume", "stage", "paths", "logger", "pictures", "checkpoint_every_n_steps")
 """Root keys that do not change what a run computes."""
 RANK_FOLDER = "OMNIOCC_RUN_FOLDER"

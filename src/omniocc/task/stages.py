@@ -38,7 +38,7 @@ from omniocc.task.loggers import finish
 from omniocc.task.pictures import DepthPictures, SketchPictures
 from omniocc.task.progress import StepProgress
 from omniocc.task.recipe import Recipe
-from omniocc.task.run_folder import METRICS, git_commit
+from omniocc.task.run_folder import METRICS, PICTURES, git_commit
 from omniocc.task.sketch import Sketch, known
 
 STAGES = ("depth", "sketch", "occupancy")
@@ -88,9 +88,7 @@ class Keys(NamedTuple):
 def stage_keys(cfg: DictConfig, data_fingerprint: str) -> Keys:
     """Hashes for a configuration with a learned sketch."""
     config = plain(cfg)
-    trainer = {
-        k: v for k, v in config["trainer"].items() if k not in ("max_steps", "devices", "strategy", "accelerator")
-    }
+    trainer = {key: value for key, value in config["trainer"].items() if key not in OVERRULED}
     sketch = {k: v for k, v in config["model"]["sketch"].items() if k not in ("depth", *SELECTION)}
     selection = [config["model"]["sketch"].get(name) for name in SELECTION]
     stages = config["stages"]
@@ -134,7 +132,7 @@ class Stages:
             )
             task = Depth(model, recipe.optimizer, spheres, recipe.seed, plain(self.cfg))
             trains = hasattr(model, "training_terms")
-            drawn = DepthPictures(self.results["depth"] / "pictures", self.cfg.pictures)
+            drawn = DepthPictures(self.results["depth"] / PICTURES, self.cfg.pictures)
             self._finish(task, recipe, Extras(true_ranges=True), drawn, "depth", title, trains)
             self._fill(self.ranges, lambda scene, frame: predict_range_m(task, scene, frame), f"{title}, ranges")
         return load_results(self.results["depth"])[1]
@@ -146,7 +144,7 @@ class Stages:
             task = Sketch(build(self.cfg.model.sketch), recipe.optimizer, plain(self.cfg))
             task.model.depth.load_state_dict(weights_of(self.depth / LAST))
             extras = Extras(true_ranges=True, depth=self.ranges)
-            drawn = SketchPictures(self.results["sketch"] / "pictures", self.cfg.pictures)
+            drawn = SketchPictures(self.results["sketch"] / PICTURES, self.cfg.pictures)
             self._finish(task, recipe, extras, drawn, "sketch", title, trains=True)
             self._fill(self.candidates, lambda scene, frame: self._choose(task, scene, frame), f"{title}, candidates")
         return load_results(self.results["sketch"])[1]

@@ -1,5 +1,7 @@
 """One sheet per frame: what the cameras saw, true beside predicted voxels, and where they differ."""
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import UInt8
 from torch import Tensor
@@ -10,8 +12,19 @@ from omniocc.view.bev import ERRORS, bev, error_bev
 from omniocc.view.canvas import legend
 from omniocc.view.sheet import AS_SEEN as AS_SEEN
 from omniocc.view.sheet import NAMES as NAMES
-from omniocc.view.sheet import camera_rows, caption_line, column_width, inner_width, row, stack
+from omniocc.view.sheet import below, beside, camera_rows, caption_line, column_width, inner_width, stack, tagged
 from omniocc.view.voxels import render_voxels
+
+
+class SheetParts(NamedTuple):
+    """What a sheet is made of, RGB: images of the cameras, voxels in perspective, and voxels from above."""
+
+    cameras: np.ndarray
+    truth: np.ndarray
+    prediction: np.ndarray
+    truth_map: np.ndarray
+    prediction_map: np.ndarray
+    differences: np.ndarray
 
 
 def comparison(
@@ -32,19 +45,38 @@ def comparison(
         caption: a line at the top.
         width_px: of the sheet.
     """
+    return comparison_sheet(comparison_parts(images, truth, prediction, geometry, width_px), caption, width_px)
+
+
+def comparison_parts(
+    images: np.ndarray,
+    truth: UInt8[Tensor, "X Y Z"],
+    prediction: UInt8[Tensor, "X Y Z"],
+    geometry: Grid,
+    width_px: int = 1280,
+) -> SheetParts:
+    """Draw what a sheet is made of; arguments as in `comparison`."""
     inner = inner_width(width_px)
     half, third = column_width(inner, 2), column_width(inner, 3)
-    views = [render_voxels(labels, geometry, half, half * 9 // 16) for labels in (truth, prediction)]
-    maps = [
+    views = (render_voxels(labels, geometry, half, half * 9 // 16) for labels in (truth, prediction))
+    maps = (
         bev(truth, geometry, third),
         bev(prediction, geometry, third),
         error_bev(truth, prediction, geometry, third),
-    ]
+    )
+    names = ("truth", "prediction", "truth from above", "prediction from above", "differences")
+    drawn = (tagged(picture, name) for picture, name in zip((*views, *maps), names, strict=True))
+    return SheetParts(below(camera_rows(list(images), inner), inner), *drawn)
+
+
+def comparison_sheet(parts: SheetParts, caption: str = "", width_px: int = 1280) -> np.ndarray:
+    """Return the sheet made of these parts, drawn for its width."""
+    inner = inner_width(width_px)
     rows = [
         *caption_line(caption, inner),
-        *camera_rows(list(images), inner),
-        row(views, ("truth", "prediction"), inner),
-        row(maps, ("truth from above", "prediction from above", "differences"), inner),
+        parts.cameras,
+        beside([parts.truth, parts.prediction], inner),
+        beside([parts.truth_map, parts.prediction_map, parts.differences], inner),
         class_legend(inner),
         legend([(f"Difference: {name}" if k == 0 else name, rgb) for k, (name, rgb) in enumerate(ERRORS)], inner),
     ]

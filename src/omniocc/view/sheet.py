@@ -43,13 +43,33 @@ def camera_rows(
 
 def row(pictures: Sequence[np.ndarray], names: Sequence[str], width: int) -> np.ndarray:
     """Pictures side by side, each with its name on it."""
+    return beside([tagged(picture, name) for picture, name in zip(pictures, names, strict=True)], width)
+
+
+def tagged(picture: np.ndarray, name: str) -> np.ndarray:
+    """Return a copy of a picture with its name on it."""
+    picture = picture.copy()
+    tag(picture, name, 8, 8)
+    return picture
+
+
+def beside(pictures: Sequence[np.ndarray], width: int) -> np.ndarray:
+    """Return pictures side by side on a canvas of a width."""
     canvas = blank(width, max(len(picture) for picture in pictures))
     left = 0
-    for picture, name in zip(pictures, names, strict=True):
-        picture = picture.copy()
-        tag(picture, name, 8, 8)
+    for picture in pictures:
         paste(canvas, picture, left, 0)
         left += picture.shape[1] + GAP
+    return canvas
+
+
+def below(rows: Sequence[np.ndarray], width: int) -> np.ndarray:
+    """Return rows below one another on a canvas of a width, without margins."""
+    canvas = blank(width, sum(map(len, rows)) + GAP * (len(rows) - 1))
+    top = 0
+    for picture in rows:
+        paste(canvas, picture, 0, top)
+        top += len(picture) + GAP
     return canvas
 
 
@@ -72,10 +92,7 @@ def caption_line(text: str, width: int) -> list[np.ndarray]:
 
 def stack(rows: Sequence[np.ndarray], width_px: int) -> np.ndarray:
     """Rows below one another, with margins around them."""
-    height = 2 * MARGIN + sum(len(picture) for picture in rows) + GAP * (len(rows) - 1)
-    canvas = blank(width_px, height)
-    top = MARGIN
-    for picture in rows:
-        paste(canvas, picture, MARGIN, top)
-        top += len(picture) + GAP
+    inner = below(rows, inner_width(width_px))
+    canvas = blank(width_px, len(inner) + 2 * MARGIN)
+    paste(canvas, inner, MARGIN, MARGIN)
     return canvas

@@ -1,4 +1,4 @@
-"""Omnidirectional depth by one combined sweep and 2D regularisation (paper, section III-B; RtHexa-OmniMVS)."""
+"""Omnidirectional depth by one combined sweep and 2D regularisation (paper, section IV-B; RtHexa-OmniMVS)."""
 
 from collections.abc import Iterator, Sequence
 

@@ -1,4 +1,4 @@
-"""The coloring module: candidate voxels attend to image features (paper, 'Coloring Module', eq. 1)."""
+"""The coloring module: candidate voxels attend to image features (paper, section IV-C, eq. 1)."""
 
 from collections.abc import Sequence
 from functools import lru_cache

@@ -1,4 +1,4 @@
-"""3D encoder-decoder with skips (paper, section III-E)."""
+"""3D encoder-decoder with skips (paper, section IV-F)."""
 
 from itertools import pairwise
 

@@ -1,4 +1,4 @@
-"""A small fully convolutional head (paper, section III-C)."""
+"""A small fully convolutional head (paper, section IV-D)."""
 
 from jaxtyping import Float
 from torch import Tensor, nn

@@ -1,4 +1,4 @@
-"""Cylinder sketch: candidates from omnidirectional depth (paper, section III-C)."""
+"""Cylinder sketch: candidates from omnidirectional depth (paper, section IV-B)."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-"""Mean of aligned volumes (paper, section III-D, eq. 2)."""
+"""Mean of aligned volumes (paper, section IV-E, eq. 2)."""
 
 import torch
 from jaxtyping import Bool, Float

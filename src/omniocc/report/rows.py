@@ -1,0 +1,40 @@
+"""Which row of the tables a run belongs to: that of its name, or else that of its configuration."""
+
+import functools
+from collections.abc import Sequence
+from pathlib import Path
+
+from omniocc.config import compose_plain
+from omniocc.report.runs import FinishedRun, compared
+
+
+def assign_rows(runs: Sequence[FinishedRun], conf: Path, rows: Sequence[str]) -> list[FinishedRun]:
+    """Return the runs, each with its row.
+
+    A run whose name is that of a row belongs to it. Any other run (`name=demo`) belongs to the first row that Hydra
+    composes to the run's configuration with the run's preset and no other override; a run that no row composes to
+    stays in a row of its own.
+
+    Args:
+        runs: finished runs.
+        conf: folder of the configuration, with the rows in `ablation/<row>.yaml`.
+        rows: names of the tables' rows; those without a file in `conf` are found by name alone.
+
+    Raises:
+        ConfigError: when a row cannot be composed.
+    """
+    named = {*rows, *(path.stem for path in (conf / "ablation").glob("*.yaml"))}
+    tried = [row for row in dict.fromkeys([*rows, *sorted(named)]) if (conf / "ablation" / f"{row}.yaml").exists()]
+
+    @functools.cache
+    def composed(preset: str, row: str) -> dict:
+        return compared(compose_plain(conf, "train", [f"preset={preset}", f"+ablation={row}"]))
+
+    def assigned(run: FinishedRun) -> FinishedRun:
+        preset = run.config.get("preset", {}).get("name")
+        if run.row in named or not (conf / "preset" / f"{preset}.yaml").exists():
+            return run
+        config = compared(run.config)
+        return run._replace(same_as=next((row for row in tried if composed(preset, row) == config), None))
+
+    return [assigned(run) for run in runs]

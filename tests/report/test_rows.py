@@ -1,0 +1,67 @@
+"""Runs find their row by name, or by configuration."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+import yaml
+
+from omniocc.config import ConfigError, compose_plain
+from omniocc.report.paper_table import as_markdown
+from omniocc.report.rows import assign_rows
+from omniocc.report.runs import FinishedRun
+from omniocc.report.sweep import read_sweep
+
+ROOT = Path(__file__).parents[2]
+CONF = ROOT / "conf"
+ROWS = sorted(path.stem for path in (CONF / "ablation").glob("*.yaml"))
+
+
+def run_of(name: str, *overrides: str) -> FinishedRun:
+    config = compose_plain(CONF, "train", ["preset=smoke", *overrides])
+    return FinishedRun(f"{name}-0123abcd", {"seed": 3}, {}, config=yaml.safe_load(yaml.safe_dump(config)))
+
+
+def test_every_row_is_told_by_its_configuration():
+    mine = ("name=mine", "seed=3", "paths.data=elsewhere", "data.num_workers=0", "pictures=0", "logger.mode=disabled")
+    runs = [run_of("mine", f"+ablation={row}", *mine) for row in ROWS]
+    assert [run.row for run in assign_rows(runs, CONF, ["ours"])] == ROWS
+
+
+def test_other_configurations_and_the_names_of_rows_stay():
+    runs = [
+        run_of("deep", "preset.lifter.layers=2"),
+        run_of("mono"),
+        run_of("of_a_table"),
+        run_of("demo"),
+        FinishedRun("nothing saved-0123abcd", {}, {}),
+        run_of("lost", "preset.name=gone"),
+    ]
+    found = assign_rows(runs, CONF, ["of_a_table"])
+    assert [run.row for run in found] == ["deep", "mono", "of_a_table", "ours", "nothing saved", "lost"]
+
+
+def test_a_row_that_cannot_be_composed_is_named(tmp_path):
+    shutil.copytree(CONF, tmp_path / "conf")
+    (tmp_path / "conf" / "ablation" / "broken.yaml").write_text(
+        "# @package _global_\ndefaults: [override /model: gone]\n"
+    )
+    with pytest.raises(ConfigError, match=r"\+ablation=broken"):
+        assign_rows([run_of("demo")], tmp_path / "conf", ["broken"])
+
+
+def test_the_demo_is_the_row_ours(runs, tmp_path):
+    shutil.copytree(runs / "dense-00000001", tmp_path / "demo-0123abcd")
+    facts = json.loads((tmp_path / "demo-0123abcd" / "metrics.json").read_text())
+    (tmp_path / "demo-0123abcd" / "metrics.json").write_text(json.dumps(facts | {"run": "demo-0123abcd"}))
+    config = compose_plain(CONF, "train", ["name=demo", "preset=tiny"])
+    (tmp_path / "demo-0123abcd" / "config.yaml").write_text(yaml.safe_dump(config))
+    sweep = read_sweep(tmp_path, ROOT / "sweeps", CONF, None)
+    assert list(sweep.rows) == ["ours"]
+    assert "ours" not in sweep.not_run
+    assert "Counted in the row whose configuration they have: demo-0123abcd (ours)." in sweep.remark
+    (table,) = (table for table in sweep.tables if table.number == 2)
+    lines = [line for line in as_markdown(table, sweep.rows).splitlines() if "OmniDepth-Occ" in line]
+    assert lines
+    assert not any("not run" in line for line in lines)
