@@ -26,7 +26,7 @@ test: $(READY)  ## Run the tests (COVERAGE=1: and print how many lines they ran)
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal $(if $(COVERAGE),--cov)
 
 test-typecheck: $(READY)  ## Run four folders of tests again, with every shape annotation checked
-	$(BIN)/python tests/typecheck/run.py
+	$(BIN)/python tools/typecheck.py
 
 lint: $(READY)  ## Check style
 	$(BIN)/ruff check .
