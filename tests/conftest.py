@@ -17,12 +17,23 @@ torch.set_num_threads(1)
 ROOT = Path(__file__).parents[1]
 
 
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Long tests first, so that at the end no process is left alone with one (short ones move to an idle process)."""
+    items.sort(key=lambda item: item.get_closest_marker("slow") is None)
+
+
 @pytest.fixture(scope="session")
-def data_root(tmp_path_factory) -> Path:
-    """Rendered data shared by all test processes; the dataset's own lock keeps them apart."""
+def shared_folder(tmp_path_factory) -> Path:
+    """Return a folder that is the same in all test processes."""
     base = tmp_path_factory.getbasetemp()
-    shared = base.parent if os.environ.get("PYTEST_XDIST_WORKER") else base
-    return shared / "data"
+    return base.parent if os.environ.get("PYTEST_XDIST_WORKER") else base
+
+
+@pytest.fixture(scope="session")
+def data_root(shared_folder) -> Path:
+    """Rendered data shared by all test processes; the dataset's own lock keeps them apart."""
+    return shared_folder / "data"
 
 
 @functools.cache

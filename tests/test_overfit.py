@@ -1,5 +1,6 @@
 """One frame, learned by heart: everything between pixels and metric has to be in order for that."""
 
+import pytest
 import torch
 
 from omniocc.config import build
@@ -7,6 +8,7 @@ from omniocc.task.checkpoint import build_task
 from omniocc.task.scores import Scores
 
 
+@pytest.mark.slow
 def test_one_frame_is_learned_by_heart(data_root, smoke):
     torch.manual_seed(0)
     cfg = smoke(f"paths.data={data_root}", "preset.channels=16", "data.batch_size=1")
