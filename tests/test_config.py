@@ -103,12 +103,12 @@ def test_missing_argument_and_broken_interpolation_are_named():
 
 
 def test_unknown_root_key_is_refused(composed):
-    with pytest.raises(ConfigError, match=r"sed: train\.py has no such argument; did you mean 'seed'"):
+    with pytest.raises(ConfigError, match=r"sed: .*train\.py.*'seed'"):
         check_root(composed("+sed=1"))
 
 
 def test_foreign_targets_are_refused_for_configurations_of_strangers():
-    with pytest.raises(ConfigError, match="not in a trusted package"):
+    with pytest.raises(ConfigError, match="trusted"):
         check(OmegaConf.create({"x": {"_target_": "os.system", "command": "true"}}), packages=["omniocc"])
 
 

@@ -173,7 +173,7 @@ def test_a_stopped_run_goes_on(evaluated, scene, checkpoint, tmp_path, capsys, r
     assert (tmp_path / "metrics.json").read_text() == whole
     run(*arguments, "force=true")
     assert all(files[name].stat().st_mtime_ns != before[name] for name in MOMENTS)
-    with pytest.raises(UserError, match=r"made otherwise \(history: 'stream' then\).*force=true"):
+    with pytest.raises(UserError, match=r"otherwise.*history.*stream.*force=true"):
         run(*arguments, "history=none")
 
 
@@ -334,10 +334,10 @@ def test_the_depth_network_of_an_occupancy_checkpoint(checkpoint, tmp_path):
     content = torch.load(checkpoint, weights_only=True)
     rest = {name: value for name, value in content["state_dict"].items() if ".sketch." not in name}
     torch.save({"config": content["config"], "state_dict": rest}, tmp_path / "dense.ckpt")
-    with pytest.raises(UserError, match=r"dense\.ckpt holds no depth network"):
+    with pytest.raises(UserError, match=r"dense\.ckpt.*depth"):
         load_depth(tmp_path / "dense.ckpt")
 
 
 def test_a_scene_that_is_none_cannot_be_exported(tmp_path):
-    with pytest.raises(UserError, match="is no recorded scene"):
+    with pytest.raises(UserError, match="recorded scene"):
         export_scene(tmp_path, tmp_path / "out")

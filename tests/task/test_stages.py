@@ -33,9 +33,9 @@ def test_a_learned_sketch_has_stages_before_occupancy(omni):
 
 
 def test_a_stage_that_is_not_there_is_an_error_with_a_remedy(omni):
-    with pytest.raises(UserError, match="stage=skethc: choose one of depth, sketch, occupancy"):
+    with pytest.raises(UserError, match=r"stage=skethc.*depth, sketch, occupancy"):
         wanted_stages(omni("stage=skethc"))
-    with pytest.raises(UserError, match="choose model/sketch=omni"):
+    with pytest.raises(UserError, match="model/sketch=omni"):
         wanted_stages(omni("model/sketch=dense", "stage=depth"))
 
 
