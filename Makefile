@@ -3,15 +3,18 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+INSTALL ?= $(BIN)/python -m pip install --quiet --disable-pip-version-check
+CONSTRAINTS ?= constraints.txt
 PRESET ?= tiny
 
 help:  ## Show this list
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 $(READY): pyproject.toml constraints.txt
+	@$(PYTHON) tools/python_version.py
 	@echo "Setting up $(VENV) (about two minutes, once)"
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
+	$(INSTALL) $(if $(CONSTRAINTS),--constraint $(CONSTRAINTS)) --editable '.[dev]'
 	@touch $@
 
 setup: $(READY)  ## Make .venv from pyproject.toml and constraints.txt
@@ -19,8 +22,11 @@ setup: $(READY)  ## Make .venv from pyproject.toml and constraints.txt
 demo: $(READY)  ## Render streets, train, test on unseen streets, show table and picture (20 to 25 minutes on 2 cores; PRESET=smoke: one)
 	$(BIN)/python src/train.py name=demo preset=$(PRESET)
 
-test: $(READY)  ## Run the tests
-	$(BIN)/python -m pytest -n auto
+test: $(READY)  ## Run the tests (COVERAGE=1: and print how many lines they ran)
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal $(if $(COVERAGE),--cov)
+
+test-typecheck: $(READY)  ## Run four folders of tests again, with every shape annotation checked
+	$(BIN)/python tools/typecheck.py
 
 lint: $(READY)  ## Check style
 	$(BIN)/ruff check .
@@ -28,6 +34,10 @@ lint: $(READY)  ## Check style
 
 types: $(READY)  ## Check types
 	$(BIN)/pyright --pythonpath $(BIN)/python
+
+constraints: $(READY)  ## Write constraints.txt anew (UPGRADE=1: newest versions), look wheels up for every Python
+	$(BIN)/python tools/constraints.py $(if $(UPGRADE),upgrade)
+	$(BIN)/python tools/constraints.py check
 
 bench: $(READY)  ## Measure speed and memory (tests/bench)
 	@for script in tests/bench/bench_*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done
@@ -50,4 +60,4 @@ wandb-sync: $(READY)  ## Upload all offline W&B runs that are not there yet, and
 dashboard: $(READY)  ## Save the W&B dashboard to the project omniocc (docs/dashboards.md)
 	@$(BIN)/python -m omniocc.report.dashboard
 
-.PHONY: help setup demo test lint types bench ablations wandb-sync dashboard
+.PHONY: help setup demo test test-typecheck lint types constraints bench ablations wandb-sync dashboard

@@ -9,9 +9,11 @@ from omniocc.camera import Rig
 from omniocc.config import lines_not_tracebacks
 from omniocc.errors import UserError
 from omniocc.export import Options, export_files
+from omniocc.lazy_help import accept_lazy_help
 from train import quiet
 
 
+@accept_lazy_help
 @hydra.main(version_base="1.3", config_path="../conf", config_name="export")
 @lines_not_tracebacks
 def main(cfg: DictConfig) -> None:

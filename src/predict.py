@@ -18,6 +18,7 @@ from torch import nn
 from omniocc.camera import Equirectangular, Rig
 from omniocc.config import build, check, lines_not_tracebacks
 from omniocc.errors import UserError
+from omniocc.lazy_help import accept_lazy_help
 from omniocc.predict import (
     Frame,
     cloud_of,
@@ -33,6 +34,7 @@ from omniocc.view import predicted_sheet
 from train import quiet
 
 
+@accept_lazy_help
 @hydra.main(version_base="1.3", config_path="../conf", config_name="predict_depth")
 @lines_not_tracebacks
 def depth(cfg: DictConfig) -> None:
@@ -40,6 +42,7 @@ def depth(cfg: DictConfig) -> None:
     run(cfg, [str(override) for override in HydraConfig.get().overrides.task])
 
 
+@accept_lazy_help
 @hydra.main(version_base="1.3", config_path="../conf", config_name="predict_occupancy")
 @lines_not_tracebacks
 def occupancy(cfg: DictConfig) -> None:

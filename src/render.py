@@ -18,10 +18,12 @@ from omniocc.data.record import ScenePlan
 from omniocc.data.shares import share_table
 from omniocc.errors import UserError
 from omniocc.geometry import Cylinder
+from omniocc.lazy_help import accept_lazy_help
 
 LOOKED_AT_FRAMES = 400
 
 
+@accept_lazy_help
 @hydra.main(version_base="1.3", config_path="../conf", config_name="render")
 @lines_not_tracebacks
 def main(cfg: DictConfig) -> None:

@@ -17,6 +17,7 @@ from omegaconf import DictConfig, OmegaConf
 from omniocc.config import build, check_root, lines_not_tracebacks, plain
 from omniocc.data import Extras, OccupancyData
 from omniocc.io import atomic_write
+from omniocc.lazy_help import accept_lazy_help
 from omniocc.report.run import save_results, show_results
 from omniocc.task import Occupancy, StepProgress
 from omniocc.task.checkpoint import build_task
@@ -37,6 +38,7 @@ from omniocc.task.run_folder import (
 from omniocc.task.stages import Stages, is_learned, wanted_stages
 
 
+@accept_lazy_help
 @hydra.main(version_base="1.3", config_path="../conf", config_name="train")
 @lines_not_tracebacks
 def main(cfg: DictConfig) -> None:

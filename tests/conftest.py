@@ -1,10 +1,15 @@
 """One thread per test process: xdist already fills the cores, and sums keep one order."""
 
+import copy
+import functools
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import torch
+from hydra import compose, initialize_config_dir
+from omegaconf import DictConfig
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 torch.set_num_threads(1)
@@ -12,9 +17,42 @@ torch.set_num_threads(1)
 ROOT = Path(__file__).parents[1]
 
 
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Long tests first, so that at the end no process is left alone with one (short ones move to an idle process)."""
+    items.sort(key=lambda item: item.get_closest_marker("slow") is None)
+
+
 @pytest.fixture(scope="session")
-def data_root(tmp_path_factory) -> Path:
-    """Rendered data shared by all test processes; the dataset's own lock keeps them apart."""
+def shared_folder(tmp_path_factory) -> Path:
+    """Return a folder that is the same in all test processes."""
     base = tmp_path_factory.getbasetemp()
-    shared = base.parent if os.environ.get("PYTEST_XDIST_WORKER") else base
-    return shared / "data"
+    return base.parent if os.environ.get("PYTEST_XDIST_WORKER") else base
+
+
+@pytest.fixture(scope="session")
+def data_root(shared_folder) -> Path:
+    """Rendered data shared by all test processes; the dataset's own lock keeps them apart."""
+    return shared_folder / "data"
+
+
+@functools.cache
+def compose_once(name: str, overrides: tuple[str, ...]) -> DictConfig:
+    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
+        return compose(name, list(overrides))
+
+
+@pytest.fixture(scope="session")
+def composed() -> Callable[..., DictConfig]:
+    """Compose a configuration; the same one is composed once in a process, every caller gets a copy."""
+
+    def get(*overrides: str, name: str = "train") -> DictConfig:
+        return copy.deepcopy(compose_once(name, overrides))
+
+    return get
+
+
+@pytest.fixture(scope="session")
+def smoke(composed) -> Callable[..., DictConfig]:
+    """Compose `train.yaml` at the smallest sizes."""
+    return functools.partial(composed, "preset=smoke")

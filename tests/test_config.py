@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Literal
 
 import pytest
-from hydra import compose, initialize_config_dir
 from hydra.utils import get_object
 from omegaconf import OmegaConf
 
@@ -17,11 +16,6 @@ OPTIONS = sorted(
     for path in CONF.rglob("*.yaml")
     if path.parent != CONF and path.parts[len(CONF.parts)] not in ("preset", "ablation", "trainer", "hydra")
 )
-
-
-def composed(*overrides: str):
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        return compose("train", list(overrides))
 
 
 def loaded(path: Path) -> dict:
@@ -50,7 +44,7 @@ def test_option_file_and_class_share_a_name(path):
 
 
 @pytest.mark.parametrize("preset", ["tiny", "small", "paper"])
-def test_every_preset_composes_and_passes_the_check(preset):
+def test_every_preset_composes_and_passes_the_check(preset, composed):
     check_root(composed(f"preset={preset}"))
 
 
@@ -61,20 +55,20 @@ def slot_options():
 
 
 @pytest.mark.parametrize("override", list(slot_options()))
-def test_every_slot_option_builds_a_model(override):
+def test_every_slot_option_builds_a_model(override, composed):
     cfg = composed(override, *(["model/sketch=omni"] if override.startswith("model/depth=") else []))
     check_root(cfg)
     model = build(cfg.model)
     assert model.geometry.shape == build(cfg.model.geometry).shape
 
 
-def test_mono_sketches_on_monocular_depth_unless_told_otherwise():
+def test_mono_sketches_on_monocular_depth_unless_told_otherwise(composed):
     assert composed("model/sketch=omni").depth._target_ == "omniocc.model.depth.OmniMVS"
     assert composed("model/sketch=mono").depth._target_ == "omniocc.model.depth.Mono"
     assert composed("model/sketch=mono", "model/depth=truth").depth._target_ == "omniocc.model.depth.Truth"
 
 
-def test_all_problems_are_reported_at_once_with_hints():
+def test_all_problems_are_reported_at_once_with_hints(composed):
     cfg = composed(
         "+model.lifter.heds=3", "model.lifter.points=abc", "model.sketch._target_=omniocc.model.sketch.Nope", "seed=x"
     )
@@ -108,13 +102,13 @@ def test_missing_argument_and_broken_interpolation_are_named():
     assert any(line == "part.final_share: omniocc.task.AdamW needs it" for line in caught.value.problems)
 
 
-def test_unknown_root_key_is_refused():
-    with pytest.raises(ConfigError, match=r"sed: train\.py has no such argument; did you mean 'seed'"):
+def test_unknown_root_key_is_refused(composed):
+    with pytest.raises(ConfigError, match=r"sed: .*train\.py.*'seed'"):
         check_root(composed("+sed=1"))
 
 
 def test_foreign_targets_are_refused_for_configurations_of_strangers():
-    with pytest.raises(ConfigError, match="not in a trusted package"):
+    with pytest.raises(ConfigError, match="trusted"):
         check(OmegaConf.create({"x": {"_target_": "os.system", "command": "true"}}), packages=["omniocc"])
 
 

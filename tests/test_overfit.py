@@ -1,21 +1,17 @@
 """One frame, learned by heart: everything between pixels and metric has to be in order for that."""
 
-from pathlib import Path
-
+import pytest
 import torch
-from hydra import compose, initialize_config_dir
 
 from omniocc.config import build
 from omniocc.task.checkpoint import build_task
 from omniocc.task.scores import Scores
 
-CONF = Path(__file__).parents[1] / "conf"
 
-
-def test_one_frame_is_learned_by_heart(data_root):
+@pytest.mark.slow
+def test_one_frame_is_learned_by_heart(data_root, smoke):
     torch.manual_seed(0)
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        cfg = compose("train", ["preset=smoke", f"paths.data={data_root}", "preset.channels=16", "data.batch_size=1"])
+    cfg = smoke(f"paths.data={data_root}", "preset.channels=16", "data.batch_size=1")
     data = build(cfg.data)
     data.prepare_data()
     data.setup()

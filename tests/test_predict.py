@@ -3,13 +3,13 @@
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 import torch
-from hydra import compose, initialize_config_dir
 
 import predict as script
 from omniocc.camera import Rig
@@ -47,10 +47,9 @@ def frames(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def checkpoint(tmp_path_factory) -> Path:
+def checkpoint(tmp_path_factory, smoke) -> Path:
     """What the depth stage leaves, with the weights it begins with."""
-    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
-        cfg = compose("train", ["preset=smoke", "model/depth=mono"])
+    cfg = smoke("model/depth=mono")
     weights = {f"model.{name}": value for name, value in build(cfg.depth).state_dict().items()}
     path = tmp_path_factory.mktemp("stage") / "last.ckpt"
     torch.save({"config": plain(cfg), "state_dict": weights}, path)
@@ -71,14 +70,17 @@ def test_frames_without_weights(frames, tmp_path):
         assert ((code > 0) == np.isfinite(range_m)).all()
 
 
-def run_here(*overrides: str) -> None:
-    """Without the seconds that a process needs to begin."""
-    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
-        cfg = compose("predict_depth", list(overrides))
-    script.run(cfg, list(overrides))
+@pytest.fixture
+def run_here(composed) -> Callable[..., None]:
+    """Run the script in this process, without the seconds that another one needs to begin."""
+
+    def run(*overrides: str) -> None:
+        script.run(composed(*overrides, name="predict_depth"), list(overrides))
+
+    return run
 
 
-def test_a_checkpoint_and_a_list_of_pictures(frames, checkpoint, tmp_path, capsys):
+def test_a_checkpoint_and_a_list_of_pictures(frames, checkpoint, tmp_path, capsys, run_here):
     names = Rig.load("fisheye6").names
     listed = ",".join(str(frames / "0000" / f"{name}.png") for name in names)
     run_here("rig=fisheye6", f"images=[{listed}]", f"checkpoint={checkpoint}", f"output={tmp_path}", "without=[rear]")
@@ -87,7 +89,7 @@ def test_a_checkpoint_and_a_list_of_pictures(frames, checkpoint, tmp_path, capsy
     assert (tmp_path / "points.ply").stat().st_size > 300
 
 
-def test_a_checkpoint_takes_other_edges_but_not_other_sizes_of_its_network(frames, checkpoint, tmp_path):
+def test_a_checkpoint_takes_other_edges_but_not_other_sizes_of_its_network(frames, checkpoint, tmp_path, run_here):
     arguments = ("rig=fisheye6", f"images={frames / '0000'}", f"checkpoint={checkpoint}", f"output={tmp_path}")
     run_here(*arguments, "depth.erp_bottom_deg=-60")
     assert float(np.load(tmp_path / "range.npz")["bottom_deg"]) == -60
@@ -95,7 +97,7 @@ def test_a_checkpoint_takes_other_edges_but_not_other_sizes_of_its_network(frame
         run_here(*arguments, "+depth.channels=[8,8,8,8]")
 
 
-def test_mistakes_are_named(frames, checkpoint, tmp_path):
+def test_mistakes_are_named(frames, checkpoint, tmp_path, run_here):
     lacking = tmp_path / "lacking"
     shutil.copytree(frames / "0000", lacking)
     (lacking / "rear.png").unlink()

@@ -9,11 +9,14 @@ import time
 from pathlib import Path
 
 import pytest
+from filelock import FileLock
 
 from omniocc.report.dashboard import KEYS
 from omniocc.task.wandb_file import files_of, history, records
 
 ROOT = Path(__file__).parents[1]
+TWELVE_STEPS = ("trainer.max_steps=12", "checkpoint_every_n_steps=1")  # time enough to be killed in
+pytestmark = pytest.mark.slow
 
 
 def command(script: str, *arguments: str) -> list[str]:
@@ -35,11 +38,23 @@ def metrics_of(folder: Path, name: str) -> dict:
     return json.loads(path.read_text())["metrics"]
 
 
-def test_a_run_leaves_figures_pictures_and_curves(tmp_path, data_root):
-    arguments = smoke(data_root, "name=first", "logger.mode=offline", "pictures=1")
-    result = run("train.py", *arguments, cwd=tmp_path)
-    assert result.returncode == 0, result.stdout + result.stderr
-    metrics = metrics_of(tmp_path, "first")
+@pytest.fixture(scope="session")
+def whole(shared_folder, data_root) -> tuple[Path, list[str]]:
+    """Folder and arguments of one run to its end, made once for all test processes; what it said is in `said.txt`."""
+    folder = shared_folder / "whole"
+    arguments = smoke(data_root, *TWELVE_STEPS, "name=whole", "logger.mode=offline", "pictures=1")
+    with FileLock(f"{folder}.lock"):
+        if not (folder / "said.txt").exists():
+            folder.mkdir(exist_ok=True)
+            result = run("train.py", *arguments, cwd=folder)
+            assert result.returncode == 0, result.stdout + result.stderr
+            (folder / "said.txt").write_text(result.stdout)
+    return folder, arguments
+
+
+def test_a_run_leaves_figures_pictures_and_curves(whole):
+    place, arguments = whole
+    metrics = metrics_of(place, "whole")
     for key in (
         "test/rayiou",
         "test/rayiou@1",
@@ -51,15 +66,15 @@ def test_a_run_leaves_figures_pictures_and_curves(tmp_path, data_root):
     ):
         assert key in metrics
     assert metrics["label/rayiou"] == 1.0
-    (folder,) = tmp_path.glob("runs/first-*")
+    (folder,) = place.glob("runs/whole-*")
     facts = json.loads((folder / "metrics.json").read_text())
     assert min(facts[key] for key in ("million parameters", "GFLOP a frame", "peak MiB")) > 0
     assert list(folder.glob("pictures/test-00-*.png"))
     assert list(folder.glob("wandb/offline-run-*/*.wandb"))
     assert (folder / "config.yaml").exists()
-    assert "RayIoU" in result.stdout
+    assert "RayIoU" in (place / "said.txt").read_text()
 
-    again = run("train.py", *arguments, cwd=tmp_path)
+    again = run("train.py", *arguments, cwd=place)
     assert again.returncode == 0
     assert "is finished" in again.stdout
 
@@ -68,18 +83,15 @@ def test_a_run_leaves_figures_pictures_and_curves(tmp_path, data_root):
         str(folder / "best.ckpt" if (folder / "best.ckpt").exists() else folder / "last.ckpt"),
         "--pictures",
         "0",
-        cwd=tmp_path,
+        cwd=place,
     )
     assert evaluated.returncode == 0, evaluated.stdout + evaluated.stderr
     (path,) = folder.glob("evaluation-*/metrics.json")
     assert json.loads(path.read_text())["metrics"] == metrics
 
 
-def test_killed_training_continues_to_the_same_figures(tmp_path, data_root):
-    arguments = smoke(data_root, "trainer.max_steps=12", "checkpoint_every_n_steps=1", "pictures=0")
-    whole = run("train.py", *arguments, "name=whole", cwd=tmp_path)
-    assert whole.returncode == 0, whole.stdout + whole.stderr
-
+def test_killed_training_continues_to_the_same_figures(tmp_path, data_root, whole):
+    arguments = smoke(data_root, *TWELVE_STEPS, "pictures=0")
     process = subprocess.Popen(
         command("train.py", *arguments, "name=killed"), cwd=tmp_path, stdout=subprocess.DEVNULL, start_new_session=True
     )
@@ -94,7 +106,7 @@ def test_killed_training_continues_to_the_same_figures(tmp_path, data_root):
     resumed = run("train.py", *arguments, "name=killed", cwd=tmp_path)
     assert resumed.returncode == 0, resumed.stdout + resumed.stderr
     assert "goes on from" in resumed.stdout
-    assert metrics_of(tmp_path, "killed") == pytest.approx(metrics_of(tmp_path, "whole"), abs=1e-6, nan_ok=True)
+    assert metrics_of(tmp_path, "killed") == pytest.approx(metrics_of(whole[0], "whole"), abs=1e-6, nan_ok=True)
 
 
 def test_a_damaged_checkpoint_costs_the_steps_since_the_one_before(tmp_path, data_root):

@@ -231,7 +231,7 @@ def test_kitti360_folder_has_poses(tmp_path, load):
     assert right[1, 2] < -0.99
     assert right[:3, 1].tolist() == pytest.approx([0, 0, -1], abs=2e-3), "down is down"
     (tmp_path / "calib_cam_to_pose.txt").write_text(KITTI360_POSES.splitlines()[0])
-    with pytest.raises(ValueError, match=r"calib_cam_to_pose\.txt: image_02 is missing; it holds image_00"):
+    with pytest.raises(ValueError, match=r"calib_cam_to_pose\.txt: image_02.*missing.*image_00"):
         Rig.load(tmp_path)
 
 
@@ -262,7 +262,7 @@ def test_a_rig_file_may_name_calibration_files(tmp_path, load):
     rig = load(text, "rig.yaml")
     assert rig.cameras == Rig.load(tmp_path / "front.yaml").cameras
     assert rig.ego_from_camera[0, :3, 3].tolist() == [2, 0, -1]
-    with pytest.raises(ValueError, match=r"rig\.yaml: camera 'a': calibration chain\.yaml holds 4 cameras"):
+    with pytest.raises(ValueError, match=r"rig\.yaml: camera 'a'.*chain\.yaml.* 4 cameras"):
         load(text.replace("front.yaml", "chain.yaml"), "rig.yaml")
 
 
@@ -276,36 +276,36 @@ def test_what_was_read_is_saved_as_a_rig_file(text, load, tmp_path):
 @pytest.mark.parametrize(
     ("text", "old", "new", "message"),
     [
-        (OPENCV, "0., 0., 1. ]", "0., 0.]", "camera_matrix says 3x3 but holds 8 numbers; is the file whole"),
-        (OPENCV, "3.0245305983229298e+02", ".Nan", "camera_matrix is '.Nan'; it must be a number"),
-        (OPENCV, "3.0245305983229298e+02", ".nan", "camera_matrix is nan; it must be a finite number"),
+        (OPENCV, "0., 0., 1. ]", "0., 0.]", "camera_matrix.*3x3.* 8 numbers"),
+        (OPENCV, "3.0245305983229298e+02", ".Nan", "camera_matrix is '.Nan'"),
+        (OPENCV, "3.0245305983229298e+02", ".nan", "camera_matrix is nan.*finite"),
         (OPENCV, "3.0245305983229298e+02", "-5.", "focal_px is -5.0"),
-        (OPENCV, "data: [ 960, 640 ]", "data: [ 960.5, 640 ]", "resolution is 960.5; it must be a whole number"),
+        (OPENCV, "data: [ 960, 640 ]", "data: [ 960.5, 640 ]", "resolution is 960.5.*whole"),
         (OPENCV, "resolution:", "resolutoin:", "resolution or image_width is missing"),
         (OPENCV, "dist_coeffs", "dist", "dist_coeffs or distortion_coefficients is missing"),
-        (OPENCV, "0., 0., 1. ]", "0., 0.", "no YAML that can be read"),
-        (ROS, "data: [0, 0, 0, 0, 0]", "data: [0.1, 0, 0, 0, 0]", "undistort the images"),
+        (OPENCV, "0., 0., 1. ]", "0., 0.", "no YAML"),
+        (ROS, "data: [0, 0, 0, 0, 0]", "data: [0.1, 0, 0, 0, 0]", "undistort"),
         (ROS, "300.0, 0, 320", "300.0, 0.1, 320", "camera_matrix is"),
-        (KALIBR, "[752, 480]\n  rostopic", "[752]\n  rostopic", "cam0: resolution is .*must be 2 numbers"),
-        (KALIBR, "[2.2134, ", "[", "cam1: intrinsics is .*must be 5 numbers"),
-        (KALIBR, "radtan", "fov", "cam1: camera_model omni with distortion_model fov is not among the models"),
-        (KALIBR, "- [1.0, 0.0, 0.0, -0.11]", "- [2.0, 0.0, 0.0, -0.11]", "cam1: T_cn_cnm1: its 3x3 part stretches"),
-        (KALIBR, "- [1.0, 0.0, 0.0, -0.11]", "- [1.0, 0.0, -0.11]", "cam1: T_cn_cnm1 .* every row must hold 4"),
+        (KALIBR, "[752, 480]\n  rostopic", "[752]\n  rostopic", "cam0: resolution.* 2 numbers"),
+        (KALIBR, "[2.2134, ", "[", "cam1: intrinsics.* 5 numbers"),
+        (KALIBR, "radtan", "fov", "cam1: camera_model.*omni.*distortion_model.*fov"),
+        (KALIBR, "- [1.0, 0.0, 0.0, -0.11]", "- [2.0, 0.0, 0.0, -0.11]", "cam1: T_cn_cnm1.*stretches"),
+        (KALIBR, "- [1.0, 0.0, 0.0, -0.11]", "- [1.0, 0.0, -0.11]", "cam1: T_cn_cnm1.*row.* 4"),
         (KALIBR, "0.56574", "1.56574", "cam2: alpha is 1.56574"),
         (KALIBR, "cam1:", "cam7:", "cam1 is missing"),
-        (OCAMCALIB, "5 -1.966560e+02", "6 -1.966560e+02", "polynomial announces 6 coefficients and holds 5"),
+        (OCAMCALIB, "5 -1.966560e+02", "6 -1.966560e+02", "polynomial.* 6 coefficients.* 5"),
         (OCAMCALIB, "5 -1.966560e+02", "5 nan", "polynomial is nan"),
-        (OCAMCALIB, "\n768 800\n", "", "4 lines of numbers; OCamCalib writes 5"),
-        (OCAMCALIB, "-1.966560e+02", "1.966560e+02", r"polynomial\[0\] is 196.656; it must be negative"),
-        (KITTI360, "model_type: MEI", "model_type: SCARAMUZZA", "model_type is 'SCARAMUZZA'; .* only MEI"),
+        (OCAMCALIB, "\n768 800\n", "", "4 lines.* 5"),
+        (OCAMCALIB, "-1.966560e+02", "1.966560e+02", r"polynomial\[0\] is 196.656.*negative"),
+        (KITTI360, "model_type: MEI", "model_type: SCARAMUZZA", "model_type.*SCARAMUZZA.*MEI"),
         (KITTI360, "   xi: 2.5535139132482758e+00\n", "   x: 0\n", "xi is missing"),
         (KITTI360, "1.4854388981875156e+03", "0.0", "focal_px is 0.0"),
         (KITTI360, "1.4854388981875156e+03", ".inf", "gamma1 is inf"),
-        (OMNIMVS, "pose: [0.0, 0.0, 0.0, 0.0, 0.0, 0.6]", "pose: [0.0]", "cam1: pose is .*must be 6 numbers"),
-        (OMNIMVS, "[3, 320.0, 190.0, -49.0]", "[3, 320.0]", "cam2: inv_poly announces 3 coefficients and holds 1"),
+        (OMNIMVS, "pose: [0.0, 0.0, 0.0, 0.0, 0.0, 0.6]", "pose: [0.0]", "cam1: pose.* 6 numbers"),
+        (OMNIMVS, "[3, 320.0, 190.0, -49.0]", "[3, 320.0]", "cam2: inv_poly.* 3 coefficients.* 1"),
         (OMNIMVS, "max_fov: 220.0", "max_fov: 400.0", "cam1: max_angle_deg is 200.0"),
         (OMNIMVS, 'model: "ocam"', 'model: "pinhole"', "cam1: model is 'pinhole'"),
-        (OMNIMVS, OMNIMVS[OMNIMVS.index("cameras:") :], "cameras: []", "cameras is an empty list"),
+        (OMNIMVS, OMNIMVS[OMNIMVS.index("cameras:") :], "cameras: []", "cameras.*empty"),
     ],
 )
 def test_broken_files_name_file_key_and_value(text, old, new, message, load):
@@ -321,7 +321,7 @@ def test_other_files_are_told_what_is_known(text, load):
 
 
 def test_folder_without_calibration_and_binary_file(tmp_path):
-    with pytest.raises(ValueError, match="name the calibration file"):
+    with pytest.raises(ValueError, match="calibration file"):
         Rig.load(tmp_path)
     (tmp_path / "picture.png").write_bytes(b"\x89PNG\r\n\x1a\n\xff\xfe")
     with pytest.raises(ValueError, match=r"picture\.png: "):

@@ -73,5 +73,5 @@ def test_resized_sees_the_same_ray_at_the_scaled_pixel():
 
 
 def test_wrong_elevations_are_named():
-    with pytest.raises(ValueError, match=r"top_deg 10\.0 and bottom_deg 20\.0"):
+    with pytest.raises(ValueError, match=r"top_deg.* 10\.0.*bottom_deg.* 20\.0"):
         Equirectangular(4, 4, 10.0, 20.0)

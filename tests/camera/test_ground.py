@@ -74,7 +74,7 @@ def test_any_model_and_points_past_90_degrees(name, known, build_camera):
 def test_useless_points_are_named(corners):
     ground, pixels = cloth(corners["cameras"]["front"])
     camera = RIG.cameras[0]
-    with pytest.raises(ValueError, match="3 points; a pose needs at least 4"):
+    with pytest.raises(ValueError, match=r"3 points.* 4"):
         pose_from_ground(camera, pixels[:3], ground[:3])
     line = ground.clone()
     line[:, 1] = 2 * line[:, 0]
@@ -86,7 +86,7 @@ def test_useless_points_are_named(corners):
         pose_from_ground(camera, pixels, bumpy)
     outside = pixels.clone()
     outside[0] = torch.tensor([5.0, 5.0])
-    with pytest.raises(ValueError, match=r"does not see the pixels \[\[5.0, 5.0\]\]"):
+    with pytest.raises(ValueError, match=r"pixels.*\[\[5.0, 5.0\]\]"):
         pose_from_ground(camera, outside, ground)
 
 

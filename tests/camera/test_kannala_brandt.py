@@ -45,7 +45,7 @@ def test_rim_is_found_to_a_pixel_but_not_passed():
     ("change", "message"),
     [
         ({"focal_px": (0.0, 1.0)}, "focal_px is 0.0"),
-        ({"coefficients": (0.0, 0.0)}, "coefficients is .* must be 4 numbers"),
+        ({"coefficients": (0.0, 0.0)}, "coefficients is .* 4 numbers"),
         ({"coefficients": (0.0, 0.0, math.nan, 0.0)}, "coefficients is nan"),
         ({"max_angle_deg": 181.0}, "ends at 180"),
     ],

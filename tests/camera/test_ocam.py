@@ -37,8 +37,8 @@ def test_a_polynomial_that_turns_ends_the_model():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"polynomial": (196.0, 0.0)}, r"polynomial\[0\] is 196.0; it must be negative"),
-        ({"polynomial": ()}, "polynomial is .*1 to 40 numbers"),
+        ({"polynomial": (196.0, 0.0)}, r"polynomial\[0\] is 196.0.*negative"),
+        ({"polynomial": ()}, "polynomial is .*1 to 40"),
         ({"affine": (0.0, 1.0, 1.0)}, "affine is"),
         ({"max_angle_deg": 220.0}, "max_angle_deg is 220"),
     ],

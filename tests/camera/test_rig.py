@@ -151,7 +151,7 @@ POSE = "{position_m: [0.9, 0, 0], yaw_deg: 0, pitch_deg: -10, roll_deg: 0}"
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("model: equidistant", "model: equidistnat", "unknown model 'equidistnat'; did you mean 'equidistant'"),
+        ("model: equidistant", "model: equidistnat", "equidistnat.*equidistant"),
         ("focal_px: 12.0", "focal_px: .nan", "focal_px is nan"),
         ("    focal_px: 12.0\n", "", "focal_px is missing"),
         ("focal_px: 12.0", "focal_px: twelve", "focal_px is 'twelve'"),
@@ -162,8 +162,8 @@ POSE = "{position_m: [0.9, 0, 0], yaw_deg: 0, pitch_deg: -10, roll_deg: 0}"
         (POSE, "[[-1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]", "determinant -1"),
         (POSE, "[[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,1,1]]", "last row"),
         (POSE, "[1, 2, 3]", r"ego_from_camera is \[1, 2, 3\]"),
-        (POSE, POSE + "\n    mask: none.png", "none.png does not exist"),
-        (POSE, POSE + "\n    mask: wrong.png", "wrong.png is 5x4 px but the image is 40x20 px"),
+        (POSE, POSE + "\n    mask: none.png", "none.png.*exist"),
+        (POSE, POSE + "\n    mask: wrong.png", "wrong.png.*5x4 px.*40x20 px"),
     ],
 )
 def test_wrong_calibration_names_file_camera_and_value(tmp_path, old, new, message):
@@ -176,7 +176,7 @@ def test_wrong_calibration_names_file_camera_and_value(tmp_path, old, new, messa
 
 
 def test_unreadable_files_are_named(tmp_path):
-    with pytest.raises(ValueError, match="did you mean 'fisheye6'"):
+    with pytest.raises(ValueError, match="'fisheye6'"):
         Rig.load("fisheye")
     for text in ("", "cameras:", "cameras: [", "camera: {}"):
         (tmp_path / "bad.yaml").write_text(text)
@@ -188,11 +188,11 @@ def test_wrong_arguments_are_named():
     rig = two_cameras()
     with pytest.raises(ValueError, match="not unique"):
         Rig(rig.cameras, rig.ego_from_camera, ("a", "a"))
-    with pytest.raises(ValueError, match="2 cameras, 1 names"):
+    with pytest.raises(ValueError, match=r"2 cameras.* 1 names"):
         Rig(rig.cameras, rig.ego_from_camera, ("a",))
-    with pytest.raises(ValueError, match="camera 'front': mask is 3x2 px"):
+    with pytest.raises(ValueError, match=r"front.*mask.*3x2 px"):
         Rig(rig.cameras, rig.ego_from_camera, rig.names, (torch.ones(2, 3, dtype=torch.bool), None))
-    with pytest.raises(ValueError, match="camera 'rear': ego_from_camera is not rigid"):
+    with pytest.raises(ValueError, match=r"rear.*ego_from_camera.*rigid"):
         Rig(
             rig.cameras,
             torch.stack([rig.ego_from_camera[0], torch.diag(torch.tensor([1.0, 1, 3, 1])).double()]),

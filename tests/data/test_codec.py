@@ -50,7 +50,7 @@ def test_range_codes():
     np.testing.assert_array_equal(
         codec.restore_range(codes), [[np.nan, np.inf, 1 / 256, 1 / 256, 1.0, 257 / 256, 65533 / 256, 65534 / 256]]
     )
-    with pytest.raises(ValueError, match=r"negative, got -1\.0 m"):
+    with pytest.raises(ValueError, match=r"negative.*-1\.0 m"):
         codec.quantize_range(-np.ones((1, 1), dtype=np.float32))
 
 

@@ -113,10 +113,10 @@ def test_a_damaged_voxel_cache_costs_a_warning_and_gives_the_same_labels(own_wor
     raw = bytearray(shard.read_bytes())
     raw[600:2600] = bytes(2000)
     shard.write_bytes(raw)
-    with pytest.warns(UserWarning, match=r"voxels are voted anew: .*train-000-downtown.*frame 1"):
+    with pytest.warns(UserWarning, match=r"voxels.*train-000-downtown.*frame 1"):
         assert torch.equal(dataset(own_world)[1].voxels, expected)
     (folder / "index.json").write_text("{}")
-    with pytest.warns(UserWarning, match=r"index\.json: .*its checksum differs"):
+    with pytest.warns(UserWarning, match=r"index\.json.*checksum"):
         assert torch.equal(dataset(own_world)[1].voxels, expected)
     assert torch.equal(dataset(own_world)[1].voxels, expected)  # made anew: no warning any more
 
@@ -128,7 +128,7 @@ def test_damaged_recordings_are_one_error_naming_scene_frame_and_member(own_worl
     raw = bytearray(shard.read_bytes())
     raw[offset + 100] ^= 255
     shard.write_bytes(raw)
-    with pytest.raises(DataError, match=r"scene 'train-001-suburb', frame 0, member 'rgb0\.jpg': checksum differs"):
+    with pytest.raises(DataError, match=r"train-001-suburb.*frame 0.*rgb0\.jpg.*checksum"):
         dataset(own_world)[4]
 
 

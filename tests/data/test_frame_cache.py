@@ -33,7 +33,7 @@ def test_one_flipped_bit_is_found_and_the_frame_named(candidates):
     blob[20] ^= 4
     candidates.path("street").write_bytes(blob)
     assert candidates.read("street", 0).all()
-    with pytest.raises(DataError, match=r"street\.frames: frame 1 is damaged"):
+    with pytest.raises(DataError, match=r"street\.frames.*frame 1.*damaged"):
         candidates.read("street", 1)
 
 
@@ -41,7 +41,7 @@ def test_a_missing_file_and_a_frame_beyond_the_end_are_errors(candidates):
     with pytest.raises(DataError, match="cannot be read"):
         candidates.read("street", 0)
     candidates.write("street", [torch.ones(3, 5, 7, dtype=torch.bool)])
-    with pytest.raises(DataError, match="frame 1 is damaged"):
+    with pytest.raises(DataError, match=r"frame 1.*damaged"):
         candidates.read("street", 1)
 
 

@@ -111,7 +111,7 @@ def test_members_side_by_side_are_one_request(world):
 def test_a_server_without_byte_ranges_is_named(world):
     server, url = serve(world.root, WholeHandler)
     reader = SceneReader(f"{url}/{world.name}/train-000-downtown")
-    with pytest.raises(DataError, match=r"train-000-downtown/frames-000\.tar: .*does not support byte ranges"):
+    with pytest.raises(DataError, match=r"train-000-downtown/frames-000\.tar: .*byte ranges"):
         reader.read(1, ["rgb0.jpg"])
     server.shutdown()
     server.server_close()
@@ -125,7 +125,7 @@ def test_damage_in_a_store_is_named(world):
     raw = bytearray(store.cat(f"{place}/frames-000.tar"))
     raw[reader.index["frames"][0]["offset"][3] + 9] ^= 1
     store.pipe(f"{place}/frames-000.tar", bytes(raw))
-    with pytest.raises(DataError, match=r"frame 0, member 'rgb2\.jpg': checksum differs\. Copy the scene there again"):
+    with pytest.raises(DataError, match=r"frame 0.*rgb2\.jpg.*checksum.*[Cc]opy"):
         reader.read(0, ["rgb2.jpg"])
     assert any(
         "frames-000.tar: scene 'train-000-downtown': its checksum" in line for line in check_scene(reader, 4, 0.5)
@@ -135,14 +135,12 @@ def test_damage_in_a_store_is_named(world):
 
 def test_nothing_is_written_to_a_store(tmp_path):
     world = FakeWorld("memory://empty/data", cache=str(tmp_path))
-    with pytest.raises(
-        DataError, match=r"4 scenes are missing there.*writes to local folders only: render with data\.w"
-    ):
+    with pytest.raises(DataError, match=r"4 scenes.*missing.*local.*data\.w"):
         world.prepare()
-    with pytest.raises(ValueError, match=r"root is a URL \(memory://empty\): set cache to a local folder"):
+    with pytest.raises(ValueError, match=r"root.*memory://empty.*cache"):
         FakeWorld("memory://empty")
     gone = VirtualWorld.reader(world, world.plans[0])
-    with pytest.raises(DataError, match=r"memory://empty/data/.*meta\.json: .*the file is missing"):
+    with pytest.raises(DataError, match=r"memory://empty/data/.*meta\.json: .*missing"):
         len(gone)
 
 

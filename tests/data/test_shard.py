@@ -165,7 +165,7 @@ def test_a_full_disk_is_one_clear_error_and_loses_nothing(tmp_path, monkeypatch)
     with monkeypatch.context() as patch:
         patch.setattr("omniocc.data.shard._write_all", full)
         writer = SceneWriter(target, LIMIT)
-        with pytest.raises(DataError, match=r"cannot write .*reference: the disk is full: free some space"):
+        with pytest.raises(DataError, match=r"write .*reference.*full"):
             writer.append(blobs(2), {})
     assert SceneWriter(target, LIMIT).num_frames == 2
     write(target, range(2, 6))

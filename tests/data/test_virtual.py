@@ -92,9 +92,9 @@ def test_the_papers_preset_has_four_scenes_of_each_theme(tmp_path):
     plans = VirtualWorld(**arguments).plans
     assert Counter(plan.theme for plan in plans) == dict.fromkeys(THEMES, 4)
     assert len(THEMES) == 8
-    with pytest.raises(ValueError, match="weather is hail: choose one of clear,"):
+    with pytest.raises(ValueError, match=r"weather.*hail.*clear"):
         VirtualWorld(**arguments, weather="hail")
-    with pytest.raises(ValueError, match="capture is lens: choose one of direct, cubemap"):
+    with pytest.raises(ValueError, match=r"capture.*lens.*direct, cubemap"):
         VirtualWorld(**arguments, capture="lens")
     for choice in ({"weather": "rain"}, {"label_mode": "geometry"}, {"capture": "cubemap"}, {"lidars": 8}):
         other = VirtualWorld(**arguments, **choice)
@@ -180,7 +180,7 @@ def test_ctrl_c_leaves_no_process_and_what_was_made(reference, tmp_path, render)
 @pytest.mark.parametrize("workers", [0, 2])
 def test_a_failing_frame_is_named_and_the_rest_kept(reference, tmp_path, workers):
     world = FakeWorld(tmp_path, workers=workers, fail_at=("train-001-suburb", 2))
-    with pytest.raises(RuntimeError, match=r"scene train-001-suburb, frame 2: ZeroDivisionError: no such street"):
+    with pytest.raises(RuntimeError, match=r"train-001-suburb.*frame 2.*ZeroDivisionError.*street"):
         world.prepare()
     FakeWorld(tmp_path).prepare()
     assert tree(tmp_path) == tree(reference)
@@ -235,7 +235,7 @@ def test_a_read_only_folder_is_one_line(tmp_path, monkeypatch):
         raise OSError(errno.EROFS, "Read-only file system", str(path))
 
     monkeypatch.setattr(Path, "mkdir", refuse)
-    with pytest.raises(DataError, match=r"cannot write .*: the folder is read-only: choose another one \(paths\.data="):
+    with pytest.raises(DataError, match=r"write .*read-only.*paths\.data="):
         FakeWorld(tmp_path).prepare()
 
 
@@ -266,7 +266,7 @@ def test_a_scene_held_by_another_process_is_waited_for(tmp_path, capsys, monkeyp
 
 def test_missing_scenes_and_a_folder_that_cannot_be_written(tmp_path):
     world = FakeWorld(tmp_path / "data")
-    with pytest.raises(DataError, match=r"train-000-downtown is missing: call prepare\(\), or run"):
+    with pytest.raises(DataError, match=r"train-000-downtown.*missing.*prepare"):
         world.readers("train")
     (tmp_path / "data").write_text("a file where the folder should be")
     with pytest.raises(DataError, match=r"cannot write .*data"):

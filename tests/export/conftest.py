@@ -1,15 +1,12 @@
 from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 import torch
-from hydra import compose, initialize_config_dir
 
 from omniocc.camera import Rig
 from omniocc.config import build
 from omniocc.model import OccupancyModel
 
-CONF = Path(__file__).parents[2] / "conf"
 WIDTH, HEIGHT = 64, 36
 
 
@@ -19,14 +16,12 @@ def rig() -> Rig:
 
 
 @pytest.fixture(scope="session")
-def make_model() -> Callable[..., OccupancyModel]:
+def make_model(smoke) -> Callable[..., OccupancyModel]:
     """Builds a smoke model with random weights, evaluation mode."""
 
     def make(*overrides: str) -> OccupancyModel:
-        with initialize_config_dir(str(CONF), version_base="1.3"):
-            cfg = compose("train", overrides=["preset=smoke", *overrides])
         torch.manual_seed(0)
-        return build(cfg.model).eval()
+        return build(smoke(*overrides).model).eval()
 
     return make
 

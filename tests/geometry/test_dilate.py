@@ -71,10 +71,10 @@ def test_many_marks_on_one_cell_do_not_overflow():
 @pytest.mark.parametrize(
     ("mask", "windows", "edges_m", "message"),
     [
-        ((2, 20, 12, 4), (0,), (), r"mask must end with the grid's shape \(20, 12, 3\), got \(2, 20, 12, 4\)"),
-        ((20, 12, 3), (0, 1), (), r"one more window, none negative, got windows \(0, 1\) and edges_m \(\)"),
+        ((2, 20, 12, 4), (0,), (), r"mask.*\(20, 12, 3\).*\(2, 20, 12, 4\)"),
+        ((20, 12, 3), (0, 1), (), r"one more window.*\(0, 1\).*edges_m \(\)"),
         ((20, 12, 3), (0, -1), (5.0,), "none negative"),
-        ((20, 12, 3), (0, 1, 2), (5.0, 4.0), "increasing edges_m"),
+        ((20, 12, 3), (0, 1, 2), (5.0, 4.0), "increasing.*edges_m"),
     ],
 )
 def test_wrong_input_is_named(mask, windows, edges_m, message):

@@ -61,5 +61,5 @@ def test_other_directions_are_fans_of_one_ray(directions):
 
 @pytest.mark.parametrize("bad", [[0.0, 0.0, 0.0], [1.0, float("nan"), 0.0], [float("inf"), 0.0, 0.0]])
 def test_directions_without_length_are_refused(bad):
-    with pytest.raises(ValueError, match="directions must be finite and of a length above 0"):
+    with pytest.raises(ValueError, match=r"directions.*finite"):
         Scan(torch.tensor([[1.0, 0.0, 0.0], bad]))

@@ -95,12 +95,12 @@ def test_equal_grids_are_one_cache_key_and_lists_are_accepted():
 @pytest.mark.parametrize(
     ("build", "message"),
     [
-        (lambda: Cylinder(shape=(0, 4, 4)), "shape must be three positive"),
-        (lambda: Cuboid(shape=(4, 4)), "shape must be three positive"),
-        (lambda: Cylinder(radius_m=(-1.0, 4.0)), "radius_m must not be negative"),
-        (lambda: Cylinder(height_m=(2.0, 1.0)), "height_m must be two finite, increasing"),
-        (lambda: Cuboid(x_m=(0.0, float("nan"))), "x_m must be two finite, increasing"),
-        (lambda: Cuboid(y_m=(0.0, 1.0, 2.0)), "y_m must be two finite, increasing"),
+        (lambda: Cylinder(shape=(0, 4, 4)), "shape.*positive"),
+        (lambda: Cuboid(shape=(4, 4)), "shape.*positive"),
+        (lambda: Cylinder(radius_m=(-1.0, 4.0)), "radius_m.*negative"),
+        (lambda: Cylinder(height_m=(2.0, 1.0)), "height_m.*increasing"),
+        (lambda: Cuboid(x_m=(0.0, float("nan"))), "x_m.*finite"),
+        (lambda: Cuboid(y_m=(0.0, 1.0, 2.0)), "y_m.*two"),
     ],
 )
 def test_impossible_grids_are_refused(build, message):
@@ -135,7 +135,7 @@ def test_voxelize_states_its_rules():
     assert grid.voxelize(points, labels).flatten().tolist() == [11, 1, 255, 0]
     assert grid.voxelize(points[:0], labels[:0]).flatten().tolist() == [0, 0, 0, 0]
     for label in (0, 12, 254):
-        with pytest.raises(ValueError, match=f"got labels \\[{label}\\]"):
+        with pytest.raises(ValueError, match=f"labels.*\\[{label}\\]"):
             grid.voxelize(points[:1], torch.tensor([label], dtype=torch.uint8))
 
 

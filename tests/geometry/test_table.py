@@ -122,9 +122,9 @@ def test_equal_rays_and_grids_share_a_table():
 
 def test_wrong_input_is_named():
     table = ray_table(GRIDS[0], torch.zeros(1, 3), Scan(torch.ones(1, 3)))
-    with pytest.raises(ValueError, match=r"labels must have the grid's shape \(24, 30, 6\), got \(2, 2, 2\)"):
+    with pytest.raises(ValueError, match=r"labels.*\(24, 30, 6\).*\(2, 2, 2\)"):
         table.cast(torch.zeros(2, 2, 2, dtype=torch.uint8))
-    with pytest.raises(ValueError, match=r"at most 48 levels, got shape \(2, 2, 49\)"):
+    with pytest.raises(ValueError, match=r"48 levels.*\(2, 2, 49\)"):
         RayTable(Cuboid(shape=(2, 2, 49)), Fans.single(torch.zeros(1, 3), torch.ones(1, 3)))
 
 

@@ -195,5 +195,5 @@ def test_chunks_do_not_matter(monkeypatch):
 def test_no_rays_and_wrong_shape():
     nothing = torch.zeros(0, 3)
     assert GRIDS[0].paths(nothing, nothing).cells.shape == (0, 0)
-    with pytest.raises(ValueError, match=r"labels must have the grid's shape \(7, 12, 5\), got \(7, 12, 4\)"):
+    with pytest.raises(ValueError, match=r"labels.*\(7, 12, 5\).*\(7, 12, 4\)"):
         GRIDS[0].trace(torch.zeros(7, 12, 4, dtype=torch.uint8), nothing, nothing)

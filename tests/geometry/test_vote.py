@@ -41,5 +41,5 @@ def test_turning_a_cylinder_by_whole_blocks_turns_the_result():
 
 @pytest.mark.parametrize(("shape", "factor"), [((4, 5, 4), 2), ((4, 4, 4), 3), ((4, 4, 4), 0)])
 def test_sizes_that_do_not_fit_are_named(shape, factor):
-    with pytest.raises(ValueError, match=rf"multiples of factor {factor}, got shape \(4"):
+    with pytest.raises(ValueError, match=rf"factor {factor}.*\(4"):
         downsample(torch.zeros(shape, dtype=torch.uint8), factor)

@@ -1,16 +1,13 @@
 """`loss=paper` against eq. 3 to 5 of the paper, term by term, in plain float64 loops over voxels and classes."""
 
 import math
-from pathlib import Path
 from typing import NamedTuple
 
 import pytest
 import torch
-from hydra import compose, initialize_config_dir
 
 from omniocc.config import build
 
-CONF = Path(__file__).parents[2] / "conf"
 CLASSES = 12
 COUNTS = [90_000, 4_000, 2_500, 900, 700, 50, 40, 300, 20, 5, 1_400, 85]
 
@@ -22,9 +19,8 @@ class Prediction(NamedTuple):
 
 
 @pytest.fixture(scope="module")
-def loss():
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        loss = build(compose("train", ["preset=smoke", "loss=paper"]).loss)
+def loss(smoke):
+    loss = build(smoke("loss=paper").loss)
     loss.set_class_counts(torch.tensor(COUNTS))
     return loss
 

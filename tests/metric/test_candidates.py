@@ -90,9 +90,9 @@ def test_nothing_there_and_nothing_chosen_is_not_a_number():
 def test_wrong_input_is_named():
     metric = Candidates(GRID, EDGES_M)
     voxels = torch.zeros(1, *GRID.shape, dtype=torch.uint8)
-    with pytest.raises(ValueError, match="candidates must be bool"):
+    with pytest.raises(ValueError, match=r"candidates.*bool"):
         metric.update(voxels, voxels)
-    with pytest.raises(ValueError, match=r"voxels must have shape \(B, 4, 4, 1\), got \(1, 4, 4\)"):
+    with pytest.raises(ValueError, match=r"voxels.*\(B, 4, 4, 1\).*\(1, 4, 4\)"):
         metric.update(voxels.bool(), voxels[..., 0])
     with pytest.raises(ValueError, match="range_edges_m"):
         Candidates(GRID, (8.0, 4.0))

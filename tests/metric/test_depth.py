@@ -53,10 +53,10 @@ def test_no_rays_are_nan():
 @pytest.mark.parametrize(
     ("prediction_m", "target_m", "message"),
     [
-        (torch.ones(2), torch.ones(3), r"same shape, got \(2,\) and \(3,\)"),
-        (torch.tensor([0.0]), torch.ones(1), "ranges above 0, got 0.0"),
-        (torch.tensor([math.nan]), torch.ones(1), "ranges above 0, got nan"),
-        (torch.tensor([math.inf]), torch.ones(1), "got inf; give a finite farthest_m"),
+        (torch.ones(2), torch.ones(3), r"shape.*\(2,\).*\(3,\)"),
+        (torch.tensor([0.0]), torch.ones(1), "above 0.* 0.0"),
+        (torch.tensor([math.nan]), torch.ones(1), "above 0.* nan"),
+        (torch.tensor([math.inf]), torch.ones(1), "inf.*farthest_m"),
     ],
 )
 def test_wrong_input_is_named(prediction_m, target_m, message):
@@ -65,7 +65,7 @@ def test_wrong_input_is_named(prediction_m, target_m, message):
 
 
 def test_wrong_arguments_are_named():
-    with pytest.raises(ValueError, match=r"nearest_m and farthest_m must be 2 or more .* got \(3\.0, 2\.0\)"):
+    with pytest.raises(ValueError, match=r"nearest_m.*farthest_m.*\(3\.0, 2\.0\)"):
         DepthMetrics(nearest_m=3.0, farthest_m=2.0)
-    with pytest.raises(ValueError, match=r"spheres at least 2, got 0\.5 and 1"):
+    with pytest.raises(ValueError, match=r"spheres.* 0\.5.* 1"):
         DepthMetrics(spheres=1)

@@ -230,20 +230,20 @@ def test_pickle_clone_and_move():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"prediction": torch.zeros(1, 10, 1, 2, dtype=torch.uint8)}, r"prediction must have shape \(B, 10, 1, 1\)"),
-        ({"target": torch.zeros(1, 9, 1, 1, dtype=torch.uint8)}, r"target must have shape \(B, 10, 1, 1\), got \(1, 9"),
-        ({"target": torch.zeros(2, 10, 1, 1, dtype=torch.uint8)}, "same batch size, got 1 and 2"),
-        ({"prediction": torch.zeros(1, 12, 10, 1, 1)}, r"got \(1, 12, 10, 1, 1\); take logits.argmax\(1\)"),
+        ({"prediction": torch.zeros(1, 10, 1, 2, dtype=torch.uint8)}, r"prediction.*\(B, 10, 1, 1\)"),
+        ({"target": torch.zeros(1, 9, 1, 1, dtype=torch.uint8)}, r"target.*\(B, 10, 1, 1\).*\(1, 9"),
+        ({"target": torch.zeros(2, 10, 1, 1, dtype=torch.uint8)}, "batch size.* 1.* 2"),
+        ({"prediction": torch.zeros(1, 12, 10, 1, 1)}, r"\(1, 12, 10, 1, 1\).*argmax"),
         (
             {"prediction": torch.full((1, 10, 1, 1), 0.5)},
-            r"prediction must .*, got \[0\.5\] in torch.float32",
+            r"prediction.*\[0\.5\].*float32",
         ),
-        ({"prediction": torch.zeros(1, 10, 1, 1, dtype=torch.bool)}, "in an integer type, got torch.bool"),
-        ({"origins": torch.zeros(1, 3)}, r"origins must have shape \(1, O, 3\), got \(1, 3\)"),
-        ({"observed": torch.ones(1, 10, 1, 2, dtype=torch.bool)}, r"observed must be bool of shape \(1, 10, 1, 1\)"),
-        ({"observed": torch.ones(1, 10, 1, 1)}, r"observed must be bool .*, got torch.float32"),
-        ({"prediction": line(c1=255)}, r"prediction must hold class ids 0\.\.11, got \[255\]"),
-        ({"target": line(c1=12)}, r"target must hold class ids 0\.\.11 or 255, got \[12\]"),
+        ({"prediction": torch.zeros(1, 10, 1, 1, dtype=torch.bool)}, "integer.*bool"),
+        ({"origins": torch.zeros(1, 3)}, r"origins.*\(1, O, 3\).*\(1, 3\)"),
+        ({"observed": torch.ones(1, 10, 1, 2, dtype=torch.bool)}, r"observed.*\(1, 10, 1, 1\)"),
+        ({"observed": torch.ones(1, 10, 1, 1)}, r"observed.*bool.*float32"),
+        ({"prediction": line(c1=255)}, r"prediction.*0\.\.11.*\[255\]"),
+        ({"target": line(c1=12)}, r"target.*0\.\.11.*255.*\[12\]"),
     ],
 )
 def test_wrong_input_is_named(change, message):
@@ -255,12 +255,12 @@ def test_wrong_input_is_named(change, message):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"thresholds_m": ()}, "thresholds_m must be 1 or more increasing"),
-        ({"range_edges_m": (5.0,)}, "range_edges_m must be 2 or more increasing"),
-        ({"range_edges_m": (5.0, 1.0)}, "range_edges_m must be 2 or more increasing"),
-        ({"free_class": 12}, r"free_class must be 0\.\.11, got 12"),
-        ({"num_classes": 1}, r"num_classes must be 2\.\.255, got 1"),
-        ({"ignore_class": 3}, r"ignore_class must be 12\.\.255"),
+        ({"thresholds_m": ()}, "thresholds_m.*increasing"),
+        ({"range_edges_m": (5.0,)}, "range_edges_m.*increasing"),
+        ({"range_edges_m": (5.0, 1.0)}, "range_edges_m.*increasing"),
+        ({"free_class": 12}, r"free_class.*0\.\.11.* 12"),
+        ({"num_classes": 1}, r"num_classes.*2\.\.255.* 1"),
+        ({"ignore_class": 3}, r"ignore_class.*12\.\.255"),
     ],
 )
 def test_wrong_arguments_are_named(arguments, message):

@@ -80,11 +80,11 @@ def test_agrees_with_a_plain_loop():
 
 def test_wrong_input_is_named():
     metric = VoxelIoU()
-    with pytest.raises(ValueError, match="must have the same shape"):
+    with pytest.raises(ValueError, match="same shape"):
         metric.update(voxels(1, 1), voxels(1))
-    with pytest.raises(ValueError, match=r"prediction must hold class ids 0\.\.11, got \[255\]"):
+    with pytest.raises(ValueError, match=r"prediction.*0\.\.11.*\[255\]"):
         metric.update(voxels(255), voxels(1))
-    with pytest.raises(ValueError, match=r"target must hold class ids 0\.\.11 or 255, got \[77\]"):
+    with pytest.raises(ValueError, match=r"target.*0\.\.11.*255.*\[77\]"):
         metric.update(voxels(1), voxels(77))
-    with pytest.raises(ValueError, match=r"got \[1\.5\] in torch\.float32"):
+    with pytest.raises(ValueError, match=r"\[1\.5\].*float32"):
         metric.update(voxels(1) + 0.5, voxels(1))

@@ -1,16 +1,12 @@
 """The systems the paper compares with, composed as `train.py` composes them, at the smallest sizes."""
 
-from pathlib import Path
-
 import pytest
 import torch
-from hydra import compose, initialize_config_dir
 
 from omniocc.camera import Rig
 from omniocc.config import build, check_root
 from omniocc.model.sketch import Random
 
-CONF = Path(__file__).parents[2] / "conf"
 PARTS = {
     "bevdet": ("Dense", "LiftSplat", "NoTemporal", "Conv"),
     "bevformer": ("Dense", "Pillar", "Recurrent", "Conv"),
@@ -20,13 +16,9 @@ SYSTEMS = pytest.mark.parametrize("name", list(PARTS))
 ON_BOTH_GRIDS = pytest.mark.parametrize("grid", ["cuboid", "cylinder"])
 
 
-def composed(*overrides):
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        return compose("train", ["preset=smoke", *overrides])
-
-
-def make(name, grid="cuboid"):
-    return build(composed(f"model={name}", f"model/geometry={grid}").model)
+@pytest.fixture
+def make(smoke):
+    return lambda name, grid="cuboid": build(smoke(f"model={name}", f"model/geometry={grid}").model)
 
 
 def window(model, batch=2):
@@ -40,8 +32,8 @@ def window(model, batch=2):
 
 
 @SYSTEMS
-def test_each_is_a_composition_of_slots_on_the_same_backbone(name):
-    ours, cfg = composed(), composed(f"+ablation={name}")
+def test_each_is_a_composition_of_slots_on_the_same_backbone(name, smoke):
+    ours, cfg = smoke(), smoke(f"+ablation={name}")
     check_root(cfg)
     assert cfg.name == name
     assert cfg.model.backbone == ours.model.backbone
@@ -51,15 +43,14 @@ def test_each_is_a_composition_of_slots_on_the_same_backbone(name):
     assert cfg.model.semantic_head._target_.endswith("NoSemanticHead")
 
 
-def test_voxformer_looks_at_monocular_depth():
-    assert composed("model=voxformer").depth._target_ == "omniocc.model.depth.Mono"
+def test_voxformer_looks_at_monocular_depth(smoke):
+    assert smoke("model=voxformer").depth._target_ == "omniocc.model.depth.Mono"
 
 
 @SYSTEMS
 @pytest.mark.parametrize("preset", ["small", "paper"])
-def test_every_preset_has_sizes_that_fit(name, preset):
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        cfg = compose("train", [f"preset={preset}", f"model={name}", "preset.backbone.weights=null"])
+def test_every_preset_has_sizes_that_fit(name, preset, composed):
+    cfg = composed(f"preset={preset}", f"model={name}", "preset.backbone.weights=null")
     check_root(cfg)
     for slot in ("lifter", "temporal", "refiner"):
         build(cfg.model[slot])
@@ -67,7 +58,7 @@ def test_every_preset_has_sizes_that_fit(name, preset):
 
 @SYSTEMS
 @ON_BOTH_GRIDS
-def test_batch_of_fisheye_and_pinhole_rig_equals_two_batches_of_one(name, grid, fisheye, pinhole):
+def test_batch_of_fisheye_and_pinhole_rig_equals_two_batches_of_one(name, grid, fisheye, pinhole, make):
     model = make(name, grid).double().eval()
     images, poses, chosen = window(model)
     with torch.no_grad():
@@ -81,7 +72,7 @@ def test_batch_of_fisheye_and_pinhole_rig_equals_two_batches_of_one(name, grid, 
 
 @SYSTEMS
 @ON_BOTH_GRIDS
-def test_gradients_reach_every_parameter_that_learns(name, grid, fisheye):
+def test_gradients_reach_every_parameter_that_learns(name, grid, fisheye, make):
     model = make(name, grid)
     images, poses, chosen = window(model)
     model(images, (fisheye, fisheye), poses, chosen).logits.square().mean().backward()

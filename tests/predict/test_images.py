@@ -71,23 +71,23 @@ def test_what_a_folder_lacks_is_named(files, without, words, tmp_path):
 
 def test_wrong_lists_and_folders(tmp_path):
     picture = str(save(tmp_path / "front.png"))
-    with pytest.raises(UserError, match=r"1 images for 2 cameras.*front, back"):
+    with pytest.raises(UserError, match=r"1 image.* 2 cameras.*front, back"):
         find_frames([picture], RIG)
-    with pytest.raises(UserError, match=r"no image nowhere\.png \(camera 'back'\)"):
+    with pytest.raises(UserError, match=r"nowhere\.png.*back"):
         find_frames([picture, "nowhere.png"], RIG)
     with pytest.raises(UserError, match="no such folder"):
         find_frames(str(tmp_path / "nowhere"), RIG)
-    with pytest.raises(UserError, match="a list with one picture per camera"):
+    with pytest.raises(UserError, match=r"list.*camera"):
         find_frames(picture, RIG)
 
 
 def test_damaged_and_cropped_pictures_are_named(tmp_path):
     front, back = tmp_path / "front.png", save(tmp_path / "back.png", 96, 54)
     front.write_bytes(b"not a picture")
-    with pytest.raises(UserError, match=r"front\.png is damaged"):
+    with pytest.raises(UserError, match=r"front\.png.*damaged"):
         read_frame(Frame("", (front, back)), RIG)
     save(front, 64, 48)
-    with pytest.raises(UserError, match="64x48 px but camera 'front' is calibrated for 64x36 px"):
+    with pytest.raises(UserError, match=r"64x48 px.*front.*64x36 px"):
         read_frame(Frame("", (front, back)), RIG)
 
 
@@ -127,5 +127,5 @@ def test_sizes_keep_the_shape_where_they_can():
 def test_lenses_that_cannot_be_stretched_are_named():
     square = Equidistant(64, 64, 19.0, (31.5, 31.5), 95.0)
     rig = Rig((CAMERAS[0], square), RIG.ego_from_camera, RIG.names)
-    with pytest.raises(UserError, match="brought to one size"):
+    with pytest.raises(UserError, match="one size"):
         resized_to_width([np.zeros((36, 64, 3), np.uint8)] * 2, rig, 64)

@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from hydra import compose, initialize_config_dir
 
 from omniocc.camera import Rig
 from omniocc.camera.pose import pose_from_angles
@@ -37,11 +36,6 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore:voxels are voted anew"),
     pytest.mark.filterwarnings("ignore:Sparse CSR"),
 ]
-
-
-def composed(name, *overrides):
-    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
-        return compose(name, list(overrides))
 
 
 def make_frame(index: int) -> Frame:
@@ -81,12 +75,12 @@ def scene(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def checkpoint(tmp_path_factory) -> Path:
+def checkpoint(tmp_path_factory, smoke) -> Path:
     """With the weights that training begins with."""
     torch.manual_seed(3)
-    task = build_task(composed("train", "preset=smoke"))
+    task = build_task(smoke())
     path = tmp_path_factory.mktemp("run") / "best.ckpt"
-    torch.save({"config": plain(composed("train", "preset=smoke")), "state_dict": task.state_dict()}, path)
+    torch.save({"config": plain(smoke()), "state_dict": task.state_dict()}, path)
     return path
 
 
@@ -113,8 +107,12 @@ def pictures(scene, tmp_path_factory) -> Path:
     return folder
 
 
-def run(*overrides) -> None:
-    predict_occupancy(options_of(composed("predict_occupancy", *map(str, overrides))))
+@pytest.fixture(scope="module")
+def run(composed):
+    def predict(*overrides) -> None:
+        predict_occupancy(options_of(composed(*map(str, overrides), name="predict_occupancy")))
+
+    return predict
 
 
 def labels_in(folder: Path) -> np.ndarray:
@@ -125,7 +123,7 @@ def drive_of(pictures, checkpoint):
     return f"checkpoint={checkpoint}", f"images={pictures}", f"rig={pictures / 'rig.yaml'}"
 
 
-def test_pictures_give_the_labels_of_evaluation(evaluated, pictures, checkpoint, tmp_path, capsys):
+def test_pictures_give_the_labels_of_evaluation(evaluated, pictures, checkpoint, tmp_path, capsys, run):
     expected, _ = evaluated
     assert len(np.unique(expected)) > 3  # or equality would mean nothing
     source, poses = drive_of(pictures, checkpoint), f"poses={pictures / 'poses.csv'}"
@@ -141,7 +139,7 @@ def test_pictures_give_the_labels_of_evaluation(evaluated, pictures, checkpoint,
     assert all((alone[k] != expected[k]).any() for k in range(1, len(MOMENTS)))
 
 
-def test_recorded_frames_give_labels_and_figures_of_evaluation(evaluated, scene, checkpoint, tmp_path, capsys):
+def test_recorded_frames_give_labels_and_figures_of_evaluation(evaluated, scene, checkpoint, tmp_path, capsys, run):
     expected, figures = evaluated
     run(f"checkpoint={checkpoint}", f"recorded={scene.parent}", *QUICK, f"output={tmp_path}")
     assert np.array_equal(labels_in(tmp_path / scene.name), expected)
@@ -152,7 +150,7 @@ def test_recorded_frames_give_labels_and_figures_of_evaluation(evaluated, scene,
     assert f"5 frames: RayIoU {figures['test/rayiou']:.3f}" in capsys.readouterr().out
 
 
-def test_a_few_frames_have_the_history_of_all(evaluated, scene, checkpoint, tmp_path):
+def test_a_few_frames_have_the_history_of_all(evaluated, scene, checkpoint, tmp_path, run):
     run(f"checkpoint={checkpoint}", f"recorded={scene}", "frames=[4,2]", *QUICK, f"output={tmp_path}")
     folder = tmp_path / scene.name
     assert sorted(path.name for path in folder.iterdir()) == ["000002", "000004"]
@@ -160,7 +158,7 @@ def test_a_few_frames_have_the_history_of_all(evaluated, scene, checkpoint, tmp_
         assert np.array_equal(np.load(folder / MOMENTS[k] / "voxels.npz")["labels"], evaluated[0][k])
 
 
-def test_a_stopped_run_goes_on(evaluated, scene, checkpoint, tmp_path, capsys):
+def test_a_stopped_run_goes_on(evaluated, scene, checkpoint, tmp_path, capsys, run):
     arguments = (f"checkpoint={checkpoint}", f"recorded={scene}", *QUICK, f"output={tmp_path}")
     run(*arguments)
     files = {name: tmp_path / scene.name / name / "voxels.npz" for name in MOMENTS}
@@ -175,11 +173,11 @@ def test_a_stopped_run_goes_on(evaluated, scene, checkpoint, tmp_path, capsys):
     assert (tmp_path / "metrics.json").read_text() == whole
     run(*arguments, "force=true")
     assert all(files[name].stat().st_mtime_ns != before[name] for name in MOMENTS)
-    with pytest.raises(UserError, match=r"made otherwise \(history: 'stream' then\).*force=true"):
+    with pytest.raises(UserError, match=r"otherwise.*history.*stream.*force=true"):
         run(*arguments, "history=none")
 
 
-def test_files_of_a_moment(pictures, scene, checkpoint, tmp_path, evaluated, monkeypatch):
+def test_files_of_a_moment(pictures, scene, checkpoint, tmp_path, evaluated, monkeypatch, run):
     run(f"checkpoint={checkpoint}", f"recorded={scene}", "frames=[1]", f"output={tmp_path}")
     folder = tmp_path / scene.name / "000001"
     assert sorted(path.name for path in folder.iterdir()) == ["picture.png", "voxels.npz", "voxels.ply"]
@@ -207,7 +205,7 @@ def test_files_of_a_moment(pictures, scene, checkpoint, tmp_path, evaluated, mon
     assert found["names"].tolist() == [arrays["class_names"][k] for k in evaluated[0][1][occupied]]
 
 
-def test_cameras_of_another_rig_and_fewer_of_them(checkpoint, pictures, tmp_path, capsys):
+def test_cameras_of_another_rig_and_fewer_of_them(checkpoint, pictures, tmp_path, capsys, run):
     rig = Rig.load("surround_view").resized(96, 64)
     for moment in ("9", "10"):  # in this order
         (tmp_path / "drive" / moment).mkdir(parents=True)
@@ -228,7 +226,7 @@ def test_cameras_of_another_rig_and_fewer_of_them(checkpoint, pictures, tmp_path
     assert np.array_equal(np.load(tmp_path / "out2" / "9" / "voxels.npz")["labels"], first)
 
 
-def test_a_rig_whose_origin_lies_elsewhere(evaluated, pictures, checkpoint, tmp_path):
+def test_a_rig_whose_origin_lies_elsewhere(evaluated, pictures, checkpoint, tmp_path, run):
     """The same car with the origin of its files 1.7 m lower: half a metre above the road."""
     poses = RIG.ego_from_camera.clone()
     poses[:, 2, 3] += 1.7
@@ -250,7 +248,7 @@ def test_a_rig_whose_origin_lies_elsewhere(evaluated, pictures, checkpoint, tmp_
     assert z.max() <= 5.3001
 
 
-def test_a_camera_left_out_colours_nothing(checkpoint, pictures, tmp_path):
+def test_a_camera_left_out_colours_nothing(checkpoint, pictures, tmp_path, run):
     """Whatever is in its picture."""
     ring = torch.tensor([[5.0, 0, 0], [-5, 0, 0], [0, 5, 0], [0, -5, 0]])
     sees = RIG.project(ring)[1]
@@ -268,7 +266,7 @@ def test_a_camera_left_out_colours_nothing(checkpoint, pictures, tmp_path):
     assert np.array_equal(*labels)
 
 
-def test_mistakes_are_named_in_a_line(pictures, scene, checkpoint, tmp_path, capsys):
+def test_mistakes_are_named_in_a_line(pictures, scene, checkpoint, tmp_path, capsys, run):
     content = torch.load(checkpoint, weights_only=True)
     depth = {
         name.replace("sketch.depth.", ""): value for name, value in content["state_dict"].items() if ".depth." in name
@@ -336,10 +334,10 @@ def test_the_depth_network_of_an_occupancy_checkpoint(checkpoint, tmp_path):
     content = torch.load(checkpoint, weights_only=True)
     rest = {name: value for name, value in content["state_dict"].items() if ".sketch." not in name}
     torch.save({"config": content["config"], "state_dict": rest}, tmp_path / "dense.ckpt")
-    with pytest.raises(UserError, match=r"dense\.ckpt holds no depth network"):
+    with pytest.raises(UserError, match=r"dense\.ckpt.*depth"):
         load_depth(tmp_path / "dense.ckpt")
 
 
 def test_a_scene_that_is_none_cannot_be_exported(tmp_path):
-    with pytest.raises(UserError, match="is no recorded scene"):
+    with pytest.raises(UserError, match="recorded scene"):
         export_scene(tmp_path, tmp_path / "out")

@@ -4,7 +4,6 @@ from pathlib import Path
 
 import pytest
 import yaml
-from hydra import compose, initialize_config_dir
 from wandb.sdk.launch.sweeps.utils import create_sweep_command, create_sweep_command_args
 
 from omniocc.config import check_root
@@ -30,13 +29,12 @@ def agent_command(values):
 
 
 @pytest.mark.parametrize("end", [0, -1])
-def test_what_an_agent_starts_is_a_configuration(end):
+def test_what_an_agent_starts_is_a_configuration(end, composed):
     values = {name: ends(parameter)[end] for name, parameter in SWEEP["parameters"].items()}
     env, python, program, *overrides = agent_command(values)
     assert (env, python, program) == ("/usr/bin/env", "python", "src/train.py")
     assert (ROOT / program).exists()
-    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
-        cfg = compose("train", overrides)
+    cfg = composed(*overrides)
     check_root(cfg)
     assert cfg.logger.mode == "online"
     assert cfg.optimizer.learning_rate == pytest.approx(values["optimizer.learning_rate"])

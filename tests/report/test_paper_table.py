@@ -95,7 +95,7 @@ def test_csv_and_latex_hold_the_same_figures():
 def test_a_broken_table_is_named(tmp_path):
     path = tmp_path / "bad.yaml"
     path.write_text("title: x\norder_by: a\ncolumns: {a: A, b: B}\nrows: {ours: {title: o, paper: [0.1]}}\n")
-    with pytest.raises(UserError, match=r"bad\.yaml.*ours has 1 figures for 2 columns"):
+    with pytest.raises(UserError, match=r"bad\.yaml.*ours.* 1 figure.* 2 columns"):
         load_table(path)
 
 
@@ -105,13 +105,13 @@ def test_only_runs_of_one_setting_are_compared():
     assert [r.name for r in kept] == ["ours-01234567", "ours-01234568"]
     assert "Left out, of another setting: big-01234567" in text
     assert [r.name for r in comparable(runs, "small")[0]] == ["big-01234567"]
-    with pytest.raises(UserError, match="preset paper; there are runs of small, tiny"):
+    with pytest.raises(UserError, match=r"paper.*small, tiny"):
         comparable(runs, "paper")
 
 
 def test_two_runs_of_a_row_with_one_seed_are_refused():
     assert list(by_row(RUNS["ours"])) == ["ours"]
-    with pytest.raises(UserError, match="row ours has 2 runs with seed 0"):
+    with pytest.raises(UserError, match=r"ours.* 2 runs.*seed 0"):
         by_row([*RUNS["ours"], run("ours-0123456a-2", 0, 0.5)])
 
 

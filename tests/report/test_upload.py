@@ -35,7 +35,7 @@ def test_without_a_login_there_is_one_clear_line(tmp_path, monkeypatch, capsys):
     main(["--runs", str(tmp_path)])
     assert "nothing waits for upload" in capsys.readouterr().out
     offline_run(tmp_path / "mono-1")
-    with pytest.raises(SystemExit, match=r"1 files wait in .*wandb login"):
+    with pytest.raises(SystemExit, match=r"1 files.*wandb login"):
         main(["--runs", str(tmp_path)])
 
 

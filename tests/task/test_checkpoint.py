@@ -14,14 +14,14 @@ def test_a_truncated_checkpoint_is_named(share, tmp_path):
     assert load_config(path)[0]["seed"] == 1
     content = path.read_bytes()
     path.write_bytes(content[: int(share * len(content))])
-    with pytest.raises(UserError, match=r"best\.ckpt is not a checkpoint .* damaged \(.*remove the file"):
+    with pytest.raises(UserError, match=r"best\.ckpt.*damaged.*remove"):
         load_config(path)
 
 
 def test_a_file_of_another_kind_is_refused(tmp_path):
     path = tmp_path / "weights.pt"
     torch.save({"weights": torch.rand(3)}, path)
-    with pytest.raises(UserError, match=r"weights\.pt is not a checkpoint"):
+    with pytest.raises(UserError, match=r"weights\.pt.*checkpoint"):
         load_config(path)
     with pytest.raises(FileNotFoundError, match="there is no such checkpoint"):
         load_config(tmp_path / "none.ckpt")

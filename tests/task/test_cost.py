@@ -1,8 +1,5 @@
-from pathlib import Path
-
 import pytest
 import torch
-from hydra import compose, initialize_config_dir
 
 from omniocc.camera import Rig
 from omniocc.config import build
@@ -43,12 +40,12 @@ def make_sample(geometry, frames, share):
     )
 
 
-def make_model(*overrides):
-    with initialize_config_dir(str(Path(__file__).parents[2] / "conf"), version_base="1.3"):
-        return build(compose("train", ["preset=smoke", *overrides]).model).eval()
+@pytest.fixture
+def make_model(smoke):
+    return lambda *overrides: build(smoke(*overrides).model).eval()
 
 
-def test_a_frame_costs_the_same_every_time_and_more_with_more_candidates():
+def test_a_frame_costs_the_same_every_time_and_more_with_more_candidates(make_model):
     model = make_model()
     torch.manual_seed(0)
     few, many = (make_sample(model.geometry, model.temporal.frames, share) for share in (0.1, 0.9))
@@ -58,12 +55,12 @@ def test_a_frame_costs_the_same_every_time_and_more_with_more_candidates():
     assert cost_of(model, many)[GFLOP] > cost[GFLOP]
 
 
-def test_depth_is_part_of_the_cost_unless_it_was_recorded():
+def test_depth_is_part_of_the_cost_unless_it_was_recorded(make_model):
     predicted, recorded = make_model(), make_model("model/depth=truth")
     sample = make_sample(predicted.geometry, predicted.temporal.frames, 0.3)
     assert cost_of(predicted, sample)[GFLOP] > cost_of(recorded, sample)[GFLOP] > 0
 
 
-def test_sketches_that_look_at_nothing_need_no_candidates():
+def test_sketches_that_look_at_nothing_need_no_candidates(make_model):
     model = make_model("model/sketch=random")
     assert cost_of(model, make_sample(model.geometry, model.temporal.frames, None))[GFLOP] > 0

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import pytest
 import torch
-from hydra import compose, initialize_config_dir
 from lightning.pytorch import Callback, LightningDataModule, Trainer
 from lightning.pytorch.callbacks import ModelCheckpoint
 
@@ -23,14 +22,13 @@ pytestmark = [
 ]
 
 
-def composed(*overrides):
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        return compose("train", ["preset=smoke", *overrides])
+@pytest.fixture(scope="session")
+def make_task(smoke):
+    def make(*overrides):
+        torch.manual_seed(0)
+        return build_task(smoke(*overrides))
 
-
-def make_task(*overrides):
-    torch.manual_seed(0)
-    return build_task(composed(*overrides))
+    return make
 
 
 def make_batch(task, samples, with_candidates=True):
@@ -66,7 +64,7 @@ def make_batch(task, samples, with_candidates=True):
 SAMPLES = [[(0, 0), (0, 1)], [(0, 2), (0, 3)], [(1, 0), (1, 1)], [(1, 2)]]
 
 
-def test_streamed_evaluation_scores_what_whole_windows_score():
+def test_streamed_evaluation_scores_what_whole_windows_score(make_task):
     task = make_task("model/temporal=mean", "model/sketch=dense").eval()
     expected, lifted = Scores(task.model.geometry), []
     lift = task.model.lift
@@ -83,7 +81,7 @@ def test_streamed_evaluation_scores_what_whole_windows_score():
     )
 
 
-def test_every_evaluation_begins_without_memories():
+def test_every_evaluation_begins_without_memories(make_task):
     task = make_task("model/temporal=mean", "model/sketch=dense").eval()
     for begin, step in (
         (task.on_validation_epoch_start, task.validation_step),
@@ -110,7 +108,7 @@ SINGLES = [[f"model/{slot}={name}"] for slot in ("backbone", "geometry", "lifter
 @pytest.mark.parametrize(
     "overrides", [*PAIRS, *SINGLES, ["model/temporal=mean", "model.temporal.history_gradient=true"]]
 )
-def test_every_combination_trains_all_its_parameters(overrides):
+def test_every_combination_trains_all_its_parameters(overrides, make_task):
     task = make_task("model/sketch=dense", *overrides)
     counts = torch.randint(1, 100, (12, *task.model.geometry.shape))
     task.set_training_statistics(counts)
@@ -172,21 +170,25 @@ def train(folder, task, max_steps, checkpoint=None):
 EMA = ("model/sketch=dense", "model/temporal=mean", "ema_decay=0.9", "trainer.max_steps=4")
 
 
-def averaging_task():
-    task = make_task(*EMA)
-    task.set_training_statistics(torch.randint(1, 100, (12, *task.model.geometry.shape)))
-    assert len(task.prior.unique()) == 12
-    return task
+@pytest.fixture(scope="session")
+def averaging_task(make_task):
+    def make():
+        task = make_task(*EMA)
+        task.set_training_statistics(torch.randint(1, 100, (12, *task.model.geometry.shape)))
+        assert len(task.prior.unique()) == 12
+        return task
+
+    return make
 
 
 @pytest.fixture(scope="module")
-def averaged(tmp_path_factory):
+def averaged(tmp_path_factory, averaging_task):
     folder = tmp_path_factory.mktemp("whole")
     task = averaging_task()
     return folder, train(folder, task, 4), task.prior.clone()
 
 
-def test_the_average_is_validated_and_saved(averaged):
+def test_the_average_is_validated_and_saved(averaged, averaging_task):
     folder, remembered, prior = averaged
     average, averages = remembered.steps[0], []
     for step, weights in enumerate(remembered.steps):
@@ -204,7 +206,7 @@ def test_the_average_is_validated_and_saved(averaged):
     torch.testing.assert_close(rebuilt.model.classifier.weight, averages[3])
 
 
-def test_a_resumed_run_goes_on_with_weights_and_average(averaged, tmp_path):
+def test_a_resumed_run_goes_on_with_weights_and_average(averaged, averaging_task, tmp_path):
     folder, whole, _ = averaged
     first = train(tmp_path, averaging_task(), 2)
     torch.testing.assert_close(first.steps, whole.steps[:2], rtol=0, atol=1e-7)
@@ -214,7 +216,7 @@ def test_a_resumed_run_goes_on_with_weights_and_average(averaged, tmp_path):
     torch.testing.assert_close(*[state["model.classifier.weight"] for state in saved], rtol=0, atol=1e-7)
 
 
-def test_only_training_is_augmented():
+def test_only_training_is_augmented(make_task):
     task = make_task("model/sketch=dense", "model/refiner=none", "model/semantic_head=none")
     asked = []
     task.augment = lambda batch, generator: asked.append(batch) or batch
@@ -229,7 +231,7 @@ def test_only_training_is_augmented():
     assert len(asked) == 1
 
 
-def test_draws_are_a_function_of_seed_and_batch():
+def test_draws_are_a_function_of_seed_and_batch(make_task):
     task = make_task("model/sketch=dense")
     places = ((0, 0), (0, 0), (0, 1), (1, 0))
     draws = [torch.rand(4, generator=step_generator(task, seed, batch)).tolist() for seed, batch in places]

@@ -2,40 +2,41 @@
 
 import threading
 import time
-from pathlib import Path
 
 import pytest
-from hydra import compose, initialize_config_dir
 
 from omniocc.errors import UserError
 from omniocc.task.stages import claimed, stage_keys, wanted_stages
 
-CONF = Path(__file__).parents[2] / "conf"
+
+@pytest.fixture
+def omni(smoke):
+    return lambda *overrides: smoke("model/sketch=omni", *overrides)
 
 
-def composed(*overrides: str):
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        return compose("train", ["preset=smoke", "model/sketch=omni", *overrides])
+@pytest.fixture
+def changed(omni):
+    """Return the names of the keys that the overrides change."""
+
+    def names(*overrides: str) -> list[str]:
+        before, after = stage_keys(omni(), "data"), stage_keys(omni(*overrides), "data")
+        return [name for name in before._fields if getattr(before, name) != getattr(after, name)]
+
+    return names
 
 
-def changed(*overrides: str) -> list[str]:
-    """Names of the keys that the overrides change."""
-    before, after = stage_keys(composed(), "data"), stage_keys(composed(*overrides), "data")
-    return [name for name in before._fields if getattr(before, name) != getattr(after, name)]
+def test_a_learned_sketch_has_stages_before_occupancy(omni):
+    assert wanted_stages(omni()) == ("depth", "sketch", "occupancy")
+    assert wanted_stages(omni("stage=sketch")) == ("depth", "sketch")
+    assert wanted_stages(omni("stage=depth")) == ("depth",)
+    assert wanted_stages(omni("model/sketch=dense")) == ("occupancy",)
 
 
-def test_a_learned_sketch_has_stages_before_occupancy():
-    assert wanted_stages(composed()) == ("depth", "sketch", "occupancy")
-    assert wanted_stages(composed("stage=sketch")) == ("depth", "sketch")
-    assert wanted_stages(composed("stage=depth")) == ("depth",)
-    assert wanted_stages(composed("model/sketch=dense")) == ("occupancy",)
-
-
-def test_a_stage_that_is_not_there_is_an_error_with_a_remedy():
-    with pytest.raises(UserError, match="stage=skethc: choose one of depth, sketch, occupancy"):
-        wanted_stages(composed("stage=skethc"))
-    with pytest.raises(UserError, match="choose model/sketch=omni"):
-        wanted_stages(composed("model/sketch=dense", "stage=depth"))
+def test_a_stage_that_is_not_there_is_an_error_with_a_remedy(omni):
+    with pytest.raises(UserError, match=r"stage=skethc.*depth, sketch, occupancy"):
+        wanted_stages(omni("stage=skethc"))
+    with pytest.raises(UserError, match="model/sketch=omni"):
+        wanted_stages(omni("model/sketch=dense", "stage=depth"))
 
 
 @pytest.mark.parametrize(
@@ -60,14 +61,12 @@ def test_a_stage_that_is_not_there_is_an_error_with_a_remedy():
         ("paths.runs=elsewhere", []),
     ],
 )
-def test_keys_change_with_what_makes_the_result_and_with_nothing_else(override, expected):
+def test_keys_change_with_what_makes_the_result_and_with_nothing_else(override, expected, changed):
     assert changed(*([override] if isinstance(override, str) else override)) == expected
 
 
-def test_other_data_is_another_result():
-    assert all(
-        one != other for one, other in zip(stage_keys(composed(), "a"), stage_keys(composed(), "b"), strict=True)
-    )
+def test_other_data_is_another_result(omni):
+    assert all(one != other for one, other in zip(stage_keys(omni(), "a"), stage_keys(omni(), "b"), strict=True))
 
 
 def test_a_second_process_waits_and_says_so(tmp_path, capsys):

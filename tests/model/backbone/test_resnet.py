@@ -48,7 +48,7 @@ def test_weights_from_a_folder_are_loaded(tmp_path):
 
 def test_weights_of_another_size_are_refused(tmp_path):
     ResNetModel(ResNetConfig(**{**SIZES, "depths": [1, 1, 1, 2]})).save_pretrained(tmp_path)
-    with pytest.raises(ValueError, match=r"depths \[1, 1, 1, 2\], the config asks for \[1, 1, 1, 1\]"):
+    with pytest.raises(ValueError, match=r"depths.*\[1, 1, 1, 2\].*\[1, 1, 1, 1\]"):
         build(str(tmp_path))
 
 

@@ -67,9 +67,9 @@ def test_weights_from_a_folder_are_loaded_and_compared(tmp_path):
     shared = [name for name in saved.state_dict() if name in loaded]
     assert len(shared) > 20
     assert all(torch.equal(loaded[name], saved.state_dict()[name]) for name in shared)
-    with pytest.raises(ValueError, match=r"depths \[1, 1, 1, 1\], the config asks for \[1, 1, 2, 1\]"):
+    with pytest.raises(ValueError, match=r"depths.*\[1, 1, 1, 1\].*\[1, 1, 2, 1\]"):
         build(sizes={**CONVNEXT, "depths": [1, 1, 2, 1]}, weights=str(tmp_path))
-    with pytest.raises(ValueError, match="model_type convnext, the config asks for swin"):
+    with pytest.raises(ValueError, match=r"model_type.*convnext.*swin"):
         build("swin", SWIN, weights=str(tmp_path))
 
 
@@ -85,9 +85,9 @@ def test_out_of_reach_weights_give_one_warning_and_random_weights(monkeypatch, c
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"architecture": "convnxt"}, "no backbone 'convnxt'; it has .*convnext"),
-        ({"sizes": {"depth": [1]}}, r"convnext has no sizes \['depth'\]; see ConvNextConfig"),
-        ({"levels": [2, 4]}, r"levels are \[2, 4\]; convnext has the strides \[4, 8, 16, 32\]"),
+        ({"architecture": "convnxt"}, "convnxt.*convnext"),
+        ({"sizes": {"depth": [1]}}, r"convnext.*depth.*ConvNextConfig"),
+        ({"levels": [2, 4]}, r"levels.*\[2, 4\].*\[4, 8, 16, 32\]"),
     ],
 )
 def test_mistakes_are_named(options, message):

@@ -90,11 +90,11 @@ def test_uncertain_answers_are_not_valid(small, rig):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"groups": 3}, "4 match_channels cannot be split into 3"),
+        ({"groups": 3}, "4 match_channels.* 3"),
         ({"sweep_stride": 3}, "sweep_stride is 3"),
         ({"erp_size": [46, 12]}, "multiples of 4"),
-        ({"erp_size": [48, 12, 1]}, "give width and height"),
-        ({"erp_top_deg": -50.0}, "need -90"),
+        ({"erp_size": [48, 12, 1]}, "width.*height"),
+        ({"erp_top_deg": -50.0}, "-90"),
     ],
 )
 def test_sizes_that_do_not_fit_are_named(changes, words, small):

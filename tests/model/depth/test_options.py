@@ -83,11 +83,11 @@ def test_a_black_image_and_a_masked_camera_cost_no_more_than_their_part(name, sm
 @every
 def test_wrong_images_are_named(name, small, rig, make_ring):
     model, images = small(name), images_of((rig,))
-    with pytest.raises(ValueError, match="6 cameras but there are images of 5"):
+    with pytest.raises(ValueError, match=r"6 cameras.*images.* 5"):
         model(images[:, :5], (rig,))
-    with pytest.raises(ValueError, match="images are 32x36 px but the rig's"):
+    with pytest.raises(ValueError, match=r"32x36 px.*rig"):
         model(images[..., :32], (rig,))
-    with pytest.raises(ValueError, match="2 rigs for 1 samples"):
+    with pytest.raises(ValueError, match=r"2 rigs.* 1 sample"):
         model(images, (rig, rig))
     images[0, 0, 0, 0, 0] = float("nan")
     with pytest.raises(ValueError, match="NaN"):

@@ -46,5 +46,5 @@ def test_training_reaches_every_parameter(fisheye):
 
 
 def test_a_grid_that_does_not_divide_is_named():
-    with pytest.raises(ValueError, match="4x8x3 cells does not divide"):
+    with pytest.raises(ValueError, match=r"4x8x3.*divide"):
         make(Cylinder((4, 8, 3)))

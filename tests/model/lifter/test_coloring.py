@@ -167,16 +167,16 @@ def test_positions_do_not_jump_where_the_azimuth_does():
 
 def test_a_rig_with_other_cameras_than_the_images_is_named(fisheye):
     features = [level[:, :4] for level in make_features(1)]
-    with pytest.raises(ValueError, match="6 cameras but there are images of 4"):
+    with pytest.raises(ValueError, match=r"6 cameras.*images.* 4"):
         make()(features, torch.ones(1, *GRID.shape, dtype=torch.bool), (fisheye,))
 
 
 @pytest.mark.parametrize(
     ("anchors", "message"),
     [
-        ([], "2 points cannot be split among 0 anchors"),
-        ([(0.0, 0.0, 0.0)] * 3, "2 points cannot be split among 3 anchors"),
-        ([(0.0, 0.0, 0.6)], "from -0.5 to 0.5"),
+        ([], "2 points.* 0 anchors"),
+        ([(0.0, 0.0, 0.0)] * 3, "2 points.* 3 anchors"),
+        ([(0.0, 0.0, 0.6)], "-0.5.*0.5"),
     ],
 )
 def test_anchors_share_the_points_and_stay_in_their_cell(anchors, message):
@@ -185,5 +185,5 @@ def test_anchors_share_the_points_and_stay_in_their_cell(anchors, message):
 
 
 def test_heads_must_divide_channels():
-    with pytest.raises(ValueError, match="8 channels cannot be split among 3 heads"):
+    with pytest.raises(ValueError, match=r"8 channels.* 3 heads"):
         Coloring(GRID, 8, [4], layers=1, heads=3, points=1, feedforward_channels=8)

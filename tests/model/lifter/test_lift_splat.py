@@ -62,7 +62,7 @@ def test_bfloat16_keeps_shares_in_single_precision(fisheye):
 
 
 def test_a_rig_with_other_cameras_than_the_images_is_named(fisheye):
-    with pytest.raises(ValueError, match="6 cameras but there are images of 4"):
+    with pytest.raises(ValueError, match=r"6 cameras.*images.* 4"):
         make()([torch.randn(1, 4, 8, 5, 7, dtype=torch.float64)], CANDIDATES[:1], (fisheye,))
 
 

@@ -172,10 +172,10 @@ def test_halved_attends_among_means_of_eight_voxels_and_interpolates(geometry):
 
 
 def test_only_grids_of_even_size_can_be_halved():
-    with pytest.raises(ValueError, match="4x6x3 cells does not divide into blocks of 2x2x2"):
+    with pytest.raises(ValueError, match=r"4x6x3.*blocks.*2x2x2"):
         Attention(CYLINDER, 8, 1, heads=2, points=1, feedforward_channels=8, halved=True)
 
 
 def test_heads_must_divide_channels():
-    with pytest.raises(ValueError, match="8 channels cannot be split among 3 heads"):
+    with pytest.raises(ValueError, match=r"8 channels.* 3 heads"):
         Attention(CYLINDER, 8, 1, heads=3, points=1, feedforward_channels=8)

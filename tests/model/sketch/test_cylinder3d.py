@@ -68,7 +68,7 @@ def test_other_axes_may_be_odd(shape):
 
 
 def test_impossible_sizes_are_named():
-    with pytest.raises(ValueError, match="multiples of 8 cells, not 12"):
+    with pytest.raises(ValueError, match=r"multiples of 8.* 12"):
         Cylinder3D(GRID, 3, [8, 8, 8, 8], 2)
     with pytest.raises(ValueError, match="12 channels"):
         Cylinder3D(GRID, 3, [12, 8], 2)
