@@ -6,11 +6,11 @@ from pathlib import Path
 from lightning.pytorch import Trainer
 
 from omniocc.config import build, lines_not_tracebacks
-from omniocc.report.run import save_results, show_results
+from omniocc.run.folder import PICTURES, git_commit
+from omniocc.run.results import save_results, show_results
 from omniocc.task import StepProgress
 from omniocc.task.checkpoint import load_task
 from omniocc.task.pictures import Pictures
-from omniocc.task.run_folder import PICTURES, git_commit
 from train import quiet
 
 

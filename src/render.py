@@ -11,11 +11,11 @@ from omegaconf import DictConfig
 
 from omniocc.config import build, check, lines_not_tracebacks
 from omniocc.data import DataError, SceneReader, VirtualWorld
-from omniocc.data.budget import announcement, begun, size
-from omniocc.data.check import SceneSurvey, survey
+from omniocc.data.labels.class_fractions import share_table
 from omniocc.data.progress import clock
-from omniocc.data.record import ScenePlan
-from omniocc.data.shares import share_table
+from omniocc.data.recording.budget import announcement, begun, size
+from omniocc.data.recording.job import ScenePlan
+from omniocc.data.store.check import SceneSurvey, survey
 from omniocc.errors import UserError
 from omniocc.geometry import Cylinder
 from omniocc.lazy_help import accept_lazy_help
@@ -94,7 +94,7 @@ def read_back(world: VirtualWorld, plans: Sequence[ScenePlan]) -> None:
 
 def draw_page(world: VirtualWorld, plans: Sequence[ScenePlan]) -> None:
     """Write the page beside the scenes that are there."""
-    from omniocc.view.dataset_page import save_page  # not needed to render
+    from omniocc.report.dataset_page import save_page  # not needed to render
 
     missing = world.missing(plans)
     scenes = [world.reader(plan) for plan in plans if plan not in missing]

@@ -18,15 +18,9 @@ from omniocc.config import build, check_root, lines_not_tracebacks, plain
 from omniocc.data import Extras, OccupancyData
 from omniocc.io import atomic_write
 from omniocc.lazy_help import accept_lazy_help
-from omniocc.report.run import save_results, show_results
-from omniocc.task import Occupancy, StepProgress
-from omniocc.task.checkpoint import build_task
-from omniocc.task.checkpoint_io import BEST, LAST, AtomicCheckpointIO
-from omniocc.task.cost import PEAK, cost_of, peak_mib
-from omniocc.task.loggers import finish
-from omniocc.task.memory import keep_freed_memory
-from omniocc.task.pictures import Pictures
-from omniocc.task.run_folder import (
+from omniocc.run.checkpoint_io import BEST, LAST, AtomicCheckpointIO
+from omniocc.run.cost import PEAK, cost_of, peak_mib
+from omniocc.run.folder import (
     PICTURES,
     RunFolder,
     command_line,
@@ -35,6 +29,12 @@ from omniocc.task.run_folder import (
     open_run,
     run_hash,
 )
+from omniocc.run.memory import keep_freed_memory
+from omniocc.run.results import save_results, show_results
+from omniocc.run.wandb.loggers import finish
+from omniocc.task import Occupancy, StepProgress
+from omniocc.task.checkpoint import build_task
+from omniocc.task.pictures import Pictures
 from omniocc.task.stages import Stages, is_learned, wanted_stages
 
 

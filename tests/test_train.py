@@ -12,7 +12,7 @@ import pytest
 from filelock import FileLock
 
 from omniocc.report.dashboard import KEYS
-from omniocc.task.wandb_file import files_of, history, records
+from omniocc.run.wandb.wandb_file import files_of, history, records
 
 ROOT = Path(__file__).parents[1]
 TWELVE_STEPS = ("trainer.max_steps=12", "checkpoint_every_n_steps=1")  # time enough to be killed in

@@ -25,8 +25,8 @@ from torch.profiler import profile
 from omniocc.camera import Rig
 from omniocc.config import build
 from omniocc.model.sketch import Random
-from omniocc.task.cost import count_gflop
-from omniocc.task.memory import keep_freed_memory
+from omniocc.run.cost import count_gflop
+from omniocc.run.memory import keep_freed_memory
 
 CONF = Path(__file__).parents[2] / "conf"
 STATUS, CLEAR_REFS = Path("/proc/self/status"), Path("/proc/self/clear_refs")

@@ -15,12 +15,12 @@ import numpy as np
 import torch
 
 from omniocc.camera import Rig
-from omniocc.data.codec import encode_frame
+from omniocc.data.store.codec import encode_frame
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.world import THEMES, Frame, Scene
-from omniocc.world.capture import expose
-from omniocc.world.caster import Caster
-from omniocc.world.stage import Stage, repeat
+from omniocc.world.render.capture import expose
+from omniocc.world.render.caster import Caster
+from omniocc.world.render.stage import Stage, repeat
 
 INTERVAL_S = 0.5
 GRIDS = (Cylinder((128, 200, 16)), Cuboid((256, 256, 16)))

@@ -19,8 +19,8 @@ ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "src"))
 
 from omniocc.geometry import Cuboid, Cylinder  # noqa: E402
-from omniocc.geometry.fans import Fans  # noqa: E402
-from omniocc.geometry.tensor_table import TensorTable  # noqa: E402
+from omniocc.geometry.raycast.fans import Fans  # noqa: E402
+from omniocc.geometry.raycast.tensor_table import TensorTable  # noqa: E402
 
 RAYS_PER_GRID = 1000
 

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from omniocc.camera import EUCM, MEI, DoubleSphere
-from omniocc.camera.angle import pinhole_bound
+from omniocc.camera.ops.angle import pinhole_bound
 
 
 def ray(angle_deg):

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from omniocc.data.record import ScenePlan
-from omniocc.data.virtual import VirtualWorld
+from omniocc.data.recording.job import ScenePlan
+from omniocc.data.source.virtual import VirtualWorld
 from omniocc.world.frame import Box, Frame
 
 CAMERAS, WIDTH, HEIGHT = 6, 32, 18

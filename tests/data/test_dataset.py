@@ -6,9 +6,9 @@ import pytest
 import torch
 from fake_scene import FakeWorld, fake_frame
 
-from omniocc.data import codec
 from omniocc.data.dataset import WindowDataset, collate, window_frames
-from omniocc.data.voxels import VoxelCache
+from omniocc.data.labels.voxels import VoxelCache
+from omniocc.data.store import codec
 from omniocc.errors import DataError
 from omniocc.geometry import Cuboid, Cylinder
 

@@ -1,8 +1,9 @@
 import numpy as np
 
 from omniocc.camera import Rig
-from omniocc.data import VirtualWorld, codec
-from omniocc.data.check import check_scene
+from omniocc.data import VirtualWorld
+from omniocc.data.store import codec
+from omniocc.data.store.check import check_scene
 from omniocc.world import Scene
 
 

@@ -12,10 +12,10 @@ import torch
 from fake_scene import FakeWorld
 
 from omniocc.data import DataError, SceneReader, VirtualWorld
-from omniocc.data.check import check_scene
 from omniocc.data.dataset import WindowDataset
-from omniocc.data.files import LocalFiles, read_members
-from omniocc.data.voxels import VoxelCache
+from omniocc.data.labels.voxels import VoxelCache
+from omniocc.data.store.check import check_scene
+from omniocc.data.store.files import LocalFiles, read_members
 from omniocc.geometry import Cuboid
 
 GRID = Cuboid(shape=(6, 5, 4), x_m=(-20.0, 20.0), y_m=(-20.0, 20.0), height_m=(-2.8, 3.6))

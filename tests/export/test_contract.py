@@ -5,7 +5,7 @@ import math
 import torch
 
 from omniocc.export import contract_of, example_inputs, make_module
-from omniocc.model.static import static_shapes
+from omniocc.model.ops.static import static_shapes
 
 
 def test_contract_of_a_step(make_model, rig):

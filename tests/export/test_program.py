@@ -6,7 +6,7 @@ import torch
 from omniocc.errors import UserError
 from omniocc.export import contract_of, example_inputs, export_program, make_module
 from omniocc.export.files import write_program
-from omniocc.model.static import static_shapes
+from omniocc.model.ops.static import static_shapes
 
 OPTIONS = [
     ["model/temporal=none"],

@@ -13,7 +13,7 @@ from torch.utils.data import DataLoader
 
 import omniocc
 from omniocc.geometry import Cuboid, Cylinder, RayTable, Scan
-from omniocc.geometry.kernel_table import share
+from omniocc.geometry.raycast.kernel_table import share
 from omniocc.metric import sparseocc_directions
 
 GRID = Cylinder((16, 20, 6), (0.0, 12.0), (-2.8, 3.2))

@@ -14,15 +14,15 @@ from omniocc.camera import Rig
 from omniocc.camera.pose import pose_from_angles
 from omniocc.config import plain
 from omniocc.data import SceneReader, WindowDataset, collate
-from omniocc.data.codec import encode_frame
-from omniocc.data.shard import SceneWriter
-from omniocc.data.voxels import VoxelCache
+from omniocc.data.labels.voxels import VoxelCache
+from omniocc.data.store.codec import encode_frame
+from omniocc.data.store.shard import SceneWriter
 from omniocc.errors import UserError
 from omniocc.predict.export import export_scene
 from omniocc.predict.export import main as export
+from omniocc.predict.input.poses import read_poses, write_poses
 from omniocc.predict.network import load_depth
 from omniocc.predict.occupancy import options_of, predict_occupancy
-from omniocc.predict.poses import read_poses, write_poses
 from omniocc.predict.predictor import blinded
 from omniocc.task.checkpoint import build_task, load_task
 from omniocc.task.scores import Scores

@@ -9,7 +9,7 @@ import yaml
 
 from omniocc.classes import CLASSES, FREE
 from omniocc.geometry import Cuboid, Cylinder, Grid
-from omniocc.report.run import save_results
+from omniocc.run.results import save_results
 from omniocc.view import SheetParts, comparison_parts, comparison_sheet, save_png
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "data"))

@@ -1,6 +1,6 @@
 from omniocc.report.budget import budget_cells, yardstick_cells
 from omniocc.report.runs import FinishedRun
-from omniocc.task.cost import GFLOP, PARAMETERS, PEAK
+from omniocc.run.cost import GFLOP, PARAMETERS, PEAK
 
 STAGES = {"depth": {"max_steps": 800}, "sketch": {"max_steps": 500}}
 CYLINDER = {"_target_": "omniocc.geometry.Cylinder", "shape": [64, 100, 8]}

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from omniocc.errors import UserError
+from omniocc.report.dataset_facts import OTHER_DATASETS
 from omniocc.report.dataset_table import (
     dataset_cells,
     dataset_csv,
@@ -16,7 +17,6 @@ from omniocc.report.dataset_table import (
     with_ours,
 )
 from omniocc.report.runs import read_runs
-from omniocc.view.dataset_facts import OTHER_DATASETS
 
 PATH = Path(__file__).parents[2] / "sweeps" / "dataset.yaml"
 

@@ -5,7 +5,7 @@ import pytest
 from filelock import FileLock
 
 from omniocc.report.upload import log_report, main, waiting
-from omniocc.task.wandb_file import files_of, history, records
+from omniocc.run.wandb.wandb_file import files_of, history, records
 
 
 def offline_run(folder, number=1):

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 
 from omniocc.camera import Rig
-from omniocc.world.caster import Caster, Layers
-from omniocc.world.cull import spheres_of
-from omniocc.world.light import Light
-from omniocc.world.material import Material
-from omniocc.world.mesh import Mesh, concatenate
-from omniocc.world.shade import join, make_surfaces
-from omniocc.world.shadow import Shadows
-from omniocc.world.stage import Stage
-from omniocc.world.weather import draw_light
+from omniocc.world.assets.material import Material
+from omniocc.world.assets.mesh import Mesh, concatenate
+from omniocc.world.render.caster import Caster, Layers
+from omniocc.world.render.cull import spheres_of
+from omniocc.world.render.light import Light
+from omniocc.world.render.shade import join, make_surfaces
+from omniocc.world.render.shadow import Shadows
+from omniocc.world.render.stage import Stage
+from omniocc.world.render.weather import draw_light
 
 
 def make_quad(

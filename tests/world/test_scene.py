@@ -10,7 +10,7 @@ import pytest
 from omniocc.camera import Rig
 from omniocc.world import Frame, Scene
 from omniocc.world.scene import ego_box
-from omniocc.world.traffic import Actor
+from omniocc.world.traffic.traffic import Actor
 
 
 def _make() -> Scene:

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float, Float32, Float64
 from torch import Tensor
 
-from omniocc.camera.pixels import pixel_centers
+from omniocc.camera.ops.pixels import pixel_centers
 from omniocc.camera.pose import check_rigid, invert_pose
 from omniocc.camera.protocol import Camera
 from omniocc.camera.rig_file import read_rig, write_rig

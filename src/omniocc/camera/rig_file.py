@@ -32,16 +32,16 @@ from jaxtyping import Bool, Float64
 from torch import Tensor
 
 from omniocc.camera.calibration import Calibration, parse, read_calibration, read_calibration_folder
-from omniocc.camera.double_sphere import DoubleSphere
-from omniocc.camera.equidistant import Equidistant
-from omniocc.camera.eucm import EUCM
-from omniocc.camera.kannala_brandt import KannalaBrandt
-from omniocc.camera.mei import MEI
-from omniocc.camera.ocam import OCam
-from omniocc.camera.pinhole import Pinhole
+from omniocc.camera.models.double_sphere import DoubleSphere
+from omniocc.camera.models.equidistant import Equidistant
+from omniocc.camera.models.eucm import EUCM
+from omniocc.camera.models.kannala_brandt import KannalaBrandt
+from omniocc.camera.models.mei import MEI
+from omniocc.camera.models.ocam import OCam
+from omniocc.camera.models.pinhole import Pinhole
+from omniocc.camera.models.radial_polynomial import RadialPolynomial
 from omniocc.camera.pose import check_rigid, pose_from_angles
 from omniocc.camera.protocol import Camera, finite, numbers
-from omniocc.camera.radial_polynomial import RadialPolynomial
 
 MODELS = {
     "equidistant": Equidistant,

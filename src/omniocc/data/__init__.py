@@ -2,11 +2,11 @@
 
 from typing import TYPE_CHECKING, Any
 
-from omniocc.data.augment import Augment
+from omniocc.data.augment.augment import Augment
 from omniocc.data.dataset import Extras, WindowDataset, collate
-from omniocc.data.frame_cache import CandidateCache, RangeCache
-from omniocc.data.reader import SceneReader
-from omniocc.data.virtual import VirtualWorld
+from omniocc.data.source.virtual import VirtualWorld
+from omniocc.data.store.frame_cache import CandidateCache, RangeCache
+from omniocc.data.store.reader import SceneReader
 from omniocc.errors import DataError
 
 if TYPE_CHECKING:

@@ -11,10 +11,10 @@ from torch.utils.data import Dataset
 
 from omniocc.batch import Batch
 from omniocc.camera import Rig
-from omniocc.data.codec import decode_image, decode_labels, decode_lidar, decode_range
-from omniocc.data.frame_cache import CandidateCache, RangeCache
-from omniocc.data.reader import SceneReader
-from omniocc.data.voxels import VoxelCache
+from omniocc.data.labels.voxels import VoxelCache
+from omniocc.data.store.codec import decode_image, decode_labels, decode_lidar, decode_range
+from omniocc.data.store.frame_cache import CandidateCache, RangeCache
+from omniocc.data.store.reader import SceneReader
 
 
 class Sample(NamedTuple):

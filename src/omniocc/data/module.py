@@ -9,10 +9,10 @@ from torch.utils.data import DataLoader
 
 from omniocc.batch import Batch
 from omniocc.data.dataset import Extras, WindowDataset, collate
-from omniocc.data.pool import limit_threads
+from omniocc.data.labels.voxels import Unknown, VoxelCache
+from omniocc.data.recording.pool import limit_threads
 from omniocc.data.sampler import EpochSampler, RankSampler
-from omniocc.data.virtual import SPLITS, Split, VirtualWorld
-from omniocc.data.voxels import Unknown, VoxelCache
+from omniocc.data.source.virtual import SPLITS, Split, VirtualWorld
 from omniocc.geometry import Grid
 
 

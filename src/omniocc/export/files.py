@@ -16,7 +16,7 @@ from omniocc.export.contract import contract_of
 from omniocc.export.onnx import onnx_bytes
 from omniocc.export.program import export_program, make_module
 from omniocc.io import atomic_write
-from omniocc.predict.images import even_size
+from omniocc.predict.input.images import even_size
 from omniocc.predict.network import load_occupancy
 
 SUFFIXES = (".pt2", ".onnx")

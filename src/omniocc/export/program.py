@@ -11,7 +11,7 @@ from torch.export import ExportedProgram
 from omniocc.camera import Rig
 from omniocc.errors import UserError
 from omniocc.model import OccupancyModel
-from omniocc.model.static import static_shapes
+from omniocc.model.ops.static import static_shapes
 
 SLOTS = ("backbone", "sketch", "lifter", "temporal", "refiner")
 

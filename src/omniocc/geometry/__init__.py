@@ -2,10 +2,10 @@
 
 from omniocc.geometry.cuboid import Cuboid
 from omniocc.geometry.cylinder import Cylinder
-from omniocc.geometry.fans import Fans, Scan
 from omniocc.geometry.grid import Grid
-from omniocc.geometry.table import RayTable, ray_table
-from omniocc.geometry.trace import Hits, Paths
+from omniocc.geometry.raycast.fans import Fans, Scan
+from omniocc.geometry.raycast.table import RayTable, ray_table
+from omniocc.geometry.raycast.trace import Hits, Paths
 from omniocc.geometry.vote import downsample, majority
 
 __all__ = [

@@ -7,8 +7,8 @@ import torch
 from jaxtyping import Float, Float64
 from torch import Tensor
 
-from omniocc.geometry.crossings import Crossings, clip_slab, plane_crossings
 from omniocc.geometry.grid import Grid, as_axis, as_shape
+from omniocc.geometry.raycast.crossings import Crossings, clip_slab, plane_crossings
 
 
 @dataclass(frozen=True, init=False)

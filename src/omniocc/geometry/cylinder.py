@@ -8,7 +8,8 @@ import torch
 from jaxtyping import Float, Float64
 from torch import Tensor
 
-from omniocc.geometry.crossings import (
+from omniocc.geometry.grid import Grid, as_axis, as_shape
+from omniocc.geometry.raycast.crossings import (
     Crossings,
     clip_disc,
     clip_slab,
@@ -16,7 +17,6 @@ from omniocc.geometry.crossings import (
     ring_crossings,
     sector_crossings,
 )
-from omniocc.geometry.grid import Grid, as_axis, as_shape
 
 
 @dataclass(frozen=True, init=False)

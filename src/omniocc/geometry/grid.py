@@ -11,10 +11,10 @@ from jaxtyping import Bool, Float, Float32, Float64, Int64, UInt8
 from torch import Tensor
 
 from omniocc.classes import NUM_CLASSES
-from omniocc.geometry.crossings import Crossings
 from omniocc.geometry.dilate import dilate
-from omniocc.geometry.table import cast
-from omniocc.geometry.trace import Hits, Paths, paths
+from omniocc.geometry.raycast.crossings import Crossings
+from omniocc.geometry.raycast.table import cast
+from omniocc.geometry.raycast.trace import Hits, Paths, paths
 from omniocc.geometry.vote import majority
 from omniocc.geometry.warp import Corners, fold, interpolate, trilinear
 
@@ -203,13 +203,13 @@ class Grid(ABC):
         return torch.stack([self.index(self._moved_centers(pose))[1].reshape(self.shape) for pose in past_from_current])
 
     def paths(self, origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"]) -> Paths:
-        """All cells that each ray crosses, in order (see `omniocc.geometry.trace.paths`)."""
+        """All cells that each ray crosses, in order (see `omniocc.geometry.raycast.trace.paths`)."""
         return paths(self, origins, directions)
 
     def cast(
         self, labels: UInt8[Tensor, "X Y Z"], origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"]
     ) -> Hits:
-        """First cell along each ray that is not free (see `omniocc.geometry.table.cast`)."""
+        """First cell along each ray that is not free (see `omniocc.geometry.raycast.table.cast`)."""
         return cast(self, labels, origins, directions)
 
     def trace(

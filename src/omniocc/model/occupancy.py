@@ -10,7 +10,7 @@ from omniocc.camera import Rig
 from omniocc.geometry import Grid
 from omniocc.model.backbone import Backbone
 from omniocc.model.lifter import GuessesRanges, Lifter
-from omniocc.model.padding import Pointwise
+from omniocc.model.ops.padding import Pointwise
 from omniocc.model.refiner import Refiner
 from omniocc.model.semantic_head import SemanticHead
 from omniocc.model.sketch import Sketch

@@ -8,10 +8,10 @@ import torch
 
 from omniocc.config import lines_not_tracebacks
 from omniocc.data import SceneReader
-from omniocc.data.shard import META
+from omniocc.data.store.shard import META
 from omniocc.errors import UserError
-from omniocc.predict.drive import RecordedDrive
-from omniocc.predict.poses import write_poses
+from omniocc.predict.input.poses import write_poses
+from omniocc.predict.input.sequence import RecordedDrive
 
 RIG, POSES = "rig.yaml", "poses.csv"
 

@@ -8,13 +8,12 @@ from pathlib import Path
 import numpy as np
 from torch import Tensor
 
+from omniocc.data.labels.voxels import Unknown
 from omniocc.data.progress import FrameProgress, clock
-from omniocc.data.voxels import Unknown
 from omniocc.metric import VoxelIoU
-from omniocc.predict.drive import Drive, Truth, moved_origin
-from omniocc.predict.predictor import STEPS, Answer, Predictor, Watch
-from omniocc.predict.schedule import History, Visit, schedule
-from omniocc.predict.voxel_files import (
+from omniocc.predict.input.schedule import History, Visit, schedule
+from omniocc.predict.input.sequence import Drive, Truth, moved_origin
+from omniocc.predict.output.voxel_files import (
     PICTURE,
     VOXELS,
     raised_grid,
@@ -23,6 +22,7 @@ from omniocc.predict.voxel_files import (
     write_mesh,
     write_voxels,
 )
+from omniocc.predict.predictor import STEPS, Answer, Predictor, Watch
 from omniocc.task.scores import Scores
 from omniocc.view import save_png
 from omniocc.view.voxel_sheet import SeenRange, occupancy_sheet

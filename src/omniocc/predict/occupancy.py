@@ -12,17 +12,17 @@ from omniocc.config import build, check
 from omniocc.errors import UserError
 from omniocc.geometry import Grid
 from omniocc.model import OccupancyModel
-from omniocc.predict.claim import claim, digest_of, fingerprint_of_poses
-from omniocc.predict.drive import Drive, PictureDrive, find_scenes
 from omniocc.predict.export import RIG
-from omniocc.predict.images import check_without, find_frames
+from omniocc.predict.input.images import check_without, find_frames
+from omniocc.predict.input.poses import read_poses
+from omniocc.predict.input.schedule import History
+from omniocc.predict.input.sequence import Drive, PictureDrive, find_scenes
 from omniocc.predict.job import Job
 from omniocc.predict.network import load_occupancy
-from omniocc.predict.poses import read_poses
+from omniocc.predict.output.claim import claim, digest_of, fingerprint_of_poses
 from omniocc.predict.predictor import Predictor
-from omniocc.predict.schedule import History
-from omniocc.report.run import save_results
-from omniocc.report.table import summary
+from omniocc.run.results import save_results
+from omniocc.run.table import summary
 from omniocc.task.scores import Scores
 
 TRAINED_ROAD_Z_M = -2.2

@@ -16,7 +16,7 @@ from omniocc.errors import UserError
 from omniocc.model import OccupancyModel, Stream
 from omniocc.model.depth import DepthMap
 from omniocc.model.sketch import Omni
-from omniocc.predict.images import resized_to_width
+from omniocc.predict.input.images import resized_to_width
 
 STEPS: tuple[str, ...] = ("read", "depth", "sketch", "occupancy", "write")
 """What takes time, in order."""

@@ -3,8 +3,8 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from omniocc.report.runs import FinishedRun
-from omniocc.report.table import number
-from omniocc.task.cost import GFLOP, PARAMETERS, PEAK
+from omniocc.run.cost import GFLOP, PARAMETERS, PEAK
+from omniocc.run.table import number
 
 HEAD = [
     "row",

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from omniocc.config import lines_not_tracebacks
 from omniocc.errors import UserError
-from omniocc.task.loggers import logged_in
-from omniocc.task.result_tables import BANDS, CLASS_NAMES
+from omniocc.run.wandb.loggers import logged_in
+from omniocc.run.wandb.result_tables import BANDS, CLASS_NAMES
 
 if TYPE_CHECKING:
     from wandb_workspaces.workspaces import Section, Workspace

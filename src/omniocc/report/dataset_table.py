@@ -10,14 +10,14 @@ from typing import Any, NamedTuple
 import yaml
 
 from omniocc.data import VirtualWorld
-from omniocc.data.files import is_url
-from omniocc.data.reader import SceneReader
-from omniocc.data.record import SPLITS
-from omniocc.data.shard import digest
+from omniocc.data.recording.job import SPLITS
+from omniocc.data.store.files import is_url
+from omniocc.data.store.reader import SceneReader
+from omniocc.data.store.shard import digest
 from omniocc.errors import UserError
+from omniocc.report.dataset_facts import own_row, pinhole_twin
 from omniocc.report.runs import FinishedRun
-from omniocc.report.table import markdown
-from omniocc.view.dataset_facts import own_row, pinhole_twin
+from omniocc.run.table import markdown
 
 Row = tuple[str, Sequence[bool | int]]
 

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from omniocc.report.runs import FinishedRun
-from omniocc.task.run_folder import PARTS, PICTURES
+from omniocc.run.folder import PARTS, PICTURES
 from omniocc.view import SheetParts
 
 NAME = re.compile(r"test-(\d+)-(.+)-(\d+)")

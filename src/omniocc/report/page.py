@@ -22,7 +22,7 @@ from omniocc.report.paper_table import (
 )
 from omniocc.report.runs import FinishedRun
 from omniocc.report.sweep import Sweep, open_ends
-from omniocc.report.table import number
+from omniocc.run.table import number
 from omniocc.view.bev import ERRORS
 
 TEMPLATE = Path(__file__).with_suffix(".html")

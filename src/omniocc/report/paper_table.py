@@ -12,7 +12,7 @@ import yaml
 
 from omniocc.errors import UserError
 from omniocc.report.runs import VOXELS, FinishedRun
-from omniocc.report.table import markdown, number
+from omniocc.run.table import markdown, number
 
 
 class PaperRow(NamedTuple):

@@ -16,7 +16,7 @@ from omniocc.classes import CLASSES, FREE
 from omniocc.report.curves import over_seeds, read_curve, smoothed
 from omniocc.report.paper_table import figure_of
 from omniocc.report.runs import SHARE, FinishedRun
-from omniocc.report.table import band_keys
+from omniocc.run.table import band_keys
 
 Rows = Mapping[str, Sequence[FinishedRun]]
 

@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 import yaml
 
 from omniocc.errors import UserError
-from omniocc.report.run import load_results
-from omniocc.report.table import band_keys, number
-from omniocc.task.run_folder import METRICS, VOLATILE
+from omniocc.run.folder import METRICS, VOLATILE
+from omniocc.run.results import load_results
+from omniocc.run.table import band_keys, number
 
 HASH = re.compile(r"-[0-9a-f]{8}(-\d+)?$")
 SHARE, RECALL, VOXELS = "test/sketch/share", "test/sketch/recall", "voxels"

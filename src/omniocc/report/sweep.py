@@ -23,8 +23,8 @@ from omniocc.report.markup import path_between
 from omniocc.report.paper_table import PaperTable, as_csv, as_latex, as_markdown, is_table, load_table
 from omniocc.report.rows import assign_rows
 from omniocc.report.runs import FinishedRun, by_row, comparable, read_runs, table_of_runs
-from omniocc.report.table import markdown
-from omniocc.task.run_folder import METRICS
+from omniocc.run.folder import METRICS
+from omniocc.run.table import markdown
 
 
 class Sweep(NamedTuple):

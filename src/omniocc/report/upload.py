@@ -12,7 +12,7 @@ from filelock import FileLock, Timeout
 
 from omniocc.config import lines_not_tracebacks
 from omniocc.errors import UserError
-from omniocc.task.loggers import logged_in
+from omniocc.run.wandb.loggers import logged_in
 
 OFFLINE = "wandb/offline-run-*/run-*.wandb"
 MARK = ".synced"

@@ -1,8 +1,8 @@
 """Lightning modules of the stages, and what a run needs around them."""
 
+from omniocc.run.wandb.loggers import Loggers
 from omniocc.task.adamw import AdamW
 from omniocc.task.depth import Depth
-from omniocc.task.loggers import Loggers
 from omniocc.task.occupancy import Occupancy
 from omniocc.task.progress import StepProgress
 from omniocc.task.recipe import Recipe

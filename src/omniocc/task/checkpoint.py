@@ -7,7 +7,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from omniocc.config import build, check, plain
 from omniocc.errors import UserError
-from omniocc.task.checkpoint_io import read_checkpoint
+from omniocc.run.checkpoint_io import read_checkpoint
 from omniocc.task.occupancy import Occupancy
 
 PARTS = ("model", "loss", "optimizer", "augment")

@@ -12,10 +12,10 @@ from lightning.pytorch import Callback, LightningModule, Trainer
 from torch import Tensor
 
 from omniocc.batch import Batch
-from omniocc.data.shares import spread
-from omniocc.task.loggers import wandb_of
-from omniocc.task.media import Named, range_media, voxel_media
-from omniocc.task.run_folder import PARTS
+from omniocc.data.labels.class_fractions import spread
+from omniocc.run.folder import PARTS
+from omniocc.run.wandb.loggers import wandb_of
+from omniocc.run.wandb.media import Named, range_media, voxel_media
 from omniocc.task.sketch import panorama
 from omniocc.view import comparison_parts, comparison_sheet, depth_sheet, save_png, sketch_sheet
 

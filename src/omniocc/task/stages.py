@@ -23,22 +23,22 @@ from torch import Tensor
 from omniocc.config import build, plain
 from omniocc.data import CandidateCache, Extras, OccupancyData, RangeCache, SceneReader
 from omniocc.data.dataset import read_images, read_true_ranges
-from omniocc.data.frame_cache import FrameCache
 from omniocc.data.progress import FrameProgress
-from omniocc.data.record import SPLITS
+from omniocc.data.recording.job import SPLITS
+from omniocc.data.store.frame_cache import FrameCache
 from omniocc.errors import UserError
 from omniocc.io import atomic_write
-from omniocc.model.depth.spheres import rig_spheres
 from omniocc.model.occupancy import to_unit_range
-from omniocc.report.run import load_results, save_results
+from omniocc.model.ops.depth.spheres import rig_spheres
+from omniocc.run.checkpoint_io import LAST, AtomicCheckpointIO, resumable
+from omniocc.run.folder import METRICS, PICTURES, git_commit
+from omniocc.run.results import load_results, save_results
+from omniocc.run.wandb.loggers import finish
 from omniocc.task.checkpoint import load_config, model_weights
-from omniocc.task.checkpoint_io import LAST, AtomicCheckpointIO, resumable
 from omniocc.task.depth import Depth
-from omniocc.task.loggers import finish
 from omniocc.task.pictures import DepthPictures, SketchPictures
 from omniocc.task.progress import StepProgress
 from omniocc.task.recipe import Recipe
-from omniocc.task.run_folder import METRICS, PICTURES, git_commit
 from omniocc.task.sketch import Sketch, known
 
 STAGES = ("depth", "sketch", "occupancy")

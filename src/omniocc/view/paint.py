@@ -13,8 +13,8 @@ from torch import Tensor
 from omniocc.camera import Equirectangular, Rig
 from omniocc.classes import FREE, PALETTE, UNKNOWN
 from omniocc.geometry import Grid
-from omniocc.geometry.fans import Fans
-from omniocc.geometry.table import RayTable
+from omniocc.geometry.raycast.fans import Fans
+from omniocc.geometry.raycast.table import RayTable
 from omniocc.view.canvas import fitted
 
 COARSE = 2

@@ -30,7 +30,7 @@ class Frame:
         erp_range_m: (h, w) float32 range from the ego origin over the full turn; inf for sky, own car not present.
         points_m: (P, 3) float32 semantic surface points (own car not present).
         point_labels: (P,) uint8.
-        lidar_range_m: (R,) float32 along the ego LiDAR's rays (`omniocc.world.lidar.ego_directions`), inf where
+        lidar_range_m: (R,) float32 along the ego LiDAR's rays (`omniocc.world.sensors.lidar.ego_directions`), inf where
             nothing is hit.
         lidar_labels: (R,) uint8; 0 where nothing is hit.
         boxes: the moving actors near by.

@@ -7,21 +7,22 @@ from typing import Literal, get_args
 import numpy as np
 
 from omniocc.camera import Rig
-from omniocc.world import place, seeding
-from omniocc.world.caster import Caster, Layers
-from omniocc.world.cull import spheres_of
+from omniocc.world import seeding
+from omniocc.world.assets.mesh import transform
+from omniocc.world.assets.vehicle import ego_car
 from omniocc.world.frame import Box, Frame
-from omniocc.world.lamp import lamp_pools
-from omniocc.world.mesh import transform
-from omniocc.world.recorder import Capture, Labeller, Recorder
-from omniocc.world.sample import GeometryLabels
-from omniocc.world.shade import SurfaceStack, make_surfaces
-from omniocc.world.shadow import Shadows
-from omniocc.world.stage import Stage
-from omniocc.world.survey import Survey
-from omniocc.world.traffic import Actor, Traffic
-from omniocc.world.vehicle import ego_car
-from omniocc.world.weather import WEATHERS, draw_light, draw_sensor, draw_weather
+from omniocc.world.render.caster import Caster, Layers
+from omniocc.world.render.cull import spheres_of
+from omniocc.world.render.lamp import lamp_pools
+from omniocc.world.render.shade import SurfaceStack, make_surfaces
+from omniocc.world.render.shadow import Shadows
+from omniocc.world.render.stage import Stage
+from omniocc.world.render.weather import WEATHERS, draw_light, draw_sensor, draw_weather
+from omniocc.world.sensors.recorder import Capture, Labeller, Recorder
+from omniocc.world.sensors.sample import GeometryLabels
+from omniocc.world.sensors.survey import Survey
+from omniocc.world.town import place
+from omniocc.world.traffic.traffic import Actor, Traffic
 
 LabelMode = Literal["lidar20", "geometry"]
 

@@ -5,7 +5,8 @@ import pytest
 import torch
 from transformers import ResNetConfig, ResNetModel
 
-from omniocc.model.backbone import ResNet, pretrained
+from omniocc.model.backbone import ResNet
+from omniocc.model.ops.backbone import pretrained
 
 SIZES = {"layer_type": "basic", "embedding_size": 8, "hidden_sizes": [8, 8, 16, 16], "depths": [1, 1, 1, 1]}
 

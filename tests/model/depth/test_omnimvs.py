@@ -2,7 +2,7 @@ import pytest
 import torch
 
 from omniocc.camera import Rig
-from omniocc.model.depth import projection
+from omniocc.model.ops.depth import projection
 
 
 @pytest.mark.parametrize("stride", [1, 2])

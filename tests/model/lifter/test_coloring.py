@@ -7,8 +7,8 @@ import torch
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.model.lifter import Coloring
 from omniocc.model.lifter.coloring import group_samples
-from omniocc.model.lifter.position import position_features
-from omniocc.model.lifter.visible import reference_points
+from omniocc.model.ops.lifter.position import position_features
+from omniocc.model.ops.lifter.visible import reference_points
 
 GRID = Cylinder((4, 8, 3))
 SIZES = [(9, 16), (5, 8)]

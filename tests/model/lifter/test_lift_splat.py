@@ -3,7 +3,7 @@ import torch
 
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.model.lifter import LiftSplat
-from omniocc.model.lifter.splat import find_entries, splat
+from omniocc.model.ops.lifter.splat import find_entries, splat
 
 GRID = Cylinder((4, 8, 3))
 CANDIDATES = torch.ones(2, *GRID.shape, dtype=torch.bool)

@@ -7,11 +7,11 @@ from jaxtyping import Float64
 from torch import Tensor
 
 from omniocc.camera.calibration.fields import Calibration, ego_from_first, pose, required, row, size
-from omniocc.camera.double_sphere import DoubleSphere
-from omniocc.camera.eucm import EUCM
-from omniocc.camera.kannala_brandt import KannalaBrandt
-from omniocc.camera.mei import MEI
-from omniocc.camera.pinhole import Pinhole
+from omniocc.camera.models.double_sphere import DoubleSphere
+from omniocc.camera.models.eucm import EUCM
+from omniocc.camera.models.kannala_brandt import KannalaBrandt
+from omniocc.camera.models.mei import MEI
+from omniocc.camera.models.pinhole import Pinhole
 from omniocc.camera.pose import invert_pose
 from omniocc.camera.protocol import Camera
 

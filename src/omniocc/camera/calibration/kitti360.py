@@ -15,7 +15,7 @@ from omniocc.camera.calibration.fields import (
     required,
     whole,
 )
-from omniocc.camera.mei import MEI
+from omniocc.camera.models.mei import MEI
 
 POSES = "calib_cam_to_pose.txt"
 

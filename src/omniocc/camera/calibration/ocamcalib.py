@@ -1,7 +1,7 @@
 """OCamCalib's text file (`calib_results.txt`)."""
 
 from omniocc.camera.calibration.fields import Calibration, alone, number
-from omniocc.camera.ocam import OCam
+from omniocc.camera.models.ocam import OCam
 
 LINES = ("polynomial", "inverse polynomial", "centre (row, column)", "affine parameters (c, d, e)", "image size")
 

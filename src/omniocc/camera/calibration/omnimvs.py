@@ -11,7 +11,7 @@ from torch import Tensor
 
 from omniocc.camera.calibration.fields import Calibration, number, required, row, size
 from omniocc.camera.calibration.ocamcalib import counted
-from omniocc.camera.ocam import OCam
+from omniocc.camera.models.ocam import OCam
 from omniocc.camera.pose import LEVEL_FORWARD
 
 

@@ -3,8 +3,8 @@
 from typing import Any
 
 from omniocc.camera.calibration.fields import Calibration, alone, number, required, row, size, whole
-from omniocc.camera.kannala_brandt import KannalaBrandt
-from omniocc.camera.pinhole import Pinhole
+from omniocc.camera.models.kannala_brandt import KannalaBrandt
+from omniocc.camera.models.pinhole import Pinhole
 from omniocc.camera.protocol import Camera
 
 FISHEYE = ("equidistant", "fisheye", "kannala_brandt")

@@ -7,10 +7,10 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from transformers import ResNetConfig
 
-from omniocc.model.backbone.deformable import DeformableConv2d
-from omniocc.model.backbone.fpn import FPN
-from omniocc.model.backbone.imagenet import Normalize
-from omniocc.model.backbone.pretrained import build_resnet
+from omniocc.model.ops.backbone.fpn import FPN
+from omniocc.model.ops.backbone.imagenet import Normalize
+from omniocc.model.ops.backbone.pretrained import build_resnet
+from omniocc.model.ops.deformable_conv import DeformableConv2d
 
 STRIDES = [4, 8, 16, 32]
 

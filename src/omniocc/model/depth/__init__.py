@@ -6,13 +6,13 @@ from jaxtyping import Float
 from torch import Tensor
 
 from omniocc.camera import Equirectangular, Rig
-from omniocc.model.depth.depth_map import DepthMap
 from omniocc.model.depth.mono import Mono
 from omniocc.model.depth.omnimvs import OmniMVS
 from omniocc.model.depth.omnimvs3d import OmniMVS3D
-from omniocc.model.depth.spheres import Spheres
 from omniocc.model.depth.sweep import Sweep
 from omniocc.model.depth.truth import Truth
+from omniocc.model.ops.depth.depth_map import DepthMap
+from omniocc.model.ops.depth.spheres import Spheres
 
 __all__ = ["Depth", "DepthMap", "Mono", "OmniMVS", "OmniMVS3D", "Spheres", "Sweep", "Truth"]
 

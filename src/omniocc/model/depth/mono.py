@@ -10,12 +10,12 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from omniocc.camera import Rig
-from omniocc.camera.pixels import pixel_centers
+from omniocc.camera.ops.pixels import pixel_centers
 from omniocc.loss import SILog
-from omniocc.model.depth.depth_map import DepthMap, check_images, from_index, per_rig
-from omniocc.model.depth.features import FeatureNet
-from omniocc.model.depth.panoramic import Panoramic
-from omniocc.model.depth.zbuffer import fill_holes, merge_cameras
+from omniocc.model.ops.depth.depth_map import DepthMap, check_images, from_index, per_rig
+from omniocc.model.ops.depth.features import FeatureNet
+from omniocc.model.ops.depth.panoramic import Panoramic
+from omniocc.model.ops.depth.zbuffer import fill_holes, merge_cameras
 
 TYPICAL_M = 8.0
 """Range that the network's zero stands for."""

@@ -8,9 +8,9 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from omniocc.camera import Rig
-from omniocc.model.depth.features import FeatureNet
-from omniocc.model.depth.layers import Conv, UNet2d, double, norm
-from omniocc.model.depth.projection import (
+from omniocc.model.ops.depth.features import FeatureNet
+from omniocc.model.ops.depth.layers import Conv, UNet2d, double, norm
+from omniocc.model.ops.depth.projection import (
     LEAST_SHARE,
     Projection,
     Sampler,
@@ -20,7 +20,7 @@ from omniocc.model.depth.projection import (
     samplers,
     table,
 )
-from omniocc.model.depth.sphere_net import SphereNet
+from omniocc.model.ops.depth.sphere_net import SphereNet
 
 CONTEXT_SHARES = (0.06, 0.25)
 """Spheres on which the views' own features are put side by side, as shares of the index of the nearest."""

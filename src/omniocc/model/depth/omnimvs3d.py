@@ -9,10 +9,10 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from omniocc.camera import Rig
-from omniocc.model.depth.features import FeatureNet
-from omniocc.model.depth.projection import LEAST_SHARE, Projection, present_cameras, samplers, table
-from omniocc.model.depth.sphere_net import SphereNet
-from omniocc.model.padding import Conv3d, Downsample, Pointwise, upsample
+from omniocc.model.ops.depth.features import FeatureNet
+from omniocc.model.ops.depth.projection import LEAST_SHARE, Projection, present_cameras, samplers, table
+from omniocc.model.ops.depth.sphere_net import SphereNet
+from omniocc.model.ops.padding import Conv3d, Downsample, Pointwise, upsample
 from omniocc.model.refiner.unet import Residual
 
 AROUND = (False, False, True)

@@ -9,9 +9,9 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from omniocc.camera import Equirectangular, Rig
-from omniocc.model.depth.depth_map import SKY_INDEX, DepthMap, check_images, from_index, per_rig
-from omniocc.model.depth.panoramic import Panoramic
-from omniocc.model.depth.projection import Projection, present_cameras, samplers, table
+from omniocc.model.ops.depth.depth_map import SKY_INDEX, DepthMap, check_images, from_index, per_rig
+from omniocc.model.ops.depth.panoramic import Panoramic
+from omniocc.model.ops.depth.projection import Projection, present_cameras, samplers, table
 
 NOISE = 0.01
 """Standard deviation of grey values (of 1) up to which a window has no texture."""

@@ -6,8 +6,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from omniocc.camera import Rig
-from omniocc.model.depth.depth_map import DepthMap, from_index, per_rig
-from omniocc.model.depth.panoramic import Panoramic
+from omniocc.model.ops.depth.depth_map import DepthMap, from_index, per_rig
+from omniocc.model.ops.depth.panoramic import Panoramic
 
 
 class Truth(Panoramic):

@@ -7,10 +7,10 @@ from torch import Tensor, nn
 
 from omniocc.camera import Rig
 from omniocc.geometry import Grid
-from omniocc.model.blocks import block_any, coarsened, repeat_blocks
 from omniocc.model.lifter.coloring import Coloring
-from omniocc.model.lifter.visible import CENTRE
-from omniocc.model.padding import Axes
+from omniocc.model.ops.blocks import block_any, coarsened, repeat_blocks
+from omniocc.model.ops.lifter.visible import CENTRE
+from omniocc.model.ops.padding import Axes
 
 
 class CoarseColoring(nn.Module):

@@ -10,11 +10,11 @@ from torch import Tensor, nn
 
 from omniocc.camera import Rig
 from omniocc.geometry import Grid
-from omniocc.model.lifter.attention import CrossAttention
-from omniocc.model.lifter.deformable import Level, make_level
-from omniocc.model.lifter.position import position_features
-from omniocc.model.lifter.visible import CENTRE, Pairs, reference_points, visible_pairs
-from omniocc.model.static import is_static
+from omniocc.model.ops.deformable_attention import Level, make_level
+from omniocc.model.ops.lifter.cross_attention import CrossAttention
+from omniocc.model.ops.lifter.position import position_features
+from omniocc.model.ops.lifter.visible import CENTRE, Pairs, reference_points, visible_pairs
+from omniocc.model.ops.static import is_static
 
 
 class ColoringLayer(nn.Module):

@@ -9,7 +9,7 @@ from torch.nn import functional as F
 
 from omniocc.camera import Rig
 from omniocc.geometry import Grid
-from omniocc.model.lifter.splat import find_entries, splat
+from omniocc.model.ops.lifter.splat import find_entries, splat
 
 
 class LiftSplat(nn.Module):

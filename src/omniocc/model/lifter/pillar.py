@@ -6,9 +6,9 @@ from torch import Tensor, nn
 
 from omniocc.camera import Rig
 from omniocc.geometry import Grid
-from omniocc.model.blocks import block_any, coarsened
 from omniocc.model.lifter.coloring import Coloring
-from omniocc.model.padding import Axes
+from omniocc.model.ops.blocks import block_any, coarsened
+from omniocc.model.ops.padding import Axes
 
 
 def pillar_anchors(cells: int, heights: int) -> list[tuple[float, float, float]]:

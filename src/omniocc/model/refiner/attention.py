@@ -9,10 +9,10 @@ from torch import Tensor, nn
 from torch.utils.checkpoint import checkpoint
 
 from omniocc.geometry import Grid
-from omniocc.model.blocks import block_means, coarsened
-from omniocc.model.lifter.attention import ring_offsets
-from omniocc.model.multilinear import corners, sum_samples
-from omniocc.model.padding import Axes, pad3d, upsample
+from omniocc.model.ops.blocks import block_means, coarsened
+from omniocc.model.ops.lifter.cross_attention import ring_offsets
+from omniocc.model.ops.multilinear import corners, sum_samples
+from omniocc.model.ops.padding import Axes, pad3d, upsample
 
 CHUNK_SAMPLES = 2**21
 HALF: Axes = (2, 2, 2)

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from omniocc.geometry import Grid
-from omniocc.model.padding import Periodic, pad3d
+from omniocc.model.ops.padding import Periodic, pad3d
 from omniocc.model.refiner.unet import group_norm
 
 

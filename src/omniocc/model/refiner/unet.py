@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from omniocc.geometry import Grid
-from omniocc.model.padding import Conv3d, Downsample, Periodic, Pointwise, upsample
+from omniocc.model.ops.padding import Conv3d, Downsample, Periodic, Pointwise, upsample
 
 GROUP_CHANNELS = 8
 

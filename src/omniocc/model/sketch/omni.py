@@ -12,10 +12,10 @@ from omniocc.classes import FREE, UNKNOWN
 from omniocc.geometry import Grid
 from omniocc.loss import Lovasz
 from omniocc.model.depth import Depth
-from omniocc.model.sketch.cylinder3d import Cylinder3D
-from omniocc.model.sketch.evidence import EVIDENCE_CHANNELS, Evidence
-from omniocc.model.sketch.points import PointEncoder, pseudo_points, still_axes
-from omniocc.model.sketch.select import above, likeliest
+from omniocc.model.ops.sketch.cylinder3d import Cylinder3D
+from omniocc.model.ops.sketch.evidence import EVIDENCE_CHANNELS, Evidence
+from omniocc.model.ops.sketch.points import PointEncoder, pseudo_points, still_axes
+from omniocc.model.ops.sketch.select import above, likeliest
 
 
 def occupancy(voxels: UInt8[Tensor, "B X Y Z"]) -> UInt8[Tensor, "B X Y Z"]:

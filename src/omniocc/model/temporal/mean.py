@@ -7,7 +7,7 @@ from torch import Tensor, nn
 from omniocc.camera.pose import invert_pose
 from omniocc.geometry import Grid
 from omniocc.geometry.warp import interpolate
-from omniocc.model.static import is_static
+from omniocc.model.ops.static import is_static
 
 
 class Mean(nn.Module):

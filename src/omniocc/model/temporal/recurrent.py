@@ -8,11 +8,11 @@ from torch import Tensor, nn
 
 from omniocc.camera.pose import invert_pose
 from omniocc.geometry import Grid
-from omniocc.model.blocks import coarsened
-from omniocc.model.lifter.attention import ring_offsets
-from omniocc.model.multilinear import corners, sum_samples
-from omniocc.model.padding import Periodic, pad3d
-from omniocc.model.static import is_static
+from omniocc.model.ops.blocks import coarsened
+from omniocc.model.ops.lifter.cross_attention import ring_offsets
+from omniocc.model.ops.multilinear import corners, sum_samples
+from omniocc.model.ops.padding import Periodic, pad3d
+from omniocc.model.ops.static import is_static
 
 VIEWS = 2
 """The one before and the present one."""

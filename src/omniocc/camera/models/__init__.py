@@ -1,0 +1,1 @@
+"""Camera models: from points to pixels and back, at any angle."""

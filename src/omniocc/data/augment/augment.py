@@ -1,0 +1,104 @@
+"""Random changes of training batches."""
+
+from collections.abc import Sequence
+
+import torch
+
+from omniocc.batch import Batch
+from omniocc.classes import UNKNOWN
+from omniocc.data.augment.image import erase, jitter
+from omniocc.data.augment.scene import Change, change_scenes, possible_turns
+from omniocc.geometry import Grid
+
+
+class Augment:
+    """Erased boxes, other colours, mirrored and turned scenes, shorter histories; 0 switches each off.
+
+    Erasing is the paper's ('random cropping on the input RGB images to enhance robustness against occlusion'). Labels
+    of voxels stay: what is behind an erased box is to be inferred from other cameras, other frames and the
+    surroundings. Labels of erased pixels become 255, since nothing of their class is left in the image.
+
+    Args:
+        geometry: grid of the voxel labels.
+        erase_probability: that an image loses a box.
+        erase_share: smallest and largest box, as a share of the image.
+        erase_aspect: smallest and largest width / height of a box.
+        brightness: largest relative change, of every camera of every sample.
+        contrast: likewise.
+        saturation: likewise.
+        hue_deg: largest turn of the colour circle.
+        flip_probability: that a scene is mirrored left to right.
+        yaw_probability: that a scene is turned about the vertical axis, by any step that takes cells to cells.
+        drop_past_probability: that a past frame counts as not recorded, which saves its cost.
+
+    Raises:
+        ValueError: for a value that is no probability or share, or an empty range.
+    """
+
+    def __init__(
+        self,
+        geometry: Grid,
+        erase_probability: float,
+        erase_share: Sequence[float],
+        erase_aspect: Sequence[float],
+        brightness: float,
+        contrast: float,
+        saturation: float,
+        hue_deg: float,
+        flip_probability: float,
+        yaw_probability: float,
+        drop_past_probability: float,
+    ):
+        units = {
+            "erase_probability": erase_probability,
+            "flip_probability": flip_probability,
+            "yaw_probability": yaw_probability,
+            "drop_past_probability": drop_past_probability,
+            "brightness": brightness,
+            "contrast": contrast,
+            "saturation": saturation,
+        }
+        for name, value in units.items():
+            if not 0 <= value <= 1:
+                raise ValueError(f"{name} is {value}; it must be from 0 (off) to 1")
+        for name, pair, most in (("erase_share", erase_share, 1.0), ("erase_aspect", erase_aspect, float("inf"))):
+            if len(pair) != 2 or not 0 < pair[0] <= pair[1] <= most:
+                raise ValueError(f"{name} is {list(pair)}; it must be [smallest, largest], above 0 and at most {most}")
+        self.geometry = geometry
+        self.erasing = (erase_probability, tuple(erase_share), tuple(erase_aspect))
+        self.colors = (brightness, contrast, saturation, hue_deg)
+        self.flip_probability, self.yaw_probability = flip_probability, yaw_probability
+        self.drop_past_probability = drop_past_probability
+
+    def __call__(self, batch: Batch, generator: torch.Generator) -> Batch:
+        """A changed batch; the same for the same state of `generator` (on the CPU), whatever device the batch is on."""
+        if self.flip_probability or self.yaw_probability:
+            batch = change_scenes(batch, self.geometry, self._changes(batch, generator))
+        if self.drop_past_probability:
+            batch = drop_past(batch, self.drop_past_probability, generator)
+        images = batch.images
+        if any(self.colors):
+            images = jitter(images, *self.colors, generator)
+        if self.erasing[0]:
+            images, erased = erase(images, *self.erasing, generator)
+            # the newest frame's pixels alone have labels
+            batch = batch._replace(pixel_labels=batch.pixel_labels.masked_fill(erased[:, -1], UNKNOWN))
+        return batch._replace(images=images)
+
+    def _changes(self, batch: Batch, generator: torch.Generator) -> list[Change]:
+        parts = possible_turns(batch, self.geometry)
+        size = len(batch.frame_ids)
+        flips = torch.rand(size, generator=generator) < self.flip_probability
+        turns = torch.rand(size, generator=generator) < self.yaw_probability
+        steps = torch.randint(0, parts, (size,), generator=generator) * turns
+        return [
+            Change(flip, step, parts if step else 1) for flip, step in zip(flips.tolist(), steps.tolist(), strict=True)
+        ]
+
+
+def drop_past(batch: Batch, probability: float, generator: torch.Generator) -> Batch:
+    """Windows in which past frames do not exist, each with this probability; the newest always stays."""
+    kept = torch.rand(batch.images.shape[:2], generator=generator) >= probability
+    kept[:, -1] = True
+    kept = kept.to(batch.images.device)
+    return batch._replace(exists=kept if batch.exists is None else batch.exists & kept)

@@ -1,0 +1,1 @@
+"""Voxel labels of a grid from recorded points and rays."""

@@ -1,0 +1,1 @@
+"""Rendering scenes into folders with several processes."""

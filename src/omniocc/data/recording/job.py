@@ -1,0 +1,129 @@
+"""Rendering planned scenes, each into a folder of its own."""
+
+import ast
+import functools
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
+
+from omniocc.camera import Rig
+from omniocc.classes import CLASSES
+from omniocc.data.recording.pool import Report, Stopped
+from omniocc.data.store.codec import encode_frame
+from omniocc.data.store.shard import SceneWriter
+from omniocc.errors import DataError
+from omniocc.world import Frame, seeding
+from omniocc.world.render.weather import draw_weather
+
+Split = Literal["train", "val", "test"]
+SPLITS: tuple[Split, ...] = ("train", "val", "test")
+RECORDERS = ("numpy", "opencv-python-headless", "zstandard", "embreex")
+
+
+class ScenePlan(NamedTuple):
+    """One scene to be: its name, the map it lies in, and the seed of everything random in it."""
+
+    name: str
+    split: Split
+    theme: str
+    seed: int
+
+
+@runtime_checkable
+class Recordable(Protocol):
+    """What a scene offers: `omniocc.world.Scene` and whatever else makes frames."""
+
+    def frame(self, index: int) -> Frame:
+        """The frame with this number; depends on nothing but the scene and the number."""
+        ...
+
+
+@functools.cache
+def code_fingerprint(folder: Path) -> str:
+    """Return a hash of what the modules below a folder do: comments, docstrings and layout do not count."""
+    digest = hashlib.sha256()
+    modules = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*.py")}
+    for name, path in sorted(modules.items()):
+        if "__pycache__" in name.split("/"):
+            continue
+        tree = ast.parse(path.read_text())
+        for node in ast.walk(tree):
+            body = getattr(node, "body", None)
+            if (
+                isinstance(body, list)
+                and body
+                and isinstance(body[0], ast.Expr)
+                and isinstance(body[0].value, ast.Constant)
+            ):
+                body[0].value.value = ""
+        digest.update(f"{name}\n{ast.dump(tree)}\n".encode())
+    return digest.hexdigest()[:16]
+
+
+@dataclass(frozen=True)
+class SceneJob:
+    """Renders one scene folder after another; can be sent to other processes.
+
+    Attributes:
+        build: world of a planned scene.
+        plans: the scenes it may be asked for.
+        recipe: is written beside the frames.
+        rig: likewise.
+        frames: number of frames of each scene.
+        shard_limit_bytes: see `SceneWriter`.
+    """
+
+    build: Callable[[ScenePlan], Recordable]
+    plans: tuple[ScenePlan, ...]
+    recipe: dict[str, Any]
+    rig: Rig
+    frames: int
+    shard_limit_bytes: int
+
+    def __call__(self, folder: Path, report: Report) -> None:
+        """Render the frames of `folder` that are missing, then seal it.
+
+        Raises:
+            RuntimeError: naming scene and frame, when the world fails.
+        """
+        writer = SceneWriter(folder, self.shard_limit_bytes)
+        try:
+            if writer.finished:
+                report(self.frames)
+            else:
+                self._record(writer, next(plan for plan in self.plans if plan.name == folder.name), report)
+        finally:
+            writer.close()
+
+    def _record(self, writer: SceneWriter, plan: ScenePlan, report: Report) -> None:
+        report(writer.num_frames)
+        index = writer.num_frames
+        try:
+            scene = self.build(plan) if index < self.frames else None
+            for index in range(writer.num_frames, self.frames):
+                assert scene is not None
+                frame = scene.frame(index)
+                entry = {"time_s": float(frame.time_s), "world_from_ego": frame.world_from_ego.tolist()}
+                writer.append(encode_frame(frame), entry)
+                report(1)
+        except (DataError, Stopped):
+            raise
+        except Exception as error:  # whatever went wrong: say where
+            raise RuntimeError(f"scene {plan.name}, frame {index}: {type(error).__name__}: {error}") from error
+        writer.attach("rig.yaml", self.rig.save)
+        weather = self.recipe["weather"] or weather_of(plan.theme, plan.seed)
+        facts = {"split": plan.split, "theme": plan.theme, "seed": plan.seed, "weather": weather, "recipe": self.recipe}
+        writer.finish(facts | {"classes": {str(row.id): row.name for row in CLASSES}, "software": _software()})
+
+
+def weather_of(theme: str, seed: int) -> str:
+    """What `omniocc.world.Scene` draws for a scene when no weather is asked for."""
+    return draw_weather(seeding.generator(theme, seed, "light"))
+
+
+@functools.cache
+def _software() -> dict[str, str]:
+    return {name: version(name) for name in RECORDERS}

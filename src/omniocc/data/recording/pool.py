@@ -1,0 +1,208 @@
+"""Scenes made by several processes, each scene by exactly one, whoever else works on the same folder."""
+
+import contextlib
+import json
+import multiprocessing
+import os
+import pickle
+import socket
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing.connection import wait
+from pathlib import Path
+from queue import Empty
+from signal import SIG_IGN, SIGINT, signal
+from typing import Any
+
+from filelock import FileLock, Timeout
+
+import omniocc
+from omniocc.data.progress import FrameProgress
+from omniocc.errors import DataError
+from omniocc.io import cannot_write
+
+Report = Callable[[int], None]
+Work = Callable[[Path, Report], None]
+"""Makes one scene folder; calls the report after every frame. The report raises `Stopped` when work is to end."""
+
+
+class Stopped(Exception):  # noqa: N818
+    """Another scene failed or the user pressed Ctrl-C: end after this frame."""
+
+
+def usable_cores() -> int:
+    """Cores this process may run on."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def make_scenes(work: Work, folders: Sequence[Path], workers: int, progress: FrameProgress) -> None:
+    """Run `work` for every folder; scenes that another run is making come last and are waited for.
+
+    Args:
+        work: picklable.
+        folders: scene folders to be made.
+        workers: processes; 0 works in this one.
+        progress: is advanced frame by frame.
+
+    Raises:
+        DataError: when the disk refuses, or a worker process was killed.
+        RuntimeError: from `work`.
+    """
+    if workers == 0:
+        busy = [folder for folder in folders if not _make(work, progress.advance, folder, None)]
+        for folder in busy:
+            _make(work, progress.advance, folder, progress.message)
+        return
+    context = process_context()
+    with worker_environment(needs_main=b"__main__" in pickle.dumps(work)):
+        events, stop = context.Queue(), context.Event()
+        pool = ProcessPoolExecutor(min(workers, len(folders)), context, _start_worker, (work, events, stop))
+        try:
+            for patient in (False, True):
+                jobs = {folder: pool.submit(_make_in_worker, folder, patient) for folder in folders}
+                _follow(list(jobs.values()), events, progress)
+                folders = [folder for folder, job in jobs.items() if not job.result()]
+        except BrokenProcessPool as error:
+            reason = (
+                "a render process was killed (out of memory?). Run the same command again, perhaps with fewer workers"
+            )
+            raise DataError(f"{folders[0].parent}: {reason}; it continues where it stopped") from error
+        finally:
+            stop.set()
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+def process_context() -> Any:
+    """How processes start: copies of one that has only imported what they need, so that a second pool costs nothing."""
+    if "forkserver" not in multiprocessing.get_all_start_methods():
+        return multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["omniocc.data.source.virtual", "omniocc.data.labels.voxels"])
+    return context
+
+
+@contextlib.contextmanager
+def worker_environment(needs_main: bool) -> Iterator[None]:
+    """Processes started inside use one thread each in numerical libraries, and find this package.
+
+    Args:
+        needs_main: let them import the script that runs here too. It may import Lightning: seconds in each of them.
+    """
+    paths = [str(Path(omniocc.__file__).parents[1]), *filter(None, [os.environ.get("PYTHONPATH")])]
+    threads = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    wanted = dict.fromkeys(threads, "1") | {"PYTHONPATH": os.pathsep.join(paths)}
+    before = {name: os.environ.get(name) for name in wanted}
+    main = {} if needs_main else {name: value for name, value in _main_origin().items() if value is not None}
+    os.environ.update(wanted)
+    for name in main:
+        setattr(sys.modules["__main__"], name, None)
+    try:
+        yield
+    finally:
+        for name, value in main.items():
+            setattr(sys.modules["__main__"], name, value)
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+def _main_origin() -> dict[str, Any]:
+    return {name: getattr(sys.modules["__main__"], name, None) for name in ("__file__", "__spec__")}
+
+
+def limit_threads(_worker: int = 0) -> None:
+    """One thread for this process."""
+    import cv2
+    import torch
+
+    cv2.setNumThreads(1)
+    torch.set_num_threads(1)
+
+
+def _follow(jobs: list[Future], events: Any, progress: FrameProgress) -> None:
+    while True:
+        done = all(job.done() for job in jobs)  # asked first: what they reported before is in the queue by then
+        failed = [job for job in jobs if job.done() and not job.cancelled() and job.exception() is not None]
+        with contextlib.suppress(Empty):
+            while True:
+                event = events.get(timeout=0.0 if done else 0.1)
+                progress.message(event) if isinstance(event, str) else progress.advance(event)
+        if failed:
+            raise failed[0].exception() or AssertionError
+        if done:
+            return
+
+
+def _start_worker(work: Work, events: Any, stop: Any) -> None:
+    global _work, _events, _stop
+    _work, _events, _stop = work, events, stop
+    signal(SIGINT, SIG_IGN)  # the parent hears Ctrl-C and tells us to stop
+    limit_threads()
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    threading.Thread(target=_die_with, args=(parent.sentinel,), daemon=True).start()
+
+
+def _die_with(parent: int) -> None:
+    wait([parent])
+    os._exit(1)
+
+
+def _make_in_worker(folder: Path, patient: bool) -> bool:
+    return _make(_work, _report, folder, _events.put if patient else None)
+
+
+def _report(frames: int) -> None:
+    _events.put(frames)
+    if _stop.is_set():
+        raise Stopped
+
+
+def _make(work: Work, report: Report, folder: Path, tell: Callable[[str], Any] | None) -> bool:
+    """False if another run holds the scene; with `tell`, says so and waits for it instead."""
+    try:
+        lock = _lock(folder, tell)
+    except Timeout:
+        return False
+    except OSError as error:
+        raise cannot_write(folder, error) from error
+    try:
+        work(folder, report)
+    except Stopped:
+        return False
+    finally:
+        lock.release()
+    return True
+
+
+def _lock(folder: Path, tell: Callable[[str], Any] | None) -> FileLock:
+    locks = folder.parent / ".locks"
+    locks.mkdir(parents=True, exist_ok=True)
+    lock, owner = FileLock(locks / f"{folder.name}.lock"), locks / f"{folder.name}.owner"
+    try:
+        lock.acquire(blocking=False)
+    except Timeout:
+        if tell is None:
+            raise
+        tell(f"another process {_owner(owner)} renders {folder.name}, waiting")
+        lock.acquire()
+    owner.write_text(json.dumps({"pid": os.getpid(), "host": socket.gethostname()}))
+    return lock
+
+
+def _owner(path: Path) -> str:
+    try:
+        facts = json.loads(path.read_text())
+        return f"(pid {facts['pid']} on {facts['host']})"
+    except (OSError, ValueError):  # it is just being written
+        return "(unknown)"
+
+
+_work: Any = None
+_events: Any = None
+_stop: Any = None

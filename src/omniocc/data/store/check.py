@@ -1,0 +1,208 @@
+"""Reading a dataset back: every byte compared with its checksum, every frame with what comes before it."""
+
+import tarfile
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from omniocc.classes import NUM_CLASSES, UNKNOWN
+from omniocc.data.labels.class_fractions import count_voxels, spread
+from omniocc.data.recording.pool import limit_threads, process_context, worker_environment
+from omniocc.data.store.codec import decode_frame
+from omniocc.data.store.files import sha256_of
+from omniocc.data.store.reader import SceneReader
+from omniocc.data.store.shard import INDEX, member_name, shard_name
+from omniocc.errors import DataError
+from omniocc.geometry import Grid
+
+MAX_SPEED_MPS = 25.0
+MAX_TURN_DEG_PER_S = 120.0
+TIME_TOLERANCE_S = 1e-6
+RIGID_TOLERANCE = 1e-6
+
+
+class Survey(NamedTuple):
+    """What reading a scene back found.
+
+    Attributes:
+        problems: one line each.
+        voxels: (12,) cells of each class over the frames that were looked at.
+    """
+
+    problems: list[str]
+    voxels: np.ndarray
+
+
+@dataclass(frozen=True)
+class SceneSurvey:
+    """Checks one scene after another; can be sent to other processes.
+
+    Attributes:
+        frames: how many each should hold.
+        interval_s: time between them.
+        geometry: grid in which classes are counted.
+        looked_at: frames of each scene that are decoded and counted; bytes, times and poses are checked in all.
+    """
+
+    frames: int
+    interval_s: float
+    geometry: Grid
+    looked_at: int
+
+    def __call__(self, scene: SceneReader) -> Survey:
+        """All that is wrong with a scene, and its classes."""
+        problems = check_scene(scene, self.frames, self.interval_s)
+        voxels = np.zeros(NUM_CLASSES, dtype=np.int64)
+        if not problems:
+            frames = spread(len(scene), self.looked_at)
+            problems = [line for frame in frames for line in _content(scene, frame)]
+            voxels += count_voxels(scene, frames, self.geometry)
+        return Survey(problems, voxels)
+
+
+def check_scene(scene: SceneReader, num_frames: int, interval_s: float) -> list[str]:
+    """All that is wrong with a scene's files, times and poses, one line each; empty when it is whole.
+
+    Args:
+        scene: a folder of recorded frames.
+        num_frames: how many it should hold.
+        interval_s: time between them.
+    """
+    try:
+        return [*_files(scene), *_frames(scene, num_frames), *_times(scene, interval_s), *_poses(scene)]
+    except DataError as error:
+        return [str(error)]
+
+
+def _files(scene: SceneReader) -> Iterator[str]:
+    for name, facts in scene.meta["files"].items():
+        yield from _file(scene, name, facts)
+
+
+def _file(scene: SceneReader, name: str, facts: dict[str, Any]) -> Iterator[str]:
+    try:
+        size = scene.files.size(name)
+        if size != facts["size"]:
+            yield str(scene.damaged(name, f"{size} bytes instead of {facts['size']}"))
+        elif name != INDEX and _sha256(scene, name) != facts["sha256"]:
+            yield str(scene.damaged(name, "its checksum differs"))
+    except FileNotFoundError:
+        yield str(scene.damaged(name, "the file is missing"))
+    except Exception as error:  # each kind of store has errors of its own
+        yield str(scene.unreadable(name, error))
+
+
+def _sha256(scene: SceneReader, name: str) -> str:
+    with scene.files.open(name) as file:
+        return sha256_of(file)
+
+
+def _frames(scene: SceneReader, num_frames: int) -> Iterator[str]:
+    records, members = scene.index["frames"], scene.index["members"]
+    if not len(scene) == len(records) == num_frames:
+        yield str(scene.damaged(INDEX, f"{len(records)} frames instead of {num_frames}"))
+    shards = sorted({shard_name(record["shard"]) for record in records})
+    there = {name for name in shards if _exists(scene, name)}
+    for frame, record in enumerate(records):
+        if shard_name(record["shard"]) in there:
+            yield from _members(scene, frame, members)
+    names = [member_name(frame, member) for frame in range(len(records)) for member in members]
+    try:
+        if len(there) == len(shards) and list(_tar_names(scene, shards)) != names:
+            yield str(scene.damaged(shards[0], "the shards do not list all members in order"))
+    except (tarfile.TarError, OSError) as error:
+        yield str(scene.damaged(shards[0], f"a shard is no valid tar file ({error})"))
+
+
+def _exists(scene: SceneReader, name: str) -> bool:
+    try:
+        return scene.files.size(name) >= 0
+    except FileNotFoundError:
+        return False
+
+
+def _members(scene: SceneReader, frame: int, members: list[str]) -> Iterator[str]:
+    try:
+        scene.read(frame, members)
+    except DataError as error:
+        yield str(error)
+
+
+def _tar_names(scene: SceneReader, shards: list[str]) -> Iterator[str]:
+    for name in shards:
+        with scene.files.open(name) as file, tarfile.open(fileobj=file) as tar:
+            yield from tar.getnames()
+
+
+def _times(scene: SceneReader, interval_s: float) -> Iterator[str]:
+    wanted_s = np.arange(len(scene.time_s)) * interval_s
+    off = np.flatnonzero(np.abs(scene.time_s - wanted_s) > TIME_TOLERANCE_S)
+    if len(off):
+        at = int(off[0])
+        what = f"its time is {scene.time_s[at]:g} s instead of {wanted_s[at]:g} s ({len(off)} frames are off)"
+        yield str(scene.damaged(INDEX, what, at))
+
+
+def _poses(scene: SceneReader) -> Iterator[str]:
+    poses = scene.world_from_ego
+    turn = poses[:, :3, :3]
+    last_row = np.abs(poses[:, 3] - (0, 0, 0, 1)).max(axis=1)
+    bent = np.abs(turn @ turn.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) + last_row
+    bad = np.flatnonzero(~((bent < RIGID_TOLERANCE) & (np.linalg.det(turn) > 0)))
+    if len(bad):
+        yield str(scene.damaged(INDEX, "its pose is no rotation and shift", int(bad[0])))
+        return
+    steps_s = np.maximum(np.diff(scene.time_s), TIME_TOLERANCE_S)
+    speed_mps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1) / steps_s
+    between = turn[:-1].transpose(0, 2, 1) @ turn[1:]
+    cosine = np.clip((np.trace(between, axis1=1, axis2=2) - 1) / 2, -1, 1)
+    turn_deg_per_s = np.degrees(np.arccos(cosine)) / steps_s
+    for values, limit, unit in ((speed_mps, MAX_SPEED_MPS, "m/s"), (turn_deg_per_s, MAX_TURN_DEG_PER_S, "degrees/s")):
+        far = np.flatnonzero(~(values <= limit))  # what is no number is no continuation either
+        if len(far):
+            what = f"its pose jumps: {values[far[0]]:.0f} {unit} since the frame before"
+            yield str(scene.damaged(INDEX, what, int(far[0]) + 1))
+
+
+def _content(scene: SceneReader, frame: int) -> Iterator[str]:
+    shard = shard_name(scene.index["frames"][frame]["shard"])
+    try:
+        recorded = decode_frame(scene.read(frame, scene.index["members"]))
+    except Exception as error:  # whatever a decoder says about bytes it cannot read
+        yield str(scene.damaged(shard, f"it cannot be decoded ({type(error).__name__}: {error})", frame))
+        return
+    sizes = [(camera.height, camera.width) for camera in scene.rig.cameras]
+    shapes = {
+        "images": recorded.images.shape[:3],
+        "semantics": recorded.semantics.shape,
+        "ranges": recorded.range_m.shape,
+    }
+    for name, shape in shapes.items():
+        if shape != (len(sizes), *sizes[0]):
+            yield str(scene.damaged(shard, f"{name} have the shape {shape}, the rig says {sizes}", frame))
+    for name, labels, least in (("pixels", recorded.semantics, 0), ("points", recorded.point_labels, 1)):
+        wrong = set(np.unique(labels).tolist()) - {*range(least, NUM_CLASSES), UNKNOWN}
+        if wrong:
+            yield str(scene.damaged(shard, f"{name} of classes {sorted(wrong)}, which do not exist", frame))
+    if not np.array_equal(recorded.world_from_ego, scene.world_from_ego[frame]):
+        yield str(scene.damaged(shard, "frame.json and the index give different poses", frame))
+
+
+def survey(work: SceneSurvey, scenes: Sequence[SceneReader], workers: int) -> list[Survey]:
+    """Check scenes side by side.
+
+    Args:
+        work: what is asked of each.
+        scenes: to be read.
+        workers: processes; 0 reads in this one.
+    """
+    if workers == 0 or len(scenes) < 2:
+        return [work(scene) for scene in scenes]
+    with (
+        worker_environment(needs_main=False),
+        ProcessPoolExecutor(min(workers, len(scenes)), process_context(), limit_threads) as pool,
+    ):
+        return list(pool.map(work, scenes))

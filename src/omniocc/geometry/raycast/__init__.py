@@ -1,0 +1,1 @@
+"""First hits of rays through labelled grids, on the CPU and on any device."""

@@ -1,0 +1,421 @@
+"""First hits of rays on a CPU, compiled by numba: fans of rays cross columns of cells, climb by climb.
+
+The ways at which a heading crosses the boundaries of either horizontal axis are computed in closed form and merged into
+columns. Per level, the next occupied column is then known at every column, so that a ray takes one look per level. The
+rules of `omniocc.geometry.raycast.crossings` hold: float64, boundaries closer than `TOUCH_M` are the same, nothing accumulates.
+
+All kernels stand in one file, since numba's cache does not notice changes in another. Inside loops over rays arrays are
+indexed and never sliced: numba counts references to slices atomically, and threads would wait for one another.
+"""
+
+from collections.abc import Callable
+from math import atan2, copysign, floor, pi, sqrt
+from typing import no_type_check
+
+import numpy as np
+from numba import njit
+
+from omniocc.geometry.raycast.crossings import FACE, FAR, TOUCH_M
+
+BATCH = 16
+"""Ways computed together, before it is asked whether they lead out of the grid."""
+
+
+def compiled(function: Callable) -> Callable:
+    """Compiles at the first call and keeps the result on disk, where there is a place to write to."""
+    try:
+        return njit(cache=True, nogil=True, error_model="numpy")(function)
+    except RuntimeError:  # neither the package's folder nor the user's cache folder can be written
+        return njit(nogil=True, error_model="numpy")(function)
+
+
+@compiled
+@no_type_check
+def plane_ways(origin, along, start, reach, low, size, cells, ways):
+    """As `plane_crossings` for one ray: fills `ways`; returns the first cell, its change at each, their number."""
+    index = min(max(floor((origin + start * along - low) / size), 0), cells - 1)
+    if along == 0:
+        return index, 0, 0
+    step = 1 if along > 0 else -1
+    first = index + (along > 0)
+    total = cells - index if along > 0 else index + 1
+    count = 0
+    while count < total:
+        until = min(count + BATCH, total)
+        for i in range(count, until):
+            ways[i] = ((first + step * i) * size + low - origin) / along
+        count = until
+        if ways[count - 1] >= reach:
+            break
+    return index, step, count
+
+
+@compiled
+@no_type_check
+def ring_ways(x, y, along_x, along_y, start, reach, low, size, cells, ways):
+    """As `ring_crossings`: fills `ways`; returns the first ring, how many crossings lead inwards, and their number."""
+    speed2 = along_x * along_x + along_y * along_y
+    here_x, here_y = x + start * along_x, y + start * along_y
+    ring = min(max(floor((sqrt(here_x * here_x + here_y * here_y) - low) / size), -1), cells - 1)
+    if speed2 < TOUCH_M**2:
+        return ring, 0, 0
+    nearest = -(x * along_x + y * along_y) / speed2
+    miss2 = (x * along_y - y * along_x) ** 2 / speed2
+    innermost = min(max(floor((sqrt(miss2) - low) / size), -1), cells - 1)
+    distance = max(ring - innermost, 0)
+    turn = -distance if start < nearest else distance
+    middle = low + (innermost + 0.5) * size
+    total = cells - innermost - turn
+    count = 0
+    while count < total:
+        until = min(count + BATCH, total)
+        for i in range(count, until):
+            later = turn + i + 0.5
+            radius = abs(later) * size + middle
+            ways[i] = nearest + copysign(sqrt(max(radius * radius - miss2, 0.0) / speed2), later)
+        count = until
+        if ways[count - 1] >= reach:
+            break
+    return innermost + distance, max(-turn, 0), count
+
+
+@compiled
+@no_type_check
+def sector_of(x, y, cells, ahead):
+    """The sector of a point, as `crossings._sector`."""
+    return floor((atan2(y, x) + pi) * (cells / (2 * pi)) + ahead) % cells
+
+
+@compiled
+@no_type_check
+def sector_ways(x, y, along_x, along_y, start, reach, cells, faces, ways):
+    """As `sector_crossings`: fills `ways`; returns the first sector, its change at each, and their number."""
+    speed2 = along_x * along_x + along_y * along_y
+    side = x * along_y - y * along_x
+    if speed2 < TOUCH_M**2:
+        return sector_of(x + start * along_x, y + start * along_y, cells, 0.0), 0, 0
+    if side**2 / speed2 < TOUCH_M**2:
+        after, nearest = sector_of(along_x, along_y, cells, FACE), -(x * along_x + y * along_y) / speed2
+        if start >= nearest - TOUCH_M:
+            return after, 0, 0
+        before = sector_of(-along_x, -along_y, cells, FACE)
+        ways[0] = nearest
+        return before, after - before, 1
+    index = sector_of(x + start * along_x, y + start * along_y, cells, 0.0)
+    sweep = 1 if side > 0 else -1
+    # faces lie in the order of the sweep, twice around
+    sin, cos = (faces[0], faces[1]) if side > 0 else (faces[2], faces[3])
+    first = index + 1 if side > 0 else cells - 1 - index
+    total, count = (cells + 1) // 2, 0
+    while count < total:
+        until = min(count + BATCH, total)
+        for i in range(count, until):
+            across = along_y * cos[first + i] - along_x * sin[first + i]
+            way = (sin[first + i] * x - cos[first + i] * y) / across
+            ways[i] = max(way, start) if across * sweep > 0 else FAR
+        count = until
+        if ways[count - 1] >= reach:
+            break
+    return index, sweep, count
+
+
+@compiled
+@no_type_check
+def merge(first, second, place, sizes, start, leave, cells, ends):
+    """Puts the crossings of two axes in order; returns the number of columns. Cells of no length are -1.
+
+    Args:
+        first: ways, their number, and how many of them lead to a smaller index; with room for one more.
+        second: ways, their number, and the change of index at each, around the end of the axis; likewise.
+        place: first cell on both axes.
+        sizes: of both axes.
+        start: where the first column begins.
+        leave: where the last one ends.
+        cells: to be filled.
+        ends: to be filled.
+    """
+    (ways, number, down), (others, other_number, step) = first, second
+    row, column = place
+    rows, columns = sizes
+    ways[number] = others[other_number] = FAR
+    i, j, count = 0, 0, 0
+    last = ends[0] = start
+    while last < leave:
+        take = ways[i] <= others[j]
+        way = min(max(ways[i] if take else others[j], last), leave)
+        inside = (way - last > TOUCH_M) & (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+        cells[count] = row * columns + column if inside else -1
+        count += 1
+        last = ends[count] = way
+        row += (1 if i >= down else -1) if take else 0
+        column += 0 if take else step
+        column += columns if column < 0 else (-columns if column >= columns else 0)
+        i += take
+        j += not take
+    return count
+
+
+@compiled
+@no_type_check
+def clip_round(x, y, along_x, along_y, radius):
+    """As `clip_disc` for one ray."""
+    speed2 = along_x * along_x + along_y * along_y
+    if speed2 < TOUCH_M**2:
+        return (-FAR, FAR) if x * x + y * y < radius * radius else (FAR, -FAR)
+    nearest = -(x * along_x + y * along_y) / speed2
+    miss2 = (x * along_y - y * along_x) ** 2 / speed2
+    if not miss2 < radius * radius:
+        return FAR, -FAR
+    offset = sqrt((radius * radius - miss2) / speed2)
+    return nearest - offset, nearest + offset
+
+
+@compiled
+@no_type_check
+def clip_flat(origin, along, low, high):
+    """As `clip_slab` for one ray."""
+    if along == 0:
+        return (-FAR, FAR) if low <= origin < high else (FAR, -FAR)
+    one, other = (low - origin) / along, (high - origin) / along
+    return min(one, other), max(one, other)
+
+
+@compiled
+@no_type_check
+def find_columns(x, y, along_x, along_y, span, bounds, sizes, faces, scratch, cells, ends):
+    """Finds the columns along one heading between two ways; returns their number.
+
+    Args:
+        x: origin.
+        y: origin.
+        along_x: heading.
+        along_y: heading.
+        span: ways between which some ray of the fan is between bottom and top.
+        bounds: (2, 2) of the horizontal axes.
+        sizes: cells on them.
+        faces: sines and cosines of the sectors' faces (`sector_faces`), empty for a cuboid.
+        scratch: (2, longest + 1).
+        cells: to be filled.
+        ends: to be filled.
+    """
+    size = (bounds[0, 1] - bounds[0, 0]) / sizes[0]
+    if faces.size:
+        enter, leave = clip_round(x, y, along_x, along_y, bounds[0, 1])
+    else:
+        one = clip_flat(x, along_x, bounds[0, 0], bounds[0, 1])
+        other = clip_flat(y, along_y, bounds[1, 0], bounds[1, 1])
+        enter, leave = max(one[0], other[0]), min(one[1], other[1])
+    start, leave = max(enter, span[0], 0.0), min(leave, span[1], FAR)
+    if not leave > start + TOUCH_M:
+        ends[0] = 0.0
+        return 0
+    if faces.size:
+        row, down, number = ring_ways(x, y, along_x, along_y, start, leave, bounds[0, 0], size, sizes[0], scratch[0])
+        column, step, others = sector_ways(x, y, along_x, along_y, start, leave, sizes[1], faces, scratch[1])
+    else:
+        row, step, number = plane_ways(x, along_x, start, leave, bounds[0, 0], size, sizes[0], scratch[0])
+        down = number if step < 0 else 0
+        size = (bounds[1, 1] - bounds[1, 0]) / sizes[1]
+        column, step, others = plane_ways(y, along_y, start, leave, bounds[1, 0], size, sizes[1], scratch[1])
+    first, second = (scratch[0], number, down), (scratch[1], others, step)
+    return merge(first, second, (row, column), sizes, start, leave, cells, ends)
+
+
+@compiled
+@no_type_check
+def pack(labels, bits):
+    """Sets the bits of the levels of each column of (V, columns, levels) that are not free."""
+    volumes, columns, levels = labels.shape
+    for volume in range(volumes):
+        for column in range(columns):
+            word = 0
+            for level in range(levels):
+                word |= np.int64(labels[volume, column, level] != 0) << level
+            bits[volume, column] = word
+
+
+@compiled
+@no_type_check
+def first_hit(height, slope, edges, ends, count, bits):
+    """Column and level of the first hit of a ray; column -1 for none."""
+    levels = len(edges) - 1
+    step, ahead = (1, 1) if slope > 0 else (-1, 0)
+    if slope == 0:
+        level, enter, leave = np.searchsorted(edges, height, side="right") - 1, -FAR, FAR
+    else:
+        place = floor((height + ends[0] * slope - edges[0]) / (edges[levels] - edges[0]) * levels) - step
+        level = min(max(place, 0), levels - 1)
+        enter, leave = (edges[level + 1 - ahead] - height) / slope, (edges[level + ahead] - height) / slope
+    column = 0
+    while 0 <= level < levels:
+        while column < count and ends[column + 1] < enter + TOUCH_M:
+            column += 1
+        limit, bit = leave - TOUCH_M, 1 << level
+        while ends[column] < limit:
+            if bits[column] & bit:
+                return (column if column < count else -1), level
+            column += 1
+        level, column = level + step, max(column - 1, 0)
+        if leave == FAR:
+            break
+        enter, leave = leave, (edges[level + ahead] - height) / slope
+    return -1, 0
+
+
+@compiled
+@no_type_check
+def find_turns(height, slope, edges, ends, count, turns):
+    """Notes for each edge of the levels, in a ray's order, twice the number of columns that begin before it.
+
+    It is one more where the edge lies within the last of them, which then belongs to the levels on both sides.
+    """
+    levels, column = len(edges) - 1, 0
+    if slope == 0:
+        own = np.searchsorted(edges, height, side="right") - 1
+        for edge in range(levels + 1):
+            turns[edge] = 2 * count if 0 <= own < edge and own < levels else 0
+        return
+    for edge in range(levels + 1):
+        way = (edges[edge if slope > 0 else levels - edge] - height) / slope
+        while column < count and ends[column] < way - TOUCH_M:
+            column += 1
+        turns[edge] = 2 * column + (column > 0 and ends[column] >= way + TOUCH_M)
+
+
+@compiled
+@no_type_check
+def next_hits(labels, cells, group, count, hits):
+    """For every column of a heading and level, the first column from there on that is not free; `count` for none."""
+    levels = labels.shape[1]
+    for level in range(levels):
+        hits[count, level] = count
+    for column in range(count - 1, -1, -1):
+        cell = cells[group, column]
+        for level in range(levels):
+            free = cell < 0 or labels[cell, level] == 0
+            hits[column, level] = hits[column + 1, level] if free else column
+
+
+@compiled
+@no_type_check
+def known_hit(group, climb, begin, rising, turns, hits):
+    """As `first_hit` for a ray whose turns are known: from an edge in its order on, one look for each level."""
+    levels = turns.shape[2] - 1
+    turn = np.int64(turns[group, climb, begin])
+    for edge in range(begin, levels):
+        level = edge if rising else levels - 1 - edge
+        after = np.int64(turns[group, climb, edge + 1])
+        hit = hits[(turn >> 1) - (turn & 1), level]
+        if hit < after >> 1:
+            return hit, level
+        turn = after
+    return -1, 0
+
+
+@compiled
+@no_type_check
+def ways_of_hit(height, slope, edges, level, begin, end):
+    """Ways at which a ray enters and leaves the cell of a level in a column from `begin` to `end`."""
+    if slope == 0:
+        return begin, end
+    one, other = (edges[level] - height) / slope, (edges[level + 1] - height) / slope
+    return max(begin, min(one, other)), min(end, max(one, other))
+
+
+@compiled
+@no_type_check
+def way_out(height, slope, bottom, top, begin, end):
+    """Way at which a ray that hits nothing leaves the grid; inf if it never meets it."""
+    enter, leave = clip_flat(height, slope, bottom, top)
+    leave = min(end, leave)
+    return leave if leave > max(begin, enter) + TOUCH_M else np.inf
+
+
+@compiled
+@no_type_check
+def columns_of(group, rays, grid, scratch, cells, ends):
+    """Finds the columns along one heading, counted over all fans; returns their number."""
+    origins, headings, spans = rays[0], rays[1], rays[5]
+    _, bounds, sizes, faces = grid
+    fan, heading = group // headings.shape[1], group % headings.shape[1]
+    x, y, along_x, along_y = origins[fan, 0], origins[fan, 1], headings[fan, heading, 0], headings[fan, heading, 1]
+    return find_columns(x, y, along_x, along_y, spans[fan], bounds, sizes, faces, scratch, cells, ends)
+
+
+@compiled
+@no_type_check
+def build(first, last, rays, grid, kept):
+    """Fills what is kept of some headings: cells (G, L), ends (G, L + 1), their number (G) and turns (G, E, Z + 1)."""
+    origins, headings, slopes = rays[0], rays[1], rays[2]
+    cells, ends, counts, turns = kept
+    scratch = np.empty((2, ends.shape[1]))
+    for group in range(first, last):
+        fan = group // headings.shape[1]
+        counts[group] = columns_of(group, rays, grid, scratch, cells[group], ends[group])
+        for climb in range(slopes.shape[1]):
+            find_turns(origins[fan, 2], slopes[fan, climb], grid[0], ends[group], counts[group], turns[group, climb])
+
+
+@compiled
+@no_type_check
+def cast_kept(first, last, rays, grid, kept, labels, out):
+    """Casts the rays of some headings, whose columns and turns are known, through labels (columns, levels)."""
+    origins, headings, slopes, stretches, order, _ = rays
+    edges, cells, ends, counts, turns = grid[0], kept[0], kept[1], kept[2], kept[3]
+    found_cells, found_labels, entry_m, exit_m = out
+    each, climbs, levels = headings.shape[1], slopes.shape[1], len(edges) - 1
+    bottom, top = edges[0], edges[levels]
+    hits = np.empty((ends.shape[1], levels), dtype=np.int32)
+    for group in range(first, last):
+        fan, heading, count = group // each, group % each, counts[group]
+        height = origins[fan, 2]
+        next_hits(labels, cells, group, count, hits)
+        # a ray that rises from here crosses none of the levels below; one more for the rounding
+        own = min(max(floor((height - bottom) / (top - bottom) * levels), -1), levels + 1)
+        for climb in range(climbs):
+            slope, stretch = slopes[fan, climb], stretches[fan, climb]
+            ray = fan * each * climbs + order[heading * climbs + climb]
+            begin = max((own if slope > 0 else levels - 1 - own) - 1, 0)
+            column, level = known_hit(group, climb, begin, slope > 0, turns, hits)
+            if column < 0:
+                way = way_out(height, slope, bottom, top, ends[group, 0], ends[group, count])
+                found_cells[ray], found_labels[ray] = -1, 0
+                entry_m[ray] = exit_m[ray] = way * stretch
+                continue
+            cell = cells[group, column]
+            enter, leave = ways_of_hit(height, slope, edges, level, ends[group, column], ends[group, column + 1])
+            found_cells[ray], found_labels[ray] = cell * levels + level, labels[cell, level]
+            entry_m[ray], exit_m[ray] = enter * stretch, leave * stretch
+
+
+@compiled
+@no_type_check
+def cast(first, last, rays, grid, longest, volumes, packed, out):
+    """Casts the rays of some headings through several volumes (V, columns, levels); `out` has V rows."""
+    origins, headings, slopes, stretches, order, _ = rays
+    edges = grid[0]
+    found_cells, found_labels, entry_m, exit_m = out
+    each, climbs, levels = headings.shape[1], slopes.shape[1], len(edges) - 1
+    scratch, bits = np.empty((2, longest)), np.empty(longest, dtype=np.int64)
+    cells, ends = np.empty(longest, dtype=np.int32), np.empty(longest)
+    for group in range(first, last):
+        fan, heading = group // each, group % each
+        count, height = columns_of(group, rays, grid, scratch, cells, ends), origins[fan, 2]
+        for volume in range(len(volumes)):
+            for column in range(count):
+                bits[column] = packed[volume, cells[column]] if cells[column] >= 0 else 0
+            bits[count] = -1  # the walk ends there
+            for climb in range(climbs):
+                slope, stretch = slopes[fan, climb], stretches[fan, climb]
+                ray = fan * each * climbs + order[heading * climbs + climb]
+                column, level = first_hit(height, slope, edges, ends, count, bits)
+                if column < 0:
+                    way = way_out(height, slope, edges[0], edges[levels], ends[0], ends[count])
+                    found_cells[volume, ray], found_labels[volume, ray] = -1, 0
+                    entry_m[volume, ray] = exit_m[volume, ray] = way * stretch
+                    continue
+                cell = cells[column]
+                enter, leave = ways_of_hit(height, slope, edges, level, ends[column], ends[column + 1])
+                found_cells[volume, ray] = cell * levels + level
+                found_labels[volume, ray] = volumes[volume, cell, level]
+                entry_m[volume, ray], exit_m[volume, ray] = enter * stretch, leave * stretch

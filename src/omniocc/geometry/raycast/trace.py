@@ -1,0 +1,164 @@
+"""Exact traversal of a voxel grid by rays: every cell crossed, in order, with entry and exit distances.
+
+The crossings with all boundaries of all axes (`omniocc.geometry.raycast.crossings`) are put in order of distance, in float64;
+each changes the cell by one along its axis.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import torch
+from jaxtyping import Bool, Float, Float32, Float64, Int32, UInt8
+from torch import Tensor
+
+from omniocc.geometry.raycast.crossings import FAR, TOUCH_M, Crossings
+
+CHUNK_RAYS = 1024
+"""Rays whose crossings are sorted together; they should stay in the processor's cache."""
+
+
+@runtime_checkable
+class Traversable(Protocol):
+    """The part of a grid that tracing needs; see `omniocc.geometry.Grid`."""
+
+    @property
+    def shape(self) -> tuple[int, int, int]: ...  # noqa: D102
+
+    @property
+    def periodic(self) -> tuple[bool, bool, bool]: ...  # noqa: D102
+
+    @property
+    def bounds(self) -> tuple[tuple[float, float], tuple[float, float], tuple[float, float]]: ...  # noqa: D102
+
+    def clip(self, origins: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]: ...  # noqa: D102
+
+    def crossings(  # noqa: D102
+        self, origins: Tensor, directions: Tensor, start_m: Tensor
+    ) -> tuple[Crossings, Crossings, Crossings]: ...
+
+
+class Paths(NamedTuple):
+    """The cells that R rays cross, L at most.
+
+    Attributes:
+        cells: flat (row-major) cell index; -1 after the last cell and where a ray crosses the hole of a cylinder.
+        bounds_m: distance along the ray at which the cell in the same column begins; the next column is where it ends.
+        valid: whether the ray meets the grid at all, a cylinder's hole included.
+    """
+
+    cells: Int32[Tensor, "R L"]
+    bounds_m: Float32[Tensor, "R L+1"]
+    valid: Bool[Tensor, " R"]
+
+    @property
+    def entry_m(self) -> Float32[Tensor, "R L"]:
+        """Distance at which each cell is entered; 0 for the cell that holds the origin."""
+        return self.bounds_m[:, :-1]
+
+    @property
+    def exit_m(self) -> Float32[Tensor, "R L"]:
+        """Distance at which each cell is left."""
+        return self.bounds_m[:, 1:]
+
+
+class Hits(NamedTuple):
+    """Where R rays end.
+
+    Attributes:
+        cells: flat index of the cell hit; -1 for none.
+        labels: its class; free for none.
+        entry_m: distance at which it is entered; without a hit that at which the ray leaves the grid, and inf for a ray
+            that never meets the grid.
+        exit_m: distance at which it is left; otherwise as `entry_m`.
+    """
+
+    cells: Int32[Tensor, " R"]
+    labels: UInt8[Tensor, " R"]
+    entry_m: Float32[Tensor, " R"]
+    exit_m: Float32[Tensor, " R"]
+
+
+def paths(grid: Traversable, origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"]) -> Paths:
+    """Finds all cells that rays cross.
+
+    Cells crossed over less than a nanometre are left out, so a ray through an edge goes from cell to opposite cell.
+
+    Args:
+        grid: cylinder or cuboid.
+        origins: ego frame, metres; anywhere, inside or outside.
+        directions: any length but zero.
+    """
+    chunks = range(0, max(len(origins), 1), CHUNK_RAYS)
+    parts = [_paths(grid, origins[i : i + CHUNK_RAYS], directions[i : i + CHUNK_RAYS]) for i in chunks]
+    cells, bounds_m, valid = zip(*parts, strict=True)
+    return Paths(stack_ragged(cells, -1), stack_ragged(bounds_m, None), torch.cat(valid))
+
+
+def _paths(grid: Traversable, origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"]) -> Paths:
+    origins, directions = origins.double(), unit(directions)
+    start_m, leave_m = clip(grid, origins, directions)
+    _, second, third = grid.shape
+    strides = (second * third, third, 1)
+    cells, bounds_m = in_order(grid.crossings(origins, directions, start_m), strides, start_m, leave_m)
+    ray, place = (bounds_m.diff(dim=1) > TOUCH_M).nonzero().unbind(-1)
+    count = torch.bincount(ray, minlength=len(origins))
+    column = torch.arange(len(ray), device=ray.device) - (count.cumsum(0) - count)[ray]
+    length = int(count.max()) if len(count) else 0
+    packed = cells.new_full((len(origins), length), -1)
+    packed[ray, column] = cells[ray, place].clamp(min=-1)
+    packed_m = leave_m.float().unsqueeze(1).repeat(1, length + 1)
+    packed_m[ray, column] = bounds_m[ray, place].float()
+    return Paths(packed, packed_m, count > 0)
+
+
+def unit(directions: Float[Tensor, "R 3"]) -> Float64[Tensor, "R 3"]:
+    """The directions with length 1."""
+    return torch.nn.functional.normalize(directions.double(), dim=-1, eps=0.0)
+
+
+def clip(
+    grid: Traversable, origins: Float64[Tensor, "R 3"], directions: Float64[Tensor, "R 3"]
+) -> tuple[Float64[Tensor, " R"], Float64[Tensor, " R"]]:
+    """Distances at which rays start in the grid and leave it; equal for those that never meet it."""
+    enter_m, leave_m = grid.clip(origins, directions)
+    start_m, leave_m = enter_m.clamp(min=0), leave_m.clamp(max=FAR)
+    meets = leave_m > start_m + TOUCH_M
+    return torch.where(meets, start_m, 0.0), torch.where(meets, leave_m, 0.0)
+
+
+def in_order(
+    crossings: Sequence[Crossings],
+    strides: Sequence[int],
+    start_m: Float64[Tensor, " R"],
+    leave_m: Float64[Tensor, " R"],
+) -> tuple[Int32[Tensor, "R N"], Float64[Tensor, "R N+1"]]:
+    """Puts the crossings of several axes in order.
+
+    Args:
+        crossings: of each axis.
+        strides: of each axis in a flat cell index.
+        start_m: where rays begin.
+        leave_m: where they end; crossings beyond count as being there.
+
+    Returns:
+        Flat index of the cell in each stretch between two crossings, negative in a cylinder's hole, and the ends of the
+        stretches. Some have no length.
+    """
+    at_m = torch.cat([axis.at_m for axis in crossings], dim=1).clamp_(start_m.unsqueeze(1), leave_m.unsqueeze(1))
+    at_m, order = at_m.sort(dim=1, stable=True)
+    last = int((at_m < leave_m.unsqueeze(1)).sum(dim=1).max()) if len(at_m) else 0
+    step = torch.cat([axis.step * stride for axis, stride in zip(crossings, strides, strict=True)], dim=1)
+    first = sum(axis.index * stride for axis, stride in zip(crossings, strides, strict=True))
+    assert isinstance(first, Tensor)
+    cells = torch.cat([first.int().unsqueeze(1), step.gather(1, order[:, :last])], dim=1)
+    cells = cells.cumsum(dim=1, dtype=torch.int32)
+    return cells, torch.cat([start_m.unsqueeze(1), at_m[:, :last], leave_m.unsqueeze(1)], dim=1)
+
+
+def stack_ragged(parts: Sequence[Tensor], fill: int | None) -> Tensor:
+    """Puts tables of different width below one another, filled on the right with a number or with their last column."""
+    table = parts[0].new_empty(sum(len(part) for part in parts), max(part.shape[1] for part in parts))
+    for part, rows in zip(parts, table.split([len(part) for part in parts]), strict=True):
+        rows[:, : part.shape[1]] = part
+        rows[:, part.shape[1] :] = part[:, -1:] if fill is None else fill
+    return table

@@ -1,0 +1,48 @@
+"""Blocks of cells: a coarser grid over the same space, and the ways between the two."""
+
+from dataclasses import replace
+
+from jaxtyping import Bool, Float
+from torch import Tensor
+from torch.nn import functional as F
+
+from omniocc.geometry import Grid
+from omniocc.model.ops.padding import Axes
+
+
+def coarsened(geometry: Grid, block: Axes) -> Grid:
+    """The grid whose cells are blocks of `geometry`'s.
+
+    Args:
+        geometry: the voxel grid.
+        block: cells of a block along each axis.
+
+    Raises:
+        ValueError: if an axis does not divide into such blocks.
+    """
+    if any(size < 1 or cells % size for cells, size in zip(geometry.shape, block, strict=True)):
+        shape = "x".join(map(str, geometry.shape))
+        raise ValueError(f"a grid of {shape} cells does not divide into blocks of {'x'.join(map(str, block))}")
+    shape = tuple(cells // size for cells, size in zip(geometry.shape, block, strict=True))
+    return replace(geometry, shape=shape)  # type: ignore[type-var]
+
+
+def block_any(mask: Bool[Tensor, "B X Y Z"], block: Axes) -> Bool[Tensor, "B x y z"]:
+    """Blocks with a true cell."""
+    x, y, z = (cells // size for cells, size in zip(mask.shape[1:], block, strict=True))
+    return mask.reshape(-1, x, block[0], y, block[1], z, block[2]).any(-1).any(-2).any(-3)
+
+
+def block_means(volume: Float[Tensor, "B C X Y Z"], block: Axes) -> Float[Tensor, "B C x y z"]:
+    """Mean of every block; undoes `repeat_blocks`."""
+    return F.avg_pool3d(volume, block, block)
+
+
+def repeat_blocks(volume: Float[Tensor, "B C x y z"], block: Axes) -> Float[Tensor, "B C X Y Z"]:
+    """Every cell of a block holds the block's value."""
+    voxels = volume.movedim(1, -1)  # channels last in memory, as 3D convolutions like it
+    for axis, count in enumerate(block, start=1):
+        if count > 1:
+            wide = voxels.unsqueeze(axis + 1)
+            voxels = wide.expand(*wide.shape[: axis + 1], count, *wide.shape[axis + 2 :]).flatten(axis, axis + 1)
+    return voxels.movedim(-1, 1)

@@ -1,0 +1,239 @@
+"""Deformable sampling on plain torch: weighted sums of bilinear samples for many queries at once.
+
+`grid_sample` and a sum write every sample to memory, and the backward pass scatters every corner of every sample. Here
+a query's samples are one bag of weighted rows (`embedding_bag`), which never exist one by one; backward, the samples
+are sorted by pixel and the same operation runs the other way round. Memory grows with the samples of one head and
+level only.
+"""
+
+import warnings
+from typing import Any, NamedTuple
+
+import torch
+from jaxtyping import Float, Int32, Int64
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+from torch.nn import functional as F
+
+from omniocc.model.ops.lifter.visible import Pairs
+
+
+class Level(NamedTuple):
+    """Where the K samples of each pair start from on one level, before offsets.
+
+    Positions are pixels of the level's maps padded by one pixel of zeros, (0, 0) being the centre of the padded corner.
+
+    Attributes:
+        x: reference column.
+        y: reference row.
+        row: table row of the padded corner of the pair's camera.
+        width: of the padded maps.
+        height: of the padded maps.
+    """
+
+    x: Float[Tensor, "P K"]
+    y: Float[Tensor, "P K"]
+    row: Int32[Tensor, "P K"]
+    width: int
+    height: int
+
+
+class Samples(NamedTuple):
+    """Bilinear samples of one head and level.
+
+    Attributes:
+        row: table row of the upper left corner.
+        fx: fraction towards the right corners.
+        fy: fraction towards the lower corners.
+        inside_x: false where a position was clamped to the padding, which stops its gradient.
+        inside_y: the same along the other axis.
+    """
+
+    row: Int32[Tensor, "P K"]
+    fx: Float[Tensor, "P K"]
+    fy: Float[Tensor, "P K"]
+    inside_x: Tensor
+    inside_y: Tensor
+
+
+def make_table(maps: Float[Tensor, "B N H C _ _"]) -> Float[Tensor, "H R BC"]:
+    """Lays the maps of one level out as one table per head, a row per pixel of the maps padded by zeros.
+
+    Args:
+        maps: (samples, cameras, heads, channels, height, width).
+
+    Returns:
+        Rows ordered by camera, row, column; the channels of all samples side by side.
+    """
+    return F.pad(maps, (1, 1, 1, 1)).permute(2, 1, 4, 5, 0, 3).flatten(4).flatten(1, 3)
+
+
+def make_level(pairs: Pairs, height: int, width: int, points: int, dtype: torch.dtype) -> Level:
+    """Reference points of the pairs on a level whose maps are height x width px; anchors share the samples."""
+    u, v = pairs.points.to(dtype).repeat_interleave(points // pairs.points.shape[1], dim=1).unbind(-1)
+    x = ((u + 1) * width + 1) / 2
+    y = ((v + 1) * height + 1) / 2
+    row = pairs.camera.int() * ((height + 2) * (width + 2))
+    return Level(x, y, row[:, None].expand(-1, points).contiguous(), width + 2, height + 2)
+
+
+def _axis(anchor: Tensor, offset: Tensor, size: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Lower corner, fraction, and whether the position lies on the padded map."""
+    raw = anchor + offset
+    position = raw.clamp(0, size - 1)
+    lower = position.floor().clamp_(max=size - 2)
+    return lower, position - lower, raw == position
+
+
+def _locate(level: Level, query: Int64[Tensor, " P"], offsets: Float[Tensor, "2 Q K"]) -> Samples:
+    x, fx, inside_x = _axis(level.x, offsets[0].index_select(0, query), level.width)
+    y, fy, inside_y = _axis(level.y, offsets[1].index_select(0, query), level.height)
+    # exact in float32: a map has far fewer than 2**24 pixels. The index of a NaN is valid, its fraction remains NaN
+    row = torch.add(x, y, alpha=level.width).int().clamp_(min=0).add_(level.row)
+    return Samples(row, fx, fy, inside_x, inside_y)
+
+
+def _corner_steps(width: int) -> tuple[int, int, int, int]:
+    return 0, 1, width, width + 1
+
+
+def _corner_weights(samples: Samples, weight: Float[Tensor, "P K"]) -> list[Float[Tensor, "P K"]]:
+    lower = weight * samples.fy
+    upper = weight - lower
+    right, low_right = upper * samples.fx, lower * samples.fx
+    return [upper - right, right, lower - low_right, low_right]
+
+
+def _bag_sum(
+    rows: Int32[Tensor, " entries"], table: Tensor, first: Int32[Tensor, " bags"], weights: Float[Tensor, " entries"]
+) -> Tensor:
+    return F.embedding_bag(rows, table, first, mode="sum", per_sample_weights=weights)
+
+
+def _gather(
+    table: Float[Tensor, "R C"], samples: Samples, weight: Float[Tensor, "P K"], first: Int64[Tensor, " Q"], width: int
+) -> Float[Tensor, "Q C"]:
+    """Weighted sum of the samples of each query."""
+    bags = (first * weight.shape[1]).int()
+    corners = zip(_corner_steps(width), _corner_weights(samples, weight), strict=True)
+    sums = [_bag_sum((samples.row + step).flatten(), table, bags, weights.flatten()) for step, weights in corners]
+    return torch.stack(sums).sum(0)
+
+
+def _scatter(
+    grad: Float[Tensor, "Q C"],
+    samples: Samples,
+    weight: Float[Tensor, "P K"],
+    query: Int64[Tensor, " P"],
+    width: int,
+    size: int,
+) -> Float[Tensor, "R C"]:
+    """Adds the weighted gradient of each query to the rows of its samples' corners: the transpose of `_gather`."""
+    rows = samples.row.flatten()
+    order = (rows.short() if size < 2**15 else rows).argsort()
+    sources = query.int().index_select(0, order // weight.shape[1])
+    counts = torch.bincount(rows, minlength=size)
+    first = (counts.cumsum(0) - counts).int()
+    total = torch.zeros(size, grad.shape[1], dtype=grad.dtype, device=grad.device)
+    for step, weights in zip(_corner_steps(width), _corner_weights(samples, weight), strict=True):
+        corner = _bag_sum(sources, grad, first, weights.flatten().index_select(0, order))
+        total[step:] += corner[: size - step]
+    return total
+
+
+def _products(
+    table: Float[Tensor, "R C"], samples: Samples, grad: Float[Tensor, "Q C"], first: Int64[Tensor, " Q"], width: int
+) -> list[Float[Tensor, "P K"]]:
+    """Inner product of each corner's row with the gradient of its sample's query."""
+    shape = samples.row.shape
+    ends = torch.cat([first * shape[1], first.new_tensor([samples.row.numel()])]).int()
+    nothing = table.new_zeros(samples.row.numel())
+    products = []
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Sparse")  # CSR is marked beta; its checks cost more than the product
+        for step in _corner_steps(width):
+            rows = (samples.row + step).flatten()
+            pattern = torch.sparse_csr_tensor(ends, rows, nothing, (len(grad), len(table)))
+            product = torch.sparse.sampled_addmm(pattern, grad, table.T, beta=0.0)
+            products.append(product.values().reshape(shape))
+    return products
+
+
+def _backward(
+    table: Float[Tensor, "R C"],
+    offsets: Float[Tensor, "2 Q K"],
+    attention: Float[Tensor, "Q K"],
+    grad: Float[Tensor, "Q C"],
+    pairs: Pairs,
+    level: Level,
+) -> tuple[Float[Tensor, "R C"], Float[Tensor, "2 Q K"], Float[Tensor, "Q K"]]:
+    """Gradients of one head and level, whose positions are computed anew."""
+    samples = _locate(level, pairs.query, offsets)
+    weight = attention.index_select(0, pairs.query)
+    corner, right, low, low_right = _products(table, samples, grad, pairs.first, level.width)
+    upper_slope, lower_slope = right - corner, low_right - low
+    upper = corner + samples.fx * upper_slope
+    slope_y = low + samples.fx * lower_slope - upper
+    slope_x = upper_slope + samples.fy * (lower_slope - upper_slope)
+    value = upper + samples.fy * slope_y
+    per_pair = torch.cat([slope_x * weight * samples.inside_x, slope_y * weight * samples.inside_y, value], dim=1)
+    per_query = per_pair.new_zeros(len(grad), per_pair.shape[1]).index_add_(0, pairs.query, per_pair)
+    grad_x, grad_y, grad_attention = per_query.chunk(3, dim=1)
+    grad_table = _scatter(grad, samples, weight, pairs.query, level.width, len(table))
+    return grad_table, torch.stack([grad_x, grad_y]), grad_attention
+
+
+class _DeformableSum(torch.autograd.Function):
+    """See `deformable_sum`; tensors are cut into heads and levels, and only the inputs are kept for the way back."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, offsets: Tensor, attention: Tensor, pairs: Pairs, levels: list[Level], *tables: Tensor
+    ) -> Tensor:
+        ctx.save_for_backward(offsets, attention, *tables)
+        ctx.pairs, ctx.levels = pairs, levels
+        sums = []
+        for head in range(len(offsets)):
+            parts = []
+            for index, (level, table) in enumerate(zip(levels, tables, strict=True)):
+                samples = _locate(level, pairs.query, offsets[head, index])
+                weight = attention[head, index].index_select(0, pairs.query)
+                parts.append(_gather(table[head], samples, weight, pairs.first, level.width))
+            sums.append(torch.stack(parts).sum(0) if len(parts) > 1 else parts[0])
+        return torch.stack(sums)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, grad: Tensor) -> Any:
+        offsets, attention, *tables = ctx.saved_tensors
+        grad_offsets, grad_attention = torch.empty_like(offsets), torch.empty_like(attention)
+        grad_tables = [torch.empty_like(table) for table in tables]
+        for head in range(len(offsets)):
+            head_grad = grad[head].contiguous()
+            for index, (level, table) in enumerate(zip(ctx.levels, tables, strict=True)):
+                grad_tables[index][head], grad_offsets[head, index], grad_attention[head, index] = _backward(
+                    table[head], offsets[head, index], attention[head, index], head_grad, ctx.pairs, level
+                )
+        return grad_offsets, grad_attention, None, None, *grad_tables
+
+
+def deformable_sum(
+    tables: list[Float[Tensor, "H _ C"]],
+    offsets: Float[Tensor, "H L 2 Q K"],
+    attention: Float[Tensor, "H L Q K"],
+    pairs: Pairs,
+    levels: list[Level],
+) -> Float[Tensor, "H Q C"]:
+    """Samples bilinearly at reference + offset, weights by attention, sums over levels, points and a query's cameras.
+
+    Outside the maps there are zeros, as with `grid_sample(padding_mode="zeros", align_corners=False)`. Differentiable
+    once, in tables, offsets and attention.
+
+    Args:
+        tables: of each level, from `make_table`.
+        offsets: (column, row) of each sample from its reference point, pixels of the level.
+        attention: weight of each sample.
+        pairs: visible (query, camera) pairs; at least one.
+        levels: from `make_level`.
+    """
+    return _DeformableSum.apply(offsets, attention, pairs, levels, *tables)  # type: ignore[return-value]

@@ -1,0 +1,90 @@
+"""Deformable cross-attention from voxels to the cameras that see them."""
+
+import math
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from omniocc.model.ops.deformable_attention import Level, deformable_sum, make_table
+from omniocc.model.ops.lifter.visible import Pairs
+
+
+def ring_offsets(heads: int, levels: int, points: int, anchors: int) -> Float[Tensor, "H L 2 K"]:
+    """Where samples begin, in pixels: each head looks in a direction of its own, 1, 2, ... pixels from each anchor."""
+    angle = torch.arange(heads) * (2 * math.pi / heads)
+    direction = torch.stack([angle.cos(), angle.sin()], dim=-1)
+    direction = direction / direction.abs().amax(-1, keepdim=True)
+    return (direction[..., None] * (torch.arange(points) % (points // anchors) + 1))[:, None].expand(-1, levels, -1, -1)
+
+
+def _transposed(linear: nn.Linear, queries: Float[Tensor, "Q C"]) -> Float[Tensor, "D Q"]:
+    return torch.addmm(linear.bias[:, None], linear.weight, queries.T)
+
+
+class CrossAttention(nn.Module):
+    """Multi-scale deformable attention (Zhu et al., 2021), averaged over the cameras that see a query (paper eq. 1).
+
+    Offsets and attention come from the query alone; all cameras share them.
+
+    Args:
+        channels: of queries and features.
+        heads: a divisor of the channels.
+        points: samples per head and level.
+        levels: number of feature maps.
+        anchors: reference points of each query, a divisor of the points, which they share equally.
+    """
+
+    def __init__(self, channels: int, heads: int, points: int, levels: int, anchors: int):
+        super().__init__()
+        self.heads, self.points, self.levels = heads, points, levels
+        samples = levels * points
+        self.value = nn.Linear(channels, channels)
+        self.level_embedding = nn.Parameter(torch.zeros(levels, channels))
+        self.offsets = nn.Linear(channels, heads * 2 * samples)
+        self.attention = nn.Linear(channels, heads * samples)
+        self.output = nn.Linear(channels, channels)
+        for layer in (self.offsets, self.attention):
+            nn.init.zeros_(layer.weight)
+            nn.init.zeros_(layer.bias)
+        self.offsets.bias.data.copy_(ring_offsets(heads, levels, points, anchors).flatten())
+
+    def forward(
+        self,
+        queries: Float[Tensor, "G Q C"],
+        features: list[Float[Tensor, "B N C _ _"]],
+        pairs: Pairs,
+        levels: list[Level],
+    ) -> Float[Tensor, "B Q C"]:
+        """Attends for B samples of equal rig and candidates; G is B, or 1 if the samples still share their queries."""
+        share = len(features[0]) // len(queries)
+        maps = zip(*(level.split(share) for level in features), strict=True)
+        sums = [self._attend(query, list(own), pairs, levels) for query, own in zip(queries, maps, strict=True)]
+        return self.output(torch.cat(sums))
+
+    def _attend(
+        self,
+        queries: Float[Tensor, "Q C"],
+        features: list[Float[Tensor, "B N C _ _"]],
+        pairs: Pairs,
+        levels: list[Level],
+    ) -> Float[Tensor, "B Q C"]:
+        """One set of queries on B samples, whose channels travel side by side: positions are computed once."""
+        with torch.autocast(queries.device.type, enabled=False):
+            dtype = torch.promote_types(queries.dtype, torch.float32)
+            offsets, attention = self._sampling(queries.to(dtype))
+            tables = [make_table(self._value(level.to(dtype), index)) for index, level in enumerate(features)]
+            sums = deformable_sum(tables, offsets, attention, pairs, levels) / pairs.counts[:, None]
+        return sums.unflatten(-1, (len(features[0]), -1)).permute(2, 1, 0, 3).flatten(2)
+
+    def _sampling(self, queries: Float[Tensor, "Q C"]) -> tuple[Float[Tensor, "H L 2 Q K"], Float[Tensor, "H L Q K"]]:
+        """Offsets and attention; queries run along the last axis until the end, where softmax is many times faster."""
+        shape = (self.heads, self.levels, self.points)
+        offsets = _transposed(self.offsets, queries).unflatten(0, (*shape[:2], 2, self.points))
+        attention = _transposed(self.attention, queries).unflatten(0, (self.heads, -1)).softmax(1)
+        attention = attention.unflatten(1, shape[1:])
+        return offsets.transpose(-1, -2).contiguous(), attention.transpose(-1, -2).contiguous()
+
+    def _value(self, level: Float[Tensor, "B N C h w"], index: int) -> Float[Tensor, "B N H D h w"]:
+        values = self.value(level.movedim(2, -1) + self.level_embedding[index])
+        return values.movedim(-1, 2).unflatten(2, (self.heads, -1))

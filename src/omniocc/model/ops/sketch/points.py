@@ -1,0 +1,106 @@
+"""Pseudo point cloud of a panorama of ranges, and its features in the cells of a grid."""
+
+from functools import lru_cache
+
+import torch
+from jaxtyping import Bool, Float, Int64
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from omniocc.camera import Equirectangular
+from omniocc.geometry import Grid
+from omniocc.model.ops.static import is_static
+
+
+def pseudo_points(
+    range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"], panorama: Equirectangular
+) -> Float[Tensor, "B P 3"]:
+    """The point that each pixel sees, in the ego frame, row by row; not a number where the range is not valid."""
+    points = range_m.float().unsqueeze(-1) * panorama.rays(range_m.device)
+    return torch.where(valid.unsqueeze(-1), points, torch.nan).flatten(1, 2)
+
+
+def still_axes(geometry: Grid) -> list[int]:
+    """Axes along which places differ: those that do not wrap around."""
+    return [axis for axis in range(3) if not geometry.periodic[axis]]
+
+
+def point_features(points: Float[Tensor, "P 3"], geometry: Grid) -> Float[Tensor, "P F"]:
+    """What Cylinder3D knows of a point: its offset from the cell's centre, its coordinates, its range.
+
+    Offsets are in cells, coordinates in halves of the grid from its middle, the range in units of the grid's reach. The
+    azimuth itself and x, y, which Cylinder3D has too, are left out in a cylinder: turning the car turns the sketch.
+
+    Args:
+        points: inside the grid, ego frame, metres.
+        geometry: the grid.
+    """
+    places = torch.stack(geometry.coordinates(points), dim=-1)
+    offset = places - places.floor() - 0.5
+    cells = torch.tensor(geometry.shape, device=points.device)
+    axes = still_axes(geometry)
+    coordinates = (2 * places / cells - 1)[:, axes]
+    return torch.cat([offset, coordinates, points.norm(dim=-1, keepdim=True) / reach_m(geometry)], dim=-1)
+
+
+@lru_cache(maxsize=16)
+def reach_m(geometry: Grid) -> float:
+    """Horizontal distance of the farthest column."""
+    return float(geometry.distances_m().max())
+
+
+def voxel_max(
+    features: Float[Tensor, "P C"], cells: Int64[Tensor, " P"], num_cells: int
+) -> Float[Tensor, "num_cells C"]:
+    """Largest value of each feature among the points of a cell; 0 where that is negative or there is no point."""
+    index = cells.unsqueeze(1).expand_as(features)
+    return features.new_zeros(num_cells, features.shape[1]).scatter_reduce(0, index, features, "amax")
+
+
+class PointEncoder(nn.Module):
+    """Features of the points of every cell: an MLP on each point, the maximum in each cell.
+
+    Args:
+        geometry: the voxel grid.
+        channels: of the result.
+    """
+
+    def __init__(self, geometry: Grid, channels: int):
+        super().__init__()
+        self.geometry = geometry
+        self.channels = channels
+        self.hidden = nn.Linear(4 + len(still_axes(geometry)), channels)
+        self.out = nn.Linear(channels, channels)
+
+    def forward(self, points: Float[Tensor, "B P 3"]) -> tuple[Float[Tensor, "B C X Y Z"], Float[Tensor, "B 1 X Y Z"]]:
+        """Features, not negative and 0 in cells without points, and 1 where a cell has points, else 0.
+
+        Points outside the grid or not finite do not count.
+        """
+        batch = len(points)
+        cells, inside = self.geometry.flat_index(points)
+        sample = torch.arange(batch, device=points.device).unsqueeze(1) * self.geometry.num_cells
+        if is_static():
+            return self._of_all(points, cells + sample, inside)
+        features = point_features(points[inside], self.geometry)
+        encoded = F.relu(self.out(F.relu(self.hidden(features))))
+        places = (cells + sample)[inside]
+        volume = voxel_max(encoded, places, batch * self.geometry.num_cells)
+        hit = volume.new_zeros(len(volume), 1).index_fill_(0, places, 1)
+        return self._split(torch.cat([volume, hit], dim=1), batch)
+
+    def _of_all(
+        self, points: Float[Tensor, "B P 3"], places: Int64[Tensor, "B P"], inside: Bool[Tensor, "B P"]
+    ) -> tuple[Float[Tensor, "B C X Y Z"], Float[Tensor, "B 1 X Y Z"]]:
+        """The same without picking points: those that do not count add zeros, which the maximum ignores."""
+        features = point_features(points.flatten(0, 1), self.geometry)
+        encoded = F.relu(self.out(F.relu(self.hidden(features))))
+        marked = torch.cat([encoded, torch.ones_like(encoded[:, :1])], dim=1)
+        marked = torch.where(inside.flatten()[:, None], marked, 0)
+        return self._split(voxel_max(marked, places.flatten(), len(points) * self.geometry.num_cells), len(points))
+
+    def _split(
+        self, volume: Float[Tensor, "cells D"], batch: int
+    ) -> tuple[Float[Tensor, "B C X Y Z"], Float[Tensor, "B 1 X Y Z"]]:
+        volume = volume.reshape(batch, *self.geometry.shape, -1).movedim(-1, 1)
+        return volume[:, :-1], volume[:, -1:]

@@ -1,0 +1,1 @@
+"""Images, poses and sequences to predict from."""

@@ -1,0 +1,133 @@
+"""Where a run lives: a folder named by its configuration, so that the same command finds it again."""
+
+import hashlib
+import json
+import os
+import shlex
+import subprocess
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from filelock import FileLock, Timeout
+
+from omniocc.errors import UserError
+from omniocc.run.checkpoint_io import LAST, resumable
+
+METRICS = "metrics.json"
+PICTURES, PARTS = "pictures", "parts"
+"""Folder of a run's pictures, and in it the folder of their parts."""
+VOLATILE = ("resume", "stage", "paths", "logger", "pictures", "checkpoint_every_n_steps")
+"""Root keys that do not change what a run computes."""
+RANK_FOLDER = "OMNIOCC_RUN_FOLDER"
+"""Environment variable by which the first process of a distributed run tells its children the folder."""
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """The folder of a run.
+
+    Attributes:
+        path: the folder.
+        checkpoint: readable file to go on from; None at the start, and when the run is finished.
+        lock: held by the run's first process, None in the others.
+    """
+
+    path: Path
+    checkpoint: Path | None
+    lock: FileLock | None
+
+    @property
+    def finished(self) -> bool:
+        """Whether the run has been trained and tested."""
+        return (self.path / METRICS).exists()
+
+
+def run_hash(config: dict[str, Any], data_fingerprint: str) -> str:
+    """Eight hex digits of everything that decides a run's result."""
+    unused = () if "depth" in config["model"]["sketch"] else ("depth", "stages")
+    kept = {key: value for key, value in config.items() if key not in (*VOLATILE, *unused)}
+    text = json.dumps([kept, data_fingerprint], sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:8]
+
+
+def open_run(runs: Path, name: str, digest: str, resume: str) -> RunFolder:
+    """Find or make the folder of a run and lock it.
+
+    Args:
+        runs: folder of all runs.
+        name: human part of the folder's name.
+        digest: `run_hash` of the run.
+        resume: `auto` continues the folder of the same hash; `never` takes a fresh one beside it; anything else is a
+            checkpoint to go on from.
+
+    Raises:
+        UserError: when another process works in the folder, or its checkpoints are damaged.
+        FileNotFoundError: when the checkpoint to go on from is not there.
+    """
+    path, lock = runs / f"{name}-{digest}", None
+    # Lightning tells its children LOCAL_RANK; Slurm starts all processes itself, and at once
+    if os.environ.get("LOCAL_RANK", os.environ.get("SLURM_PROCID", "0")) == "0":
+        path, lock = _claim(path, fresh=resume == "never")
+        os.environ[RANK_FOLDER] = str(path)
+    else:
+        path = Path(os.environ.get(RANK_FOLDER, path))
+        path.mkdir(parents=True, exist_ok=True)
+    given = given_checkpoint(resume)
+    run = RunFolder(path, None, lock)
+    if run.finished:
+        return run
+    checkpoint, mishap = resumable(given or path / LAST)
+    if mishap and lock is not None:
+        print(mishap, flush=True)
+    return replace(run, checkpoint=checkpoint)
+
+
+def given_checkpoint(resume: str) -> Path | None:
+    """The checkpoint that `resume` names, if it names one.
+
+    Raises:
+        FileNotFoundError: when it is not there.
+    """
+    if resume in ("auto", "never"):
+        return None
+    if not Path(resume).is_file():
+        raise FileNotFoundError(f"resume={resume}: there is no such checkpoint; auto goes on where this run was")
+    return Path(resume)
+
+
+def _claim(path: Path, fresh: bool) -> tuple[Path, FileLock]:
+    number, candidate = 2, path
+    while fresh and candidate.exists():
+        number, candidate = number + 1, path.with_name(f"{path.name}-{number}")
+    candidate.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(candidate / ".lock", timeout=0)
+    try:
+        lock.acquire()
+    except Timeout:
+        raise UserError(
+            f"another process is working in {candidate}; wait for it, or give this run another name=..."
+        ) from None
+    return candidate, lock
+
+
+def command_line() -> str:
+    """What started this process, to be typed in the same folder; a multirun starts its jobs by whole paths."""
+    script, *arguments = sys.argv
+    path = Path(script)
+    if path.is_absolute() and path.is_relative_to(Path.cwd()):
+        script = str(path.relative_to(Path.cwd()))
+    return shlex.join(["python", script, *arguments])
+
+
+def git_commit() -> str:
+    """Commit of the source tree, `+` when it has changes; `unknown` outside a repository."""
+    here = Path(__file__).parent
+    try:
+        show = subprocess.run(
+            ["git", "describe", "--always", "--dirty=+"], cwd=here, capture_output=True, text=True, check=True
+        )
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+    return show.stdout.strip()

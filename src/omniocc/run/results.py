@@ -1,0 +1,52 @@
+"""What one run leaves behind: metrics.json, table.md and the same table on the screen."""
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from omniocc.errors import UserError
+from omniocc.io import atomic_write
+from omniocc.run.folder import METRICS, PICTURES
+from omniocc.run.table import as_markdown, as_text
+
+
+def save_results(folder: Path, metrics: Mapping[str, float], facts: Mapping[str, Any]) -> None:
+    """Write `table.md`, then `metrics.json`: the presence of the latter says that the run is finished."""
+    caption = ", ".join(f"{key} {value}" for key, value in facts.items())
+    atomic_write(folder / "table.md", as_markdown(metrics, caption))
+    plain = {key: None if math.isnan(value) else value for key, value in metrics.items()}
+    atomic_write(folder / METRICS, json.dumps({**facts, "metrics": plain}, indent=1) + "\n")
+
+
+def load_results(folder: Path) -> tuple[dict[str, Any], dict[str, float]]:
+    """Facts and figures of a finished run; NaN for classes without cases.
+
+    Raises:
+        UserError: naming the file, when it is damaged.
+    """
+    path = folder / METRICS
+    try:
+        facts = json.loads(path.read_text())
+        metrics = facts.pop("metrics")
+        return facts, {key: math.nan if value is None else float(value) for key, value in metrics.items()}
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        reason = str(error).splitlines()[0]
+        raise UserError(f"{path} is damaged ({reason}); remove it, and the command that made it tests again") from error
+
+
+def show_results(folder: Path) -> None:
+    """Print the table of a finished run and where its files are."""
+    print(f"\n{as_text(load_results(folder)[1])}\n")
+    pictures = sorted(str(path) for path in (folder / PICTURES).glob("test-*.png"))
+    print(
+        "\n".join(
+            [
+                f"table     {folder / 'table.md'}",
+                f"figures   {folder / METRICS}",
+                *(f"picture   {path}" for path in pictures),
+            ]
+        ),
+        flush=True,
+    )

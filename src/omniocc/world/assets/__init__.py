@@ -1,0 +1,1 @@
+"""Meshes of single things: surfaces, solids, buildings, trees, vehicles, people and street furniture."""

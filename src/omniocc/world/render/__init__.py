@@ -1,0 +1,1 @@
+"""Ray casting, surfaces, light, weather and camera images."""

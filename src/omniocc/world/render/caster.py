@@ -1,0 +1,137 @@
+"""Rays against triangles with Embree: the nearest hit, and whether anything is in the way."""
+
+import platform
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from omniocc.world.assets.mesh import Mesh
+
+_FAR_M = np.float32(1e37)
+
+
+class Hits(NamedTuple):
+    """Nearest hits of R rays.
+
+    Attributes:
+        range_m: (R,) float32 along unit directions, inf where nothing is hit.
+        face: (R,) int32 triangle, -1 where nothing is hit.
+        u: (R,) float32 barycentric weight of the triangle's second corner.
+        v: (R,) float32 barycentric weight of the third corner.
+    """
+
+    range_m: np.ndarray
+    face: np.ndarray
+    u: np.ndarray
+    v: np.ndarray
+
+    def take(self, index: np.ndarray) -> "Hits":
+        """The hits of some of the rays."""
+        return Hits(*(array.take(index) for array in self))
+
+
+@lru_cache(maxsize=1)
+def _embree() -> tuple[Any, Any]:
+    try:
+        from embreex import mesh_construction, rtcore_scene
+    except ImportError as error:
+        raise ImportError(
+            f"rendering the virtual world needs the package 'embreex', which is not installed or has no wheel for this "
+            f"platform ({platform.system()} {platform.machine()}, Python {platform.python_version()}); install it with "
+            "`pip install embreex` on an x86-64 machine, or use a data set rendered on another machine"
+        ) from error
+    return rtcore_scene, mesh_construction
+
+
+class Caster:
+    """One immutable set of triangles.
+
+    Rays are given in the mesh's frame shifted by `origin_m`: with an origin near the scene's middle float32 keeps
+    coordinates of some hundred metres to within 0.03 mm.
+    """
+
+    def __init__(self, mesh: Mesh, origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
+        self.size = len(mesh)
+        self._scene = None
+        if self.size == 0:
+            return
+        scenes, meshes = _embree()
+        vertices = (mesh.vertices.astype(np.float64) - np.asarray(origin_m)).astype(np.float32)
+        # Embree's watertight mode costs a fifth and changed none of 1.6 million camera rays in two places.
+        self._scene = scenes.EmbreeScene(robust=False)
+        # The mesh object must outlive the scene.
+        self._triangles = meshes.TriangleMesh(self._scene, vertices, np.ascontiguousarray(mesh.faces, dtype=np.int32))
+
+    def cast(self, origins: np.ndarray, directions: np.ndarray, limit_m: np.ndarray | None = None) -> Hits:
+        """Nearest hit of each ray.
+
+        Args:
+            origins: (R, 3) float32; any strides, so a broadcast view of one point will do.
+            directions: (R, 3) float32 unit vectors.
+            limit_m: (R,) farthest range that counts; hits at or beyond it are misses.
+        """
+        count = len(origins)
+        if self._scene is None or count == 0:
+            return no_hits(count)
+        limits = None if limit_m is None else np.minimum(limit_m, _FAR_M)
+        found = self._scene.run(origins, directions, query="INTERSECT", output=True, dists=limits)
+        face = found["primID"]
+        range_m = found["tfar"]
+        range_m[face < 0] = np.inf
+        return Hits(range_m, face, found["u"], found["v"])
+
+    def blocked(self, origins: np.ndarray, directions: np.ndarray, limit_m: float = float(_FAR_M)) -> np.ndarray:
+        """(R,) bool: whether anything lies along each ray before `limit_m`.
+
+        `directions` is (R, 3), or (1, 3) shared by all rays.
+        """
+        if self._scene is None or len(origins) == 0:
+            return np.zeros(len(origins), dtype=bool)
+        return self._scene.run(origins, directions, query="OCCLUDED", dists=float(limit_m)) >= 0
+
+
+class Layers:
+    """Several casters as one: face indices count through them; the nearest hit wins, of equals the earlier layer's."""
+
+    def __init__(self, casters: list[Caster]) -> None:
+        self.casters = casters
+        self.offsets = np.cumsum([0] + [caster.size for caster in casters])
+
+    def cast(self, origins: np.ndarray, directions: np.ndarray, known: Hits | None = None) -> Hits:
+        """Nearest hit over all layers, and over hits `known` beforehand (their faces are kept as they are)."""
+        best = known
+        for caster, offset in zip(self.casters, self.offsets, strict=False):
+            if caster.size == 0 and best is not None:
+                continue
+            found = caster.cast(origins, directions, None if best is None else best.range_m)
+            best = found if best is None else _nearer(best, found, int(offset))
+        assert best is not None, "a world of no layers"
+        return best
+
+    def blocked(self, origins: np.ndarray, directions: np.ndarray, limit_m: float = float(_FAR_M)) -> np.ndarray:
+        """(R,) bool: whether any layer lies along each ray before `limit_m`."""
+        result = np.zeros(len(origins), dtype=bool)
+        for caster in self.casters:
+            if caster.size:
+                free = np.flatnonzero(~result)
+                toward = directions if len(directions) == 1 else directions[free]
+                result[free] = caster.blocked(origins[free], toward, limit_m)
+        return result
+
+
+def no_hits(count: int, range_m: float = np.inf) -> Hits:
+    """Hits of rays that meet nothing before `range_m`."""
+    zeros = np.zeros(count, np.float32)
+    return Hits(np.full(count, range_m, np.float32), np.full(count, -1, np.int32), zeros, zeros)
+
+
+def _nearer(best: Hits, found: Hits, offset: int) -> Hits:
+    """`found` where it hit (its rays ended at `best`), elsewhere `best`."""
+    missed = found.face < 0
+    if missed.all():
+        return best
+    found.face[:] += np.int32(offset)
+    for mine, other in zip(found, best, strict=True):
+        np.copyto(mine, other, where=missed)
+    return found

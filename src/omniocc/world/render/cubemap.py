@@ -1,0 +1,128 @@
+"""The paper's own way to a fisheye image: faces of a cube are rendered and the fisheye's pixels looked up in them.
+
+Simulators that rasterise can only draw flat pictures, so CARLA recordings go this way. Here it exists to be compared
+with direct casting (`tests/world/test_cubemap.py` states the error) and to make data with the same resampling blur.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from omniocc.camera import Pinhole, Rig
+from omniocc.world.render.capture import Look, look
+from omniocc.world.render.caster import Caster
+from omniocc.world.render.stage import Stage
+from omniocc.world.render.view import View, make_view
+
+_MARGIN_PX = 1  # beyond 90 degrees, so that pixels at a face's edge have neighbours to blend with
+# Columns: a face's right, down and forward in the camera's frame; front, right, left, down, up, back.
+_FACES = np.array(
+    [
+        [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+        [[0, 0, 1], [0, 1, 0], [-1, 0, 0]],
+        [[0, 0, -1], [0, 1, 0], [1, 0, 0]],
+        [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
+        [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
+        [[-1, 0, 0], [0, 1, 0], [0, 0, -1]],
+    ],
+    dtype=np.float64,
+)
+
+
+@dataclass(frozen=True)
+class Cube:
+    """The faces around one camera, and where its P pixels lie in them.
+
+    Attributes:
+        faces: views of the faces, only of those pixels that are needed.
+        forward: (Q,) float32 part along its face's axis of the ray of each face pixel, all faces in a row.
+        corner: (4, P) int64 the four face pixels around each pixel, as indices into that row.
+        weight: (4, P) float32 bilinear weights.
+        nearest: (P,) int64 the one closest.
+        own_forward: (P,) float32 part of the camera's ray along the face's axis.
+    """
+
+    faces: tuple[View, ...]
+    forward: np.ndarray
+    corner: np.ndarray
+    weight: np.ndarray
+    nearest: np.ndarray
+    own_forward: np.ndarray
+
+
+def make_cube(rig: Rig, camera: int, view: View, supersample: int, own_car: Caster) -> Cube:
+    """Faces for one camera; their pixels are as fine as the camera's in the faces' middle and finer elsewhere.
+
+    Args:
+        rig: of the vehicle.
+        camera: index.
+        view: of that camera.
+        supersample: see `make_view`.
+        own_car: in the ego frame.
+    """
+    inner = int(np.ceil(2 / view.pixel_rad))
+    side = inner + 2 * _MARGIN_PX
+    pose = rig.ego_from_camera[camera].double().numpy()
+    toward = np.einsum("ji,jp->ip", pose[:3, :3], view.center.astype(np.float64))
+    along = np.einsum("fij,ip->fjp", _FACES, toward)
+    face = along[:, 2].argmax(axis=0)
+    x, y, z = np.moveaxis(along[face, :, np.arange(len(face))], -1, 0)
+    column, row = ((part / z + 1) * inner / 2 - 0.5 + _MARGIN_PX for part in (x, y))
+    left, top = np.floor(column).astype(np.int64), np.floor(row).astype(np.int64)
+    right_share, low_share = column - left, row - top
+    corner = np.stack([(face * side + top + a) * side + left + b for a in (0, 1) for b in (0, 1)])
+    weight = np.stack(
+        [(low_share if a else 1 - low_share) * (right_share if b else 1 - right_share) for a in (0, 1) for b in (0, 1)]
+    )
+    needed = np.zeros((len(_FACES), side, side), dtype=bool)
+    needed.reshape(-1)[corner] = True
+    used = np.flatnonzero(needed.any(axis=(1, 2)))
+    views = _face_views(pose, needed[used], _FACES[used], inner, supersample, own_car)
+    order = np.cumsum(needed.reshape(-1)) - 1
+    forward = [np.einsum("i,ip->p", pose[:3, :3] @ _FACES[k, :, 2], v.center) for k, v in zip(used, views, strict=True)]
+    nearest = corner[weight.argmax(axis=0), np.arange(len(face))]
+    return Cube(
+        views,
+        np.concatenate(forward).astype(np.float32),
+        order[corner],
+        weight.astype(np.float32),
+        order[nearest],
+        z.astype(np.float32),
+    )
+
+
+def _face_views(
+    pose: np.ndarray, needed: np.ndarray, faces: np.ndarray, inner: int, supersample: int, own_car: Caster
+) -> tuple[View, ...]:
+    side = inner + 2 * _MARGIN_PX
+    model = Pinhole(side, side, focal_px=(inner / 2, inner / 2), center_px=((side - 1) / 2, (side - 1) / 2))
+    poses = np.tile(pose, (len(faces), 1, 1))
+    poses[:, :3, :3] = pose[:3, :3] @ faces
+    rig = Rig(
+        (model,) * len(faces),
+        torch.from_numpy(poses),
+        tuple(f"face{number}" for number in range(len(faces))),
+        tuple(torch.from_numpy(mask) for mask in needed),
+    )
+    return tuple(make_view(rig, number, supersample, own_car) for number in range(len(faces)))
+
+
+def look_through(cube: Cube, stage: Stage) -> Look:
+    """What the camera's pixels see in the faces.
+
+    Colours are blended bilinearly. Ranges are blended as inverse distances along the face's axis, which is exact on a
+    plane, where all four face pixels see one surface; elsewhere, and for classes, the nearest face pixel decides.
+    """
+    seen = [look(face, stage) for face in cube.faces]
+    colors = np.concatenate([part.color for part in seen], axis=1)
+    key, label, range_m, own = (
+        np.concatenate([getattr(part, name) for part in seen]) for name in ("key", "label", "range_m", "own")
+    )
+    color = np.einsum("ckp,kp->cp", colors[:, cube.corner], cube.weight)
+    inverse = 1 / (range_m * cube.forward)
+    blended = (inverse[cube.corner] * cube.weight).sum(axis=0)
+    even = (key[cube.corner] == key[cube.nearest]).all(axis=0)
+    with np.errstate(divide="ignore"):
+        distance = 1 / (np.where(even, blended, inverse[cube.nearest]) * cube.own_forward)
+    return Look(color, label[cube.nearest], distance, key[cube.nearest], own[cube.nearest])

@@ -1,0 +1,65 @@
+"""What shines after dark: street lamps and the pools under them, car lights, windows."""
+
+import numpy as np
+
+from omniocc.world.assets.material import Material
+from omniocc.world.assets.mesh import Mesh
+from omniocc.world.render.light import Light
+
+_VEHICLE = 7
+_WARM = np.array([1.0, 0.78, 0.50], np.float32)
+_CELL_M = 0.5
+_SIDE = 1024  # cells; the map repeats after 512 m
+_POOL_M = 20.0
+_HEIGHT_M = 6.0
+
+
+def lamp_strength(mesh: Mesh) -> np.ndarray:
+    """(F,) float32 light of its own, as a multiple of the base colour: lamps, head and tail lights; otherwise 0."""
+    red, green, blue = mesh.color.astype(np.int32).T
+    vehicle = mesh.label == _VEHICLE
+    head = vehicle & (mesh.material == Material.GLASS) & (np.minimum(red, blue) > 200)
+    tail = vehicle & (mesh.material == Material.SIGN) & (red > 120) & (np.maximum(green, blue) < 60)
+    strength = np.where(mesh.material == Material.LAMP, np.float32(4), np.float32(0))
+    strength[head], strength[tail] = 3, 2.5
+    return strength
+
+
+def lamp_pools(mesh: Mesh) -> np.ndarray:
+    """(1024 * 1024,) float32 light on level ground from the lamps above it, 1 right below one; see `lamp_light`."""
+    corner = mesh.vertices[mesh.faces[mesh.material == Material.LAMP]]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    down = normal[:, 2] < -0.5 * np.linalg.norm(normal, axis=1)
+    places = np.unique(np.rint(corner[down].mean(axis=1)[:, :2]).astype(np.int64), axis=0)
+    pools = np.zeros((_SIDE, _SIDE), np.float32)
+    steps = np.arange(-int(_POOL_M / _CELL_M), int(_POOL_M / _CELL_M) + 1)
+    distance = np.hypot(*np.meshgrid(steps * _CELL_M, steps * _CELL_M))
+    rim = np.clip((_POOL_M - distance) / 8, 0, 1)
+    stamp = (rim * (1 + (distance / _HEIGHT_M) ** 2) ** -1.5).astype(np.float32)
+    for x, y in places:
+        rows, columns = ((np.floor(value / _CELL_M).astype(int) + steps) % _SIDE for value in (x, y))
+        pools[np.ix_(rows, columns)] = np.maximum(pools[np.ix_(rows, columns)], stamp)
+    return pools.ravel()
+
+
+def lamp_light(
+    light: Light, base: np.ndarray, own: np.ndarray, tint: np.ndarray, facts: np.ndarray, points: np.ndarray
+) -> np.ndarray:
+    """(3, R) light after dark from surfaces that shine or stand under a lamp.
+
+    Args:
+        light: of the scene.
+        base: (3, R) their colour.
+        own: (3, R) the texture's own colour: panes with bright curtains are lit rooms.
+        tint: (R,) share of the base colour in the texture, 0 in windows.
+        facts: (16, R) see `omniocc.world.render.shade.Surfaces`.
+        points: (3, R) in the casters' frame.
+    """
+    shining = facts[3:6] * facts[13]
+    window = (facts[15] > 0) & (tint < 0.02) & (own[0] > 0.1)
+    shining += (own * _WARM[:, None]) * (np.float32(2.2) * window)
+    if light.pools is not None:
+        row, column = (np.floor(axis * np.float32(1 / _CELL_M)).astype(np.int32) & (_SIDE - 1) for axis in points[:2])
+        pool = light.pools[row * _SIDE + column] * (0.25 + 0.75 * np.maximum(facts[2], 0))
+        shining += base * (0.9 * _WARM[:, None] * pool)
+    return shining * np.float32(light.lamps)

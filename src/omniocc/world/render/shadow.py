@@ -1,0 +1,38 @@
+"""What keeps light off: everything that stands or moves, the own car too."""
+
+import numpy as np
+
+from omniocc.world.render.caster import Caster
+from omniocc.world.render.cull import ShadowMask
+from omniocc.world.render.light import Light
+
+LOW_M = 2.5  # under a covered sky: how far up things are looked for that hide it
+_UP = np.array([0.12, 0.05, 0.9915], np.float32)
+
+
+class Shadows:
+    """Shadows of one moment in one light.
+
+    Args:
+        static: what never moves.
+        movers: what does.
+        spheres: (K, 4) around everything in `movers`.
+        light: of the scene; without a sun, shadows fall straight down and only low things throw them.
+    """
+
+    def __init__(self, static: Caster, movers: list[Caster], spheres: np.ndarray, light: Light) -> None:
+        self._static = static
+        self._movers = movers
+        has_sun = bool(light.sun.any())
+        self._toward = (light.sun_direction if has_sun else _UP)[None]
+        self._limit_m = 1e37 if has_sun else LOW_M
+        self._mask = ShadowMask(spheres, self._toward[0])
+
+    def fall_on(self, points: np.ndarray) -> np.ndarray:
+        """(R,) bool: whether something stands between a point (3, R) and the light."""
+        result = self._static.blocked(points.T, self._toward, self._limit_m)
+        maybe = np.flatnonzero(self._mask.touches(points) & ~result)
+        some = np.take(points, maybe, axis=1).T
+        for caster in self._movers:
+            result[maybe] |= caster.blocked(some, self._toward, self._limit_m)
+        return result

@@ -1,0 +1,89 @@
+"""One moment of a scene, ready to be seen: casters, surfaces, light and where the ego is."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from omniocc.world.assets.mesh import Mesh
+from omniocc.world.render.caster import Hits, Layers
+from omniocc.world.render.cull import Cones, meets
+from omniocc.world.render.light import Light
+from omniocc.world.render.shade import Surfaces
+from omniocc.world.render.shadow import Shadows
+
+
+@dataclass(frozen=True)
+class Stage:
+    """What cameras and LiDARs look at. The casters' frame is the world's, shifted so that numbers stay small.
+
+    Attributes:
+        layers: static things, moving things; the own car is not in it.
+        shadows: of the same and of the own car.
+        surfaces: of static, moving and own faces, in this order.
+        own_start: first face of the own car.
+        rotation: (3, 3) float32, caster frame from ego frame.
+        origin_m: (3,) float32, the ego origin in the caster frame.
+        moving: the moving things' mesh.
+        spheres: (K, 4) float32 around each of them, caster frame.
+        light: of the scene.
+    """
+
+    layers: Layers
+    shadows: Shadows
+    surfaces: Surfaces
+    own_start: int
+    rotation: np.ndarray
+    origin_m: np.ndarray
+    moving: Mesh
+    spheres: np.ndarray
+    light: Light
+
+    def turn(self, directions_ego: np.ndarray) -> np.ndarray:
+        """(3, R) ego directions in the caster frame."""
+        # Sums instead of a matrix product, whose rounding may depend on threads.
+        x, y, z = directions_ego
+        return np.stack([row[0] * x + row[1] * y + row[2] * z for row in self.rotation])
+
+    def place(self, point_ego: np.ndarray) -> np.ndarray:
+        """(3,) float32 ego point in the caster frame."""
+        return (self.rotation.astype(np.float64) @ point_ego + self.origin_m).astype(np.float32)
+
+    def unplace(self, points: np.ndarray) -> np.ndarray:
+        """(P, 3) float32 points of the caster frame in the ego frame."""
+        x, y, z = (points - self.origin_m).T
+        return np.stack([x * row[0] + y * row[1] + z * row[2] for row in self.rotation.T], axis=1)
+
+    def meets(self, cones: Cones, point_ego: np.ndarray) -> np.ndarray:
+        """(B,) bool: whether bundles of rays in the ego frame may meet something that moves."""
+        return meets(cones._replace(axis=self.turn(cones.axis.T).T), self.place(point_ego), self.spheres)
+
+    def cast(
+        self,
+        point_ego: np.ndarray,
+        directions_ego: np.ndarray,
+        known: Hits | None = None,
+        maybe: np.ndarray | None = None,
+    ) -> Hits:
+        """Nearest hits from one ego point (3,) along ego directions (3, R); of the own car only those `known`.
+
+        `maybe` (R,) bool tells which rays may meet something that moves, if that is known.
+        """
+        place, turned = self.place(point_ego), self.turn(directions_ego)
+        directions = turned.T
+        if maybe is None:
+            return self.layers.cast(repeat(place, len(directions)), directions, known)
+        hits = Layers(self.layers.casters[:1]).cast(repeat(place, len(directions)), directions, known)
+        index = np.flatnonzero(maybe)
+        found = self.layers.casters[1].cast(
+            repeat(place, len(index)), np.take(turned, index, axis=1).T, hits.range_m[index]
+        )
+        hit = np.flatnonzero(found.face >= 0)
+        found.face[:] += np.int32(self.layers.offsets[1])
+        for whole, part in zip(hits, found, strict=True):
+            whole[index[hit]] = part[hit]
+        return hits
+
+
+def repeat(point: np.ndarray, count: int) -> np.ndarray:
+    """(count, 3) view of one point."""
+    return np.broadcast_to(point, (count, 3))

@@ -1,0 +1,1 @@
+"""What is recorded of one time step: cameras, panorama, LiDARs and labelled points."""

@@ -1,0 +1,115 @@
+"""Labels from geometry: points spread evenly over all surfaces near the ego, whether anything sees them or not."""
+
+import numpy as np
+
+from omniocc.world.assets.mesh import Mesh
+from omniocc.world.render.stage import Stage
+from omniocc.world.sensors.thin import REACH_M, within_reach
+
+_POINT_M2 = 0.0125  # surface per point far from the ego: three in a square of 0.2 m
+_POINT_M = 0.0016  # the same near it, per metre from its axis: four in a cell of the paper's cylinder
+_PIECE_M2 = 2.0
+_PIECE_SHARE = 0.1  # of the squared distance from the axis
+_AXIS_M = 0.06  # nearer, points do not get denser
+_COVER_M = 0.1
+_LIFT_M = np.float32(0.002)  # less than a road line's height above its road
+_STEP = np.array([0.7548776662466927, 0.5698402909980532])
+
+
+class GeometryLabels:
+    """Surface points of a scene without any sensor.
+
+    Every surface counts, backs of houses and undersides of cars too, and so does what lies inside a closed house; only
+    what another surface covers at less than 0.1 m (the road under its paint) does not.
+
+    Args:
+        static: all that never moves.
+    """
+
+    def __init__(self, static: Mesh) -> None:
+        self._static = static
+        corner = static.vertices[static.faces][..., :2]
+        self._low, self._high = corner.min(axis=1), corner.max(axis=1)
+
+    def scan(self, stage: Stage) -> tuple[np.ndarray, np.ndarray]:
+        """Points (P, 3) float32 in the ego frame and their classes (P,) uint8."""
+        ego = stage.origin_m[:2]
+        reach = np.float32(REACH_M * 1.5)  # of a level square around the ego's, however that is turned and tilted
+        near = np.flatnonzero(((self._low < ego + reach) & (self._high > ego - reach)).all(axis=1))
+        corners = [self._static.vertices[self._static.faces[near]], stage.moving.vertices[stage.moving.faces]]
+        labels = np.concatenate([self._static.label[near], stage.moving.label])
+        around = stage.unplace(np.concatenate(corners).reshape(-1, 3)).reshape(-1, 3, 3)
+        pieces, number = cut(around, REACH_M)
+        points, normal, piece = spread(pieces)
+        keep = np.flatnonzero(within_reach(points))
+        points, normal, label = points[keep], normal[piece[keep]], labels[number[piece[keep]]]
+        lifted = stage.turn((points + normal * _LIFT_M).T).T + stage.origin_m
+        free = ~stage.layers.blocked(lifted, np.ascontiguousarray(stage.turn(normal.T).T), _COVER_M)
+        return points[free], label[free]
+
+
+def cut(corners: np.ndarray, reach_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Halves triangles along their longest edges until they are small, and drops what is out of reach.
+
+    Small is at most 2 m2 and, but for the innermost, a tenth of the squared distance from the ego's axis.
+
+    Args:
+        corners: (F, 3, 3) in the ego frame.
+        reach_m: half the side of the square that counts.
+
+    Returns:
+        Pieces (N, 3, 3), and the triangle (N,) that each was cut from.
+    """
+    number = np.arange(len(corners))
+    done: list[tuple[np.ndarray, np.ndarray]] = []
+    while len(corners) or not done:
+        flat = corners[..., :2]
+        inside = ((flat.min(axis=1) < reach_m) & (flat.max(axis=1) > -reach_m)).all(axis=1)
+        corners, number = corners[inside], number[inside]
+        large = _area_normal(corners)[0] > np.minimum(_PIECE_SHARE * _distance_m(corners) ** 2, _PIECE_M2)
+        done.append((corners[~large], number[~large]))
+        corners, number = _halves(corners[large]), np.repeat(number[large], 2)
+    return np.concatenate([piece for piece, _ in done]), np.concatenate([index for _, index in done])
+
+
+def _halves(corners: np.ndarray) -> np.ndarray:
+    edge = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)
+    first, row = edge.argmax(axis=1), np.arange(len(corners))
+    a, b, c = (corners[row, (first + k) % 3] for k in range(3))
+    middle = 0.5 * (a + b)
+    return np.stack([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)], axis=1).reshape(-1, 3, 3)
+
+
+def spread(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points spread evenly over each triangle, at least one, and denser on those near the ego's axis.
+
+    A cell of a cylinder is the narrower the nearer it is.
+
+    Args:
+        corners: (F, 3, 3) float32 in the ego frame.
+
+    Returns:
+        Points (P, 3) float32, unit normals (F, 3) float32, and the triangle (P,) of each point.
+    """
+    area, normal = _area_normal(corners)
+    count = np.ceil(area / np.minimum(_POINT_M * _distance_m(corners), _POINT_M2)).astype(np.int64)
+    count = np.maximum(count, 1)
+    triangle = np.repeat(np.arange(len(corners)), count)
+    step = np.arange(len(triangle)) - np.repeat(np.cumsum(count) - count, count)
+    # The additive recurrence of Roberts (2018) fills a square evenly; folding it along the diagonal fills a triangle.
+    u, v = ((step[:, None] + 0.5) * _STEP + triangle[:, None] * _STEP[::-1]).T % 1
+    fold = u + v > 1
+    u, v = (np.where(fold, 1 - x, x).astype(np.float32)[:, None] for x in (u, v))
+    a, b, c = (corners[:, k][triangle] for k in range(3))
+    return a * (1 - u - v) + b * u + c * v, normal, triangle
+
+
+def _distance_m(corners: np.ndarray) -> np.ndarray:
+    """(F,) of the triangles' middles from the ego's axis."""
+    return np.maximum(np.hypot(*corners[..., :2].mean(axis=1).T), _AXIS_M)
+
+
+def _area_normal(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(cross, axis=1)
+    return 0.5 * length, cross / np.maximum(length, 1e-12)[:, None]

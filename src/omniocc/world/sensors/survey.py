@@ -1,0 +1,182 @@
+"""The virtual semantic LiDARs, whose points label voxels.
+
+One moves with the ego. The others stand on a lattice fixed in the world, those nearest to the ego at work: what they
+see of static things is cast once and kept while they are near, so that a frame costs little more than what moves.
+"""
+
+from collections import OrderedDict
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from omniocc.world.render.caster import Caster, Hits, no_hits
+from omniocc.world.render.cull import make_cones, meets
+from omniocc.world.render.shade import Surfaces
+from omniocc.world.render.stage import Stage, repeat
+from omniocc.world.sensors.lidar import FARTHEST_M, inner_rays, outer_rays
+from omniocc.world.sensors.thin import SCRATCH, cubes, first_of_each, within_reach
+
+LATTICE_M = 6.0
+_SPREAD_M = 21.0  # from the ego to a LiDAR of the lattice
+_TRIES = 4  # places in a square of the lattice before it stays empty
+_KEPT = 48
+_BUNDLE = 64
+_NOTHING = np.empty((0, 3), np.float32), np.empty(0, np.uint8), np.empty(0, np.int32)
+_PROBES = np.concatenate([np.eye(3), -np.eye(3)]).astype(np.float32)
+
+Height = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+class Sweep(NamedTuple):
+    """What one standing LiDAR sees of static things, in the caster frame.
+
+    Attributes:
+        place_m: (3,) float32.
+        range_m: (R,) float32 of all rays, the farthest range where nothing is hit.
+        ray: (K,) int32 rays that hit a surface from its front.
+        points_m: (K, 3) float32.
+        labels: (K,) uint8.
+        cube: (K,) int32, see `omniocc.world.sensors.thin.cubes`.
+    """
+
+    place_m: np.ndarray
+    range_m: np.ndarray
+    ray: np.ndarray
+    points_m: np.ndarray
+    labels: np.ndarray
+    cube: np.ndarray
+
+
+class Survey:
+    """The virtual LiDARs of a scene.
+
+    Args:
+        static: what never moves.
+        surfaces: of its faces, at least.
+        height: of the ground at world x and y, m.
+        count: LiDARs in all, the ego's included.
+    """
+
+    def __init__(self, static: Caster, surfaces: Surfaces, height: Height, count: int = 20) -> None:
+        self._static = static
+        self._surfaces = surfaces
+        self._height = height
+        self._count = count
+        self._inner = inner_rays()
+        self._outer = np.ascontiguousarray(outer_rays().T)
+        self._cones = make_cones(self._outer.T, np.arange(len(self._outer)) // _BUNDLE)
+        self._scratch = np.zeros(SCRATCH, np.int32)
+        self._places: dict[tuple[int, int], np.ndarray | None] = {}
+        self._sweeps: OrderedDict[tuple[int, int], Sweep] = OrderedDict()
+
+    def scan(self, stage: Stage) -> tuple[np.ndarray, np.ndarray]:
+        """Points (P, 3) float32 in the ego frame and their classes (P,) uint8, as all LiDARs together see them.
+
+        All points of the ego's LiDAR are kept, and of the others about one in each cube of 0.1 m, a thin thing's before
+        others. Surfaces hit from behind (the LiDAR is inside something) give no points.
+        """
+        own = self._look_around(stage)
+        parts = [self._look(stage, self._sweep(cell)) for cell in self.cells(stage.origin_m)]
+        points_m, labels, cube = (
+            np.concatenate([empty, *(part[k] for part in parts)]) for k, empty in enumerate(_NOTHING)
+        )
+        keep = first_of_each(cube, labels, self._scratch)
+        points_m = stage.unplace(np.concatenate([own[0], points_m[keep]]))
+        labels = np.concatenate([own[1], labels[keep]])
+        near = np.flatnonzero(within_reach(points_m))
+        return points_m[near], labels[near]
+
+    def cells(self, ego_m: np.ndarray) -> list[tuple[int, int]]:
+        """Squares of the lattice whose LiDARs are at work when the ego is at (3,): the nearest ones in the open."""
+        column, row = (int(np.floor(value / LATTICE_M)) for value in ego_m[:2])
+        reach = int(np.ceil(_SPREAD_M / LATTICE_M))
+        around = range(-reach, reach + 1)
+        found = []
+        for cell in ((column + a, row + b) for a in around for b in around):
+            place = self.place(cell)
+            if place is not None:
+                found.append((float(np.hypot(*(place[:2] - ego_m[:2]))), cell))
+        return [cell for distance, cell in sorted(found) if distance < _SPREAD_M][: self._count - 1]
+
+    def place(self, cell: tuple[int, int]) -> np.ndarray | None:
+        """(3,) where the LiDAR of a square stands, 1.6 to 4.8 m above the ground; None where nothing is open."""
+        if cell not in self._places:
+            draws = np.random.default_rng([cell[0] & 0xFFFF, cell[1] & 0xFFFF, 23]).random((_TRIES, 3))
+            x, y = ((np.array(cell) + 0.15 + 0.7 * draws[:, :2]) * LATTICE_M).T
+            tries = np.stack([x, y, self._height(x, y) + 1.6 + 3.2 * draws[:, 2]], axis=1).astype(np.float32)
+            good = np.flatnonzero(self._in_the_open(tries))
+            self._places[cell] = tries[good[0]] if len(good) else None
+        return self._places[cell]
+
+    def _in_the_open(self, places_m: np.ndarray) -> np.ndarray:
+        """(K,) bool: along six axes no surface is seen from behind, and ground, but no other surface, within 0.5 m."""
+        directions = np.tile(_PROBES, (len(places_m), 1))
+        hits = self._static.cast(np.repeat(places_m, len(_PROBES), axis=0), directions)
+        bad = _from_behind(self._surfaces, hits, directions) | (hits.range_m < 0.5)
+        return np.logical_not(bad.reshape(-1, len(_PROBES)).any(axis=1))
+
+    def _sweep(self, cell: tuple[int, int]) -> Sweep:
+        if cell in self._sweeps:
+            self._sweeps.move_to_end(cell)
+            return self._sweeps[cell]
+        place = self.place(cell)
+        assert place is not None, "a LiDAR inside a wall"
+        hits = self._static.cast(
+            repeat(place, len(self._outer)), self._outer, np.full(len(self._outer), FARTHEST_M, np.float32)
+        )
+        range_m = np.minimum(hits.range_m, np.float32(FARTHEST_M))
+        ray, points, labels = _points(self._surfaces, hits, place, self._outer)
+        cube = cubes(points)
+        keep = first_of_each(cube, labels, self._scratch)
+        sweep = Sweep(place, range_m, ray[keep], points[keep], labels[keep], cube[keep])
+        self._sweeps[cell] = sweep
+        if len(self._sweeps) > _KEPT:
+            self._sweeps.popitem(last=False)
+        return sweep
+
+    def _look(self, stage: Stage, sweep: Sweep) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Points, classes and cubes of a sweep with what moves in front of it."""
+        offset, moving = int(stage.layers.offsets[1]), stage.layers.casters[1]
+        maybe = np.flatnonzero(meets(self._cones, sweep.place_m, stage.spheres)[self._cones.bundle])
+        found = moving.cast(repeat(sweep.place_m, len(maybe)), self._outer[maybe], sweep.range_m[maybe])
+        reached = np.flatnonzero(found.face >= 0)
+        if len(reached) == 0:
+            return sweep.points_m, sweep.labels, sweep.cube
+        ray, some = maybe[reached], found.take(reached)
+        hit = np.zeros(len(self._outer), dtype=bool)
+        hit[ray] = True
+        some.face[:] += np.int32(offset)
+        _, points, labels = _points(stage.surfaces, some, sweep.place_m, self._outer[ray])
+        stay = np.flatnonzero(~hit[sweep.ray])
+        return (
+            np.concatenate([sweep.points_m[stay], points]),
+            np.concatenate([sweep.labels[stay], labels]),
+            np.concatenate([sweep.cube[stay], cubes(points)]),
+        )
+
+    def _look_around(self, stage: Stage) -> tuple[np.ndarray, np.ndarray]:
+        """Points and classes of what the LiDAR at the ego origin sees, static and moving."""
+        directions, place = np.ascontiguousarray(stage.turn(self._inner).T), stage.place(np.zeros(3))
+        count = len(directions)
+        hits = stage.layers.cast(repeat(place, count), directions, no_hits(count, FARTHEST_M))
+        _, points, labels = _points(stage.surfaces, hits, place, directions)
+        return points, labels
+
+
+def _points(
+    surfaces: Surfaces, hits: Hits, place_m: np.ndarray, directions: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Number of the ray, point and class of every hit from the front."""
+    hit = np.flatnonzero(hits.face >= 0).astype(np.int32)
+    toward, normal = directions[hit], surfaces.table[hits.face[hit], :3]
+    ray = hit[np.einsum("ij,ij->i", normal, toward) <= 0]
+    points = place_m + directions[ray] * hits.range_m[ray, None]
+    return ray, points, surfaces.label[hits.face[ray]]
+
+
+def _from_behind(surfaces: Surfaces, hits: Hits, directions: np.ndarray) -> np.ndarray:
+    """(R,) bool: whether a surface is hit from inside; directions (R, 3)."""
+    normal = surfaces.table[hits.face, :3]
+    facing = (normal * directions).sum(axis=1)
+    return (hits.face >= 0) & (facing > 0)

@@ -1,0 +1,1 @@
+"""The static part of a place: streets, land, plots and what stands on them."""

@@ -1,0 +1,112 @@
+"""Where things stand: a plan of the free land, and a list of what was put on it."""
+
+from dataclasses import dataclass, field
+from math import cos, sin
+from typing import NamedTuple
+
+import numpy as np
+
+from omniocc.world.assets.material import Material
+from omniocc.world.assets.mesh import Mesh, concatenate, instances
+from omniocc.world.assets.shape import Color, Number, Triple, upright
+from omniocc.world.town.road import KERB_M
+from omniocc.world.town.terrain import Terrain
+
+_CELL_M = 0.4
+_SAMPLE_M = 0.28
+
+
+@dataclass(frozen=True)
+class Pose2:
+    """A place on the plan: position and heading; x runs along the heading, y to its left."""
+
+    x_m: Number
+    y_m: Number
+    yaw_rad: Number
+
+    def at(self, along_m: Number, left_m: Number, yaw_rad: Number = 0.0) -> "Pose2":
+        """The pose with these coordinates in this pose's own frame."""
+        c, s = cos(self.yaw_rad), sin(self.yaw_rad)
+        return Pose2(self.x_m + c * along_m - s * left_m, self.y_m + s * along_m + c * left_m, self.yaw_rad + yaw_rad)
+
+
+class Signal(NamedTuple):
+    """A traffic light for the cars that come in at an arm (street, at its end) of a junction."""
+
+    arm: tuple[int, bool]
+    pose: Pose2
+
+
+class Plan:
+    """Which land is taken, on a grid of 0.4 m: nothing static stands in another or on a lane."""
+
+    def __init__(self, radius_m: float) -> None:
+        self._radius_m = radius_m
+        self._count = int(2 * radius_m / _CELL_M)
+        self._taken = np.zeros(self._count**2, bool)
+
+    def block(self, points_m: np.ndarray) -> None:
+        """Takes the cells of (..., 2) points."""
+        self._taken[self._cells(points_m[..., 0], points_m[..., 1])] = True
+
+    def claim(self, pose: Pose2, size_m: tuple[Number, Number]) -> bool:
+        """Takes a rectangle centred on the pose, if all of it is free."""
+        if self._taken[self._rectangle(pose, size_m, 6.0)].any():  # most that fail do so here
+            return False
+        index = self._rectangle(pose, size_m, _SAMPLE_M)
+        if self._taken[index].any():
+            return False
+        self._taken[index] = True
+        return True
+
+    def _rectangle(self, pose: Pose2, size_m: tuple[Number, Number], step_m: float) -> np.ndarray:
+        c, s = cos(pose.yaw_rad), sin(pose.yaw_rad)
+        a, b = (np.arange(-0.5, 0.5 + 1e-9, 1 / (int(side / step_m) + 1)) * side for side in size_m)
+        a = a[:, None]
+        return self._cells(pose.x_m + c * a - s * b, pose.y_m + s * a + c * b)
+
+    def _cells(self, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
+        x, y = ((v + self._radius_m) * (1 / _CELL_M) for v in (x_m, y_m))
+        x, y = (np.minimum(np.maximum(v, 0), self._count - 1).astype(np.int64) for v in (x, y))
+        return x * self._count + y
+
+
+@dataclass
+class Site:
+    """Collects the things of a place; copies of one prototype are laid out together, which is fast."""
+
+    terrain: Terrain
+    plan: Plan
+    signals: list[Signal] = field(default_factory=list)
+    _copies: dict[tuple[int, tuple[Material, ...]], tuple[Mesh, list, list]] = field(default_factory=dict)
+
+    def put(
+        self, mesh: Mesh, pose: Pose2, *, stretch: Triple = (1.0, 1.0, 1.0), lift_m: Number = KERB_M,
+        paint: dict[Material, Color] | None = None, follow: bool = False,
+    ) -> None:  # fmt: skip
+        """Stands a copy of `mesh` on the land, some materials repainted. Claims nothing on the plan.
+
+        With `follow` its x runs up and down with the land, as fences do.
+        """
+        paint = paint or {}
+        _, poses, colors = self._copies.setdefault((id(mesh), tuple(paint)), (mesh, [], []))
+        poses.append((pose.x_m, pose.y_m, lift_m, pose.yaw_rad, follow, *stretch))
+        colors.append(tuple(paint.values()))
+
+    def mesh(self) -> Mesh:
+        """Everything put so far."""
+        parts = []
+        for (_, materials), (prototype, rows, colors) in self._copies.items():
+            x, y, lift, yaw, follow, *stretch = np.array(rows, float).T
+            position = np.stack([x, y, self.terrain.height(x, y) + lift], 1)
+            poses = upright(position, yaw, np.stack(stretch, 1))
+            poses[:, 2, 0] = follow * stretch[0] * self._slope(x, y, yaw)
+            tints = np.array(colors, np.uint8)
+            parts.append(instances(prototype, poses, {m: tints[:, k] for k, m in enumerate(materials)}))
+        return concatenate(parts)
+
+    def _slope(self, x: np.ndarray, y: np.ndarray, yaw: np.ndarray) -> np.ndarray:
+        """Rise over run along the headings."""
+        ahead = np.stack([np.cos(yaw), np.sin(yaw)])
+        front, back = (self.terrain.height(x + d * ahead[0], y + d * ahead[1]) for d in (1.5, -1.5))
+        return (front - back) / 3

@@ -1,0 +1,79 @@
+"""What makes one theme ('map') differ from another: the numbers behind its streets, plots and things."""
+
+from dataclasses import dataclass
+
+from omniocc.world.assets.material import Material
+from omniocc.world.assets.shape import Color
+
+
+@dataclass(frozen=True)
+class Theme:
+    """Recipe of a place. Weights are relative frequencies; spacings are along the street, in metres.
+
+    Attributes:
+        name: what `place.build` is asked for.
+        spacing_m, jitter_m: of junctions, and their scatter.
+        bulge_m, straight_m: the sideways bow of streets, and how far they are straight at their ends.
+        lanes: choices of lanes per direction of a street.
+        lane_width_m, parking_m, sidewalk_m, corner_radius_m: cross-section; the kerb's radius at corners.
+        road: material of the streets, and its darkest and lightest grey.
+        lane_lines: whether lanes are marked.
+        paved_share: share of blocks with a sidewalk; the others have a verge.
+        slope, horizon_m, skyline_m: steepest slopes (rise over run), heights of hills and buildings on the horizon.
+        lamp: kind of lamp post (`pole.KINDS`).
+        plots: kind of plot (`plot.KINDS`) -> weight.
+        plot_width_m, setback_m: least and most.
+        infill: whether narrow houses close the gaps between plots.
+        ground: (material, colour) choices of the land inside blocks.
+        wall_colors, roof_colors: of buildings.
+        trees: kind (`tree.KINDS`) -> weight.
+        tree_gap_m, lamp_gap_m, prop_gap_m, parked_gap_m: mean distance between things along a street; inf for none.
+        props: kind (`prop.KINDS`) -> weight.
+        median_m: width of the strip between the directions; 0 for none.
+        island_m: radius of the islands where four streets meet; 0 for none.
+        viaduct: whether a railway crosses the town on pillars.
+        guard_rail_share: share of verges behind a guard rail.
+        speed_mps: least and most free speed of a street.
+        traffic: kind (`vehicle.KINDS`) -> weight of what drives.
+        car_headway_s: mean time between cars of one lane.
+        walkers_per_block: mean number.
+    """
+
+    name: str
+    spacing_m: float
+    jitter_m: float
+    bulge_m: float
+    straight_m: float
+    lanes: tuple[int, ...]
+    lane_width_m: float
+    parking_m: float
+    sidewalk_m: float
+    corner_radius_m: float
+    road: tuple[Material, int, int]
+    lane_lines: bool
+    paved_share: float
+    slope: float
+    horizon_m: float
+    skyline_m: float
+    lamp: str
+    plots: dict[str, float]
+    plot_width_m: tuple[float, float]
+    setback_m: tuple[float, float]
+    infill: bool
+    ground: tuple[tuple[Material, Color], ...]
+    wall_colors: tuple[Color, ...]
+    roof_colors: tuple[Color, ...]
+    trees: dict[str, float]
+    tree_gap_m: float
+    lamp_gap_m: float
+    prop_gap_m: float
+    parked_gap_m: float
+    props: dict[str, float]
+    median_m: float
+    island_m: float
+    viaduct: bool
+    guard_rail_share: float
+    speed_mps: tuple[float, float]
+    traffic: dict[str, float]
+    car_headway_s: float
+    walkers_per_block: float

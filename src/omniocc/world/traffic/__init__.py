@@ -1,0 +1,1 @@
+"""Everything that moves in a place, as a function of time."""

@@ -1,0 +1,196 @@
+"""Everything that moves in a place, as a function of time, and the car that carries the cameras."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from omniocc.world import seeding
+from omniocc.world.assets import person, pole
+from omniocc.world.assets.material import Material
+from omniocc.world.assets.mesh import Mesh, concatenate, transform, with_instance
+from omniocc.world.assets.stock import people
+from omniocc.world.assets.vehicle import EGO_ROAD_M, PAINTS
+from omniocc.world.town.place import Place
+from omniocc.world.town.road import KERB_M
+from omniocc.world.traffic import driving, route, walking
+from omniocc.world.traffic.flow import Flow
+
+_VEHICLE, _PEDESTRIAN = 7, 10
+_RANGE_M = 80.0
+_WARM_UP_S = 10.0
+
+
+@dataclass(frozen=True)
+class Actor:
+    """A thing that moves.
+
+    Attributes:
+        id: the instance number of its faces.
+        label: class id.
+        world_from_actor: (4, 4) float64; the origin is on the ground below its middle, x forward.
+        size_m: along its own x, y, z.
+        velocity_mps: (2,) in the world frame.
+    """
+
+    id: int
+    label: int
+    world_from_actor: np.ndarray
+    size_m: tuple[float, float, float]
+    velocity_mps: tuple[float, float]
+
+
+class Traffic:
+    """The traffic of a place; every method is a function of time alone (from 0 on)."""
+
+    def __init__(self, place: Place, seed: int) -> None:
+        rng = seeding.generator(place.theme.name, seed, "traffic")
+        self._place = place
+        roads = route.draw(place.theme, place.network, place.terrain, place.crossings, rng)
+        self._fleet, cars = driving.draw_fleet(place, roads, rng)
+        self._rounds = walking.draw_rounds(place, rng)
+        self._shake = rng.uniform(size=(3, 3, 2))
+        self._warm_up_s = float(rng.uniform(0, _WARM_UP_S))
+        paint = rng.integers(len(PAINTS), size=len(cars))
+        self._cars = [_painted(mesh, PAINTS[k]) for mesh, k in zip(self._fleet.meshes, paint, strict=True)]
+        self._flow = Flow(roads, cars, walking.draw_crossers(place, rng), rng)
+
+    def ego_along_m(self, time_s: float) -> float:
+        """How far the ego has come on its way."""
+        return float(self._flow.motion(time_s + self._warm_up_s)[0][0])
+
+    def world_from_ego(self, time_s: float) -> np.ndarray:
+        """(4, 4) float64 pose of the ego frame, 2.2 m above the road.
+
+        The car pitches and rolls by about 0.02 rad and heaves by 0.1 m (standard deviations) on top of the slope.
+        """
+        along = self.ego_along_m(time_s)
+        front, rear = self._flow.place(0, along + 1.4), self._flow.place(0, along - 1.4)
+        road = _standing(self._place, 0.5 * (front + rear), front - rear)
+        roll, pitch, heave = (_shake(time_s, draws) for draws in self._shake)
+        tilt = _tilt(0.02 * roll, 0.02 * pitch)
+        pose = road.copy()
+        pose[:3, :3] = road[:3, :3] @ tilt
+        pose[:3, 3] += road[:3, 2] * (0.1 * heave - EGO_ROAD_M)
+        return pose
+
+    def actors(self, time_s: float) -> tuple[Mesh, tuple[Actor, ...]]:
+        """All that moves within 80 m of the ego: faces in the world frame with instance = actor id, and the actors.
+
+        Lit lamps of traffic lights are among the faces, with an instance below -1 for each light.
+        """
+        pairs = self._near(time_s)
+        moved = (with_instance(transform(mesh, actor.world_from_actor), actor.id) for mesh, actor in pairs)
+        return concatenate([*moved, *self._lamps(time_s)]), tuple(actor for _, actor in pairs)
+
+    def boxes(self, time_s: float) -> tuple[Actor, ...]:
+        """The actors alone, which is faster."""
+        return tuple(actor for _, actor in self._near(time_s))
+
+    def _lamps(self, time_s: float) -> list[Mesh]:
+        """What the traffic lights near by show."""
+        middle, lit = self.world_from_ego(time_s)[:2, 3], []
+        for number, signal in enumerate(self._place.signals):
+            x, y, yaw = signal.pose.x_m, signal.pose.y_m, signal.pose.yaw_rad
+            if np.hypot(x - middle[0], y - middle[1]) < _RANGE_M:
+                shown = self._flow.signal(signal.arm, time_s + self._warm_up_s)
+                foot = np.array([x, y, float(self._place.height(x, y)) + KERB_M])
+                lamps = transform(pole.lit_lamps(shown), _upright(foot, yaw))
+                lit.append(with_instance(lamps, -2 - number))
+        return lit
+
+    def _near(self, time_s: float) -> list[tuple[Mesh, Actor]]:
+        """Prototypes and actors."""
+        middle = self.world_from_ego(time_s)[:2, 3]
+        return [*self._driving(time_s, middle), *self._walking(time_s, middle), *self._crossing(time_s, middle)]
+
+    def _driving(self, time_s: float, middle: np.ndarray) -> list[tuple[Mesh, Actor]]:
+        found = []
+        along, speed = self._flow.motion(time_s + self._warm_up_s)
+        for car in range(1, len(along)):
+            if np.linalg.norm(self._flow.place(car, along[car])[:2] - middle) > _RANGE_M:
+                continue
+            half = driving.half_wheelbase_m(self._flow.cars[car].length_m)
+            front, rear = self._flow.place(car, along[car] + half), self._flow.place(car, along[car] - half)
+            pose = _standing(self._place, 0.5 * (front + rear), front - rear)
+            velocity = speed[car] * pose[:2, 0]
+            found.append(self._actor(self._cars[car], car, _VEHICLE, pose, self._fleet.size_m[car], velocity))
+        return found
+
+    def _walking(self, time_s: float, middle: np.ndarray) -> list[tuple[Mesh, Actor]]:
+        found, number = [], len(self._cars)
+        for walk in self._rounds:
+            along = walk.along_m + walk.speed_mps * time_s
+            points, ahead = walk.path.at(along), walk.path.at(along + 0.5)
+            heading = ahead - points
+            for k in np.flatnonzero(np.linalg.norm(points[:, :2] - middle, axis=1) < _RANGE_M):
+                velocity = walk.speed_mps * heading[k, :2] / np.linalg.norm(heading[k])
+                found.append(self._person(number + int(k), points[k], heading[k], velocity, float(along[k])))
+            number += len(along)
+        return found
+
+    def _crossing(self, time_s: float, middle: np.ndarray) -> list[tuple[Mesh, Actor]]:
+        found, number = [], len(self._cars) + sum(len(walk.along_m) for walk in self._rounds)
+        for k, crosser in enumerate(self._flow.crossers):
+            share, direction = crosser.share(time_s + self._warm_up_s)
+            point = walking.crossing_point(self._place, crosser, share)
+            if np.linalg.norm(point[:2] - middle) > _RANGE_M:
+                continue
+            way = crosser.end_m - crosser.start_m
+            heading = way * (direction or (1.0 if share < 0.5 else -1.0))
+            velocity = direction * way[:2] / crosser.duration_s
+            pace_m = share * float(np.linalg.norm(way)) if direction else 0.0
+            found.append(self._person(number + k, point, heading, velocity, pace_m))
+        return found
+
+    def _person(
+        self, number: int, point: np.ndarray, heading: np.ndarray, velocity: np.ndarray, pace_m: float
+    ) -> tuple[Mesh, Actor]:
+        poses, size = people()[number % len(people())]
+        mesh = poses[int(pace_m / person.STRIDE_M * person.PHASES) % person.PHASES]
+        upright = _upright(point, float(np.arctan2(heading[1], heading[0])))
+        return self._actor(mesh, number, _PEDESTRIAN, upright, np.array(size), velocity)
+
+    @staticmethod
+    def _actor(
+        mesh: Mesh, number: int, label: int, pose: np.ndarray, size: np.ndarray, velocity: np.ndarray
+    ) -> tuple[Mesh, Actor]:
+        size_m = (float(size[0]), float(size[1]), float(size[2]))
+        return mesh, Actor(number, label, pose, size_m, (float(velocity[0]), float(velocity[1])))
+
+
+def _painted(mesh: Mesh, color: tuple[int, int, int]) -> Mesh:
+    paint = (mesh.material == Material.CAR_PAINT)[:, None]
+    return replace(mesh, color=np.where(paint, np.array(color, np.uint8), mesh.color))
+
+
+def _upright(point: np.ndarray, yaw_rad: float) -> np.ndarray:
+    cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
+    return np.array([[cos, -sin, 0, point[0]], [sin, cos, 0, point[1]], [0, 0, 1, point[2]], [0, 0, 0, 1]])
+
+
+def _standing(place: Place, point: np.ndarray, heading: np.ndarray) -> np.ndarray:
+    """Pose of a car at a point of the road: x along its heading (which follows the slope), rolled with the land."""
+    forward = heading / np.linalg.norm(heading)
+    left = np.array([-forward[1], forward[0], 0.0])
+    left /= np.linalg.norm(left)
+    rise = place.height(point[0] + np.array([1.0, -1.0]) * left[0], point[1] + np.array([1.0, -1.0]) * left[1])
+    left[2] = 0.5 * (rise[0] - rise[1])
+    up = np.cross(forward, left)
+    up /= np.linalg.norm(up)
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([forward, np.cross(up, forward), up], 1)
+    pose[:3, 3] = point
+    return pose
+
+
+def _tilt(roll_rad: float, pitch_rad: float) -> np.ndarray:
+    cr, sr, cp, sp = np.cos(roll_rad), np.sin(roll_rad), np.cos(pitch_rad), np.sin(pitch_rad)
+    return np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]]) @ np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+
+
+def _shake(time_s: float, draws: np.ndarray) -> float:
+    """Three sines of 0.1 to 1 Hz with unit variance in all; `draws` (3, 2) in [0, 1] set frequency and phase."""
+    frequency_hz = np.array([0.12, 0.35, 0.8]) * (0.8 + 0.4 * draws[:, 0])
+    return float(
+        (np.sqrt(2) * np.array([0.75, 0.55, 0.37]) * np.sin(2 * np.pi * (frequency_hz * time_s + draws[:, 1]))).sum()
+    )

@@ -1,0 +1,301 @@
+import errno
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from fake_scene import FakeWorld
+from filelock import FileLock
+
+import omniocc
+from omniocc.camera import Rig
+from omniocc.data import VirtualWorld
+from omniocc.data.recording.job import code_fingerprint, weather_of
+from omniocc.data.recording.pool import worker_environment
+from omniocc.data.store.reader import SceneReader
+from omniocc.errors import DataError
+from omniocc.report.dataset_facts import light_of
+from omniocc.world import THEMES, Scene
+from omniocc.world.render.weather import WEATHERS
+
+SCRIPT = """
+import sys
+from fake_scene import FakeWorld
+if __name__ == "__main__":
+    world = FakeWorld(sys.argv[1], workers=int(sys.argv[2]), delay_s=float(sys.argv[3]))
+    world.prepare(world.plans[slice(*map(int, sys.argv[4:]))])
+"""
+SCENES = ["test-000-suburb", "train-000-downtown", "train-001-suburb", "val-000-downtown"]
+
+
+def tree(folder):
+    files = [path for path in Path(folder).rglob("*") if path.is_file() and ".locks" not in path.parts]
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory):
+    root = tmp_path_factory.mktemp("reference")
+    FakeWorld(root).prepare()
+    return root
+
+
+@pytest.fixture
+def render(tmp_path):
+    """Starts rendering in a process of its own."""
+    script = tmp_path / "script.py"
+    script.write_text(SCRIPT)
+    source = Path(omniocc.__file__).parents[1]
+    env = os.environ | {"PYTHONPATH": f"{source}:{Path(__file__).parent}", "OMP_NUM_THREADS": "1"}
+
+    def start(root, workers, delay_s, mark, scenes=(0, 4)):
+        command = [sys.executable, str(script), str(root), str(workers), str(delay_s), *map(str, scenes)]
+        return subprocess.Popen(
+            command,
+            env=env | {"FAKE_SCENE_MARK": str(mark)},
+            stderr=subprocess.PIPE,
+            text=True,
+            # a test run started in the background of a shell ignores Ctrl-C, and children inherit that
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        )
+
+    return start
+
+
+def wait_for_frames(mark, count):
+    give_up = time.monotonic() + 60
+    while not mark.exists() or len(mark.read_text().splitlines()) < count:
+        assert time.monotonic() < give_up
+        time.sleep(0.02)
+
+
+def test_the_plan(tmp_path):
+    world = FakeWorld(tmp_path, scenes=(3, 2, 1))
+    assert [plan.name for plan in world.plans] == [
+        *("train-000-downtown", "train-001-suburb", "train-002-downtown"),
+        *("val-000-downtown", "val-001-suburb", "test-000-suburb"),
+    ]
+    assert len({plan.seed for plan in world.plans}) == 6
+    other = FakeWorld(tmp_path, scenes=(3, 2, 1), seed=1)
+    assert not {plan.seed for plan in world.plans} & {plan.seed for plan in other.plans}
+
+
+def test_the_papers_preset_has_four_scenes_of_each_theme(tmp_path):
+    arguments = {"root": str(tmp_path), "rig": "fisheye6", "image_size": (32, 18), "themes": THEMES, "train_scenes": 24}
+    arguments |= {"val_scenes": 4, "test_scenes": 4, "frames_per_scene": 1800, "frame_interval_s": 0.1}
+    arguments |= {"supersample": 1, "erp_size": (8, 4), "erp_top_deg": 45.0, "erp_bottom_deg": -45.0}
+    plans = VirtualWorld(**arguments).plans
+    assert Counter(plan.theme for plan in plans) == dict.fromkeys(THEMES, 4)
+    assert len(THEMES) == 8
+    with pytest.raises(ValueError, match=r"weather.*hail.*clear"):
+        VirtualWorld(**arguments, weather="hail")
+    with pytest.raises(ValueError, match=r"capture.*lens.*direct, cubemap"):
+        VirtualWorld(**arguments, capture="lens")
+    for choice in ({"weather": "rain"}, {"label_mode": "geometry"}, {"capture": "cubemap"}, {"lidars": 8}):
+        other = VirtualWorld(**arguments, **choice)
+        assert other.folder != VirtualWorld(**arguments).folder
+        assert other.plans == plans
+
+
+def test_what_makes_the_data_is_in_the_fingerprint(tmp_path):
+    world = FakeWorld(tmp_path)
+    assert world.fingerprint == FakeWorld(tmp_path / "elsewhere", workers=2).fingerprint
+    more = FakeWorld(tmp_path, scenes=(3, 1, 1))
+    assert more.fingerprint != world.fingerprint
+    assert more.folder == world.folder  # scenes that exist are kept
+    longer = FakeWorld(tmp_path, frames=5)
+    assert longer.folder != world.folder
+
+
+@pytest.mark.parametrize(("argument", "value"), [("frames", 0), ("workers", -1), ("scenes", (-1, 0, 0))])
+def test_impossible_numbers_are_named(tmp_path, argument, value):
+    with pytest.raises(ValueError, match=r"-1|0"):
+        FakeWorld(tmp_path, **{argument: value})
+
+
+def test_scenes_are_complete_and_know_how_they_were_made(reference):
+    world = FakeWorld(reference)
+    assert world.missing() == []
+    reader = world.readers("train")[1]
+    assert reader.name == "train-001-suburb"
+    assert len(reader) == 4
+    assert reader.rig == world.rig
+    assert reader.world_from_ego[:, 0, 3].tolist() == [0.0, 3.0, 6.0, 9.0]
+    facts = reader.meta["facts"]
+    assert (facts["split"], facts["theme"], facts["seed"]) == ("train", "suburb", 1)
+    assert facts["classes"]["11"] == "Roadline"
+    assert facts["weather"] == weather_of("suburb", 1)
+
+
+def test_the_weather_of_a_scene_can_be_told_without_building_it():
+    assert {weather_of("suburb", seed) for seed in range(40)} == set(WEATHERS)
+    rig = Rig.load("fisheye6").resized(16, 9)
+    for seed in (0, 3):
+        drawn, named = Scene("suburb", seed, rig), Scene("suburb", seed, rig, weather=weather_of("suburb", seed))
+        assert repr(drawn.stage(0.0)[0].light) == repr(named.stage(0.0)[0].light)
+        assert repr(light_of("suburb", seed, weather_of("suburb", seed))) == repr(named.stage(0.0)[0].light)
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_killed_while_rendering_ends_with_the_same_bytes(reference, tmp_path, render, workers, monkeypatch):
+    root, mark = tmp_path / "data", tmp_path / "mark"
+    process = render(root, workers, 0.05, mark)
+    wait_for_frames(mark, 6)
+    process.kill()
+    process.wait()
+    time.sleep(0.2)
+    made = mark.read_text().splitlines()
+    assert list(root.rglob("*.partial"))
+    whole = [path.parent for path in root.glob("*/*/meta.json") if path.parent.suffix != ".partial"]
+    assert {len(SceneReader(folder)) for folder in whole} <= {4}
+    time.sleep(0.2)
+    assert mark.read_text().splitlines() == made  # no worker outlives its parent
+    monkeypatch.setenv("FAKE_SCENE_MARK", str(mark))
+    FakeWorld(root).prepare()
+    assert tree(root) == tree(reference)
+    again = mark.read_text().splitlines()
+    assert len(again) - len(set(again)) <= max(workers, 1)  # only frames that were not whole were made twice
+
+
+def test_ctrl_c_leaves_no_process_and_what_was_made(reference, tmp_path, render):
+    root, mark = tmp_path / "data", tmp_path / "mark"
+    process = render(root, 2, 0.05, mark)
+    wait_for_frames(mark, 3)
+    process.send_signal(signal.SIGINT)
+    _, stderr = process.communicate(timeout=30)
+    assert process.returncode != 0
+    assert "KeyboardInterrupt" in stderr
+    made = mark.read_text()
+    time.sleep(0.3)
+    assert mark.read_text() == made
+    FakeWorld(root).prepare()
+    assert tree(root) == tree(reference)
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_a_failing_frame_is_named_and_the_rest_kept(reference, tmp_path, workers):
+    world = FakeWorld(tmp_path, workers=workers, fail_at=("train-001-suburb", 2))
+    with pytest.raises(RuntimeError, match=r"train-001-suburb.*frame 2.*ZeroDivisionError.*street"):
+        world.prepare()
+    FakeWorld(tmp_path).prepare()
+    assert tree(tmp_path) == tree(reference)
+
+
+def test_two_runs_on_one_folder(reference, tmp_path, render, monkeypatch):
+    root, mark = tmp_path / "data", tmp_path / "mark"
+    other = render(root, 0, 0.05, mark)
+    wait_for_frames(mark, 1)
+    monkeypatch.setenv("FAKE_SCENE_MARK", str(mark))
+    FakeWorld(root, delay_s=0.05).prepare()
+    assert other.wait() == 0
+    assert tree(root) == tree(reference)
+    frames = mark.read_text().splitlines()
+    assert len(frames) == len(set(frames)) == 16  # they share the work
+
+
+def test_jobs_of_a_few_scenes_each_make_one_dataset(reference, tmp_path, render):
+    root = tmp_path / "data"
+    marks = [tmp_path / "first", tmp_path / "second"]
+    jobs = [render(root, 0, 0.0, mark, scenes) for mark, scenes in zip(marks, ((0, 1), (1, 4)), strict=True)]
+    assert [job.wait() for job in jobs] == [0, 0]
+    assert tree(root) == tree(reference)
+    assert {line.split()[0] for line in marks[0].read_text().splitlines()} == {"train-000-downtown"}
+    assert len(marks[1].read_text().splitlines()) == 12
+    again = render(root, 0, 0.0, tmp_path / "third")
+    assert again.wait() == 0
+    assert not (tmp_path / "third").exists()  # a second run finds all there and makes nothing
+
+
+def test_a_limit_on_the_size_of_files_is_one_line_and_loses_nothing(reference, tmp_path):
+    script = (
+        "import resource, sys; from fake_scene import FakeWorld\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (70_000, 70_000))\n"
+        "try: FakeWorld(sys.argv[1]).prepare()\n"
+        "except OSError as error: sys.exit(str(error))"
+    )
+    env = os.environ | {"PYTHONPATH": f"{Path(omniocc.__file__).parents[1]}:{Path(__file__).parent}"}
+    done = subprocess.run([sys.executable, "-c", script, tmp_path], env=env, capture_output=True, text=True)
+    assert done.returncode == 1
+    (line,) = done.stderr.splitlines()
+    assert re.fullmatch(
+        r"cannot write .*train-000-downtown: files may not grow .*; it continues where it stopped", line
+    )
+    assert [path.name for path in tmp_path.glob("*/train*")] == ["train-000-downtown.partial"]
+    FakeWorld(tmp_path).prepare()
+    assert tree(tmp_path) == tree(reference)
+
+
+def test_a_read_only_folder_is_one_line(tmp_path, monkeypatch):
+    def refuse(path, *_, **__):
+        raise OSError(errno.EROFS, "Read-only file system", str(path))
+
+    monkeypatch.setattr(Path, "mkdir", refuse)
+    with pytest.raises(DataError, match=r"write .*read-only.*paths\.data="):
+        FakeWorld(tmp_path).prepare()
+
+
+def test_workers_import_the_script_only_if_they_must(monkeypatch):
+    file = __file__
+    monkeypatch.setattr(sys.modules["__main__"], "__file__", file, raising=False)  # a worker of xdist has none
+    with worker_environment(needs_main=False):
+        assert sys.modules["__main__"].__file__ is None
+        assert os.environ["OMP_NUM_THREADS"] == "1"
+        assert os.environ["PYTHONPATH"].startswith(str(Path(omniocc.__file__).parents[1]))
+    assert sys.modules["__main__"].__file__ == file
+    with worker_environment(needs_main=True):
+        assert sys.modules["__main__"].__file__ == file
+
+
+def test_a_scene_held_by_another_process_is_waited_for(tmp_path, capsys, monkeypatch):
+    world = FakeWorld(tmp_path, scenes=(2, 0, 0))
+    locks = world.folder / ".locks"
+    locks.mkdir(parents=True)
+    (locks / "train-000-downtown.owner").write_text('{"pid": 4711, "host": "elsewhere"}')
+    held = FileLock(locks / "train-000-downtown.lock")
+    held.acquire()
+    monkeypatch.setattr("omniocc.data.progress.FrameProgress.message", lambda _, text: (print(text), held.release()))
+    world.prepare()
+    assert "another process (pid 4711 on elsewhere) renders train-000-downtown, waiting" in capsys.readouterr().out
+    assert world.missing() == []
+
+
+def test_missing_scenes_and_a_folder_that_cannot_be_written(tmp_path):
+    world = FakeWorld(tmp_path / "data")
+    with pytest.raises(DataError, match=r"train-000-downtown.*missing.*prepare"):
+        world.readers("train")
+    (tmp_path / "data").write_text("a file where the folder should be")
+    with pytest.raises(DataError, match=r"cannot write .*data"):
+        world.prepare()
+
+
+def test_code_fingerprint_follows_what_code_does(tmp_path):
+    prints = []
+    for number, (says, comment, value) in enumerate([("A", "", 1), ("B", "  # why", 1), ("A", "", 2)]):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        (folder / "a.py").write_text(f'"""{says}."""\ndef f():\n    """{says}."""\n    return {value}{comment}\n')
+        prints.append(code_fingerprint(folder))
+    assert prints[0] == prints[1] != prints[2]
+
+
+def test_code_fingerprint_covers_subfolders_and_where_a_module_lies(tmp_path):
+    def fingerprint(**files: str) -> str:
+        folder = tmp_path / str(len(list(tmp_path.iterdir())))
+        for name, text in files.items():
+            path = folder / f"{name.replace('_in_', '/')}.py"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text)
+        cache = folder / "town" / "__pycache__" / "left_over.py"
+        cache.parent.mkdir(parents=True)
+        cache.write_text(f"number = {len(list(tmp_path.iterdir()))}\n")
+        return code_fingerprint(folder)
+
+    one = fingerprint(a="x = 1\n", town_in_b="y = 1\n")
+    assert one == fingerprint(a="x = 1\n", town_in_b="y = 1  # why\n")
+    assert one != fingerprint(a="x = 1\n", town_in_b="y = 2\n")
+    assert one != fingerprint(a="x = 1\n", traffic_in_b="y = 1\n")

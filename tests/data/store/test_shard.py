@@ -1,0 +1,174 @@
+import subprocess
+import tarfile
+
+import pytest
+
+from omniocc.data.store.reader import SceneReader
+from omniocc.data.store.shard import JOURNAL, SceneWriter
+from omniocc.errors import DataError
+
+LIMIT = 40_000
+
+
+def blobs(frame: int) -> dict[str, bytes]:
+    return {"a.bin": bytes([frame]) * 7000, "b.bin": bytes(range(256)) * (10 + frame)}
+
+
+def write(folder, frames=range(6), finish=True, limit=LIMIT):
+    writer = SceneWriter(folder, limit)
+    for frame in frames:
+        writer.append(blobs(frame), {"time_s": frame / 10, "world_from_ego": [[1.0]]})
+    if finish:
+        writer.finish({"seed": 5})
+    writer.close()
+    return writer
+
+
+def content(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_any_member_can_be_read_in_any_order(tmp_path):
+    write(tmp_path / "scene")
+    reader = SceneReader(tmp_path / "scene")
+    assert len(reader) == 6
+    for frame in (4, 0, 5):
+        assert reader.read(frame, ["b.bin", "a.bin"]) == blobs(frame)
+    assert reader.time_s.tolist() == [0.0, 0.1, 0.2, 0.3, 0.4, 0.5]
+    assert reader.meta["facts"] == {"seed": 5}
+
+
+def test_shards_are_valid_tar_files_below_the_limit(tmp_path):
+    write(tmp_path / "scene")
+    shards = sorted((tmp_path / "scene").glob("*.tar"))
+    assert [shard.name for shard in shards] == ["frames-000.tar", "frames-001.tar"]
+    assert all(shard.stat().st_size <= LIMIT for shard in shards)
+    names = [name for shard in shards for name in subprocess.check_output(["tar", "tf", shard], text=True).split()]
+    assert names == [f"{frame:06d}.{member}" for frame in range(6) for member in ("a.bin", "b.bin")]
+    with tarfile.open(shards[0]) as tar:
+        info = tar.getmember("000001.b.bin")
+        assert (info.mtime, info.uid, info.gid, info.uname) == (0, 0, 0, "")
+        assert tar.extractfile(info).read() == blobs(1)["b.bin"]
+
+
+@pytest.mark.parametrize("whole", range(7))
+@pytest.mark.parametrize("torn", ["", "tar", "journal"])
+def test_interrupted_after_any_frame_ends_with_the_same_bytes(tmp_path, whole, torn):
+    write(tmp_path / "reference")
+    (tmp_path / "other").mkdir()
+    writer = write(tmp_path / "other" / "reference", range(whole), finish=False)
+    if torn == "tar":  # killed while the frame was being written
+        with (writer.work / f"frames-{(whole > 3) * 1:03d}.tar").open("ab") as file:
+            file.write(b"half a frame" * 100)
+    if torn == "journal":
+        with (writer.work / JOURNAL).open("ab") as file:
+            file.write(b'00000000 {"shard": 0, "en')
+    resumed = SceneWriter(tmp_path / "other" / "reference", LIMIT)
+    assert resumed.num_frames == whole
+    write(tmp_path / "other" / "reference", range(whole, 6))
+    assert content(tmp_path / "other" / "reference") == content(tmp_path / "reference")
+
+
+def test_a_frame_that_never_reached_the_disk_is_written_again(tmp_path):
+    writer = write(tmp_path / "scene", range(3), finish=False)
+    shard = writer.work / "frames-000.tar"
+    raw = bytearray(shard.read_bytes())
+    raw[-3000] ^= 1  # in the last frame: journalled, but its block was lost by a power cut
+    shard.write_bytes(raw)
+    assert SceneWriter(tmp_path / "scene", LIMIT).num_frames == 2
+
+
+@pytest.mark.parametrize("moment", ["index", "meta", "rename"])
+def test_killed_while_sealing(tmp_path, moment, monkeypatch):
+    write(tmp_path / "reference")
+    target = tmp_path / "other" / "reference"
+
+    def killed(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        if moment == "rename":
+            patch.setattr(SceneWriter, "_publish", killed)
+        else:
+            real = __import__("omniocc.data.store.shard", fromlist=["atomic_write"]).atomic_write
+            name = f"{moment}.json"
+            patch.setattr(
+                "omniocc.data.store.shard.atomic_write", lambda p, c: killed() if p.name == name else real(p, c)
+            )
+        with pytest.raises(KeyboardInterrupt):
+            write(target)
+    assert not target.exists()
+    writer = SceneWriter(target, LIMIT)
+    if moment == "rename":
+        assert writer.finished
+    else:
+        assert writer.num_frames == 6
+        writer.finish({"seed": 5})
+    assert content(target) == content(tmp_path / "reference")
+
+
+def damaged_read(folder, frame, member="b.bin"):
+    with pytest.raises(DataError) as error:
+        SceneReader(folder).read(frame, [member])
+    return str(error.value)
+
+
+def test_a_flipped_byte_is_named(tmp_path):
+    write(tmp_path / "scene")
+    shard = tmp_path / "scene" / "frames-001.tar"
+    record = SceneReader(tmp_path / "scene").index["frames"][4]
+    raw = bytearray(shard.read_bytes())
+    raw[record["offset"][1] + 17] ^= 4
+    shard.write_bytes(raw)
+    message = damaged_read(tmp_path / "scene", 4)
+    assert str(shard) in message
+    assert "scene 'scene', frame 4, member 'b.bin': checksum differs" in message
+    assert f"Delete the folder {tmp_path / 'scene'}" in message
+    assert SceneReader(tmp_path / "scene").read(4, ["a.bin"]) == {"a.bin": blobs(4)["a.bin"]}
+
+
+def test_a_truncated_shard_is_named(tmp_path):
+    write(tmp_path / "scene")
+    shard = tmp_path / "scene" / "frames-000.tar"
+    with shard.open("r+b") as file:
+        file.truncate(3000)
+    assert "frame 0, member 'a.bin': the file is cut short" in damaged_read(tmp_path / "scene", 0, "a.bin")
+
+
+def test_a_missing_shard_and_a_missing_member_are_named(tmp_path):
+    write(tmp_path / "scene")
+    (tmp_path / "scene" / "frames-000.tar").unlink()
+    assert "frame 2, member 'b.bin': the file is missing" in damaged_read(tmp_path / "scene", 2)
+    assert "no member 'c.bin' (it has: a.bin, b.bin)" in damaged_read(tmp_path / "scene", 5, "c.bin")
+
+
+@pytest.mark.parametrize("name", ["meta.json", "index.json"])
+@pytest.mark.parametrize("harm", ["flip", "cut", "remove"])
+def test_damaged_descriptions_are_named(tmp_path, name, harm):
+    write(tmp_path / "scene")
+    path = tmp_path / "scene" / name
+    raw = path.read_bytes()
+    if harm == "remove":
+        path.unlink()
+    else:
+        path.write_bytes(raw[:50] if harm == "cut" else raw.replace(b"5", b"6", 1))
+    assert str(path) in damaged_read(tmp_path / "scene", 0)
+
+
+def test_a_full_disk_is_one_clear_error_and_loses_nothing(tmp_path, monkeypatch):
+    write(tmp_path / "reference")
+    target = tmp_path / "other" / "reference"
+    writer = write(target, range(2), finish=False)
+
+    def full(file, chunk):
+        file.write(chunk[: len(chunk) // 2])
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("omniocc.data.store.shard._write_all", full)
+        writer = SceneWriter(target, LIMIT)
+        with pytest.raises(DataError, match=r"write .*reference.*full"):
+            writer.append(blobs(2), {})
+    assert SceneWriter(target, LIMIT).num_frames == 2
+    write(target, range(2, 6))
+    assert content(target) == content(tmp_path / "reference")

@@ -1,0 +1,131 @@
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from omniocc.camera import Equidistant, KannalaBrandt, Rig
+from omniocc.errors import UserError
+from omniocc.predict import Frame, find_frames, read_frame, resized_to_width
+from omniocc.predict.input.images import even_size
+
+CAMERAS = (Equidistant(64, 36, 19.0, (31.5, 17.5), 95.0), Equidistant(96, 54, 28.0, (47.5, 26.5), 95.0))
+RIG = Rig(CAMERAS, torch.eye(4, dtype=torch.float64).expand(2, 4, 4), ("front", "back"))
+
+
+def save(path, width=64, height=36, value=90):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    assert cv2.imwrite(str(path), np.full((height, width, 3), value, np.uint8))
+    return path
+
+
+def test_a_folder_with_a_picture_named_as_each_camera(tmp_path):
+    front, back = save(tmp_path / "front.png"), save(tmp_path / "back.jpg", 96, 54)
+    save(tmp_path / "notes.png")
+    assert find_frames(str(tmp_path), RIG) == [Frame("", (front, back))]
+
+
+def test_folders_are_moments_in_order_of_their_names(tmp_path):
+    for name in ("0010", "0002"):
+        save(tmp_path / name / "front.png")
+        save(tmp_path / name / "back.png")
+    (tmp_path / "empty").mkdir()
+    frames = find_frames(str(tmp_path), RIG)
+    assert [frame.name for frame in frames] == ["0002", "0010"]
+    assert frames[1].files == (tmp_path / "0010/front.png", tmp_path / "0010/back.png")
+
+
+def test_a_list_is_in_the_rigs_order(tmp_path):
+    paths = [save(tmp_path / "x.png"), save(tmp_path / "y.png")]
+    assert find_frames([str(path) for path in paths], RIG) == [Frame("", tuple(paths))]
+    assert find_frames([str(paths[0]), "nothing.png"], RIG, ["back"]) == [Frame("", (paths[0], None))]
+
+
+def test_a_camera_that_is_left_out_is_black(tmp_path):
+    save(tmp_path / "front.png")
+    (frame,) = find_frames(str(tmp_path), RIG, ["back"])
+    images = read_frame(frame, RIG)
+    assert images[0].any()
+    assert images[1].shape == (54, 96, 3)
+    assert not images[1].any()
+
+
+@pytest.mark.parametrize(
+    ("files", "without", "words"),
+    [
+        (["front.png"], [], ["'back'", "back.png", "without=[back]"]),
+        (["front.png", "bcak.png"], [], ["'back'", "is it 'bcak'?"]),
+        (["front.png", "back.png", "back.jpg"], [], ["several images", "back.jpg, back.png"]),
+        (["front.png", "back.png"], ["bakc"], ["without=bakc", "is it 'back'?", "front, back"]),
+        (["front.png"], ["front", "back"], ["every camera"]),
+        ([], [], ["'front'"]),
+    ],
+)
+def test_what_a_folder_lacks_is_named(files, without, words, tmp_path):
+    for name in files:
+        save(tmp_path / name)
+    with pytest.raises(UserError) as caught:
+        find_frames(str(tmp_path), RIG, without)
+    for word in words:
+        assert word in str(caught.value)
+
+
+def test_wrong_lists_and_folders(tmp_path):
+    picture = str(save(tmp_path / "front.png"))
+    with pytest.raises(UserError, match=r"1 image.* 2 cameras.*front, back"):
+        find_frames([picture], RIG)
+    with pytest.raises(UserError, match=r"nowhere\.png.*back"):
+        find_frames([picture, "nowhere.png"], RIG)
+    with pytest.raises(UserError, match="no such folder"):
+        find_frames(str(tmp_path / "nowhere"), RIG)
+    with pytest.raises(UserError, match=r"list.*camera"):
+        find_frames(picture, RIG)
+
+
+def test_damaged_and_cropped_pictures_are_named(tmp_path):
+    front, back = tmp_path / "front.png", save(tmp_path / "back.png", 96, 54)
+    front.write_bytes(b"not a picture")
+    with pytest.raises(UserError, match=r"front\.png.*damaged"):
+        read_frame(Frame("", (front, back)), RIG)
+    save(front, 64, 48)
+    with pytest.raises(UserError, match=r"64x48 px.*front.*64x36 px"):
+        read_frame(Frame("", (front, back)), RIG)
+
+
+def test_the_order_of_colours_is_rgb(tmp_path):
+    path = tmp_path / "front.png"
+    cv2.imwrite(str(path), np.full((36, 64, 3), (10, 20, 30), np.uint8))  # OpenCV writes BGR
+    assert read_frame(Frame("", (path, None)), RIG)[0][0, 0].tolist() == [30, 20, 10]
+
+
+@pytest.mark.parametrize(("width", "size"), [(None, (64, 36)), (32, (32, 18)), (100, (96, 54))])
+def test_pictures_and_rig_are_brought_to_one_even_size(width, size):
+    images = [np.full((72, 128, 3), 255, np.uint8), np.zeros((54, 96, 3), np.uint8)]
+    images[0][:, :64] = 0  # the right half is white
+    batch, rig = resized_to_width(images, RIG, width)
+    assert batch.shape == (1, 2, 3, size[1], size[0])
+    assert {(camera.width, camera.height) for camera in rig.cameras} == {size}
+    half = size[0] // 2
+    assert batch[0, 0, :, :, : half - 1].max() == 0
+    assert batch[0, 0, :, :, half + 1 :].min() == 1
+    # the ray ahead lies in the middle of both pictures, whatever their size
+    pixels, valid = rig.project(torch.tensor([[0.0, 0.0, 1.0]]))
+    assert valid.all()
+    assert torch.allclose(pixels, torch.tensor([(size[0] - 1) / 2, (size[1] - 1) / 2]), atol=1e-4)
+
+
+def test_sizes_keep_the_shape_where_they_can():
+    for size, width, expected in (
+        ((960, 640), 512, (510, 340)),
+        ((1920, 1080), 1024, (1024, 576)),
+        ((1283, 961), 512, (512, 384)),
+        ((1283, 961), 1283, (1282, 960)),
+    ):
+        camera = KannalaBrandt(*size, (300.0, 300.0), (size[0] / 2, size[1] / 2), (0.0,) * 4, 90.0)
+        assert even_size(camera, width) == expected
+
+
+def test_lenses_that_cannot_be_stretched_are_named():
+    square = Equidistant(64, 64, 19.0, (31.5, 31.5), 95.0)
+    rig = Rig((CAMERAS[0], square), RIG.ego_from_camera, RIG.names)
+    with pytest.raises(UserError, match="one size"):
+        resized_to_width([np.zeros((36, 64, 3), np.uint8)] * 2, rig, 64)

@@ -1,0 +1,73 @@
+import json
+
+import pytest
+
+from omniocc.errors import UserError
+from omniocc.run.checkpoint_io import LAST, write_checkpoint
+from omniocc.run.folder import METRICS, command_line, open_run, run_hash
+
+
+def test_hash_follows_what_decides_a_result_and_nothing_else():
+    config = {
+        "seed": 0,
+        "model": {"sketch": {"share": 0.2}},
+        "depth": {"spheres": 8},
+        "paths": {"runs": "a"},
+        "resume": "auto",
+    }
+    assert run_hash(config, "data") == run_hash({**config, "paths": {"runs": "b"}, "resume": "never"}, "data")
+    assert run_hash(config, "data") != run_hash({**config, "seed": 1}, "data")
+    assert run_hash(config, "data") != run_hash(config, "other data")
+    assert run_hash(config, "data") == run_hash({**config, "depth": {"spheres": 9}}, "data"), "nothing looks at depth"
+    learned = {**config, "model": {"sketch": {"depth": {}}}}
+    assert run_hash(learned, "data") != run_hash({**learned, "depth": {"spheres": 9}}, "data")
+
+
+def test_same_command_finds_its_folder_and_checkpoint(tmp_path):
+    first = open_run(tmp_path, "train", "abc", "auto")
+    assert first.checkpoint is None
+    assert not first.finished
+    write_checkpoint({"config": {}, "state_dict": {}}, first.path / LAST)
+    first.lock.release()
+    second = open_run(tmp_path, "train", "abc", "auto")
+    assert second.path == first.path
+    assert second.checkpoint == first.path / LAST
+    (second.path / METRICS).write_text(json.dumps({}))
+    assert second.finished
+
+
+def test_never_starts_beside_what_is_there(tmp_path):
+    names = [open_run(tmp_path, "train", "abc", "never").path.name for _ in range(3)]
+    assert names == ["train-abc", "train-abc-2", "train-abc-3"]
+
+
+def test_two_processes_do_not_share_a_folder(tmp_path):
+    held = open_run(tmp_path, "train", "abc", "auto")
+    with pytest.raises(UserError, match="another process"):
+        open_run(tmp_path, "train", "abc", "auto")
+    held.lock.release()
+    open_run(tmp_path, "train", "abc", "auto")
+
+
+def test_a_checkpoint_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"gone\.ckpt"):
+        open_run(tmp_path, "train", "abc", str(tmp_path / "gone.ckpt"))
+
+
+def test_of_processes_that_slurm_starts_only_the_first_claims_the_folder(tmp_path, monkeypatch):
+    monkeypatch.delenv("LOCAL_RANK", raising=False)
+    monkeypatch.delenv("OMNIOCC_RUN_FOLDER", raising=False)
+    monkeypatch.setenv("SLURM_PROCID", "1")
+    second = open_run(tmp_path, "train", "abc", "auto")
+    assert (second.lock, second.path.is_dir()) == (None, True)
+    monkeypatch.setenv("SLURM_PROCID", "0")
+    first = open_run(tmp_path, "train", "abc", "auto")
+    assert first.lock is not None
+    assert first.path == second.path
+
+
+def test_a_command_names_no_machine(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for script in ("src/train.py", str(tmp_path / "src" / "train.py")):
+        monkeypatch.setattr("sys.argv", [script, "name=my run", "+ablation=mono"])
+        assert command_line() == "python src/train.py 'name=my run' +ablation=mono"

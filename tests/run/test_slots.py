@@ -1,0 +1,29 @@
+import pytest
+
+from omniocc.run.slots import option_of, slots_of
+
+
+@pytest.mark.parametrize(
+    ("target", "option"),
+    [
+        ("omniocc.model.sketch.Omni", "omni"),
+        ("omniocc.model.refiner.NoRefiner", "none"),
+        ("omniocc.model.lifter.LiftSplat", "lift_splat"),
+        ("omniocc.geometry.Cylinder", "cylinder"),
+    ],
+)
+def test_an_option_is_called_as_its_file(target, option):
+    assert option_of(target) == option
+
+
+def test_slots_are_what_the_model_is_made_of():
+    depth = {"_target_": "omniocc.model.depth.Sweep", "spheres": 8}
+    model = {
+        "_target_": "omniocc.model.OccupancyModel",
+        "num_classes": 12,
+        "geometry": {"_target_": "omniocc.geometry.Cuboid"},
+        "sketch": {"_target_": "omniocc.model.sketch.Omni", "depth": depth},
+    }
+    assert slots_of({"model": model}) == {"geometry": "cuboid", "sketch": "omni", "depth": "sweep"}
+    model["sketch"] = {"_target_": "omniocc.model.sketch.Dense"}
+    assert slots_of({"model": model, "depth": depth}) == {"geometry": "cuboid", "sketch": "dense"}

@@ -1,0 +1,176 @@
+"""W&B runs as they lie on the disk, read back with W&B's own messages."""
+
+import json
+import time
+from collections import Counter
+
+import numpy as np
+import pytest
+import torch
+import wandb
+from lightning.pytorch import LightningModule, Trainer
+from lightning.pytorch.callbacks import ModelCheckpoint
+from torch.utils.data import DataLoader
+
+from omniocc.errors import UserError
+from omniocc.run.wandb.loggers import finish, wandb_of
+from omniocc.run.wandb.media import Named
+from omniocc.run.wandb.wandb_file import STEP, files_of, history, records
+from omniocc.task import Loggers
+
+CONFIG = {
+    "name": "mono",
+    "seed": 3,
+    "stage": None,
+    "model": {"geometry": {"_target_": "omniocc.geometry.Cuboid", "shape": [4, 4, 2]}},
+}
+STEPS, PER_EPOCH, DIES_AT, CHECKPOINT_EVERY = 9, 3, 5, 2
+
+
+class Line(LightningModule):
+    """Learns nothing for a few steps; may be struck down on the way."""
+
+    def __init__(self, dies_at=None):
+        super().__init__()
+        self.weight = torch.nn.Parameter(torch.ones(1))
+        self.dies_at = dies_at
+
+    def training_step(self, batch, batch_index):
+        if self.global_step == self.dies_at:
+            raise ConnectionAbortedError
+        self.log("train/loss", float(self.global_step))
+        return (self.weight * batch).mean()
+
+    def validation_step(self, batch, batch_index):
+        self.log("val/rayiou", float(self.global_step))
+
+    def test_step(self, batch, batch_index):
+        self.log_dict({"test/rayiou/Road": 0.5, "test/rayiou_0-8.5m": 0.25})
+
+    def configure_optimizers(self):
+        return torch.optim.SGD(self.parameters(), lr=0.1)
+
+
+def trainer_of(folder):
+    return Trainer(
+        max_steps=STEPS,
+        accelerator="cpu",
+        logger=Loggers("offline", "p", "tiny", ["x"]).build(folder, CONFIG, "occupancy"),
+        callbacks=[ModelCheckpoint(folder, "last", every_n_train_steps=CHECKPOINT_EVERY, enable_version_counter=False)],
+        log_every_n_steps=1,
+        num_sanity_val_steps=0,
+        enable_progress_bar=False,
+        enable_model_summary=False,
+    )
+
+
+@pytest.fixture(scope="module")
+def resumed(tmp_path_factory):
+    """A run that died between two checkpoints and was started again."""
+    folder = tmp_path_factory.mktemp("runs") / "mono-0123abcd"
+    folder.mkdir()
+    many, one = DataLoader(torch.ones(PER_EPOCH)), DataLoader(torch.ones(1))
+    first = trainer_of(folder)
+    with pytest.raises(ConnectionAbortedError):
+        first.fit(Line(DIES_AT), many, one)
+    finish(first.loggers)
+    wandb.teardown()
+    time.sleep(1.1)  # folders of W&B are named by the second
+    second = trainer_of(folder)
+    second.fit(Line(), many, one, ckpt_path=folder / "last.ckpt")
+    second.test(second.lightning_module, one, verbose=False)
+    for curves in wandb_of(second.loggers):
+        cloud = np.array([[1.0, 2.0, 0.5, 128, 64, 128]])
+        media = {
+            "test/bev": [Named(np.zeros((4, 4, 3), np.uint8), "scene/0 truth")],
+            "test/points": [Named(cloud, "a")],
+        }
+        curves.log_media(media, second.global_step)
+    finish(second.loggers)
+    wandb.teardown()
+    return folder
+
+
+def runs_of(folder):
+    return [r.run for path in files_of(folder) for r in records(path) if r.WhichOneof("record_type") == "run"]
+
+
+def test_a_run_has_its_group_tags_job_type_and_slots(resumed):
+    first, second = runs_of(resumed)
+    assert first.run_id == second.run_id
+    for run in (first, second):
+        assert (run.project, run.run_group, run.job_type) == ("p", "tiny", "occupancy")
+        assert (run.display_name, list(run.tags)) == ("mono-0123abcd", ["mono", "x"])
+    config = {item.key: json.loads(item.value_json) for item in first.config.update}
+    assert (config["row"], config["slots"], config["seed"]) == ("mono", {"geometry": "cuboid"}, 3)
+    assert config["model"]["geometry"]["shape"] == [4, 4, 2]
+
+
+def test_a_resumed_run_continues_its_curves(resumed):
+    rows = [row for path in files_of(resumed) for row in history(path)]
+    assert len(files_of(resumed)) == 2
+    loss = [(row[STEP], row["train/loss"]) for row in rows if "train/loss" in row]
+    assert loss == [(step, float(step)) for step in range(STEPS)]
+    assert [(row[STEP], row["val/rayiou"]) for row in rows if "val/rayiou" in row] == [(2, 3.0), (5, 6.0), (8, 9.0)]
+    assert max(Counter(key for row in rows for key in row if key.startswith("test/")).values()) == 1
+
+
+def test_pictures_points_and_tables_are_kept_as_files(resumed):
+    (last,) = [row for row in history(files_of(resumed)[1]) if "test/bev" in row]
+    folder = files_of(resumed)[1].parent / "files"
+    picture, cloud = last["test/bev"], last["test/points"]
+    assert picture["captions"] == ["scene/0 truth"]
+    assert (folder / picture["filenames"][0]).stat().st_size > 100
+    points = json.loads((folder / "media" / "object3D" / cloud["filenames"][0]).read_text())
+    assert points["points"] == [[1.0, 2.0, 0.5, 128, 64, 128]]
+    assert points["boxes"][0]["label"] == "own car"
+    (tables,) = [row for row in history(files_of(resumed)[1]) if "tables/by_class" in row]
+    table = json.loads((folder / tables["tables/by_class"]["path"]).read_text())
+    assert table["columns"] == ["class", "RayIoU"]
+    assert table["data"][0] == ["Road", 0.5]
+    assert tables["tables/by_range"]["nrows"] == 3
+
+
+def test_what_wandb_lost_when_a_run_was_killed_is_logged_first(tmp_path):
+    """W&B's file ends at step 1, the journal at step 3, the checkpoint was written at step 2."""
+    (curves,) = wandb_of(Loggers("offline", "p", None, []).build(tmp_path, CONFIG, "occupancy"))
+    curves.before |= {(step, "train/loss") for step in range(4)}
+    curves.lost = [(2, {"train/loss": 2.0}), (3, {"train/loss": 3.0})]
+    for step in (2, 3, 4):
+        curves.log_metrics({"train/loss": float(step), "epoch": 0}, step)
+    finish([curves])
+    wandb.teardown()
+    (path,) = files_of(tmp_path)
+    assert [row[STEP] for row in history(path) if "train/loss" in row] == [2, 3, 4]
+    assert curves.journal.read()[-1] == (4, {"train/loss": 4.0, "epoch": 0})
+
+
+def test_the_machine_is_measured(resumed):
+    kinds = Counter(r.WhichOneof("record_type") for path in files_of(resumed) for r in records(path))
+    assert kinds["stats"] > 0
+    assert kinds["environment"] > 0
+
+
+def test_a_stage_has_a_job_type_of_its_own_and_no_row(tmp_path):
+    config = CONFIG | {"model": {"sketch": {"_target_": "omniocc.model.sketch.Dense"}}}
+    (curves,) = wandb_of(Loggers("offline", "p", None, []).build(tmp_path / "depth-0", config, "depth"))
+    settings = curves._wandb_init
+    assert (settings["job_type"], settings["tags"], settings["id"] != "") == ("depth", [], True)
+    assert "row" not in settings["config"]
+    assert "anonymous" not in settings  # W&B warns of it in every run
+
+
+def test_of_a_run_that_an_agent_begins_only_the_last_stage_is_logged(tmp_path, monkeypatch):
+    monkeypatch.setenv("WANDB_SWEEP_ID", "s1")
+    recipe = Loggers("offline", "p", None, [])
+    assert not wandb_of(recipe.build(tmp_path, CONFIG, "depth"))
+    assert wandb_of(recipe.build(tmp_path, CONFIG, "occupancy"))
+    assert wandb_of(recipe.build(tmp_path, CONFIG | {"stage": "depth"}, "depth"))
+
+
+def test_without_wandb_only_the_csv_file_is_left_and_online_needs_a_login(tmp_path, monkeypatch):
+    assert len(Loggers("disabled", "p", None, []).build(tmp_path, CONFIG, "occupancy")) == 1
+    monkeypatch.delenv("WANDB_API_KEY", raising=False)
+    monkeypatch.setenv("NETRC", str(tmp_path / "netrc"))
+    with pytest.raises(UserError, match="wandb login"):
+        Loggers("online", "p", None, []).build(tmp_path, CONFIG, "occupancy")

@@ -1,0 +1,77 @@
+import numpy as np
+
+from omniocc.world.render.light import ambient, develop
+from omniocc.world.render.shade import shade
+from omniocc.world.render.sky import sky_color
+from omniocc.world.render.weather import draw_light, draw_sensor
+
+
+def _sensor(seed=0):
+    rng = np.random.default_rng(seed)
+    return draw_sensor(rng, draw_light("clear", rng))
+
+
+def test_shadow_is_darker_than_sun_by_the_lights_own_figures(stage, noon):
+    """The south wall at y = -5 keeps the sun (direction 0, -0.6, 0.8) off the road as far as y = 1."""
+    directions = np.array([[3.0, 0.5, -2.2], [3.0, 4.0, -2.2]]).T
+    directions = (directions / np.linalg.norm(directions, axis=0)).astype(np.float32)
+    hits = stage.cast(np.zeros(3), directions)
+    assert stage.surfaces.label[hits.face].tolist() == [1, 1]
+    seen = shade(hits, stage.place(np.zeros(3)), directions, stage.surfaces, stage.shadows, noon, 1e6)
+    assert seen.lit.tolist() == [False, True]
+    dark, bright = seen.color.T
+    dim = ambient(noon, np.float32([1.0]))[:, 0]
+    # Textured at the coarsest mip level, so that only the slow variation of brightness differs.
+    np.testing.assert_allclose(bright / dark, (noon.sun * 0.8 + dim) / dim, rtol=0.35)
+    assert (bright > 1.5 * dark).all()
+
+
+def test_own_car_throws_a_shadow_and_the_lidars_do_not_see_it(stage_of, street, own_car, noon):
+    from dataclasses import replace
+
+    from omniocc.world.assets.mesh import empty
+
+    stage = stage_of(street, empty(), own_car, replace(noon, sun_direction=np.float32([0, 0, 1])))
+    below, aside = np.float32([0, 0, -1]), np.float32([0, 0.8, -0.6])
+    directions = np.stack([below, aside], axis=1)
+    hits = stage.cast(np.zeros(3), directions)
+    assert stage.surfaces.label[hits.face].tolist() == [1, 1]
+    seen = shade(hits, stage.place(np.zeros(3)), directions, stage.surfaces, stage.shadows, stage.light, 0.01)
+    assert seen.lit.tolist() == [False, True]
+
+
+def test_sky_is_brightest_at_the_sun_and_has_clouds():
+    light = draw_light("clear", np.random.default_rng(0))
+    rng = np.random.default_rng(1)
+    directions = rng.normal(size=(3, 4000)).astype(np.float32)
+    directions[2] = np.abs(directions[2]) + 0.3
+    directions /= np.linalg.norm(directions, axis=0)
+    sky = sky_color(light, directions)
+    assert np.isfinite(sky).all()
+    assert sky.min() > 0
+    assert sky.std(axis=1).min() > 0.02
+    if light.glow > 0:
+        at_sun = sky_color(light, light.sun_direction[:, None])
+        assert at_sun.mean() > sky.mean(axis=1).max()
+
+
+def test_developing_is_monotonic_saturates_and_darkens_to_the_rim():
+    sensor = _sensor()
+    ramp = np.tile(np.linspace(0, 6, 2000, dtype=np.float32), (3, 1))
+    rgb = develop(ramp, sensor, np.zeros(2000, np.float32), np.random.default_rng(0)).astype(float)
+    smooth = rgb.reshape(20, 100, 3).mean(axis=1)
+    assert (np.diff(smooth, axis=0) > -1).all()
+    assert rgb[:3].max() < 45
+    assert smooth[-1].min() > 230
+    grey = np.full((3, 5000), 0.2, np.float32)
+    middle, rim = (develop(grey, sensor, np.full(5000, f, np.float32), np.random.default_rng(0)).mean() for f in (0, 1))
+    assert rim < middle - 5
+
+
+def test_noise_depends_on_the_generator_alone():
+    sensor, grey = _sensor(), np.full((3, 5000), 0.2, np.float32)
+    flat = np.zeros(5000, np.float32)
+    first, again, other = (develop(grey, sensor, flat, np.random.default_rng(seed)) for seed in (1, 1, 2))
+    assert np.array_equal(first, again)
+    assert (first != other).mean() > 0.3
+    assert 0.5 < first.std() < 12
