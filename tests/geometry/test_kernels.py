@@ -18,7 +18,7 @@ from omniocc.metric import sparseocc_directions
 
 GRID = Cylinder((16, 20, 6), (0.0, 12.0), (-2.8, 3.2))
 COMPILE = (
-    "from omniocc.geometry import march; print(march.__file__, *march.clip_flat(0.25, 1.0, 0.0, 1.0));"
+    "from omniocc.geometry.raycast import march; print(march.__file__, *march.clip_flat(0.25, 1.0, 0.0, 1.0));"
     "print(march.clip_flat.stats.cache_path)"
 )
 

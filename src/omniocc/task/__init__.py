@@ -1,6 +1,5 @@
 """Lightning modules of the stages, and what a run needs around them."""
 
-from omniocc.run.wandb.loggers import Loggers
 from omniocc.task.adamw import AdamW
 from omniocc.task.depth import Depth
 from omniocc.task.occupancy import Occupancy
@@ -9,4 +8,4 @@ from omniocc.task.recipe import Recipe
 from omniocc.task.scores import Scores
 from omniocc.task.sketch import Sketch
 
-__all__ = ["AdamW", "Depth", "Loggers", "Occupancy", "Recipe", "Scores", "Sketch", "StepProgress"]
+__all__ = ["AdamW", "Depth", "Occupancy", "Recipe", "Scores", "Sketch", "StepProgress"]

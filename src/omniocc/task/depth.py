@@ -9,11 +9,11 @@ from torchmetrics import MeanMetric
 
 from omniocc.batch import Batch
 from omniocc.metric import DepthMetrics
+from omniocc.metric.bands import RANGE_EDGES_M
 from omniocc.model.depth import Spheres
 from omniocc.model.occupancy import to_unit_range
 from omniocc.task.adamw import AdamW
 from omniocc.task.draws import step_generator
-from omniocc.task.scores import RANGE_EDGES_M
 from omniocc.task.terms import log_terms
 
 FARTHEST_M = 100.0

@@ -9,9 +9,7 @@ from omniocc.batch import Batch
 from omniocc.classes import FREE
 from omniocc.geometry import Cuboid, Cylinder, Grid
 from omniocc.metric import RayIoU, VoxelIoU, sparseocc_directions
-
-RANGE_EDGES_M = (0.0, 8.5, 17.0, 25.6)
-"""The paper's distance bands (its Table 'result in different distance')."""
+from omniocc.metric.bands import RANGE_EDGES_M
 
 
 def within_reach(

@@ -9,9 +9,9 @@ from torch import Tensor
 from omniocc.batch import Batch
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.metric import Candidates
+from omniocc.metric.bands import RANGE_EDGES_M
 from omniocc.model.sketch import Omni
 from omniocc.task.adamw import AdamW
-from omniocc.task.scores import RANGE_EDGES_M
 from omniocc.task.terms import log_terms
 
 

@@ -51,7 +51,7 @@ def render(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(SCRIPT)
     source = Path(omniocc.__file__).parents[1]
-    env = os.environ | {"PYTHONPATH": f"{source}:{Path(__file__).parent}", "OMP_NUM_THREADS": "1"}
+    env = os.environ | {"PYTHONPATH": f"{source}:{Path(__file__).parents[1]}", "OMP_NUM_THREADS": "1"}
 
     def start(root, workers, delay_s, mark, scenes=(0, 4)):
         command = [sys.executable, str(script), str(root), str(workers), str(delay_s), *map(str, scenes)]
@@ -218,7 +218,7 @@ def test_a_limit_on_the_size_of_files_is_one_line_and_loses_nothing(reference, t
         "try: FakeWorld(sys.argv[1]).prepare()\n"
         "except OSError as error: sys.exit(str(error))"
     )
-    env = os.environ | {"PYTHONPATH": f"{Path(omniocc.__file__).parents[1]}:{Path(__file__).parent}"}
+    env = os.environ | {"PYTHONPATH": f"{Path(omniocc.__file__).parents[1]}:{Path(__file__).parents[1]}"}
     done = subprocess.run([sys.executable, "-c", script, tmp_path], env=env, capture_output=True, text=True)
     assert done.returncode == 1
     (line,) = done.stderr.splitlines()

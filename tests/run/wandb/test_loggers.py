@@ -13,10 +13,10 @@ from lightning.pytorch.callbacks import ModelCheckpoint
 from torch.utils.data import DataLoader
 
 from omniocc.errors import UserError
+from omniocc.run.wandb import Loggers
 from omniocc.run.wandb.loggers import finish, wandb_of
 from omniocc.run.wandb.media import Named
 from omniocc.run.wandb.wandb_file import STEP, files_of, history, records
-from omniocc.task import Loggers
 
 CONFIG = {
     "name": "mono",

@@ -16,7 +16,7 @@ from omniocc.camera.models.mirrored import mirrored
 from omniocc.geometry import Grid
 
 LIDAR_AZIMUTHS = 360
-"""Rays of every elevation of the ego LiDAR (`omniocc.world.sensors.lidar.ego_directions`), counter-clockwise from ahead."""
+"""Rays of every elevation of the ego LiDAR (`world.sensors.lidar.ego_directions`), counter-clockwise from ahead."""
 
 
 class Change(NamedTuple):

@@ -1,4 +1,4 @@
-"""First hits of rays on a CPU: the compiled kernels of `omniocc.geometry.raycast.march` behind tensors, in several threads."""
+"""First hits of rays on a CPU: the compiled kernels of `raycast.march` behind tensors, in several threads."""
 
 import itertools
 import math

@@ -2,7 +2,7 @@
 
 The ways at which a heading crosses the boundaries of either horizontal axis are computed in closed form and merged into
 columns. Per level, the next occupied column is then known at every column, so that a ray takes one look per level. The
-rules of `omniocc.geometry.raycast.crossings` hold: float64, boundaries closer than `TOUCH_M` are the same, nothing accumulates.
+rules of `raycast.crossings` hold: float64, boundaries closer than `TOUCH_M` are the same, nothing accumulates.
 
 All kernels stand in one file, since numba's cache does not notice changes in another. Inside loops over rays arrays are
 indexed and never sliced: numba counts references to slices atomically, and threads would wait for one another.

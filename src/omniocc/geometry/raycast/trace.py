@@ -1,6 +1,6 @@
 """Exact traversal of a voxel grid by rays: every cell crossed, in order, with entry and exit distances.
 
-The crossings with all boundaries of all axes (`omniocc.geometry.raycast.crossings`) are put in order of distance, in float64;
+The crossings with all boundaries of all axes (`raycast.crossings`) are put in order of distance, in float64;
 each changes the cell by one along its axis.
 """
 

@@ -6,7 +6,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 from omniocc.classes import CLASSES, FREE
-from omniocc.task.scores import RANGE_EDGES_M
+from omniocc.metric.bands import RANGE_EDGES_M
 
 
 class ResultTable(NamedTuple):
