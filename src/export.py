@@ -2,20 +2,16 @@
 
 from pathlib import Path
 
-import hydra
 from omegaconf import DictConfig, OmegaConf
 
 from omniocc.camera import Rig
-from omniocc.config import lines_not_tracebacks
+from omniocc.config import script
 from omniocc.errors import UserError
 from omniocc.export import Options, export_files
-from omniocc.lazy_help import accept_lazy_help
 from train import quiet
 
 
-@accept_lazy_help
-@hydra.main(version_base="1.3", config_path="../conf", config_name="export")
-@lines_not_tracebacks
+@script("export")
 def main(cfg: DictConfig) -> None:
     """Check -> export -> a line about the files."""
     quiet()

@@ -9,16 +9,14 @@ import time
 from pathlib import Path
 from typing import cast
 
-import hydra
 import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from torch import nn
 
 from omniocc.camera import Equirectangular, Rig
-from omniocc.config import build, check, lines_not_tracebacks
+from omniocc.config import build, check, script
 from omniocc.errors import UserError
-from omniocc.lazy_help import accept_lazy_help
 from omniocc.predict import (
     Frame,
     cloud_of,
@@ -34,17 +32,13 @@ from omniocc.view import predicted_sheet
 from train import quiet
 
 
-@accept_lazy_help
-@hydra.main(version_base="1.3", config_path="../conf", config_name="predict_depth")
-@lines_not_tracebacks
+@script("predict_depth")
 def depth(cfg: DictConfig) -> None:
     """Check -> build -> one folder of files per frame."""
     run(cfg, [str(override) for override in HydraConfig.get().overrides.task])
 
 
-@accept_lazy_help
-@hydra.main(version_base="1.3", config_path="../conf", config_name="predict_occupancy")
-@lines_not_tracebacks
+@script("predict_occupancy")
 def occupancy(cfg: DictConfig) -> None:
     """Check -> build -> one folder of files per moment."""
     quiet()

@@ -5,27 +5,23 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-import hydra
 import numpy as np
 from omegaconf import DictConfig
 
-from omniocc.config import build, check, lines_not_tracebacks
+from omniocc.config import build, check, script
 from omniocc.data import DataError, SceneReader, VirtualWorld
 from omniocc.data.labels.class_fractions import share_table
-from omniocc.data.progress import clock
 from omniocc.data.recording.budget import announcement, begun, size
 from omniocc.data.recording.job import ScenePlan
 from omniocc.data.store.check import SceneSurvey, survey
 from omniocc.errors import UserError
 from omniocc.geometry import Cylinder
-from omniocc.lazy_help import accept_lazy_help
+from omniocc.progress import clock
 
 LOOKED_AT_FRAMES = 400
 
 
-@accept_lazy_help
-@hydra.main(version_base="1.3", config_path="../conf", config_name="render")
-@lines_not_tracebacks
+@script("render")
 def main(cfg: DictConfig) -> None:
     """Check -> build -> render, read back or draw."""
     whole_length = cfg.data.world.frames_per_scene

@@ -9,15 +9,13 @@ import time
 import warnings
 from pathlib import Path
 
-import hydra
 from lightning.pytorch import Trainer, seed_everything
 from lightning.pytorch.callbacks import Callback, ModelCheckpoint
 from omegaconf import DictConfig, OmegaConf
 
-from omniocc.config import build, check_root, lines_not_tracebacks, plain
+from omniocc.config import build, check_root, plain, script
 from omniocc.data import Extras, OccupancyData
 from omniocc.io import atomic_write
-from omniocc.lazy_help import accept_lazy_help
 from omniocc.run.checkpoint_io import BEST, LAST, AtomicCheckpointIO
 from omniocc.run.cost import PEAK, cost_of, peak_mib
 from omniocc.run.folder import (
@@ -38,9 +36,7 @@ from omniocc.task.pictures import Pictures
 from omniocc.task.stages import Stages, is_learned, wanted_stages
 
 
-@accept_lazy_help
-@hydra.main(version_base="1.3", config_path="../conf", config_name="train")
-@lines_not_tracebacks
+@script("train")
 def main(cfg: DictConfig) -> None:
     """Check -> build -> the stages that are missing, occupancy last."""
     check_root(cfg)

@@ -6,6 +6,7 @@ from typing import Literal
 
 import pytest
 from hydra.utils import get_object
+from lightning.pytorch import seed_everything
 from omegaconf import OmegaConf
 
 from omniocc.config import ConfigError, build, check, check_root, fits, parameters_of
@@ -37,10 +38,26 @@ def test_every_option_lists_exactly_the_arguments_of_its_class(path):
 
 
 @pytest.mark.parametrize("path", OPTIONS, ids=lambda path: str(path.relative_to(CONF)))
-def test_option_file_and_class_share_a_name(path):
+def test_the_class_of_an_option_lies_where_its_file_says(path):
     target = loaded(path)["_target_"]
     assert target.startswith("omniocc.")
     assert inspect.getmodule(get_object(target)).__name__.startswith(target.rsplit(".", 1)[0])
+
+
+OF_ANOTHER_CLASS = {("sketch", "mono"): "Omni"}
+"""Options without a class of their own: `mono` is the same network on the depth option of its `defaults`."""
+
+
+def test_option_module_and_class_share_a_name_with_the_stated_exceptions_alone():
+    others = {}
+    for path in sorted(CONF.glob("model/*/*.yaml")):
+        slot, option = path.parent.name, path.stem
+        kind = get_object(loaded(path)["_target_"])
+        name = f"no_{slot}" if option == "none" else option
+        module = inspect.getmodule(kind).__name__.rsplit(".", 1)[-1]
+        if (module, kind.__name__.lower()) != (option, name.replace("_", "")):
+            others[slot, option] = kind.__name__
+    assert others == OF_ANOTHER_CLASS
 
 
 @pytest.mark.parametrize("preset", ["tiny", "small", "paper"])
@@ -100,6 +117,23 @@ def test_missing_argument_and_broken_interpolation_are_named():
         for line in caught.value.problems
     )
     assert any(line == "part.final_share: omniocc.task.AdamW needs it" for line in caught.value.problems)
+
+
+@pytest.mark.parametrize("seed", [-1, 2**32])
+@pytest.mark.parametrize(
+    "key", ["seed", "stages.depth.seed", "stages.sketch.seed", "data.seed", "data.world.seed", "model.sketch.seed"]
+)
+def test_a_seed_out_of_range_is_named_once(key, seed, composed):
+    with pytest.raises(ConfigError) as caught:
+        check_root(composed("model/sketch=random", f"{key}={seed}"))
+    assert caught.value.problems == (f"{key}: {seed} is not from 0 to 4294967295",)
+
+
+@pytest.mark.parametrize("seed", [0, 2**32 - 1])
+def test_seeds_at_the_ends_of_the_range_are_taken(seed, composed):
+    cfg = composed(f"seed={seed}")
+    check_root(cfg)
+    seed_everything(cfg.seed, verbose=False)
 
 
 def test_unknown_root_key_is_refused(composed):

@@ -1,23 +1,34 @@
-"""Composed configuration -> checked -> built objects. The only file that calls Hydra's `compose` and `instantiate`."""
+"""Compose the configuration from the command line, check it, build objects; alone in calling Hydra's `instantiate`."""
 
 import functools
 import inspect
+import os
 import re
 import sys
 import types
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
+from difflib import SequenceMatcher, get_close_matches
 from pathlib import Path
 from typing import Any, Literal, Union, cast, get_args, get_origin, get_type_hints
 
+import hydra
 from hydra import compose, initialize_config_dir
-from hydra.errors import HydraException, InstantiationException
+from hydra.errors import HydraException, InstantiationException, MissingConfigException, OverrideParseException
 from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, ListConfig, OmegaConf
-from omegaconf.errors import InterpolationKeyError, OmegaConfBaseException
+from omegaconf.errors import ConfigAttributeError, ConfigKeyError, InterpolationKeyError, OmegaConfBaseException
 
 from omniocc.errors import UserError
+from omniocc.lazy_help import accept_lazy_help
+
+MAX_SEED = 2**32 - 1
+"""The largest seed that numpy and Lightning take."""
+FULL_ERROR = "HYDRA_FULL_ERROR"
+"""Hydra's environment variable; `1` makes it raise its errors instead of printing them."""
+VERSION_BASE = "1.3"
+NEAREST_KEYS = 3
+NEAR_ENOUGH = 0.6
 
 
 class ConfigError(UserError):
@@ -45,7 +56,7 @@ def check(cfg: DictConfig, root_keys: Sequence[str] | None = None, packages: Seq
         problems += [_unknown(str(key), "train.py", root_keys) for key in cfg if key not in root_keys]
     problems += _walk(cfg, "", packages)
     if problems:
-        raise ConfigError(problems)
+        raise ConfigError([problem.lstrip(".") for problem in problems])
 
 
 @dataclass
@@ -95,8 +106,7 @@ def build(cfg: DictConfig, **extra: Any) -> Any:
     except InstantiationException as error:
         cause = error.__cause__
         if isinstance(cause, ValueError | FileNotFoundError):
-            key = str(error).rsplit("full_key: ", 1)[-1] if "full_key: " in str(error) else cfg._get_full_key(None)
-            raise ConfigError([f"{key}: {cause}"]) from cause
+            raise ConfigError([f"{_refused_key(error) or cfg._get_full_key(None)}: {cause}"]) from cause
         raise cause or error from None
 
 
@@ -135,6 +145,134 @@ def lines_not_tracebacks(main: Callable[..., None]) -> Callable[..., None]:
             sys.exit(str(error))
 
     return wrapped
+
+
+def script(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callable[..., None]]:
+    """Return a decorator for a script's main, which gets the configuration composed from `conf/` and the command line.
+
+    Users' mistakes end the script with the message alone and exit code 1; for overrides it names the nearest keys or
+    options. With `HYDRA_FULL_ERROR=1` Hydra reports mistakes in overrides itself, with a traceback. Jobs of a
+    multirun inherit that variable, so that their log files hold whole tracebacks.
+
+    Args:
+        config_name: of the root file in `conf/`.
+    """
+
+    def decorate(main: Callable[[DictConfig], None]) -> Callable[..., None]:
+        conf = str(Path(inspect.getfile(main)).resolve().parents[1] / "conf")
+
+        @functools.wraps(main)
+        def task(cfg: DictConfig) -> None:
+            if asked is None:
+                os.environ.pop(FULL_ERROR, None)  # composed: errors of the code itself are reported as ever
+            lines_not_tracebacks(main)(cfg)
+
+        run = accept_lazy_help(hydra.main(version_base=VERSION_BASE, config_path=conf, config_name=config_name)(task))
+        asked = os.environ.get(FULL_ERROR)
+
+        @functools.wraps(main)
+        def wrapped(*args: Any) -> None:
+            if asked is not None:
+                return run(*args)
+            os.environ[FULL_ERROR] = "1"
+            try:
+                run(*args)
+            except (HydraException, OmegaConfBaseException) as error:
+                sys.exit(explain(error, conf, config_name, sys.argv[1:]))
+            finally:
+                os.environ.pop(FULL_ERROR, None)
+
+        return wrapped
+
+    return decorate
+
+
+def explain(error: Exception, conf: str, config_name: str, arguments: Sequence[str]) -> str:
+    """Return a few lines about a mistake in overrides: the problem first, then what is nearest to what was written.
+
+    Args:
+        error: raised while Hydra composed the configuration.
+        conf: folder of the configuration.
+        config_name: of its root file.
+        arguments: of the command line.
+    """
+    cause = error.__cause__
+    if isinstance(error, OverrideParseException):
+        reason = str(error.message).removeprefix(f"Error parsing override '{error.override}'").strip().splitlines()[0]
+        remedy = "quote lists and texts with commas: 'key=[1,2]'"
+        return f"{error.override}: this cannot be read as key=value ({reason})\n  {remedy}"
+    if isinstance(error, MissingConfigException) and error.missing_cfg_file and error.options:
+        group, _, option = error.missing_cfg_file.rpartition("/")
+        close = get_close_matches(option, error.options, n=1)
+        hint = f"; did you mean '{close[0]}'?" if close else ""
+        return f"{group}={option}: there is no such option{hint}\n  options: {', '.join(sorted(error.options))}"
+    if isinstance(error, InstantiationException) and cause is not None:
+        return f"{_refused_key(error)}: {cause}"
+    if isinstance(cause, ConfigAttributeError | ConfigKeyError) and cause.full_key:
+        return _unknown_key(str(cause.full_key), *_names(conf, config_name, cause.full_key, arguments))
+    lines = [*str(error).split("Config search path")[0].splitlines(), *str(cause or "").splitlines()[:1]]
+    return "\n  ".join([line.strip() for line in lines if line.strip()])
+
+
+def _unknown_key(key: str, keys: Sequence[str], groups: Sequence[str]) -> str:
+    """Return the lines about a key that is not there; a key with a slash was meant as a group."""
+    close = nearest(key, groups if "/" in key else [*keys, *groups])
+    if close:
+        hint = f"; did you mean {' or '.join(close)}?"
+    else:
+        parent = next((p for p in _parents(key) if any(k.startswith(f"{p}.") for k in keys)), "")
+        within = [k.removeprefix(f"{parent}.") for k in keys if not parent or k.startswith(f"{parent}.")]
+        children = groups if "/" in key else [child for child in within if "." not in child]
+        hint = f"\n  {'groups' if '/' in key else parent or 'keys'}: {', '.join(children)}"
+    return f"{key}: there is no such key{hint}"
+
+
+def nearest(wanted: str, known: Sequence[str]) -> list[str]:
+    """Return the few most similar of known dotted or slashed names, best first; their last parts count by half."""
+
+    def likeness(name: str) -> float:
+        last = SequenceMatcher(None, _last(wanted), _last(name)).ratio()
+        return (SequenceMatcher(None, wanted, name).ratio() + last) / 2
+
+    scored = sorted(((likeness(name), name) for name in known), key=lambda item: -item[0])
+    return [name for score, name in scored[:NEAREST_KEYS] if score >= NEAR_ENOUGH]
+
+
+def _last(name: str) -> str:
+    return re.split(r"[./]", name)[-1]
+
+
+def _parents(key: str) -> Iterator[str]:
+    while "." in key:
+        key = key.rpartition(".")[0]
+        yield key
+
+
+def _names(conf: str, config_name: str, wrong: str, arguments: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return all keys and groups of the configuration composed without the wrong override, or without any."""
+    overrides = [a for a in arguments if "=" in a and not a.startswith("-") and wrong not in a.split("=")[0]]
+    with hydra.initialize_config_dir(conf, version_base=VERSION_BASE):
+        try:
+            cfg = hydra.compose(config_name, overrides, return_hydra_config=True)
+        except HydraException:  # another mistake, or values to sweep over
+            cfg = hydra.compose(config_name, return_hydra_config=True)
+    tree = cast(dict, OmegaConf.to_container(cfg, resolve=False))
+    options = tree.pop("hydra")
+    keys = [*_keys(tree, ""), *_keys(options["launcher"], "hydra.launcher.")]
+    groups = [group for group in options["runtime"]["choices"] if "@" not in group and not group.startswith("hydra/")]
+    return [key for key in keys if not _last(key).startswith("_")], groups
+
+
+def _keys(tree: dict, prefix: str) -> Iterator[str]:
+    for key, value in tree.items():
+        yield f"{prefix}{key}"
+        if isinstance(value, dict):
+            yield from _keys(value, f"{prefix}{key}.")
+
+
+def _refused_key(error: InstantiationException) -> str:
+    """Return the key of the node that could not be built, empty if Hydra does not name it."""
+    return str(error).rsplit("full_key: ", 1)[-1] if "full_key: " in str(error) else ""
 
 
 def _walk(node: Any, path: str, packages: Sequence[str] | None) -> Iterator[str]:
@@ -202,6 +340,12 @@ def _check_value(node: DictConfig, key: str, path: str, hint: Any) -> Iterator[s
         return
     if not fits(plain, hint):
         yield f"{path}.{key}: {plain!r} is not {_describe(hint)}"
+    elif key == "seed" and _is_out_of_range(plain) and not OmegaConf.is_interpolation(node, key):
+        yield f"{path}.seed: {plain} is not from 0 to {MAX_SEED}"
+
+
+def _is_out_of_range(seed: Any) -> bool:
+    return isinstance(seed, int) and not 0 <= seed <= MAX_SEED
 
 
 def _unknown(path: str, owner: str, known: Sequence[str]) -> str:

@@ -1,10 +1,12 @@
 """Jobs of a multirun as processes."""
 
+import json
 import os
 import signal
 import subprocess
 import sys
 import time
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
@@ -21,8 +23,14 @@ from hydra_plugins.process_launcher.launcher import (
     summary,
     varying,
 )
+from omniocc.progress import Status
 
 SRC = Path(__file__).parents[2] / "src"
+WAITS = f"import sys, time, pathlib; sys.path.insert(0, {str(SRC)!r})\n" + (
+    "from omniocc.progress import Progress\nprogress = Progress('rendering', 10)\n"
+    "progress.wait('another process (pid 4711 on here) renders train-000, waiting')\n"
+)
+"""A job that waits, as scenes do that another process renders; its wording plays no role."""
 
 
 def job(folder: Path, label: str, code: str) -> Job:
@@ -49,7 +57,7 @@ def test_no_more_jobs_than_asked_for_run_at_a_time(tmp_path):
     )
     jobs = [job(tmp_path, str(k), code) for k in range(4)]
     run_all(jobs, 2)
-    spans = [tuple(map(float, j.last_line().split())) for j in jobs]
+    spans = [tuple(map(float, j.last_lines(1)[0].split())) for j in jobs]
     most = max(sum(begin <= at < end for begin, end in spans) for at, _ in spans)
     assert most <= 2
     assert [j.code for j in jobs] == [0, 0, 0, 0]
@@ -57,9 +65,7 @@ def test_no_more_jobs_than_asked_for_run_at_a_time(tmp_path):
 
 def test_while_a_job_waits_for_another_the_next_begins(tmp_path):
     done = tmp_path / "done"
-    waits = "import time, pathlib; print('x waits for another process that', flush=True)\n" + (
-        f"while not pathlib.Path({str(done)!r}).exists(): time.sleep(0.05)"
-    )
+    waits = f"{WAITS}while not pathlib.Path({str(done)!r}).exists(): time.sleep(0.05)"
     jobs = [job(tmp_path, "waits", waits), job(tmp_path, "makes", f"open({str(done)!r}, 'w')")]
     run_all(jobs, 1)
     assert [j.code for j in jobs] == [0, 0]
@@ -79,7 +85,7 @@ def test_progress_names_what_runs_and_what_is_left(tmp_path):
     jobs = [job(tmp_path, "one", "print('stage 1')"), job(tmp_path, "two", "")]
     run_all(jobs[:1], 1)
     jobs[0].elapsed_s = 120.0
-    assert progress(jobs, 1, 125.0) == "2:05 1 of 2 jobs done, about 2:00 left"
+    assert progress(jobs, 1, 125.0) == "2:05 min: 1 of 2 jobs done, about 2:00 min left"
 
 
 def test_time_left_is_at_least_what_a_running_job_says_of_its_stage(tmp_path):
@@ -91,15 +97,16 @@ def test_time_left_is_at_least_what_a_running_job_says_of_its_stage(tmp_path):
             running.start({})
             running.began_s -= 540.0  # a minute is left of what the finished one took
         assert left_s(jobs, 2) == pytest.approx((60 + 60 + 600) / 2, abs=2)
-        jobs[1].log.write_text("x: occupancy, stage 3 of 3 train 107/1000, 1.75 s each, left 26:03  train/loss=7.7\n")
+        said = Status("running", "occupancy, stage 3 of 3 train", 107, 1000, "steps", 0.571, 26 * 60 + 3.0)
+        jobs[1].status_file.write_text(json.dumps(asdict(said)))
         assert left_s(jobs, 2) == pytest.approx(26 * 60 + 3)
+        assert "a: occupancy, stage 3 of 3 train: 107/1000 steps, 1.75 s each, 26:03 min left" in progress(jobs, 2, 9.0)
     finally:
         stop(jobs)
 
 
 def test_not_many_jobs_wait_for_one(tmp_path):
-    waits = "import time; print('x waits for another process that', flush=True); time.sleep(60)"
-    jobs = [job(tmp_path, str(number), waits) for number in range(5)]
+    jobs = [job(tmp_path, str(number), f"{WAITS}time.sleep(60)") for number in range(5)]
     try:
         for number in range(4):
             assert places(jobs, 2) == min(2, 4 - number)
@@ -108,6 +115,20 @@ def test_not_many_jobs_wait_for_one(tmp_path):
             while not jobs[number].waiting:
                 time.sleep(0.02)
         assert places(jobs, 2) == 0
+    finally:
+        stop(jobs)
+
+
+def test_what_a_job_prints_is_not_read(tmp_path):
+    says = "import time; print('x waits for another process that, left 99:00', flush=True); time.sleep(60)"
+    jobs = [job(tmp_path, "x", says)]
+    jobs[0].status_file.write_text(json.dumps(asdict(Status("waiting", "of an earlier run"))))
+    try:
+        jobs[0].start({})
+        while not jobs[0].last_lines():
+            time.sleep(0.02)
+        assert not jobs[0].waiting
+        assert progress(jobs, 1, 1.0) == "0:01 min: 0 of 1 jobs done | x: starting"
     finally:
         stop(jobs)
 

@@ -6,6 +6,7 @@ import time
 import pytest
 
 from omniocc.errors import UserError
+from omniocc.progress import STATUS_FILE, read_status
 from omniocc.task.stages import claimed, stage_keys, wanted_stages
 
 
@@ -69,8 +70,9 @@ def test_other_data_is_another_result(omni):
     assert all(one != other for one, other in zip(stage_keys(omni(), "a"), stage_keys(omni(), "b"), strict=True))
 
 
-def test_a_second_process_waits_and_says_so(tmp_path, capsys):
-    events = []
+def test_a_second_process_waits_and_says_so(tmp_path, monkeypatch, capsys):
+    events, status = [], tmp_path / "status.json"
+    monkeypatch.setenv(STATUS_FILE, str(status))
 
     def second():
         with claimed(tmp_path, "depth"):
@@ -79,8 +81,10 @@ def test_a_second_process_waits_and_says_so(tmp_path, capsys):
     with claimed(tmp_path, "depth"):
         thread = threading.Thread(target=second)
         thread.start()
-        while "waits for another process" not in capsys.readouterr().out:
+        while (said := read_status(status)) is None or said.state != "waiting":
             time.sleep(0.01)
+        assert str(tmp_path) in said.title
+        assert said.title in capsys.readouterr().out
         events.append("first")
     thread.join(timeout=10)
     assert events == ["first", "second"]

@@ -1,4 +1,4 @@
-"""One job of a multirun: a process, and a log file that says how far it is."""
+"""One job of a multirun: a process, a log file of what it prints, and a status file of what it has done."""
 
 import ctypes
 import os
@@ -9,8 +9,8 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-WAITS = " waits for another process"
-"""What a job prints last while it has nothing to do."""
+from omniocc.progress import STATUS_FILE, Status, read_status
+
 TAIL_BYTES = 4096
 LINES_OF_A_FAILURE = 12
 PR_SET_PDEATHSIG = 1
@@ -22,22 +22,24 @@ class Job:
     Args:
         label: how it is called in messages.
         command: program and arguments.
-        log: file that gets everything it prints; an old one is replaced.
+        log: file that gets everything it prints; an old one is replaced. The status file lies beside it.
     """
 
     def __init__(self, label: str, command: Sequence[str], log: Path):
         self.label = label
         self.command = list(command)
         self.log = log
+        self.status_file = log.with_suffix(".status.json")
         self.process: subprocess.Popen[bytes] | None = None
         self.began_s = self.elapsed_s = 0.0
 
     def start(self, environment: dict[str, str]) -> None:
         """Begin."""
+        self.status_file.unlink(missing_ok=True)
         with self.log.open("wb") as output:
             self.process = subprocess.Popen(
                 self.command,
-                env={**os.environ, **environment},
+                env={**os.environ, **environment, STATUS_FILE: str(self.status_file)},
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
@@ -69,12 +71,13 @@ class Job:
     @property
     def waiting(self) -> bool:
         """Whether it waits for what another job makes."""
-        return self.running and WAITS in self.last_line()
+        status = self.status
+        return self.running and status is not None and status.state == "waiting"
 
-    def last_line(self) -> str:
-        """The last line it has printed, empty before the first."""
-        lines = self.last_lines(1)
-        return lines[0] if lines else ""
+    @property
+    def status(self) -> Status | None:
+        """What it has reported last, None before its first report."""
+        return read_status(self.status_file)
 
     def last_lines(self, count: int = LINES_OF_A_FAILURE) -> list[str]:
         """Its last lines that are not empty."""

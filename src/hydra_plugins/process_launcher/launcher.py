@@ -1,7 +1,6 @@
 """See the package: jobs as processes, one line about all of them, failures at the end."""
 
 import os
-import re
 import signal
 import sys
 import time
@@ -12,9 +11,9 @@ from hydra.core.utils import JobReturn, JobStatus
 from hydra.plugins.launcher import Launcher
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig
-from rich.console import Console
 
 from hydra_plugins.process_launcher.job import Job, file_name, label_of
+from omniocc.progress import clock
 
 POLL_S = 0.5
 INTERRUPTED = 130  # as shells say it of a process that Ctrl-C has ended
@@ -36,7 +35,7 @@ class ProcessLauncher(Launcher):
 
     def __init__(self, n_jobs: int, force: bool):
         if n_jobs < 1:
-            raise ValueError(f"hydra.launcher.n_jobs={n_jobs}: give 1 or more")
+            raise ValueError(f"n_jobs={n_jobs}: give 1 or more")
         self.n_jobs, self.force = n_jobs, force
         self.folder = Path()
 
@@ -76,6 +75,8 @@ def varying(job_overrides: Sequence[Sequence[str]]) -> set[str]:
 
 def run_all(jobs: Sequence[Job], n_jobs: int) -> None:
     """Start jobs as places get free and say how far they are, until all are at their end."""
+    from rich.console import Console  # Hydra imports this module at every start of a script
+
     threads = str(max(1, (os.cpu_count() or 1) // n_jobs))
     environment = {} if "OMP_NUM_THREADS" in os.environ else {"OMP_NUM_THREADS": threads}
     console = Console()
@@ -113,28 +114,28 @@ def stop(jobs: Sequence[Job]) -> None:
 
 
 def progress(jobs: Sequence[Job], n_jobs: int, elapsed_s: float) -> str:
-    """One line: how many are done, when the rest will be, what each running job says last."""
+    """One line: how many are done, when the rest will be, what each running job reports."""
     done = [job for job in jobs if job.code is not None]
     failed = sum(job.code != 0 for job in done)
-    left = f", about {_minutes(left_s(jobs, n_jobs))} left" if done else ""
+    left = f", about {clock(left_s(jobs, n_jobs))} left" if done else ""
     parts = [f"{len(done)} of {len(jobs)} jobs done{f', {failed} failed' if failed else ''}{left}"]
-    parts += [f"{job.label}: {job.last_line()}" for job in jobs if job.running]
-    return " | ".join([f"{_minutes(elapsed_s)} {parts[0]}", *parts[1:]])
+    parts += [f"{job.label}: {job.status or 'starting'}" for job in jobs if job.running]
+    return " | ".join([f"{clock(elapsed_s)}: {parts[0]}", *parts[1:]])
 
 
 def left_s(jobs: Sequence[Job], n_jobs: int) -> float:
-    """Time until all are done, if each takes as long as those that are, or longer where it says so itself."""
+    """Time until all are done, if each takes as long as those that are, or longer where it reports so itself."""
     done = [job for job in jobs if job.code is not None]
     each_s = sum(job.elapsed_s for job in done) / len(done)
-    running = [max(each_s - job.age_s, said_left_s(job.last_line())) for job in jobs if job.running]
+    running = [max(each_s - job.age_s, reported_left_s(job)) for job in jobs if job.running]
     waiting = each_s * sum(job.process is None for job in jobs)
     return max([(sum(running) + waiting) / n_jobs, *running])
 
 
-def said_left_s(line: str) -> float:
-    """Seconds that a job's line says are left of its stage (`left 12:56`); 0 if it says nothing of that."""
-    said = re.search(r"\bleft (\d+):(\d\d)\b", line)
-    return 60.0 * int(said[1]) + int(said[2]) if said else 0.0
+def reported_left_s(job: Job) -> float:
+    """Return the seconds that a job reports are left of its present work; 0 if it reports none."""
+    status = job.status
+    return 0.0 if status is None or status.left_s is None else status.left_s
 
 
 def summary(jobs: Sequence[Job], failed: Sequence[Job]) -> str:
@@ -145,7 +146,3 @@ def summary(jobs: Sequence[Job], failed: Sequence[Job]) -> str:
         lines += [f"  {line}" for line in job.last_lines()]
         lines += [f"  again: {' '.join(job.command)}"]
     return "\n".join(lines)
-
-
-def _minutes(seconds: float) -> str:
-    return f"{int(seconds // 60)}:{int(seconds % 60):02d}"

@@ -9,7 +9,6 @@ import numpy as np
 from torch import Tensor
 
 from omniocc.data.labels.voxels import Unknown
-from omniocc.data.progress import FrameProgress, clock
 from omniocc.metric import VoxelIoU
 from omniocc.predict.input.schedule import History, Visit, schedule
 from omniocc.predict.input.sequence import Drive, Truth, moved_origin
@@ -23,6 +22,7 @@ from omniocc.predict.output.voxel_files import (
     write_voxels,
 )
 from omniocc.predict.predictor import STEPS, Answer, Predictor, Watch
+from omniocc.progress import Progress, clock
 from omniocc.task.scores import Scores
 from omniocc.view import save_png
 from omniocc.view.voxel_sheet import SeenRange, occupancy_sheet
@@ -69,7 +69,7 @@ class Job:
         total, skipped = sum(map(len, left)), sum(len(drive.wanted) for drive in drives) - sum(map(len, left))
         if skipped:
             print(f"finished in {self.output} and left alone: {skipped} of the moments; force=true predicts them again")
-        with FrameProgress(f"predicting {self.output}", total) as progress:
+        with Progress(f"predicting {self.output}", total) as progress:
             for drive, wanted in zip(drives, left, strict=True):
                 for moment in sorted(set(drive.wanted) - set(wanted)):
                     self._score_finished(drive, moment)

@@ -23,13 +23,13 @@ from torch import Tensor
 from omniocc.config import build, plain
 from omniocc.data import CandidateCache, Extras, OccupancyData, RangeCache, SceneReader
 from omniocc.data.dataset import read_images, read_true_ranges
-from omniocc.data.progress import FrameProgress
 from omniocc.data.recording.job import SPLITS
 from omniocc.data.store.frame_cache import FrameCache
 from omniocc.errors import UserError
 from omniocc.io import atomic_write
 from omniocc.model.occupancy import to_unit_range
 from omniocc.model.ops.depth.spheres import rig_spheres
+from omniocc.progress import Progress, waiting
 from omniocc.run.checkpoint_io import LAST, AtomicCheckpointIO, resumable
 from omniocc.run.folder import METRICS, PICTURES, git_commit
 from omniocc.run.results import load_results, save_results
@@ -216,7 +216,7 @@ class Stages:
 
     def _fill(self, cache: FrameCache, predict: Callable[[SceneReader, int], Tensor], title: str) -> None:
         missing = cache.missing(self.scenes)
-        with FrameProgress(title, sum(map(len, missing))) as progress, torch.inference_mode():
+        with Progress(title, sum(map(len, missing))) as progress, torch.inference_mode():
             for scene in missing:
                 arrays = []
                 for frame in range(len(scene)):
@@ -250,8 +250,8 @@ def claimed(folder: Path, title: str) -> Iterator[None]:
     try:
         lock.acquire(timeout=0)
     except Timeout:
-        print(f"{title} waits for another process that works in {folder}", flush=True)
-        lock.acquire()
+        with waiting(title, f"waits for another process that works in {folder}"):
+            lock.acquire()
     try:
         yield
     finally:

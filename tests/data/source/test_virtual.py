@@ -258,7 +258,7 @@ def test_a_scene_held_by_another_process_is_waited_for(tmp_path, capsys, monkeyp
     (locks / "train-000-downtown.owner").write_text('{"pid": 4711, "host": "elsewhere"}')
     held = FileLock(locks / "train-000-downtown.lock")
     held.acquire()
-    monkeypatch.setattr("omniocc.data.progress.FrameProgress.message", lambda _, text: (print(text), held.release()))
+    monkeypatch.setattr("omniocc.progress.Progress.wait", lambda _, text: (print(text), held.release()))
     world.prepare()
     assert "another process (pid 4711 on elsewhere) renders train-000-downtown, waiting" in capsys.readouterr().out
     assert world.missing() == []

@@ -15,7 +15,6 @@ from torch import Tensor
 
 from omniocc.classes import NUM_CLASSES, UNKNOWN
 from omniocc.data.labels.observed import OBSERVED_VERSION, observed
-from omniocc.data.progress import FrameProgress
 from omniocc.data.recording.pool import Report, make_scenes
 from omniocc.data.store.codec import decode_points
 from omniocc.data.store.reader import SceneReader
@@ -23,6 +22,7 @@ from omniocc.data.store.shard import SHARD_LIMIT_BYTES, SceneWriter, digest
 from omniocc.errors import DataError
 from omniocc.geometry import Grid
 from omniocc.io import atomic_write
+from omniocc.progress import Progress
 
 VOTE_VERSION = 1
 """Raise it when the same points would give other voxels."""
@@ -75,7 +75,7 @@ class VoxelCache:
         if not wanted:
             return
         work = VoteJob({scene.name: scene.folder for scene in wanted}, self.geometry, self.unknown)
-        with FrameProgress(f"voxels {self.folder.name}", sum(map(len, wanted))) as progress:
+        with Progress(f"voxels {self.folder.name}", sum(map(len, wanted))) as progress:
             make_scenes(work, [self.folder / scene.name for scene in wanted], workers, progress)
 
     def read(self, scene: SceneReader, frame: int) -> UInt8[Tensor, "X Y Z"]:

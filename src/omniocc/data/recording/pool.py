@@ -20,9 +20,9 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 import omniocc
-from omniocc.data.progress import FrameProgress
 from omniocc.errors import DataError
 from omniocc.io import cannot_write
+from omniocc.progress import Progress
 
 Report = Callable[[int], None]
 Work = Callable[[Path, Report], None]
@@ -38,7 +38,7 @@ def usable_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def make_scenes(work: Work, folders: Sequence[Path], workers: int, progress: FrameProgress) -> None:
+def make_scenes(work: Work, folders: Sequence[Path], workers: int, progress: Progress) -> None:
     """Run `work` for every folder; scenes that another run is making come last and are waited for.
 
     Args:
@@ -54,7 +54,7 @@ def make_scenes(work: Work, folders: Sequence[Path], workers: int, progress: Fra
     if workers == 0:
         busy = [folder for folder in folders if not _make(work, progress.advance, folder, None)]
         for folder in busy:
-            _make(work, progress.advance, folder, progress.message)
+            _make(work, progress.advance, folder, progress.wait)
         return
     context = process_context()
     with worker_environment(needs_main=b"__main__" in pickle.dumps(work)):
@@ -124,14 +124,14 @@ def limit_threads(_worker: int = 0) -> None:
     torch.set_num_threads(1)
 
 
-def _follow(jobs: list[Future], events: Any, progress: FrameProgress) -> None:
+def _follow(jobs: list[Future], events: Any, progress: Progress) -> None:
     while True:
         done = all(job.done() for job in jobs)  # asked first: what they reported before is in the queue by then
         failed = [job for job in jobs if job.done() and not job.cancelled() and job.exception() is not None]
         with contextlib.suppress(Empty):
             while True:
                 event = events.get(timeout=0.0 if done else 0.1)
-                progress.message(event) if isinstance(event, str) else progress.advance(event)
+                progress.wait(event) if isinstance(event, str) else progress.advance(event)
         if failed:
             raise failed[0].exception() or AssertionError
         if done:

@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any, get_args
 
 from omniocc.camera import Rig
-from omniocc.data.progress import FrameProgress
 from omniocc.data.recording.job import SPLITS, Recordable, SceneJob, ScenePlan, Split, code_fingerprint
 from omniocc.data.recording.pool import make_scenes, usable_cores
 from omniocc.data.store.files import is_url, open_folder
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import META, SCHEMA, digest
 from omniocc.errors import DataError
+from omniocc.progress import Progress
 from omniocc.world import THEMES, Scene
 from omniocc.world.render.weather import Weather
 from omniocc.world.scene import LabelMode
@@ -190,8 +190,12 @@ class VirtualWorld:
         work = SceneJob(
             self.scene, tuple(missing), self.recipe, self.rig, self.frames_per_scene, self.shard_limit_bytes
         )
+
+        def finished() -> int:
+            return sum(map(self._exists, missing)) * self.frames_per_scene
+
         title, total = f"rendering {self.source}", len(missing) * self.frames_per_scene
-        with FrameProgress(title, total, lambda: sum(map(self._exists, missing)) * self.frames_per_scene) as progress:
+        with Progress(title, total, finished=finished) as progress:
             make_scenes(work, [self.source / plan.name for plan in missing], self.workers, progress)
 
     def readers(self, split: Split) -> list[SceneReader]:

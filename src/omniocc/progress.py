@@ -1,0 +1,215 @@
+"""Progress of long work: a bar on a terminal, plain lines elsewhere, and a status file for the process that waits.
+
+A process that starts others names a file in the environment variable `STATUS_FILE` of each; what they report lies there
+as one line of JSON (`Status`). Imports the standard library alone: Hydra loads the launcher, and so this module, at
+every start of a script.
+"""
+
+import contextlib
+import json
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    from rich.progress import Progress as Bar
+
+STATUS_FILE = "OMNIOCC_STATUS_FILE"
+LINE_EVERY_S = 15.0
+STATUS_EVERY_S = 1.0
+
+
+@dataclass(frozen=True)
+class Status:
+    """What a process does and how much of it is done.
+
+    Attributes:
+        state: whether it works, or waits for what another process makes.
+        title: what is being done, or what is waited for.
+        done: units done.
+        total: units to be done; 0 where nothing is counted.
+        unit: what is counted, in the plural.
+        rate_hz: units per second; 0 before the first.
+        left_s: seconds left, None where unknown.
+        text: what else there is to say, such as losses.
+    """
+
+    state: Literal["running", "waiting"]
+    title: str
+    done: int = 0
+    total: int = 0
+    unit: str = ""
+    rate_hz: float = 0.0
+    left_s: float | None = None
+    text: str = ""
+
+    @property
+    def rate(self) -> str:
+        """The rate in words: units per second, or seconds for each where they take longer than one."""
+        if 0 < self.rate_hz < 1:
+            return f"{1 / self.rate_hz:.2f} s each"
+        return f"{self.rate_hz:.1f} {self.unit}/s"
+
+    def __str__(self) -> str:
+        if not self.total:
+            return self.title
+        left = "" if self.left_s is None else f", {clock(self.left_s)} left"
+        return f"{self.title}: {self.done}/{self.total} {self.unit}, {self.rate}{left}  {self.text}".rstrip()
+
+
+class Progress:
+    """Counts units of work; shows how many, how fast and how long it will still take.
+
+    Args:
+        title: what is being done.
+        total: units to be done in this run.
+        unit: what is counted, in the plural.
+        done: units done before.
+        finished: return the number of units done by now, whoever did them, where several processes share the work.
+    """
+
+    def __init__(self, title: str, total: int, unit: str = "frames", done: int = 0, finished: Callable[[], int] = int):
+        self.title, self.total, self.unit, self.finished = title, total, unit, finished
+        self._own, self._made, self._shown, self._others = done, 0, done, 0
+        self._text = ""
+        self._began_s = self._shown_s = time.monotonic()
+        self._written_s = -STATUS_EVERY_S
+        self._bar = _bar() if sys.stderr.isatty() else None
+        if self._bar is not None:
+            self._task = self._bar.add_task(title, total=total, completed=done, rate="", text="")
+
+    @property
+    def done(self) -> int:
+        """Return the number of units done."""
+        return self._own + self._others
+
+    @property
+    def rate_hz(self) -> float:
+        """Return the units done per second since the beginning."""
+        return (self._made + self._others) / max(time.monotonic() - self._began_s, 1e-9)
+
+    @property
+    def status(self) -> Status:
+        """Return how much is done by now, by other processes too."""
+        self._others = max(self.finished() - self._own, 0)
+        counts = self._made and self.done < self.total
+        left_s = (self.total - self.done) / max(self.rate_hz, 1e-9) if counts else None
+        return Status("running", self.title, self.done, self.total, self.unit, self.rate_hz, left_s, self._text)
+
+    def __enter__(self) -> "Progress":
+        if self._bar is not None:
+            self._bar.start()
+        self._write()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+        elif kind is None and self.done > self._shown:
+            self._line()
+        self._write()
+
+    def advance(self, count: int = 1, text: str = "") -> None:
+        """Count units that are done: one just made, or all that an interrupted run has left.
+
+        Args:
+            count: units.
+            text: what else to show, such as losses.
+        """
+        self._own, self._text = self._own + count, text
+        self._made += count == 1
+        if self._bar is not None:
+            status = self.status
+            self._bar.update(self._task, completed=status.done, rate=status.rate, text=text)
+        elif time.monotonic() - self._shown_s > LINE_EVERY_S:
+            self._line()
+        if time.monotonic() - self._written_s > STATUS_EVERY_S:
+            self._write()
+
+    def message(self, text: str) -> None:
+        """Print a line between the counts."""
+        if self._bar is not None:
+            self._bar.console.print(text, highlight=False)
+        else:
+            print(text, file=sys.stderr, flush=True)
+
+    def wait(self, text: str) -> None:
+        """Say what is waited for; the next count ends that."""
+        self.message(text)
+        write_status(Status("waiting", text))
+        self._written_s = -STATUS_EVERY_S
+
+    def _line(self) -> None:
+        status = self.status
+        self._shown, self._shown_s = status.done, time.monotonic()
+        print(status, file=sys.stderr, flush=True)
+
+    def _write(self) -> None:
+        self._written_s = time.monotonic()
+        if STATUS_FILE in os.environ:
+            write_status(self.status)
+
+
+@contextlib.contextmanager
+def waiting(title: str, reason: str) -> Iterator[None]:
+    """Print and report that the work `title` waits inside this block for another process."""
+    print(f"{title} {reason}", flush=True)
+    write_status(Status("waiting", f"{title} {reason}"))
+    yield
+    write_status(Status("running", title))
+
+
+def write_status(status: Status) -> None:
+    """Write the status to the file that the environment names, whole or not at all; nothing if it names none.
+
+    A status that cannot be written is left out: the work itself must not end for it.
+    """
+    if STATUS_FILE not in os.environ:
+        return
+    path = Path(os.environ[STATUS_FILE])
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    with contextlib.suppress(OSError):
+        temporary.write_text(json.dumps(asdict(status)))
+        temporary.replace(path)
+
+
+def read_status(path: Path) -> Status | None:
+    """Return what a process has reported in its status file, None before its first report."""
+    try:
+        return Status(**json.loads(path.read_text()))
+    except FileNotFoundError:
+        return None
+
+
+def clock(seconds: float) -> str:
+    """Return a duration as minutes and seconds, as hours and minutes, or as days."""
+    if seconds < 3600:
+        return f"{int(seconds // 60)}:{int(seconds % 60):02d} min"
+    if seconds < 86400:
+        return f"{int(seconds // 3600)}:{int(seconds % 3600 // 60):02d} h"
+    return f"{seconds / 86400:.1f} days"
+
+
+def _bar() -> "Bar":
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bar
+
+    return Bar(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[rate]}"),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[text]}"),
+        console=Console(stderr=True),
+    )

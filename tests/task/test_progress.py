@@ -1,0 +1,59 @@
+"""Steps of training and testing, counted by Lightning's hooks."""
+
+import pytest
+import torch
+from lightning.pytorch import LightningModule, Trainer
+from torch.utils.data import DataLoader
+
+from omniocc.progress import STATUS_FILE, read_status
+from omniocc.task import StepProgress
+
+
+class Line(LightningModule):
+    def __init__(self):
+        super().__init__()
+        self.weight = torch.nn.Parameter(torch.zeros(()))
+
+    def training_step(self, batch, index):
+        loss = (self.weight - batch.mean()) ** 2
+        self.log("train/loss", loss)
+        return loss
+
+    def test_step(self, batch, index):
+        pass
+
+    def configure_optimizers(self):
+        return torch.optim.SGD(self.parameters(), 0.1)
+
+
+@pytest.fixture
+def trainer(tmp_path, monkeypatch):
+    monkeypatch.setenv(STATUS_FILE, str(tmp_path / "status.json"))
+    return Trainer(
+        callbacks=[StepProgress("depth")],
+        max_steps=6,
+        accelerator="cpu",
+        logger=False,
+        enable_checkpointing=False,
+        enable_model_summary=False,
+        accumulate_grad_batches=2,
+    )
+
+
+def test_steps_of_training_and_testing_are_counted(trainer, tmp_path, capsys):
+    batches = DataLoader(torch.ones(24, 1), batch_size=2)
+    trainer.fit(Line(), batches)
+    status = read_status(tmp_path / "status.json")
+    assert (status.title, status.done, status.total, status.unit) == ("depth train", 6, 6, "steps")
+    assert status.text.startswith("train/loss=")
+    assert "depth train: 6/6 steps" in capsys.readouterr().err
+    trainer.test(Line(), batches, verbose=False)
+    status = read_status(tmp_path / "status.json")
+    assert (status.title, status.done, status.total) == ("depth test", 12, 12)
+
+
+def test_other_processes_than_the_first_are_silent(trainer, tmp_path, capsys):
+    trainer.callbacks[0].disable()
+    trainer.test(Line(), DataLoader(torch.ones(4, 1)), verbose=False)
+    assert not (tmp_path / "status.json").exists()
+    assert "depth test" not in capsys.readouterr().err
