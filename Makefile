@@ -28,9 +28,10 @@ test: $(READY)  ## Run the tests (COVERAGE=1: and print how many lines they ran)
 test-typecheck: $(READY)  ## Run four folders of tests again, with every shape annotation checked
 	$(BIN)/python tools/typecheck.py
 
-lint: $(READY)  ## Check style
+lint: $(READY)  ## Check style and the directions of imports
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	PYTHONPATH=src $(BIN)/lint-imports --no-cache
 
 types: $(READY)  ## Check types
 	$(BIN)/pyright --pythonpath $(BIN)/python
