@@ -199,8 +199,8 @@ def explain(error: Exception, conf: str, config_name: str, arguments: Sequence[s
     cause = error.__cause__
     if isinstance(error, OverrideParseException):
         reason = str(error.message).removeprefix(f"Error parsing override '{error.override}'").strip().splitlines()[0]
-        remedy = "quote lists and texts with commas: 'key=[1,2]'"
-        return f"{error.override}: this cannot be read as key=value ({reason})\n  {remedy}"
+        problem = f"{error.override}: this cannot be read as key=value ({reason})"
+        return f"{problem}\n  quote lists and texts with commas: 'key=[1,2]'"
     if isinstance(error, MissingConfigException) and error.missing_cfg_file and error.options:
         group, _, option = error.missing_cfg_file.rpartition("/")
         close = get_close_matches(option, error.options, n=1)
