@@ -109,6 +109,7 @@ def test_killed_training_continues_to_the_same_figures(tmp_path, data_root, whol
     assert metrics_of(tmp_path, "killed") == pytest.approx(metrics_of(whole[0], "whole"), abs=1e-6, nan_ok=True)
 
 
+@pytest.mark.slow(60)
 def test_stages_run_once_and_are_shared(tmp_path, data_root):
     arguments = smoke(data_root, "model/sketch=omni", "trainer.max_steps=3", "trainer.log_every_n_steps=1")
     logged = ["logger.mode=offline", "pictures=1"]
