@@ -142,6 +142,7 @@ def test_a_loss_that_is_not_finite_is_one_line(tmp_path, data_root):
     assert "frames: train-" in line
 
 
+@pytest.mark.slow(60)
 def test_stages_run_once_and_are_shared(tmp_path, data_root):
     arguments = smoke(data_root, "model/sketch=omni", "trainer.max_steps=3", "trainer.log_every_n_steps=1")
     logged = ["logger.mode=offline", "pictures=1"]

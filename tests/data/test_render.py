@@ -34,6 +34,7 @@ def run(tmp_path, monkeypatch, capsys):
     return call
 
 
+@pytest.mark.slow
 def test_render_check_and_page(run, tmp_path):
     code, out = run("first_scene=2", "scenes=2")
     assert code == 0

@@ -36,6 +36,7 @@ def test_candidates_of_the_frames_that_are_compared_differ_in_number(make_model,
     assert len(counts) > 1
 
 
+@pytest.mark.slow
 def test_a_drive_through_the_file_gives_the_labels_of_the_model(make_model, rig, draw_images, tmp_path):
     model = make_model("model/temporal=mean")
     module = make_module(model, rig)
