@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from omniocc.camera import Rig
-from omniocc.world.assets.material import Material
-from omniocc.world.assets.mesh import Mesh, concatenate
+from omniocc.world.mesh.material import Material
+from omniocc.world.mesh.mesh import Mesh, concatenate
 from omniocc.world.render.caster import Caster, Layers
 from omniocc.world.render.cull import spheres_of
 from omniocc.world.render.light import Light
 from omniocc.world.render.shade import join, make_surfaces
 from omniocc.world.render.shadow import Shadows
-from omniocc.world.render.stage import Stage
+from omniocc.world.render.snapshot import Snapshot
 from omniocc.world.render.weather import draw_light
 
 
@@ -97,14 +97,14 @@ def rig() -> Rig:
     return Rig.load("fisheye6").resized(64, 36)
 
 
-def make_stage(static: Mesh, moving: Mesh, own: Mesh, light: Light, x_m: float = 0.0) -> Stage:
+def make_snapshot(static: Mesh, moving: Mesh, own: Mesh, light: Light, x_m: float = 0.0) -> Snapshot:
     """The ego at (x_m, 0), 2.2 m above the road, not turned."""
     place = np.array([x_m, 0, 2.2], np.float32)
     here = Mesh(own.vertices + place, own.faces, own.uv, own.label, own.material, own.color, own.instance)
     layers = [Caster(static), Caster(moving)]
     surfaces = join([make_surfaces(static), make_surfaces(moving), make_surfaces(own)])
     start = len(static) + len(moving)
-    return Stage(
+    return Snapshot(
         Layers(layers),
         Shadows(layers[0], [layers[1], Caster(here)], np.concatenate([spheres_of(moving), spheres_of(here)]), light),
         surfaces,
@@ -118,12 +118,12 @@ def make_stage(static: Mesh, moving: Mesh, own: Mesh, light: Light, x_m: float =
 
 
 @pytest.fixture(scope="session")
-def stage_of():
-    return make_stage
+def snapshot_of():
+    return make_snapshot
 
 
 @pytest.fixture(scope="session")
-def stage(street, own_car, noon) -> Stage:
-    return make_stage(
+def snapshot(street, own_car, noon) -> Snapshot:
+    return make_snapshot(
         street, make_box([8, 1, 0.2], [12, 2.8, 1.6], 7, material=Material.CAR_PAINT, instance=0), own_car, noon
     )

@@ -8,19 +8,19 @@ import numpy as np
 
 from omniocc.camera import Rig
 from omniocc.world import seeding
-from omniocc.world.assets.mesh import transform
 from omniocc.world.assets.vehicle import ego_car
 from omniocc.world.frame import Box, Frame
+from omniocc.world.mesh.mesh import transform
 from omniocc.world.render.caster import Caster, Layers
 from omniocc.world.render.cull import spheres_of
 from omniocc.world.render.lamp import lamp_pools
 from omniocc.world.render.shade import SurfaceStack, make_surfaces
 from omniocc.world.render.shadow import Shadows
-from omniocc.world.render.stage import Stage
+from omniocc.world.render.snapshot import Snapshot
 from omniocc.world.render.weather import WEATHERS, draw_light, draw_sensor, draw_weather
+from omniocc.world.sensors.geometry_labels import GeometryLabels
 from omniocc.world.sensors.recorder import Capture, Labeller, Recorder
-from omniocc.world.sensors.sample import GeometryLabels
-from omniocc.world.sensors.survey import Survey
+from omniocc.world.sensors.semantic_lidars import Survey
 from omniocc.world.town import place
 from omniocc.world.traffic.traffic import Actor, Traffic
 
@@ -92,18 +92,18 @@ class Scene:
             raise ValueError(f"frame {index}: frames are counted from 0")
         time_s = index * self._interval_s
         world_from_ego = self._traffic.world_from_ego(time_s)
-        stage, actors = self.stage(time_s)
+        snapshot, actors = self.snapshot(time_s)
         boxes = tuple(ego_box(actor, world_from_ego) for actor in actors)
-        return self.recorder.frame(stage, self.sensor, (*self._seed, index), time_s, world_from_ego, boxes)
+        return self.recorder.frame(snapshot, self.sensor, (*self._seed, index), time_s, world_from_ego, boxes)
 
-    def stage(self, time_s: float) -> tuple[Stage, tuple[Actor, ...]]:
+    def snapshot(self, time_s: float) -> tuple[Snapshot, tuple[Actor, ...]]:
         """The world at a moment, ready to be seen, and who moves in it; good until the next call."""
         world_from_ego = self._traffic.world_from_ego(time_s)
         moving_mesh, actors = self._traffic.actors(time_s)
         own_mesh = transform(self._own_car, world_from_ego)
         moving, spheres = Caster(moving_mesh), spheres_of(moving_mesh)
         in_light = np.concatenate([spheres, spheres_of(own_mesh)])
-        stage = Stage(
+        snapshot = Snapshot(
             Layers([self._static, moving]),
             Shadows(self._static, [moving, Caster(own_mesh)], in_light, self._light),
             self._surfaces.topped([make_surfaces(moving_mesh), make_surfaces(own_mesh)]),
@@ -114,7 +114,7 @@ class Scene:
             spheres,
             self._light,
         )
-        return stage, actors
+        return snapshot, actors
 
 
 def ego_box(actor: Actor, world_from_ego: np.ndarray) -> Box:

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 import torch
 
-from omniocc.world.assets.mesh import empty
-from omniocc.world.render.capture import look, record
+from omniocc.world.mesh.mesh import empty
+from omniocc.world.render.capture import record, render_pixels
 from omniocc.world.render.caster import Caster
 from omniocc.world.render.view import make_view
 from omniocc.world.render.weather import draw_light, draw_sensor
-from omniocc.world.sensors.recorder import panorama_directions
+from omniocc.world.sensors.panorama import panorama_directions
 
 
 @pytest.fixture(scope="module")
@@ -17,18 +17,18 @@ def sensor():
     return draw_sensor(np.random.default_rng(0), draw_light("clear", np.random.default_rng(0)))
 
 
-def _take(rig, camera, stage, own_car, sensor, supersample=2):
+def _take(rig, camera, snapshot, own_car, sensor, supersample=2):
     view = make_view(rig, camera, supersample, Caster(own_car))
-    return record(view, stage, sensor, np.random.default_rng(camera))
+    return record(view, snapshot, sensor, np.random.default_rng(camera))
 
 
-def test_range_is_exact_along_the_rigs_rays(rig, stage_of, quad, own_car, noon, sensor):
+def test_range_is_exact_along_the_rigs_rays(rig, snapshot_of, quad, own_car, noon, sensor):
     """On an endless plane 2.2 m below, range is height over sine of the depression."""
     ground = quad([[-2000, -2000, 0], [2000, -2000, 0], [2000, 2000, 0], [-2000, 2000, 0]], 1)
-    stage = stage_of(ground, empty(), empty(), noon)
+    snapshot = snapshot_of(ground, empty(), empty(), noon)
     for camera in (0, 2, 5):
         directions, valid = (part.numpy() for part in rig.rays(camera))
-        picture = _take(rig, camera, stage, empty(), sensor)
+        picture = _take(rig, camera, snapshot, empty(), sensor)
         down = valid & (directions[..., 2] < -0.01)
         height = 2.2 + float(rig.ego_from_camera[camera, 2, 3])
         np.testing.assert_allclose(picture.range_m[down], height / -directions[..., 2][down], rtol=2e-5)
@@ -38,8 +38,8 @@ def test_range_is_exact_along_the_rigs_rays(rig, stage_of, quad, own_car, noon, 
         assert (picture.label[sky] == 0).all()
 
 
-def test_outside_the_lens_is_black_and_unknown(rig, stage, own_car, sensor):
-    picture = _take(rig, 0, stage, own_car, sensor)
+def test_outside_the_lens_is_black_and_unknown(rig, snapshot, own_car, sensor):
+    picture = _take(rig, 0, snapshot, own_car, sensor)
     outside = ~rig.rays(0)[1].numpy()
     assert 0.02 < outside.mean() < 0.5
     assert (picture.rgb[outside] == 0).all()
@@ -48,8 +48,8 @@ def test_outside_the_lens_is_black_and_unknown(rig, stage, own_car, sensor):
     assert picture.rgb[~outside].mean() > 40
 
 
-def test_own_car_is_seen_at_the_bottom_and_has_no_range(rig, stage, own_car, sensor):
-    picture = _take(rig, 0, stage, own_car, sensor)
+def test_own_car_is_seen_at_the_bottom_and_has_no_range(rig, snapshot, own_car, sensor):
+    picture = _take(rig, 0, snapshot, own_car, sensor)
     own = (picture.label == 255) & rig.rays(0)[1].numpy()
     rows = np.flatnonzero(own.any(axis=1))
     assert rows[-1] == 35
@@ -59,18 +59,18 @@ def test_own_car_is_seen_at_the_bottom_and_has_no_range(rig, stage, own_car, sen
     assert red > 1.3 * green
 
 
-def test_cameras_and_lidar_agree_on_points_that_both_see(rig, stage, own_car, sensor):
+def test_cameras_and_lidar_agree_on_points_that_both_see(rig, snapshot, own_car, sensor):
     """A pixel's point, looked at from the ego origin, has the same class unless something stands before it."""
     from omniocc.world.sensors.lidar import scan_ego
 
     agree, same = [], []
     for camera in range(6):
-        picture = _take(rig, camera, stage, own_car, sensor)
+        picture = _take(rig, camera, snapshot, own_car, sensor)
         directions = rig.rays(camera)[0].numpy()
         seen = np.isfinite(picture.range_m)
         points = rig.ego_from_camera[camera, :3, 3].numpy() + directions[seen] * picture.range_m[seen][:, None]
         distance = np.linalg.norm(points, axis=1)
-        range_m, labels = scan_ego(stage, (points / distance[:, None]).astype(np.float32).T)
+        range_m, labels = scan_ego(snapshot, (points / distance[:, None]).astype(np.float32).T)
         open_view = range_m > distance - 1e-3 * distance
         agree.append(np.abs(range_m[open_view] - distance[open_view]) < 2e-3 * distance[open_view])
         same.append(labels[open_view] == picture.label[seen][open_view])
@@ -79,8 +79,8 @@ def test_cameras_and_lidar_agree_on_points_that_both_see(rig, stage, own_car, se
     assert np.concatenate(same).mean() > 0.985
 
 
-def test_supersampling_changes_colours_at_borders_only(rig, stage, own_car, sensor):
-    once, smooth = (_take(rig, 0, stage, own_car, sensor, s) for s in (1, 3))
+def test_supersampling_changes_colours_at_borders_only(rig, snapshot, own_car, sensor):
+    once, smooth = (_take(rig, 0, snapshot, own_car, sensor, s) for s in (1, 3))
     assert np.array_equal(once.label, smooth.label)
     assert np.array_equal(once.range_m, smooth.range_m, equal_nan=True)
     changed = (once.rgb != smooth.rgb).any(axis=-1)
@@ -88,8 +88,8 @@ def test_supersampling_changes_colours_at_borders_only(rig, stage, own_car, sens
     view = make_view(rig, 0, 3, Caster(own_car))
     rays = view.extra.shape[2]
     label, other = (
-        np.where(hits.face >= 0, stage.surfaces.label[hits.face], 0)
-        for hits in (stage.cast(view.origin_m, part.reshape(3, -1)) for part in (view.center, view.extra))
+        np.where(hits.face >= 0, snapshot.surfaces.label[hits.face], 0)
+        for hits in (snapshot.cast(view.origin_m, part.reshape(3, -1)) for part in (view.center, view.extra))
     )
     mixed = (other.reshape(-1, rays) != label[:, None]).any(axis=1)
     mixed &= (view.own_center.face < 0) & (view.own_extra.face < 0).reshape(-1, rays).all(axis=1)
@@ -97,13 +97,13 @@ def test_supersampling_changes_colours_at_borders_only(rig, stage, own_car, sens
     assert changed.ravel()[view.pixel[mixed]].mean() > 0.95
 
 
-def test_a_pixel_on_an_edge_shows_both_sides_in_proportion(rig, stage_of, quad, own_car, noon):
+def test_a_pixel_on_an_edge_shows_both_sides_in_proportion(rig, snapshot_of, quad, own_car, noon):
     """The wall's upper edge against an even sky: colours lie between the two, by the share of rays that meet each."""
     wall = quad([[10, -40, 0], [10, 40, 0], [10, 40, 3.3], [10, -40, 3.3]], 4)
-    stage = stage_of(wall, empty(), empty(), replace(noon, glow=0.0, cloud_cover=0.0, zenith=noon.horizon))
+    snapshot = snapshot_of(wall, empty(), empty(), replace(noon, glow=0.0, cloud_cover=0.0, zenith=noon.horizon))
     view = make_view(rig, 0, 2, Caster(empty()))
-    seen, once = look(view, stage), look(replace(view, extra=view.extra[:, :, :0]), stage)
-    on_wall = stage.cast(view.origin_m, view.extra.reshape(3, -1)).face.reshape(-1, 3) >= 0
+    seen, once = render_pixels(view, snapshot), render_pixels(replace(view, extra=view.extra[:, :, :0]), snapshot)
+    on_wall = snapshot.cast(view.origin_m, view.extra.reshape(3, -1)).face.reshape(-1, 3) >= 0
     share = (on_wall.sum(axis=1) + (once.label == 4)) / 4
     sky = once.color[:, once.label == 0].mean(axis=1)
     edge = np.flatnonzero((share > 0) & (share < 1) & (once.label == 4))
@@ -112,10 +112,10 @@ def test_a_pixel_on_an_edge_shows_both_sides_in_proportion(rig, stage_of, quad, 
     np.testing.assert_allclose(seen.color[:, edge], expected, atol=0.03)
 
 
-def test_mask_of_the_rig_blanks_pixels(rig, stage, own_car, sensor):
+def test_mask_of_the_rig_blanks_pixels(rig, snapshot, own_car, sensor):
     mask = torch.ones(36, 64, dtype=torch.bool)
     mask[10:14, 30:40] = False
-    picture = _take(replace(rig, masks=(mask, *[None] * 5)), 0, stage, own_car, sensor)
+    picture = _take(replace(rig, masks=(mask, *[None] * 5)), 0, snapshot, own_car, sensor)
     assert (picture.label[10:14, 30:40] == 255).all()
     assert (picture.rgb[10:14, 30:40] == 0).all()
 

@@ -80,7 +80,7 @@ def test_blocked_sees_every_layer(quad, box):
 
 
 def test_an_empty_mesh_is_never_hit(street):
-    from omniocc.world.assets.mesh import empty
+    from omniocc.world.mesh.mesh import empty
 
     hits = Layers([Caster(empty())]).cast(np.zeros((2, 3), np.float32), np.repeat(_DOWN, 2, 0))
     assert np.isinf(hits.range_m).all()

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from omniocc.world.assets.mesh import concatenate, empty
+from omniocc.world.mesh.mesh import concatenate, empty
 from omniocc.world.render.caster import Caster
 from omniocc.world.render.cull import ShadowMask, make_cones, meets, spheres_of
 from omniocc.world.render.shadow import Shadows
@@ -81,14 +81,14 @@ def test_shadows_equal_those_of_all_casters(crates, street, noon):
     assert 0.02 < expected.mean() < 0.9
 
 
-def test_casting_with_culling_equals_casting_without(stage, rig):
+def test_casting_with_culling_equals_casting_without(snapshot, rig):
     from omniocc.world.render.view import make_view
 
     view = make_view(rig, 0, 1, Caster(empty()))
-    maybe = stage.meets(view.cones, view.origin_m)[view.cones.bundle]
-    culled, full = stage.cast(view.origin_m, view.center, None, maybe), stage.cast(view.origin_m, view.center)
+    maybe = snapshot.meets(view.cones, view.origin_m)[view.cones.bundle]
+    culled, full = snapshot.cast(view.origin_m, view.center, None, maybe), snapshot.cast(view.origin_m, view.center)
     for one, other in zip(culled, full, strict=True):
         assert np.array_equal(one, other)
-    moving = full.face >= stage.layers.offsets[1]
+    moving = full.face >= snapshot.layers.offsets[1]
     assert moving.sum() > 10
     assert maybe.mean() < 0.5

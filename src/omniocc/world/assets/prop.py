@@ -5,20 +5,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from omniocc.world.assets.material import Material
-from omniocc.world.assets.mesh import Mesh, concatenate
-from omniocc.world.assets.shape import Color, Skin, box, lathe
+from omniocc.world.mesh.label import OTHER
+from omniocc.world.mesh.material import Material
+from omniocc.world.mesh.mesh import Mesh, concatenate
+from omniocc.world.mesh.shape import Color, Skin, box, lathe
+from omniocc.world.seeding import choice
 
-_OTHER = 8
 _COLORS: tuple[Color, ...] = ((46, 92, 64), (60, 66, 74), (168, 52, 44), (38, 78, 134), (196, 150, 48), (120, 120, 124))
 
 
 def _skin(rng: np.random.Generator, material: Material) -> Skin:
-    return Skin(_OTHER, material, _COLORS[int(rng.integers(len(_COLORS)))])
+    return Skin(OTHER, material, choice(rng, _COLORS))
 
 
-_STEEL = Skin(_OTHER, Material.METAL, (98, 102, 106))
-_WOOD = Skin(_OTHER, Material.WOOD, (150, 112, 74))
+_STEEL = Skin(OTHER, Material.METAL, (98, 102, 106))
+_WOOD = Skin(OTHER, Material.WOOD, (150, 112, 74))
 
 
 def bench(rng: np.random.Generator) -> Mesh:
@@ -35,13 +36,13 @@ def bin_(rng: np.random.Generator) -> Mesh:
     skin = _skin(rng, Material.METAL)
     if rng.uniform() < 0.5:
         return lathe([0.22, 0.26, 0.27, 0.2, 0], [-0.05, 0.85, 0.92, 1.0, 1.02], 9, skin)
-    lid = Skin(_OTHER, Material.RUBBER, (60, 62, 64))
+    lid = Skin(OTHER, Material.RUBBER, (60, 62, 64))
     return concatenate([box((0.56, 0.62, 1.0), (0, 0, 0.5), skin), box((0.6, 0.68, 0.08), (0, 0, 1.04), lid)])
 
 
 def hydrant(rng: np.random.Generator) -> Mesh:
     """Fire hydrant."""
-    skin = Skin(_OTHER, Material.METAL, (188, 44, 36) if rng.uniform() < 0.7 else (214, 176, 44))
+    skin = Skin(OTHER, Material.METAL, (188, 44, 36) if rng.uniform() < 0.7 else (214, 176, 44))
     body = lathe([0.17, 0.17, 0.12, 0.12, 0.16, 0.12, 0], [-0.05, 0.08, 0.1, 0.55, 0.58, 0.7, 0.78], 6, skin)
     return concatenate([body, box((0.4, 0.12, 0.12), (0, 0, 0.45), skin)])
 
@@ -49,7 +50,7 @@ def hydrant(rng: np.random.Generator) -> Mesh:
 def shelter(rng: np.random.Generator) -> Mesh:
     """Bus shelter: roof, glass back and one glass end, bench."""
     length = float(rng.uniform(2.8, 4.0))
-    glass = Skin(_OTHER, Material.GLASS, (126, 148, 156))
+    glass = Skin(OTHER, Material.GLASS, (126, 148, 156))
     posts = [box((0.08, 0.08, 2.4), (x, y, 1.2), _STEEL) for x in (-length / 2, length / 2) for y in (-0.6, 0.5)]
     back = box((length - 0.1, 0.03, 1.8), (0, -0.6, 1.15), glass)
     end = box((0.03, 0.95, 1.8), (-length / 2, -0.05, 1.15), glass)
@@ -64,7 +65,7 @@ def kiosk(rng: np.random.Generator) -> Mesh:
     return concatenate(
         [
             box((2.4, 1.6, 2.5), (0, 0, 1.2), body),
-            box((1.8, 0.04, 1.0), (0, 0.81, 1.5), Skin(_OTHER, Material.GLASS, (90, 104, 112))),
+            box((1.8, 0.04, 1.0), (0, 0.81, 1.5), Skin(OTHER, Material.GLASS, (90, 104, 112))),
             box((2.6, 1.8, 0.25), (0, 0, 2.55), band),
             box((2.2, 0.5, 0.06), (0, 1.05, 2.3), band),
         ]
@@ -76,7 +77,7 @@ def cabinet(rng: np.random.Generator) -> Mesh:
     kind = int(rng.integers(3))
     if kind == 0:
         width, height = float(rng.uniform(0.7, 1.3)), float(rng.uniform(1.0, 1.4))
-        return box((width, 0.4, height), (0, 0, height / 2), Skin(_OTHER, Material.METAL, (142, 148, 140)))
+        return box((width, 0.4, height), (0, 0, height / 2), Skin(OTHER, Material.METAL, (142, 148, 140)))
     if kind == 1:
         skin = _skin(rng, Material.METAL)
         return concatenate([box((0.5, 0.42, 0.75), (0, 0, 0.95), skin), box((0.34, 0.3, 0.65), (0, 0, 0.28), _STEEL)])
@@ -94,8 +95,8 @@ def bollards(rng: np.random.Generator) -> Mesh:
 def planter(rng: np.random.Generator) -> Mesh:
     """Stone tub; what grows in it is planted separately."""
     size = float(rng.uniform(0.9, 1.4))
-    tub = Skin(_OTHER, Material.CONCRETE, (150, 146, 138))
-    return box((size, 0.7, 0.6), (0, 0, 0.28), tub, Skin(_OTHER, Material.SOIL, (84, 66, 48)))
+    tub = Skin(OTHER, Material.CONCRETE, (150, 146, 138))
+    return box((size, 0.7, 0.6), (0, 0, 0.28), tub, Skin(OTHER, Material.SOIL, (84, 66, 48)))
 
 
 def crates(rng: np.random.Generator) -> Mesh:
@@ -120,7 +121,7 @@ def pallets(rng: np.random.Generator) -> Mesh:
 
 def bales(rng: np.random.Generator) -> Mesh:
     """Hay bales."""
-    hay = Skin(_OTHER, Material.CLOTH, (190, 162, 92))
+    hay = Skin(OTHER, Material.CLOTH, (190, 162, 92))
     parts = [box((1.1, 0.8, 0.7), (0.0, 0, 0.34), hay), box((1.0, 0.8, 0.7), (0.1, 0.05, 1.02), hay)]
     return concatenate(parts[: int(rng.integers(1, 3))])
 

@@ -4,14 +4,14 @@ from collections.abc import Callable
 
 import numpy as np
 
-from omniocc.world.assets.material import Material
-from omniocc.world.assets.mesh import Mesh, concatenate
-from omniocc.world.assets.shape import Color, Skin, blob, lathe
+from omniocc.world.mesh.label import VEGETATION
+from omniocc.world.mesh.material import Material
+from omniocc.world.mesh.mesh import Mesh, concatenate
+from omniocc.world.mesh.shape import Color, Skin, blob, lathe
 
-_VEGETATION = 6
-LEAVES = Skin(_VEGETATION, Material.LEAVES, (80, 112, 52))
-_BARK = Skin(_VEGETATION, Material.BARK, (94, 76, 58))
-_BIRCH = Skin(_VEGETATION, Material.BARK, (198, 194, 184))
+LEAVES = Skin(VEGETATION, Material.LEAVES, (80, 112, 52))
+_BARK = Skin(VEGETATION, Material.BARK, (94, 76, 58))
+_BIRCH = Skin(VEGETATION, Material.BARK, (198, 194, 184))
 LEAF_COLORS: tuple[Color, ...] = (
     (72, 104, 46),
     (92, 120, 52),

@@ -4,11 +4,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from omniocc.world.assets.material import Material
-from omniocc.world.assets.mesh import Mesh, concatenate, transform
-from omniocc.world.assets.shape import Color, Number, Skin, beam, blob, box, lathe, loft, panel, quads
+from omniocc.world.mesh.label import VEHICLE
+from omniocc.world.mesh.material import Material
+from omniocc.world.mesh.mesh import Mesh, concatenate, transform
+from omniocc.world.mesh.shape import Color, Number, Skin, beam, blob, box, lathe, loft, panel, quads
+from omniocc.world.seeding import choice
 
-_VEHICLE = 7
 EGO_ROAD_M = -2.2  # height of the road in the ego frame
 PAINTS: tuple[Color, ...] = (
     (196, 198, 200),
@@ -22,14 +23,14 @@ PAINTS: tuple[Color, ...] = (
     (116, 84, 64),
     (150, 176, 196),
 )
-_PAINT = Skin(_VEHICLE, Material.CAR_PAINT, (150, 150, 150))
-_GLASS = Skin(_VEHICLE, Material.GLASS, (38, 46, 54))
-_RUBBER = Skin(_VEHICLE, Material.RUBBER, (30, 30, 32))
-_RIM = Skin(_VEHICLE, Material.METAL, (150, 152, 154))
-_TRIM = Skin(_VEHICLE, Material.RUBBER, (44, 44, 48))
-_HEADLIGHT = Skin(_VEHICLE, Material.GLASS, (226, 228, 220))
-_TAIL_LIGHT = Skin(_VEHICLE, Material.SIGN, (170, 24, 24))
-_PLATE = Skin(_VEHICLE, Material.SIGN, (226, 226, 220))
+_PAINT = Skin(VEHICLE, Material.CAR_PAINT, (150, 150, 150))
+_GLASS = Skin(VEHICLE, Material.GLASS, (38, 46, 54))
+_RUBBER = Skin(VEHICLE, Material.RUBBER, (30, 30, 32))
+_RIM = Skin(VEHICLE, Material.METAL, (150, 152, 154))
+_TRIM = Skin(VEHICLE, Material.RUBBER, (44, 44, 48))
+_HEADLIGHT = Skin(VEHICLE, Material.GLASS, (226, 228, 220))
+_TAIL_LIGHT = Skin(VEHICLE, Material.SIGN, (170, 24, 24))
+_PLATE = Skin(VEHICLE, Material.SIGN, (226, 226, 220))
 
 
 def _wheel(x_m: Number, y_m: Number, radius_m: Number) -> Mesh:
@@ -154,7 +155,7 @@ def truck(rng: np.random.Generator) -> Mesh:
     """Cab and cargo box."""
     length, width, height = rng.uniform(6.5, 8.2), rng.uniform(2.2, 2.4), rng.uniform(2.8, 3.4)
     h, w, cab = length / 2, width / 2, 1.9
-    cargo = Skin(_VEHICLE, Material.METAL, ((214, 214, 208), (92, 120, 140), (186, 120, 60))[int(rng.integers(3))])
+    cargo = Skin(VEHICLE, Material.METAL, choice(rng, ((214, 214, 208), (92, 120, 140), (186, 120, 60))))
     outline = np.array([(h - cab, 0.5), (h, 0.5), (h, 1.3), (h - 0.35, 2.35), (h - cab, 2.45)])
     parts = [loft(outline, np.full(5, 0.95 * w), [_TRIM, _PAINT, _GLASS, _PAINT, _PAINT], _PAINT)]
     parts += [box((0.8, 0.02, 0.7), (h - 0.95, s * 0.96 * w, 1.75), _GLASS) for s in (-1, 1)]
@@ -176,7 +177,7 @@ def bus(rng: np.random.Generator) -> Mesh:
         for s in (-1, 1)
     ]
     parts += [box((0.02, width - 0.3, 1.3), (end * (h + 0.005), 0, 0.58 * height), _GLASS) for end in (-1, 1)]
-    parts.append(box((0.04, 1.4, 0.25), (h + 0.01, 0, height - 0.2), Skin(_VEHICLE, Material.LAMP, (240, 190, 60))))
+    parts.append(box((0.04, 1.4, 0.25), (h + 0.01, 0, height - 0.2), Skin(VEHICLE, Material.LAMP, (240, 190, 60))))
     parts.append(box((1.6, 1.4, 0.25), (-1.0, 0, height + 0.1), _TRIM))
     parts += [_wheel(x * length, s * (w - 0.1), 0.46) for x in (-0.28, 0.3) for s in (-1, 1)]
     return concatenate(parts + _lights(length, width, 0.75, 0.9))
@@ -184,10 +185,10 @@ def bus(rng: np.random.Generator) -> Mesh:
 
 def bicycle(rng: np.random.Generator) -> Mesh:
     """Bicycle with its rider."""
-    frame = Skin(_VEHICLE, Material.METAL, PAINTS[int(rng.integers(len(PAINTS)))])
-    cloth = Skin(_VEHICLE, Material.CLOTH, PAINTS[int(rng.integers(len(PAINTS)))])
-    trousers = Skin(_VEHICLE, Material.CLOTH, (52, 56, 72))
-    skin = Skin(_VEHICLE, Material.SKIN, (198, 150, 122))
+    frame = Skin(VEHICLE, Material.METAL, choice(rng, PAINTS))
+    cloth = Skin(VEHICLE, Material.CLOTH, choice(rng, PAINTS))
+    trousers = Skin(VEHICLE, Material.CLOTH, (52, 56, 72))
+    skin = Skin(VEHICLE, Material.SKIN, (198, 150, 122))
     wheels = [
         transform(
             lathe([0.33, 0.35, 0.33], [-0.025, 0, 0.025], 10, _RUBBER),

@@ -9,7 +9,7 @@ from omniocc.world.render.caster import Hits
 from omniocc.world.render.light import Light, Sensor, develop
 from omniocc.world.render.rain import streaks
 from omniocc.world.render.shade import Shading, shade
-from omniocc.world.render.stage import Stage
+from omniocc.world.render.snapshot import Snapshot
 from omniocc.world.render.view import View
 
 _STEP_M = 0.08  # a step between two planes at the eye's scale that is worth smoothing
@@ -17,7 +17,7 @@ _STEP_SHARE = 0.02
 _SKY_M = 1e4
 
 
-class Picture(NamedTuple):
+class CameraImage(NamedTuple):
     """One image: `rgb` (H, W, 3) uint8, `label` (H, W) uint8, `range_m` (H, W) float32, as in `omniocc.world.Frame`."""
 
     rgb: np.ndarray
@@ -25,7 +25,7 @@ class Picture(NamedTuple):
     range_m: np.ndarray
 
 
-class Look(NamedTuple):
+class RenderedPixels(NamedTuple):
     """What P pixels see.
 
     Attributes:
@@ -43,56 +43,56 @@ class Look(NamedTuple):
     own: np.ndarray
 
 
-def look(view: View, stage: Stage) -> Look:
+def render_pixels(view: View, snapshot: Snapshot) -> RenderedPixels:
     """Casts the pixels' rays.
 
     Every pixel gets a ray through its centre, which decides class and range. Where neighbours see different surfaces,
     or light beside shadow, further rays are cast and the colours averaged in linear light; elsewhere the texture's mip
     levels are average enough.
     """
-    maybe = stage.meets(view.cones, view.origin_m)[view.cones.bundle]
-    hits = stage.cast(view.origin_m, view.center, _own_hits(view.own_center, stage), maybe)
-    seen = _shade(view, stage, hits, view.center)
-    color, key = seen.color, np.where(hits.face >= 0, stage.surfaces.key.take(hits.face), 0)
+    maybe = snapshot.meets(view.cones, view.origin_m)[view.cones.bundle]
+    hits = snapshot.cast(view.origin_m, view.center, _own_hits(view.own_center, snapshot), maybe)
+    seen = _shade(view, snapshot, hits, view.center)
+    color, key = seen.color, np.where(hits.face >= 0, snapshot.surfaces.key.take(hits.face), 0)
     if view.extra.shape[2]:
         surface, shadow = _borders(view, key, seen, hits.range_m)
         index = np.flatnonzero(surface | shadow)
-        color[:, index] = _smooth(view, stage, index, hits.face[index], shadow[index], color[:, index], maybe[index])
-    label = np.where(hits.face >= 0, stage.surfaces.label.take(hits.face), np.uint8(0))
-    return Look(color, label, hits.range_m, key, hits.face >= stage.own_start)
+        color[:, index] = _smooth(view, snapshot, index, hits.face[index], shadow[index], color[:, index], maybe[index])
+    label = np.where(hits.face >= 0, snapshot.surfaces.label.take(hits.face), np.uint8(0))
+    return RenderedPixels(color, label, hits.range_m, key, hits.face >= snapshot.own_start)
 
 
-def expose(view: View, seen: Look, light: Light, sensor: Sensor, rng: np.random.Generator) -> Picture:
+def expose(view: View, seen: RenderedPixels, light: Light, sensor: Sensor, rng: np.random.Generator) -> CameraImage:
     """The picture of what is seen: rain before the lens, exposure and noise; own car and lens rim without a class."""
     color = seen.color
     if light.streaks:
         drops = streaks(view.size, view.pixel, rng) * light.streaks
         color = color + (0.9 * light.horizon[:, None] - color) * drops
     rgb = develop(color, sensor, view.falloff, rng)
-    return Picture(
+    return CameraImage(
         _image(view, rgb, 0),
         _image(view, np.where(seen.own, np.uint8(UNKNOWN), seen.label), UNKNOWN),
         _image(view, np.where(seen.own, np.float32(np.nan), seen.range_m), np.nan),
     )
 
 
-def record(view: View, stage: Stage, sensor: Sensor, rng: np.random.Generator) -> Picture:
+def record(view: View, snapshot: Snapshot, sensor: Sensor, rng: np.random.Generator) -> CameraImage:
     """Takes one picture; `rng` draws drops and noise."""
-    return expose(view, look(view, stage), stage.light, sensor, rng)
+    return expose(view, render_pixels(view, snapshot), snapshot.light, sensor, rng)
 
 
-def _shade(view: View, stage: Stage, hits: Hits, directions_ego: np.ndarray) -> Shading:
-    eye, directions = stage.place(view.origin_m), stage.turn(directions_ego)
-    return shade(hits, eye, directions, stage.surfaces, stage.shadows, stage.light, view.pixel_rad)
+def _shade(view: View, snapshot: Snapshot, hits: Hits, directions_ego: np.ndarray) -> Shading:
+    eye, directions = snapshot.world_point(view.origin_m), snapshot.world_directions(directions_ego)
+    return shade(hits, eye, directions, snapshot.surfaces, snapshot.shadows, snapshot.light, view.pixel_rad)
 
 
-def _own_hits(own: Hits, stage: Stage) -> Hits:
-    return own._replace(face=np.where(own.face >= 0, own.face + stage.own_start, -1))
+def _own_hits(own: Hits, snapshot: Snapshot) -> Hits:
+    return own._replace(face=np.where(own.face >= 0, own.face + snapshot.own_start, -1))
 
 
 def _smooth(
     view: View,
-    stage: Stage,
+    snapshot: Snapshot,
     index: np.ndarray,
     face: np.ndarray,
     shadow: np.ndarray,
@@ -106,10 +106,10 @@ def _smooth(
     count = view.extra.shape[2]
     directions = np.take(view.extra, index, axis=1).reshape(3, -1)
     rays = (index[:, None] * count + np.arange(count)).ravel()
-    hits = stage.cast(view.origin_m, directions, _own_hits(view.own_extra.take(rays), stage), maybe.repeat(count))
+    hits = snapshot.cast(view.origin_m, directions, _own_hits(view.own_extra.take(rays), snapshot), maybe.repeat(count))
     color = center_color.repeat(count, axis=1)
     other = np.flatnonzero((hits.face != face.repeat(count)) | shadow.repeat(count))
-    color[:, other] = _shade(view, stage, hits.take(other), np.take(directions, other, axis=1)).color
+    color[:, other] = _shade(view, snapshot, hits.take(other), np.take(directions, other, axis=1)).color
     color, total = color.reshape(3, len(index), count), center_color
     for ray in range(count):
         total = total + np.minimum(color[:, :, ray], 4.0)

@@ -10,9 +10,9 @@ import numpy as np
 import torch
 
 from omniocc.camera import Pinhole, Rig
-from omniocc.world.render.capture import Look, look
+from omniocc.world.render.capture import RenderedPixels, render_pixels
 from omniocc.world.render.caster import Caster
-from omniocc.world.render.stage import Stage
+from omniocc.world.render.snapshot import Snapshot
 from omniocc.world.render.view import View, make_view
 
 _MARGIN_PX = 1  # beyond 90 degrees, so that pixels at a face's edge have neighbours to blend with
@@ -108,13 +108,13 @@ def _face_views(
     return tuple(make_view(rig, number, supersample, own_car) for number in range(len(faces)))
 
 
-def look_through(cube: Cube, stage: Stage) -> Look:
+def render_through_cube(cube: Cube, snapshot: Snapshot) -> RenderedPixels:
     """What the camera's pixels see in the faces.
 
     Colours are blended bilinearly. Ranges are blended as inverse distances along the face's axis, which is exact on a
     plane, where all four face pixels see one surface; elsewhere, and for classes, the nearest face pixel decides.
     """
-    seen = [look(face, stage) for face in cube.faces]
+    seen = [render_pixels(face, snapshot) for face in cube.faces]
     colors = np.concatenate([part.color for part in seen], axis=1)
     key, label, range_m, own = (
         np.concatenate([getattr(part, name) for part in seen]) for name in ("key", "label", "range_m", "own")
@@ -125,4 +125,4 @@ def look_through(cube: Cube, stage: Stage) -> Look:
     even = (key[cube.corner] == key[cube.nearest]).all(axis=0)
     with np.errstate(divide="ignore"):
         distance = 1 / (np.where(even, blended, inverse[cube.nearest]) * cube.own_forward)
-    return Look(color, label[cube.nearest], distance, key[cube.nearest], own[cube.nearest])
+    return RenderedPixels(color, label[cube.nearest], distance, key[cube.nearest], own[cube.nearest])

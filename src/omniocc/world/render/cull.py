@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from omniocc.world.assets.mesh import Mesh
+from omniocc.world.mesh.mesh import Mesh
 
 _CELL_M = 0.5
 _SIDE = 256  # cells; the shadow mask repeats after 128 m

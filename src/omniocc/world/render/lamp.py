@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from omniocc.world.assets.material import Material
-from omniocc.world.assets.mesh import Mesh
+from omniocc.world.mesh.label import VEHICLE
+from omniocc.world.mesh.material import Material
+from omniocc.world.mesh.mesh import Mesh
 from omniocc.world.render.light import Light
 
-_VEHICLE = 7
 _WARM = np.array([1.0, 0.78, 0.50], np.float32)
 _CELL_M = 0.5
 _SIDE = 1024  # cells; the map repeats after 512 m
@@ -17,7 +17,7 @@ _HEIGHT_M = 6.0
 def lamp_strength(mesh: Mesh) -> np.ndarray:
     """(F,) float32 light of its own, as a multiple of the base colour: lamps, head and tail lights; otherwise 0."""
     red, green, blue = mesh.color.astype(np.int32).T
-    vehicle = mesh.label == _VEHICLE
+    vehicle = mesh.label == VEHICLE
     head = vehicle & (mesh.material == Material.GLASS) & (np.minimum(red, blue) > 200)
     tail = vehicle & (mesh.material == Material.SIGN) & (red > 120) & (np.maximum(green, blue) < 60)
     strength = np.where(mesh.material == Material.LAMP, np.float32(4), np.float32(0))

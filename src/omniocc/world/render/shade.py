@@ -1,18 +1,18 @@
-"""From hits to colours: what each triangle looks like, and the light that it sends to the camera."""
+"""From hits to colours: what each triangle rendered like, and the light that it sends to the camera."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from omniocc.world.assets.material import Material
-from omniocc.world.assets.mesh import Mesh
+from omniocc.world.mesh.material import Material
+from omniocc.world.mesh.mesh import Mesh
 from omniocc.world.render.caster import Hits
 from omniocc.world.render.lamp import lamp_light, lamp_strength
 from omniocc.world.render.light import Light, ambient, standing_water
 from omniocc.world.render.shadow import Shadows
 from omniocc.world.render.sky import sky_color
-from omniocc.world.render.texture import layer_of, sample
+from omniocc.world.render.texture.atlas import layer_of, sample
 
 _GLOSS = {Material.GLASS: 0.9, Material.CAR_PAINT: 0.5, Material.METAL: 0.15, Material.FACADE: 0.0}
 _GLAZED = (Material.FACADE, Material.GLASS)

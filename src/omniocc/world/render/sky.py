@@ -5,7 +5,7 @@ from functools import lru_cache
 import numpy as np
 
 from omniocc.world.render.light import Light
-from omniocc.world.render.pattern import fractal
+from omniocc.world.render.texture.pattern import fractal
 
 _SIZE = 512
 

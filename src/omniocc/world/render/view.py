@@ -8,7 +8,7 @@ import torch
 from omniocc.camera import Rig
 from omniocc.world.render.caster import Caster, Hits
 from omniocc.world.render.cull import Cones, make_cones
-from omniocc.world.render.stage import repeat
+from omniocc.world.render.snapshot import repeat
 
 _TILES = 32  # across the image
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from omniocc.world.render.stage import Stage
+from omniocc.world.assets.vehicle import EGO_ROAD_M
+from omniocc.world.render.snapshot import Snapshot
 
-ROAD_M = -2.2  # height of the road under the ego origin
 FARTHEST_M = 46.0  # of a point from its LiDAR: beyond, points are too sparse to fill voxels
 
 
@@ -27,7 +27,7 @@ def inner_rays() -> np.ndarray:
     On flat ground they are a polar raster as fine as the innermost cells of a cylinder; above it even angles up to +30
     degrees.
     """
-    return _neighbors_first(np.concatenate([_polar_rays(), _upper_rays(-ROAD_M, 8.0, 1.2)], axis=1))
+    return _neighbors_first(np.concatenate([_polar_rays(), _upper_rays(-EGO_ROAD_M, 8.0, 1.2)], axis=1))
 
 
 def outer_rays() -> np.ndarray:
@@ -42,7 +42,7 @@ def outer_rays() -> np.ndarray:
 def _polar_rays() -> np.ndarray:
     rings = np.concatenate([np.arange(0.05, 4.0, 0.1), np.arange(4.1, 7.0, 0.2)])
     radius_m, azimuth = np.meshgrid(rings, (np.arange(400) + 0.5) * (2 * np.pi / 400), indexing="ij")
-    return np.ascontiguousarray(_unit(azimuth.ravel(), np.arctan2(ROAD_M, radius_m.ravel())).T)
+    return np.ascontiguousarray(_unit(azimuth.ravel(), np.arctan2(EGO_ROAD_M, radius_m.ravel())).T)
 
 
 def _sunflower_rays(height_m: float, radius_m: float, count: int) -> np.ndarray:
@@ -81,8 +81,8 @@ def _unit(azimuth: np.ndarray, elevation: np.ndarray) -> np.ndarray:
     return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=1).astype(np.float32)
 
 
-def scan_ego(stage: Stage, directions_ego: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def scan_ego(snapshot: Snapshot, directions_ego: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Range (R,) float32 and class (R,) uint8 along rays (3, R) from the ego origin; inf and 0 where nothing is hit."""
-    hits = stage.cast(np.zeros(3), directions_ego)
-    labels = np.where(hits.face >= 0, stage.surfaces.label[hits.face], 0).astype(np.uint8)
+    hits = snapshot.cast(np.zeros(3), directions_ego)
+    labels = np.where(hits.face >= 0, snapshot.surfaces.label[hits.face], 0).astype(np.uint8)
     return hits.range_m, labels

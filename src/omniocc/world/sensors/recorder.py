@@ -7,33 +7,25 @@ from typing import Literal, Protocol, runtime_checkable
 import numpy as np
 
 from omniocc.camera import Rig
-from omniocc.world.assets.mesh import Mesh
 from omniocc.world.frame import Box, Frame
-from omniocc.world.render.capture import Look, Picture, expose, look
+from omniocc.world.mesh.mesh import Mesh
+from omniocc.world.render.capture import CameraImage, RenderedPixels, expose, render_pixels
 from omniocc.world.render.caster import Caster
-from omniocc.world.render.cubemap import look_through, make_cube
+from omniocc.world.render.cubemap import make_cube, render_through_cube
 from omniocc.world.render.light import Sensor
-from omniocc.world.render.stage import Stage
+from omniocc.world.render.snapshot import Snapshot
 from omniocc.world.render.view import make_view
 from omniocc.world.sensors.lidar import ego_directions, scan_ego
+from omniocc.world.sensors.panorama import panorama_directions
 
 Capture = Literal["direct", "cubemap"]
-
-
-def panorama_directions(width: int, height: int, top_deg: float, bottom_deg: float) -> np.ndarray:
-    """(3, height * width) float32 unit directions of an equirectangular picture (docs/design.md, frames and units)."""
-    azimuth = np.pi - (np.arange(width) + 0.5) * (2 * np.pi / width)
-    elevation = np.radians(top_deg - (np.arange(height) + 0.5) * ((top_deg - bottom_deg) / height))
-    elevation, azimuth = (grid.ravel() for grid in np.meshgrid(elevation, azimuth, indexing="ij"))
-    flat = np.cos(elevation)
-    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)]).astype(np.float32)
 
 
 @runtime_checkable
 class Labeller(Protocol):
     """Where labelled surface points come from."""
 
-    def scan(self, stage: Stage) -> tuple[np.ndarray, np.ndarray]:
+    def scan(self, snapshot: Snapshot) -> tuple[np.ndarray, np.ndarray]:
         """Points (P, 3) float32 in the ego frame and their classes (P,) uint8."""
         ...
 
@@ -65,10 +57,12 @@ class Recorder:
     ) -> None:
         caster = Caster(own_car)
         self.views = [make_view(rig, camera, supersample, caster) for camera in range(len(rig.cameras))]
-        self.looks: list[Callable[[Stage], Look]] = [partial(look, view) for view in self.views]
+        self.renderers: list[Callable[[Snapshot], RenderedPixels]] = [
+            partial(render_pixels, view) for view in self.views
+        ]
         if capture == "cubemap":
             cubes = [make_cube(rig, k, view, supersample, caster) for k, view in enumerate(self.views)]
-            self.looks = [partial(look_through, cube) for cube in cubes]
+            self.renderers = [partial(render_through_cube, cube) for cube in cubes]
         self.erp_size = erp_size
         self._panorama = panorama_directions(*erp_size, erp_top_deg, erp_bottom_deg)
         self._ego_rays = np.ascontiguousarray(ego_directions().T)
@@ -76,7 +70,7 @@ class Recorder:
 
     def frame(
         self,
-        stage: Stage,
+        snapshot: Snapshot,
         sensor: Sensor,
         seed: tuple[int, ...],
         time_s: float,
@@ -85,11 +79,11 @@ class Recorder:
     ) -> Frame:
         """Records one moment; `seed` decides the sensors' noise."""
         pictures = [
-            expose(view, see(stage), stage.light, sensor, np.random.default_rng([*seed, number]))
-            for number, (view, see) in enumerate(zip(self.views, self.looks, strict=True))
+            expose(view, see(snapshot), snapshot.light, sensor, np.random.default_rng([*seed, number]))
+            for number, (view, see) in enumerate(zip(self.views, self.renderers, strict=True))
         ]
-        points_m, point_labels = self.labeller.scan(stage)
-        erp_range_m, lidar_range_m, lidar_labels = self.ranges(stage)
+        points_m, point_labels = self.labeller.scan(snapshot)
+        erp_range_m, lidar_range_m, lidar_labels = self.ranges(snapshot)
         return Frame(
             time_s=time_s,
             world_from_ego=world_from_ego,
@@ -104,11 +98,11 @@ class Recorder:
             boxes=boxes,
         )
 
-    def ranges(self, stage: Stage) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def ranges(self, snapshot: Snapshot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The panorama's ranges (h, w), and ranges and classes along the ego LiDAR's rays; as in `Frame`."""
         width, height = self.erp_size
-        return scan_ego(stage, self._panorama)[0].reshape(height, width), *scan_ego(stage, self._ego_rays)
+        return scan_ego(snapshot, self._panorama)[0].reshape(height, width), *scan_ego(snapshot, self._ego_rays)
 
 
-def _stack(pictures: list[Picture], part: int) -> np.ndarray:
+def _stack(pictures: list[CameraImage], part: int) -> np.ndarray:
     return np.stack([picture[part] for picture in pictures])

@@ -2,9 +2,10 @@
 
 import numpy as np
 
-from omniocc.world.assets.material import Material
-from omniocc.world.assets.mesh import Mesh, concatenate
-from omniocc.world.assets.shape import Skin, triangles
+from omniocc.world.mesh.label import ROADLINE
+from omniocc.world.mesh.material import Material
+from omniocc.world.mesh.mesh import Mesh, concatenate
+from omniocc.world.mesh.shape import Skin, triangles
 from omniocc.world.town.network import Network, Ring, Side
 from omniocc.world.town.road import CROWN_M
 from omniocc.world.town.terrain import Terrain
@@ -15,7 +16,7 @@ _WIDTH_M = 0.2  # wide, so that lines survive the vote in cells of 0.2 m
 _DASH_M, _GAP_M = 3.0, 6.0
 CROSSING_M = (0.8, 4.0)  # from the end of the corner along the street
 _STOP_M = (4.8, 5.25)
-_PAINT = Skin(11, Material.PAINT, (226, 224, 214))
+_PAINT = Skin(ROADLINE, Material.PAINT, (226, 224, 214))
 _QUAD = np.array([[0, 1, 2], [0, 2, 3]])
 
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from omniocc.world import seeding
-from omniocc.world.assets.mesh import Mesh, concatenate
-from omniocc.world.town import backdrop, marking, network, road, street, terrain, themes, viaduct
+from omniocc.world.mesh.mesh import Mesh, concatenate
+from omniocc.world.town import backdrop, islands, marking, network, railway, road, street, terrain, themes
 from omniocc.world.town.network import Network
 from omniocc.world.town.site import Plan, Signal, Site
 from omniocc.world.town.terrain import Terrain
@@ -63,9 +63,9 @@ def build(theme: str, seed: int) -> Place:
     site = Site(land, Plan(_PLAN_RADIUS_M))
     street.reserve(recipe, town, site.plan)
     rng = seeding.generator(theme, seed, "middle")
-    extras = [viaduct.islands(recipe, town, site, rng), viaduct.medians(recipe, town, land, site, rng)]
-    if recipe.viaduct:
-        extras.append(viaduct.railway(town, site))
+    extras = [islands.islands(recipe, town, site, rng), islands.medians(recipe, town, land, site, rng)]
+    if recipe.railway:
+        extras.append(railway.railway(town, site))
     for index, (ring, has_sidewalk) in enumerate(zip(town.rings, paved, strict=True)):
         street.furnish(
             recipe, town, ring, has_sidewalk, crossings, site, seeding.generator(theme, seed, f"block {index}")

@@ -2,16 +2,17 @@
 
 import numpy as np
 
-from omniocc.world.assets.material import Material
-from omniocc.world.assets.mesh import Mesh, concatenate
-from omniocc.world.assets.shape import Skin, fan, sheet
+from omniocc.world.mesh.label import GROUND, ROAD, SIDEWALK
+from omniocc.world.mesh.material import Material
+from omniocc.world.mesh.mesh import Mesh, concatenate
+from omniocc.world.mesh.shape import Skin, fan, sheet
+from omniocc.world.seeding import choice
 from omniocc.world.town.network import Network, Ring
 from omniocc.world.town.terrain import Terrain
 from omniocc.world.town.theme import Theme
 
 CROWN_M = 0.10  # a street's middle above its kerbs
 KERB_M = 0.13
-_ROAD, _SIDEWALK, _GROUND = 1, 2, 3
 _KERB_STONE_M = 0.16
 
 
@@ -42,7 +43,7 @@ def build(theme: Theme, terrain: Terrain, network: Network, paved: tuple[bool, .
     """All surfaces; `paved` says which blocks have a sidewalk rather than a verge."""
     material, dark, light = theme.road
     shade = int(rng.integers(dark, light))
-    asphalt = Skin(_ROAD, material, (shade, shade, shade + 3))
+    asphalt = Skin(ROAD, material, (shade, shade, shade + 3))
     meshes = []
     for ring, has_sidewalk in zip(network.rings, paved, strict=True):
         kerb, inner = kerb_points(ring, terrain), inner_points(ring, terrain)
@@ -66,12 +67,12 @@ def _edge(theme: Theme, terrain: Terrain, ring: Ring, kerb: np.ndarray, paved: b
     face_uv = np.stack(np.meshgrid(along, [0, KERB_M]), -1)
     if paved:
         shade = int(rng.integers(120, 172))
-        stone = Skin(_SIDEWALK, Material.CONCRETE, (170, 168, 162))
+        stone = Skin(SIDEWALK, Material.CONCRETE, (170, 168, 162))
         walk = Skin(
-            _SIDEWALK, Material.PAVING, (shade, shade - int(rng.integers(0, 12)), shade - int(rng.integers(4, 22)))
+            SIDEWALK, Material.PAVING, (shade, shade - int(rng.integers(0, 12)), shade - int(rng.integers(4, 22)))
         )
     else:
-        stone = walk = Skin(_GROUND, Material.GRASS, (96, 116, 60))
+        stone = walk = Skin(GROUND, Material.GRASS, (96, 116, 60))
     return concatenate([sheet(closed, face_uv, stone), _surface(rows[:2], stone), _surface(rows[1:], walk)])
 
 
@@ -84,10 +85,10 @@ def _land(theme: Theme, terrain: Terrain, ring: Ring, rng: np.random.Generator) 
     for share in shares:
         xy = middle + share * (rim - middle)
         rows.append(np.column_stack([xy, terrain.height(*xy.T) + KERB_M]))
-    material, color = theme.ground[int(rng.integers(len(theme.ground)))]
+    material, color = choice(rng, theme.ground)
     varied = np.clip(np.asarray(color) + rng.integers(-8, 9, 3), 0, 255)
-    skin = Skin(_GROUND, material, (int(varied[0]), int(varied[1]), int(varied[2])))
-    far = Skin(_GROUND, Material.GRASS, (92, 112, 66))
+    skin = Skin(GROUND, material, (int(varied[0]), int(varied[1]), int(varied[2])))
+    far = Skin(GROUND, Material.GRASS, (92, 112, 66))
     if ring.outside:
         return concatenate([_surface(rows[:3], skin), _surface(rows[2:], far)])
     return concatenate([_surface(rows, skin), fan(rows[-1], skin)])

@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from omniocc.world.assets.material import Material
-from omniocc.world.assets.mesh import Mesh, concatenate, instances
-from omniocc.world.assets.shape import Color, Number, Triple, upright
+from omniocc.world.mesh.material import Material
+from omniocc.world.mesh.mesh import Mesh, concatenate, instances
+from omniocc.world.mesh.shape import Color, Number, Triple, upright
 from omniocc.world.town.road import KERB_M
 from omniocc.world.town.terrain import Terrain
 

@@ -8,9 +8,10 @@ import numpy as np
 
 from omniocc.world.assets import prop, tree, vehicle
 from omniocc.world.assets.barrier import PIECE_M
-from omniocc.world.assets.material import Material
-from omniocc.world.assets.shape import Number
-from omniocc.world.assets.stock import one, pick
+from omniocc.world.assets.catalog import random_variant
+from omniocc.world.mesh.material import Material
+from omniocc.world.mesh.shape import Number
+from omniocc.world.seeding import choice, weighted_choice
 from omniocc.world.town import plot
 from omniocc.world.town.marking import CROSSING_M
 from omniocc.world.town.network import Network, Ring, Side, degrees
@@ -73,7 +74,7 @@ def furnish(
         if paved:
             _furniture(theme, line, first, last, site, rng)
         elif rng.uniform() < theme.guard_rail_share:
-            rail = one(rng, "barrier", "guard")
+            rail = random_variant(rng, "barrier", "guard")
             for s in np.arange(first + 6, last - 6, PIECE_M):
                 site.put(rail, line.at(float(s), 0.6), follow=True)
         else:
@@ -109,38 +110,42 @@ def _furniture(theme: Theme, line: _Line, first: Number, last: Number, site: Sit
     strip = furniture_m(theme)
     for s in _walk(rng, first, last, theme.lamp_gap_m):
         if free(s, 1.0):
-            site.put(one(rng, "pole", theme.lamp), line.at(s, 0.5, np.pi))
+            site.put(random_variant(rng, "pole", theme.lamp), line.at(s, 0.5, np.pi))
     kinds = {kind: weight for kind, weight in theme.trees.items() if kind in _STREET_TREES}
     for s in _walk(rng, first, last, theme.tree_gap_m):
         if free(s, 1.6):
-            color = tree.LEAF_COLORS[int(rng.integers(len(tree.LEAF_COLORS)))]
+            color = choice(rng, tree.LEAF_COLORS)
             site.put(
-                one(rng, "tree", pick(rng, kinds)),
+                random_variant(rng, "tree", weighted_choice(rng, kinds)),
                 line.at(s, 0.6, float(rng.uniform(0, 6))),
                 paint={Material.LEAVES: color},
             )
     for s in _walk(rng, first, last, theme.prop_gap_m):
-        kind = pick(rng, theme.props)
+        kind = weighted_choice(rng, theme.props)
         length, across = prop.KINDS[kind].size_m
         if across > strip - 0.1:
             pose = line.at(s, theme.sidewalk_m + 0.5 + across / 2, np.pi)
             if site.plan.claim(pose, (length + 0.3, across + 0.1)):
-                site.put(one(rng, "prop", kind), pose)
+                site.put(random_variant(rng, "prop", kind), pose)
         elif free(s, length + 0.4):
-            site.put(one(rng, "prop", kind), line.at(s, 0.1 + across / 2, np.pi))
+            site.put(random_variant(rng, "prop", kind), line.at(s, 0.1 + across / 2, np.pi))
     for s in _walk(rng, first, last, 34.0):
         if free(s, 0.8):
-            site.put(one(rng, "pole", "sign"), line.at(s, 0.5))
+            site.put(random_variant(rng, "pole", "sign"), line.at(s, 0.5))
 
 
 def _verge(theme: Theme, line: _Line, first: Number, last: Number, site: Site, rng: np.random.Generator) -> None:
     """Delineator signs and trees on the grass beside the street."""
     for k, s in enumerate(_walk(rng, first + 4, last - 4, theme.tree_gap_m)):
         if k % 3 == 2:
-            site.put(one(rng, "pole", "sign"), line.at(s, 0.7))
+            site.put(random_variant(rng, "pole", "sign"), line.at(s, 0.7))
         else:
-            color = tree.LEAF_COLORS[int(rng.integers(len(tree.LEAF_COLORS)))]
-            site.put(one(rng, "tree", "round" if k % 3 else "young"), line.at(s, 1.1), paint={Material.LEAVES: color})
+            color = choice(rng, tree.LEAF_COLORS)
+            site.put(
+                random_variant(rng, "tree", "round" if k % 3 else "young"),
+                line.at(s, 1.1),
+                paint={Material.LEAVES: color},
+            )
 
 
 def _corner_poles(network: Network, line: _Line, along_m: Number, site: Site, rng: np.random.Generator) -> None:
@@ -148,10 +153,10 @@ def _corner_poles(network: Network, line: _Line, along_m: Number, site: Site, rn
     edge, pose = network.edges[line.side.edge], line.at(along_m + 0.6, 0.55)
     meeting = degrees(network)[edge.start if line.side.forward else edge.end]
     if edge.lanes > 1 and meeting > 2:
-        site.put(one(rng, "pole", "light"), pose)
+        site.put(random_variant(rng, "pole", "light"), pose)
         site.signals.append(Signal((line.side.edge, not line.side.forward), pose))
     else:
-        site.put(one(rng, "pole", "sign"), pose)
+        site.put(random_variant(rng, "pole", "sign"), pose)
 
 
 def _parked(theme: Theme, line: _Line, first: Number, last: Number, site: Site, rng: np.random.Generator) -> None:
@@ -159,13 +164,13 @@ def _parked(theme: Theme, line: _Line, first: Number, last: Number, site: Site, 
         return
     end = first
     for s in _walk(rng, first, last, theme.parked_gap_m):
-        mesh = one(rng, "vehicle", pick(rng, vehicle.PARKED))
+        mesh = random_variant(rng, "vehicle", weighted_choice(rng, vehicle.PARKED))
         length, width, _ = vehicle.size_m(mesh)
         if s - length / 2 < end + 0.5 or s + length / 2 > last:
             continue
         end = s + length / 2
         pose = line.at(s, -0.12 - width / 2, np.pi + float(rng.uniform(-0.015, 0.015)))
-        color = vehicle.PAINTS[int(rng.integers(len(vehicle.PAINTS)))]
+        color = choice(rng, vehicle.PAINTS)
         site.put(mesh, pose, lift_m=0.03, paint={Material.CAR_PAINT: color})
 
 
@@ -177,7 +182,7 @@ def _plots(theme: Theme, side: Side, site: Site, rng: np.random.Generator) -> No
     line, s = _Line(side), float(side.along_m[0]) - 8.0
     while s < side.along_m[-1] + 8:
         wide, deep = float(rng.uniform(*theme.plot_width_m)), float(rng.uniform(20, 30))
-        kind = pick(rng, theme.plots)
+        kind = weighted_choice(rng, theme.plots)
         for shrink, narrow, back in _TRIALS:
             width, depth = wide * narrow, deep * shrink
             front = _front(line, side, s + width / 2, theme.sidewalk_m + back)

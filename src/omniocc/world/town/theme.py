@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from omniocc.world.assets.material import Material
-from omniocc.world.assets.shape import Color
+from omniocc.world.mesh.material import Material
+from omniocc.world.mesh.shape import Color
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Theme:
         props: kind (`prop.KINDS`) -> weight.
         median_m: width of the strip between the directions; 0 for none.
         island_m: radius of the islands where four streets meet; 0 for none.
-        viaduct: whether a railway crosses the town on pillars.
+        railway: whether a railway crosses the town on pillars.
         guard_rail_share: share of verges behind a guard rail.
         speed_mps: least and most free speed of a street.
         traffic: kind (`vehicle.KINDS`) -> weight of what drives.
@@ -71,7 +71,7 @@ class Theme:
     props: dict[str, float]
     median_m: float
     island_m: float
-    viaduct: bool
+    railway: bool
     guard_rail_share: float
     speed_mps: tuple[float, float]
     traffic: dict[str, float]

@@ -1,6 +1,6 @@
 """The themes by name."""
 
-from omniocc.world.assets.material import Material
+from omniocc.world.mesh.material import Material
 from omniocc.world.town.theme import Theme
 
 _GRASS = ((Material.GRASS, (86, 118, 58)), (Material.GRASS, (104, 122, 66)), (Material.GRASS, (78, 104, 50)))
@@ -26,7 +26,7 @@ DOWNTOWN = Theme(
     tree_gap_m=13.0, lamp_gap_m=27.0, prop_gap_m=11.0, parked_gap_m=26.0,
     props={"bench": 3.0, "bin": 4.0, "hydrant": 2.0, "shelter": 1.0, "kiosk": 1.0, "box": 2.0, "bollards": 2.0,
            "planter": 2.0, "post": 2.0},
-    median_m=0.0, island_m=0.0, viaduct=False, guard_rail_share=0.0, speed_mps=(8.0, 12.0),
+    median_m=0.0, island_m=0.0, railway=False, guard_rail_share=0.0, speed_mps=(8.0, 12.0),
     traffic=_MIXED, car_headway_s=4.0, walkers_per_block=16.0,
 )  # fmt: skip
 
@@ -44,7 +44,7 @@ SUBURB = Theme(
     trees={"round": 5.0, "tall": 2.0, "conifer": 2.0, "birch": 2.0, "young": 2.0},
     tree_gap_m=15.0, lamp_gap_m=30.0, prop_gap_m=17.0, parked_gap_m=42.0,
     props={"bin": 4.0, "hydrant": 2.0, "bench": 1.0, "post": 2.0, "box": 2.0, "crates": 1.0, "shelter": 0.6},
-    median_m=0.0, island_m=0.0, viaduct=False, guard_rail_share=0.0, speed_mps=(6.0, 9.0),
+    median_m=0.0, island_m=0.0, railway=False, guard_rail_share=0.0, speed_mps=(6.0, 9.0),
     traffic=_MIXED, car_headway_s=5.0, walkers_per_block=8.0,
 )  # fmt: skip
 
@@ -63,7 +63,7 @@ INDUSTRIAL = Theme(
     tree_gap_m=26.0, lamp_gap_m=32.0, prop_gap_m=16.0, parked_gap_m=42.0,
     props={"crates": 4.0, "box": 3.0, "bin": 2.0, "bollards": 2.0, "hydrant": 2.0, "pallets": 3.0, "post": 1.0,
            "shelter": 0.6},
-    median_m=0.0, island_m=0.0, viaduct=False, guard_rail_share=0.7, speed_mps=(7.0, 12.0),
+    median_m=0.0, island_m=0.0, railway=False, guard_rail_share=0.7, speed_mps=(7.0, 12.0),
     traffic=_MIXED, car_headway_s=4.0, walkers_per_block=6.0,
 )  # fmt: skip
 
@@ -81,7 +81,7 @@ COUNTRYSIDE = Theme(
     trees={"round": 5.0, "conifer": 3.0, "birch": 3.0, "tall": 2.0, "bush": 3.0},
     tree_gap_m=14.0, lamp_gap_m=45.0, prop_gap_m=24.0, parked_gap_m=60.0,
     props={"post": 4.0, "crates": 2.0, "bench": 2.0, "bales": 3.0, "box": 1.0, "bin": 1.0, "shelter": 0.8},
-    median_m=0.0, island_m=0.0, viaduct=False, guard_rail_share=0.6, speed_mps=(8.0, 12.0),
+    median_m=0.0, island_m=0.0, railway=False, guard_rail_share=0.6, speed_mps=(8.0, 12.0),
     traffic=_MIXED, car_headway_s=6.0, walkers_per_block=4.0,
 )  # fmt: skip
 
@@ -99,7 +99,7 @@ OLD_TOWN = Theme(
     trees={"round": 3.0, "young": 3.0, "bush": 2.0},
     tree_gap_m=46.0, lamp_gap_m=19.0, prop_gap_m=13.0, parked_gap_m=float("inf"),
     props={"bollards": 3.0, "planter": 4.0, "bin": 2.0, "bench": 2.0, "post": 1.0, "hydrant": 1.0},
-    median_m=0.0, island_m=0.0, viaduct=False, guard_rail_share=0.0, speed_mps=(4.5, 7.0), traffic=_LIGHT,
+    median_m=0.0, island_m=0.0, railway=False, guard_rail_share=0.0, speed_mps=(4.5, 7.0), traffic=_LIGHT,
     car_headway_s=9.0, walkers_per_block=18.0,
 )  # fmt: skip
 
@@ -116,7 +116,7 @@ ARTERIAL = Theme(
     trees={"tall": 4.0, "young": 4.0, "round": 3.0},
     tree_gap_m=18.0, lamp_gap_m=26.0, prop_gap_m=24.0, parked_gap_m=float("inf"),
     props={"shelter": 2.0, "bin": 2.0, "box": 3.0, "bollards": 1.0, "post": 1.0, "hydrant": 1.0},
-    median_m=1.7, island_m=0.0, viaduct=True, guard_rail_share=0.8, speed_mps=(10.0, 14.0), traffic=_MIXED,
+    median_m=1.7, island_m=0.0, railway=True, guard_rail_share=0.8, speed_mps=(10.0, 14.0), traffic=_MIXED,
     car_headway_s=7.0, walkers_per_block=8.0,
 )  # fmt: skip
 
@@ -132,7 +132,7 @@ CAMPUS = Theme(
     trees={"round": 7.0, "tall": 2.0, "birch": 3.0, "conifer": 2.0, "bush": 2.0},
     tree_gap_m=10.0, lamp_gap_m=20.0, prop_gap_m=14.0, parked_gap_m=float("inf"),
     props={"bench": 5.0, "bin": 3.0, "planter": 2.0, "bollards": 2.0, "post": 1.0, "shelter": 0.5},
-    median_m=0.0, island_m=0.0, viaduct=False, guard_rail_share=0.0, speed_mps=(5.0, 8.0),
+    median_m=0.0, island_m=0.0, railway=False, guard_rail_share=0.0, speed_mps=(5.0, 8.0),
     traffic={**_LIGHT, "bicycle": 5.0}, car_headway_s=8.0, walkers_per_block=26.0,
 )  # fmt: skip
 
@@ -149,7 +149,7 @@ ROUNDABOUT = Theme(
     trees={"round": 4.0, "birch": 3.0, "conifer": 1.0, "young": 3.0, "tall": 1.0},
     tree_gap_m=16.0, lamp_gap_m=28.0, prop_gap_m=15.0, parked_gap_m=30.0,
     props={"bench": 2.0, "bin": 3.0, "shelter": 1.5, "planter": 2.0, "box": 2.0, "hydrant": 1.0, "post": 1.0},
-    median_m=0.0, island_m=5.2, viaduct=False, guard_rail_share=0.4, speed_mps=(7.0, 11.0), traffic=_MIXED,
+    median_m=0.0, island_m=5.2, railway=False, guard_rail_share=0.4, speed_mps=(7.0, 11.0), traffic=_MIXED,
     car_headway_s=5.0, walkers_per_block=9.0,
 )  # fmt: skip
 

@@ -11,7 +11,7 @@ from math import sqrt
 
 import numpy as np
 
-from omniocc.world.traffic.route import Arm, Roads
+from omniocc.world.traffic.lanes import Arm, Roads
 
 STEP_S = 0.2
 _ACCELERATE_MPS2, _BRAKE_MPS2, _HARDEST_MPS2 = 1.8, 2.0, 6.0

@@ -6,16 +6,16 @@ import numpy as np
 
 from omniocc.world import seeding
 from omniocc.world.assets import person, pole
-from omniocc.world.assets.material import Material
-from omniocc.world.assets.mesh import Mesh, concatenate, transform, with_instance
-from omniocc.world.assets.stock import people
+from omniocc.world.assets.catalog import people
 from omniocc.world.assets.vehicle import EGO_ROAD_M, PAINTS
+from omniocc.world.mesh.label import PEDESTRIAN, VEHICLE
+from omniocc.world.mesh.material import Material
+from omniocc.world.mesh.mesh import Mesh, concatenate, transform, with_instance
 from omniocc.world.town.place import Place
 from omniocc.world.town.road import KERB_M
-from omniocc.world.traffic import driving, route, walking
+from omniocc.world.traffic import fleet, lanes, pedestrians
 from omniocc.world.traffic.flow import Flow
 
-_VEHICLE, _PEDESTRIAN = 7, 10
 _RANGE_M = 80.0
 _WARM_UP_S = 10.0
 
@@ -45,14 +45,14 @@ class Traffic:
     def __init__(self, place: Place, seed: int) -> None:
         rng = seeding.generator(place.theme.name, seed, "traffic")
         self._place = place
-        roads = route.draw(place.theme, place.network, place.terrain, place.crossings, rng)
-        self._fleet, cars = driving.draw_fleet(place, roads, rng)
-        self._rounds = walking.draw_rounds(place, rng)
+        roads = lanes.draw(place.theme, place.network, place.terrain, place.crossings, rng)
+        self._fleet, cars = fleet.draw_fleet(place, roads, rng)
+        self._rounds = pedestrians.draw_rounds(place, rng)
         self._shake = rng.uniform(size=(3, 3, 2))
         self._warm_up_s = float(rng.uniform(0, _WARM_UP_S))
         paint = rng.integers(len(PAINTS), size=len(cars))
         self._cars = [_painted(mesh, PAINTS[k]) for mesh, k in zip(self._fleet.meshes, paint, strict=True)]
-        self._flow = Flow(roads, cars, walking.draw_crossers(place, rng), rng)
+        self._flow = Flow(roads, cars, pedestrians.draw_crossers(place, rng), rng)
 
     def ego_along_m(self, time_s: float) -> float:
         """How far the ego has come on its way."""
@@ -109,11 +109,11 @@ class Traffic:
         for car in range(1, len(along)):
             if np.linalg.norm(self._flow.place(car, along[car])[:2] - middle) > _RANGE_M:
                 continue
-            half = driving.half_wheelbase_m(self._flow.cars[car].length_m)
+            half = fleet.half_wheelbase_m(self._flow.cars[car].length_m)
             front, rear = self._flow.place(car, along[car] + half), self._flow.place(car, along[car] - half)
             pose = _standing(self._place, 0.5 * (front + rear), front - rear)
             velocity = speed[car] * pose[:2, 0]
-            found.append(self._actor(self._cars[car], car, _VEHICLE, pose, self._fleet.size_m[car], velocity))
+            found.append(self._actor(self._cars[car], car, VEHICLE, pose, self._fleet.size_m[car], velocity))
         return found
 
     def _walking(self, time_s: float, middle: np.ndarray) -> list[tuple[Mesh, Actor]]:
@@ -132,7 +132,7 @@ class Traffic:
         found, number = [], len(self._cars) + sum(len(walk.along_m) for walk in self._rounds)
         for k, crosser in enumerate(self._flow.crossers):
             share, direction = crosser.share(time_s + self._warm_up_s)
-            point = walking.crossing_point(self._place, crosser, share)
+            point = pedestrians.crossing_point(self._place, crosser, share)
             if np.linalg.norm(point[:2] - middle) > _RANGE_M:
                 continue
             way = crosser.end_m - crosser.start_m
@@ -148,7 +148,7 @@ class Traffic:
         poses, size = people()[number % len(people())]
         mesh = poses[int(pace_m / person.STRIDE_M * person.PHASES) % person.PHASES]
         upright = _upright(point, float(np.arctan2(heading[1], heading[0])))
-        return self._actor(mesh, number, _PEDESTRIAN, upright, np.array(size), velocity)
+        return self._actor(mesh, number, PEDESTRIAN, upright, np.array(size), velocity)
 
     @staticmethod
     def _actor(

@@ -13,9 +13,9 @@ import numpy as np
 from omniocc.world.render.caster import Caster, Hits, no_hits
 from omniocc.world.render.cull import make_cones, meets
 from omniocc.world.render.shade import Surfaces
-from omniocc.world.render.stage import Stage, repeat
+from omniocc.world.render.snapshot import Snapshot, repeat
 from omniocc.world.sensors.lidar import FARTHEST_M, inner_rays, outer_rays
-from omniocc.world.sensors.thin import SCRATCH, cubes, first_of_each, within_reach
+from omniocc.world.sensors.thinning import SCRATCH, cubes, first_of_each, within_reach
 
 LATTICE_M = 6.0
 _SPREAD_M = 21.0  # from the ego to a LiDAR of the lattice
@@ -37,7 +37,7 @@ class Sweep(NamedTuple):
         ray: (K,) int32 rays that hit a surface from its front.
         points_m: (K, 3) float32.
         labels: (K,) uint8.
-        cube: (K,) int32, see `omniocc.world.sensors.thin.cubes`.
+        cube: (K,) int32, see `omniocc.world.sensors.thinning.cubes`.
     """
 
     place_m: np.ndarray
@@ -70,19 +70,19 @@ class Survey:
         self._places: dict[tuple[int, int], np.ndarray | None] = {}
         self._sweeps: OrderedDict[tuple[int, int], Sweep] = OrderedDict()
 
-    def scan(self, stage: Stage) -> tuple[np.ndarray, np.ndarray]:
+    def scan(self, snapshot: Snapshot) -> tuple[np.ndarray, np.ndarray]:
         """Points (P, 3) float32 in the ego frame and their classes (P,) uint8, as all LiDARs together see them.
 
         All points of the ego's LiDAR are kept, and of the others about one in each cube of 0.1 m, a thin thing's before
         others. Surfaces hit from behind (the LiDAR is inside something) give no points.
         """
-        own = self._look_around(stage)
-        parts = [self._look(stage, self._sweep(cell)) for cell in self.cells(stage.origin_m)]
+        own = self._look_around(snapshot)
+        parts = [self._look(snapshot, self._sweep(cell)) for cell in self.cells(snapshot.origin_m)]
         points_m, labels, cube = (
             np.concatenate([empty, *(part[k] for part in parts)]) for k, empty in enumerate(_NOTHING)
         )
         keep = first_of_each(cube, labels, self._scratch)
-        points_m = stage.unplace(np.concatenate([own[0], points_m[keep]]))
+        points_m = snapshot.ego_points(np.concatenate([own[0], points_m[keep]]))
         labels = np.concatenate([own[1], labels[keep]])
         near = np.flatnonzero(within_reach(points_m))
         return points_m[near], labels[near]
@@ -135,10 +135,10 @@ class Survey:
             self._sweeps.popitem(last=False)
         return sweep
 
-    def _look(self, stage: Stage, sweep: Sweep) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _look(self, snapshot: Snapshot, sweep: Sweep) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Points, classes and cubes of a sweep with what moves in front of it."""
-        offset, moving = int(stage.layers.offsets[1]), stage.layers.casters[1]
-        maybe = np.flatnonzero(meets(self._cones, sweep.place_m, stage.spheres)[self._cones.bundle])
+        offset, moving = int(snapshot.layers.offsets[1]), snapshot.layers.casters[1]
+        maybe = np.flatnonzero(meets(self._cones, sweep.place_m, snapshot.spheres)[self._cones.bundle])
         found = moving.cast(repeat(sweep.place_m, len(maybe)), self._outer[maybe], sweep.range_m[maybe])
         reached = np.flatnonzero(found.face >= 0)
         if len(reached) == 0:
@@ -147,7 +147,7 @@ class Survey:
         hit = np.zeros(len(self._outer), dtype=bool)
         hit[ray] = True
         some.face[:] += np.int32(offset)
-        _, points, labels = _points(stage.surfaces, some, sweep.place_m, self._outer[ray])
+        _, points, labels = _points(snapshot.surfaces, some, sweep.place_m, self._outer[ray])
         stay = np.flatnonzero(~hit[sweep.ray])
         return (
             np.concatenate([sweep.points_m[stay], points]),
@@ -155,12 +155,15 @@ class Survey:
             np.concatenate([sweep.cube[stay], cubes(points)]),
         )
 
-    def _look_around(self, stage: Stage) -> tuple[np.ndarray, np.ndarray]:
+    def _look_around(self, snapshot: Snapshot) -> tuple[np.ndarray, np.ndarray]:
         """Points and classes of what the LiDAR at the ego origin sees, static and moving."""
-        directions, place = np.ascontiguousarray(stage.turn(self._inner).T), stage.place(np.zeros(3))
+        directions, place = (
+            np.ascontiguousarray(snapshot.world_directions(self._inner).T),
+            snapshot.world_point(np.zeros(3)),
+        )
         count = len(directions)
-        hits = stage.layers.cast(repeat(place, count), directions, no_hits(count, FARTHEST_M))
-        _, points, labels = _points(stage.surfaces, hits, place, directions)
+        hits = snapshot.layers.cast(repeat(place, count), directions, no_hits(count, FARTHEST_M))
+        _, points, labels = _points(snapshot.surfaces, hits, place, directions)
         return points, labels
 
 

@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from omniocc.world.assets.material import Material
-from omniocc.world.assets.mesh import Mesh, concatenate
+from omniocc.world.mesh.material import Material
+from omniocc.world.mesh.mesh import Mesh, concatenate
 
 Color = tuple[int, int, int]
 Number = float | int  # a type checker that runs does not take 2 for 2.0
@@ -15,7 +15,7 @@ _MIN_AREA_M2 = 1e-6
 
 
 class Skin(NamedTuple):
-    """What a surface is and looks like: class id, material and base colour."""
+    """What a surface is and rendered like: class id, material and base colour."""
 
     label: int
     material: Material

@@ -2,10 +2,11 @@
 
 import numpy as np
 
+from omniocc.world.mesh.label import POLE, ROADLINE
+
 REACH_M = 26.0  # points farther off in x or y are not kept
 HEIGHT_M = 6.0  # nor those farther above or below the ego origin
 CUBE_M = 0.1
-_THIN_CLASSES = (9, 10, 11)  # pole, pedestrian, road line
 SCRATCH = 1 << 22
 
 
@@ -35,7 +36,7 @@ def first_of_each(cube: np.ndarray, labels: np.ndarray, scratch: np.ndarray) -> 
     place = cube & (SCRATCH - 1)
     # Every place that is read has been written before, so that nothing needs clearing; later writes win.
     scratch[place[::-1]] = number[::-1]
-    thin = np.flatnonzero((labels >= _THIN_CLASSES[0]) & (labels <= _THIN_CLASSES[-1]))[::-1]
+    thin = np.flatnonzero((labels >= POLE) & (labels <= ROADLINE))[::-1]
     scratch[place[thin]] = number[thin]
     winner = scratch[place]
     return np.flatnonzero((winner == number) | (cube[winner] != cube))

@@ -9,9 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from omniocc.world.assets.material import Material
-from omniocc.world.render import pattern
-from omniocc.world.render.facade import STOREY_M, facade_layers
+from omniocc.world.assets.building import STOREY_M
+from omniocc.world.mesh.material import Material
+from omniocc.world.render.texture import pattern
+from omniocc.world.render.texture.facade import facade_layers
 
 SIZE_PX = 256
 _LEVELS = SIZE_PX.bit_length()

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from omniocc.world.assets.material import Material
-from omniocc.world.assets.mesh import Mesh, concatenate, empty, instances
-from omniocc.world.assets.shape import Skin, beam, blob, box, lathe, loft, panel, quads, upright
+from omniocc.world.mesh.material import Material
+from omniocc.world.mesh.mesh import Mesh, concatenate, empty, instances
+from omniocc.world.mesh.shape import Skin, beam, blob, box, lathe, loft, panel, quads, upright
 from omniocc.world.town.site import Plan, Pose2, Site
 from omniocc.world.town.terrain import draw
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from omniocc.world.assets.mesh import Mesh
-from omniocc.world.render.stage import Stage
-from omniocc.world.sensors.thin import REACH_M, within_reach
+from omniocc.world.mesh.mesh import Mesh
+from omniocc.world.render.snapshot import Snapshot
+from omniocc.world.sensors.thinning import REACH_M, within_reach
 
 _POINT_M2 = 0.0125  # surface per point far from the ego: three in a square of 0.2 m
 _POINT_M = 0.0016  # the same near it, per metre from its axis: four in a cell of the paper's cylinder
@@ -31,20 +31,20 @@ class GeometryLabels:
         corner = static.vertices[static.faces][..., :2]
         self._low, self._high = corner.min(axis=1), corner.max(axis=1)
 
-    def scan(self, stage: Stage) -> tuple[np.ndarray, np.ndarray]:
+    def scan(self, snapshot: Snapshot) -> tuple[np.ndarray, np.ndarray]:
         """Points (P, 3) float32 in the ego frame and their classes (P,) uint8."""
-        ego = stage.origin_m[:2]
+        ego = snapshot.origin_m[:2]
         reach = np.float32(REACH_M * 1.5)  # of a level square around the ego's, however that is turned and tilted
         near = np.flatnonzero(((self._low < ego + reach) & (self._high > ego - reach)).all(axis=1))
-        corners = [self._static.vertices[self._static.faces[near]], stage.moving.vertices[stage.moving.faces]]
-        labels = np.concatenate([self._static.label[near], stage.moving.label])
-        around = stage.unplace(np.concatenate(corners).reshape(-1, 3)).reshape(-1, 3, 3)
+        corners = [self._static.vertices[self._static.faces[near]], snapshot.moving.vertices[snapshot.moving.faces]]
+        labels = np.concatenate([self._static.label[near], snapshot.moving.label])
+        around = snapshot.ego_points(np.concatenate(corners).reshape(-1, 3)).reshape(-1, 3, 3)
         pieces, number = cut(around, REACH_M)
         points, normal, piece = spread(pieces)
         keep = np.flatnonzero(within_reach(points))
         points, normal, label = points[keep], normal[piece[keep]], labels[number[piece[keep]]]
-        lifted = stage.turn((points + normal * _LIFT_M).T).T + stage.origin_m
-        free = ~stage.layers.blocked(lifted, np.ascontiguousarray(stage.turn(normal.T).T), _COVER_M)
+        lifted = snapshot.world_directions((points + normal * _LIFT_M).T).T + snapshot.origin_m
+        free = ~snapshot.layers.blocked(lifted, np.ascontiguousarray(snapshot.world_directions(normal.T).T), _COVER_M)
         return points[free], label[free]
 
 

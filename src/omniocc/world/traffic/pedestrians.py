@@ -10,7 +10,7 @@ from omniocc.world.town.place import Place
 from omniocc.world.town.road import CROWN_M, KERB_M, sidewalk_path
 from omniocc.world.town.street import furniture_m
 from omniocc.world.traffic.flow import Crosser
-from omniocc.world.traffic.motion import Path, close
+from omniocc.world.traffic.path import Path, close
 
 _LEAST_SPACE_M = 2.5
 _WAIT_M = 0.35  # from the kerb

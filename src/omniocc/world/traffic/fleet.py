@@ -5,12 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from omniocc.world.assets import vehicle
-from omniocc.world.assets.mesh import Mesh
-from omniocc.world.assets.stock import one, pick
+from omniocc.world.assets.catalog import random_variant
+from omniocc.world.mesh.mesh import Mesh
+from omniocc.world.seeding import weighted_choice
 from omniocc.world.town.network import degrees
 from omniocc.world.town.place import Place
 from omniocc.world.traffic.flow import Car
-from omniocc.world.traffic.route import Roads, node_of
+from omniocc.world.traffic.lanes import Roads, node_of
 
 EGO_LENGTH_M = 4.6
 _TOP_MPS = {"bicycle": 5.0, "truck": 11.0, "bus": 11.0}
@@ -31,8 +32,8 @@ def draw_fleet(place: Place, roads: Roads, rng: np.random.Generator) -> tuple[Fl
     slots = _slots(place, roads, rng)
     meshes, cars = [], []
     for number, (lane, along) in enumerate(slots):
-        kind = "hatchback" if number == 0 else pick(rng, place.theme.traffic)
-        mesh = one(rng, "vehicle", kind)
+        kind = "hatchback" if number == 0 else weighted_choice(rng, place.theme.traffic)
+        mesh = random_variant(rng, "vehicle", kind)
         length = EGO_LENGTH_M if number == 0 else vehicle.size_m(mesh)[0]
         top = min(_TOP_MPS.get(kind, 15.0), roads.pieces[lane].speed_mps)
         car = Car(length, _TOP_MPS.get(kind, 15.0), [lane], [0.0], along, 0.75 * top)

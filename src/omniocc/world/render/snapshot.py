@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from omniocc.world.assets.mesh import Mesh
+from omniocc.world.mesh.mesh import Mesh
 from omniocc.world.render.caster import Hits, Layers
 from omniocc.world.render.cull import Cones, meets
 from omniocc.world.render.light import Light
@@ -13,7 +13,7 @@ from omniocc.world.render.shadow import Shadows
 
 
 @dataclass(frozen=True)
-class Stage:
+class Snapshot:
     """What cameras and LiDARs look at. The casters' frame is the world's, shifted so that numbers stay small.
 
     Attributes:
@@ -38,24 +38,26 @@ class Stage:
     spheres: np.ndarray
     light: Light
 
-    def turn(self, directions_ego: np.ndarray) -> np.ndarray:
+    def world_directions(self, directions_ego: np.ndarray) -> np.ndarray:
         """(3, R) ego directions in the caster frame."""
         # Sums instead of a matrix product, whose rounding may depend on threads.
         x, y, z = directions_ego
         return np.stack([row[0] * x + row[1] * y + row[2] * z for row in self.rotation])
 
-    def place(self, point_ego: np.ndarray) -> np.ndarray:
+    def world_point(self, point_ego: np.ndarray) -> np.ndarray:
         """(3,) float32 ego point in the caster frame."""
         return (self.rotation.astype(np.float64) @ point_ego + self.origin_m).astype(np.float32)
 
-    def unplace(self, points: np.ndarray) -> np.ndarray:
+    def ego_points(self, points: np.ndarray) -> np.ndarray:
         """(P, 3) float32 points of the caster frame in the ego frame."""
         x, y, z = (points - self.origin_m).T
         return np.stack([x * row[0] + y * row[1] + z * row[2] for row in self.rotation.T], axis=1)
 
     def meets(self, cones: Cones, point_ego: np.ndarray) -> np.ndarray:
         """(B,) bool: whether bundles of rays in the ego frame may meet something that moves."""
-        return meets(cones._replace(axis=self.turn(cones.axis.T).T), self.place(point_ego), self.spheres)
+        return meets(
+            cones._replace(axis=self.world_directions(cones.axis.T).T), self.world_point(point_ego), self.spheres
+        )
 
     def cast(
         self,
@@ -68,7 +70,7 @@ class Stage:
 
         `maybe` (R,) bool tells which rays may meet something that moves, if that is known.
         """
-        place, turned = self.place(point_ego), self.turn(directions_ego)
+        place, turned = self.world_point(point_ego), self.world_directions(directions_ego)
         directions = turned.T
         if maybe is None:
             return self.layers.cast(repeat(place, len(directions)), directions, known)

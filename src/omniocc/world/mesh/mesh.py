@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from omniocc.world.assets.material import Material
+from omniocc.world.mesh.material import Material
 
 
 @dataclass(frozen=True)
@@ -18,7 +18,7 @@ class Mesh:
         uv: (F, 3, 2) float32 texture coordinates of each corner in metres on the surface (or along it), so that a
             texture keeps its size and moves with the object.
         label: (F,) uint8 class id, 1..11 (`omniocc.classes`).
-        material: (F,) uint8 `omniocc.world.assets.material.Material`.
+        material: (F,) uint8 `omniocc.world.mesh.material.Material`.
         color: (F, 3) uint8 base colour, RGB.
         instance: (F,) int32, -1 for what never changes, the actor's id, or below -1 for a traffic light's lamps.
     """
