@@ -87,7 +87,7 @@ class Scene:
         self.recorder = Recorder(rig, self._own_car, labeller, supersample, capture, size, erp_top_deg, erp_bottom_deg)
 
     def frame(self, index: int) -> Frame:
-        """Records the moment `index * frame_interval_s`; raises ValueError for a negative index."""
+        """Record the frame at `index * frame_interval_s` seconds."""
         if index < 0:
             raise ValueError(f"frame {index}: frames are counted from 0")
         time_s = index * self._interval_s
@@ -97,7 +97,7 @@ class Scene:
         return self.recorder.frame(snapshot, self.sensor, (*self._seed, index), time_s, world_from_ego, boxes)
 
     def snapshot(self, time_s: float) -> tuple[Snapshot, tuple[Actor, ...]]:
-        """The world at a moment, ready to be seen, and who moves in it; good until the next call."""
+        """Return the world at a time, ready to be rendered, and its moving actors; valid until the next call."""
         world_from_ego = self._traffic.world_from_ego(time_s)
         moving_mesh, actors = self._traffic.actors(time_s)
         own_mesh = transform(self._own_car, world_from_ego)
@@ -118,7 +118,7 @@ class Scene:
 
 
 def ego_box(actor: Actor, world_from_ego: np.ndarray) -> Box:
-    """An actor's box as the ego sees it; the box's middle is half its height above the actor's origin."""
+    """Return an actor's box in the ego frame; its centre is half its height above the actor's origin."""
     ego_from_actor = np.linalg.inv(world_from_ego) @ actor.world_from_actor
     center = ego_from_actor[:3, :3] @ (0, 0, actor.size_m[2] / 2) + ego_from_actor[:3, 3]
     velocity = world_from_ego[:3, :3].T @ (*actor.velocity_mps, 0.0)

@@ -27,7 +27,7 @@ _DOOR = Skin(BUILDING, Material.WOOD, (92, 60, 44))
 
 
 def _block(width: float, depth: float, low: Number, high: Number, wall: Skin, roof: Skin, back: Number = 0.0) -> Mesh:
-    """A body from `low` to `high` whose front is `back` behind y = 0."""
+    """Build a body from `low` to `high` whose front stands `back` metres behind y = 0."""
     return box((width, depth - back, high - low), (0, (depth + back) / 2, (low + high) / 2), wall, roof)
 
 
@@ -36,7 +36,7 @@ def _plinth(width: float, depth: float) -> Mesh:
 
 
 def tower(rng: np.random.Generator) -> Mesh:
-    """Offices or flats: shops below, rows of windows, sometimes a set-back top."""
+    """Build offices or flats: shops below, rows of windows, sometimes a set-back top."""
     width, depth = float(rng.uniform(12, 26)), float(rng.uniform(11, 17))
     storeys = int(rng.integers(4, 12))
     height = STOREY_M * storeys
@@ -54,7 +54,7 @@ def tower(rng: np.random.Generator) -> Mesh:
 
 
 def row(rng: np.random.Generator) -> Mesh:
-    """A terraced town house with a pitched roof along the street."""
+    """Build a terraced town house with a pitched roof along the street."""
     width, depth = float(rng.uniform(6, 10.5)), float(rng.uniform(9, 12))
     storeys = int(rng.integers(2, 5))
     height = STOREY_M * storeys
@@ -71,7 +71,7 @@ def row(rng: np.random.Generator) -> Mesh:
 
 
 def house(rng: np.random.Generator) -> Mesh:
-    """A detached house: gable roof, porch, perhaps a wing and a garage."""
+    """Build a detached house: gable roof, porch, perhaps a wing and a garage."""
     width, depth = float(rng.uniform(8, 12.5)), float(rng.uniform(7.5, 10.5))
     storeys = int(rng.integers(1, 3))
     height = STOREY_M * storeys - 0.2
@@ -94,7 +94,7 @@ def house(rng: np.random.Generator) -> Mesh:
 
 
 def garage(rng: np.random.Generator) -> Mesh:
-    """A single garage, 3.2 x 5.5 m, its gate to the street."""
+    """Build a single garage, 3.2 x 5.5 m, its gate to the street."""
     face, gate = Skin(BUILDING, Material.PLASTER, (205, 192, 172)), Skin(BUILDING, Material.METAL, (206, 206, 200))
     height = float(rng.uniform(2.4, 2.8))
     return concatenate(
@@ -112,7 +112,7 @@ def garage(rng: np.random.Generator) -> Mesh:
 
 
 def hall(rng: np.random.Generator) -> Mesh:
-    """Industrial hall: sheet walls, gates, a band of windows, shallow or saw-tooth roof."""
+    """Build an industrial hall: sheet walls, gates, a band of windows, flat or shallow roof."""
     width, depth = float(rng.uniform(20, 34)), float(rng.uniform(13, 24))
     height = float(rng.uniform(5.5, 9))
     color = choice(rng, _SHEET_COLORS)
@@ -135,7 +135,7 @@ def hall(rng: np.random.Generator) -> Mesh:
 
 
 def barn(rng: np.random.Generator) -> Mesh:
-    """Wooden barn with a steep roof and a large gate."""
+    """Build a wooden barn with a steep roof and a large gate."""
     width, depth = float(rng.uniform(11, 18)), float(rng.uniform(8, 12))
     height = float(rng.uniform(3.2, 4.6))
     face = Skin(BUILDING, Material.WOOD, choice(rng, ((140, 58, 46), (120, 96, 74), (104, 84, 66))))
@@ -157,7 +157,7 @@ def barn(rng: np.random.Generator) -> Mesh:
 
 
 def college(rng: np.random.Generator) -> Mesh:
-    """A long building of two to four storeys behind a row of columns, as on a campus."""
+    """Build a long building of two to four storeys behind a row of columns, as on a campus."""
     width, depth = float(rng.uniform(26, 40)), float(rng.uniform(12, 17))
     height = STOREY_M * int(rng.integers(2, 5))
     stone = Skin(BUILDING, Material.CONCRETE, (206, 200, 188))
@@ -173,7 +173,7 @@ def college(rng: np.random.Generator) -> Mesh:
 
 
 def church(rng: np.random.Generator) -> Mesh:
-    """A nave with its gable to the street and a tower with a spire."""
+    """Build a church: a nave with its gable to the street, and a tower with a spire."""
     width, depth = float(rng.uniform(13, 16)), float(rng.uniform(15, 20))
     stone = Skin(BUILDING, Material.BRICK, choice(rng, ((176, 164, 142), (150, 138, 124), (158, 96, 76))))
     nave, high = width - 5.0, float(rng.uniform(6.5, 8.5))
@@ -194,7 +194,7 @@ def _moved(mesh: Mesh, shift_m: tuple[Number, Number]) -> Mesh:
 
 
 def _gable(width: float, depth: float, height: Number, rise: Number, tiles: Skin, wall: Skin) -> Mesh:
-    """A roof whose ridge runs along the street, its triangles closed with wall."""
+    """Build a roof whose ridge runs along the street, its triangles closed with wall."""
     over, x, low = 0.4, width / 2 + 0.3, height - 0.12
     ridge = [(-x, depth / 2, height + rise), (x, depth / 2, height + rise)]
     front, back = [(-x, -over, low), (x, -over, low)], [(-x, depth + over, low), (x, depth + over, low)]
@@ -220,7 +220,7 @@ def _gable(width: float, depth: float, height: Number, rise: Number, tiles: Skin
 
 
 def _turned_gable(width: float, depth: float, height: Number, rise: Number, tiles: Skin, wall: Skin) -> Mesh:
-    """The same with the ridge across, so that a gable rendered to the street."""
+    """Build a roof whose ridge runs away from the street, so that a gable faces the street."""
     roof = _gable(depth, width, height, rise, tiles, wall)
     turned = roof.vertices[:, [1, 0, 2]] * np.array([-1, 1, 1], np.float32) + np.array(
         [width / 2, depth / 2, 0], np.float32
@@ -238,7 +238,7 @@ def _entrance(x: Number) -> list[Mesh]:
 
 
 def _shops(rng: np.random.Generator, width: float) -> list[Mesh]:
-    """Shop windows with name boards and some awnings."""
+    """Build shop windows with name boards and some awnings."""
     parts, count = [], max(1, int(width // 5))
     for k in range(count):
         x, span = (k + 0.5) / count * width - width / 2, 0.84 * width / count
@@ -252,7 +252,7 @@ def _shops(rng: np.random.Generator, width: float) -> list[Mesh]:
 
 
 def _balconies(rng: np.random.Generator, width: float, storeys: int) -> list[Mesh]:
-    """Stacks of balconies on some fronts."""
+    """Build stacks of balconies on about half of the fronts."""
     if rng.uniform() < 0.5 or storeys < 3:
         return []
     parts = []
@@ -272,7 +272,7 @@ KINDS: dict[str, Callable[[np.random.Generator], Mesh]] = {
 
 
 def footprint_m(mesh: Mesh) -> tuple[float, float]:
-    """Width and depth of a building's foundation."""
+    """Return width and depth of a building's foundation."""
     base = mesh.vertices[mesh.vertices[:, 2] < mesh.vertices[:, 2].min() + 0.01]
     wide, deep = np.ptp(base[:, :2], axis=0)
     return float(wide), float(deep)

@@ -23,28 +23,28 @@ _PEOPLE = 16
 
 @lru_cache(maxsize=256)
 def variants(group: str, kind: str) -> tuple[Mesh, ...]:
-    """All variants of a kind (see `KINDS` of the module of that name); the same in every process."""
+    """Return all variants of a kind (see `KINDS` of the group's module); equal in every process."""
     make, rng = _MAKERS[group][kind], seeding.generator(group, 0, kind)
     return tuple(make(rng) for _ in range(_VARIANTS[group]))
 
 
 @lru_cache(maxsize=1)
 def people() -> tuple[tuple[list[Mesh], tuple[float, float, float]], ...]:
-    """Walkers, each in all poses of a stride (see `person.walking`), and their sizes."""
+    """Return walkers, each in all poses of a stride (see `person.walking`), and their sizes."""
     rng = seeding.generator("person", 0, "walking")
     drawn = [person.walking(rng) for _ in range(_PEOPLE)]
     return tuple((poses, person.size_m(poses)) for poses in drawn)
 
 
 def random_variant(rng: np.random.Generator, group: str, kind: str) -> Mesh:
-    """One of the variants."""
+    """Return one of the variants of a kind."""
     return seeding.choice(rng, variants(group, kind))
 
 
 def fitting_building(
     rng: np.random.Generator, kind: str, size_m: tuple[Number, Number]
 ) -> tuple[Mesh, tuple[float, float]]:
-    """One of the three buildings that need the least stretching to stand on (width, depth), and the two stretches."""
+    """Return one of the three buildings that need the least stretching to fill `size_m`, and its stretch."""
     stretch = np.log(np.asarray(size_m) / _footprints(kind))
     index = np.argsort(np.abs(stretch).sum(1))[int(rng.integers(3))]
     wide, deep = np.exp(stretch[index])

@@ -26,7 +26,7 @@ _HAIR: tuple[Color, ...] = ((40, 32, 28), (92, 64, 40), (170, 130, 80), (120, 12
 
 
 def walking(rng: np.random.Generator) -> list[Mesh]:
-    """One person in `PHASES` poses of a stride; the first is also how the person stands."""
+    """Build one person in `PHASES` poses of a stride; the first pose also serves for standing."""
     height = float(rng.uniform(1.1, 1.5) if rng.uniform() < _CHILDREN else rng.uniform(1.5, 1.98))
     tops, legs = (_CLOTHES[int(k)] for k in rng.integers(len(_CLOTHES), size=2))
     coat = Skin(PEDESTRIAN, Material.CLOTH, tops)
@@ -57,14 +57,14 @@ def walking(rng: np.random.Generator) -> list[Mesh]:
 
 
 def size_m(poses: list[Mesh]) -> tuple[float, float, float]:
-    """Length of a stride, width and height; the body's middle is the middle of the box."""
+    """Return length of a stride, width and height; the body stands in the middle of the box."""
     points = np.concatenate([mesh.vertices for mesh in poses])
     length, width = 2 * np.abs(points[:, :2]).max(0)
     return float(length), float(width), float(points[:, 2].max())
 
 
 def _limbs(side: int, swing: float, height: float, wide: float, coat: Skin, trousers: Skin, skin: Skin) -> list[Mesh]:
-    """Leg and (opposite) arm of one side, swung by an angle in radians."""
+    """Build one leg and the opposite arm, swung by an angle in radians."""
     y, hip, shoulder = 0.085 * side * wide, 0.49 * height, 0.79 * height
     knee = (0.25 * height * np.sin(swing), y, hip - 0.25 * height * np.cos(swing))
     lower = swing - 0.5 * max(0.0, -swing) - 0.05

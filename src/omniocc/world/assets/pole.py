@@ -16,7 +16,7 @@ SIGN_COLORS: tuple[Color, ...] = ((196, 34, 38), (30, 80, 160), (222, 180, 40), 
 
 
 def street_lamp(rng: np.random.Generator) -> Mesh:
-    """A tall post whose arm carries the light along +y."""
+    """Build a tall post whose arm carries the light along +y."""
     height, reach = float(rng.uniform(6.5, 9)), float(rng.uniform(1.2, 2.2))
     head = box((0.26, 0.7, 0.12), (0, reach + 0.2, height + 0.25), _DARK)
     light = box((0.2, 0.5, 0.03), (0, reach + 0.2, height + 0.175), Skin(POLE, Material.LAMP, (255, 236, 190)))
@@ -25,7 +25,7 @@ def street_lamp(rng: np.random.Generator) -> Mesh:
 
 
 def park_lamp(rng: np.random.Generator) -> Mesh:
-    """A low post with a globe."""
+    """Build a low post with a globe."""
     height = float(rng.uniform(3.2, 4.2))
     post = lathe([0.12, 0.12, 0.06, 0.05], [-0.3, 0.4, 0.45, height], 5, _DARK)
     globe = lathe([0.05, 0.22, 0.26, 0.2, 0], [height, height + 0.08, height + 0.25, height + 0.42, height + 0.48], 6,
@@ -34,7 +34,7 @@ def park_lamp(rng: np.random.Generator) -> Mesh:
 
 
 def sign(rng: np.random.Generator) -> Mesh:
-    """A traffic sign facing +x: disc, triangle, square or a name board."""
+    """Build a traffic sign that faces +x: disc, triangle, square or a name board."""
     height, color = float(rng.uniform(2.2, 2.7)), choice(rng, SIGN_COLORS)
     face, post = (
         Skin(POLE, Material.SIGN, color),
@@ -49,7 +49,7 @@ def sign(rng: np.random.Generator) -> Mesh:
 
 
 def _board(rim: np.ndarray, place: tuple[float, float], skin: Skin) -> Mesh:
-    """A flat plate over an outline in (y, z), seen from both sides, at x = place[0], its centre at z = place[1]."""
+    """Build a two-sided plate over an outline in (y, z), at x = place[0], centred at z = place[1]."""
     points = np.column_stack([np.full(len(rim), place[0]), rim[:, 0], rim[:, 1] + place[1]])
     corners = np.stack([np.broadcast_to(points.mean(0), points.shape), points, np.roll(points, -1, 0)], 1)
     behind = corners[:, ::-1] - np.array([0.01, 0, 0])
@@ -64,7 +64,7 @@ SIGNALS: tuple[Color, ...] = ((230, 40, 30), (240, 180, 30), (40, 210, 90))
 
 
 def traffic_light(rng: np.random.Generator) -> Mesh:
-    """A post with a head on it and one on an arm along -y, facing +x, all lamps dark; see `lit_lamps`."""
+    """Build a post with a head on it and one on an arm along -y, facing +x, all lamps dark."""
     shade = int(rng.integers(38, 60))
     dark = Skin(POLE, Material.METAL, (shade, shade + 4, shade + 6))
     parts = [lathe([0.14, 0.1, 0.07, 0], [-0.3, 0.5, _LIGHT_M, _LIGHT_M], 6, dark),
@@ -81,12 +81,12 @@ def _lamps(number: int, skin: Skin, out_m: float) -> list[Mesh]:
 
 
 def lit_lamps(number: int) -> Mesh:
-    """What shines of a traffic light that shows red (0), yellow (1) or green (2)."""
+    """Build the lit lamps of a traffic light that shows red (0), yellow (1) or green (2)."""
     return concatenate(_lamps(number, Skin(POLE, Material.LAMP, SIGNALS[number]), 0.15))
 
 
 def utility_pole(rng: np.random.Generator) -> Mesh:
-    """A wooden pole with cross arms."""
+    """Build a wooden pole with cross arms."""
     height = float(rng.uniform(7.5, 9))
     wood = Skin(POLE, Material.WOOD, (112, 88, 66))
     parts = [lathe([0.15, 0.11, 0], [-0.4, height, height], 7, wood)]

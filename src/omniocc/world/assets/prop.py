@@ -23,7 +23,7 @@ _WOOD = Skin(OTHER, Material.WOOD, (150, 112, 74))
 
 
 def bench(rng: np.random.Generator) -> Mesh:
-    """Seat, back and two legs."""
+    """Build a bench: seat, back and two legs."""
     length = float(rng.uniform(1.4, 2.0))
     legs = [box((0.08, 0.42, 0.46), (x, 0, 0.21), _STEEL) for x in (-0.4 * length, 0.4 * length)]
     slats = [box((length, 0.11, 0.04), (0, y, 0.45), _WOOD) for y in (-0.15, 0.0, 0.15)]
@@ -32,7 +32,7 @@ def bench(rng: np.random.Generator) -> Mesh:
 
 
 def bin_(rng: np.random.Generator) -> Mesh:
-    """Litter bin or wheeled bin."""
+    """Build a litter bin or a wheeled bin."""
     skin = _skin(rng, Material.METAL)
     if rng.uniform() < 0.5:
         return lathe([0.22, 0.26, 0.27, 0.2, 0], [-0.05, 0.85, 0.92, 1.0, 1.02], 9, skin)
@@ -41,14 +41,14 @@ def bin_(rng: np.random.Generator) -> Mesh:
 
 
 def hydrant(rng: np.random.Generator) -> Mesh:
-    """Fire hydrant."""
+    """Build a fire hydrant."""
     skin = Skin(OTHER, Material.METAL, (188, 44, 36) if rng.uniform() < 0.7 else (214, 176, 44))
     body = lathe([0.17, 0.17, 0.12, 0.12, 0.16, 0.12, 0], [-0.05, 0.08, 0.1, 0.55, 0.58, 0.7, 0.78], 6, skin)
     return concatenate([body, box((0.4, 0.12, 0.12), (0, 0, 0.45), skin)])
 
 
 def shelter(rng: np.random.Generator) -> Mesh:
-    """Bus shelter: roof, glass back and one glass end, bench."""
+    """Build a bus shelter: roof, glass back, one end with a poster and one of glass, a seat."""
     length = float(rng.uniform(2.8, 4.0))
     glass = Skin(OTHER, Material.GLASS, (126, 148, 156))
     posts = [box((0.08, 0.08, 2.4), (x, y, 1.2), _STEEL) for x in (-length / 2, length / 2) for y in (-0.6, 0.5)]
@@ -60,7 +60,7 @@ def shelter(rng: np.random.Generator) -> Mesh:
 
 
 def kiosk(rng: np.random.Generator) -> Mesh:
-    """Newspaper stand with an awning."""
+    """Build a newspaper stand with an awning."""
     body, band = _skin(rng, Material.PLASTER), _skin(rng, Material.SIGN)
     return concatenate(
         [
@@ -73,7 +73,7 @@ def kiosk(rng: np.random.Generator) -> Mesh:
 
 
 def cabinet(rng: np.random.Generator) -> Mesh:
-    """Switch cabinet, mail box or parking meter."""
+    """Build a switch cabinet, a mail box or a parking meter."""
     kind = int(rng.integers(3))
     if kind == 0:
         width, height = float(rng.uniform(0.7, 1.3)), float(rng.uniform(1.0, 1.4))
@@ -87,20 +87,20 @@ def cabinet(rng: np.random.Generator) -> Mesh:
 
 
 def bollards(rng: np.random.Generator) -> Mesh:
-    """A row of bollards."""
+    """Build a row of three bollards."""
     skin = _skin(rng, Material.METAL)
     return concatenate(lathe([0.09, 0.09, 0.06, 0], [-0.1, 0.8, 0.88, 0.92], 5, skin, (x, 0)) for x in (-1.2, 0.0, 1.2))
 
 
 def planter(rng: np.random.Generator) -> Mesh:
-    """Stone tub; what grows in it is planted separately."""
+    """Build a stone tub filled with soil."""
     size = float(rng.uniform(0.9, 1.4))
     tub = Skin(OTHER, Material.CONCRETE, (150, 146, 138))
     return box((size, 0.7, 0.6), (0, 0, 0.28), tub, Skin(OTHER, Material.SOIL, (84, 66, 48)))
 
 
 def crates(rng: np.random.Generator) -> Mesh:
-    """A few stacked boxes."""
+    """Build a few stacked boxes."""
     parts = []
     for k in range(int(rng.integers(2, 5))):
         size = (float(rng.uniform(0.5, 0.9)), float(rng.uniform(0.5, 0.8)), float(rng.uniform(0.4, 0.8)))
@@ -111,7 +111,7 @@ def crates(rng: np.random.Generator) -> Mesh:
 
 
 def pallets(rng: np.random.Generator) -> Mesh:
-    """A stack of pallets, sometimes with a load."""
+    """Build a stack of pallets, sometimes with a load."""
     count = int(rng.integers(3, 8))
     parts = [box((1.2, 0.8, 0.11), (0, 0, 0.07 + 0.145 * k), _WOOD) for k in range(count)]
     if rng.uniform() < 0.5:
@@ -120,14 +120,14 @@ def pallets(rng: np.random.Generator) -> Mesh:
 
 
 def bales(rng: np.random.Generator) -> Mesh:
-    """Hay bales."""
+    """Build one or two hay bales."""
     hay = Skin(OTHER, Material.CLOTH, (190, 162, 92))
     parts = [box((1.1, 0.8, 0.7), (0.0, 0, 0.34), hay), box((1.0, 0.8, 0.7), (0.1, 0.05, 1.02), hay)]
     return concatenate(parts[: int(rng.integers(1, 3))])
 
 
 def post_box(rng: np.random.Generator) -> Mesh:
-    """Letter box on a post."""
+    """Build a letter box on a post."""
     return concatenate(
         [box((0.1, 0.1, 1.1), (0, 0, 0.5), _WOOD), box((0.24, 0.5, 0.26), (0, 0.05, 1.15), _skin(rng, Material.METAL))]
     )

@@ -23,7 +23,7 @@ LEAF_COLORS: tuple[Color, ...] = (
 
 
 def round_tree(rng: np.random.Generator) -> Mesh:
-    """Broad crown of several lumps over a forked trunk."""
+    """Build a broad crown of several lumps over a trunk."""
     height, crown = rng.uniform(6.5, 10), rng.uniform(1.5, 2.3)
     stem = rng.uniform(2.3, 3.2)
     parts = [lathe([0.24, 0.17, 0.13], [-0.3, 0.5, stem + 0.8], 5, _BARK)]
@@ -41,7 +41,7 @@ def round_tree(rng: np.random.Generator) -> Mesh:
 
 
 def tall_tree(rng: np.random.Generator) -> Mesh:
-    """Slender upright crown, as of poplars."""
+    """Build a slender upright crown, as of a poplar."""
     height, crown = rng.uniform(8, 13), rng.uniform(1.0, 1.6)
     stem = rng.uniform(2.2, 2.8)
     body = blob(rng, (crown, crown, (height - stem) / 2), (0, 0, (height + stem) / 2), LEAVES, 0.2, sides=7, rows=6)
@@ -49,7 +49,7 @@ def tall_tree(rng: np.random.Generator) -> Mesh:
 
 
 def conifer(rng: np.random.Generator) -> Mesh:
-    """Whorls of drooping branches, narrower upwards."""
+    """Build whorls of drooping branches, narrower upwards."""
     height, skirt = rng.uniform(6, 12), rng.uniform(1.6, 2.5)
     tiers = int(rng.integers(4, 6))
     parts = [lathe([0.2, 0.14], [-0.3, 1.6], 6, _BARK)]
@@ -62,7 +62,7 @@ def conifer(rng: np.random.Generator) -> Mesh:
 
 
 def birch(rng: np.random.Generator) -> Mesh:
-    """Pale stem, sparse light crown."""
+    """Build a pale stem with a sparse light crown."""
     height = rng.uniform(6, 10)
     parts = [lathe([0.14, 0.1, 0.03], [-0.3, 0.4 * height, 0.95 * height], 6, _BIRCH)]
     for k in range(4):
@@ -77,7 +77,7 @@ def birch(rng: np.random.Generator) -> Mesh:
 
 
 def young_tree(rng: np.random.Generator) -> Mesh:
-    """Thin stem on a stake with one small crown, as planted along streets."""
+    """Build a thin stem on a stake with one small crown, as planted along streets."""
     crown = rng.uniform(0.7, 1.1)
     height = rng.uniform(2.1, 2.6) + 2.3 * crown
     stake = lathe([0.04, 0.04, 0], [-0.2, 1.6, 1.6], 5, _BARK, (0.25, 0.0))
@@ -86,7 +86,7 @@ def young_tree(rng: np.random.Generator) -> Mesh:
 
 
 def bush(rng: np.random.Generator) -> Mesh:
-    """Two or three lumps on the ground."""
+    """Build two or three lumps on the ground."""
     parts = []
     for _ in range(int(rng.integers(2, 4))):
         size = rng.uniform(0.4, 0.8)
@@ -96,7 +96,7 @@ def bush(rng: np.random.Generator) -> Mesh:
 
 
 def distant(rng: np.random.Generator) -> Mesh:
-    """A plain tree for where nobody comes near."""
+    """Build a tree of few triangles, for places far from every street."""
     height, crown = rng.uniform(6, 11), rng.uniform(1.3, 2.2)
     stem = rng.uniform(1.8, 3.0)
     body = blob(rng, (crown, crown, (height - stem) / 2), (0, 0, (height + stem) / 2), LEAVES, 0.3, sides=6, rows=4)

@@ -34,7 +34,7 @@ _PLATE = Skin(VEHICLE, Material.SIGN, (226, 226, 220))
 
 
 def _wheel(x_m: Number, y_m: Number, radius_m: Number) -> Mesh:
-    """A wheel around the y axis, its disc on the outer side."""
+    """Build a wheel around the y axis, its disc on the outer side."""
     flat = concatenate(
         [
             lathe([radius_m, radius_m, 0], [-0.11, 0.1, 0.11], 9, _RUBBER),
@@ -70,7 +70,7 @@ def _car(
     cabin: tuple[float, float, float, float],
     belt: float = 0.92,
 ) -> Mesh:
-    """A body below the belt line, glass above it.
+    """Build a car: a body below the belt line, glass above it.
 
     `cabin`: x of rear foot, rear roof, front roof and front foot, as shares of the length.
     """
@@ -113,26 +113,26 @@ def _car(
 
 
 def sedan(rng: np.random.Generator) -> Mesh:
-    """Three boxes."""
+    """Build a sedan: hood, cabin and trunk."""
     return _car(rng.uniform(4.3, 5.2), rng.uniform(1.75, 1.9), rng.uniform(1.4, 1.5), 0.9, (-0.38, -0.22, 0.02, 0.2))
 
 
 def hatchback(rng: np.random.Generator) -> Mesh:
-    """Short, with a steep tail."""
+    """Build a short car with a steep tail."""
     return _car(
         rng.uniform(3.6, 4.3), rng.uniform(1.65, 1.8), rng.uniform(1.45, 1.58), 0.92, (-0.48, -0.38, 0.05, 0.24)
     )
 
 
 def suv(rng: np.random.Generator) -> Mesh:
-    """High, with a long roof."""
+    """Build a high car with a long roof."""
     return _car(
         rng.uniform(4.4, 4.9), rng.uniform(1.82, 1.95), rng.uniform(1.65, 1.85), 1.05, (-0.48, -0.42, 0.04, 0.2), 1.05
     )
 
 
 def van(rng: np.random.Generator) -> Mesh:
-    """Delivery van: closed box behind a short nose."""
+    """Build a delivery van: closed box behind a short nose."""
     length, width, height = rng.uniform(5.0, 5.9), rng.uniform(1.9, 2.05), rng.uniform(1.95, 2.5)
     h, w = length / 2, width / 2
     outline = np.array(
@@ -152,7 +152,7 @@ def van(rng: np.random.Generator) -> Mesh:
 
 
 def truck(rng: np.random.Generator) -> Mesh:
-    """Cab and cargo box."""
+    """Build a truck: cab and cargo box."""
     length, width, height = rng.uniform(6.5, 8.2), rng.uniform(2.2, 2.4), rng.uniform(2.8, 3.4)
     h, w, cab = length / 2, width / 2, 1.9
     cargo = Skin(VEHICLE, Material.METAL, choice(rng, ((214, 214, 208), (92, 120, 140), (186, 120, 60))))
@@ -166,7 +166,7 @@ def truck(rng: np.random.Generator) -> Mesh:
 
 
 def bus(rng: np.random.Generator) -> Mesh:
-    """City bus with a band of windows."""
+    """Build a city bus with a band of windows."""
     length, width, height = rng.uniform(8.6, 9.8), 2.4, rng.uniform(2.85, 3.1)
     h, w = length / 2, width / 2
     parts = [box((length, width, height - 0.35), (0, 0, (height + 0.35) / 2), _PAINT)]
@@ -184,7 +184,7 @@ def bus(rng: np.random.Generator) -> Mesh:
 
 
 def bicycle(rng: np.random.Generator) -> Mesh:
-    """Bicycle with its rider."""
+    """Build a bicycle with its rider."""
     frame = Skin(VEHICLE, Material.METAL, choice(rng, PAINTS))
     cloth = Skin(VEHICLE, Material.CLOTH, choice(rng, PAINTS))
     trousers = Skin(VEHICLE, Material.CLOTH, (52, 56, 72))
@@ -241,13 +241,13 @@ PARKED = {"sedan": 2.0, "hatchback": 2.0, "suv": 2.0, "van": 1.0}
 
 
 def size_m(mesh: Mesh) -> tuple[float, float, float]:
-    """Extent of a prototype along its x, y, z."""
+    """Return the extent of a prototype along its x, y, z."""
     extent = mesh.vertices.max(0) - mesh.vertices.min(0)
     return float(extent[0]), float(extent[1]), float(extent[2])
 
 
 def ego_car() -> Mesh:
-    """The car below the rig, in the ego frame: 4.6 x 1.9 m, its roof at z = -0.55 m, its wheels on z = -2.2 m."""
+    """Build the ego car in the ego frame: 4.6 x 1.9 m, roof at z = -0.55 m, wheels on z = -2.2 m."""
     mesh = _car(4.6, 1.86, 1.65, 1.02, (-0.47, -0.4, 0.06, 0.22), 1.03)
     painted = np.where((mesh.material == Material.CAR_PAINT)[:, None], np.array([128, 24, 28], np.uint8), mesh.color)
     down = np.eye(4)

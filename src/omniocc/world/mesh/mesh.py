@@ -36,7 +36,7 @@ class Mesh:
 
 
 def empty() -> Mesh:
-    """A mesh without faces."""
+    """Return a mesh without faces."""
     return Mesh(
         np.zeros((0, 3), np.float32),
         np.zeros((0, 3), np.int32),
@@ -49,7 +49,7 @@ def empty() -> Mesh:
 
 
 def concatenate(meshes: Iterable[Mesh]) -> Mesh:
-    """All faces in one mesh, in the given order."""
+    """Return all faces in one mesh, in the given order."""
     parts = [mesh for mesh in meshes if len(mesh)]
     if not parts:
         return empty()
@@ -66,18 +66,18 @@ def concatenate(meshes: Iterable[Mesh]) -> Mesh:
 
 
 def transform(mesh: Mesh, a_from_b: np.ndarray) -> Mesh:
-    """The mesh of frame b in frame a; `a_from_b` is (4, 4), a rotation (or uniform scale) and a shift."""
+    """Return the mesh of frame b in frame a; `a_from_b` is (4, 4), a rotation (or uniform scale) and a shift."""
     vertices = mesh.vertices @ a_from_b[:3, :3].T.astype(np.float32) + a_from_b[:3, 3].astype(np.float32)
     return replace(mesh, vertices=vertices)
 
 
 def with_instance(mesh: Mesh, instance: int) -> Mesh:
-    """The same faces, all belonging to one actor."""
+    """Return the same faces, all belonging to one actor."""
     return replace(mesh, instance=np.full(len(mesh), instance, np.int32))
 
 
 def instances(mesh: Mesh, a_from_b: np.ndarray, paint: Mapping[Material, np.ndarray]) -> Mesh:
-    """Copies of one mesh.
+    """Return copies of one mesh, posed and repainted.
 
     Args:
         mesh: the prototype in frame b.

@@ -44,7 +44,7 @@ class RenderedPixels(NamedTuple):
 
 
 def render_pixels(view: View, snapshot: Snapshot) -> RenderedPixels:
-    """Casts the pixels' rays.
+    """Cast the pixels' rays and shade what they hit.
 
     Every pixel gets a ray through its centre, which decides class and range. Where neighbours see different surfaces,
     or light beside shadow, further rays are cast and the colours averaged in linear light; elsewhere the texture's mip
@@ -63,7 +63,7 @@ def render_pixels(view: View, snapshot: Snapshot) -> RenderedPixels:
 
 
 def expose(view: View, seen: RenderedPixels, light: Light, sensor: Sensor, rng: np.random.Generator) -> CameraImage:
-    """The picture of what is seen: rain before the lens, exposure and noise; own car and lens rim without a class."""
+    """Return the image of rendered pixels: rain before the lens, exposure and noise are added."""
     color = seen.color
     if light.streaks:
         drops = streaks(view.size, view.pixel, rng) * light.streaks
@@ -77,7 +77,7 @@ def expose(view: View, seen: RenderedPixels, light: Light, sensor: Sensor, rng: 
 
 
 def record(view: View, snapshot: Snapshot, sensor: Sensor, rng: np.random.Generator) -> CameraImage:
-    """Takes one picture; `rng` draws drops and noise."""
+    """Take one image; `rng` draws drops and noise."""
     return expose(view, render_pixels(view, snapshot), snapshot.light, sensor, rng)
 
 
@@ -99,7 +99,7 @@ def _smooth(
     center_color: np.ndarray,
     maybe: np.ndarray,
 ) -> np.ndarray:
-    """(3, E) mean colour of pixels `index` over all their rays.
+    """Return the (3, E) mean colour of pixels `index` over all their rays.
 
     A ray that meets the triangle (E,) `face` of the centre ray gets its colour, unless a `shadow` (E,) ends near by.
     """
@@ -117,7 +117,7 @@ def _smooth(
 
 
 def _borders(view: View, key: np.ndarray, seen: Shading, range_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(P,) bool each: whether a pixel above, below, left or right sees another surface, or another light."""
+    """Return for (P,) pixels whether a direct neighbour sees another surface, or other light, as two bool arrays."""
     keys, lit = _image(view, key, 0), _image(view, seen.lit, False)
     plane, distance = _image(view, seen.offset_m, 0), _image(view, np.minimum(range_m, _SKY_M), _SKY_M)
     surface, shadow = np.zeros(view.size, dtype=bool), np.zeros(view.size, dtype=bool)

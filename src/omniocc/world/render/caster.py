@@ -27,7 +27,7 @@ class Hits(NamedTuple):
     v: np.ndarray
 
     def take(self, index: np.ndarray) -> "Hits":
-        """The hits of some of the rays."""
+        """Return the hits of some of the rays."""
         return Hits(*(array.take(index) for array in self))
 
 
@@ -64,7 +64,7 @@ class Caster:
         self._triangles = meshes.TriangleMesh(self._scene, vertices, np.ascontiguousarray(mesh.faces, dtype=np.int32))
 
     def cast(self, origins: np.ndarray, directions: np.ndarray, limit_m: np.ndarray | None = None) -> Hits:
-        """Nearest hit of each ray.
+        """Return the nearest hit of each ray.
 
         Args:
             origins: (R, 3) float32; any strides, so a broadcast view of one point will do.
@@ -82,7 +82,7 @@ class Caster:
         return Hits(range_m, face, found["u"], found["v"])
 
     def blocked(self, origins: np.ndarray, directions: np.ndarray, limit_m: float = float(_FAR_M)) -> np.ndarray:
-        """(R,) bool: whether anything lies along each ray before `limit_m`.
+        """Return (R,) bool: whether anything lies along each ray before `limit_m`.
 
         `directions` is (R, 3), or (1, 3) shared by all rays.
         """
@@ -99,7 +99,7 @@ class Layers:
         self.offsets = np.cumsum([0] + [caster.size for caster in casters])
 
     def cast(self, origins: np.ndarray, directions: np.ndarray, known: Hits | None = None) -> Hits:
-        """Nearest hit over all layers, and over hits `known` beforehand (their faces are kept as they are)."""
+        """Return the nearest hit over all layers and over hits `known` beforehand, whose faces are kept as they are."""
         best = known
         for caster, offset in zip(self.casters, self.offsets, strict=False):
             if caster.size == 0 and best is not None:
@@ -110,7 +110,7 @@ class Layers:
         return best
 
     def blocked(self, origins: np.ndarray, directions: np.ndarray, limit_m: float = float(_FAR_M)) -> np.ndarray:
-        """(R,) bool: whether any layer lies along each ray before `limit_m`."""
+        """Return (R,) bool: whether any layer lies along each ray before `limit_m`."""
         result = np.zeros(len(origins), dtype=bool)
         for caster in self.casters:
             if caster.size:
@@ -121,13 +121,13 @@ class Layers:
 
 
 def no_hits(count: int, range_m: float = np.inf) -> Hits:
-    """Hits of rays that meet nothing before `range_m`."""
+    """Return the hits of rays that meet nothing before `range_m`."""
     zeros = np.zeros(count, np.float32)
     return Hits(np.full(count, range_m, np.float32), np.full(count, -1, np.int32), zeros, zeros)
 
 
 def _nearer(best: Hits, found: Hits, offset: int) -> Hits:
-    """`found` where it hit (its rays ended at `best`), elsewhere `best`."""
+    """Return `found` where it hit (its rays ended at `best`), elsewhere `best`."""
     missed = found.face < 0
     if missed.all():
         return best

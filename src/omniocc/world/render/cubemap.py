@@ -52,7 +52,7 @@ class Cube:
 
 
 def make_cube(rig: Rig, camera: int, view: View, supersample: int, own_car: Caster) -> Cube:
-    """Faces for one camera; their pixels are as fine as the camera's in the faces' middle and finer elsewhere.
+    """Build the cube's faces for one camera, as fine as the camera's pixels in their middle, finer elsewhere.
 
     Args:
         rig: of the vehicle.
@@ -109,7 +109,7 @@ def _face_views(
 
 
 def render_through_cube(cube: Cube, snapshot: Snapshot) -> RenderedPixels:
-    """What the camera's pixels see in the faces.
+    """Render the cube's faces and look the camera's pixels up in them.
 
     Colours are blended bilinearly. Ranges are blended as inverse distances along the face's axis, which is exact on a
     plane, where all four face pixels see one surface; elsewhere, and for classes, the nearest face pixel decides.

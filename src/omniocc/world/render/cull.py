@@ -25,7 +25,7 @@ class Cones(NamedTuple):
 
 
 def make_cones(directions: np.ndarray, bundle: np.ndarray) -> Cones:
-    """Cones around unit directions (3, R) with the bundle (R,) of each, numbered from 0 without gaps."""
+    """Build cones around unit directions (3, R) with the bundle (R,) of each, numbered from 0 without gaps."""
     total = np.stack([np.bincount(bundle, weights=row) for row in directions], axis=1)
     axis = total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-9)
     least = np.ones(len(axis))
@@ -35,7 +35,7 @@ def make_cones(directions: np.ndarray, bundle: np.ndarray) -> Cones:
 
 
 def meets(cones: Cones, place_m: np.ndarray, spheres: np.ndarray) -> np.ndarray:
-    """(B,) bool: whether rays of a bundle from a place (3,) may meet one of the spheres (K, 4: middle, radius)."""
+    """Return (B,) bool: whether rays of a bundle from a point (3,) may meet a sphere of (K, 4), centre and radius."""
     way = spheres[:, :3] - place_m
     distance = np.linalg.norm(way, axis=1)
     if (distance <= spheres[:, 3]).any():
@@ -47,7 +47,7 @@ def meets(cones: Cones, place_m: np.ndarray, spheres: np.ndarray) -> np.ndarray:
 
 
 def spheres_of(mesh: Mesh) -> np.ndarray:
-    """(K, 4) float32 middle and radius around the faces of each instance, whose faces must follow one another."""
+    """Return (K, 4) float32 centre and radius around each instance, whose faces must follow one another."""
     if len(mesh) == 0:
         return np.zeros((0, 4), np.float32)
     first = np.flatnonzero(np.append(True, np.diff(mesh.instance) != 0))
@@ -75,7 +75,7 @@ class ShadowMask:
             self._stamp(np.array([x, y]) - self._slope * z, along, radius / float(toward[2]), radius)
 
     def _stamp(self, middle: np.ndarray, along: np.ndarray, length_m: float, width_m: float) -> None:
-        """Marks all cells that an ellipse may touch."""
+        """Mark all cells that an ellipse may touch."""
         reach = np.hypot(along * length_m, along[::-1] * width_m) + 2 * _CELL_M
         x, y = (
             np.arange(int(np.floor((m - r) / _CELL_M)), int(np.floor((m + r) / _CELL_M)) + 1)
@@ -88,7 +88,7 @@ class ShadowMask:
         self._mask[x[rows] & (_SIDE - 1), y[columns] & (_SIDE - 1)] = True
 
     def touches(self, points: np.ndarray) -> np.ndarray:
-        """(R,) bool: whether a point (3, R) may lie in one of the shadows."""
+        """Return (R,) bool: whether a point (3, R) may lie in one of the shadows."""
         row, column = (
             np.floor((points[k] - self._slope[k] * points[2]) * np.float32(1 / _CELL_M)).astype(np.int32) & (_SIDE - 1)
             for k in (0, 1)

@@ -15,7 +15,7 @@ _HEIGHT_M = 6.0
 
 
 def lamp_strength(mesh: Mesh) -> np.ndarray:
-    """(F,) float32 light of its own, as a multiple of the base colour: lamps, head and tail lights; otherwise 0."""
+    """Return (F,) float32 emitted light as a multiple of the base colour: lamps, head and tail lights; else 0."""
     red, green, blue = mesh.color.astype(np.int32).T
     vehicle = mesh.label == VEHICLE
     head = vehicle & (mesh.material == Material.GLASS) & (np.minimum(red, blue) > 200)
@@ -26,7 +26,7 @@ def lamp_strength(mesh: Mesh) -> np.ndarray:
 
 
 def lamp_pools(mesh: Mesh) -> np.ndarray:
-    """(1024 * 1024,) float32 light on level ground from the lamps above it, 1 right below one; see `lamp_light`."""
+    """Return (1024 * 1024,) float32 light on level ground from the lamps above it, 1 right below a lamp."""
     corner = mesh.vertices[mesh.faces[mesh.material == Material.LAMP]]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     down = normal[:, 2] < -0.5 * np.linalg.norm(normal, axis=1)
@@ -45,7 +45,7 @@ def lamp_pools(mesh: Mesh) -> np.ndarray:
 def lamp_light(
     light: Light, base: np.ndarray, own: np.ndarray, tint: np.ndarray, facts: np.ndarray, points: np.ndarray
 ) -> np.ndarray:
-    """(3, R) light after dark from surfaces that shine or stand under a lamp.
+    """Return the (3, R) light after dark from surfaces that shine or lie under a lamp.
 
     Args:
         light: of the scene.

@@ -60,19 +60,19 @@ class Sensor:
 
 
 def ambient(light: Light, up: np.ndarray) -> np.ndarray:
-    """(3, R) light from sky and ground on surfaces whose normals have the upward component `up` (R,)."""
+    """Return (3, R) light from sky and ground on surfaces whose normals have the upward component `up` (R,)."""
     sky = 0.5 * (light.zenith + light.horizon)
     share = 0.5 + 0.5 * up
     return sky[:, None] * share + light.bounce[:, None] * (1 - share)
 
 
 def standing_water(light: Light, tint: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """(R,) how much of a mirror wet surfaces are; water stands where the texture is dark. `tint`, `up` are (R,)."""
+    """Return (R,) mirror strength of wet surfaces; water stands where the texture is dark."""
     return light.wet * np.clip((1.35 - tint) * 0.9, 0.15, 1) * np.clip(3 * up - 2, 0, 1)
 
 
 def develop(linear: np.ndarray, sensor: Sensor, falloff: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Linear light (3, P) to RGB (P, 3) uint8; `falloff` (P,) is 0 on the axis and 1 at the rim; `rng` draws noise."""
+    """Turn linear light (3, P) into RGB (P, 3) uint8; `falloff` (P,) is 0 on the axis and 1 at the rim."""
     gain = sensor.exposure * (1 - sensor.vignette * falloff)
     result = np.empty((linear.shape[1], 3), np.uint8)
     grain = _grain()

@@ -9,7 +9,7 @@ _SLANT = 0.12
 
 
 def streaks(size: tuple[int, int], pixel: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """(P,) float32 how much of what pixels see is hidden by drops, 0..1.
+    """Return (P,) float32 fraction of each pixel's view that drops hide, 0..1.
 
     Args:
         size: height and width of the picture, px.

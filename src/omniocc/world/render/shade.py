@@ -37,7 +37,7 @@ class Surfaces:
 
 
 def make_surfaces(mesh: Mesh, rotation: np.ndarray | None = None) -> Surfaces:
-    """Tables of a mesh; `rotation` (3, 3) turns its normals."""
+    """Return the tables of a mesh."""
     corner = mesh.vertices[mesh.faces]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
@@ -59,7 +59,7 @@ def make_surfaces(mesh: Mesh, rotation: np.ndarray | None = None) -> Surfaces:
 
 
 def join(parts: list[Surfaces]) -> Surfaces:
-    """One table of several, in order."""
+    """Concatenate tables, in order."""
     return Surfaces(
         np.concatenate([part.table for part in parts]),
         np.concatenate([part.label for part in parts]),
@@ -79,7 +79,7 @@ class SurfaceStack:
         self._all = _enlarged(fixed, self._fixed + 16384)
 
     def topped(self, parts: list[Surfaces]) -> Surfaces:
-        """The fixed part and then `parts`, in order; good until the next call."""
+        """Return the fixed part and then `parts`, in order; valid until the next call."""
         top = join(parts)
         end = self._fixed + len(top.label)
         if end > len(self._all.label):
@@ -129,7 +129,7 @@ def shade(
     light: Light,
     pixel_rad: float,
 ) -> Shading:
-    """Light along each ray: texture, sun with shadow, sky, reflection, haze; the sky itself where nothing is hit.
+    """Return the light along each ray: texture, sun with shadow, sky, reflection, haze; the sky where nothing is hit.
 
     Args:
         hits: of R rays from `origin` (3,) along `directions` (3, R) float32, world axes.
@@ -160,7 +160,7 @@ def shade(
 def _sunlight(
     hits: Hits, origin: np.ndarray, directions: np.ndarray, normal: np.ndarray, shadows: Shadows, light: Light
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """(R,) cosine to the sun, 0 in shadow; and under a covered sky instead the share (R,) of it that is open.
+    """Return the (R,) cosine to the sun, 0 in shadow; and under clouds the fraction (R,) of sky that is open.
 
     Under a covered sky only level ground is asked whether a car or another low thing stands over it.
     """
@@ -222,7 +222,7 @@ def _mirror(
     water: np.ndarray,
     light: Light,
 ) -> None:
-    """Adds what glossy surfaces reflect, in place."""
+    """Add what glossy surfaces reflect, in place."""
     gloss = np.maximum(facts[14], np.float32(0.8) * facts[15] * (tint < 0.15))
     if len(water):
         gloss = np.maximum(gloss, water)
@@ -235,7 +235,7 @@ def _mirror(
 def _reflect(
     color: np.ndarray, directions: np.ndarray, normal: np.ndarray, cosine: np.ndarray, gloss: np.ndarray, light: Light
 ) -> np.ndarray:
-    """Adds the mirrored sky, or what stands below the horizon as a dim even grey, by Schlick's Fresnel term."""
+    """Add the mirrored sky, or an even dim grey below the horizon, by Schlick's Fresnel term."""
     mirrored = directions + 2 * cosine * normal
     seen = sky_color(light, mirrored)
     blend = np.clip(mirrored[2] * 4 + 0.3, 0, 1)

@@ -29,7 +29,7 @@ class Shadows:
         self._mask = ShadowMask(spheres, self._toward[0])
 
     def fall_on(self, points: np.ndarray) -> np.ndarray:
-        """(R,) bool: whether something stands between a point (3, R) and the light."""
+        """Return (R,) bool: whether something stands between a point (3, R) and the light."""
         result = self._static.blocked(points.T, self._toward, self._limit_m)
         maybe = np.flatnonzero(self._mask.touches(points) & ~result)
         some = np.take(points, maybe, axis=1).T

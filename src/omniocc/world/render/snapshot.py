@@ -39,22 +39,22 @@ class Snapshot:
     light: Light
 
     def world_directions(self, directions_ego: np.ndarray) -> np.ndarray:
-        """(3, R) ego directions in the caster frame."""
+        """Return (3, R) ego directions in the world frame."""
         # Sums instead of a matrix product, whose rounding may depend on threads.
         x, y, z = directions_ego
         return np.stack([row[0] * x + row[1] * y + row[2] * z for row in self.rotation])
 
     def world_point(self, point_ego: np.ndarray) -> np.ndarray:
-        """(3,) float32 ego point in the caster frame."""
+        """Return an ego point in the world frame, (3,) float32."""
         return (self.rotation.astype(np.float64) @ point_ego + self.origin_m).astype(np.float32)
 
     def ego_points(self, points: np.ndarray) -> np.ndarray:
-        """(P, 3) float32 points of the caster frame in the ego frame."""
+        """Return points (P, 3) float32 of the world frame in the ego frame."""
         x, y, z = (points - self.origin_m).T
         return np.stack([x * row[0] + y * row[1] + z * row[2] for row in self.rotation.T], axis=1)
 
     def meets(self, cones: Cones, point_ego: np.ndarray) -> np.ndarray:
-        """(B,) bool: whether bundles of rays in the ego frame may meet something that moves."""
+        """Return (B,) bool: whether bundles of rays in the ego frame may meet something that moves."""
         return meets(
             cones._replace(axis=self.world_directions(cones.axis.T).T), self.world_point(point_ego), self.spheres
         )
@@ -66,7 +66,7 @@ class Snapshot:
         known: Hits | None = None,
         maybe: np.ndarray | None = None,
     ) -> Hits:
-        """Nearest hits from one ego point (3,) along ego directions (3, R); of the own car only those `known`.
+        """Return the nearest hits from an ego point (3,) along ego directions (3, R).
 
         `maybe` (R,) bool tells which rays may meet something that moves, if that is known.
         """
@@ -87,5 +87,5 @@ class Snapshot:
 
 
 def repeat(point: np.ndarray, count: int) -> np.ndarray:
-    """(count, 3) view of one point."""
+    """Return a (count, 3) view of one point."""
     return np.broadcast_to(point, (count, 3))

@@ -43,7 +43,7 @@ class View:
 
 
 def make_view(rig: Rig, camera: int, supersample: int, own_car: Caster) -> View:
-    """Rays of one camera of the rig.
+    """Compute the rays of one camera of the rig.
 
     Args:
         rig: of the vehicle.
@@ -78,7 +78,7 @@ def make_view(rig: Rig, camera: int, supersample: int, own_car: Caster) -> View:
 
 
 def _tiles(pixel: np.ndarray, size: tuple[int, int], center: np.ndarray, step_rad: float) -> Cones:
-    """One cone for each of some hundred tiles of the image, wide enough for rays beside the pixels' centres."""
+    """Return one cone for each tile of the image, wide enough for rays beside the pixels' centres."""
     side = max(size[1] // _TILES, 1)
     number = pixel // size[1] // side * size[1] + pixel % size[1] // side
     cones = make_cones(center.T, np.unique(number, return_inverse=True)[1])
@@ -86,7 +86,7 @@ def _tiles(pixel: np.ndarray, size: tuple[int, int], center: np.ndarray, step_ra
 
 
 def _offsets(supersample: int) -> np.ndarray:
-    """(S-1, 2) points of a pixel beside its centre, spread evenly over a disc."""
+    """Return (S-1, 2) points of a pixel beside its centre, spread evenly over a disc."""
     count = supersample**2 - 1
     number = np.arange(1, count + 1)
     reach_px = 0.41 if count <= 3 else 0.55
@@ -95,7 +95,7 @@ def _offsets(supersample: int) -> np.ndarray:
 
 
 def _shifted(rig: Rig, camera: int, pixel: np.ndarray, center: np.ndarray, offset: np.ndarray) -> np.ndarray:
-    """(P, 3) directions through points beside the pixels' centres; the centre's own where the lens ends in between."""
+    """Return (P, 3) directions beside the pixels' centres; the centre's own where the lens ends in between."""
     model = rig.cameras[camera]
     points = np.stack([pixel % model.width, pixel // model.width], axis=1) + offset
     rays, valid = model.unproject(torch.from_numpy(points))

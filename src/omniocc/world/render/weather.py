@@ -13,12 +13,12 @@ _SHARES = (0.48, 0.17, 0.13, 0.08, 0.14)
 
 
 def draw_weather(rng: np.random.Generator) -> str:
-    """Clear in about half of all scenes; fog is rarest."""
+    """Draw a weather: clear in about half of all scenes, fog most rarely."""
     return WEATHERS[int(rng.choice(len(WEATHERS), p=_SHARES))]
 
 
 def draw_light(weather: str, rng: np.random.Generator) -> Light:
-    """Sun, sky and air of one scene.
+    """Draw sun, sky and air of one scene.
 
     Raises:
         ValueError: there is no such weather.
@@ -45,7 +45,7 @@ def draw_light(weather: str, rng: np.random.Generator) -> Light:
 
 
 def draw_sensor(rng: np.random.Generator, light: Light) -> Sensor:
-    """Exposed for a grey road in this light, give or take a tenth; noisier in the dark."""
+    """Draw cameras exposed for a grey road in this light, within a tenth; noisier in the dark."""
     sky = 0.5 * (light.zenith + light.horizon)
     grey = float((light.sun * max(light.sun_direction[2], 0.3) + sky).mean())
     # A camera at dusk is neither given all the light that it asks for nor spared the noise.
@@ -78,7 +78,7 @@ def _clear(direction: np.ndarray, depth: float, cover: float, shift: np.ndarray,
 
 
 def _dusk(direction: np.ndarray, depth: float, cover: float, shift: np.ndarray, haze_m: float) -> Light:
-    """The sun has all but set: a last warm light from the side, a pale horizon, lamps and windows lit."""
+    """Return the light after sunset: a last warm light from the side, a pale horizon, lamps and windows lit."""
     late = 0.9 - 0.6 * depth
     return Light(
         sun_direction=direction,

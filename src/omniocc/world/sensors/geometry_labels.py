@@ -32,7 +32,7 @@ class GeometryLabels:
         self._low, self._high = corner.min(axis=1), corner.max(axis=1)
 
     def scan(self, snapshot: Snapshot) -> tuple[np.ndarray, np.ndarray]:
-        """Points (P, 3) float32 in the ego frame and their classes (P,) uint8."""
+        """Return points (P, 3) float32 in the ego frame and their classes (P,) uint8."""
         ego = snapshot.origin_m[:2]
         reach = np.float32(REACH_M * 1.5)  # of a level square around the ego's, however that is turned and tilted
         near = np.flatnonzero(((self._low < ego + reach) & (self._high > ego - reach)).all(axis=1))
@@ -49,7 +49,7 @@ class GeometryLabels:
 
 
 def cut(corners: np.ndarray, reach_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Halves triangles along their longest edges until they are small, and drops what is out of reach.
+    """Halve triangles along their longest edges until they are small, and drop those out of reach.
 
     Small is at most 2 m2 and, but for the innermost, a tenth of the squared distance from the ego's axis.
 
@@ -81,7 +81,7 @@ def _halves(corners: np.ndarray) -> np.ndarray:
 
 
 def spread(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points spread evenly over each triangle, at least one, and denser on those near the ego's axis.
+    """Spread points evenly over each triangle, at least one, more densely near the ego's axis.
 
     A cell of a cylinder is the narrower the nearer it is.
 
@@ -105,7 +105,7 @@ def spread(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _distance_m(corners: np.ndarray) -> np.ndarray:
-    """(F,) of the triangles' middles from the ego's axis."""
+    """Return the (F,) distance of the triangles' centres from the ego's axis, at least `_AXIS_M`."""
     return np.maximum(np.hypot(*corners[..., :2].mean(axis=1).T), _AXIS_M)
 
 

@@ -9,7 +9,7 @@ FARTHEST_M = 46.0  # of a point from its LiDAR: beyond, points are too sparse to
 
 
 def ego_directions() -> np.ndarray:
-    """(14040, 3) float32 unit rays of RayIoU's LiDAR at the ego origin: 39 elevations x 360 azimuths.
+    """Return (14040, 3) float32 unit rays of RayIoU's LiDAR at the ego origin: 39 elevations x 360 azimuths.
 
     The first ten elevations, -atan(1 / k) for k = 1..10, meet flat ground at equal steps; the others continue
     by atan(10) - atan(9) while below 0.21 rad (SparseOcc, Liu et al. 2024).
@@ -22,7 +22,7 @@ def ego_directions() -> np.ndarray:
 
 
 def inner_rays() -> np.ndarray:
-    """(3, R) float32 rays of the virtual LiDAR at the ego origin, ego frame.
+    """Return (3, R) float32 rays of the virtual LiDAR at the ego origin, ego frame.
 
     On flat ground they are a polar raster as fine as the innermost cells of a cylinder; above it even angles up to +30
     degrees.
@@ -31,7 +31,7 @@ def inner_rays() -> np.ndarray:
 
 
 def outer_rays() -> np.ndarray:
-    """(3, R) float32 rays of every other virtual LiDAR.
+    """Return (3, R) float32 rays of every other virtual LiDAR.
 
     Dealt by where they land rather than by angle: about one for each 0.25 m square of road within 13 m; above that even
     angles up to +30 degrees.
@@ -52,7 +52,7 @@ def _sunflower_rays(height_m: float, radius_m: float, count: int) -> np.ndarray:
 
 
 def _upper_rays(height_m: float, radius_m: float, step_deg: float) -> np.ndarray:
-    """Even angles from where the rays on the road end up to +30 degrees.
+    """Return rays at even angles, from where the rays on the road end up to +30 degrees.
 
     Those steeper than a rise of 2.6 m over 13 m are sparser: only near things lie within a grid's height there.
     """
@@ -69,7 +69,7 @@ def _step(elevation: float, step_deg: float) -> float:
 
 
 def _neighbors_first(rays: np.ndarray) -> np.ndarray:
-    """The rays in an order (Morton's) in which neighbours follow one another: Embree is about twice as fast on them."""
+    """Sort rays along Morton's curve, so that neighbours follow one another: Embree is twice as fast on them."""
     azimuth = ((np.arctan2(rays[1], rays[0]) / (2 * np.pi) + 0.5) * 511).astype(np.int64)
     elevation = ((np.arcsin(np.clip(rays[2], -1, 1)) / np.pi + 0.5) * 255).astype(np.int64)
     code = sum((azimuth >> bit & 1) << 2 * bit + 1 | (elevation >> bit & 1) << 2 * bit for bit in range(9))
@@ -82,7 +82,7 @@ def _unit(azimuth: np.ndarray, elevation: np.ndarray) -> np.ndarray:
 
 
 def scan_ego(snapshot: Snapshot, directions_ego: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Range (R,) float32 and class (R,) uint8 along rays (3, R) from the ego origin; inf and 0 where nothing is hit."""
+    """Return range (R,) float32 and class (R,) uint8 along rays (3, R) from the ego origin; inf and 0 without a hit."""
     hits = snapshot.cast(np.zeros(3), directions_ego)
     labels = np.where(hits.face >= 0, snapshot.surfaces.label[hits.face], 0).astype(np.uint8)
     return hits.range_m, labels

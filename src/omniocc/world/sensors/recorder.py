@@ -26,7 +26,7 @@ class Labeller(Protocol):
     """Where labelled surface points come from."""
 
     def scan(self, snapshot: Snapshot) -> tuple[np.ndarray, np.ndarray]:
-        """Points (P, 3) float32 in the ego frame and their classes (P,) uint8."""
+        """Return points (P, 3) float32 in the ego frame and their classes (P,) uint8."""
         ...
 
 
@@ -77,7 +77,7 @@ class Recorder:
         world_from_ego: np.ndarray,
         boxes: tuple[Box, ...],
     ) -> Frame:
-        """Records one moment; `seed` decides the sensors' noise."""
+        """Record one time step; `seed` decides the sensors' noise."""
         pictures = [
             expose(view, see(snapshot), snapshot.light, sensor, np.random.default_rng([*seed, number]))
             for number, (view, see) in enumerate(zip(self.views, self.renderers, strict=True))
@@ -99,7 +99,7 @@ class Recorder:
         )
 
     def ranges(self, snapshot: Snapshot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The panorama's ranges (h, w), and ranges and classes along the ego LiDAR's rays; as in `Frame`."""
+        """Return the panorama's ranges (h, w), and ranges and classes along the ego LiDAR's rays, as in `Frame`."""
         width, height = self.erp_size
         return scan_ego(snapshot, self._panorama)[0].reshape(height, width), *scan_ego(snapshot, self._ego_rays)
 

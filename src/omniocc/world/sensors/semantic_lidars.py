@@ -71,7 +71,7 @@ class Survey:
         self._sweeps: OrderedDict[tuple[int, int], Sweep] = OrderedDict()
 
     def scan(self, snapshot: Snapshot) -> tuple[np.ndarray, np.ndarray]:
-        """Points (P, 3) float32 in the ego frame and their classes (P,) uint8, as all LiDARs together see them.
+        """Return points (P, 3) float32 in the ego frame and their classes (P,) uint8, as all LiDARs see them.
 
         All points of the ego's LiDAR are kept, and of the others about one in each cube of 0.1 m, a thin thing's before
         others. Surfaces hit from behind (the LiDAR is inside something) give no points.
@@ -88,7 +88,7 @@ class Survey:
         return points_m[near], labels[near]
 
     def cells(self, ego_m: np.ndarray) -> list[tuple[int, int]]:
-        """Squares of the lattice whose LiDARs are at work when the ego is at (3,): the nearest ones in the open."""
+        """Return the lattice squares whose LiDARs work when the ego is at (3,): the nearest that have one."""
         column, row = (int(np.floor(value / LATTICE_M)) for value in ego_m[:2])
         reach = int(np.ceil(_SPREAD_M / LATTICE_M))
         around = range(-reach, reach + 1)
@@ -100,7 +100,7 @@ class Survey:
         return [cell for distance, cell in sorted(found) if distance < _SPREAD_M][: self._count - 1]
 
     def place(self, cell: tuple[int, int]) -> np.ndarray | None:
-        """(3,) where the LiDAR of a square stands, 1.6 to 4.8 m above the ground; None where nothing is open."""
+        """Return where the LiDAR of a square stands, (3,), 1.6 to 4.8 m above the ground; None without open space."""
         if cell not in self._places:
             draws = np.random.default_rng([cell[0] & 0xFFFF, cell[1] & 0xFFFF, 23]).random((_TRIES, 3))
             x, y = ((np.array(cell) + 0.15 + 0.7 * draws[:, :2]) * LATTICE_M).T
@@ -110,7 +110,7 @@ class Survey:
         return self._places[cell]
 
     def _in_the_open(self, places_m: np.ndarray) -> np.ndarray:
-        """(K,) bool: along six axes no surface is seen from behind, and ground, but no other surface, within 0.5 m."""
+        """Return (K,) bool: whether no surface is seen from behind or within 0.5 m along six axes."""
         directions = np.tile(_PROBES, (len(places_m), 1))
         hits = self._static.cast(np.repeat(places_m, len(_PROBES), axis=0), directions)
         bad = _from_behind(self._surfaces, hits, directions) | (hits.range_m < 0.5)
@@ -136,7 +136,7 @@ class Survey:
         return sweep
 
     def _look(self, snapshot: Snapshot, sweep: Sweep) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Points, classes and cubes of a sweep with what moves in front of it."""
+        """Return points, classes and cubes of a sweep, with moving things in front of the static ones."""
         offset, moving = int(snapshot.layers.offsets[1]), snapshot.layers.casters[1]
         maybe = np.flatnonzero(meets(self._cones, sweep.place_m, snapshot.spheres)[self._cones.bundle])
         found = moving.cast(repeat(sweep.place_m, len(maybe)), self._outer[maybe], sweep.range_m[maybe])
@@ -156,7 +156,7 @@ class Survey:
         )
 
     def _look_around(self, snapshot: Snapshot) -> tuple[np.ndarray, np.ndarray]:
-        """Points and classes of what the LiDAR at the ego origin sees, static and moving."""
+        """Return points and classes seen by the LiDAR at the ego origin, static and moving."""
         directions, place = (
             np.ascontiguousarray(snapshot.world_directions(self._inner).T),
             snapshot.world_point(np.zeros(3)),
@@ -170,7 +170,7 @@ class Survey:
 def _points(
     surfaces: Surfaces, hits: Hits, place_m: np.ndarray, directions: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Number of the ray, point and class of every hit from the front."""
+    """Return ray number, point and class of every hit from the front."""
     hit = np.flatnonzero(hits.face >= 0).astype(np.int32)
     toward, normal = directions[hit], surfaces.table[hits.face[hit], :3]
     ray = hit[np.einsum("ij,ij->i", normal, toward) <= 0]
@@ -179,7 +179,7 @@ def _points(
 
 
 def _from_behind(surfaces: Surfaces, hits: Hits, directions: np.ndarray) -> np.ndarray:
-    """(R,) bool: whether a surface is hit from inside; directions (R, 3)."""
+    """Return (R,) bool: whether a surface is hit from inside; directions are (R, 3)."""
     normal = surfaces.table[hits.face, :3]
     facing = (normal * directions).sum(axis=1)
     return (hits.face >= 0) & (facing > 0)

@@ -11,20 +11,20 @@ SCRATCH = 1 << 22
 
 
 def within_reach(points_m: np.ndarray) -> np.ndarray:
-    """(P,) bool: whether a point (P, 3) lies where a voxel grid may ask for it."""
+    """Return (P,) bool: whether a point (P, 3) lies where a voxel grid may need it."""
     distance = np.abs(points_m)
     return (distance[:, 0] < REACH_M) & (distance[:, 1] < REACH_M) & (distance[:, 2] < HEIGHT_M)
 
 
 def cubes(points_m: np.ndarray) -> np.ndarray:
-    """(P,) int32 number of the cube of 0.1 m in which a point lies; repeats after 102.4 m, in z after 12.8 m."""
+    """Return (P,) int32 number of the 0.1 m cube of each point; repeats after 102.4 m, in z after 12.8 m."""
     x, y, z = np.floor(points_m.T * np.float32(1 / CUBE_M)).astype(np.int32)
     near = ((x & 255) << 8 | (y & 255)) << 6 | (z & 63)
     return ((x >> 8 & 3) << 3 | (y >> 8 & 3) << 1 | (z >> 6 & 1)) << 22 | near
 
 
 def first_of_each(cube: np.ndarray, labels: np.ndarray, scratch: np.ndarray) -> np.ndarray:
-    """Indices, rising, of one point of each cube, a thin thing's if there is one.
+    """Return ascending indices of one point of each cube, preferring thin things.
 
     Args:
         cube: (P,) int32 from `cubes`.

@@ -19,7 +19,7 @@ _TREES, _HOUSES, _WOODS = 50, 50, 60
 
 
 def fill(theme: Theme, site: Site, rng: np.random.Generator) -> None:
-    """Scatters trees, plain buildings and, further out, woods between the town and 420 m from its middle."""
+    """Scatter trees, plain buildings and, further out, woods between the town and 420 m from its middle."""
     edge = 1.5 * theme.spacing_m + 38.0
     for pose in _scattered(rng, _TREES, edge, 300.0):
         if site.plan.claim(pose, (4.0, 4.0)):
@@ -38,7 +38,7 @@ def fill(theme: Theme, site: Site, rng: np.random.Generator) -> None:
 
 @lru_cache(maxsize=1)
 def _far_things() -> tuple[Mesh, list[Mesh]]:
-    """A plain building 8 m high, and groups of trees."""
+    """Return a plain building 8 m high, and groups of trees."""
     rng = seeding.generator("backdrop", 0, "woods")
     walls, roof = Skin(BUILDING, Material.FACADE, (150, 150, 150)), Skin(BUILDING, Material.ROOF, (96, 84, 78))
     woods = [

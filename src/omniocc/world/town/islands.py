@@ -18,7 +18,7 @@ from omniocc.world.town.theme import Theme
 
 
 def islands(theme: Theme, network: Network, site: Site, rng: np.random.Generator) -> Mesh:
-    """Grass behind a kerb, with shrubs, in the middle of every junction of four streets."""
+    """Build grass behind a kerb, with shrubs, in the middle of every junction of four streets."""
     parts = []
     for (x, y), meeting in zip(network.junctions_m.tolist(), degrees(network), strict=True):
         if meeting < 4 or theme.island_m == 0:
@@ -39,7 +39,7 @@ def islands(theme: Theme, network: Network, site: Site, rng: np.random.Generator
 
 
 def medians(theme: Theme, network: Network, terrain: Terrain, site: Site, rng: np.random.Generator) -> Mesh:
-    """A low kerb with a guard rail along the middle of the streets, open near junctions."""
+    """Build a low kerb with a guard rail along the middle of the streets, open near junctions."""
     if theme.median_m == 0:
         return concatenate([])
     parts, rail = [], random_variant(rng, "barrier", "median")

@@ -70,7 +70,7 @@ class Ring:
     outside: bool
 
     def offset(self, into_block_m: float) -> np.ndarray:
-        """(n, 2) the ring moved into the block (or, when negative, onto the street)."""
+        """Return the (n, 2) ring moved into the block or, when negative, onto the street."""
         return self.kerb_m + into_block_m * self.normal
 
 
@@ -84,7 +84,7 @@ class Network:
 
 
 def draw(theme: Theme, rng: np.random.Generator, cells: int = 3) -> Network:
-    """A town of `cells` x `cells` blocks, some of them merged."""
+    """Draw a town of `cells` x `cells` blocks, some of them merged."""
     count = cells + 1
     position = (np.stack(np.meshgrid(range(count), range(count), indexing="ij"), -1) - cells / 2.0) * theme.spacing_m
     position = position + rng.uniform(-theme.jitter_m, theme.jitter_m, position.shape)
@@ -103,7 +103,7 @@ def draw(theme: Theme, rng: np.random.Generator, cells: int = 3) -> Network:
 
 
 def _kept_edges(rng: np.random.Generator, count: int, most: int) -> list[tuple[int, int, int]]:
-    """Grid edges (i, j, axis) but for at most so many inner ones, never two around the same cell."""
+    """Return grid edges (i, j, axis) without at most `most` inner ones, never two around the same cell."""
     edges = [(i, j, axis) for axis in (0, 1) for i in range(count - (axis == 0)) for j in range(count - (axis == 1))]
     merged: set[tuple[int, int]] = set()
     removed = set()
@@ -118,13 +118,13 @@ def _kept_edges(rng: np.random.Generator, count: int, most: int) -> list[tuple[i
 
 
 def degrees(network: Network) -> np.ndarray:
-    """(N,) how many streets meet at each junction."""
+    """Return (N,) how many streets meet at each junction."""
     ends = [node for edge in network.edges for node in (edge.start, edge.end)]
     return np.bincount(ends, minlength=len(network.junctions_m))
 
 
 def center_line(junctions_m: np.ndarray, edge: Edge, along_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points (n, 2) and left normals (n, 2) of a street's centre line at distances from its start (along the chord)."""
+    """Return points and left normals, (n, 2) each, of a street's centre line at distances along its chord."""
     start, end = junctions_m[edge.start], junctions_m[edge.end]
     length = np.linalg.norm(end - start)
     chord = (end - start) / length
@@ -155,7 +155,7 @@ def _rings(junctions: np.ndarray, edges: tuple[Edge, ...], radius_m: float) -> t
 
 
 def _faces(junctions: np.ndarray, edges: tuple[Edge, ...]) -> list[list[tuple[int, bool]]]:
-    """Boundary of every face as half-edges (edge, forward) with the face to the left."""
+    """Return the boundary of every face as half-edges (edge, forward) with the face to the left."""
     leaving: dict[int, list[tuple[float, int, bool]]] = {}
     for index, edge in enumerate(edges):
         for node, other, forward in ((edge.start, edge.end, True), (edge.end, edge.start, False)):
@@ -217,7 +217,7 @@ def _corner(
 def _arrival(
     junctions: np.ndarray, edges: tuple[Edge, ...], index: int, forward: bool
 ) -> tuple[np.ndarray, float, int]:
-    """Direction of a half-edge, its half width, and the junction it runs to."""
+    """Return the direction of a half-edge, its half width, and the junction where it ends."""
     edge = edges[index]
     start, end = (edge.start, edge.end) if forward else (edge.end, edge.start)
     direction = junctions[end] - junctions[start]

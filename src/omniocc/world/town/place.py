@@ -41,12 +41,12 @@ class Place:
     signals: tuple[Signal, ...]
 
     def height(self, x_m: np.ndarray | float, y_m: np.ndarray | float) -> np.ndarray:
-        """Terrain height at world positions; kerbs and streets lie within 0.15 m of it."""
+        """Return the terrain height at world positions; kerbs and streets lie within 0.15 m of it."""
         return self.terrain.height(x_m, y_m)
 
 
 def build(theme: str, seed: int) -> Place:
-    """Builds the place (theme, seed): the same bytes every time.
+    """Build the place (theme, seed): the same bytes every time.
 
     Raises:
         ValueError: there is no such theme.

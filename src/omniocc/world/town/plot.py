@@ -35,7 +35,7 @@ class Plot:
     depth_m: Number
 
     def tree(self, x_m: Number, y_m: Number, kinds: dict[str, Number] | None = None) -> None:
-        """Plants a tree (or bush) of the theme; a plain one far from the street."""
+        """Plant a tree or bush of the theme, one of few triangles far from the street."""
         kind = weighted_choice(self.rng, kinds or self.theme.trees) if y_m < _NEAR_M else "distant"
         color = choice(self.rng, tree.LEAF_COLORS)
         pose = self.front.at(x_m, y_m, float(self.rng.uniform(0, 2 * np.pi)))
@@ -45,7 +45,7 @@ class Plot:
         )
 
     def line(self, kind: str, start: tuple[Number, Number], end: tuple[Number, Number]) -> None:
-        """Sets equal pieces of a fence, wall or hedge (`barrier.KINDS`) end to end."""
+        """Set equal pieces of a fence, wall or hedge (`barrier.KINDS`) end to end."""
         run = np.subtract(end, start)
         length, yaw = float(np.hypot(*run)), float(np.arctan2(run[1], run[0]))
         count = max(1, round(length / PIECE_M))
@@ -58,7 +58,7 @@ class Plot:
             self.site.put(piece, pose, stretch=stretch, paint=paint, follow=True)
 
     def pave(self, start: tuple[Number, Number], end: tuple[Number, Number]) -> None:
-        """Lays a path of 3 m width."""
+        """Lay a path 3 m wide."""
         run = np.subtract(end, start)
         length, yaw = float(np.hypot(*run)), float(np.arctan2(run[1], run[0]))
         count = max(1, round(length / PIECE_M))
@@ -68,17 +68,17 @@ class Plot:
             self.site.put(_PATH, self.front.at(float(x), float(y), yaw), stretch=stretch, follow=True)
 
     def stand(self, mesh: Mesh, x_m: Number, y_m: Number, yaw_rad: Number = 0.0) -> None:
-        """Stands a thing on the plot."""
+        """Stand a mesh on the plot."""
         self.site.put(mesh, self.front.at(x_m, y_m, yaw_rad))
 
     def car(self, x_m: Number, y_m: Number, yaw_rad: Number) -> None:
-        """Parks a car."""
+        """Park a car."""
         color = choice(self.rng, vehicle.PAINTS)
         mesh = random_variant(self.rng, "vehicle", weighted_choice(self.rng, vehicle.PARKED))
         self.site.put(mesh, self.front.at(x_m, y_m, yaw_rad), paint={Material.CAR_PAINT: color})
 
     def building(self, kind: str, width_m: Number, depth_m: Number, x_m: Number, y_m: Number) -> None:
-        """Puts up a building of about this size, its front at y, in colours of the theme."""
+        """Put up a building of about this size, its front at y, in colours of the theme."""
         mesh, (wide, deep) = fitting_building(self.rng, kind, (width_m, depth_m))
         walls, roofs = self.theme.wall_colors, self.theme.roof_colors
         wall, roof = choice(self.rng, walls), choice(self.rng, roofs)
@@ -113,7 +113,7 @@ def _row(plot: Plot) -> None:
 
 
 def _boundary(plot: Plot, gate: tuple[Number, Number]) -> None:
-    """Fence, wall or hedge along the front (open at the gate) and one side."""
+    """Put a fence, wall or hedge along the front (open at the gate) and one side."""
     half = plot.width_m / 2
     kind = weighted_choice(plot.rng, {"hedge": 3, "picket": 2, "brick": 1.5, "mesh": 1, "none": 2})
     if kind != "none":
@@ -176,7 +176,7 @@ _CONTAINERS: tuple[Color, ...] = ((150, 60, 44), (44, 92, 130), (60, 110, 76), (
 
 
 def _yard(plot: Plot) -> None:
-    """Stacked containers behind a fence."""
+    """Stack containers behind a fence."""
     rng, half = plot.rng, plot.width_m / 2
     for x in np.arange(-half + 4.5, half - 4, 7.0):
         for y in np.arange(4.0, plot.depth_m - 2.0, 3.4):
@@ -201,7 +201,7 @@ def _park(plot: Plot) -> None:
 
 
 def _lot(plot: Plot) -> None:
-    """Parking lot: a row of cars nose to the street, one further back."""
+    """Fill a parking lot: a row of cars nose to the street, sometimes a second one behind it."""
     rng, half = plot.rng, plot.width_m / 2
     for y in np.arange(4.2, plot.depth_m - 3, 7.5)[: int(rng.integers(1, 3))]:
         for x in np.arange(-half + 1.6, half - 1.2, 2.7):
@@ -254,7 +254,7 @@ def _college(plot: Plot) -> None:
 
 
 def _green(plot: Plot) -> None:
-    """A lawn with a path across, benches and lamps beside it, and old trees."""
+    """Lay a lawn with a path across, benches and lamps beside it, and old trees."""
     rng, half = plot.rng, plot.width_m / 2
     start, end = np.array([-0.7 * half, 0.0]), np.array([0.7 * half, plot.depth_m - 1])
     run = (end - start) / np.hypot(*(end - start))
@@ -281,7 +281,7 @@ def _churchyard(plot: Plot) -> None:
 
 
 def _square(plot: Plot) -> None:
-    """Paved, with stalls and a fountain."""
+    """Pave a square with stalls and a fountain."""
     rng, half = plot.rng, plot.width_m / 2
     across, down = int(plot.width_m // 3), int((plot.depth_m - 0.2) // 3)
     for x in (np.arange(across) + 0.5 - across / 2) * 3:

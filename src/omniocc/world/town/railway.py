@@ -15,7 +15,7 @@ _PILLAR = box((1.3, 1.3, 1.0), (0, 0, 0.5), _CONCRETE)
 
 
 def railway(network: Network, site: Site) -> Mesh:
-    """A deck on pillars that crosses the middles of parallel streets; takes the land under it."""
+    """Build a deck on pillars that crosses the middles of parallel streets; it takes the land under it."""
     count = round(len(network.junctions_m) ** 0.5)
     grid = network.junctions_m.reshape(count, count, 2)
     first, last = grid[0, 1:3].mean(0), grid[-1, 1:3].mean(0)
@@ -39,7 +39,7 @@ def railway(network: Network, site: Site) -> Mesh:
 
 
 def _deck(points: np.ndarray, top: np.ndarray, left: np.ndarray) -> Mesh:
-    """Beam, slab and parapets as one profile drawn along the line; the parapets are walls."""
+    """Build beam, slab and parapets as one profile drawn along the line."""
     w = _HALF_WIDTH_M
     outline = np.array([(-w, 1.9), (-w, 0.9), (-2.9, 0.0), (2.9, 0.0), (w, 0.9), (w, 1.9), (w - 0.25, 1.9),
                         (w - 0.25, 1.0), (-w + 0.25, 1.0), (-w + 0.25, 1.9), (-w, 1.9)])  # fmt: skip

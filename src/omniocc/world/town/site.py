@@ -25,7 +25,7 @@ class Pose2:
     yaw_rad: Number
 
     def at(self, along_m: Number, left_m: Number, yaw_rad: Number = 0.0) -> "Pose2":
-        """The pose with these coordinates in this pose's own frame."""
+        """Return the pose with these coordinates in this pose's own frame."""
         c, s = cos(self.yaw_rad), sin(self.yaw_rad)
         return Pose2(self.x_m + c * along_m - s * left_m, self.y_m + s * along_m + c * left_m, self.yaw_rad + yaw_rad)
 
@@ -46,11 +46,11 @@ class Plan:
         self._taken = np.zeros(self._count**2, bool)
 
     def block(self, points_m: np.ndarray) -> None:
-        """Takes the cells of (..., 2) points."""
+        """Take the cells of (..., 2) points."""
         self._taken[self._cells(points_m[..., 0], points_m[..., 1])] = True
 
     def claim(self, pose: Pose2, size_m: tuple[Number, Number]) -> bool:
-        """Takes a rectangle centred on the pose, if all of it is free."""
+        """Take a rectangle centred on the pose if all of it is free; return whether it was."""
         if self._taken[self._rectangle(pose, size_m, 6.0)].any():  # most that fail do so here
             return False
         index = self._rectangle(pose, size_m, _SAMPLE_M)
@@ -84,7 +84,7 @@ class Site:
         self, mesh: Mesh, pose: Pose2, *, stretch: Triple = (1.0, 1.0, 1.0), lift_m: Number = KERB_M,
         paint: dict[Material, Color] | None = None, follow: bool = False,
     ) -> None:  # fmt: skip
-        """Stands a copy of `mesh` on the land, some materials repainted. Claims nothing on the plan.
+        """Stand a copy of `mesh` on the land, some materials repainted; claims nothing on the plan.
 
         With `follow` its x runs up and down with the land, as fences do.
         """
@@ -94,7 +94,7 @@ class Site:
         colors.append(tuple(paint.values()))
 
     def mesh(self) -> Mesh:
-        """Everything put so far."""
+        """Return the mesh of everything put so far."""
         parts = []
         for (_, materials), (prototype, rows, colors) in self._copies.items():
             x, y, lift, yaw, follow, *stretch = np.array(rows, float).T
@@ -106,7 +106,7 @@ class Site:
         return concatenate(parts)
 
     def _slope(self, x: np.ndarray, y: np.ndarray, yaw: np.ndarray) -> np.ndarray:
-        """Rise over run along the headings."""
+        """Return the slope of the land, rise over run, along directions `yaw`."""
         ahead = np.stack([np.cos(yaw), np.sin(yaw)])
         front, back = (self.terrain.height(x + d * ahead[0], y + d * ahead[1]) for d in (1.5, -1.5))
         return (front - back) / 3

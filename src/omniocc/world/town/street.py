@@ -22,12 +22,12 @@ _STREET_TREES = ("round", "tall", "birch", "young")
 
 
 def furniture_m(theme: Theme) -> float:
-    """Width of the strip beside the kerb that furniture may fill; walkers keep to the rest of the sidewalk."""
+    """Return the width of the strip beside the kerb for furniture; walkers use the rest of the sidewalk."""
     return min(1.3, 0.38 * theme.sidewalk_m)
 
 
 def reserve(theme: Theme, network: Network, plan: Plan) -> None:
-    """Takes streets and sidewalks from the free land."""
+    """Take streets and sidewalks from the free land."""
     for ring in network.rings:
         closed = [np.concatenate([points, points[:1]]) for points in (ring.kerb_m, ring.normal, ring.inner_m)]
         fine = np.arange(0, len(ring.kerb_m), 0.1)
@@ -68,7 +68,7 @@ def furnish(
     site: Site,
     rng: np.random.Generator,
 ) -> None:
-    """Fills the surroundings of one block's sides."""
+    """Put everything along one block's sides: furniture, parked cars, plots."""
     for side in ring.sides:
         line, first, last = _Line(side), float(side.along_m[0]), float(side.along_m[-1])
         if paved:
@@ -90,7 +90,7 @@ def furnish(
 
 
 def _walk(rng: np.random.Generator, first: Number, last: Number, gap_m: Number) -> Iterator[float]:
-    """Positions a mean gap apart."""
+    """Yield positions from `first` to `last`, `gap_m` apart in the mean."""
     s = first + rng.uniform(0.2, 0.8) * gap_m
     while s < last:
         yield float(s)
@@ -135,7 +135,7 @@ def _furniture(theme: Theme, line: _Line, first: Number, last: Number, site: Sit
 
 
 def _verge(theme: Theme, line: _Line, first: Number, last: Number, site: Site, rng: np.random.Generator) -> None:
-    """Delineator signs and trees on the grass beside the street."""
+    """Put delineator signs and trees on the grass beside the street."""
     for k, s in enumerate(_walk(rng, first + 4, last - 4, theme.tree_gap_m)):
         if k % 3 == 2:
             site.put(random_variant(rng, "pole", "sign"), line.at(s, 0.7))
@@ -149,7 +149,7 @@ def _verge(theme: Theme, line: _Line, first: Number, last: Number, site: Site, r
 
 
 def _corner_poles(network: Network, line: _Line, along_m: Number, site: Site, rng: np.random.Generator) -> None:
-    """A traffic light (or a sign) where the cars of this side leave it, looking at them."""
+    """Put a traffic light (or a sign) where the cars of this side leave it, facing them."""
     edge, pose = network.edges[line.side.edge], line.at(along_m + 0.6, 0.55)
     meeting = degrees(network)[edge.start if line.side.forward else edge.end]
     if edge.lanes > 1 and meeting > 2:
@@ -195,7 +195,7 @@ def _plots(theme: Theme, side: Side, site: Site, rng: np.random.Generator) -> No
 
 
 def _infill(theme: Theme, side: Side, site: Site, rng: np.random.Generator) -> None:
-    """Narrow houses in the gaps between plots."""
+    """Put narrow houses into the gaps between plots."""
     line = _Line(side)
     for s in np.arange(float(side.along_m[0]) - 6, float(side.along_m[-1]) + 6, 2.2):
         for width, depth in ((6.5, 9.0), (4.6, 8.0)):
@@ -206,6 +206,6 @@ def _infill(theme: Theme, side: Side, site: Site, rng: np.random.Generator) -> N
 
 
 def _front(line: _Line, side: Side, along_m: Number, into_block_m: Number) -> Pose2:
-    """The pose behind the sidewalk, also a little past the ends of the side."""
+    """Return the pose behind the sidewalk, also a little past the ends of the side."""
     inside = float(np.clip(along_m, side.along_m[0] + 0.5, side.along_m[-1] - 0.5))
     return line.at(inside, into_block_m).at(along_m - inside, 0.0)

@@ -25,7 +25,7 @@ class Terrain:
     horizon_m: float
 
     def height(self, x_m: np.ndarray | float, y_m: np.ndarray | float) -> np.ndarray:
-        """Height (...) at world positions (...), float64."""
+        """Return the height (...) float64 at world positions (...)."""
         x_m, y_m = np.asarray(x_m, float), np.asarray(y_m, float)
         angle = x_m[..., None] * self.wave_vector[:, 0] + y_m[..., None] * self.wave_vector[:, 1] + self.phase_rad
         outside = np.clip((np.hypot(x_m, y_m) - _HORIZON_START_M) / 300, 0, None)
@@ -34,7 +34,7 @@ class Terrain:
 
 
 def draw(rng: np.random.Generator, slope: float, horizon_m: float) -> Terrain:
-    """Hills whose steepest slopes come near `slope` (rise over run)."""
+    """Draw hills whose steepest slopes come near `slope` (rise over run)."""
     heading = rng.uniform(0, 2 * np.pi) + np.arange(_WAVES) * (np.pi / _WAVES) + rng.uniform(-0.2, 0.2, _WAVES)
     length_m = rng.uniform(110, 320, _WAVES)
     wave_number = 2 * np.pi / length_m

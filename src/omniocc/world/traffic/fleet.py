@@ -28,7 +28,7 @@ class Fleet:
 
 
 def draw_fleet(place: Place, roads: Roads, rng: np.random.Generator) -> tuple[Fleet, list[Car]]:
-    """Cars spread over the lanes, about a headway apart; the first is the ego."""
+    """Draw cars spread over the lanes, about a headway apart; the first is the ego."""
     slots = _slots(place, roads, rng)
     meshes, cars = [], []
     for number, (lane, along) in enumerate(slots):
@@ -44,7 +44,7 @@ def draw_fleet(place: Place, roads: Roads, rng: np.random.Generator) -> tuple[Fl
 
 
 def _slots(place: Place, roads: Roads, rng: np.random.Generator) -> list[tuple[int, float]]:
-    """(lane, arc length) of every car, in random order; a car never begins closer than 22 m to the next."""
+    """Return (lane, arc length) of every car, in random order, at least 22 m apart."""
     slots = []
     for lane in range(len(roads.lanes)):
         piece = roads.pieces[lane]
@@ -63,5 +63,5 @@ def _slots(place: Place, roads: Roads, rng: np.random.Generator) -> list[tuple[i
 
 
 def half_wheelbase_m(length_m: float) -> float:
-    """From a vehicle's middle to its axles."""
+    """Return the distance from a vehicle's middle to its axles."""
     return 0.5 * _WHEELBASE_SHARE * length_m

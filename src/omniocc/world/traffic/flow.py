@@ -36,7 +36,7 @@ class Car:
     asked_s: float = -1.0
 
     def current(self) -> int:
-        """Index into `pieces` of the piece under the car's middle."""
+        """Return the index into `pieces` of the piece under the car's middle."""
         return bisect_right(self.starts_m, self.along_m) - 1
 
 
@@ -57,11 +57,11 @@ class Crosser:
 
     @property
     def duration_s(self) -> float:
-        """From side to side."""
+        """Time to cross the street."""
         return float(np.linalg.norm(self.end_m - self.start_m)) / self.pace_mps
 
     def share(self, time_s: float) -> tuple[float, float]:
-        """How far over, and the direction of walking (+1, -1, or 0 while waiting)."""
+        """Return the fraction of the crossing walked, and the direction (+1, -1, or 0 while waiting)."""
         k = bisect_right(self.moves, (time_s, 2.0)) - 1
         if k < 0:
             return (0.0, 0.0)
@@ -82,7 +82,7 @@ class Flow:
         self._remember()
 
     def motion(self, time_s: float) -> tuple[np.ndarray, np.ndarray]:
-        """Arc length (K,) on each car's way and speed (K,) at a time from 0 on."""
+        """Return arc length (K,) and speed (K,) of each car at a time from 0 on."""
         step = int(time_s / STEP_S)
         self.run_to(time_s)
         (along, speed), (_, after) = self._past[step], self._past[step + 1]
@@ -91,12 +91,12 @@ class Flow:
         return along + since * (speed + 0.5 * gain * since), speed + gain * since
 
     def run_to(self, time_s: float) -> None:
-        """Simulates until the time lies within what is remembered."""
+        """Simulate until the time lies within what is remembered."""
         while len(self._past) < int(time_s / STEP_S) + 2:
             self._step((len(self._past) - 1) * STEP_S)
 
     def signal(self, arm: Arm, time_s: float) -> int:
-        """What the light at an arm shows: red (0), yellow (1), or green (2) while a car has the right of way."""
+        """Return what the light at an arm shows: red (0), yellow (1), or green (2) while a car has the right of way."""
         step = int(time_s / STEP_S)
         self.run_to(time_s)
         if arm in self._open[step]:
@@ -104,7 +104,7 @@ class Flow:
         return int(any(arm in before for before in self._open[max(step - _YELLOW_STEPS, 0) : step]))
 
     def place(self, car: int, along_m: float) -> np.ndarray:
-        """(3,) the point of the road at an arc length of a car's way."""
+        """Return the (3,) point of the road at an arc length of a car's route."""
         way = self.cars[car]
         k = max(bisect_right(way.starts_m, along_m) - 1, 0)
         piece, at = self.roads.pieces[way.pieces[k]], along_m - way.starts_m[k]
@@ -139,7 +139,7 @@ class Flow:
         self._remember()
 
     def _extend(self, car: Car, k: int) -> None:
-        """Chooses the turn and the lane after the lane that the car is on."""
+        """Choose the turn and the lane after the lane that the car is on."""
         while len(car.pieces) < k + 4:
             lane = car.pieces[-1]
             onward = self.roads.onward[lane]
@@ -199,7 +199,7 @@ class Flow:
         return True
 
     def _has_room(self, number: int, k: int, onto: dict[int, list[tuple[float, int]]]) -> bool:
-        """Whether nobody ahead in the lane waits, and the lane behind the junction can take the whole car."""
+        """Return whether no car ahead in the lane waits and the lane behind the junction can take the whole car."""
         car = self.cars[number]
         at = car.along_m - car.starts_m[k]
         for position, other in onto[car.pieces[k]]:
@@ -215,7 +215,7 @@ class Flow:
 
     @staticmethod
     def _is_coming(car: Car, lane: int) -> bool:
-        """Whether a car with the right of way is on its way to a lane, but not in it yet."""
+        """Return whether a car with the right of way will enter a lane but is not in it yet."""
         return any(car.pieces[k + 1] == lane and car.along_m < car.starts_m[k + 1] for k in car.right_of_way)
 
     def _set_out(self, crosser: Crosser, time_s: float) -> None:
@@ -244,7 +244,7 @@ class Flow:
         return max(_ACCELERATE_MPS2 * max(gain, -3.0), -_HARDEST_MPS2)
 
     def _ahead(self, number: int, k: int, onto: dict[int, list[tuple[float, int]]]) -> tuple[float, float]:
-        """Free metres to the rear of the next car on the way, and its speed."""
+        """Return the free metres to the rear of the next car on the route, and its speed."""
         car = self.cars[number]
         for j in range(k, min(k + 3, len(car.pieces))):
             if car.starts_m[j] - car.along_m > _LOOK_M:

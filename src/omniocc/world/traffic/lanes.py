@@ -32,11 +32,11 @@ class Piece:
 
     @property
     def length_m(self) -> float:
-        """From end to end."""
+        """Length from end to end."""
         return float(self.along_m[-1])
 
     def at(self, along_m: np.ndarray) -> np.ndarray:
-        """(..., 3) positions at arc lengths."""
+        """Return (..., 3) positions at arc lengths."""
         return np.stack([np.interp(along_m, self.along_m, self.points_m[:, k]) for k in range(3)], -1)
 
 
@@ -73,14 +73,14 @@ class Roads:
     onward: tuple[tuple[int, ...], ...]
 
     def turn(self, piece: int) -> Turn:
-        """The turn that is this piece."""
+        """Return the turn with this piece number."""
         return self.turns[piece - len(self.lanes)]
 
 
 def draw(
     theme: Theme, network: Network, terrain: Terrain, crossings: frozenset[Arm], rng: np.random.Generator
 ) -> Roads:
-    """Lanes with their free speeds, and all turns that traffic rules allow."""
+    """Draw lanes with their free speeds, and all turns that traffic rules allow."""
     lanes, pieces = [], []
     speeds = rng.uniform(*theme.speed_mps, len(network.edges))
     for side in (side for ring in network.rings for side in ring.sides):
@@ -107,13 +107,13 @@ def draw(
 
 
 def node_of(network: Network, arm: Arm) -> int:
-    """The junction at an arm."""
+    """Return the junction at an arm."""
     edge = network.edges[arm[0]]
     return edge.end if arm[1] else edge.start
 
 
 def _piece(points_m: np.ndarray, speed_mps: float) -> Piece:
-    """Resampled to steps of half a metre."""
+    """Resample points to steps of half a metre."""
     along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points_m, axis=0), axis=1))])
     fine = np.linspace(0, along[-1], int(along[-1] / _STEP_M) + 2)
     return Piece(np.stack([np.interp(fine, along, points_m[:, k]) for k in range(3)], -1), fine, speed_mps)
@@ -128,7 +128,7 @@ def _lane_piece(theme: Theme, network: Network, terrain: Terrain, side: Side, nu
 
 
 def _pairs(network: Network, lanes: list[Lane], pieces: list[Piece]) -> list[tuple[int, int, float]]:
-    """(origin, target, angle) of turns into any lane: right from the lane at the kerb, left from the innermost."""
+    """Return (origin, target, angle) of turns: right from the lane at the kerb, left from the innermost."""
     pairs = []
     for origin, lane in enumerate(lanes):
         arrival = pieces[origin].points_m[-1, :2] - pieces[origin].points_m[-2, :2]
@@ -170,7 +170,7 @@ def _turn_piece(origin: Piece, target: Piece, node: np.ndarray, island_m: float,
 
 
 def _bend(a: np.ndarray, ahead: np.ndarray, b: np.ndarray, leave: np.ndarray) -> np.ndarray:
-    """(25, 2) cubic curve between two points and headings, close to an arc."""
+    """Return a (25, 2) cubic curve between two points and directions, close to an arc."""
     reach, t = 0.39 * float(np.linalg.norm(b - a)), np.linspace(0, 1, 25)[:, None]
     return (
         (1 - t) ** 3 * a
@@ -185,7 +185,7 @@ def _unit(vector: np.ndarray) -> np.ndarray:
 
 
 def _least_radius_m(piece: Piece) -> float:
-    """Over chords of 3 m."""
+    """Return the least radius of curvature, over chords of 3 m."""
     points = piece.points_m[:, :2]
     step = min(6, (len(points) - 1) // 3)
     if step == 0:

@@ -27,7 +27,7 @@ class Round:
 
 
 def draw_rounds(place: Place, rng: np.random.Generator) -> list[Round]:
-    """Two files of walkers around every block with a sidewalk, in opposite directions."""
+    """Draw two files of walkers around every block with a sidewalk, in opposite directions."""
     rounds = []
     strip, wide = furniture_m(place.theme), place.theme.sidewalk_m
     for ring, paved in zip(place.network.rings, place.paved, strict=True):
@@ -45,7 +45,7 @@ def draw_rounds(place: Place, rng: np.random.Generator) -> list[Round]:
 
 
 def draw_crossers(place: Place, rng: np.random.Generator) -> list[Crosser]:
-    """Up to two for each zebra crossing between sidewalks; in every second scene more of them are in a hurry."""
+    """Draw up to two people for each zebra crossing between sidewalks."""
     halves: dict[tuple[int, bool], list[tuple[int, Side]]] = {}
     for index, ring in enumerate(place.network.rings):
         for side in ring.sides:
@@ -78,7 +78,7 @@ def _crosser(
 
 
 def crossing_point(place: Place, crosser: Crosser, share: float) -> np.ndarray:
-    """(3,) foot point on the way over: up on the kerbs, otherwise on the crown of the street."""
+    """Return the (3,) foot point on a crossing: up on the kerbs, otherwise on the crown of the street."""
     xy = crosser.start_m[:2] + share * (crosser.end_m[:2] - crosser.start_m[:2])
     whole = float(np.linalg.norm(crosser.end_m - crosser.start_m))
     from_middle = abs(2 * share - 1) * whole / (whole - 2 * _WAIT_M)

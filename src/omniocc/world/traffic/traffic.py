@@ -55,11 +55,11 @@ class Traffic:
         self._flow = Flow(roads, cars, pedestrians.draw_crossers(place, rng), rng)
 
     def ego_along_m(self, time_s: float) -> float:
-        """How far the ego has come on its way."""
+        """Return the arc length of the ego on its route."""
         return float(self._flow.motion(time_s + self._warm_up_s)[0][0])
 
     def world_from_ego(self, time_s: float) -> np.ndarray:
-        """(4, 4) float64 pose of the ego frame, 2.2 m above the road.
+        """Return the (4, 4) float64 pose of the ego frame, 2.2 m above the road.
 
         The car pitches and rolls by about 0.02 rad and heaves by 0.1 m (standard deviations) on top of the slope.
         """
@@ -74,7 +74,7 @@ class Traffic:
         return pose
 
     def actors(self, time_s: float) -> tuple[Mesh, tuple[Actor, ...]]:
-        """All that moves within 80 m of the ego: faces in the world frame with instance = actor id, and the actors.
+        """Return all that moves within 80 m of the ego: faces in the world frame (instance = actor id), and actors.
 
         Lit lamps of traffic lights are among the faces, with an instance below -1 for each light.
         """
@@ -83,11 +83,11 @@ class Traffic:
         return concatenate([*moved, *self._lamps(time_s)]), tuple(actor for _, actor in pairs)
 
     def boxes(self, time_s: float) -> tuple[Actor, ...]:
-        """The actors alone, which is faster."""
+        """Return the actors alone, which is faster."""
         return tuple(actor for _, actor in self._near(time_s))
 
     def _lamps(self, time_s: float) -> list[Mesh]:
-        """What the traffic lights near by show."""
+        """Return the lit lamps of the traffic lights near by."""
         middle, lit = self.world_from_ego(time_s)[:2, 3], []
         for number, signal in enumerate(self._place.signals):
             x, y, yaw = signal.pose.x_m, signal.pose.y_m, signal.pose.yaw_rad
@@ -99,7 +99,7 @@ class Traffic:
         return lit
 
     def _near(self, time_s: float) -> list[tuple[Mesh, Actor]]:
-        """Prototypes and actors."""
+        """Return prototype and actor of everything near by."""
         middle = self.world_from_ego(time_s)[:2, 3]
         return [*self._driving(time_s, middle), *self._walking(time_s, middle), *self._crossing(time_s, middle)]
 
@@ -169,7 +169,7 @@ def _upright(point: np.ndarray, yaw_rad: float) -> np.ndarray:
 
 
 def _standing(place: Place, point: np.ndarray, heading: np.ndarray) -> np.ndarray:
-    """Pose of a car at a point of the road: x along its heading (which follows the slope), rolled with the land."""
+    """Return the pose of a car on the road: x along `heading` (which follows the slope), rolled with the land."""
     forward = heading / np.linalg.norm(heading)
     left = np.array([-forward[1], forward[0], 0.0])
     left /= np.linalg.norm(left)
@@ -189,7 +189,7 @@ def _tilt(roll_rad: float, pitch_rad: float) -> np.ndarray:
 
 
 def _shake(time_s: float, draws: np.ndarray) -> float:
-    """Three sines of 0.1 to 1 Hz with unit variance in all; `draws` (3, 2) in [0, 1] set frequency and phase."""
+    """Return a sum of three sines of 0.1 to 1 Hz with unit variance; `draws` (3, 2) set frequency and phase."""
     frequency_hz = np.array([0.12, 0.35, 0.8]) * (0.8 + 0.4 * draws[:, 0])
     return float(
         (np.sqrt(2) * np.array([0.75, 0.55, 0.37]) * np.sin(2 * np.pi * (frequency_hz * time_s + draws[:, 1]))).sum()

@@ -38,7 +38,7 @@ class Atlas(NamedTuple):
 
 
 def layer_of(material: np.ndarray, color: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Texture layer of each face, and what to add to it on the ground floor.
+    """Return the texture layer of each face, and what to add to it on the ground floor, as two (F,) int32.
 
     Args:
         material: (F,) uint8.
@@ -54,7 +54,7 @@ def layer_of(material: np.ndarray, color: np.ndarray) -> tuple[np.ndarray, np.nd
 def sample(
     layer: np.ndarray, ground_step: np.ndarray, u_m: np.ndarray, v_m: np.ndarray, footprint_m: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Looks up the textures.
+    """Look up the textures.
 
     Args:
         layer: (R,) int32 from `layer_of`.
@@ -88,7 +88,7 @@ _OWN = ((np.arange(256) / 255) ** 2).astype(np.float32)
 
 @lru_cache(maxsize=1)
 def make_atlas() -> Atlas:
-    """Paints every material; about half a second, kept for the process."""
+    """Paint every material, which takes about half a second; kept for the process."""
     layers = [pattern.PAINTERS[material](np.random.default_rng([7, material]), SIZE_PX) for material in Material]
     for style in range(FACADE_STYLES):
         layers += facade_layers(style, np.random.default_rng([11, style]), SIZE_PX)

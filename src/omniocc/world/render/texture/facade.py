@@ -29,7 +29,7 @@ _STYLES = (
 
 
 def facade_layers(style: int, rng: np.random.Generator, size: int) -> list[Tile]:
-    """Upper storeys and ground floor; the row axis is height above the ground, starting at a storey's floor."""
+    """Paint upper storeys and ground floor; rows are height above the ground and start at a storey's floor."""
     look = _STYLES[style]
     tint = _wall(look, rng, size)
     upper = _glaze(tint, look.bays, look.window, look.bars, rng)
