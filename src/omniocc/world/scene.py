@@ -1,4 +1,4 @@
-"""A scene: one drive through one place, recorded moment by moment."""
+"""A scene: one sequence of frames through one place."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -20,7 +20,7 @@ from omniocc.world.render.snapshot import Snapshot
 from omniocc.world.render.weather import WEATHERS, draw_light, draw_sensor, draw_weather
 from omniocc.world.sensors.geometry_labels import GeometryLabels
 from omniocc.world.sensors.recorder import Capture, Labeller, Recorder
-from omniocc.world.sensors.semantic_lidars import Survey
+from omniocc.world.sensors.semantic_lidars import SemanticLidars
 from omniocc.world.town import place
 from omniocc.world.traffic.traffic import Actor, Traffic
 
@@ -28,11 +28,11 @@ LabelMode = Literal["lidar20", "geometry"]
 
 
 class Scene:
-    """A deterministic film of (theme, seed): `frame(index)` is the same in every process and order of asking.
+    """A deterministic sequence of (theme, seed): `frame(index)` is the same in every process and order of calls.
 
     Args:
         theme: one of `omniocc.world.THEMES`.
-        seed: decides streets, traffic, light and noise.
+        seed: draws streets, traffic, light and noise.
         rig: cameras of the ego vehicle.
         frame_interval_s: time between frames.
         supersample: camera rays per pixel along each side where a pixel needs smoothing; 1 for one ray per pixel.
@@ -40,14 +40,13 @@ class Scene:
         erp_top_deg: elevation of the panorama's upper edge.
         erp_bottom_deg: elevation of its lower edge.
         weather: clear, overcast, rain, fog or dusk; None draws one by the seed.
-
-        label_mode: lidar20 (virtual semantic LiDARs, as in the paper) or geometry (all surfaces, seen or not).
+        label_mode: lidar20 (virtual semantic LiDARs, as in the paper) or geometry (all surfaces, visible or not).
         lidars: number of virtual LiDARs of `lidar20`, the ego's included.
-        capture: direct (a ray through every pixel) or cubemap (flat pictures, then looked up, as in the paper).
+        capture: direct (a ray through every pixel) or cubemap (six flat images, then looked up, as in the paper).
 
     Raises:
-        ValueError: no such theme, or an option out of range.
-        ImportError: Embree is not there.
+        ValueError: the theme does not exist, or an option is out of range.
+        ImportError: Embree is not installed.
     """
 
     def __init__(
@@ -83,11 +82,15 @@ class Scene:
         size = (int(erp_size[0]), int(erp_size[1]))
         labeller: Labeller = GeometryLabels(town.mesh)
         if label_mode == "lidar20":
-            labeller = Survey(self._static, static_surfaces, town.height, lidars)
+            labeller = SemanticLidars(self._static, static_surfaces, town.height, lidars)
         self.recorder = Recorder(rig, self._own_car, labeller, supersample, capture, size, erp_top_deg, erp_bottom_deg)
 
     def frame(self, index: int) -> Frame:
-        """Record the frame at `index * frame_interval_s` seconds."""
+        """Record the frame at `index * frame_interval_s` seconds.
+
+        Raises:
+            ValueError: the index is negative.
+        """
         if index < 0:
             raise ValueError(f"frame {index}: frames are counted from 0")
         time_s = index * self._interval_s
@@ -135,13 +138,13 @@ def ego_box(actor: Actor, world_from_ego: np.ndarray) -> Box:
 
 def _check(frame_interval_s: float, supersample: int, erp_size: Sequence[int], lidars: int) -> None:
     if frame_interval_s <= 0:
-        raise ValueError(f"frame_interval_s is {frame_interval_s}; give a time above 0")
+        raise ValueError(f"frame_interval_s is {frame_interval_s}; give a positive time")
     if not 1 <= supersample <= 8:
         raise ValueError(f"supersample is {supersample}; give 1 to 8 rays per pixel along each side")
     if len(erp_size) != 2 or min(erp_size) < 1:
         raise ValueError(f"erp_size is {list(erp_size)}; give width and height in pixels, e.g. [192, 48]")
     if lidars < 1:
-        raise ValueError(f"lidars is {lidars}; give 1 for the ego's alone, or more")
+        raise ValueError(f"lidars is {lidars}; give 1 for the ego's LiDAR alone, or more")
 
 
 def _check_names(weather: str | None, label_mode: str, capture: str) -> None:

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from omniocc.world.mesh.mesh import empty
-from omniocc.world.render.capture import record, render_pixels
+from omniocc.world.render.capture import expose, render_pixels
 from omniocc.world.render.caster import Caster
 from omniocc.world.render.view import make_view
 from omniocc.world.render.weather import draw_light, draw_sensor
@@ -19,7 +19,7 @@ def sensor():
 
 def _take(rig, camera, snapshot, own_car, sensor, supersample=2):
     view = make_view(rig, camera, supersample, Caster(own_car))
-    return record(view, snapshot, sensor, np.random.default_rng(camera))
+    return expose(view, render_pixels(view, snapshot), snapshot.light, sensor, np.random.default_rng(camera))
 
 
 def test_range_is_exact_along_the_rigs_rays(rig, snapshot_of, quad, own_car, noon, sensor):

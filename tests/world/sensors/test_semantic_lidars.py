@@ -2,15 +2,15 @@ import numpy as np
 
 from omniocc.world.mesh.mesh import concatenate, empty
 from omniocc.world.sensors import thinning
-from omniocc.world.sensors.semantic_lidars import LATTICE_M, Survey
+from omniocc.world.sensors.semantic_lidars import LATTICE_M, SemanticLidars
 
 
-def _survey(snapshot, count=20) -> Survey:
-    return Survey(snapshot.layers.casters[0], snapshot.surfaces, lambda x, y: 0 * x, count)
+def _lidars(snapshot, count=20) -> SemanticLidars:
+    return SemanticLidars(snapshot.layers.casters[0], snapshot.surfaces, lambda x, y: 0 * x, count)
 
 
 def test_points_lie_on_surfaces_of_their_class(snapshot):
-    points, labels = _survey(snapshot).scan(snapshot)
+    points, labels = _lidars(snapshot).scan(snapshot)
     assert points.dtype == np.float32
     assert labels.dtype == np.uint8
     road, wall, car = points[labels == 1], points[labels == 5], points[labels == 7]
@@ -24,7 +24,7 @@ def test_points_lie_on_surfaces_of_their_class(snapshot):
 
 def test_lidars_find_the_open_surface_of_the_street(snapshot):
     """Cells of 0.4 m that exact geometry occupies within 20 m: road, wall, and ground outside the house."""
-    points, _ = _survey(snapshot).scan(snapshot)
+    points, _ = _lidars(snapshot).scan(snapshot)
     found = {tuple(cell) for cell in np.floor(points[:, :2] / 0.4).astype(int)[points[:, 2] < -2.1]}
     x, y = np.meshgrid(np.arange(-50, 50), np.arange(-12, 50), indexing="ij")
     x_m, y_m = (x + 0.5) * 0.4, (y + 0.5) * 0.4
@@ -34,7 +34,7 @@ def test_lidars_find_the_open_surface_of_the_street(snapshot):
 
 
 def test_near_the_axis_every_narrow_cell_gets_a_point(snapshot):
-    points, _ = _survey(snapshot).scan(snapshot)
+    points, _ = _lidars(snapshot).scan(snapshot)
     radius, azimuth = np.hypot(points[:, 0], points[:, 1]), np.arctan2(points[:, 1], points[:, 0])
     near = (radius < 2) & (points[:, 2] < -2)
     cells = np.zeros((10, 200), bool)
@@ -45,14 +45,14 @@ def test_near_the_axis_every_narrow_cell_gets_a_point(snapshot):
 def test_no_lidar_stands_inside_a_solid(snapshot_of, street, own_car, noon, box):
     block = box([8, -4, 0], [28, 30, 12], 4)
     snapshot = snapshot_of(concatenate([street, block]), empty(), own_car, noon)
-    survey = _survey(snapshot)
-    spots = np.array([survey.place(cell) for cell in survey.cells(snapshot.origin_m)])
+    lidars = _lidars(snapshot)
+    spots = np.array([lidars.position(cell) for cell in lidars.cells(snapshot.origin_m)])
     assert 15 <= len(spots) <= 19
     inside = (spots[:, 0] > 8) & (spots[:, 0] < 28) & (spots[:, 1] > -4) & (spots[:, 1] < 30)
     assert not inside.any()
     assert np.hypot(*spots[:, :2].T).max() < 21
     assert 1.59 < spots[:, 2].min() < spots[:, 2].max() < 4.81
-    points, _ = survey.scan(snapshot)
+    points, _ = lidars.scan(snapshot)
     deep = (
         (points[:, 0] > 8.05) & (points[:, 0] < 27.9) & (points[:, 1] > -3.9) & (points[:, 1] < 29) & (points[:, 2] < 9)
     )
@@ -60,22 +60,22 @@ def test_no_lidar_stands_inside_a_solid(snapshot_of, street, own_car, noon, box)
 
 
 def test_lidars_stay_where_they_are_while_the_ego_moves(snapshot):
-    survey = _survey(snapshot)
-    here, ahead = survey.cells(np.float32([0, 0, 2.2])), survey.cells(np.float32([3, 0, 2.2]))
+    lidars = _lidars(snapshot)
+    here, ahead = lidars.cells(np.float32([0, 0, 2.2])), lidars.cells(np.float32([3, 0, 2.2]))
     assert len(set(here) & set(ahead)) > 12
-    far = survey.cells(np.float32([7 * LATTICE_M, 0, 2.2]))
+    far = lidars.cells(np.float32([7 * LATTICE_M, 0, 2.2]))
     assert not set(here) & set(far)
 
 
 def test_what_was_seen_before_does_not_matter(snapshot, snapshot_of, street, own_car, noon, box):
     """The standing LiDARs keep what is static; a car that has left is gone and one that came hides what is behind."""
-    survey = _survey(snapshot)
-    first = survey.scan(snapshot)
+    lidars = _lidars(snapshot)
+    first = lidars.scan(snapshot)
     empty_street = snapshot_of(street, empty(), own_car, noon)
-    survey.scan(empty_street)
-    again = survey.scan(snapshot)
-    fresh = _survey(empty_street).scan(empty_street)
-    for one, other in ((first, again), (fresh, survey.scan(empty_street))):
+    lidars.scan(empty_street)
+    again = lidars.scan(snapshot)
+    fresh = _lidars(empty_street).scan(empty_street)
+    for one, other in ((first, again), (fresh, lidars.scan(empty_street))):
         assert all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
     # The car stands 0.2 m above the road: a few rays pass below it.
     below = (np.abs(fresh[0] - (10, 1.9, -2.2)) < (1.0, 0.3, 0.05)).all(axis=1)
@@ -86,7 +86,7 @@ def test_what_was_seen_before_does_not_matter(snapshot, snapshot_of, street, own
 
 
 def test_fewer_lidars_see_less(snapshot):
-    counts = [len(_survey(snapshot, count).scan(snapshot)[0]) for count in (1, 5, 20)]
+    counts = [len(_lidars(snapshot, count).scan(snapshot)[0]) for count in (1, 5, 20)]
     assert counts[0] < counts[1] < counts[2]
 
 

@@ -1,4 +1,4 @@
-"""Walls, fences and guard rails: pieces along x, centred, to be set end to end so that they follow the land."""
+"""Walls, fences, guard rails and hedges: pieces of `PIECE_M` along x, centred, to be set end to end."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -73,7 +73,9 @@ def rail_fence(rng: np.random.Generator) -> Mesh:
     """Build a fence of three bars between posts, as around pastures."""
     height = float(rng.uniform(1.1, 1.4))
     wood = Skin(WALL, Material.WOOD, (124, 102, 80))
-    rails = [panel((PIECE_M + 0.04, 0.06, 0.12), (0, 0, share * height), wood, "fbtd") for share in (0.3, 0.62, 0.94)]
+    rails = [
+        panel((PIECE_M + 0.04, 0.06, 0.12), (0, 0, fraction * height), wood, "fbtd") for fraction in (0.3, 0.62, 0.94)
+    ]
     return concatenate([*rails, _post(0.14, height, wood)])
 
 

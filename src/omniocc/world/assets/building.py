@@ -1,6 +1,6 @@
-"""Buildings. The front stands on y = 0 and rendered along -y (to the street); z = 0 is the ground at the door.
+"""Buildings: the front stands on y = 0 and faces -y (the street); z = 0 is the ground at the door.
 
-Walls take their colour (materials FACADE and PLASTER) and roofs theirs (ROOF) when they are put up.
+Walls (materials FACADE and PLASTER) and roofs (ROOF) get their colours when a building is put up.
 """
 
 from collections.abc import Callable
@@ -16,8 +16,8 @@ from omniocc.world.seeding import choice
 _FACE = Skin(BUILDING, Material.FACADE, (205, 192, 172))
 _TILES = Skin(BUILDING, Material.ROOF, (110, 84, 72))
 _FLAT = Skin(BUILDING, Material.CONCRETE, (112, 108, 104))
-STOREY_M = 3.2  # as in the texture; buildings are stretched to 2.8 to 4 m when they are put up
-_PLINTH_M = 1.6  # foundations reach this deep, for slopes
+STOREY_M = 3.2  # of the prototypes and in the facade texture; buildings are stretched so that storeys are 2.8 to 4 m
+_PLINTH_M = 1.6  # depth of foundations, so that no gap shows on slopes
 _TRIM = Skin(BUILDING, Material.CONCRETE, (176, 172, 164))
 _DARK_GLASS = Skin(BUILDING, Material.GLASS, (58, 72, 84))
 _SHEET_COLORS: tuple[Color, ...] = (
@@ -274,5 +274,5 @@ KINDS: dict[str, Callable[[np.random.Generator], Mesh]] = {
 def footprint_m(mesh: Mesh) -> tuple[float, float]:
     """Return width and depth of a building's foundation."""
     base = mesh.vertices[mesh.vertices[:, 2] < mesh.vertices[:, 2].min() + 0.01]
-    wide, deep = np.ptp(base[:, :2], axis=0)
-    return float(wide), float(deep)
+    width, depth = np.ptp(base[:, :2], axis=0)
+    return float(width), float(depth)

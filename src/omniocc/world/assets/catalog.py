@@ -1,4 +1,4 @@
-"""The prototypes that places are furnished with: some variants of every kind, made once in a process."""
+"""The prototypes that towns are furnished with: some variants of every kind, built once per process."""
 
 from functools import lru_cache
 
@@ -44,7 +44,10 @@ def random_variant(rng: np.random.Generator, group: str, kind: str) -> Mesh:
 def fitting_building(
     rng: np.random.Generator, kind: str, size_m: tuple[Number, Number]
 ) -> tuple[Mesh, tuple[float, float]]:
-    """Return one of the three buildings that need the least stretching to fill `size_m`, and its stretch."""
+    """Return a building that needs little stretching to stand on (width, depth), and its two stretch factors.
+
+    It is drawn from the three that need the least.
+    """
     stretch = np.log(np.asarray(size_m) / _footprints(kind))
     index = np.argsort(np.abs(stretch).sum(1))[int(rng.integers(3))]
     wide, deep = np.exp(stretch[index])

@@ -1,4 +1,4 @@
-"""Walkers, looking along +x with their feet on z = 0, as a short loop of poses."""
+"""Walking people as a short loop of poses, facing +x, their feet on z = 0."""
 
 import numpy as np
 
@@ -9,8 +9,8 @@ from omniocc.world.mesh.shape import Color, Skin, beam, blob, lathe
 from omniocc.world.seeding import choice
 
 PHASES = 10
-_CHILDREN = 0.2
-STRIDE_M = 1.5  # two steps: one turn of the loop of poses
+_CHILD_FRACTION = 0.2
+STRIDE_M = 1.5  # two steps: once through the loop of poses
 _CLOTHES: tuple[Color, ...] = (
     (168, 52, 44),
     (44, 62, 104),
@@ -27,7 +27,7 @@ _HAIR: tuple[Color, ...] = ((40, 32, 28), (92, 64, 40), (170, 130, 80), (120, 12
 
 def walking(rng: np.random.Generator) -> list[Mesh]:
     """Build one person in `PHASES` poses of a stride; the first pose also serves for standing."""
-    height = float(rng.uniform(1.1, 1.5) if rng.uniform() < _CHILDREN else rng.uniform(1.5, 1.98))
+    height = float(rng.uniform(1.1, 1.5) if rng.uniform() < _CHILD_FRACTION else rng.uniform(1.5, 1.98))
     tops, legs = (_CLOTHES[int(k)] for k in rng.integers(len(_CLOTHES), size=2))
     coat = Skin(PEDESTRIAN, Material.CLOTH, tops)
     trousers = Skin(PEDESTRIAN, Material.CLOTH, tuple(int(0.55 * c) for c in legs))  # pyright: ignore[reportArgumentType]

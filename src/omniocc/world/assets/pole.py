@@ -1,4 +1,4 @@
-"""Lamp posts, signs and traffic lights."""
+"""Lamp posts, utility poles, signs and traffic lights."""
 
 from collections.abc import Callable
 
@@ -60,11 +60,11 @@ def _board(rim: np.ndarray, place: tuple[float, float], skin: Skin) -> Mesh:
 _LIGHT_M, _ARM_M = 5.6, 3.2
 _HEADS = ((0.0, 2.9), (-_ARM_M, _LIGHT_M - 0.15))
 SIGNALS: tuple[Color, ...] = ((230, 40, 30), (240, 180, 30), (40, 210, 90))
-"""Red, yellow, green."""
+"""Colours of the red, yellow and green lamp."""
 
 
 def traffic_light(rng: np.random.Generator) -> Mesh:
-    """Build a post with a head on it and one on an arm along -y, facing +x, all lamps dark."""
+    """Build a post with a head on it and one on an arm along -y, facing +x, all lamps dark (see `lit_lamps`)."""
     shade = int(rng.integers(38, 60))
     dark = Skin(POLE, Material.METAL, (shade, shade + 4, shade + 6))
     parts = [lathe([0.14, 0.1, 0.07, 0], [-0.3, 0.5, _LIGHT_M, _LIGHT_M], 6, dark),

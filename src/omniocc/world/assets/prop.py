@@ -1,4 +1,4 @@
-"""Street furniture and loose things (class Other). Fronts look along +y (towards the street)."""
+"""Street furniture and loose things (class Other); fronts face +y, the street."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -134,7 +134,7 @@ def post_box(rng: np.random.Generator) -> Mesh:
 
 
 class Kind(NamedTuple):
-    """How to make a thing, and the land it needs (along the street, across)."""
+    """Builder of a prop, and the land that it needs (along the street, across)."""
 
     make: Callable[[np.random.Generator], Mesh]
     size_m: tuple[float, float]

@@ -1,4 +1,4 @@
-"""Trees, bushes and hedges as prototypes; leaves take their colour when they are planted."""
+"""Trees and bushes; their leaves get a colour when they are planted."""
 
 from collections.abc import Callable
 

@@ -1,6 +1,7 @@
-"""Cars, vans, trucks, buses and bicycles, driving along +x with their wheels on z = 0, and the ego car."""
+"""Cars, vans, trucks, buses and bicycles facing +x with their wheels on z = 0, and the ego car."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -23,6 +24,7 @@ PAINTS: tuple[Color, ...] = (
     (116, 84, 64),
     (150, 176, 196),
 )
+_EGO_PAINT = (128, 24, 28)
 _PAINT = Skin(VEHICLE, Material.CAR_PAINT, (150, 150, 150))
 _GLASS = Skin(VEHICLE, Material.GLASS, (38, 46, 54))
 _RUBBER = Skin(VEHICLE, Material.RUBBER, (30, 30, 32))
@@ -72,7 +74,7 @@ def _car(
 ) -> Mesh:
     """Build a car: a body below the belt line, glass above it.
 
-    `cabin`: x of rear foot, rear roof, front roof and front foot, as shares of the length.
+    `cabin`: x of rear foot, rear roof edge, front roof edge and front foot, as fractions of the length.
     """
     h, w = length / 2, width / 2
     body = np.array(
@@ -91,7 +93,7 @@ def _car(
     )
     narrow = np.array([0.9, 0.94, 0.94, 0.86, 0.88, 0.9, 0.97, 0.97, 0.92, 0.95]) * w
     parts = [loft(body, narrow, [_TRIM, _TRIM, _TRIM] + [_PAINT] * 7, _PAINT)]
-    rear, rear_top, front_top, front = (share * length for share in cabin)
+    rear, rear_top, front_top, front = (fraction * length for fraction in cabin)
     top = np.array(
         [
             (rear, belt),
@@ -238,6 +240,7 @@ KINDS: dict[str, Callable[[np.random.Generator], Mesh]] = {
 
 
 PARKED = {"sedan": 2.0, "hatchback": 2.0, "suv": 2.0, "van": 1.0}
+"""Weights of the kinds that park along streets."""
 
 
 def size_m(mesh: Mesh) -> tuple[float, float, float]:
@@ -246,11 +249,15 @@ def size_m(mesh: Mesh) -> tuple[float, float, float]:
     return float(extent[0]), float(extent[1]), float(extent[2])
 
 
+def painted(mesh: Mesh, color: Color) -> Mesh:
+    """Return a vehicle with its car paint in another colour."""
+    paint = (mesh.material == Material.CAR_PAINT)[:, None]
+    return replace(mesh, color=np.where(paint, np.array(color, np.uint8), mesh.color))
+
+
 def ego_car() -> Mesh:
     """Build the ego car in the ego frame: 4.6 x 1.9 m, roof at z = -0.55 m, wheels on z = -2.2 m."""
     mesh = _car(4.6, 1.86, 1.65, 1.02, (-0.47, -0.4, 0.06, 0.22), 1.03)
-    painted = np.where((mesh.material == Material.CAR_PAINT)[:, None], np.array([128, 24, 28], np.uint8), mesh.color)
     down = np.eye(4)
     down[2, 3] = EGO_ROAD_M
-    mesh = transform(mesh, down)
-    return Mesh(mesh.vertices, mesh.faces, mesh.uv, mesh.label, mesh.material, painted, mesh.instance)
+    return transform(painted(mesh, _EGO_PAINT), down)

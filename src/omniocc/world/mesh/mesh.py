@@ -1,4 +1,4 @@
-"""Triangles with a class, a material and texture coordinates: all that ray caster and shader know of the world."""
+"""Triangles with a class, a material and texture coordinates, which is all that ray caster and shader see."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -10,17 +10,17 @@ from omniocc.world.mesh.material import Material
 
 @dataclass(frozen=True)
 class Mesh:
-    """A triangle soup in world coordinates.
+    """A list of triangles.
 
     Attributes:
-        vertices: (V, 3) float32, metres, world frame.
+        vertices: (V, 3) float32, metres, in the frame of the place or of a prototype.
         faces: (F, 3) int32 vertex indices, counter-clockwise seen from outside.
         uv: (F, 3, 2) float32 texture coordinates of each corner in metres on the surface (or along it), so that a
             texture keeps its size and moves with the object.
         label: (F,) uint8 class id, 1..11 (`omniocc.classes`).
-        material: (F,) uint8 `omniocc.world.mesh.material.Material`.
+        material: (F,) uint8 `Material`.
         color: (F, 3) uint8 base colour, RGB.
-        instance: (F,) int32, -1 for what never changes, the actor's id, or below -1 for a traffic light's lamps.
+        instance: (F,) int32: an actor's id, -1 for static faces, below -1 for lit lamps of a traffic light.
     """
 
     vertices: np.ndarray

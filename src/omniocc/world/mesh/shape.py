@@ -1,4 +1,4 @@
-"""Simple solids as meshes, in the frame of their thing; faces are counter-clockwise seen from outside."""
+"""Simple solids as meshes; faces are counter-clockwise seen from outside."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -9,13 +9,13 @@ from omniocc.world.mesh.material import Material
 from omniocc.world.mesh.mesh import Mesh, concatenate
 
 Color = tuple[int, int, int]
-Number = float | int  # a type checker that runs does not take 2 for 2.0
+Number = float | int  # jaxtyping's run-time checks do not accept 2 for a float
 Triple = tuple[Number, Number, Number]
 _MIN_AREA_M2 = 1e-6
 
 
 class Skin(NamedTuple):
-    """What a surface is and rendered like: class id, material and base colour."""
+    """Appearance and class of a surface: class id, material and base colour."""
 
     label: int
     material: Material
@@ -71,7 +71,10 @@ _BOX_AXES = np.repeat([[0, 2], [1, 2], [0, 2], [1, 2], [0, 1], [0, 1]], 2, axis=
 
 
 def box(size_m: Triple, center_m: Triple, skin: Skin, top: Skin | None = None) -> Mesh:
-    """Build a cuboid; `top` is the skin of its upper face."""
+    """Build a cuboid; `top` is the skin of its upper face.
+
+    Side faces have u along the wall and v = height above the frame's z = 0.
+    """
     corners = (_BOX_SIGNS * size_m + center_m).astype(np.float32)
     mesh = _uniform(corners, _BOX_FACES, corners[_BOX_FACES[:, :, None], _BOX_AXES[:, None]], skin)
     if top is not None:
@@ -139,18 +142,6 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
-def prism(outline_m: np.ndarray, bottom_m: Number, top_m: Number, wall: Skin, cap: Skin) -> Mesh:
-    """Build walls over a counter-clockwise (P, 2) outline with a flat cap; the centroid must see every edge.
-
-    Walls have u along the outline and v = height above the frame's z = 0.
-    """
-    closed = np.concatenate([outline_m, outline_m[:1]])
-    along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
-    net = np.stack([np.column_stack([closed, np.full(len(closed), z)]) for z in (bottom_m, top_m)])
-    uv = np.stack(np.meshgrid(along, [bottom_m, top_m]), -1)
-    return concatenate([sheet(net, uv, wall), fan(net[1, :-1], cap)])
-
-
 def fan(rim_m: np.ndarray, skin: Skin) -> Mesh:
     """Build a face over a closed counter-clockwise (P, 3) rim from its mean point, uv from x and y."""
     following = np.roll(rim_m, -1, 0)
@@ -201,6 +192,11 @@ def loft(profile_m: np.ndarray, half_width_m: np.ndarray, across: list[Skin], si
         corners = np.stack([np.broadcast_to(rim.mean(0), rim.shape), rim, np.roll(rim, -1, 0)], 1)
         meshes.append(triangles(corners, corners[..., [0, 2]], side))
     return concatenate(meshes)
+
+
+def upright_pose(point_m: np.ndarray, yaw_rad: float) -> np.ndarray:
+    """Return the (4, 4) pose of an upright thing at a point (3,)."""
+    return upright(point_m[None], np.array([yaw_rad]), np.ones((1, 3)))[0]
 
 
 def upright(position_m: np.ndarray, yaw_rad: np.ndarray, scale: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""What one camera records of one moment: colours, classes and ranges."""
+"""The image of one camera: colours, classes and ranges."""
 
 from typing import NamedTuple
 
@@ -12,9 +12,9 @@ from omniocc.world.render.shade import Shading, shade
 from omniocc.world.render.snapshot import Snapshot
 from omniocc.world.render.view import View
 
-_STEP_M = 0.08  # a step between two planes at the eye's scale that is worth smoothing
-_STEP_SHARE = 0.02
-_SKY_M = 1e4
+_STEP_M = 0.08  # least step in depth at which neighbouring pixels are smoothed
+_STEP_FRACTION = 0.02  # the same as a fraction of the distance
+_SKY_M = 1e4  # stands for the sky where ranges are compared
 
 
 class CameraImage(NamedTuple):
@@ -26,14 +26,14 @@ class CameraImage(NamedTuple):
 
 
 class RenderedPixels(NamedTuple):
-    """What P pixels see.
+    """Values of P pixels before exposure.
 
     Attributes:
         color: (3, P) float32, linear.
         label: (P,) uint8, 0 for the sky.
         range_m: (P,) float32, inf for the sky.
         key: (P,) int32 of the surface, see `omniocc.world.render.shade.Surfaces`.
-        own: (P,) bool, whether it is the own car.
+        own: (P,) bool, whether the ego car is seen.
     """
 
     color: np.ndarray
@@ -48,7 +48,7 @@ def render_pixels(view: View, snapshot: Snapshot) -> RenderedPixels:
 
     Every pixel gets a ray through its centre, which decides class and range. Where neighbours see different surfaces,
     or light beside shadow, further rays are cast and the colours averaged in linear light; elsewhere the texture's mip
-    levels are average enough.
+    levels are averages already.
     """
     maybe = snapshot.meets(view.cones, view.origin_m)[view.cones.bundle]
     hits = snapshot.cast(view.origin_m, view.center, _own_hits(view.own_center, snapshot), maybe)
@@ -63,7 +63,10 @@ def render_pixels(view: View, snapshot: Snapshot) -> RenderedPixels:
 
 
 def expose(view: View, seen: RenderedPixels, light: Light, sensor: Sensor, rng: np.random.Generator) -> CameraImage:
-    """Return the image of rendered pixels: rain before the lens, exposure and noise are added."""
+    """Return the image of rendered pixels, with rain before the lens, exposure and noise.
+
+    The ego car and what lies outside the lens have no class and no range.
+    """
     color = seen.color
     if light.streaks:
         drops = streaks(view.size, view.pixel, rng) * light.streaks
@@ -74,11 +77,6 @@ def expose(view: View, seen: RenderedPixels, light: Light, sensor: Sensor, rng: 
         _image(view, np.where(seen.own, np.uint8(UNKNOWN), seen.label), UNKNOWN),
         _image(view, np.where(seen.own, np.float32(np.nan), seen.range_m), np.nan),
     )
-
-
-def record(view: View, snapshot: Snapshot, sensor: Sensor, rng: np.random.Generator) -> CameraImage:
-    """Take one image; `rng` draws drops and noise."""
-    return expose(view, render_pixels(view, snapshot), snapshot.light, sensor, rng)
 
 
 def _shade(view: View, snapshot: Snapshot, hits: Hits, directions_ego: np.ndarray) -> Shading:
@@ -101,7 +99,7 @@ def _smooth(
 ) -> np.ndarray:
     """Return the (3, E) mean colour of pixels `index` over all their rays.
 
-    A ray that meets the triangle (E,) `face` of the centre ray gets its colour, unless a `shadow` (E,) ends near by.
+    A ray that meets the same triangle `face` (E,) as the centre ray gets its colour, unless a `shadow` (E,) ends there.
     """
     count = view.extra.shape[2]
     directions = np.take(view.extra, index, axis=1).reshape(3, -1)
@@ -122,9 +120,9 @@ def _borders(view: View, key: np.ndarray, seen: Shading, range_m: np.ndarray) ->
     plane, distance = _image(view, seen.offset_m, 0), _image(view, np.minimum(range_m, _SKY_M), _SKY_M)
     surface, shadow = np.zeros(view.size, dtype=bool), np.zeros(view.size, dtype=bool)
     for one, other in (((slice(None), slice(1, None)), (slice(None), slice(-1))), ((slice(1, None),), (slice(-1),))):
-        # Facets of a crown differ in plane, road at a grazing angle in range, one thing behind another in both.
-        step = np.abs(plane[one] - plane[other]) > _STEP_M + _STEP_SHARE * plane[one]
-        step &= np.abs(distance[one] - distance[other]) > _STEP_M + _STEP_SHARE * distance[one]
+        # Facets of a crown differ in plane, a road at a grazing angle in range, separate objects in both.
+        step = np.abs(plane[one] - plane[other]) > _STEP_M + _STEP_FRACTION * plane[one]
+        step &= np.abs(distance[one] - distance[other]) > _STEP_M + _STEP_FRACTION * distance[one]
         differ = keys[one] != keys[other]
         for border, found in ((surface, differ | step), (shadow, (lit[one] != lit[other]) & ~differ)):
             border[one] |= found

@@ -1,4 +1,4 @@
-"""Rays against triangles with Embree: the nearest hit, and whether anything is in the way."""
+"""Ray casting with Embree: the nearest hit, and whether anything blocks a ray."""
 
 import platform
 from functools import lru_cache
@@ -39,7 +39,7 @@ def _embree() -> tuple[Any, Any]:
         raise ImportError(
             f"rendering the virtual world needs the package 'embreex', which is not installed or has no wheel for this "
             f"platform ({platform.system()} {platform.machine()}, Python {platform.python_version()}); install it with "
-            "`pip install embreex` on an x86-64 machine, or use a data set rendered on another machine"
+            "`pip install embreex` on an x86-64 machine, or use a dataset rendered on another machine"
         ) from error
     return rtcore_scene, mesh_construction
 
@@ -58,7 +58,7 @@ class Caster:
             return
         scenes, meshes = _embree()
         vertices = np.ascontiguousarray(mesh.vertices, dtype=np.float32)
-        # Embree's watertight mode costs a fifth and changed none of 1.6 million camera rays in two places.
+        # Embree's watertight mode costs 20 % and changed none of 1.6 million camera rays in two places.
         self._scene = scenes.EmbreeScene(robust=False)
         # The mesh object must outlive the scene.
         self._triangles = meshes.TriangleMesh(self._scene, vertices, np.ascontiguousarray(mesh.faces, dtype=np.int32))
@@ -67,9 +67,9 @@ class Caster:
         """Return the nearest hit of each ray.
 
         Args:
-            origins: (R, 3) float32; any strides, so a broadcast view of one point will do.
+            origins: (R, 3) float32; any strides, for example a broadcast view of one point.
             directions: (R, 3) float32 unit vectors.
-            limit_m: (R,) farthest range that counts; hits at or beyond it are misses.
+            limit_m: (R,) range from which on hits count as misses.
         """
         count = len(origins)
         if self._scene is None or count == 0:
@@ -92,7 +92,7 @@ class Caster:
 
 
 class Layers:
-    """Several casters as one: face indices count through them; the nearest hit wins, of equals the earlier layer's."""
+    """Several casters as one: faces are numbered through all of them; of equally near hits the earlier layer's wins."""
 
     def __init__(self, casters: list[Caster]) -> None:
         self.casters = casters
@@ -106,7 +106,7 @@ class Layers:
                 continue
             found = caster.cast(origins, directions, None if best is None else best.range_m)
             best = found if best is None else _nearer(best, found, int(offset))
-        assert best is not None, "a world of no layers"
+        assert best is not None, "a world without layers"
         return best
 
     def blocked(self, origins: np.ndarray, directions: np.ndarray, limit_m: float = float(_FAR_M)) -> np.ndarray:

@@ -1,7 +1,7 @@
-"""The paper's own way to a fisheye image: faces of a cube are rendered and the fisheye's pixels looked up in them.
+"""The paper's way to a fisheye image: faces of a cube are rendered and the fisheye's pixels looked up in them.
 
-Simulators that rasterise can only draw flat pictures, so CARLA recordings go this way. Here it exists to be compared
-with direct casting (`tests/world/test_cubemap.py` states the error) and to make data with the same resampling blur.
+Simulators that rasterise, such as CARLA, can only render flat images. Here it exists to be compared with direct ray
+casting (`tests/world/render/test_cubemap.py` states the error) and to make data with the same resampling blur.
 """
 
 from dataclasses import dataclass
@@ -32,14 +32,14 @@ _FACES = np.array(
 
 @dataclass(frozen=True)
 class Cube:
-    """The faces around one camera, and where its P pixels lie in them.
+    """The cube's faces around one camera, and the positions of its P pixels in them.
 
     Attributes:
-        faces: views of the faces, only of those pixels that are needed.
+        faces: views of the faces, restricted to the pixels that are needed.
         forward: (Q,) float32 part along its face's axis of the ray of each face pixel, all faces in a row.
         corner: (4, P) int64 the four face pixels around each pixel, as indices into that row.
         weight: (4, P) float32 bilinear weights.
-        nearest: (P,) int64 the one closest.
+        nearest: (P,) int64 the closest face pixel.
         own_forward: (P,) float32 part of the camera's ray along the face's axis.
     """
 
@@ -55,11 +55,11 @@ def make_cube(rig: Rig, camera: int, view: View, supersample: int, own_car: Cast
     """Build the cube's faces for one camera, as fine as the camera's pixels in their middle, finer elsewhere.
 
     Args:
-        rig: of the vehicle.
-        camera: index.
-        view: of that camera.
+        rig: cameras of the vehicle.
+        camera: index in the rig.
+        view: rays of that camera.
         supersample: see `make_view`.
-        own_car: in the ego frame.
+        own_car: the ego car in the ego frame.
     """
     inner = int(np.ceil(2 / view.pixel_rad))
     side = inner + 2 * _MARGIN_PX
@@ -70,11 +70,9 @@ def make_cube(rig: Rig, camera: int, view: View, supersample: int, own_car: Cast
     x, y, z = np.moveaxis(along[face, :, np.arange(len(face))], -1, 0)
     column, row = ((part / z + 1) * inner / 2 - 0.5 + _MARGIN_PX for part in (x, y))
     left, top = np.floor(column).astype(np.int64), np.floor(row).astype(np.int64)
-    right_share, low_share = column - left, row - top
+    right, lower = column - left, row - top
     corner = np.stack([(face * side + top + a) * side + left + b for a in (0, 1) for b in (0, 1)])
-    weight = np.stack(
-        [(low_share if a else 1 - low_share) * (right_share if b else 1 - right_share) for a in (0, 1) for b in (0, 1)]
-    )
+    weight = np.stack([(lower if a else 1 - lower) * (right if b else 1 - right) for a in (0, 1) for b in (0, 1)])
     needed = np.zeros((len(_FACES), side, side), dtype=bool)
     needed.reshape(-1)[corner] = True
     used = np.flatnonzero(needed.any(axis=(1, 2)))

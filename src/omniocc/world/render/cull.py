@@ -1,4 +1,4 @@
-"""Which rays can meet something that moves: most cannot, and asking is cheaper than casting."""
+"""Culling: which rays may meet a moving object; most cannot, and this test is cheaper than casting them."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ _SIDE = 256  # cells; the shadow mask repeats after 128 m
 
 
 class Cones(NamedTuple):
-    """Neighbouring rays from one point in bundles.
+    """Bundles of neighbouring rays from one point.
 
     Attributes:
         axis: (B, 3) float32 unit vectors.
@@ -34,14 +34,14 @@ def make_cones(directions: np.ndarray, bundle: np.ndarray) -> Cones:
     return Cones(axis.astype(np.float32), half_rad.astype(np.float32), bundle.astype(np.int32))
 
 
-def meets(cones: Cones, place_m: np.ndarray, spheres: np.ndarray) -> np.ndarray:
+def meets(cones: Cones, point_m: np.ndarray, spheres: np.ndarray) -> np.ndarray:
     """Return (B,) bool: whether rays of a bundle from a point (3,) may meet a sphere of (K, 4), centre and radius."""
-    way = spheres[:, :3] - place_m
-    distance = np.linalg.norm(way, axis=1)
+    offset = spheres[:, :3] - point_m
+    distance = np.linalg.norm(offset, axis=1)
     if (distance <= spheres[:, 3]).any():
         return np.ones(len(cones.axis), dtype=bool)
     x, y, z = cones.axis.T
-    cosine = sum(axis[:, None] * part for axis, part in zip((x, y, z), (way / distance[:, None]).T, strict=True))
+    cosine = sum(axis[:, None] * part for axis, part in zip((x, y, z), (offset / distance[:, None]).T, strict=True))
     reach = cones.half_rad[:, None] + np.arcsin(spheres[:, 3] / distance)
     return (cosine > np.cos(np.minimum(reach, np.float32(np.pi)))).any(axis=1)
 
@@ -59,11 +59,11 @@ def spheres_of(mesh: Mesh) -> np.ndarray:
 
 
 class ShadowMask:
-    """Where shadows of moving things may fall along one direction.
+    """A map of where shadows of moving objects may fall along one direction.
 
     Args:
-        spheres: (K, 4) around the things.
-        toward: (3,) unit vector to the light, not level.
+        spheres: (K, 4) centre and radius around the objects.
+        toward: (3,) unit vector to the light, above the horizon.
     """
 
     def __init__(self, spheres: np.ndarray, toward: np.ndarray) -> None:

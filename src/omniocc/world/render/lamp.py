@@ -1,4 +1,4 @@
-"""What shines after dark: street lamps and the pools under them, car lights, windows."""
+"""Light after dark: street lamps and the pools of light under them, car lights, windows."""
 
 import numpy as np
 
@@ -26,7 +26,10 @@ def lamp_strength(mesh: Mesh) -> np.ndarray:
 
 
 def lamp_pools(mesh: Mesh) -> np.ndarray:
-    """Return (1024 * 1024,) float32 light on level ground from the lamps above it, 1 right below a lamp."""
+    """Return (1024 * 1024,) float32 light on level ground from the lamps above it, 1 right below a lamp.
+
+    It is looked up by `lamp_light`.
+    """
     corner = mesh.vertices[mesh.faces[mesh.material == Material.LAMP]]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     down = normal[:, 2] < -0.5 * np.linalg.norm(normal, axis=1)
@@ -43,23 +46,23 @@ def lamp_pools(mesh: Mesh) -> np.ndarray:
 
 
 def lamp_light(
-    light: Light, base: np.ndarray, own: np.ndarray, tint: np.ndarray, facts: np.ndarray, points: np.ndarray
+    light: Light, base: np.ndarray, own: np.ndarray, tint: np.ndarray, attributes: np.ndarray, points: np.ndarray
 ) -> np.ndarray:
     """Return the (3, R) light after dark from surfaces that shine or lie under a lamp.
 
     Args:
-        light: of the scene.
-        base: (3, R) their colour.
-        own: (3, R) the texture's own colour: panes with bright curtains are lit rooms.
-        tint: (R,) share of the base colour in the texture, 0 in windows.
-        facts: (16, R) see `omniocc.world.render.shade.Surfaces`.
-        points: (3, R) in the casters' frame.
+        light: light of the scene.
+        base: (3, R) colour of the surfaces.
+        own: (3, R) the texture's own colour: panes with bright curtains count as lit rooms.
+        tint: (R,) fraction of the base colour in the texture, 0 in windows.
+        attributes: (16, R) see `omniocc.world.render.shade.Surfaces`.
+        points: (3, R) in the world frame.
     """
-    shining = facts[3:6] * facts[13]
-    window = (facts[15] > 0) & (tint < 0.02) & (own[0] > 0.1)
+    shining = attributes[3:6] * attributes[13]
+    window = (attributes[15] > 0) & (tint < 0.02) & (own[0] > 0.1)
     shining += (own * _WARM[:, None]) * (np.float32(2.2) * window)
     if light.pools is not None:
         row, column = (np.floor(axis * np.float32(1 / _CELL_M)).astype(np.int32) & (_SIDE - 1) for axis in points[:2])
-        pool = light.pools[row * _SIDE + column] * (0.25 + 0.75 * np.maximum(facts[2], 0))
+        pool = light.pools[row * _SIDE + column] * (0.25 + 0.75 * np.maximum(attributes[2], 0))
         shining += base * (0.9 * _WARM[:, None] * pool)
     return shining * np.float32(light.lamps)

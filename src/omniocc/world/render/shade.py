@@ -1,4 +1,4 @@
-"""From hits to colours: what each triangle rendered like, and the light that it sends to the camera."""
+"""Shading: from the hits of rays to colours."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -16,12 +16,12 @@ from omniocc.world.render.texture.atlas import layer_of, sample
 
 _GLOSS = {Material.GLASS: 0.9, Material.CAR_PAINT: 0.5, Material.METAL: 0.15, Material.FACADE: 0.0}
 _GLAZED = (Material.FACADE, Material.GLASS)
-_LIFT_M = np.float32(0.02)  # of shadow rays off their surface
+_LIFT_M = np.float32(0.02)  # start of shadow rays above their surface
 
 
 @dataclass(frozen=True)
 class Surfaces:
-    """Per-triangle facts in one table each, so that a hit costs one gather.
+    """Attributes of all triangles in one table, so that a hit costs one gather.
 
     Attributes:
         table: (F, 16) float32: unit normal 3, linear base colour 3, uv of the first corner 2, uv edges 2 + 2, twice the
@@ -36,13 +36,11 @@ class Surfaces:
     key: np.ndarray
 
 
-def make_surfaces(mesh: Mesh, rotation: np.ndarray | None = None) -> Surfaces:
+def make_surfaces(mesh: Mesh) -> Surfaces:
     """Return the tables of a mesh."""
     corner = mesh.vertices[mesh.faces]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-    if rotation is not None:
-        normal = np.einsum("ij,fj->fi", rotation, normal)
     table = np.empty((len(mesh), 16), np.float32)
     table[:, 0:3] = normal
     table[:, 3:6] = 0.85 * (mesh.color / 255) ** 2.2
@@ -68,10 +66,10 @@ def join(parts: list[Surfaces]) -> Surfaces:
 
 
 class SurfaceStack:
-    """Tables whose first part stays and whose last part changes every frame, without copying the first.
+    """Tables whose first part is fixed and whose last part changes every frame; the first is copied only once.
 
     Args:
-        fixed: the part that stays.
+        fixed: the part that never changes.
     """
 
     def __init__(self, fixed: Surfaces) -> None:
@@ -103,7 +101,7 @@ def _enlarged(surfaces: Surfaces, size: int) -> Surfaces:
 
 
 def _surface_key(mesh: Mesh, normal: np.ndarray) -> np.ndarray:
-    # The facets of a crown or hedge stand for leaves: their edges need no smoothing.
+    # The facets of a crown or hedge stand for leaves, so their edges need no smoothing.
     facing = np.where((mesh.material == Material.LEAVES)[:, None], 0, np.rint(normal * 2)).astype(np.int32)
     parts = [mesh.label, mesh.material, *mesh.color.T, mesh.instance, *facing.T]
     key = np.zeros(len(mesh), np.uint32)
@@ -113,7 +111,7 @@ def _surface_key(mesh: Mesh, normal: np.ndarray) -> np.ndarray:
 
 
 class Shading(NamedTuple):
-    """Of R rays: linear colour (3, R), `offset_m` (R,) of the hit plane from the eye, `lit` (R,) bool: in the sun."""
+    """For R rays: linear colour (3, R), distance (R,) of the hit plane from the camera, and whether it is sunlit."""
 
     color: np.ndarray
     offset_m: np.ndarray
@@ -133,11 +131,11 @@ def shade(
 
     Args:
         hits: of R rays from `origin` (3,) along `directions` (3, R) float32, world axes.
-        origin: eye.
+        origin: camera position.
         directions: unit vectors.
-        surfaces: of the faces in `hits`.
-        shadows: what keeps the sun off.
-        light: of the scene.
+        surfaces: tables of the faces in `hits`.
+        shadows: objects that block the light.
+        light: light of the scene.
         pixel_rad: angle between neighbouring pixels.
     """
     color = np.empty((3, len(hits.face)), np.float32)
@@ -145,13 +143,13 @@ def shade(
     sky, ground = np.flatnonzero(hits.face < 0), np.flatnonzero(hits.face >= 0)
     color[:, sky] = sky_color(light, np.take(directions, sky, axis=1))
     some, toward = hits.take(ground), np.take(directions, ground, axis=1)
-    facts = np.ascontiguousarray(surfaces.table.take(some.face, axis=0).T)
-    cosine = -_dot(facts[:3], toward)
-    facts[:3] *= np.where(cosine < 0, np.float32(-1), np.float32(1))
+    attributes = np.ascontiguousarray(surfaces.table.take(some.face, axis=0).T)
+    cosine = -_dot(attributes[:3], toward)
+    attributes[:3] *= np.where(cosine < 0, np.float32(-1), np.float32(1))
     cosine = np.abs(cosine)
-    sunlight = _sunlight(some, origin, toward, facts[:3], shadows, light)
+    sunlight = _sunlight(some, origin, toward, attributes[:3], shadows, light)
     points = toward * some.range_m + origin[:, None] if light.lamps else toward
-    color[:, ground] = _surface_color(some, points, toward, facts, cosine, sunlight, light, pixel_rad)
+    color[:, ground] = _surface_color(some, points, toward, attributes, cosine, sunlight, light, pixel_rad)
     sunny, open_share = sunlight
     offset_m[ground], lit[ground] = some.range_m * cosine, sunny > 0 if open_share is None else open_share > 0.9
     return Shading(color, offset_m, lit)
@@ -162,7 +160,7 @@ def _sunlight(
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Return the (R,) cosine to the sun, 0 in shadow; and under clouds the fraction (R,) of sky that is open.
 
-    Under a covered sky only level ground is asked whether a car or another low thing stands over it.
+    Under clouds only level ground is tested: whether a car or another low object stands over it.
     """
     covered = not light.sun.any()
     cosine = np.maximum(_dot(normal, light.sun_direction), 0)
@@ -174,41 +172,41 @@ def _sunlight(
     if not covered:
         cosine[dark] = 0
         return cosine, None
-    share = np.ones(len(cosine), np.float32)
-    share[dark] = 0
-    return np.zeros_like(share), share
+    fraction = np.ones(len(cosine), np.float32)
+    fraction[dark] = 0
+    return np.zeros_like(fraction), fraction
 
 
 def _surface_color(
     hits: Hits,
     points: np.ndarray,
     directions: np.ndarray,
-    facts: np.ndarray,
+    attributes: np.ndarray,
     cosine: np.ndarray,
     sunlight: tuple[np.ndarray, np.ndarray | None],
     light: Light,
     pixel_rad: float,
 ) -> np.ndarray:
-    u_m = facts[6] + hits.u * facts[8] + hits.v * facts[10]
-    v_m = facts[7] + hits.u * facts[9] + hits.v * facts[11]
+    u_m = attributes[6] + hits.u * attributes[8] + hits.v * attributes[10]
+    v_m = attributes[7] + hits.u * attributes[9] + hits.v * attributes[11]
     footprint_m = hits.range_m * np.float32(pixel_rad) / np.sqrt(np.maximum(cosine, 0.05))
-    code = facts[12].astype(np.int32)
+    code = attributes[12].astype(np.int32)
     tint, own = sample(code >> 1, code & 1, u_m, v_m, footprint_m)
-    base = facts[3:6] * tint
+    base = attributes[3:6] * tint
     base += own
     sunny, open_share = sunlight
-    sky = ambient(light, facts[2])
+    sky = ambient(light, attributes[2])
     if open_share is not None:
         sky *= 0.3 + 0.7 * open_share
     if light.sun.any():
         sky += light.sun[:, None] * sunny
-    water = standing_water(light, tint, facts[2]) if light.wet else np.zeros(0, np.float32)
+    water = standing_water(light, tint, attributes[2]) if light.wet else np.zeros(0, np.float32)
     if light.wet:
-        base *= 1 - 0.45 * light.wet * np.clip(facts[2] + 0.3, 0, 1)
+        base *= 1 - 0.45 * light.wet * np.clip(attributes[2] + 0.3, 0, 1)
     color = base * sky
     if light.lamps:
-        color += lamp_light(light, base, own, tint, facts, points)
-    _mirror(color, directions, facts, cosine, tint, water, light)
+        color += lamp_light(light, base, own, tint, attributes, points)
+    _mirror(color, directions, attributes, cosine, tint, water, light)
     clear = np.exp(hits.range_m * np.float32(-1 / light.haze_m))
     return color * clear + light.horizon[:, None] * (1 - clear)
 
@@ -216,19 +214,19 @@ def _surface_color(
 def _mirror(
     color: np.ndarray,
     directions: np.ndarray,
-    facts: np.ndarray,
+    attributes: np.ndarray,
     cosine: np.ndarray,
     tint: np.ndarray,
     water: np.ndarray,
     light: Light,
 ) -> None:
     """Add what glossy surfaces reflect, in place."""
-    gloss = np.maximum(facts[14], np.float32(0.8) * facts[15] * (tint < 0.15))
+    gloss = np.maximum(attributes[14], np.float32(0.8) * attributes[15] * (tint < 0.15))
     if len(water):
         gloss = np.maximum(gloss, water)
     index = np.flatnonzero(gloss > 0)
     color[:, index] = _reflect(
-        color[:, index], directions[:, index], facts[:3, index], cosine[index], gloss[index], light
+        color[:, index], directions[:, index], attributes[:3, index], cosine[index], gloss[index], light
     )
 
 
@@ -241,8 +239,8 @@ def _reflect(
     blend = np.clip(mirrored[2] * 4 + 0.3, 0, 1)
     seen = seen * blend + 0.12 * light.horizon[:, None] * (1 - blend)
     slant = 1 - np.minimum(cosine, 1)
-    share = gloss * (0.06 + 0.94 * (slant * slant * slant * slant * slant))
-    return color * (1 - share) + np.minimum(seen, 3) * share
+    fraction = gloss * (0.06 + 0.94 * (slant * slant * slant * slant * slant))
+    return color * (1 - fraction) + np.minimum(seen, 3) * fraction
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:

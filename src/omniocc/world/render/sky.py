@@ -1,4 +1,4 @@
-"""The colour of the sky in any direction."""
+"""Colour of the sky, with clouds and the glow around the sun."""
 
 from functools import lru_cache
 

@@ -1,4 +1,4 @@
-"""One moment of a scene, ready to be seen: casters, surfaces, light and where the ego is."""
+"""A scene at one time step, ready to be rendered: casters, surfaces, light and the ego pose."""
 
 from dataclasses import dataclass
 
@@ -14,18 +14,18 @@ from omniocc.world.render.shadow import Shadows
 
 @dataclass(frozen=True)
 class Snapshot:
-    """What cameras and LiDARs look at. The casters' frame is the world's, shifted so that numbers stay small.
+    """The world as cameras and LiDARs see it at one time step.
 
     Attributes:
-        layers: static things, moving things; the own car is not in it.
-        shadows: of the same and of the own car.
-        surfaces: of static, moving and own faces, in this order.
-        own_start: first face of the own car.
-        rotation: (3, 3) float32, caster frame from ego frame.
-        origin_m: (3,) float32, the ego origin in the caster frame.
-        moving: the moving things' mesh.
-        spheres: (K, 4) float32 around each of them, caster frame.
-        light: of the scene.
+        layers: static, then moving objects, without the ego car, in the world frame.
+        shadows: of the same objects and of the ego car.
+        surfaces: of static, moving and ego car faces, in this order.
+        own_start: first face of the ego car.
+        rotation: (3, 3) float32, world frame from ego frame.
+        origin_m: (3,) float32, the ego origin in the world frame.
+        moving: mesh of the moving objects.
+        spheres: (K, 4) float32 around each of them, world frame.
+        light: light of the scene.
     """
 
     layers: Layers
@@ -68,21 +68,22 @@ class Snapshot:
     ) -> Hits:
         """Return the nearest hits from an ego point (3,) along ego directions (3, R).
 
-        `maybe` (R,) bool tells which rays may meet something that moves, if that is known.
+        Hits on the ego car count only where `known` has them. `maybe` (R,) bool tells which rays may meet a moving
+        object; None stands for all.
         """
-        place, turned = self.world_point(point_ego), self.world_directions(directions_ego)
+        point, turned = self.world_point(point_ego), self.world_directions(directions_ego)
         directions = turned.T
         if maybe is None:
-            return self.layers.cast(repeat(place, len(directions)), directions, known)
-        hits = Layers(self.layers.casters[:1]).cast(repeat(place, len(directions)), directions, known)
+            return self.layers.cast(repeat(point, len(directions)), directions, known)
+        hits = Layers(self.layers.casters[:1]).cast(repeat(point, len(directions)), directions, known)
         index = np.flatnonzero(maybe)
         found = self.layers.casters[1].cast(
-            repeat(place, len(index)), np.take(turned, index, axis=1).T, hits.range_m[index]
+            repeat(point, len(index)), np.take(turned, index, axis=1).T, hits.range_m[index]
         )
         hit = np.flatnonzero(found.face >= 0)
         found.face[:] += np.int32(self.layers.offsets[1])
-        for whole, part in zip(hits, found, strict=True):
-            whole[index[hit]] = part[hit]
+        for result, some in zip(hits, found, strict=True):
+            result[index[hit]] = some[hit]
         return hits
 
 

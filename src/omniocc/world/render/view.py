@@ -1,4 +1,4 @@
-"""The rays of one camera, which never change in the ego frame, and where they meet the own car."""
+"""The rays of one camera in the ego frame, and their hits on the ego car; both are the same in every frame."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ from omniocc.world.render.caster import Caster, Hits
 from omniocc.world.render.cull import Cones, make_cones
 from omniocc.world.render.snapshot import repeat
 
-_TILES = 32  # across the image
+_TILES = 32  # number of tiles across the image
 
 
 @dataclass(frozen=True)
@@ -46,10 +46,10 @@ def make_view(rig: Rig, camera: int, supersample: int, own_car: Caster) -> View:
     """Compute the rays of one camera of the rig.
 
     Args:
-        rig: of the vehicle.
-        camera: index.
+        rig: cameras of the vehicle.
+        camera: index in the rig.
         supersample: rays per pixel along each side; the first of its square goes through the centre.
-        own_car: in the ego frame.
+        own_car: the ego car in the ego frame.
     """
     directions, valid = rig.rays(camera)
     height, width = valid.shape

@@ -5,7 +5,7 @@ import numpy as np
 from omniocc.world.assets.vehicle import EGO_ROAD_M
 from omniocc.world.render.snapshot import Snapshot
 
-FARTHEST_M = 46.0  # of a point from its LiDAR: beyond, points are too sparse to fill voxels
+MAX_RANGE_M = 46.0  # of the virtual LiDARs; beyond it points are too sparse to fill voxels
 
 
 def ego_directions() -> np.ndarray:
@@ -24,8 +24,8 @@ def ego_directions() -> np.ndarray:
 def inner_rays() -> np.ndarray:
     """Return (3, R) float32 rays of the virtual LiDAR at the ego origin, ego frame.
 
-    On flat ground they are a polar raster as fine as the innermost cells of a cylinder; above it even angles up to +30
-    degrees.
+    On flat ground they form a polar grid as fine as the innermost cells of a cylinder; above it angles are even, up to
+    +30 degrees.
     """
     return _neighbors_first(np.concatenate([_polar_rays(), _upper_rays(-EGO_ROAD_M, 8.0, 1.2)], axis=1))
 
@@ -33,8 +33,8 @@ def inner_rays() -> np.ndarray:
 def outer_rays() -> np.ndarray:
     """Return (3, R) float32 rays of every other virtual LiDAR.
 
-    Dealt by where they land rather than by angle: about one for each 0.25 m square of road within 13 m; above that even
-    angles up to +30 degrees.
+    They are spread by where they land on the road, not by angle: about one for each 0.25 m square within 13 m. Above it
+    angles are even, up to +30 degrees.
     """
     return _neighbors_first(np.concatenate([_sunflower_rays(3.2, 13.0, 8000), _upper_rays(3.2, 13.0, 1.2)], axis=1))
 
@@ -54,7 +54,7 @@ def _sunflower_rays(height_m: float, radius_m: float, count: int) -> np.ndarray:
 def _upper_rays(height_m: float, radius_m: float, step_deg: float) -> np.ndarray:
     """Return rays at even angles, from where the rays on the road end up to +30 degrees.
 
-    Those steeper than a rise of 2.6 m over 13 m are sparser: only near things lie within a grid's height there.
+    Rays steeper than a rise of 2.6 m over 13 m are sparser, since there only near objects lie within a grid's height.
     """
     rows = [-np.arctan2(height_m, radius_m)]
     while rows[-1] < np.radians(30):

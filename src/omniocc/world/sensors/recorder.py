@@ -1,4 +1,4 @@
-"""Everything one moment is recorded with: cameras, panorama of ranges, ego LiDAR and semantic LiDARs."""
+"""Recording of one frame with all sensors: cameras, panorama of ranges, ego LiDAR and labelled points."""
 
 from collections.abc import Callable
 from functools import partial
@@ -23,7 +23,7 @@ Capture = Literal["direct", "cubemap"]
 
 @runtime_checkable
 class Labeller(Protocol):
-    """Where labelled surface points come from."""
+    """A source of labelled surface points: `SemanticLidars` or `GeometryLabels`."""
 
     def scan(self, snapshot: Snapshot) -> tuple[np.ndarray, np.ndarray]:
         """Return points (P, 3) float32 in the ego frame and their classes (P,) uint8."""
@@ -31,17 +31,17 @@ class Labeller(Protocol):
 
 
 class Recorder:
-    """The sensors of one vehicle; all their rays are worked out once.
+    """The sensors of one vehicle; all their rays are computed once.
 
     Args:
         rig: cameras.
-        own_car: mesh in the ego frame, which the cameras see and the LiDARs do not.
-        labeller: of the surface points.
+        own_car: ego car in the ego frame, visible to the cameras and not to the LiDARs.
+        labeller: source of the labelled points.
         supersample: camera rays per pixel along each side where a pixel needs smoothing.
         capture: direct (a ray through every pixel) or cubemap (the paper's way).
         erp_size: width and height of the panorama of ranges, px.
-        erp_top_deg: elevation of its upper edge.
-        erp_bottom_deg: elevation of its lower edge.
+        erp_top_deg: elevation of the panorama's upper edge.
+        erp_bottom_deg: elevation of the panorama's lower edge.
     """
 
     def __init__(
@@ -78,18 +78,18 @@ class Recorder:
         boxes: tuple[Box, ...],
     ) -> Frame:
         """Record one time step; `seed` decides the sensors' noise."""
-        pictures = [
-            expose(view, see(snapshot), snapshot.light, sensor, np.random.default_rng([*seed, number]))
-            for number, (view, see) in enumerate(zip(self.views, self.renderers, strict=True))
+        images = [
+            expose(view, render(snapshot), snapshot.light, sensor, np.random.default_rng([*seed, number]))
+            for number, (view, render) in enumerate(zip(self.views, self.renderers, strict=True))
         ]
         points_m, point_labels = self.labeller.scan(snapshot)
         erp_range_m, lidar_range_m, lidar_labels = self.ranges(snapshot)
         return Frame(
             time_s=time_s,
             world_from_ego=world_from_ego,
-            images=_stack(pictures, 0),
-            semantics=_stack(pictures, 1),
-            range_m=_stack(pictures, 2),
+            images=_stack(images, 0),
+            semantics=_stack(images, 1),
+            range_m=_stack(images, 2),
             erp_range_m=erp_range_m,
             points_m=points_m,
             point_labels=point_labels,
@@ -104,5 +104,5 @@ class Recorder:
         return scan_ego(snapshot, self._panorama)[0].reshape(height, width), *scan_ego(snapshot, self._ego_rays)
 
 
-def _stack(pictures: list[CameraImage], part: int) -> np.ndarray:
-    return np.stack([picture[part] for picture in pictures])
+def _stack(images: list[CameraImage], part: int) -> np.ndarray:
+    return np.stack([image[part] for image in images])

@@ -1,13 +1,13 @@
-"""Which surface points of a frame are worth keeping."""
+"""Thinning of a frame's surface points: within reach, and about one in each cube of 0.1 m."""
 
 import numpy as np
 
 from omniocc.world.mesh.label import POLE, ROADLINE
 
 REACH_M = 26.0  # points farther off in x or y are not kept
-HEIGHT_M = 6.0  # nor those farther above or below the ego origin
+HEIGHT_M = 6.0  # points farther above or below the ego origin are not kept
 CUBE_M = 0.1
-SCRATCH = 1 << 22
+SCRATCH = 1 << 22  # length of the scratch array
 
 
 def within_reach(points_m: np.ndarray) -> np.ndarray:
@@ -29,12 +29,12 @@ def first_of_each(cube: np.ndarray, labels: np.ndarray, scratch: np.ndarray) -> 
     Args:
         cube: (P,) int32 from `cubes`.
         labels: (P,) uint8.
-        scratch: (SCRATCH,) int32 of any content, overwritten. Where two cubes share a place in it, one of them keeps
-            all its points.
+        scratch: (SCRATCH,) int32 of any content, overwritten. Where two cubes collide in it, one of them keeps all
+            its points.
     """
     number = np.arange(len(cube), dtype=np.int32)
     place = cube & (SCRATCH - 1)
-    # Every place that is read has been written before, so that nothing needs clearing; later writes win.
+    # Every entry that is read has been written in this call, so that nothing needs clearing; later writes win.
     scratch[place[::-1]] = number[::-1]
     thin = np.flatnonzero((labels >= POLE) & (labels <= ROADLINE))[::-1]
     scratch[place[thin]] = number[thin]

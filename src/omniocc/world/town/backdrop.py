@@ -1,4 +1,4 @@
-"""The country around the town, so that no street ends in the sky."""
+"""The open country around the town, so that streets end in a landscape instead of sky."""
 
 from functools import lru_cache
 

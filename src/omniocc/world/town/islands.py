@@ -1,4 +1,4 @@
-"""What stands in the middle of streets: round islands on junctions, and medians with guard rails."""
+"""Traffic islands on junctions, and medians with guard rails along the middle of streets."""
 
 import numpy as np
 

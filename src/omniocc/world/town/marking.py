@@ -12,7 +12,7 @@ from omniocc.world.town.terrain import Terrain
 from omniocc.world.town.theme import Theme
 
 _RAISED_M = 0.012
-_WIDTH_M = 0.2  # wide, so that lines survive the vote in cells of 0.2 m
+_WIDTH_M = 0.2  # wider than real lines, so that they survive the vote in voxels of 0.2 m
 _DASH_M, _GAP_M = 3.0, 6.0
 CROSSING_M = (0.8, 4.0)  # from the end of the corner along the street
 _STOP_M = (4.8, 5.25)
@@ -89,9 +89,9 @@ def _paint(terrain: Terrain, side: Side, width_m: float, patches: np.ndarray) ->
     """Lay triangles in (along, from kerb) onto the street, which is straight from kerb to centre line."""
     kerb = np.column_stack([side.kerb_m, terrain.height(*side.kerb_m.T)])
     center = np.column_stack([side.center_m, terrain.height(*side.center_m.T) + CROWN_M])
-    along, share = patches[..., 0], patches[..., 1:] / width_m
+    along, fraction = patches[..., 0], patches[..., 1:] / width_m
     low, high = (np.stack([np.interp(along, side.along_m, rim[:, k]) for k in range(3)], -1) for rim in (kerb, center))
-    corners = low + share * (high - low) + np.array([0, 0, _RAISED_M])
+    corners = low + fraction * (high - low) + np.array([0, 0, _RAISED_M])
     a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     corners = np.where((a[:, 0] * b[:, 1] < a[:, 1] * b[:, 0])[:, None, None], corners[:, ::-1], corners)
     return triangles(corners, corners[..., :2], _PAINT)

@@ -1,4 +1,4 @@
-"""A place: everything of a virtual town that never moves, and what traffic needs to know of it."""
+"""A place: the static mesh of a virtual town, with the streets and signals that traffic needs."""
 
 from dataclasses import dataclass
 
@@ -13,7 +13,7 @@ from omniocc.world.town.terrain import Terrain
 from omniocc.world.town.theme import Theme
 
 THEMES: tuple[str, ...] = tuple(themes.ALL)
-_CROSSING_SHARE = 0.5
+_CROSSING_FRACTION = 0.5
 _PLAN_RADIUS_M = 300.0
 
 
@@ -22,17 +22,16 @@ class Place:
     """A town of about 300 x 300 m around the world's origin.
 
     Attributes:
-        theme, seed: what it was built from.
+        theme: its recipe.
         mesh: all static faces, world frame.
-        terrain: the lie of the land.
+        terrain: height of the land.
         network: streets and blocks.
         paved: which blocks (rings of the network) have a sidewalk.
         crossings: (street, at its end) of the junction arms with a zebra crossing.
-        signals: traffic lights, whose lamps `traffic` lights.
+        signals: traffic lights; `Traffic` switches their lamps.
     """
 
     theme: Theme
-    seed: int
     mesh: Mesh
     terrain: Terrain
     network: Network
@@ -49,7 +48,7 @@ def build(theme: str, seed: int) -> Place:
     """Build the place (theme, seed): the same bytes every time.
 
     Raises:
-        ValueError: there is no such theme.
+        ValueError: the theme does not exist.
     """
     if theme not in themes.ALL:
         raise ValueError(f"unknown theme {theme!r}; possible: {', '.join(THEMES)}")
@@ -57,9 +56,11 @@ def build(theme: str, seed: int) -> Place:
     land = terrain.draw(seeding.generator(theme, seed, "terrain"), recipe.slope, recipe.horizon_m)
     town = network.draw(recipe, seeding.generator(theme, seed, "network"))
     rng = seeding.generator(theme, seed, "sidewalks")
-    paved = tuple(bool(x) for x in rng.uniform(size=len(town.rings)) < recipe.paved_share)
+    paved = tuple(bool(x) for x in rng.uniform(size=len(town.rings)) < recipe.paved_fraction)
     arms = [(index, end) for index in range(len(town.edges)) for end in (False, True)]
-    crossings = frozenset(arm for arm, x in zip(arms, rng.uniform(size=len(arms)), strict=True) if x < _CROSSING_SHARE)
+    crossings = frozenset(
+        arm for arm, x in zip(arms, rng.uniform(size=len(arms)), strict=True) if x < _CROSSING_FRACTION
+    )
     site = Site(land, Plan(_PLAN_RADIUS_M))
     street.reserve(recipe, town, site.plan)
     rng = seeding.generator(theme, seed, "middle")
@@ -73,4 +74,4 @@ def build(theme: str, seed: int) -> Place:
     backdrop.fill(recipe, site, seeding.generator(theme, seed, "backdrop"))
     surfaces = road.build(recipe, land, town, paved, seeding.generator(theme, seed, "surfaces"))
     mesh = concatenate([surfaces, marking.build(recipe, land, town, crossings), *extras, site.mesh()])
-    return Place(recipe, seed, mesh, land, town, paved, crossings, tuple(site.signals))
+    return Place(recipe, mesh, land, town, paved, crossings, tuple(site.signals))

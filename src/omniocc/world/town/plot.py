@@ -1,4 +1,4 @@
-"""Plots of land along the streets: what a town consists of behind its sidewalks."""
+"""Plots of land behind the sidewalks; to add a kind, write a function of a `Plot` and enter it into `KINDS`."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -134,15 +134,15 @@ def _house(plot: Plot) -> None:
         min(float(rng.uniform(7.5, 10.5)), plot.depth_m - back - 1),
     )
     side = -1.0 if rng.uniform() < 0.5 else 1.0
-    drive = side * (half - 2.2)
+    driveway = side * (half - 2.2)
     plot.building("house", wide, deep, -side * (half - wide / 2 - 0.9), back)
     if half * 2 - wide > 5.2 and rng.uniform() < 0.6 and plot.depth_m > back + 7.5:
-        plot.building("garage", 3.2, 5.5, drive, back + 1.5)
+        plot.building("garage", 3.2, 5.5, driveway, back + 1.5)
     for k in range(int(back // 2)):
-        plot.site.put(_DRIVEWAY, plot.front.at(drive, 2.0 * k + 1.0, np.pi / 2), follow=True)
-    _boundary(plot, (drive - 1.8, drive + 1.8))
+        plot.site.put(_DRIVEWAY, plot.front.at(driveway, 2.0 * k + 1.0, np.pi / 2), follow=True)
+    _boundary(plot, (driveway - 1.8, driveway + 1.8))
     if rng.uniform() < 0.5 and back > 5.6:
-        plot.car(drive, back - 2.6, (-1 if rng.uniform() < 0.5 else 1) * np.pi / 2)
+        plot.car(driveway, back - 2.6, (-1 if rng.uniform() < 0.5 else 1) * np.pi / 2)
     for _ in range(int(rng.integers(1, 3))):
         plot.tree(
             -side * float(rng.uniform(-0.2, 0.9)) * (half - 1),

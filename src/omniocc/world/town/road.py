@@ -26,13 +26,6 @@ def inner_points(ring: Ring, terrain: Terrain) -> np.ndarray:
     return np.column_stack([ring.inner_m, terrain.height(*ring.inner_m.T) + CROWN_M])
 
 
-def street_path(ring: Ring, terrain: Terrain, from_kerb_m: float) -> np.ndarray:
-    """Return the (n, 3) closed path on the carriageway at a constant distance from the kerb."""
-    kerb, inner = kerb_points(ring, terrain), inner_points(ring, terrain)
-    share = from_kerb_m / np.linalg.norm(ring.inner_m - ring.kerb_m, axis=1)
-    return np.column_stack([ring.offset(-from_kerb_m), kerb[:, 2] + share * (inner[:, 2] - kerb[:, 2])])
-
-
 def sidewalk_path(ring: Ring, terrain: Terrain, from_kerb_m: float) -> np.ndarray:
     """Return the (n, 3) closed path on the sidewalk at a constant distance from the kerb."""
     xy = ring.offset(from_kerb_m)
@@ -80,10 +73,10 @@ def _land(theme: Theme, terrain: Terrain, ring: Ring, rng: np.random.Generator) 
     """Build the land from the back of the sidewalk to the middle of the block, or to the horizon."""
     rim = ring.offset(theme.sidewalk_m)
     middle = np.zeros(2) if ring.outside else rim.mean(0)
-    shares = (1.0, 1.12, 1.4, 2.0, 3.0, 5.0) if ring.outside else (1.0, 0.75, 0.45)
+    fractions = (1.0, 1.12, 1.4, 2.0, 3.0, 5.0) if ring.outside else (1.0, 0.75, 0.45)
     rows = []
-    for share in shares:
-        xy = middle + share * (rim - middle)
+    for fraction in fractions:
+        xy = middle + fraction * (rim - middle)
         rows.append(np.column_stack([xy, terrain.height(*xy.T) + KERB_M]))
     material, color = choice(rng, theme.ground)
     varied = np.clip(np.asarray(color) + rng.integers(-8, 9, 3), 0, 255)

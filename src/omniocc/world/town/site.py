@@ -1,4 +1,4 @@
-"""Where things stand: a plan of the free land, and a list of what was put on it."""
+"""A map of the free land, and the list of objects that were put on it."""
 
 from dataclasses import dataclass, field
 from math import cos, sin
@@ -18,7 +18,7 @@ _SAMPLE_M = 0.28
 
 @dataclass(frozen=True)
 class Pose2:
-    """A place on the plan: position and heading; x runs along the heading, y to its left."""
+    """A position and yaw on the plan; the pose's x axis points along its yaw, y to its left."""
 
     x_m: Number
     y_m: Number
@@ -31,14 +31,14 @@ class Pose2:
 
 
 class Signal(NamedTuple):
-    """A traffic light for the cars that come in at an arm (street, at its end) of a junction."""
+    """A traffic light for the cars that arrive at an arm (street, at its end) of a junction."""
 
     arm: tuple[int, bool]
     pose: Pose2
 
 
 class Plan:
-    """Which land is taken, on a grid of 0.4 m: nothing static stands in another or on a lane."""
+    """A grid of 0.4 m of the land that is taken, so that static objects overlap neither each other nor a lane."""
 
     def __init__(self, radius_m: float) -> None:
         self._radius_m = radius_m
@@ -51,7 +51,7 @@ class Plan:
 
     def claim(self, pose: Pose2, size_m: tuple[Number, Number]) -> bool:
         """Take a rectangle centred on the pose if all of it is free; return whether it was."""
-        if self._taken[self._rectangle(pose, size_m, 6.0)].any():  # most that fail do so here
+        if self._taken[self._rectangle(pose, size_m, 6.0)].any():  # a coarse test first: most failing claims fail here
             return False
         index = self._rectangle(pose, size_m, _SAMPLE_M)
         if self._taken[index].any():
@@ -73,7 +73,7 @@ class Plan:
 
 @dataclass
 class Site:
-    """Collects the things of a place; copies of one prototype are laid out together, which is fast."""
+    """Collects the objects of a place; copies of one prototype are laid out together, which is fast."""
 
     terrain: Terrain
     plan: Plan
@@ -86,7 +86,7 @@ class Site:
     ) -> None:  # fmt: skip
         """Stand a copy of `mesh` on the land, some materials repainted; claims nothing on the plan.
 
-        With `follow` its x runs up and down with the land, as fences do.
+        With `follow` its x axis rises and falls with the land, as fences do.
         """
         paint = paint or {}
         _, poses, colors = self._copies.setdefault((id(mesh), tuple(paint)), (mesh, [], []))

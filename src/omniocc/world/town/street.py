@@ -1,4 +1,4 @@
-"""What stands along a street: plots behind the sidewalk, furniture on it, parked cars beside it."""
+"""Objects along a street: plots behind the sidewalk, furniture on it, parked cars beside it."""
 
 from bisect import bisect_right
 from collections.abc import Iterator
@@ -34,8 +34,8 @@ def reserve(theme: Theme, network: Network, plan: Plan) -> None:
         kerb, normal, inner = (
             np.stack([np.interp(fine, np.arange(len(points)), points[:, k]) for k in (0, 1)], -1) for points in closed
         )
-        for share in np.linspace(0, 1, 28):
-            plan.block(kerb + share * (inner - kerb))
+        for fraction in np.linspace(0, 1, 28):
+            plan.block(kerb + fraction * (inner - kerb))
         for offset in np.arange(0, theme.sidewalk_m + 0.01, 0.25):
             plan.block(kerb + offset * normal)
 
@@ -54,9 +54,9 @@ class _Line:
     def _point(self, along_m: Number) -> tuple[float, float]:
         k = min(max(bisect_right(self._along, along_m), 1), len(self._along) - 1)
         low, high = self._along[k - 1], self._along[k]
-        share = min(max((along_m - low) / (high - low), 0.0), 1.0)
+        fraction = min(max((along_m - low) / (high - low), 0.0), 1.0)
         (ax, ay), (bx, by) = self._points[k - 1], self._points[k]
-        return ax + share * (bx - ax), ay + share * (by - ay)
+        return ax + fraction * (bx - ax), ay + fraction * (by - ay)
 
 
 def furnish(
@@ -73,7 +73,7 @@ def furnish(
         line, first, last = _Line(side), float(side.along_m[0]), float(side.along_m[-1])
         if paved:
             _furniture(theme, line, first, last, site, rng)
-        elif rng.uniform() < theme.guard_rail_share:
+        elif rng.uniform() < theme.guard_rail_fraction:
             rail = random_variant(rng, "barrier", "guard")
             for s in np.arange(first + 6, last - 6, PIECE_M):
                 site.put(rail, line.at(float(s), 0.6), follow=True)
@@ -175,7 +175,7 @@ def _parked(theme: Theme, line: _Line, first: Number, last: Number, site: Site, 
 
 
 _TRIALS = ((1.0, 1.0, 0.55), (1.0, 0.8, 1.2), (0.75, 0.8, 0.55), (0.55, 0.8, 0.55), (0.55, 0.6, 1.2))
-"""Shares of depth and width, and metres behind the sidewalk, that a plot is tried with."""
+"""Fractions of a plot's depth and width, and metres behind the sidewalk, in the order in which they are tried."""
 
 
 def _plots(theme: Theme, side: Side, site: Site, rng: np.random.Generator) -> None:

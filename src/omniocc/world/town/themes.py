@@ -1,4 +1,4 @@
-"""The themes by name."""
+"""The eight themes; a new one is another `Theme` in `ALL`."""
 
 from omniocc.world.mesh.material import Material
 from omniocc.world.town.theme import Theme
@@ -15,7 +15,7 @@ DOWNTOWN = Theme(
     spacing_m=98.0, jitter_m=5.0, bulge_m=2.0, straight_m=24.0, lanes=(2, 2, 2, 2, 1),
     lane_width_m=3.3, parking_m=2.3, sidewalk_m=4.2, corner_radius_m=7.0, road=(Material.ASPHALT, 62, 104),
     lane_lines=True,
-    paved_share=1.0, slope=0.05, horizon_m=14.0, skyline_m=24.0, lamp="street",
+    paved_fraction=1.0, slope=0.05, horizon_m=14.0, skyline_m=24.0, lamp="street",
     plots={"tower": 4.0, "row": 5.0, "park": 1.0, "lot": 0.6},
     plot_width_m=(14.0, 26.0), setback_m=(1.0, 6.0), infill=True,
    
@@ -26,7 +26,7 @@ DOWNTOWN = Theme(
     tree_gap_m=13.0, lamp_gap_m=27.0, prop_gap_m=11.0, parked_gap_m=26.0,
     props={"bench": 3.0, "bin": 4.0, "hydrant": 2.0, "shelter": 1.0, "kiosk": 1.0, "box": 2.0, "bollards": 2.0,
            "planter": 2.0, "post": 2.0},
-    median_m=0.0, island_m=0.0, railway=False, guard_rail_share=0.0, speed_mps=(8.0, 12.0),
+    median_m=0.0, island_m=0.0, railway=False, guard_rail_fraction=0.0, speed_mps=(8.0, 12.0),
     traffic=_MIXED, car_headway_s=4.0, walkers_per_block=16.0,
 )  # fmt: skip
 
@@ -35,7 +35,7 @@ SUBURB = Theme(
     spacing_m=92.0, jitter_m=6.0, bulge_m=5.0, straight_m=24.0, lanes=(1, 2),
     lane_width_m=3.5, parking_m=2.5, sidewalk_m=3.2, corner_radius_m=8.0, road=(Material.ASPHALT, 62, 104),
     lane_lines=True,
-    paved_share=1.0, slope=0.06, horizon_m=22.0, skyline_m=8.0, lamp="street",
+    paved_fraction=1.0, slope=0.06, horizon_m=22.0, skyline_m=8.0, lamp="street",
     plots={"house": 10.0, "park": 0.8, "row": 0.7},
     plot_width_m=(14.0, 21.0), setback_m=(5.0, 9.0), infill=False,
     ground=_GRASS,
@@ -44,7 +44,7 @@ SUBURB = Theme(
     trees={"round": 5.0, "tall": 2.0, "conifer": 2.0, "birch": 2.0, "young": 2.0},
     tree_gap_m=15.0, lamp_gap_m=30.0, prop_gap_m=17.0, parked_gap_m=42.0,
     props={"bin": 4.0, "hydrant": 2.0, "bench": 1.0, "post": 2.0, "box": 2.0, "crates": 1.0, "shelter": 0.6},
-    median_m=0.0, island_m=0.0, railway=False, guard_rail_share=0.0, speed_mps=(6.0, 9.0),
+    median_m=0.0, island_m=0.0, railway=False, guard_rail_fraction=0.0, speed_mps=(6.0, 9.0),
     traffic=_MIXED, car_headway_s=5.0, walkers_per_block=8.0,
 )  # fmt: skip
 
@@ -53,7 +53,7 @@ INDUSTRIAL = Theme(
     spacing_m=104.0, jitter_m=5.0, bulge_m=3.0, straight_m=24.0, lanes=(2, 2, 1),
     lane_width_m=3.6, parking_m=2.6, sidewalk_m=3.3, corner_radius_m=9.0, road=(Material.ASPHALT, 62, 104),
     lane_lines=True,
-    paved_share=0.85, slope=0.045, horizon_m=16.0, skyline_m=8.0, lamp="street",
+    paved_fraction=0.85, slope=0.045, horizon_m=16.0, skyline_m=8.0, lamp="street",
     plots={"hall": 6.0, "yard": 1.6, "lot": 1.2, "row": 1.0},
     plot_width_m=(24.0, 38.0), setback_m=(5.0, 11.0), infill=False,
     ground=((Material.CONCRETE, (142, 140, 136)), (Material.SOIL, (132, 116, 94)), (Material.GRASS, (112, 118, 70))),
@@ -63,7 +63,7 @@ INDUSTRIAL = Theme(
     tree_gap_m=26.0, lamp_gap_m=32.0, prop_gap_m=16.0, parked_gap_m=42.0,
     props={"crates": 4.0, "box": 3.0, "bin": 2.0, "bollards": 2.0, "hydrant": 2.0, "pallets": 3.0, "post": 1.0,
            "shelter": 0.6},
-    median_m=0.0, island_m=0.0, railway=False, guard_rail_share=0.7, speed_mps=(7.0, 12.0),
+    median_m=0.0, island_m=0.0, railway=False, guard_rail_fraction=0.7, speed_mps=(7.0, 12.0),
     traffic=_MIXED, car_headway_s=4.0, walkers_per_block=6.0,
 )  # fmt: skip
 
@@ -72,7 +72,7 @@ COUNTRYSIDE = Theme(
     spacing_m=106.0, jitter_m=8.0, bulge_m=6.0, straight_m=24.0, lanes=(1, 2),
     lane_width_m=3.7, parking_m=2.2, sidewalk_m=2.7, corner_radius_m=10.0, road=(Material.ASPHALT, 62, 104),
     lane_lines=True,
-    paved_share=0.4, slope=0.065, horizon_m=40.0, skyline_m=7.0, lamp="utility",
+    paved_fraction=0.4, slope=0.065, horizon_m=40.0, skyline_m=7.0, lamp="utility",
     plots={"field": 6.0, "farm": 3.0, "house": 3.0, "park": 1.0},
     plot_width_m=(22.0, 34.0), setback_m=(5.0, 10.0), infill=False,
     ground=(*_GRASS, (Material.SOIL, (128, 104, 74)), (Material.GRASS, (150, 146, 82))),
@@ -81,7 +81,7 @@ COUNTRYSIDE = Theme(
     trees={"round": 5.0, "conifer": 3.0, "birch": 3.0, "tall": 2.0, "bush": 3.0},
     tree_gap_m=14.0, lamp_gap_m=45.0, prop_gap_m=24.0, parked_gap_m=60.0,
     props={"post": 4.0, "crates": 2.0, "bench": 2.0, "bales": 3.0, "box": 1.0, "bin": 1.0, "shelter": 0.8},
-    median_m=0.0, island_m=0.0, railway=False, guard_rail_share=0.6, speed_mps=(8.0, 12.0),
+    median_m=0.0, island_m=0.0, railway=False, guard_rail_fraction=0.6, speed_mps=(8.0, 12.0),
     traffic=_MIXED, car_headway_s=6.0, walkers_per_block=4.0,
 )  # fmt: skip
 
@@ -91,7 +91,7 @@ OLD_TOWN = Theme(
     name="oldtown",
     spacing_m=74.0, jitter_m=8.0, bulge_m=6.5, straight_m=14.0, lanes=(1,), lane_width_m=2.95, parking_m=0.3,
     sidewalk_m=1.9, corner_radius_m=4.5, road=(Material.PAVING, 92, 124), lane_lines=False,
-    paved_share=1.0, slope=0.075, horizon_m=26.0, skyline_m=10.0, lamp="park",
+    paved_fraction=1.0, slope=0.075, horizon_m=26.0, skyline_m=10.0, lamp="park",
     plots={"row": 12.0, "square": 0.9, "church": 0.6},
     plot_width_m=(8.0, 15.0), setback_m=(0.0, 0.3), infill=True,
     ground=((Material.PAVING, (150, 140, 124)), (Material.SOIL, (128, 110, 88)), (Material.GRASS, (96, 112, 64))),
@@ -99,7 +99,7 @@ OLD_TOWN = Theme(
     trees={"round": 3.0, "young": 3.0, "bush": 2.0},
     tree_gap_m=46.0, lamp_gap_m=19.0, prop_gap_m=13.0, parked_gap_m=float("inf"),
     props={"bollards": 3.0, "planter": 4.0, "bin": 2.0, "bench": 2.0, "post": 1.0, "hydrant": 1.0},
-    median_m=0.0, island_m=0.0, railway=False, guard_rail_share=0.0, speed_mps=(4.5, 7.0), traffic=_LIGHT,
+    median_m=0.0, island_m=0.0, railway=False, guard_rail_fraction=0.0, speed_mps=(4.5, 7.0), traffic=_LIGHT,
     car_headway_s=9.0, walkers_per_block=18.0,
 )  # fmt: skip
 
@@ -107,7 +107,7 @@ ARTERIAL = Theme(
     name="arterial",
     spacing_m=124.0, jitter_m=5.0, bulge_m=3.0, straight_m=30.0, lanes=(3, 3, 2), lane_width_m=3.4, parking_m=0.8,
     sidewalk_m=3.4, corner_radius_m=10.0, road=(Material.ASPHALT, 62, 104), lane_lines=True,
-    paved_share=0.85, slope=0.04, horizon_m=16.0, skyline_m=16.0, lamp="street",
+    paved_fraction=0.85, slope=0.04, horizon_m=16.0, skyline_m=16.0, lamp="street",
     plots={"tower": 3.0, "hall": 2.0, "lot": 2.0, "park": 1.0, "row": 1.0},
     plot_width_m=(20.0, 34.0), setback_m=(5.0, 12.0), infill=False,
     ground=((Material.GRASS, (100, 118, 64)), (Material.CONCRETE, (146, 144, 138)), (Material.GRASS, (88, 108, 58))),
@@ -116,7 +116,7 @@ ARTERIAL = Theme(
     trees={"tall": 4.0, "young": 4.0, "round": 3.0},
     tree_gap_m=18.0, lamp_gap_m=26.0, prop_gap_m=24.0, parked_gap_m=float("inf"),
     props={"shelter": 2.0, "bin": 2.0, "box": 3.0, "bollards": 1.0, "post": 1.0, "hydrant": 1.0},
-    median_m=1.7, island_m=0.0, railway=True, guard_rail_share=0.8, speed_mps=(10.0, 14.0), traffic=_MIXED,
+    median_m=1.7, island_m=0.0, railway=True, guard_rail_fraction=0.8, speed_mps=(10.0, 14.0), traffic=_MIXED,
     car_headway_s=7.0, walkers_per_block=8.0,
 )  # fmt: skip
 
@@ -124,7 +124,7 @@ CAMPUS = Theme(
     name="campus",
     spacing_m=108.0, jitter_m=9.0, bulge_m=10.0, straight_m=18.0, lanes=(1,), lane_width_m=3.1, parking_m=0.5,
     sidewalk_m=4.6, corner_radius_m=8.0, road=(Material.ASPHALT, 62, 104), lane_lines=True,
-    paved_share=1.0, slope=0.06, horizon_m=24.0, skyline_m=9.0, lamp="park",
+    paved_fraction=1.0, slope=0.06, horizon_m=24.0, skyline_m=9.0, lamp="park",
     plots={"green": 5.0, "college": 4.0, "park": 1.5, "square": 0.5, "lot": 0.5},
     plot_width_m=(28.0, 42.0), setback_m=(6.0, 13.0), infill=False,
     ground=((Material.GRASS, (96, 128, 62)), (Material.GRASS, (86, 118, 58))),
@@ -132,7 +132,7 @@ CAMPUS = Theme(
     trees={"round": 7.0, "tall": 2.0, "birch": 3.0, "conifer": 2.0, "bush": 2.0},
     tree_gap_m=10.0, lamp_gap_m=20.0, prop_gap_m=14.0, parked_gap_m=float("inf"),
     props={"bench": 5.0, "bin": 3.0, "planter": 2.0, "bollards": 2.0, "post": 1.0, "shelter": 0.5},
-    median_m=0.0, island_m=0.0, railway=False, guard_rail_share=0.0, speed_mps=(5.0, 8.0),
+    median_m=0.0, island_m=0.0, railway=False, guard_rail_fraction=0.0, speed_mps=(5.0, 8.0),
     traffic={**_LIGHT, "bicycle": 5.0}, car_headway_s=8.0, walkers_per_block=26.0,
 )  # fmt: skip
 
@@ -140,7 +140,7 @@ ROUNDABOUT = Theme(
     name="roundabout",
     spacing_m=104.0, jitter_m=5.0, bulge_m=5.0, straight_m=30.0, lanes=(1,), lane_width_m=3.5, parking_m=2.3,
     sidewalk_m=3.4, corner_radius_m=13.0, road=(Material.ASPHALT, 62, 104), lane_lines=True,
-    paved_share=0.9, slope=0.055, horizon_m=30.0, skyline_m=9.0, lamp="street",
+    paved_fraction=0.9, slope=0.055, horizon_m=30.0, skyline_m=9.0, lamp="street",
     plots={"row": 5.0, "house": 3.0, "park": 1.0, "church": 0.5, "square": 0.6, "lot": 0.5},
     plot_width_m=(15.0, 24.0), setback_m=(2.0, 6.0), infill=False,
     ground=_GRASS,
@@ -149,7 +149,7 @@ ROUNDABOUT = Theme(
     trees={"round": 4.0, "birch": 3.0, "conifer": 1.0, "young": 3.0, "tall": 1.0},
     tree_gap_m=16.0, lamp_gap_m=28.0, prop_gap_m=15.0, parked_gap_m=30.0,
     props={"bench": 2.0, "bin": 3.0, "shelter": 1.5, "planter": 2.0, "box": 2.0, "hydrant": 1.0, "post": 1.0},
-    median_m=0.0, island_m=5.2, railway=False, guard_rail_share=0.4, speed_mps=(7.0, 11.0), traffic=_MIXED,
+    median_m=0.0, island_m=5.2, railway=False, guard_rail_fraction=0.4, speed_mps=(7.0, 11.0), traffic=_MIXED,
     car_headway_s=5.0, walkers_per_block=9.0,
 )  # fmt: skip
 

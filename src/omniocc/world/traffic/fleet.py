@@ -1,4 +1,4 @@
-"""The vehicles of a scene: which there are, where they begin, and which of them carries the cameras."""
+"""The vehicles of a scene and where they start; vehicle 0 is the ego."""
 
 from dataclasses import dataclass
 
@@ -15,8 +15,9 @@ from omniocc.world.traffic.lanes import Roads, node_of
 
 EGO_LENGTH_M = 4.6
 _TOP_MPS = {"bicycle": 5.0, "truck": 11.0, "bus": 11.0}
-_BEFORE_JUNCTION_M, _BEHIND_M = 32.0, 16.0  # where nobody begins: too late to stop, or still on the junction
-_WHEELBASE_SHARE = 0.6
+# No car starts so near to a junction: it could not stop in time, or would still stand on it.
+_BEFORE_JUNCTION_M, _BEHIND_M = 32.0, 16.0
+_WHEELBASE_FRACTION = 0.6
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ def _slots(place: Place, roads: Roads, rng: np.random.Generator) -> list[tuple[i
     if not slots:
         slots = [(0, _BEHIND_M)]
     order = [slots[int(k)] for k in rng.permutation(len(slots))]
-    if place.theme.island_m:  # the ego comes to a roundabout soon
+    if place.theme.island_m:  # so that the ego soon reaches a roundabout
         meeting = degrees(place.network)
         order.sort(key=lambda slot: -meeting[node_of(place.network, roads.lanes[slot[0]].end)])
     return order
@@ -64,4 +65,4 @@ def _slots(place: Place, roads: Roads, rng: np.random.Generator) -> list[tuple[i
 
 def half_wheelbase_m(length_m: float) -> float:
     """Return the distance from a vehicle's middle to its axles."""
-    return 0.5 * _WHEELBASE_SHARE * length_m
+    return 0.5 * _WHEELBASE_FRACTION * length_m

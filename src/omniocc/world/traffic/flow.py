@@ -1,8 +1,8 @@
-"""Traffic that reacts: cars follow each other, wait for one another at junctions and for people at crossings.
+"""Traffic flow: cars follow each other, and wait at junctions for each other and for people at crossings.
 
-Simulated in steps from the scene's beginning and remembered, so that any moment can be asked for in any order. Cars
-follow the intelligent driver model (Treiber, Hennecke, Helbing 2000, eq. 3). Before a junction every car asks for its
-turn and stops at the line until nobody whose turn clashes has the right of way; so do people at a crossing.
+It is simulated in steps from the start of the scene and remembered, so that any time can be asked for in any order.
+Cars follow the intelligent driver model (Treiber, Hennecke, Helbing 2000, eq. 3). Before a junction every car asks for
+its turn, and stops at the line until no clashing turn has the right of way; people at a crossing do the same.
 """
 
 from bisect import bisect_right
@@ -11,20 +11,21 @@ from math import sqrt
 
 import numpy as np
 
+from omniocc.world.seeding import choice
 from omniocc.world.traffic.lanes import Arm, Roads
 
 STEP_S = 0.2
 _ACCELERATE_MPS2, _BRAKE_MPS2, _HARDEST_MPS2 = 1.8, 2.0, 6.0
 _GAP_M, _GAP_S = 2.2, 1.1
-_CLEAR_M = 5.0  # of the zebra behind the junction, before the right of way is given back
-_PATIENCE_S = 5.0  # after which those who wait are no longer overtaken
+_CLEAR_M = 5.0  # beyond the end of the turn, where a car gives its right of way back: past the zebra crossing
+_PATIENCE_S = 5.0  # after this wait, later arrivals with a clashing turn are held back
 _LOOK_M = 45.0
 _YELLOW_STEPS = 8
 
 
 @dataclass
 class Car:
-    """A vehicle: size, the pieces it drives and where they begin on its way, and its motion at the newest step."""
+    """A vehicle: size, its route (pieces and the arc lengths of their starts), and its motion at the newest step."""
 
     length_m: float
     top_mps: float
@@ -42,9 +43,9 @@ class Car:
 
 @dataclass
 class Crosser:
-    """Someone who goes to and fro between `start_m` and `end_m` (3,) over the crossing at `arm`.
+    """A person who walks to and fro between `start_m` and `end_m` (3,) over the crossing at `arm`.
 
-    `moves` are the times (and directions) at which they set out; `ready_s` is when they next want to.
+    `moves` are (time, direction) of each start; `ready_s` is the time of the next wish to cross.
     """
 
     arm: Arm
@@ -60,18 +61,18 @@ class Crosser:
         """Time to cross the street."""
         return float(np.linalg.norm(self.end_m - self.start_m)) / self.pace_mps
 
-    def share(self, time_s: float) -> tuple[float, float]:
+    def progress(self, time_s: float) -> tuple[float, float]:
         """Return the fraction of the crossing walked, and the direction (+1, -1, or 0 while waiting)."""
         k = bisect_right(self.moves, (time_s, 2.0)) - 1
         if k < 0:
             return (0.0, 0.0)
         since, direction = self.moves[k]
-        part = min((time_s - since) / self.duration_s, 1.0)
-        return (part if direction > 0 else 1 - part), (direction if part < 1 else 0.0)
+        fraction = min((time_s - since) / self.duration_s, 1.0)
+        return (fraction if direction > 0 else 1 - fraction), (direction if fraction < 1 else 0.0)
 
 
 class Flow:
-    """Cars and crossing people of a place from time 0 on; `rng` decides the turns that are taken."""
+    """Cars and crossing people of a place from time 0 on; `rng` draws turns and waiting times."""
 
     def __init__(self, roads: Roads, cars: list[Car], crossers: list[Crosser], rng: np.random.Generator) -> None:
         self.roads, self.cars, self.crossers = roads, cars, crossers
@@ -143,7 +144,7 @@ class Flow:
         while len(car.pieces) < k + 4:
             lane = car.pieces[-1]
             onward = self.roads.onward[lane]
-            turn = onward[int(self._rng.integers(len(onward)))]
+            turn = choice(self._rng, onward)
             for piece in (turn, self.roads.turn(turn).target):
                 car.starts_m.append(car.starts_m[-1] + self.roads.pieces[car.pieces[-1]].length_m)
                 car.pieces.append(piece)
@@ -162,10 +163,10 @@ class Flow:
             if number < 0:
                 crosser = self.crossers[-1 - number]
                 if crosser.arm not in used and crosser.arm not in kept:
-                    self._set_out(crosser, time_s)
+                    self._start_crossing(crosser, time_s)
                     walked.add(crosser.arm)
                 elif late:
-                    walked.add(crosser.arm)  # cars let them go next
+                    walked.add(crosser.arm)  # then cars wait, and this person goes next
                 continue
             car, k = self.cars[number], current[number]
             turn = car.pieces[k + 1]
@@ -218,7 +219,7 @@ class Flow:
         """Return whether a car with the right of way will enter a lane but is not in it yet."""
         return any(car.pieces[k + 1] == lane and car.along_m < car.starts_m[k + 1] for k in car.right_of_way)
 
-    def _set_out(self, crosser: Crosser, time_s: float) -> None:
+    def _start_crossing(self, crosser: Crosser, time_s: float) -> None:
         direction = -crosser.moves[-1][1] if crosser.moves else 1.0
         crosser.moves.append((time_s, direction))
         crosser.ready_s = time_s + crosser.duration_s + crosser.rest_s * float(self._rng.uniform(0.5, 1.5))

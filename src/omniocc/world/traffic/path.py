@@ -1,4 +1,4 @@
-"""Closed paths."""
+"""Closed paths, on which people walk."""
 
 from dataclasses import dataclass
 

@@ -1,7 +1,7 @@
-"""Procedural surface textures: tiling pictures with mip levels, painted once per process, looked up by metres.
+"""The textures of all materials: tiles with mip levels, painted once per process, looked up by metres.
 
-A texel holds how much of the surface's base colour remains (`tint`, 1 = all, up to 2) and a colour of its own that is
-added, so that one brick pattern serves walls of any colour while its mortar stays grey and windows stay dark.
+A texel holds a factor on the surface's base colour (`tint`, 0 to 2) and a colour of its own that is added, so that one
+brick pattern serves walls of any colour while its mortar stays grey and windows stay dark.
 """
 
 from functools import lru_cache
@@ -92,20 +92,20 @@ def make_atlas() -> Atlas:
     layers = [pattern.PAINTERS[material](np.random.default_rng([7, material]), SIZE_PX) for material in Material]
     for style in range(FACADE_STYLES):
         layers += facade_layers(style, np.random.default_rng([11, style]), SIZE_PX)
-    texels = np.concatenate([_with_mips(picture.tint, picture.own) for picture in layers])
-    texel_m = np.array([picture.size_m / SIZE_PX for picture in layers], np.float32)
+    texels = np.concatenate([_with_mips(tile.tint, tile.own) for tile in layers])
+    texel_m = np.array([tile.size_m / SIZE_PX for tile in layers], np.float32)
     noise = pattern.fractal(np.random.default_rng(13), SIZE_PX, cells=5, octaves=5)
     return Atlas(texels, texel_m, (1.0 + 0.5 * (noise - noise.mean())).astype(np.float32).ravel())
 
 
 def _with_mips(tint: np.ndarray, own: np.ndarray) -> np.ndarray:
-    picture = np.concatenate([tint[..., None], own], axis=-1)
+    level = np.concatenate([tint[..., None], own], axis=-1)
     levels = []
     for _ in range(_LEVELS):
-        encoded = np.empty(picture.shape, np.uint8)
-        encoded[..., 0] = np.clip(np.rint(picture[..., 0] * 128), 0, 255)
-        encoded[..., 1:] = np.clip(np.rint(np.sqrt(np.clip(picture[..., 1:], 0, 1)) * 255), 0, 255)
+        encoded = np.empty(level.shape, np.uint8)
+        encoded[..., 0] = np.clip(np.rint(level[..., 0] * 128), 0, 255)
+        encoded[..., 1:] = np.clip(np.rint(np.sqrt(np.clip(level[..., 1:], 0, 1)) * 255), 0, 255)
         levels.append(np.ascontiguousarray(encoded).view(np.uint32).ravel())
-        if len(picture) > 1:
-            picture = picture.reshape(len(picture) // 2, 2, len(picture) // 2, 2, 4).mean(axis=(1, 3))
+        if len(level) > 1:
+            level = level.reshape(len(level) // 2, 2, len(level) // 2, 2, 4).mean(axis=(1, 3))
     return np.concatenate(levels)

@@ -12,7 +12,7 @@ _TILE_M = STOREY_M * _STOREYS
 
 
 class Style(NamedTuple):
-    """Windows per tile along the wall, and the window's share of its bay as (left, right, bottom, top)."""
+    """Windows per tile along the wall, and the window's bounds as fractions of its bay: left, right, bottom, top."""
 
     bays: int
     window: tuple[float, float, float, float]

@@ -1,4 +1,4 @@
-"""Painters of one tiling texture each, by material."""
+"""Painters of the tiling textures, one per material."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -37,7 +37,7 @@ def value_noise(rng: np.random.Generator, size: int, rows: int, columns: int) ->
 def fractal(rng: np.random.Generator, size: int, cells: int, octaves: int, stretch: int = 1) -> np.ndarray:
     """Return (size, size) sum of noises in [0, 1], each octave twice as fine and half as strong.
 
-    `stretch` makes it so many times longer along the rows' axis.
+    `stretch` is the factor by which it is longer along the rows' axis.
     """
     total, weight = np.zeros((size, size)), 0.0
     for octave in range(octaves):
