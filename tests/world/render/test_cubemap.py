@@ -8,12 +8,6 @@ from omniocc.world.render.capture import expose, render_pixels
 from omniocc.world.render.caster import Caster
 from omniocc.world.render.cubemap import make_cube, render_through_cube
 from omniocc.world.render.view import make_view
-from omniocc.world.render.weather import draw_light, draw_sensor
-
-
-@pytest.fixture(scope="module")
-def sensor():
-    return draw_sensor(np.random.default_rng(0), draw_light("clear", np.random.default_rng(0)))
 
 
 def _both(rig, camera, snapshot, own_car, sensor):
@@ -32,7 +26,7 @@ def _inner(label):
 
 @pytest.mark.parametrize("camera", [0, 2])
 def test_cubemap_agrees_with_direct_casting(snapshot, own_car, sensor, camera):
-    """Stated errors at 256x144 on the test street; away from borders of classes unless said otherwise."""
+    """The differences at 256x144 on the test street, as docs/world.md states them."""
     rig = Rig.load("fisheye6").resized(256, 144)
     (direct, cube), _, _ = _both(rig, camera, snapshot, own_car, sensor)
     assert (
@@ -63,7 +57,7 @@ def test_ranges_on_a_plane_are_exact_across_faces(snapshot_of, quad, noon, senso
     assert np.isposinf(cube.range_m[cube.label == 0]).all()
 
 
-def test_weights_and_pixels_give_back_the_rays(snapshot, own_car, sensor):
+def test_weights_and_pixels_reproduce_the_rays(snapshot, own_car, sensor):
     """Blending the faces' own directions like colours gives the camera's, up to the curvature within a pixel."""
     rig = Rig.load("fisheye6").resized(64, 36)
     _, cube, view = _both(rig, 4, snapshot, own_car, sensor)

@@ -26,7 +26,7 @@ def test_every_weather_is_drawn_and_clear_is_most_common():
 
 
 @pytest.mark.parametrize("weather", WEATHERS)
-def test_lights_are_sound(weather):
+def test_lights_have_valid_values(weather):
     for seed in range(20):
         light = draw_light(weather, np.random.default_rng(seed))
         assert np.linalg.norm(light.sun_direction) == pytest.approx(1, abs=1e-6)

@@ -59,7 +59,7 @@ def test_points_near_the_ego_fill_the_cells_that_rays_reach(snapshot, street):
         assert filled > 0.97, (ring, filled)
 
 
-def test_geometry_has_what_no_lidar_sees_but_not_what_is_covered(snapshot_of, street, own_car, noon, box, quad):
+def test_hidden_surfaces_get_points_and_covered_ones_do_not(snapshot_of, street, own_car, noon, box, quad):
     line = quad([[-5, 1, 0.005], [5, 1, 0.005], [5, 1.3, 0.005], [-5, 1.3, 0.005]], 11)
     static = concatenate([street, line])
     snapshot = snapshot_of(static, box([8, 1, 0.2], [12, 2.8, 1.6], 7), own_car, noon)

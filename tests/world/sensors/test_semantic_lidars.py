@@ -59,7 +59,7 @@ def test_no_lidar_stands_inside_a_solid(snapshot_of, street, own_car, noon, box)
     assert not deep.any()
 
 
-def test_lidars_stay_where_they_are_while_the_ego_moves(snapshot):
+def test_lidars_stay_at_their_positions_while_the_ego_moves(snapshot):
     lidars = _lidars(snapshot)
     here, ahead = lidars.cells(np.float32([0, 0, 2.2])), lidars.cells(np.float32([3, 0, 2.2]))
     assert len(set(here) & set(ahead)) > 12
@@ -67,8 +67,8 @@ def test_lidars_stay_where_they_are_while_the_ego_moves(snapshot):
     assert not set(here) & set(far)
 
 
-def test_what_was_seen_before_does_not_matter(snapshot, snapshot_of, street, own_car, noon, box):
-    """The standing LiDARs keep what is static; a car that has left is gone and one that came hides what is behind."""
+def test_points_do_not_depend_on_earlier_frames(snapshot, snapshot_of, street, own_car, noon, box):
+    """Standing LiDARs keep static points; a car that left is gone, and one that came hides the points behind it."""
     lidars = _lidars(snapshot)
     first = lidars.scan(snapshot)
     empty_street = snapshot_of(street, empty(), own_car, noon)
@@ -109,4 +109,4 @@ def test_thinning_against_a_dictionary():
             best[cell] = number
     want = set(best.values())
     assert want <= set(kept.tolist())
-    assert len(kept) < 1.02 * len(want)  # cubes 25.6 m apart share a place in the table
+    assert len(kept) < 1.02 * len(want)  # cubes 25.6 m apart collide in the table
