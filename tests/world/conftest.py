@@ -73,7 +73,7 @@ def street() -> Mesh:
 
 
 @pytest.fixture(scope="session")
-def own_car() -> Mesh:
+def ego_car() -> Mesh:
     return make_box([-2, -0.9, -2.1], [2, 0.9, -0.6], 7, material=Material.CAR_PAINT, color=(160, 30, 30))
 
 
@@ -130,7 +130,7 @@ def snapshot_of():
 
 
 @pytest.fixture(scope="session")
-def snapshot(street, own_car, noon) -> Snapshot:
+def snapshot(street, ego_car, noon) -> Snapshot:
     return make_snapshot(
-        street, make_box([8, 1, 0.2], [12, 2.8, 1.6], 7, material=Material.CAR_PAINT, instance=0), own_car, noon
+        street, make_box([8, 1, 0.2], [12, 2.8, 1.6], 7, material=Material.CAR_PAINT, instance=0), ego_car, noon
     )

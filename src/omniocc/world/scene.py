@@ -70,7 +70,7 @@ class Scene:
         self._interval_s = frame_interval_s
         self._seed = (seed, *theme.encode())
         self._traffic = Traffic(town, seed)
-        self._own_car = ego_car()
+        self._ego_car = ego_car()
         self._static = Caster(town.mesh)
         static_surfaces = make_surfaces(town.mesh)
         self._surfaces = SurfaceStack(static_surfaces)
@@ -83,7 +83,7 @@ class Scene:
         labeller: Labeller = GeometryLabels(town.mesh)
         if label_mode == "lidar20":
             labeller = SemanticLidars(self._static, static_surfaces, town.height, lidars)
-        self.recorder = Recorder(rig, self._own_car, labeller, supersample, capture, size, erp_top_deg, erp_bottom_deg)
+        self.recorder = Recorder(rig, self._ego_car, labeller, supersample, capture, size, erp_top_deg, erp_bottom_deg)
 
     def frame(self, index: int) -> Frame:
         """Record the frame at `index * frame_interval_s` seconds.
@@ -103,13 +103,13 @@ class Scene:
         """Return the world at a time, ready to be rendered, and its moving actors; valid until the next call."""
         world_from_ego = self._traffic.world_from_ego(time_s)
         moving_mesh, actors = self._traffic.actors(time_s)
-        own_mesh = transform(self._own_car, world_from_ego)
+        ego_mesh = transform(self._ego_car, world_from_ego)
         moving, spheres = Caster(moving_mesh), spheres_of(moving_mesh)
-        in_light = np.concatenate([spheres, spheres_of(own_mesh)])
+        in_light = np.concatenate([spheres, spheres_of(ego_mesh)])
         snapshot = Snapshot(
             Layers([self._static, moving]),
-            Shadows(self._static, [moving, Caster(own_mesh)], in_light, self._light),
-            self._surfaces.topped([make_surfaces(moving_mesh), make_surfaces(own_mesh)]),
+            Shadows(self._static, [moving, Caster(ego_mesh)], in_light, self._light),
+            self._surfaces.topped([make_surfaces(moving_mesh), make_surfaces(ego_mesh)]),
             self._static.size + moving.size,
             world_from_ego[:3, :3].astype(np.float32),
             world_from_ego[:3, 3].astype(np.float32),

@@ -12,12 +12,12 @@ from omniocc.world.sensors.lidar import scan_ego
 from omniocc.world.sensors.panorama import panorama_directions
 
 
-def _record(rig, camera, snapshot, own_car, sensor, supersample=2):
-    view = make_view(rig, camera, supersample, Caster(own_car))
+def _record(rig, camera, snapshot, ego_car, sensor, supersample=2):
+    view = make_view(rig, camera, supersample, Caster(ego_car))
     return expose(view, render_pixels(view, snapshot), snapshot.light, sensor, np.random.default_rng(camera))
 
 
-def test_range_is_exact_along_the_rigs_rays(rig, snapshot_of, quad, own_car, noon, sensor):
+def test_range_is_exact_along_the_rigs_rays(rig, snapshot_of, quad, ego_car, noon, sensor):
     """On an endless plane 2.2 m below the ego, range is height over the sine of the ray's downward angle."""
     ground = quad([[-2000, -2000, 0], [2000, -2000, 0], [2000, 2000, 0], [-2000, 2000, 0]], 1)
     snapshot = snapshot_of(ground, empty(), empty(), noon)
@@ -33,8 +33,8 @@ def test_range_is_exact_along_the_rigs_rays(rig, snapshot_of, quad, own_car, noo
         assert (image.label[sky] == 0).all()
 
 
-def test_outside_the_lens_is_black_and_unknown(rig, snapshot, own_car, sensor):
-    image = _record(rig, 0, snapshot, own_car, sensor)
+def test_outside_the_lens_is_black_and_unknown(rig, snapshot, ego_car, sensor):
+    image = _record(rig, 0, snapshot, ego_car, sensor)
     outside = ~rig.rays(0)[1].numpy()
     assert 0.02 < outside.mean() < 0.5
     assert (image.rgb[outside] == 0).all()
@@ -43,8 +43,8 @@ def test_outside_the_lens_is_black_and_unknown(rig, snapshot, own_car, sensor):
     assert image.rgb[~outside].mean() > 40
 
 
-def test_own_car_is_seen_at_the_bottom_and_has_no_range(rig, snapshot, own_car, sensor):
-    image = _record(rig, 0, snapshot, own_car, sensor)
+def test_ego_car_is_seen_at_the_bottom_and_has_no_range(rig, snapshot, ego_car, sensor):
+    image = _record(rig, 0, snapshot, ego_car, sensor)
     own = (image.label == 255) & rig.rays(0)[1].numpy()
     rows = np.flatnonzero(own.any(axis=1))
     assert rows[-1] == 35
@@ -54,11 +54,11 @@ def test_own_car_is_seen_at_the_bottom_and_has_no_range(rig, snapshot, own_car, 
     assert red > 1.3 * green
 
 
-def test_cameras_and_lidar_agree_on_points_that_both_see(rig, snapshot, own_car, sensor):
+def test_cameras_and_lidar_agree_on_points_that_both_see(rig, snapshot, ego_car, sensor):
     """Seen from the ego origin, the point of a pixel has the same class unless another object hides it."""
     agree, same = [], []
     for camera in range(6):
-        image = _record(rig, camera, snapshot, own_car, sensor)
+        image = _record(rig, camera, snapshot, ego_car, sensor)
         directions = rig.rays(camera)[0].numpy()
         seen = np.isfinite(image.range_m)
         points = rig.ego_from_camera[camera, :3, 3].numpy() + directions[seen] * image.range_m[seen][:, None]
@@ -72,25 +72,25 @@ def test_cameras_and_lidar_agree_on_points_that_both_see(rig, snapshot, own_car,
     assert np.concatenate(same).mean() > 0.985
 
 
-def test_supersampling_changes_colours_at_borders_only(rig, snapshot, own_car, sensor):
-    once, smooth = (_record(rig, 0, snapshot, own_car, sensor, s) for s in (1, 3))
+def test_supersampling_changes_colours_at_borders_only(rig, snapshot, ego_car, sensor):
+    once, smooth = (_record(rig, 0, snapshot, ego_car, sensor, s) for s in (1, 3))
     assert np.array_equal(once.label, smooth.label)
     assert np.array_equal(once.range_m, smooth.range_m, equal_nan=True)
     changed = (once.rgb != smooth.rgb).any(axis=-1)
     assert 0.02 < changed.mean() < 0.6
-    view = make_view(rig, 0, 3, Caster(own_car))
+    view = make_view(rig, 0, 3, Caster(ego_car))
     rays = view.extra.shape[2]
     label, other = (
         np.where(hits.face >= 0, snapshot.surfaces.label[hits.face], 0)
         for hits in (snapshot.cast(view.origin_m, part.reshape(3, -1)) for part in (view.center, view.extra))
     )
     mixed = (other.reshape(-1, rays) != label[:, None]).any(axis=1)
-    mixed &= (view.own_center.face < 0) & (view.own_extra.face < 0).reshape(-1, rays).all(axis=1)
+    mixed &= (view.ego_center_hits.face < 0) & (view.ego_extra_hits.face < 0).reshape(-1, rays).all(axis=1)
     assert mixed.sum() > 50
     assert changed.ravel()[view.pixel[mixed]].mean() > 0.95
 
 
-def test_a_pixel_on_an_edge_shows_both_sides_in_proportion(rig, snapshot_of, quad, own_car, noon):
+def test_a_pixel_on_an_edge_shows_both_sides_in_proportion(rig, snapshot_of, quad, ego_car, noon):
     """The wall's upper edge against an even sky: colours mix both by the fraction of rays that meet each."""
     wall = quad([[10, -40, 0], [10, 40, 0], [10, 40, 3.3], [10, -40, 3.3]], 4)
     snapshot = snapshot_of(wall, empty(), empty(), replace(noon, glow=0.0, cloud_cover=0.0, zenith=noon.horizon))
@@ -105,10 +105,10 @@ def test_a_pixel_on_an_edge_shows_both_sides_in_proportion(rig, snapshot_of, qua
     np.testing.assert_allclose(seen.color[:, edge], expected, atol=0.03)
 
 
-def test_mask_of_the_rig_blanks_pixels(rig, snapshot, own_car, sensor):
+def test_mask_of_the_rig_blanks_pixels(rig, snapshot, ego_car, sensor):
     mask = torch.ones(36, 64, dtype=torch.bool)
     mask[10:14, 30:40] = False
-    image = _record(replace(rig, masks=(mask, *[None] * 5)), 0, snapshot, own_car, sensor)
+    image = _record(replace(rig, masks=(mask, *[None] * 5)), 0, snapshot, ego_car, sensor)
     assert (image.label[10:14, 30:40] == 255).all()
     assert (image.rgb[10:14, 30:40] == 0).all()
 

@@ -10,8 +10,8 @@ from omniocc.world.render.cubemap import make_cube, render_through_cube
 from omniocc.world.render.view import make_view
 
 
-def _both(rig, camera, snapshot, own_car, sensor):
-    caster = Caster(own_car)
+def _both(rig, camera, snapshot, ego_car, sensor):
+    caster = Caster(ego_car)
     view = make_view(rig, camera, 2, caster)
     cube = make_cube(rig, camera, view, 2, caster)
     seen = render_pixels(view, snapshot), render_through_cube(cube, snapshot)
@@ -25,10 +25,10 @@ def _inner(label):
 
 
 @pytest.mark.parametrize("camera", [0, 2])
-def test_cubemap_agrees_with_direct_casting(snapshot, own_car, sensor, camera):
+def test_cubemap_agrees_with_direct_casting(snapshot, ego_car, sensor, camera):
     """The differences at 256x144 on the test street, as docs/world.md states them."""
     rig = Rig.load("fisheye6").resized(256, 144)
-    (direct, cube), _, _ = _both(rig, camera, snapshot, own_car, sensor)
+    (direct, cube), _, _ = _both(rig, camera, snapshot, ego_car, sensor)
     assert (
         np.array_equal(direct.label == 255, cube.label == 255)
         or ((direct.label == 255) != (cube.label == 255)).mean() < 0.01
@@ -57,10 +57,10 @@ def test_ranges_on_a_plane_are_exact_across_faces(snapshot_of, quad, noon, senso
     assert np.isposinf(cube.range_m[cube.label == 0]).all()
 
 
-def test_weights_and_pixels_reproduce_the_rays(snapshot, own_car, sensor):
+def test_weights_and_pixels_reproduce_the_rays(snapshot, ego_car, sensor):
     """Blending the faces' own directions like colours gives the camera's, up to the curvature within a pixel."""
     rig = Rig.load("fisheye6").resized(64, 36)
-    _, cube, view = _both(rig, 4, snapshot, own_car, sensor)
+    _, cube, view = _both(rig, 4, snapshot, ego_car, sensor)
     directions = np.concatenate([face.center for face in cube.faces], axis=1)
     blended = sum(directions[:, cube.corner[k]] * cube.weight[k] for k in range(4))
     blended /= np.linalg.norm(blended, axis=0)

@@ -29,8 +29,8 @@ def test_shadow_is_darker_than_sun_by_the_ratio_of_the_light(snapshot, noon):
     assert (bright > 1.5 * dark).all()
 
 
-def test_own_car_casts_a_shadow_and_the_lidars_do_not_see_it(snapshot_of, street, own_car, noon):
-    snapshot = snapshot_of(street, empty(), own_car, replace(noon, sun_direction=np.float32([0, 0, 1])))
+def test_ego_car_casts_a_shadow_and_the_lidars_do_not_see_it(snapshot_of, street, ego_car, noon):
+    snapshot = snapshot_of(street, empty(), ego_car, replace(noon, sun_direction=np.float32([0, 0, 1])))
     below, aside = np.float32([0, 0, -1]), np.float32([0, 0.8, -0.6])
     directions = np.stack([below, aside], axis=1)
     hits = snapshot.cast(np.zeros(3), directions)

@@ -66,10 +66,10 @@ def test_wet_road_is_darker_below_and_mirrors_the_sky_ahead(snapshot):
     assert wet[1] > before[1]
 
 
-def test_under_a_grey_sky_it_is_dark_below_cars(snapshot_of, street, own_car, box):
+def test_under_a_grey_sky_it_is_dark_below_cars(snapshot_of, street, ego_car, box):
     car = box([4, -1, 0.3], [8, 0.8, 1.6], 7)
     light = draw_light("overcast", np.random.default_rng(0))
-    with_car, without = (snapshot_of(street, moving, own_car, light) for moving in (car, empty()))
+    with_car, without = (snapshot_of(street, moving, ego_car, light) for moving in (car, empty()))
     eye = np.array([5.0, -0.1, -2.0])  # of a camera under the car
     directions = np.array([[0.05, 0.0, -1.0]], np.float32).T
     directions /= np.linalg.norm(directions)
@@ -80,10 +80,10 @@ def test_under_a_grey_sky_it_is_dark_below_cars(snapshot_of, street, own_car, bo
     assert dark < 0.5 * bright
 
 
-def test_after_dark_lamps_windows_and_the_ground_below_lamps_shine(snapshot_of, street, own_car, noon, box, quad):
+def test_after_dark_lamps_windows_and_the_ground_below_lamps_shine(snapshot_of, street, ego_car, noon, box, quad):
     lamp = quad([[4, 2, 6], [4, 3, 6], [5, 3, 6], [5, 2, 6]], 9, Material.LAMP, (255, 236, 190))
     mesh = concatenate([street, lamp])
-    snapshot = snapshot_of(mesh, empty(), own_car, noon)
+    snapshot = snapshot_of(mesh, empty(), ego_car, noon)
     dusk = replace(draw_light("dusk", np.random.default_rng(0)), pools=lamp_pools(mesh), haze_m=1e6)
     off = replace(dusk, lamps=0.0)
     views = [[4.5, 2.5, 3.8], [4.5, 2.5, -2.2], [-30, 2.5, -2.2]]

@@ -59,10 +59,10 @@ def test_points_near_the_ego_fill_the_cells_that_rays_reach(snapshot, street):
         assert filled > 0.97, (ring, filled)
 
 
-def test_hidden_surfaces_get_points_and_covered_ones_do_not(snapshot_of, street, own_car, noon, box, quad):
+def test_hidden_surfaces_get_points_and_covered_ones_do_not(snapshot_of, street, ego_car, noon, box, quad):
     line = quad([[-5, 1, 0.005], [5, 1, 0.005], [5, 1.3, 0.005], [-5, 1.3, 0.005]], 11)
     static = concatenate([street, line])
-    snapshot = snapshot_of(static, box([8, 1, 0.2], [12, 2.8, 1.6], 7), own_car, noon)
+    snapshot = snapshot_of(static, box([8, 1, 0.2], [12, 2.8, 1.6], 7), ego_car, noon)
     points, labels = GeometryLabels(static).scan(snapshot)
     assert points.dtype == np.float32
     assert labels.dtype == np.uint8
@@ -81,8 +81,8 @@ def test_the_same_points_every_time(snapshot, street):
     assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True))
 
 
-def test_an_empty_world_has_no_points(snapshot_of, own_car, noon):
-    snapshot = snapshot_of(empty(), empty(), own_car, noon)
+def test_an_empty_world_has_no_points(snapshot_of, ego_car, noon):
+    snapshot = snapshot_of(empty(), empty(), ego_car, noon)
     points, labels = GeometryLabels(empty()).scan(snapshot)
     assert points.shape == (0, 3)
     assert labels.shape == (0,)

@@ -42,9 +42,9 @@ def test_near_the_axis_every_narrow_cell_gets_a_point(snapshot):
     assert cells.mean() > 0.99
 
 
-def test_no_lidar_stands_inside_a_solid(snapshot_of, street, own_car, noon, box):
+def test_no_lidar_stands_inside_a_solid(snapshot_of, street, ego_car, noon, box):
     block = box([8, -4, 0], [28, 30, 12], 4)
-    snapshot = snapshot_of(concatenate([street, block]), empty(), own_car, noon)
+    snapshot = snapshot_of(concatenate([street, block]), empty(), ego_car, noon)
     lidars = _lidars(snapshot)
     spots = np.array([lidars.position(cell) for cell in lidars.cells(snapshot.origin_m)])
     assert 15 <= len(spots) <= 19
@@ -67,11 +67,11 @@ def test_lidars_stay_at_their_positions_while_the_ego_moves(snapshot):
     assert not set(here) & set(far)
 
 
-def test_points_do_not_depend_on_earlier_frames(snapshot, snapshot_of, street, own_car, noon, box):
+def test_points_do_not_depend_on_earlier_frames(snapshot, snapshot_of, street, ego_car, noon, box):
     """Standing LiDARs keep static points; a car that left is gone, and one that came hides the points behind it."""
     lidars = _lidars(snapshot)
     first = lidars.scan(snapshot)
-    empty_street = snapshot_of(street, empty(), own_car, noon)
+    empty_street = snapshot_of(street, empty(), ego_car, noon)
     lidars.scan(empty_street)
     again = lidars.scan(snapshot)
     fresh = _lidars(empty_street).scan(empty_street)

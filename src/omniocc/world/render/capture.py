@@ -33,14 +33,14 @@ class RenderedPixels(NamedTuple):
         label: (P,) uint8, 0 for the sky.
         range_m: (P,) float32, inf for the sky.
         key: (P,) int32 of the surface, see `omniocc.world.render.shade.Surfaces`.
-        own: (P,) bool, whether the ego car is seen.
+        ego: (P,) bool, whether the ego car is seen.
     """
 
     color: np.ndarray
     label: np.ndarray
     range_m: np.ndarray
     key: np.ndarray
-    own: np.ndarray
+    ego: np.ndarray
 
 
 def render_pixels(view: View, snapshot: Snapshot) -> RenderedPixels:
@@ -51,7 +51,7 @@ def render_pixels(view: View, snapshot: Snapshot) -> RenderedPixels:
     levels are averages already.
     """
     maybe = snapshot.meets(view.cones, view.origin_m)[view.cones.bundle]
-    hits = snapshot.cast(view.origin_m, view.center, _own_hits(view.own_center, snapshot), maybe)
+    hits = snapshot.cast(view.origin_m, view.center, _ego_hits(view.ego_center_hits, snapshot), maybe)
     seen = _shade(view, snapshot, hits, view.center)
     color, key = seen.color, np.where(hits.face >= 0, snapshot.surfaces.key.take(hits.face), 0)
     if view.extra.shape[2]:
@@ -59,7 +59,7 @@ def render_pixels(view: View, snapshot: Snapshot) -> RenderedPixels:
         index = np.flatnonzero(surface | shadow)
         color[:, index] = _smooth(view, snapshot, index, hits.face[index], shadow[index], color[:, index], maybe[index])
     label = np.where(hits.face >= 0, snapshot.surfaces.label.take(hits.face), np.uint8(0))
-    return RenderedPixels(color, label, hits.range_m, key, hits.face >= snapshot.own_start)
+    return RenderedPixels(color, label, hits.range_m, key, hits.face >= snapshot.ego_start)
 
 
 def expose(view: View, seen: RenderedPixels, light: Light, sensor: Sensor, rng: np.random.Generator) -> CameraImage:
@@ -74,8 +74,8 @@ def expose(view: View, seen: RenderedPixels, light: Light, sensor: Sensor, rng: 
     rgb = develop(color, sensor, view.falloff, rng)
     return CameraImage(
         _image(view, rgb, 0),
-        _image(view, np.where(seen.own, np.uint8(UNKNOWN), seen.label), UNKNOWN),
-        _image(view, np.where(seen.own, np.float32(np.nan), seen.range_m), np.nan),
+        _image(view, np.where(seen.ego, np.uint8(UNKNOWN), seen.label), UNKNOWN),
+        _image(view, np.where(seen.ego, np.float32(np.nan), seen.range_m), np.nan),
     )
 
 
@@ -84,8 +84,8 @@ def _shade(view: View, snapshot: Snapshot, hits: Hits, directions_ego: np.ndarra
     return shade(hits, eye, directions, snapshot.surfaces, snapshot.shadows, snapshot.light, view.pixel_rad)
 
 
-def _own_hits(own: Hits, snapshot: Snapshot) -> Hits:
-    return own._replace(face=np.where(own.face >= 0, own.face + snapshot.own_start, -1))
+def _ego_hits(hits: Hits, snapshot: Snapshot) -> Hits:
+    return hits._replace(face=np.where(hits.face >= 0, hits.face + snapshot.ego_start, -1))
 
 
 def _smooth(
@@ -104,7 +104,7 @@ def _smooth(
     count = view.extra.shape[2]
     directions = np.take(view.extra, index, axis=1).reshape(3, -1)
     rays = (index[:, None] * count + np.arange(count)).ravel()
-    hits = snapshot.cast(view.origin_m, directions, _own_hits(view.own_extra.take(rays), snapshot), maybe.repeat(count))
+    hits = snapshot.cast(view.origin_m, directions, _ego_hits(view.ego_extra_hits.take(rays), snapshot), maybe.repeat(count))
     color = center_color.repeat(count, axis=1)
     other = np.flatnonzero((hits.face != face.repeat(count)) | shadow.repeat(count))
     color[:, other] = _shade(view, snapshot, hits.take(other), np.take(directions, other, axis=1)).color

@@ -40,7 +40,7 @@ class Cube:
         corner: (4, P) int64 the four face pixels around each pixel, as indices into that row.
         weight: (4, P) float32 bilinear weights.
         nearest: (P,) int64 the closest face pixel.
-        own_forward: (P,) float32 part of the camera's ray along the face's axis.
+        camera_forward: (P,) float32 part of the camera's ray along the face's axis.
     """
 
     faces: tuple[View, ...]
@@ -48,10 +48,10 @@ class Cube:
     corner: np.ndarray
     weight: np.ndarray
     nearest: np.ndarray
-    own_forward: np.ndarray
+    camera_forward: np.ndarray
 
 
-def make_cube(rig: Rig, camera: int, view: View, supersample: int, own_car: Caster) -> Cube:
+def make_cube(rig: Rig, camera: int, view: View, supersample: int, ego_car: Caster) -> Cube:
     """Build the cube's faces for one camera, as fine as the camera's pixels in their middle, finer elsewhere.
 
     Args:
@@ -59,7 +59,7 @@ def make_cube(rig: Rig, camera: int, view: View, supersample: int, own_car: Cast
         camera: index in the rig.
         view: rays of that camera.
         supersample: see `make_view`.
-        own_car: the ego car in the ego frame.
+        ego_car: the ego car in the ego frame.
     """
     inner = int(np.ceil(2 / view.pixel_rad))
     side = inner + 2 * _MARGIN_PX
@@ -76,7 +76,7 @@ def make_cube(rig: Rig, camera: int, view: View, supersample: int, own_car: Cast
     needed = np.zeros((len(_FACES), side, side), dtype=bool)
     needed.reshape(-1)[corner] = True
     used = np.flatnonzero(needed.any(axis=(1, 2)))
-    views = _face_views(pose, needed[used], _FACES[used], inner, supersample, own_car)
+    views = _face_views(pose, needed[used], _FACES[used], inner, supersample, ego_car)
     order = np.cumsum(needed.reshape(-1)) - 1
     forward = [np.einsum("i,ip->p", pose[:3, :3] @ _FACES[k, :, 2], v.center) for k, v in zip(used, views, strict=True)]
     nearest = corner[weight.argmax(axis=0), np.arange(len(face))]
@@ -91,7 +91,7 @@ def make_cube(rig: Rig, camera: int, view: View, supersample: int, own_car: Cast
 
 
 def _face_views(
-    pose: np.ndarray, needed: np.ndarray, faces: np.ndarray, inner: int, supersample: int, own_car: Caster
+    pose: np.ndarray, needed: np.ndarray, faces: np.ndarray, inner: int, supersample: int, ego_car: Caster
 ) -> tuple[View, ...]:
     side = inner + 2 * _MARGIN_PX
     model = Pinhole(side, side, focal_px=(inner / 2, inner / 2), center_px=((side - 1) / 2, (side - 1) / 2))
@@ -103,7 +103,7 @@ def _face_views(
         tuple(f"face{number}" for number in range(len(faces))),
         tuple(torch.from_numpy(mask) for mask in needed),
     )
-    return tuple(make_view(rig, number, supersample, own_car) for number in range(len(faces)))
+    return tuple(make_view(rig, number, supersample, ego_car) for number in range(len(faces)))
 
 
 def render_through_cube(cube: Cube, snapshot: Snapshot) -> RenderedPixels:
@@ -114,13 +114,13 @@ def render_through_cube(cube: Cube, snapshot: Snapshot) -> RenderedPixels:
     """
     seen = [render_pixels(face, snapshot) for face in cube.faces]
     colors = np.concatenate([part.color for part in seen], axis=1)
-    key, label, range_m, own = (
-        np.concatenate([getattr(part, name) for part in seen]) for name in ("key", "label", "range_m", "own")
+    key, label, range_m, ego = (
+        np.concatenate([getattr(part, name) for part in seen]) for name in ("key", "label", "range_m", "ego")
     )
     color = np.einsum("ckp,kp->cp", colors[:, cube.corner], cube.weight)
     inverse = 1 / (range_m * cube.forward)
     blended = (inverse[cube.corner] * cube.weight).sum(axis=0)
     even = (key[cube.corner] == key[cube.nearest]).all(axis=0)
     with np.errstate(divide="ignore"):
-        distance = 1 / (np.where(even, blended, inverse[cube.nearest]) * cube.own_forward)
-    return RenderedPixels(color, label[cube.nearest], distance, key[cube.nearest], own[cube.nearest])
+        distance = 1 / (np.where(even, blended, inverse[cube.nearest]) * cube.camera_forward)
+    return RenderedPixels(color, label[cube.nearest], distance, key[cube.nearest], ego[cube.nearest])

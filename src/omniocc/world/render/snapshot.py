@@ -20,7 +20,7 @@ class Snapshot:
         layers: static, then moving objects, without the ego car, in the world frame.
         shadows: of the same objects and of the ego car.
         surfaces: of static, moving and ego car faces, in this order.
-        own_start: first face of the ego car.
+        ego_start: first face of the ego car.
         rotation: (3, 3) float32, world frame from ego frame.
         origin_m: (3,) float32, the ego origin in the world frame.
         moving: mesh of the moving objects.
@@ -31,7 +31,7 @@ class Snapshot:
     layers: Layers
     shadows: Shadows
     surfaces: Surfaces
-    own_start: int
+    ego_start: int
     rotation: np.ndarray
     origin_m: np.ndarray
     moving: Mesh

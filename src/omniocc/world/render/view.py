@@ -23,8 +23,8 @@ class View:
         origin_m: (3,) float32, ego frame.
         center: (3, P) float32 unit directions in the ego frame through the pixels' centres.
         extra: (3, P, S-1) float32 directions through other points of the pixels.
-        own_center: hits of the centre rays on the own car.
-        own_extra: hits of the other rays, flattened (P * (S-1)).
+        ego_center_hits: hits of the centre rays on the ego car.
+        ego_extra_hits: hits of the other rays, flattened (P * (S-1)).
         pixel_rad: mean angle between neighbouring pixels.
         cones: bundles of neighbouring pixels' rays, ego frame.
         falloff: (P,) float32, 0 on the optical axis and 1 at the lens's rim.
@@ -35,21 +35,21 @@ class View:
     origin_m: np.ndarray
     center: np.ndarray
     extra: np.ndarray
-    own_center: Hits
-    own_extra: Hits
+    ego_center_hits: Hits
+    ego_extra_hits: Hits
     pixel_rad: float
     cones: Cones
     falloff: np.ndarray
 
 
-def make_view(rig: Rig, camera: int, supersample: int, own_car: Caster) -> View:
+def make_view(rig: Rig, camera: int, supersample: int, ego_car: Caster) -> View:
     """Compute the rays of one camera of the rig.
 
     Args:
         rig: cameras of the vehicle.
         camera: index in the rig.
         supersample: rays per pixel along each side; the first of its square goes through the centre.
-        own_car: the ego car in the ego frame.
+        ego_car: the ego car in the ego frame.
     """
     directions, valid = rig.rays(camera)
     height, width = valid.shape
@@ -69,8 +69,8 @@ def make_view(rig: Rig, camera: int, supersample: int, own_car: Caster) -> View:
         origin_m,
         np.ascontiguousarray(center.T),
         np.ascontiguousarray(np.moveaxis(extra, -1, 0)),
-        own_car.cast(repeat(origin_m, len(center)), center),
-        own_car.cast(repeat(origin_m, len(flat)), flat),
+        ego_car.cast(repeat(origin_m, len(center)), center),
+        ego_car.cast(repeat(origin_m, len(flat)), flat),
         float(steps.mean()),
         _tiles(pixel, (height, width), center, float(steps.max())),
         ((angle / angle.max()) ** 2).astype(np.float32),

@@ -9,7 +9,7 @@ from omniocc.world.sensors.thinning import REACH_M, within_reach
 _POINT_M2 = 0.0125  # area per point far from the ego: three points in a square of 0.2 m
 _POINT_M = 0.0016  # area per point and metre of distance near the ego: four points in a cell of the paper's cylinder
 _PIECE_M2 = 2.0
-_PIECE_FRACTION = 0.1  # greatest area of a piece, of its squared distance from the axis
+_PIECE_FRACTION = 0.1  # greatest area of a piece as a fraction of its squared distance from the axis
 _AXIS_M = 0.06  # distance below which points do not get denser
 _COVER_M = 0.1  # a surface with another one so near above it is covered
 _LIFT_M = np.float32(0.002)  # less than a road line's height above its road
@@ -34,6 +34,7 @@ class GeometryLabels:
     def scan(self, snapshot: Snapshot) -> tuple[np.ndarray, np.ndarray]:
         """Return points (P, 3) float32 in the ego frame and their classes (P,) uint8."""
         ego = snapshot.origin_m[:2]
+        # Half the side of a level square that holds the ego's square, however that is turned and tilted.
         reach = np.float32(REACH_M * 1.5)
         near = np.flatnonzero(((self._low < ego + reach) & (self._high > ego - reach)).all(axis=1))
         corners = [self._static.vertices[self._static.faces[near]], snapshot.moving.vertices[snapshot.moving.faces]]

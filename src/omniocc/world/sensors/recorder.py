@@ -35,7 +35,7 @@ class Recorder:
 
     Args:
         rig: cameras.
-        own_car: ego car in the ego frame, visible to the cameras and not to the LiDARs.
+        ego_car: ego car in the ego frame, visible to the cameras and not to the LiDARs.
         labeller: source of the labelled points.
         supersample: camera rays per pixel along each side where a pixel needs smoothing.
         capture: direct (a ray through every pixel) or cubemap (the paper's way).
@@ -47,7 +47,7 @@ class Recorder:
     def __init__(
         self,
         rig: Rig,
-        own_car: Mesh,
+        ego_car: Mesh,
         labeller: Labeller,
         supersample: int,
         capture: str,
@@ -55,7 +55,7 @@ class Recorder:
         erp_top_deg: float,
         erp_bottom_deg: float,
     ) -> None:
-        caster = Caster(own_car)
+        caster = Caster(ego_car)
         self.views = [make_view(rig, camera, supersample, caster) for camera in range(len(rig.cameras))]
         self.renderers: list[Callable[[Snapshot], RenderedPixels]] = [
             partial(render_pixels, view) for view in self.views

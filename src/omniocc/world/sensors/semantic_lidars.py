@@ -77,14 +77,14 @@ class SemanticLidars:
         All points of the ego's LiDAR are kept, and of the others about one in each cube of 0.1 m, thin objects first.
         Surfaces hit from behind (the LiDAR is inside an object) give no points.
         """
-        own = self._scan_from_ego(snapshot)
+        ego_points_m, ego_labels = self._scan_from_ego(snapshot)
         parts = [self._scan_from(snapshot, self._sweep(cell)) for cell in self.cells(snapshot.origin_m)]
         points_m, labels, cube = (
             np.concatenate([empty, *(part[k] for part in parts)]) for k, empty in enumerate(_NOTHING)
         )
         keep = first_of_each(cube, labels, self._scratch)
-        points_m = snapshot.ego_points(np.concatenate([own[0], points_m[keep]]))
-        labels = np.concatenate([own[1], labels[keep]])
+        points_m = snapshot.ego_points(np.concatenate([ego_points_m, points_m[keep]]))
+        labels = np.concatenate([ego_labels, labels[keep]])
         near = np.flatnonzero(within_reach(points_m))
         return points_m[near], labels[near]
 
