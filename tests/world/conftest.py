@@ -11,9 +11,9 @@ from omniocc.world.mesh.mesh import Mesh, concatenate
 from omniocc.world.render.caster import Caster, Layers
 from omniocc.world.render.cull import spheres_of
 from omniocc.world.render.light import Light, Sensor
-from omniocc.world.render.shade import join, make_surfaces
 from omniocc.world.render.shadow import Shadows
 from omniocc.world.render.snapshot import Snapshot
+from omniocc.world.render.surface import join, make_surfaces
 from omniocc.world.render.weather import draw_light, draw_sensor
 
 

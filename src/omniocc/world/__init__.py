@@ -1,6 +1,6 @@
 """The virtual world: procedural places, traffic in them, and what cameras and LiDARs record there.
 
-Layers: mesh < assets < town < traffic, and mesh < render < sensors; `scene` puts them together.
+Layers: mesh < assets < town < traffic, and assets < render < sensors; `scene` puts them together.
 """
 
 from omniocc.world.frame import Box, Frame

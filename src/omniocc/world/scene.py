@@ -14,9 +14,9 @@ from omniocc.world.mesh.mesh import transform
 from omniocc.world.render.caster import Caster, Layers
 from omniocc.world.render.cull import spheres_of
 from omniocc.world.render.lamp import lamp_pools
-from omniocc.world.render.shade import SurfaceStack, make_surfaces
 from omniocc.world.render.shadow import Shadows
 from omniocc.world.render.snapshot import Snapshot
+from omniocc.world.render.surface import SurfaceStack, make_surfaces
 from omniocc.world.render.weather import WEATHERS, draw_light, draw_sensor, draw_weather
 from omniocc.world.sensors.geometry_labels import GeometryLabels
 from omniocc.world.sensors.recorder import Capture, Labeller, Recorder

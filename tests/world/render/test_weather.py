@@ -5,9 +5,10 @@ import pytest
 
 from omniocc.world.mesh.material import Material
 from omniocc.world.mesh.mesh import concatenate, empty
-from omniocc.world.render.lamp import lamp_pools, lamp_strength
+from omniocc.world.render.lamp import lamp_pools
 from omniocc.world.render.rain import streaks
 from omniocc.world.render.shade import shade
+from omniocc.world.render.surface import lamp_strength
 from omniocc.world.render.weather import WEATHERS, draw_light, draw_sensor, draw_weather
 
 

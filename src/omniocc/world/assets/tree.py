@@ -7,7 +7,7 @@ import numpy as np
 from omniocc.world.mesh.label import VEGETATION
 from omniocc.world.mesh.material import Material
 from omniocc.world.mesh.mesh import Mesh, concatenate
-from omniocc.world.mesh.shape import Color, Skin, blob, lathe
+from omniocc.world.mesh.shape import Color, Number, Skin, Triple, blob, lathe
 
 LEAVES = Skin(VEGETATION, Material.LEAVES, (80, 112, 52))
 _BARK = Skin(VEGETATION, Material.BARK, (94, 76, 58))
@@ -42,10 +42,9 @@ def round_tree(rng: np.random.Generator) -> Mesh:
 
 def tall_tree(rng: np.random.Generator) -> Mesh:
     """Build a slender upright crown, as of a poplar."""
-    height, crown = rng.uniform(8, 13), rng.uniform(1.0, 1.6)
-    stem = rng.uniform(2.2, 2.8)
-    body = blob(rng, (crown, crown, (height - stem) / 2), (0, 0, (height + stem) / 2), LEAVES, 0.2, sides=7, rows=6)
-    return concatenate([lathe([0.22, 0.15], [-0.3, stem + 1], 6, _BARK), body])
+    height, crown, stem = rng.uniform(8, 13), rng.uniform(1.0, 1.6), rng.uniform(2.2, 2.8)
+    trunk = lathe([0.22, 0.15], [-0.3, stem + 1], 6, _BARK)
+    return concatenate([trunk, blob(rng, *_crown(height, crown, stem), LEAVES, 0.2, sides=7, rows=6)])
 
 
 def conifer(rng: np.random.Generator) -> Mesh:
@@ -97,10 +96,14 @@ def bush(rng: np.random.Generator) -> Mesh:
 
 def distant(rng: np.random.Generator) -> Mesh:
     """Build a tree of few triangles, for places far from every street."""
-    height, crown = rng.uniform(6, 11), rng.uniform(1.3, 2.2)
-    stem = rng.uniform(1.8, 3.0)
-    body = blob(rng, (crown, crown, (height - stem) / 2), (0, 0, (height + stem) / 2), LEAVES, 0.3, sides=6, rows=4)
-    return concatenate([lathe([0.2, 0.15], [-0.3, stem + 0.6], 4, _BARK), body])
+    height, crown, stem = rng.uniform(6, 11), rng.uniform(1.3, 2.2), rng.uniform(1.8, 3.0)
+    trunk = lathe([0.2, 0.15], [-0.3, stem + 0.6], 4, _BARK)
+    return concatenate([trunk, blob(rng, *_crown(height, crown, stem), LEAVES, 0.3, sides=6, rows=4)])
+
+
+def _crown(height_m: Number, radius_m: Number, stem_m: Number) -> tuple[Triple, Triple]:
+    """Return radii and centre of an upright crown above the stem."""
+    return (radius_m, radius_m, (height_m - stem_m) / 2), (0, 0, (height_m + stem_m) / 2)
 
 
 KINDS: dict[str, Callable[[np.random.Generator], Mesh]] = {

@@ -32,7 +32,7 @@ class RenderedPixels(NamedTuple):
         color: (3, P) float32, linear.
         label: (P,) uint8, 0 for the sky.
         range_m: (P,) float32, inf for the sky.
-        key: (P,) int32 of the surface, see `omniocc.world.render.shade.Surfaces`.
+        key: (P,) int32 of the surface, see `omniocc.world.render.surface.Surfaces`.
         ego: (P,) bool, whether the ego car is seen.
     """
 
@@ -104,7 +104,9 @@ def _smooth(
     count = view.extra.shape[2]
     directions = np.take(view.extra, index, axis=1).reshape(3, -1)
     rays = (index[:, None] * count + np.arange(count)).ravel()
-    hits = snapshot.cast(view.origin_m, directions, _ego_hits(view.ego_extra_hits.take(rays), snapshot), maybe.repeat(count))
+    hits = snapshot.cast(
+        view.origin_m, directions, _ego_hits(view.ego_extra_hits.take(rays), snapshot), maybe.repeat(count)
+    )
     color = center_color.repeat(count, axis=1)
     other = np.flatnonzero((hits.face != face.repeat(count)) | shadow.repeat(count))
     color[:, other] = _shade(view, snapshot, hits.take(other), np.take(directions, other, axis=1)).color

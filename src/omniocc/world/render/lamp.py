@@ -2,27 +2,16 @@
 
 import numpy as np
 
-from omniocc.world.mesh.label import VEHICLE
 from omniocc.world.mesh.material import Material
 from omniocc.world.mesh.mesh import Mesh
 from omniocc.world.render.light import Light
+from omniocc.world.render.surface import COLOR, EMITTED, GLAZED, UP
 
 _WARM = np.array([1.0, 0.78, 0.50], np.float32)
 _CELL_M = 0.5
 _SIDE = 1024  # cells; the map repeats after 512 m
 _POOL_M = 20.0
 _HEIGHT_M = 6.0
-
-
-def lamp_strength(mesh: Mesh) -> np.ndarray:
-    """Return (F,) float32 emitted light as a multiple of the base colour: lamps, head and tail lights; else 0."""
-    red, green, blue = mesh.color.astype(np.int32).T
-    vehicle = mesh.label == VEHICLE
-    head = vehicle & (mesh.material == Material.GLASS) & (np.minimum(red, blue) > 200)
-    tail = vehicle & (mesh.material == Material.SIGN) & (red > 120) & (np.maximum(green, blue) < 60)
-    strength = np.where(mesh.material == Material.LAMP, np.float32(4), np.float32(0))
-    strength[head], strength[tail] = 3, 2.5
-    return strength
 
 
 def lamp_pools(mesh: Mesh) -> np.ndarray:
@@ -55,14 +44,14 @@ def lamp_light(
         base: (3, R) colour of the surfaces.
         own: (3, R) the texture's own colour: panes with bright curtains count as lit rooms.
         tint: (R,) fraction of the base colour in the texture, 0 in windows.
-        attributes: (16, R) see `omniocc.world.render.shade.Surfaces`.
+        attributes: (16, R) see `omniocc.world.render.surface.Surfaces`.
         points: (3, R) in the world frame.
     """
-    shining = attributes[3:6] * attributes[13]
-    window = (attributes[15] > 0) & (tint < 0.02) & (own[0] > 0.1)
+    shining = attributes[COLOR] * attributes[EMITTED]
+    window = (attributes[GLAZED] > 0) & (tint < 0.02) & (own[0] > 0.1)
     shining += (own * _WARM[:, None]) * (np.float32(2.2) * window)
     if light.pools is not None:
         row, column = (np.floor(axis * np.float32(1 / _CELL_M)).astype(np.int32) & (_SIDE - 1) for axis in points[:2])
-        pool = light.pools[row * _SIDE + column] * (0.25 + 0.75 * np.maximum(attributes[2], 0))
+        pool = light.pools[row * _SIDE + column] * (0.25 + 0.75 * np.maximum(attributes[UP], 0))
         shining += base * (0.9 * _WARM[:, None] * pool)
     return shining * np.float32(light.lamps)

@@ -1,113 +1,18 @@
 """Shading: from the hits of rays to colours."""
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from omniocc.world.mesh.material import Material
-from omniocc.world.mesh.mesh import Mesh
 from omniocc.world.render.caster import Hits
-from omniocc.world.render.lamp import lamp_light, lamp_strength
+from omniocc.world.render.lamp import lamp_light
 from omniocc.world.render.light import Light, ambient, standing_water
 from omniocc.world.render.shadow import Shadows
 from omniocc.world.render.sky import sky_color
-from omniocc.world.render.texture.atlas import layer_of, sample
+from omniocc.world.render.surface import COLOR, GLAZED, GLOSS, LAYER, NORMAL, UP, UV, UV_EDGE_1, UV_EDGE_2, Surfaces
+from omniocc.world.render.texture.atlas import sample
 
-_GLOSS = {Material.GLASS: 0.9, Material.CAR_PAINT: 0.5, Material.METAL: 0.15, Material.FACADE: 0.0}
-_GLAZED = (Material.FACADE, Material.GLASS)
 _LIFT_M = np.float32(0.02)  # start of shadow rays above their surface
-
-
-@dataclass(frozen=True)
-class Surfaces:
-    """Attributes of all triangles in one table, so that a hit costs one gather.
-
-    Attributes:
-        table: (F, 16) float32: unit normal 3, linear base colour 3, uv of the first corner 2, uv edges 2 + 2, twice the
-            texture layer plus its ground step, light of its own after dark, gloss, and whether there is glass in the
-            texture.
-        label: (F,) uint8.
-        key: (F,) int32, differs between surfaces whose border needs smoothing.
-    """
-
-    table: np.ndarray
-    label: np.ndarray
-    key: np.ndarray
-
-
-def make_surfaces(mesh: Mesh) -> Surfaces:
-    """Return the tables of a mesh."""
-    corner = mesh.vertices[mesh.faces]
-    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-    table = np.empty((len(mesh), 16), np.float32)
-    table[:, 0:3] = normal
-    table[:, 3:6] = 0.85 * (mesh.color / 255) ** 2.2
-    table[:, 6:8] = mesh.uv[:, 0]
-    table[:, 8:10] = mesh.uv[:, 1] - mesh.uv[:, 0]
-    table[:, 10:12] = mesh.uv[:, 2] - mesh.uv[:, 0]
-    layer, ground_step = layer_of(mesh.material, mesh.color)
-    table[:, 12], table[:, 13] = 2 * layer + ground_step, lamp_strength(mesh)
-    gloss = np.zeros(len(Material), np.float32)
-    gloss[list(_GLOSS)] = list(_GLOSS.values())
-    table[:, 14] = gloss[mesh.material]
-    table[:, 15] = np.isin(mesh.material, _GLAZED)
-    return Surfaces(table, mesh.label, _surface_key(mesh, normal))
-
-
-def join(parts: list[Surfaces]) -> Surfaces:
-    """Concatenate tables, in order."""
-    return Surfaces(
-        np.concatenate([part.table for part in parts]),
-        np.concatenate([part.label for part in parts]),
-        np.concatenate([part.key for part in parts]),
-    )
-
-
-class SurfaceStack:
-    """Tables whose first part is fixed and whose last part changes every frame; the first is copied only once.
-
-    Args:
-        fixed: the part that never changes.
-    """
-
-    def __init__(self, fixed: Surfaces) -> None:
-        self._fixed = len(fixed.label)
-        self._all = _enlarged(fixed, self._fixed + 16384)
-
-    def topped(self, parts: list[Surfaces]) -> Surfaces:
-        """Return the fixed part and then `parts`, in order; valid until the next call."""
-        top = join(parts)
-        end = self._fixed + len(top.label)
-        if end > len(self._all.label):
-            self._all = _enlarged(self._all, 2 * end)
-        for whole, part in zip(_arrays(self._all), _arrays(top), strict=True):
-            whole[self._fixed : end] = part
-        return Surfaces(*(whole[:end] for whole in _arrays(self._all)))
-
-
-def _arrays(surfaces: Surfaces) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    return surfaces.table, surfaces.label, surfaces.key
-
-
-def _enlarged(surfaces: Surfaces, size: int) -> Surfaces:
-    def grown(array: np.ndarray) -> np.ndarray:
-        result = np.zeros((size, *array.shape[1:]), array.dtype)
-        result[: len(array)] = array
-        return result
-
-    return Surfaces(*(grown(array) for array in _arrays(surfaces)))
-
-
-def _surface_key(mesh: Mesh, normal: np.ndarray) -> np.ndarray:
-    # The facets of a crown or hedge stand for leaves, so their edges need no smoothing.
-    facing = np.where((mesh.material == Material.LEAVES)[:, None], 0, np.rint(normal * 2)).astype(np.int32)
-    parts = [mesh.label, mesh.material, *mesh.color.T, mesh.instance, *facing.T]
-    key = np.zeros(len(mesh), np.uint32)
-    for part in parts:
-        key = (key ^ part.astype(np.int64).astype(np.uint32)) * np.uint32(16777619)
-    return key.view(np.int32)
 
 
 class Shading(NamedTuple):
@@ -144,10 +49,10 @@ def shade(
     color[:, sky] = sky_color(light, np.take(directions, sky, axis=1))
     some, toward = hits.take(ground), np.take(directions, ground, axis=1)
     attributes = np.ascontiguousarray(surfaces.table.take(some.face, axis=0).T)
-    cosine = -_dot(attributes[:3], toward)
-    attributes[:3] *= np.where(cosine < 0, np.float32(-1), np.float32(1))
+    cosine = -_dot(attributes[NORMAL], toward)
+    attributes[NORMAL] *= np.where(cosine < 0, np.float32(-1), np.float32(1))
     cosine = np.abs(cosine)
-    sunlight = _sunlight(some, origin, toward, attributes[:3], shadows, light)
+    sunlight = _sunlight(some, origin, toward, attributes[NORMAL], shadows, light)
     points = toward * some.range_m + origin[:, None] if light.lamps else toward
     color[:, ground] = _surface_color(some, points, toward, attributes, cosine, sunlight, light, pixel_rad)
     sunny, open_share = sunlight
@@ -187,22 +92,21 @@ def _surface_color(
     light: Light,
     pixel_rad: float,
 ) -> np.ndarray:
-    u_m = attributes[6] + hits.u * attributes[8] + hits.v * attributes[10]
-    v_m = attributes[7] + hits.u * attributes[9] + hits.v * attributes[11]
+    u_m, v_m = attributes[UV] + hits.u * attributes[UV_EDGE_1] + hits.v * attributes[UV_EDGE_2]
     footprint_m = hits.range_m * np.float32(pixel_rad) / np.sqrt(np.maximum(cosine, 0.05))
-    code = attributes[12].astype(np.int32)
+    code = attributes[LAYER].astype(np.int32)
     tint, own = sample(code >> 1, code & 1, u_m, v_m, footprint_m)
-    base = attributes[3:6] * tint
+    base = attributes[COLOR] * tint
     base += own
     sunny, open_share = sunlight
-    sky = ambient(light, attributes[2])
+    sky = ambient(light, attributes[UP])
     if open_share is not None:
         sky *= 0.3 + 0.7 * open_share
     if light.sun.any():
         sky += light.sun[:, None] * sunny
-    water = standing_water(light, tint, attributes[2]) if light.wet else np.zeros(0, np.float32)
+    water = standing_water(light, tint, attributes[UP]) if light.wet else np.zeros(0, np.float32)
     if light.wet:
-        base *= 1 - 0.45 * light.wet * np.clip(attributes[2] + 0.3, 0, 1)
+        base *= 1 - 0.45 * light.wet * np.clip(attributes[UP] + 0.3, 0, 1)
     color = base * sky
     if light.lamps:
         color += lamp_light(light, base, own, tint, attributes, points)
@@ -221,12 +125,12 @@ def _mirror(
     light: Light,
 ) -> None:
     """Add what glossy surfaces reflect, in place."""
-    gloss = np.maximum(attributes[14], np.float32(0.8) * attributes[15] * (tint < 0.15))
+    gloss = np.maximum(attributes[GLOSS], np.float32(0.8) * attributes[GLAZED] * (tint < 0.15))
     if len(water):
         gloss = np.maximum(gloss, water)
     index = np.flatnonzero(gloss > 0)
     color[:, index] = _reflect(
-        color[:, index], directions[:, index], attributes[:3, index], cosine[index], gloss[index], light
+        color[:, index], directions[:, index], attributes[NORMAL, index], cosine[index], gloss[index], light
     )
 
 

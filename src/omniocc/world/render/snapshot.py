@@ -8,8 +8,8 @@ from omniocc.world.mesh.mesh import Mesh
 from omniocc.world.render.caster import Hits, Layers
 from omniocc.world.render.cull import Cones, meets
 from omniocc.world.render.light import Light
-from omniocc.world.render.shade import Surfaces
 from omniocc.world.render.shadow import Shadows
+from omniocc.world.render.surface import Surfaces
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ import numpy as np
 
 from omniocc.world.render.caster import Caster, Hits, no_hits
 from omniocc.world.render.cull import make_cones, meets
-from omniocc.world.render.shade import Surfaces
 from omniocc.world.render.snapshot import Snapshot, repeat
+from omniocc.world.render.surface import Surfaces
 from omniocc.world.sensors.lidar import MAX_RANGE_M, inner_rays, outer_rays
 from omniocc.world.sensors.thinning import SCRATCH, cubes, first_of_each, within_reach
 

@@ -144,9 +144,8 @@ def _rings(junctions: np.ndarray, edges: tuple[Edge, ...], radius_m: float) -> t
         [_corner(junctions, edges, face[k], face[(k + 1) % len(face)], radius_m) for k in range(len(face))]
         for face in faces
     ]
-    trim: dict[
-        tuple[int, bool], float
-    ] = {}  # (edge, at its end) -> distance from the junction at which the corner begins
+    # (edge, at its end) -> distance from the junction at which the corner begins.
+    trim: dict[tuple[int, bool], float] = {}
     for face, arcs in zip(faces, corners, strict=True):
         for k, arc in enumerate(arcs):
             edge, forward = face[k]

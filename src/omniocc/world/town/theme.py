@@ -6,7 +6,7 @@ from omniocc.world.mesh.material import Material
 from omniocc.world.mesh.shape import Color
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Theme:
     """Recipe of a place. Weights are relative frequencies; spacings are along the street, in metres.
 
@@ -49,9 +49,9 @@ class Theme:
     parking_m: float
     sidewalk_m: float
     corner_radius_m: float
-    road: tuple[Material, int, int]
-    lane_lines: bool
-    paved_fraction: float
+    road: tuple[Material, int, int] = (Material.ASPHALT, 62, 104)
+    lane_lines: bool = True
+    paved_fraction: float = 1.0
     slope: float
     horizon_m: float
     skyline_m: float
@@ -59,7 +59,7 @@ class Theme:
     plots: dict[str, float]
     plot_width_m: tuple[float, float]
     setback_m: tuple[float, float]
-    infill: bool
+    infill: bool = False
     ground: tuple[tuple[Material, Color], ...]
     wall_colors: tuple[Color, ...]
     roof_colors: tuple[Color, ...]
@@ -69,10 +69,10 @@ class Theme:
     prop_gap_m: float
     parked_gap_m: float
     props: dict[str, float]
-    median_m: float
-    island_m: float
-    railway: bool
-    guard_rail_fraction: float
+    median_m: float = 0.0
+    island_m: float = 0.0
+    railway: bool = False
+    guard_rail_fraction: float = 0.0
     speed_mps: tuple[float, float]
     traffic: dict[str, float]
     car_headway_s: float
