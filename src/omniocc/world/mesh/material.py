@@ -1,10 +1,10 @@
-"""Surface materials. The mesh builders name them, `texture.py` paints them."""
+"""Surface materials; builders of meshes name them, `omniocc.world.render.texture` paints them."""
 
 from enum import IntEnum
 
 
 class Material(IntEnum):
-    """What a surface is made of; decides its texture and gloss, not its class."""
+    """Material of a surface, which decides its texture and gloss but not its class."""
 
     ASPHALT = 0
     PAINT = 1

@@ -1,7 +1,7 @@
-"""Procedural surface textures: tiling pictures with mip levels, painted once per process, looked up by metres.
+"""The textures of all materials: tiles with mip levels, painted once per process, looked up by metres.
 
-A texel holds how much of the surface's base colour remains (`tint`, 1 = all, up to 2) and a colour of its own that is
-added, so that one brick pattern serves walls of any colour while its mortar stays grey and windows stay dark.
+A texel holds a factor on the surface's base colour (`tint`, 0 to 2) and a colour of its own that is added, so that one
+brick pattern serves walls of any colour while its mortar stays grey and windows stay dark.
 """
 
 from functools import lru_cache
@@ -9,9 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from omniocc.world.assets.material import Material
-from omniocc.world.render import pattern
-from omniocc.world.render.facade import STOREY_M, facade_layers
+from omniocc.world.assets.building import STOREY_M
+from omniocc.world.mesh.material import Material
+from omniocc.world.render.texture import pattern
+from omniocc.world.render.texture.facade import facade_layers
 
 SIZE_PX = 256
 _LEVELS = SIZE_PX.bit_length()
@@ -37,7 +38,7 @@ class Atlas(NamedTuple):
 
 
 def layer_of(material: np.ndarray, color: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Texture layer of each face, and what to add to it on the ground floor.
+    """Return the texture layer of each face, and what to add to it on the ground floor, as two (F,) int32.
 
     Args:
         material: (F,) uint8.
@@ -53,7 +54,7 @@ def layer_of(material: np.ndarray, color: np.ndarray) -> tuple[np.ndarray, np.nd
 def sample(
     layer: np.ndarray, ground_step: np.ndarray, u_m: np.ndarray, v_m: np.ndarray, footprint_m: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Looks up the textures.
+    """Look up the textures.
 
     Args:
         layer: (R,) int32 from `layer_of`.
@@ -87,24 +88,24 @@ _OWN = ((np.arange(256) / 255) ** 2).astype(np.float32)
 
 @lru_cache(maxsize=1)
 def make_atlas() -> Atlas:
-    """Paints every material; about half a second, kept for the process."""
+    """Paint every material, which takes about half a second; kept for the process."""
     layers = [pattern.PAINTERS[material](np.random.default_rng([7, material]), SIZE_PX) for material in Material]
     for style in range(FACADE_STYLES):
         layers += facade_layers(style, np.random.default_rng([11, style]), SIZE_PX)
-    texels = np.concatenate([_with_mips(picture.tint, picture.own) for picture in layers])
-    texel_m = np.array([picture.size_m / SIZE_PX for picture in layers], np.float32)
+    texels = np.concatenate([_with_mips(tile.tint, tile.own) for tile in layers])
+    texel_m = np.array([tile.size_m / SIZE_PX for tile in layers], np.float32)
     noise = pattern.fractal(np.random.default_rng(13), SIZE_PX, cells=5, octaves=5)
     return Atlas(texels, texel_m, (1.0 + 0.5 * (noise - noise.mean())).astype(np.float32).ravel())
 
 
 def _with_mips(tint: np.ndarray, own: np.ndarray) -> np.ndarray:
-    picture = np.concatenate([tint[..., None], own], axis=-1)
+    level = np.concatenate([tint[..., None], own], axis=-1)
     levels = []
     for _ in range(_LEVELS):
-        encoded = np.empty(picture.shape, np.uint8)
-        encoded[..., 0] = np.clip(np.rint(picture[..., 0] * 128), 0, 255)
-        encoded[..., 1:] = np.clip(np.rint(np.sqrt(np.clip(picture[..., 1:], 0, 1)) * 255), 0, 255)
+        encoded = np.empty(level.shape, np.uint8)
+        encoded[..., 0] = np.clip(np.rint(level[..., 0] * 128), 0, 255)
+        encoded[..., 1:] = np.clip(np.rint(np.sqrt(np.clip(level[..., 1:], 0, 1)) * 255), 0, 255)
         levels.append(np.ascontiguousarray(encoded).view(np.uint32).ravel())
-        if len(picture) > 1:
-            picture = picture.reshape(len(picture) // 2, 2, len(picture) // 2, 2, 4).mean(axis=(1, 3))
+        if len(level) > 1:
+            level = level.reshape(len(level) // 2, 2, len(level) // 2, 2, 4).mean(axis=(1, 3))
     return np.concatenate(levels)

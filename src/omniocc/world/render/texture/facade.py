@@ -4,15 +4,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from omniocc.world.render.pattern import Picture, cells, fractal
+from omniocc.world.assets.building import STOREY_M
+from omniocc.world.render.texture.pattern import Tile, cells, fractal
 
-STOREY_M = 3.2
 _STOREYS = 4
 _TILE_M = STOREY_M * _STOREYS
 
 
 class Style(NamedTuple):
-    """Windows per tile along the wall, and the window's share of its bay as (left, right, bottom, top)."""
+    """Windows per tile along the wall, and the window's bounds as fractions of its bay: left, right, bottom, top."""
 
     bays: int
     window: tuple[float, float, float, float]
@@ -28,8 +28,8 @@ _STYLES = (
 )
 
 
-def facade_layers(style: int, rng: np.random.Generator, size: int) -> list[Picture]:
-    """Upper storeys and ground floor; the row axis is height above the ground, starting at a storey's floor."""
+def facade_layers(style: int, rng: np.random.Generator, size: int) -> list[Tile]:
+    """Paint upper storeys and ground floor; rows are height above the ground and start at a storey's floor."""
     look = _STYLES[style]
     tint = _wall(look, rng, size)
     upper = _glaze(tint, look.bays, look.window, look.bars, rng)
@@ -51,7 +51,7 @@ def _wall(look: Style, rng: np.random.Generator, size: int) -> np.ndarray:
 
 def _glaze(
     wall: np.ndarray, bays: int, window: tuple[float, float, float, float], bars: int, rng: np.random.Generator
-) -> Picture:
+) -> Tile:
     size = len(wall)
     left, right, bottom, top = window
     y = ((np.arange(size) + 0.5) * _STOREYS / size)[:, None]
@@ -69,10 +69,10 @@ def _glaze(
     own[drawn] = ((0.12 + 0.25 * shade)[..., None] * np.array([1.0, 0.93, 0.8]))[drawn]
     own[bar] = 0.35
     tint = np.where(inside, 0.0, wall * np.where(rim, 1.25, 1.0) * np.where(sill, 0.55, 1.0))
-    return Picture(_TILE_M, tint, own)
+    return Tile(_TILE_M, tint, own)
 
 
-def _doors(ground: Picture, bays: int, rng: np.random.Generator) -> Picture:
+def _doors(ground: Tile, bays: int, rng: np.random.Generator) -> Tile:
     size = len(ground.tint)
     y = ((np.arange(size) + 0.5) * _TILE_M / size % STOREY_M)[:, None]
     x = ((np.arange(size) + 0.5) * bays / size)[None, :]
@@ -86,4 +86,4 @@ def _doors(ground: Picture, bays: int, rng: np.random.Generator) -> Picture:
     tint, own = ground.tint.copy(), ground.own.copy()
     tint[frame], own[frame] = 1.2, 0.0
     tint[door], own[door] = 0.0, color[door]
-    return Picture(ground.size_m, tint, own)
+    return Tile(ground.size_m, tint, own)

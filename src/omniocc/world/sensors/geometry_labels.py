@@ -1,17 +1,17 @@
-"""Labels from geometry: points spread evenly over all surfaces near the ego, whether anything sees them or not."""
+"""Labels from geometry: points spread evenly over all surfaces near the ego, visible or not."""
 
 import numpy as np
 
-from omniocc.world.assets.mesh import Mesh
-from omniocc.world.render.stage import Stage
-from omniocc.world.sensors.thin import REACH_M, within_reach
+from omniocc.world.mesh.mesh import Mesh
+from omniocc.world.render.snapshot import Snapshot
+from omniocc.world.sensors.thinning import REACH_M, within_reach
 
-_POINT_M2 = 0.0125  # surface per point far from the ego: three in a square of 0.2 m
-_POINT_M = 0.0016  # the same near it, per metre from its axis: four in a cell of the paper's cylinder
+_POINT_M2 = 0.0125  # area per point far from the ego: three points in a square of 0.2 m
+_POINT_M = 0.0016  # area per point and metre of distance near the ego: four points in a cell of the paper's cylinder
 _PIECE_M2 = 2.0
-_PIECE_SHARE = 0.1  # of the squared distance from the axis
-_AXIS_M = 0.06  # nearer, points do not get denser
-_COVER_M = 0.1
+_PIECE_FRACTION = 0.1  # greatest area of a piece as a fraction of its squared distance from the axis
+_AXIS_M = 0.06  # distance below which points do not get denser
+_COVER_M = 0.1  # a surface with another one so near above it is covered
 _LIFT_M = np.float32(0.002)  # less than a road line's height above its road
 _STEP = np.array([0.7548776662466927, 0.5698402909980532])
 
@@ -19,11 +19,11 @@ _STEP = np.array([0.7548776662466927, 0.5698402909980532])
 class GeometryLabels:
     """Surface points of a scene without any sensor.
 
-    Every surface counts, backs of houses and undersides of cars too, and so does what lies inside a closed house; only
-    what another surface covers at less than 0.1 m (the road under its paint) does not.
+    Every surface counts, also backs of houses, undersides of cars and the inside of closed houses; only surfaces that
+    another one covers at less than 0.1 m (the road under its paint) do not.
 
     Args:
-        static: all that never moves.
+        static: mesh of all that never moves.
     """
 
     def __init__(self, static: Mesh) -> None:
@@ -31,34 +31,35 @@ class GeometryLabels:
         corner = static.vertices[static.faces][..., :2]
         self._low, self._high = corner.min(axis=1), corner.max(axis=1)
 
-    def scan(self, stage: Stage) -> tuple[np.ndarray, np.ndarray]:
-        """Points (P, 3) float32 in the ego frame and their classes (P,) uint8."""
-        ego = stage.origin_m[:2]
-        reach = np.float32(REACH_M * 1.5)  # of a level square around the ego's, however that is turned and tilted
+    def scan(self, snapshot: Snapshot) -> tuple[np.ndarray, np.ndarray]:
+        """Return points (P, 3) float32 in the ego frame and their classes (P,) uint8."""
+        ego = snapshot.origin_m[:2]
+        # Half the side of a level square that holds the ego's square, however that is turned and tilted.
+        reach = np.float32(REACH_M * 1.5)
         near = np.flatnonzero(((self._low < ego + reach) & (self._high > ego - reach)).all(axis=1))
-        corners = [self._static.vertices[self._static.faces[near]], stage.moving.vertices[stage.moving.faces]]
-        labels = np.concatenate([self._static.label[near], stage.moving.label])
-        around = stage.unplace(np.concatenate(corners).reshape(-1, 3)).reshape(-1, 3, 3)
+        corners = [self._static.vertices[self._static.faces[near]], snapshot.moving.vertices[snapshot.moving.faces]]
+        labels = np.concatenate([self._static.label[near], snapshot.moving.label])
+        around = snapshot.ego_points(np.concatenate(corners).reshape(-1, 3)).reshape(-1, 3, 3)
         pieces, number = cut(around, REACH_M)
         points, normal, piece = spread(pieces)
         keep = np.flatnonzero(within_reach(points))
         points, normal, label = points[keep], normal[piece[keep]], labels[number[piece[keep]]]
-        lifted = stage.turn((points + normal * _LIFT_M).T).T + stage.origin_m
-        free = ~stage.layers.blocked(lifted, np.ascontiguousarray(stage.turn(normal.T).T), _COVER_M)
+        lifted = snapshot.world_directions((points + normal * _LIFT_M).T).T + snapshot.origin_m
+        free = ~snapshot.layers.blocked(lifted, np.ascontiguousarray(snapshot.world_directions(normal.T).T), _COVER_M)
         return points[free], label[free]
 
 
 def cut(corners: np.ndarray, reach_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Halves triangles along their longest edges until they are small, and drops what is out of reach.
+    """Halve triangles along their longest edges until they are small, and drop those out of reach.
 
-    Small is at most 2 m2 and, but for the innermost, a tenth of the squared distance from the ego's axis.
+    Small is at most 2 m2 and, except for the innermost, a tenth of the squared distance from the ego's axis.
 
     Args:
         corners: (F, 3, 3) in the ego frame.
         reach_m: half the side of the square that counts.
 
     Returns:
-        Pieces (N, 3, 3), and the triangle (N,) that each was cut from.
+        Pieces (N, 3, 3), and the index (N,) of the triangle that each was cut from.
     """
     number = np.arange(len(corners))
     done: list[tuple[np.ndarray, np.ndarray]] = []
@@ -66,7 +67,7 @@ def cut(corners: np.ndarray, reach_m: float) -> tuple[np.ndarray, np.ndarray]:
         flat = corners[..., :2]
         inside = ((flat.min(axis=1) < reach_m) & (flat.max(axis=1) > -reach_m)).all(axis=1)
         corners, number = corners[inside], number[inside]
-        large = _area_normal(corners)[0] > np.minimum(_PIECE_SHARE * _distance_m(corners) ** 2, _PIECE_M2)
+        large = _area_normal(corners)[0] > np.minimum(_PIECE_FRACTION * _distance_m(corners) ** 2, _PIECE_M2)
         done.append((corners[~large], number[~large]))
         corners, number = _halves(corners[large]), np.repeat(number[large], 2)
     return np.concatenate([piece for piece, _ in done]), np.concatenate([index for _, index in done])
@@ -81,15 +82,15 @@ def _halves(corners: np.ndarray) -> np.ndarray:
 
 
 def spread(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points spread evenly over each triangle, at least one, and denser on those near the ego's axis.
+    """Spread points evenly over each triangle, at least one, more densely near the ego's axis.
 
-    A cell of a cylinder is the narrower the nearer it is.
+    Near the axis the cells of a cylinder are narrow.
 
     Args:
         corners: (F, 3, 3) float32 in the ego frame.
 
     Returns:
-        Points (P, 3) float32, unit normals (F, 3) float32, and the triangle (P,) of each point.
+        Points (P, 3) float32, unit normals (F, 3) float32, and the index (P,) of each point's triangle.
     """
     area, normal = _area_normal(corners)
     count = np.ceil(area / np.minimum(_POINT_M * _distance_m(corners), _POINT_M2)).astype(np.int64)
@@ -105,7 +106,7 @@ def spread(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _distance_m(corners: np.ndarray) -> np.ndarray:
-    """(F,) of the triangles' middles from the ego's axis."""
+    """Return the (F,) distance of the triangles' centres from the ego's axis, at least `_AXIS_M`."""
     return np.maximum(np.hypot(*corners[..., :2].mean(axis=1).T), _AXIS_M)
 
 

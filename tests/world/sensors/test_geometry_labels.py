@@ -2,9 +2,9 @@ import numpy as np
 import torch
 
 from omniocc.geometry import Cylinder
-from omniocc.world.assets.mesh import concatenate, empty
+from omniocc.world.mesh.mesh import concatenate, empty
+from omniocc.world.sensors.geometry_labels import GeometryLabels, cut, spread
 from omniocc.world.sensors.lidar import inner_rays, scan_ego
-from omniocc.world.sensors.sample import GeometryLabels, cut, spread
 
 
 def test_points_fill_a_triangle_evenly():
@@ -41,15 +41,15 @@ def test_cutting_keeps_the_area_within_reach_and_drops_the_rest():
     assert (area <= 0.1 * np.maximum(distance, 0.06) ** 2 + 1e-6).all()
 
 
-def test_points_near_the_ego_fill_the_cells_that_rays_reach(stage, street):
+def test_points_near_the_ego_fill_the_cells_that_rays_reach(snapshot, street):
     """The innermost cells of the paper's cylinder are 3 mm wide."""
     grid = Cylinder()
     rays = inner_rays()
-    range_m, _ = scan_ego(stage, rays)
+    range_m, _ = scan_ego(snapshot, rays)
     ends = (rays * range_m).T[np.isfinite(range_m)]
     ends = torch.from_numpy(np.ascontiguousarray(ends[np.hypot(*ends[:, :2].T) < 4]))
     cells, inside = grid.flat_index(ends)
-    points, labels = GeometryLabels(street).scan(stage)
+    points, labels = GeometryLabels(street).scan(snapshot)
     voxels = grid.voxelize(torch.from_numpy(points), torch.from_numpy(labels)).flatten()
     hit = torch.unique(cells[inside])
     assert len(hit) > 3900  # 20 rings of 200
@@ -59,11 +59,11 @@ def test_points_near_the_ego_fill_the_cells_that_rays_reach(stage, street):
         assert filled > 0.97, (ring, filled)
 
 
-def test_geometry_has_what_no_lidar_sees_but_not_what_is_covered(stage_of, street, own_car, noon, box, quad):
+def test_hidden_surfaces_get_points_and_covered_ones_do_not(snapshot_of, street, ego_car, noon, box, quad):
     line = quad([[-5, 1, 0.005], [5, 1, 0.005], [5, 1.3, 0.005], [-5, 1.3, 0.005]], 11)
     static = concatenate([street, line])
-    stage = stage_of(static, box([8, 1, 0.2], [12, 2.8, 1.6], 7), own_car, noon)
-    points, labels = GeometryLabels(static).scan(stage)
+    snapshot = snapshot_of(static, box([8, 1, 0.2], [12, 2.8, 1.6], 7), ego_car, noon)
+    points, labels = GeometryLabels(static).scan(snapshot)
     assert points.dtype == np.float32
     assert labels.dtype == np.uint8
     under = (labels == 7) & (np.abs(points[:, 2] + 2.0) < 1e-3)
@@ -76,13 +76,13 @@ def test_geometry_has_what_no_lidar_sees_but_not_what_is_covered(stage_of, stree
     assert np.abs(points[:, :2]).max() <= 26
 
 
-def test_the_same_points_every_time(stage, street):
-    first, again = (GeometryLabels(street).scan(stage) for _ in range(2))
+def test_the_same_points_every_time(snapshot, street):
+    first, again = (GeometryLabels(street).scan(snapshot) for _ in range(2))
     assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True))
 
 
-def test_an_empty_world_has_no_points(stage_of, own_car, noon):
-    stage = stage_of(empty(), empty(), own_car, noon)
-    points, labels = GeometryLabels(empty()).scan(stage)
+def test_an_empty_world_has_no_points(snapshot_of, ego_car, noon):
+    snapshot = snapshot_of(empty(), empty(), ego_car, noon)
+    points, labels = GeometryLabels(empty()).scan(snapshot)
     assert points.shape == (0, 3)
     assert labels.shape == (0,)

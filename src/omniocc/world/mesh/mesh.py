@@ -1,26 +1,26 @@
-"""Triangles with a class, a material and texture coordinates: all that ray caster and shader know of the world."""
+"""Triangles with a class, a material and texture coordinates, which is all that ray caster and shader see."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from omniocc.world.assets.material import Material
+from omniocc.world.mesh.material import Material
 
 
 @dataclass(frozen=True)
 class Mesh:
-    """A triangle soup in world coordinates.
+    """A list of triangles.
 
     Attributes:
-        vertices: (V, 3) float32, metres, world frame.
+        vertices: (V, 3) float32, metres, in the frame of the place or of a prototype.
         faces: (F, 3) int32 vertex indices, counter-clockwise seen from outside.
         uv: (F, 3, 2) float32 texture coordinates of each corner in metres on the surface (or along it), so that a
             texture keeps its size and moves with the object.
         label: (F,) uint8 class id, 1..11 (`omniocc.classes`).
-        material: (F,) uint8 `omniocc.world.assets.material.Material`.
+        material: (F,) uint8 `Material`.
         color: (F, 3) uint8 base colour, RGB.
-        instance: (F,) int32, -1 for what never changes, the actor's id, or below -1 for a traffic light's lamps.
+        instance: (F,) int32: an actor's id, -1 for static faces, below -1 for lit lamps of a traffic light.
     """
 
     vertices: np.ndarray
@@ -36,7 +36,7 @@ class Mesh:
 
 
 def empty() -> Mesh:
-    """A mesh without faces."""
+    """Return a mesh without faces."""
     return Mesh(
         np.zeros((0, 3), np.float32),
         np.zeros((0, 3), np.int32),
@@ -49,7 +49,7 @@ def empty() -> Mesh:
 
 
 def concatenate(meshes: Iterable[Mesh]) -> Mesh:
-    """All faces in one mesh, in the given order."""
+    """Return all faces in one mesh, in the given order."""
     parts = [mesh for mesh in meshes if len(mesh)]
     if not parts:
         return empty()
@@ -66,18 +66,18 @@ def concatenate(meshes: Iterable[Mesh]) -> Mesh:
 
 
 def transform(mesh: Mesh, a_from_b: np.ndarray) -> Mesh:
-    """The mesh of frame b in frame a; `a_from_b` is (4, 4), a rotation (or uniform scale) and a shift."""
+    """Return the mesh of frame b in frame a; `a_from_b` is (4, 4), a rotation (or uniform scale) and a shift."""
     vertices = mesh.vertices @ a_from_b[:3, :3].T.astype(np.float32) + a_from_b[:3, 3].astype(np.float32)
     return replace(mesh, vertices=vertices)
 
 
 def with_instance(mesh: Mesh, instance: int) -> Mesh:
-    """The same faces, all belonging to one actor."""
+    """Return the same faces, all belonging to one actor."""
     return replace(mesh, instance=np.full(len(mesh), instance, np.int32))
 
 
 def instances(mesh: Mesh, a_from_b: np.ndarray, paint: Mapping[Material, np.ndarray]) -> Mesh:
-    """Copies of one mesh.
+    """Return copies of one mesh, posed and repainted.
 
     Args:
         mesh: the prototype in frame b.

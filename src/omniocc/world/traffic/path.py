@@ -1,4 +1,4 @@
-"""Closed paths."""
+"""Closed paths, on which people walk."""
 
 from dataclasses import dataclass
 
@@ -17,17 +17,17 @@ class Path:
 
     @property
     def length_m(self) -> float:
-        """Once around."""
+        """Length once around."""
         return float(self.along_m[-1])
 
     def at(self, along_m: np.ndarray) -> np.ndarray:
-        """(..., 3) positions at any arc lengths (they wrap around)."""
+        """Return (..., 3) positions at any arc lengths, which wrap around."""
         wrapped = np.mod(along_m, self.length_m)
         return np.stack([np.interp(wrapped, self.along_m, self.points_m[:, k]) for k in range(3)], -1)
 
 
 def close(points_m: np.ndarray) -> Path:
-    """The closed path along (n, 3) points, its corners rounded by some centimetres, in steps of half a metre."""
+    """Close a path along (n, 3) points, its corners rounded by some centimetres, in steps of half a metre."""
     closed = np.concatenate([points_m, points_m[:1]])
     along = _lengths(closed)
     fine = np.linspace(0, along[-1], int(np.ceil(along[-1] / _STEP_M)) + 1)[:-1]

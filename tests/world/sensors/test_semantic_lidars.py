@@ -1,16 +1,16 @@
 import numpy as np
 
-from omniocc.world.assets.mesh import concatenate, empty
-from omniocc.world.sensors import thin
-from omniocc.world.sensors.survey import LATTICE_M, Survey
+from omniocc.world.mesh.mesh import concatenate, empty
+from omniocc.world.sensors import thinning
+from omniocc.world.sensors.semantic_lidars import LATTICE_M, SemanticLidars
 
 
-def _survey(stage, count=20) -> Survey:
-    return Survey(stage.layers.casters[0], stage.surfaces, lambda x, y: 0 * x, count)
+def _lidars(snapshot, count=20) -> SemanticLidars:
+    return SemanticLidars(snapshot.layers.casters[0], snapshot.surfaces, lambda x, y: 0 * x, count)
 
 
-def test_points_lie_on_surfaces_of_their_class(stage):
-    points, labels = _survey(stage).scan(stage)
+def test_points_lie_on_surfaces_of_their_class(snapshot):
+    points, labels = _lidars(snapshot).scan(snapshot)
     assert points.dtype == np.float32
     assert labels.dtype == np.uint8
     road, wall, car = points[labels == 1], points[labels == 5], points[labels == 7]
@@ -19,12 +19,12 @@ def test_points_lie_on_surfaces_of_their_class(stage):
     assert (car > np.float32([7.99, 0.99, -2.01])).all()
     assert (car < np.float32([12.01, 2.81, -0.59])).all()
     assert set(np.unique(labels)) == {1, 3, 4, 5, 7, 9}
-    assert np.abs(points[:, :2]).max() < thin.REACH_M
+    assert np.abs(points[:, :2]).max() < thinning.REACH_M
 
 
-def test_lidars_find_the_open_surface_of_the_street(stage):
+def test_lidars_find_the_open_surface_of_the_street(snapshot):
     """Cells of 0.4 m that exact geometry occupies within 20 m: road, wall, and ground outside the house."""
-    points, _ = _survey(stage).scan(stage)
+    points, _ = _lidars(snapshot).scan(snapshot)
     found = {tuple(cell) for cell in np.floor(points[:, :2] / 0.4).astype(int)[points[:, 2] < -2.1]}
     x, y = np.meshgrid(np.arange(-50, 50), np.arange(-12, 50), indexing="ij")
     x_m, y_m = (x + 0.5) * 0.4, (y + 0.5) * 0.4
@@ -33,8 +33,8 @@ def test_lidars_find_the_open_surface_of_the_street(stage):
     assert hit.mean() > 0.99
 
 
-def test_near_the_axis_every_narrow_cell_gets_a_point(stage):
-    points, _ = _survey(stage).scan(stage)
+def test_near_the_axis_every_narrow_cell_gets_a_point(snapshot):
+    points, _ = _lidars(snapshot).scan(snapshot)
     radius, azimuth = np.hypot(points[:, 0], points[:, 1]), np.arctan2(points[:, 1], points[:, 0])
     near = (radius < 2) & (points[:, 2] < -2)
     cells = np.zeros((10, 200), bool)
@@ -42,40 +42,40 @@ def test_near_the_axis_every_narrow_cell_gets_a_point(stage):
     assert cells.mean() > 0.99
 
 
-def test_no_lidar_stands_inside_a_solid(stage_of, street, own_car, noon, box):
+def test_no_lidar_stands_inside_a_solid(snapshot_of, street, ego_car, noon, box):
     block = box([8, -4, 0], [28, 30, 12], 4)
-    stage = stage_of(concatenate([street, block]), empty(), own_car, noon)
-    survey = _survey(stage)
-    spots = np.array([survey.place(cell) for cell in survey.cells(stage.origin_m)])
+    snapshot = snapshot_of(concatenate([street, block]), empty(), ego_car, noon)
+    lidars = _lidars(snapshot)
+    spots = np.array([lidars.position(cell) for cell in lidars.cells(snapshot.origin_m)])
     assert 15 <= len(spots) <= 19
     inside = (spots[:, 0] > 8) & (spots[:, 0] < 28) & (spots[:, 1] > -4) & (spots[:, 1] < 30)
     assert not inside.any()
     assert np.hypot(*spots[:, :2].T).max() < 21
     assert 1.59 < spots[:, 2].min() < spots[:, 2].max() < 4.81
-    points, _ = survey.scan(stage)
+    points, _ = lidars.scan(snapshot)
     deep = (
         (points[:, 0] > 8.05) & (points[:, 0] < 27.9) & (points[:, 1] > -3.9) & (points[:, 1] < 29) & (points[:, 2] < 9)
     )
     assert not deep.any()
 
 
-def test_lidars_stay_where_they_are_while_the_ego_moves(stage):
-    survey = _survey(stage)
-    here, ahead = survey.cells(np.float32([0, 0, 2.2])), survey.cells(np.float32([3, 0, 2.2]))
+def test_lidars_stay_at_their_positions_while_the_ego_moves(snapshot):
+    lidars = _lidars(snapshot)
+    here, ahead = lidars.cells(np.float32([0, 0, 2.2])), lidars.cells(np.float32([3, 0, 2.2]))
     assert len(set(here) & set(ahead)) > 12
-    far = survey.cells(np.float32([7 * LATTICE_M, 0, 2.2]))
+    far = lidars.cells(np.float32([7 * LATTICE_M, 0, 2.2]))
     assert not set(here) & set(far)
 
 
-def test_what_was_seen_before_does_not_matter(stage, stage_of, street, own_car, noon, box):
-    """The standing LiDARs keep what is static; a car that has left is gone and one that came hides what is behind."""
-    survey = _survey(stage)
-    first = survey.scan(stage)
-    empty_street = stage_of(street, empty(), own_car, noon)
-    survey.scan(empty_street)
-    again = survey.scan(stage)
-    fresh = _survey(empty_street).scan(empty_street)
-    for one, other in ((first, again), (fresh, survey.scan(empty_street))):
+def test_points_do_not_depend_on_earlier_frames(snapshot, snapshot_of, street, ego_car, noon, box):
+    """Standing LiDARs keep static points; a car that left is gone, and one that came hides the points behind it."""
+    lidars = _lidars(snapshot)
+    first = lidars.scan(snapshot)
+    empty_street = snapshot_of(street, empty(), ego_car, noon)
+    lidars.scan(empty_street)
+    again = lidars.scan(snapshot)
+    fresh = _lidars(empty_street).scan(empty_street)
+    for one, other in ((first, again), (fresh, lidars.scan(empty_street))):
         assert all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
     # The car stands 0.2 m above the road: a few rays pass below it.
     below = (np.abs(fresh[0] - (10, 1.9, -2.2)) < (1.0, 0.3, 0.05)).all(axis=1)
@@ -85,16 +85,16 @@ def test_what_was_seen_before_does_not_matter(stage, stage_of, street, own_car, 
     assert not (fresh[1] == 7).any()
 
 
-def test_fewer_lidars_see_less(stage):
-    counts = [len(_survey(stage, count).scan(stage)[0]) for count in (1, 5, 20)]
+def test_fewer_lidars_see_less(snapshot):
+    counts = [len(_lidars(snapshot, count).scan(snapshot)[0]) for count in (1, 5, 20)]
     assert counts[0] < counts[1] < counts[2]
 
 
 def test_thinning_keeps_one_point_a_cube_and_prefers_thin_things():
     points = np.float32([[10.01, 0.01, 0.01], [10.02, 0.02, 0.02], [10.05, 0.05, 0.05], [10.15, 0, 0]])
-    cube, scratch = thin.cubes(points), np.zeros(thin.SCRATCH, np.int32)
-    assert thin.first_of_each(cube, np.uint8([1, 11, 1, 1]), scratch).tolist() == [1, 3]
-    assert thin.first_of_each(cube, np.uint8([1, 1, 1, 1]), scratch).tolist() == [0, 3]
+    cube, scratch = thinning.cubes(points), np.zeros(thinning.SCRATCH, np.int32)
+    assert thinning.first_of_each(cube, np.uint8([1, 11, 1, 1]), scratch).tolist() == [1, 3]
+    assert thinning.first_of_each(cube, np.uint8([1, 1, 1, 1]), scratch).tolist() == [0, 3]
 
 
 def test_thinning_against_a_dictionary():
@@ -102,11 +102,11 @@ def test_thinning_against_a_dictionary():
     points = rng.uniform(-26, 26, (60000, 3)).astype(np.float32) * np.float32([1, 1, 0.1])
     points[30000:] = points[:30000] + rng.uniform(-0.02, 0.02, (30000, 3)).astype(np.float32)
     labels = rng.integers(1, 12, 60000).astype(np.uint8)
-    kept = thin.first_of_each(thin.cubes(points), labels, np.zeros(thin.SCRATCH, np.int32))
+    kept = thinning.first_of_each(thinning.cubes(points), labels, np.zeros(thinning.SCRATCH, np.int32))
     best = {}
     for number, (cell, label) in enumerate(zip(map(tuple, np.floor(points * np.float32(10))), labels, strict=True)):
         if cell not in best or (label >= 9 and labels[best[cell]] < 9):
             best[cell] = number
     want = set(best.values())
     assert want <= set(kept.tolist())
-    assert len(kept) < 1.02 * len(want)  # cubes 25.6 m apart share a place in the table
+    assert len(kept) < 1.02 * len(want)  # cubes 25.6 m apart collide in the table

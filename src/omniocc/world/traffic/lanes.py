@@ -1,4 +1,4 @@
-"""What can be driven: lanes along the streets, turns over the junctions, and which turns get in each other's way.
+"""Lanes along the streets, turns over the junctions, and which turns clash.
 
 Traffic keeps right: the lanes of a half street run against its block's ring, with the block to their right.
 """
@@ -15,7 +15,7 @@ from omniocc.world.town.theme import Theme
 
 _STEP_M = 0.5
 _LATERAL_MPS2 = 2.2
-_ROOM_M, _STRAIGHT_ROOM_M = 3.8, 2.75  # between the middles of vehicles that turn, that go straight side by side
+_ROOM_M, _STRAIGHT_ROOM_M = 3.8, 2.75  # least distance of two vehicles' middles: turning, both going straight
 _SAMPLES = 20
 _STRAIGHT_RAD = 0.5
 Arm = tuple[int, bool]
@@ -24,7 +24,7 @@ Arm = tuple[int, bool]
 
 @dataclass(frozen=True)
 class Piece:
-    """A lane or a turn: (n, 3) points at (n,) arc lengths, driven at `speed_mps` at most."""
+    """A lane or a turn: (n, 3) points at (n,) arc lengths, with a speed limit."""
 
     points_m: np.ndarray
     along_m: np.ndarray
@@ -32,17 +32,17 @@ class Piece:
 
     @property
     def length_m(self) -> float:
-        """From end to end."""
+        """Length from end to end."""
         return float(self.along_m[-1])
 
     def at(self, along_m: np.ndarray) -> np.ndarray:
-        """(..., 3) positions at arc lengths."""
+        """Return (..., 3) positions at arc lengths."""
         return np.stack([np.interp(along_m, self.along_m, self.points_m[:, k]) for k in range(3)], -1)
 
 
 @dataclass(frozen=True)
 class Lane:
-    """Where a lane leaves (`start`) and arrives (`end`), and where a car's front stops before the junction."""
+    """A lane between two arms, its number from the kerb, and where a car's front stops before its end."""
 
     start: Arm
     end: Arm
@@ -52,9 +52,9 @@ class Lane:
 
 @dataclass(frozen=True)
 class Turn:
-    """A way over a junction between two lanes (indices of pieces); `angle_rad` is positive to the left.
+    """A path over a junction between two lanes (indices of pieces); `angle_rad` is positive to the left.
 
-    `clashes` are the turns (indices of pieces) that must not be driven at the same time.
+    `clashes` are the turns (indices of pieces) that must not be used at the same time.
     """
 
     origin: int
@@ -73,14 +73,14 @@ class Roads:
     onward: tuple[tuple[int, ...], ...]
 
     def turn(self, piece: int) -> Turn:
-        """The turn that is this piece."""
+        """Return the turn with this piece number."""
         return self.turns[piece - len(self.lanes)]
 
 
 def draw(
     theme: Theme, network: Network, terrain: Terrain, crossings: frozenset[Arm], rng: np.random.Generator
 ) -> Roads:
-    """Lanes with their free speeds, and all turns that traffic rules allow."""
+    """Draw lanes with their free speeds, and all turns that traffic rules allow."""
     lanes, pieces = [], []
     speeds = rng.uniform(*theme.speed_mps, len(network.edges))
     for side in (side for ring in network.rings for side in ring.sides):
@@ -107,13 +107,13 @@ def draw(
 
 
 def node_of(network: Network, arm: Arm) -> int:
-    """The junction at an arm."""
+    """Return the junction at an arm."""
     edge = network.edges[arm[0]]
     return edge.end if arm[1] else edge.start
 
 
 def _piece(points_m: np.ndarray, speed_mps: float) -> Piece:
-    """Resampled to steps of half a metre."""
+    """Resample points to steps of half a metre."""
     along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points_m, axis=0), axis=1))])
     fine = np.linspace(0, along[-1], int(along[-1] / _STEP_M) + 2)
     return Piece(np.stack([np.interp(fine, along, points_m[:, k]) for k in range(3)], -1), fine, speed_mps)
@@ -121,19 +121,19 @@ def _piece(points_m: np.ndarray, speed_mps: float) -> Piece:
 
 def _lane_piece(theme: Theme, network: Network, terrain: Terrain, side: Side, number: int, speed_mps: float) -> Piece:
     from_kerb_m = theme.parking_m + (number + 0.5) * theme.lane_width_m
-    share = from_kerb_m / network.edges[side.edge].half_width_m
+    fraction = from_kerb_m / network.edges[side.edge].half_width_m
     low = np.column_stack([side.kerb_m, terrain.height(*side.kerb_m.T)])
     high = np.column_stack([side.center_m, terrain.height(*side.center_m.T) + CROWN_M])
-    return _piece((low + share * (high - low))[::-1], speed_mps)
+    return _piece((low + fraction * (high - low))[::-1], speed_mps)
 
 
 def _pairs(network: Network, lanes: list[Lane], pieces: list[Piece]) -> list[tuple[int, int, float]]:
-    """(origin, target, angle) of turns into any lane: right from the lane at the kerb, left from the innermost."""
+    """Return (origin, target, angle) of turns: right from the lane at the kerb, left from the innermost."""
     pairs = []
     for origin, lane in enumerate(lanes):
         arrival = pieces[origin].points_m[-1, :2] - pieces[origin].points_m[-2, :2]
         last = network.edges[lane.end[0]].lanes - 1
-        ways = []
+        options = []
         for target, other in enumerate(lanes):
             if other.start == lane.end or node_of(network, other.start) != node_of(network, lane.end):
                 continue
@@ -141,11 +141,11 @@ def _pairs(network: Network, lanes: list[Lane], pieces: list[Piece]) -> list[tup
             angle = float(np.arctan2(arrival[0] * leave[1] - arrival[1] * leave[0], arrival @ leave))
             inner = network.edges[other.start[0]].lanes - 1
             if abs(angle) > _STRAIGHT_RAD or other.number == min(lane.number, inner):
-                ways.append((origin, target, angle))
-        ways.sort(key=lambda way: way[2])
-        kept = [way for way in ways if abs(way[2]) <= _STRAIGHT_RAD
-                or (way[2] < 0 and lane.number == 0) or (way[2] > 0 and lane.number == last)]  # fmt: skip
-        pairs += kept or ways[:1]
+                options.append((origin, target, angle))
+        options.sort(key=lambda option: option[2])
+        kept = [option for option in options if abs(option[2]) <= _STRAIGHT_RAD
+                or (option[2] < 0 and lane.number == 0) or (option[2] > 0 and lane.number == last)]  # fmt: skip
+        pairs += kept or options[:1]
     return pairs
 
 
@@ -170,7 +170,7 @@ def _turn_piece(origin: Piece, target: Piece, node: np.ndarray, island_m: float,
 
 
 def _bend(a: np.ndarray, ahead: np.ndarray, b: np.ndarray, leave: np.ndarray) -> np.ndarray:
-    """(25, 2) cubic curve between two points and headings, close to an arc."""
+    """Return a (25, 2) cubic curve between two points and directions, close to an arc."""
     reach, t = 0.39 * float(np.linalg.norm(b - a)), np.linspace(0, 1, 25)[:, None]
     return (
         (1 - t) ** 3 * a
@@ -185,14 +185,14 @@ def _unit(vector: np.ndarray) -> np.ndarray:
 
 
 def _least_radius_m(piece: Piece) -> float:
-    """Over chords of 3 m."""
+    """Return the least radius of curvature, over chords of 3 m."""
     points = piece.points_m[:, :2]
     step = min(6, (len(points) - 1) // 3)
     if step == 0:
         return np.inf
-    way = points[step:] - points[:-step]
-    heading = np.unwrap(np.arctan2(way[:, 1], way[:, 0]))
-    turn = np.abs(heading[step:] - heading[:-step]).max()
+    chord = points[step:] - points[:-step]
+    azimuth = np.unwrap(np.arctan2(chord[:, 1], chord[:, 0]))
+    turn = np.abs(azimuth[step:] - azimuth[:-step]).max()
     return _STEP_M * step / max(float(turn), 1e-3)
 
 

@@ -1,4 +1,4 @@
-"""Walkers: rounds along the sidewalks at constant pace, and people who want to cross the street."""
+"""People: walkers around the blocks at constant speed, and people who cross streets."""
 
 from dataclasses import dataclass
 
@@ -10,16 +10,16 @@ from omniocc.world.town.place import Place
 from omniocc.world.town.road import CROWN_M, KERB_M, sidewalk_path
 from omniocc.world.town.street import furniture_m
 from omniocc.world.traffic.flow import Crosser
-from omniocc.world.traffic.motion import Path, close
+from omniocc.world.traffic.path import Path, close
 
 _LEAST_SPACE_M = 2.5
-_WAIT_M = 0.35  # from the kerb
-_ACROSS_M = 0.8  # from the middle of a crossing
+_WAIT_M = 0.35  # distance from the kerb while waiting
+_ACROSS_M = 0.8  # of each person from the middle of a crossing
 
 
 @dataclass(frozen=True)
 class Round:
-    """Walkers who keep their distance around a block: (K,) places at time 0, one speed."""
+    """Walkers on one path around a block: (K,) arc lengths at time 0, one speed for all."""
 
     path: Path
     speed_mps: float
@@ -27,7 +27,7 @@ class Round:
 
 
 def draw_rounds(place: Place, rng: np.random.Generator) -> list[Round]:
-    """Two files of walkers around every block with a sidewalk, in opposite directions."""
+    """Draw two files of walkers around every block with a sidewalk, in opposite directions."""
     rounds = []
     strip, wide = furniture_m(place.theme), place.theme.sidewalk_m
     for ring, paved in zip(place.network.rings, place.paved, strict=True):
@@ -45,7 +45,7 @@ def draw_rounds(place: Place, rng: np.random.Generator) -> list[Round]:
 
 
 def draw_crossers(place: Place, rng: np.random.Generator) -> list[Crosser]:
-    """Up to two for each zebra crossing between sidewalks; in every second scene more of them are in a hurry."""
+    """Draw up to two people for each zebra crossing between sidewalks."""
     halves: dict[tuple[int, bool], list[tuple[int, Side]]] = {}
     for index, ring in enumerate(place.network.rings):
         for side in ring.sides:
@@ -77,10 +77,10 @@ def _crosser(
     return Crosser(arm, start, end, pace, rest, ready)
 
 
-def crossing_point(place: Place, crosser: Crosser, share: float) -> np.ndarray:
-    """(3,) foot point on the way over: up on the kerbs, otherwise on the crown of the street."""
-    xy = crosser.start_m[:2] + share * (crosser.end_m[:2] - crosser.start_m[:2])
-    whole = float(np.linalg.norm(crosser.end_m - crosser.start_m))
-    from_middle = abs(2 * share - 1) * whole / (whole - 2 * _WAIT_M)
+def crossing_point(place: Place, crosser: Crosser, fraction: float) -> np.ndarray:
+    """Return the (3,) foot point on a crossing: up on the kerbs, otherwise on the crown of the street."""
+    xy = crosser.start_m[:2] + fraction * (crosser.end_m[:2] - crosser.start_m[:2])
+    length = float(np.linalg.norm(crosser.end_m - crosser.start_m))
+    from_middle = abs(2 * fraction - 1) * length / (length - 2 * _WAIT_M)
     lift = KERB_M if from_middle > 1 else CROWN_M * (1 - from_middle)
     return np.append(xy, place.terrain.height(*xy) + lift)

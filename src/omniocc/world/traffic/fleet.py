@@ -1,21 +1,23 @@
-"""The vehicles of a scene: which there are, where they begin, and which of them carries the cameras."""
+"""The vehicles of a scene and where they start; vehicle 0 is the ego."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from omniocc.world.assets import vehicle
-from omniocc.world.assets.mesh import Mesh
-from omniocc.world.assets.stock import one, pick
+from omniocc.world.assets.catalog import random_variant
+from omniocc.world.mesh.mesh import Mesh
+from omniocc.world.seeding import weighted_choice
 from omniocc.world.town.network import degrees
 from omniocc.world.town.place import Place
 from omniocc.world.traffic.flow import Car
-from omniocc.world.traffic.route import Roads, node_of
+from omniocc.world.traffic.lanes import Roads, node_of
 
 EGO_LENGTH_M = 4.6
 _TOP_MPS = {"bicycle": 5.0, "truck": 11.0, "bus": 11.0}
-_BEFORE_JUNCTION_M, _BEHIND_M = 32.0, 16.0  # where nobody begins: too late to stop, or still on the junction
-_WHEELBASE_SHARE = 0.6
+# No car starts so near to a junction: it could not stop in time, or would still stand on it.
+_BEFORE_JUNCTION_M, _BEHIND_M = 32.0, 16.0
+_WHEELBASE_FRACTION = 0.6
 
 
 @dataclass(frozen=True)
@@ -27,12 +29,12 @@ class Fleet:
 
 
 def draw_fleet(place: Place, roads: Roads, rng: np.random.Generator) -> tuple[Fleet, list[Car]]:
-    """Cars spread over the lanes, about a headway apart; the first is the ego."""
+    """Draw cars spread over the lanes, about a headway apart; the first is the ego."""
     slots = _slots(place, roads, rng)
     meshes, cars = [], []
     for number, (lane, along) in enumerate(slots):
-        kind = "hatchback" if number == 0 else pick(rng, place.theme.traffic)
-        mesh = one(rng, "vehicle", kind)
+        kind = "hatchback" if number == 0 else weighted_choice(rng, place.theme.traffic)
+        mesh = random_variant(rng, "vehicle", kind)
         length = EGO_LENGTH_M if number == 0 else vehicle.size_m(mesh)[0]
         top = min(_TOP_MPS.get(kind, 15.0), roads.pieces[lane].speed_mps)
         car = Car(length, _TOP_MPS.get(kind, 15.0), [lane], [0.0], along, 0.75 * top)
@@ -43,7 +45,7 @@ def draw_fleet(place: Place, roads: Roads, rng: np.random.Generator) -> tuple[Fl
 
 
 def _slots(place: Place, roads: Roads, rng: np.random.Generator) -> list[tuple[int, float]]:
-    """(lane, arc length) of every car, in random order; a car never begins closer than 22 m to the next."""
+    """Return (lane, arc length) of every car, in random order, at least 22 m apart."""
     slots = []
     for lane in range(len(roads.lanes)):
         piece = roads.pieces[lane]
@@ -55,12 +57,12 @@ def _slots(place: Place, roads: Roads, rng: np.random.Generator) -> list[tuple[i
     if not slots:
         slots = [(0, _BEHIND_M)]
     order = [slots[int(k)] for k in rng.permutation(len(slots))]
-    if place.theme.island_m:  # the ego comes to a roundabout soon
+    if place.theme.island_m:  # so that the ego soon reaches a roundabout
         meeting = degrees(place.network)
         order.sort(key=lambda slot: -meeting[node_of(place.network, roads.lanes[slot[0]].end)])
     return order
 
 
 def half_wheelbase_m(length_m: float) -> float:
-    """From a vehicle's middle to its axles."""
-    return 0.5 * _WHEELBASE_SHARE * length_m
+    """Return the distance from a vehicle's middle to its axles."""
+    return 0.5 * _WHEELBASE_FRACTION * length_m

@@ -1,21 +1,21 @@
-"""Simple solids as meshes, in the frame of their thing; faces are counter-clockwise seen from outside."""
+"""Simple solids as meshes; faces are counter-clockwise seen from outside."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from omniocc.world.assets.material import Material
-from omniocc.world.assets.mesh import Mesh, concatenate
+from omniocc.world.mesh.material import Material
+from omniocc.world.mesh.mesh import Mesh, concatenate
 
 Color = tuple[int, int, int]
-Number = float | int  # a type checker that runs does not take 2 for 2.0
+Number = float | int  # jaxtyping's run-time checks do not accept 2 for a float
 Triple = tuple[Number, Number, Number]
 _MIN_AREA_M2 = 1e-6
 
 
 class Skin(NamedTuple):
-    """What a surface is and looks like: class id, material and base colour."""
+    """Appearance and class of a surface: class id, material and base colour."""
 
     label: int
     material: Material
@@ -23,14 +23,14 @@ class Skin(NamedTuple):
 
 
 def triangles(corners_m: np.ndarray, uv_m: np.ndarray, skin: Skin) -> Mesh:
-    """A mesh of (T, 3, 3) corners with (T, 3, 2) texture coordinates; slivers (collapsed quads) are left out."""
+    """Return a mesh of (T, 3, 3) corners with (T, 3, 2) texture coordinates, without slivers."""
     count = len(corners_m)
     faces = np.arange(3 * count, dtype=np.int32).reshape(count, 3)
     return _skinned(corners_m.reshape(-1, 3), faces, uv_m, skin)
 
 
 def quads(corners_m: np.ndarray, uv_m: np.ndarray, skin: Skin) -> Mesh:
-    """Two triangles for each of (Q, 4, 3) corners; a quad may collapse to a triangle."""
+    """Return two triangles for each of (Q, 4, 3) corners; a quad may collapse to a triangle."""
     faces = _SPLIT + 4 * np.arange(len(corners_m), dtype=np.int32)[:, None, None]
     return _skinned(corners_m.reshape(-1, 3), faces.reshape(-1, 3), uv_m[:, _SPLIT].reshape(-1, 3, 2), skin)
 
@@ -39,7 +39,7 @@ _SPLIT = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
 
 
 def _skinned(vertices_m: np.ndarray, faces: np.ndarray, uv_m: np.ndarray, skin: Skin) -> Mesh:
-    """All faces but slivers in one skin."""
+    """Return all faces but slivers in one skin."""
     a, b, c = vertices_m[faces].transpose(1, 2, 0)
     p, q = b - a, c - a
     twice = (p[1] * q[2] - p[2] * q[1]) ** 2 + (p[2] * q[0] - p[0] * q[2]) ** 2 + (p[0] * q[1] - p[1] * q[0]) ** 2
@@ -71,7 +71,10 @@ _BOX_AXES = np.repeat([[0, 2], [1, 2], [0, 2], [1, 2], [0, 1], [0, 1]], 2, axis=
 
 
 def box(size_m: Triple, center_m: Triple, skin: Skin, top: Skin | None = None) -> Mesh:
-    """A cuboid. Side faces have u along the wall and v = height above the frame's z = 0; `top` skins its upper face."""
+    """Build a cuboid; `top` is the skin of its upper face.
+
+    Side faces have u along the wall and v = height above the frame's z = 0.
+    """
     corners = (_BOX_SIGNS * size_m + center_m).astype(np.float32)
     mesh = _uniform(corners, _BOX_FACES, corners[_BOX_FACES[:, :, None], _BOX_AXES[:, None]], skin)
     if top is not None:
@@ -80,7 +83,7 @@ def box(size_m: Triple, center_m: Triple, skin: Skin, top: Skin | None = None) -
 
 
 def panel(size_m: Triple, center_m: Triple, skin: Skin, sides: str) -> Mesh:
-    """Some sides of a cuboid, the others being out of sight: 'f' (-y), 'r' (+x), 'b' (+y), 'l' (-x), 't' and 'd'."""
+    """Build some sides of a cuboid: 'f' (-y), 'r' (+x), 'b' (+y), 'l' (-x), 't' (+z) and 'd' (-z)."""
     kept = [2 * "frbltd".index(side) + k for side in sides for k in (0, 1)]
     corners = (_BOX_SIGNS * size_m + center_m).astype(np.float32)
     faces = _BOX_FACES[kept]
@@ -88,7 +91,7 @@ def panel(size_m: Triple, center_m: Triple, skin: Skin, sides: str) -> Mesh:
 
 
 def sheet(points_m: np.ndarray, uv_m: np.ndarray, skin: Skin) -> Mesh:
-    """Quads between neighbours of a (rows, columns, 3) net.
+    """Build quads between neighbours of a net of (rows, columns, 3) points.
 
     The outer side is the one from which columns run to the right and rows upwards.
     """
@@ -106,7 +109,7 @@ def lathe(
     skin: Skin,
     center_m: tuple[Number, Number] = (0.0, 0.0),
 ) -> Mesh:
-    """A profile from bottom to top turned around a vertical axis; a radius of 0 closes an end."""
+    """Turn a profile, given from bottom to top, around a vertical axis; a radius of 0 closes an end."""
     angle = np.linspace(0, 2 * np.pi, sides + 1)
     radius, height = np.asarray(radius_m, float)[:, None], np.asarray(height_m, float)[:, None]
     x, y = center_m[0] + radius * np.cos(angle), center_m[1] + radius * np.sin(angle)
@@ -118,7 +121,7 @@ def lathe(
 
 
 def beam(start_m: Triple, end_m: Triple, radius_m: Number, skin: Skin) -> Mesh:
-    """A four-sided bar between two points, open at its ends."""
+    """Build a four-sided bar between two points, open at its ends."""
     start, end = np.asarray(start_m, float), np.asarray(end_m, float)
     length_m = float(np.sqrt(((end - start) ** 2).sum()))
     axis = (end - start) / length_m
@@ -135,24 +138,12 @@ def beam(start_m: Triple, end_m: Triple, radius_m: Number, skin: Skin) -> Mesh:
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Of two vectors (3,); many times faster than numpy's for so few."""
+    """Return the cross product of two vectors (3,), many times faster than `np.cross` for single ones."""
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
-def prism(outline_m: np.ndarray, bottom_m: Number, top_m: Number, wall: Skin, cap: Skin) -> Mesh:
-    """Walls over a counter-clockwise (P, 2) outline that its centroid sees whole, with a flat cap.
-
-    Walls have u along the outline and v = height above the frame's z = 0.
-    """
-    closed = np.concatenate([outline_m, outline_m[:1]])
-    along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
-    net = np.stack([np.column_stack([closed, np.full(len(closed), z)]) for z in (bottom_m, top_m)])
-    uv = np.stack(np.meshgrid(along, [bottom_m, top_m]), -1)
-    return concatenate([sheet(net, uv, wall), fan(net[1, :-1], cap)])
-
-
 def fan(rim_m: np.ndarray, skin: Skin) -> Mesh:
-    """A face over a closed counter-clockwise (P, 3) rim from its mean point, uv from x and y."""
+    """Build a face over a closed counter-clockwise (P, 3) rim from its mean point, uv from x and y."""
     following = np.roll(rim_m, -1, 0)
     middle = np.broadcast_to(rim_m.mean(0), rim_m.shape)
     corners = np.stack([middle, rim_m, following], 1)
@@ -163,7 +154,7 @@ def blob(
     rng: np.random.Generator, radius_m: Triple, center_m: Triple,
     skin: Skin, roughness: Number = 0.18, sides: int = 7, rows: int = 5,
 ) -> Mesh:  # fmt: skip
-    """A lumpy ellipsoid, for crowns, bushes and heads. `roughness` is the noise as a share of the radius."""
+    """Build a lumpy ellipsoid, for crowns, bushes and heads; `roughness` is noise as a fraction of the radius."""
     polar, angle = np.linspace(-np.pi / 2, np.pi / 2, rows)[:, None], np.linspace(0, 2 * np.pi, sides + 1)[None]
     scale = 1 + roughness * rng.uniform(-1, 1, (rows, sides + 1))
     scale[:, -1] = scale[:, 0]
@@ -178,7 +169,7 @@ def blob(
 
 
 def loft(profile_m: np.ndarray, half_width_m: np.ndarray, across: list[Skin], side: Skin) -> Mesh:
-    """A body between two mirrored side outlines.
+    """Build a body between two mirrored side outlines.
 
     Args:
         profile_m: (P, 2) counter-clockwise outline in (x, z), seen from -y (the body's right side).
@@ -203,8 +194,13 @@ def loft(profile_m: np.ndarray, half_width_m: np.ndarray, across: list[Skin], si
     return concatenate(meshes)
 
 
+def upright_pose(point_m: np.ndarray, yaw_rad: float) -> np.ndarray:
+    """Return the (4, 4) pose of an upright thing at a point (3,)."""
+    return upright(point_m[None], np.array([yaw_rad]), np.ones((1, 3)))[0]
+
+
 def upright(position_m: np.ndarray, yaw_rad: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """(K, 4, 4) poses of upright things at (K, 3) positions, turned by yaw (K,) and stretched by scale (K, 3)."""
+    """Return (K, 4, 4) poses at (K, 3) positions, turned by yaw (K,) and stretched by scale (K, 3)."""
     cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
     pose = np.zeros((len(position_m), 4, 4))
     pose[:, 0, 0], pose[:, 0, 1] = scale[:, 0] * cos, -scale[:, 1] * sin

@@ -1,20 +1,18 @@
-"""Meshes and simple solids: closed where they should be, facing outwards, stretched and painted as asked."""
+"""Meshes and simple solids: closed where they should be, facing outwards, stretched and painted as requested."""
 
 import numpy as np
 import pytest
 
-from omniocc.world.assets.material import Material
-from omniocc.world.assets.mesh import Mesh, concatenate, empty, instances
-from omniocc.world.assets.shape import Skin, beam, blob, box, lathe, loft, panel, quads, upright
-from omniocc.world.town.site import Plan, Pose2, Site
-from omniocc.world.town.terrain import draw
+from omniocc.world.mesh.material import Material
+from omniocc.world.mesh.mesh import Mesh, concatenate, empty, instances
+from omniocc.world.mesh.shape import Skin, beam, blob, box, lathe, loft, panel, quads, upright
 
 _STONE = Skin(4, Material.CONCRETE, (100, 110, 120))
 _ROOF = Skin(4, Material.ROOF, (1, 2, 3))
 
 
 def volume(mesh: Mesh) -> float:
-    """Signed: positive for closed surfaces whose faces look outwards (divergence theorem)."""
+    """Return the signed volume by the divergence theorem: positive if the faces of a closed surface face outwards."""
     a, b, c = (mesh.vertices[mesh.faces[:, k]].astype(float) for k in range(3))
     return float((a * np.cross(b, c)).sum() / 6)
 
@@ -82,26 +80,3 @@ def test_concatenate_keeps_faces_on_their_vertices() -> None:
     assert (both.vertices[both.faces[:12]][..., 0] < 1).all()
     assert (both.vertices[both.faces[12:]][..., 0] > 8).all()
     assert both.material.tolist() == [Material.CONCRETE] * 12 + [Material.ROOF] * 12
-
-
-def test_land_is_taken_once() -> None:
-    plan = Plan(50.0)
-    house = Pose2(3.0, -4.0, 0.6)
-    assert plan.claim(house, (8.0, 6.0))
-    assert not plan.claim(house.at(7.0, 0.0), (8.0, 6.0))
-    assert not plan.claim(house, (0.5, 0.5))
-    assert plan.claim(house.at(9.0, 0.0), (8.0, 6.0))
-    plan.block(np.array([[20.0, 20.0]]))
-    assert not plan.claim(Pose2(20.0, 20.0, 0.3), (4.0, 0.6))
-
-
-def test_fences_follow_the_land() -> None:
-    land = draw(np.random.default_rng(2), 0.08, 0.0)
-    site = Site(land, Plan(100.0))
-    for x in np.arange(-40, 40, 4.0):
-        site.put(box((4, 0.1, 1), (0, 0, 0.5), _STONE), Pose2(float(x), 5.0, 0.0), lift_m=0.0, follow=True)
-    mesh = site.mesh()
-    foot = mesh.vertices[mesh.vertices[:, 2] - land.height(*mesh.vertices[:, :2].T) < 0.5].astype(float)
-    gap = np.abs(foot[:, 2] - land.height(foot[:, 0], foot[:, 1]))
-    assert len(foot) == 20 * 4
-    assert gap.max() < 0.05
