@@ -1,4 +1,4 @@
-"""OmniMVS's `config.yaml`: four OCam cameras with poses."""
+"""Reader of OmniMVS's `config.yaml`: four OCam cameras with poses."""
 
 from pathlib import Path
 from typing import Any
@@ -16,10 +16,10 @@ from omniocc.camera.pose import LEVEL_FORWARD
 
 
 def read_omnimvs(content: dict[str, Any], folder: Path) -> Calibration:
-    """Cameras with `poly`, `inv_poly`, `center`, `affine`, `image_size`, `max_fov` and `pose`.
+    """Return cameras from `poly`, `inv_poly`, `center`, `affine`, `image_size`, `max_fov` and `pose`.
 
-    A pose is a rotation vector and a position in metres, camera to rig; the rig's frame (x right, y down, z forward) is
-    turned into ours. An `invalid_mask` is used if the picture is there: not 0 where the image is no use.
+    A pose is a rotation vector and a position in metres, camera to rig; the rig frame (x right, y down, z forward) is
+    rotated into the ego frame. An `invalid_mask` is used if the file exists: not 0 where the image is unusable.
 
     Raises:
         ValueError: naming the camera and the key.
@@ -44,7 +44,7 @@ def read_omnimvs(content: dict[str, Any], folder: Path) -> Calibration:
 
 def _camera(entry: dict[str, Any]) -> OCam:
     if entry.get("model", "ocam") != "ocam":
-        raise ValueError(f"model is {entry['model']!r}; OmniMVS's config has ocam only")
+        raise ValueError(f"model is {entry['model']!r}; an OmniMVS config holds ocam only")
     height, width = size(entry, "image_size")
     center_row, center_column = row(entry, 2, "center")
     return OCam(
@@ -72,7 +72,7 @@ def _mask(file: Path, camera: OCam) -> Bool[Tensor, "_ _"] | None:
         return None
     invalid = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
     if invalid is None:
-        raise ValueError(f"invalid_mask {file} is no image that can be read")
+        raise ValueError(f"invalid_mask {file} is not a readable image")
     if invalid.shape != (camera.height, camera.width):
         found = f"{invalid.shape[1]}x{invalid.shape[0]}"
         raise ValueError(f"invalid_mask {file} is {found} px but image_size says {camera.width}x{camera.height} px")
