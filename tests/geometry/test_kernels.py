@@ -1,4 +1,4 @@
-"""The compiled kernels in threads, in forked processes, and where nothing can be written."""
+"""The compiled kernels in threads, in forked processes, and without a writable folder."""
 
 import os
 import shutil

@@ -6,7 +6,7 @@ from omniocc.metric import sparseocc_directions
 
 
 def rays_of(fans):
-    """Origin and unit direction of every ray, from its fan."""
+    """Return origin and unit direction of every ray, from its fan."""
     count, azimuths = fans.azimuths.shape[:2]
     elevations = fans.slopes.shape[1]
     k = torch.arange(count).repeat_interleave(azimuths * elevations)
