@@ -40,7 +40,7 @@ def walk(labels, origin_m, directions):
 
 
 def count(pairs, num_classes=12, thresholds_m=(1, 2, 4)):
-    """Return IoU by threshold and class from (true range, true class, range, class), counted as in the public script."""
+    """Return IoU by threshold and class from (true range, true class, range, class), as the public script."""
     true_m, true, ours_m, ours = (np.concatenate(part) for part in zip(*pairs, strict=True))
     valid = true != 0
     true_m, true, ours_m, ours = true_m[valid], true[valid], ours_m[valid], ours[valid]

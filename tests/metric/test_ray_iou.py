@@ -32,7 +32,7 @@ def frames(grid, count, seed=0, num_classes=12):
 
 
 def public_counting(grid, prediction, target, origins, directions, thresholds_m, low_m=0.0, high_m=math.inf):
-    """Return IoU or nan by threshold and class, counted ray by ray as in the public script; unknown truth is dropped."""
+    """Return IoU or nan by threshold and class, counted ray by ray as in the public script, without unknown truth."""
     gt, pr, tp = np.zeros(12), np.zeros(12), np.zeros((len(thresholds_m), 12))
     for frame in range(len(prediction)):
         for origin in origins[frame]:
@@ -326,7 +326,7 @@ def test_two_processes_equal_one(tmp_path):
 
 def first_process_scores_alone(rank, folder):
     """Score frames in the first of two processes; the second only joins the group and waits for the end."""
-    timeout = datetime.timedelta(seconds=20)
+    timeout = datetime.timedelta(seconds=60)
     meet = f"file://{folder}/meet"
     torch.distributed.init_process_group("gloo", init_method=meet, rank=rank, world_size=2, timeout=timeout)
     scores = ray_iou(*frames(CUBOID, 2), CUBOID) if rank == 0 else None
@@ -335,7 +335,7 @@ def first_process_scores_alone(rank, folder):
     return scores
 
 
-def test_the_function_talks_to_no_other_process(tmp_path):
+def test_function_does_not_communicate_with_other_processes(tmp_path):
     other = second_process("first_process_scores_alone", tmp_path)
     scores = first_process_scores_alone(0, tmp_path)
     assert other.wait(timeout=120) == 0

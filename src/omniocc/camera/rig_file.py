@@ -40,6 +40,7 @@ from omniocc.camera.models.mei import MEI
 from omniocc.camera.models.ocam import OCam
 from omniocc.camera.models.pinhole import Pinhole
 from omniocc.camera.models.radial_polynomial import RadialPolynomial
+from omniocc.camera.ops.mask_file import read_mask_pixels
 from omniocc.camera.pose import check_rigid, pose_from_angles
 from omniocc.camera.protocol import Camera, finite, numbers
 
@@ -177,13 +178,7 @@ def _read_pose(value: Any) -> Float64[Tensor, "4 4"]:
 def _read_mask(file: Path, camera: Camera) -> Mask:
     if not file.is_file():
         raise ValueError(f"mask {file} does not exist")
-    pixels = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
-    if pixels is None:
-        raise ValueError(f"mask {file} is not a readable image")
-    if pixels.shape != (camera.height, camera.width):
-        size = f"{pixels.shape[1]}x{pixels.shape[0]}"
-        raise ValueError(f"mask {file} is {size} px but the image is {camera.width}x{camera.height} px")
-    return torch.from_numpy(pixels > 127)
+    return torch.from_numpy(read_mask_pixels("mask", file, camera) > 127)
 
 
 def _write_mask(file: Path, mask: Mask) -> None:

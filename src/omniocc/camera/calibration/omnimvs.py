@@ -12,6 +12,7 @@ from torch import Tensor
 from omniocc.camera.calibration.fields import Calibration, number, required, row, size
 from omniocc.camera.calibration.ocamcalib import counted
 from omniocc.camera.models.ocam import OCam
+from omniocc.camera.ops.mask_file import read_mask_pixels
 from omniocc.camera.pose import LEVEL_FORWARD
 
 
@@ -70,10 +71,4 @@ def _pose(values: list[float]) -> Float64[Tensor, "4 4"]:
 def _mask(file: Path, camera: OCam) -> Bool[Tensor, "_ _"] | None:
     if not file.is_file():
         return None
-    invalid = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
-    if invalid is None:
-        raise ValueError(f"invalid_mask {file} is not a readable image")
-    if invalid.shape != (camera.height, camera.width):
-        found = f"{invalid.shape[1]}x{invalid.shape[0]}"
-        raise ValueError(f"invalid_mask {file} is {found} px but image_size says {camera.width}x{camera.height} px")
-    return torch.from_numpy(invalid == 0)
+    return torch.from_numpy(read_mask_pixels("invalid_mask", file, camera) == 0)
