@@ -94,7 +94,7 @@ def read_back(world: VirtualWorld, plans: Sequence[ScenePlan]) -> None:
 
 def draw_page(world: VirtualWorld, plans: Sequence[ScenePlan]) -> None:
     """Write the page beside the scenes that are there."""
-    from omniocc.report.dataset_page import save_page  # not needed to render
+    from omniocc.report.dataset.page import save_page  # not needed to render
 
     missing = world.missing(plans)
     scenes = [world.reader(plan) for plan in plans if plan not in missing]

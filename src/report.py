@@ -40,8 +40,8 @@ def draw(sweep: Sweep, output: Path) -> dict[str, tuple[str, str]]:
     if find_spec("matplotlib") is None:
         print("No plots: matplotlib is missing (pip install --editable '.[plot]').")
         return {}
-    from omniocc.report.plots import PLOTS
-    from omniocc.report.svg import as_svg
+    from omniocc.report.plots.figures import PLOTS
+    from omniocc.report.plots.svg import as_svg
 
     (output / "plots").mkdir(exist_ok=True)
     drawn = {}

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from filelock import FileLock
 
-from omniocc.report.dashboard import KEYS
+from omniocc.report.wandb.dashboard import KEYS
 from omniocc.run.wandb.wandb_file import files_of, history, records
 
 ROOT = Path(__file__).parents[1]

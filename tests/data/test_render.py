@@ -13,7 +13,7 @@ from fake_scene import FakeWorld
 import omniocc
 from omniocc.camera import Rig
 from omniocc.geometry import Cylinder
-from omniocc.report.dataset_page import SKY, UNMEASURED, range_picture, save_page
+from omniocc.report.dataset.page import SKY, UNMEASURED, range_picture, save_page
 from omniocc.world.shares import AUTHORS_SHARES
 
 SCRIPT = Path(omniocc.__file__).parents[1] / "render.py"

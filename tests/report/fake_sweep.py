@@ -25,13 +25,13 @@ PICTURE = "test-00-test-000-suburb-000001"
 def parts(geometry: Grid, prediction_seed: int) -> SheetParts:
     truth, prediction = (labels(geometry, seed) for seed in (0, prediction_seed))
     images = np.random.default_rng(3).integers(0, 256, (6, 18, 32, 3), dtype=np.uint8)
-    return comparison_parts(images, truth, prediction, geometry)
+    return comparison_parts(images, truth, prediction, geometry, CLASSES)
 
 
 def save_parts(folder: Path, parts: SheetParts) -> None:
     """Save a sheet and its parts as `omniocc.task.pictures` does."""
     (folder / "parts" / PICTURE).mkdir(parents=True)
-    save_png(folder / f"{PICTURE}.png", comparison_sheet(parts, "test-000-suburb/000001"))
+    save_png(folder / f"{PICTURE}.png", comparison_sheet(parts, CLASSES, "test-000-suburb/000001"))
     for name, part in parts._asdict().items():
         save_png(folder / "parts" / PICTURE / f"{name}.png", part)
 

@@ -5,11 +5,11 @@ from pathlib import Path
 
 from omniocc.classes import CLASSES, FREE
 from omniocc.report import markup
-from omniocc.report.budget import BUDGET_NOTE, YARDSTICKS_NOTE, budget_cells, yardstick_cells
-from omniocc.report.claims import claim_cells
-from omniocc.report.dataset_table import DatasetTable, dataset_cells
+from omniocc.report.tables.budget import BUDGET_NOTE, YARDSTICKS_NOTE, budget_cells, yardstick_cells
+from omniocc.report.tables.claims import claim_cells
+from omniocc.report.dataset.table import DatasetTable, dataset_cells
 from omniocc.report.gallery import GalleryFrame, Shown, inline
-from omniocc.report.paper_table import (
+from omniocc.report.tables.paper import (
     Figure,
     PaperRow,
     PaperTable,

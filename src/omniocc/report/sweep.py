@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from omniocc.io import atomic_write
-from omniocc.report.budget import BUDGET_NOTE, YARDSTICKS_NOTE, budget_cells, yardstick_cells
-from omniocc.report.claims import claim_cells
-from omniocc.report.curves import read_curve
-from omniocc.report.dataset_table import (
+from omniocc.report.tables.budget import BUDGET_NOTE, YARDSTICKS_NOTE, budget_cells, yardstick_cells
+from omniocc.report.tables.claims import claim_cells
+from omniocc.report.plots.curves import read_curve
+from omniocc.report.dataset.table import (
     DatasetTable,
     dataset_csv,
     dataset_latex,
@@ -20,7 +20,7 @@ from omniocc.report.dataset_table import (
     with_ours,
 )
 from omniocc.report.markup import path_between
-from omniocc.report.paper_table import PaperTable, as_csv, as_latex, as_markdown, is_table, load_table
+from omniocc.report.tables.paper import PaperTable, as_csv, as_latex, as_markdown, is_table, load_table
 from omniocc.report.rows import assign_rows
 from omniocc.report.runs import FinishedRun, by_row, comparable, read_runs, table_of_runs
 from omniocc.run.folder import METRICS

@@ -1,14 +1,17 @@
 """Bird's-eye views: forward is up, left is left."""
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 import torch
 from jaxtyping import UInt8
 from torch import Tensor
 
-from omniocc.classes import FREE, PALETTE, UNKNOWN
+from omniocc.classes import FREE, UNKNOWN, SemanticClass
 from omniocc.geometry import Grid
 from omniocc.view.canvas import Rgb
+from omniocc.view.palette import palette_of
 
 OUTSIDE: Rgb = (255, 255, 255)
 EMPTY: Rgb = (238, 240, 243)
@@ -26,10 +29,12 @@ ERRORS: tuple[tuple[str, Rgb], ...] = (
 )
 
 
-def bev(labels: UInt8[Tensor, "X Y Z"], geometry: Grid, size_px: int) -> np.ndarray:
-    """Colour of the topmost occupied cell of every column; a square picture of the whole grid."""
+def bev(
+    labels: UInt8[Tensor, "X Y Z"], geometry: Grid, classes: Sequence[SemanticClass], size_px: int
+) -> np.ndarray:
+    """Return a square image of the whole grid, each column in the colour of its topmost occupied cell."""
     columns = topmost(labels)
-    colors = PALETTE[columns]
+    colors = palette_of(classes)[columns]
     colors[columns == FREE] = EMPTY
     return draw_columns(colors, geometry, size_px)
 

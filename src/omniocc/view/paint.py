@@ -11,11 +11,12 @@ from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from omniocc.camera import Equirectangular, Rig
-from omniocc.classes import FREE, PALETTE, UNKNOWN
+from omniocc.classes import FREE, UNKNOWN, SemanticClass
 from omniocc.geometry import Grid
 from omniocc.geometry.raycast.fans import Fans
 from omniocc.geometry.raycast.table import RayTable
 from omniocc.view.canvas import fitted
+from omniocc.view.palette import palette_of
 
 COARSE = 2
 """Pixels of a picture along each side that share a ray."""
@@ -40,7 +41,12 @@ class View(NamedTuple):
 
 
 def paint_voxels(
-    images: Sequence[np.ndarray], rig: Rig, labels: UInt8[Tensor, "X Y Z"], geometry: Grid, width: int
+    images: Sequence[np.ndarray],
+    rig: Rig,
+    labels: UInt8[Tensor, "X Y Z"],
+    geometry: Grid,
+    classes: Sequence[SemanticClass],
+    width: int,
 ) -> list[np.ndarray]:
     """The cameras' pictures, scaled to a width, with the first voxel along every pixel's ray in its class colour.
 
@@ -51,16 +57,22 @@ def paint_voxels(
     for k, image in enumerate(images):
         picture = fitted(image, width)
         size = picture.shape[1] // COARSE, picture.shape[0] // COARSE
-        colors, hit = _colors(camera_view(geometry, rig, k, *size), labels)
+        colors, hit = _colors(camera_view(geometry, rig, k, *size), labels, palette_of(classes))
         painted.append(_blended(picture, *(_enlarged(part, picture) for part in (colors, hit))))
     return painted
 
 
-def voxel_panorama(labels: UInt8[Tensor, "X Y Z"], geometry: Grid, panorama: Equirectangular, width: int) -> np.ndarray:
+def voxel_panorama(
+    labels: UInt8[Tensor, "X Y Z"],
+    geometry: Grid,
+    classes: Sequence[SemanticClass],
+    panorama: Equirectangular,
+    width: int,
+) -> np.ndarray:
     """(about width / 2 wide) class colour of the first voxel in every direction from the ego origin."""
     columns = width // COARSE
     rows = round(columns * panorama.height / panorama.width)
-    colors, hit = _colors(panorama_view(geometry, panorama, columns, rows), labels)
+    colors, hit = _colors(panorama_view(geometry, panorama, columns, rows), labels, palette_of(classes))
     colors[~hit] = NOTHING
     return colors
 
@@ -93,18 +105,18 @@ def _view(geometry: Grid, origin: Float[Tensor, "3"], rays: Float[Tensor, "h w 3
     return View(valid, RayTable(geometry, Fans.single(origin.expand_as(directions), directions)))
 
 
-def _colors(view: View, labels: UInt8[Tensor, "X Y Z"]) -> tuple[np.ndarray, np.ndarray]:
+def _colors(view: View, labels: UInt8[Tensor, "X Y Z"], palette: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(h, w, 3) class colours, darker where voxels end, and (h, w) whether there is a voxel."""
     hits = view.table.cast(labels.masked_fill(labels == UNKNOWN, FREE))
     cells = torch.full(view.valid.shape, -1, dtype=torch.int32)
-    classes = torch.zeros(view.valid.shape, dtype=torch.uint8)
-    cells[view.valid], classes[view.valid] = hits.cells, hits.labels
+    found = torch.zeros(view.valid.shape, dtype=torch.uint8)
+    cells[view.valid], found[view.valid] = hits.cells, hits.labels
     edge = torch.zeros_like(view.valid)
     edge[:-1] |= cells[:-1] != cells[1:]
     edge[:, :-1] |= cells[:, :-1] != cells[:, 1:]
-    colors = PALETTE[classes.numpy()]
+    colors = palette[found.numpy()]
     colors[edge.numpy()] = (colors[edge.numpy()] * EDGE).astype(np.uint8)
-    return colors, classes.numpy() != FREE
+    return colors, found.numpy() != FREE
 
 
 def _enlarged(part: np.ndarray, like: np.ndarray) -> np.ndarray:

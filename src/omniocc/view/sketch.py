@@ -8,11 +8,11 @@ from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from omniocc.camera import Equirectangular
-from omniocc.classes import FREE, UNKNOWN
+from omniocc.classes import FREE, UNKNOWN, SemanticClass
 from omniocc.geometry import Grid
 from omniocc.view.bev import EMPTY, MISSED, bev, draw_columns
 from omniocc.view.canvas import Rgb, legend
-from omniocc.view.compare import class_legend
+from omniocc.view.palette import class_legend
 from omniocc.view.ranges import range_bar, range_colors
 from omniocc.view.sheet import camera_rows, caption_line, column_width, inner_width, row, stack
 
@@ -31,6 +31,7 @@ def sketch_sheet(
     chosen: Bool[Tensor, "X Y Z"],
     dilated: Bool[Tensor, "X Y Z"],
     geometry: Grid,
+    classes: Sequence[SemanticClass],
     panorama: Equirectangular,
     range_m: Float[Tensor, "h w"],
     caption: str = "",
@@ -44,6 +45,7 @@ def sketch_sheet(
         chosen: candidates before they are dilated.
         dilated: candidates.
         geometry: the grid of all three.
+        classes: names and colours of the labels.
         panorama: directions of the ranges.
         range_m: around the ego origin, not finite where there is no answer.
         caption: a line at the top.
@@ -51,7 +53,7 @@ def sketch_sheet(
     """
     inner = inner_width(width_px)
     half = column_width(inner, 2)
-    seen = [bev(truth, geometry, half), points_bev(range_m, panorama, geometry, half)]
+    seen = [bev(truth, geometry, classes, half), points_bev(range_m, panorama, geometry, half)]
     found = [candidate_bev(truth, candidates, geometry, half) for candidates in (chosen, dilated)]
     names = [
         f"{name}: {scores(truth, candidates)}"
@@ -61,7 +63,7 @@ def sketch_sheet(
         *caption_line(caption, inner),
         *camera_rows(images, inner, columns=6 if len(images) % 6 == 0 else 4),
         row(seen, ("true voxels, topmost", "points of the predicted ranges"), inner),
-        class_legend(inner),
+        class_legend(classes, inner),
         range_bar(inner),
         row(found, names, inner),
         legend(

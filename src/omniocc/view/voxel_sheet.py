@@ -9,11 +9,12 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from omniocc.camera import Equirectangular, Rig
+from omniocc.classes import SemanticClass
 from omniocc.geometry import Grid
 from omniocc.view.bev import ERRORS, bev, error_bev
 from omniocc.view.canvas import legend
-from omniocc.view.compare import class_legend
 from omniocc.view.paint import paint_voxels, voxel_panorama
+from omniocc.view.palette import class_legend
 from omniocc.view.ranges import NO_ANSWER, range_bar, range_colors
 from omniocc.view.sheet import camera_rows, caption_line, column_width, inner_width, panorama_row, row, stack
 from omniocc.view.voxels import render_voxels
@@ -42,6 +43,7 @@ def occupancy_sheet(
     rig: Rig,
     prediction: UInt8[Tensor, "X Y Z"],
     geometry: Grid,
+    classes: Sequence[SemanticClass],
     seen: SeenRange | None = None,
     truth: UInt8[Tensor, "X Y Z"] | None = None,
     caption: str = "",
@@ -54,6 +56,7 @@ def occupancy_sheet(
         rig: the cameras.
         prediction: class of every cell.
         geometry: the grid.
+        classes: names and colours of the labels.
         seen: what the depth network answered; None if there is none.
         truth: class of every cell, 255 unknown; None if nobody knows.
         caption: a line at the top.
@@ -61,14 +64,14 @@ def occupancy_sheet(
     """
     inner = inner_width(width_px)
     order, columns = as_seen(rig), columns_of(len(images))
-    painted = paint_voxels(images, rig, prediction, geometry, column_width(inner, columns))
+    painted = paint_voxels(images, rig, prediction, geometry, classes, column_width(inner, columns))
     named = {"predicted voxels": prediction} if truth is None else {"true voxels": truth, "predicted": prediction}
     rows = [
         *caption_line(caption, inner),
         *camera_rows([painted[k] for k in order], inner, columns, [rig.names[k] for k in order]),
-        *_panoramas(named, geometry, seen, inner),
-        *_whole(named, geometry, inner),
-        class_legend(inner),
+        *_panoramas(named, geometry, classes, seen, inner),
+        *_whole(named, geometry, classes, inner),
+        class_legend(classes, inner),
     ]
     if truth is not None:
         rows.append(
@@ -91,10 +94,12 @@ def columns_of(cameras: int) -> int:
     return cameras if cameras < 3 else 4 if cameras % 4 == 0 else 3
 
 
-def _panoramas(named: dict[str, Tensor], geometry: Grid, seen: SeenRange | None, width: int) -> list[np.ndarray]:
+def _panoramas(
+    named: dict[str, Tensor], geometry: Grid, classes: Sequence[SemanticClass], seen: SeenRange | None, width: int
+) -> list[np.ndarray]:
     directions = ALL_AROUND if seen is None else seen.panorama
     rows = [
-        panorama_row(voxel_panorama(labels, geometry, directions, width), f"{name}, all around", width)
+        panorama_row(voxel_panorama(labels, geometry, classes, directions, width), f"{name}, all around", width)
         for name, labels in named.items()
     ]
     if seen is None:
@@ -103,18 +108,20 @@ def _panoramas(named: dict[str, Tensor], geometry: Grid, seen: SeenRange | None,
     return [*rows, ranges, range_bar(width), legend([("no answer", NO_ANSWER)], width)]
 
 
-def _whole(named: dict[str, Tensor], geometry: Grid, width: int) -> list[np.ndarray]:
+def _whole(
+    named: dict[str, Tensor], geometry: Grid, classes: Sequence[SemanticClass], width: int
+) -> list[np.ndarray]:
     """The voxels from behind and from above."""
     half, third = column_width(width, 2), column_width(width, 3)
     if len(named) == 1:
         ((name, labels),) = named.items()
-        views = [render_voxels(labels, geometry, half, half), bev(labels, geometry, half)]
+        views = [render_voxels(labels, geometry, classes, half, half), bev(labels, geometry, classes, half)]
         return [row(views, (name, "from above"), width)]
     truth, prediction = named.values()
-    views = [render_voxels(labels, geometry, half, half * 9 // 16) for labels in (truth, prediction)]
+    views = [render_voxels(labels, geometry, classes, half, half * 9 // 16) for labels in (truth, prediction)]
     maps = [
-        bev(truth, geometry, third),
-        bev(prediction, geometry, third),
+        bev(truth, geometry, classes, third),
+        bev(prediction, geometry, classes, third),
         error_bev(truth, prediction, geometry, third),
     ]
     return [

@@ -8,7 +8,7 @@ from wandb.sdk.launch.sweeps.utils import create_sweep_command, create_sweep_com
 
 from omniocc.config import check_root
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 SWEEP = yaml.safe_load((ROOT / "sweeps" / "wandb" / "hyperparameters.yaml").read_text())
 
 

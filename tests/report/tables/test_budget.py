@@ -1,4 +1,4 @@
-from omniocc.report.budget import budget_cells, yardstick_cells
+from omniocc.report.tables.budget import budget_cells, yardstick_cells
 from omniocc.report.runs import FinishedRun
 from omniocc.run.cost import GFLOP, PARAMETERS, PEAK
 

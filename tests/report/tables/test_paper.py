@@ -9,8 +9,8 @@ from scipy import stats
 
 from omniocc.classes import CLASSES, FREE
 from omniocc.errors import UserError
-from omniocc.report.claims import claims_of
-from omniocc.report.paper_table import (
+from omniocc.report.tables.claims import claims_of
+from omniocc.report.tables.paper import (
     as_csv,
     as_latex,
     as_markdown,
@@ -21,9 +21,9 @@ from omniocc.report.paper_table import (
 )
 from omniocc.report.runs import VOXELS, FinishedRun, by_row, comparable
 
-SWEEPS = Path(__file__).parents[2] / "sweeps"
+SWEEPS = Path(__file__).parents[3] / "sweeps"
 TABLES = [path for path in sorted(SWEEPS.glob("*.yaml")) if is_table(path)]
-ROWS = Path(__file__).parents[2] / "conf" / "ablation"
+ROWS = Path(__file__).parents[3] / "conf" / "ablation"
 
 
 def run(name: str, seed: int, value: float, preset: str = "tiny") -> FinishedRun:

@@ -7,9 +7,9 @@ import pytest
 
 from omniocc.camera import Rig
 from omniocc.data.recording.job import ScenePlan
-from omniocc.report.dataset_facts import frame_at, own_row, pinhole_twin, speed_mps, time_of_day
+from omniocc.report.dataset.facts import frame_at, own_row, pinhole_twin, speed_mps, time_of_day
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "data"))
+sys.path.insert(0, str(Path(__file__).parents[2] / "data"))
 from fake_scene import HEIGHT, WIDTH, FakeWorld
 
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from omniocc.errors import UserError
-from omniocc.report.dataset_facts import OTHER_DATASETS
-from omniocc.report.dataset_table import (
+from omniocc.report.dataset.facts import OTHER_DATASETS
+from omniocc.report.dataset.table import (
     dataset_cells,
     dataset_csv,
     dataset_latex,
@@ -18,7 +18,7 @@ from omniocc.report.dataset_table import (
 )
 from omniocc.report.runs import read_runs
 
-PATH = Path(__file__).parents[2] / "sweeps" / "dataset.yaml"
+PATH = Path(__file__).parents[3] / "sweeps" / "dataset.yaml"
 
 
 def test_the_papers_rows_are_those_on_the_page_of_a_dataset():

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from omniocc.report.paper_table import PaperTable
+from omniocc.report.tables.paper import PaperTable
 from omniocc.report.runs import FinishedRun
 
 RAYIOU, LIDAR = "test/rayiou", "test/lidar/rayiou"

@@ -17,7 +17,7 @@ from omniocc.data.store.codec import decode_frame, decode_image
 from omniocc.data.store.reader import SceneReader
 from omniocc.geometry import Grid
 from omniocc.io import atomic_write
-from omniocc.report.dataset_facts import (
+from omniocc.report.dataset.facts import (
     OTHER_DATASETS,
     facts_of,
     frame_at,

@@ -1,6 +1,6 @@
 import json
 
-from omniocc.report.dashboard import KEYS, SECTIONS, workspace
+from omniocc.report.wandb.dashboard import KEYS, SECTIONS, workspace
 
 
 def panels_of(board):

@@ -6,7 +6,7 @@ import re
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from omniocc.report.plots import INK, LINE, STYLE
+from omniocc.report.plots.figures import INK, LINE, STYLE
 
 SMALLEST, LARGEST = 0.65, 1.5
 """How far a page may scale a plot; below that, it scrolls."""

@@ -15,7 +15,7 @@ from omniocc.data.store.files import is_url
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import digest
 from omniocc.errors import UserError
-from omniocc.report.dataset_facts import own_row, pinhole_twin
+from omniocc.report.dataset.facts import own_row, pinhole_twin
 from omniocc.report.runs import FinishedRun
 from omniocc.run.table import markdown
 

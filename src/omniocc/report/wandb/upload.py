@@ -1,4 +1,4 @@
-"""Offline W&B runs to the server: `python -m omniocc.report.upload [--runs runs]`, or `make wandb-sync`."""
+"""Offline W&B runs to the server: `python -m omniocc.report.wandb.upload [--runs runs]`, or `make wandb-sync`."""
 
 import argparse
 import csv

@@ -13,8 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
 from omniocc.classes import CLASSES, FREE
-from omniocc.report.curves import over_seeds, read_curve, smoothed
-from omniocc.report.paper_table import figure_of
+from omniocc.report.plots.curves import over_seeds, read_curve, smoothed
+from omniocc.report.tables.paper import figure_of
 from omniocc.report.runs import SHARE, FinishedRun
 from omniocc.run.table import band_keys
 

@@ -1,6 +1,6 @@
 """Training curves out of CSV files."""
 
-from omniocc.report.curves import over_seeds, read_curve, smoothed
+from omniocc.report.plots.curves import over_seeds, read_curve, smoothed
 
 
 def write(folder, version, *lines):

@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 from scipy import stats
 
-from omniocc.report.claims import STUDENT, Claim, Gaps, claim_cells, claims_of
-from omniocc.report.paper_table import load_table
+from omniocc.report.tables.claims import STUDENT, Claim, Gaps, claim_cells, claims_of
+from omniocc.report.tables.paper import load_table
 from omniocc.report.runs import FinishedRun
 
-SKETCH = load_table(Path(__file__).parents[2] / "sweeps" / "sketch.yaml")
+SKETCH = load_table(Path(__file__).parents[3] / "sweeps" / "sketch.yaml")
 
 
 def row(name: str, *values: float) -> list[FinishedRun]:

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from omniocc.report.plots import PLOTS, by_class, by_range, by_share, ranking, training
+from omniocc.report.plots.figures import PLOTS, by_class, by_range, by_share, ranking, training
 from omniocc.report.runs import FinishedRun, by_row, read_runs
-from omniocc.report.svg import as_svg
+from omniocc.report.plots.svg import as_svg
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,7 @@ import subprocess
 import pytest
 from filelock import FileLock
 
-from omniocc.report.upload import log_report, main, waiting
+from omniocc.report.wandb.upload import log_report, main, waiting
 from omniocc.run.wandb.wandb_file import files_of, history, records
 
 
@@ -25,13 +25,13 @@ def test_runs_stages_and_what_a_resumed_run_adds_wait(tmp_path):
 
 def test_a_run_in_progress_is_left_alone(tmp_path):
     run = offline_run(tmp_path / "mono-1")
-    with FileLock(run.parents[2] / ".lock"):
+    with FileLock(run.parents[3] / ".lock"):
         assert waiting(tmp_path) == []
     assert waiting(tmp_path) == [run]
 
 
 def test_without_a_login_there_is_one_clear_line(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("omniocc.report.upload.logged_in", lambda: False)
+    monkeypatch.setattr("omniocc.report.wandb.upload.logged_in", lambda: False)
     main(["--runs", str(tmp_path)])
     assert "nothing waits for upload" in capsys.readouterr().out
     offline_run(tmp_path / "mono-1")
@@ -40,10 +40,10 @@ def test_without_a_login_there_is_one_clear_line(tmp_path, monkeypatch, capsys):
 
 
 def test_all_files_go_to_wandb_in_one_command(tmp_path, monkeypatch):
-    monkeypatch.setattr("omniocc.report.upload.logged_in", lambda: True)
+    monkeypatch.setattr("omniocc.report.wandb.upload.logged_in", lambda: True)
     calls = []
     run = lambda command, check: calls.append(command) or subprocess.CompletedProcess(command, 3)  # noqa: E731
-    monkeypatch.setattr("omniocc.report.upload.subprocess.run", run)
+    monkeypatch.setattr("omniocc.report.wandb.upload.subprocess.run", run)
     files = [offline_run(tmp_path / "a-1"), offline_run(tmp_path / "b-2")]
     with pytest.raises(SystemExit) as error:
         main(["--runs", str(tmp_path)])

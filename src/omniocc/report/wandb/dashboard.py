@@ -1,4 +1,4 @@
-"""The W&B dashboard as code: `python -m omniocc.report.dashboard` saves it to a project.
+"""The W&B dashboard as code: `python -m omniocc.report.wandb.dashboard` saves it to a project.
 
 Everything it shows is logged by the runs themselves; `KEYS` are tested against a run.
 """
