@@ -8,7 +8,8 @@ from fake_sweep import PICTURE, parts, save_parts
 
 from omniocc.geometry import Cylinder
 from omniocc.report.gallery import gallery
-from omniocc.report.runs import by_row, read_runs
+from omniocc.report.runs import read_runs
+from omniocc.report.selection import by_row
 
 
 def test_every_row_shows_the_same_frame_and_every_grid_its_truth_once(runs):

@@ -6,7 +6,8 @@ import shutil
 
 import yaml
 
-from omniocc.report.runs import by_row, comparable, figures_of_config, read_runs
+from omniocc.report.runs import known_figures, read_runs
+from omniocc.report.selection import by_row, comparable
 
 
 def test_figures_that_the_configuration_decides():

@@ -4,7 +4,8 @@ import math
 import pytest
 
 from omniocc.errors import UserError
-from omniocc.report.runs import read_runs, table_of_runs
+from omniocc.report.runs import read_runs
+from omniocc.report.tables.overview import table_of_runs
 from omniocc.run.results import load_results, save_results
 from omniocc.run.table import as_markdown, per_class, summary
 

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from omniocc.config import compose_plain
-from omniocc.report.runs import FinishedRun, compared
+from omniocc.report.runs import FinishedRun
+from omniocc.report.selection import compared
 
 
 def assign_rows(runs: Sequence[FinishedRun], conf: Path, rows: Sequence[str]) -> list[FinishedRun]:

@@ -22,7 +22,9 @@ from omniocc.report.dataset.table import (
 from omniocc.report.markup import path_between
 from omniocc.report.tables.paper import PaperTable, as_csv, as_latex, as_markdown, is_table, load_table
 from omniocc.report.rows import assign_rows
-from omniocc.report.runs import FinishedRun, by_row, comparable, read_runs, table_of_runs
+from omniocc.report.runs import FinishedRun, read_runs
+from omniocc.report.selection import by_row, comparable
+from omniocc.report.tables.overview import table_of_runs
 from omniocc.run.folder import METRICS
 from omniocc.run.table import markdown
 

@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 from omniocc.report.plots.figures import PLOTS, by_class, by_range, by_share, ranking, training
-from omniocc.report.runs import FinishedRun, by_row, read_runs
+from omniocc.report.runs import FinishedRun, read_runs
+from omniocc.report.selection import by_row
 from omniocc.report.plots.svg import as_svg
 
 

@@ -19,7 +19,8 @@ from omniocc.report.tables.paper import (
     kendall_tau,
     load_table,
 )
-from omniocc.report.runs import VOXELS, FinishedRun, by_row, comparable
+from omniocc.report.runs import VOXELS, FinishedRun
+from omniocc.report.selection import by_row, comparable
 
 SWEEPS = Path(__file__).parents[3] / "sweeps"
 TABLES = [path for path in sorted(SWEEPS.glob("*.yaml")) if is_table(path)]

@@ -5,16 +5,14 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy import stats
 
 from omniocc.report.tables.paper import PaperTable
 from omniocc.report.runs import FinishedRun
 
 RAYIOU, LIDAR = "test/rayiou", "test/lidar/rayiou"
-STUDENT = (12.71, 4.30, 3.18, 2.78, 2.57, 2.45, 2.36, 2.31, 2.26, 2.23)
-"""Standard errors from which on a gap is called found: Student's t, two-sided 95 %, at 1, 2, ... degrees of freedom.
-
-With more it keeps to the last, which is a little strict.
-"""
+CONFIDENCE = 0.95
+"""Two-sided confidence with which a gap must differ from zero to be called found."""
 
 
 class Claim(NamedTuple):
@@ -50,7 +48,7 @@ class Claim(NamedTuple):
         if math.isnan(self.error):
             return f"{'same' if same else 'not the same'} sign (spread unknown)"
         errors = abs(self.here) / self.error if self.error > 1e-9 else math.inf
-        if errors < STUDENT[min(self.freedom, len(STUDENT)) - 1]:
+        if errors < stats.t.ppf((1 + CONFIDENCE) / 2, self.freedom):
             return f"cannot be told apart ({errors:.1f})"
         return f"{'holds' if same else 'opposite'} ({errors:.1f})"
 

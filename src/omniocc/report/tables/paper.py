@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import yaml
+from scipy import stats
 
 from omniocc.errors import UserError
 from omniocc.report.runs import VOXELS, FinishedRun
@@ -93,17 +94,6 @@ def figure_of(runs: Sequence[FinishedRun], key: str) -> Figure | None:
     return Figure(statistics.mean(values), statistics.stdev(values) if len(values) > 1 else math.nan, len(values))
 
 
-def kendall_tau(paper: Sequence[float], ours: Sequence[float]) -> float:
-    """Agreement of two orders, 1 for the same, -1 for the opposite (tau-a: ties count as half agreed)."""
-    pairs = [(i, j) for i in range(len(paper)) for j in range(i)]
-    signs = [_sign(paper[i] - paper[j]) * _sign(ours[i] - ours[j]) for i, j in pairs]
-    return sum(signs) / len(pairs) if pairs else math.nan
-
-
-def _sign(value: float) -> int:
-    return (value > 0) - (value < 0)
-
-
 def in_cell(key: str, value: float | None) -> str:
     """One figure as it stands in a table: numbers of voxels short, everything else with three digits."""
     if key != VOXELS or value is None or math.isnan(value):
@@ -149,7 +139,7 @@ def order_line(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> 
     if len(both) < 2:
         return "No order to compare: fewer than two methods have run."
     orders = [" > ".join(entry[0] for entry in sorted(both, key=lambda entry: -entry[place])) for place in (1, 2)]
-    tau = kendall_tau([entry[1] for entry in both], [entry[2] for entry in both])
+    tau = stats.kendalltau([entry[1] for entry in both], [entry[2] for entry in both]).statistic
     title = table.columns[table.order_by]
     same = "the same order here" if orders[0] == orders[1] else f"here {orders[1]}"
     return f"By {title}, the paper says {orders[0]}; {same} (Kendall's tau {tau:.2f})."
