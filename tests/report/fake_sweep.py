@@ -9,7 +9,7 @@ import yaml
 
 from omniocc.classes import CLASSES, FREE
 from omniocc.geometry import Cuboid, Cylinder, Grid
-from omniocc.run.results import save_results
+from omniocc.run.results import CANDIDATES, save_results
 from omniocc.view import SheetParts, comparison_parts, comparison_sheet, save_png
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "data"))
@@ -60,6 +60,9 @@ def write_run(folder: Path, seed: int, rayiou: float, world: FakeWorld, sketch: 
     (folder / "csv" / "version_0" / "metrics.csv").write_text("\n".join(lines) + "\n")
     metrics = figures(rayiou) | ({"test/sketch/share": 0.25, "test/depth/mae": 2.0} if sketch == OMNI else {})
     facts = {"run": folder.name, "seed": seed, "steps": 40, "preset": "tiny", "minutes of training": 1.5}
+    facts |= {"classes": [{"name": entry.name, "rgb": entry.rgb} for entry in CLASSES if entry.id != FREE]}
+    facts |= {"stages": {"depth": 8, "sketch": 5, "occupancy": 40}} if sketch == OMNI else {"stages": {"occupancy": 40}}
+    facts |= {CANDIDATES: 1.0} if sketch == DENSE else {}
     command = f"python src/train.py '+ablation={folder.name}' seed={seed} <&>"
     save_results(folder, metrics, facts | {"command": command, "commit": "abc", "data": world.fingerprint})
 

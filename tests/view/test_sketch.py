@@ -40,5 +40,7 @@ def test_a_sheet_of_any_grid():
         ranges[0] = torch.nan
         images = [np.full((36, 64, 3), 9, np.uint8)] * 6
         panorama = Equirectangular(16, 4, 45.0, -45.0)
-        picture = sketch_sheet(images, truth, chosen, chosen | (truth == 1), geometry, CLASSES, panorama, ranges, "x", 800)
+        picture = sketch_sheet(
+            images, truth, chosen, chosen | (truth == 1), geometry, CLASSES, panorama, ranges, "x", 800
+        )
         assert picture.shape[1:] == (800, 3)

@@ -1,12 +1,14 @@
 """All finished runs of a folder: what each recorded of itself."""
 
 import math
+import os
 import re
 import sys
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
+from urllib.parse import quote
 
 import yaml
 
@@ -115,3 +117,8 @@ def grid_name(config: Mapping[str, Any]) -> str:
     """Return kind and shape of the grid that a run predicts, for example `cylinder 64x100x8`."""
     shape = config.get("model", {}).get("geometry", {}).get("shape", [])
     return f"{grid_kind(config)} {'x'.join(map(str, shape))}".strip()
+
+
+def path_between(start: Path, target: Path) -> str:
+    """Return the link to a file or folder from a page in the folder `start`."""
+    return quote(os.path.relpath(target.resolve(), start.resolve()))

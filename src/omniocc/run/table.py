@@ -14,7 +14,7 @@ EXPLANATION = (
 
 
 def summary(metrics: Mapping[str, float]) -> tuple[list[str], list[list[str]]]:
-    """Return head and rows of the overview: RayIoU, its distance bands, RayIoU against LiDAR rays, voxel IoU and mIoU."""
+    """Return head and rows of the overview: RayIoU, by distance and against LiDAR rays, voxel IoU and mIoU."""
     bands = band_keys(metrics)
     columns = ["rayiou", *bands, "lidar/rayiou", "voxel/iou", "voxel/miou"]
     head = [

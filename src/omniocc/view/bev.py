@@ -29,9 +29,7 @@ ERRORS: tuple[tuple[str, Rgb], ...] = (
 )
 
 
-def bev(
-    labels: UInt8[Tensor, "X Y Z"], geometry: Grid, classes: Sequence[SemanticClass], size_px: int
-) -> np.ndarray:
+def bev(labels: UInt8[Tensor, "X Y Z"], geometry: Grid, classes: Sequence[SemanticClass], size_px: int) -> np.ndarray:
     """Return a square image of the whole grid, each column in the colour of its topmost occupied cell."""
     columns = topmost(labels)
     colors = palette_of(classes)[columns]

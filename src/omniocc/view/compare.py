@@ -49,7 +49,9 @@ def comparison(
         caption: a line at the top.
         width_px: of the sheet.
     """
-    return comparison_sheet(comparison_parts(images, truth, prediction, geometry, classes, width_px), classes, caption, width_px)
+    return comparison_sheet(
+        comparison_parts(images, truth, prediction, geometry, classes, width_px), classes, caption, width_px
+    )
 
 
 def comparison_parts(

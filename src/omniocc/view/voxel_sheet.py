@@ -108,9 +108,7 @@ def _panoramas(
     return [*rows, ranges, range_bar(width), legend([("no answer", NO_ANSWER)], width)]
 
 
-def _whole(
-    named: dict[str, Tensor], geometry: Grid, classes: Sequence[SemanticClass], width: int
-) -> list[np.ndarray]:
+def _whole(named: dict[str, Tensor], geometry: Grid, classes: Sequence[SemanticClass], width: int) -> list[np.ndarray]:
     """The voxels from behind and from above."""
     half, third = column_width(width, 2), column_width(width, 3)
     if len(named) == 1:

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from omniocc.report.plots.figures import PLOTS, by_class, by_range, by_share, ranking, training
+from omniocc.report.plots.figures import PLOTS, by_candidates, by_class, by_range, ranking, training
+from omniocc.report.plots.svg import as_svg
 from omniocc.report.runs import FinishedRun, read_runs
 from omniocc.report.selection import by_row
-from omniocc.report.plots.svg import as_svg
 
 
 @pytest.fixture(scope="module")
@@ -45,13 +45,21 @@ def test_ranking_is_by_mean_with_a_dot_for_each_seed(rows):
     assert sorted(map(len, dots)) == [1, 1, 2]
 
 
-def test_shares_of_candidates_and_curves(rows):
-    (axes,) = by_share(rows).axes
+def test_fractions_of_candidates_and_curves(rows):
+    (axes,) = by_candidates(rows).axes
     points = {(float(line.get_xdata()[0]), round(float(line.get_ydata()[0]), 3)) for line in axes.lines}
     assert {(0.25, 0.32), (1.0, 0.2), (0.25, 0.1)} <= points
     validation, loss = training(rows).axes
     assert [value for line in validation.lines for value in line.get_ydata()] == pytest.approx([0.32, 0.2, 0.1])
     assert list(loss.lines[0].get_xdata()) == [0, 10, 20, 30]
+
+
+def test_classes_are_those_of_the_runs():
+    figures = {"test/rayiou/tree": 0.5, "test/rayiou/car": 0.25, "test/rayiou/bus": 0.1}
+    upper, lower = by_class({"mine": [FinishedRun("mine-00000001", {}, figures, Path("nowhere"))]}).axes
+    names = [[label.get_text() for label in axes.get_xticklabels()] for axes in (upper, lower)]
+    assert names == [["tree", "car"], ["bus"]]
+    assert heights(upper) == pytest.approx([0.5, 0.25])
 
 
 def test_nothing_to_draw():

@@ -54,9 +54,7 @@ def raised_grid(geometry: Grid, height_m: float) -> Grid:
     return replace(geometry, height_m=(low + height_m, high + height_m))
 
 
-def write_mesh(
-    folder: Path, labels: UInt8[Tensor, "X Y Z"], geometry: Grid, classes: Sequence[SemanticClass]
-) -> None:
+def write_mesh(folder: Path, labels: UInt8[Tensor, "X Y Z"], geometry: Grid, classes: Sequence[SemanticClass]) -> None:
     """Writes `voxels.ply`.
 
     Raises:

@@ -1,4 +1,4 @@
-"""What can be said about recorded scenes in words and figures."""
+"""Facts on recorded scenes, in words and figures."""
 
 import inspect
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ OTHER_DATASETS = (
 
 
 def facts_of(scenes: Sequence[SceneReader], shown: int, geometry: Grid) -> dict[str, str]:
-    """How much there is, `shown` scenes of it on the page, and how it was recorded."""
+    """Return the amount of data, `shown` scenes of it on the page, and how it was recorded, by title."""
     first = scenes[0]
     rig = first.rig
     frames = sum(map(len, scenes))
@@ -44,7 +44,7 @@ def facts_of(scenes: Sequence[SceneReader], shown: int, geometry: Grid) -> dict[
 
 
 def own_row(scenes: Sequence[SceneReader], twins: Sequence[SceneReader | None]) -> tuple[Any, ...]:
-    """Our row of the paper's Table I; any grid can be voted from the points of any scene."""
+    """Return our row of the paper's Table I; voxels of any grid can be voted from the points of any scene."""
     cameras = [camera for scene in (*scenes, *filter(None, twins)) for camera in scene.rig.cameras]
     pinhole = any(isinstance(camera, Pinhole) for camera in cameras)
     fisheye = any(not isinstance(camera, Pinhole) for camera in cameras)
@@ -52,27 +52,27 @@ def own_row(scenes: Sequence[SceneReader], twins: Sequence[SceneReader | None]) 
 
 
 def pinhole_twin(scene: SceneReader) -> SceneReader | None:
-    """The same scene as pinhole cameras saw it, if such a dataset lies in the same folder as the scene's own.
+    """Return the same scene recorded by pinhole cameras, if such a dataset lies beside the scene's own.
 
-    Same street, traffic and light: equal name, theme, seed, weather and code of the world.
+    It has the same street, traffic and light: equal name, theme, seed, weather and code of the world.
     """
     if isinstance(scene.folder, str) or _is_pinhole(scene):
         return None
     for folder in sorted(scene.folder.parent.parent.glob(f"virtual-*/{scene.name}")):
         other = SceneReader(folder)
-        if _is_pinhole(other) and _moments(other) == _moments(scene):
+        if _is_pinhole(other) and _drawn(other) == _drawn(scene):
             return other
     return None
 
 
 def frame_at(scene: SceneReader, time_s: float) -> int | None:
-    """Number of the frame recorded at this time, if there is one."""
+    """Return the number of the frame recorded at this time; None if there is none."""
     at = int(np.abs(scene.time_s - time_s).argmin())
     return at if abs(scene.time_s[at] - time_s) < 1e-6 else None
 
 
 def speed_mps(scene: SceneReader, frame: int) -> float:
-    """From a frame to the next."""
+    """Return the speed between a frame and the next, m/s."""
     if len(scene) < 2:
         return 0.0
     first = min(frame, len(scene) - 2)
@@ -81,28 +81,28 @@ def speed_mps(scene: SceneReader, frame: int) -> float:
 
 
 def light_of(theme: str, seed: int, weather: str) -> Light:
-    """What `omniocc.world.Scene` draws for a scene: sun, sky and air."""
+    """Return sun, sky and air as `omniocc.world.Scene` draws them for a scene."""
     rng = seeding.generator(theme, seed, "light")
     draw_weather(rng)
     return draw_light(weather, rng)
 
 
 def time_of_day(facts: dict[str, Any]) -> str:
-    """In words, with the sun's height; empty for scenes recorded by another version of the world."""
+    """Return the time of day in words, with the sun's elevation; empty for scenes of another version of the world."""
     if facts["recipe"]["world"] != code_fingerprint(Path(inspect.getfile(Scene)).parent):
         return ""
     light = light_of(facts["theme"], facts["seed"], facts["weather"])
     if not light.sun.any():
         return "day, sun hidden"
-    height_deg = float(np.degrees(np.arcsin(light.sun_direction[2])))
-    when = "dusk" if light.lamps else "morning or evening" if height_deg < LOW_SUN_DEG else "day"
-    return f"{when}, sun {height_deg:.0f}° high"
+    elevation_deg = float(np.degrees(np.arcsin(light.sun_direction[2])))
+    when = "dusk" if light.lamps else "morning or evening" if elevation_deg < LOW_SUN_DEG else "day"
+    return f"{when}, sun {elevation_deg:.0f}° high"
 
 
 def _is_pinhole(scene: SceneReader) -> bool:
     return all(isinstance(camera, Pinhole) for camera in scene.rig.cameras)
 
 
-def _moments(scene: SceneReader) -> tuple[Any, ...]:
+def _drawn(scene: SceneReader) -> tuple[Any, ...]:
     facts = scene.meta["facts"]
     return (facts["theme"], facts["seed"], facts["weather"], facts["recipe"]["world"])

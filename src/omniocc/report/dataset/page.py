@@ -1,7 +1,6 @@
-"""One web page, without any reference to another file, to browse recorded scenes."""
+"""One web page, without any reference to another file, to browse recorded scenes: `templates/dataset.html.j2`."""
 
 import base64
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ import cv2
 import numpy as np
 
 from omniocc.camera import Rig
-from omniocc.classes import CLASSES, FREE, PALETTE
+from omniocc.classes import FREE, SemanticClass
 from omniocc.data.labels.class_fractions import count_voxels, occupied_percent, spread
 from omniocc.data.labels.voxels import vote
 from omniocc.data.store.codec import decode_frame, decode_image
@@ -26,8 +25,10 @@ from omniocc.report.dataset.facts import (
     speed_mps,
     time_of_day,
 )
+from omniocc.report.template import render
 from omniocc.view.bev import bev
 from omniocc.view.canvas import fitted
+from omniocc.view.palette import palette_of
 from omniocc.view.sheet import AS_SEEN, NAMES
 from omniocc.view.voxels import render_voxels
 from omniocc.world import Frame
@@ -38,18 +39,18 @@ MAX_FRAMES_PER_SCENE = 6
 CAMERA_PX, PANORAMA_PX, BEV_PX, VOXELS_PX = 400, 1200, 480, (854, 480)
 NEAR_M, FAR_M = 1.0, 64.0
 SKY, UNMEASURED = (225, 233, 242), (24, 26, 30)
-TEMPLATE = Path(__file__).with_suffix(".html")
 
 
-def save_page(path: Path, scenes: Sequence[SceneReader], geometry: Grid) -> None:
-    """Writes the page: some frames of each scene, or of evenly spread scenes if there are many.
+def save_page(path: Path, scenes: Sequence[SceneReader], geometry: Grid, classes: Sequence[SemanticClass]) -> None:
+    """Write the page: some frames of each scene, or of evenly spread scenes if there are many.
 
-    Where a pinhole dataset of the same scenes lies beside this one, its images of the same moments are shown too.
+    Where a pinhole dataset of the same scenes lies beside this one, its images at the same times are shown too.
 
     Args:
         path: the .html file.
         scenes: at least one.
         geometry: grid of the voxels that are drawn and counted.
+        classes: names and colours of the labels.
 
     Raises:
         DataError: when a scene is damaged or the disk refuses.
@@ -61,18 +62,22 @@ def save_page(path: Path, scenes: Sequence[SceneReader], geometry: Grid) -> None
     content = {
         "facts": facts_of(scenes, len(shown), geometry),
         "table": [*OTHER_DATASETS, own_row(scenes, twins)],
-        "classes": [{"name": row.name, "rgb": row.rgb} for row in CLASSES if row.id != FREE],
+        "classes": [{"name": row.name, "rgb": row.rgb} for row in classes if row.id != FREE],
         "ours": occupied_percent(np.asarray(counts)),
         "authors": AUTHORS_SHARES,
         "sky": SKY,
-        "scenes": [_scene(scene, twin, per_scene, geometry) for scene, twin in zip(shown, twins, strict=True)],
+        "scenes": [_scene(scene, twin, per_scene, geometry, classes) for scene, twin in zip(shown, twins, strict=True)],
     }
-    # "</" would end the script element
-    plain = json.dumps(content, separators=(",", ":")).replace("</", "<\\/")
-    atomic_write(Path(path), TEMPLATE.read_text("utf-8").replace("__CONTENT__", plain).encode())
+    atomic_write(Path(path), render("dataset.html.j2", {"content": content}))
 
 
-def _scene(scene: SceneReader, twin: SceneReader | None, per_scene: int, geometry: Grid) -> dict[str, Any]:
+def _scene(
+    scene: SceneReader,
+    twin: SceneReader | None,
+    per_scene: int,
+    geometry: Grid,
+    classes: Sequence[SemanticClass],
+) -> dict[str, Any]:
     facts = scene.meta["facts"]
     frames = spread(len(scene), per_scene)
     return {
@@ -83,7 +88,7 @@ def _scene(scene: SceneReader, twin: SceneReader | None, per_scene: int, geometr
         "day": time_of_day(facts),
         "cameras": [_camera_name(scene.rig, k) for k in _order(scene.rig)],
         "pinholes": [_camera_name(twin.rig, k) for k in _order(twin.rig)] if twin else [],
-        "frames": [_frame(scene, at, geometry) | _pinholes(twin, float(scene.time_s[at])) for at in frames],
+        "frames": [_frame(scene, at, geometry, classes) | _pinholes(twin, float(scene.time_s[at])) for at in frames],
     }
 
 
@@ -103,40 +108,47 @@ def _pinholes(twin: SceneReader | None, time_s: float) -> dict[str, Any]:
     return {"pinhole": [_webp(_smaller(decode_image(blob))) for blob in blobs.values()]}
 
 
-def _frame(scene: SceneReader, number: int, geometry: Grid) -> dict[str, Any]:
+def _frame(scene: SceneReader, number: int, geometry: Grid, classes: Sequence[SemanticClass]) -> dict[str, Any]:
     frame = decode_frame(scene.read(number, scene.index["members"]))
-    order = _order(scene.rig)
+    order, palette = _order(scene.rig), palette_of(classes)
     voxels = vote(scene, number, geometry)
-    shares = occupied_percent(np.bincount(voxels.numpy().ravel(), minlength=256)[: len(CLASSES)])
+    percent = occupied_percent(np.bincount(voxels.numpy().ravel(), minlength=256)[: len(classes)])
     return {
         "number": number,
         "time": round(frame.time_s, 3),
         "speed": round(speed_mps(scene, number), 1),
         "actors": len(frame.boxes),
         "rgb": [_webp(_smaller(frame.images[k])) for k in order],
-        "semantic": [_png(_semantics(frame, k)) for k in order],
-        "range": [_webp(range_picture(frame.range_m[k], CAMERA_PX)) for k in order],
-        "panorama": _webp(range_picture(frame.erp_range_m, PANORAMA_PX)),
-        "bev": _png(bev(voxels, geometry, BEV_PX)),
-        "voxels": _webp(render_voxels(voxels, geometry, *VOXELS_PX)),
-        "shares": [round(share, 2) for share in shares.values()],
+        "semantic": [_png(_semantics(frame, k, palette)) for k in order],
+        "range": [_webp(range_image(frame.range_m[k], CAMERA_PX)) for k in order],
+        "panorama": _webp(range_image(frame.erp_range_m, PANORAMA_PX)),
+        "bev": _png(bev(voxels, geometry, classes, BEV_PX)),
+        "voxels": _webp(render_voxels(voxels, geometry, classes, *VOXELS_PX)),
+        "percent": [round(value, 2) for value in percent.values()],
     }
 
 
-def range_picture(range_m: np.ndarray, width: int) -> np.ndarray:
-    """(H, W) metres as colours: the logarithm from 1 m (red) to 64 m (blue); sky pale, no measurement dark."""
+def range_image(range_m: np.ndarray, width: int) -> np.ndarray:
+    """Return an RGB image of ranges.
+
+    Colours follow the logarithm from 1 m (red) to 64 m (blue); sky is pale, no measurement dark.
+
+    Args:
+        range_m: (H, W) metres; inf is sky, nan was not measured.
+        width: width of the image, px.
+    """
     finite = np.isfinite(range_m)
     level = np.log(np.where(finite, range_m, FAR_M).clip(NEAR_M, FAR_M) / NEAR_M) / np.log(FAR_M / NEAR_M)
-    picture = cv2.applyColorMap((245 - 230 * level).astype(np.uint8), cv2.COLORMAP_TURBO)[..., ::-1].copy()
-    picture[np.isposinf(range_m)] = SKY
-    picture[np.isnan(range_m)] = UNMEASURED
+    image = cv2.applyColorMap((245 - 230 * level).astype(np.uint8), cv2.COLORMAP_TURBO)[..., ::-1].copy()
+    image[np.isposinf(range_m)] = SKY
+    image[np.isnan(range_m)] = UNMEASURED
     height = round(range_m.shape[0] * width / range_m.shape[1])
-    return cv2.resize(picture, (width, height), interpolation=cv2.INTER_NEAREST)
+    return cv2.resize(image, (width, height), interpolation=cv2.INTER_NEAREST)
 
 
-def _semantics(frame: Frame, camera: int) -> np.ndarray:
+def _semantics(frame: Frame, camera: int, palette: np.ndarray) -> np.ndarray:
     labels = frame.semantics[camera]
-    colors = PALETTE[labels]
+    colors = palette[labels]
     colors[labels == FREE] = SKY
     width = min(CAMERA_PX, labels.shape[1])
     size = (width, round(labels.shape[0] * width / labels.shape[1]))
@@ -147,15 +159,15 @@ def _smaller(image: np.ndarray) -> np.ndarray:
     return fitted(image, CAMERA_PX) if image.shape[1] > CAMERA_PX else image
 
 
-def _webp(picture: np.ndarray) -> str:
-    return _inline(".webp", "image/webp", picture, [cv2.IMWRITE_WEBP_QUALITY, 80])
+def _webp(image: np.ndarray) -> str:
+    return _inline(".webp", "image/webp", image, [cv2.IMWRITE_WEBP_QUALITY, 80])
 
 
-def _png(picture: np.ndarray) -> str:
-    return _inline(".png", "image/png", picture, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+def _png(image: np.ndarray) -> str:
+    return _inline(".png", "image/png", image, [cv2.IMWRITE_PNG_COMPRESSION, 9])
 
 
-def _inline(kind: str, mime: str, picture: np.ndarray, options: list[int]) -> str:
-    done, data = cv2.imencode(kind, cv2.cvtColor(np.ascontiguousarray(picture), cv2.COLOR_RGB2BGR), options)
+def _inline(kind: str, mime: str, image: np.ndarray, options: list[int]) -> str:
+    done, data = cv2.imencode(kind, cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2BGR), options)
     assert done
     return f"data:{mime};base64,{base64.b64encode(data.tobytes()).decode()}"

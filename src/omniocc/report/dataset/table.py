@@ -1,4 +1,4 @@
-"""The paper's comparison of datasets, with the one that the runs used beside it."""
+"""The paper's comparison of datasets, and the dataset that the runs used as its last row."""
 
 import csv
 import io
@@ -23,7 +23,15 @@ Row = tuple[str, Sequence[bool | int]]
 
 
 class DatasetTable(NamedTuple):
-    """What `sweeps/dataset.yaml` says: titles of the columns by key; name and cells of each dataset."""
+    """A table of datasets, as `sweeps/dataset.yaml` describes it.
+
+    Attributes:
+        name: name of the file.
+        title: title of the table.
+        note: its place in the paper, and inconsistencies of its figures.
+        columns: title of each column, by key.
+        rows: name and cells of each dataset; no cells where they are unknown.
+    """
 
     name: str
     title: str
@@ -33,12 +41,12 @@ class DatasetTable(NamedTuple):
 
 
 def is_dataset_table(path: Path) -> bool:
-    """Whether a file of `sweeps/` compares datasets."""
+    """Return whether a file of `sweeps/` is a table of datasets."""
     return (yaml.safe_load(path.read_text()) or {}).get("kind") == "datasets"
 
 
 def load_dataset_table(path: Path) -> DatasetTable:
-    """Read the table's file.
+    """Return the table that a file describes.
 
     Raises:
         UserError: if a row has another number of cells than there are columns.
@@ -53,7 +61,7 @@ def load_dataset_table(path: Path) -> DatasetTable:
 
 
 def with_ours(table: DatasetTable, runs: Sequence[FinishedRun]) -> DatasetTable:
-    """The table with the row of the dataset that the runs used, if it lies on this machine."""
+    """Return the table with a row for the dataset that the runs used, if it lies on this machine."""
     scenes = scenes_of(runs[0])
     if not scenes:
         return table._replace(rows=[*table.rows, ("here: not on this machine", ())])
@@ -62,10 +70,10 @@ def with_ours(table: DatasetTable, runs: Sequence[FinishedRun]) -> DatasetTable:
 
 
 def scenes_of(run: FinishedRun) -> list[SceneReader]:
-    """All scenes that a run was trained, validated and tested on; none if that very data is not there.
+    """Return all scenes that a run was trained, validated and tested on; none if that very data is not there.
 
-    The code of the world may have changed since: a folder counts if what its scenes say of themselves, together with
-    the run's list of scenes, has the fingerprint that the run wrote down.
+    The code of the world may have changed since: a folder counts if the recipe that its scenes recorded, together with
+    the run's list of scenes, has the fingerprint that the run recorded.
     """
     described: dict[str, Any] = run.config.get("data", {}).get("world", {})
     choices = {key: value for key, value in described.items() if key != "_target_"}
@@ -84,7 +92,7 @@ def scenes_of(run: FinishedRun) -> list[SceneReader]:
 
 
 def facts_of_scenes(scenes: Sequence[SceneReader]) -> str:
-    """How many scenes and frames each split has, in a sentence."""
+    """Return a sentence on how many scenes and frames each split has."""
     parts = []
     for split in SPLITS:
         frames = [len(scene) for scene in scenes if scene.meta["facts"]["split"] == split]
@@ -94,7 +102,7 @@ def facts_of_scenes(scenes: Sequence[SceneReader]) -> str:
 
 
 def dataset_cells(table: DatasetTable) -> tuple[list[str], list[list[str]]]:
-    """Head and rows in text."""
+    """Return head and rows as text."""
     head = ["dataset", *table.columns.values()]
     return head, [[name, *(_cell(cells, k) for k in range(len(table.columns)))] for name, cells in table.rows]
 
@@ -107,12 +115,12 @@ def _cell(cells: Sequence[bool | int], column: int) -> str:
 
 
 def dataset_markdown(table: DatasetTable) -> str:
-    """The table with its title and note."""
+    """Return the table in Markdown, with its title and note."""
     return f"## {table.title}\n\n{table.note}\n\n{markdown(*dataset_cells(table))}"
 
 
 def dataset_csv(table: DatasetTable) -> str:
-    """One line per dataset."""
+    """Return CSV with a line per dataset."""
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(["dataset", *table.columns])
@@ -122,7 +130,7 @@ def dataset_csv(table: DatasetTable) -> str:
 
 
 def dataset_latex(table: DatasetTable) -> str:
-    """A tabular."""
+    """Return a LaTeX tabular."""
     head, rows = dataset_cells(table)
     lines = [f"% {table.title}", rf"\begin{{tabular}}{{l{'c' * len(table.columns)}}}", r"\toprule"]
     lines += [" & ".join(head) + r" \\", r"\midrule"]

@@ -1,4 +1,4 @@
-"""Training curves out of the CSV files that every run writes."""
+"""Training curves, read from the CSV files that every run writes."""
 
 import csv
 import statistics
@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 
 class Curve(NamedTuple):
-    """Mean, lowest and highest value over seeds at each step that all of them have."""
+    """Mean, lowest and highest value over seeds, at each step that all seeds have."""
 
     steps: list[int]
     mean: list[float]
@@ -17,14 +17,14 @@ class Curve(NamedTuple):
 
 
 def read_curve(folder: Path, key: str) -> dict[int, float]:
-    """Values of a logged metric by optimizer step.
+    """Return the values of a logged metric by optimizer step.
 
-    A run that was resumed has one file for each time it was started; where they overlap, the later one holds, since
-    the run went on from the checkpoint before.
+    A resumed run has one file for each start; where they overlap, the later file counts, since the run continued from
+    an earlier checkpoint.
 
     Args:
-        folder: of the run; without CSV files nothing comes out.
-        key: of the metric, e.g. `val/rayiou`.
+        folder: folder of the run; without CSV files the result is empty.
+        key: key of the metric, e.g. `val/rayiou`.
     """
     curve: dict[int, float] = {}
     for path in sorted(folder.glob("csv/version_*/metrics.csv"), key=lambda path: int(path.parent.name.split("_")[1])):
@@ -37,14 +37,14 @@ def read_curve(folder: Path, key: str) -> dict[int, float]:
 
 
 def over_seeds(curves: Sequence[dict[int, float]]) -> Curve:
-    """Several seeds' curves as one."""
+    """Return the curves of several seeds as one."""
     steps = sorted(set.intersection(*(set(curve) for curve in curves))) if curves else []
     values = [[curve[step] for curve in curves] for step in steps]
     return Curve(steps, [statistics.mean(v) for v in values], [min(v) for v in values], [max(v) for v in values])
 
 
 def smoothed(curve: dict[int, float], window: int = 5) -> dict[int, float]:
-    """Mean of each value and its neighbours, `window` in all and fewer at the ends."""
+    """Return the moving mean over `window` values, fewer at the ends."""
     steps, half = sorted(curve), window // 2
     return {
         step: statistics.mean(curve[near] for near in steps[max(0, k - half) : k + half + 1])

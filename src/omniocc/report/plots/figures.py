@@ -1,6 +1,6 @@
 """Plots of a sweep: one colour per row, means over seeds with one standard deviation.
 
-Every function takes the runs of each row, in the order in which rows are drawn, and says None when there is nothing
+Every function takes the runs of each row, in the order in which rows are drawn, and returns None when there is nothing
 to draw. matplotlib is the extra `plot`.
 """
 
@@ -12,10 +12,10 @@ from matplotlib import colormaps, rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
-from omniocc.classes import CLASSES, FREE
+from omniocc.report.class_colors import names_of
 from omniocc.report.plots.curves import over_seeds, read_curve, smoothed
-from omniocc.report.tables.paper import figure_of
 from omniocc.report.runs import SHARE, FinishedRun
+from omniocc.report.tables.paper import figure_of
 from omniocc.run.table import band_keys
 
 Rows = Mapping[str, Sequence[FinishedRun]]
@@ -43,13 +43,13 @@ WHISKER = {"ecolor": INK, "elinewidth": 1.0, "capsize": 2.0}
 
 
 def colors_of(rows: Rows) -> dict[str, tuple[float, ...]]:
-    """A colour for each row; the first ten are far apart."""
+    """Return a colour for each row; the first ten are easy to tell apart."""
     palette = [*colormaps["tab10"].colors, *colormaps["Dark2"].colors, *colormaps["Set2"].colors]  # type: ignore[attr-defined]
     return {row: palette[k % len(palette)] for k, row in enumerate(rows)}
 
 
 def ranking(rows: Rows) -> Canvas | None:
-    """RayIoU of each row, best on top; a diamond is the score against LiDAR rays, dots are single seeds."""
+    """Draw RayIoU of each row, best on top; a diamond is the score against LiDAR rays, dots are single seeds."""
     figures = {row: figure for row, runs in rows.items() if (figure := figure_of(runs, "test/rayiou"))}
     if not figures:
         return None
@@ -80,7 +80,7 @@ def ranking(rows: Rows) -> Canvas | None:
 
 
 def by_range(rows: Rows) -> Canvas | None:
-    """RayIoU of each row in each distance band."""
+    """Draw RayIoU of each row in each distance band."""
     every = [run for runs in rows.values() for run in runs]
     bands = band_keys(every[0].metrics) if every else []
     if not bands:
@@ -96,46 +96,46 @@ def by_range(rows: Rows) -> Canvas | None:
 
 
 def by_class(rows: Rows) -> Canvas | None:
-    """RayIoU of each row and class, in two lines."""
-    keys = {entry.name: f"test/rayiou/{entry.name}" for entry in CLASSES if entry.id != FREE}
-    if not any(figure_of(runs, key) for runs in rows.values() for key in keys.values()):
+    """Draw RayIoU of each row and class, in two panels."""
+    names = names_of([run for runs in rows.values() for run in runs])
+    if not names:
         return None
-    names = list(keys)
+    half = (len(names) + 1) // 2
     with rc_context(STYLE):
         canvas = Canvas(figsize=(8.6, 5.6), layout="constrained")
         upper, lower = canvas.subplots(2, 1)
-        for axes, part in ((upper, names[:6]), (lower, names[6:])):
-            _grouped(axes, rows, {name: keys[name] for name in part})
+        for axes, part in ((upper, names[:half]), (lower, names[half:])):
+            _grouped(axes, rows, {name: f"test/rayiou/{name}" for name in part})
             axes.set_ylabel("RayIoU")
         lower.set_xlabel(f"class{_whiskers(rows)}")
         _legend(canvas, upper, rows)
     return canvas
 
 
-def by_share(rows: Rows) -> Canvas | None:
-    """RayIoU against the share of voxels that are candidates."""
+def by_candidates(rows: Rows) -> Canvas | None:
+    """Draw RayIoU against the fraction of voxels that are candidates."""
     points = {row: (figure_of(runs, SHARE), figure_of(runs, "test/rayiou")) for row, runs in rows.items()}
-    if not any(share and score for share, score in points.values()):
+    if not any(fraction and score for fraction, score in points.values()):
         return None
     colors = colors_of(rows)
     with rc_context(STYLE):
         canvas = Canvas(figsize=(8.6, 3.8), layout="constrained")
         axes = canvas.subplots()
-        for row, (share, score) in points.items():
-            if share and score:
-                xerr, yerr = (0.0 if math.isnan(figure.spread) else figure.spread for figure in (share, score))
-                label = f"{row} ({100 * share.mean:.0f} %, {score.mean:.3f})"
-                axes.errorbar(share.mean, score.mean, yerr, xerr, fmt="none", **WHISKER)
-                axes.plot(share.mean, score.mean, "o", markersize=8, color=colors[row], label=label)
+        for row, (fraction, score) in points.items():
+            if fraction and score:
+                xerr, yerr = (0.0 if math.isnan(figure.spread) else figure.spread for figure in (fraction, score))
+                label = f"{row} ({100 * fraction.mean:.0f} %, {score.mean:.3f})"
+                axes.errorbar(fraction.mean, score.mean, yerr, xerr, fmt="none", **WHISKER)
+                axes.plot(fraction.mean, score.mean, "o", markersize=8, color=colors[row], label=label)
         axes.set_xlim(0, 1.05)
-        axes.set_xlabel("candidates, share of all voxels")
+        axes.set_xlabel("candidates, fraction of all voxels")
         axes.set_ylabel("RayIoU")
         canvas.legend(loc="outside right upper", fontsize=9)
     return canvas
 
 
 def training(rows: Rows) -> Canvas | None:
-    """RayIoU on validation streets and the training loss over the steps; the band goes from lowest to highest seed."""
+    """Draw validation RayIoU and training loss over the steps; the band spans the lowest to the highest seed."""
     colors = colors_of(rows)
     with rc_context(STYLE):
         canvas = Canvas(figsize=(8.6, 3.6), layout="constrained")
@@ -160,14 +160,14 @@ PLOTS = {
     "ranking": ("Every row", ranking),
     "range": ("By distance", by_range),
     "class": ("By class", by_class),
-    "share": ("RayIoU against candidates", by_share),
+    "candidates": ("RayIoU against candidates", by_candidates),
     "training": ("Training curves", training),
 }
 """Title and function of every plot, by the name of its file."""
 
 
 def _grouped(axes: Axes, rows: Rows, keys: Mapping[str, str]) -> None:
-    """Bars of all rows beside one another, for each of some metrics."""
+    """Draw bars of all rows beside one another, for each metric."""
     colors, width = colors_of(rows), 0.84 / max(len(rows), 1)
     for k, (row, runs) in enumerate(rows.items()):
         places = [group - 0.42 + (k + 0.5) * width for group in range(len(keys))]

@@ -1,4 +1,4 @@
-"""matplotlib's figures as SVG that stands inside a page: its fonts, its colours in light and dark, ids of its own."""
+"""matplotlib's figures as SVG inside a page: with the page's fonts, its light and dark colours, and unique ids."""
 
 import io
 import re
@@ -9,16 +9,16 @@ from matplotlib.figure import Figure
 from omniocc.report.plots.figures import INK, LINE, STYLE
 
 SMALLEST, LARGEST = 0.65, 1.5
-"""How far a page may scale a plot; below that, it scrolls."""
+"""Range in which a page may scale a plot; where there is less room, the plot scrolls."""
 
 
 def as_svg(figure: Figure, name: str, title: str) -> str:
-    """An `<svg>` element.
+    """Return a figure as an `<svg>` element.
 
     Args:
-        figure: whose text is drawn in `INK` and whose lines are drawn in `LINE`.
-        name: goes before every id, so that several figures can stand in one page.
-        title: what the picture shows, for readers of screens.
+        figure: a figure with text in `INK` and lines in `LINE`.
+        name: prefix of every id, so that several figures can be in one page.
+        title: description for screen readers; goes into the markup as it is.
     """
     buffer = io.StringIO()
     with rc_context(STYLE):

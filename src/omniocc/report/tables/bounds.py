@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from omniocc.report.runs import FinishedRun, grid_name
 from omniocc.run.table import number
 
+TITLE = "Baseline and upper bound"
 NOTE = (
     "prior, the baseline: the most frequent training class of every voxel, which needs no image. label, the upper "
     "bound: the true voxels; against LiDAR rays no prediction on this grid can score more."

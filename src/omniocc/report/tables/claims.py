@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from omniocc.report.tables.paper import PaperTable
 from omniocc.report.runs import FinishedRun
+from omniocc.report.tables.paper import PaperTable
 
 RAYIOU, LIDAR = "test/rayiou", "test/lidar/rayiou"
 CONFIDENCE = 0.95
@@ -19,11 +19,11 @@ class Claim(NamedTuple):
     """How much better the paper's best method of a table is than another one.
 
     Attributes:
-        title: of the other method.
-        paper: the gap there.
-        here: the gap here, see `Gaps`; nan if no seed connects the two.
-        error: its standard error; nan as long as no method has two seeds.
-        freedom: degrees of freedom of the spread behind it.
+        title: title of the other method.
+        paper: gap in the paper.
+        here: gap here, as `Gaps` estimates it; nan if no seed connects the two methods.
+        error: standard error of `here`; nan as long as no method has two seeds.
+        freedom: degrees of freedom of the error.
     """
 
     title: str
@@ -34,14 +34,14 @@ class Claim(NamedTuple):
 
     @property
     def gap(self) -> str:
-        """What was measured, with its standard error."""
+        """Return the measured gap with its standard error."""
         if math.isnan(self.here):
             return "–"
         return f"{self.here:+.3f}" + ("" if math.isnan(self.error) else f" ± {self.error:.3f}")
 
     @property
     def verdict(self) -> str:
-        """In words, with the number of standard errors; a sign alone where the spread over seeds is unknown."""
+        """Return whether the claim holds, with the number of standard errors; by sign alone where those are unknown."""
         if math.isnan(self.here):
             return "no seed in common"
         same = self.paper * self.here > 0
@@ -54,19 +54,19 @@ class Claim(NamedTuple):
 
 
 class Gaps:
-    """How far rows lie apart in one metric, the luck of seeds taken out.
+    """Differences between rows in one metric, with the effect of the seed removed.
 
-    A figure is taken to be the sum of what its row, its seed and chance contribute (least squares over all runs), since
-    rows share depth, sketch and order of samples of a seed. Of two rows with the same seeds this is the paired t-test;
-    a row that lacks a seed is compared on those it has. Chance is taken to be of one size in all rows: two or three
-    seeds say little about one row alone.
+    A figure is modelled as the sum of an effect of its row, an effect of its seed and noise (least squares over all
+    runs), since rows share depth, sketch and order of samples of a seed. For two rows with the same seeds this is the
+    paired t-test; a row that lacks a seed is compared on those it has. The noise has one variance in all rows, because
+    two or three seeds are too few to estimate it for each.
 
     Args:
         rows: the runs of each row.
-        key: of the metric; runs without it do not count.
+        key: key of the metric; runs without it do not count.
 
     Attributes:
-        freedom: degrees of freedom of the spread that is left; 0 if no row has a second seed.
+        freedom: degrees of freedom of the noise; 0 if no row has a second seed.
     """
 
     def __init__(self, rows: Mapping[str, Sequence[FinishedRun]], key: str):
@@ -90,11 +90,11 @@ class Gaps:
         self._spread = math.sqrt(left / self.freedom) if self.freedom else math.nan
 
     def has(self, row: str) -> bool:
-        """Whether the row has a figure."""
+        """Return whether the row has a figure."""
         return ("row", row) in self._place
 
     def between(self, better: str, other: str) -> tuple[float, float]:
-        """Gap between two rows and its standard error, which is nan where nothing is known of the spread.
+        """Return the gap between two rows and its standard error, which is nan where no row has two seeds.
 
         Both are nan if a row has not run, or the rows have no seeds in common, directly or by way of others.
         """
@@ -102,19 +102,19 @@ class Gaps:
             return math.nan, math.nan
         contrast = np.zeros(len(self._place))
         contrast[self._place["row", better]], contrast[self._place["row", other]] = 1, -1
-        shares = contrast @ self._inverse
-        if not np.allclose(shares @ self._design, contrast):
+        weights = contrast @ self._inverse
+        if not np.allclose(weights @ self._design, contrast):
             return math.nan, math.nan
-        return float(contrast @ self._effects), self._spread * math.sqrt(float(shares @ shares))
+        return float(contrast @ self._effects), self._spread * math.sqrt(float(weights @ weights))
 
 
 def claims_of(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]], key: str) -> list[Claim]:
-    """The gaps of a table that can be looked at here.
+    """Return the paper's gaps of a table between methods that have run here.
 
     Args:
-        table: gives the paper's gaps, in the metric that it is ordered by.
-        runs: of each row, also of those that are not in the table: they tell about the spread.
-        key: of the metric that is compared here.
+        table: table with the paper's gaps, in the metric that it is ordered by.
+        runs: runs of each row; rows that are not in the table help to estimate the noise.
+        key: key of the metric that is compared here.
     """
     gaps = Gaps(runs, key)
     printed = [(row, value) for row in table.rows if (value := row.paper[table.order_by]) is not None]
@@ -129,7 +129,7 @@ def claims_of(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]], key:
 
 
 def claim_cells(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> tuple[list[str], list[list[str]]]:
-    """Head and rows of a table of claims; also against LiDAR rays, where the paper's metric is RayIoU."""
+    """Return head and rows of a table of claims; also against LiDAR rays, where the paper's metric is RayIoU."""
     claims = claims_of(table, runs, table.order_by)
     lidar = claims_of(table, runs, LIDAR) if table.order_by == RAYIOU else []
     head = ["best of the paper is ahead of", "paper", "here ± standard error", "claim (standard errors)"]

@@ -17,7 +17,7 @@ from omniocc.run.table import markdown, number
 
 
 class PaperRow(NamedTuple):
-    """A method: the run's name, its title, the paper's figures by column."""
+    """A method: its row, its title, the paper's figures by column."""
 
     run: str
     title: str
@@ -25,15 +25,15 @@ class PaperRow(NamedTuple):
 
 
 class PaperTable(NamedTuple):
-    """What `sweeps/<table>.yaml` says.
+    """A table of the paper, as `sweeps/<table>.yaml` describes it.
 
     Attributes:
-        name: of the file.
-        title: of the table.
-        columns: title of each metric's key.
+        name: name of the file.
+        title: title of the table.
+        columns: title of each metric, by key.
         order_by: key of the metric that decides which method is better.
         rows: methods in the paper's order.
-        note: where in the paper it stands, and what is odd about it.
+        note: its place in the paper, and inconsistencies of its figures.
         number: its number in the paper.
     """
 
@@ -55,10 +55,10 @@ class Figure(NamedTuple):
 
 
 def load_table(path: Path) -> PaperTable:
-    """Read a table's file.
+    """Return the table that a file describes.
 
     Raises:
-        UserError: if it lacks something, or a row has another number of figures than there are columns.
+        UserError: if a key is missing, or a row has another number of figures than there are columns.
     """
     content = yaml.safe_load(path.read_text())
     try:
@@ -75,7 +75,7 @@ def load_table(path: Path) -> PaperTable:
 
 
 def is_table(path: Path) -> bool:
-    """Whether a file of `sweeps/` is a table (others are sweeps of W&B)."""
+    """Return whether a file of `sweeps/` is a table of methods."""
     return "order_by" in (yaml.safe_load(path.read_text()) or {})
 
 
@@ -87,7 +87,7 @@ def _by_column(columns: Mapping[str, str], row: Mapping[str, Any], run: str) -> 
 
 
 def figure_of(runs: Sequence[FinishedRun], key: str) -> Figure | None:
-    """Of one metric over the seeds of one method; None where it was not measured."""
+    """Return mean and spread of a metric over the seeds of a method; None where it was not measured."""
     values = [value for run in runs if (value := run.metrics.get(key)) is not None and not math.isnan(value)]
     if not values:
         return None
@@ -95,19 +95,19 @@ def figure_of(runs: Sequence[FinishedRun], key: str) -> Figure | None:
 
 
 def in_cell(key: str, value: float | None) -> str:
-    """One figure as it stands in a table: numbers of voxels short, everything else with three digits."""
+    """Return a figure for a table: numbers of voxels abbreviated, everything else with three decimals."""
     if key != VOXELS or value is None or math.isnan(value):
         return number(value)
     return f"{value / 1e6:.2f}M" if value >= 1e5 else f"{value / 1e3:.0f}k"
 
 
 def rows_of(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> list[tuple[PaperRow, list[Figure | None]]]:
-    """Our figures of each row, by column."""
+    """Return every row with our figures by column."""
     return [(row, [figure_of(runs.get(row.run, []), key) for key in table.columns]) for row in table.rows]
 
 
 def as_markdown(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> str:
-    """Two lines a method, the paper's and ours; below, what both say about the order."""
+    """Return two lines a method, the paper's and ours, and below the order of the methods in both."""
     lines = []
     for row, figures in rows_of(table, runs):
         if has_paper(row):
@@ -119,18 +119,21 @@ def as_markdown(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) ->
 
 
 def has_paper(row: PaperRow) -> bool:
-    """Whether the paper has any figure of this method."""
+    """Return whether the paper has any figure of this method."""
     return any(value is not None for value in row.paper.values())
 
 
 def source_of(figures: Sequence[Figure | None]) -> str:
-    """What our line of a method is the mean of."""
+    """Return over how many seeds our line of a method is the mean."""
     seeds = max((figure.seeds for figure in figures if figure is not None), default=0)
     return f"here, {seeds} seed{'s' * (seeds > 1)}" if seeds else "here: not run"
 
 
 def order_line(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> str:
-    """The paper's order and ours, and Kendall's tau between them, of the methods that have both figures."""
+    """Return a sentence with the paper's order and ours, and Kendall's tau between them.
+
+    It covers the methods that have both figures; of equal figures tau-b is taken.
+    """
     both = []
     for row in table.rows:
         figure, paper = figure_of(runs.get(row.run, []), table.order_by), row.paper[table.order_by]
@@ -146,7 +149,7 @@ def order_line(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> 
 
 
 def as_csv(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> str:
-    """One line per method and column."""
+    """Return CSV with a line per method and column."""
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(["row", "method", "metric", "paper", "mean", "standard_deviation", "seeds"])
@@ -160,7 +163,7 @@ def as_csv(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> str:
 
 
 def as_latex(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> str:
-    """A tabular; the paper's figure in brackets behind ours."""
+    """Return a LaTeX tabular, the paper's figure in brackets behind ours."""
     lines = [f"% {table.title}: here (paper)", rf"\begin{{tabular}}{{l{'c' * len(table.columns)}}}", r"\toprule"]
     lines += [" & ".join(["method", *map(_tex, table.columns.values())]) + r" \\", r"\midrule"]
     for row, figures in rows_of(table, runs):
@@ -177,7 +180,7 @@ def _tex(text: str) -> str:
 
 
 def with_spread(key: str, figure: Figure | None) -> str:
-    """Our figure in its cell: mean ± standard deviation over seeds, which numbers of voxels do not have."""
+    """Return our figure for a table: mean ± standard deviation over seeds, which numbers of voxels do not have."""
     if figure is None:
         return in_cell(key, None)
     no_spread = math.isnan(figure.spread) or key == VOXELS
