@@ -1,8 +1,9 @@
 """Report over all finished runs: `python src/report.py [--runs runs] [--sweeps sweeps] [--output runs/report]`.
 
-It has every table of the paper (`sweeps/*.yaml`) as Markdown, CSV and LaTeX, the paper's figures beside ours; plots, the
-same test frames across rows, and one page with all of it; also while a sweep is still running. A run belongs to the row
-of its name (`+ablation=mono` gives `mono-<hash>`), or else to the row whose configuration it has (`make demo`: `ours`).
+Every table of the paper (`sweeps/*.yaml`) is written as Markdown, CSV and LaTeX, the paper's figures beside ours, with
+plots and the same test frames across rows, and all of it in one page; also while a sweep is still running. A run
+belongs to the row of its name (`+ablation=mono` gives `mono-<hash>`), or else to the row whose configuration it has
+(`make demo`: `ours`).
 """
 
 import argparse
@@ -27,9 +28,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--conf", type=Path, default=ROOT / "conf", help="folder of the configuration")
     parser.add_argument("--preset", help="only runs of this preset (default: that of most runs)")
     parser.add_argument("--output", type=Path, help="folder of the report (default: report in the folder of runs)")
-    parser.add_argument(
-        "--docs", type=Path, help="write the tables as Markdown pages of this folder as well (docs/results)"
-    )
+    parser.add_argument("--docs", type=Path, help="write the tables as Markdown pages too, into this folder")
     options = parser.parse_args(arguments)
     sweep = read_sweep(options.runs, options.sweeps, options.conf, options.preset)
     output = options.output or options.runs / "report"
