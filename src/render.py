@@ -9,7 +9,7 @@ import hydra
 import numpy as np
 from omegaconf import DictConfig
 
-from omniocc.classes import CLASSES
+from omniocc.classes import WORLD_CLASSES
 from omniocc.config import build, check, lines_not_tracebacks
 from omniocc.data import DataError, SceneReader, VirtualWorld
 from omniocc.data.labels.class_fractions import share_table
@@ -102,7 +102,7 @@ def draw_page(world: VirtualWorld, plans: Sequence[ScenePlan]) -> None:
     if not scenes:
         raise DataError(f"{world.source} has none of the chosen scenes: run without page=true first")
     path = Path(world.folder) / "index.html"
-    save_page(path, scenes, Cylinder(), CLASSES)
+    save_page(path, scenes, Cylinder(), WORLD_CLASSES)
     print(
         f"{path}: {path.stat().st_size / 1e6:.1f} MB, {len(scenes)} scenes"
         + (f", {len(missing)} missing" if missing else "")

@@ -15,7 +15,7 @@ from lightning.pytorch import Trainer, seed_everything
 from lightning.pytorch.callbacks import Callback, ModelCheckpoint
 from omegaconf import DictConfig, OmegaConf
 
-from omniocc.classes import CLASSES, FREE
+from omniocc.classes import FREE, WORLD_CLASSES
 from omniocc.config import build, check_root, lines_not_tracebacks, plain
 from omniocc.data import Extras, OccupancyData
 from omniocc.io import atomic_write
@@ -120,7 +120,7 @@ def facts_of_report(task: Occupancy, data: OccupancyData, before: Stages | None,
     test would have measured it), the fraction of voxels that are candidates.
     """
     stages = {} if before is None else {name: load_results(path)[0]["steps"] for name, path in before.results.items()}
-    classes = [{"name": entry.name, "rgb": entry.rgb} for entry in CLASSES if entry.id != FREE]
+    classes = [{"name": entry.name, "rgb": entry.rgb} for entry in WORLD_CLASSES.rows if entry.id != FREE]
     facts = {"stages": {**stages, "occupancy": steps}, "classes": classes}
     if before is not None:
         return facts

@@ -12,7 +12,7 @@ from fake_scene import FakeWorld
 
 import omniocc
 from omniocc.camera import Rig
-from omniocc.classes import CLASSES
+from omniocc.classes import WORLD_CLASSES
 from omniocc.geometry import Cylinder
 from omniocc.report.dataset.page import SKY, UNMEASURED, range_image, save_page
 from omniocc.world.shares import AUTHORS_SHARES
@@ -79,7 +79,7 @@ def test_the_page_stands_alone(tmp_path):
     world.prepare()
     scenes = [*world.readers("train"), *world.readers("val")]
     scenes[0].meta["facts"]["theme"] = "</script>"
-    save_page(tmp_path / "page.html", scenes, Cylinder(shape=(8, 10, 4)), CLASSES)
+    save_page(tmp_path / "page.html", scenes, Cylinder(shape=(8, 10, 4)), WORLD_CLASSES)
     page = (tmp_path / "page.html").read_text("utf-8")
     own = re.sub(r"data:image/(png|webp);base64,[A-Za-z0-9+/=]+", "", page)
     assert not re.search(r"//[a-z]|<link|@import|url\(|src=\"[^\"]", own)
@@ -111,7 +111,7 @@ def test_the_page_shows_the_pinhole_dataset_beside_it(tmp_path):
     pinholes.prepare()
     world = FakeWorld(tmp_path, scenes=(1, 0, 0))
     world.prepare()
-    save_page(tmp_path / "page.html", world.readers("train"), Cylinder(shape=(8, 10, 4)), CLASSES)
+    save_page(tmp_path / "page.html", world.readers("train"), Cylinder(shape=(8, 10, 4)), WORLD_CLASSES)
     (scene,) = json.loads(
         (tmp_path / "page.html").read_text("utf-8").split("const content = ", 1)[1].split(";\nconst at", 1)[0]
     )["scenes"]

@@ -13,15 +13,15 @@ from omniocc.run.results import CANDIDATES
 
 def test_figures_that_need_no_test():
     config = {"model": {"geometry": {"shape": [64, 100, 8]}}}
-    assert known_figures({CANDIDATES: 0.25}, config) == {"voxels": 51_200.0, "test/sketch/share": 0.25}
-    assert known_figures({CANDIDATES: 1.0}, {}) == {"test/sketch/share": 1.0, "test/sketch/recall": 1.0}
+    assert known_figures({CANDIDATES: 0.25}, config) == {"voxels": 51_200.0, "test/sketch/fraction": 0.25}
+    assert known_figures({CANDIDATES: 1.0}, {}) == {"test/sketch/fraction": 1.0, "test/sketch/recall": 1.0}
     assert known_figures({}, {}) == {}
 
 
 def test_measured_figures_win_over_configured_ones(runs):
     by_name = {run.name: run for run in read_runs(runs)}
-    assert by_name["ours-00000001"].metrics["test/sketch/share"] == 0.25
-    assert by_name["dense-00000001"].metrics["test/sketch/share"] == 1.0
+    assert by_name["ours-00000001"].metrics["test/sketch/fraction"] == 0.25
+    assert by_name["dense-00000001"].metrics["test/sketch/fraction"] == 1.0
     assert by_name["cuboid-00000001"].metrics["voxels"] == 256.0
 
 

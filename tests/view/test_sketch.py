@@ -2,7 +2,7 @@ import numpy as np
 import torch
 
 from omniocc.camera import Equirectangular
-from omniocc.classes import CLASSES
+from omniocc.classes import WORLD_CLASSES
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.view import sketch_sheet
 from omniocc.view.bev import EMPTY, MISSED
@@ -41,6 +41,6 @@ def test_a_sheet_of_any_grid():
         images = [np.full((36, 64, 3), 9, np.uint8)] * 6
         panorama = Equirectangular(16, 4, 45.0, -45.0)
         picture = sketch_sheet(
-            images, truth, chosen, chosen | (truth == 1), geometry, CLASSES, panorama, ranges, "x", 800
+            images, truth, chosen, chosen | (truth == 1), geometry, WORLD_CLASSES, panorama, ranges, "x", 800
         )
         assert picture.shape[1:] == (800, 3)

@@ -3,7 +3,7 @@ import pytest
 import torch
 
 from omniocc.camera import Equirectangular, Rig
-from omniocc.classes import CLASSES
+from omniocc.classes import WORLD_CLASSES
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.view.voxel_sheet import SeenRange, as_seen, columns_of, occupancy_sheet
 
@@ -39,7 +39,7 @@ def test_sheets_of_any_rig_with_and_without_truth_and_ranges(name, geometry):
     labels = torch.randint(0, 12, geometry.shape, dtype=torch.uint8)
     heights = []
     for seen, truth in ((None, None), (SEEN, None), (SEEN, labels.roll(1, 0)), (None, torch.full_like(labels, 255))):
-        sheet = occupancy_sheet(images, rig, labels, geometry, CLASSES, seen, truth, "x", width_px=700)
+        sheet = occupancy_sheet(images, rig, labels, geometry, WORLD_CLASSES, seen, truth, "x", width_px=700)
         assert sheet.shape[1:] == (700, 3)
         heights.append(len(sheet))
     assert heights[0] < heights[1] < heights[2]

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from torch import Tensor
 
-from omniocc.classes import CLASSES
+from omniocc.classes import WORLD_CLASSES
 from omniocc.data.labels.voxels import Unknown
 from omniocc.data.progress import FrameProgress, clock
 from omniocc.metric import VoxelIoU
@@ -121,14 +121,21 @@ class Job:
         folder.mkdir(parents=True, exist_ok=True)
         own = raised_grid(geometry, drive.origin_z_m)
         if self.mesh:
-            write_mesh(folder, answer.labels, own, CLASSES)
+            write_mesh(folder, answer.labels, own, WORLD_CLASSES)
         if self.picture:
             panorama, caption = self.predictor.panorama, f"{drive.name} {drive.moments[moment]}".strip()
             missing = f", without {', '.join(self.predictor.without)}" * bool(self.predictor.without)
             seen = None if panorama is None or answer.range_m is None else SeenRange(panorama, answer.range_m)
             voxels = None if truth is None else truth.voxels
             sheet = occupancy_sheet(
-                images, drive.rig, answer.labels, geometry, CLASSES, seen, voxels, f"{caption}{missing}".lstrip(", ")
+                images,
+                drive.rig,
+                answer.labels,
+                geometry,
+                WORLD_CLASSES,
+                seen,
+                voxels,
+                f"{caption}{missing}".lstrip(", "),
             )
             save_png(folder / PICTURE, sheet)
         poses = drive.world_from_ego

@@ -17,7 +17,7 @@ from omniocc.run.folder import METRICS
 from omniocc.run.results import CANDIDATES, load_results
 
 HASH = re.compile(r"-[0-9a-f]{8}(-\d+)?$")
-SHARE, RECALL, VOXELS = "test/sketch/share", "test/sketch/recall", "voxels"
+FRACTION, RECALL, VOXELS = "test/sketch/fraction", "test/sketch/recall", "voxels"
 
 
 class FinishedRun(NamedTuple):
@@ -103,7 +103,7 @@ def known_figures(facts: Mapping[str, Any], config: Mapping[str, Any]) -> dict[s
     if shape := config.get("model", {}).get("geometry", {}).get("shape"):
         figures[VOXELS] = float(math.prod(shape))
     if (fraction := facts.get(CANDIDATES)) is not None:
-        figures[SHARE] = float(fraction)
+        figures[FRACTION] = float(fraction)
         figures |= {RECALL: 1.0} if fraction == 1 else {}  # every voxel is a candidate, so none is missed
     return figures
 

@@ -1,9 +1,11 @@
 """Tables of one run: the model between its baseline and its upper bound. Names of classes are those of its figures."""
 
 import math
+import re
 from collections.abc import Mapping
 
 BY_CLASS = "test/rayiou/"
+BAND = re.compile(r"_([\d.]+-[\d.]+m)$")
 
 ROWS = {"test": "model", "prior": "prior (baseline)", "label": "label (upper bound)"}
 EXPLANATION = (
@@ -40,6 +42,12 @@ def class_names(metrics: Mapping[str, float]) -> list[str]:
     return [key.removeprefix(BY_CLASS) for key in metrics if key.startswith(BY_CLASS)]
 
 
+def band_names(metrics: Mapping[str, float]) -> list[str]:
+    """Return the distance bands `<lo>-<hi>m` of any figure of a run's test, nearest first."""
+    found = {match[1] for key in metrics if key.startswith("test/") and (match := BAND.search(key))}
+    return sorted(found, key=_lower_edge)
+
+
 def per_class(metrics: Mapping[str, float]) -> tuple[list[str], list[list[str]]]:
     """Return head and rows of RayIoU by class: model and baseline, and both with the upper bound on LiDAR rays."""
     columns = [
@@ -72,7 +80,7 @@ DEPTH_COLUMNS = {
     "index>3": "> 3 %",
     "index>5": "> 5 %",
 }
-SKETCH_COLUMNS = {"recall": "recall", "precision": "precision", "share": "fraction"}
+SKETCH_COLUMNS = {"recall": "recall", "precision": "precision", "fraction": "fraction"}
 DEPTH_EXPLANATION = (
     "Errors of range over the test panoramas, on every ray with a true range; index: error in percent of the spheres."
 )

@@ -1,17 +1,14 @@
 """Bird's-eye views: forward is up, left is left."""
 
-from collections.abc import Sequence
-
 import cv2
 import numpy as np
 import torch
 from jaxtyping import UInt8
 from torch import Tensor
 
-from omniocc.classes import FREE, UNKNOWN, SemanticClass
+from omniocc.classes import FREE, UNKNOWN, ClassTable
 from omniocc.geometry import Grid
 from omniocc.view.canvas import Rgb
-from omniocc.view.palette import palette_of
 
 OUTSIDE: Rgb = (255, 255, 255)
 EMPTY: Rgb = (238, 240, 243)
@@ -29,10 +26,10 @@ ERRORS: tuple[tuple[str, Rgb], ...] = (
 )
 
 
-def bev(labels: UInt8[Tensor, "X Y Z"], geometry: Grid, classes: Sequence[SemanticClass], size_px: int) -> np.ndarray:
+def bev(labels: UInt8[Tensor, "X Y Z"], geometry: Grid, classes: ClassTable, size_px: int) -> np.ndarray:
     """Return a square image of the whole grid, each column in the colour of its topmost occupied cell."""
     columns = topmost(labels)
-    colors = palette_of(classes)[columns]
+    colors = classes.palette[columns]
     colors[columns == FREE] = EMPTY
     return draw_columns(colors, geometry, size_px)
 

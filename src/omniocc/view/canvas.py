@@ -6,6 +6,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from omniocc.classes import FREE, ClassTable
+
 Rgb = tuple[int, int, int]
 
 FONT = cv2.FONT_HERSHEY_DUPLEX
@@ -78,6 +80,11 @@ def legend(entries: list[tuple[str, Rgb]], width: int, height_px: int = 10) -> n
             cv2.rectangle(canvas, (start, top - 1), (start + swatch - 1, top + height_px), (190, 190, 190), 1)
             write(canvas, name, start + swatch + height_px // 2, top + height_px, height_px)
     return canvas
+
+
+def class_legend(classes: ClassTable, width: int) -> np.ndarray:
+    """Return a legend with names and colours of all classes but free."""
+    return legend([(row.name, row.rgb) for row in classes.rows if row.id != FREE], width)
 
 
 def _scale(height_px: int) -> float:

@@ -1,17 +1,15 @@
 """One sheet per frame: what the cameras saw, true beside predicted voxels, and where they differ."""
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import UInt8
 from torch import Tensor
 
-from omniocc.classes import SemanticClass
+from omniocc.classes import ClassTable
 from omniocc.geometry import Grid
 from omniocc.view.bev import ERRORS, bev, error_bev
-from omniocc.view.canvas import legend
-from omniocc.view.palette import class_legend
+from omniocc.view.canvas import class_legend, legend
 from omniocc.view.sheet import AS_SEEN as AS_SEEN
 from omniocc.view.sheet import NAMES as NAMES
 from omniocc.view.sheet import below, beside, camera_rows, caption_line, column_width, inner_width, stack, tagged
@@ -34,7 +32,7 @@ def comparison(
     truth: UInt8[Tensor, "X Y Z"],
     prediction: UInt8[Tensor, "X Y Z"],
     geometry: Grid,
-    classes: Sequence[SemanticClass],
+    classes: ClassTable,
     caption: str = "",
     width_px: int = 1280,
 ) -> np.ndarray:
@@ -59,7 +57,7 @@ def comparison_parts(
     truth: UInt8[Tensor, "X Y Z"],
     prediction: UInt8[Tensor, "X Y Z"],
     geometry: Grid,
-    classes: Sequence[SemanticClass],
+    classes: ClassTable,
     width_px: int = 1280,
 ) -> SheetParts:
     """Draw what a sheet is made of; arguments as in `comparison`."""
@@ -76,9 +74,7 @@ def comparison_parts(
     return SheetParts(below(camera_rows(list(images), inner), inner), *drawn)
 
 
-def comparison_sheet(
-    parts: SheetParts, classes: Sequence[SemanticClass], caption: str = "", width_px: int = 1280
-) -> np.ndarray:
+def comparison_sheet(parts: SheetParts, classes: ClassTable, caption: str = "", width_px: int = 1280) -> np.ndarray:
     """Return the sheet made of these parts, drawn for its width."""
     inner = inner_width(width_px)
     rows = [

@@ -11,12 +11,11 @@ from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from omniocc.camera import Equirectangular, Rig
-from omniocc.classes import FREE, UNKNOWN, SemanticClass
+from omniocc.classes import FREE, UNKNOWN, ClassTable
 from omniocc.geometry import Grid
 from omniocc.geometry.raycast.fans import Fans
 from omniocc.geometry.raycast.table import RayTable
 from omniocc.view.canvas import fitted
-from omniocc.view.palette import palette_of
 
 COARSE = 2
 """Pixels of a picture along each side that share a ray."""
@@ -45,7 +44,7 @@ def paint_voxels(
     rig: Rig,
     labels: UInt8[Tensor, "X Y Z"],
     geometry: Grid,
-    classes: Sequence[SemanticClass],
+    classes: ClassTable,
     width: int,
 ) -> list[np.ndarray]:
     """The cameras' pictures, scaled to a width, with the first voxel along every pixel's ray in its class colour.
@@ -57,7 +56,7 @@ def paint_voxels(
     for k, image in enumerate(images):
         picture = fitted(image, width)
         size = picture.shape[1] // COARSE, picture.shape[0] // COARSE
-        colors, hit = _colors(camera_view(geometry, rig, k, *size), labels, palette_of(classes))
+        colors, hit = _colors(camera_view(geometry, rig, k, *size), labels, classes.palette)
         painted.append(_blended(picture, *(_enlarged(part, picture) for part in (colors, hit))))
     return painted
 
@@ -65,14 +64,14 @@ def paint_voxels(
 def voxel_panorama(
     labels: UInt8[Tensor, "X Y Z"],
     geometry: Grid,
-    classes: Sequence[SemanticClass],
+    classes: ClassTable,
     panorama: Equirectangular,
     width: int,
 ) -> np.ndarray:
     """(about width / 2 wide) class colour of the first voxel in every direction from the ego origin."""
     columns = width // COARSE
     rows = round(columns * panorama.height / panorama.width)
-    colors, hit = _colors(panorama_view(geometry, panorama, columns, rows), labels, palette_of(classes))
+    colors, hit = _colors(panorama_view(geometry, panorama, columns, rows), labels, classes.palette)
     colors[~hit] = NOTHING
     return colors
 

@@ -8,11 +8,10 @@ from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from omniocc.camera import Equirectangular
-from omniocc.classes import FREE, UNKNOWN, SemanticClass
+from omniocc.classes import FREE, UNKNOWN, ClassTable
 from omniocc.geometry import Grid
 from omniocc.view.bev import EMPTY, MISSED, bev, draw_columns
-from omniocc.view.canvas import Rgb, legend
-from omniocc.view.palette import class_legend
+from omniocc.view.canvas import Rgb, class_legend, legend
 from omniocc.view.ranges import range_bar, range_colors
 from omniocc.view.sheet import camera_rows, caption_line, column_width, inner_width, row, stack
 
@@ -31,7 +30,7 @@ def sketch_sheet(
     chosen: Bool[Tensor, "X Y Z"],
     dilated: Bool[Tensor, "X Y Z"],
     geometry: Grid,
-    classes: Sequence[SemanticClass],
+    classes: ClassTable,
     panorama: Equirectangular,
     range_m: Float[Tensor, "h w"],
     caption: str = "",

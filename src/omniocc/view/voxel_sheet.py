@@ -9,12 +9,11 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from omniocc.camera import Equirectangular, Rig
-from omniocc.classes import SemanticClass
+from omniocc.classes import ClassTable
 from omniocc.geometry import Grid
 from omniocc.view.bev import ERRORS, bev, error_bev
-from omniocc.view.canvas import legend
+from omniocc.view.canvas import class_legend, legend
 from omniocc.view.paint import paint_voxels, voxel_panorama
-from omniocc.view.palette import class_legend
 from omniocc.view.ranges import NO_ANSWER, range_bar, range_colors
 from omniocc.view.sheet import camera_rows, caption_line, column_width, inner_width, panorama_row, row, stack
 from omniocc.view.voxels import render_voxels
@@ -43,7 +42,7 @@ def occupancy_sheet(
     rig: Rig,
     prediction: UInt8[Tensor, "X Y Z"],
     geometry: Grid,
-    classes: Sequence[SemanticClass],
+    classes: ClassTable,
     seen: SeenRange | None = None,
     truth: UInt8[Tensor, "X Y Z"] | None = None,
     caption: str = "",
@@ -95,7 +94,7 @@ def columns_of(cameras: int) -> int:
 
 
 def _panoramas(
-    named: dict[str, Tensor], geometry: Grid, classes: Sequence[SemanticClass], seen: SeenRange | None, width: int
+    named: dict[str, Tensor], geometry: Grid, classes: ClassTable, seen: SeenRange | None, width: int
 ) -> list[np.ndarray]:
     directions = ALL_AROUND if seen is None else seen.panorama
     rows = [
@@ -108,7 +107,7 @@ def _panoramas(
     return [*rows, ranges, range_bar(width), legend([("no answer", NO_ANSWER)], width)]
 
 
-def _whole(named: dict[str, Tensor], geometry: Grid, classes: Sequence[SemanticClass], width: int) -> list[np.ndarray]:
+def _whole(named: dict[str, Tensor], geometry: Grid, classes: ClassTable, width: int) -> list[np.ndarray]:
     """The voxels from behind and from above."""
     half, third = column_width(width, 2), column_width(width, 3)
     if len(named) == 1:

@@ -1,6 +1,5 @@
 """A 3D picture of labelled voxels, seen from behind and above the car."""
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import cv2
@@ -9,10 +8,9 @@ import torch
 from jaxtyping import UInt8
 from torch import Tensor
 
-from omniocc.classes import FREE, UNKNOWN, SemanticClass
+from omniocc.classes import FREE, UNKNOWN, ClassTable
 from omniocc.geometry import Grid
 from omniocc.geometry.surface import face_corners, surface
-from omniocc.view.palette import palette_of
 
 SKY_TOP, SKY_BOTTOM = (214, 226, 240), (252, 252, 252)
 LIGHT = np.array([-0.35, 0.45, 0.82])
@@ -42,7 +40,7 @@ class Faces(NamedTuple):
 def render_voxels(
     labels: UInt8[Tensor, "X Y Z"],
     geometry: Grid,
-    classes: Sequence[SemanticClass],
+    classes: ClassTable,
     width: int,
     height: int,
     eye_m: tuple[float, float, float] = (-28.0, 0.0, 22.0),
@@ -62,7 +60,7 @@ def render_voxels(
         view_deg: horizontal angle it spans.
     """
     eye = np.array(eye_m)
-    cells = _cell_faces(labels, geometry, palette_of(classes), eye)
+    cells = _cell_faces(labels, geometry, classes.palette, eye)
     faces = _join(cells, *(_box_faces(bounds, rgb, eye) for bounds, rgb in CAR_BOXES))
     size = (width * SUPERSAMPLE, height * SUPERSAMPLE)
     pixels, in_front = _project(faces.corners, eye, np.array(target_m), view_deg, size)

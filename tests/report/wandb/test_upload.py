@@ -25,7 +25,7 @@ def test_runs_stages_and_what_a_resumed_run_adds_wait(tmp_path):
 
 def test_a_run_in_progress_is_left_alone(tmp_path):
     run = offline_run(tmp_path / "mono-1")
-    with FileLock(run.parents[3] / ".lock"):
+    with FileLock(run.parents[2] / ".lock"):
         assert waiting(tmp_path) == []
     assert waiting(tmp_path) == [run]
 

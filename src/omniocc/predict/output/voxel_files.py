@@ -1,7 +1,6 @@
 """Files of predicted voxels."""
 
 import io
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +9,7 @@ import torch
 from jaxtyping import Float64, UInt8
 from torch import Tensor
 
-from omniocc.classes import CLASSES, SemanticClass
+from omniocc.classes import CLASSES, ClassTable
 from omniocc.errors import UserError
 from omniocc.geometry import Cuboid, Cylinder, Grid
 from omniocc.io import atomic_write
@@ -54,7 +53,7 @@ def raised_grid(geometry: Grid, height_m: float) -> Grid:
     return replace(geometry, height_m=(low + height_m, high + height_m))
 
 
-def write_mesh(folder: Path, labels: UInt8[Tensor, "X Y Z"], geometry: Grid, classes: Sequence[SemanticClass]) -> None:
+def write_mesh(folder: Path, labels: UInt8[Tensor, "X Y Z"], geometry: Grid, classes: ClassTable) -> None:
     """Writes `voxels.ply`.
 
     Raises:

@@ -1,16 +1,14 @@
 """The surface of labelled voxels, for programs that show meshes."""
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import UInt8
 from torch import Tensor
 
-from omniocc.classes import FREE, UNKNOWN, SemanticClass
+from omniocc.classes import FREE, UNKNOWN, ClassTable
 from omniocc.geometry import Grid
 from omniocc.geometry.surface import surface
-from omniocc.view.palette import palette_of
 
 FLAT_M2 = 1e-9
 """Faces with less area are left out: at the axis of a cylinder they have none."""
@@ -30,7 +28,7 @@ class VoxelMesh(NamedTuple):
     triangles: np.ndarray
 
 
-def voxel_mesh(labels: UInt8[Tensor, "X Y Z"], geometry: Grid, classes: Sequence[SemanticClass]) -> VoxelMesh:
+def voxel_mesh(labels: UInt8[Tensor, "X Y Z"], geometry: Grid, classes: ClassTable) -> VoxelMesh:
     """Return the faces of occupied cells towards cells that are not; unknown cells count as empty.
 
     Args:
@@ -39,7 +37,7 @@ def voxel_mesh(labels: UInt8[Tensor, "X Y Z"], geometry: Grid, classes: Sequence
         classes: names and colours of the labels.
     """
     quads, cells = surface((labels != FREE) & (labels != UNKNOWN), geometry)
-    return _triangulated(quads, palette_of(classes)[labels.reshape(-1).numpy()[cells]])
+    return _triangulated(quads, classes.palette[labels.reshape(-1).numpy()[cells]])
 
 
 def _triangulated(quads: np.ndarray, colors: np.ndarray) -> VoxelMesh:

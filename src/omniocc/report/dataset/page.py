@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from omniocc.camera import Rig
-from omniocc.classes import FREE, SemanticClass
+from omniocc.classes import FREE, ClassTable
 from omniocc.data.labels.class_fractions import count_voxels, occupied_percent, spread
 from omniocc.data.labels.voxels import vote
 from omniocc.data.store.codec import decode_frame, decode_image
@@ -28,7 +28,6 @@ from omniocc.report.dataset.facts import (
 from omniocc.report.template import render
 from omniocc.view.bev import bev
 from omniocc.view.canvas import fitted
-from omniocc.view.palette import palette_of
 from omniocc.view.sheet import AS_SEEN, NAMES
 from omniocc.view.voxels import render_voxels
 from omniocc.world import Frame
@@ -41,7 +40,7 @@ NEAR_M, FAR_M = 1.0, 64.0
 SKY, UNMEASURED = (225, 233, 242), (24, 26, 30)
 
 
-def save_page(path: Path, scenes: Sequence[SceneReader], geometry: Grid, classes: Sequence[SemanticClass]) -> None:
+def save_page(path: Path, scenes: Sequence[SceneReader], geometry: Grid, classes: ClassTable) -> None:
     """Write the page: some frames of each scene, or of evenly spread scenes if there are many.
 
     Where a pinhole dataset of the same scenes lies beside this one, its images at the same times are shown too.
@@ -62,7 +61,7 @@ def save_page(path: Path, scenes: Sequence[SceneReader], geometry: Grid, classes
     content = {
         "facts": facts_of(scenes, len(shown), geometry),
         "table": [*OTHER_DATASETS, own_row(scenes, twins)],
-        "classes": [{"name": row.name, "rgb": row.rgb} for row in classes if row.id != FREE],
+        "classes": [{"name": row.name, "rgb": row.rgb} for row in classes.rows if row.id != FREE],
         "ours": occupied_percent(np.asarray(counts)),
         "authors": AUTHORS_SHARES,
         "sky": SKY,
@@ -76,7 +75,7 @@ def _scene(
     twin: SceneReader | None,
     per_scene: int,
     geometry: Grid,
-    classes: Sequence[SemanticClass],
+    classes: ClassTable,
 ) -> dict[str, Any]:
     facts = scene.meta["facts"]
     frames = spread(len(scene), per_scene)
@@ -108,11 +107,11 @@ def _pinholes(twin: SceneReader | None, time_s: float) -> dict[str, Any]:
     return {"pinhole": [_webp(_smaller(decode_image(blob))) for blob in blobs.values()]}
 
 
-def _frame(scene: SceneReader, number: int, geometry: Grid, classes: Sequence[SemanticClass]) -> dict[str, Any]:
+def _frame(scene: SceneReader, number: int, geometry: Grid, classes: ClassTable) -> dict[str, Any]:
     frame = decode_frame(scene.read(number, scene.index["members"]))
-    order, palette = _order(scene.rig), palette_of(classes)
+    order, palette = _order(scene.rig), classes.palette
     voxels = vote(scene, number, geometry)
-    percent = occupied_percent(np.bincount(voxels.numpy().ravel(), minlength=256)[: len(classes)])
+    percent = occupied_percent(np.bincount(voxels.numpy().ravel(), minlength=256)[: classes.num_classes])
     return {
         "number": number,
         "time": round(frame.time_s, 3),

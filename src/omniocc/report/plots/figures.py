@@ -14,7 +14,7 @@ from matplotlib.figure import Figure as Canvas
 
 from omniocc.report.class_colors import names_of
 from omniocc.report.plots.curves import over_seeds, read_curve, smoothed
-from omniocc.report.runs import SHARE, FinishedRun
+from omniocc.report.runs import FRACTION, FinishedRun
 from omniocc.report.tables.paper import figure_of
 from omniocc.run.table import band_keys
 
@@ -114,7 +114,7 @@ def by_class(rows: Rows) -> Canvas | None:
 
 def by_candidates(rows: Rows) -> Canvas | None:
     """Draw RayIoU against the fraction of voxels that are candidates."""
-    points = {row: (figure_of(runs, SHARE), figure_of(runs, "test/rayiou")) for row, runs in rows.items()}
+    points = {row: (figure_of(runs, FRACTION), figure_of(runs, "test/rayiou")) for row, runs in rows.items()}
     if not any(fraction and score for fraction, score in points.values()):
         return None
     colors = colors_of(rows)

@@ -20,7 +20,7 @@ MARK = ".synced"
 
 
 def waiting(runs: Path) -> list[Path]:
-    """Files of offline runs that have not been uploaded; of runs in progress none, since they would miss the rest.
+    """Return files of offline runs that have not been uploaded, without runs in progress, whose files still grow.
 
     Args:
         runs: folder of runs, stages and the report.
@@ -32,12 +32,12 @@ def waiting(runs: Path) -> list[Path]:
 
 
 def folder_of(path: Path) -> Path:
-    """The run's folder that a W&B file lies in."""
+    """Return the run's folder that a W&B file is in."""
     return path.parents[2]
 
 
 def in_use(folder: Path) -> bool:
-    """Whether a process holds the lock of a run's folder."""
+    """Return whether a process holds the lock of a run's folder."""
     if not (folder / ".lock").exists():
         return False
     try:
@@ -48,7 +48,10 @@ def in_use(folder: Path) -> bool:
 
 
 def log_report(report: Path, project: str) -> bool:
-    """The tables of a report (its CSV files) as an offline W&B run of job type `report`; false if that is done already.
+    """Log the tables of a report (its CSV files) as an offline W&B run of job type `report`.
+
+    Returns:
+        False if that has been done already, or there is no table.
 
     Args:
         report: folder that `report.py` has written.

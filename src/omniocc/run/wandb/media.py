@@ -1,6 +1,5 @@
 """What W&B shows of a test frame besides its sheet: pictures that can be enlarged, voxels that can be turned."""
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -8,11 +7,10 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from omniocc.camera import Equirectangular, Rig
-from omniocc.classes import FREE, UNKNOWN, SemanticClass
+from omniocc.classes import FREE, UNKNOWN, ClassTable
 from omniocc.geometry import Grid
 from omniocc.view.bev import bev, error_bev
 from omniocc.view.paint import paint_voxels
-from omniocc.view.palette import palette_of
 from omniocc.view.ranges import error_colors, range_colors
 from omniocc.view.sheet import panorama_row
 
@@ -27,13 +25,11 @@ class Named(NamedTuple):
     caption: str
 
 
-def class_cloud(
-    labels: UInt8[Tensor, "X Y Z"], geometry: Grid, classes: Sequence[SemanticClass]
-) -> Float[np.ndarray, "P 6"]:
+def class_cloud(labels: UInt8[Tensor, "X Y Z"], geometry: Grid, classes: ClassTable) -> Float[np.ndarray, "P 6"]:
     """Centres of all occupied cells, ego frame, to the centimetre, and their class colours."""
     occupied = (labels != FREE) & (labels != UNKNOWN)
     centers_m = geometry.centers()[occupied].double().numpy().round(2)
-    return np.concatenate([centers_m, palette_of(classes)[labels[occupied].numpy()].astype(np.float64)], axis=1)
+    return np.concatenate([centers_m, classes.palette[labels[occupied].numpy()].astype(np.float64)], axis=1)
 
 
 def voxel_media(
@@ -42,7 +38,7 @@ def voxel_media(
     truth: UInt8[Tensor, "X Y Z"],
     prediction: UInt8[Tensor, "X Y Z"],
     geometry: Grid,
-    classes: Sequence[SemanticClass],
+    classes: ClassTable,
 ) -> dict[str, list[Named]]:
     """The cameras with predicted semantics; truth, prediction and differences from above; voxels as points."""
     painted = paint_voxels(list(images), rig, prediction, geometry, classes, CAMERA_PX)
