@@ -18,7 +18,7 @@ def test_what_most_cells_of_a_column_are():
     picture = candidate_bev(truth, candidates, geometry, 60)
     for column, color in enumerate(expected):
         assert tuple(picture[2, 55 - 10 * column]) == color, column
-    assert scores(truth, candidates) == "recall 0.67, precision 0.57, share 0.50"
+    assert scores(truth, candidates) == "recall 0.67, precision 0.57, fraction 0.50"
 
 
 def test_points_lie_in_their_column_in_the_colour_of_their_range():

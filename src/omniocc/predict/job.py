@@ -26,7 +26,7 @@ from omniocc.predict.output.voxel_files import (
 from omniocc.predict.predictor import STEPS, Answer, Predictor, Watch
 from omniocc.task.scores import Scores
 from omniocc.view import save_png
-from omniocc.view.voxel_sheet import SeenRange, occupancy_sheet
+from omniocc.view.voxel_sheet import RangePanorama, occupancy_sheet
 
 
 @dataclass
@@ -125,7 +125,7 @@ class Job:
         if self.picture:
             panorama, caption = self.predictor.panorama, f"{drive.name} {drive.moments[moment]}".strip()
             missing = f", without {', '.join(self.predictor.without)}" * bool(self.predictor.without)
-            seen = None if panorama is None or answer.range_m is None else SeenRange(panorama, answer.range_m)
+            ranges = None if panorama is None or answer.range_m is None else RangePanorama(panorama, answer.range_m)
             voxels = None if truth is None else truth.voxels
             sheet = occupancy_sheet(
                 images,
@@ -133,7 +133,7 @@ class Job:
                 answer.labels,
                 geometry,
                 WORLD_CLASSES,
-                seen,
+                ranges,
                 voxels,
                 f"{caption}{missing}".lstrip(", "),
             )

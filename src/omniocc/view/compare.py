@@ -1,4 +1,4 @@
-"""One sheet per frame: what the cameras saw, true beside predicted voxels, and where they differ."""
+"""One sheet per frame: camera images, true beside predicted voxels, and where they differ."""
 
 from typing import NamedTuple
 
@@ -17,7 +17,7 @@ from omniocc.view.voxels import render_voxels
 
 
 class SheetParts(NamedTuple):
-    """What a sheet is made of, RGB: images of the cameras, voxels in perspective, and voxels from above."""
+    """Parts of a sheet, RGB: images of the cameras, voxels in perspective, and voxels from above."""
 
     cameras: np.ndarray
     truth: np.ndarray
@@ -36,7 +36,7 @@ def comparison(
     caption: str = "",
     width_px: int = 1280,
 ) -> np.ndarray:
-    """Draws the sheet.
+    """Return the sheet as one image.
 
     Args:
         images: (N, H, W, 3) uint8 RGB; six are taken for the hexagon (0 front, then clockwise), others go in order.
@@ -45,7 +45,7 @@ def comparison(
         geometry: the grid of both.
         classes: names and colours of the labels.
         caption: a line at the top.
-        width_px: of the sheet.
+        width_px: width of the sheet.
     """
     return comparison_sheet(
         comparison_parts(images, truth, prediction, geometry, classes, width_px), classes, caption, width_px
@@ -60,7 +60,7 @@ def comparison_parts(
     classes: ClassTable,
     width_px: int = 1280,
 ) -> SheetParts:
-    """Draw what a sheet is made of; arguments as in `comparison`."""
+    """Return the parts of a sheet; arguments as in `comparison`."""
     inner = inner_width(width_px)
     half, third = column_width(inner, 2), column_width(inner, 3)
     views = (render_voxels(labels, geometry, classes, half, half * 9 // 16) for labels in (truth, prediction))
@@ -70,7 +70,7 @@ def comparison_parts(
         error_bev(truth, prediction, geometry, third),
     )
     names = ("truth", "prediction", "truth from above", "prediction from above", "differences")
-    drawn = (tagged(picture, name) for picture, name in zip((*views, *maps), names, strict=True))
+    drawn = (tagged(image, name) for image, name in zip((*views, *maps), names, strict=True))
     return SheetParts(below(camera_rows(list(images), inner), inner), *drawn)
 
 

@@ -1,4 +1,4 @@
-"""A 3D picture of labelled voxels, seen from behind and above the car."""
+"""A 3D view of labelled voxels, from behind and above the car."""
 
 from typing import NamedTuple
 
@@ -25,10 +25,16 @@ CAR_BOXES = (
 
 
 class Faces(NamedTuple):
-    """Quadrilaterals: corners (F, 4, 3) m, outward unit normals (F, 3), colours (F, 3), and the order to draw them in.
+    """Quadrilaterals, which are drawn in the order of falling depth.
 
-    Painting farther cells first is exact for a grid: along a ray, each next cell lies beyond a boundary that separates
+    Drawing farther cells first is exact for a grid: along a ray, each next cell lies beyond a boundary that separates
     its centre from the previous one's. (Only where a ray grazes a ring of a cylinder may two cells swap.)
+
+    Attributes:
+        corners: (F, 4, 3) metres, ego frame.
+        normals: (F, 3) outward unit vectors.
+        colors: (F, 3) RGB.
+        depth_m: (F,) distance of the cell from the eye.
     """
 
     corners: np.ndarray
@@ -47,17 +53,19 @@ def render_voxels(
     target_m: tuple[float, float, float] = (0.5, 0.0, -3.0),
     view_deg: float = 60.0,
 ) -> np.ndarray:
-    """Draws occupied cells in their class colours, and the own car as a white box; unknown cells stay invisible.
+    """Return an image of the occupied cells in their class colours, with the own car as a white box.
+
+    Unknown cells are not drawn.
 
     Args:
         labels: class of every cell.
         geometry: the grid.
         classes: names and colours of the labels.
-        width: of the picture, px.
-        height: of the picture, px.
-        eye_m: where the picture is taken from, ego frame.
-        target_m: the point in its middle.
-        view_deg: horizontal angle it spans.
+        width: width of the image, px.
+        height: height of the image, px.
+        eye_m: viewpoint, ego frame.
+        target_m: point in the middle of the image, ego frame.
+        view_deg: horizontal field of view.
     """
     eye = np.array(eye_m)
     cells = _cell_faces(labels, geometry, classes.palette, eye)
@@ -91,7 +99,7 @@ def _cell_faces(labels: Tensor, geometry: Grid, palette: np.ndarray, eye: np.nda
 
 
 def _box_faces(bounds_m: tuple[tuple[float, float], ...], rgb: tuple[int, int, int], eye: np.ndarray) -> Faces:
-    """A box of the own car; drawn a little late in the order, since its faces are larger than cells."""
+    """Return the faces of a box of the own car, drawn a little late, since they are larger than those of cells."""
     bounds = np.array(bounds_m)
     corners, normals = [], []
     for axis in range(3):
@@ -112,7 +120,7 @@ def _join(*parts: Faces) -> Faces:
 def _project(
     points: np.ndarray, eye: np.ndarray, target: np.ndarray, view_deg: float, size: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels of (F, 4, 3) corners, and whether all four lie in front of the eye."""
+    """Return pixels (F, 4, 2) of the corners (F, 4, 3), and whether all four lie in front of the eye (F,)."""
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
@@ -126,7 +134,7 @@ def _project(
 
 
 def _shade(faces: Faces) -> np.ndarray:
-    """Colours under a fixed sun, a little lighter higher up and paler far away."""
+    """Return colours under a fixed sun, a little lighter higher up and paler far away."""
     diffuse = np.clip(faces.normals @ (LIGHT / np.linalg.norm(LIGHT)), 0, 1)
     height = np.clip((faces.corners[..., 2].mean(1) + 2.4) / 6, 0, 1)
     lit = faces.colors * (0.62 + 0.42 * diffuse + 0.14 * height)[:, None] + 26 * height[:, None]
