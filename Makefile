@@ -58,6 +58,6 @@ wandb-sync: $(READY)  ## Upload all offline W&B runs that are not there yet, and
 	@$(BIN)/python -m omniocc.report.wandb.upload --runs $(RUNS)
 
 dashboard: $(READY)  ## Save the W&B dashboard to the project omniocc (docs/dashboards.md)
-	@$(BIN)/python -m omniocc.report.wandb.dashboard
+	@$(BIN)/python -m omniocc.report.wandb.dashboard --runs $(RUNS)
 
 .PHONY: help setup demo test test-typecheck lint types constraints bench ablations wandb-sync dashboard

@@ -14,7 +14,8 @@ import omniocc
 from omniocc.camera import Rig
 from omniocc.classes import WORLD_CLASSES
 from omniocc.geometry import Cylinder
-from omniocc.report.dataset.page import SKY, UNMEASURED, range_image, save_page
+from omniocc.report.dataset.page import UNMEASURED, range_image, save_page
+from omniocc.view.ranges import SKY
 from omniocc.world.shares import AUTHORS_SHARES
 
 SCRIPT = Path(omniocc.__file__).parents[1] / "render.py"

@@ -1,6 +1,5 @@
 """The same test frames across rows, from the parts of sheets that every run leaves in `pictures/parts`."""
 
-import base64
 import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -10,6 +9,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from omniocc.report.data_url import webp
 from omniocc.report.runs import FinishedRun, grid_kind
 from omniocc.run.folder import PARTS, PICTURES
 from omniocc.view import SheetParts
@@ -75,7 +75,4 @@ def _frames(pictures: Path) -> Iterator[tuple[tuple[str, str, str], SheetParts]]
 def inline(image: np.ndarray, width: int) -> str:
     """Return an RGB image, scaled to a width, as a data URL."""
     height = round(image.shape[0] * width / image.shape[1])
-    small = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
-    done, data = cv2.imencode(".webp", cv2.cvtColor(small, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_WEBP_QUALITY, WEBP_QUALITY])
-    assert done
-    return f"data:image/webp;base64,{base64.b64encode(data.tobytes()).decode()}"
+    return webp(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), WEBP_QUALITY)

@@ -1,6 +1,5 @@
 """One web page, without any reference to another file, to browse recorded scenes: `templates/dataset.html.j2`."""
 
-import base64
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from omniocc.data.store.codec import decode_frame, decode_image
 from omniocc.data.store.reader import SceneReader
 from omniocc.geometry import Grid
 from omniocc.io import atomic_write
+from omniocc.report.data_url import png, webp
 from omniocc.report.dataset.facts import (
     OTHER_DATASETS,
     facts_of,
@@ -28,6 +28,7 @@ from omniocc.report.dataset.facts import (
 from omniocc.report.template import render
 from omniocc.view.bev import bev
 from omniocc.view.canvas import fitted
+from omniocc.view.ranges import SKY, range_colors
 from omniocc.view.sheet import AS_SEEN, NAMES
 from omniocc.view.voxels import render_voxels
 from omniocc.world import Frame
@@ -36,8 +37,8 @@ from omniocc.world.shares import AUTHORS_SHARES
 MAX_FRAMES = 64
 MAX_FRAMES_PER_SCENE = 6
 CAMERA_PX, PANORAMA_PX, BEV_PX, VOXELS_PX = 400, 1200, 480, (854, 480)
-NEAR_M, FAR_M = 1.0, 64.0
-SKY, UNMEASURED = (225, 233, 242), (24, 26, 30)
+UNMEASURED = (24, 26, 30)
+WEBP_QUALITY = 80
 
 
 def save_page(path: Path, scenes: Sequence[SceneReader], geometry: Grid, classes: ClassTable) -> None:
@@ -104,7 +105,7 @@ def _pinholes(twin: SceneReader | None, time_s: float) -> dict[str, Any]:
     if twin is None or number is None:
         return {"pinhole": []}
     blobs = twin.read(number, [f"rgb{k}.jpg" for k in _order(twin.rig)])
-    return {"pinhole": [_webp(_smaller(decode_image(blob))) for blob in blobs.values()]}
+    return {"pinhole": [webp(_smaller(decode_image(blob)), WEBP_QUALITY) for blob in blobs.values()]}
 
 
 def _frame(scene: SceneReader, number: int, geometry: Grid, classes: ClassTable) -> dict[str, Any]:
@@ -117,12 +118,12 @@ def _frame(scene: SceneReader, number: int, geometry: Grid, classes: ClassTable)
         "time": round(frame.time_s, 3),
         "speed": round(speed_mps(scene, number), 1),
         "actors": len(frame.boxes),
-        "rgb": [_webp(_smaller(frame.images[k])) for k in order],
-        "semantic": [_png(_semantics(frame, k, palette)) for k in order],
-        "range": [_webp(range_image(frame.range_m[k], CAMERA_PX)) for k in order],
-        "panorama": _webp(range_image(frame.erp_range_m, PANORAMA_PX)),
-        "bev": _png(bev(voxels, geometry, classes, BEV_PX)),
-        "voxels": _webp(render_voxels(voxels, geometry, classes, *VOXELS_PX)),
+        "rgb": [webp(_smaller(frame.images[k]), WEBP_QUALITY) for k in order],
+        "semantic": [png(_semantics(frame, k, palette)) for k in order],
+        "range": [webp(range_image(frame.range_m[k], CAMERA_PX), WEBP_QUALITY) for k in order],
+        "panorama": webp(range_image(frame.erp_range_m, PANORAMA_PX), WEBP_QUALITY),
+        "bev": png(bev(voxels, geometry, classes, BEV_PX)),
+        "voxels": webp(render_voxels(voxels, geometry, classes, *VOXELS_PX), WEBP_QUALITY),
         "percent": [round(value, 2) for value in percent.values()],
     }
 
@@ -136,10 +137,7 @@ def range_image(range_m: np.ndarray, width: int) -> np.ndarray:
         range_m: (H, W) metres; inf is sky, nan was not measured.
         width: width of the image, px.
     """
-    finite = np.isfinite(range_m)
-    level = np.log(np.where(finite, range_m, FAR_M).clip(NEAR_M, FAR_M) / NEAR_M) / np.log(FAR_M / NEAR_M)
-    image = cv2.applyColorMap((245 - 230 * level).astype(np.uint8), cv2.COLORMAP_TURBO)[..., ::-1].copy()
-    image[np.isposinf(range_m)] = SKY
+    image = range_colors(range_m)
     image[np.isnan(range_m)] = UNMEASURED
     height = round(range_m.shape[0] * width / range_m.shape[1])
     return cv2.resize(image, (width, height), interpolation=cv2.INTER_NEAREST)
@@ -156,17 +154,3 @@ def _semantics(frame: Frame, camera: int, palette: np.ndarray) -> np.ndarray:
 
 def _smaller(image: np.ndarray) -> np.ndarray:
     return fitted(image, CAMERA_PX) if image.shape[1] > CAMERA_PX else image
-
-
-def _webp(image: np.ndarray) -> str:
-    return _inline(".webp", "image/webp", image, [cv2.IMWRITE_WEBP_QUALITY, 80])
-
-
-def _png(image: np.ndarray) -> str:
-    return _inline(".png", "image/png", image, [cv2.IMWRITE_PNG_COMPRESSION, 9])
-
-
-def _inline(kind: str, mime: str, image: np.ndarray, options: list[int]) -> str:
-    done, data = cv2.imencode(kind, cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2BGR), options)
-    assert done
-    return f"data:{mime};base64,{base64.b64encode(data.tobytes()).decode()}"

@@ -17,6 +17,7 @@ from omniocc.data.store.shard import digest
 from omniocc.errors import UserError
 from omniocc.report.dataset.facts import own_row, pinhole_twin
 from omniocc.report.runs import FinishedRun
+from omniocc.report.tables.latex import tabular
 from omniocc.run.table import markdown
 
 Row = tuple[str, Sequence[bool | int]]
@@ -132,7 +133,5 @@ def dataset_csv(table: DatasetTable) -> str:
 def dataset_latex(table: DatasetTable) -> str:
     """Return a LaTeX tabular."""
     head, rows = dataset_cells(table)
-    lines = [f"% {table.title}", rf"\begin{{tabular}}{{l{'c' * len(table.columns)}}}", r"\toprule"]
-    lines += [" & ".join(head) + r" \\", r"\midrule"]
-    lines += [" & ".join(row).replace("✓", r"\checkmark").replace("–", "") + r" \\" for row in rows]
-    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
+    marked = [[cell.replace("✓", r"\checkmark").replace("–", "") for cell in row] for row in rows]
+    return tabular(table.title, head, marked)

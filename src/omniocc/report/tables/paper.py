@@ -13,6 +13,7 @@ from scipy import stats
 
 from omniocc.errors import UserError
 from omniocc.report.runs import VOXELS, FinishedRun
+from omniocc.report.tables.latex import tabular
 from omniocc.run.table import markdown, number
 
 
@@ -164,15 +165,14 @@ def as_csv(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> str:
 
 def as_latex(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> str:
     """Return a LaTeX tabular, the paper's figure in brackets behind ours."""
-    lines = [f"% {table.title}: here (paper)", rf"\begin{{tabular}}{{l{'c' * len(table.columns)}}}", r"\toprule"]
-    lines += [" & ".join(["method", *map(_tex, table.columns.values())]) + r" \\", r"\midrule"]
+    lines = []
     for row, figures in rows_of(table, runs):
         cells = []
         for (key, value), figure in zip(row.paper.items(), figures, strict=True):
             ours = with_spread(key, figure).replace("±", r"$\pm$").replace("–", "--")
             cells.append(ours + ("" if value is None else f" ({in_cell(key, value)})"))
-        lines.append(" & ".join([_tex(row.title), *cells]) + r" \\")
-    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
+        lines.append([_tex(row.title), *cells])
+    return tabular(f"{table.title}: here (paper)", ["method", *map(_tex, table.columns.values())], lines)
 
 
 def _tex(text: str) -> str:
