@@ -69,6 +69,8 @@ def test_a_run_leaves_figures_pictures_and_curves(whole):
     (folder,) = place.glob("runs/whole-*")
     facts = json.loads((folder / "metrics.json").read_text())
     assert min(facts[key] for key in ("million parameters", "GFLOP a frame", "peak MiB")) > 0
+    assert (facts["stages"], facts["classes"][0]["name"], len(facts["classes"])) == ({"occupancy": 12}, "Road", 11)
+    assert facts["fraction of candidates"] == 1
     assert list(folder.glob("pictures/test-00-*.png"))
     assert list(folder.glob("wandb/offline-run-*/*.wandb"))
     assert (folder / "config.yaml").exists()
@@ -157,6 +159,8 @@ def test_stages_run_once_and_are_shared(tmp_path, data_root):
     assert "depth, stage 1 of 3 is there" in whole.stdout
     assert "sketch, stage 2 of 3 begins" in whole.stdout
     metrics = metrics_of(tmp_path, "whole")
+    (path,) = tmp_path.glob("runs/whole-*/metrics.json")
+    assert json.loads(path.read_text())["stages"] == {"depth": 4, "sketch": 4, "occupancy": 3}
     for key in ("test/rayiou", "test/depth/mae_0-8.5m", "test/sketch/recall", "test/sketch/raw/recall_17-25.6m"):
         assert key in metrics
 

@@ -32,12 +32,13 @@ def test_classes_without_cases_show_a_dash():
 
 
 def test_results_survive_the_file(tmp_path):
-    save_results(tmp_path, METRICS, {"seed": 3})
+    save_results(tmp_path, METRICS, {"seed": 3, "stages": {"depth": 8}, "classes": []})
     raw = json.loads((tmp_path / "metrics.json").read_text(), parse_constant=lambda name: f"not JSON: {name}")
     assert raw["seed"] == 3
     assert raw["metrics"]["test/rayiou/Pedestrian"] is None
     facts, loaded = load_results(tmp_path)
-    assert facts == {"seed": 3}
+    assert facts == {"seed": 3, "stages": {"depth": 8}, "classes": []}
+    assert (tmp_path / "table.md").read_text().startswith("seed 3\n"), "lists and mappings are no caption"
     assert math.isnan(loaded.pop("test/rayiou/Pedestrian"))
     assert loaded == {key: value for key, value in METRICS.items() if key != "test/rayiou/Pedestrian"}
     assert as_markdown(METRICS, "seed 3").startswith("seed 3\n\n|  | RayIoU |")

@@ -76,6 +76,11 @@ def test_markdown_shows_both_and_says_whether_the_order_holds():
     assert "tau 0.33" in text
 
 
+def test_equal_figures_have_no_order():
+    same = {"ours": RUNS["ours"][:1], "mono": [run("mono-01234567", 0, 0.2)]}
+    assert "(Kendall's tau not defined: all are equal)" in as_markdown(load_table(SWEEPS / "sketch.yaml"), same)
+
+
 def test_csv_and_latex_hold_the_same_figures():
     table = load_table(SWEEPS / "sketch.yaml")
     lines = list(csv.DictReader(as_csv(table, RUNS).splitlines()))

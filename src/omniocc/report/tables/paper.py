@@ -133,7 +133,7 @@ def source_of(figures: Sequence[Figure | None]) -> str:
 def order_line(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> str:
     """Return a sentence with the paper's order and ours, and Kendall's tau between them.
 
-    It covers the methods that have both figures; of equal figures tau-b is taken.
+    It covers the methods that have both figures. Tau is tau-b, which accounts for equal figures.
     """
     both = []
     for row in table.rows:
@@ -143,10 +143,11 @@ def order_line(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> 
     if len(both) < 2:
         return "No order to compare: fewer than two methods have run."
     orders = [" > ".join(entry[0] for entry in sorted(both, key=lambda entry: -entry[place])) for place in (1, 2)]
-    tau = stats.kendalltau([entry[1] for entry in both], [entry[2] for entry in both]).statistic
+    tau, _ = stats.kendalltau([entry[1] for entry in both], [entry[2] for entry in both])
+    agreement = "not defined: all are equal" if math.isnan(tau) else f"{tau:.2f}"
     title = table.columns[table.order_by]
     same = "the same order here" if orders[0] == orders[1] else f"here {orders[1]}"
-    return f"By {title}, the paper says {orders[0]}; {same} (Kendall's tau {tau:.2f})."
+    return f"By {title}, the paper says {orders[0]}; {same} (Kendall's tau {agreement})."
 
 
 def as_csv(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> str:
