@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from torch import Tensor
 
+from omniocc.classes import WORLD_CLASSES
 from omniocc.data.labels.voxels import Unknown
 from omniocc.metric import VoxelIoU
 from omniocc.predict.input.schedule import History, Visit, schedule
@@ -25,7 +26,7 @@ from omniocc.predict.predictor import STEPS, Answer, Predictor, Watch
 from omniocc.progress import Progress, clock
 from omniocc.task.scores import Scores
 from omniocc.view import save_png
-from omniocc.view.voxel_sheet import SeenRange, occupancy_sheet
+from omniocc.view.voxel_sheet import RangePanorama, occupancy_sheet
 
 
 @dataclass
@@ -120,14 +121,21 @@ class Job:
         folder.mkdir(parents=True, exist_ok=True)
         own = raised_grid(geometry, drive.origin_z_m)
         if self.mesh:
-            write_mesh(folder, answer.labels, own)
+            write_mesh(folder, answer.labels, own, WORLD_CLASSES)
         if self.picture:
             panorama, caption = self.predictor.panorama, f"{drive.name} {drive.moments[moment]}".strip()
             missing = f", without {', '.join(self.predictor.without)}" * bool(self.predictor.without)
-            seen = None if panorama is None or answer.range_m is None else SeenRange(panorama, answer.range_m)
+            ranges = None if panorama is None or answer.range_m is None else RangePanorama(panorama, answer.range_m)
             voxels = None if truth is None else truth.voxels
             sheet = occupancy_sheet(
-                images, drive.rig, answer.labels, geometry, seen, voxels, f"{caption}{missing}".lstrip(", ")
+                images,
+                drive.rig,
+                answer.labels,
+                geometry,
+                WORLD_CLASSES,
+                ranges,
+                voxels,
+                f"{caption}{missing}".lstrip(", "),
             )
             save_png(folder / PICTURE, sheet)
         poses = drive.world_from_ego

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float64, UInt8
 from torch import Tensor
 
-from omniocc.classes import CLASSES
+from omniocc.classes import CLASSES, ClassTable
 from omniocc.errors import UserError
 from omniocc.geometry import Cuboid, Cylinder, Grid
 from omniocc.io import atomic_write
@@ -53,13 +53,13 @@ def raised_grid(geometry: Grid, height_m: float) -> Grid:
     return replace(geometry, height_m=(low + height_m, high + height_m))
 
 
-def write_mesh(folder: Path, labels: UInt8[Tensor, "X Y Z"], geometry: Grid) -> None:
+def write_mesh(folder: Path, labels: UInt8[Tensor, "X Y Z"], geometry: Grid, classes: ClassTable) -> None:
     """Writes `voxels.ply`.
 
     Raises:
         DataError: naming the file that cannot be written.
     """
-    atomic_write(folder / MESH, ply_bytes(*voxel_mesh(labels, geometry)))
+    atomic_write(folder / MESH, ply_bytes(*voxel_mesh(labels, geometry, classes)))
 
 
 def write_voxels(folder: Path, arrays: dict[str, np.ndarray]) -> None:
