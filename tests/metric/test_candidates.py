@@ -87,7 +87,7 @@ def test_nothing_there_and_nothing_chosen_is_not_a_number():
     assert scores["fraction"] == 0
 
 
-def test_wrong_input_is_named():
+def test_error_names_wrong_input():
     metric = Candidates(GRID, EDGES_M)
     voxels = torch.zeros(1, *GRID.shape, dtype=torch.uint8)
     with pytest.raises(ValueError, match=r"candidates.*bool"):

@@ -78,7 +78,7 @@ def test_agrees_with_a_plain_loop():
     assert scores["miou"].item() == pytest.approx(sum(per_class) / 11)
 
 
-def test_wrong_input_is_named():
+def test_error_names_wrong_input():
     metric = VoxelIoU()
     with pytest.raises(ValueError, match="same shape"):
         metric.update(voxels(1, 1), voxels(1))

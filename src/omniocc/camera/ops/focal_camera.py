@@ -1,15 +1,16 @@
 """The part that camera models with one focal length per image axis share."""
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from omniocc.camera.protocol import check_size, normalize_fields, pair, positive_pair, scaled_center
 
 
 @dataclass(frozen=True)
-class FocalCamera:
+class FocalCamera(ABC):
     """An image with a focal length per axis; subclasses map points to its normalised plane and back.
 
     Attributes:
@@ -32,6 +33,14 @@ class FocalCamera:
         """
         check_size(self.width, self.height)
         normalize_fields(self, {"focal_px": positive_pair, "center_px": pair})
+
+    @abstractmethod
+    def project(self, points: Float[Tensor, "*batch 3"]) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"]]:
+        """See `Camera.project`."""
+
+    @abstractmethod
+    def unproject(self, pixels: Float[Tensor, "*batch 2"]) -> tuple[Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
+        """See `Camera.unproject`."""
 
     def resized(self, width: int, height: int) -> "FocalCamera":
         """See `Camera.resized`."""
