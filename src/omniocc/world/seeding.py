@@ -23,7 +23,7 @@ def choice(rng: np.random.Generator, options: Sequence[Option]) -> Option:
     return options[int(rng.integers(len(options)))]
 
 
-def weighted_choice(rng: np.random.Generator, weights: Mapping[str, float]) -> str:
+def weighted_choice(rng: np.random.Generator, weights: Mapping[str, float | int]) -> str:
     """Return one key, with probability proportional to its weight."""
     names = list(weights)
     cumulative = np.cumsum([weights[name] for name in names])

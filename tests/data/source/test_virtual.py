@@ -138,7 +138,7 @@ def test_the_weather_of_a_scene_can_be_told_without_building_it():
     for seed in (0, 3):
         drawn, named = Scene("suburb", seed, rig), Scene("suburb", seed, rig, weather=weather_of("suburb", seed))
         assert repr(drawn.snapshot(0.0)[0].light) == repr(named.snapshot(0.0)[0].light)
-        assert repr(light_of("suburb", seed, weather_of("suburb", seed))) == repr(named.stage(0.0)[0].light)
+        assert repr(light_of("suburb", seed, weather_of("suburb", seed))) == repr(named.snapshot(0.0)[0].light)
 
 
 @pytest.mark.parametrize("workers", [0, 2])

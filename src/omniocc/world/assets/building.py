@@ -99,12 +99,7 @@ def garage(rng: np.random.Generator) -> Mesh:
     height = float(rng.uniform(2.4, 2.8))
     return concatenate(
         [
-            box(
-                (3.2, 5.5, height + 1.0),
-                (0, 2.75, height / 2 - 0.5),
-                face,
-                _FLAT,
-            ),
+            box((3.2, 5.5, height + 1.0), (0, 2.75, height / 2 - 0.5), face, _FLAT),
             box((2.5, 0.05, 2.1), (0, -0.03, 1.05), gate),
             box((3.5, 5.8, 0.18), (0, 2.75, height + 0.09), _TRIM),
         ]

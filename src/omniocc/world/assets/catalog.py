@@ -10,13 +10,9 @@ from omniocc.world.mesh.mesh import Mesh
 from omniocc.world.mesh.shape import Number
 
 _MAKERS = {
-    "tree": tree.KINDS,
-    "barrier": barrier.KINDS,
-    "prop": {kind: made.make for kind, made in prop.KINDS.items()},
-    "pole": pole.KINDS,
-    "vehicle": vehicle.KINDS,
-    "building": building.KINDS,
-}
+    "tree": tree.KINDS, "barrier": barrier.KINDS, "prop": {kind: made.make for kind, made in prop.KINDS.items()},
+    "pole": pole.KINDS, "vehicle": vehicle.KINDS, "building": building.KINDS,
+}  # fmt: skip
 _VARIANTS = {"tree": 8, "barrier": 4, "prop": 5, "pole": 8, "vehicle": 6, "building": 12}
 _PEOPLE = 16
 

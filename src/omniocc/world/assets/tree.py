@@ -13,13 +13,8 @@ LEAVES = Skin(VEGETATION, Material.LEAVES, (80, 112, 52))
 _BARK = Skin(VEGETATION, Material.BARK, (94, 76, 58))
 _BIRCH = Skin(VEGETATION, Material.BARK, (198, 194, 184))
 LEAF_COLORS: tuple[Color, ...] = (
-    (72, 104, 46),
-    (92, 120, 52),
-    (60, 92, 50),
-    (110, 126, 58),
-    (84, 104, 66),
-    (122, 130, 58),
-)
+    (72, 104, 46), (92, 120, 52), (60, 92, 50), (110, 126, 58), (84, 104, 66), (122, 130, 58),
+)  # fmt: skip
 
 
 def round_tree(rng: np.random.Generator) -> Mesh:

@@ -13,17 +13,9 @@ from omniocc.world.seeding import choice
 
 EGO_ROAD_M = -2.2  # height of the road in the ego frame
 PAINTS: tuple[Color, ...] = (
-    (196, 198, 200),
-    (236, 236, 234),
-    (40, 42, 46),
-    (96, 100, 106),
-    (150, 30, 34),
-    (34, 62, 120),
-    (60, 92, 76),
-    (190, 150, 60),
-    (116, 84, 64),
-    (150, 176, 196),
-)
+    (196, 198, 200), (236, 236, 234), (40, 42, 46), (96, 100, 106), (150, 30, 34), (34, 62, 120), (60, 92, 76),
+    (190, 150, 60), (116, 84, 64), (150, 176, 196),
+)  # fmt: skip
 _EGO_PAINT = (128, 24, 28)
 _PAINT = Skin(VEHICLE, Material.CAR_PAINT, (150, 150, 150))
 _GLASS = Skin(VEHICLE, Material.GLASS, (38, 46, 54))
@@ -77,32 +69,17 @@ def _car(
     `cabin`: x of rear foot, rear roof edge, front roof edge and front foot, as fractions of the length.
     """
     h, w = length / 2, width / 2
-    body = np.array(
-        [
-            (-h, 0.36),
-            (-h + 0.1, 0.24),
-            (h - 0.15, 0.24),
-            (h, 0.38),
-            (h, 0.62),
-            (h - 0.1, hood - 0.12),
-            (cabin[3] * length, belt),
-            (cabin[0] * length, belt + 0.02),
-            (-h + 0.05, belt - 0.04),
-            (-h, 0.7),
-        ]
-    )
+    body = np.array([
+        (-h, 0.36), (-h + 0.1, 0.24), (h - 0.15, 0.24), (h, 0.38), (h, 0.62), (h - 0.1, hood - 0.12),
+        (cabin[3] * length, belt), (cabin[0] * length, belt + 0.02), (-h + 0.05, belt - 0.04), (-h, 0.7),
+    ])  # fmt: skip
     narrow = np.array([0.9, 0.94, 0.94, 0.86, 0.88, 0.9, 0.97, 0.97, 0.92, 0.95]) * w
     parts = [loft(body, narrow, [_TRIM, _TRIM, _TRIM] + [_PAINT] * 7, _PAINT)]
     rear, rear_top, front_top, front = (fraction * length for fraction in cabin)
-    top = np.array(
-        [
-            (rear, belt),
-            (front, belt - 0.02),
-            (front_top, height - 0.03),
-            (0.5 * (front_top + rear_top), height),
-            (rear_top, height - 0.05),
-        ]
-    )
+    top = np.array([
+        (rear, belt), (front, belt - 0.02), (front_top, height - 0.03), (0.5 * (front_top + rear_top), height),
+        (rear_top, height - 0.05),
+    ])  # fmt: skip
     parts.append(
         loft(top, np.array([0.94, 0.94, 0.76, 0.76, 0.75]) * w, [_TRIM, _GLASS, _PAINT, _PAINT, _GLASS], _GLASS)
     )
@@ -229,14 +206,8 @@ def bicycle(rng: np.random.Generator) -> Mesh:
 
 
 KINDS: dict[str, Callable[[np.random.Generator], Mesh]] = {
-    "sedan": sedan,
-    "hatchback": hatchback,
-    "suv": suv,
-    "van": van,
-    "truck": truck,
-    "bus": bus,
-    "bicycle": bicycle,
-}
+    "sedan": sedan, "hatchback": hatchback, "suv": suv, "van": van, "truck": truck, "bus": bus, "bicycle": bicycle,
+}  # fmt: skip
 
 
 PARKED = {"sedan": 2.0, "hatchback": 2.0, "suv": 2.0, "van": 1.0}

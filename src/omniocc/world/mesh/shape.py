@@ -194,7 +194,7 @@ def loft(profile_m: np.ndarray, half_width_m: np.ndarray, across: list[Skin], si
     return concatenate(meshes)
 
 
-def upright_pose(point_m: np.ndarray, yaw_rad: float) -> np.ndarray:
+def upright_pose(point_m: np.ndarray, yaw_rad: Number) -> np.ndarray:
     """Return the (4, 4) pose of an upright thing at a point (3,)."""
     return upright(point_m[None], np.array([yaw_rad]), np.ones((1, 3)))[0]
 

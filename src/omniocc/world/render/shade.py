@@ -55,8 +55,8 @@ def shade(
     sunlight = _sunlight(some, origin, toward, attributes[NORMAL], shadows, light)
     points = toward * some.range_m + origin[:, None] if light.lamps else toward
     color[:, ground] = _surface_color(some, points, toward, attributes, cosine, sunlight, light, pixel_rad)
-    sunny, open_share = sunlight
-    offset_m[ground], lit[ground] = some.range_m * cosine, sunny > 0 if open_share is None else open_share > 0.9
+    sunny, open_fraction = sunlight
+    offset_m[ground], lit[ground] = some.range_m * cosine, sunny > 0 if open_fraction is None else open_fraction > 0.9
     return Shading(color, offset_m, lit)
 
 
@@ -98,10 +98,10 @@ def _surface_color(
     tint, own = sample(code >> 1, code & 1, u_m, v_m, footprint_m)
     base = attributes[COLOR] * tint
     base += own
-    sunny, open_share = sunlight
+    sunny, open_fraction = sunlight
     sky = ambient(light, attributes[UP])
-    if open_share is not None:
-        sky *= 0.3 + 0.7 * open_share
+    if open_fraction is not None:
+        sky *= 0.3 + 0.7 * open_fraction
     if light.sun.any():
         sky += light.sun[:, None] * sunny
     water = standing_water(light, tint, attributes[UP]) if light.wet else np.zeros(0, np.float32)
