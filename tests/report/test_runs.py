@@ -64,8 +64,8 @@ def test_a_damaged_file_is_named_and_its_run_left_out(runs, tmp_path, capsys):
     (config / "config.yaml").write_text("model: {geometry: [")
     left = {run.name for run in read_runs(folder)}
     assert left == {run.name for run in read_runs(runs)} - {metrics.name, listed.name, config.name}
-    said = capsys.readouterr().err.splitlines()
-    assert [line.split(" is damaged")[0] for line in said] == [
+    lines = capsys.readouterr().err.splitlines()
+    assert [line.split(" is damaged")[0] for line in lines] == [
         f"left out: {path}" for path in (config / "config.yaml", listed / "metrics.json", metrics / "metrics.json")
     ]
 

@@ -69,8 +69,8 @@ def test_differences():
         ([1, 0, 0], [0, 1, 1], HALLUCINATED),
         ([1, 1, 0], [0, 1, 1], RIGHT),
     ]
-    truth, said = (torch.tensor([case[part] for case in cases]) for part in (0, 1))
+    truth, prediction = (torch.tensor([case[part] for case in cases]) for part in (0, 1))
     expected = [case[2] for case in cases]
-    picture = error_bev(truth[None].to(torch.uint8), said[None].to(torch.uint8), geometry, 110)
+    picture = error_bev(truth[None].to(torch.uint8), prediction[None].to(torch.uint8), geometry, 110)
     for column, color in enumerate(expected):
         assert tuple(picture[2, 105 - 10 * column]) == color, column

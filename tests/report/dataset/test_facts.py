@@ -61,9 +61,9 @@ def test_speed_is_that_of_the_poses(tmp_path):
 def test_the_time_of_day(tmp_path, weather, words):
     world = FakeWorld(tmp_path)
     plans = [ScenePlan("", "train", "suburb", seed) for seed in range(30)]
-    said = {
+    described = {
         time_of_day({"theme": plan.theme, "seed": plan.seed, "weather": weather, "recipe": world.recipe})
         for plan in plans
     }
-    assert all(any(text.startswith(word) for text in said) for word in words), said
+    assert all(any(text.startswith(word) for text in described) for word in words), described
     assert time_of_day({"recipe": {"world": "another"}}) == ""

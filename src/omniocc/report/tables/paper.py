@@ -143,7 +143,8 @@ def order_line(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> 
     if len(both) < 2:
         return "No order to compare: fewer than two methods have run."
     orders = [" > ".join(entry[0] for entry in sorted(both, key=lambda entry: -entry[place])) for place in (1, 2)]
-    tau, _ = stats.kendalltau([entry[1] for entry in both], [entry[2] for entry in both])
+    result: Any = stats.kendalltau([entry[1] for entry in both], [entry[2] for entry in both])
+    tau = float(result.statistic)
     agreement = "not defined: all are equal" if math.isnan(tau) else f"{tau:.2f}"
     title = table.columns[table.order_by]
     same = "the same order here" if orders[0] == orders[1] else f"here {orders[1]}"
