@@ -5,13 +5,13 @@ from pathlib import Path
 
 from lightning.pytorch import Trainer
 
-from omniocc.config import build, lines_not_tracebacks
+from omniocc.config import build
 from omniocc.run.folder import PICTURES, git_commit
 from omniocc.run.results import save_results, show_results
+from omniocc.run.script import lines_not_tracebacks, quiet_libraries
 from omniocc.task import StepProgress
-from omniocc.task.checkpoint import load_task
+from omniocc.task.build import load_task
 from omniocc.task.pictures import Pictures
-from train import quiet
 
 
 @lines_not_tracebacks
@@ -30,7 +30,7 @@ def main(arguments: list[str] | None = None) -> None:
     for override in options.overrides:
         if "=" not in override:
             parser.error(f"'{override}' is not key=value; one checkpoint at a time")
-    quiet()
+    quiet_libraries()
     task, cfg = load_task(options.checkpoint, options.overrides)
     folder = options.output or options.checkpoint.parent / f"evaluation-{options.checkpoint.stem}"
     folder.mkdir(parents=True, exist_ok=True)

@@ -15,7 +15,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 from torch import nn
 
 from omniocc.camera import Equirectangular, Rig
-from omniocc.config import build, check, script
+from omniocc.config import build, check
 from omniocc.errors import UserError
 from omniocc.predict import (
     Frame,
@@ -28,8 +28,8 @@ from omniocc.predict import (
     write_depth,
 )
 from omniocc.predict.occupancy import options_of, predict_occupancy
+from omniocc.run.script import quiet_libraries, script
 from omniocc.view import predicted_sheet
-from train import quiet
 
 
 @script("predict_depth")
@@ -41,7 +41,7 @@ def depth(cfg: DictConfig) -> None:
 @script("predict_occupancy")
 def occupancy(cfg: DictConfig) -> None:
     """Check -> build -> one folder of files per moment."""
-    quiet()
+    quiet_libraries()
     predict_occupancy(options_of(cfg))
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from omegaconf import DictConfig
 
-from omniocc.config import build, check, script
+from omniocc.config import build, check
 from omniocc.data import DataError, SceneReader, VirtualWorld
 from omniocc.data.labels.class_fractions import share_table
 from omniocc.data.recording.budget import announcement, begun, size
@@ -17,6 +17,7 @@ from omniocc.data.store.check import SceneSurvey, survey
 from omniocc.errors import UserError
 from omniocc.geometry import Cylinder
 from omniocc.progress import clock
+from omniocc.run.script import script
 
 LOOKED_AT_FRAMES = 400
 

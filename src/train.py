@@ -3,17 +3,14 @@
 `--help` lists what can be chosen.
 """
 
-import logging
-import os
 import time
-import warnings
 from pathlib import Path
 
 from lightning.pytorch import Trainer, seed_everything
 from lightning.pytorch.callbacks import Callback, ModelCheckpoint
 from omegaconf import DictConfig, OmegaConf
 
-from omniocc.config import build, check_root, plain, script
+from omniocc.config import build, check_root, plain
 from omniocc.data import Extras, OccupancyData
 from omniocc.io import atomic_write
 from omniocc.run.checkpoint_io import BEST, LAST, AtomicCheckpointIO
@@ -29,27 +26,30 @@ from omniocc.run.folder import (
 )
 from omniocc.run.memory import keep_freed_memory
 from omniocc.run.results import save_results, show_results
+from omniocc.run.script import quiet_libraries, script
+from omniocc.run.slots import sketch_learns
 from omniocc.run.wandb.loggers import finish
-from omniocc.task import Occupancy, StepProgress
-from omniocc.task.checkpoint import build_task
+from omniocc.task import OccupancyTask, StepProgress
+from omniocc.task.build import build_task
 from omniocc.task.pictures import Pictures
-from omniocc.task.stages import Stages, is_learned, wanted_stages
+from omniocc.task.stage_keys import wanted_stages
+from omniocc.task.stages import Stages
 
 
 @script("train")
 def main(cfg: DictConfig) -> None:
-    """Check -> build -> the stages that are missing, occupancy last."""
+    """Check the configuration, build, run the stages that are missing, occupancy last."""
     check_root(cfg)
-    quiet()
+    quiet_libraries()
     keep_freed_memory()
     stages = wanted_stages(cfg)
     if "occupancy" in stages:
-        # mistakes of the last stage are said now, not when the stages before have been trained
+        # mistakes in the last stage are reported now, not when the stages before have been trained
         given_checkpoint(cfg.resume)
         build_task(cfg)
     data = build(cfg.data)
     data.prepare_data()
-    before = Stages(cfg, data) if is_learned(cfg) else None
+    before = Stages(cfg, data) if sketch_learns(cfg) else None
     figures: dict[str, float] = {}
     for number, stage in enumerate(stages, start=1):
         title = f"{stage}, stage {number} of {len(stages)}"
@@ -63,7 +63,7 @@ def main(cfg: DictConfig) -> None:
 def train_occupancy(
     cfg: DictConfig, data: OccupancyData, before: Stages | None, figures: dict[str, float], title: str
 ) -> None:
-    """Fit -> test -> figures and pictures, those of the stages before beside them."""
+    """Fit, test, and write figures and pictures, with the figures of the stages before beside them."""
     seed_everything(cfg.seed, workers=True, verbose=False)
     config = plain(cfg)
     run = open_run(Path(cfg.paths.runs), cfg.name, run_hash(config, data.world.fingerprint), cfg.resume)
@@ -105,8 +105,8 @@ def train_occupancy(
         show_results(run.path)
 
 
-def fit(trainer: Trainer, task: Occupancy, data: OccupancyData, run: RunFolder) -> float:
-    """Train to the end; minutes it took this process."""
+def fit(trainer: Trainer, task: OccupancyTask, data: OccupancyData, run: RunFolder) -> float:
+    """Train to the end and return the minutes spent in this process."""
     began_s = time.monotonic()
     trainer.fit(task, datamodule=data, ckpt_path=run.checkpoint and str(run.checkpoint))
     trainer.save_checkpoint(run.path / LAST)
@@ -114,7 +114,7 @@ def fit(trainer: Trainer, task: Occupancy, data: OccupancyData, run: RunFolder) 
 
 
 def callbacks(cfg: DictConfig, run: RunFolder, title: str) -> list[Callback]:
-    """Progress, the last and the best checkpoint, pictures."""
+    """Return callbacks for progress, the last and the best checkpoint, and pictures."""
     return [
         StepProgress(title),
         ModelCheckpoint(
@@ -125,23 +125,13 @@ def callbacks(cfg: DictConfig, run: RunFolder, title: str) -> list[Callback]:
     ]
 
 
-def announce(run: RunFolder, task: Occupancy, data: OccupancyData) -> None:
-    """One line each: what is trained, on what, where."""
+def announce(run: RunFolder, task: OccupancyTask, data: OccupancyData) -> None:
+    """Print one line each: which run, which model, which data."""
     parameters = sum(p.numel() for p in task.model.parameters()) / 1e6
     print(f"run       {run.path}" + (f", goes on from {run.checkpoint.name}" if run.checkpoint else ""))
     grid = task.model.geometry
     print(f"model     {parameters:.2f} M parameters, {type(grid).__name__} {'x'.join(map(str, grid.shape))}")
     print(f"data      {data.world.folder}", flush=True)
-
-
-def quiet() -> None:
-    """Leave the screen to our own lines: no banners and tips of other libraries."""
-    for name in ("lightning.pytorch", "lightning.fabric"):
-        logging.getLogger(name).setLevel(logging.ERROR)
-    os.environ.setdefault("TOKENIZERS_PARALLELISM", "false")
-    warnings.filterwarnings("ignore", module="lightning")
-    warnings.filterwarnings("ignore", module="torch.utils.data")
-    warnings.filterwarnings("ignore", message="Grad strides do not match bucket view strides")
 
 
 if __name__ == "__main__":

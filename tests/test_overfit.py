@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from omniocc.config import build
-from omniocc.task.checkpoint import build_task
+from omniocc.task.build import build_task
 from omniocc.task.scores import Scores
 
 

@@ -24,7 +24,7 @@ from omniocc.predict.input.poses import read_poses, write_poses
 from omniocc.predict.network import load_depth
 from omniocc.predict.occupancy import options_of, predict_occupancy
 from omniocc.predict.predictor import blinded
-from omniocc.task.checkpoint import build_task, load_task
+from omniocc.task.build import build_task, load_task
 from omniocc.task.scores import Scores
 from omniocc.world.frame import Frame
 

@@ -2,9 +2,9 @@
 
 import pytest
 import torch
+from omniocc.task.checkpoint import load_config
 
 from omniocc.errors import UserError
-from omniocc.task.checkpoint import load_config
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 0.99])

@@ -10,7 +10,7 @@ from lightning.pytorch.callbacks import ModelCheckpoint
 
 from omniocc.batch import Batch
 from omniocc.camera import Rig
-from omniocc.task.checkpoint import build_task, load_task
+from omniocc.task.build import build_task, load_task
 from omniocc.task.draws import step_generator
 from omniocc.task.scores import Scores
 

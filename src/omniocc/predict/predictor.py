@@ -15,7 +15,7 @@ from omniocc.camera import Equirectangular, Rig
 from omniocc.errors import UserError
 from omniocc.model import OccupancyModel, Stream
 from omniocc.model.depth import DepthMap
-from omniocc.model.sketch import Omni
+from omniocc.model.protocols import LearnedSketch, learns
 from omniocc.predict.input.images import resized_to_width
 
 STEPS: tuple[str, ...] = ("read", "depth", "sketch", "occupancy", "write")
@@ -77,7 +77,13 @@ class Predictor:
     @property
     def panorama(self) -> Equirectangular | None:
         """Directions of the depth network's answer, None for a sketch without depth."""
-        return self.model.sketch.panorama if isinstance(self.model.sketch, Omni) else None
+        return None if self.learned_sketch is None else self.learned_sketch.panorama
+
+    @property
+    def learned_sketch(self) -> LearnedSketch | None:
+        """Return the model's sketch if it looks at ranges."""
+        sketch = self.model.sketch
+        return cast(LearnedSketch, sketch) if learns(type(sketch)) else None
 
     def reset(self) -> None:
         """The next moment has no history."""
@@ -129,13 +135,13 @@ class Predictor:
         self, images: Float[Tensor, "1 N 3 H W"], rig: Rig, true_range_m: Float32[Tensor, "1 h w"] | None, watch: Watch
     ) -> tuple[Bool[Tensor, "1 X Y Z"], DepthMap | None]:
         """Candidates, and the ranges that they come from; black pictures do not count for depth."""
-        sketch = self.model.sketch
-        if not isinstance(sketch, Omni):
+        sketch = self.learned_sketch
+        if sketch is None:
             with watch("sketch"):
-                return sketch(images, (rig,)), None
+                return self.model.sketch(images, (rig,)), None
         with watch("depth"):
             true_range_m = None if true_range_m is None else true_range_m.to(self.device)
-            depth = cast(DepthMap, sketch.depth(images, (rig,), true_range_m))
+            depth = sketch.depth(images, (rig,), true_range_m)
         with watch("sketch"):
             return sketch.select(sketch.logits(depth.range_m, depth.valid)), depth
 

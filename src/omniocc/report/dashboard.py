@@ -6,8 +6,8 @@ Everything it shows is logged by the runs themselves; `KEYS` are tested against 
 import argparse
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
-from omniocc.config import lines_not_tracebacks
 from omniocc.errors import UserError
+from omniocc.run.script import lines_not_tracebacks
 from omniocc.run.wandb.loggers import logged_in
 from omniocc.run.wandb.result_tables import BANDS, CLASS_NAMES
 

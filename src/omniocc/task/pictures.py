@@ -153,14 +153,14 @@ class SketchPictures(FramePictures):
     def picture(self, task: Any, output: Tensor, batch: Batch, sample: int) -> Drawn:  # noqa: D102
         range_m, valid = (part[sample : sample + 1] for part in panorama(batch))
         with torch.inference_mode():
-            chosen = task.model.choose(task.model.logits(range_m, valid))[0].cpu()
+            chosen = task.sketch.choose(task.sketch.logits(range_m, valid))[0].cpu()
         sheet = sketch_sheet(
             list(newest_images(batch, sample)),
             batch.voxels[sample].cpu(),
             chosen,
             output,
-            task.model.geometry,
-            task.model.panorama,
+            task.sketch.geometry,
+            task.sketch.panorama,
             range_m[0].masked_fill(~valid[0], torch.nan).cpu(),
             batch.frame_ids[sample],
         )
