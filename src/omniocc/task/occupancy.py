@@ -13,6 +13,7 @@ from omniocc.classes import UNKNOWN
 from omniocc.data import Augment
 from omniocc.loss import Total
 from omniocc.model import OccupancyModel, Prediction, Stream
+from omniocc.model.sketch import Sketched
 from omniocc.task.adamw import AdamW
 from omniocc.task.draws import step_generator
 from omniocc.task.scores import Scores
@@ -74,14 +75,18 @@ class Occupancy(LightningModule):
     def predict(self, batch: Batch) -> Prediction:
         """Logits of the newest frame, from the batch's candidates if it has any; of ranges if it has true ones."""
         with_ranges = batch.camera_range_m is not None
-        return self.model(batch.images, batch.rigs, batch.world_from_ego, batch.candidates, batch.exists, with_ranges)
+        sketched = batch.candidates if batch.candidates is None else Sketched(batch.candidates)
+        rigs = tuple((rig,) * batch.images.shape[1] for rig in batch.rigs)
+        return self.model(batch.images, rigs, batch.world_from_ego, sketched, batch.exists, with_ranges)
 
     def evaluate(self, batch: Batch) -> Tensor:
         """As `predict_labels`, with the past frames' volumes from memory where the frames before have left them."""
         exists = batch.exists
         if exists is None:
             exists = torch.ones(batch.images.shape[:2], dtype=torch.bool, device=batch.images.device)
-        window = batch.images, batch.rigs, batch.world_from_ego, batch.candidates, exists, batch.frame_ids
+        sketched = batch.candidates if batch.candidates is None else Sketched(batch.candidates)
+        rigs = tuple((rig,) * batch.images.shape[1] for rig in batch.rigs)
+        window = batch.images, rigs, batch.world_from_ego, sketched, exists, batch.frame_ids
         return self.stream.windows(*window).argmax(1).to(torch.uint8)
 
     def configure_callbacks(self) -> list[Callback]:

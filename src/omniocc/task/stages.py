@@ -45,7 +45,7 @@ STAGES = ("depth", "sketch", "occupancy")
 VERSIONS = {"depth": 3, "sketch": 1, "candidates": 1}
 """Raise a number when the same configuration would give another result."""
 
-SELECTION = ("threshold", "share", "windows", "band_edges_m")
+SELECTION = ("threshold", "fraction", "windows", "band_edges_m")
 """Arguments of a sketch that choose among its probabilities; its weights do not depend on them."""
 
 OVERRULED = ("max_steps", "check_val_every_n_epoch", "devices", "strategy", "accelerator")
