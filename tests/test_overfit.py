@@ -20,7 +20,7 @@ def test_one_frame_is_learned_by_heart(data_root, smoke):
     task.set_training_statistics(data.voxel_counts())
     optimizer = torch.optim.AdamW(task.parameters(), lr=1e-2, weight_decay=0.0)
     for _ in range(300):
-        terms = task.loss(task.model(batch.images, batch.rigs, batch.world_from_ego), batch.voxels, batch.pixel_labels)
+        terms = task.loss(task.predict(batch), batch.voxels, batch.pixel_labels)
         optimizer.zero_grad()
         torch.stack(list(terms.values())).sum().backward()
         optimizer.step()

@@ -164,7 +164,7 @@ def test_stages_run_once_and_are_shared(tmp_path, data_root):
     assert other.returncode == 0, other.stdout + other.stderr
     assert "sketch, stage 2 of 3 is there" in other.stdout
 
-    chosen = ["model.sketch.threshold=null", "model.sketch.share=0.1", "model.sketch.windows=[0,0,0]"]
+    chosen = ["model.sketch.threshold=null", "model.sketch.fraction=0.1", "model.sketch.windows=[0,0,0]"]
     fewer = run("train.py", *arguments, "stage=sketch", *chosen, cwd=tmp_path)
     assert fewer.returncode == 0, fewer.stdout + fewer.stderr
     assert len(list(tmp_path.glob("runs/stages/sketch-*"))) == 1  # other candidates of the same network

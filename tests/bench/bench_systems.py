@@ -57,7 +57,7 @@ class Drive:
 
     def step(self) -> None:
         """Forward and backward on a batch of windows."""
-        total(self.model(self.images, (self.rig,) * self.batch, self.poses)).backward()
+        total(self.model(self.images, ((self.rig,) * self.frames,) * self.batch, self.poses)).backward()
 
 
 def measure(name: str, cfg: DictConfig, meter: Meter, trains: bool) -> None:

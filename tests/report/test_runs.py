@@ -11,7 +11,7 @@ from omniocc.report.runs import by_row, comparable, figures_of_config, read_runs
 
 def test_figures_that_the_configuration_decides():
     grid = {"shape": [64, 100, 8]}
-    random = {"_target_": "omniocc.model.sketch.Random", "ratio": 0.25}
+    random = {"_target_": "omniocc.model.sketch.Random", "fraction": 0.25}
     assert figures_of_config({"model": {"geometry": grid, "sketch": random}}) == {
         "voxels": 51_200.0,
         "test/sketch/share": 0.25,

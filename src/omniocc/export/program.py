@@ -34,8 +34,8 @@ class Frame(nn.Module):
         """Class of every cell, from RGB 0..255."""
         pose = torch.eye(4, dtype=torch.float64, device=images.device)[None, None]
         there = torch.ones(1, 1, dtype=torch.bool, device=images.device)
-        volume = self.model.lift(images[None], (self.rig,)).volume
-        return self.model.fuse([volume], pose, there).argmax(1)[0].to(torch.uint8)
+        lifted = self.model.lift(images[None], (self.rig,))
+        return self.model.fuse([lifted.volume], pose, there, lifted.sketched).argmax(1)[0].to(torch.uint8)
 
 
 class Step(nn.Module):
@@ -67,9 +67,9 @@ class Step(nn.Module):
             past_exists: which of them there are.
             world_from_ego: of the frames before and, last, of the newest.
         """
-        volume = self.model.lift(images[None], (self.rig,)).volume
+        volume, sketched, _ = self.model.lift(images[None], (self.rig,))
         exists = torch.cat([past_exists, torch.ones_like(past_exists[:1])])[None]
-        logits = self.model.fuse([*past_volumes.split(1), volume], world_from_ego[None], exists)
+        logits = self.model.fuse([*past_volumes.split(1), volume], world_from_ego[None], exists, sketched)
         return logits.argmax(1)[0].to(torch.uint8), volume[0]
 
 

@@ -108,7 +108,7 @@ def figures_of_config(config: Mapping[str, Any]) -> dict[str, float]:
     if sketch.get("_target_", "").endswith(".Dense"):
         figures |= {SHARE: 1.0, RECALL: 1.0}
     if sketch.get("_target_", "").endswith(".Random"):
-        figures[SHARE] = float(sketch["ratio"])
+        figures[SHARE] = float(sketch["fraction"])
     return figures
 
 

@@ -11,7 +11,7 @@ from torch.utils.flop_counter import FlopCounterMode
 from omniocc.data.dataset import Sample
 from omniocc.model import OccupancyModel, Stream
 from omniocc.model.occupancy import to_unit_range
-from omniocc.model.protocols import LearnedSketch, learns
+from omniocc.model.protocols import LearnedSketch, Sketched, learns
 
 PARAMETERS, GFLOP, PEAK = "million parameters", "GFLOP a frame", "peak MiB"
 
@@ -60,10 +60,10 @@ def cost_of(model: OccupancyModel, sample: Sample) -> dict[str, float]:
     """
     device = next(model.parameters()).device
     images, pose = sample.images[-1].to(device), sample.world_from_ego[-1].to(device)
-    candidates = None if sample.candidates is None else sample.candidates[-1].to(device)
-    stream, runs = Stream(model), [lambda: stream.step(images, sample.rig, pose, candidates)]
-    if candidates is not None and estimates_range(model):
-        runs.append(lambda: model.choose(to_unit_range(images)[None], (sample.rig,))[0])
+    sketched = None if sample.candidates is None else Sketched(sample.candidates[-1:].to(device))
+    stream, runs = Stream(model), [lambda: stream.step(images, sample.rig, pose, sketched)]
+    if sketched is not None and estimates_range(model):
+        runs.append(lambda: model.choose(to_unit_range(images)[None], (sample.rig,)))
     once_and_past = [*runs, *runs[:1] * (model.temporal.frames - 1)]
     for run in once_and_past:  # what is computed once for a rig belongs to no frame
         count_gflop(run)

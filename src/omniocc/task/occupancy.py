@@ -8,10 +8,12 @@ from lightning.pytorch.callbacks import EMAWeightAveraging
 from torch import Tensor
 
 from omniocc.batch import Batch
+from omniocc.camera import Rig
 from omniocc.classes import UNKNOWN
 from omniocc.data import Augment
 from omniocc.loss import Total
 from omniocc.model import OccupancyModel, Prediction, Stream
+from omniocc.model.sketch import Sketched
 from omniocc.task.adamw import AdamW
 from omniocc.task.draws import step_generator
 from omniocc.task.scores import Scores
@@ -71,17 +73,16 @@ class OccupancyTask(StageTask[OccupancyModel]):
         return self.predict(batch).logits.argmax(1).to(torch.uint8)
 
     def predict(self, batch: Batch) -> Prediction:
-        """Return logits of the newest frame, and of ranges where the batch has true ones; candidates come from it too."""
+        """Return logits of the newest frame, and of ranges where the batch has true ones."""
         with_ranges = batch.camera_range_m is not None
-        return self.model(batch.images, batch.rigs, batch.world_from_ego, batch.candidates, batch.exists, with_ranges)
+        return self.model(*model_inputs(batch), batch.exists, with_ranges)
 
     def evaluate(self, batch: Batch) -> Tensor:
         """Return what `predict_labels` does, reusing the volumes of past frames that were evaluated before."""
         exists = batch.exists
         if exists is None:
             exists = torch.ones(batch.images.shape[:2], dtype=torch.bool, device=batch.images.device)
-        window = batch.images, batch.rigs, batch.world_from_ego, batch.candidates, exists, batch.frame_ids
-        return self.stream.windows(*window).argmax(1).to(torch.uint8)
+        return self.stream.windows(*model_inputs(batch), exists, batch.frame_ids).argmax(1).to(torch.uint8)
 
     def configure_callbacks(self) -> list[Callback]:
         """Return the moving average of the weights, if asked for."""
@@ -131,3 +132,10 @@ class OccupancyTask(StageTask[OccupancyModel]):
     def _log_scores(self, prefix: str, scores: Scores) -> None:
         self.log_dict({f"{prefix}/{key}": value for key, value in scores.compute().items()}, sync_dist=False)
         scores.reset()
+
+
+def model_inputs(batch: Batch) -> tuple[Tensor, tuple[tuple[Rig, ...], ...], Tensor, Sketched | None]:
+    """Return images, rigs of every frame, poses, and what the sketch stage has left, None where it has not run."""
+    sketched = None if batch.candidates is None else Sketched(batch.candidates)
+    rigs = tuple((rig,) * batch.images.shape[1] for rig in batch.rigs)
+    return batch.images, rigs, batch.world_from_ego, sketched

@@ -85,7 +85,7 @@ def test_wrong_images_are_named(name, small, rig, make_ring):
     model, images = small(name), images_of((rig,))
     with pytest.raises(ValueError, match=r"6 cameras.*images.* 5"):
         model(images[:, :5], (rig,))
-    with pytest.raises(ValueError, match=r"32x36 px.*rig"):
+    with pytest.raises(ValueError, match=r"rig.*64x36.*32x36 px"):
         model(images[..., :32], (rig,))
     with pytest.raises(ValueError, match=r"2 rigs.* 1 sample"):
         model(images, (rig, rig))

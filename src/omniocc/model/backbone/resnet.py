@@ -49,7 +49,7 @@ class ResNet(nn.Module):
             raise ValueError(f"levels are {levels}; they must be some of the strides {STRIDES}")
         if any(stage not in (1, 2, 3, 4) for stage in deformable_stages):
             raise ValueError(f"deformable_stages are {list(deformable_stages)}; they must be some of 1, 2, 3, 4")
-        self.channels = channels
+        self.channels, self.levels = channels, list(levels)
         self.normalize = Normalize()
         config = ResNetConfig(
             layer_type=layer_type, embedding_size=embedding_size, hidden_sizes=hidden_sizes, depths=depths

@@ -36,7 +36,7 @@ class Transformers(nn.Module):
 
     def __init__(self, architecture: str, sizes: dict[str, Any], weights: str | None, channels: int, levels: list[int]):
         super().__init__()
-        self.channels = channels
+        self.channels, self.levels = channels, list(levels)
         self.normalize = Normalize()
         self.encoder = build(make_config(architecture, sizes), list(sizes), weights)
         maps = probe(self.encoder)

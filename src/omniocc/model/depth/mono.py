@@ -12,10 +12,12 @@ from torch.nn import functional as F
 from omniocc.camera import Rig
 from omniocc.camera.ops.pixels import pixel_centers
 from omniocc.loss import SILog
-from omniocc.model.ops.depth.depth_map import DepthMap, check_images, from_index, per_rig
-from omniocc.model.ops.depth.features import FeatureNet
+from omniocc.model.ops.depth.depth_map import DepthMap, check_images, from_index, per_rig, weighted_sum
+from omniocc.model.ops.depth.features import STRIDE, FeatureNet
 from omniocc.model.ops.depth.panoramic import Panoramic
+from omniocc.model.ops.depth.projection import present_cameras
 from omniocc.model.ops.depth.zbuffer import fill_holes, merge_cameras
+from omniocc.model.ops.padded import by_shape, crop, frame_size, shape_groups
 
 TYPICAL_M = 8.0
 """Range that the network's zero stands for."""
@@ -24,12 +26,17 @@ HOLE_PASSES = 2
 
 @lru_cache(maxsize=16)
 def ray_maps(rig: Rig, device: torch.device) -> Float[Tensor, "N 4 H W"]:
-    """Where every pixel looks: unit ray in the camera's own frame, and the sine of its elevation in the ego frame."""
+    """Return every pixel's unit ray in the camera's own frame and the sine of its elevation in the ego frame.
+
+    Smaller images than the rig's largest are padded by zeros.
+    """
+    frame = frame_size(rig)
     maps = []
     for k, camera in enumerate(rig.cameras):
         rays, _ = camera.unproject(pixel_centers(camera.width, camera.height, torch.float64))
         up = rays @ rig.ego_from_camera[k, 2, :3]
-        maps.append(torch.cat([rays, up[..., None]], -1).movedim(-1, 0).float())
+        padding = (0, frame[0] - camera.width, 0, frame[1] - camera.height)
+        maps.append(F.pad(torch.cat([rays, up[..., None]], -1).movedim(-1, 0).float(), padding))
     return torch.stack(maps).to(device)
 
 
@@ -87,9 +94,10 @@ class Mono(Panoramic):
 
         def one(rig: Rig, samples: list[int]) -> DepthMap:
             spheres = self.rig_spheres(rig)
-            range_m = log_range[samples].exp().clamp(max=spheres.farthest_m)
-            present = images[samples].flatten(2).amax(-1) > 0
-            there, solid = present[:, :, None, None].expand_as(range_m), (-sky[samples]).sigmoid()
+            range_m = crop(log_range[samples], rig, STRIDE).exp().clamp(max=spheres.farthest_m)
+            present = present_cameras(crop(images[samples], rig))
+            there = present[:, :, None, None].expand_as(range_m)
+            solid = (-crop(sky[samples], rig, STRIDE)).sigmoid()
             surface, _ = merge_cameras(range_m, solid, there & (solid > 0.5), rig, self.panorama)
             # what holds for the sky is the range of a surface that may be there after all
             guess, _ = merge_cameras(range_m, solid, there, rig, self.panorama)
@@ -126,8 +134,19 @@ class Mono(Panoramic):
         if camera_range_m is None:
             raise ValueError("model/depth=mono learns from the range of every camera; this data has none")
         flip = self.mirror and bool(torch.rand((), generator=generator) < 0.5)
-        log_range, sky = self.camera_ranges(images, rigs, flip)
-        true_m = range_of_four(camera_range_m.flip(-1) if flip else camera_range_m)
+        parts = []
+        for samples in shape_groups(rigs):
+            own = tuple(rigs[sample] for sample in samples)
+            true_m = crop(camera_range_m[samples], own[0])
+            log_range, sky = self.camera_ranges(crop(images[samples], own[0]), own, flip)
+            terms = self.terms(log_range, sky, range_of_four(true_m.flip(-1) if flip else true_m))
+            parts.append((len(samples) / len(images), terms))
+        return weighted_sum(parts)
+
+    def terms(
+        self, log_range: Float[Tensor, "B N _ _"], sky: Float[Tensor, "B N _ _"], true_m: Float[Tensor, "B N _ _"]
+    ) -> dict[str, Float[Tensor, ""]]:
+        """Return the losses of log range (m) and of sky's logits against true ranges (inf: sky, nan: unknown)."""
         known = ~true_m.isnan()
         wrong = F.binary_cross_entropy_with_logits(sky, true_m.isinf().to(sky), reduction="none")
         entropy = torch.where(known, wrong, 0).sum() / known.sum().clamp(min=1)
@@ -136,11 +155,18 @@ class Mono(Panoramic):
     def camera_ranges(
         self, images: Float[Tensor, "B N 3 H W"], rigs: tuple[Rig, ...], flip: bool = False
     ) -> tuple[Float[Tensor, "B N _ _"], Float[Tensor, "B N _ _"]]:
-        """Log of the range from each camera's centre (m) and logit of sky, at half size; mirrored if asked."""
-        rays = torch.stack([ray_maps(rig, images.device) for rig in rigs])
-        if flip:
-            images, rays = images.flip(-1), rays.flip(-1) * rays.new_tensor([-1, 1, 1, 1])[:, None, None]
-        log_range, sky = self.net(images, rays).float().unbind(2)
+        """Return the log of the range from each camera's centre (m) and the logit of sky, at half size.
+
+        Mirrored if asked; zeros where images are padding.
+        """
+
+        def run(images: Tensor, rigs: tuple[Rig, ...]) -> tuple[Tensor, ...]:
+            rays = torch.stack([ray_maps(rig, images.device) for rig in rigs])
+            if flip:
+                images, rays = images.flip(-1), rays.flip(-1) * rays.new_tensor([-1, 1, 1, 1])[:, None, None]
+            return (self.net(images, rays).float(),)
+
+        log_range, sky = by_shape(run, images, rigs, [STRIDE])[0].unbind(2)
         return log_range + math.log(TYPICAL_M), sky
 
 

@@ -12,6 +12,7 @@ from omniocc.camera import Equirectangular, Rig
 from omniocc.model.ops.depth.depth_map import SKY_INDEX, DepthMap, check_images, from_index, per_rig
 from omniocc.model.ops.depth.panoramic import Panoramic
 from omniocc.model.ops.depth.projection import Projection, present_cameras, samplers, table
+from omniocc.model.ops.padded import crop, frame_size
 
 NOISE = 0.01
 """Standard deviation of grey values (of 1) up to which a window has no texture."""
@@ -67,7 +68,7 @@ class Sweep(Panoramic):
         check_images(images, rigs)
 
         def one(rig: Rig, samples: list[int]) -> DepthMap:
-            score = torch.cat(list(self._scores(images[samples], rig)), 1)
+            score = torch.cat(list(self._scores(crop(images[samples], rig), rig)), 1)
             index, confidence = peak(score)
             compared = score.amax(1) > UNSEEN
             valid = compared & (index >= SKY_INDEX) & (confidence >= self.min_confidence)
@@ -98,12 +99,12 @@ class Sweep(Panoramic):
 
     def _working_size(self, rig: Rig) -> tuple[int, int]:
         """Height and width of the images when their pixels are as wide as the panorama's, or as they are if coarser."""
-        camera = rig.cameras[0]
+        camera, (width, height) = rig.cameras[0], frame_size(rig)
         middle = torch.tensor([[camera.width / 2, camera.height / 2], [camera.width / 2 + 1, camera.height / 2]])
         rays, _ = camera.unproject(middle.double())
         angle_rad = float((rays[0] - rays[1]).norm())
         factor = max(1.0, panorama_step_rad(self.panorama) / angle_rad)
-        return max(2, round(camera.height / factor)), max(2, round(camera.width / factor))
+        return max(2, round(height / factor)), max(2, round(width / factor))
 
 
 def panorama_step_rad(panorama: Equirectangular) -> float:

@@ -1,6 +1,7 @@
 """The true range: what a perfect depth network would give."""
 
 from collections.abc import Sequence
+from typing import ClassVar
 
 from jaxtyping import Float
 from torch import Tensor
@@ -23,6 +24,8 @@ class Truth(Panoramic):
     Raises:
         ValueError: if there is no such panorama.
     """
+
+    NEEDS_TRUE_RANGE: ClassVar[bool] = True
 
     def __init__(
         self,

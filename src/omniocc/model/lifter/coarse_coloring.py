@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from omniocc.camera import Rig
@@ -11,6 +11,7 @@ from omniocc.model.lifter.coloring import Coloring
 from omniocc.model.ops.blocks import block_any, coarsened, repeat_blocks
 from omniocc.model.ops.lifter.visible import CENTRE
 from omniocc.model.ops.padding import Axes
+from omniocc.model.protocols import Sketched
 
 
 class CoarseColoring(nn.Module):
@@ -54,11 +55,12 @@ class CoarseColoring(nn.Module):
         self.coloring = Coloring(grid, channels, levels, layers, heads, points, feedforward_channels, anchors)
 
     def forward(
-        self, features: list[Float[Tensor, "B N C _ _"]], candidates: Bool[Tensor, "B X Y Z"], rigs: tuple[Rig, ...]
+        self, features: list[Float[Tensor, "B N C _ _"]], sketched: Sketched, rigs: tuple[Rig, ...]
     ) -> Float[Tensor, "B C X Y Z"]:
-        """Colours the blocks that hold candidates.
+        """Colour the blocks that hold candidates.
 
         Raises:
-            ValueError: if a rig has another number of cameras than there are images.
+            ValueError: if a rig has more cameras or larger images than there are maps for.
         """
-        return repeat_blocks(self.coloring(features, block_any(candidates, self.block), rigs), self.block)
+        blocks = Sketched(block_any(sketched.candidates, self.block))
+        return repeat_blocks(self.coloring(features, blocks, rigs), self.block)

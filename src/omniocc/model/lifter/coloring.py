@@ -14,7 +14,9 @@ from omniocc.model.ops.deformable_attention import Level, make_level
 from omniocc.model.ops.lifter.cross_attention import CrossAttention
 from omniocc.model.ops.lifter.position import position_features
 from omniocc.model.ops.lifter.visible import CENTRE, Pairs, reference_points, visible_pairs
+from omniocc.model.ops.padded import crop
 from omniocc.model.ops.static import is_static
+from omniocc.model.protocols import Sketched
 
 
 class ColoringLayer(nn.Module):
@@ -85,6 +87,7 @@ class Coloring(nn.Module):
             raise ValueError(f"anchors are {list(anchors)}; each must be three numbers from -0.5 to 0.5")
         self.geometry = geometry
         self.channels = channels
+        self.strides = list(levels)
         self.points = points
         self.anchors = tuple((float(first), float(second), float(third)) for first, second, third in anchors)
         self.register_buffer("positions", position_features(geometry), persistent=False)
@@ -101,14 +104,14 @@ class Coloring(nn.Module):
         self.empty = nn.Parameter(torch.zeros(channels))
 
     def forward(
-        self, features: list[Float[Tensor, "B N C _ _"]], candidates: Bool[Tensor, "B X Y Z"], rigs: tuple[Rig, ...]
+        self, features: list[Float[Tensor, "B N C _ _"]], sketched: Sketched, rigs: tuple[Rig, ...]
     ) -> Float[Tensor, "B C X Y Z"]:
-        """Colours the candidates; samples of equal rig and candidates go through together.
+        """Colour the candidates; samples of equal rig and candidates go through together.
 
         Raises:
-            ValueError: if a rig has another number of cameras than there are images.
+            ValueError: if a rig has more cameras or larger images than there are maps for.
         """
-        marked = candidates.flatten(1)
+        marked = sketched.candidates.flatten(1)
         groups = group_samples(marked, rigs)
         if len(groups) == 1:
             volumes = self._color(features, marked[0], rigs[0])
@@ -124,9 +127,8 @@ class Coloring(nn.Module):
     def _color(
         self, features: list[Float[Tensor, "B N C _ _"]], marked: Bool[Tensor, " cells"], rig: Rig
     ) -> Float[Tensor, "B cells C"]:
-        batch, cameras = features[0].shape[:2]
-        if len(rig.cameras) != cameras:
-            raise ValueError(f"the rig has {len(rig.cameras)} cameras but there are images of {cameras}")
+        features = [crop(level, rig, stride) for level, stride in zip(features, self.strides, strict=True)]
+        batch = len(features[0])
         whole = is_static()  # the same for every cell that is chosen: queries do not look at each other
         place = rig, self.geometry, marked.device, self.anchors
         cells, seen, pairs = every_cell(*place) if whole else chosen_cells(marked, *place)

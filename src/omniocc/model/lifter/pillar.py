@@ -1,7 +1,7 @@
 """Bird's-eye-view queries that look at the images along pillars (BEVFormer's spatial cross-attention)."""
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from omniocc.camera import Rig
@@ -9,6 +9,7 @@ from omniocc.geometry import Grid
 from omniocc.model.lifter.coloring import Coloring
 from omniocc.model.ops.blocks import block_any, coarsened
 from omniocc.model.ops.padding import Axes
+from omniocc.model.protocols import Sketched
 
 
 def pillar_anchors(cells: int, heights: int) -> list[tuple[float, float, float]]:
@@ -77,13 +78,13 @@ class Pillar(nn.Module):
         self.raise_up = nn.Linear(in_channels, cells * channels)
 
     def forward(
-        self, features: list[Float[Tensor, "B N C _ _"]], candidates: Bool[Tensor, "B X Y Z"], rigs: tuple[Rig, ...]
+        self, features: list[Float[Tensor, "B N C _ _"]], sketched: Sketched, rigs: tuple[Rig, ...]
     ) -> Float[Tensor, "B D X Y Z"]:
         """Lifts each sample through its own rig.
 
         Raises:
-            ValueError: if a rig has another number of cameras than there are images.
+            ValueError: if a rig has more cameras or larger images than there are maps for.
         """
-        view = self.coloring(features, block_any(candidates, self.block), rigs)[..., 0]
+        view = self.coloring(features, Sketched(block_any(sketched.candidates, self.block)), rigs)[..., 0]
         # channels last in memory, as 3D convolutions like it
         return self.raise_up(view.movedim(1, -1)).unflatten(-1, (self.block[2], -1)).movedim(-1, 1)

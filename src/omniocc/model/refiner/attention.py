@@ -13,6 +13,7 @@ from omniocc.model.ops.blocks import block_means, coarsened
 from omniocc.model.ops.lifter.cross_attention import ring_offsets
 from omniocc.model.ops.multilinear import corners, sum_samples
 from omniocc.model.ops.padding import Axes, pad3d, upsample
+from omniocc.model.protocols import Sketched
 
 CHUNK_SAMPLES = 2**21
 HALF: Axes = (2, 2, 2)
@@ -209,8 +210,8 @@ class Attention(nn.Module):
             AttentionLayer(channels, heads, points, feedforward_channels, layout) for _ in range(layers)
         )
 
-    def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B C X Y Z"]:
-        """Refines a volume."""
+    def forward(self, volume: Float[Tensor, "B C X Y Z"], sketched: Sketched) -> Float[Tensor, "B C X Y Z"]:
+        """Refine a volume."""
         if not self.halved:
             return self._attend(volume)
         return upsample(self._attend(block_means(volume, HALF)), volume.shape[2:], self.geometry.periodic)  # type: ignore[arg-type]

@@ -9,6 +9,7 @@ from torch.nn import functional as F
 
 from omniocc.geometry import Grid
 from omniocc.model.ops.padding import Periodic, pad3d
+from omniocc.model.protocols import Sketched
 from omniocc.model.refiner.unet import group_norm
 
 
@@ -86,8 +87,8 @@ class ChannelToHeight(nn.Module):
         self.norm = group_norm(view_channels[0])
         self.unfold = nn.Linear(view_channels[0], geometry.shape[2] * channels)
 
-    def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B D X Y Z"]:
-        """Refines a volume; the result has `channels` channels."""
+    def forward(self, volume: Float[Tensor, "B C X Y Z"], sketched: Sketched) -> Float[Tensor, "B D X Y Z"]:
+        """Refine a volume; the result has `channels` channels."""
         view = self.fold(volume.movedim(1, -1).flatten(-2)).movedim(-1, 1)
         levels = [self.stages[0](view)]
         for down, stage in zip(self.down, self.stages[1:], strict=True):

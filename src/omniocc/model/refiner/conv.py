@@ -9,6 +9,7 @@ from torch.nn import functional as F
 
 from omniocc.geometry import Grid
 from omniocc.model.ops.padding import Conv3d, Downsample, Periodic, Pointwise, upsample
+from omniocc.model.protocols import Sketched
 from omniocc.model.refiner.unet import check_halvings, group_norm
 
 
@@ -62,8 +63,8 @@ class Conv(nn.Module):
         self.merge = nn.ModuleList(Pointwise(own, channels[0]) for own in channels)
         self.norm = group_norm(channels[0])
 
-    def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B D X Y Z"]:
-        """Refines a volume; the result has `channels` channels."""
+    def forward(self, volume: Float[Tensor, "B C X Y Z"], sketched: Sketched) -> Float[Tensor, "B D X Y Z"]:
+        """Refine a volume; the result has `channels` channels."""
         # channels last: 3D convolutions run about a third faster on the CPU
         volume = self.stages[0](self.stem(volume.contiguous(memory_format=torch.channels_last_3d)))
         levels = [volume]

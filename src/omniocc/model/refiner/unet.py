@@ -9,6 +9,7 @@ from torch.nn import functional as F
 
 from omniocc.geometry import Grid
 from omniocc.model.ops.padding import Conv3d, Downsample, Periodic, Pointwise, upsample
+from omniocc.model.protocols import Sketched
 
 GROUP_CHANNELS = 8
 
@@ -79,8 +80,8 @@ class UNet(nn.Module):
         self.up = nn.ModuleList(Pointwise(coarse, fine) for fine, coarse in pairs)
         self.decoder = nn.ModuleList(Residual(fine, self.periodic) for fine, _ in pairs)
 
-    def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B D X Y Z"]:
-        """Refines a volume; the result has `channels` channels."""
+    def forward(self, volume: Float[Tensor, "B C X Y Z"], sketched: Sketched) -> Float[Tensor, "B D X Y Z"]:
+        """Refine a volume; the result has `channels` channels."""
         # channels last: 3D convolutions run about a third faster on the CPU
         volume = self.stem(volume.contiguous(memory_format=torch.channels_last_3d))
         skips = []

@@ -10,6 +10,7 @@ from torch import Tensor
 from omniocc.camera import Equirectangular, Rig
 from omniocc.errors import UserError
 from omniocc.model.ops.depth.spheres import Spheres
+from omniocc.model.ops.padded import crop
 from omniocc.model.ops.static import is_static
 
 
@@ -49,16 +50,14 @@ def from_index(
 
 
 def check_images(images: Float[Tensor, "B N 3 H W"], rigs: Sequence[Rig]) -> None:
-    """Raises ValueError unless there is one rig per sample, one image per camera of its size, all values finite."""
+    """Raise ValueError unless there is one rig per sample whose images are there, and all values are finite.
+
+    A rig may have fewer cameras or smaller images than the batch, which is padded (`omniocc.model.ops.padded`).
+    """
     if len(rigs) != len(images):
         raise ValueError(f"{len(rigs)} rigs for {len(images)} samples; give one each")
-    count, (height, width) = images.shape[1], images.shape[-2:]
-    for rig in rigs:
-        sizes = {(camera.width, camera.height) for camera in rig.cameras}
-        if len(rig.cameras) != count:
-            raise ValueError(f"the rig has {len(rig.cameras)} cameras but there are images of {count}")
-        if sizes != {(width, height)}:
-            raise ValueError(f"images are {width}x{height} px but the rig's are {sorted(sizes)}; see Rig.resized")
+    for rig in set(rigs):
+        crop(images, rig)
     if not is_static() and not bool(images.isfinite().all()):
         raise ValueError("images hold NaN or infinity; they must be RGB in [0, 1]")
 

@@ -1,6 +1,7 @@
 """What all depth options share: their panorama, and the spheres in whose indices they answer."""
 
 from collections.abc import Sequence
+from typing import ClassVar
 
 from torch import nn
 
@@ -22,6 +23,8 @@ class Panoramic(nn.Module):
     Raises:
         ValueError: if there is no such panorama.
     """
+
+    NEEDS_TRUE_RANGE: ClassVar[bool] = False
 
     def __init__(
         self,

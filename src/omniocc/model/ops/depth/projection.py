@@ -21,6 +21,7 @@ from torch.nn import functional as F
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.model.ops.depth.spheres import Spheres
+from omniocc.model.ops.padded import frame_size
 from omniocc.model.ops.static import is_static
 
 TAPER = 0.08
@@ -195,8 +196,10 @@ def _taps(
     pixels = torch.where(valid[:, None], pixels, 0.0)
     u, v = pixels.round().long().unbind(-1)
     weight = field_weight(rig, camera)[v.clamp(0, model.height - 1), u.clamp(0, model.width - 1)].double() * valid
-    x = ((pixels[:, 0] + 0.5) * width / model.width - 0.5).clamp(0, width - 1)
-    y = ((pixels[:, 1] + 0.5) * height / model.height - 0.5).clamp(0, height - 1)
+    frame_width, frame_height = frame_size(rig)
+    columns, rows = -(-model.width * width // frame_width), -(-model.height * height // frame_height)
+    x = ((pixels[:, 0] + 0.5) * width / frame_width - 0.5).clamp(0, columns - 1)
+    y = ((pixels[:, 1] + 0.5) * height / frame_height - 0.5).clamp(0, rows - 1)
     left, top = x.floor().clamp(max=max(width - 2, 0)), y.floor().clamp(max=max(height - 2, 0))
     fx, fy = x - left, y - top
     corner = (camera * height + top.long()) * width + left.long()

@@ -19,6 +19,7 @@ from omniocc.model.ops.depth.depth_map import (
 from omniocc.model.ops.depth.layers import window_argmax
 from omniocc.model.ops.depth.panoramic import Panoramic
 from omniocc.model.ops.depth.terms import sphere_terms
+from omniocc.model.ops.padded import crop
 
 
 class SphereNet(Panoramic):
@@ -84,7 +85,7 @@ class SphereNet(Panoramic):
         check_images(images, rigs)
 
         def one(rig: Rig, samples: list[int]) -> DepthMap:
-            logits, seen = self.logits(images[samples], rig)
+            logits, seen = self.logits(crop(images[samples], rig), rig)
             index, mass = window_argmax(logits[:, :-1], self.window)
             solid = (-logits[:, -1].float()).sigmoid()
             confidence = mass * solid
@@ -118,7 +119,7 @@ class SphereNet(Panoramic):
         target_m = erp_range_m.flip(-1) if flip else erp_range_m
         parts = []
         for rig, samples in rig_groups(rigs):
-            logits, _ = self.logits(images[samples], rig, flip)
+            logits, _ = self.logits(crop(images[samples], rig), rig, flip)
             index, _ = window_argmax(logits[:, :-1], self.window)
             weights = self.log_range_weight, self.entropy_weight, self.sky_weight
             terms = sphere_terms(logits, index, target_m[samples], self.rig_spheres(rig), *weights)

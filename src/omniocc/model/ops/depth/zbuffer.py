@@ -5,8 +5,10 @@ from functools import lru_cache
 import torch
 from jaxtyping import Bool, Float, Float32
 from torch import Tensor
+from torch.nn import functional as F
 
 from omniocc.camera import Equirectangular, Rig
+from omniocc.model.ops.padded import frame_size
 
 SAME_SURFACE = 1.5
 """Points of a pixel up to this many times as far as its nearest belong to the same surface."""
@@ -16,9 +18,18 @@ SAME_SURFACE = 1.5
 def camera_rays(
     rig: Rig, size: tuple[int, int], device: torch.device
 ) -> tuple[Float32[Tensor, "N height width 3"], Bool[Tensor, "N height width"]]:
-    """Ego-frame directions of the pixels of maps of `size` (width, height) that span the images, and which are seen."""
-    resized = rig.resized(*size)
-    rays, seen = zip(*(resized.rays(k) for k in range(len(rig.cameras))), strict=True)
+    """Return ego-frame directions of the pixels of maps of `size` (width, height), and which are seen.
+
+    The maps span the rig's largest image; smaller ones are padded (`omniocc.model.ops.padded`).
+    """
+    frame = frame_size(rig)
+    rays, seen = [], []
+    for k, camera in enumerate(rig.cameras):
+        width, height = camera.width * size[0] // frame[0], camera.height * size[1] // frame[1]
+        own_rays, own_seen = rig.resized(width, height).rays(k)
+        padding = (0, size[0] - width, 0, size[1] - height)
+        rays.append(F.pad(own_rays, (0, 0, *padding)))
+        seen.append(F.pad(own_seen, padding))
     return torch.stack(rays).to(device), torch.stack(seen).to(device)
 
 

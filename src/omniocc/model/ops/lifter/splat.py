@@ -12,6 +12,7 @@ from torch.nn import functional as F
 
 from omniocc.camera import Rig
 from omniocc.geometry import Grid
+from omniocc.model.ops.padded import frame_size
 
 
 class Entries(NamedTuple):
@@ -49,11 +50,13 @@ def bin_points(
         Points in the ego frame, metres, by camera, row, column; and whether the camera sees anything at that pixel.
     """
     points, seen = [], []
+    frame = frame_size(rig)
+    scale = torch.tensor([frame[0] / width, frame[1] / height], dtype=torch.float64)
+    rows, columns = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
+    pixels = (torch.stack([columns, rows], dim=-1).reshape(-1, 2) + 0.5) * scale - 0.5
     for index, camera in enumerate(rig.cameras):
-        scale = torch.tensor([camera.width / width, camera.height / height], dtype=torch.float64)
-        rows, columns = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
-        pixels = (torch.stack([columns, rows], dim=-1).reshape(-1, 2) + 0.5) * scale - 0.5
         rays, valid = camera.unproject(pixels)
+        valid = valid & (pixels < torch.tensor([camera.width, camera.height]) - 0.5).all(-1)
         pose = rig.ego_from_camera[index]
         directions = torch.where(valid[:, None], rays, 0.0) @ pose[:3, :3].T
         points.append(pose[:3, 3] + directions[:, None] * ranges_m[:, None])

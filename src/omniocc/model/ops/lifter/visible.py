@@ -10,6 +10,7 @@ from torch import Tensor
 
 from omniocc.camera import Rig, normalize_pixels
 from omniocc.geometry import Grid
+from omniocc.model.ops.padded import frame_size
 
 CENTRE = ((0.0, 0.0, 0.0),)
 OUTSIDE = -1e4
@@ -58,11 +59,7 @@ def reference_points(
     grid alone, so each rig is projected once. The result is shared: never write to it.
     """
     pixels, valid = rig.project(anchor_points(geometry, anchors).flatten(0, 2))
-    points = [
-        normalize_pixels(pixels_px, camera.width, camera.height)
-        for pixels_px, camera in zip(pixels, rig.cameras, strict=True)
-    ]
-    points = torch.where(valid[..., None], torch.stack(points), OUTSIDE)
+    points = torch.where(valid[..., None], normalize_pixels(pixels, *frame_size(rig)), OUTSIDE)
     return points.to(device=device, dtype=torch.float32), valid.any(-1).to(device)
 
 
