@@ -57,7 +57,7 @@ def run(callback, root=True):
     """Passes all frames through the callback, as a test and as a validation."""
     loader = SimpleNamespace(batch_size=BATCH, dataset=range(FRAMES))
     trainer = SimpleNamespace(is_global_zero=root, loggers=[], global_step=30, test_dataloaders=loader)
-    task = SimpleNamespace(model=FakeModel())
+    task = SimpleNamespace(model=FakeModel(), sketch=FakeModel())
     for number, first in enumerate(range(0, FRAMES, BATCH)):
         batch = batch_of(tuple(f"scene/{k:04d}" for k in range(first, min(first + BATCH, FRAMES))))
         outputs = OUTPUTS[type(callback)](batch)

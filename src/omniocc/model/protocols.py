@@ -52,10 +52,12 @@ class Backbone(Protocol):
     """Turn camera images into a pyramid of feature maps.
 
     Attributes:
+        PRETRAINED: names of the arguments that load nothing but pretrained weights; None where a checkpoint follows.
         channels: of every map.
         levels: strides of the maps, px, finest first: an image of height H has a map of ceil(H / stride) rows.
     """
 
+    PRETRAINED: ClassVar[tuple[str, ...]]
     channels: int
     levels: list[int]
 

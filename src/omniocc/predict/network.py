@@ -2,17 +2,18 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import TypeVar, cast
 
 import torch
 from omegaconf import DictConfig, OmegaConf
 from torch import Tensor, nn
 
 from omniocc.camera import Rig
-from omniocc.config import build
+from omniocc.config import build, target_of
 from omniocc.errors import UserError
 from omniocc.model import OccupancyModel
 from omniocc.model.depth import DepthMap
+from omniocc.model.protocols import Backbone
 from omniocc.run.checkpoint import Checkpoint, check_parts, load_checkpoint
 
 Network = TypeVar("Network", bound=nn.Module)
@@ -73,13 +74,9 @@ def depth_weights(trained: Checkpoint) -> dict[str, Tensor]:
 
 
 def without_download(model: DictConfig) -> DictConfig:
-    """The configuration of a model whose ResNet begins with random weights: a checkpoint holds the trained ones.
-
-    Other backbones take more than weights from the hub: entries of their configuration.
-    """
-    if not str(model.backbone["_target_"]).endswith(".ResNet"):
-        return model
-    merged = OmegaConf.merge(model, {"backbone": {"weights": None}})
+    """Return a model's configuration that loads no pretrained weights: those of a checkpoint replace them."""
+    pretrained = cast(type[Backbone], target_of(model.backbone)).PRETRAINED
+    merged = OmegaConf.merge(model, {"backbone": dict.fromkeys(pretrained)})
     assert isinstance(merged, DictConfig)
     return merged
 

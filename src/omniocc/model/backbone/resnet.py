@@ -1,7 +1,7 @@
 """ResNet and feature pyramid."""
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import ClassVar, Literal
 
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -32,6 +32,8 @@ class ResNet(nn.Module):
     Raises:
         ValueError: if a level or stage does not exist or the weights have other sizes.
     """
+
+    PRETRAINED: ClassVar = ("weights",)
 
     def __init__(
         self,

@@ -1,6 +1,6 @@
 """Any image backbone of the transformers library."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from jaxtyping import Float
@@ -33,6 +33,8 @@ class Transformers(nn.Module):
     Raises:
         ValueError: if there is no such architecture, size or level, or the weights are of another network.
     """
+
+    PRETRAINED: ClassVar = ()  # entries of the configuration come with the weights
 
     def __init__(self, architecture: str, sizes: dict[str, Any], weights: str | None, channels: int, levels: list[int]):
         super().__init__()
