@@ -6,12 +6,12 @@ from pathlib import Path
 from lightning.pytorch import Trainer
 
 from omniocc.config import build
-from omniocc.run.folder import PICTURES, git_commit
+from omniocc.run.folder import IMAGES, git_commit
 from omniocc.run.results import save_results, show_results
 from omniocc.run.script import lines_not_tracebacks, quiet_libraries
 from omniocc.task import StepProgress
 from omniocc.task.build import load_task
-from omniocc.task.pictures import Pictures
+from omniocc.task.images import OccupancyImages
 
 
 @lines_not_tracebacks
@@ -25,7 +25,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument(
         "--output", type=Path, help="folder of the results (default: evaluation-<checkpoint> beside it)"
     )
-    parser.add_argument("--pictures", type=int, default=4, help="test frames to draw")
+    parser.add_argument("--images", type=int, default=4, help="test frames to draw")
     options = parser.parse_intermixed_args(arguments)
     for override in options.overrides:
         if "=" not in override:
@@ -36,7 +36,7 @@ def main(arguments: list[str] | None = None) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     data = build(cfg.data)
     trainer = Trainer(
-        callbacks=[StepProgress("occupancy"), Pictures(folder / PICTURES, options.pictures)],
+        callbacks=[StepProgress("occupancy"), OccupancyImages(folder / IMAGES, options.images)],
         logger=False,
         enable_checkpointing=False,
         enable_model_summary=False,

@@ -1,4 +1,4 @@
-"""Train a model, test its best checkpoint on unseen scenes, write figures and pictures.
+"""Train a model, test its best checkpoint on unseen scenes, write figures and images.
 
 `--help` lists what can be chosen.
 """
@@ -16,7 +16,7 @@ from omniocc.io import atomic_write
 from omniocc.run.checkpoint_io import BEST, LAST, AtomicCheckpointIO
 from omniocc.run.cost import PEAK, cost_of, peak_mib
 from omniocc.run.folder import (
-    PICTURES,
+    IMAGES,
     RunFolder,
     command_line,
     git_commit,
@@ -31,7 +31,7 @@ from omniocc.run.slots import sketch_learns
 from omniocc.run.wandb.loggers import finish
 from omniocc.task import OccupancyTask, StepProgress
 from omniocc.task.build import build_task
-from omniocc.task.pictures import Pictures
+from omniocc.task.images import OccupancyImages
 from omniocc.task.stage_keys import wanted_stages
 from omniocc.task.stages import Stages
 
@@ -63,7 +63,7 @@ def main(cfg: DictConfig) -> None:
 def train_occupancy(
     cfg: DictConfig, data: OccupancyData, before: Stages | None, figures: dict[str, float], title: str
 ) -> None:
-    """Fit, test, and write figures and pictures, with the figures of the stages before beside them."""
+    """Fit, test, and write figures and images, with the figures of the stages before beside them."""
     seed_everything(cfg.seed, workers=True, verbose=False)
     config = plain(cfg)
     run = open_run(Path(cfg.paths.runs), cfg.name, run_hash(config, data.world.fingerprint), cfg.resume)
@@ -114,14 +114,14 @@ def fit(trainer: Trainer, task: OccupancyTask, data: OccupancyData, run: RunFold
 
 
 def callbacks(cfg: DictConfig, run: RunFolder, title: str) -> list[Callback]:
-    """Return callbacks for progress, the last and the best checkpoint, and pictures."""
+    """Return callbacks for progress, the last and the best checkpoint, and images."""
     return [
         StepProgress(title),
         ModelCheckpoint(
             run.path, "last", every_n_train_steps=cfg.checkpoint_every_n_steps, enable_version_counter=False
         ),
         ModelCheckpoint(run.path, "best", monitor="val/rayiou", mode="max", enable_version_counter=False),
-        Pictures(run.path / PICTURES, cfg.pictures),
+        OccupancyImages(run.path / IMAGES, cfg.test_images),
     ]
 
 

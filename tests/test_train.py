@@ -42,7 +42,7 @@ def metrics_of(folder: Path, name: str) -> dict:
 def whole(shared_folder, data_root) -> tuple[Path, list[str]]:
     """Folder and arguments of one run to its end, made once for all test processes; what it said is in `said.txt`."""
     folder = shared_folder / "whole"
-    arguments = smoke(data_root, *TWELVE_STEPS, "name=whole", "logger.mode=offline", "pictures=1")
+    arguments = smoke(data_root, *TWELVE_STEPS, "name=whole", "logger.mode=offline", "test_images=1")
     with FileLock(f"{folder}.lock"):
         if not (folder / "said.txt").exists():
             folder.mkdir(exist_ok=True)
@@ -69,7 +69,7 @@ def test_a_run_leaves_figures_pictures_and_curves(whole):
     (folder,) = place.glob("runs/whole-*")
     facts = json.loads((folder / "metrics.json").read_text())
     assert min(facts[key] for key in ("million parameters", "GFLOP a frame", "peak MiB")) > 0
-    assert list(folder.glob("pictures/test-00-*.png"))
+    assert list(folder.glob("images/test-00-*.png"))
     assert list(folder.glob("wandb/offline-run-*/*.wandb"))
     assert (folder / "config.yaml").exists()
     assert "RayIoU" in (place / "said.txt").read_text()
@@ -81,7 +81,7 @@ def test_a_run_leaves_figures_pictures_and_curves(whole):
     evaluated = run(
         "evaluate.py",
         str(folder / "best.ckpt" if (folder / "best.ckpt").exists() else folder / "last.ckpt"),
-        "--pictures",
+        "--images",
         "0",
         cwd=place,
     )
@@ -91,7 +91,7 @@ def test_a_run_leaves_figures_pictures_and_curves(whole):
 
 
 def test_killed_training_continues_to_the_same_figures(tmp_path, data_root, whole):
-    arguments = smoke(data_root, *TWELVE_STEPS, "pictures=0")
+    arguments = smoke(data_root, *TWELVE_STEPS, "test_images=0")
     process = subprocess.Popen(
         command("train.py", *arguments, "name=killed"), cwd=tmp_path, stdout=subprocess.DEVNULL, start_new_session=True
     )
@@ -110,7 +110,7 @@ def test_killed_training_continues_to_the_same_figures(tmp_path, data_root, whol
 
 
 def test_a_damaged_checkpoint_costs_the_steps_since_the_one_before(tmp_path, data_root):
-    arguments = smoke(data_root, "trainer.max_steps=2", "checkpoint_every_n_steps=1", "pictures=0", "name=damaged")
+    arguments = smoke(data_root, "trainer.max_steps=2", "checkpoint_every_n_steps=1", "test_images=0", "name=damaged")
     whole = run("train.py", *arguments, cwd=tmp_path)
     assert whole.returncode == 0, whole.stdout + whole.stderr
     (folder,) = tmp_path.glob("runs/damaged-*")
@@ -134,7 +134,7 @@ def test_a_damaged_checkpoint_costs_the_steps_since_the_one_before(tmp_path, dat
 
 
 def test_a_loss_that_is_not_finite_is_one_line(tmp_path, data_root):
-    result = run("train.py", *smoke(data_root, "optimizer.learning_rate=1e30", "pictures=0"), cwd=tmp_path)
+    result = run("train.py", *smoke(data_root, "optimizer.learning_rate=1e30", "test_images=0"), cwd=tmp_path)
     assert result.returncode == 1
     *before, line = result.stderr.strip().splitlines()  # before it, what rendering says where this test is the first
     assert not [words for words in before if "Traceback" in words or "Warning" in words or "finite" in words]
@@ -144,7 +144,7 @@ def test_a_loss_that_is_not_finite_is_one_line(tmp_path, data_root):
 
 def test_stages_run_once_and_are_shared(tmp_path, data_root):
     arguments = smoke(data_root, "model/sketch=omni", "trainer.max_steps=3", "trainer.log_every_n_steps=1")
-    logged = ["logger.mode=offline", "pictures=1"]
+    logged = ["logger.mode=offline", "test_images=1"]
     depth = run("train.py", *arguments, "stage=depth", *logged, cwd=tmp_path)
     assert depth.returncode == 0, depth.stdout + depth.stderr
     assert "depth, stage 1 of 1 begins" in depth.stdout
@@ -160,7 +160,7 @@ def test_stages_run_once_and_are_shared(tmp_path, data_root):
     for key in ("test/rayiou", "test/depth/mae_0-8.5m", "test/sketch/recall", "test/sketch/raw/recall_17-25.6m"):
         assert key in metrics
 
-    other = run("train.py", *arguments, "name=other", "model/refiner=none", "pictures=0", cwd=tmp_path)
+    other = run("train.py", *arguments, "name=other", "model/refiner=none", "test_images=0", cwd=tmp_path)
     assert other.returncode == 0, other.stdout + other.stderr
     assert "sketch, stage 2 of 3 is there" in other.stdout
 
@@ -175,7 +175,7 @@ def test_stages_run_once_and_are_shared(tmp_path, data_root):
     assert len(shares) == 2
     assert min(abs(share - 0.1) for share in shares) < 1e-3
 
-    evaluated = run("evaluate.py", str(next(tmp_path.glob("runs/whole-*/last.ckpt"))), "--pictures=0", cwd=tmp_path)
+    evaluated = run("evaluate.py", str(next(tmp_path.glob("runs/whole-*/last.ckpt"))), "--test_images=0", cwd=tmp_path)
     assert evaluated.returncode == 0, evaluated.stdout + evaluated.stderr
     (path,) = tmp_path.glob("runs/whole-*/evaluation-*/metrics.json")
     online = json.loads(path.read_text())["metrics"]["test/voxel/miou"]  # the sketch at work, not its cache
@@ -185,7 +185,7 @@ def test_stages_run_once_and_are_shared(tmp_path, data_root):
     blob = bytearray(cached.read_bytes())
     blob[3] ^= 1
     cached.write_bytes(blob)
-    damaged = run("train.py", *arguments, "name=damaged", "pictures=0", cwd=tmp_path)
+    damaged = run("train.py", *arguments, "name=damaged", "test_images=0", cwd=tmp_path)
     assert damaged.returncode == 1
     assert f"{cached.name}: frame 0 is damaged; delete the file" in damaged.stderr
     assert "Traceback" not in damaged.stderr
@@ -193,7 +193,12 @@ def test_stages_run_once_and_are_shared(tmp_path, data_root):
 
 def test_a_killed_stage_continues_to_the_same_figures(tmp_path, data_root):
     arguments = smoke(
-        data_root, "model/sketch=omni", "model/depth=truth", "stage=sketch", "stages.sketch.max_steps=12", "pictures=0"
+        data_root,
+        "model/sketch=omni",
+        "model/depth=truth",
+        "stage=sketch",
+        "stages.sketch.max_steps=12",
+        "test_images=0",
     )
     whole = run("train.py", *arguments, "checkpoint_every_n_steps=1", "paths.runs=whole", cwd=tmp_path)
     assert whole.returncode == 0, whole.stdout + whole.stderr
@@ -276,7 +281,7 @@ def test_what_the_last_stage_refuses_is_said_before_the_first_trains(tmp_path, d
     ],
 )
 def test_swapped_modules_train(overrides, tmp_path, data_root):
-    result = run("train.py", *smoke(data_root, *overrides, "trainer.max_steps=2", "pictures=0"), cwd=tmp_path)
+    result = run("train.py", *smoke(data_root, *overrides, "trainer.max_steps=2", "test_images=0"), cwd=tmp_path)
     assert result.returncode == 0, result.stdout + result.stderr
 
 
@@ -288,7 +293,7 @@ def test_two_processes_train_one_model(tmp_path, data_root):
         "trainer.max_steps=2",
         "data.batch_size=1",
     )
-    result = run("train.py", *smoke(data_root, *distributed, "pictures=0", "name=pair"), cwd=tmp_path)
+    result = run("train.py", *smoke(data_root, *distributed, "test_images=0", "name=pair"), cwd=tmp_path)
     assert result.returncode == 0, result.stdout + result.stderr
     assert metrics_of(tmp_path, "pair")["label/rayiou"] == 1.0
     assert len(list(tmp_path.glob("runs/*"))) == 1

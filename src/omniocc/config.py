@@ -71,7 +71,7 @@ class Root:
     resume: str
     stage: str | None
     checkpoint_every_n_steps: int
-    pictures: int
+    test_images: int
     ema_decay: float | None
     packages: list[str]
 

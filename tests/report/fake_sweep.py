@@ -29,7 +29,7 @@ def parts(geometry: Grid, prediction_seed: int) -> SheetParts:
 
 
 def save_parts(folder: Path, parts: SheetParts) -> None:
-    """Save a sheet and its parts as `omniocc.task.pictures` does."""
+    """Save a sheet and its parts as `omniocc.task.images` does."""
     (folder / "parts" / PICTURE).mkdir(parents=True)
     save_png(folder / f"{PICTURE}.png", comparison_sheet(parts, "test-000-suburb/000001"))
     for name, part in parts._asdict().items():
@@ -78,5 +78,5 @@ def write_sweep(root: Path) -> Path:
     drawn = [parts(Cylinder(shape=(8, 10, 4)), 1), parts(Cuboid(shape=(8, 8, 4)), 1)]
     for name, seed, rayiou, sketch, geometry in rows:
         write_run(runs / name, seed, rayiou, world, sketch, geometry)
-        save_parts(runs / name / "pictures", drawn[geometry is CUBOID])
+        save_parts(runs / name / "images", drawn[geometry is CUBOID])
     return runs

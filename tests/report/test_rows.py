@@ -24,7 +24,14 @@ def run_of(name: str, *overrides: str) -> FinishedRun:
 
 
 def test_every_row_is_told_by_its_configuration():
-    mine = ("name=mine", "seed=3", "paths.data=elsewhere", "data.num_workers=0", "pictures=0", "logger.mode=disabled")
+    mine = (
+        "name=mine",
+        "seed=3",
+        "paths.data=elsewhere",
+        "data.num_workers=0",
+        "test_images=0",
+        "logger.mode=disabled",
+    )
     runs = [run_of("mine", f"+ablation={row}", *mine) for row in ROWS]
     assert [run.row for run in assign_rows(runs, CONF, ["ours"])] == ROWS
 

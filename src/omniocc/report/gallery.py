@@ -1,4 +1,4 @@
-"""The same test frames across rows, from the parts of sheets that every run leaves in `pictures/parts`."""
+"""The same test frames across rows, from the parts of sheets that every run leaves in `images/parts`."""
 
 import base64
 import re
@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from omniocc.report.runs import FinishedRun
-from omniocc.run.folder import PARTS, PICTURES
+from omniocc.run.folder import IMAGES, PARTS
 from omniocc.view import SheetParts
 
 NAME = re.compile(r"test-(\d+)-(.+)-(\d+)")
@@ -45,7 +45,7 @@ def gallery(rows: Mapping[str, Sequence[FinishedRun]]) -> list[GalleryFrame]:
     for row, runs in rows.items():
         geometry = runs[0].config.get("model", {}).get("geometry", {})
         kind = geometry.get("_target_", "grid").split(".")[-1].lower()
-        for key, parts in _frames(runs[0].folder / PICTURES):
+        for key, parts in _frames(runs[0].folder / IMAGES):
             new = geometry not in grids.setdefault(key, [])
             grids[key].append(geometry)
             frames.setdefault(key, []).append(Shown(row, runs[0], parts, kind if new else ""))

@@ -17,9 +17,9 @@ from omniocc.run.checkpoint_io import LAST, resumable
 from omniocc.run.slots import sketch_learns
 
 METRICS = "metrics.json"
-PICTURES, PARTS = "pictures", "parts"
-"""Folder of a run's pictures, and in it the folder of their parts."""
-VOLATILE = ("resume", "stage", "paths", "packages", "logger", "pictures", "checkpoint_every_n_steps")
+IMAGES, PARTS = "images", "parts"
+"""Folder of the sheets that a run draws, and in it the folder of their parts."""
+VOLATILE = ("resume", "stage", "paths", "packages", "logger", "test_images", "checkpoint_every_n_steps")
 """Root keys that do not change what a run computes."""
 RANK_FOLDER = "OMNIOCC_RUN_FOLDER"
 """Environment variable by which the first process of a distributed run tells its children the folder."""

@@ -29,11 +29,11 @@ from omniocc.model.protocols import Depth, learns
 from omniocc.progress import Progress, waiting
 from omniocc.run.checkpoint import load_checkpoint
 from omniocc.run.checkpoint_io import LAST, AtomicCheckpointIO, resumable
-from omniocc.run.folder import METRICS, PICTURES, git_commit
+from omniocc.run.folder import IMAGES, METRICS, git_commit
 from omniocc.run.results import load_results, save_results
 from omniocc.run.wandb.loggers import finish
 from omniocc.task.depth import DepthTask
-from omniocc.task.pictures import DepthPictures, SketchPictures
+from omniocc.task.images import DepthImages, SketchImages
 from omniocc.task.progress import StepProgress
 from omniocc.task.recipe import Recipe
 from omniocc.task.sketch import SketchTask, known
@@ -72,7 +72,7 @@ class Stages:
             model = build(self.cfg.depth)
             spheres = cast(Depth, model).rig_spheres(self.scenes[0].rig)
             task = DepthTask(model, recipe.optimizer, spheres, recipe.seed, plain(self.cfg))
-            drawn = DepthPictures(self.results["depth"] / PICTURES, self.cfg.pictures)
+            drawn = DepthImages(self.results["depth"] / IMAGES, self.cfg.test_images)
             self._finish(task, recipe, Extras(true_ranges=True), drawn, "depth", title, learns(type(model)))
             self._fill(self.ranges, lambda scene, frame: predict_range_m(task, scene, frame), f"{title}, ranges")
         return load_results(self.results["depth"])[1]
@@ -84,7 +84,7 @@ class Stages:
             task = SketchTask(build(self.cfg.model.sketch), recipe.optimizer, plain(self.cfg))
             cast(nn.Module, task.sketch.depth).load_state_dict(weights_of(self.depth / LAST))
             extras = Extras(true_ranges=True, depth=self.ranges)
-            drawn = SketchPictures(self.results["sketch"] / PICTURES, self.cfg.pictures)
+            drawn = SketchImages(self.results["sketch"] / IMAGES, self.cfg.test_images)
             self._finish(task, recipe, extras, drawn, "sketch", title, trains=True)
             self._fill(self.candidates, lambda scene, frame: self._choose(task, scene, frame), f"{title}, candidates")
         return load_results(self.results["sketch"])[1]
@@ -103,7 +103,7 @@ class Stages:
         task: StageTask[nn.Module],
         recipe: Recipe,
         extras: Extras,
-        pictures: Callback,
+        images: Callback,
         stage: str,
         title: str,
         trains: bool,
@@ -121,7 +121,7 @@ class Stages:
         print(f"{title} {'goes on' if checkpoint else 'begins'}: {folder}", flush=True)
         data = build(self.cfg.data, window=1, batch_size=recipe.batch_size, seed=recipe.seed)
         data.read_also(extras)
-        trainer = self._trainer(recipe, pictures, folder, stage, title)
+        trainer = self._trainer(recipe, images, folder, stage, title)
         if trains:
             trainer.fit(task, datamodule=data, ckpt_path=checkpoint and str(checkpoint))
         metrics = trainer.test(task, datamodule=data, verbose=False)[0]
@@ -131,7 +131,7 @@ class Stages:
         save_results(results, metrics, facts | {"data": self.fingerprint})
         finish(trainer.loggers)
 
-    def _trainer(self, recipe: Recipe, pictures: Callback, folder: Path, stage: str, title: str) -> Trainer:
+    def _trainer(self, recipe: Recipe, images: Callback, folder: Path, stage: str, title: str) -> Trainer:
         atomic_write(folder / "config.yaml", OmegaConf.to_yaml(self.cfg, resolve=True))
         steps = self.cfg.checkpoint_every_n_steps
         return build(
@@ -143,7 +143,7 @@ class Stages:
             plugins=[AtomicCheckpointIO()],
             callbacks=[
                 StepProgress(title),
-                pictures,
+                images,
                 ModelCheckpoint(folder, "last", every_n_train_steps=steps, enable_version_counter=False),
             ],
             logger=build(self.cfg.logger).build(folder, plain(self.cfg), stage),

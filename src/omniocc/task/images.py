@@ -1,4 +1,4 @@
-"""Pictures of test frames: what the cameras saw, and true beside predicted."""
+"""Sheets of test frames: what the cameras saw, and true beside predicted."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -21,18 +21,22 @@ from omniocc.view import comparison_parts, comparison_sheet, depth_sheet, save_p
 
 
 class Drawn(NamedTuple):
-    """A sheet of a frame, and by name those of its parts that are also saved alone."""
+    """Hold a sheet of a frame, and by name those of its parts that are also saved alone."""
 
     sheet: np.ndarray
     parts: Mapping[str, np.ndarray] = MappingProxyType({})
 
 
-class FramePictures(Callback, ABC):
-    """Draws `count` frames spread evenly over the test set, and the first validation frame after each validation.
+class FrameImages(Callback, ABC):
+    """Draw `count` frames spread evenly over the test set, and the first validation frame after each validation.
 
-    Files go to `folder` (`test-00-<scene>-<frame>.png`), the parts of a test frame's sheet that the report shows beside
-    it (`parts/test-00-<scene>-<frame>/<part>.png`). Where W&B is in use it gets them too (`val/<key>`,
-    `test/<key>`), and of the test frames also `media` (`test/<its key>`).
+    Sheets go to `folder` (`test-00-<scene>-<frame>.png`), the parts of a test frame's sheet that the report shows go to
+    `parts/test-00-<scene>-<frame>/<part>.png` in it. W&B gets the sheets too (`val/<key>`, `test/<key>`), and of the
+    test frames also `media` (`test/<its key>`).
+
+    Args:
+        folder: of the files.
+        count: number of test frames; 0 draws nothing.
     """
 
     key: ClassVar[str]
@@ -43,11 +47,11 @@ class FramePictures(Callback, ABC):
         self.shown: dict[str, list[Named]] = {}
 
     @abstractmethod
-    def picture(self, task: Any, output: Tensor, batch: Batch, sample: int) -> Drawn:
-        """Draw the sheet of one sample of a batch, `output` being what the task's step returned for it."""
+    def draw(self, task: Any, output: Tensor, batch: Batch, sample: int) -> Drawn:
+        """Return the sheet of one sample of a batch; `output` is what the task's step returned for it."""
 
     def media(self, task: Any, output: Tensor, batch: Batch, sample: int) -> dict[str, list[Named]]:
-        """What W&B shows besides, by key."""
+        """Return what W&B shows beside the sheet, by key."""
         return {}
 
     def on_validation_batch_end(  # noqa: D102
@@ -60,10 +64,10 @@ class FramePictures(Callback, ABC):
         dataloader_idx: int = 0,
     ) -> None:
         if batch_idx == 0 and self.count and trainer.is_global_zero:
-            picture = self.picture(pl_module, outputs[0].cpu(), batch, 0).sheet
-            self._save(f"val-step{trainer.global_step:06d}", picture)
+            sheet = self.draw(pl_module, outputs[0].cpu(), batch, 0).sheet
+            self._save(f"val-step{trainer.global_step:06d}", sheet)
             for curves in wandb_of(trainer.loggers):
-                curves.log_media({f"val/{self.key}": [Named(picture, batch.frame_ids[0])]}, trainer.global_step)
+                curves.log_media({f"val/{self.key}": [Named(sheet, batch.frame_ids[0])]}, trainer.global_step)
 
     def on_test_batch_end(  # noqa: D102
         self,
@@ -83,11 +87,11 @@ class FramePictures(Callback, ABC):
             index = batch_idx * size + sample
             if index in chosen:
                 output = outputs[sample].cpu()
-                drawn = self.picture(pl_module, output, batch, sample)
+                drawn = self.draw(pl_module, output, batch, sample)
                 name = f"test-{chosen.index(index):02d}-{frame_id.replace('/', '-')}"
                 self._save(name, drawn.sheet)
-                for part, picture in drawn.parts.items():
-                    self._save(f"{PARTS}/{name}/{part}", picture)
+                for part, image in drawn.parts.items():
+                    self._save(f"{PARTS}/{name}/{part}", image)
                 if wandb_of(trainer.loggers):
                     media = {self.key: [Named(drawn.sheet, "")]} | self.media(pl_module, output, batch, sample)
                     self._show(media, frame_id)
@@ -102,18 +106,18 @@ class FramePictures(Callback, ABC):
             named = [Named(item.content, " ".join([frame_id, item.caption]).strip()) for item in items]
             self.shown.setdefault(f"test/{key}", []).extend(named)
 
-    def _save(self, name: str, picture: np.ndarray) -> None:
+    def _save(self, name: str, image: np.ndarray) -> None:
         path = self.folder / f"{name}.png"
         path.parent.mkdir(parents=True, exist_ok=True)
-        save_png(path, picture)
+        save_png(path, image)
 
 
-class Pictures(FramePictures):
-    """True beside predicted voxels, of the occupancy stage."""
+class OccupancyImages(FrameImages):
+    """Draw true beside predicted voxels of the occupancy stage."""
 
     key = "voxels"
 
-    def picture(self, task: Any, output: Tensor, batch: Batch, sample: int) -> Drawn:  # noqa: D102
+    def draw(self, task: Any, output: Tensor, batch: Batch, sample: int) -> Drawn:  # noqa: D102
         images, truth = newest_images(batch, sample), batch.voxels[sample].cpu()
         parts = comparison_parts(images, truth, output, task.model.geometry)
         return Drawn(comparison_sheet(parts, batch.frame_ids[sample]), parts._asdict())
@@ -123,12 +127,12 @@ class Pictures(FramePictures):
         return voxel_media(images, batch.rigs[sample], truth, output, task.model.geometry)
 
 
-class DepthPictures(FramePictures):
-    """Ranges on the cameras' pictures, and as panoramas beside the true ones, of the depth stage."""
+class DepthImages(FrameImages):
+    """Draw ranges of the depth stage: on the cameras' images, and as panoramas beside the true ones."""
 
     key = "depth"
 
-    def picture(self, task: Any, output: Tensor, batch: Batch, sample: int) -> Drawn:  # noqa: D102
+    def draw(self, task: Any, output: Tensor, batch: Batch, sample: int) -> Drawn:  # noqa: D102
         assert batch.erp_range_m is not None
         sheet = depth_sheet(
             list(newest_images(batch, sample)),
@@ -145,12 +149,12 @@ class DepthPictures(FramePictures):
         return range_media(output, batch.erp_range_m[sample].cpu(), task.model.panorama)
 
 
-class SketchPictures(FramePictures):
-    """Candidates over true voxels, before and after dilation, of the sketch stage."""
+class SketchImages(FrameImages):
+    """Draw candidates of the sketch stage over true voxels, before and after dilation."""
 
     key = "sketch"
 
-    def picture(self, task: Any, output: Tensor, batch: Batch, sample: int) -> Drawn:  # noqa: D102
+    def draw(self, task: Any, output: Tensor, batch: Batch, sample: int) -> Drawn:  # noqa: D102
         range_m, valid = (part[sample : sample + 1] for part in panorama(batch))
         with torch.inference_mode():
             chosen = task.sketch.choose(task.sketch.logits(range_m, valid))[0].cpu()
@@ -168,5 +172,5 @@ class SketchPictures(FramePictures):
 
 
 def newest_images(batch: Batch, sample: int) -> np.ndarray:
-    """(N, H, W, 3) uint8 RGB of the newest frame of a sample's window."""
+    """Return the images of the newest frame of a sample's window, (N, H, W, 3) uint8 RGB."""
     return batch.images[sample, -1].permute(0, 2, 3, 1).cpu().numpy()
