@@ -116,7 +116,7 @@ def test_missing_argument_and_broken_interpolation_are_named():
         line == "part.learning_rate: takes nowhere, which is not in this choice of options"
         for line in caught.value.problems
     )
-    assert any(line == "part.final_share: omniocc.task.AdamW needs it" for line in caught.value.problems)
+    assert any(line == "part.min_lr_ratio: omniocc.task.AdamW needs it" for line in caught.value.problems)
 
 
 @pytest.mark.parametrize("seed", [-1, 2**32])

@@ -9,7 +9,7 @@ from omniocc.progress import Progress
 
 
 class StepProgress(ProgressBar):
-    """Shows the steps done of all, the time left, the loss and the last validation score.
+    """Show the steps done of all, the time left, the loss and the last validation score.
 
     Args:
         stage: what is trained or tested.

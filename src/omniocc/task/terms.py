@@ -1,4 +1,4 @@
-"""Named loss terms: summed, logged, and stopped at when they are no numbers."""
+"""Named loss terms: summed, logged, and refused when they are not finite."""
 
 from collections.abc import Mapping
 
@@ -11,7 +11,7 @@ from omniocc.errors import UserError
 
 
 def log_terms(task: LightningModule, terms: Mapping[str, Tensor], batch: Batch) -> Tensor:
-    """The sum of the terms; logs `train/loss/<name>` and `train/loss`.
+    """Return the sum of the terms, after logging `train/loss/<name>` and `train/loss`.
 
     Raises:
         UserError: naming terms and frames, when the sum is not finite.
