@@ -119,8 +119,8 @@ class Inputs:
     """What every slot receives from the slots before it."""
 
     def __init__(self, cfg: DictConfig, model: nn.Module, device: torch.device):
-        width, height = cfg.preset.image_size
-        self.batch = cfg.preset.train.batch_size
+        width, height = cfg.preset.data.virtual.image_size
+        self.batch = cfg.preset.stages.occupancy.batch_size
         frames = cfg.preset.temporal.frames
         self.rigs = (Rig.load("fisheye6").resized(width, height),) * self.batch
         self.images = torch.randint(0, 256, (self.batch, frames, 6, 3, height, width), dtype=torch.uint8, device=device)
@@ -191,7 +191,12 @@ def shares(meter: Meter, model: Any, inputs: Inputs) -> None:
 
 def compare(preset: str, overrides: list[str], meter: Meter, threads: int) -> None:
     """Prints the tables of one preset."""
-    base = [f"preset={preset}", "preset.backbone.weights=null", "preset.transformers.weights=null", *overrides]
+    base = [
+        f"preset={preset}",
+        "preset.backbone.resnet.weights=null",
+        "preset.backbone.transformers.weights=null",
+        *overrides,
+    ]
     others = {
         "model/temporal=mean": ["model/temporal=mean"],
         "model/refiner=unet": ["model/refiner=unet"],

@@ -41,8 +41,8 @@ class Drive:
     """A car that goes a metre a frame."""
 
     def __init__(self, cfg: DictConfig, model: OccupancyModel, device: torch.device):
-        width, height = cfg.preset.image_size
-        self.model, self.frames, self.batch = model, model.temporal.frames, cfg.preset.train.batch_size
+        width, height = cfg.preset.data.virtual.image_size
+        self.model, self.frames, self.batch = model, model.temporal.frames, cfg.preset.stages.occupancy.batch_size
         self.rig = Rig.load("fisheye6").resized(width, height)
         shape = (self.batch, self.frames, 6, 3, height, width)
         self.images = torch.randint(0, 256, shape, dtype=torch.uint8, device=device)
@@ -97,7 +97,7 @@ def main() -> None:
         print(f"{chosen.threads} thread(s), best of {repeats}")
         print(f"{'system':12} " + " ".join(f"{column:>9}" for column in COLUMNS))
         for name, model in SYSTEMS.items():
-            overrides = [f"preset={preset}", f"model={model}", "preset.backbone.weights=null", *chosen.overrides]
+            overrides = [f"preset={preset}", f"model={model}", "preset.backbone.resnet.weights=null", *chosen.overrides]
             with initialize_config_dir(str(CONF), version_base="1.3"):
                 cfg = compose("train", overrides)
             measure(name, cfg, meter, trains=preset in chosen.train.split(","))

@@ -14,7 +14,12 @@ OPTIONS = [
     ["model/temporal=none", "model/depth=omnimvs3d"],
     ["model/temporal=none", "model/depth=mono"],
     ["model/temporal=none", "model/sketch=random", "model/refiner=attention"],
-    ["model/temporal=none", "model/sketch=dense", "model/refiner=none", "preset.backbone.deformable_stages=[3,4]"],
+    [
+        "model/temporal=none",
+        "model/sketch=dense",
+        "model/refiner=none",
+        "preset.backbone.resnet.deformable_stages=[3,4]",
+    ],
 ]
 
 

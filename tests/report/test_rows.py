@@ -38,7 +38,7 @@ def test_every_row_is_told_by_its_configuration():
 
 def test_other_configurations_and_the_names_of_rows_stay():
     runs = [
-        run_of("deep", "preset.lifter.layers=2"),
+        run_of("deep", "preset.lifter.coloring.layers=2"),
         run_of("mono"),
         run_of("of_a_table"),
         run_of("demo"),
