@@ -29,7 +29,6 @@ from omniocc.data.store.frame_cache import FrameCache
 from omniocc.errors import UserError
 from omniocc.io import atomic_write
 from omniocc.model.occupancy import to_unit_range
-from omniocc.model.ops.depth.spheres import rig_spheres
 from omniocc.run.checkpoint_io import LAST, AtomicCheckpointIO, resumable
 from omniocc.run.folder import METRICS, PICTURES, git_commit
 from omniocc.run.results import load_results, save_results
@@ -113,8 +112,8 @@ class Stages:
         keys = stage_keys(cfg, self.fingerprint)
         stages = Path(cfg.paths.runs) / "stages"
         self.depth, self.sketch = stages / f"depth-{keys.depth}", stages / f"sketch-{keys.sketch}"
-        width, height = cfg.depth.erp_size
-        self.ranges = RangeCache(self.depth / "ranges", (height, width))
+        panorama = cfg.depth.panorama
+        self.ranges = RangeCache(self.depth / "ranges", (panorama.height, panorama.width))
         self.candidates = CandidateCache(self.sketch / f"candidates-{keys.candidates}", data.geometry.shape)
         self.results = {"depth": self.depth, "sketch": self.candidates.folder}
 
@@ -127,9 +126,7 @@ class Stages:
         with claimed(self.depth, title):
             recipe = self._recipe("depth")
             model = build(self.cfg.depth)
-            spheres = rig_spheres(
-                self.scenes[0].rig, model.panorama, self.cfg.depth.spheres, self.cfg.depth.min_range_m
-            )
+            spheres = model.rig_spheres(self.scenes[0].rig)
             task = Depth(model, recipe.optimizer, spheres, recipe.seed, plain(self.cfg))
             trains = hasattr(model, "training_terms")
             drawn = DepthPictures(self.results["depth"] / PICTURES, self.cfg.pictures)
