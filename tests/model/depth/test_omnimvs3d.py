@@ -35,4 +35,4 @@ def test_resizing_keeps_directions():
 
 def test_sizes_that_do_not_fit_are_named(small):
     with pytest.raises(ValueError, match="multiples of 4"):
-        small("OmniMVS3D", erp_size=[46, 12])
+        small("OmniMVS3D", width=46)

@@ -1,30 +1,30 @@
-"""Range from each camera on its own, merged into one panorama: what depth is worth without overlap."""
+"""Range from each camera on its own, merged into one panorama: the baseline without overlap between cameras."""
 
 import math
-from collections.abc import Sequence
-from functools import lru_cache
+from typing import ClassVar
 
 import torch
 from jaxtyping import Float
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn import functional as F
 
-from omniocc.camera import Rig
+from omniocc.camera import Equirectangular, Rig
 from omniocc.camera.ops.pixels import pixel_centers
 from omniocc.loss import SILog
 from omniocc.model.ops.depth.depth_map import DepthMap, check_images, from_index, per_rig, weighted_sum
 from omniocc.model.ops.depth.features import STRIDE, FeatureNet
-from omniocc.model.ops.depth.panoramic import Panoramic
 from omniocc.model.ops.depth.projection import present_cameras
+from omniocc.model.ops.depth.spheres import SphereRange, Spheres
 from omniocc.model.ops.depth.zbuffer import fill_holes, merge_cameras
 from omniocc.model.ops.padded import by_shape, crop, frame_size, shape_groups
+from omniocc.model.ops.rig_cache import once_per_rig
 
 TYPICAL_M = 8.0
-"""Range that the network's zero stands for."""
+"""Range for which the network's output is zero."""
 HOLE_PASSES = 2
 
 
-@lru_cache(maxsize=16)
+@once_per_rig
 def ray_maps(rig: Rig, device: torch.device) -> Float[Tensor, "N 4 H W"]:
     """Return every pixel's unit ray in the camera's own frame and the sine of its elevation in the ego frame.
 
@@ -40,18 +40,15 @@ def ray_maps(rig: Rig, device: torch.device) -> Float[Tensor, "N 4 H W"]:
     return torch.stack(maps).to(device)
 
 
-class Mono(Panoramic):
-    """One network looks at each image and where its pixels look, and gives the log of the range, and whether it is sky.
+class Mono(nn.Module):
+    """Estimate the log of the range and the sky in each image alone, from its colours and the rays of its pixels.
 
     Maps of all cameras, at half the size of the images, are drawn into the panorama, the nearest in front; the cameras'
     places on the vehicle are taken into account.
 
     Args:
-        erp_size: width and height of the panorama, px.
-        erp_top_deg: elevation of its upper edge.
-        erp_bottom_deg: elevation of its lower edge.
-        spheres: number of spheres, in whose indices the range is also given.
-        min_range_m: of the nearest sphere; None derives it from each rig.
+        panorama: directions of the answer.
+        spheres: number and reach of the spheres, in whose indices the range is also given.
         channels: per level of the network, finest (half the image size) first; multiples of 8.
         focus: of the scale-invariant loss, see `SILog`.
         sky_weight: of the cross-entropy of sky beside it.
@@ -61,22 +58,26 @@ class Mono(Panoramic):
         ValueError: if sizes do not fit together.
     """
 
+    NEEDS_TRUE_RANGE: ClassVar[bool] = False
+
     def __init__(
         self,
-        erp_size: Sequence[int],
-        erp_top_deg: float,
-        erp_bottom_deg: float,
-        spheres: int,
-        min_range_m: float | None,
+        panorama: Equirectangular,
+        spheres: SphereRange,
         channels: list[int],
         focus: float,
         sky_weight: float,
         mirror: bool,
     ):
-        super().__init__(erp_size, erp_top_deg, erp_bottom_deg, spheres, min_range_m)
+        super().__init__()
+        self.panorama, self.spheres = panorama, spheres
         self.sky_weight, self.mirror = sky_weight, mirror
         self.net = FeatureNet(channels, out_channels=2, extra_channels=4)
         self.silog = SILog(focus)
+
+    def rig_spheres(self, rig: Rig) -> Spheres:
+        """Return the spheres in whose indices it answers for a rig."""
+        return self.spheres.of(rig, self.panorama)
 
     def forward(
         self,
@@ -84,7 +85,7 @@ class Mono(Panoramic):
         rigs: tuple[Rig, ...],
         true_range_m: Float[Tensor, "B h w"] | None = None,
     ) -> DepthMap:
-        """Depth from RGB in [0, 1]; the true range is not looked at.
+        """Return depth from RGB in [0, 1]; the true range is ignored.
 
         Raises:
             ValueError: if images and rigs do not fit together, or images hold NaN.
@@ -99,7 +100,7 @@ class Mono(Panoramic):
             there = present[:, :, None, None].expand_as(range_m)
             solid = (-crop(sky[samples], rig, STRIDE)).sigmoid()
             surface, _ = merge_cameras(range_m, solid, there & (solid > 0.5), rig, self.panorama)
-            # what holds for the sky is the range of a surface that may be there after all
+            # in the sky the range is that of the surface that is there if it is no sky after all
             guess, _ = merge_cameras(range_m, solid, there, rig, self.panorama)
             range_or_sky_m = torch.where(solid > 0.5, range_m, spheres.farthest_m)
             _, confidence = merge_cameras(range_or_sky_m, solid, there, rig, self.panorama, depth_ratio=math.inf)
@@ -118,14 +119,14 @@ class Mono(Panoramic):
         camera_range_m: Float[Tensor, "B N H W"] | None,
         generator: torch.Generator,
     ) -> dict[str, Float[Tensor, ""]]:
-        """Losses `silog` and `sky`. Looks at the ranges of single cameras only (inf: sky, nan: unknown).
+        """Return the losses `silog` and `sky`, from the ranges of single cameras alone.
 
         Args:
             images: RGB in [0, 1].
             rigs: one per sample.
-            erp_range_m: is not looked at.
-            camera_range_m: true range of every pixel.
-            generator: decides whether this batch is mirrored, on the CPU.
+            erp_range_m: ignored.
+            camera_range_m: true range of every pixel; inf for the sky, nan where unknown.
+            generator: source of the choice whether this batch is mirrored, on the CPU.
 
         Raises:
             ValueError: if images and rigs do not fit together, images hold NaN, or there are no ranges of cameras.
@@ -171,7 +172,7 @@ class Mono(Panoramic):
 
 
 def range_of_four(range_m: Float[Tensor, "B N H W"]) -> Float[Tensor, "B N _ _"]:
-    """The harmonic mean of the ranges in each 2x2 block; inf where three or four are, nan where any is unknown."""
+    """Return the harmonic mean range of each 2x2 block; inf where three or four are inf, nan where any is unknown."""
     inverse = 4 * F.avg_pool2d(range_m.nan_to_num(1.0, posinf=torch.inf).reciprocal(), 2)
     surfaces = 4 * F.avg_pool2d((~range_m.isinf()).to(range_m), 2)
     blocks = torch.where(surfaces > 1, surfaces / inverse, torch.inf)

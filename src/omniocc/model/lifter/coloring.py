@@ -1,7 +1,6 @@
 """The coloring module: candidate voxels attend to image features (paper, section IV-C, eq. 1)."""
 
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import NamedTuple
 
 import torch
@@ -15,6 +14,7 @@ from omniocc.model.ops.lifter.cross_attention import CrossAttention
 from omniocc.model.ops.lifter.position import position_features
 from omniocc.model.ops.lifter.visible import CENTRE, Pairs, reference_points, visible_pairs
 from omniocc.model.ops.padded import crop
+from omniocc.model.ops.rig_cache import once_per_rig
 from omniocc.model.ops.static import is_static
 from omniocc.model.protocols import Sketched
 
@@ -171,7 +171,7 @@ def chosen_cells(
     return Chosen(cells, seen, visible_pairs(points, valid, cells[seen]))
 
 
-@lru_cache(maxsize=2)
+@once_per_rig
 def every_cell(
     rig: Rig, geometry: Grid, device: torch.device, anchors: tuple[tuple[float, float, float], ...]
 ) -> Chosen:

@@ -7,8 +7,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from omniocc.camera import Equirectangular, Rig
-from omniocc.errors import UserError
+from omniocc.camera import Rig
 from omniocc.model.ops.depth.spheres import Spheres
 from omniocc.model.ops.padded import crop
 from omniocc.model.ops.static import is_static
@@ -83,17 +82,3 @@ def per_rig(rigs: Sequence[Rig], run: Callable[[Rig, list[int]], DepthMap]) -> D
 def weighted_sum(parts: Sequence[tuple[float, dict[str, Tensor]]]) -> dict[str, Tensor]:
     """Adds losses of the same names, each part with its weight."""
     return {name: torch.stack([weight * terms[name] for weight, terms in parts]).sum() for name in parts[0][1]}
-
-
-def make_panorama(erp_size: Sequence[int], top_deg: float, bottom_deg: float) -> Equirectangular:
-    """The panorama that the constructor arguments of every option describe.
-
-    Raises:
-        UserError: if there is no such panorama.
-    """
-    if len(erp_size) != 2:
-        raise UserError(f"erp_size is {list(erp_size)}; give width and height in pixels, e.g. [192, 48]")
-    try:
-        return Equirectangular(int(erp_size[0]), int(erp_size[1]), top_deg, bottom_deg)
-    except ValueError as error:
-        raise UserError(f"erp_size {list(erp_size)}, top and bottom {top_deg} and {bottom_deg}: {error}") from error

@@ -1,7 +1,6 @@
 """Sums of pixel features over the voxels that their rays pass, weighted by where along the ray the surface may be."""
 
 import warnings
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import torch
@@ -13,6 +12,7 @@ from torch.nn import functional as F
 from omniocc.camera import Rig
 from omniocc.geometry import Grid
 from omniocc.model.ops.padded import frame_size
+from omniocc.model.ops.rig_cache import once_per_rig
 
 
 class Entries(NamedTuple):
@@ -69,7 +69,7 @@ def bin_points(
     return torch.cat(points), torch.cat(seen)
 
 
-@lru_cache(maxsize=16)
+@once_per_rig
 def find_entries(
     rig: Rig, geometry: Grid, height: int, width: int, ranges_m: tuple[float, ...], device: torch.device
 ) -> Entries:

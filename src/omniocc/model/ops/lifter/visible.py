@@ -1,7 +1,6 @@
 """Which camera sees which voxel, and where."""
 
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import NamedTuple
 
 import torch
@@ -11,6 +10,7 @@ from torch import Tensor
 from omniocc.camera import Rig, normalize_pixels
 from omniocc.geometry import Grid
 from omniocc.model.ops.padded import frame_size
+from omniocc.model.ops.rig_cache import once_per_rig
 
 CENTRE = ((0.0, 0.0, 0.0),)
 OUTSIDE = -1e4
@@ -49,7 +49,7 @@ def anchor_points(geometry: Grid, anchors: Sequence[tuple[float, float, float]])
     return torch.stack(points, dim=-2)
 
 
-@lru_cache(maxsize=16)
+@once_per_rig
 def reference_points(
     rig: Rig, geometry: Grid, device: torch.device, anchors: tuple[tuple[float, float, float], ...] = CENTRE
 ) -> tuple[Float32[Tensor, "N cells A 2"], Bool[Tensor, "N cells"]]:
