@@ -1,13 +1,21 @@
-"""Class tables: ids, names and colours; the twelve of the virtual world (the authors' legend; CARLA's palette)."""
+"""Class tables, and the classes of the virtual world (names and colours of the paper; CARLA palette)."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import UInt8
+
+FREE = 0
+"""Id of free space in every table."""
+UNKNOWN = 255
+"""Id of unlabelled cells and pixels; in no table."""
 
 
 class SemanticClass(NamedTuple):
-    """One class: its id in every label array, its name in tables, its colour in images."""
+    """One class: its id in label arrays, its name in tables and keys, its colour in images."""
 
     id: int
     name: str
@@ -16,50 +24,70 @@ class SemanticClass(NamedTuple):
 
 @dataclass(frozen=True)
 class ClassTable:
-    """The classes of a dataset: class 0 is free space, ids count from 0 without gaps.
+    """The classes of a dataset, with ids 0 .. N-1 in order; 0 is free space, 255 (unknown) is no class.
 
     Attributes:
-        rows: the classes in the order of their ids.
+        rows: id, name and colour of each class.
 
     Raises:
-        ValueError: if ids are not 0, 1, 2 ... or two classes have one name.
+        ValueError: naming the row that is wrong.
     """
 
     rows: tuple[SemanticClass, ...]
 
     def __post_init__(self) -> None:
-        """Check ids and names."""
-        ids = [row.id for row in self.rows]
-        if ids != list(range(len(ids))) or not 2 <= len(ids) <= UNKNOWN:
-            raise ValueError(f"class ids {ids} must be 0 (free), 1, 2 ... and end before {UNKNOWN} (unknown)")
-        if len(set(self.names)) != len(ids):
-            raise ValueError(f"class names {list(self.names)} are not unique")
+        """Check the rows."""
+        if not 2 <= len(self.rows) <= UNKNOWN:
+            raise ValueError(f"a class table has {len(self.rows)} rows; it must have 2 to {UNKNOWN}")
+        for place, row in enumerate(self.rows):
+            if row.id != place:
+                raise ValueError(
+                    f"class '{row.name}' has id {row.id} in row {place}; ids must be 0, 1, 2, ... in order"
+                )
+            if not row.name or self.names.count(row.name) > 1:
+                raise ValueError(f"class {row.id} has the name '{row.name}'; names must be unique and not empty")
+            if len(row.rgb) != 3 or not all(isinstance(part, int) and 0 <= part <= 255 for part in row.rgb):
+                raise ValueError(f"class '{row.name}' has rgb {row.rgb}; it must be three whole numbers 0..255")
 
     @property
     def num_classes(self) -> int:
         """Return the number of classes, free included."""
         return len(self.rows)
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
-        """Return the names in the order of the ids, free included."""
+        """Return the names in order of the ids."""
         return tuple(row.name for row in self.rows)
 
-    @property
-    def occupied(self) -> tuple[SemanticClass, ...]:
-        """Return all classes but free."""
-        return tuple(row for row in self.rows if row.id != FREE)
+    @cached_property
+    def occupied(self) -> tuple[int, ...]:
+        """Return the ids of all classes but free."""
+        return tuple(row.id for row in self.rows if row.id != FREE)
 
-    @property
-    def palette(self) -> np.ndarray:
-        """Return the colour of every label, (256, 3) uint8 RGB; unknown is black."""
+    @cached_property
+    def palette(self) -> UInt8[np.ndarray, "256 3"]:
+        """Return RGB by id; black for 255 (unknown) and for ids beyond the table."""
         palette = np.zeros((256, 3), dtype=np.uint8)
-        palette[: len(self.rows)] = [row.rgb for row in self.rows]
+        palette[: self.num_classes] = [row.rgb for row in self.rows]
         return palette
 
+    def to_dict(self) -> dict[str, dict[str, Any]]:
+        """Return the table as plain data for JSON: name and rgb by id."""
+        return {str(row.id): {"name": row.name, "rgb": list(row.rgb)} for row in self.rows}
 
-FREE = 0
-UNKNOWN = 255
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Mapping[str, Any]]) -> "ClassTable":
+        """Return the table that `to_dict` wrote.
+
+        Raises:
+            ValueError: naming the id or the row that is wrong.
+        """
+        try:
+            rows = [SemanticClass(int(key), str(row["name"]), tuple(row["rgb"])) for key, row in data.items()]
+        except (KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"a class table must map ids to name and rgb, got {dict(data)!r}") from error
+        return cls(tuple(sorted(rows)))
+
 
 CLASSES: tuple[SemanticClass, ...] = (
     SemanticClass(0, "Free", (255, 255, 255)),
@@ -76,7 +104,7 @@ CLASSES: tuple[SemanticClass, ...] = (
     SemanticClass(11, "Roadline", (157, 234, 50)),
 )
 """The classes of the virtual world."""
-CLASS_TABLE = ClassTable(CLASSES)
-NUM_CLASSES = len(CLASSES)
-PALETTE = CLASS_TABLE.palette
-"""RGB of the virtual world's classes by id, (256, 3) uint8; unknown is black."""
+WORLD_CLASSES = ClassTable(CLASSES)
+"""The same as a table."""
+NUM_CLASSES = WORLD_CLASSES.num_classes
+PALETTE = WORLD_CLASSES.palette

@@ -6,6 +6,7 @@ import torch
 from omegaconf import DictConfig, OmegaConf
 
 from omniocc.config import build, check, plain
+from omniocc.data import OccupancyData, SourceSpec
 from omniocc.errors import UserError
 from omniocc.run.checkpoint_io import read_checkpoint
 from omniocc.task.occupancy import Occupancy
@@ -34,14 +35,14 @@ def model_weights(weights: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
     return {name.removeprefix(prefix): value for name, value in weights.items() if name.startswith(prefix)}
 
 
-def build_task(cfg: DictConfig) -> Occupancy:
-    """The task a configuration describes, with fresh weights."""
+def build_task(cfg: DictConfig, spec: SourceSpec) -> Occupancy:
+    """Return the task that a configuration describes for data with this spec, with fresh weights."""
     model, loss, optimizer, augment = (build(cfg[part]) for part in PARTS)
-    return Occupancy(model, loss, optimizer, augment, cfg.ema_decay, plain(cfg))
+    return Occupancy(model, loss, optimizer, augment, cfg.ema_decay, spec, plain(cfg))
 
 
-def load_task(path: Path, overrides: list[str]) -> tuple[Occupancy, DictConfig]:
-    """The trained task of a checkpoint and its configuration with `key=value` overrides.
+def load_task(path: Path, overrides: list[str]) -> tuple[Occupancy, OccupancyData]:
+    """Return the trained task of a checkpoint and the data of its configuration with `key=value` overrides.
 
     Raises:
         ConfigError: when an override does not fit.
@@ -55,6 +56,7 @@ def load_task(path: Path, overrides: list[str]) -> tuple[Occupancy, DictConfig]:
         raise UserError(f"{path} is of another version or stage: its configuration has no {', '.join(absent)}")
     for part in (*PARTS, "data"):
         check(OmegaConf.create({part: cfg[part]}), packages=TRUSTED)
-    task = build_task(cfg)
+    data: OccupancyData = build(cfg.data)
+    task = build_task(cfg, data.source.spec)
     task.load_state_dict(weights, strict=True)
-    return task, cfg
+    return task, data

@@ -1,5 +1,6 @@
 """The depth stage: six images to a panorama of ranges, judged in metres and in sphere indices."""
 
+from collections.abc import Sequence
 from typing import Any
 
 from lightning.pytorch import LightningModule
@@ -9,7 +10,6 @@ from torchmetrics import MeanMetric
 
 from omniocc.batch import Batch
 from omniocc.metric import DepthMetrics
-from omniocc.metric.bands import RANGE_EDGES_M
 from omniocc.model.depth import Spheres
 from omniocc.model.occupancy import to_unit_range
 from omniocc.task.adamw import AdamW
@@ -27,17 +27,26 @@ class Depth(LightningModule):
         model: option of the depth slot.
         optimizer: recipe for optimiser and schedule.
         spheres: of the rig, in whose indices errors are counted; what is nearer than all of them is not judged.
+        range_edges_m: ends of the distance bands in which errors are given.
         seed: of the random choices of training, such as mirrored batches.
         config: the run's resolved configuration as plain data.
     """
 
-    def __init__(self, model: nn.Module, optimizer: AdamW, spheres: Spheres, seed: int, config: dict[str, Any]):
+    def __init__(
+        self,
+        model: nn.Module,
+        optimizer: AdamW,
+        spheres: Spheres,
+        range_edges_m: Sequence[float],
+        seed: int,
+        config: dict[str, Any],
+    ):
         super().__init__()
         self.model = model
         self.optimizer = optimizer
         self.seed = seed
         self.config = config
-        self.errors = DepthMetrics(spheres.min_range_m, FARTHEST_M, spheres.count, RANGE_EDGES_M)
+        self.errors = DepthMetrics(spheres.min_range_m, FARTHEST_M, spheres.count, range_edges_m)
         self.coverage = MeanMetric()
 
     def training_step(self, batch: Batch, batch_index: int) -> Tensor:
@@ -45,7 +54,7 @@ class Depth(LightningModule):
         images = to_unit_range(batch.images[:, -1])
         ranges = batch.erp_range_m, batch.camera_range_m
         generator = step_generator(self, self.seed, batch_index)
-        terms = self.model.training_terms(images, batch.rigs, *ranges, generator)  # type: ignore[operator]
+        terms = self.model.training_terms(images, batch.newest_rigs, *ranges, generator)  # type: ignore[operator]
         return log_terms(self, terms, batch)
 
     def validation_step(self, batch: Batch, batch_index: int) -> Tensor:
@@ -58,7 +67,7 @@ class Depth(LightningModule):
 
     def _judge(self, batch: Batch) -> Tensor:
         assert batch.erp_range_m is not None
-        depth = self.model(to_unit_range(batch.images[:, -1]), batch.rigs, batch.erp_range_m)
+        depth = self.model(to_unit_range(batch.images[:, -1]), batch.newest_rigs, batch.erp_range_m)
         # every ray counts, also those the model calls uncertain
         self.errors.update(depth.range_m.float(), batch.erp_range_m)
         self.coverage.update(depth.valid[batch.erp_range_m.isfinite()].float())

@@ -9,8 +9,8 @@ from lightning.pytorch.utilities.types import OptimizerLRSchedulerConfig
 from torch import Tensor
 
 from omniocc.batch import Batch
-from omniocc.classes import UNKNOWN
-from omniocc.data import Augment
+from omniocc.classes import FREE, UNKNOWN
+from omniocc.data import Augment, SourceSpec
 from omniocc.loss import Total
 from omniocc.model import OccupancyModel, Prediction, Stream
 from omniocc.task.adamw import AdamW
@@ -32,6 +32,7 @@ class Occupancy(LightningModule):
         augment: random changes of training batches.
         ema_decay: the weights that are validated, tested and saved are this moving average over steps, for example
             0.999; None: those of the last step.
+        spec: of the data: classes, bands and LiDAR rays of the scores.
         config: the run's resolved configuration as plain data; with it the checkpoint suffices to rebuild the model.
     """
 
@@ -42,6 +43,7 @@ class Occupancy(LightningModule):
         optimizer: AdamW,
         augment: Augment,
         ema_decay: float | None,
+        spec: SourceSpec,
         config: dict[str, Any],
     ):
         super().__init__()
@@ -52,9 +54,9 @@ class Occupancy(LightningModule):
         self.ema_decay = ema_decay
         self.config = config
         self.stream = Stream(model)
-        self.scores = Scores(model.geometry)
-        self.prior_scores = Scores(model.geometry)
-        self.label_scores = Scores(model.geometry)
+        self.scores = Scores(model.geometry, spec)
+        self.prior_scores = Scores(model.geometry, spec)
+        self.label_scores = Scores(model.geometry, spec)
         self.prior: Tensor
         self.register_buffer("prior", torch.zeros(model.geometry.shape, dtype=torch.uint8))
 
@@ -74,14 +76,16 @@ class Occupancy(LightningModule):
     def predict(self, batch: Batch) -> Prediction:
         """Logits of the newest frame, from the batch's candidates if it has any; of ranges if it has true ones."""
         with_ranges = batch.camera_range_m is not None
-        return self.model(batch.images, batch.rigs, batch.world_from_ego, batch.candidates, batch.exists, with_ranges)
+        return self.model(
+            batch.images, batch.newest_rigs, batch.world_from_ego, batch.candidates, batch.exists, with_ranges
+        )
 
     def evaluate(self, batch: Batch) -> Tensor:
         """As `predict_labels`, with the past frames' volumes from memory where the frames before have left them."""
         exists = batch.exists
         if exists is None:
             exists = torch.ones(batch.images.shape[:2], dtype=torch.bool, device=batch.images.device)
-        window = batch.images, batch.rigs, batch.world_from_ego, batch.candidates, exists, batch.frame_ids
+        window = batch.images, batch.newest_rigs, batch.world_from_ego, batch.candidates, exists, batch.frame_ids
         return self.stream.windows(*window).argmax(1).to(torch.uint8)
 
     def configure_callbacks(self) -> list[Callback]:
@@ -120,7 +124,8 @@ class Occupancy(LightningModule):
         self.scores.update(labels, batch)
         self.prior_scores.update(self.prior.expand_as(labels), batch)
         # an unknown cell is no prediction: seen from the label's side it is empty
-        self.label_scores.update(batch.voxels.masked_fill(batch.voxels == UNKNOWN, 0), batch)
+        if batch.voxels is not None:
+            self.label_scores.update(batch.voxels.masked_fill(batch.voxels == UNKNOWN, FREE), batch)
         return labels
 
     def on_test_epoch_end(self) -> None:

@@ -120,7 +120,7 @@ class Pictures(FramePictures):
 
     def media(self, task: Any, output: Tensor, batch: Batch, sample: int) -> dict[str, list[Named]]:  # noqa: D102
         images, truth = newest_images(batch, sample), batch.voxels[sample].cpu()
-        return voxel_media(images, batch.rigs[sample], truth, output, task.model.geometry)
+        return voxel_media(images, batch.newest_rigs[sample], truth, output, task.model.geometry)
 
 
 class DepthPictures(FramePictures):
@@ -132,7 +132,7 @@ class DepthPictures(FramePictures):
         assert batch.erp_range_m is not None
         sheet = depth_sheet(
             list(newest_images(batch, sample)),
-            batch.rigs[sample],
+            batch.newest_rigs[sample],
             task.model.panorama,
             output,
             batch.erp_range_m[sample].cpu(),

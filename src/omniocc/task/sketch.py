@@ -1,5 +1,6 @@
 """The sketch stage: panoramas of range to candidate voxels, judged by recall, precision and share."""
 
+from collections.abc import Sequence
 from typing import Any, cast
 
 from lightning.pytorch import LightningModule
@@ -9,7 +10,6 @@ from torch import Tensor
 from omniocc.batch import Batch
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.metric import Candidates
-from omniocc.metric.bands import RANGE_EDGES_M
 from omniocc.model.sketch import Omni
 from omniocc.task.adamw import AdamW
 from omniocc.task.terms import log_terms
@@ -21,17 +21,18 @@ class Sketch(LightningModule):
     Args:
         model: sketch with a network; its depth part is not asked, the batch brings the panoramas.
         optimizer: recipe for optimiser and schedule.
+        range_edges_m: ends of the distance bands in which figures are given.
         config: the run's resolved configuration as plain data.
     """
 
-    def __init__(self, model: Omni, optimizer: AdamW, config: dict[str, Any]):
+    def __init__(self, model: Omni, optimizer: AdamW, range_edges_m: Sequence[float], config: dict[str, Any]):
         super().__init__()
         self.model = model
         self.optimizer = optimizer
         self.config = config
         grid = cast(Cylinder | Cuboid, model.geometry)
-        self.raw = Candidates(grid, RANGE_EDGES_M)
-        self.dilated = Candidates(grid, RANGE_EDGES_M)
+        self.raw = Candidates(grid, range_edges_m)
+        self.dilated = Candidates(grid, range_edges_m)
 
     def training_step(self, batch: Batch, batch_index: int) -> Tensor:
         """Sum of the loss terms; each is logged by name."""

@@ -21,9 +21,9 @@ from omegaconf import DictConfig, OmegaConf
 from torch import Tensor
 
 from omniocc.config import build, plain
-from omniocc.data import CandidateCache, Extras, OccupancyData, RangeCache, SceneReader
+from omniocc.data import CandidateCache, Extras, OccupancyData, RangeCache
 from omniocc.data.dataset import read_images, read_true_ranges
-from omniocc.data.recording.job import SPLITS
+from omniocc.data.source import SPLITS, SceneFrames
 from omniocc.data.store.frame_cache import FrameCache
 from omniocc.errors import UserError
 from omniocc.io import atomic_write
@@ -108,8 +108,8 @@ class Stages:
 
     def __init__(self, cfg: DictConfig, data: OccupancyData):
         self.cfg = cfg
-        self.fingerprint = data.world.fingerprint
-        self.scenes = [scene for split in SPLITS for scene in data.world.readers(split)]
+        self.fingerprint, self.spec = data.source.fingerprint, data.source.spec
+        self.scenes = [scene for split in SPLITS for scene in data.source.scenes(split)]
         keys = stage_keys(cfg, self.fingerprint)
         stages = Path(cfg.paths.runs) / "stages"
         self.depth, self.sketch = stages / f"depth-{keys.depth}", stages / f"sketch-{keys.sketch}"
@@ -128,9 +128,9 @@ class Stages:
             recipe = self._recipe("depth")
             model = build(self.cfg.depth)
             spheres = rig_spheres(
-                self.scenes[0].rig, model.panorama, self.cfg.depth.spheres, self.cfg.depth.min_range_m
+                self.scenes[0].rigs[0], model.panorama, self.cfg.depth.spheres, self.cfg.depth.min_range_m
             )
-            task = Depth(model, recipe.optimizer, spheres, recipe.seed, plain(self.cfg))
+            task = Depth(model, recipe.optimizer, spheres, self.spec.range_edges_m, recipe.seed, plain(self.cfg))
             trains = hasattr(model, "training_terms")
             drawn = DepthPictures(self.results["depth"] / PICTURES, self.cfg.pictures)
             self._finish(task, recipe, Extras(true_ranges=True), drawn, "depth", title, trains)
@@ -141,7 +141,7 @@ class Stages:
         """Train and test the sketch on predicted panoramas, then choose every frame's candidates; returns figures."""
         with claimed(self.sketch, title):
             recipe = self._recipe("sketch")
-            task = Sketch(build(self.cfg.model.sketch), recipe.optimizer, plain(self.cfg))
+            task = Sketch(build(self.cfg.model.sketch), recipe.optimizer, self.spec.range_edges_m, plain(self.cfg))
             task.model.depth.load_state_dict(weights_of(self.depth / LAST))
             extras = Extras(true_ranges=True, depth=self.ranges)
             drawn = SketchPictures(self.results["sketch"] / PICTURES, self.cfg.pictures)
@@ -210,11 +210,11 @@ class Stages:
             default_root_dir=str(folder),
         )
 
-    def _choose(self, task: Sketch, scene: SceneReader, frame: int) -> Tensor:
+    def _choose(self, task: Sketch, scene: SceneFrames, frame: int) -> Tensor:
         range_m = self.ranges.read(scene.name, frame).unsqueeze(0).to(task.device)
         return task.model.select(task.model.logits(*known(range_m)))[0]
 
-    def _fill(self, cache: FrameCache, predict: Callable[[SceneReader, int], Tensor], title: str) -> None:
+    def _fill(self, cache: FrameCache, predict: Callable[[SceneFrames, int], Tensor], title: str) -> None:
         missing = cache.missing(self.scenes)
         with Progress(title, sum(map(len, missing))) as progress, torch.inference_mode():
             for scene in missing:
@@ -225,11 +225,12 @@ class Stages:
                 cache.write(scene.name, arrays)
 
 
-def predict_range_m(task: Depth, scene: SceneReader, frame: int) -> Tensor:
+def predict_range_m(task: Depth, scene: SceneFrames, frame: int) -> Tensor:
     """(h, w) predicted panorama of a recorded frame, nan where nothing is known."""
     images = to_unit_range(read_images(scene, frame).unsqueeze(0).to(task.device))
-    true_range_m = read_true_ranges(scene, frame)[0].unsqueeze(0).to(task.device)
-    depth = task.eval().model(images, (scene.rig,), true_range_m)
+    panorama = read_true_ranges(scene, frame)[0]
+    true_range_m = None if panorama is None else panorama.unsqueeze(0).to(task.device)
+    depth = task.eval().model(images, (scene.rigs[frame],), true_range_m)
     return depth.known_range_m()[0]
 
 

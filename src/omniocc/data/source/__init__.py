@@ -1,5 +1,6 @@
 """Sources of scenes: the contract, and one file for each option."""
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,6 +40,16 @@ class SourceSpec:
     frame_interval_s: float
     road_z_m: float
     lidar_directions: Float64[Tensor, "R 3"] | None
+
+    def __post_init__(self) -> None:
+        """Check the bands.
+
+        Raises:
+            ValueError: if they are fewer than one or do not increase.
+        """
+        edges = self.range_edges_m
+        if len(edges) < 2 or any(low >= high for low, high in itertools.pairwise(edges)):
+            raise ValueError(f"range_edges_m must be two or more increasing distances, got {edges}")
 
     @property
     def reach_m(self) -> float:
