@@ -5,7 +5,6 @@ from pathlib import Path
 
 from lightning.pytorch import Trainer
 
-from omniocc.config import build
 from omniocc.run.folder import IMAGES, git_commit
 from omniocc.run.results import save_results, show_results
 from omniocc.run.script import lines_not_tracebacks, quiet_libraries
@@ -20,7 +19,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("checkpoint", type=Path, help="file written by train.py")
     parser.add_argument(
-        "overrides", nargs="*", help="key=value, for example data.batch_size=1 or data.world.root=elsewhere"
+        "overrides", nargs="*", help="key=value, for example data.batch_size=1 or data.source.root=elsewhere"
     )
     parser.add_argument(
         "--output", type=Path, help="folder of the results (default: evaluation-<checkpoint> beside it)"
@@ -31,10 +30,9 @@ def main(arguments: list[str] | None = None) -> None:
         if "=" not in override:
             parser.error(f"'{override}' is not key=value; one checkpoint at a time")
     quiet_libraries()
-    task, cfg = load_task(options.checkpoint, options.overrides)
+    task, data = load_task(options.checkpoint, options.overrides)
     folder = options.output or options.checkpoint.parent / f"evaluation-{options.checkpoint.stem}"
     folder.mkdir(parents=True, exist_ok=True)
-    data = build(cfg.data)
     trainer = Trainer(
         callbacks=[StepProgress("occupancy"), OccupancyImages(folder / IMAGES, options.images)],
         logger=False,
@@ -43,7 +41,7 @@ def main(arguments: list[str] | None = None) -> None:
         devices=1,
     )
     metrics = trainer.test(task, datamodule=data, verbose=False)[0]
-    facts = {"checkpoint": str(options.checkpoint), "commit": git_commit(), "data": data.world.fingerprint}
+    facts = {"checkpoint": str(options.checkpoint), "commit": git_commit(), "data": data.source.fingerprint}
     save_results(folder, metrics, facts)
     show_results(folder)
 

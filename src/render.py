@@ -25,11 +25,11 @@ LOOKED_AT_FRAMES = 400
 @script("render")
 def main(cfg: DictConfig) -> None:
     """Check -> build -> render, read back or draw."""
-    whole_length = cfg.data.world.frames_per_scene
+    whole_length = cfg.data.source.frames_per_scene
     if cfg.frames is not None:
-        cfg.data.world.frames_per_scene = cfg.frames
-    check(cfg.data.world)
-    world = build(cfg.data.world)
+        cfg.data.source.frames_per_scene = cfg.frames
+    check(cfg.data.source)
+    world = build(cfg.data.source)
     plans = chosen(world.plans, cfg.first_scene, cfg.scenes)
     if cfg.check:
         read_back(world, plans)
@@ -54,7 +54,7 @@ def chosen(plans: Sequence[ScenePlan], first: int, count: int | None) -> Sequenc
 def render(world: VirtualWorld, plans: Sequence[ScenePlan], whole_length: int) -> None:
     """Say what is coming, render it, say how much there is and what all scenes of `whole_length` frames would take."""
     missing = world.missing(plans)
-    if isinstance(world.source, Path):
+    if isinstance(world.place, Path):
         print(announcement(world, plans), flush=True)
     timed = missing and not begun(world, missing)
     began_s = time.monotonic()
@@ -74,7 +74,7 @@ def render(world: VirtualWorld, plans: Sequence[ScenePlan], whole_length: int) -
 def read_back(world: VirtualWorld, plans: Sequence[ScenePlan]) -> None:
     """Print one line per problem, and the classes beside those of the paper's dataset; exit code 1 for problems."""
     missing = world.missing(plans)
-    problems = [f"{world.source}: scene '{plan.name}' is missing: run without check=true" for plan in missing]
+    problems = [f"{world.place}: scene '{plan.name}' is missing: run without check=true" for plan in missing]
     scenes = [world.reader(plan) for plan in plans if plan not in missing]
     work = SceneSurvey(
         world.frames_per_scene, world.frame_interval_s, Cylinder(), max(1, LOOKED_AT_FRAMES // len(plans))
@@ -96,7 +96,7 @@ def draw_page(world: VirtualWorld, plans: Sequence[ScenePlan]) -> None:
     missing = world.missing(plans)
     scenes = [world.reader(plan) for plan in plans if plan not in missing]
     if not scenes:
-        raise DataError(f"{world.source} has none of the chosen scenes: run without page=true first")
+        raise DataError(f"{world.place} has none of the chosen scenes: run without page=true first")
     path = Path(world.folder) / "index.html"
     save_page(path, scenes, Cylinder())
     print(
@@ -107,7 +107,7 @@ def draw_page(world: VirtualWorld, plans: Sequence[ScenePlan]) -> None:
 
 def amount(world: VirtualWorld, scenes: Sequence[SceneReader]) -> str:
     """Where the scenes lie and how much they are."""
-    return f"{world.source}: {len(scenes)} scenes, {sum(map(len, scenes))} frames, {size(total_bytes(scenes))}"
+    return f"{world.place}: {len(scenes)} scenes, {sum(map(len, scenes))} frames, {size(total_bytes(scenes))}"
 
 
 def total_bytes(scenes: Sequence[SceneReader]) -> int:

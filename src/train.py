@@ -43,11 +43,12 @@ def main(cfg: DictConfig) -> None:
     quiet_libraries()
     keep_freed_memory()
     stages = wanted_stages(cfg)
+    data: OccupancyData = build(cfg.data)
+    data.check_classes()
     if "occupancy" in stages:
         # mistakes in the last stage are reported now, not when the stages before have been trained
         given_checkpoint(cfg.resume)
-        build_task(cfg)
-    data = build(cfg.data)
+        build_task(cfg, data.source.spec)
     data.prepare_data()
     before = Stages(cfg, data) if sketch_learns(cfg) else None
     figures: dict[str, float] = {}
@@ -66,14 +67,14 @@ def train_occupancy(
     """Fit, test, and write figures and images, with the figures of the stages before beside them."""
     seed_everything(cfg.seed, workers=True, verbose=False)
     config = plain(cfg)
-    run = open_run(Path(cfg.paths.runs), cfg.name, run_hash(config, data.world.fingerprint), cfg.resume)
+    run = open_run(Path(cfg.paths.runs), cfg.name, run_hash(config, data.source.fingerprint), cfg.resume)
     if run.finished:
         print(f"{run.path} is finished; resume=never trains anew beside it")
         show_results(run.path)
         return
     if run.lock is not None:
         atomic_write(run.path / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True))
-    task = build_task(cfg)
+    task = build_task(cfg, data.source.spec)
     if before is not None:
         task.model.sketch.load_state_dict(before.sketch_weights())  # type: ignore[union-attr]
     data.read_also(Extras(true_ranges=len(task.loss.ray) > 0, candidates=before and before.candidates))
@@ -99,7 +100,7 @@ def train_occupancy(
         facts |= {"preset": cfg.preset.name, "command": command_line()}
         facts |= {"minutes of training": minutes, PEAK: peak_mib(trainer.strategy.root_device)}
         facts |= cost_of(task.model.eval(), data.dataset("test")[0])
-        facts |= {"commit": git_commit(), "data": data.world.fingerprint}
+        facts |= {"commit": git_commit(), "data": data.source.fingerprint}
         save_results(run.path, metrics | figures, facts)
         finish(trainer.loggers)
         show_results(run.path)
@@ -131,7 +132,7 @@ def announce(run: RunFolder, task: OccupancyTask, data: OccupancyData) -> None:
     print(f"run       {run.path}" + (f", goes on from {run.checkpoint.name}" if run.checkpoint else ""))
     grid = task.model.geometry
     print(f"model     {parameters:.2f} M parameters, {type(grid).__name__} {'x'.join(map(str, grid.shape))}")
-    print(f"data      {data.world.folder}", flush=True)
+    print(f"data      {data.source.folder}", flush=True)
 
 
 if __name__ == "__main__":

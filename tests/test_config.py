@@ -121,7 +121,7 @@ def test_missing_argument_and_broken_interpolation_are_named():
 
 @pytest.mark.parametrize("seed", [-1, 2**32])
 @pytest.mark.parametrize(
-    "key", ["seed", "stages.depth.seed", "stages.sketch.seed", "data.seed", "data.world.seed", "model.sketch.seed"]
+    "key", ["seed", "stages.depth.seed", "stages.sketch.seed", "data.seed", "data.source.seed", "model.sketch.seed"]
 )
 def test_a_seed_out_of_range_is_named_once(key, seed, composed):
     with pytest.raises(ConfigError) as caught:

@@ -54,11 +54,11 @@ def write_run(folder: Path, seed: int, rayiou: float, world: FakeWorld, sketch: 
         "themes": ["downtown", "suburb"], "train_scenes": 2, "val_scenes": 1, "test_scenes": 1, "frames_per_scene": 4,
         "frame_interval_s": 0.5, "supersample": 1, "erp_size": [16, 8], "erp_top_deg": 45.0, "erp_bottom_deg": -45.0,
     }  # fmt: skip
-    config = {"model": {"geometry": geometry, "sketch": sketch}, "data": {"seed": seed, "world": described}, "lr": 0.1}
+    config = {"model": {"geometry": geometry, "sketch": sketch}, "data": {"seed": seed, "source": described}, "lr": 0.1}
     (folder / "config.yaml").write_text(yaml.safe_dump(config))
     lines = ["step,train/loss,val/rayiou", *(f"{step},{9 - step / 10}," for step in range(0, 40, 10)), f"39,,{rayiou}"]
     (folder / "csv" / "version_0" / "metrics.csv").write_text("\n".join(lines) + "\n")
-    metrics = figures(rayiou) | ({"test/sketch/share": 0.25, "test/depth/mae": 2.0} if sketch == OMNI else {})
+    metrics = figures(rayiou) | ({"test/sketch/fraction": 0.25, "test/depth/mae": 2.0} if sketch == OMNI else {})
     facts = {"run": folder.name, "seed": seed, "steps": 40, "preset": "tiny", "minutes of training": 1.5}
     command = f"python src/train.py '+ablation={folder.name}' seed={seed} <&>"
     save_results(folder, metrics, facts | {"command": command, "commit": "abc", "data": world.fingerprint})

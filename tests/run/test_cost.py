@@ -29,7 +29,7 @@ def make_sample(geometry, frames, share):
     poses = torch.eye(4, dtype=torch.float64).repeat(frames, 1, 1)
     return Sample(
         images=torch.randint(0, 256, (frames, 6, 3, 36, 64), dtype=torch.uint8),
-        rig=Rig.load("fisheye6").resized(64, 36),
+        rigs=(Rig.load("fisheye6").resized(64, 36),) * frames,
         world_from_ego=poses,
         voxels=torch.zeros(geometry.shape, dtype=torch.uint8),
         pixel_labels=torch.zeros(6, 36, 64, dtype=torch.uint8),

@@ -1,4 +1,4 @@
-"""Which samples a process sees, and in which order."""
+"""Samplers: which samples a process gets, and in which order."""
 
 from collections.abc import Iterator
 
@@ -31,7 +31,7 @@ class EpochSampler(DistributedSampler):
         self.size = size
         self.resume_epoch = resume_epoch
         self.resume_samples = resume_samples
-        self.epoch = resume_epoch  # workers fetch ahead before anybody calls set_epoch
+        self.epoch = resume_epoch  # workers fetch ahead before `set_epoch` is called
 
     def __iter__(self) -> Iterator[int]:
         generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.epoch)

@@ -63,6 +63,18 @@ def load_occupancy(path: Path) -> tuple[OccupancyModel, DictConfig]:
     return _with_weights(build(without_download(cfg.model)), own, path, "was it written by another version?"), cfg
 
 
+def trained_image_width(cfg: DictConfig) -> int:
+    """Return the width of the images that a model was trained with, px.
+
+    Raises:
+        UserError: when the configuration of its training does not say.
+    """
+    size = OmegaConf.select(cfg, "data.source.image_size")
+    if size is None:
+        raise UserError("image_width=... is needed: the model was trained on scenes whose image size is not configured")
+    return int(size[0])
+
+
 DEPTH_PREFIX = {"occupancy": "sketch.depth.", "sketch": "depth.", "depth": ""}
 """Begin of the names of the depth option's weights in the model of each stage."""
 

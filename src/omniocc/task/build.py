@@ -6,6 +6,7 @@ from pathlib import Path
 from omegaconf import DictConfig, OmegaConf
 
 from omniocc.config import build, plain
+from omniocc.data import OccupancyData, SourceSpec
 from omniocc.errors import UserError
 from omniocc.run.checkpoint import check_parts, load_checkpoint
 from omniocc.task.occupancy import OccupancyTask
@@ -14,14 +15,14 @@ PARTS = ("model", "loss", "optimizer", "augment")
 """Root keys of what a task is built of."""
 
 
-def build_task(cfg: DictConfig) -> OccupancyTask:
-    """Return the task that a configuration describes, with fresh weights."""
+def build_task(cfg: DictConfig, spec: SourceSpec) -> OccupancyTask:
+    """Return the task that a configuration describes for data with this spec, with fresh weights."""
     model, loss, optimizer, augment = (build(cfg[part]) for part in PARTS)
-    return OccupancyTask(model, loss, optimizer, augment, cfg.ema_decay, plain(cfg))
+    return OccupancyTask(model, loss, optimizer, augment, cfg.ema_decay, spec, plain(cfg))
 
 
-def load_task(path: Path, overrides: Sequence[str]) -> tuple[OccupancyTask, DictConfig]:
-    """Return the trained task of a checkpoint and its configuration with overrides.
+def load_task(path: Path, overrides: Sequence[str]) -> tuple[OccupancyTask, OccupancyData]:
+    """Return the trained task of a checkpoint, and the data of its configuration, both with overrides.
 
     Args:
         path: written by the occupancy stage.
@@ -41,6 +42,7 @@ def load_task(path: Path, overrides: Sequence[str]) -> tuple[OccupancyTask, Dict
     if absent := [key for key in (*PARTS, "data", "ema_decay") if key not in cfg]:
         raise UserError(f"{path} is of another version: its configuration has no {', '.join(absent)}")
     check_parts(path, cfg, (*PARTS, "data"), packages)
-    task = build_task(cfg)
+    data: OccupancyData = build(cfg.data)
+    task = build_task(cfg, data.source.spec)
     task.load_state_dict(trained.weights, strict=True)
-    return task, cfg
+    return task, data

@@ -1,5 +1,6 @@
 """The depth stage: the cameras' images to a panorama of ranges, scored in metres and in sphere indices."""
 
+from collections.abc import Sequence
 from typing import Any
 
 from torch import Tensor, nn
@@ -7,7 +8,6 @@ from torchmetrics import MeanMetric
 
 from omniocc.batch import Batch
 from omniocc.metric import DepthMetrics
-from omniocc.metric.bands import RANGE_EDGES_M
 from omniocc.model.depth import Spheres
 from omniocc.model.occupancy import to_unit_range
 from omniocc.task.adamw import AdamW
@@ -26,16 +26,25 @@ class DepthTask(StageTask[nn.Module]):
         model: option of the depth slot.
         optimizer: recipe for optimiser and schedule.
         spheres: of the rig, in whose indices errors are counted; ranges nearer than all of them are not scored.
+        range_edges_m: ends of the distance bands in which errors are given.
         seed: of the random choices of training, such as mirrored batches.
         config: the run's resolved configuration as plain data.
     """
 
     STAGE = "depth"
 
-    def __init__(self, model: nn.Module, optimizer: AdamW, spheres: Spheres, seed: int, config: dict[str, Any]):
+    def __init__(
+        self,
+        model: nn.Module,
+        optimizer: AdamW,
+        spheres: Spheres,
+        range_edges_m: Sequence[float],
+        seed: int,
+        config: dict[str, Any],
+    ):
         super().__init__(model, optimizer, config)
         self.seed = seed
-        self.errors = DepthMetrics(spheres.min_range_m, FARTHEST_M, spheres.count, RANGE_EDGES_M)
+        self.errors = DepthMetrics(spheres.min_range_m, FARTHEST_M, spheres.count, range_edges_m)
         self.coverage = MeanMetric()
 
     def training_step(self, batch: Batch, batch_index: int) -> Tensor:
@@ -43,7 +52,7 @@ class DepthTask(StageTask[nn.Module]):
         images = to_unit_range(batch.images[:, -1])
         ranges = batch.erp_range_m, batch.camera_range_m
         generator = step_generator(self, self.seed, batch_index)
-        terms = self.model.training_terms(images, batch.rigs, *ranges, generator)  # type: ignore[operator]
+        terms = self.model.training_terms(images, batch.newest_rigs, *ranges, generator)  # type: ignore[operator]
         return log_terms(self, terms, batch)
 
     def validation_step(self, batch: Batch, batch_index: int) -> Tensor:
@@ -56,7 +65,7 @@ class DepthTask(StageTask[nn.Module]):
 
     def _score(self, batch: Batch) -> Tensor:
         assert batch.erp_range_m is not None
-        depth = self.model(to_unit_range(batch.images[:, -1]), batch.rigs, batch.erp_range_m)
+        depth = self.model(to_unit_range(batch.images[:, -1]), batch.newest_rigs, batch.erp_range_m)
         # every ray counts, also those that the model itself calls uncertain
         self.errors.update(depth.range_m.float(), batch.erp_range_m)
         self.coverage.update(depth.valid[batch.erp_range_m.isfinite()].float())

@@ -124,7 +124,7 @@ class OccupancyImages(FrameImages):
 
     def media(self, task: Any, output: Tensor, batch: Batch, sample: int) -> dict[str, list[Named]]:  # noqa: D102
         images, truth = newest_images(batch, sample), batch.voxels[sample].cpu()
-        return voxel_media(images, batch.rigs[sample], truth, output, task.model.geometry)
+        return voxel_media(images, batch.newest_rigs[sample], truth, output, task.model.geometry)
 
 
 class DepthImages(FrameImages):
@@ -136,7 +136,7 @@ class DepthImages(FrameImages):
         assert batch.erp_range_m is not None
         sheet = depth_sheet(
             list(newest_images(batch, sample)),
-            batch.rigs[sample],
+            batch.newest_rigs[sample],
             task.model.panorama,
             output,
             batch.erp_range_m[sample].cpu(),

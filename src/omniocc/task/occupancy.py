@@ -9,8 +9,8 @@ from torch import Tensor
 
 from omniocc.batch import Batch
 from omniocc.camera import Rig
-from omniocc.classes import UNKNOWN
-from omniocc.data import Augment
+from omniocc.classes import FREE, UNKNOWN
+from omniocc.data import Augment, SourceSpec
 from omniocc.loss import Total
 from omniocc.model import OccupancyModel, Prediction, Stream
 from omniocc.model.sketch import Sketched
@@ -34,6 +34,7 @@ class OccupancyTask(StageTask[OccupancyModel]):
         augment: random changes of training batches.
         ema_decay: the weights that are validated, tested and saved are this moving average over steps, for example
             0.999; None: those of the last step.
+        spec: of the data: classes, bands and LiDAR rays of the scores.
         config: the run's resolved configuration as plain data; with it the checkpoint suffices to rebuild the model.
     """
 
@@ -46,6 +47,7 @@ class OccupancyTask(StageTask[OccupancyModel]):
         optimizer: AdamW,
         augment: Augment,
         ema_decay: float | None,
+        spec: SourceSpec,
         config: dict[str, Any],
     ):
         super().__init__(model, optimizer, config)
@@ -53,9 +55,9 @@ class OccupancyTask(StageTask[OccupancyModel]):
         self.augment = augment
         self.ema_decay = ema_decay
         self.stream = Stream(model)
-        self.scores = Scores(model.geometry)
-        self.prior_scores = Scores(model.geometry)
-        self.label_scores = Scores(model.geometry)
+        self.scores = Scores(model.geometry, spec)
+        self.prior_scores = Scores(model.geometry, spec)
+        self.label_scores = Scores(model.geometry, spec)
         self.prior: Tensor
         self.register_buffer("prior", torch.zeros(model.geometry.shape, dtype=torch.uint8))
 
@@ -120,7 +122,8 @@ class OccupancyTask(StageTask[OccupancyModel]):
         self.scores.update(labels, batch)
         self.prior_scores.update(self.prior.expand_as(labels), batch)
         # an unknown cell is no prediction: it counts as empty
-        self.label_scores.update(batch.voxels.masked_fill(batch.voxels == UNKNOWN, 0), batch)
+        if batch.voxels is not None:
+            self.label_scores.update(batch.voxels.masked_fill(batch.voxels == UNKNOWN, FREE), batch)
         return labels
 
     def on_test_epoch_end(self) -> None:
@@ -136,6 +139,5 @@ class OccupancyTask(StageTask[OccupancyModel]):
 
 def model_inputs(batch: Batch) -> tuple[Tensor, tuple[tuple[Rig, ...], ...], Tensor, Sketched | None]:
     """Return images, rigs of every frame, poses, and what the sketch stage has left, None where it has not run."""
-    sketched = None if batch.candidates is None else Sketched(batch.candidates)
-    rigs = tuple((rig,) * batch.images.shape[1] for rig in batch.rigs)
-    return batch.images, rigs, batch.world_from_ego, sketched
+    sketched = None if batch.candidates is None else Sketched(batch.candidates, batch.evidence)
+    return batch.images, batch.rigs, batch.world_from_ego, sketched

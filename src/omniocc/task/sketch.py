@@ -1,5 +1,6 @@
 """The sketch stage: panoramas of range to candidate voxels, scored by recall, precision and fraction."""
 
+from collections.abc import Sequence
 from typing import Any, cast
 
 from torch import Tensor, nn
@@ -7,7 +8,6 @@ from torch import Tensor, nn
 from omniocc.batch import Batch
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.metric import Candidates
-from omniocc.metric.bands import RANGE_EDGES_M
 from omniocc.model.protocols import LearnedSketch
 from omniocc.task.adamw import AdamW
 from omniocc.task.stage_task import StageTask
@@ -20,16 +20,17 @@ class SketchTask(StageTask[nn.Module]):
     Args:
         model: learned sketch; its depth option is not run, the batch holds the panoramas.
         optimizer: recipe for optimiser and schedule.
+        range_edges_m: ends of the distance bands in which figures are given.
         config: the run's resolved configuration as plain data.
     """
 
     STAGE = "sketch"
 
-    def __init__(self, model: nn.Module, optimizer: AdamW, config: dict[str, Any]):
+    def __init__(self, model: nn.Module, optimizer: AdamW, range_edges_m: Sequence[float], config: dict[str, Any]):
         super().__init__(model, optimizer, config)
         grid = cast(Cylinder | Cuboid, self.sketch.geometry)
-        self.raw = Candidates(grid, RANGE_EDGES_M)
-        self.dilated = Candidates(grid, RANGE_EDGES_M)
+        self.raw = Candidates(grid, range_edges_m)
+        self.dilated = Candidates(grid, range_edges_m)
 
     @property
     def sketch(self) -> LearnedSketch:
@@ -38,7 +39,8 @@ class SketchTask(StageTask[nn.Module]):
 
     def training_step(self, batch: Batch, batch_index: int) -> Tensor:
         """Return the sum of the loss terms; each is logged by name."""
-        return log_terms(self, self.sketch.training_terms(*panorama(batch), batch.voxels), batch)
+        terms = {} if batch.voxels is None else self.sketch.training_terms(*panorama(batch), batch.voxels)
+        return log_terms(self, terms, batch)
 
     def validation_step(self, batch: Batch, batch_index: int) -> Tensor:
         """Score a batch and return the candidates."""
@@ -51,8 +53,9 @@ class SketchTask(StageTask[nn.Module]):
     def _score(self, batch: Batch) -> Tensor:
         logits = self.sketch.logits(*panorama(batch))
         candidates = self.sketch.select(logits)
-        self.raw.update(self.sketch.choose(logits), batch.voxels)
-        self.dilated.update(candidates, batch.voxels)
+        if batch.voxels is not None:
+            self.raw.update(self.sketch.choose(logits), batch.voxels)
+            self.dilated.update(candidates, batch.voxels)
         return candidates
 
     def on_validation_epoch_end(self) -> None:

@@ -19,9 +19,9 @@ from omegaconf import DictConfig, OmegaConf
 from torch import Tensor, nn
 
 from omniocc.config import build, plain
-from omniocc.data import CandidateCache, Extras, OccupancyData, RangeCache, SceneReader
+from omniocc.data import CandidateCache, Extras, OccupancyData, RangeCache
 from omniocc.data.dataset import read_images, read_true_ranges
-from omniocc.data.recording.job import SPLITS
+from omniocc.data.source import SPLITS, SceneFrames
 from omniocc.data.store.frame_cache import FrameCache
 from omniocc.io import atomic_write
 from omniocc.model.occupancy import to_unit_range
@@ -51,8 +51,8 @@ class Stages:
 
     def __init__(self, cfg: DictConfig, data: OccupancyData):
         self.cfg = cfg
-        self.fingerprint = data.world.fingerprint
-        self.scenes = [scene for split in SPLITS for scene in data.world.readers(split)]
+        self.fingerprint, self.spec = data.source.fingerprint, data.source.spec
+        self.scenes = [scene for split in SPLITS for scene in data.source.scenes(split)]
         keys = stage_keys(cfg, self.fingerprint)
         stages = Path(cfg.paths.runs) / "stages"
         self.depth, self.sketch = stages / f"depth-{keys.depth}", stages / f"sketch-{keys.sketch}"
@@ -70,8 +70,9 @@ class Stages:
         with claimed(self.depth, title):
             recipe = self._recipe("depth")
             model = build(self.cfg.depth)
-            spheres = cast(Depth, model).rig_spheres(self.scenes[0].rig)
-            task = DepthTask(model, recipe.optimizer, spheres, recipe.seed, plain(self.cfg))
+            spheres = cast(Depth, model).rig_spheres(self.scenes[0].rigs[0])
+            edges_m = self.spec.range_edges_m
+            task = DepthTask(model, recipe.optimizer, spheres, edges_m, recipe.seed, plain(self.cfg))
             drawn = DepthImages(self.results["depth"] / IMAGES, self.cfg.test_images)
             self._finish(task, recipe, Extras(true_ranges=True), drawn, "depth", title, learns(type(model)))
             self._fill(self.ranges, lambda scene, frame: predict_range_m(task, scene, frame), f"{title}, ranges")
@@ -81,7 +82,8 @@ class Stages:
         """Train and test the sketch on predicted panoramas, choose every frame's candidates, and return figures."""
         with claimed(self.sketch, title):
             recipe = self._recipe("sketch")
-            task = SketchTask(build(self.cfg.model.sketch), recipe.optimizer, plain(self.cfg))
+            model, edges_m = build(self.cfg.model.sketch), self.spec.range_edges_m
+            task = SketchTask(model, recipe.optimizer, edges_m, plain(self.cfg))
             cast(nn.Module, task.sketch.depth).load_state_dict(weights_of(self.depth / LAST))
             extras = Extras(true_ranges=True, depth=self.ranges)
             drawn = SketchImages(self.results["sketch"] / IMAGES, self.cfg.test_images)
@@ -150,11 +152,11 @@ class Stages:
             default_root_dir=str(folder),
         )
 
-    def _choose(self, task: SketchTask, scene: SceneReader, frame: int) -> Tensor:
+    def _choose(self, task: SketchTask, scene: SceneFrames, frame: int) -> Tensor:
         range_m = self.ranges.read(scene.name, frame).unsqueeze(0).to(task.device)
         return task.sketch.select(task.sketch.logits(*known(range_m)))[0]
 
-    def _fill(self, cache: FrameCache, predict: Callable[[SceneReader, int], Tensor], title: str) -> None:
+    def _fill(self, cache: FrameCache, predict: Callable[[SceneFrames, int], Tensor], title: str) -> None:
         missing = cache.missing(self.scenes)
         with Progress(title, sum(map(len, missing))) as progress, torch.inference_mode():
             for scene in missing:
@@ -165,11 +167,12 @@ class Stages:
                 cache.write(scene.name, arrays)
 
 
-def predict_range_m(task: DepthTask, scene: SceneReader, frame: int) -> Tensor:
+def predict_range_m(task: DepthTask, scene: SceneFrames, frame: int) -> Tensor:
     """Return the predicted panorama of a recorded frame, (h, w), m; nan where unknown."""
     images = to_unit_range(read_images(scene, frame).unsqueeze(0).to(task.device))
-    true_range_m = read_true_ranges(scene, frame)[0].unsqueeze(0).to(task.device)
-    depth = task.eval().model(images, (scene.rig,), true_range_m)
+    panorama = read_true_ranges(scene, frame)[0]
+    true_range_m = None if panorama is None else panorama.unsqueeze(0).to(task.device)
+    depth = task.eval().model(images, (scene.rigs[frame],), true_range_m)
     return depth.known_range_m()[0]
 
 

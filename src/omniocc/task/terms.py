@@ -14,8 +14,10 @@ def log_terms(task: LightningModule, terms: Mapping[str, Tensor], batch: Batch) 
     """Return the sum of the terms, after logging `train/loss/<name>` and `train/loss`.
 
     Raises:
-        UserError: naming terms and frames, when the sum is not finite.
+        UserError: naming the frames, when there are no terms or their sum is not finite.
     """
+    if not terms:
+        raise UserError(f"nothing to learn from: no loss applies to the labels of {', '.join(batch.frame_ids)}")
     total = torch.stack(list(terms.values())).sum()
     size = len(batch.frame_ids)
     task.log_dict({f"train/loss/{name}": term.detach() for name, term in terms.items()}, batch_size=size)

@@ -46,18 +46,18 @@ def announcement(world: VirtualWorld, plans: Sequence[ScenePlan]) -> str:
     """
     missing = world.missing(plans)
     if not missing:
-        return f"{world.source}: all {len(plans)} scenes are there"
+        return f"{world.place}: all {len(plans)} scenes are there"
     frames, needed = len(missing) * world.frames_per_scene, bytes_to_come(world, missing)
     free = shutil.disk_usage(existing(world.folder)).free
     if needed > free:
         raise DataError(
-            f"{world.source}: {len(missing)} scenes of {world.frames_per_scene} frames take about {size(needed)}, the "
+            f"{world.place}: {len(missing)} scenes of {world.frames_per_scene} frames take about {size(needed)}, the "
             f"disk has {size(free)} free: free some space, choose another folder (paths.data=...), or render fewer "
             f"scenes (scenes=...); nothing was written"
         )
     there = f", {len(plans) - len(missing)} are there" if len(missing) < len(plans) else ""
     return (
-        f"{world.source}: {len(missing)} of {len(plans)} scenes to render{there}, {frames:,} frames, about "
+        f"{world.place}: {len(missing)} of {len(plans)} scenes to render{there}, {frames:,} frames, about "
         f"{size(needed)}, {size(free)} free"
     )
 

@@ -21,7 +21,7 @@ from typing import Any, BinaryIO
 from omniocc.errors import DataError
 from omniocc.io import atomic_write, cannot_write
 
-SCHEMA = 2
+SCHEMA = 3
 SHARD_LIMIT_BYTES = 256 * 2**20
 META, INDEX, JOURNAL = "meta.json", "index.json", "journal.jsonl"
 _BLOCK = tarfile.BLOCKSIZE
