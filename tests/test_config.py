@@ -1,6 +1,7 @@
 """Configuration: every problem is found before anything is built, and named."""
 
 import inspect
+import re
 from pathlib import Path
 from typing import Literal
 
@@ -166,3 +167,26 @@ def test_a_value_the_constructor_refuses_is_named():
 )  # fmt: skip
 def test_fits(value, hint, expected):
     assert fits(value, hint) is expected
+
+
+@pytest.mark.parametrize(
+    "path", sorted(CONF.glob("model/*/*.yaml")), ids=lambda path: f"{path.parent.name}/{path.stem}"
+)
+def test_an_option_takes_its_sizes_from_its_own_place_in_the_preset(path):
+    slot, option = path.parent.name, path.stem
+    for key in re.findall(r"\$\{preset\.([\w.]+)", path.read_text()):
+        place, *rest = key.split(".")
+        assert place in (slot, "channels", "panorama"), key
+        assert len(rest) < 2 or rest[0] == option, key
+
+
+def test_all_presets_have_the_same_keys():
+    def keys(node, prefix=""):
+        for key, value in node.items():
+            yield f"{prefix}{key}"
+            if isinstance(value, dict) and key != "sizes":
+                yield from keys(value, f"{prefix}{key}.")
+
+    trees = [OmegaConf.to_container(OmegaConf.load(path)) for path in CONF.glob("preset/*.yaml")]
+    assert len({tuple(keys(tree)) for tree in trees}) == 1
+    assert len(trees) == 4
