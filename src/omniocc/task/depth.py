@@ -55,15 +55,8 @@ class DepthTask(StageTask[nn.Module]):
         terms = self.model.training_terms(images, batch.newest_rigs, *ranges, generator)  # type: ignore[operator]
         return log_terms(self, terms, batch)
 
-    def validation_step(self, batch: Batch, batch_index: int) -> Tensor:
+    def score(self, batch: Batch) -> Tensor:
         """Score a batch and return the predicted panoramas."""
-        return self._score(batch)
-
-    def test_step(self, batch: Batch, batch_index: int) -> Tensor:
-        """Score a batch and return the predicted panoramas."""
-        return self._score(batch)
-
-    def _score(self, batch: Batch) -> Tensor:
         assert batch.erp_range_m is not None
         depth = self.model(to_unit_range(batch.images[:, -1]), batch.newest_rigs, batch.erp_range_m)
         # every ray counts, also those that the model itself calls uncertain
@@ -71,15 +64,8 @@ class DepthTask(StageTask[nn.Module]):
         self.coverage.update(depth.valid[batch.erp_range_m.isfinite()].float())
         return depth.known_range_m()
 
-    def on_validation_epoch_end(self) -> None:
-        """Log `val/depth/...`."""
-        self._log_scores("val")
-
-    def on_test_epoch_end(self) -> None:
-        """Log `test/depth/...`."""
-        self._log_scores("test")
-
-    def _log_scores(self, split: str) -> None:
+    def log_scores(self, split: str) -> None:
+        """Log `<split>/depth/...` and begin anew."""
         scores = {**self.errors.compute(), "coverage": self.coverage.compute()}
         self.log_dict({f"{split}/depth/{key}": value for key, value in scores.items()}, sync_dist=False)
         self.errors.reset()

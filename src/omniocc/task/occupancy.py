@@ -97,7 +97,7 @@ class OccupancyTask(StageTask[OccupancyModel]):
         prediction = self.predict(batch)
         return log_terms(self, self.loss(prediction, batch.voxels, batch.pixel_labels, batch.camera_range_m), batch)
 
-    def validation_step(self, batch: Batch, batch_index: int) -> Tensor:
+    def score(self, batch: Batch) -> Tensor:
         """Score a batch and return the predicted labels."""
         labels = self.evaluate(batch)
         self.scores.update(labels, batch)
@@ -111,30 +111,24 @@ class OccupancyTask(StageTask[OccupancyModel]):
         """Forget the volumes of past frames: the weights have changed."""
         self.stream.reset()
 
-    def on_validation_epoch_end(self) -> None:
-        """Log `val/rayiou` and the rest."""
-        self.stream.reset()
-        self._log_scores("val", self.scores)
-
     def test_step(self, batch: Batch, batch_index: int) -> Tensor:
         """Score a batch with baseline and upper bound on it, and return the predicted labels."""
-        labels = self.evaluate(batch)
-        self.scores.update(labels, batch)
+        labels = self.score(batch)
         self.prior_scores.update(self.prior.expand_as(labels), batch)
         # an unknown cell is no prediction: it counts as empty
         if batch.voxels is not None:
             self.label_scores.update(batch.voxels.masked_fill(batch.voxels == UNKNOWN, FREE), batch)
         return labels
 
-    def on_test_epoch_end(self) -> None:
-        """Log `test/...`, `prior/...` and `label/...`."""
+    def log_scores(self, split: str) -> None:
+        """Log `<split>/...`, and after a test `prior/...` and `label/...`; forget the volumes of past frames."""
         self.stream.reset()
-        for name, scores in (("test", self.scores), ("prior", self.prior_scores), ("label", self.label_scores)):
-            self._log_scores(name, scores)
-
-    def _log_scores(self, prefix: str, scores: Scores) -> None:
-        self.log_dict({f"{prefix}/{key}": value for key, value in scores.compute().items()}, sync_dist=False)
-        scores.reset()
+        rows = {split: self.scores}
+        if split == "test":
+            rows |= {"prior": self.prior_scores, "label": self.label_scores}
+        for name, scores in rows.items():
+            self.log_dict({f"{name}/{key}": value for key, value in scores.compute().items()}, sync_dist=False)
+            scores.reset()
 
 
 def model_inputs(batch: Batch) -> tuple[Tensor, tuple[tuple[Rig, ...], ...], Tensor, Sketched | None]:

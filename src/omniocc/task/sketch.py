@@ -42,15 +42,8 @@ class SketchTask(StageTask[nn.Module]):
         terms = {} if batch.voxels is None else self.sketch.training_terms(*panorama(batch), batch.voxels)
         return log_terms(self, terms, batch)
 
-    def validation_step(self, batch: Batch, batch_index: int) -> Tensor:
-        """Score a batch and return the candidates."""
-        return self._score(batch)
-
-    def test_step(self, batch: Batch, batch_index: int) -> Tensor:
-        """Score a batch and return the candidates."""
-        return self._score(batch)
-
-    def _score(self, batch: Batch) -> Tensor:
+    def score(self, batch: Batch) -> Tensor:
+        """Score a batch and return the predicted candidates."""
         logits = self.sketch.logits(*panorama(batch))
         candidates = self.sketch.select(logits)
         if batch.voxels is not None:
@@ -58,15 +51,8 @@ class SketchTask(StageTask[nn.Module]):
             self.dilated.update(candidates, batch.voxels)
         return candidates
 
-    def on_validation_epoch_end(self) -> None:
-        """Log `val/sketch/...`."""
-        self._log_scores("val")
-
-    def on_test_epoch_end(self) -> None:
-        """Log `test/sketch/...`."""
-        self._log_scores("test")
-
-    def _log_scores(self, split: str) -> None:
+    def log_scores(self, split: str) -> None:
+        """Log `<split>/sketch/...` and begin anew."""
         for prefix, metric in ((f"{split}/sketch", self.dilated), (f"{split}/sketch/raw", self.raw)):
             self.log_dict({f"{prefix}/{key}": value for key, value in metric.compute().items()}, sync_dist=False)
             metric.reset()
