@@ -61,7 +61,8 @@ def cost_of(model: OccupancyModel, sample: Sample) -> dict[str, float]:
     device = next(model.parameters()).device
     images, pose = sample.images[-1].to(device), sample.world_from_ego[-1].to(device)
     sketched = None if sample.candidates is None else Sketched(sample.candidates[-1:].to(device))
-    stream, runs = Stream(model), [lambda: stream.step(images, sample.rigs[-1], pose, sketched)]
+    stream = Stream(model)
+    runs: list[Callable[[], object]] = [lambda: stream.step(images, sample.rigs[-1], pose, sketched)]
     if sketched is not None and estimates_range(model):
         runs.append(lambda: model.choose(to_unit_range(images)[None], (sample.rigs[-1],)))
     once_and_past = [*runs, *runs[:1] * (model.temporal.frames - 1)]

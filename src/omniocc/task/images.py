@@ -12,6 +12,7 @@ from lightning.pytorch import Callback, LightningModule, Trainer
 from torch import Tensor
 
 from omniocc.batch import Batch
+from omniocc.classes import UNKNOWN
 from omniocc.data.labels.class_fractions import spread
 from omniocc.run.folder import PARTS
 from omniocc.run.wandb.loggers import wandb_of
@@ -118,12 +119,12 @@ class OccupancyImages(FrameImages):
     key = "voxels"
 
     def draw(self, task: Any, output: Tensor, batch: Batch, sample: int) -> Drawn:  # noqa: D102
-        images, truth = newest_images(batch, sample), batch.voxels[sample].cpu()
+        images, truth = newest_images(batch, sample), true_voxels(batch, sample, output)
         parts = comparison_parts(images, truth, output, task.model.geometry)
         return Drawn(comparison_sheet(parts, batch.frame_ids[sample]), parts._asdict())
 
     def media(self, task: Any, output: Tensor, batch: Batch, sample: int) -> dict[str, list[Named]]:  # noqa: D102
-        images, truth = newest_images(batch, sample), batch.voxels[sample].cpu()
+        images, truth = newest_images(batch, sample), true_voxels(batch, sample, output)
         return voxel_media(images, batch.newest_rigs[sample], truth, output, task.model.geometry)
 
 
@@ -133,20 +134,18 @@ class DepthImages(FrameImages):
     key = "depth"
 
     def draw(self, task: Any, output: Tensor, batch: Batch, sample: int) -> Drawn:  # noqa: D102
-        assert batch.erp_range_m is not None
         sheet = depth_sheet(
             list(newest_images(batch, sample)),
             batch.newest_rigs[sample],
             task.model.panorama,
             output,
-            batch.erp_range_m[sample].cpu(),
+            true_range_m(batch, sample, output),
             batch.frame_ids[sample],
         )
         return Drawn(sheet)
 
     def media(self, task: Any, output: Tensor, batch: Batch, sample: int) -> dict[str, list[Named]]:  # noqa: D102
-        assert batch.erp_range_m is not None
-        return range_media(output, batch.erp_range_m[sample].cpu(), task.model.panorama)
+        return range_media(output, true_range_m(batch, sample, output), task.model.panorama)
 
 
 class SketchImages(FrameImages):
@@ -160,7 +159,7 @@ class SketchImages(FrameImages):
             chosen = task.sketch.choose(task.sketch.logits(range_m, valid))[0].cpu()
         sheet = sketch_sheet(
             list(newest_images(batch, sample)),
-            batch.voxels[sample].cpu(),
+            true_voxels(batch, sample, output),
             chosen,
             output,
             task.sketch.geometry,
@@ -174,3 +173,15 @@ class SketchImages(FrameImages):
 def newest_images(batch: Batch, sample: int) -> np.ndarray:
     """Return the images of the newest frame of a sample's window, (N, H, W, 3) uint8 RGB."""
     return batch.images[sample, -1].permute(0, 2, 3, 1).cpu().numpy()
+
+
+def true_voxels(batch: Batch, sample: int, like: Tensor) -> Tensor:
+    """Return the true voxels of a sample, in the shape of `like`; unknown everywhere if the data has none."""
+    if batch.voxels is None:
+        return torch.full(like.shape, UNKNOWN, dtype=torch.uint8)
+    return batch.voxels[sample].cpu()
+
+
+def true_range_m(batch: Batch, sample: int, like: Tensor) -> Tensor:
+    """Return the true panorama of a sample, m, in the shape of `like`; nan everywhere if the data has none."""
+    return torch.full_like(like, torch.nan) if batch.erp_range_m is None else batch.erp_range_m[sample].cpu()
