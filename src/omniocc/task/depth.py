@@ -57,11 +57,11 @@ class DepthTask(StageTask[nn.Module]):
 
     def score(self, batch: Batch) -> Tensor:
         """Score a batch and return the predicted panoramas."""
-        assert batch.erp_range_m is not None
         depth = self.model(to_unit_range(batch.images[:, -1]), batch.newest_rigs, batch.erp_range_m)
-        # every ray counts, also those that the model itself calls uncertain
-        self.errors.update(depth.range_m.float(), batch.erp_range_m)
-        self.coverage.update(depth.valid[batch.erp_range_m.isfinite()].float())
+        if batch.erp_range_m is not None:
+            # every ray counts, also those that the model itself calls uncertain
+            self.errors.update(depth.range_m.float(), batch.erp_range_m)
+            self.coverage.update(depth.valid[batch.erp_range_m.isfinite()].float())
         return depth.known_range_m()
 
     def log_scores(self, split: str) -> None:
