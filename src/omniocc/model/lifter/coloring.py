@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from omniocc.camera import Rig
 from omniocc.geometry import Grid
 from omniocc.model.ops.deformable_attention import Level, make_level
+from omniocc.model.ops.feedforward import FeedForward
 from omniocc.model.ops.lifter.cross_attention import CrossAttention
 from omniocc.model.ops.lifter.position import position_features
 from omniocc.model.ops.lifter.visible import CENTRE, Pairs, reference_points, visible_pairs
@@ -26,10 +27,7 @@ class ColoringLayer(nn.Module):
         super().__init__()
         self.attention = CrossAttention(channels, heads, points, levels, anchors)
         self.attention_norm = nn.LayerNorm(channels)
-        self.feedforward = nn.Sequential(
-            nn.Linear(channels, feedforward_channels), nn.ReLU(), nn.Linear(feedforward_channels, channels)
-        )
-        self.feedforward_norm = nn.LayerNorm(channels)
+        self.feedforward = FeedForward(channels, feedforward_channels)
 
     def forward(
         self,
@@ -39,8 +37,7 @@ class ColoringLayer(nn.Module):
         levels: list[Level],
     ) -> Float[Tensor, "B Q C"]:
         """Queries of each sample; G is B, or 1 before the samples differ."""
-        queries = self.attention_norm(queries + self.attention(queries, features, pairs, levels))
-        return self.feedforward_norm(queries + self.feedforward(queries))
+        return self.feedforward(self.attention_norm(queries + self.attention(queries, features, pairs, levels)))
 
 
 class Coloring(nn.Module):
