@@ -10,13 +10,13 @@ from torch.nn import functional as F
 from omniocc.camera import Equirectangular, Rig
 from omniocc.camera.ops.pixels import pixel_centers
 from omniocc.loss import SILog
-from omniocc.model.ops.depth.depth_map import DepthMap, check_images, from_index, weighted_sum
+from omniocc.model.ops.depth.depth_map import DepthMap, from_index
 from omniocc.model.ops.depth.features import FeatureNet
-from omniocc.model.ops.depth.panorama_depth import PanoramaDepth
+from omniocc.model.ops.depth.panorama_depth import LearnedPanoramaDepth
 from omniocc.model.ops.depth.projection import present_cameras
 from omniocc.model.ops.depth.spheres import SphereRange
 from omniocc.model.ops.depth.zbuffer import fill_holes, merge_cameras
-from omniocc.model.ops.padded import crop, frame_size, shape_groups
+from omniocc.model.ops.padded import Rigs, frame_size
 from omniocc.model.ops.rig_cache import once_per_rig
 
 TYPICAL_M = 8.0
@@ -40,7 +40,7 @@ def ray_maps(rig: Rig, device: torch.device) -> Float[Tensor, "N 4 H W"]:
     return torch.stack(maps).to(device)
 
 
-class Mono(PanoramaDepth):
+class Mono(LearnedPanoramaDepth):
     """Estimate the log of the range and the sky in each image alone, from its colours and the rays of its pixels.
 
     Maps of all cameras, at half the size of the images, are drawn into the panorama, the nearest in front; the cameras'
@@ -67,8 +67,8 @@ class Mono(PanoramaDepth):
         sky_weight: float,
         mirror: bool,
     ):
-        super().__init__(panorama, spheres)
-        self.sky_weight, self.mirror = sky_weight, mirror
+        super().__init__(panorama, spheres, mirror)
+        self.sky_weight = sky_weight
         self.net = FeatureNet(channels, out_channels=2, extra_channels=4)
         self.silog = SILog(focus)
 
@@ -88,43 +88,23 @@ class Mono(PanoramaDepth):
         index = spheres.index(torch.where(surface.isfinite(), surface, filled))
         return from_index(index, valid, confidence, spheres)
 
-    def training_terms(
+    def losses(
         self,
         images: Float[Tensor, "B N 3 H W"],
-        rigs: tuple[Rig, ...],
+        rigs: Rigs,
         erp_range_m: Float[Tensor, "B h w"],
         camera_range_m: Float[Tensor, "B N H W"] | None,
-        generator: torch.Generator,
+        flip: bool,
     ) -> dict[str, Float[Tensor, ""]]:
         """Return the losses `silog` and `sky`, from the ranges of single cameras alone.
 
-        Args:
-            images: RGB in [0, 1].
-            rigs: one per sample.
-            erp_range_m: ignored.
-            camera_range_m: true range of every pixel; inf for the sky, nan where unknown.
-            generator: source of the choice whether this batch is mirrored, on the CPU.
-
         Raises:
-            ValueError: if images and rigs do not fit together, images hold NaN, or there are no ranges of cameras.
+            ValueError: if there are no ranges of cameras.
         """
-        check_images(images, rigs)
         if camera_range_m is None:
             raise ValueError("model/depth=mono learns from the range of every camera; this data has none")
-        flip = self.mirror and bool(torch.rand((), generator=generator) < 0.5)
-        parts = []
-        for samples in shape_groups(rigs):
-            own = tuple(rigs[sample] for sample in samples)
-            true_m = crop(camera_range_m[samples], own[0])
-            log_range, sky = self.camera_ranges(crop(images[samples], own[0]), own, flip)
-            terms = self.terms(log_range, sky, range_of_four(true_m.flip(-1) if flip else true_m))
-            parts.append((len(samples) / len(images), terms))
-        return weighted_sum(parts)
-
-    def terms(
-        self, log_range: Float[Tensor, "B N _ _"], sky: Float[Tensor, "B N _ _"], true_m: Float[Tensor, "B N _ _"]
-    ) -> dict[str, Float[Tensor, ""]]:
-        """Return the losses of log range (m) and of sky's logits against true ranges (inf: sky, nan: unknown)."""
+        log_range, sky = self.camera_ranges(images, rigs, flip)
+        true_m = range_of_four(camera_range_m)
         known = ~true_m.isnan()
         wrong = F.binary_cross_entropy_with_logits(sky, true_m.isinf().to(sky), reduction="none")
         entropy = torch.where(known, wrong, 0).sum() / known.sum().clamp(min=1)

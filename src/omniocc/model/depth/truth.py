@@ -8,6 +8,7 @@ from torch import Tensor
 from omniocc.camera import Rig
 from omniocc.model.ops.depth.depth_map import DepthMap, from_index, per_rig
 from omniocc.model.ops.depth.panorama_depth import PanoramaDepth
+from omniocc.model.ops.padded import Rigs
 
 
 class Truth(PanoramaDepth):
@@ -21,10 +22,7 @@ class Truth(PanoramaDepth):
     NEEDS_TRUE_RANGE: ClassVar[bool] = True
 
     def forward(
-        self,
-        images: Float[Tensor, "B N 3 H W"],
-        rigs: tuple[Rig, ...],
-        true_range_m: Float[Tensor, "B h w"] | None = None,
+        self, images: Float[Tensor, "B N 3 H W"], rigs: Rigs, true_range_m: Float[Tensor, "B h w"] | None = None
     ) -> DepthMap:
         """Return the true range; not valid in the sky, where it is inf, and where it is nan.
 

@@ -1,6 +1,5 @@
 """Base of the networks that choose among spheres: from logits to depth, and the losses."""
 
-import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
@@ -8,19 +7,18 @@ from omniocc.camera import Equirectangular, Rig
 from omniocc.model.ops.depth.depth_map import (
     SKY_INDEX,
     DepthMap,
-    check_images,
     from_index,
     rig_groups,
     weighted_sum,
 )
 from omniocc.model.ops.depth.layers import window_argmax
-from omniocc.model.ops.depth.panorama_depth import PanoramaDepth
+from omniocc.model.ops.depth.panorama_depth import LearnedPanoramaDepth
 from omniocc.model.ops.depth.sphere_loss import SphereLoss
 from omniocc.model.ops.depth.spheres import SphereRange
-from omniocc.model.ops.padded import crop
+from omniocc.model.ops.padded import Rigs
 
 
-class SphereNet(PanoramaDepth):
+class SphereNet(LearnedPanoramaDepth):
     """Score every sphere and the sky in every direction; subclasses say how, in `logits`.
 
     Whether there is a surface and how far it would be are two questions: the sky is no sphere, so that a doubtful edge
@@ -44,8 +42,8 @@ class SphereNet(PanoramaDepth):
         min_confidence: float,
         mirror: bool,
     ):
-        super().__init__(panorama, spheres)
-        self.loss, self.window, self.min_confidence, self.mirror = loss, window, min_confidence, mirror
+        super().__init__(panorama, spheres, mirror)
+        self.loss, self.window, self.min_confidence = loss, window, min_confidence
 
     def logits(
         self, images: Float[Tensor, "B N 3 H W"], rig: Rig, flip: bool = False
@@ -69,33 +67,19 @@ class SphereNet(PanoramaDepth):
         valid = seen & (solid > 0.5) & (index >= SKY_INDEX) & (confidence >= self.min_confidence)
         return from_index(index, valid, confidence, self.rig_spheres(rig))
 
-    def training_terms(
+    def losses(
         self,
         images: Float[Tensor, "B N 3 H W"],
-        rigs: tuple[Rig, ...],
+        rigs: Rigs,
         erp_range_m: Float[Tensor, "B h w"],
         camera_range_m: Float[Tensor, "B N H W"] | None,
-        generator: torch.Generator,
+        flip: bool,
     ) -> dict[str, Float[Tensor, ""]]:
-        """Return the losses of `SphereLoss`, from the panorama alone.
-
-        Args:
-            images: RGB in [0, 1].
-            rigs: one per sample.
-            erp_range_m: true panorama; inf for the sky, nan does not count.
-            camera_range_m: ignored.
-            generator: decides whether this batch is mirrored, on the CPU.
-
-        Raises:
-            ValueError: if images and rigs do not fit together, or images hold NaN.
-        """
-        check_images(images, rigs)
-        flip = self.mirror and bool(torch.rand((), generator=generator) < 0.5)
-        target_m = erp_range_m.flip(-1) if flip else erp_range_m
+        """Return the losses of `SphereLoss`, from the panorama alone."""
         parts = []
         for rig, samples in rig_groups(rigs):
-            logits, _ = self.logits(crop(images[samples], rig), rig, flip)
+            logits, _ = self.logits(images[samples], rig, flip)
             index, _ = window_argmax(logits[:, :-1], self.window)
-            terms = self.loss(logits, index, target_m[samples], self.rig_spheres(rig))
+            terms = self.loss(logits, index, erp_range_m[samples], self.rig_spheres(rig))
             parts.append((len(samples) / len(images), terms))
         return weighted_sum(parts)
