@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from omniocc.camera import Rig
 from omniocc.geometry import Grid
-from omniocc.model.ops.padded import by_shape
+from omniocc.model.ops.padded import FeatureMaps, by_shape
 from omniocc.model.ops.padding import Pointwise
 from omniocc.model.protocols import (
     Backbone,
@@ -48,7 +48,7 @@ class Lifted(NamedTuple):
 
     volume: Float[Tensor, "B C X Y Z"]
     sketched: Sketched
-    features: list[Float[Tensor, "B N C _ _"]]
+    features: FeatureMaps
 
 
 class OccupancyModel(nn.Module):

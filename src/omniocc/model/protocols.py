@@ -15,6 +15,7 @@ from omniocc.camera import Equirectangular, Rig
 from omniocc.geometry import Grid
 from omniocc.model.ops.depth.depth_map import DepthMap
 from omniocc.model.ops.depth.spheres import Spheres
+from omniocc.model.ops.padded import FeatureMaps, Rigs
 
 
 class Sketched(NamedTuple):
@@ -61,7 +62,7 @@ class Backbone(Protocol):
     channels: int
     levels: list[int]
 
-    def __call__(self, images: Float[Tensor, "B N 3 H W"]) -> list[Float[Tensor, "B N C _ _"]]:
+    def __call__(self, images: Float[Tensor, "B N 3 H W"]) -> FeatureMaps:
         """Return maps that each cover the whole image, finest first, from RGB in [0, 1]."""
         ...
 
@@ -83,10 +84,7 @@ class Depth(Protocol):
         ...
 
     def __call__(
-        self,
-        images: Float[Tensor, "B N 3 H W"],
-        rigs: tuple[Rig, ...],
-        true_range_m: Float[Tensor, "B h w"] | None = None,
+        self, images: Float[Tensor, "B N 3 H W"], rigs: Rigs, true_range_m: Float[Tensor, "B h w"] | None = None
     ) -> DepthMap:
         """Return the panorama from RGB in [0, 1]; the true range (inf: sky) is used if `NEEDS_TRUE_RANGE`."""
         ...
@@ -121,10 +119,7 @@ class Sketch(Protocol):
     """Choose the candidate voxels of each sample."""
 
     def __call__(
-        self,
-        images: Float[Tensor, "B N 3 H W"],
-        rigs: tuple[Rig, ...],
-        true_range_m: Float[Tensor, "B h w"] | None = None,
+        self, images: Float[Tensor, "B N 3 H W"], rigs: Rigs, true_range_m: Float[Tensor, "B h w"] | None = None
     ) -> Sketched:
         """Return the candidates from RGB in [0, 1] and the rig of each sample.
 
@@ -178,9 +173,7 @@ class Lifter(Protocol):
 
     channels: int
 
-    def __call__(
-        self, features: list[Float[Tensor, "B N C _ _"]], sketched: Sketched, rigs: tuple[Rig, ...]
-    ) -> Float[Tensor, "B D X Y Z"]:
+    def __call__(self, features: FeatureMaps, sketched: Sketched, rigs: tuple[Rig, ...]) -> Float[Tensor, "B D X Y Z"]:
         """Return features of all voxels, ego frame, from feature maps (see `Backbone`), finest first."""
         ...
 
@@ -189,7 +182,7 @@ class Lifter(Protocol):
 class GuessesRanges(Protocol):
     """A lifter that predicts a distribution of range for every pixel on its way."""
 
-    def range_logits(self, features: list[Float[Tensor, "B N C _ _"]]) -> Float[Tensor, "B N D h w"]:
+    def range_logits(self, features: FeatureMaps) -> Float[Tensor, "B N D h w"]:
         """Return scores of bins of range along the rays, at the coarsest map's size."""
         ...
 
@@ -238,6 +231,6 @@ class Refiner(Protocol):
 class SemanticHead(Protocol):
     """Classify the pixels of a feature map."""
 
-    def __call__(self, features: list[Float[Tensor, "B N C _ _"]]) -> Float[Tensor, "B N K h w"] | None:
+    def __call__(self, features: FeatureMaps) -> Float[Tensor, "B N K h w"] | None:
         """Return logits at the finest map's size, or None, from feature maps, finest first."""
         ...

@@ -84,7 +84,7 @@ def color_by_loops(lifter, features, candidates, rig):
         for layer in lifter.layers if valid[:, cell].any() else []:
             mixed = attend(layer.attention, query, features, pixels[:, cell], valid[:, cell], rig)
             query = layer.attention_norm(query + mixed)
-            query = layer.feedforward_norm(query + layer.feedforward(query))
+            query = layer.feedforward(query)
         volume[cell] = query
     return volume.T.reshape(-1, *lifter.geometry.shape)
 

@@ -77,7 +77,7 @@ def lift_by_loops(lifter, geometry, features, rig):
         query = coloring.embedding(coloring.positions[x * geometry.shape[1] + y])
         for layer in coloring.layers if seen.any() else []:
             query = layer.attention_norm(query + attend(layer.attention, query, features, pixels, seen, rig))
-            query = layer.feedforward_norm(query + layer.feedforward(query))
+            query = layer.feedforward(query)
         for z in range(geometry.shape[2]):
             rows = slice(3 * z, 3 * z + 3)
             volume[:, x, y, z] = lifter.raise_up.weight[rows] @ query + lifter.raise_up.bias[rows]

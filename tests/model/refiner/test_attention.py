@@ -58,7 +58,7 @@ def refine_by_loops(refiner, volume):
         for cell in itertools.product(*map(range, shape)):
             mixed = attend(layer.attention, voxels, cell, periodic)
             refined[cell] = layer.attention_norm(voxels[cell] + mixed)
-        voxels = layer.feedforward_norm(refined + layer.feedforward(refined))
+        voxels = layer.feedforward(refined)
     return voxels.movedim(-1, 0).reshape(volume.shape)
 
 

@@ -81,7 +81,7 @@ def test_a_resting_car_hands_each_view_to_the_next_frame(geometry):
         before = present if before is None else before
         for layer in temporal.layers:
             mixed = layer.attention_norm(present + layer.attention(before, present, geometry.periodic))
-            present = layer.feedforward_norm(mixed + layer.feedforward(mixed))
+            present = layer.feedforward(mixed)
         return present
 
     view = look(volumes[2], look(volumes[1], look(volumes[0], None)))

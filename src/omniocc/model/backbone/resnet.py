@@ -11,6 +11,7 @@ from omniocc.model.ops.backbone.fpn import FPN
 from omniocc.model.ops.backbone.imagenet import Normalize
 from omniocc.model.ops.backbone.pretrained import build_resnet
 from omniocc.model.ops.deformable_conv import DeformableConv2d
+from omniocc.model.ops.padded import FeatureMaps
 
 STRIDES = [4, 8, 16, 32]
 
@@ -61,7 +62,7 @@ class ResNet(nn.Module):
             make_deformable(self.encoder.encoder.stages[stage - 1])
         self.fpn = FPN(hidden_sizes, channels, [STRIDES.index(level) for level in levels])
 
-    def forward(self, images: Float[Tensor, "B N 3 H W"]) -> list[Float[Tensor, "B N C _ _"]]:
+    def forward(self, images: Float[Tensor, "B N 3 H W"]) -> FeatureMaps:
         """Feature maps of RGB in [0, 1], finest first."""
         stages = self.encoder(self.normalize(images), output_hidden_states=True).hidden_states[1:]
         return [level.unflatten(0, images.shape[:2]) for level in self.fpn(list(stages))]

@@ -12,6 +12,7 @@ from transformers.models.auto.modeling_auto import MODEL_FOR_BACKBONE_MAPPING, M
 from omniocc.model.ops.backbone.fpn import FPN
 from omniocc.model.ops.backbone.imagenet import Normalize
 from omniocc.model.ops.backbone.pretrained import load_or_random, require_equal
+from omniocc.model.ops.padded import FeatureMaps
 
 PROBE_PX = 224
 
@@ -51,7 +52,7 @@ class Transformers(nn.Module):
         self.fpn = FPN(in_channels, channels, [self.strides.index(level) for level in levels])
         freeze_unused(self.encoder, [maps[stage] for stage in self.stages[self.strides.index(min(levels)) :]])
 
-    def forward(self, images: Float[Tensor, "B N 3 H W"]) -> list[Float[Tensor, "B N C _ _"]]:
+    def forward(self, images: Float[Tensor, "B N 3 H W"]) -> FeatureMaps:
         """Feature maps of RGB in [0, 1], finest first."""
         height, width = images.shape[-2:]
         coarsest = self.strides[-1]

@@ -1,22 +1,22 @@
 """Range from each camera on its own, merged into one panorama: the baseline without overlap between cameras."""
 
 import math
-from typing import ClassVar
 
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn import functional as F
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.camera.ops.pixels import pixel_centers
 from omniocc.loss import SILog
-from omniocc.model.ops.depth.depth_map import DepthMap, check_images, from_index, per_rig, weighted_sum
-from omniocc.model.ops.depth.features import STRIDE, FeatureNet
+from omniocc.model.ops.depth.depth_map import DepthMap, from_index
+from omniocc.model.ops.depth.features import FeatureNet
+from omniocc.model.ops.depth.panorama_depth import LearnedPanoramaDepth
 from omniocc.model.ops.depth.projection import present_cameras
-from omniocc.model.ops.depth.spheres import SphereRange, Spheres
+from omniocc.model.ops.depth.spheres import SphereRange
 from omniocc.model.ops.depth.zbuffer import fill_holes, merge_cameras
-from omniocc.model.ops.padded import by_shape, crop, frame_size, shape_groups
+from omniocc.model.ops.padded import Rigs, frame_size
 from omniocc.model.ops.rig_cache import once_per_rig
 
 TYPICAL_M = 8.0
@@ -40,7 +40,7 @@ def ray_maps(rig: Rig, device: torch.device) -> Float[Tensor, "N 4 H W"]:
     return torch.stack(maps).to(device)
 
 
-class Mono(nn.Module):
+class Mono(LearnedPanoramaDepth):
     """Estimate the log of the range and the sky in each image alone, from its colours and the rays of its pixels.
 
     Maps of all cameras, at half the size of the images, are drawn into the panorama, the nearest in front; the cameras'
@@ -58,8 +58,6 @@ class Mono(nn.Module):
         ValueError: if sizes do not fit together.
     """
 
-    NEEDS_TRUE_RANGE: ClassVar[bool] = False
-
     def __init__(
         self,
         panorama: Equirectangular,
@@ -69,85 +67,44 @@ class Mono(nn.Module):
         sky_weight: float,
         mirror: bool,
     ):
-        super().__init__()
-        self.panorama, self.spheres = panorama, spheres
-        self.sky_weight, self.mirror = sky_weight, mirror
+        super().__init__(panorama, spheres, mirror)
+        self.sky_weight = sky_weight
         self.net = FeatureNet(channels, out_channels=2, extra_channels=4)
         self.silog = SILog(focus)
 
-    def rig_spheres(self, rig: Rig) -> Spheres:
-        """Return the spheres in whose indices it answers for a rig."""
-        return self.spheres.of(rig, self.panorama)
+    def estimate(self, images: Float[Tensor, "B N 3 H W"], rig: Rig) -> DepthMap:
+        """Return depth from RGB in [0, 1], for samples of one rig without padding."""
+        log_range, sky = self.camera_ranges(images, (rig,) * len(images))
+        spheres = self.rig_spheres(rig)
+        range_m = log_range.exp().clamp(max=spheres.farthest_m)
+        there, solid = present_cameras(images)[:, :, None, None].expand_as(range_m), (-sky).sigmoid()
+        surface, _ = merge_cameras(range_m, solid, there & (solid > 0.5), rig, self.panorama)
+        # in the sky the range is that of the surface that is there if it is no sky after all
+        guess, _ = merge_cameras(range_m, solid, there, rig, self.panorama)
+        range_or_sky_m = torch.where(solid > 0.5, range_m, spheres.farthest_m)
+        _, confidence = merge_cameras(range_or_sky_m, solid, there, rig, self.panorama, depth_ratio=math.inf)
+        filled = fill_holes(guess, HOLE_PASSES)
+        valid = (surface.isfinite() & (confidence > 0.5)) | (guess.isinf() & filled.isfinite())
+        index = spheres.index(torch.where(surface.isfinite(), surface, filled))
+        return from_index(index, valid, confidence, spheres)
 
-    def forward(
+    def losses(
         self,
         images: Float[Tensor, "B N 3 H W"],
-        rigs: tuple[Rig, ...],
-        true_range_m: Float[Tensor, "B h w"] | None = None,
-    ) -> DepthMap:
-        """Return depth from RGB in [0, 1]; the true range is ignored.
-
-        Raises:
-            ValueError: if images and rigs do not fit together, or images hold NaN.
-        """
-        check_images(images, rigs)
-        log_range, sky = self.camera_ranges(images, rigs)
-
-        def one(rig: Rig, samples: list[int]) -> DepthMap:
-            spheres = self.rig_spheres(rig)
-            range_m = crop(log_range[samples], rig, STRIDE).exp().clamp(max=spheres.farthest_m)
-            present = present_cameras(crop(images[samples], rig))
-            there = present[:, :, None, None].expand_as(range_m)
-            solid = (-crop(sky[samples], rig, STRIDE)).sigmoid()
-            surface, _ = merge_cameras(range_m, solid, there & (solid > 0.5), rig, self.panorama)
-            # in the sky the range is that of the surface that is there if it is no sky after all
-            guess, _ = merge_cameras(range_m, solid, there, rig, self.panorama)
-            range_or_sky_m = torch.where(solid > 0.5, range_m, spheres.farthest_m)
-            _, confidence = merge_cameras(range_or_sky_m, solid, there, rig, self.panorama, depth_ratio=math.inf)
-            filled = fill_holes(guess, HOLE_PASSES)
-            valid = (surface.isfinite() & (confidence > 0.5)) | (guess.isinf() & filled.isfinite())
-            index = spheres.index(torch.where(surface.isfinite(), surface, filled))
-            return from_index(index, valid, confidence, spheres)
-
-        return per_rig(rigs, one)
-
-    def training_terms(
-        self,
-        images: Float[Tensor, "B N 3 H W"],
-        rigs: tuple[Rig, ...],
+        rigs: Rigs,
         erp_range_m: Float[Tensor, "B h w"],
         camera_range_m: Float[Tensor, "B N H W"] | None,
-        generator: torch.Generator,
+        flip: bool,
     ) -> dict[str, Float[Tensor, ""]]:
         """Return the losses `silog` and `sky`, from the ranges of single cameras alone.
 
-        Args:
-            images: RGB in [0, 1].
-            rigs: one per sample.
-            erp_range_m: ignored.
-            camera_range_m: true range of every pixel; inf for the sky, nan where unknown.
-            generator: source of the choice whether this batch is mirrored, on the CPU.
-
         Raises:
-            ValueError: if images and rigs do not fit together, images hold NaN, or there are no ranges of cameras.
+            ValueError: if there are no ranges of cameras.
         """
-        check_images(images, rigs)
         if camera_range_m is None:
             raise ValueError("model/depth=mono learns from the range of every camera; this data has none")
-        flip = self.mirror and bool(torch.rand((), generator=generator) < 0.5)
-        parts = []
-        for samples in shape_groups(rigs):
-            own = tuple(rigs[sample] for sample in samples)
-            true_m = crop(camera_range_m[samples], own[0])
-            log_range, sky = self.camera_ranges(crop(images[samples], own[0]), own, flip)
-            terms = self.terms(log_range, sky, range_of_four(true_m.flip(-1) if flip else true_m))
-            parts.append((len(samples) / len(images), terms))
-        return weighted_sum(parts)
-
-    def terms(
-        self, log_range: Float[Tensor, "B N _ _"], sky: Float[Tensor, "B N _ _"], true_m: Float[Tensor, "B N _ _"]
-    ) -> dict[str, Float[Tensor, ""]]:
-        """Return the losses of log range (m) and of sky's logits against true ranges (inf: sky, nan: unknown)."""
+        log_range, sky = self.camera_ranges(images, rigs, flip)
+        true_m = range_of_four(camera_range_m)
         known = ~true_m.isnan()
         wrong = F.binary_cross_entropy_with_logits(sky, true_m.isinf().to(sky), reduction="none")
         entropy = torch.where(known, wrong, 0).sum() / known.sum().clamp(min=1)
@@ -156,18 +113,17 @@ class Mono(nn.Module):
     def camera_ranges(
         self, images: Float[Tensor, "B N 3 H W"], rigs: tuple[Rig, ...], flip: bool = False
     ) -> tuple[Float[Tensor, "B N _ _"], Float[Tensor, "B N _ _"]]:
-        """Return the log of the range from each camera's centre (m) and the logit of sky, at half size.
+        """Return the log of the range (m) from each camera's centre and the logit of sky, at half size.
 
-        Mirrored if asked; zeros where images are padding.
+        Args:
+            images: of samples whose images have one shape, without padding.
+            rigs: one per sample.
+            flip: whether to answer for mirrored images, mirrored.
         """
-
-        def run(images: Tensor, rigs: tuple[Rig, ...]) -> tuple[Tensor, ...]:
-            rays = torch.stack([ray_maps(rig, images.device) for rig in rigs])
-            if flip:
-                images, rays = images.flip(-1), rays.flip(-1) * rays.new_tensor([-1, 1, 1, 1])[:, None, None]
-            return (self.net(images, rays).float(),)
-
-        log_range, sky = by_shape(run, images, rigs, [STRIDE])[0].unbind(2)
+        rays = torch.stack([ray_maps(rig, images.device) for rig in rigs])
+        if flip:
+            images, rays = images.flip(-1), rays.flip(-1) * rays.new_tensor([-1, 1, 1, 1])[:, None, None]
+        log_range, sky = self.net(images, rays).float().unbind(2)
         return log_range + math.log(TYPICAL_M), sky
 
 

@@ -9,7 +9,7 @@ from torch.nn import functional as F
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.model.ops.depth.features import FeatureNet
-from omniocc.model.ops.depth.layers import Conv, UNet2d, double, norm
+from omniocc.model.ops.depth.layers import Conv, UNet2d
 from omniocc.model.ops.depth.projection import (
     LEAST_PRESENT,
     Projection,
@@ -23,6 +23,8 @@ from omniocc.model.ops.depth.projection import (
 from omniocc.model.ops.depth.sphere_loss import SphereLoss
 from omniocc.model.ops.depth.sphere_net import SphereNet
 from omniocc.model.ops.depth.spheres import SphereRange
+from omniocc.model.ops.norm import group_norm
+from omniocc.model.ops.padding import upsample_view
 
 CONTEXT_SPHERES = (0.06, 0.25)
 """Spheres on which the views' own features are put side by side, as fractions of the index of the nearest."""
@@ -97,7 +99,7 @@ class OmniMVS(SphereNet):
         self.seen_again = compared + len(CONTEXT_SPHERES) * context_channels
         self.fine = nn.Sequential(
             Conv(self.seen_again + fine_channels, fine_channels, 3, wrap=True, bias=False),
-            norm(fine_channels),
+            group_norm(fine_channels),
             nn.ReLU(),
             Conv(fine_channels, spheres.count + 1, 3, wrap=True),
         )
@@ -116,7 +118,7 @@ class OmniMVS(SphereNet):
         size = coarse.shape[-2:]
         again = panoramas[:, : self.seen_again]
         if self.sweep_stride == 2:
-            again = double(again, *size, wrap=True)
+            again = upsample_view(again, size, (False, True))
         logits = self.fine(torch.cat([again, coarse], 1))
         alike = again[:, : self.groups * self.spheres.count].unflatten(1, (self.spheres.count, self.groups)).mean(2)
         logits = logits + self.trust * F.pad(alike, (0, 0, 0, 0, 0, 1))

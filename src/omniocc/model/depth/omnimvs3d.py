@@ -13,8 +13,7 @@ from omniocc.model.ops.depth.projection import LEAST_PRESENT, Projection, presen
 from omniocc.model.ops.depth.sphere_loss import SphereLoss
 from omniocc.model.ops.depth.sphere_net import SphereNet
 from omniocc.model.ops.depth.spheres import SphereRange
-from omniocc.model.ops.padding import Conv3d, Downsample, Pointwise, upsample
-from omniocc.model.refiner.unet import Residual
+from omniocc.model.ops.padding import Conv3d, Downsample, Pointwise, Residual, upsample
 
 AROUND = (False, False, True)
 """Which of spheres, rows and columns wrap around."""

@@ -2,25 +2,25 @@
 
 import itertools
 from collections.abc import Iterator
-from typing import ClassVar
 
 import torch
 from jaxtyping import Bool, Float
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn import functional as F
 
 from omniocc.camera import Equirectangular, Rig
-from omniocc.model.ops.depth.depth_map import SKY_INDEX, DepthMap, check_images, from_index, per_rig
+from omniocc.model.ops.depth.depth_map import SKY_INDEX, DepthMap, from_index
+from omniocc.model.ops.depth.panorama_depth import PanoramaDepth
 from omniocc.model.ops.depth.projection import Projection, present_cameras, samplers, table
-from omniocc.model.ops.depth.spheres import SphereRange, Spheres
-from omniocc.model.ops.padded import crop, frame_size
+from omniocc.model.ops.depth.spheres import SphereRange
+from omniocc.model.ops.padded import frame_size
 
 NOISE = 0.01
 """Standard deviation of grey values (of 1) up to which a window has no texture."""
 UNSEEN = -1.0
 
 
-class Sweep(nn.Module):
+class Sweep(PanoramaDepth):
     """Compare all pairs of cameras by zero-mean normalised cross-correlation of windows on every sphere.
 
     The sphere with the best mean over the pairs wins, and a parabola through it and its neighbours gives the fraction.
@@ -36,8 +36,6 @@ class Sweep(nn.Module):
         ValueError: if the window is even or does not fit into the panorama.
     """
 
-    NEEDS_TRUE_RANGE: ClassVar[bool] = False
-
     def __init__(
         self,
         panorama: Equirectangular,
@@ -45,39 +43,20 @@ class Sweep(nn.Module):
         window_px: int,
         min_confidence: float,
     ):
-        super().__init__()
+        super().__init__(panorama, spheres)
         size = panorama.width, panorama.height
         if window_px < 3 or window_px % 2 == 0 or window_px > min(size):
             raise ValueError(f"window_px is {window_px}; it must be odd, at least 3, and fit into {list(size)}")
-        self.panorama, self.spheres = panorama, spheres
         self.window_px, self.min_confidence = window_px, min_confidence
 
-    def rig_spheres(self, rig: Rig) -> Spheres:
-        """Return the spheres in whose indices it answers for a rig."""
-        return self.spheres.of(rig, self.panorama)
-
     @torch.no_grad()
-    def forward(
-        self,
-        images: Float[Tensor, "B N 3 H W"],
-        rigs: tuple[Rig, ...],
-        true_range_m: Float[Tensor, "B h w"] | None = None,
-    ) -> DepthMap:
-        """Return depth from RGB in [0, 1]; the true range is ignored.
-
-        Raises:
-            ValueError: if images and rigs do not fit together, or images hold NaN.
-        """
-        check_images(images, rigs)
-
-        def one(rig: Rig, samples: list[int]) -> DepthMap:
-            score = torch.cat(list(self._scores(crop(images[samples], rig), rig)), 1)
-            index, confidence = peak(score)
-            compared = score.amax(1) > UNSEEN
-            valid = compared & (index >= SKY_INDEX) & (confidence >= self.min_confidence)
-            return from_index(index, valid, confidence * compared, self.rig_spheres(rig))
-
-        return per_rig(rigs, one)
+    def estimate(self, images: Float[Tensor, "B N 3 H W"], rig: Rig) -> DepthMap:
+        """Return depth from RGB in [0, 1], for samples of one rig without padding."""
+        score = torch.cat(list(self._scores(images, rig)), 1)
+        index, confidence = peak(score)
+        compared = score.amax(1) > UNSEEN
+        valid = compared & (index >= SKY_INDEX) & (confidence >= self.min_confidence)
+        return from_index(index, valid, confidence * compared, self.rig_spheres(rig))
 
     def _scores(self, images: Float[Tensor, "B N 3 H W"], rig: Rig) -> Iterator[Float[Tensor, "B D h w"]]:
         """Yield the mean correlation block by block of spheres."""

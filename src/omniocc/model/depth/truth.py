@@ -3,14 +3,15 @@
 from typing import ClassVar
 
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 
-from omniocc.camera import Equirectangular, Rig
+from omniocc.camera import Rig
 from omniocc.model.ops.depth.depth_map import DepthMap, from_index, per_rig
-from omniocc.model.ops.depth.spheres import SphereRange, Spheres
+from omniocc.model.ops.depth.panorama_depth import PanoramaDepth
+from omniocc.model.ops.padded import Rigs
 
 
-class Truth(nn.Module):
+class Truth(PanoramaDepth):
     """Pass the recorded range through: an upper bound for every other option.
 
     Args:
@@ -20,23 +21,8 @@ class Truth(nn.Module):
 
     NEEDS_TRUE_RANGE: ClassVar[bool] = True
 
-    def __init__(
-        self,
-        panorama: Equirectangular,
-        spheres: SphereRange,
-    ):
-        super().__init__()
-        self.panorama, self.spheres = panorama, spheres
-
-    def rig_spheres(self, rig: Rig) -> Spheres:
-        """Return the spheres in whose indices it answers for a rig."""
-        return self.spheres.of(rig, self.panorama)
-
     def forward(
-        self,
-        images: Float[Tensor, "B N 3 H W"],
-        rigs: tuple[Rig, ...],
-        true_range_m: Float[Tensor, "B h w"] | None = None,
+        self, images: Float[Tensor, "B N 3 H W"], rigs: Rigs, true_range_m: Float[Tensor, "B h w"] | None = None
     ) -> DepthMap:
         """Return the true range; not valid in the sky, where it is inf, and where it is nan.
 

@@ -10,6 +10,7 @@ from omniocc.geometry import Grid
 from omniocc.model.lifter.coloring import Coloring
 from omniocc.model.ops.blocks import block_any, coarsened, repeat_blocks
 from omniocc.model.ops.lifter.visible import CENTRE
+from omniocc.model.ops.padded import FeatureMaps
 from omniocc.model.ops.padding import Axes
 from omniocc.model.protocols import Sketched
 
@@ -54,9 +55,7 @@ class CoarseColoring(nn.Module):
         grid = coarsened(geometry, self.block)
         self.coloring = Coloring(grid, channels, levels, layers, heads, points, feedforward_channels, anchors)
 
-    def forward(
-        self, features: list[Float[Tensor, "B N C _ _"]], sketched: Sketched, rigs: tuple[Rig, ...]
-    ) -> Float[Tensor, "B C X Y Z"]:
+    def forward(self, features: FeatureMaps, sketched: Sketched, rigs: tuple[Rig, ...]) -> Float[Tensor, "B C X Y Z"]:
         """Colour the blocks that hold candidates.
 
         Raises:

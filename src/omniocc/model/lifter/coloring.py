@@ -10,10 +10,11 @@ from torch import Tensor, nn
 from omniocc.camera import Rig
 from omniocc.geometry import Grid
 from omniocc.model.ops.deformable_attention import Level, make_level
+from omniocc.model.ops.feedforward import FeedForward
 from omniocc.model.ops.lifter.cross_attention import CrossAttention
 from omniocc.model.ops.lifter.position import position_features
 from omniocc.model.ops.lifter.visible import CENTRE, Pairs, reference_points, visible_pairs
-from omniocc.model.ops.padded import crop
+from omniocc.model.ops.padded import FeatureMaps, crop
 from omniocc.model.ops.rig_cache import once_per_rig
 from omniocc.model.ops.static import is_static
 from omniocc.model.protocols import Sketched
@@ -26,21 +27,13 @@ class ColoringLayer(nn.Module):
         super().__init__()
         self.attention = CrossAttention(channels, heads, points, levels, anchors)
         self.attention_norm = nn.LayerNorm(channels)
-        self.feedforward = nn.Sequential(
-            nn.Linear(channels, feedforward_channels), nn.ReLU(), nn.Linear(feedforward_channels, channels)
-        )
-        self.feedforward_norm = nn.LayerNorm(channels)
+        self.feedforward = FeedForward(channels, feedforward_channels)
 
     def forward(
-        self,
-        queries: Float[Tensor, "G Q C"],
-        features: list[Float[Tensor, "B N C _ _"]],
-        pairs: Pairs,
-        levels: list[Level],
+        self, queries: Float[Tensor, "G Q C"], features: FeatureMaps, pairs: Pairs, levels: list[Level]
     ) -> Float[Tensor, "B Q C"]:
         """Queries of each sample; G is B, or 1 before the samples differ."""
-        queries = self.attention_norm(queries + self.attention(queries, features, pairs, levels))
-        return self.feedforward_norm(queries + self.feedforward(queries))
+        return self.feedforward(self.attention_norm(queries + self.attention(queries, features, pairs, levels)))
 
 
 class Coloring(nn.Module):
@@ -103,9 +96,7 @@ class Coloring(nn.Module):
         )
         self.empty = nn.Parameter(torch.zeros(channels))
 
-    def forward(
-        self, features: list[Float[Tensor, "B N C _ _"]], sketched: Sketched, rigs: tuple[Rig, ...]
-    ) -> Float[Tensor, "B C X Y Z"]:
+    def forward(self, features: FeatureMaps, sketched: Sketched, rigs: tuple[Rig, ...]) -> Float[Tensor, "B C X Y Z"]:
         """Colour the candidates; samples of equal rig and candidates go through together.
 
         Raises:
@@ -124,9 +115,7 @@ class Coloring(nn.Module):
         # channels last in memory, as 3D convolutions like it
         return volumes.unflatten(1, self.geometry.shape).movedim(-1, 1)
 
-    def _color(
-        self, features: list[Float[Tensor, "B N C _ _"]], marked: Bool[Tensor, " cells"], rig: Rig
-    ) -> Float[Tensor, "B cells C"]:
+    def _color(self, features: FeatureMaps, marked: Bool[Tensor, " cells"], rig: Rig) -> Float[Tensor, "B cells C"]:
         features = [crop(level, rig, stride) for level, stride in zip(features, self.strides, strict=True)]
         batch = len(features[0])
         whole = is_static()  # the same for every cell that is chosen: queries do not look at each other

@@ -10,7 +10,7 @@ from torch.nn import functional as F
 from omniocc.camera import Rig
 from omniocc.geometry import Grid
 from omniocc.model.ops.lifter.splat import find_entries, splat
-from omniocc.model.ops.padded import crop, shape_groups
+from omniocc.model.ops.padded import FeatureMaps, crop, shape_groups
 from omniocc.model.protocols import Sketched
 
 
@@ -54,9 +54,7 @@ class LiftSplat(nn.Module):
         self.ranges_m = tuple(range_m[0] + (index + 0.5) * step_m for index in range(bins))
         self.split = nn.Linear(in_channels, bins + channels)
 
-    def forward(
-        self, features: list[Float[Tensor, "B N C _ _"]], sketched: Sketched, rigs: tuple[Rig, ...]
-    ) -> Float[Tensor, "B D X Y Z"]:
+    def forward(self, features: FeatureMaps, sketched: Sketched, rigs: tuple[Rig, ...]) -> Float[Tensor, "B D X Y Z"]:
         """Lift and splat each sample through its own rig.
 
         Raises:
@@ -72,7 +70,7 @@ class LiftSplat(nn.Module):
         # channels last in memory, as 3D convolutions like it
         return torch.stack(volumes).unflatten(1, self.geometry.shape).movedim(-1, 1)
 
-    def _splat(self, features: list[Float[Tensor, "B N C _ _"]], rigs: list[Rig]) -> list[Float[Tensor, "cells C"]]:
+    def _splat(self, features: FeatureMaps, rigs: list[Rig]) -> list[Float[Tensor, "cells C"]]:
         """Return the volumes of samples whose images have one shape."""
         height, width = features[-1].shape[-2:]
         pixels = self._pixels(features).flatten(1, 3)
@@ -83,13 +81,13 @@ class LiftSplat(nn.Module):
             parts = zip(context, fractions, entries, strict=True)
             return [splat(own.contiguous(), fraction, entry) for own, fraction, entry in parts]
 
-    def range_logits(self, features: list[Float[Tensor, "B N C _ _"]]) -> Float[Tensor, "B N D h w"]:
+    def range_logits(self, features: FeatureMaps) -> Float[Tensor, "B N D h w"]:
         """Scores of the bins, which a loss may compare with true ranges (`omniocc.loss.RangeBins`)."""
         pixels, bins = self._pixels(features), len(self.ranges_m)
         with torch.autocast(pixels.device.type, enabled=False):
             return F.linear(pixels, self.split.weight[:bins], self.split.bias[:bins]).movedim(-1, 2)
 
-    def _pixels(self, features: list[Float[Tensor, "B N C _ _"]]) -> Float[Tensor, "B N h w C"]:
+    def _pixels(self, features: FeatureMaps) -> Float[Tensor, "B N h w C"]:
         """All maps on the coarsest, in float32 at least."""
         size, coarsest = tuple(features[-1].shape[-2:]), features[-1].flatten(0, 1)
         maps = sum((F.adaptive_avg_pool2d(level.flatten(0, 1), size) for level in features[:-1]), 0)  # type: ignore[arg-type]

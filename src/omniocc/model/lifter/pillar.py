@@ -8,6 +8,7 @@ from omniocc.camera import Rig
 from omniocc.geometry import Grid
 from omniocc.model.lifter.coloring import Coloring
 from omniocc.model.ops.blocks import block_any, coarsened
+from omniocc.model.ops.padded import FeatureMaps
 from omniocc.model.ops.padding import Axes
 from omniocc.model.protocols import Sketched
 
@@ -77,9 +78,7 @@ class Pillar(nn.Module):
         )
         self.raise_up = nn.Linear(in_channels, cells * channels)
 
-    def forward(
-        self, features: list[Float[Tensor, "B N C _ _"]], sketched: Sketched, rigs: tuple[Rig, ...]
-    ) -> Float[Tensor, "B D X Y Z"]:
+    def forward(self, features: FeatureMaps, sketched: Sketched, rigs: tuple[Rig, ...]) -> Float[Tensor, "B D X Y Z"]:
         """Lifts each sample through its own rig.
 
         Raises:

@@ -15,6 +15,12 @@ from torch.nn import functional as F
 
 from omniocc.camera import Rig
 
+FeatureMaps = list[Float[Tensor, "B N C _ _"]]
+"""Maps of all cameras at several strides, finest first."""
+
+Rigs = tuple[Rig, ...]
+"""One rig per sample."""
+
 
 class ImageShape(NamedTuple):
     """Number of cameras, and height and width of the largest, px."""

@@ -5,6 +5,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from omniocc.model.ops.norm import group_norm
+
 Axes = tuple[int, int, int]
 Periodic = tuple[bool, bool, bool]
 
@@ -41,6 +43,19 @@ class Conv3d(nn.Conv3d):
         """Convolves; zeros are left to the kernel, which needs no copy for them."""
         wrapped = pad3d(volume, self.wrap, self.periodic)
         return F.conv3d(wrapped, self.weight, self.bias, padding=self.zeros)
+
+
+class Residual(nn.Module):
+    """Compute x + relu(norm(conv(x)))."""
+
+    def __init__(self, channels: int, periodic: Periodic):
+        super().__init__()
+        self.conv = Conv3d(channels, channels, 3, periodic, bias=False)
+        self.norm = group_norm(channels)
+
+    def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B C X Y Z"]:
+        """Return a volume of the same size."""
+        return volume + F.relu(self.norm(self.conv(volume)))
 
 
 class Pointwise(nn.Linear):
@@ -87,3 +102,14 @@ def upsample(volume: Float[Tensor, "B C X Y Z"], shape: Axes, periodic: Periodic
     for axis, (size, wraps) in enumerate(zip(shape, periodic, strict=True), start=2):
         fine = fine.narrow(axis, 2 if wraps else 0, size)
     return fine
+
+
+def upsample_view(
+    maps: Float[Tensor, "B C _ _"], size: tuple[int, int], periodic: tuple[bool, bool]
+) -> Float[Tensor, "B C H W"]:
+    """Double both axes by bilinear interpolation, across the seam of periodic ones, then crop to `size`."""
+    rows, columns = map(int, periodic)
+    if rows or columns:
+        maps = F.pad(maps, (columns, columns, rows, rows), mode="circular")
+    fine = F.interpolate(maps, scale_factor=2, mode="bilinear", align_corners=False)
+    return fine[..., 2 * rows : 2 * rows + size[0], 2 * columns : 2 * columns + size[1]]

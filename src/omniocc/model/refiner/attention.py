@@ -10,6 +10,7 @@ from torch.utils.checkpoint import checkpoint
 
 from omniocc.geometry import Grid
 from omniocc.model.ops.blocks import block_means, coarsened
+from omniocc.model.ops.feedforward import FeedForward
 from omniocc.model.ops.lifter.cross_attention import ring_offsets
 from omniocc.model.ops.multilinear import corners, sum_samples
 from omniocc.model.ops.padding import Axes, pad3d, upsample
@@ -134,10 +135,7 @@ class AttentionLayer(nn.Module):
         super().__init__()
         self.attention = SelfAttention(channels, heads, points, layout)
         self.attention_norm = nn.LayerNorm(channels)
-        self.feedforward = nn.Sequential(
-            nn.Linear(channels, feedforward_channels), nn.ReLU(), nn.Linear(feedforward_channels, channels)
-        )
-        self.feedforward_norm = nn.LayerNorm(channels)
+        self.feedforward = FeedForward(channels, feedforward_channels)
         self.chunk = max(CHUNK_SAMPLES // (heads * points), 1)
 
     def forward(self, voxels: Float[Tensor, "B cells C"]) -> Float[Tensor, "B cells C"]:
@@ -154,8 +152,7 @@ class AttentionLayer(nn.Module):
         return torch.cat(parts).view(voxels.shape)  # type: ignore[arg-type]
 
     def _refine(self, queries: Float[Tensor, "Q C"], first: int, table: Float[Tensor, "R D"]) -> Float[Tensor, "Q C"]:
-        queries = self.attention_norm(queries + self.attention(queries, first, table))
-        return self.feedforward_norm(queries + self.feedforward(queries))
+        return self.feedforward(self.attention_norm(queries + self.attention(queries, first, table)))
 
 
 class Attention(nn.Module):

@@ -8,9 +8,9 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from omniocc.geometry import Grid
+from omniocc.model.ops.norm import check_halvings, group_norm
 from omniocc.model.ops.padding import Conv3d, Downsample, Periodic, Pointwise, upsample
 from omniocc.model.protocols import Sketched
-from omniocc.model.refiner.unet import check_halvings, group_norm
 
 
 class Block(nn.Module):

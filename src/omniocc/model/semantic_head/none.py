@@ -1,7 +1,8 @@
 """No semantic head."""
 
-from jaxtyping import Float
-from torch import Tensor, nn
+from torch import nn
+
+from omniocc.model.ops.padded import FeatureMaps
 
 
 class NoSemanticHead(nn.Module):
@@ -10,6 +11,6 @@ class NoSemanticHead(nn.Module):
     def __init__(self):  # of its own: nn.Module's would accept anything
         super().__init__()
 
-    def forward(self, features: list[Float[Tensor, "B N C _ _"]]) -> None:
+    def forward(self, features: FeatureMaps) -> None:
         """Nothing."""
         return

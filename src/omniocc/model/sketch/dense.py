@@ -4,8 +4,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from omniocc.camera import Rig
 from omniocc.geometry import Grid
+from omniocc.model.ops.padded import Rigs
 from omniocc.model.protocols import Sketched
 
 
@@ -21,10 +21,7 @@ class Dense(nn.Module):
         self.geometry = geometry
 
     def forward(
-        self,
-        images: Float[Tensor, "B N 3 H W"],
-        rigs: tuple[Rig, ...],
-        true_range_m: Float[Tensor, "B h w"] | None = None,
+        self, images: Float[Tensor, "B N 3 H W"], rigs: Rigs, true_range_m: Float[Tensor, "B h w"] | None = None
     ) -> Sketched:
         """Return every voxel."""
         return Sketched(torch.ones(len(images), *self.geometry.shape, dtype=torch.bool, device=images.device))

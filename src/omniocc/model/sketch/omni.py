@@ -8,10 +8,10 @@ from jaxtyping import Bool, Float, Float32, UInt8
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from omniocc.camera import Rig
 from omniocc.classes import FREE, UNKNOWN
 from omniocc.geometry import Grid
 from omniocc.loss import Lovasz
+from omniocc.model.ops.padded import Rigs
 from omniocc.model.ops.sketch.cylinder3d import Cylinder3D
 from omniocc.model.ops.sketch.evidence import EVIDENCE_CHANNELS, Evidence
 from omniocc.model.ops.sketch.points import PointEncoder, pseudo_points, still_axes
@@ -97,10 +97,7 @@ class Omni(nn.Module):
         return self
 
     def forward(
-        self,
-        images: Float[Tensor, "B N 3 H W"],
-        rigs: tuple[Rig, ...],
-        true_range_m: Float[Tensor, "B h w"] | None = None,
+        self, images: Float[Tensor, "B N 3 H W"], rigs: Rigs, true_range_m: Float[Tensor, "B h w"] | None = None
     ) -> Sketched:
         """Return the candidates; true ranges are for a depth option that needs them."""
         with torch.no_grad():

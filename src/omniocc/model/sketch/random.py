@@ -4,8 +4,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from omniocc.camera import Rig
 from omniocc.geometry import Grid
+from omniocc.model.ops.padded import Rigs
 from omniocc.model.protocols import Sketched
 
 
@@ -39,10 +39,7 @@ class Random(nn.Module):
         self.register_buffer("candidates", marked.reshape(geometry.shape))
 
     def forward(
-        self,
-        images: Float[Tensor, "B N 3 H W"],
-        rigs: tuple[Rig, ...],
-        true_range_m: Float[Tensor, "B h w"] | None = None,
+        self, images: Float[Tensor, "B N 3 H W"], rigs: Rigs, true_range_m: Float[Tensor, "B h w"] | None = None
     ) -> Sketched:
         """Return the same cells for every sample."""
         return Sketched(self.candidates.expand(len(images), *self.candidates.shape))

@@ -9,6 +9,7 @@ from torch import Tensor, nn
 from omniocc.camera.pose import invert_pose
 from omniocc.geometry import Grid
 from omniocc.model.ops.blocks import coarsened
+from omniocc.model.ops.feedforward import FeedForward
 from omniocc.model.ops.lifter.cross_attention import ring_offsets
 from omniocc.model.ops.multilinear import corners, sum_samples
 from omniocc.model.ops.padding import Periodic, pad3d
@@ -89,17 +90,13 @@ class TemporalLayer(nn.Module):
         super().__init__()
         self.attention = TemporalAttention(channels, heads, points)
         self.attention_norm = nn.LayerNorm(channels)
-        self.feedforward = nn.Sequential(
-            nn.Linear(channels, feedforward_channels), nn.ReLU(), nn.Linear(feedforward_channels, channels)
-        )
-        self.feedforward_norm = nn.LayerNorm(channels)
+        self.feedforward = FeedForward(channels, feedforward_channels)
 
     def forward(
         self, before: Float[Tensor, "B X Y C"], present: Float[Tensor, "B X Y C"], periodic: Periodic
     ) -> Float[Tensor, "B X Y C"]:
         """The present view, knowing the one before."""
-        present = self.attention_norm(present + self.attention(before, present, periodic))
-        return self.feedforward_norm(present + self.feedforward(present))
+        return self.feedforward(self.attention_norm(present + self.attention(before, present, periodic)))
 
 
 class History(NamedTuple):

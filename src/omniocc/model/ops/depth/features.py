@@ -4,7 +4,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from omniocc.model.ops.depth.layers import UNet2d, norm
+from omniocc.model.ops.depth.layers import UNet2d
+from omniocc.model.ops.norm import group_norm
 
 STRIDE = 2
 
@@ -24,7 +25,7 @@ class FeatureNet(nn.Module):
     def __init__(self, channels: list[int], out_channels: int, extra_channels: int = 0):
         super().__init__()
         self.stem = nn.Conv2d(3 + extra_channels, channels[0], 4, stride=STRIDE, padding=1, bias=False)
-        self.norm = norm(channels[0])
+        self.norm = group_norm(channels[0])
         self.net = UNet2d(channels, blocks=1, wrap=False)
         self.out = nn.Conv2d(channels[0], out_channels, 1)
 

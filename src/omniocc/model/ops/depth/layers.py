@@ -7,18 +7,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-GROUP_CHANNELS = 8
-
-
-def norm(channels: int) -> nn.GroupNorm:
-    """Normalises each sample on its own, so that a batch of two is two batches of one.
-
-    Raises:
-        ValueError: if the channels do not split into groups of 8.
-    """
-    if channels % GROUP_CHANNELS:
-        raise ValueError(f"{channels} channels; every level needs a multiple of {GROUP_CHANNELS}")
-    return nn.GroupNorm(channels // GROUP_CHANNELS, channels)
+from omniocc.model.ops.norm import group_norm
+from omniocc.model.ops.padding import upsample_view
 
 
 class Conv(nn.Conv2d):
@@ -43,20 +33,11 @@ class Residual(nn.Module):
     def __init__(self, channels: int, wrap: bool):
         super().__init__()
         self.conv = Conv(channels, channels, 3, wrap, bias=False)
-        self.norm = norm(channels)
+        self.norm = group_norm(channels)
 
     def forward(self, maps: Float[Tensor, "B C H W"]) -> Float[Tensor, "B C H W"]:
         """Maps of the same size."""
         return maps + F.relu(self.norm(self.conv(maps)))
-
-
-def double(maps: Float[Tensor, "B C _ _"], height: int, width: int, wrap: bool) -> Float[Tensor, "B C H W"]:
-    """Doubles by bilinear interpolation, across the seam if it wraps, and crops what was padded to halve it."""
-    if wrap:
-        maps = F.pad(maps, (1, 1, 0, 0), mode="circular")
-    fine = F.interpolate(maps, scale_factor=2, mode="bilinear", align_corners=False)
-    first = 2 if wrap else 0
-    return fine[..., :height, first : first + width]
 
 
 class UNet2d(nn.Module):
@@ -98,7 +79,7 @@ class UNet2d(nn.Module):
         for up, block in reversed(list(zip(self.up, self.decoder, strict=True))):
             skip = skips.pop()
             height, width = skip.shape[-2:]
-            maps = block(skip + double(up(maps), height, width, self.wrap))
+            maps = block(skip + upsample_view(up(maps), (height, width), (False, self.wrap)))
         return maps
 
 

@@ -1,28 +1,24 @@
 """Base of the networks that choose among spheres: from logits to depth, and the losses."""
 
-from typing import ClassVar
-
-import torch
 from jaxtyping import Bool, Float
-from torch import Tensor, nn
+from torch import Tensor
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.model.ops.depth.depth_map import (
     SKY_INDEX,
     DepthMap,
-    check_images,
     from_index,
-    per_rig,
     rig_groups,
     weighted_sum,
 )
 from omniocc.model.ops.depth.layers import window_argmax
+from omniocc.model.ops.depth.panorama_depth import LearnedPanoramaDepth
 from omniocc.model.ops.depth.sphere_loss import SphereLoss
-from omniocc.model.ops.depth.spheres import SphereRange, Spheres
-from omniocc.model.ops.padded import crop
+from omniocc.model.ops.depth.spheres import SphereRange
+from omniocc.model.ops.padded import Rigs
 
 
-class SphereNet(nn.Module):
+class SphereNet(LearnedPanoramaDepth):
     """Score every sphere and the sky in every direction; subclasses say how, in `logits`.
 
     Whether there is a surface and how far it would be are two questions: the sky is no sphere, so that a doubtful edge
@@ -37,8 +33,6 @@ class SphereNet(nn.Module):
         mirror: train on the mirrored world as often as on the true one.
     """
 
-    NEEDS_TRUE_RANGE: ClassVar[bool] = False
-
     def __init__(
         self,
         panorama: Equirectangular,
@@ -48,13 +42,8 @@ class SphereNet(nn.Module):
         min_confidence: float,
         mirror: bool,
     ):
-        super().__init__()
-        self.panorama, self.spheres, self.loss = panorama, spheres, loss
-        self.window, self.min_confidence, self.mirror = window, min_confidence, mirror
-
-    def rig_spheres(self, rig: Rig) -> Spheres:
-        """Return the spheres in whose indices it answers for a rig."""
-        return self.spheres.of(rig, self.panorama)
+        super().__init__(panorama, spheres, mirror)
+        self.loss, self.window, self.min_confidence = loss, window, min_confidence
 
     def logits(
         self, images: Float[Tensor, "B N 3 H W"], rig: Rig, flip: bool = False
@@ -69,56 +58,28 @@ class SphereNet(nn.Module):
         """
         raise NotImplementedError
 
-    def forward(
+    def estimate(self, images: Float[Tensor, "B N 3 H W"], rig: Rig) -> DepthMap:
+        """Return depth from RGB in [0, 1], for samples of one rig without padding."""
+        logits, seen = self.logits(images, rig)
+        index, mass = window_argmax(logits[:, :-1], self.window)
+        solid = (-logits[:, -1].float()).sigmoid()
+        confidence = mass * solid
+        valid = seen & (solid > 0.5) & (index >= SKY_INDEX) & (confidence >= self.min_confidence)
+        return from_index(index, valid, confidence, self.rig_spheres(rig))
+
+    def losses(
         self,
         images: Float[Tensor, "B N 3 H W"],
-        rigs: tuple[Rig, ...],
-        true_range_m: Float[Tensor, "B h w"] | None = None,
-    ) -> DepthMap:
-        """Return depth from RGB in [0, 1]; the true range is ignored.
-
-        Raises:
-            ValueError: if images and rigs do not fit together, or images hold NaN.
-        """
-        check_images(images, rigs)
-
-        def one(rig: Rig, samples: list[int]) -> DepthMap:
-            logits, seen = self.logits(crop(images[samples], rig), rig)
-            index, mass = window_argmax(logits[:, :-1], self.window)
-            solid = (-logits[:, -1].float()).sigmoid()
-            confidence = mass * solid
-            valid = seen & (solid > 0.5) & (index >= SKY_INDEX) & (confidence >= self.min_confidence)
-            return from_index(index, valid, confidence, self.rig_spheres(rig))
-
-        return per_rig(rigs, one)
-
-    def training_terms(
-        self,
-        images: Float[Tensor, "B N 3 H W"],
-        rigs: tuple[Rig, ...],
+        rigs: Rigs,
         erp_range_m: Float[Tensor, "B h w"],
         camera_range_m: Float[Tensor, "B N H W"] | None,
-        generator: torch.Generator,
+        flip: bool,
     ) -> dict[str, Float[Tensor, ""]]:
-        """Return the losses of `SphereLoss`, from the panorama alone.
-
-        Args:
-            images: RGB in [0, 1].
-            rigs: one per sample.
-            erp_range_m: true panorama; inf for the sky, nan does not count.
-            camera_range_m: ignored.
-            generator: decides whether this batch is mirrored, on the CPU.
-
-        Raises:
-            ValueError: if images and rigs do not fit together, or images hold NaN.
-        """
-        check_images(images, rigs)
-        flip = self.mirror and bool(torch.rand((), generator=generator) < 0.5)
-        target_m = erp_range_m.flip(-1) if flip else erp_range_m
+        """Return the losses of `SphereLoss`, from the panorama alone."""
         parts = []
         for rig, samples in rig_groups(rigs):
-            logits, _ = self.logits(crop(images[samples], rig), rig, flip)
+            logits, _ = self.logits(images[samples], rig, flip)
             index, _ = window_argmax(logits[:, :-1], self.window)
-            terms = self.loss(logits, index, target_m[samples], self.rig_spheres(rig))
+            terms = self.loss(logits, index, erp_range_m[samples], self.rig_spheres(rig))
             parts.append((len(samples) / len(images), terms))
         return weighted_sum(parts)

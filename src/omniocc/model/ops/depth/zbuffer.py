@@ -25,7 +25,9 @@ def camera_rays(
     rays, seen = [], []
     for k, camera in enumerate(rig.cameras):
         width, height = camera.width * size[0] // frame[0], camera.height * size[1] // frame[1]
-        own_rays, own_seen = rig.resized(width, height).rays(k)
+        masks = rig.masks and rig.masks[k : k + 1]
+        own = Rig((camera,), rig.ego_from_camera[k : k + 1], rig.names[k : k + 1], masks).resized(width, height)
+        own_rays, own_seen = own.rays(0)
         padding = (0, size[0] - width, 0, size[1] - height)
         rays.append(F.pad(own_rays, (0, 0, *padding)))
         seen.append(F.pad(own_seen, padding))

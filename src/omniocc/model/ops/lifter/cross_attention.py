@@ -8,6 +8,7 @@ from torch import Tensor, nn
 
 from omniocc.model.ops.deformable_attention import Level, deformable_sum, make_table
 from omniocc.model.ops.lifter.visible import Pairs
+from omniocc.model.ops.padded import FeatureMaps
 
 
 def ring_offsets(heads: int, levels: int, points: int, anchors: int) -> Float[Tensor, "H L 2 K"]:
@@ -50,11 +51,7 @@ class CrossAttention(nn.Module):
         self.offsets.bias.data.copy_(ring_offsets(heads, levels, points, anchors).flatten())
 
     def forward(
-        self,
-        queries: Float[Tensor, "G Q C"],
-        features: list[Float[Tensor, "B N C _ _"]],
-        pairs: Pairs,
-        levels: list[Level],
+        self, queries: Float[Tensor, "G Q C"], features: FeatureMaps, pairs: Pairs, levels: list[Level]
     ) -> Float[Tensor, "B Q C"]:
         """Attends for B samples of equal rig and candidates; G is B, or 1 if the samples still share their queries."""
         share = len(features[0]) // len(queries)
@@ -63,11 +60,7 @@ class CrossAttention(nn.Module):
         return self.output(torch.cat(sums))
 
     def _attend(
-        self,
-        queries: Float[Tensor, "Q C"],
-        features: list[Float[Tensor, "B N C _ _"]],
-        pairs: Pairs,
-        levels: list[Level],
+        self, queries: Float[Tensor, "Q C"], features: FeatureMaps, pairs: Pairs, levels: list[Level]
     ) -> Float[Tensor, "B Q C"]:
         """One set of queries on B samples, whose channels travel side by side: positions are computed once."""
         with torch.autocast(queries.device.type, enabled=False):

@@ -12,8 +12,8 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from omniocc.geometry import Grid
+from omniocc.model.ops.norm import check_halvings, group_norm
 from omniocc.model.ops.padding import Axes, Downsample, Periodic, Pointwise, pad3d, upsample
-from omniocc.model.refiner.unet import group_norm
 
 ACROSS_SECOND: Axes = (3, 1, 3)
 ACROSS_FIRST: Axes = (1, 3, 3)
@@ -99,13 +99,7 @@ class Cylinder3D(nn.Module):
 
     def __init__(self, geometry: Grid, in_channels: int, channels: list[int], out_channels: int):
         super().__init__()
-        factor = 2 ** (len(channels) - 1)
-        for cells, wraps in zip(geometry.shape, geometry.periodic, strict=True):
-            if wraps and cells % factor:
-                raise ValueError(
-                    f"{len(channels)} levels need a periodic axis in multiples of {factor} cells, not {cells}; "
-                    "change the grid or give fewer channels"
-                )
+        check_halvings(geometry, len(channels))
         periodic = self.periodic = geometry.periodic
         pairs = list(pairwise(channels))
         self.stem = Asymmetric(in_channels, channels[0], periodic)
