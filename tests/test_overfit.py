@@ -19,10 +19,9 @@ def test_one_frame_is_learned_by_heart(data_root, smoke):
     task = build_task(cfg, data.source.spec)
     task.set_training_statistics(data.voxel_counts())
     optimizer = torch.optim.AdamW(task.parameters(), lr=1e-2, weight_decay=0.0)
+    inputs = batch.images, batch.newest_rigs, batch.world_from_ego
     for _ in range(300):
-        terms = task.loss(
-            task.model(batch.images, batch.newest_rigs, batch.world_from_ego), batch.voxels, batch.pixel_labels
-        )
+        terms = task.loss(task.model(*inputs), batch.voxels, batch.pixel_labels)
         optimizer.zero_grad()
         torch.stack(list(terms.values())).sum().backward()
         optimizer.step()

@@ -57,6 +57,7 @@ def load_task(path: Path, overrides: list[str]) -> tuple[Occupancy, OccupancyDat
     for part in (*PARTS, "data"):
         check(OmegaConf.create({part: cfg[part]}), packages=TRUSTED)
     data: OccupancyData = build(cfg.data)
+    data.check_classes()
     task = build_task(cfg, data.source.spec)
     task.load_state_dict(weights, strict=True)
     return task, data
