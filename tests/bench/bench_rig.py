@@ -73,11 +73,11 @@ def main() -> None:
         print(f"{'option':16} {'known ms':>9} {'new + ms':>9} {'MiB':>9} {'trained':>9} {'rigs':>9}", flush=True)
         for slot, options in (("depth", DEPTH), ("lifter", LIFTER)):
             for option in options:
-                overrides = [f"preset={preset}", f"model/{slot}={option}", "preset.backbone.weights=null"]
+                overrides = [f"preset={preset}", f"model/{slot}={option}", "preset.backbone.resnet.weights=null"]
                 with initialize_config_dir(str(CONF), version_base="1.3"):
                     cfg = compose("train", overrides)
                 torch.manual_seed(0)
-                width, height = cfg.preset.image_size
+                width, height = cfg.preset.data.virtual.image_size
                 rig = Rig.load("fisheye6").resized(width, height)
                 make = depth_forward if slot == "depth" else lifter_forward
                 measure(option, make(cfg), rig, chosen.repeats)
@@ -85,14 +85,14 @@ def main() -> None:
 
 def depth_forward(cfg) -> Callable[[Rig], torch.Tensor]:
     """Return a pass of the depth option that gives something with a gradient."""
-    width, height = cfg.preset.image_size
+    width, height = cfg.preset.data.virtual.image_size
     model, images = build(cfg.depth).eval(), torch.rand(1, 6, 3, height, width, requires_grad=True)
     return lambda rig: model(images, (rig,)).range_m + 0 * images.sum()
 
 
 def lifter_forward(cfg) -> Callable[[Rig], torch.Tensor]:
     """Return a pass of the lifter on random features with a quarter of the voxels as candidates."""
-    width, height = cfg.preset.image_size
+    width, height = cfg.preset.data.virtual.image_size
     geometry, lifter = build(cfg.model.geometry), build(cfg.model.lifter)
     sizes = [(-(-height // stride), -(-width // stride)) for stride in cfg.model.backbone.levels]
     features = [torch.rand(1, 6, cfg.preset.channels, *size) for size in sizes]

@@ -31,7 +31,7 @@ def padded(rigs: tuple[Rig, ...], channels: int = 3, stride: int = 1) -> torch.T
 @torch.no_grad()
 @pytest.mark.parametrize("option", ["truth", "sweep", "mono", "omnimvs", "omnimvs3d"])
 def test_depth(option, rigs, smoke):
-    model = build(smoke(f"model/depth={option}", "preset.erp.size=[48,16]").depth).eval()
+    model = build(smoke(f"model/depth={option}", "preset.panorama.height=16").depth).eval()
     images, true_m = padded(rigs), torch.rand(2, 16, 48) * 20
     both = model(images, rigs, true_m)
     for sample, rig in enumerate(rigs):
@@ -45,7 +45,7 @@ def test_depth(option, rigs, smoke):
 @pytest.mark.parametrize("option", ["mono", "omnimvs", "omnimvs3d"])
 @pytest.mark.parametrize("seed", [0, 1])  # with and without mirroring
 def test_losses_of_depth(option, seed, rigs, smoke):
-    model = build(smoke(f"model/depth={option}", "preset.erp.size=[48,16]").depth)
+    model = build(smoke(f"model/depth={option}", "preset.panorama.height=16").depth)
     images, erp_m, camera_m = padded(rigs), torch.rand(2, 16, 48) * 20, 20 * padded(rigs, 1)[:, :, 0]
     both = model.training_terms(images, rigs, erp_m, camera_m, torch.Generator().manual_seed(seed))
     parts = []
@@ -80,7 +80,7 @@ def test_lifter(name, rigs):
 @torch.no_grad()
 @pytest.mark.parametrize("system", ["default", "bevdet", "bevformer", "voxformer"])
 def test_the_whole_model_with_a_rig_that_changes_from_frame_to_frame(system, rigs, make_ring, smoke):
-    model = build(smoke(f"model={system}", "preset.erp.size=[48,16]").model).eval()
+    model = build(smoke(f"model={system}", "preset.panorama.height=16").model).eval()
     frames = model.temporal.frames
     windows = tuple(
         tuple(make_ring(len(rig.cameras), *size, radius_m=0.9 + 0.1 * t) for t in range(frames))

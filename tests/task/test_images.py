@@ -34,7 +34,7 @@ def batch_of(names):
     depth_m[:, 0] = torch.nan
     return Batch(
         images=torch.randint(0, 256, (count, 1, 6, 3, 36, 64), dtype=torch.uint8),
-        rigs=(RIG,) * count,
+        rigs=((RIG,),) * count,
         world_from_ego=torch.eye(4, dtype=torch.float64).expand(count, 1, 4, 4),
         voxels=torch.randint(0, 12, (count, *GRID.shape), dtype=torch.uint8),
         pixel_labels=torch.zeros(count, 6, 36, 64, dtype=torch.uint8),

@@ -10,8 +10,7 @@ from omniocc.batch import Batch
 from omniocc.classes import FREE
 from omniocc.data import SourceSpec
 from omniocc.geometry import Cuboid, Cylinder, Grid
-from omniocc.metric import RayIoU, VoxelIoU
-from omniocc.metric.frame_rays import count_frame_rays
+from omniocc.metric import RayIoU, RayTruth, VoxelIoU
 
 
 def within_reach(
@@ -46,10 +45,10 @@ class Scores(nn.Module):
 
     def __init__(self, geometry: Grid, spec: SourceSpec):
         super().__init__()
-        self.geometry = cast(Cylinder | Cuboid, geometry)
-        self.num_classes, self.edges_m, self.reach_m = spec.classes.num_classes, spec.range_edges_m, spec.reach_m
-        self.rays = self._ray_iou(spec, None)
-        self.lidar = self._ray_iou(spec, spec.lidar_directions)
+        grid = cast(Cylinder | Cuboid, geometry)
+        self.num_classes, self.reach_m = spec.classes.num_classes, spec.reach_m
+        self.rays = _ray_iou(grid, spec, None)
+        self.lidar = _ray_iou(grid, spec, spec.lidar_directions)
         self.cells = VoxelIoU(self.num_classes, class_names=spec.classes.names)
         self.voxel_frames, self.lidar_frames = SumMetric(), SumMetric()
         directions = None if spec.lidar_directions is None else spec.lidar_directions.float()
@@ -82,29 +81,22 @@ class Scores(nn.Module):
         for metric in (self.rays, self.lidar, self.cells, self.voxel_frames, self.lidar_frames):
             metric.reset()
 
-    def _ray_iou(self, spec: SourceSpec, directions: Tensor | None) -> RayIoU:
-        return RayIoU(
-            self.geometry,
-            self.num_classes,
-            range_edges_m=self.edges_m,
-            directions=directions,
-            class_names=spec.classes.names,
-        )
-
     def _add_lidar(self, labels: Tensor, batch: Batch) -> None:
         assert batch.lidar_range_m is not None
         assert batch.lidar_labels is not None
-        if batch.lidar_directions is None:
-            assert self.directions is not None
-            hits = within_reach(batch.lidar_labels, batch.lidar_range_m, self.directions, self.reach_m)
-            self.lidar.update_rays(labels, batch.lidar_range_m, hits)
-            return
-        directions = batch.lidar_directions
-        origins = directions.new_zeros(directions.shape) if batch.lidar_origins is None else batch.lidar_origins
-        hits = within_reach(batch.lidar_labels, batch.lidar_range_m, directions, self.reach_m, origins)
-        thresholds_m = self.lidar.counter.thresholds_m
-        for sample in zip(labels, batch.lidar_range_m, hits, directions, origins, strict=True):
-            counts = count_frame_rays(self.geometry, *sample, self.num_classes, thresholds_m, self.edges_m)
-            self.lidar.truth += counts.truth
-            self.lidar.predicted += counts.predicted
-            self.lidar.correct += counts.correct
+        directions = self.directions if batch.lidar_directions is None else batch.lidar_directions
+        assert directions is not None
+        range_m, origins = batch.lidar_range_m, batch.lidar_origins
+        hits = within_reach(batch.lidar_labels, range_m, directions, self.reach_m, origins)
+        self.lidar.update(labels, RayTruth(range_m, hits, batch.lidar_directions, origins))
+
+
+def _ray_iou(grid: Cylinder | Cuboid, spec: SourceSpec, directions: Tensor | None) -> RayIoU:
+    classes = spec.classes
+    return RayIoU(
+        grid,
+        classes.num_classes,
+        range_edges_m=spec.range_edges_m,
+        directions=directions,
+        class_names=classes.names,
+    )

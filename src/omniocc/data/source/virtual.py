@@ -143,7 +143,7 @@ class VirtualWorld:
     @cached_property
     def spec(self) -> SourceSpec:
         """Return the classes, bands and rays of the virtual world."""
-        return SourceSpec(WORLD_CLASSES, PAPER_RANGE_EDGES_M, self.frame_interval_s, ROAD_M, sparseocc_directions())
+        return world_spec(self.frame_interval_s)
 
     @property
     def name(self) -> str:
@@ -251,6 +251,11 @@ class VirtualWorld:
         seed = (self.seed * len(SPLITS) + SPLITS.index(split)) * SEEDS_PER_SPLIT + number
         name = f"{split}-{number:03d}-{theme}" if self.seed == 0 else f"{split}-{number:03d}-{theme}-seed{self.seed}"
         return ScenePlan(name, split, theme, seed)
+
+
+def world_spec(frame_interval_s: float) -> SourceSpec:
+    """Return what holds for all scenes of the virtual world that are recorded at this interval, s."""
+    return SourceSpec(WORLD_CLASSES, PAPER_RANGE_EDGES_M, frame_interval_s, ROAD_M, sparseocc_directions())
 
 
 def _at_least(name: str, value: int, least: int) -> int:
