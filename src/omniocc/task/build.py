@@ -43,6 +43,7 @@ def load_task(path: Path, overrides: Sequence[str]) -> tuple[OccupancyTask, Occu
         raise UserError(f"{path} is of another version: its configuration has no {', '.join(absent)}")
     check_parts(path, cfg, (*PARTS, "data"), packages)
     data: OccupancyData = build(cfg.data)
+    data.check_classes()
     task = build_task(cfg, data.source.spec)
     task.load_state_dict(trained.weights, strict=True)
     return task, data
