@@ -56,13 +56,7 @@ class FrameImages(Callback, ABC):
         return {}
 
     def on_validation_batch_end(  # noqa: D102
-        self,
-        trainer: Trainer,
-        pl_module: LightningModule,
-        outputs: Any,
-        batch: Batch,
-        batch_idx: int,
-        dataloader_idx: int = 0,
+        self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Batch, batch_idx: int, *_: Any
     ) -> None:
         if batch_idx == 0 and self.count and trainer.is_global_zero:
             sheet = self.draw(pl_module, outputs[0].cpu(), batch, 0).sheet
@@ -71,13 +65,7 @@ class FrameImages(Callback, ABC):
                 curves.log_media({f"val/{self.key}": [Named(sheet, batch.frame_ids[0])]}, trainer.global_step)
 
     def on_test_batch_end(  # noqa: D102
-        self,
-        trainer: Trainer,
-        pl_module: LightningModule,
-        outputs: Any,
-        batch: Batch,
-        batch_idx: int,
-        dataloader_idx: int = 0,
+        self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Batch, batch_idx: int, *_: Any
     ) -> None:
         if not trainer.is_global_zero or not self.count:
             return

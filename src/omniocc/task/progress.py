@@ -53,13 +53,7 @@ class StepProgress(ProgressBar):
         self._start("test", int(sum(trainer.num_test_batches)))
 
     def on_test_batch_end(  # noqa: D102
-        self,
-        trainer: Trainer,
-        pl_module: LightningModule,
-        outputs: Any,
-        batch: Any,
-        batch_idx: int,
-        dataloader_idx: int = 0,
+        self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int, *_: Any
     ) -> None:
         self._show(batch_idx + 1)
 
