@@ -40,19 +40,19 @@ def metrics_of(folder: Path, name: str) -> dict:
 
 @pytest.fixture(scope="session")
 def whole(shared_folder, data_root) -> tuple[Path, list[str]]:
-    """Folder and arguments of one run to its end, made once for all test processes; what it said is in `said.txt`."""
+    """Folder and arguments of one run to its end, made once for all test processes; its output is in `output.txt`."""
     folder = shared_folder / "whole"
     arguments = smoke(data_root, *TWELVE_STEPS, "name=whole", "logger.mode=offline", "test_images=1")
     with FileLock(f"{folder}.lock"):
-        if not (folder / "said.txt").exists():
+        if not (folder / "output.txt").exists():
             folder.mkdir(exist_ok=True)
             result = run("train.py", *arguments, cwd=folder)
             assert result.returncode == 0, result.stdout + result.stderr
-            (folder / "said.txt").write_text(result.stdout)
+            (folder / "output.txt").write_text(result.stdout)
     return folder, arguments
 
 
-def test_a_run_leaves_figures_pictures_and_curves(whole):
+def test_a_run_leaves_figures_images_and_curves(whole):
     place, arguments = whole
     metrics = metrics_of(place, "whole")
     for key in (
@@ -72,7 +72,7 @@ def test_a_run_leaves_figures_pictures_and_curves(whole):
     assert list(folder.glob("images/test-00-*.png"))
     assert list(folder.glob("wandb/offline-run-*/*.wandb"))
     assert (folder / "config.yaml").exists()
-    assert "RayIoU" in (place / "said.txt").read_text()
+    assert "RayIoU" in (place / "output.txt").read_text()
 
     again = run("train.py", *arguments, cwd=place)
     assert again.returncode == 0
@@ -136,7 +136,7 @@ def test_a_damaged_checkpoint_costs_the_steps_since_the_one_before(tmp_path, dat
 def test_a_loss_that_is_not_finite_is_one_line(tmp_path, data_root):
     result = run("train.py", *smoke(data_root, "optimizer.learning_rate=1e30", "test_images=0"), cwd=tmp_path)
     assert result.returncode == 1
-    *before, line = result.stderr.strip().splitlines()  # before it, what rendering says where this test is the first
+    *before, line = result.stderr.strip().splitlines()  # lines before: of rendering, where this test is the first
     assert not [words for words in before if "Traceback" in words or "Warning" in words or "finite" in words]
     assert line.startswith("the loss is not finite at step 1 (ce=nan")
     assert "frames: train-" in line
@@ -168,12 +168,12 @@ def test_stages_run_once_and_are_shared(tmp_path, data_root):
     fewer = run("train.py", *arguments, "stage=sketch", *chosen, cwd=tmp_path)
     assert fewer.returncode == 0, fewer.stdout + fewer.stderr
     assert len(list(tmp_path.glob("runs/stages/sketch-*"))) == 1  # other candidates of the same network
-    shares = {
+    fractions = {
         json.loads(path.read_text())["metrics"]["test/sketch/fraction"]: path.parent
         for path in tmp_path.glob("runs/stages/sketch-*/candidates-*/metrics.json")
     }
-    assert len(shares) == 2
-    assert min(abs(share - 0.1) for share in shares) < 1e-3
+    assert len(fractions) == 2
+    assert min(abs(fraction - 0.1) for fraction in fractions) < 1e-3
 
     evaluated = run("evaluate.py", str(next(tmp_path.glob("runs/whole-*/last.ckpt"))), "--test_images=0", cwd=tmp_path)
     assert evaluated.returncode == 0, evaluated.stdout + evaluated.stderr
@@ -181,7 +181,7 @@ def test_stages_run_once_and_are_shared(tmp_path, data_root):
     online = json.loads(path.read_text())["metrics"]["test/voxel/miou"]  # the sketch at work, not its cache
     assert online == pytest.approx(metrics["test/voxel/miou"], abs=2e-3)
 
-    cached = next(shares[metrics["test/sketch/fraction"]].glob("train-*.frames"))
+    cached = next(fractions[metrics["test/sketch/fraction"]].glob("train-*.frames"))
     blob = bytearray(cached.read_bytes())
     blob[3] ^= 1
     cached.write_bytes(blob)
@@ -261,21 +261,20 @@ def test_mistakes_end_in_lines_not_tracebacks(override, expected, tmp_path, data
         assert words in text
 
 
-def test_what_the_last_stage_refuses_is_said_before_the_first_trains(tmp_path, data_root):
-    for override, said in (
+def test_mistakes_in_the_last_stage_are_reported_before_the_first_trains(tmp_path, data_root):
+    for override, message in (
         ("model.lifter.heads=5", "model.lifter: 8 channels cannot be split among 5 heads; give a divisor"),
         ("resume=nowhere.ckpt", "resume=nowhere.ckpt: there is no such checkpoint"),
     ):
         result = run("train.py", *smoke(data_root, "model/sketch=omni", override), cwd=tmp_path)
         assert result.returncode != 0
-        assert said in result.stderr
+        assert message in result.stderr
     assert not list(tmp_path.glob("runs/stages/*"))
 
 
 @pytest.mark.parametrize(
     "overrides",
     [
-        ("model/geometry=cuboid",),
         ("model/sketch=random", "model/refiner=none", "model/semantic_head=none"),
         ("model=bevdet", "loss=with_ranges"),
     ],
@@ -299,7 +298,7 @@ def test_two_processes_train_one_model(tmp_path, data_root):
     assert len(list(tmp_path.glob("runs/*"))) == 1
 
 
-def test_a_checkpoint_of_a_stranger_runs_nothing(tmp_path):
+def test_a_file_that_is_no_checkpoint_is_one_line(tmp_path):
     bad = tmp_path / "bad.ckpt"
     bad.write_bytes(b"not a checkpoint")
     result = run("evaluate.py", str(bad), cwd=tmp_path)
