@@ -61,7 +61,8 @@ def cost_of(model: OccupancyModel, sample: Sample) -> dict[str, float]:
     device = next(model.parameters()).device
     images, pose = sample.images[-1].to(device), sample.world_from_ego[-1].to(device)
     sketched = None if sample.candidates is None else Sketched(sample.candidates[-1:].to(device))
-    stream, runs = Stream(model), [lambda: stream.step(images, sample.rig, pose, sketched)]
+    stream = Stream(model)
+    runs: list[Callable[[], object]] = [lambda: stream.step(images, sample.rig, pose, sketched)]
     if sketched is not None and isinstance(model.sketch, LearnedSketch) and not model.sketch.depth.NEEDS_TRUE_RANGE:
         runs.append(lambda: model.choose(to_unit_range(images)[None], (sample.rig,)))
     once_and_past = [*runs, *runs[:1] * (model.temporal.frames - 1)]
