@@ -161,7 +161,7 @@ class VirtualWorld:
         return Path(self.root if self.cache is None else self.cache) / self.name
 
     def scene(self, plan: ScenePlan) -> Recordable:
-        """Build the world of one scene."""
+        """Return the world of one scene."""
         return Scene(
             theme=plan.theme,
             seed=plan.seed,
