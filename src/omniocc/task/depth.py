@@ -66,11 +66,11 @@ class Depth(LightningModule):
         return self._judge(batch)
 
     def _judge(self, batch: Batch) -> Tensor:
-        assert batch.erp_range_m is not None
         depth = self.model(to_unit_range(batch.images[:, -1]), batch.newest_rigs, batch.erp_range_m)
         # every ray counts, also those the model calls uncertain
-        self.errors.update(depth.range_m.float(), batch.erp_range_m)
-        self.coverage.update(depth.valid[batch.erp_range_m.isfinite()].float())
+        if batch.erp_range_m is not None:
+            self.errors.update(depth.range_m.float(), batch.erp_range_m)
+            self.coverage.update(depth.valid[batch.erp_range_m.isfinite()].float())
         return depth.known_range_m()
 
     def on_validation_epoch_end(self) -> None:

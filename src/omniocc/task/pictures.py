@@ -12,7 +12,9 @@ from lightning.pytorch import Callback, LightningModule, Trainer
 from torch import Tensor
 
 from omniocc.batch import Batch
+from omniocc.classes import UNKNOWN
 from omniocc.data.labels.class_fractions import spread
+from omniocc.geometry import Grid
 from omniocc.run.folder import PARTS
 from omniocc.run.wandb.loggers import wandb_of
 from omniocc.run.wandb.media import Named, range_media, voxel_media
@@ -114,12 +116,12 @@ class Pictures(FramePictures):
     key = "voxels"
 
     def picture(self, task: Any, output: Tensor, batch: Batch, sample: int) -> Drawn:  # noqa: D102
-        images, truth = newest_images(batch, sample), batch.voxels[sample].cpu()
+        images, truth = newest_images(batch, sample), true_voxels(batch, sample, task.model.geometry)
         parts = comparison_parts(images, truth, output, task.model.geometry)
         return Drawn(comparison_sheet(parts, batch.frame_ids[sample]), parts._asdict())
 
     def media(self, task: Any, output: Tensor, batch: Batch, sample: int) -> dict[str, list[Named]]:  # noqa: D102
-        images, truth = newest_images(batch, sample), batch.voxels[sample].cpu()
+        images, truth = newest_images(batch, sample), true_voxels(batch, sample, task.model.geometry)
         return voxel_media(images, batch.newest_rigs[sample], truth, output, task.model.geometry)
 
 
@@ -156,7 +158,7 @@ class SketchPictures(FramePictures):
             chosen = task.model.choose(task.model.logits(range_m, valid))[0].cpu()
         sheet = sketch_sheet(
             list(newest_images(batch, sample)),
-            batch.voxels[sample].cpu(),
+            true_voxels(batch, sample, task.model.geometry),
             chosen,
             output,
             task.model.geometry,
@@ -165,6 +167,13 @@ class SketchPictures(FramePictures):
             batch.frame_ids[sample],
         )
         return Drawn(sheet)
+
+
+def true_voxels(batch: Batch, sample: int, geometry: Grid) -> Tensor:
+    """Return the true class of every cell of a sample, (X, Y, Z) uint8 on the CPU; 255 (unknown) without labels."""
+    if batch.voxels is None:
+        return torch.full(geometry.shape, UNKNOWN, dtype=torch.uint8)
+    return batch.voxels[sample].cpu()
 
 
 def newest_images(batch: Batch, sample: int) -> np.ndarray:

@@ -36,7 +36,8 @@ class Sketch(LightningModule):
 
     def training_step(self, batch: Batch, batch_index: int) -> Tensor:
         """Sum of the loss terms; each is logged by name."""
-        return log_terms(self, self.model.training_terms(*panorama(batch), batch.voxels), batch)
+        terms = {} if batch.voxels is None else self.model.training_terms(*panorama(batch), batch.voxels)
+        return log_terms(self, terms, batch)
 
     def validation_step(self, batch: Batch, batch_index: int) -> Tensor:
         """Judge a batch; returns the candidates."""
@@ -49,8 +50,9 @@ class Sketch(LightningModule):
     def _judge(self, batch: Batch) -> Tensor:
         logits = self.model.logits(*panorama(batch))
         candidates = self.model.select(logits)
-        self.raw.update(self.model.choose(logits), batch.voxels)
-        self.dilated.update(candidates, batch.voxels)
+        if batch.voxels is not None:
+            self.raw.update(self.model.choose(logits), batch.voxels)
+            self.dilated.update(candidates, batch.voxels)
         return candidates
 
     def on_validation_epoch_end(self) -> None:
