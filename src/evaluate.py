@@ -5,13 +5,12 @@ from pathlib import Path
 
 from lightning.pytorch import Trainer
 
-from omniocc.config import build, lines_not_tracebacks
-from omniocc.run.folder import PICTURES, git_commit
+from omniocc.run.folder import IMAGES, git_commit
 from omniocc.run.results import save_results, show_results
+from omniocc.run.script import lines_not_tracebacks, quiet_libraries
 from omniocc.task import StepProgress
-from omniocc.task.checkpoint import load_task
-from omniocc.task.pictures import Pictures
-from train import quiet
+from omniocc.task.build import load_task
+from omniocc.task.images import OccupancyImages
 
 
 @lines_not_tracebacks
@@ -20,30 +19,32 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("checkpoint", type=Path, help="file written by train.py")
     parser.add_argument(
-        "overrides", nargs="*", help="key=value, for example data.batch_size=1 or data.world.root=elsewhere"
+        "overrides", nargs="*", help="key=value, for example data.batch_size=1 or data.source.root=elsewhere"
     )
     parser.add_argument(
         "--output", type=Path, help="folder of the results (default: evaluation-<checkpoint> beside it)"
     )
-    parser.add_argument("--pictures", type=int, default=4, help="test frames to draw")
+    parser.add_argument("--images", type=int, default=4, help="test frames to draw")
     options = parser.parse_intermixed_args(arguments)
     for override in options.overrides:
         if "=" not in override:
             parser.error(f"'{override}' is not key=value; one checkpoint at a time")
-    quiet()
-    task, cfg = load_task(options.checkpoint, options.overrides)
+    quiet_libraries()
+    task, data = load_task(options.checkpoint, options.overrides)
     folder = options.output or options.checkpoint.parent / f"evaluation-{options.checkpoint.stem}"
     folder.mkdir(parents=True, exist_ok=True)
-    data = build(cfg.data)
     trainer = Trainer(
-        callbacks=[StepProgress("occupancy"), Pictures(folder / PICTURES, options.pictures)],
+        callbacks=[
+            StepProgress("occupancy"),
+            OccupancyImages(folder / IMAGES, options.images, data.source.spec.classes),
+        ],
         logger=False,
         enable_checkpointing=False,
         enable_model_summary=False,
         devices=1,
     )
     metrics = trainer.test(task, datamodule=data, verbose=False)[0]
-    facts = {"checkpoint": str(options.checkpoint), "commit": git_commit(), "data": data.world.fingerprint}
+    facts = {"checkpoint": str(options.checkpoint), "commit": git_commit(), "data": data.source.fingerprint}
     save_results(folder, metrics, facts)
     show_results(folder)
 

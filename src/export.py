@@ -5,16 +5,15 @@ from pathlib import Path
 from omegaconf import DictConfig, OmegaConf
 
 from omniocc.camera import Rig
-from omniocc.config import script
 from omniocc.errors import UserError
 from omniocc.export import Options, export_files
-from train import quiet
+from omniocc.run.script import quiet_libraries, script
 
 
 @script("export")
 def main(cfg: DictConfig) -> None:
     """Check -> export -> a line about the files."""
-    quiet()
+    quiet_libraries()
     for key in ("checkpoint", "rig"):
         if OmegaConf.is_missing(cfg, key):
             raise UserError(f"{key}=... is needed; see python src/export.py --help")

@@ -15,7 +15,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 from torch import nn
 
 from omniocc.camera import Equirectangular, Rig
-from omniocc.config import build, check, script
+from omniocc.config import build, check
 from omniocc.errors import UserError
 from omniocc.predict import (
     Frame,
@@ -27,9 +27,10 @@ from omniocc.predict import (
     resized_to_width,
     write_depth,
 )
+from omniocc.predict.network import trained_image_width
 from omniocc.predict.occupancy import options_of, predict_occupancy
+from omniocc.run.script import quiet_libraries, script
 from omniocc.view import predicted_sheet
-from train import quiet
 
 
 @script("predict_depth")
@@ -41,7 +42,7 @@ def depth(cfg: DictConfig) -> None:
 @script("predict_occupancy")
 def occupancy(cfg: DictConfig) -> None:
     """Check -> build -> one folder of files per moment."""
-    quiet()
+    quiet_libraries()
     predict_occupancy(options_of(cfg))
 
 
@@ -79,7 +80,7 @@ def chosen_model(cfg: DictConfig, overrides: list[str]) -> tuple[nn.Module, int 
         raise UserError(f"{foreign[0]}: the checkpoint knows its own; leave it out, or leave out the checkpoint")
     model, trained = load_depth(Path(cfg.checkpoint), [text for text in overrides if text.startswith("depth.")])
     chosen = any(text.startswith("image_width=") for text in overrides)
-    return model, cfg.image_width if chosen else trained.preset.image_size[0]
+    return model, cfg.image_width if chosen else trained_image_width(trained)
 
 
 def predict_frame(

@@ -1,4 +1,4 @@
-"""Render the virtual dataset of a preset, read it back, or make a page to browse it. `--help` says more."""
+"""Render the virtual dataset of a preset, read it back, or make a page to browse it; see `--help`."""
 
 import sys
 import time
@@ -9,7 +9,7 @@ import numpy as np
 from omegaconf import DictConfig
 
 from omniocc.classes import WORLD_CLASSES
-from omniocc.config import build, check, script
+from omniocc.config import build, check
 from omniocc.data import DataError, SceneReader, VirtualWorld
 from omniocc.data.labels.class_fractions import fraction_table
 from omniocc.data.recording.budget import announcement, begun, size
@@ -18,18 +18,19 @@ from omniocc.data.store.check import SceneSurvey, survey
 from omniocc.errors import UserError
 from omniocc.geometry import Cylinder
 from omniocc.progress import clock
+from omniocc.run.script import script
 
-LOOKED_AT_FRAMES = 400
+DECODED_FRAMES = 400
 
 
 @script("render")
 def main(cfg: DictConfig) -> None:
     """Check -> build -> render, read back or draw."""
-    whole_length = cfg.data.world.frames_per_scene
+    whole_length = cfg.data.source.frames_per_scene
     if cfg.frames is not None:
-        cfg.data.world.frames_per_scene = cfg.frames
-    check(cfg.data.world)
-    world = build(cfg.data.world)
+        cfg.data.source.frames_per_scene = cfg.frames
+    check(cfg.data.source)
+    world = build(cfg.data.source)
     plans = chosen(world.plans, cfg.first_scene, cfg.scenes)
     if cfg.check:
         read_back(world, plans)
@@ -40,7 +41,7 @@ def main(cfg: DictConfig) -> None:
 
 
 def chosen(plans: Sequence[ScenePlan], first: int, count: int | None) -> Sequence[ScenePlan]:
-    """The scenes a run is to work on.
+    """Return the scenes that a run works on.
 
     Raises:
         UserError: when there are none.
@@ -52,9 +53,9 @@ def chosen(plans: Sequence[ScenePlan], first: int, count: int | None) -> Sequenc
 
 
 def render(world: VirtualWorld, plans: Sequence[ScenePlan], whole_length: int) -> None:
-    """Say what is coming, render it, say how much there is and what all scenes of `whole_length` frames would take."""
+    """Print what will be rendered, render it, print its size and the cost of all scenes of `whole_length` frames."""
     missing = world.missing(plans)
-    if isinstance(world.source, Path):
+    if isinstance(world.place, Path):
         print(announcement(world, plans), flush=True)
     timed = missing and not begun(world, missing)
     began_s = time.monotonic()
@@ -72,13 +73,11 @@ def render(world: VirtualWorld, plans: Sequence[ScenePlan], whole_length: int) -
 
 
 def read_back(world: VirtualWorld, plans: Sequence[ScenePlan]) -> None:
-    """Print one line per problem, and the classes beside those of the paper's dataset; exit code 1 for problems."""
+    """Print one line per problem, and the classes beside those of the paper's dataset; exit with 1 if there are any."""
     missing = world.missing(plans)
-    problems = [f"{world.source}: scene '{plan.name}' is missing: run without check=true" for plan in missing]
+    problems = [f"{world.place}: scene '{plan.name}' is missing: run without check=true" for plan in missing]
     scenes = [world.reader(plan) for plan in plans if plan not in missing]
-    work = SceneSurvey(
-        world.frames_per_scene, world.frame_interval_s, Cylinder(), max(1, LOOKED_AT_FRAMES // len(plans))
-    )
+    work = SceneSurvey(world.frames_per_scene, world.frame_interval_s, Cylinder(), max(1, DECODED_FRAMES // len(plans)))
     found = survey(work, scenes, world.workers)
     problems += [line for result in found for line in result.problems]
     if found:
@@ -96,7 +95,7 @@ def draw_page(world: VirtualWorld, plans: Sequence[ScenePlan]) -> None:
     missing = world.missing(plans)
     scenes = [world.reader(plan) for plan in plans if plan not in missing]
     if not scenes:
-        raise DataError(f"{world.source} has none of the chosen scenes: run without page=true first")
+        raise DataError(f"{world.place} has none of the chosen scenes: run without page=true first")
     path = Path(world.folder) / "index.html"
     save_page(path, scenes, Cylinder(), WORLD_CLASSES)
     print(
@@ -106,12 +105,12 @@ def draw_page(world: VirtualWorld, plans: Sequence[ScenePlan]) -> None:
 
 
 def amount(world: VirtualWorld, scenes: Sequence[SceneReader]) -> str:
-    """Where the scenes lie and how much they are."""
-    return f"{world.source}: {len(scenes)} scenes, {sum(map(len, scenes))} frames, {size(total_bytes(scenes))}"
+    """Return in words where the scenes lie and how much they are."""
+    return f"{world.place}: {len(scenes)} scenes, {sum(map(len, scenes))} frames, {size(total_bytes(scenes))}"
 
 
 def total_bytes(scenes: Sequence[SceneReader]) -> int:
-    """Size of all files that the scenes list."""
+    """Return the size of all files that the scenes list, bytes."""
     return sum(facts["size"] for scene in scenes for facts in scene.meta["files"].values())
 
 

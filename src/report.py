@@ -10,11 +10,11 @@ import argparse
 from importlib.util import find_spec
 from pathlib import Path
 
-from omniocc.config import lines_not_tracebacks
 from omniocc.io import atomic_write
 from omniocc.report.frames import compared_frames
 from omniocc.report.page import page
 from omniocc.report.sweep import Sweep, read_sweep, report_markdown, write_docs, write_tables
+from omniocc.run.script import lines_not_tracebacks
 
 ROOT = Path(__file__).parents[1]
 

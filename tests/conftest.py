@@ -11,6 +11,9 @@ import torch
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig
 
+from omniocc.data import SourceSpec
+from omniocc.data.source.virtual import world_spec
+
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 torch.set_num_threads(1)
 
@@ -38,7 +41,7 @@ def shared_folder(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="session")
 def data_root(shared_folder) -> Path:
-    """Rendered data shared by all test processes; the dataset's own lock keeps them apart."""
+    """Return the folder of rendered data that all test processes share; the dataset's own lock keeps them apart."""
     return shared_folder / "data"
 
 
@@ -56,6 +59,12 @@ def composed() -> Callable[..., DictConfig]:
         return copy.deepcopy(compose_once(name, overrides))
 
     return get
+
+
+@pytest.fixture(scope="session")
+def spec() -> SourceSpec:
+    """Return the spec of the virtual world."""
+    return world_spec(0.5)
 
 
 @pytest.fixture(scope="session")

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from omniocc.config import build
-from omniocc.task.checkpoint import build_task
+from omniocc.task.build import build_task
 from omniocc.task.scores import Scores
 
 
@@ -16,14 +16,14 @@ def test_one_frame_is_learned_by_heart(data_root, smoke):
     data.prepare_data()
     data.setup()
     batch = next(iter(data.val_dataloader()))
-    task = build_task(cfg)
+    task = build_task(cfg, data.source.spec)
     task.set_training_statistics(data.voxel_counts())
     optimizer = torch.optim.AdamW(task.parameters(), lr=1e-2, weight_decay=0.0)
     for _ in range(300):
-        terms = task.loss(task.model(batch.images, batch.rigs, batch.world_from_ego), batch.voxels, batch.pixel_labels)
+        terms = task.loss(task.predict(batch), batch.voxels, batch.pixel_labels)
         optimizer.zero_grad()
         torch.stack(list(terms.values())).sum().backward()
         optimizer.step()
-    scores = Scores(task.model.geometry)
+    scores = Scores(task.model.geometry, data.source.spec)
     scores.update(task.predict_labels(batch), batch)
     assert scores.compute()["rayiou"] > 0.9

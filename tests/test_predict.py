@@ -92,7 +92,7 @@ def test_a_checkpoint_and_a_list_of_pictures(frames, checkpoint, tmp_path, capsy
 
 def test_a_checkpoint_takes_other_edges_but_not_other_sizes_of_its_network(frames, checkpoint, tmp_path, run_here):
     arguments = ("rig=fisheye6", f"images={frames / '0000'}", f"checkpoint={checkpoint}", f"output={tmp_path}")
-    run_here(*arguments, "depth.erp_bottom_deg=-60")
+    run_here(*arguments, "depth.panorama.bottom_deg=-60")
     assert float(np.load(tmp_path / "range.npz")["bottom_deg"]) == -60
     with pytest.raises(UserError, match="weights do not fit"):
         run_here(*arguments, "+depth.channels=[8,8,8,8]")

@@ -40,19 +40,19 @@ def metrics_of(folder: Path, name: str) -> dict:
 
 @pytest.fixture(scope="session")
 def whole(shared_folder, data_root) -> tuple[Path, list[str]]:
-    """Folder and arguments of one run to its end, made once for all test processes; what it said is in `said.txt`."""
+    """Folder and arguments of one run to its end, made once for all test processes; its output is in `output.txt`."""
     folder = shared_folder / "whole"
-    arguments = smoke(data_root, *TWELVE_STEPS, "name=whole", "logger.mode=offline", "pictures=1")
+    arguments = smoke(data_root, *TWELVE_STEPS, "name=whole", "logger.mode=offline", "test_images=1")
     with FileLock(f"{folder}.lock"):
-        if not (folder / "said.txt").exists():
+        if not (folder / "output.txt").exists():
             folder.mkdir(exist_ok=True)
             result = run("train.py", *arguments, cwd=folder)
             assert result.returncode == 0, result.stdout + result.stderr
-            (folder / "said.txt").write_text(result.stdout)
+            (folder / "output.txt").write_text(result.stdout)
     return folder, arguments
 
 
-def test_a_run_leaves_figures_pictures_and_curves(whole):
+def test_a_run_leaves_figures_images_and_curves(whole):
     place, arguments = whole
     metrics = metrics_of(place, "whole")
     for key in (
@@ -71,10 +71,10 @@ def test_a_run_leaves_figures_pictures_and_curves(whole):
     assert min(facts[key] for key in ("million parameters", "GFLOP a frame", "peak MiB")) > 0
     assert (facts["stages"], facts["classes"][0]["name"], len(facts["classes"])) == ({"occupancy": 12}, "Road", 11)
     assert facts["fraction of candidates"] == 1
-    assert list(folder.glob("pictures/test-00-*.png"))
+    assert list(folder.glob("images/test-00-*.png"))
     assert list(folder.glob("wandb/offline-run-*/*.wandb"))
     assert (folder / "config.yaml").exists()
-    assert "RayIoU" in (place / "said.txt").read_text()
+    assert "RayIoU" in (place / "output.txt").read_text()
 
     again = run("train.py", *arguments, cwd=place)
     assert again.returncode == 0
@@ -83,7 +83,7 @@ def test_a_run_leaves_figures_pictures_and_curves(whole):
     evaluated = run(
         "evaluate.py",
         str(folder / "best.ckpt" if (folder / "best.ckpt").exists() else folder / "last.ckpt"),
-        "--pictures",
+        "--images",
         "0",
         cwd=place,
     )
@@ -93,7 +93,7 @@ def test_a_run_leaves_figures_pictures_and_curves(whole):
 
 
 def test_killed_training_continues_to_the_same_figures(tmp_path, data_root, whole):
-    arguments = smoke(data_root, *TWELVE_STEPS, "pictures=0")
+    arguments = smoke(data_root, *TWELVE_STEPS, "test_images=0")
     process = subprocess.Popen(
         command("train.py", *arguments, "name=killed"), cwd=tmp_path, stdout=subprocess.DEVNULL, start_new_session=True
     )
@@ -112,7 +112,7 @@ def test_killed_training_continues_to_the_same_figures(tmp_path, data_root, whol
 
 
 def test_a_damaged_checkpoint_costs_the_steps_since_the_one_before(tmp_path, data_root):
-    arguments = smoke(data_root, "trainer.max_steps=2", "checkpoint_every_n_steps=1", "pictures=0", "name=damaged")
+    arguments = smoke(data_root, "trainer.max_steps=2", "checkpoint_every_n_steps=1", "test_images=0", "name=damaged")
     whole = run("train.py", *arguments, cwd=tmp_path)
     assert whole.returncode == 0, whole.stdout + whole.stderr
     (folder,) = tmp_path.glob("runs/damaged-*")
@@ -136,9 +136,9 @@ def test_a_damaged_checkpoint_costs_the_steps_since_the_one_before(tmp_path, dat
 
 
 def test_a_loss_that_is_not_finite_is_one_line(tmp_path, data_root):
-    result = run("train.py", *smoke(data_root, "optimizer.learning_rate=1e30", "pictures=0"), cwd=tmp_path)
+    result = run("train.py", *smoke(data_root, "optimizer.learning_rate=1e30", "test_images=0"), cwd=tmp_path)
     assert result.returncode == 1
-    *before, line = result.stderr.strip().splitlines()  # before it, what rendering says where this test is the first
+    *before, line = result.stderr.strip().splitlines()  # lines before: of rendering, where this test is the first
     assert not [words for words in before if "Traceback" in words or "Warning" in words or "finite" in words]
     assert line.startswith("the loss is not finite at step 1 (ce=nan")
     assert "frames: train-" in line
@@ -147,7 +147,7 @@ def test_a_loss_that_is_not_finite_is_one_line(tmp_path, data_root):
 @pytest.mark.slow(60)
 def test_stages_run_once_and_are_shared(tmp_path, data_root):
     arguments = smoke(data_root, "model/sketch=omni", "trainer.max_steps=3", "trainer.log_every_n_steps=1")
-    logged = ["logger.mode=offline", "pictures=1"]
+    logged = ["logger.mode=offline", "test_images=1"]
     depth = run("train.py", *arguments, "stage=depth", *logged, cwd=tmp_path)
     assert depth.returncode == 0, depth.stdout + depth.stderr
     assert "depth, stage 1 of 1 begins" in depth.stdout
@@ -165,32 +165,32 @@ def test_stages_run_once_and_are_shared(tmp_path, data_root):
     for key in ("test/rayiou", "test/depth/mae_0-8.5m", "test/sketch/recall", "test/sketch/raw/recall_17-25.6m"):
         assert key in metrics
 
-    other = run("train.py", *arguments, "name=other", "model/refiner=none", "pictures=0", cwd=tmp_path)
+    other = run("train.py", *arguments, "name=other", "model/refiner=none", "test_images=0", cwd=tmp_path)
     assert other.returncode == 0, other.stdout + other.stderr
     assert "sketch, stage 2 of 3 is there" in other.stdout
 
-    chosen = ["model.sketch.threshold=null", "model.sketch.share=0.1", "model.sketch.windows=[0,0,0]"]
+    chosen = ["model.sketch.threshold=null", "model.sketch.fraction=0.1", "model.sketch.windows=[0,0,0]"]
     fewer = run("train.py", *arguments, "stage=sketch", *chosen, cwd=tmp_path)
     assert fewer.returncode == 0, fewer.stdout + fewer.stderr
     assert len(list(tmp_path.glob("runs/stages/sketch-*"))) == 1  # other candidates of the same network
-    shares = {
+    fractions = {
         json.loads(path.read_text())["metrics"]["test/sketch/fraction"]: path.parent
         for path in tmp_path.glob("runs/stages/sketch-*/candidates-*/metrics.json")
     }
-    assert len(shares) == 2
-    assert min(abs(share - 0.1) for share in shares) < 1e-3
+    assert len(fractions) == 2
+    assert min(abs(fraction - 0.1) for fraction in fractions) < 1e-3
 
-    evaluated = run("evaluate.py", str(next(tmp_path.glob("runs/whole-*/last.ckpt"))), "--pictures=0", cwd=tmp_path)
+    evaluated = run("evaluate.py", str(next(tmp_path.glob("runs/whole-*/last.ckpt"))), "--test_images=0", cwd=tmp_path)
     assert evaluated.returncode == 0, evaluated.stdout + evaluated.stderr
     (path,) = tmp_path.glob("runs/whole-*/evaluation-*/metrics.json")
     online = json.loads(path.read_text())["metrics"]["test/voxel/miou"]  # the sketch at work, not its cache
     assert online == pytest.approx(metrics["test/voxel/miou"], abs=2e-3)
 
-    cached = next(shares[metrics["test/sketch/fraction"]].glob("train-*.frames"))
+    cached = next(fractions[metrics["test/sketch/fraction"]].glob("train-*.frames"))
     blob = bytearray(cached.read_bytes())
     blob[3] ^= 1
     cached.write_bytes(blob)
-    damaged = run("train.py", *arguments, "name=damaged", "pictures=0", cwd=tmp_path)
+    damaged = run("train.py", *arguments, "name=damaged", "test_images=0", cwd=tmp_path)
     assert damaged.returncode == 1
     assert f"{cached.name}: frame 0 is damaged; delete the file" in damaged.stderr
     assert "Traceback" not in damaged.stderr
@@ -198,7 +198,12 @@ def test_stages_run_once_and_are_shared(tmp_path, data_root):
 
 def test_a_killed_stage_continues_to_the_same_figures(tmp_path, data_root):
     arguments = smoke(
-        data_root, "model/sketch=omni", "model/depth=truth", "stage=sketch", "stages.sketch.max_steps=12", "pictures=0"
+        data_root,
+        "model/sketch=omni",
+        "model/depth=truth",
+        "stage=sketch",
+        "stages.sketch.max_steps=12",
+        "test_images=0",
     )
     whole = run("train.py", *arguments, "checkpoint_every_n_steps=1", "paths.runs=whole", cwd=tmp_path)
     assert whole.returncode == 0, whole.stdout + whole.stderr
@@ -265,27 +270,26 @@ def test_mistakes_end_in_lines_not_tracebacks(override, expected, tmp_path, data
         assert words in text
 
 
-def test_what_the_last_stage_refuses_is_said_before_the_first_trains(tmp_path, data_root):
-    for override, said in (
+def test_mistakes_in_the_last_stage_are_reported_before_the_first_trains(tmp_path, data_root):
+    for override, message in (
         ("model.lifter.heads=5", "model.lifter: 8 channels cannot be split among 5 heads; give a divisor"),
         ("resume=nowhere.ckpt", "resume=nowhere.ckpt: there is no such checkpoint"),
     ):
         result = run("train.py", *smoke(data_root, "model/sketch=omni", override), cwd=tmp_path)
         assert result.returncode != 0
-        assert said in result.stderr
+        assert message in result.stderr
     assert not list(tmp_path.glob("runs/stages/*"))
 
 
 @pytest.mark.parametrize(
     "overrides",
     [
-        ("model/geometry=cuboid",),
         ("model/sketch=random", "model/refiner=none", "model/semantic_head=none"),
         ("model=bevdet", "loss=with_ranges"),
     ],
 )
 def test_swapped_modules_train(overrides, tmp_path, data_root):
-    result = run("train.py", *smoke(data_root, *overrides, "trainer.max_steps=2", "pictures=0"), cwd=tmp_path)
+    result = run("train.py", *smoke(data_root, *overrides, "trainer.max_steps=2", "test_images=0"), cwd=tmp_path)
     assert result.returncode == 0, result.stdout + result.stderr
 
 
@@ -297,13 +301,13 @@ def test_two_processes_train_one_model(tmp_path, data_root):
         "trainer.max_steps=2",
         "data.batch_size=1",
     )
-    result = run("train.py", *smoke(data_root, *distributed, "pictures=0", "name=pair"), cwd=tmp_path)
+    result = run("train.py", *smoke(data_root, *distributed, "test_images=0", "name=pair"), cwd=tmp_path)
     assert result.returncode == 0, result.stdout + result.stderr
     assert metrics_of(tmp_path, "pair")["label/rayiou"] == 1.0
     assert len(list(tmp_path.glob("runs/*"))) == 1
 
 
-def test_a_checkpoint_of_a_stranger_runs_nothing(tmp_path):
+def test_a_file_that_is_no_checkpoint_is_one_line(tmp_path):
     bad = tmp_path / "bad.ckpt"
     bad.write_bytes(b"not a checkpoint")
     result = run("evaluate.py", str(bad), cwd=tmp_path)

@@ -2,7 +2,8 @@
 
 from typing import NamedTuple
 
-from jaxtyping import Bool, Float32, Float64, UInt8
+import torch
+from jaxtyping import Bool, Float, Float32, Float64, UInt8
 from torch import Tensor
 
 from omniocc.camera import Rig
@@ -11,34 +12,70 @@ from omniocc.camera import Rig
 class Batch(NamedTuple):
     """Windows of T frames, oldest first; all labels belong to the newest frame, in its ego frame.
 
-    Ranges and candidates are there only where a stage asked for them (`omniocc.data.Extras`).
+    What stands as `| None` may be absent: because the dataset does not have it, or because no stage asked for it
+    (`omniocc.data.Extras`). What is absent gives no loss and no score. Where one sample of a batch lacks what another
+    has, its part is filled with 'unknown' (label 255, range nan), which gives no loss and no score either.
+
+    Samples may differ in the number of cameras and in the sizes of their images: images begin at row and column 0,
+    and are padded at the end of the axes of cameras, rows and columns. `image_mask` says what is there.
 
     Attributes:
-        images: RGB, 0..255.
-        rigs: one per sample.
+        images: RGB, 0..255; 0 where padded.
+        rigs: cameras of every frame of every sample, `rigs[sample][frame]`; frames share the object if nothing moved.
         world_from_ego: pose of every frame of the window.
+        frame_ids: `scene/frame` of the newest frame, for messages and saved images.
         voxels: class of every cell, 255 unknown.
-        pixel_labels: class of every pixel; 0 sky, 255 own car or outside the lens.
-        lidar_range_m: true range along the ego LiDAR's rays, inf where nothing is hit.
-        lidar_labels: true class along these rays, 0 where nothing is hit.
-        frame_ids: `scene/frame` of the newest frame, for messages and pictures.
-        erp_range_m: true panorama of range around the ego origin, inf for sky.
-        camera_range_m: true range of every pixel; inf for sky, nan for own car or outside the lens.
-        depth_range_m: panorama that the depth stage predicted, nan where it knows nothing.
+        scored: cells that count in scores. None: all whose class is known.
+        pixel_labels: class of every pixel; 0 sky, 255 own car, outside the lens or padded.
+        lidar_range_m: true range along the LiDAR's rays, inf where nothing is hit or padded.
+        lidar_labels: true class along these rays, 0 where nothing is hit, 255 unknown or padded.
+        lidar_directions: unit rays in the ego frame. None: those of the source, `SourceSpec.lidar_directions`.
+        lidar_origins: where the rays start, m, ego frame. None: in the ego origin.
+        erp_range_m: true panorama of range around the ego origin, inf for sky, nan unknown.
+        camera_range_m: true range of every pixel; inf for sky, nan for own car, outside the lens or padded.
+        depth_range_m: panorama that the depth stage predicted, nan where it has no answer.
         candidates: voxels that the sketch stage chose in every frame of the window.
+        evidence: what the sketch stage says about every voxel, E numbers each.
         exists: which frames of the window were recorded; before a scene's first, that one stands in. None: all.
     """
 
     images: UInt8[Tensor, "B T N 3 H W"]
-    rigs: tuple[Rig, ...]
+    rigs: tuple[tuple[Rig, ...], ...]
     world_from_ego: Float64[Tensor, "B T 4 4"]
-    voxels: UInt8[Tensor, "B X Y Z"]
-    pixel_labels: UInt8[Tensor, "B N H W"]
-    lidar_range_m: Float32[Tensor, "B R"]
-    lidar_labels: UInt8[Tensor, "B R"]
     frame_ids: tuple[str, ...]
+    voxels: UInt8[Tensor, "B X Y Z"] | None = None
+    scored: Bool[Tensor, "B X Y Z"] | None = None
+    pixel_labels: UInt8[Tensor, "B N H W"] | None = None
+    lidar_range_m: Float32[Tensor, "B R"] | None = None
+    lidar_labels: UInt8[Tensor, "B R"] | None = None
+    lidar_directions: Float32[Tensor, "B R 3"] | None = None
+    lidar_origins: Float32[Tensor, "B R 3"] | None = None
     erp_range_m: Float32[Tensor, "B h w"] | None = None
     camera_range_m: Float32[Tensor, "B N H W"] | None = None
     depth_range_m: Float32[Tensor, "B h w"] | None = None
     candidates: Bool[Tensor, "B T X Y Z"] | None = None
+    evidence: Float[Tensor, "B T E X Y Z"] | None = None
     exists: Bool[Tensor, "B T"] | None = None
+
+    @property
+    def newest_rigs(self) -> tuple[Rig, ...]:
+        """Return the rig of each sample's newest frame."""
+        return tuple(frames[-1] for frames in self.rigs)
+
+    def image_sizes(self) -> tuple[Tensor, Tensor]:
+        """Return width and height of every image, (B, T, N) int64 each, px, on the CPU; 0 where there is no camera."""
+        cameras = self.images.shape[2]
+        sizes = torch.tensor([[_sizes(rig, cameras) for rig in frames] for frames in self.rigs])
+        return sizes[..., 0], sizes[..., 1]
+
+    def image_mask(self) -> Bool[Tensor, "B T N H W"]:
+        """Return which pixels belong to an image and are no padding."""
+        width, height = (size.to(self.images.device)[..., None, None] for size in self.image_sizes())
+        rows, columns = (torch.arange(n, device=self.images.device) for n in self.images.shape[-2:])
+        return (rows[:, None] < height) & (columns < width)
+
+
+def _sizes(rig: Rig, cameras: int) -> list[tuple[int, int]]:
+    """Return (width, height) of every camera, (0, 0) up to the wanted number of cameras."""
+    sizes = [(camera.width, camera.height) for camera in rig.cameras]
+    return sizes + [(0, 0)] * (cameras - len(sizes))

@@ -1,38 +1,35 @@
-"""Compose the configuration from the command line, check it, build objects; alone in calling Hydra's `instantiate`."""
+"""Compose the configuration, check it, build objects from it; alone in calling Hydra's `instantiate`."""
 
-import functools
 import inspect
 import os
 import re
-import sys
 import types
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from difflib import SequenceMatcher, get_close_matches
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Literal, Union, cast, get_args, get_origin, get_type_hints
 
-import hydra
 from hydra import compose, initialize_config_dir
-from hydra.errors import HydraException, InstantiationException, MissingConfigException, OverrideParseException
+from hydra.errors import HydraException, InstantiationException
 from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, ListConfig, OmegaConf
-from omegaconf.errors import ConfigAttributeError, ConfigKeyError, InterpolationKeyError, OmegaConfBaseException
+from omegaconf.errors import InterpolationKeyError, OmegaConfBaseException
 
 from omniocc.errors import UserError
-from omniocc.lazy_help import accept_lazy_help
 
 MAX_SEED = 2**32 - 1
 """The largest seed that numpy and Lightning take."""
-FULL_ERROR = "HYDRA_FULL_ERROR"
-"""Hydra's environment variable; `1` makes it raise its errors instead of printing them."""
 VERSION_BASE = "1.3"
-NEAREST_KEYS = 3
-NEAR_ENOUGH = 0.6
+OWN_PACKAGE = ("omniocc",)
+PACKAGES = (*OWN_PACKAGE, "lightning", "torch")
+"""Packages whose classes a configuration from the command line may name."""
+PACKAGES_VARIABLE = "OMNIOCC_PACKAGES"
+"""Environment variable with further packages, separated by commas."""
 
 
 class ConfigError(UserError):
-    """What is wrong in a configuration, all of it, one line each."""
+    """Report everything that is wrong in a configuration, one line each."""
 
     def __init__(self, problems: Sequence[str]):
         self.problems = tuple(problems)
@@ -40,13 +37,19 @@ class ConfigError(UserError):
         super().__init__("\n  ".join([f"{len(problems)} {noun} in the configuration:", *problems]))
 
 
+def allowed(packages: Sequence[str], more: Sequence[str] = ()) -> tuple[str, ...]:
+    """Return the packages whose classes may be built: these, those of `OMNIOCC_PACKAGES`, and more."""
+    named = os.environ.get(PACKAGES_VARIABLE, "").split(",")
+    return tuple(dict.fromkeys([*packages, *(name.strip() for name in named if name.strip()), *more]))
+
+
 def check(cfg: DictConfig, root_keys: Sequence[str] | None = None, packages: Sequence[str] | None = None) -> None:
     """Compare a composed tree with the signatures it names, before anything is built.
 
     Args:
-        cfg: the tree; every mapping with a `_target_` is compared with that class or function.
+        cfg: the tree; every mapping with a `_target_` is compared with that class.
         root_keys: keys allowed at the root; None allows any.
-        packages: packages that a `_target_` may come from (for configurations out of files of others); None allows any.
+        packages: packages whose classes may be named; None: `PACKAGES` and those of `OMNIOCC_PACKAGES`.
 
     Raises:
         ConfigError: with every problem found: unknown, missing, unresolvable and wrongly typed arguments.
@@ -54,41 +57,67 @@ def check(cfg: DictConfig, root_keys: Sequence[str] | None = None, packages: Seq
     problems = []
     if root_keys is not None:
         problems += [_unknown(str(key), "train.py", root_keys) for key in cfg if key not in root_keys]
-    problems += _walk(cfg, "", packages)
+    problems += _walk(cfg, "", allowed(PACKAGES) if packages is None else packages)
     if problems:
         raise ConfigError([problem.lstrip(".") for problem in problems])
 
 
 @dataclass
 class Root:
-    """The plain keys at the root of `train.yaml`; groups stand beside them."""
+    """Name the plain keys at the root of `train.yaml` and their types; groups stand beside them."""
 
     name: str
     seed: int
     resume: str
     stage: str | None
     checkpoint_every_n_steps: int
-    pictures: int
+    test_images: int
     ema_decay: float | None
+    packages: list[str]
 
 
 GROUPS = ("preset", "stages", "depth", "model", "data", "loss", "optimizer", "augment", "trainer", "logger", "paths")
 
 
 def check_root(cfg: DictConfig) -> None:
-    """`check` for the whole tree of `train.yaml`, with its root keys and their types.
+    """Check the whole tree of `train.yaml`, with its root keys and their types.
 
     Raises:
         ConfigError: with every problem found.
     """
     hints = get_type_hints(Root)
     problems = [problem for key, hint in hints.items() for problem in _check_value(cfg, key, "", hint)]
+    more = [] if problems else list(cfg.packages)
     try:
-        check(cfg, root_keys=(*hints, *GROUPS))
+        check(cfg, (*hints, *GROUPS), allowed(PACKAGES, more))
     except ConfigError as error:
         problems += error.problems
     if problems:
         raise ConfigError([problem.lstrip(".") for problem in problems])
+
+
+def target_of(node: Mapping[Any, Any]) -> type:
+    """Return the class that a node of a configuration names; nothing is built.
+
+    Raises:
+        ConfigError: when it cannot be imported.
+    """
+    name = str(node["_target_"])
+    try:
+        return get_object(name)
+    except Exception as error:  # whatever importing the user's module raises is the user's problem to read
+        raise ConfigError([f"{name} cannot be imported: {error}"]) from error
+
+
+def foreign_packages(node: Any, packages: Sequence[str]) -> list[str]:
+    """Return, sorted, the packages of the classes in a tree that are not among `packages`."""
+    found: set[str] = set()
+    if isinstance(node, Mapping):
+        found |= {str(node["_target_"]).split(".")[0]} - set(packages) if "_target_" in node else set()
+    if isinstance(node, Mapping | list):
+        for child in node.values() if isinstance(node, Mapping) else node:
+            found |= set(foreign_packages(child, packages))
+    return sorted(found)
 
 
 def build(cfg: DictConfig, **extra: Any) -> Any:
@@ -106,12 +135,17 @@ def build(cfg: DictConfig, **extra: Any) -> Any:
     except InstantiationException as error:
         cause = error.__cause__
         if isinstance(cause, ValueError | FileNotFoundError):
-            raise ConfigError([f"{_refused_key(error) or cfg._get_full_key(None)}: {cause}"]) from cause
+            raise ConfigError([f"{refused_key(error) or cfg._get_full_key(None)}: {cause}"]) from cause
         raise cause or error from None
 
 
+def refused_key(error: InstantiationException) -> str:
+    """Return the key of the node that could not be built, empty if Hydra does not name it."""
+    return str(error).rsplit("full_key: ", 1)[-1] if "full_key: " in str(error) else ""
+
+
 def plain(cfg: DictConfig) -> dict[str, Any]:
-    """The whole tree, resolved, as plain dicts and lists."""
+    """Return the whole tree, resolved, as plain dicts and lists."""
     return {str(key): value for key, value in cast(dict, OmegaConf.to_container(cfg, resolve=True)).items()}
 
 
@@ -127,155 +161,14 @@ def compose_plain(folder: Path, name: str, overrides: Sequence[str]) -> dict[str
         ConfigError: when it cannot be composed.
     """
     try:
-        with initialize_config_dir(str(folder.resolve()), version_base="1.3"):
+        with initialize_config_dir(str(folder.resolve()), version_base=VERSION_BASE):
             return plain(compose(name, list(overrides)))
     except (HydraException, OmegaConfBaseException) as error:
         first = next(iter(str(error).splitlines()), type(error).__name__)
         raise ConfigError([f"{folder / name}.yaml with {' '.join(overrides)}: {first}"]) from error
 
 
-def lines_not_tracebacks(main: Callable[..., None]) -> Callable[..., None]:
-    """Decorate a script's main: users' mistakes end it with the message alone and exit code 1."""
-
-    @functools.wraps(main)
-    def wrapped(*args: Any) -> None:
-        try:
-            main(*args)
-        except (UserError, OSError) as error:
-            sys.exit(str(error))
-
-    return wrapped
-
-
-def script(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callable[..., None]]:
-    """Return a decorator for a script's main, which gets the configuration composed from `conf/` and the command line.
-
-    Users' mistakes end the script with the message alone and exit code 1; for overrides it names the nearest keys or
-    options. With `HYDRA_FULL_ERROR=1` Hydra reports mistakes in overrides itself, with a traceback. Jobs of a
-    multirun inherit that variable, so that their log files hold whole tracebacks.
-
-    Args:
-        config_name: of the root file in `conf/`.
-    """
-
-    def decorate(main: Callable[[DictConfig], None]) -> Callable[..., None]:
-        conf = str(Path(inspect.getfile(main)).resolve().parents[1] / "conf")
-
-        @functools.wraps(main)
-        def task(cfg: DictConfig) -> None:
-            if asked is None:
-                os.environ.pop(FULL_ERROR, None)  # composed: errors of the code itself are reported as ever
-            lines_not_tracebacks(main)(cfg)
-
-        run = accept_lazy_help(hydra.main(version_base=VERSION_BASE, config_path=conf, config_name=config_name)(task))
-        asked = os.environ.get(FULL_ERROR)
-
-        @functools.wraps(main)
-        def wrapped(*args: Any) -> None:
-            if asked is not None:
-                return run(*args)
-            os.environ[FULL_ERROR] = "1"
-            try:
-                run(*args)
-            except (HydraException, OmegaConfBaseException) as error:
-                sys.exit(explain(error, conf, config_name, sys.argv[1:]))
-            finally:
-                os.environ.pop(FULL_ERROR, None)
-
-        return wrapped
-
-    return decorate
-
-
-def explain(error: Exception, conf: str, config_name: str, arguments: Sequence[str]) -> str:
-    """Return a few lines about a mistake in overrides: the problem first, then what is nearest to what was written.
-
-    Args:
-        error: raised while Hydra composed the configuration.
-        conf: folder of the configuration.
-        config_name: of its root file.
-        arguments: of the command line.
-    """
-    cause = error.__cause__
-    if isinstance(error, OverrideParseException):
-        reason = str(error.message).removeprefix(f"Error parsing override '{error.override}'").strip().splitlines()[0]
-        problem = f"{error.override}: this cannot be read as key=value ({reason})"
-        return f"{problem}\n  quote lists and texts with commas: 'key=[1,2]'"
-    if isinstance(error, MissingConfigException) and error.missing_cfg_file and error.options:
-        group, _, option = error.missing_cfg_file.rpartition("/")
-        close = get_close_matches(option, error.options, n=1)
-        hint = f"; did you mean '{close[0]}'?" if close else ""
-        return f"{group}={option}: there is no such option{hint}\n  options: {', '.join(sorted(error.options))}"
-    if isinstance(error, InstantiationException) and cause is not None:
-        return f"{_refused_key(error)}: {cause}"
-    if isinstance(cause, ConfigAttributeError | ConfigKeyError) and cause.full_key:
-        return _unknown_key(str(cause.full_key), *_names(conf, config_name, cause.full_key, arguments))
-    lines = [*str(error).split("Config search path")[0].splitlines(), *str(cause or "").splitlines()[:1]]
-    return "\n  ".join([line.strip() for line in lines if line.strip()])
-
-
-def _unknown_key(key: str, keys: Sequence[str], groups: Sequence[str]) -> str:
-    """Return the lines about a key that is not there; a key with a slash was meant as a group."""
-    close = nearest(key, groups if "/" in key else [*keys, *groups])
-    if close:
-        hint = f"; did you mean {' or '.join(close)}?"
-    else:
-        parent = next((p for p in _parents(key) if any(k.startswith(f"{p}.") for k in keys)), "")
-        within = [k.removeprefix(f"{parent}.") for k in keys if not parent or k.startswith(f"{parent}.")]
-        children = groups if "/" in key else [child for child in within if "." not in child]
-        hint = f"\n  {'groups' if '/' in key else parent or 'keys'}: {', '.join(children)}"
-    return f"{key}: there is no such key{hint}"
-
-
-def nearest(wanted: str, known: Sequence[str]) -> list[str]:
-    """Return the few most similar of known dotted or slashed names, best first; their last parts count by half."""
-
-    def likeness(name: str) -> float:
-        last = SequenceMatcher(None, _last(wanted), _last(name)).ratio()
-        return (SequenceMatcher(None, wanted, name).ratio() + last) / 2
-
-    scored = sorted(((likeness(name), name) for name in known), key=lambda item: -item[0])
-    return [name for score, name in scored[:NEAREST_KEYS] if score >= NEAR_ENOUGH]
-
-
-def _last(name: str) -> str:
-    return re.split(r"[./]", name)[-1]
-
-
-def _parents(key: str) -> Iterator[str]:
-    while "." in key:
-        key = key.rpartition(".")[0]
-        yield key
-
-
-def _names(conf: str, config_name: str, wrong: str, arguments: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Return all keys and groups of the configuration composed without the wrong override, or without any."""
-    overrides = [a for a in arguments if "=" in a and not a.startswith("-") and wrong not in a.split("=")[0]]
-    with hydra.initialize_config_dir(conf, version_base=VERSION_BASE):
-        try:
-            cfg = hydra.compose(config_name, overrides, return_hydra_config=True)
-        except HydraException:  # another mistake, or values to sweep over
-            cfg = hydra.compose(config_name, return_hydra_config=True)
-    tree = cast(dict, OmegaConf.to_container(cfg, resolve=False))
-    options = tree.pop("hydra")
-    keys = [*_keys(tree, ""), *_keys(options["launcher"], "hydra.launcher.")]
-    groups = [group for group in options["runtime"]["choices"] if "@" not in group and not group.startswith("hydra/")]
-    return [key for key in keys if not _last(key).startswith("_")], groups
-
-
-def _keys(tree: dict, prefix: str) -> Iterator[str]:
-    for key, value in tree.items():
-        yield f"{prefix}{key}"
-        if isinstance(value, dict):
-            yield from _keys(value, f"{prefix}{key}.")
-
-
-def _refused_key(error: InstantiationException) -> str:
-    """Return the key of the node that could not be built, empty if Hydra does not name it."""
-    return str(error).rsplit("full_key: ", 1)[-1] if "full_key: " in str(error) else ""
-
-
-def _walk(node: Any, path: str, packages: Sequence[str] | None) -> Iterator[str]:
+def _walk(node: Any, path: str, packages: Sequence[str]) -> Iterator[str]:
     if isinstance(node, DictConfig) and "_target_" in node:
         yield from _check_call(node, path, packages)
     if not isinstance(node, DictConfig | ListConfig):
@@ -287,15 +180,11 @@ def _walk(node: Any, path: str, packages: Sequence[str] | None) -> Iterator[str]
             yield from _walk(tree[key], f"{path}.{key}".lstrip("."), packages)
 
 
-def _check_call(node: DictConfig, path: str, packages: Sequence[str] | None) -> Iterator[str]:
+def _check_call(node: DictConfig, path: str, packages: Sequence[str]) -> Iterator[str]:
     name = str(node["_target_"])
-    if packages is not None and not name.startswith(tuple(f"{package}." for package in packages)):
-        yield f"{path}._target_: {name} is not in a trusted package ({', '.join(packages)})"
-        return
-    try:
-        target = get_object(name)
-    except Exception as error:  # whatever importing the user's module raises is the user's problem to read
-        yield f"{path}._target_: {name} cannot be imported: {error}"
+    target, refusal = _trusted_target(name, packages)
+    if target is None:
+        yield f"{path}._target_: {refusal}"
         return
     parameters = parameters_of(target)
     hints = _hints(target)
@@ -317,8 +206,24 @@ def _check_call(node: DictConfig, path: str, packages: Sequence[str] | None) -> 
             yield f"{path}.{key}: {name} needs it"
 
 
+def _trusted_target(name: str, packages: Sequence[str]) -> tuple[type | None, str]:
+    """Return the class of this name, or None and why it is refused."""
+    package = name.split(".")[0]
+    if package not in packages:
+        remedy = f"allow it by packages=[{package}] or {PACKAGES_VARIABLE}={package}"
+        return None, f"{name} is of the package {package}, which is not allowed here; if you trust it, {remedy}"
+    try:
+        target = get_object(name)
+    except Exception as error:  # whatever importing the user's module raises is the user's problem to read
+        return None, f"{name} cannot be imported: {error}"
+    # a module's own imports are its attributes too: omniocc.io.os.system is not of omniocc
+    if not inspect.isclass(target) or target.__module__.split(".")[0] not in packages:
+        return None, f"{name} is not a class of {', '.join(packages)}"
+    return target, ""
+
+
 def parameters_of(target: Callable[..., Any]) -> dict[str, inspect.Parameter]:
-    """What can be passed by name; a class with nothing but the `*args, **kwargs` of a base class takes nothing."""
+    """Return what can be passed by name; a class with nothing but a base class's `*args, **kwargs` takes nothing."""
     parameters = dict(inspect.signature(target).parameters)
     variable = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
     return {} if all(p.kind in variable for p in parameters.values()) else parameters
@@ -363,9 +268,9 @@ def _hints(target: Any) -> dict[str, Any]:
 
 
 def fits(value: Any, hint: Any) -> bool:
-    """Whether a plain configuration value can be passed where `hint` is asked for.
+    """Return whether a plain configuration value can be passed where `hint` is asked for.
 
-    What is built (`_target_`) and hints we do not know fit.
+    What is built (`_target_`) fits, and so does every value where the hint is of a kind not listed here.
     """
     if isinstance(value, dict) and "_target_" in value:
         return True

@@ -28,13 +28,13 @@ OPTIONS = "omnimvs,omnimvs3d,sweep,mono"
 
 
 def product_flops(left: torch.Tensor, right: torch.Tensor, **_: object) -> int:
-    """Of a matrix product; the counter's own formula takes the zeros of sparse matrices for work."""
+    """Count a matrix product; the counter's own formula counts the zeros of sparse matrices."""
     entries = left._nnz() if left.layout == torch.sparse_csr else left.numel()
     return 2 * entries * right.shape[-1]
 
 
 def sum_flops(_: torch.Tensor, left: torch.Tensor, right: torch.Tensor, **__: object) -> int:
-    """The same for a product that is added to something."""
+    """Count a product that is added to something."""
     return product_flops(left, right)
 
 
@@ -42,7 +42,7 @@ product_flops._get_raw = sum_flops._get_raw = True  # type: ignore[attr-defined]
 
 
 def measure(preset: str, option: str, repeats: int) -> str:
-    """One row of the table."""
+    """Return one row of the table."""
     torch.set_num_threads(1)
     with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
         cfg = compose("train", overrides=[f"preset={preset}", f"model/depth={option}"])
@@ -67,7 +67,7 @@ def measure(preset: str, option: str, repeats: int) -> str:
 
 
 def main(preset: str = "tiny", options: str = OPTIONS, repeats: str = "5") -> None:
-    """Prints the table; with one option, its row alone."""
+    """Print the table; with one option, its row alone."""
     if "," not in options:
         print(measure(preset, options, int(repeats)), flush=True)
         return

@@ -2,7 +2,7 @@
 
 Three tables and a profile for each preset. Slots: parameters, billions of floating-point operations forward (a
 multiplication and an addition are two), time forward and of forward and backward, peak memory above what was held
-before. The three operators that cost most in a training step. Options beside the chosen ones. The lifter by share of
+before. The three operators that cost most in a training step. Options beside the chosen ones. The lifter by fraction of
 candidates.
 
 Times are the best of the repeats: on one CPU thread its CPU time, which other processes disturb least, otherwise wall
@@ -24,25 +24,25 @@ from torch.profiler import profile
 
 from omniocc.camera import Rig
 from omniocc.config import build
-from omniocc.model.sketch import Random
+from omniocc.model.sketch import Random, Sketched
 from omniocc.run.cost import count_gflop
 from omniocc.run.memory import keep_freed_memory
 
 CONF = Path(__file__).parents[2] / "conf"
 STATUS, CLEAR_REFS = Path("/proc/self/status"), Path("/proc/self/clear_refs")
-SHARES = (0.1, 0.25, 0.5, 1.0)
+FRACTIONS = (0.1, 0.25, 0.5, 1.0)
 Run = Callable[[], object]
 
 
 class Meter:
-    """Measures on one device."""
+    """Measure on one device."""
 
     def __init__(self, device: torch.device, threads: int, repeats: int):
         self.device, self.repeats = device, repeats
         self.clock = time.process_time if device.type == "cpu" and threads == 1 else time.perf_counter
 
     def measure(self, run: Run) -> tuple[float, float]:
-        """Milliseconds, best of the repeats, and the most MiB held at a time, above what was held before.
+        """Return milliseconds, best of the repeats, and the most MiB held at a time, above what was held before.
 
         NaN where the system does not tell how much memory is held.
         """
@@ -58,13 +58,13 @@ class Meter:
         return self.clock() - start
 
     def _forget_peak(self) -> float:
-        """Bytes held now."""
+        """Return the bytes held now."""
         if self.device.type == "cuda":
             torch.cuda.reset_peak_memory_stats()
             return torch.cuda.memory_allocated()
         if not CLEAR_REFS.exists() or not hasattr(ctypes.CDLL(None), "malloc_trim"):
             return float("nan")
-        ctypes.CDLL(None).malloc_trim(0)  # what is free but kept would hide what is used
+        ctypes.CDLL(None).malloc_trim(0)  # free memory that is kept would hide memory that is used
         CLEAR_REFS.write_text("5")
         return status_bytes("VmRSS")
 
@@ -79,24 +79,24 @@ class Meter:
 
 
 def status_bytes(key: str) -> int:
-    """An entry of this process' status."""
+    """Return an entry of this process' status."""
     return next(int(line.split()[1]) for line in STATUS.read_text().splitlines() if line.startswith(key)) * 1024
 
 
 def total(output: object) -> Tensor:
-    """A scalar to call backward on."""
+    """Return a scalar to call backward on."""
     if isinstance(output, Tensor):
         return output.float().square().mean()
     return sum((total(part) for part in output if part is not None), torch.zeros(()))  # type: ignore[attr-defined]
 
 
 def count(module: object) -> int:
-    """Parameters."""
+    """Return the number of parameters."""
     return sum(parameter.numel() for parameter in module.parameters()) if isinstance(module, nn.Module) else 0
 
 
 def row(meter: Meter, name: str, module: object, run: Run, trains: bool = True) -> None:
-    """Measures and prints one line."""
+    """Measure and print one line."""
 
     def step() -> None:
         total(run()).backward()
@@ -110,17 +110,17 @@ def row(meter: Meter, name: str, module: object, run: Run, trains: bool = True) 
 
 
 def header(title: str) -> None:
-    """The first line of a table."""
+    """Print the first line of a table."""
     columns = ("M param", "GFLOP fw", "ms fw", "ms fw+bw", "MiB fw", "MiB fw+bw")
     print(f"\n{title:28} {columns[0]:>8} " + " ".join(f"{column:>9}" for column in columns[1:]))
 
 
 class Inputs:
-    """What every slot receives from the slots before it."""
+    """Inputs of every slot, from the slots before it."""
 
     def __init__(self, cfg: DictConfig, model: nn.Module, device: torch.device):
-        width, height = cfg.preset.image_size
-        self.batch = cfg.preset.train.batch_size
+        width, height = cfg.preset.data.virtual.image_size
+        self.batch = cfg.preset.stages.occupancy.batch_size
         frames = cfg.preset.temporal.frames
         self.rigs = (Rig.load("fisheye6").resized(width, height),) * self.batch
         self.images = torch.randint(0, 256, (self.batch, frames, 6, 3, height, width), dtype=torch.uint8, device=device)
@@ -130,32 +130,34 @@ class Inputs:
         self.newest = self.images[:, -1].float() / 255
         with torch.no_grad():
             self.features = [level.requires_grad_() for level in model.backbone(self.newest)]
-            volume = model.lifter(self.features, self.candidates(model.geometry, 0.25), self.rigs)
+            self.sketched = self.candidates(model.geometry, 0.25)
+            volume = model.lifter(self.features, self.sketched, self.rigs)
             self.volume = volume.requires_grad_()
             self.volumes = [torch.rand_like(volume) for _ in range(frames - 1)] + [self.volume]
-            self.refined = model.refiner(volume).requires_grad_()
+            self.refined = model.refiner(volume, self.sketched).requires_grad_()
 
     def of(self, slot: str) -> tuple[Any, ...]:
-        """Arguments of a slot that may be exchanged."""
+        """Return the arguments of a slot that may be exchanged."""
         window = self.volumes, self.poses, self.exists
-        return {"backbone": (self.newest,), "refiner": (self.volume,), "temporal": window}[slot]
+        return {"backbone": (self.newest,), "refiner": (self.volume, self.sketched), "temporal": window}[slot]
 
-    def candidates(self, geometry: Any, share: float) -> Tensor:
-        """The same random cells for every sample."""
-        return Random(geometry, share).to(self.newest.device)(self.newest, self.rigs)
+    def candidates(self, geometry: Any, fraction: float) -> Sketched:
+        """Return the same random cells for every sample."""
+        return Random(geometry, fraction).to(self.newest.device)(self.newest, self.rigs)
 
 
 def slots(meter: Meter, model: Any, inputs: Inputs) -> None:
-    """The chain, slot by slot, and as a whole."""
+    """Print the rows of the slots and of the whole model."""
     header("slot")
-    quarter = inputs.candidates(model.geometry, 0.25)
-    window = quarter[:, None].expand(-1, inputs.images.shape[1], -1, -1, -1)
-    everything = (inputs.images, inputs.rigs, inputs.poses, window, inputs.exists)
+    frames = inputs.images.shape[1]
+    window = Sketched(inputs.sketched.candidates[:, None].expand(-1, frames, -1, -1, -1))
+    rigs = tuple((rig,) * frames for rig in inputs.rigs)
+    everything = (inputs.images, rigs, inputs.poses, window, inputs.exists)
     row(meter, "sketch and depth", model.sketch, lambda: model.sketch(inputs.newest, inputs.rigs), trains=False)
     row(meter, "backbone", model.backbone, lambda: model.backbone(inputs.newest))
-    row(meter, "lifter", model.lifter, lambda: model.lifter(inputs.features, quarter, inputs.rigs))
+    row(meter, "lifter", model.lifter, lambda: model.lifter(inputs.features, inputs.sketched, inputs.rigs))
     row(meter, "temporal", model.temporal, lambda: model.temporal(inputs.volumes, inputs.poses, inputs.exists))
-    row(meter, "refiner", model.refiner, lambda: model.refiner(inputs.volume))
+    row(meter, "refiner", model.refiner, lambda: model.refiner(inputs.volume, inputs.sketched))
     row(meter, "semantic_head", model.semantic_head, lambda: model.semantic_head(inputs.features))
     row(meter, "classifier", model.classifier, lambda: model.classifier(inputs.refined))
     row(meter, "all but the sketch", model, lambda: model(*everything))
@@ -171,7 +173,7 @@ def slots(meter: Meter, model: Any, inputs: Inputs) -> None:
 
 
 def options(meter: Meter, cfgs: dict[str, DictConfig], inputs: Inputs, device: torch.device) -> None:
-    """Options beside those of the model."""
+    """Print the rows of options beside those of the model."""
     header("option")
     for name, cfg in cfgs.items():
         slot = name.split("=")[0].split(".")[0].split("/")[-1]
@@ -180,18 +182,23 @@ def options(meter: Meter, cfgs: dict[str, DictConfig], inputs: Inputs, device: t
         row(meter, name, module, lambda module=module, arguments=arguments: module(*arguments))
 
 
-def shares(meter: Meter, model: Any, inputs: Inputs) -> None:
-    """The lifter's cost by share of candidates."""
+def fractions(meter: Meter, model: Any, inputs: Inputs) -> None:
+    """Print the lifter's cost by fraction of candidates."""
     header("lifter, candidates")
-    for share in SHARES:
-        chosen = inputs.candidates(model.geometry, share)
+    for fraction in FRACTIONS:
+        chosen = inputs.candidates(model.geometry, fraction)
         run = lambda chosen=chosen: model.lifter(inputs.features, chosen, inputs.rigs)  # noqa: E731
-        row(meter, f"{share:.0%}", model.lifter, run)
+        row(meter, f"{fraction:.0%}", model.lifter, run)
 
 
 def compare(preset: str, overrides: list[str], meter: Meter, threads: int) -> None:
-    """Prints the tables of one preset."""
-    base = [f"preset={preset}", "preset.backbone.weights=null", "preset.transformers.weights=null", *overrides]
+    """Print the tables of one preset."""
+    base = [
+        f"preset={preset}",
+        "preset.backbone.resnet.weights=null",
+        "preset.backbone.transformers.weights=null",
+        *overrides,
+    ]
     others = {
         "model/temporal=mean": ["model/temporal=mean"],
         "model/refiner=unet": ["model/refiner=unet"],
@@ -209,11 +216,11 @@ def compare(preset: str, overrides: list[str], meter: Meter, threads: int) -> No
     print(f"{threads} thread(s), best of {meter.repeats}; a quarter of the voxels are candidates")
     slots(meter, model, inputs)
     options(meter, cfgs, inputs, meter.device)
-    shares(meter, model, inputs)
+    fractions(meter, model, inputs)
 
 
 def main() -> None:
-    """Prints the tables."""
+    """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("presets", nargs="?", default="tiny", help="names of presets, with commas between")
     parser.add_argument("overrides", nargs="*")

@@ -1,8 +1,8 @@
 """Cost of the sketch network: `python tests/bench/bench_sketch.py [threads] [repeats]`.
 
 Depth is left out: ranges are given. Every row runs in a process of its own, so that peak memory is its own; 'before' is
-what the process holds once the network is built. Operations are those of convolutions and matrix products, a multiply
-and an add being two. Milliseconds are CPU time, the median of the repeats.
+the memory of the process once the network is built. Operations are those of convolutions and matrix products, a
+multiply and an add being two. Milliseconds are CPU time, the median of the repeats.
 """
 
 import multiprocessing
@@ -26,7 +26,7 @@ from omniocc.model.sketch import Omni
 
 
 class Size(NamedTuple):
-    """One row."""
+    """Sizes of one row."""
 
     name: str
     grid: Cylinder | Cuboid
@@ -46,7 +46,7 @@ SIZES = [
 
 
 class GivenRanges(nn.Module):
-    """Stands where depth does, and only says what the panorama is."""
+    """Take the place of depth, with nothing but its panorama."""
 
     def __init__(self, panorama: Equirectangular):
         super().__init__()
@@ -54,7 +54,7 @@ class GivenRanges(nn.Module):
 
 
 def median_ms(run: Callable[[], object], repeats: int) -> float:
-    """CPU time of one run."""
+    """Return the CPU time of one run."""
     spent = []
     for _ in range(repeats):
         start = time.process_time()
@@ -64,12 +64,12 @@ def median_ms(run: Callable[[], object], repeats: int) -> float:
 
 
 def memory_gib() -> float:
-    """Peak resident memory of this process so far."""
+    """Return the peak resident memory of this process so far."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
 
 
 def measure(size: Size, threads: int, repeats: int) -> str:
-    """One row of the table."""
+    """Return one row of the table."""
     torch.set_num_threads(threads)
     torch.manual_seed(0)
     panorama = Equirectangular(*size.erp_size, 45.0, -45.0)
@@ -100,7 +100,7 @@ def measure(size: Size, threads: int, repeats: int) -> str:
 
 
 def main(threads: int = 1, repeats: int = 5) -> None:
-    """Prints the table."""
+    """Print the table."""
     print(f"{threads} thread(s), median of {repeats}")
     print(f"{'':13} {'':5} {'':13} {'':>10} {'':>7} {'ms':>9} {'ms':>10} {'GiB':>7} {'GiB':>9} {'GiB':>8}")
     print(f"{'preset':13} {'batch':5} {'channels':13} {'parameters':>10} {'GFLOP':>7} ", end="")

@@ -1,7 +1,7 @@
 """What the systems of the paper's comparison cost: `python tests/bench/bench_systems.py [tiny,paper] [--device cuda]`.
 
 One line for each system and preset: voxels; parameters; billions of floating-point operations, milliseconds and peak
-memory of a frame of a drive (one sample, no gradient, past frames remembered); milliseconds and peak memory of a
+memory of a frame of a sequence (one sample, no gradient, past frames remembered); milliseconds and peak memory of a
 training step with the preset's batch and all past frames, forward and backward, where asked for. The learned sketch and
 its depth are left out, as their candidates are precomputed: `bench_sketch.py` and `bench_depth.py` measure those. A
 tenth of the voxels are candidates where a sketch chooses them.
@@ -24,25 +24,25 @@ from omniocc.run.cost import count_gflop
 from omniocc.run.memory import keep_freed_memory
 
 SYSTEMS = {"ours": "default", "VoxFormer": "voxformer", "BEVFormer": "bevformer", "BEVDet": "bevdet"}
-SHARE = 0.1
+FRACTION = 0.1
 COLUMNS = ("M voxels", "M param", "GFLOP", "ms/frame", "MiB", "ms/step", "MiB/step")
 
 
 def make_model(cfg: DictConfig, device: torch.device) -> OccupancyModel:
-    """The system; what a learned sketch would choose is drawn instead."""
+    """Return the system; the candidates of a learned sketch are drawn at random instead."""
     geometry = build(cfg.model.geometry)
     dense = cfg.model.sketch._target_.endswith("Dense")
     parts = {slot: build(cfg.model[slot]) for slot in ("backbone", "lifter", "temporal", "refiner", "semantic_head")}
-    sketch = Dense(geometry) if dense else Random(geometry, SHARE)
+    sketch = Dense(geometry) if dense else Random(geometry, FRACTION)
     return OccupancyModel(geometry=geometry, sketch=sketch, num_classes=cfg.model.num_classes, **parts).to(device)
 
 
-class Drive:
-    """A car that goes a metre a frame."""
+class Sequence:
+    """A car that moves by a metre a frame."""
 
     def __init__(self, cfg: DictConfig, model: OccupancyModel, device: torch.device):
-        width, height = cfg.preset.image_size
-        self.model, self.frames, self.batch = model, model.temporal.frames, cfg.preset.train.batch_size
+        width, height = cfg.preset.data.virtual.image_size
+        self.model, self.frames, self.batch = model, model.temporal.frames, cfg.preset.stages.occupancy.batch_size
         self.rig = Rig.load("fisheye6").resized(width, height)
         shape = (self.batch, self.frames, 6, 3, height, width)
         self.images = torch.randint(0, 256, shape, dtype=torch.uint8, device=device)
@@ -51,34 +51,34 @@ class Drive:
         self.stream = Stream(model)
 
     def frame(self) -> object:
-        """One more frame."""
+        """Predict one more frame."""
         with torch.no_grad():
             return self.stream.step(self.images[0, -1], self.rig, self.poses[0, -1])
 
     def step(self) -> None:
-        """Forward and backward on a batch of windows."""
-        total(self.model(self.images, (self.rig,) * self.batch, self.poses)).backward()
+        """Go forward and backward on a batch of windows."""
+        total(self.model(self.images, ((self.rig,) * self.frames,) * self.batch, self.poses)).backward()
 
 
 def measure(name: str, cfg: DictConfig, meter: Meter, trains: bool) -> None:
-    """Prints one line."""
+    """Print one line."""
     model = make_model(cfg, meter.device)
-    drive = Drive(cfg, model, meter.device)
+    sequence = Sequence(cfg, model, meter.device)
     model.eval()
-    for _ in range(drive.frames - 2):  # fills the memory of past frames
-        drive.frame()
-    cost = count_gflop(drive.frame)  # before times: it fills the caches of rig and grid
-    ms, mib = meter.measure(drive.frame)
-    drive.stream.reset()
+    for _ in range(sequence.frames - 2):  # fills the memory of past frames
+        sequence.frame()
+    cost = count_gflop(sequence.frame)  # before times: it fills the caches of rig and grid
+    ms, mib = meter.measure(sequence.frame)
+    sequence.stream.reset()
     model.train()
-    step = meter.measure(drive.step) if trains else (float("nan"), float("nan"))
+    step = meter.measure(sequence.step) if trains else (float("nan"), float("nan"))
     voxels, parameters = model.geometry.num_cells / 1e6, sum(p.numel() for p in model.parameters()) / 1e6
     figures = f"{voxels:9.2f} {parameters:9.2f} {cost:9.1f} {ms:9.0f} {mib:9.0f} {step[0]:9.0f} {step[1]:9.0f}"
     print(f"{name:12} {figures}", flush=True)
 
 
 def main() -> None:
-    """Prints a table for each preset."""
+    """Print a table for each preset."""
     parser = argparse.ArgumentParser(description="Cost of the systems of the comparison.")
     parser.add_argument("presets", nargs="?", default="tiny,paper", help="names of presets, with commas between")
     parser.add_argument("overrides", nargs="*")
@@ -97,7 +97,7 @@ def main() -> None:
         print(f"{chosen.threads} thread(s), best of {repeats}")
         print(f"{'system':12} " + " ".join(f"{column:>9}" for column in COLUMNS))
         for name, model in SYSTEMS.items():
-            overrides = [f"preset={preset}", f"model={model}", "preset.backbone.weights=null", *chosen.overrides]
+            overrides = [f"preset={preset}", f"model={model}", "preset.backbone.resnet.weights=null", *chosen.overrides]
             with initialize_config_dir(str(CONF), version_base="1.3"):
                 cfg = compose("train", overrides)
             measure(name, cfg, meter, trains=preset in chosen.train.split(","))

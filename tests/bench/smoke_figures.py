@@ -32,7 +32,14 @@ def record(output: Path, rows: list[str]) -> None:
 
 def figures_of_row(row: str, folder: Path) -> dict[str, float]:
     """Train a row below `folder`, which holds the rendered scenes and the stages that rows share."""
-    command = [sys.executable, "src/train.py", f"+ablation={row}", "preset=smoke", "logger.mode=disabled", "pictures=0"]
+    command = [
+        sys.executable,
+        "src/train.py",
+        f"+ablation={row}",
+        "preset=smoke",
+        "logger.mode=disabled",
+        "test_images=0",
+    ]
     command += ["trainer.log_every_n_steps=1"]
     command += [f"paths.data={folder / 'data'}", f"paths.runs={folder / 'runs'}", "trainer.accelerator=cpu"]
     environment = os.environ | {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}

@@ -29,9 +29,9 @@ def own_world(world, tmp_path):
 
 
 def dataset(world, window=1, geometry=GRID, split="train"):
-    cache = VoxelCache(world.folder, geometry)
-    cache.prepare(world.readers(split), workers=0)
-    return WindowDataset(world.readers(split), cache, window)
+    cache = VoxelCache(world.folder, geometry, fingerprint="fingerprint")
+    cache.prepare(world.scenes(split))
+    return WindowDataset(world.scenes(split), cache, window)
 
 
 def votes(points_m, labels):
@@ -54,7 +54,7 @@ def test_a_sample_holds_what_was_recorded(world):
     sample = data[6]  # second scene, third frame
     frame = fake_frame(seed=1, index=2)
     assert sample.frame_id == "train-001-suburb/000002"
-    assert sample.rig == world.rig
+    assert sample.rigs == (world.rig,)
     images = np.stack([codec.decode_image(codec.encode_image(image)) for image in frame.images])
     np.testing.assert_array_equal(sample.images[0], images.transpose(0, 3, 1, 2))
     np.testing.assert_array_equal(sample.pixel_labels, frame.semantics)
@@ -87,7 +87,7 @@ def test_collate_gives_a_batch(world):
     assert batch.pixel_labels.shape == (3, 6, 18, 32)
     assert batch.lidar_range_m.shape == batch.lidar_labels.shape == (3, 64)
     assert {t.dtype for t in (batch.images, batch.voxels, batch.pixel_labels, batch.lidar_labels)} == {torch.uint8}
-    assert batch.rigs == (world.rig,) * 3
+    assert batch.rigs == ((world.rig, world.rig),) * 3
     assert batch.frame_ids == ("train-000-downtown/000000", "train-001-suburb/000001", "train-001-suburb/000003")
 
 
@@ -135,18 +135,18 @@ def test_damaged_recordings_are_one_error_naming_scene_frame_and_member(own_worl
 def test_class_counts_are_kept_and_counted_anew_when_damaged(own_world, monkeypatch):
     data = dataset(own_world)
     expected = sum(torch.nn.functional.one_hot(data[i].voxels.long(), 12) for i in range(8)).permute(3, 0, 1, 2)
-    counts = data.voxels.counts(data.scenes, "fingerprint")
+    counts = data.voxels.counts(data.scenes)
     assert counts.dtype == torch.int64
     assert torch.equal(counts, expected)
     with monkeypatch.context() as patch:
         patch.setattr(VoxelCache, "read", None)  # is not needed a second time
-        assert torch.equal(data.voxels.counts(data.scenes, "fingerprint"), expected)
+        assert torch.equal(data.voxels.counts(data.scenes), expected)
     kept = next(iter(data.voxels.folder.glob("counts-*")))
     raw = bytearray(kept.read_bytes())
     raw[len(raw) // 2] ^= 8
     kept.write_bytes(raw)
     with pytest.warns(UserWarning, match="is damaged"):
-        assert torch.equal(data.voxels.counts(data.scenes, "fingerprint"), expected)
+        assert torch.equal(data.voxels.counts(data.scenes), expected)
 
 
 def test_unknown_cells_are_not_counted(own_world, monkeypatch):
@@ -154,5 +154,5 @@ def test_unknown_cells_are_not_counted(own_world, monkeypatch):
     labels = torch.full(GRID.shape, 255, dtype=torch.uint8)
     labels[0, 0, 0] = 4
     monkeypatch.setattr(VoxelCache, "read", lambda *_: labels)
-    counts = data.voxels.counts(data.scenes, "another")
+    counts = data.voxels.counts(data.scenes)
     assert counts.sum() == counts[4, 0, 0, 0] == 8

@@ -64,7 +64,7 @@ def root(tmp_path_factory):
 
 
 def make(root, num_workers=0, batch_size=2, seed=0):
-    return OccupancyData(FakeWorld(root), GRID, window=1, batch_size=batch_size, num_workers=num_workers, seed=seed)
+    return OccupancyData(FakeWorld(root), 12, GRID, window=1, batch_size=batch_size, num_workers=num_workers, seed=seed)
 
 
 def run(root, length, checkpoint=None, callbacks=(), num_workers=0):
@@ -135,7 +135,7 @@ def test_moving_a_batch_leaves_rigs_alone(root):
 def test_more_than_a_batch_is_needed(root):
     data = make(root, batch_size=9)
     data.setup()
-    with pytest.raises(ValueError, match=r"8 training samples.* 9: .*render"):
+    with pytest.raises(ValueError, match=r"8 training samples.* 9: .*more scenes"):
         data.train_dataloader()
     with pytest.raises(ValueError, match="got 0 and 0"):
         make(root, batch_size=0)

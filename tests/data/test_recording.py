@@ -25,7 +25,7 @@ def test_what_the_world_shows_is_what_is_read(tmp_path):
         workers=0,
     )
     world.prepare()
-    (reader,) = world.readers("val")
+    (reader,) = world.scenes("val")
     assert check_scene(reader, 2, 0.5) == []
     rig = Rig.load("fisheye6").resized(48, 27)
     frame = Scene("suburb", 1_000_000, rig, 0.5, 2, (32, 8), 45.0, -45.0).frame(1)

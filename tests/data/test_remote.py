@@ -80,14 +80,14 @@ def url(request, world):
 
 def test_samples_are_the_same_from_a_store(world, url, tmp_path):
     local = VoxelCache(tmp_path / "local", GRID)
-    local.prepare(world.readers("train"), workers=0)
+    local.prepare(world.scenes("train"))
     there = FakeWorld(url, cache=str(tmp_path / "cache"))
     assert there.missing() == []
     there.prepare()
-    scenes = there.readers("train")
+    scenes = there.scenes("train")
     cache = VoxelCache(there.folder, GRID)
-    cache.prepare(scenes, workers=0)
-    here = WindowDataset(world.readers("train"), local, 2)
+    cache.prepare(scenes)
+    here = WindowDataset(world.scenes("train"), local, 2)
     remote = pickle.loads(pickle.dumps(WindowDataset(scenes, cache, 2)))
     assert len(remote) == len(here) == 8
     for a, b in zip(here[5], remote[5], strict=True):
@@ -102,7 +102,7 @@ def test_members_side_by_side_are_one_request(world):
     assert len(reader.index["frames"]) == 4
     RangeHandler.asked.clear()
     names = [f"rgb{k}.jpg" for k in range(6)]
-    assert reader.read(2, names) == world.readers("train")[0].read(2, names)
+    assert reader.read(2, names) == world.scenes("train")[0].read(2, names)
     assert len([path for path, span in RangeHandler.asked if span]) == 1
     server.shutdown()
     server.server_close()
@@ -135,7 +135,7 @@ def test_damage_in_a_store_is_named(world):
 
 def test_nothing_is_written_to_a_store(tmp_path):
     world = FakeWorld("memory://empty/data", cache=str(tmp_path))
-    with pytest.raises(DataError, match=r"4 scenes.*missing.*local.*data\.w"):
+    with pytest.raises(DataError, match=r"4 scenes.*missing.*local.*data\.source\.root"):
         world.prepare()
     with pytest.raises(ValueError, match=r"root.*memory://empty.*cache"):
         FakeWorld("memory://empty")

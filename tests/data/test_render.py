@@ -24,7 +24,7 @@ SCRIPT = Path(omniocc.__file__).parents[1] / "render.py"
 @pytest.fixture
 def run(tmp_path, monkeypatch, capsys):
     def call(*arguments):
-        common = ["preset=smoke", f"paths.data={tmp_path}", "data.world.workers=0", "frames=2", *arguments]
+        common = ["preset=smoke", f"paths.data={tmp_path}", "data.source.workers=0", "frames=2", *arguments]
         monkeypatch.setattr(sys, "argv", ["render.py", *common])
         try:
             runpy.run_path(str(SCRIPT), run_name="__main__")
@@ -79,7 +79,7 @@ def test_no_scene_is_a_line(run):
 def test_the_page_stands_alone(tmp_path):
     world = FakeWorld(tmp_path, scenes=(2, 1, 0))
     world.prepare()
-    scenes = [*world.readers("train"), *world.readers("val")]
+    scenes = [*world.scenes("train"), *world.scenes("val")]
     scenes[0].meta["facts"]["theme"] = "</script>"
     save_page(tmp_path / "page.html", scenes, Cylinder(shape=(8, 10, 4)), WORLD_CLASSES)
     page = (tmp_path / "page.html").read_text("utf-8")
@@ -113,7 +113,7 @@ def test_the_page_shows_the_pinhole_dataset_beside_it(tmp_path):
     pinholes.prepare()
     world = FakeWorld(tmp_path, scenes=(1, 0, 0))
     world.prepare()
-    save_page(tmp_path / "page.html", world.readers("train"), Cylinder(shape=(8, 10, 4)), WORLD_CLASSES)
+    save_page(tmp_path / "page.html", world.scenes("train"), Cylinder(shape=(8, 10, 4)), WORLD_CLASSES)
     (scene,) = json.loads(
         (tmp_path / "page.html").read_text("utf-8").split("const content = ", 1)[1].split(";\nconst at", 1)[0]
     )["scenes"]

@@ -37,7 +37,7 @@ def record(root, rig="fisheye6", size=(128, 72), frames=3, label_mode="lidar20",
         workers=0,
     )
     world.prepare()
-    return world.readers("train")[0]
+    return world.scenes("train")[0]
 
 
 @pytest.fixture(scope="module")

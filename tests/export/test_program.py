@@ -10,11 +10,16 @@ from omniocc.model.ops.static import static_shapes
 
 OPTIONS = [
     ["model/temporal=none"],
-    ["model/temporal=none", "model.sketch.share=0.2", "model.sketch.threshold=null"],
+    ["model/temporal=none", "model.sketch.fraction=0.2", "model.sketch.threshold=null"],
     ["model/temporal=none", "model/depth=omnimvs3d"],
     ["model/temporal=none", "model/depth=mono"],
     ["model/temporal=none", "model/sketch=random", "model/refiner=attention"],
-    ["model/temporal=none", "model/sketch=dense", "model/refiner=none", "preset.backbone.deformable_stages=[3,4]"],
+    [
+        "model/temporal=none",
+        "model/sketch=dense",
+        "model/refiner=none",
+        "preset.backbone.resnet.deformable_stages=[3,4]",
+    ],
 ]
 
 
@@ -32,7 +37,7 @@ def test_static_shapes_give_the_same_labels(overrides, make_model, rig, draw_ima
 def test_candidates_of_the_frames_that_are_compared_differ_in_number(make_model, rig, draw_images):
     sketch = make_model("model/temporal=none").sketch
     images = [draw_images(seed)[None].float() / 255 for seed in (0, 1, 2)]
-    counts = {int(sketch(frame, (rig,)).sum()) for frame in images}
+    counts = {int(sketch(frame, (rig,)).candidates.sum()) for frame in images}
     assert len(counts) > 1
 
 
@@ -51,7 +56,7 @@ def test_a_drive_through_the_file_gives_the_labels_of_the_model(make_model, rig,
         images.append(newest)
         window = slice(max(0, frame - 2), frame + 1)
         real = torch.stack(images[window])[None]
-        expected = model(real, (rig,), poses[None, window]).logits.argmax(1)[0]
+        expected = model(real, ((rig,) * real.shape[1],), poses[None, window]).logits.argmax(1)[0]
         first = torch.eye(4, dtype=torch.float64).expand(2 - min(frame, 2), 4, 4)
         labels, volume = program(newest, volumes, exists, torch.cat([first, poses[window]]))
         assert torch.equal(labels, expected.to(torch.uint8))

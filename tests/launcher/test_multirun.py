@@ -10,7 +10,7 @@ import pytest
 from hydra import compose, initialize_config_dir
 
 ROOT = Path(__file__).parents[2]
-SMOKE = ("preset=smoke", "logger.mode=disabled", "pictures=0")
+SMOKE = ("preset=smoke", "logger.mode=disabled", "test_images=0")
 
 
 def multirun(folder: Path, data: Path, *overrides: str) -> subprocess.CompletedProcess:

@@ -49,7 +49,7 @@ def test_names_must_match():
         total({"ce": 1.0, "dise": 1.0, "semantics": 1.0})
 
 
-def test_terms_of_rays_need_predicted_and_true_ranges():
+def test_terms_of_rays_need_a_lifter_that_estimates_ranges():
     prediction, voxels, pixels = batch()
     range_m, ranges = torch.rand(2, 6, 4, 8) * 10, torch.randn(2, 6, 5, 2, 4)
     loss = Total({"dice": Dice()}, {}, {"dice": 1.0, "ranges": 3.0}, {"ranges": RangeBins((1.0, 9.0))})
@@ -57,5 +57,13 @@ def test_terms_of_rays_need_predicted_and_true_ranges():
     torch.testing.assert_close(terms["ranges"], 3 * RangeBins((1.0, 9.0))(ranges, range_m))
     with pytest.raises(ValueError, match="model/lifter=lift_splat"):
         loss(prediction, voxels, pixels, range_m)
-    with pytest.raises(ValueError, match="camera_range_m"):
-        loss(prediction._replace(range_logits=ranges), voxels, pixels)
+
+
+def test_absent_labels_give_no_terms():
+    prediction, voxels, pixels = batch()
+    loss = total({"ce": 1.0, "dice": 1.0, "semantics": 1.0})
+    assert set(loss(prediction, None, pixels)) == {"semantics"}
+    assert set(loss(prediction, voxels, None)) == {"ce", "dice"}
+    assert loss(prediction, None, None) == {}
+    rays = Total({"dice": Dice()}, {}, {"dice": 1.0, "ranges": 3.0}, {"ranges": RangeBins((1.0, 9.0))})
+    assert set(rays(prediction, voxels, pixels)) == {"dice"}

@@ -1,7 +1,10 @@
+import math
+
 import pytest
 import torch
 
-from omniocc.camera import Rig
+from omniocc.camera import Equidistant, Rig
+from omniocc.camera.pose import pose_from_angles
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.model import OccupancyModel
 from omniocc.model.backbone import ResNet
@@ -64,3 +67,27 @@ def make_model(make_backbone):
         )
 
     return make
+
+
+def ring(count: int, width: int = 64, height: int = 36, radius_m: float = 0.9, masks=None) -> Rig:
+    """Fisheyes of 190 degrees on a circle, looking outwards."""
+    focal_px = width / 2 / math.radians(95)
+    camera = Equidistant(width, height, focal_px, ((width - 1) / 2, (height - 1) / 2), 95.0)
+    yaws = [-360 / count * k for k in range(count)]
+    poses = [
+        pose_from_angles(
+            (radius_m * math.cos(math.radians(yaw)), radius_m * math.sin(math.radians(yaw)), 0.0), yaw, -10.0, 0.0
+        )
+        for yaw in yaws
+    ]
+    return Rig((camera,) * count, torch.stack(poses), tuple(f"camera{k}" for k in range(count)), masks)
+
+
+@pytest.fixture(scope="session")
+def rig() -> Rig:
+    return ring(6)
+
+
+@pytest.fixture(scope="session")
+def make_ring():
+    return ring

@@ -14,12 +14,17 @@ from omniocc.model.sketch import Dense, Random, Sketch
 from omniocc.model.temporal import Mean, NoTemporal, Recurrent, Temporal
 
 
+def every_frame(rigs, frames=1):
+    """One rig per sample and frame."""
+    return tuple((rig,) * frames for rig in rigs)
+
+
 def loss_of(prediction):
     return prediction.logits.square().mean() + prediction.pixel_logits.square().mean()
 
 
 def test_shapes_on_both_grids(geometry, make_model, images, poses, fisheye):
-    prediction = make_model(geometry)(images, (fisheye, fisheye), poses)
+    prediction = make_model(geometry)(images, every_frame((fisheye, fisheye)), poses)
     assert prediction.logits.shape == (2, 12, *geometry.shape)
     assert prediction.pixel_logits.shape == (2, 6, 12, 9, 16)
     assert torch.isfinite(prediction.logits).all()
@@ -33,7 +38,7 @@ def test_every_option_keeps_its_slots_contract(make_backbone, make_model, geomet
         Lifter: [
             model.lifter,
             CoarseColoring(geometry, 8, [4], 1, 2, 2, 8, block=2),
-            LiftSplat(geometry, 8, 8, 4, (0.5, 20.5)),
+            LiftSplat(geometry, 8, 8, [4], 4, (0.5, 20.5)),
             Pillar(geometry, 8, 8, [4], 1, 2, 2, 2, 8),
         ],
         Temporal: [NoTemporal(), Mean(geometry, 4, False), Recurrent(geometry, 8, 8, 1, 2, 2, 8, 4, False)],
@@ -54,8 +59,8 @@ def test_every_option_keeps_its_slots_contract(make_backbone, make_model, geomet
 
 
 def test_gradients_reach_every_parameter_with_a_subset_of_candidates(make_model, geometry, images, poses, fisheye):
-    model = make_model(geometry, Random(geometry, ratio=0.5, seed=1))
-    loss_of(model(images, (fisheye, fisheye), poses)).backward()
+    model = make_model(geometry, Random(geometry, fraction=0.5, seed=1))
+    loss_of(model(images, every_frame((fisheye, fisheye)), poses)).backward()
     for name, parameter in model.named_parameters():
         assert parameter.grad is not None, name
         assert torch.isfinite(parameter.grad).all(), name
@@ -66,25 +71,27 @@ def test_batch_of_two_rigs_equals_two_batches_of_one(make_model, images, poses, 
     geometry = Cylinder((8, 12, 4))
     model = make_model(geometry, Random(geometry, 0.5)).double().eval()
     images = images.double() / 255
-    both = model(images, (fisheye, pinhole), poses)
+    both = model(images, every_frame((fisheye, pinhole)), poses)
     for index, rig in enumerate((fisheye, pinhole)):
-        alone = model(images[index : index + 1], (rig,), poses[index : index + 1])
+        alone = model(images[index : index + 1], ((rig,),), poses[index : index + 1])
         torch.testing.assert_close(both.logits[index], alone.logits[0])
         torch.testing.assert_close(both.pixel_logits[index], alone.pixel_logits[0])
 
 
 def test_bytes_and_unit_floats_are_the_same_image(make_model, geometry, images, poses, fisheye):
     model = make_model(geometry).eval()
-    rigs = (fisheye, fisheye)
+    rigs = every_frame((fisheye, fisheye))
     torch.testing.assert_close(model(images, rigs, poses).logits, model(images.float() / 255, rigs, poses).logits)
 
 
 def test_only_the_frames_the_temporal_slot_wants_are_used(make_model, geometry, images, poses, fisheye):
     model = make_model(geometry).eval()
     longer = torch.cat([torch.zeros_like(images), images], dim=1)
-    rigs = (fisheye, fisheye)
+    rigs = every_frame((fisheye, fisheye))
     expected = model(images, rigs, poses).logits
-    torch.testing.assert_close(model(longer, rigs, poses.expand(-1, 2, -1, -1)).logits, expected)
+    torch.testing.assert_close(
+        model(longer, every_frame((fisheye, fisheye), 2), poses.expand(-1, 2, -1, -1)).logits, expected
+    )
 
 
 class Oldest(torch.nn.Module):
@@ -99,11 +106,13 @@ class Oldest(torch.nn.Module):
 
 def test_past_frames_are_lifted_without_gradient_oldest_first(make_model, geometry, images, poses, fisheye):
     model = make_model(geometry).eval()
-    rigs = (fisheye, fisheye)
+    rigs = every_frame((fisheye, fisheye))
     expected = model(images, rigs, poses).logits
     model.temporal = Oldest()
     window = torch.cat([images, torch.zeros_like(images)], dim=1)
-    torch.testing.assert_close(model(window, rigs, poses.expand(-1, 2, -1, -1)).logits, expected)
+    torch.testing.assert_close(
+        model(window, every_frame((fisheye, fisheye), 2), poses.expand(-1, 2, -1, -1)).logits, expected
+    )
 
 
 def moving(frames):
@@ -115,7 +124,7 @@ def moving(frames):
 def test_frames_that_do_not_exist_are_as_if_the_window_were_shorter(make_model, geometry, images, fisheye):
     model = make_model(geometry, Random(geometry, 0.5)).double().eval()
     window = torch.rand(2, 3, *images.shape[2:], dtype=torch.float64)
-    rigs, poses = (fisheye, fisheye), moving(3)
+    rigs, poses = every_frame((fisheye, fisheye), 3), moving(3)
     model.temporal = Mean(geometry, 3, False)
     exists = torch.tensor([[False, False, True], [False, True, True]])
     logits = model(window, rigs, poses, None, exists).logits
@@ -131,7 +140,7 @@ def test_history_has_a_gradient_only_if_asked(make_model, geometry, images, fish
     model = make_model(geometry)
     model.temporal = Mean(geometry, 2, history_gradient)
     window = torch.rand(2, 2, *images.shape[2:], requires_grad=True)
-    loss_of(model(window, (fisheye, fisheye), moving(2))).backward()
+    loss_of(model(window, every_frame((fisheye, fisheye), 2), moving(2))).backward()
     past, newest = window.grad.abs().sum((0, 2, 3, 4, 5))
     assert newest > 0
     assert (past > 0) == history_gradient
@@ -142,7 +151,7 @@ def test_history_without_gradient_leaves_autocast_its_gradients(make_model, geom
     model.temporal = Mean(geometry, 2, False)
     window = torch.cat([images, images.flip(0)], dim=1)
     with torch.autocast("cpu", torch.bfloat16):
-        prediction = model(window, (fisheye, fisheye), moving(2))
+        prediction = model(window, every_frame((fisheye, fisheye), 2), moving(2))
     loss_of(prediction).backward()
     assert [name for name, parameter in model.named_parameters() if parameter.grad is None] == []
 
@@ -150,7 +159,7 @@ def test_history_without_gradient_leaves_autocast_its_gradients(make_model, geom
 def test_pickle_and_state_dict_round_trip(make_model, images, poses, fisheye):
     geometry = Cylinder((8, 12, 4))
     model = make_model(geometry, Random(geometry, 0.3, seed=5)).eval()
-    rigs = (fisheye, fisheye)
+    rigs = every_frame((fisheye, fisheye))
     expected = model(images, rigs, poses).logits
     copy = pickle.loads(pickle.dumps(model))
     assert torch.equal(copy(images, rigs, poses).logits, expected)
@@ -176,6 +185,6 @@ def test_no_semantic_head_predicts_no_pixels(make_backbone, geometry, images, po
         NoSemanticHead(),
         num_classes=3,
     )
-    prediction = model(images, (fisheye, fisheye), poses)
+    prediction = model(images, every_frame((fisheye, fisheye)), poses)
     assert prediction.pixel_logits is None
     assert prediction.logits.shape == (2, 3, *geometry.shape)

@@ -5,7 +5,7 @@ import torch
 
 from omniocc.geometry import Cylinder
 from omniocc.model import Stream
-from omniocc.model.sketch import Random
+from omniocc.model.sketch import Random, Sketched
 from omniocc.model.temporal import Mean, NoTemporal
 
 GRID = Cylinder((8, 12, 4))
@@ -45,7 +45,7 @@ def batch(recording, samples, rig):
     columns = zip(*(window(recording, *sample) for sample in samples), strict=True)
     images, poses, candidates, exists = (torch.stack(column) for column in columns)
     names = tuple(f"{scene}/{newest:06d}" for scene, newest in samples)
-    return images, (rig,) * len(samples), poses, candidates, exists, names
+    return images, ((rig,) * FRAMES,) * len(samples), poses, Sketched(candidates), exists, names
 
 
 ORDERS = {
@@ -59,10 +59,10 @@ ORDERS = {
 def test_the_same_numbers_as_without_memory(model, recording, fisheye, order):
     stream = Stream(model)
     for samples in ORDERS[order]:
-        images, rigs, poses, candidates, exists, names = batch(recording, samples, fisheye)
+        images, rigs, poses, sketched, exists, names = batch(recording, samples, fisheye)
         with torch.no_grad():
-            expected = model(images, rigs, poses, candidates, exists).logits
-        logits = stream.windows(images, rigs, poses, candidates, exists, names)
+            expected = model(images, rigs, poses, sketched, exists).logits
+        logits = stream.windows(images, rigs, poses, sketched, exists, names)
         torch.testing.assert_close(logits, expected, rtol=0, atol=1e-10)
         assert len(stream) <= FRAMES - 1
 
@@ -83,7 +83,7 @@ def test_live_frames_give_what_windows_give(model, recording, fisheye):
         stream.reset()
         for number in range(length):
             images, pose, candidates = recording[scene, number]
-            logits = stream.step(images, fisheye, pose, candidates)
+            logits = stream.step(images, fisheye, pose, Sketched(candidates[None]))
             expected = windows.windows(*batch(recording, [(scene, number)], fisheye))[0]
             torch.testing.assert_close(logits, expected, rtol=0, atol=1e-10)
             assert len(stream) <= FRAMES - 1
@@ -102,22 +102,22 @@ def test_reset_forgets_volumes_of_other_weights(model, recording, fisheye):
     stream.windows(*batch(recording, [("a", 2)], fisheye))
     with torch.no_grad():
         model.lifter.empty += 1
-    images, rigs, poses, candidates, exists, names = batch(recording, [("a", 3)], fisheye)
+    images, rigs, poses, sketched, exists, names = batch(recording, [("a", 3)], fisheye)
     with torch.no_grad():
-        expected = model(images, rigs, poses, candidates, exists).logits
-    assert not torch.allclose(stream.windows(images, rigs, poses, candidates, exists, names), expected)
+        expected = model(images, rigs, poses, sketched, exists).logits
+    assert not torch.allclose(stream.windows(images, rigs, poses, sketched, exists, names), expected)
     stream.reset()
     assert len(stream) == 0
-    logits = stream.windows(images, rigs, poses, candidates, exists, names)
+    logits = stream.windows(images, rigs, poses, sketched, exists, names)
     torch.testing.assert_close(logits, expected, rtol=0, atol=1e-10)
 
 
 def test_without_a_past_nothing_is_remembered(model, recording, fisheye):
     model.temporal = NoTemporal()
     stream = Stream(model)
-    images, rigs, poses, candidates, exists, names = batch(recording, [("a", 2), ("a", 3)], fisheye)
+    images, rigs, poses, sketched, exists, names = batch(recording, [("a", 2), ("a", 3)], fisheye)
     with torch.no_grad():
-        expected = model(images, rigs, poses, candidates, exists).logits
-    logits = stream.windows(images, rigs, poses, candidates, exists, names)
+        expected = model(images, rigs, poses, sketched, exists).logits
+    logits = stream.windows(images, rigs, poses, sketched, exists, names)
     torch.testing.assert_close(logits, expected, rtol=0, atol=1e-10)
     assert len(stream) == 0

@@ -5,7 +5,7 @@ import torch
 
 from omniocc.camera import Rig
 from omniocc.config import build, check_root
-from omniocc.model.sketch import Random
+from omniocc.model.sketch import Random, Sketched
 
 PARTS = {
     "bevdet": ("Dense", "LiftSplat", "NoTemporal", "Conv"),
@@ -27,8 +27,8 @@ def window(model, batch=2):
     images = torch.rand(batch, frames, 6, 3, 36, 64)
     poses = torch.eye(4, dtype=torch.float64).repeat(batch, frames, 1, 1)
     poses[:, :, 0, 3] = torch.arange(frames)
-    chosen = Random(model.geometry, 0.1)(images[:, 0], (Rig.load("fisheye6"),) * batch)
-    return images, poses, chosen[:, None].expand(-1, frames, -1, -1, -1)
+    chosen = Random(model.geometry, 0.1)(images[:, 0], (Rig.load("fisheye6"),) * batch).candidates
+    return images, poses, Sketched(chosen[:, None].expand(-1, frames, -1, -1, -1))
 
 
 @SYSTEMS
@@ -50,7 +50,7 @@ def test_voxformer_looks_at_monocular_depth(smoke):
 @SYSTEMS
 @pytest.mark.parametrize("preset", ["small", "paper"])
 def test_every_preset_has_sizes_that_fit(name, preset, composed):
-    cfg = composed(f"preset={preset}", f"model={name}", "preset.backbone.weights=null")
+    cfg = composed(f"preset={preset}", f"model={name}", "preset.backbone.resnet.weights=null")
     check_root(cfg)
     for slot in ("lifter", "temporal", "refiner"):
         build(cfg.model[slot])
@@ -62,11 +62,12 @@ def test_batch_of_fisheye_and_pinhole_rig_equals_two_batches_of_one(name, grid, 
     model = make(name, grid).double().eval()
     images, poses, chosen = window(model)
     with torch.no_grad():
-        both = model(images.double(), (fisheye, pinhole), poses, chosen).logits
+        frames = images.shape[1]
+        both = model(images.double(), ((fisheye,) * frames, (pinhole,) * frames), poses, chosen).logits
         assert both.shape == (2, 12, *model.geometry.shape)
         for index, rig in enumerate((fisheye, pinhole)):
             part = slice(index, index + 1)
-            alone = model(images[part].double(), (rig,), poses[part], chosen[part]).logits
+            alone = model(images[part].double(), ((rig,) * frames,), poses[part], chosen.at(part)).logits
             torch.testing.assert_close(both[part], alone)
 
 
@@ -75,7 +76,7 @@ def test_batch_of_fisheye_and_pinhole_rig_equals_two_batches_of_one(name, grid, 
 def test_gradients_reach_every_parameter_that_learns(name, grid, fisheye, make):
     model = make(name, grid)
     images, poses, chosen = window(model)
-    model(images, (fisheye, fisheye), poses, chosen).logits.square().mean().backward()
+    model(images, ((fisheye,) * images.shape[1],) * 2, poses, chosen).logits.square().mean().backward()
     for parameter_name, parameter in model.named_parameters():
         if not parameter_name.startswith("sketch."):
             assert parameter.grad is not None, parameter_name

@@ -15,6 +15,7 @@ from omniocc.camera.pose import pose_from_angles
 from omniocc.config import plain
 from omniocc.data import SceneReader, WindowDataset, collate
 from omniocc.data.labels.voxels import VoxelCache
+from omniocc.data.recording.spec import plain_spec
 from omniocc.data.store.codec import encode_frame
 from omniocc.data.store.shard import SceneWriter
 from omniocc.errors import UserError
@@ -24,7 +25,7 @@ from omniocc.predict.input.poses import read_poses, write_poses
 from omniocc.predict.network import load_depth
 from omniocc.predict.occupancy import options_of, predict_occupancy
 from omniocc.predict.predictor import blinded
-from omniocc.task.checkpoint import build_task, load_task
+from omniocc.task.build import build_task, load_task
 from omniocc.task.scores import Scores
 from omniocc.world.frame import Frame
 
@@ -61,7 +62,7 @@ def make_frame(index: int) -> Frame:
 
 
 @pytest.fixture(scope="module")
-def scene(tmp_path_factory) -> Path:
+def scene(tmp_path_factory, spec) -> Path:
     folder = tmp_path_factory.mktemp("data") / "test-000-nowhere"
     writer = SceneWriter(folder)
     for index in range(len(MOMENTS)):
@@ -69,29 +70,29 @@ def scene(tmp_path_factory) -> Path:
         entry = {"time_s": frame.time_s, "world_from_ego": frame.world_from_ego.tolist()}
         writer.append(encode_frame(frame), entry)
     writer.attach("rig.yaml", RIG.save)
-    writer.finish({"split": "test"})
+    writer.finish({"split": "test", "spec": plain_spec(spec)})
     writer.close()
     return folder
 
 
 @pytest.fixture(scope="module")
-def checkpoint(tmp_path_factory, smoke) -> Path:
+def checkpoint(tmp_path_factory, smoke, spec) -> Path:
     """With the weights that training begins with."""
     torch.manual_seed(3)
-    task = build_task(smoke())
+    task = build_task(smoke(), spec)
     path = tmp_path_factory.mktemp("run") / "best.ckpt"
     torch.save({"config": plain(smoke()), "state_dict": task.state_dict()}, path)
     return path
 
 
 @pytest.fixture(scope="module")
-def evaluated(scene, checkpoint):
+def evaluated(scene, checkpoint, spec):
     """Labels of every frame as `evaluate.py` has them, and its figures."""
     task, _ = load_task(checkpoint, [])
     task.eval()
     geometry = task.model.geometry
     data = WindowDataset([SceneReader(scene)], VoxelCache(scene.parent, geometry), task.model.temporal.frames)
-    scores, labels = Scores(geometry), []
+    scores, labels = Scores(geometry, spec), []
     for k in range(len(data)):
         batch = collate([data[k]])
         labels.append(task.evaluate(batch)[0])

@@ -29,7 +29,7 @@ def parts(geometry: Grid, prediction_seed: int) -> SheetParts:
 
 
 def save_parts(folder: Path, parts: SheetParts) -> None:
-    """Save a sheet and its parts as `omniocc.task.pictures` does."""
+    """Save a sheet and its parts as `omniocc.task.images` does."""
     (folder / "parts" / PICTURE).mkdir(parents=True)
     save_png(folder / f"{PICTURE}.png", comparison_sheet(parts, WORLD_CLASSES, "test-000-suburb/000001"))
     for name, part in parts._asdict().items():
@@ -54,7 +54,7 @@ def write_run(folder: Path, seed: int, rayiou: float, world: FakeWorld, sketch: 
         "themes": ["downtown", "suburb"], "train_scenes": 2, "val_scenes": 1, "test_scenes": 1, "frames_per_scene": 4,
         "frame_interval_s": 0.5, "supersample": 1, "erp_size": [16, 8], "erp_top_deg": 45.0, "erp_bottom_deg": -45.0,
     }  # fmt: skip
-    config = {"model": {"geometry": geometry, "sketch": sketch}, "data": {"seed": seed, "world": described}, "lr": 0.1}
+    config = {"model": {"geometry": geometry, "sketch": sketch}, "data": {"seed": seed, "source": described}, "lr": 0.1}
     (folder / "config.yaml").write_text(yaml.safe_dump(config))
     lines = ["step,train/loss,val/rayiou", *(f"{step},{9 - step / 10}," for step in range(0, 40, 10)), f"39,,{rayiou}"]
     (folder / "csv" / "version_0" / "metrics.csv").write_text("\n".join(lines) + "\n")
@@ -81,5 +81,5 @@ def write_sweep(root: Path) -> Path:
     drawn = [parts(Cylinder(shape=(8, 10, 4)), 1), parts(Cuboid(shape=(8, 8, 4)), 1)]
     for name, seed, rayiou, sketch, geometry in rows:
         write_run(runs / name, seed, rayiou, world, sketch, geometry)
-        save_parts(runs / name / "pictures", drawn[geometry is CUBOID])
+        save_parts(runs / name / "images", drawn[geometry is CUBOID])
     return runs

@@ -31,11 +31,11 @@ def test_parts_are_shown_as_they_were_saved(runs):
 
 def test_a_run_without_parts_is_left_out_with_a_line(runs, tmp_path, capsys):
     run = read_runs(runs)[0]._replace(folder=tmp_path)
-    (tmp_path / "pictures").mkdir()
+    (tmp_path / "images").mkdir()
     assert compared_frames({"ours": [run]}) == []
     assert capsys.readouterr().err == "", "no picture was asked for"
-    save_parts(tmp_path / "pictures", parts(Cylinder(shape=(8, 10, 4)), 1))
-    folder = tmp_path / "pictures" / "parts" / PICTURE
+    save_parts(tmp_path / "images", parts(Cylinder(shape=(8, 10, 4)), 1))
+    folder = tmp_path / "images" / "parts" / PICTURE
     assert len(compared_frames({"ours": [run]})) == 1
     (folder / "truth.png").write_bytes(b"damaged")
     (folder / "cameras.png").unlink()
@@ -51,9 +51,7 @@ def test_a_run_without_parts_is_left_out_with_a_line(runs, tmp_path, capsys):
 @pytest.mark.parametrize("name", ["test-00-odd", "val-step000040"])
 def test_other_pictures_are_left_alone(runs, tmp_path, name):
     run = read_runs(runs)[0]._replace(folder=tmp_path)
-    save_parts(tmp_path / "pictures", parts(Cylinder(shape=(8, 10, 4)), 1))
+    save_parts(tmp_path / "images", parts(Cylinder(shape=(8, 10, 4)), 1))
     for folder, ending in (("", ".png"), ("parts", "")):
-        (tmp_path / "pictures" / folder / f"{PICTURE}{ending}").rename(
-            tmp_path / "pictures" / folder / f"{name}{ending}"
-        )
+        (tmp_path / "images" / folder / f"{PICTURE}{ending}").rename(tmp_path / "images" / folder / f"{name}{ending}")
     assert compared_frames({"ours": [run]}) == []

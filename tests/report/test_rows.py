@@ -24,14 +24,21 @@ def run_of(name: str, *overrides: str) -> FinishedRun:
 
 
 def test_every_row_is_told_by_its_configuration():
-    mine = ("name=mine", "seed=3", "paths.data=elsewhere", "data.num_workers=0", "pictures=0", "logger.mode=disabled")
+    mine = (
+        "name=mine",
+        "seed=3",
+        "paths.data=elsewhere",
+        "data.num_workers=0",
+        "test_images=0",
+        "logger.mode=disabled",
+    )
     runs = [run_of("mine", f"+ablation={row}", *mine) for row in ROWS]
     assert [run.row for run in assign_rows(runs, CONF, ["ours"])] == ROWS
 
 
 def test_other_configurations_and_the_names_of_rows_stay():
     runs = [
-        run_of("deep", "preset.lifter.layers=2"),
+        run_of("deep", "preset.lifter.coloring.layers=2"),
         run_of("mono"),
         run_of("of_a_table"),
         run_of("demo"),

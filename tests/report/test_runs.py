@@ -44,7 +44,7 @@ def test_seeds_of_one_row_with_other_settings_are_named(runs, tmp_path):
     assert "Warning" not in comparable(read_runs(folder), None)[1]
     path = folder / "ours-00000002" / "config.yaml"
     config = yaml.safe_load(path.read_text())
-    config["data"]["world"]["root"], config["lr"], config["new key"] = "elsewhere", 0.2, 1
+    config["data"]["source"]["root"], config["lr"], config["new key"] = "elsewhere", 0.2, 1
     path.write_text(yaml.safe_dump(config))
     assert comparable(read_runs(folder), None)[1].endswith(
         "Warning: the runs of row ours differ in lr, new key; another name=... makes a row of its own."

@@ -24,19 +24,19 @@ def test_of_a_sparse_matrix_the_entries_count_that_are_stored():
     assert count_gflop(lambda: sparse @ torch.rand(30, 6)) == pytest.approx(2 * 30 * 6 / 1e9)
 
 
-def make_sample(geometry, frames, share):
-    """A recorded frame of noise, with a share of the voxels as candidates."""
+def make_sample(geometry, frames, fraction):
+    """A recorded frame of noise, with a fraction of the voxels as candidates."""
     poses = torch.eye(4, dtype=torch.float64).repeat(frames, 1, 1)
     return Sample(
         images=torch.randint(0, 256, (frames, 6, 3, 36, 64), dtype=torch.uint8),
-        rig=Rig.load("fisheye6").resized(64, 36),
+        rigs=(Rig.load("fisheye6").resized(64, 36),) * frames,
         world_from_ego=poses,
         voxels=torch.zeros(geometry.shape, dtype=torch.uint8),
         pixel_labels=torch.zeros(6, 36, 64, dtype=torch.uint8),
         lidar_range_m=torch.ones(14040),
         lidar_labels=torch.zeros(14040, dtype=torch.uint8),
         frame_id="street/000000",
-        candidates=None if share is None else torch.rand(frames, *geometry.shape) < share,
+        candidates=None if fraction is None else torch.rand(frames, *geometry.shape) < fraction,
     )
 
 
@@ -48,7 +48,7 @@ def make_model(smoke):
 def test_a_frame_costs_the_same_every_time_and_more_with_more_candidates(make_model):
     model = make_model()
     torch.manual_seed(0)
-    few, many = (make_sample(model.geometry, model.temporal.frames, share) for share in (0.1, 0.9))
+    few, many = (make_sample(model.geometry, model.temporal.frames, fraction) for fraction in (0.1, 0.9))
     cost = cost_of(model, few)
     assert cost == cost_of(model, few)
     assert cost[PARAMETERS] == pytest.approx(sum(p.numel() for p in model.parameters()) / 1e6, abs=1e-3)
@@ -61,6 +61,6 @@ def test_depth_is_part_of_the_cost_unless_it_was_recorded(make_model):
     assert cost_of(predicted, sample)[GFLOP] > cost_of(recorded, sample)[GFLOP] > 0
 
 
-def test_sketches_that_look_at_nothing_need_no_candidates(make_model):
+def test_sketches_without_depth_need_no_candidates(make_model):
     model = make_model("model/sketch=random")
     assert cost_of(model, make_sample(model.geometry, model.temporal.frames, None))[GFLOP] > 0

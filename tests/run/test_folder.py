@@ -10,7 +10,7 @@ from omniocc.run.folder import METRICS, command_line, open_run, run_hash
 def test_hash_follows_what_decides_a_result_and_nothing_else():
     config = {
         "seed": 0,
-        "model": {"sketch": {"share": 0.2}},
+        "model": {"sketch": {"_target_": "omniocc.model.sketch.Dense"}},
         "depth": {"spheres": 8},
         "paths": {"runs": "a"},
         "resume": "auto",
@@ -19,7 +19,7 @@ def test_hash_follows_what_decides_a_result_and_nothing_else():
     assert run_hash(config, "data") != run_hash({**config, "seed": 1}, "data")
     assert run_hash(config, "data") != run_hash(config, "other data")
     assert run_hash(config, "data") == run_hash({**config, "depth": {"spheres": 9}}, "data"), "nothing looks at depth"
-    learned = {**config, "model": {"sketch": {"depth": {}}}}
+    learned = {**config, "model": {"sketch": {"_target_": "omniocc.model.sketch.Omni"}}}
     assert run_hash(learned, "data") != run_hash({**learned, "depth": {"spheres": 9}}, "data")
 
 

@@ -13,17 +13,17 @@ from omniocc.run.slots import option_of, slots_of
     ],
 )
 def test_an_option_is_called_as_its_file(target, option):
-    assert option_of(target) == option
+    assert option_of({"_target_": target}) == option
 
 
 def test_slots_are_what_the_model_is_made_of():
-    depth = {"_target_": "omniocc.model.depth.Sweep", "spheres": 8}
+    depth = {"_target_": "omniocc.model.depth.Sweep"}
     model = {
         "_target_": "omniocc.model.OccupancyModel",
         "num_classes": 12,
         "geometry": {"_target_": "omniocc.geometry.Cuboid"},
-        "sketch": {"_target_": "omniocc.model.sketch.Omni", "depth": depth},
+        "sketch": {"_target_": "omniocc.model.sketch.Omni"},
     }
-    assert slots_of({"model": model}) == {"geometry": "cuboid", "sketch": "omni", "depth": "sweep"}
+    assert slots_of({"model": model, "depth": depth}) == {"geometry": "cuboid", "sketch": "omni", "depth": "sweep"}
     model["sketch"] = {"_target_": "omniocc.model.sketch.Dense"}
     assert slots_of({"model": model, "depth": depth}) == {"geometry": "cuboid", "sketch": "dense"}

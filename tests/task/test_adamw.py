@@ -7,8 +7,8 @@ from omniocc.task.adamw import AdamW, warmup_cosine
 
 
 def test_schedule_literals():
-    shares = [warmup_cosine(step, 4, 104, 0.01) for step in (0, 3, 4, 54, 104, 200)]
-    assert shares == pytest.approx([0.2, 0.8, 1.0, 0.505, 0.01, 0.01])
+    fractions = [warmup_cosine(step, 4, 104, 0.01) for step in (0, 3, 4, 54, 104, 200)]
+    assert fractions == pytest.approx([0.2, 0.8, 1.0, 0.505, 0.01, 0.01])
 
 
 def test_norms_and_biases_are_not_decayed():

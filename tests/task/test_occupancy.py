@@ -1,4 +1,4 @@
-"""The occupancy task on batches out of thin air: what trains, what is scored, what is saved."""
+"""The occupancy task on random batches: what trains, what is scored, what is saved."""
 
 from itertools import product
 from pathlib import Path
@@ -10,7 +10,7 @@ from lightning.pytorch.callbacks import ModelCheckpoint
 
 from omniocc.batch import Batch
 from omniocc.camera import Rig
-from omniocc.task.checkpoint import build_task, load_task
+from omniocc.task.build import build_task, load_task
 from omniocc.task.draws import step_generator
 from omniocc.task.scores import Scores
 
@@ -23,10 +23,10 @@ pytestmark = [
 
 
 @pytest.fixture(scope="session")
-def make_task(smoke):
+def make_task(smoke, spec):
     def make(*overrides):
         torch.manual_seed(0)
-        return build_task(smoke(*overrides))
+        return build_task(smoke(*overrides), spec)
 
     return make
 
@@ -49,7 +49,7 @@ def make_batch(task, samples, with_candidates=True):
     images, poses, marked = (torch.stack([torch.stack([f[k] for f in w]) for w in windows]) for k in range(3))
     return Batch(
         images=images,
-        rigs=(RIG,) * len(samples),
+        rigs=((RIG,) * frames,) * len(samples),
         world_from_ego=poses,
         voxels=torch.stack([w[-1][3] for w in windows]),
         pixel_labels=torch.stack([w[-1][4] for w in windows]),
@@ -64,9 +64,9 @@ def make_batch(task, samples, with_candidates=True):
 SAMPLES = [[(0, 0), (0, 1)], [(0, 2), (0, 3)], [(1, 0), (1, 1)], [(1, 2)]]
 
 
-def test_streamed_evaluation_scores_what_whole_windows_score(make_task):
+def test_streamed_evaluation_scores_what_whole_windows_score(make_task, spec):
     task = make_task("model/temporal=mean", "model/sketch=dense").eval()
-    expected, lifted = Scores(task.model.geometry), []
+    expected, lifted = Scores(task.model.geometry, spec), []
     lift = task.model.lift
     for samples in SAMPLES:
         batch = make_batch(task, samples)

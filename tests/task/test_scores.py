@@ -1,33 +1,129 @@
-"""Every grid is judged on the same LiDAR rays."""
+"""Scores: every grid is judged on the same rays, by the classes, bands and rays of the source, where labels exist."""
 
+import dataclasses
+
+import pytest
 import torch
 
 from omniocc.batch import Batch
 from omniocc.camera import Rig
+from omniocc.classes import ClassTable, SemanticClass
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.metric import sparseocc_directions
 from omniocc.task.scores import Scores, within_reach
 
+GRID = Cylinder((8, 12, 4))
+FIVE = ClassTable(tuple(SemanticClass(k, f"class{k}", (k, k, k)) for k in range(5)))
 
-def test_hits_beyond_the_last_band_count_for_no_grid():
+
+@pytest.fixture
+def batch():
+    """A batch of two samples whose labels are all absent."""
+    rig = Rig.load("fisheye6").resized(16, 9)
+    images, poses = torch.zeros(2, 1, 6, 3, 9, 16, dtype=torch.uint8), torch.eye(4).double().expand(2, 1, 4, 4)
+    return Batch(images, ((rig,),) * 2, poses, ("a/0", "a/1"))
+
+
+def random_voxels(grid=GRID, classes=12):
+    generator = torch.Generator().manual_seed(3)
+    occupied = torch.rand(2, *grid.shape, generator=generator) < 0.2
+    return (torch.randint(1, classes, (2, *grid.shape), generator=generator) * occupied).to(torch.uint8)
+
+
+def lidar_hits(directions, classes=12):
+    generator = torch.Generator().manual_seed(0)
+    range_m = torch.empty(2, len(directions)).uniform_(1, 36, generator=generator)
+    hits = torch.randint(0, classes, (2, len(directions)), generator=generator, dtype=torch.uint8)
+    return {"lidar_range_m": range_m, "lidar_labels": hits}
+
+
+def test_hits_beyond_the_reach_count_for_no_grid():
     directions = torch.tensor([[1.0, 0.0, 0.0], [0.6, 0.0, -0.8], [0.0, 1.0, 0.0]])
     range_m = torch.tensor([[25.5, 40.0, 25.7]])
     labels = torch.tensor([[4, 5, 6]], dtype=torch.uint8)
-    assert within_reach(labels, range_m, directions).tolist() == [[4, 5, 0]]
+    assert within_reach(labels, range_m, directions, 25.6).tolist() == [[4, 5, 0]]
+    assert within_reach(labels, range_m, directions, 51.2).tolist() == [[4, 5, 6]]
+    origins = torch.tensor([[[-5.0, 0.0, 1.0], [3.0, 0.0, 1.0], [0.0, -1.0, 0.0]]])
+    assert within_reach(labels, range_m, directions[None], 25.6, origins).tolist() == [[4, 0, 6]]
 
 
-def test_cuboid_and_cylinder_are_judged_on_the_same_rays():
-    generator = torch.Generator().manual_seed(0)
-    rays = len(sparseocc_directions())
-    range_m = torch.empty(2, rays).uniform_(1, 36, generator=generator)
-    hits = torch.randint(0, 12, (2, rays), generator=generator, dtype=torch.uint8)
+def test_cuboid_and_cylinder_are_judged_on_the_same_rays(batch, spec):
     counts = []
-    for grid in (Cylinder((8, 12, 4)), Cuboid((10, 10, 4))):
-        scores = Scores(grid)
+    for grid in (GRID, Cuboid((10, 10, 4))):
+        scores = Scores(grid, spec)
         labels = torch.zeros(2, *grid.shape, dtype=torch.uint8)
-        images, poses = torch.zeros(2, 1, 6, 3, 4, 4, dtype=torch.uint8), torch.eye(4).double().expand(2, 1, 4, 4)
-        pixels, rigs = torch.zeros(2, 6, 4, 4, dtype=torch.uint8), (Rig.load("fisheye6"),) * 2
-        scores.update(labels, Batch(images, rigs, poses, labels, pixels, range_m, hits, ("a/0", "a/1")))
+        scores.update(labels, batch._replace(voxels=labels, **lidar_hits(sparseocc_directions())))
         counts.append(scores.lidar.truth)
     assert counts[0].sum() > 1000
     assert torch.equal(counts[0], counts[1])
+
+
+def test_absent_labels_have_no_keys(batch, spec):
+    labels = random_voxels()
+    for given, expected in (
+        ({}, set()),
+        ({"voxels": labels}, {"rayiou", "voxel/iou"}),
+        (lidar_hits(sparseocc_directions()), {"lidar/rayiou"}),
+    ):
+        scores = Scores(GRID, spec)
+        scores.update(labels, batch._replace(**given))
+        found = scores.compute()
+        assert set(found) & {"rayiou", "lidar/rayiou", "voxel/iou"} == expected
+        assert all(not found[key].isnan() for key in expected)
+        scores.reset()
+        scores.update(labels, batch)
+        assert scores.compute() == {}
+
+
+def test_cells_outside_the_mask_do_not_count(batch, spec):
+    truth = random_voxels()
+    wrong = truth.clone()
+    wrong[..., 2:] = 7
+    mask = torch.zeros(2, *GRID.shape, dtype=torch.bool)
+    mask[..., :2] = True
+    found = []
+    for scored in (None, mask):
+        scores = Scores(GRID, spec)
+        scores.update(wrong, batch._replace(voxels=truth, scored=scored))
+        found.append(float(scores.compute()["voxel/iou"]))
+    assert found[0] < 0.5
+    assert found[1] == 1.0
+
+
+def test_classes_and_bands_come_from_the_source(batch, spec):
+    own = dataclasses.replace(spec, classes=FIVE, range_edges_m=(0.0, 20.0, 40.0))
+    scores = Scores(GRID, own)
+    labels = random_voxels(classes=5)
+    scores.update(labels, batch._replace(voxels=labels))
+    found = scores.compute()
+    assert {"rayiou/class4", "rayiou_20-40m", "voxel/iou/class1"} <= set(found)
+    assert not [key for key in found if "Road" in key or "8.5" in key]
+    assert found["voxel/miou"] == 1.0
+
+
+def test_rays_of_the_frames_count_as_the_same_fixed_rays_do(batch, spec):
+    directions = torch.randn(500, 3, generator=torch.Generator().manual_seed(1)) * torch.tensor([1.0, 1.0, 0.1])
+    directions = torch.nn.functional.normalize(directions, dim=-1).double()
+    hits, labels = lidar_hits(directions), random_voxels()
+    fixed = Scores(GRID, dataclasses.replace(spec, lidar_directions=directions))
+    fixed.update(labels, batch._replace(**hits))
+    own = Scores(GRID, dataclasses.replace(spec, lidar_directions=None))
+    spread = directions.float().expand(2, -1, -1)
+    own.update(labels, batch._replace(lidar_directions=spread, lidar_origins=torch.zeros_like(spread), **hits))
+    expected, found = fixed.compute(), own.compute()
+    assert expected["lidar/rayiou@4"] > 0
+    assert set(found) == set(expected)
+    for key, value in expected.items():
+        torch.testing.assert_close(found[key], value, equal_nan=True, rtol=0, atol=1e-6)
+
+
+def test_rays_start_where_the_frame_says(batch, spec):
+    wall = torch.zeros(2, *GRID.shape, dtype=torch.uint8)
+    wall[:, 5] = 4  # from 16 to 19.2 m around the ego z axis
+    ahead = torch.tensor([1.0, 0.0, 0.0]).expand(2, 1, 3)
+    scores = Scores(GRID, dataclasses.replace(spec, lidar_directions=None))
+    lidar = {"lidar_range_m": torch.full((2, 1), 7.0), "lidar_labels": torch.full((2, 1), 4, dtype=torch.uint8)}
+    origins = torch.tensor([[[10.0, 0.0, 0.0]], [[0.0, 0.0, 0.0]]])
+    scores.update(wall, batch._replace(lidar_directions=ahead, lidar_origins=origins, **lidar))
+    assert scores.lidar.truth.sum() == 2
+    assert scores.lidar.correct[:, 0].sum() == 1

@@ -1,9 +1,11 @@
-"""Recorded scenes: on disk, as datasets, as batches."""
+"""Sources of scenes, their storage, and datasets and batches made of them."""
 
 from typing import TYPE_CHECKING, Any
 
 from omniocc.data.augment.augment import Augment
 from omniocc.data.dataset import Extras, WindowDataset, collate
+from omniocc.data.source import SceneSource, SourceSpec
+from omniocc.data.source.recorded import Recorded
 from omniocc.data.source.virtual import VirtualWorld
 from omniocc.data.store.frame_cache import CandidateCache, RangeCache
 from omniocc.data.store.reader import SceneReader
@@ -19,7 +21,10 @@ __all__ = [
     "Extras",
     "OccupancyData",
     "RangeCache",
+    "Recorded",
     "SceneReader",
+    "SceneSource",
+    "SourceSpec",
     "VirtualWorld",
     "WindowDataset",
     "collate",

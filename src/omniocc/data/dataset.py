@@ -5,38 +5,56 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float32, Float64, UInt8
+from jaxtyping import Bool, Float, Float32, Float64, UInt8
 from torch import Tensor
 from torch.utils.data import Dataset
 
 from omniocc.batch import Batch
 from omniocc.camera import Rig
-from omniocc.data.labels.voxels import VoxelCache
-from omniocc.data.store.codec import decode_image, decode_labels, decode_lidar, decode_range
+from omniocc.classes import UNKNOWN
+from omniocc.data.source import SceneFrames, VoxelLabels
 from omniocc.data.store.frame_cache import CandidateCache, RangeCache
-from omniocc.data.store.reader import SceneReader
+
+NAN = float("nan")
+ABSENT: dict[str, float | bool] = {
+    "images": 0,
+    "voxels": UNKNOWN,
+    "scored": True,
+    "pixel_labels": UNKNOWN,
+    "lidar_range_m": float("inf"),
+    "lidar_labels": UNKNOWN,
+    "lidar_directions": 0.0,
+    "lidar_origins": 0.0,
+    "erp_range_m": NAN,
+    "camera_range_m": NAN,
+}
+"""The values in a batch where a sample has none: they give no loss and no score."""
 
 
 class Sample(NamedTuple):
-    """One window; fields as in `Batch`, without its first axis."""
+    """One window; fields as in `omniocc.batch.Batch`, without its first axis."""
 
     images: UInt8[Tensor, "T N 3 H W"]
-    rig: Rig
+    rigs: tuple[Rig, ...]
     world_from_ego: Float64[Tensor, "T 4 4"]
-    voxels: UInt8[Tensor, "X Y Z"]
-    pixel_labels: UInt8[Tensor, "N H W"]
-    lidar_range_m: Float32[Tensor, " R"]
-    lidar_labels: UInt8[Tensor, " R"]
     frame_id: str
+    voxels: UInt8[Tensor, "X Y Z"] | None = None
+    scored: Bool[Tensor, "X Y Z"] | None = None
+    pixel_labels: UInt8[Tensor, "N H W"] | None = None
+    lidar_range_m: Float32[Tensor, " R"] | None = None
+    lidar_labels: UInt8[Tensor, " R"] | None = None
+    lidar_directions: Float32[Tensor, "R 3"] | None = None
+    lidar_origins: Float32[Tensor, "R 3"] | None = None
     erp_range_m: Float32[Tensor, "h w"] | None = None
     camera_range_m: Float32[Tensor, "N H W"] | None = None
     depth_range_m: Float32[Tensor, "h w"] | None = None
     candidates: Bool[Tensor, "T X Y Z"] | None = None
+    evidence: Float[Tensor, "T E X Y Z"] | None = None
     exists: Bool[Tensor, " T"] | None = None
 
 
 class Extras(NamedTuple):
-    """What a sample holds beyond the images and labels that every stage needs.
+    """Content of samples beyond the images and labels that every stage needs.
 
     Attributes:
         true_ranges: of the panorama and of every pixel.
@@ -52,29 +70,38 @@ class Extras(NamedTuple):
 class WindowDataset(Dataset):
     """Every recorded frame once, as the newest of a window of T consecutive frames of its scene.
 
-    Where a scene has not begun T frames ago, its first frame stands in, and `exists` says so.
+    Before a scene's first frame that one stands in, and `exists` says so.
 
     Args:
         scenes: recorded scenes.
         voxels: labels in the wanted geometry.
         window: T.
         extras: what else is read.
+        own_rays: whether every frame's LiDAR has rays of its own, so that samples hold them.
     """
 
-    def __init__(self, scenes: Sequence[SceneReader], voxels: VoxelCache, window: int, extras: Extras | None = None):
+    def __init__(
+        self,
+        scenes: Sequence[SceneFrames],
+        voxels: VoxelLabels,
+        window: int,
+        extras: Extras | None = None,
+        own_rays: bool = False,
+    ):
         if window < 1:
             raise ValueError(f"window must be at least 1 frame, got {window}")
         self.scenes = tuple(scenes)
         self.voxels = voxels
         self.window = window
         self.extras = extras or Extras()
+        self.own_rays = own_rays
         self._ends = np.cumsum([len(scene) for scene in self.scenes])
 
     def __len__(self) -> int:
         return int(self._ends[-1]) if len(self._ends) else 0
 
-    def locate(self, index: int) -> tuple[SceneReader, int]:
-        """Scene and frame number of a sample's newest frame."""
+    def locate(self, index: int) -> tuple[SceneFrames, int]:
+        """Return scene and frame number of a sample's newest frame."""
         if not 0 <= index < len(self):
             raise IndexError(f"sample {index} of {len(self)}")
         at = int(np.searchsorted(self._ends, index, side="right"))
@@ -83,23 +110,19 @@ class WindowDataset(Dataset):
     def __getitem__(self, index: int) -> Sample:
         scene, newest = self.locate(index)
         frames = window_frames(newest, self.window)
-        rig = scene.rig
-        cameras = range(len(rig.cameras))
-        members = [f"semantic{k}.zst" for k in cameras] + ["lidar.zst"]
-        blobs = scene.read(newest, members)
-        range_m, labels = decode_lidar(blobs["lidar.zst"])
         depth, candidates = self.extras.depth, self.extras.candidates
         images = {frame: read_images(scene, frame) for frame in set(frames)}
         erp_range_m, camera_range_m = read_true_ranges(scene, newest) if self.extras.true_ranges else (None, None)
+        labels = scene.pixel_labels(newest)
         return Sample(
-            images=torch.stack([images[frame] for frame in frames]),
-            rig=rig,
+            images=pad_stack([images[frame] for frame in frames], ABSENT["images"]),
+            rigs=tuple(scene.rigs[frame] for frame in frames),
             world_from_ego=torch.from_numpy(scene.world_from_ego[frames]),
-            voxels=self.voxels.read(scene, newest),
-            pixel_labels=torch.from_numpy(np.stack([decode_labels(blobs[f"semantic{k}.zst"]) for k in cameras])),
-            lidar_range_m=torch.from_numpy(range_m),
-            lidar_labels=torch.from_numpy(labels),
             frame_id=f"{scene.name}/{newest:06d}",
+            voxels=self.voxels.read(scene, newest),
+            scored=self.voxels.scored(scene, newest),
+            pixel_labels=None if labels is None else stack_cameras(labels, ABSENT["pixel_labels"]),
+            **self._lidar(scene, newest),
             erp_range_m=erp_range_m,
             camera_range_m=camera_range_m,
             depth_range_m=depth and depth.read(scene.name, newest),
@@ -107,32 +130,67 @@ class WindowDataset(Dataset):
             exists=torch.arange(newest - self.window + 1, newest + 1) >= 0,
         )
 
+    def _lidar(self, scene: SceneFrames, frame: int) -> dict[str, Tensor]:
+        scan = scene.lidar(frame)
+        if scan is None:
+            return {}
+        parts = {"lidar_range_m": scan.range_m, "lidar_labels": scan.labels}
+        if self.own_rays:
+            origins = np.zeros_like(scan.directions) if scan.origins is None else scan.origins
+            parts |= {"lidar_directions": scan.directions, "lidar_origins": origins}
+        return {name: torch.from_numpy(part) for name, part in parts.items()}
+
 
 def window_frames(newest: int, window: int) -> list[int]:
-    """Numbers of the frames of a window, oldest first; never before the scene's first."""
+    """Return the numbers of the frames of a window, oldest first; never before the scene's first."""
     return [max(0, frame) for frame in range(newest - window + 1, newest + 1)]
 
 
-def read_images(scene: SceneReader, frame: int) -> UInt8[Tensor, "N 3 H W"]:
-    """All cameras' colour images of a frame."""
-    names = [f"rgb{k}.jpg" for k in range(len(scene.rig.cameras))]
-    blobs = scene.read(frame, names)
-    images = np.stack([decode_image(blobs[name]) for name in names])
-    return torch.from_numpy(images).permute(0, 3, 1, 2).contiguous()
+def pad_stack(parts: Sequence[Tensor], fill: float | bool) -> Tensor:
+    """Stack tensors of one rank and type along a new first axis, padded with `fill` at the end of every axis."""
+    shape = torch.tensor([part.shape for part in parts]).amax(0).tolist()
+    if all(list(part.shape) == shape for part in parts):
+        return torch.stack(list(parts))
+    stacked = parts[0].new_full((len(parts), *shape), fill)
+    for row, part in zip(stacked, parts, strict=True):
+        row[tuple(slice(size) for size in part.shape)] = part
+    return stacked
 
 
-def read_true_ranges(scene: SceneReader, frame: int) -> tuple[Float32[Tensor, "h w"], Float32[Tensor, "N H W"]]:
-    """Panorama and cameras' ranges of a frame; see `Batch`."""
-    names = ["erp_range.zst", *(f"range{k}.zst" for k in range(len(scene.rig.cameras)))]
-    blobs = scene.read(frame, names)
-    erp, *cameras = (torch.from_numpy(decode_range(blobs[name])) for name in names)
-    return erp, torch.stack(cameras)
+def stack_cameras(arrays: Sequence[np.ndarray], fill: float | bool) -> Tensor:
+    """Stack one array of each camera, padded where their sizes differ."""
+    return pad_stack([torch.from_numpy(array) for array in arrays], fill)
+
+
+def read_images(scene: SceneFrames, frame: int) -> UInt8[Tensor, "N 3 H W"]:
+    """Return the images of all cameras in a frame."""
+    return stack_cameras(scene.images(frame), ABSENT["images"]).permute(0, 3, 1, 2).contiguous()
+
+
+def read_true_ranges(
+    scene: SceneFrames, frame: int
+) -> tuple[Float32[Tensor, "h w"] | None, Float32[Tensor, "N H W"] | None]:
+    """Return panorama and cameras' ranges of a frame, None where they are not recorded; see `Batch`."""
+    panorama, cameras = scene.erp_range_m(frame), scene.camera_range_m(frame)
+    return (
+        None if panorama is None else torch.from_numpy(panorama),
+        None if cameras is None else stack_cameras(cameras, ABSENT["camera_range_m"]),
+    )
 
 
 def collate(samples: Sequence[Sample]) -> Batch:
-    """Stack samples along a new first axis."""
+    """Stack samples along a new first axis; pads what differs in size, fills what some of them lack (see `Batch`)."""
     columns = dict(zip(Sample._fields, zip(*samples, strict=True), strict=True))
-    rigs, frame_ids = columns.pop("rig"), columns.pop("frame_id")
-    # an extra that was not asked for is None in every sample
-    stacked = {name: None if column[0] is None else torch.stack(column) for name, column in columns.items()}
+    rigs, frame_ids = columns.pop("rigs"), columns.pop("frame_id")
+    stacked = {name: _stack(column, ABSENT.get(name)) for name, column in columns.items()}
     return Batch(rigs=rigs, frame_ids=frame_ids, **stacked)  # type: ignore[arg-type]
+
+
+def _stack(column: Sequence[Tensor | None], fill: float | bool | None) -> Tensor | None:
+    """Stack the values of one field, None if no sample has it."""
+    there = [value for value in column if value is not None]
+    if not there:
+        return None
+    if fill is None:  # never absent in some samples only, and of equal shapes
+        return torch.stack(there)
+    return pad_stack([torch.full_like(there[0], fill) if value is None else value for value in column], fill)

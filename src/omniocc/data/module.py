@@ -1,5 +1,6 @@
 """Datasets and loaders for training, validation and test."""
 
+from functools import cached_property
 from typing import Any
 
 from jaxtyping import Int64
@@ -9,10 +10,10 @@ from torch.utils.data import DataLoader
 
 from omniocc.batch import Batch
 from omniocc.data.dataset import Extras, WindowDataset, collate
-from omniocc.data.labels.voxels import Unknown, VoxelCache
 from omniocc.data.recording.pool import limit_threads
 from omniocc.data.sampler import EpochSampler, RankSampler
-from omniocc.data.source.virtual import SPLITS, Split, VirtualWorld
+from omniocc.data.source import SPLITS, SceneSource, Split, Unknown, VoxelLabels
+from omniocc.errors import UserError
 from omniocc.geometry import Grid
 
 
@@ -20,22 +21,27 @@ class OccupancyData(LightningDataModule):
     """Batches of windows of recorded frames with voxels of one geometry.
 
     The order of training is a function of (seed, epoch). A run that resumes from a checkpoint written after any batch
-    or validation sees exactly the batches that were left. (Of checkpoints written in `on_train_epoch_end` that holds
+    or validation sees exactly the batches that were left. (For checkpoints written in `on_train_epoch_end` this holds
     with `max_epochs` only: with `max_steps`, Lightning 2.6 counts such an epoch twice and skips one order.)
 
     Args:
-        world: the recorded scenes; rendered when missing.
+        source: of the scenes and their labels.
+        num_classes: number of classes that the model tells apart, free included; has to be that of the source.
         geometry: grid of the voxel labels.
         window: frames per sample, the newest included.
         batch_size: samples per process and step.
         num_workers: loader processes; 0 loads in the training process.
         seed: of the order of training samples.
         unknown: what cells without points are: `free` (the paper) or `unobserved` (255 where no sensor looked).
+
+    Raises:
+        ValueError: if a number is too small.
     """
 
     def __init__(
         self,
-        world: VirtualWorld,
+        source: SceneSource,
+        num_classes: int,
         geometry: Grid,
         window: int,
         batch_size: int,
@@ -48,64 +54,88 @@ class OccupancyData(LightningDataModule):
             raise ValueError(
                 f"batch_size must be at least 1 and num_workers at least 0, got {batch_size} and {num_workers}"
             )
-        self.world = world
+        self.source = source
+        self.num_classes = num_classes
         self.geometry = geometry
         self.window = window
         self.batch_size = batch_size
         self.num_workers = num_workers
         self.seed = seed
-        self.voxels = VoxelCache(world.folder, geometry, unknown)
+        self.unknown: Unknown = unknown
         self.extras = Extras()
         self._datasets: dict[Split, WindowDataset] = {}
         self._resume = {"epoch": 0, "batches": 0}
 
     def prepare_data(self) -> None:
-        """Render scenes and vote for voxels that are missing."""
-        self.world.prepare()
-        scenes = [scene for split in SPLITS for scene in self.world.readers(split)]
-        self.voxels.prepare(scenes, self.world.workers)
+        """Make the scenes and labels that are missing.
+
+        Raises:
+            UserError: if the source has another number of classes than the model.
+        """
+        self.source.prepare()
+        self.check_classes()
+        self.voxels.prepare([scene for split in SPLITS for scene in self.source.scenes(split)])
+
+    @cached_property
+    def voxels(self) -> VoxelLabels:
+        """Return the source's labels of the grid."""
+        return self.source.labels(self.geometry, self.unknown)
+
+    def check_classes(self) -> None:
+        """Compare the number of classes with the source's.
+
+        Raises:
+            UserError: if they differ.
+        """
+        names = self.source.spec.classes.names
+        if len(names) != self.num_classes:
+            raise UserError(
+                f"data.num_classes={self.num_classes}, but this source has {len(names)} classes "
+                f"({', '.join(names)}): set data.num_classes={len(names)}"
+            )
 
     def setup(self, stage: str | None = None) -> None:
         """Open the three splits; `prepare_data` has been called, here or in another process."""
+        own_rays = self.source.spec.lidar_directions is None
         for split in SPLITS:
-            readers = self.world.readers(split)
-            self._datasets.setdefault(split, WindowDataset(readers, self.voxels, self.window, self.extras))
+            scenes = self.source.scenes(split)
+            self._datasets.setdefault(split, WindowDataset(scenes, self.voxels, self.window, self.extras, own_rays))
 
     def read_also(self, extras: Extras) -> None:
-        """What samples hold beside images and labels, from the next `setup` on."""
+        """Let samples hold more than images and labels, from the next `setup` on."""
         self.extras = extras
         self._datasets = {}
 
     def dataset(self, split: Split) -> WindowDataset:
-        """The samples of a split, after `setup`."""
+        """Return the samples of a split, after `setup`."""
         return self._datasets[split]
 
     def voxel_counts(self) -> Int64[Tensor, "C X Y Z"]:
-        """How often each class stood in each cell of the training set; counted once, then read from disk."""
-        return self.voxels.counts(self.dataset("train").scenes, self.world.fingerprint)
+        """Return how often each class stood in each cell of the training set."""
+        return self.voxels.counts(self.dataset("train").scenes)
 
     def train_dataloader(self) -> DataLoader[Batch]:
-        """Shuffled; the last incomplete batch of an epoch is left out."""
+        """Return the shuffled loader; the last incomplete batch of an epoch is left out."""
         dataset = self.dataset("train")
         done = self._resume["batches"] * self.batch_size
         sampler = EpochSampler(len(dataset), self.seed, *self._rank(), self._resume["epoch"], done)
         if len(sampler) < self.batch_size:
             raise ValueError(
                 f"{len(sampler)} training samples per process are less than one batch of {self.batch_size}: "
-                "render more scenes or lower batch_size"
+                "use more scenes or lower batch_size"
             )
         return self._loader(dataset, sampler, drop_last=True)
 
     def val_dataloader(self) -> DataLoader[Batch]:
-        """In order, every sample once over all ranks."""
+        """Return the loader in order, every sample once over all ranks."""
         return self._in_order("val")
 
     def test_dataloader(self) -> DataLoader[Batch]:
-        """In order, every sample once over all ranks."""
+        """Return the loader in order, every sample once over all ranks."""
         return self._in_order("test")
 
     def state_dict(self) -> dict[str, Any]:
-        """The epoch and how many of its batches are done, for a resumed run."""
+        """Return the epoch and how many of its batches are done, for a resumed run."""
         if self.trainer is None:
             return dict(self._resume)
         loop = self.trainer.fit_loop
@@ -122,11 +152,11 @@ class OccupancyData(LightningDataModule):
         return {"epoch": epoch["processed"], "batches": batch["processed"]}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Go on where the checkpoint was written."""
+        """Continue where the checkpoint was written."""
         self._resume = {"epoch": int(state_dict["epoch"]), "batches": int(state_dict["batches"])}
 
     def transfer_batch_to_device(self, batch: Batch, device: device, dataloader_idx: int) -> Batch:
-        """Tensors move; rigs and names stay."""
+        """Return the batch with its tensors on a device; rigs and names stay."""
         tensors = {name: item for name, item in batch._asdict().items() if isinstance(item, Tensor)}
         return batch._replace(**{name: item.to(device, non_blocking=True) for name, item in tensors.items()})
 

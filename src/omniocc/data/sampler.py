@@ -1,4 +1,4 @@
-"""Which samples a process sees, and in which order."""
+"""Samplers: which samples a process gets, and in which order."""
 
 from collections.abc import Iterator
 
@@ -10,10 +10,10 @@ from torch.utils.data import DistributedSampler
 
 
 class EpochSampler(DistributedSampler):
-    """Training order: a function of (seed, epoch) only, dealt out to the ranks; can begin in the middle of one epoch.
+    """The training order, a function of (seed, epoch) only, divided among the ranks; it can begin within an epoch.
 
-    Every rank gets equally many samples; the at most `world_size - 1` left over sit out this epoch. `len` stays that of
-    a whole epoch.
+    Every rank gets equally many samples; at most `world_size - 1` are left over and not used in this epoch. `len` stays
+    that of a whole epoch.
 
     Args:
         size: number of samples in the dataset.
@@ -31,7 +31,7 @@ class EpochSampler(DistributedSampler):
         self.size = size
         self.resume_epoch = resume_epoch
         self.resume_samples = resume_samples
-        self.epoch = resume_epoch  # workers fetch ahead before anybody calls set_epoch
+        self.epoch = resume_epoch  # workers fetch ahead before `set_epoch` is called
 
     def __iter__(self) -> Iterator[int]:
         generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.epoch)

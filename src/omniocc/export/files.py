@@ -17,7 +17,7 @@ from omniocc.export.onnx import onnx_bytes
 from omniocc.export.program import export_program, make_module
 from omniocc.io import atomic_write
 from omniocc.predict.input.images import even_size
-from omniocc.predict.network import load_occupancy
+from omniocc.predict.network import load_occupancy, trained_image_width
 
 SUFFIXES = (".pt2", ".onnx")
 
@@ -49,7 +49,7 @@ def export_files(options: Options) -> str:
     if output.suffix not in SUFFIXES:
         raise UserError(f"output={output}: its name must end with one of {', '.join(SUFFIXES)}")
     model, cfg = load_occupancy(options.checkpoint)
-    rig = scaled(options.rig, options.image_width or cfg.data.world.image_size[0])
+    rig = scaled(options.rig, options.image_width or trained_image_width(cfg))
     module = make_module(model, rig)
     program = export_program(module)
     contract = contract_of(module)

@@ -1,7 +1,8 @@
 """The whole network for one rig as a program of plain operators: `torch.export`."""
 
 import traceback
-from pathlib import Path
+from collections.abc import Iterable
+from typing import cast
 
 import torch
 from jaxtyping import Bool, Float, Float64, UInt8
@@ -12,6 +13,7 @@ from omniocc.camera import Rig
 from omniocc.errors import UserError
 from omniocc.model import OccupancyModel
 from omniocc.model.ops.static import static_shapes
+from omniocc.model.protocols import LearnedSketch, learns
 
 SLOTS = ("backbone", "sketch", "lifter", "temporal", "refiner")
 
@@ -32,8 +34,8 @@ class Frame(nn.Module):
         """Class of every cell, from RGB 0..255."""
         pose = torch.eye(4, dtype=torch.float64, device=images.device)[None, None]
         there = torch.ones(1, 1, dtype=torch.bool, device=images.device)
-        volume = self.model.lift(images[None], (self.rig,)).volume
-        return self.model.fuse([volume], pose, there).argmax(1)[0].to(torch.uint8)
+        lifted = self.model.lift(images[None], (self.rig,))
+        return self.model.fuse([lifted.volume], pose, there, lifted.sketched).argmax(1)[0].to(torch.uint8)
 
 
 class Step(nn.Module):
@@ -65,9 +67,9 @@ class Step(nn.Module):
             past_exists: which of them there are.
             world_from_ego: of the frames before and, last, of the newest.
         """
-        volume = self.model.lift(images[None], (self.rig,)).volume
+        volume, sketched, _ = self.model.lift(images[None], (self.rig,))
         exists = torch.cat([past_exists, torch.ones_like(past_exists[:1])])[None]
-        logits = self.model.fuse([*past_volumes.split(1), volume], world_from_ego[None], exists)
+        logits = self.model.fuse([*past_volumes.split(1), volume], world_from_ego[None], exists, sketched)
         return logits.argmax(1)[0].to(torch.uint8), volume[0]
 
 
@@ -106,11 +108,18 @@ def export_program(module: Frame | Step) -> ExportedProgram:
 
 
 def option_of(error: BaseException, model: OccupancyModel) -> str:
-    """The option in whose code an error was raised, as `model/slot=Class`."""
-    parts = {slot: getattr(model, slot) for slot in SLOTS}
-    parts["depth"] = getattr(model.sketch, "depth", None)
-    for frame in reversed(traceback.extract_tb(error.__traceback__)):
-        slot = Path(frame.filename).parent.name
-        if slot in parts and "omniocc" in frame.filename:
-            return f"model/{slot}={type(parts[slot]).__name__}"
+    """Return the option in whose code an error was raised, as `model/slot=Class`."""
+    parts = [(slot, getattr(model, slot)) for slot in SLOTS]
+    if learns(type(model.sketch)):
+        parts.insert(0, ("depth", cast(LearnedSketch, model.sketch).depth))
+    owner = {id(module): (slot, part) for slot, part in reversed(parts) for module in modules_of(part)}
+    for frame, _ in reversed(list(traceback.walk_tb(error.__traceback__))):
+        if id(frame.f_locals.get("self")) in owner:
+            slot, part = owner[id(frame.f_locals["self"])]
+            return f"model/{slot}={type(part).__name__}"
     return "the model"
+
+
+def modules_of(part: object) -> Iterable[object]:
+    """Return a part of the model and all modules in it."""
+    return part.modules() if isinstance(part, nn.Module) else [part]

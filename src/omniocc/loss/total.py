@@ -11,7 +11,7 @@ from omniocc.loss.cross_entropy import CrossEntropy
 
 @runtime_checkable
 class HasLogits(Protocol):
-    """The part of a prediction (`omniocc.model.Prediction`) that the losses need."""
+    """The part of a prediction (`omniocc.model.Prediction`) that the losses read."""
 
     @property
     def logits(self) -> Float[Tensor, "B C X Y Z"]:
@@ -68,22 +68,28 @@ class Total(nn.Module):
     def forward(
         self,
         prediction: HasLogits,
-        voxels: UInt8[Tensor, "B X Y Z"],
-        pixel_labels: UInt8[Tensor, "B N H W"],
+        voxels: UInt8[Tensor, "B X Y Z"] | None,
+        pixel_labels: UInt8[Tensor, "B N H W"] | None,
         camera_range_m: Float[Tensor, "B N H W"] | None = None,
     ) -> dict[str, Float32[Tensor, ""]]:
-        """Return weighted scalar terms by name; those of pixels only if the model predicts pixels.
+        """Return weighted scalar terms by name; labels that are absent (None) give no terms.
+
+        Args:
+            prediction: logits.
+            voxels: class of every cell, 255 unknown.
+            pixel_labels: class of every pixel, 255 unknown; looked at only if the model predicts pixels.
+            camera_range_m: true range of every pixel, m; nan unknown. Looked at only if there are terms of rays.
 
         Raises:
-            ValueError: if there are terms of rays, but no predicted or no true ranges.
+            ValueError: if there are terms of rays, but the lifter estimates no ranges.
         """
-        terms = {name: loss(prediction.logits, voxels) for name, loss in self.voxel.items()}
-        if prediction.pixel_logits is not None:
+        terms = {}
+        if voxels is not None:
+            terms |= {name: loss(prediction.logits, voxels) for name, loss in self.voxel.items()}
+        if prediction.pixel_logits is not None and pixel_labels is not None:
             terms |= {name: loss(prediction.pixel_logits, pixel_labels) for name, loss in self.pixel.items()}
-        if len(self.ray):
+        if len(self.ray) and camera_range_m is not None:
             if prediction.range_logits is None:
                 raise ValueError("loss=with_ranges needs a lifter that estimates ranges: model/lifter=lift_splat")
-            if camera_range_m is None:
-                raise ValueError("the terms of rays need camera_range_m, the true range of every pixel")
             terms |= {name: loss(prediction.range_logits, camera_range_m) for name, loss in self.ray.items()}
         return {name: self.weights[name] * term for name, term in terms.items()}

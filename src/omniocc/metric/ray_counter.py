@@ -22,10 +22,14 @@ class RayTruth(NamedTuple):
         range_m: distance along each ray, inf for no hit; the rays are all directions of the metric from the first
             origin, then from the next.
         labels: class of the surface hit; free for no hit.
+        directions: unit rays of each frame, ego frame, in place of the metric's directions and origins.
+        starts: where these rays start, m, ego frame; None: in the ego origin.
     """
 
     range_m: Float[Tensor, "B R"]
     labels: Shaped[Tensor, "B R"]
+    directions: Float[Tensor, "B R 3"] | None = None
+    starts: Float[Tensor, "B R 3"] | None = None
 
 
 class RayCounter:
@@ -78,9 +82,7 @@ class RayCounter:
         origins = torch.zeros(1, 3).expand(len(prediction), 1, 3) if origins is None else origins
         origins = origins.to(prediction.device)
         if isinstance(target, RayTruth):
-            self._check_rays(prediction, target, origins)
-            samples = zip(prediction, target.range_m, target.labels, origins, strict=True)
-            found = [self._count_rays(*sample) for sample in samples]
+            found = self._count_truth(prediction, target, origins)
         else:
             target = self._known(prediction, target, observed)
             found = [self._count_voxels(*sample) for sample in zip(prediction, target, origins, strict=True)]
@@ -97,6 +99,30 @@ class RayCounter:
         check_same_batch("prediction", prediction, "target", target)
         check_mask("observed", observed, target.shape)
         return target if observed is None else target.masked_fill(~observed, self.classes.ignored)
+
+    def _count_truth(self, prediction: Tensor, target: RayTruth, origins: Tensor) -> list[RayCounts]:
+        """Return the counts of each frame."""
+        if target.directions is None:
+            self._check_rays(prediction, target, origins)
+            samples = zip(prediction, target.range_m, target.labels, origins, strict=True)
+            return [self._count_rays(*sample) for sample in samples]
+        if self.count_free_rays:
+            raise ValueError("count_free_rays needs rays that are the same in all frames")
+        starts = torch.zeros_like(target.directions) if target.starts is None else target.starts
+        rows = zip(prediction, target.range_m, target.labels, target.directions, starts, strict=True)
+        return [self._count_own_rays(*row) for row in rows]
+
+    def _count_own_rays(
+        self, prediction: Tensor, range_m: Tensor, labels: Tensor, directions: Tensor, starts: Tensor
+    ) -> RayCounts:
+        """Return the counts of one frame whose R rays have directions and starts (R, 3) of their own."""
+        kept = (labels != self.classes.free) & (labels != self.classes.ignored) & range_m.isfinite()
+        range_m, labels, directions, starts = range_m[kept].double(), labels[kept], directions[kept], starts[kept]
+        # uint8 wraps around, as in `_cast`
+        found = self.geometry.cast(prediction - self.classes.free, starts, directions)
+        error_m = torch.maximum(found.entry_m - range_m, range_m - found.exit_m).clamp(min=0)
+        inside = self.geometry.index(starts.double() + directions.double() * range_m.unsqueeze(-1))[1]
+        return self._count(labels, range_m, found.labels + self.classes.free, error_m, inside)
 
     def _check_rays(self, prediction: Tensor, target: RayTruth, origins: Tensor) -> None:
         self.classes.check_truth("labels", target.labels, (len(self.scan) * origins.shape[1],))

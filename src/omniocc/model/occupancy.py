@@ -8,23 +8,28 @@ from torch import Tensor, nn
 
 from omniocc.camera import Rig
 from omniocc.geometry import Grid
-from omniocc.model.backbone import Backbone
-from omniocc.model.lifter import GuessesRanges, Lifter
+from omniocc.model.ops.padded import FeatureMaps, by_shape
 from omniocc.model.ops.padding import Pointwise
-from omniocc.model.refiner import Refiner
-from omniocc.model.semantic_head import SemanticHead
-from omniocc.model.sketch import Sketch
-from omniocc.model.temporal import Temporal
+from omniocc.model.protocols import (
+    Backbone,
+    GuessesRanges,
+    Lifter,
+    Refiner,
+    SemanticHead,
+    Sketch,
+    Sketched,
+    Temporal,
+)
 
 
 class Prediction(NamedTuple):
-    """What a model says about the newest frame of each window.
+    """The output of a model for the newest frame of each window.
 
     Attributes:
         logits: of the class of every voxel.
         pixel_logits: of the class of every pixel, at the finest feature map's size; None without a semantic head.
         range_logits: of bins of range along the rays, at the coarsest map's size; None if not asked for, or if the
-            lifter guesses none.
+            lifter predicts none.
     """
 
     logits: Float[Tensor, "B C X Y Z"]
@@ -33,19 +38,23 @@ class Prediction(NamedTuple):
 
 
 class Lifted(NamedTuple):
-    """What single frames give.
+    """Features of single frames.
 
     Attributes:
         volume: features of every voxel, in each frame's own ego frame.
+        sketched: the candidates, in the same ego frame.
         features: of the images, finest first.
     """
 
     volume: Float[Tensor, "B C X Y Z"]
-    features: list[Float[Tensor, "B N C _ _"]]
+    sketched: Sketched
+    features: FeatureMaps
 
 
 class OccupancyModel(nn.Module):
-    """Camera images to semantic occupancy, in exchangeable parts (paper, figure 'Overall architecture').
+    """Predict semantic occupancy from camera images, in exchangeable parts (paper, figure 'Overall architecture').
+
+    Samples may have different numbers of cameras and sizes of image, padded as `omniocc.model.ops.padded` says.
 
     Args:
         backbone: images to feature maps.
@@ -82,32 +91,39 @@ class OccupancyModel(nn.Module):
     def forward(
         self,
         images: UInt8[Tensor, "B T N 3 H W"] | Float[Tensor, "B T N 3 H W"],
-        rigs: tuple[Rig, ...],
+        rigs: tuple[tuple[Rig, ...], ...],
         world_from_ego: Float[Tensor, "B T 4 4"],
-        candidates: Bool[Tensor, "B T X Y Z"] | None = None,
+        sketched: Sketched | None = None,
         exists: Bool[Tensor, "B T"] | None = None,
         with_ranges: bool = False,
     ) -> Prediction:
-        """Logits for the newest frame.
+        """Return logits for the newest frame.
 
         Args:
             images: RGB 0..255 as uint8, or [0, 1] as floats; frames oldest first.
-            rigs: cameras of each sample.
+            rigs: of each sample one per frame; cameras may move on the vehicle.
             world_from_ego: pose of each frame.
-            candidates: what the sketch says about these frames, where it has been asked before.
+            sketched: the sketch's answer for every frame, with an axis T, where it is known already; None asks it.
             exists: which frames were recorded; the others, before a scene's first, cost nothing. None: all.
-            with_ranges: whether a loss looks at what the lifter guesses of ranges.
+            with_ranges: whether to return the lifter's scores of range bins.
+
+        Raises:
+            ValueError: if rigs and images do not fit together.
         """
+        given, (batch, frames) = [len(own) for own in rigs], images.shape[:2]
+        if given != [frames] * batch:
+            raise ValueError(f"rigs of {given} frames for {batch} samples of {frames} frames; give one for each frame")
         if exists is None:
             exists = torch.ones(images.shape[:2], dtype=torch.bool, device=images.device)
         window = slice(-self.temporal.frames, None)
         images, world_from_ego, exists = images[:, window], world_from_ego[:, window], exists[:, window]
-        candidates = None if candidates is None else candidates[:, window]
+        rigs = tuple(own[window] for own in rigs)
+        sketched = sketched and sketched.at(slice(None), window)
         # the newest first: autocast keeps what it casts, in older PyTorch without gradient if the past came first
-        newest = self.lift(images[:, -1], rigs, None if candidates is None else candidates[:, -1])
+        newest = self.lift(images[:, -1], tuple(own[-1] for own in rigs), sketched and sketched.at(slice(None), -1))
         with torch.set_grad_enabled(torch.is_grad_enabled() and self.temporal.history_gradient):
-            past = self._lift_past(images, rigs, candidates, exists, newest.volume)
-        volume = self.fuse([*past, newest.volume], world_from_ego, exists)
+            past = self._lift_past(images, rigs, sketched, exists, newest.volume)
+        volume = self.fuse([*past, newest.volume], world_from_ego, exists, newest.sketched)
         ranges = None
         if with_ranges and isinstance(self.lifter, GuessesRanges):
             ranges = self.lifter.range_logits(newest.features)
@@ -117,17 +133,17 @@ class OccupancyModel(nn.Module):
         self,
         images: UInt8[Tensor, "B N 3 H W"] | Float[Tensor, "B N 3 H W"],
         rigs: tuple[Rig, ...],
-        candidates: Bool[Tensor, "B X Y Z"] | None = None,
+        sketched: Sketched | None = None,
     ) -> Lifted:
-        """What single frames give: features of the images, and of the voxels in each frame's own ego frame."""
+        """Return the features of single frames: of images and voxels; without `sketched` the sketch is asked."""
         images = to_unit_range(images)
-        chosen = self.choose(images, rigs) if candidates is None else candidates
-        features = self.backbone(images)
-        return Lifted(self.lifter(features, chosen, rigs), features)
+        sketched = self.choose(images, rigs) if sketched is None else sketched
+        features = by_shape(lambda own, _: self.backbone(own), images, rigs, self.backbone.levels)
+        return Lifted(self.lifter(features, sketched, rigs), sketched, features)
 
     @torch.no_grad()
-    def choose(self, images: Float[Tensor, "B N 3 H W"], rigs: tuple[Rig, ...]) -> Bool[Tensor, "B X Y Z"]:
-        """Candidates of single frames; the sketch has learned in a stage of its own."""
+    def choose(self, images: Float[Tensor, "B N 3 H W"], rigs: tuple[Rig, ...]) -> Sketched:
+        """Return the sketch's answer for single frames; it has learned in a stage of its own."""
         return self.sketch(images, rigs)
 
     def fuse(
@@ -135,26 +151,34 @@ class OccupancyModel(nn.Module):
         volumes: list[Float[Tensor, "B C X Y Z"]],
         world_from_ego: Float[Tensor, "B T 4 4"],
         exists: Bool[Tensor, "B T"],
+        sketched: Sketched,
     ) -> Float[Tensor, "B classes X Y Z"]:
-        """Logits of the newest frame from the lifted volumes of a window, oldest first."""
-        return self.classifier(self.refiner(self.temporal(volumes, world_from_ego, exists)))
+        """Return logits of the newest frame from the lifted volumes of a window, oldest first.
+
+        Args:
+            volumes: of each frame, in its own ego frame.
+            world_from_ego: pose of each frame.
+            exists: which frames were recorded.
+            sketched: of the newest frame.
+        """
+        return self.classifier(self.refiner(self.temporal(volumes, world_from_ego, exists), sketched))
 
     def _lift_past(
         self,
         images: UInt8[Tensor, "B T N 3 H W"] | Float[Tensor, "B T N 3 H W"],
-        rigs: tuple[Rig, ...],
-        candidates: Bool[Tensor, "B T X Y Z"] | None,
+        rigs: tuple[tuple[Rig, ...], ...],
+        sketched: Sketched | None,
         exists: Bool[Tensor, "B T"],
         like: Float[Tensor, "B C X Y Z"],
     ) -> list[Float[Tensor, "B C X Y Z"]]:
-        """All past frames that exist in one go; zeros, laid out as `like`, for the others."""
+        """Lift all past frames that exist in one go; return zeros, laid out as `like`, for the others."""
         if exists.shape[1] == 1:
             return []
         frames, samples = exists[:, :-1].T.nonzero(as_tuple=True)
         lifted = like[:0]
         if len(frames):
-            chosen = None if candidates is None else candidates[samples, frames]
-            lifted = self.lift(images[samples, frames], tuple(rigs[i] for i in samples.tolist()), chosen).volume
+            some = tuple(rigs[s][t] for s, t in zip(samples.tolist(), frames.tolist(), strict=True))
+            lifted = self.lift(images[samples, frames], some, sketched and sketched.at(samples, frames)).volume
         counts = exists[:, :-1].sum(0).tolist()
         parts = zip(lifted.split(counts), samples.split(counts), strict=True)
         # slices and `zeros_like` keep channels last in memory
@@ -165,5 +189,5 @@ class OccupancyModel(nn.Module):
 
 
 def to_unit_range(images: UInt8[Tensor, "..."] | Float[Tensor, "..."]) -> Float[Tensor, "..."]:
-    """RGB in [0, 1]; floats are taken to be there already."""
+    """Return RGB in [0, 1]; floats are taken to be there already."""
     return images if images.is_floating_point() else images.float() / 255

@@ -1,4 +1,4 @@
-"""A drive frame by frame: every frame is lifted once, and its volume serves all windows that it is part of."""
+"""A sequence frame by frame: every frame is lifted once, and its volume serves all windows that it is part of."""
 
 from typing import NamedTuple
 
@@ -8,12 +8,14 @@ from torch import Tensor
 
 from omniocc.camera import Rig
 from omniocc.model.occupancy import OccupancyModel
+from omniocc.model.protocols import Sketched
 
 
 class Remembered(NamedTuple):
     """One lifted frame."""
 
     volume: Float[Tensor, "1 C X Y Z"]
+    sketched: Sketched
     world_from_ego: Float[Tensor, "4 4"]
 
 
@@ -25,7 +27,12 @@ MISSING: Key = ("", -1)
 
 
 def window_keys(frame_ids: tuple[str, ...], exists: Bool[Tensor, "B T"]) -> list[list[Key]]:
-    """The frames of windows of consecutive frames, oldest first; `frame_ids` are `scene/number` of the newest."""
+    """Return the frames of windows of consecutive frames, oldest first.
+
+    Args:
+        frame_ids: `scene/number` of the newest frame of each window.
+        exists: which frames were recorded.
+    """
     windows = []
     for frame_id, recorded in zip(frame_ids, exists.tolist(), strict=True):
         scene, newest = frame_id.rsplit("/", 1)
@@ -35,10 +42,10 @@ def window_keys(frame_ids: tuple[str, ...], exists: Bool[Tensor, "B T"]) -> list
 
 
 class Stream:
-    """Predicts as the model does, and remembers lifted volumes; the model has to be in evaluation mode.
+    """Predict as the model does, and remember lifted volumes; the model has to be in evaluation mode.
 
-    Between calls it holds at most as many volumes as the temporal slot wants past frames. Call `reset` when the model's
-    weights have changed, and before another drive.
+    Between calls it holds at most as many volumes as the temporal slot has past frames. Call `reset` when the model's
+    weights have changed, and before another sequence.
 
     Args:
         model: whose volumes are remembered.
@@ -62,26 +69,32 @@ class Stream:
         images: UInt8[Tensor, "N 3 H W"] | Float[Tensor, "N 3 H W"],
         rig: Rig,
         world_from_ego: Float[Tensor, "4 4"],
-        candidates: Bool[Tensor, "X Y Z"] | None = None,
+        sketched: Sketched | None = None,
     ) -> Float[Tensor, "C X Y Z"]:
-        """Logits of the next frame of a drive; the past ones are those of the calls since `reset`."""
+        """Return logits of the next frame of a sequence; the past ones are those of the calls since `reset`.
+
+        Args:
+            images: RGB 0..255 as uint8, or [0, 1] as floats.
+            rig: of this frame.
+            world_from_ego: pose of this frame.
+            sketched: the sketch's answer for this frame, a batch of one; None asks it.
+        """
         window = [("", self._number - back) for back in reversed(range(self.model.temporal.frames))]
         self._number += 1
-        chosen = None if candidates is None else candidates[None]
-        self._lift(window[-1:], images[None], (rig,), world_from_ego[None], chosen)
+        self._lift(window[-1:], images[None], (rig,), world_from_ego[None], sketched)
         return self._fuse([window])[0]
 
     @torch.no_grad()
     def windows(
         self,
         images: UInt8[Tensor, "B T N 3 H W"] | Float[Tensor, "B T N 3 H W"],
-        rigs: tuple[Rig, ...],
+        rigs: tuple[tuple[Rig, ...], ...],
         world_from_ego: Float[Tensor, "B T 4 4"],
-        candidates: Bool[Tensor, "B T X Y Z"] | None,
+        sketched: Sketched | None,
         exists: Bool[Tensor, "B T"],
         frame_ids: tuple[str, ...],
     ) -> Float[Tensor, "B C X Y Z"]:
-        """Logits as the model gives for these windows of consecutive frames (`scene/number` of the newest).
+        """Return the model's logits for these windows of consecutive frames (`scene/number` of the newest).
 
         Frames in order cost one lift each, in any other order more; the result is the same.
         """
@@ -95,8 +108,8 @@ class Stream:
         }
         if wanted:
             samples, frames = (list(column) for column in zip(*wanted.values(), strict=True))
-            chosen = None if candidates is None else candidates[samples, frames]
-            some_rigs = tuple(rigs[sample] for sample in samples)
+            chosen = sketched and sketched.at(samples, frames)
+            some_rigs = tuple(rigs[sample][frame] for sample, frame in wanted.values())
             self._lift(list(wanted), images[samples, frames], some_rigs, world_from_ego[samples, frames], chosen)
         return self._fuse(windows)
 
@@ -106,20 +119,28 @@ class Stream:
         images: UInt8[Tensor, "M N 3 H W"] | Float[Tensor, "M N 3 H W"],
         rigs: tuple[Rig, ...],
         world_from_ego: Float[Tensor, "M 4 4"],
-        candidates: Bool[Tensor, "M X Y Z"] | None,
+        sketched: Sketched | None,
     ) -> None:
         assert not self.model.training
-        volumes = self.model.lift(images, rigs, candidates).volume
-        for key, volume, pose in zip(keys, volumes.split(1), world_from_ego, strict=True):
+        lifted = self.model.lift(images, rigs, sketched)
+        for index, (key, pose) in enumerate(zip(keys, world_from_ego, strict=True)):
+            own = slice(index, index + 1)
             # a copy: a view would keep the volumes of the whole batch
-            self._frames[key] = Remembered(volume.clone(), pose)
+            self._frames[key] = Remembered(lifted.volume[own].clone(), lifted.sketched.at([index]), pose)
 
     def _fuse(self, windows: list[list[Key]]) -> Float[Tensor, "B C X Y Z"]:
-        """Logits of windows of remembered frames; afterwards only what the next frame needs is remembered."""
+        """Return logits of windows of remembered frames; afterwards only what the next frame needs is remembered."""
         known = self._frames
         frames = [[known.get(key, known[window[-1]]) for key in window] for window in windows]
         volumes = [torch.cat([frame.volume for frame in column]) for column in zip(*frames, strict=True)]
         poses = torch.stack([torch.stack([frame.world_from_ego for frame in window]) for window in frames])
         exists = torch.tensor([[key in known for key in window] for window in windows], device=poses.device)
+        sketched = joined([window[-1].sketched for window in frames])
         self._frames = {key: known[key] for key in windows[-1][1:] if key in known}
-        return self.model.fuse(volumes, poses, exists)
+        return self.model.fuse(volumes, poses, exists, sketched)
+
+
+def joined(parts: list[Sketched]) -> Sketched:
+    """Return the answers for several samples as one batch."""
+    evidence = [part.evidence for part in parts if part.evidence is not None]
+    return Sketched(torch.cat([part.candidates for part in parts]), torch.cat(evidence) if evidence else None)

@@ -6,12 +6,12 @@ from pathlib import Path
 import cv2
 import torch
 
-from omniocc.config import lines_not_tracebacks
 from omniocc.data import SceneReader
 from omniocc.data.store.shard import META
 from omniocc.errors import UserError
 from omniocc.predict.input.poses import write_poses
 from omniocc.predict.input.sequence import RecordedDrive
+from omniocc.run.script import lines_not_tracebacks
 
 RIG, POSES = "rig.yaml", "poses.csv"
 

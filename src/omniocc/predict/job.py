@@ -9,7 +9,7 @@ import numpy as np
 from torch import Tensor
 
 from omniocc.classes import WORLD_CLASSES
-from omniocc.data.labels.voxels import Unknown
+from omniocc.data.source import Unknown
 from omniocc.metric import VoxelIoU
 from omniocc.predict.input.schedule import History, Visit, schedule
 from omniocc.predict.input.sequence import Drive, Truth, moved_origin
@@ -41,7 +41,7 @@ class Job:
         force: whether finished moments are predicted again.
         mesh: whether `voxels.ply` is written.
         picture: whether `picture.png` is drawn.
-        scores: against the truth, where there is any.
+        scores: against the recorded truth; None for images of a user's own.
         seconds: by step, of every moment that was predicted.
     """
 
@@ -52,7 +52,7 @@ class Job:
     force: bool
     mesh: bool
     picture: bool
-    scores: Scores
+    scores: Scores | None
     seconds: list[dict[str, float]] = field(default_factory=list)
 
     @property
@@ -149,11 +149,12 @@ class Job:
 
     def _score(self, labels: Tensor, truth: Truth) -> str:
         """Add a moment to the scores; its own in a few words."""
+        assert self.scores is not None
         voxels = truth.voxels.unsqueeze(0)
         self.scores.rays.update(labels.unsqueeze(0), voxels)
         self.scores.lidar.update_rays(labels.unsqueeze(0), truth.lidar_range_m[None], truth.lidar_labels[None])
         self.scores.cells.update(labels.unsqueeze(0), voxels)
-        alone = VoxelIoU()
+        alone = VoxelIoU(self.scores.num_classes)
         alone.update(labels.unsqueeze(0), voxels)
         own = alone.compute()
         return f"IoU {own['iou']:.3f}, mIoU {own['miou']:.3f}"

@@ -2,18 +2,19 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import TypeVar, cast
 
 import torch
 from omegaconf import DictConfig, OmegaConf
 from torch import Tensor, nn
 
 from omniocc.camera import Rig
-from omniocc.config import build, check
+from omniocc.config import build, target_of
 from omniocc.errors import UserError
 from omniocc.model import OccupancyModel
 from omniocc.model.depth import DepthMap
-from omniocc.task.checkpoint import TRUSTED, load_config, model_weights
+from omniocc.model.protocols import Backbone
+from omniocc.run.checkpoint import Checkpoint, check_parts, load_checkpoint
 
 Network = TypeVar("Network", bound=nn.Module)
 
@@ -30,13 +31,13 @@ def load_depth(path: Path, overrides: Sequence[str] = ()) -> tuple[nn.Module, Di
         UserError: when it is damaged, holds no depth network, or an override does not fit its weights.
         ConfigError: when an override names no argument.
     """
-    cfg, weights = load_config(path)
-    own = depth_weights(model_weights(weights))
-    if "depth" not in cfg or not own:
+    trained = load_checkpoint(path)
+    own = depth_weights(trained)
+    if not own:
         raise UserError(f"{path} holds no depth network; the stage's own checkpoints are runs/stages/depth-*/last.ckpt")
-    merged = OmegaConf.merge(cfg, OmegaConf.from_dotlist(list(overrides)))
+    merged = OmegaConf.merge(trained.config, OmegaConf.from_dotlist(list(overrides)))
     assert isinstance(merged, DictConfig)
-    check(OmegaConf.create({"depth": merged.depth}), packages=TRUSTED)
+    check_parts(path, merged, ["depth"])
     return _with_weights(build(merged.depth), own, path, "is it of the depth stage, are overrides needed?"), merged
 
 
@@ -51,38 +52,43 @@ def load_occupancy(path: Path) -> tuple[OccupancyModel, DictConfig]:
         UserError: when it is damaged, of another stage, or its weights do not fit or are no numbers.
         ConfigError: when its configuration names what this version does not have.
     """
-    cfg, weights = load_config(path)
-    own = model_weights(weights)
-    stage = stage_of(own)
-    if "model" not in cfg or stage != "occupancy":
+    trained = load_checkpoint(path)
+    cfg, own = trained.config, trained.model_weights
+    if trained.stage != "occupancy":
         raise UserError(
-            f"{path} is a checkpoint of the {stage} stage; predict occupancy needs one of the occupancy stage, "
+            f"{path} is a checkpoint of the {trained.stage} stage; predict occupancy needs one of the occupancy stage, "
             "such as runs/<name>-<hash>/best.ckpt"
         )
-    check(OmegaConf.create({"model": cfg.model}), packages=TRUSTED)
+    check_parts(path, cfg, ["model"])
     return _with_weights(build(without_download(cfg.model)), own, path, "was it written by another version?"), cfg
 
 
-def depth_weights(weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Those of the depth network among the weights of any stage's model, named as in the network."""
-    prefix = {"occupancy": "sketch.depth.", "sketch": "depth.", "depth": ""}[stage_of(weights)]
+def trained_image_width(cfg: DictConfig) -> int:
+    """Return the width of the images that a model was trained with, px.
+
+    Raises:
+        UserError: when the configuration of its training does not say.
+    """
+    size = OmegaConf.select(cfg, "data.source.image_size")
+    if size is None:
+        raise UserError("image_width=... is needed: the model was trained on scenes whose image size is not configured")
+    return int(size[0])
+
+
+DEPTH_PREFIX = {"occupancy": "sketch.depth.", "sketch": "depth.", "depth": ""}
+"""Begin of the names of the depth option's weights in the model of each stage."""
+
+
+def depth_weights(trained: Checkpoint) -> dict[str, Tensor]:
+    """Return the weights of the depth option in a checkpoint of any stage, named as in the option."""
+    prefix, weights = DEPTH_PREFIX[trained.stage], trained.model_weights
     return {name.removeprefix(prefix): value for name, value in weights.items() if name.startswith(prefix)}
 
 
-def stage_of(weights: Mapping[str, Tensor]) -> str:
-    """Which stage trained the model that these weights are of."""
-    parts = {name.split(".")[0] for name in weights}
-    return "occupancy" if "classifier" in parts else "sketch" if "depth" in parts else "depth"
-
-
 def without_download(model: DictConfig) -> DictConfig:
-    """The configuration of a model whose ResNet begins with random weights: a checkpoint holds the trained ones.
-
-    Other backbones take more than weights from the hub: entries of their configuration.
-    """
-    if not str(model.backbone["_target_"]).endswith(".ResNet"):
-        return model
-    merged = OmegaConf.merge(model, {"backbone": {"weights": None}})
+    """Return a model's configuration that loads no pretrained weights: those of a checkpoint replace them."""
+    pretrained = cast(type[Backbone], target_of(model.backbone)).PRETRAINED
+    merged = OmegaConf.merge(model, {"backbone": dict.fromkeys(pretrained)})
     assert isinstance(merged, DictConfig)
     return merged
 

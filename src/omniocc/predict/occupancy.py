@@ -9,6 +9,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from omniocc.camera import Rig
 from omniocc.config import build, check
+from omniocc.data.source.recorded import spec_of
 from omniocc.errors import UserError
 from omniocc.geometry import Grid
 from omniocc.model import OccupancyModel
@@ -16,9 +17,9 @@ from omniocc.predict.export import RIG
 from omniocc.predict.input.images import check_without, find_frames
 from omniocc.predict.input.poses import read_poses
 from omniocc.predict.input.schedule import History
-from omniocc.predict.input.sequence import Drive, PictureDrive, find_scenes
+from omniocc.predict.input.sequence import Drive, PictureDrive, RecordedDrive, find_scenes
 from omniocc.predict.job import Job
-from omniocc.predict.network import load_occupancy
+from omniocc.predict.network import load_occupancy, trained_image_width
 from omniocc.predict.output.claim import claim, digest_of, fingerprint_of_poses
 from omniocc.predict.predictor import Predictor
 from omniocc.run.results import save_results
@@ -84,10 +85,11 @@ def predict_occupancy(options: Options) -> None:
     drives, device = drives_of(options), chosen_device(options.device)
     model, cfg = load_occupancy(Path(options.checkpoint))
     history = chosen_history(options, model, drives)
-    width = cfg.data.world.image_size[0] if options.image_width is None else options.image_width
+    width = trained_image_width(cfg) if options.image_width is None else options.image_width
     output = Path(options.output)
     claim(output, facts_of(options, drives, history, width), options.force)
     print("\n".join(announcement(options, model, cfg, drives, history)), flush=True)
+    scores = Scores(model.geometry, spec_of(drives[0].scene)) if isinstance(drives[0], RecordedDrive) else None
     job = Job(
         Predictor(model, width, options.without, device),
         history,
@@ -96,12 +98,12 @@ def predict_occupancy(options: Options) -> None:
         options.force,
         options.mesh,
         options.picture,
-        Scores(model.geometry),
+        scores,
     )
     job.run(drives)
     print("\n".join(job.summary()), flush=True)
-    if options.recorded is not None:
-        metrics = {f"test/{key}": float(value) for key, value in job.scores.compute().items()}
+    if scores is not None:
+        metrics = {f"test/{key}": float(value) for key, value in scores.compute().items()}
         frames = sum(len(drive.wanted) for drive in drives)
         save_results(output, metrics, {"checkpoint": options.checkpoint, "data": options.recorded, "frames": frames})
         print(f"{frames} frames: {figures(metrics)}; all figures: {output / 'table.md'}")
@@ -216,7 +218,9 @@ def describe(grid: Grid) -> str:
 
 def compared_rig(rig: Rig, cfg: DictConfig) -> str:
     """Whether these are the cameras that the model was trained with."""
-    name, size = cfg.data.world.rig, tuple(cfg.data.world.image_size)
+    name, size = OmegaConf.select(cfg, "data.source.rig"), OmegaConf.select(cfg, "data.source.image_size")
+    if name is None:
+        return "trained with the cameras of recorded scenes"
     try:
         trained = Rig.load(name)
         same = rig.resized(*size) == trained.resized(*size)

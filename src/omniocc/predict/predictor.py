@@ -15,7 +15,7 @@ from omniocc.camera import Equirectangular, Rig
 from omniocc.errors import UserError
 from omniocc.model import OccupancyModel, Stream
 from omniocc.model.depth import DepthMap
-from omniocc.model.sketch import Omni
+from omniocc.model.protocols import LearnedSketch, Sketched, learns
 from omniocc.predict.input.images import resized_to_width
 
 STEPS: tuple[str, ...] = ("read", "depth", "sketch", "occupancy", "write")
@@ -77,7 +77,13 @@ class Predictor:
     @property
     def panorama(self) -> Equirectangular | None:
         """Directions of the depth network's answer, None for a sketch without depth."""
-        return self.model.sketch.panorama if isinstance(self.model.sketch, Omni) else None
+        return None if self.learned_sketch is None else self.learned_sketch.panorama
+
+    @property
+    def learned_sketch(self) -> LearnedSketch | None:
+        """Return the model's sketch if it looks at ranges."""
+        sketch = self.model.sketch
+        return cast(LearnedSketch, sketch) if learns(type(sketch)) else None
 
     def reset(self) -> None:
         """The next moment has no history."""
@@ -113,31 +119,31 @@ class Predictor:
             batch = batch.to(self.device)
         pose = torch.eye(4, dtype=torch.float64) if world_from_ego is None else world_from_ego
         try:
-            candidates, depth = self._choose(batch, scaled, true_range_m, watch)
+            sketched, depth = self._choose(batch, scaled, true_range_m, watch)
             with watch("occupancy"):
                 seen = blinded(scaled, self.without)
-                logits = self.stream.step(batch[0], seen, pose.to(self.device), candidates[0])
+                logits = self.stream.step(batch[0], seen, pose.to(self.device), sketched)
                 labels = logits.argmax(0).to(torch.uint8).cpu()
         except ValueError as error:
             raise UserError(str(error)) from error
         if not bool(logits.isfinite().all()):
             raise UserError("the network answers with NaN: its weights are damaged, take another checkpoint")
         range_m = None if depth is None else depth.known_range_m()[0].cpu()
-        return Answer(labels, candidates[0].cpu(), range_m)
+        return Answer(labels, sketched.candidates[0].cpu(), range_m)
 
     def _choose(
         self, images: Float[Tensor, "1 N 3 H W"], rig: Rig, true_range_m: Float32[Tensor, "1 h w"] | None, watch: Watch
-    ) -> tuple[Bool[Tensor, "1 X Y Z"], DepthMap | None]:
+    ) -> tuple[Sketched, DepthMap | None]:
         """Candidates, and the ranges that they come from; black pictures do not count for depth."""
-        sketch = self.model.sketch
-        if not isinstance(sketch, Omni):
+        sketch = self.learned_sketch
+        if sketch is None:
             with watch("sketch"):
-                return sketch(images, (rig,)), None
+                return self.model.sketch(images, (rig,)), None
         with watch("depth"):
             true_range_m = None if true_range_m is None else true_range_m.to(self.device)
-            depth = cast(DepthMap, sketch.depth(images, (rig,), true_range_m))
+            depth = sketch.depth(images, (rig,), true_range_m)
         with watch("sketch"):
-            return sketch.select(sketch.logits(depth.range_m, depth.valid)), depth
+            return Sketched(sketch.select(sketch.logits(depth.range_m, depth.valid))), depth
 
 
 @lru_cache(maxsize=8)

@@ -1,4 +1,4 @@
-"""The same test frames across rows, from the parts of sheets that every run leaves in `pictures/parts`."""
+"""The same test frames across rows, from the parts of sheets that every run leaves in `images/parts`."""
 
 import re
 import sys
@@ -11,7 +11,7 @@ import numpy as np
 
 from omniocc.report.data_url import webp
 from omniocc.report.runs import FinishedRun, grid_kind
-from omniocc.run.folder import PARTS, PICTURES
+from omniocc.run.folder import IMAGES, PARTS
 from omniocc.view import SheetParts
 
 NAME = re.compile(r"test-(\d+)-(.+)-(\d+)")
@@ -51,7 +51,7 @@ def compared_frames(rows: Mapping[str, Sequence[FinishedRun]]) -> list[ComparedF
     grids: dict[tuple[str, str, str], list[dict]] = {}
     for row, runs in rows.items():
         geometry = runs[0].config.get("model", {}).get("geometry", {})
-        for key, parts in _frames(runs[0].folder / PICTURES):
+        for key, parts in _frames(runs[0].folder / IMAGES):
             new = geometry not in grids.setdefault(key, [])
             grids[key].append(geometry)
             frames.setdefault(key, []).append(Shown(row, runs[0], parts, grid_kind(runs[0].config) if new else ""))

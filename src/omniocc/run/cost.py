@@ -1,8 +1,8 @@
-"""What a model costs, told beside its scores."""
+"""The cost of a model: parameters, operations and memory."""
 
 import resource
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor
@@ -10,25 +10,25 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from omniocc.data.dataset import Sample
 from omniocc.model import OccupancyModel, Stream
-from omniocc.model.depth import Truth
 from omniocc.model.occupancy import to_unit_range
+from omniocc.model.protocols import LearnedSketch, Sketched, learns
 
 PARAMETERS, GFLOP, PEAK = "million parameters", "GFLOP a frame", "peak MiB"
 
 
 def bag_flops(table: Tensor, rows: Tensor, *arguments: Any, **options: Any) -> int:
-    """A bag multiplies and adds one table row per entry."""
+    """Return the operations of an embedding bag: one table row is multiplied and added per entry."""
     return 2 * rows.numel() * table.shape[1]
 
 
 def product_flops(left: Tensor, right: Tensor, **options: Any) -> int:
-    """Of a sparse matrix only the entries that are stored count."""
+    """Return the operations of a matrix product; of a sparse matrix only stored entries count."""
     stored = left._nnz() if left.layout != torch.strided else left.numel()
     return 2 * stored * right.shape[1]
 
 
 def added_product_flops(bias: Tensor, left: Tensor, right: Tensor, **options: Any) -> int:
-    """As `product_flops`."""
+    """Return the operations of a matrix product that is added to a bias, which counts as none."""
     return product_flops(left, right)
 
 
@@ -43,14 +43,14 @@ FORMULAS = {
 
 
 def count_gflop(run: Callable[[], object]) -> float:
-    """Billions of floating-point operations without backward; a multiplication and an addition are two."""
+    """Return billions of floating-point operations without backward; a multiplication and an addition are two."""
     with FlopCounterMode(display=False, custom_mapping=FORMULAS) as counter, torch.no_grad():
         run()
     return counter.get_total_flops() / 1e9
 
 
 def cost_of(model: OccupancyModel, sample: Sample) -> dict[str, float]:
-    """Parameters, and operations of one more frame of a drive; a learned sketch and its depth are part of both.
+    """Return parameters, and operations of one more frame of a sequence; a learned sketch and its depth count in both.
 
     Recorded ranges (`model/depth=truth`) cost nothing.
 
@@ -60,10 +60,11 @@ def cost_of(model: OccupancyModel, sample: Sample) -> dict[str, float]:
     """
     device = next(model.parameters()).device
     images, pose = sample.images[-1].to(device), sample.world_from_ego[-1].to(device)
-    candidates = None if sample.candidates is None else sample.candidates[-1].to(device)
-    stream, runs = Stream(model), [lambda: stream.step(images, sample.rig, pose, candidates)]
-    if candidates is not None and not isinstance(model.sketch.depth, Truth):  # type: ignore[union-attr]
-        runs.append(lambda: model.choose(to_unit_range(images)[None], (sample.rig,))[0])
+    sketched = None if sample.candidates is None else Sketched(sample.candidates[-1:].to(device))
+    stream = Stream(model)
+    runs: list[Callable[[], object]] = [lambda: stream.step(images, sample.rigs[-1], pose, sketched)]
+    if sketched is not None and estimates_range(model):
+        runs.append(lambda: model.choose(to_unit_range(images)[None], (sample.rigs[-1],)))
     once_and_past = [*runs, *runs[:1] * (model.temporal.frames - 1)]
     for run in once_and_past:  # what is computed once for a rig belongs to no frame
         count_gflop(run)
@@ -71,8 +72,13 @@ def cost_of(model: OccupancyModel, sample: Sample) -> dict[str, float]:
     return {PARAMETERS: round(parameters / 1e6, 3), GFLOP: round(sum(map(count_gflop, runs)), 4)}
 
 
+def estimates_range(model: OccupancyModel) -> bool:
+    """Return whether the sketch looks at ranges that a depth option estimates, rather than at recorded ones."""
+    return learns(type(model.sketch)) and not cast(LearnedSketch, model.sketch).depth.NEEDS_TRUE_RANGE
+
+
 def peak_mib(device: torch.device) -> float:
-    """The most memory that was held on a GPU, or by this process."""
+    """Return the most memory that was held on a GPU, or by this process, MiB."""
     if device.type == "cuda":
         return round(torch.cuda.max_memory_allocated(device) / 2**20)
     return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10)

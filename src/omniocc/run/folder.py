@@ -1,4 +1,4 @@
-"""Where a run lives: a folder named by its configuration, so that the same command finds it again."""
+"""The folder of a run: named by its configuration, so that the same command finds it again."""
 
 import hashlib
 import json
@@ -14,11 +14,12 @@ from filelock import FileLock, Timeout
 
 from omniocc.errors import UserError
 from omniocc.run.checkpoint_io import LAST, resumable
+from omniocc.run.slots import sketch_learns
 
 METRICS = "metrics.json"
-PICTURES, PARTS = "pictures", "parts"
-"""Folder of a run's pictures, and in it the folder of their parts."""
-VOLATILE = ("resume", "stage", "paths", "logger", "pictures", "checkpoint_every_n_steps")
+IMAGES, PARTS = "images", "parts"
+"""Folder of the sheets that a run draws, and in it the folder of their parts."""
+VOLATILE = ("resume", "stage", "paths", "packages", "logger", "test_images", "checkpoint_every_n_steps")
 """Root keys that do not change what a run computes."""
 RANK_FOLDER = "OMNIOCC_RUN_FOLDER"
 """Environment variable by which the first process of a distributed run tells its children the folder."""
@@ -26,7 +27,7 @@ RANK_FOLDER = "OMNIOCC_RUN_FOLDER"
 
 @dataclass(frozen=True)
 class RunFolder:
-    """The folder of a run.
+    """Point to the folder of a run and to what of it is used.
 
     Attributes:
         path: the folder.
@@ -40,13 +41,13 @@ class RunFolder:
 
     @property
     def finished(self) -> bool:
-        """Whether the run has been trained and tested."""
+        """Return whether the run has been trained and tested."""
         return (self.path / METRICS).exists()
 
 
 def run_hash(config: dict[str, Any], data_fingerprint: str) -> str:
-    """Eight hex digits of everything that decides a run's result."""
-    unused = () if "depth" in config["model"]["sketch"] else ("depth", "stages")
+    """Return eight hex digits of everything that decides a run's result."""
+    unused = () if sketch_learns(config) else ("depth", "stages")
     kept = {key: value for key, value in config.items() if key not in (*VOLATILE, *unused)}
     text = json.dumps([kept, data_fingerprint], sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:8]
@@ -57,7 +58,7 @@ def open_run(runs: Path, name: str, digest: str, resume: str) -> RunFolder:
 
     Args:
         runs: folder of all runs.
-        name: human part of the folder's name.
+        name: readable part of the folder's name.
         digest: `run_hash` of the run.
         resume: `auto` continues the folder of the same hash; `never` takes a fresh one beside it; anything else is a
             checkpoint to go on from.
@@ -85,7 +86,7 @@ def open_run(runs: Path, name: str, digest: str, resume: str) -> RunFolder:
 
 
 def given_checkpoint(resume: str) -> Path | None:
-    """The checkpoint that `resume` names, if it names one.
+    """Return the checkpoint that `resume` names, if it names one.
 
     Raises:
         FileNotFoundError: when it is not there.
@@ -113,7 +114,7 @@ def _claim(path: Path, fresh: bool) -> tuple[Path, FileLock]:
 
 
 def command_line() -> str:
-    """What started this process, to be typed in the same folder; a multirun starts its jobs by whole paths."""
+    """Return the command that started this process, to be typed in the same folder; paths in it become relative."""
     script, *arguments = sys.argv
     path = Path(script)
     if path.is_absolute() and path.is_relative_to(Path.cwd()):
@@ -122,7 +123,7 @@ def command_line() -> str:
 
 
 def git_commit() -> str:
-    """Commit of the source tree, `+` when it has changes; `unknown` outside a repository."""
+    """Return the commit of the source tree, with `+` when it has changes; `unknown` outside a repository."""
     here = Path(__file__).parent
     try:
         show = subprocess.run(

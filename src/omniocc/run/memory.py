@@ -1,4 +1,4 @@
-"""How this process gets memory from the system."""
+"""How this process keeps the memory that it has freed."""
 
 import ctypes
 
@@ -7,9 +7,9 @@ LARGEST_BLOCK, LARGEST_REST = 2**30, 2**31 - 1
 
 
 def keep_freed_memory() -> None:
-    """Tells glibc to keep what is freed: tensors of every step would be given back, fetched and zeroed again.
+    """Tell glibc to keep what is freed: else tensors of every step would be given back, fetched and zeroed again.
 
-    Blocks up to 1 GiB; larger ones, and other C libraries, are left alone. The process holds on to its peak.
+    This holds for blocks up to 1 GiB; other C libraries are left alone. The process keeps its peak of memory.
     """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:

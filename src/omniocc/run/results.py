@@ -8,7 +8,7 @@ from typing import Any
 
 from omniocc.errors import UserError
 from omniocc.io import atomic_write
-from omniocc.run.folder import METRICS, PICTURES
+from omniocc.run.folder import IMAGES, METRICS
 from omniocc.run.table import as_markdown, as_text
 
 CANDIDATES = "fraction of candidates"
@@ -51,13 +51,13 @@ def load_results(folder: Path) -> tuple[dict[str, Any], dict[str, float]]:
 def show_results(folder: Path) -> None:
     """Print the table of a finished run and where its files are."""
     print(f"\n{as_text(load_results(folder)[1])}\n")
-    pictures = sorted(str(path) for path in (folder / PICTURES).glob("test-*.png"))
+    images = sorted(str(path) for path in (folder / IMAGES).glob("test-*.png"))
     print(
         "\n".join(
             [
                 f"table     {folder / 'table.md'}",
                 f"figures   {folder / METRICS}",
-                *(f"picture   {path}" for path in pictures),
+                *(f"image     {path}" for path in images),
             ]
         ),
         flush=True,

@@ -1,28 +1,33 @@
-"""Which option fills which slot of a model, in words to group runs by."""
+"""Which option fills which slot of a model, and whether there are stages before occupancy."""
 
 from collections.abc import Mapping
-from importlib import import_module
 from typing import Any
 
+from omniocc.config import target_of
+from omniocc.model.protocols import learns
 
-def option_of(target: str) -> str:
-    """The option's name: that of the file its class is in, as in `conf/`.
+
+def sketch_learns(config: Mapping[Any, Any]) -> bool:
+    """Return whether the sketch is trained, on ranges of the depth slot, in stages before occupancy.
 
     Args:
-        target: import path of a class, as in `_target_`.
+        config: a run's configuration.
     """
-    package, _, name = target.rpartition(".")
-    return getattr(import_module(package), name).__module__.rpartition(".")[2]
+    return learns(target_of(config["model"]["sketch"]))
+
+
+def option_of(node: Mapping[Any, Any]) -> str:
+    """Return the name of the option that a node names: that of the file its class is in, as in `conf/`."""
+    return target_of(node).__module__.rpartition(".")[2]
 
 
 def slots_of(config: Mapping[str, Any]) -> dict[str, str]:
-    """Option by slot, for example `sketch: omni`; `depth` where the sketch asks for it.
+    """Return the option in every slot, for example `sketch: omni`; `depth` if the sketch learns.
 
     Args:
         config: a run's resolved configuration.
     """
-    model = config["model"]
-    nodes = {slot: node for slot, node in model.items() if isinstance(node, Mapping) and "_target_" in node}
-    if "depth" in nodes.get("sketch", {}):
-        nodes["depth"] = model["sketch"]["depth"]
-    return {slot: option_of(node["_target_"]) for slot, node in nodes.items()}
+    nodes = {slot: node for slot, node in config["model"].items() if isinstance(node, Mapping) and "_target_" in node}
+    if sketch_learns(config):
+        nodes["depth"] = config["depth"]
+    return {slot: option_of(node) for slot, node in nodes.items()}

@@ -1,11 +1,11 @@
-"""Lightning modules of the stages, and what a run needs around them."""
+"""Lightning modules of the stages, and what trains them."""
 
 from omniocc.task.adamw import AdamW
-from omniocc.task.depth import Depth
-from omniocc.task.occupancy import Occupancy
+from omniocc.task.depth import DepthTask
+from omniocc.task.occupancy import OccupancyTask
 from omniocc.task.progress import StepProgress
 from omniocc.task.recipe import Recipe
 from omniocc.task.scores import Scores
-from omniocc.task.sketch import Sketch
+from omniocc.task.sketch import SketchTask
 
-__all__ = ["AdamW", "Depth", "Occupancy", "Recipe", "Scores", "Sketch", "StepProgress"]
+__all__ = ["AdamW", "DepthTask", "OccupancyTask", "Recipe", "Scores", "SketchTask", "StepProgress"]

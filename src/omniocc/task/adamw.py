@@ -7,32 +7,32 @@ from lightning.pytorch.utilities.types import OptimizerLRSchedulerConfig
 from torch import nn
 
 
-def warmup_cosine(step: int, warmup_steps: int, total_steps: int, final_share: float) -> float:
-    """Learning rate at `step` as a share of its peak."""
+def warmup_cosine(step: int, warmup_steps: int, total_steps: int, min_lr_ratio: float) -> float:
+    """Return the learning rate at `step` as a fraction of its peak."""
     if step < warmup_steps:
         return (step + 1) / (warmup_steps + 1)
     progress = min(1.0, (step - warmup_steps) / max(1, total_steps - warmup_steps))
-    return final_share + (1 - final_share) * 0.5 * (1 + math.cos(math.pi * progress))
+    return min_lr_ratio + (1 - min_lr_ratio) * 0.5 * (1 + math.cos(math.pi * progress))
 
 
 class AdamW:
-    """Recipe for a Lightning module's `configure_optimizers`.
+    """Describe optimiser and schedule for a Lightning module's `configure_optimizers`.
 
     Args:
         learning_rate: at the end of the warm-up.
         warmup_steps: steps of linear growth.
         weight_decay: on tensors of two dimensions and more; norms and biases are left alone.
-        final_share: learning rate at the last step as a share of `learning_rate`.
+        min_lr_ratio: learning rate at the last step as a fraction of `learning_rate`.
     """
 
-    def __init__(self, learning_rate: float, warmup_steps: int, weight_decay: float, final_share: float):
+    def __init__(self, learning_rate: float, warmup_steps: int, weight_decay: float, min_lr_ratio: float):
         self.learning_rate = learning_rate
         self.warmup_steps = warmup_steps
         self.weight_decay = weight_decay
-        self.final_share = final_share
+        self.min_lr_ratio = min_lr_ratio
 
     def configure(self, model: nn.Module, total_steps: int) -> OptimizerLRSchedulerConfig:
-        """Optimiser and per-step schedule for the parameters of `model` that ask for gradients."""
+        """Return optimiser and schedule by steps for the parameters of `model` that require gradients."""
         parameters = [p for p in model.parameters() if p.requires_grad]
         groups = [
             {"params": [p for p in parameters if p.ndim >= 2], "weight_decay": self.weight_decay},
@@ -40,6 +40,6 @@ class AdamW:
         ]
         optimizer = torch.optim.AdamW(groups, lr=self.learning_rate)
         schedule = torch.optim.lr_scheduler.LambdaLR(
-            optimizer, lambda step: warmup_cosine(step, self.warmup_steps, total_steps, self.final_share)
+            optimizer, lambda step: warmup_cosine(step, self.warmup_steps, total_steps, self.min_lr_ratio)
         )
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}

@@ -1,29 +1,31 @@
-"""The occupancy stage: train the model, validate by RayIoU, test beside two yardsticks."""
+"""The occupancy stage: train the model, validate by RayIoU, test between a baseline and an upper bound."""
 
 from typing import Any
 
 import torch
-from lightning.pytorch import Callback, LightningModule
+from lightning.pytorch import Callback
 from lightning.pytorch.callbacks import EMAWeightAveraging
-from lightning.pytorch.utilities.types import OptimizerLRSchedulerConfig
 from torch import Tensor
 
 from omniocc.batch import Batch
-from omniocc.classes import UNKNOWN
-from omniocc.data import Augment
+from omniocc.camera import Rig
+from omniocc.classes import FREE, UNKNOWN
+from omniocc.data import Augment, SourceSpec
 from omniocc.loss import Total
 from omniocc.model import OccupancyModel, Prediction, Stream
+from omniocc.model.sketch import Sketched
 from omniocc.task.adamw import AdamW
 from omniocc.task.draws import step_generator
 from omniocc.task.scores import Scores
+from omniocc.task.stage_task import StageTask
 from omniocc.task.terms import log_terms
 
 
-class Occupancy(LightningModule):
-    """Trains `model` with `loss`; the yardsticks of the test are scored in the same pass.
+class OccupancyTask(StageTask[OccupancyModel]):
+    """Train `model` with `loss`; baseline and upper bound of the test are scored in the same pass.
 
-    * `prior`: the most frequent training class of every voxel, what a model knows that never opens its eyes.
-    * `label`: the true voxels themselves, scored against the true LiDAR rays: the ceiling the grid allows.
+    * `prior`, the baseline: the most frequent training class of every voxel, an answer without looking at images.
+    * `label`, the upper bound: the true voxels themselves, scored against the true LiDAR rays.
 
     Args:
         model: what is trained.
@@ -32,8 +34,11 @@ class Occupancy(LightningModule):
         augment: random changes of training batches.
         ema_decay: the weights that are validated, tested and saved are this moving average over steps, for example
             0.999; None: those of the last step.
+        spec: of the data: classes, bands and LiDAR rays of the scores.
         config: the run's resolved configuration as plain data; with it the checkpoint suffices to rebuild the model.
     """
+
+    STAGE = "occupancy"
 
     def __init__(
         self,
@@ -42,24 +47,22 @@ class Occupancy(LightningModule):
         optimizer: AdamW,
         augment: Augment,
         ema_decay: float | None,
+        spec: SourceSpec,
         config: dict[str, Any],
     ):
-        super().__init__()
-        self.model = model
+        super().__init__(model, optimizer, config)
         self.loss = loss
-        self.optimizer = optimizer
         self.augment = augment
         self.ema_decay = ema_decay
-        self.config = config
         self.stream = Stream(model)
-        self.scores = Scores(model.geometry)
-        self.prior_scores = Scores(model.geometry)
-        self.label_scores = Scores(model.geometry)
+        self.scores = Scores(model.geometry, spec)
+        self.prior_scores = Scores(model.geometry, spec)
+        self.label_scores = Scores(model.geometry, spec)
         self.prior: Tensor
         self.register_buffer("prior", torch.zeros(model.geometry.shape, dtype=torch.uint8))
 
     def set_training_statistics(self, voxel_counts: Tensor) -> None:
-        """Class weights and prior from how often each class stood in each cell of the training set.
+        """Set class weights and prior from how often each class stood in each cell of the training set.
 
         Args:
             voxel_counts: (C, *shape) integers.
@@ -68,75 +71,67 @@ class Occupancy(LightningModule):
         self.prior.copy_(voxel_counts.argmax(0))
 
     def predict_labels(self, batch: Batch) -> Tensor:
-        """(B, *shape) uint8 class of every cell."""
+        """Return the class of every cell, (B, *shape) uint8."""
         return self.predict(batch).logits.argmax(1).to(torch.uint8)
 
     def predict(self, batch: Batch) -> Prediction:
-        """Logits of the newest frame, from the batch's candidates if it has any; of ranges if it has true ones."""
+        """Return logits of the newest frame, and of ranges where the batch has true ones."""
         with_ranges = batch.camera_range_m is not None
-        return self.model(batch.images, batch.rigs, batch.world_from_ego, batch.candidates, batch.exists, with_ranges)
+        return self.model(*model_inputs(batch), batch.exists, with_ranges)
 
     def evaluate(self, batch: Batch) -> Tensor:
-        """As `predict_labels`, with the past frames' volumes from memory where the frames before have left them."""
+        """Return what `predict_labels` does, reusing the volumes of past frames that were evaluated before."""
         exists = batch.exists
         if exists is None:
             exists = torch.ones(batch.images.shape[:2], dtype=torch.bool, device=batch.images.device)
-        window = batch.images, batch.rigs, batch.world_from_ego, batch.candidates, exists, batch.frame_ids
-        return self.stream.windows(*window).argmax(1).to(torch.uint8)
+        return self.stream.windows(*model_inputs(batch), exists, batch.frame_ids).argmax(1).to(torch.uint8)
 
     def configure_callbacks(self) -> list[Callback]:
-        """The moving average of the weights, if asked for."""
+        """Return the moving average of the weights, if asked for."""
         # buffers follow the last step: averaging would round the prior's class ids
         return [] if self.ema_decay is None else [EMAWeightAveraging(decay=self.ema_decay, use_buffers=False)]
 
     def training_step(self, batch: Batch, batch_index: int) -> Tensor:
-        """Sum of the loss terms; each is logged by name."""
+        """Return the sum of the loss terms; each is logged by name."""
         batch = self.augment(batch, step_generator(self, self.config["seed"], batch_index))
         prediction = self.predict(batch)
         return log_terms(self, self.loss(prediction, batch.voxels, batch.pixel_labels, batch.camera_range_m), batch)
 
-    def validation_step(self, batch: Batch, batch_index: int) -> Tensor:
-        """Score a batch; returns the predicted labels."""
+    def score(self, batch: Batch) -> Tensor:
+        """Score a batch and return the predicted labels."""
         labels = self.evaluate(batch)
         self.scores.update(labels, batch)
         return labels
 
     def on_validation_epoch_start(self) -> None:
-        """The weights are others than last time."""
+        """Forget the volumes of past frames: the weights have changed."""
         self.stream.reset()
 
     def on_test_epoch_start(self) -> None:
-        """The weights are others than last time."""
+        """Forget the volumes of past frames: the weights have changed."""
         self.stream.reset()
-
-    def on_validation_epoch_end(self) -> None:
-        """Log `val/rayiou` and the rest."""
-        self.stream.reset()
-        self._log_scores("val", self.scores)
 
     def test_step(self, batch: Batch, batch_index: int) -> Tensor:
-        """Score a batch and both yardsticks on it; returns the predicted labels."""
-        labels = self.evaluate(batch)
-        self.scores.update(labels, batch)
+        """Score a batch with baseline and upper bound on it, and return the predicted labels."""
+        labels = self.score(batch)
         self.prior_scores.update(self.prior.expand_as(labels), batch)
-        # an unknown cell is no prediction: seen from the label's side it is empty
-        self.label_scores.update(batch.voxels.masked_fill(batch.voxels == UNKNOWN, 0), batch)
+        # an unknown cell is no prediction: it counts as empty
+        if batch.voxels is not None:
+            self.label_scores.update(batch.voxels.masked_fill(batch.voxels == UNKNOWN, FREE), batch)
         return labels
 
-    def on_test_epoch_end(self) -> None:
-        """Log `test/...`, `prior/...` and `label/...`."""
+    def log_scores(self, split: str) -> None:
+        """Log `<split>/...`, and after a test `prior/...` and `label/...`; forget the volumes of past frames."""
         self.stream.reset()
-        for name, scores in (("test", self.scores), ("prior", self.prior_scores), ("label", self.label_scores)):
-            self._log_scores(name, scores)
+        rows = {split: self.scores}
+        if split == "test":
+            rows |= {"prior": self.prior_scores, "label": self.label_scores}
+        for name, scores in rows.items():
+            self.log_dict({f"{name}/{key}": value for key, value in scores.compute().items()}, sync_dist=False)
+            scores.reset()
 
-    def _log_scores(self, prefix: str, scores: Scores) -> None:
-        self.log_dict({f"{prefix}/{key}": value for key, value in scores.compute().items()}, sync_dist=False)
-        scores.reset()
 
-    def configure_optimizers(self) -> OptimizerLRSchedulerConfig:
-        """As the recipe says, over all steps the trainer will take."""
-        return self.optimizer.configure(self.model, int(self.trainer.estimated_stepping_batches))
-
-    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """The configuration travels with the weights."""
-        checkpoint["config"] = self.config
+def model_inputs(batch: Batch) -> tuple[Tensor, tuple[tuple[Rig, ...], ...], Tensor, Sketched | None]:
+    """Return images, rigs of every frame, poses, and what the sketch stage has left, None where it has not run."""
+    sketched = None if batch.candidates is None else Sketched(batch.candidates, batch.evidence)
+    return batch.images, batch.rigs, batch.world_from_ego, sketched

@@ -9,7 +9,7 @@ from omniocc.progress import Progress
 
 
 class StepProgress(ProgressBar):
-    """Shows the steps done of all, the time left, the loss and the last validation score.
+    """Show the steps done of all, the time left, the loss and the last validation score.
 
     Args:
         stage: what is trained or tested.
@@ -53,13 +53,7 @@ class StepProgress(ProgressBar):
         self._start("test", int(sum(trainer.num_test_batches)))
 
     def on_test_batch_end(  # noqa: D102
-        self,
-        trainer: Trainer,
-        pl_module: LightningModule,
-        outputs: Any,
-        batch: Any,
-        batch_idx: int,
-        dataloader_idx: int = 0,
+        self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int, *_: Any
     ) -> None:
         self._show(batch_idx + 1)
 

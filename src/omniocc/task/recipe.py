@@ -1,4 +1,4 @@
-"""How long and on what batches a stage before occupancy trains."""
+"""The recipe of a stage before occupancy: how long and on what batches it trains."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from omniocc.task.adamw import AdamW
 
 @dataclass(frozen=True)
 class Recipe:
-    """Training of one stage.
+    """Describe the training of one stage.
 
     Attributes:
         max_steps: optimiser steps.

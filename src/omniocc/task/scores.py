@@ -4,54 +4,99 @@ from typing import cast
 
 from jaxtyping import Float, UInt8
 from torch import Tensor, nn
+from torchmetrics import SumMetric
 
 from omniocc.batch import Batch
 from omniocc.classes import FREE
+from omniocc.data import SourceSpec
 from omniocc.geometry import Cuboid, Cylinder, Grid
-from omniocc.metric import RayIoU, VoxelIoU, sparseocc_directions
-from omniocc.metric.bands import PAPER_RANGE_EDGES_M
+from omniocc.metric import RayIoU, RayTruth, VoxelIoU
 
 
 def within_reach(
-    labels: UInt8[Tensor, "B R"], range_m: Float[Tensor, "B R"], directions: Float[Tensor, "R 3"]
+    labels: UInt8[Tensor, "B R"],
+    range_m: Float[Tensor, "B R"],
+    directions: Float[Tensor, "*B R 3"],
+    reach_m: float,
+    origins: Float[Tensor, "B R 3"] | None = None,
 ) -> UInt8[Tensor, "B R"]:
-    """Classes of hits, free where the hit is beyond the last band, measured from the z axis.
+    """Return the classes of hits, free where the hit is `reach_m` or more away from the ego z axis.
 
     Only the corners of a cuboid reach farther: without them, grids of any outline are judged on the same rays.
     """
-    distance_m = range_m * directions[:, :2].norm(dim=-1)
-    return labels.masked_fill(distance_m >= PAPER_RANGE_EDGES_M[-1], FREE)
+    if origins is None:
+        distance_m = range_m * directions[..., :2].norm(dim=-1)
+    else:
+        distance_m = (origins + range_m.unsqueeze(-1) * directions)[..., :2].norm(dim=-1)
+    return labels.masked_fill(distance_m >= reach_m, FREE)
 
 
 class Scores(nn.Module):
-    """RayIoU against the true voxels (as the paper does), RayIoU against the ego LiDAR's true rays, and voxel IoU.
+    """RayIoU against the true voxels (as the paper does), RayIoU against the LiDAR's true rays, and voxel IoU.
 
     The keys of `compute` are the metrics' own: plain for rays against voxels, `lidar/...` for true rays, `voxel/...`
-    for cells. LiDAR hits beyond the last band count for no grid.
+    for cells. LiDAR hits beyond the last band count for no grid. Where no batch has voxels or no LiDAR, their keys
+    are absent; cells outside `Batch.scored` count as unknown.
+
+    Args:
+        geometry: grid of predictions and labels.
+        spec: classes, bands and LiDAR rays of the data.
     """
 
-    def __init__(self, geometry: Grid):
+    def __init__(self, geometry: Grid, spec: SourceSpec):
         super().__init__()
         grid = cast(Cylinder | Cuboid, geometry)
-        self.rays = RayIoU(grid, range_edges_m=PAPER_RANGE_EDGES_M)
-        self.lidar = RayIoU(grid, range_edges_m=PAPER_RANGE_EDGES_M)
-        self.cells = VoxelIoU()
-        self.directions: Tensor
-        self.register_buffer("directions", sparseocc_directions().float(), persistent=False)
+        self.num_classes, self.reach_m = spec.classes.num_classes, spec.reach_m
+        self.rays = _ray_iou(grid, spec, None)
+        self.lidar = _ray_iou(grid, spec, spec.lidar_directions)
+        self.cells = VoxelIoU(self.num_classes, class_names=spec.classes.names)
+        self.voxel_frames, self.lidar_frames = SumMetric(), SumMetric()
+        directions = None if spec.lidar_directions is None else spec.lidar_directions.float()
+        self.directions: Tensor | None
+        self.register_buffer("directions", directions, persistent=False)
 
-    def update(self, labels: Tensor, batch: Batch) -> None:
-        """Add a batch of predicted labels (B, *shape)."""
-        self.rays.update(labels, batch.voxels)
-        hits = within_reach(batch.lidar_labels, batch.lidar_range_m, self.directions)
-        self.lidar.update_rays(labels, batch.lidar_range_m, hits)
-        self.cells.update(labels, batch.voxels)
+    def update(self, labels: UInt8[Tensor, "B X Y Z"], batch: Batch) -> None:
+        """Add a batch of predicted labels."""
+        self.voxel_frames.update(0 if batch.voxels is None else len(labels))
+        if batch.voxels is not None:
+            self.rays.update(labels, batch.voxels, observed=batch.scored)
+            self.cells.update(labels, batch.voxels, observed=batch.scored)
+        self.lidar_frames.update(0 if batch.lidar_labels is None else len(labels))
+        if batch.lidar_labels is not None:
+            self._add_lidar(labels, batch)
 
     def compute(self) -> dict[str, Tensor]:
-        """All results; counts are summed over the dataset and over processes before anything is divided."""
+        """Return all results; counts are summed over the dataset and over processes before anything is divided."""
         parts = {"": self.rays, "lidar/": self.lidar, "voxel/": self.cells}
-        return {f"{prefix}{key}": value for prefix, metric in parts.items() for key, value in metric.compute().items()}
+        frames = {"": self.voxel_frames, "lidar/": self.lidar_frames, "voxel/": self.voxel_frames}
+        return {
+            f"{prefix}{key}": value
+            for prefix, metric in parts.items()
+            if frames[prefix].compute() > 0
+            for key, value in metric.compute().items()
+        }
 
     def reset(self) -> None:
         """Forget everything."""
-        for metric in (self.rays, self.lidar, self.cells):
+        for metric in (self.rays, self.lidar, self.cells, self.voxel_frames, self.lidar_frames):
             metric.reset()
+
+    def _add_lidar(self, labels: Tensor, batch: Batch) -> None:
+        assert batch.lidar_range_m is not None
+        assert batch.lidar_labels is not None
+        directions = self.directions if batch.lidar_directions is None else batch.lidar_directions
+        assert directions is not None
+        range_m, origins = batch.lidar_range_m, batch.lidar_origins
+        hits = within_reach(batch.lidar_labels, range_m, directions, self.reach_m, origins)
+        self.lidar.update(labels, RayTruth(range_m, hits, batch.lidar_directions, origins))
+
+
+def _ray_iou(grid: Cylinder | Cuboid, spec: SourceSpec, directions: Tensor | None) -> RayIoU:
+    classes = spec.classes
+    return RayIoU(
+        grid,
+        classes.num_classes,
+        range_edges_m=spec.range_edges_m,
+        directions=directions,
+        class_names=classes.names,
+    )

@@ -1,4 +1,4 @@
-"""Named loss terms: summed, logged, and stopped at when they are no numbers."""
+"""Named loss terms: summed, logged, and refused when they are not finite."""
 
 from collections.abc import Mapping
 
@@ -11,11 +11,13 @@ from omniocc.errors import UserError
 
 
 def log_terms(task: LightningModule, terms: Mapping[str, Tensor], batch: Batch) -> Tensor:
-    """The sum of the terms; logs `train/loss/<name>` and `train/loss`.
+    """Return the sum of the terms, after logging `train/loss/<name>` and `train/loss`.
 
     Raises:
-        UserError: naming terms and frames, when the sum is not finite.
+        UserError: naming the frames, when there are no terms or their sum is not finite.
     """
+    if not terms:
+        raise UserError(f"nothing to learn from: no loss applies to the labels of {', '.join(batch.frame_ids)}")
     total = torch.stack(list(terms.values())).sum()
     size = len(batch.frame_ids)
     task.log_dict({f"train/loss/{name}": term.detach() for name, term in terms.items()}, batch_size=size)

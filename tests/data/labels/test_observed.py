@@ -5,7 +5,7 @@ from fake_scene import FakeWorld, fake_frame
 
 from omniocc.data.labels import observed
 from omniocc.data.labels.voxels import VoxelCache, vote
-from omniocc.data.store import codec
+from omniocc.data.store import codec, reader
 from omniocc.geometry import Cuboid, Cylinder
 
 GRIDS = [
@@ -19,16 +19,14 @@ def scene(tmp_path, monkeypatch):
     angles = np.linspace(0, 2 * np.pi, 64, endpoint=False) + 0.01
     rays = np.stack([np.cos(angles), np.sin(angles), 0.1 * np.cos(7 * angles)], axis=1)
     rays = (rays / np.linalg.norm(rays, axis=1, keepdims=True)).astype(np.float32)
-    monkeypatch.setattr(observed, "ego_directions", lambda: rays)
-    observed._sight.cache_clear()
+    monkeypatch.setattr(reader, "_lidar_directions", lambda: rays)
     world = FakeWorld(tmp_path, scenes=(1, 0, 0))
     world.prepare()
-    yield world.readers("train")[0]
-    observed._sight.cache_clear()
+    return world.scenes("train")[0]
 
 
 def walked(geometry, origins, directions, range_m):
-    """Cells left before the range, by steps of 2 mm in float64: surely left, and left if one is generous at the end."""
+    """Cells left before the range, in steps of 2 mm in float64: surely left, and left with a tolerance at the end."""
     sure, maybe = np.zeros(geometry.num_cells, bool), np.zeros(geometry.num_cells, bool)
     for origin, direction, limit_m in zip(origins, directions, range_m, strict=True):
         if np.isnan(limit_m):
@@ -46,7 +44,7 @@ def walked(geometry, origins, directions, range_m):
 @pytest.mark.parametrize("geometry", GRIDS, ids=["cylinder", "cuboid"])
 def test_seen_are_the_cells_that_rays_leave_before_they_hit(scene, geometry):
     rig, frame = scene.rig, fake_frame(0, 1)
-    origins, directions = [np.zeros((64, 3))], [observed.ego_directions().astype(np.float64)]
+    origins, directions = [np.zeros((64, 3))], [scene.lidar(1).directions.astype(np.float64)]
     ranges = [frame.lidar_range_m]
     for k in range(6):
         rays, valid = rig.rays(k)
@@ -70,7 +68,7 @@ def test_seen_are_the_cells_that_rays_leave_before_they_hit(scene, geometry):
 def test_unobserved_cells_are_unknown_and_kept_apart(scene, tmp_path):
     caches = {name: VoxelCache(tmp_path / "cache", GRIDS[0], name) for name in ("free", "unobserved")}
     for cache in caches.values():
-        cache.prepare([scene], workers=0)
+        cache.prepare([scene])
     assert caches["free"].folder != caches["unobserved"].folder
     free, strict = (cache.read(scene, 2) for cache in caches.values())
     assert torch.equal(free, vote(scene, 2, GRIDS[0]))

@@ -121,14 +121,14 @@ def test_impossible_numbers_are_named(tmp_path, argument, value):
 def test_scenes_are_complete_and_know_how_they_were_made(reference):
     world = FakeWorld(reference)
     assert world.missing() == []
-    reader = world.readers("train")[1]
+    reader = world.scenes("train")[1]
     assert reader.name == "train-001-suburb"
     assert len(reader) == 4
     assert reader.rig == world.rig
     assert reader.world_from_ego[:, 0, 3].tolist() == [0.0, 3.0, 6.0, 9.0]
     facts = reader.meta["facts"]
     assert (facts["split"], facts["theme"], facts["seed"]) == ("train", "suburb", 1)
-    assert facts["classes"]["11"] == "Roadline"
+    assert facts["spec"]["classes"]["11"]["name"] == "Roadline"
     assert facts["weather"] == weather_of("suburb", 1)
 
 
@@ -271,7 +271,7 @@ def test_a_scene_held_by_another_process_is_waited_for(tmp_path, capsys, monkeyp
 def test_missing_scenes_and_a_folder_that_cannot_be_written(tmp_path):
     world = FakeWorld(tmp_path / "data")
     with pytest.raises(DataError, match=r"train-000-downtown.*missing.*prepare"):
-        world.readers("train")
+        world.scenes("train")
     (tmp_path / "data").write_text("a file where the folder should be")
     with pytest.raises(DataError, match=r"cannot write .*data"):
         world.prepare()

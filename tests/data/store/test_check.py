@@ -16,7 +16,7 @@ GRID = Cylinder(shape=(8, 10, 4), radius_m=(0.0, 25.6), height_m=(-2.8, 3.6))
 def scene(tmp_path):
     world = FakeWorld(tmp_path, scenes=(1, 0, 0))
     world.prepare()
-    return world.readers("train")[0]
+    return world.scenes("train")[0]
 
 
 def test_a_whole_scene_has_no_problem(scene):
@@ -100,7 +100,7 @@ def test_wrong_times_are_named(scene):
 def test_a_survey_counts_classes_and_lists_problems(tmp_path, workers):
     world = FakeWorld(tmp_path, scenes=(3, 0, 0))
     world.prepare()
-    scenes = world.readers("train")
+    scenes = world.scenes("train")
     (scenes[1].folder / "rig.yaml").unlink()
     found = survey(SceneSurvey(4, 0.5, GRID, 2), scenes, workers)
     assert [len(result.problems) for result in found] == [0, 1, 0]

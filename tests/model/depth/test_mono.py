@@ -29,7 +29,7 @@ def test_range_of_four():
 def test_a_network_that_knows_the_range_gives_the_panorama(small, make_ring, monkeypatch):
     # a ball of 6 m around the ego origin, its range from each camera's own centre
     rig = make_ring(6)
-    model = small("Mono", erp_size=[16, 6]).eval()
+    model = small("Mono", width=16, height=6).eval()
     rays = torch.stack([rig.resized(32, 18).rays(k)[0] for k in range(6)])
     centers_m = rig.ego_from_camera[:, None, None, :3, 3].float()
     along = (rays * centers_m).sum(-1)

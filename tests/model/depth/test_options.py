@@ -5,7 +5,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from omniocc.model.depth import Depth
+from omniocc.model import depth
+from omniocc.model.depth import Depth, LearnedDepth, learns
 
 NETS = ["OmniMVS", "OmniMVS3D"]
 BLIND = ["Sweep", "Mono", *NETS]
@@ -41,6 +42,20 @@ def test_contract(name, small, rig):
     assert isinstance(model, Depth)
     assert (model.panorama.width, model.panorama.height) == (48, 12)
     assert_depth(model(images_of((rig, rig)), (rig, rig)), 2)
+
+
+@pytest.mark.parametrize("name", ["Truth", *BLIND])
+def test_what_learns_and_what_needs_the_true_range_can_be_told_from_the_class(name, small):
+    option = getattr(depth, name)
+    assert learns(option) == (name in ("Mono", *NETS))
+    assert isinstance(small(name), LearnedDepth) == learns(option)
+    assert (name == "Truth") == option.NEEDS_TRUE_RANGE
+
+
+@every
+def test_a_rig_of_cameras_of_two_sizes(name, small, rig):
+    cameras = tuple(replace(camera, width=48, height=32) if k % 2 else camera for k, camera in enumerate(rig.cameras))
+    assert_depth(small(name)(images_of((rig,)), (replace(rig, cameras=cameras),)), 1)
 
 
 @every
@@ -85,7 +100,7 @@ def test_wrong_images_are_named(name, small, rig, make_ring):
     model, images = small(name), images_of((rig,))
     with pytest.raises(ValueError, match=r"6 cameras.*images.* 5"):
         model(images[:, :5], (rig,))
-    with pytest.raises(ValueError, match=r"32x36 px.*rig"):
+    with pytest.raises(ValueError, match=r"rig.*64x36.*32x36 px"):
         model(images[..., :32], (rig,))
     with pytest.raises(ValueError, match=r"2 rigs.* 1 sample"):
         model(images, (rig, rig))

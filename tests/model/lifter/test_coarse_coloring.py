@@ -3,6 +3,7 @@ import torch
 
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.model.lifter import CoarseColoring, Coloring
+from omniocc.model.sketch import Sketched
 
 SIZES = {"layers": 1, "heads": 2, "points": 2, "feedforward_channels": 8}
 
@@ -28,8 +29,8 @@ def test_every_voxel_holds_what_its_block_gets_on_the_coarser_grid(fisheye, fine
     blocks = torch.rand(1, *coarse.shape) < 0.5
     candidates = torch.zeros(1, *fine.shape, dtype=torch.bool)
     candidates[:, ::2, 1::2, ::2] = blocks  # one voxel of each
-    expected = coloring(features, blocks, (fisheye,))
-    volume = lifter(features, candidates, (fisheye,))
+    expected = coloring(features, Sketched(blocks), (fisheye,))
+    volume = lifter(features, Sketched(candidates), (fisheye,))
     for x, y, z in torch.cartesian_prod(*[torch.arange(2)] * 3).tolist():
         assert torch.equal(volume[:, :, x::2, y::2, z::2], expected)
 
@@ -39,7 +40,7 @@ def test_training_reaches_every_parameter(fisheye):
     lifter = make(geometry)
     candidates = torch.zeros(1, *geometry.shape, dtype=torch.bool)
     candidates[0, :2] = True
-    volume = lifter(make_features(), candidates, (fisheye,))
+    volume = lifter(make_features(), Sketched(candidates), (fisheye,))
     (volume * torch.randn_like(volume)).sum().backward()
     for name, parameter in lifter.named_parameters():
         assert parameter.grad.abs().sum() > 0, name

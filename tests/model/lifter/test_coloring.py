@@ -9,6 +9,7 @@ from omniocc.model.lifter import Coloring
 from omniocc.model.lifter.coloring import group_samples
 from omniocc.model.ops.lifter.position import position_features
 from omniocc.model.ops.lifter.visible import reference_points
+from omniocc.model.sketch import Sketched
 
 GRID = Cylinder((4, 8, 3))
 SIZES = [(9, 16), (5, 8)]
@@ -83,7 +84,7 @@ def color_by_loops(lifter, features, candidates, rig):
         for layer in lifter.layers if valid[:, cell].any() else []:
             mixed = attend(layer.attention, query, features, pixels[:, cell], valid[:, cell], rig)
             query = layer.attention_norm(query + mixed)
-            query = layer.feedforward_norm(query + layer.feedforward(query))
+            query = layer.feedforward(query)
         volume[cell] = query
     return volume.T.reshape(-1, *lifter.geometry.shape)
 
@@ -99,7 +100,7 @@ def test_equals_loops_over_voxels_cameras_heads_levels_and_points(fisheye, geome
     lifter, features = make(geometry, anchors=anchors), make_features(batch=1)
     candidates = torch.rand(1, *geometry.shape) < 0.6
     expected = color_by_loops(lifter, [level[0] for level in features], candidates[0], fisheye)
-    result = lifter(features, candidates, (fisheye,))
+    result = lifter(features, Sketched(candidates), (fisheye,))
     seen = torch.stack([reference_points(fisheye, geometry, torch.device("cpu"), (one,))[1] for one in anchors])
     assert len(anchors) == 1 or (seen.any(0) & ~seen.all(0)).any()  # a camera that sees one anchor and not the other
     # reference points are kept in float32
@@ -112,9 +113,11 @@ def test_batch_with_different_rigs_and_candidate_counts_equals_single_samples(fi
     candidates = torch.rand(4, *GRID.shape) < torch.tensor([0.2, 0.9, 0.5, 0.0])[:, None, None, None]
     candidates[2] = candidates[0]
     rigs = (fisheye, pinhole, fisheye, pinhole)
-    both = lifter(features, candidates, rigs)
+    both = lifter(features, Sketched(candidates), rigs)
     for index, rig in enumerate(rigs):
-        alone = lifter([level[index : index + 1] for level in features], candidates[index : index + 1], (rig,))
+        alone = lifter(
+            [level[index : index + 1] for level in features], Sketched(candidates[index : index + 1]), (rig,)
+        )
         torch.testing.assert_close(both[index], alone[0])
 
 
@@ -129,8 +132,8 @@ def test_unseen_voxels_and_non_candidates_ignore_the_images(fisheye):
     lifter = make(geometry)
     candidates = torch.rand(1, *geometry.shape) < 0.7
     valid = reference_points(fisheye, geometry, torch.device("cpu"))[1].any(0).reshape(geometry.shape)
-    first = lifter(make_features(1), candidates, (fisheye,))[0].movedim(0, -1)
-    second = lifter(make_features(1), candidates, (fisheye,))[0].movedim(0, -1)
+    first = lifter(make_features(1), Sketched(candidates), (fisheye,))[0].movedim(0, -1)
+    second = lifter(make_features(1), Sketched(candidates), (fisheye,))[0].movedim(0, -1)
     unseen, seen = candidates[0] & ~valid, candidates[0] & valid
     assert unseen.any()
     assert seen.any()
@@ -142,7 +145,7 @@ def test_unseen_voxels_and_non_candidates_ignore_the_images(fisheye):
 
 def test_no_candidates_at_all_still_train(fisheye):
     lifter = make()
-    lifter(make_features(1), torch.zeros(1, *GRID.shape, dtype=torch.bool), (fisheye,)).sum().backward()
+    lifter(make_features(1), Sketched(torch.zeros(1, *GRID.shape, dtype=torch.bool)), (fisheye,)).sum().backward()
     assert lifter.empty.grad.abs().sum() > 0
 
 
@@ -152,9 +155,9 @@ def test_cost_grows_with_candidates(fisheye):
     rows = []
     lifter.layers[0].feedforward.register_forward_pre_hook(lambda _, arguments: rows.append(arguments[0].shape[1]))
     valid = reference_points(fisheye, GRID, torch.device("cpu"))[1].any(0).reshape(GRID.shape)
-    for share in (0.1, 0.5, 1.0):
-        candidates = torch.rand(1, *GRID.shape) < share
-        lifter(make_features(1), candidates, (fisheye,))
+    for fraction in (0.1, 0.5, 1.0):
+        candidates = torch.rand(1, *GRID.shape) < fraction
+        lifter(make_features(1), Sketched(candidates), (fisheye,))
         assert rows[-1] == int((candidates[0] & valid).sum())
 
 
@@ -168,7 +171,7 @@ def test_positions_do_not_jump_where_the_azimuth_does():
 def test_a_rig_with_other_cameras_than_the_images_is_named(fisheye):
     features = [level[:, :4] for level in make_features(1)]
     with pytest.raises(ValueError, match=r"6 cameras.*images.* 4"):
-        make()(features, torch.ones(1, *GRID.shape, dtype=torch.bool), (fisheye,))
+        make()(features, Sketched(torch.ones(1, *GRID.shape, dtype=torch.bool)), (fisheye,))
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import torch
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.model.lifter import Pillar
 from omniocc.model.lifter.pillar import pillar_anchors
+from omniocc.model.sketch import Sketched
 
 CYLINDER, CUBOID = Cylinder((2, 5, 4), (0.0, 12.0)), Cuboid((3, 3, 4), (-9.0, 8.0), (-7.0, 10.0), (-6.0, 7.0))
 SIZES = [(9, 16), (5, 8)]
@@ -76,7 +77,7 @@ def lift_by_loops(lifter, geometry, features, rig):
         query = coloring.embedding(coloring.positions[x * geometry.shape[1] + y])
         for layer in coloring.layers if seen.any() else []:
             query = layer.attention_norm(query + attend(layer.attention, query, features, pixels, seen, rig))
-            query = layer.feedforward_norm(query + layer.feedforward(query))
+            query = layer.feedforward(query)
         for z in range(geometry.shape[2]):
             rows = slice(3 * z, 3 * z + 3)
             volume[:, x, y, z] = lifter.raise_up.weight[rows] @ query + lifter.raise_up.bias[rows]
@@ -89,15 +90,17 @@ def test_equals_loops_over_pillars_cameras_heads_levels_and_points(fisheye, geom
     lifter, features = make(geometry), [torch.randn(1, 6, 8, *size, dtype=torch.float64) for size in SIZES]
     expected = lift_by_loops(lifter, geometry, [level[0] for level in features], fisheye)
     # reference points are kept in float32
-    torch.testing.assert_close(lifter(features, everywhere(geometry), (fisheye,))[0], expected, rtol=1e-5, atol=1e-5)
+    torch.testing.assert_close(
+        lifter(features, Sketched(everywhere(geometry)), (fisheye,))[0], expected, rtol=1e-5, atol=1e-5
+    )
 
 
 @torch.no_grad()
 def test_batch_with_different_rigs_equals_single_samples(fisheye, pinhole):
     lifter, features = make(CUBOID), [torch.randn(2, 6, 8, *size, dtype=torch.float64) for size in SIZES]
-    both = lifter(features, everywhere(CUBOID, 2), (fisheye, pinhole))
+    both = lifter(features, Sketched(everywhere(CUBOID, 2)), (fisheye, pinhole))
     for index, rig in enumerate((fisheye, pinhole)):
-        alone = lifter([level[index : index + 1] for level in features], everywhere(CUBOID), (rig,))
+        alone = lifter([level[index : index + 1] for level in features], Sketched(everywhere(CUBOID)), (rig,))
         torch.testing.assert_close(both[index], alone[0])
     assert not torch.allclose(both[0], both[1])
 
@@ -107,7 +110,9 @@ def test_pillars_without_candidates_ignore_the_images(fisheye):
     lifter, candidates = make(CUBOID), ~everywhere(CUBOID)
     candidates[0, 1, 2, 3] = True
     first, second = (
-        lifter([torch.randn(1, 6, 8, *size, dtype=torch.float64) for size in SIZES], candidates, (fisheye,))[0]
+        lifter([torch.randn(1, 6, 8, *size, dtype=torch.float64) for size in SIZES], Sketched(candidates), (fisheye,))[
+            0
+        ]
         for _ in range(2)
     )
     changed = (first != second).any(0)
@@ -120,7 +125,7 @@ def test_training_reaches_every_parameter(fisheye):
     lifter = make(CYLINDER).float()
     candidates = everywhere(CYLINDER)
     candidates[0, 0] = False
-    volume = lifter([torch.randn(1, 6, 8, *size) for size in SIZES], candidates, (fisheye,))
+    volume = lifter([torch.randn(1, 6, 8, *size) for size in SIZES], Sketched(candidates), (fisheye,))
     (volume * torch.randn_like(volume)).sum().backward()
     for name, parameter in lifter.named_parameters():
         assert parameter.grad.abs().sum() > 0, name

@@ -5,6 +5,9 @@ from torch.nn import functional as F
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.model.refiner import ChannelToHeight
 from omniocc.model.refiner.channel_to_height import ViewBlock
+from omniocc.model.sketch import Sketched
+
+SKETCHED = Sketched(torch.ones(1, 1, 1, 1, dtype=torch.bool))
 
 CYLINDER, CUBOID = Cylinder((6, 8, 3)), Cuboid((5, 6, 3))
 GRIDS = pytest.mark.parametrize("geometry", [CYLINDER, CUBOID], ids=["cylinder", "cuboid"])
@@ -57,7 +60,7 @@ def test_columns_become_channels_and_channels_columns():
     weight = torch.cat([merge.weight[:, :, 0, 0] for merge in refiner.merge], dim=1)
     mixed = torch.einsum("dc,bcxy->bdxy", weight, wide) + (refiner.merge[0].bias + refiner.merge[1].bias)[:, None, None]
     view = refiner.norm(mixed).clamp(min=0)
-    result = refiner(volume)
+    result = refiner(volume, SKETCHED)
     assert result.shape == (2, refiner.channels, 8, 6, 3)
     for z in range(3):
         rows = slice(5 * z, 5 * z + 5)
@@ -70,12 +73,14 @@ def test_columns_become_channels_and_channels_columns():
 def test_rotating_the_world_rotates_the_answer(roll):
     refiner = ChannelToHeight(CYLINDER, 4, 5, [8, 16], [1, 2]).double()
     volume = torch.randn(1, 4, *CYLINDER.shape, dtype=torch.float64)
-    torch.testing.assert_close(refiner(volume.roll(roll, dims=3)), refiner(volume).roll(roll, dims=3))
+    torch.testing.assert_close(
+        refiner(volume.roll(roll, dims=3), SKETCHED), refiner(volume, SKETCHED).roll(roll, dims=3)
+    )
 
 
 def test_training_reaches_every_parameter_on_odd_sizes():
     refiner = ChannelToHeight(CUBOID, 4, 5, [8, 8, 16], [1, 1, 1])
-    output = refiner(torch.randn(2, 4, *CUBOID.shape))
+    output = refiner(torch.randn(2, 4, *CUBOID.shape), SKETCHED)
     (output * torch.randn_like(output)).sum().backward()
     for name, parameter in refiner.named_parameters():
         assert parameter.grad.abs().sum() > 0, name

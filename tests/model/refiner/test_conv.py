@@ -5,6 +5,9 @@ from torch.nn import functional as F
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.model.refiner import Conv
 from omniocc.model.refiner.conv import Block
+from omniocc.model.sketch import Sketched
+
+SKETCHED = Sketched(torch.ones(1, 1, 1, 1, dtype=torch.bool))
 
 CYLINDER, CUBOID = Cylinder((6, 8, 4)), Cuboid((5, 6, 3))
 
@@ -57,7 +60,7 @@ def test_levels_are_merged_as_if_laid_side_by_side_and_mixed():
     weight = torch.cat([merge.weight for merge in refiner.merge], dim=1)
     bias = refiner.merge[0].bias + refiner.merge[1].bias
     mixed = torch.einsum("dc,bcxyz->bdxyz", weight, wide) + bias[:, None, None, None]
-    torch.testing.assert_close(refiner(volume), refiner.norm(mixed).clamp(min=0))
+    torch.testing.assert_close(refiner(volume, SKETCHED), refiner.norm(mixed).clamp(min=0))
 
 
 @torch.no_grad()
@@ -65,12 +68,14 @@ def test_levels_are_merged_as_if_laid_side_by_side_and_mixed():
 def test_rotating_the_world_rotates_the_answer(roll):
     refiner = Conv(CYLINDER, 4, [8, 16], [1, 2]).double()
     volume = torch.randn(1, 4, *CYLINDER.shape, dtype=torch.float64)
-    torch.testing.assert_close(refiner(volume.roll(roll, dims=3)), refiner(volume).roll(roll, dims=3))
+    torch.testing.assert_close(
+        refiner(volume.roll(roll, dims=3), SKETCHED), refiner(volume, SKETCHED).roll(roll, dims=3)
+    )
 
 
 def test_training_reaches_every_parameter_on_odd_sizes():
     refiner = Conv(CUBOID, 4, [8, 8, 16], [1, 1, 1])
-    output = refiner(torch.randn(2, 4, *CUBOID.shape))
+    output = refiner(torch.randn(2, 4, *CUBOID.shape), SKETCHED)
     assert output.shape == (2, refiner.channels, *CUBOID.shape)
     (output * torch.randn_like(output)).sum().backward()
     for name, parameter in refiner.named_parameters():

@@ -4,7 +4,8 @@ from omniocc.model.sketch import Dense
 
 
 def test_all_voxels_are_candidates(geometry, fisheye):
-    candidates = Dense(geometry)(torch.zeros(2, 6, 3, 4, 4), (fisheye, fisheye))
+    candidates, evidence = Dense(geometry)(torch.zeros(2, 6, 3, 4, 4), (fisheye, fisheye))
+    assert evidence is None
     assert candidates.shape == (2, *geometry.shape)
     assert candidates.dtype == torch.bool
     assert candidates.all()

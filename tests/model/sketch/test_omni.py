@@ -1,3 +1,4 @@
+import inspect
 from typing import NamedTuple
 
 import pytest
@@ -6,7 +7,7 @@ from torch import nn
 
 from omniocc.camera import Equirectangular
 from omniocc.geometry import Cuboid, Cylinder
-from omniocc.model.sketch import Omni, Sketch
+from omniocc.model.sketch import Dense, LearnedSketch, Omni, Random, Sketch, learns
 from omniocc.model.sketch.omni import occupancy
 
 PANORAMA = Equirectangular(24, 12, 45.0, -45.0)
@@ -32,8 +33,8 @@ class FakeDepth(nn.Module):
         return Seen(self.scale * base, base < 15)
 
 
-def make(geometry, threshold: float | None = 0.5, share=None, windows=(0, 0, 0)):
-    return Omni(geometry, FakeDepth(), 8, [1, 2, 2], [8, 8, 16], threshold, share, windows, [8.5, 17.0])
+def make(geometry, threshold: float | None = 0.5, fraction=None, windows=(0, 0, 0)):
+    return Omni(geometry, FakeDepth(), 8, [1, 2, 2], [8, 8, 16], threshold, fraction, windows, [8.5, 17.0])
 
 
 def scene(batch=2):
@@ -46,17 +47,24 @@ def labels(geometry, batch=2):
 
 def test_it_is_a_sketch(geometry, fisheye):
     sketch = make(geometry)
-    candidates = sketch(torch.rand(2, 6, 3, 4, 4), (fisheye, fisheye), torch.rand(2, 12, 24) * 20 + 1)
+    candidates, evidence = sketch(torch.rand(2, 6, 3, 4, 4), (fisheye, fisheye), torch.rand(2, 12, 24) * 20 + 1)
+    assert evidence is None
     assert isinstance(sketch, Sketch)
+    assert isinstance(sketch, LearnedSketch)
     assert candidates.shape == (2, *geometry.shape)
     assert candidates.dtype == torch.bool
+
+
+def test_what_learns_and_what_it_selects_by_can_be_told_from_the_class():
+    assert [learns(option) for option in (Omni, Dense, Random)] == [True, False, False]
+    assert set(Omni.SELECTION) < set(inspect.signature(Omni).parameters)
 
 
 def test_forward_is_depth_then_logits_then_select(geometry, fisheye):
     sketch = make(geometry).eval()
     truth = torch.rand(2, 12, 24) * 20 + 1
     expected = sketch.select(sketch.logits(2 * truth, truth < 15))
-    assert torch.equal(sketch(torch.rand(2, 6, 3, 4, 4), (fisheye, fisheye), truth), expected)
+    assert torch.equal(sketch(torch.rand(2, 6, 3, 4, 4), (fisheye, fisheye), truth).candidates, expected)
 
 
 def test_a_batch_of_two_is_two_batches_of_one(geometry):
@@ -157,7 +165,7 @@ def test_learns_to_find_what_is_there():
     assert torch.equal(found, voxels > 0)
 
 
-def test_share_is_exact_and_dilation_comes_after(geometry):
+def test_fraction_is_exact_and_dilation_comes_after(geometry):
     plain = make(geometry, None, 0.2)
     range_m, valid = scene()
     logits = plain.logits(range_m, valid)
@@ -175,16 +183,16 @@ def test_threshold_is_that_of_the_probability(geometry):
     assert torch.equal(sketch.select(logits), logits.softmax(1)[:, 1] >= 0.3)
 
 
-@pytest.mark.parametrize(("threshold", "share"), [(None, None), (0.5, 0.2)])
-def test_exactly_one_of_threshold_and_share(threshold, share):
-    with pytest.raises(ValueError, match=f"threshold.*{threshold}.*share.*{share}"):
-        make(Cylinder((8, 12, 4)), threshold, share)
+@pytest.mark.parametrize(("threshold", "fraction"), [(None, None), (0.5, 0.2)])
+def test_exactly_one_of_threshold_and_fraction(threshold, fraction):
+    with pytest.raises(ValueError, match=f"threshold.*{threshold}.*fraction.*{fraction}"):
+        make(Cylinder((8, 12, 4)), threshold, fraction)
 
 
-@pytest.mark.parametrize(("threshold", "share"), [(0.0, None), (1.1, None), (None, 0.0), (None, -0.1), (None, 1.5)])
-def test_impossible_values_are_named(threshold, share):
-    with pytest.raises(ValueError, match=f"is {share if threshold is None else threshold}"):
-        make(Cylinder((8, 12, 4)), threshold, share)
+@pytest.mark.parametrize(("threshold", "fraction"), [(0.0, None), (1.1, None), (None, 0.0), (None, -0.1), (None, 1.5)])
+def test_impossible_values_are_named(threshold, fraction):
+    with pytest.raises(ValueError, match=f"is {fraction if threshold is None else threshold}"):
+        make(Cylinder((8, 12, 4)), threshold, fraction)
 
 
 def test_windows_that_do_not_fit_are_named():

@@ -8,12 +8,12 @@ GRID = Cylinder((8, 12, 4))
 
 
 def cells(sketch, batch=1):
-    return sketch(torch.zeros(batch, 6, 3, 4, 4), ())
+    return sketch(torch.zeros(batch, 6, 3, 4, 4), ()).candidates
 
 
-@pytest.mark.parametrize(("ratio", "count"), [(0.25, 96), (0.1, 38), (1.0, 384)])
-def test_share_of_candidates_is_exact(ratio, count):
-    assert cells(Random(GRID, ratio)).sum() == count
+@pytest.mark.parametrize(("fraction", "count"), [(0.25, 96), (0.1, 38), (1.0, 384)])
+def test_fraction_of_candidates_is_exact(fraction, count):
+    assert cells(Random(GRID, fraction)).sum() == count
 
 
 def test_same_seed_same_cells_whatever_happened_before():
@@ -36,7 +36,7 @@ def test_all_samples_share_the_cells():
     assert torch.equal(batch[0], batch[2])
 
 
-@pytest.mark.parametrize("ratio", [0.0, -0.1, 1.5])
-def test_impossible_ratios_are_named(ratio):
-    with pytest.raises(ValueError, match=f"ratio is {ratio}"):
-        Random(GRID, ratio)
+@pytest.mark.parametrize("fraction", [0.0, -0.1, 1.5])
+def test_impossible_fractions_are_named(fraction):
+    with pytest.raises(ValueError, match=f"fraction is {fraction}"):
+        Random(GRID, fraction)

@@ -17,7 +17,7 @@ def scene_of(root, rig="fisheye6", **choices):
     world = FakeWorld(root, scenes=(1, 0, 0), **choices)
     world.rig = Rig.load(rig).resized(WIDTH, HEIGHT)
     world.prepare()
-    return world.readers("train")[0]
+    return world.scenes("train")[0]
 
 
 def test_a_pinhole_dataset_of_the_same_scenes_is_found(tmp_path):

@@ -44,7 +44,7 @@ def test_data_that_is_elsewhere_or_other_than_the_runs_is_not_shown(runs):
     run = read_runs(runs)[0]
     for other in (
         run._replace(facts=run.facts | {"data": "another"}),
-        run._replace(config={"data": {"world": {"_target_": "omniocc.data.VirtualWorld", "gone": 1, "root": "x"}}}),
+        run._replace(config={"data": {"source": {"_target_": "omniocc.data.VirtualWorld", "gone": 1, "root": "x"}}}),
         run._replace(config={}),
     ):
         assert scenes_of(other) == []

@@ -11,37 +11,41 @@ YIQ_FROM_RGB = (LUMINANCE, (0.5959, -0.2746, -0.3213), (0.2115, -0.5227, 0.3112)
 
 
 def uniform(size: Sequence[int], low: float, high: float, generator: torch.Generator) -> Tensor:
-    """Even draws on the CPU: the same whatever device the images are on."""
+    """Return uniform draws, on the CPU: the same whatever device the images are on."""
     return torch.rand(tuple(size), generator=generator) * (high - low) + low
 
 
 def erase(
     images: Tensor,
     probability: float,
-    share: Sequence[float],
+    fraction: Sequence[float],
     aspect: Sequence[float],
     generator: torch.Generator,
+    sizes: tuple[Tensor, Tensor] | None = None,
 ) -> tuple[Tensor, Tensor]:
-    """Covers one box in some images with an even colour (Random Erasing, Zhong et al. 2020; the paper's cropping).
+    """Cover one box in some images with one colour (Random Erasing, Zhong et al. 2020; the paper's cropping).
 
     Args:
         images: (..., 3, H, W) uint8.
         probability: that an image loses a box.
-        share: smallest and largest area, as a share of the image's; evenly drawn.
-        aspect: smallest and largest width / height; its logarithm is evenly drawn.
+        fraction: smallest and largest area, as a fraction of the image's; uniformly drawn.
+        aspect: smallest and largest width / height; its logarithm is uniformly drawn.
         generator: of all draws, on the CPU.
+        sizes: width and height of every image, (...) int64 each, px, on the CPU, where images are padded at the end of
+            rows and columns; None: all of W and H.
 
     Returns:
         The images and the erased pixels, (..., H, W) bool.
     """
     *many, _, height, width = images.shape
     hit = torch.rand(tuple(many), generator=generator) < probability
-    area_px = uniform(many, share[0], share[1], generator) * (height * width)
+    own_width, own_height = (torch.full(many, width), torch.full(many, height)) if sizes is None else sizes
+    area_px = uniform(many, fraction[0], fraction[1], generator) * (own_height * own_width)
     ratio = uniform(many, math.log(aspect[0]), math.log(aspect[1]), generator).exp()
-    wide = (area_px * ratio).sqrt().round().clamp(1, width)
-    high = (area_px / ratio).sqrt().round().clamp(1, height)
-    left = (torch.rand(tuple(many), generator=generator) * (width - wide + 1)).floor()
-    top = (torch.rand(tuple(many), generator=generator) * (height - high + 1)).floor()
+    wide = (area_px * ratio).sqrt().round().clamp(min=1).minimum(own_width)
+    high = (area_px / ratio).sqrt().round().clamp(min=1).minimum(own_height)
+    left = (torch.rand(tuple(many), generator=generator) * (own_width - wide + 1)).floor()
+    top = (torch.rand(tuple(many), generator=generator) * (own_height - high + 1)).floor()
     color = torch.randint(0, 256, (*many, 3, 1, 1), generator=generator, dtype=torch.uint8)
     columns, rows = torch.arange(width), torch.arange(height)
     inside_columns = (columns >= left[..., None]) & (columns < (left + wide)[..., None]) & hit[..., None]
@@ -51,17 +55,24 @@ def erase(
 
 
 def jitter(
-    images: Tensor, brightness: float, contrast: float, saturation: float, hue_deg: float, generator: torch.Generator
+    images: Tensor,
+    brightness: float,
+    contrast: float,
+    saturation: float,
+    hue_deg: float,
+    generator: torch.Generator,
+    mask: Tensor | None = None,
 ) -> Tensor:
-    """Other colours for every camera of every sample; all frames of a window share them, as one exposure would.
+    """Change the colours of every camera of every sample; all frames of a window share the change, like an exposure.
 
     Args:
         images: (B, T, N, 3, H, W) uint8.
         brightness: factors are drawn from 1 - brightness to 1 + brightness.
-        contrast: likewise, around the image's mean luminance.
-        saturation: likewise, around each pixel's luminance.
-        hue_deg: largest turn of the colour circle, either way.
+        contrast: factors are drawn from 1 - contrast to 1 + contrast; they act around the image's mean luminance.
+        saturation: factors are drawn from 1 - saturation to 1 + saturation; they act around each pixel's luminance.
+        hue_deg: largest turn of the colour circle, either way, degrees.
         generator: of all draws, on the CPU.
+        mask: (B, T, N, H, W) bool, pixels that are no padding; None: all are. Padding stays 0.
     """
     many = (images.shape[0], 1, images.shape[2])
     factors = [uniform(many, 1 - spread, 1 + spread, generator) for spread in (brightness, contrast, saturation)]
@@ -69,13 +80,18 @@ def jitter(
     angle_rad = uniform(many, -math.radians(hue_deg), math.radians(hue_deg), generator).to(images.device)
     color = bright * (steep * (hue_matrix(angle_rad) * vivid + grey_matrix(images.device) * (1 - vivid)))
     pixels = images.float()
-    luminance = pixels.mean((-2, -1)) @ torch.tensor(LUMINANCE, device=images.device)
+    if mask is None:
+        mean = pixels.mean((-2, -1))
+    else:
+        mean = pixels.sum((-2, -1)) / mask.sum((-2, -1)).clamp(min=1).unsqueeze(-1)
+    luminance = mean @ torch.tensor(LUMINANCE, device=images.device)
     lift = bright * (1 - steep) * luminance[..., None, None]
-    return ((color @ pixels.flatten(-2)) + lift).round().clamp(0, 255).to(torch.uint8).view_as(images)
+    changed = ((color @ pixels.flatten(-2)) + lift).round().clamp(0, 255).to(torch.uint8).view_as(images)
+    return changed if mask is None else changed * mask.unsqueeze(-3)
 
 
 def hue_matrix(angle_rad: Tensor) -> Tensor:
-    """(..., 3, 3) matrices that turn RGB around the grey axis, luminance kept."""
+    """Return matrices (..., 3, 3) that turn RGB around the grey axis and keep the luminance."""
     yiq = torch.tensor(YIQ_FROM_RGB, device=angle_rad.device)
     turn = torch.zeros(*angle_rad.shape, 3, 3, device=angle_rad.device)
     turn[..., 0, 0] = 1
@@ -85,5 +101,5 @@ def hue_matrix(angle_rad: Tensor) -> Tensor:
 
 
 def grey_matrix(device: torch.device) -> Tensor:
-    """(3, 3) matrix that makes every colour its luminance."""
+    """Return the (3, 3) matrix that makes every colour its luminance."""
     return torch.tensor(LUMINANCE, device=device).expand(3, 3)

@@ -1,6 +1,6 @@
 """The same scene mirrored left to right, or seen with the car turned: images, cameras, labels and poses together.
 
-Nothing is interpolated: cells go to cells, rays to rays, pixels to pixels.
+Nothing is interpolated: cells go to cells, pixels to pixels.
 """
 
 import math
@@ -15,17 +15,19 @@ from omniocc.camera import Rig
 from omniocc.camera.models.mirrored import mirrored
 from omniocc.geometry import Grid
 
-LIDAR_AZIMUTHS = 360
-"""Rays of every elevation of the ego LiDAR (`world.sensors.lidar.ego_directions`), counter-clockwise from ahead."""
+IMAGES = ("images", "pixel_labels", "camera_range_m")
+CELLS = ("voxels", "scored", "candidates", "evidence")
+PANORAMAS = ("erp_range_m", "depth_range_m")
+VECTORS = ("lidar_directions", "lidar_origins")
 
 
 class Change(NamedTuple):
-    """First the flip, then the turn.
+    """A flip, then a turn.
 
     Attributes:
-        flip: y becomes -y in the ego frame, of the world as of the car.
+        flip: y becomes -y in the ego frame, for the world and for the car.
         steps: the ego frame's content turns counter-clockwise by `steps / parts` of a full turn.
-        parts: see `steps`.
+        parts: equal steps of a full turn.
     """
 
     flip: bool = False
@@ -34,7 +36,7 @@ class Change(NamedTuple):
 
     @property
     def turn(self) -> Tensor:
-        """(4, 4) float64 rotation about z."""
+        """Return the rotation about z, (4, 4) float64."""
         matrix = torch.eye(4, dtype=torch.float64)
         angle_rad = 2 * math.pi * self.steps / self.parts
         cos, sin = math.cos(angle_rad), math.sin(angle_rad)
@@ -43,74 +45,101 @@ class Change(NamedTuple):
 
     @property
     def mirror(self) -> Tensor:
-        """(4, 4) float64 reflection of y, or identity."""
+        """Return the reflection of y, (4, 4) float64; without a flip the identity."""
         return torch.diag(torch.tensor([1.0, -1.0 if self.flip else 1.0, 1.0, 1.0], dtype=torch.float64))
 
-    def array(self, values: Tensor, dim: int, clockwise: bool = False) -> Tensor:
-        """Values around the car, evenly spread over one turn along `dim`, whose middle or beginning is ahead."""
-        if self.steps:
-            shift = self.steps * values.shape[dim] // self.parts
-            values = values.roll(-shift if clockwise else shift, dim)
-        return values
+    def columns(self, values: Tensor) -> Tensor:
+        """Return panoramas (..., W) of the changed scene; their columns run clockwise around the full circle."""
+        values = values.flip(-1) if self.flip else values
+        return values.roll(-self.steps * values.shape[-1] // self.parts, -1) if self.steps else values
 
 
 def possible_turns(batch: Batch, geometry: Grid) -> int:
-    """Into how many equal turns the circle divides so that each takes cells, rays and columns to one another."""
+    """Return into how many equal turns the circle divides so that each takes cells to cells and columns to columns."""
     (x_cells, y_cells, _), (x, y, _) = geometry.shape, geometry.bounds
     square = x_cells == y_cells and x == y and x[0] == -x[1]
     around = y_cells if geometry.periodic[1] else 4 if square else 1
     panoramas = [part.shape[-1] for part in (batch.erp_range_m, batch.depth_range_m) if part is not None]
-    return math.gcd(around, LIDAR_AZIMUTHS, *panoramas)
+    return math.gcd(around, *panoramas)
 
 
 def change_scenes(batch: Batch, geometry: Grid, changes: list[Change]) -> Batch:
-    """Each sample changed in its own way.
+    """Change each sample in its own way.
+
+    LiDAR rays turn with the scene if the batch holds them. The fixed rays of a source cannot turn, so what they hit
+    becomes absent; no loss looks at it.
+
+    Args:
+        batch: a training batch.
+        geometry: grid of its voxels.
+        changes: one for each sample.
 
     Raises:
-        ValueError: if grid or LiDAR are not the same on both sides, or after the turn.
+        ValueError: if the grid is not the same on both sides, or after the turn.
     """
-    across = {"images": -1, "pixel_labels": -1, "camera_range_m": -1}
-    content: dict[str, list[Tensor]] = {}
-    for sample, change in enumerate(changes):
-        for name, item in batch._asdict().items():
-            if not isinstance(item, Tensor) or name == "exists":
-                continue
-            value = item[sample]
-            if name in across:
-                value = value.flip(-1) if change.flip else value
-            elif name in ("voxels", "candidates"):
-                value = change_cells(value, geometry, change)
-            elif name in ("lidar_range_m", "lidar_labels"):
-                value = change_rays(value, change)
-            elif name in ("erp_range_m", "depth_range_m"):
-                value = change.array(value.flip(-1) if change.flip else value, -1, clockwise=True)
-            else:
-                assert name == "world_from_ego"
-                value = change_poses(value, change)
-            content.setdefault(name, []).append(value)
-    rigs = tuple(change_rig(rig, change) for rig, change in zip(batch.rigs, changes, strict=True))
-    return batch._replace(rigs=rigs, **{name: torch.stack(parts) for name, parts in content.items()})
+    if batch.lidar_directions is None:
+        batch = batch._replace(lidar_range_m=None, lidar_labels=None)
+    widths = batch.image_sizes()[0]
+    changed = {}
+    for name in (*IMAGES, *CELLS, *PANORAMAS, *VECTORS, "world_from_ego"):
+        values = getattr(batch, name)
+        if values is not None:
+            parts = zip(values, changes, widths, strict=True)
+            changed[name] = torch.stack([change_field(name, *part, geometry) for part in parts])
+    rigs = tuple(
+        tuple(change_rig(rig, change) for rig in frames) for frames, change in zip(batch.rigs, changes, strict=True)
+    )
+    return batch._replace(rigs=rigs, **changed)
+
+
+def change_field(name: str, value: Tensor, change: Change, widths: Tensor, geometry: Grid) -> Tensor:
+    """Return a field of a sample in the changed scene.
+
+    Args:
+        name: of the field in `Batch`.
+        value: of one sample.
+        change: of the scene.
+        widths: (T, N) of the images, px.
+        geometry: grid of cells.
+    """
+    if name in IMAGES:
+        return mirror_columns(value, widths if name == "images" else widths[-1]) if change.flip else value
+    if name in CELLS:
+        return change_cells(value, geometry, change)
+    if name in PANORAMAS:
+        return change.columns(value)
+    return change_vectors(value, change) if name in VECTORS else change_poses(value, change)
+
+
+def mirror_columns(values: Tensor, widths: Tensor) -> Tensor:
+    """Return images mirrored left to right, each within its own width.
+
+    Args:
+        values: (*S, ..., W), padded at the end of the last axis.
+        widths: (*S) int64, px, on the CPU; 0 where there is no image.
+    """
+    width = values.shape[-1]
+    if bool((widths == width).all()):
+        return values.flip(-1)
+    columns = torch.arange(width)
+    sources = torch.where(columns < widths[..., None], widths[..., None] - 1 - columns, columns)
+    sources = sources.reshape(*widths.shape, *[1] * (values.ndim - widths.ndim - 1), width)
+    return values.gather(-1, sources.to(values.device).expand_as(values))
+
+
+def change_vectors(vectors: Tensor, change: Change) -> Tensor:
+    """Return vectors (..., 3) of the ego frame in the changed scene."""
+    return vectors @ (change.turn @ change.mirror)[:3, :3].T.to(vectors)
 
 
 def change_poses(world_from_ego: Tensor, change: Change) -> Tensor:
-    """Poses of the turned car in a world that is mirrored with it; proper rotations again."""
+    """Return the poses of the turned car in a world that is mirrored with it; they are proper rotations again."""
     mirror, turn = change.mirror.to(world_from_ego), change.turn.to(world_from_ego)
     return mirror @ world_from_ego @ mirror @ turn.T
 
 
-def change_rays(values: Tensor, change: Change) -> Tensor:
-    """(R,) values of the ego LiDAR's rays, elevation by elevation."""
-    if change == Change():
-        return values
-    if len(values) % LIDAR_AZIMUTHS:
-        raise ValueError(f"{len(values)} LiDAR rays are not {LIDAR_AZIMUTHS} per elevation; switch flips and turns off")
-    rings = values.view(-1, LIDAR_AZIMUTHS)
-    rings = rings.flip(-1).roll(1, -1) if change.flip else rings  # azimuth 0 stays
-    return change.array(rings, -1).reshape(-1)
-
-
 def change_cells(values: Tensor, geometry: Grid, change: Change) -> Tensor:
-    """(..., *shape) values of cells, where the cells go."""
+    """Return the values of cells (..., *shape) at the cells' new places."""
     if change == Change():
         return values
     return values.flatten(-3)[..., cell_sources(geometry, change).to(values.device)].view_as(values)
@@ -118,7 +147,7 @@ def change_cells(values: Tensor, geometry: Grid, change: Change) -> Tensor:
 
 @lru_cache(maxsize=256)
 def cell_sources(geometry: Grid, change: Change) -> Tensor:
-    """(cells,) for every cell, the one whose content comes there; row-major numbers.
+    """Return for every cell the one whose content comes there, (cells,) row-major numbers.
 
     Raises:
         ValueError: if the change does not take every cell centre to another cell's centre.
@@ -134,7 +163,7 @@ def cell_sources(geometry: Grid, change: Change) -> Tensor:
 
 @lru_cache(maxsize=256)
 def change_rig(rig: Rig, change: Change) -> Rig:
-    """Cameras and their poses; a flip shows every image left to right."""
+    """Return the cameras and their poses after a change; a flip mirrors every image left to right."""
     if change == Change():
         return rig
     swap = torch.diag(torch.tensor([-1.0 if change.flip else 1.0, 1.0, 1.0, 1.0], dtype=torch.float64))

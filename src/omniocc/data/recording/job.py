@@ -1,4 +1,4 @@
-"""Rendering planned scenes, each into a folder of its own."""
+"""Rendering of planned scenes, each into a folder of its own."""
 
 import ast
 import functools
@@ -7,24 +7,23 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 from omniocc.camera import Rig
-from omniocc.classes import CLASSES
 from omniocc.data.recording.pool import Report, Stopped
+from omniocc.data.recording.spec import plain_spec
+from omniocc.data.source import SourceSpec, Split
 from omniocc.data.store.codec import encode_frame
 from omniocc.data.store.shard import SceneWriter
 from omniocc.errors import DataError
 from omniocc.world import Frame, seeding
 from omniocc.world.render.weather import draw_weather
 
-Split = Literal["train", "val", "test"]
-SPLITS: tuple[Split, ...] = ("train", "val", "test")
 RECORDERS = ("numpy", "opencv-python-headless", "zstandard", "embreex")
 
 
 class ScenePlan(NamedTuple):
-    """One scene to be: its name, the map it lies in, and the seed of everything random in it."""
+    """A scene that is to be rendered: its name, split, kind of place, and the seed of everything random in it."""
 
     name: str
     split: Split
@@ -34,10 +33,10 @@ class ScenePlan(NamedTuple):
 
 @runtime_checkable
 class Recordable(Protocol):
-    """What a scene offers: `omniocc.world.Scene` and whatever else makes frames."""
+    """A scene that can be recorded frame by frame, such as `omniocc.world.Scene`."""
 
     def frame(self, index: int) -> Frame:
-        """The frame with this number; depends on nothing but the scene and the number."""
+        """Return the frame with this number; it depends on nothing but the scene and the number."""
         ...
 
 
@@ -70,8 +69,9 @@ class SceneJob:
     Attributes:
         build: world of a planned scene.
         plans: the scenes it may be asked for.
-        recipe: is written beside the frames.
-        rig: likewise.
+        recipe: what decides the content of frames; written beside them.
+        spec: what holds for all scenes; written beside the frames.
+        rig: the cameras; written beside the frames.
         frames: number of frames of each scene.
         shard_limit_bytes: see `SceneWriter`.
     """
@@ -79,6 +79,7 @@ class SceneJob:
     build: Callable[[ScenePlan], Recordable]
     plans: tuple[ScenePlan, ...]
     recipe: dict[str, Any]
+    spec: SourceSpec
     rig: Rig
     frames: int
     shard_limit_bytes: int
@@ -111,16 +112,16 @@ class SceneJob:
                 report(1)
         except (DataError, Stopped):
             raise
-        except Exception as error:  # whatever went wrong: say where
+        except Exception as error:  # of any kind: the message names scene and frame
             raise RuntimeError(f"scene {plan.name}, frame {index}: {type(error).__name__}: {error}") from error
         writer.attach("rig.yaml", self.rig.save)
         weather = self.recipe["weather"] or weather_of(plan.theme, plan.seed)
         facts = {"split": plan.split, "theme": plan.theme, "seed": plan.seed, "weather": weather, "recipe": self.recipe}
-        writer.finish(facts | {"classes": {str(row.id): row.name for row in CLASSES}, "software": _software()})
+        writer.finish(facts | {"spec": plain_spec(self.spec), "software": _software()})
 
 
 def weather_of(theme: str, seed: int) -> str:
-    """What `omniocc.world.Scene` draws for a scene when no weather is asked for."""
+    """Return the weather that `omniocc.world.Scene` draws for a scene when none is chosen."""
     return draw_weather(seeding.generator(theme, seed, "light"))
 
 

@@ -1,20 +1,27 @@
-"""The virtual world as a dataset: which scenes there are, where they lie, and how they come to be."""
+"""The virtual world as a source: which scenes there are, where they lie, and how they are rendered."""
 
 import inspect
 from collections.abc import Sequence
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, get_args
 
 from omniocc.camera import Rig
-from omniocc.data.recording.job import SPLITS, Recordable, SceneJob, ScenePlan, Split, code_fingerprint
+from omniocc.classes import WORLD_CLASSES
+from omniocc.data.labels.voxels import VoxelCache
+from omniocc.data.recording.job import Recordable, SceneJob, ScenePlan, code_fingerprint
 from omniocc.data.recording.pool import make_scenes, usable_cores
+from omniocc.data.source import SPLITS, SourceSpec, Split, Unknown
 from omniocc.data.store.files import is_url, open_folder
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import META, SCHEMA, digest
 from omniocc.errors import DataError
+from omniocc.geometry import Grid
+from omniocc.metric import sparseocc_directions
+from omniocc.metric.bands import PAPER_RANGE_EDGES_M
 from omniocc.progress import Progress
 from omniocc.world import THEMES, Scene
+from omniocc.world.assets.vehicle import EGO_ROAD_M
 from omniocc.world.render.weather import Weather
 from omniocc.world.scene import LabelMode
 from omniocc.world.sensors.recorder import Capture
@@ -23,7 +30,7 @@ SEEDS_PER_SPLIT = 1_000_000
 
 
 class VirtualWorld:
-    """A dataset rendered on first use under `root/virtual-<fingerprint of one scene's recipe>`.
+    """A source (`SceneSource`) rendered on first use under `root/virtual-<fingerprint of one scene's recipe>`.
 
     Scenes of the three splits have disjoint seeds: other streets. Adding scenes keeps those that exist; every other
     change of what a frame holds leads to another folder, so that settings never mix.
@@ -45,7 +52,7 @@ class VirtualWorld:
         weather: of all scenes; None draws one for each by its seed.
         label_mode: `lidar20`, points of virtual LiDARs as in the paper, or `geometry`, all surfaces, seen or not.
         lidars: number of virtual LiDARs of `lidar20`.
-        capture: `direct`, a ray through every pixel, or `cubemap`, flat pictures looked up as in the paper.
+        capture: `direct`, a ray through every pixel, or `cubemap`, flat images looked up as in the paper.
         seed: another number gives other streets in all splits.
         shard_limit_mib: size at which a new tar shard begins, MiB.
         workers: processes that render; 0 renders in this process, None takes all usable cores.
@@ -105,7 +112,7 @@ class VirtualWorld:
 
     @cached_property
     def recipe(self) -> dict[str, Any]:
-        """Everything, beside theme and seed, that decides what the frames of a scene hold."""
+        """Return everything, beside theme and seed, that decides what the frames of a scene hold."""
         return {
             "schema": SCHEMA,
             "world": code_fingerprint(Path(inspect.getfile(Scene)).parent),
@@ -125,31 +132,36 @@ class VirtualWorld:
 
     @cached_property
     def plans(self) -> tuple[ScenePlan, ...]:
-        """All scenes, in the order of splits and numbers."""
+        """Return all scenes, in the order of splits and numbers."""
         return tuple(self._plan(split, number) for split in SPLITS for number in range(self.num_scenes[split]))
 
-    @cached_property
+    @property
     def fingerprint(self) -> str:
-        """Hash of the recipe and of the list of scenes: equal for equal data."""
+        """Return a hash of the recipe and of the list of scenes: equal for equal data."""
         return digest({"recipe": self.recipe, "plans": [list(plan) for plan in self.plans]})
 
     @property
+    def spec(self) -> SourceSpec:
+        """Return the classes, bands and rays of the virtual world."""
+        return world_spec(self.frame_interval_s)
+
+    @property
     def name(self) -> str:
-        """Of the folder that holds the scenes."""
+        """Return the name of the folder that holds the scenes."""
         return f"virtual-{digest(self.recipe)[:12]}"
 
     @property
-    def source(self) -> Path | str:
-        """Where the scenes lie: a folder, or a URL."""
+    def place(self) -> Path | str:
+        """Return where the scenes lie: a folder, or a URL."""
         return f"{self.root.rstrip('/')}/{self.name}" if is_url(self.root) else Path(self.root) / self.name
 
     @property
     def folder(self) -> Path:
-        """Local folder of the dataset and of what is derived from it."""
+        """Return the local folder of the dataset and of what is derived from it."""
         return Path(self.root if self.cache is None else self.cache) / self.name
 
     def scene(self, plan: ScenePlan) -> Recordable:
-        """Build the world of one scene."""
+        """Return the world of one scene."""
         return Scene(
             theme=plan.theme,
             seed=plan.seed,
@@ -166,7 +178,7 @@ class VirtualWorld:
         )
 
     def missing(self, plans: Sequence[ScenePlan] | None = None) -> list[ScenePlan]:
-        """Those of the planned scenes (all of them by default) that are not complete."""
+        """Return those of the planned scenes (all of them by default) that are not complete."""
         return [plan for plan in (self.plans if plans is None else plans) if not self._exists(plan)]
 
     def prepare(self, plans: Sequence[ScenePlan] | None = None) -> None:
@@ -182,45 +194,50 @@ class VirtualWorld:
         missing = self.missing(plans)
         if not missing:
             return
-        if isinstance(self.source, str):
+        if isinstance(self.place, str):
             raise DataError(
-                f"{self.source}: {len(missing)} scenes are missing there, the first is {missing[0].name}. "
-                "Rendering writes to local folders only: render with data.world.root=<folder>, then upload that folder"
+                f"{self.place}: {len(missing)} scenes are missing there, the first is {missing[0].name}. "
+                "Rendering writes to local folders only: render with data.source.root=<folder>, then upload that folder"
             )
         work = SceneJob(
-            self.scene, tuple(missing), self.recipe, self.rig, self.frames_per_scene, self.shard_limit_bytes
+            self.scene, tuple(missing), self.recipe, self.spec, self.rig, self.frames_per_scene, self.shard_limit_bytes
         )
 
         def finished() -> int:
             return sum(map(self._exists, missing)) * self.frames_per_scene
 
-        title, total = f"rendering {self.source}", len(missing) * self.frames_per_scene
+        title, total = f"rendering {self.place}", len(missing) * self.frames_per_scene
         with Progress(title, total, finished=finished) as progress:
-            make_scenes(work, [self.source / plan.name for plan in missing], self.workers, progress)
+            make_scenes(work, [self.place / plan.name for plan in missing], self.workers, progress)
 
-    def readers(self, split: Split) -> list[SceneReader]:
-        """The scenes of a split, in order.
+    def labels(self, geometry: Grid, unknown: Unknown) -> VoxelCache:
+        """Return the voxel labels of a grid, voted from the recorded points."""
+        classes = self.spec.classes.num_classes
+        return VoxelCache(self.folder, geometry, unknown, self.fingerprint, classes, self.workers)
+
+    def scenes(self, split: Split) -> list[SceneReader]:
+        """Return the scenes of a split, in order.
 
         Raises:
             DataError: when a scene is not there.
         """
         plans = [plan for plan in self.plans if plan.split == split]
         for plan in self.missing(plans)[:1]:
-            raise DataError(f"{self._place(plan)} is missing: call prepare(), or run `python src/render.py`, first")
+            raise DataError(f"{self._where(plan)} is missing: call prepare(), or run `python src/render.py`, first")
         return [self.reader(plan) for plan in plans]
 
     def reader(self, plan: ScenePlan) -> SceneReader:
-        """One scene; nothing is opened yet."""
-        return SceneReader(self._place(plan))
+        """Return one scene; nothing is opened yet."""
+        return SceneReader(self._where(plan))
 
-    def _place(self, plan: ScenePlan) -> Path | str:
-        return f"{self.source}/{plan.name}" if isinstance(self.source, str) else self.source / plan.name
+    def _where(self, plan: ScenePlan) -> Path | str:
+        return f"{self.place}/{plan.name}" if isinstance(self.place, str) else self.place / plan.name
 
     def _exists(self, plan: ScenePlan) -> bool:
-        if isinstance(self.source, Path):
-            return (self.source / plan.name).is_dir()
+        if isinstance(self.place, Path):
+            return (self.place / plan.name).is_dir()
         try:
-            return open_folder(self._place(plan)).size(META) > 0
+            return open_folder(self._where(plan)).size(META) > 0
         except FileNotFoundError:
             return False
         except Exception as error:  # each kind of store has errors of its own
@@ -234,6 +251,12 @@ class VirtualWorld:
         seed = (self.seed * len(SPLITS) + SPLITS.index(split)) * SEEDS_PER_SPLIT + number
         name = f"{split}-{number:03d}-{theme}" if self.seed == 0 else f"{split}-{number:03d}-{theme}-seed{self.seed}"
         return ScenePlan(name, split, theme, seed)
+
+
+@cache
+def world_spec(frame_interval_s: float) -> SourceSpec:
+    """Return what holds for all scenes of the virtual world that are recorded at this interval, s."""
+    return SourceSpec(WORLD_CLASSES, PAPER_RANGE_EDGES_M, frame_interval_s, EGO_ROAD_M, sparseocc_directions())
 
 
 def _at_least(name: str, value: int, least: int) -> int:

@@ -1,12 +1,15 @@
 """The files of one folder, on this disk or in an object store (any URL that fsspec understands), read by byte range."""
 
 import hashlib
+import json
 import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol, runtime_checkable
 
 import fsspec
+
+from omniocc.errors import DataError
 
 BLOCK_BYTES = 2**22
 JOINED_GAP_BYTES = 4096
@@ -15,22 +18,26 @@ JOINED_GAP_BYTES = 4096
 
 @runtime_checkable
 class Files(Protocol):
-    """What reading a scene needs; every method raises FileNotFoundError for a file that is not there."""
+    """The files of a folder; every method raises FileNotFoundError for what is not there."""
 
     def where(self, name: str) -> str:
-        """Path or URL of a file, for people."""
+        """Return path or URL of a file, for messages."""
         ...
 
     def size(self, name: str) -> int:
-        """Length in bytes."""
+        """Return the length in bytes."""
         ...
 
     def open(self, name: str) -> Any:
-        """The file, binary, to be read from its beginning; stores have file classes of their own."""
+        """Return the open file, binary, at its beginning; stores have file classes of their own."""
         ...
 
     def ranges(self, name: str, spans: Sequence[tuple[int, int]]) -> list[bytes]:
-        """Bytes from `begin` up to `end` of each (begin, end); fewer where the file ends early."""
+        """Return the bytes from `begin` up to `end` of each (begin, end); fewer where the file ends early."""
+        ...
+
+    def folders(self) -> list[str]:
+        """Return the names of the folders in this one, sorted."""
         ...
 
 
@@ -52,6 +59,9 @@ class LocalFiles:
     def ranges(self, name: str, spans: Sequence[tuple[int, int]]) -> list[bytes]:  # noqa: D102
         with self.open(name) as file:
             return [self._range(file, begin, end) for begin, end in spans]
+
+    def folders(self) -> list[str]:  # noqa: D102
+        return sorted(path.name for path in self.folder.iterdir() if path.is_dir())
 
     def _range(self, file: BinaryIO, begin: int, end: int) -> bytes:
         file.seek(begin)
@@ -75,7 +85,7 @@ class RemoteFiles:
         return self._fs.open(self._path(name), "rb", block_size=BLOCK_BYTES)
 
     def ranges(self, name: str, spans: Sequence[tuple[int, int]]) -> list[bytes]:
-        """As `Files.ranges`, all requests at once.
+        """Return bytes as `Files.ranges` does, with all requests at once.
 
         Raises:
             OSError: when a server sends more than was asked for: it does not know byte ranges.
@@ -87,22 +97,63 @@ class RemoteFiles:
                 raise OSError(f"the server does not support byte ranges: {len(part)} bytes instead of {end - begin}")
         return parts
 
+    def folders(self) -> list[str]:  # noqa: D102
+        rows = self._fs.ls(self._root, detail=True)
+        return sorted(row["name"].rstrip("/").rsplit("/", 1)[-1] for row in rows if row["type"] == "directory")
+
     def _path(self, name: str) -> str:
         return f"{self._root.rstrip('/')}/{name}"
 
 
 def is_url(place: str | os.PathLike[str]) -> bool:
-    """Whether this is a URL and not a path."""
+    """Return whether this is a URL and not a path."""
     return isinstance(place, str) and "://" in place
 
 
 def open_folder(folder: Path | str) -> Files:
-    """The files of a folder: a URL, or a path on this disk."""
+    """Return the files of a folder: a URL, or a path on this disk."""
     return RemoteFiles(str(folder)) if is_url(folder) else LocalFiles(Path(folder))
 
 
+def list_folders(root: Path | str, member: str) -> list[str]:
+    """Return the names of the folders in `root` that hold a file `member`, sorted; those with a suffix are left out.
+
+    Raises:
+        DataError: when the folder is not there or the store cannot list it.
+    """
+    try:
+        return [name for name in open_folder(root).folders() if "." not in name and _holds(f"{root}/{name}", member)]
+    except FileNotFoundError as error:
+        raise DataError(f"{root}: there is no such folder") from error
+    except Exception as error:  # each kind of store has errors of its own
+        raise DataError(f"{root}: its folders cannot be listed: {type(error).__name__}: {error}") from error
+
+
+def _holds(folder: str, name: str) -> bool:
+    try:
+        return open_folder(folder).size(name) > 0
+    except FileNotFoundError:
+        return False
+
+
+def read_json(root: Path | str, name: str, remedy: str) -> Any:
+    """Return the content of a JSON file.
+
+    Raises:
+        DataError: when it cannot be read; the message ends with the remedy.
+    """
+    files = open_folder(root)
+    try:
+        with files.open(name) as file:
+            return json.load(file)
+    except FileNotFoundError as error:
+        raise DataError(f"{files.where(name)}: the file is missing; {remedy}") from error
+    except Exception as error:  # each kind of store has errors of its own
+        raise DataError(f"{files.where(name)}: cannot be read: {type(error).__name__}: {error}; {remedy}") from error
+
+
 def sha256_of(file: Any) -> str:
-    """Hex digest of what is left of an open file."""
+    """Return the hex digest (SHA-256) of an open file from its current position on."""
     state = hashlib.sha256()
     while block := file.read(BLOCK_BYTES):
         state.update(block)
@@ -110,7 +161,7 @@ def sha256_of(file: Any) -> str:
 
 
 def read_members(files: Files, name: str, offsets: Sequence[int], sizes: Sequence[int]) -> list[bytes]:
-    """The stretches of a file that begin at `offsets` and are `sizes` long, in as few reads as sensible.
+    """Read the parts of a file that begin at `offsets` and are `sizes` long; near ones are read together.
 
     Returns:
         One per offset; shorter than asked for where the file ends early.

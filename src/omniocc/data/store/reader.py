@@ -1,78 +1,47 @@
-"""Reading scene folders: any member of any frame by byte offset, every byte checked."""
+"""Recorded scenes: the decoded arrays of any frame."""
 
-import hashlib
-import json
-import zlib
-from collections.abc import Sequence
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import numpy as np
 
 from omniocc.camera import Rig
-from omniocc.data.store.files import Files, is_url, open_folder, read_members
-from omniocc.data.store.shard import INDEX, META, SCHEMA, digest, shard_name
-from omniocc.errors import DataError
+from omniocc.data.source import LidarScan, Points
+from omniocc.data.store.codec import decode_image, decode_labels, decode_lidar, decode_points, decode_range
+from omniocc.data.store.folder import SceneFolder
+from omniocc.metric import sparseocc_directions
 
 _RIGS: dict[tuple[str, ...], Rig] = {}
 
 
-class SceneReader:
-    """A complete scene. Opens nothing before it is needed and keeps no file open: it can be sent to other processes.
+@cache
+def _lidar_directions() -> np.ndarray:
+    return sparseocc_directions().float().numpy()
 
-    Args:
-        folder: the scene's folder, or its URL in an object store (memory://, http://, s3:// ...).
 
-    Raises:
-        DataError: from every method, when something is missing or damaged; names the file, scene, frame and member.
-    """
-
-    def __init__(self, folder: Path | str):
-        self.folder = str(folder).rstrip("/") if is_url(folder) else Path(folder)
+class SceneReader(SceneFolder):
+    """A recorded scene (`omniocc.data.source.SceneFrames`); the LiDAR's rays are those of `sparseocc_directions`."""
 
     @property
-    def name(self) -> str:
-        """The scene's name."""
-        return str(self.folder).rsplit("/", 1)[-1] if isinstance(self.folder, str) else self.folder.name
-
-    @cached_property
-    def files(self) -> Files:
-        """The scene's files."""
-        return open_folder(self.folder)
-
-    @cached_property
-    def meta(self) -> dict[str, Any]:
-        """Schema, facts of the scene, checksums of its files."""
-        meta = self._json(META, self._content(META))
-        claimed = meta.pop("digest", None)
-        if digest(meta) != claimed:
-            raise self.damaged(META, "its checksum differs")
-        if meta["schema"] != SCHEMA:
-            raise self.damaged(META, f"schema {meta['schema']}, this version reads {SCHEMA}")
-        return meta
-
-    @cached_property
-    def index(self) -> dict[str, Any]:
-        """Names of the members; per frame shard, offsets, sizes, checksums, and what the writer called the entry."""
-        return self._json(INDEX, self._checked(INDEX))
-
-    @cached_property
     def world_from_ego(self) -> np.ndarray:
-        """(F, 4, 4) float64 pose of every frame."""
+        """Return the pose of every frame, (F, 4, 4) float64."""
+        return self._poses
+
+    @cached_property
+    def _poses(self) -> np.ndarray:
         return np.array([frame["entry"]["world_from_ego"] for frame in self.index["frames"]], dtype=np.float64)
 
     @cached_property
     def time_s(self) -> np.ndarray:
-        """(F,) float64 time of every frame since the scene began."""
+        """Return the time of every frame since the scene began, (F,) float64."""
         return np.array([frame["entry"]["time_s"] for frame in self.index["frames"]], dtype=np.float64)
 
     @cached_property
     def rig(self) -> Rig:
-        """The cameras that recorded the scene; scenes with equal files share one object."""
+        """Return the cameras that recorded the scene; scenes with equal files share one object."""
         names = sorted({"rig.yaml", *(name for name in self.meta["files"] if name.startswith("rig."))})
-        contents = [self._checked(name) for name in names]
+        contents = [self.checked(name) for name in names]
         key = tuple(self.meta["files"][name]["sha256"] for name in names)
         if key not in _RIGS:
             with TemporaryDirectory() as folder:
@@ -81,72 +50,40 @@ class SceneReader:
                 _RIGS[key] = Rig.load(Path(folder) / "rig.yaml")
         return _RIGS[key]
 
-    def __len__(self) -> int:
-        return self.meta["frames"]
+    @property
+    def rigs(self) -> tuple[Rig, ...]:
+        """Return the cameras of every frame: the same ones."""
+        return (self.rig,) * len(self)
 
-    def read(self, frame: int, members: Sequence[str]) -> dict[str, bytes]:
-        """The named members of one frame, each compared with its checksum."""
-        record = self.index["frames"][frame]
-        shard = shard_name(record["shard"])
-        columns = [self._column(member) for member in members]
-        offsets, sizes = ([record[key][column] for column in columns] for key in ("offset", "size"))
-        try:
-            blobs = read_members(self.files, shard, offsets, sizes)
-        except FileNotFoundError as error:
-            raise self.damaged(shard, "the file is missing", frame, members[0]) from error
-        except Exception as error:  # each kind of store has errors of its own
-            raise self.unreadable(shard, error) from error
-        for member, column, blob in zip(members, columns, blobs, strict=True):
-            if len(blob) != record["size"][column]:
-                raise self.damaged(shard, "the file is cut short", frame, member)
-            if zlib.crc32(blob) != record["crc32"][column]:
-                raise self.damaged(shard, "checksum differs", frame, member)
-        return dict(zip(members, blobs, strict=True))
+    def images(self, frame: int) -> list[np.ndarray]:
+        """Return the image of every camera, (H, W, 3) uint8 RGB each."""
+        return [decode_image(blob) for blob in self._of_cameras(frame, "rgb{}.jpg")]
 
-    def damaged(self, name: str, what: str, frame: int | None = None, member: str | None = None) -> DataError:
-        """The error for something wrong with a file of the scene, with all that is known and the remedy."""
-        where = f", frame {frame}" if frame is not None else ""
-        where += f", member '{member}'" if member is not None else ""
-        remedy = (
-            "Copy the scene there again"
-            if is_url(self.folder)
-            else f"Delete the folder {self.folder} and run the same command again: only this scene is made anew"
-        )
-        return DataError(f"{self.files.where(name)}: scene '{self.name}'{where}: {what}. {remedy}")
+    def pixel_labels(self, frame: int) -> list[np.ndarray]:
+        """Return the classes of the pixels of every camera, (H, W) uint8 each; 0 sky, 255 unknown."""
+        return [decode_labels(blob) for blob in self._of_cameras(frame, "semantic{}.zst")]
 
-    def unreadable(self, name: str, error: Exception) -> DataError:
-        """The error for a file that the disk or the store refuses to give."""
-        return DataError(f"{self.files.where(name)}: cannot be read: {type(error).__name__}: {error}")
+    def camera_range_m(self, frame: int) -> list[np.ndarray]:
+        """Return the true range of the pixels of every camera, (H, W) float32 each, m; inf sky, nan unknown."""
+        return [decode_range(blob) for blob in self._of_cameras(frame, "range{}.zst")]
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {"folder": self.folder}
+    def erp_range_m(self, frame: int) -> np.ndarray:
+        """Return the true panorama of range around the ego origin, (h, w) float32, m; inf for sky."""
+        return decode_range(self._member(frame, "erp_range.zst"))
 
-    def _column(self, member: str) -> int:
-        if member not in self.index["members"]:
-            raise self.damaged(INDEX, f"it has no member '{member}' (it has: {', '.join(self.index['members'])})")
-        return self.index["members"].index(member)
+    def lidar(self, frame: int) -> LidarScan:
+        """Return what the ego LiDAR saw."""
+        range_m, labels = decode_lidar(self._member(frame, "lidar.zst"))
+        return LidarScan(range_m, labels, _lidar_directions())
 
-    def _checked(self, name: str) -> bytes:
-        facts = self.meta["files"].get(name)
-        content = self._content(name)
-        if facts is None or hashlib.sha256(content).hexdigest() != facts["sha256"]:
-            raise self.damaged(name, "its checksum differs")
-        return content
+    def points(self, frame: int) -> Points:
+        """Return the labelled surface points."""
+        return Points(*decode_points(self._member(frame, "points.zst")))
 
-    def _content(self, name: str) -> bytes:
-        try:
-            with self.files.open(name) as file:
-                return file.read()
-        except FileNotFoundError as error:
-            raise self.damaged(name, "the file is missing") from error
-        except Exception as error:  # each kind of store has errors of its own
-            raise self.unreadable(name, error) from error
+    def _member(self, frame: int, name: str) -> bytes:
+        return self.read(frame, [name])[name]
 
-    def _json(self, name: str, content: bytes) -> dict[str, Any]:
-        try:
-            plain = json.loads(content)
-        except ValueError as error:
-            raise self.damaged(name, "it is not valid JSON") from error
-        if not isinstance(plain, dict):
-            raise self.damaged(name, "it is not a JSON object")
-        return plain
+    def _of_cameras(self, frame: int, pattern: str) -> list[bytes]:
+        names = [pattern.format(camera) for camera in range(len(self.rig.cameras))]
+        blobs = self.read(frame, names)
+        return [blobs[name] for name in names]

@@ -1,7 +1,7 @@
 """ResNet and feature pyramid."""
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import ClassVar, Literal
 
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -11,12 +11,13 @@ from omniocc.model.ops.backbone.fpn import FPN
 from omniocc.model.ops.backbone.imagenet import Normalize
 from omniocc.model.ops.backbone.pretrained import build_resnet
 from omniocc.model.ops.deformable_conv import DeformableConv2d
+from omniocc.model.ops.padded import FeatureMaps
 
 STRIDES = [4, 8, 16, 32]
 
 
 class ResNet(nn.Module):
-    """The residual network of transformers with a feature pyramid on top.
+    """Extract features by a residual network of transformers and a feature pyramid.
 
     Args:
         layer_type: kind of block.
@@ -32,6 +33,8 @@ class ResNet(nn.Module):
     Raises:
         ValueError: if a level or stage does not exist or the weights have other sizes.
     """
+
+    PRETRAINED: ClassVar = ("weights",)
 
     def __init__(
         self,
@@ -49,7 +52,7 @@ class ResNet(nn.Module):
             raise ValueError(f"levels are {levels}; they must be some of the strides {STRIDES}")
         if any(stage not in (1, 2, 3, 4) for stage in deformable_stages):
             raise ValueError(f"deformable_stages are {list(deformable_stages)}; they must be some of 1, 2, 3, 4")
-        self.channels = channels
+        self.channels, self.levels = channels, list(levels)
         self.normalize = Normalize()
         config = ResNetConfig(
             layer_type=layer_type, embedding_size=embedding_size, hidden_sizes=hidden_sizes, depths=depths
@@ -59,14 +62,14 @@ class ResNet(nn.Module):
             make_deformable(self.encoder.encoder.stages[stage - 1])
         self.fpn = FPN(hidden_sizes, channels, [STRIDES.index(level) for level in levels])
 
-    def forward(self, images: Float[Tensor, "B N 3 H W"]) -> list[Float[Tensor, "B N C _ _"]]:
-        """Feature maps of RGB in [0, 1], finest first."""
+    def forward(self, images: Float[Tensor, "B N 3 H W"]) -> FeatureMaps:
+        """Return feature maps of RGB in [0, 1], finest first."""
         stages = self.encoder(self.normalize(images), output_hidden_states=True).hidden_states[1:]
         return [level.unflatten(0, images.shape[:2]) for level in self.fpn(list(stages))]
 
 
 def make_deformable(stage: nn.Module) -> None:
-    """Replaces every 3x3 convolution of a stage by a deformable one that starts out equal."""
+    """Replace every 3x3 convolution of a stage by a deformable one that starts out equal."""
     for parent in list(stage.modules()):
         for name, layer in list(parent.named_children()):
             if isinstance(layer, nn.Conv2d) and layer.kernel_size == (3, 3):

@@ -1,6 +1,6 @@
 """Any image backbone of the transformers library."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from jaxtyping import Float
@@ -12,12 +12,13 @@ from transformers.models.auto.modeling_auto import MODEL_FOR_BACKBONE_MAPPING, M
 from omniocc.model.ops.backbone.fpn import FPN
 from omniocc.model.ops.backbone.imagenet import Normalize
 from omniocc.model.ops.backbone.pretrained import load_or_random, require_equal
+from omniocc.model.ops.padded import FeatureMaps
 
 PROBE_PX = 224
 
 
 class Transformers(nn.Module):
-    """A backbone of transformers, by name, with a feature pyramid on top.
+    """Extract features by a backbone of transformers, chosen by name, and a feature pyramid.
 
     Of the stages of equal stride the deepest counts. Images are padded at the right and at the bottom to a multiple of
     the coarsest stride. Parameters that no map depends on (a mask token, say) are frozen.
@@ -34,9 +35,11 @@ class Transformers(nn.Module):
         ValueError: if there is no such architecture, size or level, or the weights are of another network.
     """
 
+    PRETRAINED: ClassVar = ()  # entries of the configuration come with the weights
+
     def __init__(self, architecture: str, sizes: dict[str, Any], weights: str | None, channels: int, levels: list[int]):
         super().__init__()
-        self.channels = channels
+        self.channels, self.levels = channels, list(levels)
         self.normalize = Normalize()
         self.encoder = build(make_config(architecture, sizes), list(sizes), weights)
         maps = probe(self.encoder)
@@ -49,8 +52,8 @@ class Transformers(nn.Module):
         self.fpn = FPN(in_channels, channels, [self.strides.index(level) for level in levels])
         freeze_unused(self.encoder, [maps[stage] for stage in self.stages[self.strides.index(min(levels)) :]])
 
-    def forward(self, images: Float[Tensor, "B N 3 H W"]) -> list[Float[Tensor, "B N C _ _"]]:
-        """Feature maps of RGB in [0, 1], finest first."""
+    def forward(self, images: Float[Tensor, "B N 3 H W"]) -> FeatureMaps:
+        """Return feature maps of RGB in [0, 1], finest first."""
         height, width = images.shape[-2:]
         coarsest = self.strides[-1]
         padded = F.pad(self.normalize(images), (0, -width % coarsest, 0, -height % coarsest))
@@ -63,7 +66,7 @@ class Transformers(nn.Module):
 
 
 def make_config(architecture: str, sizes: dict[str, Any]) -> PretrainedConfig:
-    """The library's configuration, with other sizes.
+    """Return the library's configuration, with other sizes.
 
     Raises:
         ValueError: if there is no such architecture or size.
@@ -79,13 +82,13 @@ def make_config(architecture: str, sizes: dict[str, Any]) -> PretrainedConfig:
 
 
 def with_all_stages(config: PretrainedConfig) -> PretrainedConfig:
-    """Asks a backbone for the maps of all its stages."""
+    """Ask a backbone for the maps of all its stages."""
     config.out_indices = list(range(len(config.stage_names)))
     return config
 
 
 def build(config: PretrainedConfig, compared: list[str], weights: str | None) -> nn.Module:
-    """The network with pretrained weights, or with random ones where there are none.
+    """Return the network with pretrained weights, or with random ones where there are none.
 
     Raises:
         ValueError: if the weights are of another network.
@@ -101,7 +104,7 @@ def build(config: PretrainedConfig, compared: list[str], weights: str | None) ->
 
 
 def probe(encoder: nn.Module) -> list[Tensor]:
-    """The maps of a grey image; running statistics stay as they are."""
+    """Return the maps of a grey image; running statistics stay as they are."""
     encoder.eval()
     maps = encoder(torch.zeros(1, 3, PROBE_PX, PROBE_PX)).feature_maps
     encoder.train()
@@ -109,7 +112,7 @@ def probe(encoder: nn.Module) -> list[Tensor]:
 
 
 def freeze_unused(encoder: nn.Module, maps: list[Tensor]) -> None:
-    """Keeps parameters that these maps do not depend on from training."""
+    """Exclude parameters that these maps do not depend on from training."""
     parameters = list(encoder.parameters())
     gradients = torch.autograd.grad(torch.stack([level.sum() for level in maps]).sum(), parameters, allow_unused=True)
     for parameter, gradient in zip(parameters, gradients, strict=True):

@@ -1,50 +1,54 @@
-"""Range from each camera on its own, merged into one panorama: what depth is worth without overlap."""
+"""Range from each camera on its own, merged into one panorama: the baseline without overlap between cameras."""
 
 import math
-from collections.abc import Sequence
-from functools import lru_cache
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional as F
 
-from omniocc.camera import Rig
+from omniocc.camera import Equirectangular, Rig
 from omniocc.camera.ops.pixels import pixel_centers
 from omniocc.loss import SILog
-from omniocc.model.ops.depth.depth_map import DepthMap, check_images, from_index, per_rig
+from omniocc.model.ops.depth.depth_map import DepthMap, from_index
 from omniocc.model.ops.depth.features import FeatureNet
-from omniocc.model.ops.depth.panoramic import Panoramic
+from omniocc.model.ops.depth.panorama_depth import DepthBatch, LearnedPanoramaDepth
+from omniocc.model.ops.depth.projection import present_cameras
+from omniocc.model.ops.depth.spheres import SphereRange
 from omniocc.model.ops.depth.zbuffer import fill_holes, merge_cameras
+from omniocc.model.ops.padded import frame_size
+from omniocc.model.ops.rig_cache import once_per_rig
 
 TYPICAL_M = 8.0
-"""Range that the network's zero stands for."""
+"""Range for which the network's output is zero."""
 HOLE_PASSES = 2
 
 
-@lru_cache(maxsize=16)
+@once_per_rig
 def ray_maps(rig: Rig, device: torch.device) -> Float[Tensor, "N 4 H W"]:
-    """Where every pixel looks: unit ray in the camera's own frame, and the sine of its elevation in the ego frame."""
+    """Return every pixel's unit ray in the camera's own frame and the sine of its elevation in the ego frame.
+
+    Smaller images than the rig's largest are padded by zeros.
+    """
+    frame = frame_size(rig)
     maps = []
     for k, camera in enumerate(rig.cameras):
         rays, _ = camera.unproject(pixel_centers(camera.width, camera.height, torch.float64))
         up = rays @ rig.ego_from_camera[k, 2, :3]
-        maps.append(torch.cat([rays, up[..., None]], -1).movedim(-1, 0).float())
+        padding = (0, frame[0] - camera.width, 0, frame[1] - camera.height)
+        maps.append(F.pad(torch.cat([rays, up[..., None]], -1).movedim(-1, 0).float(), padding))
     return torch.stack(maps).to(device)
 
 
-class Mono(Panoramic):
-    """One network looks at each image and where its pixels look, and gives the log of the range, and whether it is sky.
+class Mono(LearnedPanoramaDepth):
+    """Estimate the log of the range and the sky in each image alone, from its colours and the rays of its pixels.
 
     Maps of all cameras, at half the size of the images, are drawn into the panorama, the nearest in front; the cameras'
     places on the vehicle are taken into account.
 
     Args:
-        erp_size: width and height of the panorama, px.
-        erp_top_deg: elevation of its upper edge.
-        erp_bottom_deg: elevation of its lower edge.
-        spheres: number of spheres, in whose indices the range is also given.
-        min_range_m: of the nearest sphere; None derives it from each rig.
+        panorama: directions of the answer.
+        spheres: number and reach of the spheres, in whose indices the range is also given.
         channels: per level of the network, finest (half the image size) first; multiples of 8.
         focus: of the scale-invariant loss, see `SILog`.
         sky_weight: of the cross-entropy of sky beside it.
@@ -56,78 +60,44 @@ class Mono(Panoramic):
 
     def __init__(
         self,
-        erp_size: Sequence[int],
-        erp_top_deg: float,
-        erp_bottom_deg: float,
-        spheres: int,
-        min_range_m: float | None,
+        panorama: Equirectangular,
+        spheres: SphereRange,
         channels: list[int],
         focus: float,
         sky_weight: float,
         mirror: bool,
     ):
-        super().__init__(erp_size, erp_top_deg, erp_bottom_deg, spheres, min_range_m)
-        self.sky_weight, self.mirror = sky_weight, mirror
+        super().__init__(panorama, spheres, mirror)
+        self.sky_weight = sky_weight
         self.net = FeatureNet(channels, out_channels=2, extra_channels=4)
         self.silog = SILog(focus)
 
-    def forward(
-        self,
-        images: Float[Tensor, "B N 3 H W"],
-        rigs: tuple[Rig, ...],
-        true_range_m: Float[Tensor, "B h w"] | None = None,
-    ) -> DepthMap:
-        """Depth from RGB in [0, 1]; the true range is not looked at.
+    def estimate(self, images: Float[Tensor, "B N 3 H W"], rig: Rig) -> DepthMap:
+        """Return depth from RGB in [0, 1], for samples of one rig without padding."""
+        log_range, sky = self.camera_ranges(images, (rig,) * len(images))
+        spheres = self.rig_spheres(rig)
+        range_m = log_range.exp().clamp(max=spheres.farthest_m)
+        there, solid = present_cameras(images)[:, :, None, None].expand_as(range_m), (-sky).sigmoid()
+        surface, _ = merge_cameras(range_m, solid, there & (solid > 0.5), rig, self.panorama)
+        # in the sky the range is that of the surface that is there if it is no sky after all
+        guess, _ = merge_cameras(range_m, solid, there, rig, self.panorama)
+        range_or_sky_m = torch.where(solid > 0.5, range_m, spheres.farthest_m)
+        _, confidence = merge_cameras(range_or_sky_m, solid, there, rig, self.panorama, depth_ratio=math.inf)
+        filled = fill_holes(guess, HOLE_PASSES)
+        valid = (surface.isfinite() & (confidence > 0.5)) | (guess.isinf() & filled.isfinite())
+        index = spheres.index(torch.where(surface.isfinite(), surface, filled))
+        return from_index(index, valid, confidence, spheres)
+
+    def losses(self, batch: DepthBatch, flip: bool) -> dict[str, Float[Tensor, ""]]:
+        """Return the losses `silog` and `sky`, from the ranges of single cameras alone.
 
         Raises:
-            ValueError: if images and rigs do not fit together, or images hold NaN.
+            ValueError: if there are no ranges of cameras.
         """
-        check_images(images, rigs)
-        log_range, sky = self.camera_ranges(images, rigs)
-
-        def one(rig: Rig, samples: list[int]) -> DepthMap:
-            spheres = self.rig_spheres(rig)
-            range_m = log_range[samples].exp().clamp(max=spheres.farthest_m)
-            present = images[samples].flatten(2).amax(-1) > 0
-            there, solid = present[:, :, None, None].expand_as(range_m), (-sky[samples]).sigmoid()
-            surface, _ = merge_cameras(range_m, solid, there & (solid > 0.5), rig, self.panorama)
-            # what holds for the sky is the range of a surface that may be there after all
-            guess, _ = merge_cameras(range_m, solid, there, rig, self.panorama)
-            range_or_sky_m = torch.where(solid > 0.5, range_m, spheres.farthest_m)
-            _, confidence = merge_cameras(range_or_sky_m, solid, there, rig, self.panorama, depth_ratio=math.inf)
-            filled = fill_holes(guess, HOLE_PASSES)
-            valid = (surface.isfinite() & (confidence > 0.5)) | (guess.isinf() & filled.isfinite())
-            index = spheres.index(torch.where(surface.isfinite(), surface, filled))
-            return from_index(index, valid, confidence, spheres)
-
-        return per_rig(rigs, one)
-
-    def training_terms(
-        self,
-        images: Float[Tensor, "B N 3 H W"],
-        rigs: tuple[Rig, ...],
-        erp_range_m: Float[Tensor, "B h w"],
-        camera_range_m: Float[Tensor, "B N H W"] | None,
-        generator: torch.Generator,
-    ) -> dict[str, Float[Tensor, ""]]:
-        """Losses `silog` and `sky`. Looks at the ranges of single cameras only (inf: sky, nan: unknown).
-
-        Args:
-            images: RGB in [0, 1].
-            rigs: one per sample.
-            erp_range_m: is not looked at.
-            camera_range_m: true range of every pixel.
-            generator: decides whether this batch is mirrored, on the CPU.
-
-        Raises:
-            ValueError: if images and rigs do not fit together, images hold NaN, or there are no ranges of cameras.
-        """
-        check_images(images, rigs)
-        if camera_range_m is None:
+        if batch.camera_range_m is None:
             raise ValueError("model/depth=mono learns from the range of every camera; this data has none")
-        flip = self.mirror and bool(torch.rand((), generator=generator) < 0.5)
-        log_range, sky = self.camera_ranges(images, rigs, flip)
-        true_m = range_of_four(camera_range_m.flip(-1) if flip else camera_range_m)
+        log_range, sky = self.camera_ranges(batch.images, batch.rigs, flip)
+        true_m = range_of_four(batch.camera_range_m)
         known = ~true_m.isnan()
         wrong = F.binary_cross_entropy_with_logits(sky, true_m.isinf().to(sky), reduction="none")
         entropy = torch.where(known, wrong, 0).sum() / known.sum().clamp(min=1)
@@ -136,7 +106,13 @@ class Mono(Panoramic):
     def camera_ranges(
         self, images: Float[Tensor, "B N 3 H W"], rigs: tuple[Rig, ...], flip: bool = False
     ) -> tuple[Float[Tensor, "B N _ _"], Float[Tensor, "B N _ _"]]:
-        """Log of the range from each camera's centre (m) and logit of sky, at half size; mirrored if asked."""
+        """Return the log of the range (m) from each camera's centre and the logit of sky, at half size.
+
+        Args:
+            images: of samples whose images have one shape, without padding.
+            rigs: one per sample.
+            flip: whether to answer for mirrored images, mirrored.
+        """
         rays = torch.stack([ray_maps(rig, images.device) for rig in rigs])
         if flip:
             images, rays = images.flip(-1), rays.flip(-1) * rays.new_tensor([-1, 1, 1, 1])[:, None, None]
@@ -145,7 +121,7 @@ class Mono(Panoramic):
 
 
 def range_of_four(range_m: Float[Tensor, "B N H W"]) -> Float[Tensor, "B N _ _"]:
-    """The harmonic mean of the ranges in each 2x2 block; inf where three or four are, nan where any is unknown."""
+    """Return the harmonic mean range of each 2x2 block; inf where three or four are inf, nan where any is unknown."""
     inverse = 4 * F.avg_pool2d(range_m.nan_to_num(1.0, posinf=torch.inf).reciprocal(), 2)
     surfaces = 4 * F.avg_pool2d((~range_m.isinf()).to(range_m), 2)
     blocks = torch.where(surfaces > 1, surfaces / inverse, torch.inf)

@@ -1,17 +1,17 @@
 """Omnidirectional depth by one combined sweep and 2D regularisation (paper, section IV-B; RtHexa-OmniMVS)."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from omniocc.camera import Rig
+from omniocc.camera import Equirectangular, Rig
 from omniocc.model.ops.depth.features import FeatureNet
-from omniocc.model.ops.depth.layers import Conv, UNet2d, double, norm
+from omniocc.model.ops.depth.layers import Conv, UNet2d
 from omniocc.model.ops.depth.projection import (
-    LEAST_SHARE,
+    LEAST_PRESENT,
     Projection,
     Sampler,
     alternate_cameras,
@@ -20,28 +20,30 @@ from omniocc.model.ops.depth.projection import (
     samplers,
     table,
 )
+from omniocc.model.ops.depth.sphere_loss import SphereLoss
 from omniocc.model.ops.depth.sphere_net import SphereNet
+from omniocc.model.ops.depth.spheres import SphereRange
+from omniocc.model.ops.norm import group_norm
+from omniocc.model.ops.padding import upsample_view
 
-CONTEXT_SHARES = (0.06, 0.25)
-"""Spheres on which the views' own features are put side by side, as shares of the index of the nearest."""
+CONTEXT_SPHERES = (0.06, 0.25)
+"""Spheres on which the views' own features are put side by side, as fractions of the index of the nearest."""
 
 FIRST_TRUST = 4.0
 """Score that full likeness adds to a sphere before training."""
 
 
 class OmniMVS(SphereNet):
-    """One panorama of features per sphere from every other camera, one from the rest: where they agree is a surface.
+    """Find where two panoramas of features agree on every sphere: one from every other camera, one from the rest.
 
     The correlation of the two panoramas on all spheres, by groups of channels, and the views' own features (their mean
     and their difference, so that the two sets may be swapped) go through a 2D network that wraps around. Rotating a rig
     of even symmetry by one camera rotates the answer.
 
     Args:
-        erp_size: width and height of the panorama, px.
-        erp_top_deg: elevation of its upper edge.
-        erp_bottom_deg: elevation of its lower edge.
-        spheres: number of spheres.
-        min_range_m: of the nearest sphere; None derives it from each rig.
+        panorama: directions of the answer.
+        spheres: number and reach of the spheres.
+        loss: of the scores.
         feature_channels: per level of the feature network, finest (half the image size) first; multiples of 8.
         match_channels: features that are compared.
         groups: correlations per sphere, a divisor of `match_channels`.
@@ -52,9 +54,6 @@ class OmniMVS(SphereNet):
         blocks: residual blocks on each level, down and up again.
         window: spheres to each side of the peak that make up the answer.
         min_confidence: answers below are not valid, in [0, 1].
-        log_range_weight: of that term of the loss beside the index's.
-        entropy_weight: likewise, of the cross-entropy over spheres.
-        sky_weight: likewise, of the cross-entropy of sky or surface.
         mirror: train on the mirrored world as often as on the true one.
 
     Raises:
@@ -63,11 +62,9 @@ class OmniMVS(SphereNet):
 
     def __init__(
         self,
-        erp_size: Sequence[int],
-        erp_top_deg: float,
-        erp_bottom_deg: float,
-        spheres: int,
-        min_range_m: float | None,
+        panorama: Equirectangular,
+        spheres: SphereRange,
+        loss: SphereLoss,
         feature_channels: list[int],
         match_channels: int,
         groups: int,
@@ -78,48 +75,40 @@ class OmniMVS(SphereNet):
         blocks: int,
         window: int,
         min_confidence: float,
-        log_range_weight: float,
-        entropy_weight: float,
-        sky_weight: float,
         mirror: bool,
     ):
-        view = erp_size, erp_top_deg, erp_bottom_deg
-        weights = log_range_weight, entropy_weight, sky_weight
-        super().__init__(*view, spheres, min_range_m, window, min_confidence, *weights, mirror)
+        super().__init__(panorama, spheres, loss, window, min_confidence, mirror)
+        width, height = panorama.width, panorama.height
         if match_channels % groups:
             raise ValueError(f"{match_channels} match_channels cannot be split into {groups} groups; give a divisor")
         if sweep_stride not in (1, 2):
             raise ValueError(f"sweep_stride is {sweep_stride}; it must be 1 or 2")
-        if erp_size[0] % 2 ** len(channels) or erp_size[1] % 2:
+        if width % 2 ** len(channels) or height % 2:
             raise ValueError(
-                f"erp_size is {list(erp_size)}; {len(channels)} levels need an even height "
+                f"the panorama is {width}x{height} px; {len(channels)} levels need an even height "
                 f"and a width in multiples of {2 ** len(channels)}"
             )
         self.match_channels, self.groups, self.sweep_stride = match_channels, groups, sweep_stride
-        self.swept = self.panorama.resized(erp_size[0] // sweep_stride, erp_size[1] // sweep_stride)
+        self.swept = panorama.resized(width // sweep_stride, height // sweep_stride)
         self.features = FeatureNet(feature_channels, match_channels + context_channels)
-        compared = groups * spheres
-        inputs = compared + 2 * len(CONTEXT_SHARES) * context_channels + 3
+        compared = groups * spheres.count
+        inputs = compared + 2 * len(CONTEXT_SPHERES) * context_channels + 3
         self.stem = nn.Conv2d(inputs, channels[0], 2 // sweep_stride, stride=2 // sweep_stride)
         self.net = UNet2d(channels, blocks, wrap=True)
         self.up = nn.Sequential(nn.Conv2d(channels[0], 4 * fine_channels, 1), nn.PixelShuffle(2))
-        self.seen_again = compared + len(CONTEXT_SHARES) * context_channels
+        self.seen_again = compared + len(CONTEXT_SPHERES) * context_channels
         self.fine = nn.Sequential(
             Conv(self.seen_again + fine_channels, fine_channels, 3, wrap=True, bias=False),
-            norm(fine_channels),
+            group_norm(fine_channels),
             nn.ReLU(),
-            Conv(fine_channels, spheres + 1, 3, wrap=True),
+            Conv(fine_channels, spheres.count + 1, 3, wrap=True),
         )
         self.trust = nn.Parameter(torch.full((), FIRST_TRUST))
 
     def logits(
         self, images: Float[Tensor, "B N 3 H W"], rig: Rig, flip: bool = False
     ) -> tuple[Float[Tensor, "B E h w"], Bool[Tensor, "B h w"]]:
-        """Of every sphere and, last, of the sky, for samples of one rig, and whether any camera sees the direction.
-
-        Mirrored if asked: images and panoramas go through the networks flipped, while the sweep between them stays, as
-        with a mirrored rig in a mirrored world.
-        """
+        """Return scores of spheres and sky, and which directions are seen; see `SphereNet.logits`."""
         features = self.features(images.flip(-1) if flip else images)
         features = features.flip(-1) if flip else features
         panoramas, seen = self._sweep(features, images, rig)
@@ -129,21 +118,20 @@ class OmniMVS(SphereNet):
         size = coarse.shape[-2:]
         again = panoramas[:, : self.seen_again]
         if self.sweep_stride == 2:
-            again = double(again, *size, wrap=True)
+            again = upsample_view(again, size, (False, True))
         logits = self.fine(torch.cat([again, coarse], 1))
-        alike = again[:, : self.groups * self.spheres].unflatten(1, (self.spheres, self.groups)).mean(2)
+        alike = again[:, : self.groups * self.spheres.count].unflatten(1, (self.spheres.count, self.groups)).mean(2)
         logits = logits + self.trust * F.pad(alike, (0, 0, 0, 0, 0, 1))
         return logits, F.interpolate(seen.float(), size)[:, 0] > 0
 
     def _sweep(
         self, features: Float[Tensor, "B N C _ _"], images: Float[Tensor, "B N 3 H W"], rig: Rig
     ) -> tuple[Float[Tensor, "B E h w"], Bool[Tensor, "B 1 h w"]]:
-        """Everything the 2D network sees, and where any camera sees."""
+        """Return the input of the 2D network, and where any camera sees."""
         present = present_cameras(images)
         match, context = features.split([self.match_channels, features.shape[2] - self.match_channels], 2)
-        planes = [float(k) for k in range(self.spheres)]
-        agreement, one, two = zip(*self._agreement(match, present, rig, planes), strict=True)
-        views = self._views(context, present, rig, [share * (self.spheres - 1) for share in CONTEXT_SHARES])
+        agreement, one, two = zip(*self._agreement(match, present, rig), strict=True)
+        views = self._views(context, present, rig, tuple(part * (self.spheres.count - 1) for part in CONTEXT_SPHERES))
         one, two = (self._maps(torch.cat(parts)[..., None]) for parts in (one, two))
         both, either = torch.minimum(one, two).mean(1, keepdim=True), torch.maximum(one, two).mean(1, keepdim=True)
         height = self.swept.height
@@ -153,38 +141,37 @@ class OmniMVS(SphereNet):
         return torch.cat([*maps, both, either, row], 1), either > 0
 
     def _agreement(
-        self, match: Float[Tensor, "B N C _ _"], present: Bool[Tensor, "B N"], rig: Rig, planes: list[float]
+        self, match: Float[Tensor, "B N C _ _"], present: Bool[Tensor, "B N"], rig: Rig
     ) -> Iterator[tuple[Float[Tensor, "P B G"], Float[Tensor, "P B"], Float[Tensor, "P B"]]]:
-        """Block by block of spheres: likeness, and how much of either set is there."""
+        """Yield the likeness, and how much of either set is there, block by block of spheres."""
         rows = table(match, present)
-        for one, two in self._samplers(match, rig, planes):
+        for one, two in self._samplers(match, rig, self.spheres.planes):
             yield likeness(rows, one, two, present, self.groups)
 
     def _views(
-        self, context: Float[Tensor, "B N C _ _"], present: Bool[Tensor, "B N"], rig: Rig, planes: list[float]
+        self, context: Float[Tensor, "B N C _ _"], present: Bool[Tensor, "B N"], rig: Rig, planes: tuple[float, ...]
     ) -> list[Float[Tensor, "P B C"]]:
-        """Mean and absolute difference of what the two sets see."""
+        """Return the mean and the absolute difference of the features of the two sets."""
         rows = table(context, present)
 
         def seen_by(sampler: Sampler) -> Tensor:
             sums = sampler(rows).unflatten(1, (len(context), -1))
-            return sums / sampler.share(present).clamp(min=LEAST_SHARE)[..., None]
+            return sums / sampler.present_fraction(present).clamp(min=LEAST_PRESENT)[..., None]
 
         blocks = [(seen_by(one), seen_by(two)) for one, two in self._samplers(context, rig, planes)]
         one, two = (torch.cat(parts) for parts in zip(*blocks, strict=True))
         return [(one + two) / 2, (one - two).abs()]
 
     def _samplers(
-        self, features: Float[Tensor, "B N C _ _"], rig: Rig, planes: list[float]
+        self, features: Float[Tensor, "B N C _ _"], rig: Rig, planes: tuple[float, ...]
     ) -> Iterator[tuple[Sampler, Sampler]]:
         size = features.shape[-1], features.shape[-2]
         sweeps = [
-            Projection(rig, self.swept, self.rig_spheres(rig), size, cameras, tuple(planes))
-            for cameras in alternate_cameras(rig)
+            Projection(self.swept, self.rig_spheres(rig), size, cameras, planes) for cameras in alternate_cameras(rig)
         ]
-        return zip(*(samplers(sweep, features.device) for sweep in sweeps), strict=True)
+        return zip(*(samplers(rig, sweep, features.device) for sweep in sweeps), strict=True)
 
     def _maps(self, points: Float[Tensor, "P B C"]) -> Float[Tensor, "B DC h w"]:
-        """Points of all spheres, in the order of spheres, rows and columns, as maps."""
+        """Lay points of all spheres, in the order of spheres, rows and columns, out as maps."""
         shape = (-1, self.swept.height, self.swept.width)
         return points.unflatten(0, shape).permute(3, 0, 4, 1, 2).flatten(1, 2)

@@ -1,6 +1,5 @@
 """Omnidirectional depth by a cost volume over all cameras and 3D regularisation (OmniMVS, Won et al. 2019)."""
 
-from collections.abc import Sequence
 from itertools import pairwise
 
 import torch
@@ -8,38 +7,34 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from omniocc.camera import Rig
+from omniocc.camera import Equirectangular, Rig
 from omniocc.model.ops.depth.features import FeatureNet
-from omniocc.model.ops.depth.projection import LEAST_SHARE, Projection, present_cameras, samplers, table
+from omniocc.model.ops.depth.projection import LEAST_PRESENT, Projection, present_cameras, samplers, table
+from omniocc.model.ops.depth.sphere_loss import SphereLoss
 from omniocc.model.ops.depth.sphere_net import SphereNet
-from omniocc.model.ops.padding import Conv3d, Downsample, Pointwise, upsample
-from omniocc.model.refiner.unet import Residual
+from omniocc.model.ops.depth.spheres import SphereRange
+from omniocc.model.ops.padding import Conv3d, Downsample, Pointwise, Residual, upsample
 
 AROUND = (False, False, True)
-"""Of spheres, rows and columns only the columns wrap around."""
+"""Which of spheres, rows and columns wrap around."""
 
 
 class OmniMVS3D(SphereNet):
-    """Mean and variance over all cameras of the features on every sphere, regularised by a 3D encoder-decoder.
+    """Regularise mean and variance over all cameras of the features on every sphere by a 3D encoder-decoder.
 
     The paper puts the features of its four cameras side by side; mean and variance take any number in any order
     (MVSNet, Yao et al. 2018), a missing one too. The variance is small where the cameras agree.
 
     Args:
-        erp_size: width and height of the panorama, px.
-        erp_top_deg: elevation of its upper edge.
-        erp_bottom_deg: elevation of its lower edge.
-        spheres: number of spheres.
-        min_range_m: of the nearest sphere; None derives it from each rig.
+        panorama: directions of the answer.
+        spheres: number and reach of the spheres.
+        loss: of the scores.
         feature_channels: per level of the feature network, finest (half the image size) first; multiples of 8.
         match_channels: features whose mean and variance go into the volume.
         sweep_stride: panorama pixels per swept point along each side.
         channels: per level of the 3D network, finest first; multiples of 8.
         window: spheres to each side of the peak that make up the answer.
         min_confidence: answers below are not valid, in [0, 1].
-        log_range_weight: of that term of the loss beside the index's.
-        entropy_weight: likewise, of the cross-entropy over spheres.
-        sky_weight: likewise, of the cross-entropy of sky or surface.
         mirror: train on the mirrored world as often as on the true one.
 
     Raises:
@@ -48,39 +43,33 @@ class OmniMVS3D(SphereNet):
 
     def __init__(
         self,
-        erp_size: Sequence[int],
-        erp_top_deg: float,
-        erp_bottom_deg: float,
-        spheres: int,
-        min_range_m: float | None,
+        panorama: Equirectangular,
+        spheres: SphereRange,
+        loss: SphereLoss,
         feature_channels: list[int],
         match_channels: int,
         sweep_stride: int,
         channels: list[int],
         window: int,
         min_confidence: float,
-        log_range_weight: float,
-        entropy_weight: float,
-        sky_weight: float,
         mirror: bool,
     ):
-        view = erp_size, erp_top_deg, erp_bottom_deg
-        weights = log_range_weight, entropy_weight, sky_weight
-        super().__init__(*view, spheres, min_range_m, window, min_confidence, *weights, mirror)
+        super().__init__(panorama, spheres, loss, window, min_confidence, mirror)
+        width, height = panorama.width, panorama.height
         multiple = sweep_stride * 2 ** (len(channels) - 1)
-        if erp_size[0] % multiple or erp_size[1] % sweep_stride:
+        if width % multiple or height % sweep_stride:
             raise ValueError(
-                f"erp_size is {list(erp_size)}; {len(channels)} levels and sweep_stride {sweep_stride} need a width in "
-                f"multiples of {multiple} and a height in multiples of {sweep_stride}"
+                f"the panorama is {width}x{height} px; {len(channels)} levels and sweep_stride {sweep_stride} "
+                f"need a width in multiples of {multiple} and a height in multiples of {sweep_stride}"
             )
-        self.swept = self.panorama.resized(erp_size[0] // sweep_stride, erp_size[1] // sweep_stride)
+        self.swept = panorama.resized(width // sweep_stride, height // sweep_stride)
         self.features = FeatureNet(feature_channels, match_channels)
         self.net = VolumeNet(2 * match_channels, channels)
 
     def logits(
         self, images: Float[Tensor, "B N 3 H W"], rig: Rig, flip: bool = False
     ) -> tuple[Float[Tensor, "B E h w"], Bool[Tensor, "B h w"]]:
-        """See `SphereNet.logits`."""
+        """Return scores of spheres and sky, and which directions are seen; see `SphereNet.logits`."""
         features = self.features(images.flip(-1) if flip else images)
         volume, seen = self._volume(features.flip(-1) if flip else features, present_cameras(images), rig)
         if flip:
@@ -93,26 +82,25 @@ class OmniMVS3D(SphereNet):
     def _volume(
         self, features: Float[Tensor, "B N C _ _"], present: Bool[Tensor, "B N"], rig: Rig
     ) -> tuple[Float[Tensor, "B E D h w"], Bool[Tensor, "B 1 h w"]]:
-        """Mean and variance on all spheres, and where any camera sees."""
+        """Return mean and variance on all spheres, and where any camera sees."""
         batch = len(features)
         rows = table(torch.cat([features, features.square()], 2), present)
         size = features.shape[-1], features.shape[-2]
-        planes = tuple(float(k) for k in range(self.spheres))
-        everyone = tuple(range(len(rig.cameras)))
-        projection = Projection(rig, self.swept, self.rig_spheres(rig), size, everyone, planes)
-        parts, shares = [], []
-        for sampler in samplers(projection, features.device):
-            shares.append(sampler.share(present))
-            parts.append(sampler(rows).unflatten(1, (batch, -1)) / shares[-1].clamp(min=LEAST_SHARE)[..., None])
+        cameras = tuple(range(len(rig.cameras)))
+        projection = Projection(self.swept, self.rig_spheres(rig), size, cameras, self.spheres.planes)
+        parts, fractions = [], []
+        for sampler in samplers(rig, projection, features.device):
+            fractions.append(sampler.present_fraction(present))
+            parts.append(sampler(rows).unflatten(1, (batch, -1)) / fractions[-1].clamp(min=LEAST_PRESENT)[..., None])
         mean, square = torch.cat(parts).chunk(2, -1)
         moments = torch.cat([mean, square - mean.square()], -1)
-        shape = (self.spheres, self.swept.height, self.swept.width)
-        seen = torch.cat(shares).gt(0).unflatten(0, shape).any(0).permute(2, 0, 1)[:, None]
+        shape = (self.spheres.count, self.swept.height, self.swept.width)
+        seen = torch.cat(fractions).gt(0).unflatten(0, shape).any(0).permute(2, 0, 1)[:, None]
         return moments.unflatten(0, shape).permute(3, 4, 0, 1, 2), seen
 
 
 class VolumeNet(nn.Module):
-    """3D encoder-decoder with added skips over (spheres, rows, columns); wraps around along the columns.
+    """Encode and decode a volume of (spheres, rows, columns) with added skips; wraps around along the columns.
 
     The sky's score is a mean over spheres.
 
@@ -132,7 +120,7 @@ class VolumeNet(nn.Module):
         self.out = Conv3d(channels[0], 2, 3, AROUND)
 
     def forward(self, volume: Float[Tensor, "B C D h w"]) -> Float[Tensor, "B E h w"]:
-        """In every direction one score for every sphere, and last the sky's."""
+        """Return in every direction one score for every sphere, and last the sky's."""
         volume = self.encoder[0](self.stem(volume.contiguous(memory_format=torch.channels_last_3d)))
         skips = []
         for down, block in zip(self.down, list(self.encoder)[1:], strict=True):
@@ -146,7 +134,7 @@ class VolumeNet(nn.Module):
 
 
 def resize_panorama(maps: Float[Tensor, "B D _ _"], height: int, width: int) -> Float[Tensor, "B D h w"]:
-    """Bilinear interpolation to a whole multiple of the size, across the seam."""
+    """Interpolate bilinearly to a whole multiple of the size, across the seam."""
     factor = width // maps.shape[-1]
     if factor == 1:
         return maps

@@ -1,7 +1,7 @@
 """A sphere sweep without weights: works on any calibrated rig whose fields overlap."""
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import torch
 from jaxtyping import Bool, Float
@@ -9,83 +9,65 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from omniocc.camera import Equirectangular, Rig
-from omniocc.model.ops.depth.depth_map import SKY_INDEX, DepthMap, check_images, from_index, per_rig
-from omniocc.model.ops.depth.panoramic import Panoramic
+from omniocc.model.ops.depth.depth_map import SKY_INDEX, DepthMap, from_index
+from omniocc.model.ops.depth.panorama_depth import PanoramaDepth
 from omniocc.model.ops.depth.projection import Projection, present_cameras, samplers, table
+from omniocc.model.ops.depth.spheres import SphereRange
+from omniocc.model.ops.padded import frame_size
 
 NOISE = 0.01
 """Standard deviation of grey values (of 1) up to which a window has no texture."""
 UNSEEN = -1.0
 
 
-class Sweep(Panoramic):
-    """Compares all pairs of cameras by zero-mean normalised cross-correlation of windows on every sphere.
+class Sweep(PanoramaDepth):
+    """Compare all pairs of cameras by zero-mean normalised cross-correlation of windows on every sphere.
 
     The sphere with the best mean over the pairs wins, and a parabola through it and its neighbours gives the fraction.
     Images are first brought to about the resolution of the panorama.
 
     Args:
-        erp_size: width and height of the panorama, px.
-        erp_top_deg: elevation of its upper edge.
-        erp_bottom_deg: elevation of its lower edge.
-        spheres: number of spheres.
-        min_range_m: of the nearest sphere; None derives it from each rig.
+        panorama: directions of the answer.
+        spheres: number and reach of the spheres.
         window_px: side of the windows in the panorama, odd.
         min_confidence: answers below are not valid, in [0, 1].
 
     Raises:
-        ValueError: if sizes make no sense.
+        ValueError: if the window is even or does not fit into the panorama.
     """
 
     def __init__(
         self,
-        erp_size: Sequence[int],
-        erp_top_deg: float,
-        erp_bottom_deg: float,
-        spheres: int,
-        min_range_m: float | None,
+        panorama: Equirectangular,
+        spheres: SphereRange,
         window_px: int,
         min_confidence: float,
     ):
-        super().__init__(erp_size, erp_top_deg, erp_bottom_deg, spheres, min_range_m)
-        if window_px < 3 or window_px % 2 == 0 or window_px > min(erp_size):
-            raise ValueError(f"window_px is {window_px}; it must be odd, at least 3, and fit into {list(erp_size)}")
+        super().__init__(panorama, spheres)
+        size = panorama.width, panorama.height
+        if window_px < 3 or window_px % 2 == 0 or window_px > min(size):
+            raise ValueError(f"window_px is {window_px}; it must be odd, at least 3, and fit into {list(size)}")
         self.window_px, self.min_confidence = window_px, min_confidence
 
     @torch.no_grad()
-    def forward(
-        self,
-        images: Float[Tensor, "B N 3 H W"],
-        rigs: tuple[Rig, ...],
-        true_range_m: Float[Tensor, "B h w"] | None = None,
-    ) -> DepthMap:
-        """Depth from RGB in [0, 1]; the true range is not looked at.
-
-        Raises:
-            ValueError: if images and rigs do not fit together, or images hold NaN.
-        """
-        check_images(images, rigs)
-
-        def one(rig: Rig, samples: list[int]) -> DepthMap:
-            score = torch.cat(list(self._scores(images[samples], rig)), 1)
-            index, confidence = peak(score)
-            compared = score.amax(1) > UNSEEN
-            valid = compared & (index >= SKY_INDEX) & (confidence >= self.min_confidence)
-            return from_index(index, valid, confidence * compared, self.rig_spheres(rig))
-
-        return per_rig(rigs, one)
+    def estimate(self, images: Float[Tensor, "B N 3 H W"], rig: Rig) -> DepthMap:
+        """Return depth from RGB in [0, 1], for samples of one rig without padding."""
+        score = torch.cat(list(self._scores(images, rig)), 1)
+        index, confidence = peak(score)
+        compared = score.amax(1) > UNSEEN
+        valid = compared & (index >= SKY_INDEX) & (confidence >= self.min_confidence)
+        return from_index(index, valid, confidence * compared, self.rig_spheres(rig))
 
     def _scores(self, images: Float[Tensor, "B N 3 H W"], rig: Rig) -> Iterator[Float[Tensor, "B D h w"]]:
-        """Block by block of spheres, the mean correlation."""
+        """Yield the mean correlation block by block of spheres."""
         present = present_cameras(images)
         grey = F.interpolate(images.float().mean(2), self._working_size(rig), mode="area")
         size = grey.shape[-1], grey.shape[-2]
-        spheres = self.rig_spheres(rig)
-        planes = tuple(float(k) for k in range(self.spheres))
-        cameras = [
-            samplers(Projection(rig, self.panorama, spheres, size, (k,), planes), images.device)
+        sweeps = [
+            Projection(self.panorama, self.rig_spheres(rig), size, (k,), self.spheres.planes)
             for k in range(len(rig.cameras))
         ]
+        cameras = [samplers(rig, sweep, images.device) for sweep in sweeps]
         rows = table(grey[:, :, None], present)
         shape = (-1, self.panorama.height, self.panorama.width)
         for block in zip(*cameras, strict=True):
@@ -97,29 +79,29 @@ class Sweep(Panoramic):
             yield score.unflatten(0, swept.shape[:2])
 
     def _working_size(self, rig: Rig) -> tuple[int, int]:
-        """Height and width of the images when their pixels are as wide as the panorama's, or as they are if coarser."""
-        camera = rig.cameras[0]
+        """Return the height and width of images whose pixels are at least as wide as the panorama's."""
+        camera, (width, height) = rig.cameras[0], frame_size(rig)
         middle = torch.tensor([[camera.width / 2, camera.height / 2], [camera.width / 2 + 1, camera.height / 2]])
         rays, _ = camera.unproject(middle.double())
         angle_rad = float((rays[0] - rays[1]).norm())
         factor = max(1.0, panorama_step_rad(self.panorama) / angle_rad)
-        return max(2, round(camera.height / factor)), max(2, round(camera.width / factor))
+        return max(2, round(height / factor)), max(2, round(width / factor))
 
 
 def panorama_step_rad(panorama: Equirectangular) -> float:
-    """Angle between neighbouring columns at the horizon."""
+    """Return the angle between neighbouring columns at the horizon."""
     return 2 * torch.pi / panorama.width
 
 
 def box(maps: Float[Tensor, "M N h w"], side_px: int) -> Float[Tensor, "M N h w"]:
-    """Mean over square windows; wraps around in azimuth, repeats the first and last row."""
+    """Return the mean over square windows; wraps around in azimuth, repeats the first and last row."""
     half = side_px // 2
     maps = F.pad(maps, (half, half, 0, 0), mode="circular")
     return F.avg_pool2d(F.pad(maps, (0, 0, half, half), mode="replicate"), side_px, stride=1)
 
 
 def correlation(swept: Float[Tensor, "M N h w"], seen: Bool[Tensor, "M N h w"], side_px: int) -> Float[Tensor, "M h w"]:
-    """Mean zero-mean normalised cross-correlation over all pairs of cameras that see a whole window; -1 without any."""
+    """Return the mean zero-mean normalised cross-correlation over pairs of cameras that see a whole window, or -1."""
     mean = box(swept, side_px)
     deviation = (box(swept.square(), side_px) - mean.square()).clamp(min=0).add(NOISE**2).sqrt()
     whole = box(seen.to(swept), side_px) > 1 - 0.5 / side_px**2
@@ -134,7 +116,7 @@ def correlation(swept: Float[Tensor, "M N h w"], seen: Bool[Tensor, "M N h w"], 
 
 
 def peak(score: Float[Tensor, "B D h w"]) -> tuple[Float[Tensor, "B h w"], Float[Tensor, "B h w"]]:
-    """Index of the best sphere with a fraction from a parabola, and how much better it is than others, in [0, 1].
+    """Return the index of the best sphere, with a fraction from a parabola, and its lead over others, in [0, 1].
 
     The confidence is the best score less the best one that is at least three spheres away.
     """

@@ -1,46 +1,30 @@
-"""The true range: what a perfect depth network would give."""
+"""The true range: the upper bound of every depth network."""
 
-from collections.abc import Sequence
+from typing import ClassVar
 
 from jaxtyping import Float
 from torch import Tensor
 
 from omniocc.camera import Rig
 from omniocc.model.ops.depth.depth_map import DepthMap, from_index, per_rig
-from omniocc.model.ops.depth.panoramic import Panoramic
+from omniocc.model.ops.depth.panorama_depth import PanoramaDepth
+from omniocc.model.ops.padded import Rigs
 
 
-class Truth(Panoramic):
-    """Passes the recorded range through: an upper bound for everything that follows.
+class Truth(PanoramaDepth):
+    """Pass the recorded range through: an upper bound for every other option.
 
     Args:
-        erp_size: width and height of the panorama, px.
-        erp_top_deg: elevation of its upper edge.
-        erp_bottom_deg: elevation of its lower edge.
-        spheres: number of spheres, in whose indices the range is also given.
-        min_range_m: of the nearest sphere; None derives it from each rig.
-
-    Raises:
-        ValueError: if there is no such panorama.
+        panorama: directions of the answer.
+        spheres: number and reach of the spheres, in whose indices the range is also given.
     """
 
-    def __init__(
-        self,
-        erp_size: Sequence[int],
-        erp_top_deg: float,
-        erp_bottom_deg: float,
-        spheres: int,
-        min_range_m: float | None,
-    ):
-        super().__init__(erp_size, erp_top_deg, erp_bottom_deg, spheres, min_range_m)
+    NEEDS_TRUE_RANGE: ClassVar[bool] = True
 
     def forward(
-        self,
-        images: Float[Tensor, "B N 3 H W"],
-        rigs: tuple[Rig, ...],
-        true_range_m: Float[Tensor, "B h w"] | None = None,
+        self, images: Float[Tensor, "B N 3 H W"], rigs: Rigs, true_range_m: Float[Tensor, "B h w"] | None = None
     ) -> DepthMap:
-        """The true range; not valid in the sky, where it is inf, and where it is nan.
+        """Return the true range; not valid in the sky, where it is inf, and where it is nan.
 
         Raises:
             ValueError: if there is no true range, or one of another size than the panorama.

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from omniocc.camera import Rig
@@ -10,13 +10,15 @@ from omniocc.geometry import Grid
 from omniocc.model.lifter.coloring import Coloring
 from omniocc.model.ops.blocks import block_any, coarsened, repeat_blocks
 from omniocc.model.ops.lifter.visible import CENTRE
+from omniocc.model.ops.padded import FeatureMaps
 from omniocc.model.ops.padding import Axes
+from omniocc.model.protocols import Sketched
 
 
 class CoarseColoring(nn.Module):
-    """Blocks of voxels share a query: `Coloring` on the coarser grid, whose answer every voxel of a block holds.
+    """Lift with one query per block of voxels: `Coloring` on the coarser grid, copied to every voxel of a block.
 
-    VoxFormer (Li et al., 2023) looks at the images and attends among voxels at half the resolution of its output; the
+    VoxFormer (Li et al., 2023) attends to the images and among voxels at half the resolution of its output; the
     refiner that does the latter finds the blocks' own features again as means. A block is a candidate if one of its
     voxels is.
 
@@ -53,12 +55,11 @@ class CoarseColoring(nn.Module):
         grid = coarsened(geometry, self.block)
         self.coloring = Coloring(grid, channels, levels, layers, heads, points, feedforward_channels, anchors)
 
-    def forward(
-        self, features: list[Float[Tensor, "B N C _ _"]], candidates: Bool[Tensor, "B X Y Z"], rigs: tuple[Rig, ...]
-    ) -> Float[Tensor, "B C X Y Z"]:
-        """Colours the blocks that hold candidates.
+    def forward(self, features: FeatureMaps, sketched: Sketched, rigs: tuple[Rig, ...]) -> Float[Tensor, "B C X Y Z"]:
+        """Colour the blocks that hold candidates.
 
         Raises:
-            ValueError: if a rig has another number of cameras than there are images.
+            ValueError: if a rig has more cameras or larger images than there are maps for.
         """
-        return repeat_blocks(self.coloring(features, block_any(candidates, self.block), rigs), self.block)
+        blocks = Sketched(block_any(sketched.candidates, self.block))
+        return repeat_blocks(self.coloring(features, blocks, rigs), self.block)

@@ -1,7 +1,6 @@
 """The coloring module: candidate voxels attend to image features (paper, section IV-C, eq. 1)."""
 
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import NamedTuple
 
 import torch
@@ -11,38 +10,34 @@ from torch import Tensor, nn
 from omniocc.camera import Rig
 from omniocc.geometry import Grid
 from omniocc.model.ops.deformable_attention import Level, make_level
+from omniocc.model.ops.feedforward import FeedForward
 from omniocc.model.ops.lifter.cross_attention import CrossAttention
 from omniocc.model.ops.lifter.position import position_features
 from omniocc.model.ops.lifter.visible import CENTRE, Pairs, reference_points, visible_pairs
+from omniocc.model.ops.padded import FeatureMaps, crop
+from omniocc.model.ops.rig_cache import once_per_rig
 from omniocc.model.ops.static import is_static
+from omniocc.model.protocols import Sketched
 
 
 class ColoringLayer(nn.Module):
-    """Cross-attention, add & norm, feed-forward, add & norm."""
+    """Apply cross-attention and a feed-forward part, each added and normalised."""
 
     def __init__(self, channels: int, heads: int, points: int, levels: int, anchors: int, feedforward_channels: int):
         super().__init__()
         self.attention = CrossAttention(channels, heads, points, levels, anchors)
         self.attention_norm = nn.LayerNorm(channels)
-        self.feedforward = nn.Sequential(
-            nn.Linear(channels, feedforward_channels), nn.ReLU(), nn.Linear(feedforward_channels, channels)
-        )
-        self.feedforward_norm = nn.LayerNorm(channels)
+        self.feedforward = FeedForward(channels, feedforward_channels)
 
     def forward(
-        self,
-        queries: Float[Tensor, "G Q C"],
-        features: list[Float[Tensor, "B N C _ _"]],
-        pairs: Pairs,
-        levels: list[Level],
+        self, queries: Float[Tensor, "G Q C"], features: FeatureMaps, pairs: Pairs, levels: list[Level]
     ) -> Float[Tensor, "B Q C"]:
-        """Queries of each sample; G is B, or 1 before the samples differ."""
-        queries = self.attention_norm(queries + self.attention(queries, features, pairs, levels))
-        return self.feedforward_norm(queries + self.feedforward(queries))
+        """Return the queries of each sample; G is B, or 1 before the samples differ."""
+        return self.feedforward(self.attention_norm(queries + self.attention(queries, features, pairs, levels)))
 
 
 class Coloring(nn.Module):
-    """Lifts image features into the candidate voxels by deformable cross-attention through each sample's own rig.
+    """Lift image features into the candidate voxels by deformable cross-attention through each sample's own rig.
 
     A query starts as an embedding of its voxel's position. Work and memory grow with the number of visible (candidate,
     camera) pairs. Candidates that no camera sees keep their embedding; all other voxels get one learned vector, the
@@ -57,7 +52,7 @@ class Coloring(nn.Module):
         points: samples per head and level.
         feedforward_channels: hidden channels of the feed-forward part.
         anchors: reference points of a voxel, as offsets from its centre along the grid's axes in cells, -0.5 to 0.5.
-            They share the points, so that more of them cost nothing. A camera is hit if it sees one.
+            The points are split among them, so that more of them cost nothing. A camera is hit if it sees one.
 
     Raises:
         ValueError: if the heads do not divide the channels, the anchors not the points, or an anchor leaves its cell.
@@ -85,6 +80,7 @@ class Coloring(nn.Module):
             raise ValueError(f"anchors are {list(anchors)}; each must be three numbers from -0.5 to 0.5")
         self.geometry = geometry
         self.channels = channels
+        self.strides = list(levels)
         self.points = points
         self.anchors = tuple((float(first), float(second), float(third)) for first, second, third in anchors)
         self.register_buffer("positions", position_features(geometry), persistent=False)
@@ -100,15 +96,13 @@ class Coloring(nn.Module):
         )
         self.empty = nn.Parameter(torch.zeros(channels))
 
-    def forward(
-        self, features: list[Float[Tensor, "B N C _ _"]], candidates: Bool[Tensor, "B X Y Z"], rigs: tuple[Rig, ...]
-    ) -> Float[Tensor, "B C X Y Z"]:
-        """Colours the candidates; samples of equal rig and candidates go through together.
+    def forward(self, features: FeatureMaps, sketched: Sketched, rigs: tuple[Rig, ...]) -> Float[Tensor, "B C X Y Z"]:
+        """Colour the candidates; samples of equal rig and candidates go through together.
 
         Raises:
-            ValueError: if a rig has another number of cameras than there are images.
+            ValueError: if a rig has more cameras or larger images than there are maps for.
         """
-        marked = candidates.flatten(1)
+        marked = sketched.candidates.flatten(1)
         groups = group_samples(marked, rigs)
         if len(groups) == 1:
             volumes = self._color(features, marked[0], rigs[0])
@@ -121,13 +115,10 @@ class Coloring(nn.Module):
         # channels last in memory, as 3D convolutions like it
         return volumes.unflatten(1, self.geometry.shape).movedim(-1, 1)
 
-    def _color(
-        self, features: list[Float[Tensor, "B N C _ _"]], marked: Bool[Tensor, " cells"], rig: Rig
-    ) -> Float[Tensor, "B cells C"]:
-        batch, cameras = features[0].shape[:2]
-        if len(rig.cameras) != cameras:
-            raise ValueError(f"the rig has {len(rig.cameras)} cameras but there are images of {cameras}")
-        whole = is_static()  # the same for every cell that is chosen: queries do not look at each other
+    def _color(self, features: FeatureMaps, marked: Bool[Tensor, " cells"], rig: Rig) -> Float[Tensor, "B cells C"]:
+        features = [crop(level, rig, stride) for level, stride in zip(features, self.strides, strict=True)]
+        batch = len(features[0])
+        whole = is_static()  # every chosen cell gets the same: queries do not attend to each other
         place = rig, self.geometry, marked.device, self.anchors
         cells, seen, pairs = every_cell(*place) if whole else chosen_cells(marked, *place)
         embedding = self.embedding(self.positions[cells])
@@ -162,24 +153,24 @@ def chosen_cells(
     device: torch.device,
     anchors: tuple[tuple[float, float, float], ...],
 ) -> Chosen:
-    """The marked ones."""
+    """Return the marked cells."""
     points, valid = reference_points(rig, geometry, device, anchors)
     cells = marked.nonzero()[:, 0]
     seen = valid.any(0)[cells].nonzero()[:, 0]
     return Chosen(cells, seen, visible_pairs(points, valid, cells[seen]))
 
 
-@lru_cache(maxsize=2)
+@once_per_rig
 def every_cell(
     rig: Rig, geometry: Grid, device: torch.device, anchors: tuple[tuple[float, float, float], ...]
 ) -> Chosen:
-    """All of them; never write to the result."""
+    """Return all cells; never write to the result."""
     everything = torch.ones(geometry.num_cells, dtype=torch.bool, device=device)
     return chosen_cells(everything, rig, geometry, device, anchors)
 
 
 def group_samples(marked: Bool[Tensor, "B cells"], rigs: tuple[Rig, ...]) -> list[list[int]]:
-    """Samples that have rig and candidates in common."""
+    """Return groups of samples that have rig and candidates in common."""
     groups: list[list[int]] = []
     for sample, rig in enumerate(rigs):
         for group in groups:

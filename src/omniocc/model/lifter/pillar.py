@@ -1,18 +1,20 @@
-"""Bird's-eye-view queries that look at the images along pillars (BEVFormer's spatial cross-attention)."""
+"""Bird's-eye-view queries that attend to the images along pillars (BEVFormer's spatial cross-attention)."""
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from omniocc.camera import Rig
 from omniocc.geometry import Grid
 from omniocc.model.lifter.coloring import Coloring
 from omniocc.model.ops.blocks import block_any, coarsened
+from omniocc.model.ops.padded import FeatureMaps
 from omniocc.model.ops.padding import Axes
+from omniocc.model.protocols import Sketched
 
 
 def pillar_anchors(cells: int, heights: int) -> list[tuple[float, float, float]]:
-    """Reference points of a pillar: from the middle of its lowest voxel to that of its highest at equal distances.
+    """Return reference points of a pillar, evenly from the middle of its lowest voxel to that of its highest.
 
     Args:
         cells: voxels of a pillar.
@@ -26,7 +28,7 @@ def pillar_anchors(cells: int, heights: int) -> list[tuple[float, float, float]]
 
 
 class Pillar(nn.Module):
-    """Columns of voxels share a query that attends to the cameras which see some of its heights.
+    """Lift with one query per column of voxels, which attends to the cameras that see some of its heights.
 
     Li et al. (2022, 'BEVFormer', eq. 3 and 4): deformable attention around the projections of several points of each
     pillar, averaged over the cameras that see one, of every sample for itself. Each query then becomes the features of
@@ -40,7 +42,7 @@ class Pillar(nn.Module):
         levels: strides of the feature maps that come in, px.
         layers: number of layers.
         heads: of attention, a divisor of `in_channels`.
-        points: samples per head and level, a multiple of the heights, which share them.
+        points: samples per head and level, a multiple of the heights, among which they are split.
         heights: reference points of each pillar.
         feedforward_channels: hidden channels of the feed-forward part.
 
@@ -76,14 +78,12 @@ class Pillar(nn.Module):
         )
         self.raise_up = nn.Linear(in_channels, cells * channels)
 
-    def forward(
-        self, features: list[Float[Tensor, "B N C _ _"]], candidates: Bool[Tensor, "B X Y Z"], rigs: tuple[Rig, ...]
-    ) -> Float[Tensor, "B D X Y Z"]:
-        """Lifts each sample through its own rig.
+    def forward(self, features: FeatureMaps, sketched: Sketched, rigs: tuple[Rig, ...]) -> Float[Tensor, "B D X Y Z"]:
+        """Lift each sample through its own rig.
 
         Raises:
-            ValueError: if a rig has another number of cameras than there are images.
+            ValueError: if a rig has more cameras or larger images than there are maps for.
         """
-        view = self.coloring(features, block_any(candidates, self.block), rigs)[..., 0]
+        view = self.coloring(features, Sketched(block_any(sketched.candidates, self.block)), rigs)[..., 0]
         # channels last in memory, as 3D convolutions like it
         return self.raise_up(view.movedim(1, -1)).unflatten(-1, (self.block[2], -1)).movedim(-1, 1)

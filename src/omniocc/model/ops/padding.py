@@ -1,16 +1,18 @@
-"""3D layers that know where a grid wraps around: what leaves a periodic axis at one end enters it at the other."""
+"""3D layers for grids that wrap around: what leaves a periodic axis at one end enters it at the other."""
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from omniocc.model.ops.norm import group_norm
+
 Axes = tuple[int, int, int]
 Periodic = tuple[bool, bool, bool]
 
 
 def pad3d(volume: Float[Tensor, "B C X Y Z"], padding: Axes, periodic: Periodic) -> Float[Tensor, "B C _ _ _"]:
-    """Adds `padding` cells at both ends of each axis: copies from the other end where periodic, zeros elsewhere.
+    """Add `padding` cells at both ends of each axis: copies from the other end where periodic, zeros elsewhere.
 
     Raises:
         ValueError: if a periodic axis has fewer cells than are to be copied.
@@ -29,7 +31,7 @@ def pad3d(volume: Float[Tensor, "B C X Y Z"], padding: Axes, periodic: Periodic)
 
 
 class Conv3d(nn.Conv3d):
-    """A convolution that keeps the size of the volume (odd kernels, stride 1) and wraps around on periodic axes."""
+    """Convolve a volume, keeping its size (odd kernels, stride 1) and wrapping around on periodic axes."""
 
     def __init__(self, in_channels: int, out_channels: int, kernel_size: int, periodic: Periodic, bias: bool = True):
         super().__init__(in_channels, out_channels, kernel_size, bias=bias)
@@ -38,21 +40,34 @@ class Conv3d(nn.Conv3d):
         self.zeros: Axes = tuple(0 if wraps else kernel_size // 2 for wraps in periodic)  # type: ignore[assignment]
 
     def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B D X Y Z"]:
-        """Convolves; zeros are left to the kernel, which needs no copy for them."""
+        """Return the convolved volume; zeros are left to the kernel, which needs no copy for them."""
         wrapped = pad3d(volume, self.wrap, self.periodic)
         return F.conv3d(wrapped, self.weight, self.bias, padding=self.zeros)
 
 
+class Residual(nn.Module):
+    """Compute x + relu(norm(conv(x)))."""
+
+    def __init__(self, channels: int, periodic: Periodic):
+        super().__init__()
+        self.conv = Conv3d(channels, channels, 3, periodic, bias=False)
+        self.norm = group_norm(channels)
+
+    def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B C X Y Z"]:
+        """Return a volume of the same size."""
+        return volume + F.relu(self.norm(self.conv(volume)))
+
+
 class Pointwise(nn.Linear):
-    """The same linear map in every cell: a 1x1x1 convolution, but as one matrix product."""
+    """Apply the same linear map in every cell: a 1x1x1 convolution, but as one matrix product."""
 
     def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B D X Y Z"]:
-        """Maps the channels."""
+        """Return the volume with mapped channels."""
         return super().forward(volume.movedim(1, -1)).movedim(-1, 1)
 
 
 class Downsample(nn.Conv3d):
-    """Halves every axis by a 2x2x2 convolution, so that a coarse cell covers exactly two fine ones.
+    """Halve every axis by a 2x2x2 convolution, so that a coarse cell covers exactly two fine ones.
 
     Rolling the volume by two cells along a periodic axis rolls the output by one. Other axes may be odd: a zero cell is
     added at their upper end.
@@ -63,7 +78,7 @@ class Downsample(nn.Conv3d):
         self.periodic = periodic
 
     def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B D _ _ _"]:
-        """Halves, rounding up.
+        """Return the halved volume, sizes rounded up.
 
         Raises:
             ValueError: if a periodic axis is odd.
@@ -78,7 +93,7 @@ class Downsample(nn.Conv3d):
 
 
 def upsample(volume: Float[Tensor, "B C X Y Z"], shape: Axes, periodic: Periodic) -> Float[Tensor, "B C _ _ _"]:
-    """Doubles every axis by trilinear interpolation between cell centres, then crops to `shape`: undoes `Downsample`.
+    """Double every axis by trilinear interpolation between cell centres, then crops to `shape`: undoes `Downsample`.
 
     Interpolates across the seam of periodic axes and holds the border's value elsewhere.
     """
@@ -87,3 +102,14 @@ def upsample(volume: Float[Tensor, "B C X Y Z"], shape: Axes, periodic: Periodic
     for axis, (size, wraps) in enumerate(zip(shape, periodic, strict=True), start=2):
         fine = fine.narrow(axis, 2 if wraps else 0, size)
     return fine
+
+
+def upsample_view(
+    maps: Float[Tensor, "B C _ _"], size: tuple[int, int], periodic: tuple[bool, bool]
+) -> Float[Tensor, "B C H W"]:
+    """Double both axes by bilinear interpolation, across the seam of periodic ones, then crop to `size`."""
+    rows, columns = map(int, periodic)
+    if rows or columns:
+        maps = F.pad(maps, (columns, columns, rows, rows), mode="circular")
+    fine = F.interpolate(maps, scale_factor=2, mode="bilinear", align_corners=False)
+    return fine[..., 2 * rows : 2 * rows + size[0], 2 * columns : 2 * columns + size[1]]

@@ -2,34 +2,23 @@
 
 from itertools import pairwise
 
-import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
 from omniocc.geometry import Grid
-from omniocc.model.ops.padding import Periodic, pad3d
-from omniocc.model.refiner.unet import group_norm
+from omniocc.model.ops.norm import check_halvings, group_norm
+from omniocc.model.ops.padding import Periodic, pad3d, upsample_view
+from omniocc.model.protocols import Sketched
 
 
 def pad_view(view: Float[Tensor, "B C X Y"], periodic: Periodic) -> Float[Tensor, "B C _ _"]:
-    """One cell more at both ends of both axes: the other end's where periodic, zeros elsewhere."""
+    """Add one cell at both ends of both axes: the other end's where periodic, zeros elsewhere."""
     return pad3d(view.unsqueeze(-1), (1, 1, 0), periodic).squeeze(-1)
 
 
-def double(view: Float[Tensor, "B C X Y"], shape: torch.Size, periodic: Periodic) -> Float[Tensor, "B C _ _"]:
-    """Doubles both axes by bilinear interpolation, across the seam of periodic ones, then crops to `shape`."""
-    for axis, wraps in enumerate(periodic[:2], start=2):
-        if wraps:
-            view = torch.cat([view.narrow(axis, -1, 1), view, view.narrow(axis, 0, 1)], dim=axis)
-    fine = F.interpolate(view, scale_factor=2, mode="bilinear", align_corners=False)
-    for axis, (size, wraps) in enumerate(zip(shape, periodic, strict=False), start=2):
-        fine = fine.narrow(axis, 2 if wraps else 0, size)
-    return fine
-
-
 class ViewBlock(nn.Module):
-    """relu(x + norm(conv(relu(norm(conv(x))))))."""
+    """Compute relu(x + norm(conv(relu(norm(conv(x))))))."""
 
     def __init__(self, channels: int, periodic: Periodic):
         super().__init__()
@@ -40,16 +29,16 @@ class ViewBlock(nn.Module):
         self.second_norm = group_norm(channels)
 
     def forward(self, view: Float[Tensor, "B C X Y"]) -> Float[Tensor, "B C X Y"]:
-        """A view of the same size."""
+        """Return a view of the same size."""
         change = F.relu(self.first_norm(self.first(pad_view(view, self.periodic))))
         return F.relu(view + self.second_norm(self.second(pad_view(change, self.periodic))))
 
 
 class ChannelToHeight(nn.Module):
-    """Columns of voxels become channels, residual blocks work on a pyramid of halved views, channels become heights.
+    """Turn columns of voxels into channels, apply residual blocks on a pyramid of halved views, and turn them back.
 
     As FlashOcc (Yu et al., 2023) replaces the 3D convolutions of BEVDet's occupancy version: no operation but the two
-    linear maps at the ends knows the height. Levels are merged as in `Conv`.
+    linear maps at the ends depends on the height. Levels are merged as in `Conv`.
 
     Args:
         geometry: the voxel grid.
@@ -67,13 +56,7 @@ class ChannelToHeight(nn.Module):
         super().__init__()
         if len(view_channels) != len(blocks) or not blocks:
             raise ValueError(f"channels {view_channels} and blocks {blocks} must be one number each for every level")
-        factor = 2 ** (len(blocks) - 1)
-        for cells, wraps in zip(geometry.shape, geometry.periodic, strict=True):
-            if wraps and cells % factor:
-                raise ValueError(
-                    f"{len(blocks)} levels need a periodic axis in multiples of {factor} cells, not {cells}; "
-                    "change the grid or give fewer channels"
-                )
+        check_halvings(geometry, len(blocks))
         self.periodic = geometry.periodic
         self.channels = channels
         self.fold = nn.Linear(geometry.shape[2] * in_channels, view_channels[0])
@@ -86,8 +69,8 @@ class ChannelToHeight(nn.Module):
         self.norm = group_norm(view_channels[0])
         self.unfold = nn.Linear(view_channels[0], geometry.shape[2] * channels)
 
-    def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B D X Y Z"]:
-        """Refines a volume; the result has `channels` channels."""
+    def forward(self, volume: Float[Tensor, "B C X Y Z"], sketched: Sketched) -> Float[Tensor, "B D X Y Z"]:
+        """Refine a volume; the result has `channels` channels."""
         view = self.fold(volume.movedim(1, -1).flatten(-2)).movedim(-1, 1)
         levels = [self.stages[0](view)]
         for down, stage in zip(self.down, self.stages[1:], strict=True):
@@ -96,6 +79,6 @@ class ChannelToHeight(nn.Module):
             levels.append(stage(down(F.pad(levels[-1], odd))))
         merged = self.merge[-1](levels[-1])
         for level, merge in reversed(list(zip(levels[:-1], self.merge[:-1], strict=True))):
-            merged = merge(level) + double(merged, level.shape[2:], self.periodic)
+            merged = merge(level) + upsample_view(merged, level.shape[2:], self.periodic[:2])
         columns = self.unfold(F.relu(self.norm(merged)).movedim(1, -1))
         return columns.unflatten(-1, (volume.shape[-1], -1)).movedim(-1, 1)

@@ -3,9 +3,11 @@
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from omniocc.model.protocols import Sketched
+
 
 class NoRefiner(nn.Module):
-    """Hands the lifted features on.
+    """Pass the lifted features on.
 
     Args:
         channels: of the volume that comes in and goes out.
@@ -15,6 +17,6 @@ class NoRefiner(nn.Module):
         super().__init__()
         self.channels = channels
 
-    def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B C X Y Z"]:
-        """The same volume."""
+    def forward(self, volume: Float[Tensor, "B C X Y Z"], sketched: Sketched) -> Float[Tensor, "B C X Y Z"]:
+        """Return the same volume."""
         return volume

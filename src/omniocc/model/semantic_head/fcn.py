@@ -3,9 +3,11 @@
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from omniocc.model.ops.padded import FeatureMaps
+
 
 class FCN(nn.Module):
-    """3x3 convolution, batch norm, ReLU, 1x1 convolution on the finest feature map.
+    """Classify pixels by 3x3 convolution, batch norm, ReLU and 1x1 convolution of the finest feature map.
 
     Args:
         in_channels: of the backbone's maps.
@@ -22,7 +24,7 @@ class FCN(nn.Module):
             nn.Conv2d(hidden_channels, num_classes, 1),
         )
 
-    def forward(self, features: list[Float[Tensor, "B N C _ _"]]) -> Float[Tensor, "B N K h w"]:
-        """Logits at the resolution of the finest map."""
+    def forward(self, features: FeatureMaps) -> Float[Tensor, "B N K h w"]:
+        """Return logits at the resolution of the finest map."""
         finest = features[0]
         return self.layers(finest.flatten(0, 1)).unflatten(0, finest.shape[:2])

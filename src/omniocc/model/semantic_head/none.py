@@ -1,15 +1,16 @@
 """No semantic head."""
 
-from jaxtyping import Float
-from torch import Tensor, nn
+from torch import nn
+
+from omniocc.model.ops.padded import FeatureMaps
 
 
 class NoSemanticHead(nn.Module):
-    """Leaves the pixels alone."""
+    """Classify no pixels."""
 
     def __init__(self):  # of its own: nn.Module's would accept anything
         super().__init__()
 
-    def forward(self, features: list[Float[Tensor, "B N C _ _"]]) -> None:
-        """Nothing."""
+    def forward(self, features: FeatureMaps) -> None:
+        """Return None."""
         return

@@ -1,15 +1,16 @@
 """Every voxel is a candidate."""
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor, nn
 
-from omniocc.camera import Rig
 from omniocc.geometry import Grid
+from omniocc.model.ops.padded import Rigs
+from omniocc.model.protocols import Sketched
 
 
 class Dense(nn.Module):
-    """The whole grid, as in methods without a sketch.
+    """Choose the whole grid, as methods without a sketch do.
 
     Args:
         geometry: the voxel grid.
@@ -19,6 +20,8 @@ class Dense(nn.Module):
         super().__init__()
         self.geometry = geometry
 
-    def forward(self, images: Float[Tensor, "B N 3 H W"], rigs: tuple[Rig, ...]) -> Bool[Tensor, "B X Y Z"]:
-        """All true."""
-        return torch.ones(len(images), *self.geometry.shape, dtype=torch.bool, device=images.device)
+    def forward(
+        self, images: Float[Tensor, "B N 3 H W"], rigs: Rigs, true_range_m: Float[Tensor, "B h w"] | None = None
+    ) -> Sketched:
+        """Return every voxel."""
+        return Sketched(torch.ones(len(images), *self.geometry.shape, dtype=torch.bool, device=images.device))

@@ -1,39 +1,41 @@
 """Cylinder sketch: candidates from omnidirectional depth (paper, section IV-B)."""
 
 from collections.abc import Sequence
+from typing import ClassVar
 
 import torch
 from jaxtyping import Bool, Float, Float32, UInt8
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from omniocc.camera import Rig
 from omniocc.classes import FREE, UNKNOWN
 from omniocc.geometry import Grid
 from omniocc.loss import Lovasz
-from omniocc.model.depth import Depth
+from omniocc.model.ops.padded import Rigs
 from omniocc.model.ops.sketch.cylinder3d import Cylinder3D
 from omniocc.model.ops.sketch.evidence import EVIDENCE_CHANNELS, Evidence
 from omniocc.model.ops.sketch.points import PointEncoder, pseudo_points, still_axes
 from omniocc.model.ops.sketch.select import above, likeliest
+from omniocc.model.protocols import Depth, Sketched
 
 
 def occupancy(voxels: UInt8[Tensor, "B X Y Z"]) -> UInt8[Tensor, "B X Y Z"]:
-    """0 free, 1 occupied by any class, 255 unknown."""
+    """Return 0 for free, 1 for occupied by any class, 255 for unknown."""
     return torch.where(voxels == UNKNOWN, voxels, (voxels != FREE).to(torch.uint8))
 
 
 def place_of_cells(geometry: Grid) -> Float[Tensor, "A X Y Z"]:
-    """Where each cell lies along the axes that do not wrap around, from -1 to 1."""
+    """Return where each cell lies along the axes that do not wrap around, from -1 to 1."""
     middles = [(2 * torch.arange(cells) + 1) / cells - 1 for cells in geometry.shape]
     grids = torch.meshgrid(*middles, indexing="ij")
     return torch.stack([grids[axis] for axis in still_axes(geometry)])
 
 
 class Omni(nn.Module):
-    """Ranges all around -> points and evidence of every cell -> how likely it is occupied -> candidates.
+    """Choose the voxels that a panorama of ranges makes likely to be occupied.
 
-    Depth is made elsewhere: here it stays frozen and in evaluation mode.
+    Ranges -> points and evidence of every cell -> probability of being occupied -> candidates. The depth network is
+    trained elsewhere; here it stays frozen and in evaluation mode.
 
     Args:
         geometry: the voxel grid.
@@ -41,14 +43,18 @@ class Omni(nn.Module):
         point_channels: features of the points in a cell.
         samples: directions of each cell that are compared with the panorama, along each axis.
         channels: of each level of the network, finest first; multiples of 8.
-        threshold: candidates are the cells at least this likely to be occupied, between 0 and 1; None: see `share`.
-        share: candidates are the likeliest cells, this share of all, above 0 and at most 1; None: see `threshold`.
+        threshold: candidates are the cells at least this likely to be occupied, above 0 and at most 1; None: `fraction`
+            chooses.
+        fraction: candidates are the likeliest cells, this fraction of all, above 0 and at most 1; None: `threshold`
+            chooses.
         windows: cells by which the candidates of each band then grow towards and away from the z axis; 0 is not at all.
         band_edges_m: horizontal distances at which one band ends and the next begins, one fewer than windows.
 
     Raises:
-        ValueError: unless one of threshold and share is given and in range, or if sizes do not fit.
+        ValueError: unless one of threshold and fraction is given and in range, or if sizes do not fit.
     """
+
+    SELECTION: ClassVar = ("threshold", "fraction", "windows", "band_edges_m")
 
     place: Tensor
 
@@ -60,19 +66,20 @@ class Omni(nn.Module):
         samples: Sequence[int],
         channels: list[int],
         threshold: float | None,
-        share: float | None,
+        fraction: float | None,
         windows: Sequence[int],
         band_edges_m: Sequence[float | int],
     ):
         super().__init__()
-        if (threshold is None) == (share is None):
-            raise ValueError(f"threshold is {threshold} and share is {share}; give one and set the other to null")
-        if not 0 < (share if threshold is None else threshold) <= 1:  # type: ignore[operator]
-            raise ValueError(f"threshold or share is {share if threshold is None else threshold}; use 0 < value <= 1")
+        if (threshold is None) == (fraction is None):
+            raise ValueError(f"threshold is {threshold} and fraction is {fraction}; give one and set the other to null")
+        limit = fraction if threshold is None else threshold
+        if not 0 < limit <= 1:  # type: ignore[operator]
+            raise ValueError(f"threshold or fraction is {limit}; use 0 < value <= 1")
         geometry.dilate(torch.zeros(geometry.shape, dtype=torch.bool), windows, band_edges_m)  # do they fit together?
         assert isinstance(depth, nn.Module)
         self.geometry = geometry
-        self.threshold, self.share = threshold, share
+        self.threshold, self.fraction = threshold, fraction
         self.windows, self.band_edges_m = tuple(windows), tuple(band_edges_m)
         self.panorama = depth.panorama
         self.depth = depth.requires_grad_(False).eval()
@@ -84,24 +91,21 @@ class Omni(nn.Module):
         self.lovasz = Lovasz()
 
     def train(self, mode: bool = True) -> "Omni":
-        """As always, but depth stays in evaluation mode."""
+        """Set the mode of everything but depth, which stays in evaluation mode."""
         super().train(mode)
         self.depth.eval()
         return self
 
     def forward(
-        self,
-        images: Float[Tensor, "B N 3 H W"],
-        rigs: tuple[Rig, ...],
-        true_range_m: Float[Tensor, "B h w"] | None = None,
-    ) -> Bool[Tensor, "B X Y Z"]:
-        """Candidates; true ranges are for a depth that is nothing but them."""
+        self, images: Float[Tensor, "B N 3 H W"], rigs: Rigs, true_range_m: Float[Tensor, "B h w"] | None = None
+    ) -> Sketched:
+        """Return the candidates; true ranges are for a depth option that needs them."""
         with torch.no_grad():
             seen = self.depth(images, rigs, true_range_m)
-        return self.select(self.logits(seen.range_m, seen.valid))
+        return Sketched(self.select(self.logits(seen.range_m, seen.valid)))
 
     def logits(self, range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"]) -> Float[Tensor, "B 2 X Y Z"]:
-        """Free and occupied, of every cell.
+        """Return scores of free and occupied for every cell.
 
         Args:
             range_m: of the panorama's pixels from the ego origin; where not valid, it does not count.
@@ -112,21 +116,21 @@ class Omni(nn.Module):
         return self.network(torch.cat([encoded, hit, self.evidence(range_m, valid), place], dim=1))
 
     def choose(self, logits: Float[Tensor, "B 2 X Y Z"]) -> Bool[Tensor, "B X Y Z"]:
-        """Candidates by threshold or share, before they are dilated."""
+        """Return the candidates before they are dilated."""
         probability = logits.detach().float().softmax(1)[:, 1]
         if self.threshold is not None:
             return above(probability, self.threshold)
-        assert self.share is not None
-        return likeliest(probability, self.share)
+        assert self.fraction is not None
+        return likeliest(probability, self.fraction)
 
     def select(self, logits: Float[Tensor, "B 2 X Y Z"]) -> Bool[Tensor, "B X Y Z"]:
-        """Candidates by threshold or share, then dilated."""
+        """Return the candidates, dilated."""
         return self.geometry.dilate(self.choose(logits), self.windows, self.band_edges_m)
 
     def training_terms(
         self, range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"], voxels: UInt8[Tensor, "B X Y Z"]
     ) -> dict[str, Float32[Tensor, ""]]:
-        """Cross-entropy and Lovász loss of free against occupied; 255 does not count."""
+        """Return cross-entropy and Lovász loss of free against occupied; 255 is ignored."""
         logits, target = self.logits(range_m, valid).float(), occupancy(voxels)
         known = (target != UNKNOWN).sum().clamp(min=1)
         ce = F.cross_entropy(logits, target.long(), ignore_index=UNKNOWN, reduction="sum") / known

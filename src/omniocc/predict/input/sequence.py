@@ -13,8 +13,8 @@ from torch import Tensor
 
 from omniocc.camera import Rig
 from omniocc.data import SceneReader
-from omniocc.data.labels.voxels import Unknown, vote
-from omniocc.data.store.codec import decode_image, decode_lidar, decode_range
+from omniocc.data.labels.voxels import vote
+from omniocc.data.source import Unknown
 from omniocc.data.store.shard import META
 from omniocc.errors import UserError
 from omniocc.geometry import Grid
@@ -146,18 +146,15 @@ class RecordedDrive:
         return torch.from_numpy(self.scene.world_from_ego)
 
     def images(self, moment: int) -> list[np.ndarray]:  # noqa: D102
-        names = [f"rgb{k}.jpg" for k in range(len(self.rig.cameras))]
-        blobs = self.scene.read(moment, names)
-        return [decode_image(blobs[name]) for name in names]
+        return self.scene.images(moment)
 
     def truth(self, moment: int, geometry: Grid, unknown: Unknown) -> Truth:  # noqa: D102
-        range_m, labels = decode_lidar(self.scene.read(moment, ["lidar.zst"])["lidar.zst"])
+        scan = self.scene.lidar(moment)
         voxels = vote(self.scene, moment, geometry, unknown)
-        return Truth(voxels, torch.from_numpy(range_m), torch.from_numpy(labels))
+        return Truth(voxels, torch.from_numpy(scan.range_m), torch.from_numpy(scan.labels))
 
     def true_range_m(self, moment: int) -> Float32[Tensor, "1 h w"]:  # noqa: D102
-        blob = self.scene.read(moment, ["erp_range.zst"])["erp_range.zst"]
-        return torch.from_numpy(decode_range(blob)).unsqueeze(0)
+        return torch.from_numpy(self.scene.erp_range_m(moment)).unsqueeze(0)
 
 
 def moved_origin(world_from_ego: Float64[Tensor, "*F 4 4"], height_m: float) -> Float64[Tensor, "*F 4 4"]:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import yaml
 
 from omniocc.data import VirtualWorld
-from omniocc.data.recording.job import SPLITS
+from omniocc.data.source import SPLITS
 from omniocc.data.store.files import is_url
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import digest
@@ -76,7 +76,7 @@ def scenes_of(run: FinishedRun) -> list[SceneReader]:
     The code of the world may have changed since: a folder counts if the recipe that its scenes recorded, together with
     the run's list of scenes, has the fingerprint that the run recorded.
     """
-    described: dict[str, Any] = run.config.get("data", {}).get("world", {})
+    described: dict[str, Any] = run.config.get("data", {}).get("source", {})
     choices = {key: value for key, value in described.items() if key != "_target_"}
     known = set(choices) <= set(signature(VirtualWorld).parameters)  # not so for runs of another version
     if described.get("_target_") != "omniocc.data.VirtualWorld" or not known or is_url(choices["root"]):

@@ -8,9 +8,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
-from omniocc.config import lines_not_tracebacks
 from omniocc.errors import UserError
 from omniocc.report.runs import read_runs
+from omniocc.run.script import lines_not_tracebacks
 from omniocc.run.table import band_names, class_names
 from omniocc.run.wandb.loggers import logged_in
 

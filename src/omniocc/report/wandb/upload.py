@@ -10,8 +10,8 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from omniocc.config import lines_not_tracebacks
 from omniocc.errors import UserError
+from omniocc.run.script import lines_not_tracebacks
 from omniocc.run.wandb.loggers import logged_in
 
 OFFLINE = "wandb/offline-run-*/run-*.wandb"

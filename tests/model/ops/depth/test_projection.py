@@ -23,7 +23,7 @@ EVERYONE = torch.ones(2, 6, dtype=torch.bool)
 
 
 def sampler_of(rig, cameras, planes=(0.0, 1.0, 2.5, 4.0)):
-    blocks = samplers(Projection(rig, PANORAMA, SPHERES, (32, 18), cameras, planes), CPU)
+    blocks = samplers(rig, Projection(PANORAMA, SPHERES, (32, 18), cameras, planes), CPU)
     assert len(blocks) == 1
     return blocks[0]
 
@@ -72,10 +72,12 @@ def brute_likeness(rows, one, two, present, groups):
     dense = [sampler.matrix.to_dense() for sampler in (one, two)]
     pixels = present.T.float().repeat_interleave(18 * 32, 0)
     left, right = ((each @ rows).unflatten(1, (len(present), -1)) for each in dense)
-    shares = [each @ pixels for each in dense]
-    left, right = (side / share.clamp(min=0.05)[..., None] for side, share in zip((left, right), shares, strict=True))
+    fractions = [each @ pixels for each in dense]
+    left, right = (
+        side / fraction.clamp(min=0.05)[..., None] for side, fraction in zip((left, right), fractions, strict=True)
+    )
     gap = (left - right).square().unflatten(2, (groups, -1)).mean(-1)
-    return torch.where((shares[0] > 0) & (shares[1] > 0), 1.0, 0.0)[..., None] / (1 + gap)
+    return torch.where((fractions[0] > 0) & (fractions[1] > 0), 1.0, 0.0)[..., None] / (1 + gap)
 
 
 @pytest.mark.parametrize("missing", [None, 1])
@@ -99,10 +101,10 @@ def test_what_a_missing_camera_saw_comes_from_the_others(rig):
     features = torch.full((1, 6, 1, 18, 32), 3.0)
     present = torch.tensor([[True, True, False, True, True, True]])
     sampler = sampler_of(rig, (0, 2, 4))
-    share = sampler.share(present)[:, 0]
+    fraction = sampler.present_fraction(present)[:, 0]
     mean = sampler(table(features, present))[:, 0]
-    assert ((share > 0) & (share < 1)).any()
-    torch.testing.assert_close(mean, 3 * share)
+    assert ((fraction > 0) & (fraction < 1)).any()
+    torch.testing.assert_close(mean, 3 * fraction)
 
 
 def test_a_masked_camera_has_no_weight(rig):

@@ -3,7 +3,7 @@ import torch
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.model.depth import Spheres
-from omniocc.model.ops.depth.spheres import nearest_range_m, rig_spheres
+from omniocc.model.ops.depth.spheres import SphereRange, nearest_range_m
 
 PANORAMA = Equirectangular(192, 48, 45.0, -45.0)
 
@@ -37,6 +37,8 @@ def test_ranges_stay_finite():
 def test_impossible_spheres_are_refused(count, range_m):
     with pytest.raises(ValueError, match=r"spheres is|min_range_m is"):
         Spheres(count, range_m)
+    with pytest.raises(ValueError, match=r"spheres is|min_range_m is"):
+        SphereRange(count, range_m)
 
 
 def test_nearest_sphere_is_where_two_cameras_begin_to_see_nearly_everything():
@@ -59,5 +61,5 @@ def test_where_fields_hardly_overlap_it_is_twice_the_outermost_camera():
 
 
 def test_a_given_range_goes_before_the_rig(rig):
-    assert rig_spheres(rig, PANORAMA, 16, 2.5) == Spheres(16, 2.5)
-    assert rig_spheres(rig, PANORAMA, 16, None).min_range_m == nearest_range_m(rig, PANORAMA)
+    assert SphereRange(16, 2.5).of(rig, PANORAMA) == Spheres(16, 2.5)
+    assert SphereRange(16, None).of(rig, PANORAMA).min_range_m == nearest_range_m(rig, PANORAMA)

@@ -9,15 +9,15 @@ def test_above_includes_the_threshold():
     assert above(probability, 0.5).flatten().tolist() == [False, True, False, True]
 
 
-@pytest.mark.parametrize(("share", "count"), [(0.25, 96), (0.1, 38), (1.0, 384)])
-def test_share_is_exact_in_every_sample(share, count):
+@pytest.mark.parametrize(("fraction", "count"), [(0.25, 96), (0.1, 38), (1.0, 384)])
+def test_fraction_is_exact_in_every_sample(fraction, count):
     probability = torch.rand(3, 8, 12, 4)
     probability[1] = 0.5  # all equal
-    chosen = likeliest(probability, share)
+    chosen = likeliest(probability, fraction)
     assert chosen.sum((1, 2, 3)).tolist() == [count] * 3
 
 
-def test_share_takes_the_likeliest_of_each_sample():
+def test_fraction_takes_the_likeliest_of_each_sample():
     probability = torch.rand(2, 8, 12, 4)
     probability[1] *= 0.1
     chosen = likeliest(probability, 0.3)

@@ -1,4 +1,4 @@
-"""What every depth option gives, and the checks and shortcuts they share."""
+"""The answer of the depth options, and their common checks and grouping."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -7,9 +7,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from omniocc.camera import Equirectangular, Rig
-from omniocc.errors import UserError
+from omniocc.camera import Rig
 from omniocc.model.ops.depth.spheres import Spheres
+from omniocc.model.ops.padded import crop
 from omniocc.model.ops.static import is_static
 
 
@@ -19,7 +19,7 @@ class DepthMap(NamedTuple):
     Attributes:
         range_m: above 0 and finite everywhere, see `Spheres.farthest_m`.
         index: of inverse range, 0 infinity, `spheres - 1` the nearest sphere, with fractions.
-        valid: false where nobody sees anything, in the sky, and where the answer is too uncertain.
+        valid: false where no camera sees anything, in the sky, and where the answer is too uncertain.
         confidence: in [0, 1].
     """
 
@@ -29,7 +29,7 @@ class DepthMap(NamedTuple):
     confidence: Float[Tensor, "B h w"]
 
     def known_range_m(self) -> Float[Tensor, "B h w"]:
-        """Ranges, nan where they are not valid."""
+        """Return ranges, nan where they are not valid."""
         return self.range_m.float().masked_fill(~self.valid, torch.nan)
 
 
@@ -43,28 +43,26 @@ def from_index(
     confidence: Float[Tensor, "B h w"],
     spheres: Spheres,
 ) -> DepthMap:
-    """Clamps the index to the spheres and adds the range."""
+    """Clamp the index to the spheres and adds the range."""
     index = index.clamp(0, spheres.count - 1)
     return DepthMap(spheres.range_m(index), index, valid, confidence.clamp(0, 1))
 
 
 def check_images(images: Float[Tensor, "B N 3 H W"], rigs: Sequence[Rig]) -> None:
-    """Raises ValueError unless there is one rig per sample, one image per camera of its size, all values finite."""
+    """Raise ValueError unless there is one rig per sample whose images are there, and all values are finite.
+
+    A rig may have fewer cameras or smaller images than the batch, which is padded (`omniocc.model.ops.padded`).
+    """
     if len(rigs) != len(images):
         raise ValueError(f"{len(rigs)} rigs for {len(images)} samples; give one each")
-    count, (height, width) = images.shape[1], images.shape[-2:]
-    for rig in rigs:
-        sizes = {(camera.width, camera.height) for camera in rig.cameras}
-        if len(rig.cameras) != count:
-            raise ValueError(f"the rig has {len(rig.cameras)} cameras but there are images of {count}")
-        if sizes != {(width, height)}:
-            raise ValueError(f"images are {width}x{height} px but the rig's are {sorted(sizes)}; see Rig.resized")
+    for rig in set(rigs):
+        crop(images, rig)
     if not is_static() and not bool(images.isfinite().all()):
         raise ValueError("images hold NaN or infinity; they must be RGB in [0, 1]")
 
 
 def rig_groups(rigs: Sequence[Rig]) -> list[tuple[Rig, list[int]]]:
-    """The distinct rigs of a batch, each with its samples."""
+    """Return the distinct rigs of a batch, each with its samples."""
     groups: dict[Rig, list[int]] = {}
     for sample, rig in enumerate(rigs):
         groups.setdefault(rig, []).append(sample)
@@ -72,7 +70,7 @@ def rig_groups(rigs: Sequence[Rig]) -> list[tuple[Rig, list[int]]]:
 
 
 def per_rig(rigs: Sequence[Rig], run: Callable[[Rig, list[int]], DepthMap]) -> DepthMap:
-    """Runs samples of equal rig together and puts the answers back in order."""
+    """Run samples of equal rig together and put the answers back in order."""
     groups = rig_groups(rigs)
     parts = [run(rig, samples) for rig, samples in groups]
     if len(parts) == 1:
@@ -82,19 +80,5 @@ def per_rig(rigs: Sequence[Rig], run: Callable[[Rig, list[int]], DepthMap]) -> D
 
 
 def weighted_sum(parts: Sequence[tuple[float, dict[str, Tensor]]]) -> dict[str, Tensor]:
-    """Adds losses of the same names, each part with its weight."""
+    """Add losses of the same names, each part with its weight."""
     return {name: torch.stack([weight * terms[name] for weight, terms in parts]).sum() for name in parts[0][1]}
-
-
-def make_panorama(erp_size: Sequence[int], top_deg: float, bottom_deg: float) -> Equirectangular:
-    """The panorama that the constructor arguments of every option describe.
-
-    Raises:
-        UserError: if there is no such panorama.
-    """
-    if len(erp_size) != 2:
-        raise UserError(f"erp_size is {list(erp_size)}; give width and height in pixels, e.g. [192, 48]")
-    try:
-        return Equirectangular(int(erp_size[0]), int(erp_size[1]), top_deg, bottom_deg)
-    except ValueError as error:
-        raise UserError(f"erp_size {list(erp_size)}, top and bottom {top_deg} and {bottom_deg}: {error}") from error

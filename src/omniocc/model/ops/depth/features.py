@@ -1,16 +1,17 @@
-"""The 2D feature network that all cameras share."""
+"""The 2D feature network of all cameras."""
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from omniocc.model.ops.depth.layers import UNet2d, norm
+from omniocc.model.ops.depth.layers import UNet2d
+from omniocc.model.ops.norm import group_norm
 
 STRIDE = 2
 
 
 class FeatureNet(nn.Module):
-    """Images to feature maps at half their size, one network for all cameras.
+    """Extract features at half the size of the images, by one network for all cameras.
 
     The stem covers 4x4 px around the centre of every 2x2 block, so that a feature stands exactly where `grid_sample`
     coordinates put it and mirrored images give mirrored places.
@@ -24,14 +25,14 @@ class FeatureNet(nn.Module):
     def __init__(self, channels: list[int], out_channels: int, extra_channels: int = 0):
         super().__init__()
         self.stem = nn.Conv2d(3 + extra_channels, channels[0], 4, stride=STRIDE, padding=1, bias=False)
-        self.norm = norm(channels[0])
+        self.norm = group_norm(channels[0])
         self.net = UNet2d(channels, blocks=1, wrap=False)
         self.out = nn.Conv2d(channels[0], out_channels, 1)
 
     def forward(
         self, images: Float[Tensor, "B N 3 H W"], extra: Float[Tensor, "B N E H W"] | None = None
     ) -> Float[Tensor, "B N C _ _"]:
-        """Features; the height and width of an image must be even.
+        """Return features of images, whose height and width must be even.
 
         Raises:
             ValueError: if they are not.

@@ -7,29 +7,19 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-GROUP_CHANNELS = 8
-
-
-def norm(channels: int) -> nn.GroupNorm:
-    """Normalises each sample on its own, so that a batch of two is two batches of one.
-
-    Raises:
-        ValueError: if the channels do not split into groups of 8.
-    """
-    if channels % GROUP_CHANNELS:
-        raise ValueError(f"{channels} channels; every level needs a multiple of {GROUP_CHANNELS}")
-    return nn.GroupNorm(channels // GROUP_CHANNELS, channels)
+from omniocc.model.ops.norm import group_norm
+from omniocc.model.ops.padding import upsample_view
 
 
 class Conv(nn.Conv2d):
-    """A 2D convolution that keeps the size (odd kernels, stride 1) and can wrap around along the width."""
+    """Convolve in 2D, keeping the size (odd kernels, stride 1), and wrapping around along the width if asked."""
 
     def __init__(self, in_channels: int, out_channels: int, kernel_size: int, wrap: bool, bias: bool = True):
         super().__init__(in_channels, out_channels, kernel_size, bias=bias)
         self.wrap = wrap
 
     def forward(self, maps: Float[Tensor, "B C H W"]) -> Float[Tensor, "B D H W"]:
-        """Convolves; zeros above and below, and at the sides unless it wraps."""
+        """Return the convolved maps; zeros above and below, and at the sides unless it wraps."""
         border = self.kernel_size[0] // 2
         if not (self.wrap and border):
             return F.conv2d(maps, self.weight, self.bias, padding=border)
@@ -38,29 +28,20 @@ class Conv(nn.Conv2d):
 
 
 class Residual(nn.Module):
-    """x + relu(norm(conv(x)))."""
+    """Compute x + relu(norm(conv(x)))."""
 
     def __init__(self, channels: int, wrap: bool):
         super().__init__()
         self.conv = Conv(channels, channels, 3, wrap, bias=False)
-        self.norm = norm(channels)
+        self.norm = group_norm(channels)
 
     def forward(self, maps: Float[Tensor, "B C H W"]) -> Float[Tensor, "B C H W"]:
-        """Maps of the same size."""
+        """Return maps of the same size."""
         return maps + F.relu(self.norm(self.conv(maps)))
 
 
-def double(maps: Float[Tensor, "B C _ _"], height: int, width: int, wrap: bool) -> Float[Tensor, "B C H W"]:
-    """Doubles by bilinear interpolation, across the seam if it wraps, and crops what was padded to halve it."""
-    if wrap:
-        maps = F.pad(maps, (1, 1, 0, 0), mode="circular")
-    fine = F.interpolate(maps, scale_factor=2, mode="bilinear", align_corners=False)
-    first = 2 if wrap else 0
-    return fine[..., :height, first : first + width]
-
-
 class UNet2d(nn.Module):
-    """Residual blocks on a pyramid of halved maps, with added skips.
+    """Apply residual blocks on a pyramid of halved maps, with added skips.
 
     A coarse pixel covers exactly 2x2 fine ones, so that flipping the input of a mirrored network flips the output, and,
     if it wraps, rolling the columns by a multiple of 2**(levels-1) rolls the output.
@@ -81,7 +62,7 @@ class UNet2d(nn.Module):
         self.decoder = nn.ModuleList(_blocks(fine, blocks, wrap) for fine, _ in pairs)
 
     def forward(self, maps: Float[Tensor, "B C H W"]) -> Float[Tensor, "B C H W"]:
-        """Maps of the same size and channels.
+        """Return maps of the same size and channels.
 
         Raises:
             ValueError: if it wraps and the width cannot be halved often enough.
@@ -98,7 +79,7 @@ class UNet2d(nn.Module):
         for up, block in reversed(list(zip(self.up, self.decoder, strict=True))):
             skip = skips.pop()
             height, width = skip.shape[-2:]
-            maps = block(skip + double(up(maps), height, width, self.wrap))
+            maps = block(skip + upsample_view(up(maps), (height, width), (False, self.wrap)))
         return maps
 
 
@@ -109,7 +90,7 @@ def _blocks(channels: int, count: int, wrap: bool) -> nn.Sequential:
 def window_argmax(
     logits: Float[Tensor, "B D h w"], radius: int
 ) -> tuple[Float[Tensor, "B h w"], Float[Tensor, "B h w"]]:
-    """Index with fractions, and how sure it is.
+    """Return a fractional index and its confidence.
 
     The mean index, weighted by probability, of the spheres up to `radius` from the peak. Unlike the mean over all
     spheres it stays on one of two surfaces when both are likely. The peak is where three neighbours hold the most

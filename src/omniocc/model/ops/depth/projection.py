@@ -8,7 +8,7 @@ where a camera sees nothing.
 
 import warnings
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any
 
 import cv2
@@ -21,19 +21,21 @@ from torch.nn import functional as F
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.model.ops.depth.spheres import Spheres
+from omniocc.model.ops.padded import frame_size
+from omniocc.model.ops.rig_cache import once_per_rig
 from omniocc.model.ops.static import is_static
 
 TAPER = 0.08
 """Width of the band at the edge of a camera's field where its weight falls to zero, in image heights."""
 BLOCK_ROWS = 1 << 16
 FAR_M = 1e6
-LEAST_SHARE = 0.05
-"""Of a point's cameras that must be there for its features to be scaled up to what all of them would give."""
+LEAST_PRESENT = 0.05
+"""Smallest fraction of a point's cameras by which its features are scaled up to those of all its cameras."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sampler:
-    """A sparse matrix whose rows sum to 1, or to 0 where no camera sees, and, once it is needed, its transpose.
+    """Sample features by a sparse matrix whose rows sum to 1, or to 0 where no camera sees; its transpose is lazy.
 
     Attributes:
         matrix: (points, pixels of all cameras), compressed rows.
@@ -49,12 +51,12 @@ class Sampler:
 
     @cached_property
     def seen(self) -> Bool[Tensor, " points"]:
-        """Points that any camera sees."""
+        """Return the points that any camera sees."""
         return self.matrix.crow_indices().diff() > 0
 
     @cached_property
     def transpose(self) -> Tensor:
-        """(pixels of all cameras, points), compressed rows."""
+        """Return the transpose, (pixels of all cameras, points), compressed rows."""
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", message="Sparse CSR tensor support is in beta")
             swapped = self.matrix.to_sparse_coo().T.coalesce().to_sparse_csr()
@@ -62,34 +64,34 @@ class Sampler:
             return torch.sparse_csr_tensor(crow, col, swapped.values(), swapped.shape, check_invariants=False)
 
     def __call__(self, rows: Float[Tensor, "pixels BC"]) -> Float[Tensor, "points BC"]:
-        """Weighted means of rows, in float32; differentiable."""
+        """Return weighted means of rows, in float32; differentiable."""
         return _Sample.apply(rows, self)
 
-    def share(self, present: Bool[Tensor, "B N"]) -> Float[Tensor, "points B"]:
-        """How much of each point's weight lies in cameras that are present."""
+    def present_fraction(self, present: Bool[Tensor, "B N"]) -> Float[Tensor, "points B"]:
+        """Return the fraction of each point's weight that lies in cameras that are present."""
         if all_there(present):
             return self.seen[:, None].float().expand(-1, len(present))
         pixels = present.T.float().repeat_interleave(self.matrix.shape[1] // present.shape[1], 0)
         return self.product(pixels)
 
     def product(self, rows: Float[Tensor, "columns K"], less: Float[Tensor, "points K"] | None = None) -> Tensor:
-        """`matrix @ rows`, or `less - matrix @ rows`, in place."""
+        """Return `matrix @ rows`, or `less - matrix @ rows` in place."""
         if not is_static():
             return product(self.matrix, rows, less)
-        # exported programs know no sparse matrices
+        # exported programs have no sparse matrices
         sums = F.embedding_bag(self.columns, rows, self.first, mode="sum", per_sample_weights=self.values)
         return sums if less is None else less - sums
 
 
 def all_there(present: Bool[Tensor, "B N"]) -> bool:
-    """Whether no camera is missing, which saves work."""
+    """Return whether no camera is missing, which saves work."""
     return not is_static() and bool(present.all())
 
 
 def product(
     matrix: Tensor, rows: Float[Tensor, "columns K"], less: Float[Tensor, "points K"] | None = None
 ) -> Float[Tensor, "points K"]:
-    """Sparse `matrix @ rows`, or `less - matrix @ rows`, in place.
+    """Return sparse `matrix @ rows`, or `less - matrix @ rows` in place.
 
     Three times as fast on the CPU as the operator, which fills, copies and then adds its result.
     """
@@ -112,7 +114,7 @@ class _Sample(torch.autograd.Function):
 
 
 class _SquaredGap(torch.autograd.Function):
-    """One difference, one square and one sum over channels: nothing else of the size of the swept features."""
+    """Sum squared differences over channels, with no other intermediate of the size of the swept features."""
 
     @staticmethod
     def forward(
@@ -144,34 +146,33 @@ class _SquaredGap(torch.autograd.Function):
 def likeness(
     rows: Float[Tensor, "pixels BC"], one: Sampler, two: Sampler, present: Bool[Tensor, "B N"], groups: int
 ) -> tuple[Float[Tensor, "points B G"], Float[Tensor, "points B"], Float[Tensor, "points B"]]:
-    """How alike two sets of cameras see the same points, and how much of either set is there; in float32.
+    """Return how alike two sets of cameras see the same points, and the fractions of the sets that are present.
 
     The likeness is 1 / (1 + mean squared difference) in each group of channels, and 0 where one set sees nothing.
     Unlike a product it is greatest where both see the same, whatever the features are: it guides from the first step.
+    In float32.
     """
     channels = rows.shape[1] // len(present)
     pool = torch.eye(groups, device=rows.device).repeat_interleave(channels // groups, 0) * (groups / channels)
-    shares = one.share(present), two.share(present)
-    missing = None if all_there(present) else tuple(1 / share.clamp(min=LEAST_SHARE) for share in shares)
+    fractions = one.present_fraction(present), two.present_fraction(present)
+    missing = None if all_there(present) else tuple(1 / part.clamp(min=LEAST_PRESENT) for part in fractions)
     gap = _SquaredGap.apply(rows, one, two, missing, pool).view(-1, len(present), groups)
-    both = torch.minimum(*shares) > 0
-    return both[..., None] / (1 + gap), *shares
+    both = torch.minimum(*fractions) > 0
+    return both[..., None] / (1 + gap), *fractions
 
 
 @dataclass(frozen=True)
 class Projection:
-    """What a projection depends on; the key of its cache.
+    """Parameters of a projection into the cameras of a rig.
 
     Attributes:
-        rig: the cameras.
         panorama: directions of the swept points.
         spheres: their ranges.
-        feature_size: width and height of the feature maps, px; they span the whole image.
+        feature_size: width and height of the feature maps, px; they span the rig's largest image.
         cameras: indices of those that are summed over.
         planes: indices of the spheres, which need not be whole numbers.
     """
 
-    rig: Rig
     panorama: Equirectangular
     spheres: Spheres
     feature_size: tuple[int, int]
@@ -179,9 +180,9 @@ class Projection:
     planes: tuple[float, ...]
 
 
-@lru_cache(maxsize=32)
+@once_per_rig
 def field_weight(rig: Rig, camera: int) -> Float32[Tensor, "height width"]:
-    """1 inside a camera's field, falling linearly to 0 at its edge (image border, end of the lens, mask)."""
+    """Return 1 inside a camera's field, falling linearly to 0 at its edge (image border, end of the lens, mask)."""
     seen = rig.rays(camera)[1].numpy().astype(np.uint8)
     distance = cv2.distanceTransform(np.pad(seen, 1), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
     return torch.from_numpy(np.clip((distance - 0.5) / (TAPER * seen.shape[0]), 0, 1)).float()
@@ -190,13 +191,15 @@ def field_weight(rig: Rig, camera: int) -> Float32[Tensor, "height width"]:
 def _taps(
     rig: Rig, camera: int, pixels: Float[Tensor, "P 2"], valid: Bool[Tensor, " P"], width: int, height: int
 ) -> tuple[Tensor, Tensor]:
-    """Columns and weights of the four neighbours of each point in one camera's feature map."""
+    """Return columns and weights of the four neighbours of each point in one camera's feature map."""
     model = rig.cameras[camera]
     pixels = torch.where(valid[:, None], pixels, 0.0)
     u, v = pixels.round().long().unbind(-1)
     weight = field_weight(rig, camera)[v.clamp(0, model.height - 1), u.clamp(0, model.width - 1)].double() * valid
-    x = ((pixels[:, 0] + 0.5) * width / model.width - 0.5).clamp(0, width - 1)
-    y = ((pixels[:, 1] + 0.5) * height / model.height - 0.5).clamp(0, height - 1)
+    frame_width, frame_height = frame_size(rig)
+    columns, rows = -(-model.width * width // frame_width), -(-model.height * height // frame_height)
+    x = ((pixels[:, 0] + 0.5) * width / frame_width - 0.5).clamp(0, columns - 1)
+    y = ((pixels[:, 1] + 0.5) * height / frame_height - 0.5).clamp(0, rows - 1)
     left, top = x.floor().clamp(max=max(width - 2, 0)), y.floor().clamp(max=max(height - 2, 0))
     fx, fy = x - left, y - top
     corner = (camera * height + top.long()) * width + left.long()
@@ -205,28 +208,28 @@ def _taps(
     return column, tap
 
 
-def _rows(projection: Projection, plane: float, rays: Float[Tensor, "P 3"]) -> tuple[Tensor, Tensor, Tensor]:
-    """Entries of the rows of one sphere: how many in each row, their columns, their values."""
+def _rows(rig: Rig, projection: Projection, plane: float, rays: Float[Tensor, "P 3"]) -> tuple[Tensor, Tensor, Tensor]:
+    """Return the entries of the rows of one sphere: their number in each row, their columns, their values."""
     points_m = rays * min(1 / (plane * projection.spheres.step_per_m) if plane else FAR_M, FAR_M)
-    pixels, valid = projection.rig.project(points_m)
+    pixels, valid = rig.project(points_m)
     width, height = projection.feature_size
     if not projection.cameras:
         return torch.zeros(len(rays), dtype=torch.long), torch.empty(0, dtype=torch.int32), torch.empty(0)
-    taps = [_taps(projection.rig, k, pixels[k], valid[k], width, height) for k in projection.cameras]
+    taps = [_taps(rig, k, pixels[k], valid[k], width, height) for k in projection.cameras]
     column = torch.cat([column for column, _ in taps], -1)
     value = torch.cat([value for _, value in taps], -1)
     kept = value > 1e-6
     return kept.sum(-1), column[kept].int(), value[kept].float()
 
 
-def _sampler(projection: Projection, planes: tuple[float, ...], device: torch.device) -> Sampler:
+def _sampler(rig: Rig, projection: Projection, planes: tuple[float, ...], device: torch.device) -> Sampler:
     rays = projection.panorama.rays().double().reshape(-1, 3)
-    parts = [_rows(projection, plane, rays) for plane in planes]
+    parts = [_rows(rig, projection, plane, rays) for plane in planes]
     counts, columns, values = (torch.cat(part) for part in zip(*parts, strict=True))
     row = torch.arange(len(counts)).repeat_interleave(counts)
     values = values / torch.zeros(len(counts)).index_add_(0, row, values)[row]
     crow = torch.cat([counts.new_zeros(1), counts.cumsum(0)]).int()
-    shape = (len(counts), len(projection.rig.cameras) * projection.feature_size[0] * projection.feature_size[1])
+    shape = (len(counts), len(rig.cameras) * projection.feature_size[0] * projection.feature_size[1])
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Sparse CSR tensor support is in beta")
         crow, columns, values = (part.to(device) for part in (crow, columns, values))
@@ -234,16 +237,16 @@ def _sampler(projection: Projection, planes: tuple[float, ...], device: torch.de
         return Sampler(matrix, crow[:-1].clone(), columns, values)  # columns and values share memory with the matrix
 
 
-@lru_cache(maxsize=8)
-def samplers(projection: Projection, device: torch.device) -> tuple[Sampler, ...]:
-    """The matrices of a projection, in blocks of about 64k rows, which stay in the cache; made once for each rig."""
+@once_per_rig
+def samplers(rig: Rig, projection: Projection, device: torch.device) -> tuple[Sampler, ...]:
+    """Return the matrices of a projection, in blocks of about 64k rows, which stay in the processor's cache."""
     size = max(1, BLOCK_ROWS // (projection.panorama.width * projection.panorama.height))
     blocks = [projection.planes[first : first + size] for first in range(0, len(projection.planes), size)]
-    return tuple(_sampler(projection, block, device) for block in blocks)
+    return tuple(_sampler(rig, projection, block, device) for block in blocks)
 
 
 def table(features: Float[Tensor, "B N C H W"], present: Bool[Tensor, "B N"]) -> Float[Tensor, "pixels BC"]:
-    """One row per pixel of all cameras, the channels of all samples side by side; zeros in cameras that are missing."""
+    """Return one row per pixel of all cameras, the channels of all samples side by side; zeros where one is missing."""
     rows = features.permute(1, 3, 4, 0, 2)
     if not all_there(present):
         rows = rows * present.T[:, None, None, :, None]
@@ -251,13 +254,13 @@ def table(features: Float[Tensor, "B N C H W"], present: Bool[Tensor, "B N"]) ->
 
 
 def present_cameras(images: Float[Tensor, "B N 3 H W"]) -> Bool[Tensor, "B N"]:
-    """Cameras whose image is not black all over."""
+    """Return the cameras whose image is not black all over."""
     return images.flatten(2).amax(-1) > 0
 
 
-@lru_cache(maxsize=16)
+@once_per_rig
 def alternate_cameras(rig: Rig) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Every other camera by the azimuth of its axis, and the rest: {0, 2, 4} and {1, 3, 5} in a hexagon."""
+    """Return every other camera by the azimuth of its axis, and the rest: {0, 2, 4} and {1, 3, 5} in a hexagon."""
     forward = rig.ego_from_camera[:, :2, 2]
     order = torch.atan2(forward[:, 1], forward[:, 0]).argsort(stable=True).tolist()
     return tuple(sorted(order[0::2])), tuple(sorted(order[1::2]))

@@ -1,23 +1,25 @@
 """Spheres around the ego origin at equal steps of inverse range, and how near the nearest should be."""
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from omniocc.camera import Equirectangular, Rig
+from omniocc.model.ops.rig_cache import once_per_rig
 
 FINEST = 0.1
-"""Index from which on ranges are told apart: a tenth of a step from infinity."""
+"""Smallest index that has a range of its own: a tenth of a step from infinity."""
 OVERLAP = 0.9
+"""Fraction of the seen directions that two cameras have to see on the nearest sphere."""
 LEAST_M = 0.5
+"""Smallest radius of the nearest sphere."""
 
 
 @dataclass(frozen=True)
 class Spheres:
-    """`count` spheres; index 0 is infinity, index `count - 1` the nearest (OmniMVS, Won et al. 2019, section 3.2).
+    """Map between ranges and indices of spheres: 0 is infinity, `count - 1` the nearest (Won et al. 2019, section 3.2).
 
     Between neighbours at range r lie r^2 / (min_range_m * (count - 1)) metres.
 
@@ -30,42 +32,42 @@ class Spheres:
     min_range_m: float
 
     def __post_init__(self) -> None:
-        """Raises ValueError for a number or a radius that no spheres have."""
+        """Raise ValueError unless there are two spheres or more and the nearest has a positive radius."""
         if isinstance(self.count, bool) or not isinstance(self.count, int) or self.count < 2:
-            raise ValueError(f"spheres is {self.count!r}; it must be a whole number of at least 2")
+            raise ValueError(f"count of spheres is {self.count!r}; it must be a whole number of at least 2")
         if not 0 < self.min_range_m < float("inf"):
             raise ValueError(f"min_range_m is {self.min_range_m!r}; it must be above 0, in metres")
 
     @property
     def step_per_m(self) -> float:
-        """Difference in inverse range between neighbours, 1/m."""
+        """Return the difference in inverse range between neighbours, 1/m."""
         return 1 / (self.min_range_m * (self.count - 1))
 
     @property
     def farthest_m(self) -> float:
-        """What ranges are clamped to: a tenth of a step from infinity."""
+        """Return the upper limit of ranges, m: a tenth of a step from infinity."""
         return 1 / (FINEST * self.step_per_m)
 
     def index(self, range_m: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
-        """Where ranges lie among the spheres, with fractions; infinity has 0, what is nearer than all has more."""
+        """Return fractional indices of ranges (m): 0 for infinity, above `count - 1` nearer than all spheres."""
         return 1 / (range_m * self.step_per_m)
 
     def range_m(self, index: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
-        """Inverse of `index`, at most `farthest_m`."""
+        """Return ranges of indices, m, at most `farthest_m`; the inverse of `index`."""
         return 1 / (index.clamp(min=FINEST) * self.step_per_m)
 
     def radii_m(self) -> tuple[float, ...]:
-        """Radius of every sphere, infinity first."""
+        """Return the radius of every sphere, m, infinity first."""
         return (float("inf"), *(1 / (k * self.step_per_m) for k in range(1, self.count)))
 
 
-@lru_cache(maxsize=64)
+@once_per_rig
 def nearest_range_m(rig: Rig, panorama: Equirectangular) -> float:
-    """How near the nearest sphere of a rig should be, m.
+    """Return how near the nearest sphere of a rig should be, m.
 
     The smallest range, between 1 and 3 times the distance of the outermost camera from the origin, at which two cameras
-    see nine tenths of the directions that any camera sees there. Where fields hardly overlap (six pinhole cameras) no
-    range does; then twice that distance. Never under 0.5 m.
+    see nine tenths of the directions that any camera sees there. Without such a range, where fields hardly overlap (six
+    pinhole cameras), twice that distance. Never under 0.5 m.
     """
     outermost_m = float(rig.ego_from_camera[:, :3, 3].norm(dim=-1).max())
     rays = panorama.resized(128, 32).rays().double()
@@ -78,6 +80,27 @@ def nearest_range_m(rig: Rig, panorama: Equirectangular) -> float:
     return max(LEAST_M, round(nearest_m, 3))
 
 
-def rig_spheres(rig: Rig, panorama: Equirectangular, count: int, min_range_m: float | None) -> Spheres:
-    """The spheres of a rig: `min_range_m` as given, or from the rig."""
-    return Spheres(count, nearest_range_m(rig, panorama) if min_range_m is None else min_range_m)
+@dataclass(frozen=True)
+class SphereRange:
+    """Number and reach of the spheres that a depth option uses for every rig.
+
+    Attributes:
+        count: number of spheres, the one at infinity included.
+        min_range_m: radius of the nearest; None derives it from each rig (`nearest_range_m`).
+    """
+
+    count: int
+    min_range_m: float | None
+
+    def __post_init__(self) -> None:
+        """Raise ValueError as `Spheres` does."""
+        Spheres(self.count, 1.0 if self.min_range_m is None else self.min_range_m)
+
+    @property
+    def planes(self) -> tuple[float, ...]:
+        """Return the index of every sphere."""
+        return tuple(float(k) for k in range(self.count))
+
+    def of(self, rig: Rig, panorama: Equirectangular) -> Spheres:
+        """Return the spheres of a rig, whose directions are those of a panorama."""
+        return Spheres(self.count, nearest_range_m(rig, panorama) if self.min_range_m is None else self.min_range_m)

@@ -1,24 +1,36 @@
 """Ranges seen from several cameras, drawn into one panorama around the ego origin: the nearest surface wins."""
 
-from functools import lru_cache
-
 import torch
 from jaxtyping import Bool, Float, Float32
 from torch import Tensor
+from torch.nn import functional as F
 
 from omniocc.camera import Equirectangular, Rig
+from omniocc.model.ops.padded import frame_size
+from omniocc.model.ops.rig_cache import once_per_rig
 
 SAME_SURFACE = 1.5
-"""Points of a pixel up to this many times as far as its nearest belong to the same surface."""
+"""Points of a pixel up to this many times as far as its nearest one belong to the same surface."""
 
 
-@lru_cache(maxsize=16)
+@once_per_rig
 def camera_rays(
     rig: Rig, size: tuple[int, int], device: torch.device
 ) -> tuple[Float32[Tensor, "N height width 3"], Bool[Tensor, "N height width"]]:
-    """Ego-frame directions of the pixels of maps of `size` (width, height) that span the images, and which are seen."""
-    resized = rig.resized(*size)
-    rays, seen = zip(*(resized.rays(k) for k in range(len(rig.cameras))), strict=True)
+    """Return ego-frame directions of the pixels of maps of `size` (width, height), and which are seen.
+
+    The maps span the rig's largest image; smaller ones are padded (`omniocc.model.ops.padded`).
+    """
+    frame = frame_size(rig)
+    rays, seen = [], []
+    for k, camera in enumerate(rig.cameras):
+        width, height = camera.width * size[0] // frame[0], camera.height * size[1] // frame[1]
+        masks = rig.masks and rig.masks[k : k + 1]
+        own = Rig((camera,), rig.ego_from_camera[k : k + 1], rig.names[k : k + 1], masks).resized(width, height)
+        own_rays, own_seen = own.rays(0)
+        padding = (0, size[0] - width, 0, size[1] - height)
+        rays.append(F.pad(own_rays, (0, 0, *padding)))
+        seen.append(F.pad(own_seen, padding))
     return torch.stack(rays).to(device), torch.stack(seen).to(device)
 
 
@@ -29,7 +41,7 @@ def draw_front(
     panorama: Equirectangular,
     depth_ratio: float = SAME_SURFACE,
 ) -> tuple[Float[Tensor, "B h w"], Float[Tensor, "B h w"]]:
-    """Distance from the origin to the nearest surface in each pixel, and its points' mean value; inf and 0 if none.
+    """Return the distance from the origin to the nearest surface in each pixel, and its mean value; inf and 0 if none.
 
     The nearest point decides which surface it is. Its range is the mean over the points of that surface around the
     middle of the pixel, by bilinear weights: the nearest point itself would be too near wherever a surface is seen at a
@@ -49,10 +61,10 @@ def draw_front(
     nearest.scatter_reduce_(1, _cell(pixels.round(), inside & drawn, panorama), range_m, "amin")
     sums = [torch.zeros_like(nearest)] * 3
     corner = pixels.floor()
-    share = pixels - corner
+    fraction = pixels - corner
     for step in ((0, 0), (1, 0), (0, 1), (1, 1)):
         offset = corner.new_tensor(step)
-        weight = (1 - (share - offset).abs()).prod(-1)
+        weight = (1 - (fraction - offset).abs()).prod(-1)
         cell = _cell(corner + offset, inside & drawn, panorama)
         weight = torch.where(range_m <= depth_ratio * nearest.gather(1, cell), weight, 0)
         amounts = weight, weight / range_m, weight * value
@@ -64,16 +76,16 @@ def draw_front(
 
 
 def _cell(pixels: Float[Tensor, "B P 2"], drawn: Bool[Tensor, "B P"], panorama: Equirectangular) -> Tensor:
-    """Place of each pixel in a flat panorama, wrapped in azimuth; one beyond the last for what is not drawn."""
+    """Return the index of each pixel in a flat panorama, wrapped in azimuth; beyond the last for what is not drawn."""
     column, row = pixels.long().unbind(-1)
     drawn = drawn & (row >= 0) & (row < panorama.height)
     return torch.where(drawn, row * panorama.width + column % panorama.width, panorama.height * panorama.width)
 
 
 def fill_holes(range_m: Float[Tensor, "B h w"], passes: int) -> Float[Tensor, "B h w"]:
-    """Gives pixels without a range (inf) the farthest of their four neighbours' ranges, that many times over.
+    """Fill pixels without a range (inf) with the farthest of their four neighbours' ranges, `passes` times.
 
-    The farthest, since holes open beside the edges of near things, where what lies behind comes into view.
+    The farthest, since holes open beside the edges of near objects, where the background comes into view.
     """
     for _ in range(passes):
         sides = [range_m.roll(1, -1), range_m.roll(-1, -1)]
@@ -93,7 +105,7 @@ def merge_cameras(
     panorama: Equirectangular,
     depth_ratio: float = SAME_SURFACE,
 ) -> tuple[Float[Tensor, "B h w"], Float[Tensor, "B h w"]]:
-    """Ranges from the cameras' own centres -> ranges from the ego origin, and values; see `draw_front`.
+    """Return ranges from the ego origin, and values, from ranges from the cameras' own centres; see `draw_front`.
 
     Args:
         range_m: on maps that span the images; finite.

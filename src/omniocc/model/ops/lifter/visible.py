@@ -1,7 +1,6 @@
-"""Which camera sees which voxel, and where."""
+"""Visibility of voxels: which camera sees which, and where."""
 
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import NamedTuple
 
 import torch
@@ -10,6 +9,8 @@ from torch import Tensor
 
 from omniocc.camera import Rig, normalize_pixels
 from omniocc.geometry import Grid
+from omniocc.model.ops.padded import frame_size
+from omniocc.model.ops.rig_cache import once_per_rig
 
 CENTRE = ((0.0, 0.0, 0.0),)
 OUTSIDE = -1e4
@@ -34,7 +35,7 @@ class Pairs(NamedTuple):
 
 
 def anchor_points(geometry: Grid, anchors: Sequence[tuple[float, float, float]]) -> Float64[Tensor, "X Y Z A 3"]:
-    """Points in every cell, ego frame, metres.
+    """Return points in every cell, ego frame, metres.
 
     Args:
         geometry: the voxel grid.
@@ -48,28 +49,24 @@ def anchor_points(geometry: Grid, anchors: Sequence[tuple[float, float, float]])
     return torch.stack(points, dim=-2)
 
 
-@lru_cache(maxsize=16)
+@once_per_rig
 def reference_points(
     rig: Rig, geometry: Grid, device: torch.device, anchors: tuple[tuple[float, float, float], ...] = CENTRE
 ) -> tuple[Float32[Tensor, "N cells A 2"], Bool[Tensor, "N cells"]]:
-    """Projects the anchors of all cells into all cameras: `grid_sample` coordinates, and which cells are visible there.
+    """Project the anchors of all cells into all cameras: `grid_sample` coordinates, and which cells are visible.
 
     A cell is visible where one of its anchors is; anchors that are not lie far outside the image. Depends on rig and
     grid alone, so each rig is projected once. The result is shared: never write to it.
     """
     pixels, valid = rig.project(anchor_points(geometry, anchors).flatten(0, 2))
-    points = [
-        normalize_pixels(pixels_px, camera.width, camera.height)
-        for pixels_px, camera in zip(pixels, rig.cameras, strict=True)
-    ]
-    points = torch.where(valid[..., None], torch.stack(points), OUTSIDE)
+    points = torch.where(valid[..., None], normalize_pixels(pixels, *frame_size(rig)), OUTSIDE)
     return points.to(device=device, dtype=torch.float32), valid.any(-1).to(device)
 
 
 def visible_pairs(
     points: Float32[Tensor, "N cells A 2"], valid: Bool[Tensor, "N cells"], cells: Int64[Tensor, " Q"]
 ) -> Pairs:
-    """The pairs of the queries at `cells` (row-major indices)."""
+    """Return the pairs of the queries at `cells` (row-major indices)."""
     seen = valid.T[cells]
     query, camera = seen.nonzero(as_tuple=True)
     counts = seen.sum(1)

@@ -6,12 +6,12 @@ from torch import Tensor
 
 
 def above(probability: Float[Tensor, "B X Y Z"], threshold: float) -> Bool[Tensor, "B X Y Z"]:
-    """Cells at least this likely to be occupied."""
+    """Return the cells at least this likely to be occupied."""
     return probability >= threshold
 
 
-def likeliest(probability: Float[Tensor, "B X Y Z"], share: float) -> Bool[Tensor, "B X Y Z"]:
-    """The round(share * cells) likeliest cells of each sample, exactly so many also where values are equal."""
+def likeliest(probability: Float[Tensor, "B X Y Z"], fraction: float) -> Bool[Tensor, "B X Y Z"]:
+    """Return the round(fraction * cells) likeliest cells of each sample, as many also where values are equal."""
     cells = probability.flatten(1)
-    chosen = cells.topk(round(share * cells.shape[1]), dim=1, sorted=False).indices
+    chosen = cells.topk(round(fraction * cells.shape[1]), dim=1, sorted=False).indices
     return torch.zeros_like(cells, dtype=torch.bool).scatter_(1, chosen, True).reshape(probability.shape)

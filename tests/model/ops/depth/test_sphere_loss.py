@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from omniocc.model.depth import Spheres
-from omniocc.model.ops.depth.terms import sphere_terms, two_hot_cross_entropy
+from omniocc.model.ops.depth.sphere_loss import SphereLoss, two_hot_cross_entropy
 
 SPHERES = Spheres(11, 1.0)  # index 10 at 1 m, 1 at 10 m
 INF, NAN = float("inf"), float("nan")
@@ -13,9 +13,9 @@ INF, NAN = float("inf"), float("nan")
 def test_cross_entropy_is_least_where_the_mean_is_the_index():
     index = torch.tensor([[[3.3]]])
 
-    def loss(share):
+    def loss(fraction):
         probability = torch.full((1, 8, 1, 1), 1e-6)
-        probability[0, 3], probability[0, 4] = 1 - share, share
+        probability[0, 3], probability[0, 4] = 1 - fraction, fraction
         return two_hot_cross_entropy(probability.log(), index).item()
 
     assert loss(0.3) == pytest.approx(-(0.7 * math.log(0.7) + 0.3 * math.log(0.3)), abs=1e-4)
@@ -27,7 +27,7 @@ def test_terms_against_a_loop():
     logits = torch.randn(1, 12, 2, 3)  # eleven spheres and the sky
     index = torch.tensor([[[5.0, 1.0, 0.2], [10.0, 3.0, 0.0]]])
     true_m = torch.tensor([[[2.5, 5.0, INF], [0.5, NAN, 4.0]]])
-    terms = sphere_terms(logits, index, true_m, SPHERES, log_range_weight=2.0, entropy_weight=0.5, sky_weight=0.3)
+    terms = SphereLoss(log_range_weight=2.0, entropy_weight=0.5, sky_weight=0.3)(logits, index, true_m, SPHERES)
     index_losses, log_losses, entropies, sky_losses = [], [], [], []
     log_p = logits[:, :11].double().log_softmax(1)
     for row, column in ((0, 0), (0, 1), (0, 2), (1, 0), (1, 2)):  # all but nan
@@ -40,9 +40,9 @@ def test_terms_against_a_loop():
         gap = abs(ours - true)
         index_losses.append(0.5 * gap**2 if gap < 1 else gap - 0.5)
         lower = min(int(true), 9)
-        share = true - lower
+        fraction = true - lower
         near = log_p[0, :, row, column]
-        entropies.append(-((1 - share) * near[lower] + share * near[lower + 1]).item())
+        entropies.append(-((1 - fraction) * near[lower] + fraction * near[lower + 1]).item())
         ratio = abs(math.log(max(ours, 0.5) / true))
         log_losses.append(0.5 * ratio**2 / 0.05 if ratio < 0.05 else ratio - 0.025)
     assert (len(sky_losses), len(log_losses)) == (5, 4)
@@ -54,7 +54,7 @@ def test_terms_against_a_loop():
 
 def test_without_truth_there_is_nothing_to_learn():
     logits = torch.randn(1, 12, 2, 2, requires_grad=True)
-    terms = sphere_terms(logits, logits.mean(1), torch.full((1, 2, 2), NAN), SPHERES, 1.0, 1.0, 1.0)
+    terms = SphereLoss(1.0, 1.0, 1.0)(logits, logits.mean(1), torch.full((1, 2, 2), NAN), SPHERES)
     sum(terms.values()).backward()
     assert [term.item() for term in terms.values()] == [0, 0, 0, 0]
     assert not logits.grad.any()

@@ -6,8 +6,9 @@ import torch
 
 from omniocc.batch import Batch
 from omniocc.camera import Equirectangular, Rig
+from omniocc.classes import WORLD_CLASSES
 from omniocc.geometry import Cylinder
-from omniocc.task.pictures import DepthPictures, Pictures, SketchPictures
+from omniocc.task.images import DepthImages, OccupancyImages, SketchImages
 from omniocc.view import SheetParts
 
 GRID = Cylinder(shape=(6, 10, 4))
@@ -34,7 +35,7 @@ def batch_of(names):
     depth_m[:, 0] = torch.nan
     return Batch(
         images=torch.randint(0, 256, (count, 1, 6, 3, 36, 64), dtype=torch.uint8),
-        rigs=(RIG,) * count,
+        rigs=((RIG,),) * count,
         world_from_ego=torch.eye(4, dtype=torch.float64).expand(count, 1, 4, 4),
         voxels=torch.randint(0, 12, (count, *GRID.shape), dtype=torch.uint8),
         pixel_labels=torch.zeros(count, 6, 36, 64, dtype=torch.uint8),
@@ -47,9 +48,9 @@ def batch_of(names):
 
 
 OUTPUTS = {
-    Pictures: lambda batch: batch.voxels,
-    DepthPictures: lambda batch: batch.depth_range_m,
-    SketchPictures: lambda batch: batch.voxels > 6,
+    OccupancyImages: lambda batch: batch.voxels,
+    DepthImages: lambda batch: batch.depth_range_m,
+    SketchImages: lambda batch: batch.voxels > 6,
 }
 
 
@@ -57,7 +58,7 @@ def run(callback, root=True):
     """Passes all frames through the callback, as a test and as a validation."""
     loader = SimpleNamespace(batch_size=BATCH, dataset=range(FRAMES))
     trainer = SimpleNamespace(is_global_zero=root, loggers=[], global_step=30, test_dataloaders=loader)
-    task = SimpleNamespace(model=FakeModel())
+    task = SimpleNamespace(model=FakeModel(), sketch=FakeModel())
     for number, first in enumerate(range(0, FRAMES, BATCH)):
         batch = batch_of(tuple(f"scene/{k:04d}" for k in range(first, min(first + BATCH, FRAMES))))
         outputs = OUTPUTS[type(callback)](batch)
@@ -67,22 +68,22 @@ def run(callback, root=True):
 
 @pytest.mark.parametrize("kind", list(OUTPUTS))
 def test_frames_are_spread_over_the_test_set(kind, tmp_path):
-    run(kind(tmp_path / "pictures", 3))
-    names = sorted(path.name for path in tmp_path.glob("pictures/*.png"))
+    run(kind(tmp_path / "images", 3))
+    names = sorted(path.name for path in tmp_path.glob("images/*.png"))
     assert names == ["test-00-scene-0000.png", "test-01-scene-0003.png", "test-02-scene-0006.png", "val-step000030.png"]
-    assert cv2.imread(str(tmp_path / "pictures" / names[1])).shape[1] == 1280
+    assert cv2.imread(str(tmp_path / "images" / names[1])).shape[1] == 1280
 
 
 @pytest.mark.parametrize(("count", "root"), [(0, True), (3, False)])
 def test_nothing_is_drawn_unasked_or_by_other_ranks(count, root, tmp_path):
-    run(DepthPictures(tmp_path / "pictures", count), root)
+    run(DepthImages(tmp_path / "images", count, WORLD_CLASSES), root)
     assert not list(tmp_path.iterdir())
 
 
 def test_parts_of_test_sheets_are_files_of_their_own(tmp_path):
-    run(Pictures(tmp_path / "pictures", 3))
-    sheet = cv2.imread(str(tmp_path / "pictures" / "test-01-scene-0003.png"))
-    folder = tmp_path / "pictures" / "parts" / "test-01-scene-0003"
+    run(OccupancyImages(tmp_path / "images", 3, WORLD_CLASSES))
+    sheet = cv2.imread(str(tmp_path / "images" / "test-01-scene-0003.png"))
+    folder = tmp_path / "images" / "parts" / "test-01-scene-0003"
     parts = {path.stem: cv2.imread(str(path)) for path in folder.iterdir()}
     assert sorted(parts) == sorted(SheetParts._fields)
     assert sorted(path.name for path in folder.parent.iterdir()) == [
@@ -91,5 +92,5 @@ def test_parts_of_test_sheets_are_files_of_their_own(tmp_path):
     for name, part in parts.items():
         found = cv2.matchTemplate(sheet, part, cv2.TM_SQDIFF).min()
         assert found <= 1e-6 * part.size * 255**2, name
-    run(DepthPictures(tmp_path / "depth", 3))
+    run(DepthImages(tmp_path / "depth", 3, WORLD_CLASSES))
     assert not (tmp_path / "depth" / "parts").exists()

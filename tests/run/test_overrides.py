@@ -9,9 +9,9 @@ import pytest
 from hydra import compose, initialize_config_dir
 from hydra.errors import HydraException
 
-from omniocc.config import explain, nearest
+from omniocc.run.overrides import explain, nearest
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 CONF = str(ROOT / "conf")
 
 
@@ -52,7 +52,7 @@ def test_the_first_line_is_the_problem_and_what_is_nearest_follows(overrides, pr
 
 
 def test_keys_are_those_of_the_options_chosen_beside_the_mistake():
-    assert "model.sketch.ratio" in explained("model/sketch=random", "model.sketch.ratoi=0.1")[0]
+    assert "model.sketch.fraction" in explained("model/sketch=random", "model.sketch.fractoin=0.1")[0]
     assert "model.sketch.threshold" in explained("model.sketch.threshhold=0.1", "nonsense=2")[0]
 
 

@@ -5,7 +5,7 @@ import argparse
 import pytest
 from hydra._internal.utils import get_args_parser
 
-from omniocc.lazy_help import accept_lazy_help
+from omniocc.run.script import accept_lazy_help
 
 
 @pytest.fixture
@@ -34,7 +34,7 @@ def checked_help(monkeypatch):
 
 @pytest.mark.usefixtures("checked_help")
 def test_hydra_alone_does_not_start():
-    """When this fails, Hydra has mended it and `lazy_help.py` can go."""
+    """When this fails, Hydra has mended it and `accept_lazy_help` can go."""
     with pytest.raises(ValueError, match="help string"):
         get_args_parser()
 

@@ -1,0 +1,32 @@
+"""The part of a source's spec that a recorded scene states, as plain data in its `meta.json`."""
+
+from typing import Any
+
+from omniocc.classes import ClassTable
+from omniocc.data.source import SourceSpec
+from omniocc.metric import sparseocc_directions
+
+
+def plain_spec(spec: SourceSpec) -> dict[str, Any]:
+    """Return a spec as plain data; the LiDAR's rays are left out, since the format fixes them."""
+    return {
+        "classes": spec.classes.to_dict(),
+        "range_edges_m": list(spec.range_edges_m),
+        "frame_interval_s": spec.frame_interval_s,
+        "road_z_m": spec.road_z_m,
+    }
+
+
+def read_spec(plain: dict[str, Any]) -> SourceSpec:
+    """Return the spec of recorded scenes, the inverse of `plain_spec`.
+
+    Raises:
+        KeyError, ValueError: if something is missing or makes no sense.
+    """
+    return SourceSpec(
+        classes=ClassTable.from_dict(plain["classes"]),
+        range_edges_m=tuple(plain["range_edges_m"]),
+        frame_interval_s=plain["frame_interval_s"],
+        road_z_m=plain["road_z_m"],
+        lidar_directions=sparseocc_directions(),
+    )

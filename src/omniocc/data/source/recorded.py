@@ -1,0 +1,205 @@
+"""Recorded scenes as a source: any folder or URL of scenes in this project's format."""
+
+import hashlib
+import itertools
+from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
+from fnmatch import fnmatchcase
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from omniocc.data.labels.voxels import VoxelCache
+from omniocc.data.recording.pool import usable_cores
+from omniocc.data.recording.spec import plain_spec, read_spec
+from omniocc.data.source import SPLITS, SourceSpec, Split, Unknown
+from omniocc.data.store.files import is_url, list_folders, read_json
+from omniocc.data.store.folder import SceneFolder
+from omniocc.data.store.reader import SceneReader
+from omniocc.data.store.shard import META, digest
+from omniocc.errors import DataError
+from omniocc.geometry import Grid
+
+SPLITS_FILE = "splits.json"
+
+Splits = Mapping[str, Sequence[str] | float]
+
+
+class Recorded:
+    """A source (`SceneSource`) of scenes that were recorded before; it reads them and makes none.
+
+    Args:
+        root: folder or URL (memory://, http://, s3:// ...) that holds the folders of the scenes.
+        splits: what train, val and test consist of: names or patterns (`train-*`) of scenes, or fractions of all
+            scenes. None reads the same from the file `splits.json` in `root`. An empty list is a split without scenes.
+        workers: processes that vote for voxels; 0 votes in this process, None takes all usable cores.
+        cache: folder for what is derived from the scenes (voxels); None puts it into `root`. A URL as root needs one.
+
+    Raises:
+        ValueError: if a URL comes without a cache, or `workers` is negative.
+    """
+
+    def __init__(
+        self,
+        root: str,
+        splits: Mapping[str, Sequence[str] | float] | None = None,
+        workers: int | None = None,
+        cache: str | None = None,
+    ):
+        if is_url(root) and cache is None:
+            raise ValueError(f"root is a URL ({root}): set cache to a local folder, where voxels are kept")
+        if workers is not None and workers < 0:
+            raise ValueError(f"workers must be at least 0, got {workers}")
+        self.root = root.rstrip("/")
+        self.cache = cache
+        self.splits = splits
+        self.workers = usable_cores() if workers is None else workers
+
+    @cached_property
+    def names(self) -> dict[Split, list[str]]:
+        """Return the names of the scenes of every split.
+
+        Raises:
+            DataError: naming the split or scene that is not there or is in two splits.
+        """
+        splits = self.splits
+        if splits is None:
+            splits = read_json(self.root, SPLITS_FILE, "set data.source.splits to names, patterns or fractions instead")
+        return chosen_scenes(splits, list_folders(self.root, META), self.root)
+
+    @property
+    def spec(self) -> SourceSpec:
+        """Return the facts that the first scene states.
+
+        Raises:
+            DataError: when there are no scenes, or the first is damaged.
+        """
+        return self._spec
+
+    @property
+    def fingerprint(self) -> str:
+        """Return a hash of the splits and of the checksums of all files."""
+        return digest([self.names, self._checksums])
+
+    @property
+    def folder(self) -> Path:
+        """Return the local folder of what is derived from these very scenes."""
+        return Path(self.root if self.cache is None else self.cache) / f"recorded-{digest(self._checksums)[:12]}"
+
+    def prepare(self) -> None:
+        """Check that all scenes are there and fit together.
+
+        Raises:
+            DataError: when a scene is missing or has other classes, bands, cameras or frame rate than the first.
+        """
+        readers = self._readers
+        wanted = stated(readers[0]) if readers else {}
+        for reader in readers[1:]:
+            for what, value in stated(reader).items():
+                if value != wanted[what]:
+                    raise DataError(
+                        f"{reader.folder}: its {what} are {value}, those of '{readers[0].name}' are {wanted[what]}; "
+                        "all scenes of data.source.root must agree: leave this one out of data.source.splits"
+                    )
+
+    def labels(self, geometry: Grid, unknown: Unknown) -> VoxelCache:
+        """Return the voxel labels of a grid, voted from the recorded points."""
+        classes = self.spec.classes.num_classes
+        return VoxelCache(self.folder, geometry, unknown, self.fingerprint, classes, self.workers)
+
+    def scenes(self, split: Split) -> list[SceneReader]:
+        """Return the scenes of a split, in order of their names."""
+        at = f"{self.root}/{{}}".format if is_url(self.root) else Path(self.root).joinpath
+        return [SceneReader(at(name)) for name in self.names[split]]
+
+    @cached_property
+    def _readers(self) -> list[SceneReader]:
+        return [reader for split in SPLITS for reader in self.scenes(split)]
+
+    @cached_property
+    def _spec(self) -> SourceSpec:
+        if not self._readers:
+            raise DataError(f"{self.root}: all splits are empty")
+        return spec_of(self._readers[0])
+
+    @cached_property
+    def _checksums(self) -> list[list[Any]]:
+        return sorted([reader.name, reader.meta["files"]] for reader in self._readers)
+
+
+def spec_of(scene: SceneFolder) -> SourceSpec:
+    """Return the facts that a scene states about its source.
+
+    Raises:
+        DataError: when it states none or a wrong one.
+    """
+    try:
+        return read_spec(scene.meta["facts"]["spec"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise scene.damaged(META, f"its classes and frame rate cannot be read ({error!r})") from error
+
+
+def stated(scene: SceneFolder) -> dict[str, Any]:
+    """Return the facts in which all scenes of a source have to agree, for comparison and messages."""
+    rig = {name: facts["sha256"][:12] for name, facts in scene.meta["files"].items() if name.startswith("rig.")}
+    return plain_spec(spec_of(scene)) | {"cameras (checksums)": rig}
+
+
+def chosen_scenes(splits: Splits, there: Sequence[str], root: str) -> dict[Split, list[str]]:
+    """Return the names of the scenes of every split.
+
+    Args:
+        splits: names, patterns or fractions; see `Recorded`.
+        there: names of all scenes.
+        root: where they lie, for messages.
+
+    Raises:
+        DataError: naming the split or scene that is not there or is in two splits.
+    """
+    if not there:
+        raise DataError(f"data.source.root={root} holds no recorded scenes")
+    if set(splits) != set(SPLITS):
+        raise DataError(f"data.source.splits has {sorted(splits)}; it needs exactly {', '.join(SPLITS)}")
+    fractions = {split: value for split, value in splits.items() if isinstance(value, int | float)}
+    if fractions and len(fractions) < len(splits):
+        raise DataError(f"data.source.splits={dict(splits)}: give fractions for all splits or for none")
+    if fractions:
+        return by_fraction(fractions, there)
+    found = {split: [name for part in splits[split] for name in matching(part, there, split)] for split in SPLITS}  # type: ignore[union-attr]
+    names: dict[Split, list[str]] = {split: sorted(set(found[split])) for split in SPLITS}
+    for split, later in itertools.combinations(SPLITS, 2):
+        for name in sorted(set(names[split]) & set(names[later])):
+            raise DataError(f"data.source.splits: scene '{name}' is in both {split} and {later}")
+    return names
+
+
+def matching(pattern: str, there: Sequence[str], split: str) -> list[str]:
+    """Return the scenes that a name or pattern means.
+
+    Raises:
+        DataError: if there are none.
+    """
+    names = [name for name in there if fnmatchcase(name, pattern)]
+    if not names:
+        close = get_close_matches(pattern, there, n=1) or there[:1]
+        raise DataError(f"data.source.splits.{split}: no scene is called '{pattern}'; there is '{close[0]}'")
+    return names
+
+
+def by_fraction(fractions: Mapping[str, float], there: Sequence[str]) -> dict[Split, list[str]]:
+    """Deal scenes to splits by fractions, in an order that depends on their names alone.
+
+    Raises:
+        DataError: if fractions are negative or exceed 1 together, or a split with a fraction above 0 gets no scene.
+    """
+    if min(fractions.values()) < 0 or sum(fractions.values()) > 1 + 1e-9:
+        raise DataError(f"data.source.splits={dict(fractions)}: fractions must be from 0 to 1 and add up to at most 1")
+    order = sorted(there, key=lambda name: hashlib.sha256(name.encode()).hexdigest())
+    names: dict[Split, list[str]] = {}
+    total = 0.0
+    for split in SPLITS:
+        first, total = round(total * len(order)), total + fractions[split]
+        names[split] = sorted(order[first : round(total * len(order))])
+        if fractions[split] and not names[split]:
+            raise DataError(f"data.source.splits.{split}={fractions[split]}: that is none of {len(order)} scenes")
+    return names

@@ -1,0 +1,124 @@
+"""Reading scene folders: any member of any frame by byte offset, every byte checked."""
+
+import hashlib
+import json
+import zlib
+from collections.abc import Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from omniocc.data.store.files import Files, is_url, open_folder, read_members
+from omniocc.data.store.shard import INDEX, META, SCHEMA, digest, shard_name
+from omniocc.errors import DataError
+
+
+class SceneFolder:
+    """The files of a complete scene. Opens nothing before it is needed, keeps no file open, can be sent to processes.
+
+    Args:
+        folder: the scene's folder, or its URL in an object store (memory://, http://, s3:// ...).
+
+    Raises:
+        DataError: from every method, when something is missing or damaged; names the file, scene, frame and member.
+    """
+
+    def __init__(self, folder: Path | str):
+        self.folder = str(folder).rstrip("/") if is_url(folder) else Path(folder)
+
+    @property
+    def name(self) -> str:
+        """Return the scene's name."""
+        return str(self.folder).rsplit("/", 1)[-1] if isinstance(self.folder, str) else self.folder.name
+
+    @cached_property
+    def files(self) -> Files:
+        """Return the scene's files."""
+        return open_folder(self.folder)
+
+    @cached_property
+    def meta(self) -> dict[str, Any]:
+        """Return schema, facts of the scene and checksums of its files."""
+        meta = self._json(META, self._content(META))
+        claimed = meta.pop("digest", None)
+        if digest(meta) != claimed:
+            raise self.damaged(META, "its checksum differs")
+        if meta["schema"] != SCHEMA:
+            raise self.damaged(META, f"schema {meta['schema']}, this version reads {SCHEMA}")
+        return meta
+
+    @cached_property
+    def index(self) -> dict[str, Any]:
+        """Return the members' names, and of each frame its shard, offsets, sizes, checksums and the writer's entry."""
+        return self._json(INDEX, self.checked(INDEX))
+
+    def __len__(self) -> int:
+        return self.meta["frames"]
+
+    def read(self, frame: int, members: Sequence[str]) -> dict[str, bytes]:
+        """Return the named members of one frame, each compared with its checksum."""
+        record = self.index["frames"][frame]
+        shard = shard_name(record["shard"])
+        columns = [self._column(member) for member in members]
+        offsets, sizes = ([record[key][column] for column in columns] for key in ("offset", "size"))
+        try:
+            blobs = read_members(self.files, shard, offsets, sizes)
+        except FileNotFoundError as error:
+            raise self.damaged(shard, "the file is missing", frame, members[0]) from error
+        except Exception as error:  # each kind of store has errors of its own
+            raise self.unreadable(shard, error) from error
+        for member, column, blob in zip(members, columns, blobs, strict=True):
+            if len(blob) != record["size"][column]:
+                raise self.damaged(shard, "the file is cut short", frame, member)
+            if zlib.crc32(blob) != record["crc32"][column]:
+                raise self.damaged(shard, "checksum differs", frame, member)
+        return dict(zip(members, blobs, strict=True))
+
+    def damaged(self, name: str, what: str, frame: int | None = None, member: str | None = None) -> DataError:
+        """Return the error for a damaged file of the scene; it names file, scene, frame, member and remedy."""
+        where = f", frame {frame}" if frame is not None else ""
+        where += f", member '{member}'" if member is not None else ""
+        remedy = (
+            "Copy the scene there again"
+            if is_url(self.folder)
+            else f"Delete the folder {self.folder} and run the same command again: only this scene is made anew"
+        )
+        return DataError(f"{self.files.where(name)}: scene '{self.name}'{where}: {what}. {remedy}")
+
+    def unreadable(self, name: str, error: Exception) -> DataError:
+        """Return the error for a file that the disk or the store refuses to give."""
+        return DataError(f"{self.files.where(name)}: cannot be read: {type(error).__name__}: {error}")
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"folder": self.folder}
+
+    def _column(self, member: str) -> int:
+        if member not in self.index["members"]:
+            raise self.damaged(INDEX, f"it has no member '{member}' (it has: {', '.join(self.index['members'])})")
+        return self.index["members"].index(member)
+
+    def checked(self, name: str) -> bytes:
+        """Return the content of a file of the scene, compared with its checksum."""
+        facts = self.meta["files"].get(name)
+        content = self._content(name)
+        if facts is None or hashlib.sha256(content).hexdigest() != facts["sha256"]:
+            raise self.damaged(name, "its checksum differs")
+        return content
+
+    def _content(self, name: str) -> bytes:
+        try:
+            with self.files.open(name) as file:
+                return file.read()
+        except FileNotFoundError as error:
+            raise self.damaged(name, "the file is missing") from error
+        except Exception as error:  # each kind of store has errors of its own
+            raise self.unreadable(name, error) from error
+
+    def _json(self, name: str, content: bytes) -> dict[str, Any]:
+        try:
+            plain = json.loads(content)
+        except ValueError as error:
+            raise self.damaged(name, "it is not valid JSON") from error
+        if not isinstance(plain, dict):
+            raise self.damaged(name, "it is not a JSON object")
+        return plain

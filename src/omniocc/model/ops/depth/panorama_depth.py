@@ -1,0 +1,112 @@
+"""Base of the depth options: samples of equal rig go through together, without padding."""
+
+from typing import ClassVar, NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from omniocc.camera import Equirectangular, Rig
+from omniocc.model.ops.depth.depth_map import DepthMap, check_images, per_rig, weighted_sum
+from omniocc.model.ops.depth.spheres import SphereRange, Spheres
+from omniocc.model.ops.padded import Rigs, crop, shape_groups
+
+
+class PanoramaDepth(nn.Module):
+    """Estimate ranges from images; subclasses do so for samples of one rig, in `estimate`.
+
+    Args:
+        panorama: directions of the answer.
+        spheres: number and reach of the spheres, in whose indices the range is also given.
+    """
+
+    NEEDS_TRUE_RANGE: ClassVar[bool] = False
+
+    def __init__(self, panorama: Equirectangular, spheres: SphereRange):
+        super().__init__()
+        self.panorama, self.spheres = panorama, spheres
+
+    def rig_spheres(self, rig: Rig) -> Spheres:
+        """Return the spheres in whose indices it answers for a rig."""
+        return self.spheres.of(rig, self.panorama)
+
+    def estimate(self, images: Float[Tensor, "B N 3 H W"], rig: Rig) -> DepthMap:
+        """Return depth from RGB in [0, 1], for samples of one rig without padding."""
+        raise NotImplementedError
+
+    def forward(
+        self, images: Float[Tensor, "B N 3 H W"], rigs: Rigs, true_range_m: Float[Tensor, "B h w"] | None = None
+    ) -> DepthMap:
+        """Return depth from RGB in [0, 1]; the true range is ignored.
+
+        Raises:
+            ValueError: if images and rigs do not fit together, or images hold NaN.
+        """
+        check_images(images, rigs)
+        return per_rig(rigs, lambda rig, samples: self.estimate(crop(images[samples], rig), rig))
+
+
+class DepthBatch(NamedTuple):
+    """Samples that a depth network learns from, without padding.
+
+    Attributes:
+        images: RGB in [0, 1].
+        rigs: one per sample.
+        erp_range_m: true panorama; inf for the sky, nan where unknown.
+        camera_range_m: true range of every pixel; None if the data has none.
+    """
+
+    images: Float[Tensor, "B N 3 H W"]
+    rigs: Rigs
+    erp_range_m: Float[Tensor, "B h w"]
+    camera_range_m: Float[Tensor, "B N H W"] | None
+
+
+class LearnedPanoramaDepth(PanoramaDepth):
+    """Learn to estimate ranges; subclasses give the losses of samples whose images have one shape, in `losses`.
+
+    Args:
+        panorama: directions of the answer.
+        spheres: number and reach of the spheres, in whose indices the range is also given.
+        mirror: train on the mirrored world as often as on the true one.
+    """
+
+    def __init__(self, panorama: Equirectangular, spheres: SphereRange, mirror: bool):
+        super().__init__(panorama, spheres)
+        self.mirror = mirror
+
+    def losses(self, batch: DepthBatch, flip: bool) -> dict[str, Float[Tensor, ""]]:
+        """Return weighted losses by name.
+
+        Args:
+            batch: samples whose images have one shape.
+            flip: whether to learn from the mirrored world; the true ranges are mirrored already, the images not.
+        """
+        raise NotImplementedError
+
+    def training_terms(
+        self,
+        images: Float[Tensor, "B N 3 H W"],
+        rigs: Rigs,
+        erp_range_m: Float[Tensor, "B h w"],
+        camera_range_m: Float[Tensor, "B N H W"] | None,
+        generator: torch.Generator,
+    ) -> dict[str, Float[Tensor, ""]]:
+        """Return weighted losses by name, see `LearnedDepth`.
+
+        Raises:
+            ValueError: if images and rigs do not fit together, or images hold NaN.
+        """
+        check_images(images, rigs)
+        flip = self.mirror and bool(torch.rand((), generator=generator) < 0.5)
+        parts = []
+        for samples in shape_groups(rigs):
+            own = tuple(rigs[sample] for sample in samples)
+            erp_m, camera_m = erp_range_m[samples], None
+            if camera_range_m is not None:
+                camera_m = crop(camera_range_m[samples], own[0])
+            if flip:
+                erp_m, camera_m = erp_m.flip(-1), None if camera_m is None else camera_m.flip(-1)
+            terms = self.losses(DepthBatch(crop(images[samples], own[0]), own, erp_m, camera_m), flip)
+            parts.append((len(samples) / len(images), terms))
+        return weighted_sum(parts)

@@ -1,0 +1,113 @@
+"""Batches of samples with different numbers of cameras and sizes of image.
+
+Such samples are padded by zeros at the end of the camera axis, at the right and at the bottom. The rig of a sample says
+what is there: its first N images, in the size of its largest camera, its *frame*. Maps of a stride have ceil(size /
+stride) rows and columns. What is computed on the cropped images alone does not depend on the padding.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.nn import functional as F
+
+from omniocc.camera import Rig
+
+FeatureMaps = list[Float[Tensor, "B N C _ _"]]
+"""Maps of all cameras at several strides, finest first."""
+
+Rigs = tuple[Rig, ...]
+"""One rig per sample."""
+
+
+class ImageShape(NamedTuple):
+    """Number of cameras, and height and width of the largest, px."""
+
+    cameras: int
+    height: int
+    width: int
+
+    def at_stride(self, stride: int) -> "ImageShape":
+        """Return the shape of maps of a stride."""
+        return ImageShape(self.cameras, -(-self.height // stride), -(-self.width // stride))
+
+
+def image_shape(rig: Rig) -> ImageShape:
+    """Return the shape of a rig's images without padding."""
+    width, height = frame_size(rig)
+    return ImageShape(len(rig.cameras), height, width)
+
+
+def frame_size(rig: Rig) -> tuple[int, int]:
+    """Return width and height of the smallest image into which each camera's image fits, px."""
+    return max(camera.width for camera in rig.cameras), max(camera.height for camera in rig.cameras)
+
+
+def crop(maps: Float[Tensor, "B N *C _ _"], rig: Rig, stride: int = 1) -> Float[Tensor, "B n *C _ _"]:
+    """Return the part of padded images, or of maps of a stride, that belongs to a rig's cameras.
+
+    Raises:
+        ValueError: if the rig has more cameras or larger images.
+    """
+    shape = image_shape(rig).at_stride(stride)
+    there = ImageShape(maps.shape[1], maps.shape[-2], maps.shape[-1])
+    if any(own > size for own, size in zip(shape, there, strict=True)):
+        raise ValueError(
+            f"the rig has {_told(shape)} but there are images of {_told(there)}"
+            f"{f' at stride {stride}' if stride > 1 else ''}; see Rig.resized"
+        )
+    return maps[:, : shape.cameras, ..., : shape.height, : shape.width]
+
+
+def _told(shape: ImageShape) -> str:
+    return f"{shape.cameras} cameras of {shape.width}x{shape.height} px"
+
+
+def shape_groups(rigs: Sequence[Rig]) -> list[list[int]]:
+    """Return the samples of a batch in groups whose images have one shape without padding."""
+    groups: dict[ImageShape, list[int]] = {}
+    for sample, rig in enumerate(rigs):
+        groups.setdefault(image_shape(rig), []).append(sample)
+    return list(groups.values())
+
+
+def by_shape(
+    network: Callable[[Float[Tensor, "b n 3 _ _"], tuple[Rig, ...]], Sequence[Float[Tensor, "b n C _ _"]]],
+    images: Float[Tensor, "B N 3 H W"],
+    rigs: tuple[Rig, ...],
+    strides: Sequence[int],
+) -> list[Float[Tensor, "B N C _ _"]]:
+    """Run a network on samples of equal shape together, without their padding, and pad its maps by zeros.
+
+    Args:
+        network: maps of the given strides from images and their rigs.
+        images: padded.
+        rigs: one per sample.
+        strides: of the network's maps.
+
+    Raises:
+        ValueError: if a rig has more cameras or larger images than there are.
+    """
+    batch = ImageShape(images.shape[1], *images.shape[-2:])
+    groups = shape_groups(rigs)
+    parts = []
+    for samples in groups:
+        own = tuple(rigs[sample] for sample in samples)
+        cropped = crop(images if len(groups) == 1 else images[samples], own[0])
+        parts.append(network(cropped, own))
+    if len(groups) == 1 and image_shape(rigs[0]) == batch:
+        return list(parts[0])
+    levels = zip(*parts, strict=True)
+    return [_joined(level, groups, batch.at_stride(stride)) for level, stride in zip(levels, strides, strict=True)]
+
+
+def _joined(parts: Sequence[Tensor], groups: list[list[int]], shape: ImageShape) -> Tensor:
+    """Return the maps of all groups in the order of samples, padded to `shape`."""
+    maps = parts[0].new_zeros(sum(map(len, groups)), shape.cameras, parts[0].shape[2], shape.height, shape.width)
+    for part, samples in zip(parts, groups, strict=True):
+        padding = (0, shape.width - part.shape[-1], 0, shape.height - part.shape[-2], 0, 0)
+        padding = (*padding, 0, shape.cameras - part.shape[1])
+        maps = maps.index_copy(0, torch.tensor(samples, device=maps.device), F.pad(part, padding))
+    return maps

@@ -1,0 +1,236 @@
+"""The contracts between the slots of the model: what every option of a slot takes and returns.
+
+Images of a batch are padded: a sample with fewer cameras or smaller images than others has zeros at the end of the
+camera axis, at the right and at the bottom. Its rig says what is there. Options answer as for the sample alone, see
+`omniocc.model.ops.padded`.
+"""
+
+from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
+
+import torch
+from jaxtyping import Bool, Float, UInt8
+from torch import Tensor
+
+from omniocc.camera import Equirectangular, Rig
+from omniocc.geometry import Grid
+from omniocc.model.ops.depth.depth_map import DepthMap
+from omniocc.model.ops.depth.spheres import Spheres
+from omniocc.model.ops.padded import FeatureMaps, Rigs
+
+
+class Sketched(NamedTuple):
+    """The answer of a sketch for single frames, or, with an axis T after B, for windows of frames.
+
+    Attributes:
+        candidates: voxels that are worth colouring.
+        evidence: E features of every voxel; None if the sketch has none.
+    """
+
+    candidates: Bool[Tensor, "B *T X Y Z"]
+    evidence: Float[Tensor, "B *T E X Y Z"] | None = None
+
+    def at(self, *index: Any) -> "Sketched":
+        """Return the part at an index of the leading axes."""
+        return Sketched(self.candidates[index], None if self.evidence is None else self.evidence[index])
+
+
+@runtime_checkable
+class Learns(Protocol):
+    """An option that is trained in a stage of its own."""
+
+    def training_terms(self, *args: Any) -> dict[str, Float[Tensor, ""]]:
+        """Return weighted losses by name."""
+        ...
+
+
+def learns(option: type) -> bool:
+    """Return whether a class of the depth or sketch slot is trained in a stage of its own; nothing is built."""
+    return issubclass(option, Learns)
+
+
+@runtime_checkable
+class Backbone(Protocol):
+    """Turn camera images into a pyramid of feature maps.
+
+    Attributes:
+        PRETRAINED: names of the arguments that load nothing but pretrained weights; None where a checkpoint follows.
+        channels: of every map.
+        levels: strides of the maps, px, finest first: an image of height H has a map of ceil(H / stride) rows.
+    """
+
+    PRETRAINED: ClassVar[tuple[str, ...]]
+    channels: int
+    levels: list[int]
+
+    def __call__(self, images: Float[Tensor, "B N 3 H W"]) -> FeatureMaps:
+        """Return maps that each cover the whole image, finest first, from RGB in [0, 1]."""
+        ...
+
+
+@runtime_checkable
+class Depth(Protocol):
+    """Estimate a panorama of ranges in the ego frame.
+
+    Attributes:
+        NEEDS_TRUE_RANGE: whether the option passes on the recorded range instead of estimating it.
+        panorama: directions of its pixels.
+    """
+
+    NEEDS_TRUE_RANGE: ClassVar[bool]
+    panorama: Equirectangular
+
+    def rig_spheres(self, rig: Rig) -> Spheres:
+        """Return the spheres in whose indices it answers for a rig."""
+        ...
+
+    def __call__(
+        self, images: Float[Tensor, "B N 3 H W"], rigs: Rigs, true_range_m: Float[Tensor, "B h w"] | None = None
+    ) -> DepthMap:
+        """Return the panorama from RGB in [0, 1]; the true range (inf: sky) is used if `NEEDS_TRUE_RANGE`."""
+        ...
+
+
+@runtime_checkable
+class LearnedDepth(Depth, Learns, Protocol):
+    """A depth option with weights, trained in the depth stage."""
+
+    def training_terms(
+        self,
+        images: Float[Tensor, "B N 3 H W"],
+        rigs: tuple[Rig, ...],
+        erp_range_m: Float[Tensor, "B h w"],
+        camera_range_m: Float[Tensor, "B N H W"] | None,
+        generator: torch.Generator,
+    ) -> dict[str, Float[Tensor, ""]]:
+        """Return weighted losses by name.
+
+        Args:
+            images: RGB in [0, 1].
+            rigs: one per sample.
+            erp_range_m: true panorama; inf for the sky, nan where unknown.
+            camera_range_m: true range of every pixel; None if the data has none.
+            generator: source of all random choices, on the CPU.
+        """
+        ...
+
+
+@runtime_checkable
+class Sketch(Protocol):
+    """Choose the candidate voxels of each sample."""
+
+    def __call__(
+        self, images: Float[Tensor, "B N 3 H W"], rigs: Rigs, true_range_m: Float[Tensor, "B h w"] | None = None
+    ) -> Sketched:
+        """Return the candidates from RGB in [0, 1] and the rig of each sample.
+
+        The true range is for a sketch whose depth needs it.
+        """
+        ...
+
+
+@runtime_checkable
+class LearnedSketch(Sketch, Learns, Protocol):
+    """A sketch with weights that looks at ranges, trained in the sketch stage after the depth stage.
+
+    Attributes:
+        SELECTION: constructor arguments that choose among probabilities; the weights do not depend on them.
+        geometry: the voxel grid.
+        depth: source of the ranges, frozen.
+        panorama: directions of the ranges.
+    """
+
+    SELECTION: ClassVar[tuple[str, ...]]
+    geometry: Grid
+    depth: Depth
+    panorama: Equirectangular
+
+    def logits(self, range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"]) -> Float[Tensor, "B 2 X Y Z"]:
+        """Return scores of free and occupied for every voxel, from a panorama of ranges and where they are known."""
+        ...
+
+    def choose(self, logits: Float[Tensor, "B 2 X Y Z"]) -> Bool[Tensor, "B X Y Z"]:
+        """Return the candidates before they are dilated."""
+        ...
+
+    def select(self, logits: Float[Tensor, "B 2 X Y Z"]) -> Bool[Tensor, "B X Y Z"]:
+        """Return the candidates."""
+        ...
+
+    def training_terms(
+        self, range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"], voxels: UInt8[Tensor, "B X Y Z"]
+    ) -> dict[str, Float[Tensor, ""]]:
+        """Return weighted losses by name; 255 in the true voxels is unknown."""
+        ...
+
+
+@runtime_checkable
+class Lifter(Protocol):
+    """Give the voxels of one frame their features.
+
+    Attributes:
+        channels: of the volume.
+    """
+
+    channels: int
+
+    def __call__(self, features: FeatureMaps, sketched: Sketched, rigs: tuple[Rig, ...]) -> Float[Tensor, "B D X Y Z"]:
+        """Return features of all voxels, ego frame, from feature maps (see `Backbone`), finest first."""
+        ...
+
+
+@runtime_checkable
+class GuessesRanges(Protocol):
+    """A lifter that predicts a distribution of range for every pixel on its way."""
+
+    def range_logits(self, features: FeatureMaps) -> Float[Tensor, "B N D h w"]:
+        """Return scores of bins of range along the rays, at the coarsest map's size."""
+        ...
+
+
+@runtime_checkable
+class Temporal(Protocol):
+    """Fuse a window of voxel features.
+
+    Attributes:
+        frames: length of the window, the newest frame included.
+        history_gradient: whether past frames are trained through.
+    """
+
+    frames: int
+    history_gradient: bool
+
+    def __call__(
+        self,
+        volumes: list[Float[Tensor, "B C X Y Z"]],
+        world_from_ego: Float[Tensor, "B T 4 4"],
+        exists: Bool[Tensor, "B T"],
+    ) -> Float[Tensor, "B C X Y Z"]:
+        """Return one volume in the newest frame's ego frame from volumes in each frame's own, oldest first.
+
+        Frames that do not exist, before a scene's first, do not count; the newest always exists.
+        """
+        ...
+
+
+@runtime_checkable
+class Refiner(Protocol):
+    """Map voxel features to voxel features.
+
+    Attributes:
+        channels: of the volume it returns.
+    """
+
+    channels: int
+
+    def __call__(self, volume: Float[Tensor, "B C X Y Z"], sketched: Sketched) -> Float[Tensor, "B D X Y Z"]:
+        """Return a volume of the same shape with `channels` channels; `sketched` is the newest frame's."""
+        ...
+
+
+@runtime_checkable
+class SemanticHead(Protocol):
+    """Classify the pixels of a feature map."""
+
+    def __call__(self, features: FeatureMaps) -> Float[Tensor, "B N K h w"] | None:
+        """Return logits at the finest map's size, or None, from feature maps, finest first."""
+        ...

@@ -1,0 +1,83 @@
+"""Read what a checkpoint holds, and make sure that its configuration names nothing but what may be built."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from omegaconf import DictConfig, OmegaConf
+from torch import Tensor
+
+from omniocc.config import OWN_PACKAGE, PACKAGES_VARIABLE, allowed, check, foreign_packages
+from omniocc.errors import UserError
+from omniocc.run.checkpoint_io import read_checkpoint
+
+STAGE, CONFIG = "stage", "config"
+"""Keys of a checkpoint beside Lightning's own."""
+MODEL = "model."
+
+
+class Checkpoint(NamedTuple):
+    """Content of a checkpoint.
+
+    Attributes:
+        path: the file.
+        stage: that wrote it: `depth`, `sketch` or `occupancy`.
+        config: of the run that wrote it, without interpolations.
+        weights: of the whole task, named as in the task.
+    """
+
+    path: Path
+    stage: str
+    config: DictConfig
+    weights: dict[str, Tensor]
+
+    @property
+    def model_weights(self) -> dict[str, Tensor]:
+        """Return the weights of the task's model, named as in the model."""
+        return {name.removeprefix(MODEL): value for name, value in self.weights.items() if name.startswith(MODEL)}
+
+
+def load_checkpoint(path: Path) -> Checkpoint:
+    """Return the content of a checkpoint.
+
+    Raises:
+        FileNotFoundError: when it is not there.
+        UserError: when it is damaged, not one of this platform, or of an older version.
+    """
+    content = read_checkpoint(path)
+    if STAGE not in content:
+        raise UserError(f"{path} does not say which stage wrote it: it is of an older version; train again")
+    # resolved here, so that `check_parts` sees all that would be built
+    config = DictConfig(content[CONFIG])
+    OmegaConf.resolve(config)
+    config.pop("packages", None)
+    return Checkpoint(path, content[STAGE], config, content["state_dict"])
+
+
+def check_parts(path: Path, config: DictConfig, parts: Sequence[str], packages: Sequence[str] = ()) -> None:
+    """Check root keys of a checkpoint's configuration before anything is built from them.
+
+    Args:
+        path: of the checkpoint.
+        config: its configuration, with overrides.
+        parts: root keys.
+        packages: of others whose classes may be built, beside `OMNIOCC_PACKAGES`; never from the checkpoint itself.
+
+    Raises:
+        UserError: when they name classes of another package.
+        ConfigError: when they do not fit this version.
+    """
+    trusted = allowed(OWN_PACKAGE, packages)
+    chosen = OmegaConf.create({part: config[part] for part in parts})
+    if foreign := foreign_packages(OmegaConf.to_container(chosen), trusted):
+        names = ",".join(foreign)
+        raise UserError(
+            f"{path} names classes of {names}, not of this platform; if you trust them, "
+            f"allow them by {PACKAGES_VARIABLE}={names} or, for train.py and evaluate.py, packages=[{names}]"
+        )
+    check(chosen, packages=trusted)
+
+
+def contents(stage: str, config: dict[str, Any]) -> dict[str, Any]:
+    """Return what a task adds to a checkpoint, by key."""
+    return {STAGE: stage, CONFIG: config}

@@ -1,0 +1,99 @@
+"""Mistakes in the overrides of a command line, explained in a few lines that name what is nearest."""
+
+import re
+from collections.abc import Iterator, Sequence
+from difflib import SequenceMatcher, get_close_matches
+from typing import cast
+
+import hydra
+from hydra.errors import HydraException, InstantiationException, MissingConfigException, OverrideParseException
+from omegaconf import OmegaConf
+from omegaconf.errors import ConfigAttributeError, ConfigKeyError
+
+from omniocc.config import VERSION_BASE, refused_key
+
+NEAREST_KEYS = 3
+NEAR_ENOUGH = 0.6
+
+
+def explain(error: Exception, conf: str, config_name: str, arguments: Sequence[str]) -> str:
+    """Return a few lines about a mistake in overrides: the problem first, then what is nearest to what was written.
+
+    Args:
+        error: raised while Hydra composed the configuration.
+        conf: folder of the configuration.
+        config_name: of its root file.
+        arguments: of the command line.
+    """
+    cause = error.__cause__
+    if isinstance(error, OverrideParseException):
+        reason = str(error.message).removeprefix(f"Error parsing override '{error.override}'").strip().splitlines()[0]
+        remedy = "quote lists and texts with commas: 'key=[1,2]'"
+        return f"{error.override}: this cannot be read as key=value ({reason})\n  {remedy}"
+    if isinstance(error, MissingConfigException) and error.missing_cfg_file and error.options:
+        group, _, option = error.missing_cfg_file.rpartition("/")
+        close = get_close_matches(option, error.options, n=1)
+        hint = f"; did you mean '{close[0]}'?" if close else ""
+        return f"{group}={option}: there is no such option{hint}\n  options: {', '.join(sorted(error.options))}"
+    if isinstance(error, InstantiationException) and cause is not None:
+        return f"{refused_key(error)}: {cause}"
+    if isinstance(cause, ConfigAttributeError | ConfigKeyError) and cause.full_key:
+        return _unknown_key(str(cause.full_key), *_names(conf, config_name, cause.full_key, arguments))
+    lines = [*str(error).split("Config search path")[0].splitlines(), *str(cause or "").splitlines()[:1]]
+    return "\n  ".join([line.strip() for line in lines if line.strip()])
+
+
+def _unknown_key(key: str, keys: Sequence[str], groups: Sequence[str]) -> str:
+    """Return the lines about a key that is not there; a key with a slash was meant as a group."""
+    close = nearest(key, groups if "/" in key else [*keys, *groups])
+    if close:
+        hint = f"; did you mean {' or '.join(close)}?"
+    else:
+        parent = next((p for p in _parents(key) if any(k.startswith(f"{p}.") for k in keys)), "")
+        within = [k.removeprefix(f"{parent}.") for k in keys if not parent or k.startswith(f"{parent}.")]
+        children = groups if "/" in key else [child for child in within if "." not in child]
+        hint = f"\n  {'groups' if '/' in key else parent or 'keys'}: {', '.join(children)}"
+    return f"{key}: there is no such key{hint}"
+
+
+def nearest(wanted: str, known: Sequence[str]) -> list[str]:
+    """Return the few most similar of known dotted or slashed names, best first; their last parts count by half."""
+
+    def likeness(name: str) -> float:
+        last = SequenceMatcher(None, _last(wanted), _last(name)).ratio()
+        return (SequenceMatcher(None, wanted, name).ratio() + last) / 2
+
+    scored = sorted(((likeness(name), name) for name in known), key=lambda item: -item[0])
+    return [name for score, name in scored[:NEAREST_KEYS] if score >= NEAR_ENOUGH]
+
+
+def _last(name: str) -> str:
+    return re.split(r"[./]", name)[-1]
+
+
+def _parents(key: str) -> Iterator[str]:
+    while "." in key:
+        key = key.rpartition(".")[0]
+        yield key
+
+
+def _names(conf: str, config_name: str, wrong: str, arguments: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return all keys and groups of the configuration composed without the wrong override, or without any."""
+    overrides = [a for a in arguments if "=" in a and not a.startswith("-") and wrong not in a.split("=")[0]]
+    with hydra.initialize_config_dir(conf, version_base=VERSION_BASE):
+        try:
+            cfg = hydra.compose(config_name, overrides, return_hydra_config=True)
+        except HydraException:  # another mistake, or values to sweep over
+            cfg = hydra.compose(config_name, return_hydra_config=True)
+    tree = cast(dict, OmegaConf.to_container(cfg, resolve=False))
+    options = tree.pop("hydra")
+    keys = [*_keys(tree, ""), *_keys(options["launcher"], "hydra.launcher.")]
+    groups = [group for group in options["runtime"]["choices"] if "@" not in group and not group.startswith("hydra/")]
+    return [key for key in keys if not _last(key).startswith("_")], groups
+
+
+def _keys(tree: dict, prefix: str) -> Iterator[str]:
+    for key, value in tree.items():
+        yield f"{prefix}{key}"
+        if isinstance(value, dict):
+            yield from _keys(value, f"{prefix}{key}.")

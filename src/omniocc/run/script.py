@@ -1,0 +1,114 @@
+"""What every script needs: configuration from the command line, mistakes as lines, a quiet screen."""
+
+import functools
+import inspect
+import logging
+import os
+import sys
+import warnings
+from argparse import Action, ArgumentParser
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, ParamSpec, TypeVar
+from unittest.mock import patch
+
+import hydra
+from hydra.errors import HydraException
+from omegaconf import DictConfig
+from omegaconf.errors import OmegaConfBaseException
+
+from omniocc.config import VERSION_BASE
+from omniocc.errors import UserError
+from omniocc.run.overrides import explain
+
+P = ParamSpec("P")
+T = TypeVar("T")
+FULL_ERROR = "HYDRA_FULL_ERROR"
+"""Hydra's environment variable; `1` makes it raise its errors instead of printing them."""
+
+
+def lines_not_tracebacks(main: Callable[..., None]) -> Callable[..., None]:
+    """Decorate a script's main: users' mistakes end it with the message alone and exit code 1."""
+
+    @functools.wraps(main)
+    def wrapped(*args: Any) -> None:
+        try:
+            main(*args)
+        except (UserError, OSError) as error:
+            sys.exit(str(error))
+
+    return wrapped
+
+
+def script(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callable[..., None]]:
+    """Return a decorator for a script's main, which gets the configuration composed from `conf/` and the command line.
+
+    Users' mistakes end the script with the message alone and exit code 1; for overrides it names the nearest keys or
+    options. With `HYDRA_FULL_ERROR=1` Hydra reports mistakes in overrides itself, with a traceback. Jobs of a
+    multirun inherit that variable, so that their log files hold whole tracebacks.
+
+    Args:
+        config_name: of the root file in `conf/`.
+    """
+
+    def decorate(main: Callable[[DictConfig], None]) -> Callable[..., None]:
+        conf = str(Path(inspect.getfile(main)).resolve().parents[1] / "conf")
+
+        @functools.wraps(main)
+        def task(cfg: DictConfig) -> None:
+            if asked is None:
+                os.environ.pop(FULL_ERROR, None)  # composed: errors of the code itself are reported as usual
+            lines_not_tracebacks(main)(cfg)
+
+        run = accept_lazy_help(hydra.main(version_base=VERSION_BASE, config_path=conf, config_name=config_name)(task))
+        asked = os.environ.get(FULL_ERROR)
+
+        @functools.wraps(main)
+        def wrapped(*args: Any) -> None:
+            if asked is not None:
+                return run(*args)
+            os.environ[FULL_ERROR] = "1"
+            try:
+                run(*args)
+            except (HydraException, OmegaConfBaseException) as error:
+                sys.exit(explain(error, conf, config_name, sys.argv[1:]))
+            finally:
+                os.environ.pop(FULL_ERROR, None)
+
+        return wrapped
+
+    return decorate
+
+
+def accept_lazy_help(main: Callable[P, T]) -> Callable[P, T]:
+    """Decorate a function so that argparse leaves help texts that are no strings unchecked while it runs.
+
+    Python 3.14 checks every help text when its argument is added and ends with 'badly formed help string' at the
+    `--shell-completion` of Hydra 1.3, whose text is made only when it is shown. Strings are checked as before; Python
+    3.13 and older check nothing.
+    """
+
+    @functools.wraps(main)
+    def run(*args: P.args, **kwargs: P.kwargs) -> T:
+        check = getattr(ArgumentParser, "_check_help", None)
+        if check is None:
+            return main(*args, **kwargs)
+
+        def check_strings(parser: ArgumentParser, action: Action) -> None:
+            if isinstance(action.help, str):
+                check(parser, action)
+
+        with patch.object(ArgumentParser, "_check_help", check_strings):
+            return main(*args, **kwargs)
+
+    return run
+
+
+def quiet_libraries() -> None:
+    """Turn off the banners, tips and known harmless warnings of other libraries."""
+    for name in ("lightning.pytorch", "lightning.fabric"):
+        logging.getLogger(name).setLevel(logging.ERROR)
+    os.environ.setdefault("TOKENIZERS_PARALLELISM", "false")
+    warnings.filterwarnings("ignore", module="lightning")
+    warnings.filterwarnings("ignore", module="torch.utils.data")
+    warnings.filterwarnings("ignore", message="Grad strides do not match bucket view strides")

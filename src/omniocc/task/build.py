@@ -1,0 +1,49 @@
+"""Build the occupancy task from a configuration, or from a checkpoint alone."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from omegaconf import DictConfig, OmegaConf
+
+from omniocc.config import build, plain
+from omniocc.data import OccupancyData, SourceSpec
+from omniocc.errors import UserError
+from omniocc.run.checkpoint import check_parts, load_checkpoint
+from omniocc.task.occupancy import OccupancyTask
+
+PARTS = ("model", "loss", "optimizer", "augment")
+"""Root keys of what a task is built of."""
+
+
+def build_task(cfg: DictConfig, spec: SourceSpec) -> OccupancyTask:
+    """Return the task that a configuration describes for data with this spec, with fresh weights."""
+    model, loss, optimizer, augment = (build(cfg[part]) for part in PARTS)
+    return OccupancyTask(model, loss, optimizer, augment, cfg.ema_decay, spec, plain(cfg))
+
+
+def load_task(path: Path, overrides: Sequence[str]) -> tuple[OccupancyTask, OccupancyData]:
+    """Return the trained task of a checkpoint, and the data of its configuration, both with overrides.
+
+    Args:
+        path: written by the occupancy stage.
+        overrides: `key=value`; `packages=[...]` allows classes of other packages.
+
+    Raises:
+        ConfigError: when an override does not fit.
+        FileNotFoundError: when there is no such file.
+        UserError: when it is damaged, of another stage or version, or names classes of a package that is not allowed.
+    """
+    trained, changes = load_checkpoint(path), OmegaConf.from_dotlist(list(overrides))
+    if trained.stage != OccupancyTask.STAGE:
+        raise UserError(f"{path} is a checkpoint of the {trained.stage} stage; this needs one of the occupancy stage")
+    packages = changes.pop("packages", ())
+    cfg = OmegaConf.merge(trained.config, changes)
+    assert isinstance(cfg, DictConfig)
+    if absent := [key for key in (*PARTS, "data", "ema_decay") if key not in cfg]:
+        raise UserError(f"{path} is of another version: its configuration has no {', '.join(absent)}")
+    check_parts(path, cfg, (*PARTS, "data"), packages)
+    data: OccupancyData = build(cfg.data)
+    data.check_classes()
+    task = build_task(cfg, data.source.spec)
+    task.load_state_dict(trained.weights, strict=True)
+    return task, data

@@ -1,0 +1,66 @@
+"""Which stages a configuration has, and hashes of everything that makes what they leave."""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from typing import Any, NamedTuple, cast
+
+from omegaconf import DictConfig
+
+from omniocc.config import plain, target_of
+from omniocc.errors import UserError
+from omniocc.model.protocols import LearnedSketch
+from omniocc.run.slots import sketch_learns
+
+STAGES = ("depth", "sketch", "occupancy")
+VERSIONS = {"depth": 3, "sketch": 1, "candidates": 1}
+"""Raise a number when the same configuration would give another result."""
+
+OVERRULED = ("max_steps", "check_val_every_n_epoch", "devices", "strategy", "accelerator")
+"""Trainer options that a stage sets by itself, or that do not change what it learns."""
+
+
+def wanted_stages(cfg: DictConfig) -> tuple[str, ...]:
+    """Return the stages up to the one asked for (`stage=...`), in order.
+
+    Raises:
+        UserError: for an unknown stage, or one that the model does not have.
+    """
+    stage = cfg.stage or "occupancy"
+    if stage not in STAGES:
+        raise UserError(f"stage={stage}: choose one of {', '.join(STAGES)}; leave it out to run what is missing")
+    present = STAGES if sketch_learns(cfg) else STAGES[-1:]
+    if stage not in present:
+        raise UserError(f"stage={stage}: this model/sketch is not learned and has no such stage; choose one that is")
+    return present[: present.index(stage) + 1]
+
+
+def digest(content: Any) -> str:
+    """Return eight hex digits of plain data."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()[:8]
+
+
+class Keys(NamedTuple):
+    """Hold hashes of everything that makes what a stage leaves."""
+
+    depth: str
+    sketch: str
+    candidates: str
+
+
+def stage_keys(cfg: DictConfig, data_fingerprint: str) -> Keys:
+    """Return the hashes for a configuration with a learned sketch."""
+    config = plain(cfg)
+    trainer = _without(config["trainer"], OVERRULED)
+    stages, sketch = config["stages"], config["model"]["sketch"]
+    selection = cast(type[LearnedSketch], target_of(sketch)).SELECTION
+    depth_key = digest([VERSIONS["depth"], config["depth"], stages["depth"], trainer, data_fingerprint])
+    network = _without(sketch, selection)
+    labels = config["data"]["unknown"]
+    sketch_key = digest([VERSIONS["sketch"], depth_key, network, stages["sketch"], trainer, labels])
+    chosen = {name: sketch[name] for name in selection}
+    return Keys(depth_key, sketch_key, digest([VERSIONS["candidates"], sketch_key, chosen]))
+
+
+def _without(arguments: Mapping[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
+    return {key: value for key, value in arguments.items() if key not in names}

@@ -1,0 +1,64 @@
+"""What the tasks of all stages share: steps that score, their optimiser, the content of their checkpoints."""
+
+from abc import abstractmethod
+from typing import Any, ClassVar, Generic, TypeVar
+
+from lightning.pytorch import LightningModule
+from lightning.pytorch.utilities.types import OptimizerLRSchedulerConfig
+from torch import Tensor, nn
+
+from omniocc.batch import Batch
+from omniocc.run.checkpoint import contents
+from omniocc.task.adamw import AdamW
+
+Model = TypeVar("Model", bound=nn.Module)
+
+
+class StageTask(LightningModule, Generic[Model]):
+    """Hold the model of one stage, its optimiser and its configuration.
+
+    Args:
+        model: what is trained.
+        optimizer: recipe for optimiser and schedule.
+        config: the run's resolved configuration as plain data; with it the checkpoint suffices to rebuild the model.
+    """
+
+    STAGE: ClassVar[str]
+
+    def __init__(self, model: Model, optimizer: AdamW, config: dict[str, Any]):
+        super().__init__()
+        self.model = model
+        self.optimizer = optimizer
+        self.config = config
+
+    @abstractmethod
+    def score(self, batch: Batch) -> Tensor:
+        """Score a batch and return what the model predicts for it."""
+
+    @abstractmethod
+    def log_scores(self, split: str) -> None:
+        """Log all scores under `<split>/...` and begin anew."""
+
+    def validation_step(self, batch: Batch, batch_index: int) -> Tensor:
+        """Score a batch and return the prediction."""
+        return self.score(batch)
+
+    def test_step(self, batch: Batch, batch_index: int) -> Tensor:
+        """Score a batch and return the prediction."""
+        return self.score(batch)
+
+    def on_validation_epoch_end(self) -> None:
+        """Log the scores of the validation."""
+        self.log_scores("val")
+
+    def on_test_epoch_end(self) -> None:
+        """Log the scores of the test."""
+        self.log_scores("test")
+
+    def configure_optimizers(self) -> OptimizerLRSchedulerConfig:
+        """Return optimiser and schedule over all steps that the trainer will take."""
+        return self.optimizer.configure(self.model, int(self.trainer.estimated_stepping_batches))
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Add stage and configuration to the weights."""
+        checkpoint |= contents(self.STAGE, self.config)
