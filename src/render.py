@@ -1,4 +1,4 @@
-"""Render the virtual dataset of a preset, read it back, or make a page to browse it. `--help` says more."""
+"""Render the virtual dataset of a preset, read it back, or make a page to browse it; see `--help`."""
 
 import sys
 import time
@@ -19,7 +19,7 @@ from omniocc.geometry import Cylinder
 from omniocc.progress import clock
 from omniocc.run.script import script
 
-LOOKED_AT_FRAMES = 400
+DECODED_FRAMES = 400
 
 
 @script("render")
@@ -40,7 +40,7 @@ def main(cfg: DictConfig) -> None:
 
 
 def chosen(plans: Sequence[ScenePlan], first: int, count: int | None) -> Sequence[ScenePlan]:
-    """The scenes a run is to work on.
+    """Return the scenes that a run works on.
 
     Raises:
         UserError: when there are none.
@@ -52,7 +52,7 @@ def chosen(plans: Sequence[ScenePlan], first: int, count: int | None) -> Sequenc
 
 
 def render(world: VirtualWorld, plans: Sequence[ScenePlan], whole_length: int) -> None:
-    """Say what is coming, render it, say how much there is and what all scenes of `whole_length` frames would take."""
+    """Print what will be rendered, render it, print its size and the cost of all scenes of `whole_length` frames."""
     missing = world.missing(plans)
     if isinstance(world.place, Path):
         print(announcement(world, plans), flush=True)
@@ -72,13 +72,11 @@ def render(world: VirtualWorld, plans: Sequence[ScenePlan], whole_length: int) -
 
 
 def read_back(world: VirtualWorld, plans: Sequence[ScenePlan]) -> None:
-    """Print one line per problem, and the classes beside those of the paper's dataset; exit code 1 for problems."""
+    """Print one line per problem, and the classes beside those of the paper's dataset; exit with 1 if there are any."""
     missing = world.missing(plans)
     problems = [f"{world.place}: scene '{plan.name}' is missing: run without check=true" for plan in missing]
     scenes = [world.reader(plan) for plan in plans if plan not in missing]
-    work = SceneSurvey(
-        world.frames_per_scene, world.frame_interval_s, Cylinder(), max(1, LOOKED_AT_FRAMES // len(plans))
-    )
+    work = SceneSurvey(world.frames_per_scene, world.frame_interval_s, Cylinder(), max(1, DECODED_FRAMES // len(plans)))
     found = survey(work, scenes, world.workers)
     problems += [line for result in found for line in result.problems]
     if found:
@@ -106,12 +104,12 @@ def draw_page(world: VirtualWorld, plans: Sequence[ScenePlan]) -> None:
 
 
 def amount(world: VirtualWorld, scenes: Sequence[SceneReader]) -> str:
-    """Where the scenes lie and how much they are."""
+    """Return in words where the scenes lie and how much they are."""
     return f"{world.place}: {len(scenes)} scenes, {sum(map(len, scenes))} frames, {size(total_bytes(scenes))}"
 
 
 def total_bytes(scenes: Sequence[SceneReader]) -> int:
-    """Size of all files that the scenes list."""
+    """Return the size of all files that the scenes list, bytes."""
     return sum(facts["size"] for scene in scenes for facts in scene.meta["files"].values())
 
 

@@ -1,4 +1,4 @@
-"""Recorded scenes: on disk, as datasets, as batches."""
+"""Sources of scenes, their storage, and datasets and batches made of them."""
 
 from typing import TYPE_CHECKING, Any
 

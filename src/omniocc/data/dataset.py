@@ -28,7 +28,7 @@ ABSENT: dict[str, float | bool] = {
     "erp_range_m": NAN,
     "camera_range_m": NAN,
 }
-"""What stands in a batch where a sample has nothing: it gives no loss and no score."""
+"""The values in a batch where a sample has none: they give no loss and no score."""
 
 
 class Sample(NamedTuple):
@@ -54,7 +54,7 @@ class Sample(NamedTuple):
 
 
 class Extras(NamedTuple):
-    """What a sample holds beyond the images and labels that every stage needs.
+    """Content of samples beyond the images and labels that every stage needs.
 
     Attributes:
         true_ranges: of the panorama and of every pixel.

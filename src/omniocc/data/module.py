@@ -21,7 +21,7 @@ class OccupancyData(LightningDataModule):
     """Batches of windows of recorded frames with voxels of one geometry.
 
     The order of training is a function of (seed, epoch). A run that resumes from a checkpoint written after any batch
-    or validation sees exactly the batches that were left. (Of checkpoints written in `on_train_epoch_end` that holds
+    or validation sees exactly the batches that were left. (For checkpoints written in `on_train_epoch_end` this holds
     with `max_epochs` only: with `max_steps`, Lightning 2.6 counts such an epoch twice and skips one order.)
 
     Args:
@@ -156,7 +156,7 @@ class OccupancyData(LightningDataModule):
         self._resume = {"epoch": int(state_dict["epoch"]), "batches": int(state_dict["batches"])}
 
     def transfer_batch_to_device(self, batch: Batch, device: device, dataloader_idx: int) -> Batch:
-        """Tensors move; rigs and names stay."""
+        """Return the batch with its tensors on a device; rigs and names stay."""
         tensors = {name: item for name, item in batch._asdict().items() if isinstance(item, Tensor)}
         return batch._replace(**{name: item.to(device, non_blocking=True) for name, item in tensors.items()})
 

@@ -10,10 +10,10 @@ from torch.utils.data import DistributedSampler
 
 
 class EpochSampler(DistributedSampler):
-    """Training order: a function of (seed, epoch) only, dealt out to the ranks; can begin in the middle of one epoch.
+    """The training order, a function of (seed, epoch) only, divided among the ranks; it can begin within an epoch.
 
-    Every rank gets equally many samples; the at most `world_size - 1` left over sit out this epoch. `len` stays that of
-    a whole epoch.
+    Every rank gets equally many samples; at most `world_size - 1` are left over and not used in this epoch. `len` stays
+    that of a whole epoch.
 
     Args:
         size: number of samples in the dataset.

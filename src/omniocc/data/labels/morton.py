@@ -16,7 +16,7 @@ _STEPS = tuple(
 
 
 def interleave(steps: np.ndarray) -> np.ndarray:
-    """(P, 3) int16 -> (P,) uint64 codes of 48 bits."""
+    """Return the codes (P,) uint64, 48 bits each, of coordinates (P, 3) int16."""
     code = np.zeros(len(steps), dtype=np.uint64)
     for axis in range(3):
         bits = (steps[:, axis].astype(np.int32) + 32768).astype(np.uint64)
@@ -27,7 +27,7 @@ def interleave(steps: np.ndarray) -> np.ndarray:
 
 
 def separate(codes: np.ndarray) -> np.ndarray:
-    """Inverse of `interleave`."""
+    """Return the coordinates of codes, the inverse of `interleave`."""
     steps = np.empty((len(codes), 3), dtype=np.int16)
     masks = [np.uint64(0xFFFF), *(mask for _, mask in _STEPS)]
     for axis in range(3):

@@ -1,4 +1,4 @@
-"""Which cells the recorded sensors saw: what no ray has crossed is unknown, not free.
+"""The cells that the recorded sensors saw: a cell that no ray has crossed is unknown, not free.
 
 A cell is observed if it holds a labelled point, or if some ray of the ego LiDAR or of a camera leaves it before the ray
 hits anything. That is sound (no cell counts as free unless a ray has crossed it) and holds for any grid, since only

@@ -1,4 +1,4 @@
-"""Disk that scenes will take, said before they are rendered."""
+"""Disk space of scenes, estimated before they are rendered."""
 
 import shutil
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ GEOMETRY_BYTES = 800_000
 
 
 def frame_bytes(world: VirtualWorld) -> int:
-    """Mean size of a recorded frame: powers fitted to what frames of all eight places took.
+    """Return the mean size of a recorded frame in bytes: powers fitted to frames of all eight places.
 
     Per camera of 64x36, 256x144, 512x288 and 1024x576 px 4.9, 35.4, 105.7 and 325 kB; panoramas of 48x12, 180x45 and
     720x180 px 0.7, 5.4 and 40.7 kB; points of 1, 5, 10, 20 and 40 LiDARs 51, 137, 207, 318 and 475 kB. Places differ by
@@ -27,19 +27,19 @@ def frame_bytes(world: VirtualWorld) -> int:
 
 
 def begun(world: VirtualWorld, missing: Sequence[ScenePlan]) -> list[Path]:
-    """Folders in which an interrupted run has left frames of these scenes."""
+    """Return the folders in which an interrupted run has left frames of these scenes."""
     folders = [world.folder / f"{plan.name}.partial" for plan in missing]
     return [folder for folder in folders if folder.is_dir()]
 
 
 def bytes_to_come(world: VirtualWorld, missing: Sequence[ScenePlan]) -> int:
-    """What rendering these scenes will add, less what an interrupted run has left of them."""
+    """Return how many bytes rendering these scenes will add to what an interrupted run has left of them."""
     there = sum(path.stat().st_size for folder in begun(world, missing) for path in folder.glob("*.tar"))
     return max(0, len(missing) * world.frames_per_scene * frame_bytes(world) - there)
 
 
 def announcement(world: VirtualWorld, plans: Sequence[ScenePlan]) -> str:
-    """What a run is about to render, what it will take and what there is.
+    """Return a line about the scenes that a run will render, the disk space they take and the free space.
 
     Raises:
         DataError: when the disk has less space than the scenes will take.
@@ -63,10 +63,10 @@ def announcement(world: VirtualWorld, plans: Sequence[ScenePlan]) -> str:
 
 
 def existing(folder: Path) -> Path:
-    """The folder, or the nearest of those above it that is there."""
+    """Return the folder, or the nearest folder above it that exists."""
     return next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
 
 
 def size(count: int) -> str:
-    """Bytes for people."""
+    """Return a number of bytes in MB or GB."""
     return f"{count / 1e9:.1f} GB" if count >= 1e9 else f"{count / 1e6:.0f} MB"

@@ -1,4 +1,4 @@
-"""Rendering planned scenes, each into a folder of its own."""
+"""Rendering of planned scenes, each into a folder of its own."""
 
 import ast
 import functools

@@ -1,4 +1,4 @@
-"""Scenes made by several processes, each scene by exactly one, whoever else works on the same folder."""
+"""Making scenes in several processes, each scene in exactly one, also if other runs work on the same folder."""
 
 import contextlib
 import json
@@ -26,15 +26,15 @@ from omniocc.progress import Progress
 
 Report = Callable[[int], None]
 Work = Callable[[Path, Report], None]
-"""Makes one scene folder; calls the report after every frame. The report raises `Stopped` when work is to end."""
+"""A function that makes one scene folder and reports every frame; the report raises `Stopped` when it has to end."""
 
 
 class Stopped(Exception):  # noqa: N818
-    """Another scene failed or the user pressed Ctrl-C: end after this frame."""
+    """Raised to end after the current frame: another scene failed or the user pressed Ctrl-C."""
 
 
 def usable_cores() -> int:
-    """Cores this process may run on."""
+    """Return the number of cores that this process may run on."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -76,7 +76,7 @@ def make_scenes(work: Work, folders: Sequence[Path], workers: int, progress: Pro
 
 
 def process_context() -> Any:
-    """How processes start: copies of one that has only imported what they need, so that a second pool costs nothing."""
+    """Return how processes start: as copies of one that has the imports, so that a second pool costs nothing."""
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
@@ -86,7 +86,7 @@ def process_context() -> Any:
 
 @contextlib.contextmanager
 def worker_environment(needs_main: bool) -> Iterator[None]:
-    """Processes started inside use one thread each in numerical libraries, and find this package.
+    """Let processes started inside use one thread each in numerical libraries, and find this package.
 
     Args:
         needs_main: let them import the script that runs here too. It may import Lightning: seconds in each of them.
@@ -116,7 +116,7 @@ def _main_origin() -> dict[str, Any]:
 
 
 def limit_threads(_worker: int = 0) -> None:
-    """One thread for this process."""
+    """Limit numerical libraries in this process to one thread."""
     import cv2
     import torch
 
@@ -126,7 +126,7 @@ def limit_threads(_worker: int = 0) -> None:
 
 def _follow(jobs: list[Future], events: Any, progress: Progress) -> None:
     while True:
-        done = all(job.done() for job in jobs)  # asked first: what they reported before is in the queue by then
+        done = all(job.done() for job in jobs)  # first of all: what they reported before is in the queue then
         failed = [job for job in jobs if job.done() and not job.cancelled() and job.exception() is not None]
         with contextlib.suppress(Empty):
             while True:
@@ -141,7 +141,7 @@ def _follow(jobs: list[Future], events: Any, progress: Progress) -> None:
 def _start_worker(work: Work, events: Any, stop: Any) -> None:
     global _work, _events, _stop
     _work, _events, _stop = work, events, stop
-    signal(SIGINT, SIG_IGN)  # the parent hears Ctrl-C and tells us to stop
+    signal(SIGINT, SIG_IGN)  # the parent gets Ctrl-C and sets the stop event
     limit_threads()
     parent = multiprocessing.parent_process()
     assert parent is not None
@@ -164,7 +164,7 @@ def _report(frames: int) -> None:
 
 
 def _make(work: Work, report: Report, folder: Path, tell: Callable[[str], Any] | None) -> bool:
-    """False if another run holds the scene; with `tell`, says so and waits for it instead."""
+    """Make a scene and return True; if another run holds it, return False, or with `tell` report that and wait."""
     try:
         lock = _lock(folder, tell)
     except Timeout:

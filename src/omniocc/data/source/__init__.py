@@ -18,12 +18,12 @@ Split = Literal["train", "val", "test"]
 SPLITS: tuple[Split, ...] = ("train", "val", "test")
 
 Unknown = Literal["free", "unobserved"]
-"""What a cell without points is: free, as in the paper, or unknown (255) unless a sensor saw through it."""
+"""The label of a cell without points: free, as in the paper, or unknown (255) unless a sensor saw through it."""
 
 
 @dataclass(frozen=True, eq=False)
 class SourceSpec:
-    """What holds for all scenes of a source.
+    """Facts that hold for all scenes of a source.
 
     Attributes:
         classes: of voxels, pixels and LiDAR hits.
@@ -58,7 +58,7 @@ class SourceSpec:
 
 
 class LidarScan(NamedTuple):
-    """What the LiDAR of a frame saw.
+    """The hits of a LiDAR in one frame.
 
     Attributes:
         range_m: (R,) float32 range along every ray, m; inf where nothing is hit.
@@ -128,7 +128,7 @@ class SceneFrames(Protocol):
         ...
 
     def lidar(self, frame: int) -> LidarScan | None:
-        """Return what the LiDAR saw."""
+        """Return the hits of the LiDAR."""
         ...
 
     def points(self, frame: int) -> Points | None:
@@ -163,7 +163,7 @@ class SceneSource(Protocol):
 
     @property
     def spec(self) -> SourceSpec:
-        """Return what holds for all scenes.
+        """Return the facts that hold for all scenes.
 
         Raises:
             DataError: when it has to be read from scenes that are not there.
@@ -201,7 +201,7 @@ class SceneSource(Protocol):
 
         Args:
             geometry: the grid.
-            unknown: what cells are of which nothing is recorded.
+            unknown: the label of cells for which nothing is recorded.
 
         Raises:
             ValueError: if the source has no labels of this grid, or of this kind.

@@ -1,6 +1,7 @@
 """Recorded scenes as a source: any folder or URL of scenes in this project's format."""
 
 import hashlib
+import itertools
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
@@ -59,34 +60,31 @@ class Recorded:
         """Return the names of the scenes of every split.
 
         Raises:
-            DataError: naming the split or scene that is not there or stands in two splits.
+            DataError: naming the split or scene that is not there or is in two splits.
         """
         splits = self.splits
         if splits is None:
             splits = read_json(self.root, SPLITS_FILE, "set data.source.splits to names, patterns or fractions instead")
         return chosen_scenes(splits, list_folders(self.root, META), self.root)
 
-    @cached_property
+    @property
     def spec(self) -> SourceSpec:
-        """Return what the first scene states.
+        """Return the facts that the first scene states.
 
         Raises:
             DataError: when there are no scenes, or the first is damaged.
         """
-        readers = [reader for split in SPLITS for reader in self.scenes(split)]
-        if not readers:
-            raise DataError(f"{self.root}: all splits are empty")
-        return spec_of(readers[0])
+        return self._spec
 
-    @cached_property
+    @property
     def fingerprint(self) -> str:
         """Return a hash of the splits and of the checksums of all files."""
-        return digest([self.names, self._checksums()])
+        return digest([self.names, self._checksums])
 
-    @cached_property
+    @property
     def folder(self) -> Path:
         """Return the local folder of what is derived from these very scenes."""
-        return Path(self.root if self.cache is None else self.cache) / f"recorded-{digest(self._checksums())[:12]}"
+        return Path(self.root if self.cache is None else self.cache) / f"recorded-{digest(self._checksums)[:12]}"
 
     def prepare(self) -> None:
         """Check that all scenes are there and fit together.
@@ -94,7 +92,7 @@ class Recorded:
         Raises:
             DataError: when a scene is missing or has other classes, bands, cameras or frame rate than the first.
         """
-        readers = [reader for split in SPLITS for reader in self.scenes(split)]
+        readers = self._readers
         wanted = stated(readers[0]) if readers else {}
         for reader in readers[1:]:
             for what, value in stated(reader).items():
@@ -114,12 +112,23 @@ class Recorded:
         at = f"{self.root}/{{}}".format if is_url(self.root) else Path(self.root).joinpath
         return [SceneReader(at(name)) for name in self.names[split]]
 
+    @cached_property
+    def _readers(self) -> list[SceneReader]:
+        return [reader for split in SPLITS for reader in self.scenes(split)]
+
+    @cached_property
+    def _spec(self) -> SourceSpec:
+        if not self._readers:
+            raise DataError(f"{self.root}: all splits are empty")
+        return spec_of(self._readers[0])
+
+    @cached_property
     def _checksums(self) -> list[list[Any]]:
-        return sorted([reader.name, reader.meta["files"]] for split in SPLITS for reader in self.scenes(split))
+        return sorted([reader.name, reader.meta["files"]] for reader in self._readers)
 
 
 def spec_of(scene: SceneFolder) -> SourceSpec:
-    """Return what a scene states of its source.
+    """Return the facts that a scene states about its source.
 
     Raises:
         DataError: when it states none or a wrong one.
@@ -131,7 +140,7 @@ def spec_of(scene: SceneFolder) -> SourceSpec:
 
 
 def stated(scene: SceneFolder) -> dict[str, Any]:
-    """Return, in words for messages, what all scenes of a source have to agree in."""
+    """Return the facts in which all scenes of a source have to agree, for comparison and messages."""
     rig = {name: facts["sha256"][:12] for name, facts in scene.meta["files"].items() if name.startswith("rig.")}
     return plain_spec(spec_of(scene)) | {"cameras (checksums)": rig}
 
@@ -145,7 +154,7 @@ def chosen_scenes(splits: Splits, there: Sequence[str], root: str) -> dict[Split
         root: where they lie, for messages.
 
     Raises:
-        DataError: naming the split or scene that is not there or stands in two splits.
+        DataError: naming the split or scene that is not there or is in two splits.
     """
     if not there:
         raise DataError(f"data.source.root={root} holds no recorded scenes")
@@ -157,10 +166,10 @@ def chosen_scenes(splits: Splits, there: Sequence[str], root: str) -> dict[Split
     if fractions:
         return by_fraction(fractions, there)
     found = {split: [name for part in splits[split] for name in matching(part, there, split)] for split in SPLITS}  # type: ignore[union-attr]
-    names = {split: sorted(set(found[split])) for split in SPLITS}
-    for split, later in (("train", "val"), ("train", "test"), ("val", "test")):
-        for name in sorted(set(names[split]) & set(names[later])):  # type: ignore[index]
-            raise DataError(f"data.source.splits: scene '{name}' stands in both {split} and {later}")
+    names: dict[Split, list[str]] = {split: sorted(set(found[split])) for split in SPLITS}
+    for split, later in itertools.combinations(SPLITS, 2):
+        for name in sorted(set(names[split]) & set(names[later])):
+            raise DataError(f"data.source.splits: scene '{name}' is in both {split} and {later}")
     return names
 
 
@@ -186,7 +195,8 @@ def by_fraction(fractions: Mapping[str, float], there: Sequence[str]) -> dict[Sp
     if min(fractions.values()) < 0 or sum(fractions.values()) > 1 + 1e-9:
         raise DataError(f"data.source.splits={dict(fractions)}: fractions must be from 0 to 1 and add up to at most 1")
     order = sorted(there, key=lambda name: hashlib.sha256(name.encode()).hexdigest())
-    names, total = {}, 0.0
+    names: dict[Split, list[str]] = {}
+    total = 0.0
     for split in SPLITS:
         first, total = round(total * len(order)), total + fractions[split]
         names[split] = sorted(order[first : round(total * len(order))])

@@ -2,7 +2,7 @@
 
 import inspect
 from collections.abc import Sequence
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, get_args
 
@@ -135,12 +135,12 @@ class VirtualWorld:
         """Return all scenes, in the order of splits and numbers."""
         return tuple(self._plan(split, number) for split in SPLITS for number in range(self.num_scenes[split]))
 
-    @cached_property
+    @property
     def fingerprint(self) -> str:
         """Return a hash of the recipe and of the list of scenes: equal for equal data."""
         return digest({"recipe": self.recipe, "plans": [list(plan) for plan in self.plans]})
 
-    @cached_property
+    @property
     def spec(self) -> SourceSpec:
         """Return the classes, bands and rays of the virtual world."""
         return world_spec(self.frame_interval_s)
@@ -161,7 +161,7 @@ class VirtualWorld:
         return Path(self.root if self.cache is None else self.cache) / self.name
 
     def scene(self, plan: ScenePlan) -> Recordable:
-        """Build the world of one scene."""
+        """Return the world of one scene."""
         return Scene(
             theme=plan.theme,
             seed=plan.seed,
@@ -253,6 +253,7 @@ class VirtualWorld:
         return ScenePlan(name, split, theme, seed)
 
 
+@cache
 def world_spec(frame_interval_s: float) -> SourceSpec:
     """Return what holds for all scenes of the virtual world that are recorded at this interval, s."""
     return SourceSpec(WORLD_CLASSES, PAPER_RANGE_EDGES_M, frame_interval_s, ROAD_M, sparseocc_directions())

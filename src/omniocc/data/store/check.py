@@ -1,4 +1,4 @@
-"""Reading a dataset back: every byte compared with its checksum, every frame with what comes before it."""
+"""Checks of a dataset: every byte against its checksum, every frame against the one before."""
 
 import tarfile
 from collections.abc import Iterator, Sequence
@@ -25,11 +25,11 @@ RIGID_TOLERANCE = 1e-6
 
 
 class Survey(NamedTuple):
-    """What reading a scene back found.
+    """The result of reading a scene back.
 
     Attributes:
         problems: one line each.
-        voxels: (12,) cells of each class over the frames that were looked at.
+        voxels: (C,) cells of each class over the frames that were decoded.
     """
 
     problems: list[str]
@@ -38,7 +38,7 @@ class Survey(NamedTuple):
 
 @dataclass(frozen=True)
 class SceneSurvey:
-    """Checks one scene after another; can be sent to other processes.
+    """A check of one scene after another; can be sent to other processes.
 
     Attributes:
         frames: how many each should hold.
@@ -53,7 +53,7 @@ class SceneSurvey:
     looked_at: int
 
     def __call__(self, scene: SceneReader) -> Survey:
-        """All that is wrong with a scene, and its classes."""
+        """Return all that is wrong with a scene, and its classes."""
         problems = check_scene(scene, self.frames, self.interval_s)
         voxels = np.zeros(NUM_CLASSES, dtype=np.int64)
         if not problems:
@@ -64,7 +64,7 @@ class SceneSurvey:
 
 
 def check_scene(scene: SceneReader, num_frames: int, interval_s: float) -> list[str]:
-    """All that is wrong with a scene's files, times and poses, one line each; empty when it is whole.
+    """Return all that is wrong with a scene's files, times and poses, one line each; empty when it is whole.
 
     Args:
         scene: a folder of recorded frames.
@@ -161,7 +161,7 @@ def _poses(scene: SceneReader) -> Iterator[str]:
     cosine = np.clip((np.trace(between, axis1=1, axis2=2) - 1) / 2, -1, 1)
     turn_deg_per_s = np.degrees(np.arccos(cosine)) / steps_s
     for values, limit, unit in ((speed_mps, MAX_SPEED_MPS, "m/s"), (turn_deg_per_s, MAX_TURN_DEG_PER_S, "degrees/s")):
-        far = np.flatnonzero(~(values <= limit))  # what is no number is no continuation either
+        far = np.flatnonzero(~(values <= limit))  # nan is no continuation either
         if len(far):
             what = f"its pose jumps: {values[far[0]]:.0f} {unit} since the frame before"
             yield str(scene.damaged(INDEX, what, int(far[0]) + 1))
@@ -171,7 +171,7 @@ def _content(scene: SceneReader, frame: int) -> Iterator[str]:
     shard = shard_name(scene.index["frames"][frame]["shard"])
     try:
         recorded = decode_frame(scene.read(frame, scene.index["members"]))
-    except Exception as error:  # whatever a decoder says about bytes it cannot read
+    except Exception as error:  # decoders raise errors of many kinds
         yield str(scene.damaged(shard, f"it cannot be decoded ({type(error).__name__}: {error})", frame))
         return
     sizes = [(camera.height, camera.width) for camera in scene.rig.cameras]

@@ -1,4 +1,4 @@
-"""One recorded frame <-> named blobs.
+"""Encoding of a recorded frame as named blobs, and decoding.
 
 | blob              | content                                 | error after a round trip                              |
 | ----------------- | --------------------------------------- | ----------------------------------------------------- |
@@ -38,7 +38,7 @@ _CODE_BYTES = 6
 
 
 def encode_frame(frame: Frame) -> dict[str, bytes]:
-    """All blobs of a frame by name, in a fixed order."""
+    """Return all blobs of a frame by name, in a fixed order."""
     blobs = {"frame.json": _encode_facts(frame)}
     for k, image in enumerate(frame.images):
         blobs[f"rgb{k}.jpg"] = encode_image(image)
@@ -53,7 +53,7 @@ def encode_frame(frame: Frame) -> dict[str, bytes]:
 
 
 def decode_frame(blobs: Mapping[str, bytes]) -> Frame:
-    """The frame back from all its blobs, within the errors stated above."""
+    """Return the frame that all its blobs hold, within the errors of the table above."""
     facts = json.loads(blobs["frame.json"])
     cameras = range(sum(name.startswith("rgb") for name in blobs))
     points_m, point_labels = decode_points(blobs["points.zst"])
@@ -74,37 +74,37 @@ def decode_frame(blobs: Mapping[str, bytes]) -> Frame:
 
 
 def encode_image(image: np.ndarray) -> bytes:
-    """(H, W, 3) uint8 RGB as JPEG."""
+    """Return (H, W, 3) uint8 RGB as JPEG."""
     return _encode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
 
 
 def decode_image(blob: bytes) -> np.ndarray:
-    """(H, W, 3) uint8 RGB."""
+    """Return the image, (H, W, 3) uint8 RGB."""
     return cv2.cvtColor(_decode(blob, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
 
 
 def encode_labels(labels: np.ndarray) -> bytes:
-    """(H, W) uint8 without loss."""
+    """Return labels (H, W) uint8 as bytes, without loss."""
     return pack(labels)
 
 
 def decode_labels(blob: bytes) -> np.ndarray:
-    """(H, W) uint8."""
+    """Return the labels, (H, W) uint8."""
     return unpack(blob)
 
 
 def encode_range(range_m: np.ndarray) -> bytes:
-    """(H, W) metres, inf for sky, nan for no measurement, in 16 bits."""
+    """Return ranges (H, W) in metres, inf for sky, nan for no measurement, as bytes of 16 bits each."""
     return pack(quantize_range(range_m))
 
 
 def decode_range(blob: bytes) -> np.ndarray:
-    """(H, W) float32 metres."""
+    """Return the ranges, (H, W) float32, m."""
     return restore_range(unpack(blob))
 
 
 def quantize_range(range_m: np.ndarray) -> np.ndarray:
-    """Metres -> uint16 steps of 1/256 m; two codes are kept for nan and inf.
+    """Return ranges in metres as uint16 steps of 1/256 m; two codes stand for nan and inf.
 
     Raises:
         ValueError: for a negative range.
@@ -120,7 +120,7 @@ def quantize_range(range_m: np.ndarray) -> np.ndarray:
 
 
 def restore_range(codes: np.ndarray) -> np.ndarray:
-    """Inverse of `quantize_range`, float32 metres."""
+    """Return the ranges of codes, float32, m, the inverse of `quantize_range`."""
     range_m = codes.astype(np.float32) / STEPS_PER_M
     range_m[codes == UNMEASURED_CODE] = np.nan
     range_m[codes == SKY_CODE] = np.inf
@@ -128,7 +128,7 @@ def restore_range(codes: np.ndarray) -> np.ndarray:
 
 
 def encode_points(points_m: np.ndarray, labels: np.ndarray) -> bytes:
-    """(P, 3) metres and (P,) classes: sorted along a Morton curve, steps between codes as byte planes under zstd."""
+    """Return points (P, 3), m, and classes (P,) as bytes: steps along a Morton curve in byte planes under zstd."""
     steps = np.floor(points_m * POINT_STEPS_PER_M)
     reach = np.iinfo(np.int16).max
     if np.abs(steps).max(initial=0) > reach:
@@ -141,7 +141,7 @@ def encode_points(points_m: np.ndarray, labels: np.ndarray) -> bytes:
 
 
 def decode_points(blob: bytes) -> tuple[np.ndarray, np.ndarray]:
-    """(P, 3) float32 metres and (P,) uint8 classes, in the order of the Morton curve."""
+    """Return points (P, 3) float32, m, and classes (P,) uint8, in the order of the Morton curve."""
     planes = _decompress(blob, _CODE_BYTES + 1)
     padded = np.zeros((8, planes.shape[1]), dtype=np.uint8)
     padded[:_CODE_BYTES] = planes[:_CODE_BYTES]
@@ -150,12 +150,12 @@ def decode_points(blob: bytes) -> tuple[np.ndarray, np.ndarray]:
 
 
 def encode_lidar(range_m: np.ndarray, labels: np.ndarray) -> bytes:
-    """(R,) metres and (R,) classes as byte planes under zstd."""
+    """Return ranges (R,), m, and classes (R,) as byte planes under zstd."""
     return _compress([quantize_range(range_m).astype("<u2"), labels])
 
 
 def decode_lidar(blob: bytes) -> tuple[np.ndarray, np.ndarray]:
-    """(R,) float32 metres and (R,) uint8 classes."""
+    """Return ranges (R,) float32, m, and classes (R,) uint8."""
     planes = _decompress(blob, 3)
     return restore_range(_join(planes[:2], "<u2")), planes[2].copy()
 

@@ -1,4 +1,4 @@
-"""What a trained stage says about every recorded frame, computed once: candidate voxels as bits, ranges in 16 bits.
+"""Predictions of a trained stage for every recorded frame, computed once: candidates as bits, ranges in 16 bits.
 
 One file per scene, one row per frame: the payload, then its CRC-32. A file is written whole or not at all.
 """
@@ -15,8 +15,8 @@ import torch
 from jaxtyping import Bool, Float32
 from torch import Tensor
 
+from omniocc.data.source import SceneFrames
 from omniocc.data.store.codec import quantize_range, restore_range
-from omniocc.data.store.reader import SceneReader
 from omniocc.errors import DataError
 from omniocc.io import atomic_write
 
@@ -28,7 +28,7 @@ class FrameCache(ABC, Generic[Array]):
     """Arrays of one shape, one per frame, in `folder/<scene>.frames`.
 
     Args:
-        folder: its name must say everything that made the arrays.
+        folder: its name must depend on everything that the arrays depend on.
         shape: of every array.
     """
 
@@ -39,29 +39,27 @@ class FrameCache(ABC, Generic[Array]):
     @property
     @abstractmethod
     def payload_bytes(self) -> int:
-        """Length of one packed array."""
+        """Return the number of bytes of one packed array."""
 
     @abstractmethod
     def pack(self, array: Array) -> bytes:
-        """One array as bytes."""
+        """Return one array as bytes."""
 
     @abstractmethod
     def unpack(self, payload: bytes) -> Array:
-        """Inverse of `pack`."""
+        """Return the array of bytes, the inverse of `pack`."""
 
     def path(self, scene: str) -> Path:
-        """File of a scene."""
+        """Return the file of a scene."""
         return self.folder / f"{scene}.frames"
 
-    def missing(self, scenes: Sequence[SceneReader]) -> list[SceneReader]:
-        """Scenes that are not there, or whose file has another length than its frames need."""
+    def missing(self, scenes: Sequence[SceneFrames]) -> list[SceneFrames]:
+        """Return the scenes that have no file, or one of another length than their frames need."""
         row = self.payload_bytes + _CRC_BYTES
-        return [
-            s for s in scenes if not self.path(s.name).is_file() or self.path(s.name).stat().st_size != row * len(s)
-        ]
+        return [scene for scene in scenes if self._size(scene.name) != row * len(scene)]
 
     def write(self, scene: str, arrays: Sequence[Array]) -> None:
-        """All frames of a scene, in order.
+        """Write all frames of a scene, in order.
 
         Raises:
             DataError: when the disk refuses.
@@ -71,7 +69,7 @@ class FrameCache(ABC, Generic[Array]):
         atomic_write(self.path(scene), b"".join(rows))
 
     def read(self, scene: str, frame: int) -> Array:
-        """One frame.
+        """Return one frame.
 
         Raises:
             DataError: when the file is missing, too short or damaged.
@@ -82,7 +80,7 @@ class FrameCache(ABC, Generic[Array]):
                 file.seek(frame * row)
                 blob = file.read(row)
         except OSError as error:
-            raise DataError(f"{path} cannot be read ({error.strerror}); run train.py again to make it anew") from error
+            raise DataError(f"{path} cannot be read ({error.strerror}); run train.py again to recreate it") from error
         payload, crc = blob[:-_CRC_BYTES], blob[-_CRC_BYTES:]
         if len(blob) != row or zlib.crc32(payload).to_bytes(_CRC_BYTES, "little") != crc:
             raise DataError(f"{path}: frame {frame} is damaged; delete the file and run train.py again")
@@ -98,31 +96,31 @@ class CandidateCache(FrameCache[Bool[Tensor, "X Y Z"]]):
 
     @property
     def payload_bytes(self) -> int:
-        """One bit per cell, rounded up."""
+        """Return the bytes of one bit per cell, rounded up."""
         return -(-math.prod(self.shape) // 8)
 
     def pack(self, array: Bool[Tensor, "X Y Z"]) -> bytes:
-        """Eight cells to a byte."""
+        """Return the cells (X, Y, Z), eight in a byte."""
         return np.packbits(array.cpu().numpy().reshape(-1)).tobytes()
 
     def unpack(self, payload: bytes) -> Bool[Tensor, "X Y Z"]:
-        """Cells of one frame."""
+        """Return the cells of one frame, (X, Y, Z)."""
         bits = np.unpackbits(np.frombuffer(payload, dtype=np.uint8), count=math.prod(self.shape))
         return torch.from_numpy(bits.reshape(self.shape).astype(bool))
 
 
 class RangeCache(FrameCache[Float32[Tensor, "h w"]]):
-    """Predicted panoramas of range in steps of 1/256 m; nan where nothing is known."""
+    """Predicted panoramas of range in steps of 1/256 m; nan where there is no prediction."""
 
     @property
     def payload_bytes(self) -> int:
-        """Two bytes per pixel."""
+        """Return two bytes per pixel."""
         return 2 * math.prod(self.shape)
 
     def pack(self, array: Float32[Tensor, "h w"]) -> bytes:
-        """16 bits per pixel, as in the recording."""
+        """Return ranges (h, w), m, with 16 bits per pixel, as in recordings."""
         return quantize_range(array.cpu().numpy()).astype("<u2").tobytes()
 
     def unpack(self, payload: bytes) -> Float32[Tensor, "h w"]:
-        """Ranges of one frame, m."""
+        """Return the ranges of one frame, (h, w), m."""
         return torch.from_numpy(restore_range(np.frombuffer(payload, dtype="<u2").reshape(self.shape)))

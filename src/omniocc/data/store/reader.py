@@ -23,9 +23,13 @@ def _lidar_directions() -> np.ndarray:
 class SceneReader(SceneFolder):
     """A recorded scene (`omniocc.data.source.SceneFrames`); the LiDAR's rays are those of `sparseocc_directions`."""
 
-    @cached_property
+    @property
     def world_from_ego(self) -> np.ndarray:
         """Return the pose of every frame, (F, 4, 4) float64."""
+        return self._poses
+
+    @cached_property
+    def _poses(self) -> np.ndarray:
         return np.array([frame["entry"]["world_from_ego"] for frame in self.index["frames"]], dtype=np.float64)
 
     @cached_property

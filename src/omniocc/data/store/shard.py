@@ -29,7 +29,7 @@ _END = bytes(2 * _BLOCK)
 
 
 class SceneWriter:
-    """Appends frames to a scene; picks up after the last whole frame of an interrupted run.
+    """The writer of a scene's frames; continues after the last whole frame of an interrupted run.
 
     One process at a time may write a scene: callers hold a lock.
 
@@ -52,14 +52,14 @@ class SceneWriter:
 
     @property
     def finished(self) -> bool:
-        """Whether the scene is complete; a kill just before the last rename is made good."""
+        """Return whether the scene is complete; does the last rename if a kill came just before it."""
         if not self.folder.exists() and (self.work / META).exists():
             self._guard(self._publish)
         return self.folder.exists()
 
     @property
     def num_frames(self) -> int:
-        """Frames that are whole so far."""
+        """Return the number of frames that are whole so far."""
         return len(self._records)
 
     def append(self, blobs: Mapping[str, bytes], entry: Mapping[str, Any]) -> None:
@@ -96,7 +96,7 @@ class SceneWriter:
         """Seal the scene: index, checksums, then the final name.
 
         Args:
-            facts: plain values that say how the scene was made.
+            facts: plain values about how the scene was made.
         """
         assert self._records
         self._guard(self._close_shard)
@@ -179,17 +179,17 @@ class SceneWriter:
 
 
 def shard_name(shard: int) -> str:
-    """File name of a shard."""
+    """Return the file name of a shard."""
     return f"frames-{shard:03d}.tar"
 
 
 def member_name(frame: int, member: str) -> str:
-    """Name of a member within its tar file."""
+    """Return the name of a member within its tar file."""
     return f"{frame:06d}.{member}"
 
 
 def sha256(path: Path) -> str:
-    """Hex digest of a file."""
+    """Return the hex digest (SHA-256) of a file."""
     with path.open("rb") as file:
         state = hashlib.sha256()
         while block := file.read(2**20):
@@ -198,7 +198,7 @@ def sha256(path: Path) -> str:
 
 
 def digest(plain: Any) -> str:
-    """Hex digest of plain data, independent of the order of keys."""
+    """Return the hex digest of plain data, independent of the order of keys."""
     return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()
 
 

@@ -1,0 +1,152 @@
+"""Recorded scenes as a source: which scenes belong to which split, and that they fit together."""
+
+import itertools
+import json
+import shutil
+
+import fsspec
+import pytest
+import torch
+from fake_scene import FakeWorld
+
+from omniocc.camera import Rig
+from omniocc.data import DataError, Recorded
+from omniocc.data.source.recorded import by_fraction, chosen_scenes
+from omniocc.geometry import Cylinder
+
+GRID = Cylinder(shape=(4, 6, 2), radius_m=(0.0, 25.6), height_m=(-2.8, 3.6))
+PATTERNS = {"train": ["train-*"], "val": ["val-*"], "test": ["test-*"]}
+NAMES = ["drive-a", "drive-b", "night-a", "night-b"]
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory):
+    world = FakeWorld(tmp_path_factory.mktemp("world"), frames=2)
+    world.prepare()
+    return world
+
+
+@pytest.fixture
+def root(world, tmp_path):
+    """Return a folder of scenes that a test may change."""
+    shutil.copytree(world.place, tmp_path / "scenes")
+    return tmp_path / "scenes"
+
+
+def record(folder, **changes):
+    """Render one more scene below a folder, in a world with other settings, and return its folder."""
+    world = FakeWorld(folder / "other", scenes=(0, 0, 1), frames=2)
+    for name, value in changes.items():
+        setattr(world, name, value)
+    world.prepare()
+    (scene,) = world.scenes("test")
+    return scene.folder
+
+
+def test_the_scenes_and_labels_are_those_of_the_world_that_recorded_them(world, root):
+    source = Recorded(str(root), PATTERNS)
+    source.prepare()
+    for split in ("train", "val", "test"):
+        assert [scene.name for scene in source.scenes(split)] == [scene.name for scene in world.scenes(split)]
+    ours, theirs = source.spec, world.spec
+    assert (ours.classes, ours.range_edges_m, ours.frame_interval_s, ours.road_z_m) == (
+        theirs.classes, theirs.range_edges_m, theirs.frame_interval_s, theirs.road_z_m,
+    )  # fmt: skip
+    assert torch.equal(ours.lidar_directions, theirs.lidar_directions)
+    scene = source.scenes("train")[0]
+    labels, expected = (one.labels(GRID, "free") for one in (source, world))
+    for cache in (labels, expected):
+        cache.prepare([scene])
+    assert torch.equal(labels.read(scene, 1), expected.read(scene, 1))
+    assert labels.folder.is_relative_to(root)
+
+
+def test_other_scenes_have_another_fingerprint_and_other_labels(root, tmp_path):
+    before = Recorded(str(root), PATTERNS)
+    moved = shutil.copytree(root, tmp_path / "moved")
+    same = Recorded(str(moved), PATTERNS)
+    assert (same.fingerprint, same.folder.name) == (before.fingerprint, before.folder.name)
+    shutil.copytree(record(tmp_path, seed=5), moved / "test-000-again")
+    more = Recorded(str(moved), PATTERNS)
+    assert more.fingerprint != before.fingerprint
+    assert more.folder.name != before.folder.name
+
+
+def test_splits_can_be_read_from_a_file(root):
+    (root / "splits.json").write_text(json.dumps({"train": ["train-000-downtown"], "val": ["val-*"], "test": []}))
+    source = Recorded(str(root))
+    source.prepare()
+    assert [len(source.scenes(split)) for split in ("train", "val", "test")] == [1, 1, 0]
+    (root / "splits.json").unlink()
+    with pytest.raises(DataError, match=r"splits\.json.*missing.*data\.source\.splits"):
+        Recorded(str(root)).prepare()
+    (root / "splits.json").write_text("[")
+    with pytest.raises(DataError, match=r"splits\.json.*cannot be read"):
+        Recorded(str(root)).prepare()
+
+
+def test_scenes_are_read_from_a_store(root, tmp_path):
+    store = fsspec.filesystem("memory")
+    store.put(str(root), "/recorded/scenes", recursive=True)
+    source = Recorded("memory://recorded/scenes", PATTERNS, cache=str(tmp_path / "cache"))
+    source.prepare()
+    local = Recorded(str(root), PATTERNS)
+    assert source.fingerprint == local.fingerprint
+    there, here = source.scenes("test")[0], local.scenes("test")[0]
+    assert all((a == b).all() for a, b in zip(there.images(1), here.images(1), strict=True))
+    assert source.folder.is_relative_to(tmp_path / "cache")
+    with pytest.raises(ValueError, match=r"memory://recorded/scenes.*cache"):
+        Recorded("memory://recorded/scenes", PATTERNS)
+    store.rm("/recorded", recursive=True)
+
+
+@pytest.mark.parametrize(
+    ("splits", "message"),
+    [
+        ({"train": ["*"], "val": ["night-c"], "test": []}, r"splits\.val: no scene is called 'night-c'.*'night-"),
+        ({"train": ["*"], "val": ["night-a"], "test": []}, r"'night-a' .* both train and val"),
+        ({"train": ["*"], "val": []}, r"splits has \['train', 'val'\].*train, val, test"),
+        ({"train": 0.5, "val": ["night-a"], "test": 0.1}, "fractions for all splits or for none"),
+        ({"train": 0.9, "val": 0.2, "test": 0.1}, "at most 1"),
+        ({"train": 0.9, "val": 0.02, "test": 0.02}, r"splits\.val=0\.02: that is none of 4 scenes"),
+    ],
+)
+def test_splits_that_make_no_sense_are_named(splits, message):
+    with pytest.raises(DataError, match=message):
+        chosen_scenes(splits, NAMES, "data/recorded")
+
+
+def test_a_folder_without_scenes_is_named(tmp_path):
+    with pytest.raises(DataError, match=r"no recorded scenes"):
+        Recorded(str(tmp_path), PATTERNS).prepare()
+    with pytest.raises(DataError, match=r"nowhere.*no such folder"):
+        Recorded(str(tmp_path / "nowhere"), PATTERNS).prepare()
+
+
+def test_fractions_deal_all_scenes_out_whatever_their_order():
+    names = [f"scene-{k}" for k in range(20)]
+    dealt = by_fraction({"train": 0.6, "val": 0.2, "test": 0.2}, names)
+    assert [len(dealt[split]) for split in ("train", "val", "test")] == [12, 4, 4]
+    assert sorted(itertools.chain(*dealt.values())) == sorted(names)
+    assert by_fraction({"train": 0.6, "val": 0.2, "test": 0.2}, names[::-1]) == dealt
+    assert dealt["train"] != sorted(names)[:12]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"frame_interval_s": 0.25}, r"test-001-other.*frame_interval_s.*0\.25.*0\.5"),
+        ({"rig": Rig.load("pinhole6").resized(32, 18)}, r"test-001-other.*cameras.*leave this one out"),
+    ],
+)
+def test_scenes_that_do_not_fit_together_are_named(root, tmp_path, changes, message):
+    shutil.copytree(record(tmp_path, **changes), root / "test-001-other")
+    with pytest.raises(DataError, match=message):
+        Recorded(str(root), PATTERNS).prepare()
+
+
+def test_a_damaged_scene_is_named(root):
+    path = root / "val-000-downtown" / "meta.json"
+    path.write_text(path.read_text().replace("Roadline", "Roadlime"))
+    with pytest.raises(DataError, match=r"val-000-downtown.*checksum"):
+        Recorded(str(root), PATTERNS).prepare()
