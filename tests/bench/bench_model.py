@@ -64,7 +64,7 @@ class Meter:
             return torch.cuda.memory_allocated()
         if not CLEAR_REFS.exists() or not hasattr(ctypes.CDLL(None), "malloc_trim"):
             return float("nan")
-        ctypes.CDLL(None).malloc_trim(0)  # what is free but kept would hide what is used
+        ctypes.CDLL(None).malloc_trim(0)  # free memory that is kept would hide memory that is used
         CLEAR_REFS.write_text("5")
         return status_bytes("VmRSS")
 

@@ -19,7 +19,7 @@ from omniocc.model.ops.padded import FeatureMaps, Rigs
 
 
 class Sketched(NamedTuple):
-    """What a sketch says about the voxels of single frames, or, with an axis T after B, of windows of frames.
+    """The answer of a sketch for single frames, or, with an axis T after B, for windows of frames.
 
     Attributes:
         candidates: voxels that are worth colouring.

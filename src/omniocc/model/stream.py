@@ -44,7 +44,7 @@ def window_keys(frame_ids: tuple[str, ...], exists: Bool[Tensor, "B T"]) -> list
 class Stream:
     """Predict as the model does, and remember lifted volumes; the model has to be in evaluation mode.
 
-    Between calls it holds at most as many volumes as the temporal slot wants past frames. Call `reset` when the model's
+    Between calls it holds at most as many volumes as the temporal slot has past frames. Call `reset` when the model's
     weights have changed, and before another sequence.
 
     Args:

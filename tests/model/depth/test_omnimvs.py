@@ -6,11 +6,11 @@ from omniocc.model.ops.depth import projection
 from omniocc.model.ops.rig_cache import RIG_CACHE
 
 
-@pytest.mark.parametrize("stride", [1, 2])
-def test_turning_the_car_by_one_camera_turns_the_panorama(stride, small, make_ring):
+@pytest.mark.parametrize(("name", "stride"), [("OmniMVS", 1), ("OmniMVS", 2), ("OmniMVS3D", 2)])
+def test_turning_the_car_by_one_camera_turns_the_panorama(name, stride, small, make_ring):
     # camera k takes the place of camera k + 1: the world turns by 60 degrees, 8 columns of 48; the sets change places
     rig = make_ring(6)
-    model = small("OmniMVS", sweep_stride=stride).eval()
+    model = small(name, sweep_stride=stride).eval()
     torch.manual_seed(0)
     images = torch.rand(1, 6, 3, 36, 64)
     with torch.no_grad():

@@ -5,7 +5,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from omniocc.model.depth import Depth
+from omniocc.model import depth
+from omniocc.model.depth import Depth, LearnedDepth, learns
 
 NETS = ["OmniMVS", "OmniMVS3D"]
 BLIND = ["Sweep", "Mono", *NETS]
@@ -41,6 +42,20 @@ def test_contract(name, small, rig):
     assert isinstance(model, Depth)
     assert (model.panorama.width, model.panorama.height) == (48, 12)
     assert_depth(model(images_of((rig, rig)), (rig, rig)), 2)
+
+
+@pytest.mark.parametrize("name", ["Truth", *BLIND])
+def test_what_learns_and_what_needs_the_true_range_can_be_told_from_the_class(name, small):
+    option = getattr(depth, name)
+    assert learns(option) == (name in ("Mono", *NETS))
+    assert isinstance(small(name), LearnedDepth) == learns(option)
+    assert (name == "Truth") == option.NEEDS_TRUE_RANGE
+
+
+@every
+def test_a_rig_of_cameras_of_two_sizes(name, small, rig):
+    cameras = tuple(replace(camera, width=48, height=32) if k % 2 else camera for k, camera in enumerate(rig.cameras))
+    assert_depth(small(name)(images_of((rig,)), (replace(rig, cameras=cameras),)), 1)
 
 
 @every

@@ -155,8 +155,8 @@ def test_cost_grows_with_candidates(fisheye):
     rows = []
     lifter.layers[0].feedforward.register_forward_pre_hook(lambda _, arguments: rows.append(arguments[0].shape[1]))
     valid = reference_points(fisheye, GRID, torch.device("cpu"))[1].any(0).reshape(GRID.shape)
-    for share in (0.1, 0.5, 1.0):
-        candidates = torch.rand(1, *GRID.shape) < share
+    for fraction in (0.1, 0.5, 1.0):
+        candidates = torch.rand(1, *GRID.shape) < fraction
         lifter(make_features(1), Sketched(candidates), (fisheye,))
         assert rows[-1] == int((candidates[0] & valid).sum())
 

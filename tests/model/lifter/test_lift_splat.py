@@ -15,14 +15,14 @@ def make(geometry=GRID, bins=6, levels=(4, 8)):
 
 
 @pytest.mark.parametrize("geometry", [GRID, Cuboid((6, 5, 3))], ids=["cylinder", "cuboid"])
-def test_shares_of_a_pixel_sum_to_one_over_bins_of_equal_size(fisheye, geometry):
+def test_probabilities_of_a_pixel_sum_to_one_over_bins_of_equal_size(fisheye, geometry):
     lifter, features = make(geometry, levels=[8]), torch.randn(1, 6, 8, 5, 8, dtype=torch.float64)
     pixels = features[0].permute(0, 2, 3, 1).reshape(-1, 8)
     weight, bias = lifter.split.weight, lifter.split.bias
     scores = pixels @ weight[:6].T + bias[:6]
-    share = scores.exp() / scores.exp().sum(-1, keepdim=True)
+    probability = scores.exp() / scores.exp().sum(-1, keepdim=True)
     entries = find_entries(fisheye, geometry, 5, 8, (2.5, 6.5, 10.5, 14.5, 18.5, 22.5), torch.device("cpu"))
-    expected = splat(pixels @ weight[6:].T + bias[6:], share, entries)
+    expected = splat(pixels @ weight[6:].T + bias[6:], probability, entries)
     volume = lifter([features], Sketched(torch.ones(1, *geometry.shape, dtype=torch.bool)), (fisheye,))
     torch.testing.assert_close(volume[0].flatten(1).T, expected)
 
@@ -56,7 +56,7 @@ def test_training_reaches_every_parameter_and_every_map(make_ring):
         assert tensor.grad.abs().sum() > 0
 
 
-def test_bfloat16_keeps_shares_in_single_precision(fisheye):
+def test_bfloat16_keeps_probabilities_in_single_precision(fisheye):
     lifter, features = make(levels=[8]).float(), [torch.randn(1, 6, 8, 5, 8)]
     with torch.autocast("cpu", dtype=torch.bfloat16):
         volume = lifter(features, Sketched(CANDIDATES[:1]), (fisheye,))
@@ -76,7 +76,7 @@ def test_bins_and_ranges_are_checked():
         LiftSplat(GRID, 8, 8, [4], 3, [5.0, 1.0])
 
 
-def test_range_logits_are_the_scores_that_share_features_out(make_ring):
+def test_range_logits_are_the_scores_that_weight_the_features(make_ring):
     lifter, fisheye = make(), make_ring(6, 48, 32)
     features = [torch.randn(1, 6, 8, *size, dtype=torch.float64) for size in ((8, 12), (4, 6))]
     logits = lifter.range_logits(features)

@@ -13,10 +13,10 @@ def sample(volume, position):
     total = torch.zeros(volume.shape[-1], dtype=volume.dtype)
     for corner in itertools.product((0, 1), repeat=3):
         cell = [math.floor(value) + step for value, step in zip(position.tolist(), corner, strict=True)]
-        share = math.prod(1 - (value - at).abs() for value, at in zip(position, cell, strict=True))
+        part = math.prod(1 - (value - at).abs() for value, at in zip(position, cell, strict=True))
         cell[1] %= SHAPE[1]
         if all(0 <= at < size for at, size in zip(cell, SHAPE, strict=True)):
-            total = total + share * volume[tuple(cell)]
+            total = total + part * volume[tuple(cell)]
     return total
 
 

@@ -83,4 +83,4 @@ def test_shared_and_sparse_memory_counts_once():
     tensor = torch.zeros(100)
     assert tensor_bytes({"all": tensor, "part": [tensor[:10]]}) == 400
     places = torch.arange(5), torch.arange(4)
-    assert tensor_bytes(torch.sparse_csr_tensor(*places, torch.ones(4))) == 8 * 5 + 8 * 4 + 4 * 4
+    assert tensor_bytes(torch.sparse_csr_tensor(*places, torch.ones(4), check_invariants=True)) == 8 * 5 + 8 * 4 + 4 * 4

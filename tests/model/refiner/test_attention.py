@@ -28,10 +28,10 @@ def sample(values, position, periodic):
     total = torch.zeros(values.shape[-1], dtype=values.dtype)
     for corner in itertools.product((0, 1), repeat=len(position)):
         cell = [math.floor(place) + step for place, step in zip(position, corner, strict=True)]
-        share = math.prod(1 - abs(place - at) for place, at in zip(position, cell, strict=True))
+        part = math.prod(1 - abs(place - at) for place, at in zip(position, cell, strict=True))
         cell = [at % size if wraps else at for at, size, wraps in zip(cell, values.shape, periodic, strict=False)]
         if all(0 <= at < size for at, size in zip(cell, values.shape, strict=False)):
-            total += share * values[tuple(cell)]
+            total += part * values[tuple(cell)]
     return total
 
 
@@ -154,13 +154,13 @@ def halfway(coarse, cell, periodic):
     """(C,) of (C, x, y, z) by trilinear interpolation at the centre of a cell of half the size, borders held."""
     total = 0
     for corner in itertools.product((0, 1), repeat=3):
-        at, share = [], 1.0
+        at, part = [], 1.0
         for fine, step, size, wraps in zip(cell, corner, coarse.shape[1:], periodic, strict=True):
             near, far = fine // 2, fine // 2 + (1 if fine % 2 else -1)
             index = far if step else near
             at.append(index % size if wraps else min(max(index, 0), size - 1))
-            share *= 0.25 if step else 0.75
-        total = total + share * coarse[(slice(None), *at)]
+            part *= 0.25 if step else 0.75
+        total = total + part * coarse[(slice(None), *at)]
     return total
 
 

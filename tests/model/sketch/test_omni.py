@@ -1,3 +1,4 @@
+import inspect
 from typing import NamedTuple
 
 import pytest
@@ -6,7 +7,7 @@ from torch import nn
 
 from omniocc.camera import Equirectangular
 from omniocc.geometry import Cuboid, Cylinder
-from omniocc.model.sketch import Omni, Sketch
+from omniocc.model.sketch import Dense, LearnedSketch, Omni, Random, Sketch, learns
 from omniocc.model.sketch.omni import occupancy
 
 PANORAMA = Equirectangular(24, 12, 45.0, -45.0)
@@ -49,8 +50,14 @@ def test_it_is_a_sketch(geometry, fisheye):
     candidates, evidence = sketch(torch.rand(2, 6, 3, 4, 4), (fisheye, fisheye), torch.rand(2, 12, 24) * 20 + 1)
     assert evidence is None
     assert isinstance(sketch, Sketch)
+    assert isinstance(sketch, LearnedSketch)
     assert candidates.shape == (2, *geometry.shape)
     assert candidates.dtype == torch.bool
+
+
+def test_what_learns_and_what_it_selects_by_can_be_told_from_the_class():
+    assert [learns(option) for option in (Omni, Dense, Random)] == [True, False, False]
+    assert set(Omni.SELECTION) < set(inspect.signature(Omni).parameters)
 
 
 def test_forward_is_depth_then_logits_then_select(geometry, fisheye):

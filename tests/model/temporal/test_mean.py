@@ -18,7 +18,7 @@ def pose(x_m=0.0, y_m=0.0, z_m=0.0, yaw_rad=0.0):
     return matrix
 
 
-def drive(*poses):
+def sequence(*poses):
     return torch.stack(poses)[None]
 
 
@@ -48,9 +48,9 @@ def waves(points):
 
 
 DRIVES = {
-    "cuboid": (CUBOID, labels_on_a_lattice, drive(pose(34, 8), pose(36, 8), pose(38, 6, 1), pose(40, 2, 1))),
-    "cuboid turning": (CUBOID, labels_on_a_lattice, drive(pose(4, 2), pose(4, 4, yaw_rad=math.pi / 2), pose(2, 4))),
-    "cylinder": (CYLINDER, labels_in_sectors, drive(*(pose(yaw_rad=k * TURN_RAD) for k in (19, 0, 3, 8)))),
+    "cuboid": (CUBOID, labels_on_a_lattice, sequence(pose(34, 8), pose(36, 8), pose(38, 6, 1), pose(40, 2, 1))),
+    "cuboid turning": (CUBOID, labels_on_a_lattice, sequence(pose(4, 2), pose(4, 4, yaw_rad=math.pi / 2), pose(2, 4))),
+    "cylinder": (CYLINDER, labels_in_sectors, sequence(*(pose(yaw_rad=k * TURN_RAD) for k in (19, 0, 3, 8)))),
 }
 
 
@@ -67,7 +67,7 @@ def test_a_static_scene_aligns_exactly_and_with_the_wrong_sign_it_does_not(name)
 
 @pytest.mark.parametrize("kind", ["cuboid", "cylinder"])
 def test_between_cells_the_error_is_that_of_interpolation(kind):
-    poses = drive(pose(31.3, -8.2, 0.1, 0.5), pose(33.1, -7.4, 0.0, 0.7), pose(34.2, -5.9, -0.1, 1.0))
+    poses = sequence(pose(31.3, -8.2, 0.1, 0.5), pose(33.1, -7.4, 0.0, 0.7), pose(34.2, -5.9, -0.1, 1.0))
     errors = []
     for scale in (1, 2, 4):
         if kind == "cuboid":
@@ -95,7 +95,7 @@ def test_a_standing_car_changes_no_bit(grid, dtype):
 
 def test_the_mean_runs_over_frames_that_saw_the_cell():
     # 4 m forward per frame: two cells of the past frame's front are new, then four
-    poses = drive(pose(0), pose(4), pose(8))
+    poses = sequence(pose(0), pose(4), pose(8))
     volumes = [torch.full((1, 1, *CUBOID.shape), value) for value in (1.0, 4.0, 10.0)]
     fused = Mean(CUBOID, 3, False)(volumes, poses, torch.ones(1, 3, dtype=torch.bool))
     expected = torch.tensor([5.0] * 8 + [7.0] * 2 + [10.0] * 2)
@@ -104,7 +104,7 @@ def test_the_mean_runs_over_frames_that_saw_the_cell():
 
 def test_frames_that_do_not_exist_count_for_nothing():
     torch.manual_seed(0)
-    poses = drive(pose(0), pose(1, 0.5), pose(2, yaw_rad=0.2)).repeat(2, 1, 1, 1)
+    poses = sequence(pose(0), pose(1, 0.5), pose(2, yaw_rad=0.2)).repeat(2, 1, 1, 1)
     volumes = [torch.randn(2, 3, *CYLINDER.shape) for _ in range(3)]
     exists = torch.tensor([[False, True, True], [True, True, True]])
     volumes[0][0] = 1e6
@@ -123,7 +123,7 @@ def test_a_window_without_past_is_refused():
 
 
 def test_turning_the_ego_frame_rolls_the_mean():
-    poses = drive(pose(0.0, 0.0), pose(1.3, 0.4, yaw_rad=0.2), pose(2.5, 1.1, 0.2, yaw_rad=0.5))
+    poses = sequence(pose(0.0, 0.0), pose(1.3, 0.4, yaw_rad=0.2), pose(2.5, 1.1, 0.2, yaw_rad=0.5))
     torch.manual_seed(0)
     volumes = list(torch.randn(3, 1, 2, *CYLINDER.shape))
     mean = Mean(CYLINDER, 3, history_gradient=False)
@@ -136,7 +136,7 @@ def test_turning_the_ego_frame_rolls_the_mean():
 
 
 def test_gradient_reaches_past_and_newest_but_not_what_is_missing():
-    poses = drive(pose(0), pose(0.7, 0.3, yaw_rad=0.1), pose(1.9, yaw_rad=0.3))
+    poses = sequence(pose(0), pose(0.7, 0.3, yaw_rad=0.1), pose(1.9, yaw_rad=0.3))
     small = Cylinder((2, 4, 2), (0.0, 4.0), (-1.0, 1.0))
     torch.manual_seed(0)
     volumes = [torch.randn(1, 1, *small.shape, dtype=torch.float64, requires_grad=True) for _ in range(3)]

@@ -35,10 +35,10 @@ def bilinear(values, x, y, periodic):
     """(X, Y, C) at a place in cells, by hand."""
     total = torch.zeros(values.shape[-1], dtype=values.dtype)
     for i, j in itertools.product((math.floor(x), math.floor(x) + 1), (math.floor(y), math.floor(y) + 1)):
-        share = (1 - abs(x - i)) * (1 - abs(y - j))
+        part = (1 - abs(x - i)) * (1 - abs(y - j))
         j = j % values.shape[1] if periodic[1] else j
         if 0 <= i < values.shape[0] and 0 <= j < values.shape[1]:
-            total += share * values[i, j]
+            total += part * values[i, j]
     return total
 
 

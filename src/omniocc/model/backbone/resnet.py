@@ -17,7 +17,7 @@ STRIDES = [4, 8, 16, 32]
 
 
 class ResNet(nn.Module):
-    """The residual network of transformers with a feature pyramid on top.
+    """Extract features by a residual network of transformers and a feature pyramid.
 
     Args:
         layer_type: kind of block.
@@ -63,13 +63,13 @@ class ResNet(nn.Module):
         self.fpn = FPN(hidden_sizes, channels, [STRIDES.index(level) for level in levels])
 
     def forward(self, images: Float[Tensor, "B N 3 H W"]) -> FeatureMaps:
-        """Feature maps of RGB in [0, 1], finest first."""
+        """Return feature maps of RGB in [0, 1], finest first."""
         stages = self.encoder(self.normalize(images), output_hidden_states=True).hidden_states[1:]
         return [level.unflatten(0, images.shape[:2]) for level in self.fpn(list(stages))]
 
 
 def make_deformable(stage: nn.Module) -> None:
-    """Replaces every 3x3 convolution of a stage by a deformable one that starts out equal."""
+    """Replace every 3x3 convolution of a stage by a deformable one that starts out equal."""
     for parent in list(stage.modules()):
         for name, layer in list(parent.named_children()):
             if isinstance(layer, nn.Conv2d) and layer.kernel_size == (3, 3):

@@ -18,7 +18,7 @@ PROBE_PX = 224
 
 
 class Transformers(nn.Module):
-    """A backbone of transformers, by name, with a feature pyramid on top.
+    """Extract features by a backbone of transformers, chosen by name, and a feature pyramid.
 
     Of the stages of equal stride the deepest counts. Images are padded at the right and at the bottom to a multiple of
     the coarsest stride. Parameters that no map depends on (a mask token, say) are frozen.
@@ -53,7 +53,7 @@ class Transformers(nn.Module):
         freeze_unused(self.encoder, [maps[stage] for stage in self.stages[self.strides.index(min(levels)) :]])
 
     def forward(self, images: Float[Tensor, "B N 3 H W"]) -> FeatureMaps:
-        """Feature maps of RGB in [0, 1], finest first."""
+        """Return feature maps of RGB in [0, 1], finest first."""
         height, width = images.shape[-2:]
         coarsest = self.strides[-1]
         padded = F.pad(self.normalize(images), (0, -width % coarsest, 0, -height % coarsest))
@@ -66,7 +66,7 @@ class Transformers(nn.Module):
 
 
 def make_config(architecture: str, sizes: dict[str, Any]) -> PretrainedConfig:
-    """The library's configuration, with other sizes.
+    """Return the library's configuration, with other sizes.
 
     Raises:
         ValueError: if there is no such architecture or size.
@@ -82,13 +82,13 @@ def make_config(architecture: str, sizes: dict[str, Any]) -> PretrainedConfig:
 
 
 def with_all_stages(config: PretrainedConfig) -> PretrainedConfig:
-    """Asks a backbone for the maps of all its stages."""
+    """Ask a backbone for the maps of all its stages."""
     config.out_indices = list(range(len(config.stage_names)))
     return config
 
 
 def build(config: PretrainedConfig, compared: list[str], weights: str | None) -> nn.Module:
-    """The network with pretrained weights, or with random ones where there are none.
+    """Return the network with pretrained weights, or with random ones where there are none.
 
     Raises:
         ValueError: if the weights are of another network.
@@ -104,7 +104,7 @@ def build(config: PretrainedConfig, compared: list[str], weights: str | None) ->
 
 
 def probe(encoder: nn.Module) -> list[Tensor]:
-    """The maps of a grey image; running statistics stay as they are."""
+    """Return the maps of a grey image; running statistics stay as they are."""
     encoder.eval()
     maps = encoder(torch.zeros(1, 3, PROBE_PX, PROBE_PX)).feature_maps
     encoder.train()
@@ -112,7 +112,7 @@ def probe(encoder: nn.Module) -> list[Tensor]:
 
 
 def freeze_unused(encoder: nn.Module, maps: list[Tensor]) -> None:
-    """Keeps parameters that these maps do not depend on from training."""
+    """Exclude parameters that these maps do not depend on from training."""
     parameters = list(encoder.parameters())
     gradients = torch.autograd.grad(torch.stack([level.sum() for level in maps]).sum(), parameters, allow_unused=True)
     for parameter, gradient in zip(parameters, gradients, strict=True):

@@ -12,11 +12,11 @@ from omniocc.camera.ops.pixels import pixel_centers
 from omniocc.loss import SILog
 from omniocc.model.ops.depth.depth_map import DepthMap, from_index
 from omniocc.model.ops.depth.features import FeatureNet
-from omniocc.model.ops.depth.panorama_depth import LearnedPanoramaDepth
+from omniocc.model.ops.depth.panorama_depth import DepthBatch, LearnedPanoramaDepth
 from omniocc.model.ops.depth.projection import present_cameras
 from omniocc.model.ops.depth.spheres import SphereRange
 from omniocc.model.ops.depth.zbuffer import fill_holes, merge_cameras
-from omniocc.model.ops.padded import Rigs, frame_size
+from omniocc.model.ops.padded import frame_size
 from omniocc.model.ops.rig_cache import once_per_rig
 
 TYPICAL_M = 8.0
@@ -88,23 +88,16 @@ class Mono(LearnedPanoramaDepth):
         index = spheres.index(torch.where(surface.isfinite(), surface, filled))
         return from_index(index, valid, confidence, spheres)
 
-    def losses(
-        self,
-        images: Float[Tensor, "B N 3 H W"],
-        rigs: Rigs,
-        erp_range_m: Float[Tensor, "B h w"],
-        camera_range_m: Float[Tensor, "B N H W"] | None,
-        flip: bool,
-    ) -> dict[str, Float[Tensor, ""]]:
+    def losses(self, batch: DepthBatch, flip: bool) -> dict[str, Float[Tensor, ""]]:
         """Return the losses `silog` and `sky`, from the ranges of single cameras alone.
 
         Raises:
             ValueError: if there are no ranges of cameras.
         """
-        if camera_range_m is None:
+        if batch.camera_range_m is None:
             raise ValueError("model/depth=mono learns from the range of every camera; this data has none")
-        log_range, sky = self.camera_ranges(images, rigs, flip)
-        true_m = range_of_four(camera_range_m)
+        log_range, sky = self.camera_ranges(batch.images, batch.rigs, flip)
+        true_m = range_of_four(batch.camera_range_m)
         known = ~true_m.isnan()
         wrong = F.binary_cross_entropy_with_logits(sky, true_m.isinf().to(sky), reduction="none")
         entropy = torch.where(known, wrong, 0).sum() / known.sum().clamp(min=1)

@@ -16,9 +16,9 @@ from omniocc.model.protocols import Sketched
 
 
 class CoarseColoring(nn.Module):
-    """Blocks of voxels share a query: `Coloring` on the coarser grid, whose answer every voxel of a block holds.
+    """Lift with one query per block of voxels: `Coloring` on the coarser grid, copied to every voxel of a block.
 
-    VoxFormer (Li et al., 2023) looks at the images and attends among voxels at half the resolution of its output; the
+    VoxFormer (Li et al., 2023) attends to the images and among voxels at half the resolution of its output; the
     refiner that does the latter finds the blocks' own features again as means. A block is a candidate if one of its
     voxels is.
 

@@ -21,7 +21,7 @@ from omniocc.model.protocols import Sketched
 
 
 class ColoringLayer(nn.Module):
-    """Cross-attention, add & norm, feed-forward, add & norm."""
+    """Apply cross-attention and a feed-forward part, each added and normalised."""
 
     def __init__(self, channels: int, heads: int, points: int, levels: int, anchors: int, feedforward_channels: int):
         super().__init__()
@@ -32,12 +32,12 @@ class ColoringLayer(nn.Module):
     def forward(
         self, queries: Float[Tensor, "G Q C"], features: FeatureMaps, pairs: Pairs, levels: list[Level]
     ) -> Float[Tensor, "B Q C"]:
-        """Queries of each sample; G is B, or 1 before the samples differ."""
+        """Return the queries of each sample; G is B, or 1 before the samples differ."""
         return self.feedforward(self.attention_norm(queries + self.attention(queries, features, pairs, levels)))
 
 
 class Coloring(nn.Module):
-    """Lifts image features into the candidate voxels by deformable cross-attention through each sample's own rig.
+    """Lift image features into the candidate voxels by deformable cross-attention through each sample's own rig.
 
     A query starts as an embedding of its voxel's position. Work and memory grow with the number of visible (candidate,
     camera) pairs. Candidates that no camera sees keep their embedding; all other voxels get one learned vector, the
@@ -52,7 +52,7 @@ class Coloring(nn.Module):
         points: samples per head and level.
         feedforward_channels: hidden channels of the feed-forward part.
         anchors: reference points of a voxel, as offsets from its centre along the grid's axes in cells, -0.5 to 0.5.
-            They share the points, so that more of them cost nothing. A camera is hit if it sees one.
+            The points are split among them, so that more of them cost nothing. A camera is hit if it sees one.
 
     Raises:
         ValueError: if the heads do not divide the channels, the anchors not the points, or an anchor leaves its cell.
@@ -118,7 +118,7 @@ class Coloring(nn.Module):
     def _color(self, features: FeatureMaps, marked: Bool[Tensor, " cells"], rig: Rig) -> Float[Tensor, "B cells C"]:
         features = [crop(level, rig, stride) for level, stride in zip(features, self.strides, strict=True)]
         batch = len(features[0])
-        whole = is_static()  # the same for every cell that is chosen: queries do not look at each other
+        whole = is_static()  # every chosen cell gets the same: queries do not attend to each other
         place = rig, self.geometry, marked.device, self.anchors
         cells, seen, pairs = every_cell(*place) if whole else chosen_cells(marked, *place)
         embedding = self.embedding(self.positions[cells])
@@ -153,7 +153,7 @@ def chosen_cells(
     device: torch.device,
     anchors: tuple[tuple[float, float, float], ...],
 ) -> Chosen:
-    """The marked ones."""
+    """Return the marked cells."""
     points, valid = reference_points(rig, geometry, device, anchors)
     cells = marked.nonzero()[:, 0]
     seen = valid.any(0)[cells].nonzero()[:, 0]
@@ -164,13 +164,13 @@ def chosen_cells(
 def every_cell(
     rig: Rig, geometry: Grid, device: torch.device, anchors: tuple[tuple[float, float, float], ...]
 ) -> Chosen:
-    """All of them; never write to the result."""
+    """Return all cells; never write to the result."""
     everything = torch.ones(geometry.num_cells, dtype=torch.bool, device=device)
     return chosen_cells(everything, rig, geometry, device, anchors)
 
 
 def group_samples(marked: Bool[Tensor, "B cells"], rigs: tuple[Rig, ...]) -> list[list[int]]:
-    """Samples that have rig and candidates in common."""
+    """Return groups of samples that have rig and candidates in common."""
     groups: list[list[int]] = []
     for sample, rig in enumerate(rigs):
         for group in groups:

@@ -15,7 +15,7 @@ from omniocc.model.protocols import Sketched
 
 
 class LiftSplat(nn.Module):
-    """Every pixel says how its feature is distributed over bins of range; voxels sum what falls into them.
+    """Spread each pixel's feature over bins of range by predicted probabilities, and sum what falls into each voxel.
 
     Philion & Fidler (2020, 'Lift, Splat, Shoot') as in the occupancy version of BEVDet (Huang et al., 2021), but along
     each camera's own unit rays: bins are distances from the camera, not depths along its axis, so that a fisheye lens
@@ -82,13 +82,13 @@ class LiftSplat(nn.Module):
             return [splat(own.contiguous(), fraction, entry) for own, fraction, entry in parts]
 
     def range_logits(self, features: FeatureMaps) -> Float[Tensor, "B N D h w"]:
-        """Scores of the bins, which a loss may compare with true ranges (`omniocc.loss.RangeBins`)."""
+        """Return scores of the bins, which a loss may compare with true ranges (`omniocc.loss.RangeBins`)."""
         pixels, bins = self._pixels(features), len(self.ranges_m)
         with torch.autocast(pixels.device.type, enabled=False):
             return F.linear(pixels, self.split.weight[:bins], self.split.bias[:bins]).movedim(-1, 2)
 
     def _pixels(self, features: FeatureMaps) -> Float[Tensor, "B N h w C"]:
-        """All maps on the coarsest, in float32 at least."""
+        """Return the sum of all maps at the size of the coarsest, in float32 at least."""
         size, coarsest = tuple(features[-1].shape[-2:]), features[-1].flatten(0, 1)
         maps = sum((F.adaptive_avg_pool2d(level.flatten(0, 1), size) for level in features[:-1]), 0)  # type: ignore[arg-type]
         pixels = (maps + coarsest).unflatten(0, features[-1].shape[:2]).movedim(2, -1)

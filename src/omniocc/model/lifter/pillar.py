@@ -1,4 +1,4 @@
-"""Bird's-eye-view queries that look at the images along pillars (BEVFormer's spatial cross-attention)."""
+"""Bird's-eye-view queries that attend to the images along pillars (BEVFormer's spatial cross-attention)."""
 
 import torch
 from jaxtyping import Float
@@ -14,7 +14,7 @@ from omniocc.model.protocols import Sketched
 
 
 def pillar_anchors(cells: int, heights: int) -> list[tuple[float, float, float]]:
-    """Reference points of a pillar: from the middle of its lowest voxel to that of its highest at equal distances.
+    """Return reference points of a pillar, evenly from the middle of its lowest voxel to that of its highest.
 
     Args:
         cells: voxels of a pillar.
@@ -28,7 +28,7 @@ def pillar_anchors(cells: int, heights: int) -> list[tuple[float, float, float]]
 
 
 class Pillar(nn.Module):
-    """Columns of voxels share a query that attends to the cameras which see some of its heights.
+    """Lift with one query per column of voxels, which attends to the cameras that see some of its heights.
 
     Li et al. (2022, 'BEVFormer', eq. 3 and 4): deformable attention around the projections of several points of each
     pillar, averaged over the cameras that see one, of every sample for itself. Each query then becomes the features of
@@ -42,7 +42,7 @@ class Pillar(nn.Module):
         levels: strides of the feature maps that come in, px.
         layers: number of layers.
         heads: of attention, a divisor of `in_channels`.
-        points: samples per head and level, a multiple of the heights, which share them.
+        points: samples per head and level, a multiple of the heights, among which they are split.
         heights: reference points of each pillar.
         feedforward_channels: hidden channels of the feed-forward part.
 
@@ -79,7 +79,7 @@ class Pillar(nn.Module):
         self.raise_up = nn.Linear(in_channels, cells * channels)
 
     def forward(self, features: FeatureMaps, sketched: Sketched, rigs: tuple[Rig, ...]) -> Float[Tensor, "B D X Y Z"]:
-        """Lifts each sample through its own rig.
+        """Lift each sample through its own rig.
 
         Raises:
             ValueError: if a rig has more cameras or larger images than there are maps for.

@@ -1,1 +1,1 @@
-"""Building blocks that several slots share."""
+"""Building blocks of the slots."""

@@ -11,7 +11,7 @@ from omniocc.model.ops.padding import Axes
 
 
 def coarsened(geometry: Grid, block: Axes) -> Grid:
-    """The grid whose cells are blocks of `geometry`'s.
+    """Return the grid whose cells are blocks of `geometry`'s.
 
     Args:
         geometry: the voxel grid.
@@ -28,18 +28,18 @@ def coarsened(geometry: Grid, block: Axes) -> Grid:
 
 
 def block_any(mask: Bool[Tensor, "B X Y Z"], block: Axes) -> Bool[Tensor, "B x y z"]:
-    """Blocks with a true cell."""
+    """Return which blocks have a true cell."""
     x, y, z = (cells // size for cells, size in zip(mask.shape[1:], block, strict=True))
     return mask.reshape(-1, x, block[0], y, block[1], z, block[2]).any(-1).any(-2).any(-3)
 
 
 def block_means(volume: Float[Tensor, "B C X Y Z"], block: Axes) -> Float[Tensor, "B C x y z"]:
-    """Mean of every block; undoes `repeat_blocks`."""
+    """Return the mean of every block; undoes `repeat_blocks`."""
     return F.avg_pool3d(volume, block, block)
 
 
 def repeat_blocks(volume: Float[Tensor, "B C x y z"], block: Axes) -> Float[Tensor, "B C X Y Z"]:
-    """Every cell of a block holds the block's value."""
+    """Copy the value of every block to its cells."""
     voxels = volume.movedim(1, -1)  # channels last in memory, as 3D convolutions like it
     for axis, count in enumerate(block, start=1):
         if count > 1:

@@ -19,7 +19,7 @@ from omniocc.model.ops.lifter.visible import Pairs
 
 
 class Level(NamedTuple):
-    """Where the K samples of each pair start from on one level, before offsets.
+    """Reference points of the K samples of each pair on one level, before offsets.
 
     Positions are pixels of the level's maps padded by one pixel of zeros, (0, 0) being the centre of the padded corner.
 
@@ -57,7 +57,7 @@ class Samples(NamedTuple):
 
 
 def make_table(maps: Float[Tensor, "B N H C _ _"]) -> Float[Tensor, "H R BC"]:
-    """Lays the maps of one level out as one table per head, a row per pixel of the maps padded by zeros.
+    """Lay the maps of one level out as one table per head, a row per pixel of the maps padded by zeros.
 
     Args:
         maps: (samples, cameras, heads, channels, height, width).
@@ -69,7 +69,7 @@ def make_table(maps: Float[Tensor, "B N H C _ _"]) -> Float[Tensor, "H R BC"]:
 
 
 def make_level(pairs: Pairs, height: int, width: int, points: int, dtype: torch.dtype) -> Level:
-    """Reference points of the pairs on a level whose maps are height x width px; anchors share the samples."""
+    """Return reference points of the pairs on a level whose maps are height x width px; anchors share the samples."""
     u, v = pairs.points.to(dtype).repeat_interleave(points // pairs.points.shape[1], dim=1).unbind(-1)
     x = ((u + 1) * width + 1) / 2
     y = ((v + 1) * height + 1) / 2
@@ -78,7 +78,7 @@ def make_level(pairs: Pairs, height: int, width: int, points: int, dtype: torch.
 
 
 def _axis(anchor: Tensor, offset: Tensor, size: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Lower corner, fraction, and whether the position lies on the padded map."""
+    """Return the lower corner, the fraction, and whether the position lies on the padded map."""
     raw = anchor + offset
     position = raw.clamp(0, size - 1)
     lower = position.floor().clamp_(max=size - 2)
@@ -113,7 +113,7 @@ def _bag_sum(
 def _gather(
     table: Float[Tensor, "R C"], samples: Samples, weight: Float[Tensor, "P K"], first: Int64[Tensor, " Q"], width: int
 ) -> Float[Tensor, "Q C"]:
-    """Weighted sum of the samples of each query."""
+    """Return the weighted sum of the samples of each query."""
     bags = (first * weight.shape[1]).int()
     corners = zip(_corner_steps(width), _corner_weights(samples, weight), strict=True)
     sums = [_bag_sum((samples.row + step).flatten(), table, bags, weights.flatten()) for step, weights in corners]
@@ -128,7 +128,7 @@ def _scatter(
     width: int,
     size: int,
 ) -> Float[Tensor, "R C"]:
-    """Adds the weighted gradient of each query to the rows of its samples' corners: the transpose of `_gather`."""
+    """Add the weighted gradient of each query to the rows of its samples' corners: the transpose of `_gather`."""
     rows = samples.row.flatten()
     order = (rows.short() if size < 2**15 else rows).argsort()
     sources = query.int().index_select(0, order // weight.shape[1])
@@ -144,7 +144,7 @@ def _scatter(
 def _products(
     table: Float[Tensor, "R C"], samples: Samples, grad: Float[Tensor, "Q C"], first: Int64[Tensor, " Q"], width: int
 ) -> list[Float[Tensor, "P K"]]:
-    """Inner product of each corner's row with the gradient of its sample's query."""
+    """Return the inner product of each corner's row with the gradient of its sample's query."""
     shape = samples.row.shape
     ends = torch.cat([first * shape[1], first.new_tensor([samples.row.numel()])]).int()
     nothing = table.new_zeros(samples.row.numel())
@@ -167,7 +167,7 @@ def _backward(
     pairs: Pairs,
     level: Level,
 ) -> tuple[Float[Tensor, "R C"], Float[Tensor, "2 Q K"], Float[Tensor, "Q K"]]:
-    """Gradients of one head and level, whose positions are computed anew."""
+    """Return the gradients of one head and level, whose positions are computed anew."""
     samples = _locate(level, pairs.query, offsets)
     weight = attention.index_select(0, pairs.query)
     corner, right, low, low_right = _products(table, samples, grad, pairs.first, level.width)
@@ -184,7 +184,7 @@ def _backward(
 
 
 class _DeformableSum(torch.autograd.Function):
-    """See `deformable_sum`; tensors are cut into heads and levels, and only the inputs are kept for the way back."""
+    """Implement `deformable_sum`; tensors are cut into heads and levels, and backward only the inputs are kept."""
 
     @staticmethod
     def forward(
@@ -224,7 +224,7 @@ def deformable_sum(
     pairs: Pairs,
     levels: list[Level],
 ) -> Float[Tensor, "H Q C"]:
-    """Samples bilinearly at reference + offset, weights by attention, sums over levels, points and a query's cameras.
+    """Sample bilinearly at reference + offset, weight by attention, sum over levels, points and a query's cameras.
 
     Outside the maps there are zeros, as with `grid_sample(padding_mode="zeros", align_corners=False)`. Differentiable
     once, in tables, offsets and attention.

@@ -24,10 +24,10 @@ def sampled_convolution(
     stride: Pair,
     padding: Pair,
 ) -> Float[Tensor, "B D h w"]:
-    """Convolution whose taps are moved by `offsets` and scaled by `mask`; bilinear between pixels, zeros outside.
+    """Convolve with taps moved by `offsets` and scaled by `mask`; bilinear between pixels, zeros outside.
 
     Args:
-        maps: what is convolved.
+        maps: input of the convolution.
         weight: the kernel.
         offsets: of each tap in pixels, taps in row-major order, (row, column) of each tap next to each other.
         mask: factor of each tap.
@@ -48,7 +48,7 @@ def sampled_convolution(
 def _tap_positions(
     kernel: torch.Size, offsets: Float[Tensor, "B _ h w"], stride: Pair, padding: Pair
 ) -> Float[Tensor, "2 B h w taps"]:
-    """(row, column) of every tap of every output pixel."""
+    """Return (row, column) of every tap of every output pixel."""
     taps = torch.cartesian_prod(*(torch.arange(size, device=offsets.device) for size in kernel))
     moved = offsets.unflatten(1, (-1, 2)).permute(2, 0, 3, 4, 1)
     axes = []
@@ -76,7 +76,7 @@ OPERATORS: list[Operator] = [operator for operator in (_torchvision(), sampled_c
 
 
 class DeformableConv2d(nn.Module):
-    """Takes the place of a convolution, whose kernel it keeps: at first it computes exactly the same.
+    """Convolve deformably with the kernel of another convolution, at first exactly as that one.
 
     A convolution of the same kernel size predicts an offset and a factor 2 sigmoid(.) for each tap. It begins at zero.
     Sampling runs in float32. torchvision's operator does the work where it imports.
@@ -101,7 +101,7 @@ class DeformableConv2d(nn.Module):
         nn.init.zeros_(self.taps.bias)  # type: ignore[arg-type]
 
     def forward(self, maps: Float[Tensor, "B C H W"]) -> Float[Tensor, "B D h w"]:
-        """Convolves."""
+        """Return the convolved maps."""
         found = self.taps(maps)
         split = found.shape[1] // 3 * 2
         dtype = torch.promote_types(maps.dtype, torch.float32)

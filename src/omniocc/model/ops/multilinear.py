@@ -33,7 +33,7 @@ class Corners(NamedTuple):
 def corners(
     positions: Float[Tensor, "D *S"], weights: Float[Tensor, "*S"], shape: Sequence[int], periodic: Sequence[bool]
 ) -> Corners:
-    """Corners and their multilinear weights.
+    """Return corners and their multilinear weights.
 
     Positions wrap around on periodic axes. Elsewhere they stop in the middle of the cells beyond the ends, without
     gradient. A position that is not a number has a row that exists and weights that are not numbers.
@@ -49,8 +49,8 @@ def corners(
     for position, cells, wraps in zip(positions, shape, periodic, strict=True):
         padded = ((position.remainder(cells) if wraps else position) + 1).clamp(0, cells + 1)
         lower = padded.detach().floor().clamp(max=cells)
-        share = (padded - lower).unsqueeze(-1)
-        spread = torch.stack([spread * (1 - share), spread * share], dim=-1).flatten(-2)
+        fraction = (padded - lower).unsqueeze(-1)
+        spread = torch.stack([spread * (1 - fraction), spread * fraction], dim=-1).flatten(-2)
         row = row * (cells + 2) + lower.int().clamp_(min=0)
         steps = tuple(step * (cells + 2) + high for step in steps for high in (0, 1))
     return Corners(row, spread, steps)
@@ -59,7 +59,7 @@ def corners(
 def sum_samples(
     table: Float[Tensor, "R C"], row: Int32[Tensor, "N K"], weights: Float[Tensor, "N K E"], steps: tuple[int, ...]
 ) -> Float[Tensor, "N C"]:
-    """Adds up the K weighted samples of each of N sums. Differentiable once, in table and weights.
+    """Add up the K weighted samples of each of N sums; differentiable once, in table and weights.
 
     Args:
         table: values of cells; each row + step must exist.
@@ -71,7 +71,7 @@ def sum_samples(
 
 
 class _SumSamples(torch.autograd.Function):
-    """See `sum_samples`."""
+    """Implement `sum_samples`."""
 
     @staticmethod
     def forward(ctx: Any, table: Tensor, row: Tensor, weights: Tensor, steps: tuple[int, ...]) -> Tensor:
@@ -100,7 +100,7 @@ def _scatter(
     steps: tuple[int, ...],
     size: int,
 ) -> Float[Tensor, "R C"]:
-    """Adds the weighted gradient of each sum to the rows of its corners."""
+    """Add the weighted gradient of each sum to the rows of its corners."""
     rows = row.flatten()
     order = rows.argsort()
     sources = torch.div(order, row.shape[1], rounding_mode="floor").int()
@@ -117,7 +117,7 @@ def _scatter(
 def _products(
     table: Float[Tensor, "R C"], row: Int32[Tensor, "N K"], grad: Float[Tensor, "N C"], steps: tuple[int, ...]
 ) -> Float[Tensor, "N K E"]:
-    """Inner product of each corner's row with the gradient of its sum."""
+    """Return the inner product of each corner's row with the gradient of its sum."""
     columns = _all_rows(row, steps)
     ends = torch.arange(0, columns.numel() + 1, columns.shape[1], dtype=torch.int32, device=row.device)
     with warnings.catch_warnings():

@@ -52,7 +52,7 @@ def crop(maps: Float[Tensor, "B N *C _ _"], rig: Rig, stride: int = 1) -> Float[
         ValueError: if the rig has more cameras or larger images.
     """
     shape = image_shape(rig).at_stride(stride)
-    there = (maps.shape[1], *maps.shape[-2:])
+    there = ImageShape(maps.shape[1], maps.shape[-2], maps.shape[-1])
     if any(own > size for own, size in zip(shape, there, strict=True)):
         raise ValueError(
             f"the rig has {_told(shape)} but there are images of {_told(there)}"
@@ -61,8 +61,8 @@ def crop(maps: Float[Tensor, "B N *C _ _"], rig: Rig, stride: int = 1) -> Float[
     return maps[:, : shape.cameras, ..., : shape.height, : shape.width]
 
 
-def _told(shape: tuple[int, int, int]) -> str:
-    return f"{shape[0]} cameras of {shape[2]}x{shape[1]} px"
+def _told(shape: ImageShape) -> str:
+    return f"{shape.cameras} cameras of {shape.width}x{shape.height} px"
 
 
 def shape_groups(rigs: Sequence[Rig]) -> list[list[int]]:

@@ -1,4 +1,4 @@
-"""3D layers that know where a grid wraps around: what leaves a periodic axis at one end enters it at the other."""
+"""3D layers for grids that wrap around: what leaves a periodic axis at one end enters it at the other."""
 
 import torch
 from jaxtyping import Float
@@ -12,7 +12,7 @@ Periodic = tuple[bool, bool, bool]
 
 
 def pad3d(volume: Float[Tensor, "B C X Y Z"], padding: Axes, periodic: Periodic) -> Float[Tensor, "B C _ _ _"]:
-    """Adds `padding` cells at both ends of each axis: copies from the other end where periodic, zeros elsewhere.
+    """Add `padding` cells at both ends of each axis: copies from the other end where periodic, zeros elsewhere.
 
     Raises:
         ValueError: if a periodic axis has fewer cells than are to be copied.
@@ -31,7 +31,7 @@ def pad3d(volume: Float[Tensor, "B C X Y Z"], padding: Axes, periodic: Periodic)
 
 
 class Conv3d(nn.Conv3d):
-    """A convolution that keeps the size of the volume (odd kernels, stride 1) and wraps around on periodic axes."""
+    """Convolve a volume, keeping its size (odd kernels, stride 1) and wrapping around on periodic axes."""
 
     def __init__(self, in_channels: int, out_channels: int, kernel_size: int, periodic: Periodic, bias: bool = True):
         super().__init__(in_channels, out_channels, kernel_size, bias=bias)
@@ -40,7 +40,7 @@ class Conv3d(nn.Conv3d):
         self.zeros: Axes = tuple(0 if wraps else kernel_size // 2 for wraps in periodic)  # type: ignore[assignment]
 
     def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B D X Y Z"]:
-        """Convolves; zeros are left to the kernel, which needs no copy for them."""
+        """Return the convolved volume; zeros are left to the kernel, which needs no copy for them."""
         wrapped = pad3d(volume, self.wrap, self.periodic)
         return F.conv3d(wrapped, self.weight, self.bias, padding=self.zeros)
 
@@ -59,15 +59,15 @@ class Residual(nn.Module):
 
 
 class Pointwise(nn.Linear):
-    """The same linear map in every cell: a 1x1x1 convolution, but as one matrix product."""
+    """Apply the same linear map in every cell: a 1x1x1 convolution, but as one matrix product."""
 
     def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B D X Y Z"]:
-        """Maps the channels."""
+        """Return the volume with mapped channels."""
         return super().forward(volume.movedim(1, -1)).movedim(-1, 1)
 
 
 class Downsample(nn.Conv3d):
-    """Halves every axis by a 2x2x2 convolution, so that a coarse cell covers exactly two fine ones.
+    """Halve every axis by a 2x2x2 convolution, so that a coarse cell covers exactly two fine ones.
 
     Rolling the volume by two cells along a periodic axis rolls the output by one. Other axes may be odd: a zero cell is
     added at their upper end.
@@ -78,7 +78,7 @@ class Downsample(nn.Conv3d):
         self.periodic = periodic
 
     def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B D _ _ _"]:
-        """Halves, rounding up.
+        """Return the halved volume, sizes rounded up.
 
         Raises:
             ValueError: if a periodic axis is odd.
@@ -93,7 +93,7 @@ class Downsample(nn.Conv3d):
 
 
 def upsample(volume: Float[Tensor, "B C X Y Z"], shape: Axes, periodic: Periodic) -> Float[Tensor, "B C _ _ _"]:
-    """Doubles every axis by trilinear interpolation between cell centres, then crops to `shape`: undoes `Downsample`.
+    """Double every axis by trilinear interpolation between cell centres, then crops to `shape`: undoes `Downsample`.
 
     Interpolates across the seam of periodic axes and holds the border's value elsewhere.
     """

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from omniocc.camera import Rig
 
-LIMIT_BYTES = 1 << 30
-"""Memory that the results for all rigs together may take; those of the rig used last always stay."""
+LIMIT_BYTES = 2 << 30
+"""Memory that the results for all rigs together may take: 40 rigs of the largest option (`omnimvs`) at preset=tiny."""
 OVERHEAD_BYTES = 1 << 12
 """Assumed size of a rig's Python objects."""
 
@@ -21,7 +21,7 @@ R = TypeVar("R")
 
 
 class RigCache:
-    """Results of functions by rig; when they take more than the limit, those of the rig not used for longest go.
+    """Keep results of functions by rig; beyond the limit, forget those of the rig not used for longest.
 
     Results may be large (the sampling matrices of a sweep) or small (a ray map): the limit is on bytes, so that small
     ones serve hundreds of rigs. All results of a rig go together, as they are needed together.

@@ -9,7 +9,7 @@ _static = ContextVar("static", default=False)
 
 @contextmanager
 def static_shapes() -> Iterator[None]:
-    """Inside, options that choose voxels or points compute all of them and keep what is chosen: equal, but slower.
+    """Make options that choose voxels or points compute all of them and keep the chosen: equal, but slower.
 
     One sample at a time.
     """
@@ -21,5 +21,5 @@ def static_shapes() -> Iterator[None]:
 
 
 def is_static() -> bool:
-    """Whether shapes must not depend on the data."""
+    """Return whether shapes must not depend on the data."""
     return _static.get()

@@ -21,7 +21,7 @@ HALF: Axes = (2, 2, 2)
 
 
 class Layout(NamedTuple):
-    """Where voxels lie when they look around.
+    """Arrangement of the voxels among which a voxel attends.
 
     Attributes:
         shape: cells along each of two or three axes.
@@ -33,18 +33,18 @@ class Layout(NamedTuple):
 
 
 def sheet(cells: int) -> Layout:
-    """A picture of so many pixels, as nearly square as can be: 512x512 for 128x128x16 voxels."""
+    """Return the layout of an image of `cells` pixels that is as square as possible: 512x512 for 128x128x16 voxels."""
     rows = next(rows for rows in range(math.isqrt(cells), 0, -1) if cells % rows == 0)
     return Layout((rows, cells // rows), (False, False))
 
 
 def first_offsets(heads: int, points: int, axes: int) -> Float[Tensor, "axes H K"]:
-    """Where samples begin, in cells, among voxels along two or three axes."""
+    """Return the first offsets of samples, in cells, along two or three axes."""
     return ring_offsets(heads, 1, points, 1)[:, 0].transpose(0, 1) if axes == 2 else sphere_offsets(heads, points)
 
 
 def sphere_offsets(heads: int, points: int) -> Float[Tensor, "3 H K"]:
-    """Where samples begin, in cells: each head looks in a direction of its own, its points 1, 2, ... cells away.
+    """Return the first offsets of samples, in cells: each head has a direction of its own, 1, 2, ... cells away.
 
     The directions spread evenly over a sphere (Fibonacci lattice) and are stretched to the surface of a cube.
     """
@@ -58,7 +58,7 @@ def sphere_offsets(heads: int, points: int) -> Float[Tensor, "3 H K"]:
 
 
 class SelfAttention(nn.Module):
-    """Every voxel sums samples around itself; where and how much follows from its own feature.
+    """Sum samples around every voxel, with offsets and weights from its own feature.
 
     Args:
         channels: of the voxels.
@@ -81,7 +81,7 @@ class SelfAttention(nn.Module):
         self.offsets.bias.data.copy_(first_offsets(heads, points, self.axes).flatten())
 
     def make_table(self, voxels: Float[Tensor, "B cells C"]) -> Float[Tensor, "R D"]:
-        """Values by sample, cell and head; one cell more at every end: the other end's on periodic axes, else zeros."""
+        """Return values by sample, cell and head; padded by one cell: the other end's on periodic axes, else zeros."""
         values = self.value(voxels)
         values = values.to(torch.promote_types(values.dtype, torch.float32)).transpose(1, 2)
         flat = 3 - self.axes
@@ -90,7 +90,7 @@ class SelfAttention(nn.Module):
         return padded.movedim(1, -1).reshape(-1, values.shape[1] // self.heads)
 
     def forward(self, queries: Float[Tensor, "Q C"], first: int, table: Float[Tensor, "R D"]) -> Float[Tensor, "Q C"]:
-        """Attends from consecutive voxels.
+        """Attend from consecutive voxels.
 
         Args:
             queries: voxels of all samples in row-major order, from the first one asked for.
@@ -109,7 +109,7 @@ class SelfAttention(nn.Module):
         return self.output(sums.view(len(queries), -1))
 
     def _sampling(self, queries: Float[Tensor, "Q C"]) -> tuple[Float[Tensor, "axes Q H K"], Float[Tensor, "Q H K"]]:
-        """Offsets in cells, and attention; softmax over a short last axis would be many times slower."""
+        """Return offsets in cells, and attention; softmax over a short last axis would be many times slower."""
         offsets = self.offsets(queries).view(-1, self.axes, self.heads, self.points).transpose(0, 1)
         scores = torch.addmm(self.attention.bias[:, None], self.attention.weight, queries.T)
         weights = scores.view(self.heads, self.points, -1).softmax(1)
@@ -129,7 +129,7 @@ def _unravel(
 
 
 class AttentionLayer(nn.Module):
-    """Self-attention, add & norm, feed-forward, add & norm."""
+    """Apply self-attention and a feed-forward part, each added and normalised."""
 
     def __init__(self, channels: int, heads: int, points: int, feedforward_channels: int, layout: Layout):
         super().__init__()
@@ -139,7 +139,7 @@ class AttentionLayer(nn.Module):
         self.chunk = max(CHUNK_SAMPLES // (heads * points), 1)
 
     def forward(self, voxels: Float[Tensor, "B cells C"]) -> Float[Tensor, "B cells C"]:
-        """Voxels go through in chunks, which training computes anew on the way back."""
+        """Refine voxels in chunks, which training computes again in the backward pass."""
         table = self.attention.make_table(voxels)
         chunks = voxels.reshape(-1, voxels.shape[-1]).split(self.chunk)
         if len(chunks) == 1:
@@ -156,7 +156,7 @@ class AttentionLayer(nn.Module):
 
 
 class Attention(nn.Module):
-    """Layers in which every voxel attends to samples around it, trilinear between cells.
+    """Refine by layers in which every voxel attends to samples around it, trilinear between cells.
 
     As the second stage of VoxFormer, but in three dimensions. Voxels that were no candidates arrive with the one vector
     that the lifter has learned for them: that is the mask token. What is learned of a voxel's place is a vector for
@@ -172,7 +172,7 @@ class Attention(nn.Module):
         feedforward_channels: hidden channels of the feed-forward part.
         halved: attend on the grid of half the resolution, in means of 2x2x2 voxels, and come back by trilinear
             interpolation, as VoxFormer does; false: on the grid itself.
-        flat: attend in two dimensions, voxels in row-major order laid out as a picture that wraps around nowhere, as
+        flat: attend in two dimensions, voxels in row-major order laid out as an image that wraps around nowhere, as
             VoxFormer's released code does (128x128x16 as 512x512); false: in three.
 
     Raises:

@@ -13,12 +13,12 @@ from omniocc.model.protocols import Sketched
 
 
 def pad_view(view: Float[Tensor, "B C X Y"], periodic: Periodic) -> Float[Tensor, "B C _ _"]:
-    """One cell more at both ends of both axes: the other end's where periodic, zeros elsewhere."""
+    """Add one cell at both ends of both axes: the other end's where periodic, zeros elsewhere."""
     return pad3d(view.unsqueeze(-1), (1, 1, 0), periodic).squeeze(-1)
 
 
 class ViewBlock(nn.Module):
-    """relu(x + norm(conv(relu(norm(conv(x))))))."""
+    """Compute relu(x + norm(conv(relu(norm(conv(x))))))."""
 
     def __init__(self, channels: int, periodic: Periodic):
         super().__init__()
@@ -29,16 +29,16 @@ class ViewBlock(nn.Module):
         self.second_norm = group_norm(channels)
 
     def forward(self, view: Float[Tensor, "B C X Y"]) -> Float[Tensor, "B C X Y"]:
-        """A view of the same size."""
+        """Return a view of the same size."""
         change = F.relu(self.first_norm(self.first(pad_view(view, self.periodic))))
         return F.relu(view + self.second_norm(self.second(pad_view(change, self.periodic))))
 
 
 class ChannelToHeight(nn.Module):
-    """Columns of voxels become channels, residual blocks work on a pyramid of halved views, channels become heights.
+    """Turn columns of voxels into channels, apply residual blocks on a pyramid of halved views, and turn them back.
 
     As FlashOcc (Yu et al., 2023) replaces the 3D convolutions of BEVDet's occupancy version: no operation but the two
-    linear maps at the ends knows the height. Levels are merged as in `Conv`.
+    linear maps at the ends depends on the height. Levels are merged as in `Conv`.
 
     Args:
         geometry: the voxel grid.

@@ -14,7 +14,7 @@ from omniocc.model.protocols import Sketched
 
 
 class Block(nn.Module):
-    """relu(x + norm(conv(relu(norm(conv(x))))))."""
+    """Compute relu(x + norm(conv(relu(norm(conv(x))))))."""
 
     def __init__(self, channels: int, periodic: Periodic):
         super().__init__()
@@ -24,13 +24,13 @@ class Block(nn.Module):
         self.second_norm = group_norm(channels)
 
     def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B C X Y Z"]:
-        """A volume of the same size."""
+        """Return a volume of the same size."""
         change = self.second_norm(self.second(F.relu(self.first_norm(self.first(volume)))))
         return F.relu(volume + change)
 
 
 class Conv(nn.Module):
-    """Residual blocks on a pyramid of halved grids, whose levels are merged at the finest: one way down, none up.
+    """Apply residual blocks on a pyramid of halved grids, whose levels are merged at the finest, without a decoder.
 
     As ResNet and pyramid of BEVDet's occupancy version (Huang et al., 2021). There the levels are upsampled, laid side
     by side and mixed by a 1x1x1 convolution; mixing first and adding after upsampling is the same and cheaper. With one

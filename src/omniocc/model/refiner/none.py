@@ -7,7 +7,7 @@ from omniocc.model.protocols import Sketched
 
 
 class NoRefiner(nn.Module):
-    """Hands the lifted features on.
+    """Pass the lifted features on.
 
     Args:
         channels: of the volume that comes in and goes out.

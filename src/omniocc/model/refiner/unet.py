@@ -13,7 +13,7 @@ from omniocc.model.protocols import Sketched
 
 
 class UNet(nn.Module):
-    """Residual blocks on a pyramid of halved grids; skips are added. Wraps around on the grid's periodic axes.
+    """Apply residual blocks on a pyramid of halved grids with added skips; wraps around on the grid's periodic axes.
 
     The finest level, where a block costs as much as all others together, has one on the way up only. Rolling the input
     along a periodic axis by a multiple of 2**(levels-1) cells rolls the output.

@@ -7,7 +7,7 @@ from omniocc.model.ops.padded import FeatureMaps
 
 
 class FCN(nn.Module):
-    """3x3 convolution, batch norm, ReLU, 1x1 convolution on the finest feature map.
+    """Classify pixels by 3x3 convolution, batch norm, ReLU and 1x1 convolution of the finest feature map.
 
     Args:
         in_channels: of the backbone's maps.
@@ -25,6 +25,6 @@ class FCN(nn.Module):
         )
 
     def forward(self, features: FeatureMaps) -> Float[Tensor, "B N K h w"]:
-        """Logits at the resolution of the finest map."""
+        """Return logits at the resolution of the finest map."""
         finest = features[0]
         return self.layers(finest.flatten(0, 1)).unflatten(0, finest.shape[:2])

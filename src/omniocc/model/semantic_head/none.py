@@ -6,11 +6,11 @@ from omniocc.model.ops.padded import FeatureMaps
 
 
 class NoSemanticHead(nn.Module):
-    """Leaves the pixels alone."""
+    """Classify no pixels."""
 
     def __init__(self):  # of its own: nn.Module's would accept anything
         super().__init__()
 
     def forward(self, features: FeatureMaps) -> None:
-        """Nothing."""
+        """Return None."""
         return

@@ -11,7 +11,7 @@ from omniocc.model.ops.static import is_static
 
 
 class Mean(nn.Module):
-    """Takes every past volume into the newest ego frame and averages, cell by cell.
+    """Move every past volume into the newest ego frame and average cell by cell.
 
     The paper divides by N + 1 everywhere. Here a cell's mean runs over the frames that saw it: those that exist (a
     scene's first frames have fewer before them) and whose grid holds the cell's centre.
@@ -40,7 +40,7 @@ class Mean(nn.Module):
         world_from_ego: Float[Tensor, "B T 4 4"],
         exists: Bool[Tensor, "B T"],
     ) -> Float[Tensor, "B C X Y Z"]:
-        """The mean in the newest frame; alone, the newest volume itself, bit for bit."""
+        """Return the mean in the newest frame; without past frames the newest volume itself."""
         *past, newest = volumes
         if not past:
             return newest
@@ -58,7 +58,7 @@ class Mean(nn.Module):
 
 
 def existing(exists: Bool[Tensor, "B P"]) -> list[tuple[int, int]]:
-    """Frame and sample of what exists; everything, where the program must do for any."""
+    """Return frame and sample of what exists, or all of them where shapes must not depend on the data."""
     samples, frames = exists.shape
     there = [[True] * samples] * frames if is_static() else exists.T.tolist()
     return [(frame, sample) for frame, row in enumerate(there) for sample, yes in enumerate(row) if yes]

@@ -5,7 +5,7 @@ from torch import Tensor, nn
 
 
 class NoTemporal(nn.Module):
-    """Sees the newest frame only."""
+    """Use the newest frame only."""
 
     frames = 1
     history_gradient = False
@@ -19,5 +19,5 @@ class NoTemporal(nn.Module):
         world_from_ego: Float[Tensor, "B T 4 4"],
         exists: Bool[Tensor, "B T"],
     ) -> Float[Tensor, "B C X Y Z"]:
-        """The newest volume, untouched."""
+        """Return the newest volume, unchanged."""
         return volumes[-1]

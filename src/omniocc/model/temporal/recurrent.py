@@ -20,7 +20,7 @@ VIEWS = 2
 
 
 class TemporalAttention(nn.Module):
-    """Every cell of a bird's-eye view sums samples around itself, half from the view before, half from the present one.
+    """Sum samples around every cell of a bird's-eye view, half from the view before, half from the present one.
 
     Where and how much follows from the cell's features in both (Li et al., 2022, 'BEVFormer', eq. 5).
 
@@ -46,7 +46,7 @@ class TemporalAttention(nn.Module):
     def forward(
         self, before: Float[Tensor, "B X Y C"], present: Float[Tensor, "B X Y C"], periodic: Periodic
     ) -> Float[Tensor, "B X Y C"]:
-        """What is added to the present view."""
+        """Return the change of the present view."""
         with torch.autocast(present.device.type, enabled=False):
             dtype = torch.promote_types(present.dtype, torch.float32)
             views = torch.stack([before, present], dim=1).to(dtype)
@@ -64,19 +64,19 @@ class TemporalAttention(nn.Module):
         return self.output(sums.view(present.shape))
 
     def _table(self, views: Float[Tensor, "B 2 X Y C"], periodic: Periodic) -> Float[Tensor, "R D"]:
-        """Values by sample, view, cell and head; one cell more at every end, as `corners` wants it."""
+        """Return values by sample, view, cell and head, with one cell more at every end, as `corners` needs."""
         values = self.value(views).flatten(0, 1).movedim(-1, 1).unsqueeze(-1)
         return pad3d(values, (1, 1, 0), periodic).movedim(1, -1).reshape(-1, views.shape[-1] // self.heads)
 
     def _first_rows(self, views: Tensor, index: Tensor) -> Tensor:
-        """(N, 1, 2 * points) first cell of the padded view that each sample comes from."""
+        """Return (N, 1, 2 * points), the first cell of the padded view that each sample comes from."""
         x_cells, y_cells = views.shape[2:4]
         sample = torch.div(index, x_cells * y_cells, rounding_mode="floor")
         view = torch.arange(VIEWS, dtype=torch.int32, device=index.device).repeat_interleave(self.points)
         return (sample[:, None, None] * VIEWS + view) * ((x_cells + 2) * (y_cells + 2))
 
     def _sampling(self, queries: Float[Tensor, "N E"]) -> tuple[Float[Tensor, "2 N H K"], Float[Tensor, "N H K"]]:
-        """Offsets in cells along both axes, and attention, of both views; softmax over a long last axis is fast."""
+        """Return offsets in cells along both axes, and attention; softmax over a long last axis is fast."""
         offsets = self.offsets(queries).view(len(queries), 2, self.heads, -1).transpose(0, 1)
         scores = torch.addmm(self.attention.bias[:, None], self.attention.weight, queries.T)
         weights = scores.view(self.heads, VIEWS, self.points, -1).softmax(2) / VIEWS
@@ -84,7 +84,7 @@ class TemporalAttention(nn.Module):
 
 
 class TemporalLayer(nn.Module):
-    """Temporal attention, add & norm, feed-forward, add & norm."""
+    """Apply temporal attention and a feed-forward part, each added and normalised."""
 
     def __init__(self, channels: int, heads: int, points: int, feedforward_channels: int):
         super().__init__()
@@ -95,12 +95,12 @@ class TemporalLayer(nn.Module):
     def forward(
         self, before: Float[Tensor, "B X Y C"], present: Float[Tensor, "B X Y C"], periodic: Periodic
     ) -> Float[Tensor, "B X Y C"]:
-        """The present view, knowing the one before."""
+        """Return the present view after attention to the one before."""
         return self.feedforward(self.attention_norm(present + self.attention(before, present, periodic)))
 
 
 class History(NamedTuple):
-    """What is known of the past of each sample.
+    """Past of each sample.
 
     Attributes:
         view: after attention.
@@ -114,7 +114,7 @@ class History(NamedTuple):
 
 
 class Recurrent(nn.Module):
-    """Bird's-eye views attend to the one before, from the oldest frame to the newest.
+    """Let each bird's-eye view attend to the one before, from the oldest frame to the newest.
 
     As BEVFormer (Li et al., 2022): the result of a frame, moved into the next one's ego frame, is the history of the
     next; a frame without history is its own. There the attention stands in every layer of the encoder, here behind all
@@ -168,7 +168,7 @@ class Recurrent(nn.Module):
         world_from_ego: Float[Tensor, "B T 4 4"],
         exists: Bool[Tensor, "B T"],
     ) -> Float[Tensor, "B C X Y Z"]:
-        """The newest volume, knowing the past."""
+        """Return the newest volume, changed by the past."""
         *past, newest = volumes
         poses = world_from_ego.double()
         device, learns = newest.device.type, torch.is_grad_enabled() and self.history_gradient
@@ -185,7 +185,7 @@ class Recurrent(nn.Module):
     def _remember(
         self, past: list[Float[Tensor, "B C X Y Z"]], poses: Float[Tensor, "B T 4 4"], exists: Bool[Tensor, "B T"]
     ) -> History | None:
-        """Goes through the frames before the newest; each sample keeps its last view that exists."""
+        """Go through the frames before the newest; each sample keeps its last view that exists."""
         history: History | None = None
         for volume, pose, there in zip(past, poses.unbind(1), exists.unbind(1), strict=False):
             if not is_static() and not there.any():
@@ -201,7 +201,7 @@ class Recurrent(nn.Module):
     def _look(
         self, volume: Float[Tensor, "B C X Y Z"], pose: Float[Tensor, "B 4 4"], history: History | None
     ) -> Float[Tensor, "B X Y D"]:
-        """The view of a frame after attention."""
+        """Return the view of a frame after attention."""
         present = self.fold(volume.movedim(1, -1).flatten(-2))
         before = present
         if history is not None:

@@ -51,7 +51,7 @@ def test_channels_must_split_into_groups():
 
 @pytest.mark.parametrize("true", [3.0, 3.25, 3.5, 6.9])
 def test_fractions_between_spheres(true):
-    # shares of two neighbours say where in between the answer is
+    # the answer lies between two neighbours according to their probabilities
     probability = torch.full((1, 10, 1, 1), 1e-9)
     lower = int(true)
     probability[0, lower], probability[0, lower + 1] = 1 - (true - lower), true - lower + 1e-9

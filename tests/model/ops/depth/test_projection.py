@@ -72,12 +72,12 @@ def brute_likeness(rows, one, two, present, groups):
     dense = [sampler.matrix.to_dense() for sampler in (one, two)]
     pixels = present.T.float().repeat_interleave(18 * 32, 0)
     left, right = ((each @ rows).unflatten(1, (len(present), -1)) for each in dense)
-    shares = [each @ pixels for each in dense]
+    fractions = [each @ pixels for each in dense]
     left, right = (
-        side / fraction.clamp(min=0.05)[..., None] for side, fraction in zip((left, right), shares, strict=True)
+        side / fraction.clamp(min=0.05)[..., None] for side, fraction in zip((left, right), fractions, strict=True)
     )
     gap = (left - right).square().unflatten(2, (groups, -1)).mean(-1)
-    return torch.where((shares[0] > 0) & (shares[1] > 0), 1.0, 0.0)[..., None] / (1 + gap)
+    return torch.where((fractions[0] > 0) & (fractions[1] > 0), 1.0, 0.0)[..., None] / (1 + gap)
 
 
 @pytest.mark.parametrize("missing", [None, 1])

@@ -26,8 +26,8 @@ def looped(points_m, value, drawn):
         weight = inverse = total = 0.0
         for (x, y, range_m, counts), each in zip(places, value.tolist(), strict=True):
             gap = abs((x - column + 8) % 16 - 8)
-            share = max(0, 1 - gap) * max(0, 1 - abs(y - row)) * (counts and range_m <= 1.5 * front)
-            weight, inverse, total = weight + share, inverse + share / range_m, total + share * each
+            part = max(0, 1 - gap) * max(0, 1 - abs(y - row)) * (counts and range_m <= 1.5 * front)
+            weight, inverse, total = weight + part, inverse + part / range_m, total + part * each
         ranges[row, column], values[row, column] = weight / inverse, total / weight
     return ranges, values
 

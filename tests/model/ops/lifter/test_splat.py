@@ -25,7 +25,7 @@ def cell_by_hand(grid, point):
     return tuple(cell)
 
 
-def splat_by_loops(context, share, rig, grid, height, width):
+def splat_by_loops(context, probability, rig, grid, height, width):
     """(C, *shape): every camera, pixel and bin on its own."""
     volume = torch.zeros(context.shape[1], *grid.shape, dtype=torch.float64)
     for camera, model in enumerate(rig.cameras):
@@ -39,7 +39,7 @@ def splat_by_loops(context, share, rig, grid, height, width):
                     point = rig.ego_from_camera[camera] @ torch.cat([ray * range_m, torch.ones(1, dtype=torch.float64)])
                     cell = cell_by_hand(grid, point[:3].tolist())
                     if cell is not None:
-                        volume[(slice(None), *cell)] += share[pixel, index] * context[pixel]
+                        volume[(slice(None), *cell)] += probability[pixel, index] * context[pixel]
     return volume
 
 
@@ -48,9 +48,9 @@ def splat_by_loops(context, share, rig, grid, height, width):
 def test_equals_loops_over_cameras_pixels_and_bins(request, name, grid):
     rig = request.getfixturevalue(name)
     context = torch.randn(6 * 4 * 8, 5, dtype=torch.float64)
-    share = torch.rand(6 * 4 * 8, len(RANGES_M), dtype=torch.float64)
-    volume = splat(context, share, find_entries(rig, grid, 4, 8, RANGES_M, CPU)).T.reshape(5, *grid.shape)
-    expected = splat_by_loops(context, share, rig, grid, 4, 8)
+    probability = torch.rand(6 * 4 * 8, len(RANGES_M), dtype=torch.float64)
+    volume = splat(context, probability, find_entries(rig, grid, 4, 8, RANGES_M, CPU)).T.reshape(5, *grid.shape)
+    expected = splat_by_loops(context, probability, rig, grid, 4, 8)
     assert expected.abs().sum() > 0
     torch.testing.assert_close(volume, expected)
 
@@ -67,9 +67,12 @@ def test_points_lie_at_their_range_from_the_camera_also_behind_its_plane(fisheye
 
 def test_mass_is_conserved_where_the_grid_holds_all_points(fisheye):
     grid = Cuboid((6, 6, 6), (-20.0, 20.0), (-20.0, 20.0), (-20.0, 20.0))
-    context, share = torch.randn(6 * 36, 5, dtype=torch.float64), torch.rand(6 * 36, 4, dtype=torch.float64).softmax(-1)
+    context, probability = (
+        torch.randn(6 * 36, 5, dtype=torch.float64),
+        torch.rand(6 * 36, 4, dtype=torch.float64).softmax(-1),
+    )
     seen = bin_points(fisheye, 4, 9, torch.tensor(RANGES_M, dtype=torch.float64))[1]
-    volume = splat(context, share, find_entries(fisheye, grid, 4, 9, RANGES_M, CPU))
+    volume = splat(context, probability, find_entries(fisheye, grid, 4, 9, RANGES_M, CPU))
     torch.testing.assert_close(volume.sum(0), context[seen].sum(0))
 
 
@@ -100,7 +103,7 @@ def test_masked_pixels_give_nothing(fisheye):
 @pytest.mark.parametrize("grid", GRIDS, ids=["cylinder", "cuboid"])
 def test_gradients_are_those_of_finite_differences(fisheye, grid):
     context = torch.randn(6 * 6, 2, dtype=torch.float64, requires_grad=True)
-    share = torch.rand(6 * 6, len(RANGES_M), dtype=torch.float64, requires_grad=True)
+    probability = torch.rand(6 * 6, len(RANGES_M), dtype=torch.float64, requires_grad=True)
     entries = find_entries(fisheye, grid, 2, 3, RANGES_M, CPU)
     assert len(entries.voxel) > len(entries.voxel.unique())
-    assert torch.autograd.gradcheck(lambda *inputs: splat(*inputs, entries), (context, share), fast_mode=True)
+    assert torch.autograd.gradcheck(lambda *inputs: splat(*inputs, entries), (context, probability), fast_mode=True)

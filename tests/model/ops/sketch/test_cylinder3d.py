@@ -40,7 +40,7 @@ def test_gradients_reach_every_parameter(geometry):
 
 def test_blocks_reach_as_far_as_their_kernels_say():
     def reach(block):
-        for module in block.modules():  # the norm looks at the whole sample
+        for module in block.modules():  # the norm depends on the whole sample
             if isinstance(module, torch.nn.GroupNorm):
                 module.forward = lambda volume: volume
         volume = torch.randn(1, 8, *GRID.shape, requires_grad=True)

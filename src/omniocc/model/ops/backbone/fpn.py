@@ -6,7 +6,7 @@ from torch.nn import functional as F
 
 
 class FPN(nn.Module):
-    """Brings maps of several strides to the same channels and adds what coarser maps know to finer ones.
+    """Map features of several strides to the same channels and add coarser maps to finer ones.
 
     Args:
         in_channels: of the maps that come in, finest first.
@@ -21,7 +21,7 @@ class FPN(nn.Module):
         self.smooth = nn.ModuleDict({str(level): nn.Conv2d(channels, channels, 3, padding=1) for level in keep})
 
     def forward(self, maps: list[Float[Tensor, "B _ _ _"]]) -> list[Float[Tensor, "B C _ _"]]:
-        """Maps finest first -> the kept ones, finest first."""
+        """Return the kept maps, finest first, from all maps, finest first."""
         first = min(self.keep)
         sums = [lateral(level) for lateral, level in zip(self.lateral, maps[first:], strict=True)]
         for finer in range(len(sums) - 2, -1, -1):

@@ -9,7 +9,7 @@ STD = (0.229, 0.224, 0.225)
 
 
 class Normalize(nn.Module):
-    """Takes RGB in [0, 1] to the mean 0 and deviation 1 of ImageNet."""
+    """Normalise RGB in [0, 1] to the mean 0 and deviation 1 of ImageNet."""
 
     mean: Tensor
     std: Tensor
@@ -20,5 +20,5 @@ class Normalize(nn.Module):
         self.register_buffer("std", torch.tensor(STD).view(3, 1, 1), persistent=False)
 
     def forward(self, images: Float[Tensor, "B N 3 H W"]) -> Float[Tensor, "BN 3 H W"]:
-        """Images of all cameras as one batch, channels last in memory."""
+        """Return images of all cameras as one batch, channels last in memory."""
         return ((images - self.mean) / self.std).flatten(0, 1).contiguous(memory_format=torch.channels_last)

@@ -20,7 +20,7 @@ Network = TypeVar("Network", bound=nn.Module)
 
 
 def load_or_random(weights: str | None, load: Callable[[str, bool], Network], random: Callable[[], Network]) -> Network:
-    """The network with the named weights, or with random ones after one line of warning where they cannot be reached.
+    """Return the network with the named weights; where they cannot be reached, warn once and take random ones.
 
     Args:
         weights: name on the hub or a folder; None for random weights, without any access to the network.
@@ -38,7 +38,7 @@ def load_or_random(weights: str | None, load: Callable[[str, bool], Network], ra
 
 
 def require_equal(found: PretrainedConfig, wanted: PretrainedConfig, names: Iterable[str], weights: str) -> None:
-    """Compares entries of two configurations.
+    """Compare entries of two configurations.
 
     Raises:
         ValueError: if the weights belong to a network of other sizes.
@@ -50,7 +50,7 @@ def require_equal(found: PretrainedConfig, wanted: PretrainedConfig, names: Iter
 
 
 def build_resnet(config: ResNetConfig, weights: str | None) -> ResNetModel:
-    """A ResNet with the named weights, or with random ones (see `load_or_random`).
+    """Return a ResNet with the named weights, or with random ones (see `load_or_random`).
 
     Raises:
         ValueError: if the weights belong to a network of other sizes.
@@ -65,7 +65,7 @@ def build_resnet(config: ResNetConfig, weights: str | None) -> ResNetModel:
 
 
 def _hub_reachable(weights: str) -> bool:
-    """Whether a request makes sense: transformers itself would retry for minutes on a machine without a network."""
+    """Return whether the hub can be reached: transformers itself would retry for minutes without a network."""
     if os.path.isdir(weights) or os.environ.get("HF_HUB_OFFLINE", "0").upper() in ("1", "TRUE", "YES", "ON"):
         return False
     endpoint = os.environ.get("HF_ENDPOINT", "https://huggingface.co")

@@ -1,4 +1,4 @@
-"""What every depth option gives, and the checks and shortcuts they share."""
+"""The answer of the depth options, and their common checks and grouping."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -19,7 +19,7 @@ class DepthMap(NamedTuple):
     Attributes:
         range_m: above 0 and finite everywhere, see `Spheres.farthest_m`.
         index: of inverse range, 0 infinity, `spheres - 1` the nearest sphere, with fractions.
-        valid: false where nobody sees anything, in the sky, and where the answer is too uncertain.
+        valid: false where no camera sees anything, in the sky, and where the answer is too uncertain.
         confidence: in [0, 1].
     """
 
@@ -29,7 +29,7 @@ class DepthMap(NamedTuple):
     confidence: Float[Tensor, "B h w"]
 
     def known_range_m(self) -> Float[Tensor, "B h w"]:
-        """Ranges, nan where they are not valid."""
+        """Return ranges, nan where they are not valid."""
         return self.range_m.float().masked_fill(~self.valid, torch.nan)
 
 
@@ -43,7 +43,7 @@ def from_index(
     confidence: Float[Tensor, "B h w"],
     spheres: Spheres,
 ) -> DepthMap:
-    """Clamps the index to the spheres and adds the range."""
+    """Clamp the index to the spheres and adds the range."""
     index = index.clamp(0, spheres.count - 1)
     return DepthMap(spheres.range_m(index), index, valid, confidence.clamp(0, 1))
 
@@ -62,7 +62,7 @@ def check_images(images: Float[Tensor, "B N 3 H W"], rigs: Sequence[Rig]) -> Non
 
 
 def rig_groups(rigs: Sequence[Rig]) -> list[tuple[Rig, list[int]]]:
-    """The distinct rigs of a batch, each with its samples."""
+    """Return the distinct rigs of a batch, each with its samples."""
     groups: dict[Rig, list[int]] = {}
     for sample, rig in enumerate(rigs):
         groups.setdefault(rig, []).append(sample)
@@ -70,7 +70,7 @@ def rig_groups(rigs: Sequence[Rig]) -> list[tuple[Rig, list[int]]]:
 
 
 def per_rig(rigs: Sequence[Rig], run: Callable[[Rig, list[int]], DepthMap]) -> DepthMap:
-    """Runs samples of equal rig together and puts the answers back in order."""
+    """Run samples of equal rig together and put the answers back in order."""
     groups = rig_groups(rigs)
     parts = [run(rig, samples) for rig, samples in groups]
     if len(parts) == 1:
@@ -80,5 +80,5 @@ def per_rig(rigs: Sequence[Rig], run: Callable[[Rig, list[int]], DepthMap]) -> D
 
 
 def weighted_sum(parts: Sequence[tuple[float, dict[str, Tensor]]]) -> dict[str, Tensor]:
-    """Adds losses of the same names, each part with its weight."""
+    """Add losses of the same names, each part with its weight."""
     return {name: torch.stack([weight * terms[name] for weight, terms in parts]).sum() for name in parts[0][1]}

@@ -1,4 +1,4 @@
-"""The 2D feature network that all cameras share."""
+"""The 2D feature network of all cameras."""
 
 import torch
 from jaxtyping import Float
@@ -11,7 +11,7 @@ STRIDE = 2
 
 
 class FeatureNet(nn.Module):
-    """Images to feature maps at half their size, one network for all cameras.
+    """Extract features at half the size of the images, by one network for all cameras.
 
     The stem covers 4x4 px around the centre of every 2x2 block, so that a feature stands exactly where `grid_sample`
     coordinates put it and mirrored images give mirrored places.
@@ -32,7 +32,7 @@ class FeatureNet(nn.Module):
     def forward(
         self, images: Float[Tensor, "B N 3 H W"], extra: Float[Tensor, "B N E H W"] | None = None
     ) -> Float[Tensor, "B N C _ _"]:
-        """Features; the height and width of an image must be even.
+        """Return features of images, whose height and width must be even.
 
         Raises:
             ValueError: if they are not.

@@ -12,14 +12,14 @@ from omniocc.model.ops.padding import upsample_view
 
 
 class Conv(nn.Conv2d):
-    """A 2D convolution that keeps the size (odd kernels, stride 1) and can wrap around along the width."""
+    """Convolve in 2D, keeping the size (odd kernels, stride 1), and wrapping around along the width if asked."""
 
     def __init__(self, in_channels: int, out_channels: int, kernel_size: int, wrap: bool, bias: bool = True):
         super().__init__(in_channels, out_channels, kernel_size, bias=bias)
         self.wrap = wrap
 
     def forward(self, maps: Float[Tensor, "B C H W"]) -> Float[Tensor, "B D H W"]:
-        """Convolves; zeros above and below, and at the sides unless it wraps."""
+        """Return the convolved maps; zeros above and below, and at the sides unless it wraps."""
         border = self.kernel_size[0] // 2
         if not (self.wrap and border):
             return F.conv2d(maps, self.weight, self.bias, padding=border)
@@ -28,7 +28,7 @@ class Conv(nn.Conv2d):
 
 
 class Residual(nn.Module):
-    """x + relu(norm(conv(x)))."""
+    """Compute x + relu(norm(conv(x)))."""
 
     def __init__(self, channels: int, wrap: bool):
         super().__init__()
@@ -36,12 +36,12 @@ class Residual(nn.Module):
         self.norm = group_norm(channels)
 
     def forward(self, maps: Float[Tensor, "B C H W"]) -> Float[Tensor, "B C H W"]:
-        """Maps of the same size."""
+        """Return maps of the same size."""
         return maps + F.relu(self.norm(self.conv(maps)))
 
 
 class UNet2d(nn.Module):
-    """Residual blocks on a pyramid of halved maps, with added skips.
+    """Apply residual blocks on a pyramid of halved maps, with added skips.
 
     A coarse pixel covers exactly 2x2 fine ones, so that flipping the input of a mirrored network flips the output, and,
     if it wraps, rolling the columns by a multiple of 2**(levels-1) rolls the output.
@@ -62,7 +62,7 @@ class UNet2d(nn.Module):
         self.decoder = nn.ModuleList(_blocks(fine, blocks, wrap) for fine, _ in pairs)
 
     def forward(self, maps: Float[Tensor, "B C H W"]) -> Float[Tensor, "B C H W"]:
-        """Maps of the same size and channels.
+        """Return maps of the same size and channels.
 
         Raises:
             ValueError: if it wraps and the width cannot be halved often enough.
@@ -90,7 +90,7 @@ def _blocks(channels: int, count: int, wrap: bool) -> nn.Sequential:
 def window_argmax(
     logits: Float[Tensor, "B D h w"], radius: int
 ) -> tuple[Float[Tensor, "B h w"], Float[Tensor, "B h w"]]:
-    """Index with fractions, and how sure it is.
+    """Return a fractional index and its confidence.
 
     The mean index, weighted by probability, of the spheres up to `radius` from the peak. Unlike the mean over all
     spheres it stays on one of two surfaces when both are likely. The peak is where three neighbours hold the most

@@ -1,6 +1,6 @@
 """Base of the depth options: samples of equal rig go through together, without padding."""
 
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -46,6 +46,22 @@ class PanoramaDepth(nn.Module):
         return per_rig(rigs, lambda rig, samples: self.estimate(crop(images[samples], rig), rig))
 
 
+class DepthBatch(NamedTuple):
+    """Samples that a depth network learns from, without padding.
+
+    Attributes:
+        images: RGB in [0, 1].
+        rigs: one per sample.
+        erp_range_m: true panorama; inf for the sky, nan where unknown.
+        camera_range_m: true range of every pixel; None if the data has none.
+    """
+
+    images: Float[Tensor, "B N 3 H W"]
+    rigs: Rigs
+    erp_range_m: Float[Tensor, "B h w"]
+    camera_range_m: Float[Tensor, "B N H W"] | None
+
+
 class LearnedPanoramaDepth(PanoramaDepth):
     """Learn to estimate ranges; subclasses give the losses of samples whose images have one shape, in `losses`.
 
@@ -59,22 +75,12 @@ class LearnedPanoramaDepth(PanoramaDepth):
         super().__init__(panorama, spheres)
         self.mirror = mirror
 
-    def losses(
-        self,
-        images: Float[Tensor, "B N 3 H W"],
-        rigs: Rigs,
-        erp_range_m: Float[Tensor, "B h w"],
-        camera_range_m: Float[Tensor, "B N H W"] | None,
-        flip: bool,
-    ) -> dict[str, Float[Tensor, ""]]:
-        """Return weighted losses by name, of samples whose images have one shape, without padding.
+    def losses(self, batch: DepthBatch, flip: bool) -> dict[str, Float[Tensor, ""]]:
+        """Return weighted losses by name.
 
         Args:
-            images: RGB in [0, 1].
-            rigs: one per sample.
-            erp_range_m: true panorama, mirrored with `flip`; inf for the sky, nan where unknown.
-            camera_range_m: true range of every pixel, mirrored with `flip`; None if the data has none.
-            flip: whether to learn from the mirrored world.
+            batch: samples whose images have one shape.
+            flip: whether to learn from the mirrored world; the true ranges are mirrored already, the images not.
         """
         raise NotImplementedError
 
@@ -101,6 +107,6 @@ class LearnedPanoramaDepth(PanoramaDepth):
                 camera_m = crop(camera_range_m[samples], own[0])
             if flip:
                 erp_m, camera_m = erp_m.flip(-1), None if camera_m is None else camera_m.flip(-1)
-            terms = self.losses(crop(images[samples], own[0]), own, erp_m, camera_m, flip)
+            terms = self.losses(DepthBatch(crop(images[samples], own[0]), own, erp_m, camera_m), flip)
             parts.append((len(samples) / len(images), terms))
         return weighted_sum(parts)

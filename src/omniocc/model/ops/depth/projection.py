@@ -78,7 +78,7 @@ class Sampler:
         """Return `matrix @ rows`, or `less - matrix @ rows` in place."""
         if not is_static():
             return product(self.matrix, rows, less)
-        # exported programs know no sparse matrices
+        # exported programs have no sparse matrices
         sums = F.embedding_bag(self.columns, rows, self.first, mode="sum", per_sample_weights=self.values)
         return sums if less is None else less - sums
 

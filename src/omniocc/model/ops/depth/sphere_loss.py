@@ -27,7 +27,7 @@ def _mean(values: Float[Tensor, "B h w"], counted: Bool[Tensor, "B h w"]) -> Flo
 
 @dataclass(frozen=True)
 class SphereLoss:
-    """Losses of index, log range and spheres where there is a surface, and of telling the sky from surfaces.
+    """Compute losses of index, log range and spheres where there is a surface, and of sky against surface.
 
     Smooth L1 on the index and on the log of the range, and cross-entropy over spheres, over pixels nearer than
     `SKY_INDEX`; cross-entropy of sky or surface over all that are known. Means over pixels. The index's weight is 1.

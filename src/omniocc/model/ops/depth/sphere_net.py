@@ -12,10 +12,9 @@ from omniocc.model.ops.depth.depth_map import (
     weighted_sum,
 )
 from omniocc.model.ops.depth.layers import window_argmax
-from omniocc.model.ops.depth.panorama_depth import LearnedPanoramaDepth
+from omniocc.model.ops.depth.panorama_depth import DepthBatch, LearnedPanoramaDepth
 from omniocc.model.ops.depth.sphere_loss import SphereLoss
 from omniocc.model.ops.depth.spheres import SphereRange
-from omniocc.model.ops.padded import Rigs
 
 
 class SphereNet(LearnedPanoramaDepth):
@@ -67,19 +66,12 @@ class SphereNet(LearnedPanoramaDepth):
         valid = seen & (solid > 0.5) & (index >= SKY_INDEX) & (confidence >= self.min_confidence)
         return from_index(index, valid, confidence, self.rig_spheres(rig))
 
-    def losses(
-        self,
-        images: Float[Tensor, "B N 3 H W"],
-        rigs: Rigs,
-        erp_range_m: Float[Tensor, "B h w"],
-        camera_range_m: Float[Tensor, "B N H W"] | None,
-        flip: bool,
-    ) -> dict[str, Float[Tensor, ""]]:
+    def losses(self, batch: DepthBatch, flip: bool) -> dict[str, Float[Tensor, ""]]:
         """Return the losses of `SphereLoss`, from the panorama alone."""
         parts = []
-        for rig, samples in rig_groups(rigs):
-            logits, _ = self.logits(images[samples], rig, flip)
+        for rig, samples in rig_groups(batch.rigs):
+            logits, _ = self.logits(batch.images[samples], rig, flip)
             index, _ = window_argmax(logits[:, :-1], self.window)
-            terms = self.loss(logits, index, erp_range_m[samples], self.rig_spheres(rig))
-            parts.append((len(samples) / len(images), terms))
+            terms = self.loss(logits, index, batch.erp_range_m[samples], self.rig_spheres(rig))
+            parts.append((len(samples) / len(batch.images), terms))
         return weighted_sum(parts)

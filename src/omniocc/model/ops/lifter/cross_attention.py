@@ -12,7 +12,7 @@ from omniocc.model.ops.padded import FeatureMaps
 
 
 def ring_offsets(heads: int, levels: int, points: int, anchors: int) -> Float[Tensor, "H L 2 K"]:
-    """Where samples begin, in pixels: each head looks in a direction of its own, 1, 2, ... pixels from each anchor."""
+    """Return the first offsets of samples, px: each head has a direction of its own, 1, 2, ... px from each anchor."""
     angle = torch.arange(heads) * (2 * math.pi / heads)
     direction = torch.stack([angle.cos(), angle.sin()], dim=-1)
     direction = direction / direction.abs().amax(-1, keepdim=True)
@@ -24,7 +24,7 @@ def _transposed(linear: nn.Linear, queries: Float[Tensor, "Q C"]) -> Float[Tenso
 
 
 class CrossAttention(nn.Module):
-    """Multi-scale deformable attention (Zhu et al., 2021), averaged over the cameras that see a query (paper eq. 1).
+    """Apply multi-scale deformable attention (Zhu et al., 2021), averaged over the cameras that see a query (eq. 1).
 
     Offsets and attention come from the query alone; all cameras share them.
 
@@ -33,7 +33,7 @@ class CrossAttention(nn.Module):
         heads: a divisor of the channels.
         points: samples per head and level.
         levels: number of feature maps.
-        anchors: reference points of each query, a divisor of the points, which they share equally.
+        anchors: reference points of each query, a divisor of the points, which are split equally among them.
     """
 
     def __init__(self, channels: int, heads: int, points: int, levels: int, anchors: int):
@@ -53,16 +53,16 @@ class CrossAttention(nn.Module):
     def forward(
         self, queries: Float[Tensor, "G Q C"], features: FeatureMaps, pairs: Pairs, levels: list[Level]
     ) -> Float[Tensor, "B Q C"]:
-        """Attends for B samples of equal rig and candidates; G is B, or 1 if the samples still share their queries."""
-        share = len(features[0]) // len(queries)
-        maps = zip(*(level.split(share) for level in features), strict=True)
+        """Attend for B samples of equal rig and candidates; G is B, or 1 while the samples have the same queries."""
+        samples = len(features[0]) // len(queries)
+        maps = zip(*(level.split(samples) for level in features), strict=True)
         sums = [self._attend(query, list(own), pairs, levels) for query, own in zip(queries, maps, strict=True)]
         return self.output(torch.cat(sums))
 
     def _attend(
         self, queries: Float[Tensor, "Q C"], features: FeatureMaps, pairs: Pairs, levels: list[Level]
     ) -> Float[Tensor, "B Q C"]:
-        """One set of queries on B samples, whose channels travel side by side: positions are computed once."""
+        """Attend with one set of queries to B samples, channels side by side: positions are computed once."""
         with torch.autocast(queries.device.type, enabled=False):
             dtype = torch.promote_types(queries.dtype, torch.float32)
             offsets, attention = self._sampling(queries.to(dtype))
@@ -71,7 +71,7 @@ class CrossAttention(nn.Module):
         return sums.unflatten(-1, (len(features[0]), -1)).permute(2, 1, 0, 3).flatten(2)
 
     def _sampling(self, queries: Float[Tensor, "Q C"]) -> tuple[Float[Tensor, "H L 2 Q K"], Float[Tensor, "H L Q K"]]:
-        """Offsets and attention; queries run along the last axis until the end, where softmax is many times faster."""
+        """Return offsets and attention; queries run along the last axis, where softmax is many times faster."""
         shape = (self.heads, self.levels, self.points)
         offsets = _transposed(self.offsets, queries).unflatten(0, (*shape[:2], 2, self.points))
         attention = _transposed(self.attention, queries).unflatten(0, (self.heads, -1)).softmax(1)

@@ -10,7 +10,7 @@ OCTAVES = 4
 
 
 def position_features(geometry: Grid) -> Float[Tensor, "cells D"]:
-    """Describes every cell by the metric coordinates of its centre, so that one embedding fits any grid.
+    """Describe every cell by the metric coordinates of its centre, so that one embedding fits any grid.
 
     x, y, z and radius scaled to [-1, 1] (or [0, 1]), sine and cosine of multiples of the azimuth, and of radius and
     height in octaves. Nothing jumps where the azimuth does.

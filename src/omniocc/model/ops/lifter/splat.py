@@ -38,7 +38,7 @@ class Entries(NamedTuple):
 def bin_points(
     rig: Rig, height: int, width: int, ranges_m: Float64[Tensor, " D"]
 ) -> tuple[Float64[Tensor, "P D 3"], Bool[Tensor, " P"]]:
-    """Points along the rays through the pixels of feature maps that cover the whole images.
+    """Return points along the rays through the pixels of feature maps, which span the rig's largest image.
 
     Args:
         rig: cameras.
@@ -73,7 +73,7 @@ def bin_points(
 def find_entries(
     rig: Rig, geometry: Grid, height: int, width: int, ranges_m: tuple[float, ...], device: torch.device
 ) -> Entries:
-    """Once per rig, as it depends on nothing else. The result is shared: never write to it."""
+    """Return the entries of a rig and a grid; never write to the result, which is cached."""
     points_m, seen = bin_points(rig, height, width, torch.tensor(ranges_m, dtype=torch.float64))
     cells, inside = geometry.flat_index(points_m)
     inside &= seen[:, None]
@@ -88,31 +88,33 @@ def find_entries(
 
 
 class _Splat(torch.autograd.Function):
-    """See `splat`; neither the outer product nor its gradient is ever written to memory."""
+    """Implement `splat`; neither the outer product nor its gradient is ever written to memory."""
 
     @staticmethod
-    def forward(ctx: Any, context: Tensor, share: Tensor, entries: Entries) -> Tensor:
-        ctx.save_for_backward(context, share)
+    def forward(ctx: Any, context: Tensor, probability: Tensor, entries: Entries) -> Tensor:
+        ctx.save_for_backward(context, probability)
         ctx.entries = entries
-        weights = share.flatten().index_select(0, entries.slot).index_select(0, entries.by_voxel)
+        weights = probability.flatten().index_select(0, entries.slot).index_select(0, entries.by_voxel)
         return F.embedding_bag(entries.pixel, context, entries.voxel_first, mode="sum", per_sample_weights=weights)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, grad: Tensor) -> Any:
-        context, share = ctx.saved_tensors
+        context, probability = ctx.saved_tensors
         entries: Entries = ctx.entries
         grad = grad.contiguous()
-        weights = share.flatten().index_select(0, entries.slot)
+        weights = probability.flatten().index_select(0, entries.slot)
         first = entries.pixel_ends[:-1]
         grad_context = F.embedding_bag(entries.voxel, grad, first, mode="sum", per_sample_weights=weights)
         products = _products(context, grad, entries)
-        grad_share = torch.zeros_like(share).flatten().index_copy_(0, entries.slot, products).view_as(share)
-        return grad_context, grad_share, None
+        grad_probability = (
+            torch.zeros_like(probability).flatten().index_copy_(0, entries.slot, products).view_as(probability)
+        )
+        return grad_context, grad_probability, None
 
 
 def _products(context: Tensor, grad: Tensor, entries: Entries) -> Tensor:
-    """Inner product of each entry's pixel with the gradient of its voxel."""
+    """Return the inner product of each entry's pixel with the gradient of its voxel."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Sparse")  # CSR is marked beta
         pattern = torch.sparse_csr_tensor(
@@ -121,10 +123,12 @@ def _products(context: Tensor, grad: Tensor, entries: Entries) -> Tensor:
         return torch.sparse.sampled_addmm(pattern, context, grad.T, beta=0.0).values()
 
 
-def splat(context: Float[Tensor, "P C"], share: Float[Tensor, "P D"], entries: Entries) -> Float[Tensor, "cells C"]:
-    """Adds each pixel's feature to the voxel of each of its bins, times the bin's share of the pixel.
+def splat(
+    context: Float[Tensor, "P C"], probability: Float[Tensor, "P D"], entries: Entries
+) -> Float[Tensor, "cells C"]:
+    """Add each pixel's feature to the voxel of each of its bins, times the bin's probability.
 
-    As a sum of the outer products of features and shares (Philion & Fidler, 2020), without them. Bins outside the grid
-    are lost. Differentiable once.
+    This sums the outer products of features and probabilities (Philion & Fidler, 2020) without writing them to memory.
+    Bins outside the grid are lost. Differentiable once.
     """
-    return _Splat.apply(context, share, entries)  # type: ignore[return-value]
+    return _Splat.apply(context, probability, entries)  # type: ignore[return-value]

@@ -1,4 +1,4 @@
-"""Which camera sees which voxel, and where."""
+"""Visibility of voxels: which camera sees which, and where."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -35,7 +35,7 @@ class Pairs(NamedTuple):
 
 
 def anchor_points(geometry: Grid, anchors: Sequence[tuple[float, float, float]]) -> Float64[Tensor, "X Y Z A 3"]:
-    """Points in every cell, ego frame, metres.
+    """Return points in every cell, ego frame, metres.
 
     Args:
         geometry: the voxel grid.
@@ -53,7 +53,7 @@ def anchor_points(geometry: Grid, anchors: Sequence[tuple[float, float, float]])
 def reference_points(
     rig: Rig, geometry: Grid, device: torch.device, anchors: tuple[tuple[float, float, float], ...] = CENTRE
 ) -> tuple[Float32[Tensor, "N cells A 2"], Bool[Tensor, "N cells"]]:
-    """Projects the anchors of all cells into all cameras: `grid_sample` coordinates, and which cells are visible there.
+    """Project the anchors of all cells into all cameras: `grid_sample` coordinates, and which cells are visible.
 
     A cell is visible where one of its anchors is; anchors that are not lie far outside the image. Depends on rig and
     grid alone, so each rig is projected once. The result is shared: never write to it.
@@ -66,7 +66,7 @@ def reference_points(
 def visible_pairs(
     points: Float32[Tensor, "N cells A 2"], valid: Bool[Tensor, "N cells"], cells: Int64[Tensor, " Q"]
 ) -> Pairs:
-    """The pairs of the queries at `cells` (row-major indices)."""
+    """Return the pairs of the queries at `cells` (row-major indices)."""
     seen = valid.T[cells]
     query, camera = seen.nonzero(as_tuple=True)
     counts = seen.sum(1)

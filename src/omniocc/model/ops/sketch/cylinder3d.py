@@ -20,7 +20,7 @@ ACROSS_FIRST: Axes = (1, 3, 3)
 
 
 class AxisConv(nn.Conv3d):
-    """A convolution with an odd kernel size for each axis; keeps the size and wraps around on periodic axes."""
+    """Convolve with an odd kernel size for each axis, keeping the size and wrapping around on periodic axes."""
 
     def __init__(self, in_channels: int, out_channels: int, kernel: Axes, periodic: Periodic):
         super().__init__(in_channels, out_channels, kernel)
@@ -30,12 +30,12 @@ class AxisConv(nn.Conv3d):
         self.zeros: Axes = tuple(0 if wraps else h for h, wraps in zip(halves, periodic, strict=True))  # type: ignore[assignment]
 
     def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B D X Y Z"]:
-        """Convolves."""
+        """Return the convolved volume."""
         return F.conv3d(pad3d(volume, self.wrap, self.periodic), self.weight, self.bias, padding=self.zeros)
 
 
 class ConvNorm(nn.Module):
-    """Convolution, leaky ReLU, norm: the order of Cylinder3D."""
+    """Apply convolution, leaky ReLU and norm, in the order of Cylinder3D."""
 
     def __init__(self, in_channels: int, out_channels: int, kernel: Axes, periodic: Periodic):
         super().__init__()
@@ -43,12 +43,12 @@ class ConvNorm(nn.Module):
         self.norm = group_norm(out_channels)
 
     def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B D X Y Z"]:
-        """A volume of the same size."""
+        """Return a volume of the same size."""
         return self.norm(F.leaky_relu(self.conv(volume)))
 
 
 class Asymmetric(nn.Module):
-    """Asymmetric residual block: kernels 3x1x3 then 1x3x3, beside 1x3x3 then 3x1x3; their sum."""
+    """Apply an asymmetric residual block: the sum of kernels 3x1x3 then 1x3x3, and 1x3x3 then 3x1x3."""
 
     def __init__(self, in_channels: int, out_channels: int, periodic: Periodic):
         super().__init__()
@@ -63,12 +63,12 @@ class Asymmetric(nn.Module):
         self.second = branch(ACROSS_FIRST, ACROSS_SECOND)
 
     def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B D X Y Z"]:
-        """A volume of the same size."""
+        """Return a volume of the same size."""
         return self.first(volume) + self.second(volume)
 
 
 class Context(nn.Module):
-    """Dimension-decomposed context: the volume, weighed by the sum of three gates that look along one axis each."""
+    """Weight the volume by the sum of three gates along one axis each (dimension-decomposed context)."""
 
     def __init__(self, channels: int, periodic: Periodic):
         super().__init__()
@@ -77,13 +77,13 @@ class Context(nn.Module):
         self.norms = nn.ModuleList(group_norm(channels) for _ in kernels)
 
     def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B C X Y Z"]:
-        """A volume of the same size."""
+        """Return a volume of the same size."""
         gates = [norm(conv(volume)).sigmoid() for conv, norm in zip(self.convs, self.norms, strict=True)]
         return volume * sum(gates[1:], gates[0])
 
 
 class Cylinder3D(nn.Module):
-    """Asymmetric blocks on a pyramid of halved grids, context at the end; wraps around on the grid's periodic axes.
+    """Apply asymmetric blocks on a pyramid of halved grids, then context; wraps around on the grid's periodic axes.
 
     Rolling the input along a periodic axis by a multiple of 2**(levels-1) cells rolls the output.
 
@@ -111,7 +111,7 @@ class Cylinder3D(nn.Module):
         self.out = AxisConv(2 * channels[0], out_channels, (3, 3, 3), periodic)
 
     def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B D X Y Z"]:
-        """Logits of every cell."""
+        """Return logits of every cell."""
         # channels last: 3D convolutions run about a third faster on the CPU
         volume = self.stem(volume.contiguous(memory_format=torch.channels_last_3d))
         skips = []

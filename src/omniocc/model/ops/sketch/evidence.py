@@ -1,4 +1,4 @@
-"""What a panorama of ranges says about each cell: in front of what was seen, at it, or behind."""
+"""Evidence of a panorama of ranges about each cell: in front of the seen surface, at it, or behind."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -11,11 +11,11 @@ from omniocc.camera import Equirectangular
 from omniocc.geometry import Grid
 
 EVIDENCE_CHANNELS = 4
-"""Of the evidence: known share, and the gap at three scales."""
+"""Channels of the evidence: known fraction, and the gap at three scales."""
 
 
 def cell_samples(geometry: Grid, per_axis: Sequence[int]) -> Float64[Tensor, "K X Y Z 3"]:
-    """Points spread evenly in every cell, `per_axis` of them along each axis; ego frame, metres."""
+    """Return points spread evenly in every cell, `per_axis` of them along each axis; ego frame, metres."""
     axes = []
     for axis, count in enumerate(per_axis):
         edges = geometry.edges(axis)
@@ -27,7 +27,7 @@ def cell_samples(geometry: Grid, per_axis: Sequence[int]) -> Float64[Tensor, "K 
 
 
 class Sight(NamedTuple):
-    """Where in the panorama the samples of the cells are looked up."""
+    """Pixels of the panorama in the directions of the samples of cells."""
 
     pixel: Int64[Tensor, "K cells"]
     """Row-major number of the pixel."""
@@ -38,7 +38,7 @@ class Sight(NamedTuple):
 
 
 def sight(geometry: Grid, panorama: Equirectangular, per_axis: Sequence[int]) -> Sight:
-    """Looks up the direction of every sample."""
+    """Look up the direction of every sample."""
     points = cell_samples(geometry, per_axis).flatten(1, 3)
     pixels, inside = panorama.project(points)
     column = pixels[..., 0].round().long().remainder(panorama.width)
@@ -49,12 +49,12 @@ def sight(geometry: Grid, panorama: Equirectangular, per_axis: Sequence[int]) ->
 def sight_evidence(
     range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"], where: Sight, step_m: float
 ) -> Float[Tensor, "B 4 cells"]:
-    """Compares the distance of each cell's samples with the range seen in their direction.
+    """Compare the distance of each cell's samples with the range seen in their direction.
 
     Returns:
-        The share of samples whose direction has a valid range; then means over all samples, 0 for those without, of
+        The fraction of samples whose direction has a valid range; then means over all samples, 0 for those without, of
         the gap range - distance cut off at one step and at four, and of log(range / distance) cut off at 1. Positive is
-        in front of what was seen: free. Around 0 is its surface. Negative is hidden behind it: unknown.
+        in front of the seen surface: free. Around 0 is the surface. Negative is hidden behind it: unknown.
     """
     seen = range_m.float().flatten(1)[:, where.pixel]
     known = valid.flatten(1)[:, where.pixel] & where.inside
@@ -65,7 +65,7 @@ def sight_evidence(
 
 
 class Evidence(nn.Module):
-    """Evidence of free and hidden space (see `sight_evidence`) for every cell of a grid; no parameters.
+    """Compute evidence of free and hidden space (see `sight_evidence`) for every cell of a grid; no parameters.
 
     Args:
         geometry: the voxel grid.
@@ -85,7 +85,7 @@ class Evidence(nn.Module):
             self.register_buffer(name, tensor, persistent=False)
 
     def forward(self, range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"]) -> Float[Tensor, "B 4 X Y Z"]:
-        """Range in metres, finite, and where it counts."""
+        """Return the evidence from finite ranges (m) and where they are valid."""
         where = Sight(self.pixel, self.distance_m, self.inside)
         evidence = sight_evidence(range_m, valid, where, self.geometry.cell_m[0])
         return evidence.unflatten(2, self.geometry.shape)

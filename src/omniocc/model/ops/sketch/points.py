@@ -15,18 +15,18 @@ from omniocc.model.ops.static import is_static
 def pseudo_points(
     range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"], panorama: Equirectangular
 ) -> Float[Tensor, "B P 3"]:
-    """The point that each pixel sees, in the ego frame, row by row; not a number where the range is not valid."""
+    """Return the point that each pixel sees, ego frame, row by row; nan where the range is not valid."""
     points = range_m.float().unsqueeze(-1) * panorama.rays(range_m.device)
     return torch.where(valid.unsqueeze(-1), points, torch.nan).flatten(1, 2)
 
 
 def still_axes(geometry: Grid) -> list[int]:
-    """Axes along which places differ: those that do not wrap around."""
+    """Return the axes that do not wrap around."""
     return [axis for axis in range(3) if not geometry.periodic[axis]]
 
 
 def point_features(points: Float[Tensor, "P 3"], geometry: Grid) -> Float[Tensor, "P F"]:
-    """What Cylinder3D knows of a point: its offset from the cell's centre, its coordinates, its range.
+    """Return the features of points in Cylinder3D: offset from the cell's centre, coordinates, range.
 
     Offsets are in cells, coordinates in halves of the grid from its middle, the range in units of the grid's reach. The
     azimuth itself and x, y, which Cylinder3D has too, are left out in a cylinder: turning the car turns the sketch.
@@ -45,20 +45,20 @@ def point_features(points: Float[Tensor, "P 3"], geometry: Grid) -> Float[Tensor
 
 @lru_cache(maxsize=16)
 def reach_m(geometry: Grid) -> float:
-    """Horizontal distance of the farthest column."""
+    """Return the horizontal distance of the farthest column."""
     return float(geometry.distances_m().max())
 
 
 def voxel_max(
     features: Float[Tensor, "P C"], cells: Int64[Tensor, " P"], num_cells: int
 ) -> Float[Tensor, "num_cells C"]:
-    """Largest value of each feature among the points of a cell; 0 where that is negative or there is no point."""
+    """Return the largest value of each feature among the points of a cell; 0 if negative or without points."""
     index = cells.unsqueeze(1).expand_as(features)
     return features.new_zeros(num_cells, features.shape[1]).scatter_reduce(0, index, features, "amax")
 
 
 class PointEncoder(nn.Module):
-    """Features of the points of every cell: an MLP on each point, the maximum in each cell.
+    """Encode the points of every cell: an MLP on each point, the maximum in each cell.
 
     Args:
         geometry: the voxel grid.
@@ -73,7 +73,7 @@ class PointEncoder(nn.Module):
         self.out = nn.Linear(channels, channels)
 
     def forward(self, points: Float[Tensor, "B P 3"]) -> tuple[Float[Tensor, "B C X Y Z"], Float[Tensor, "B 1 X Y Z"]]:
-        """Features, not negative and 0 in cells without points, and 1 where a cell has points, else 0.
+        """Return features, not negative and 0 in cells without points, and 1 where a cell has points, else 0.
 
         Points outside the grid or not finite do not count.
         """
@@ -92,7 +92,7 @@ class PointEncoder(nn.Module):
     def _of_all(
         self, points: Float[Tensor, "B P 3"], places: Int64[Tensor, "B P"], inside: Bool[Tensor, "B P"]
     ) -> tuple[Float[Tensor, "B C X Y Z"], Float[Tensor, "B 1 X Y Z"]]:
-        """The same without picking points: those that do not count add zeros, which the maximum ignores."""
+        """Compute the same for all points: those that do not count add zeros, which the maximum ignores."""
         features = point_features(points.flatten(0, 1), self.geometry)
         encoded = F.relu(self.out(F.relu(self.hidden(features))))
         marked = torch.cat([encoded, torch.ones_like(encoded[:, :1])], dim=1)
