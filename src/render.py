@@ -26,6 +26,8 @@ DECODED_FRAMES = 400
 @script("render")
 def main(cfg: DictConfig) -> None:
     """Check -> build -> render, read back or draw."""
+    if "frames_per_scene" not in cfg.data.source:
+        raise UserError("render.py renders scenes of the virtual world alone: leave data=... out")
     whole_length = cfg.data.source.frames_per_scene
     if cfg.frames is not None:
         cfg.data.source.frames_per_scene = cfg.frames

@@ -36,6 +36,11 @@ def run(tmp_path, monkeypatch, capsys):
     return call
 
 
+def test_other_sources_are_not_rendered(run):
+    code, _ = run("data=recorded", "data.source.root=elsewhere")
+    assert "virtual world" in code
+
+
 @pytest.mark.slow
 def test_render_check_and_page(run, tmp_path):
     code, out = run("first_scene=2", "scenes=2")

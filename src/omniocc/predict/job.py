@@ -151,9 +151,7 @@ class Job:
         """Add a moment to the scores; its own in a few words."""
         assert self.scores is not None
         voxels = truth.voxels.unsqueeze(0)
-        self.scores.rays.update(labels.unsqueeze(0), voxels)
-        self.scores.lidar.update_rays(labels.unsqueeze(0), truth.lidar_range_m[None], truth.lidar_labels[None])
-        self.scores.cells.update(labels.unsqueeze(0), voxels)
+        self.scores.update(labels.unsqueeze(0), Truth(*(part if part is None else part.unsqueeze(0) for part in truth)))
         alone = VoxelIoU(self.scores.num_classes)
         alone.update(labels.unsqueeze(0), voxels)
         own = alone.compute()

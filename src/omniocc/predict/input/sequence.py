@@ -27,6 +27,9 @@ class Truth(NamedTuple):
     voxels: UInt8[Tensor, "X Y Z"]
     lidar_range_m: Float32[Tensor, " R"]
     lidar_labels: UInt8[Tensor, " R"]
+    scored: None = None
+    lidar_directions: None = None
+    lidar_origins: None = None
 
 
 @runtime_checkable
