@@ -1,9 +1,11 @@
 """Sphinx configuration of the documentation: `make docs` builds it, offline, with warnings as errors."""
 
 import os
+import re
 import sys
 from importlib.metadata import version as installed_version
 from pathlib import Path
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "src"))
 
@@ -21,6 +23,7 @@ source_suffix = {".md": "markdown"}
 exclude_patterns = ["_build"]
 myst_enable_extensions = ["deflist", "colon_fence"]
 myst_heading_anchors = 4
+suppress_warnings = ["ref.python"]  # a name that a package exports again has two entries; either will do
 
 autodoc_default_options = {"members": True, "show-inheritance": True}
 autodoc_member_order = "bysource"
@@ -45,3 +48,13 @@ intersphinx_mapping = (
 html_theme = "furo"
 html_title = "OmniDepth-Occ"
 html_static_path: list[str] = []
+
+
+def escape_stars(app: Any, what: str, name: str, documented: Any, options: Any, lines: list[str]) -> None:
+    """Escape the star of shapes such as `(B, *shape)`, which is no emphasis."""
+    lines[:] = [re.sub(r"(?<![*\w\\`])\*(?=[A-Za-z]\w*\b(?!\*))", r"\\*", line) for line in lines]
+
+
+def setup(app: Any) -> None:
+    """Register what happens to docstrings."""
+    app.connect("autodoc-process-docstring", escape_stars, priority=900)
