@@ -23,6 +23,7 @@ source_suffix = {".md": "markdown"}
 exclude_patterns = ["_build"]
 myst_enable_extensions = ["deflist", "colon_fence"]
 myst_heading_anchors = 4
+highlight_language = "text"
 suppress_warnings = ["ref.python"]  # a name that a package exports again has two entries; either will do
 
 autodoc_default_options = {"members": True, "show-inheritance": True}
@@ -48,6 +49,7 @@ intersphinx_mapping = (
 html_theme = "furo"
 html_title = "OmniDepth-Occ"
 html_static_path: list[str] = []
+html_show_copyright = False
 
 
 def escape_stars(app: Any, what: str, name: str, documented: Any, options: Any, lines: list[str]) -> None:
@@ -55,6 +57,12 @@ def escape_stars(app: Any, what: str, name: str, documented: Any, options: Any, 
     lines[:] = [re.sub(r"(?<![*\w\\`])\*(?=[A-Za-z]\w*\b(?!\*))", r"\\*", line) for line in lines]
 
 
+def skip_fields(app: Any, what: str, name: str, documented: Any, skip: bool, options: Any) -> bool | None:
+    """Leave out the fields of named tuples, which the class's own docstring explains."""
+    return True if str(documented.__doc__).startswith("Alias for field number") else None
+
+
 def setup(app: Any) -> None:
     """Register what happens to docstrings."""
+    app.connect("autodoc-skip-member", skip_fields)
     app.connect("autodoc-process-docstring", escape_stars, priority=900)
