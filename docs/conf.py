@@ -48,7 +48,8 @@ intersphinx_mapping = (
 
 html_theme = "furo"
 html_title = "OmniDepth-Occ"
-html_static_path: list[str] = []
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
 html_show_copyright = False
 
 

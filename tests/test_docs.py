@@ -15,7 +15,7 @@ EXAMPLES = {
     "src/omniocc/model/sketch/low.py", "conf/model/sketch/low.yaml", "tests/model/sketch/test_low.py",
     "omniocc.model.sketch.Low", "conf/ablation/my_lifter.yaml", "sweeps/my_lifters.yaml",
 }  # fmt: skip
-"""What a reader is to write."""
+"""What a reader is to write, as is everything below `mylib/`."""
 
 FILE = re.compile(r"(?<![\w/.<>:-])(?:src|conf|docs|tests|tools|sweeps|notebooks|\.github)(?:/[\w*][\w.*-]*)+")
 IN_PACKAGE = re.compile(r"(?<![\w/.<>:-])[a-z_]+(?:/[a-z_]\w*)+\.py\b")
@@ -30,7 +30,8 @@ CODE = re.compile(r"`([^`]+)`")
 def by_page(pattern: re.Pattern[str], pages: list[Path] = PAGES) -> list[tuple[str, str]]:
     """Return page and match, without what a reader is to write."""
     found = [(str(page.relative_to(ROOT)), match) for page in pages for match in pattern.findall(page.read_text())]
-    return [(page, match.rstrip(".")) for page, match in found if match.rstrip(".") not in EXAMPLES]
+    names = [(page, match.rstrip(".")) for page, match in found]
+    return [(page, name) for page, name in names if name not in EXAMPLES and not name.startswith("mylib/")]
 
 
 def is_there(path: str, base: Path = ROOT) -> bool:
@@ -92,7 +93,7 @@ def imports() -> list[tuple[str, tuple[str, str]]]:
 
 def commands() -> list[str]:
     """Return the overrides of every training command that stands complete on a line of its own."""
-    pages = [page for page in PAGES if page.name == "README.md" or page.parent.name == "how_to"]
+    pages = [page for page in PAGES if page.name in ("README.md", "swap_a_part.md", "own_data.md", "cluster.md")]
     found = {line.strip() for page in pages for line in COMMAND.findall(page.read_text())}
     return sorted(line for line in found if not re.search(r"<|--|model/sketch=low|my_|/data/|\.\.\.", line))
 
