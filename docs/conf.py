@@ -53,9 +53,10 @@ html_css_files = ["site.css"]
 html_show_copyright = False
 
 
-def escape_stars(app: Any, what: str, name: str, documented: Any, options: Any, lines: list[str]) -> None:
-    """Escape the star of shapes such as `(B, *shape)`, which is no emphasis."""
-    lines[:] = [re.sub(r"(?<![*\w\\`])\*(?=[A-Za-z]\w*\b(?!\*))", r"\\*", line) for line in lines]
+def escape_markup(app: Any, what: str, name: str, documented: Any, options: Any, lines: list[str]) -> None:
+    """Escape the star of shapes such as `(B, *shape)`, which is no emphasis, and the bars of `|x|`, no substitution."""
+    stars = (re.sub(r"(?<![*\w\\`])\*(?=[A-Za-z]\w*\b(?!\*))", r"\\*", line) for line in lines)
+    lines[:] = [re.sub(r"\|(\w+)\|", r"\\|\1\\|", line) for line in stars]
 
 
 def skip_fields(app: Any, what: str, name: str, documented: Any, skip: bool, options: Any) -> bool | None:
@@ -66,4 +67,4 @@ def skip_fields(app: Any, what: str, name: str, documented: Any, skip: bool, opt
 def setup(app: Any) -> None:
     """Register what happens to docstrings."""
     app.connect("autodoc-skip-member", skip_fields)
-    app.connect("autodoc-process-docstring", escape_stars, priority=900)
+    app.connect("autodoc-process-docstring", escape_markup, priority=900)
