@@ -62,7 +62,7 @@ RUNS ?= runs
 wandb-sync: $(READY)  ## Upload all offline W&B runs that are not there yet, and the report's tables (RUNS=runs)
 	@$(BIN)/python -m omniocc.report.wandb.upload --runs $(RUNS)
 
-dashboard: $(READY)  ## Save the W&B dashboard to the project omniocc (docs/dashboards.md)
+dashboard: $(READY)  ## Save the W&B dashboard to the project omniocc (docs/how_to/dashboards.md)
 	@$(BIN)/python -m omniocc.report.wandb.dashboard --runs $(RUNS)
 
 .PHONY: help setup demo test test-typecheck docs lint types constraints bench ablations wandb-sync dashboard

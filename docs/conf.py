@@ -1,9 +1,11 @@
 """Sphinx configuration of the documentation: `make docs` builds it, offline, with warnings as errors."""
 
 import os
+import re
 import sys
 from importlib.metadata import version as installed_version
 from pathlib import Path
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "src"))
 
@@ -21,6 +23,8 @@ source_suffix = {".md": "markdown"}
 exclude_patterns = ["_build"]
 myst_enable_extensions = ["deflist", "colon_fence"]
 myst_heading_anchors = 4
+highlight_language = "text"
+suppress_warnings = ["ref.python"]  # a name that a package exports again has two entries; either will do
 
 autodoc_default_options = {"members": True, "show-inheritance": True}
 autodoc_member_order = "bysource"
@@ -44,4 +48,23 @@ intersphinx_mapping = (
 
 html_theme = "furo"
 html_title = "OmniDepth-Occ"
-html_static_path: list[str] = []
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+html_show_copyright = False
+
+
+def escape_markup(app: Any, what: str, name: str, documented: Any, options: Any, lines: list[str]) -> None:
+    """Escape the star of shapes such as `(B, *shape)`, which is no emphasis, and the bars of `|x|`, no substitution."""
+    stars = (re.sub(r"(?<![*\w\\`])\*(?=[A-Za-z]\w*\b(?!\*))", r"\\*", line) for line in lines)
+    lines[:] = [re.sub(r"\|(\w+)\|", r"\\|\1\\|", line) for line in stars]
+
+
+def skip_fields(app: Any, what: str, name: str, documented: Any, skip: bool, options: Any) -> bool | None:
+    """Leave out the fields of named tuples, which the class's own docstring explains."""
+    return True if str(documented.__doc__).startswith("Alias for field number") else None
+
+
+def setup(app: Any) -> None:
+    """Register what happens to docstrings."""
+    app.connect("autodoc-skip-member", skip_fields)
+    app.connect("autodoc-process-docstring", escape_markup, priority=900)
