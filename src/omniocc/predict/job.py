@@ -151,7 +151,7 @@ class Job:
         """Add a moment to the scores; its own in a few words."""
         assert self.scores is not None
         voxels = truth.voxels.unsqueeze(0)
-        self.scores.update(labels.unsqueeze(0), Truth(*(part if part is None else part.unsqueeze(0) for part in truth)))
+        self.scores.update(labels.unsqueeze(0), truth.as_batch())
         alone = VoxelIoU(self.scores.num_classes)
         alone.update(labels.unsqueeze(0), voxels)
         own = alone.compute()

@@ -38,7 +38,7 @@ def test_what_is_coming_is_said_and_a_full_disk_stops_it(tmp_path, monkeypatch):
     assert bytes_to_come(world, world.plans) == needed
     disk(monkeypatch, needed)
     line = (
-        f"{world.source}: 4 of 4 scenes to render, 16 frames, about {needed / 1e6:.0f} MB, {needed / 1e6:.0f} MB free"
+        f"{world.place}: 4 of 4 scenes to render, 16 frames, about {needed / 1e6:.0f} MB, {needed / 1e6:.0f} MB free"
     )
     assert announcement(world, world.plans) == line
     disk(monkeypatch, needed - 1)

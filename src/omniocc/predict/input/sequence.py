@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import torch
-from jaxtyping import Float32, Float64, UInt8
+from jaxtyping import Bool, Float32, Float64, UInt8
 from torch import Tensor
 
 from omniocc.camera import Rig
@@ -27,9 +27,13 @@ class Truth(NamedTuple):
     voxels: UInt8[Tensor, "X Y Z"]
     lidar_range_m: Float32[Tensor, " R"]
     lidar_labels: UInt8[Tensor, " R"]
-    scored: None = None
-    lidar_directions: None = None
-    lidar_origins: None = None
+    scored: Bool[Tensor, "X Y Z"] | None = None
+    lidar_directions: Float32[Tensor, "R 3"] | None = None
+    lidar_origins: Float32[Tensor, "R 3"] | None = None
+
+    def as_batch(self) -> "Truth":
+        """Return the same with a first axis of length 1, as `omniocc.task.Scores` takes it."""
+        return Truth(self.voxels[None], self.lidar_range_m[None], self.lidar_labels[None])
 
 
 @runtime_checkable
