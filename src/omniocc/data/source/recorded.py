@@ -87,15 +87,15 @@ class Recorded:
         return Path(self.root if self.cache is None else self.cache) / f"recorded-{digest(self._checksums)[:12]}"
 
     def prepare(self) -> None:
-        """Check that all scenes are there and fit together.
+        """Check that all scenes are there and fit together; each may have cameras of its own.
 
         Raises:
-            DataError: when a scene is missing or has other classes, bands, cameras or frame rate than the first.
+            DataError: when a scene is missing or has other classes, bands, road height or frame rate than the first.
         """
         readers = self._readers
-        wanted = stated(readers[0]) if readers else {}
+        wanted = plain_spec(spec_of(readers[0])) if readers else {}
         for reader in readers[1:]:
-            for what, value in stated(reader).items():
+            for what, value in plain_spec(spec_of(reader)).items():
                 if value != wanted[what]:
                     raise DataError(
                         f"{reader.folder}: its {what} are {value}, those of '{readers[0].name}' are {wanted[what]}; "
@@ -137,12 +137,6 @@ def spec_of(scene: SceneFolder) -> SourceSpec:
         return read_spec(scene.meta["facts"]["spec"])
     except (KeyError, TypeError, ValueError) as error:
         raise scene.damaged(META, f"its classes and frame rate cannot be read ({error!r})") from error
-
-
-def stated(scene: SceneFolder) -> dict[str, Any]:
-    """Return the facts in which all scenes of a source have to agree, for comparison and messages."""
-    rig = {name: facts["sha256"][:12] for name, facts in scene.meta["files"].items() if name.startswith("rig.")}
-    return plain_spec(spec_of(scene)) | {"cameras (checksums)": rig}
 
 
 def chosen_scenes(splits: Splits, there: Sequence[str], root: str) -> dict[Split, list[str]]:
