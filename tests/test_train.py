@@ -180,7 +180,7 @@ def test_stages_run_once_and_are_shared(tmp_path, data_root):
     assert len(fractions) == 2
     assert min(abs(fraction - 0.1) for fraction in fractions) < 1e-3
 
-    evaluated = run("evaluate.py", str(next(tmp_path.glob("runs/whole-*/last.ckpt"))), "--test_images=0", cwd=tmp_path)
+    evaluated = run("evaluate.py", str(next(tmp_path.glob("runs/whole-*/last.ckpt"))), "--images=0", cwd=tmp_path)
     assert evaluated.returncode == 0, evaluated.stdout + evaluated.stderr
     (path,) = tmp_path.glob("runs/whole-*/evaluation-*/metrics.json")
     online = json.loads(path.read_text())["metrics"]["test/voxel/miou"]  # the sketch at work, not its cache
