@@ -7,11 +7,11 @@ from lightning.pytorch import Trainer
 
 from omniocc.config import build, lines_not_tracebacks
 from omniocc.run.folder import PICTURES, git_commit
+from omniocc.run.quiet import quiet
 from omniocc.run.results import save_results, show_results
 from omniocc.task import StepProgress
 from omniocc.task.checkpoint import load_task
 from omniocc.task.pictures import Pictures
-from train import quiet
 
 
 @lines_not_tracebacks

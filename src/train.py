@@ -3,10 +3,7 @@
 `--help` lists what can be chosen.
 """
 
-import logging
-import os
 import time
-import warnings
 from pathlib import Path
 
 from lightning.pytorch import Trainer, seed_everything
@@ -28,6 +25,7 @@ from omniocc.run.folder import (
     run_hash,
 )
 from omniocc.run.memory import keep_freed_memory
+from omniocc.run.quiet import quiet
 from omniocc.run.results import save_results, show_results
 from omniocc.run.wandb.loggers import finish
 from omniocc.task import Occupancy, StepProgress
@@ -132,16 +130,6 @@ def announce(run: RunFolder, task: Occupancy, data: OccupancyData) -> None:
     grid = task.model.geometry
     print(f"model     {parameters:.2f} M parameters, {type(grid).__name__} {'x'.join(map(str, grid.shape))}")
     print(f"data      {data.world.folder}", flush=True)
-
-
-def quiet() -> None:
-    """Leave the screen to our own lines: no banners and tips of other libraries."""
-    for name in ("lightning.pytorch", "lightning.fabric"):
-        logging.getLogger(name).setLevel(logging.ERROR)
-    os.environ.setdefault("TOKENIZERS_PARALLELISM", "false")
-    warnings.filterwarnings("ignore", module="lightning")
-    warnings.filterwarnings("ignore", module="torch.utils.data")
-    warnings.filterwarnings("ignore", message="Grad strides do not match bucket view strides")
 
 
 if __name__ == "__main__":
