@@ -34,7 +34,9 @@ def main() -> None:
     """Run the command that the first argument names."""
     if len(sys.argv) < 2 or sys.argv[1] not in COMMANDS:
         asked = len(sys.argv) > 1 and sys.argv[1] in ("-h", "--help")
-        print(f"usage: python src/predict.py {{{','.join(COMMANDS)}}} key=value ...    (<command> --help lists the keys)")
+        print(
+            f"usage: python src/predict.py {{{','.join(COMMANDS)}}} key=value ...    (occupancy --help lists the keys)"
+        )
         sys.exit(0 if asked else 2)
     COMMANDS[sys.argv.pop(1)]()
 

@@ -1,16 +1,92 @@
-"""The twelve classes: ids, names and colours (the authors' legend; CARLA's palette)."""
+"""Class tables, and the classes of the virtual world (names and colours of the paper; CARLA palette)."""
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import UInt8
+
+FREE = 0
+"""Id of free space in every table."""
+UNKNOWN = 255
+"""Id of unlabelled cells and pixels; in no table."""
 
 
 class SemanticClass(NamedTuple):
-    """One class: its id in every label array, its name in tables, its colour in pictures."""
+    """One class: its id in label arrays, its name in tables and keys, its colour in images."""
 
     id: int
     name: str
     rgb: tuple[int, int, int]
+
+
+@dataclass(frozen=True)
+class ClassTable:
+    """The classes of a dataset, with ids 0 .. N-1 in order; 0 is free space, 255 (unknown) is no class.
+
+    Attributes:
+        rows: id, name and colour of each class.
+
+    Raises:
+        ValueError: naming the row that is wrong.
+    """
+
+    rows: tuple[SemanticClass, ...]
+
+    def __post_init__(self) -> None:
+        """Check the rows."""
+        if not 2 <= len(self.rows) <= UNKNOWN:
+            raise ValueError(f"a class table has {len(self.rows)} rows; it must have 2 to {UNKNOWN}")
+        for place, row in enumerate(self.rows):
+            if row.id != place:
+                raise ValueError(
+                    f"class '{row.name}' has id {row.id} in row {place}; ids must be 0, 1, 2, ... in order"
+                )
+            if not row.name or self.names.count(row.name) > 1:
+                raise ValueError(f"class {row.id} has the name '{row.name}'; names must be unique and not empty")
+            if len(row.rgb) != 3 or not all(isinstance(part, int) and 0 <= part <= 255 for part in row.rgb):
+                raise ValueError(f"class '{row.name}' has rgb {row.rgb}; it must be three whole numbers 0..255")
+
+    @property
+    def num_classes(self) -> int:
+        """Return the number of classes, free included."""
+        return len(self.rows)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Return the names in order of the ids."""
+        return tuple(row.name for row in self.rows)
+
+    @cached_property
+    def occupied(self) -> tuple[int, ...]:
+        """Return the ids of all classes but free."""
+        return tuple(row.id for row in self.rows if row.id != FREE)
+
+    @cached_property
+    def palette(self) -> UInt8[np.ndarray, "256 3"]:
+        """Return RGB by id; black for 255 (unknown) and for ids beyond the table."""
+        palette = np.zeros((256, 3), dtype=np.uint8)
+        palette[: self.num_classes] = [row.rgb for row in self.rows]
+        return palette
+
+    def to_dict(self) -> dict[str, dict[str, Any]]:
+        """Return the table as plain data for JSON: name and rgb by id."""
+        return {str(row.id): {"name": row.name, "rgb": list(row.rgb)} for row in self.rows}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Mapping[str, Any]]) -> "ClassTable":
+        """Return the table that `to_dict` wrote.
+
+        Raises:
+            ValueError: naming the id or the row that is wrong.
+        """
+        try:
+            rows = [SemanticClass(int(key), str(row["name"]), tuple(row["rgb"])) for key, row in data.items()]
+        except (KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"a class table must map ids to name and rgb, got {dict(data)!r}") from error
+        return cls(tuple(sorted(rows)))
 
 
 CLASSES: tuple[SemanticClass, ...] = (
@@ -27,10 +103,8 @@ CLASSES: tuple[SemanticClass, ...] = (
     SemanticClass(10, "Pedestrian", (220, 20, 60)),
     SemanticClass(11, "Roadline", (157, 234, 50)),
 )
-NUM_CLASSES = len(CLASSES)
-FREE = 0
-UNKNOWN = 255
-
-PALETTE = np.zeros((256, 3), dtype=np.uint8)
-"""RGB by class id; unknown is black."""
-PALETTE[:NUM_CLASSES] = [row.rgb for row in CLASSES]
+"""The classes of the virtual world."""
+WORLD_CLASSES = ClassTable(CLASSES)
+"""The same as a table."""
+NUM_CLASSES = WORLD_CLASSES.num_classes
+PALETTE = WORLD_CLASSES.palette

@@ -2,8 +2,8 @@ import json
 import subprocess
 
 import pytest
-from offline_file import files_of, history, runs_in
 from filelock import FileLock
+from offline_file import files_of, history, runs_in
 
 from omniocc.report.upload import log_report, main, waiting
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from omegaconf import DictConfig
 
-from omniocc.classes import CLASSES, SemanticClass
+from omniocc.classes import WORLD_CLASSES, ClassTable
 from omniocc.data.labels.voxels import Unknown
 
 ROAD_Z_M = -2.2
@@ -26,11 +26,11 @@ class TrainingData:
     rig: str
     image_size: tuple[int, int]
     road_z_m: float
-    classes: tuple[SemanticClass, ...]
+    classes: ClassTable
     unknown: Unknown
 
 
 def training_data(cfg: DictConfig) -> TrainingData:
     """Return what the configuration of a checkpoint tells about its data."""
     width, height = cfg.data.world.image_size
-    return TrainingData(cfg.data.world.rig, (width, height), ROAD_Z_M, CLASSES, cfg.data.unknown)
+    return TrainingData(cfg.data.world.rig, (width, height), ROAD_Z_M, WORLD_CLASSES, cfg.data.unknown)

@@ -1,20 +1,20 @@
-"""Answers of two models never stand in one folder."""
+"""A folder never mixes predictions of two models."""
 
 import pytest
 
 from omniocc.errors import UserError
-from omniocc.predict.output.claim import claim
+from omniocc.predict.output.manifest import write_manifest
 from omniocc.predict.output.voxel_files import VOXELS
 
 
-def test_a_forced_folder_loses_the_answers_of_the_other_model_at_once(tmp_path):
-    claim(tmp_path, {"checkpoint": "a"}, force=False)
-    answer = tmp_path / "0000" / VOXELS
-    answer.parent.mkdir()
-    answer.write_bytes(b"of a")
-    claim(tmp_path, {"checkpoint": "a"}, force=False)
-    with pytest.raises(UserError, match=r"otherwise.*checkpoint.*'a'"):
-        claim(tmp_path, {"checkpoint": "b"}, force=False)
-    assert answer.exists()
-    claim(tmp_path, {"checkpoint": "b"}, force=True)  # a kill may come right after
-    assert not answer.exists()
+def test_force_first_removes_the_predictions_of_the_other_model(tmp_path):
+    write_manifest(tmp_path, {"checkpoint": "a"}, force=False)
+    prediction = tmp_path / "0000" / VOXELS
+    prediction.parent.mkdir()
+    prediction.write_bytes(b"of a")
+    write_manifest(tmp_path, {"checkpoint": "a"}, force=False)
+    with pytest.raises(UserError, match=r"checkpoint.*'a'"):
+        write_manifest(tmp_path, {"checkpoint": "b"}, force=False)
+    assert prediction.exists()
+    write_manifest(tmp_path, {"checkpoint": "b"}, force=True)  # a kill may follow at once
+    assert not prediction.exists()

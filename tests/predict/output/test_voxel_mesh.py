@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from omniocc.classes import PALETTE
+from omniocc.classes import PALETTE, WORLD_CLASSES
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.predict.output.ply import ply_bytes
 from omniocc.predict.output.voxel_mesh import voxel_mesh
@@ -28,7 +28,7 @@ def test_one_box():
     labels = torch.zeros(CUBOID.shape, dtype=torch.uint8)
     labels[1, 2, 0] = 7
     labels[3, 0, 1] = 255  # unknown is not drawn
-    mesh = voxel_mesh(labels, CUBOID)
+    mesh = voxel_mesh(labels, CUBOID, WORLD_CLASSES)
     assert len(mesh.triangles) == 12
     assert mesh.points_m.min(0).tolist() == [2.0, 1.0, -1.0]
     assert mesh.points_m.max(0).tolist() == [4.0, 3.0, 0.0]
@@ -39,7 +39,7 @@ def test_one_box():
 def test_faces_between_occupied_cells_are_left_out():
     labels = torch.zeros(CUBOID.shape, dtype=torch.uint8)
     labels[0:2, 0, 0] = torch.tensor([1, 4], dtype=torch.uint8)
-    mesh = voxel_mesh(labels, CUBOID)
+    mesh = voxel_mesh(labels, CUBOID, WORLD_CLASSES)
     assert volume_m3(mesh) == pytest.approx(8.0)
     assert area_m2(mesh) == pytest.approx(2 * (4 * 2 + 4 * 1 + 2 * 1))
     assert len(mesh.triangles) == 20
@@ -47,7 +47,7 @@ def test_faces_between_occupied_cells_are_left_out():
 
 def test_a_full_cylinder_is_a_prism_without_inner_faces():
     labels = torch.full(CYLINDER.shape, 4, dtype=torch.uint8)
-    mesh = voxel_mesh(labels, CYLINDER)
+    mesh = voxel_mesh(labels, CYLINDER, WORLD_CLASSES)
     base = 90 / 2 * 9 * math.sin(2 * math.pi / 90)
     assert volume_m3(mesh) == pytest.approx(2 * base)
     assert area_m2(mesh) == pytest.approx(2 * base + 2 * 90 * 2 * 3 * math.sin(math.pi / 90))
@@ -58,11 +58,11 @@ def test_a_full_cylinder_is_a_prism_without_inner_faces():
 def test_cells_on_both_sides_of_the_seam_touch():
     labels = torch.zeros(CYLINDER.shape, dtype=torch.uint8)
     labels[2, [0, 89], 0] = 4
-    assert len(voxel_mesh(labels, CYLINDER).triangles) == 2 * 10
+    assert len(voxel_mesh(labels, CYLINDER, WORLD_CLASSES).triangles) == 2 * 10
 
 
 def test_nothing_gives_an_empty_mesh_that_can_be_written():
-    mesh = voxel_mesh(torch.zeros(CUBOID.shape, dtype=torch.uint8), CUBOID)
+    mesh = voxel_mesh(torch.zeros(CUBOID.shape, dtype=torch.uint8), CUBOID, WORLD_CLASSES)
     assert b"element vertex 0" in ply_bytes(*mesh)
 
 

@@ -1,4 +1,4 @@
-"""A folder holds the answers of one checkpoint under one set of options."""
+"""The file that tells what the predictions of a folder were made from: one checkpoint and one set of options."""
 
 import hashlib
 import json
@@ -12,31 +12,33 @@ from omniocc.errors import UserError
 from omniocc.io import atomic_write
 from omniocc.predict.output.voxel_files import VOXELS
 
-FACTS = "prediction.json"
-"""What made the answers in a folder."""
+MANIFEST = "prediction.json"
 
 
-def claim(output: Path, facts: Mapping[str, Any], force: bool) -> None:
-    """Leave in the folder what its answers are made of, so that answers of two models never stand side by side.
+def write_manifest(output: Path, facts: Mapping[str, Any], force: bool) -> None:
+    """Write what the predictions of a folder are made from, so that it never mixes those of two models.
 
-    Forced, answers of something else are removed first: a stop halfway leaves none of them.
+    Args:
+        output: the folder.
+        facts: checkpoint, input and options.
+        force: replace a manifest with other facts, and first remove its predictions.
 
     Raises:
-        UserError: when the folder cannot be written, or holds answers of something else.
+        UserError: when the folder cannot be written, or its predictions were made from other facts.
     """
-    path = output / FACTS
+    path = output / MANIFEST
     text = json.dumps(facts, indent=1) + "\n"
-    other = path.is_file() and path.read_text() != text
-    if other and not force:
+    differs = path.is_file() and path.read_text() != text
+    if differs and not force:
         changed = _changed(path.read_text(), facts)
         raise UserError(
-            f"{output} holds answers that were made otherwise ({changed}); choose another output=..., or force=true "
-            "to predict all moments again"
+            f"{output} holds predictions made with other options ({changed}); choose another output=..., or "
+            "force=true to predict all frames again"
         )
     try:
-        if other:  # before anything says that these answers are the new ones
-            for answer in output.rglob(VOXELS):
-                answer.unlink()
+        if differs:  # before the new manifest, so that a stop between the two leaves no old prediction under it
+            for prediction in output.rglob(VOXELS):
+                prediction.unlink()
         atomic_write(path, text)
     except OSError as error:
         reason = (error.__cause__ and str(error.__cause__)) or str(error)
@@ -47,19 +49,17 @@ def _changed(old: str, new: Mapping[str, Any]) -> str:
     try:
         before = json.loads(old)
     except ValueError:
-        return f"{FACTS} is damaged"
-    return ", ".join(f"{key}: {before.get(key)!r} then" for key in new if before.get(key) != new[key]) or "other facts"
+        return f"{MANIFEST} is damaged"
+    changes = [f"{key} was {before.get(key)!r}" for key in new if before.get(key) != new[key]]
+    return ", ".join(changes) or "other keys"
 
 
-def digest_of(path: Path) -> str:
-    """The first 16 hex digits of a file's SHA-256."""
-    digest = hashlib.sha256()
+def file_digest(path: Path) -> str:
+    """Return the first 16 hex digits of a file's SHA-256."""
     with path.open("rb") as file:
-        for block in iter(lambda: file.read(1 << 20), b""):
-            digest.update(block)
-    return digest.hexdigest()[:16]
+        return hashlib.file_digest(file, "sha256").hexdigest()[:16]
 
 
-def fingerprint_of_poses(poses: Tensor | None) -> str | None:
-    """Of poses to the last bit."""
+def pose_digest(poses: Tensor | None) -> str | None:
+    """Return the first 16 hex digits of the poses' SHA-256, None without poses."""
     return None if poses is None else hashlib.sha256(poses.contiguous().numpy().tobytes()).hexdigest()[:16]

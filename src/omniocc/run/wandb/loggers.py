@@ -66,7 +66,9 @@ class Loggers:
         os.environ.setdefault("WANDB_SILENT", "true")
         if self.mode == "online" and not logged_in():
             raise UserError("logger.mode=online needs W&B credentials: run `wandb login` or set WANDB_API_KEY")
-        return WandbCurves(folder, self.mode == "offline", self.project, self.group, self.tags, job_type, config, earlier)
+        return WandbCurves(
+            folder, self.mode == "offline", self.project, self.group, self.tags, job_type, config, earlier
+        )
 
 
 class WandbCurves(WandbLogger):
