@@ -58,8 +58,9 @@ class Status:
     def __str__(self) -> str:
         if not self.total:
             return self.title
+        rate = f", {self.rate}" if self.rate_hz else ""
         left = "" if self.left_s is None else f", {clock(self.left_s)} left"
-        return f"{self.title}: {self.done}/{self.total} {self.unit}, {self.rate}{left}  {self.text}".rstrip()
+        return f"{self.title}: {self.done}/{self.total} {self.unit}{rate}{left}  {self.text}".rstrip()
 
 
 class Progress:

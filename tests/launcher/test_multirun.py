@@ -30,7 +30,9 @@ def test_a_job_of_two_processes_trains_one_model(tmp_path, data_root):
     assert "1 of 1 jobs finished" in result.stdout
     (path,) = tmp_path.glob("runs/train-*/metrics.json")
     assert json.loads(path.read_text())["steps"] == 2
-    (log,) = tmp_path.glob("runs/sweeps/*/*.log")  # a child process that started the sweep again would have another folder
+    (log,) = tmp_path.glob(
+        "runs/sweeps/*/*.log"
+    )  # a child process that started the sweep again would have another folder
     assert "Traceback" not in log.read_text()
 
 

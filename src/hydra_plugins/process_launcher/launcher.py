@@ -16,6 +16,7 @@ from hydra_plugins.process_launcher.job import Job, file_name, label_of
 from omniocc.progress import clock
 
 POLL_S = 0.5
+SEPARATOR = " | "  # between the jobs of the progress line; on a terminal each has a line of its own
 INTERRUPTED = 130  # exit code of a process that Ctrl-C has ended, as in shells
 LINE_EVERY_S = 60.0
 GRACE_S = 20.0
@@ -87,7 +88,7 @@ def run_all(jobs: Sequence[Job], n_jobs: int) -> None:
                 for job in [job for job in jobs if job.process is None][: free_slots(jobs, n_jobs)]:
                     job.start(environment)
                 line = progress(jobs, n_jobs, time.monotonic() - started_s)
-                status.update(line)
+                status.update(line.replace(SEPARATOR, "\n  "))
                 if not console.is_terminal and time.monotonic() - printed_s > LINE_EVERY_S:
                     printed_s = time.monotonic()
                     print(line, flush=True)
@@ -123,7 +124,7 @@ def progress(jobs: Sequence[Job], n_jobs: int, elapsed_s: float) -> str:
     left = f", about {clock(left_s(jobs, n_jobs))} left" if done else ""
     parts = [f"{len(done)} of {len(jobs)} jobs done{f', {failed} failed' if failed else ''}{left}"]
     parts += [f"{job.label}: {job.status or 'starting'}" for job in jobs if job.running]
-    return " | ".join([f"{clock(elapsed_s)}: {parts[0]}", *parts[1:]])
+    return SEPARATOR.join([f"{clock(elapsed_s)}: {parts[0]}", *parts[1:]])
 
 
 def left_s(jobs: Sequence[Job], n_jobs: int) -> float:

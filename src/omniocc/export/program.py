@@ -16,8 +16,8 @@ from omniocc.model.ops.static import static_shapes
 SLOTS = ("backbone", "sketch", "lifter", "temporal", "refiner")
 
 
-class Frame(nn.Module):
-    """The program of a model without history: one frame at a time.
+class Program(nn.Module):
+    """A model for one rig.
 
     Args:
         model: in evaluation mode.
@@ -27,6 +27,10 @@ class Frame(nn.Module):
     def __init__(self, model: OccupancyModel, rig: Rig):
         super().__init__()
         self.model, self.rig = model, rig
+
+
+class Frame(Program):
+    """The program of a model without history: one frame at a time."""
 
     def forward(self, images: UInt8[Tensor, "N 3 H W"]) -> UInt8[Tensor, "X Y Z"]:
         """Return the class of every cell from RGB 0..255."""
@@ -36,17 +40,8 @@ class Frame(nn.Module):
         return self.model.fuse([volume], pose, there).argmax(1)[0].to(torch.uint8)
 
 
-class Step(nn.Module):
-    """The program of a model with history: one frame of a sequence. Its user keeps the volumes of the past frames.
-
-    Args:
-        model: in evaluation mode.
-        rig: its cameras at the size of the images.
-    """
-
-    def __init__(self, model: OccupancyModel, rig: Rig):
-        super().__init__()
-        self.model, self.rig = model, rig
+class Step(Program):
+    """The program of a model with history: one frame of a sequence. Its user keeps the volumes of the past frames."""
 
     def forward(
         self,

@@ -47,8 +47,8 @@ def voxel_media(
         "differences": error_bev(truth, prediction, geometry, BEV_PX),
     }
     return {
-        "cameras": [Named(picture, name) for picture, name in zip(painted, rig.names, strict=True)],
-        "bev": [Named(picture, name) for name, picture in maps.items()],
+        "cameras": [Named(image, name) for image, name in zip(painted, rig.names, strict=True)],
+        "bev": [Named(image, name) for name, image in maps.items()],
         "points_truth": [Named(class_cloud(truth, geometry), "truth")],
         "points_prediction": [Named(class_cloud(prediction, geometry), "prediction")],
     }
