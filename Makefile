@@ -36,6 +36,10 @@ lint: $(READY)  ## Check style and the directions of imports
 types: $(READY)  ## Check types
 	$(BIN)/pyright --pythonpath $(BIN)/python
 
+docs: $(READY)  ## Build the documentation into docs/_build, warnings are errors (DOCS_ONLINE=1: with links to other projects)
+	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet --builder html docs docs/_build
+	@echo "docs/_build/index.html"
+
 constraints: $(READY)  ## Write constraints.txt anew (UPGRADE=1: newest versions), look wheels up for every Python
 	$(BIN)/python tools/constraints.py $(if $(UPGRADE),upgrade)
 	$(BIN)/python tools/constraints.py check
@@ -61,4 +65,4 @@ wandb-sync: $(READY)  ## Upload all offline W&B runs that are not there yet, and
 dashboard: $(READY)  ## Save the W&B dashboard to the project omniocc (docs/dashboards.md)
 	@$(BIN)/python -m omniocc.report.dashboard
 
-.PHONY: help setup demo test test-typecheck lint types constraints bench ablations wandb-sync dashboard
+.PHONY: help setup demo test test-typecheck docs lint types constraints bench ablations wandb-sync dashboard

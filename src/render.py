@@ -10,7 +10,7 @@ from omegaconf import DictConfig
 
 from omniocc.config import build, check, script
 from omniocc.data import DataError, SceneReader, VirtualWorld
-from omniocc.data.labels.class_fractions import share_table
+from omniocc.data.labels.class_fractions import fraction_table
 from omniocc.data.recording.budget import announcement, begun, size
 from omniocc.data.recording.job import ScenePlan
 from omniocc.data.store.check import SceneSurvey, survey
@@ -81,7 +81,7 @@ def read_back(world: VirtualWorld, plans: Sequence[ScenePlan]) -> None:
     found = survey(work, scenes, world.workers)
     problems += [line for result in found for line in result.problems]
     if found:
-        print(share_table(np.sum([result.voxels for result in found], axis=0)))
+        print(fraction_table(np.sum([result.voxels for result in found], axis=0)))
     if problems:
         print("\n".join(problems))
         sys.exit(1)

@@ -22,7 +22,13 @@ sys.path.insert(0, str(Path(__file__).parent / "run" / "wandb"))  # offline_file
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Long tests first, so that at the end no process is left alone with one (short ones move to an idle process)."""
-    items.sort(key=lambda item: item.get_closest_marker("slow") is None)
+    items.sort(key=seconds_of, reverse=True)
+
+
+def seconds_of(item: pytest.Item) -> float:
+    """Return about how long a test takes, in seconds: what its marker `slow` says, or 10, and 0 without one."""
+    marker = item.get_closest_marker("slow")
+    return 0 if marker is None else next(iter(marker.args), 10)
 
 
 @pytest.fixture(scope="session")

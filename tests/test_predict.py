@@ -57,6 +57,7 @@ def checkpoint(tmp_path_factory, smoke) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_frames_without_weights(frames, tmp_path):
     result = start("depth", *SMALL, f"images={frames}", "output=out", cwd=tmp_path)
     assert result.returncode == 0, result.stdout + result.stderr

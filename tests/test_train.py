@@ -142,6 +142,7 @@ def test_a_loss_that_is_not_finite_is_one_line(tmp_path, data_root):
     assert "frames: train-" in line
 
 
+@pytest.mark.slow(60)
 def test_stages_run_once_and_are_shared(tmp_path, data_root):
     arguments = smoke(data_root, "model/sketch=omni", "trainer.max_steps=3", "trainer.log_every_n_steps=1")
     logged = ["logger.mode=offline", "pictures=1"]
@@ -169,7 +170,7 @@ def test_stages_run_once_and_are_shared(tmp_path, data_root):
     assert fewer.returncode == 0, fewer.stdout + fewer.stderr
     assert len(list(tmp_path.glob("runs/stages/sketch-*"))) == 1  # other candidates of the same network
     shares = {
-        json.loads(path.read_text())["metrics"]["test/sketch/share"]: path.parent
+        json.loads(path.read_text())["metrics"]["test/sketch/fraction"]: path.parent
         for path in tmp_path.glob("runs/stages/sketch-*/candidates-*/metrics.json")
     }
     assert len(shares) == 2
@@ -181,7 +182,7 @@ def test_stages_run_once_and_are_shared(tmp_path, data_root):
     online = json.loads(path.read_text())["metrics"]["test/voxel/miou"]  # the sketch at work, not its cache
     assert online == pytest.approx(metrics["test/voxel/miou"], abs=2e-3)
 
-    cached = next(shares[metrics["test/sketch/share"]].glob("train-*.frames"))
+    cached = next(shares[metrics["test/sketch/fraction"]].glob("train-*.frames"))
     blob = bytearray(cached.read_bytes())
     blob[3] ^= 1
     cached.write_bytes(blob)

@@ -1,15 +1,15 @@
-"""Rays per second through the paper's grids, on this machine: `python tests/bench/bench_rays.py [threads] [repeats]`.
+"""Measure rays per second through the paper's grids: `python tests/bench/bench_rays.py [threads] [repeats]`.
 
 14,040 rays from each of 8 origins, one at the ego origin and seven spread over the grid.
 
-* 'all cells' lists every cell of every ray (`Grid.paths`), where nothing is skipped.
-* 'fresh' finds first hits from origins not seen before: making the table counts (`RayTable(...).cast`).
+* 'all cells' lists every cell of every ray (`Grid.paths`).
+* 'fresh' finds first hits from new origins, including the making of the table (`RayTable(...).cast`).
 * 'static' finds first hits from the same origins in new labels (`RayTable.cast`).
-* 'scattered' finds first hits of rays that share nothing (`Grid.cast`).
+* 'scattered' finds first hits of rays without common origins or azimuths (`Grid.cast`).
 
-The floor is what no method gets around that looks cells up on the way to the hit. One cell at a time that is a byte for
-each cell; by columns, as here, a mask of the ray and the bits of the column for each column. 'Floor' is the time of a
-single pass over those bytes, one `and` for each column, on memory in order.
+The floor is the work that no method can avoid that looks up all cells before the hit: a byte per cell, or by columns,
+as here, a mask of the ray and the bits of the column for each column. 'Floor' is the time of a single sequential pass
+over those bytes with one `and` for each column.
 """
 
 import statistics
@@ -33,14 +33,14 @@ SOME_RAYS = 4000
 
 
 class Time(NamedTuple):
-    """Seconds that some work takes: the best and the median of the repeats."""
+    """Seconds of some work: the best and the median of the repeats."""
 
     best_s: float
     median_s: float
 
 
 class Floor(NamedTuple):
-    """What first hits of some rays cannot do without."""
+    """Least work for the first hits of some rays."""
 
     cells: int
     columns: int
@@ -49,21 +49,21 @@ class Floor(NamedTuple):
 
 
 def scene(grid: Cylinder | Cuboid) -> torch.Tensor:
-    """Road everywhere, clutter in one cell of a hundred."""
+    """Return labels with road everywhere and clutter in one cell of a hundred."""
     labels = torch.zeros(grid.shape, dtype=torch.uint8)
     labels[torch.rand(grid.shape, generator=torch.Generator().manual_seed(0)) < CLUTTER] = 4
     labels[..., :ROAD_CELLS] = 1
     return labels
 
 
-def eight_places(reach_m: float) -> torch.Tensor:
-    """The ego origin and seven places on a spiral to 55 % of the grid's reach."""
+def spiral_origins(reach_m: float) -> torch.Tensor:
+    """Return the ego origin and seven points on a spiral to 55 % of the grid's reach."""
     angle = torch.arange(8, dtype=torch.float64) * 0.8
     return torch.stack([angle.cos(), angle.sin(), 0 * angle], dim=-1) * (angle * 0.1 * reach_m).unsqueeze(1)
 
 
 def timed(work: Callable[[], object], repeats: int) -> Time:
-    """Times some work, after one run that does not count."""
+    """Return the time of some work, after one run that does not count."""
     work()
     spent = []
     for _ in range(repeats):
@@ -74,7 +74,7 @@ def timed(work: Callable[[], object], repeats: int) -> Time:
 
 
 def find_floor(grid: Cylinder | Cuboid, labels: torch.Tensor, origins: torch.Tensor, scan: Scan, repeats: int) -> Floor:
-    """Counts cells and columns up to the first hit, on the paths of all rays, and times a pass over their bytes."""
+    """Count cells and columns up to the first hit on the paths of all rays, and time a pass over their bytes."""
     hits = RayTable(grid, scan.fans(origins)).cast(labels)
     cells = columns = 0
     for place, entry_m in zip(origins, hits.entry_m.reshape(len(origins), -1), strict=True):
@@ -90,8 +90,8 @@ def find_floor(grid: Cylinder | Cuboid, labels: torch.Tensor, origins: torch.Ten
 
 
 def measure(grid: Cylinder | Cuboid, scan: Scan, repeats: int) -> dict[str, float]:
-    """Prints one block; returns Mray/s (best) by name."""
-    origins, labels = eight_places(grid.bounds[0][1]), scene(grid)
+    """Print one block; return Mray/s (best) by name."""
+    origins, labels = spiral_origins(grid.bounds[0][1]), scene(grid)
     rays = len(origins) * len(scan)
     starts, directions = scan.rays(origins)
     some = torch.randperm(rays, generator=torch.Generator().manual_seed(0))[:SOME_RAYS]
@@ -121,7 +121,7 @@ def measure(grid: Cylinder | Cuboid, scan: Scan, repeats: int) -> dict[str, floa
 
 
 def measure_update(grid: Cylinder | Cuboid, repeats: int) -> float:
-    """Prints and returns ms per frame (best) of RayIoU from the ego origin, the default."""
+    """Print and return ms per frame (best) of RayIoU from the ego origin, the default."""
     metric, frame = RayIoU(grid), scene(grid).unsqueeze(0)
     spent = timed(lambda: metric.update(frame.roll(1, 1), frame), repeats)
     text = f"{spent.best_s * 1e3:.1f} ms per frame, median {spent.median_s * 1e3:.1f}"
@@ -130,7 +130,7 @@ def measure_update(grid: Cylinder | Cuboid, repeats: int) -> float:
 
 
 def main(threads: int = 2, repeats: int = 15) -> None:
-    """Prints one block per grid."""
+    """Print one block per grid."""
     torch.set_num_threads(threads)
     scan = Scan(sparseocc_directions())
     for grid in PAPER:

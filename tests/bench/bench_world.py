@@ -20,18 +20,18 @@ from omniocc.geometry import Cuboid, Cylinder
 from omniocc.world import THEMES, Frame, Scene
 from omniocc.world.render.capture import expose
 from omniocc.world.render.caster import Caster
-from omniocc.world.render.stage import Stage, repeat
+from omniocc.world.render.snapshot import Snapshot, repeat
 
 INTERVAL_S = 0.5
 GRIDS = (Cylinder((128, 200, 16)), Cuboid((256, 256, 16)))
 PROCESSES = 2
 
 
-def rates(scene: Scene, stage: Stage) -> tuple[float, float]:
+def rates(scene: Scene, snapshot: Snapshot) -> tuple[float, float]:
     """Rays per second of the front camera against all that is static: to the nearest hit, and to any hit."""
-    view, static = scene.recorder.views[0], stage.layers.casters[0]
-    directions = np.ascontiguousarray(stage.turn(view.center).T)
-    origins = repeat(stage.place(view.origin_m), len(directions))
+    view, static = scene.recorder.views[0], snapshot.layers.casters[0]
+    directions = np.ascontiguousarray(snapshot.world_directions(view.center).T)
+    origins = repeat(snapshot.world_point(view.origin_m), len(directions))
     found = []
     for work in (static.cast, static.blocked):
         times = []
@@ -75,16 +75,16 @@ def stages_of(scene: Scene, index: int) -> dict[str, float]:
         marks.append((name, time.process_time()))
 
     time_s = index * INTERVAL_S
-    stage, _ = scene.stage(time_s)
+    snapshot, _ = scene.snapshot(time_s)
     mark("moving things")
-    looks = [see(stage) for see in scene.recorder.looks]
+    rendered = [see(snapshot) for see in scene.recorder.renderers]
     mark("cameras: rays and shading")
-    for view, seen in zip(scene.recorder.views, looks, strict=True):
-        expose(view, seen, stage.light, scene.sensor, np.random.default_rng(index))
+    for view, seen in zip(scene.recorder.views, rendered, strict=True):
+        expose(view, seen, snapshot.light, scene.sensor, np.random.default_rng(index))
     mark("cameras: exposure")
-    scene.recorder.labeller.scan(stage)
+    scene.recorder.labeller.scan(snapshot)
     mark("semantic LiDARs, thinning")
-    scene.recorder.ranges(stage)
+    scene.recorder.ranges(snapshot)
     mark("panorama, ego LiDAR")
     return {name: end - start for (_, start), (name, end) in pairwise(marks)}
 
@@ -102,11 +102,11 @@ def report(theme: str, size: tuple[int, int], frames: int) -> float:
     scene = Scene(theme, 1, Rig.load("fisheye6").resized(*size), frame_interval_s=INTERVAL_S)
     built = time.process_time() - start
     scene.frame(0)
-    static = scene.stage(0.0)[0].layers.casters[0]
+    static = scene.snapshot(0.0)[0].layers.casters[0]
     with RayCounter(static) as counter:
         spent = [stages_of(scene, index) for index in range(1, frames + 1)]
     nearest, anything = (count / frames for count in (counter.nearest, counter.any))
-    cast_rate, blocked_rate = rates(scene, scene.stage(0.0)[0])
+    cast_rate, blocked_rate = rates(scene, scene.snapshot(0.0)[0])
     frame = scene.frame(frames)
     start = time.process_time()
     for _ in range(3):

@@ -1,10 +1,10 @@
-"""Rays against brute force, on many random grids: `python tests/bench/check_rays.py [rays] [seed]`.
+"""Check rays against brute force on many random grids: `python tests/bench/check_rays.py [rays] [seed]`.
 
-For every ray all crossings with all surfaces are computed in float64 and sorted, and the midpoint between two of them
-tells the cell (`reference` in tests/geometry/test_trace.py). Cells must agree in number and order; the worst difference
-of a distance is printed. First hits in random labels, by the compiled kernels and by tensors, must be the first
-occupied cell of the path. Some rays are vertical or level, start on faces, on the axis or outside, or run through the
-axis.
+For every ray all crossings with all surfaces are computed in float64 and sorted; the midpoint between two of them gives
+the cell (`reference` in tests/geometry/raycast/test_trace.py). Cells must agree in number and order; the largest
+difference of a distance is printed. First hits in random labels, by the compiled kernels and by tensors, must be the
+first occupied cell of the path. Some rays are vertical or level, start on faces, on the axis or outside, or pass
+through the axis.
 """
 
 import importlib.util
@@ -26,8 +26,8 @@ RAYS_PER_GRID = 1000
 
 
 def load(name: str) -> ModuleType:
-    """A test module of tests/geometry."""
-    spec = importlib.util.spec_from_file_location(name, ROOT / "tests" / "geometry" / f"{name}.py")
+    """Return a test module of tests/geometry/raycast."""
+    spec = importlib.util.spec_from_file_location(name, ROOT / "tests" / "geometry" / "raycast" / f"{name}.py")
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -36,7 +36,7 @@ def load(name: str) -> ModuleType:
 
 
 def random_grid(generator: torch.Generator) -> Cylinder | Cuboid:
-    """Up to 24 x 36 x 12 cells; half of the cylinders have a hole, no cuboid is centred."""
+    """Return a grid of up to 24 x 36 x 12 cells; half of the cylinders have a hole, no cuboid is centred."""
 
     def number(low: float, high: float) -> float:
         return low + (high - low) * torch.rand((), generator=generator, dtype=torch.float64).item()
@@ -53,7 +53,7 @@ def random_grid(generator: torch.Generator) -> Cylinder | Cuboid:
 
 
 def random_rays(grid: Cylinder | Cuboid, generator: torch.Generator) -> tuple[torch.Tensor, torch.Tensor]:
-    """Origins and directions, special ones among them."""
+    """Return origins and directions, with special cases among them."""
     shape = (RAYS_PER_GRID, 3)
     origins = (torch.rand(shape, generator=generator, dtype=torch.float64) - 0.5) * torch.tensor([50.0, 50.0, 9.0])
     directions = torch.randn(shape, generator=generator, dtype=torch.float64)
@@ -75,7 +75,7 @@ def random_rays(grid: Cylinder | Cuboid, generator: torch.Generator) -> tuple[to
 
 
 def check_grid(seed: int, compare: Callable[..., float], first_hits: Callable[..., tuple]) -> float:
-    """Checks one grid; returns the worst difference of a distance in metres."""
+    """Check one grid; return the largest difference of a distance in metres."""
     generator = torch.Generator().manual_seed(seed)
     grid = random_grid(generator)
     origins, directions = random_rays(grid, generator)
@@ -95,7 +95,7 @@ def check_grid(seed: int, compare: Callable[..., float], first_hits: Callable[..
 
 
 def main(rays: int = 300_000, seed: int = 0) -> None:
-    """Checks as many grids as it takes for so many rays."""
+    """Check as many grids as this number of rays needs."""
     torch.set_num_threads(1)
     compare, first_hits = load("test_trace").compare, load("test_table").first_hits
     grids = -(-rays // RAYS_PER_GRID)

@@ -11,7 +11,7 @@ FOLDER = Path(__file__).parent
 
 
 def build(entry, exact=False, max_angle_deg=180.0):
-    """The camera of one entry of camera_fixtures.json; `exact` leaves out OCam's inverse polynomial."""
+    """Return the camera of one entry of camera_fixtures.json; `exact` leaves out OCam's inverse polynomial."""
     size = (entry["width"], entry["height"])
     if entry["model"] == "ocam":
         row, column = entry["center_row_col"]
@@ -35,17 +35,17 @@ def build(entry, exact=False, max_angle_deg=180.0):
 
 @pytest.fixture(scope="session")
 def known():
-    """Content of camera_fixtures.json."""
+    """Return the content of camera_fixtures.json."""
     return json.loads((FOLDER / "camera_fixtures.json").read_text())
 
 
 @pytest.fixture(scope="session")
 def build_camera():
-    """See `build`."""
+    """Return the function `build`."""
     return build
 
 
 @pytest.fixture(scope="session")
 def corners():
-    """Content of surround_view_corners.json."""
+    """Return the content of surround_view_corners.json."""
     return json.loads((FOLDER / "surround_view_corners.json").read_text())

@@ -1,4 +1,4 @@
-"""Calibration files as other tools write them, and what happens to broken ones."""
+"""Calibration files as other tools write them, and the errors for broken ones."""
 
 import cv2
 import numpy as np
@@ -164,7 +164,7 @@ def test_opencv_fisheye(load, known, build_camera):
     assert rig.ego_from_camera[0].tolist() == [[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]]
 
 
-def test_opencv_writes_what_is_read(tmp_path):
+def test_file_written_by_opencv_is_read(tmp_path):
     matrix, k = np.array([[300.0, 0, 320], [0, 301, 240], [0, 0, 1]]), np.array([[0.1], [-0.2], [0.03], [0.0]])
     storage = cv2.FileStorage(str(tmp_path / "c.yml"), cv2.FILE_STORAGE_WRITE)
     storage.write("camera_matrix", matrix)
@@ -240,7 +240,7 @@ def test_omnimvs_config(tmp_path, load):
     invalid[:100] = 255
     cv2.imwrite(str(tmp_path / "mask1.png"), invalid)
     rig = load(OMNIMVS, "config.yaml")
-    assert rig == Rig.load(tmp_path), "the folder will do"
+    assert rig == Rig.load(tmp_path), "a folder stands for its config.yaml"
     assert rig.names == ("cam1", "cam2")
     assert rig.cameras[0].max_angle_deg == 110
     assert rig.cameras[0].inverse_polynomial == (300.0, 180.0, -21.0)
@@ -254,7 +254,7 @@ def test_omnimvs_config(tmp_path, load):
     torch.testing.assert_close(right[:3, 2], torch.tensor([0, -1.0, 0]).double(), atol=1e-12, rtol=0)
 
 
-def test_a_rig_file_may_name_calibration_files(tmp_path, load):
+def test_rig_file_refers_to_calibration_files(tmp_path, load):
     load(OPENCV, "front.yaml")
     load(KALIBR, "chain.yaml")
     pose = "{position_m: [2, 0, -1], yaw_deg: 0, pitch_deg: -10, roll_deg: 0}"
@@ -267,7 +267,7 @@ def test_a_rig_file_may_name_calibration_files(tmp_path, load):
 
 
 @pytest.mark.parametrize("text", [OPENCV, ROS, KALIBR, OCAMCALIB, KITTI360, OMNIMVS])
-def test_what_was_read_is_saved_as_a_rig_file(text, load, tmp_path):
+def test_calibration_is_saved_as_rig_file(text, load, tmp_path):
     rig = load(text)
     rig.save(tmp_path / "again.yaml")
     assert Rig.load(tmp_path / "again.yaml") == rig
@@ -283,7 +283,7 @@ def test_what_was_read_is_saved_as_a_rig_file(text, load, tmp_path):
         (OPENCV, "data: [ 960, 640 ]", "data: [ 960.5, 640 ]", "resolution is 960.5.*whole"),
         (OPENCV, "resolution:", "resolutoin:", "resolution or image_width is missing"),
         (OPENCV, "dist_coeffs", "dist", "dist_coeffs or distortion_coefficients is missing"),
-        (OPENCV, "0., 0., 1. ]", "0., 0.", "no YAML"),
+        (OPENCV, "0., 0., 1. ]", "0., 0.", "not valid YAML"),
         (ROS, "data: [0, 0, 0, 0, 0]", "data: [0.1, 0, 0, 0, 0]", "undistort"),
         (ROS, "300.0, 0, 320", "300.0, 0.1, 320", "camera_matrix is"),
         (KALIBR, "[752, 480]\n  rostopic", "[752]\n  rostopic", "cam0: resolution.* 2 numbers"),
@@ -315,7 +315,7 @@ def test_broken_files_name_file_key_and_value(text, old, new, message, load):
 
 
 @pytest.mark.parametrize("text", ["", "just words", "a: 1", "[1, 2]", "%YAML:1.0", "\x00\x01"])
-def test_other_files_are_told_what_is_known(text, load):
+def test_error_for_other_files_lists_known_formats(text, load):
     with pytest.raises(ValueError, match=r"some\.yaml: "):
         load(text)
 
@@ -323,6 +323,6 @@ def test_other_files_are_told_what_is_known(text, load):
 def test_folder_without_calibration_and_binary_file(tmp_path):
     with pytest.raises(ValueError, match="calibration file"):
         Rig.load(tmp_path)
-    (tmp_path / "picture.png").write_bytes(b"\x89PNG\r\n\x1a\n\xff\xfe")
-    with pytest.raises(ValueError, match=r"picture\.png: "):
-        Rig.load(tmp_path / "picture.png")
+    (tmp_path / "image.png").write_bytes(b"\x89PNG\r\n\x1a\n\xff\xfe")
+    with pytest.raises(ValueError, match=r"image\.png: "):
+        Rig.load(tmp_path / "image.png")

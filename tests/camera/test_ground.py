@@ -17,7 +17,7 @@ def cloth(rows):
 
 
 @pytest.mark.parametrize("name", ["front", "right", "back", "left"])
-def test_real_cameras_are_found_again_from_the_cloth(name, corners):
+def test_poses_of_real_cameras_are_recovered_from_the_cloth(name, corners):
     ground, pixels = cloth(corners["cameras"][name])
     index = RIG.names.index(name)
     pose, errors_px = pose_from_ground(RIG.cameras[index], pixels, ground)
@@ -28,7 +28,7 @@ def test_real_cameras_are_found_again_from_the_cloth(name, corners):
     torch.testing.assert_close(pose[:3, :3], RIG.ego_from_camera[index, :3, :3], rtol=0, atol=2e-3)
 
 
-def test_the_built_in_rig_puts_the_cloth_where_the_pictures_show_it(corners):
+def test_built_in_rig_projects_the_cloth_to_its_pixels(corners):
     origin = torch.tensor(corners["origin_m"], dtype=torch.float64)
     for index, name in enumerate(RIG.names):
         ground, pixels = cloth(corners["cameras"][name])
@@ -57,7 +57,7 @@ def test_two_cameras_meet_at_one_point_of_the_cloth(corners):
 
 
 @pytest.mark.parametrize("name", ["kitti360_image_03", "omnimvs_sunny_single_cam1 exact", "basalt_test_ds"])
-def test_any_model_and_points_past_90_degrees(name, known, build_camera):
+def test_every_model_and_points_past_90_degrees(name, known, build_camera):
     name, _, exact = name.partition(" ")
     camera = build_camera(known["cameras"][name], exact=bool(exact))
     truth = pose_from_angles((0.3, -0.2, 1.1), 30.0, -35.0, 4.0)
@@ -71,7 +71,7 @@ def test_any_model_and_points_past_90_degrees(name, known, build_camera):
     assert errors_px.max() < 1e-5
 
 
-def test_useless_points_are_named(corners):
+def test_error_names_unusable_points(corners):
     ground, pixels = cloth(corners["cameras"]["front"])
     camera = RIG.cameras[0]
     with pytest.raises(ValueError, match=r"3 points.* 4"):
@@ -91,8 +91,8 @@ def test_useless_points_are_named(corners):
 
 
 def test_angles_of_the_real_car_are_plausible():
-    heading = {"front": 0, "right": -90, "back": 180, "left": 90}
-    for name, yaw_deg in heading.items():
+    yaws_deg = {"front": 0, "right": -90, "back": 180, "left": 90}
+    for name, yaw_deg in yaws_deg.items():
         forward = RIG.ego_from_camera[RIG.names.index(name), :3, 2]
         found_deg = math.degrees(math.atan2(forward[1], forward[0]))
         assert abs((found_deg - yaw_deg + 180) % 360 - 180) < 6

@@ -64,7 +64,7 @@ def test_pixel_to_ray_to_pixel(camera, dtype, atol):
     assert seen[valid].float().mean() > 0.995, "only rays at the very limit may fall to either side"
 
 
-def test_nothing_beyond_the_limit_is_valid_and_no_pixel_has_two_angles(camera):
+def test_points_beyond_the_limit_are_invalid_and_no_pixel_has_two_angles(camera):
     angles = torch.linspace(0.5, 179.5, 360).tolist()
     radii = []
     for angle_deg in angles:
@@ -87,7 +87,7 @@ def test_max_angle_ends_the_model(known, build_camera):
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_no_nan_where_the_formula_has_none(camera, dtype):
+def test_no_nan_where_the_formula_is_undefined(camera, dtype):
     rows = [
         [0, 0, 1],
         [0, 0, -1],

@@ -115,7 +115,7 @@ def test_file_round_trip_is_exact(tmp_path, with_mask):
     assert loaded.cameras == rig.cameras
 
 
-def test_equal_rigs_are_one_cache_key():
+def test_equal_rigs_have_equal_hashes():
     mask = torch.ones(20, 40, dtype=torch.bool)
     assert two_cameras() == two_cameras()
     assert len({two_cameras(), two_cameras(), two_cameras(mask)}) == 2
@@ -166,7 +166,7 @@ POSE = "{position_m: [0.9, 0, 0], yaw_deg: 0, pitch_deg: -10, roll_deg: 0}"
         (POSE, POSE + "\n    mask: wrong.png", "wrong.png.*5x4 px.*40x20 px"),
     ],
 )
-def test_wrong_calibration_names_file_camera_and_value(tmp_path, old, new, message):
+def test_error_names_file_camera_and_value(tmp_path, old, new, message):
     cv2.imwrite(str(tmp_path / "wrong.png"), np.zeros((4, 5), np.uint8))
     assert old in GOOD
     file = tmp_path / "car.yaml"
@@ -175,7 +175,7 @@ def test_wrong_calibration_names_file_camera_and_value(tmp_path, old, new, messa
         Rig.load(file)
 
 
-def test_unreadable_files_are_named(tmp_path):
+def test_error_names_unreadable_files(tmp_path):
     with pytest.raises(ValueError, match="'fisheye6'"):
         Rig.load("fisheye")
     for text in ("", "cameras:", "cameras: [", "camera: {}"):
@@ -184,7 +184,7 @@ def test_unreadable_files_are_named(tmp_path):
             Rig.load(tmp_path / "bad.yaml")
 
 
-def test_wrong_arguments_are_named():
+def test_error_names_wrong_arguments():
     rig = two_cameras()
     with pytest.raises(ValueError, match="not unique"):
         Rig(rig.cameras, rig.ego_from_camera, ("a", "a"))

@@ -41,7 +41,7 @@ def test_eucm_ends_where_its_pinhole_does():
     assert not camera.project(ray(end_deg + 0.01))[1]
 
 
-def test_mei_ends_where_the_sphere_hides_itself():
+def test_mei_ends_where_the_sphere_occludes_itself():
     camera = MEI(9000, 9000, (500.0, 500.0), (4500.0, 4500.0), 2.2134047507854890, (0.0, 0.0, 0.0, 0.0), 180.0)
     assert camera.project(ray(116.8))[1]
     assert not camera.project(ray(116.9))[1]
@@ -79,6 +79,6 @@ def test_without_mirror_mei_and_eucm_are_pinholes():
         (lambda: MEI(4, 4, (1.0, 1.0), (1.5, 1.5), -0.1, (0.0, 0.0, 0.0, 0.0), 90.0), "xi is -0.1"),
     ],
 )
-def test_wrong_parameters_are_named(build, message):
+def test_error_names_wrong_parameters(build, message):
     with pytest.raises(ValueError, match=message):
         build()

@@ -12,9 +12,9 @@ from fake_scene import FakeWorld
 
 import omniocc
 from omniocc.camera import Rig
+from omniocc.data.labels.class_fractions import PUBLISHED_PERCENT
 from omniocc.geometry import Cylinder
 from omniocc.report.dataset_page import SKY, UNMEASURED, range_picture, save_page
-from omniocc.world.shares import AUTHORS_SHARES
 
 SCRIPT = Path(omniocc.__file__).parents[1] / "render.py"
 
@@ -34,6 +34,7 @@ def run(tmp_path, monkeypatch, capsys):
     return call
 
 
+@pytest.mark.slow
 def test_render_check_and_page(run, tmp_path):
     code, out = run("first_scene=2", "scenes=2")
     assert code == 0
@@ -96,7 +97,7 @@ def test_the_page_stands_alone(tmp_path):
     for layer in ("rgb", "semantic", "range"):
         assert all(len(frame[layer]) == 6 for frame in frames)
     assert content["table"][-1] == ["This dataset", False, True, True, True, True, 12]
-    assert content["authors"] == AUTHORS_SHARES
+    assert content["authors"] == PUBLISHED_PERCENT
     assert content["scenes"][1]["weather"] == scenes[1].meta["facts"]["weather"]
     assert content["scenes"][1]["day"].startswith(("day", "dusk", "morning"))
     assert [(len(scene["pinholes"]), len(scene["frames"][0]["pinhole"])) for scene in content["scenes"]] == [(0, 0)] * 3

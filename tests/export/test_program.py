@@ -37,6 +37,7 @@ def test_compared_frames_differ_in_the_number_of_candidates(make_model, rig, dra
     assert len(counts) > 1
 
 
+@pytest.mark.slow
 def test_a_sequence_gives_the_labels_of_the_model(make_model, rig, draw_images, tmp_path):
     model = make_model("model/temporal=mean")
     module = make_module(model, rig)

@@ -1,4 +1,4 @@
-"""The benchmark of rays runs, and its floor counts what it says."""
+"""Tests of the benchmark of rays: it runs, and its floor counts cells and columns."""
 
 import importlib.util
 from pathlib import Path

@@ -55,7 +55,7 @@ def test_marks_lie_near_the_ray_and_within_the_window():
     assert 4 <= len(seen) <= 5
 
 
-def test_nothing_passes_the_axis():
+def test_no_mark_crosses_the_axis():
     mask = torch.zeros(CYLINDER.shape, dtype=torch.bool)
     mask[1, 3, 1] = True
     assert CYLINDER.dilate(mask, (5,), ()).nonzero()[:, 1].unique().tolist() == [3]
@@ -77,6 +77,6 @@ def test_many_marks_on_one_cell_do_not_overflow():
         ((20, 12, 3), (0, 1, 2), (5.0, 4.0), "increasing.*edges_m"),
     ],
 )
-def test_wrong_input_is_named(mask, windows, edges_m, message):
+def test_error_names_wrong_input(mask, windows, edges_m, message):
     with pytest.raises(ValueError, match=message):
         CYLINDER.dilate(torch.zeros(mask, dtype=torch.bool), windows, edges_m)

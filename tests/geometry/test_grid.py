@@ -85,7 +85,7 @@ def test_paper_grids():
     assert Cylinder().coordinates(torch.tensor([1.0, 0.0, -2.2]))[2].item() == pytest.approx(1.5)
 
 
-def test_equal_grids_are_one_cache_key_and_lists_are_accepted():
+def test_equal_grids_have_equal_hashes_and_lists_are_accepted():
     assert Cylinder(shape=[64, 100, 8], radius_m=[0, 25.6], height_m=[-2.8, 3.6]) == Cylinder(shape=(64, 100, 8))
     assert hash(Cuboid(shape=[8, 8, 8])) == hash(Cuboid(shape=(8, 8, 8)))
     assert Cuboid(shape=(8, 8, 8)) != Cuboid(shape=(8, 8, 4))
@@ -128,7 +128,7 @@ def test_voxelize_agrees_with_a_plain_loop(grid):
     assert (voxels == 255).any()
 
 
-def test_voxelize_states_its_rules():
+def test_rules_of_voxelize():
     grid = Cuboid(shape=(4, 1, 1), x_m=(0.0, 4.0), y_m=(0.0, 1.0), height_m=(0.0, 1.0))
     points = torch.tensor([[0.5, 0.5, 0.5]] * 4 + [[1.5, 0.5, 0.5]] * 3 + [[2.5, 0.5, 0.5]] * 2 + [[9.0, 9.0, 9.0]])
     labels = torch.tensor([1, 1, 11, 11, 1, 255, 255, 255, 255, 3], dtype=torch.uint8)

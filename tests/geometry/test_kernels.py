@@ -1,4 +1,4 @@
-"""The compiled kernels in threads, in forked processes, and where nothing can be written."""
+"""The compiled kernels in threads, in forked processes, and without a writable folder."""
 
 import os
 import shutil
@@ -13,7 +13,7 @@ from torch.utils.data import DataLoader
 
 import omniocc
 from omniocc.geometry import Cuboid, Cylinder, RayTable, Scan
-from omniocc.geometry.raycast.kernel_table import share
+from omniocc.geometry.raycast.kernel_table import run_in_threads
 from omniocc.metric import sparseocc_directions
 
 GRID = Cylinder((16, 20, 6), (0.0, 12.0), (-2.8, 3.2))
@@ -34,7 +34,7 @@ def table_of():
 
 
 class Casts:
-    """A data set that casts rays."""
+    """A dataset that casts rays."""
 
     def __len__(self):
         return 4
@@ -83,33 +83,34 @@ def test_the_number_of_threads_changes_nothing(two_threads):
         assert torch.equal(mine, theirs)
 
 
-def test_work_is_shared_out_once_and_errors_are_raised(two_threads):
+def test_work_is_done_once_and_errors_are_raised(two_threads):
     seen = []
-    share(lambda first, last: seen.extend(range(first, last)), 1000, 10**6)
+    run_in_threads(lambda first, last: seen.extend(range(first, last)), 1000, 10**6)
     assert sorted(seen) == list(range(1000))
-    share(lambda first, last: seen.append((first, last)), 0, 0)
+    run_in_threads(lambda first, last: seen.append((first, last)), 0, 0)
     assert seen[-1] == (0, 0)
 
     def fail(first, last):
         raise KeyError(first)
 
     with pytest.raises(KeyError):
-        share(fail, 1000, 10**6)
+        run_in_threads(fail, 1000, 10**6)
 
 
-def test_nothing_can_be_written(tmp_path):
-    """A read-only install without a home: kernels are compiled for the process alone."""
+def test_install_without_a_writable_folder(tmp_path):
+    """Compile kernels for one process in a read-only install without a home folder."""
     source = Path(omniocc.__file__).parent
     shutil.copytree(source, tmp_path / "omniocc", ignore=shutil.ignore_patterns("__pycache__"))
-    # files where the cache folders would be, since a superuser may write anywhere
-    (tmp_path / "omniocc" / "geometry" / "__pycache__").touch()
+    raycast = tmp_path / "omniocc" / "geometry" / "raycast"
+    # files in place of the cache folders, since a superuser may write anywhere
+    (raycast / "__pycache__").touch()
     (tmp_path / "home").touch()
     home = str(tmp_path / "home")
     environment = {**os.environ, "PYTHONPATH": str(tmp_path), "HOME": home, "XDG_CACHE_HOME": home}
     environment |= {"NUMBA_CACHE_DIR": "", "PYTHONDONTWRITEBYTECODE": "1"}
     done = subprocess.run([sys.executable, "-c", COMPILE], env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.split() == [str(tmp_path / "omniocc" / "geometry" / "march.py"), "-0.25", "0.75", "None"]
+    assert done.stdout.split() == [str(raycast / "march.py"), "-0.25", "0.75", "None"]
 
 
 def test_a_cuboid_of_one_cell():

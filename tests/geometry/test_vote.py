@@ -5,7 +5,7 @@ from omniocc.geometry import downsample
 
 
 def vote(block):
-    """The rule, for one block."""
+    """Return the label of one block by the rule."""
     occupied = [label for label in block if label not in (0, 255)]
     if occupied:
         return max(sorted(set(occupied), reverse=True), key=occupied.count)
@@ -40,6 +40,6 @@ def test_turning_a_cylinder_by_whole_blocks_turns_the_result():
 
 
 @pytest.mark.parametrize(("shape", "factor"), [((4, 5, 4), 2), ((4, 4, 4), 3), ((4, 4, 4), 0)])
-def test_sizes_that_do_not_fit_are_named(shape, factor):
+def test_error_names_sizes_that_do_not_fit(shape, factor):
     with pytest.raises(ValueError, match=rf"factor {factor}.*\(4"):
         downsample(torch.zeros(shape, dtype=torch.uint8), factor)

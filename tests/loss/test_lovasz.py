@@ -6,12 +6,12 @@ from omniocc.loss.lovasz import jaccard_steps
 
 
 def jaccard_loss(truth, wrong):
-    """Of a class whose cells are `truth`, when the cells in `wrong` are mistaken: 1 - hits / (truth or predicted)."""
+    """Return the loss of a class with cells `truth` and wrong cells `wrong`: 1 - hits / (truth or predicted)."""
     return 1 - len(truth - wrong) / len(truth | wrong)
 
 
 def reference(logits, target):
-    """Sum over sorted errors, set by set (Berman et al. 2018, eq. 8 and 9)."""
+    """Return the sum over sorted errors, set by set (Berman et al. 2018, eq. 8 and 9)."""
     rows = logits.double().flatten(2).transpose(1, 2).reshape(-1, logits.shape[1]).softmax(1).tolist()
     pairs = [(p, y) for p, y in zip(rows, target.flatten().tolist(), strict=True) if y != 255]
     losses = []

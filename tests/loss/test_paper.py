@@ -36,7 +36,7 @@ def batch():
 
 
 def rows(logits, labels):
-    """(probabilities, label) of everything known."""
+    """Return (probabilities, label) of every known cell."""
     flat = logits.double().movedim(1, -1).reshape(-1, CLASSES)
     return [
         (torch.softmax(row, 0).tolist(), label)
@@ -51,7 +51,7 @@ def weighted_cross_entropy(known):
 
 
 def affinity(mass, truth, specific=True):
-    """-(log precision + log recall + log specificity) of one class out of (probability, is it) of every voxel."""
+    """Return -(log precision + log recall + log specificity) of one class from probability and truth by voxel."""
     hits = sum(p for p, is_it in zip(mass, truth, strict=True) if is_it)
     rejected = sum(1 - p for p, is_it in zip(mass, truth, strict=True) if not is_it)
     total = math.log(hits / sum(mass)) + math.log(hits / sum(truth))
@@ -79,7 +79,7 @@ def cross_entropy(known):
     return sum(-math.log(p[y]) for p, y in known) / len(known)
 
 
-def test_every_term_is_the_papers(loss, batch):
+def test_every_term_equals_the_paper(loss, batch):
     prediction, voxels, pixels = batch
     terms = {name: float(term) for name, term in loss(prediction, voxels, pixels).items()}
     known = rows(prediction.logits, voxels)
@@ -93,5 +93,5 @@ def test_every_term_is_the_papers(loss, batch):
     assert terms == pytest.approx(expected, rel=1e-5)
 
 
-def test_nothing_is_weighed_twice(loss):
+def test_no_term_is_weighed_twice(loss):
     assert set(loss.weights.values()) == {1.0}

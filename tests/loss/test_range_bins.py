@@ -7,12 +7,12 @@ from omniocc.loss import RangeBins
 
 
 def nearest(cell):
-    """The least number of a block of ranges, inf if all are unknown or sky."""
+    """Return the smallest range of a block, inf if all are unknown or sky."""
     return min((value for value in cell.flatten().tolist() if not math.isnan(value)), default=math.inf)
 
 
 def by_hand(logits, range_m, begin_m, end_m):
-    """One cell after the other."""
+    """Return the loss computed one cell after the other."""
     bins, height, width = logits.shape[2:]
     rows, columns = range_m.shape[-2] // height, range_m.shape[-1] // width
     losses = []
@@ -42,7 +42,7 @@ def test_a_bin_holds_its_lower_edge(range_m, target):
 
 
 @pytest.mark.parametrize("range_m", [math.nan, math.inf, 1.9, 12.0])
-def test_sky_the_own_car_and_what_lies_outside_the_bins_do_not_count(range_m):
+def test_cells_of_sky_ego_vehicle_and_outside_the_bins_do_not_count(range_m):
     logits = torch.randn(1, 1, 5, 1, 1, requires_grad=True)
     loss = RangeBins((2.0, 12.0))(logits, torch.full((1, 1, 2, 2), range_m))
     loss.backward()

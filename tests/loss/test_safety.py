@@ -1,4 +1,4 @@
-"""What every voxel loss must survive."""
+"""Extreme inputs for every voxel loss."""
 
 import pytest
 import torch

@@ -14,7 +14,7 @@ def voxels(logits, target):
 
 
 def affinity(scores, truths):
-    """-(log P + log R + log S) by MonoScene's formulas, in plain loops."""
+    """Return -(log P + log R + log S) by MonoScene's formulas, in plain loops."""
     hits = sum(p for p, y in zip(scores, truths, strict=True) if y)
     result = -math.log(hits / sum(scores)) - math.log(hits / sum(truths))
     negatives = sum(1 - y for y in truths)

@@ -17,7 +17,7 @@ def test_against_a_loop(focus):
     assert SILog(focus)(log_range, true_m).item() == pytest.approx(math.sqrt(squares - focus * mean**2), abs=1e-3)
 
 
-def test_a_common_factor_is_forgiven():
+def test_common_factor_is_removed():
     true_m = torch.rand(50) * 20 + 1
     assert SILog(1.0)(true_m.log() + 1, true_m) < 1e-3
     assert SILog(0.0)(true_m.log() + 1, true_m).item() == pytest.approx(1, abs=2e-3)

@@ -49,7 +49,7 @@ def test_names_must_match():
         total({"ce": 1.0, "dise": 1.0, "semantics": 1.0})
 
 
-def test_terms_of_rays_need_a_lifter_that_guesses_ranges_and_the_true_ones():
+def test_terms_of_rays_need_predicted_and_true_ranges():
     prediction, voxels, pixels = batch()
     range_m, ranges = torch.rand(2, 6, 4, 8) * 10, torch.randn(2, 6, 5, 2, 4)
     loss = Total({"dice": Dice()}, {}, {"dice": 1.0, "ranges": 3.0}, {"ranges": RangeBins((1.0, 9.0))})

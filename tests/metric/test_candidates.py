@@ -26,13 +26,13 @@ def test_by_hand():
     expected = {
         "recall": 4 / 6,
         "precision": 4 / 7,
-        "share": 9 / 16,
+        "fraction": 9 / 16,
         "recall_0-4m": 3 / 4,
         "precision_0-4m": 3 / 4,
-        "share_0-4m": 4 / 8,
+        "fraction_0-4m": 4 / 8,
         "recall_4-8m": 1 / 2,
         "precision_4-8m": 1 / 3,
-        "share_4-8m": 5 / 8,
+        "fraction_4-8m": 5 / 8,
     }
     assert scores == pytest.approx(expected)
 
@@ -63,7 +63,7 @@ def test_agrees_with_loops_over_batches(grid):
         found = sum(c and v not in (0, 255) for c, v in cells)
         assert scores["recall" + name].item() == pytest.approx(found / sum(v not in (0, 255) for _, v in cells))
         assert scores["precision" + name].item() == pytest.approx(found / sum(c and v != 255 for c, v in cells))
-        assert scores["share" + name].item() == pytest.approx(sum(c for c, _ in cells) / len(cells))
+        assert scores["fraction" + name].item() == pytest.approx(sum(c for c, _ in cells) / len(cells))
 
 
 def test_parts_of_a_dataset_add_up():
@@ -84,7 +84,7 @@ def test_nothing_there_and_nothing_chosen_is_not_a_number():
     scores = metric.compute()
     assert math.isnan(scores["recall"])
     assert math.isnan(scores["precision"])
-    assert scores["share"] == 0
+    assert scores["fraction"] == 0
 
 
 def test_wrong_input_is_named():

@@ -28,7 +28,7 @@ def test_indices_run_from_the_farthest_to_the_nearest_sphere():
     assert sphere_index(torch.tensor(math.inf), 0.5, math.inf, 192).item() == 0
 
 
-def test_bins_add_up_and_what_is_out_of_reach_does_not_count():
+def test_bands_add_up_and_ranges_outside_the_spheres_do_not_count():
     generator = torch.Generator().manual_seed(0)
     true = torch.rand(1000, generator=generator) * 40
     ours = true * (1 + 0.2 * torch.randn(1000, generator=generator)).clamp(min=0.3)
@@ -59,12 +59,12 @@ def test_no_rays_are_nan():
         (torch.tensor([math.inf]), torch.ones(1), "inf.*farthest_m"),
     ],
 )
-def test_wrong_input_is_named(prediction_m, target_m, message):
+def test_error_names_wrong_input(prediction_m, target_m, message):
     with pytest.raises(ValueError, match=message):
         DepthMetrics().update(prediction_m, target_m)
 
 
-def test_wrong_arguments_are_named():
+def test_error_names_wrong_arguments():
     with pytest.raises(ValueError, match=r"nearest_m.*farthest_m.*\(3\.0, 2\.0\)"):
         DepthMetrics(nearest_m=3.0, farthest_m=2.0)
     with pytest.raises(ValueError, match=r"spheres.* 0\.5.* 1"):

@@ -1,4 +1,4 @@
-"""What RayIoU can do beyond the public protocol."""
+"""Options of RayIoU beyond the public protocol."""
 
 import math
 import pickle
@@ -51,7 +51,7 @@ def test_hallucinations_on_free_rays_cost_their_class_when_counted():
     assert (truth[0], truth[4], predicted[0], predicted[4], correct[0], correct[4]) == (2, 1, 1, 2, 1, 1)
 
 
-def test_free_rays_fall_into_the_bin_where_they_leave_the_grid():
+def test_free_rays_count_in_the_band_where_they_leave_the_grid():
     metric = RayIoU(LINE, directions=FORWARD, range_edges_m=(0.0, 9.0, 11.0), count_free_rays=True)
     metric.update(line(c2=4), line())
     assert metric.predicted[:, 4].tolist() == [0, 1, 0]
@@ -63,7 +63,7 @@ def test_a_ray_that_never_meets_the_grid_never_counts():
     assert metric.truth.sum() == metric.predicted.sum() == 0
 
 
-def test_a_free_ray_says_nothing_beyond_the_truths_grid():
+def test_free_ray_does_not_count_beyond_the_grid_of_the_truth():
     for place, hallucinations in (("c5", 1), ("c15", 0)):
         metric = RayIoU(LONG, directions=FORWARD, target_geometry=LINE, count_free_rays=True)
         metric.update(line(20, **{place: 4}), line())
@@ -74,10 +74,10 @@ def test_a_free_ray_says_nothing_beyond_the_truths_grid():
     ("range_m", "label", "prediction", "expected"),
     [
         (math.inf, 0, "c5", (1, 1)),  # nothing along the whole ray
-        (12.0, 4, "c5", (1, 1)),  # the point lies beyond the grid, so the grid is free
-        (4.0, 0, "c5", (0, 0)),  # free up to 4 m only: 5 m is not known
+        (12.0, 4, "c5", (1, 1)),  # the point is beyond the grid, so the grid is free
+        (4.0, 0, "c5", (0, 0)),  # free up to 4 m only: 5 m is unknown
         (4.0, 0, "c2", (1, 1)),
-        (5.5, 4, "c5", (0, 0)),  # no free ray
+        (5.5, 4, "c5", (0, 0)),  # not a free ray
         (math.inf, 255, "c5", (0, 0)),
     ],
 )
@@ -93,7 +93,7 @@ def test_cells_not_observed_are_unknown():
     observed = torch.ones_like(target, dtype=torch.bool)
     observed[0, 2] = False
     assert ray_iou(prediction, target, LINE, directions=FORWARD)["rayiou"].item() == 0.0
-    # the ray ends in the unknown cell, whatever it holds
+    # the ray ends in the unknown cell, whatever its label
     masked = ray_iou(prediction, target, LINE, observed=observed, directions=FORWARD)
     assert math.isnan(masked["rayiou"].item())
     observed[0, 2:4] = torch.tensor([True, False]).reshape(2, 1, 1)
@@ -101,7 +101,7 @@ def test_cells_not_observed_are_unknown():
 
 
 @pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.float32, torch.int64, torch.int8])
-def test_any_number_type_that_holds_the_ids(dtype):
+def test_every_number_type_that_can_hold_the_ids(dtype):
     prediction, target = frames(SMALL, 1)
     expected = ray_iou(prediction, target, SMALL)
     found = ray_iou(prediction.to(dtype), target.to(dtype), SMALL)
@@ -171,14 +171,14 @@ def test_plot(by, bars):
 
 
 def road(grid):
-    """Road in the three lowest levels."""
+    """Return labels with road in the three lowest levels."""
     labels = torch.zeros(1, *grid.shape, dtype=torch.uint8)
     labels[0, :, :, :3] = 1
     return labels
 
 
-def test_a_cylinder_and_a_cuboid_see_the_same_road():
-    """Both are entered through the same plane, so entry distances are equal, though no cell is the same."""
+def test_cylinder_and_cuboid_agree_on_the_road():
+    """Compare entry distances, which are equal as both roads are entered through the same plane."""
     cylinder = Cylinder(shape=(40, 60, 8), radius_m=(0.0, 10.0), height_m=(-2.8, 3.6))
     cuboid = Cuboid(shape=(50, 50, 8), x_m=(-15.0, 15.0), y_m=(-15.0, 15.0), height_m=(-2.8, 3.6))
     for geometry, target in ((cylinder, cuboid), (cuboid, cylinder)):

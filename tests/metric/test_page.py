@@ -1,4 +1,4 @@
-"""The examples in docs/rayiou.md run, one after the other."""
+"""The examples in docs/rayiou.md, run one after the other."""
 
 import re
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""RayIoU on cuboids against the public protocol, walked and counted independently: numpy, from the published rules."""
+"""RayIoU on cuboids against an independent numpy version of the public protocol, from the published rules."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ LOW, CELL_M = np.array([-40.0, -40.0, -1.0]), 0.4
 
 
 def walk(labels, origin_m, directions):
-    """Amanatides and Woo as in the public kernel; the start is truncated, and y wins ties with x, z with both.
+    """Cast rays after Amanatides and Woo as the public kernel; the start is truncated, ties go to y before x and to z.
 
     Returns range (exit of the cell hit, else of the grid), class, flat cell, and whether the ray met an edge.
     """
@@ -40,7 +40,7 @@ def walk(labels, origin_m, directions):
 
 
 def count(pairs, num_classes=12, thresholds_m=(1, 2, 4)):
-    """The public counting of (true range, true class, range, class), as IoU by threshold and class."""
+    """Return IoU by threshold and class from (true range, true class, range, class), as the public script."""
     true_m, true, ours_m, ours = (np.concatenate(part) for part in zip(*pairs, strict=True))
     valid = true != 0
     true_m, true, ours_m, ours = true_m[valid], true[valid], ours_m[valid], ours[valid]
@@ -55,7 +55,7 @@ def count(pairs, num_classes=12, thresholds_m=(1, 2, 4)):
 
 
 def scene(seed):
-    """Truth and a prediction that is mostly right."""
+    """Return truth and a prediction that is mostly right."""
     rng = np.random.default_rng(seed)
     truth = rng.integers(1, 12, GRID.shape).astype(np.uint8)
     truth[rng.random(GRID.shape) > 0.004] = 0
@@ -87,8 +87,10 @@ def test_equal_to_the_last_count():
 
 
 def test_only_rays_through_edges_may_differ():
-    """From an origin in the corner of four columns, rays along the diagonals and many others meet edges. There we go on
-    to the opposite cell; the public walk passes a cell beside it over a length of zero, and may hit it."""
+    """Cast rays from a corner of four columns: rays along the diagonals and many others meet edges.
+
+    Rays here continue in the opposite cell; the public kernel passes a cell beside it over no length, and may hit it.
+    """
     directions = sparseocc_directions()
     truth, _ = scene(2)
     hits = ray_hits(torch.from_numpy(truth), GRID)

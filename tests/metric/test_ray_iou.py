@@ -32,7 +32,7 @@ def frames(grid, count, seed=0, num_classes=12):
 
 
 def public_counting(grid, prediction, target, origins, directions, thresholds_m, low_m=0.0, high_m=math.inf):
-    """The public script's counting, ray by ray; unknown truth is dropped. Returns {(class, threshold): IoU or nan}."""
+    """Return IoU or nan by threshold and class, counted ray by ray as in the public script, without unknown truth."""
     gt, pr, tp = np.zeros(12), np.zeros(12), np.zeros((len(thresholds_m), 12))
     for frame in range(len(prediction)):
         for origin in origins[frame]:
@@ -90,7 +90,7 @@ def line(**cells):
         (line(c6=4), line(c3=4), {"@1": 0.0, "@2": 0.0, "@4": 1.0}),
         (line(c3=5), line(c3=4), {"@1": 0.0, "@2": 0.0, "@4": 0.0}),
         (line(), line(c3=4), {"@1": 0.0, "@2": 0.0, "@4": 0.0}),
-        (line(c3=4), line(), {"@1": None, "@2": None, "@4": None}),  # nothing true: hallucination goes unpunished
+        (line(c3=4), line(), {"@1": None, "@2": None, "@4": None}),  # free truth: a hallucination costs nothing
         (line(c3=4), line(c2=255, c3=4), {"@1": None, "@2": None, "@4": None}),  # first true hit unknown
     ],
 )
@@ -143,7 +143,7 @@ def test_perfect_and_empty_predictions(grid):
     assert all(value.item() == 0.0 for value in empty.values())
 
 
-def test_range_bins_add_up_and_the_rest_still_counts():
+def test_range_bands_add_up_to_the_whole():
     prediction, target = frames(CYLINDER, 2)
     whole = RayIoU(CYLINDER)
     binned = RayIoU(CYLINDER, range_edges_m=(0.0, 5.0, 8.0))
@@ -246,7 +246,7 @@ def test_pickle_clone_and_move():
         ({"target": line(c1=12)}, r"target.*0\.\.11.*255.*\[12\]"),
     ],
 )
-def test_wrong_input_is_named(change, message):
+def test_error_names_wrong_input(change, message):
     metric = RayIoU(LINE, directions=FORWARD)
     with pytest.raises(ValueError, match=message):
         metric.update(**{"prediction": line(), "target": line()} | change)
@@ -263,7 +263,7 @@ def test_wrong_input_is_named(change, message):
         ({"ignore_class": 3}, r"ignore_class.*12\.\.255"),
     ],
 )
-def test_wrong_arguments_are_named(arguments, message):
+def test_error_names_wrong_arguments(arguments, message):
     with pytest.raises(ValueError, match=message):
         RayIoU(LINE, **arguments)
 
@@ -289,7 +289,7 @@ def as_input(metric, prediction, target):
 
 
 def half_of_the_frames(rank, folder):
-    """One of two processes: scores every second frame, then sums counts with the other."""
+    """Score every second frame in one of two processes, then sum counts with the other."""
     torch.distributed.init_process_group("gloo", init_method=f"file://{folder}/meet", rank=rank, world_size=2)
     prediction, target = frames(CUBOID, 5)
     metrics = three_metrics()
@@ -325,8 +325,8 @@ def test_two_processes_equal_one(tmp_path):
 
 
 def first_process_scores_alone(rank, folder):
-    """Score frames in the first of two processes; the second only joins the group and waits to be let go."""
-    timeout = datetime.timedelta(seconds=20)
+    """Score frames in the first of two processes; the second only joins the group and waits for the end."""
+    timeout = datetime.timedelta(seconds=60)
     meet = f"file://{folder}/meet"
     torch.distributed.init_process_group("gloo", init_method=meet, rank=rank, world_size=2, timeout=timeout)
     scores = ray_iou(*frames(CUBOID, 2), CUBOID) if rank == 0 else None
@@ -335,7 +335,7 @@ def first_process_scores_alone(rank, folder):
     return scores
 
 
-def test_the_function_talks_to_no_other_process(tmp_path):
+def test_function_does_not_communicate_with_other_processes(tmp_path):
     other = second_process("first_process_scores_alone", tmp_path)
     scores = first_process_scores_alone(0, tmp_path)
     assert other.wait(timeout=120) == 0

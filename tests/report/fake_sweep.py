@@ -58,7 +58,7 @@ def write_run(folder: Path, seed: int, rayiou: float, world: FakeWorld, sketch: 
     (folder / "config.yaml").write_text(yaml.safe_dump(config))
     lines = ["step,train/loss,val/rayiou", *(f"{step},{9 - step / 10}," for step in range(0, 40, 10)), f"39,,{rayiou}"]
     (folder / "csv" / "version_0" / "metrics.csv").write_text("\n".join(lines) + "\n")
-    metrics = figures(rayiou) | ({"test/sketch/share": 0.25, "test/depth/mae": 2.0} if sketch == OMNI else {})
+    metrics = figures(rayiou) | ({"test/sketch/fraction": 0.25, "test/depth/mae": 2.0} if sketch == OMNI else {})
     facts = {"run": folder.name, "seed": seed, "steps": 40, "preset": "tiny", "minutes of training": 1.5}
     command = f"python src/train.py '+ablation={folder.name}' seed={seed} <&>"
     save_results(folder, metrics, facts | {"command": command, "commit": "abc", "data": world.fingerprint})

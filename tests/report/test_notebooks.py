@@ -15,6 +15,7 @@ def code_of(path):
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+@pytest.mark.slow
 def test_a_notebook_runs(path, data_root, runs, monkeypatch, capsys):
     monkeypatch.chdir(FOLDER)
     for name, value in (("PRESET", "smoke"), ("DATA", data_root), ("RUNS", runs)):

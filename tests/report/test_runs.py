@@ -14,17 +14,17 @@ def test_figures_that_the_configuration_decides():
     random = {"_target_": "omniocc.model.sketch.Random", "ratio": 0.25}
     assert figures_of_config({"model": {"geometry": grid, "sketch": random}}) == {
         "voxels": 51_200.0,
-        "test/sketch/share": 0.25,
+        "test/sketch/fraction": 0.25,
     }
     dense = {"_target_": "omniocc.model.sketch.Dense"}
-    assert figures_of_config({"model": {"sketch": dense}}) == {"test/sketch/share": 1.0, "test/sketch/recall": 1.0}
+    assert figures_of_config({"model": {"sketch": dense}}) == {"test/sketch/fraction": 1.0, "test/sketch/recall": 1.0}
     assert figures_of_config({}) == {}
 
 
 def test_measured_figures_win_over_configured_ones(runs):
     by_name = {run.name: run for run in read_runs(runs)}
-    assert by_name["ours-00000001"].metrics["test/sketch/share"] == 0.25
-    assert by_name["dense-00000001"].metrics["test/sketch/share"] == 1.0
+    assert by_name["ours-00000001"].metrics["test/sketch/fraction"] == 0.25
+    assert by_name["dense-00000001"].metrics["test/sketch/fraction"] == 1.0
     assert by_name["cuboid-00000001"].metrics["voxels"] == 256.0
 
 

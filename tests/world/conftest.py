@@ -1,18 +1,20 @@
-"""A street of boxes between walls, small enough to reason about."""
+"""A street of boxes between walls, small enough for exact expectations."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from omniocc.camera import Rig
-from omniocc.world.assets.material import Material
-from omniocc.world.assets.mesh import Mesh, concatenate
+from omniocc.world.mesh.material import Material
+from omniocc.world.mesh.mesh import Mesh, concatenate
 from omniocc.world.render.caster import Caster, Layers
 from omniocc.world.render.cull import spheres_of
-from omniocc.world.render.light import Light
-from omniocc.world.render.shade import join, make_surfaces
+from omniocc.world.render.light import Light, Sensor
 from omniocc.world.render.shadow import Shadows
-from omniocc.world.render.stage import Stage
-from omniocc.world.render.weather import draw_light
+from omniocc.world.render.snapshot import Snapshot
+from omniocc.world.render.surface import join, make_surfaces
+from omniocc.world.render.weather import draw_light, draw_sensor
 
 
 def make_quad(
@@ -33,7 +35,7 @@ def make_quad(
     )
 
 
-def make_box(low, high, label: int, **look) -> Mesh:
+def make_box(low, high, label: int, **finish) -> Mesh:
     (a, b, c), (d, e, f) = low, high
     sides = [
         [[a, b, c], [d, b, c], [d, b, f], [a, b, f]],
@@ -43,7 +45,7 @@ def make_box(low, high, label: int, **look) -> Mesh:
         [[a, b, f], [d, b, f], [d, e, f], [a, e, f]],
         [[a, e, c], [d, e, c], [d, b, c], [a, b, c]],
     ]
-    return concatenate([make_quad(side, label, **look) for side in sides])
+    return concatenate([make_quad(side, label, **finish) for side in sides])
 
 
 @pytest.fixture(scope="session")
@@ -71,7 +73,7 @@ def street() -> Mesh:
 
 
 @pytest.fixture(scope="session")
-def own_car() -> Mesh:
+def ego_car() -> Mesh:
     return make_box([-2, -0.9, -2.1], [2, 0.9, -0.6], 7, material=Material.CAR_PAINT, color=(160, 30, 30))
 
 
@@ -93,24 +95,29 @@ def noon() -> Light:
 
 
 @pytest.fixture(scope="session")
+def sensor() -> Sensor:
+    return draw_sensor(np.random.default_rng(0), draw_light("clear", np.random.default_rng(0)))
+
+
+@pytest.fixture(scope="session")
 def rig() -> Rig:
     return Rig.load("fisheye6").resized(64, 36)
 
 
-def make_stage(static: Mesh, moving: Mesh, own: Mesh, light: Light, x_m: float = 0.0) -> Stage:
+def make_snapshot(static: Mesh, moving: Mesh, own: Mesh, light: Light, x_m: float = 0.0) -> Snapshot:
     """The ego at (x_m, 0), 2.2 m above the road, not turned."""
-    place = np.array([x_m, 0, 2.2], np.float32)
-    here = Mesh(own.vertices + place, own.faces, own.uv, own.label, own.material, own.color, own.instance)
+    origin = np.array([x_m, 0, 2.2], np.float32)
+    here = replace(own, vertices=own.vertices + origin)
     layers = [Caster(static), Caster(moving)]
     surfaces = join([make_surfaces(static), make_surfaces(moving), make_surfaces(own)])
     start = len(static) + len(moving)
-    return Stage(
+    return Snapshot(
         Layers(layers),
         Shadows(layers[0], [layers[1], Caster(here)], np.concatenate([spheres_of(moving), spheres_of(here)]), light),
         surfaces,
         start,
         np.eye(3, dtype=np.float32),
-        place,
+        origin,
         moving,
         spheres_of(moving),
         light,
@@ -118,12 +125,12 @@ def make_stage(static: Mesh, moving: Mesh, own: Mesh, light: Light, x_m: float =
 
 
 @pytest.fixture(scope="session")
-def stage_of():
-    return make_stage
+def snapshot_of():
+    return make_snapshot
 
 
 @pytest.fixture(scope="session")
-def stage(street, own_car, noon) -> Stage:
-    return make_stage(
-        street, make_box([8, 1, 0.2], [12, 2.8, 1.6], 7, material=Material.CAR_PAINT, instance=0), own_car, noon
+def snapshot(street, ego_car, noon) -> Snapshot:
+    return make_snapshot(
+        street, make_box([8, 1, 0.2], [12, 2.8, 1.6], 7, material=Material.CAR_PAINT, instance=0), ego_car, noon
     )

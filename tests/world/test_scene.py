@@ -35,7 +35,7 @@ def frame(scene):
     return scene.frame(3)
 
 
-def test_frame_has_the_promised_shapes(frame):
+def test_frame_has_the_documented_shapes(frame):
     assert frame.images.shape == (6, 18, 32, 3)
     assert frame.images.dtype == np.uint8
     assert frame.semantics.shape == frame.range_m.shape == (6, 18, 32)
@@ -50,7 +50,7 @@ def test_frame_has_the_promised_shapes(frame):
     assert np.isinf(frame.range_m[frame.semantics == 0]).all()
 
 
-def test_a_frame_does_not_depend_on_what_was_asked_before(scene, frame):
+def test_a_frame_does_not_depend_on_frames_asked_for_before(scene, frame):
     assert _digest(scene.frame(0)) != _digest(frame)
     assert _digest(scene.frame(3)) == _digest(frame)
 
@@ -107,14 +107,14 @@ def test_another_rig_sees_the_same_world(frame):
     assert abs(frame.images[frame.semantics < 255].mean() - other.images[other.semantics < 255].mean()) < 30
 
 
-def test_options_change_what_they_name_and_nothing_else(frame):
+def test_each_option_changes_only_its_own_arrays(frame):
     def take(**options) -> Frame:
         rig = Rig.load("fisheye6").resized(32, 18)
         return Scene("suburb", 5, rig, frame_interval_s=0.5, erp_size=(32, 8), **options).frame(3)
 
     fog, complete, cube = take(weather="fog"), take(label_mode="geometry", lidars=3), take(capture="cubemap")
-    points, pictures = {"points_m", "point_labels"}, {"images", "semantics", "range_m"}
-    for other, changed in ((fog, {"images"}), (complete, points), (cube, pictures)):
+    points, images = {"points_m", "point_labels"}, {"images", "semantics", "range_m"}
+    for other, changed in ((fog, {"images"}), (complete, points), (cube, images)):
         for field in ("images", "semantics", "range_m", "erp_range_m", "points_m", "point_labels", "lidar_range_m"):
             same = np.array_equal(getattr(frame, field), getattr(other, field), equal_nan=True)
             assert same != (field in changed), field

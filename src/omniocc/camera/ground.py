@@ -1,4 +1,4 @@
-"""Where a calibrated camera sits, from points on the road whose places are known: a cloth with squares will do."""
+"""The pose of a calibrated camera from points on the ground with known positions, such as a checkerboard cloth."""
 
 import cv2
 import numpy as np
@@ -10,18 +10,18 @@ from omniocc.camera.pose import invert_pose
 from omniocc.camera.protocol import Camera
 
 STEPS = 30
-NUDGE = 1e-6  # of the pose, in radians and metres, for central differences
-NEAR_ENOUGH = 1e-10  # change of the pose, in radians and metres, at which the search ends
+DIFFERENCE = 1e-6  # step of the central differences, in radians and metres
+TOLERANCE = 1e-10  # change of the pose, in radians and metres, at which the search ends
 
 
 def pose_from_ground(
     camera: Camera, pixels: Float64[Tensor, "n 2"], points_ego: Float64[Tensor, "n 3"]
 ) -> tuple[Float64[Tensor, "4 4"], Float64[Tensor, " n"]]:
-    """`ego_from_camera` from n >= 4 points of one plane, and each point's reprojection error in px.
+    """Return `ego_from_camera` from n >= 4 points of one plane, and each point's reprojection error in px.
 
-    Pixels become rays, so any model and any angle will do. The plane's two-fold pose (Collins and Bartoli, IJCV 2014,
-    as OpenCV's IPPE) starts a least-squares fit of the pixels; of two poses the one above the plane that fits better
-    is kept.
+    Pixels become rays, so any camera model and any angle works. The two poses that a plane allows (Collins and Bartoli,
+    IJCV 2014, OpenCV's IPPE) are the starts of a least-squares fit of the pixels; of the results above the plane the
+    one that fits better is returned.
 
     Raises:
         ValueError: fewer than 4 points, points on one line or off the plane, a pixel the lens does not see, or no pose
@@ -33,11 +33,11 @@ def pose_from_ground(
     _check_plane(points_ego)
     found = []
     for start in _starts(rays, points_ego):
-        pose, errors = _refined(camera, pixels, points_ego, start)
+        pose, errors = _refine(camera, pixels, points_ego, start)
         if bool(pose[2, 3] > points_ego[:, 2].mean()):
             found.append((float(errors.square().sum()), pose, errors))
     if not found:
-        raise ValueError("every pose that fits lies under the ground; do pixels and points come in the same order?")
+        raise ValueError("every pose that fits lies under the ground; are pixels and points in the same order?")
     _, pose, errors = min(found, key=lambda candidate: candidate[0])
     return pose, errors
 
@@ -47,19 +47,21 @@ def _check_plane(points_ego: Float64[Tensor, "n 3"]) -> None:
         raise ValueError(f"{len(points_ego)} points; a pose needs at least 4 on the ground, not all on one line")
     spread = torch.linalg.svdvals(points_ego - points_ego.mean(0))
     if spread[1] < 1e-3 * spread[0]:
-        raise ValueError("all points lie on one line; a pose needs points beside it too")
+        raise ValueError("all points lie on one line; a pose needs points beside the line too")
     if spread[2] > 1e-6 * spread[0]:
         raise ValueError("the points do not lie in one plane; give points on the road only")
 
 
 def _starts(rays: Float64[Tensor, "n 3"], points_ego: Float64[Tensor, "n 3"]) -> list[Float64[Tensor, "4 4"]]:
-    """Poses of the plane as seen by a pinhole that looks at the middle of the points."""
+    """Return `camera_from_ego` of both poses of the plane, seen by a pinhole that looks at the middle of the points."""
     virtual_from_camera = _turn_to_front(rays.mean(0))
     turned = rays @ virtual_from_camera.T
     ahead = turned[:, 2] > 0.1
     slopes = (turned[ahead, :2] / turned[ahead, 2:]).numpy()
     if len(slopes) < 4:
-        raise ValueError("fewer than 4 points lie within 84 degrees of their common direction; give points closer by")
+        raise ValueError(
+            "fewer than 4 points lie within 84 degrees of their common direction; give points that are closer together"
+        )
     _, turns, shifts, _ = cv2.solvePnPGeneric(
         points_ego[ahead].numpy(), slopes[:, None], np.eye(3), None, flags=cv2.SOLVEPNP_IPPE
     )
@@ -73,7 +75,7 @@ def _starts(rays: Float64[Tensor, "n 3"], points_ego: Float64[Tensor, "n 3"]) ->
 
 
 def _turn_to_front(direction: Float64[Tensor, "3"]) -> Float64[Tensor, "3 3"]:
-    """A rotation that takes `direction` to (0, 0, 1)."""
+    """Return a rotation that takes `direction` to (0, 0, 1)."""
     front = direction / direction.norm()
     side = torch.zeros(3, dtype=torch.float64)
     side[int(front.abs().argmin())] = 1
@@ -82,22 +84,22 @@ def _turn_to_front(direction: Float64[Tensor, "3"]) -> Float64[Tensor, "3 3"]:
     return torch.stack([right, torch.linalg.cross(front, right), front])
 
 
-def _refined(
+def _refine(
     camera: Camera, pixels: Float64[Tensor, "n 2"], points_ego: Float64[Tensor, "n 3"], camera_from_ego: Tensor
 ) -> tuple[Float64[Tensor, "4 4"], Float64[Tensor, " n"]]:
-    """Levenberg-Marquardt on the pixels, over a small turn and shift of the pose; and the errors left, in px."""
+    """Return the pose after a Levenberg-Marquardt fit of the pixels, and the remaining errors in px."""
 
     def residuals(change: Float64[Tensor, "6"]) -> Float64[Tensor, " m"]:
         moved = _moved(camera_from_ego, change)
         seen, _ = camera.project(points_ego @ moved[:3, :3].T + moved[:3, 3])
         return (seen - pixels).flatten()
 
-    still = torch.zeros(6, dtype=torch.float64)
-    nudges = NUDGE * torch.eye(6, dtype=torch.float64)
+    no_change = torch.zeros(6, dtype=torch.float64)
+    steps = DIFFERENCE * torch.eye(6, dtype=torch.float64)
     damping = 1e-3
-    error = residuals(still)
+    error = residuals(no_change)
     for _ in range(STEPS):
-        jacobian = torch.stack([residuals(nudge) - residuals(-nudge) for nudge in nudges], dim=1) / (2 * NUDGE)
+        jacobian = torch.stack([residuals(step) - residuals(-step) for step in steps], dim=1) / (2 * DIFFERENCE)
         normal = jacobian.T @ jacobian
         change = -torch.linalg.solve(normal + damping * normal.diagonal().diag(), jacobian.T @ error)
         trial = residuals(change)
@@ -105,13 +107,13 @@ def _refined(
             damping *= 10
             continue
         camera_from_ego, error, damping = _moved(camera_from_ego, change), trial, damping / 10
-        if change.abs().max() < NEAR_ENOUGH:
+        if change.abs().max() < TOLERANCE:
             break
     return invert_pose(_orthonormal(camera_from_ego)), error.view(-1, 2).norm(dim=-1)
 
 
 def _moved(pose: Float64[Tensor, "4 4"], change: Float64[Tensor, "6"]) -> Float64[Tensor, "4 4"]:
-    """The pose after a turn by the vector change[:3], in rad, and a shift by change[3:], in metres."""
+    """Return the pose after a rotation by the vector change[:3], in rad, and a shift by change[3:], in metres."""
     x, y, z = change[:3]
     zero = torch.zeros_like(x)
     generator = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero]).view(3, 3)
@@ -121,7 +123,7 @@ def _moved(pose: Float64[Tensor, "4 4"], change: Float64[Tensor, "6"]) -> Float6
 
 
 def _orthonormal(pose: Float64[Tensor, "4 4"]) -> Float64[Tensor, "4 4"]:
-    """The nearest rigid pose: rounding has added up over the steps."""
+    """Return the nearest rigid pose, which removes the rounding accumulated over the steps."""
     left, _, right = torch.linalg.svd(pose[:3, :3])
     rigid = pose.clone()
     rigid[:3, :3] = left @ right

@@ -1,4 +1,4 @@
-"""Poses as people write them: a position and three angles instead of sixteen numbers."""
+"""Camera poses from a position and three angles, and operations on rigid poses."""
 
 import math
 
@@ -6,17 +6,18 @@ import torch
 from jaxtyping import Float64
 from torch import Tensor
 
-# Columns: where a camera's right, down and forward point in the ego frame when all angles are 0.
+# Columns: the directions of a camera's right, down and forward in the ego frame when all angles are 0.
 LEVEL_FORWARD = ((0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0))
 
 
 def pose_from_angles(
     position_m: tuple[float, float, float], yaw_deg: float, pitch_deg: float, roll_deg: float
 ) -> Float64[Tensor, "4 4"]:
-    """`ego_from_camera` of a camera at `position_m` in the ego frame.
+    """Return `ego_from_camera` of a camera at `position_m` in the ego frame.
 
-    With all angles 0 it looks forward, upright. It is rolled, then pitched, then turned: `yaw_deg` counter-clockwise
-    seen from above (90 looks left), `pitch_deg` upwards (-10 looks at the road), `roll_deg` clockwise seen from behind.
+    With all angles 0 the camera looks forward, upright. It is rolled, then pitched, then yawed: `yaw_deg`
+    counter-clockwise seen from above (90 looks left), `pitch_deg` upwards (-10 looks at the road), `roll_deg` clockwise
+    seen from behind.
     """
     cy, sy = _cos_sin(yaw_deg)
     cp, sp = _cos_sin(-pitch_deg)
@@ -31,7 +32,7 @@ def pose_from_angles(
 
 
 def invert_pose(a_from_b: Float64[Tensor, "*batch 4 4"]) -> Float64[Tensor, "*batch 4 4"]:
-    """`b_from_a` of rigid poses."""
+    """Return `b_from_a` of rigid poses."""
     rotation = a_from_b[..., :3, :3].transpose(-1, -2)
     inverse = torch.zeros_like(a_from_b)
     inverse[..., :3, :3] = rotation
@@ -40,24 +41,24 @@ def invert_pose(a_from_b: Float64[Tensor, "*batch 4 4"]) -> Float64[Tensor, "*ba
     return inverse
 
 
-def check_rigid(pose: Float64[Tensor, "4 4"], whose: str) -> None:
-    """Raises ValueError, beginning with `whose`, unless the pose is a rotation and a translation, to 1e-6."""
+def check_rigid(pose: Float64[Tensor, "4 4"], name: str) -> None:
+    """Raise ValueError, beginning with `name`, unless the pose is a rotation and a translation, to 1e-6."""
     if not bool(pose.isfinite().all()):
-        raise ValueError(f"{whose}: ego_from_camera holds a value that is not finite: {pose.tolist()}")
+        raise ValueError(f"{name}: ego_from_camera holds a value that is not finite: {pose.tolist()}")
     if pose[3].tolist() != [0, 0, 0, 1]:
-        raise ValueError(f"{whose}: the last row of ego_from_camera is {pose[3].tolist()}; it must be [0, 0, 0, 1]")
+        raise ValueError(f"{name}: the last row of ego_from_camera is {pose[3].tolist()}; it must be [0, 0, 0, 1]")
     rotation = pose[:3, :3]
     error = float((rotation @ rotation.T - torch.eye(3, dtype=torch.float64)).abs().max())
     determinant = float(torch.linalg.det(rotation))
     if error > 1e-6 or determinant < 0:
         raise ValueError(
-            f"{whose}: ego_from_camera is not rigid: its 3x3 part R has |R R^T - 1| = {error:.3g} and determinant "
+            f"{name}: ego_from_camera is not rigid: its 3x3 part R has |R R^T - 1| = {error:.3g} and determinant "
             f"{determinant:.6g}; R must be a rotation (columns: the camera's right, down and forward in the ego frame)"
         )
 
 
 def _cos_sin(angle_deg: float) -> tuple[float, float]:
-    """Exact at multiples of 90 degrees."""
+    """Return cosine and sine, exact at multiples of 90 degrees."""
     quarter = angle_deg / 90
     if quarter == round(quarter):
         return ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[round(quarter) % 4]

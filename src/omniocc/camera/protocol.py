@@ -1,6 +1,7 @@
-"""What a camera model offers, and the checks that all of them share."""
+"""The protocol of camera models, and the checks of their parameters."""
 
 import math
+from collections.abc import Callable, Mapping
 from typing import Protocol, runtime_checkable
 
 from jaxtyping import Bool, Float
@@ -9,51 +10,51 @@ from torch import Tensor
 
 @runtime_checkable
 class Camera(Protocol):
-    """A map between points in the camera's frame (x right, y down, z forward) and pixels, as a frozen dataclass.
+    """Map between points in the camera frame (x right, y down, z forward; m) and pixels, as a frozen dataclass.
 
-    Rays have unit length and never pass through the plane z = 1, so that angles past 90 degrees are as exact as others.
+    Rays have unit length and are never computed on the plane z = 1, so angles past 90 degrees are as exact as others.
     Values are finite and gradients free of NaN also where `valid` is false. Float32 and float64, any device.
     """
 
     @property
     def width(self) -> int:
-        """Pixels in a row."""
+        """Return the pixels in a row."""
         ...
 
     @property
     def height(self) -> int:
-        """Pixels in a column."""
+        """Return the pixels in a column."""
         ...
 
     def project(self, points: Float[Tensor, "*batch 3"]) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"]]:
-        """Pixel (u, v) of each point; valid where the model covers the angle and the pixel lies in the image."""
+        """Return the pixel (u, v) of each point; valid if the model covers the angle and the pixel is in the image."""
         ...
 
     def unproject(self, pixels: Float[Tensor, "*batch 2"]) -> tuple[Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
-        """Unit ray of each pixel, in the image or not; valid where the model covers the angle."""
+        """Return the unit ray of each pixel, in the image or not; valid where the model covers the angle."""
         ...
 
     def resized(self, width: int, height: int) -> "Camera":
-        """The same camera with its image scaled to another size."""
+        """Return the same camera with its image scaled to another size, in px."""
         ...
 
 
 def check_size(width: object, height: object) -> None:
-    """Raises ValueError unless both are positive whole numbers."""
+    """Raise ValueError unless both are positive whole numbers."""
     for name, value in (("width", width), ("height", height)):
         if isinstance(value, bool) or not isinstance(value, int) or value < 1:
             raise ValueError(f"{name} is {value!r}; it must be a positive whole number of pixels")
 
 
 def finite(name: str, value: object) -> float:
-    """`value` as a float; raises ValueError if it is no finite number."""
+    """Return `value` as a float; raise ValueError if it is no finite number."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise ValueError(f"{name} is {value!r}; it must be a finite number")
     return float(value)
 
 
 def positive(name: str, value: object) -> float:
-    """`value` as a float; raises ValueError unless it is finite and above zero."""
+    """Return `value` as a float; raise ValueError unless it is finite and above zero."""
     number = finite(name, value)
     if number <= 0:
         raise ValueError(f"{name} is {value!r}; it must be above 0")
@@ -61,20 +62,20 @@ def positive(name: str, value: object) -> float:
 
 
 def pair(name: str, value: object) -> tuple[float, float]:
-    """`value` as a tuple of two floats; raises ValueError if it is not two finite numbers."""
+    """Return `value` as a tuple of two floats; raise ValueError if it is not two finite numbers."""
     if not isinstance(value, list | tuple) or len(value) != 2:
         raise ValueError(f"{name} is {value!r}; it must be two numbers")
     return finite(name, value[0]), finite(name, value[1])
 
 
 def positive_pair(name: str, value: object) -> tuple[float, float]:
-    """`value` as a tuple of two floats; raises ValueError unless both are finite and above zero."""
+    """Return `value` as a tuple of two floats; raise ValueError unless both are finite and above zero."""
     first, second = pair(name, value)
     return positive(name, first), positive(name, second)
 
 
 def numbers(name: str, value: object, least: int, most: int) -> tuple[float, ...]:
-    """`value` as a tuple of floats; raises ValueError unless it is `least` to `most` finite numbers."""
+    """Return `value` as a tuple of floats; raise ValueError unless it is `least` to `most` finite numbers."""
     wanted = str(least) if least == most else f"{least} to {most}"
     if not isinstance(value, list | tuple) or not least <= len(value) <= most:
         raise ValueError(f"{name} is {value!r}; it must be {wanted} numbers")
@@ -82,13 +83,19 @@ def numbers(name: str, value: object, least: int, most: int) -> tuple[float, ...
 
 
 def angle_from_axis(name: str, value: object) -> float:
-    """`value` as a float; raises ValueError unless it is an angle from the optical axis, in (0, 180] degrees."""
+    """Return `value` as a float; raise ValueError unless it is an angle from the optical axis, in (0, 180] degrees."""
     angle_deg = positive(name, value)
     if angle_deg > 180:
         raise ValueError(f"{name} is {value}; it is measured from the axis and ends at 180")
     return angle_deg
 
 
+def normalize_fields(camera: object, checks: Mapping[str, Callable[[str, object], object]]) -> None:
+    """Replace fields of a frozen dataclass by what `check(name, value)` returns for each."""
+    for name, check in checks.items():
+        object.__setattr__(camera, name, check(name, getattr(camera, name)))
+
+
 def scaled_center(center_px: tuple[float, float], scale_x: float, scale_y: float) -> tuple[float, float]:
-    """A principal point after scaling the image: the image's corner (-0.5, -0.5) stays where it is."""
+    """Return the principal point of the scaled image, whose corner (-0.5, -0.5) stays where it is."""
     return (center_px[0] + 0.5) * scale_x - 0.5, (center_px[1] + 0.5) * scale_y - 0.5

@@ -1,4 +1,4 @@
-"""A rig: calibrated cameras at known places on the vehicle."""
+"""A rig: calibrated cameras with known poses on the vehicle."""
 
 import hashlib
 from dataclasses import dataclass, replace
@@ -18,7 +18,7 @@ from omniocc.camera.rig_file import read_rig, write_rig
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """Cameras and their poses. Equal rigs are equal as keys of a cache, whatever file they came from.
+    """Cameras and their poses; rigs with equal content are equal and have equal hashes, whatever file they came from.
 
     Attributes:
         cameras: models of the N cameras.
@@ -33,7 +33,7 @@ class Rig:
     masks: tuple[Bool[Tensor, "_ _"] | None, ...] | None = None
 
     def __post_init__(self) -> None:
-        """Raises ValueError naming the camera whose pose or mask is wrong."""
+        """Check the parts; raise ValueError naming the camera whose pose or mask is wrong."""
         count = len(self.cameras)
         if count == 0 or len(self.names) != count or self.ego_from_camera.shape != (count, 4, 4):
             raise ValueError(
@@ -50,7 +50,7 @@ class Rig:
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> "Rig":
-        """Reads a rig file (see `omniocc.camera.rig_file`), or a built-in rig: `fisheye6`, `pinhole6`, `surround_view`.
+        """Read a rig file (see `omniocc.camera.rig_file`), or a built-in rig: `fisheye6`, `pinhole6`, `surround_view`.
 
         Calibrations of OpenCV, Kalibr, OCamCalib, KITTI-360 and OmniMVS are recognised by their content, see
         `omniocc.camera.calibration`.
@@ -61,19 +61,19 @@ class Rig:
         return cls(*read_rig(path))
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Writes a rig file, and masks as PNG files beside it; loading it gives an equal rig."""
+        """Write a rig file, and masks as PNG files beside it; loading it gives an equal rig."""
         write_rig(path, self.cameras, self.ego_from_camera, self.names, self.masks)
 
     def project(
         self, points_ego: Float[Tensor, "*batch 3"]
     ) -> tuple[Float[Tensor, "N *batch 2"], Bool[Tensor, "N *batch"]]:
-        """Pixels of ego-frame points in every camera; not valid where a camera's mask says so."""
+        """Return the pixels of ego points (m) in every camera, and where they are valid: seen by lens and mask."""
         camera_from_ego = invert_pose(self.ego_from_camera).to(points_ego)
         results = [self._project_one(i, points_ego, camera_from_ego[i]) for i in range(len(self.cameras))]
         return torch.stack([pixels for pixels, _ in results]), torch.stack([valid for _, valid in results])
 
     def rays(self, camera: int) -> tuple[Float32[Tensor, "height width 3"], Bool[Tensor, "height width"]]:
-        """Unit direction, in the ego frame, of every pixel of one camera, and whether lens and mask let it see."""
+        """Return the unit ray, ego frame, of every pixel of one camera, and whether lens and mask allow it."""
         model = self.cameras[camera]
         rays, valid = model.unproject(pixel_centers(model.width, model.height, torch.float64))
         mask = self._mask(camera)
@@ -81,7 +81,7 @@ class Rig:
         return rays.float(), valid if mask is None else valid & mask
 
     def resized(self, width: int, height: int) -> "Rig":
-        """The same rig with every image scaled to `width` x `height`."""
+        """Return the same rig with every image scaled to `width` x `height` px."""
         cameras = tuple(camera.resized(width, height) for camera in self.cameras)
         masks = None
         if self.masks is not None:
@@ -90,7 +90,7 @@ class Rig:
 
     @cached_property
     def fingerprint(self) -> str:
-        """Hash of models, poses, names and masks: equal for equal rigs, in every process."""
+        """Return a hash of models, poses, names and masks: equal for equal rigs, in every process."""
         digest = hashlib.sha256()
         for index, (name, camera) in enumerate(zip(self.names, self.cameras, strict=True)):
             digest.update(f"{name}\n{camera!r}\n".encode())
@@ -106,7 +106,7 @@ class Rig:
         return hash(self.fingerprint)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Tensors travel as arrays: between worker processes each tensor would cost an open file."""
+        """Return the state with arrays for tensors: between processes each tensor would need an open file."""
         masks = None if self.masks is None else [None if mask is None else mask.numpy() for mask in self.masks]
         return self.__dict__ | {"ego_from_camera": self.ego_from_camera.numpy(), "masks": masks}
 
@@ -136,14 +136,14 @@ class Rig:
         return pixels, valid & mask.to(points_ego.device)[v, u]
 
 
-def _check_mask(mask: Bool[Tensor, "height width"] | None, camera: Camera, whose: str) -> None:
+def _check_mask(mask: Bool[Tensor, "height width"] | None, camera: Camera, name: str) -> None:
     if mask is not None and mask.shape != (camera.height, camera.width):
         size = f"{mask.shape[1]}x{mask.shape[0]}"
-        raise ValueError(f"{whose}: mask is {size} px but the image is {camera.width}x{camera.height} px")
+        raise ValueError(f"{name}: mask is {size} px but the image is {camera.width}x{camera.height} px")
 
 
 def _resized_mask(mask: Bool[Tensor, "old_height old_width"], width: int, height: int) -> Bool[Tensor, "height width"]:
-    """The mask at the old pixel nearest to each new pixel's centre."""
+    """Return the mask at the old pixel nearest to each new pixel's centre."""
     rows = ((torch.arange(height) + 0.5) * mask.shape[0] / height).long()
     columns = ((torch.arange(width) + 0.5) * mask.shape[1] / width).long()
     return mask[rows][:, columns]

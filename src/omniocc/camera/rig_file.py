@@ -2,8 +2,8 @@
 
     cameras:
       front:
-        model: equidistant                    # file name of the model in omniocc/camera
-        width: 512                            # then the model's own parameters, by name
+        model: equidistant                    # a key of MODELS below
+        width: 512                            # then the parameters of the model, by name
         height: 288
         focal_px: 154.4
         center_px: [255.5, 143.5]
@@ -14,8 +14,8 @@
         calibration: rear_opencv.yaml         # or, in place of model and parameters, a calibration file of one camera
         ego_from_camera: {position_m: [-0.9, 0, 0], yaw_deg: 180, pitch_deg: -10, roll_deg: 0}
 
-Angles are those of `omniocc.camera.pose.pose_from_angles`. `ego_from_camera` may also be the four rows of a 4x4 matrix,
-which is what `write_rig` writes, as angles would not reproduce a calibrated pose to the last bit.
+Angles are those of `omniocc.camera.pose.pose_from_angles`. `ego_from_camera` may also be the four rows of a 4x4 matrix.
+`write_rig` writes those, as angles would not reproduce a calibrated pose to the last bit.
 """
 
 import dataclasses
@@ -40,6 +40,7 @@ from omniocc.camera.models.mei import MEI
 from omniocc.camera.models.ocam import OCam
 from omniocc.camera.models.pinhole import Pinhole
 from omniocc.camera.models.radial_polynomial import RadialPolynomial
+from omniocc.camera.ops.mask_file import read_mask_pixels
 from omniocc.camera.pose import check_rigid, pose_from_angles
 from omniocc.camera.protocol import Camera, finite, numbers
 
@@ -60,7 +61,11 @@ Mask = Bool[Tensor, "_ _"]
 
 
 def read_rig(path: str | PathLike[str]) -> Calibration:
-    """The arguments of `Rig` from a rig file, another tool's calibration or a built-in rig. Raises ValueError."""
+    """Return the arguments of `Rig` from a rig file, a calibration of another tool or a built-in rig.
+
+    Raises:
+        ValueError: naming the file, the camera and the wrong value.
+    """
     file: Path | Calibration = _find(path)
     if file.is_dir():
         file = read_calibration_folder(file)
@@ -96,7 +101,7 @@ def write_rig(
     names: tuple[str, ...],
     masks: tuple[Mask | None, ...] | None,
 ) -> None:
-    """See `Rig.save`."""
+    """Write a rig file; see `Rig.save`."""
     file = Path(path)
     file.parent.mkdir(parents=True, exist_ok=True)
     model_names = {model: name for name, model in MODELS.items()}
@@ -173,13 +178,7 @@ def _read_pose(value: Any) -> Float64[Tensor, "4 4"]:
 def _read_mask(file: Path, camera: Camera) -> Mask:
     if not file.is_file():
         raise ValueError(f"mask {file} does not exist")
-    pixels = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
-    if pixels is None:
-        raise ValueError(f"mask {file} is no image that can be read")
-    if pixels.shape != (camera.height, camera.width):
-        size = f"{pixels.shape[1]}x{pixels.shape[0]}"
-        raise ValueError(f"mask {file} is {size} px but the image is {camera.width}x{camera.height} px")
-    return torch.from_numpy(pixels > 127)
+    return torch.from_numpy(read_mask_pixels("mask", file, camera) > 127)
 
 
 def _write_mask(file: Path, mask: Mask) -> None:

@@ -22,7 +22,7 @@ class Cuboid(Grid):
         height_m: lower and upper end in the ego frame.
 
     Raises:
-        ValueError: if the sizes make no grid.
+        ValueError: naming the size that is impossible.
     """
 
     shape: tuple[int, int, int]
@@ -44,38 +44,38 @@ class Cuboid(Grid):
 
     @property
     def periodic(self) -> tuple[bool, bool, bool]:
-        """No axis wraps around."""
+        """Return False for all axes: none wraps around."""
         return (False, False, False)
 
     @property
     def bounds(self) -> tuple[tuple[float, float], tuple[float, float], tuple[float, float]]:
-        """Ends along x, y and z in metres."""
+        """Return the ends along x, y and z in metres."""
         return self.x_m, self.y_m, self.height_m
 
     @property
     def cell_m(self) -> tuple[float, float, float]:
-        """Size of every cell."""
+        """Return the size of every cell in metres."""
         x, y, z = ((high - low) / cells for (low, high), cells in zip(self.bounds, self.shape, strict=True))
         return x, y, z
 
     def to_axes(self, points: Float[Tensor, "... 3"]) -> tuple[Tensor, Tensor, Tensor]:
-        """The points' own x, y, z."""
+        """Return x, y, z of the points."""
         x, y, z = points.unbind(-1)
         return x, y, z
 
     def from_axes(self, first: Tensor, second: Tensor, third: Tensor) -> Float[Tensor, "... 3"]:
-        """Points from x, y, z."""
+        """Return points from x, y, z."""
         return torch.stack([first, second, third], dim=-1)
 
     def volumes_m3(self) -> Float64[Tensor, "X Y Z"]:
-        """The same for every cell."""
+        """Return the volume of every cell, which is the same for all."""
         x, y, z = self.cell_m
         return torch.full(self.shape, x * y * z, dtype=torch.float64)
 
     def clip(
         self, origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"]
     ) -> tuple[Float[Tensor, " R"], Float[Tensor, " R"]]:
-        """The stretch between all three pairs of faces."""
+        """Return the distances at which rays enter and leave the space between all three pairs of faces."""
         slabs = [clip_slab(origins[:, i], directions[:, i], self.bounds[i]) for i in range(3)]
         enter = torch.stack([slab[0] for slab in slabs]).amax(0)
         return enter, torch.stack([slab[1] for slab in slabs]).amin(0)
@@ -83,7 +83,7 @@ class Cuboid(Grid):
     def crossings(
         self, origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"], start_m: Float[Tensor, " R"]
     ) -> tuple[Crossings, Crossings, Crossings]:
-        """With three sets of planes."""
+        """Return the crossings with three sets of planes."""
         x, y, z = (
             plane_crossings(origins[:, i], directions[:, i], start_m, self.bounds[i], self.shape[i]) for i in range(3)
         )

@@ -32,7 +32,7 @@ class Cylinder(Grid):
         height_m: lower and upper end in the ego frame.
 
     Raises:
-        ValueError: if the sizes make no grid.
+        ValueError: naming the size that is impossible.
     """
 
     shape: tuple[int, int, int]
@@ -55,32 +55,32 @@ class Cylinder(Grid):
 
     @property
     def periodic(self) -> tuple[bool, bool, bool]:
-        """Only the azimuth wraps around."""
+        """Return which axes wrap around: only the azimuth."""
         return (False, True, False)
 
     @property
     def bounds(self) -> tuple[tuple[float, float], tuple[float, float], tuple[float, float]]:
-        """Radius in metres, azimuth in radians, height in metres."""
+        """Return the ends of radius (m), azimuth (rad) and height (m)."""
         return self.radius_m, (-math.pi, math.pi), self.height_m
 
     @property
     def cell_m(self) -> tuple[float, float, float]:
-        """Radial size, arc length at the middle radius, height."""
+        """Return radial size, arc length at the middle radius and height of a cell, in metres."""
         arc_m = math.pi * (self.radius_m[0] + self.radius_m[1]) / self.shape[1]
         radial_m = (self.radius_m[1] - self.radius_m[0]) / self.shape[0]
         return radial_m, arc_m, (self.height_m[1] - self.height_m[0]) / self.shape[2]
 
     def to_axes(self, points: Float[Tensor, "... 3"]) -> tuple[Tensor, Tensor, Tensor]:
-        """Radius (m), azimuth (rad, in [-pi, pi]) and height (m)."""
+        """Return radius (m), azimuth (rad, in [-pi, pi]) and height (m)."""
         x, y, z = points.unbind(-1)
         return torch.sqrt(x * x + y * y), torch.atan2(y, x), z
 
     def from_axes(self, first: Tensor, second: Tensor, third: Tensor) -> Float[Tensor, "... 3"]:
-        """Points from radius (m), azimuth (rad) and height (m)."""
+        """Return points from radius (m), azimuth (rad) and height (m)."""
         return torch.stack([first * torch.cos(second), first * torch.sin(second), third], dim=-1)
 
     def volumes_m3(self) -> Float64[Tensor, "X Y Z"]:
-        """Growing with the radius."""
+        """Return the volume of every cell, which grows with the radius."""
         squared = self.edges(0).square().diff()
         cell = squared * (math.pi / self.shape[1]) * self.cell_m[2]
         return cell.reshape(-1, 1, 1).expand(self.shape).contiguous()
@@ -88,7 +88,7 @@ class Cylinder(Grid):
     def clip(
         self, origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"]
     ) -> tuple[Float[Tensor, " R"], Float[Tensor, " R"]]:
-        """The stretch inside the outer radius and between bottom and top; a hole around the axis is not cut out."""
+        """Return the distances at which rays enter and leave the cylinder; a hole around the axis is not cut out."""
         disc = clip_disc(origins, directions, self.radius_m[1])
         slab = clip_slab(origins[:, 2], directions[:, 2], self.height_m)
         return torch.maximum(disc[0], slab[0]), torch.minimum(disc[1], slab[1])
@@ -96,7 +96,7 @@ class Cylinder(Grid):
     def crossings(
         self, origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"], start_m: Float[Tensor, " R"]
     ) -> tuple[Crossings, Crossings, Crossings]:
-        """With cylinders, half-planes and planes."""
+        """Return the crossings with cylinders, half-planes and planes."""
         return (
             ring_crossings(origins, directions, start_m, self.radius_m, self.shape[0]),
             sector_crossings(origins, directions, start_m, self.shape[1]),

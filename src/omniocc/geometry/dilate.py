@@ -1,4 +1,4 @@
-"""Widening a mask along the horizontal rays from the z axis, where the range of a surface is uncertain."""
+"""Widening of a mask along the horizontal rays from the z axis, where the range of a surface is uncertain."""
 
 import functools
 import itertools
@@ -12,7 +12,7 @@ from torch import Tensor
 
 @runtime_checkable
 class Dilatable(Protocol):
-    """The part of a grid that dilation needs; see `omniocc.geometry.Grid`."""
+    """The part of `omniocc.geometry.Grid` that dilation needs."""
 
     @property
     def shape(self) -> tuple[int, int, int]: ...  # noqa: D102
@@ -33,11 +33,11 @@ class Dilatable(Protocol):
 def dilate(
     grid: Dilatable, mask: Bool[Tensor, "*B X Y Z"], windows: Sequence[int], edges_m: Sequence[float | int]
 ) -> Bool[Tensor, "*B X Y Z"]:
-    """Widens a mask towards and away from the z axis, by more the farther a cell is (paper, section IV-B).
+    """Return a mask widened towards and away from the z axis, by more the farther a cell is (paper, section IV-B).
 
     In a cylinder a cell marks the `window` next cells on either side of it along r. In a cuboid it marks the cells that
     hold the points up to `window` cell lengths before and behind its middle, on the horizontal ray from the axis: the
-    same stretch of space, in cells of the same length. Heights do not change, and nothing passes the axis.
+    same region of space for cells of the same length. Heights do not change, and no mark crosses the axis.
 
     Args:
         grid: cylinder or cuboid.
@@ -56,7 +56,7 @@ def dilate(
         raise ValueError(f"there must be increasing edges_m and one more window, none negative, got {sizes}")
     origin, target = (side.to(mask.device) for side in _moves(grid, tuple(windows), tuple(map(float, edges_m))))
     columns = mask.reshape(-1, grid.shape[0] * grid.shape[1], grid.shape[2])
-    # sums of 0 and 1, then compared: many cells may mark the same one
+    # sums, not assignments: several cells may mark the same one
     marks = columns.to(torch.int16)
     return marks.index_add(1, target, marks.index_select(1, origin)).bool().reshape(mask.shape)
 
@@ -65,7 +65,7 @@ def dilate(
 def _moves(
     grid: Dilatable, windows: tuple[int, ...], edges_m: tuple[float, ...]
 ) -> tuple[Int64[Tensor, " M"], Int64[Tensor, " M"]]:
-    """Pairs of columns: the first marks the second."""
+    """Return pairs of columns: the first marks the second."""
     points = grid.centers(torch.float64)[:, :, 0].flatten(0, 1)
     distance_m = grid.distances_m().flatten()
     window = torch.tensor(windows)[torch.bucketize(distance_m, torch.tensor(edges_m, dtype=torch.float64), right=True)]
@@ -82,7 +82,7 @@ def _moves(
 def _moved(
     grid: Dilatable, points: Float64[Tensor, "N 3"], distance_m: Float64[Tensor, " N"], by_m: float
 ) -> tuple[Int64[Tensor, " N"], Bool[Tensor, " N"]]:
-    """Column of each point after moving away from the axis, and whether it is in the grid and on the same side."""
+    """Return the column of each point moved away from the axis, and whether it is in the grid, on the same side."""
     shift = torch.zeros_like(points)
     shift[:, :2] = points[:, :2] / distance_m.clamp(min=1e-9).unsqueeze(1) * by_m
     cell, inside = grid.flat_index(points + shift)

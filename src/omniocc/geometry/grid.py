@@ -1,4 +1,4 @@
-"""What a cylindrical and a rectangular voxel grid share: everything but the map between points and axis values."""
+"""The common part of cylindrical and rectangular grids: all but the map between points and axis values."""
 
 import math
 from abc import ABC, abstractmethod
@@ -20,7 +20,7 @@ from omniocc.geometry.warp import Corners, fold, interpolate, trilinear
 
 
 class Grid(ABC):
-    """A regular grid along three axes in the ego frame; subclasses are frozen dataclasses: equal grids share caches.
+    """Regular grid along three axes in the ego frame; subclasses are frozen dataclasses, so equal grids share caches.
 
     Attributes:
         shape: number of cells along each axis.
@@ -31,65 +31,65 @@ class Grid(ABC):
     @property
     @abstractmethod
     def periodic(self) -> tuple[bool, bool, bool]:
-        """Which axes wrap around."""
+        """Return which axes wrap around."""
 
     @property
     @abstractmethod
     def bounds(self) -> tuple[tuple[float, float], tuple[float, float], tuple[float, float]]:
-        """Lower and upper end of each axis, metres (radians for an angle); half open, the upper end is outside."""
+        """Return lower and upper end of each axis, metres (radians for an angle); the upper end is outside."""
 
     @property
     @abstractmethod
     def cell_m(self) -> tuple[float, float, float]:
-        """Extent of a cell along each axis, metres; of an angle, the arc at the middle radius."""
+        """Return the extent of a cell along each axis, metres; of an angle, the arc at the middle radius."""
 
     @abstractmethod
     def volumes_m3(self) -> Float64[Tensor, "X Y Z"]:
-        """Volume of every cell."""
+        """Return the volume of every cell."""
 
     @abstractmethod
     def to_axes(self, points: Float[Tensor, "... 3"]) -> tuple[Tensor, Tensor, Tensor]:
-        """Values along the three axes of Cartesian ego points in metres."""
+        """Return the values along the three axes of Cartesian ego points in metres."""
 
     @abstractmethod
     def from_axes(self, first: Tensor, second: Tensor, third: Tensor) -> Float[Tensor, "... 3"]:
-        """Cartesian ego points in metres with these values along the three axes; the inverse of `to_axes`."""
+        """Return Cartesian ego points in metres with these values along the axes; the inverse of `to_axes`."""
 
     @abstractmethod
     def clip(
         self, origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"]
     ) -> tuple[Float[Tensor, " R"], Float[Tensor, " R"]]:
-        """Distances at which rays of unit length (float64) enter and leave the grid; enter > leave if they miss it."""
+        """Return the distances at which unit rays (float64) enter and leave the grid; enter > leave for a miss."""
 
     @abstractmethod
     def crossings(
         self, origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"], start_m: Float[Tensor, " R"]
     ) -> tuple[Crossings, Crossings, Crossings]:
-        """Crossings with the cell boundaries of each axis, of rays (float64) that begin inside, at `start_m`."""
+        """Return the crossings of rays (float64), inside from `start_m` on, with the boundaries of each axis."""
 
     @property
     def num_cells(self) -> int:
-        """Cells in the whole grid."""
+        """Return the number of cells in the grid."""
         return self.shape[0] * self.shape[1] * self.shape[2]
 
     def edges(self, axis: int) -> Float[Tensor, " edges"]:
-        """Cell boundaries along one axis, float64, metres (radians for an angle)."""
+        """Return the cell boundaries along one axis, float64, metres (radians for an angle)."""
         low, high = self.bounds[axis]
         return torch.linspace(low, high, self.shape[axis] + 1, dtype=torch.float64)
 
     def centers(
         self, dtype: torch.dtype = torch.float32, device: torch.device | str | None = None
     ) -> Float[Tensor, "X Y Z 3"]:
-        """Cell centres: the middle along each axis, as Cartesian ego points in metres."""
+        """Return the cell centres, the middle along each axis, as Cartesian ego points in metres."""
         middles = [(self.edges(axis)[1:] + self.edges(axis)[:-1]) / 2 for axis in range(3)]
         return self.from_axes(*torch.meshgrid(*middles, indexing="ij")).to(device=device, dtype=dtype)
 
     def distances_m(self) -> Float64[Tensor, "X Y"]:
-        """Horizontal distance of every column's middle from the z axis."""
+        """Return the horizontal distance (m) of every column's middle from the z axis."""
         return self.centers(torch.float64)[:, :, 0, :2].norm(dim=-1)
 
     def neighbors(self, device: torch.device | str | None = None) -> Int64[Tensor, "X Y Z 6"]:
-        """Cells that share a face with each cell: down and up along the first axis, the second, the third.
+        """Return the cells that share a face with each cell: down and up along the first axis, the second, the third.
 
         Returns:
             Row-major indices into a volume of `shape`; -1 beyond the ends of an axis that does not wrap around. No cell
@@ -104,12 +104,11 @@ class Grid(ABC):
         return torch.stack(found, dim=-1)
 
     def coordinates(self, points: Float[Tensor, "... 3"]) -> tuple[Tensor, Tensor, Tensor]:
-        """Position along each axis in units of cells: cell i spans [i, i+1). At least float32."""
+        """Return the position along each axis in units of cells, at least in float32: cell i spans [i, i+1)."""
         if points.dtype not in (torch.float32, torch.float64):
             points = points.float()
-        points = (
-            points.movedim(-1, 0).contiguous().movedim(0, -1)
-        )  # atan2 is an order of magnitude slower on strided input
+        # atan2 is an order of magnitude slower on strided input
+        points = points.movedim(-1, 0).contiguous().movedim(0, -1)
         scaled = [
             (value - low) * (cells / (high - low))
             for value, (low, high), cells in zip(self.to_axes(points), self.bounds, self.shape, strict=True)
@@ -117,7 +116,7 @@ class Grid(ABC):
         return scaled[0], scaled[1], scaled[2]
 
     def index(self, points: Float[Tensor, "... 3"]) -> tuple[Int64[Tensor, "... 3"], Bool[Tensor, "..."]]:
-        """Finds the cell of each ego point (metres).
+        """Return the cell of each ego point (metres).
 
         Returns:
             The index along each axis (for a point outside, that of the nearest cell) and whether the point is inside. A
@@ -127,7 +126,7 @@ class Grid(ABC):
         return torch.stack([first, second, third], dim=-1), inside
 
     def flat_index(self, points: Float[Tensor, "... 3"]) -> tuple[Int64[Tensor, "..."], Bool[Tensor, "..."]]:
-        """As `index`, with one number per cell: the row-major index into a volume of `shape`."""
+        """Return the result of `index` with one number per cell: the row-major index into a volume of `shape`."""
         first, second, third, inside = self._cells(points)
         return (first * self.shape[1] + second) * self.shape[2] + third, inside
 
@@ -136,7 +135,7 @@ class Grid(ABC):
         for position, cells, periodic in zip(self.coordinates(points), self.shape, self.periodic, strict=True):
             floor = position.floor()
             inside &= floor.abs() <= cells if periodic else (floor >= 0) & (floor < cells)
-            # the angle is folded as an integer: float32 can round it up to a whole turn
+            # the angle is wrapped as an integer: float32 can round it up to a whole turn
             whole = floor.nan_to_num(0.0).clamp(-1, cells).long()
             indices.append(fold(whole, cells) if periodic else whole.clamp(0, cells - 1))
         return indices[0], indices[1], indices[2], inside
@@ -144,7 +143,7 @@ class Grid(ABC):
     def voxelize(
         self, points: Float[Tensor, "P 3"], labels: UInt8[Tensor, " P"], num_classes: int = NUM_CLASSES
     ) -> UInt8[Tensor, "X Y Z"]:
-        """Labels every cell with the most frequent class of its points (see `omniocc.geometry.vote.majority`).
+        """Return for every cell the most frequent class of its points (see `omniocc.geometry.vote.majority`).
 
         Args:
             points: surface points in the ego frame, metres; those outside the grid do not count.
@@ -160,7 +159,7 @@ class Grid(ABC):
     def dilate(
         self, mask: Bool[Tensor, "*B X Y Z"], windows: Sequence[int], edges_m: Sequence[float | int]
     ) -> Bool[Tensor, "*B X Y Z"]:
-        """Widens a mask towards and away from the z axis (see `omniocc.geometry.dilate.dilate`).
+        """Return a mask widened towards and away from the z axis (see `omniocc.geometry.dilate.dilate`).
 
         Args:
             mask: cells that are candidates.
@@ -175,11 +174,11 @@ class Grid(ABC):
     def warp(
         self, volume: Float[Tensor, "B C X Y Z"], past_from_current: Float[Tensor, "B 4 4"]
     ) -> Float[Tensor, "B C X Y Z"]:
-        """Samples a past volume where the current cell centres were then.
+        """Return a past volume sampled at the positions of the current cell centres in the past frame.
 
-        Trilinear along the grid's axes; an angle wraps around, elsewhere the half cell at the border takes the border
-        cell's value (also around a cylinder's axis, across which nothing is interpolated). Cells whose centre was
-        outside become 0; `warp_valid` tells which. The identity pose returns the volume itself, bit for bit.
+        Trilinear along the grid's axes. An angle wraps around; elsewhere the half cell at the border takes the border
+        cell's value, also around a cylinder's axis, across which nothing is interpolated. Cells whose centre was
+        outside become 0, see `warp_valid`. The identity pose returns the volume itself, bit for bit.
         Differentiable in `volume`.
 
         Args:
@@ -194,22 +193,22 @@ class Grid(ABC):
         return torch.stack(warped).unflatten(1, self.shape).movedim(-1, 1)
 
     def corners(self, past_from_current: Float[Tensor, "4 4"], dtype: torch.dtype) -> Corners:
-        """Where `warp` looks for each current cell, row-major, in one sample's past volume; weights as `dtype`."""
+        """Return the cells and weights (of `dtype`) of one past volume for each current cell, row-major."""
         position = self.coordinates(self._moved_centers(past_from_current))
         return trilinear(position, self.shape, self.periodic, dtype)
 
     def warp_valid(self, past_from_current: Float[Tensor, "B 4 4"]) -> Bool[Tensor, "B X Y Z"]:
-        """Which current cells had their centre inside the past frame's grid."""
+        """Return which current cells had their centre inside the past frame's grid."""
         return torch.stack([self.index(self._moved_centers(pose))[1].reshape(self.shape) for pose in past_from_current])
 
     def paths(self, origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"]) -> Paths:
-        """All cells that each ray crosses, in order (see `omniocc.geometry.raycast.trace.paths`)."""
+        """Return all cells that each ray crosses, in order (see `omniocc.geometry.raycast.trace.paths`)."""
         return paths(self, origins, directions)
 
     def cast(
         self, labels: UInt8[Tensor, "X Y Z"], origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"]
     ) -> Hits:
-        """First cell along each ray that is not free (see `omniocc.geometry.raycast.table.cast`)."""
+        """Return the first cell along each ray that is not free (see `omniocc.geometry.raycast.table.cast`)."""
         return cast(self, labels, origins, directions)
 
     def trace(
@@ -219,23 +218,23 @@ class Grid(ABC):
         directions: Float[Tensor, "R 3"],
         hit: Literal["exit", "entry"] = "exit",
     ) -> tuple[Float32[Tensor, " R"], UInt8[Tensor, " R"]]:
-        """Range in metres and class of the first cell along each ray that is not free (0); unknown (255) is not free.
+        """Return range (m) and class of the first cell along each ray that is not free (0); unknown (255) is not free.
 
         Args:
             labels: class of every cell.
             origins: ego frame, metres.
-            directions: any length but zero.
+            directions: of any length above 0.
             hit: report the distance at which the hit cell is left (as the public RayIoU does) or entered.
 
         Returns:
-            A ray that hits nothing has the distance at which it leaves the grid, and class free; one that never meets
-            the grid has range inf and class free.
+            Range and class of each ray: without a hit the distance at which the ray leaves the grid and class free; for
+            a ray that never meets the grid inf and class free.
 
         Example:
             >>> from omniocc.geometry import Cylinder
             >>> grid = Cylinder((8, 16, 4), (0.0, 8.0), (-2.0, 2.0))
             >>> labels = torch.zeros(grid.shape, dtype=torch.uint8)
-            >>> labels[5] = 4  # a wall all around, from 5 to 6 m
+            >>> labels[5] = 4  # a round wall, from 5 to 6 m
             >>> origins, directions = torch.zeros(2, 3), torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
             >>> grid.trace(labels, origins, directions)
             (tensor([6., 2.]), tensor([4, 0], dtype=torch.uint8))
@@ -254,7 +253,7 @@ def _center_columns(grid: Grid, device: torch.device) -> Float64[Tensor, "3 N"]:
 
 
 def as_axis(name: str, values: Sequence[float | int]) -> tuple[float, float]:
-    """Checks a (low, high) pair from a config.
+    """Return a checked (low, high) pair.
 
     Raises:
         ValueError: if it is not two increasing finite numbers.
@@ -265,7 +264,7 @@ def as_axis(name: str, values: Sequence[float | int]) -> tuple[float, float]:
 
 
 def as_shape(values: Sequence[int]) -> tuple[int, int, int]:
-    """Checks the number of cells along three axes.
+    """Return the checked number of cells along three axes.
 
     Raises:
         ValueError: if it is not three positive whole numbers.

@@ -1,4 +1,4 @@
-"""Voxel labels from labelled points."""
+"""Voxel labels by majority vote."""
 
 import torch
 from jaxtyping import Int64, UInt8
@@ -10,7 +10,7 @@ from omniocc.classes import FREE, NUM_CLASSES, UNKNOWN
 def majority(
     cells: Int64[Tensor, " P"], labels: UInt8[Tensor, " P"], num_cells: int, num_classes: int = NUM_CLASSES
 ) -> UInt8[Tensor, " cells"]:
-    """Gives each cell the most frequent class of the points in it.
+    """Return the most frequent class of the points in each cell.
 
     A tie goes to the highest class id (the thin classes Pole, Pedestrian and Roadline are the last). Unknown points
     (255) do not vote; a cell with unknown points only is unknown. A cell without points is free (0).
@@ -31,7 +31,7 @@ def majority(
     key_type = torch.int32 if num_cells < 2**23 else torch.int64
     keys, counts = torch.unique_consecutive((cells.to(key_type) * 256 + labels).sort().values, return_counts=True)
     label = (keys % 256).long()
-    # most votes first, then the higher class; unknown counts as no vote at all
+    # most votes first, then the higher class; unknown counts as no vote
     score = torch.where(label == UNKNOWN, 0, counts) * 256 + label
     best = score.new_zeros(num_cells).scatter_reduce_(0, (keys // 256).long(), score, "amax")
     return (best % 256).to(torch.uint8)
@@ -40,7 +40,7 @@ def majority(
 def downsample(
     labels: UInt8[Tensor, "*B X Y Z"], factor: int, num_classes: int = NUM_CLASSES
 ) -> UInt8[Tensor, "*B x y z"]:
-    """Joins blocks of `factor` cells along every axis into one by majority, so that thin objects survive.
+    """Return coarser labels: blocks of `factor` cells along every axis joined by majority, keeping thin objects.
 
     Only occupied cells vote: a block with a single pole among free or unknown cells is pole. A tie goes to the highest
     class id, as in `majority`. A block without occupied cells is free, or unknown if most of it is.
@@ -51,7 +51,7 @@ def downsample(
         num_classes: number of classes, free included.
 
     Raises:
-        ValueError: if an axis is no multiple of the factor.
+        ValueError: if an axis is not a multiple of the factor.
     """
     if factor < 1 or any(size % factor for size in labels.shape[-3:]):
         raise ValueError(f"the last three axes must be multiples of factor {factor}, got shape {tuple(labels.shape)}")

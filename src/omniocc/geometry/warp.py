@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 SNAP_CELLS = 1e-6
-"""Positions this close to a cell centre count as the centre, so that a pose without motion changes no bit."""
+"""Positions this close to a cell centre count as the centre, so that the identity pose changes no bit."""
 
 
 class Corners(NamedTuple):
@@ -27,7 +27,7 @@ class Corners(NamedTuple):
 
 
 def fold(index: Int64[Tensor, "..."], cells: int) -> Int64[Tensor, "..."]:
-    """Takes indices of a periodic axis from within one turn of the grid back into it; cheaper than a remainder."""
+    """Return indices of a periodic axis, at most one turn outside the grid, moved into it; cheaper than a remainder."""
     return index + cells * ((index < 0).long() - (index >= cells).long())
 
 
@@ -37,10 +37,10 @@ def trilinear(
     periodic: tuple[bool, bool, bool],
     dtype: torch.dtype,
 ) -> Corners:
-    """Finds the eight cells around each point, with their weights; border cells are repeated beyond the border.
+    """Return the eight cells around each point, with their weights; border cells are repeated beyond the border.
 
     Args:
-        position: points along each axis in units of cells (`Grid.coordinates`); float64 keeps a resting pose exact.
+        position: points along each axis in units of cells (`Grid.coordinates`); float64 keeps the identity pose exact.
         shape: cells along each axis.
         periodic: which axes wrap around.
         dtype: of the weights.
@@ -59,7 +59,7 @@ def trilinear(
         cells.append((steps.index_select(0, first), steps.index_select(0, first + 1)))
         weights.append((1 - fraction, fraction))
     weights[0] = (weights[0][0] * inside, weights[0][1] * inside)
-    # corner by corner on whole columns: many times faster than broadcasting pairs
+    # corner by corner on whole columns: much faster than broadcasting pairs
     columns = [(x + y, u * v) for x, u in zip(cells[0], weights[0], strict=True) for y, v in _pairs(cells, weights, 1)]
     corners = [(xy + z, uv * w) for xy, uv in columns for z, w in _pairs(cells, weights, 2)]
     row, weight = (torch.stack(parts, dim=-1) for parts in zip(*corners, strict=True))
@@ -74,14 +74,14 @@ def _pairs(
 
 @lru_cache(maxsize=64)
 def axis_steps(cells: int, wraps: bool, stride: int, device: torch.device) -> Int32[Tensor, " steps"]:
-    """What the indices -1 .. cells+1 of an axis add to a row-major index: beyond its ends it wraps around or stops."""
+    """Return what indices -1 .. cells+1 of an axis add to a row-major index: beyond the ends it wraps or stops."""
     index = torch.arange(-1, cells + 2, dtype=torch.int32, device=device)
     return (index.remainder(cells) if wraps else index.clamp(0, cells - 1)) * stride
 
 
 def interpolate(rows: Float[Tensor, "M C"], corners: Corners) -> Float[Tensor, "N C"]:
-    """Weighted sum of the corners' rows for each point, 0 outside; differentiable in the rows.
+    """Return the weighted sum of the corners' rows for each point, 0 outside; differentiable in the rows.
 
-    No corner's row is ever copied: eight rows are read and one is written per point.
+    Rows are not copied: eight are read and one is written per point.
     """
     return F.embedding_bag(corners.cells, rows, per_sample_weights=corners.weights, mode="sum")

@@ -9,15 +9,14 @@ from omniocc.classes import UNKNOWN
 
 
 def class_weights(counts: Int64[Tensor, " C"], constant: float) -> Float32[Tensor, " C"]:
-    """w_c = 1 / log(f_c + constant), with f_c the share of class c among all known voxels, in [0, 1] (paper, eq. 4).
+    """Return w_c = 1 / log(f_c + constant), with f_c the fraction of class c among the known voxels (paper, eq. 4).
 
-    The paper gives neither f_c nor the constant. In MonoScene, where the formula comes from, f_c is the number of
-    voxels and the constant 0.001: weights then depend on the size of the data set, and that of a class that never
-    occurs is negative. With shares and a constant above 1 all weights are positive and finite; 2 keeps them in 0.91 to
-    1.44.
+    The paper gives neither f_c nor the constant. In MonoScene, the source of the formula, f_c is the number of voxels
+    and the constant 0.001: weights then depend on the size of the dataset, and that of a class that never occurs is
+    negative. With fractions and a constant above 1 all weights are positive and finite; 2 keeps them in 0.91 to 1.44.
     """
-    share = counts.double() / counts.sum().clamp(min=1)
-    return (share + constant).log().reciprocal().float()
+    fraction = counts.double() / counts.sum().clamp(min=1)
+    return (fraction + constant).log().reciprocal().float()
 
 
 class CrossEntropy(nn.Module):
@@ -38,16 +37,16 @@ class CrossEntropy(nn.Module):
     def __init__(self, constant: float, num_classes: int):
         super().__init__()
         if constant <= 1:
-            raise ValueError(f"constant is {constant}; above 1 all weights 1/log(share + constant) are positive")
+            raise ValueError(f"constant is {constant}; above 1 all weights 1/log(fraction + constant) are positive")
         self.constant = constant
         self.register_buffer("weights", torch.ones(num_classes))
 
     def set_class_counts(self, counts: Int64[Tensor, " C"]) -> None:
-        """Sets the weights from the number of training voxels of each class."""
+        """Set the weights from the number of training voxels of each class."""
         self.weights.copy_(class_weights(counts, self.constant))
 
     def forward(self, logits: Float[Tensor, "B C *grid"], target: UInt8[Tensor, "B *grid"]) -> Float32[Tensor, ""]:
-        """Scalar; 0 if no voxel is known."""
+        """Return a scalar; 0 if no voxel is known."""
         labels = target.long()
         loss = F.cross_entropy(logits.float(), labels, self.weights, ignore_index=UNKNOWN, reduction="sum")
         padded = F.pad(self.weights, (0, UNKNOWN + 1 - len(self.weights)))

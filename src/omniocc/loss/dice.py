@@ -8,14 +8,14 @@ from omniocc.loss.soft_confusion import soft_confusion
 
 
 class Dice(nn.Module):
-    """1 - 2 TP / (2 TP + FP + FN) with probabilities for counts (paper, eq. 5), the mean over classes.
+    """Mean over classes of 1 - 2 TP / (2 TP + FP + FN), with sums of probabilities as counts (paper, eq. 5).
 
-    The paper leaves open which classes count. Ours: those that occur in the target, free included. A class that does
-    not occur has TP = 0 whatever is predicted: its term would be 1 with no gradient.
+    The paper does not say which classes count. Here those that occur in the target do, free included. A class that does
+    not occur has TP = 0 for every prediction: its term would be 1 without a gradient.
     """
 
     def forward(self, logits: Float[Tensor, "B C *grid"], target: UInt8[Tensor, "B *grid"]) -> Float32[Tensor, ""]:
-        """Scalar; 0 if no voxel is known. Counts run over the whole batch."""
+        """Return a scalar; 0 if no voxel is known. Counts run over the whole batch."""
         confusion = soft_confusion(logits, target)
         count = confusion.sum(1)
         present = count > 0.5

@@ -9,10 +9,10 @@ from omniocc.classes import UNKNOWN
 
 
 def jaccard_steps(foreground: Float32[Tensor, "C N"]) -> Float32[Tensor, "C N"]:
-    """How much each further error raises the Jaccard loss, errors taken one by one in the given order.
+    """Return the increase of the Jaccard loss by each further wrong voxel, in the given order.
 
-    Row by row, with Delta_k = 1 - |y minus the first k| / |y or the first k|, the Jaccard loss if the first k voxels
-    are wrong: Delta_k - Delta_(k-1), and Delta_0 = 0 (Berman et al. 2018, eq. 8 and 9).
+    For each row, with Delta_k = 1 - |y minus the first k| / |y or the first k| the Jaccard loss with the first k voxels
+    wrong: Delta_k - Delta_(k-1), and Delta_0 = 0 (Berman et al. 2018, eq. 8 and 9).
 
     Args:
         foreground: 1 where a voxel belongs to the class, else 0, along the order.
@@ -31,7 +31,7 @@ class Lovasz(nn.Module):
     """
 
     def forward(self, logits: Float[Tensor, "B C *grid"], target: UInt8[Tensor, "B *grid"]) -> Float32[Tensor, ""]:
-        """Scalar; 0 if no voxel is known."""
+        """Return a scalar; 0 if no voxel is known."""
         with torch.autocast(logits.device.type, enabled=False):
             known = target.flatten() != UNKNOWN
             probability = F.softmax(logits.float().flatten(2), dim=1).transpose(0, 1).flatten(1)[:, known]

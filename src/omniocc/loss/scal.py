@@ -9,32 +9,32 @@ from omniocc.loss.soft_confusion import log_ratio, soft_confusion
 
 
 def semantic_scal(confusion: Float32[Tensor, "C C"]) -> Float32[Tensor, ""]:
-    """-(log precision + log recall + log specificity) of every class in the target, free included; their mean.
+    """Return the mean of -(log precision + log recall + log specificity) over the classes in the target, with free.
 
     Precision P = sum p y / sum p, recall R = sum p y / sum y, specificity S = sum (1-p)(1-y) / sum (1-y). S counts only
     where the target holds other classes too.
     """
-    hits = confusion.diagonal()
+    correct = confusion.diagonal()
     count, predicted, total = confusion.sum(1), confusion.sum(0), confusion.sum()
-    other = ~torch.eye(len(hits), dtype=torch.bool, device=hits.device)
-    # [c]: mass on classes other than c, of voxels whose class is not c
+    other = ~torch.eye(len(correct), dtype=torch.bool, device=correct.device)
+    # entry c: mass on classes other than c, over voxels whose class is not c
     rejected = (confusion * (other[:, :, None] & other[:, None, :])).sum((1, 2))
     elsewhere = total - count
-    affinity = log_ratio(hits, predicted) + log_ratio(hits, count)
+    affinity = log_ratio(correct, predicted) + log_ratio(correct, count)
     affinity = affinity + torch.where(elsewhere > 0.5, log_ratio(rejected, elsewhere), 0)
     present = count > 0.5
     return -torch.where(present, affinity, 0).sum() / present.sum().clamp(min=1)
 
 
 def geometric_scal(confusion: Float32[Tensor, "C C"]) -> Float32[Tensor, ""]:
-    """The same for occupied against free: precision and recall of the occupied voxels, specificity of the free ones.
+    """Return -(log precision + log recall + log specificity) of occupied voxels against free ones.
 
-    Terms whose target class does not occur are left out.
+    Specificity is that of the free voxels. Terms whose target class does not occur are left out.
     """
     mask = torch.arange(len(confusion), device=confusion.device) != FREE
     occupied, free = confusion[mask].sum(0), confusion[FREE]
-    hits, hallucinated = occupied[mask].sum(), free[mask].sum()
-    found = log_ratio(hits, hits + hallucinated) + log_ratio(hits, occupied.sum())
+    correct, hallucinated = occupied[mask].sum(), free[mask].sum()
+    found = log_ratio(correct, correct + hallucinated) + log_ratio(correct, occupied.sum())
     left_free = log_ratio(free[FREE], free.sum())
     zero = torch.zeros_like(found)
     return -(torch.where(occupied.sum() > 0.5, found, zero) + torch.where(free.sum() > 0.5, left_free, zero))
@@ -44,6 +44,6 @@ class Scal(nn.Module):
     """Semantic plus geometric scene-class affinity; sums run over the known voxels of the whole batch."""
 
     def forward(self, logits: Float[Tensor, "B C *grid"], target: UInt8[Tensor, "B *grid"]) -> Float32[Tensor, ""]:
-        """Scalar; 0 if no voxel is known."""
+        """Return a scalar; 0 if no voxel is known."""
         confusion = soft_confusion(logits, target)
         return semantic_scal(confusion) + geometric_scal(confusion)

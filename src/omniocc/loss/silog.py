@@ -8,12 +8,12 @@ EPSILON = 1e-6
 
 
 class SILog(nn.Module):
-    """sqrt(mean(d^2) - focus * mean(d)^2) with d = log predicted - log true range; in float32.
+    """Loss sqrt(mean(d^2) - focus * mean(d)^2) with d = log predicted - log true range, in float32.
 
-    Pixels count whose true range is finite and above 0: sky (inf) and what was not measured (nan) do not.
+    Pixels count whose true range is finite and above 0: those of the sky (inf) and without a measurement (nan) do not.
 
     Args:
-        focus: how much of an error common to all pixels is forgiven, in [0, 1]; 0.85 is usual, 1 forgives all of it.
+        focus: fraction of the squared common error of all pixels that is removed, in [0, 1]; 0.85 is usual.
 
     Raises:
         ValueError: if `focus` is out of range.
@@ -26,11 +26,11 @@ class SILog(nn.Module):
         self.focus = focus
 
     def forward(self, log_range: Float[Tensor, "..."], true_range_m: Float[Tensor, "..."]) -> Float32[Tensor, ""]:
-        """Scalar; 0 if no pixel counts. `log_range` is the natural logarithm of metres."""
+        """Return a scalar; 0 if no pixel counts. `log_range` is the natural logarithm of metres."""
         counted = true_range_m.isfinite() & (true_range_m > 0)
         true = torch.where(counted, true_range_m.float(), 1.0).log()
         error = torch.where(counted, log_range.float() - true, 0.0)
         count = counted.sum().clamp(min=1)
         squares, mean = error.square().sum() / count, error.sum() / count
-        # a root has no slope at 0, where all pixels are right or none counts
+        # the root is not differentiable at 0: if all pixels are exact or none counts
         return (squares - self.focus * mean.square()).clamp(min=0).add(EPSILON).sqrt() - EPSILON**0.5

@@ -1,4 +1,4 @@
-"""Soft confusion matrix: everything that the scene-wide losses need to know of a batch."""
+"""Soft confusion matrix: the sufficient statistics of the scene-wide losses."""
 
 import torch
 from jaxtyping import Float, Float32, UInt8
@@ -9,10 +9,10 @@ from omniocc.classes import UNKNOWN
 
 
 def soft_confusion(logits: Float[Tensor, "B C *grid"], target: UInt8[Tensor, "B *grid"]) -> Float32[Tensor, "C C"]:
-    """Probability mass by true class (rows) and predicted class (columns), summed over the known voxels of the batch.
+    """Return the probability mass by true (row) and predicted (column) class, summed over the known voxels.
 
-    All later sums add entries of this matrix and subtract nothing, so that they stay exact where a probability is
-    close to 0 or 1. Computed in float32, also under autocast.
+    Later sums add entries of this matrix without subtraction, so that they stay exact where a probability is close to
+    0 or 1. Computed in float32, also under autocast.
     """
     classes = logits.shape[1]
     with torch.autocast(logits.device.type, enabled=False):
@@ -25,6 +25,6 @@ def soft_confusion(logits: Float[Tensor, "B C *grid"], target: UInt8[Tensor, "B 
 
 
 def log_ratio(part: Float32[Tensor, "*batch"], whole: Float32[Tensor, "*batch"]) -> Float32[Tensor, "*batch"]:
-    """log(part / whole) for part <= whole; finite, with 0 / 0 = 1."""
+    """Return log(part / whole) for part <= whole; finite, with 0 / 0 = 1."""
     tiny = torch.finfo(part.dtype).tiny
     return part.clamp(min=tiny).log() - whole.clamp(min=tiny).log()

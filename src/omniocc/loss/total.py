@@ -1,4 +1,4 @@
-"""The training loss: named terms, summed by whoever trains."""
+"""The training loss: named and weighted terms, which the training step sums."""
 
 from collections.abc import Mapping
 from typing import Protocol, runtime_checkable
@@ -11,21 +11,21 @@ from omniocc.loss.cross_entropy import CrossEntropy
 
 @runtime_checkable
 class HasLogits(Protocol):
-    """What the losses read of a prediction (`omniocc.model.Prediction`)."""
+    """The part of a prediction (`omniocc.model.Prediction`) that the losses need."""
 
     @property
     def logits(self) -> Float[Tensor, "B C X Y Z"]:
-        """Of every voxel."""
+        """Return the logits of every voxel."""
         ...
 
     @property
     def pixel_logits(self) -> Float[Tensor, "B N C h w"] | None:
-        """Of every pixel, or None without a semantic head."""
+        """Return the logits of every pixel, or None without a semantic head."""
         ...
 
     @property
     def range_logits(self) -> Float[Tensor, "B N D h w"] | None:
-        """Of bins of range along the rays of pixels, or None if the lifter guesses none."""
+        """Return the logits of range bins of every pixel, or None if the lifter estimates no ranges."""
         ...
 
 
@@ -36,10 +36,10 @@ class Total(nn.Module):
         voxel: losses of (voxel logits, voxel labels).
         pixel: losses of (pixel logits, pixel labels).
         weights: factor of every term.
-        ray: losses of (range logits, true range of every pixel), for lifters that guess ranges.
+        ray: losses of (range logits, true range of every pixel), for lifters that estimate ranges.
 
     Raises:
-        ValueError: if the names in `weights` are not those of the terms, or a name stands in two groups.
+        ValueError: if the names in `weights` are not those of the terms, or a name occurs in two groups.
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class Total(nn.Module):
         ray: Mapping[str, nn.Module] | None = None,
     ):
         super().__init__()
-        ray = ray or {}  # configurations from before had none
+        ray = ray or {}
         names = [*voxel, *pixel, *ray]
         if sorted(names) != sorted(weights):
             raise ValueError(f"loss terms {sorted(names)} and weights {sorted(weights)} must have the same names")
@@ -60,7 +60,7 @@ class Total(nn.Module):
         self.weights = dict(weights)
 
     def set_class_counts(self, counts: Int64[Tensor, " C"]) -> None:
-        """Tells the losses that weigh classes how many training voxels each has."""
+        """Set the number of training voxels of each class in the losses that weigh classes."""
         for loss in self.voxel.values():
             if isinstance(loss, CrossEntropy):
                 loss.set_class_counts(counts)
@@ -72,17 +72,17 @@ class Total(nn.Module):
         pixel_labels: UInt8[Tensor, "B N H W"],
         camera_range_m: Float[Tensor, "B N H W"] | None = None,
     ) -> dict[str, Float32[Tensor, ""]]:
-        """Weighted scalar terms by name; those of pixels only where the model predicts pixels.
+        """Return weighted scalar terms by name; those of pixels only if the model predicts pixels.
 
         Raises:
-            ValueError: if there are terms of rays, but the lifter guesses no ranges or the true ones are not given.
+            ValueError: if there are terms of rays, but no predicted or no true ranges.
         """
         terms = {name: loss(prediction.logits, voxels) for name, loss in self.voxel.items()}
         if prediction.pixel_logits is not None:
             terms |= {name: loss(prediction.pixel_logits, pixel_labels) for name, loss in self.pixel.items()}
         if len(self.ray):
             if prediction.range_logits is None:
-                raise ValueError("loss=with_ranges needs a lifter that guesses ranges: model/lifter=lift_splat")
+                raise ValueError("loss=with_ranges needs a lifter that estimates ranges: model/lifter=lift_splat")
             if camera_range_m is None:
                 raise ValueError("the terms of rays need camera_range_m, the true range of every pixel")
             terms |= {name: loss(prediction.range_logits, camera_range_m) for name, loss in self.ray.items()}

@@ -1,4 +1,4 @@
-"""Scores of occupancy."""
+"""Metrics of occupancy and depth."""
 
 from omniocc.metric.candidates import Candidates
 from omniocc.metric.depth import DepthMetrics, sphere_index

@@ -1,4 +1,4 @@
-"""Checks of what users hand to a metric."""
+"""Checks of the arguments of metrics."""
 
 import itertools
 
@@ -9,14 +9,14 @@ from torch import Tensor
 def check_labels(
     name: str, labels: Tensor, shape: tuple[int, ...], num_classes: int, ignore_class: int | None = None
 ) -> Tensor:
-    """Checks class ids and returns them as uint8.
+    """Return class ids as uint8 after checking them.
 
     Args:
-        name: how messages call the tensor.
+        name: name of the tensor in messages.
         labels: (B, *shape) of an integer type, or whole numbers of a floating one.
-        shape: what must follow the batch axis.
+        shape: the axes after the batch axis.
         num_classes: ids must lie in 0 .. num_classes-1 ...
-        ignore_class: ... or be this one.
+        ignore_class: ... or equal this one.
 
     Raises:
         ValueError: naming shape, type or value.
@@ -44,29 +44,26 @@ def _check_each(name: str, labels: Tensor, num_classes: int, ignore_class: int |
 
 
 def check_mask(name: str, mask: Tensor | None, shape: torch.Size) -> None:
-    """Raises a ValueError unless the mask is bool and has this shape."""
+    """Raise ValueError unless the mask is None, or bool of this shape."""
     if mask is not None and (mask.shape != shape or mask.dtype != torch.bool):
         raise ValueError(f"{name} must be bool of shape {tuple(shape)}, got {mask.dtype} of shape {tuple(mask.shape)}")
 
 
+def check_same_shape(first: str, left: Tensor, second: str, right: Tensor) -> None:
+    """Raise ValueError unless both tensors have the same shape."""
+    if left.shape != right.shape:
+        shapes = f"{tuple(left.shape)} and {tuple(right.shape)}"
+        raise ValueError(f"{first} and {second} must have the same shape, got {shapes}")
+
+
 def check_same_batch(first: str, left: Tensor, second: str, right: Tensor) -> None:
-    """Raises a ValueError unless both tensors have the same batch size."""
+    """Raise ValueError unless both tensors have the same batch size."""
     if len(left) != len(right):
         raise ValueError(f"{first} and {second} must have the same batch size, got {len(left)} and {len(right)}")
 
 
 def check_increasing(name: str, values: tuple[float, ...], at_least: int) -> None:
-    """Raises a ValueError unless there are so many distances in metres, each above the one before."""
+    """Raise ValueError unless there are at least so many distances in metres, none negative and all increasing."""
     rising = all(low < high for low, high in itertools.pairwise(values))
     if len(values) < at_least or not rising or (values and values[0] < 0):
         raise ValueError(f"{name} must be {at_least} or more increasing distances in metres, got {values}")
-
-
-def check_classes(num_classes: int, free_class: int, ignore_class: int) -> None:
-    """Raises a ValueError unless the ids fit into uint8 and the ignored one is no class."""
-    if not 2 <= num_classes <= 255:
-        raise ValueError(f"num_classes must be 2..255, got {num_classes}")
-    if not 0 <= free_class < num_classes:
-        raise ValueError(f"free_class must be 0..{num_classes - 1}, got {free_class}")
-    if not num_classes <= ignore_class <= 255:
-        raise ValueError(f"ignore_class must be {num_classes}..255, beyond the classes, got {ignore_class}")

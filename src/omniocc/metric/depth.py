@@ -1,6 +1,5 @@
-"""Errors of predicted ranges, in metres and in indices of inverse range."""
+"""Errors of predicted ranges, in metres and in indices of spheres of inverse range."""
 
-import itertools
 from collections.abc import Sequence
 
 import torch
@@ -8,21 +7,23 @@ from jaxtyping import Bool, Float, Float64
 from torch import Tensor
 from torchmetrics import Metric
 
-from omniocc.metric.checks import check_increasing, check_mask
+from omniocc.metric.bands import as_edges, band_of, band_suffixes, num_rows
+from omniocc.metric.checks import check_increasing, check_mask, check_same_shape
 
 NAMES = (
     *("mae", "absrel", "rmse", "delta1", "delta2", "delta3"),
     *("index_mae", "index_rmse", "index>1", "index>3", "index>5"),
 )
-"""What is averaged over rays; of the squared errors the root is taken afterwards."""
+"""Quantities averaged over rays; the root of the mean squared errors is taken afterwards."""
 
 
 def sphere_index(
     range_m: Float[Tensor, "..."], nearest_m: float, farthest_m: float, spheres: int
 ) -> Float[Tensor, "..."]:
-    """Where ranges lie among spheres of equal steps in inverse range: 0 the farthest, `spheres - 1` the nearest.
+    """Return the real-valued index of ranges among spheres of equal steps in inverse range.
 
-    This is how omnidirectional stereo samples space (OmniMVS, Won et al. 2019), whose farthest sphere is infinity.
+    0 is the farthest sphere, `spheres - 1` the nearest, as omnidirectional stereo samples space (OmniMVS, Won et al.
+    2019, whose farthest sphere is at infinity).
     """
     step = (1 / nearest_m - 1 / farthest_m) / (spheres - 1)
     return (1 / range_m - 1 / farthest_m) / step
@@ -35,45 +36,45 @@ def depth_sums(
     farthest_m: float,
     spheres: int,
 ) -> Float64[Tensor, "R sums"]:
-    """The errors of every ray, in the order of `NAMES`."""
+    """Return the errors of every ray, in the order of `NAMES`."""
     error_m = (prediction_m - target_m).abs()
     ratio = torch.maximum(prediction_m / target_m, target_m / prediction_m)
-    ours, true = (sphere_index(range_m, nearest_m, farthest_m, spheres) for range_m in (prediction_m, target_m))
-    percent = (ours - true).abs() / spheres * 100
+    predicted, true = (sphere_index(range_m, nearest_m, farthest_m, spheres) for range_m in (prediction_m, target_m))
+    percent = (predicted - true).abs() / spheres * 100
     parts = [error_m, error_m / target_m, error_m**2, *(ratio < 1.25**k for k in (1, 2, 3))]
     parts += [percent, percent**2, *(percent > k for k in (1, 3, 5))]
     return torch.stack([part.double() for part in parts], dim=-1)
 
 
 def depth_scores(
-    sums: Float64[Tensor, "bins sums"], count: Float64[Tensor, " bins"], edges_m: Sequence[float]
+    sums: Float64[Tensor, "bands sums"], count: Float64[Tensor, " bands"], edges_m: Sequence[float]
 ) -> dict[str, Tensor]:
-    """Divides sums over rays; see `DepthMetrics` for the keys. What has no rays is nan."""
+    """Return the scores of sums over rays; see `DepthMetrics` for the keys. A score without rays is nan."""
     means = torch.cat([sums.sum(0, keepdim=True) / count.sum(), sums / count.unsqueeze(1)])
     means[:, [NAMES.index("rmse"), NAMES.index("index_rmse")]] **= 0.5
     scores = dict(zip(NAMES, means[0], strict=True))
-    for row, (low, high) in zip(means[1:], itertools.pairwise(edges_m), strict=False):
-        scores |= {f"{name}_{low:g}-{high:g}m": value for name, value in zip(NAMES, row, strict=True)}
+    for row, suffix in zip(means[1:], band_suffixes(edges_m), strict=False):  # the last row is no band
+        scores |= {f"{name}{suffix}": value for name, value in zip(NAMES, row, strict=True)}
     return {key: value.float() for key, value in scores.items()}
 
 
 class DepthMetrics(Metric):
     """Errors of predicted ranges over a dataset.
 
-    Rays count whose true range lies between the nearest and the farthest sphere; sky does not. Predictions are
-    clamped to that span. Keys: `mae` and `rmse` (m), `absrel`, `delta1`..`delta3` (share of rays with a ratio below
-    1.25^k), `index_mae`, `index_rmse` (percent of the number of spheres) and `index>1`, `index>3`, `index>5` (share of
-    rays whose index is off by more than so many percent, after OmniMVS); with `_<lower>-<upper>m` the same for each
-    range bin.
+    Rays count whose true range lies between the nearest and the farthest sphere; those of the sky do not. Predictions
+    are clamped to that interval. Keys: `mae` and `rmse` (m), `absrel`, `delta1`..`delta3` (fraction of rays with a
+    ratio below 1.25^k), `index_mae`, `index_rmse` (percent of the number of spheres) and `index>1`, `index>3`,
+    `index>5` (fraction of rays with an index error above that percentage, after OmniMVS); with `_<lower>-<upper>m` the
+    same for each range band.
 
     Args:
-        nearest_m: nearest sphere.
-        farthest_m: farthest sphere; may be infinite.
+        nearest_m: range of the nearest sphere.
+        farthest_m: range of the farthest sphere; may be infinite.
         spheres: number of spheres.
-        range_edges_m: ends of bins of the true range; none for no bins.
+        range_edges_m: ends of bands of the true range; None for no bands.
 
     Raises:
-        ValueError: if an argument makes no sense.
+        ValueError: naming the argument that is wrong.
 
     Example:
         >>> metric = DepthMetrics(nearest_m=1.0, farthest_m=50.0)
@@ -100,12 +101,10 @@ class DepthMetrics(Metric):
         if nearest_m <= 0 or spheres < 2:
             raise ValueError(f"nearest_m must be above 0 and spheres at least 2, got {nearest_m} and {spheres}")
         self.nearest_m, self.farthest_m, self.spheres = nearest_m, farthest_m, spheres
-        self.range_edges_m = tuple(float(edge) for edge in range_edges_m or ())
-        if range_edges_m is not None:
-            check_increasing("range_edges_m", self.range_edges_m, at_least=2)
-        bins = max(len(self.range_edges_m), 1)
-        self.add_state("sums", torch.zeros(bins, len(NAMES), dtype=torch.float64), dist_reduce_fx="sum")
-        self.add_state("count", torch.zeros(bins, dtype=torch.float64), dist_reduce_fx="sum")
+        self.range_edges_m = as_edges(range_edges_m)
+        rows = num_rows(self.range_edges_m)
+        self.add_state("sums", torch.zeros(rows, len(NAMES), dtype=torch.float64), dist_reduce_fx="sum")
+        self.add_state("count", torch.zeros(rows, dtype=torch.float64), dist_reduce_fx="sum")
 
     def update(
         self,
@@ -113,36 +112,31 @@ class DepthMetrics(Metric):
         target_m: Float[Tensor, "..."],
         observed: Bool[Tensor, "..."] | None = None,
     ) -> None:
-        """Adds predicted and true ranges along the same rays.
+        """Add predicted and true ranges along the same rays.
 
         Args:
-            prediction_m: above 0.
-            target_m: inf for sky, which does not count.
-            observed: rays that count; default all with a truth.
+            prediction_m: predicted ranges in metres, above 0.
+            target_m: true ranges in metres; inf for the sky, which does not count.
+            observed: rays that count; default all with a true range.
 
         Raises:
             ValueError: naming a wrong shape, type or value.
         """
-        if prediction_m.shape != target_m.shape:
-            sizes = f"{tuple(prediction_m.shape)} and {tuple(target_m.shape)}"
-            raise ValueError(f"prediction_m and target_m must have the same shape, got {sizes}")
+        check_same_shape("prediction_m", prediction_m, "target_m", target_m)
         check_mask("observed", observed, target_m.shape)
         counted = (target_m >= self.nearest_m) & (target_m <= self.farthest_m) & target_m.isfinite()
         counted = counted if observed is None else counted & observed
-        ours, true = prediction_m[counted].double(), target_m[counted].double()
-        wrong = ~(ours > 0) | (ours.clamp(max=self.farthest_m) == float("inf"))
+        predicted, true = prediction_m[counted].double(), target_m[counted].double()
+        wrong = ~(predicted > 0) | (predicted.clamp(max=self.farthest_m) == float("inf"))
         if bool(wrong.any()):
             hint = "; give a finite farthest_m to clamp to" if self.farthest_m == float("inf") else ""
-            raise ValueError(f"prediction_m must be ranges above 0, got {ours[wrong][0].item()}{hint}")
-        ours = ours.clamp(self.nearest_m, self.farthest_m)
-        errors = depth_sums(ours, true, self.nearest_m, self.farthest_m, self.spheres)
-        bins = len(self.count) - 1
-        edges = torch.tensor(self.range_edges_m or (0.0,), dtype=torch.float64, device=true.device)
-        place = torch.bucketize(true, edges, right=True) - 1
-        place = torch.where((place >= 0) & (place < bins), place, bins)
-        self.sums.index_add_(0, place, errors)
-        self.count.index_add_(0, place, torch.ones_like(true))
+            raise ValueError(f"prediction_m must be ranges above 0, got {predicted[wrong][0].item()}{hint}")
+        predicted = predicted.clamp(self.nearest_m, self.farthest_m)
+        errors = depth_sums(predicted, true, self.nearest_m, self.farthest_m, self.spheres)
+        band = band_of(true, self.range_edges_m)
+        self.sums.index_add_(0, band, errors)
+        self.count.index_add_(0, band, torch.ones_like(true))
 
     def compute(self) -> dict[str, Tensor]:
-        """Scores over everything seen."""
+        """Return the scores over all rays."""
         return depth_scores(self.sums, self.count, self.range_edges_m)

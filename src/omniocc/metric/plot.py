@@ -1,42 +1,43 @@
-"""Bars of a metric's scores; the only part of the metrics that needs matplotlib."""
+"""Bar charts of scores; the only part of the metrics that needs matplotlib."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from torch import Tensor
 
-from omniocc.classes import CLASSES
+from omniocc.classes import WORLD_CLASSES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-PLAIN = "#4c72b0"
+DEFAULT_COLOR = "#4c72b0"
 
 
 def plot_bars(scores: Mapping[str, Tensor], keys: list[str], ax: "Axes | None" = None) -> "tuple[Figure, Axes]":
-    """Draws one bar for each of some scores between 0 and 1; scores that are nan stay empty.
+    """Draw a bar for each chosen score, from 0 to 1; scores that are nan have no bar.
 
     Args:
-        scores: what `compute` returned.
-        keys: which of them, in order; what follows a slash is the bar's name, and gives a class its own colour.
-        ax: where to draw; default a new figure.
+        scores: the result of `compute`.
+        keys: the chosen scores, in order. The part after a slash is the label of the bar; a class of the virtual world
+            has its colour from the class table.
+        ax: axes to draw on; default a new figure.
 
     Raises:
         ImportError: without matplotlib.
         ValueError: if there is nothing to draw.
     """
     if not keys:
-        raise ValueError(f"no such scores to draw; there are {', '.join(scores)}")
+        raise ValueError(f"no scores with these keys; there are {', '.join(scores)}")
     try:
         from matplotlib import pyplot
     except ImportError as error:
         raise ImportError("plot() needs matplotlib: pip install matplotlib") from error
     axes = pyplot.subplots(figsize=(max(4.0, 0.6 * len(keys)), 3.5), layout="constrained")[1] if ax is None else ax
-    colors = {row.name: tuple(part / 255 for part in row.rgb) for row in CLASSES}
+    colors = {row.name: tuple(part / 255 for part in row.rgb) for row in WORLD_CLASSES.rows}
     names = [key.rsplit("/", 1)[-1] for key in keys]
     values = [float(scores[key]) for key in keys]
-    bars = axes.bar(names, values, color=[colors.get(name, PLAIN) for name in names])
+    bars = axes.bar(names, values, color=[colors.get(name, DEFAULT_COLOR) for name in names])
     axes.bar_label(bars, labels=["" if value != value else f"{value:.3f}" for value in values], fontsize=8)
     axes.set_ylim(0, 1)
     axes.tick_params(axis="x", rotation=45 if len(keys) > 4 else 0)

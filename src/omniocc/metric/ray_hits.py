@@ -1,4 +1,4 @@
-"""What rays hit, for other metrics and other programs."""
+"""First hits of rays, for other metrics and other programs."""
 
 import torch
 from jaxtyping import Float, Shaped
@@ -6,7 +6,7 @@ from torch import Tensor
 
 from omniocc.classes import FREE, NUM_CLASSES, UNKNOWN
 from omniocc.geometry import Cuboid, Cylinder, Hits, Scan, ray_table
-from omniocc.metric.checks import check_classes, check_labels
+from omniocc.metric.class_ids import ClassIds
 from omniocc.metric.directions import sparseocc_directions
 
 
@@ -19,12 +19,12 @@ def ray_hits(
     free_class: int = FREE,
     ignore_class: int = UNKNOWN,
 ) -> Hits:
-    """What rays hit first in one label volume: range, class and cell, as RayPQ and dumps for other tools need it.
+    """Return range, class and cell of the first hit of each ray in one label volume, as RayPQ needs them.
 
     Args:
         labels: class of every cell, or `ignore_class`, which stops a ray as well.
-        geometry: their grid.
-        origins: places the rays start from, ego frame, metres; default the ego origin.
+        geometry: grid of the labels.
+        origins: starts of the rays, ego frame, metres; default the ego origin.
         directions: of the rays from every origin; default `sparseocc_directions()`.
         num_classes: number of classes, free included.
         free_class: id of free space, and of rays without a hit.
@@ -45,9 +45,9 @@ def ray_hits(
         >>> hits.labels.item(), hits.cells.item(), hits.entry_m.item(), hits.exit_m.item()
         (4, 3, 3.0, 4.0)
     """
-    check_classes(num_classes, free_class, ignore_class)
-    checked = check_labels("labels", labels.unsqueeze(0), geometry.shape, num_classes, ignore_class)[0]
-    places = torch.zeros(1, 3) if origins is None else origins
+    classes = ClassIds(num_classes, free_class, ignore_class)
+    checked = classes.check_truth("labels", labels.unsqueeze(0), geometry.shape)[0]
+    origins = torch.zeros(1, 3) if origins is None else origins
     scan = Scan(sparseocc_directions() if directions is None else directions)
-    hits = ray_table(geometry, places.to(labels.device), scan).cast(checked - free_class)
+    hits = ray_table(geometry, origins.to(labels.device), scan).cast(checked - free_class)
     return hits._replace(labels=hits.labels + free_class)

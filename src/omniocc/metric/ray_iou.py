@@ -1,4 +1,4 @@
-"""RayIoU: occupancy scored by what LiDAR rays would hit first (SparseOcc, Liu et al. 2024), on any grid."""
+"""RayIoU: occupancy scored by the first hits of LiDAR rays (SparseOcc, Liu et al. 2024), on any grid."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal
@@ -9,6 +9,7 @@ from torchmetrics import Metric
 
 from omniocc.classes import FREE, NUM_CLASSES, UNKNOWN
 from omniocc.geometry import Cuboid, Cylinder
+from omniocc.metric.class_ids import ClassIds
 from omniocc.metric.plot import plot_bars
 from omniocc.metric.ray_counter import RayCounter, RayTruth
 from omniocc.metric.ray_counts import RayCounts
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class RayIoU(Metric):
-    """RayIoU over a dataset, with the public protocol's counting.
+    """RayIoU over a dataset, counted as in the public protocol.
 
     A ray counts if its true first hit is of a class other than free and unknown. It is correct at a threshold if the
     predicted first hit has the same class and lies at a distance that differs by less than the threshold. Counts are
@@ -28,25 +29,26 @@ class RayIoU(Metric):
     public script takes voxel (0, 0, 0) for it).
 
     The paper does not say which thresholds, rays and origins it used. The default here is the mean over 1, 2 and 4 m of
-    the public 39 x 360 rays from an ego LiDAR at the ego origin. Range bins go by the true distance along the ray.
-    `docs/rayiou.md` compares all this with the public script.
+    the public 39 x 360 rays from the ego origin. Range bands refer to the true distance along the ray.
+    `docs/rayiou.md` compares this with the public script.
 
     Args:
         geometry: grid of the predictions.
         num_classes: number of classes, free included.
         free_class: id of free space.
         ignore_class: id of unknown cells in the target; rays whose true first hit is unknown are dropped.
-        thresholds_m: the mean runs over these.
-        range_edges_m: ends of the range bins; none for no bins.
+        thresholds_m: distance errors that count as correct, each strictly below; the mean runs over these.
+        range_edges_m: ends of the range bands; None for no bands.
         directions: (D, 3) rays in the ego frame; default `sparseocc_directions()`.
-        target_geometry: grid of the targets, if another one. Rays whose true hit lies outside the prediction's grid
+        target_geometry: grid of the targets; default `geometry`. Rays whose true hit lies outside the prediction's grid
             are dropped.
         hit: distance of a hit: where the ray leaves the cell hit (the public protocol) or where it enters it.
-        count_free_rays: also count rays whose truth is free, so that what is predicted on them costs its class, at the
-            distance at which the ray leaves the grid. The public protocol drops them: hallucinations go unpunished.
+        count_free_rays: also count rays whose truth is free, at the distance at which the ray leaves the grid, so that
+            a class predicted on them loses IoU. The public protocol drops them: hallucinations cost nothing.
+        class_names: names by id, for the keys; default those of the virtual world if it has as many classes, else ids.
 
     Raises:
-        ValueError: if an argument makes no sense.
+        ValueError: naming the argument that is wrong.
 
     Example:
         >>> import torch
@@ -79,19 +81,12 @@ class RayIoU(Metric):
         target_geometry: Cylinder | Cuboid | None = None,
         hit: Literal["exit", "entry"] = "exit",
         count_free_rays: bool = False,
+        class_names: Sequence[str] | None = None,
     ):
         super().__init__()
+        classes = ClassIds(num_classes, free_class, ignore_class, class_names)
         self.counter = RayCounter(
-            geometry,
-            num_classes,
-            free_class,
-            ignore_class,
-            thresholds_m,
-            range_edges_m,
-            directions,
-            target_geometry,
-            hit,
-            count_free_rays,
+            geometry, classes, thresholds_m, range_edges_m, directions, target_geometry, hit, count_free_rays
         )
         for name, counts in self.counter.zero()._asdict().items():
             self.add_state(name, counts, dist_reduce_fx="sum")
@@ -100,18 +95,18 @@ class RayIoU(Metric):
         self,
         prediction: Shaped[Tensor, "B *grid"],
         target: Shaped[Tensor, "Bt *target_grid"] | RayTruth,
-        origins: Float[Tensor, "*places 3"] | None = None,
+        origins: Float[Tensor, "*origins 3"] | None = None,
         observed: Shaped[Tensor, "Bo *observed_grid"] | None = None,
     ) -> None:
-        """Adds predicted and true class ids of a batch.
+        """Add predicted and true class ids of a batch.
 
         Args:
             prediction: (B, *geometry.shape) class of every cell; any integer type, or whole numbers in a floating one.
-            target: (B, *target_geometry.shape) true class of every cell, or `ignore_class`. Or what real rays saw: see
+            target: (B, *target_geometry.shape) true class of every cell, or `ignore_class`; or the measured rays of
                 `update_rays`.
-            origins: (B, O, 3) places in the ego frame (metres) that the rays start from; default the ego origin. Those
-                of the public protocol: `eight_origins`.
-            observed: bool, as the target: cells that count; the others are unknown.
+            origins: (B, O, 3) starts of the rays, ego frame, metres; default the ego origin. `eight_origins` gives
+                those of the public protocol.
+            observed: bool, shape of the target: cells that count; the others are unknown.
 
         Raises:
             ValueError: naming a wrong shape, type or value.
@@ -128,12 +123,12 @@ class RayIoU(Metric):
         labels: Shaped[Tensor, "B R"],
         origins: Float[Tensor, "B O 3"] | None = None,
     ) -> None:
-        """Adds predicted class ids of a batch against what real LiDAR rays saw, with no grid on the side of the truth.
+        """Add predicted class ids of a batch against the measurements of a real LiDAR, whose truth has no grid.
 
-        A voxel only says that something is in it, not where, so the error of a ray is the distance from the true range
-        to the stretch of the ray inside the predicted cell: 0 if the true point lies in it. (`hit` is for voxels
-        against voxels, where both sides share the bias.) A ray that hit nothing, or a point outside the grid, is free
-        in truth, and is dropped unless `count_free_rays`; it says nothing about what lies behind its point.
+        An occupied voxel does not locate the surface inside it, so the error of a ray is the distance from the true
+        range to the segment of the ray inside the predicted cell: 0 if the true point lies in it. (`hit` applies to
+        voxels against voxels only, where both sides have the same bias.) A ray without a hit, or with a point outside
+        the grid, has free truth and is dropped unless `count_free_rays`; no truth is available behind its point.
 
         Args:
             prediction: class of every cell.
@@ -147,7 +142,7 @@ class RayIoU(Metric):
         self.update(prediction, RayTruth(range_m, labels), origins)
 
     def compute(self) -> dict[str, Tensor]:
-        """Scores over everything seen: see `omniocc.metric.ray_counts.ray_scores` for the keys."""
+        """Return the scores over all frames: see `omniocc.metric.ray_counts.ray_scores` for the keys."""
         return self.counter.scores(RayCounts(self.truth, self.predicted, self.correct))
 
     def plot(
@@ -156,12 +151,12 @@ class RayIoU(Metric):
         ax: "Axes | None" = None,
         by: Literal["class", "threshold", "range"] = "class",
     ) -> "tuple[Figure, Axes]":
-        """Draws scores as bars (needs matplotlib).
+        """Draw scores as bars (needs matplotlib).
 
         Args:
-            val: what `compute` returned; default now.
-            ax: where to draw; default a new figure.
-            by: one bar for each class, threshold or range bin.
+            val: a result of `compute`; default the current one.
+            ax: axes to draw on; default a new figure.
+            by: one bar for each class, threshold or range band.
         """
         scores = self.compute() if val is None else val
         prefix = {"class": "rayiou/", "threshold": "rayiou@", "range": "rayiou_"}[by]
@@ -183,10 +178,11 @@ def ray_iou(
     target_geometry: Cylinder | Cuboid | None = None,
     hit: Literal["exit", "entry"] = "exit",
     count_free_rays: bool = False,
+    class_names: Sequence[str] | None = None,
 ) -> dict[str, Tensor]:
     """Return the RayIoU of these frames alone; see `RayIoU` for the definition, the arguments and the keys.
 
-    A function of its arguments: in a distributed run each process gets the figures of its own frames at once.
+    In a distributed run each process gets the figures of its own frames, without communication.
 
     Example:
         >>> import torch
@@ -199,16 +195,8 @@ def ray_iou(
         >>> ray_iou(target.roll(1, dims=1), target, grid, directions=level, thresholds_m=(0.5,))["rayiou"].item()
         0.0
     """
+    classes = ClassIds(num_classes, free_class, ignore_class, class_names)
     counter = RayCounter(
-        geometry,
-        num_classes,
-        free_class,
-        ignore_class,
-        thresholds_m,
-        range_edges_m,
-        directions,
-        target_geometry,
-        hit,
-        count_free_rays,
+        geometry, classes, thresholds_m, range_edges_m, directions, target_geometry, hit, count_free_rays
     )
     return counter.scores(counter.count(prediction, target, origins, observed))

@@ -1,5 +1,6 @@
-"""IoU, precision and recall of voxels, by sums over the whole dataset."""
+"""IoU, precision and recall of voxels, from sums over the whole dataset."""
 
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import torch
@@ -7,9 +8,10 @@ from jaxtyping import Bool, Float64, Shaped, UInt8
 from torch import Tensor
 from torchmetrics import Metric
 
-from omniocc.classes import CLASSES, FREE, NUM_CLASSES, UNKNOWN
+from omniocc.classes import FREE, NUM_CLASSES, UNKNOWN
 from omniocc.geometry import Cuboid, Cylinder
-from omniocc.metric.checks import check_classes, check_labels, check_mask
+from omniocc.metric.checks import check_mask, check_same_shape
+from omniocc.metric.class_ids import ClassIds
 from omniocc.metric.plot import plot_bars
 
 if TYPE_CHECKING:
@@ -24,7 +26,7 @@ def voxel_confusion(
     num_classes: int,
     weights: Float64[Tensor, "X Y Z"] | None = None,
 ) -> Float64[Tensor, "C C"]:
-    """Sums voxels, or their weights, by true (row) and predicted (column) class.
+    """Return the sums of voxels, or of their weights, by true (row) and predicted (column) class.
 
     Args:
         prediction: class of every cell.
@@ -34,44 +36,48 @@ def voxel_confusion(
         weights: of every cell; default 1.
     """
     keys = target[counted].long() * num_classes + prediction[counted]
-    chosen = None if weights is None else weights.to(keys.device).expand(counted.shape)[counted]
-    return torch.bincount(keys, chosen, minlength=num_classes**2).double().reshape(num_classes, num_classes)
+    weights = None if weights is None else weights.to(keys.device).expand(counted.shape)[counted]
+    return torch.bincount(keys, weights, minlength=num_classes**2).double().reshape(num_classes, num_classes)
 
 
-def voxel_scores(confusion: Float64[Tensor, "C C"], free_class: int = FREE) -> dict[str, Tensor]:
-    """Divides sums.
+def voxel_scores(confusion: Float64[Tensor, "C C"], free_class: int, occupied: Mapping[int, str]) -> dict[str, Tensor]:
+    """Return the scores of sums.
+
+    Args:
+        confusion: see `voxel_confusion`.
+        free_class: id of free space.
+        occupied: names by id of all other classes.
 
     Returns:
         `iou`, `precision`, `recall` and `f1` of occupied against free; `iou/<class>` of the occupied classes, and
-        `miou`, their mean over those that occur in truth or prediction. What has no cases is nan.
+        `miou`, their mean over those that occur in truth or prediction. A score without cases is nan.
     """
-    both = confusion.diagonal()
-    classes = both / (confusion.sum(0) + confusion.sum(1) - both)
-    occupied = [c for c in range(len(confusion)) if c != free_class]
-    found = confusion[occupied][:, occupied].sum()
-    missed, invented = confusion[occupied, free_class].sum(), confusion[free_class, occupied].sum()
-    scores = {"iou": found / (found + missed + invented), "miou": classes[occupied].nanmean()}
-    scores |= {"precision": found / (found + invented), "recall": found / (found + missed)}
-    scores["f1"] = 2 * found / (2 * found + missed + invented)
-    known = len(confusion) == NUM_CLASSES
-    scores |= {f"iou/{CLASSES[c].name if known else c}": classes[c] for c in occupied}
+    correct, ids = confusion.diagonal(), list(occupied)
+    classes = correct / (confusion.sum(0) + confusion.sum(1) - correct)
+    found = confusion[ids][:, ids].sum()
+    missed, hallucinated = confusion[ids, free_class].sum(), confusion[free_class, ids].sum()
+    scores = {"iou": found / (found + missed + hallucinated), "miou": classes[ids].nanmean()}
+    scores |= {"precision": found / (found + hallucinated), "recall": found / (found + missed)}
+    scores["f1"] = 2 * found / (2 * found + missed + hallucinated)
+    scores |= {f"iou/{name}": classes[c] for c, name in occupied.items()}
     return {key: value.float() for key, value in scores.items()}
 
 
 class VoxelIoU(Metric):
     """IoU of classes, and IoU, precision, recall and F1 of occupancy; see `voxel_scores` for the keys.
 
-    Sums over dataset and processes are taken before anything is divided.
+    Scores are ratios of sums over the dataset and all processes.
 
     Args:
         num_classes: number of classes, free included.
         free_class: id of free space.
         ignore_class: id of unknown cells in the target, which do not count.
-        geometry: count every cell by its volume in this grid. The cells of a cylinder grow with their distance, so
-            that scores of a cylinder and of a cuboid compare only by volume. Default: every cell counts once.
+        geometry: grid whose cell volumes weigh the cells. The cells of a cylinder grow with their distance, so scores
+            of a cylinder and of a cuboid are comparable only by volume. Default: every cell counts once.
+        class_names: names by id, for the keys; default those of the virtual world if it has as many classes, else ids.
 
     Raises:
-        ValueError: if the ids make no sense.
+        ValueError: naming the argument that is wrong.
 
     Example:
         >>> target = torch.zeros(1, 4, 4, 2, dtype=torch.uint8)
@@ -93,10 +99,10 @@ class VoxelIoU(Metric):
         free_class: int = FREE,
         ignore_class: int = UNKNOWN,
         geometry: Cylinder | Cuboid | None = None,
+        class_names: Sequence[str] | None = None,
     ):
         super().__init__()
-        check_classes(num_classes, free_class, ignore_class)
-        self.num_classes, self.free_class, self.ignore_class = num_classes, free_class, ignore_class
+        self.classes = ClassIds(num_classes, free_class, ignore_class, class_names)
         self.geometry = geometry
         self.add_state("confusion", torch.zeros(num_classes, num_classes, dtype=torch.float64), dist_reduce_fx="sum")
 
@@ -106,32 +112,31 @@ class VoxelIoU(Metric):
         target: Shaped[Tensor, "Bt Xt Yt Zt"],
         observed: Bool[Tensor, "Bt Xt Yt Zt"] | None = None,
     ) -> None:
-        """Adds predicted and true class ids of a batch.
+        """Add predicted and true class ids of a batch.
 
         Args:
             prediction: class of every cell; any integer type, or whole numbers in a floating one.
             target: true class of every cell, or `ignore_class`.
-            observed: cells that count; default all that are not unknown.
+            observed: cells that count; default all. Unknown cells never count.
 
         Raises:
             ValueError: naming a wrong shape, type or value.
         """
-        if prediction.shape != target.shape:
-            sizes = f"{tuple(prediction.shape)} and {tuple(target.shape)}"
-            raise ValueError(f"prediction and target must have the same shape, got {sizes}")
+        check_same_shape("prediction", prediction, "target", target)
         shape = tuple(target.shape[1:]) if self.geometry is None else self.geometry.shape
-        prediction = check_labels("prediction", prediction, shape, self.num_classes)
-        target = check_labels("target", target, shape, self.num_classes, self.ignore_class)
+        prediction = self.classes.check_prediction("prediction", prediction, shape)
+        target = self.classes.check_truth("target", target, shape)
         check_mask("observed", observed, target.shape)
-        counted = target != self.ignore_class if observed is None else observed & (target != self.ignore_class)
+        known = target != self.classes.ignored
+        counted = known if observed is None else observed & known
         weights = None if self.geometry is None else self.geometry.volumes_m3()
-        self.confusion += voxel_confusion(prediction, target, counted, self.num_classes, weights)
+        self.confusion += voxel_confusion(prediction, target, counted, self.classes.num_classes, weights)
 
     def compute(self) -> dict[str, Tensor]:
-        """Scores over everything seen: see `voxel_scores` for the keys."""
-        return voxel_scores(self.confusion, self.free_class)
+        """Return the scores over all frames: see `voxel_scores` for the keys."""
+        return voxel_scores(self.confusion, self.classes.free, self.classes.occupied)
 
     def plot(self, val: dict[str, Tensor] | None = None, ax: "Axes | None" = None) -> "tuple[Figure, Axes]":
-        """Draws the IoU of every class as bars (needs matplotlib): of what `compute` returned, default now."""
+        """Draw the IoU of every class in a result of `compute` (default: now) as bars; needs matplotlib."""
         scores = self.compute() if val is None else val
         return plot_bars(scores, [key for key in scores if key.startswith("iou/")], ax)

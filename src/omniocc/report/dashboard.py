@@ -63,8 +63,8 @@ SECTIONS: dict[str, tuple[Chart, ...]] = {
         Chart("bars", "depth: AbsRel", each("test/depth/absrel_{}", BANDS)),
         Chart("bars", "sketch: recall of occupied voxels", each("test/sketch/recall_{}", BANDS)),
         Chart("bars", "sketch: precision", each("test/sketch/precision_{}", BANDS)),
-        Chart("scatter", "RayIoU against share of candidates", ("test/sketch/share", "test/rayiou")),
-        Chart("scatter", "recall against share of candidates", ("test/sketch/share", "test/sketch/recall")),
+        Chart("scatter", "RayIoU against fraction of candidates", ("test/sketch/fraction", "test/rayiou")),
+        Chart("scatter", "recall against fraction of candidates", ("test/sketch/fraction", "test/sketch/recall")),
     ),
     "pictures": (
         Chart("media", "truth beside prediction", ("test/voxels",)),

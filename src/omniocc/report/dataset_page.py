@@ -11,7 +11,13 @@ import numpy as np
 
 from omniocc.camera import Rig
 from omniocc.classes import CLASSES, FREE, PALETTE
-from omniocc.data.labels.class_fractions import count_voxels, occupied_percent, spread
+from omniocc.data.labels.class_fractions import (
+    PUBLISHED_PERCENT,
+    count_classes,
+    count_voxels,
+    occupied_percent,
+    spread,
+)
 from omniocc.data.labels.voxels import vote
 from omniocc.data.store.codec import decode_frame, decode_image
 from omniocc.data.store.reader import SceneReader
@@ -31,7 +37,6 @@ from omniocc.view.canvas import fitted
 from omniocc.view.sheet import AS_SEEN, NAMES
 from omniocc.view.voxels import render_voxels
 from omniocc.world import Frame
-from omniocc.world.shares import AUTHORS_SHARES
 
 MAX_FRAMES = 64
 MAX_FRAMES_PER_SCENE = 6
@@ -63,7 +68,7 @@ def save_page(path: Path, scenes: Sequence[SceneReader], geometry: Grid) -> None
         "table": [*OTHER_DATASETS, own_row(scenes, twins)],
         "classes": [{"name": row.name, "rgb": row.rgb} for row in CLASSES if row.id != FREE],
         "ours": occupied_percent(np.asarray(counts)),
-        "authors": AUTHORS_SHARES,
+        "authors": PUBLISHED_PERCENT,
         "sky": SKY,
         "scenes": [_scene(scene, twin, per_scene, geometry) for scene, twin in zip(shown, twins, strict=True)],
     }
@@ -107,7 +112,7 @@ def _frame(scene: SceneReader, number: int, geometry: Grid) -> dict[str, Any]:
     frame = decode_frame(scene.read(number, scene.index["members"]))
     order = _order(scene.rig)
     voxels = vote(scene, number, geometry)
-    shares = occupied_percent(np.bincount(voxels.numpy().ravel(), minlength=256)[: len(CLASSES)])
+    percent = occupied_percent(count_classes(voxels.numpy()))
     return {
         "number": number,
         "time": round(frame.time_s, 3),
@@ -119,7 +124,7 @@ def _frame(scene: SceneReader, number: int, geometry: Grid) -> dict[str, Any]:
         "panorama": _webp(range_picture(frame.erp_range_m, PANORAMA_PX)),
         "bev": _png(bev(voxels, geometry, BEV_PX)),
         "voxels": _webp(render_voxels(voxels, geometry, *VOXELS_PX)),
-        "shares": [round(share, 2) for share in shares.values()],
+        "percent": [round(value, 2) for value in percent.values()],
     }
 
 

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure as Canvas
 from omniocc.classes import CLASSES, FREE
 from omniocc.report.curves import over_seeds, read_curve, smoothed
 from omniocc.report.paper_table import figure_of
-from omniocc.report.runs import SHARE, FinishedRun
+from omniocc.report.runs import FRACTION, FinishedRun
 from omniocc.run.table import band_keys
 
 Rows = Mapping[str, Sequence[FinishedRun]]
@@ -114,7 +114,7 @@ def by_class(rows: Rows) -> Canvas | None:
 
 def by_share(rows: Rows) -> Canvas | None:
     """RayIoU against the share of voxels that are candidates."""
-    points = {row: (figure_of(runs, SHARE), figure_of(runs, "test/rayiou")) for row, runs in rows.items()}
+    points = {row: (figure_of(runs, FRACTION), figure_of(runs, "test/rayiou")) for row, runs in rows.items()}
     if not any(share and score for share, score in points.values()):
         return None
     colors = colors_of(rows)

@@ -18,7 +18,7 @@ from omniocc.run.results import load_results
 from omniocc.run.table import band_keys, number
 
 HASH = re.compile(r"-[0-9a-f]{8}(-\d+)?$")
-SHARE, RECALL, VOXELS = "test/sketch/share", "test/sketch/recall", "voxels"
+FRACTION, RECALL, VOXELS = "test/sketch/fraction", "test/sketch/recall", "voxels"
 ABSENT = object()
 OF_MACHINES = ("root", "cache", "workers", "num_workers", "accelerator", "seed")
 """Keys at any depth that may differ between runs of one row."""
@@ -106,9 +106,9 @@ def figures_of_config(config: Mapping[str, Any]) -> dict[str, float]:
         figures[VOXELS] = float(math.prod(model["geometry"]["shape"]))
     sketch = model.get("sketch", {})
     if sketch.get("_target_", "").endswith(".Dense"):
-        figures |= {SHARE: 1.0, RECALL: 1.0}
+        figures |= {FRACTION: 1.0, RECALL: 1.0}
     if sketch.get("_target_", "").endswith(".Random"):
-        figures[SHARE] = float(sketch["ratio"])
+        figures[FRACTION] = float(sketch["ratio"])
     return figures
 
 

@@ -71,11 +71,11 @@ DEPTH_COLUMNS = {
     "index>3": "> 3 %",
     "index>5": "> 5 %",
 }
-SKETCH_COLUMNS = {"recall": "recall", "precision": "precision", "share": "share"}
+SKETCH_COLUMNS = {"recall": "recall", "precision": "precision", "fraction": "fraction"}
 DEPTH_EXPLANATION = (
     "Ranges over the test panoramas, every ray with a true range; index errors in percent of the spheres."
 )
-SKETCH_EXPLANATION = "Candidates against occupied true voxels; share: of all voxels. raw: before dilation."
+SKETCH_EXPLANATION = "Candidates against occupied true voxels; fraction: of all voxels. raw: before dilation."
 
 
 def depth_table(metrics: Mapping[str, float]) -> tuple[list[str], list[list[str]]]:

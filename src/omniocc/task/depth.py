@@ -9,7 +9,7 @@ from torchmetrics import MeanMetric
 
 from omniocc.batch import Batch
 from omniocc.metric import DepthMetrics
-from omniocc.metric.bands import RANGE_EDGES_M
+from omniocc.metric.bands import PAPER_RANGE_EDGES_M
 from omniocc.model.depth import Spheres
 from omniocc.model.occupancy import to_unit_range
 from omniocc.task.adamw import AdamW
@@ -37,7 +37,7 @@ class Depth(LightningModule):
         self.optimizer = optimizer
         self.seed = seed
         self.config = config
-        self.errors = DepthMetrics(spheres.min_range_m, FARTHEST_M, spheres.count, RANGE_EDGES_M)
+        self.errors = DepthMetrics(spheres.min_range_m, FARTHEST_M, spheres.count, PAPER_RANGE_EDGES_M)
         self.coverage = MeanMetric()
 
     def training_step(self, batch: Batch, batch_index: int) -> Tensor:

@@ -9,7 +9,7 @@ from omniocc.batch import Batch
 from omniocc.classes import FREE
 from omniocc.geometry import Cuboid, Cylinder, Grid
 from omniocc.metric import RayIoU, VoxelIoU, sparseocc_directions
-from omniocc.metric.bands import RANGE_EDGES_M
+from omniocc.metric.bands import PAPER_RANGE_EDGES_M
 
 
 def within_reach(
@@ -20,7 +20,7 @@ def within_reach(
     Only the corners of a cuboid reach farther: without them, grids of any outline are judged on the same rays.
     """
     distance_m = range_m * directions[:, :2].norm(dim=-1)
-    return labels.masked_fill(distance_m >= RANGE_EDGES_M[-1], FREE)
+    return labels.masked_fill(distance_m >= PAPER_RANGE_EDGES_M[-1], FREE)
 
 
 class Scores(nn.Module):
@@ -33,8 +33,8 @@ class Scores(nn.Module):
     def __init__(self, geometry: Grid):
         super().__init__()
         grid = cast(Cylinder | Cuboid, geometry)
-        self.rays = RayIoU(grid, range_edges_m=RANGE_EDGES_M)
-        self.lidar = RayIoU(grid, range_edges_m=RANGE_EDGES_M)
+        self.rays = RayIoU(grid, range_edges_m=PAPER_RANGE_EDGES_M)
+        self.lidar = RayIoU(grid, range_edges_m=PAPER_RANGE_EDGES_M)
         self.cells = VoxelIoU()
         self.directions: Tensor
         self.register_buffer("directions", sparseocc_directions().float(), persistent=False)

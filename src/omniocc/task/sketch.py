@@ -9,7 +9,7 @@ from torch import Tensor
 from omniocc.batch import Batch
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.metric import Candidates
-from omniocc.metric.bands import RANGE_EDGES_M
+from omniocc.metric.bands import PAPER_RANGE_EDGES_M
 from omniocc.model.sketch import Omni
 from omniocc.task.adamw import AdamW
 from omniocc.task.terms import log_terms
@@ -30,8 +30,8 @@ class Sketch(LightningModule):
         self.optimizer = optimizer
         self.config = config
         grid = cast(Cylinder | Cuboid, model.geometry)
-        self.raw = Candidates(grid, RANGE_EDGES_M)
-        self.dilated = Candidates(grid, RANGE_EDGES_M)
+        self.raw = Candidates(grid, PAPER_RANGE_EDGES_M)
+        self.dilated = Candidates(grid, PAPER_RANGE_EDGES_M)
 
     def training_step(self, batch: Batch, batch_index: int) -> Tensor:
         """Sum of the loss terms; each is logged by name."""

@@ -1,4 +1,7 @@
-"""The virtual world: procedural places, traffic in them, and everything that cameras and LiDARs record there."""
+"""The virtual world: procedural places, traffic in them, and what cameras and LiDARs record there.
+
+Layers: mesh < assets < town < traffic, and assets < render < sensors; `scene` puts them together.
+"""
 
 from omniocc.world.frame import Box, Frame
 from omniocc.world.scene import Scene

@@ -1,4 +1,4 @@
-"""What one moment of the virtual world records."""
+"""One recorded frame of the virtual world."""
 
 from dataclasses import dataclass
 
@@ -19,21 +19,21 @@ class Box:
 
 @dataclass(frozen=True)
 class Frame:
-    """One recorded moment; every array is in the ego frame of this moment.
+    """One recorded time step; points and boxes are in the ego frame of this time step.
 
     Attributes:
-        time_s: since the scene began.
-        world_from_ego: (4, 4) float64.
+        time_s: time since the start of the scene.
+        world_from_ego: (4, 4) float64 pose of the ego.
         images: (N, H, W, 3) uint8 RGB.
-        semantics: (N, H, W) uint8; 0 sky, 255 own car or outside the lens.
-        range_m: (N, H, W) float32; inf for sky, nan for own car or outside the lens.
-        erp_range_m: (h, w) float32 range from the ego origin over the full turn; inf for sky, own car not present.
-        points_m: (P, 3) float32 semantic surface points (own car not present).
-        point_labels: (P,) uint8.
+        semantics: (N, H, W) uint8; class ids, 0 sky, 255 ego car or outside the lens.
+        range_m: (N, H, W) float32; inf for sky, nan for ego car or outside the lens.
+        erp_range_m: (h, w) float32 range from the ego origin over the full turn; inf for sky, without the ego car.
+        points_m: (P, 3) float32 surface points, without the ego car.
+        point_labels: (P,) uint8 class ids of the points.
         lidar_range_m: (R,) float32 along the ego LiDAR's rays (`omniocc.world.sensors.lidar.ego_directions`), inf where
             nothing is hit.
-        lidar_labels: (R,) uint8; 0 where nothing is hit.
-        boxes: the moving actors near by.
+        lidar_labels: (R,) uint8 class ids along the same rays; 0 where nothing is hit.
+        boxes: moving actors within 80 m.
     """
 
     time_s: float

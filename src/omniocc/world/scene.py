@@ -1,4 +1,4 @@
-"""A scene: one drive through one place, recorded moment by moment."""
+"""A scene: one sequence of frames through one place."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -8,19 +8,19 @@ import numpy as np
 
 from omniocc.camera import Rig
 from omniocc.world import seeding
-from omniocc.world.assets.mesh import transform
 from omniocc.world.assets.vehicle import ego_car
 from omniocc.world.frame import Box, Frame
+from omniocc.world.mesh.mesh import transform
 from omniocc.world.render.caster import Caster, Layers
 from omniocc.world.render.cull import spheres_of
 from omniocc.world.render.lamp import lamp_pools
-from omniocc.world.render.shade import SurfaceStack, make_surfaces
 from omniocc.world.render.shadow import Shadows
-from omniocc.world.render.stage import Stage
+from omniocc.world.render.snapshot import Snapshot
+from omniocc.world.render.surface import SurfaceStack, make_surfaces
 from omniocc.world.render.weather import WEATHERS, draw_light, draw_sensor, draw_weather
+from omniocc.world.sensors.geometry_labels import GeometryLabels
 from omniocc.world.sensors.recorder import Capture, Labeller, Recorder
-from omniocc.world.sensors.sample import GeometryLabels
-from omniocc.world.sensors.survey import Survey
+from omniocc.world.sensors.semantic_lidars import SemanticLidars
 from omniocc.world.town import place
 from omniocc.world.traffic.traffic import Actor, Traffic
 
@@ -28,11 +28,11 @@ LabelMode = Literal["lidar20", "geometry"]
 
 
 class Scene:
-    """A deterministic film of (theme, seed): `frame(index)` is the same in every process and order of asking.
+    """A deterministic sequence of (theme, seed): `frame(index)` is the same in every process and order of calls.
 
     Args:
         theme: one of `omniocc.world.THEMES`.
-        seed: decides streets, traffic, light and noise.
+        seed: draws streets, traffic, light and noise.
         rig: cameras of the ego vehicle.
         frame_interval_s: time between frames.
         supersample: camera rays per pixel along each side where a pixel needs smoothing; 1 for one ray per pixel.
@@ -40,14 +40,13 @@ class Scene:
         erp_top_deg: elevation of the panorama's upper edge.
         erp_bottom_deg: elevation of its lower edge.
         weather: clear, overcast, rain, fog or dusk; None draws one by the seed.
-
-        label_mode: lidar20 (virtual semantic LiDARs, as in the paper) or geometry (all surfaces, seen or not).
+        label_mode: lidar20 (virtual semantic LiDARs, as in the paper) or geometry (all surfaces, visible or not).
         lidars: number of virtual LiDARs of `lidar20`, the ego's included.
-        capture: direct (a ray through every pixel) or cubemap (flat pictures, then looked up, as in the paper).
+        capture: direct (a ray through every pixel) or cubemap (six flat images, then looked up, as in the paper).
 
     Raises:
-        ValueError: no such theme, or an option out of range.
-        ImportError: Embree is not there.
+        ValueError: the theme does not exist, or an option is out of range.
+        ImportError: Embree is not installed.
     """
 
     def __init__(
@@ -71,7 +70,7 @@ class Scene:
         self._interval_s = frame_interval_s
         self._seed = (seed, *theme.encode())
         self._traffic = Traffic(town, seed)
-        self._own_car = ego_car()
+        self._ego_car = ego_car()
         self._static = Caster(town.mesh)
         static_surfaces = make_surfaces(town.mesh)
         self._surfaces = SurfaceStack(static_surfaces)
@@ -83,30 +82,34 @@ class Scene:
         size = (int(erp_size[0]), int(erp_size[1]))
         labeller: Labeller = GeometryLabels(town.mesh)
         if label_mode == "lidar20":
-            labeller = Survey(self._static, static_surfaces, town.height, lidars)
-        self.recorder = Recorder(rig, self._own_car, labeller, supersample, capture, size, erp_top_deg, erp_bottom_deg)
+            labeller = SemanticLidars(self._static, static_surfaces, town.height, lidars)
+        self.recorder = Recorder(rig, self._ego_car, labeller, supersample, capture, size, erp_top_deg, erp_bottom_deg)
 
     def frame(self, index: int) -> Frame:
-        """Records the moment `index * frame_interval_s`; raises ValueError for a negative index."""
+        """Record the frame at `index * frame_interval_s` seconds.
+
+        Raises:
+            ValueError: the index is negative.
+        """
         if index < 0:
             raise ValueError(f"frame {index}: frames are counted from 0")
         time_s = index * self._interval_s
         world_from_ego = self._traffic.world_from_ego(time_s)
-        stage, actors = self.stage(time_s)
+        snapshot, actors = self.snapshot(time_s)
         boxes = tuple(ego_box(actor, world_from_ego) for actor in actors)
-        return self.recorder.frame(stage, self.sensor, (*self._seed, index), time_s, world_from_ego, boxes)
+        return self.recorder.frame(snapshot, self.sensor, (*self._seed, index), time_s, world_from_ego, boxes)
 
-    def stage(self, time_s: float) -> tuple[Stage, tuple[Actor, ...]]:
-        """The world at a moment, ready to be seen, and who moves in it; good until the next call."""
+    def snapshot(self, time_s: float) -> tuple[Snapshot, tuple[Actor, ...]]:
+        """Return the world at a time, ready to be rendered, and its moving actors; valid until the next call."""
         world_from_ego = self._traffic.world_from_ego(time_s)
         moving_mesh, actors = self._traffic.actors(time_s)
-        own_mesh = transform(self._own_car, world_from_ego)
+        ego_mesh = transform(self._ego_car, world_from_ego)
         moving, spheres = Caster(moving_mesh), spheres_of(moving_mesh)
-        in_light = np.concatenate([spheres, spheres_of(own_mesh)])
-        stage = Stage(
+        in_light = np.concatenate([spheres, spheres_of(ego_mesh)])
+        snapshot = Snapshot(
             Layers([self._static, moving]),
-            Shadows(self._static, [moving, Caster(own_mesh)], in_light, self._light),
-            self._surfaces.topped([make_surfaces(moving_mesh), make_surfaces(own_mesh)]),
+            Shadows(self._static, [moving, Caster(ego_mesh)], in_light, self._light),
+            self._surfaces.topped([make_surfaces(moving_mesh), make_surfaces(ego_mesh)]),
             self._static.size + moving.size,
             world_from_ego[:3, :3].astype(np.float32),
             world_from_ego[:3, 3].astype(np.float32),
@@ -114,11 +117,11 @@ class Scene:
             spheres,
             self._light,
         )
-        return stage, actors
+        return snapshot, actors
 
 
 def ego_box(actor: Actor, world_from_ego: np.ndarray) -> Box:
-    """An actor's box as the ego sees it; the box's middle is half its height above the actor's origin."""
+    """Return an actor's box in the ego frame; its centre is half its height above the actor's origin."""
     ego_from_actor = np.linalg.inv(world_from_ego) @ actor.world_from_actor
     center = ego_from_actor[:3, :3] @ (0, 0, actor.size_m[2] / 2) + ego_from_actor[:3, 3]
     velocity = world_from_ego[:3, :3].T @ (*actor.velocity_mps, 0.0)
@@ -135,13 +138,13 @@ def ego_box(actor: Actor, world_from_ego: np.ndarray) -> Box:
 
 def _check(frame_interval_s: float, supersample: int, erp_size: Sequence[int], lidars: int) -> None:
     if frame_interval_s <= 0:
-        raise ValueError(f"frame_interval_s is {frame_interval_s}; give a time above 0")
+        raise ValueError(f"frame_interval_s is {frame_interval_s}; give a positive time")
     if not 1 <= supersample <= 8:
         raise ValueError(f"supersample is {supersample}; give 1 to 8 rays per pixel along each side")
     if len(erp_size) != 2 or min(erp_size) < 1:
         raise ValueError(f"erp_size is {list(erp_size)}; give width and height in pixels, e.g. [192, 48]")
     if lidars < 1:
-        raise ValueError(f"lidars is {lidars}; give 1 for the ego's alone, or more")
+        raise ValueError(f"lidars is {lidars}; give 1 for the ego's LiDAR alone, or more")
 
 
 def _check_names(weather: str | None, label_mode: str, capture: str) -> None:

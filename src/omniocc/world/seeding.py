@@ -1,11 +1,30 @@
-"""Random numbers that depend on what they are for, not on the order in which they are drawn."""
+"""Random numbers that depend on what they are drawn for, not on the order in which they are drawn."""
 
 import hashlib
+from collections.abc import Mapping, Sequence
+from typing import TypeVar
 
 import numpy as np
 
+Option = TypeVar("Option")
+
 
 def generator(theme: str, seed: int, purpose: str) -> np.random.Generator:
-    """The generator of one purpose ('network', 'stock', ...) in the world (theme, seed); equal in every process."""
+    """Return the generator of one purpose ('network', 'traffic', ...) in the world (theme, seed).
+
+    It is the same in every process. Renaming a purpose changes every world.
+    """
     digest = hashlib.sha256(f"{theme}/{seed}/{purpose}".encode()).digest()
     return np.random.default_rng(np.frombuffer(digest, dtype="<u4"))
+
+
+def choice(rng: np.random.Generator, options: Sequence[Option]) -> Option:
+    """Return one of the options, all equally likely."""
+    return options[int(rng.integers(len(options)))]
+
+
+def weighted_choice(rng: np.random.Generator, weights: Mapping[str, float]) -> str:
+    """Return one key, with probability proportional to its weight."""
+    names = list(weights)
+    cumulative = np.cumsum([weights[name] for name in names])
+    return names[int(np.searchsorted(cumulative, rng.uniform() * cumulative[-1], side="right"))]

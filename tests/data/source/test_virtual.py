@@ -137,11 +137,12 @@ def test_the_weather_of_a_scene_can_be_told_without_building_it():
     rig = Rig.load("fisheye6").resized(16, 9)
     for seed in (0, 3):
         drawn, named = Scene("suburb", seed, rig), Scene("suburb", seed, rig, weather=weather_of("suburb", seed))
-        assert repr(drawn.stage(0.0)[0].light) == repr(named.stage(0.0)[0].light)
+        assert repr(drawn.snapshot(0.0)[0].light) == repr(named.snapshot(0.0)[0].light)
         assert repr(light_of("suburb", seed, weather_of("suburb", seed))) == repr(named.stage(0.0)[0].light)
 
 
 @pytest.mark.parametrize("workers", [0, 2])
+@pytest.mark.slow
 def test_killed_while_rendering_ends_with_the_same_bytes(reference, tmp_path, render, workers, monkeypatch):
     root, mark = tmp_path / "data", tmp_path / "mark"
     process = render(root, workers, 0.05, mark)
@@ -162,6 +163,7 @@ def test_killed_while_rendering_ends_with_the_same_bytes(reference, tmp_path, re
     assert len(again) - len(set(again)) <= max(workers, 1)  # only frames that were not whole were made twice
 
 
+@pytest.mark.slow
 def test_ctrl_c_leaves_no_process_and_what_was_made(reference, tmp_path, render):
     root, mark = tmp_path / "data", tmp_path / "mark"
     process = render(root, 2, 0.05, mark)
@@ -186,6 +188,7 @@ def test_a_failing_frame_is_named_and_the_rest_kept(reference, tmp_path, workers
     assert tree(tmp_path) == tree(reference)
 
 
+@pytest.mark.slow
 def test_two_runs_on_one_folder(reference, tmp_path, render, monkeypatch):
     root, mark = tmp_path / "data", tmp_path / "mark"
     other = render(root, 0, 0.05, mark)
@@ -198,6 +201,7 @@ def test_two_runs_on_one_folder(reference, tmp_path, render, monkeypatch):
     assert len(frames) == len(set(frames)) == 16  # they share the work
 
 
+@pytest.mark.slow
 def test_jobs_of_a_few_scenes_each_make_one_dataset(reference, tmp_path, render):
     root = tmp_path / "data"
     marks = [tmp_path / "first", tmp_path / "second"]

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from fake_scene import FakeWorld
 
-from omniocc.data.labels.class_fractions import occupied_percent, share_table, spread
 from omniocc.data.labels.voxels import vote
 from omniocc.data.store.check import SceneSurvey, check_scene, survey
 from omniocc.geometry import Cylinder
@@ -107,17 +106,3 @@ def test_a_survey_counts_classes_and_lists_problems(tmp_path, workers):
     assert [len(result.problems) for result in found] == [0, 1, 0]
     cells = np.concatenate([vote(scenes[2], frame, GRID).numpy().ravel() for frame in (0, 3)])
     assert found[2].voxels.tolist() == np.bincount(cells, minlength=12).tolist()
-
-
-def test_shares_of_occupied_voxels():
-    counts = np.array([1000, 57, 14, 14, 7, 2, 0, 2, 1, 0, 0, 3])
-    assert occupied_percent(counts)["Road"] == 57.0
-    lines = share_table(counts).splitlines()
-    assert lines[1] == "Road           57.00      57.03"
-    assert lines[6] == "Vegetation      0.00       6.83  more than two times apart"
-
-
-def test_spread():
-    assert spread(10, 3) == [0, 4, 9]
-    assert spread(2, 6) == [0, 1]
-    assert spread(5, 1) == [0]

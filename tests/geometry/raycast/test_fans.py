@@ -6,13 +6,13 @@ from omniocc.metric import sparseocc_directions
 
 
 def rays_of(fans):
-    """Origin and unit direction of every ray, from its fan."""
-    count, headings = fans.headings.shape[:2]
-    climbs = fans.slopes.shape[1]
-    k = torch.arange(count).repeat_interleave(headings * climbs)
+    """Return origin and unit direction of every ray, from its fan."""
+    count, azimuths = fans.azimuths.shape[:2]
+    elevations = fans.slopes.shape[1]
+    k = torch.arange(count).repeat_interleave(azimuths * elevations)
     place = fans.order.argsort().repeat(count)
-    a, e = place // climbs, place % climbs
-    flat = torch.cat([fans.headings[k, a], fans.slopes[k, e].unsqueeze(1)], dim=1)
+    a, e = place // elevations, place % elevations
+    flat = torch.cat([fans.azimuths[k, a], fans.slopes[k, e].unsqueeze(1)], dim=1)
     return fans.origins[k], flat / fans.stretches[k, e].unsqueeze(1), count
 
 
@@ -22,7 +22,7 @@ def test_the_public_rays_are_a_raster_in_any_order(dtype):
     scan = Scan(3 * directions.to(dtype))
     origins = torch.tensor([[0.0, 0.0, 0.0], [1.0, 2.0, 3.0]])
     fans = scan.fans(origins)
-    assert fans.headings.shape == (2, 360, 2)
+    assert fans.azimuths.shape == (2, 360, 2)
     assert fans.slopes.shape == (2, 39)
     start, unit, _ = rays_of(fans)
     expected_start, expected_unit = scan.rays(origins)
@@ -33,12 +33,12 @@ def test_the_public_rays_are_a_raster_in_any_order(dtype):
     assert worst < (2e-7 if dtype == torch.float32 else 1e-15)
 
 
-def test_headings_on_both_sides_of_the_seam_are_one():
-    heading = torch.tensor([[-1.0, 1e-17], [-1.0, -1e-17], [0.0, 1.0], [0.0, 1.0]], dtype=torch.float64)
-    directions = torch.cat([heading, torch.tensor([[0.1], [0.5], [0.1], [0.5]])], dim=1)
+def test_azimuths_on_both_sides_of_the_seam_are_equal():
+    azimuth = torch.tensor([[-1.0, 1e-17], [-1.0, -1e-17], [0.0, 1.0], [0.0, 1.0]], dtype=torch.float64)
+    directions = torch.cat([azimuth, torch.tensor([[0.1], [0.5], [0.1], [0.5]])], dim=1)
     scan = Scan(directions)
     assert scan.raster is not None
-    assert scan.raster.headings.shape == (2, 2)
+    assert scan.raster.azimuths.shape == (2, 2)
 
 
 @pytest.mark.parametrize(

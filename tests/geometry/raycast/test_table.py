@@ -16,7 +16,7 @@ GRIDS = [
 
 
 def first_hits(grid, labels, origins, directions):
-    """First occupied cell along `Grid.paths`, which is tested against a brute-force marcher."""
+    """Return the first occupied cell along `Grid.paths`, which is tested against brute force."""
     found = grid.paths(origins, directions)
     seen = torch.where(found.cells >= 0, labels.flatten()[found.cells.clamp(min=0).long()], 0)
     column = (seen != 0).float().argmax(dim=1)
@@ -32,7 +32,7 @@ def first_hits(grid, labels, origins, directions):
 
 
 class OnTensors(RayTable):
-    """As a table on a GPU."""
+    """Return a table as on a GPU."""
 
     def __init__(self, grid, fans):
         super().__init__(grid, fans)
@@ -49,22 +49,22 @@ def check_same(hits, expected):
     torch.testing.assert_close(hits.exit_m, expected[3], rtol=0, atol=4e-6)
 
 
-def random_labels(grid, share, generator):
+def random_labels(grid, occupancy, generator):
     labels = torch.randint(1, 256, grid.shape, generator=generator, dtype=torch.uint8)
-    labels[torch.rand(grid.shape, generator=generator) >= share] = 0
+    labels[torch.rand(grid.shape, generator=generator) >= occupancy] = 0
     return labels
 
 
 @pytest.mark.parametrize("table", BOTH)
 @pytest.mark.parametrize("grid", GRIDS)
-@pytest.mark.parametrize("share", [0.0, 0.01, 0.2, 1.0])
-def test_rays_that_share_nothing(grid, share, table):
+@pytest.mark.parametrize("occupancy", [0.0, 0.01, 0.2, 1.0])
+def test_single_rays(grid, occupancy, table):
     generator = torch.Generator().manual_seed(0)
     origins = ((torch.rand(3000, 3, generator=generator) - 0.5) * 24).double()
     directions = torch.randn(3000, 3, generator=generator).double()
     directions[:200, :2] = 0  # vertical
     directions[200:400, 2] = 0
-    labels = random_labels(grid, share, generator)
+    labels = random_labels(grid, occupancy, generator)
     hits = table(grid, Fans.single(origins, directions)).cast(labels)
     check_same(hits, first_hits(grid, labels, origins, directions))
     if table is RayTable:
@@ -74,15 +74,15 @@ def test_rays_that_share_nothing(grid, share, table):
 
 @pytest.mark.parametrize("table", BOTH)
 @pytest.mark.parametrize("grid", GRIDS)
-@pytest.mark.parametrize("share", [0.005, 0.2])
-def test_a_lidar_raster_finds_what_its_rays_find_alone(grid, share, table):
+@pytest.mark.parametrize("occupancy", [0.005, 0.2])
+def test_lidar_raster_agrees_with_single_rays(grid, occupancy, table):
     generator = torch.Generator().manual_seed(1)
     scan = Scan(sparseocc_directions().reshape(39, 360, 3)[::2, ::7].reshape(-1, 3))
     assert scan.raster is not None
     origins = (torch.rand(9, 3, generator=generator, dtype=torch.float64) - 0.5) * torch.tensor([24.0, 24.0, 8.0])
     origins[0] = 0  # on the axis
     origins[1] = torch.tensor([2.0, 0.0, -2.0])  # on faces
-    labels = random_labels(grid, share, generator)
+    labels = random_labels(grid, occupancy, generator)
     expected = first_hits(grid, labels, *scan.rays(origins))
     rays = table(grid, scan.fans(origins))
     for _ in range(3):  # the columns are found, found and kept, and reused
@@ -103,7 +103,7 @@ def test_the_public_rays_on_the_papers_grids():
 
 def test_several_volumes_at_once():
     generator = torch.Generator().manual_seed(3)
-    volumes = [random_labels(GRIDS[0], share, generator) for share in (0.01, 0.1, 0.0)]
+    volumes = [random_labels(GRIDS[0], occupancy, generator) for occupancy in (0.01, 0.1, 0.0)]
     table = ray_table(GRIDS[0], torch.zeros(2, 3), Scan(sparseocc_directions()[::11]))
     for labels, hits in zip(volumes, table.cast_all(volumes), strict=True):
         for mine, theirs in zip(hits, table.cast(labels), strict=True):
@@ -120,7 +120,7 @@ def test_equal_rays_and_grids_share_a_table():
     assert ray_table(Cuboid(shape=(4, 4, 2)), origins, scan) is not table
 
 
-def test_wrong_input_is_named():
+def test_error_names_wrong_input():
     table = ray_table(GRIDS[0], torch.zeros(1, 3), Scan(torch.ones(1, 3)))
     with pytest.raises(ValueError, match=r"labels.*\(24, 30, 6\).*\(2, 2, 2\)"):
         table.cast(torch.zeros(2, 2, 2, dtype=torch.uint8))
@@ -130,7 +130,7 @@ def test_wrong_input_is_named():
 
 @pytest.mark.parametrize("bad", [float("nan"), float("inf"), -float("inf"), 1e300])
 @pytest.mark.parametrize("grid", GRIDS)
-def test_numbers_that_make_no_ray_hit_nothing(grid, bad):
+def test_rays_that_are_not_finite_hit_nothing(grid, bad):
     origins = torch.zeros(6, 3, dtype=torch.float64)
     directions = torch.ones(6, 3, dtype=torch.float64)
     for axis in range(3):

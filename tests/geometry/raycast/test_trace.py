@@ -18,7 +18,7 @@ TINY_M = 1e-7
 
 
 def reference(grid, origins, directions):
-    """All crossings of every surface, sorted; between two of them the midpoint tells the cell. numpy, float64."""
+    """Return cells and distances by sorting all crossings of every surface; midpoints give the cells. In float64."""
     o, d = origins.double().numpy(), directions.double().numpy()
     d = d / np.linalg.norm(d, axis=1, keepdims=True)
     edges = [grid.edges(axis).numpy() for axis in range(3)]
@@ -52,7 +52,7 @@ def reference(grid, origins, directions):
 
 
 def compare(grid, origins, directions):
-    """Compares every path; returns the worst difference of a boundary in metres."""
+    """Compare every path; return the largest difference of a boundary in metres."""
     found, worst = grid.paths(origins, directions), 0.0
     for ray, expected in enumerate(reference(grid, origins, directions)):
         keep = (found.cells[ray] >= 0) & (found.exit_m[ray] - found.entry_m[ray] > TINY_M)
@@ -155,7 +155,7 @@ def test_trace_agrees_with_paths(grid):
 
 
 def test_golden_values_of_the_public_kernel():
-    """In units of voxels; rays that never enter are invalid here, where the kernel reports voxel (0, 0, 0)."""
+    """Compare in units of voxels; rays that never enter are invalid here, while the kernel reports voxel (0, 0, 0)."""
     empty = torch.zeros(VOXELS.shape, dtype=torch.uint8)
     wall = empty.clone()
     wall[150] = 3

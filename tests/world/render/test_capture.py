@@ -1,123 +1,116 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 import torch
 
-from omniocc.world.assets.mesh import empty
-from omniocc.world.render.capture import look, record
+from omniocc.camera import Equirectangular
+from omniocc.world.mesh.mesh import empty
+from omniocc.world.render.capture import expose, render_pixels
 from omniocc.world.render.caster import Caster
 from omniocc.world.render.view import make_view
-from omniocc.world.render.weather import draw_light, draw_sensor
-from omniocc.world.sensors.recorder import panorama_directions
+from omniocc.world.sensors.lidar import scan_ego
+from omniocc.world.sensors.panorama import panorama_directions
 
 
-@pytest.fixture(scope="module")
-def sensor():
-    return draw_sensor(np.random.default_rng(0), draw_light("clear", np.random.default_rng(0)))
+def _record(rig, camera, snapshot, ego_car, sensor, supersample=2):
+    view = make_view(rig, camera, supersample, Caster(ego_car))
+    return expose(view, render_pixels(view, snapshot), snapshot.light, sensor, np.random.default_rng(camera))
 
 
-def _take(rig, camera, stage, own_car, sensor, supersample=2):
-    view = make_view(rig, camera, supersample, Caster(own_car))
-    return record(view, stage, sensor, np.random.default_rng(camera))
-
-
-def test_range_is_exact_along_the_rigs_rays(rig, stage_of, quad, own_car, noon, sensor):
-    """On an endless plane 2.2 m below, range is height over sine of the depression."""
+def test_range_is_exact_along_the_rigs_rays(rig, snapshot_of, quad, ego_car, noon, sensor):
+    """On an endless plane 2.2 m below the ego, range is height over the sine of the ray's downward angle."""
     ground = quad([[-2000, -2000, 0], [2000, -2000, 0], [2000, 2000, 0], [-2000, 2000, 0]], 1)
-    stage = stage_of(ground, empty(), empty(), noon)
+    snapshot = snapshot_of(ground, empty(), empty(), noon)
     for camera in (0, 2, 5):
         directions, valid = (part.numpy() for part in rig.rays(camera))
-        picture = _take(rig, camera, stage, empty(), sensor)
+        image = _record(rig, camera, snapshot, empty(), sensor)
         down = valid & (directions[..., 2] < -0.01)
         height = 2.2 + float(rig.ego_from_camera[camera, 2, 3])
-        np.testing.assert_allclose(picture.range_m[down], height / -directions[..., 2][down], rtol=2e-5)
-        assert (picture.label[down] == 1).all()
+        np.testing.assert_allclose(image.range_m[down], height / -directions[..., 2][down], rtol=2e-5)
+        assert (image.label[down] == 1).all()
         sky = valid & (directions[..., 2] > 0.01)
-        assert np.isposinf(picture.range_m[sky]).all()
-        assert (picture.label[sky] == 0).all()
+        assert np.isposinf(image.range_m[sky]).all()
+        assert (image.label[sky] == 0).all()
 
 
-def test_outside_the_lens_is_black_and_unknown(rig, stage, own_car, sensor):
-    picture = _take(rig, 0, stage, own_car, sensor)
+def test_outside_the_lens_is_black_and_unknown(rig, snapshot, ego_car, sensor):
+    image = _record(rig, 0, snapshot, ego_car, sensor)
     outside = ~rig.rays(0)[1].numpy()
     assert 0.02 < outside.mean() < 0.5
-    assert (picture.rgb[outside] == 0).all()
-    assert (picture.label[outside] == 255).all()
-    assert np.isnan(picture.range_m[outside]).all()
-    assert picture.rgb[~outside].mean() > 40
+    assert (image.rgb[outside] == 0).all()
+    assert (image.label[outside] == 255).all()
+    assert np.isnan(image.range_m[outside]).all()
+    assert image.rgb[~outside].mean() > 40
 
 
-def test_own_car_is_seen_at_the_bottom_and_has_no_range(rig, stage, own_car, sensor):
-    picture = _take(rig, 0, stage, own_car, sensor)
-    own = (picture.label == 255) & rig.rays(0)[1].numpy()
+def test_ego_car_is_seen_at_the_bottom_and_has_no_range(rig, snapshot, ego_car, sensor):
+    image = _record(rig, 0, snapshot, ego_car, sensor)
+    own = (image.label == 255) & rig.rays(0)[1].numpy()
     rows = np.flatnonzero(own.any(axis=1))
     assert rows[-1] == 35
     assert rows[0] > 18
-    assert np.isnan(picture.range_m[own]).all()
-    red, green, _ = picture.rgb[own].astype(float).mean(axis=0)
+    assert np.isnan(image.range_m[own]).all()
+    red, green, _ = image.rgb[own].astype(float).mean(axis=0)
     assert red > 1.3 * green
 
 
-def test_cameras_and_lidar_agree_on_points_that_both_see(rig, stage, own_car, sensor):
-    """A pixel's point, looked at from the ego origin, has the same class unless something stands before it."""
-    from omniocc.world.sensors.lidar import scan_ego
-
+def test_cameras_and_lidar_agree_on_points_that_both_see(rig, snapshot, ego_car, sensor):
+    """Seen from the ego origin, the point of a pixel has the same class unless another object hides it."""
     agree, same = [], []
     for camera in range(6):
-        picture = _take(rig, camera, stage, own_car, sensor)
+        image = _record(rig, camera, snapshot, ego_car, sensor)
         directions = rig.rays(camera)[0].numpy()
-        seen = np.isfinite(picture.range_m)
-        points = rig.ego_from_camera[camera, :3, 3].numpy() + directions[seen] * picture.range_m[seen][:, None]
+        seen = np.isfinite(image.range_m)
+        points = rig.ego_from_camera[camera, :3, 3].numpy() + directions[seen] * image.range_m[seen][:, None]
         distance = np.linalg.norm(points, axis=1)
-        range_m, labels = scan_ego(stage, (points / distance[:, None]).astype(np.float32).T)
+        range_m, labels = scan_ego(snapshot, (points / distance[:, None]).astype(np.float32).T)
         open_view = range_m > distance - 1e-3 * distance
         agree.append(np.abs(range_m[open_view] - distance[open_view]) < 2e-3 * distance[open_view])
-        same.append(labels[open_view] == picture.label[seen][open_view])
+        same.append(labels[open_view] == image.label[seen][open_view])
         assert open_view.mean() > 0.8
     assert np.concatenate(agree).mean() > 0.985  # grazing views of edges slip past
     assert np.concatenate(same).mean() > 0.985
 
 
-def test_supersampling_changes_colours_at_borders_only(rig, stage, own_car, sensor):
-    once, smooth = (_take(rig, 0, stage, own_car, sensor, s) for s in (1, 3))
+def test_supersampling_changes_colours_at_borders_only(rig, snapshot, ego_car, sensor):
+    once, smooth = (_record(rig, 0, snapshot, ego_car, sensor, s) for s in (1, 3))
     assert np.array_equal(once.label, smooth.label)
     assert np.array_equal(once.range_m, smooth.range_m, equal_nan=True)
     changed = (once.rgb != smooth.rgb).any(axis=-1)
     assert 0.02 < changed.mean() < 0.6
-    view = make_view(rig, 0, 3, Caster(own_car))
+    view = make_view(rig, 0, 3, Caster(ego_car))
     rays = view.extra.shape[2]
     label, other = (
-        np.where(hits.face >= 0, stage.surfaces.label[hits.face], 0)
-        for hits in (stage.cast(view.origin_m, part.reshape(3, -1)) for part in (view.center, view.extra))
+        np.where(hits.face >= 0, snapshot.surfaces.label[hits.face], 0)
+        for hits in (snapshot.cast(view.origin_m, part.reshape(3, -1)) for part in (view.center, view.extra))
     )
     mixed = (other.reshape(-1, rays) != label[:, None]).any(axis=1)
-    mixed &= (view.own_center.face < 0) & (view.own_extra.face < 0).reshape(-1, rays).all(axis=1)
+    mixed &= (view.ego_center_hits.face < 0) & (view.ego_extra_hits.face < 0).reshape(-1, rays).all(axis=1)
     assert mixed.sum() > 50
     assert changed.ravel()[view.pixel[mixed]].mean() > 0.95
 
 
-def test_a_pixel_on_an_edge_shows_both_sides_in_proportion(rig, stage_of, quad, own_car, noon):
-    """The wall's upper edge against an even sky: colours lie between the two, by the share of rays that meet each."""
+def test_a_pixel_on_an_edge_shows_both_sides_in_proportion(rig, snapshot_of, quad, ego_car, noon):
+    """The wall's upper edge against an even sky: colours mix both by the fraction of rays that meet each."""
     wall = quad([[10, -40, 0], [10, 40, 0], [10, 40, 3.3], [10, -40, 3.3]], 4)
-    stage = stage_of(wall, empty(), empty(), replace(noon, glow=0.0, cloud_cover=0.0, zenith=noon.horizon))
+    snapshot = snapshot_of(wall, empty(), empty(), replace(noon, glow=0.0, cloud_cover=0.0, zenith=noon.horizon))
     view = make_view(rig, 0, 2, Caster(empty()))
-    seen, once = look(view, stage), look(replace(view, extra=view.extra[:, :, :0]), stage)
-    on_wall = stage.cast(view.origin_m, view.extra.reshape(3, -1)).face.reshape(-1, 3) >= 0
-    share = (on_wall.sum(axis=1) + (once.label == 4)) / 4
+    seen, once = render_pixels(view, snapshot), render_pixels(replace(view, extra=view.extra[:, :, :0]), snapshot)
+    on_wall = snapshot.cast(view.origin_m, view.extra.reshape(3, -1)).face.reshape(-1, 3) >= 0
+    fraction = (on_wall.sum(axis=1) + (once.label == 4)) / 4
     sky = once.color[:, once.label == 0].mean(axis=1)
-    edge = np.flatnonzero((share > 0) & (share < 1) & (once.label == 4))
+    edge = np.flatnonzero((fraction > 0) & (fraction < 1) & (once.label == 4))
     assert len(edge) > 10
-    expected = share[edge] * once.color[:, edge] + (1 - share[edge]) * sky[:, None]
+    expected = fraction[edge] * once.color[:, edge] + (1 - fraction[edge]) * sky[:, None]
     np.testing.assert_allclose(seen.color[:, edge], expected, atol=0.03)
 
 
-def test_mask_of_the_rig_blanks_pixels(rig, stage, own_car, sensor):
+def test_mask_of_the_rig_blanks_pixels(rig, snapshot, ego_car, sensor):
     mask = torch.ones(36, 64, dtype=torch.bool)
     mask[10:14, 30:40] = False
-    picture = _take(replace(rig, masks=(mask, *[None] * 5)), 0, stage, own_car, sensor)
-    assert (picture.label[10:14, 30:40] == 255).all()
-    assert (picture.rgb[10:14, 30:40] == 0).all()
+    image = _record(replace(rig, masks=(mask, *[None] * 5)), 0, snapshot, ego_car, sensor)
+    assert (image.label[10:14, 30:40] == 255).all()
+    assert (image.rgb[10:14, 30:40] == 0).all()
 
 
 def test_panorama_follows_the_column_and_row_convention():
@@ -129,8 +122,6 @@ def test_panorama_follows_the_column_and_row_convention():
 
 
 def test_panorama_agrees_with_the_camera_model():
-    from omniocc.camera import Equirectangular
-
     model = Equirectangular(12, 6, 45.0, -45.0)
     rows, columns = torch.meshgrid(torch.arange(6.0), torch.arange(12.0), indexing="ij")
     rays, _ = model.unproject(torch.stack([columns, rows], dim=-1))

@@ -3,25 +3,19 @@ import numpy as np
 import pytest
 
 from omniocc.camera import Rig
-from omniocc.world.assets.mesh import empty
-from omniocc.world.render.capture import expose, look
+from omniocc.world.mesh.mesh import empty
+from omniocc.world.render.capture import expose, render_pixels
 from omniocc.world.render.caster import Caster
-from omniocc.world.render.cubemap import look_through, make_cube
+from omniocc.world.render.cubemap import make_cube, render_through_cube
 from omniocc.world.render.view import make_view
-from omniocc.world.render.weather import draw_light, draw_sensor
 
 
-@pytest.fixture(scope="module")
-def sensor():
-    return draw_sensor(np.random.default_rng(0), draw_light("clear", np.random.default_rng(0)))
-
-
-def _both(rig, camera, stage, own_car, sensor):
-    caster = Caster(own_car)
+def _both(rig, camera, snapshot, ego_car, sensor):
+    caster = Caster(ego_car)
     view = make_view(rig, camera, 2, caster)
     cube = make_cube(rig, camera, view, 2, caster)
-    seen = look(view, stage), look_through(cube, stage)
-    return [expose(view, one, stage.light, sensor, np.random.default_rng(camera)) for one in seen], cube, view
+    seen = render_pixels(view, snapshot), render_through_cube(cube, snapshot)
+    return [expose(view, one, snapshot.light, sensor, np.random.default_rng(camera)) for one in seen], cube, view
 
 
 def _inner(label):
@@ -31,10 +25,10 @@ def _inner(label):
 
 
 @pytest.mark.parametrize("camera", [0, 2])
-def test_cubemap_agrees_with_direct_casting(stage, own_car, sensor, camera):
-    """Stated errors at 256x144 on the test street; away from borders of classes unless said otherwise."""
+def test_cubemap_agrees_with_direct_casting(snapshot, ego_car, sensor, camera):
+    """The differences at 256x144 on the test street, as docs/world.md states them."""
     rig = Rig.load("fisheye6").resized(256, 144)
-    (direct, cube), _, _ = _both(rig, camera, stage, own_car, sensor)
+    (direct, cube), _, _ = _both(rig, camera, snapshot, ego_car, sensor)
     assert (
         np.array_equal(direct.label == 255, cube.label == 255)
         or ((direct.label == 255) != (cube.label == 255)).mean() < 0.01
@@ -50,11 +44,11 @@ def test_cubemap_agrees_with_direct_casting(stage, own_car, sensor, camera):
     assert np.percentile(error, 99) < 1e-6
 
 
-def test_ranges_on_a_plane_are_exact_across_faces(stage_of, quad, noon, sensor):
+def test_ranges_on_a_plane_are_exact_across_faces(snapshot_of, quad, noon, sensor):
     ground = quad([[-2000, -2000, 0], [2000, -2000, 0], [2000, 2000, 0], [-2000, 2000, 0]], 1)
-    stage = stage_of(ground, empty(), empty(), noon)
+    snapshot = snapshot_of(ground, empty(), empty(), noon)
     rig = Rig.load("fisheye6").resized(128, 72)
-    (_, cube), *_ = _both(rig, 1, stage, empty(), sensor)
+    (_, cube), *_ = _both(rig, 1, snapshot, empty(), sensor)
     directions = rig.rays(1)[0].numpy()
     down = (cube.label == 1) & (directions[..., 2] < -0.05)
     height = 2.2 + float(rig.ego_from_camera[1, 2, 3])
@@ -63,10 +57,10 @@ def test_ranges_on_a_plane_are_exact_across_faces(stage_of, quad, noon, sensor):
     assert np.isposinf(cube.range_m[cube.label == 0]).all()
 
 
-def test_weights_and_pixels_give_back_the_rays(stage, own_car, sensor):
+def test_weights_and_pixels_reproduce_the_rays(snapshot, ego_car, sensor):
     """Blending the faces' own directions like colours gives the camera's, up to the curvature within a pixel."""
     rig = Rig.load("fisheye6").resized(64, 36)
-    _, cube, view = _both(rig, 4, stage, own_car, sensor)
+    _, cube, view = _both(rig, 4, snapshot, ego_car, sensor)
     directions = np.concatenate([face.center for face in cube.faces], axis=1)
     blended = sum(directions[:, cube.corner[k]] * cube.weight[k] for k in range(4))
     blended /= np.linalg.norm(blended, axis=0)

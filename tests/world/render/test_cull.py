@@ -1,10 +1,11 @@
 import numpy as np
 import pytest
 
-from omniocc.world.assets.mesh import concatenate, empty
+from omniocc.world.mesh.mesh import concatenate, empty
 from omniocc.world.render.caster import Caster
 from omniocc.world.render.cull import ShadowMask, make_cones, meets, spheres_of
 from omniocc.world.render.shadow import Shadows
+from omniocc.world.render.view import make_view
 
 
 def _rays(count, seed=0):
@@ -22,7 +23,7 @@ def crates(box):
     return concatenate(boxes)
 
 
-def test_spheres_hold_their_instances(crates):
+def test_spheres_contain_their_instances(crates):
     spheres = spheres_of(crates)
     assert spheres.shape == (12, 4)
     for instance, sphere in enumerate(spheres):
@@ -31,7 +32,7 @@ def test_spheres_hold_their_instances(crates):
     assert spheres_of(empty()).shape == (0, 4)
 
 
-def test_cones_hold_their_rays():
+def test_cones_contain_their_rays():
     rays = _rays(4000)
     bundle = np.unique(
         (np.arctan2(rays[1], rays[0]) * 5).astype(int) * 100 + (rays[2] * 9).astype(int), return_inverse=True
@@ -41,15 +42,15 @@ def test_cones_hold_their_rays():
     assert (angle <= cones.half_rad[bundle]).all()
 
 
-def test_no_ray_that_hits_is_left_out_and_most_others_are(crates):
+def test_every_ray_that_hits_is_kept_and_most_others_are_culled(crates):
     rays = _rays(20000)
     order = np.lexsort((rays[2], np.round(np.arctan2(rays[1], rays[0]) * 12)))
     rays = np.ascontiguousarray(rays[:, order])
     cones = make_cones(rays, np.arange(20000) // 32)
     caster, spheres = Caster(crates), spheres_of(crates)
-    for place in np.random.default_rng(1).uniform(-25, 25, (30, 3)).astype(np.float32) * np.float32([1, 1, 0.2]):
-        hit = caster.cast(np.broadcast_to(place, (20000, 3)), rays.T).face >= 0
-        maybe = meets(cones, place, spheres)[cones.bundle]
+    for point in np.random.default_rng(1).uniform(-25, 25, (30, 3)).astype(np.float32) * np.float32([1, 1, 0.2]):
+        hit = caster.cast(np.broadcast_to(point, (20000, 3)), rays.T).face >= 0
+        maybe = meets(cones, point, spheres)[cones.bundle]
         assert maybe[hit].all()
     outside = np.float32([60, 0, 2])
     assert meets(cones, outside, spheres).mean() < 0.2
@@ -57,7 +58,7 @@ def test_no_ray_that_hits_is_left_out_and_most_others_are(crates):
 
 
 @pytest.mark.parametrize("height", [0.06, 0.3, 0.7, 1.0])
-def test_shadow_mask_leaves_no_shadow_out(crates, height):
+def test_shadow_mask_contains_every_shadow(crates, height):
     rng = np.random.default_rng(2)
     azimuth = rng.uniform(0, 2 * np.pi)
     flat = np.sqrt(1 - height**2)
@@ -81,14 +82,12 @@ def test_shadows_equal_those_of_all_casters(crates, street, noon):
     assert 0.02 < expected.mean() < 0.9
 
 
-def test_casting_with_culling_equals_casting_without(stage, rig):
-    from omniocc.world.render.view import make_view
-
+def test_casting_with_culling_equals_casting_without(snapshot, rig):
     view = make_view(rig, 0, 1, Caster(empty()))
-    maybe = stage.meets(view.cones, view.origin_m)[view.cones.bundle]
-    culled, full = stage.cast(view.origin_m, view.center, None, maybe), stage.cast(view.origin_m, view.center)
+    maybe = snapshot.meets(view.cones, view.origin_m)[view.cones.bundle]
+    culled, full = snapshot.cast(view.origin_m, view.center, None, maybe), snapshot.cast(view.origin_m, view.center)
     for one, other in zip(culled, full, strict=True):
         assert np.array_equal(one, other)
-    moving = full.face >= stage.layers.offsets[1]
+    moving = full.face >= snapshot.layers.offsets[1]
     assert moving.sum() > 10
     assert maybe.mean() < 0.5

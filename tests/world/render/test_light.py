@@ -1,5 +1,8 @@
+from dataclasses import replace
+
 import numpy as np
 
+from omniocc.world.mesh.mesh import empty
 from omniocc.world.render.light import ambient, develop
 from omniocc.world.render.shade import shade
 from omniocc.world.render.sky import sky_color
@@ -11,13 +14,13 @@ def _sensor(seed=0):
     return draw_sensor(rng, draw_light("clear", rng))
 
 
-def test_shadow_is_darker_than_sun_by_the_lights_own_figures(stage, noon):
-    """The south wall at y = -5 keeps the sun (direction 0, -0.6, 0.8) off the road as far as y = 1."""
+def test_shadow_is_darker_than_sun_by_the_ratio_of_the_light(snapshot, noon):
+    """The south wall at y = -5 shades the road up to y = 1 from the sun (direction 0, -0.6, 0.8)."""
     directions = np.array([[3.0, 0.5, -2.2], [3.0, 4.0, -2.2]]).T
     directions = (directions / np.linalg.norm(directions, axis=0)).astype(np.float32)
-    hits = stage.cast(np.zeros(3), directions)
-    assert stage.surfaces.label[hits.face].tolist() == [1, 1]
-    seen = shade(hits, stage.place(np.zeros(3)), directions, stage.surfaces, stage.shadows, noon, 1e6)
+    hits = snapshot.cast(np.zeros(3), directions)
+    assert snapshot.surfaces.label[hits.face].tolist() == [1, 1]
+    seen = shade(hits, snapshot.world_point(np.zeros(3)), directions, snapshot.surfaces, snapshot.shadows, noon, 1e6)
     assert seen.lit.tolist() == [False, True]
     dark, bright = seen.color.T
     dim = ambient(noon, np.float32([1.0]))[:, 0]
@@ -26,17 +29,15 @@ def test_shadow_is_darker_than_sun_by_the_lights_own_figures(stage, noon):
     assert (bright > 1.5 * dark).all()
 
 
-def test_own_car_throws_a_shadow_and_the_lidars_do_not_see_it(stage_of, street, own_car, noon):
-    from dataclasses import replace
-
-    from omniocc.world.assets.mesh import empty
-
-    stage = stage_of(street, empty(), own_car, replace(noon, sun_direction=np.float32([0, 0, 1])))
+def test_ego_car_casts_a_shadow_and_the_lidars_do_not_see_it(snapshot_of, street, ego_car, noon):
+    snapshot = snapshot_of(street, empty(), ego_car, replace(noon, sun_direction=np.float32([0, 0, 1])))
     below, aside = np.float32([0, 0, -1]), np.float32([0, 0.8, -0.6])
     directions = np.stack([below, aside], axis=1)
-    hits = stage.cast(np.zeros(3), directions)
-    assert stage.surfaces.label[hits.face].tolist() == [1, 1]
-    seen = shade(hits, stage.place(np.zeros(3)), directions, stage.surfaces, stage.shadows, stage.light, 0.01)
+    hits = snapshot.cast(np.zeros(3), directions)
+    assert snapshot.surfaces.label[hits.face].tolist() == [1, 1]
+    seen = shade(
+        hits, snapshot.world_point(np.zeros(3)), directions, snapshot.surfaces, snapshot.shadows, snapshot.light, 0.01
+    )
     assert seen.lit.tolist() == [False, True]
 
 

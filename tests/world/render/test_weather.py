@@ -3,19 +3,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from omniocc.world.assets.material import Material
-from omniocc.world.assets.mesh import concatenate, empty
-from omniocc.world.render.lamp import lamp_pools, lamp_strength
+from omniocc.world.mesh.material import Material
+from omniocc.world.mesh.mesh import concatenate, empty
+from omniocc.world.render.lamp import lamp_pools
 from omniocc.world.render.rain import streaks
 from omniocc.world.render.shade import shade
+from omniocc.world.render.surface import lamp_strength
 from omniocc.world.render.weather import WEATHERS, draw_light, draw_sensor, draw_weather
 
 
-def _look(stage, directions, light):
+def _look(snapshot, directions, light):
     directions = np.array(directions, np.float32).T
     directions /= np.linalg.norm(directions, axis=0)
-    hits = stage.cast(np.zeros(3), directions)
-    return shade(hits, stage.place(np.zeros(3)), directions, stage.surfaces, stage.shadows, light, 0.01)
+    hits = snapshot.cast(np.zeros(3), directions)
+    return shade(hits, snapshot.world_point(np.zeros(3)), directions, snapshot.surfaces, snapshot.shadows, light, 0.01)
 
 
 def test_every_weather_is_drawn_and_clear_is_most_common():
@@ -26,7 +27,7 @@ def test_every_weather_is_drawn_and_clear_is_most_common():
 
 
 @pytest.mark.parametrize("weather", WEATHERS)
-def test_lights_are_sound(weather):
+def test_lights_have_valid_values(weather):
     for seed in range(20):
         light = draw_light(weather, np.random.default_rng(seed))
         assert np.linalg.norm(light.sun_direction) == pytest.approx(1, abs=1e-6)
@@ -50,44 +51,44 @@ def test_wrong_weather_is_named():
         draw_light("hail", np.random.default_rng(0))
 
 
-def test_fog_hides_what_is_far(stage):
+def test_fog_hides_what_is_far(snapshot):
     fog = draw_light("fog", np.random.default_rng(1))
-    color = _look(stage, [[-59, 4.9, -2.1], [3, 4, -2.2]], fog).color
+    color = _look(snapshot, [[-59, 4.9, -2.1], [3, 4, -2.2]], fog).color
     far, near = np.abs(color - fog.horizon[:, None]).mean(axis=0)
     assert far < 0.2 * near
 
 
-def test_wet_road_is_darker_below_and_mirrors_the_sky_ahead(stage):
+def test_wet_road_is_darker_below_and_mirrors_the_sky_ahead(snapshot):
     rain = replace(draw_light("rain", np.random.default_rng(1)), haze_m=1e6)
     dry = replace(rain, wet=0.0)
     views = [[1, 0.5, -2.2], [-40, 0.5, -2.2]]
-    wet, before = _look(stage, views, rain).color.mean(axis=0), _look(stage, views, dry).color.mean(axis=0)
+    wet, before = _look(snapshot, views, rain).color.mean(axis=0), _look(snapshot, views, dry).color.mean(axis=0)
     assert wet[0] < before[0]
     assert wet[1] > before[1]
 
 
-def test_under_a_grey_sky_it_is_dark_below_cars(stage_of, street, own_car, box):
+def test_under_a_grey_sky_it_is_dark_below_cars(snapshot_of, street, ego_car, box):
     car = box([4, -1, 0.3], [8, 0.8, 1.6], 7)
     light = draw_light("overcast", np.random.default_rng(0))
-    with_car, without = (stage_of(street, moving, own_car, light) for moving in (car, empty()))
+    with_car, without = (snapshot_of(street, moving, ego_car, light) for moving in (car, empty()))
     eye = np.array([5.0, -0.1, -2.0])  # of a camera under the car
     directions = np.array([[0.05, 0.0, -1.0]], np.float32).T
     directions /= np.linalg.norm(directions)
     dark, bright = (
-        shade(s.cast(eye, directions), s.place(eye), directions, s.surfaces, s.shadows, light, 0.01).color.mean()
+        shade(s.cast(eye, directions), s.world_point(eye), directions, s.surfaces, s.shadows, light, 0.01).color.mean()
         for s in (with_car, without)
     )
     assert dark < 0.5 * bright
 
 
-def test_after_dark_lamps_windows_and_the_ground_below_lamps_shine(stage_of, street, own_car, noon, box, quad):
+def test_after_dark_lamps_windows_and_the_ground_below_lamps_shine(snapshot_of, street, ego_car, noon, box, quad):
     lamp = quad([[4, 2, 6], [4, 3, 6], [5, 3, 6], [5, 2, 6]], 9, Material.LAMP, (255, 236, 190))
     mesh = concatenate([street, lamp])
-    stage = stage_of(mesh, empty(), own_car, noon)
+    snapshot = snapshot_of(mesh, empty(), ego_car, noon)
     dusk = replace(draw_light("dusk", np.random.default_rng(0)), pools=lamp_pools(mesh), haze_m=1e6)
     off = replace(dusk, lamps=0.0)
     views = [[4.5, 2.5, 3.8], [4.5, 2.5, -2.2], [-30, 2.5, -2.2]]
-    lit, dark = _look(stage, views, dusk).color.mean(axis=0), _look(stage, views, off).color.mean(axis=0)
+    lit, dark = _look(snapshot, views, dusk).color.mean(axis=0), _look(snapshot, views, off).color.mean(axis=0)
     assert lit[0] > 5 * dark[0]
     assert lit[1] > 1.5 * dark[1]
     assert lit[2] == pytest.approx(dark[2], rel=0.01)

@@ -64,7 +64,7 @@ def test_no_actor_passes_through_another(theme: str, seed: int) -> None:
 
 @pytest.mark.parametrize("theme", THEMES)
 def test_no_actor_passes_through_what_stands(theme: str) -> None:
-    """Corners, edge and face middles of static things inside an actor's box from 0.2 m above its ground."""
+    """No corner, edge or face centre of a static object lies in an actor's box, from 0.2 m above its ground on."""
     place, traffic = world(theme)
     corners = place.mesh.vertices[place.mesh.faces[np.isin(place.mesh.label, (4, 5, 6, 7, 8, 9))]].astype(float)
     label = place.mesh.label[np.isin(place.mesh.label, (4, 5, 6, 7, 8, 9))]
@@ -79,10 +79,10 @@ def test_no_actor_passes_through_what_stands(theme: str) -> None:
     for time_s in _TIMES_S[::3]:
         ego = traffic.world_from_ego(time_s).copy()
         ego[:3, 3] -= 2.2 * ego[:3, 2]
-        things = [("ego", ego, _EGO_SIZE_M)] + [
+        objects = [("ego", ego, _EGO_SIZE_M)] + [
             (str(x.label), x.world_from_actor, x.size_m) for x in traffic.boxes(time_s)
         ]
-        for name, pose, size in things:
+        for name, pose, size in objects:
             first, last = np.searchsorted(points[:, 0], pose[0, 3] + np.array([-8, 8]))
             local = (points[first:last] - pose[:3, 3]) @ pose[:3, :3]
             inside = (np.abs(local[:, 0]) < size[0] / 2) & (np.abs(local[:, 1]) < size[1] / 2)
@@ -133,7 +133,7 @@ def test_the_ego_moves_smoothly(theme: str) -> None:
     assert (pitch_and_roll < 0.08).all()
 
 
-def test_any_moment_in_any_order() -> None:
+def test_any_time_in_any_order() -> None:
     place, traffic = world("suburb")
     again = Traffic(place, 3)
     later, first = again.actors(50.0), again.actors(4.0)
@@ -153,7 +153,7 @@ def test_actors_carry_their_faces_and_speeds(theme: str) -> None:
     assert len({a.id for a in actors}) == len(actors) > 3
     assert set(np.unique(mesh.instance[mesh.instance >= 0])) == {a.id for a in actors}
     assert set(np.unique(mesh.label[mesh.instance < 0])) <= {9}  # lamps of traffic lights
-    assert spheres_of(mesh)[:, 3].max() < 9  # wide spheres would make every ray look for moving things
+    assert spheres_of(mesh)[:, 3].max() < 9  # wide spheres would make every ray look for moving objects
     later = {a.id: a for a in traffic.boxes(12.1)}
     middle = traffic.world_from_ego(12.0)[:2, 3]
     for actor in actors:
@@ -185,8 +185,8 @@ def test_the_ego_turns_both_ways_goes_straight_and_stops() -> None:
         _, traffic = world(theme)
         poses = np.stack([traffic.world_from_ego(t) for t in np.arange(0, 180, 0.5)])
         speeds.append(np.linalg.norm(np.diff(poses[:, :2, 3], axis=0), axis=1) / 0.5)
-        heading = np.unwrap(np.arctan2(poses[:, 1, 0], poses[:, 0, 0]))
-        ways.append(heading[16:] - heading[:-16])
+        azimuth = np.unwrap(np.arctan2(poses[:, 1, 0], poses[:, 0, 0]))
+        ways.append(azimuth[16:] - azimuth[:-16])
     turn, speed = np.concatenate(ways), np.concatenate(speeds)
     assert turn.min() < -1.2
     assert turn.max() > 1.2
@@ -196,7 +196,7 @@ def test_the_ego_turns_both_ways_goes_straight_and_stops() -> None:
 
 
 def test_traffic_lights_agree_with_the_cars() -> None:
-    """Whoever is on a junction saw green when passing the line; cars that stand at the line mostly see red."""
+    """Cars see green when they pass the line; cars that stand at the line mostly see red."""
     for theme in ("downtown", "arterial"):
         flow = world(theme)[1]._flow
         shown = {0: 0, 1: 0, 2: 0}
@@ -216,7 +216,7 @@ def test_traffic_lights_agree_with_the_cars() -> None:
         assert shown[0] > shown[2]
 
 
-def test_the_future_does_not_depend_on_what_was_asked() -> None:
+def test_later_steps_do_not_depend_on_earlier_queries() -> None:
     """Remembered steps are never simulated twice, and reading them changes nothing."""
     _, asked = world("downtown")
     for time_s in (30.0, 3.0, 90.0):

@@ -1,4 +1,4 @@
-"""Calibration files of other tools, recognised by their content."""
+"""Readers of the calibration files of other tools, recognised by their content."""
 
 from pathlib import Path
 from typing import Any
@@ -19,17 +19,17 @@ FORMATS = (
 
 
 def parse(text: str) -> Any:
-    """What YAML makes of a text; None for OCamCalib's, which is no YAML. Raises ValueError."""
+    """Return the content of a YAML text, or None for an OCamCalib text; raise ValueError if it is broken."""
     return None if is_ocamcalib(text) else parse_yaml(text)
 
 
 def read_calibration(file: Path, text: str, content: Any) -> Calibration:
-    """Cameras of a file that is no rig file, given its text and what `parse` made of it.
+    """Return the cameras of a calibration file, given its text and the content from `parse`.
 
-    A file with one camera and no pose gives a rig that looks where the camera looks.
+    A file with one camera and no pose gives a rig whose forward direction is that of the camera.
 
     Raises:
-        ValueError: naming the key that is missing or wrong, or the formats that are known; not yet the file.
+        ValueError: naming the key that is missing or wrong, or the known formats; the caller adds the file.
     """
     if is_ocamcalib(text):
         return read_ocamcalib(text, file.stem)
@@ -42,14 +42,14 @@ def read_calibration(file: Path, text: str, content: Any) -> Calibration:
             return read_opencv(content, file.stem)
         if any(isinstance(entry, dict) and "camera_model" in entry for entry in content.values()):
             return read_kalibr(content)
-    raise ValueError(f"no calibration format that is known; these are: {FORMATS}")
+    raise ValueError(f"unknown calibration format; known are: {FORMATS}")
 
 
 def read_calibration_folder(folder: Path) -> Calibration | Path:
-    """A folder stands for KITTI-360's calibration, or for the `config.yaml` (OmniMVS) or `rig.yaml` in it.
+    """Return the calibration in a KITTI-360 folder, or the path of the `rig.yaml` or `config.yaml` (OmniMVS) in it.
 
     Raises:
-        ValueError: if it holds none of them.
+        ValueError: if the folder holds none of them.
     """
     if (folder / POSES).is_file():
         return read_kitti360_folder(folder)

@@ -1,4 +1,4 @@
-"""Values of calibration files, checked where they are read: an error names the key, the value and what to do."""
+"""Checked reading of values in calibration files: an error names the key, the value and the remedy."""
 
 from typing import Any, NamedTuple
 
@@ -11,7 +11,7 @@ from torch import Tensor
 from omniocc.camera.pose import LEVEL_FORWARD, invert_pose
 from omniocc.camera.protocol import Camera, finite
 
-ROUNDED = 1e-3  # how far from a rotation a matrix may be that was written with few digits
+ROTATION_TOLERANCE = 1e-3  # largest difference of singular values from 1, for files with few digits
 
 
 class Calibration(NamedTuple):
@@ -24,7 +24,7 @@ class Calibration(NamedTuple):
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML with OpenCV's matrices, which are mappings of rows, cols, dt and data."""
+    """Loader of YAML with OpenCV's matrices, which are mappings of rows, cols, dt and data."""
 
 
 def _matrix(loader: yaml.SafeLoader, node: yaml.Node) -> dict[Any, Any]:
@@ -36,17 +36,17 @@ _Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _matrix)
 
 
 def parse_yaml(text: str) -> Any:
-    """Content of a YAML text, of OpenCV's dialect too. Raises ValueError."""
-    if text.startswith("%YAML:"):  # OpenCV's header is no YAML
+    """Return the content of a YAML text, also of OpenCV's dialect; raise ValueError if it is broken."""
+    if text.startswith("%YAML:"):  # OpenCV's header is not valid YAML
         text = text.partition("\n")[2]
     try:
         return yaml.load(text, _Loader)
     except yaml.YAMLError as error:
-        raise ValueError(f"this is no YAML that can be read: {error}") from error
+        raise ValueError(f"the file is not valid YAML: {error}") from error
 
 
 def required(entry: dict[str, Any], *keys: str) -> Any:
-    """The value of the first of `keys` that is there."""
+    """Return the value of the first of `keys` that exists; raise ValueError if none does."""
     for key in keys:
         if key in entry:
             return entry[key]
@@ -54,17 +54,17 @@ def required(entry: dict[str, Any], *keys: str) -> Any:
 
 
 def number(entry: dict[str, Any], key: str) -> float:
-    """A finite number."""
+    """Return the finite number under `key`; raise ValueError for anything else."""
     return _number(key, required(entry, key))
 
 
 def whole(entry: dict[str, Any], key: str) -> int:
-    """A whole number."""
+    """Return the whole number under `key`; raise ValueError for anything else."""
     return _whole(key, required(entry, key))
 
 
 def row(entry: dict[str, Any], count: int | None, *keys: str) -> list[float]:
-    """`count` finite numbers (any number if None), as a list or as OpenCV's matrix, under the first of `keys`."""
+    """Return `count` finite numbers (None: any count) from a list or an OpenCV matrix under the first of `keys`."""
     value = required(entry, *keys)
     key = next(key for key in keys if key in entry)
     if isinstance(value, dict):
@@ -75,21 +75,21 @@ def row(entry: dict[str, Any], count: int | None, *keys: str) -> list[float]:
 
 
 def size(entry: dict[str, Any], *keys: str) -> tuple[int, int]:
-    """Two whole numbers."""
+    """Return the two whole numbers under the first of `keys`."""
     first, second = row(entry, 2, *keys)
     return _whole(keys[0], first), _whole(keys[0], second)
 
 
-def pose(rows: Any, whose: str) -> Float64[Tensor, "4 4"]:
-    """A rigid pose from 3 or 4 rows of 4 numbers; what rounding took from the rotation is given back."""
+def pose(rows: Any, name: str) -> Float64[Tensor, "4 4"]:
+    """Return the rigid pose of 3 or 4 rows of 4 numbers, with the nearest rotation to the rounded one."""
     if not isinstance(rows, list) or len(rows) not in (3, 4):
-        raise ValueError(f"{whose} is {rows!r}; it must be 3 or 4 rows of 4 numbers")
+        raise ValueError(f"{name} is {rows!r}; it must be 3 or 4 rows of 4 numbers")
     if not all(isinstance(line, list) and len(line) == 4 for line in rows):
-        raise ValueError(f"{whose} is {rows!r}; every row must hold 4 numbers")
-    matrix = np.array([[_number(whose, value) for value in line] for line in rows[:3]])
+        raise ValueError(f"{name} is {rows!r}; every row must hold 4 numbers")
+    matrix = np.array([[_number(name, value) for value in line] for line in rows[:3]])
     left, stretch, right = np.linalg.svd(matrix[:, :3])
-    if np.abs(stretch - 1).max() > ROUNDED or np.linalg.det(matrix[:, :3]) < 0:
-        raise ValueError(f"{whose}: its 3x3 part stretches by {stretch.round(4).tolist()}; it must be a rotation")
+    if np.abs(stretch - 1).max() > ROTATION_TOLERANCE or np.linalg.det(matrix[:, :3]) < 0:
+        raise ValueError(f"{name}: its 3x3 part stretches by {stretch.round(4).tolist()}; it must be a rotation")
     result = torch.eye(4, dtype=torch.float64)
     result[:3, :3] = torch.from_numpy(left @ right)
     result[:3, 3] = torch.from_numpy(matrix[:, 3])
@@ -97,21 +97,21 @@ def pose(rows: Any, whose: str) -> Float64[Tensor, "4 4"]:
 
 
 def ego_from_first(first_from_camera: Float64[Tensor, "N 4 4"]) -> Float64[Tensor, "N 4 4"]:
-    """Poses in a level ego frame that looks where the first camera looks, its origin amid the cameras."""
+    """Return poses in an ego frame whose forward is the first camera's and whose origin is the mean position."""
     ego_from_first = torch.eye(4, dtype=torch.float64)
     ego_from_first[:3, :3] = torch.tensor(LEVEL_FORWARD, dtype=torch.float64)
     return centered(ego_from_first @ invert_pose(first_from_camera[0]) @ first_from_camera)
 
 
 def centered(ego_from_camera: Float64[Tensor, "N 4 4"]) -> Float64[Tensor, "N 4 4"]:
-    """The same poses with their mean position at the origin."""
+    """Return the same poses with their mean position at the origin."""
     result = ego_from_camera.clone()
     result[:, :3, 3] -= result[:, :3, 3].mean(0)
     return result
 
 
-def alone(camera: Camera, name: str) -> Calibration:
-    """A file with one camera and no pose: a rig that looks where the camera looks."""
+def single(camera: Camera, name: str) -> Calibration:
+    """Return a rig of one camera without a pose: its forward direction is that of the camera."""
     return Calibration((camera,), ego_from_first(torch.eye(4, dtype=torch.float64)[None]), (name,), None)
 
 

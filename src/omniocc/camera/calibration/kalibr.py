@@ -1,4 +1,4 @@
-"""Kalibr's camchain YAML."""
+"""Reader of Kalibr's camchain YAML."""
 
 from typing import Any
 
@@ -17,9 +17,10 @@ from omniocc.camera.protocol import Camera
 
 
 def read_kalibr(content: dict[str, Any]) -> Calibration:
-    """Cameras cam0, cam1, ... and their chain `T_cn_cnm1` of poses.
+    """Return cameras cam0, cam1, ... with the poses of their chain `T_cn_cnm1`.
 
-    The file knows no vehicle: the ego frame looks where cam0 looks, as if that were level, its origin amid the cameras.
+    The file has no vehicle frame: forward of the ego frame is that of cam0, taken as level, and its origin is the mean
+    position of the cameras.
 
     Raises:
         ValueError: naming the camera and the key.
@@ -64,6 +65,6 @@ def _camera(entry: dict[str, Any]) -> Camera:
         alpha, beta, fx, fy, cx, cy = row(entry, 6, "intrinsics")
         return EUCM(width, height, (fx, fy), (cx, cy), alpha, beta, 180.0)
     raise ValueError(
-        f"camera_model {lens} with distortion_model {distortion} is not among the models; these are "
+        f"camera_model {lens} with distortion_model {distortion} is not supported; supported are "
         "pinhole-equidistant, pinhole-none, omni-radtan, omni-none, ds-none and eucm-none: calibrate with one of them"
     )

@@ -1,4 +1,4 @@
-"""KITTI-360's fisheye YAML (CamOdoCal's MEI), and the poses in the folder beside it."""
+"""Reader of KITTI-360's fisheye YAML (CamOdoCal's MEI) and of the poses in the same folder."""
 
 from pathlib import Path
 from typing import Any
@@ -7,12 +7,12 @@ import torch
 
 from omniocc.camera.calibration.fields import (
     Calibration,
-    alone,
     centered,
     number,
     parse_yaml,
     pose,
     required,
+    single,
     whole,
 )
 from omniocc.camera.models.mei import MEI
@@ -21,14 +21,14 @@ POSES = "calib_cam_to_pose.txt"
 
 
 def read_kitti360(content: dict[str, Any], name: str) -> Calibration:
-    """One camera: `mirror_parameters`, `distortion_parameters` and `projection_parameters` of `model_type: MEI`.
+    """Return one camera from the mirror, distortion and projection parameters of `model_type: MEI`.
 
     Raises:
-        ValueError: naming what is missing or another model.
+        ValueError: naming the key that is missing or wrong.
     """
     model = required(content, "model_type")
     if model != "MEI":
-        raise ValueError(f"model_type is {model!r}; of CamOdoCal's models only MEI is read")
+        raise ValueError(f"model_type is {model!r}; only MEI of CamOdoCal's models is supported")
     mirror, distortion, projection = (
         _section(content, key) for key in ("mirror_parameters", "distortion_parameters", "projection_parameters")
     )
@@ -41,21 +41,21 @@ def read_kitti360(content: dict[str, Any], name: str) -> Calibration:
         tuple(number(distortion, key) for key in ("k1", "k2", "p1", "p2")),
         180.0,
     )
-    return alone(camera, str(content.get("camera_name", name)))
+    return single(camera, str(content.get("camera_name", name)))
 
 
 def read_kitti360_folder(folder: Path) -> Calibration:
-    """The fisheyes of a `calibration` folder with their poses.
+    """Return the fisheye cameras of a `calibration` folder with their poses.
 
-    The poses are in the IMU's frame (x forward, y right, z down); the ego frame keeps its axes, with y and z turned
-    over, and moves its origin amid the cameras.
+    The poses are in the IMU frame (x forward, y right, z down). The ego frame has the same x axis, opposite y and
+    z axes, and its origin at the mean position of the cameras.
 
     Raises:
         ValueError: naming the file and what is wrong in it.
     """
     files = sorted(folder.glob("image_*.yaml"))
     if not files:
-        raise ValueError(f"{folder}: {POSES} lies here but no image_02.yaml; download KITTI-360's calibration")
+        raise ValueError(f"{folder}: {POSES} is here but no image_02.yaml; download KITTI-360's calibration")
     imu_from_camera = _poses(folder / POSES)
     ego_from_imu = torch.diag(torch.tensor([1.0, -1, -1, 1], dtype=torch.float64))
     cameras, poses = [], []

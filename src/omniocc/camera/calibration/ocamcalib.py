@@ -1,20 +1,20 @@
-"""OCamCalib's text file (`calib_results.txt`)."""
+"""Reader of OCamCalib's text file (`calib_results.txt`)."""
 
-from omniocc.camera.calibration.fields import Calibration, alone, number
+from omniocc.camera.calibration.fields import Calibration, number, single
 from omniocc.camera.models.ocam import OCam
 
 LINES = ("polynomial", "inverse polynomial", "centre (row, column)", "affine parameters (c, d, e)", "image size")
 
 
 def is_ocamcalib(text: str) -> bool:
-    """Whether a text has OCamCalib's first comment, or nothing but comments and lines of numbers."""
+    """Return whether a text has OCamCalib's first comment, or only comments and lines of numbers."""
     lines = _data(text)
     only_numbers = bool(lines) and all(word[0] in "+-.0123456789" for line in lines for word in line)
     return only_numbers or "#polynomialcoefficients" in text.replace(" ", "")
 
 
 def read_ocamcalib(text: str, name: str) -> Calibration:
-    """One camera: five lines of numbers between comments, see `LINES`; the first two begin with their own length.
+    """Return one camera from five lines of numbers between comments (`LINES`); the first two begin with their length.
 
     Raises:
         ValueError: naming the line that is missing or wrong.
@@ -28,11 +28,11 @@ def read_ocamcalib(text: str, name: str) -> Calibration:
     affine = _numbers(LINES[3], lines[3], 3)
     height, width = _numbers(LINES[4], lines[4], 2)
     center_px = (center[1], center[0])
-    return alone(OCam(int(width), int(height), center_px, polynomial, inverse, tuple(affine), 180.0), name)
+    return single(OCam(int(width), int(height), center_px, polynomial, inverse, tuple(affine), 180.0), name)
 
 
 def counted(name: str, values: list[float]) -> tuple[float, ...]:
-    """Coefficients without the count that precedes them."""
+    """Return coefficients without the count that precedes them; raise ValueError if the count is wrong."""
     if not values or values[0] != len(values) - 1:
         count = f"{values[0]:g}" if values else "nothing"
         raise ValueError(f"{name} announces {count} coefficients and holds {len(values) - 1}; is the file whole?")

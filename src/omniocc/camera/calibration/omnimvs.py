@@ -1,4 +1,4 @@
-"""OmniMVS's `config.yaml`: four OCam cameras with poses."""
+"""Reader of OmniMVS's `config.yaml`: four OCam cameras with poses."""
 
 from pathlib import Path
 from typing import Any
@@ -12,14 +12,15 @@ from torch import Tensor
 from omniocc.camera.calibration.fields import Calibration, number, required, row, size
 from omniocc.camera.calibration.ocamcalib import counted
 from omniocc.camera.models.ocam import OCam
+from omniocc.camera.ops.mask_file import read_mask_pixels
 from omniocc.camera.pose import LEVEL_FORWARD
 
 
 def read_omnimvs(content: dict[str, Any], folder: Path) -> Calibration:
-    """Cameras with `poly`, `inv_poly`, `center`, `affine`, `image_size`, `max_fov` and `pose`.
+    """Return cameras from `poly`, `inv_poly`, `center`, `affine`, `image_size`, `max_fov` and `pose`.
 
-    A pose is a rotation vector and a position in metres, camera to rig; the rig's frame (x right, y down, z forward) is
-    turned into ours. An `invalid_mask` is used if the picture is there: not 0 where the image is no use.
+    A pose is a rotation vector and a position in metres, camera to rig; the rig frame (x right, y down, z forward) is
+    rotated into the ego frame. An `invalid_mask` is used if the file exists: not 0 where the image is unusable.
 
     Raises:
         ValueError: naming the camera and the key.
@@ -44,7 +45,7 @@ def read_omnimvs(content: dict[str, Any], folder: Path) -> Calibration:
 
 def _camera(entry: dict[str, Any]) -> OCam:
     if entry.get("model", "ocam") != "ocam":
-        raise ValueError(f"model is {entry['model']!r}; OmniMVS's config has ocam only")
+        raise ValueError(f"model is {entry['model']!r}; an OmniMVS config holds ocam only")
     height, width = size(entry, "image_size")
     center_row, center_column = row(entry, 2, "center")
     return OCam(
@@ -70,10 +71,4 @@ def _pose(values: list[float]) -> Float64[Tensor, "4 4"]:
 def _mask(file: Path, camera: OCam) -> Bool[Tensor, "_ _"] | None:
     if not file.is_file():
         return None
-    invalid = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
-    if invalid is None:
-        raise ValueError(f"invalid_mask {file} is no image that can be read")
-    if invalid.shape != (camera.height, camera.width):
-        found = f"{invalid.shape[1]}x{invalid.shape[0]}"
-        raise ValueError(f"invalid_mask {file} is {found} px but image_size says {camera.width}x{camera.height} px")
-    return torch.from_numpy(invalid == 0)
+    return torch.from_numpy(read_mask_pixels("invalid_mask", file, camera) == 0)

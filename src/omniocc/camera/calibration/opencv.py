@@ -1,8 +1,8 @@
-"""OpenCV's FileStorage YAML, and ROS's camera_info, which has the same keys."""
+"""Reader of OpenCV's FileStorage YAML and of ROS's camera_info, which has the same keys."""
 
 from typing import Any
 
-from omniocc.camera.calibration.fields import Calibration, alone, number, required, row, size, whole
+from omniocc.camera.calibration.fields import Calibration, number, required, row, single, size, whole
 from omniocc.camera.models.kannala_brandt import KannalaBrandt
 from omniocc.camera.models.pinhole import Pinhole
 from omniocc.camera.protocol import Camera
@@ -11,13 +11,15 @@ FISHEYE = ("equidistant", "fisheye", "kannala_brandt")
 
 
 def read_opencv(content: dict[str, Any], name: str) -> Calibration:
-    """One camera: `camera_matrix`, `dist_coeffs` or `distortion_coefficients`, `resolution` or `image_width/height`.
+    """Return one camera from `camera_matrix`, `dist_coeffs` (`distortion_coefficients`) and the image size.
+
+    The size is `resolution`, or `image_width` and `image_height`.
 
     Four coefficients are `cv2.fisheye`'s (Kannala-Brandt) unless `distortion_model` or `fisheye_model` says otherwise;
     `cv2.calibrateCamera` writes five or more.
 
     Raises:
-        ValueError: naming what is missing, or a distortion that no model here has.
+        ValueError: naming the key that is missing, or a distortion that no model supports.
     """
     matrix = row(content, 9, "camera_matrix")
     fx, skew, cx, zero, fy, cy, *last = matrix
@@ -25,7 +27,7 @@ def read_opencv(content: dict[str, Any], name: str) -> Calibration:
         raise ValueError(f"camera_matrix is {matrix}; it must be [fx, 0, cx, 0, fy, cy, 0, 0, 1]")
     width, height = _image_size(content)
     coefficients = row(content, None, "dist_coeffs", "distortion_coefficients")
-    return alone(_camera(content, width, height, (fx, fy), (cx, cy), coefficients), name)
+    return single(_camera(content, width, height, (fx, fy), (cx, cy), coefficients), name)
 
 
 def _camera(
@@ -42,7 +44,7 @@ def _camera(
         return KannalaBrandt(width, height, focal_px, center_px, tuple(coefficients), 180.0)
     if any(coefficients):
         raise ValueError(
-            f"dist_coeffs are {coefficients}: a pinhole with distortion is not among the models; undistort the images "
+            f"dist_coeffs are {coefficients}: a pinhole with distortion is not supported; undistort the images "
             "(cv2.undistort) and set the coefficients to 0, or calibrate with cv2.fisheye"
         )
     return Pinhole(width, height, focal_px, center_px)

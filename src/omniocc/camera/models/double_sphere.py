@@ -1,47 +1,38 @@
 """Double sphere: two unit spheres and a pinhole, with an inverse in closed form."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from omniocc.camera.ops.angle import min_cosine, pinhole_bound, unit
+from omniocc.camera.ops.focal_camera import FocalCamera
 from omniocc.camera.ops.pixels import in_image
-from omniocc.camera.protocol import angle_from_axis, check_size, finite, pair, positive_pair, scaled_center
+from omniocc.camera.protocol import angle_from_axis, finite, normalize_fields
 
 
 @dataclass(frozen=True)
-class DoubleSphere:
-    """Usenko, Demmel and Cremers, "The Double Sphere Camera Model", 3DV 2018.
+class DoubleSphere(FocalCamera):
+    """Double sphere model of Usenko, Demmel and Cremers, "The Double Sphere Camera Model", 3DV 2018.
+
+    Size, focal lengths and centre are those of `FocalCamera`.
 
     Attributes:
-        width: of the image, px.
-        height: of the image, px.
-        focal_px: (fx, fy).
-        center_px: (cx, cy) of the optical axis.
         xi: distance between the centres of the two spheres, in (-1, 1].
-        alpha: place of the pinhole behind the second sphere, in [0, 1].
+        alpha: position of the pinhole behind the second sphere, in [0, 1].
         max_angle_deg: largest angle from the optical axis that the lens sees; 180 leaves it to the model.
     """
 
-    width: int
-    height: int
-    focal_px: tuple[float, float]
-    center_px: tuple[float, float]
     xi: float
     alpha: float
     max_angle_deg: float
 
     def __post_init__(self) -> None:
-        """Raises ValueError for a parameter that no lens has."""
-        check_size(self.width, self.height)
-        object.__setattr__(self, "focal_px", positive_pair("focal_px", self.focal_px))
-        object.__setattr__(self, "center_px", pair("center_px", self.center_px))
-        object.__setattr__(self, "xi", finite("xi", self.xi))
-        object.__setattr__(self, "alpha", finite("alpha", self.alpha))
-        object.__setattr__(self, "max_angle_deg", angle_from_axis("max_angle_deg", self.max_angle_deg))
+        """Check the parameters; raise ValueError for one that no lens has."""
+        super().__post_init__()
+        normalize_fields(self, {"xi": finite, "alpha": finite, "max_angle_deg": angle_from_axis})
         if not -1 < self.xi <= 1:
             raise ValueError(f"xi is {self.xi}; the double sphere model needs -1 < xi <= 1")
         if not 0 <= self.alpha <= 1:
@@ -49,19 +40,18 @@ class DoubleSphere:
 
     def project(self, points: Float[Tensor, "*batch 3"]) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"]]:
         """See `Camera.project`."""
-        rays, somewhere = unit(points)
+        rays, defined = unit(points)
         x, y, z = rays.unbind(-1)
         shifted = self.xi + z
         second = x.square() + y.square() + shifted.square()
         depth = self.alpha * torch.where(second > 0, second, 1).sqrt() + (1 - self.alpha) * shifted
-        covered = somewhere & (z > -self._behind) & (z >= self._min_cosine) & (depth > torch.finfo(z.dtype).eps)
-        pixels = rays[..., :2] / torch.where(covered, depth, 1)[..., None] * points.new_tensor(self.focal_px)
-        pixels = pixels + points.new_tensor(self.center_px)
+        covered = defined & (z > -self._behind) & (z >= self._min_cosine) & (depth > torch.finfo(z.dtype).eps)
+        pixels = self._to_pixels(rays[..., :2] / torch.where(covered, depth, 1)[..., None])
         return pixels, covered & in_image(pixels, self.width, self.height)
 
     def unproject(self, pixels: Float[Tensor, "*batch 2"]) -> tuple[Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
         """See `Camera.unproject`."""
-        m = (pixels - pixels.new_tensor(self.center_px)) / pixels.new_tensor(self.focal_px)
+        m = self._to_plane(pixels)
         covered = 1 - (2 * self.alpha - 1) * m.square().sum(-1) > torch.finfo(m.dtype).eps
         m = torch.where(covered[..., None], m, 0)
         squared = m.square().sum(-1)
@@ -73,20 +63,9 @@ class DoubleSphere:
         z = rays[..., 2]
         return rays, covered & (z > -self._behind) & (z >= self._min_cosine)
 
-    def resized(self, width: int, height: int) -> "DoubleSphere":
-        """See `Camera.resized`."""
-        scale_x, scale_y = width / self.width, height / self.height
-        return replace(
-            self,
-            width=width,
-            height=height,
-            focal_px=(self.focal_px[0] * scale_x, self.focal_px[1] * scale_y),
-            center_px=scaled_center(self.center_px, scale_x, scale_y),
-        )
-
     @property
     def _behind(self) -> float:
-        """The paper's w2: the model covers z > -w2 * distance, which ends a tenth of a degree before its rim."""
+        """Return w2 of the paper: the model covers z > -w2 * distance, a tenth of a degree less than its image."""
         w1 = pinhole_bound(self.alpha)
         return (w1 + self.xi) / math.sqrt(2 * w1 * self.xi + self.xi**2 + 1)
 

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from omniocc.camera.ops.angle import rays_at_radius, theta_over_radius
 from omniocc.camera.ops.pixels import in_image
-from omniocc.camera.protocol import angle_from_axis, check_size, pair, positive, scaled_center
+from omniocc.camera.protocol import angle_from_axis, check_size, normalize_fields, pair, positive, scaled_center
 
 
 @dataclass(frozen=True)
@@ -30,14 +30,12 @@ class Equidistant:
     max_angle_deg: float
 
     def __post_init__(self) -> None:
-        """Raises ValueError for a size, focal length, centre or angle that no lens has."""
+        """Check the parameters; raise ValueError for one that no lens has."""
         check_size(self.width, self.height)
-        object.__setattr__(self, "focal_px", positive("focal_px", self.focal_px))
-        object.__setattr__(self, "center_px", pair("center_px", self.center_px))
-        object.__setattr__(self, "max_angle_deg", angle_from_axis("max_angle_deg", self.max_angle_deg))
+        normalize_fields(self, {"focal_px": positive, "center_px": pair, "max_angle_deg": angle_from_axis})
 
     def project(self, points: Float[Tensor, "*batch 3"]) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"]]:
-        """See `Camera.project`. Points straight behind the camera have no one pixel and are invalid."""
+        """See `Camera.project`. Points straight behind the camera have no single pixel and are invalid."""
         theta_per_r, theta, defined = theta_over_radius(points)
         center = points.new_tensor(self.center_px)
         pixels = self.focal_px * theta_per_r[..., None] * points[..., :2] + center

@@ -8,21 +8,21 @@ from jaxtyping import Bool, Float, Float32
 from torch import Tensor
 
 from omniocc.camera.ops.pixels import in_image, pixel_centers
-from omniocc.camera.protocol import check_size, finite
+from omniocc.camera.protocol import check_size, finite, normalize_fields
 
 
 @dataclass(frozen=True)
 class Equirectangular:
-    """Columns are azimuths over the full turn, rows are elevations; its 'camera frame' is the ego frame.
+    """Panorama with azimuths over the full turn as columns and elevations as rows; its camera frame is the ego frame.
 
-    Column j looks to azimuth pi - (j + 0.5) * 2 pi / width: forward is the middle of the picture, the car's left is its
+    Column j looks to azimuth pi - (j + 0.5) * 2 pi / width: forward is the middle of the image, the car's left is its
     left. Row i looks to elevation top - (i + 0.5) * (top - bottom) / height.
 
     Attributes:
         width: of the image, px.
         height: of the image, px.
         top_deg: elevation of the image's upper edge.
-        bottom_deg: elevation of its lower edge.
+        bottom_deg: elevation of the image's lower edge.
     """
 
     width: int
@@ -31,10 +31,9 @@ class Equirectangular:
     bottom_deg: float
 
     def __post_init__(self) -> None:
-        """Raises ValueError unless -90 <= bottom_deg < top_deg <= 90."""
+        """Check the parameters; raise ValueError unless -90 <= bottom_deg < top_deg <= 90."""
         check_size(self.width, self.height)
-        object.__setattr__(self, "top_deg", finite("top_deg", self.top_deg))
-        object.__setattr__(self, "bottom_deg", finite("bottom_deg", self.bottom_deg))
+        normalize_fields(self, {"top_deg": finite, "bottom_deg": finite})
         if not -90 <= self.bottom_deg < self.top_deg <= 90:
             raise ValueError(
                 f"top_deg {self.top_deg} and bottom_deg {self.bottom_deg}: need -90 <= bottom_deg < top_deg <= 90"
@@ -45,7 +44,7 @@ class Equirectangular:
         return 2 * math.pi / self.width, math.radians(self.top_deg - self.bottom_deg) / self.height
 
     def project(self, points: Float[Tensor, "*batch 3"]) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"]]:
-        """Pixel of each point in the ego frame; columns lie in [-0.5, width-0.5], both ends being straight behind."""
+        """Return the pixel of each ego point (m); columns lie in [-0.5, width-0.5], both ends being straight behind."""
         x, y, z = points.unbind(-1)
         squared = x.square() + y.square()
         on_pole = squared == 0
@@ -60,7 +59,7 @@ class Equirectangular:
         return pixels, in_image(pixels, self.width, self.height) & ~at_origin
 
     def unproject(self, pixels: Float[Tensor, "*batch 2"]) -> tuple[Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
-        """Unit ray of each pixel in the ego frame; valid in the image's rows, columns continue around the turn."""
+        """Return the unit ray of each pixel, ego frame; valid in the image's rows, columns continue around the turn."""
         step_u, step_v = self._rad_per_px
         azimuth = math.pi - (pixels[..., 0] + 0.5) * step_u
         elevation = math.radians(self.top_deg) - (pixels[..., 1] + 0.5) * step_v
@@ -70,7 +69,7 @@ class Equirectangular:
         return rays, valid
 
     def rays(self, device: torch.device | str = "cpu") -> Float32[Tensor, "height width 3"]:
-        """Unit ray of every pixel in the ego frame."""
+        """Return the unit ray of every pixel in the ego frame."""
         return self.unproject(pixel_centers(self.width, self.height, torch.float64, device))[0].float()
 
     def resized(self, width: int, height: int) -> "Equirectangular":

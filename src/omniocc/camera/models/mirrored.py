@@ -1,4 +1,4 @@
-"""A camera whose image is shown left to right."""
+"""A camera whose image is flipped left to right."""
 
 from dataclasses import dataclass, replace
 
@@ -10,22 +10,22 @@ from omniocc.camera.protocol import Camera
 
 @dataclass(frozen=True)
 class Mirrored:
-    """What `camera` would have taken of the mirrored world: exact for every model, tangential distortion included.
+    """Camera with the flipped images of `camera`: exact for every model, tangential distortion included.
 
     Attributes:
-        camera: whose images are flipped, column u to width - 1 - u.
+        camera: the camera whose images are flipped, column u to width - 1 - u.
     """
 
     camera: Camera
 
     @property
     def width(self) -> int:
-        """Pixels in a row."""
+        """Return the pixels in a row."""
         return self.camera.width
 
     @property
     def height(self) -> int:
-        """Pixels in a column."""
+        """Return the pixels in a column."""
         return self.camera.height
 
     def project(self, points: Float[Tensor, "*batch 3"]) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"]]:
@@ -47,5 +47,5 @@ class Mirrored:
 
 
 def mirrored(camera: Camera) -> Camera:
-    """The camera whose images are those of `camera` flipped; of a mirrored one, the camera it came from."""
+    """Return the camera with the flipped images of `camera`; of a mirrored camera, the original one."""
     return camera.camera if isinstance(camera, Mirrored) else Mirrored(camera)

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 
 import torch
 from jaxtyping import Bool, Float
@@ -10,24 +11,25 @@ from torch import Tensor
 from omniocc.camera.ops.angle import min_cosine, theta_over_radius, unit
 from omniocc.camera.ops.pixels import in_image
 from omniocc.camera.ops.polynomial import derivative, evaluate, invert_increasing, positive_until
-from omniocc.camera.protocol import angle_from_axis, check_size, numbers, pair, scaled_center
+from omniocc.camera.protocol import angle_from_axis, check_size, normalize_fields, numbers, pair, scaled_center
 
-MOST_COEFFICIENTS = 40
+MAX_COEFFICIENTS = 40
 
 
 @dataclass(frozen=True)
 class OCam:
-    """A pixel at distance rho from the centre sees the ray (x, y, -f(rho)) (Scaramuzza et al., IROS 2006).
+    """Model in which a pixel (x, y) at distance rho from the centre sees the ray (x, y, -f(rho)).
 
-    Calibration files carry a second polynomial, fitted to the inverse. On real cameras the two disagree by up to 3 px:
-    with `inverse_polynomial` `project` follows the file; without it, it solves f and is the inverse of `unproject`.
+    Scaramuzza et al., IROS 2006. Calibration files hold a second polynomial, fitted to the inverse; on real cameras the
+    two disagree by up to 3 px.
+    With an `inverse_polynomial` `project` follows the file; without one it inverts f, exactly as `unproject` has it.
 
     Attributes:
         width: of the image, px.
         height: of the image, px.
         center_px: (cx, cy); the files name the row first.
         polynomial: f, ascending powers of rho in px; the first is negative.
-        inverse_polynomial: rho in px, ascending powers of the elevation angle - pi / 2 in radians; () to solve f.
+        inverse_polynomial: rho in px, ascending powers of the elevation angle - pi / 2 in radians; () to invert f.
         affine: (c, d, e): row = c * y + d * x + cy, column = e * y + x + cx, for x right and y down.
         max_angle_deg: largest angle from the optical axis that the lens sees; 180 leaves it to the polynomials.
     """
@@ -41,14 +43,16 @@ class OCam:
     max_angle_deg: float
 
     def __post_init__(self) -> None:
-        """Raises ValueError for a parameter that no lens has."""
+        """Check the parameters; raise ValueError for one that no lens has."""
         check_size(self.width, self.height)
-        object.__setattr__(self, "center_px", pair("center_px", self.center_px))
-        object.__setattr__(self, "polynomial", numbers("polynomial", self.polynomial, 1, MOST_COEFFICIENTS))
-        inverse = numbers("inverse_polynomial", self.inverse_polynomial, 0, MOST_COEFFICIENTS)
-        object.__setattr__(self, "inverse_polynomial", inverse)
-        object.__setattr__(self, "affine", numbers("affine", self.affine, 3, 3))
-        object.__setattr__(self, "max_angle_deg", angle_from_axis("max_angle_deg", self.max_angle_deg))
+        checks = {
+            "center_px": pair,
+            "polynomial": partial(numbers, least=1, most=MAX_COEFFICIENTS),
+            "inverse_polynomial": partial(numbers, least=0, most=MAX_COEFFICIENTS),
+            "affine": partial(numbers, least=3, most=3),
+            "max_angle_deg": angle_from_axis,
+        }
+        normalize_fields(self, checks)
         if self.polynomial[0] >= 0:
             raise ValueError(f"polynomial[0] is {self.polynomial[0]}; it must be negative (OCamCalib's convention)")
         if self.affine[0] - self.affine[1] * self.affine[2] <= 0:
@@ -99,7 +103,7 @@ class OCam:
 
     @property
     def limit_rad(self) -> float:
-        """Largest angle from the axis that has a pixel of its own."""
+        """Return the largest angle from the axis, in radians, that has a pixel of its own."""
         if self.inverse_polynomial:
             start, end = -math.pi / 2, math.radians(self.max_angle_deg) - math.pi / 2
             return positive_until(derivative(self.inverse_polynomial), start, end) + math.pi / 2
@@ -108,13 +112,13 @@ class OCam:
 
     @property
     def _rho_limit(self) -> float:
-        """Where the angle stops rising with rho: where rho f'(rho) - f(rho) stops being positive."""
+        """Return the rho at which the angle stops rising: where rho f'(rho) - f(rho) stops being positive."""
         rising = tuple((power - 1) * a for power, a in enumerate(self.polynomial))
         return positive_until(rising, 0.0, self._farthest_px)
 
     @property
     def _farthest_px(self) -> float:
-        """A rho beyond every pixel of the image."""
+        """Return a rho beyond every pixel of the image."""
         c, d, e = self.affine
         reach = math.hypot(self.width + abs(self.center_px[0]), self.height + abs(self.center_px[1]))
         return reach * (1 + abs(c) + abs(d) + abs(e)) / (c - d * e)

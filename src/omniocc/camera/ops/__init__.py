@@ -1,1 +1,1 @@
-"""Mathematics that several camera models share."""
+"""Mathematics and fields that several camera models share."""

@@ -1,4 +1,4 @@
-"""The angle from the optical axis, without 0/0 on the axis: what all radial models share."""
+"""Angles from the optical axis, without 0/0 on the axis."""
 
 import math
 from collections.abc import Callable
@@ -7,14 +7,16 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from omniocc.camera.ops.polynomial import evaluate, invert_polynomial
+
 
 def theta_over_radius(
     points: Float[Tensor, "*batch 3"],
 ) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"], Bool[Tensor, "*batch"]]:
-    """Angle from the axis divided by the distance from it, that angle, and whether the first is defined.
+    """Return the angle from the axis divided by the distance from it, the angle, and whether the quotient is defined.
 
-    Near the axis, where the quotient is 0/0, its series takes over; the unused branch gets harmless arguments, because
-    autograd visits both.
+    Near the axis, where the quotient is 0/0, its series is used; the unused branch gets valid arguments, because
+    autograd evaluates both.
     """
     x, y, z = points.unbind(-1)
     squared = x.square() + y.square()
@@ -31,7 +33,7 @@ def theta_over_radius(
 def rays_at_radius(
     offsets: Float[Tensor, "*batch 2"], angle_at: Callable[[Float[Tensor, "*batch"]], Float[Tensor, "*batch"]]
 ) -> Float[Tensor, "*batch 3"]:
-    """Unit rays of image points, given the angle from the axis as a function of the distance from it.
+    """Return the unit rays of image points, given the angle from the axis as a function of the distance from it.
 
     `offsets` are scaled such that angle and distance agree to first order on the axis.
     """
@@ -44,20 +46,35 @@ def rays_at_radius(
     return torch.cat([sine_per_radius[..., None] * offsets, cosine[..., None]], dim=-1)
 
 
+def rays_of_polynomial(
+    offsets: Float[Tensor, "*batch 2"], radius: tuple[float, ...], limit_rad: float
+) -> tuple[Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
+    """Return the unit rays of image points whose distance from the axis is a polynomial of the angle.
+
+    Args:
+        offsets: from the image centre, in units in which the polynomial's slope on the axis is 1.
+        radius: ascending coefficients of the polynomial, which increases up to `limit_rad`.
+        limit_rad: largest angle from the axis; farther points are invalid.
+    """
+    rays = rays_at_radius(offsets, lambda distance: invert_polynomial(radius, distance, limit_rad))
+    farthest = evaluate(radius, offsets.new_tensor(limit_rad))
+    return rays, offsets.square().sum(-1) <= farthest.square()
+
+
 def unit(points: Float[Tensor, "*batch 3"]) -> tuple[Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
-    """Points moved onto the unit sphere, and whether they had a direction; the camera's own place stays at 0."""
+    """Return points moved onto the unit sphere, and whether they have a direction; the origin stays at 0."""
     largest = points.abs().amax(-1, keepdim=True).detach()
     scaled = points / torch.where(largest > 0, largest, 1)
     squared = scaled.square().sum(-1, keepdim=True)
-    somewhere = squared > 0
-    return scaled / torch.where(somewhere, squared, 1).sqrt(), somewhere[..., 0]
+    defined = squared > 0
+    return scaled / torch.where(defined, squared, 1).sqrt(), defined[..., 0]
 
 
 def min_cosine(max_angle_deg: float) -> float:
-    """Cosine of the largest angle from the axis; below every cosine, also a rounded one, if that is 180."""
+    """Return the cosine of the largest angle from the axis; for 180, -2, which is below every rounded cosine."""
     return math.cos(math.radians(max_angle_deg)) if max_angle_deg < 180 else -2.0
 
 
 def pinhole_bound(alpha: float) -> float:
-    """Factor w of the unified models, which cover z > -w * d. Usenko et al., 3DV 2018."""
+    """Return the factor w of the unified models, which cover z > -w * distance (Usenko et al., 3DV 2018)."""
     return (1 - alpha) / alpha if alpha > 0.5 else alpha / (1 - alpha)

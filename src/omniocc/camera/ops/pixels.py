@@ -6,9 +6,9 @@ from torch import Tensor
 
 
 def normalize_pixels(pixels: Float[Tensor, "*batch 2"], width: int, height: int) -> Float[Tensor, "*batch 2"]:
-    """Coordinates for `grid_sample(align_corners=False)`, in which the image spans [-1, 1].
+    """Return the coordinates for `grid_sample(align_corners=False)`, in which the image spans [-1, 1].
 
-    Normalised coordinates know no resolution: the result samples a feature map of the same image at any stride.
+    They are independent of resolution: the result samples a feature map of the same image at any stride.
     """
     size = pixels.new_tensor([width, height])
     return (2 * pixels + 1) / size - 1
@@ -17,13 +17,13 @@ def normalize_pixels(pixels: Float[Tensor, "*batch 2"], width: int, height: int)
 def pixel_centers(
     width: int, height: int, dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu"
 ) -> Float[Tensor, "height width 2"]:
-    """(u, v) of every pixel."""
+    """Return (u, v) of every pixel."""
     u = torch.arange(width, dtype=dtype, device=device)
     v = torch.arange(height, dtype=dtype, device=device)
     return torch.stack(torch.meshgrid(u, v, indexing="xy"), dim=-1)
 
 
 def in_image(pixels: Float[Tensor, "*batch 2"], width: int, height: int) -> Bool[Tensor, "*batch"]:
-    """Whether a pixel lies in the image, its border included; false for NaN."""
+    """Return whether a pixel lies in the image, its border included; false for NaN."""
     u, v = pixels.unbind(-1)
     return (u >= -0.5) & (u <= width - 0.5) & (v >= -0.5) & (v <= height - 0.5)

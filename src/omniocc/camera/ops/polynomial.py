@@ -1,4 +1,4 @@
-"""Polynomials of lens models: value, where they stop rising, and the inverse up to there.
+"""Polynomials of lens models: their values, the interval on which they increase, and the inverse on it.
 
 Coefficients ascend: c[0] + c[1] x + c[2] x^2 + ...
 """
@@ -13,14 +13,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 NODES = 1024
-STEPS = 8  # measured: 4 reach rounding, the others serve the neighbourhood of a turning point
+STEPS = 8  # measured: 4 suffice to reach rounding error, except near a turning point
 
 Values = Float[Tensor, "*batch"]
 Function = Callable[[Tensor], Tensor]
 
 
 def evaluate(coefficients: tuple[float, ...], x: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
-    """Horner's rule."""
+    """Return the polynomial at x, by Horner's rule."""
     result = torch.full_like(x, coefficients[-1])
     for coefficient in reversed(coefficients[:-1]):
         result = result * x + coefficient
@@ -28,18 +28,18 @@ def evaluate(coefficients: tuple[float, ...], x: Float[Tensor, "*batch"]) -> Flo
 
 
 def derivative(coefficients: tuple[float, ...]) -> tuple[float, ...]:
-    """Coefficients of the derivative."""
+    """Return the coefficients of the derivative."""
     return tuple(power * value for power, value in enumerate(coefficients))[1:] or (0.0,)
 
 
 @lru_cache(maxsize=256)
 def positive_until(coefficients: tuple[float, ...], start: float, stop: float) -> float:
-    """The first x in [start, stop] where the polynomial stops being positive; `stop` if it never does."""
+    """Return the first x in [start, stop] where the polynomial stops being positive; `stop` if it never does."""
     if np.polynomial.polynomial.polyval(start, coefficients) <= 0:
         return start
     trimmed = np.trim_zeros(np.asarray(coefficients, dtype=np.float64), "b")
     roots = np.roots(trimmed[::-1])
-    # A double root may come out with an imaginary part of the square root of the rounding.
+    # Rounding gives a double root an imaginary part of up to the square root of the rounding error.
     real = roots.real[np.abs(roots.imag) < 1e-9 * (1 + np.abs(roots.real))]
     inside = real[(real > start) & (real < stop)]
     return float(inside.min()) if inside.size else stop
@@ -48,10 +48,13 @@ def positive_until(coefficients: tuple[float, ...], start: float, stop: float) -
 def invert_increasing(
     function: Function, slope: Function, values: Float[Tensor, "*batch"], start: float, stop: float
 ) -> Float[Tensor, "*batch"]:
-    """X in [start, stop] with function(x) = values, for a function that increases there.
+    """Return x in [start, stop] with function(x) = values, for a function that increases there.
 
     A table brackets the root, safeguarded Newton steps find it to rounding, and a last step outside `no_grad` carries
     the gradient of the inverse. Values beyond the ends give the ends.
+
+    Raises:
+        ValueError: if `stop` is not finite.
     """
     if not math.isfinite(stop):
         raise ValueError(f"cannot search for a root up to {stop}")
@@ -66,11 +69,19 @@ def invert_increasing(
     return (x - (error - wanted) / steepness).clamp(start, stop)
 
 
+def invert_polynomial(
+    coefficients: tuple[float, ...], values: Float[Tensor, "*batch"], stop: float
+) -> Float[Tensor, "*batch"]:
+    """Return x in [0, stop] where a polynomial that increases there has these values; see `invert_increasing`."""
+    slope = derivative(coefficients)
+    return invert_increasing(lambda x: evaluate(coefficients, x), lambda x: evaluate(slope, x), values, 0.0, stop)
+
+
 def _search(function: Function, slope: Function, wanted: Tensor, nodes: Tensor, table: Tensor) -> Tensor:
     cell = (torch.searchsorted(table, wanted.detach().contiguous()) - 1).clamp(0, len(nodes) - 2)
     low, high, bottom, top = nodes[cell], nodes[cell + 1], table[cell], table[cell + 1]
-    share = (wanted - bottom) / (top - bottom).clamp(min=torch.finfo(table.dtype).tiny)
-    x = low + (high - low) * share.clamp(0, 1)
+    fraction = (wanted - bottom) / (top - bottom).clamp(min=torch.finfo(table.dtype).tiny)
+    x = low + (high - low) * fraction.clamp(0, 1)
     for _ in range(STEPS):
         error = function(x) - wanted
         low, high = torch.where(error < 0, x, low), torch.where(error > 0, x, high)

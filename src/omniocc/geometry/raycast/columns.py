@@ -1,4 +1,7 @@
-"""What fans of rays cross: columns of cells along their headings, levels along their climbs."""
+"""Columns of cells that fans of rays cross along their azimuths, and levels that they cross along their elevations.
+
+Positions along a ray are given by its parameter, see `omniocc.geometry.raycast.fans`.
+"""
 
 from typing import NamedTuple
 
@@ -10,17 +13,17 @@ from omniocc.geometry.raycast.crossings import FAR, TOUCH_M
 from omniocc.geometry.raycast.fans import Fans
 from omniocc.geometry.raycast.trace import CHUNK_RAYS, Traversable, clip, in_order, stack_ragged
 
-MOST_LEVELS = 48
-"""Levels in a mask; the bits must fit into a float64."""
+MAX_LEVELS = 48
+"""Largest number of levels of a mask, whose bits must fit into a float64."""
 
 
 class Columns(NamedTuple):
-    """The columns of cells along G headings, L at most, in order.
+    """The columns of cells along G azimuths, L at most, in order.
 
     Attributes:
-        cells: row-major index over the first two axes of the nth column of each heading; their product where there is
-            no cell.
-        ends: way along the heading at which each column begins and the last one ends.
+        cells: row-major index over the first two axes of the nth column along each azimuth; the number of columns of
+            the grid where there is none.
+        ends: parameter at which each column begins and the last one ends.
     """
 
     cells: Int64[Tensor, "G L"]
@@ -28,49 +31,49 @@ class Columns(NamedTuple):
 
 
 class Levels(NamedTuple):
-    """When fans' rays are in which level; ways are along the heading, masks have a bit for each level.
+    """The levels that the rays of fans are in, by parameter; masks have a bit for each level.
 
     Attributes:
-        enter: way at which each ray enters each level; `FAR` for never.
-        leave: way at which it leaves it.
-        ways: ways at which some ray of the fan enters or leaves a level, in order.
-        entered: levels that each ray has entered when so many of `ways` are behind it.
-        ahead: levels that it has not left then.
+        enter: parameter at which each ray enters each level; `FAR` for never.
+        leave: parameter at which each ray leaves each level.
+        params: parameters at which some ray of the fan enters or leaves a level, in order.
+        entered: mask of the levels that each ray has entered after the first n of `params`.
+        ahead: mask of the levels that it has not left after the first n of `params`.
     """
 
     enter: Float64[Tensor, "K E Z"]
     leave: Float64[Tensor, "K E Z"]
-    ways: Float64[Tensor, "K N"]
+    params: Float64[Tensor, "K N"]
     entered: Int64[Tensor, "K N+1 E"]
     ahead: Int64[Tensor, "K N+1 E"]
 
 
-def find_columns(grid: Traversable, origins: Float64[Tensor, "G 3"], headings: Float64[Tensor, "G 2"]) -> Columns:
-    """Finds the columns along headings; how high they are does not matter."""
+def find_columns(grid: Traversable, origins: Float64[Tensor, "G 3"], azimuths: Float64[Tensor, "G 2"]) -> Columns:
+    """Return the columns along azimuths (horizontal vectors); heights do not matter."""
     none = grid.shape[0] * grid.shape[1]
-    origins, directions = _level(grid, origins, headings)
+    origins, directions = _level(grid, origins, azimuths)
     cells, ends = [], []
     for first in range(0, max(len(origins), 1), CHUNK_RAYS):
         chunk = slice(first, first + CHUNK_RAYS)
         start, leave = clip(grid, origins[chunk], directions[chunk])
         crossings = grid.crossings(origins[chunk], directions[chunk], start)[:2]
         cell, end = in_order(crossings, (grid.shape[1], 1), start, leave)
-        # almost vertical rays leave so far away that rounding makes a cell beyond the grid
+        # almost vertical rays leave so far away that rounding gives a cell beyond the grid
         cells.append(cell.masked_fill_((cell < 0) | (cell > none) | (end.diff(dim=1) <= TOUCH_M), none))
         ends.append(end)
     return Columns(stack_ragged(cells, none).long(), stack_ragged(ends, None))
 
 
 def _level(
-    grid: Traversable, origins: Float64[Tensor, "G 3"], headings: Float64[Tensor, "G 2"]
+    grid: Traversable, origins: Float64[Tensor, "G 3"], azimuths: Float64[Tensor, "G 2"]
 ) -> tuple[Float64[Tensor, "G 3"], Float64[Tensor, "G 3"]]:
-    """Level rays at half the grid's height."""
+    """Return level rays at half the grid's height."""
     middle = (grid.bounds[2][0] + grid.bounds[2][1]) / 2
-    return torch.nn.functional.pad(origins[:, :2], (0, 1), value=middle), torch.nn.functional.pad(headings, (0, 1))
+    return torch.nn.functional.pad(origins[:, :2], (0, 1), value=middle), torch.nn.functional.pad(azimuths, (0, 1))
 
 
 def find_levels(grid: Traversable, fans: Fans) -> Levels:
-    """Finds when rays are in which of at most `MOST_LEVELS` levels."""
+    """Return the levels that rays are in, of at most `MAX_LEVELS` levels."""
     (low, high), count = grid.bounds[2], grid.shape[2]
     edges = torch.linspace(low, high, count + 1, dtype=torch.float64, device=fans.origins.device)
     height, slope = fans.origins[:, 2].reshape(-1, 1, 1), fans.slopes.unsqueeze(-1)
@@ -79,16 +82,16 @@ def find_levels(grid: Traversable, fans: Fans) -> Levels:
     within = torch.where((edges[:-1] <= height) & (height < edges[1:]), -FAR, FAR)
     enter = torch.where(level, within, torch.minimum(crossed[..., :-1], crossed[..., 1:]))
     leave = torch.where(level, FAR, torch.maximum(crossed[..., :-1], crossed[..., 1:]))
-    ways, order = torch.cat([enter + TOUCH_M, leave - TOUCH_M], dim=-1).flatten(1).sort(dim=1)
+    params, order = torch.cat([enter + TOUCH_M, leave - TOUCH_M], dim=-1).flatten(1).sort(dim=1)
     elevation, event = order // (2 * count), order % (2 * count)
     bit = torch.ones_like(event) << (event % count)
-    place = torch.arange(1, ways.shape[1] + 1, device=ways.device).expand_as(ways)
-    place = place * slope.shape[1] + elevation
+    slot = torch.arange(1, params.shape[1] + 1, device=params.device).expand_as(params)
+    slot = slot * slope.shape[1] + elevation
     behind = [
-        torch.zeros(len(ways), (ways.shape[1] + 1) * slope.shape[1], dtype=torch.int64, device=ways.device)
-        .scatter_(1, place, torch.where(chosen, bit, 0))
-        .reshape(len(ways), ways.shape[1] + 1, slope.shape[1])
+        torch.zeros(len(params), (params.shape[1] + 1) * slope.shape[1], dtype=torch.int64, device=params.device)
+        .scatter_(1, slot, torch.where(chosen, bit, 0))
+        .reshape(len(params), params.shape[1] + 1, slope.shape[1])
         .cumsum(dim=1)
         for chosen in (event < count, event >= count)
     ]
-    return Levels(enter, leave, ways, behind[0], ~behind[1])
+    return Levels(enter, leave, params, behind[0], ~behind[1])

@@ -1,7 +1,7 @@
-"""Where rays cross the cell boundaries of one axis of a grid, all crossings at once.
+"""Crossings of rays with the cell boundaries of one axis of a grid, all at once.
 
 All tensors are float64. Distances are in units of the directions' length: metres where that is 1. A ray starts at
-`start_m`, inside the grid; what lies before does not count.
+`start_m`, inside the grid; crossings before do not count.
 """
 
 import math
@@ -12,7 +12,7 @@ from jaxtyping import Float, Float64, Int32, Int64
 from torch import Tensor
 
 FAR = 1e30
-"""Stands for 'never': finite, so that no arithmetic on it gives nan."""
+"""Distance that stands for 'never'; finite, so that arithmetic on it never gives nan."""
 TOUCH_M = 1e-9
 """A cell crossed over less than this does not count, and a boundary this close counts as reached."""
 FACE = 1e-10
@@ -40,7 +40,7 @@ def plane_crossings(
     bounds: tuple[float, float],
     cells: int,
 ) -> Crossings:
-    """Equidistant parallel planes across one Cartesian axis."""
+    """Return the crossings with equidistant planes across one Cartesian axis."""
     low, size = bounds[0], (bounds[1] - bounds[0]) / cells
     sign = direction.sign()
     index = ((origin + start_m * direction - low) / size).floor().clamp(0, cells - 1)
@@ -59,10 +59,10 @@ def ring_crossings(
     bounds: tuple[float, float],
     cells: int,
 ) -> Crossings:
-    """Concentric cylinders around the z axis; index -1 is the hole inside the first one.
+    """Return the crossings with concentric cylinders around the z axis; index -1 is the hole inside the first one.
 
     A ray approaches the axis, passes it, and leaves. `turn` counts the rings from the innermost one it reaches,
-    negative on the way in, so that it grows by one at every crossing.
+    negative before the closest approach, so that it grows by one at every crossing.
     """
     low, size = bounds[0], (bounds[1] - bounds[0]) / cells
     speed2, nearest_m, miss2 = closest_approach(origin, direction)
@@ -71,7 +71,7 @@ def ring_crossings(
     ring = ((torch.sqrt(x * x + y * y) - low) / size).floor().clamp(-1, cells - 1)
     distance = (ring - innermost).clamp(min=0)
     turn = torch.where(start_m < nearest_m, -distance, distance)
-    # half a turn later, so that the sign tells the way in (its inner boundary) from the way out (its outer one)
+    # plus a half, so that the sign distinguishes inward crossings (inner boundary) from outward ones (outer boundary)
     later = (turn + 0.5).unsqueeze(1) + torch.arange(_largest(cells - innermost - turn), device=origin.device)
     radius_m = later.abs().mul_(size).add_((low + (innermost + 0.5) * size).unsqueeze(1))
     offset2 = radius_m.square_().sub_(miss2.unsqueeze(1)).clamp_(min=0).div_(speed2.unsqueeze(1))
@@ -82,9 +82,9 @@ def ring_crossings(
 def sector_crossings(
     origin: Float[Tensor, "R 3"], direction: Float[Tensor, "R 3"], start_m: Float[Tensor, " R"], cells: int
 ) -> Crossings:
-    """Half-planes that start at the z axis, `cells` of them, the first towards -x.
+    """Return the crossings with `cells` half-planes that start at the z axis, the first towards -x.
 
-    A ray sweeps less than half a turn, always the same way; one that meets the axis changes to the opposite sector.
+    A ray sweeps less than half a turn in one sense; a ray that meets the axis changes to the opposite sector.
     """
     speed2, nearest_m, miss2 = closest_approach(origin, direction)
     vertical = speed2 < TOUCH_M**2
@@ -134,11 +134,11 @@ def _largest(count: Tensor) -> int:
 
 
 def closest_approach(origin: Float[Tensor, "R 3"], direction: Float[Tensor, "R 3"]) -> tuple[Tensor, Tensor, Tensor]:
-    """How rays pass the z axis.
+    """Return the closest approach of rays to the z axis.
 
     Returns:
         Squared horizontal speed, distance along the ray to the point nearest to the axis, squared radius there. A
-        vertical ray counts as leaving, with a speed that brings it nowhere.
+        vertical ray counts as leaving, at a negligible speed.
     """
     x, y, _ = origin.unbind(-1)
     along_x, along_y, _ = direction.unbind(-1)
@@ -151,7 +151,7 @@ def closest_approach(origin: Float[Tensor, "R 3"], direction: Float[Tensor, "R 3
 
 
 def clip_slab(origin: Tensor, direction: Tensor, bounds: tuple[float, float]) -> tuple[Tensor, Tensor]:
-    """Distances at which rays enter and leave the space between two planes; enter > leave if they never do."""
+    """Return the distances at which rays enter and leave the space between two planes; enter > leave for a miss."""
     still = direction == 0
     speed = torch.where(still, 1.0, direction)
     first, second = (bounds[0] - origin) / speed, (bounds[1] - origin) / speed
@@ -164,7 +164,7 @@ def clip_slab(origin: Tensor, direction: Tensor, bounds: tuple[float, float]) ->
 
 
 def clip_disc(origin: Float[Tensor, "R 3"], direction: Float[Tensor, "R 3"], radius_m: float) -> tuple[Tensor, Tensor]:
-    """Distances at which rays enter and leave an endless cylinder around the z axis; enter > leave if they never do."""
+    """Return the distances at which rays enter and leave an endless cylinder around z; enter > leave for a miss."""
     speed2, nearest_m, miss2 = closest_approach(origin, direction)
     offset = ((radius_m**2 - miss2).clamp(min=0) / speed2).sqrt()
     missed = miss2 >= radius_m**2

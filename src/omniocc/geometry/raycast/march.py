@@ -1,10 +1,11 @@
-"""First hits of rays on a CPU, compiled by numba: fans of rays cross columns of cells, climb by climb.
+"""First hits of rays on a CPU, compiled by numba: fans of rays cross columns of cells, elevation by elevation.
 
-The ways at which a heading crosses the boundaries of either horizontal axis are computed in closed form and merged into
-columns. Per level, the next occupied column is then known at every column, so that a ray takes one look per level. The
-rules of `raycast.crossings` hold: float64, boundaries closer than `TOUCH_M` are the same, nothing accumulates.
+The parameters (see `raycast.fans`) at which rays of an azimuth cross the boundaries of either horizontal axis are
+computed in closed form and merged into columns. With the next occupied column of every level known at every column, a
+ray needs one look-up per level. The rules of `raycast.crossings` hold: float64, boundaries closer than `TOUCH_M` are
+the same, and errors do not accumulate.
 
-All kernels stand in one file, since numba's cache does not notice changes in another. Inside loops over rays arrays are
+All kernels are in one file, since numba's cache does not notice changes in another. Inside loops over rays arrays are
 indexed and never sliced: numba counts references to slices atomically, and threads would wait for one another.
 """
 
@@ -18,21 +19,21 @@ from numba import njit
 from omniocc.geometry.raycast.crossings import FACE, FAR, TOUCH_M
 
 BATCH = 16
-"""Ways computed together, before it is asked whether they lead out of the grid."""
+"""Parameters computed together before the next check whether they are beyond the grid."""
 
 
 def compiled(function: Callable) -> Callable:
-    """Compiles at the first call and keeps the result on disk, where there is a place to write to."""
+    """Compile at the first call; keep the result on disk if a folder is writable."""
     try:
         return njit(cache=True, nogil=True, error_model="numpy")(function)
-    except RuntimeError:  # neither the package's folder nor the user's cache folder can be written
+    except RuntimeError:  # neither the package's folder nor the user's cache folder is writable
         return njit(nogil=True, error_model="numpy")(function)
 
 
 @compiled
 @no_type_check
-def plane_ways(origin, along, start, reach, low, size, cells, ways):
-    """As `plane_crossings` for one ray: fills `ways`; returns the first cell, its change at each, their number."""
+def plane_params(origin, along, start, reach, low, size, cells, params):
+    """Fill `params` as `plane_crossings` for one ray; return the first cell, its change at each, and their number."""
     index = min(max(floor((origin + start * along - low) / size), 0), cells - 1)
     if along == 0:
         return index, 0, 0
@@ -43,17 +44,17 @@ def plane_ways(origin, along, start, reach, low, size, cells, ways):
     while count < total:
         until = min(count + BATCH, total)
         for i in range(count, until):
-            ways[i] = ((first + step * i) * size + low - origin) / along
+            params[i] = ((first + step * i) * size + low - origin) / along
         count = until
-        if ways[count - 1] >= reach:
+        if params[count - 1] >= reach:
             break
     return index, step, count
 
 
 @compiled
 @no_type_check
-def ring_ways(x, y, along_x, along_y, start, reach, low, size, cells, ways):
-    """As `ring_crossings`: fills `ways`; returns the first ring, how many crossings lead inwards, and their number."""
+def ring_params(x, y, along_x, along_y, start, reach, low, size, cells, params):
+    """Fill `params` as `ring_crossings`; return the first ring, the number of inward crossings, and that of all."""
     speed2 = along_x * along_x + along_y * along_y
     here_x, here_y = x + start * along_x, y + start * along_y
     ring = min(max(floor((sqrt(here_x * here_x + here_y * here_y) - low) / size), -1), cells - 1)
@@ -72,9 +73,9 @@ def ring_ways(x, y, along_x, along_y, start, reach, low, size, cells, ways):
         for i in range(count, until):
             later = turn + i + 0.5
             radius = abs(later) * size + middle
-            ways[i] = nearest + copysign(sqrt(max(radius * radius - miss2, 0.0) / speed2), later)
+            params[i] = nearest + copysign(sqrt(max(radius * radius - miss2, 0.0) / speed2), later)
         count = until
-        if ways[count - 1] >= reach:
+        if params[count - 1] >= reach:
             break
     return innermost + distance, max(-turn, 0), count
 
@@ -82,14 +83,14 @@ def ring_ways(x, y, along_x, along_y, start, reach, low, size, cells, ways):
 @compiled
 @no_type_check
 def sector_of(x, y, cells, ahead):
-    """The sector of a point, as `crossings._sector`."""
+    """Return the sector of a point, as `crossings._sector`."""
     return floor((atan2(y, x) + pi) * (cells / (2 * pi)) + ahead) % cells
 
 
 @compiled
 @no_type_check
-def sector_ways(x, y, along_x, along_y, start, reach, cells, faces, ways):
-    """As `sector_crossings`: fills `ways`; returns the first sector, its change at each, and their number."""
+def sector_params(x, y, along_x, along_y, start, reach, cells, faces, params):
+    """Fill `params` as `sector_crossings`; return the first sector, its change at each, and their number."""
     speed2 = along_x * along_x + along_y * along_y
     side = x * along_y - y * along_x
     if speed2 < TOUCH_M**2:
@@ -99,7 +100,7 @@ def sector_ways(x, y, along_x, along_y, start, reach, cells, faces, ways):
         if start >= nearest - TOUCH_M:
             return after, 0, 0
         before = sector_of(-along_x, -along_y, cells, FACE)
-        ways[0] = nearest
+        params[0] = nearest
         return before, after - before, 1
     index = sector_of(x + start * along_x, y + start * along_y, cells, 0.0)
     sweep = 1 if side > 0 else -1
@@ -111,10 +112,10 @@ def sector_ways(x, y, along_x, along_y, start, reach, cells, faces, ways):
         until = min(count + BATCH, total)
         for i in range(count, until):
             across = along_y * cos[first + i] - along_x * sin[first + i]
-            way = (sin[first + i] * x - cos[first + i] * y) / across
-            ways[i] = max(way, start) if across * sweep > 0 else FAR
+            param = (sin[first + i] * x - cos[first + i] * y) / across
+            params[i] = max(param, start) if across * sweep > 0 else FAR
         count = until
-        if ways[count - 1] >= reach:
+        if params[count - 1] >= reach:
             break
     return index, sweep, count
 
@@ -122,31 +123,31 @@ def sector_ways(x, y, along_x, along_y, start, reach, cells, faces, ways):
 @compiled
 @no_type_check
 def merge(first, second, place, sizes, start, leave, cells, ends):
-    """Puts the crossings of two axes in order; returns the number of columns. Cells of no length are -1.
+    """Put the crossings of two axes in order; return the number of columns. Cells of no length are -1.
 
     Args:
-        first: ways, their number, and how many of them lead to a smaller index; with room for one more.
-        second: ways, their number, and the change of index at each, around the end of the axis; likewise.
+        first: parameters (with room for one more), their number, and how many of them lead to a smaller index.
+        second: parameters (with room for one more), their number, and the change of index at each, which wraps around.
         place: first cell on both axes.
-        sizes: of both axes.
-        start: where the first column begins.
-        leave: where the last one ends.
-        cells: to be filled.
-        ends: to be filled.
+        sizes: cells on both axes.
+        start: parameter at which the first column begins.
+        leave: parameter at which the last one ends.
+        cells: output, row-major index of each column.
+        ends: output, parameters between the columns.
     """
-    (ways, number, down), (others, other_number, step) = first, second
+    (params, number, down), (others, other_number, step) = first, second
     row, column = place
     rows, columns = sizes
-    ways[number] = others[other_number] = FAR
+    params[number] = others[other_number] = FAR
     i, j, count = 0, 0, 0
     last = ends[0] = start
     while last < leave:
-        take = ways[i] <= others[j]
-        way = min(max(ways[i] if take else others[j], last), leave)
-        inside = (way - last > TOUCH_M) & (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+        take = params[i] <= others[j]
+        param = min(max(params[i] if take else others[j], last), leave)
+        inside = (param - last > TOUCH_M) & (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
         cells[count] = row * columns + column if inside else -1
         count += 1
-        last = ends[count] = way
+        last = ends[count] = param
         row += (1 if i >= down else -1) if take else 0
         column += 0 if take else step
         column += columns if column < 0 else (-columns if column >= columns else 0)
@@ -158,7 +159,7 @@ def merge(first, second, place, sizes, start, leave, cells, ends):
 @compiled
 @no_type_check
 def clip_round(x, y, along_x, along_y, radius):
-    """As `clip_disc` for one ray."""
+    """Return the result of `clip_disc` for one ray."""
     speed2 = along_x * along_x + along_y * along_y
     if speed2 < TOUCH_M**2:
         return (-FAR, FAR) if x * x + y * y < radius * radius else (FAR, -FAR)
@@ -173,7 +174,7 @@ def clip_round(x, y, along_x, along_y, radius):
 @compiled
 @no_type_check
 def clip_flat(origin, along, low, high):
-    """As `clip_slab` for one ray."""
+    """Return the result of `clip_slab` for one ray."""
     if along == 0:
         return (-FAR, FAR) if low <= origin < high else (FAR, -FAR)
     one, other = (low - origin) / along, (high - origin) / along
@@ -183,20 +184,20 @@ def clip_flat(origin, along, low, high):
 @compiled
 @no_type_check
 def find_columns(x, y, along_x, along_y, span, bounds, sizes, faces, scratch, cells, ends):
-    """Finds the columns along one heading between two ways; returns their number.
+    """Find the columns along one azimuth between two parameters; return their number.
 
     Args:
-        x: origin.
-        y: origin.
-        along_x: heading.
-        along_y: heading.
-        span: ways between which some ray of the fan is between bottom and top.
-        bounds: (2, 2) of the horizontal axes.
-        sizes: cells on them.
+        x: x of the origin.
+        y: y of the origin.
+        along_x: x of the azimuth vector.
+        along_y: y of the azimuth vector.
+        span: parameters between which some ray of the fan is between bottom and top of the grid.
+        bounds: (2, 2) lower and upper ends of the horizontal axes.
+        sizes: cells on the horizontal axes.
         faces: sines and cosines of the sectors' faces (`sector_faces`), empty for a cuboid.
-        scratch: (2, longest + 1).
-        cells: to be filled.
-        ends: to be filled.
+        scratch: (2, longest + 1) working memory.
+        cells: output, row-major index of each column.
+        ends: output, parameters between the columns.
     """
     size = (bounds[0, 1] - bounds[0, 0]) / sizes[0]
     if faces.size:
@@ -210,13 +211,13 @@ def find_columns(x, y, along_x, along_y, span, bounds, sizes, faces, scratch, ce
         ends[0] = 0.0
         return 0
     if faces.size:
-        row, down, number = ring_ways(x, y, along_x, along_y, start, leave, bounds[0, 0], size, sizes[0], scratch[0])
-        column, step, others = sector_ways(x, y, along_x, along_y, start, leave, sizes[1], faces, scratch[1])
+        row, down, number = ring_params(x, y, along_x, along_y, start, leave, bounds[0, 0], size, sizes[0], scratch[0])
+        column, step, others = sector_params(x, y, along_x, along_y, start, leave, sizes[1], faces, scratch[1])
     else:
-        row, step, number = plane_ways(x, along_x, start, leave, bounds[0, 0], size, sizes[0], scratch[0])
+        row, step, number = plane_params(x, along_x, start, leave, bounds[0, 0], size, sizes[0], scratch[0])
         down = number if step < 0 else 0
         size = (bounds[1, 1] - bounds[1, 0]) / sizes[1]
-        column, step, others = plane_ways(y, along_y, start, leave, bounds[1, 0], size, sizes[1], scratch[1])
+        column, step, others = plane_params(y, along_y, start, leave, bounds[1, 0], size, sizes[1], scratch[1])
     first, second = (scratch[0], number, down), (scratch[1], others, step)
     return merge(first, second, (row, column), sizes, start, leave, cells, ends)
 
@@ -224,7 +225,7 @@ def find_columns(x, y, along_x, along_y, span, bounds, sizes, faces, scratch, ce
 @compiled
 @no_type_check
 def pack(labels, bits):
-    """Sets the bits of the levels of each column of (V, columns, levels) that are not free."""
+    """Set the bits of the occupied levels of each column of labels (V, columns, levels)."""
     volumes, columns, levels = labels.shape
     for volume in range(volumes):
         for column in range(columns):
@@ -237,7 +238,7 @@ def pack(labels, bits):
 @compiled
 @no_type_check
 def first_hit(height, slope, edges, ends, count, bits):
-    """Column and level of the first hit of a ray; column -1 for none."""
+    """Return column and level of the first hit of a ray; column -1 for none."""
     levels = len(edges) - 1
     step, ahead = (1, 1) if slope > 0 else (-1, 0)
     if slope == 0:
@@ -265,9 +266,9 @@ def first_hit(height, slope, edges, ends, count, bits):
 @compiled
 @no_type_check
 def find_turns(height, slope, edges, ends, count, turns):
-    """Notes for each edge of the levels, in a ray's order, twice the number of columns that begin before it.
+    """Fill `turns`, for each level edge in a ray's order, with twice the number of columns that begin before it.
 
-    It is one more where the edge lies within the last of them, which then belongs to the levels on both sides.
+    One is added where the edge lies within the last of them, which then belongs to the levels on both sides.
     """
     levels, column = len(edges) - 1, 0
     if slope == 0:
@@ -276,16 +277,16 @@ def find_turns(height, slope, edges, ends, count, turns):
             turns[edge] = 2 * count if 0 <= own < edge and own < levels else 0
         return
     for edge in range(levels + 1):
-        way = (edges[edge if slope > 0 else levels - edge] - height) / slope
-        while column < count and ends[column] < way - TOUCH_M:
+        param = (edges[edge if slope > 0 else levels - edge] - height) / slope
+        while column < count and ends[column] < param - TOUCH_M:
             column += 1
-        turns[edge] = 2 * column + (column > 0 and ends[column] >= way + TOUCH_M)
+        turns[edge] = 2 * column + (column > 0 and ends[column] >= param + TOUCH_M)
 
 
 @compiled
 @no_type_check
 def next_hits(labels, cells, group, count, hits):
-    """For every column of a heading and level, the first column from there on that is not free; `count` for none."""
+    """Fill `hits`, for every column and level, with the first occupied column from there on; `count` for none."""
     levels = labels.shape[1]
     for level in range(levels):
         hits[count, level] = count
@@ -298,13 +299,13 @@ def next_hits(labels, cells, group, count, hits):
 
 @compiled
 @no_type_check
-def known_hit(group, climb, begin, rising, turns, hits):
-    """As `first_hit` for a ray whose turns are known: from an edge in its order on, one look for each level."""
+def known_hit(group, elevation, begin, rising, turns, hits):
+    """Return the result of `first_hit` from the turns of a ray, with one look-up for each level from an edge on."""
     levels = turns.shape[2] - 1
-    turn = np.int64(turns[group, climb, begin])
+    turn = np.int64(turns[group, elevation, begin])
     for edge in range(begin, levels):
         level = edge if rising else levels - 1 - edge
-        after = np.int64(turns[group, climb, edge + 1])
+        after = np.int64(turns[group, elevation, edge + 1])
         hit = hits[(turn >> 1) - (turn & 1), level]
         if hit < after >> 1:
             return hit, level
@@ -314,8 +315,8 @@ def known_hit(group, climb, begin, rising, turns, hits):
 
 @compiled
 @no_type_check
-def ways_of_hit(height, slope, edges, level, begin, end):
-    """Ways at which a ray enters and leaves the cell of a level in a column from `begin` to `end`."""
+def hit_params(height, slope, edges, level, begin, end):
+    """Return the parameters at which a ray enters and leaves the cell of a level in a column from `begin` to `end`."""
     if slope == 0:
         return begin, end
     one, other = (edges[level] - height) / slope, (edges[level + 1] - height) / slope
@@ -324,8 +325,8 @@ def ways_of_hit(height, slope, edges, level, begin, end):
 
 @compiled
 @no_type_check
-def way_out(height, slope, bottom, top, begin, end):
-    """Way at which a ray that hits nothing leaves the grid; inf if it never meets it."""
+def exit_param(height, slope, bottom, top, begin, end):
+    """Return the parameter at which a ray without a hit leaves the grid; inf if it never meets it."""
     enter, leave = clip_flat(height, slope, bottom, top)
     leave = min(end, leave)
     return leave if leave > max(begin, enter) + TOUCH_M else np.inf
@@ -334,56 +335,58 @@ def way_out(height, slope, bottom, top, begin, end):
 @compiled
 @no_type_check
 def columns_of(group, rays, grid, scratch, cells, ends):
-    """Finds the columns along one heading, counted over all fans; returns their number."""
-    origins, headings, spans = rays[0], rays[1], rays[5]
+    """Find the columns along one azimuth, counted over all fans; return their number."""
+    origins, azimuths, spans = rays[0], rays[1], rays[5]
     _, bounds, sizes, faces = grid
-    fan, heading = group // headings.shape[1], group % headings.shape[1]
-    x, y, along_x, along_y = origins[fan, 0], origins[fan, 1], headings[fan, heading, 0], headings[fan, heading, 1]
+    fan, azimuth = group // azimuths.shape[1], group % azimuths.shape[1]
+    x, y, along_x, along_y = origins[fan, 0], origins[fan, 1], azimuths[fan, azimuth, 0], azimuths[fan, azimuth, 1]
     return find_columns(x, y, along_x, along_y, spans[fan], bounds, sizes, faces, scratch, cells, ends)
 
 
 @compiled
 @no_type_check
 def build(first, last, rays, grid, kept):
-    """Fills what is kept of some headings: cells (G, L), ends (G, L + 1), their number (G) and turns (G, E, Z + 1)."""
-    origins, headings, slopes = rays[0], rays[1], rays[2]
+    """Fill the kept arrays of some azimuths: cells (G, L), ends (G, L + 1), counts (G) and turns (G, E, Z + 1)."""
+    origins, azimuths, slopes = rays[0], rays[1], rays[2]
     cells, ends, counts, turns = kept
     scratch = np.empty((2, ends.shape[1]))
     for group in range(first, last):
-        fan = group // headings.shape[1]
+        fan = group // azimuths.shape[1]
         counts[group] = columns_of(group, rays, grid, scratch, cells[group], ends[group])
-        for climb in range(slopes.shape[1]):
-            find_turns(origins[fan, 2], slopes[fan, climb], grid[0], ends[group], counts[group], turns[group, climb])
+        for elevation in range(slopes.shape[1]):
+            find_turns(
+                origins[fan, 2], slopes[fan, elevation], grid[0], ends[group], counts[group], turns[group, elevation]
+            )
 
 
 @compiled
 @no_type_check
 def cast_kept(first, last, rays, grid, kept, labels, out):
-    """Casts the rays of some headings, whose columns and turns are known, through labels (columns, levels)."""
-    origins, headings, slopes, stretches, order, _ = rays
+    """Cast the rays of some azimuths with known columns and turns through labels (columns, levels)."""
+    origins, azimuths, slopes, stretches, order, _ = rays
     edges, cells, ends, counts, turns = grid[0], kept[0], kept[1], kept[2], kept[3]
     found_cells, found_labels, entry_m, exit_m = out
-    each, climbs, levels = headings.shape[1], slopes.shape[1], len(edges) - 1
+    each, elevations, levels = azimuths.shape[1], slopes.shape[1], len(edges) - 1
     bottom, top = edges[0], edges[levels]
     hits = np.empty((ends.shape[1], levels), dtype=np.int32)
     for group in range(first, last):
-        fan, heading, count = group // each, group % each, counts[group]
+        fan, azimuth, count = group // each, group % each, counts[group]
         height = origins[fan, 2]
         next_hits(labels, cells, group, count, hits)
-        # a ray that rises from here crosses none of the levels below; one more for the rounding
+        # a rising ray crosses none of the levels below its origin; one more for the rounding
         own = min(max(floor((height - bottom) / (top - bottom) * levels), -1), levels + 1)
-        for climb in range(climbs):
-            slope, stretch = slopes[fan, climb], stretches[fan, climb]
-            ray = fan * each * climbs + order[heading * climbs + climb]
+        for elevation in range(elevations):
+            slope, stretch = slopes[fan, elevation], stretches[fan, elevation]
+            ray = fan * each * elevations + order[azimuth * elevations + elevation]
             begin = max((own if slope > 0 else levels - 1 - own) - 1, 0)
-            column, level = known_hit(group, climb, begin, slope > 0, turns, hits)
+            column, level = known_hit(group, elevation, begin, slope > 0, turns, hits)
             if column < 0:
-                way = way_out(height, slope, bottom, top, ends[group, 0], ends[group, count])
+                param = exit_param(height, slope, bottom, top, ends[group, 0], ends[group, count])
                 found_cells[ray], found_labels[ray] = -1, 0
-                entry_m[ray] = exit_m[ray] = way * stretch
+                entry_m[ray] = exit_m[ray] = param * stretch
                 continue
             cell = cells[group, column]
-            enter, leave = ways_of_hit(height, slope, edges, level, ends[group, column], ends[group, column + 1])
+            enter, leave = hit_params(height, slope, edges, level, ends[group, column], ends[group, column + 1])
             found_cells[ray], found_labels[ray] = cell * levels + level, labels[cell, level]
             entry_m[ray], exit_m[ray] = enter * stretch, leave * stretch
 
@@ -391,31 +394,31 @@ def cast_kept(first, last, rays, grid, kept, labels, out):
 @compiled
 @no_type_check
 def cast(first, last, rays, grid, longest, volumes, packed, out):
-    """Casts the rays of some headings through several volumes (V, columns, levels); `out` has V rows."""
-    origins, headings, slopes, stretches, order, _ = rays
+    """Cast the rays of some azimuths through several volumes (V, columns, levels); `out` has V rows."""
+    origins, azimuths, slopes, stretches, order, _ = rays
     edges = grid[0]
     found_cells, found_labels, entry_m, exit_m = out
-    each, climbs, levels = headings.shape[1], slopes.shape[1], len(edges) - 1
+    each, elevations, levels = azimuths.shape[1], slopes.shape[1], len(edges) - 1
     scratch, bits = np.empty((2, longest)), np.empty(longest, dtype=np.int64)
     cells, ends = np.empty(longest, dtype=np.int32), np.empty(longest)
     for group in range(first, last):
-        fan, heading = group // each, group % each
+        fan, azimuth = group // each, group % each
         count, height = columns_of(group, rays, grid, scratch, cells, ends), origins[fan, 2]
         for volume in range(len(volumes)):
             for column in range(count):
                 bits[column] = packed[volume, cells[column]] if cells[column] >= 0 else 0
-            bits[count] = -1  # the walk ends there
-            for climb in range(climbs):
-                slope, stretch = slopes[fan, climb], stretches[fan, climb]
-                ray = fan * each * climbs + order[heading * climbs + climb]
+            bits[count] = -1  # ends the search
+            for elevation in range(elevations):
+                slope, stretch = slopes[fan, elevation], stretches[fan, elevation]
+                ray = fan * each * elevations + order[azimuth * elevations + elevation]
                 column, level = first_hit(height, slope, edges, ends, count, bits)
                 if column < 0:
-                    way = way_out(height, slope, edges[0], edges[levels], ends[0], ends[count])
+                    param = exit_param(height, slope, edges[0], edges[levels], ends[0], ends[count])
                     found_cells[volume, ray], found_labels[volume, ray] = -1, 0
-                    entry_m[volume, ray] = exit_m[volume, ray] = way * stretch
+                    entry_m[volume, ray] = exit_m[volume, ray] = param * stretch
                     continue
                 cell = cells[column]
-                enter, leave = ways_of_hit(height, slope, edges, level, ends[column], ends[column + 1])
+                enter, leave = hit_params(height, slope, edges, level, ends[column], ends[column + 1])
                 found_cells[volume, ray] = cell * levels + level
                 found_labels[volume, ray] = volumes[volume, cell, level]
                 entry_m[volume, ray], exit_m[volume, ray] = enter * stretch, leave * stretch

@@ -1,4 +1,4 @@
-"""First hits of rays that are cast again and again, or that share origins and headings."""
+"""First hits of rays that are cast repeatedly, or that share origins and azimuths."""
 
 import functools
 from collections.abc import Sequence
@@ -7,18 +7,18 @@ import torch
 from jaxtyping import Float, Float32, UInt8
 from torch import Tensor
 
-from omniocc.geometry.raycast.columns import MOST_LEVELS
+from omniocc.geometry.raycast.columns import MAX_LEVELS
 from omniocc.geometry.raycast.fans import Fans, Scan
 from omniocc.geometry.raycast.kernel_table import KernelTable
 from omniocc.geometry.raycast.tensor_table import TensorTable
 from omniocc.geometry.raycast.trace import Hits, Traversable
 
 CHUNK_SINGLE_RAYS = 1 << 14
-"""Rays that share nothing and are cast together on a GPU."""
+"""Single rays that are cast together on a GPU."""
 
 
 class RayTable:
-    """What is the same for all labels about rays through one grid.
+    """Rays through one grid, prepared for casting through any labels.
 
     On a CPU the rays are cast by compiled kernels, elsewhere by tensor operations; cells and distances are the same.
 
@@ -31,15 +31,15 @@ class RayTable:
     """
 
     def __init__(self, grid: Traversable, fans: Fans):
-        if grid.shape[2] > MOST_LEVELS:
+        if grid.shape[2] > MAX_LEVELS:
             raise ValueError(
-                f"rays can be cast through at most {MOST_LEVELS} levels, got shape {grid.shape}; use paths()"
+                f"rays can be cast through at most {MAX_LEVELS} levels, got shape {grid.shape}; use paths()"
             )
         self.shape, self.device = grid.shape, fans.origins.device
         self.table = KernelTable(grid, fans) if self.device.type == "cpu" else TensorTable(grid, fans)
 
     def cast(self, labels: UInt8[Tensor, "X Y Z"]) -> Hits:
-        """Finds the first cell along each ray that is not free (0); unknown (255) is not free.
+        """Return the first cell along each ray that is not free (0); unknown (255) is not free.
 
         Raises:
             ValueError: if the labels do not have the grid's shape.
@@ -47,7 +47,7 @@ class RayTable:
         return self.cast_all([labels])[0]
 
     def cast_all(self, volumes: Sequence[UInt8[Tensor, "X Y Z"]]) -> list[Hits]:
-        """As `cast` for several label volumes; cheaper than one after the other."""
+        """Return the results of `cast` for several label volumes, at less cost than one after the other."""
         for labels in volumes:
             if labels.shape != self.shape:
                 raise ValueError(f"labels must have the grid's shape {self.shape}, got {tuple(labels.shape)}")
@@ -55,7 +55,7 @@ class RayTable:
 
     @functools.cached_property
     def reach_m(self) -> Float32[Tensor, " R"]:
-        """Distance at which each ray leaves the grid; inf if it never meets it."""
+        """Return the distance (m) at which each ray leaves the grid; inf if it never meets it."""
         return self.cast(torch.zeros(self.shape, dtype=torch.uint8, device=self.device)).exit_m
 
 
@@ -65,29 +65,29 @@ def cast(
     origins: Float[Tensor, "R 3"],
     directions: Float[Tensor, "R 3"],
 ) -> Hits:
-    """Finds the first cell along each ray that is not free (0); unknown (255) is not free.
+    """Return the first cell along each ray that is not free (0); unknown (255) is not free.
 
-    For rays that form a LiDAR's raster, or that stay the same, `ray_table` is many times faster.
+    For rays that form a LiDAR raster, or that stay the same, `ray_table` is many times faster.
 
     Args:
         grid: cylinder or cuboid.
         labels: class of every cell.
         origins: ego frame, metres.
-        directions: any length but zero.
+        directions: of any length above 0.
 
     Raises:
         ValueError: if the labels do not have the grid's shape.
     """
-    together = max(len(origins), 1) if origins.device.type == "cpu" else CHUNK_SINGLE_RAYS
+    chunk_rays = max(len(origins), 1) if origins.device.type == "cpu" else CHUNK_SINGLE_RAYS
     parts = []
-    for first in range(0, max(len(origins), 1), together):
-        chunk = slice(first, first + together)
+    for first in range(0, max(len(origins), 1), chunk_rays):
+        chunk = slice(first, first + chunk_rays)
         parts.append(RayTable(grid, Fans.single(origins[chunk], directions[chunk])).cast(labels))
     return Hits(*(torch.cat(part) for part in zip(*parts, strict=True)))
 
 
 def ray_table(grid: Traversable, origins: Float[Tensor, "O 3"], scan: Scan) -> RayTable:
-    """Prepares rays for look-ups, or takes them from the last few that were asked for.
+    """Return prepared rays, from a cache of the last few tables.
 
     Args:
         grid: cylinder or cuboid; equal grids share a table.
@@ -99,5 +99,5 @@ def ray_table(grid: Traversable, origins: Float[Tensor, "O 3"], scan: Scan) -> R
 
 @functools.lru_cache(maxsize=4)
 def _cached(grid: Traversable, origins: bytes, scan: Scan, device: str) -> RayTable:
-    places = torch.frombuffer(bytearray(origins), dtype=torch.float64).reshape(-1, 3).to(device)
-    return RayTable(grid, scan.fans(places))
+    starts = torch.frombuffer(bytearray(origins), dtype=torch.float64).reshape(-1, 3).to(device)
+    return RayTable(grid, scan.fans(starts))

@@ -1,4 +1,4 @@
-"""First hits of rays by tensor operations, on any device, a fan's columns of cells all at once.
+"""First hits of rays by tensor operations on any device, for all columns of a fan at once.
 
 The occupied levels of a column are the bits of one number, the levels that a ray crosses inside the column those of
 another; the ray hits something in the first column where the two have a bit in common.
@@ -18,7 +18,7 @@ from omniocc.geometry.raycast.trace import Hits, Traversable
 
 
 class TensorTable:
-    """Rays of one grid on any device, for grids of at most 48 levels; holds 8 bytes for every column of every ray.
+    """Rays of one grid on any device, for grids of at most 48 levels; needs 8 bytes for every column of every ray.
 
     Args:
         grid: cylinder or cuboid.
@@ -26,31 +26,31 @@ class TensorTable:
     """
 
     def __init__(self, grid: Traversable, fans: Fans):
-        origins, headings = fans.headings.shape[:2]
+        origins, azimuths = fans.azimuths.shape[:2]
         self.fans, self.levels, self.grid = fans, find_levels(grid, fans), grid
-        found = find_columns(grid, fans.origins.repeat_interleave(headings, dim=0), fans.headings.flatten(0, 1))
-        self.cells = found.cells.reshape(origins, headings, -1)
-        self.ends = found.ends.reshape(origins, headings, -1)
+        found = find_columns(grid, fans.origins.repeat_interleave(azimuths, dim=0), fans.azimuths.flatten(0, 1))
+        self.cells = found.cells.reshape(origins, azimuths, -1)
+        self.ends = found.ends.reshape(origins, azimuths, -1)
         self.masks = self._masks()
 
     def cast_all(self, volumes: Sequence[UInt8[Tensor, "X Y Z"]]) -> list[Hits]:
-        """First hits in each volume; see `RayTable.cast_all`."""
-        climbs = len(self.fans.order)
-        first = torch.arange(len(self.ends), device=self.ends.device).unsqueeze(1) * climbs
+        """Return the first hits in each volume; see `RayTable.cast_all`."""
+        rays = len(self.fans.order)
+        first = torch.arange(len(self.ends), device=self.ends.device).unsqueeze(1) * rays
         place = (first + self.fans.order.argsort()).flatten()
         return [Hits(*(part.flatten()[place] for part in self._hits(labels))) for labels in volumes]
 
     def _masks(self) -> Int64[Tensor, "K A L E"]:
-        """The levels that each ray crosses inside each column."""
-        origins, headings, ends = self.ends.shape
-        ways, entered, ahead = self.levels.ways, self.levels.entered, self.levels.ahead
-        rank = torch.searchsorted(ways, self.ends.reshape(origins, headings * ends), right=True)
-        rank = rank.reshape(origins, headings, ends)
+        """Return the mask of levels that each ray crosses inside each column."""
+        origins, azimuths, ends = self.ends.shape
+        params, entered, ahead = self.levels.params, self.levels.entered, self.levels.ahead
+        rank = torch.searchsorted(params, self.ends.reshape(origins, azimuths * ends), right=True)
+        rank = rank.reshape(origins, azimuths, ends)
         fan = torch.arange(origins, device=rank.device).reshape(-1, 1, 1)
         return ahead[fan, rank[..., :-1]] & entered[fan, rank[..., 1:]]
 
     def _hits(self, labels: UInt8[Tensor, "X Y Z"]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Cell, class, entry and exit distance of every ray, all (K, A, E)."""
+        """Return cell, class, entry and exit distance of every ray, all (K, A, E)."""
         fans, levels = self.fans, labels.shape[2]
         bit = torch.ones_like(labels[0, 0], dtype=torch.int64) << torch.arange(levels, device=labels.device)
         bits = torch.nn.functional.pad(((labels != FREE) * bit).sum(-1).flatten(), (0, 1))
@@ -72,7 +72,7 @@ class TensorTable:
         )
 
     def _leave_m(self) -> Tensor:
-        """Where rays leave the grid (K, A, E); inf for those that never meet it."""
+        """Return the distances (K, A, E) at which rays leave the grid; inf for those that never meet it."""
         fans = self.fans
         enter, leave = clip_slab(fans.origins[:, 2:].expand_as(fans.slopes), fans.slopes, self.grid.bounds[2])
         first = torch.maximum(self.ends[..., :1], enter.unsqueeze(1))
@@ -81,8 +81,8 @@ class TensorTable:
 
 
 def _next_level(found: Int64[Tensor, "K A E"], rising: Tensor) -> Int64[Tensor, "K A E"]:
-    """The lowest level in a mask for rising rays, else the highest; 0 for none."""
-    # the highest bit stays the highest, and what is left below it is too little to round up to the next one
+    """Return the lowest level in a mask for rising rays, else the highest; 0 for none."""
+    # the highest bit stays; the bits left below it are too small to round up to the next power of two
     single = torch.where(rising, found & -found, found & ~(found >> 1))
     exponent = (single.double().view(torch.int64) >> 52) - 1023
     return exponent.clamp_(min=0)

@@ -14,12 +14,12 @@ from torch import Tensor
 from omniocc.geometry.raycast.crossings import FAR, TOUCH_M, Crossings
 
 CHUNK_RAYS = 1024
-"""Rays whose crossings are sorted together; they should stay in the processor's cache."""
+"""Rays whose crossings are sorted together, few enough for the processor's cache."""
 
 
 @runtime_checkable
 class Traversable(Protocol):
-    """The part of a grid that tracing needs; see `omniocc.geometry.Grid`."""
+    """The part of `omniocc.geometry.Grid` that tracing needs."""
 
     @property
     def shape(self) -> tuple[int, int, int]: ...  # noqa: D102
@@ -52,24 +52,24 @@ class Paths(NamedTuple):
 
     @property
     def entry_m(self) -> Float32[Tensor, "R L"]:
-        """Distance at which each cell is entered; 0 for the cell that holds the origin."""
+        """Return the distance at which each cell is entered; 0 for the cell that holds the origin."""
         return self.bounds_m[:, :-1]
 
     @property
     def exit_m(self) -> Float32[Tensor, "R L"]:
-        """Distance at which each cell is left."""
+        """Return the distance at which each cell is left."""
         return self.bounds_m[:, 1:]
 
 
 class Hits(NamedTuple):
-    """Where R rays end.
+    """First hits of R rays.
 
     Attributes:
         cells: flat index of the cell hit; -1 for none.
-        labels: its class; free for none.
-        entry_m: distance at which it is entered; without a hit that at which the ray leaves the grid, and inf for a ray
-            that never meets the grid.
-        exit_m: distance at which it is left; otherwise as `entry_m`.
+        labels: class of the cell hit; free for none.
+        entry_m: distance at which the cell is entered; without a hit the distance at which the ray leaves the grid, and
+            inf for a ray that never meets the grid.
+        exit_m: distance at which the cell is left; without a hit the same as `entry_m`.
     """
 
     cells: Int32[Tensor, " R"]
@@ -79,14 +79,14 @@ class Hits(NamedTuple):
 
 
 def paths(grid: Traversable, origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"]) -> Paths:
-    """Finds all cells that rays cross.
+    """Return all cells that rays cross.
 
     Cells crossed over less than a nanometre are left out, so a ray through an edge goes from cell to opposite cell.
 
     Args:
         grid: cylinder or cuboid.
         origins: ego frame, metres; anywhere, inside or outside.
-        directions: any length but zero.
+        directions: of any length above 0.
     """
     chunks = range(0, max(len(origins), 1), CHUNK_RAYS)
     parts = [_paths(grid, origins[i : i + CHUNK_RAYS], directions[i : i + CHUNK_RAYS]) for i in chunks]
@@ -100,26 +100,26 @@ def _paths(grid: Traversable, origins: Float[Tensor, "R 3"], directions: Float[T
     _, second, third = grid.shape
     strides = (second * third, third, 1)
     cells, bounds_m = in_order(grid.crossings(origins, directions, start_m), strides, start_m, leave_m)
-    ray, place = (bounds_m.diff(dim=1) > TOUCH_M).nonzero().unbind(-1)
+    ray, segment = (bounds_m.diff(dim=1) > TOUCH_M).nonzero().unbind(-1)
     count = torch.bincount(ray, minlength=len(origins))
     column = torch.arange(len(ray), device=ray.device) - (count.cumsum(0) - count)[ray]
     length = int(count.max()) if len(count) else 0
     packed = cells.new_full((len(origins), length), -1)
-    packed[ray, column] = cells[ray, place].clamp(min=-1)
+    packed[ray, column] = cells[ray, segment].clamp(min=-1)
     packed_m = leave_m.float().unsqueeze(1).repeat(1, length + 1)
-    packed_m[ray, column] = bounds_m[ray, place].float()
+    packed_m[ray, column] = bounds_m[ray, segment].float()
     return Paths(packed, packed_m, count > 0)
 
 
 def unit(directions: Float[Tensor, "R 3"]) -> Float64[Tensor, "R 3"]:
-    """The directions with length 1."""
+    """Return the directions with length 1."""
     return torch.nn.functional.normalize(directions.double(), dim=-1, eps=0.0)
 
 
 def clip(
     grid: Traversable, origins: Float64[Tensor, "R 3"], directions: Float64[Tensor, "R 3"]
 ) -> tuple[Float64[Tensor, " R"], Float64[Tensor, " R"]]:
-    """Distances at which rays start in the grid and leave it; equal for those that never meet it."""
+    """Return the distances at which rays start in the grid and leave it; equal for those that never meet it."""
     enter_m, leave_m = grid.clip(origins, directions)
     start_m, leave_m = enter_m.clamp(min=0), leave_m.clamp(max=FAR)
     meets = leave_m > start_m + TOUCH_M
@@ -132,13 +132,13 @@ def in_order(
     start_m: Float64[Tensor, " R"],
     leave_m: Float64[Tensor, " R"],
 ) -> tuple[Int32[Tensor, "R N"], Float64[Tensor, "R N+1"]]:
-    """Puts the crossings of several axes in order.
+    """Return the crossings of several axes in order.
 
     Args:
-        crossings: of each axis.
+        crossings: those of each axis.
         strides: of each axis in a flat cell index.
-        start_m: where rays begin.
-        leave_m: where they end; crossings beyond count as being there.
+        start_m: distances at which rays begin.
+        leave_m: distances at which they end; crossings beyond are moved there.
 
     Returns:
         Flat index of the cell in each stretch between two crossings, negative in a cylinder's hole, and the ends of the
@@ -156,7 +156,7 @@ def in_order(
 
 
 def stack_ragged(parts: Sequence[Tensor], fill: int | None) -> Tensor:
-    """Puts tables of different width below one another, filled on the right with a number or with their last column."""
+    """Return tables of different width stacked, filled on the right with a number or, for None, their last column."""
     table = parts[0].new_empty(sum(len(part) for part in parts), max(part.shape[1] for part in parts))
     for part, rows in zip(parts, table.split([len(part) for part in parts]), strict=True):
         rows[:, : part.shape[1]] = part

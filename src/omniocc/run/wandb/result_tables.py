@@ -6,7 +6,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 from omniocc.classes import CLASSES, FREE
-from omniocc.metric.bands import RANGE_EDGES_M
+from omniocc.metric.bands import PAPER_RANGE_EDGES_M
 
 
 class ResultTable(NamedTuple):
@@ -16,7 +16,7 @@ class ResultTable(NamedTuple):
     rows: list[list[str | float | None]]
 
 
-BANDS = tuple(f"{lo:g}-{hi:g}m" for lo, hi in pairwise(RANGE_EDGES_M))
+BANDS = tuple(f"{lo:g}-{hi:g}m" for lo, hi in pairwise(PAPER_RANGE_EDGES_M))
 CLASS_NAMES = tuple(entry.name for entry in CLASSES if entry.id != FREE)
 BY_CLASS = {
     "RayIoU": "test/rayiou/{}",
@@ -33,7 +33,7 @@ BY_RANGE = {
     "depth: AbsRel": "test/depth/absrel_{}",
     "sketch: recall": "test/sketch/recall_{}",
     "sketch: precision": "test/sketch/precision_{}",
-    "sketch: share": "test/sketch/share_{}",
+    "sketch: fraction": "test/sketch/fraction_{}",
 }
 
 

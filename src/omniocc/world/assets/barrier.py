@@ -1,24 +1,25 @@
-"""Walls, fences and guard rails: pieces along x, centred, to be set end to end so that they follow the land."""
+"""Walls, fences, guard rails and hedges: pieces of `PIECE_M` along x, centred, to be set end to end."""
 
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from omniocc.world.assets.material import Material
-from omniocc.world.assets.mesh import Mesh, concatenate
-from omniocc.world.assets.shape import Skin, blob, box, panel
 from omniocc.world.assets.tree import LEAVES
+from omniocc.world.mesh.label import WALL
+from omniocc.world.mesh.material import Material
+from omniocc.world.mesh.mesh import Mesh, concatenate
+from omniocc.world.mesh.shape import Skin, blob, box, panel
+from omniocc.world.seeding import choice
 
-_WALL = 5
 PIECE_M = 4.0
 
 
 def brick_wall(rng: np.random.Generator) -> Mesh:
-    """Masonry with a coping."""
+    """Build a masonry wall with a coping."""
     height = float(rng.uniform(0.9, 2.1))
-    wall = Skin(_WALL, Material.BRICK, ((150, 84, 64), (172, 160, 140), (128, 96, 82))[int(rng.integers(3))])
-    coping = Skin(_WALL, Material.CONCRETE, (160, 156, 148))
+    wall = Skin(WALL, Material.BRICK, choice(rng, ((150, 84, 64), (172, 160, 140), (128, 96, 82))))
+    coping = Skin(WALL, Material.CONCRETE, (160, 156, 148))
     return concatenate([
         panel((PIECE_M + 0.04, 0.24, height + 0.5), (0, 0, height / 2 - 0.25), wall, "frbl"),
         box((PIECE_M + 0.06, 0.34, 0.1), (0, 0, height + 0.05), coping),
@@ -26,9 +27,9 @@ def brick_wall(rng: np.random.Generator) -> Mesh:
 
 
 def concrete_wall(rng: np.random.Generator) -> Mesh:
-    """Precast panels between posts."""
+    """Build a wall of precast panels between posts."""
     height = float(rng.uniform(1.8, 2.6))
-    slab, post = Skin(_WALL, Material.CONCRETE, (164, 162, 156)), Skin(_WALL, Material.CONCRETE, (140, 138, 132))
+    slab, post = Skin(WALL, Material.CONCRETE, (164, 162, 156)), Skin(WALL, Material.CONCRETE, (140, 138, 132))
     return concatenate([
         panel((PIECE_M + 0.04, 0.14, height + 0.5), (0, 0, height / 2 - 0.25), slab, "frbt"),
         panel((0.24, 0.28, height + 0.6), (-PIECE_M / 2, 0, height / 2 - 0.2), post, "frblt"),
@@ -36,10 +37,10 @@ def concrete_wall(rng: np.random.Generator) -> Mesh:
 
 
 def picket_fence(rng: np.random.Generator) -> Mesh:
-    """Upright wooden boards on two rails."""
+    """Build a fence of upright wooden boards on two rails."""
     height = float(rng.uniform(0.85, 1.3))
-    color = ((226, 224, 216), (136, 104, 76), (104, 88, 74))[int(rng.integers(3))]
-    wood = Skin(_WALL, Material.WOOD, color)
+    color = choice(rng, ((226, 224, 216), (136, 104, 76), (104, 88, 74)))
+    wood = Skin(WALL, Material.WOOD, color)
     boards = [
         panel((0.2, 0.025, height), (float(x), 0.04, height / 2 + 0.06), wood, "fbt") for x in np.arange(-1.8, 2.0, 0.4)
     ]
@@ -48,9 +49,9 @@ def picket_fence(rng: np.random.Generator) -> Mesh:
 
 
 def board_fence(rng: np.random.Generator) -> Mesh:
-    """Closed wooden fence."""
+    """Build a closed wooden fence."""
     height = float(rng.uniform(1.5, 1.9))
-    wood = Skin(_WALL, Material.WOOD, ((140, 108, 78), (118, 94, 74), (150, 136, 116))[int(rng.integers(3))])
+    wood = Skin(WALL, Material.WOOD, choice(rng, ((140, 108, 78), (118, 94, 74), (150, 136, 116))))
     return concatenate([
         panel((PIECE_M + 0.02, 0.05, height + 0.2), (0, 0, height / 2 - 0.1), wood, "fbt"),
         _post(0.12, height, wood),
@@ -58,9 +59,9 @@ def board_fence(rng: np.random.Generator) -> Mesh:
 
 
 def mesh_fence(rng: np.random.Generator) -> Mesh:
-    """Steel posts, rails and thin bars."""
+    """Build a fence of steel posts, rails and thin bars."""
     height = float(rng.uniform(1.6, 2.2))
-    steel = Skin(_WALL, Material.METAL, ((70, 96, 80), (120, 124, 126), (52, 56, 60))[int(rng.integers(3))])
+    steel = Skin(WALL, Material.METAL, choice(rng, ((70, 96, 80), (120, 124, 126), (52, 56, 60))))
     bars = [
         panel((0.04, 0.03, height - 0.1), (float(x), 0, height / 2), steel, "frbl") for x in np.arange(-1.5, 2.0, 0.5)
     ]
@@ -69,17 +70,19 @@ def mesh_fence(rng: np.random.Generator) -> Mesh:
 
 
 def rail_fence(rng: np.random.Generator) -> Mesh:
-    """Three bars between posts, as around pastures."""
+    """Build a fence of three bars between posts, as around pastures."""
     height = float(rng.uniform(1.1, 1.4))
-    wood = Skin(_WALL, Material.WOOD, (124, 102, 80))
-    rails = [panel((PIECE_M + 0.04, 0.06, 0.12), (0, 0, share * height), wood, "fbtd") for share in (0.3, 0.62, 0.94)]
+    wood = Skin(WALL, Material.WOOD, (124, 102, 80))
+    rails = [
+        panel((PIECE_M + 0.04, 0.06, 0.12), (0, 0, fraction * height), wood, "fbtd") for fraction in (0.3, 0.62, 0.94)
+    ]
     return concatenate([*rails, _post(0.14, height, wood)])
 
 
 def guard_rail(rng: np.random.Generator) -> Mesh:
-    """Corrugated steel on short posts."""
+    """Build a guard rail of corrugated steel on short posts."""
     height = float(rng.uniform(0.65, 0.75))
-    steel = Skin(_WALL, Material.METAL, (168, 172, 174))
+    steel = Skin(WALL, Material.METAL, (168, 172, 174))
     bands = [panel((PIECE_M + 0.06, 0.06, 0.13), (0, -0.05, z), steel, "ftd") for z in (height - 0.09, height - 0.27)]
     web = panel((PIECE_M + 0.06, 0.02, 0.3), (0, -0.02, height - 0.18), steel, "fbt")
     post = panel((0.1, 0.12, height + 0.4), (-PIECE_M / 2, 0.05, height / 2 - 0.2), steel, "rblt")
@@ -91,14 +94,14 @@ def _post(width: float, height: float, skin: Skin) -> Mesh:
 
 
 def median_rail(rng: np.random.Generator) -> Mesh:
-    """A guard rail with bands on both sides, for the middle of a street."""
+    """Build a guard rail with bands on both sides, for the middle of a street."""
     half = guard_rail(rng)
     mirrored = half.vertices * np.array([-1, -1, 1], np.float32)
     return concatenate([half, replace(half, vertices=mirrored)])
 
 
 def hedge(rng: np.random.Generator) -> Mesh:
-    """Clipped, up to a man's height (vegetation)."""
+    """Build a clipped hedge 1 to 1.7 m high (class vegetation)."""
     height, width = float(rng.uniform(1.0, 1.7)), float(rng.uniform(0.6, 0.8))
     return concatenate([
         panel((PIECE_M + 0.05, width, height + 0.3), (0, 0, height / 2 - 0.15), LEAVES, "frblt"),

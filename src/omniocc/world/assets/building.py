@@ -1,32 +1,33 @@
-"""Buildings. The front stands on y = 0 and looks along -y (to the street); z = 0 is the ground at the door.
+"""Buildings: the front stands on y = 0 and faces -y (the street); z = 0 is the ground at the door.
 
-Walls take their colour (materials FACADE and PLASTER) and roofs theirs (ROOF) when they are put up.
+Walls (materials FACADE and PLASTER) and roofs (ROOF) get their colours when a building is put up.
 """
 
 from collections.abc import Callable
 
 import numpy as np
 
-from omniocc.world.assets.material import Material
-from omniocc.world.assets.mesh import Mesh, concatenate, transform
-from omniocc.world.assets.shape import Color, Number, Skin, box, lathe, panel, quads
+from omniocc.world.mesh.label import BUILDING
+from omniocc.world.mesh.material import Material
+from omniocc.world.mesh.mesh import Mesh, concatenate, transform
+from omniocc.world.mesh.shape import Color, Number, Skin, box, lathe, panel, quads
+from omniocc.world.seeding import choice
 
-_BUILDING = 4
-_FACE = Skin(_BUILDING, Material.FACADE, (205, 192, 172))
-_TILES = Skin(_BUILDING, Material.ROOF, (110, 84, 72))
-_FLAT = Skin(_BUILDING, Material.CONCRETE, (112, 108, 104))
-STOREY_M = 3.2  # as in the texture; buildings are stretched to 2.8 to 4 m when they are put up
-_PLINTH_M = 1.6  # foundations reach this deep, for slopes
-_TRIM = Skin(_BUILDING, Material.CONCRETE, (176, 172, 164))
-_DARK_GLASS = Skin(_BUILDING, Material.GLASS, (58, 72, 84))
+_FACE = Skin(BUILDING, Material.FACADE, (205, 192, 172))
+_TILES = Skin(BUILDING, Material.ROOF, (110, 84, 72))
+_FLAT = Skin(BUILDING, Material.CONCRETE, (112, 108, 104))
+STOREY_M = 3.2  # of the prototypes and in the facade texture; buildings are stretched so that storeys are 2.8 to 4 m
+_PLINTH_M = 1.6  # depth of foundations, so that no gap shows on slopes
+_TRIM = Skin(BUILDING, Material.CONCRETE, (176, 172, 164))
+_DARK_GLASS = Skin(BUILDING, Material.GLASS, (58, 72, 84))
 _SHEET_COLORS: tuple[Color, ...] = (
     (188, 190, 190), (140, 150, 160), (170, 160, 140), (120, 140, 150), (150, 84, 66), (206, 200, 186)
 )  # fmt: skip
-_DOOR = Skin(_BUILDING, Material.WOOD, (92, 60, 44))
+_DOOR = Skin(BUILDING, Material.WOOD, (92, 60, 44))
 
 
 def _block(width: float, depth: float, low: Number, high: Number, wall: Skin, roof: Skin, back: Number = 0.0) -> Mesh:
-    """A body from `low` to `high` whose front is `back` behind y = 0."""
+    """Build a body from `low` to `high` whose front stands `back` metres behind y = 0."""
     return box((width, depth - back, high - low), (0, (depth + back) / 2, (low + high) / 2), wall, roof)
 
 
@@ -35,7 +36,7 @@ def _plinth(width: float, depth: float) -> Mesh:
 
 
 def tower(rng: np.random.Generator) -> Mesh:
-    """Offices or flats: shops below, rows of windows, sometimes a set-back top."""
+    """Build offices or flats: shops below, rows of windows, sometimes a set-back top."""
     width, depth = float(rng.uniform(12, 26)), float(rng.uniform(11, 17))
     storeys = int(rng.integers(4, 12))
     height = STOREY_M * storeys
@@ -48,12 +49,12 @@ def tower(rng: np.random.Generator) -> Mesh:
     for _ in range(int(rng.integers(1, 4))):
         size = (float(rng.uniform(1.5, 3)), float(rng.uniform(1.5, 3)), float(rng.uniform(1, 2.4)))
         at = (float(rng.uniform(-0.35, 0.35) * width), float(depth * rng.uniform(0.3, 0.7)), height + 0.4 + size[2] / 2)
-        parts.append(box(size, at, Skin(_BUILDING, Material.METAL, (134, 138, 140))))
+        parts.append(box(size, at, Skin(BUILDING, Material.METAL, (134, 138, 140))))
     return concatenate([*parts, *_shops(rng, width), *_balconies(rng, width, storeys)])
 
 
 def row(rng: np.random.Generator) -> Mesh:
-    """A terraced town house with a pitched roof along the street."""
+    """Build a terraced town house with a pitched roof along the street."""
     width, depth = float(rng.uniform(6, 10.5)), float(rng.uniform(9, 12))
     storeys = int(rng.integers(2, 5))
     height = STOREY_M * storeys
@@ -70,7 +71,7 @@ def row(rng: np.random.Generator) -> Mesh:
 
 
 def house(rng: np.random.Generator) -> Mesh:
-    """A detached house: gable roof, porch, perhaps a wing and a garage."""
+    """Build a detached house: gable roof, porch, perhaps a wing and a garage."""
     width, depth = float(rng.uniform(8, 12.5)), float(rng.uniform(7.5, 10.5))
     storeys = int(rng.integers(1, 3))
     height = STOREY_M * storeys - 0.2
@@ -93,8 +94,8 @@ def house(rng: np.random.Generator) -> Mesh:
 
 
 def garage(rng: np.random.Generator) -> Mesh:
-    """A single garage, 3.2 x 5.5 m, its gate to the street."""
-    face, gate = Skin(_BUILDING, Material.PLASTER, (205, 192, 172)), Skin(_BUILDING, Material.METAL, (206, 206, 200))
+    """Build a single garage, 3.2 x 5.5 m, its gate to the street."""
+    face, gate = Skin(BUILDING, Material.PLASTER, (205, 192, 172)), Skin(BUILDING, Material.METAL, (206, 206, 200))
     height = float(rng.uniform(2.4, 2.8))
     return concatenate(
         [
@@ -111,12 +112,12 @@ def garage(rng: np.random.Generator) -> Mesh:
 
 
 def hall(rng: np.random.Generator) -> Mesh:
-    """Industrial hall: sheet walls, gates, a band of windows, shallow or saw-tooth roof."""
+    """Build an industrial hall: sheet walls, gates, a band of windows, flat or shallow roof."""
     width, depth = float(rng.uniform(20, 34)), float(rng.uniform(13, 24))
     height = float(rng.uniform(5.5, 9))
-    color = _SHEET_COLORS[int(rng.integers(len(_SHEET_COLORS)))]
-    face = Skin(_BUILDING, Material.METAL if rng.uniform() < 0.6 else Material.BRICK, color)
-    cover = Skin(_BUILDING, Material.METAL, (118, 120, 122))
+    color = choice(rng, _SHEET_COLORS)
+    face = Skin(BUILDING, Material.METAL if rng.uniform() < 0.6 else Material.BRICK, color)
+    cover = Skin(BUILDING, Material.METAL, (118, 120, 122))
     parts = [_plinth(width, depth), _block(width, depth, 0, height, face, cover)]
     if rng.uniform() < 0.5:
         parts.append(_turned_gable(width, depth, height, float(rng.uniform(1, 2)), cover, face))
@@ -125,8 +126,8 @@ def hall(rng: np.random.Generator) -> Mesh:
     count = max(1, int(width // 8))
     for k in range(count):
         x = (k + 0.5) / count * width - width / 2
-        color = ((170, 60, 44), (60, 90, 130), (190, 190, 184))[int(rng.integers(3))]
-        parts.append(box((3.6, 0.1, 3.8), (x, -0.04, 1.9), Skin(_BUILDING, Material.METAL, color)))
+        color = choice(rng, ((170, 60, 44), (60, 90, 130), (190, 190, 184)))
+        parts.append(box((3.6, 0.1, 3.8), (x, -0.04, 1.9), Skin(BUILDING, Material.METAL, color)))
         parts.append(box((4.0, 0.5, 0.2), (x, -0.2, 4.0), _TRIM))
     parts.append(box((0.92 * width, 0.06, 0.9), (0, -0.03, height - 0.9), _DARK_GLASS))
     stack = lathe([0.5, 0.45, 0], [height, height + 3.5, height + 3.5], 9, _TRIM, (0.3 * width, 0.5 * depth))
@@ -134,16 +135,16 @@ def hall(rng: np.random.Generator) -> Mesh:
 
 
 def barn(rng: np.random.Generator) -> Mesh:
-    """Wooden barn with a steep roof and a large gate."""
+    """Build a wooden barn with a steep roof and a large gate."""
     width, depth = float(rng.uniform(11, 18)), float(rng.uniform(8, 12))
     height = float(rng.uniform(3.2, 4.6))
-    face = Skin(_BUILDING, Material.WOOD, ((140, 58, 46), (120, 96, 74), (104, 84, 66))[int(rng.integers(3))])
+    face = Skin(BUILDING, Material.WOOD, choice(rng, ((140, 58, 46), (120, 96, 74), (104, 84, 66))))
     tiles = _TILES
     gable = _turned_gable if rng.uniform() < 0.6 else _gable
     gate = box(
         (3.2, 0.1, 3.0),
         (0, -0.04, 1.5),
-        Skin(_BUILDING, Material.WOOD, (226, 220, 206) if rng.uniform() < 0.4 else (84, 62, 48)),
+        Skin(BUILDING, Material.WOOD, (226, 220, 206) if rng.uniform() < 0.4 else (84, 62, 48)),
     )
     return concatenate(
         [
@@ -156,10 +157,10 @@ def barn(rng: np.random.Generator) -> Mesh:
 
 
 def college(rng: np.random.Generator) -> Mesh:
-    """A long building of two to four storeys behind a row of columns, as on a campus."""
+    """Build a long building of two to four storeys behind a row of columns, as on a campus."""
     width, depth = float(rng.uniform(26, 40)), float(rng.uniform(12, 17))
     height = STOREY_M * int(rng.integers(2, 5))
-    stone = Skin(_BUILDING, Material.CONCRETE, (206, 200, 188))
+    stone = Skin(BUILDING, Material.CONCRETE, (206, 200, 188))
     parts = [_plinth(width, depth), _block(width, depth, 0, height, _FACE, _FLAT)]
     parts.append(box((width + 0.7, depth + 0.7, 0.5), (0, depth / 2, height + 0.2), stone, _FLAT))
     porch = float(rng.uniform(9, 14))
@@ -172,13 +173,13 @@ def college(rng: np.random.Generator) -> Mesh:
 
 
 def church(rng: np.random.Generator) -> Mesh:
-    """A nave with its gable to the street and a tower with a spire."""
+    """Build a church: a nave with its gable to the street, and a tower with a spire."""
     width, depth = float(rng.uniform(13, 16)), float(rng.uniform(15, 20))
-    stone = Skin(_BUILDING, Material.BRICK, ((176, 164, 142), (150, 138, 124), (158, 96, 76))[int(rng.integers(3))])
+    stone = Skin(BUILDING, Material.BRICK, choice(rng, ((176, 164, 142), (150, 138, 124), (158, 96, 76))))
     nave, high = width - 5.0, float(rng.uniform(6.5, 8.5))
     top = float(rng.uniform(14, 19))
     body = [_block(nave, depth, 0, high, stone, stone), _turned_gable(nave, depth, high, 4.5, _TILES, stone)]
-    spire = lathe([3.3, 0], [top, top + float(rng.uniform(6, 10))], 4, Skin(_BUILDING, Material.ROOF, (84, 96, 92)))
+    spire = lathe([3.3, 0], [top, top + float(rng.uniform(6, 10))], 4, Skin(BUILDING, Material.ROOF, (84, 96, 92)))
     tower = [box((5, 5, top + 0.6), (0, 2.5, top / 2 - 0.3), stone), _moved(spire, (0, 2.5))]
     windows = [box((0.9, 0.1, 3.0), (float(x), -0.03, 3.6), _DARK_GLASS) for x in (-nave / 4, nave / 4)]
     windows.append(box((1.8, 0.12, 2.6), (0, -0.03, 1.3), _DOOR))
@@ -193,7 +194,7 @@ def _moved(mesh: Mesh, shift_m: tuple[Number, Number]) -> Mesh:
 
 
 def _gable(width: float, depth: float, height: Number, rise: Number, tiles: Skin, wall: Skin) -> Mesh:
-    """A roof whose ridge runs along the street, its triangles closed with wall."""
+    """Build a roof whose ridge runs along the street, its triangles closed with wall."""
     over, x, low = 0.4, width / 2 + 0.3, height - 0.12
     ridge = [(-x, depth / 2, height + rise), (x, depth / 2, height + rise)]
     front, back = [(-x, -over, low), (x, -over, low)], [(-x, depth + over, low), (x, depth + over, low)]
@@ -219,7 +220,7 @@ def _gable(width: float, depth: float, height: Number, rise: Number, tiles: Skin
 
 
 def _turned_gable(width: float, depth: float, height: Number, rise: Number, tiles: Skin, wall: Skin) -> Mesh:
-    """The same with the ridge across, so that a gable looks to the street."""
+    """Build a roof whose ridge runs away from the street, so that a gable faces the street."""
     roof = _gable(depth, width, height, rise, tiles, wall)
     turned = roof.vertices[:, [1, 0, 2]] * np.array([-1, 1, 1], np.float32) + np.array(
         [width / 2, depth / 2, 0], np.float32
@@ -228,7 +229,7 @@ def _turned_gable(width: float, depth: float, height: Number, rise: Number, tile
 
 
 def _chimney(rng: np.random.Generator, width: float, depth: float, height: float) -> Mesh:
-    brick = Skin(_BUILDING, Material.BRICK, (140, 84, 66))
+    brick = Skin(BUILDING, Material.BRICK, (140, 84, 66))
     return box((0.7, 0.7, 4.2), (float(rng.uniform(-0.35, 0.35)) * width, 0.6 * depth, height + 1.9), brick)
 
 
@@ -237,25 +238,25 @@ def _entrance(x: Number) -> list[Mesh]:
 
 
 def _shops(rng: np.random.Generator, width: float) -> list[Mesh]:
-    """Shop windows with name boards and some awnings."""
+    """Build shop windows with name boards and some awnings."""
     parts, count = [], max(1, int(width // 5))
     for k in range(count):
         x, span = (k + 0.5) / count * width - width / 2, 0.84 * width / count
-        color = ((150, 40, 40), (36, 84, 68), (40, 60, 110), (200, 160, 70), (70, 70, 74))[int(rng.integers(5))]
+        color = choice(rng, ((150, 40, 40), (36, 84, 68), (40, 60, 110), (200, 160, 70), (70, 70, 74)))
         parts.append(panel((span, 0.08, 2.1), (x, -0.05, 1.4), _DARK_GLASS, "f"))
-        parts.append(panel((span, 0.18, 0.5), (x, -0.1, 2.75), Skin(_BUILDING, Material.SIGN, color), "frltd"))
+        parts.append(panel((span, 0.18, 0.5), (x, -0.1, 2.75), Skin(BUILDING, Material.SIGN, color), "frltd"))
         parts += [panel((0.14, 0.2, 2.6), (x + s * span / 2, -0.08, 1.3), _TRIM, "frl") for s in (-1, 1)]
         if rng.uniform() < 0.4:
-            parts.append(box((span, 0.8, 0.08), (x, -0.5, 2.5), Skin(_BUILDING, Material.CLOTH, color)))
+            parts.append(box((span, 0.8, 0.08), (x, -0.5, 2.5), Skin(BUILDING, Material.CLOTH, color)))
     return parts
 
 
 def _balconies(rng: np.random.Generator, width: float, storeys: int) -> list[Mesh]:
-    """Stacks of balconies on some fronts."""
+    """Build stacks of balconies on about half of the fronts."""
     if rng.uniform() < 0.5 or storeys < 3:
         return []
     parts = []
-    rail = Skin(_BUILDING, Material.METAL, (70, 74, 78))
+    rail = Skin(BUILDING, Material.METAL, (70, 74, 78))
     for x in (-0.28 * width, 0.28 * width):
         for k in range(1, min(storeys, 6)):
             z = STOREY_M * k
@@ -271,7 +272,7 @@ KINDS: dict[str, Callable[[np.random.Generator], Mesh]] = {
 
 
 def footprint_m(mesh: Mesh) -> tuple[float, float]:
-    """Width and depth of a building's foundation."""
+    """Return width and depth of a building's foundation."""
     base = mesh.vertices[mesh.vertices[:, 2] < mesh.vertices[:, 2].min() + 0.01]
-    wide, deep = np.ptp(base[:, :2], axis=0)
-    return float(wide), float(deep)
+    width, depth = np.ptp(base[:, :2], axis=0)
+    return float(width), float(depth)

@@ -1,15 +1,16 @@
-"""Walkers, looking along +x with their feet on z = 0, as a short loop of poses."""
+"""Walking people as a short loop of poses, facing +x, their feet on z = 0."""
 
 import numpy as np
 
-from omniocc.world.assets.material import Material
-from omniocc.world.assets.mesh import Mesh, concatenate
-from omniocc.world.assets.shape import Color, Skin, beam, blob, lathe
+from omniocc.world.mesh.label import PEDESTRIAN
+from omniocc.world.mesh.material import Material
+from omniocc.world.mesh.mesh import Mesh, concatenate
+from omniocc.world.mesh.shape import Color, Skin, beam, blob, lathe
+from omniocc.world.seeding import choice
 
-_PEDESTRIAN = 10
 PHASES = 10
-_CHILDREN = 0.2
-STRIDE_M = 1.5  # two steps: one turn of the loop of poses
+_CHILD_FRACTION = 0.2
+STRIDE_M = 1.5  # two steps: once through the loop of poses
 _CLOTHES: tuple[Color, ...] = (
     (168, 52, 44),
     (44, 62, 104),
@@ -25,13 +26,13 @@ _HAIR: tuple[Color, ...] = ((40, 32, 28), (92, 64, 40), (170, 130, 80), (120, 12
 
 
 def walking(rng: np.random.Generator) -> list[Mesh]:
-    """One person in `PHASES` poses of a stride; the first is also how the person stands."""
-    height = float(rng.uniform(1.1, 1.5) if rng.uniform() < _CHILDREN else rng.uniform(1.5, 1.98))
+    """Build one person in `PHASES` poses of a stride; the first pose also serves for standing."""
+    height = float(rng.uniform(1.1, 1.5) if rng.uniform() < _CHILD_FRACTION else rng.uniform(1.5, 1.98))
     tops, legs = (_CLOTHES[int(k)] for k in rng.integers(len(_CLOTHES), size=2))
-    coat = Skin(_PEDESTRIAN, Material.CLOTH, tops)
-    trousers = Skin(_PEDESTRIAN, Material.CLOTH, tuple(int(0.55 * c) for c in legs))  # pyright: ignore[reportArgumentType]
-    skin = Skin(_PEDESTRIAN, Material.SKIN, _SKINS[int(rng.integers(len(_SKINS)))])
-    hair = Skin(_PEDESTRIAN, Material.CLOTH, _HAIR[int(rng.integers(len(_HAIR)))])
+    coat = Skin(PEDESTRIAN, Material.CLOTH, tops)
+    trousers = Skin(PEDESTRIAN, Material.CLOTH, tuple(int(0.55 * c) for c in legs))  # pyright: ignore[reportArgumentType]
+    skin = Skin(PEDESTRIAN, Material.SKIN, choice(rng, _SKINS))
+    hair = Skin(PEDESTRIAN, Material.CLOTH, choice(rng, _HAIR))
     wide = float(rng.uniform(0.85, 1.15))
     still = [
         lathe(
@@ -45,7 +46,7 @@ def walking(rng: np.random.Generator) -> list[Mesh]:
     ]
     if rng.uniform() < 0.3:
         still.append(
-            blob(rng, (0.12, 0.16, 0.22), (-0.22, 0, 0.7 * height), Skin(_PEDESTRIAN, Material.CLOTH, legs), 0.05)
+            blob(rng, (0.12, 0.16, 0.22), (-0.22, 0, 0.7 * height), Skin(PEDESTRIAN, Material.CLOTH, legs), 0.05)
         )
     poses = []
     for phase in range(PHASES):
@@ -56,14 +57,14 @@ def walking(rng: np.random.Generator) -> list[Mesh]:
 
 
 def size_m(poses: list[Mesh]) -> tuple[float, float, float]:
-    """Length of a stride, width and height; the body's middle is the middle of the box."""
+    """Return length of a stride, width and height; the body stands in the middle of the box."""
     points = np.concatenate([mesh.vertices for mesh in poses])
     length, width = 2 * np.abs(points[:, :2]).max(0)
     return float(length), float(width), float(points[:, 2].max())
 
 
 def _limbs(side: int, swing: float, height: float, wide: float, coat: Skin, trousers: Skin, skin: Skin) -> list[Mesh]:
-    """Leg and (opposite) arm of one side, swung by an angle in radians."""
+    """Build one leg and the opposite arm, swung by an angle in radians."""
     y, hip, shoulder = 0.085 * side * wide, 0.49 * height, 0.79 * height
     knee = (0.25 * height * np.sin(swing), y, hip - 0.25 * height * np.cos(swing))
     lower = swing - 0.5 * max(0.0, -swing) - 0.05
@@ -77,7 +78,7 @@ def _limbs(side: int, swing: float, height: float, wide: float, coat: Skin, trou
             (foot[0] - 0.08, y, foot[2]),
             (foot[0] + 0.17, y, foot[2]),
             0.05,
-            Skin(_PEDESTRIAN, Material.RUBBER, (40, 36, 34)),
+            Skin(PEDESTRIAN, Material.RUBBER, (40, 36, 34)),
         ),
         beam((0, 0.19 * side * wide, shoulder), elbow, 0.055, coat),
         beam(elbow, hand, 0.045, skin),

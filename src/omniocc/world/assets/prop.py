@@ -1,28 +1,29 @@
-"""Street furniture and loose things (class Other). Fronts look along +y (towards the street)."""
+"""Street furniture and loose things (class Other); fronts face +y, the street."""
 
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
-from omniocc.world.assets.material import Material
-from omniocc.world.assets.mesh import Mesh, concatenate
-from omniocc.world.assets.shape import Color, Skin, box, lathe
+from omniocc.world.mesh.label import OTHER
+from omniocc.world.mesh.material import Material
+from omniocc.world.mesh.mesh import Mesh, concatenate
+from omniocc.world.mesh.shape import Color, Skin, box, lathe
+from omniocc.world.seeding import choice
 
-_OTHER = 8
 _COLORS: tuple[Color, ...] = ((46, 92, 64), (60, 66, 74), (168, 52, 44), (38, 78, 134), (196, 150, 48), (120, 120, 124))
 
 
 def _skin(rng: np.random.Generator, material: Material) -> Skin:
-    return Skin(_OTHER, material, _COLORS[int(rng.integers(len(_COLORS)))])
+    return Skin(OTHER, material, choice(rng, _COLORS))
 
 
-_STEEL = Skin(_OTHER, Material.METAL, (98, 102, 106))
-_WOOD = Skin(_OTHER, Material.WOOD, (150, 112, 74))
+_STEEL = Skin(OTHER, Material.METAL, (98, 102, 106))
+_WOOD = Skin(OTHER, Material.WOOD, (150, 112, 74))
 
 
 def bench(rng: np.random.Generator) -> Mesh:
-    """Seat, back and two legs."""
+    """Build a bench: seat, back and two legs."""
     length = float(rng.uniform(1.4, 2.0))
     legs = [box((0.08, 0.42, 0.46), (x, 0, 0.21), _STEEL) for x in (-0.4 * length, 0.4 * length)]
     slats = [box((length, 0.11, 0.04), (0, y, 0.45), _WOOD) for y in (-0.15, 0.0, 0.15)]
@@ -31,25 +32,25 @@ def bench(rng: np.random.Generator) -> Mesh:
 
 
 def bin_(rng: np.random.Generator) -> Mesh:
-    """Litter bin or wheeled bin."""
+    """Build a litter bin or a wheeled bin."""
     skin = _skin(rng, Material.METAL)
     if rng.uniform() < 0.5:
         return lathe([0.22, 0.26, 0.27, 0.2, 0], [-0.05, 0.85, 0.92, 1.0, 1.02], 9, skin)
-    lid = Skin(_OTHER, Material.RUBBER, (60, 62, 64))
+    lid = Skin(OTHER, Material.RUBBER, (60, 62, 64))
     return concatenate([box((0.56, 0.62, 1.0), (0, 0, 0.5), skin), box((0.6, 0.68, 0.08), (0, 0, 1.04), lid)])
 
 
 def hydrant(rng: np.random.Generator) -> Mesh:
-    """Fire hydrant."""
-    skin = Skin(_OTHER, Material.METAL, (188, 44, 36) if rng.uniform() < 0.7 else (214, 176, 44))
+    """Build a fire hydrant."""
+    skin = Skin(OTHER, Material.METAL, (188, 44, 36) if rng.uniform() < 0.7 else (214, 176, 44))
     body = lathe([0.17, 0.17, 0.12, 0.12, 0.16, 0.12, 0], [-0.05, 0.08, 0.1, 0.55, 0.58, 0.7, 0.78], 6, skin)
     return concatenate([body, box((0.4, 0.12, 0.12), (0, 0, 0.45), skin)])
 
 
 def shelter(rng: np.random.Generator) -> Mesh:
-    """Bus shelter: roof, glass back and one glass end, bench."""
+    """Build a bus shelter: roof, glass back, one end with a poster and one of glass, a seat."""
     length = float(rng.uniform(2.8, 4.0))
-    glass = Skin(_OTHER, Material.GLASS, (126, 148, 156))
+    glass = Skin(OTHER, Material.GLASS, (126, 148, 156))
     posts = [box((0.08, 0.08, 2.4), (x, y, 1.2), _STEEL) for x in (-length / 2, length / 2) for y in (-0.6, 0.5)]
     back = box((length - 0.1, 0.03, 1.8), (0, -0.6, 1.15), glass)
     end = box((0.03, 0.95, 1.8), (-length / 2, -0.05, 1.15), glass)
@@ -59,12 +60,12 @@ def shelter(rng: np.random.Generator) -> Mesh:
 
 
 def kiosk(rng: np.random.Generator) -> Mesh:
-    """Newspaper stand with an awning."""
+    """Build a newspaper stand with an awning."""
     body, band = _skin(rng, Material.PLASTER), _skin(rng, Material.SIGN)
     return concatenate(
         [
             box((2.4, 1.6, 2.5), (0, 0, 1.2), body),
-            box((1.8, 0.04, 1.0), (0, 0.81, 1.5), Skin(_OTHER, Material.GLASS, (90, 104, 112))),
+            box((1.8, 0.04, 1.0), (0, 0.81, 1.5), Skin(OTHER, Material.GLASS, (90, 104, 112))),
             box((2.6, 1.8, 0.25), (0, 0, 2.55), band),
             box((2.2, 0.5, 0.06), (0, 1.05, 2.3), band),
         ]
@@ -72,11 +73,11 @@ def kiosk(rng: np.random.Generator) -> Mesh:
 
 
 def cabinet(rng: np.random.Generator) -> Mesh:
-    """Switch cabinet, mail box or parking meter."""
+    """Build a switch cabinet, a mail box or a parking meter."""
     kind = int(rng.integers(3))
     if kind == 0:
         width, height = float(rng.uniform(0.7, 1.3)), float(rng.uniform(1.0, 1.4))
-        return box((width, 0.4, height), (0, 0, height / 2), Skin(_OTHER, Material.METAL, (142, 148, 140)))
+        return box((width, 0.4, height), (0, 0, height / 2), Skin(OTHER, Material.METAL, (142, 148, 140)))
     if kind == 1:
         skin = _skin(rng, Material.METAL)
         return concatenate([box((0.5, 0.42, 0.75), (0, 0, 0.95), skin), box((0.34, 0.3, 0.65), (0, 0, 0.28), _STEEL)])
@@ -86,20 +87,20 @@ def cabinet(rng: np.random.Generator) -> Mesh:
 
 
 def bollards(rng: np.random.Generator) -> Mesh:
-    """A row of bollards."""
+    """Build a row of three bollards."""
     skin = _skin(rng, Material.METAL)
     return concatenate(lathe([0.09, 0.09, 0.06, 0], [-0.1, 0.8, 0.88, 0.92], 5, skin, (x, 0)) for x in (-1.2, 0.0, 1.2))
 
 
 def planter(rng: np.random.Generator) -> Mesh:
-    """Stone tub; what grows in it is planted separately."""
+    """Build a stone tub filled with soil."""
     size = float(rng.uniform(0.9, 1.4))
-    tub = Skin(_OTHER, Material.CONCRETE, (150, 146, 138))
-    return box((size, 0.7, 0.6), (0, 0, 0.28), tub, Skin(_OTHER, Material.SOIL, (84, 66, 48)))
+    tub = Skin(OTHER, Material.CONCRETE, (150, 146, 138))
+    return box((size, 0.7, 0.6), (0, 0, 0.28), tub, Skin(OTHER, Material.SOIL, (84, 66, 48)))
 
 
 def crates(rng: np.random.Generator) -> Mesh:
-    """A few stacked boxes."""
+    """Build a few stacked boxes."""
     parts = []
     for k in range(int(rng.integers(2, 5))):
         size = (float(rng.uniform(0.5, 0.9)), float(rng.uniform(0.5, 0.8)), float(rng.uniform(0.4, 0.8)))
@@ -110,7 +111,7 @@ def crates(rng: np.random.Generator) -> Mesh:
 
 
 def pallets(rng: np.random.Generator) -> Mesh:
-    """A stack of pallets, sometimes with a load."""
+    """Build a stack of pallets, sometimes with a load."""
     count = int(rng.integers(3, 8))
     parts = [box((1.2, 0.8, 0.11), (0, 0, 0.07 + 0.145 * k), _WOOD) for k in range(count)]
     if rng.uniform() < 0.5:
@@ -119,21 +120,21 @@ def pallets(rng: np.random.Generator) -> Mesh:
 
 
 def bales(rng: np.random.Generator) -> Mesh:
-    """Hay bales."""
-    hay = Skin(_OTHER, Material.CLOTH, (190, 162, 92))
+    """Build one or two hay bales."""
+    hay = Skin(OTHER, Material.CLOTH, (190, 162, 92))
     parts = [box((1.1, 0.8, 0.7), (0.0, 0, 0.34), hay), box((1.0, 0.8, 0.7), (0.1, 0.05, 1.02), hay)]
     return concatenate(parts[: int(rng.integers(1, 3))])
 
 
 def post_box(rng: np.random.Generator) -> Mesh:
-    """Letter box on a post."""
+    """Build a letter box on a post."""
     return concatenate(
         [box((0.1, 0.1, 1.1), (0, 0, 0.5), _WOOD), box((0.24, 0.5, 0.26), (0, 0.05, 1.15), _skin(rng, Material.METAL))]
     )
 
 
 class Kind(NamedTuple):
-    """How to make a thing, and the land it needs (along the street, across)."""
+    """Builder of a prop, and the land that it needs (along the street, across)."""
 
     make: Callable[[np.random.Generator], Mesh]
     size_m: tuple[float, float]

@@ -1,17 +1,17 @@
-"""Trees, bushes and hedges as prototypes; leaves take their colour when they are planted."""
+"""Trees and bushes; their leaves get a colour when they are planted."""
 
 from collections.abc import Callable
 
 import numpy as np
 
-from omniocc.world.assets.material import Material
-from omniocc.world.assets.mesh import Mesh, concatenate
-from omniocc.world.assets.shape import Color, Skin, blob, lathe
+from omniocc.world.mesh.label import VEGETATION
+from omniocc.world.mesh.material import Material
+from omniocc.world.mesh.mesh import Mesh, concatenate
+from omniocc.world.mesh.shape import Color, Number, Skin, Triple, blob, lathe
 
-_VEGETATION = 6
-LEAVES = Skin(_VEGETATION, Material.LEAVES, (80, 112, 52))
-_BARK = Skin(_VEGETATION, Material.BARK, (94, 76, 58))
-_BIRCH = Skin(_VEGETATION, Material.BARK, (198, 194, 184))
+LEAVES = Skin(VEGETATION, Material.LEAVES, (80, 112, 52))
+_BARK = Skin(VEGETATION, Material.BARK, (94, 76, 58))
+_BIRCH = Skin(VEGETATION, Material.BARK, (198, 194, 184))
 LEAF_COLORS: tuple[Color, ...] = (
     (72, 104, 46),
     (92, 120, 52),
@@ -23,7 +23,7 @@ LEAF_COLORS: tuple[Color, ...] = (
 
 
 def round_tree(rng: np.random.Generator) -> Mesh:
-    """Broad crown of several lumps over a forked trunk."""
+    """Build a broad crown of several lumps over a trunk."""
     height, crown = rng.uniform(6.5, 10), rng.uniform(1.5, 2.3)
     stem = rng.uniform(2.3, 3.2)
     parts = [lathe([0.24, 0.17, 0.13], [-0.3, 0.5, stem + 0.8], 5, _BARK)]
@@ -41,15 +41,14 @@ def round_tree(rng: np.random.Generator) -> Mesh:
 
 
 def tall_tree(rng: np.random.Generator) -> Mesh:
-    """Slender upright crown, as of poplars."""
-    height, crown = rng.uniform(8, 13), rng.uniform(1.0, 1.6)
-    stem = rng.uniform(2.2, 2.8)
-    body = blob(rng, (crown, crown, (height - stem) / 2), (0, 0, (height + stem) / 2), LEAVES, 0.2, sides=7, rows=6)
-    return concatenate([lathe([0.22, 0.15], [-0.3, stem + 1], 6, _BARK), body])
+    """Build a slender upright crown, as of a poplar."""
+    height, crown, stem = rng.uniform(8, 13), rng.uniform(1.0, 1.6), rng.uniform(2.2, 2.8)
+    trunk = lathe([0.22, 0.15], [-0.3, stem + 1], 6, _BARK)
+    return concatenate([trunk, blob(rng, *_crown(height, crown, stem), LEAVES, 0.2, sides=7, rows=6)])
 
 
 def conifer(rng: np.random.Generator) -> Mesh:
-    """Whorls of drooping branches, narrower upwards."""
+    """Build whorls of drooping branches, narrower upwards."""
     height, skirt = rng.uniform(6, 12), rng.uniform(1.6, 2.5)
     tiers = int(rng.integers(4, 6))
     parts = [lathe([0.2, 0.14], [-0.3, 1.6], 6, _BARK)]
@@ -62,7 +61,7 @@ def conifer(rng: np.random.Generator) -> Mesh:
 
 
 def birch(rng: np.random.Generator) -> Mesh:
-    """Pale stem, sparse light crown."""
+    """Build a pale stem with a sparse light crown."""
     height = rng.uniform(6, 10)
     parts = [lathe([0.14, 0.1, 0.03], [-0.3, 0.4 * height, 0.95 * height], 6, _BIRCH)]
     for k in range(4):
@@ -77,7 +76,7 @@ def birch(rng: np.random.Generator) -> Mesh:
 
 
 def young_tree(rng: np.random.Generator) -> Mesh:
-    """Thin stem on a stake with one small crown, as planted along streets."""
+    """Build a thin stem on a stake with one small crown, as planted along streets."""
     crown = rng.uniform(0.7, 1.1)
     height = rng.uniform(2.1, 2.6) + 2.3 * crown
     stake = lathe([0.04, 0.04, 0], [-0.2, 1.6, 1.6], 5, _BARK, (0.25, 0.0))
@@ -86,7 +85,7 @@ def young_tree(rng: np.random.Generator) -> Mesh:
 
 
 def bush(rng: np.random.Generator) -> Mesh:
-    """Two or three lumps on the ground."""
+    """Build two or three lumps on the ground."""
     parts = []
     for _ in range(int(rng.integers(2, 4))):
         size = rng.uniform(0.4, 0.8)
@@ -96,11 +95,15 @@ def bush(rng: np.random.Generator) -> Mesh:
 
 
 def distant(rng: np.random.Generator) -> Mesh:
-    """A plain tree for where nobody comes near."""
-    height, crown = rng.uniform(6, 11), rng.uniform(1.3, 2.2)
-    stem = rng.uniform(1.8, 3.0)
-    body = blob(rng, (crown, crown, (height - stem) / 2), (0, 0, (height + stem) / 2), LEAVES, 0.3, sides=6, rows=4)
-    return concatenate([lathe([0.2, 0.15], [-0.3, stem + 0.6], 4, _BARK), body])
+    """Build a tree of few triangles, for places far from every street."""
+    height, crown, stem = rng.uniform(6, 11), rng.uniform(1.3, 2.2), rng.uniform(1.8, 3.0)
+    trunk = lathe([0.2, 0.15], [-0.3, stem + 0.6], 4, _BARK)
+    return concatenate([trunk, blob(rng, *_crown(height, crown, stem), LEAVES, 0.3, sides=6, rows=4)])
+
+
+def _crown(height_m: Number, radius_m: Number, stem_m: Number) -> tuple[Triple, Triple]:
+    """Return radii and centre of an upright crown above the stem."""
+    return (radius_m, radius_m, (height_m - stem_m) / 2), (0, 0, (height_m + stem_m) / 2)
 
 
 KINDS: dict[str, Callable[[np.random.Generator], Mesh]] = {

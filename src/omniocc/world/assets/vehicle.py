@@ -1,14 +1,16 @@
-"""Cars, vans, trucks, buses and bicycles, driving along +x with their wheels on z = 0, and the ego car."""
+"""Cars, vans, trucks, buses and bicycles facing +x with their wheels on z = 0, and the ego car."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
-from omniocc.world.assets.material import Material
-from omniocc.world.assets.mesh import Mesh, concatenate, transform
-from omniocc.world.assets.shape import Color, Number, Skin, beam, blob, box, lathe, loft, panel, quads
+from omniocc.world.mesh.label import VEHICLE
+from omniocc.world.mesh.material import Material
+from omniocc.world.mesh.mesh import Mesh, concatenate, transform
+from omniocc.world.mesh.shape import Color, Number, Skin, beam, blob, box, lathe, loft, panel, quads
+from omniocc.world.seeding import choice
 
-_VEHICLE = 7
 EGO_ROAD_M = -2.2  # height of the road in the ego frame
 PAINTS: tuple[Color, ...] = (
     (196, 198, 200),
@@ -22,18 +24,19 @@ PAINTS: tuple[Color, ...] = (
     (116, 84, 64),
     (150, 176, 196),
 )
-_PAINT = Skin(_VEHICLE, Material.CAR_PAINT, (150, 150, 150))
-_GLASS = Skin(_VEHICLE, Material.GLASS, (38, 46, 54))
-_RUBBER = Skin(_VEHICLE, Material.RUBBER, (30, 30, 32))
-_RIM = Skin(_VEHICLE, Material.METAL, (150, 152, 154))
-_TRIM = Skin(_VEHICLE, Material.RUBBER, (44, 44, 48))
-_HEADLIGHT = Skin(_VEHICLE, Material.GLASS, (226, 228, 220))
-_TAIL_LIGHT = Skin(_VEHICLE, Material.SIGN, (170, 24, 24))
-_PLATE = Skin(_VEHICLE, Material.SIGN, (226, 226, 220))
+_EGO_PAINT = (128, 24, 28)
+_PAINT = Skin(VEHICLE, Material.CAR_PAINT, (150, 150, 150))
+_GLASS = Skin(VEHICLE, Material.GLASS, (38, 46, 54))
+_RUBBER = Skin(VEHICLE, Material.RUBBER, (30, 30, 32))
+_RIM = Skin(VEHICLE, Material.METAL, (150, 152, 154))
+_TRIM = Skin(VEHICLE, Material.RUBBER, (44, 44, 48))
+_HEADLIGHT = Skin(VEHICLE, Material.GLASS, (226, 228, 220))
+_TAIL_LIGHT = Skin(VEHICLE, Material.SIGN, (170, 24, 24))
+_PLATE = Skin(VEHICLE, Material.SIGN, (226, 226, 220))
 
 
 def _wheel(x_m: Number, y_m: Number, radius_m: Number) -> Mesh:
-    """A wheel around the y axis, its disc on the outer side."""
+    """Build a wheel around the y axis, its disc on the outer side."""
     flat = concatenate(
         [
             lathe([radius_m, radius_m, 0], [-0.11, 0.1, 0.11], 9, _RUBBER),
@@ -69,9 +72,9 @@ def _car(
     cabin: tuple[float, float, float, float],
     belt: float = 0.92,
 ) -> Mesh:
-    """A body below the belt line, glass above it.
+    """Build a car: a body below the belt line, glass above it.
 
-    `cabin`: x of rear foot, rear roof, front roof and front foot, as shares of the length.
+    `cabin`: x of rear foot, rear roof edge, front roof edge and front foot, as fractions of the length.
     """
     h, w = length / 2, width / 2
     body = np.array(
@@ -90,7 +93,7 @@ def _car(
     )
     narrow = np.array([0.9, 0.94, 0.94, 0.86, 0.88, 0.9, 0.97, 0.97, 0.92, 0.95]) * w
     parts = [loft(body, narrow, [_TRIM, _TRIM, _TRIM] + [_PAINT] * 7, _PAINT)]
-    rear, rear_top, front_top, front = (share * length for share in cabin)
+    rear, rear_top, front_top, front = (fraction * length for fraction in cabin)
     top = np.array(
         [
             (rear, belt),
@@ -112,26 +115,26 @@ def _car(
 
 
 def sedan(rng: np.random.Generator) -> Mesh:
-    """Three boxes."""
+    """Build a sedan: hood, cabin and trunk."""
     return _car(rng.uniform(4.3, 5.2), rng.uniform(1.75, 1.9), rng.uniform(1.4, 1.5), 0.9, (-0.38, -0.22, 0.02, 0.2))
 
 
 def hatchback(rng: np.random.Generator) -> Mesh:
-    """Short, with a steep tail."""
+    """Build a short car with a steep tail."""
     return _car(
         rng.uniform(3.6, 4.3), rng.uniform(1.65, 1.8), rng.uniform(1.45, 1.58), 0.92, (-0.48, -0.38, 0.05, 0.24)
     )
 
 
 def suv(rng: np.random.Generator) -> Mesh:
-    """High, with a long roof."""
+    """Build a high car with a long roof."""
     return _car(
         rng.uniform(4.4, 4.9), rng.uniform(1.82, 1.95), rng.uniform(1.65, 1.85), 1.05, (-0.48, -0.42, 0.04, 0.2), 1.05
     )
 
 
 def van(rng: np.random.Generator) -> Mesh:
-    """Delivery van: closed box behind a short nose."""
+    """Build a delivery van: closed box behind a short nose."""
     length, width, height = rng.uniform(5.0, 5.9), rng.uniform(1.9, 2.05), rng.uniform(1.95, 2.5)
     h, w = length / 2, width / 2
     outline = np.array(
@@ -151,10 +154,10 @@ def van(rng: np.random.Generator) -> Mesh:
 
 
 def truck(rng: np.random.Generator) -> Mesh:
-    """Cab and cargo box."""
+    """Build a truck: cab and cargo box."""
     length, width, height = rng.uniform(6.5, 8.2), rng.uniform(2.2, 2.4), rng.uniform(2.8, 3.4)
     h, w, cab = length / 2, width / 2, 1.9
-    cargo = Skin(_VEHICLE, Material.METAL, ((214, 214, 208), (92, 120, 140), (186, 120, 60))[int(rng.integers(3))])
+    cargo = Skin(VEHICLE, Material.METAL, choice(rng, ((214, 214, 208), (92, 120, 140), (186, 120, 60))))
     outline = np.array([(h - cab, 0.5), (h, 0.5), (h, 1.3), (h - 0.35, 2.35), (h - cab, 2.45)])
     parts = [loft(outline, np.full(5, 0.95 * w), [_TRIM, _PAINT, _GLASS, _PAINT, _PAINT], _PAINT)]
     parts += [box((0.8, 0.02, 0.7), (h - 0.95, s * 0.96 * w, 1.75), _GLASS) for s in (-1, 1)]
@@ -165,7 +168,7 @@ def truck(rng: np.random.Generator) -> Mesh:
 
 
 def bus(rng: np.random.Generator) -> Mesh:
-    """City bus with a band of windows."""
+    """Build a city bus with a band of windows."""
     length, width, height = rng.uniform(8.6, 9.8), 2.4, rng.uniform(2.85, 3.1)
     h, w = length / 2, width / 2
     parts = [box((length, width, height - 0.35), (0, 0, (height + 0.35) / 2), _PAINT)]
@@ -176,18 +179,18 @@ def bus(rng: np.random.Generator) -> Mesh:
         for s in (-1, 1)
     ]
     parts += [box((0.02, width - 0.3, 1.3), (end * (h + 0.005), 0, 0.58 * height), _GLASS) for end in (-1, 1)]
-    parts.append(box((0.04, 1.4, 0.25), (h + 0.01, 0, height - 0.2), Skin(_VEHICLE, Material.LAMP, (240, 190, 60))))
+    parts.append(box((0.04, 1.4, 0.25), (h + 0.01, 0, height - 0.2), Skin(VEHICLE, Material.LAMP, (240, 190, 60))))
     parts.append(box((1.6, 1.4, 0.25), (-1.0, 0, height + 0.1), _TRIM))
     parts += [_wheel(x * length, s * (w - 0.1), 0.46) for x in (-0.28, 0.3) for s in (-1, 1)]
     return concatenate(parts + _lights(length, width, 0.75, 0.9))
 
 
 def bicycle(rng: np.random.Generator) -> Mesh:
-    """Bicycle with its rider."""
-    frame = Skin(_VEHICLE, Material.METAL, PAINTS[int(rng.integers(len(PAINTS)))])
-    cloth = Skin(_VEHICLE, Material.CLOTH, PAINTS[int(rng.integers(len(PAINTS)))])
-    trousers = Skin(_VEHICLE, Material.CLOTH, (52, 56, 72))
-    skin = Skin(_VEHICLE, Material.SKIN, (198, 150, 122))
+    """Build a bicycle with its rider."""
+    frame = Skin(VEHICLE, Material.METAL, choice(rng, PAINTS))
+    cloth = Skin(VEHICLE, Material.CLOTH, choice(rng, PAINTS))
+    trousers = Skin(VEHICLE, Material.CLOTH, (52, 56, 72))
+    skin = Skin(VEHICLE, Material.SKIN, (198, 150, 122))
     wheels = [
         transform(
             lathe([0.33, 0.35, 0.33], [-0.025, 0, 0.025], 10, _RUBBER),
@@ -237,19 +240,24 @@ KINDS: dict[str, Callable[[np.random.Generator], Mesh]] = {
 
 
 PARKED = {"sedan": 2.0, "hatchback": 2.0, "suv": 2.0, "van": 1.0}
+"""Weights of the kinds that park along streets."""
 
 
 def size_m(mesh: Mesh) -> tuple[float, float, float]:
-    """Extent of a prototype along its x, y, z."""
+    """Return the extent of a prototype along its x, y, z."""
     extent = mesh.vertices.max(0) - mesh.vertices.min(0)
     return float(extent[0]), float(extent[1]), float(extent[2])
 
 
+def painted(mesh: Mesh, color: Color) -> Mesh:
+    """Return a vehicle with its car paint in another colour."""
+    paint = (mesh.material == Material.CAR_PAINT)[:, None]
+    return replace(mesh, color=np.where(paint, np.array(color, np.uint8), mesh.color))
+
+
 def ego_car() -> Mesh:
-    """The car below the rig, in the ego frame: 4.6 x 1.9 m, its roof at z = -0.55 m, its wheels on z = -2.2 m."""
+    """Build the ego car in the ego frame: 4.6 x 1.9 m, roof at z = -0.55 m, wheels on z = -2.2 m."""
     mesh = _car(4.6, 1.86, 1.65, 1.02, (-0.47, -0.4, 0.06, 0.22), 1.03)
-    painted = np.where((mesh.material == Material.CAR_PAINT)[:, None], np.array([128, 24, 28], np.uint8), mesh.color)
     down = np.eye(4)
     down[2, 3] = EGO_ROAD_M
-    mesh = transform(mesh, down)
-    return Mesh(mesh.vertices, mesh.faces, mesh.uv, mesh.label, mesh.material, painted, mesh.instance)
+    return transform(painted(mesh, _EGO_PAINT), down)

@@ -1,4 +1,4 @@
-"""Rays against triangles with Embree: the nearest hit, and whether anything is in the way."""
+"""Ray casting with Embree: the nearest hit, and whether anything blocks a ray."""
 
 import platform
 from functools import lru_cache
@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from omniocc.world.assets.mesh import Mesh
+from omniocc.world.mesh.mesh import Mesh
 
 _FAR_M = np.float32(1e37)
 
@@ -27,7 +27,7 @@ class Hits(NamedTuple):
     v: np.ndarray
 
     def take(self, index: np.ndarray) -> "Hits":
-        """The hits of some of the rays."""
+        """Return the hits of some of the rays."""
         return Hits(*(array.take(index) for array in self))
 
 
@@ -39,37 +39,37 @@ def _embree() -> tuple[Any, Any]:
         raise ImportError(
             f"rendering the virtual world needs the package 'embreex', which is not installed or has no wheel for this "
             f"platform ({platform.system()} {platform.machine()}, Python {platform.python_version()}); install it with "
-            "`pip install embreex` on an x86-64 machine, or use a data set rendered on another machine"
+            "`pip install embreex` on an x86-64 machine, or use a dataset rendered on another machine"
         ) from error
     return rtcore_scene, mesh_construction
 
 
 class Caster:
-    """One immutable set of triangles.
+    """One immutable set of triangles; rays are given in the mesh's frame.
 
-    Rays are given in the mesh's frame shifted by `origin_m`: with an origin near the scene's middle float32 keeps
-    coordinates of some hundred metres to within 0.03 mm.
+    Args:
+        mesh: may be empty, then nothing is ever hit.
     """
 
-    def __init__(self, mesh: Mesh, origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
+    def __init__(self, mesh: Mesh) -> None:
         self.size = len(mesh)
         self._scene = None
         if self.size == 0:
             return
         scenes, meshes = _embree()
-        vertices = (mesh.vertices.astype(np.float64) - np.asarray(origin_m)).astype(np.float32)
-        # Embree's watertight mode costs a fifth and changed none of 1.6 million camera rays in two places.
+        vertices = np.ascontiguousarray(mesh.vertices, dtype=np.float32)
+        # Embree's watertight mode costs 20 % and changed none of 1.6 million camera rays in two places.
         self._scene = scenes.EmbreeScene(robust=False)
         # The mesh object must outlive the scene.
         self._triangles = meshes.TriangleMesh(self._scene, vertices, np.ascontiguousarray(mesh.faces, dtype=np.int32))
 
     def cast(self, origins: np.ndarray, directions: np.ndarray, limit_m: np.ndarray | None = None) -> Hits:
-        """Nearest hit of each ray.
+        """Return the nearest hit of each ray.
 
         Args:
-            origins: (R, 3) float32; any strides, so a broadcast view of one point will do.
+            origins: (R, 3) float32; any strides, for example a broadcast view of one point.
             directions: (R, 3) float32 unit vectors.
-            limit_m: (R,) farthest range that counts; hits at or beyond it are misses.
+            limit_m: (R,) range from which on hits count as misses.
         """
         count = len(origins)
         if self._scene is None or count == 0:
@@ -82,7 +82,7 @@ class Caster:
         return Hits(range_m, face, found["u"], found["v"])
 
     def blocked(self, origins: np.ndarray, directions: np.ndarray, limit_m: float = float(_FAR_M)) -> np.ndarray:
-        """(R,) bool: whether anything lies along each ray before `limit_m`.
+        """Return (R,) bool: whether anything lies along each ray before `limit_m`.
 
         `directions` is (R, 3), or (1, 3) shared by all rays.
         """
@@ -92,25 +92,25 @@ class Caster:
 
 
 class Layers:
-    """Several casters as one: face indices count through them; the nearest hit wins, of equals the earlier layer's."""
+    """Several casters as one: faces are numbered through all of them; of equally near hits the earlier layer's wins."""
 
     def __init__(self, casters: list[Caster]) -> None:
         self.casters = casters
         self.offsets = np.cumsum([0] + [caster.size for caster in casters])
 
     def cast(self, origins: np.ndarray, directions: np.ndarray, known: Hits | None = None) -> Hits:
-        """Nearest hit over all layers, and over hits `known` beforehand (their faces are kept as they are)."""
+        """Return the nearest hit over all layers and over hits `known` beforehand, whose faces are kept as they are."""
         best = known
         for caster, offset in zip(self.casters, self.offsets, strict=False):
             if caster.size == 0 and best is not None:
                 continue
             found = caster.cast(origins, directions, None if best is None else best.range_m)
             best = found if best is None else _nearer(best, found, int(offset))
-        assert best is not None, "a world of no layers"
+        assert best is not None, "a world without layers"
         return best
 
     def blocked(self, origins: np.ndarray, directions: np.ndarray, limit_m: float = float(_FAR_M)) -> np.ndarray:
-        """(R,) bool: whether any layer lies along each ray before `limit_m`."""
+        """Return (R,) bool: whether any layer lies along each ray before `limit_m`."""
         result = np.zeros(len(origins), dtype=bool)
         for caster in self.casters:
             if caster.size:
@@ -121,13 +121,13 @@ class Layers:
 
 
 def no_hits(count: int, range_m: float = np.inf) -> Hits:
-    """Hits of rays that meet nothing before `range_m`."""
+    """Return the hits of rays that meet nothing before `range_m`."""
     zeros = np.zeros(count, np.float32)
     return Hits(np.full(count, range_m, np.float32), np.full(count, -1, np.int32), zeros, zeros)
 
 
 def _nearer(best: Hits, found: Hits, offset: int) -> Hits:
-    """`found` where it hit (its rays ended at `best`), elsewhere `best`."""
+    """Return `found` where it hit (its rays ended at `best`), elsewhere `best`."""
     missed = found.face < 0
     if missed.all():
         return best

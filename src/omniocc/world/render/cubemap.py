@@ -1,7 +1,7 @@
-"""The paper's own way to a fisheye image: faces of a cube are rendered and the fisheye's pixels looked up in them.
+"""The paper's way to a fisheye image: faces of a cube are rendered and the fisheye's pixels looked up in them.
 
-Simulators that rasterise can only draw flat pictures, so CARLA recordings go this way. Here it exists to be compared
-with direct casting (`tests/world/test_cubemap.py` states the error) and to make data with the same resampling blur.
+Simulators that rasterise, such as CARLA, can only render flat images. Here it exists to be compared with direct ray
+casting (`tests/world/render/test_cubemap.py` states the error) and to make data with the same resampling blur.
 """
 
 from dataclasses import dataclass
@@ -10,9 +10,9 @@ import numpy as np
 import torch
 
 from omniocc.camera import Pinhole, Rig
-from omniocc.world.render.capture import Look, look
+from omniocc.world.render.capture import RenderedPixels, render_pixels
 from omniocc.world.render.caster import Caster
-from omniocc.world.render.stage import Stage
+from omniocc.world.render.snapshot import Snapshot
 from omniocc.world.render.view import View, make_view
 
 _MARGIN_PX = 1  # beyond 90 degrees, so that pixels at a face's edge have neighbours to blend with
@@ -32,15 +32,15 @@ _FACES = np.array(
 
 @dataclass(frozen=True)
 class Cube:
-    """The faces around one camera, and where its P pixels lie in them.
+    """The cube's faces around one camera, and the positions of its P pixels in them.
 
     Attributes:
-        faces: views of the faces, only of those pixels that are needed.
+        faces: views of the faces, restricted to the pixels that are needed.
         forward: (Q,) float32 part along its face's axis of the ray of each face pixel, all faces in a row.
         corner: (4, P) int64 the four face pixels around each pixel, as indices into that row.
         weight: (4, P) float32 bilinear weights.
-        nearest: (P,) int64 the one closest.
-        own_forward: (P,) float32 part of the camera's ray along the face's axis.
+        nearest: (P,) int64 the closest face pixel.
+        camera_forward: (P,) float32 part of the camera's ray along the face's axis.
     """
 
     faces: tuple[View, ...]
@@ -48,18 +48,18 @@ class Cube:
     corner: np.ndarray
     weight: np.ndarray
     nearest: np.ndarray
-    own_forward: np.ndarray
+    camera_forward: np.ndarray
 
 
-def make_cube(rig: Rig, camera: int, view: View, supersample: int, own_car: Caster) -> Cube:
-    """Faces for one camera; their pixels are as fine as the camera's in the faces' middle and finer elsewhere.
+def make_cube(rig: Rig, camera: int, view: View, supersample: int, ego_car: Caster) -> Cube:
+    """Build the cube's faces for one camera, as fine as the camera's pixels in their middle, finer elsewhere.
 
     Args:
-        rig: of the vehicle.
-        camera: index.
-        view: of that camera.
+        rig: cameras of the vehicle.
+        camera: index in the rig.
+        view: rays of that camera.
         supersample: see `make_view`.
-        own_car: in the ego frame.
+        ego_car: the ego car in the ego frame.
     """
     inner = int(np.ceil(2 / view.pixel_rad))
     side = inner + 2 * _MARGIN_PX
@@ -70,15 +70,13 @@ def make_cube(rig: Rig, camera: int, view: View, supersample: int, own_car: Cast
     x, y, z = np.moveaxis(along[face, :, np.arange(len(face))], -1, 0)
     column, row = ((part / z + 1) * inner / 2 - 0.5 + _MARGIN_PX for part in (x, y))
     left, top = np.floor(column).astype(np.int64), np.floor(row).astype(np.int64)
-    right_share, low_share = column - left, row - top
+    right, lower = column - left, row - top
     corner = np.stack([(face * side + top + a) * side + left + b for a in (0, 1) for b in (0, 1)])
-    weight = np.stack(
-        [(low_share if a else 1 - low_share) * (right_share if b else 1 - right_share) for a in (0, 1) for b in (0, 1)]
-    )
+    weight = np.stack([(lower if a else 1 - lower) * (right if b else 1 - right) for a in (0, 1) for b in (0, 1)])
     needed = np.zeros((len(_FACES), side, side), dtype=bool)
     needed.reshape(-1)[corner] = True
     used = np.flatnonzero(needed.any(axis=(1, 2)))
-    views = _face_views(pose, needed[used], _FACES[used], inner, supersample, own_car)
+    views = _face_views(pose, needed[used], _FACES[used], inner, supersample, ego_car)
     order = np.cumsum(needed.reshape(-1)) - 1
     forward = [np.einsum("i,ip->p", pose[:3, :3] @ _FACES[k, :, 2], v.center) for k, v in zip(used, views, strict=True)]
     nearest = corner[weight.argmax(axis=0), np.arange(len(face))]
@@ -93,7 +91,7 @@ def make_cube(rig: Rig, camera: int, view: View, supersample: int, own_car: Cast
 
 
 def _face_views(
-    pose: np.ndarray, needed: np.ndarray, faces: np.ndarray, inner: int, supersample: int, own_car: Caster
+    pose: np.ndarray, needed: np.ndarray, faces: np.ndarray, inner: int, supersample: int, ego_car: Caster
 ) -> tuple[View, ...]:
     side = inner + 2 * _MARGIN_PX
     model = Pinhole(side, side, focal_px=(inner / 2, inner / 2), center_px=((side - 1) / 2, (side - 1) / 2))
@@ -105,24 +103,24 @@ def _face_views(
         tuple(f"face{number}" for number in range(len(faces))),
         tuple(torch.from_numpy(mask) for mask in needed),
     )
-    return tuple(make_view(rig, number, supersample, own_car) for number in range(len(faces)))
+    return tuple(make_view(rig, number, supersample, ego_car) for number in range(len(faces)))
 
 
-def look_through(cube: Cube, stage: Stage) -> Look:
-    """What the camera's pixels see in the faces.
+def render_through_cube(cube: Cube, snapshot: Snapshot) -> RenderedPixels:
+    """Render the cube's faces and look the camera's pixels up in them.
 
     Colours are blended bilinearly. Ranges are blended as inverse distances along the face's axis, which is exact on a
     plane, where all four face pixels see one surface; elsewhere, and for classes, the nearest face pixel decides.
     """
-    seen = [look(face, stage) for face in cube.faces]
+    seen = [render_pixels(face, snapshot) for face in cube.faces]
     colors = np.concatenate([part.color for part in seen], axis=1)
-    key, label, range_m, own = (
-        np.concatenate([getattr(part, name) for part in seen]) for name in ("key", "label", "range_m", "own")
+    key, label, range_m, ego = (
+        np.concatenate([getattr(part, name) for part in seen]) for name in ("key", "label", "range_m", "ego")
     )
     color = np.einsum("ckp,kp->cp", colors[:, cube.corner], cube.weight)
     inverse = 1 / (range_m * cube.forward)
     blended = (inverse[cube.corner] * cube.weight).sum(axis=0)
     even = (key[cube.corner] == key[cube.nearest]).all(axis=0)
     with np.errstate(divide="ignore"):
-        distance = 1 / (np.where(even, blended, inverse[cube.nearest]) * cube.own_forward)
-    return Look(color, label[cube.nearest], distance, key[cube.nearest], own[cube.nearest])
+        distance = 1 / (np.where(even, blended, inverse[cube.nearest]) * cube.camera_forward)
+    return RenderedPixels(color, label[cube.nearest], distance, key[cube.nearest], ego[cube.nearest])

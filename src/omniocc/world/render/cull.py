@@ -1,17 +1,17 @@
-"""Which rays can meet something that moves: most cannot, and asking is cheaper than casting."""
+"""Culling: which rays may meet a moving object; most cannot, and this test is cheaper than casting them."""
 
 from typing import NamedTuple
 
 import numpy as np
 
-from omniocc.world.assets.mesh import Mesh
+from omniocc.world.mesh.mesh import Mesh
 
 _CELL_M = 0.5
 _SIDE = 256  # cells; the shadow mask repeats after 128 m
 
 
 class Cones(NamedTuple):
-    """Neighbouring rays from one point in bundles.
+    """Bundles of neighbouring rays from one point.
 
     Attributes:
         axis: (B, 3) float32 unit vectors.
@@ -25,7 +25,7 @@ class Cones(NamedTuple):
 
 
 def make_cones(directions: np.ndarray, bundle: np.ndarray) -> Cones:
-    """Cones around unit directions (3, R) with the bundle (R,) of each, numbered from 0 without gaps."""
+    """Build cones around unit directions (3, R) with the bundle (R,) of each, numbered from 0 without gaps."""
     total = np.stack([np.bincount(bundle, weights=row) for row in directions], axis=1)
     axis = total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-9)
     least = np.ones(len(axis))
@@ -34,20 +34,20 @@ def make_cones(directions: np.ndarray, bundle: np.ndarray) -> Cones:
     return Cones(axis.astype(np.float32), half_rad.astype(np.float32), bundle.astype(np.int32))
 
 
-def meets(cones: Cones, place_m: np.ndarray, spheres: np.ndarray) -> np.ndarray:
-    """(B,) bool: whether rays of a bundle from a place (3,) may meet one of the spheres (K, 4: middle, radius)."""
-    way = spheres[:, :3] - place_m
-    distance = np.linalg.norm(way, axis=1)
+def meets(cones: Cones, point_m: np.ndarray, spheres: np.ndarray) -> np.ndarray:
+    """Return (B,) bool: whether rays of a bundle from a point (3,) may meet a sphere of (K, 4), centre and radius."""
+    offset = spheres[:, :3] - point_m
+    distance = np.linalg.norm(offset, axis=1)
     if (distance <= spheres[:, 3]).any():
         return np.ones(len(cones.axis), dtype=bool)
     x, y, z = cones.axis.T
-    cosine = sum(axis[:, None] * part for axis, part in zip((x, y, z), (way / distance[:, None]).T, strict=True))
+    cosine = sum(axis[:, None] * part for axis, part in zip((x, y, z), (offset / distance[:, None]).T, strict=True))
     reach = cones.half_rad[:, None] + np.arcsin(spheres[:, 3] / distance)
     return (cosine > np.cos(np.minimum(reach, np.float32(np.pi)))).any(axis=1)
 
 
 def spheres_of(mesh: Mesh) -> np.ndarray:
-    """(K, 4) float32 middle and radius around the faces of each instance, whose faces must follow one another."""
+    """Return (K, 4) float32 centre and radius around each instance, whose faces must follow one another."""
     if len(mesh) == 0:
         return np.zeros((0, 4), np.float32)
     first = np.flatnonzero(np.append(True, np.diff(mesh.instance) != 0))
@@ -59,11 +59,11 @@ def spheres_of(mesh: Mesh) -> np.ndarray:
 
 
 class ShadowMask:
-    """Where shadows of moving things may fall along one direction.
+    """A map of where shadows of moving objects may fall along one direction.
 
     Args:
-        spheres: (K, 4) around the things.
-        toward: (3,) unit vector to the light, not level.
+        spheres: (K, 4) centre and radius around the objects.
+        toward: (3,) unit vector to the light, above the horizon.
     """
 
     def __init__(self, spheres: np.ndarray, toward: np.ndarray) -> None:
@@ -75,7 +75,7 @@ class ShadowMask:
             self._stamp(np.array([x, y]) - self._slope * z, along, radius / float(toward[2]), radius)
 
     def _stamp(self, middle: np.ndarray, along: np.ndarray, length_m: float, width_m: float) -> None:
-        """Marks all cells that an ellipse may touch."""
+        """Mark all cells that an ellipse may touch."""
         reach = np.hypot(along * length_m, along[::-1] * width_m) + 2 * _CELL_M
         x, y = (
             np.arange(int(np.floor((m - r) / _CELL_M)), int(np.floor((m + r) / _CELL_M)) + 1)
@@ -88,7 +88,7 @@ class ShadowMask:
         self._mask[x[rows] & (_SIDE - 1), y[columns] & (_SIDE - 1)] = True
 
     def touches(self, points: np.ndarray) -> np.ndarray:
-        """(R,) bool: whether a point (3, R) may lie in one of the shadows."""
+        """Return (R,) bool: whether a point (3, R) may lie in one of the shadows."""
         row, column = (
             np.floor((points[k] - self._slope[k] * points[2]) * np.float32(1 / _CELL_M)).astype(np.int32) & (_SIDE - 1)
             for k in (0, 1)

@@ -1,12 +1,12 @@
-"""What shines after dark: street lamps and the pools under them, car lights, windows."""
+"""Light after dark: street lamps and the pools of light under them, car lights, windows."""
 
 import numpy as np
 
-from omniocc.world.assets.material import Material
-from omniocc.world.assets.mesh import Mesh
+from omniocc.world.mesh.material import Material
+from omniocc.world.mesh.mesh import Mesh
 from omniocc.world.render.light import Light
+from omniocc.world.render.surface import COLOR, EMITTED, GLAZED, UP
 
-_VEHICLE = 7
 _WARM = np.array([1.0, 0.78, 0.50], np.float32)
 _CELL_M = 0.5
 _SIDE = 1024  # cells; the map repeats after 512 m
@@ -14,19 +14,11 @@ _POOL_M = 20.0
 _HEIGHT_M = 6.0
 
 
-def lamp_strength(mesh: Mesh) -> np.ndarray:
-    """(F,) float32 light of its own, as a multiple of the base colour: lamps, head and tail lights; otherwise 0."""
-    red, green, blue = mesh.color.astype(np.int32).T
-    vehicle = mesh.label == _VEHICLE
-    head = vehicle & (mesh.material == Material.GLASS) & (np.minimum(red, blue) > 200)
-    tail = vehicle & (mesh.material == Material.SIGN) & (red > 120) & (np.maximum(green, blue) < 60)
-    strength = np.where(mesh.material == Material.LAMP, np.float32(4), np.float32(0))
-    strength[head], strength[tail] = 3, 2.5
-    return strength
-
-
 def lamp_pools(mesh: Mesh) -> np.ndarray:
-    """(1024 * 1024,) float32 light on level ground from the lamps above it, 1 right below one; see `lamp_light`."""
+    """Return (1024 * 1024,) float32 light on level ground from the lamps above it, 1 right below a lamp.
+
+    It is looked up by `lamp_light`.
+    """
     corner = mesh.vertices[mesh.faces[mesh.material == Material.LAMP]]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     down = normal[:, 2] < -0.5 * np.linalg.norm(normal, axis=1)
@@ -43,23 +35,23 @@ def lamp_pools(mesh: Mesh) -> np.ndarray:
 
 
 def lamp_light(
-    light: Light, base: np.ndarray, own: np.ndarray, tint: np.ndarray, facts: np.ndarray, points: np.ndarray
+    light: Light, base: np.ndarray, own: np.ndarray, tint: np.ndarray, attributes: np.ndarray, points: np.ndarray
 ) -> np.ndarray:
-    """(3, R) light after dark from surfaces that shine or stand under a lamp.
+    """Return the (3, R) light after dark from surfaces that shine or lie under a lamp.
 
     Args:
-        light: of the scene.
-        base: (3, R) their colour.
-        own: (3, R) the texture's own colour: panes with bright curtains are lit rooms.
-        tint: (R,) share of the base colour in the texture, 0 in windows.
-        facts: (16, R) see `omniocc.world.render.shade.Surfaces`.
-        points: (3, R) in the casters' frame.
+        light: light of the scene.
+        base: (3, R) colour of the surfaces.
+        own: (3, R) the texture's own colour: panes with bright curtains count as lit rooms.
+        tint: (R,) fraction of the base colour in the texture, 0 in windows.
+        attributes: (16, R) see `omniocc.world.render.surface.Surfaces`.
+        points: (3, R) in the world frame.
     """
-    shining = facts[3:6] * facts[13]
-    window = (facts[15] > 0) & (tint < 0.02) & (own[0] > 0.1)
+    shining = attributes[COLOR] * attributes[EMITTED]
+    window = (attributes[GLAZED] > 0) & (tint < 0.02) & (own[0] > 0.1)
     shining += (own * _WARM[:, None]) * (np.float32(2.2) * window)
     if light.pools is not None:
         row, column = (np.floor(axis * np.float32(1 / _CELL_M)).astype(np.int32) & (_SIDE - 1) for axis in points[:2])
-        pool = light.pools[row * _SIDE + column] * (0.25 + 0.75 * np.maximum(facts[2], 0))
+        pool = light.pools[row * _SIDE + column] * (0.25 + 0.75 * np.maximum(attributes[UP], 0))
         shining += base * (0.9 * _WARM[:, None] * pool)
     return shining * np.float32(light.lamps)

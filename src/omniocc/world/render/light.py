@@ -1,4 +1,4 @@
-"""What lights a scene, and how the cameras answer."""
+"""The light of a scene, and the exposure of its cameras."""
 
 from dataclasses import dataclass
 
@@ -12,15 +12,15 @@ class Light:
     Attributes:
         sun_direction: unit vector from the ground to the sun, world frame.
         sun: light on a surface that faces the sun.
-        zenith: colour of the sky overhead; with `horizon` also what lights the shadows.
+        zenith: colour of the sky overhead; the mean with `horizon` lights shadows.
         horizon: colour of the sky at the horizon, and of haze.
         bounce: light from the ground on surfaces that face down.
         glow: brightness of the sky around the sun.
-        cloud_cover: share of the sky under clouds, 0..1.
-        cloud_shift: (2,) where in the pattern of clouds this scene lies.
-        haze_m: distance at which haze hides 63 % of a thing.
+        cloud_cover: fraction of the sky under clouds, 0..1.
+        cloud_shift: (2,) offset into the cloud pattern, 0..1.
+        haze_m: distance at which haze hides 63 % of an object's light.
         wet: how wet upward surfaces are, 0..1: darker, and mirrors of the sky where water stands.
-        streaks: rain between things and camera, 0..1.
+        streaks: strength of rain streaks in the image, 0..1.
         lamps: brightness of street lamps, car lights and windows, 0 by day.
         pools: light on the ground below street lamps, from `omniocc.world.render.lamp.lamp_pools`.
     """
@@ -42,12 +42,12 @@ class Light:
 
 @dataclass(frozen=True)
 class Sensor:
-    """How all cameras of a scene turn light into numbers.
+    """Exposure and noise of all cameras of a scene.
 
     Attributes:
         exposure: factor on linear light.
         white_balance: (3,) factors on red, green and blue.
-        vignette: share of light lost at the rim of the lens.
+        vignette: fraction of light lost at the rim of the lens.
         read_noise: standard deviation at black, of full scale in linear light.
         shot_noise: standard deviation at full scale.
     """
@@ -60,19 +60,22 @@ class Sensor:
 
 
 def ambient(light: Light, up: np.ndarray) -> np.ndarray:
-    """(3, R) light from sky and ground on surfaces whose normals have the upward component `up` (R,)."""
+    """Return (3, R) light from sky and ground on surfaces whose normals have the upward component `up` (R,)."""
     sky = 0.5 * (light.zenith + light.horizon)
-    share = 0.5 + 0.5 * up
-    return sky[:, None] * share + light.bounce[:, None] * (1 - share)
+    fraction = 0.5 + 0.5 * up
+    return sky[:, None] * fraction + light.bounce[:, None] * (1 - fraction)
 
 
 def standing_water(light: Light, tint: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """(R,) how much of a mirror wet surfaces are; water stands where the texture is dark. `tint`, `up` are (R,)."""
+    """Return (R,) mirror strength of wet surfaces; water stands where the texture is dark. `tint`, `up` are (R,)."""
     return light.wet * np.clip((1.35 - tint) * 0.9, 0.15, 1) * np.clip(3 * up - 2, 0, 1)
 
 
 def develop(linear: np.ndarray, sensor: Sensor, falloff: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Linear light (3, P) to RGB (P, 3) uint8; `falloff` (P,) is 0 on the axis and 1 at the rim; `rng` draws noise."""
+    """Turn linear light (3, P) into RGB (P, 3) uint8; `falloff` (P,) is 0 on the axis and 1 at the rim.
+
+    `rng` draws the noise.
+    """
     gain = sensor.exposure * (1 - sensor.vignette * falloff)
     result = np.empty((linear.shape[1], 3), np.uint8)
     grain = _grain()

@@ -1,4 +1,4 @@
-"""Falling rain as streaks over a picture."""
+"""Falling rain as streaks over an image."""
 
 from functools import lru_cache
 
@@ -9,12 +9,12 @@ _SLANT = 0.12
 
 
 def streaks(size: tuple[int, int], pixel: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """(P,) float32 how much of what pixels see is hidden by drops, 0..1.
+    """Return (P,) float32 fraction of each pixel's view that drops hide, 0..1.
 
     Args:
-        size: height and width of the picture, px.
-        pixel: (P,) index into the flattened picture.
-        rng: where the drops are.
+        size: height and width of the image, px.
+        pixel: (P,) index into the flattened image.
+        rng: draws where the drops are.
     """
     scale = _SIZE / (1.2 * size[0])
     shift = rng.integers(0, _SIZE, 2)

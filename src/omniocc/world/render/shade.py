@@ -1,119 +1,22 @@
-"""From hits to colours: what each triangle looks like, and the light that it sends to the camera."""
+"""Shading: from the hits of rays to colours."""
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from omniocc.world.assets.material import Material
-from omniocc.world.assets.mesh import Mesh
 from omniocc.world.render.caster import Hits
-from omniocc.world.render.lamp import lamp_light, lamp_strength
+from omniocc.world.render.lamp import lamp_light
 from omniocc.world.render.light import Light, ambient, standing_water
 from omniocc.world.render.shadow import Shadows
 from omniocc.world.render.sky import sky_color
-from omniocc.world.render.texture import layer_of, sample
+from omniocc.world.render.surface import COLOR, GLAZED, GLOSS, LAYER, NORMAL, UP, UV, UV_EDGE_1, UV_EDGE_2, Surfaces
+from omniocc.world.render.texture.atlas import sample
 
-_GLOSS = {Material.GLASS: 0.9, Material.CAR_PAINT: 0.5, Material.METAL: 0.15, Material.FACADE: 0.0}
-_GLAZED = (Material.FACADE, Material.GLASS)
-_LIFT_M = np.float32(0.02)  # of shadow rays off their surface
-
-
-@dataclass(frozen=True)
-class Surfaces:
-    """Per-triangle facts in one table each, so that a hit costs one gather.
-
-    Attributes:
-        table: (F, 16) float32: unit normal 3, linear base colour 3, uv of the first corner 2, uv edges 2 + 2, twice the
-            texture layer plus its ground step, light of its own after dark, gloss, and whether there is glass in the
-            texture.
-        label: (F,) uint8.
-        key: (F,) int32, differs between surfaces whose border needs smoothing.
-    """
-
-    table: np.ndarray
-    label: np.ndarray
-    key: np.ndarray
-
-
-def make_surfaces(mesh: Mesh, rotation: np.ndarray | None = None) -> Surfaces:
-    """Tables of a mesh; `rotation` (3, 3) turns its normals."""
-    corner = mesh.vertices[mesh.faces]
-    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-    if rotation is not None:
-        normal = np.einsum("ij,fj->fi", rotation, normal)
-    table = np.empty((len(mesh), 16), np.float32)
-    table[:, 0:3] = normal
-    table[:, 3:6] = 0.85 * (mesh.color / 255) ** 2.2
-    table[:, 6:8] = mesh.uv[:, 0]
-    table[:, 8:10] = mesh.uv[:, 1] - mesh.uv[:, 0]
-    table[:, 10:12] = mesh.uv[:, 2] - mesh.uv[:, 0]
-    layer, ground_step = layer_of(mesh.material, mesh.color)
-    table[:, 12], table[:, 13] = 2 * layer + ground_step, lamp_strength(mesh)
-    gloss = np.zeros(len(Material), np.float32)
-    gloss[list(_GLOSS)] = list(_GLOSS.values())
-    table[:, 14] = gloss[mesh.material]
-    table[:, 15] = np.isin(mesh.material, _GLAZED)
-    return Surfaces(table, mesh.label, _surface_key(mesh, normal))
-
-
-def join(parts: list[Surfaces]) -> Surfaces:
-    """One table of several, in order."""
-    return Surfaces(
-        np.concatenate([part.table for part in parts]),
-        np.concatenate([part.label for part in parts]),
-        np.concatenate([part.key for part in parts]),
-    )
-
-
-class SurfaceStack:
-    """Tables whose first part stays and whose last part changes every frame, without copying the first.
-
-    Args:
-        fixed: the part that stays.
-    """
-
-    def __init__(self, fixed: Surfaces) -> None:
-        self._fixed = len(fixed.label)
-        self._all = _enlarged(fixed, self._fixed + 16384)
-
-    def topped(self, parts: list[Surfaces]) -> Surfaces:
-        """The fixed part and then `parts`, in order; good until the next call."""
-        top = join(parts)
-        end = self._fixed + len(top.label)
-        if end > len(self._all.label):
-            self._all = _enlarged(self._all, 2 * end)
-        for whole, part in zip(_arrays(self._all), _arrays(top), strict=True):
-            whole[self._fixed : end] = part
-        return Surfaces(*(whole[:end] for whole in _arrays(self._all)))
-
-
-def _arrays(surfaces: Surfaces) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    return surfaces.table, surfaces.label, surfaces.key
-
-
-def _enlarged(surfaces: Surfaces, size: int) -> Surfaces:
-    def grown(array: np.ndarray) -> np.ndarray:
-        result = np.zeros((size, *array.shape[1:]), array.dtype)
-        result[: len(array)] = array
-        return result
-
-    return Surfaces(*(grown(array) for array in _arrays(surfaces)))
-
-
-def _surface_key(mesh: Mesh, normal: np.ndarray) -> np.ndarray:
-    # The facets of a crown or hedge stand for leaves: their edges need no smoothing.
-    facing = np.where((mesh.material == Material.LEAVES)[:, None], 0, np.rint(normal * 2)).astype(np.int32)
-    parts = [mesh.label, mesh.material, *mesh.color.T, mesh.instance, *facing.T]
-    key = np.zeros(len(mesh), np.uint32)
-    for part in parts:
-        key = (key ^ part.astype(np.int64).astype(np.uint32)) * np.uint32(16777619)
-    return key.view(np.int32)
+_LIFT_M = np.float32(0.02)  # start of shadow rays above their surface
 
 
 class Shading(NamedTuple):
-    """Of R rays: linear colour (3, R), `offset_m` (R,) of the hit plane from the eye, `lit` (R,) bool: in the sun."""
+    """For R rays: linear colour (3, R), distance (R,) of the hit plane from the camera, and whether it is sunlit."""
 
     color: np.ndarray
     offset_m: np.ndarray
@@ -129,15 +32,15 @@ def shade(
     light: Light,
     pixel_rad: float,
 ) -> Shading:
-    """Light along each ray: texture, sun with shadow, sky, reflection, haze; the sky itself where nothing is hit.
+    """Return the light along each ray: texture, sun with shadow, sky, reflection, haze; the sky where nothing is hit.
 
     Args:
         hits: of R rays from `origin` (3,) along `directions` (3, R) float32, world axes.
-        origin: eye.
+        origin: camera position.
         directions: unit vectors.
-        surfaces: of the faces in `hits`.
-        shadows: what keeps the sun off.
-        light: of the scene.
+        surfaces: tables of the faces in `hits`.
+        shadows: objects that block the light.
+        light: light of the scene.
         pixel_rad: angle between neighbouring pixels.
     """
     color = np.empty((3, len(hits.face)), np.float32)
@@ -145,13 +48,13 @@ def shade(
     sky, ground = np.flatnonzero(hits.face < 0), np.flatnonzero(hits.face >= 0)
     color[:, sky] = sky_color(light, np.take(directions, sky, axis=1))
     some, toward = hits.take(ground), np.take(directions, ground, axis=1)
-    facts = np.ascontiguousarray(surfaces.table.take(some.face, axis=0).T)
-    cosine = -_dot(facts[:3], toward)
-    facts[:3] *= np.where(cosine < 0, np.float32(-1), np.float32(1))
+    attributes = np.ascontiguousarray(surfaces.table.take(some.face, axis=0).T)
+    cosine = -_dot(attributes[NORMAL], toward)
+    attributes[NORMAL] *= np.where(cosine < 0, np.float32(-1), np.float32(1))
     cosine = np.abs(cosine)
-    sunlight = _sunlight(some, origin, toward, facts[:3], shadows, light)
+    sunlight = _sunlight(some, origin, toward, attributes[NORMAL], shadows, light)
     points = toward * some.range_m + origin[:, None] if light.lamps else toward
-    color[:, ground] = _surface_color(some, points, toward, facts, cosine, sunlight, light, pixel_rad)
+    color[:, ground] = _surface_color(some, points, toward, attributes, cosine, sunlight, light, pixel_rad)
     sunny, open_share = sunlight
     offset_m[ground], lit[ground] = some.range_m * cosine, sunny > 0 if open_share is None else open_share > 0.9
     return Shading(color, offset_m, lit)
@@ -160,9 +63,9 @@ def shade(
 def _sunlight(
     hits: Hits, origin: np.ndarray, directions: np.ndarray, normal: np.ndarray, shadows: Shadows, light: Light
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """(R,) cosine to the sun, 0 in shadow; and under a covered sky instead the share (R,) of it that is open.
+    """Return the (R,) cosine to the sun, 0 in shadow; and under clouds the fraction (R,) of sky that is open.
 
-    Under a covered sky only level ground is asked whether a car or another low thing stands over it.
+    Under clouds only level ground is tested: whether a car or another low object stands over it.
     """
     covered = not light.sun.any()
     cosine = np.maximum(_dot(normal, light.sun_direction), 0)
@@ -174,41 +77,40 @@ def _sunlight(
     if not covered:
         cosine[dark] = 0
         return cosine, None
-    share = np.ones(len(cosine), np.float32)
-    share[dark] = 0
-    return np.zeros_like(share), share
+    fraction = np.ones(len(cosine), np.float32)
+    fraction[dark] = 0
+    return np.zeros_like(fraction), fraction
 
 
 def _surface_color(
     hits: Hits,
     points: np.ndarray,
     directions: np.ndarray,
-    facts: np.ndarray,
+    attributes: np.ndarray,
     cosine: np.ndarray,
     sunlight: tuple[np.ndarray, np.ndarray | None],
     light: Light,
     pixel_rad: float,
 ) -> np.ndarray:
-    u_m = facts[6] + hits.u * facts[8] + hits.v * facts[10]
-    v_m = facts[7] + hits.u * facts[9] + hits.v * facts[11]
+    u_m, v_m = attributes[UV] + hits.u * attributes[UV_EDGE_1] + hits.v * attributes[UV_EDGE_2]
     footprint_m = hits.range_m * np.float32(pixel_rad) / np.sqrt(np.maximum(cosine, 0.05))
-    code = facts[12].astype(np.int32)
+    code = attributes[LAYER].astype(np.int32)
     tint, own = sample(code >> 1, code & 1, u_m, v_m, footprint_m)
-    base = facts[3:6] * tint
+    base = attributes[COLOR] * tint
     base += own
     sunny, open_share = sunlight
-    sky = ambient(light, facts[2])
+    sky = ambient(light, attributes[UP])
     if open_share is not None:
         sky *= 0.3 + 0.7 * open_share
     if light.sun.any():
         sky += light.sun[:, None] * sunny
-    water = standing_water(light, tint, facts[2]) if light.wet else np.zeros(0, np.float32)
+    water = standing_water(light, tint, attributes[UP]) if light.wet else np.zeros(0, np.float32)
     if light.wet:
-        base *= 1 - 0.45 * light.wet * np.clip(facts[2] + 0.3, 0, 1)
+        base *= 1 - 0.45 * light.wet * np.clip(attributes[UP] + 0.3, 0, 1)
     color = base * sky
     if light.lamps:
-        color += lamp_light(light, base, own, tint, facts, points)
-    _mirror(color, directions, facts, cosine, tint, water, light)
+        color += lamp_light(light, base, own, tint, attributes, points)
+    _mirror(color, directions, attributes, cosine, tint, water, light)
     clear = np.exp(hits.range_m * np.float32(-1 / light.haze_m))
     return color * clear + light.horizon[:, None] * (1 - clear)
 
@@ -216,33 +118,33 @@ def _surface_color(
 def _mirror(
     color: np.ndarray,
     directions: np.ndarray,
-    facts: np.ndarray,
+    attributes: np.ndarray,
     cosine: np.ndarray,
     tint: np.ndarray,
     water: np.ndarray,
     light: Light,
 ) -> None:
-    """Adds what glossy surfaces reflect, in place."""
-    gloss = np.maximum(facts[14], np.float32(0.8) * facts[15] * (tint < 0.15))
+    """Add what glossy surfaces reflect, in place."""
+    gloss = np.maximum(attributes[GLOSS], np.float32(0.8) * attributes[GLAZED] * (tint < 0.15))
     if len(water):
         gloss = np.maximum(gloss, water)
     index = np.flatnonzero(gloss > 0)
     color[:, index] = _reflect(
-        color[:, index], directions[:, index], facts[:3, index], cosine[index], gloss[index], light
+        color[:, index], directions[:, index], attributes[NORMAL, index], cosine[index], gloss[index], light
     )
 
 
 def _reflect(
     color: np.ndarray, directions: np.ndarray, normal: np.ndarray, cosine: np.ndarray, gloss: np.ndarray, light: Light
 ) -> np.ndarray:
-    """Adds the mirrored sky, or what stands below the horizon as a dim even grey, by Schlick's Fresnel term."""
+    """Add the mirrored sky, or an even dim grey below the horizon, by Schlick's Fresnel term."""
     mirrored = directions + 2 * cosine * normal
     seen = sky_color(light, mirrored)
     blend = np.clip(mirrored[2] * 4 + 0.3, 0, 1)
     seen = seen * blend + 0.12 * light.horizon[:, None] * (1 - blend)
     slant = 1 - np.minimum(cosine, 1)
-    share = gloss * (0.06 + 0.94 * (slant * slant * slant * slant * slant))
-    return color * (1 - share) + np.minimum(seen, 3) * share
+    fraction = gloss * (0.06 + 0.94 * (slant * slant * slant * slant * slant))
+    return color * (1 - fraction) + np.minimum(seen, 3) * fraction
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""What keeps light off: everything that stands or moves, the own car too."""
+"""Shadows of everything static and moving, the ego car included."""
 
 import numpy as np
 
@@ -6,18 +6,18 @@ from omniocc.world.render.caster import Caster
 from omniocc.world.render.cull import ShadowMask
 from omniocc.world.render.light import Light
 
-LOW_M = 2.5  # under a covered sky: how far up things are looked for that hide it
+LOW_M = 2.5  # under clouds, objects above this height cast no shadow
 _UP = np.array([0.12, 0.05, 0.9915], np.float32)
 
 
 class Shadows:
-    """Shadows of one moment in one light.
+    """Shadows at one time step.
 
     Args:
-        static: what never moves.
-        movers: what does.
-        spheres: (K, 4) around everything in `movers`.
-        light: of the scene; without a sun, shadows fall straight down and only low things throw them.
+        static: caster of all that never moves.
+        movers: casters of all that moves.
+        spheres: (K, 4) centre and radius around everything in `movers`.
+        light: light of the scene; without a sun, shadows fall straight down and only low objects cast them.
     """
 
     def __init__(self, static: Caster, movers: list[Caster], spheres: np.ndarray, light: Light) -> None:
@@ -29,7 +29,7 @@ class Shadows:
         self._mask = ShadowMask(spheres, self._toward[0])
 
     def fall_on(self, points: np.ndarray) -> np.ndarray:
-        """(R,) bool: whether something stands between a point (3, R) and the light."""
+        """Return (R,) bool: whether something stands between a point (3, R) and the light."""
         result = self._static.blocked(points.T, self._toward, self._limit_m)
         maybe = np.flatnonzero(self._mask.touches(points) & ~result)
         some = np.take(points, maybe, axis=1).T

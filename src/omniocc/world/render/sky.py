@@ -1,17 +1,17 @@
-"""The colour of the sky in any direction."""
+"""Colour of the sky, with clouds and the glow around the sun."""
 
 from functools import lru_cache
 
 import numpy as np
 
 from omniocc.world.render.light import Light
-from omniocc.world.render.pattern import fractal
+from omniocc.world.render.texture.pattern import fractal
 
 _SIZE = 512
 
 
 def sky_color(light: Light, directions: np.ndarray) -> np.ndarray:
-    """Linear colour (3, R) seen along unit world directions (3, R); below the horizon the horizon's colour."""
+    """Return the linear colour (3, R) of the sky along unit directions (3, R); below the horizon the horizon's."""
     up = np.clip(directions[2], 0, 1)
     down = 1 - up
     fade = down * down * down  # several times faster than a power
@@ -46,7 +46,7 @@ def _clouds(light: Light, directions: np.ndarray, up: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=1)
 def _cloud_pattern() -> np.ndarray:
-    """(N * N,) float32 tiling densities, evenly spread over 0..1 so that `cloud_cover` is a share of the sky."""
+    """Return (N * N,) float32 tiling densities, evenly spread over 0..1 so that `cloud_cover` is a fraction."""
     noise = fractal(np.random.default_rng(19), _SIZE, 4, 6).ravel()
     rank = np.empty(noise.size, np.float32)
     rank[np.argsort(noise, kind="stable")] = np.arange(noise.size, dtype=np.float32) / noise.size

@@ -1,4 +1,4 @@
-"""The rays of one camera, which never change in the ego frame, and where they meet the own car."""
+"""The rays of one camera in the ego frame, and their hits on the ego car; both are the same in every frame."""
 
 from dataclasses import dataclass
 
@@ -8,9 +8,9 @@ import torch
 from omniocc.camera import Rig
 from omniocc.world.render.caster import Caster, Hits
 from omniocc.world.render.cull import Cones, make_cones
-from omniocc.world.render.stage import repeat
+from omniocc.world.render.snapshot import repeat
 
-_TILES = 32  # across the image
+_TILES = 32  # number of tiles across the image
 
 
 @dataclass(frozen=True)
@@ -23,8 +23,8 @@ class View:
         origin_m: (3,) float32, ego frame.
         center: (3, P) float32 unit directions in the ego frame through the pixels' centres.
         extra: (3, P, S-1) float32 directions through other points of the pixels.
-        own_center: hits of the centre rays on the own car.
-        own_extra: hits of the other rays, flattened (P * (S-1)).
+        ego_center_hits: hits of the centre rays on the ego car.
+        ego_extra_hits: hits of the other rays, flattened (P * (S-1)).
         pixel_rad: mean angle between neighbouring pixels.
         cones: bundles of neighbouring pixels' rays, ego frame.
         falloff: (P,) float32, 0 on the optical axis and 1 at the lens's rim.
@@ -35,21 +35,21 @@ class View:
     origin_m: np.ndarray
     center: np.ndarray
     extra: np.ndarray
-    own_center: Hits
-    own_extra: Hits
+    ego_center_hits: Hits
+    ego_extra_hits: Hits
     pixel_rad: float
     cones: Cones
     falloff: np.ndarray
 
 
-def make_view(rig: Rig, camera: int, supersample: int, own_car: Caster) -> View:
-    """Rays of one camera of the rig.
+def make_view(rig: Rig, camera: int, supersample: int, ego_car: Caster) -> View:
+    """Compute the rays of one camera of the rig.
 
     Args:
-        rig: of the vehicle.
-        camera: index.
+        rig: cameras of the vehicle.
+        camera: index in the rig.
         supersample: rays per pixel along each side; the first of its square goes through the centre.
-        own_car: in the ego frame.
+        ego_car: the ego car in the ego frame.
     """
     directions, valid = rig.rays(camera)
     height, width = valid.shape
@@ -69,8 +69,8 @@ def make_view(rig: Rig, camera: int, supersample: int, own_car: Caster) -> View:
         origin_m,
         np.ascontiguousarray(center.T),
         np.ascontiguousarray(np.moveaxis(extra, -1, 0)),
-        own_car.cast(repeat(origin_m, len(center)), center),
-        own_car.cast(repeat(origin_m, len(flat)), flat),
+        ego_car.cast(repeat(origin_m, len(center)), center),
+        ego_car.cast(repeat(origin_m, len(flat)), flat),
         float(steps.mean()),
         _tiles(pixel, (height, width), center, float(steps.max())),
         ((angle / angle.max()) ** 2).astype(np.float32),
@@ -78,7 +78,7 @@ def make_view(rig: Rig, camera: int, supersample: int, own_car: Caster) -> View:
 
 
 def _tiles(pixel: np.ndarray, size: tuple[int, int], center: np.ndarray, step_rad: float) -> Cones:
-    """One cone for each of some hundred tiles of the image, wide enough for rays beside the pixels' centres."""
+    """Return one cone for each tile of the image, wide enough for rays beside the pixels' centres."""
     side = max(size[1] // _TILES, 1)
     number = pixel // size[1] // side * size[1] + pixel % size[1] // side
     cones = make_cones(center.T, np.unique(number, return_inverse=True)[1])
@@ -86,7 +86,7 @@ def _tiles(pixel: np.ndarray, size: tuple[int, int], center: np.ndarray, step_ra
 
 
 def _offsets(supersample: int) -> np.ndarray:
-    """(S-1, 2) points of a pixel beside its centre, spread evenly over a disc."""
+    """Return (S-1, 2) points of a pixel beside its centre, spread evenly over a disc."""
     count = supersample**2 - 1
     number = np.arange(1, count + 1)
     reach_px = 0.41 if count <= 3 else 0.55
@@ -95,7 +95,7 @@ def _offsets(supersample: int) -> np.ndarray:
 
 
 def _shifted(rig: Rig, camera: int, pixel: np.ndarray, center: np.ndarray, offset: np.ndarray) -> np.ndarray:
-    """(P, 3) directions through points beside the pixels' centres; the centre's own where the lens ends in between."""
+    """Return (P, 3) directions beside the pixels' centres; the centre's own where the lens ends in between."""
     model = rig.cameras[camera]
     points = np.stack([pixel % model.width, pixel // model.width], axis=1) + offset
     rays, valid = model.unproject(torch.from_numpy(points))

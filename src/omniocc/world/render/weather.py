@@ -1,4 +1,7 @@
-"""Which weather a scene has, and the light, air and cameras that go with it: drawn once per scene."""
+"""Weather of a scene, with its light, air and cameras; drawn once per scene.
+
+To add a weather, add it to `Weather` and its fraction of scenes to `_FRACTIONS`, and give it a light in `draw_light`.
+"""
 
 from dataclasses import replace
 from typing import Literal, get_args
@@ -9,19 +12,19 @@ from omniocc.world.render.light import Light, Sensor
 
 Weather = Literal["clear", "overcast", "rain", "fog", "dusk"]
 WEATHERS: tuple[str, ...] = get_args(Weather)
-_SHARES = (0.48, 0.17, 0.13, 0.08, 0.14)
+_FRACTIONS = (0.48, 0.17, 0.13, 0.08, 0.14)
 
 
 def draw_weather(rng: np.random.Generator) -> str:
-    """Clear in about half of all scenes; fog is rarest."""
-    return WEATHERS[int(rng.choice(len(WEATHERS), p=_SHARES))]
+    """Draw a weather: clear in about half of all scenes, fog most rarely."""
+    return WEATHERS[int(rng.choice(len(WEATHERS), p=_FRACTIONS))]
 
 
 def draw_light(weather: str, rng: np.random.Generator) -> Light:
-    """Sun, sky and air of one scene.
+    """Draw sun, sky and air of one scene.
 
     Raises:
-        ValueError: there is no such weather.
+        ValueError: the weather does not exist.
     """
     if weather not in WEATHERS:
         raise ValueError(f"unknown weather {weather!r}; possible: {', '.join(WEATHERS)}")
@@ -39,16 +42,16 @@ def draw_light(weather: str, rng: np.random.Generator) -> Light:
             haze_m=70 + 110 * haze, wet=0.7 + 0.3 * cover, streaks=0.2 + 0.4 * height,
         )  # fmt: skip
     if weather == "fog":
-        # The sky is as bright as the fog before it: nothing shows where one ends.
+        # The sky is as bright as the fog, so that no edge shows between them.
         return replace(light, zenith=1.04 * light.horizon, cloud_cover=0.0, haze_m=18 + 36 * haze, wet=0.25 * cover)
     return light
 
 
 def draw_sensor(rng: np.random.Generator, light: Light) -> Sensor:
-    """Exposed for a grey road in this light, give or take a tenth; noisier in the dark."""
+    """Draw cameras exposed for a grey road in this light, within a tenth; noisier after dark."""
     sky = 0.5 * (light.zenith + light.horizon)
     grey = float((light.sun * max(light.sun_direction[2], 0.3) + sky).mean())
-    # A camera at dusk is neither given all the light that it asks for nor spared the noise.
+    # At dusk a camera stays underexposed, and noisy.
     gain = (1.5 / grey) ** (0.72 if light.lamps else 1.0)
     dark = 1 + 2.5 * light.lamps
     return Sensor(
@@ -78,7 +81,7 @@ def _clear(direction: np.ndarray, depth: float, cover: float, shift: np.ndarray,
 
 
 def _dusk(direction: np.ndarray, depth: float, cover: float, shift: np.ndarray, haze_m: float) -> Light:
-    """The sun has all but set: a last warm light from the side, a pale horizon, lamps and windows lit."""
+    """Return the light after sunset: a last warm light from the side, a pale horizon, lamps and windows lit."""
     late = 0.9 - 0.6 * depth
     return Light(
         sun_direction=direction,

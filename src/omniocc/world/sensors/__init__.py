@@ -1,1 +1,4 @@
-"""What is recorded of one time step: cameras, panorama, LiDARs and labelled points."""
+"""Sensors of the ego: `recorder.Recorder` records one frame with all of them.
+
+Labels of points, by `label_mode`: `semantic_lidars` (lidar20), `geometry_labels` (geometry); also lidar, panorama.
+"""

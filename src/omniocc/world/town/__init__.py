@@ -1,1 +1,5 @@
-"""The static part of a place: streets, land, plots and what stands on them."""
+"""The static town; `place.build(theme, seed)` builds it, and a new theme is an entry in `themes`.
+
+Land: terrain, network (streets), road (surfaces), marking.
+On it: street, plot (kinds of plots), islands, railway, backdrop.
+"""

@@ -1,4 +1,4 @@
-"""The country around the town, so that no street ends in the sky."""
+"""The open country around the town, so that streets end in a landscape instead of sky."""
 
 from functools import lru_cache
 
@@ -6,10 +6,12 @@ import numpy as np
 
 from omniocc.world import seeding
 from omniocc.world.assets import tree
-from omniocc.world.assets.material import Material
-from omniocc.world.assets.mesh import Mesh
-from omniocc.world.assets.shape import Skin, blob, box
-from omniocc.world.assets.stock import one
+from omniocc.world.assets.catalog import random_variant
+from omniocc.world.mesh.label import BUILDING, VEGETATION
+from omniocc.world.mesh.material import Material
+from omniocc.world.mesh.mesh import Mesh
+from omniocc.world.mesh.shape import Skin, blob, box
+from omniocc.world.seeding import choice
 from omniocc.world.town.site import Pose2, Site
 from omniocc.world.town.theme import Theme
 
@@ -17,29 +19,31 @@ _TREES, _HOUSES, _WOODS = 50, 50, 60
 
 
 def fill(theme: Theme, site: Site, rng: np.random.Generator) -> None:
-    """Scatters trees, plain buildings and, further out, woods between the town and 420 m from its middle."""
+    """Scatter trees, plain buildings and, further out, woods between the town and 420 m from its middle."""
     edge = 1.5 * theme.spacing_m + 38.0
     for pose in _scattered(rng, _TREES, edge, 300.0):
         if site.plan.claim(pose, (4.0, 4.0)):
-            color = tree.LEAF_COLORS[int(rng.integers(len(tree.LEAF_COLORS)))]
-            site.put(one(rng, "tree", "distant"), pose, paint={Material.LEAVES: color})
+            color = choice(rng, tree.LEAF_COLORS)
+            site.put(random_variant(rng, "tree", "distant"), pose, paint={Material.LEAVES: color})
     block, woods = _far_things()
     for pose in _scattered(rng, _HOUSES, edge + 10.0, 330.0):
         if site.plan.claim(pose, (17.0, 14.0)):
-            color = theme.wall_colors[int(rng.integers(len(theme.wall_colors)))]
+            color = choice(rng, theme.wall_colors)
             high = theme.skyline_m / 8.0 * float(rng.uniform(0.6, 1.5))
             site.put(block, pose, stretch=(1.0, 1.0, high), paint={Material.FACADE: color})
     for pose in _scattered(rng, _WOODS, 320.0, 420.0):
         color = tree.LEAF_COLORS[int(rng.integers(3))]
-        site.put(woods[int(rng.integers(len(woods)))], pose, paint={Material.LEAVES: color})
+        site.put(choice(rng, woods), pose, paint={Material.LEAVES: color})
 
 
 @lru_cache(maxsize=1)
 def _far_things() -> tuple[Mesh, list[Mesh]]:
-    """A plain building 8 m high, and groups of trees."""
+    """Return a plain building 8 m high, and groups of trees."""
     rng = seeding.generator("backdrop", 0, "woods")
-    walls, roof = Skin(4, Material.FACADE, (150, 150, 150)), Skin(4, Material.ROOF, (96, 84, 78))
-    woods = [blob(rng, (15, 11, 9), (0, 0, 1), Skin(6, Material.LEAVES, (70, 92, 52)), 0.25, 8, 4) for _ in range(4)]
+    walls, roof = Skin(BUILDING, Material.FACADE, (150, 150, 150)), Skin(BUILDING, Material.ROOF, (96, 84, 78))
+    woods = [
+        blob(rng, (15, 11, 9), (0, 0, 1), Skin(VEGETATION, Material.LEAVES, (70, 92, 52)), 0.25, 8, 4) for _ in range(4)
+    ]
     return box((16, 13, 12), (0, 0, 2), walls, roof), woods
 
 

@@ -2,30 +2,31 @@
 
 import numpy as np
 
-from omniocc.world.assets.material import Material
-from omniocc.world.assets.mesh import Mesh, concatenate
-from omniocc.world.assets.shape import Skin, triangles
+from omniocc.world.mesh.label import ROADLINE
+from omniocc.world.mesh.material import Material
+from omniocc.world.mesh.mesh import Mesh, concatenate
+from omniocc.world.mesh.shape import Skin, triangles
 from omniocc.world.town.network import Network, Ring, Side
 from omniocc.world.town.road import CROWN_M
 from omniocc.world.town.terrain import Terrain
 from omniocc.world.town.theme import Theme
 
 _RAISED_M = 0.012
-_WIDTH_M = 0.2  # wide, so that lines survive the vote in cells of 0.2 m
+_WIDTH_M = 0.2  # wider than real lines, so that they survive the vote in voxels of 0.2 m
 _DASH_M, _GAP_M = 3.0, 6.0
 CROSSING_M = (0.8, 4.0)  # from the end of the corner along the street
 _STOP_M = (4.8, 5.25)
-_PAINT = Skin(11, Material.PAINT, (226, 224, 214))
+_PAINT = Skin(ROADLINE, Material.PAINT, (226, 224, 214))
 _QUAD = np.array([[0, 1, 2], [0, 2, 3]])
 
 
 def stop_m(zebra: bool) -> float:
-    """Where the fronts of waiting cars stop, from the end of the corner."""
+    """Return where the fronts of waiting cars stop, from the end of the corner."""
     return (_STOP_M[0] if zebra else 1.0) + 0.6
 
 
 def build(theme: Theme, terrain: Terrain, network: Network, crossings: frozenset[tuple[int, bool]]) -> Mesh:
-    """All lines; `crossings` are (street, at its end) of the junction arms with a zebra crossing."""
+    """Build all lines; `crossings` are (street, at its end) of the junction arms with a zebra crossing."""
     return concatenate(
         _half_street(theme, terrain, network, ring, side, crossings) for ring in network.rings for side in ring.sides
     )
@@ -60,14 +61,14 @@ def _half_street(
 
 
 def _dashes(first: float, last: float) -> np.ndarray:
-    """(D, 2) dashes laid symmetrically about the middle, so that the halves of a street agree."""
+    """Return (D, 2) dashes, symmetric about the street's middle so that both halves of it agree."""
     count = max(int((last - first + _GAP_M) // (_DASH_M + _GAP_M)), 0)
     starts = (first + last) / 2 + (np.arange(count) - count / 2) * (_DASH_M + _GAP_M) + _GAP_M / 2
     return np.stack([starts, starts + _DASH_M], 1)
 
 
 def _rectangles(spans: np.ndarray, from_kerb_m: float, one_sided: bool = False) -> np.ndarray:
-    """(2 D, 3, 2) triangles in (along, from kerb) of a line in pieces; `one_sided` for the street's middle."""
+    """Return (2 D, 3, 2) triangles in (along, from kerb) of a broken line; `one_sided` for the street's middle."""
     low, high = from_kerb_m - _WIDTH_M / 2, from_kerb_m + (0 if one_sided else _WIDTH_M / 2)
     (a, b), ones = spans.T, np.ones(len(spans))
     corners = np.stack([np.stack([s, d * ones], 1) for s, d in ((a, high), (b, high), (b, low), (a, low))], 1)
@@ -79,18 +80,18 @@ def _strip(first: float, last: float, low: float, high: float) -> np.ndarray:
 
 
 def _arrow(tip: float, from_kerb_m: float) -> np.ndarray:
-    """Straight ahead: cars on this half of the street drive towards its start."""
+    """Return the triangles of an arrow straight ahead: cars on this half of the street go towards its start."""
     head = np.array([[tip, from_kerb_m], [tip + 1.1, from_kerb_m - 0.45], [tip + 1.1, from_kerb_m + 0.45]])
     return np.concatenate([head[None], _strip(tip + 1.1, tip + 3.2, from_kerb_m - 0.1, from_kerb_m + 0.1)])
 
 
 def _paint(terrain: Terrain, side: Side, width_m: float, patches: np.ndarray) -> Mesh:
-    """Triangles in (along, from kerb) laid onto the street, which is straight from kerb to centre line."""
+    """Lay triangles in (along, from kerb) onto the street, which is straight from kerb to centre line."""
     kerb = np.column_stack([side.kerb_m, terrain.height(*side.kerb_m.T)])
     center = np.column_stack([side.center_m, terrain.height(*side.center_m.T) + CROWN_M])
-    along, share = patches[..., 0], patches[..., 1:] / width_m
+    along, fraction = patches[..., 0], patches[..., 1:] / width_m
     low, high = (np.stack([np.interp(along, side.along_m, rim[:, k]) for k in range(3)], -1) for rim in (kerb, center))
-    corners = low + share * (high - low) + np.array([0, 0, _RAISED_M])
+    corners = low + fraction * (high - low) + np.array([0, 0, _RAISED_M])
     a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     corners = np.where((a[:, 0] * b[:, 1] < a[:, 1] * b[:, 0])[:, None, None], corners[:, ::-1], corners)
     return triangles(corners, corners[..., :2], _PAINT)

@@ -1,8 +1,8 @@
 """The street network as a planar graph, and the kerb around every block.
 
-Streets are bowed edges between the junctions of a scattered, sheared grid with some edges taken out. Everything along
-a street (lanes, lines, sidewalks, plots, paths of cars and walkers) is an offset of a block's *kerb ring*: a block owns
-the halves of the streets around it, so rings of different blocks never overlap.
+Streets are bowed edges between the junctions of a scattered, sheared grid with some edges removed. Everything along a
+street (lanes, lines, sidewalks, plots, paths of cars and walkers) is an offset of a block's *kerb ring*. A block owns
+the adjacent halves of its streets, so rings of different blocks never overlap.
 """
 
 from dataclasses import dataclass
@@ -12,14 +12,14 @@ import numpy as np
 from omniocc.world.town.theme import Theme
 
 _STEP_M = 3.0
-_SAME_DIRECTION_RAD = 0.3  # a smaller turn is the same street going on
+_SAME_DIRECTION_RAD = 0.3  # a smaller turn continues the same street
 
 
 @dataclass(frozen=True)
 class Edge:
     """A street between two junctions.
 
-    `half_width_m` from centre line to kerb, bowed by `bulge_m` to its left but for `straight_m` at both ends.
+    `half_width_m` is from centre line to kerb; it bows by `bulge_m` to its left, but for `straight_m` at both ends.
     """
 
     start: int
@@ -58,8 +58,8 @@ class Ring:
         normal: (n, 2) unit vectors into the block.
         inner_m: (n, 2) the street's centre line, or in corners the junction, that the kerb vertex faces.
         side: (n,) index into `sides`, -1 in corners.
-        sides: in order.
-        outside: this is the land around the town.
+        sides: in the order of the ring.
+        outside: whether this is the land around the town.
     """
 
     kerb_m: np.ndarray
@@ -70,13 +70,13 @@ class Ring:
     outside: bool
 
     def offset(self, into_block_m: float) -> np.ndarray:
-        """(n, 2) the ring moved into the block (or, when negative, onto the street)."""
+        """Return the (n, 2) ring moved into the block or, when negative, onto the street."""
         return self.kerb_m + into_block_m * self.normal
 
 
 @dataclass(frozen=True)
 class Network:
-    """Junctions (N, 2), streets, and one ring per block with the land outside among them."""
+    """Junctions (N, 2), streets, and one ring per block; the land around the town counts as a block."""
 
     junctions_m: np.ndarray
     edges: tuple[Edge, ...]
@@ -84,7 +84,7 @@ class Network:
 
 
 def draw(theme: Theme, rng: np.random.Generator, cells: int = 3) -> Network:
-    """A town of `cells` x `cells` blocks, some of them merged."""
+    """Draw a town of `cells` x `cells` blocks, some of them merged."""
     count = cells + 1
     position = (np.stack(np.meshgrid(range(count), range(count), indexing="ij"), -1) - cells / 2.0) * theme.spacing_m
     position = position + rng.uniform(-theme.jitter_m, theme.jitter_m, position.shape)
@@ -103,7 +103,7 @@ def draw(theme: Theme, rng: np.random.Generator, cells: int = 3) -> Network:
 
 
 def _kept_edges(rng: np.random.Generator, count: int, most: int) -> list[tuple[int, int, int]]:
-    """Grid edges (i, j, axis) but for at most so many inner ones, never two around the same cell."""
+    """Return grid edges (i, j, axis) without at most `most` inner ones, never two around the same cell."""
     edges = [(i, j, axis) for axis in (0, 1) for i in range(count - (axis == 0)) for j in range(count - (axis == 1))]
     merged: set[tuple[int, int]] = set()
     removed = set()
@@ -118,21 +118,21 @@ def _kept_edges(rng: np.random.Generator, count: int, most: int) -> list[tuple[i
 
 
 def degrees(network: Network) -> np.ndarray:
-    """(N,) how many streets meet at each junction."""
+    """Return (N,) how many streets meet at each junction."""
     ends = [node for edge in network.edges for node in (edge.start, edge.end)]
     return np.bincount(ends, minlength=len(network.junctions_m))
 
 
 def center_line(junctions_m: np.ndarray, edge: Edge, along_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points (n, 2) and left normals (n, 2) of a street's centre line at distances from its start (along the chord)."""
+    """Return points and left normals, (n, 2) each, of a street's centre line at distances along its chord."""
     start, end = junctions_m[edge.start], junctions_m[edge.end]
     length = np.linalg.norm(end - start)
     chord = (end - start) / length
     left = np.array([-chord[1], chord[0]])
     bowed = length - 2 * edge.straight_m
-    share = np.clip((along_m - edge.straight_m) / bowed, 0, 1)
-    lateral = edge.bulge_m * np.sin(np.pi * share) ** 2
-    slope = edge.bulge_m * np.pi / bowed * np.sin(2 * np.pi * share)
+    fraction = np.clip((along_m - edge.straight_m) / bowed, 0, 1)
+    lateral = edge.bulge_m * np.sin(np.pi * fraction) ** 2
+    slope = edge.bulge_m * np.pi / bowed * np.sin(2 * np.pi * fraction)
     normal = left - slope[:, None] * chord
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     return start + along_m[:, None] * chord + lateral[:, None] * left, normal
@@ -144,7 +144,8 @@ def _rings(junctions: np.ndarray, edges: tuple[Edge, ...], radius_m: float) -> t
         [_corner(junctions, edges, face[k], face[(k + 1) % len(face)], radius_m) for k in range(len(face))]
         for face in faces
     ]
-    trim: dict[tuple[int, bool], float] = {}  # (edge, at its end?) -> distance from the junction where corners begin
+    # (edge, at its end) -> distance from the junction at which the corner begins.
+    trim: dict[tuple[int, bool], float] = {}
     for face, arcs in zip(faces, corners, strict=True):
         for k, arc in enumerate(arcs):
             edge, forward = face[k]
@@ -155,7 +156,7 @@ def _rings(junctions: np.ndarray, edges: tuple[Edge, ...], radius_m: float) -> t
 
 
 def _faces(junctions: np.ndarray, edges: tuple[Edge, ...]) -> list[list[tuple[int, bool]]]:
-    """Boundary of every face as half-edges (edge, forward) with the face to the left."""
+    """Return the boundary of every face as half-edges (edge, forward) with the face to the left."""
     leaving: dict[int, list[tuple[float, int, bool]]] = {}
     for index, edge in enumerate(edges):
         for node, other, forward in ((edge.start, edge.end, True), (edge.end, edge.start, False)):
@@ -181,7 +182,7 @@ def _faces(junctions: np.ndarray, edges: tuple[Edge, ...]) -> list[list[tuple[in
 
 @dataclass(frozen=True)
 class _Corner:
-    """Kerb arc between two sides: points and normals (k, 2), and how far from the junction it begins and ends."""
+    """Kerb arc between two sides: points and normals (k, 2), and its start's and end's distances from the junction."""
 
     points_m: np.ndarray
     normal: np.ndarray
@@ -202,22 +203,22 @@ def _corner(
         radius_m = 2 * max(h_u, h_v)
     if abs(turn) < 0.01:
         return _Corner((junctions[node] + h_u * n_u)[None], n_u[None], 0.0, 0.0, node)
-    # the kerbs' crossing point: h_u n_u + s u = h_v n_v + q v
+    # The kerbs cross where h_u n_u + s u = h_v n_v + q v
     s, q = np.linalg.solve(np.stack([u, -v], 1), h_v * n_v - h_u * n_u)
     tangent = radius_m * np.tan(abs(turn) / 2)
     before, after_m = tangent - s, q + tangent
     first = junctions[node] + h_u * n_u - before * u
     center = first + np.sign(turn) * radius_m * n_u
     steps = max(2, int(np.ceil(abs(turn) / np.deg2rad(13))) + 1)
-    heading = np.arctan2(u[1], u[0]) + turn * np.linspace(0, 1, steps)
-    normal = np.stack([-np.sin(heading), np.cos(heading)], 1)
+    azimuth = np.arctan2(u[1], u[0]) + turn * np.linspace(0, 1, steps)
+    normal = np.stack([-np.sin(azimuth), np.cos(azimuth)], 1)
     return _Corner(center - np.sign(turn) * radius_m * normal, normal, max(before, 0.0), max(after_m, 0.0), node)
 
 
 def _arrival(
     junctions: np.ndarray, edges: tuple[Edge, ...], index: int, forward: bool
 ) -> tuple[np.ndarray, float, int]:
-    """Direction of a half-edge, its half width, and the junction it runs to."""
+    """Return the direction of a half-edge, its half width, and the junction where it ends."""
     edge = edges[index]
     start, end = (edge.start, edge.end) if forward else (edge.end, edge.start)
     direction = junctions[end] - junctions[start]

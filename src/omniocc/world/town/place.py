@@ -1,19 +1,19 @@
-"""A place: everything of a virtual town that never moves, and what traffic needs to know of it."""
+"""A place: the static mesh of a virtual town, with the streets and signals that traffic needs."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from omniocc.world import seeding
-from omniocc.world.assets.mesh import Mesh, concatenate
-from omniocc.world.town import backdrop, marking, network, road, street, terrain, themes, viaduct
+from omniocc.world.mesh.mesh import Mesh, concatenate
+from omniocc.world.town import backdrop, islands, marking, network, railway, road, street, terrain, themes
 from omniocc.world.town.network import Network
 from omniocc.world.town.site import Plan, Signal, Site
 from omniocc.world.town.terrain import Terrain
 from omniocc.world.town.theme import Theme
 
 THEMES: tuple[str, ...] = tuple(themes.ALL)
-_CROSSING_SHARE = 0.5
+_CROSSING_FRACTION = 0.5
 _PLAN_RADIUS_M = 300.0
 
 
@@ -22,17 +22,16 @@ class Place:
     """A town of about 300 x 300 m around the world's origin.
 
     Attributes:
-        theme, seed: what it was built from.
+        theme: its recipe.
         mesh: all static faces, world frame.
-        terrain: the lie of the land.
+        terrain: height of the land.
         network: streets and blocks.
         paved: which blocks (rings of the network) have a sidewalk.
         crossings: (street, at its end) of the junction arms with a zebra crossing.
-        signals: traffic lights, whose lamps `traffic` lights.
+        signals: traffic lights; `Traffic` switches their lamps.
     """
 
     theme: Theme
-    seed: int
     mesh: Mesh
     terrain: Terrain
     network: Network
@@ -41,15 +40,15 @@ class Place:
     signals: tuple[Signal, ...]
 
     def height(self, x_m: np.ndarray | float, y_m: np.ndarray | float) -> np.ndarray:
-        """Terrain height at world positions; kerbs and streets lie within 0.15 m of it."""
+        """Return the terrain height at world positions; kerbs and streets lie within 0.15 m of it."""
         return self.terrain.height(x_m, y_m)
 
 
 def build(theme: str, seed: int) -> Place:
-    """Builds the place (theme, seed): the same bytes every time.
+    """Build the place (theme, seed): the same bytes every time.
 
     Raises:
-        ValueError: there is no such theme.
+        ValueError: the theme does not exist.
     """
     if theme not in themes.ALL:
         raise ValueError(f"unknown theme {theme!r}; possible: {', '.join(THEMES)}")
@@ -57,15 +56,17 @@ def build(theme: str, seed: int) -> Place:
     land = terrain.draw(seeding.generator(theme, seed, "terrain"), recipe.slope, recipe.horizon_m)
     town = network.draw(recipe, seeding.generator(theme, seed, "network"))
     rng = seeding.generator(theme, seed, "sidewalks")
-    paved = tuple(bool(x) for x in rng.uniform(size=len(town.rings)) < recipe.paved_share)
+    paved = tuple(bool(x) for x in rng.uniform(size=len(town.rings)) < recipe.paved_fraction)
     arms = [(index, end) for index in range(len(town.edges)) for end in (False, True)]
-    crossings = frozenset(arm for arm, x in zip(arms, rng.uniform(size=len(arms)), strict=True) if x < _CROSSING_SHARE)
+    crossings = frozenset(
+        arm for arm, x in zip(arms, rng.uniform(size=len(arms)), strict=True) if x < _CROSSING_FRACTION
+    )
     site = Site(land, Plan(_PLAN_RADIUS_M))
     street.reserve(recipe, town, site.plan)
     rng = seeding.generator(theme, seed, "middle")
-    extras = [viaduct.islands(recipe, town, site, rng), viaduct.medians(recipe, town, land, site, rng)]
-    if recipe.viaduct:
-        extras.append(viaduct.railway(town, site))
+    extras = [islands.islands(recipe, town, site, rng), islands.medians(recipe, town, land, site, rng)]
+    if recipe.railway:
+        extras.append(railway.railway(town, site))
     for index, (ring, has_sidewalk) in enumerate(zip(town.rings, paved, strict=True)):
         street.furnish(
             recipe, town, ring, has_sidewalk, crossings, site, seeding.generator(theme, seed, f"block {index}")
@@ -73,4 +74,4 @@ def build(theme: str, seed: int) -> Place:
     backdrop.fill(recipe, site, seeding.generator(theme, seed, "backdrop"))
     surfaces = road.build(recipe, land, town, paved, seeding.generator(theme, seed, "surfaces"))
     mesh = concatenate([surfaces, marking.build(recipe, land, town, crossings), *extras, site.mesh()])
-    return Place(recipe, seed, mesh, land, town, paved, crossings, tuple(site.signals))
+    return Place(recipe, mesh, land, town, paved, crossings, tuple(site.signals))

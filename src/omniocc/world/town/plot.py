@@ -1,4 +1,4 @@
-"""Plots of land along the streets: what a town consists of behind its sidewalks."""
+"""Plots of land behind the sidewalks; to add a kind, write a function of a `Plot` and enter it into `KINDS`."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -7,10 +7,12 @@ import numpy as np
 
 from omniocc.world.assets import tree, vehicle
 from omniocc.world.assets.barrier import PIECE_M
-from omniocc.world.assets.material import Material
-from omniocc.world.assets.mesh import Mesh, concatenate
-from omniocc.world.assets.shape import Color, Number, Skin, box, lathe, panel
-from omniocc.world.assets.stock import fitting, one, pick
+from omniocc.world.assets.catalog import fitting_building, random_variant
+from omniocc.world.mesh.label import GROUND, OTHER, SIDEWALK
+from omniocc.world.mesh.material import Material
+from omniocc.world.mesh.mesh import Mesh, concatenate
+from omniocc.world.mesh.shape import Color, Number, Skin, box, lathe, panel
+from omniocc.world.seeding import choice, weighted_choice
 from omniocc.world.town.road import KERB_M
 from omniocc.world.town.site import Pose2, Site
 from omniocc.world.town.theme import Theme
@@ -33,19 +35,21 @@ class Plot:
     depth_m: Number
 
     def tree(self, x_m: Number, y_m: Number, kinds: dict[str, Number] | None = None) -> None:
-        """Plants a tree (or bush) of the theme; a plain one far from the street."""
-        kind = pick(self.rng, kinds or self.theme.trees) if y_m < _NEAR_M else "distant"
-        color = tree.LEAF_COLORS[int(self.rng.integers(len(tree.LEAF_COLORS)))]
+        """Plant a tree or bush of the theme, one of few triangles far from the street."""
+        kind = weighted_choice(self.rng, kinds or self.theme.trees) if y_m < _NEAR_M else "distant"
+        color = choice(self.rng, tree.LEAF_COLORS)
         pose = self.front.at(x_m, y_m, float(self.rng.uniform(0, 2 * np.pi)))
         wide, high = (float(x) for x in self.rng.uniform(0.8, 1.25, 2))
-        self.site.put(one(self.rng, "tree", kind), pose, stretch=(wide, wide, high), paint={Material.LEAVES: color})
+        self.site.put(
+            random_variant(self.rng, "tree", kind), pose, stretch=(wide, wide, high), paint={Material.LEAVES: color}
+        )
 
     def line(self, kind: str, start: tuple[Number, Number], end: tuple[Number, Number]) -> None:
-        """Sets equal pieces of a fence, wall or hedge (`barrier.KINDS`) end to end."""
+        """Set equal pieces of a fence, wall or hedge (`barrier.KINDS`) end to end."""
         run = np.subtract(end, start)
         length, yaw = float(np.hypot(*run)), float(np.arctan2(run[1], run[0]))
         count = max(1, round(length / PIECE_M))
-        piece = one(self.rng, "barrier", kind)
+        piece = random_variant(self.rng, "barrier", kind)
         paint = {Material.LEAVES: tree.LEAF_COLORS[int(self.rng.integers(3))]}
         stretch = (length / count / PIECE_M, 1.0, 1.0)
         for k in range(count):
@@ -54,7 +58,7 @@ class Plot:
             self.site.put(piece, pose, stretch=stretch, paint=paint, follow=True)
 
     def pave(self, start: tuple[Number, Number], end: tuple[Number, Number]) -> None:
-        """Lays a path of 3 m width."""
+        """Lay a path 3 m wide."""
         run = np.subtract(end, start)
         length, yaw = float(np.hypot(*run)), float(np.arctan2(run[1], run[0]))
         count = max(1, round(length / PIECE_M))
@@ -64,20 +68,20 @@ class Plot:
             self.site.put(_PATH, self.front.at(float(x), float(y), yaw), stretch=stretch, follow=True)
 
     def stand(self, mesh: Mesh, x_m: Number, y_m: Number, yaw_rad: Number = 0.0) -> None:
-        """Stands a thing on the plot."""
+        """Stand a mesh on the plot."""
         self.site.put(mesh, self.front.at(x_m, y_m, yaw_rad))
 
     def car(self, x_m: Number, y_m: Number, yaw_rad: Number) -> None:
-        """Parks a car."""
-        color = vehicle.PAINTS[int(self.rng.integers(len(vehicle.PAINTS)))]
-        mesh = one(self.rng, "vehicle", pick(self.rng, vehicle.PARKED))
+        """Park a car."""
+        color = choice(self.rng, vehicle.PAINTS)
+        mesh = random_variant(self.rng, "vehicle", weighted_choice(self.rng, vehicle.PARKED))
         self.site.put(mesh, self.front.at(x_m, y_m, yaw_rad), paint={Material.CAR_PAINT: color})
 
     def building(self, kind: str, width_m: Number, depth_m: Number, x_m: Number, y_m: Number) -> None:
-        """Puts up a building of about this size, its front at y, in colours of the theme."""
-        mesh, (wide, deep) = fitting(self.rng, kind, (width_m, depth_m))
+        """Put up a building of about this size, its front at y, in colours of the theme."""
+        mesh, (wide, deep) = fitting_building(self.rng, kind, (width_m, depth_m))
         walls, roofs = self.theme.wall_colors, self.theme.roof_colors
-        wall, roof = walls[int(self.rng.integers(len(walls)))], roofs[int(self.rng.integers(len(roofs)))]
+        wall, roof = choice(self.rng, walls), choice(self.rng, roofs)
         paint = {Material.FACADE: wall, Material.PLASTER: wall, Material.ROOF: roof}
         stretch = (wide, deep, float(self.rng.uniform(0.88, 1.22)))
         self.site.put(mesh, self.front.at(x_m, y_m), stretch=stretch, paint=paint)
@@ -103,15 +107,15 @@ def _row(plot: Plot) -> None:
     for k in range(count):
         plot.building("row", wide, deep, (k + 0.5 - count / 2) * wide - 0.5 * passage, back)
     if back > 2.5:
-        kind = ("brick", "picket", "mesh")[int(plot.rng.integers(3))]
+        kind = choice(plot.rng, ("brick", "picket", "mesh"))
         for a, b in ((-0.5, -0.12), (0.12, 0.5)):
             plot.line(kind, (a * plot.width_m, 0.3), (b * plot.width_m, 0.3))
 
 
 def _boundary(plot: Plot, gate: tuple[Number, Number]) -> None:
-    """Fence, wall or hedge along the front (open at the gate) and one side."""
+    """Put a fence, wall or hedge along the front (open at the gate) and one side."""
     half = plot.width_m / 2
-    kind = pick(plot.rng, {"hedge": 3, "picket": 2, "brick": 1.5, "mesh": 1, "none": 2})
+    kind = weighted_choice(plot.rng, {"hedge": 3, "picket": 2, "brick": 1.5, "mesh": 1, "none": 2})
     if kind != "none":
         plot.line(kind, (-half, 0.5), (gate[0], 0.5))
         plot.line(kind, (gate[1], 0.5), (half, 0.5))
@@ -119,7 +123,7 @@ def _boundary(plot: Plot, gate: tuple[Number, Number]) -> None:
     plot.line(side, (half - 0.1, 3.0), (half - 0.1, plot.depth_m - 0.5))
 
 
-_DRIVEWAY = panel((2.06, 2.9, 0.4), (0, 0, -0.17), Skin(3, Material.PAVING, (150, 142, 132)), "frblt")
+_DRIVEWAY = panel((2.06, 2.9, 0.4), (0, 0, -0.17), Skin(GROUND, Material.PAVING, (150, 142, 132)), "frblt")
 
 
 def _house(plot: Plot) -> None:
@@ -130,15 +134,15 @@ def _house(plot: Plot) -> None:
         min(float(rng.uniform(7.5, 10.5)), plot.depth_m - back - 1),
     )
     side = -1.0 if rng.uniform() < 0.5 else 1.0
-    drive = side * (half - 2.2)
+    driveway = side * (half - 2.2)
     plot.building("house", wide, deep, -side * (half - wide / 2 - 0.9), back)
     if half * 2 - wide > 5.2 and rng.uniform() < 0.6 and plot.depth_m > back + 7.5:
-        plot.building("garage", 3.2, 5.5, drive, back + 1.5)
+        plot.building("garage", 3.2, 5.5, driveway, back + 1.5)
     for k in range(int(back // 2)):
-        plot.site.put(_DRIVEWAY, plot.front.at(drive, 2.0 * k + 1.0, np.pi / 2), follow=True)
-    _boundary(plot, (drive - 1.8, drive + 1.8))
+        plot.site.put(_DRIVEWAY, plot.front.at(driveway, 2.0 * k + 1.0, np.pi / 2), follow=True)
+    _boundary(plot, (driveway - 1.8, driveway + 1.8))
     if rng.uniform() < 0.5 and back > 5.6:
-        plot.car(drive, back - 2.6, (-1 if rng.uniform() < 0.5 else 1) * np.pi / 2)
+        plot.car(driveway, back - 2.6, (-1 if rng.uniform() < 0.5 else 1) * np.pi / 2)
     for _ in range(int(rng.integers(1, 3))):
         plot.tree(
             -side * float(rng.uniform(-0.2, 0.9)) * (half - 1),
@@ -154,7 +158,7 @@ def _hall(plot: Plot) -> None:
     back = float(rng.uniform(*plot.theme.setback_m))
     deep = plot.depth_m - back - 1
     plot.building("hall", plot.width_m - 4, deep, 0, back)
-    kind = ("mesh", "concrete", "brick")[int(rng.integers(3))]
+    kind = choice(rng, ("mesh", "concrete", "brick"))
     gate = float(rng.uniform(-0.2, 0.2)) * plot.width_m
     plot.line(kind, (-plot.width_m / 2, 0.4), (gate - 4, 0.4))
     plot.line(kind, (gate + 4, 0.4), (plot.width_m / 2, 0.4))
@@ -164,21 +168,21 @@ def _hall(plot: Plot) -> None:
         if rng.uniform() < 0.4 and back > 6.5:
             plot.car(float(x), back - 3.4, np.pi / 2)
         else:
-            plot.stand(one(rng, "prop", pick(rng, plot.theme.props)), float(x), back - 2.2, np.pi)
+            plot.stand(random_variant(rng, "prop", weighted_choice(rng, plot.theme.props)), float(x), back - 2.2, np.pi)
 
 
-_CONTAINER = box((6.06, 2.44, 2.59), (0, 0, 1.3), Skin(8, Material.METAL, (140, 140, 140)))
+_CONTAINER = box((6.06, 2.44, 2.59), (0, 0, 1.3), Skin(OTHER, Material.METAL, (140, 140, 140)))
 _CONTAINERS: tuple[Color, ...] = ((150, 60, 44), (44, 92, 130), (60, 110, 76), (190, 150, 60), (140, 140, 140))
 
 
 def _yard(plot: Plot) -> None:
-    """Stacked containers behind a fence."""
+    """Stack containers behind a fence."""
     rng, half = plot.rng, plot.width_m / 2
     for x in np.arange(-half + 4.5, half - 4, 7.0):
         for y in np.arange(4.0, plot.depth_m - 2.0, 3.4):
             if rng.uniform() < 0.7:
                 for k in range(int(rng.integers(1, 3))):
-                    color = _CONTAINERS[int(rng.integers(len(_CONTAINERS)))]
+                    color = choice(rng, _CONTAINERS)
                     pose = plot.front.at(float(x), float(y))
                     plot.site.put(_CONTAINER, pose, lift_m=KERB_M + 2.6 * k, paint={Material.METAL: color})
     kind = "mesh" if rng.uniform() < 0.6 else "concrete"
@@ -193,11 +197,11 @@ def _park(plot: Plot) -> None:
             if rng.uniform() < 0.75:
                 plot.tree(float(x + rng.uniform(-1, 1)), float(y + rng.uniform(-1, 1)), {**plot.theme.trees, "bush": 2})
     plot.line("hedge" if rng.uniform() < 0.5 else "mesh", (-half, 0.4), (0.3 * half, 0.4))
-    plot.stand(one(rng, "pole", "park"), 0.5 * half, 0.7)
+    plot.stand(random_variant(rng, "pole", "park"), 0.5 * half, 0.7)
 
 
 def _lot(plot: Plot) -> None:
-    """Parking lot: a row of cars nose to the street, one further back."""
+    """Fill a parking lot: a row of cars nose to the street, sometimes a second one behind it."""
     rng, half = plot.rng, plot.width_m / 2
     for y in np.arange(4.2, plot.depth_m - 3, 7.5)[: int(rng.integers(1, 3))]:
         for x in np.arange(-half + 1.6, half - 1.2, 2.7):
@@ -209,13 +213,13 @@ def _lot(plot: Plot) -> None:
 
 def _field(plot: Plot) -> None:
     rng, half = plot.rng, plot.width_m / 2
-    kind = pick(rng, {"rail": 3, "hedge": 2, "mesh": 1, "brick": 1})
+    kind = weighted_choice(rng, {"rail": 3, "hedge": 2, "mesh": 1, "brick": 1})
     plot.line(kind, (-half, 0.8), (half, 0.8))
     for _ in range(int(rng.integers(2, 6))):
         plot.tree(float(rng.uniform(-0.9, 0.9)) * half, float(rng.uniform(3, plot.depth_m - 2)))
     for _ in range(int(rng.integers(0, 4))):
         plot.stand(
-            one(rng, "prop", "bales"),
+            random_variant(rng, "prop", "bales"),
             float(rng.uniform(-0.8, 0.8)) * half,
             float(rng.uniform(3, plot.depth_m - 2)),
             float(rng.uniform(0, 3)),
@@ -234,7 +238,7 @@ def _farm(plot: Plot) -> None:
     plot.line("brick", (3, 0.6), (plot.width_m / 2, 0.6))
     for x in (-0.4, 0.4):
         plot.tree(x * plot.width_m, float(rng.uniform(2, max(back - 2, 2.5))))
-        plot.stand(one(rng, "prop", "crates"), 0.6 * x * plot.width_m, back - 1.5)
+        plot.stand(random_variant(rng, "prop", "crates"), 0.6 * x * plot.width_m, back - 1.5)
 
 
 def _college(plot: Plot) -> None:
@@ -250,7 +254,7 @@ def _college(plot: Plot) -> None:
 
 
 def _green(plot: Plot) -> None:
-    """A lawn with a path across, benches and lamps beside it, and old trees."""
+    """Lay a lawn with a path across, benches and lamps beside it, and old trees."""
     rng, half = plot.rng, plot.width_m / 2
     start, end = np.array([-0.7 * half, 0.0]), np.array([0.7 * half, plot.depth_m - 1])
     run = (end - start) / np.hypot(*(end - start))
@@ -258,7 +262,7 @@ def _green(plot: Plot) -> None:
     plot.pave((float(start[0]), float(start[1])), (float(end[0]), float(end[1])))
     for number, s in enumerate(np.arange(4.0, length - 2, 7.0)):
         x, y = start + s * run + np.array([-run[1], run[0]]) * 2.2
-        mesh = one(rng, "prop", "bench") if number % 2 else one(rng, "pole", "park")
+        mesh = random_variant(rng, "prop", "bench") if number % 2 else random_variant(rng, "pole", "park")
         plot.stand(mesh, float(x), float(y), yaw + np.pi)
     for _ in range(int(plot.width_m * plot.depth_m / 110)):
         x, y = float(rng.uniform(-half + 1.5, half - 1.5)), float(rng.uniform(1.5, plot.depth_m - 1))
@@ -277,7 +281,7 @@ def _churchyard(plot: Plot) -> None:
 
 
 def _square(plot: Plot) -> None:
-    """Paved, with stalls and a fountain."""
+    """Pave a square with stalls and a fountain."""
     rng, half = plot.rng, plot.width_m / 2
     across, down = int(plot.width_m // 3), int((plot.depth_m - 0.2) // 3)
     for x in (np.arange(across) + 0.5 - across / 2) * 3:
@@ -287,17 +291,17 @@ def _square(plot: Plot) -> None:
     for x in np.arange(-half + 2.5, half - 2, 5.0):
         for y in (3.0, plot.depth_m - 3.0):
             if rng.uniform() < 0.6:
-                kind = pick(rng, {"kiosk": 3, "bench": 2, "planter": 2})
-                plot.stand(one(rng, "prop", kind), float(x), float(y), np.pi if y < 4 else 0.0)
+                kind = weighted_choice(rng, {"kiosk": 3, "bench": 2, "planter": 2})
+                plot.stand(random_variant(rng, "prop", kind), float(x), float(y), np.pi if y < 4 else 0.0)
     plot.line("brick", (-half, plot.depth_m - 0.4), (half, plot.depth_m - 0.4))
 
 
-_PATH = panel((PIECE_M + 0.1, 3.0, 0.4), (0, 0, -0.17), Skin(2, Material.PAVING, (172, 160, 140)), "frblt")
-_TILE = panel((3.06, 3.06, 0.6), (0, 0, -0.26), Skin(2, Material.PAVING, (160, 150, 136)), "frblt")
-_STONE = Skin(8, Material.CONCRETE, (168, 164, 154))
+_PATH = panel((PIECE_M + 0.1, 3.0, 0.4), (0, 0, -0.17), Skin(SIDEWALK, Material.PAVING, (172, 160, 140)), "frblt")
+_TILE = panel((3.06, 3.06, 0.6), (0, 0, -0.26), Skin(SIDEWALK, Material.PAVING, (160, 150, 136)), "frblt")
+_STONE = Skin(OTHER, Material.CONCRETE, (168, 164, 154))
 _FOUNTAIN = concatenate([
     lathe([2.2, 2.3, 2.0, 1.9], [-0.3, 0.6, 0.6, 0.35], 14, _STONE),
-    lathe([1.95, 0.0], [0.4, 0.41], 14, Skin(8, Material.GLASS, (70, 100, 110))),
+    lathe([1.95, 0.0], [0.4, 0.41], 14, Skin(OTHER, Material.GLASS, (70, 100, 110))),
     lathe([0.3, 0.2, 0.8, 0.0], [0.2, 1.5, 1.8, 1.7], 10, _STONE),
 ])  # fmt: skip
 

@@ -2,47 +2,41 @@
 
 import numpy as np
 
-from omniocc.world.assets.material import Material
-from omniocc.world.assets.mesh import Mesh, concatenate
-from omniocc.world.assets.shape import Skin, fan, sheet
+from omniocc.world.mesh.label import GROUND, ROAD, SIDEWALK
+from omniocc.world.mesh.material import Material
+from omniocc.world.mesh.mesh import Mesh, concatenate
+from omniocc.world.mesh.shape import Skin, fan, sheet
+from omniocc.world.seeding import choice
 from omniocc.world.town.network import Network, Ring
 from omniocc.world.town.terrain import Terrain
 from omniocc.world.town.theme import Theme
 
 CROWN_M = 0.10  # a street's middle above its kerbs
 KERB_M = 0.13
-_ROAD, _SIDEWALK, _GROUND = 1, 2, 3
 _KERB_STONE_M = 0.16
 
 
 def kerb_points(ring: Ring, terrain: Terrain) -> np.ndarray:
-    """(n, 3) foot of the kerb."""
+    """Return the (n, 3) foot of the kerb."""
     return np.column_stack([ring.kerb_m, terrain.height(*ring.kerb_m.T)])
 
 
 def inner_points(ring: Ring, terrain: Terrain) -> np.ndarray:
-    """(n, 3) the centre line or junction each kerb vertex faces, on the crown of the street."""
+    """Return (n, 3) points on the crown of the street: the centre line or junction that each kerb vertex faces."""
     return np.column_stack([ring.inner_m, terrain.height(*ring.inner_m.T) + CROWN_M])
 
 
-def street_path(ring: Ring, terrain: Terrain, from_kerb_m: float) -> np.ndarray:
-    """(n, 3) closed path on the carriageway at a constant distance from the kerb."""
-    kerb, inner = kerb_points(ring, terrain), inner_points(ring, terrain)
-    share = from_kerb_m / np.linalg.norm(ring.inner_m - ring.kerb_m, axis=1)
-    return np.column_stack([ring.offset(-from_kerb_m), kerb[:, 2] + share * (inner[:, 2] - kerb[:, 2])])
-
-
 def sidewalk_path(ring: Ring, terrain: Terrain, from_kerb_m: float) -> np.ndarray:
-    """(n, 3) closed path on the sidewalk."""
+    """Return the (n, 3) closed path on the sidewalk at a constant distance from the kerb."""
     xy = ring.offset(from_kerb_m)
     return np.column_stack([xy, terrain.height(*xy.T) + KERB_M])
 
 
 def build(theme: Theme, terrain: Terrain, network: Network, paved: tuple[bool, ...], rng: np.random.Generator) -> Mesh:
-    """All surfaces; `paved` says which blocks have a sidewalk rather than a verge."""
+    """Build all surfaces; `paved` tells which blocks have a sidewalk instead of a verge."""
     material, dark, light = theme.road
     shade = int(rng.integers(dark, light))
-    asphalt = Skin(_ROAD, material, (shade, shade, shade + 3))
+    asphalt = Skin(ROAD, material, (shade, shade, shade + 3))
     meshes = []
     for ring, has_sidewalk in zip(network.rings, paved, strict=True):
         kerb, inner = kerb_points(ring, terrain), inner_points(ring, terrain)
@@ -53,41 +47,41 @@ def build(theme: Theme, terrain: Terrain, network: Network, paved: tuple[bool, .
 
 
 def _surface(rows: list[np.ndarray], skin: Skin) -> Mesh:
-    """A band of closed rows of points, uv = world x and y."""
+    """Build a band between closed rows of points, uv = world x and y."""
     net = np.stack([np.concatenate([row, row[:1]]) for row in rows])
     return sheet(net, net[..., :2], skin)
 
 
 def _edge(theme: Theme, terrain: Terrain, ring: Ring, kerb: np.ndarray, paved: bool, rng: np.random.Generator) -> Mesh:
-    """Kerb face, kerb stone and sidewalk; a verge has the same shape but is land."""
+    """Build kerb face, kerb stone and sidewalk, or a verge of the same shape."""
     rows = [sidewalk_path(ring, terrain, offset) for offset in (0.0, _KERB_STONE_M, theme.sidewalk_m)]
     closed = np.stack([np.concatenate([row, row[:1]]) for row in (kerb, rows[0])])
     along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(closed[0], axis=0), axis=1))])
     face_uv = np.stack(np.meshgrid(along, [0, KERB_M]), -1)
     if paved:
         shade = int(rng.integers(120, 172))
-        stone = Skin(_SIDEWALK, Material.CONCRETE, (170, 168, 162))
+        stone = Skin(SIDEWALK, Material.CONCRETE, (170, 168, 162))
         walk = Skin(
-            _SIDEWALK, Material.PAVING, (shade, shade - int(rng.integers(0, 12)), shade - int(rng.integers(4, 22)))
+            SIDEWALK, Material.PAVING, (shade, shade - int(rng.integers(0, 12)), shade - int(rng.integers(4, 22)))
         )
     else:
-        stone = walk = Skin(_GROUND, Material.GRASS, (96, 116, 60))
+        stone = walk = Skin(GROUND, Material.GRASS, (96, 116, 60))
     return concatenate([sheet(closed, face_uv, stone), _surface(rows[:2], stone), _surface(rows[1:], walk)])
 
 
 def _land(theme: Theme, terrain: Terrain, ring: Ring, rng: np.random.Generator) -> Mesh:
-    """From the back of the sidewalk to the middle of the block, or to the horizon."""
+    """Build the land from the back of the sidewalk to the middle of the block, or to the horizon."""
     rim = ring.offset(theme.sidewalk_m)
     middle = np.zeros(2) if ring.outside else rim.mean(0)
-    shares = (1.0, 1.12, 1.4, 2.0, 3.0, 5.0) if ring.outside else (1.0, 0.75, 0.45)
+    fractions = (1.0, 1.12, 1.4, 2.0, 3.0, 5.0) if ring.outside else (1.0, 0.75, 0.45)
     rows = []
-    for share in shares:
-        xy = middle + share * (rim - middle)
+    for fraction in fractions:
+        xy = middle + fraction * (rim - middle)
         rows.append(np.column_stack([xy, terrain.height(*xy.T) + KERB_M]))
-    material, color = theme.ground[int(rng.integers(len(theme.ground)))]
+    material, color = choice(rng, theme.ground)
     varied = np.clip(np.asarray(color) + rng.integers(-8, 9, 3), 0, 255)
-    skin = Skin(_GROUND, material, (int(varied[0]), int(varied[1]), int(varied[2])))
-    far = Skin(_GROUND, Material.GRASS, (92, 112, 66))
+    skin = Skin(GROUND, material, (int(varied[0]), int(varied[1]), int(varied[2])))
+    far = Skin(GROUND, Material.GRASS, (92, 112, 66))
     if ring.outside:
         return concatenate([_surface(rows[:3], skin), _surface(rows[2:], far)])
     return concatenate([_surface(rows, skin), fan(rows[-1], skin)])

@@ -1,4 +1,4 @@
-"""Where things stand: a plan of the free land, and a list of what was put on it."""
+"""A map of the free land, and the list of objects that were put on it."""
 
 from dataclasses import dataclass, field
 from math import cos, sin
@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from omniocc.world.assets.material import Material
-from omniocc.world.assets.mesh import Mesh, concatenate, instances
-from omniocc.world.assets.shape import Color, Number, Triple, upright
+from omniocc.world.mesh.material import Material
+from omniocc.world.mesh.mesh import Mesh, concatenate, instances
+from omniocc.world.mesh.shape import Color, Number, Triple, upright
 from omniocc.world.town.road import KERB_M
 from omniocc.world.town.terrain import Terrain
 
@@ -18,27 +18,27 @@ _SAMPLE_M = 0.28
 
 @dataclass(frozen=True)
 class Pose2:
-    """A place on the plan: position and heading; x runs along the heading, y to its left."""
+    """A position and yaw on the plan; the pose's x axis points along its yaw, y to its left."""
 
     x_m: Number
     y_m: Number
     yaw_rad: Number
 
     def at(self, along_m: Number, left_m: Number, yaw_rad: Number = 0.0) -> "Pose2":
-        """The pose with these coordinates in this pose's own frame."""
+        """Return the pose with these coordinates in this pose's own frame."""
         c, s = cos(self.yaw_rad), sin(self.yaw_rad)
         return Pose2(self.x_m + c * along_m - s * left_m, self.y_m + s * along_m + c * left_m, self.yaw_rad + yaw_rad)
 
 
 class Signal(NamedTuple):
-    """A traffic light for the cars that come in at an arm (street, at its end) of a junction."""
+    """A traffic light for the cars that arrive at an arm (street, at its end) of a junction."""
 
     arm: tuple[int, bool]
     pose: Pose2
 
 
 class Plan:
-    """Which land is taken, on a grid of 0.4 m: nothing static stands in another or on a lane."""
+    """A grid of 0.4 m of the land that is taken, so that static objects overlap neither each other nor a lane."""
 
     def __init__(self, radius_m: float) -> None:
         self._radius_m = radius_m
@@ -46,12 +46,12 @@ class Plan:
         self._taken = np.zeros(self._count**2, bool)
 
     def block(self, points_m: np.ndarray) -> None:
-        """Takes the cells of (..., 2) points."""
+        """Take the cells of (..., 2) points."""
         self._taken[self._cells(points_m[..., 0], points_m[..., 1])] = True
 
     def claim(self, pose: Pose2, size_m: tuple[Number, Number]) -> bool:
-        """Takes a rectangle centred on the pose, if all of it is free."""
-        if self._taken[self._rectangle(pose, size_m, 6.0)].any():  # most that fail do so here
+        """Take a rectangle centred on the pose if all of it is free; return whether it was."""
+        if self._taken[self._rectangle(pose, size_m, 6.0)].any():  # a coarse test first: most failing claims fail here
             return False
         index = self._rectangle(pose, size_m, _SAMPLE_M)
         if self._taken[index].any():
@@ -73,7 +73,7 @@ class Plan:
 
 @dataclass
 class Site:
-    """Collects the things of a place; copies of one prototype are laid out together, which is fast."""
+    """Collects the objects of a place; copies of one prototype are laid out together, which is fast."""
 
     terrain: Terrain
     plan: Plan
@@ -84,9 +84,9 @@ class Site:
         self, mesh: Mesh, pose: Pose2, *, stretch: Triple = (1.0, 1.0, 1.0), lift_m: Number = KERB_M,
         paint: dict[Material, Color] | None = None, follow: bool = False,
     ) -> None:  # fmt: skip
-        """Stands a copy of `mesh` on the land, some materials repainted. Claims nothing on the plan.
+        """Stand a copy of `mesh` on the land, some materials repainted; claims nothing on the plan.
 
-        With `follow` its x runs up and down with the land, as fences do.
+        With `follow` its x axis rises and falls with the land, as fences do.
         """
         paint = paint or {}
         _, poses, colors = self._copies.setdefault((id(mesh), tuple(paint)), (mesh, [], []))
@@ -94,7 +94,7 @@ class Site:
         colors.append(tuple(paint.values()))
 
     def mesh(self) -> Mesh:
-        """Everything put so far."""
+        """Return the mesh of everything put so far."""
         parts = []
         for (_, materials), (prototype, rows, colors) in self._copies.items():
             x, y, lift, yaw, follow, *stretch = np.array(rows, float).T
@@ -106,7 +106,7 @@ class Site:
         return concatenate(parts)
 
     def _slope(self, x: np.ndarray, y: np.ndarray, yaw: np.ndarray) -> np.ndarray:
-        """Rise over run along the headings."""
+        """Return the slope of the land, rise over run, along directions `yaw`."""
         ahead = np.stack([np.cos(yaw), np.sin(yaw)])
         front, back = (self.terrain.height(x + d * ahead[0], y + d * ahead[1]) for d in (1.5, -1.5))
         return (front - back) / 3

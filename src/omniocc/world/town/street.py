@@ -1,4 +1,4 @@
-"""What stands along a street: plots behind the sidewalk, furniture on it, parked cars beside it."""
+"""Objects along a street: plots behind the sidewalk, furniture on it, parked cars beside it."""
 
 from bisect import bisect_right
 from collections.abc import Iterator
@@ -8,9 +8,10 @@ import numpy as np
 
 from omniocc.world.assets import prop, tree, vehicle
 from omniocc.world.assets.barrier import PIECE_M
-from omniocc.world.assets.material import Material
-from omniocc.world.assets.shape import Number
-from omniocc.world.assets.stock import one, pick
+from omniocc.world.assets.catalog import random_variant
+from omniocc.world.mesh.material import Material
+from omniocc.world.mesh.shape import Number
+from omniocc.world.seeding import choice, weighted_choice
 from omniocc.world.town import plot
 from omniocc.world.town.marking import CROSSING_M
 from omniocc.world.town.network import Network, Ring, Side, degrees
@@ -21,20 +22,20 @@ _STREET_TREES = ("round", "tall", "birch", "young")
 
 
 def furniture_m(theme: Theme) -> float:
-    """Width of the strip beside the kerb that furniture may fill; walkers keep to the rest of the sidewalk."""
+    """Return the width of the strip beside the kerb for furniture; walkers use the rest of the sidewalk."""
     return min(1.3, 0.38 * theme.sidewalk_m)
 
 
 def reserve(theme: Theme, network: Network, plan: Plan) -> None:
-    """Takes streets and sidewalks from the free land."""
+    """Take streets and sidewalks from the free land."""
     for ring in network.rings:
         closed = [np.concatenate([points, points[:1]]) for points in (ring.kerb_m, ring.normal, ring.inner_m)]
         fine = np.arange(0, len(ring.kerb_m), 0.1)
         kerb, normal, inner = (
             np.stack([np.interp(fine, np.arange(len(points)), points[:, k]) for k in (0, 1)], -1) for points in closed
         )
-        for share in np.linspace(0, 1, 28):
-            plan.block(kerb + share * (inner - kerb))
+        for fraction in np.linspace(0, 1, 28):
+            plan.block(kerb + fraction * (inner - kerb))
         for offset in np.arange(0, theme.sidewalk_m + 0.01, 0.25):
             plan.block(kerb + offset * normal)
 
@@ -53,9 +54,9 @@ class _Line:
     def _point(self, along_m: Number) -> tuple[float, float]:
         k = min(max(bisect_right(self._along, along_m), 1), len(self._along) - 1)
         low, high = self._along[k - 1], self._along[k]
-        share = min(max((along_m - low) / (high - low), 0.0), 1.0)
+        fraction = min(max((along_m - low) / (high - low), 0.0), 1.0)
         (ax, ay), (bx, by) = self._points[k - 1], self._points[k]
-        return ax + share * (bx - ax), ay + share * (by - ay)
+        return ax + fraction * (bx - ax), ay + fraction * (by - ay)
 
 
 def furnish(
@@ -67,13 +68,13 @@ def furnish(
     site: Site,
     rng: np.random.Generator,
 ) -> None:
-    """Fills the surroundings of one block's sides."""
+    """Put everything along one block's sides: furniture, parked cars, plots."""
     for side in ring.sides:
         line, first, last = _Line(side), float(side.along_m[0]), float(side.along_m[-1])
         if paved:
             _furniture(theme, line, first, last, site, rng)
-        elif rng.uniform() < theme.guard_rail_share:
-            rail = one(rng, "barrier", "guard")
+        elif rng.uniform() < theme.guard_rail_fraction:
+            rail = random_variant(rng, "barrier", "guard")
             for s in np.arange(first + 6, last - 6, PIECE_M):
                 site.put(rail, line.at(float(s), 0.6), follow=True)
         else:
@@ -89,7 +90,7 @@ def furnish(
 
 
 def _walk(rng: np.random.Generator, first: Number, last: Number, gap_m: Number) -> Iterator[float]:
-    """Positions a mean gap apart."""
+    """Yield positions from `first` to `last`, `gap_m` apart in the mean."""
     s = first + rng.uniform(0.2, 0.8) * gap_m
     while s < last:
         yield float(s)
@@ -109,49 +110,53 @@ def _furniture(theme: Theme, line: _Line, first: Number, last: Number, site: Sit
     strip = furniture_m(theme)
     for s in _walk(rng, first, last, theme.lamp_gap_m):
         if free(s, 1.0):
-            site.put(one(rng, "pole", theme.lamp), line.at(s, 0.5, np.pi))
+            site.put(random_variant(rng, "pole", theme.lamp), line.at(s, 0.5, np.pi))
     kinds = {kind: weight for kind, weight in theme.trees.items() if kind in _STREET_TREES}
     for s in _walk(rng, first, last, theme.tree_gap_m):
         if free(s, 1.6):
-            color = tree.LEAF_COLORS[int(rng.integers(len(tree.LEAF_COLORS)))]
+            color = choice(rng, tree.LEAF_COLORS)
             site.put(
-                one(rng, "tree", pick(rng, kinds)),
+                random_variant(rng, "tree", weighted_choice(rng, kinds)),
                 line.at(s, 0.6, float(rng.uniform(0, 6))),
                 paint={Material.LEAVES: color},
             )
     for s in _walk(rng, first, last, theme.prop_gap_m):
-        kind = pick(rng, theme.props)
+        kind = weighted_choice(rng, theme.props)
         length, across = prop.KINDS[kind].size_m
         if across > strip - 0.1:
             pose = line.at(s, theme.sidewalk_m + 0.5 + across / 2, np.pi)
             if site.plan.claim(pose, (length + 0.3, across + 0.1)):
-                site.put(one(rng, "prop", kind), pose)
+                site.put(random_variant(rng, "prop", kind), pose)
         elif free(s, length + 0.4):
-            site.put(one(rng, "prop", kind), line.at(s, 0.1 + across / 2, np.pi))
+            site.put(random_variant(rng, "prop", kind), line.at(s, 0.1 + across / 2, np.pi))
     for s in _walk(rng, first, last, 34.0):
         if free(s, 0.8):
-            site.put(one(rng, "pole", "sign"), line.at(s, 0.5))
+            site.put(random_variant(rng, "pole", "sign"), line.at(s, 0.5))
 
 
 def _verge(theme: Theme, line: _Line, first: Number, last: Number, site: Site, rng: np.random.Generator) -> None:
-    """Delineator signs and trees on the grass beside the street."""
+    """Put delineator signs and trees on the grass beside the street."""
     for k, s in enumerate(_walk(rng, first + 4, last - 4, theme.tree_gap_m)):
         if k % 3 == 2:
-            site.put(one(rng, "pole", "sign"), line.at(s, 0.7))
+            site.put(random_variant(rng, "pole", "sign"), line.at(s, 0.7))
         else:
-            color = tree.LEAF_COLORS[int(rng.integers(len(tree.LEAF_COLORS)))]
-            site.put(one(rng, "tree", "round" if k % 3 else "young"), line.at(s, 1.1), paint={Material.LEAVES: color})
+            color = choice(rng, tree.LEAF_COLORS)
+            site.put(
+                random_variant(rng, "tree", "round" if k % 3 else "young"),
+                line.at(s, 1.1),
+                paint={Material.LEAVES: color},
+            )
 
 
 def _corner_poles(network: Network, line: _Line, along_m: Number, site: Site, rng: np.random.Generator) -> None:
-    """A traffic light (or a sign) where the cars of this side leave it, looking at them."""
+    """Put a traffic light (or a sign) where the cars of this side leave it, facing them."""
     edge, pose = network.edges[line.side.edge], line.at(along_m + 0.6, 0.55)
     meeting = degrees(network)[edge.start if line.side.forward else edge.end]
     if edge.lanes > 1 and meeting > 2:
-        site.put(one(rng, "pole", "light"), pose)
+        site.put(random_variant(rng, "pole", "light"), pose)
         site.signals.append(Signal((line.side.edge, not line.side.forward), pose))
     else:
-        site.put(one(rng, "pole", "sign"), pose)
+        site.put(random_variant(rng, "pole", "sign"), pose)
 
 
 def _parked(theme: Theme, line: _Line, first: Number, last: Number, site: Site, rng: np.random.Generator) -> None:
@@ -159,25 +164,25 @@ def _parked(theme: Theme, line: _Line, first: Number, last: Number, site: Site, 
         return
     end = first
     for s in _walk(rng, first, last, theme.parked_gap_m):
-        mesh = one(rng, "vehicle", pick(rng, vehicle.PARKED))
+        mesh = random_variant(rng, "vehicle", weighted_choice(rng, vehicle.PARKED))
         length, width, _ = vehicle.size_m(mesh)
         if s - length / 2 < end + 0.5 or s + length / 2 > last:
             continue
         end = s + length / 2
         pose = line.at(s, -0.12 - width / 2, np.pi + float(rng.uniform(-0.015, 0.015)))
-        color = vehicle.PAINTS[int(rng.integers(len(vehicle.PAINTS)))]
+        color = choice(rng, vehicle.PAINTS)
         site.put(mesh, pose, lift_m=0.03, paint={Material.CAR_PAINT: color})
 
 
 _TRIALS = ((1.0, 1.0, 0.55), (1.0, 0.8, 1.2), (0.75, 0.8, 0.55), (0.55, 0.8, 0.55), (0.55, 0.6, 1.2))
-"""Shares of depth and width, and metres behind the sidewalk, that a plot is tried with."""
+"""Fractions of a plot's depth and width, and metres behind the sidewalk, in the order in which they are tried."""
 
 
 def _plots(theme: Theme, side: Side, site: Site, rng: np.random.Generator) -> None:
     line, s = _Line(side), float(side.along_m[0]) - 8.0
     while s < side.along_m[-1] + 8:
         wide, deep = float(rng.uniform(*theme.plot_width_m)), float(rng.uniform(20, 30))
-        kind = pick(rng, theme.plots)
+        kind = weighted_choice(rng, theme.plots)
         for shrink, narrow, back in _TRIALS:
             width, depth = wide * narrow, deep * shrink
             front = _front(line, side, s + width / 2, theme.sidewalk_m + back)
@@ -190,7 +195,7 @@ def _plots(theme: Theme, side: Side, site: Site, rng: np.random.Generator) -> No
 
 
 def _infill(theme: Theme, side: Side, site: Site, rng: np.random.Generator) -> None:
-    """Narrow houses in the gaps between plots."""
+    """Put narrow houses into the gaps between plots."""
     line = _Line(side)
     for s in np.arange(float(side.along_m[0]) - 6, float(side.along_m[-1]) + 6, 2.2):
         for width, depth in ((6.5, 9.0), (4.6, 8.0)):
@@ -201,6 +206,6 @@ def _infill(theme: Theme, side: Side, site: Site, rng: np.random.Generator) -> N
 
 
 def _front(line: _Line, side: Side, along_m: Number, into_block_m: Number) -> Pose2:
-    """The pose behind the sidewalk, also a little past the ends of the side."""
+    """Return the pose behind the sidewalk, also a little past the ends of the side."""
     inside = float(np.clip(along_m, side.along_m[0] + 0.5, side.along_m[-1] - 0.5))
     return line.at(inside, into_block_m).at(along_m - inside, 0.0)

@@ -1,4 +1,4 @@
-"""The lie of the land: gentle hills under the streets, higher ones on the horizon."""
+"""Height of the land: gentle hills under the streets, higher ones on the horizon."""
 
 from dataclasses import dataclass
 
@@ -13,10 +13,10 @@ class Terrain:
     """Height as a sum of plane waves, so that it is exact and smooth everywhere.
 
     Attributes:
-        wave_vector: (W, 2) radians per metre.
-        amplitude_m: (W,).
-        phase_rad: (W,).
-        horizon_m: how high the hills far outside rise.
+        wave_vector: (W, 2) of each wave, radians per metre.
+        amplitude_m: (W,) of each wave.
+        phase_rad: (W,) of each wave at the world's origin.
+        horizon_m: height of the hills on the horizon.
     """
 
     wave_vector: np.ndarray
@@ -25,7 +25,7 @@ class Terrain:
     horizon_m: float
 
     def height(self, x_m: np.ndarray | float, y_m: np.ndarray | float) -> np.ndarray:
-        """Height (...) at world positions (...), float64."""
+        """Return the height (...) float64 at world positions (...)."""
         x_m, y_m = np.asarray(x_m, float), np.asarray(y_m, float)
         angle = x_m[..., None] * self.wave_vector[:, 0] + y_m[..., None] * self.wave_vector[:, 1] + self.phase_rad
         outside = np.clip((np.hypot(x_m, y_m) - _HORIZON_START_M) / 300, 0, None)
@@ -34,11 +34,11 @@ class Terrain:
 
 
 def draw(rng: np.random.Generator, slope: float, horizon_m: float) -> Terrain:
-    """Hills whose steepest slopes come near `slope` (rise over run)."""
-    heading = rng.uniform(0, 2 * np.pi) + np.arange(_WAVES) * (np.pi / _WAVES) + rng.uniform(-0.2, 0.2, _WAVES)
+    """Draw hills whose steepest slopes come near `slope` (rise over run)."""
+    azimuth = rng.uniform(0, 2 * np.pi) + np.arange(_WAVES) * (np.pi / _WAVES) + rng.uniform(-0.2, 0.2, _WAVES)
     length_m = rng.uniform(110, 320, _WAVES)
     wave_number = 2 * np.pi / length_m
-    share = rng.dirichlet(np.full(_WAVES, 3.0))
-    amplitude_m = 1.35 * slope * share / wave_number
-    direction = np.stack([np.cos(heading), np.sin(heading)], 1)
+    fraction = rng.dirichlet(np.full(_WAVES, 3.0))
+    amplitude_m = 1.35 * slope * fraction / wave_number
+    direction = np.stack([np.cos(azimuth), np.sin(azimuth)], 1)
     return Terrain(direction * wave_number[:, None], amplitude_m, rng.uniform(0, 2 * np.pi, _WAVES), horizon_m)

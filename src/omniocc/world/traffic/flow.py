@@ -1,8 +1,8 @@
-"""Traffic that reacts: cars follow each other, wait for one another at junctions and for people at crossings.
+"""Traffic flow: cars follow each other, and wait at junctions for each other and for people at crossings.
 
-Simulated in steps from the scene's beginning and remembered, so that any moment can be asked for in any order. Cars
-follow the intelligent driver model (Treiber, Hennecke, Helbing 2000, eq. 3). Before a junction every car asks for its
-turn and stops at the line until nobody whose turn clashes has the right of way; so do people at a crossing.
+It is simulated in steps from the start of the scene and remembered, so that any time can be asked for in any order.
+Cars follow the intelligent driver model (Treiber, Hennecke, Helbing 2000, eq. 3). Before a junction every car asks for
+its turn, and stops at the line until no clashing turn has the right of way; people at a crossing do the same.
 """
 
 from bisect import bisect_right
@@ -11,20 +11,21 @@ from math import sqrt
 
 import numpy as np
 
-from omniocc.world.traffic.route import Arm, Roads
+from omniocc.world.seeding import choice
+from omniocc.world.traffic.lanes import Arm, Roads
 
 STEP_S = 0.2
 _ACCELERATE_MPS2, _BRAKE_MPS2, _HARDEST_MPS2 = 1.8, 2.0, 6.0
 _GAP_M, _GAP_S = 2.2, 1.1
-_CLEAR_M = 5.0  # of the zebra behind the junction, before the right of way is given back
-_PATIENCE_S = 5.0  # after which those who wait are no longer overtaken
+_CLEAR_M = 5.0  # beyond the end of the turn, where a car gives its right of way back: past the zebra crossing
+_PATIENCE_S = 5.0  # after this wait, later arrivals with a clashing turn are held back
 _LOOK_M = 45.0
 _YELLOW_STEPS = 8
 
 
 @dataclass
 class Car:
-    """A vehicle: size, the pieces it drives and where they begin on its way, and its motion at the newest step."""
+    """A vehicle: size, its route (pieces and the arc lengths of their starts), and its motion at the newest step."""
 
     length_m: float
     top_mps: float
@@ -36,15 +37,15 @@ class Car:
     asked_s: float = -1.0
 
     def current(self) -> int:
-        """Index into `pieces` of the piece under the car's middle."""
+        """Return the index into `pieces` of the piece under the car's middle."""
         return bisect_right(self.starts_m, self.along_m) - 1
 
 
 @dataclass
 class Crosser:
-    """Someone who goes to and fro between `start_m` and `end_m` (3,) over the crossing at `arm`.
+    """A person who walks to and fro between `start_m` and `end_m` (3,) over the crossing at `arm`.
 
-    `moves` are the times (and directions) at which they set out; `ready_s` is when they next want to.
+    `moves` are (time, direction) of each start; `ready_s` is the time of the next wish to cross.
     """
 
     arm: Arm
@@ -57,21 +58,21 @@ class Crosser:
 
     @property
     def duration_s(self) -> float:
-        """From side to side."""
+        """Time to cross the street."""
         return float(np.linalg.norm(self.end_m - self.start_m)) / self.pace_mps
 
-    def share(self, time_s: float) -> tuple[float, float]:
-        """How far over, and the direction of walking (+1, -1, or 0 while waiting)."""
+    def progress(self, time_s: float) -> tuple[float, float]:
+        """Return the fraction of the crossing walked, and the direction (+1, -1, or 0 while waiting)."""
         k = bisect_right(self.moves, (time_s, 2.0)) - 1
         if k < 0:
             return (0.0, 0.0)
         since, direction = self.moves[k]
-        part = min((time_s - since) / self.duration_s, 1.0)
-        return (part if direction > 0 else 1 - part), (direction if part < 1 else 0.0)
+        fraction = min((time_s - since) / self.duration_s, 1.0)
+        return (fraction if direction > 0 else 1 - fraction), (direction if fraction < 1 else 0.0)
 
 
 class Flow:
-    """Cars and crossing people of a place from time 0 on; `rng` decides the turns that are taken."""
+    """Cars and crossing people of a place from time 0 on; `rng` draws turns and waiting times."""
 
     def __init__(self, roads: Roads, cars: list[Car], crossers: list[Crosser], rng: np.random.Generator) -> None:
         self.roads, self.cars, self.crossers = roads, cars, crossers
@@ -82,7 +83,7 @@ class Flow:
         self._remember()
 
     def motion(self, time_s: float) -> tuple[np.ndarray, np.ndarray]:
-        """Arc length (K,) on each car's way and speed (K,) at a time from 0 on."""
+        """Return arc length (K,) and speed (K,) of each car at a time from 0 on."""
         step = int(time_s / STEP_S)
         self.run_to(time_s)
         (along, speed), (_, after) = self._past[step], self._past[step + 1]
@@ -91,12 +92,12 @@ class Flow:
         return along + since * (speed + 0.5 * gain * since), speed + gain * since
 
     def run_to(self, time_s: float) -> None:
-        """Simulates until the time lies within what is remembered."""
+        """Simulate until the time lies within what is remembered."""
         while len(self._past) < int(time_s / STEP_S) + 2:
             self._step((len(self._past) - 1) * STEP_S)
 
     def signal(self, arm: Arm, time_s: float) -> int:
-        """What the light at an arm shows: red (0), yellow (1), or green (2) while a car has the right of way."""
+        """Return what the light at an arm shows: red (0), yellow (1), or green (2) while a car has the right of way."""
         step = int(time_s / STEP_S)
         self.run_to(time_s)
         if arm in self._open[step]:
@@ -104,7 +105,7 @@ class Flow:
         return int(any(arm in before for before in self._open[max(step - _YELLOW_STEPS, 0) : step]))
 
     def place(self, car: int, along_m: float) -> np.ndarray:
-        """(3,) the point of the road at an arc length of a car's way."""
+        """Return the (3,) point of the road at an arc length of a car's route."""
         way = self.cars[car]
         k = max(bisect_right(way.starts_m, along_m) - 1, 0)
         piece, at = self.roads.pieces[way.pieces[k]], along_m - way.starts_m[k]
@@ -139,11 +140,11 @@ class Flow:
         self._remember()
 
     def _extend(self, car: Car, k: int) -> None:
-        """Chooses the turn and the lane after the lane that the car is on."""
+        """Choose the turn and the lane after the lane that the car is on."""
         while len(car.pieces) < k + 4:
             lane = car.pieces[-1]
             onward = self.roads.onward[lane]
-            turn = onward[int(self._rng.integers(len(onward)))]
+            turn = choice(self._rng, onward)
             for piece in (turn, self.roads.turn(turn).target):
                 car.starts_m.append(car.starts_m[-1] + self.roads.pieces[car.pieces[-1]].length_m)
                 car.pieces.append(piece)
@@ -162,10 +163,10 @@ class Flow:
             if number < 0:
                 crosser = self.crossers[-1 - number]
                 if crosser.arm not in used and crosser.arm not in kept:
-                    self._set_out(crosser, time_s)
+                    self._start_crossing(crosser, time_s)
                     walked.add(crosser.arm)
                 elif late:
-                    walked.add(crosser.arm)  # cars let them go next
+                    walked.add(crosser.arm)  # then cars wait, and this person goes next
                 continue
             car, k = self.cars[number], current[number]
             turn = car.pieces[k + 1]
@@ -199,7 +200,7 @@ class Flow:
         return True
 
     def _has_room(self, number: int, k: int, onto: dict[int, list[tuple[float, int]]]) -> bool:
-        """Whether nobody ahead in the lane waits, and the lane behind the junction can take the whole car."""
+        """Return whether no car ahead in the lane waits and the lane behind the junction can take the whole car."""
         car = self.cars[number]
         at = car.along_m - car.starts_m[k]
         for position, other in onto[car.pieces[k]]:
@@ -215,10 +216,10 @@ class Flow:
 
     @staticmethod
     def _is_coming(car: Car, lane: int) -> bool:
-        """Whether a car with the right of way is on its way to a lane, but not in it yet."""
+        """Return whether a car with the right of way will enter a lane but is not in it yet."""
         return any(car.pieces[k + 1] == lane and car.along_m < car.starts_m[k + 1] for k in car.right_of_way)
 
-    def _set_out(self, crosser: Crosser, time_s: float) -> None:
+    def _start_crossing(self, crosser: Crosser, time_s: float) -> None:
         direction = -crosser.moves[-1][1] if crosser.moves else 1.0
         crosser.moves.append((time_s, direction))
         crosser.ready_s = time_s + crosser.duration_s + crosser.rest_s * float(self._rng.uniform(0.5, 1.5))
@@ -244,7 +245,7 @@ class Flow:
         return max(_ACCELERATE_MPS2 * max(gain, -3.0), -_HARDEST_MPS2)
 
     def _ahead(self, number: int, k: int, onto: dict[int, list[tuple[float, int]]]) -> tuple[float, float]:
-        """Free metres to the rear of the next car on the way, and its speed."""
+        """Return the free metres to the rear of the next car on the route, and its speed."""
         car = self.cars[number]
         for j in range(k, min(k + 3, len(car.pieces))):
             if car.starts_m[j] - car.along_m > _LOOK_M:

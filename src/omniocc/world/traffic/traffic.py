@@ -1,34 +1,34 @@
-"""Everything that moves in a place, as a function of time, and the car that carries the cameras."""
+"""Everything that moves in a place, the ego included, as a function of time."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from omniocc.world import seeding
 from omniocc.world.assets import person, pole
-from omniocc.world.assets.material import Material
-from omniocc.world.assets.mesh import Mesh, concatenate, transform, with_instance
-from omniocc.world.assets.stock import people
-from omniocc.world.assets.vehicle import EGO_ROAD_M, PAINTS
+from omniocc.world.assets.catalog import people
+from omniocc.world.assets.vehicle import EGO_ROAD_M, PAINTS, painted
+from omniocc.world.mesh.label import PEDESTRIAN, VEHICLE
+from omniocc.world.mesh.mesh import Mesh, concatenate, transform, with_instance
+from omniocc.world.mesh.shape import upright_pose
 from omniocc.world.town.place import Place
 from omniocc.world.town.road import KERB_M
-from omniocc.world.traffic import driving, route, walking
+from omniocc.world.traffic import fleet, lanes, pedestrians
 from omniocc.world.traffic.flow import Flow
 
-_VEHICLE, _PEDESTRIAN = 7, 10
 _RANGE_M = 80.0
 _WARM_UP_S = 10.0
 
 
 @dataclass(frozen=True)
 class Actor:
-    """A thing that moves.
+    """A vehicle or person that moves.
 
     Attributes:
         id: the instance number of its faces.
         label: class id.
         world_from_actor: (4, 4) float64; the origin is on the ground below its middle, x forward.
-        size_m: along its own x, y, z.
+        size_m: extent along its own x, y, z.
         velocity_mps: (2,) in the world frame.
     """
 
@@ -40,33 +40,33 @@ class Actor:
 
 
 class Traffic:
-    """The traffic of a place; every method is a function of time alone (from 0 on)."""
+    """The traffic of a place; every method is a function of time alone (0 or later)."""
 
     def __init__(self, place: Place, seed: int) -> None:
         rng = seeding.generator(place.theme.name, seed, "traffic")
         self._place = place
-        roads = route.draw(place.theme, place.network, place.terrain, place.crossings, rng)
-        self._fleet, cars = driving.draw_fleet(place, roads, rng)
-        self._rounds = walking.draw_rounds(place, rng)
-        self._shake = rng.uniform(size=(3, 3, 2))
+        roads = lanes.draw(place.theme, place.network, place.terrain, place.crossings, rng)
+        self._fleet, cars = fleet.draw_fleet(place, roads, rng)
+        self._rounds = pedestrians.draw_rounds(place, rng)
+        self._sway_draws = rng.uniform(size=(3, 3, 2))
         self._warm_up_s = float(rng.uniform(0, _WARM_UP_S))
         paint = rng.integers(len(PAINTS), size=len(cars))
-        self._cars = [_painted(mesh, PAINTS[k]) for mesh, k in zip(self._fleet.meshes, paint, strict=True)]
-        self._flow = Flow(roads, cars, walking.draw_crossers(place, rng), rng)
+        self._cars = [painted(mesh, PAINTS[k]) for mesh, k in zip(self._fleet.meshes, paint, strict=True)]
+        self._flow = Flow(roads, cars, pedestrians.draw_crossers(place, rng), rng)
 
     def ego_along_m(self, time_s: float) -> float:
-        """How far the ego has come on its way."""
+        """Return the arc length of the ego on its route."""
         return float(self._flow.motion(time_s + self._warm_up_s)[0][0])
 
     def world_from_ego(self, time_s: float) -> np.ndarray:
-        """(4, 4) float64 pose of the ego frame, 2.2 m above the road.
+        """Return the (4, 4) float64 pose of the ego frame, 2.2 m above the road.
 
         The car pitches and rolls by about 0.02 rad and heaves by 0.1 m (standard deviations) on top of the slope.
         """
         along = self.ego_along_m(time_s)
         front, rear = self._flow.place(0, along + 1.4), self._flow.place(0, along - 1.4)
-        road = _standing(self._place, 0.5 * (front + rear), front - rear)
-        roll, pitch, heave = (_shake(time_s, draws) for draws in self._shake)
+        road = _vehicle_pose(self._place, 0.5 * (front + rear), front - rear)
+        roll, pitch, heave = (_sway(time_s, draws) for draws in self._sway_draws)
         tilt = _tilt(0.02 * roll, 0.02 * pitch)
         pose = road.copy()
         pose[:3, :3] = road[:3, :3] @ tilt
@@ -74,7 +74,7 @@ class Traffic:
         return pose
 
     def actors(self, time_s: float) -> tuple[Mesh, tuple[Actor, ...]]:
-        """All that moves within 80 m of the ego: faces in the world frame with instance = actor id, and the actors.
+        """Return all that moves within 80 m of the ego: faces in the world frame (instance = actor id), and actors.
 
         Lit lamps of traffic lights are among the faces, with an instance below -1 for each light.
         """
@@ -83,72 +83,72 @@ class Traffic:
         return concatenate([*moved, *self._lamps(time_s)]), tuple(actor for _, actor in pairs)
 
     def boxes(self, time_s: float) -> tuple[Actor, ...]:
-        """The actors alone, which is faster."""
+        """Return the actors alone, which is faster."""
         return tuple(actor for _, actor in self._near(time_s))
 
     def _lamps(self, time_s: float) -> list[Mesh]:
-        """What the traffic lights near by show."""
-        middle, lit = self.world_from_ego(time_s)[:2, 3], []
+        """Return the lit lamps of the traffic lights near by."""
+        ego_xy, lit = self.world_from_ego(time_s)[:2, 3], []
         for number, signal in enumerate(self._place.signals):
             x, y, yaw = signal.pose.x_m, signal.pose.y_m, signal.pose.yaw_rad
-            if np.hypot(x - middle[0], y - middle[1]) < _RANGE_M:
+            if np.hypot(x - ego_xy[0], y - ego_xy[1]) < _RANGE_M:
                 shown = self._flow.signal(signal.arm, time_s + self._warm_up_s)
                 foot = np.array([x, y, float(self._place.height(x, y)) + KERB_M])
-                lamps = transform(pole.lit_lamps(shown), _upright(foot, yaw))
+                lamps = transform(pole.lit_lamps(shown), upright_pose(foot, yaw))
                 lit.append(with_instance(lamps, -2 - number))
         return lit
 
     def _near(self, time_s: float) -> list[tuple[Mesh, Actor]]:
-        """Prototypes and actors."""
-        middle = self.world_from_ego(time_s)[:2, 3]
-        return [*self._driving(time_s, middle), *self._walking(time_s, middle), *self._crossing(time_s, middle)]
+        """Return prototype and actor of everything near by."""
+        ego_xy = self.world_from_ego(time_s)[:2, 3]
+        return [*self._driving(time_s, ego_xy), *self._walking(time_s, ego_xy), *self._crossing(time_s, ego_xy)]
 
-    def _driving(self, time_s: float, middle: np.ndarray) -> list[tuple[Mesh, Actor]]:
+    def _driving(self, time_s: float, ego_xy: np.ndarray) -> list[tuple[Mesh, Actor]]:
         found = []
         along, speed = self._flow.motion(time_s + self._warm_up_s)
         for car in range(1, len(along)):
-            if np.linalg.norm(self._flow.place(car, along[car])[:2] - middle) > _RANGE_M:
+            if np.linalg.norm(self._flow.place(car, along[car])[:2] - ego_xy) > _RANGE_M:
                 continue
-            half = driving.half_wheelbase_m(self._flow.cars[car].length_m)
+            half = fleet.half_wheelbase_m(self._flow.cars[car].length_m)
             front, rear = self._flow.place(car, along[car] + half), self._flow.place(car, along[car] - half)
-            pose = _standing(self._place, 0.5 * (front + rear), front - rear)
+            pose = _vehicle_pose(self._place, 0.5 * (front + rear), front - rear)
             velocity = speed[car] * pose[:2, 0]
-            found.append(self._actor(self._cars[car], car, _VEHICLE, pose, self._fleet.size_m[car], velocity))
+            found.append(self._actor(self._cars[car], car, VEHICLE, pose, self._fleet.size_m[car], velocity))
         return found
 
-    def _walking(self, time_s: float, middle: np.ndarray) -> list[tuple[Mesh, Actor]]:
+    def _walking(self, time_s: float, ego_xy: np.ndarray) -> list[tuple[Mesh, Actor]]:
         found, number = [], len(self._cars)
         for walk in self._rounds:
             along = walk.along_m + walk.speed_mps * time_s
             points, ahead = walk.path.at(along), walk.path.at(along + 0.5)
-            heading = ahead - points
-            for k in np.flatnonzero(np.linalg.norm(points[:, :2] - middle, axis=1) < _RANGE_M):
-                velocity = walk.speed_mps * heading[k, :2] / np.linalg.norm(heading[k])
-                found.append(self._person(number + int(k), points[k], heading[k], velocity, float(along[k])))
+            direction = ahead - points
+            for k in np.flatnonzero(np.linalg.norm(points[:, :2] - ego_xy, axis=1) < _RANGE_M):
+                velocity = walk.speed_mps * direction[k, :2] / np.linalg.norm(direction[k])
+                found.append(self._person(number + int(k), points[k], direction[k], velocity, float(along[k])))
             number += len(along)
         return found
 
-    def _crossing(self, time_s: float, middle: np.ndarray) -> list[tuple[Mesh, Actor]]:
+    def _crossing(self, time_s: float, ego_xy: np.ndarray) -> list[tuple[Mesh, Actor]]:
         found, number = [], len(self._cars) + sum(len(walk.along_m) for walk in self._rounds)
         for k, crosser in enumerate(self._flow.crossers):
-            share, direction = crosser.share(time_s + self._warm_up_s)
-            point = walking.crossing_point(self._place, crosser, share)
-            if np.linalg.norm(point[:2] - middle) > _RANGE_M:
+            fraction, sign = crosser.progress(time_s + self._warm_up_s)
+            point = pedestrians.crossing_point(self._place, crosser, fraction)
+            if np.linalg.norm(point[:2] - ego_xy) > _RANGE_M:
                 continue
             way = crosser.end_m - crosser.start_m
-            heading = way * (direction or (1.0 if share < 0.5 else -1.0))
-            velocity = direction * way[:2] / crosser.duration_s
-            pace_m = share * float(np.linalg.norm(way)) if direction else 0.0
-            found.append(self._person(number + k, point, heading, velocity, pace_m))
+            direction = way * (sign or (1.0 if fraction < 0.5 else -1.0))
+            velocity = sign * way[:2] / crosser.duration_s
+            pace_m = fraction * float(np.linalg.norm(way)) if sign else 0.0
+            found.append(self._person(number + k, point, direction, velocity, pace_m))
         return found
 
     def _person(
-        self, number: int, point: np.ndarray, heading: np.ndarray, velocity: np.ndarray, pace_m: float
+        self, number: int, point: np.ndarray, direction: np.ndarray, velocity: np.ndarray, pace_m: float
     ) -> tuple[Mesh, Actor]:
         poses, size = people()[number % len(people())]
         mesh = poses[int(pace_m / person.STRIDE_M * person.PHASES) % person.PHASES]
-        upright = _upright(point, float(np.arctan2(heading[1], heading[0])))
-        return self._actor(mesh, number, _PEDESTRIAN, upright, np.array(size), velocity)
+        pose = upright_pose(point, float(np.arctan2(direction[1], direction[0])))
+        return self._actor(mesh, number, PEDESTRIAN, pose, np.array(size), velocity)
 
     @staticmethod
     def _actor(
@@ -158,19 +158,9 @@ class Traffic:
         return mesh, Actor(number, label, pose, size_m, (float(velocity[0]), float(velocity[1])))
 
 
-def _painted(mesh: Mesh, color: tuple[int, int, int]) -> Mesh:
-    paint = (mesh.material == Material.CAR_PAINT)[:, None]
-    return replace(mesh, color=np.where(paint, np.array(color, np.uint8), mesh.color))
-
-
-def _upright(point: np.ndarray, yaw_rad: float) -> np.ndarray:
-    cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
-    return np.array([[cos, -sin, 0, point[0]], [sin, cos, 0, point[1]], [0, 0, 1, point[2]], [0, 0, 0, 1]])
-
-
-def _standing(place: Place, point: np.ndarray, heading: np.ndarray) -> np.ndarray:
-    """Pose of a car at a point of the road: x along its heading (which follows the slope), rolled with the land."""
-    forward = heading / np.linalg.norm(heading)
+def _vehicle_pose(place: Place, point: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """Return the pose of a car on the road: x along `direction` (with its slope), rolled with the land."""
+    forward = direction / np.linalg.norm(direction)
     left = np.array([-forward[1], forward[0], 0.0])
     left /= np.linalg.norm(left)
     rise = place.height(point[0] + np.array([1.0, -1.0]) * left[0], point[1] + np.array([1.0, -1.0]) * left[1])
@@ -188,8 +178,8 @@ def _tilt(roll_rad: float, pitch_rad: float) -> np.ndarray:
     return np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]]) @ np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
 
 
-def _shake(time_s: float, draws: np.ndarray) -> float:
-    """Three sines of 0.1 to 1 Hz with unit variance in all; `draws` (3, 2) in [0, 1] set frequency and phase."""
+def _sway(time_s: float, draws: np.ndarray) -> float:
+    """Return a sum of three sines of 0.1 to 1 Hz with unit variance; `draws` (3, 2) set frequency and phase."""
     frequency_hz = np.array([0.12, 0.35, 0.8]) * (0.8 + 0.4 * draws[:, 0])
     return float(
         (np.sqrt(2) * np.array([0.75, 0.55, 0.37]) * np.sin(2 * np.pi * (frequency_hz * time_s + draws[:, 1]))).sum()

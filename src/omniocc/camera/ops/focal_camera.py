@@ -1,0 +1,47 @@
+"""The part that camera models with one focal length per image axis share."""
+
+from dataclasses import dataclass, replace
+
+from jaxtyping import Float
+from torch import Tensor
+
+from omniocc.camera.protocol import check_size, normalize_fields, pair, positive_pair, scaled_center
+
+
+@dataclass(frozen=True)
+class FocalCamera:
+    """An image with a focal length per axis; subclasses map points to its normalised plane and back.
+
+    Attributes:
+        width: of the image, px.
+        height: of the image, px.
+        focal_px: (fx, fy), pixels per unit of the normalised plane.
+        center_px: (cx, cy), the pixel of the optical axis.
+    """
+
+    width: int
+    height: int
+    focal_px: tuple[float, float]
+    center_px: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        """Check the parameters.
+
+        Raises:
+            ValueError: naming a parameter that no lens has.
+        """
+        check_size(self.width, self.height)
+        normalize_fields(self, {"focal_px": positive_pair, "center_px": pair})
+
+    def resized(self, width: int, height: int) -> "FocalCamera":
+        """See `Camera.resized`."""
+        scale_x, scale_y = width / self.width, height / self.height
+        focal_px = (self.focal_px[0] * scale_x, self.focal_px[1] * scale_y)
+        center_px = scaled_center(self.center_px, scale_x, scale_y)
+        return replace(self, width=width, height=height, focal_px=focal_px, center_px=center_px)
+
+    def _to_pixels(self, plane: Float[Tensor, "*batch 2"]) -> Float[Tensor, "*batch 2"]:
+        return plane * plane.new_tensor(self.focal_px) + plane.new_tensor(self.center_px)
+
+    def _to_plane(self, pixels: Float[Tensor, "*batch 2"]) -> Float[Tensor, "*batch 2"]:
+        return (pixels - pixels.new_tensor(self.center_px)) / pixels.new_tensor(self.focal_px)

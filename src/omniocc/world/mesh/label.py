@@ -1,0 +1,7 @@
+"""Class ids that the faces of meshes carry, by name: the same numbers as in `omniocc.classes`."""
+
+from omniocc.classes import CLASSES
+
+ROAD, SIDEWALK, GROUND, BUILDING, WALL, VEGETATION, VEHICLE, OTHER, POLE, PEDESTRIAN, ROADLINE = (
+    row.id for row in CLASSES[1:]
+)

@@ -1,0 +1,68 @@
+"""The vehicles of a scene and where they start; vehicle 0 is the ego."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from omniocc.world.assets import vehicle
+from omniocc.world.assets.catalog import random_variant
+from omniocc.world.mesh.mesh import Mesh
+from omniocc.world.seeding import weighted_choice
+from omniocc.world.town.network import degrees
+from omniocc.world.town.place import Place
+from omniocc.world.traffic.flow import Car
+from omniocc.world.traffic.lanes import Roads, node_of
+
+EGO_LENGTH_M = 4.6
+_TOP_MPS = {"bicycle": 5.0, "truck": 11.0, "bus": 11.0}
+# No car starts so near to a junction: it could not stop in time, or would still stand on it.
+_BEFORE_JUNCTION_M, _BEHIND_M = 32.0, 16.0
+_WHEELBASE_FRACTION = 0.6
+
+
+@dataclass(frozen=True)
+class Fleet:
+    """The mesh and the size (K, 3) of every car; car 0 is the ego, whose mesh is not used."""
+
+    meshes: tuple[Mesh, ...]
+    size_m: np.ndarray
+
+
+def draw_fleet(place: Place, roads: Roads, rng: np.random.Generator) -> tuple[Fleet, list[Car]]:
+    """Draw cars spread over the lanes, about a headway apart; the first is the ego."""
+    slots = _slots(place, roads, rng)
+    meshes, cars = [], []
+    for number, (lane, along) in enumerate(slots):
+        kind = "hatchback" if number == 0 else weighted_choice(rng, place.theme.traffic)
+        mesh = random_variant(rng, "vehicle", kind)
+        length = EGO_LENGTH_M if number == 0 else vehicle.size_m(mesh)[0]
+        top = min(_TOP_MPS.get(kind, 15.0), roads.pieces[lane].speed_mps)
+        car = Car(length, _TOP_MPS.get(kind, 15.0), [lane], [0.0], along, 0.75 * top)
+        meshes.append(mesh)
+        cars.append(car)
+    sizes = np.array([vehicle.size_m(mesh) for mesh in meshes])
+    return Fleet(tuple(meshes), sizes), cars
+
+
+def _slots(place: Place, roads: Roads, rng: np.random.Generator) -> list[tuple[int, float]]:
+    """Return (lane, arc length) of every car, in random order, at least 22 m apart."""
+    slots = []
+    for lane in range(len(roads.lanes)):
+        piece = roads.pieces[lane]
+        gap = max(place.theme.car_headway_s * piece.speed_mps, 22.0)
+        along = _BEHIND_M + float(rng.uniform()) * gap
+        while along < piece.length_m - _BEFORE_JUNCTION_M:
+            slots.append((lane, along))
+            along += gap * float(rng.uniform(1.0, 1.6))
+    if not slots:
+        slots = [(0, _BEHIND_M)]
+    order = [slots[int(k)] for k in rng.permutation(len(slots))]
+    if place.theme.island_m:  # so that the ego soon reaches a roundabout
+        meeting = degrees(place.network)
+        order.sort(key=lambda slot: -meeting[node_of(place.network, roads.lanes[slot[0]].end)])
+    return order
+
+
+def half_wheelbase_m(length_m: float) -> float:
+    """Return the distance from a vehicle's middle to its axles."""
+    return 0.5 * _WHEELBASE_FRACTION * length_m
