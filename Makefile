@@ -60,9 +60,9 @@ ablations: $(READY)  ## Train every row of conf/ablation (SEEDS=0,1 ABLATIONS=ou
 RUNS ?= runs
 
 wandb-sync: $(READY)  ## Upload new offline W&B runs and the tables of the report (RUNS=runs)
-	@$(BIN)/python -m omniocc.report.upload --runs $(RUNS)
+	@$(BIN)/python -m omniocc.report.wandb.upload --runs $(RUNS)
 
 dashboard: $(READY)  ## Save the W&B dashboard to the project omniocc (docs/dashboards.md)
-	@$(BIN)/python -m omniocc.report.dashboard
+	@$(BIN)/python -m omniocc.report.wandb.dashboard --runs $(RUNS)
 
 .PHONY: help setup demo test test-typecheck docs lint types constraints bench ablations wandb-sync dashboard

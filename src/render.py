@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from omegaconf import DictConfig
 
+from omniocc.classes import WORLD_CLASSES
 from omniocc.config import build, check, script
 from omniocc.data import DataError, SceneReader, VirtualWorld
 from omniocc.data.labels.class_fractions import fraction_table
@@ -90,14 +91,14 @@ def read_back(world: VirtualWorld, plans: Sequence[ScenePlan]) -> None:
 
 def draw_page(world: VirtualWorld, plans: Sequence[ScenePlan]) -> None:
     """Write the page beside the scenes that are there."""
-    from omniocc.report.dataset_page import save_page  # not needed to render
+    from omniocc.report.dataset.page import save_page  # not needed to render
 
     missing = world.missing(plans)
     scenes = [world.reader(plan) for plan in plans if plan not in missing]
     if not scenes:
         raise DataError(f"{world.source} has none of the chosen scenes: run without page=true first")
     path = Path(world.folder) / "index.html"
-    save_page(path, scenes, Cylinder())
+    save_page(path, scenes, Cylinder(), WORLD_CLASSES)
     print(
         f"{path}: {path.stat().st_size / 1e6:.1f} MB, {len(scenes)} scenes"
         + (f", {len(missing)} missing" if missing else "")

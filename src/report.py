@@ -1,8 +1,9 @@
 """Report over all finished runs: `python src/report.py [--runs runs] [--sweeps sweeps] [--output runs/report]`.
 
-Every table of the paper (`sweeps/*.yaml`) as Markdown, CSV and LaTeX, the paper's figures beside ours; plots, the same
-test frames across rows, and one page with all of it; also after a part of a sweep. A run belongs to the row of its name
-(`+ablation=mono` gives `mono-<hash>`), or else to the row whose configuration it has (`make demo`: `ours`).
+Every table of the paper (`sweeps/*.yaml`) is written as Markdown, CSV and LaTeX, the paper's figures beside ours, with
+plots and the same test frames across rows, and all of it in one page; also while a sweep is still running. A run
+belongs to the row of its name (`+ablation=mono` gives `mono-<hash>`), or else to the row whose configuration it has
+(`make demo`: `ours`).
 """
 
 import argparse
@@ -11,9 +12,9 @@ from pathlib import Path
 
 from omniocc.config import lines_not_tracebacks
 from omniocc.io import atomic_write
-from omniocc.report.gallery import gallery
+from omniocc.report.frames import compared_frames
 from omniocc.report.page import page
-from omniocc.report.sweep import Sweep, read_sweep, report_markdown, write_tables
+from omniocc.report.sweep import Sweep, read_sweep, report_markdown, write_docs, write_tables
 
 ROOT = Path(__file__).parents[1]
 
@@ -27,21 +28,24 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--conf", type=Path, default=ROOT / "conf", help="folder of the configuration")
     parser.add_argument("--preset", help="only runs of this preset (default: that of most runs)")
     parser.add_argument("--output", type=Path, help="folder of the report (default: report in the folder of runs)")
+    parser.add_argument("--docs", type=Path, help="write the tables as Markdown pages too, into this folder")
     options = parser.parse_args(arguments)
     sweep = read_sweep(options.runs, options.sweeps, options.conf, options.preset)
     output = options.output or options.runs / "report"
     write_tables(sweep, output)
-    atomic_write(output / "index.html", page(sweep, draw(sweep, output), gallery(sweep.rows), output))
+    atomic_write(output / "index.html", page(sweep, draw(sweep, output), compared_frames(sweep.rows), output))
+    if options.docs is not None:
+        write_docs(sweep, options.docs)
     print(f"{report_markdown(sweep)}\ntables  {output / 'report.md'}\npage    {output / 'index.html'}")
 
 
 def draw(sweep: Sweep, output: Path) -> dict[str, tuple[str, str]]:
-    """Every plot as PNG below `output` and as title and SVG by name."""
+    """Write every plot as PNG below `output`, and return title and SVG of each by name."""
     if find_spec("matplotlib") is None:
         print("No plots: matplotlib is missing (pip install --editable '.[plot]').")
         return {}
-    from omniocc.report.plots import PLOTS
-    from omniocc.report.svg import as_svg
+    from omniocc.report.plots.figures import PLOTS
+    from omniocc.report.plots.svg import as_svg
 
     (output / "plots").mkdir(exist_ok=True)
     drawn = {}

@@ -5,14 +5,17 @@
 
 import time
 from pathlib import Path
+from typing import Any
 
 from lightning.pytorch import Trainer, seed_everything
 from lightning.pytorch.callbacks import Callback, ModelCheckpoint
 from omegaconf import DictConfig, OmegaConf
 
+from omniocc.classes import FREE, WORLD_CLASSES
 from omniocc.config import build, check_root, plain, script
 from omniocc.data import Extras, OccupancyData
 from omniocc.io import atomic_write
+from omniocc.model.occupancy import to_unit_range
 from omniocc.run.checkpoint_io import BEST, LAST, AtomicCheckpointIO
 from omniocc.run.cost import PEAK, cost_of, peak_mib
 from omniocc.run.folder import (
@@ -26,7 +29,7 @@ from omniocc.run.folder import (
 )
 from omniocc.run.memory import keep_freed_memory
 from omniocc.run.quiet import quiet
-from omniocc.run.results import save_results, show_results
+from omniocc.run.results import CANDIDATES, load_results, save_results, show_results
 from omniocc.run.wandb.loggers import finish
 from omniocc.task import Occupancy, StepProgress
 from omniocc.task.checkpoint import build_task
@@ -97,10 +100,27 @@ def train_occupancy(
         facts |= {"preset": cfg.preset.name, "command": command_line()}
         facts |= {"minutes of training": minutes, PEAK: peak_mib(trainer.strategy.root_device)}
         facts |= cost_of(task.model.eval(), data.dataset("test")[0])
+        facts |= facts_of_report(task, data, before, trainer.global_step)
         facts |= {"commit": git_commit(), "data": data.world.fingerprint}
         save_results(run.path, metrics | figures, facts)
         finish(trainer.loggers)
         show_results(run.path)
+
+
+def facts_of_report(task: Occupancy, data: OccupancyData, before: Stages | None, steps: int) -> dict[str, Any]:
+    """Return what the report needs besides figures.
+
+    These are the steps of every stage, names and colours of the classes, and, of a sketch that is not a stage (whose
+    test would have measured it), the fraction of voxels that are candidates.
+    """
+    stages = {} if before is None else {name: load_results(path)[0]["steps"] for name, path in before.results.items()}
+    classes = [{"name": entry.name, "rgb": entry.rgb} for entry in WORLD_CLASSES.rows if entry.id != FREE]
+    facts = {"stages": {**stages, "occupancy": steps}, "classes": classes}
+    if before is not None:
+        return facts
+    sample = data.dataset("test")[0]
+    candidates = task.model.choose(to_unit_range(sample.images[-1:].to(task.device)), (sample.rig,))
+    return facts | {CANDIDATES: round(float(candidates.float().mean()), 4)}
 
 
 def fit(trainer: Trainer, task: Occupancy, data: OccupancyData, run: RunFolder) -> float:

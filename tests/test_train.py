@@ -12,7 +12,7 @@ import pytest
 from filelock import FileLock
 from offline_file import files_of, history, runs_in
 
-from omniocc.report.dashboard import KEYS
+from omniocc.report.wandb.dashboard import sections
 
 ROOT = Path(__file__).parents[1]
 TWELVE_STEPS = ("trainer.max_steps=12", "checkpoint_every_n_steps=1")  # time enough to be killed in
@@ -69,6 +69,8 @@ def test_a_run_leaves_figures_pictures_and_curves(whole):
     (folder,) = place.glob("runs/whole-*")
     facts = json.loads((folder / "metrics.json").read_text())
     assert min(facts[key] for key in ("million parameters", "GFLOP a frame", "peak MiB")) > 0
+    assert (facts["stages"], facts["classes"][0]["name"], len(facts["classes"])) == ({"occupancy": 12}, "Road", 11)
+    assert facts["fraction of candidates"] == 1
     assert list(folder.glob("pictures/test-00-*.png"))
     assert list(folder.glob("wandb/offline-run-*/*.wandb"))
     assert (folder / "config.yaml").exists()
@@ -158,6 +160,8 @@ def test_stages_run_once_and_are_shared(tmp_path, data_root):
     assert "depth, stage 1 of 3 is there" in whole.stdout
     assert "sketch, stage 2 of 3 begins" in whole.stdout
     metrics = metrics_of(tmp_path, "whole")
+    (path,) = tmp_path.glob("runs/whole-*/metrics.json")
+    assert json.loads(path.read_text())["stages"] == {"depth": 4, "sketch": 4, "occupancy": 3}
     for key in ("test/rayiou", "test/depth/mae_0-8.5m", "test/sketch/recall", "test/sketch/raw/recall_17-25.6m"):
         assert key in metrics
 
@@ -234,7 +238,11 @@ def runs_of_wandb_are_complete(runs: Path) -> None:
         config = {item.key: json.loads(item.value_json) for item in begun.config.update}
         assert config["slots"]["sketch"] == "omni"
         seen |= {key for row in history(path) for key in row}
-    assert KEYS - seen == set()
+    (metrics,) = runs.glob("whole-*/metrics.json")
+    charts = sections(json.loads(metrics.read_text())["metrics"])
+    keys = {key for part in charts.values() for chart in part for key in chart.keys}
+    assert {"test/rayiou_0-8.5m", "test/rayiou/Pedestrian", "test/depth/mae_17-25.6m", "test/rayiou@4"} <= keys
+    assert keys - seen == set()
     assert {"train/loss/ce", "train/loss/dice"} <= seen
 
 

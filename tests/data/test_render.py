@@ -12,9 +12,11 @@ from fake_scene import FakeWorld
 
 import omniocc
 from omniocc.camera import Rig
+from omniocc.classes import WORLD_CLASSES
 from omniocc.data.labels.class_fractions import PUBLISHED_PERCENT
 from omniocc.geometry import Cylinder
-from omniocc.report.dataset_page import SKY, UNMEASURED, range_picture, save_page
+from omniocc.report.dataset.page import UNMEASURED, range_image, save_page
+from omniocc.view.ranges import SKY
 
 SCRIPT = Path(omniocc.__file__).parents[1] / "render.py"
 
@@ -79,7 +81,7 @@ def test_the_page_stands_alone(tmp_path):
     world.prepare()
     scenes = [*world.readers("train"), *world.readers("val")]
     scenes[0].meta["facts"]["theme"] = "</script>"
-    save_page(tmp_path / "page.html", scenes, Cylinder(shape=(8, 10, 4)))
+    save_page(tmp_path / "page.html", scenes, Cylinder(shape=(8, 10, 4)), WORLD_CLASSES)
     page = (tmp_path / "page.html").read_text("utf-8")
     own = re.sub(r"data:image/(png|webp);base64,[A-Za-z0-9+/=]+", "", page)
     assert not re.search(r"//[a-z]|<link|@import|url\(|src=\"[^\"]", own)
@@ -111,7 +113,7 @@ def test_the_page_shows_the_pinhole_dataset_beside_it(tmp_path):
     pinholes.prepare()
     world = FakeWorld(tmp_path, scenes=(1, 0, 0))
     world.prepare()
-    save_page(tmp_path / "page.html", world.readers("train"), Cylinder(shape=(8, 10, 4)))
+    save_page(tmp_path / "page.html", world.readers("train"), Cylinder(shape=(8, 10, 4)), WORLD_CLASSES)
     (scene,) = json.loads(
         (tmp_path / "page.html").read_text("utf-8").split("const content = ", 1)[1].split(";\nconst at", 1)[0]
     )["scenes"]
@@ -120,7 +122,7 @@ def test_the_page_shows_the_pinhole_dataset_beside_it(tmp_path):
 
 
 def test_range_colours():
-    picture = range_picture(np.array([[1.0, 8.0, 64.0, 900.0, np.inf, np.nan]]), 6)[0]
+    picture = range_image(np.array([[1.0, 8.0, 64.0, 900.0, np.inf, np.nan]]), 6)[0]
     assert picture[0, 0] > picture[0, 2]  # near: red
     assert picture[2, 2] > picture[2, 0]  # far: blue
     assert picture[1].argmax() == 1  # the middle of the logarithm: green

@@ -7,9 +7,9 @@ import numpy as np
 import torch
 import yaml
 
-from omniocc.classes import CLASSES, FREE
+from omniocc.classes import FREE, WORLD_CLASSES
 from omniocc.geometry import Cuboid, Cylinder, Grid
-from omniocc.run.results import save_results
+from omniocc.run.results import CANDIDATES, save_results
 from omniocc.view import SheetParts, comparison_parts, comparison_sheet, save_png
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "data"))
@@ -25,13 +25,13 @@ PICTURE = "test-00-test-000-suburb-000001"
 def parts(geometry: Grid, prediction_seed: int) -> SheetParts:
     truth, prediction = (labels(geometry, seed) for seed in (0, prediction_seed))
     images = np.random.default_rng(3).integers(0, 256, (6, 18, 32, 3), dtype=np.uint8)
-    return comparison_parts(images, truth, prediction, geometry)
+    return comparison_parts(images, truth, prediction, geometry, WORLD_CLASSES)
 
 
 def save_parts(folder: Path, parts: SheetParts) -> None:
     """Save a sheet and its parts as `omniocc.task.pictures` does."""
     (folder / "parts" / PICTURE).mkdir(parents=True)
-    save_png(folder / f"{PICTURE}.png", comparison_sheet(parts, "test-000-suburb/000001"))
+    save_png(folder / f"{PICTURE}.png", comparison_sheet(parts, WORLD_CLASSES, "test-000-suburb/000001"))
     for name, part in parts._asdict().items():
         save_png(folder / "parts" / PICTURE / f"{name}.png", part)
 
@@ -42,7 +42,7 @@ def labels(geometry: Grid, seed: int) -> torch.Tensor:
 
 
 def figures(rayiou: float) -> dict[str, float]:
-    classes = {f"test/rayiou/{entry.name}": rayiou / entry.id for entry in CLASSES if entry.id != FREE}
+    classes = {f"test/rayiou/{entry.name}": rayiou / entry.id for entry in WORLD_CLASSES.rows if entry.id != FREE}
     bands = {"test/rayiou_0-8.5m": rayiou, "test/rayiou_8.5-17m": rayiou / 2, "test/rayiou_17-25.6m": rayiou / 4}
     return {"test/rayiou": rayiou, "test/lidar/rayiou": rayiou / 2, "test/voxel/miou": 0.1} | classes | bands
 
@@ -60,6 +60,9 @@ def write_run(folder: Path, seed: int, rayiou: float, world: FakeWorld, sketch: 
     (folder / "csv" / "version_0" / "metrics.csv").write_text("\n".join(lines) + "\n")
     metrics = figures(rayiou) | ({"test/sketch/fraction": 0.25, "test/depth/mae": 2.0} if sketch == OMNI else {})
     facts = {"run": folder.name, "seed": seed, "steps": 40, "preset": "tiny", "minutes of training": 1.5}
+    facts |= {"classes": [{"name": entry.name, "rgb": entry.rgb} for entry in WORLD_CLASSES.rows if entry.id != FREE]}
+    facts |= {"stages": {"depth": 8, "sketch": 5, "occupancy": 40}} if sketch == OMNI else {"stages": {"occupancy": 40}}
+    facts |= {CANDIDATES: 1.0} if sketch == DENSE else {}
     command = f"python src/train.py '+ablation={folder.name}' seed={seed} <&>"
     save_results(folder, metrics, facts | {"command": command, "commit": "abc", "data": world.fingerprint})
 

@@ -113,7 +113,7 @@ def test_tables_and_plots_lie_beside_the_page(output, capsys):
     where = unquote(markdown.split("- [dense-00000001](")[1].split("/)")[0])
     assert (output / where / "config.yaml").exists()
     names = {path.name for path in (output / "plots").glob("*.png")}
-    assert names == {"class.png", "ranking.png", "range.png", "share.png", "training.png"}
+    assert names == {"class.png", "ranking.png", "range.png", "candidates.png", "training.png"}
     assert all(cv2.imread(str(output / "plots" / name)) is not None for name in names)
 
 
@@ -128,6 +128,21 @@ def test_it_says_where_the_page_is_and_works_after_a_part_of_a_sweep(runs, tmp_p
     page = (part / "report" / "index.html").read_text("utf-8")
     assert "here: not run" in page
     assert "Begun, not finished: mono-00000001 (step 19)." in page
+
+
+def test_the_tables_are_written_as_pages_of_the_documentation(runs, tmp_path):
+    docs = tmp_path / "docs" / "results"
+    report("--runs", str(runs), "--output", str(tmp_path / "report"), "--docs", str(docs))
+    assert {path.name for path in docs.iterdir()} == {
+        "bounds.md", "budget.md", "comparison.md", "dataset.md", "distance.md", "refine.md", "representation.md",
+        "semantic_temporal.md", "sketch.md",
+    }  # fmt: skip
+    generated, _, title, *lines = (docs / "sketch.md").read_text("utf-8").splitlines()
+    assert generated == "<!-- Written by `python src/report.py --docs`; do not edit. -->"
+    assert title == "# Cylinder sketch module"
+    assert "| omni depth | paper | 0.470 | – | – | – | – |" in lines
+    assert any(line.startswith("| dense voxels | +0.036 | +0.100 |") for line in lines)
+    assert lines[-1].startswith("preset=tiny, 40 steps, data ")
 
 
 def test_no_run_is_one_line(tmp_path):

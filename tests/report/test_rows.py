@@ -8,10 +8,10 @@ import pytest
 import yaml
 
 from omniocc.config import ConfigError, compose_plain
-from omniocc.report.paper_table import as_markdown
 from omniocc.report.rows import assign_rows
 from omniocc.report.runs import FinishedRun
 from omniocc.report.sweep import read_sweep
+from omniocc.report.tables.paper import as_markdown
 
 ROOT = Path(__file__).parents[2]
 CONF = ROOT / "conf"

@@ -6,19 +6,16 @@ import shutil
 
 import yaml
 
-from omniocc.report.runs import by_row, comparable, figures_of_config, read_runs
+from omniocc.report.runs import known_figures, read_runs
+from omniocc.report.selection import by_row, comparable
+from omniocc.run.results import CANDIDATES
 
 
-def test_figures_that_the_configuration_decides():
-    grid = {"shape": [64, 100, 8]}
-    random = {"_target_": "omniocc.model.sketch.Random", "ratio": 0.25}
-    assert figures_of_config({"model": {"geometry": grid, "sketch": random}}) == {
-        "voxels": 51_200.0,
-        "test/sketch/fraction": 0.25,
-    }
-    dense = {"_target_": "omniocc.model.sketch.Dense"}
-    assert figures_of_config({"model": {"sketch": dense}}) == {"test/sketch/fraction": 1.0, "test/sketch/recall": 1.0}
-    assert figures_of_config({}) == {}
+def test_figures_that_need_no_test():
+    config = {"model": {"geometry": {"shape": [64, 100, 8]}}}
+    assert known_figures({CANDIDATES: 0.25}, config) == {"voxels": 51_200.0, "test/sketch/fraction": 0.25}
+    assert known_figures({CANDIDATES: 1.0}, {}) == {"test/sketch/fraction": 1.0, "test/sketch/recall": 1.0}
+    assert known_figures({}, {}) == {}
 
 
 def test_measured_figures_win_over_configured_ones(runs):
@@ -44,13 +41,13 @@ def test_of_two_runs_with_one_seed_the_newest_counts(runs, tmp_path):
 def test_seeds_of_one_row_with_other_settings_are_named(runs, tmp_path):
     folder = tmp_path / "runs"
     shutil.copytree(runs, folder)
-    assert "Mind" not in comparable(read_runs(folder), None)[1]
+    assert "Warning" not in comparable(read_runs(folder), None)[1]
     path = folder / "ours-00000002" / "config.yaml"
     config = yaml.safe_load(path.read_text())
     config["data"]["world"]["root"], config["lr"], config["new key"] = "elsewhere", 0.2, 1
     path.write_text(yaml.safe_dump(config))
     assert comparable(read_runs(folder), None)[1].endswith(
-        "Mind: the runs of row ours differ in lr, new key; another name=... makes a row of its own."
+        "Warning: the runs of row ours differ in lr, new key; another name=... makes a row of its own."
     )
     facts = yaml.safe_load((path.parent / "metrics.json").read_text())
     (path.parent / "metrics.json").write_text(json.dumps(facts | {"commit": "0123abc"}))

@@ -4,7 +4,8 @@ import math
 import pytest
 
 from omniocc.errors import UserError
-from omniocc.report.runs import read_runs, table_of_runs
+from omniocc.report.runs import read_runs
+from omniocc.report.tables.overview import table_of_runs
 from omniocc.run.results import load_results, save_results
 from omniocc.run.table import as_markdown, per_class, summary
 
@@ -19,24 +20,25 @@ def test_bands_stand_in_order_of_distance():
     head, rows = summary(METRICS)
     assert head == ["", "RayIoU", "0-8.5 m", "8.5-17 m", "17-25.6 m", "RayIoU, LiDAR", "IoU", "mIoU"]
     assert rows[0] == ["model", "0.250", "0.400", "0.200", "0.100", "–", "–", "–"]
-    assert rows[2][:2] == ["label", "1.000"]
+    assert rows[2][:2] == ["label (upper bound)", "1.000"]
     assert rows[2][5] == "0.600"
 
 
 def test_classes_without_cases_show_a_dash():
     head, rows = per_class(METRICS)
-    assert len(rows) == 11
+    assert [row[0] for row in rows] == ["Road", "Pedestrian"]
     assert dict(zip(head, rows[0], strict=True))["model"] == "0.750"
-    assert rows[9][:2] == ["Pedestrian", "–"]
+    assert rows[1][1] == "–"
 
 
 def test_results_survive_the_file(tmp_path):
-    save_results(tmp_path, METRICS, {"seed": 3})
+    save_results(tmp_path, METRICS, {"seed": 3, "stages": {"depth": 8}, "classes": []})
     raw = json.loads((tmp_path / "metrics.json").read_text(), parse_constant=lambda name: f"not JSON: {name}")
     assert raw["seed"] == 3
     assert raw["metrics"]["test/rayiou/Pedestrian"] is None
     facts, loaded = load_results(tmp_path)
-    assert facts == {"seed": 3}
+    assert facts == {"seed": 3, "stages": {"depth": 8}, "classes": []}
+    assert (tmp_path / "table.md").read_text().startswith("seed 3\n"), "lists and mappings are no caption"
     assert math.isnan(loaded.pop("test/rayiou/Pedestrian"))
     assert loaded == {key: value for key, value in METRICS.items() if key != "test/rayiou/Pedestrian"}
     assert as_markdown(METRICS, "seed 3").startswith("seed 3\n\n|  | RayIoU |")

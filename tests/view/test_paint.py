@@ -3,7 +3,7 @@ import torch
 
 from omniocc.camera import Equidistant, Equirectangular, Rig
 from omniocc.camera.pose import pose_from_angles
-from omniocc.classes import PALETTE
+from omniocc.classes import PALETTE, WORLD_CLASSES
 from omniocc.geometry import Cuboid
 from omniocc.view.paint import NOTHING, paint_voxels, voxel_panorama
 
@@ -29,7 +29,7 @@ def colored(picture):
 def test_a_voxel_is_painted_where_its_cell_is_seen():
     labels = one_voxel(5.5, 2.5, 0.5)
     images = [np.full((80, 80, 3), 120, np.uint8)] * 2
-    front, left = paint_voxels(images, RIG, labels, GRID, 80)
+    front, left = paint_voxels(images, RIG, labels, GRID, WORLD_CLASSES, 80)
     centre = torch.tensor([[5.5, 2.5, 0.5]]).double()
     pixels, _ = RIG.project(centre)
     u, v = pixels[0, 0].round().long().tolist()
@@ -54,7 +54,7 @@ def test_what_stands_in_front_hides_and_unknown_does_not():
         labels = torch.maximum(far, torch.zeros_like(far))
         near = one_voxel(3.5, 0.5, 0.5, label=label)
         labels[near > 0] = label
-        front = paint_voxels(images, RIG, labels, GRID, 80)[0]
+        front = paint_voxels(images, RIG, labels, GRID, WORLD_CLASSES, 80)[0]
         assert colored(front).any() != hidden
 
 
@@ -64,7 +64,7 @@ def test_masked_pixels_have_no_voxels():
     labels = torch.full(GRID.shape, 7, dtype=torch.uint8)
     images = [np.full((80, 80, 3), 120, np.uint8)] * 2
     half = Rig(CAMERAS, POSES, RIG.names, (mask, None))
-    front, left = paint_voxels(images, half, labels, GRID, 80)
+    front, left = paint_voxels(images, half, labels, GRID, WORLD_CLASSES, 80)
     assert colored(front)[20:60, 20:38].all()
     assert not colored(front)[:, 42:].any()
     assert colored(left)[20:60, 20:60].all()
@@ -72,7 +72,7 @@ def test_masked_pixels_have_no_voxels():
 
 def test_the_panorama_has_the_class_of_the_first_voxel():
     labels = one_voxel(0.5, 6.5, 0.5)  # to the left: a quarter from the left edge
-    picture = voxel_panorama(labels, GRID, Equirectangular(48, 12, 45.0, -45.0), 480)
+    picture = voxel_panorama(labels, GRID, WORLD_CLASSES, Equirectangular(48, 12, 45.0, -45.0), 480)
     assert picture.shape == (60, 240, 3)
     rows, columns = np.nonzero((picture == PALETTE[7]).all(2))
     # x from 0 to 1 m, y from 6 to 7 m: from straight left to atan(1 / 6) ahead of it

@@ -2,8 +2,8 @@ import numpy as np
 
 from omniocc.view.canvas import INK
 from omniocc.view.ranges import (
-    INVENTED,
-    NO_ANSWER,
+    FALSE_RANGE,
+    NOT_PREDICTED,
     RANGE_TICKS_M,
     SKY,
     error_bar,
@@ -19,7 +19,7 @@ def test_near_is_red_far_is_blue_and_the_rest_has_its_own_colour():
     assert (colors[1, 0] == colors[1, 1]).all()
     assert colors[0, 1, 0] > 2 * colors[0, 1, 2]
     assert colors[1, 0, 2] > 2 * colors[1, 0, 0]
-    assert range_colors(np.array([np.inf, np.nan])).tolist() == [list(SKY), list(NO_ANSWER)]
+    assert range_colors(np.array([np.inf, np.nan])).tolist() == [list(SKY), list(NOT_PREDICTED)]
 
 
 def test_the_bar_shows_the_colour_of_its_ticks():
@@ -38,7 +38,7 @@ def test_errors_have_a_side_and_a_size():
     assert (colors[0] == 250).all()
     assert colors[1, 2] - colors[1, 0] > colors[2, 2] - colors[2, 0] > 0
     assert colors[3, 0] - colors[3, 2] > 100
-    assert colors[4:].tolist() == [list(NO_ANSWER), list(INVENTED), list(SKY), list(NO_ANSWER)]
+    assert colors[4:].tolist() == [list(NOT_PREDICTED), list(FALSE_RANGE), list(SKY), list(NOT_PREDICTED)]
 
 
 def test_the_error_bar_is_symmetric_and_white_in_the_middle():

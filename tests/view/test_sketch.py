@@ -2,6 +2,7 @@ import numpy as np
 import torch
 
 from omniocc.camera import Equirectangular
+from omniocc.classes import WORLD_CLASSES
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.view import sketch_sheet
 from omniocc.view.bev import EMPTY, MISSED
@@ -17,7 +18,7 @@ def test_what_most_cells_of_a_column_are():
     picture = candidate_bev(truth, candidates, geometry, 60)
     for column, color in enumerate(expected):
         assert tuple(picture[2, 55 - 10 * column]) == color, column
-    assert scores(truth, candidates) == "recall 0.67, precision 0.57, share 0.50"
+    assert scores(truth, candidates) == "recall 0.67, precision 0.57, fraction 0.50"
 
 
 def test_points_lie_in_their_column_in_the_colour_of_their_range():
@@ -39,5 +40,7 @@ def test_a_sheet_of_any_grid():
         ranges[0] = torch.nan
         images = [np.full((36, 64, 3), 9, np.uint8)] * 6
         panorama = Equirectangular(16, 4, 45.0, -45.0)
-        picture = sketch_sheet(images, truth, chosen, chosen | (truth == 1), geometry, panorama, ranges, "x", 800)
+        picture = sketch_sheet(
+            images, truth, chosen, chosen | (truth == 1), geometry, WORLD_CLASSES, panorama, ranges, "x", 800
+        )
         assert picture.shape[1:] == (800, 3)

@@ -3,10 +3,11 @@ import pytest
 import torch
 
 from omniocc.camera import Equirectangular, Rig
+from omniocc.classes import WORLD_CLASSES
 from omniocc.geometry import Cuboid, Cylinder
-from omniocc.view.voxel_sheet import SeenRange, as_seen, columns_of, occupancy_sheet
+from omniocc.view.voxel_sheet import RangePanorama, camera_order, columns_of, occupancy_sheet
 
-SEEN = SeenRange(Equirectangular(24, 6, 45.0, -45.0), torch.rand(6, 24) * 9 + 1)
+RANGES = RangePanorama(Equirectangular(24, 6, 45.0, -45.0), torch.rand(6, 24) * 9 + 1)
 
 
 @pytest.mark.parametrize(
@@ -18,7 +19,7 @@ SEEN = SeenRange(Equirectangular(24, 6, 45.0, -45.0), torch.rand(6, 24) * 9 + 1)
 )
 def test_cameras_stand_as_they_look(rig, expected):
     rig = Rig.load(rig)
-    assert [rig.names[k] for k in as_seen(rig)] == expected
+    assert [rig.names[k] for k in camera_order(rig)] == expected
 
 
 def test_columns():
@@ -37,8 +38,13 @@ def test_sheets_of_any_rig_with_and_without_truth_and_ranges(name, geometry):
     images = [np.full((36, 64, 3), 80, np.uint8)] * len(rig.names)
     labels = torch.randint(0, 12, geometry.shape, dtype=torch.uint8)
     heights = []
-    for seen, truth in ((None, None), (SEEN, None), (SEEN, labels.roll(1, 0)), (None, torch.full_like(labels, 255))):
-        sheet = occupancy_sheet(images, rig, labels, geometry, seen, truth, "x", width_px=700)
+    for ranges, truth in (
+        (None, None),
+        (RANGES, None),
+        (RANGES, labels.roll(1, 0)),
+        (None, torch.full_like(labels, 255)),
+    ):
+        sheet = occupancy_sheet(images, rig, labels, geometry, WORLD_CLASSES, ranges, truth, "x", width_px=700)
         assert sheet.shape[1:] == (700, 3)
         heights.append(len(sheet))
     assert heights[0] < heights[1] < heights[2]

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from omniocc.classes import PALETTE
+from omniocc.classes import PALETTE, WORLD_CLASSES
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.view import render_voxels, voxels
 
@@ -38,7 +38,7 @@ def test_every_pixel_shows_the_first_cell_along_its_ray(geometry, monkeypatch):
     monkeypatch.setattr(voxels, "CAR_BOXES", ())
     monkeypatch.setattr(voxels, "_shade", lambda faces: faces.colors)
     width, height = 480, 320
-    picture = render_voxels(labels, geometry, width, height, EYE, TARGET, VIEW_DEG)
+    picture = render_voxels(labels, geometry, WORLD_CLASSES, width, height, EYE, TARGET, VIEW_DEG)
     directions = torch.from_numpy(rays(width, height).reshape(-1, 3))
     origins = torch.tensor(EYE, dtype=torch.float64).expand_as(directions)
     _, first = geometry.trace(labels, origins, directions, hit="entry")
@@ -57,8 +57,8 @@ def test_unknown_and_free_are_invisible_and_the_background_light():
     geometry = Cuboid(shape=(8, 8, 4))
     labels = torch.full(geometry.shape, 255, dtype=torch.uint8)
     labels[:4] = 0
-    empty = render_voxels(torch.zeros_like(labels), geometry, 96, 54)
-    assert np.array_equal(render_voxels(labels, geometry, 96, 54), empty)
+    empty = render_voxels(torch.zeros_like(labels), geometry, WORLD_CLASSES, 96, 54)
+    assert np.array_equal(render_voxels(labels, geometry, WORLD_CLASSES, 96, 54), empty)
     assert empty[:5].min() > 200
 
 
@@ -67,7 +67,7 @@ def test_cells_keep_their_side():
     labels = torch.zeros(geometry.shape, dtype=torch.uint8)
     index, _ = geometry.index(torch.tensor([5.0, 9.0, 0.0]))  # ahead, left
     labels[tuple(index.tolist())] = 10
-    picture = render_voxels(labels, geometry, 96, 54).astype(int)
+    picture = render_voxels(labels, geometry, WORLD_CLASSES, 96, 54).astype(int)
     red = (picture[..., 0] - picture[..., 2]) > 80
     assert red.any()
     assert np.nonzero(red)[1].max() < 48

@@ -27,7 +27,7 @@ from omniocc.predict.stopwatch import Stopwatch
 from omniocc.progress import Progress, clock
 from omniocc.task.scores import Scores
 from omniocc.view import save_png
-from omniocc.view.voxel_sheet import SeenRange, occupancy_sheet
+from omniocc.view.voxel_sheet import RangePanorama, occupancy_sheet
 
 
 @dataclass
@@ -147,10 +147,10 @@ class Job:
         panorama, excluded = self.predictor.panorama, self.predictor.excluded
         caption = f"{sequence.name} {sequence.frame_names[frame]}".strip()
         missing = f", without {', '.join(excluded)}" * bool(excluded)
-        seen = None if panorama is None or prediction.range_m is None else SeenRange(panorama, prediction.range_m)
+        ranges = None if panorama is None or prediction.range_m is None else RangePanorama(panorama, prediction.range_m)
         voxels = None if truth is None else truth.voxels
         geometry, caption = self.predictor.model.geometry, f"{caption}{missing}".lstrip(", ")
-        return occupancy_sheet(images, sequence.rig, prediction.labels, geometry, seen, voxels, caption)
+        return occupancy_sheet(images, sequence.rig, prediction.labels, geometry, self.classes, ranges, voxels, caption)
 
     def _score_finished(self, sequence: FrameSequence, frame: int) -> None:
         geometry = self.predictor.model.geometry

@@ -1,15 +1,19 @@
-"""One web page over a sweep, without any reference to files but those of the runs."""
+"""One web page over a sweep, without any reference to files but those of the runs: `templates/page.html.j2`."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
-from omniocc.classes import CLASSES, FREE
-from omniocc.report import markup
-from omniocc.report.budget import BUDGET_NOTE, YARDSTICKS_NOTE, budget_cells, yardstick_cells
-from omniocc.report.claims import claim_cells
-from omniocc.report.dataset_table import DatasetTable, dataset_cells
-from omniocc.report.gallery import GalleryFrame, Shown, inline
-from omniocc.report.paper_table import (
+from markupsafe import Markup
+
+from omniocc.report.class_colors import colors_of
+from omniocc.report.dataset.table import DatasetTable, dataset_cells
+from omniocc.report.frames import ComparedFrame, Shown, inline
+from omniocc.report.runs import FinishedRun, path_between
+from omniocc.report.sweep import Sweep, open_ends
+from omniocc.report.tables import bounds, budget
+from omniocc.report.tables.claims import claim_cells
+from omniocc.report.tables.paper import (
     Figure,
     PaperRow,
     PaperTable,
@@ -20,164 +24,161 @@ from omniocc.report.paper_table import (
     source_of,
     with_spread,
 )
-from omniocc.report.runs import FinishedRun
-from omniocc.report.sweep import Sweep, open_ends
+from omniocc.report.template import render
 from omniocc.run.table import number
 from omniocc.view.bev import ERRORS
 
-TEMPLATE = Path(__file__).with_suffix(".html")
 CAMERAS_PX, VIEW_PX, MAP_PX = 940, 560, 360
+FILES = ("config.yaml", "metrics.json", "table.md")
+RUN_HEAD = ("run", "seed", "RayIoU", "RayIoU, LiDAR", "mIoU", "minutes", "commit", "files")
+WIDE_COLUMNS = 5
+"""A table with more columns has its claims below instead of beside it."""
+
+Section = dict[str, Any]
+"""Name, title, kind (which template draws it) and what that template needs."""
 
 
-def page(sweep: Sweep, plots: Mapping[str, tuple[str, str]], frames: Sequence[GalleryFrame], folder: Path) -> str:
-    """The whole page.
+def page(sweep: Sweep, plots: Mapping[str, tuple[str, str]], frames: Sequence[ComparedFrame], folder: Path) -> str:
+    """Return the whole page.
 
     Args:
         sweep: runs and tables.
         plots: title and SVG of each, by name.
-        frames: of the gallery.
+        frames: test frames, compared across rows.
         folder: in which the page will lie; links to runs start there.
     """
-    pictures = [
-        (
-            f"plot-{name}",
-            title,
-            markup.card(f"plot-{name}", title, f'<div class="scroll plot" tabindex="0">{svg}</div>'),
-        )
-        for name, (title, svg) in plots.items()
-    ]
+    first, *others = [_plot(name, *plot) for name, plot in plots.items()] or [None]
     sections = [
-        *pictures[:1],
-        ("yardsticks", "Yardsticks", _plain_card("yardsticks", YARDSTICKS_NOTE, *yardstick_cells(sweep.rows))),
-        *((table.name, table.title, _dataset_card(table)) for table in sweep.datasets),
-        *((table.name, table.title, _table_card(table, sweep)) for table in sweep.tables),
-        *pictures[1:],
-        *([("gallery", "Same frames, every row", _gallery_card(frames))] if frames else []),
-        ("budget", "Budget", _plain_card("budget", BUDGET_NOTE, *budget_cells(sweep.rows))),
-        ("runs", "Runs", _runs_card(sweep, folder)),
+        first,
+        _text_table("bounds", bounds.TITLE, bounds.NOTE, bounds.bounds_cells(sweep.rows)),
+        *map(_dataset, sweep.datasets),
+        *(_paper_table(table, sweep) for table in sweep.tables),
+        *others,
+        _frames(frames, sweep.runs) if frames else None,
+        _text_table("budget", "Budget", budget.NOTE, budget.budget_cells(sweep.rows)),
+        _runs(sweep, folder),
     ]
-    contents = "".join(f"<li>{markup.link(f'#{name}', title)}</li>" for name, title, _ in sections)
-    body = [_facts(sweep), f'<nav aria-label="Contents"><ul>{contents}</ul></nav>', *(part for *_, part in sections)]
-    return TEMPLATE.read_text("utf-8").replace("__BODY__", "".join(body))
+    content = {
+        "remarks": [sweep.remark, *open_ends(sweep)],
+        "facts": _facts(sweep),
+        "sections": [section for section in sections if section is not None],
+    }
+    return render("page.html.j2", content)
 
 
-def _facts(sweep: Sweep) -> str:
-    seeds = sorted({str(run.facts.get("seed", "?")) for run in sweep.runs})
+def _facts(sweep: Sweep) -> dict[str, str]:
     minutes = sum(run.facts.get("minutes of training") or 0.0 for run in sweep.runs)
-    facts = {
+    return {
         "Preset": sweep.runs[0].setting[0],
         "Steps": sweep.runs[0].setting[1],
         "Rows, runs": f"{len(sweep.rows)}, {len(sweep.runs)}",
-        "Seeds": ", ".join(seeds),
+        "Seeds": ", ".join(sorted({str(run.facts.get("seed", "?")) for run in sweep.runs})),
         "Training, occupancy stage": f"{minutes / 60:.1f} h in all",
         "Data": sweep.data or "not on this machine",
     }
-    cells = "".join(
-        f"<div><dt>{markup.text(key)}</dt><dd>{markup.text(value)}</dd></div>" for key, value in facts.items()
-    )
-    notes = "".join(map(markup.note, (sweep.remark, *open_ends(sweep))))
-    return f'{notes}<dl class="facts">{cells}</dl>'
 
 
-def _table_card(table: PaperTable, sweep: Sweep) -> str:
-    lines = [line for row, figures in rows_of(table, sweep.rows) for line in _pair(table, row, figures, sweep)]
-    head = ["method", "", *map(markup.text, table.columns.values())]
-    order = markup.note(order_line(table, sweep.rows))
+def _plot(name: str, title: str, svg: str) -> Section:
+    return {"kind": "plot", "name": f"plot-{name}", "title": title, "svg": Markup(svg)}
+
+
+def _text_table(name: str, title: str, note: str, cells: tuple[list[str], list[list[str]]]) -> Section:
+    head, rows = cells
+    section = {"kind": "text_table", "name": name, "title": title, "note": note}
+    return section | {"head": head, "rows": rows, "files": False}
+
+
+def _dataset(table: DatasetTable) -> Section:
+    return _text_table(table.name, table.title, table.note, dataset_cells(table)) | {"files": True}
+
+
+def _paper_table(table: PaperTable, sweep: Sweep) -> Section:
     claims_head, claims = claim_cells(table, sweep.rows)
-    answer = order + (markup.plain_table(claims_head, claims, "claims") if claims else "")
-    wide = len(table.columns) > 5
-    body = markup.table(head, lines, "pairs wide" if wide else "pairs")
-    both = f'<div class="{"stack" if wide else "sides"}"><div>{body}</div><div>{answer}</div></div>'
-    return markup.card(table.name, table.title, markup.note(table.note), both, _files(table.name))
+    return {
+        "kind": "paper_table",
+        "name": table.name,
+        "title": table.title,
+        "note": table.note,
+        "wide": len(table.columns) > WIDE_COLUMNS,
+        "columns": list(table.columns.values()),
+        "methods": [_method(table, row, figures, sweep) for row, figures in rows_of(table, sweep.rows)],
+        "order": order_line(table, sweep.rows),
+        "claims_head": claims_head,
+        "claims": claims,
+    }
 
 
-def _pair(table: PaperTable, row: PaperRow, figures: Sequence[Figure | None], sweep: Sweep) -> list[list[str]]:
-    """The paper's line and ours, or ours alone."""
-    source, *cells = (
-        _linked(row.run, cell, sweep) for cell in (source_of(figures), *map(with_spread, table.columns, figures))
-    )
-    name, ours = markup.text(row.title), [markup.cell(source, "source"), *cells]
-    if not has_paper(row):
-        return [[markup.cell(name, "name"), *ours]]
-    paper = (f'<span class="soft">{in_cell(key, value)}</span>' for key, value in row.paper.items())
-    return [[markup.cell(name, "name", 2), markup.cell("paper", "source soft"), *paper], ours]
+def _method(table: PaperTable, row: PaperRow, figures: Sequence[Figure | None], sweep: Sweep) -> dict[str, Any]:
+    """Return the paper's figures and ours, the latter as mean and spread; `row` is where links to its runs go."""
+    ours = [with_spread(key, figure).partition(" ± ") for key, figure in zip(table.columns, figures, strict=True)]
+    return {
+        "title": row.title,
+        "row": row.run if row.run in sweep.rows else "",
+        "paper": [in_cell(key, value) for key, value in row.paper.items()] if has_paper(row) else [],
+        "source": source_of(figures),
+        "ours": [(mean, spread) for mean, _, spread in ours],
+    }
 
 
-def _linked(row: str, cell: str, sweep: Sweep) -> str:
-    if row not in sweep.rows:
-        return f'<span class="soft">{markup.text(cell)}</span>'
-    mean, *spread = cell.split(" ± ")
-    return markup.link(f"#row-{row}", mean) + "".join(f" <small>± {part}</small>" for part in spread)
+def _frames(frames: Sequence[ComparedFrame], runs: Sequence[FinishedRun]) -> Section:
+    errors = [(f"difference: {name}" if k == 0 else name, rgb) for k, (name, rgb) in enumerate(ERRORS)]
+    return {
+        "kind": "frames",
+        "name": "frames",
+        "title": "Same frames, every row",
+        "note": "Test frames, as the first seed of each row predicts them; the truth once for each grid.",
+        "legend": [(name, "#{:02x}{:02x}{:02x}".format(*rgb)) for name, rgb in [*colors_of(runs).items(), *errors]],
+        "frames": [
+            {
+                "title": f"{frame.scene}, frame {int(frame.frame)}",
+                "cameras": {"address": inline(frame.shown[0].parts.cameras, CAMERAS_PX), "alt": "camera images"},
+                "strips": [strip for shown in frame.shown for strip in _strips(shown)],
+            }
+            for frame in frames
+        ],
+    }
 
 
-def _plain_card(name: str, note: str, head: list[str], lines: list[list[str]]) -> str:
-    return markup.card(name, name.capitalize(), markup.note(note), markup.plain_table(head, lines))
-
-
-def _dataset_card(table: DatasetTable) -> str:
-    return markup.card(
-        table.name, table.title, markup.note(table.note), markup.plain_table(*dataset_cells(table)), _files(table.name)
-    )
-
-
-def _files(name: str) -> str:
-    return f'<p class="note">{markup.link(f"{name}.csv", "CSV")} · {markup.link(f"{name}.tex", "LaTeX")}</p>'
-
-
-def _gallery_card(frames: Sequence[GalleryFrame]) -> str:
-    classes = [markup.swatch(entry.rgb, entry.name) for entry in CLASSES if entry.id != FREE]
-    errors = [markup.swatch(rgb, f"difference: {name}" if k == 0 else name) for k, (name, rgb) in enumerate(ERRORS)]
-    legend = f'<p class="legend">{"".join([*classes, *errors])}</p>'
-    blocks = []
-    for k, frame in enumerate(frames):
-        cameras = inline(frame.shown[0].parts.cameras, CAMERAS_PX)
-        rows = "".join(map(_shown, frame.shown))
-        title = markup.text(f"{frame.scene}, frame {int(frame.frame)}")
-        blocks.append(
-            f"<details{' open' * (k == 0)}><summary>{title}</summary>"
-            f'<div class="cameras">{markup.picture(cameras, "pictures of the cameras")}</div>{rows}</details>'
-        )
-    text = "Test frames, as the first seed of each row sees them; the truth once for each grid."
-    return markup.card("gallery", "Same frames, every row", markup.note(text), legend, *blocks)
-
-
-def _shown(shown: Shown) -> str:
-    parts, lines = shown.parts, ""
+def _strips(shown: Shown) -> Iterator[dict[str, Any]]:
+    """Yield the truth where the grid is new, then the row's prediction: a label and images side by side."""
+    parts = shown.parts
     if shown.grid:
-        lines += _strip(
-            f"truth, {shown.grid}", shown.row, (parts.truth, parts.truth_map, None), "true voxels on the grid of "
-        )
-    score = f"RayIoU {number(shown.run.metrics.get('test/rayiou'))} over the test"
-    label = f"{markup.link(f'#row-{shown.row}', shown.row)}<small>{score}</small>"
-    return lines + _strip(
-        label, shown.row, (parts.prediction, parts.prediction_map, parts.differences), "predicted by "
-    )
+        truth = (parts.truth, parts.truth_map, None)
+        yield {
+            "row": "",
+            "label": f"truth, {shown.grid}",
+            "images": _images(truth, f"true voxels on the grid of {shown.row}"),
+        }
+    predicted = (parts.prediction, parts.prediction_map, parts.differences)
+    yield {
+        "row": shown.row,
+        "label": shown.row,
+        "score": f"RayIoU {number(shown.run.metrics.get('test/rayiou'))} over the test",
+        "images": _images(predicted, f"predicted by {shown.row}"),
+    }
 
 
-def _strip(label: str, row: str, pictures: Sequence, alt: str) -> str:
+def _images(parts: Sequence, alt: str) -> list[dict[str, str] | None]:
     kinds = (("", VIEW_PX), (", from above", MAP_PX), (", differences", MAP_PX))
-    cells = "".join(
-        markup.picture(inline(part, width), f"{alt}{row}{kind}") if part is not None else "<figure></figure>"
-        for part, (kind, width) in zip(pictures, kinds, strict=True)
-    )
-    return f'<div class="strip"><div class="label">{label}</div>{cells}</div>'
+    return [
+        None if part is None else {"address": inline(part, width), "alt": f"{alt}{kind}"}
+        for part, (kind, width) in zip(parts, kinds, strict=True)
+    ]
 
 
-def _runs_card(sweep: Sweep, folder: Path) -> str:
-    blocks = [_row_block(row, runs, folder) for row, runs in sweep.rows.items()]
-    return markup.card("runs", "Runs", *blocks)
+def _runs(sweep: Sweep, folder: Path) -> Section:
+    rows = [
+        {
+            "name": row,
+            "runs": [_run(run, folder) for run in runs],
+            "commands": list(dict.fromkeys(str(run.facts.get("command", "command not recorded")) for run in runs)),
+        }
+        for row, runs in sweep.rows.items()
+    ]
+    return {"kind": "runs", "name": "runs", "title": "Runs", "head": RUN_HEAD, "files": FILES, "rows": rows}
 
 
-def _row_block(row: str, runs: Sequence[FinishedRun], folder: Path) -> str:
-    head = ["run", "seed", "RayIoU", "RayIoU, LiDAR", "mIoU", "minutes", "commit", "files"]
-    lines, commands = [], []
-    for run in runs:
-        where = markup.path_between(folder, run.folder)
-        files = [markup.link(f"{where}/{name}", name) for name in ("config.yaml", "metrics.json", "table.md")]
-        figures = [number(run.metrics.get(f"test/{key}")) for key in ("rayiou", "lidar/rayiou", "voxel/miou")]
-        facts = [str(run.facts.get(key, "–")) for key in ("minutes of training", "commit")]
-        seed = str(run.facts.get("seed", "–"))
-        lines.append([markup.link(f"{where}/", run.name), seed, *figures, *map(markup.text, facts), " ".join(files)])
-        commands.append(f"<pre>{markup.text(str(run.facts.get('command', 'command not recorded')))}</pre>")
-    table = markup.table(head, lines)
-    return f'<div class="row" id="row-{row}"><h3>{markup.text(row)}</h3>{table}{"".join(dict.fromkeys(commands))}</div>'
+def _run(run: FinishedRun, folder: Path) -> dict[str, Any]:
+    figures = [number(run.metrics.get(f"test/{key}")) for key in ("rayiou", "lidar/rayiou", "voxel/miou")]
+    seed, *facts = (str(run.facts.get(key, "–")) for key in ("seed", "minutes of training", "commit"))
+    return {"name": run.name, "folder": path_between(folder, run.folder), "cells": [seed, *figures, *facts]}

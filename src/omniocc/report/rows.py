@@ -1,11 +1,12 @@
-"""Which row of the tables a run belongs to: that of its name, or else that of its configuration."""
+"""Which row of the tables a run belongs to: the one of its name, or else the one of its configuration."""
 
 import functools
 from collections.abc import Sequence
 from pathlib import Path
 
 from omniocc.config import compose_plain
-from omniocc.report.runs import FinishedRun, compared
+from omniocc.report.runs import FinishedRun
+from omniocc.report.selection import compared
 
 
 def assign_rows(runs: Sequence[FinishedRun], conf: Path, rows: Sequence[str]) -> list[FinishedRun]:
@@ -18,7 +19,7 @@ def assign_rows(runs: Sequence[FinishedRun], conf: Path, rows: Sequence[str]) ->
     Args:
         runs: finished runs.
         conf: folder of the configuration, with the rows in `ablation/<row>.yaml`.
-        rows: names of the tables' rows; those without a file in `conf` are found by name alone.
+        rows: names of the tables' rows; rows without a file in `conf` are found by name alone.
 
     Raises:
         ConfigError: when a row cannot be composed.

@@ -1,14 +1,11 @@
-"""Everything a report is made of, and the files it becomes."""
+"""What a report is made of, and its tables as files."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from omniocc.io import atomic_write
-from omniocc.report.budget import BUDGET_NOTE, YARDSTICKS_NOTE, budget_cells, yardstick_cells
-from omniocc.report.claims import claim_cells
-from omniocc.report.curves import read_curve
-from omniocc.report.dataset_table import (
+from omniocc.report.dataset.table import (
     DatasetTable,
     dataset_csv,
     dataset_latex,
@@ -19,25 +16,31 @@ from omniocc.report.dataset_table import (
     scenes_of,
     with_ours,
 )
-from omniocc.report.markup import path_between
-from omniocc.report.paper_table import PaperTable, as_csv, as_latex, as_markdown, is_table, load_table
+from omniocc.report.plots.curves import read_curve
 from omniocc.report.rows import assign_rows
-from omniocc.report.runs import FinishedRun, by_row, comparable, read_runs, table_of_runs
+from omniocc.report.runs import FinishedRun, path_between, read_runs
+from omniocc.report.selection import by_row, comparable
+from omniocc.report.tables import bounds, budget
+from omniocc.report.tables.claims import claim_cells
+from omniocc.report.tables.overview import table_of_runs
+from omniocc.report.tables.paper import PaperTable, as_csv, as_latex, as_markdown, is_table, load_table
 from omniocc.run.folder import METRICS
 from omniocc.run.table import markdown
+
+GENERATED = "<!-- Written by `python src/report.py --docs`; do not edit. -->"
 
 
 class Sweep(NamedTuple):
     """Comparable runs and the paper's tables.
 
     Attributes:
-        runs: by falling RayIoU.
-        rows: runs of each row, in the order of the tables, then those that stand in none.
+        runs: comparable runs, by falling RayIoU.
+        rows: runs of each row, in the order of the tables, then those of rows that are in no table.
         remark: what the runs have in common, and what is left out.
         data: scenes and frames of the dataset; empty if it is not on this machine.
-        tables: of methods.
+        tables: tables of methods.
         datasets: tables of datasets.
-        unfinished: other runs that were begun, with their last step that was written down.
+        unfinished: runs that have begun and not finished, with the last step recorded.
     """
 
     runs: list[FinishedRun]
@@ -50,20 +53,20 @@ class Sweep(NamedTuple):
 
     @property
     def not_run(self) -> list[str]:
-        """Rows of the tables without a run."""
+        """Return the rows of the tables without a run."""
         return [
             row for row in dict.fromkeys(row.run for table in self.tables for row in table.rows) if row not in self.rows
         ]
 
 
 def read_sweep(runs: Path, tables: Path, conf: Path, preset: str | None) -> Sweep:
-    """Collect the finished runs of a folder and the tables of another.
+    """Return the finished runs of a folder with the tables of another.
 
     Args:
         runs: folder of runs.
         tables: folder of the tables.
         conf: folder of the configuration, which says what the rows are.
-        preset: of the runs; None takes the setting that most runs have.
+        preset: preset of the runs to keep; None keeps the setting that most runs have.
 
     Raises:
         UserError: when there is no run, none of that preset, or a table or row is broken.
@@ -80,7 +83,7 @@ def read_sweep(runs: Path, tables: Path, conf: Path, preset: str | None) -> Swee
 
 
 def unfinished(runs: Path) -> list[str]:
-    """Runs of a folder that have a configuration and no figures yet: still training, or stopped."""
+    """Return runs of a folder that have a configuration and no figures yet: still training, or stopped."""
     found = []
     for path in sorted(runs.glob("*/config.yaml")):
         if not (path.parent / METRICS).exists():
@@ -90,30 +93,53 @@ def unfinished(runs: Path) -> list[str]:
 
 
 def open_ends(sweep: Sweep) -> list[str]:
-    """Sentences on what has not been run and what has not ended."""
+    """Return sentences on rows that have not been run and runs that have not finished."""
     missing = f"Not run: {', '.join(sweep.not_run)}."
     begun = f"Begun, not finished: {', '.join(sweep.unfinished)}."
     return [missing] * bool(sweep.not_run) + [begun] * bool(sweep.unfinished)
 
 
+def remark_of(sweep: Sweep) -> str:
+    """Return a paragraph on the runs of the report, what is left out and what is still open."""
+    return f"{' '.join([sweep.remark, *open_ends(sweep)])}\n"
+
+
+def chapters(sweep: Sweep) -> dict[str, str]:
+    """Return every table as Markdown under a heading of level 2, by name."""
+    baseline = f"## {bounds.TITLE}\n\n{bounds.NOTE}\n\n{markdown(*bounds.bounds_cells(sweep.rows))}"
+    cost = f"## Budget\n\n{budget.NOTE}\n\n{markdown(*budget.budget_cells(sweep.rows))}"
+    datasets = {table.name: dataset_markdown(table) for table in sweep.datasets}
+    papers = {table.name: _with_claims(table, sweep.rows) for table in sweep.tables}
+    return {"bounds": baseline, **datasets, **papers, "budget": cost}
+
+
+def _with_claims(table: PaperTable, rows: Mapping[str, Sequence[FinishedRun]]) -> str:
+    head, claims = claim_cells(table, rows)
+    return "\n".join([as_markdown(table, rows), *([markdown(head, claims)] if claims else [])])
+
+
 def report_markdown(sweep: Sweep) -> str:
-    """All tables in one text."""
-    parts = [
-        f"{' '.join([sweep.remark, *open_ends(sweep)])}\n",
-        markdown(*table_of_runs(sweep.runs)),
-        f"## Yardsticks\n\n{YARDSTICKS_NOTE}\n\n{markdown(*yardstick_cells(sweep.rows))}",
-        *map(dataset_markdown, sweep.datasets),
-    ]
-    for table in sweep.tables:
-        parts.append(as_markdown(table, sweep.rows))
-        head, claims = claim_cells(table, sweep.rows)
-        parts += [markdown(head, claims)] * bool(claims)
-    parts.append(f"## Budget\n\n{BUDGET_NOTE}\n\n{markdown(*budget_cells(sweep.rows))}")
-    return "\n".join(parts)
+    """Return all tables in one text."""
+    return "\n".join([remark_of(sweep), markdown(*table_of_runs(sweep.runs)), *chapters(sweep).values()])
+
+
+def write_docs(sweep: Sweep, folder: Path) -> list[Path]:
+    """Write every table as a page of the documentation, `<table>.md`, and return the files.
+
+    Each page is written whole, with a comment at its top that says so.
+
+    Raises:
+        DataError: naming the file that cannot be written.
+    """
+    written = []
+    for name, chapter in chapters(sweep).items():
+        written.append(folder / f"{name}.md")
+        atomic_write(written[-1], f"{GENERATED}\n\n{chapter.replace('## ', '# ', 1)}\n{remark_of(sweep)}")
+    return written
 
 
 def run_list(sweep: Sweep, folder: Path) -> str:
-    """Where each run lies, seen from a folder, and the command that made it."""
+    """Return a list of the runs: a link from a folder to each, and the command that made it."""
     lines = ["## Runs", ""]
     for run in (run for runs in sweep.rows.values() for run in runs):
         where = path_between(folder, run.folder)
@@ -123,7 +149,7 @@ def run_list(sweep: Sweep, folder: Path) -> str:
 
 
 def write_tables(sweep: Sweep, output: Path) -> None:
-    """`report.md`, and every table as CSV and LaTeX."""
+    """Write `report.md`, and every table as CSV and LaTeX."""
     output.mkdir(parents=True, exist_ok=True)
     atomic_write(output / "report.md", f"{report_markdown(sweep)}\n{run_list(sweep, output)}")
     for table in sweep.tables:

@@ -1,4 +1,4 @@
-"""What one run leaves behind: metrics.json, table.md and the same table on the screen."""
+"""The results of one run: metrics.json, table.md and the same table on the screen."""
 
 import json
 import math
@@ -11,17 +11,29 @@ from omniocc.io import atomic_write
 from omniocc.run.folder import METRICS, PICTURES
 from omniocc.run.table import as_markdown, as_text
 
+CANDIDATES = "fraction of candidates"
+"""Fact of a run whose sketch is not a stage of its own: candidates among all voxels."""
+
 
 def save_results(folder: Path, metrics: Mapping[str, float], facts: Mapping[str, Any]) -> None:
-    """Write `table.md`, then `metrics.json`: the presence of the latter says that the run is finished."""
-    caption = ", ".join(f"{key} {value}" for key, value in facts.items())
+    """Write `table.md`, then `metrics.json`, whose presence says that the run is finished.
+
+    Args:
+        folder: of the run.
+        metrics: figures by key; NaN for classes without cases.
+        facts: what else is recorded of the run; lists and mappings stand in `metrics.json` alone.
+
+    Raises:
+        DataError: naming the file that cannot be written.
+    """
+    caption = ", ".join(f"{key} {value}" for key, value in facts.items() if not isinstance(value, list | dict))
     atomic_write(folder / "table.md", as_markdown(metrics, caption))
     plain = {key: None if math.isnan(value) else value for key, value in metrics.items()}
     atomic_write(folder / METRICS, json.dumps({**facts, "metrics": plain}, indent=1) + "\n")
 
 
 def load_results(folder: Path) -> tuple[dict[str, Any], dict[str, float]]:
-    """Facts and figures of a finished run; NaN for classes without cases.
+    """Return facts and figures of a finished run; NaN for classes without cases.
 
     Raises:
         UserError: naming the file, when it is damaged.

@@ -1,20 +1,22 @@
-"""The table of one run: the model between its two yardsticks."""
+"""Tables of one run: the model between its baseline and its upper bound. Names of classes are those of its figures."""
 
 import math
+import re
 from collections.abc import Mapping
 
-from omniocc.classes import CLASSES, FREE
+BY_CLASS = "test/rayiou/"
+BAND = re.compile(r"_([\d.]+-[\d.]+m)$")
 
-ROWS = {"test": "model", "prior": "prior", "label": "label"}
+ROWS = {"test": "model", "prior": "prior (baseline)", "label": "label (upper bound)"}
 EXPLANATION = (
-    "Rays against the true voxels as in the paper (mean over 1, 2, 4 m); 'LiDAR' scores the same voxels against true "
-    "LiDAR rays. prior: most frequent training class of every voxel. label: the true voxels themselves, so its LiDAR "
-    "column is the ceiling of the grid."
+    "RayIoU compares rays through the predicted and the true voxels as in the paper (mean over 1, 2, 4 m); 'LiDAR' "
+    "compares the same voxels with true LiDAR rays. prior: the most frequent training class of every voxel. label: the "
+    "true voxels themselves, so its LiDAR column is the upper bound of the grid."
 )
 
 
 def summary(metrics: Mapping[str, float]) -> tuple[list[str], list[list[str]]]:
-    """Head and rows of the overview: RayIoU, its distance bands, RayIoU against LiDAR rays, voxel IoU and mIoU."""
+    """Return head and rows of the overview: RayIoU, by distance and against LiDAR rays, voxel IoU and mIoU."""
     bands = band_keys(metrics)
     columns = ["rayiou", *bands, "lidar/rayiou", "voxel/iou", "voxel/miou"]
     head = [
@@ -30,13 +32,24 @@ def summary(metrics: Mapping[str, float]) -> tuple[list[str], list[list[str]]]:
 
 
 def band_keys(metrics: Mapping[str, float]) -> list[str]:
-    """The keys `rayiou_<lo>-<hi>m`, nearest band first."""
+    """Return the keys `rayiou_<lo>-<hi>m` of a run's test, nearest band first."""
     keys = [key.removeprefix("test/") for key in metrics if key.startswith("test/rayiou_")]
     return sorted(keys, key=lambda key: _lower_edge(key.split("_")[1]))
 
 
+def class_names(metrics: Mapping[str, float]) -> list[str]:
+    """Return the names of the classes that a run's test has scored, in the order recorded."""
+    return [key.removeprefix(BY_CLASS) for key in metrics if key.startswith(BY_CLASS)]
+
+
+def band_names(metrics: Mapping[str, float]) -> list[str]:
+    """Return the distance bands `<lo>-<hi>m` of any figure of a run's test, nearest first."""
+    found = {match[1] for key in metrics if key.startswith("test/") and (match := BAND.search(key))}
+    return sorted(found, key=_lower_edge)
+
+
 def per_class(metrics: Mapping[str, float]) -> tuple[list[str], list[list[str]]]:
-    """Head and rows of RayIoU by class: model, prior, and both with the ceiling against LiDAR rays."""
+    """Return head and rows of RayIoU by class: model and baseline, and both with the upper bound on LiDAR rays."""
     columns = [
         ("model", "test/rayiou"),
         ("prior", "prior/rayiou"),
@@ -44,21 +57,17 @@ def per_class(metrics: Mapping[str, float]) -> tuple[list[str], list[list[str]]]
         ("prior, LiDAR", "prior/lidar/rayiou"),
         ("label, LiDAR", "label/lidar/rayiou"),
     ]
-    rows = [
-        [row.name, *(number(metrics.get(f"{key}/{row.name}")) for _, key in columns)]
-        for row in CLASSES
-        if row.id != FREE
-    ]
+    rows = [[name, *(number(metrics.get(f"{key}/{name}")) for _, key in columns)] for name in class_names(metrics)]
     return ["class", *(title for title, _ in columns)], rows
 
 
 def number(value: float | None) -> str:
-    """Three digits, a dash for what was not measured or has no cases."""
+    """Return a figure with three decimals; a dash for what was not measured or has no cases."""
     return "–" if value is None or math.isnan(value) else f"{value:.3f}"
 
 
 def markdown(head: list[str], rows: list[list[str]]) -> str:
-    """A Markdown table."""
+    """Return a Markdown table; the first column is text, the others are figures."""
     lines = [head, ["---"] + ["---:"] * (len(head) - 1), *rows]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
 
@@ -73,13 +82,15 @@ DEPTH_COLUMNS = {
 }
 SKETCH_COLUMNS = {"recall": "recall", "precision": "precision", "fraction": "fraction"}
 DEPTH_EXPLANATION = (
-    "Ranges over the test panoramas, every ray with a true range; index errors in percent of the spheres."
+    "Errors of range over the test panoramas, on every ray with a true range; index: error in percent of the spheres."
 )
-SKETCH_EXPLANATION = "Candidates against occupied true voxels; fraction: of all voxels. raw: before dilation."
+SKETCH_EXPLANATION = (
+    "Candidates against occupied true voxels; fraction: candidates among all voxels. raw: before dilation."
+)
 
 
 def depth_table(metrics: Mapping[str, float]) -> tuple[list[str], list[list[str]]]:
-    """Head and rows by distance band: errors of the panorama of ranges."""
+    """Return head and rows by distance band: errors of the panorama of ranges."""
     rows = [
         [title, *(number(metrics.get(f"test/depth/{key}{band}")) for key in DEPTH_COLUMNS)]
         for title, band in _bands(metrics, "test/depth/mae_")
@@ -88,7 +99,7 @@ def depth_table(metrics: Mapping[str, float]) -> tuple[list[str], list[list[str]
 
 
 def sketch_table(metrics: Mapping[str, float]) -> tuple[list[str], list[list[str]]]:
-    """Head and rows by distance band: candidates after dilation, then before."""
+    """Return head and rows by distance band: candidates after dilation, then before."""
     head = ["candidates", *SKETCH_COLUMNS.values(), *(f"{title}, raw" for title in SKETCH_COLUMNS.values())]
     keys = [f"test/sketch/{raw}{key}" for raw in ("", "raw/") for key in SKETCH_COLUMNS]
     rows = [
@@ -99,7 +110,7 @@ def sketch_table(metrics: Mapping[str, float]) -> tuple[list[str], list[list[str
 
 
 def tables(metrics: Mapping[str, float]) -> list[tuple[tuple[list[str], list[list[str]]], str]]:
-    """The tables that the figures of a run or stage allow, each with what it means."""
+    """Return the tables that the figures of a run or stage allow, each with an explanation."""
     found = []
     if "test/rayiou" in metrics:
         found += [(summary(metrics), EXPLANATION), (per_class(metrics), "")]
@@ -111,18 +122,18 @@ def tables(metrics: Mapping[str, float]) -> list[tuple[tuple[list[str], list[lis
 
 
 def as_markdown(metrics: Mapping[str, float], caption: str) -> str:
-    """All tables and what they mean."""
-    parts = [part for table, meaning in tables(metrics) for part in (markdown(*table), meaning and f"{meaning}\n")]
+    """Return all tables with their explanations as Markdown, below a caption."""
+    parts = [part for table, text in tables(metrics) for part in (markdown(*table), text and f"{text}\n")]
     return "\n".join([caption, "", *filter(None, parts)])
 
 
 def as_text(metrics: Mapping[str, float]) -> str:
-    """All tables for a terminal, in columns."""
+    """Return all tables for a terminal, in columns."""
     return "\n\n".join(_columns(*table) for table, _ in tables(metrics))
 
 
 def _bands(metrics: Mapping[str, float], prefix: str) -> list[tuple[str, str]]:
-    """Title and ending of the keys of everything and of each distance band, nearest first."""
+    """Return title and end of the key for all distances, then for each band, nearest first."""
     bands = sorted((key.removeprefix(prefix) for key in metrics if key.startswith(prefix)), key=_lower_edge)
     return [("all", ""), *((band.replace("m", " m"), f"_{band}") for band in bands)]
 

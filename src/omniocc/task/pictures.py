@@ -12,6 +12,7 @@ from lightning.pytorch import Callback, LightningModule, Trainer
 from torch import Tensor
 
 from omniocc.batch import Batch
+from omniocc.classes import WORLD_CLASSES
 from omniocc.data.labels.class_fractions import spread
 from omniocc.run.folder import PARTS
 from omniocc.run.wandb.loggers import wandb_of
@@ -115,12 +116,12 @@ class Pictures(FramePictures):
 
     def picture(self, task: Any, output: Tensor, batch: Batch, sample: int) -> Drawn:  # noqa: D102
         images, truth = newest_images(batch, sample), batch.voxels[sample].cpu()
-        parts = comparison_parts(images, truth, output, task.model.geometry)
-        return Drawn(comparison_sheet(parts, batch.frame_ids[sample]), parts._asdict())
+        parts = comparison_parts(images, truth, output, task.model.geometry, WORLD_CLASSES)
+        return Drawn(comparison_sheet(parts, WORLD_CLASSES, batch.frame_ids[sample]), parts._asdict())
 
     def media(self, task: Any, output: Tensor, batch: Batch, sample: int) -> dict[str, list[Named]]:  # noqa: D102
         images, truth = newest_images(batch, sample), batch.voxels[sample].cpu()
-        return voxel_media(images, batch.rigs[sample], truth, output, task.model.geometry)
+        return voxel_media(images, batch.rigs[sample], truth, output, task.model.geometry, WORLD_CLASSES)
 
 
 class DepthPictures(FramePictures):
@@ -160,6 +161,7 @@ class SketchPictures(FramePictures):
             chosen,
             output,
             task.model.geometry,
+            WORLD_CLASSES,
             task.model.panorama,
             range_m[0].masked_fill(~valid[0], torch.nan).cpu(),
             batch.frame_ids[sample],

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import UInt8
 from torch import Tensor
 
-from omniocc.classes import FREE, PALETTE, UNKNOWN
+from omniocc.classes import FREE, UNKNOWN, ClassTable
 from omniocc.geometry import Grid
 from omniocc.view.canvas import Rgb
 
@@ -26,10 +26,10 @@ ERRORS: tuple[tuple[str, Rgb], ...] = (
 )
 
 
-def bev(labels: UInt8[Tensor, "X Y Z"], geometry: Grid, size_px: int) -> np.ndarray:
-    """Colour of the topmost occupied cell of every column; a square picture of the whole grid."""
+def bev(labels: UInt8[Tensor, "X Y Z"], geometry: Grid, classes: ClassTable, size_px: int) -> np.ndarray:
+    """Return a square image of the whole grid, each column in the colour of its topmost occupied cell."""
     columns = topmost(labels)
-    colors = PALETTE[columns]
+    colors = classes.palette[columns]
     colors[columns == FREE] = EMPTY
     return draw_columns(colors, geometry, size_px)
 
@@ -37,19 +37,28 @@ def bev(labels: UInt8[Tensor, "X Y Z"], geometry: Grid, size_px: int) -> np.ndar
 def error_bev(
     truth: UInt8[Tensor, "X Y Z"], prediction: UInt8[Tensor, "X Y Z"], geometry: Grid, size_px: int
 ) -> np.ndarray:
-    """What is most frequent among the cells of each column that are occupied in truth or prediction.
+    """Return a square image with the most frequent kind of difference among the occupied cells of each column.
 
-    Kinds and colours are `ERRORS`; of equally frequent kinds the milder one shows. Where as many cells are missed as
-    hallucinated under the same topmost class, it is there, but a layer off. Cells of unknown truth do not count.
+    Kinds and colours are `ERRORS`; of equally frequent kinds the first is drawn. A column with as many missed as
+    hallucinated cells and the right topmost class counts as 'at another height'. Cells of unknown truth do not count.
+
+    Args:
+        truth: class of every cell.
+        prediction: class of every cell.
+        geometry: the grid of both.
+        size_px: width and height of the image.
     """
-    true, said = truth.numpy(), prediction.numpy()
+    true, predicted = truth.numpy(), prediction.numpy()
     known = true != UNKNOWN
 
     def count(kind: np.ndarray) -> np.ndarray:
         return (kind & known).sum(2)
 
-    right, wrong = count((true == said) & (true != FREE)), count((true != said) & (true != FREE) & (said != FREE))
-    missed, hallucinated = count((true != FREE) & (said == FREE)), count((true == FREE) & (said != FREE))
+    right, wrong = (
+        count((true == predicted) & (true != FREE)),
+        count((true != predicted) & (true != FREE) & (predicted != FREE)),
+    )
+    missed, hallucinated = count((true != FREE) & (predicted == FREE)), count((true == FREE) & (predicted != FREE))
     shifted = np.where((missed == hallucinated) & (topmost(truth) == topmost(prediction)), missed, 0)
     counts = np.stack([right, shifted, wrong, missed, hallucinated])
     most = counts.argmax(0)
@@ -59,7 +68,7 @@ def error_bev(
 
 
 def topmost(labels: UInt8[Tensor, "X Y Z"]) -> np.ndarray:
-    """(X, Y) class of the highest cell of each column that is neither free nor unknown; free if there is none."""
+    """Return the class (X, Y) of the highest occupied cell of each column; free where there is none."""
     cells = labels.numpy()[:, :, ::-1]
     occupied = (cells != FREE) & (cells != UNKNOWN)
     first = occupied.argmax(2)
@@ -67,16 +76,16 @@ def topmost(labels: UInt8[Tensor, "X Y Z"]) -> np.ndarray:
 
 
 def draw_columns(colors: np.ndarray, geometry: Grid, size_px: int) -> np.ndarray:
-    """The picture of (X, Y, 3) column colours: every pixel shows the column its centre lies in."""
+    """Return a square image of column colours (X, Y, 3); every pixel shows the column that its centre is in."""
     half_m = _half_width_m(geometry)
     axis = half_m - (torch.arange(size_px, dtype=torch.float64) + 0.5) * (2 * half_m / size_px)
     x, y = torch.meshgrid(axis, axis, indexing="ij")
     middle = sum(geometry.bounds[2]) / 2
     index, inside = geometry.index(torch.stack([x, y, torch.full_like(x, middle)], dim=-1))
-    picture = colors[index[..., 0].numpy(), index[..., 1].numpy()]
-    picture[~inside.numpy()] = OUTSIDE
-    _own_car(picture, size_px / (2 * half_m))
-    return picture
+    image = colors[index[..., 0].numpy(), index[..., 1].numpy()]
+    image[~inside.numpy()] = OUTSIDE
+    _own_car(image, size_px / (2 * half_m))
+    return image
 
 
 def _half_width_m(geometry: Grid) -> float:
@@ -84,10 +93,10 @@ def _half_width_m(geometry: Grid) -> float:
     return float(geometry.from_axes(*edges)[..., :2].abs().max())
 
 
-def _own_car(picture: np.ndarray, px_per_m: float) -> None:
-    """An arrowhead at the origin, pointing forward."""
+def _own_car(image: np.ndarray, px_per_m: float) -> None:
+    """Draw an arrowhead at the origin that points forward, in place."""
     outline = np.array([[2.4, 0.0], [-2.0, 1.3], [-1.2, 0.0], [-2.0, -1.3]])  # x, y in metres
-    pixels = np.stack([-outline[:, 1], -outline[:, 0]], 1) * px_per_m + picture.shape[0] / 2 - 0.5
+    pixels = np.stack([-outline[:, 1], -outline[:, 0]], 1) * px_per_m + image.shape[0] / 2 - 0.5
     points = np.round(pixels * 16).astype(np.int32)
-    cv2.fillPoly(picture, [points], (255, 255, 255), cv2.LINE_AA, 4)
-    cv2.polylines(picture, [points], True, (30, 30, 30), 1, cv2.LINE_AA, 4)
+    cv2.fillPoly(image, [points], (255, 255, 255), cv2.LINE_AA, 4)
+    cv2.polylines(image, [points], True, (30, 30, 30), 1, cv2.LINE_AA, 4)

@@ -1,10 +1,12 @@
-"""Drawing helpers: text, labels on pictures, files. Pictures are (height, width, 3) uint8 RGB arrays."""
+"""Drawing helpers: text, labels on images, files. Images are (height, width, 3) uint8 RGB arrays."""
 
 from os import PathLike
 from pathlib import Path
 
 import cv2
 import numpy as np
+
+from omniocc.classes import FREE, ClassTable
 
 Rgb = tuple[int, int, int]
 
@@ -14,7 +16,7 @@ PAPER: Rgb = (255, 255, 255)
 
 
 def save_png(path: str | PathLike[str], image: np.ndarray) -> None:
-    """Writes a picture.
+    """Write an image as PNG.
 
     Raises:
         OSError: naming the path that cannot be written.
@@ -25,34 +27,34 @@ def save_png(path: str | PathLike[str], image: np.ndarray) -> None:
 
 
 def blank(width: int, height: int, rgb: Rgb = PAPER) -> np.ndarray:
-    """An empty picture."""
+    """Return an image of one colour."""
     return np.full((height, width, 3), rgb, dtype=np.uint8)
 
 
 def fitted(image: np.ndarray, width: int) -> np.ndarray:
-    """The picture scaled to a width."""
+    """Return the image scaled to a width."""
     height = round(image.shape[0] * width / image.shape[1])
     smaller = width < image.shape[1]
     return cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA if smaller else cv2.INTER_CUBIC)
 
 
 def paste(canvas: np.ndarray, image: np.ndarray, left: int, top: int) -> None:
-    """Copies `image` into `canvas` in place."""
+    """Copy `image` into `canvas`, in place."""
     canvas[top : top + image.shape[0], left : left + image.shape[1]] = image
 
 
 def text_width(text: str, height_px: int) -> int:
-    """Width of a line of text."""
+    """Return the width of a line of text in pixels."""
     return cv2.getTextSize(text, FONT, _scale(height_px), 1)[0][0]
 
 
 def write(canvas: np.ndarray, text: str, left: int, baseline: int, height_px: int, rgb: Rgb = INK) -> None:
-    """Writes a line of text in place; `height_px` is that of a capital letter."""
+    """Write a line of text, in place; `height_px` is the height of a capital letter."""
     cv2.putText(canvas, text, (left, baseline), FONT, _scale(height_px), rgb, 1, cv2.LINE_AA)
 
 
 def tag(canvas: np.ndarray, text: str, left: int, top: int, height_px: int = 10) -> None:
-    """Writes white text on a dark translucent plate in place."""
+    """Write white text on a dark translucent plate, in place."""
     pad = height_px * 2 // 3
     right, bottom = left + text_width(text, height_px) + 2 * pad, top + height_px + 2 * pad
     plate = canvas[top:bottom, left:right]
@@ -61,7 +63,7 @@ def tag(canvas: np.ndarray, text: str, left: int, top: int, height_px: int = 10)
 
 
 def legend(entries: list[tuple[str, Rgb]], width: int, height_px: int = 10) -> np.ndarray:
-    """Colour swatches with names, in as many lines as they need."""
+    """Return colour swatches with names, in as many lines as they need."""
     swatch, gap, line = 2 * height_px, height_px * 2, height_px * 5 // 2
     lines, left = [[]], 0
     for name, rgb in entries:
@@ -78,6 +80,11 @@ def legend(entries: list[tuple[str, Rgb]], width: int, height_px: int = 10) -> n
             cv2.rectangle(canvas, (start, top - 1), (start + swatch - 1, top + height_px), (190, 190, 190), 1)
             write(canvas, name, start + swatch + height_px // 2, top + height_px, height_px)
     return canvas
+
+
+def class_legend(classes: ClassTable, width: int) -> np.ndarray:
+    """Return a legend with names and colours of all classes but free."""
+    return legend([(row.name, row.rgb) for row in classes.rows if row.id != FREE], width)
 
 
 def _scale(height_px: int) -> float:

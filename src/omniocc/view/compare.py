@@ -1,4 +1,4 @@
-"""One sheet per frame: what the cameras saw, true beside predicted voxels, and where they differ."""
+"""One sheet per frame: camera images, true beside predicted voxels, and where they differ."""
 
 from typing import NamedTuple
 
@@ -6,10 +6,10 @@ import numpy as np
 from jaxtyping import UInt8
 from torch import Tensor
 
-from omniocc.classes import CLASSES, FREE
+from omniocc.classes import ClassTable
 from omniocc.geometry import Grid
 from omniocc.view.bev import ERRORS, bev, error_bev
-from omniocc.view.canvas import legend
+from omniocc.view.canvas import class_legend, legend
 from omniocc.view.sheet import AS_SEEN as AS_SEEN
 from omniocc.view.sheet import NAMES as NAMES
 from omniocc.view.sheet import below, beside, camera_rows, caption_line, column_width, inner_width, stack, tagged
@@ -17,7 +17,7 @@ from omniocc.view.voxels import render_voxels
 
 
 class SheetParts(NamedTuple):
-    """What a sheet is made of, RGB: images of the cameras, voxels in perspective, and voxels from above."""
+    """Parts of a sheet, RGB: images of the cameras, voxels in perspective, and voxels from above."""
 
     cameras: np.ndarray
     truth: np.ndarray
@@ -32,20 +32,24 @@ def comparison(
     truth: UInt8[Tensor, "X Y Z"],
     prediction: UInt8[Tensor, "X Y Z"],
     geometry: Grid,
+    classes: ClassTable,
     caption: str = "",
     width_px: int = 1280,
 ) -> np.ndarray:
-    """Draws the sheet.
+    """Return the sheet as one image.
 
     Args:
         images: (N, H, W, 3) uint8 RGB; six are taken for the hexagon (0 front, then clockwise), others go in order.
         truth: class of every cell.
         prediction: class of every cell.
         geometry: the grid of both.
+        classes: names and colours of the labels.
         caption: a line at the top.
-        width_px: of the sheet.
+        width_px: width of the sheet.
     """
-    return comparison_sheet(comparison_parts(images, truth, prediction, geometry, width_px), caption, width_px)
+    return comparison_sheet(
+        comparison_parts(images, truth, prediction, geometry, classes, width_px), classes, caption, width_px
+    )
 
 
 def comparison_parts(
@@ -53,23 +57,24 @@ def comparison_parts(
     truth: UInt8[Tensor, "X Y Z"],
     prediction: UInt8[Tensor, "X Y Z"],
     geometry: Grid,
+    classes: ClassTable,
     width_px: int = 1280,
 ) -> SheetParts:
-    """Draw what a sheet is made of; arguments as in `comparison`."""
+    """Return the parts of a sheet; arguments as in `comparison`."""
     inner = inner_width(width_px)
     half, third = column_width(inner, 2), column_width(inner, 3)
-    views = (render_voxels(labels, geometry, half, half * 9 // 16) for labels in (truth, prediction))
+    views = (render_voxels(labels, geometry, classes, half, half * 9 // 16) for labels in (truth, prediction))
     maps = (
-        bev(truth, geometry, third),
-        bev(prediction, geometry, third),
+        bev(truth, geometry, classes, third),
+        bev(prediction, geometry, classes, third),
         error_bev(truth, prediction, geometry, third),
     )
     names = ("truth", "prediction", "truth from above", "prediction from above", "differences")
-    drawn = (tagged(picture, name) for picture, name in zip((*views, *maps), names, strict=True))
+    drawn = (tagged(image, name) for image, name in zip((*views, *maps), names, strict=True))
     return SheetParts(below(camera_rows(list(images), inner), inner), *drawn)
 
 
-def comparison_sheet(parts: SheetParts, caption: str = "", width_px: int = 1280) -> np.ndarray:
+def comparison_sheet(parts: SheetParts, classes: ClassTable, caption: str = "", width_px: int = 1280) -> np.ndarray:
     """Return the sheet made of these parts, drawn for its width."""
     inner = inner_width(width_px)
     rows = [
@@ -77,12 +82,7 @@ def comparison_sheet(parts: SheetParts, caption: str = "", width_px: int = 1280)
         parts.cameras,
         beside([parts.truth, parts.prediction], inner),
         beside([parts.truth_map, parts.prediction_map, parts.differences], inner),
-        class_legend(inner),
+        class_legend(classes, inner),
         legend([(f"Difference: {name}" if k == 0 else name, rgb) for k, (name, rgb) in enumerate(ERRORS)], inner),
     ]
     return stack(rows, width_px)
-
-
-def class_legend(width: int) -> np.ndarray:
-    """Names and colours of all classes but free."""
-    return legend([(entry.name, entry.rgb) for entry in CLASSES if entry.id != FREE], width)

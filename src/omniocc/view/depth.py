@@ -1,4 +1,4 @@
-"""One sheet per frame of what a depth network says: on the cameras' pictures, and as a panorama beside the truth."""
+"""One sheet per frame of predicted ranges: on the camera images, and as a panorama beside the truth."""
 
 from collections.abc import Sequence
 
@@ -11,8 +11,8 @@ from torch import Tensor
 from omniocc.camera import Equirectangular, Rig
 from omniocc.view.canvas import fitted, legend
 from omniocc.view.ranges import (
-    INVENTED,
-    NO_ANSWER,
+    FALSE_RANGE,
+    NOT_PREDICTED,
     SKY,
     error_bar,
     error_colors,
@@ -34,16 +34,16 @@ def depth_sheet(
     caption: str = "",
     width_px: int = 1280,
 ) -> np.ndarray:
-    """Draws the sheet.
+    """Return the sheet as one image.
 
     Args:
         images: (H, W, 3) uint8 RGB of every camera of the rig.
         rig: the cameras.
         panorama: directions of the pixels of the ranges.
-        predicted_m: ranges around the ego origin, nan where there is no answer.
-        true_m: likewise, inf for sky.
+        predicted_m: ranges around the ego origin, nan where no range is predicted.
+        true_m: true ranges around the ego origin, inf for sky, nan where not measured.
         caption: a line at the top.
-        width_px: of the sheet.
+        width_px: width of the sheet.
     """
     inner = inner_width(width_px)
     rows = [
@@ -57,7 +57,7 @@ def depth_sheet(
 def painted_rows(
     images: Sequence[np.ndarray], rig: Rig, panorama: Equirectangular, range_m: Float[Tensor, "h w"], width: int
 ) -> list[np.ndarray]:
-    """Rows of the cameras' pictures with the points of a panorama on them, see `paint_ranges`."""
+    """Return rows of camera images with the points of a panorama on them, as `paint_ranges` draws them."""
     columns = 3 if len(images) % 3 == 0 else 2
     painted = paint_ranges(images, rig, panorama, range_m, column_width(width, columns))
     return camera_rows(painted, width, columns, None if len(rig.names) == len(NAMES) else rig.names)
@@ -66,10 +66,17 @@ def painted_rows(
 def paint_ranges(
     images: Sequence[np.ndarray], rig: Rig, panorama: Equirectangular, range_m: Float[Tensor, "h w"], width: int
 ) -> list[np.ndarray]:
-    """The cameras' pictures, scaled to a width, with the points of a panorama in the colours of their range.
+    """Return the camera images, scaled to a width, with the points of a panorama in the colours of their range.
 
-    A point is as large as the panorama's pixel seems from the camera, and nearer points hide farther ones. The
-    brightness is the picture's own, so that one sees what was given which range.
+    A point is as large as the panorama's pixel appears from the camera, and nearer points hide farther ones. The
+    brightness is that of the image, so that objects stay visible.
+
+    Args:
+        images: (H, W, 3) uint8 RGB of every camera.
+        rig: the cameras.
+        panorama: directions of the pixels of the ranges.
+        range_m: ranges around the ego origin, not finite where there is none.
+        width: width of the returned images, px.
     """
     known = range_m.isfinite().flatten()
     points = (range_m.unsqueeze(-1) * panorama.rays()).flatten(0, 1)[known].double()
@@ -77,7 +84,7 @@ def paint_ranges(
     pixels, valid = rig.project(points[order])
     colors = range_colors(range_m.flatten()[known][order].numpy())
     step_rad = 2 * np.pi / panorama.width
-    pictures = []
+    painted = []
     for k, image in enumerate(images):
         camera = fitted(image, width)
         scale = width / rig.cameras[k].width
@@ -86,12 +93,12 @@ def paint_ranges(
         radius = extent_rad * _pixels_per_rad(rig, k) * scale * COVER / 2
         seen = valid[k]
         places = (pixels[k][seen] + 0.5) * scale - 0.5
-        pictures.append(_dotted(camera, places.numpy(), radius[seen].clamp(1, 12).numpy(), colors[seen.numpy()]))
-    return pictures
+        painted.append(_dotted(camera, places.numpy(), radius[seen].clamp(1, 12).numpy(), colors[seen.numpy()]))
+    return painted
 
 
 def _pixels_per_rad(rig: Rig, k: int) -> float:
-    """Mean over the image's width."""
+    """Return the mean number of pixels per radian over the width of the image."""
     camera = rig.cameras[k]
     row = torch.stack([torch.linspace(0, camera.width - 1, 65), torch.full((65,), camera.height / 2)], -1).double()
     rays, valid = camera.unproject(row)
@@ -101,7 +108,7 @@ def _pixels_per_rad(rig: Rig, k: int) -> float:
 
 
 def _dotted(image: np.ndarray, places: np.ndarray, radius: np.ndarray, colors: np.ndarray) -> np.ndarray:
-    """Discs in this order on a grey picture, lit by its brightness."""
+    """Return the grey image with discs drawn in this order, lit by its brightness."""
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
     paint = np.repeat((grey * 0.6).astype(np.uint8)[..., None], 3, axis=2)
     drawn = np.zeros(grey.shape, np.uint8)
@@ -122,8 +129,8 @@ def _panoramas(predicted_m: np.ndarray, true_m: np.ndarray, width: int) -> list[
         panorama_row(range_colors(true_m), "true range", width),
         panorama_row(range_colors(predicted_m), "predicted range", width),
         range_bar(width),
-        legend([("sky", SKY), ("no answer", NO_ANSWER)], width),
+        legend([("sky", SKY), ("not predicted", NOT_PREDICTED)], width),
         panorama_row(error_colors(predicted_m, true_m), f"error: predicted minus true{mean}", width),
         error_bar(width),
-        legend([("sky", SKY), ("answer where there is sky", INVENTED), ("no answer", NO_ANSWER)], width),
+        legend([("sky", SKY), ("predicted where there is sky", FALSE_RANGE), ("not predicted", NOT_PREDICTED)], width),
     ]

@@ -1,4 +1,4 @@
-"""Voxels as the cameras see them, and as they look from the ego origin."""
+"""Voxels as seen from the cameras and from the ego origin."""
 
 from collections.abc import Sequence
 from functools import lru_cache
@@ -11,24 +11,24 @@ from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from omniocc.camera import Equirectangular, Rig
-from omniocc.classes import FREE, PALETTE, UNKNOWN
+from omniocc.classes import FREE, UNKNOWN, ClassTable
 from omniocc.geometry import Grid
 from omniocc.geometry.raycast.fans import Fans
 from omniocc.geometry.raycast.table import RayTable
 from omniocc.view.canvas import fitted
 
 COARSE = 2
-"""Pixels of a picture along each side that share a ray."""
+"""Side in pixels of the squares that share one ray."""
 
 EDGE = 0.72
-"""Brightness of pixels where one voxel ends, over that inside."""
+"""Brightness of pixels at the edges of voxels, relative to their inside."""
 
 NOTHING = (225, 233, 242)
 """Colour of directions in which there is no voxel."""
 
 
 class View(NamedTuple):
-    """Rays of one picture, prepared for any labels.
+    """Rays of one image, prepared for any labels.
 
     Attributes:
         valid: pixels that have a ray.
@@ -40,34 +40,53 @@ class View(NamedTuple):
 
 
 def paint_voxels(
-    images: Sequence[np.ndarray], rig: Rig, labels: UInt8[Tensor, "X Y Z"], geometry: Grid, width: int
+    images: Sequence[np.ndarray],
+    rig: Rig,
+    labels: UInt8[Tensor, "X Y Z"],
+    geometry: Grid,
+    classes: ClassTable,
+    width: int,
 ) -> list[np.ndarray]:
-    """The cameras' pictures, scaled to a width, with the first voxel along every pixel's ray in its class colour.
+    """Return the camera images, scaled to a width, with the first voxel along every pixel's ray in its class colour.
 
-    The brightness is the picture's own, so that one sees what was given which class; where there is no voxel the
-    picture is dim and grey.
+    The brightness is that of the image, so that objects stay visible; where there is no voxel the image is dim and
+    grey.
+
+    Args:
+        images: (H, W, 3) uint8 RGB of every camera.
+        rig: the cameras.
+        labels: class of every cell.
+        geometry: the grid.
+        classes: names and colours of the labels.
+        width: width of the returned images, px.
     """
     painted = []
     for k, image in enumerate(images):
-        picture = fitted(image, width)
-        size = picture.shape[1] // COARSE, picture.shape[0] // COARSE
-        colors, hit = _colors(camera_view(geometry, rig, k, *size), labels)
-        painted.append(_blended(picture, *(_enlarged(part, picture) for part in (colors, hit))))
+        scaled = fitted(image, width)
+        size = scaled.shape[1] // COARSE, scaled.shape[0] // COARSE
+        colors, hit = _colors(camera_view(geometry, rig, k, *size), labels, classes.palette)
+        painted.append(_blended(scaled, *(_enlarged(part, scaled) for part in (colors, hit))))
     return painted
 
 
-def voxel_panorama(labels: UInt8[Tensor, "X Y Z"], geometry: Grid, panorama: Equirectangular, width: int) -> np.ndarray:
-    """(about width / 2 wide) class colour of the first voxel in every direction from the ego origin."""
+def voxel_panorama(
+    labels: UInt8[Tensor, "X Y Z"],
+    geometry: Grid,
+    classes: ClassTable,
+    panorama: Equirectangular,
+    width: int,
+) -> np.ndarray:
+    """Return an image, about width / 2 wide, of the first voxel in every direction from the ego origin."""
     columns = width // COARSE
     rows = round(columns * panorama.height / panorama.width)
-    colors, hit = _colors(panorama_view(geometry, panorama, columns, rows), labels)
+    colors, hit = _colors(panorama_view(geometry, panorama, columns, rows), labels, classes.palette)
     colors[~hit] = NOTHING
     return colors
 
 
 @lru_cache(maxsize=32)
 def camera_view(geometry: Grid, rig: Rig, camera: int, columns: int, rows: int) -> View:
-    """Rays through the middles of so many equal parts of a camera's picture."""
+    """Return rays through the centres of `columns` x `rows` equal parts of a camera's image."""
     model = rig.cameras[camera]
     u = (torch.arange(columns, dtype=torch.float64) + 0.5) * model.width / columns - 0.5
     v = (torch.arange(rows, dtype=torch.float64) + 0.5) * model.height / rows - 0.5
@@ -83,7 +102,7 @@ def camera_view(geometry: Grid, rig: Rig, camera: int, columns: int, rows: int) 
 
 @lru_cache(maxsize=4)
 def panorama_view(geometry: Grid, panorama: Equirectangular, columns: int, rows: int) -> View:
-    """Rays from the ego origin."""
+    """Return rays from the ego origin in the directions of a panorama of another resolution."""
     rays = panorama.resized(columns, rows).rays().double()
     return _view(geometry, torch.zeros(3, dtype=torch.float64), rays, torch.ones(rays.shape[:2], dtype=torch.bool))
 
@@ -93,18 +112,18 @@ def _view(geometry: Grid, origin: Float[Tensor, "3"], rays: Float[Tensor, "h w 3
     return View(valid, RayTable(geometry, Fans.single(origin.expand_as(directions), directions)))
 
 
-def _colors(view: View, labels: UInt8[Tensor, "X Y Z"]) -> tuple[np.ndarray, np.ndarray]:
-    """(h, w, 3) class colours, darker where voxels end, and (h, w) whether there is a voxel."""
+def _colors(view: View, labels: UInt8[Tensor, "X Y Z"], palette: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return class colours (h, w, 3), darker at the edges of voxels, and whether there is a voxel (h, w)."""
     hits = view.table.cast(labels.masked_fill(labels == UNKNOWN, FREE))
     cells = torch.full(view.valid.shape, -1, dtype=torch.int32)
-    classes = torch.zeros(view.valid.shape, dtype=torch.uint8)
-    cells[view.valid], classes[view.valid] = hits.cells, hits.labels
+    found = torch.zeros(view.valid.shape, dtype=torch.uint8)
+    cells[view.valid], found[view.valid] = hits.cells, hits.labels
     edge = torch.zeros_like(view.valid)
     edge[:-1] |= cells[:-1] != cells[1:]
     edge[:, :-1] |= cells[:, :-1] != cells[:, 1:]
-    colors = PALETTE[classes.numpy()]
+    colors = palette[found.numpy()]
     colors[edge.numpy()] = (colors[edge.numpy()] * EDGE).astype(np.uint8)
-    return colors, classes.numpy() != FREE
+    return colors, found.numpy() != FREE
 
 
 def _enlarged(part: np.ndarray, like: np.ndarray) -> np.ndarray:
@@ -112,7 +131,7 @@ def _enlarged(part: np.ndarray, like: np.ndarray) -> np.ndarray:
     return cv2.resize(part.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
 
 
-def _blended(picture: np.ndarray, colors: np.ndarray, hit: np.ndarray) -> np.ndarray:
-    grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)[..., None]
-    lit = colors * (0.45 + 0.75 * grey / 255) * 0.7 + 0.3 * picture
+def _blended(scaled: np.ndarray, colors: np.ndarray, hit: np.ndarray) -> np.ndarray:
+    grey = cv2.cvtColor(scaled, cv2.COLOR_RGB2GRAY)[..., None]
+    lit = colors * (0.45 + 0.75 * grey / 255) * 0.7 + 0.3 * scaled
     return np.where(hit[..., None] > 0, lit, 0.6 * grey).clip(0, 255).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""Colours of ranges and of their errors, with the bars that say what they mean."""
+"""Colours of ranges and of their errors, and colour bars that explain them."""
 
 from collections.abc import Sequence
 
@@ -9,8 +9,8 @@ from omniocc.view.canvas import Rgb, blank, text_width, write
 
 NEAR_M, FAR_M = 1.0, 64.0
 SKY: Rgb = (225, 233, 242)
-NO_ANSWER: Rgb = (104, 108, 116)
-INVENTED: Rgb = (150, 60, 170)
+NOT_PREDICTED: Rgb = (104, 108, 116)
+FALSE_RANGE: Rgb = (150, 60, 170)
 
 TURBO = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_TURBO)[:, 0, ::-1]
 
@@ -21,58 +21,58 @@ LINEAR_M, GREATEST_M = 0.5, 8.0
 
 
 def range_colors(range_m: np.ndarray) -> np.ndarray:
-    """(..., 3) colours: the logarithm from 1 m (red) to 64 m (blue); inf is sky, nan no answer."""
+    """Return colours (..., 3) of the logarithm from 1 m (red) to 64 m (blue); inf is sky, nan not predicted."""
     finite = np.isfinite(range_m)
     level = np.log(np.where(finite, range_m, FAR_M).clip(NEAR_M, FAR_M) / NEAR_M) / np.log(FAR_M / NEAR_M)
     colors = TURBO[(245 - 230 * level).round().astype(np.uint8)]
     colors[np.isposinf(range_m)] = SKY
-    colors[np.isnan(range_m)] = NO_ANSWER
+    colors[np.isnan(range_m)] = NOT_PREDICTED
     return colors
 
 
 def error_colors(predicted_m: np.ndarray, true_m: np.ndarray) -> np.ndarray:
-    """(..., 3) colours of what is predicted too near (blue) or too far (red), with colours of their own for the rest.
+    """Return colours (..., 3): blue for too near, red for too far, and `SKY`, `FALSE_RANGE`, `NOT_PREDICTED`.
 
     Args:
-        predicted_m: nan where there is no answer.
+        predicted_m: nan where no range is predicted.
         true_m: inf for sky, nan where it was not measured.
     """
-    answer = np.isfinite(predicted_m)
-    both = answer & np.isfinite(true_m)
+    predicted = np.isfinite(predicted_m)
+    both = predicted & np.isfinite(true_m)
     error_m = np.where(both, predicted_m, 0.0) - np.where(both, true_m, 0.0)
     colors = _diverging_colors(_level(error_m))
-    colors[~both] = NO_ANSWER
-    colors[answer & np.isposinf(true_m)] = INVENTED
-    colors[~answer & np.isposinf(true_m)] = SKY
+    colors[~both] = NOT_PREDICTED
+    colors[predicted & np.isposinf(true_m)] = FALSE_RANGE
+    colors[~predicted & np.isposinf(true_m)] = SKY
     return colors
 
 
 def range_bar(width: int) -> np.ndarray:
-    """What the colours of `range_colors` mean."""
+    """Return a bar with the colours of `range_colors` and their ranges."""
     span = np.geomspace(NEAR_M, FAR_M, width)
     places = [np.log(tick / NEAR_M) / np.log(FAR_M / NEAR_M) for tick in RANGE_TICKS_M]
     return _bar(range_colors(span), places, [f"{tick:g} m" for tick in RANGE_TICKS_M])
 
 
 def error_bar(width: int) -> np.ndarray:
-    """What the colours of `error_colors` mean."""
+    """Return a bar with the colours of `error_colors` and their errors."""
     places = ((_level(np.array(ERROR_TICKS_M)) + 1) / 2).tolist()
     texts = [f"{tick:+g} m" if tick else "0" for tick in ERROR_TICKS_M]
     return _bar(_diverging_colors(np.linspace(-1, 1, width)), places, texts)
 
 
 def _level(error_m: np.ndarray) -> np.ndarray:
-    """-1 to 1."""
+    """Return the place of an error on the colour scale, -1 to 1."""
     size = np.log1p(np.abs(error_m) / LINEAR_M) / np.log1p(GREATEST_M / LINEAR_M)
     return np.sign(error_m) * size.clip(0, 1)
 
 
 def _diverging_colors(level: np.ndarray) -> np.ndarray:
-    """White at 0, blue towards -1, red towards 1."""
+    """Return colours that are white at 0, blue towards -1 and red towards 1."""
     white = np.array([250.0, 250.0, 250.0])
     end = np.where(level[..., None] < 0, np.array([20.0, 70.0, 190.0]), np.array([195.0, 25.0, 30.0]))
-    share = np.abs(level)[..., None] ** 0.8
-    return (white + share * (end - white)).round().astype(np.uint8)
+    weight = np.abs(level)[..., None] ** 0.8
+    return (white + weight * (end - white)).round().astype(np.uint8)
 
 
 def _bar(colors: np.ndarray, places: Sequence[float], texts: Sequence[str]) -> np.ndarray:

@@ -23,14 +23,14 @@ HIT = (5, 8, 0)
 
 
 def occupied() -> UInt8[Tensor, "X Y Z"]:
-    """Labels of `COARSE`."""
+    """Return labels of `COARSE` with one occupied cell."""
     labels = torch.zeros(COARSE.shape, dtype=torch.uint8)
     labels[HIT] = 4
     return labels
 
 
 def draw_cell(axes: "Axes", grid: Cylinder, cell: int, color: str, alpha: float) -> None:
-    """Fills one cell, seen from above; x is up and y is left, as the ego looks forward."""
+    """Fill one cell, seen from above; x is up and y is left, as the ego looks forward."""
     r, theta = cell // (grid.shape[1] * grid.shape[2]), cell // grid.shape[2] % grid.shape[1]
     radius_m, angle = grid.edges(0)[r : r + 2], grid.edges(1)[theta : theta + 2]
     arc = torch.linspace(float(angle[0]), float(angle[1]), 9, dtype=torch.float64)
@@ -39,7 +39,7 @@ def draw_cell(axes: "Axes", grid: Cylinder, cell: int, color: str, alpha: float)
 
 
 def draw_grid(axes: "Axes", grid: Cylinder) -> None:
-    """Rings and sectors."""
+    """Draw rings and sectors."""
     turn = torch.linspace(0, 2 * math.pi, 241)
     for radius_m in grid.edges(0).tolist():
         axes.plot((radius_m * turn.sin()).tolist(), (radius_m * turn.cos()).tolist(), color="0.75", linewidth=0.6)
@@ -49,7 +49,7 @@ def draw_grid(axes: "Axes", grid: Cylinder) -> None:
 
 
 def draw_crossings(axes: "Axes") -> None:
-    """Rays with the cells they cross, in order, and where they end."""
+    """Draw rays with the cells that they cross, and where they enter and leave the occupied one."""
     origins, directions = torch.tensor(ORIGINS_M), torch.nn.functional.normalize(torch.tensor(DIRECTIONS), dim=1)
     found, hits = COARSE.paths(origins, directions), COARSE.cast(occupied(), origins, directions)
     draw_grid(axes, COARSE)
@@ -70,7 +70,7 @@ def draw_crossings(axes: "Axes") -> None:
 
 
 def draw_elevations(axes: "Axes") -> None:
-    """The 39 elevations from the side, on the paper's grid: the ten lowest meet the road at equal steps."""
+    """Draw the 39 elevations from the side, on the paper's grid: the ten lowest meet the road at equal steps."""
     grid = Cylinder()
     labels = torch.zeros(grid.shape, dtype=torch.uint8)
     labels[:, :, :2] = 1
@@ -87,7 +87,7 @@ def draw_elevations(axes: "Axes") -> None:
 
 
 def main(path: str) -> None:
-    """Writes the picture."""
+    """Write the image."""
     import matplotlib
 
     matplotlib.use("agg")

@@ -1,4 +1,4 @@
-"""One sheet per frame of what a sketch chooses: candidate voxels over the true ones, from above."""
+"""One sheet per frame of a sketch: candidate voxels over the true ones, from above."""
 
 from collections.abc import Sequence
 
@@ -8,11 +8,10 @@ from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from omniocc.camera import Equirectangular
-from omniocc.classes import FREE, UNKNOWN
+from omniocc.classes import FREE, UNKNOWN, ClassTable
 from omniocc.geometry import Grid
 from omniocc.view.bev import EMPTY, MISSED, bev, draw_columns
-from omniocc.view.canvas import Rgb, legend
-from omniocc.view.compare import class_legend
+from omniocc.view.canvas import Rgb, class_legend, legend
 from omniocc.view.ranges import range_bar, range_colors
 from omniocc.view.sheet import camera_rows, caption_line, column_width, inner_width, row, stack
 
@@ -31,27 +30,29 @@ def sketch_sheet(
     chosen: Bool[Tensor, "X Y Z"],
     dilated: Bool[Tensor, "X Y Z"],
     geometry: Grid,
+    classes: ClassTable,
     panorama: Equirectangular,
     range_m: Float[Tensor, "h w"],
     caption: str = "",
     width_px: int = 1280,
 ) -> np.ndarray:
-    """Draws the sheet: cameras; true voxels beside the points the sketch got; candidates before and after dilation.
+    """Return the sheet: cameras; true voxels beside the sketch's input points; candidates before and after dilation.
 
     Args:
         images: (H, W, 3) uint8 RGB of every camera.
         truth: class of every cell.
-        chosen: candidates before they are dilated.
-        dilated: candidates.
+        chosen: candidates before dilation.
+        dilated: candidates after dilation.
         geometry: the grid of all three.
+        classes: names and colours of the labels.
         panorama: directions of the ranges.
-        range_m: around the ego origin, not finite where there is no answer.
+        range_m: ranges around the ego origin, not finite where no range is predicted.
         caption: a line at the top.
-        width_px: of the sheet.
+        width_px: width of the sheet.
     """
     inner = inner_width(width_px)
     half = column_width(inner, 2)
-    seen = [bev(truth, geometry, half), points_bev(range_m, panorama, geometry, half)]
+    seen = [bev(truth, geometry, classes, half), points_bev(range_m, panorama, geometry, half)]
     found = [candidate_bev(truth, candidates, geometry, half) for candidates in (chosen, dilated)]
     names = [
         f"{name}: {scores(truth, candidates)}"
@@ -61,7 +62,7 @@ def sketch_sheet(
         *caption_line(caption, inner),
         *camera_rows(images, inner, columns=6 if len(images) % 6 == 0 else 4),
         row(seen, ("true voxels, topmost", "points of the predicted ranges"), inner),
-        class_legend(inner),
+        class_legend(classes, inner),
         range_bar(inner),
         row(found, names, inner),
         legend(
@@ -74,7 +75,7 @@ def sketch_sheet(
 def candidate_bev(
     truth: UInt8[Tensor, "X Y Z"], candidates: Bool[Tensor, "X Y Z"], geometry: Grid, size_px: int
 ) -> np.ndarray:
-    """What is most frequent in each column: `KINDS`, of equally frequent ones the later. Unknown cells do not count."""
+    """Return an image of the most frequent of `KINDS` in each column, of equals the last; unknown cells are ignored."""
     occupied, free = (truth != FREE) & (truth != UNKNOWN), truth == FREE
     kinds = (occupied & candidates, free & candidates, occupied & ~candidates)
     counts = torch.stack([kind.sum(2) for kind in kinds]).numpy()
@@ -85,7 +86,7 @@ def candidate_bev(
 
 
 def points_bev(range_m: Float[Tensor, "h w"], panorama: Equirectangular, geometry: Grid, size_px: int) -> np.ndarray:
-    """The range of the points in each column, in the colours of `range_colors`; the highest point decides."""
+    """Return an image of the range of the highest point in each column, in the colours of `range_colors`."""
     points = (range_m.unsqueeze(-1) * panorama.rays())[range_m.isfinite()]
     points = points[points[:, 2].argsort()]
     index, inside = geometry.index(points)
@@ -96,9 +97,9 @@ def points_bev(range_m: Float[Tensor, "h w"], panorama: Equirectangular, geometr
 
 
 def scores(truth: UInt8[Tensor, "X Y Z"], candidates: Bool[Tensor, "X Y Z"]) -> str:
-    """Recall, precision and share in a few words."""
+    """Return recall, precision and fraction of candidates in a few words."""
     occupied, known = (truth != FREE) & (truth != UNKNOWN), truth != UNKNOWN
     found = (occupied & candidates).sum()
     recall = found / occupied.sum().clamp(min=1)
     precision = found / (known & candidates).sum().clamp(min=1)
-    return f"recall {recall:.2f}, precision {precision:.2f}, share {candidates.float().mean():.2f}"
+    return f"recall {recall:.2f}, precision {precision:.2f}, fraction {candidates.float().mean():.2f}"

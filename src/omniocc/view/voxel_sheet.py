@@ -1,4 +1,4 @@
-"""One sheet per moment of what an occupancy model says about pictures, beside the truth where it is known."""
+"""One sheet per frame of predicted occupancy, beside the ground truth where it is available."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -9,28 +9,28 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from omniocc.camera import Equirectangular, Rig
+from omniocc.classes import ClassTable
 from omniocc.geometry import Grid
 from omniocc.view.bev import ERRORS, bev, error_bev
-from omniocc.view.canvas import legend
-from omniocc.view.compare import class_legend
+from omniocc.view.canvas import class_legend, legend
 from omniocc.view.paint import paint_voxels, voxel_panorama
-from omniocc.view.ranges import NO_ANSWER, range_bar, range_colors
+from omniocc.view.ranges import NOT_PREDICTED, range_bar, range_colors
 from omniocc.view.sheet import camera_rows, caption_line, column_width, inner_width, panorama_row, row, stack
 from omniocc.view.voxels import render_voxels
 
 ALL_AROUND = Equirectangular(360, 90, 45.0, -45.0)
-"""Directions of the voxels' panorama where no depth network has directions of its own."""
+"""Directions of the panorama of voxels for models without a panorama of range."""
 
 SIDE_DEG = 105.0
-"""How far to the side a camera may look and still stand among those that look ahead."""
+"""Largest azimuth, to either side, of cameras that are shown in the first row."""
 
 
-class SeenRange(NamedTuple):
+class RangePanorama(NamedTuple):
     """A panorama of ranges around the ego origin.
 
     Attributes:
-        panorama: its directions.
-        range_m: nan where there is no answer.
+        panorama: directions of its pixels.
+        range_m: ranges, nan where no range is predicted.
     """
 
     panorama: Equirectangular
@@ -42,33 +42,35 @@ def occupancy_sheet(
     rig: Rig,
     prediction: UInt8[Tensor, "X Y Z"],
     geometry: Grid,
-    seen: SeenRange | None = None,
+    classes: ClassTable,
+    ranges: RangePanorama | None = None,
     truth: UInt8[Tensor, "X Y Z"] | None = None,
     caption: str = "",
     width_px: int = 1280,
 ) -> np.ndarray:
-    """Draws the sheet: voxels on the pictures, as a panorama, from behind and from above.
+    """Return the sheet: voxels on the images, as a panorama, from behind and from above.
 
     Args:
         images: (H, W, 3) uint8 RGB of every camera.
         rig: the cameras.
         prediction: class of every cell.
         geometry: the grid.
-        seen: what the depth network answered; None if there is none.
-        truth: class of every cell, 255 unknown; None if nobody knows.
+        classes: names and colours of the labels.
+        ranges: predicted ranges; None if the model predicts none.
+        truth: class of every cell, 255 unknown; None if no ground truth is available.
         caption: a line at the top.
-        width_px: of the sheet.
+        width_px: width of the sheet.
     """
     inner = inner_width(width_px)
-    order, columns = as_seen(rig), columns_of(len(images))
-    painted = paint_voxels(images, rig, prediction, geometry, column_width(inner, columns))
+    order, columns = camera_order(rig), columns_of(len(images))
+    painted = paint_voxels(images, rig, prediction, geometry, classes, column_width(inner, columns))
     named = {"predicted voxels": prediction} if truth is None else {"true voxels": truth, "predicted": prediction}
     rows = [
         *caption_line(caption, inner),
         *camera_rows([painted[k] for k in order], inner, columns, [rig.names[k] for k in order]),
-        *_panoramas(named, geometry, seen, inner),
-        *_whole(named, geometry, inner),
-        class_legend(inner),
+        *_panoramas(named, geometry, classes, ranges, inner),
+        *_whole(named, geometry, classes, inner),
+        class_legend(classes, inner),
     ]
     if truth is not None:
         rows.append(
@@ -77,44 +79,46 @@ def occupancy_sheet(
     return stack(rows, width_px)
 
 
-def as_seen(rig: Rig) -> list[int]:
-    """Cameras from left to right: those that look ahead or to a side, then those that look back."""
+def camera_order(rig: Rig) -> list[int]:
+    """Return the cameras from left to right: those that look ahead or to a side, then those that look back."""
     ahead = rig.ego_from_camera[:, :3, 2]
-    yaw_deg = torch.rad2deg(torch.atan2(ahead[:, 1], ahead[:, 0])).round(decimals=6).tolist()
-    front = [k for k, yaw in enumerate(yaw_deg) if abs(yaw) <= SIDE_DEG]
-    back = [k for k, yaw in enumerate(yaw_deg) if abs(yaw) > SIDE_DEG]
-    return sorted(front, key=lambda k: -yaw_deg[k]) + sorted(back, key=lambda k: yaw_deg[k] % 360)
+    azimuth_deg = torch.rad2deg(torch.atan2(ahead[:, 1], ahead[:, 0])).round(decimals=6).tolist()
+    front = [k for k, azimuth in enumerate(azimuth_deg) if abs(azimuth) <= SIDE_DEG]
+    back = [k for k, azimuth in enumerate(azimuth_deg) if abs(azimuth) > SIDE_DEG]
+    return sorted(front, key=lambda k: -azimuth_deg[k]) + sorted(back, key=lambda k: azimuth_deg[k] % 360)
 
 
 def columns_of(cameras: int) -> int:
-    """Pictures in a row."""
+    """Return how many images to show in a row."""
     return cameras if cameras < 3 else 4 if cameras % 4 == 0 else 3
 
 
-def _panoramas(named: dict[str, Tensor], geometry: Grid, seen: SeenRange | None, width: int) -> list[np.ndarray]:
-    directions = ALL_AROUND if seen is None else seen.panorama
+def _panoramas(
+    named: dict[str, Tensor], geometry: Grid, classes: ClassTable, ranges: RangePanorama | None, width: int
+) -> list[np.ndarray]:
+    directions = ALL_AROUND if ranges is None else ranges.panorama
     rows = [
-        panorama_row(voxel_panorama(labels, geometry, directions, width), f"{name}, all around", width)
+        panorama_row(voxel_panorama(labels, geometry, classes, directions, width), f"{name}, all around", width)
         for name, labels in named.items()
     ]
-    if seen is None:
+    if ranges is None:
         return rows
-    ranges = panorama_row(range_colors(seen.range_m.numpy()), "predicted range", width)
-    return [*rows, ranges, range_bar(width), legend([("no answer", NO_ANSWER)], width)]
+    predicted = panorama_row(range_colors(ranges.range_m.numpy()), "predicted range", width)
+    return [*rows, predicted, range_bar(width), legend([("not predicted", NOT_PREDICTED)], width)]
 
 
-def _whole(named: dict[str, Tensor], geometry: Grid, width: int) -> list[np.ndarray]:
-    """The voxels from behind and from above."""
+def _whole(named: dict[str, Tensor], geometry: Grid, classes: ClassTable, width: int) -> list[np.ndarray]:
+    """Return rows with the voxels from behind and from above."""
     half, third = column_width(width, 2), column_width(width, 3)
     if len(named) == 1:
         ((name, labels),) = named.items()
-        views = [render_voxels(labels, geometry, half, half), bev(labels, geometry, half)]
+        views = [render_voxels(labels, geometry, classes, half, half), bev(labels, geometry, classes, half)]
         return [row(views, (name, "from above"), width)]
     truth, prediction = named.values()
-    views = [render_voxels(labels, geometry, half, half * 9 // 16) for labels in (truth, prediction)]
+    views = [render_voxels(labels, geometry, classes, half, half * 9 // 16) for labels in (truth, prediction)]
     maps = [
-        bev(truth, geometry, third),
-        bev(prediction, geometry, third),
+        bev(truth, geometry, classes, third),
+        bev(prediction, geometry, classes, third),
         error_bev(truth, prediction, geometry, third),
     ]
     return [

@@ -1,4 +1,4 @@
-"""A 3D picture of labelled voxels, seen from behind and above the car."""
+"""A 3D view of labelled voxels, from behind and above the car."""
 
 from typing import NamedTuple
 
@@ -8,8 +8,9 @@ import torch
 from jaxtyping import UInt8
 from torch import Tensor
 
-from omniocc.classes import FREE, PALETTE, UNKNOWN
+from omniocc.classes import FREE, UNKNOWN, ClassTable
 from omniocc.geometry import Grid
+from omniocc.geometry.surface import face_corners, surface
 
 SKY_TOP, SKY_BOTTOM = (214, 226, 240), (252, 252, 252)
 LIGHT = np.array([-0.35, 0.45, 0.82])
@@ -24,10 +25,16 @@ CAR_BOXES = (
 
 
 class Faces(NamedTuple):
-    """Quadrilaterals: corners (F, 4, 3) m, outward unit normals (F, 3), colours (F, 3), and the order to draw them in.
+    """Quadrilaterals, which are drawn in the order of falling depth.
 
-    Painting farther cells first is exact for a grid: along a ray, each next cell lies beyond a boundary that separates
+    Drawing farther cells first is exact for a grid: along a ray, each next cell lies beyond a boundary that separates
     its centre from the previous one's. (Only where a ray grazes a ring of a cylinder may two cells swap.)
+
+    Attributes:
+        corners: (F, 4, 3) metres, ego frame.
+        normals: (F, 3) outward unit vectors.
+        colors: (F, 3) RGB.
+        depth_m: (F,) distance of the cell from the eye.
     """
 
     corners: np.ndarray
@@ -39,25 +46,30 @@ class Faces(NamedTuple):
 def render_voxels(
     labels: UInt8[Tensor, "X Y Z"],
     geometry: Grid,
+    classes: ClassTable,
     width: int,
     height: int,
     eye_m: tuple[float, float, float] = (-28.0, 0.0, 22.0),
     target_m: tuple[float, float, float] = (0.5, 0.0, -3.0),
     view_deg: float = 60.0,
 ) -> np.ndarray:
-    """Draws occupied cells in their class colours, and the own car as a white box; unknown cells stay invisible.
+    """Return an image of the occupied cells in their class colours, with the own car as a white box.
+
+    Unknown cells are not drawn.
 
     Args:
         labels: class of every cell.
         geometry: the grid.
-        width: of the picture, px.
-        height: of the picture, px.
-        eye_m: where the picture is taken from, ego frame.
-        target_m: the point in its middle.
-        view_deg: horizontal angle it spans.
+        classes: names and colours of the labels.
+        width: width of the image, px.
+        height: height of the image, px.
+        eye_m: viewpoint, ego frame.
+        target_m: point in the middle of the image, ego frame.
+        view_deg: horizontal field of view.
     """
     eye = np.array(eye_m)
-    faces = _join(_cell_faces(labels, geometry, eye), *(_box_faces(bounds, rgb, eye) for bounds, rgb in CAR_BOXES))
+    cells = _cell_faces(labels, geometry, classes.palette, eye)
+    faces = _join(cells, *(_box_faces(bounds, rgb, eye) for bounds, rgb in CAR_BOXES))
     size = (width * SUPERSAMPLE, height * SUPERSAMPLE)
     pixels, in_front = _project(faces.corners, eye, np.array(target_m), view_deg, size)
     low, high = pixels.min(1), pixels.max(1)
@@ -74,54 +86,25 @@ def render_voxels(
     return cv2.resize(canvas, (width, height), interpolation=cv2.INTER_AREA)
 
 
-def _cell_faces(labels: Tensor, geometry: Grid, eye: np.ndarray) -> Faces:
-    """Faces between occupied and empty cells that look towards the eye."""
-    cells = labels.numpy()
-    occupied = (cells != FREE) & (cells != UNKNOWN)
-    edges = [geometry.edges(axis) for axis in range(3)]
-    lattice = geometry.from_axes(*torch.meshgrid(*edges, indexing="ij")).numpy()
-    centers = geometry.centers(torch.float64).numpy()
-    parts = []
-    for axis, periodic in enumerate(geometry.periodic):
-        for side in (0, 1):
-            index = np.argwhere(occupied & ~_neighbor(occupied, axis, side, periodic))
-            corners = lattice[tuple(_corner_index(index, axis, side).transpose(2, 0, 1))]
-            middle = centers[tuple(index.T)]
-            normals = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
-            normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-            normals *= np.sign(((corners.mean(1) - middle) * normals).sum(1, keepdims=True))
-            towards = ((eye - corners.mean(1)) * normals).sum(1) > 0
-            colors = PALETTE[cells[tuple(index.T)]].astype(np.float64)
-            faces = Faces(corners, normals, colors, np.linalg.norm(middle - eye, axis=1))
-            parts.append(Faces(*(part[towards] for part in faces)))
-    return _join(*parts)
-
-
-def _neighbor(occupied: np.ndarray, axis: int, side: int, periodic: bool) -> np.ndarray:
-    """Whether the next cell on one side is occupied; beyond the grid's ends nothing is."""
-    neighbor = np.roll(occupied, 1 - 2 * side, axis)
-    if not periodic:
-        neighbor[(slice(None),) * axis + (-side,)] = False
-    return neighbor
-
-
-def _corner_index(index: np.ndarray, axis: int, side: int) -> np.ndarray:
-    """(F, 4, 3) lattice indices of the corners of one face of each cell, around the face."""
-    offsets = np.zeros((4, 3), dtype=np.int64)
-    offsets[:, axis] = side
-    offsets[:, (axis + 1) % 3] = [0, 1, 1, 0]
-    offsets[:, (axis + 2) % 3] = [0, 0, 1, 1]
-    return index[:, None] + offsets
+def _cell_faces(labels: Tensor, geometry: Grid, palette: np.ndarray, eye: np.ndarray) -> Faces:
+    """Return the faces between occupied and other cells that look towards the eye."""
+    corners, cells = surface((labels != FREE) & (labels != UNKNOWN), geometry)
+    normals = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    towards = ((eye - corners.mean(1)) * normals).sum(1) > 0
+    centers = geometry.centers(torch.float64).reshape(-1, 3).numpy()[cells]
+    colors = palette[labels.reshape(-1).numpy()[cells]].astype(np.float64)
+    faces = Faces(corners, normals, colors, np.linalg.norm(centers - eye, axis=1))
+    return Faces(*(part[towards] for part in faces))
 
 
 def _box_faces(bounds_m: tuple[tuple[float, float], ...], rgb: tuple[int, int, int], eye: np.ndarray) -> Faces:
-    """A box of the own car; drawn a little late in the order, since its faces are larger than cells."""
+    """Return the faces of a box of the own car, drawn a little late, since they are larger than those of cells."""
     bounds = np.array(bounds_m)
     corners, normals = [], []
     for axis in range(3):
         for side in (0, 1):
-            picks = _corner_index(np.zeros((1, 3), dtype=np.int64), axis, side)[0]
-            corners.append(np.take_along_axis(bounds, picks.T, 1).T)
+            corners.append(np.take_along_axis(bounds, face_corners(axis, side).T, 1).T)
             normals.append((2 * side - 1) * np.eye(3)[axis])
     corners, normals = np.array(corners), np.array(normals)
     towards = ((eye - corners.mean(1)) * normals).sum(1) > 0
@@ -137,7 +120,7 @@ def _join(*parts: Faces) -> Faces:
 def _project(
     points: np.ndarray, eye: np.ndarray, target: np.ndarray, view_deg: float, size: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels of (F, 4, 3) corners, and whether all four lie in front of the eye."""
+    """Return pixels (F, 4, 2) of the corners (F, 4, 3), and whether all four lie in front of the eye (F,)."""
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
@@ -151,7 +134,7 @@ def _project(
 
 
 def _shade(faces: Faces) -> np.ndarray:
-    """Colours under a fixed sun, a little lighter higher up and paler far away."""
+    """Return colours under a fixed sun, a little lighter higher up and paler far away."""
     diffuse = np.clip(faces.normals @ (LIGHT / np.linalg.norm(LIGHT)), 0, 1)
     height = np.clip((faces.corners[..., 2].mean(1) + 2.4) / 6, 0, 1)
     lit = faces.colors * (0.62 + 0.42 * diffuse + 0.14 * height)[:, None] + 26 * height[:, None]

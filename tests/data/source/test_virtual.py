@@ -19,7 +19,7 @@ from omniocc.data.recording.job import code_fingerprint, weather_of
 from omniocc.data.recording.pool import worker_environment
 from omniocc.data.store.reader import SceneReader
 from omniocc.errors import DataError
-from omniocc.report.dataset_facts import light_of
+from omniocc.report.dataset.facts import light_of
 from omniocc.world import THEMES, Scene
 from omniocc.world.render.weather import WEATHERS
 

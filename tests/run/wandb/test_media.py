@@ -2,6 +2,7 @@ import numpy as np
 import torch
 
 from omniocc.camera import Equirectangular, Rig
+from omniocc.classes import WORLD_CLASSES
 from omniocc.geometry import Cuboid
 from omniocc.run.wandb.media import class_cloud, range_media, voxel_media
 
@@ -11,7 +12,7 @@ GRID = Cuboid(shape=(4, 4, 2), x_m=(-4.0, 4.0), y_m=(-4.0, 4.0), height_m=(-2.0,
 def test_a_cloud_has_the_occupied_cells_in_their_colours():
     labels = torch.zeros(4, 4, 2, dtype=torch.uint8)
     labels[0, 3, 1], labels[2, 0, 0], labels[1, 1, 1] = 7, 1, 255
-    assert class_cloud(labels, GRID).tolist() == [[-3, 3, 1, 142, 0, 0], [1, -3, -1, 128, 64, 128]]
+    assert class_cloud(labels, GRID, WORLD_CLASSES).tolist() == [[-3, 3, 1, 142, 0, 0], [1, -3, -1, 128, 64, 128]]
 
 
 def test_voxels_are_shown_in_the_cameras_from_above_and_as_points():
@@ -19,7 +20,7 @@ def test_voxels_are_shown_in_the_cameras_from_above_and_as_points():
     truth = torch.zeros(4, 4, 2, dtype=torch.uint8)
     truth[:, :, 0] = 1
     images = np.full((6, 36, 64, 3), 128, np.uint8)
-    media = voxel_media(images, rig, truth, torch.zeros_like(truth), GRID)
+    media = voxel_media(images, rig, truth, torch.zeros_like(truth), GRID, WORLD_CLASSES)
     assert [item.caption for item in media["cameras"]] == list(rig.names)
     assert [item.caption for item in media["bev"]] == ["truth", "prediction", "differences"]
     assert media["bev"][0].content[10, 10].tolist() == [128, 64, 128]

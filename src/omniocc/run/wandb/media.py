@@ -7,7 +7,7 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from omniocc.camera import Equirectangular, Rig
-from omniocc.classes import FREE, PALETTE, UNKNOWN
+from omniocc.classes import FREE, UNKNOWN, ClassTable
 from omniocc.geometry import Grid
 from omniocc.view.bev import bev, error_bev
 from omniocc.view.paint import paint_voxels
@@ -25,11 +25,11 @@ class Named(NamedTuple):
     caption: str
 
 
-def class_cloud(labels: UInt8[Tensor, "X Y Z"], geometry: Grid) -> Float[np.ndarray, "P 6"]:
+def class_cloud(labels: UInt8[Tensor, "X Y Z"], geometry: Grid, classes: ClassTable) -> Float[np.ndarray, "P 6"]:
     """Return the centres of all occupied cells, ego frame, rounded to the centimetre, and their class colours."""
     occupied = (labels != FREE) & (labels != UNKNOWN)
     centers_m = geometry.centers()[occupied].double().numpy().round(2)
-    return np.concatenate([centers_m, PALETTE[labels[occupied].numpy()].astype(np.float64)], axis=1)
+    return np.concatenate([centers_m, classes.palette[labels[occupied].numpy()].astype(np.float64)], axis=1)
 
 
 def voxel_media(
@@ -38,19 +38,20 @@ def voxel_media(
     truth: UInt8[Tensor, "X Y Z"],
     prediction: UInt8[Tensor, "X Y Z"],
     geometry: Grid,
+    classes: ClassTable,
 ) -> dict[str, list[Named]]:
     """Return the cameras with predicted classes, voxels, and maps of truth, prediction and differences by key."""
-    painted = paint_voxels(list(images), rig, prediction, geometry, CAMERA_PX)
+    painted = paint_voxels(list(images), rig, prediction, geometry, classes, CAMERA_PX)
     maps = {
-        "truth": bev(truth, geometry, BEV_PX),
-        "prediction": bev(prediction, geometry, BEV_PX),
+        "truth": bev(truth, geometry, classes, BEV_PX),
+        "prediction": bev(prediction, geometry, classes, BEV_PX),
         "differences": error_bev(truth, prediction, geometry, BEV_PX),
     }
     return {
         "cameras": [Named(image, name) for image, name in zip(painted, rig.names, strict=True)],
         "bev": [Named(image, name) for name, image in maps.items()],
-        "points_truth": [Named(class_cloud(truth, geometry), "truth")],
-        "points_prediction": [Named(class_cloud(prediction, geometry), "prediction")],
+        "points_truth": [Named(class_cloud(truth, geometry, classes), "truth")],
+        "points_prediction": [Named(class_cloud(prediction, geometry, classes), "prediction")],
     }
 
 

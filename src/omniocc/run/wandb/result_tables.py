@@ -1,23 +1,19 @@
-"""A run's figures as tables, for W&B."""
+"""A run's figures as tables, for W&B; classes and distance bands are those of its figures."""
 
 import math
-from collections.abc import Mapping
-from itertools import pairwise
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from omniocc.classes import CLASSES, FREE
-from omniocc.metric.bands import PAPER_RANGE_EDGES_M
+from omniocc.run.table import band_names, class_names
 
 
 class ResultTable(NamedTuple):
-    """Column titles, and rows with a name first; None where nothing was measured."""
+    """Column titles, and rows that begin with a name; None where nothing was measured."""
 
     columns: list[str]
     rows: list[list[str | float | None]]
 
 
-BANDS = tuple(f"{lo:g}-{hi:g}m" for lo, hi in pairwise(PAPER_RANGE_EDGES_M))
-CLASS_NAMES = tuple(entry.name for entry in CLASSES if entry.id != FREE)
 BY_CLASS = {
     "RayIoU": "test/rayiou/{}",
     "RayIoU, LiDAR": "test/lidar/rayiou/{}",
@@ -38,15 +34,15 @@ BY_RANGE = {
 
 
 def result_tables(metrics: Mapping[str, float]) -> dict[str, ResultTable]:
-    """`tables/by_class` and `tables/by_range` of a finished test, with those columns of which there is a figure."""
+    """Return `tables/by_class` and `tables/by_range` of a finished test, with the columns that have a figure."""
     found = {
-        "tables/by_class": _table("class", CLASS_NAMES, BY_CLASS, metrics),
-        "tables/by_range": _table("range", BANDS, BY_RANGE, metrics),
+        "tables/by_class": _table("class", class_names(metrics), BY_CLASS, metrics),
+        "tables/by_range": _table("range", band_names(metrics), BY_RANGE, metrics),
     }
     return {key: table for key, table in found.items() if len(table.columns) > 1}
 
 
-def _table(title: str, names: tuple[str, ...], columns: Mapping[str, str], metrics: Mapping[str, float]) -> ResultTable:
+def _table(title: str, names: Sequence[str], columns: Mapping[str, str], metrics: Mapping[str, float]) -> ResultTable:
     kept = {head: key for head, key in columns.items() if any(key.format(name) in metrics for name in names)}
     rows: list[list[str | float | None]] = [
         [name, *(_figure(metrics.get(key.format(name))) for key in kept.values())] for name in names

@@ -1,0 +1,155 @@
+"""One web page, without any reference to another file, to browse recorded scenes: `templates/dataset.html.j2`."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from omniocc.camera import Rig
+from omniocc.classes import FREE, ClassTable
+from omniocc.data.labels.class_fractions import PUBLISHED_PERCENT, count_voxels, occupied_percent, spread
+from omniocc.data.labels.voxels import vote
+from omniocc.data.store.codec import decode_frame, decode_image
+from omniocc.data.store.reader import SceneReader
+from omniocc.geometry import Grid
+from omniocc.io import atomic_write
+from omniocc.report.data_url import png, webp
+from omniocc.report.dataset.facts import (
+    OTHER_DATASETS,
+    facts_of,
+    frame_at,
+    own_row,
+    pinhole_twin,
+    speed_mps,
+    time_of_day,
+)
+from omniocc.report.template import render
+from omniocc.view.bev import bev
+from omniocc.view.canvas import fitted
+from omniocc.view.ranges import SKY, range_colors
+from omniocc.view.sheet import AS_SEEN, NAMES
+from omniocc.view.voxels import render_voxels
+from omniocc.world import Frame
+
+MAX_FRAMES = 64
+MAX_FRAMES_PER_SCENE = 6
+CAMERA_PX, PANORAMA_PX, BEV_PX, VOXELS_PX = 400, 1200, 480, (854, 480)
+UNMEASURED = (24, 26, 30)
+WEBP_QUALITY = 80
+
+
+def save_page(path: Path, scenes: Sequence[SceneReader], geometry: Grid, classes: ClassTable) -> None:
+    """Write the page: some frames of each scene, or of evenly spread scenes if there are many.
+
+    Where a pinhole dataset of the same scenes lies beside this one, its images at the same times are shown too.
+
+    Args:
+        path: the .html file.
+        scenes: at least one.
+        geometry: grid of the voxels that are drawn and counted.
+        classes: names and colours of the labels.
+
+    Raises:
+        DataError: when a scene is damaged or the disk refuses.
+    """
+    shown = [scenes[at] for at in spread(len(scenes), MAX_FRAMES)]
+    per_scene = max(1, min(MAX_FRAMES_PER_SCENE, MAX_FRAMES // len(shown)))
+    twins = [pinhole_twin(scene) for scene in shown]
+    counts = sum(count_voxels(scene, spread(len(scene), per_scene), geometry) for scene in shown)
+    content = {
+        "facts": facts_of(scenes, len(shown), geometry),
+        "table": [*OTHER_DATASETS, own_row(scenes, twins)],
+        "classes": [{"name": row.name, "rgb": row.rgb} for row in classes.rows if row.id != FREE],
+        "ours": occupied_percent(np.asarray(counts)),
+        "authors": PUBLISHED_PERCENT,
+        "sky": SKY,
+        "scenes": [_scene(scene, twin, per_scene, geometry, classes) for scene, twin in zip(shown, twins, strict=True)],
+    }
+    atomic_write(Path(path), render("dataset.html.j2", {"content": content}))
+
+
+def _scene(
+    scene: SceneReader,
+    twin: SceneReader | None,
+    per_scene: int,
+    geometry: Grid,
+    classes: ClassTable,
+) -> dict[str, Any]:
+    facts = scene.meta["facts"]
+    frames = spread(len(scene), per_scene)
+    return {
+        "name": scene.name,
+        "theme": facts["theme"],
+        "split": facts["split"],
+        "weather": facts["weather"],
+        "day": time_of_day(facts),
+        "cameras": [_camera_name(scene.rig, k) for k in _order(scene.rig)],
+        "pinholes": [_camera_name(twin.rig, k) for k in _order(twin.rig)] if twin else [],
+        "frames": [_frame(scene, at, geometry, classes) | _pinholes(twin, float(scene.time_s[at])) for at in frames],
+    }
+
+
+def _camera_name(rig: Rig, camera: int) -> str:
+    return NAMES[camera] if len(rig.cameras) == len(NAMES) else rig.names[camera]
+
+
+def _order(rig: Rig) -> Sequence[int]:
+    return AS_SEEN if len(rig.cameras) == len(NAMES) else range(len(rig.cameras))
+
+
+def _pinholes(twin: SceneReader | None, time_s: float) -> dict[str, Any]:
+    number = frame_at(twin, time_s) if twin else None
+    if twin is None or number is None:
+        return {"pinhole": []}
+    blobs = twin.read(number, [f"rgb{k}.jpg" for k in _order(twin.rig)])
+    return {"pinhole": [webp(_smaller(decode_image(blob)), WEBP_QUALITY) for blob in blobs.values()]}
+
+
+def _frame(scene: SceneReader, number: int, geometry: Grid, classes: ClassTable) -> dict[str, Any]:
+    frame = decode_frame(scene.read(number, scene.index["members"]))
+    order, palette = _order(scene.rig), classes.palette
+    voxels = vote(scene, number, geometry)
+    percent = occupied_percent(np.bincount(voxels.numpy().ravel(), minlength=256)[: classes.num_classes])
+    return {
+        "number": number,
+        "time": round(frame.time_s, 3),
+        "speed": round(speed_mps(scene, number), 1),
+        "actors": len(frame.boxes),
+        "rgb": [webp(_smaller(frame.images[k]), WEBP_QUALITY) for k in order],
+        "semantic": [png(_semantics(frame, k, palette)) for k in order],
+        "range": [webp(range_image(frame.range_m[k], CAMERA_PX), WEBP_QUALITY) for k in order],
+        "panorama": webp(range_image(frame.erp_range_m, PANORAMA_PX), WEBP_QUALITY),
+        "bev": png(bev(voxels, geometry, classes, BEV_PX)),
+        "voxels": webp(render_voxels(voxels, geometry, classes, *VOXELS_PX), WEBP_QUALITY),
+        "percent": [round(value, 2) for value in percent.values()],
+    }
+
+
+def range_image(range_m: np.ndarray, width: int) -> np.ndarray:
+    """Return an RGB image of ranges.
+
+    Colours follow the logarithm from 1 m (red) to 64 m (blue); sky is pale, no measurement dark.
+
+    Args:
+        range_m: (H, W) metres; inf is sky, nan was not measured.
+        width: width of the image, px.
+    """
+    image = range_colors(range_m)
+    image[np.isnan(range_m)] = UNMEASURED
+    height = round(range_m.shape[0] * width / range_m.shape[1])
+    return cv2.resize(image, (width, height), interpolation=cv2.INTER_NEAREST)
+
+
+def _semantics(frame: Frame, camera: int, palette: np.ndarray) -> np.ndarray:
+    labels = frame.semantics[camera]
+    colors = palette[labels]
+    colors[labels == FREE] = SKY
+    width = min(CAMERA_PX, labels.shape[1])
+    size = (width, round(labels.shape[0] * width / labels.shape[1]))
+    return cv2.resize(colors, size, interpolation=cv2.INTER_NEAREST)
+
+
+def _smaller(image: np.ndarray) -> np.ndarray:
+    return fitted(image, CAMERA_PX) if image.shape[1] > CAMERA_PX else image

@@ -1,0 +1,137 @@
+"""The paper's comparison of datasets, and the dataset that the runs used as its last row."""
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from inspect import signature
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import yaml
+
+from omniocc.data import VirtualWorld
+from omniocc.data.recording.job import SPLITS
+from omniocc.data.store.files import is_url
+from omniocc.data.store.reader import SceneReader
+from omniocc.data.store.shard import digest
+from omniocc.errors import UserError
+from omniocc.report.dataset.facts import own_row, pinhole_twin
+from omniocc.report.runs import FinishedRun
+from omniocc.report.tables.latex import tabular
+from omniocc.run.table import markdown
+
+Row = tuple[str, Sequence[bool | int]]
+
+
+class DatasetTable(NamedTuple):
+    """A table of datasets, as `sweeps/dataset.yaml` describes it.
+
+    Attributes:
+        name: name of the file.
+        title: title of the table.
+        note: its place in the paper, and inconsistencies of its figures.
+        columns: title of each column, by key.
+        rows: name and cells of each dataset; no cells where they are unknown.
+    """
+
+    name: str
+    title: str
+    note: str
+    columns: Mapping[str, str]
+    rows: Sequence[Row]
+
+
+def is_dataset_table(path: Path) -> bool:
+    """Return whether a file of `sweeps/` is a table of datasets."""
+    return (yaml.safe_load(path.read_text()) or {}).get("kind") == "datasets"
+
+
+def load_dataset_table(path: Path) -> DatasetTable:
+    """Return the table that a file describes.
+
+    Raises:
+        UserError: if a row has another number of cells than there are columns.
+    """
+    content = yaml.safe_load(path.read_text())
+    columns = content["columns"]
+    for key, row in content["rows"].items():
+        if len(row["paper"]) != len(columns):
+            raise UserError(f"{path}: row {key} has {len(row['paper'])} cells for {len(columns)} columns")
+    rows = [(f"{row['title']} (paper)", row["paper"]) for row in content["rows"].values()]
+    return DatasetTable(path.stem, content["title"], content["note"], columns, rows)
+
+
+def with_ours(table: DatasetTable, runs: Sequence[FinishedRun]) -> DatasetTable:
+    """Return the table with a row for the dataset that the runs used, if it lies on this machine."""
+    scenes = scenes_of(runs[0])
+    if not scenes:
+        return table._replace(rows=[*table.rows, ("here: not on this machine", ())])
+    name, *cells = own_row(scenes, [pinhole_twin(scenes[0])])
+    return table._replace(rows=[*table.rows, (f"{name} (here)", cells)])
+
+
+def scenes_of(run: FinishedRun) -> list[SceneReader]:
+    """Return all scenes that a run was trained, validated and tested on; none if that very data is not there.
+
+    The code of the world may have changed since: a folder counts if the recipe that its scenes recorded, together with
+    the run's list of scenes, has the fingerprint that the run recorded.
+    """
+    described: dict[str, Any] = run.config.get("data", {}).get("world", {})
+    choices = {key: value for key, value in described.items() if key != "_target_"}
+    known = set(choices) <= set(signature(VirtualWorld).parameters)  # not so for runs of another version
+    if described.get("_target_") != "omniocc.data.VirtualWorld" or not known or is_url(choices["root"]):
+        return []
+    world = VirtualWorld(**choices)
+    plans = [list(plan) for plan in world.plans]
+    for folder in sorted(Path(world.root).glob("virtual-*")):
+        scenes = [SceneReader(folder / plan.name) for plan in world.plans]
+        if all((folder / plan.name).is_dir() for plan in world.plans):
+            recipe = scenes[0].meta["facts"]["recipe"]
+            if digest({"recipe": recipe, "plans": plans}) == run.facts.get("data"):
+                return scenes
+    return []
+
+
+def facts_of_scenes(scenes: Sequence[SceneReader]) -> str:
+    """Return a sentence on how many scenes and frames each split has."""
+    parts = []
+    for split in SPLITS:
+        frames = [len(scene) for scene in scenes if scene.meta["facts"]["split"] == split]
+        parts.append(f"{len(frames)} scenes ({sum(frames):,} frames) for {split}")
+    places = len({scene.meta["facts"]["theme"] for scene in scenes})
+    return f"{', '.join(parts)}; {places} kinds of places."
+
+
+def dataset_cells(table: DatasetTable) -> tuple[list[str], list[list[str]]]:
+    """Return head and rows as text."""
+    head = ["dataset", *table.columns.values()]
+    return head, [[name, *(_cell(cells, k) for k in range(len(table.columns)))] for name, cells in table.rows]
+
+
+def _cell(cells: Sequence[bool | int], column: int) -> str:
+    if not cells:
+        return "–"
+    value = cells[column]
+    return ("✓" if value else "–") if isinstance(value, bool) else f"{value:,}"
+
+
+def dataset_markdown(table: DatasetTable) -> str:
+    """Return the table in Markdown, with its title and note."""
+    return f"## {table.title}\n\n{table.note}\n\n{markdown(*dataset_cells(table))}"
+
+
+def dataset_csv(table: DatasetTable) -> str:
+    """Return CSV with a line per dataset."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(["dataset", *table.columns])
+    for name, cells in table.rows:
+        writer.writerow([name, *(cells or [""] * len(table.columns))])
+    return out.getvalue()
+
+
+def dataset_latex(table: DatasetTable) -> str:
+    """Return a LaTeX tabular."""
+    head, rows = dataset_cells(table)
+    marked = [[cell.replace("✓", r"\checkmark").replace("–", "") for cell in row] for row in rows]
+    return tabular(table.title, head, marked)

@@ -1,0 +1,36 @@
+"""matplotlib's figures as SVG inside a page: with the page's fonts, its light and dark colours, and unique ids."""
+
+import io
+import re
+
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+
+from omniocc.report.plots.figures import INK, LINE, STYLE
+
+SMALLEST, LARGEST = 0.65, 1.5
+"""Range in which a page may scale a plot; where there is less room, the plot scrolls."""
+
+
+def as_svg(figure: Figure, name: str, title: str) -> str:
+    """Return a figure as an `<svg>` element.
+
+    Args:
+        figure: a figure with text in `INK` and lines in `LINE`.
+        name: prefix of every id, so that several figures can be in one page.
+        title: description for screen readers; goes into the markup as it is.
+    """
+    buffer = io.StringIO()
+    with rc_context(STYLE):
+        figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
+    svg = buffer.getvalue()
+    svg = svg[svg.index("<svg") :]
+    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
+    svg = re.sub(r' xmlns(:xlink)?="[^"]*"', "", svg).replace("xlink:href", "href")
+    svg = re.sub(r'\bid="', f'id="{name}-', svg)
+    svg = re.sub(r"(url\(|href=\")#", rf"\1#{name}-", svg)
+    svg = re.sub(r"<style.*?</style>|font-family:[^;\"]*;? ?", "", svg, flags=re.DOTALL)
+    svg = svg.replace(INK, "currentColor").replace(LINE, "var(--line)")
+    width_px = figure.get_figwidth() * 96
+    size = f"min-width: {SMALLEST * width_px:.0f}px; max-width: {LARGEST * width_px:.0f}px"
+    return re.sub(r"<svg[^>]*?viewBox", f'<svg role="img" aria-label="{title}" style="{size}" viewBox', svg, count=1)

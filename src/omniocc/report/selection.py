@@ -1,0 +1,116 @@
+"""Which runs stand in one report: those of one setting, one for each row and seed."""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import combinations
+from typing import Any
+
+from omniocc.errors import UserError
+from omniocc.report.runs import FinishedRun
+from omniocc.run.folder import METRICS, VOLATILE
+
+ABSENT = object()
+OF_MACHINES = ("root", "cache", "workers", "num_workers", "accelerator", "seed")
+"""Keys at any depth that may differ between runs of one row."""
+
+
+def comparable(runs: Sequence[FinishedRun], preset: str | None) -> tuple[list[FinishedRun], str]:
+    """Return the runs of one preset, number of steps and dataset, and a remark on them and on what is left out.
+
+    Of several runs of a row with one seed the newest is taken.
+
+    Args:
+        runs: at least one.
+        preset: preset of the runs to keep; None keeps the setting that most runs have.
+
+    Raises:
+        UserError: when no run has that preset.
+    """
+    candidates = [run for run in runs if preset in (None, run.facts.get("preset"))]
+    if not candidates:
+        found = sorted({str(run.facts.get("preset", "unknown")) for run in runs})
+        raise UserError(f"no finished run of preset {preset}; there are runs of {', '.join(found)}")
+    chosen = Counter(run.setting for run in candidates).most_common(1)[0][0]
+    same = [run for run in candidates if run.setting == chosen]
+    kept = _newest(same)
+    commits = sorted({str(run.facts.get("commit", "unknown")) for run in kept})
+    name, steps, data = chosen
+    text = f"preset={name}, {steps} steps, data {data[:8]}, commit {', '.join(commits)}."
+    if others := sorted(run.name for run in runs if run.setting != chosen):
+        text += f" Left out, of another setting: {', '.join(others)}."
+    if alike := sorted(f"{run.name} ({run.same_as})" for run in kept if run.same_as):
+        text += f" Counted in the row whose configuration they have: {', '.join(alike)}."
+    if older := sorted(_replaced(same, kept)):
+        text += f" Left out, older runs of the same row and seed: {', '.join(older)}."
+    return kept, text + "".join(f" {line}" for line in _mixtures(by_row(kept)))
+
+
+def _newest(runs: Sequence[FinishedRun]) -> list[FinishedRun]:
+    def age(run: FinishedRun) -> tuple[float, str]:
+        path = run.folder / METRICS
+        return (path.stat().st_mtime if path.exists() else 0.0, run.name)
+
+    newest = {run.place: run for run in sorted(runs, key=age)}
+    return [run for run in runs if newest[run.place] is run]
+
+
+def _replaced(runs: Sequence[FinishedRun], kept: Sequence[FinishedRun]) -> Iterator[str]:
+    """Yield the names of runs that are not kept, and the keys in which they differ from the run that is."""
+    newest = {run.place: run for run in kept}
+    for run in runs:
+        if (newer := newest[run.place]) is not run:
+            keys = differences([run, newer])
+            yield run.name + (f" (of another {keys} than {newer.name})" if keys else "")
+
+
+def _mixtures(rows: Mapping[str, Sequence[FinishedRun]]) -> Iterator[str]:
+    """Yield a warning for each row whose seeds were trained with different configurations."""
+    for row, runs in rows.items():
+        if keys := differences(runs):
+            yield f"Warning: the runs of row {row} differ in {keys}; another name=... makes a row of its own."
+
+
+def differences(runs: Sequence[FinishedRun]) -> str:
+    """Return the keys, four at most, whose values differ between runs.
+
+    A key that only one of two commits had is a new option, not a difference.
+    """
+    found: set[str] = set()
+    versions = [(run.facts.get("commit"), compared(run.config)) for run in runs]
+    for (commit, left), (other_commit, right) in combinations(versions, 2):
+        keys = left.keys() | right.keys() if commit == other_commit else left.keys() & right.keys()
+        found |= {key for key in keys if left.get(key, ABSENT) != right.get(key, ABSENT)}
+    keys = sorted(found)
+    return f"{', '.join(keys[:4])}{' and more' * (len(keys) > 4)}"
+
+
+def compared(config: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what runs of one row have in common, by dotted key: all but name, seed, machine and `VOLATILE`."""
+    return dict(_flat({key: value for key, value in config.items() if key not in ("name", *VOLATILE)}))
+
+
+def _flat(config: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in config.items():
+        if key in OF_MACHINES:
+            continue
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
+
+
+def by_row(runs: Sequence[FinishedRun]) -> dict[str, list[FinishedRun]]:
+    """Return the runs of each row of the tables, by seed.
+
+    Raises:
+        UserError: when a row has two runs with the same seed, which then differ in something else.
+    """
+    rows: dict[str, list[FinishedRun]] = {}
+    for run in sorted(runs, key=lambda run: run.facts.get("seed") or 0):
+        rows.setdefault(run.row, []).append(run)
+    for row, members in rows.items():
+        seed, times = Counter(run.facts.get("seed") for run in members).most_common(1)[0]
+        if times > 1:
+            names = ", ".join(run.name for run in members if run.facts.get("seed") == seed)
+            raise UserError(f"row {row} has {times} runs with seed {seed} ({names}); move all but one elsewhere")
+    return rows

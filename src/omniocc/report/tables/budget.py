@@ -1,0 +1,47 @@
+"""What each row was given and what it costs, so that equal budgets can be checked."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+
+from omniocc.report.runs import FinishedRun
+from omniocc.run.cost import GFLOP, PARAMETERS, PEAK
+
+STAGES = ("depth", "sketch", "occupancy")
+HEAD = [
+    "row",
+    "M parameters",
+    "GFLOP a frame",
+    "steps of depth",
+    "of the sketch",
+    "of the model",
+    "samples a step",
+    "minutes",
+    "peak MiB",
+]
+NOTE = (
+    "Parameters and operations are those of the whole system, depth and sketch included; minutes and memory are those "
+    "of the last stage, whose steps and samples are the same in all rows. A learned sketch has two stages before it."
+)
+
+
+def budget_cells(rows: Mapping[str, Sequence[FinishedRun]]) -> tuple[list[str], list[list[str]]]:
+    """Return the head and a line for each row; a dash stands for what its runs did not record.
+
+    Parameters and operations are those of the whole system, depth and sketch included; minutes (mean over seeds) and
+    memory (maximum over seeds) those of the last stage.
+    """
+    return HEAD, [[row, *_budget(runs)] for row, runs in rows.items()]
+
+
+def _budget(runs: Sequence[FinishedRun]) -> Iterator[str]:
+    steps = runs[0].facts.get("stages", {})
+    yield _over_seeds(runs, PARAMETERS, "{:.2f}", max)
+    yield _over_seeds(runs, GFLOP, "{:.3g}", max)
+    yield from (str(steps.get(stage, "–")) for stage in STAGES)
+    yield str(runs[0].config.get("data", {}).get("batch_size", "–"))
+    yield _over_seeds(runs, "minutes of training", "{:.1f}", lambda values: sum(values) / len(values))
+    yield _over_seeds(runs, PEAK, "{:.0f}", max)
+
+
+def _over_seeds(runs: Sequence[FinishedRun], key: str, form: str, reduce: Callable[[list[float]], float]) -> str:
+    values = [float(run.facts[key]) for run in runs if run.facts.get(key) is not None]
+    return form.format(reduce(values)) if values else "–"

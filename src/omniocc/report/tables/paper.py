@@ -1,0 +1,188 @@
+"""Tables of the paper: its figures beside those of the runs here, mean and spread over seeds."""
+
+import csv
+import io
+import math
+import statistics
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import yaml
+from scipy import stats
+
+from omniocc.errors import UserError
+from omniocc.report.runs import VOXELS, FinishedRun
+from omniocc.report.tables.latex import tabular
+from omniocc.run.table import markdown, number
+
+
+class PaperRow(NamedTuple):
+    """A method: its row, its title, the paper's figures by column."""
+
+    run: str
+    title: str
+    paper: Mapping[str, float | None]
+
+
+class PaperTable(NamedTuple):
+    """A table of the paper, as `sweeps/<table>.yaml` describes it.
+
+    Attributes:
+        name: name of the file.
+        title: title of the table.
+        columns: title of each metric, by key.
+        order_by: key of the metric that decides which method is better.
+        rows: methods in the paper's order.
+        note: its place in the paper, and inconsistencies of its figures.
+        number: its number in the paper.
+    """
+
+    name: str
+    title: str
+    columns: Mapping[str, str]
+    order_by: str
+    rows: Sequence[PaperRow]
+    note: str = ""
+    number: int = 0
+
+
+class Figure(NamedTuple):
+    """Mean and sample standard deviation over seeds; the latter is nan for one seed."""
+
+    mean: float
+    spread: float
+    seeds: int
+
+
+def load_table(path: Path) -> PaperTable:
+    """Return the table that a file describes.
+
+    Raises:
+        UserError: if a key is missing, or a row has another number of figures than there are columns.
+    """
+    content = yaml.safe_load(path.read_text())
+    try:
+        columns, order_by = content["columns"], content["order_by"]
+        rows = [PaperRow(run, row["title"], _by_column(columns, row, run)) for run, row in content["rows"].items()]
+        table = PaperTable(
+            path.stem, content["title"], columns, order_by, rows, content.get("note", ""), content.get("number", 0)
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise UserError(f"{path} is not a table of the paper: {error}; see the other files beside it") from error
+    if order_by not in columns:
+        raise UserError(f"{path}: order_by is {order_by}, which is no column")
+    return table
+
+
+def is_table(path: Path) -> bool:
+    """Return whether a file of `sweeps/` is a table of methods."""
+    return "order_by" in (yaml.safe_load(path.read_text()) or {})
+
+
+def _by_column(columns: Mapping[str, str], row: Mapping[str, Any], run: str) -> dict[str, float | None]:
+    paper = row.get("paper", [None] * len(columns))
+    if len(paper) != len(columns):
+        raise ValueError(f"row {run} has {len(paper)} figures for {len(columns)} columns")
+    return dict(zip(columns, paper, strict=True))
+
+
+def figure_of(runs: Sequence[FinishedRun], key: str) -> Figure | None:
+    """Return mean and spread of a metric over the seeds of a method; None where it was not measured."""
+    values = [value for run in runs if (value := run.metrics.get(key)) is not None and not math.isnan(value)]
+    if not values:
+        return None
+    return Figure(statistics.mean(values), statistics.stdev(values) if len(values) > 1 else math.nan, len(values))
+
+
+def in_cell(key: str, value: float | None) -> str:
+    """Return a figure for a table: numbers of voxels abbreviated, everything else with three decimals."""
+    if key != VOXELS or value is None or math.isnan(value):
+        return number(value)
+    return f"{value / 1e6:.2f}M" if value >= 1e5 else f"{value / 1e3:.0f}k"
+
+
+def rows_of(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> list[tuple[PaperRow, list[Figure | None]]]:
+    """Return every row with our figures by column."""
+    return [(row, [figure_of(runs.get(row.run, []), key) for key in table.columns]) for row in table.rows]
+
+
+def as_markdown(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> str:
+    """Return two lines a method, the paper's and ours, and below the order of the methods in both."""
+    lines = []
+    for row, figures in rows_of(table, runs):
+        if has_paper(row):
+            lines.append([row.title, "paper", *(in_cell(key, value) for key, value in row.paper.items())])
+        lines.append([row.title, source_of(figures), *map(with_spread, table.columns, figures)])
+    head = ["method", "", *table.columns.values()]
+    parts = [f"## {table.title}", table.note, markdown(head, lines).rstrip(), order_line(table, runs)]
+    return "\n\n".join(filter(None, parts)) + "\n"
+
+
+def has_paper(row: PaperRow) -> bool:
+    """Return whether the paper has any figure of this method."""
+    return any(value is not None for value in row.paper.values())
+
+
+def source_of(figures: Sequence[Figure | None]) -> str:
+    """Return over how many seeds our line of a method is the mean."""
+    seeds = max((figure.seeds for figure in figures if figure is not None), default=0)
+    return f"here, {seeds} seed{'s' * (seeds > 1)}" if seeds else "here: not run"
+
+
+def order_line(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> str:
+    """Return a sentence with the paper's order and ours, and Kendall's tau between them.
+
+    It covers the methods that have both figures. Tau is tau-b, which accounts for equal figures.
+    """
+    both = []
+    for row in table.rows:
+        figure, paper = figure_of(runs.get(row.run, []), table.order_by), row.paper[table.order_by]
+        if figure is not None and paper is not None:
+            both.append((row.title, paper, figure.mean))
+    if len(both) < 2:
+        return "No order to compare: fewer than two methods have run."
+    orders = [" > ".join(entry[0] for entry in sorted(both, key=lambda entry: -entry[place])) for place in (1, 2)]
+    tau, _ = stats.kendalltau([entry[1] for entry in both], [entry[2] for entry in both])
+    agreement = "not defined: all are equal" if math.isnan(tau) else f"{tau:.2f}"
+    title = table.columns[table.order_by]
+    same = "the same order here" if orders[0] == orders[1] else f"here {orders[1]}"
+    return f"By {title}, the paper says {orders[0]}; {same} (Kendall's tau {agreement})."
+
+
+def as_csv(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> str:
+    """Return CSV with a line per method and column."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(["row", "method", "metric", "paper", "mean", "standard_deviation", "seeds"])
+    for row, figures in rows_of(table, runs):
+        for key, figure in zip(table.columns, figures, strict=True):
+            ours = figure or Figure(math.nan, math.nan, 0)
+            known = ["" if math.isnan(value) else f"{value:.6g}" for value in ours[:2]]
+            paper = row.paper[key]
+            writer.writerow([row.run, row.title, key, "" if paper is None else paper, *known, ours.seeds])
+    return out.getvalue()
+
+
+def as_latex(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> str:
+    """Return a LaTeX tabular, the paper's figure in brackets behind ours."""
+    lines = []
+    for row, figures in rows_of(table, runs):
+        cells = []
+        for (key, value), figure in zip(row.paper.items(), figures, strict=True):
+            ours = with_spread(key, figure).replace("±", r"$\pm$").replace("–", "--")
+            cells.append(ours + ("" if value is None else f" ({in_cell(key, value)})"))
+        lines.append([_tex(row.title), *cells])
+    return tabular(f"{table.title}: here (paper)", ["method", *map(_tex, table.columns.values())], lines)
+
+
+def _tex(text: str) -> str:
+    return text.replace("&", r"\&").replace("%", r"\%").replace("_", r"\_")
+
+
+def with_spread(key: str, figure: Figure | None) -> str:
+    """Return our figure for a table: mean ± standard deviation over seeds, which numbers of voxels do not have."""
+    if figure is None:
+        return in_cell(key, None)
+    no_spread = math.isnan(figure.spread) or key == VOXELS
+    return in_cell(key, figure.mean) + ("" if no_spread else f" ± {figure.spread:.3f}")

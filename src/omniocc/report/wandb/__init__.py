@@ -1,0 +1,1 @@
+"""The W&B dashboard and the upload of offline runs."""

@@ -1,0 +1,179 @@
+"""The W&B dashboard as code: `python -m omniocc.report.wandb.dashboard` saves it to a project.
+
+Everything it shows is logged by the runs themselves; a test compares the keys of its charts with those of a run.
+"""
+
+import argparse
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+from omniocc.config import lines_not_tracebacks
+from omniocc.errors import UserError
+from omniocc.report.runs import read_runs
+from omniocc.run.table import band_names, class_names
+from omniocc.run.wandb.loggers import logged_in
+
+if TYPE_CHECKING:
+    from wandb_workspaces.workspaces import Section, Workspace
+
+STEP = "trainer/global_step"
+
+
+class Chart(NamedTuple):
+    """One panel.
+
+    Attributes:
+        kind: bars and scatter show the figures of the test, lines the curves of training.
+        title: title of the panel.
+        keys: keys of what is drawn; of a scatter first x, then y.
+    """
+
+    kind: Literal["bars", "lines", "scatter", "media", "table"]
+    title: str
+    keys: tuple[str, ...]
+
+
+def each(key: str, parts: Sequence[str]) -> tuple[str, ...]:
+    """Return the key with each part in place of `{}`."""
+    return tuple(key.format(part) for part in parts)
+
+
+def sections(metrics: Mapping[str, float]) -> dict[str, tuple[Chart, ...]]:
+    """Return the charts of the dashboard by section.
+
+    Args:
+        metrics: figures of a finished run, whose classes and distance bands are drawn.
+    """
+    classes, bands = class_names(metrics), band_names(metrics)
+    return {
+        "compare rows": (
+            Chart("bars", "RayIoU", ("test/rayiou",)),
+            Chart("bars", "RayIoU by threshold", each("test/rayiou@{}", ("1", "2", "4"))),
+            Chart("bars", "RayIoU against LiDAR rays", ("test/lidar/rayiou",)),
+            Chart("bars", "voxel IoU and mIoU", ("test/voxel/iou", "test/voxel/miou")),
+            Chart(
+                "bars",
+                "baseline: prior; upper bound on LiDAR rays: label",
+                ("prior/rayiou", "label/lidar/rayiou"),
+            ),
+            Chart("lines", "RayIoU of validation", ("val/rayiou",)),
+            Chart("lines", "loss", ("train/loss",)),
+        ),
+        "by range": (
+            Chart("bars", "RayIoU", each("test/rayiou_{}", bands)),
+            Chart("bars", "RayIoU against LiDAR rays", each("test/lidar/rayiou_{}", bands)),
+            Chart("lines", "RayIoU of validation", each("val/rayiou_{}", bands)),
+            Chart("table", "by range", ("tables/by_range",)),
+        ),
+        "by class": (
+            Chart("bars", "RayIoU", each("test/rayiou/{}", classes)),
+            Chart("bars", "RayIoU against LiDAR rays", each("test/lidar/rayiou/{}", classes)),
+            Chart("bars", "voxel IoU", each("test/voxel/iou/{}", classes)),
+            Chart("table", "by class", ("tables/by_class",)),
+        ),
+        "depth and sketch": (
+            Chart("bars", "depth: mean error, m", each("test/depth/mae_{}", bands)),
+            Chart("bars", "depth: AbsRel", each("test/depth/absrel_{}", bands)),
+            Chart("bars", "sketch: recall of occupied voxels", each("test/sketch/recall_{}", bands)),
+            Chart("bars", "sketch: precision", each("test/sketch/precision_{}", bands)),
+            Chart("scatter", "RayIoU against fraction of candidates", ("test/sketch/fraction", "test/rayiou")),
+            Chart("scatter", "recall against fraction of candidates", ("test/sketch/fraction", "test/sketch/recall")),
+        ),
+        "images": (
+            Chart("media", "truth beside prediction", ("test/voxels",)),
+            Chart("media", "cameras with predicted semantics", ("test/cameras",)),
+            Chart("media", "from above: truth, prediction, differences", ("test/bev",)),
+            Chart("media", "true voxels", ("test/points_truth",)),
+            Chart("media", "predicted voxels", ("test/points_prediction",)),
+            Chart("media", "panoramas of range", ("test/erp",)),
+            Chart("media", "depth", ("test/depth",)),
+            Chart("media", "candidates", ("test/sketch",)),
+            Chart("media", "while training", ("val/voxels",)),
+        ),
+    }
+
+
+ONE_COLUMN = ("table", "media")
+
+
+def workspace(entity: str, project: str, charts: Mapping[str, Sequence[Chart]]) -> "Workspace":
+    """Return the dashboard, not saved yet, with runs grouped by job type (stage) and row: bars are means over seeds.
+
+    Args:
+        entity: W&B user or team.
+        project: W&B project.
+        charts: charts by section.
+
+    Raises:
+        UserError: when the extra `dashboard` is not installed.
+    """
+    try:
+        from wandb_workspaces import workspaces as ws
+    except ImportError as error:
+        raise UserError("the dashboard needs wandb-workspaces: pip install --editable '.[dashboard]'") from error
+    return ws.Workspace(
+        entity=entity,
+        project=project,
+        name="OmniDepth-Occ",
+        sections=[_section(name, part) for name, part in charts.items()],
+        settings=ws.WorkspaceSettings(x_axis=STEP, max_runs=40),
+        runset_settings=ws.RunsetSettings(
+            groupby=[ws.Metric("JobType"), ws.Config("row")],
+            pinned_columns=["config:preset.name", "config:seed", "summary:test/rayiou", "summary:test/lidar/rayiou"],
+        ),
+    )
+
+
+def _section(name: str, charts: Sequence[Chart]) -> "Section":
+    from wandb_workspaces import workspaces as ws
+
+    columns = 2 if all(chart.kind in ONE_COLUMN for chart in charts) else 3
+    return ws.Section(
+        name=name,
+        panels=[_panel(chart) for chart in charts],
+        is_open=True,
+        layout_settings=ws.SectionLayoutSettings(columns=columns, rows=3),
+    )
+
+
+def _panel(chart: Chart) -> Any:
+    from wandb_workspaces.reports.v2 import interface as panels
+
+    keys: list[Any] = list(chart.keys)
+    if chart.kind == "bars":
+        return panels.BarPlot(title=chart.title, metrics=keys, groupby=panels.Config("row"), max_runs_to_show=40)
+    if chart.kind == "lines":
+        return panels.LinePlot(title=chart.title, x=STEP, y=keys, groupby=panels.Config("row"))
+    if chart.kind == "scatter":
+        return panels.ScatterPlot(title=chart.title, x=keys[0], y=keys[1])
+    if chart.kind == "table":
+        return panels.WeavePanelSummaryTable(table_name=keys[0])
+    return panels.MediaBrowser(title=chart.title, media_keys=keys, num_columns=3)
+
+
+@lines_not_tracebacks
+def main(arguments: list[str] | None = None) -> None:
+    """Save the dashboard to W&B and print its address."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--entity", help="W&B user or team (default: that of the login)")
+    parser.add_argument("--project", default="omniocc", help="W&B project")
+    parser.add_argument(
+        "--runs", type=Path, default=Path("runs"), help="folder of runs, whose classes and bands are shown"
+    )
+    options = parser.parse_args(arguments)
+    if not logged_in():
+        raise UserError("not saved, since the dashboard lives on a W&B server: run `wandb login` or set WANDB_API_KEY")
+    import wandb
+
+    entity = options.entity or wandb.Api().default_entity
+    if entity is None:
+        raise UserError("this login has no default entity: name the W&B user or team with --entity")
+    best, *_ = read_runs(options.runs)
+    board = workspace(entity, options.project, sections(best.metrics))
+    board.save()
+    print(f"dashboard {board.url}")
+
+
+if __name__ == "__main__":
+    main()

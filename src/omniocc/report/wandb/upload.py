@@ -1,0 +1,95 @@
+"""Offline W&B runs to the server: `python -m omniocc.report.wandb.upload [--runs runs]`, or `make wandb-sync`."""
+
+import argparse
+import csv
+import hashlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from filelock import FileLock, Timeout
+
+from omniocc.config import lines_not_tracebacks
+from omniocc.errors import UserError
+from omniocc.run.wandb.loggers import logged_in
+
+OFFLINE = "wandb/offline-run-*/run-*.wandb"
+MARK = ".synced"
+"""Suffix of the empty file that `wandb sync` leaves beside what it has uploaded."""
+
+
+def waiting(runs: Path) -> list[Path]:
+    """Return files of offline runs that have not been uploaded, without runs in progress, whose files still grow.
+
+    Args:
+        runs: folder of runs, stages and the report.
+    """
+    files = sorted(runs.glob(f"**/{OFFLINE}"))
+    left = [path for path in files if not path.with_name(path.name + MARK).exists()]
+    busy = {folder for folder in {folder_of(path) for path in left} if in_use(folder)}
+    return [path for path in left if folder_of(path) not in busy]
+
+
+def folder_of(path: Path) -> Path:
+    """Return the run's folder that a W&B file is in."""
+    return path.parents[2]
+
+
+def in_use(folder: Path) -> bool:
+    """Return whether a process holds the lock of a run's folder."""
+    if not (folder / ".lock").exists():
+        return False
+    try:
+        with FileLock(folder / ".lock", timeout=0):
+            return False
+    except Timeout:
+        return True
+
+
+def log_report(report: Path, project: str) -> bool:
+    """Log the tables of a report (its CSV files) as an offline W&B run of job type `report`.
+
+    Returns:
+        False if that has been done already, or there is no table.
+
+    Args:
+        report: folder that `report.py` has written.
+        project: W&B project.
+    """
+    files = sorted(report.glob("*.csv"))
+    text = "".join(path.name + path.read_text() for path in files)
+    name = hashlib.sha256(f"{report.resolve()}\n{text}".encode()).hexdigest()[:16]
+    if not files or list(report.glob(f"wandb/*-{name}")):
+        return False
+    os.environ.setdefault("WANDB_SILENT", "true")
+    import wandb
+
+    with wandb.init(dir=report, id=name, name="report", project=project, job_type="report", mode="offline") as run:
+        for path in files:
+            head, *rows = csv.reader(path.read_text().splitlines())
+            run.log({f"paper/{path.stem}": wandb.Table(columns=[*head], data=rows)})
+    wandb.teardown()  # `finish` alone may return before the file is whole
+    return True
+
+
+@lines_not_tracebacks
+def main(arguments: list[str] | None = None) -> None:
+    """Log the report if it is new, then upload everything that waits."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=Path, default=Path("runs"), help="folder of runs")
+    parser.add_argument("--project", default="omniocc", help="W&B project of the report; runs name their own")
+    options = parser.parse_args(arguments)
+    log_report(options.runs / "report", options.project)
+    files = waiting(options.runs)
+    if not files:
+        print(f"{options.runs}: nothing waits for upload")
+        return
+    if not logged_in():
+        raise UserError(f"{len(files)} files wait in {options.runs}: run `wandb login` or set WANDB_API_KEY first")
+    done = subprocess.run([sys.executable, "-m", "wandb", "sync", *map(str, files)], check=False)
+    sys.exit(done.returncode)
+
+
+if __name__ == "__main__":
+    main()

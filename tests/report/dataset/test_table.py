@@ -1,0 +1,58 @@
+"""The comparison of datasets."""
+
+from pathlib import Path
+
+import pytest
+
+from omniocc.errors import UserError
+from omniocc.report.dataset.facts import OTHER_DATASETS
+from omniocc.report.dataset.table import (
+    dataset_cells,
+    dataset_csv,
+    dataset_latex,
+    facts_of_scenes,
+    is_dataset_table,
+    load_dataset_table,
+    scenes_of,
+    with_ours,
+)
+from omniocc.report.runs import read_runs
+
+PATH = Path(__file__).parents[3] / "sweeps" / "dataset.yaml"
+
+
+def test_the_papers_rows_are_those_on_the_page_of_a_dataset():
+    table = load_dataset_table(PATH)
+    rows = [(name.removesuffix(" (paper)"), *cells) for name, cells in table.rows]
+    assert rows == [(name.removesuffix(" (paper)"), *cells) for name, *cells in OTHER_DATASETS]
+    assert is_dataset_table(PATH)
+    assert not is_dataset_table(PATH.with_name("sketch.yaml"))
+
+
+def test_our_row_is_read_from_the_scenes_that_the_runs_used(runs):
+    run = read_runs(runs)[0]
+    table = with_ours(load_dataset_table(PATH), [run])
+    assert dataset_cells(table)[1][-1] == ["This dataset (here)", "–", "✓", "✓", "✓", "✓", "16"]
+    assert dataset_csv(table).splitlines()[-1] == "This dataset (here),False,True,True,True,True,16"
+    assert r"OmniDepth-Occ (paper) & \checkmark & \checkmark" in dataset_latex(table)
+    assert facts_of_scenes(scenes_of(run)) == (
+        "2 scenes (8 frames) for train, 1 scenes (4 frames) for val, 1 scenes (4 frames) for test; 2 kinds of places."
+    )
+
+
+def test_data_that_is_elsewhere_or_other_than_the_runs_is_not_shown(runs):
+    run = read_runs(runs)[0]
+    for other in (
+        run._replace(facts=run.facts | {"data": "another"}),
+        run._replace(config={"data": {"world": {"_target_": "omniocc.data.VirtualWorld", "gone": 1, "root": "x"}}}),
+        run._replace(config={}),
+    ):
+        assert scenes_of(other) == []
+        assert dataset_cells(with_ours(load_dataset_table(PATH), [other]))[1][-1][0] == "here: not on this machine"
+
+
+def test_a_row_with_too_few_cells_is_named(tmp_path):
+    path = tmp_path / "dataset.yaml"
+    path.write_text("title: t\nnote: n\ncolumns: {a: A, b: B}\nrows: {mine: {title: M, paper: [true]}}\n")
+    with pytest.raises(UserError, match=r"mine.* 1 cell.* 2 columns"):
+        load_dataset_table(path)

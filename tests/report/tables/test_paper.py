@@ -1,0 +1,126 @@
+"""Tables of the paper beside ours."""
+
+import csv
+import math
+from pathlib import Path
+
+import pytest
+
+from omniocc.classes import CLASSES, FREE
+from omniocc.errors import UserError
+from omniocc.report.runs import VOXELS, FinishedRun
+from omniocc.report.selection import by_row, comparable
+from omniocc.report.tables.claims import claims_of
+from omniocc.report.tables.paper import (
+    as_csv,
+    as_latex,
+    as_markdown,
+    figure_of,
+    is_table,
+    load_table,
+)
+
+SWEEPS = Path(__file__).parents[3] / "sweeps"
+TABLES = [path for path in sorted(SWEEPS.glob("*.yaml")) if is_table(path)]
+ROWS = Path(__file__).parents[3] / "conf" / "ablation"
+
+
+def run(name: str, seed: int, value: float, preset: str = "tiny") -> FinishedRun:
+    return FinishedRun(name, {"seed": seed, "steps": 9, "preset": preset, "data": "d"}, {"test/rayiou": value})
+
+
+RUNS = {
+    "ours": [run("ours-01234567", 0, 0.2), run("ours-01234568", 1, 0.4)],
+    "mono": [run("mono-01234567", 0, 0.1)],
+    "dense": [run("dense-01234567", 0, 0.35)],
+}
+
+
+@pytest.mark.parametrize("path", TABLES, ids=lambda path: path.stem)
+def test_every_table_has_our_row_and_figures_in_0_to_1(path):
+    table = load_table(path)
+    assert {row.run for row in table.rows} & {"ours", "cylinder"}
+    fractions = [value for row in table.rows for key, value in row.paper.items() if key != VOXELS and value is not None]
+    assert all(0 <= value <= 1 for value in fractions)
+    assert "Table " in table.note
+    runnable = {row.run for row in table.rows} & {path.stem for path in ROWS.glob("*.yaml")}
+    assert runnable
+
+
+def test_the_papers_class_figures_have_its_mean_but_for_bevdet():
+    table = load_table(SWEEPS / "comparison.yaml")
+    names = [f"test/rayiou/{c.name}" for c in CLASSES if c.id != FREE]
+    assert list(table.columns) == [VOXELS, "test/rayiou", *names, "test/lidar/rayiou"]
+    for row in table.rows:
+        _, first, *classes, lidar = row.paper.values()
+        assert lidar is None
+        gap = abs(first - sum(classes) / len(classes))
+        assert gap == pytest.approx(0.0275, abs=1e-3) if row.run == "bevdet" else gap < 1e-3
+
+
+def test_mean_spread_and_number_of_seeds():
+    figure = figure_of(RUNS["ours"], "test/rayiou")
+    assert figure.mean == pytest.approx(0.3)
+    assert figure.spread == pytest.approx(math.sqrt(0.02))
+    assert figure.seeds == 2
+    assert figure_of(RUNS["ours"], "test/absent") is None
+    assert math.isnan(figure_of(RUNS["mono"], "test/rayiou").spread)
+
+
+def test_markdown_shows_both_and_says_whether_the_order_holds():
+    text = as_markdown(load_table(SWEEPS / "sketch.yaml"), RUNS)
+    assert "| omni depth | paper | 0.470 |" in text
+    assert "| omni depth | here, 2 seeds | 0.300 ± 0.141 |" in text
+    assert "| random voxels | here: not run | – |" in text
+    assert "omni depth > dense voxels > mono depth; here dense voxels > omni depth > mono depth" in text
+    assert "tau 0.33" in text
+
+
+def test_equal_figures_have_no_order():
+    same = {"ours": RUNS["ours"][:1], "mono": [run("mono-01234567", 0, 0.2)]}
+    assert "(Kendall's tau not defined: all are equal)" in as_markdown(load_table(SWEEPS / "sketch.yaml"), same)
+
+
+def test_csv_and_latex_hold_the_same_figures():
+    table = load_table(SWEEPS / "sketch.yaml")
+    lines = list(csv.DictReader(as_csv(table, RUNS).splitlines()))
+    ours = next(line for line in lines if line["row"] == "ours" and line["metric"] == "test/rayiou")
+    assert (ours["paper"], ours["mean"], ours["seeds"]) == ("0.47", "0.3", "2")
+    latex = as_latex(table, RUNS)
+    assert r"omni depth & 0.300 $\pm$ 0.141 (0.470)" in latex
+    assert latex.count(r"\\") == 1 + len(table.rows)
+
+
+def test_a_broken_table_is_named(tmp_path):
+    path = tmp_path / "bad.yaml"
+    path.write_text("title: x\norder_by: a\ncolumns: {a: A, b: B}\nrows: {ours: {title: o, paper: [0.1]}}\n")
+    with pytest.raises(UserError, match=r"bad\.yaml.*ours.* 1 figure.* 2 columns"):
+        load_table(path)
+
+
+def test_only_runs_of_one_setting_are_compared():
+    runs = [*RUNS["ours"], run("big-01234567", 0, 0.9, preset="small")]
+    kept, text = comparable(runs, None)
+    assert [r.name for r in kept] == ["ours-01234567", "ours-01234568"]
+    assert "Left out, of another setting: big-01234567" in text
+    assert [r.name for r in comparable(runs, "small")[0]] == ["big-01234567"]
+    with pytest.raises(UserError, match=r"paper.*small, tiny"):
+        comparable(runs, "paper")
+
+
+def test_two_runs_of_a_row_with_one_seed_are_refused():
+    assert list(by_row(RUNS["ours"])) == ["ours"]
+    with pytest.raises(UserError, match=r"ours.* 2 runs.*seed 0"):
+        by_row([*RUNS["ours"], run("ours-0123456a-2", 0, 0.5)])
+
+
+def test_a_table_of_ones_own_needs_no_figures_of_the_paper(tmp_path):
+    path = tmp_path / "own.yaml"
+    path.write_text(
+        "title: x\norder_by: test/rayiou\ncolumns: {test/rayiou: R}\nrows: {ours: {title: o}, mono: {title: m}}\n"
+    )
+    table = load_table(path)
+    text = as_markdown(table, RUNS)
+    assert "| o | here, 2 seeds | 0.300 ± 0.141 |" in text
+    assert "| paper |" not in text
+    assert claims_of(table, RUNS, "test/rayiou") == []
