@@ -1,5 +1,6 @@
 """`predict.py occupancy` on a random scene, compared with the labels of evaluate.py."""
 
+import dataclasses
 import json
 import re
 import shutil
@@ -12,8 +13,9 @@ import torch
 
 from omniocc.camera import Rig
 from omniocc.camera.pose import pose_from_angles
+from omniocc.classes import ClassTable, SemanticClass
 from omniocc.config import plain
-from omniocc.data import SceneReader, WindowDataset, collate
+from omniocc.data import SceneReader, SourceSpec, WindowDataset, collate
 from omniocc.data.labels.voxels import VoxelCache
 from omniocc.data.recording.spec import plain_spec
 from omniocc.data.store.codec import encode_frame
@@ -40,7 +42,7 @@ pytestmark = [
 ]
 
 
-def make_frame(index: int) -> Frame:
+def make_frame(index: int, num_classes: int) -> Frame:
     rng = np.random.default_rng(index)
     range_m = rng.uniform(0.5, 60, (6, 36, 64)).astype(np.float32)
     # a car that turns; patches instead of noise, which JPEG would blur
@@ -55,25 +57,28 @@ def make_frame(index: int) -> Frame:
         range_m=range_m,
         erp_range_m=rng.uniform(0.5, 60, (12, 48)).astype(np.float32),
         points_m=rng.uniform([-20, -20, -2.5], [20, 20, 3], (3000, 3)).astype(np.float32),
-        point_labels=rng.integers(1, 12, 3000).astype(np.uint8),
+        point_labels=rng.integers(1, num_classes, 3000).astype(np.uint8),
         lidar_range_m=rng.uniform(1, 50, 14040).astype(np.float32),
-        lidar_labels=rng.integers(1, 12, 14040).astype(np.uint8),
+        lidar_labels=rng.integers(1, num_classes, 14040).astype(np.uint8),
         boxes=(),
     )
 
 
-@pytest.fixture(scope="module")
-def scene(tmp_path_factory, spec) -> Path:
-    folder = tmp_path_factory.mktemp("data") / "test-000-nowhere"
+def write_scene(folder: Path, spec: SourceSpec, frames: int) -> Path:
     writer = SceneWriter(folder)
-    for index in range(len(FRAMES)):
-        frame = make_frame(index)
+    for index in range(frames):
+        frame = make_frame(index, spec.classes.num_classes)
         entry = {"time_s": frame.time_s, "world_from_ego": frame.world_from_ego.tolist()}
         writer.append(encode_frame(frame), entry)
     writer.attach("rig.yaml", RIG.save)
     writer.finish({"split": "test", "spec": plain_spec(spec)})
     writer.close()
     return folder
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory, spec) -> Path:
+    return write_scene(tmp_path_factory.mktemp("data") / "test-000-nowhere", spec, len(FRAMES))
 
 
 @pytest.fixture(scope="module")
@@ -273,7 +278,7 @@ def test_mistakes_are_named_in_a_line(images, scene, checkpoint, tmp_path, capsy
     depth = {
         name.replace("sketch.depth.", ""): value for name, value in content["state_dict"].items() if ".depth." in name
     }
-    torch.save({"config": content["config"], "state_dict": depth}, tmp_path / "depth.ckpt")
+    torch.save(contents("depth", content["config"]) | {"state_dict": depth}, tmp_path / "depth.ckpt")
     (tmp_path / "damaged.ckpt").write_bytes(checkpoint.read_bytes()[:3000])
     next(value for name, value in content["state_dict"].items() if "classifier" in name).fill_(torch.nan)
     torch.save(content, tmp_path / "nan.ckpt")
@@ -338,7 +343,7 @@ def test_the_depth_network_of_an_occupancy_checkpoint(checkpoint, tmp_path):
     assert all(torch.equal(value, inside[name]) for name, value in depth.state_dict().items())
     content = torch.load(checkpoint, weights_only=True)
     rest = {name: value for name, value in content["state_dict"].items() if ".sketch." not in name}
-    torch.save({"config": content["config"], "state_dict": rest}, tmp_path / "dense.ckpt")
+    torch.save(contents("occupancy", content["config"]) | {"state_dict": rest}, tmp_path / "dense.ckpt")
     with pytest.raises(UserError, match=r"dense\.ckpt.*depth"):
         load_depth(tmp_path / "dense.ckpt")
 
@@ -346,3 +351,33 @@ def test_the_depth_network_of_an_occupancy_checkpoint(checkpoint, tmp_path):
 def test_a_folder_without_a_scene_cannot_be_exported(tmp_path):
     with pytest.raises(UserError, match="recorded scene"):
         export_scene(tmp_path, tmp_path / "out")
+
+
+def test_a_model_of_nineteen_classes_scores_its_own(scene, checkpoint, images, smoke, spec, tmp_path, capsys, run):
+    classes = ClassTable(tuple(SemanticClass(k, f"kind{k}", (k, 2 * k, 255 - k)) for k in range(19)))
+    spec = dataclasses.replace(spec, classes=classes, range_edges_m=(0.0, 10.0, 20.0), road_z_m=-1.7)
+    root = tmp_path / "scenes"
+    for name in ("train-000-here", "test-000-here"):
+        write_scene(root / name, spec, 2)
+    splits = "data.source.splits={train: [train-*], val: [], test: [test-*]}"
+    cfg = smoke("data=recorded", f"data.source.root={root}", splits, "data.num_classes=19")
+    task = build_task(cfg, spec)
+    trained = tmp_path / "nineteen.ckpt"
+    torch.save(contents("occupancy", plain(cfg)) | {"state_dict": task.state_dict()}, trained)
+
+    run(f"checkpoint={trained}", f"recorded={root}", "overview=false", f"output={tmp_path / 'out'}")
+    assert "as in training" in capsys.readouterr().out
+    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())["metrics"]
+    names = {key.rpartition("/")[2] for key in metrics if key.startswith("test/voxel/iou/")}
+    assert names == set(classes.names[1:])
+    assert {"test/rayiou_0-10m", "test/lidar/rayiou/kind18"} <= set(metrics)
+    arrays = np.load(tmp_path / "out" / "test-000-here" / FRAMES[1] / "voxels.npz")
+    assert arrays["class_names"].tolist() == list(classes.names)
+
+    source = source_of(images, trained)
+    run(*source, *QUICK, "road_z_m=-0.7", f"output={tmp_path / 'own'}")  # 1 m higher than in training
+    low = task.model.geometry.height_m[0]
+    assert np.load(tmp_path / "own" / FRAMES[0] / "voxels.npz")["low"][2] == pytest.approx(low + 1)
+
+    with pytest.raises(UserError, match=r"has 12 classes .*trained with 19"):
+        run(f"checkpoint={trained}", f"recorded={scene}", f"output={tmp_path / 'other'}")

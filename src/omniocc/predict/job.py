@@ -161,9 +161,10 @@ class Job:
     def _score(self, labels: Tensor, truth: Truth) -> str:
         """Add a frame to the scores and return its own in a few words."""
         assert self.scores is not None
-        self.scores.update(labels.unsqueeze(0), Truth(*(part if part is None else part.unsqueeze(0) for part in truth)))
+        batch = Truth(truth.voxels[None], truth.lidar_range_m[None], truth.lidar_labels[None])
+        self.scores.update(labels[None], batch)
         frame_iou = VoxelIoU(self.classes.num_classes, class_names=self.classes.names)
-        frame_iou.update(labels.unsqueeze(0), truth.voxels.unsqueeze(0))
+        frame_iou.update(labels[None], batch.voxels)
         own = frame_iou.compute()
         return f"IoU {own['iou']:.3f}, mIoU {own['miou']:.3f}"
 

@@ -8,7 +8,6 @@ from omegaconf import DictConfig, OmegaConf
 
 from omniocc.camera import Rig
 from omniocc.config import build, check
-from omniocc.data.source.recorded import spec_of
 from omniocc.errors import UserError
 from omniocc.geometry import Grid
 from omniocc.model import OccupancyModel
@@ -112,15 +111,16 @@ def scores_of(model: OccupancyModel, trained: TrainingData, sequences: Sequence[
     Raises:
         UserError: when their classes are not those of the model.
     """
-    specs = [spec_of(sequence.scene) for sequence in sequences if isinstance(sequence, RecordedSequence)]
-    for sequence, spec in zip(sequences, specs, strict=False):
-        if spec.classes.names != trained.classes.names:
+    recorded = [sequence for sequence in sequences if isinstance(sequence, RecordedSequence)]
+    for sequence in recorded:
+        names = sequence.spec.classes.names
+        if names != trained.classes.names:
             raise UserError(
-                f"recorded scene '{sequence.name}' has {spec.classes.num_classes} classes "
-                f"({', '.join(spec.classes.names)}), the model was trained with {trained.classes.num_classes} "
-                f"({', '.join(trained.classes.names)}): choose scenes with the classes of the model"
+                f"recorded={sequence.scene.folder} has {len(names)} classes ({', '.join(names)}), the model was "
+                f"trained with {trained.classes.num_classes} ({', '.join(trained.classes.names)}): "
+                "choose scenes with the classes of the model"
             )
-    return Scores(model.geometry, specs[0]) if specs else None
+    return Scores(model.geometry, recorded[0].spec) if recorded else None
 
 
 def figures(metrics: Mapping[str, float]) -> str:

@@ -9,6 +9,7 @@ from omegaconf import DictConfig, OmegaConf
 from omniocc.camera import Rig
 from omniocc.classes import ClassTable
 from omniocc.config import build
+from omniocc.data import OccupancyData
 from omniocc.data.source import SceneSource, Unknown
 from omniocc.errors import UserError
 from omniocc.run.checkpoint import check_parts
@@ -27,7 +28,7 @@ class TrainingData:
 
     Attributes:
         rig: its cameras, at the size of its images.
-        rig_name: name or file of the rig, or the folder of the scenes that hold it.
+        rig_name: name or file of the rig, or words for that of recorded scenes.
         road_z_m: height of the road in its ego frame.
         classes: table of the model's classes.
         unknown: label of true cells without points.
@@ -53,15 +54,16 @@ def training_data(path: Path, cfg: DictConfig) -> TrainingData:
         cfg: its configuration.
 
     Raises:
-        UserError: when the source cannot be built here, or has to read scenes that are not there.
+        UserError: when the source cannot be built here, needs scenes that are not there, or has other classes.
     """
     if "data" not in cfg:
         raise UserError(f"{path} is of another version: its configuration has no data")
     check_parts(path, cfg, ["data"])
-    source: SceneSource = build(cfg.data.source)
-    spec, rig = source.spec, training_rig(source)
-    name = OmegaConf.select(cfg, "data.source.rig") or str(source.folder.parent)
-    return TrainingData(rig, name, spec.road_z_m, spec.classes, cfg.data.unknown)
+    data: OccupancyData = build(cfg.data)
+    data.check_classes()
+    source, spec = data.source, data.source.spec
+    name = OmegaConf.select(cfg, "data.source.rig") or "that of recorded scenes"
+    return TrainingData(training_rig(source), name, spec.road_z_m, spec.classes, data.unknown)
 
 
 def training_rig(source: SceneSource) -> Rig:
@@ -74,5 +76,5 @@ def training_rig(source: SceneSource) -> Rig:
         return source.rig
     scenes = source.scenes("train")
     if not scenes:
-        raise UserError(f"{source.folder.parent}: there are no training scenes, whose cameras are needed")
+        raise UserError("the model's training data has no training scenes, whose cameras are needed")
     return scenes[0].rigs[0]

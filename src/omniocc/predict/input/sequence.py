@@ -14,7 +14,8 @@ from torch import Tensor
 from omniocc.camera import Rig
 from omniocc.data import SceneReader
 from omniocc.data.labels.voxels import vote
-from omniocc.data.source import Unknown
+from omniocc.data.source import SourceSpec, Unknown
+from omniocc.data.source.recorded import spec_of
 from omniocc.data.store.shard import META
 from omniocc.errors import UserError
 from omniocc.geometry import Grid
@@ -146,6 +147,15 @@ class RecordedSequence:
         return self.scene.rig
 
     @property
+    def spec(self) -> SourceSpec:
+        """Return the classes and bands that the scene states.
+
+        Raises:
+            DataError: when it states none.
+        """
+        return spec_of(self.scene)
+
+    @property
     def origin_z_m(self) -> float:  # noqa: D102
         return 0.0
 
@@ -162,7 +172,7 @@ class RecordedSequence:
 
     def truth(self, frame: int, geometry: Grid, unknown: Unknown) -> Truth:  # noqa: D102
         scan = self.scene.lidar(frame)
-        voxels = vote(self.scene, frame, geometry, unknown)
+        voxels = vote(self.scene, frame, geometry, unknown, self.spec.classes.num_classes)
         return Truth(voxels, torch.from_numpy(scan.range_m), torch.from_numpy(scan.labels))
 
     def true_range_m(self, frame: int) -> Float32[Tensor, "1 h w"]:  # noqa: D102
