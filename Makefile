@@ -59,7 +59,7 @@ ablations: $(READY)  ## Train every row of conf/ablation (SEEDS=0,1 ABLATIONS=ou
 
 RUNS ?= runs
 
-wandb-sync: $(READY)  ## Upload all offline W&B runs that are not there yet, and the report's tables (RUNS=runs)
+wandb-sync: $(READY)  ## Upload new offline W&B runs and the tables of the report (RUNS=runs)
 	@$(BIN)/python -m omniocc.report.wandb.upload --runs $(RUNS)
 
 dashboard: $(READY)  ## Save the W&B dashboard to the project omniocc (docs/how_to/dashboards.md)

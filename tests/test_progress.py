@@ -12,7 +12,7 @@ def test_frames_that_were_there_do_not_count_as_fast(monkeypatch, capsys):
     now = [100.0]
     monkeypatch.setattr("omniocc.progress.time.monotonic", lambda: now[0])
     with Progress("rendering", 1000) as progress:
-        progress.advance(900)  # what an interrupted run has left
+        progress.advance(900)  # finished by an interrupted run
         now[0] += 20.0
         for _ in range(10):
             progress.advance()
@@ -55,9 +55,9 @@ def test_counts_are_reported_in_the_status_file(tmp_path, monkeypatch):
         for _ in range(10):
             now[0] += 2.0
             progress.advance(text="train/loss=1.5")
-        said = read_status(path)
-        assert said == Status("running", "depth train", 50, 100, "steps", 0.5, 100.0, "train/loss=1.5")
-        assert str(said) == "depth train: 50/100 steps, 2.00 s each, 1:40 min left  train/loss=1.5"
+        reported = read_status(path)
+        assert reported == Status("running", "depth train", 50, 100, "steps", 0.5, 100.0, "train/loss=1.5")
+        assert str(reported) == "depth train: 50/100 steps, 2.00 s each, 1:40 min left  train/loss=1.5"
     assert [file.name for file in tmp_path.iterdir()] == ["status.json"]
 
 

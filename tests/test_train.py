@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 from filelock import FileLock
+from offline_file import files_of, history, runs_in
 
 from omniocc.report.wandb.dashboard import sections
-from omniocc.run.wandb.wandb_file import files_of, history, records
 
 ROOT = Path(__file__).parents[1]
 TWELVE_STEPS = ("trainer.max_steps=12", "checkpoint_every_n_steps=1")  # time enough to be killed in
@@ -238,7 +238,7 @@ def runs_of_wandb_are_complete(runs: Path) -> None:
         ("whole-*", "occupancy", ["whole"]),
     ):
         (path,) = files_of(next(runs.glob(folder)))
-        (begun,) = [record.run for record in records(path) if record.WhichOneof("record_type") == "run"]
+        (begun,) = runs_in(path)
         assert (begun.job_type, begun.run_group, list(begun.tags)) == (job_type, "smoke", tags)
         config = {item.key: json.loads(item.value_json) for item in begun.config.update}
         assert config["slots"]["sketch"] == "omni"

@@ -1,8 +1,8 @@
-"""Errors whose message is all a user needs."""
+"""Errors that scripts report by their message alone."""
 
 
 class UserError(ValueError):
-    """A mistake or a mishap outside the code: scripts end with this message alone, without a traceback."""
+    """A mistake of the user or a problem outside the code: scripts end with this message, without a traceback."""
 
 
 class DataError(OSError):

@@ -1,4 +1,4 @@
-"""Write files whole or not at all."""
+"""Write files atomically: whole or not at all."""
 
 import contextlib
 import errno
@@ -31,7 +31,7 @@ def atomic_write(path: Path, content: bytes | memoryview | str, previous: Path |
             just before the new one, so that a stop between the two leaves it under this name alone.
 
     Raises:
-        DataError: when the disk refuses; the old file is untouched and nothing temporary is left.
+        DataError: when the file cannot be written; the old file is untouched and nothing temporary is left.
     """
     data = content.encode() if isinstance(content, str) else content
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
@@ -54,7 +54,7 @@ def atomic_write(path: Path, content: bytes | memoryview | str, previous: Path |
 
 
 def remove_leftovers(path: Path) -> None:
-    """Remove what killed processes left of writing this file; for the only process that writes it."""
+    """Remove temporary files that killed processes left beside `path`; only its single writing process may call it."""
     for leftover in path.parent.glob(f".{path.name}.*.tmp"):
         leftover.unlink(missing_ok=True)
 
@@ -64,8 +64,8 @@ def cannot_write(path: Path, error: OSError, needed_bytes: int | None = None) ->
 
     Args:
         path: file or folder.
-        error: what the system said.
-        needed_bytes: size of the file, told beside the free space when the disk is full; None if unknown.
+        error: the error of the operating system.
+        needed_bytes: size of the file, named with the free space when the disk is full; None if unknown.
     """
     reason = _REMEDIES.get(error.errno or 0, f"{error.strerror or error}")
     if error.errno == errno.ENOSPC and needed_bytes is not None:
@@ -75,12 +75,12 @@ def cannot_write(path: Path, error: OSError, needed_bytes: int | None = None) ->
 
 
 def _flush_folder(folder: Path) -> None:
-    """Make renames in a folder survive a power cut, where its file system can."""
+    """Flush a folder to the disk, so that renames in it survive a power cut, where the file system supports it."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)
     except OSError as error:
-        if error.errno != errno.EINVAL:  # some network file systems do not flush folders
+        if error.errno != errno.EINVAL:  # some network file systems cannot flush folders
             raise
     finally:
         os.close(descriptor)

@@ -1,8 +1,8 @@
-"""Progress of long work: a bar on a terminal, plain lines elsewhere, and a status file for the process that waits.
+"""Progress of long work: a bar on a terminal, plain lines elsewhere, and a status file for the parent process.
 
-A process that starts others names a file in the environment variable `STATUS_FILE` of each; what they report lies there
-as one line of JSON (`Status`). Imports the standard library alone: Hydra loads the launcher, and so this module, at
-every start of a script.
+A process that starts others names a file in the environment variable `STATUS_FILE` of each; they write their status to
+it as one line of JSON (`Status`). This module imports the standard library alone: Hydra loads the launcher, and so this
+module, at every start of a script.
 """
 
 import contextlib
@@ -26,17 +26,17 @@ STATUS_EVERY_S = 1.0
 
 @dataclass(frozen=True)
 class Status:
-    """What a process does and how much of it is done.
+    """What a process is doing and how far it is.
 
     Attributes:
-        state: whether it works, or waits for what another process makes.
+        state: whether it works, or waits for the result of another process.
         title: what is being done, or what is waited for.
         done: units done.
         total: units to be done; 0 where nothing is counted.
         unit: what is counted, in the plural.
         rate_hz: units per second; 0 before the first.
         left_s: seconds left, None where unknown.
-        text: what else there is to say, such as losses.
+        text: further details, such as losses.
     """
 
     state: Literal["running", "waiting"]
@@ -50,7 +50,7 @@ class Status:
 
     @property
     def rate(self) -> str:
-        """The rate in words: units per second, or seconds for each where they take longer than one."""
+        """Return the rate in words: units per second, or seconds per unit where that is more than one."""
         if 0 < self.rate_hz < 1:
             return f"{1 / self.rate_hz:.2f} s each"
         return f"{self.rate_hz:.1f} {self.unit}/s"
@@ -58,19 +58,20 @@ class Status:
     def __str__(self) -> str:
         if not self.total:
             return self.title
+        rate = f", {self.rate}" if self.rate_hz else ""
         left = "" if self.left_s is None else f", {clock(self.left_s)} left"
-        return f"{self.title}: {self.done}/{self.total} {self.unit}, {self.rate}{left}  {self.text}".rstrip()
+        return f"{self.title}: {self.done}/{self.total} {self.unit}{rate}{left}  {self.text}".rstrip()
 
 
 class Progress:
-    """Counts units of work; shows how many, how fast and how long it will still take.
+    """Counts units of work; shows how many are done, how fast, and the time left.
 
     Args:
         title: what is being done.
         total: units to be done in this run.
         unit: what is counted, in the plural.
         done: units done before.
-        finished: return the number of units done by now, whoever did them, where several processes share the work.
+        finished: returns the number of units that all processes have done by now, where several share the work.
     """
 
     def __init__(self, title: str, total: int, unit: str = "frames", done: int = 0, finished: Callable[[], int] = int):
@@ -117,11 +118,11 @@ class Progress:
         self._write()
 
     def advance(self, count: int = 1, text: str = "") -> None:
-        """Count units that are done: one just made, or all that an interrupted run has left.
+        """Count units that are done: one just finished, or several that an earlier run had finished.
 
         Args:
             count: units.
-            text: what else to show, such as losses.
+            text: further details to show, such as losses.
         """
         self._own, self._text = self._own + count, text
         self._made += count == 1
@@ -141,7 +142,7 @@ class Progress:
             print(text, file=sys.stderr, flush=True)
 
     def wait(self, text: str) -> None:
-        """Say what is waited for; the next count ends that."""
+        """Report what is waited for, until the next count."""
         self.message(text)
         write_status(Status("waiting", text))
         self._written_s = -STATUS_EVERY_S
@@ -167,9 +168,9 @@ def waiting(title: str, reason: str) -> Iterator[None]:
 
 
 def write_status(status: Status) -> None:
-    """Write the status to the file that the environment names, whole or not at all; nothing if it names none.
+    """Write the status atomically to the file that the environment names; do nothing if it names none.
 
-    A status that cannot be written is left out: the work itself must not end for it.
+    A status that cannot be written is skipped: the work itself must not fail for it.
     """
     if STATUS_FILE not in os.environ:
         return
@@ -181,7 +182,7 @@ def write_status(status: Status) -> None:
 
 
 def read_status(path: Path) -> Status | None:
-    """Return what a process has reported in its status file, None before its first report."""
+    """Return the last status that a process has written to its file, None before the first."""
     try:
         return Status(**json.loads(path.read_text()))
     except FileNotFoundError:

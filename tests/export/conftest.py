@@ -17,7 +17,7 @@ def rig() -> Rig:
 
 @pytest.fixture(scope="session")
 def make_model(smoke) -> Callable[..., OccupancyModel]:
-    """Builds a smoke model with random weights, evaluation mode."""
+    """Return a function that builds a smoke model with random weights, in evaluation mode."""
 
     def make(*overrides: str) -> OccupancyModel:
         torch.manual_seed(0)
@@ -28,7 +28,7 @@ def make_model(smoke) -> Callable[..., OccupancyModel]:
 
 @pytest.fixture(scope="session")
 def draw_images() -> Callable[..., torch.Tensor]:
-    """Noise in large patches, so that frames differ in what is near, with some cameras black."""
+    """Return a function that draws noise in large patches, so that predicted ranges differ, with some cameras black."""
 
     def draw(seed: int, black: tuple[int, ...] = ()) -> torch.Tensor:
         generator = torch.Generator().manual_seed(seed)

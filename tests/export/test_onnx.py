@@ -1,21 +1,21 @@
-"""What replaces operators that ONNX has not computes the same."""
+"""Replacements of operators that ONNX lacks compute the same values."""
 
 import pytest
 import torch
 from torch.nn import functional as F
 
-from omniocc.export.onnx import convolution3d, weighted_bags
+from omniocc.export.onnx import convolution3d, embedding_bag
 
 
 @pytest.mark.parametrize(
     "begins", [[0, 2, 5], [0, 0, 3, 7], [0, 4, 8, 8]], ids=["all full", "empty first", "empty last"]
 )
-def test_bags_are_weighted_sums(begins):
+def test_embedding_bag(begins):
     torch.manual_seed(0)
     table, weights = torch.randn(6, 4), torch.rand(8)
     rows, offsets = torch.randint(0, 6, (8,), dtype=torch.int32), torch.tensor(begins, dtype=torch.int32)
     expected = F.embedding_bag(rows, table, offsets, mode="sum", per_sample_weights=weights)
-    found = weighted_bags(table, rows, offsets, per_sample_weights=weights)[0]
+    found = embedding_bag(table, rows, offsets, per_sample_weights=weights)[0]
     torch.testing.assert_close(found, expected)
 
 

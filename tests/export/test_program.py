@@ -1,8 +1,9 @@
-"""Programs give the labels of the model they were made of, also when the number of candidates changes."""
+"""Exported programs return the labels of their model, also when the number of candidates changes."""
 
 import pytest
 import torch
 
+from omniocc.classes import WORLD_CLASSES
 from omniocc.errors import UserError
 from omniocc.export import contract_of, example_inputs, export_program, make_module
 from omniocc.export.files import write_program
@@ -34,7 +35,7 @@ def test_static_shapes_give_the_same_labels(overrides, make_model, rig, draw_ima
     assert len(expected.unique()) > 1
 
 
-def test_candidates_of_the_frames_that_are_compared_differ_in_number(make_model, rig, draw_images):
+def test_compared_frames_differ_in_the_number_of_candidates(make_model, rig, draw_images):
     sketch = make_model("model/temporal=none").sketch
     images = [draw_images(seed)[None].float() / 255 for seed in (0, 1, 2)]
     counts = {int(sketch(frame, (rig,)).candidates.sum()) for frame in images}
@@ -42,12 +43,12 @@ def test_candidates_of_the_frames_that_are_compared_differ_in_number(make_model,
 
 
 @pytest.mark.slow
-def test_a_drive_through_the_file_gives_the_labels_of_the_model(make_model, rig, draw_images, tmp_path):
+def test_a_sequence_gives_the_labels_of_the_model(make_model, rig, draw_images, tmp_path):
     model = make_model("model/temporal=mean")
     module = make_module(model, rig)
-    write_program(export_program(module), contract_of(module), tmp_path / "model.pt2")
+    write_program(export_program(module), contract_of(module, WORLD_CLASSES), tmp_path / "model.pt2")
     assert [path.name for path in tmp_path.iterdir()] == ["model.pt2"]
-    program = torch.export.load(tmp_path / "model.pt2").module()  # as one does without this package
+    program = torch.export.load(tmp_path / "model.pt2").module()  # as without this package
     _, volumes, exists, _ = example_inputs(module)
     frames, images, poses = 5, [], torch.eye(4, dtype=torch.float64).repeat(5, 1, 1)
     poses[:, 0, 3] = torch.arange(frames) * 0.7
@@ -64,8 +65,8 @@ def test_a_drive_through_the_file_gives_the_labels_of_the_model(make_model, rig,
         exists = torch.cat([exists[1:], torch.tensor([True])])
 
 
-def test_an_option_that_cannot_be_recorded_is_named(make_model, rig):
-    with pytest.raises(UserError, match=r"^model/depth=Sweep cannot be exported: .*"):
+def test_an_option_that_cannot_be_exported_is_named(make_model, rig):
+    with pytest.raises(UserError, match=r"model/depth=Sweep"):
         export_program(make_module(make_model("model/temporal=none", "model/depth=sweep"), rig))
-    with pytest.raises(UserError, match=r"^model/depth=Truth cannot be exported: .* needs the recorded range"):
+    with pytest.raises(UserError, match=r"model/depth=Truth.*recorded range"):
         export_program(make_module(make_model("model/temporal=none", "model/depth=truth"), rig))

@@ -1,4 +1,4 @@
-"""Multiruns as users start them, other than many rows on one machine (`test_process.py`)."""
+"""Multiruns as users start them; jobs on one machine in detail: `test_process.py`."""
 
 import json
 import os
@@ -30,7 +30,9 @@ def test_a_job_of_two_processes_trains_one_model(tmp_path, data_root):
     assert "1 of 1 jobs finished" in result.stdout
     (path,) = tmp_path.glob("runs/train-*/metrics.json")
     assert json.loads(path.read_text())["steps"] == 2
-    (log,) = tmp_path.glob("runs/sweeps/*/*.log")  # a child that began the sweep anew would have a folder of its own
+    (log,) = tmp_path.glob(
+        "runs/sweeps/*/*.log"
+    )  # a child process that started the sweep again would have another folder
     assert "Traceback" not in log.read_text()
 
 
@@ -50,18 +52,18 @@ main()
 """
 
 
-def test_submitit_runs_jobs_of_this_machine_in_processes_of_their_own(tmp_path):
+def test_submitit_runs_each_local_job_in_its_own_process(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(SCRIPT.format(conf=str(ROOT / "conf")))
     command = [sys.executable, str(script), "--multirun", "hydra/launcher=submitit_local", "seed=1,2"]
     result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=300)
     assert result.returncode == 0, result.stdout + result.stderr
-    said = [(tmp_path / f"seed{seed}.txt").read_text().split() for seed in (1, 2)]
-    assert said[0][0] != said[1][0]
-    assert {sketch for _, sketch in said} == {"omniocc.model.sketch.Omni"}
+    written = [(tmp_path / f"seed{seed}.txt").read_text().split() for seed in (1, 2)]
+    assert written[0][0] != written[1][0]
+    assert {sketch for _, sketch in written} == {"omniocc.model.sketch.Omni"}
 
 
-def test_slurm_jobs_ask_for_four_gpus_with_a_process_each():
+def test_slurm_jobs_request_four_gpus_with_a_process_each():
     with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
         launcher = compose("train", ["hydra/launcher=slurm_4gpu"], return_hydra_config=True).hydra.launcher
     assert launcher._target_.endswith("SlurmLauncher")

@@ -1,4 +1,4 @@
-"""Jobs of a multirun as processes."""
+"""Tests of the launcher that runs the jobs of a multirun as processes."""
 
 import json
 import os
@@ -15,8 +15,8 @@ from omegaconf import OmegaConf
 from hydra_plugins.process_launcher.job import Job, file_name
 from hydra_plugins.process_launcher.launcher import (
     ProcessLauncher,
+    free_slots,
     left_s,
-    places,
     progress,
     run_all,
     stop,
@@ -30,7 +30,7 @@ WAITS = f"import sys, time, pathlib; sys.path.insert(0, {str(SRC)!r})\n" + (
     "from omniocc.progress import Progress\nprogress = Progress('rendering', 10)\n"
     "progress.wait('another process (pid 4711 on here) renders train-000, waiting')\n"
 )
-"""A job that waits, as scenes do that another process renders; its wording plays no role."""
+"""Code of a job that waits for another process; its wording plays no role."""
 
 
 def job(folder: Path, label: str, code: str) -> Job:
@@ -51,7 +51,7 @@ def alive(pid: int) -> bool:
         return False
 
 
-def test_no_more_jobs_than_asked_for_run_at_a_time(tmp_path):
+def test_at_most_n_jobs_run_at_a_time(tmp_path):
     code = f"import time, pathlib; p = pathlib.Path({str(tmp_path)!r}); a = time.time(); time.sleep(0.6);" + (
         " print(a, time.time())"
     )
@@ -63,7 +63,7 @@ def test_no_more_jobs_than_asked_for_run_at_a_time(tmp_path):
     assert [j.code for j in jobs] == [0, 0, 0, 0]
 
 
-def test_while_a_job_waits_for_another_the_next_begins(tmp_path):
+def test_while_a_job_waits_for_another_the_next_one_starts(tmp_path):
     done = tmp_path / "done"
     waits = f"{WAITS}while not pathlib.Path({str(done)!r}).exists(): time.sleep(0.05)"
     jobs = [job(tmp_path, "waits", waits), job(tmp_path, "makes", f"open({str(done)!r}, 'w')")]
@@ -71,55 +71,55 @@ def test_while_a_job_waits_for_another_the_next_begins(tmp_path):
     assert [j.code for j in jobs] == [0, 0]
 
 
-def test_a_failure_stops_nothing_and_is_told_with_its_last_lines(tmp_path):
+def test_a_failure_stops_no_other_job_and_is_shown_with_its_last_lines(tmp_path):
     jobs = [job(tmp_path, "bad", "print('on the way'); raise SystemExit('no such grid')"), job(tmp_path, "good", "")]
     run_all(jobs, 1)
     text = summary(jobs, [j for j in jobs if j.code])
-    assert "1 of 2 jobs finished" in text
-    assert "failed: bad (exit code 1)" in text
+    assert "1 of 2 jobs" in text
+    assert "bad (exit code 1)" in text
     assert "no such grid" in text
     assert "good" not in text.split("failed:")[1].splitlines()[0]
 
 
-def test_progress_names_what_runs_and_what_is_left(tmp_path):
+def test_progress_shows_finished_jobs_and_time_left(tmp_path):
     jobs = [job(tmp_path, "one", "print('stage 1')"), job(tmp_path, "two", "")]
     run_all(jobs[:1], 1)
     jobs[0].elapsed_s = 120.0
     assert progress(jobs, 1, 125.0) == "2:05 min: 1 of 2 jobs done, about 2:00 min left"
 
 
-def test_time_left_is_at_least_what_a_running_job_says_of_its_stage(tmp_path):
+def test_time_left_is_at_least_that_of_a_running_job(tmp_path):
     jobs = [job(tmp_path, "done", ""), *(job(tmp_path, name, "import time; time.sleep(60)") for name in "abc")]
     run_all(jobs[:1], 1)
     jobs[0].elapsed_s = 600.0
     try:
         for running in jobs[1:3]:
             running.start({})
-            running.began_s -= 540.0  # a minute is left of what the finished one took
+            running.started_s -= 540.0  # one minute less than the finished job took
         assert left_s(jobs, 2) == pytest.approx((60 + 60 + 600) / 2, abs=2)
-        said = Status("running", "occupancy, stage 3 of 3 train", 107, 1000, "steps", 0.571, 26 * 60 + 3.0)
-        jobs[1].status_file.write_text(json.dumps(asdict(said)))
+        reported = Status("running", "occupancy, stage 3 of 3 train", 107, 1000, "steps", 0.571, 26 * 60 + 3.0)
+        jobs[1].status_file.write_text(json.dumps(asdict(reported)))
         assert left_s(jobs, 2) == pytest.approx(26 * 60 + 3)
         assert "a: occupancy, stage 3 of 3 train: 107/1000 steps, 1.75 s each, 26:03 min left" in progress(jobs, 2, 9.0)
     finally:
         stop(jobs)
 
 
-def test_not_many_jobs_wait_for_one(tmp_path):
+def test_the_number_of_waiting_jobs_is_limited(tmp_path):
     jobs = [job(tmp_path, str(number), f"{WAITS}time.sleep(60)") for number in range(5)]
     try:
         for number in range(4):
-            assert places(jobs, 2) == min(2, 4 - number)
+            assert free_slots(jobs, 2) == min(2, 4 - number)
             jobs[number].start({})
             assert appears(jobs[number].log)
             while not jobs[number].waiting:
                 time.sleep(0.02)
-        assert places(jobs, 2) == 0
+        assert free_slots(jobs, 2) == 0
     finally:
         stop(jobs)
 
 
-def test_what_a_job_prints_is_not_read(tmp_path):
+def test_the_output_of_a_job_is_not_parsed(tmp_path):
     says = "import time; print('x waits for another process that, left 99:00', flush=True); time.sleep(60)"
     jobs = [job(tmp_path, "x", says)]
     jobs[0].status_file.write_text(json.dumps(asdict(Status("waiting", "of an earlier run"))))
@@ -176,7 +176,7 @@ def test_ctrl_c_ends_a_multirun_with_a_line(tmp_path, monkeypatch, capsys):
     with pytest.raises(SystemExit) as ended:
         launcher.launch([["+ablation=a"], ["+ablation=b"]], 0)
     assert ended.value.code == 130
-    assert "stopped, 0 of 2 jobs are finished; the same command goes on" in capsys.readouterr().out
+    assert "stopped, 0 of 2 jobs are finished; the same command continues" in capsys.readouterr().out
 
 
 def test_hydra_gets_one_result_per_job_and_exit_code_1_for_failures(tmp_path, monkeypatch, capsys):
@@ -194,12 +194,12 @@ def test_hydra_gets_one_result_per_job_and_exit_code_1_for_failures(tmp_path, mo
     assert "1 of 2 jobs finished" in capsys.readouterr().out
 
 
-def test_labels_and_names_tell_jobs_apart():
+def test_labels_and_log_names_distinguish_jobs():
     assert varying([["preset=tiny", "seed=0"], ["preset=tiny", "seed=1"]]) == {"seed=0", "seed=1"}
     assert varying([["seed=0"]]) == {"seed=0"}
     assert file_name("mono seed=1/../x", 3) == "003-mono_seed=1_.._x.log"
 
 
-def test_no_jobs_at_a_time_is_refused():
+def test_zero_jobs_at_a_time_are_refused():
     with pytest.raises(ValueError, match="n_jobs=0"):
         ProcessLauncher(n_jobs=0, force=False)

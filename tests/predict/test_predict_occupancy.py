@@ -1,5 +1,6 @@
-"""`predict.py occupancy` on a scene out of thin air, against the way that evaluate.py takes."""
+"""`predict.py occupancy` on a random scene, compared with the labels of evaluate.py."""
 
+import dataclasses
 import json
 import re
 import shutil
@@ -12,37 +13,39 @@ import torch
 
 from omniocc.camera import Rig
 from omniocc.camera.pose import pose_from_angles
+from omniocc.classes import ClassTable, SemanticClass
 from omniocc.config import plain
-from omniocc.data import SceneReader, WindowDataset, collate
+from omniocc.data import SceneReader, SourceSpec, WindowDataset, collate
 from omniocc.data.labels.voxels import VoxelCache
 from omniocc.data.recording.spec import plain_spec
 from omniocc.data.store.codec import encode_frame
 from omniocc.data.store.shard import SceneWriter
 from omniocc.errors import UserError
-from omniocc.predict.export import export_scene
-from omniocc.predict.export import main as export
+from omniocc.predict.export_scene import export_scene
+from omniocc.predict.export_scene import main as export
 from omniocc.predict.input.poses import read_poses, write_poses
 from omniocc.predict.network import load_depth
 from omniocc.predict.occupancy import options_of, predict_occupancy
-from omniocc.predict.predictor import blinded
+from omniocc.predict.predictor import mask_cameras
+from omniocc.run.checkpoint import contents
 from omniocc.task.build import build_task, load_task
 from omniocc.task.scores import Scores
 from omniocc.world.frame import Frame
 
 ROOT = Path(__file__).parents[2]
 RIG = Rig.load("fisheye6").resized(64, 36)
-MOMENTS = [f"{k:06d}" for k in range(5)]
-QUICK = ("picture=false", "mesh=false")
+FRAMES = [f"{k:06d}" for k in range(5)]
+QUICK = ("overview=false", "mesh=false")
 pytestmark = [
     pytest.mark.filterwarnings("ignore:voxels are voted anew"),
     pytest.mark.filterwarnings("ignore:Sparse CSR"),
 ]
 
 
-def make_frame(index: int) -> Frame:
+def make_frame(index: int, num_classes: int) -> Frame:
     rng = np.random.default_rng(index)
     range_m = rng.uniform(0.5, 60, (6, 36, 64)).astype(np.float32)
-    # a car that turns; patches instead of noise, so that JPEG leaves something of them
+    # a car that turns; patches instead of noise, which JPEG would blur
     patches = rng.integers(0, 256, (6, 6, 8, 3), dtype=np.uint8)
     level = pose_from_angles((0.0, 0.0, 0.0), 0.0, 0.0, 0.0).inverse()
     pose = pose_from_angles((2.3 * index, 0.4 * index, 0.0), 11.0 * index, 0.0, 0.0) @ level
@@ -54,19 +57,17 @@ def make_frame(index: int) -> Frame:
         range_m=range_m,
         erp_range_m=rng.uniform(0.5, 60, (12, 48)).astype(np.float32),
         points_m=rng.uniform([-20, -20, -2.5], [20, 20, 3], (3000, 3)).astype(np.float32),
-        point_labels=rng.integers(1, 12, 3000).astype(np.uint8),
+        point_labels=rng.integers(1, num_classes, 3000).astype(np.uint8),
         lidar_range_m=rng.uniform(1, 50, 14040).astype(np.float32),
-        lidar_labels=rng.integers(1, 12, 14040).astype(np.uint8),
+        lidar_labels=rng.integers(1, num_classes, 14040).astype(np.uint8),
         boxes=(),
     )
 
 
-@pytest.fixture(scope="module")
-def scene(tmp_path_factory, spec) -> Path:
-    folder = tmp_path_factory.mktemp("data") / "test-000-nowhere"
+def write_scene(folder: Path, spec: SourceSpec, frames: int) -> Path:
     writer = SceneWriter(folder)
-    for index in range(len(MOMENTS)):
-        frame = make_frame(index)
+    for index in range(frames):
+        frame = make_frame(index, spec.classes.num_classes)
         entry = {"time_s": frame.time_s, "world_from_ego": frame.world_from_ego.tolist()}
         writer.append(encode_frame(frame), entry)
     writer.attach("rig.yaml", RIG.save)
@@ -76,18 +77,23 @@ def scene(tmp_path_factory, spec) -> Path:
 
 
 @pytest.fixture(scope="module")
+def scene(tmp_path_factory, spec) -> Path:
+    return write_scene(tmp_path_factory.mktemp("data") / "test-000-nowhere", spec, len(FRAMES))
+
+
+@pytest.fixture(scope="module")
 def checkpoint(tmp_path_factory, smoke, spec) -> Path:
-    """With the weights that training begins with."""
+    """Return a checkpoint with initial weights."""
     torch.manual_seed(3)
     task = build_task(smoke(), spec)
     path = tmp_path_factory.mktemp("run") / "best.ckpt"
-    torch.save({"config": plain(smoke()), "state_dict": task.state_dict()}, path)
+    torch.save(contents("occupancy", plain(smoke())) | {"state_dict": task.state_dict()}, path)
     return path
 
 
 @pytest.fixture(scope="module")
 def evaluated(scene, checkpoint, spec):
-    """Labels of every frame as `evaluate.py` has them, and its figures."""
+    """Return the labels of every frame and the scores of `evaluate.py`."""
     task, _ = load_task(checkpoint, [])
     task.eval()
     geometry = task.model.geometry
@@ -101,10 +107,10 @@ def evaluated(scene, checkpoint, spec):
 
 
 @pytest.fixture(scope="module")
-def pictures(scene, tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("pictures") / "drive"
+def images(scene, tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("images") / "sequence"
     export([str(scene), str(folder)])
-    assert sorted(path.name for path in folder.iterdir()) == [*MOMENTS, "poses.csv", "rig.yaml"]
+    assert sorted(path.name for path in folder.iterdir()) == [*FRAMES, "poses.csv", "rig.yaml"]
     return folder
 
 
@@ -117,30 +123,30 @@ def run(composed):
 
 
 def labels_in(folder: Path) -> np.ndarray:
-    return np.stack([np.load(folder / name / "voxels.npz")["labels"] for name in MOMENTS])
+    return np.stack([np.load(folder / name / "voxels.npz")["labels"] for name in FRAMES])
 
 
-def drive_of(pictures, checkpoint):
-    return f"checkpoint={checkpoint}", f"images={pictures}", f"rig={pictures / 'rig.yaml'}"
+def source_of(images, checkpoint):
+    return f"checkpoint={checkpoint}", f"images={images}", f"rig={images / 'rig.yaml'}"
 
 
-def test_pictures_give_the_labels_of_evaluation(evaluated, pictures, checkpoint, tmp_path, capsys, run):
+def test_images_give_the_labels_of_evaluation(evaluated, images, checkpoint, tmp_path, capsys, run):
     expected, _ = evaluated
-    assert len(np.unique(expected)) > 3  # or equality would mean nothing
-    source, poses = drive_of(pictures, checkpoint), f"poses={pictures / 'poses.csv'}"
+    assert len(np.unique(expected)) > 3  # otherwise equality would prove nothing
+    source, poses = source_of(images, checkpoint), f"poses={images / 'poses.csv'}"
     run(*source, poses, *QUICK, f"output={tmp_path / 'stream'}")
     assert np.array_equal(labels_in(tmp_path / "stream"), expected)
-    assert "history   stream: up to 2 past moments" in capsys.readouterr().out
+    assert "history   stream: up to 2 past frames" in capsys.readouterr().out
     run(*source, poses, *QUICK, f"output={tmp_path / 'window'}", "history=window")
     assert np.array_equal(labels_in(tmp_path / "window"), expected)
     run(*source, *QUICK, f"output={tmp_path / 'none'}")
     assert "history   off: without poses=..." in capsys.readouterr().out
     alone = labels_in(tmp_path / "none")
     assert np.array_equal(alone[0], expected[0])
-    assert all((alone[k] != expected[k]).any() for k in range(1, len(MOMENTS)))
+    assert all((alone[k] != expected[k]).any() for k in range(1, len(FRAMES)))
 
 
-def test_recorded_frames_give_labels_and_figures_of_evaluation(evaluated, scene, checkpoint, tmp_path, capsys, run):
+def test_recorded_frames_give_labels_and_scores_of_evaluation(evaluated, scene, checkpoint, tmp_path, capsys, run):
     expected, figures = evaluated
     run(f"checkpoint={checkpoint}", f"recorded={scene.parent}", *QUICK, f"output={tmp_path}")
     assert np.array_equal(labels_in(tmp_path / scene.name), expected)
@@ -156,33 +162,33 @@ def test_a_few_frames_have_the_history_of_all(evaluated, scene, checkpoint, tmp_
     folder = tmp_path / scene.name
     assert sorted(path.name for path in folder.iterdir()) == ["000002", "000004"]
     for k in (2, 4):
-        assert np.array_equal(np.load(folder / MOMENTS[k] / "voxels.npz")["labels"], evaluated[0][k])
+        assert np.array_equal(np.load(folder / FRAMES[k] / "voxels.npz")["labels"], evaluated[0][k])
 
 
-def test_a_stopped_run_goes_on(evaluated, scene, checkpoint, tmp_path, capsys, run):
+def test_a_stopped_run_continues(evaluated, scene, checkpoint, tmp_path, capsys, run):
     arguments = (f"checkpoint={checkpoint}", f"recorded={scene}", *QUICK, f"output={tmp_path}")
     run(*arguments)
-    files = {name: tmp_path / scene.name / name / "voxels.npz" for name in MOMENTS}
+    files = {name: tmp_path / scene.name / name / "voxels.npz" for name in FRAMES}
     before = {name: path.stat().st_mtime_ns for name, path in files.items()}
     whole = (tmp_path / "metrics.json").read_text()
     files["000003"].unlink()
     capsys.readouterr()
     run(*arguments)
-    assert "left alone: 4 of the moments" in capsys.readouterr().out
-    assert [name for name in MOMENTS if files[name].stat().st_mtime_ns != before[name]] == ["000003"]
+    assert "4 frames are finished" in capsys.readouterr().out
+    assert [name for name in FRAMES if files[name].stat().st_mtime_ns != before[name]] == ["000003"]
     assert np.array_equal(labels_in(tmp_path / scene.name), evaluated[0])
     assert (tmp_path / "metrics.json").read_text() == whole
     run(*arguments, "force=true")
-    assert all(files[name].stat().st_mtime_ns != before[name] for name in MOMENTS)
-    with pytest.raises(UserError, match=r"otherwise.*history.*stream.*force=true"):
+    assert all(files[name].stat().st_mtime_ns != before[name] for name in FRAMES)
+    with pytest.raises(UserError, match=r"history.*stream.*force=true"):
         run(*arguments, "history=none")
 
 
-def test_files_of_a_moment(pictures, scene, checkpoint, tmp_path, evaluated, monkeypatch, run):
+def test_files_of_a_frame(images, scene, checkpoint, tmp_path, evaluated, monkeypatch, run):
     run(f"checkpoint={checkpoint}", f"recorded={scene}", "frames=[1]", f"output={tmp_path}")
     folder = tmp_path / scene.name / "000001"
-    assert sorted(path.name for path in folder.iterdir()) == ["picture.png", "voxels.npz", "voxels.ply"]
-    assert cv2.imread(str(folder / "picture.png")).shape[1] == 1280
+    assert sorted(path.name for path in folder.iterdir()) == ["overview.png", "voxels.npz", "voxels.ply"]
+    assert cv2.imread(str(folder / "overview.png")).shape[1] == 1280
     header = (folder / "voxels.ply").read_bytes().split(b"end_header")[0].decode()
     assert (
         int(re.search(r"element vertex (\d+)", header)[1]) == 2 * int(re.search(r"element face (\d+)", header)[1]) > 0
@@ -193,7 +199,7 @@ def test_files_of_a_moment(pictures, scene, checkpoint, tmp_path, evaluated, mon
     assert arrays["class_names"][7] == "Vehicle"
     assert arrays["class_colors"][7].tolist() == [142, 0, 0]
     assert np.array_equal(arrays["world_from_ego"], SceneReader(scene).world_from_ego[1])
-    # the documented way to place voxels, word for word
+    # the code of the docs that places voxels, verbatim
     (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "predict.md").read_text(), re.DOTALL)
     (tmp_path / "occupancy" / "0000").mkdir(parents=True)
     shutil.copy(folder / "voxels.npz", tmp_path / "occupancy" / "0000")
@@ -206,110 +212,113 @@ def test_files_of_a_moment(pictures, scene, checkpoint, tmp_path, evaluated, mon
     assert found["names"].tolist() == [arrays["class_names"][k] for k in evaluated[0][1][occupied]]
 
 
-def test_cameras_of_another_rig_and_fewer_of_them(checkpoint, pictures, tmp_path, capsys, run):
+def test_cameras_of_another_rig_and_fewer_of_them(checkpoint, images, tmp_path, capsys, run):
     rig = Rig.load("surround_view").resized(96, 64)
-    for moment in ("9", "10"):  # in this order
-        (tmp_path / "drive" / moment).mkdir(parents=True)
+    for frame in ("9", "10"):  # in this order
+        (tmp_path / "sequence" / frame).mkdir(parents=True)
         for k, name in enumerate(rig.names[:3]):
-            shutil.copy(pictures / MOMENTS[0] / f"{RIG.names[k]}.png", tmp_path / "drive" / moment / f"{name}.png")
-            image = cv2.imread(str(tmp_path / "drive" / moment / f"{name}.png"))
-            cv2.imwrite(str(tmp_path / "drive" / moment / f"{name}.png"), cv2.resize(image, (96, 64)))
+            shutil.copy(images / FRAMES[0] / f"{RIG.names[k]}.png", tmp_path / "sequence" / frame / f"{name}.png")
+            image = cv2.imread(str(tmp_path / "sequence" / frame / f"{name}.png"))
+            cv2.imwrite(str(tmp_path / "sequence" / frame / f"{name}.png"), cv2.resize(image, (96, 64)))
     rig.save(tmp_path / "four.yaml")
     (tmp_path / "poses.csv").write_text("9,0,0,0,1,0,0,0\n10,1,0,0,1,0,0,0\n")
-    source = (f"checkpoint={checkpoint}", f"images={tmp_path / 'drive'}", f"rig={tmp_path / 'four.yaml'}")
-    run(*source, f"poses={tmp_path / 'poses.csv'}", f"without=[{rig.names[3]}]", f"output={tmp_path / 'out'}")
-    assert "others than in training (fisheye6)" in capsys.readouterr().out
+    source = (f"checkpoint={checkpoint}", f"images={tmp_path / 'sequence'}", f"rig={tmp_path / 'four.yaml'}")
+    run(*source, f"poses={tmp_path / 'poses.csv'}", f"exclude_cameras=[{rig.names[3]}]", f"output={tmp_path / 'out'}")
+    assert "not those of the training (fisheye6)" in capsys.readouterr().out
     first, second = (np.load(tmp_path / "out" / name / "voxels.npz")["labels"] for name in ("9", "10"))
     assert (first != second).any()  # 10 has a past, 9 has none
-    shutil.copytree(tmp_path / "drive" / "9", tmp_path / "alone" / "9")
+    shutil.copytree(tmp_path / "sequence" / "9", tmp_path / "alone" / "9")
     source = (f"checkpoint={checkpoint}", f"images={tmp_path / 'alone'}", f"rig={tmp_path / 'four.yaml'}")
-    run(*source, f"without=[{rig.names[3]}]", f"output={tmp_path / 'out2'}", *QUICK)
+    run(*source, f"exclude_cameras=[{rig.names[3]}]", f"output={tmp_path / 'out2'}", *QUICK)
     assert np.array_equal(np.load(tmp_path / "out2" / "9" / "voxels.npz")["labels"], first)
 
 
-def test_a_rig_whose_origin_lies_elsewhere(evaluated, pictures, checkpoint, tmp_path, run):
-    """The same car with the origin of its files 1.7 m lower: half a metre above the road."""
+def test_a_rig_whose_origin_lies_elsewhere(evaluated, images, checkpoint, tmp_path, run):
+    """Move the origin of the same car's files 1.7 m down, to half a metre above the road."""
     poses = RIG.ego_from_camera.clone()
     poses[:, 2, 3] += 1.7
     Rig(RIG.cameras, poses, RIG.names).save(tmp_path / "low.yaml")
     lower = torch.eye(4, dtype=torch.float64)
     lower[2, 3] = -1.7
-    world_from_low = read_poses(pictures / "poses.csv", MOMENTS) @ lower
-    write_poses(tmp_path / "low.csv", MOMENTS, world_from_low)
-    source = (f"checkpoint={checkpoint}", f"images={pictures}", f"rig={tmp_path / 'low.yaml'}")
-    run(*source, f"poses={tmp_path / 'low.csv'}", "road_z_m=-0.5", "picture=false", f"output={tmp_path / 'out'}")
-    assert (labels_in(tmp_path / "out") == evaluated[0]).mean() > 0.999  # but for rounding of poses
-    arrays = np.load(tmp_path / "out" / MOMENTS[1] / "voxels.npz")
+    world_from_low = read_poses(images / "poses.csv", FRAMES) @ lower
+    write_poses(tmp_path / "low.csv", FRAMES, world_from_low)
+    source = (f"checkpoint={checkpoint}", f"images={images}", f"rig={tmp_path / 'low.yaml'}")
+    run(*source, f"poses={tmp_path / 'low.csv'}", "road_z_m=-0.5", "overview=false", f"output={tmp_path / 'out'}")
+    assert (labels_in(tmp_path / "out") == evaluated[0]).mean() > 0.999  # apart from rounding of poses
+    arrays = np.load(tmp_path / "out" / FRAMES[1] / "voxels.npz")
     assert np.allclose((arrays["low"][2], arrays["high"][2]), (-2.8 + 1.7, 3.6 + 1.7))
     assert np.allclose(arrays["world_from_ego"], world_from_low[1].numpy())
-    header, _, body = (tmp_path / "out" / MOMENTS[1] / "voxels.ply").read_bytes().partition(b"end_header\n")
+    header, _, body = (tmp_path / "out" / FRAMES[1] / "voxels.ply").read_bytes().partition(b"end_header\n")
     count = int(re.search(rb"element vertex (\d+)", header)[1])
     z = np.frombuffer(body, [("xyz", "<f4", 3), ("rgb", "u1", 3)], count)["xyz"][:, 2]
     assert -1.1001 <= z.min() < -1.0
     assert z.max() <= 5.3001
 
 
-def test_a_camera_left_out_colours_nothing(checkpoint, pictures, tmp_path, run):
-    """Whatever is in its picture."""
+def test_an_excluded_camera_colours_nothing(checkpoint, images, tmp_path, run):
+    """Its image makes no difference."""
     ring = torch.tensor([[5.0, 0, 0], [-5, 0, 0], [0, 5, 0], [0, -5, 0]])
     sees = RIG.project(ring)[1]
     assert sees[RIG.names.index("rear")].any()
     sees[RIG.names.index("rear")] = False
-    assert torch.equal(blinded(RIG, ("rear",)).project(ring)[1], sees)
+    assert torch.equal(mask_cameras(RIG, ("rear",)).project(ring)[1], sees)
     other = tmp_path / "other"
-    shutil.copytree(pictures, other)
-    (other / MOMENTS[0] / "rear.png").write_bytes((other / MOMENTS[0] / "front.png").read_bytes())
+    shutil.copytree(images, other)
+    (other / FRAMES[0] / "rear.png").write_bytes((other / FRAMES[0] / "front.png").read_bytes())
     labels = []
-    for k, folder in enumerate((pictures, other)):
-        source = f"checkpoint={checkpoint}", f"images={folder / MOMENTS[0]}", f"rig={folder / 'rig.yaml'}"
-        run(*source, "without=[rear]", *QUICK, f"output={tmp_path / str(k)}")
+    for k, folder in enumerate((images, other)):
+        source = f"checkpoint={checkpoint}", f"images={folder / FRAMES[0]}", f"rig={folder / 'rig.yaml'}"
+        run(*source, "exclude_cameras=[rear]", *QUICK, f"output={tmp_path / str(k)}")
         labels.append(np.load(tmp_path / str(k) / "voxels.npz")["labels"])
     assert np.array_equal(*labels)
 
 
-def test_mistakes_are_named_in_a_line(pictures, scene, checkpoint, tmp_path, capsys, run):
+def test_mistakes_are_named_in_a_line(images, scene, checkpoint, tmp_path, capsys, run):
     content = torch.load(checkpoint, weights_only=True)
     depth = {
         name.replace("sketch.depth.", ""): value for name, value in content["state_dict"].items() if ".depth." in name
     }
-    torch.save({"config": content["config"], "state_dict": depth}, tmp_path / "depth.ckpt")
+    torch.save(contents("depth", content["config"]) | {"state_dict": depth}, tmp_path / "depth.ckpt")
     (tmp_path / "damaged.ckpt").write_bytes(checkpoint.read_bytes()[:3000])
     next(value for name, value in content["state_dict"].items() if "classifier" in name).fill_(torch.nan)
     torch.save(content, tmp_path / "nan.ckpt")
     cropped = tmp_path / "cropped"
-    shutil.copytree(pictures / MOMENTS[0], cropped)
+    shutil.copytree(images / FRAMES[0], cropped)
     cv2.imwrite(str(cropped / "rear.png"), np.zeros((48, 64, 3), np.uint8))
-    poses = (pictures / "poses.csv").read_text().splitlines()
+    poses = (images / "poses.csv").read_text().splitlines()
     (tmp_path / "few.csv").write_text("\n".join(poses[:-1]))
     (tmp_path / "nan.csv").write_text("\n".join([*poses[:-1], "000004" + ",nan" * 16]))
     (tmp_path / "file").write_text("in the way")
-    trained, own, rig = f"checkpoint={checkpoint}", f"images={pictures}", f"rig={pictures / 'rig.yaml'}"
+    trained, own, rig = f"checkpoint={checkpoint}", f"images={images}", f"rig={images / 'rig.yaml'}"
     cases = (
-        ([own, rig], ["checkpoint=... is needed"]),
-        ([f"checkpoint={tmp_path / 'depth.ckpt'}", own, rig], ["of the depth stage", "best.ckpt"]),
+        ([own, rig], ["checkpoint=..."]),
+        ([f"checkpoint={tmp_path / 'depth.ckpt'}", own, rig], ["depth stage", "best.ckpt"]),
         ([f"checkpoint={tmp_path / 'damaged.ckpt'}", own, rig], ["damaged.ckpt"]),
         ([f"checkpoint={tmp_path / 'nan.ckpt'}", own, rig], ["nan.ckpt", "NaN"]),
         ([trained], ["either images=", "or recorded="]),
-        ([trained, own], ["rig=... is needed", f"there is {pictures / 'rig.yaml'}"]),
+        ([trained, own], ["rig=...", f"there is {images / 'rig.yaml'}"]),
         ([trained, own, "rig=fisheye7"], ["fisheye7", "fisheye6"]),
         ([trained, own, rig, "history=strem"], ["history", "'strem'", "'stream'"]),
-        ([trained, own, rig, "history=stream"], ["history=stream needs the pose", "poses=..."]),
-        ([trained, own, rig, f"poses={tmp_path / 'few.csv'}"], ["few.csv", "no pose of moment '000004'", "'000003'"]),
-        ([trained, own, rig, f"poses={tmp_path / 'nan.csv'}"], ["line 6", "moment '000004'", "not finite"]),
-        ([trained, f"images={pictures / MOMENTS[0]}", rig, f"poses={pictures / 'poses.csv'}"], ["a single moment"]),
+        ([trained, own, rig, "history=stream"], ["history=stream", "poses=..."]),
+        ([trained, own, rig, f"poses={tmp_path / 'few.csv'}"], ["few.csv", "no pose of frame '000004'", "'000003'"]),
+        ([trained, own, rig, f"poses={tmp_path / 'nan.csv'}"], ["line 6", "frame '000004'", "not finite"]),
+        ([trained, f"images={images / FRAMES[0]}", rig, f"poses={images / 'poses.csv'}"], ["single frame"]),
         ([trained, f"images={cropped}", rig], ["rear.png", "64x48", "64x36"]),
-        ([trained, f"images={pictures / MOMENTS[0]}", "rig=surround_view"], ["no image of camera", "rear_left"]),
+        ([trained, f"images={images / FRAMES[0]}", "rig=surround_view"], ["no image", "rear_left"]),
         ([trained, own, rig, f"output={tmp_path / 'file' / 'x'}"], ["cannot be written", "output="]),
         ([trained, own, rig, "device=tpu9"], ["device=tpu9"]),
         ([trained, own, rig, "scene=x"], ["scene=", "recorded="]),
         ([trained, f"recorded={scene}", rig], ["rig=", "images="]),
         ([trained, f"recorded={scene}", "frames=[5]"], ["frames=[5]", "0 to 4"]),
         ([trained, f"recorded={scene.parent}", "scene=test-000-nowere"], ["did you mean 'test-000-nowhere'"]),
-        ([trained, f"recorded={tmp_path}"], ["holds no recorded scenes"]),
-        ([trained, f"recorded={scene}", "without=[raer]"], ["without=raer", "is it 'rear'", "front_left"]),
+        ([trained, f"recorded={tmp_path}"], ["no recorded scenes"]),
         (
-            [trained, f"recorded={scene}", f"without=[{','.join(Rig.load(pictures / 'rig.yaml').names)}]"],
-            ["every camera is left out"],
+            [trained, f"recorded={scene}", "exclude_cameras=[raer]"],
+            ["=raer", "is it 'rear'", "front_left"],
+        ),
+        (
+            [trained, f"recorded={scene}", f"exclude_cameras=[{','.join(Rig.load(images / 'rig.yaml').names)}]"],
+            ["every camera"],
         ),
     )
     for k, (arguments, words) in enumerate(cases):
@@ -334,11 +343,41 @@ def test_the_depth_network_of_an_occupancy_checkpoint(checkpoint, tmp_path):
     assert all(torch.equal(value, inside[name]) for name, value in depth.state_dict().items())
     content = torch.load(checkpoint, weights_only=True)
     rest = {name: value for name, value in content["state_dict"].items() if ".sketch." not in name}
-    torch.save({"config": content["config"], "state_dict": rest}, tmp_path / "dense.ckpt")
+    torch.save(contents("occupancy", content["config"]) | {"state_dict": rest}, tmp_path / "dense.ckpt")
     with pytest.raises(UserError, match=r"dense\.ckpt.*depth"):
         load_depth(tmp_path / "dense.ckpt")
 
 
-def test_a_scene_that_is_none_cannot_be_exported(tmp_path):
+def test_a_folder_without_a_scene_cannot_be_exported(tmp_path):
     with pytest.raises(UserError, match="recorded scene"):
         export_scene(tmp_path, tmp_path / "out")
+
+
+def test_a_model_of_nineteen_classes_scores_its_own(scene, checkpoint, images, smoke, spec, tmp_path, capsys, run):
+    classes = ClassTable(tuple(SemanticClass(k, f"kind{k}", (k, 2 * k, 255 - k)) for k in range(19)))
+    spec = dataclasses.replace(spec, classes=classes, range_edges_m=(0.0, 10.0, 20.0), road_z_m=-1.7)
+    root = tmp_path / "scenes"
+    for name in ("train-000-here", "test-000-here"):
+        write_scene(root / name, spec, 2)
+    splits = "data.source.splits={train: [train-*], val: [], test: [test-*]}"
+    cfg = smoke("data=recorded", f"data.source.root={root}", splits, "data.num_classes=19")
+    task = build_task(cfg, spec)
+    trained = tmp_path / "nineteen.ckpt"
+    torch.save(contents("occupancy", plain(cfg)) | {"state_dict": task.state_dict()}, trained)
+
+    run(f"checkpoint={trained}", f"recorded={root}", "overview=false", f"output={tmp_path / 'out'}")
+    assert "as in training" in capsys.readouterr().out
+    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())["metrics"]
+    names = {key.rpartition("/")[2] for key in metrics if key.startswith("test/voxel/iou/")}
+    assert names == set(classes.names[1:])
+    assert {"test/rayiou_0-10m", "test/lidar/rayiou/kind18"} <= set(metrics)
+    arrays = np.load(tmp_path / "out" / "test-000-here" / FRAMES[1] / "voxels.npz")
+    assert arrays["class_names"].tolist() == list(classes.names)
+
+    source = source_of(images, trained)
+    run(*source, *QUICK, "road_z_m=-0.7", f"output={tmp_path / 'own'}")  # 1 m higher than in training
+    low = task.model.geometry.height_m[0]
+    assert np.load(tmp_path / "own" / FRAMES[0] / "voxels.npz")["low"][2] == pytest.approx(low + 1)
+
+    with pytest.raises(UserError, match=r"has 12 classes .*trained with 19"):
+        run(f"checkpoint={trained}", f"recorded={scene}", f"output={tmp_path / 'other'}")

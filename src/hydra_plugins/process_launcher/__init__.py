@@ -1,4 +1,4 @@
-"""Hydra launcher: every job of a multirun is a process of its own, some at a time."""
+"""Hydra launcher that runs every job of a multirun in its own process, several at a time."""
 
 from hydra_plugins.process_launcher.launcher import ProcessLauncher
 

@@ -1,4 +1,4 @@
-"""One job of a multirun: a process, a log file of what it prints, and a status file of what it has done."""
+"""One job of a multirun: a process, a log file of its output, and a status file of its progress."""
 
 import ctypes
 import os
@@ -12,17 +12,17 @@ from pathlib import Path
 from omniocc.progress import STATUS_FILE, Status, read_status
 
 TAIL_BYTES = 4096
-LINES_OF_A_FAILURE = 12
+FAILURE_LINES = 12
 PR_SET_PDEATHSIG = 1
 
 
 class Job:
-    """A process that is started later, in a process group of its own.
+    """A process that is started later, in its own process group.
 
     Args:
-        label: how it is called in messages.
+        label: its name in messages.
         command: program and arguments.
-        log: file that gets everything it prints; an old one is replaced. The status file lies beside it.
+        log: file of its output, replaced if it exists. The status file is beside it.
     """
 
     def __init__(self, label: str, command: Sequence[str], log: Path):
@@ -31,10 +31,10 @@ class Job:
         self.log = log
         self.status_file = log.with_suffix(".status.json")
         self.process: subprocess.Popen[bytes] | None = None
-        self.began_s = self.elapsed_s = 0.0
+        self.started_s = self.elapsed_s = 0.0
 
     def start(self, environment: dict[str, str]) -> None:
-        """Begin."""
+        """Start the process with additional environment variables."""
         self.status_file.unlink(missing_ok=True)
         with self.log.open("wb") as output:
             self.process = subprocess.Popen(
@@ -44,13 +44,13 @@ class Job:
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
-                preexec_fn=die_with_parent,
+                preexec_fn=end_with_parent,
             )
-        self.began_s = time.monotonic()
+        self.started_s = time.monotonic()
 
     @property
     def code(self) -> int | None:
-        """Exit code; None before the end."""
+        """Return the exit code; None before the end."""
         if self.process is None:
             return None
         code = self.process.poll()
@@ -60,27 +60,27 @@ class Job:
 
     @property
     def age_s(self) -> float:
-        """Since it began."""
-        return time.monotonic() - self.began_s
+        """Return the seconds since its start."""
+        return time.monotonic() - self.started_s
 
     @property
     def running(self) -> bool:
-        """Started and not at its end."""
+        """Return whether it has started and not ended."""
         return self.process is not None and self.code is None
 
     @property
     def waiting(self) -> bool:
-        """Whether it waits for what another job makes."""
+        """Return whether it waits for the result of another job."""
         status = self.status
         return self.running and status is not None and status.state == "waiting"
 
     @property
     def status(self) -> Status | None:
-        """What it has reported last, None before its first report."""
+        """Return its last reported status, None before the first."""
         return read_status(self.status_file)
 
-    def last_lines(self, count: int = LINES_OF_A_FAILURE) -> list[str]:
-        """Its last lines that are not empty."""
+    def last_lines(self, count: int = FAILURE_LINES) -> list[str]:
+        """Return the last lines of its log that are not empty."""
         if not self.log.exists():
             return []
         with self.log.open("rb") as file:
@@ -89,21 +89,21 @@ class Job:
         return [line.rstrip() for line in text.splitlines() if line.strip()][-count:]
 
     def interrupt(self, number: int) -> None:
-        """Send a signal to the process and its children."""
+        """Send a signal to its process group."""
         if self.process is not None and self.running:
             os.killpg(self.process.pid, number)
 
 
-def die_with_parent() -> None:
-    """In the child: be told to end when the parent does, however that happens (Linux)."""
+def end_with_parent() -> None:
+    """Ask Linux, in the child, to send it SIGTERM when its parent ends for any reason."""
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 def label_of(overrides: Sequence[str]) -> str:
-    """What tells a job from others: `+ablation=mono seed=1` is `mono seed=1`."""
+    """Return the name of a job with these overrides: `mono seed=1` for `+ablation=mono seed=1`."""
     return " ".join(override.removeprefix("+ablation=") for override in overrides)
 
 
 def file_name(label: str, number: int) -> str:
-    """A log file's name."""
+    """Return the name of a job's log file."""
     return f"{number:03d}-{re.sub(r'[^A-Za-z0-9_.=-]+', '_', label)[:80]}.log"

@@ -1,4 +1,4 @@
-"""See the package: jobs as processes, one line about all of them, failures at the end."""
+"""Run the jobs of a multirun as processes, show one line about all of them, list failures at the end."""
 
 import os
 import signal
@@ -16,21 +16,22 @@ from hydra_plugins.process_launcher.job import Job, file_name, label_of
 from omniocc.progress import clock
 
 POLL_S = 0.5
-INTERRUPTED = 130  # as shells say it of a process that Ctrl-C has ended
+SEPARATOR = " | "  # between the jobs of the progress line; on a terminal each has a line of its own
+INTERRUPTED = 130  # exit code of a process that Ctrl-C has ended, as in shells
 LINE_EVERY_S = 60.0
-PATIENCE_S = 20.0
+GRACE_S = 20.0
 
 
 class ProcessLauncher(Launcher):
     """Runs the jobs of a multirun as `python <script> <overrides>`, in the order given.
 
-    A job that fails stops no other; its last lines are printed at the end and the exit code is 1. Jobs end with their
-    parent. The script itself continues what was interrupted and leaves alone what is finished.
+    A failing job does not stop the others; its last lines are printed at the end and the exit code is 1. Jobs end with
+    their parent. The script itself continues interrupted jobs and skips finished ones.
 
     Args:
-        n_jobs: jobs at a time; while one waits for what another makes, the next begins, up to as many again. Cores are
-            shared evenly by `OMP_NUM_THREADS`, where it is not set.
-        force: train again beside what is finished (`resume=never` for every job).
+        n_jobs: jobs at a time; while one waits for the result of another, the next one starts, up to `n_jobs` more.
+            The cores are divided evenly by `OMP_NUM_THREADS`, unless it is set.
+        force: train finished jobs again, into new folders (`resume=never` for every job).
     """
 
     def __init__(self, n_jobs: int, force: bool):
@@ -40,11 +41,11 @@ class ProcessLauncher(Launcher):
         self.folder = Path()
 
     def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
-        """Hydra's hook: note where logs go."""
+        """Keep the folder of the logs; called by Hydra."""
         self.folder = Path(str(config.hydra.sweep.dir))
 
     def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
-        """Run all jobs; ends the process with exit code 1 if any fails, 130 after Ctrl-C."""
+        """Run all jobs; end this process with exit code 1 if any fails, 130 after Ctrl-C."""
         self.folder.mkdir(parents=True, exist_ok=True)
         varied = varying(job_overrides)
         jobs = []
@@ -58,7 +59,7 @@ class ProcessLauncher(Launcher):
             run_all(jobs, self.n_jobs)
         except KeyboardInterrupt:
             done = sum(job.code == 0 for job in jobs)
-            print(f"\nstopped, {done} of {len(jobs)} jobs are finished; the same command goes on", flush=True)
+            print(f"\nstopped, {done} of {len(jobs)} jobs are finished; the same command continues", flush=True)
             sys.exit(INTERRUPTED)
         failed = [job for job in jobs if job.code != 0]
         print(summary(jobs, failed), flush=True)
@@ -68,78 +69,84 @@ class ProcessLauncher(Launcher):
 
 
 def varying(job_overrides: Sequence[Sequence[str]]) -> set[str]:
-    """Overrides that not all jobs have; all of them if there is one job."""
-    everywhere = set.intersection(*map(set, job_overrides)) if len(job_overrides) > 1 else set()
-    return {override for overrides in job_overrides for override in overrides} - everywhere
+    """Return the overrides that not all jobs share; all of them if there is only one job."""
+    shared = set.intersection(*map(set, job_overrides)) if len(job_overrides) > 1 else set()
+    return {override for overrides in job_overrides for override in overrides} - shared
 
 
 def run_all(jobs: Sequence[Job], n_jobs: int) -> None:
-    """Start jobs as places get free and say how far they are, until all are at their end."""
+    """Start jobs as others end, and show their progress, until all have ended."""
     from rich.console import Console  # Hydra imports this module at every start of a script
 
     threads = str(max(1, (os.cpu_count() or 1) // n_jobs))
     environment = {} if "OMP_NUM_THREADS" in os.environ else {"OMP_NUM_THREADS": threads}
     console = Console()
-    began_s = said_s = time.monotonic()
+    started_s = printed_s = time.monotonic()
     try:
         with console.status("") as status:
             while any(job.code is None for job in jobs):
-                for job in [job for job in jobs if job.process is None][: places(jobs, n_jobs)]:
+                for job in [job for job in jobs if job.process is None][: free_slots(jobs, n_jobs)]:
                     job.start(environment)
-                line = progress(jobs, n_jobs, time.monotonic() - began_s)
-                status.update(line)
-                if not console.is_terminal and time.monotonic() - said_s > LINE_EVERY_S:
-                    said_s = time.monotonic()
+                line = progress(jobs, n_jobs, time.monotonic() - started_s)
+                status.update(line.replace(SEPARATOR, "\n  "))
+                if not console.is_terminal and time.monotonic() - printed_s > LINE_EVERY_S:
+                    printed_s = time.monotonic()
                     print(line, flush=True)
                 time.sleep(POLL_S)
     finally:
         stop(jobs)
 
 
-def places(jobs: Sequence[Job], n_jobs: int) -> int:
-    """How many jobs may begin now. Those that wait will all work one day, so that not many are let wait."""
+def free_slots(jobs: Sequence[Job], n_jobs: int) -> int:
+    """Return the number of jobs that may start now.
+
+    Waiting jobs are replaced, but at most `n_jobs` of them, since all of them will run at once later.
+    """
     running = sum(job.running for job in jobs)
     waiting = sum(job.waiting for job in jobs)
     return max(0, n_jobs + min(waiting, n_jobs) - running)
 
 
 def stop(jobs: Sequence[Job]) -> None:
-    """End what still runs: first as Ctrl-C would, then for good."""
+    """End the running jobs: with SIGINT as Ctrl-C does, then with SIGTERM, then with SIGKILL."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
         for job in jobs:
             job.interrupt(number)
-        deadline_s = time.monotonic() + PATIENCE_S
+        deadline_s = time.monotonic() + GRACE_S
         while any(job.running for job in jobs) and time.monotonic() < deadline_s:
             time.sleep(0.1)
 
 
 def progress(jobs: Sequence[Job], n_jobs: int, elapsed_s: float) -> str:
-    """One line: how many are done, when the rest will be, what each running job reports."""
+    """Return one line: how many jobs are done, the time left, what each running job reports."""
     done = [job for job in jobs if job.code is not None]
     failed = sum(job.code != 0 for job in done)
     left = f", about {clock(left_s(jobs, n_jobs))} left" if done else ""
     parts = [f"{len(done)} of {len(jobs)} jobs done{f', {failed} failed' if failed else ''}{left}"]
     parts += [f"{job.label}: {job.status or 'starting'}" for job in jobs if job.running]
-    return " | ".join([f"{clock(elapsed_s)}: {parts[0]}", *parts[1:]])
+    return SEPARATOR.join([f"{clock(elapsed_s)}: {parts[0]}", *parts[1:]])
 
 
 def left_s(jobs: Sequence[Job], n_jobs: int) -> float:
-    """Time until all are done, if each takes as long as those that are, or longer where it reports so itself."""
+    """Return the estimated seconds until all jobs are done.
+
+    Each job takes as long as the mean of the finished ones, or longer if it reports so.
+    """
     done = [job for job in jobs if job.code is not None]
     each_s = sum(job.elapsed_s for job in done) / len(done)
     running = [max(each_s - job.age_s, reported_left_s(job)) for job in jobs if job.running]
-    waiting = each_s * sum(job.process is None for job in jobs)
-    return max([(sum(running) + waiting) / n_jobs, *running])
+    pending_s = each_s * sum(job.process is None for job in jobs)
+    return max([(sum(running) + pending_s) / n_jobs, *running])
 
 
 def reported_left_s(job: Job) -> float:
-    """Return the seconds that a job reports are left of its present work; 0 if it reports none."""
+    """Return the seconds left that a job reports; 0 if it reports none."""
     status = job.status
     return 0.0 if status is None or status.left_s is None else status.left_s
 
 
 def summary(jobs: Sequence[Job], failed: Sequence[Job]) -> str:
-    """What became of the jobs, with the last lines of those that failed."""
+    """Return how many jobs finished, and the last lines of those that failed."""
     lines = [f"{len(jobs) - len(failed)} of {len(jobs)} jobs finished"]
     for job in failed:
         lines += [f"\nfailed: {job.label} (exit code {job.code}), {job.log}"]

@@ -1,4 +1,4 @@
-"""The whole network for one rig as a file that runs without this package."""
+"""Export the whole network for one rig as a file that runs without this package."""
 
 from omniocc.export.contract import contract_of
 from omniocc.export.files import Options, export_files, load_program

@@ -1,20 +1,20 @@
-"""What goes into a program and what comes out, for those who run it without this package."""
+"""Describe inputs and outputs of an exported program, for use without this package."""
 
 import dataclasses
 from typing import Any
 
-from omniocc.classes import CLASSES
+from omniocc.classes import ClassTable
 from omniocc.export.program import Frame, Step, example_inputs
 from omniocc.geometry import Grid
 
 MEANINGS = {
-    "images": "RGB 0..255 of every camera in the rig's order, rows from the top; black: this camera is missing",
-    "past_volumes": "volume of each frame before as the program gave it, oldest first; where there is none, zeros",
-    "past_exists": "whether there was such a frame",
-    "world_from_ego": "poses of the frames before and, last, of this one: p_world = world_from_ego @ p_ego, metres; "
-    "ego x forward, y left, z up; any rigid pose where there was no frame",
+    "images": "RGB 0..255 of every camera in the rig's order, rows from the top; a black image marks a missing camera",
+    "past_volumes": "output `volume` of each past frame, oldest first; zeros where there is none",
+    "past_exists": "whether the past frame exists",
+    "world_from_ego": "poses of the past frames and, last, of this one: p_world = world_from_ego @ p_ego, metres; "
+    "ego x forward, y left, z up; any rigid pose where a past frame does not exist",
     "labels": "class of every cell, see classes; axes as in grid.axes",
-    "volume": "features of this frame, for past_volumes of the next frames",
+    "volume": "features of this frame, an entry of past_volumes for the next frames",
 }
 AXES = {
     "Cylinder": ["radius, metres", "azimuth, radians, from -pi counter-clockwise from x, periodic", "height, metres"],
@@ -22,8 +22,13 @@ AXES = {
 }
 
 
-def contract_of(module: Frame | Step) -> dict[str, Any]:
-    """Names, shapes, types and units of inputs and outputs, the grid, the classes and the rig, as plain data."""
+def contract_of(module: Frame | Step, classes: ClassTable) -> dict[str, Any]:
+    """Return names, shapes, types and units of inputs and outputs, the grid, the classes and the rig, as plain data.
+
+    Args:
+        module: the program before its export.
+        classes: table of the labels.
+    """
     model, rig = module.model, module.rig
     names = ["images", "past_volumes", "past_exists", "world_from_ego"]
     inputs = [
@@ -44,12 +49,12 @@ def contract_of(module: Frame | Step) -> dict[str, Any]:
             "fingerprint": rig.fingerprint,
         },
         "grid": grid_of(model.geometry),
-        "classes": [kind.name for kind in CLASSES],
+        "classes": list(classes.names),
     }
 
 
 def grid_of(geometry: Grid) -> dict[str, Any]:
-    """Kind, sizes and axes of a grid: cell i along an axis spans low + (high - low) * [i, i + 1] / shape."""
+    """Return kind, sizes and axes of a grid: cell i along an axis spans low + (high - low) * [i, i + 1] / shape."""
     assert dataclasses.is_dataclass(geometry)
     kind = type(geometry).__name__
     return {

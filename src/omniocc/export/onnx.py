@@ -1,4 +1,4 @@
-"""From a recorded program to ONNX."""
+"""Convert an exported program to ONNX."""
 
 from typing import Any
 
@@ -13,30 +13,30 @@ def onnx_bytes(program: ExportedProgram, inputs: list[str], outputs: list[str]) 
     """Return the content of an ONNX file.
 
     Args:
-        program: what is to be computed.
+        program: the exported program.
         inputs: names of its inputs, in order.
         outputs: names of its outputs, in order.
 
     Raises:
-        UserError: if packages are missing or an operator has no counterpart.
+        UserError: when packages are missing or ONNX lacks an operator.
     """
     try:
         import onnxscript  # noqa: F401
     except ImportError as error:
-        raise UserError("ONNX needs more packages: pip install --editable '.[export]'; .pt2 needs none") from error
+        raise UserError("ONNX needs more packages: pip install --editable '.[export]'; .pt2 does not") from error
     program = program.run_decompositions(DECOMPOSITIONS)
     try:
         written = torch.onnx.export(program, dynamo=True, input_names=inputs, output_names=outputs, verbose=False)
     except torch.onnx.OnnxExporterError as error:
-        raise UserError(f"an operator has no counterpart in ONNX: {str(error).splitlines()[0]}") from error
+        raise UserError(f"ONNX lacks an operator: {str(error).splitlines()[0]}") from error
     assert written is not None
     model = written.model_proto
-    single_arctangents(model)
+    use_float32_arctangents(model)
     return model.SerializeToString()
 
 
-def single_arctangents(model: Any) -> None:
-    """Compute in float32 what arctangents an ONNX model has of float64, which onnxruntime 1.31 lacks."""
+def use_float32_arctangents(model: Any) -> None:
+    """Compute the float64 arctangents of an ONNX model in float32: onnxruntime 1.31 has none for float64."""
     import onnx
 
     values = [*model.graph.value_info, *model.graph.input]
@@ -54,7 +54,7 @@ def single_arctangents(model: Any) -> None:
     model.graph.node.extend(nodes)
 
 
-def weighted_bags(
+def embedding_bag(
     weight: Tensor,
     indices: Tensor,
     offsets: Tensor,
@@ -65,11 +65,11 @@ def weighted_bags(
     include_last_offset: bool = False,
     padding_idx: int | None = None,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """`embedding_bag` (mode sum) by gathering rows and adding them where they belong; ONNX has no such operator."""
+    """Compute `embedding_bag` (mode sum), which ONNX lacks, as a gather and a scattered sum."""
     assert mode == 0
     assert per_sample_weights is not None
     assert not include_last_offset
-    begins = torch.zeros(len(indices) + 1, dtype=torch.int64)  # empty bags at the end begin beyond
+    begins = torch.zeros(len(indices) + 1, dtype=torch.int64)  # empty bags at the end begin after the last index
     begins = begins.index_add(0, offsets.long(), torch.ones(len(offsets), dtype=torch.int64))
     bag = begins.cumsum(0)[:-1] - 1
     rows = weight.index_select(0, indices.long()) * per_sample_weights[:, None]
@@ -86,13 +86,13 @@ def convolution3d(
     dilation: Any = (1, 1, 1),
     groups: int = 1,
 ) -> Tensor:
-    """With a bias of zeros where there is none: onnxscript 0.7 makes one of a wrong shape."""
+    """Compute a convolution with an explicit zero bias: onnxscript 0.7 gives a missing one a wrong shape."""
     if bias is None:
         bias = weight.new_zeros(len(weight))
     return torch.ops.aten.convolution(volume, weight, bias, stride, padding, dilation, False, [0, 0, 0], groups)
 
 
 DECOMPOSITIONS: dict[Any, Any] = {
-    torch.ops.aten.embedding_bag.padding_idx: weighted_bags,
+    torch.ops.aten.embedding_bag.padding_idx: embedding_bag,
     torch.ops.aten.conv3d.default: convolution3d,
 }

@@ -1,4 +1,4 @@
-"""The whole network for one rig as a program of plain operators: `torch.export`."""
+"""Export the whole network for one rig as a program of plain operators with `torch.export`."""
 
 import traceback
 from collections.abc import Iterable
@@ -18,37 +18,32 @@ from omniocc.model.protocols import LearnedSketch, learns
 SLOTS = ("backbone", "sketch", "lifter", "temporal", "refiner")
 
 
-class Frame(nn.Module):
-    """One frame at a time, for a model that looks at no other.
+class Program(nn.Module):
+    """A model for one rig.
 
     Args:
         model: in evaluation mode.
-        rig: at the size of the images.
+        rig: its cameras at the size of the images.
     """
 
     def __init__(self, model: OccupancyModel, rig: Rig):
         super().__init__()
         self.model, self.rig = model, rig
 
+
+class Frame(Program):
+    """The program of a model without history: one frame at a time."""
+
     def forward(self, images: UInt8[Tensor, "N 3 H W"]) -> UInt8[Tensor, "X Y Z"]:
-        """Class of every cell, from RGB 0..255."""
+        """Return the class of every cell from RGB 0..255."""
         pose = torch.eye(4, dtype=torch.float64, device=images.device)[None, None]
         there = torch.ones(1, 1, dtype=torch.bool, device=images.device)
         lifted = self.model.lift(images[None], (self.rig,))
         return self.model.fuse([lifted.volume], pose, there, lifted.sketched).argmax(1)[0].to(torch.uint8)
 
 
-class Step(nn.Module):
-    """One frame of a drive; whoever runs the program keeps the volumes of the frames before.
-
-    Args:
-        model: in evaluation mode.
-        rig: at the size of the images.
-    """
-
-    def __init__(self, model: OccupancyModel, rig: Rig):
-        super().__init__()
-        self.model, self.rig = model, rig
+class Step(Program):
+    """The program of a model with history: one frame of a sequence. Its user keeps the volumes of the past frames."""
 
     def forward(
         self,
@@ -57,15 +52,15 @@ class Step(nn.Module):
         past_exists: Bool[Tensor, " P"],
         world_from_ego: Float64[Tensor, "T 4 4"],
     ) -> tuple[UInt8[Tensor, "X Y Z"], Float[Tensor, "C X Y Z"]]:
-        """Class of every cell of the newest frame, and its volume, which the next frames need.
+        """Return the class of every cell of the newest frame, and its volume, which the next frames need.
 
-        A plain tuple: a type of this package in the file would make readers need the package.
+        The result is a plain tuple: a type of this package in the file would require the package to load it.
 
         Args:
             images: RGB 0..255.
-            past_volumes: of the frames before, oldest first; any finite numbers where there was no frame.
-            past_exists: which of them there are.
-            world_from_ego: of the frames before and, last, of the newest.
+            past_volumes: of the past frames, oldest first; any finite numbers where a frame does not exist.
+            past_exists: whether each past frame exists.
+            world_from_ego: poses of the past frames and, last, of the newest.
         """
         volume, sketched, _ = self.model.lift(images[None], (self.rig,))
         exists = torch.cat([past_exists, torch.ones_like(past_exists[:1])])[None]
@@ -74,12 +69,12 @@ class Step(nn.Module):
 
 
 def make_module(model: OccupancyModel, rig: Rig) -> Frame | Step:
-    """The model as a function of one frame's images."""
+    """Return the model as a function of one frame's images."""
     return (Frame if model.temporal.frames == 1 else Step)(model.eval().requires_grad_(False), rig)
 
 
 def example_inputs(module: Frame | Step) -> tuple[Tensor, ...]:
-    """Black images and a car that stands still at the start of its drive, in the shapes that the program takes."""
+    """Return inputs in the shapes that the program takes: black images, no past frames, identity poses."""
     camera, model = module.rig.cameras[0], module.model
     images = torch.zeros(len(module.rig.cameras), 3, camera.height, camera.width, dtype=torch.uint8)
     if isinstance(module, Frame):
@@ -92,17 +87,17 @@ def example_inputs(module: Frame | Step) -> tuple[Tensor, ...]:
 
 @torch.no_grad()
 def export_program(module: Frame | Step) -> ExportedProgram:
-    """Records the operators of a frame.
+    """Return the exported program of a module.
 
     Raises:
-        UserError: naming the option, if one of the model cannot be recorded.
+        UserError: naming the option of the model that cannot be exported.
     """
     inputs = example_inputs(module)
     try:
         with static_shapes():
-            module(*inputs)  # fills the caches of rig and grid: the program gets what they hold as constants
+            module(*inputs)  # fills the caches of rig and grid, which become constants of the program
             return torch.export.export(module, inputs, strict=False)
-    except Exception as error:  # whatever an operator or the recorder raises is about the option it happened in
+    except Exception as error:  # operators and torch.export raise many types; the traceback tells the option
         reason = str(error).splitlines()[0]
         raise UserError(f"{option_of(error, module.model)} cannot be exported: {reason}") from error
 

@@ -1,4 +1,4 @@
-"""A depth option or a whole occupancy model from its checkpoint, and the answer of a depth option for any rig."""
+"""Load a depth option or a whole occupancy model from its checkpoint; apply a depth option to any rig."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -20,16 +20,16 @@ Network = TypeVar("Network", bound=nn.Module)
 
 
 def load_depth(path: Path, overrides: Sequence[str] = ()) -> tuple[nn.Module, DictConfig]:
-    """The trained depth option of a checkpoint, and the configuration it was trained with.
+    """Return the trained depth option of a checkpoint and the configuration of its training.
 
     Args:
         path: `runs/stages/depth-<hash>/last.ckpt`, or a checkpoint of a later stage, which holds the same weights.
-        overrides: `depth.<argument>=<value>`, in which it is to differ from the trained one.
+        overrides: `depth.<argument>=<value>`, arguments that differ from those of the training.
 
     Raises:
-        FileNotFoundError: when there is no such file.
+        FileNotFoundError: when the file does not exist.
         UserError: when it is damaged, holds no depth network, or an override does not fit its weights.
-        ConfigError: when an override names no argument.
+        ConfigError: when an override names an unknown argument.
     """
     trained = load_checkpoint(path)
     own = depth_weights(trained)
@@ -38,19 +38,21 @@ def load_depth(path: Path, overrides: Sequence[str] = ()) -> tuple[nn.Module, Di
     merged = OmegaConf.merge(trained.config, OmegaConf.from_dotlist(list(overrides)))
     assert isinstance(merged, DictConfig)
     check_parts(path, merged, ["depth"])
-    return _with_weights(build(merged.depth), own, path, "is it of the depth stage, are overrides needed?"), merged
+    return _with_weights(
+        build(merged.depth), own, path, "is it a checkpoint of the depth stage, are overrides needed?"
+    ), merged
 
 
 def load_occupancy(path: Path) -> tuple[OccupancyModel, DictConfig]:
-    """The trained model of an occupancy checkpoint, sketch and depth included, and the configuration of its training.
+    """Return the model of an occupancy checkpoint, sketch and depth included, and the configuration of its training.
 
     Args:
         path: `runs/<name>-<hash>/best.ckpt` or `last.ckpt`.
 
     Raises:
-        FileNotFoundError: when there is no such file.
-        UserError: when it is damaged, of another stage, or its weights do not fit or are no numbers.
-        ConfigError: when its configuration names what this version does not have.
+        FileNotFoundError: when the file does not exist.
+        UserError: when it is damaged, of another stage, or its weights do not fit or are not finite.
+        ConfigError: when its configuration names classes or arguments that this version does not have.
     """
     trained = load_checkpoint(path)
     cfg, own = trained.config, trained.model_weights
@@ -63,20 +65,8 @@ def load_occupancy(path: Path) -> tuple[OccupancyModel, DictConfig]:
     return _with_weights(build(without_download(cfg.model)), own, path, "was it written by another version?"), cfg
 
 
-def trained_image_width(cfg: DictConfig) -> int:
-    """Return the width of the images that a model was trained with, px.
-
-    Raises:
-        UserError: when the configuration of its training does not say.
-    """
-    size = OmegaConf.select(cfg, "data.source.image_size")
-    if size is None:
-        raise UserError("image_width=... is needed: the model was trained on scenes whose image size is not configured")
-    return int(size[0])
-
-
 DEPTH_PREFIX = {"occupancy": "sketch.depth.", "sketch": "depth.", "depth": ""}
-"""Begin of the names of the depth option's weights in the model of each stage."""
+"""Prefix of the names of the depth option's weights in the model of each stage."""
 
 
 def depth_weights(trained: Checkpoint) -> dict[str, Tensor]:
@@ -100,21 +90,21 @@ def _with_weights(model: Network, weights: Mapping[str, Tensor], path: Path, que
         first = str(error).splitlines()[1:2] or [str(error)]
         raise UserError(f"{path}: its weights do not fit: {first[0].strip()}; {question}") from error
     if not all(bool(value.isfinite().all()) for value in weights.values()):
-        raise UserError(f"{path} holds weights that are no numbers (NaN): its training failed, take another checkpoint")
+        raise UserError(f"{path} holds weights that are not finite (NaN): its training failed, use another checkpoint")
     return model.eval()
 
 
 def predict_depth(model: nn.Module, images: Tensor, rig: Rig, device: torch.device) -> DepthMap:
-    """The panorama of one frame, on the CPU.
+    """Return the range panorama of one frame, on the CPU.
 
     Args:
         model: a depth option.
         images: (1, N, 3, H, W), in [0, 1].
         rig: at the images' size.
-        device: where to compute.
+        device: to compute on.
 
     Raises:
-        UserError: when the option needs what pictures do not tell, or answers with NaN.
+        UserError: when the option needs more than images, or returns NaN.
     """
     with torch.inference_mode():
         try:
@@ -123,5 +113,5 @@ def predict_depth(model: nn.Module, images: Tensor, rig: Rig, device: torch.devi
             raise UserError(str(error)) from error
         depth = DepthMap(*(part.cpu() for part in depth))
     if not bool(depth.range_m.isfinite().all()):
-        raise UserError("the network answers with NaN: its weights are damaged, take another checkpoint")
+        raise UserError("the network returns NaN: its weights are damaged, use another checkpoint")
     return depth

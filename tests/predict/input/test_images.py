@@ -18,13 +18,13 @@ def save(path, width=64, height=36, value=90):
     return path
 
 
-def test_a_folder_with_a_picture_named_as_each_camera(tmp_path):
+def test_a_folder_with_an_image_named_as_each_camera(tmp_path):
     front, back = save(tmp_path / "front.png"), save(tmp_path / "back.jpg", 96, 54)
     save(tmp_path / "notes.png")
     assert find_frames(str(tmp_path), RIG) == [Frame("", (front, back))]
 
 
-def test_folders_are_moments_in_order_of_their_names(tmp_path):
+def test_folders_are_frames_in_the_order_of_their_names(tmp_path):
     for name in ("0010", "0002"):
         save(tmp_path / name / "front.png")
         save(tmp_path / name / "back.png")
@@ -34,7 +34,7 @@ def test_folders_are_moments_in_order_of_their_names(tmp_path):
     assert frames[1].files == (tmp_path / "0010/front.png", tmp_path / "0010/back.png")
 
 
-def test_a_list_is_in_the_rigs_order(tmp_path):
+def test_a_list_has_the_order_of_the_rig(tmp_path):
     paths = [save(tmp_path / "x.png"), save(tmp_path / "y.png")]
     assert find_frames([str(path) for path in paths], RIG) == [Frame("", tuple(paths))]
     assert find_frames([str(paths[0]), "nothing.png"], RIG, ["back"]) == [Frame("", (paths[0], None))]
@@ -50,40 +50,40 @@ def test_a_camera_that_is_left_out_is_black(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("files", "without", "words"),
+    ("files", "excluded", "words"),
     [
-        (["front.png"], [], ["'back'", "back.png", "without=[back]"]),
+        (["front.png"], [], ["'back'", "back.png", "exclude_cameras=[back]"]),
         (["front.png", "bcak.png"], [], ["'back'", "is it 'bcak'?"]),
         (["front.png", "back.png", "back.jpg"], [], ["several images", "back.jpg, back.png"]),
-        (["front.png", "back.png"], ["bakc"], ["without=bakc", "is it 'back'?", "front, back"]),
+        (["front.png", "back.png"], ["bakc"], ["exclude_cameras=bakc", "is it 'back'?", "front, back"]),
         (["front.png"], ["front", "back"], ["every camera"]),
         ([], [], ["'front'"]),
     ],
 )
-def test_what_a_folder_lacks_is_named(files, without, words, tmp_path):
+def test_problems_of_a_folder_are_named(files, excluded, words, tmp_path):
     for name in files:
         save(tmp_path / name)
     with pytest.raises(UserError) as caught:
-        find_frames(str(tmp_path), RIG, without)
+        find_frames(str(tmp_path), RIG, excluded)
     for word in words:
         assert word in str(caught.value)
 
 
 def test_wrong_lists_and_folders(tmp_path):
-    picture = str(save(tmp_path / "front.png"))
+    image = str(save(tmp_path / "front.png"))
     with pytest.raises(UserError, match=r"1 image.* 2 cameras.*front, back"):
-        find_frames([picture], RIG)
+        find_frames([image], RIG)
     with pytest.raises(UserError, match=r"nowhere\.png.*back"):
-        find_frames([picture, "nowhere.png"], RIG)
+        find_frames([image, "nowhere.png"], RIG)
     with pytest.raises(UserError, match="no such folder"):
         find_frames(str(tmp_path / "nowhere"), RIG)
     with pytest.raises(UserError, match=r"list.*camera"):
-        find_frames(picture, RIG)
+        find_frames(image, RIG)
 
 
-def test_damaged_and_cropped_pictures_are_named(tmp_path):
+def test_damaged_and_cropped_images_are_named(tmp_path):
     front, back = tmp_path / "front.png", save(tmp_path / "back.png", 96, 54)
-    front.write_bytes(b"not a picture")
+    front.write_bytes(b"not an image")
     with pytest.raises(UserError, match=r"front\.png.*damaged"):
         read_frame(Frame("", (front, back)), RIG)
     save(front, 64, 48)
@@ -98,7 +98,7 @@ def test_the_order_of_colours_is_rgb(tmp_path):
 
 
 @pytest.mark.parametrize(("width", "size"), [(None, (64, 36)), (32, (32, 18)), (100, (96, 54))])
-def test_pictures_and_rig_are_brought_to_one_even_size(width, size):
+def test_images_and_rig_are_brought_to_one_even_size(width, size):
     images = [np.full((72, 128, 3), 255, np.uint8), np.zeros((54, 96, 3), np.uint8)]
     images[0][:, :64] = 0  # the right half is white
     batch, rig = resized_to_width(images, RIG, width)
@@ -107,13 +107,13 @@ def test_pictures_and_rig_are_brought_to_one_even_size(width, size):
     half = size[0] // 2
     assert batch[0, 0, :, :, : half - 1].max() == 0
     assert batch[0, 0, :, :, half + 1 :].min() == 1
-    # the ray ahead lies in the middle of both pictures, whatever their size
+    # the ray ahead is projected to the middle of both images, whatever their size
     pixels, valid = rig.project(torch.tensor([[0.0, 0.0, 1.0]]))
     assert valid.all()
     assert torch.allclose(pixels, torch.tensor([(size[0] - 1) / 2, (size[1] - 1) / 2]), atol=1e-4)
 
 
-def test_sizes_keep_the_shape_where_they_can():
+def test_sizes_keep_the_aspect_ratio_where_possible():
     for size, width, expected in (
         ((960, 640), 512, (510, 340)),
         ((1920, 1080), 1024, (1024, 576)),

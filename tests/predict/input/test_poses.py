@@ -7,7 +7,7 @@ from omniocc.camera.pose import invert_pose
 from omniocc.errors import UserError
 from omniocc.predict.input.poses import read_poses, write_poses
 
-HEAD = "moment,x_m,y_m,z_m,qw,qx,qy,qz\n"
+HEAD = "frame,x_m,y_m,z_m,qw,qx,qy,qz\n"
 
 
 def written(tmp_path, text):
@@ -16,9 +16,9 @@ def written(tmp_path, text):
     return path
 
 
-def test_a_quaternion_turns_as_it_should(tmp_path):
+def test_a_quaternion_is_a_rotation(tmp_path):
     half = math.sqrt(0.5)
-    path = written(tmp_path, f"{HEAD}b,1,2,3,{half},0,0,{half}\n\n# other drives\na,0,0,5,{half},{half},0,0\n")
+    path = written(tmp_path, f"{HEAD}b,1,2,3,{half},0,0,{half}\n\n# another sequence\na,0,0,5,{half},{half},0,0\n")
     turned_left, rolled = read_poses(path, ["b", "a"])
     # ahead of a car that has turned left is the world's +y, its left is -x
     assert torch.allclose(turned_left @ torch.tensor([1.0, 0, 0, 1]).double(), torch.tensor([1.0, 3, 3, 1]).double())
@@ -27,11 +27,11 @@ def test_a_quaternion_turns_as_it_should(tmp_path):
     assert torch.allclose(rolled @ torch.tensor([0.0, 1, 0, 1]).double(), torch.tensor([0.0, 0, 6, 1]).double())
 
 
-def test_matrices_come_back_to_the_last_bit(tmp_path):
+def test_matrices_are_read_back_exactly(tmp_path):
     generator = torch.Generator().manual_seed(0)
     poses = torch.eye(4, dtype=torch.float64).repeat(3, 1, 1)
     poses[:, :3, :3] = torch.linalg.qr(torch.randn(3, 3, 3, generator=generator, dtype=torch.float64)).Q
-    poses[:, :3, 0] *= torch.linalg.det(poses[:, :3, :3])[:, None]  # no mirrors
+    poses[:, :3, 0] *= torch.linalg.det(poses[:, :3, :3])[:, None]  # no reflections
     poses[:, :3, 3] = torch.randn(3, 3, generator=generator, dtype=torch.float64) * 100
     write_poses(tmp_path / "poses.csv", ["0", "1", "2"], poses)
     assert torch.equal(read_poses(tmp_path / "poses.csv", ["2", "0"]), poses[[2, 0]])
@@ -41,19 +41,19 @@ def test_matrices_come_back_to_the_last_bit(tmp_path):
 @pytest.mark.parametrize(
     ("line", "words"),
     [
-        ("a,0,0,nan,1,0,0,0", ["line 2", "moment 'a'", "not finite", "nan"]),
+        ("a,0,0,nan,1,0,0,0", ["line 2", "frame 'a'", "not finite", "nan"]),
         ("a,0,0,0,2,0,0,0", ["length 2", "must be 1"]),
         ("a,0,0,0,1,0,0", ["6 numbers", "x_m,y_m,z_m,qw,qx,qy,qz"]),
         ("a,0,0,zero,1,0,0,0", ["'zero'", "give numbers"]),
-        ("a,1,0,0,0,0,2,0,0,0,0,1,0,0,0,0,1", ["no rigid pose"]),
-        ("a,1,0,0,0,0,1,0,0,0,0,-1,0,0,0,0,1", ["no rigid pose"]),
-        ("a,0,0,0,1,0,0,0\na,0,0,0,1,0,0,0", ["line 3", "has a pose already"]),
-        ("0001,0,0,0,1,0,0,0", ["no pose of moment 'a'", "0001"]),
-        ("aa,0,0,0,1,0,0,0", ["no pose of moment 'a'", "is it 'aa'?"]),
-        ("", ["no pose of moment 'a'"]),
+        ("a,1,0,0,0,0,2,0,0,0,0,1,0,0,0,0,1", ["not a rigid pose"]),
+        ("a,1,0,0,0,0,1,0,0,0,0,-1,0,0,0,0,1", ["not a rigid pose"]),
+        ("a,0,0,0,1,0,0,0\na,0,0,0,1,0,0,0", ["line 3", "already has a pose"]),
+        ("0001,0,0,0,1,0,0,0", ["no pose of frame 'a'", "0001"]),
+        ("aa,0,0,0,1,0,0,0", ["no pose of frame 'a'", "is it 'aa'?"]),
+        ("", ["no pose of frame 'a'"]),
     ],
 )
-def test_what_is_wrong_is_named(tmp_path, line, words):
+def test_mistakes_are_named(tmp_path, line, words):
     with pytest.raises(UserError) as caught:
         read_poses(written(tmp_path, f"{HEAD}{line}\n"), ["a"])
     for word in ["poses.csv", *words]:

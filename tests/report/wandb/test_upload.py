@@ -3,9 +3,9 @@ import subprocess
 
 import pytest
 from filelock import FileLock
+from offline_file import files_of, history, runs_in
 
 from omniocc.report.wandb.upload import log_report, main, waiting
-from omniocc.run.wandb.wandb_file import files_of, history, records
 
 
 def offline_run(folder, number=1):
@@ -56,7 +56,7 @@ def test_the_tables_of_a_report_are_a_run_of_their_own(tmp_path):
     assert log_report(tmp_path, "p")
     assert not log_report(tmp_path, "p")
     (path,) = files_of(tmp_path)
-    (run,) = [record.run for record in records(path) if record.WhichOneof("record_type") == "run"]
+    (run,) = runs_in(path)
     assert (run.project, run.job_type) == ("p", "report")
     (row,) = [row for row in history(path) if "paper/sketch" in row]
     table = json.loads((path.parent / "files" / row["paper/sketch"]["path"]).read_text())

@@ -1,6 +1,7 @@
-"""W&B runs as they lie on the disk, read back with W&B's own messages."""
+"""Offline W&B runs, read back from the disk with W&B's own messages."""
 
 import json
+import math
 import time
 from collections import Counter
 
@@ -10,13 +11,13 @@ import torch
 import wandb
 from lightning.pytorch import LightningModule, Trainer
 from lightning.pytorch.callbacks import ModelCheckpoint
+from offline_file import STEP, files_of, history, records, runs_in
 from torch.utils.data import DataLoader
 
 from omniocc.errors import UserError
 from omniocc.run.wandb import Loggers
-from omniocc.run.wandb.loggers import finish, wandb_of
+from omniocc.run.wandb.loggers import finish, rows_in_csv, wandb_of
 from omniocc.run.wandb.media import Named
-from omniocc.run.wandb.wandb_file import STEP, files_of, history, records
 
 CONFIG = {
     "name": "mono",
@@ -27,19 +28,19 @@ CONFIG = {
         "sketch": {"_target_": "omniocc.model.sketch.Dense"},
     },
 }
-STEPS, PER_EPOCH, DIES_AT, CHECKPOINT_EVERY = 9, 3, 5, 2
+STEPS, PER_EPOCH, FAILS_AT, CHECKPOINT_EVERY = 9, 3, 5, 2
 
 
 class Line(LightningModule):
-    """Learns nothing for a few steps; may be struck down on the way."""
+    """Trains a few steps without learning anything; may fail at one of them."""
 
-    def __init__(self, dies_at=None):
+    def __init__(self, fails_at=None):
         super().__init__()
         self.weight = torch.nn.Parameter(torch.ones(1))
-        self.dies_at = dies_at
+        self.fails_at = fails_at
 
     def training_step(self, batch, batch_index):
-        if self.global_step == self.dies_at:
+        if self.global_step == self.fails_at:
             raise ConnectionAbortedError
         self.log("train/loss", float(self.global_step))
         return (self.weight * batch).mean()
@@ -69,16 +70,16 @@ def trainer_of(folder):
 
 @pytest.fixture(scope="module")
 def resumed(tmp_path_factory):
-    """A run that died between two checkpoints and was started again."""
+    """Return the folder of a run that failed between two checkpoints and was started again."""
     folder = tmp_path_factory.mktemp("runs") / "mono-0123abcd"
     folder.mkdir()
     many, one = DataLoader(torch.ones(PER_EPOCH)), DataLoader(torch.ones(1))
     first = trainer_of(folder)
     with pytest.raises(ConnectionAbortedError):
-        first.fit(Line(DIES_AT), many, one)
+        first.fit(Line(FAILS_AT), many, one)
     finish(first.loggers)
     wandb.teardown()
-    time.sleep(1.1)  # folders of W&B are named by the second
+    time.sleep(1.1)  # W&B names its folders by the second
     second = trainer_of(folder)
     second.fit(Line(), many, one, ckpt_path=folder / "last.ckpt")
     second.test(second.lightning_module, one, verbose=False)
@@ -94,12 +95,8 @@ def resumed(tmp_path_factory):
     return folder
 
 
-def runs_of(folder):
-    return [r.run for path in files_of(folder) for r in records(path) if r.WhichOneof("record_type") == "run"]
-
-
 def test_a_run_has_its_group_tags_job_type_and_slots(resumed):
-    first, second = runs_of(resumed)
+    first, second = (run for path in files_of(resumed) for run in runs_in(path))
     assert first.run_id == second.run_id
     for run in (first, second):
         assert (run.project, run.run_group, run.job_type) == ("p", "tiny", "occupancy")
@@ -118,12 +115,12 @@ def test_a_resumed_run_continues_its_curves(resumed):
     assert max(Counter(key for row in rows for key in row if key.startswith("test/")).values()) == 1
 
 
-def test_pictures_points_and_tables_are_kept_as_files(resumed):
+def test_images_points_and_tables_are_saved_as_files(resumed):
     (last,) = [row for row in history(files_of(resumed)[1]) if "test/bev" in row]
     folder = files_of(resumed)[1].parent / "files"
-    picture, cloud = last["test/bev"], last["test/points"]
-    assert picture["captions"] == ["scene/0 truth"]
-    assert (folder / picture["filenames"][0]).stat().st_size > 100
+    image, cloud = last["test/bev"], last["test/points"]
+    assert image["captions"] == ["scene/0 truth"]
+    assert (folder / image["filenames"][0]).stat().st_size > 100
     points = json.loads((folder / "media" / "object3D" / cloud["filenames"][0]).read_text())
     assert points["points"] == [[1.0, 2.0, 0.5, 128, 64, 128]]
     assert points["boxes"][0]["label"] == "own car"
@@ -131,39 +128,50 @@ def test_pictures_points_and_tables_are_kept_as_files(resumed):
     table = json.loads((folder / tables["tables/by_class"]["path"]).read_text())
     assert table["columns"] == ["class", "RayIoU"]
     assert table["data"][0] == ["Road", 0.5]
-    assert tables["tables/by_range"]["nrows"] == 3
+    assert tables["tables/by_range"]["nrows"] == 1
 
 
-def test_what_wandb_lost_when_a_run_was_killed_is_logged_first(tmp_path):
-    """W&B's file ends at step 1, the journal at step 3, the checkpoint was written at step 2."""
-    (curves,) = wandb_of(Loggers("offline", "p", None, []).build(tmp_path, CONFIG, "occupancy"))
-    curves.before |= {(step, "train/loss") for step in range(4)}
-    curves.lost = [(2, {"train/loss": 2.0}), (3, {"train/loss": 3.0})]
+def test_the_csv_file_has_every_row_at_once(tmp_path):
+    csv_logger, *_ = Loggers("disabled", "p", None, []).build(tmp_path, CONFIG, "occupancy")
+    csv_logger.log_metrics({"train/loss": 2.5}, 3)
+    csv_logger.log_metrics({"val/rayiou/Pole": math.nan, "epoch": 1}, 4)
+    assert rows_in_csv(tmp_path) == {(3, "train/loss"), (4, "val/rayiou/Pole"), (4, "epoch")}
+
+
+def test_a_killed_run_repeats_neither_its_scalars_nor_their_images(tmp_path):
+    """The CSV file ends with the validation of step 3, the checkpoint is older."""
+    recipe, image = Loggers("offline", "p", None, []), Named(np.zeros((4, 4, 3), np.uint8), "x")
+    killed, *_ = recipe.build(tmp_path, CONFIG, "occupancy")
+    killed.log_metrics({"train/loss": 2.0, "epoch": 0}, 2)
+    killed.log_metrics({"val/rayiou": 0.1}, 3)
+    (curves,) = wandb_of(recipe.build(tmp_path, CONFIG, "occupancy"))
     for step in (2, 3, 4):
         curves.log_metrics({"train/loss": float(step), "epoch": 0}, step)
+        curves.log_media({"val/bev": [image]}, step)
     finish([curves])
     wandb.teardown()
     (path,) = files_of(tmp_path)
-    assert [row[STEP] for row in history(path) if "train/loss" in row] == [2, 3, 4]
-    assert curves.journal.read()[-1] == (4, {"train/loss": 4.0, "epoch": 0})
+    rows = list(history(path))
+    assert [row[STEP] for row in rows if "train/loss" in row] == [3, 4]
+    assert [row[STEP] for row in rows if "val/bev" in row] == [2, 4]
 
 
-def test_the_machine_is_measured(resumed):
+def test_the_load_of_the_machine_is_logged(resumed):
     kinds = Counter(r.WhichOneof("record_type") for path in files_of(resumed) for r in records(path))
     assert kinds["stats"] > 0
     assert kinds["environment"] > 0
 
 
-def test_a_stage_has_a_job_type_of_its_own_and_no_row(tmp_path):
+def test_a_stage_has_its_own_job_type_and_no_row(tmp_path):
     config = CONFIG | {"model": {"sketch": {"_target_": "omniocc.model.sketch.Dense"}}}
     (curves,) = wandb_of(Loggers("offline", "p", None, []).build(tmp_path / "depth-0", config, "depth"))
     settings = curves._wandb_init
     assert (settings["job_type"], settings["tags"], settings["id"] != "") == ("depth", [], True)
     assert "row" not in settings["config"]
-    assert "anonymous" not in settings  # W&B warns of it in every run
+    assert "anonymous" not in settings  # W&B would warn of it in every run
 
 
-def test_of_a_run_that_an_agent_begins_only_the_last_stage_is_logged(tmp_path, monkeypatch):
+def test_only_the_last_stage_of_a_sweep_agents_run_is_logged(tmp_path, monkeypatch):
     monkeypatch.setenv("WANDB_SWEEP_ID", "s1")
     recipe = Loggers("offline", "p", None, [])
     assert not wandb_of(recipe.build(tmp_path, CONFIG, "depth"))
@@ -171,7 +179,7 @@ def test_of_a_run_that_an_agent_begins_only_the_last_stage_is_logged(tmp_path, m
     assert wandb_of(recipe.build(tmp_path, CONFIG | {"stage": "depth"}, "depth"))
 
 
-def test_without_wandb_only_the_csv_file_is_left_and_online_needs_a_login(tmp_path, monkeypatch):
+def test_disabled_leaves_the_csv_file_and_online_needs_a_login(tmp_path, monkeypatch):
     assert len(Loggers("disabled", "p", None, []).build(tmp_path, CONFIG, "occupancy")) == 1
     monkeypatch.delenv("WANDB_API_KEY", raising=False)
     monkeypatch.setenv("NETRC", str(tmp_path / "netrc"))

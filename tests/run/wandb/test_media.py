@@ -28,10 +28,10 @@ def test_voxels_are_shown_in_the_cameras_from_above_and_as_points():
     assert media["points_prediction"][0].content.shape == (0, 6)
 
 
-def test_panoramas_are_true_predicted_and_their_difference():
+def test_panoramas_show_truth_prediction_and_difference():
     panorama = Equirectangular(24, 6, 45.0, -45.0)
     true_m = torch.full((6, 24), 4.0)
     shown = [item.content for item in range_media(true_m * 2, true_m, panorama)["erp"]]
-    assert [picture.shape for picture in shown] == [(240, 960, 3)] * 3
-    pixel = [tuple(picture[200, 900]) for picture in shown]
+    assert [image.shape for image in shown] == [(240, 960, 3)] * 3
+    pixel = [tuple(image[200, 900]) for image in shown]
     assert len(set(pixel)) == 3

@@ -1,1 +1,1 @@
-"""Images, poses and sequences to predict from."""
+"""Input of predictions: images, poses, sequences of frames and their schedule."""

@@ -1,4 +1,4 @@
-"""Pictures of the cameras of a rig: which file is whose, and do they fit the calibration?"""
+"""Image files of the cameras of a rig: find them, check them against the calibration, read and resize them."""
 
 import math
 import re
@@ -16,111 +16,117 @@ from torch import Tensor
 from omniocc.camera import Camera, Rig
 from omniocc.errors import UserError
 
-ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm")
+SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm")
 SHAPE_TOLERANCE = 0.01
-"""By which width / height of a picture may differ from the calibration's: rounding of a scaled picture."""
+"""Largest relative difference between an image's aspect ratio and its calibration's: scaled sizes are rounded."""
 
 
 class Frame(NamedTuple):
-    """One moment: a file per camera, None for those left out."""
+    """One frame of a sequence.
+
+    Attributes:
+        name: of its folder; empty for a single frame.
+        files: image of every camera, None for the cameras that are left out.
+    """
 
     name: str
     files: tuple[Path | None, ...]
 
 
-def find_frames(images: str | Sequence[str], rig: Rig, without: Sequence[str] = ()) -> list[Frame]:
-    """Files of every camera of the rig.
+def find_frames(images: str | Sequence[str], rig: Rig, excluded: Sequence[str] = ()) -> list[Frame]:
+    """Return the frames in the order of time, with the files of every camera of the rig.
 
     Args:
-        images: a folder with one picture per camera, named as the camera; or a folder of such folders, one per moment;
+        images: a folder with one image per camera, named as the camera; or a folder of such folders, one per frame;
             or one file per camera, in the rig's order.
         rig: the cameras.
-        without: names of cameras to do without; their files need not be there.
+        excluded: names of the cameras to leave out; their files may be missing.
 
     Raises:
-        UserError: naming what is missing, superfluous or misspelt.
+        UserError: naming the file or camera that is missing, superfluous or misspelt.
     """
-    check_without(without, rig)
+    check_excluded(excluded, rig)
     if not isinstance(images, str):
-        return [_listed([Path(path) for path in images], rig, without)]
+        return [_listed([Path(path) for path in images], rig, excluded)]
     folder = Path(images)
     if not folder.is_dir():
-        hint = "; give a folder, or a list with one picture per camera: images=[a.png,b.png]" * folder.exists()
+        hint = "; give a folder, or a list with one image per camera: images=[a.png,b.png]" * folder.exists()
         raise UserError(f"images={images}: there is no such folder{hint}")
-    moments = sorted((path for path in folder.iterdir() if path.is_dir() and _pictures(path)), key=_in_time)
-    if _pictures(folder) or not moments:
-        return [Frame("", _named(folder, rig, without))]
-    return [Frame(moment.name, _named(moment, rig, without)) for moment in moments]
+    frames = sorted((path for path in folder.iterdir() if path.is_dir() and _image_files(path)), key=_natural_order)
+    if _image_files(folder) or not frames:
+        return [Frame("", _named(folder, rig, excluded))]
+    return [Frame(frame.name, _named(frame, rig, excluded)) for frame in frames]
 
 
-def check_without(without: Sequence[str], rig: Rig) -> None:
-    """Names of cameras to do without must be some of the rig's, not all.
+def check_excluded(excluded: Sequence[str], rig: Rig) -> None:
+    """Check that the names are cameras of the rig, and not all of them.
 
     Raises:
-        UserError: naming the one that is not, and those there are.
+        UserError: naming the unknown camera and those of the rig.
     """
-    for name in without:
+    for name in excluded:
         if name not in rig.names:
-            raise UserError(f"without={name}: no such camera{_near(name, rig.names)}; cameras: {', '.join(rig.names)}")
-    if len(set(without)) == len(rig.names):
-        raise UserError("every camera is left out; leave some in")
+            hint = _hint(name, rig.names)
+            raise UserError(f"exclude_cameras={name}: no such camera{hint}; cameras: {', '.join(rig.names)}")
+    if len(set(excluded)) == len(rig.names):
+        raise UserError("every camera is excluded; keep at least one")
 
 
-def _in_time(moment: Path) -> list[tuple[int, str]]:
-    """Names in the order of the numbers in them: 9 before 10."""
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", moment.name)]
+def _natural_order(folder: Path) -> list[tuple[int, str]]:
+    """Return the sorting key that orders names by the numbers in them: 9 before 10."""
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", folder.name)]
 
 
-def _listed(paths: list[Path], rig: Rig, without: Sequence[str]) -> Frame:
+def _listed(paths: list[Path], rig: Rig, excluded: Sequence[str]) -> Frame:
     if len(paths) != len(rig.names):
         names = ", ".join(rig.names)
         raise UserError(f"{len(paths)} images for {len(rig.names)} cameras; give one each, in this order: {names}")
     for path, name in zip(paths, rig.names, strict=True):
-        if not path.is_file() and name not in without:
+        if not path.is_file() and name not in excluded:
             raise UserError(f"there is no image {path} (camera '{name}')")
-    return Frame("", tuple(None if name in without else path for path, name in zip(paths, rig.names, strict=True)))
+    return Frame("", tuple(None if name in excluded else path for path, name in zip(paths, rig.names, strict=True)))
 
 
-def _named(folder: Path, rig: Rig, without: Sequence[str]) -> tuple[Path | None, ...]:
-    pictures = _pictures(folder)
+def _named(folder: Path, rig: Rig, excluded: Sequence[str]) -> tuple[Path | None, ...]:
+    images = _image_files(folder)
     files: list[Path | None] = []
     for name in rig.names:
-        mine = [path for path in pictures if path.stem == name]
-        if name in without:
+        own = [path for path in images if path.stem == name]
+        if name in excluded:
             files.append(None)
             continue
-        if len(mine) != 1:
-            raise UserError(
-                _not_one(folder, name, mine, [path.stem for path in pictures if path.stem not in rig.names])
-            )
-        files.append(mine[0])
+        if len(own) != 1:
+            raise UserError(_not_one(folder, name, own, [path.stem for path in images if path.stem not in rig.names]))
+        files.append(own[0])
     return tuple(files)
 
 
-def _not_one(folder: Path, name: str, mine: list[Path], others: list[str]) -> str:
-    if mine:
-        return f"{folder}: several images of camera '{name}': {', '.join(path.name for path in mine)}; leave one"
-    others_text = f"; there are images of no camera of the rig: {', '.join(sorted(others)[:8])}" if others else ""
+def _not_one(folder: Path, name: str, own: list[Path], others: list[str]) -> str:
+    if own:
+        return f"{folder}: several images of camera '{name}': {', '.join(path.name for path in own)}; keep one"
+    others_text = f"; images that belong to no camera of the rig: {', '.join(sorted(others)[:8])}" if others else ""
     return (
         f"{folder}: no image of camera '{name}' (a file {name}.png or {name}.jpg)"
-        f"{_near(name, others)}{others_text}; without=[{name}] does without it"
+        f"{_hint(name, others)}{others_text}; exclude_cameras=[{name}] leaves it out"
     )
 
 
-def _near(name: str, others: Sequence[str]) -> str:
+def _hint(name: str, others: Sequence[str]) -> str:
     close = get_close_matches(name, others, n=1)
     return f" (is it '{close[0]}'?)" if close else ""
 
 
-def _pictures(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.iterdir() if path.is_file() and path.suffix.lower() in ENDINGS)
+def _image_files(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.iterdir() if path.is_file() and path.suffix.lower() in SUFFIXES)
 
 
 def read_frame(frame: Frame, rig: Rig) -> list[np.ndarray]:
-    """(H, W, 3) uint8 RGB of every camera, as large as the file; black and as large as the rig's for one left out.
+    """Return (H, W, 3) uint8 RGB of every camera, at the size of its file.
+
+    Cameras that are left out give a black image at the size of the calibration.
 
     Raises:
-        UserError: naming the file that cannot be read or has another shape than its camera's calibration.
+        UserError: naming the file that cannot be read or has another aspect ratio than its camera's calibration.
     """
     return [_read(file, rig, k) for k, file in enumerate(frame.files)]
 
@@ -129,15 +135,15 @@ def _read(file: Path | None, rig: Rig, k: int) -> np.ndarray:
     camera = rig.cameras[k]
     if file is None:
         return np.zeros((camera.height, camera.width, 3), np.uint8)
-    # as the sensor gave it: a calibration does not know of an orientation tag
+    # as the sensor recorded it: the calibration does not include the orientation tag
     image = cv2.imread(str(file), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     if image is None:
-        raise UserError(f"{file} is damaged, or no image")
+        raise UserError(f"{file} is damaged or not an image")
     height, width = image.shape[:2]
     if abs(width / height / (camera.width / camera.height) - 1) > SHAPE_TOLERANCE:
         raise UserError(
             f"{file} is {width}x{height} px but camera '{rig.names[k]}' is calibrated for "
-            f"{camera.width}x{camera.height} px: a scaled picture will do, a cropped one needs its own calibration"
+            f"{camera.width}x{camera.height} px: a scaled image can be used, a cropped one needs its own calibration"
         )
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
 
@@ -145,15 +151,15 @@ def _read(file: Path | None, rig: Rig, k: int) -> np.ndarray:
 def resized_to_width(
     images: Sequence[np.ndarray], rig: Rig, width: int | None
 ) -> tuple[Float32[Tensor, "1 N 3 H W"], Rig]:
-    """What a network takes: all pictures at one even size, in [0, 1], and the rig at that size.
+    """Return the input of a network: all images at one even size, in [0, 1], and the rig at that size.
 
     Args:
         images: of every camera, of any size.
         rig: the cameras.
-        width: about the width of the result, px, in the shape of the rig's first camera; None: that camera's own.
+        width: approximate width of the result, px; its aspect ratio is the first camera's. None: that camera's width.
 
     Raises:
-        UserError: when lenses forbid it, which have one focal length and cannot be stretched.
+        UserError: when a camera with a single focal length would have to be stretched.
     """
     size = even_size(rig.cameras[0], rig.cameras[0].width if width is None else width)
     try:
@@ -165,7 +171,7 @@ def resized_to_width(
 
 
 def even_size(camera: Camera, width: int) -> tuple[int, int]:
-    """Even width and height near a width, of exactly the camera's shape where there is such a size below it."""
+    """Return an even width and height near `width`, of exactly the camera's aspect ratio if such a size fits in it."""
     divisor = math.gcd(camera.width, camera.height)
     unit = camera.width // divisor, camera.height // divisor
     if unit[0] % 2 or unit[1] % 2:

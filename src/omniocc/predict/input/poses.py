@@ -1,13 +1,13 @@
-"""Where the rig was at every moment of a drive.
+"""Files with the ego pose of every frame of a sequence.
 
-A text file, one line per moment, with the moment's name (that of its folder) and `world_from_ego`, either as a position
-and a unit quaternion or as the rows of a 4x4 matrix; a first line that begins with `moment` is a heading:
+A text file with one line per frame: the frame's name (that of its folder) and `world_from_ego`, either as a position
+and a unit quaternion or as the rows of a 4x4 matrix. A first line that begins with `frame` is a header:
 
-    moment,x_m,y_m,z_m,qw,qx,qy,qz
+    frame,x_m,y_m,z_m,qw,qx,qy,qz
     0000,0.0,0.0,0.0,1,0,0,0
     0001,4.2,0.1,0.0,0.9998477,0,0,0.0174524
 
-Ego: x forward, y left, z up, origin as in the rig file. World: any fixed frame in metres.
+Ego: x forward, y left, z up, origin as in the rig file. World: any fixed coordinate frame in metres.
 """
 
 import csv
@@ -25,38 +25,38 @@ from omniocc.errors import UserError
 QUATERNION = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
 MATRIX = tuple(f"m{row}{column}" for row in range(4) for column in range(4))
 TOLERANCE = 1e-3
-"""By which a quaternion's length, or a rotation's product with its transpose, may differ from 1."""
+"""Largest difference from 1 of a quaternion's length, and of a rotation times its transpose from the identity."""
 
 
-def read_poses(path: Path, moments: Sequence[str]) -> Float64[Tensor, "F 4 4"]:
-    """`world_from_ego` of moments, in their order; poses of other moments may be there too.
+def read_poses(path: Path, frames: Sequence[str]) -> Float64[Tensor, "F 4 4"]:
+    """Return `world_from_ego` of the named frames, in their order; the file may hold other frames too.
 
     Raises:
-        UserError: naming the line that is no pose, or the moment without one.
+        UserError: naming the line that is not a pose, or the frame without one.
         OSError: naming the file that cannot be read.
     """
     poses: dict[str, Tensor] = {}
     with path.open(newline="", encoding="utf-8-sig") as file:
         for number, cells in enumerate(csv.reader(file), start=1):
             words = [cell.strip() for cell in cells]
-            if not any(words) or words[0].startswith("#") or (not poses and words[0] == "moment"):
+            if not any(words) or words[0].startswith("#") or (not poses and words[0] == "frame"):
                 continue
             where = f"{path}, line {number}"
             if words[0] in poses:
-                raise UserError(f"{where}: moment '{words[0]}' has a pose already; leave one")
-            poses[words[0]] = _pose(words[1:], f"{where}, moment '{words[0]}'")
-    for name in moments:
+                raise UserError(f"{where}: frame '{words[0]}' already has a pose; keep one")
+            poses[words[0]] = _pose(words[1:], f"{where}, frame '{words[0]}'")
+    for name in frames:
         if name not in poses:
             close = get_close_matches(name, poses, n=1)
-            hint = f" (is it '{close[0]}'?)" if close else f"; its moments begin with {', '.join(list(poses)[:3])}"
-            raise UserError(f"{path} has no pose of moment '{name}'{hint if poses else ''}")
-    return torch.stack([poses[name] for name in moments])
+            hint = f" (is it '{close[0]}'?)" if close else f"; its first frames are {', '.join(list(poses)[:3])}"
+            raise UserError(f"{path} has no pose of frame '{name}'{hint if poses else ''}")
+    return torch.stack([poses[name] for name in frames])
 
 
-def write_poses(path: Path, moments: Sequence[str], world_from_ego: Float64[Tensor, "F 4 4"]) -> None:
-    """Writes matrices to the last bit: reading gives equal poses."""
-    lines = [",".join(("moment", *MATRIX))]
-    for name, pose in zip(moments, world_from_ego, strict=True):
+def write_poses(path: Path, frames: Sequence[str], world_from_ego: Float64[Tensor, "F 4 4"]) -> None:
+    """Write poses as matrices without rounding: `read_poses` returns equal values."""
+    lines = [",".join(("frame", *MATRIX))]
+    for name, pose in zip(frames, world_from_ego, strict=True):
         lines.append(",".join((name, *(repr(value) for value in pose.flatten().tolist()))))
     path.write_text("\n".join([*lines, ""]), encoding="utf-8")
 
@@ -102,7 +102,7 @@ def _from_rows(values: Sequence[float], where: str) -> Float64[Tensor, "4 4"]:
     error = float((rotation @ rotation.T - torch.eye(3, dtype=torch.float64)).abs().max())
     if error > TOLERANCE or float(torch.linalg.det(rotation)) < 0 or pose[3].tolist() != [0, 0, 0, 1]:
         raise UserError(
-            f"{where}: the matrix is no rigid pose: its 3x3 part must be a rotation (off by {error:.3g}), its "
+            f"{where}: the matrix is not a rigid pose: its 3x3 part must be a rotation (off by {error:.3g}), its "
             "last row 0,0,0,1"
         )
     return pose

@@ -1,41 +1,43 @@
-"""Which moments have to be lifted, and in which order, so that the wanted ones have their history."""
+"""The order in which frames are lifted, so that every wanted frame has its history."""
 
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 History = Literal["stream", "window", "none"]
-"""`stream`: volumes of past moments are reused. `window`: made anew for every moment. `none`: no past moments."""
+"""`stream`: volumes of past frames are reused. `window`: they are computed again for every frame. `none`: no past."""
 
 
-class Visit(NamedTuple):
-    """One lift.
+class Lift(NamedTuple):
+    """One frame to be lifted.
 
     Attributes:
-        moment: its number.
-        wanted: whether its answer is kept.
-        reset: whether everything before is to be forgotten.
+        frame: its index.
+        wanted: whether its prediction is kept.
+        reset: whether the history is cleared before it.
     """
 
-    moment: int
+    frame: int
     wanted: bool
     reset: bool
 
 
-def schedule(wanted: Sequence[int], frames: int, history: History) -> list[Visit]:
-    """Visits in order; just before each wanted moment come the `frames` - 1 before it, as far as there are any.
+def schedule(wanted: Sequence[int], window: int, history: History) -> list[Lift]:
+    """Return the frames to lift, in order.
+
+    Every wanted frame directly follows the `window` - 1 frames before it, or as many as the sequence has.
 
     Args:
-        wanted: moments, increasing.
-        frames: of a window, the newest included.
-        history: how past moments are had.
+        wanted: indices of frames, increasing.
+        window: number of frames that the model fuses, the newest included.
+        history: how past frames are provided.
     """
     if history == "stream":
         chosen = set(wanted)
-        needed = sorted({past for moment in wanted for past in _window(moment, frames)})
-        return [Visit(moment, moment in chosen, k == 0) for k, moment in enumerate(needed)]
-    length = frames if history == "window" else 1
-    return [Visit(past, past == moment, k == 0) for moment in wanted for k, past in enumerate(_window(moment, length))]
+        needed = sorted({past for frame in wanted for past in _window(frame, window)})
+        return [Lift(frame, frame in chosen, k == 0) for k, frame in enumerate(needed)]
+    length = window if history == "window" else 1
+    return [Lift(past, past == frame, k == 0) for frame in wanted for k, past in enumerate(_window(frame, length))]
 
 
-def _window(moment: int, frames: int) -> range:
-    return range(max(0, moment - frames + 1), moment + 1)
+def _window(frame: int, length: int) -> range:
+    return range(max(0, frame - length + 1), frame + 1)

@@ -1,4 +1,4 @@
-"""Where pictures come from: a folder of a user's own, or a recorded scene with its truth."""
+"""Sequences of frames to predict: a user's own images, or a recorded scene with its ground truth."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -14,15 +14,25 @@ from torch import Tensor
 from omniocc.camera import Rig
 from omniocc.data import SceneReader
 from omniocc.data.labels.voxels import vote
-from omniocc.data.source import Unknown
+from omniocc.data.source import SourceSpec, Unknown
+from omniocc.data.source.recorded import spec_of
 from omniocc.data.store.shard import META
 from omniocc.errors import UserError
 from omniocc.geometry import Grid
-from omniocc.predict.input.images import Frame, read_frame
+from omniocc.predict.input.images import Frame, check_excluded, read_frame
 
 
 class Truth(NamedTuple):
-    """What was recorded of a moment beside its pictures; see `omniocc.batch.Batch`."""
+    """The ground truth of a frame.
+
+    Attributes:
+        voxels: class of every cell.
+        lidar_range_m: length of every LiDAR ray.
+        lidar_labels: class that every LiDAR ray hits.
+        scored: None: all cells of a known class count.
+        lidar_directions: None: the rays are those of the spec.
+        lidar_origins: None: the rays start in the ego origin.
+    """
 
     voxels: UInt8[Tensor, "X Y Z"]
     lidar_range_m: Float32[Tensor, " R"]
@@ -37,55 +47,55 @@ class Truth(NamedTuple):
 
 
 @runtime_checkable
-class Drive(Protocol):
-    """Moments in the order of time."""
+class FrameSequence(Protocol):
+    """Frames of one rig in the order of time."""
 
     @property
     def name(self) -> str:
-        """Of the folder of its results in that of all; empty for none."""
+        """Return the name of the folder that the results of this sequence go to; empty: the output folder itself."""
         ...
 
     @property
     def rig(self) -> Rig:
-        """The cameras."""
+        """Return the cameras."""
         ...
 
     @property
-    def moments(self) -> tuple[str, ...]:
-        """Their names."""
+    def frame_names(self) -> tuple[str, ...]:
+        """Return the name of every frame."""
         ...
 
     @property
     def wanted(self) -> tuple[int, ...]:
-        """Numbers of those that are to be predicted; the others serve as history."""
+        """Return the indices of the frames to be predicted; the others serve as history."""
         ...
 
     @property
     def world_from_ego(self) -> Float64[Tensor, "F 4 4"] | None:
-        """Pose of every moment, None if they are not known."""
+        """Return the pose of every frame, None if poses are unknown."""
         ...
 
     @property
     def origin_z_m(self) -> float:
-        """Height of the origin of rig and poses in the frame of their files, in which answers are written."""
+        """Return the height of the ego origin in the frame of the rig file, in which predictions are written."""
         ...
 
-    def images(self, moment: int) -> list[np.ndarray]:
-        """(H, W, 3) uint8 RGB of every camera."""
+    def images(self, frame: int) -> list[np.ndarray]:
+        """Return (H, W, 3) uint8 RGB of every camera."""
         ...
 
-    def truth(self, moment: int, geometry: Grid, unknown: Unknown) -> Truth | None:
-        """What is known of a moment, None if nothing is."""
+    def truth(self, frame: int, geometry: Grid, unknown: Unknown) -> Truth | None:
+        """Return the ground truth of a frame, None if there is none."""
         ...
 
-    def true_range_m(self, moment: int) -> Float32[Tensor, "1 h w"] | None:
-        """The recorded panorama of range, None if there is none."""
+    def true_range_m(self, frame: int) -> Float32[Tensor, "1 h w"] | None:
+        """Return the recorded range panorama, None if there is none."""
         ...
 
 
 @dataclass(frozen=True)
-class PictureDrive:
-    """Files of a user's own; see `omniocc.predict.find_frames`."""
+class ImageSequence:
+    """A user's own images; see `omniocc.predict.find_frames`."""
 
     rig: Rig
     frames: tuple[Frame, ...]
@@ -93,40 +103,40 @@ class PictureDrive:
     origin_z_m: float = 0.0
     name: str = ""
 
-    def raised(self, height_m: float) -> "PictureDrive":
-        """The same drive around an origin that lies higher by so much."""
+    def raise_origin(self, height_m: float) -> "ImageSequence":
+        """Return the same sequence with its ego origin `height_m` higher."""
         poses = self.rig.ego_from_camera.clone()
         poses[:, 2, 3] -= height_m
-        world_from_ego = None if self.world_from_ego is None else moved_origin(self.world_from_ego, height_m)
+        world_from_ego = None if self.world_from_ego is None else raise_poses(self.world_from_ego, height_m)
         rig = Rig(self.rig.cameras, poses, self.rig.names, self.rig.masks)
         return replace(self, rig=rig, world_from_ego=world_from_ego, origin_z_m=self.origin_z_m + height_m)
 
     @property
-    def moments(self) -> tuple[str, ...]:  # noqa: D102
+    def frame_names(self) -> tuple[str, ...]:  # noqa: D102
         return tuple(frame.name for frame in self.frames)
 
     @property
     def wanted(self) -> tuple[int, ...]:
-        """All of them."""
+        """Return the indices of all frames."""
         return tuple(range(len(self.frames)))
 
-    def images(self, moment: int) -> list[np.ndarray]:  # noqa: D102
-        return read_frame(self.frames[moment], self.rig)
+    def images(self, frame: int) -> list[np.ndarray]:  # noqa: D102
+        return read_frame(self.frames[frame], self.rig)
 
-    def truth(self, moment: int, geometry: Grid, unknown: Unknown) -> None:
-        """Nobody knows."""
+    def truth(self, frame: int, geometry: Grid, unknown: Unknown) -> None:
+        """Return None: no ground truth is available."""
 
-    def true_range_m(self, moment: int) -> None:
-        """Nobody knows."""
+    def true_range_m(self, frame: int) -> None:
+        """Return None: no ground truth is available."""
 
 
 @dataclass(frozen=True)
-class RecordedDrive:
+class RecordedSequence:
     """A recorded scene.
 
     Attributes:
-        scene: where it lies.
-        wanted: numbers of the frames that are to be predicted.
+        scene: reader of its files.
+        wanted: indices of the frames to be predicted.
     """
 
     scene: SceneReader
@@ -141,51 +151,58 @@ class RecordedDrive:
         return self.scene.rig
 
     @property
+    def spec(self) -> SourceSpec:
+        """Return the classes and bands that the scene states.
+
+        Raises:
+            DataError: when it states none.
+        """
+        return spec_of(self.scene)
+
+    @property
     def origin_z_m(self) -> float:  # noqa: D102
         return 0.0
 
     @property
-    def moments(self) -> tuple[str, ...]:  # noqa: D102
-        return tuple(moment_name(frame) for frame in range(len(self.scene)))
+    def frame_names(self) -> tuple[str, ...]:  # noqa: D102
+        return tuple(f"{frame:06d}" for frame in range(len(self.scene)))
 
     @property
     def world_from_ego(self) -> Float64[Tensor, "F 4 4"]:  # noqa: D102
         return torch.from_numpy(self.scene.world_from_ego)
 
-    def images(self, moment: int) -> list[np.ndarray]:  # noqa: D102
-        return self.scene.images(moment)
+    def images(self, frame: int) -> list[np.ndarray]:  # noqa: D102
+        return self.scene.images(frame)
 
-    def truth(self, moment: int, geometry: Grid, unknown: Unknown) -> Truth:  # noqa: D102
-        scan = self.scene.lidar(moment)
-        voxels = vote(self.scene, moment, geometry, unknown)
+    def truth(self, frame: int, geometry: Grid, unknown: Unknown) -> Truth:  # noqa: D102
+        scan = self.scene.lidar(frame)
+        voxels = vote(self.scene, frame, geometry, unknown, self.spec.classes.num_classes)
         return Truth(voxels, torch.from_numpy(scan.range_m), torch.from_numpy(scan.labels))
 
-    def true_range_m(self, moment: int) -> Float32[Tensor, "1 h w"]:  # noqa: D102
-        return torch.from_numpy(self.scene.erp_range_m(moment)).unsqueeze(0)
+    def true_range_m(self, frame: int) -> Float32[Tensor, "1 h w"]:  # noqa: D102
+        return torch.from_numpy(self.scene.erp_range_m(frame)).unsqueeze(0)
 
 
-def moved_origin(world_from_ego: Float64[Tensor, "*F 4 4"], height_m: float) -> Float64[Tensor, "*F 4 4"]:
-    """Poses of an origin that lies higher in the ego frame."""
-    moved = world_from_ego.clone()
-    moved[..., :3, 3] += height_m * world_from_ego[..., :3, 2]
-    return moved
+def raise_poses(world_from_ego: Float64[Tensor, "*F 4 4"], height_m: float) -> Float64[Tensor, "*F 4 4"]:
+    """Return the poses of an ego origin that lies `height_m` higher, along the ego frame's z axis."""
+    raised = world_from_ego.clone()
+    raised[..., :3, 3] += height_m * world_from_ego[..., :3, 2]
+    return raised
 
 
-def moment_name(frame: int) -> str:
-    """Of a recorded frame."""
-    return f"{frame:06d}"
-
-
-def find_scenes(data: Path, scene: str | None, frames: Sequence[int] | None) -> list[RecordedDrive]:
-    """Recorded scenes to be predicted.
+def find_scenes(
+    data: Path, scene: str | None, frames: Sequence[int] | None, excluded: Sequence[str] = ()
+) -> list[RecordedSequence]:
+    """Return the recorded scenes to be predicted.
 
     Args:
-        data: a scene's folder, or a dataset's, which holds those of scenes.
-        scene: name of one of a dataset; None: all of its test.
-        frames: numbers of the frames that are wanted; None: all.
+        data: folder of one scene, or of a dataset, which holds the folders of its scenes.
+        scene: name of one scene of a dataset; None: all test scenes.
+        frames: indices of the wanted frames; None: all.
+        excluded: names of the cameras to leave out.
 
     Raises:
-        UserError: naming what is not there, and what is.
+        UserError: naming what does not exist, and what does.
         DataError: when a scene is damaged.
     """
     if (data / META).is_file():
@@ -194,17 +211,20 @@ def find_scenes(data: Path, scene: str | None, frames: Sequence[int] | None) -> 
         folders = (path.parent for path in data.glob(f"*/{META}"))
         names = sorted(folder.name for folder in folders if folder.suffix != ".partial")
         found = [data / name for name in _chosen(data, names, scene)]
-    return [_drive(SceneReader(folder), frames) for folder in found]
+    sequences = [_sequence(SceneReader(folder), frames) for folder in found]
+    for sequence in sequences:
+        check_excluded(excluded, sequence.rig)
+    return sequences
 
 
 def _chosen(data: Path, names: list[str], scene: str | None) -> list[str]:
     if not names:
-        what = "holds no recorded scenes" if data.is_dir() else "is no folder"
-        raise UserError(f"recorded={data} {what}; give a dataset (data/virtual-<hash>) or one of its scenes")
+        problem = "holds no recorded scenes" if data.is_dir() else "is not a folder"
+        raise UserError(f"recorded={data} {problem}; give a dataset (data/virtual-<hash>) or one of its scenes")
     if scene is None:
         test = [name for name in names if name.startswith("test-")]
         if not test:
-            raise UserError(f"recorded={data} holds no scenes of the test; choose one: scene={names[0]}")
+            raise UserError(f"recorded={data} holds no test scenes; choose one scene: scene={names[0]}")
         return test
     if scene not in names:
         close = get_close_matches(scene, names, n=1)
@@ -213,9 +233,9 @@ def _chosen(data: Path, names: list[str], scene: str | None) -> list[str]:
     return [scene]
 
 
-def _drive(scene: SceneReader, frames: Sequence[int] | None) -> RecordedDrive:
+def _sequence(scene: SceneReader, frames: Sequence[int] | None) -> RecordedSequence:
     wanted = range(len(scene)) if frames is None else sorted(set(frames))
     for frame in wanted:
         if not 0 <= frame < len(scene):
             raise UserError(f"frames={list(wanted)}: scene '{scene.name}' has the frames 0 to {len(scene) - 1}")
-    return RecordedDrive(scene, tuple(wanted))
+    return RecordedSequence(scene, tuple(wanted))

@@ -1,44 +1,42 @@
-"""Files of a predicted panorama of range."""
+"""Files of a predicted range panorama."""
 
 from pathlib import Path
 
 import cv2
 import numpy as np
-import torch
-from jaxtyping import Float
-from torch import Tensor
 
 from omniocc.camera import Equirectangular
+from omniocc.data.store.codec import quantize_range
 from omniocc.model.depth import DepthMap
-from omniocc.predict.output.cloud import Cloud, write_ply
+from omniocc.predict.output.point_cloud import PointCloud, write_ply
 from omniocc.view import save_png
 
-STEPS_PER_M = 256
-"""Of the 16-bit picture, as in KITTI's depth maps; 0 is no answer, and 65535 stands for everything beyond 256 m."""
 
+def write_depth(
+    folder: Path, depth: DepthMap, panorama: Equirectangular, cloud: PointCloud, overview: np.ndarray
+) -> int:
+    """Write `range.png`, `range.npz`, `points.ply` and `overview.png`.
 
-def write_depth(folder: Path, depth: DepthMap, panorama: Equirectangular, cloud: Cloud, picture: np.ndarray) -> int:
-    """Writes `range.png`, `range.npz`, `points.ply` and `picture.png`.
-
-    `range.npz` holds `range_m` (nan where there is no answer) and `confidence`, float32 of (height, width), and the
-    panorama's edges `top_deg` and `bottom_deg`.
+    `range.png` is 16 bit, 1/256 m per step as in KITTI's depth maps; 0: no answer. `range.npz` holds `range_m` (nan
+    where there is no answer) and `confidence`, float32 of (height, width), and the panorama's edges `top_deg` and
+    `bottom_deg`.
 
     Args:
-        folder: made if missing.
+        folder: to write into; created if missing.
         depth: of one frame.
-        panorama: its directions.
+        panorama: directions of its pixels.
         cloud: its points.
-        picture: for people.
+        overview: (H, W, 3) uint8 RGB.
 
     Returns:
-        how many points the cloud has.
+        the number of points of the cloud.
 
     Raises:
         OSError: naming the path that cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
     range_m = depth.known_range_m()[0]
-    _, data = cv2.imencode(".png", range_code(range_m))
+    _, data = cv2.imencode(".png", quantize_range(range_m.numpy()))
     (folder / "range.png").write_bytes(data.tobytes())
     np.savez_compressed(
         folder / "range.npz",
@@ -47,11 +45,5 @@ def write_depth(folder: Path, depth: DepthMap, panorama: Equirectangular, cloud:
         top_deg=panorama.top_deg,
         bottom_deg=panorama.bottom_deg,
     )
-    save_png(folder / "picture.png", picture)
+    save_png(folder / "overview.png", overview)
     return write_ply(folder / "points.ply", cloud)
-
-
-def range_code(range_m: Float[Tensor, "h w"]) -> np.ndarray:
-    """(h, w) uint16: steps of 1/256 m, at least 1; 0 where there is no answer."""
-    code = (range_m.nan_to_num(0.0) * STEPS_PER_M).round().clamp(1, 65535)
-    return torch.where(range_m.isfinite(), code, 0).to(torch.int32).numpy().astype(np.uint16)

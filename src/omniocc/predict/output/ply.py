@@ -8,12 +8,12 @@ _PLY_TYPES = {"f4": "float", "u1": "uchar"}
 
 
 def ply_bytes(points_m: np.ndarray, colors: np.ndarray, triangles: np.ndarray | None = None) -> bytes:
-    """The content of a file.
+    """Return the content of a PLY file.
 
     Args:
         points_m: (V, 3), ego frame.
         colors: (V, 3) uint8 RGB.
-        triangles: (T, 3) indices of points; None for a cloud.
+        triangles: (T, 3) indices of points; None for a point cloud.
     """
     vertices = np.empty(len(points_m), VERTEX)
     for k, name in enumerate("xyz"):

@@ -9,52 +9,61 @@ import torch
 from jaxtyping import Float64, UInt8
 from torch import Tensor
 
-from omniocc.classes import CLASSES, ClassTable
+from omniocc.classes import ClassTable
 from omniocc.errors import UserError
 from omniocc.geometry import Cuboid, Cylinder, Grid
 from omniocc.io import atomic_write
 from omniocc.predict.output.ply import ply_bytes
 from omniocc.predict.output.voxel_mesh import voxel_mesh
-from omniocc.predict.predictor import Answer
+from omniocc.predict.predictor import Prediction
 
-VOXELS, MESH, PICTURE = "voxels.npz", "voxels.ply", "picture.png"
+VOXELS, MESH, OVERVIEW = "voxels.npz", "voxels.ply", "overview.png"
 
 FRAME = "ego: x forward, y left, z up, metres, origin as in the rig file"
 
 
 def voxel_arrays(
-    answer: Answer, geometry: Grid, world_from_ego: Float64[Tensor, "4 4"] | None
+    prediction: Prediction,
+    geometry: Grid,
+    classes: ClassTable,
+    world_from_ego: Float64[Tensor, "4 4"] | None,
 ) -> dict[str, np.ndarray]:
-    """Everything that another program needs to place and name the voxels, by name.
+    """Return by name all arrays that another program needs to place and name the voxels.
 
     Cell (i, j, k) spans `low + (high - low) * ((i, j, k) + (0 .. 1)) / shape` along the three `axes`.
+
+    Args:
+        prediction: labels and candidates.
+        geometry: the grid.
+        classes: table of the labels.
+        world_from_ego: pose of the frame, None if unknown.
     """
     axes = ("r_m", "theta_rad", "z_m") if isinstance(geometry, Cylinder) else ("x_m", "y_m", "z_m")
     low, high = np.array(geometry.bounds, dtype=np.float64).T
     arrays = {
-        "labels": answer.labels.numpy(),
-        "candidates": answer.candidates.numpy(),
+        "labels": prediction.labels.numpy(),
+        "candidates": prediction.candidates.numpy(),
         "kind": np.array(type(geometry).__name__.lower()),
         "axes": np.array(axes),
         "shape": np.array(geometry.shape),
         "low": low,
         "high": high,
         "frame": np.array(FRAME),
-        "class_names": np.array([entry.name for entry in CLASSES]),
-        "class_colors": np.array([entry.rgb for entry in CLASSES], dtype=np.uint8),
+        "class_names": np.array(classes.names),
+        "class_colors": classes.palette[: classes.num_classes],
     }
     return arrays if world_from_ego is None else {**arrays, "world_from_ego": world_from_ego.numpy()}
 
 
-def raised_grid(geometry: Grid, height_m: float) -> Grid:
-    """The grid in a frame whose origin lies lower by so much."""
+def raise_grid(geometry: Grid, height_m: float) -> Grid:
+    """Return the grid in a frame whose origin is `height_m` lower."""
     assert isinstance(geometry, Cylinder | Cuboid)
     low, high = geometry.height_m
     return replace(geometry, height_m=(low + height_m, high + height_m))
 
 
 def write_mesh(folder: Path, labels: UInt8[Tensor, "X Y Z"], geometry: Grid, classes: ClassTable) -> None:
-    """Writes `voxels.ply`.
+    """Write `voxels.ply`, the surface of the voxels in the colours of their classes.
 
     Raises:
         DataError: naming the file that cannot be written.
@@ -63,7 +72,7 @@ def write_mesh(folder: Path, labels: UInt8[Tensor, "X Y Z"], geometry: Grid, cla
 
 
 def write_voxels(folder: Path, arrays: dict[str, np.ndarray]) -> None:
-    """Writes `voxels.npz`, whole or not at all: it says that a moment is finished.
+    """Write `voxels.npz`, whole or not at all; its existence marks a frame as finished.
 
     Raises:
         DataError: naming the file that cannot be written.
@@ -74,17 +83,17 @@ def write_voxels(folder: Path, arrays: dict[str, np.ndarray]) -> None:
 
 
 def read_labels(folder: Path, geometry: Grid) -> UInt8[Tensor, "X Y Z"]:
-    """Labels of a finished moment.
+    """Return the labels of a finished frame.
 
     Raises:
-        UserError: when the file is damaged or of another grid.
+        UserError: when the file is damaged or belongs to another grid.
     """
     path = folder / VOXELS
     try:
         with np.load(path) as arrays:
             labels = arrays["labels"]
-    except Exception as error:  # numpy, zipfile and zlib have errors of their own
-        raise UserError(f"{path} is damaged: {error}; force=true predicts all moments again") from error
+    except Exception as error:  # numpy, zipfile and zlib raise their own types
+        raise UserError(f"{path} is damaged: {error}; force=true predicts all frames again") from error
     if labels.shape != geometry.shape:
-        raise UserError(f"{path} is of a grid of {labels.shape}, not {geometry.shape}; force=true predicts again")
+        raise UserError(f"{path} has the grid {labels.shape}, not {geometry.shape}; force=true predicts it again")
     return torch.from_numpy(labels)

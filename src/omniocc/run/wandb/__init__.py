@@ -1,4 +1,4 @@
-"""What a run logs to W&B."""
+"""Loggers of a run: CSV and W&B."""
 
 from omniocc.run.wandb.loggers import Loggers
 

@@ -1,4 +1,4 @@
-"""What W&B shows of a test frame besides its sheet: pictures that can be enlarged, voxels that can be turned."""
+"""Media of a test frame for W&B besides its sheet: images that can be enlarged, voxels that can be rotated."""
 
 from typing import Any, NamedTuple
 
@@ -19,14 +19,14 @@ CAR_CENTER_M, CAR_SIZE_M = (0.0, 0.0, -1.45), (4.6, 1.9, 1.5)
 
 
 class Named(NamedTuple):
-    """A picture (H, W, 3) uint8 RGB, or points (P, 6) x, y, z in metres and RGB, and what is said below it."""
+    """An image (H, W, 3) uint8 RGB, or points (P, 6) of x, y, z in metres and RGB, and its caption."""
 
     content: np.ndarray
     caption: str
 
 
 def class_cloud(labels: UInt8[Tensor, "X Y Z"], geometry: Grid, classes: ClassTable) -> Float[np.ndarray, "P 6"]:
-    """Centres of all occupied cells, ego frame, to the centimetre, and their class colours."""
+    """Return the centres of all occupied cells, ego frame, rounded to the centimetre, and their class colours."""
     occupied = (labels != FREE) & (labels != UNKNOWN)
     centers_m = geometry.centers()[occupied].double().numpy().round(2)
     return np.concatenate([centers_m, classes.palette[labels[occupied].numpy()].astype(np.float64)], axis=1)
@@ -40,7 +40,7 @@ def voxel_media(
     geometry: Grid,
     classes: ClassTable,
 ) -> dict[str, list[Named]]:
-    """The cameras with predicted semantics; truth, prediction and differences from above; voxels as points."""
+    """Return the cameras with predicted classes, voxels, and maps of truth, prediction and differences by key."""
     painted = paint_voxels(list(images), rig, prediction, geometry, classes, CAMERA_PX)
     maps = {
         "truth": bev(truth, geometry, classes, BEV_PX),
@@ -48,8 +48,8 @@ def voxel_media(
         "differences": error_bev(truth, prediction, geometry, BEV_PX),
     }
     return {
-        "cameras": [Named(picture, name) for picture, name in zip(painted, rig.names, strict=True)],
-        "bev": [Named(picture, name) for name, picture in maps.items()],
+        "cameras": [Named(image, name) for image, name in zip(painted, rig.names, strict=True)],
+        "bev": [Named(image, name) for name, image in maps.items()],
         "points_truth": [Named(class_cloud(truth, geometry, classes), "truth")],
         "points_prediction": [Named(class_cloud(prediction, geometry, classes), "prediction")],
     }
@@ -58,7 +58,7 @@ def voxel_media(
 def range_media(
     predicted_m: Float[Tensor, "h w"], true_m: Float[Tensor, "h w"], panorama: Equirectangular
 ) -> dict[str, list[Named]]:
-    """Panoramas of range, true and predicted (nan: no answer), and the error."""
+    """Return range panoramas, true and predicted (nan: no answer), and their difference."""
     assert true_m.shape == (panorama.height, panorama.width)
     predicted, true = predicted_m.numpy(), true_m.numpy()
     rows = {
@@ -70,7 +70,7 @@ def range_media(
 
 
 def wandb_object(item: Named) -> Any:
-    """As W&B stores it; points come with a box for the own car."""
+    """Return the W&B object of an item; points get a box for the ego car."""
     import wandb
 
     if item.content.ndim == 3:

@@ -4,10 +4,10 @@ import numpy as np
 import torch
 
 from omniocc.camera import Equidistant, Equirectangular, Rig
-from omniocc.predict import cloud_of, write_ply
-from omniocc.predict.output.cloud import Cloud, point_colors
+from omniocc.predict import point_cloud, write_ply
+from omniocc.predict.output.point_cloud import PointCloud, point_colors
 
-# two cameras at the origin, one looks ahead, the other to the left; 100 degrees to each side
+# two cameras at the origin, one faces ahead, the other left; each sees 100 degrees to every side of its axis
 AHEAD = torch.tensor([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]], dtype=torch.float64)
 LEFT = torch.tensor([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]], dtype=torch.float64)
 CAMERA = Equidistant(101, 101, 25.0, (50.0, 50.0), 100.0)
@@ -21,23 +21,23 @@ def at(azimuth_deg, range_m=5.0):
     return [range_m * math.cos(azimuth), range_m * math.sin(azimuth), 0.0]
 
 
-def test_the_camera_that_looks_there_gives_the_colour():
+def test_the_camera_that_faces_the_point_gives_the_colour():
     points = torch.tensor([at(0), at(40), at(50), at(90), at(-60), at(-120)], dtype=torch.float64)
     colors, seen = point_colors(points, IMAGES, RIG)
     assert seen.tolist() == [True] * 5 + [False]
     assert colors[:5].tolist() == [list(rgb) for rgb in (RED, RED, BLUE, BLUE, RED)]
 
 
-def test_a_black_picture_gives_no_colour():
+def test_a_black_image_gives_no_colour():
     colors, seen = point_colors(torch.tensor([at(40), at(-60)], dtype=torch.float64), [0 * IMAGES[0], IMAGES[1]], RIG)
     assert seen.tolist() == [True, False]
     assert tuple(colors[0].tolist()) == BLUE
 
 
-def test_the_colour_is_that_of_the_pixel_also_in_a_larger_picture():
+def test_the_colour_is_that_of_the_pixel_also_in_a_larger_image():
     image = np.zeros((202, 202, 3), np.uint8)
     azimuth = 31.0
-    column = 50 - 25 * math.radians(azimuth)  # of the calibrated picture
+    column = 50 - 25 * math.radians(azimuth)  # of the calibrated image
     image[:, round((column + 0.5) * 2 - 0.5)] = 255
     shades = [
         int(point_colors(torch.tensor([at(azimuth + turn)], dtype=torch.float64), [image, 0 * image], RIG)[0][0, 0])
@@ -51,7 +51,7 @@ def test_points_lie_in_the_direction_of_their_pixel():
     panorama = Equirectangular(8, 2, 10.0, -10.0)
     ranges = torch.full((2, 8), torch.nan)
     ranges[0, 2] = 4.0  # azimuth 67.5 degrees, elevation 5
-    cloud = cloud_of(ranges, panorama, IMAGES, RIG)
+    cloud = point_cloud(ranges, panorama, IMAGES, RIG)
     flat = 4 * math.cos(math.radians(5))
     expected = [flat * math.cos(math.radians(67.5)), flat * math.sin(math.radians(67.5)), 4 * math.sin(math.radians(5))]
     assert torch.allclose(cloud.points_m[0, 2], torch.tensor(expected).double(), atol=1e-5)
@@ -74,6 +74,6 @@ def read_ply(path):
 def test_a_ply_file_read_back(tmp_path):
     points = torch.tensor([[[1.5, -2.0, 0.25], [torch.nan] * 3], [[-7.0, 8.0, 9.0], [1.0, torch.inf, 0.0]]]).double()
     colors = torch.arange(12, dtype=torch.uint8).view(2, 2, 3) + 240
-    assert write_ply(tmp_path / "points.ply", Cloud(points, colors)) == 2
+    assert write_ply(tmp_path / "points.ply", PointCloud(points, colors)) == 2
     rows = read_ply(tmp_path / "points.ply")
     assert [tuple(row) for row in rows] == [(1.5, -2.0, 0.25, 240, 241, 242), (-7.0, 8.0, 9.0, 246, 247, 248)]

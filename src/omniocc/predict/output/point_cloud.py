@@ -1,4 +1,4 @@
-"""Coloured point clouds of panoramas of range."""
+"""Coloured point clouds of range panoramas."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,8 +14,8 @@ from omniocc.camera import Camera, Equirectangular, Rig, normalize_pixels
 from omniocc.predict.output.ply import ply_bytes
 
 
-class Cloud(NamedTuple):
-    """What every pixel of a panorama sees.
+class PointCloud(NamedTuple):
+    """The point and colour that every pixel of a panorama sees.
 
     Attributes:
         points_m: in the ego frame, nan where there is no answer.
@@ -26,11 +26,13 @@ class Cloud(NamedTuple):
     colors: UInt8[Tensor, "h w 3"]
 
 
-def cloud_of(range_m: Float[Tensor, "h w"], panorama: Equirectangular, images: Sequence[np.ndarray], rig: Rig) -> Cloud:
-    """Points and their colours.
+def point_cloud(
+    range_m: Float[Tensor, "h w"], panorama: Equirectangular, images: Sequence[np.ndarray], rig: Rig
+) -> PointCloud:
+    """Return the points of a range panorama and their colours.
 
     Args:
-        range_m: around the ego origin, not finite where there is no answer.
+        range_m: range from the ego origin, not finite where there is no answer.
         panorama: directions of its pixels.
         images: (H, W, 3) uint8 RGB of every camera, of any size.
         rig: the cameras.
@@ -40,41 +42,47 @@ def cloud_of(range_m: Float[Tensor, "h w"], panorama: Equirectangular, images: S
     known = range_m.isfinite()
     colors = torch.zeros(*range_m.shape, 3, dtype=torch.uint8)
     colors[known] = point_colors(points[known], images, rig)[0]
-    return Cloud(points, colors)
+    return PointCloud(points, colors)
 
 
 def point_colors(
     points_m: Float64[Tensor, "P 3"], images: Sequence[np.ndarray], rig: Rig
 ) -> tuple[UInt8[Tensor, "P 3"], Bool[Tensor, " P"]]:
-    """RGB of points, each from the camera that sees it nearest to its axis, and whether any camera does.
+    """Return the RGB of points and whether any camera sees them.
 
-    What stands between camera and point is not looked for. Black pictures do not count as seeing.
+    The colour comes from the camera that sees the point nearest to its optical axis. Occlusion is ignored; cameras with
+    a black image see nothing.
+
+    Args:
+        points_m: in the ego frame.
+        images: (H, W, 3) uint8 RGB of every camera, of any size.
+        rig: the cameras.
     """
     pixels, valid = rig.project(points_m)
     to_camera = points_m - rig.ego_from_camera[:, None, :3, 3]
     cosine = F.cosine_similarity(to_camera, rig.ego_from_camera[:, None, :3, 2], dim=-1)
-    awake = torch.tensor([bool(image.any()) for image in images])
-    cosine = torch.where(valid & awake[:, None], cosine, -torch.inf)
+    active = torch.tensor([bool(image.any()) for image in images])
+    cosine = torch.where(valid & active[:, None], cosine, -torch.inf)
     best = cosine.argmax(0)
     colors = torch.zeros(len(points_m), 3, dtype=torch.uint8)
     for k, image in enumerate(images):
-        mine = (best == k) & cosine[k].isfinite()
-        colors[mine] = _sampled(image, pixels[k][mine], rig.cameras[k])
+        own = (best == k) & cosine[k].isfinite()
+        colors[own] = _sampled(image, pixels[k][own], rig.cameras[k])
     return colors, cosine.amax(0).isfinite()
 
 
 def _sampled(image: np.ndarray, pixels: Float64[Tensor, "P 2"], camera: Camera) -> UInt8[Tensor, "P 3"]:
-    places = normalize_pixels(pixels, camera.width, camera.height)[None, None]
-    picture = torch.from_numpy(image).permute(2, 0, 1)[None].double()
-    values = F.grid_sample(picture, places, mode="bilinear", padding_mode="border", align_corners=False)
+    grid = normalize_pixels(pixels, camera.width, camera.height)[None, None]
+    source = torch.from_numpy(image).permute(2, 0, 1)[None].double()
+    values = F.grid_sample(source, grid, mode="bilinear", padding_mode="border", align_corners=False)
     return values[0, :, 0].T.round().clamp(0, 255).to(torch.uint8)
 
 
-def write_ply(path: Path, cloud: Cloud) -> int:
-    """Writes the known points as a binary PLY file, little endian, with float coordinates in metres and uchar colours.
+def write_ply(path: Path, cloud: PointCloud) -> int:
+    """Write the finite points as a binary PLY file, little endian, with float coordinates in metres and uchar colours.
 
     Returns:
-        how many points there are.
+        the number of points.
 
     Raises:
         OSError: naming the path that cannot be written.

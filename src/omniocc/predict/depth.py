@@ -1,0 +1,84 @@
+"""The command `predict.py depth`: from a calibrated rig's images to range panoramas in files."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import cast
+
+import torch
+from omegaconf import DictConfig, ListConfig, OmegaConf
+from torch import nn
+
+from omniocc.camera import Equirectangular, Rig
+from omniocc.config import build, check
+from omniocc.errors import UserError
+from omniocc.predict.input.images import Frame, find_frames, read_frame, resized_to_width
+from omniocc.predict.network import load_depth, predict_depth
+from omniocc.predict.options import choose_device, load_rig, require
+from omniocc.predict.output.panorama_files import write_depth
+from omniocc.predict.output.point_cloud import point_cloud
+from omniocc.predict.stopwatch import Stopwatch
+from omniocc.predict.trained import training_data
+from omniocc.view import predicted_sheet
+
+
+def predict_panoramas(cfg: DictConfig, overrides: Sequence[str]) -> None:
+    """Predict every frame and write its folder of files.
+
+    Args:
+        cfg: composed from `conf/predict_depth.yaml`.
+        overrides: those of the command line.
+
+    Raises:
+        UserError, FileNotFoundError: naming the option, file or checkpoint that cannot be used.
+    """
+    require(cfg, ("rig", "images"), "predict.py depth")
+    rig = load_rig(cfg.rig)
+    images = [str(path) for path in cfg.images] if isinstance(cfg.images, ListConfig) else str(cfg.images)
+    frames = find_frames(images, rig, [str(name) for name in cfg.exclude_cameras])
+    model, image_width = choose_model(cfg, overrides)
+    device = choose_device(cfg.device)
+    for frame in frames:
+        folder = Path(cfg.output) / frame.name
+        print(predict_frame(frame, folder, model, rig, image_width, cfg.bev_range_m, device), flush=True)
+
+
+def choose_model(cfg: DictConfig, overrides: Sequence[str]) -> tuple[nn.Module, int | None]:
+    """Return the depth option, and the width of the images that it is applied to (None: the rig's)."""
+    if cfg.checkpoint is None:
+        check(OmegaConf.create({"depth": OmegaConf.to_container(cfg.depth, resolve=True)}))
+        return build(cfg.depth).eval(), cfg.image_width
+    overrides = [text.lstrip("+") for text in overrides]
+    conflicting = [text for text in overrides if text.startswith(("model/", "preset", "depth="))]
+    if conflicting:
+        raise UserError(f"{conflicting[0]}: the checkpoint sets this; leave it out, or leave out the checkpoint")
+    path = Path(cfg.checkpoint)
+    model, trained = load_depth(path, [text for text in overrides if text.startswith("depth.")])
+    chosen = any(text.startswith("image_width=") for text in overrides)
+    return model, cfg.image_width if chosen else training_data(path, trained).image_size[0]
+
+
+def predict_frame(
+    frame: Frame,
+    folder: Path,
+    model: nn.Module,
+    rig: Rig,
+    image_width: int | None,
+    bev_range_m: float,
+    device: torch.device,
+) -> str:
+    """Predict one frame, write its files and return a line about it."""
+    watch = Stopwatch(device, ("read", "depth", "write"))
+    with watch("read"):
+        images = read_frame(frame, rig)
+        batch, scaled = resized_to_width(images, rig, image_width)
+    with watch("depth"):
+        depth = predict_depth(model, batch, scaled, device)
+    with watch("write"):
+        range_m, panorama = depth.known_range_m()[0], cast(Equirectangular, model.panorama)
+        cloud = point_cloud(range_m, panorama, images, rig)
+        missing = [name for name, file in zip(rig.names, frame.files, strict=True) if file is None]
+        caption = " ".join([frame.name, f"without {', '.join(missing)}" if missing else ""]).strip()
+        overview = predicted_sheet(images, rig, panorama, range_m, cloud.colors, caption, bev_range_m)
+        points = write_depth(folder, depth, panorama, cloud, overview)
+    answered = float(depth.valid.float().mean())
+    return f"{folder}: {panorama.width}x{panorama.height} px, {answered:.0%} with an answer, {points} points; {watch}"

@@ -1,0 +1,61 @@
+"""Write a recorded scene in the form of a user's own images: `python -m omniocc.predict.export_scene SCENE FOLDER`."""
+
+import argparse
+from pathlib import Path
+
+import cv2
+import torch
+
+from omniocc.data import SceneReader
+from omniocc.data.store.shard import META
+from omniocc.errors import UserError
+from omniocc.predict.input.poses import write_poses
+from omniocc.predict.input.sequence import RecordedSequence
+from omniocc.run.script import lines_not_tracebacks
+
+RIG, POSES = "rig.yaml", "poses.csv"
+
+
+def export_scene(scene: Path, folder: Path) -> int:
+    """Write `<frame>/<camera>.png`, `rig.yaml` and `poses.csv`, without any loss.
+
+    Args:
+        scene: folder of a recorded scene.
+        folder: to write into; created if missing.
+
+    Returns:
+        the number of frames.
+
+    Raises:
+        UserError: when there is no scene.
+        OSError: when a file is damaged or cannot be written.
+    """
+    if not (scene / META).is_file():
+        raise UserError(f"{scene} is not a recorded scene; give one such as data/virtual-<hash>/test-000-downtown")
+    reader = SceneReader(scene)
+    sequence = RecordedSequence(reader, tuple(range(len(reader))))
+    folder.mkdir(parents=True, exist_ok=True)
+    sequence.rig.save(folder / RIG)
+    write_poses(folder / POSES, sequence.frame_names, torch.as_tensor(sequence.world_from_ego))
+    for k, frame in enumerate(sequence.frame_names):
+        (folder / frame).mkdir(exist_ok=True)
+        for name, image in zip(sequence.rig.names, sequence.images(k), strict=True):
+            encoded, content = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
+            assert encoded
+            (folder / frame / f"{name}.png").write_bytes(content.tobytes())
+    return len(sequence.frame_names)
+
+
+@lines_not_tracebacks
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command line."""
+    parser = argparse.ArgumentParser(prog="python -m omniocc.predict.export_scene", description=__doc__)
+    parser.add_argument("scene", type=Path, help="folder of a recorded scene: data/virtual-<hash>/<scene>")
+    parser.add_argument("folder", type=Path, help=f"folder to write <frame>/<camera>.png, {RIG} and {POSES} into")
+    options = parser.parse_args(arguments)
+    frames = export_scene(options.scene, options.folder)
+    print(f"{options.folder}: {frames} frames, {RIG}, {POSES}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,46 @@
+"""Options that several commands share: rig, device, required keys."""
+
+from collections.abc import Sequence
+
+import torch
+from omegaconf import DictConfig, OmegaConf
+
+from omniocc.camera import Rig
+from omniocc.errors import UserError
+
+
+def require(cfg: DictConfig, keys: Sequence[str], command: str) -> None:
+    """Check that mandatory keys have a value.
+
+    Raises:
+        UserError: naming the first missing key and the command whose `--help` explains it.
+    """
+    for key in keys:
+        if OmegaConf.is_missing(cfg, key):
+            raise UserError(f"{key}=... is needed; see python src/{command} --help")
+
+
+def load_rig(source: str) -> Rig:
+    """Return the rig of a rig file, a calibration file or a built-in name.
+
+    Raises:
+        UserError: when it cannot be used.
+    """
+    try:
+        return Rig.load(source)
+    except ValueError as error:
+        raise UserError(f"rig={source}: {error}") from error
+
+
+def choose_device(name: str | None) -> torch.device:
+    """Return the named device; None: the GPU if there is one, else the CPU.
+
+    Raises:
+        UserError: when the device is not available.
+    """
+    try:
+        device = torch.device(name or ("cuda" if torch.cuda.is_available() else "cpu"))
+        torch.zeros(1, device=device)
+    except (RuntimeError, AssertionError) as error:
+        raise UserError(f"device={name}: {str(error).splitlines()[0]}; use cpu or cuda") from error
+    return device

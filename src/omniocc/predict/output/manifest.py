@@ -1,0 +1,65 @@
+"""The file that tells what the predictions of a folder were made from: one checkpoint and one set of options."""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from torch import Tensor
+
+from omniocc.errors import UserError
+from omniocc.io import atomic_write
+from omniocc.predict.output.voxel_files import VOXELS
+
+MANIFEST = "prediction.json"
+
+
+def write_manifest(output: Path, facts: Mapping[str, Any], force: bool) -> None:
+    """Write what the predictions of a folder are made from, so that it never mixes those of two models.
+
+    Args:
+        output: the folder.
+        facts: checkpoint, input and options.
+        force: replace a manifest with other facts, and first remove its predictions.
+
+    Raises:
+        UserError: when the folder cannot be written, or its predictions were made from other facts.
+    """
+    path = output / MANIFEST
+    text = json.dumps(facts, indent=1) + "\n"
+    differs = path.is_file() and path.read_text() != text
+    if differs and not force:
+        changed = _changed(path.read_text(), facts)
+        raise UserError(
+            f"{output} holds predictions made with other options ({changed}); choose another output=..., or "
+            "force=true to predict all frames again"
+        )
+    try:
+        if differs:  # before the new manifest, so that a stop between the two leaves no old prediction under it
+            for prediction in output.rglob(VOXELS):
+                prediction.unlink()
+        atomic_write(path, text)
+    except OSError as error:
+        reason = (error.__cause__ and str(error.__cause__)) or str(error)
+        raise UserError(f"output={output} cannot be written: {reason}; choose another folder: output=...") from error
+
+
+def _changed(old: str, new: Mapping[str, Any]) -> str:
+    try:
+        before = json.loads(old)
+    except ValueError:
+        return f"{MANIFEST} is damaged"
+    changes = [f"{key} was {before.get(key)!r}" for key in new if before.get(key) != new[key]]
+    return ", ".join(changes) or "other keys"
+
+
+def file_digest(path: Path) -> str:
+    """Return the first 16 hex digits of a file's SHA-256."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()[:16]
+
+
+def pose_digest(poses: Tensor | None) -> str | None:
+    """Return the first 16 hex digits of the poses' SHA-256, None without poses."""
+    return None if poses is None else hashlib.sha256(poses.contiguous().numpy().tobytes()).hexdigest()[:16]
