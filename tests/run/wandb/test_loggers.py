@@ -23,7 +23,10 @@ CONFIG = {
     "name": "mono",
     "seed": 3,
     "stage": None,
-    "model": {"geometry": {"_target_": "omniocc.geometry.Cuboid", "shape": [4, 4, 2]}},
+    "model": {
+        "geometry": {"_target_": "omniocc.geometry.Cuboid", "shape": [4, 4, 2]},
+        "sketch": {"_target_": "omniocc.model.sketch.Dense"},
+    },
 }
 STEPS, PER_EPOCH, FAILS_AT, CHECKPOINT_EVERY = 9, 3, 5, 2
 
@@ -99,7 +102,7 @@ def test_a_run_has_its_group_tags_job_type_and_slots(resumed):
         assert (run.project, run.run_group, run.job_type) == ("p", "tiny", "occupancy")
         assert (run.display_name, list(run.tags)) == ("mono-0123abcd", ["mono", "x"])
     config = {item.key: json.loads(item.value_json) for item in first.config.update}
-    assert (config["row"], config["slots"], config["seed"]) == ("mono", {"geometry": "cuboid"}, 3)
+    assert (config["row"], config["slots"], config["seed"]) == ("mono", {"geometry": "cuboid", "sketch": "dense"}, 3)
     assert config["model"]["geometry"]["shape"] == [4, 4, 2]
 
 
