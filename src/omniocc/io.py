@@ -31,7 +31,8 @@ def atomic_write(path: Path, content: bytes | memoryview | str, previous: Path |
             just before the new one, so that a stop between the two leaves it under this name alone.
 
     Raises:
-        DataError: when the file cannot be written; the old file is untouched and nothing temporary is left.
+        DataError: when the file cannot be written; the old file is there, under its own name or that of `previous`, and
+            nothing temporary is left.
     """
     data = content.encode() if isinstance(content, str) else content
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
@@ -69,7 +70,8 @@ def cannot_write(path: Path, error: OSError, needed_bytes: int | None = None) ->
     """
     reason = _REMEDIES.get(error.errno or 0, f"{error.strerror or error}")
     if error.errno == errno.ENOSPC and needed_bytes is not None:
-        free_bytes = shutil.disk_usage(path.parent).free
+        folder = next(parent for parent in path.absolute().parents if parent.exists())
+        free_bytes = shutil.disk_usage(folder).free
         reason += f" ({needed_bytes:,} bytes are needed, {free_bytes:,} are free)"
     return DataError(f"cannot write {path}: {reason}, then run the same command again; it continues where it stopped")
 

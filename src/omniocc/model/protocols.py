@@ -223,7 +223,7 @@ class Refiner(Protocol):
     channels: int
 
     def __call__(self, volume: Float[Tensor, "B C X Y Z"], sketched: Sketched) -> Float[Tensor, "B D X Y Z"]:
-        """Return a volume of the same shape with `channels` channels; `sketched` is the newest frame's."""
+        """Return a volume on the same grid, with `channels` channels; `sketched` is the newest frame's."""
         ...
 
 

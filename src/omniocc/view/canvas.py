@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 
 from omniocc.classes import FREE, ClassTable
+from omniocc.io import atomic_write
 
 Rgb = tuple[int, int, int]
 
@@ -19,11 +20,11 @@ def save_png(path: str | PathLike[str], image: np.ndarray) -> None:
     """Write an image as PNG.
 
     Raises:
-        OSError: naming the path that cannot be written.
+        DataError: naming the path that cannot be written.
     """
     done, data = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_PNG_COMPRESSION, 9])
     assert done
-    Path(path).write_bytes(data.tobytes())
+    atomic_write(Path(path), data.tobytes())
 
 
 def blank(width: int, height: int, rgb: Rgb = PAPER) -> np.ndarray:
