@@ -61,10 +61,7 @@ def count_rays(
 
 
 def ray_scores(
-    counts: RayCounts,
-    occupied: Mapping[int, str],
-    thresholds_m: Sequence[float],
-    range_edges_m: Sequence[float],
+    counts: RayCounts, occupied: Mapping[int, str], thresholds_m: Sequence[float], range_edges_m: Sequence[float]
 ) -> dict[str, Tensor]:
     """Return the scores of counts: IoU of class c at a threshold = correct / (truth + predicted - correct).
 

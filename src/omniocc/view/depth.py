@@ -10,15 +10,7 @@ from torch import Tensor
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.view.canvas import fitted, legend
-from omniocc.view.ranges import (
-    FALSE_RANGE,
-    NOT_PREDICTED,
-    SKY,
-    error_bar,
-    error_colors,
-    range_bar,
-    range_colors,
-)
+from omniocc.view.ranges import FALSE_RANGE, NOT_PREDICTED, SKY, error_bar, error_colors, range_bar, range_colors
 from omniocc.view.sheet import NAMES, camera_rows, caption_line, column_width, inner_width, panorama_row, stack
 
 COVER = 1.8

@@ -70,11 +70,7 @@ def paint_voxels(
 
 
 def voxel_panorama(
-    labels: UInt8[Tensor, "X Y Z"],
-    geometry: Grid,
-    classes: ClassTable,
-    panorama: Equirectangular,
-    width: int,
+    labels: UInt8[Tensor, "X Y Z"], geometry: Grid, classes: ClassTable, panorama: Equirectangular, width: int
 ) -> np.ndarray:
     """Return an image, about width / 2 wide, of the first voxel in every direction from the ego origin."""
     columns = width // COARSE

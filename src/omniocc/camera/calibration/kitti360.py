@@ -5,16 +5,7 @@ from typing import Any
 
 import torch
 
-from omniocc.camera.calibration.fields import (
-    Calibration,
-    centered,
-    number,
-    parse_yaml,
-    pose,
-    required,
-    single,
-    whole,
-)
+from omniocc.camera.calibration.fields import Calibration, centered, number, parse_yaml, pose, required, single, whole
 from omniocc.camera.models.mei import MEI
 
 POSES = "calib_cam_to_pose.txt"

@@ -60,10 +60,7 @@ class RayTable:
 
 
 def cast(
-    grid: Traversable,
-    labels: UInt8[Tensor, "X Y Z"],
-    origins: Float[Tensor, "R 3"],
-    directions: Float[Tensor, "R 3"],
+    grid: Traversable, labels: UInt8[Tensor, "X Y Z"], origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"]
 ) -> Hits:
     """Return the first cell along each ray that is not free (0); unknown (255) is not free.
 
