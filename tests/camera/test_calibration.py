@@ -240,7 +240,7 @@ def test_omnimvs_config(tmp_path, load):
     invalid[:100] = 255
     cv2.imwrite(str(tmp_path / "mask1.png"), invalid)
     rig = load(OMNIMVS, "config.yaml")
-    assert rig == Rig.load(tmp_path), "a folder stands for its config.yaml"
+    assert rig == Rig.load(tmp_path), "a folder is read by its config.yaml"
     assert rig.names == ("cam1", "cam2")
     assert rig.cameras[0].max_angle_deg == 110
     assert rig.cameras[0].inverse_polynomial == (300.0, 180.0, -21.0)

@@ -37,8 +37,8 @@ def test_built_in_rig_projects_the_cloth_to_its_pixels(corners):
         assert (seen[index] - pixels).norm(dim=-1).median() < 0.8
 
 
-def test_two_cameras_meet_at_one_point_of_the_cloth(corners):
-    """Rays of two cameras to the same corner, intersected without the ground."""
+def test_rays_of_two_cameras_intersect_at_one_point_of_the_cloth(corners):
+    """Intersect the rays of two cameras to the same corner, without using the ground."""
     by_place = {name: {tuple(row[:2]): row[2:] for row in rows} for name, rows in corners["cameras"].items()}
     distances = []
     for first, second in (("front", "left"), ("front", "right"), ("back", "left"), ("back", "right")):

@@ -1,4 +1,4 @@
-"""What every lens model must do, whatever its formula."""
+"""Requirements that every lens model meets."""
 
 import itertools
 import math
@@ -59,8 +59,8 @@ def test_pixel_to_ray_to_pixel(camera, dtype, atol):
     assert valid.float().mean() > 0.6
     torch.testing.assert_close(rays.norm(dim=-1), torch.ones_like(pixels[..., 0]))
     back, seen = camera.project(13 * rays)
-    own_inverse_is_fitted = bool(getattr(camera, "inverse_polynomial", ()))
-    assert (back - pixels)[valid].abs().max() < (1e-2 if own_inverse_is_fitted else atol)
+    inverse_is_fitted = bool(getattr(camera, "inverse_polynomial", ()))
+    assert (back - pixels)[valid].abs().max() < (1e-2 if inverse_is_fitted else atol)
     assert seen[valid].float().mean() > 0.995, "only rays at the very limit may fall to either side"
 
 

@@ -8,8 +8,8 @@ CUBOID = Cuboid(shape=(41, 41, 3), x_m=(-20.5, 20.5), y_m=(-20.5, 20.5), height_
 WINDOWS, EDGES_M = (0, 1, 3), (8.0, 15.0)
 
 
-def random_mask(grid, seed, share=0.02):
-    return torch.rand(2, *grid.shape, generator=torch.Generator().manual_seed(seed)) < share
+def random_mask(grid, seed, fraction=0.02):
+    return torch.rand(2, *grid.shape, generator=torch.Generator().manual_seed(seed)) < fraction
 
 
 def test_a_cylinder_widens_along_r_by_the_window_of_the_band():

@@ -57,7 +57,7 @@ def test_free_rays_count_in_the_band_where_they_leave_the_grid():
     assert metric.predicted[:, 4].tolist() == [0, 1, 0]
 
 
-def test_a_ray_that_never_meets_the_grid_never_counts():
+def test_a_ray_that_misses_the_grid_does_not_count():
     metric = RayIoU(LINE, directions=FORWARD, count_free_rays=True)
     metric.update(line(c2=4), line(), torch.tensor([[[0.0, 5.0, 0.0]]]))
     assert metric.truth.sum() == metric.predicted.sum() == 0

@@ -160,9 +160,9 @@ def test_another_free_class_gives_the_same_scores():
     turned = [
         torch.where(labels == 255, 255, (labels.long() + 11) % 12).to(torch.uint8) for labels in (prediction, target)
     ]
-    here = ray_iou(prediction, target, CUBOID)
-    there = ray_iou(turned[0], turned[1], CUBOID, free_class=11)
-    assert here["rayiou"].item() == there["rayiou"].item()
+    expected = ray_iou(prediction, target, CUBOID)
+    found = ray_iou(turned[0], turned[1], CUBOID, free_class=11)
+    assert found["rayiou"].item() == expected["rayiou"].item()
     assert ray_iou(prediction % 3, target.clamp(max=1), CUBOID, num_classes=3)["rayiou/1"] >= 0
 
 
@@ -316,15 +316,15 @@ def test_two_processes_equal_one(tmp_path):
     scores = half_of_the_frames(0, tmp_path)
     assert other.wait(timeout=120) == 0
     prediction, target = frames(CUBOID, 5)
-    for i, alone in enumerate(three_metrics()):
-        alone.update(*as_input(alone, prediction, target))
+    for i, expected in enumerate(three_metrics()):
+        expected.update(*as_input(expected, prediction, target))
         for theirs in (scores[i], torch.load(tmp_path / "1.pt")[i]):
-            assert alone.compute().keys() == theirs.keys()
-            for key, value in alone.compute().items():
+            assert expected.compute().keys() == theirs.keys()
+            for key, value in expected.compute().items():
                 torch.testing.assert_close(theirs[key], value, rtol=1e-7, atol=0, equal_nan=True)
 
 
-def first_process_scores_alone(rank, folder):
+def first_process_scores(rank, folder):
     """Score frames in the first of two processes; the second only joins the group and waits for the end."""
     timeout = datetime.timedelta(seconds=60)
     meet = f"file://{folder}/meet"
@@ -336,10 +336,10 @@ def first_process_scores_alone(rank, folder):
 
 
 def test_function_does_not_communicate_with_other_processes(tmp_path):
-    other = second_process("first_process_scores_alone", tmp_path)
-    scores = first_process_scores_alone(0, tmp_path)
+    other = second_process("first_process_scores", tmp_path)
+    scores = first_process_scores(0, tmp_path)
     assert other.wait(timeout=120) == 0
-    alone = ray_iou(*frames(CUBOID, 2), CUBOID)
-    assert scores.keys() == alone.keys()
-    for key, value in alone.items():
+    expected = ray_iou(*frames(CUBOID, 2), CUBOID)
+    assert scores.keys() == expected.keys()
+    for key, value in expected.items():
         torch.testing.assert_close(scores[key], value, rtol=0, atol=0, equal_nan=True)

@@ -24,12 +24,12 @@ def pose_from_ground(
     one that fits better is returned.
 
     Raises:
-        ValueError: fewer than 4 points, points on one line or off the plane, a pixel the lens does not see, or no pose
-            above the ground.
+        ValueError: if there are fewer than 4 points, points on one line or off the plane, a pixel outside the lens, or
+            no pose above the ground.
     """
-    rays, seen = camera.unproject(pixels)
-    if not bool(seen.all()):
-        raise ValueError(f"the lens does not see the pixels {pixels[~seen].tolist()}; leave them out")
+    rays, valid = camera.unproject(pixels)
+    if not bool(valid.all()):
+        raise ValueError(f"the lens does not cover the pixels {pixels[~valid].tolist()}; leave them out")
     _check_plane(points_ego)
     found = []
     for start in _starts(rays, points_ego):
@@ -91,8 +91,8 @@ def _refine(
 
     def residuals(change: Float64[Tensor, "6"]) -> Float64[Tensor, " m"]:
         moved = _moved(camera_from_ego, change)
-        seen, _ = camera.project(points_ego @ moved[:3, :3].T + moved[:3, 3])
-        return (seen - pixels).flatten()
+        projected, _ = camera.project(points_ego @ moved[:3, :3].T + moved[:3, 3])
+        return (projected - pixels).flatten()
 
     no_change = torch.zeros(6, dtype=torch.float64)
     steps = DIFFERENCE * torch.eye(6, dtype=torch.float64)

@@ -19,24 +19,19 @@ class Camera(Protocol):
     @property
     def width(self) -> int:
         """Return the pixels in a row."""
-        ...
 
     @property
     def height(self) -> int:
         """Return the pixels in a column."""
-        ...
 
     def project(self, points: Float[Tensor, "*batch 3"]) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"]]:
         """Return the pixel (u, v) of each point; valid if the model covers the angle and the pixel is in the image."""
-        ...
 
     def unproject(self, pixels: Float[Tensor, "*batch 2"]) -> tuple[Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
         """Return the unit ray of each pixel, in the image or not; valid where the model covers the angle."""
-        ...
 
     def resized(self, width: int, height: int) -> "Camera":
         """Return the same camera with its image scaled to another size, in px."""
-        ...
 
 
 def check_size(width: object, height: object) -> None:
@@ -76,9 +71,9 @@ def positive_pair(name: str, value: object) -> tuple[float, float]:
 
 def numbers(name: str, value: object, least: int, most: int) -> tuple[float, ...]:
     """Return `value` as a tuple of floats; raise ValueError unless it is `least` to `most` finite numbers."""
-    wanted = str(least) if least == most else f"{least} to {most}"
+    count = str(least) if least == most else f"{least} to {most}"
     if not isinstance(value, list | tuple) or not least <= len(value) <= most:
-        raise ValueError(f"{name} is {value!r}; it must be {wanted} numbers")
+        raise ValueError(f"{name} is {value!r}; it must be {count} numbers")
     return tuple(finite(name, number) for number in value)
 
 

@@ -18,7 +18,7 @@ from omniocc.camera.rig_file import read_rig, write_rig
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """Cameras and their poses; rigs with equal content are equal and have equal hashes, whatever file they came from.
+    """Cameras and their poses; rigs with equal content are equal and have equal hashes, also from different files.
 
     Attributes:
         cameras: models of the N cameras.

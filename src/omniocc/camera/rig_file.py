@@ -61,11 +61,7 @@ Mask = Bool[Tensor, "_ _"]
 
 
 def read_rig(path: str | PathLike[str]) -> Calibration:
-    """Return the arguments of `Rig` from a rig file, a calibration of another tool or a built-in rig.
-
-    Raises:
-        ValueError: naming the file, the camera and the wrong value.
-    """
+    """Return the arguments of `Rig`; raise ValueError naming the file, the camera and the wrong value."""
     file: Path | Calibration = _find(path)
     if file.is_dir():
         file = read_calibration_folder(file)

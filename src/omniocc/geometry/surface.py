@@ -1,4 +1,4 @@
-"""The surface of occupied cells: what pictures and meshes of voxels are drawn from."""
+"""The surface of occupied cells, from which images and meshes of voxels are drawn."""
 
 from typing import NamedTuple
 
@@ -30,10 +30,6 @@ def surface(occupied: Bool[Tensor, "X Y Z"], geometry: Grid) -> Surface:
 
     Faces come axis by axis, lower before upper, cells in row-major order. A cylinder's curved faces are drawn flat, as
     chords; at its axis, faces have no area.
-
-    Args:
-        occupied: cells that belong to the solid.
-        geometry: their grid.
     """
     solid = occupied.reshape(-1).numpy()
     neighbors = geometry.neighbors().reshape(-1, 6).numpy()

@@ -74,7 +74,7 @@ def _pairs(
 
 @lru_cache(maxsize=64)
 def axis_steps(cells: int, wraps: bool, stride: int, device: torch.device) -> Int32[Tensor, " steps"]:
-    """Return what indices -1 .. cells+1 of an axis add to a row-major index: beyond the ends it wraps or stops."""
+    """Return the row-major offsets of indices -1 .. cells+1 of an axis, which wrap around or stop at its ends."""
     index = torch.arange(-1, cells + 2, dtype=torch.int32, device=device)
     return (index.remainder(cells) if wraps else index.clamp(0, cells - 1)) * stride
 

@@ -16,17 +16,14 @@ class HasLogits(Protocol):
     @property
     def logits(self) -> Float[Tensor, "B C X Y Z"]:
         """Return the logits of every voxel."""
-        ...
 
     @property
     def pixel_logits(self) -> Float[Tensor, "B N C h w"] | None:
         """Return the logits of every pixel, or None without a semantic head."""
-        ...
 
     @property
     def range_logits(self) -> Float[Tensor, "B N D h w"] | None:
         """Return the logits of range bins of every pixel, or None if the lifter estimates no ranges."""
-        ...
 
 
 class Total(nn.Module):
@@ -74,11 +71,8 @@ class Total(nn.Module):
     ) -> dict[str, Float32[Tensor, ""]]:
         """Return weighted scalar terms by name; labels that are absent (None) give no terms.
 
-        Args:
-            prediction: logits.
-            voxels: class of every cell, 255 unknown.
-            pixel_labels: class of every pixel, 255 unknown; looked at only if the model predicts pixels.
-            camera_range_m: true range of every pixel, m; nan unknown. Looked at only if there are terms of rays.
+        Unknown labels are 255, unknown ranges (m) nan. `pixel_labels` are used only if the model predicts pixels, and
+        `camera_range_m` only if there are terms of rays.
 
         Raises:
             ValueError: if there are terms of rays, but the lifter estimates no ranges.

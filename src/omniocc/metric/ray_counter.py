@@ -110,9 +110,9 @@ class RayCounter:
             raise ValueError("count_free_rays needs rays that are the same in all frames")
         starts = torch.zeros_like(target.directions) if target.starts is None else target.starts
         rows = zip(prediction, target.range_m, target.labels, target.directions, starts, strict=True)
-        return [self._count_own_rays(*row) for row in rows]
+        return [self._count_frame_rays(*row) for row in rows]
 
-    def _count_own_rays(
+    def _count_frame_rays(
         self, prediction: Tensor, range_m: Tensor, labels: Tensor, directions: Tensor, starts: Tensor
     ) -> RayCounts:
         """Return the counts of one frame whose R rays have directions and starts (R, 3) of their own."""

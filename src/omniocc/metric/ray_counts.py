@@ -67,11 +67,7 @@ def ray_scores(
 
     Classes that occur neither in the truth nor in the prediction are nan and left out of every mean.
 
-    Args:
-        counts: see `count_rays`.
-        occupied: names by id of the classes that are scored: all but free.
-        thresholds_m: those of the counts.
-        range_edges_m: those of the counts.
+    `occupied` has the names by id of the classes that are scored: all but free.
 
     Returns:
         `rayiou` (mean over thresholds and classes), `rayiou@<threshold>`, `rayiou/<class>` and

@@ -25,7 +25,7 @@ class RayIoU(Metric):
     A ray counts if its true first hit is of a class other than free and unknown. It is correct at a threshold if the
     predicted first hit has the same class and lies at a distance that differs by less than the threshold. Counts are
     summed over rays, frames and processes; IoU = correct / (true + predicted - correct) for each class and threshold,
-    and the mean runs over thresholds and over the classes present. A ray that never meets the grid is invalid (the
+    and the mean runs over thresholds and over the classes present. A ray that misses the grid is invalid (the
     public script takes voxel (0, 0, 0) for it).
 
     The paper does not say which thresholds, rays and origins it used. The default here is the mean over 1, 2 and 4 m of
@@ -180,9 +180,9 @@ def ray_iou(
     count_free_rays: bool = False,
     class_names: Sequence[str] | None = None,
 ) -> dict[str, Tensor]:
-    """Return the RayIoU of these frames alone; see `RayIoU` for the definition, the arguments and the keys.
+    """Return the RayIoU of these frames; see `RayIoU` for the definition, the arguments and the keys.
 
-    In a distributed run each process gets the figures of its own frames, without communication.
+    In a distributed run each process gets the scores of its frames, without communication.
 
     Example:
         >>> import torch

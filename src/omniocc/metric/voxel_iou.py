@@ -26,27 +26,14 @@ def voxel_confusion(
     num_classes: int,
     weights: Float64[Tensor, "X Y Z"] | None = None,
 ) -> Float64[Tensor, "C C"]:
-    """Return the sums of voxels, or of their weights, by true (row) and predicted (column) class.
-
-    Args:
-        prediction: class of every cell.
-        target: true class of every cell.
-        counted: cells that count.
-        num_classes: number of classes, free included.
-        weights: of every cell; default 1.
-    """
+    """Return the sums of counted voxels, or of their weights, by true (row) and predicted (column) class."""
     keys = target[counted].long() * num_classes + prediction[counted]
     weights = None if weights is None else weights.to(keys.device).expand(counted.shape)[counted]
     return torch.bincount(keys, weights, minlength=num_classes**2).double().reshape(num_classes, num_classes)
 
 
 def voxel_scores(confusion: Float64[Tensor, "C C"], free_class: int, occupied: Mapping[int, str]) -> dict[str, Tensor]:
-    """Return the scores of sums.
-
-    Args:
-        confusion: see `voxel_confusion`.
-        free_class: id of free space.
-        occupied: names by id of all other classes.
+    """Return the scores of sums (`voxel_confusion`); `occupied` has the names by id of all classes but free.
 
     Returns:
         `iou`, `precision`, `recall` and `f1` of occupied against free; `iou/<class>` of the occupied classes, and

@@ -1,4 +1,4 @@
-"""Images for people: numpy (height, width, 3) uint8 RGB."""
+"""Images of data and predictions: numpy (height, width, 3) uint8 RGB."""
 
 from omniocc.view.bev import bev, error_bev
 from omniocc.view.canvas import save_png

@@ -5,19 +5,19 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 import torch
-from jaxtyping import UInt8
 from torch import Tensor
 
 from omniocc.classes import FREE, UNKNOWN, ClassTable
 from omniocc.geometry import Grid
 from omniocc.geometry.surface import face_corners, surface
+from omniocc.view.canvas import Labels
 
 SKY_TOP, SKY_BOTTOM = (214, 226, 240), (252, 252, 252)
 LIGHT = np.array([-0.35, 0.45, 0.82])
 SUPERSAMPLE = 2
 NEAR_M = 0.2
 EDGE_DARKENING = 0.22
-# Body and cabin of the own car: x, y and z from ... to in the ego frame, and colour.
+# Body and cabin of the ego car: x, y and z from ... to in the ego frame, and colour.
 CAR_BOXES = (
     (((-2.3, 2.3), (-0.95, 0.95), (-1.95, -1.2)), (250, 250, 252)),
     (((-1.7, 0.9), (-0.8, 0.8), (-1.2, -0.65)), (70, 80, 95)),
@@ -44,7 +44,7 @@ class Faces(NamedTuple):
 
 
 def render_voxels(
-    labels: UInt8[Tensor, "X Y Z"],
+    labels: Labels,
     geometry: Grid,
     classes: ClassTable,
     width: int,
@@ -53,16 +53,16 @@ def render_voxels(
     target_m: tuple[float, float, float] = (0.5, 0.0, -3.0),
     view_deg: float = 60.0,
 ) -> np.ndarray:
-    """Return an image of the occupied cells in their class colours, with the own car as a white box.
+    """Return an image of the occupied cells in their class colours, with the ego car as a white box.
 
     Unknown cells are not drawn.
 
     Args:
         labels: class of every cell.
-        geometry: the grid.
-        classes: names and colours of the labels.
-        width: width of the image, px.
-        height: height of the image, px.
+        geometry: grid of the labels.
+        classes: colours of the labels.
+        width: px.
+        height: px.
         eye_m: viewpoint, ego frame.
         target_m: point in the middle of the image, ego frame.
         view_deg: horizontal field of view.
@@ -99,7 +99,7 @@ def _cell_faces(labels: Tensor, geometry: Grid, palette: np.ndarray, eye: np.nda
 
 
 def _box_faces(bounds_m: tuple[tuple[float, float], ...], rgb: tuple[int, int, int], eye: np.ndarray) -> Faces:
-    """Return the faces of a box of the own car, drawn a little late, since they are larger than those of cells."""
+    """Return the faces of a box of the ego car, drawn as if 4 m nearer, since they are larger than those of cells."""
     bounds = np.array(bounds_m)
     corners, normals = [], []
     for axis in range(3):

@@ -11,8 +11,8 @@ CAMERA = Equirectangular(360, 90, 45.0, -45.0)
 @pytest.mark.parametrize(
     ("point", "u", "v"),
     [
-        ((1, 0, 0), 179.5, 44.5),  # forward: middle of the picture
-        ((0, 2, 0), 89.5, 44.5),  # left of the car: left of the picture
+        ((1, 0, 0), 179.5, 44.5),  # forward: middle of the image
+        ((0, 2, 0), 89.5, 44.5),  # left of the car: left of the image
         ((0, -2, 0), 269.5, 44.5),
         ((3, 0, 3), 179.5, -0.5),  # 45 degrees up: upper edge
         ((1, 0, -1), 179.5, 89.5),

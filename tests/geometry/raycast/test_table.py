@@ -110,7 +110,7 @@ def test_several_volumes_at_once():
             assert torch.equal(mine, theirs)
 
 
-def test_equal_rays_and_grids_share_a_table():
+def test_equal_rays_and_grids_use_one_table():
     origins, directions = torch.zeros(2, 3), torch.randn(4, 3)
     scan = Scan(directions)
     table = ray_table(Cuboid(shape=(4, 4, 4)), origins, scan)

@@ -45,12 +45,12 @@ def test_outside_the_lens_is_black_and_unknown(rig, snapshot, ego_car, sensor):
 
 def test_ego_car_is_seen_at_the_bottom_and_has_no_range(rig, snapshot, ego_car, sensor):
     image = _record(rig, 0, snapshot, ego_car, sensor)
-    own = (image.label == 255) & rig.rays(0)[1].numpy()
-    rows = np.flatnonzero(own.any(axis=1))
+    ego = (image.label == 255) & rig.rays(0)[1].numpy()
+    rows = np.flatnonzero(ego.any(axis=1))
     assert rows[-1] == 35
     assert rows[0] > 18
-    assert np.isnan(image.range_m[own]).all()
-    red, green, _ = image.rgb[own].astype(float).mean(axis=0)
+    assert np.isnan(image.range_m[ego]).all()
+    red, green, _ = image.rgb[ego].astype(float).mean(axis=0)
     assert red > 1.3 * green
 
 
@@ -91,7 +91,7 @@ def test_supersampling_changes_colours_at_borders_only(rig, snapshot, ego_car, s
 
 
 def test_a_pixel_on_an_edge_shows_both_sides_in_proportion(rig, snapshot_of, quad, ego_car, noon):
-    """The wall's upper edge against an even sky: colours mix both by the fraction of rays that meet each."""
+    """The wall's upper edge against an even sky: colours mix both by the fraction of rays that hit each."""
     wall = quad([[10, -40, 0], [10, 40, 0], [10, 40, 3.3], [10, -40, 3.3]], 4)
     snapshot = snapshot_of(wall, empty(), empty(), replace(noon, glow=0.0, cloud_cover=0.0, zenith=noon.horizon))
     view = make_view(rig, 0, 2, Caster(empty()))

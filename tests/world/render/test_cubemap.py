@@ -19,7 +19,7 @@ def _both(rig, camera, snapshot, ego_car, sensor):
 
 
 def _inner(label):
-    """Pixels whose neighbours within 2 px have the same class."""
+    """Return the pixels whose neighbours within 2 px have the same class."""
     kernel = np.ones((5, 5), np.uint8)
     return (cv2.erode(label, kernel) == cv2.dilate(label, kernel)) & (label != 255)
 

@@ -69,7 +69,7 @@ def test_developing_is_monotonic_saturates_and_darkens_to_the_rim():
     assert rim < middle - 5
 
 
-def test_noise_depends_on_the_generator_alone():
+def test_noise_depends_on_the_generator_only():
     sensor, grey = _sensor(), np.full((3, 5000), 0.2, np.float32)
     flat = np.zeros(5000, np.float32)
     first, again, other = (develop(grey, sensor, flat, np.random.default_rng(seed)) for seed in (1, 1, 2))

@@ -72,7 +72,7 @@ def test_mesh_is_sound(theme: str) -> None:
 
 
 @pytest.mark.parametrize("theme", THEMES)
-def test_every_static_class_is_there(theme: str) -> None:
+def test_every_static_class_occurs(theme: str) -> None:
     parked = set() if theme in ("oldtown", "campus") else {7}
     assert set(np.unique(built(theme).mesh.label)) >= {1, 2, 3, 4, 5, 6, 8, 9, 11} | parked
 

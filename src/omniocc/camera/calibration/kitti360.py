@@ -12,11 +12,7 @@ POSES = "calib_cam_to_pose.txt"
 
 
 def read_kitti360(content: dict[str, Any], name: str) -> Calibration:
-    """Return one camera from the mirror, distortion and projection parameters of `model_type: MEI`.
-
-    Raises:
-        ValueError: naming the key that is missing or wrong.
-    """
+    """Return one camera of `model_type: MEI`; raise ValueError naming the key that is missing or wrong."""
     model = required(content, "model_type")
     if model != "MEI":
         raise ValueError(f"model_type is {model!r}; only MEI of CamOdoCal's models is supported")

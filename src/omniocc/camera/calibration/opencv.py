@@ -13,10 +13,8 @@ FISHEYE = ("equidistant", "fisheye", "kannala_brandt")
 def read_opencv(content: dict[str, Any], name: str) -> Calibration:
     """Return one camera from `camera_matrix`, `dist_coeffs` (`distortion_coefficients`) and the image size.
 
-    The size is `resolution`, or `image_width` and `image_height`.
-
-    Four coefficients are `cv2.fisheye`'s (Kannala-Brandt) unless `distortion_model` or `fisheye_model` says otherwise;
-    `cv2.calibrateCamera` writes five or more.
+    The size is `resolution`, or `image_width` and `image_height`. Four coefficients are `cv2.fisheye`'s
+    (Kannala-Brandt) unless `distortion_model` or `fisheye_model` names another one; `cv2.calibrateCamera` writes five or more.
 
     Raises:
         ValueError: naming the key that is missing, or a distortion that no model supports.

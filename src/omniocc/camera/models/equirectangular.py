@@ -31,7 +31,6 @@ class Equirectangular:
     bottom_deg: float
 
     def __post_init__(self) -> None:
-        """Check the parameters; raise ValueError unless -90 <= bottom_deg < top_deg <= 90."""
         check_size(self.width, self.height)
         normalize_fields(self, {"top_deg": finite, "bottom_deg": finite})
         if not -90 <= self.bottom_deg < self.top_deg <= 90:

@@ -31,7 +31,6 @@ class KannalaBrandt(FocalCamera):
     max_angle_deg: float
 
     def __post_init__(self) -> None:
-        """Check the parameters; raise ValueError for one that no lens has."""
         super().__post_init__()
         four = partial(numbers, least=4, most=4)
         normalize_fields(self, {"coefficients": four, "max_angle_deg": angle_from_axis})

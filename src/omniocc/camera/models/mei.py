@@ -36,7 +36,6 @@ class MEI(FocalCamera):
     max_angle_deg: float
 
     def __post_init__(self) -> None:
-        """Check the parameters; raise ValueError for one that no lens has."""
         super().__post_init__()
         four = partial(numbers, least=4, most=4)
         normalize_fields(self, {"xi": finite, "distortion": four, "max_angle_deg": angle_from_axis})

@@ -27,7 +27,7 @@ class OCam:
     Attributes:
         width: of the image, px.
         height: of the image, px.
-        center_px: (cx, cy); the files name the row first.
+        center_px: (cx, cy); calibration files give the row first.
         polynomial: f, ascending powers of rho in px; the first is negative.
         inverse_polynomial: rho in px, ascending powers of the elevation angle - pi / 2 in radians; () to invert f.
         affine: (c, d, e): row = c * y + d * x + cy, column = e * y + x + cx, for x right and y down.
@@ -43,7 +43,6 @@ class OCam:
     max_angle_deg: float
 
     def __post_init__(self) -> None:
-        """Check the parameters; raise ValueError for one that no lens has."""
         check_size(self.width, self.height)
         checks = {
             "center_px": pair,

@@ -44,7 +44,6 @@ class RadialPolynomial:
     max_angle_deg: float
 
     def __post_init__(self) -> None:
-        """Check the parameters; raise ValueError for one that no lens has."""
         check_size(self.width, self.height)
         four = partial(numbers, least=4, most=4)
         checks = {"coefficients_px": four, "center_px": pair, "aspect": positive, "max_angle_deg": angle_from_axis}

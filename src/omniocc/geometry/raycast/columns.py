@@ -89,9 +89,9 @@ def find_levels(grid: Traversable, fans: Fans) -> Levels:
     slot = slot * slope.shape[1] + elevation
     behind = [
         torch.zeros(len(params), (params.shape[1] + 1) * slope.shape[1], dtype=torch.int64, device=params.device)
-        .scatter_(1, slot, torch.where(chosen, bit, 0))
+        .scatter_(1, slot, torch.where(is_kind, bit, 0))
         .reshape(len(params), params.shape[1] + 1, slope.shape[1])
         .cumsum(dim=1)
-        for chosen in (event < count, event >= count)
+        for is_kind in (event < count, event >= count)
     ]
     return Levels(enter, leave, params, behind[0], ~behind[1])

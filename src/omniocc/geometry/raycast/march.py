@@ -272,9 +272,9 @@ def find_turns(height, slope, edges, ends, count, turns):
     """
     levels, column = len(edges) - 1, 0
     if slope == 0:
-        own = np.searchsorted(edges, height, side="right") - 1
+        start = np.searchsorted(edges, height, side="right") - 1
         for edge in range(levels + 1):
-            turns[edge] = 2 * count if 0 <= own < edge and own < levels else 0
+            turns[edge] = 2 * count if 0 <= start < edge and start < levels else 0
         return
     for edge in range(levels + 1):
         param = (edges[edge if slope > 0 else levels - edge] - height) / slope
@@ -326,7 +326,7 @@ def hit_params(height, slope, edges, level, begin, end):
 @compiled
 @no_type_check
 def exit_param(height, slope, bottom, top, begin, end):
-    """Return the parameter at which a ray without a hit leaves the grid; inf if it never meets it."""
+    """Return the parameter at which a ray without a hit leaves the grid; inf if it misses the grid."""
     enter, leave = clip_flat(height, slope, bottom, top)
     leave = min(end, leave)
     return leave if leave > max(begin, enter) + TOUCH_M else np.inf
@@ -374,11 +374,11 @@ def cast_kept(first, last, rays, grid, kept, labels, out):
         height = origins[fan, 2]
         next_hits(labels, cells, group, count, hits)
         # a rising ray crosses none of the levels below its origin; one more for the rounding
-        own = min(max(floor((height - bottom) / (top - bottom) * levels), -1), levels + 1)
+        start = min(max(floor((height - bottom) / (top - bottom) * levels), -1), levels + 1)
         for elevation in range(elevations):
             slope, stretch = slopes[fan, elevation], stretches[fan, elevation]
             ray = fan * each * elevations + order[azimuth * elevations + elevation]
-            begin = max((own if slope > 0 else levels - 1 - own) - 1, 0)
+            begin = max((start if slope > 0 else levels - 1 - start) - 1, 0)
             column, level = known_hit(group, elevation, begin, slope > 0, turns, hits)
             if column < 0:
                 param = exit_param(height, slope, bottom, top, ends[group, 0], ends[group, count])

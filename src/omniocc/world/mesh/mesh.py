@@ -1,4 +1,4 @@
-"""Triangles with a class, a material and texture coordinates, which is all that ray caster and shader see."""
+"""Triangles with a class, a material and texture coordinates, the input of ray caster and shader."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from omniocc.world.mesh.material import Material
+
+_FACE_ARRAYS = ("uv", "label", "material", "color", "instance")
 
 
 @dataclass(frozen=True)
@@ -57,11 +59,7 @@ def concatenate(meshes: Iterable[Mesh]) -> Mesh:
     return Mesh(
         np.concatenate([mesh.vertices for mesh in parts]),
         np.concatenate([mesh.faces + np.int32(first) for mesh, first in zip(parts, first_vertex, strict=True)]),
-        np.concatenate([mesh.uv for mesh in parts]),
-        np.concatenate([mesh.label for mesh in parts]),
-        np.concatenate([mesh.material for mesh in parts]),
-        np.concatenate([mesh.color for mesh in parts]),
-        np.concatenate([mesh.instance for mesh in parts]),
+        *(np.concatenate([getattr(mesh, name) for mesh in parts]) for name in _FACE_ARRAYS),
     )
 
 

@@ -50,7 +50,7 @@ def render_pixels(view: View, snapshot: Snapshot) -> RenderedPixels:
     or light beside shadow, further rays are cast and the colours averaged in linear light; elsewhere the texture's mip
     levels are averages already.
     """
-    maybe = snapshot.meets(view.cones, view.origin_m)[view.cones.bundle]
+    maybe = snapshot.may_hit(view.cones, view.origin_m)[view.cones.bundle]
     hits = snapshot.cast(view.origin_m, view.center, _ego_hits(view.ego_center_hits, snapshot), maybe)
     seen = _shade(view, snapshot, hits, view.center)
     color, key = seen.color, np.where(hits.face >= 0, snapshot.surfaces.key.take(hits.face), 0)

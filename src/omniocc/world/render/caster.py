@@ -48,7 +48,7 @@ class Caster:
     """One immutable set of triangles; rays are given in the mesh's frame.
 
     Args:
-        mesh: may be empty, then nothing is ever hit.
+        mesh: the triangles; no ray hits an empty mesh.
     """
 
     def __init__(self, mesh: Mesh) -> None:
@@ -92,7 +92,7 @@ class Caster:
 
 
 class Layers:
-    """Several casters as one: faces are numbered through all of them; of equally near hits the earlier layer's wins."""
+    """Several casters as one: faces are numbered consecutively; of equally near hits the first layer's counts."""
 
     def __init__(self, casters: list[Caster]) -> None:
         self.casters = casters
@@ -121,7 +121,7 @@ class Layers:
 
 
 def no_hits(count: int, range_m: float = np.inf) -> Hits:
-    """Return the hits of rays that meet nothing before `range_m`."""
+    """Return hits of rays that hit nothing before `range_m`."""
     zeros = np.zeros(count, np.float32)
     return Hits(np.full(count, range_m, np.float32), np.full(count, -1, np.int32), zeros, zeros)
 

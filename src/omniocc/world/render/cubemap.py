@@ -17,17 +17,10 @@ from omniocc.world.render.view import View, make_view
 
 _MARGIN_PX = 1  # beyond 90 degrees, so that pixels at a face's edge have neighbours to blend with
 # Columns: a face's right, down and forward in the camera's frame; front, right, left, down, up, back.
-_FACES = np.array(
-    [
-        [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
-        [[0, 0, 1], [0, 1, 0], [-1, 0, 0]],
-        [[0, 0, -1], [0, 1, 0], [1, 0, 0]],
-        [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
-        [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
-        [[-1, 0, 0], [0, 1, 0], [0, 0, -1]],
-    ],
-    dtype=np.float64,
-)
+_FACES = np.array([
+    [[1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 0, 1], [0, 1, 0], [-1, 0, 0]], [[0, 0, -1], [0, 1, 0], [1, 0, 0]],
+    [[1, 0, 0], [0, 0, 1], [0, -1, 0]], [[1, 0, 0], [0, 0, -1], [0, 1, 0]], [[-1, 0, 0], [0, 1, 0], [0, 0, -1]],
+], dtype=np.float64)  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Culling: which rays may meet a moving object; most cannot, and this test is cheaper than casting them."""
+"""Culling: which rays may hit a moving object; most cannot, and this test is cheaper than casting them."""
 
 from typing import NamedTuple
 
@@ -34,8 +34,8 @@ def make_cones(directions: np.ndarray, bundle: np.ndarray) -> Cones:
     return Cones(axis.astype(np.float32), half_rad.astype(np.float32), bundle.astype(np.int32))
 
 
-def meets(cones: Cones, point_m: np.ndarray, spheres: np.ndarray) -> np.ndarray:
-    """Return (B,) bool: whether rays of a bundle from a point (3,) may meet a sphere of (K, 4), centre and radius."""
+def may_hit(cones: Cones, point_m: np.ndarray, spheres: np.ndarray) -> np.ndarray:
+    """Return (B,) bool: whether rays of a bundle from a point (3,) may hit a sphere of (K, 4), centre and radius."""
     offset = spheres[:, :3] - point_m
     distance = np.linalg.norm(offset, axis=1)
     if (distance <= spheres[:, 3]).any():

@@ -65,7 +65,7 @@ def _sunlight(
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Return the (R,) cosine to the sun, 0 in shadow; and under clouds the fraction (R,) of sky that is open.
 
-    Under clouds only level ground is tested: whether a car or another low object stands over it.
+    Under clouds only level ground is tested: whether a car or another low object is above it.
     """
     covered = not light.sun.any()
     cosine = np.maximum(_dot(normal, light.sun_direction), 0)
@@ -95,9 +95,9 @@ def _surface_color(
     u_m, v_m = attributes[UV] + hits.u * attributes[UV_EDGE_1] + hits.v * attributes[UV_EDGE_2]
     footprint_m = hits.range_m * np.float32(pixel_rad) / np.sqrt(np.maximum(cosine, 0.05))
     code = attributes[LAYER].astype(np.int32)
-    tint, own = sample(code >> 1, code & 1, u_m, v_m, footprint_m)
+    tint, added = sample(code >> 1, code & 1, u_m, v_m, footprint_m)
     base = attributes[COLOR] * tint
-    base += own
+    base += added
     sunny, open_fraction = sunlight
     sky = ambient(light, attributes[UP])
     if open_fraction is not None:
@@ -109,7 +109,7 @@ def _surface_color(
         base *= 1 - 0.45 * light.wet * np.clip(attributes[UP] + 0.3, 0, 1)
     color = base * sky
     if light.lamps:
-        color += lamp_light(light, base, own, tint, attributes, points)
+        color += lamp_light(light, base, added, tint, attributes, points)
     _mirror(color, directions, attributes, cosine, tint, water, light)
     clear = np.exp(hits.range_m * np.float32(-1 / light.haze_m))
     return color * clear + light.horizon[:, None] * (1 - clear)

@@ -14,9 +14,9 @@ class Shadows:
     """Shadows at one time step.
 
     Args:
-        static: caster of all that never moves.
-        movers: casters of all that moves.
-        spheres: (K, 4) centre and radius around everything in `movers`.
+        static: caster of the static objects.
+        movers: casters of the moving objects.
+        spheres: (K, 4) centre and radius around the objects in `movers`.
         light: light of the scene; without a sun, shadows fall straight down and only low objects cast them.
     """
 
@@ -29,7 +29,7 @@ class Shadows:
         self._mask = ShadowMask(spheres, self._toward[0])
 
     def fall_on(self, points: np.ndarray) -> np.ndarray:
-        """Return (R,) bool: whether something stands between a point (3, R) and the light."""
+        """Return (R,) bool: whether an object is between a point (3, R) and the light."""
         result = self._static.blocked(points.T, self._toward, self._limit_m)
         maybe = np.flatnonzero(self._mask.touches(points) & ~result)
         some = np.take(points, maybe, axis=1).T

@@ -21,11 +21,7 @@ def draw_weather(rng: np.random.Generator) -> str:
 
 
 def draw_light(weather: str, rng: np.random.Generator) -> Light:
-    """Draw sun, sky and air of one scene.
-
-    Raises:
-        ValueError: the weather does not exist.
-    """
+    """Draw sun, sky and air of one scene; raise ValueError if the weather does not exist."""
     if weather not in WEATHERS:
         raise ValueError(f"unknown weather {weather!r}; possible: {', '.join(WEATHERS)}")
     azimuth, height, depth, cover, haze = rng.uniform(0, 1, 5).tolist()

@@ -11,7 +11,7 @@ _POINT_M = 0.0016  # area per point and metre of distance near the ego: four poi
 _PIECE_M2 = 2.0
 _PIECE_FRACTION = 0.1  # greatest area of a piece as a fraction of its squared distance from the axis
 _AXIS_M = 0.06  # distance below which points do not get denser
-_COVER_M = 0.1  # a surface with another one so near above it is covered
+_COVER_M = 0.1  # a surface with another one closer than this above it is covered
 _LIFT_M = np.float32(0.002)  # less than a road line's height above its road
 _STEP = np.array([0.7548776662466927, 0.5698402909980532])
 

@@ -9,7 +9,7 @@ import numpy as np
 from omniocc.camera import Rig
 from omniocc.world.frame import Box, Frame
 from omniocc.world.mesh.mesh import Mesh
-from omniocc.world.render.capture import CameraImage, RenderedPixels, expose, render_pixels
+from omniocc.world.render.capture import RenderedPixels, expose, render_pixels
 from omniocc.world.render.caster import Caster
 from omniocc.world.render.cubemap import make_cube, render_through_cube
 from omniocc.world.render.light import Sensor
@@ -27,7 +27,6 @@ class Labeller(Protocol):
 
     def scan(self, snapshot: Snapshot) -> tuple[np.ndarray, np.ndarray]:
         """Return points (P, 3) float32 in the ego frame and their classes (P,) uint8."""
-        ...
 
 
 class Recorder:
@@ -57,9 +56,7 @@ class Recorder:
     ) -> None:
         caster = Caster(ego_car)
         self.views = [make_view(rig, camera, supersample, caster) for camera in range(len(rig.cameras))]
-        self.renderers: list[Callable[[Snapshot], RenderedPixels]] = [
-            partial(render_pixels, view) for view in self.views
-        ]
+        self.renderers: list[Callable[[Snapshot], RenderedPixels]] = [partial(render_pixels, v) for v in self.views]
         if capture == "cubemap":
             cubes = [make_cube(rig, k, view, supersample, caster) for k, view in enumerate(self.views)]
             self.renderers = [partial(render_through_cube, cube) for cube in cubes]
@@ -82,27 +79,12 @@ class Recorder:
             expose(view, render(snapshot), snapshot.light, sensor, np.random.default_rng([*seed, number]))
             for number, (view, render) in enumerate(zip(self.views, self.renderers, strict=True))
         ]
-        points_m, point_labels = self.labeller.scan(snapshot)
-        erp_range_m, lidar_range_m, lidar_labels = self.ranges(snapshot)
-        return Frame(
-            time_s=time_s,
-            world_from_ego=world_from_ego,
-            images=_stack(images, 0),
-            semantics=_stack(images, 1),
-            range_m=_stack(images, 2),
-            erp_range_m=erp_range_m,
-            points_m=points_m,
-            point_labels=point_labels,
-            lidar_range_m=lidar_range_m,
-            lidar_labels=lidar_labels,
-            boxes=boxes,
-        )
+        rgb, semantics, range_m = (np.stack(part) for part in zip(*images, strict=True))
+        points = self.labeller.scan(snapshot)
+        erp_range_m, *lidar = self.ranges(snapshot)
+        return Frame(time_s, world_from_ego, rgb, semantics, range_m, erp_range_m, *points, *lidar, boxes)
 
     def ranges(self, snapshot: Snapshot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the panorama's ranges (h, w), and ranges and classes along the ego LiDAR's rays, as in `Frame`."""
         width, height = self.erp_size
         return scan_ego(snapshot, self._panorama)[0].reshape(height, width), *scan_ego(snapshot, self._ego_rays)
-
-
-def _stack(images: list[CameraImage], part: int) -> np.ndarray:
-    return np.stack([image[part] for image in images])

@@ -45,11 +45,7 @@ class Place:
 
 
 def build(theme: str, seed: int) -> Place:
-    """Build the place (theme, seed): the same bytes every time.
-
-    Raises:
-        ValueError: the theme does not exist.
-    """
+    """Build the place (theme, seed): the same bytes every time; raise ValueError if the theme does not exist."""
     if theme not in themes.ALL:
         raise ValueError(f"unknown theme {theme!r}; possible: {', '.join(THEMES)}")
     recipe = themes.ALL[theme]

@@ -32,7 +32,7 @@ class Piece:
 
     @property
     def length_m(self) -> float:
-        """Length from end to end."""
+        """Return the length from end to end."""
         return float(self.along_m[-1])
 
     def at(self, along_m: np.ndarray) -> np.ndarray:
@@ -86,10 +86,8 @@ def draw(
     for side in (side for ring in network.rings for side in ring.sides):
         start, end = (side.edge, side.forward), (side.edge, not side.forward)
         for number in range(network.edges[side.edge].lanes):
-            piece = _lane_piece(theme, network, terrain, side, number, float(speeds[side.edge]))
-            pieces.append(piece)
-            front = piece.length_m - stop_m(end in crossings)
-            lanes.append(Lane(start, end, number, front))
+            pieces.append(_lane_piece(theme, network, terrain, side, number, float(speeds[side.edge])))
+            lanes.append(Lane(start, end, number, pieces[-1].length_m - stop_m(end in crossings)))
     turns, meeting = [], degrees(network)
     for origin, target, angle in _pairs(network, lanes, pieces):
         node = node_of(network, lanes[origin].end)
@@ -172,12 +170,8 @@ def _turn_piece(origin: Piece, target: Piece, node: np.ndarray, island_m: float,
 def _bend(a: np.ndarray, ahead: np.ndarray, b: np.ndarray, leave: np.ndarray) -> np.ndarray:
     """Return a (25, 2) cubic curve between two points and directions, close to an arc."""
     reach, t = 0.39 * float(np.linalg.norm(b - a)), np.linspace(0, 1, 25)[:, None]
-    return (
-        (1 - t) ** 3 * a
-        + 3 * t * (1 - t) ** 2 * (a + reach * ahead)
-        + 3 * t**2 * (1 - t) * (b - reach * leave)
-        + t**3 * b
-    )
+    first, second = a + reach * ahead, b - reach * leave
+    return (1 - t) ** 3 * a + 3 * t * (1 - t) ** 2 * first + 3 * t**2 * (1 - t) * second + t**3 * b
 
 
 def _unit(vector: np.ndarray) -> np.ndarray:
