@@ -91,12 +91,9 @@ def _read_cameras(file: Path, entries: dict[str, Any]) -> Calibration:
 
 
 def write_rig(
-    path: str | PathLike[str],
-    cameras: tuple[Camera, ...],
-    ego_from_camera: Float64[Tensor, "N 4 4"],
-    names: tuple[str, ...],
-    masks: tuple[Mask | None, ...] | None,
-) -> None:
+    path: str | PathLike[str], cameras: tuple[Camera, ...], ego_from_camera: Float64[Tensor, "N 4 4"],
+    names: tuple[str, ...], masks: tuple[Mask | None, ...] | None,
+) -> None:  # fmt: skip
     """Write a rig file; see `Rig.save`."""
     file = Path(path)
     file.parent.mkdir(parents=True, exist_ok=True)

@@ -197,12 +197,8 @@ class Grid(ABC):
         return cast(self, labels, origins, directions)
 
     def trace(
-        self,
-        labels: UInt8[Tensor, "X Y Z"],
-        origins: Rays,
-        directions: Rays,
-        hit: Literal["exit", "entry"] = "exit",
-    ) -> tuple[Float32[Tensor, " R"], UInt8[Tensor, " R"]]:
+        self, labels: UInt8[Tensor, "X Y Z"], origins: Rays, directions: Rays, hit: Literal["exit", "entry"] = "exit",
+    ) -> tuple[Float32[Tensor, " R"], UInt8[Tensor, " R"]]:  # fmt: skip
         """Return range (m) and class of the first cell along each ray that is not free (0); unknown (255) is not free.
 
         Args:

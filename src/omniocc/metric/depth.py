@@ -30,12 +30,9 @@ def sphere_index(
 
 
 def depth_sums(
-    prediction_m: Float64[Tensor, " R"],
-    target_m: Float64[Tensor, " R"],
-    nearest_m: float,
-    farthest_m: float,
+    prediction_m: Float64[Tensor, " R"], target_m: Float64[Tensor, " R"], nearest_m: float, farthest_m: float,
     spheres: int,
-) -> Float64[Tensor, "R sums"]:
+) -> Float64[Tensor, "R sums"]:  # fmt: skip
     """Return the errors of every ray, in the order of `NAMES`."""
     error_m = (prediction_m - target_m).abs()
     ratio = torch.maximum(prediction_m / target_m, target_m / prediction_m)

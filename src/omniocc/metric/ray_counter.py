@@ -39,16 +39,10 @@ class RayCounter:
     """
 
     def __init__(
-        self,
-        geometry: Cylinder | Cuboid,
-        classes: ClassIds,
-        thresholds_m: Sequence[float | int],
-        range_edges_m: Sequence[float | int] | None,
-        directions: Float[Tensor, "D 3"] | None,
-        target_geometry: Cylinder | Cuboid | None,
-        hit: Literal["exit", "entry"],
-        count_free_rays: bool,
-    ):
+        self, geometry: Cylinder | Cuboid, classes: ClassIds, thresholds_m: Sequence[float | int],
+        range_edges_m: Sequence[float | int] | None, directions: Float[Tensor, "D 3"] | None,
+        target_geometry: Cylinder | Cuboid | None, hit: Literal["exit", "entry"], count_free_rays: bool,
+    ):  # fmt: skip
         if hit not in ("exit", "entry"):
             raise ValueError(f"hit must be 'exit' or 'entry', got {hit!r}")
         self.geometry, self.target_geometry = geometry, target_geometry or geometry
@@ -65,12 +59,9 @@ class RayCounter:
         return RayCounts(zeros, zeros.clone(), zeros.unsqueeze(1).repeat(1, len(self.thresholds_m), 1))
 
     def count(
-        self,
-        prediction: Shaped[Tensor, "B *grid"],
-        target: Shaped[Tensor, "Bt *target_grid"] | RayTruth,
-        origins: Float[Tensor, "*origins 3"] | None = None,
-        observed: Shaped[Tensor, "Bo *observed_grid"] | None = None,
-    ) -> RayCounts:
+        self, prediction: Shaped[Tensor, "B *grid"], target: Shaped[Tensor, "Bt *target_grid"] | RayTruth,
+        origins: Float[Tensor, "*origins 3"] | None = None, observed: Shaped[Tensor, "Bo *observed_grid"] | None = None,
+    ) -> RayCounts:  # fmt: skip
         """Return the summed counts of a batch; arguments as in `RayIoU.update`.
 
         Raises:

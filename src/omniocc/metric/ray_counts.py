@@ -27,15 +27,10 @@ class RayCounts(NamedTuple):
 
 
 def count_rays(
-    true_labels: UInt8[Tensor, " R"],
-    true_m: Float[Tensor, " R"],
-    predicted_labels: UInt8[Tensor, " R"],
-    error_m: Float[Tensor, " R"],
-    valid: Bool[Tensor, " R"],
-    num_classes: int,
-    thresholds_m: Sequence[float],
+    true_labels: UInt8[Tensor, " R"], true_m: Float[Tensor, " R"], predicted_labels: UInt8[Tensor, " R"],
+    error_m: Float[Tensor, " R"], valid: Bool[Tensor, " R"], num_classes: int, thresholds_m: Sequence[float],
     range_edges_m: Sequence[float],
-) -> RayCounts:
+) -> RayCounts:  # fmt: skip
     """Return the counts of valid rays.
 
     Args:

@@ -20,12 +20,9 @@ if TYPE_CHECKING:
 
 
 def voxel_confusion(
-    prediction: UInt8[Tensor, "B X Y Z"],
-    target: UInt8[Tensor, "B X Y Z"],
-    counted: Bool[Tensor, "B X Y Z"],
-    num_classes: int,
-    weights: Float64[Tensor, "X Y Z"] | None = None,
-) -> Float64[Tensor, "C C"]:
+    prediction: UInt8[Tensor, "B X Y Z"], target: UInt8[Tensor, "B X Y Z"], counted: Bool[Tensor, "B X Y Z"],
+    num_classes: int, weights: Float64[Tensor, "X Y Z"] | None = None,
+) -> Float64[Tensor, "C C"]:  # fmt: skip
     """Return the sums of counted voxels, or of their weights, by true (row) and predicted (column) class."""
     keys = target[counted].long() * num_classes + prediction[counted]
     weights = None if weights is None else weights.to(keys.device).expand(counted.shape)[counted]

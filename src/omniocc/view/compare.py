@@ -24,14 +24,9 @@ class SheetParts(NamedTuple):
 
 
 def comparison(
-    images: np.ndarray,
-    truth: Labels,
-    prediction: Labels,
-    geometry: Grid,
-    classes: ClassTable,
-    caption: str = "",
+    images: np.ndarray, truth: Labels, prediction: Labels, geometry: Grid, classes: ClassTable, caption: str = "",
     width_px: int = 1280,
-) -> np.ndarray:
+) -> np.ndarray:  # fmt: skip
     """Return the sheet as one image.
 
     `images` are (N, H, W, 3) uint8 RGB; six are those of the hexagon (0 front, then clockwise). `caption` is
@@ -42,13 +37,8 @@ def comparison(
 
 
 def comparison_parts(
-    images: np.ndarray,
-    truth: Labels,
-    prediction: Labels,
-    geometry: Grid,
-    classes: ClassTable,
-    width_px: int = 1280,
-) -> SheetParts:
+    images: np.ndarray, truth: Labels, prediction: Labels, geometry: Grid, classes: ClassTable, width_px: int = 1280,
+) -> SheetParts:  # fmt: skip
     """Return the parts of a sheet; arguments as in `comparison`."""
     inner = inner_width(width_px)
     half, third = column_width(inner, 2), column_width(inner, 3)

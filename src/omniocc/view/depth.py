@@ -14,14 +14,9 @@ COVER = 1.8
 
 
 def depth_sheet(
-    images: Images,
-    rig: Rig,
-    panorama: Equirectangular,
-    predicted_m: Ranges,
-    true_m: Ranges,
-    caption: str = "",
+    images: Images, rig: Rig, panorama: Equirectangular, predicted_m: Ranges, true_m: Ranges, caption: str = "",
     width_px: int = 1280,
-) -> np.ndarray:
+) -> np.ndarray:  # fmt: skip
     """Return the sheet as one image; `panorama` has the directions of the ranges, `caption` is the line at the top."""
     inner = inner_width(width_px)
     rows = [

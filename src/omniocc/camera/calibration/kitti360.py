@@ -20,14 +20,11 @@ def read_kitti360(content: dict[str, Any], name: str) -> Calibration:
         _section(content, key) for key in ("mirror_parameters", "distortion_parameters", "projection_parameters")
     )
     camera = MEI(
-        whole(content, "image_width"),
-        whole(content, "image_height"),
+        whole(content, "image_width"), whole(content, "image_height"),
         (number(projection, "gamma1"), number(projection, "gamma2")),
-        (number(projection, "u0"), number(projection, "v0")),
-        number(mirror, "xi"),
-        tuple(number(distortion, key) for key in ("k1", "k2", "p1", "p2")),
-        180.0,
-    )
+        (number(projection, "u0"), number(projection, "v0")), number(mirror, "xi"),
+        tuple(number(distortion, key) for key in ("k1", "k2", "p1", "p2")), 180.0,
+    )  # fmt: skip
     return single(camera, str(content.get("camera_name", name)))
 
 

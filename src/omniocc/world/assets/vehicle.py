@@ -55,13 +55,9 @@ def _lights(length_m: Number, width_m: Number, z_m: Number, tail_z_m: Number) ->
 
 
 def _car(
-    length: float,
-    width: float,
-    height: float,
-    hood: float,
-    cabin: tuple[float, float, float, float],
+    length: float, width: float, height: float, hood: float, cabin: tuple[float, float, float, float],
     belt: float = 0.92,
-) -> Mesh:
+) -> Mesh:  # fmt: skip
     """Build a car: a body below the belt line, glass above it.
 
     `cabin`: x of rear foot, rear roof edge, front roof edge and front foot, as fractions of the length.

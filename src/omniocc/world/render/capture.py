@@ -89,14 +89,9 @@ def _ego_hits(hits: Hits, snapshot: Snapshot) -> Hits:
 
 
 def _smooth(
-    view: View,
-    snapshot: Snapshot,
-    index: np.ndarray,
-    face: np.ndarray,
-    shadow: np.ndarray,
-    center_color: np.ndarray,
+    view: View, snapshot: Snapshot, index: np.ndarray, face: np.ndarray, shadow: np.ndarray, center_color: np.ndarray,
     maybe: np.ndarray,
-) -> np.ndarray:
+) -> np.ndarray:  # fmt: skip
     """Return the (3, E) mean colour of pixels `index` over all their rays.
 
     A ray that meets the same triangle `face` (E,) as the centre ray gets its colour, unless a `shadow` (E,) ends there.

@@ -74,13 +74,9 @@ def make_cube(rig: Rig, camera: int, view: View, supersample: int, ego_car: Cast
     forward = [np.einsum("i,ip->p", pose[:3, :3] @ _FACES[k, :, 2], v.center) for k, v in zip(used, views, strict=True)]
     nearest = corner[weight.argmax(axis=0), np.arange(len(face))]
     return Cube(
-        views,
-        np.concatenate(forward).astype(np.float32),
-        order[corner],
-        weight.astype(np.float32),
-        order[nearest],
+        views, np.concatenate(forward).astype(np.float32), order[corner], weight.astype(np.float32), order[nearest],
         z.astype(np.float32),
-    )
+    )  # fmt: skip
 
 
 def _face_views(

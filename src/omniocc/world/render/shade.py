@@ -24,14 +24,9 @@ class Shading(NamedTuple):
 
 
 def shade(
-    hits: Hits,
-    origin: np.ndarray,
-    directions: np.ndarray,
-    surfaces: Surfaces,
-    shadows: Shadows,
-    light: Light,
+    hits: Hits, origin: np.ndarray, directions: np.ndarray, surfaces: Surfaces, shadows: Shadows, light: Light,
     pixel_rad: float,
-) -> Shading:
+) -> Shading:  # fmt: skip
     """Return the light along each ray: texture, sun with shadow, sky, reflection, haze; the sky where nothing is hit.
 
     Args:
@@ -83,15 +78,9 @@ def _sunlight(
 
 
 def _surface_color(
-    hits: Hits,
-    points: np.ndarray,
-    directions: np.ndarray,
-    attributes: np.ndarray,
-    cosine: np.ndarray,
-    sunlight: tuple[np.ndarray, np.ndarray | None],
-    light: Light,
-    pixel_rad: float,
-) -> np.ndarray:
+    hits: Hits, points: np.ndarray, directions: np.ndarray, attributes: np.ndarray, cosine: np.ndarray,
+    sunlight: tuple[np.ndarray, np.ndarray | None], light: Light, pixel_rad: float,
+) -> np.ndarray:  # fmt: skip
     u_m, v_m = attributes[UV] + hits.u * attributes[UV_EDGE_1] + hits.v * attributes[UV_EDGE_2]
     footprint_m = hits.range_m * np.float32(pixel_rad) / np.sqrt(np.maximum(cosine, 0.05))
     code = attributes[LAYER].astype(np.int32)
@@ -116,14 +105,9 @@ def _surface_color(
 
 
 def _mirror(
-    color: np.ndarray,
-    directions: np.ndarray,
-    attributes: np.ndarray,
-    cosine: np.ndarray,
-    tint: np.ndarray,
-    water: np.ndarray,
-    light: Light,
-) -> None:
+    color: np.ndarray, directions: np.ndarray, attributes: np.ndarray, cosine: np.ndarray, tint: np.ndarray,
+    water: np.ndarray, light: Light,
+) -> None:  # fmt: skip
     """Add what glossy surfaces reflect, in place."""
     gloss = np.maximum(attributes[GLOSS], np.float32(0.8) * attributes[GLAZED] * (tint < 0.15))
     if len(water):

@@ -44,16 +44,9 @@ class Recorder:
     """
 
     def __init__(
-        self,
-        rig: Rig,
-        ego_car: Mesh,
-        labeller: Labeller,
-        supersample: int,
-        capture: str,
-        erp_size: tuple[int, int],
-        erp_top_deg: float,
-        erp_bottom_deg: float,
-    ) -> None:
+        self, rig: Rig, ego_car: Mesh, labeller: Labeller, supersample: int, capture: str, erp_size: tuple[int, int],
+        erp_top_deg: float, erp_bottom_deg: float,
+    ) -> None:  # fmt: skip
         caster = Caster(ego_car)
         self.views = [make_view(rig, camera, supersample, caster) for camera in range(len(rig.cameras))]
         self.renderers: list[Callable[[Snapshot], RenderedPixels]] = [partial(render_pixels, v) for v in self.views]
@@ -66,14 +59,9 @@ class Recorder:
         self.labeller = labeller
 
     def frame(
-        self,
-        snapshot: Snapshot,
-        sensor: Sensor,
-        seed: tuple[int, ...],
-        time_s: float,
-        world_from_ego: np.ndarray,
+        self, snapshot: Snapshot, sensor: Sensor, seed: tuple[int, ...], time_s: float, world_from_ego: np.ndarray,
         boxes: tuple[Box, ...],
-    ) -> Frame:
+    ) -> Frame:  # fmt: skip
         """Record one time step; `seed` decides the sensors' noise."""
         images = [
             expose(view, render(snapshot), snapshot.light, sensor, np.random.default_rng([*seed, number]))
