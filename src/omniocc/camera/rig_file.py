@@ -45,15 +45,9 @@ from omniocc.camera.pose import check_rigid, pose_from_angles
 from omniocc.camera.protocol import Camera, finite, numbers
 
 MODELS = {
-    "equidistant": Equidistant,
-    "pinhole": Pinhole,
-    "kannala_brandt": KannalaBrandt,
-    "mei": MEI,
-    "ocam": OCam,
-    "double_sphere": DoubleSphere,
-    "eucm": EUCM,
-    "radial_polynomial": RadialPolynomial,
-}
+    "equidistant": Equidistant, "pinhole": Pinhole, "kannala_brandt": KannalaBrandt, "mei": MEI, "ocam": OCam,
+    "double_sphere": DoubleSphere, "eucm": EUCM, "radial_polynomial": RadialPolynomial,
+}  # fmt: skip
 BUILT_IN = Path(__file__).parent / "rigs"
 ANGLES = ("yaw_deg", "pitch_deg", "roll_deg")
 

@@ -37,9 +37,9 @@ def dilate(
 
     Args:
         grid: cylinder or cuboid.
-        mask: cells that are candidates, batch axes first.
+        mask: cells to widen, batch axes first.
         windows: half-width in cells for each range band, one more than there are edges.
-        edges_m: distances from the axis at which one band ends and the next begins; a cell's middle decides.
+        edges_m: distances of cell middles from the axis at which one band ends and the next begins.
 
     Raises:
         ValueError: if mask, windows and edges do not fit together.

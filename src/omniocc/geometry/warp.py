@@ -39,11 +39,7 @@ def trilinear(
 ) -> Corners:
     """Return the eight cells around each point, with their weights; border cells are repeated beyond the border.
 
-    Args:
-        position: points along each axis in units of cells (`Grid.coordinates`); float64 keeps the identity pose exact.
-        shape: cells along each axis.
-        periodic: which axes wrap around.
-        dtype: of the weights.
+    `position` is along each axis in units of cells (`Grid.coordinates`; float64 keeps the identity pose exact).
     """
     inside = torch.ones_like(position[0], dtype=torch.bool)
     cells, weights, stride = [], [], shape[0] * shape[1] * shape[2]

@@ -31,17 +31,10 @@ def count_rays(
     error_m: Float[Tensor, " R"], valid: Bool[Tensor, " R"], num_classes: int, thresholds_m: Sequence[float],
     range_edges_m: Sequence[float],
 ) -> RayCounts:  # fmt: skip
-    """Return the counts of valid rays.
+    """Return the counts of the rays that are `valid`.
 
-    Args:
-        true_labels: class of the true hit.
-        true_m: distance of the true hit, which decides the band: [lower, upper).
-        predicted_labels: class of the predicted hit, the free class for none.
-        error_m: distance between the true and the predicted hit along the ray.
-        valid: rays that count.
-        num_classes: number of classes, free included.
-        thresholds_m: errors strictly below count as correct.
-        range_edges_m: ends of the range bands, increasing; may be empty.
+    A ray's true distance decides its band, [lower, upper). It is correct if true and predicted class (free for no hit)
+    are equal and the distance between both hits along the ray, `error_m`, is strictly below the threshold.
     """
     rows = num_rows(range_edges_m)
     first = band_of(true_m[valid], range_edges_m) * num_classes

@@ -125,15 +125,10 @@ def sector_params(x, y, along_x, along_y, start, reach, cells, faces, params):
 def merge(first, second, place, sizes, start, leave, cells, ends):
     """Put the crossings of two axes in order; return the number of columns. Cells of no length are -1.
 
-    Args:
-        first: parameters (with room for one more), their number, and how many of them lead to a smaller index.
-        second: parameters (with room for one more), their number, and the change of index at each, which wraps around.
-        place: first cell on both axes.
-        sizes: cells on both axes.
-        start: parameter at which the first column begins.
-        leave: parameter at which the last one ends.
-        cells: output, row-major index of each column.
-        ends: output, parameters between the columns.
+    `first` has parameters (with room for one more), their number, and how many of them lead to a smaller index;
+    `second` parameters, their number, and the change of index at each, which wraps around. `place` is the first cell on
+    both axes. The first column begins at `start`, the last ends at `leave`. The outputs are `cells`, the row-major
+    index of each column, and `ends`, the parameters between them.
     """
     (params, number, down), (others, other_number, step) = first, second
     row, column = place
@@ -184,20 +179,10 @@ def clip_flat(origin, along, low, high):
 @compiled
 @no_type_check
 def find_columns(x, y, along_x, along_y, span, bounds, sizes, faces, scratch, cells, ends):
-    """Find the columns along one azimuth between two parameters; return their number.
+    """Find the columns along one azimuth within `span`, where the fan is in the grid; return their number.
 
-    Args:
-        x: x of the origin.
-        y: y of the origin.
-        along_x: x of the azimuth vector.
-        along_y: y of the azimuth vector.
-        span: parameters between which some ray of the fan is between bottom and top of the grid.
-        bounds: (2, 2) lower and upper ends of the horizontal axes.
-        sizes: cells on the horizontal axes.
-        faces: sines and cosines of the sectors' faces (`sector_faces`), empty for a cuboid.
-        scratch: (2, longest + 1) working memory.
-        cells: output, row-major index of each column.
-        ends: output, parameters between the columns.
+    `bounds` (2, 2) and `sizes` are ends and cells of the horizontal axes, `faces` those of `sector_faces`, empty for a
+    cuboid, `scratch` (2, longest + 1) working memory; the outputs are those of `merge`.
     """
     size = (bounds[0, 1] - bounds[0, 0]) / sizes[0]
     if faces.size:

@@ -128,17 +128,10 @@ def in_order(
     start_m: Float64[Tensor, " R"],
     leave_m: Float64[Tensor, " R"],
 ) -> tuple[Int32[Tensor, "R N"], Float64[Tensor, "R N+1"]]:
-    """Return the crossings of several axes in order.
+    """Return the crossings of several axes in order: the cell of each stretch between two, and the stretches' ends.
 
-    Args:
-        crossings: those of each axis.
-        strides: of each axis in a flat cell index.
-        start_m: distances at which rays begin.
-        leave_m: distances at which they end; crossings beyond are moved there.
-
-    Returns:
-        Flat index of the cell in each stretch between two crossings, negative in a cylinder's hole, and the ends of the
-        stretches. Some have no length.
+    `strides` are those of the axes in a flat cell index, which is negative in a cylinder's hole. Crossings beyond
+    `leave_m` are moved there. Some stretches have no length.
     """
     at_m = torch.cat([axis.at_m for axis in crossings], dim=1).clamp_(start_m.unsqueeze(1), leave_m.unsqueeze(1))
     at_m, order = at_m.sort(dim=1, stable=True)

@@ -81,11 +81,8 @@ def house(rng: np.random.Generator) -> Mesh:
     if rng.uniform() < 0.4 and width < 1.3 * depth:
         body = _turned_gable(width, depth, height, float(rng.uniform(2.2, 3.4)), tiles, face)
     parts = [
-        _plinth(width, depth),
-        _block(width, depth, 0, height, face, tiles),
-        body,
-        _chimney(rng, width, depth, height),
-    ]
+        _plinth(width, depth), _block(width, depth, 0, height, face, tiles), body, _chimney(rng, width, depth, height),
+    ]  # fmt: skip
     door = float(rng.uniform(-0.25, 0.25)) * width
     parts += _entrance(door)
     parts.append(box((2.2, 1.5, 0.14), (door, -0.7, 2.55), tiles))

@@ -70,12 +70,10 @@ def with_instance(mesh: Mesh, instance: int) -> Mesh:
 
 
 def instances(mesh: Mesh, a_from_b: np.ndarray, paint: Mapping[Material, np.ndarray]) -> Mesh:
-    """Return copies of one mesh, posed and repainted.
+    """Return copies of one mesh (frame b), posed and repainted.
 
-    Args:
-        mesh: the prototype in frame b.
-        a_from_b: (K, 4, 4) one pose per copy, which may stretch it.
-        paint: (K, 3) uint8 colours of the copies' faces of some materials; the others keep the prototype's.
+    `a_from_b` has one pose (K, 4, 4) per copy, which may stretch it; `paint` the (K, 3) uint8 colours of the copies'
+    faces of some materials, where the others keep the prototype's.
     """
     count, vertex_count, face_count = len(a_from_b), len(mesh.vertices), len(mesh)
     linear, shift = a_from_b[:, :3, :3].astype(np.float32), a_from_b[:, None, :3, 3].astype(np.float32)

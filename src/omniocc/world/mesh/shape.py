@@ -163,11 +163,9 @@ def blob(
 def loft(profile_m: np.ndarray, half_width_m: np.ndarray, across: list[Skin], side: Skin) -> Mesh:
     """Build a body between two mirrored side outlines.
 
-    Args:
-        profile_m: (P, 2) counter-clockwise outline in (x, z), seen from -y (the body's right side).
-        half_width_m: (P,) half width along y at every point.
-        across: skin of the strip after every point; P of them.
-        side: skin of both sides.
+    `profile_m` is the (P, 2) counter-clockwise outline in (x, z), seen from -y (the body's right side), `half_width_m`
+    (P,) the half width along y at its points, `across` the skin of the strip after each point, `side` that of both
+    sides.
     """
     x, z = profile_m.T
     right, left = np.stack([x, -half_width_m, z], 1), np.stack([x, half_width_m, z], 1)

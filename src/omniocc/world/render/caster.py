@@ -45,11 +45,7 @@ def _embree() -> tuple[Any, Any]:
 
 
 class Caster:
-    """One immutable set of triangles; rays are given in the mesh's frame.
-
-    Args:
-        mesh: the triangles; no ray hits an empty mesh.
-    """
+    """An immutable set of triangles, perhaps empty; rays are given in the mesh's frame."""
 
     def __init__(self, mesh: Mesh) -> None:
         self.size = len(mesh)

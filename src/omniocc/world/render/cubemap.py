@@ -45,15 +45,7 @@ class Cube:
 
 
 def make_cube(rig: Rig, camera: int, view: View, supersample: int, ego_car: Caster) -> Cube:
-    """Build the cube's faces for one camera, as fine as the camera's pixels in their middle, finer elsewhere.
-
-    Args:
-        rig: cameras of the vehicle.
-        camera: index in the rig.
-        view: rays of that camera.
-        supersample: see `make_view`.
-        ego_car: the ego car in the ego frame.
-    """
+    """Return the cube's faces for one camera, as fine as its pixels in their middle, finer elsewhere."""
     inner = int(np.ceil(2 / view.pixel_rad))
     side = inner + 2 * _MARGIN_PX
     pose = rig.ego_from_camera[camera].double().numpy()

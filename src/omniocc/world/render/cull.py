@@ -59,11 +59,10 @@ def spheres_of(mesh: Mesh) -> np.ndarray:
 
 
 class ShadowMask:
-    """A map of where shadows of moving objects may fall along one direction.
+    """A map of the possible shadows of moving objects along one direction.
 
-    Args:
-        spheres: (K, 4) centre and radius around the objects.
-        toward: (3,) unit vector to the light, above the horizon.
+    Objects are given by (K, 4) spheres, centre and radius; `toward` (3,) is the unit vector to the light, above the
+    horizon.
     """
 
     def __init__(self, spheres: np.ndarray, toward: np.ndarray) -> None:

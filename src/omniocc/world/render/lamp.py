@@ -37,15 +37,11 @@ def lamp_pools(mesh: Mesh) -> np.ndarray:
 def lamp_light(
     light: Light, base: np.ndarray, added: np.ndarray, tint: np.ndarray, attributes: np.ndarray, points: np.ndarray
 ) -> np.ndarray:
-    """Return the (3, R) light after dark from surfaces that shine or lie under a lamp.
+    """Return the (3, R) light after dark from surfaces that shine or are below a lamp.
 
-    Args:
-        light: light of the scene.
-        base: (3, R) colour of the surfaces.
-        added: (3, R) the texture's added colour: panes with bright curtains count as lit rooms.
-        tint: (R,) fraction of the base colour in the texture, 0 in windows.
-        attributes: (16, R) see `omniocc.world.render.surface.Surfaces`.
-        points: (3, R) in the world frame.
+    Surfaces have a `base` colour (3, R), the texture's `tint` (R,) of it, 0 in windows, and its `added` colour (3, R):
+    panes with bright curtains count as lit rooms. `attributes` (16, R) are those of `Surfaces`, `points` (3, R) world
+    points.
     """
     shining = attributes[COLOR] * attributes[EMITTED]
     window = (attributes[GLAZED] > 0) & (tint < 0.02) & (added[0] > 0.1)

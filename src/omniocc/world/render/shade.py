@@ -29,14 +29,8 @@ def shade(
 ) -> Shading:  # fmt: skip
     """Return the light along each ray: texture, sun with shadow, sky, reflection, haze; the sky where nothing is hit.
 
-    Args:
-        hits: of R rays from `origin` (3,) along `directions` (3, R) float32, world axes.
-        origin: camera position.
-        directions: unit vectors.
-        surfaces: tables of the faces in `hits`.
-        shadows: objects that block the light.
-        light: light of the scene.
-        pixel_rad: angle between neighbouring pixels.
+    `hits` are those of R rays from the camera at `origin` (3,) along unit `directions` (3, R) float32 in world axes,
+    `surfaces` the tables of their faces; `pixel_rad` is the angle between neighbouring pixels.
     """
     color = np.empty((3, len(hits.face)), np.float32)
     offset_m, lit = np.zeros(len(hits.face), np.float32), np.zeros(len(hits.face), bool)

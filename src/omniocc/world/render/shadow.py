@@ -11,13 +11,9 @@ _UP = np.array([0.12, 0.05, 0.9915], np.float32)
 
 
 class Shadows:
-    """Shadows at one time step.
+    """Shadows at one time step, of static objects and of moving ones, around which there are (K, 4) spheres.
 
-    Args:
-        static: caster of the static objects.
-        movers: casters of the moving objects.
-        spheres: (K, 4) centre and radius around the objects in `movers`.
-        light: light of the scene; without a sun, shadows fall straight down and only low objects cast them.
+    Without a sun, shadows fall straight down and only low objects cast them.
     """
 
     def __init__(self, static: Caster, movers: list[Caster], spheres: np.ndarray, light: Light) -> None:

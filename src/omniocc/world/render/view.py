@@ -43,14 +43,7 @@ class View:
 
 
 def make_view(rig: Rig, camera: int, supersample: int, ego_car: Caster) -> View:
-    """Compute the rays of one camera of the rig.
-
-    Args:
-        rig: cameras of the vehicle.
-        camera: index in the rig.
-        supersample: rays per pixel along each side; the first of its square goes through the centre.
-        ego_car: the ego car in the ego frame.
-    """
+    """Return the rays of one camera, `supersample` per pixel along each side; `ego_car` is in the ego frame."""
     directions, valid = rig.rays(camera)
     height, width = valid.shape
     pixel = np.flatnonzero(valid.numpy())

@@ -30,17 +30,9 @@ class Labeller(Protocol):
 
 
 class Recorder:
-    """The sensors of one vehicle; all their rays are computed once.
+    """The sensors of one vehicle; all their rays are computed once. For the options see `omniocc.world.Scene`.
 
-    Args:
-        rig: cameras.
-        ego_car: ego car in the ego frame, visible to the cameras and not to the LiDARs.
-        labeller: source of the labelled points.
-        supersample: camera rays per pixel along each side where a pixel needs smoothing.
-        capture: direct (a ray through every pixel) or cubemap (the paper's way).
-        erp_size: width and height of the panorama of ranges, px.
-        erp_top_deg: elevation of the panorama's upper edge.
-        erp_bottom_deg: elevation of the panorama's lower edge.
+    `ego_car`, in the ego frame, is visible to the cameras and not to the LiDARs.
     """
 
     def __init__(

@@ -49,13 +49,9 @@ class Sweep(NamedTuple):
 
 
 class SemanticLidars:
-    """The virtual LiDARs of a scene.
+    """The virtual LiDARs of a scene, `count` with the ego's.
 
-    Args:
-        static: caster of all that never moves.
-        surfaces: tables of its faces.
-        height: function of world x and y that gives the ground's height, m.
-        count: number of LiDARs, the ego's included.
+    `surfaces` are the tables of the static faces, `height` gives the ground's height (m) at world x and y.
     """
 
     def __init__(self, static: Caster, surfaces: Surfaces, height: Height, count: int = 20) -> None:

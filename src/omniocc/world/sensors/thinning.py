@@ -24,13 +24,10 @@ def cubes(points_m: np.ndarray) -> np.ndarray:
 
 
 def first_of_each(cube: np.ndarray, labels: np.ndarray, scratch: np.ndarray) -> np.ndarray:
-    """Return ascending indices of one point of each cube, preferring thin things.
+    """Return ascending indices of one point of each cube, preferring thin objects.
 
-    Args:
-        cube: (P,) int32 from `cubes`.
-        labels: (P,) uint8.
-        scratch: (SCRATCH,) int32 of any content, overwritten. Where two cubes collide in it, one of them keeps all
-            its points.
+    `cube` (P,) is from `cubes`, `labels` (P,) uint8. `scratch` (SCRATCH,) int32 is overwritten; where two cubes collide
+    in it, one of them keeps all its points.
     """
     number = np.arange(len(cube), dtype=np.int32)
     place = cube & (SCRATCH - 1)

@@ -38,11 +38,10 @@ class Atlas(NamedTuple):
 
 
 def layer_of(material: np.ndarray, color: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the texture layer of each face, and what to add to it on the ground floor, as two (F,) int32.
+    """Return the texture layer of each face, and the step to that of the ground floor, as two (F,) int32.
 
-    Args:
-        material: (F,) uint8.
-        color: (F, 3) uint8; facades of equal colour share a style, so that a building's walls match.
+    `material` is (F,) uint8, `color` (F, 3) uint8; facades of equal colour have one style, so that a building's walls
+    match.
     """
     facade = material == Material.FACADE
     digest = color.astype(np.uint32) @ np.array([73, 179, 283], np.uint32)
@@ -54,17 +53,14 @@ def layer_of(material: np.ndarray, color: np.ndarray) -> tuple[np.ndarray, np.nd
 def sample(
     layer: np.ndarray, ground_step: np.ndarray, u_m: np.ndarray, v_m: np.ndarray, footprint_m: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Look up the textures.
+    """Return the textures' tint (R,) float32, with the slow variation, and added linear colour (3, R) float32.
 
     Args:
         layer: (R,) int32 from `layer_of`.
         ground_step: (R,) int32 from `layer_of`.
         u_m: (R,) float32 along the surface.
         v_m: (R,) float32 along the surface; upwards from the ground on facades.
-        footprint_m: (R,) float32 width of the pixel on the surface; picks the mip level.
-
-    Returns:
-        tint (R,) float32 with the slow variation included, and the added linear colour (3, R) float32.
+        footprint_m: (R,) float32 width of the pixel on the surface, which selects the mip level.
     """
     atlas = make_atlas()
     layer = layer + ground_step * (v_m < STOREY_M)
