@@ -99,7 +99,8 @@ def write_rig(
         mask = None if masks is None else masks[index]
         if mask is not None:
             entry["mask"] = f"{file.stem}.{name}.png"
-            _write_mask(file.parent / entry["mask"], mask)
+            if not cv2.imwrite(str(file.parent / entry["mask"]), mask.numpy().astype(np.uint8) * 255):
+                raise OSError(f"cannot write {file.parent / entry['mask']}")
         entries[name] = entry
     file.write_text(yaml.safe_dump({"cameras": entries}, sort_keys=False, default_flow_style=None), encoding="utf-8")
 
@@ -166,11 +167,6 @@ def _read_mask(file: Path, camera: Camera) -> Mask:
     if not file.is_file():
         raise ValueError(f"mask {file} does not exist")
     return torch.from_numpy(read_mask_pixels("mask", file, camera) > 127)
-
-
-def _write_mask(file: Path, mask: Mask) -> None:
-    if not cv2.imwrite(str(file), mask.numpy().astype(np.uint8) * 255):
-        raise OSError(f"cannot write {file}")
 
 
 def _mapping(value: Any, what: str) -> dict[str, Any]:

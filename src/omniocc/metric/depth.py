@@ -87,12 +87,9 @@ class DepthMetrics(Metric):
     count: Tensor
 
     def __init__(
-        self,
-        nearest_m: float = 0.5,
-        farthest_m: float = float("inf"),
-        spheres: int = 192,
+        self, nearest_m: float = 0.5, farthest_m: float = float("inf"), spheres: int = 192,
         range_edges_m: Sequence[float | int] | None = None,
-    ):
+    ):  # fmt: skip
         super().__init__()
         check_increasing("nearest_m and farthest_m", (float(nearest_m), float(farthest_m)), at_least=2)
         if nearest_m <= 0 or spheres < 2:
@@ -104,11 +101,9 @@ class DepthMetrics(Metric):
         self.add_state("count", torch.zeros(rows, dtype=torch.float64), dist_reduce_fx="sum")
 
     def update(
-        self,
-        prediction_m: Float[Tensor, "..."],
-        target_m: Float[Tensor, "..."],
+        self, prediction_m: Float[Tensor, "..."], target_m: Float[Tensor, "..."],
         observed: Bool[Tensor, "..."] | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Add predicted and true ranges along the same rays.
 
         Args:

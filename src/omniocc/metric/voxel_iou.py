@@ -78,24 +78,18 @@ class VoxelIoU(Metric):
     confusion: Tensor
 
     def __init__(
-        self,
-        num_classes: int = NUM_CLASSES,
-        free_class: int = FREE,
-        ignore_class: int = UNKNOWN,
-        geometry: Cylinder | Cuboid | None = None,
-        class_names: Sequence[str] | None = None,
-    ):
+        self, num_classes: int = NUM_CLASSES, free_class: int = FREE, ignore_class: int = UNKNOWN,
+        geometry: Cylinder | Cuboid | None = None, class_names: Sequence[str] | None = None,
+    ):  # fmt: skip
         super().__init__()
         self.classes = ClassIds(num_classes, free_class, ignore_class, class_names)
         self.geometry = geometry
         self.add_state("confusion", torch.zeros(num_classes, num_classes, dtype=torch.float64), dist_reduce_fx="sum")
 
     def update(
-        self,
-        prediction: Shaped[Tensor, "B X Y Z"],
-        target: Shaped[Tensor, "Bt Xt Yt Zt"],
+        self, prediction: Shaped[Tensor, "B X Y Z"], target: Shaped[Tensor, "Bt Xt Yt Zt"],
         observed: Bool[Tensor, "Bt Xt Yt Zt"] | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Add predicted and true class ids of a batch.
 
         Args:

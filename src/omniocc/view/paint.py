@@ -48,9 +48,11 @@ def paint_voxels(
     painted = []
     for k, image in enumerate(images):
         scaled = fitted(image, width)
-        size = scaled.shape[1] // COARSE, scaled.shape[0] // COARSE
-        colors, hit = _colors(camera_view(geometry, rig, k, *size), labels, classes.palette)
-        painted.append(_blended(scaled, *(_enlarged(part, scaled) for part in (colors, hit))))
+        view = camera_view(geometry, rig, k, scaled.shape[1] // COARSE, scaled.shape[0] // COARSE)
+        colors, hit = _colors(view, labels, classes.palette)
+        size = scaled.shape[1], scaled.shape[0]
+        parts = (cv2.resize(part.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) for part in (colors, hit))
+        painted.append(_blended(scaled, *parts))
     return painted
 
 
@@ -105,11 +107,6 @@ def _colors(view: View, labels: Labels, palette: np.ndarray) -> tuple[np.ndarray
     colors = palette[found.numpy()]
     colors[edge.numpy()] = (colors[edge.numpy()] * EDGE).astype(np.uint8)
     return colors, found.numpy() != FREE
-
-
-def _enlarged(part: np.ndarray, like: np.ndarray) -> np.ndarray:
-    size = like.shape[1], like.shape[0]
-    return cv2.resize(part.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
 
 
 def _blended(scaled: np.ndarray, colors: np.ndarray, hit: np.ndarray) -> np.ndarray:

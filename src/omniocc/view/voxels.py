@@ -64,7 +64,8 @@ def render_voxels(
     """
     eye = np.array(eye_m)
     cells = _cell_faces(labels, geometry, classes.palette, eye)
-    faces = _join(cells, *(_box_faces(bounds, rgb, eye) for bounds, rgb in CAR_BOXES))
+    parts = [cells, *(_box_faces(bounds, rgb, eye) for bounds, rgb in CAR_BOXES)]
+    faces = Faces(*map(np.concatenate, zip(*parts, strict=True)))
     size = (width * SUPERSAMPLE, height * SUPERSAMPLE)
     pixels, in_front = _project(faces.corners, eye, np.array(target_m), view_deg, size)
     low, high = pixels.min(1), pixels.max(1)
@@ -106,10 +107,6 @@ def _box_faces(bounds_m: tuple[tuple[float, float], ...], rgb: tuple[int, int, i
     colors = np.tile(np.array(rgb, dtype=np.float64), (6, 1))
     depth_m = np.full(6, np.linalg.norm(bounds.mean(1) - eye) - 4.0)
     return Faces(*(part[towards] for part in Faces(corners, normals, colors, depth_m)))
-
-
-def _join(*parts: Faces) -> Faces:
-    return Faces(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
 def _project(

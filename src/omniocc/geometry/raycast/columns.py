@@ -8,6 +8,7 @@ from typing import NamedTuple
 import torch
 from jaxtyping import Float64, Int64
 from torch import Tensor
+from torch.nn import functional as F
 
 from omniocc.geometry.raycast.crossings import FAR, TOUCH_M
 from omniocc.geometry.raycast.fans import Fans
@@ -51,7 +52,9 @@ class Levels(NamedTuple):
 def find_columns(grid: Traversable, origins: Float64[Tensor, "G 3"], azimuths: Float64[Tensor, "G 2"]) -> Columns:
     """Return the columns along azimuths (horizontal vectors); heights do not matter."""
     none = grid.shape[0] * grid.shape[1]
-    origins, directions = _level(grid, origins, azimuths)
+    # level rays at half the grid's height
+    origins = F.pad(origins[:, :2], (0, 1), value=(grid.bounds[2][0] + grid.bounds[2][1]) / 2)
+    directions = F.pad(azimuths, (0, 1))
     cells, ends = [], []
     for first in range(0, max(len(origins), 1), CHUNK_RAYS):
         chunk = slice(first, first + CHUNK_RAYS)
@@ -62,14 +65,6 @@ def find_columns(grid: Traversable, origins: Float64[Tensor, "G 3"], azimuths: F
         cells.append(cell.masked_fill_((cell < 0) | (cell > none) | (end.diff(dim=1) <= TOUCH_M), none))
         ends.append(end)
     return Columns(stack_ragged(cells, none).long(), stack_ragged(ends, None))
-
-
-def _level(
-    grid: Traversable, origins: Float64[Tensor, "G 3"], azimuths: Float64[Tensor, "G 2"]
-) -> tuple[Float64[Tensor, "G 3"], Float64[Tensor, "G 3"]]:
-    """Return level rays at half the grid's height."""
-    middle = (grid.bounds[2][0] + grid.bounds[2][1]) / 2
-    return torch.nn.functional.pad(origins[:, :2], (0, 1), value=middle), torch.nn.functional.pad(azimuths, (0, 1))
 
 
 def find_levels(grid: Traversable, fans: Fans) -> Levels:

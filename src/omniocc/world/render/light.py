@@ -1,6 +1,7 @@
 """The light of a scene, and the exposure of its cameras."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -96,10 +97,8 @@ def _tone_curve() -> np.ndarray:
 
 
 _CURVE = _tone_curve()
-_GRAIN: list[np.ndarray] = []
 
 
+@lru_cache(maxsize=1)
 def _grain() -> np.ndarray:
-    if not _GRAIN:
-        _GRAIN.append(np.random.default_rng(17).standard_normal(1 << 19).astype(np.float32))
-    return _GRAIN[0]
+    return np.random.default_rng(17).standard_normal(1 << 19).astype(np.float32)

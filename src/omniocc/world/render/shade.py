@@ -8,7 +8,7 @@ from omniocc.world.render.caster import Hits
 from omniocc.world.render.lamp import lamp_light
 from omniocc.world.render.light import Light, ambient, standing_water
 from omniocc.world.render.shadow import Shadows
-from omniocc.world.render.sky import sky_color
+from omniocc.world.render.sky import dot, sky_color
 from omniocc.world.render.surface import COLOR, GLAZED, GLOSS, LAYER, NORMAL, UP, UV, UV_EDGE_1, UV_EDGE_2, Surfaces
 from omniocc.world.render.texture.atlas import sample
 
@@ -38,7 +38,7 @@ def shade(
     color[:, sky] = sky_color(light, np.take(directions, sky, axis=1))
     some, toward = hits.take(ground), np.take(directions, ground, axis=1)
     attributes = np.ascontiguousarray(surfaces.table.take(some.face, axis=0).T)
-    cosine = -_dot(attributes[NORMAL], toward)
+    cosine = -dot(attributes[NORMAL], toward)
     attributes[NORMAL] *= np.where(cosine < 0, np.float32(-1), np.float32(1))
     cosine = np.abs(cosine)
     sunlight = _sunlight(some, origin, toward, attributes[NORMAL], shadows, light)
@@ -57,7 +57,7 @@ def _sunlight(
     Under clouds only level ground is tested: whether a car or another low object is above it.
     """
     covered = not light.sun.any()
-    cosine = np.maximum(_dot(normal, light.sun_direction), 0)
+    cosine = np.maximum(dot(normal, light.sun_direction), 0)
     index = np.flatnonzero(normal[2] > 0.8 if covered else cosine > 0)
     points = np.take(directions, index, axis=1) * hits.range_m.take(index)
     points += np.take(normal, index, axis=1) * _LIFT_M
@@ -123,7 +123,3 @@ def _reflect(
     slant = 1 - np.minimum(cosine, 1)
     fraction = gloss * (0.06 + 0.94 * (slant * slant * slant * slant * slant))
     return color * (1 - fraction) + np.minimum(seen, 3) * fraction
-
-
-def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

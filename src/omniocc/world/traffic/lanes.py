@@ -149,7 +149,8 @@ def _pairs(network: Network, lanes: list[Lane], pieces: list[Piece]) -> list[tup
 
 def _turn_piece(origin: Piece, target: Piece, node: np.ndarray, island_m: float, terrain: Terrain) -> Piece:
     a, b = origin.points_m[-1], target.points_m[0]
-    ahead, leave = (_unit(x.points_m[k, :2] - x.points_m[k - 1, :2]) for x, k in ((origin, -1), (target, 1)))
+    ahead, leave = (x.points_m[k, :2] - x.points_m[k - 1, :2] for x, k in ((origin, -1), (target, 1)))
+    ahead, leave = ahead / np.linalg.norm(ahead), leave / np.linalg.norm(leave)
     xy = _bend(a[:2], ahead, b[:2], leave)
     if island_m:
         first, last = (np.arctan2(*(p[:2] - node)[::-1]) for p in (a, b))
@@ -172,10 +173,6 @@ def _bend(a: np.ndarray, ahead: np.ndarray, b: np.ndarray, leave: np.ndarray) ->
     reach, t = 0.39 * float(np.linalg.norm(b - a)), np.linspace(0, 1, 25)[:, None]
     first, second = a + reach * ahead, b - reach * leave
     return (1 - t) ** 3 * a + 3 * t * (1 - t) ** 2 * first + 3 * t**2 * (1 - t) * second + t**3 * b
-
-
-def _unit(vector: np.ndarray) -> np.ndarray:
-    return vector / np.linalg.norm(vector)
 
 
 def _least_radius_m(piece: Piece) -> float:

@@ -54,16 +54,12 @@ class Traffic:
         self._cars = [painted(mesh, PAINTS[k]) for mesh, k in zip(self._fleet.meshes, paint, strict=True)]
         self._flow = Flow(roads, cars, pedestrians.draw_crossers(place, rng), rng)
 
-    def ego_along_m(self, time_s: float) -> float:
-        """Return the arc length of the ego on its route."""
-        return float(self._flow.motion(time_s + self._warm_up_s)[0][0])
-
     def world_from_ego(self, time_s: float) -> np.ndarray:
         """Return the (4, 4) float64 pose of the ego frame, 2.2 m above the road.
 
         The car pitches and rolls by about 0.02 rad and heaves by 0.1 m (standard deviations) on top of the slope.
         """
-        along = self.ego_along_m(time_s)
+        along = float(self._flow.motion(time_s + self._warm_up_s)[0][0])
         front, rear = self._flow.place(0, along + 1.4), self._flow.place(0, along - 1.4)
         road = _vehicle_pose(self._place, 0.5 * (front + rear), front - rear)
         roll, pitch, heave = (_sway(time_s, draws) for draws in self._sway_draws)
