@@ -93,7 +93,7 @@ def test_cells_not_observed_are_unknown():
     observed = torch.ones_like(target, dtype=torch.bool)
     observed[0, 2] = False
     assert ray_iou(prediction, target, LINE, directions=FORWARD)["rayiou"].item() == 0.0
-    # the ray ends in the unknown cell, whatever its label
+    # the ray ends in the unknown cell with any label
     masked = ray_iou(prediction, target, LINE, observed=observed, directions=FORWARD)
     assert math.isnan(masked["rayiou"].item())
     observed[0, 2:4] = torch.tensor([True, False]).reshape(2, 1, 1)

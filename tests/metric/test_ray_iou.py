@@ -290,7 +290,7 @@ def as_input(metric, prediction, target):
 
 def half_of_the_frames(rank, folder):
     """Score every second frame in one of two processes, then sum counts with the other."""
-    torch.distributed.init_process_group("gloo", init_method=f"file://{folder}/meet", rank=rank, world_size=2)
+    torch.distributed.init_process_group("gloo", init_method=f"file://{folder}/rendezvous", rank=rank, world_size=2)
     prediction, target = frames(CUBOID, 5)
     metrics = three_metrics()
     for metric in metrics:
@@ -301,7 +301,7 @@ def half_of_the_frames(rank, folder):
 
 
 def second_process(function, folder):
-    """Start a function of this file as rank 1 in a process of its own, which saves what it returns as `1.pt`."""
+    """Start a function of this file as rank 1 in another process, which saves the result as `1.pt`."""
     code = (
         "import runpy, sys, torch; torch.set_num_threads(1);"
         "scores = runpy.run_path(sys.argv[1])[sys.argv[3]](1, sys.argv[2]);"
@@ -327,8 +327,8 @@ def test_two_processes_equal_one(tmp_path):
 def first_process_scores(rank, folder):
     """Score frames in the first of two processes; the second only joins the group and waits for the end."""
     timeout = datetime.timedelta(seconds=60)
-    meet = f"file://{folder}/meet"
-    torch.distributed.init_process_group("gloo", init_method=meet, rank=rank, world_size=2, timeout=timeout)
+    rendezvous = f"file://{folder}/rendezvous"
+    torch.distributed.init_process_group("gloo", init_method=rendezvous, rank=rank, world_size=2, timeout=timeout)
     scores = ray_iou(*frames(CUBOID, 2), CUBOID) if rank == 0 else None
     torch.distributed.barrier()
     torch.distributed.destroy_process_group()

@@ -35,12 +35,12 @@ def test_points_lie_in_their_column_in_the_colour_of_their_range():
 def test_a_sheet_of_any_grid():
     for geometry in (Cylinder(shape=(6, 10, 4)), Cuboid(shape=(6, 8, 4))):
         truth = torch.randint(0, 12, geometry.shape, dtype=torch.uint8)
-        chosen = torch.rand(geometry.shape) < 0.3
+        mask = torch.rand(geometry.shape) < 0.3
         ranges = torch.rand(4, 16) * 20 + 1
         ranges[0] = torch.nan
         images = [np.full((36, 64, 3), 9, np.uint8)] * 6
         panorama = Equirectangular(16, 4, 45.0, -45.0)
         image = sketch_sheet(
-            images, truth, chosen, chosen | (truth == 1), geometry, WORLD_CLASSES, panorama, ranges, "x", 800
+            images, truth, mask, mask | (truth == 1), geometry, WORLD_CLASSES, panorama, ranges, "x", 800
         )
         assert image.shape[1:] == (800, 3)

@@ -20,7 +20,7 @@ from omniocc.geometry.warp import Corners, fold, interpolate, trilinear
 
 
 class Grid(ABC):
-    """Regular grid along three axes in the ego frame; subclasses are frozen dataclasses, so equal grids share caches.
+    """Regular grid along three axes in the ego frame; subclasses are frozen dataclasses, equal if their fields are.
 
     Attributes:
         shape: number of cells along each axis.
@@ -85,11 +85,11 @@ class Grid(ABC):
         return self.centers(torch.float64)[:, :, 0, :2].norm(dim=-1)
 
     def neighbors(self, device: torch.device | str | None = None) -> Int64[Tensor, "X Y Z 6"]:
-        """Return the cells that share a face with each cell: down and up along the first axis, the second, the third.
+        """Return the cells with a common face with each cell: down and up along the first axis, the second, the third.
 
         Returns:
             Row-major indices into a volume of `shape`; -1 beyond the ends of an axis that does not wrap around. No cell
-            has a neighbour across the z axis, where cells of a cylinder share an edge only.
+            has a neighbour across the z axis, where cells of a cylinder have only an edge in common.
         """
         flat = torch.arange(self.num_cells, device=device).reshape(self.shape)
         found = []

@@ -56,7 +56,7 @@ def check_same_batch(first: str, left: Tensor, second: str, right: Tensor) -> No
 
 
 def check_increasing(name: str, values: tuple[float, ...], at_least: int) -> None:
-    """Raise ValueError unless there are `at_least` distances in metres, increasing and none negative."""
+    """Raise ValueError unless `values` are `at_least` distances in metres, increasing and none negative."""
     rising = all(low < high for low, high in itertools.pairwise(values))
     if len(values) < at_least or not rising or (values and values[0] < 0):
         raise ValueError(f"{name} must be {at_least} or more increasing distances in metres, got {values}")

@@ -58,7 +58,7 @@ def depth_scores(
 class DepthMetrics(Metric):
     """Errors of predicted ranges over a dataset.
 
-    Rays count whose true range lies between the nearest and the farthest sphere; those of the sky do not. Predictions
+    Rays count whose true range is between the nearest and the farthest sphere; those of the sky do not. Predictions
     are clamped to that interval. Keys: `mae` and `rmse` (m), `absrel`, `delta1`..`delta3` (fraction of rays with a
     ratio below 1.25^k), `index_mae`, `index_rmse` (percent of the number of spheres) and `index>1`, `index>3`,
     `index>5` (fraction of rays with an index error above that percentage, after OmniMVS); with `_<lower>-<upper>m` the

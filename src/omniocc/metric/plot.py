@@ -25,10 +25,10 @@ def plot_bars(scores: Mapping[str, Tensor], keys: list[str], ax: "Axes | None" =
 
     Raises:
         ImportError: without matplotlib.
-        ValueError: if there is nothing to draw.
+        ValueError: if `keys` is empty.
     """
     if not keys:
-        raise ValueError(f"no scores with these keys; there are {', '.join(scores)}")
+        raise ValueError(f"no scores with these keys; available: {', '.join(scores)}")
     try:
         from matplotlib import pyplot
     except ImportError as error:

@@ -106,7 +106,7 @@ class RayCounter:
     def _count_frame_rays(
         self, prediction: Tensor, range_m: Tensor, labels: Tensor, directions: Tensor, starts: Tensor
     ) -> RayCounts:
-        """Return the counts of one frame whose R rays have directions and starts (R, 3) of their own."""
+        """Return the counts of one frame whose R rays have individual directions and starts (R, 3)."""
         kept = (labels != self.classes.free) & (labels != self.classes.ignored) & range_m.isfinite()
         range_m, labels, directions, starts = range_m[kept].double(), labels[kept], directions[kept], starts[kept]
         # uint8 wraps around, as in `_cast`
@@ -159,7 +159,7 @@ class RayCounter:
         return [found._replace(labels=found.labels + self.classes.free) for found in hits]
 
     def _inside(self, origins: Float[Tensor, "O 3"], range_m: Float[Tensor, " R"]) -> Bool[Tensor, " R"]:
-        """Return whether the points at these distances lie in the prediction's grid."""
+        """Return whether the points at these distances are in the prediction's grid."""
         starts, directions = self.scan.rays(origins)
         return self.geometry.index(starts + directions * range_m.unsqueeze(-1))[1]
 

@@ -23,7 +23,7 @@ EDGE = 0.72
 """Brightness of pixels at the edges of voxels, relative to their inside."""
 
 BACKGROUND = (225, 233, 242)
-"""Colour of directions in which there is no voxel."""
+"""Colour of directions without a voxel."""
 
 
 class View(NamedTuple):
@@ -96,7 +96,7 @@ def _view(geometry: Grid, origin: Float[Tensor, "3"], rays: Float[Tensor, "h w 3
 
 
 def _colors(view: View, labels: Labels, palette: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return class colours (h, w, 3), darker at the edges of voxels, and whether there is a voxel (h, w)."""
+    """Return class colours (h, w, 3), darker at the edges of voxels, and whether a voxel is hit (h, w)."""
     hits = view.table.cast(labels.masked_fill(labels == UNKNOWN, FREE))
     cells = torch.full(view.valid.shape, -1, dtype=torch.int32)
     found = torch.zeros(view.valid.shape, dtype=torch.uint8)

@@ -30,7 +30,7 @@ def occupied() -> UInt8[Tensor, "X Y Z"]:
 
 
 def draw_cell(axes: "Axes", grid: Cylinder, cell: int, color: str, alpha: float) -> None:
-    """Fill one cell, seen from above; x is up and y is left, as the ego looks forward."""
+    """Fill one cell, seen from above; x is up and y is left, as the ego faces forward."""
     r, theta = cell // (grid.shape[1] * grid.shape[2]), cell // grid.shape[2] % grid.shape[1]
     radius_m, angle = grid.edges(0)[r : r + 2], grid.edges(1)[theta : theta + 2]
     arc = torch.linspace(float(angle[0]), float(angle[1]), 9, dtype=torch.float64)

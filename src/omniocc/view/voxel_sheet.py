@@ -69,7 +69,7 @@ def camera_order(rig: Rig) -> list[int]:
 
 
 def columns_of(cameras: int) -> int:
-    """Return how many images to show in a row."""
+    """Return the number of images in a row."""
     return cameras if cameras < 3 else 4 if cameras % 4 == 0 else 3
 
 

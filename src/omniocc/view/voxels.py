@@ -27,7 +27,7 @@ CAR_BOXES = (
 class Faces(NamedTuple):
     """Quadrilaterals, which are drawn in the order of falling depth.
 
-    Drawing farther cells first is exact for a grid: along a ray, each next cell lies beyond a boundary that separates
+    Drawing farther cells first is exact for a grid: along a ray, each next cell is beyond a boundary that separates
     its centre from the previous one's. (Only where a ray grazes a ring of a cylinder may two cells swap.)
 
     Attributes:
@@ -83,7 +83,7 @@ def render_voxels(
 
 
 def _cell_faces(labels: Tensor, geometry: Grid, palette: np.ndarray, eye: np.ndarray) -> Faces:
-    """Return the faces between occupied and other cells that look towards the eye."""
+    """Return the faces between occupied and other cells that face the eye."""
     corners, cells = surface((labels != FREE) & (labels != UNKNOWN), geometry)
     normals = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
@@ -112,7 +112,7 @@ def _box_faces(bounds_m: tuple[tuple[float, float], ...], rgb: tuple[int, int, i
 def _project(
     points: np.ndarray, eye: np.ndarray, target: np.ndarray, view_deg: float, size: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return pixels (F, 4, 2) of the corners (F, 4, 3), and whether all four lie in front of the eye (F,)."""
+    """Return pixels (F, 4, 2) of the corners (F, 4, 3), and whether all four are in front of the eye (F,)."""
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)

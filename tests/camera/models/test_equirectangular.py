@@ -42,9 +42,9 @@ def test_round_trip_of_every_pixel(dtype, atol):
     u, v = torch.meshgrid(torch.arange(360.0), torch.arange(90.0), indexing="xy")
     pixels = torch.stack([u, v], -1).to(dtype)
     rays, valid = CAMERA.unproject(pixels)
-    back, seen = CAMERA.project(4 * rays)
+    back, visible = CAMERA.project(4 * rays)
     assert valid.all()
-    assert seen.all()
+    assert visible.all()
     torch.testing.assert_close(back, pixels, rtol=0, atol=atol)
 
 

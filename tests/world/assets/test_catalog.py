@@ -1,4 +1,4 @@
-"""Prototypes: every kind can be built, stands on the ground, and carries the class of its group."""
+"""Prototypes: every kind can be built, touches the ground, and has the class of its group."""
 
 import numpy as np
 import pytest

@@ -51,7 +51,7 @@ def test_wrong_weather_is_named():
         draw_light("hail", np.random.default_rng(0))
 
 
-def test_fog_hides_what_is_far(snapshot):
+def test_fog_hides_distant_objects(snapshot):
     fog = draw_light("fog", np.random.default_rng(1))
     color = _colors(snapshot, [[-59, 4.9, -2.1], [3, 4, -2.2]], fog).color
     far, near = np.abs(color - fog.horizon[:, None]).mean(axis=0)

@@ -77,7 +77,7 @@ def test_points_do_not_depend_on_earlier_frames(snapshot, snapshot_of, street, e
     fresh = _lidars(empty_street).scan(empty_street)
     for one, other in ((first, again), (fresh, lidars.scan(empty_street))):
         assert all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
-    # The car stands 0.2 m above the road: a few rays pass below it.
+    # The car is 0.2 m above the road: a few rays pass below it.
     below = (np.abs(fresh[0] - (10, 1.9, -2.2)) < (1.0, 0.3, 0.05)).all(axis=1)
     under_car = (np.abs(first[0] - (10, 1.9, -2.2)) < (1.0, 0.3, 0.05)).all(axis=1)
     assert below.sum() > 10 * under_car.sum()

@@ -196,7 +196,7 @@ def test_the_ego_turns_both_ways_goes_straight_and_stops() -> None:
 
 
 def test_traffic_lights_agree_with_the_cars() -> None:
-    """Cars see green when they pass the line; cars that stand at the line mostly see red."""
+    """Cars see green when they pass the line; cars that wait at the line mostly see red."""
     for theme in ("downtown", "arterial"):
         flow = world(theme)[1]._flow
         shown = {0: 0, 1: 0, 2: 0}

@@ -35,11 +35,11 @@ def read_kitti360_folder(folder: Path) -> Calibration:
     z axes, and its origin at the mean position of the cameras.
 
     Raises:
-        ValueError: naming the file and what is wrong in it.
+        ValueError: naming the file and the wrong value.
     """
     files = sorted(folder.glob("image_*.yaml"))
     if not files:
-        raise ValueError(f"{folder}: {POSES} is here but no image_02.yaml; download KITTI-360's calibration")
+        raise ValueError(f"{folder}: {POSES} exists but no image_02.yaml; download KITTI-360's calibration")
     imu_from_camera = _poses(folder / POSES)
     ego_from_imu = torch.diag(torch.tensor([1.0, -1, -1, 1], dtype=torch.float64))
     cameras, poses = [], []

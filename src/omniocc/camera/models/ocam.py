@@ -99,7 +99,7 @@ class OCam:
 
     @property
     def limit_rad(self) -> float:
-        """Return the largest angle from the axis, in radians, that has a pixel of its own."""
+        """Return the largest angle from the axis, in radians, up to which every angle has a different pixel."""
         if self.inverse_polynomial:
             start, end = -math.pi / 2, math.radians(self.max_angle_deg) - math.pi / 2
             return positive_until(derivative(self.inverse_polynomial), start, end) + math.pi / 2

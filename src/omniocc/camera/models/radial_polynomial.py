@@ -52,7 +52,7 @@ class RadialPolynomial:
 
     @property
     def limit_rad(self) -> float:
-        """Return the largest angle from the axis, in radians, that has a pixel of its own."""
+        """Return the largest angle from the axis, in radians, up to which every angle has a different pixel."""
         return positive_until(derivative((0.0, *self.coefficients_px)), 0.0, math.radians(self.max_angle_deg))
 
     def project(self, points: Float[Tensor, "*batch 3"]) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"]]:

@@ -1,4 +1,4 @@
-"""The part that camera models with one focal length per image axis share."""
+"""The common part of camera models with one focal length per image axis."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace

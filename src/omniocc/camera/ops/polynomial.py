@@ -47,7 +47,7 @@ def positive_until(coefficients: tuple[float, ...], start: float, stop: float) -
 def invert_increasing(
     function: Function, slope: Function, values: Float[Tensor, "*batch"], start: float, stop: float
 ) -> Float[Tensor, "*batch"]:
-    """Return x in [start, stop] with function(x) = values, for a function that increases there.
+    """Return x in [start, stop] with function(x) = values, for a function that increases in this interval.
 
     A table brackets the root, safeguarded Newton steps find it to rounding, and a last step outside `no_grad` carries
     the gradient of the inverse. Values beyond the ends give the ends.

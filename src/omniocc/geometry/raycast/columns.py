@@ -23,7 +23,7 @@ class Columns(NamedTuple):
 
     Attributes:
         cells: row-major index over the first two axes of the nth column along each azimuth; the number of columns of
-            the grid where there is none.
+            the grid for none.
         ends: parameter at which each column begins and the last one ends.
     """
 

@@ -28,7 +28,7 @@ class Crossings(NamedTuple):
     Attributes:
         index: cell on this axis at the start.
         at_m: distance along the ray of each crossing, in order; `FAR` or beyond the grid for none.
-        step: by how much the cell changes there.
+        step: change of the cell at each crossing.
     """
 
     index: Int64[Tensor, " R"]
@@ -130,7 +130,7 @@ def closest_approach(origin: Rays, direction: Rays) -> tuple[Tensor, Tensor, Ten
     """Return the closest approach of rays to the z axis.
 
     Returns:
-        Squared horizontal speed, distance along the ray to the point nearest to the axis, squared radius there. A
+        Squared horizontal speed, distance along the ray to the point nearest to the axis, and its squared radius. A
         vertical ray counts as leaving, at a negligible speed.
     """
     x, y, _ = origin.unbind(-1)

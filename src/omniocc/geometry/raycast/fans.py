@@ -37,7 +37,7 @@ class Fans(NamedTuple):
 
     @classmethod
     def single(cls, origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"]) -> "Fans":
-        """Return rays with nothing in common, each as a fan of its own."""
+        """Return rays with nothing in common, each as one fan."""
         directions = unit(directions)
         slopes = directions[:, 2:]
         order = torch.zeros(1, dtype=torch.int64, device=origins.device)

@@ -24,7 +24,7 @@ class KernelTable:
 
     The first call in a process loads the compiled kernels; the first on a machine compiles them and keeps the result in
     the package's `__pycache__`, else in numba's cache folder (`NUMBA_CACHE_DIR` if set). As many threads as
-    `torch.get_num_threads()` allows share the work. They are started and joined by each call, and no thread pool of
+    `torch.get_num_threads()` allows do the work. They are started and joined by each call, and no thread pool of
     numba is used: calls from several threads and from forked processes are safe.
 
     Columns of cells are kept only from the second call on: prediction and truth of a frame are cast in one call, and

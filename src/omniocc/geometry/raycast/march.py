@@ -104,7 +104,7 @@ def sector_params(x, y, along_x, along_y, start, reach, cells, faces, params):
         return before, after - before, 1
     index = sector_of(x + start * along_x, y + start * along_y, cells, 0.0)
     sweep = 1 if side > 0 else -1
-    # faces lie in the order of the sweep, twice around
+    # faces are in the order of the sweep, twice around
     sin, cos = (faces[0], faces[1]) if side > 0 else (faces[2], faces[3])
     first = index + 1 if side > 0 else cells - 1 - index
     total, count = (cells + 1) // 2, 0
@@ -253,7 +253,7 @@ def first_hit(height, slope, edges, ends, count, bits):
 def find_turns(height, slope, edges, ends, count, turns):
     """Fill `turns`, for each level edge in a ray's order, with twice the number of columns that begin before it.
 
-    One is added where the edge lies within the last of them, which then belongs to the levels on both sides.
+    One is added where the edge is within the last of them, which then belongs to the levels on both sides.
     """
     levels, column = len(edges) - 1, 0
     if slope == 0:
@@ -271,7 +271,7 @@ def find_turns(height, slope, edges, ends, count, turns):
 @compiled
 @no_type_check
 def next_hits(labels, cells, group, count, hits):
-    """Fill `hits`, for every column and level, with the first occupied column from there on; `count` for none."""
+    """Fill `hits`, for every column and level, with the first occupied column from it on; `count` for none."""
     levels = labels.shape[1]
     for level in range(levels):
         hits[count, level] = count

@@ -1,4 +1,4 @@
-"""First hits of rays that are cast repeatedly, or that share origins and azimuths."""
+"""First hits of rays that are cast repeatedly, or that have common origins and azimuths."""
 
 import functools
 from collections.abc import Sequence
@@ -75,7 +75,7 @@ def ray_table(grid: Traversable, origins: Float[Tensor, "O 3"], scan: Scan) -> R
     """Return prepared rays, from a cache of the last few tables.
 
     Args:
-        grid: cylinder or cuboid; equal grids share a table.
+        grid: cylinder or cuboid; equal grids use one table.
         origins: ego frame, metres; the table lives on their device.
         scan: directions from each origin; the table's rays are in the order of `Scan.rays`.
     """

@@ -129,7 +129,7 @@ def in_order(
     """Return the crossings of several axes in order: the cell of each stretch between two, and the stretches' ends.
 
     `strides` are those of the axes in a flat cell index, which is negative in a cylinder's hole. Crossings beyond
-    `leave_m` are moved there. Some stretches have no length.
+    `leave_m` are moved to it. Some stretches have no length.
     """
     at_m = torch.cat([axis.at_m for axis in crossings], dim=1).clamp_(start_m.unsqueeze(1), leave_m.unsqueeze(1))
     at_m, order = at_m.sort(dim=1, stable=True)

@@ -46,7 +46,7 @@ def walking(rng: np.random.Generator) -> list[Mesh]:
 
 
 def size_m(poses: list[Mesh]) -> tuple[float, float, float]:
-    """Return length of a stride, width and height; the body stands in the middle of the box."""
+    """Return length of a stride, width and height; the body is in the middle of the box."""
     points = np.concatenate([mesh.vertices for mesh in poses])
     length, width = 2 * np.abs(points[:, :2]).max(0)
     return float(length), float(width), float(points[:, 2].max())

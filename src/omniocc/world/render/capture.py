@@ -14,7 +14,7 @@ from omniocc.world.render.view import View
 
 _STEP_M = 0.08  # least step in depth at which neighbouring pixels are smoothed
 _STEP_FRACTION = 0.02  # the same as a fraction of the distance
-_SKY_M = 1e4  # stands for the sky where ranges are compared
+_SKY_M = 1e4  # range of the sky in comparisons
 
 
 class CameraImage(NamedTuple):
@@ -65,7 +65,7 @@ def render_pixels(view: View, snapshot: Snapshot) -> RenderedPixels:
 def expose(view: View, seen: RenderedPixels, light: Light, sensor: Sensor, rng: np.random.Generator) -> CameraImage:
     """Return the image of rendered pixels, with rain before the lens, exposure and noise.
 
-    The ego car and what lies outside the lens have no class and no range.
+    The ego car and pixels outside the lens have no class and no range.
     """
     color = seen.color
     if light.streaks:
@@ -94,7 +94,7 @@ def _smooth(
 ) -> np.ndarray:  # fmt: skip
     """Return the (3, E) mean colour of pixels `index` over all their rays.
 
-    A ray that meets the same triangle `face` (E,) as the centre ray gets its colour, unless a `shadow` (E,) ends there.
+    A ray that hits the same triangle `face` (E,) as the centre ray gets its colour, unless a `shadow` (E,) ends there.
     """
     count = view.extra.shape[2]
     directions = np.take(view.extra, index, axis=1).reshape(3, -1)

@@ -78,7 +78,7 @@ class Caster:
         return Hits(range_m, face, found["u"], found["v"])
 
     def blocked(self, origins: np.ndarray, directions: np.ndarray, limit_m: float = float(_FAR_M)) -> np.ndarray:
-        """Return (R,) bool: whether anything lies along each ray before `limit_m`.
+        """Return (R,) bool: whether an object is along each ray before `limit_m`.
 
         `directions` is (R, 3), or (1, 3) shared by all rays.
         """
@@ -106,7 +106,7 @@ class Layers:
         return best
 
     def blocked(self, origins: np.ndarray, directions: np.ndarray, limit_m: float = float(_FAR_M)) -> np.ndarray:
-        """Return (R,) bool: whether any layer lies along each ray before `limit_m`."""
+        """Return (R,) bool: whether an object of any layer is along each ray before `limit_m`."""
         result = np.zeros(len(origins), dtype=bool)
         for caster in self.casters:
             if caster.size:

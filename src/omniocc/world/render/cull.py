@@ -87,7 +87,7 @@ class ShadowMask:
         self._mask[x[rows] & (_SIDE - 1), y[columns] & (_SIDE - 1)] = True
 
     def touches(self, points: np.ndarray) -> np.ndarray:
-        """Return (R,) bool: whether a point (3, R) may lie in one of the shadows."""
+        """Return (R,) bool: whether a point (3, R) may be in one of the shadows."""
         row, column = (
             np.floor((points[k] - self._slope[k] * points[2]) * np.float32(1 / _CELL_M)).astype(np.int32) & (_SIDE - 1)
             for k in (0, 1)

@@ -1,4 +1,4 @@
-"""Shadows of everything static and moving, the ego car included."""
+"""Shadows of all static and moving objects, the ego car included."""
 
 import numpy as np
 
@@ -11,7 +11,7 @@ _UP = np.array([0.12, 0.05, 0.9915], np.float32)
 
 
 class Shadows:
-    """Shadows at one time step, of static objects and of moving ones, around which there are (K, 4) spheres.
+    """Shadows at one time step, of static objects and of moving ones, which are inside `spheres` (K, 4).
 
     Without a sun, shadows fall straight down and only low objects cast them.
     """

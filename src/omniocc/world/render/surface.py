@@ -91,7 +91,7 @@ def _enlarged(surfaces: Surfaces, size: int) -> Surfaces:
 
 
 def _surface_key(mesh: Mesh, normal: np.ndarray) -> np.ndarray:
-    # The facets of a crown or hedge stand for leaves, so their edges need no smoothing.
+    # The facets of a crown or hedge represent leaves, so their edges need no smoothing.
     facing = np.where((mesh.material == Material.LEAVES)[:, None], 0, np.rint(normal * 2)).astype(np.int32)
     parts = [mesh.label, mesh.material, *mesh.color.T, mesh.instance, *facing.T]
     key = np.zeros(len(mesh), np.uint32)

@@ -82,7 +82,7 @@ def _offsets(supersample: int) -> np.ndarray:
 
 
 def _shifted(rig: Rig, camera: int, pixel: np.ndarray, center: np.ndarray, offset: np.ndarray) -> np.ndarray:
-    """Return (P, 3) directions beside the pixels' centres; the centre's own where the lens ends in between."""
+    """Return (P, 3) directions beside the pixels' centres; that of the centre where the lens ends in between."""
     model = rig.cameras[camera]
     points = np.stack([pixel % model.width, pixel // model.width], axis=1) + offset
     rays, valid = model.unproject(torch.from_numpy(points))

@@ -11,7 +11,7 @@ SCRATCH = 1 << 22  # length of the scratch array
 
 
 def within_reach(points_m: np.ndarray) -> np.ndarray:
-    """Return (P,) bool: whether a point (P, 3) lies where a voxel grid may need it."""
+    """Return (P,) bool: whether a point (P, 3) is where a voxel grid may need it."""
     distance = np.abs(points_m)
     return (distance[:, 0] < REACH_M) & (distance[:, 1] < REACH_M) & (distance[:, 2] < HEIGHT_M)
 

@@ -40,7 +40,7 @@ class Place:
     signals: tuple[Signal, ...]
 
     def height(self, x_m: np.ndarray | float, y_m: np.ndarray | float) -> np.ndarray:
-        """Return the terrain height at world positions; kerbs and streets lie within 0.15 m of it."""
+        """Return the terrain height at world positions; kerbs and streets are within 0.15 m of it."""
         return self.terrain.height(x_m, y_m)
 
 

@@ -22,7 +22,7 @@ _NEAR_M = 11.0  # from the sidewalk
 
 @dataclass(frozen=True)
 class Plot:
-    """A rectangle whose front edge lies behind the sidewalk.
+    """A rectangle whose front edge is behind the sidewalk.
 
     `front` is the middle of that edge; its x runs along the street and its y into the plot.
     """

@@ -63,7 +63,7 @@ def furnish(
     theme: Theme, network: Network, ring: Ring, paved: bool, crossings: frozenset[tuple[int, bool]], site: Site,
     rng: np.random.Generator,
 ) -> None:  # fmt: skip
-    """Put everything along one block's sides: furniture, parked cars, plots."""
+    """Put all objects along one block's sides: furniture, parked cars, plots."""
     for side in ring.sides:
         line, first, last = _Line(side), float(side.along_m[0]), float(side.along_m[-1])
         if paved:

@@ -195,13 +195,13 @@ def _clashes(
     spread = [piece.at(np.linspace(0, piece.length_m, _SAMPLES))[:, :2] for piece in pieces]
     straight = np.array([abs(angle) < _STRAIGHT_RAD for _, _, angle in turns])
     for node in np.unique(nodes):
-        here = np.flatnonzero(nodes == node)
-        points = np.stack([spread[k] for k in here])
+        at_node = np.flatnonzero(nodes == node)
+        points = np.stack([spread[k] for k in at_node])
         flat = points.reshape(-1, 2)
-        away = ((flat[:, None] - flat[None]) ** 2).sum(-1).reshape(len(here), _SAMPLES, len(here), _SAMPLES)
+        away = ((flat[:, None] - flat[None]) ** 2).sum(-1).reshape(len(at_node), _SAMPLES, len(at_node), _SAMPLES)
         least = np.sqrt(away.min((1, 3)))
-        room = np.where(straight[here][:, None] & straight[here][None], _STRAIGHT_ROOM_M, _ROOM_M)
+        room = np.where(straight[at_node][:, None] & straight[at_node][None], _STRAIGHT_ROOM_M, _ROOM_M)
         for i, j in np.argwhere(least < room):
             if i != j:
-                clashes[here[i]].add(int(here[j]))
+                clashes[at_node[i]].add(int(at_node[j]))
     return clashes

@@ -28,7 +28,7 @@ class Actor:
         id: the instance number of its faces.
         label: class id.
         world_from_actor: (4, 4) float64; the origin is on the ground below its middle, x forward.
-        size_m: extent along its own x, y, z.
+        size_m: extent along the actor's x, y, z.
         velocity_mps: (2,) in the world frame.
     """
 
@@ -69,7 +69,7 @@ class Traffic:
         return pose
 
     def actors(self, time_s: float) -> tuple[Mesh, tuple[Actor, ...]]:
-        """Return all that moves within 80 m of the ego: faces in the world frame (instance = actor id), and actors.
+        """Return the moving objects within 80 m of the ego: faces in the world frame (instance = actor id), and actors.
 
         Lit lamps of traffic lights are among the faces, with an instance below -1 for each light.
         """

@@ -53,7 +53,7 @@ def cells(
     """Lay out a wall of stones, every second row shifted.
 
     Returns:
-        (size, size) random number of each stone, and whether a pixel lies in a joint.
+        (size, size) random number of each stone, and whether a pixel is in a joint.
     """
     y = (np.arange(size) + 0.5)[:, None] * rows / size
     row = np.floor(y).astype(int) % rows
@@ -84,14 +84,14 @@ def asphalt(rng: np.random.Generator, size: int) -> Tile:
 
 
 def paint(rng: np.random.Generator, size: int) -> Tile:
-    """Paint road paint worn through to the asphalt here and there."""
+    """Paint road paint worn through to the asphalt in places."""
     worn = fractal(rng, size, 12, 5) + 0.15 * (rng.random((size, size)) - 0.5)
     hole = np.clip((worn - 0.62) * 12, 0, 1)
     return _grey(4.0, (1.0 - hole) * (0.85 + 0.3 * (1 - worn)), 0.07 * hole)
 
 
 def paving(rng: np.random.Generator, size: int) -> Tile:
-    """Paint slabs of half a metre, each of its own brightness."""
+    """Paint slabs of half a metre, of different brightness."""
     stone, joint = cells(rng, size, 8, 8, 0.5, 2.0)
     tint = 0.75 + 0.4 * stone + 0.25 * (fractal(rng, size, 8, 5) - 0.5) + 0.15 * (rng.random((size, size)) - 0.5)
     return _plain(4.0, np.where(joint, 0.5, tint))
