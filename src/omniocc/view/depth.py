@@ -94,7 +94,5 @@ def _panoramas(predicted_m: np.ndarray, true_m: np.ndarray, width: int) -> list[
         legend([("sky", SKY), ("not predicted", NOT_PREDICTED)], width),
         panorama_row(error_colors(predicted_m, true_m), f"error: predicted minus true{mean}", width),
         error_bar(width),
-        legend(
-            [("sky", SKY), ("predicted where there is sky", FALSE_RANGE), ("not predicted", NOT_PREDICTED)], width
-        ),
+        legend([("sky", SKY), ("predicted where there is sky", FALSE_RANGE), ("not predicted", NOT_PREDICTED)], width),
     ]

@@ -1,4 +1,4 @@
-"""Traffic: nothing passes through anything, the ego keeps to its road and moves smoothly."""
+"""Traffic: actors and objects never overlap, the ego stays on the road and moves smoothly."""
 
 import time
 from bisect import bisect_right
@@ -64,7 +64,7 @@ def test_no_actor_passes_through_another(theme: str, seed: int) -> None:
 
 @pytest.mark.parametrize("theme", THEMES)
 def test_no_actor_passes_through_a_static_object(theme: str) -> None:
-    """No corner, edge or face centre of a static object lies in an actor's box, from 0.2 m above its ground on."""
+    """No corner, edge or face centre of a static object is in an actor's box more than 0.2 m above the ground."""
     place, traffic = world(theme)
     corners = place.mesh.vertices[place.mesh.faces[np.isin(place.mesh.label, (4, 5, 6, 7, 8, 9))]].astype(float)
     label = place.mesh.label[np.isin(place.mesh.label, (4, 5, 6, 7, 8, 9))]
