@@ -43,7 +43,7 @@ def test_a_cuboid_widens_along_the_ray():
     assert sorted(marked) == sorted(diagonal + ahead + right)
 
 
-def test_marks_lie_near_the_ray_and_within_the_window():
+def test_marks_are_near_the_ray_and_within_the_window():
     mask = torch.zeros(CUBOID.shape, dtype=torch.bool)
     mask[33, 27, 1] = True
     marked = CUBOID.centers()[CUBOID.dilate(mask, (2,), ())]

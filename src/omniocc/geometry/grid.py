@@ -85,7 +85,7 @@ class Grid(ABC):
         return self.centers(torch.float64)[:, :, 0, :2].norm(dim=-1)
 
     def neighbors(self, device: torch.device | str | None = None) -> Int64[Tensor, "X Y Z 6"]:
-        """Return the cells with a common face with each cell: down and up along the first axis, the second, the third.
+        """Return the neighbours of each cell across its faces: down and up along the first axis, the second, the third.
 
         Returns:
             Row-major indices into a volume of `shape`; -1 beyond the ends of an axis that does not wrap around. No cell

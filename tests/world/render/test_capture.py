@@ -68,7 +68,7 @@ def test_cameras_and_lidar_agree_on_points_that_both_see(rig, snapshot, ego_car,
         agree.append(np.abs(range_m[open_view] - distance[open_view]) < 2e-3 * distance[open_view])
         same.append(labels[open_view] == image.label[finite][open_view])
         assert open_view.mean() > 0.8
-    assert np.concatenate(agree).mean() > 0.985  # grazing views of edges slip past
+    assert np.concatenate(agree).mean() > 0.985  # rays that graze edges may differ
     assert np.concatenate(same).mean() > 0.985
 
 
@@ -91,7 +91,7 @@ def test_supersampling_changes_colours_at_borders_only(rig, snapshot, ego_car, s
 
 
 def test_a_pixel_on_an_edge_shows_both_sides_in_proportion(rig, snapshot_of, quad, ego_car, noon):
-    """The wall's upper edge against an even sky: colours mix both by the fraction of rays that hit each."""
+    """At a wall's upper edge before an even sky, colours are mixed by the fractions of rays that hit each."""
     wall = quad([[10, -40, 0], [10, 40, 0], [10, 40, 3.3], [10, -40, 3.3]], 4)
     snapshot = snapshot_of(wall, empty(), empty(), replace(noon, glow=0.0, cloud_cover=0.0, zenith=noon.horizon))
     view = make_view(rig, 0, 2, Caster(empty()))

@@ -1,4 +1,4 @@
-"""The prototypes that towns are furnished with: some variants of every kind, built once per process."""
+"""Prototypes of the objects in towns: some variants of every kind, built once per process."""
 
 from functools import lru_cache
 

@@ -31,7 +31,7 @@ class GeometryLabels:
     def scan(self, snapshot: Snapshot) -> tuple[np.ndarray, np.ndarray]:
         """Return points (P, 3) float32 in the ego frame and their classes (P,) uint8."""
         ego = snapshot.origin_m[:2]
-        # Half the side of a level square that holds the ego's square, however that is turned and tilted.
+        # Half the side of a level square that contains the ego's square at any yaw and tilt.
         reach = np.float32(REACH_M * 1.5)
         near = np.flatnonzero(((self._low < ego + reach) & (self._high > ego - reach)).all(axis=1))
         corners = [self._static.vertices[self._static.faces[near]], snapshot.moving.vertices[snapshot.moving.faces]]
