@@ -19,19 +19,24 @@ class Camera(Protocol):
     @property
     def width(self) -> int:
         """Return the pixels in a row."""
+        ...
 
     @property
     def height(self) -> int:
         """Return the pixels in a column."""
+        ...
 
     def project(self, points: Float[Tensor, "*batch 3"]) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"]]:
         """Return the pixel (u, v) of each point; valid if the model covers the angle and the pixel is in the image."""
+        ...
 
     def unproject(self, pixels: Float[Tensor, "*batch 2"]) -> tuple[Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
         """Return the unit ray of each pixel, in the image or not; valid where the model covers the angle."""
+        ...
 
     def resized(self, width: int, height: int) -> "Camera":
         """Return the same camera with its image scaled to another size, in px."""
+        ...
 
 
 def check_size(width: object, height: object) -> None:

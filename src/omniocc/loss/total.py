@@ -16,14 +16,17 @@ class HasLogits(Protocol):
     @property
     def logits(self) -> Float[Tensor, "B C X Y Z"]:
         """Return the logits of every voxel."""
+        ...
 
     @property
     def pixel_logits(self) -> Float[Tensor, "B N C h w"] | None:
         """Return the logits of every pixel, or None without a semantic head."""
+        ...
 
     @property
     def range_logits(self) -> Float[Tensor, "B N D h w"] | None:
         """Return the logits of range bins of every pixel, or None if the lifter estimates no ranges."""
+        ...
 
 
 class Total(nn.Module):

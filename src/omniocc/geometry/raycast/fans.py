@@ -89,8 +89,8 @@ class Scan:
             return Fans.single(*self.rays(origins))
         azimuths, slopes, stretches, _, order = (part.to(origins.device) for part in self.raster)
         count = len(origins)
-        expanded = (part.expand(count, *part.shape) for part in (azimuths, slopes, stretches))
-        return Fans(origins.double(), *expanded, order)
+        azimuths, slopes, stretches = (part.expand(count, *part.shape) for part in (azimuths, slopes, stretches))
+        return Fans(origins.double(), azimuths, slopes, stretches, order)
 
 
 class _Raster(NamedTuple):

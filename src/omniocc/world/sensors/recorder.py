@@ -27,6 +27,7 @@ class Labeller(Protocol):
 
     def scan(self, snapshot: Snapshot) -> tuple[np.ndarray, np.ndarray]:
         """Return points (P, 3) float32 in the ego frame and their classes (P,) uint8."""
+        ...
 
 
 class Recorder:
@@ -60,9 +61,12 @@ class Recorder:
             for number, (view, render) in enumerate(zip(self.views, self.renderers, strict=True))
         ]
         rgb, semantics, range_m = (np.stack(part) for part in zip(*images, strict=True))
-        points = self.labeller.scan(snapshot)
-        erp_range_m, *lidar = self.ranges(snapshot)
-        return Frame(time_s, world_from_ego, rgb, semantics, range_m, erp_range_m, *points, *lidar, boxes)
+        points_m, labels = self.labeller.scan(snapshot)
+        erp_range_m, lidar_range_m, lidar_labels = self.ranges(snapshot)
+        return Frame(
+            time_s, world_from_ego, rgb, semantics, range_m, erp_range_m, points_m, labels, lidar_range_m, lidar_labels,
+            boxes,
+        )  # fmt: skip
 
     def ranges(self, snapshot: Snapshot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the panorama's ranges (h, w), and ranges and classes along the ego LiDAR's rays, as in `Frame`."""
