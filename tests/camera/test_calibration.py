@@ -136,15 +136,9 @@ cameras:
     invalid_mask: "mask1.png"
     pose: [0.0, 0.0, 0.0, 0.0, 0.0, 0.6]
     max_fov: 220.0
-  - cam_id: 2
-    model: "ocam"
-    poly: [5, -1.952845e+02, 0.0, 3.144e-03, -1.2e-05, 2.486384e-08]
-    inv_poly: [3, 320.0, 190.0, -49.0]
-    center: [383.0, 399.0]
-    affine: [1.0, 0.0, 0.0]
-    image_size: [768, 800]
-    pose: [0.0, 1.570796326794897, 0.0, 0.6, 0.0, 0.0]
-    max_fov: 220.0
+  - {cam_id: 2, model: "ocam", center: [383.0, 399.0], affine: [1.0, 0.0, 0.0], image_size: [768, 800], max_fov: 220.0,
+     poly: [5, -1.952845e+02, 0.0, 3.144e-03, -1.2e-05, 2.486384e-08], inv_poly: [3, 320.0, 190.0, -49.0],
+     pose: [0.0, 1.570796326794897, 0.0, 0.6, 0.0, 0.0]}
 """
 
 
@@ -240,7 +234,7 @@ def test_omnimvs_config(tmp_path, load):
     invalid[:100] = 255
     cv2.imwrite(str(tmp_path / "mask1.png"), invalid)
     rig = load(OMNIMVS, "config.yaml")
-    assert rig == Rig.load(tmp_path), "a folder stands for its config.yaml"
+    assert rig == Rig.load(tmp_path), "a folder is read by its config.yaml"
     assert rig.names == ("cam1", "cam2")
     assert rig.cameras[0].max_angle_deg == 110
     assert rig.cameras[0].inverse_polynomial == (300.0, 180.0, -21.0)

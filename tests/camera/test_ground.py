@@ -32,13 +32,13 @@ def test_built_in_rig_projects_the_cloth_to_its_pixels(corners):
     origin = torch.tensor(corners["origin_m"], dtype=torch.float64)
     for index, name in enumerate(RIG.names):
         ground, pixels = cloth(corners["cameras"][name])
-        seen, valid = RIG.project(ground - origin)
+        projected, valid = RIG.project(ground - origin)
         assert valid[index].all()
-        assert (seen[index] - pixels).norm(dim=-1).median() < 0.8
+        assert (projected[index] - pixels).norm(dim=-1).median() < 0.8
 
 
-def test_two_cameras_meet_at_one_point_of_the_cloth(corners):
-    """Rays of two cameras to the same corner, intersected without the ground."""
+def test_rays_of_two_cameras_intersect_at_one_point_of_the_cloth(corners):
+    """Intersect the rays of two cameras to the same corner, without using the ground."""
     by_place = {name: {tuple(row[:2]): row[2:] for row in rows} for name, rows in corners["cameras"].items()}
     distances = []
     for first, second in (("front", "left"), ("front", "right"), ("back", "left"), ("back", "right")):

@@ -1,4 +1,4 @@
-"""What every lens model must do, whatever its formula."""
+"""Requirements that every lens model meets."""
 
 import itertools
 import math
@@ -42,13 +42,13 @@ def test_known_pixels(name, known, build_camera):
         camera = build_camera(entry, exact)
         assert isinstance(camera, Camera)
         pixels, valid = camera.project(2.5 * points)
-        for pixel, seen, expected in zip(pixels, valid, entry[key], strict=True):
+        for pixel, visible, expected in zip(pixels, valid, entry[key], strict=True):
             if expected is None and not (exact and pixel.tolist() == [399, 383]):
-                assert not seen
+                assert not visible
             elif expected is not None:
                 assert pixel.tolist() == pytest.approx(expected, abs=1e-4)
                 inside = 0 <= expected[0] < camera.width and 0 <= expected[1] < camera.height
-                assert inside or not seen
+                assert inside or not visible
 
 
 @pytest.mark.parametrize(("dtype", "atol"), [(torch.float32, 1e-3), (torch.float64, 1e-8)])
@@ -58,10 +58,10 @@ def test_pixel_to_ray_to_pixel(camera, dtype, atol):
     assert rays.dtype == dtype
     assert valid.float().mean() > 0.6
     torch.testing.assert_close(rays.norm(dim=-1), torch.ones_like(pixels[..., 0]))
-    back, seen = camera.project(13 * rays)
-    own_inverse_is_fitted = bool(getattr(camera, "inverse_polynomial", ()))
-    assert (back - pixels)[valid].abs().max() < (1e-2 if own_inverse_is_fitted else atol)
-    assert seen[valid].float().mean() > 0.995, "only rays at the very limit may fall to either side"
+    back, visible = camera.project(13 * rays)
+    inverse_is_fitted = bool(getattr(camera, "inverse_polynomial", ()))
+    assert (back - pixels)[valid].abs().max() < (1e-2 if inverse_is_fitted else atol)
+    assert visible[valid].float().mean() > 0.995, "only rays at the very limit may fall to either side"
 
 
 def test_points_beyond_the_limit_are_invalid_and_no_pixel_has_two_angles(camera):

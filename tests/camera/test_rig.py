@@ -22,15 +22,15 @@ def test_order_of_the_hexagon():
     assert rig.names == ("front", "front_right", "rear_right", "rear", "rear_left", "front_left")
     points = torch.tensor([[9, 0, -1], [9, -9, -1], [0, -9, -1], [-9, -9, -1], [-9, 0, -1], [0, 9, -1.0]])
     _, valid = rig.project(points)
-    seen = [set(valid[:, k].nonzero()[:, 0].tolist()) for k in range(len(points))]
-    assert {0, 1, 5} <= seen[0]
-    assert {0, 1, 2} <= seen[1]
-    assert {1, 2} <= seen[2]
-    assert not {4, 5} & seen[2]
-    assert {1, 2, 3} <= seen[3]
-    assert {2, 3, 4} <= seen[4]
-    assert {4, 5} <= seen[5]
-    assert not {1, 2} & seen[5]
+    visible = [set(valid[:, k].nonzero()[:, 0].tolist()) for k in range(len(points))]
+    assert {0, 1, 5} <= visible[0]
+    assert {0, 1, 2} <= visible[1]
+    assert {1, 2} <= visible[2]
+    assert not {4, 5} & visible[2]
+    assert {1, 2, 3} <= visible[3]
+    assert {2, 3, 4} <= visible[4]
+    assert {4, 5} <= visible[5]
+    assert not {1, 2} & visible[5]
 
 
 @pytest.mark.parametrize("name", ["fisheye6", "pinhole6"])
@@ -61,10 +61,10 @@ def test_rays_and_project_are_inverse():
     rig = two_cameras()
     for index, camera in enumerate(rig.cameras):
         rays, valid = rig.rays(index)
-        pixels, seen = rig.project(rig.ego_from_camera[index, :3, 3] + 4 * rays.double())
+        pixels, visible = rig.project(rig.ego_from_camera[index, :3, 3] + 4 * rays.double())
         u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
         np.testing.assert_allclose(pixels[index].numpy(), np.stack([u, v], -1), atol=1e-4)
-        assert torch.equal(valid, seen[index])
+        assert torch.equal(valid, visible[index])
 
 
 def test_project_keeps_dtype_and_batch_shape_also_under_autocast():
@@ -86,11 +86,11 @@ def test_mask_hides_pixels():
     free, hidden = two_cameras(), two_cameras(mask)
     rays, valid = free.rays(0)
     points = free.ego_from_camera[0, :3, 3].float() + rays
-    _, seen_free = free.project(points)
-    _, seen = hidden.project(points)
-    assert seen_free[0, 12:].any()
-    assert torch.equal(seen[0], seen_free[0] & mask)
-    assert torch.equal(seen[1], seen_free[1])
+    _, visible_free = free.project(points)
+    _, visible = hidden.project(points)
+    assert visible_free[0, 12:].any()
+    assert torch.equal(visible[0], visible_free[0] & mask)
+    assert torch.equal(visible[1], visible_free[1])
     assert torch.equal(hidden.rays(0)[1], valid & mask)
 
 

@@ -8,8 +8,8 @@ CUBOID = Cuboid(shape=(41, 41, 3), x_m=(-20.5, 20.5), y_m=(-20.5, 20.5), height_
 WINDOWS, EDGES_M = (0, 1, 3), (8.0, 15.0)
 
 
-def random_mask(grid, seed, share=0.02):
-    return torch.rand(2, *grid.shape, generator=torch.Generator().manual_seed(seed)) < share
+def random_mask(grid, seed, fraction=0.02):
+    return torch.rand(2, *grid.shape, generator=torch.Generator().manual_seed(seed)) < fraction
 
 
 def test_a_cylinder_widens_along_r_by_the_window_of_the_band():
@@ -43,16 +43,16 @@ def test_a_cuboid_widens_along_the_ray():
     assert sorted(marked) == sorted(diagonal + ahead + right)
 
 
-def test_marks_lie_near_the_ray_and_within_the_window():
+def test_marks_are_near_the_ray_and_within_the_window():
     mask = torch.zeros(CUBOID.shape, dtype=torch.bool)
     mask[33, 27, 1] = True
-    seen = CUBOID.centers()[CUBOID.dilate(mask, (2,), ())]
+    marked = CUBOID.centers()[CUBOID.dilate(mask, (2,), ())]
     source = torch.tensor([13.0, 7.0])
-    along = seen[:, :2] @ (source / source.norm())
-    across = (seen[:, 0] * source[1] - seen[:, 1] * source[0]) / source.norm()
+    along = marked[:, :2] @ (source / source.norm())
+    across = (marked[:, 0] * source[1] - marked[:, 1] * source[0]) / source.norm()
     assert (along - source.norm()).abs().max() < 2.71
     assert across.abs().max() < 0.71
-    assert 4 <= len(seen) <= 5
+    assert 4 <= len(marked) <= 5
 
 
 def test_no_mark_crosses_the_axis():

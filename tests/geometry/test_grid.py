@@ -121,8 +121,8 @@ def test_voxelize_agrees_with_a_plain_loop(grid):
         if within:
             votes.setdefault(tuple(cell), []).append(label)
     expected = np.zeros(grid.shape, dtype=np.uint8)
-    for cell, seen in votes.items():
-        known = [label for label in seen if label != 255]
+    for cell, cell_labels in votes.items():
+        known = [label for label in cell_labels if label != 255]
         expected[cell] = max(known, key=lambda label: (known.count(label), label)) if known else 255
     np.testing.assert_array_equal(voxels.numpy(), expected)
     assert (voxels == 255).any()

@@ -84,11 +84,11 @@ def test_the_number_of_threads_changes_nothing(two_threads):
 
 
 def test_work_is_done_once_and_errors_are_raised(two_threads):
-    seen = []
-    run_in_threads(lambda first, last: seen.extend(range(first, last)), 1000, 10**6)
-    assert sorted(seen) == list(range(1000))
-    run_in_threads(lambda first, last: seen.append((first, last)), 0, 0)
-    assert seen[-1] == (0, 0)
+    done_work = []
+    run_in_threads(lambda first, last: done_work.extend(range(first, last)), 1000, 10**6)
+    assert sorted(done_work) == list(range(1000))
+    run_in_threads(lambda first, last: done_work.append((first, last)), 0, 0)
+    assert done_work[-1] == (0, 0)
 
     def fail(first, last):
         raise KeyError(first)

@@ -37,7 +37,7 @@ def test_turning_the_cylinder_by_whole_cells_is_a_roll(cells):
 
 def test_moving_the_cuboid_by_whole_cells_is_a_shift():
     volume = torch.randn(1, 2, *CUBOID.shape, dtype=torch.float64)
-    warped = CUBOID.warp(volume, turn(0.0, (4.0, 0.0, 0.0)))  # two cells forward: what is at i was at i+2
+    warped = CUBOID.warp(volume, turn(0.0, (4.0, 0.0, 0.0)))  # two cells forward: cell i has the content of cell i+2
     torch.testing.assert_close(warped[:, :, :-2], volume[:, :, 2:], rtol=0, atol=1e-12)
     assert (warped[:, :, -2:] == 0).all()
 

@@ -29,10 +29,8 @@ def reference(logits, target):
 
 
 @pytest.mark.parametrize("labels", [[0, 1, 2, 3], [0, 1, 255], [3], [0]])
-def test_agrees_with_sets(labels):
-    torch.manual_seed(0)
-    target = torch.tensor(labels, dtype=torch.uint8)[torch.randint(0, len(labels), (2, 3, 4, 2))]
-    logits = 2 * torch.randn(2, 4, 3, 4, 2)
+def test_agrees_with_sets(labels, batch_of):
+    logits, target = batch_of(labels)
     assert float(Lovasz()(logits, target)) == pytest.approx(reference(logits, target), rel=1e-5)
 
 

@@ -83,12 +83,12 @@ def test_every_term_equals_the_paper(loss, batch):
     prediction, voxels, pixels = batch
     terms = {name: float(term) for name, term in loss(prediction, voxels, pixels).items()}
     known = rows(prediction.logits, voxels)
-    seen = rows(prediction.pixel_logits.flatten(0, 1), pixels.flatten(0, 1))
+    known_pixels = rows(prediction.pixel_logits.flatten(0, 1), pixels.flatten(0, 1))
     expected = {
         "ce": weighted_cross_entropy(known),
         "scal": scene_class_affinity(known),
         "dice": dice(known),
-        "semantics": cross_entropy(seen),
+        "semantics": cross_entropy(known_pixels),
     }
     assert terms == pytest.approx(expected, rel=1e-5)
 

@@ -35,39 +35,33 @@ def geometric_reference(logits, target):
     return affinity([1 - p[0] for p, _ in pairs], [int(y != 0) for _, y in pairs])
 
 
-def batch(labels, seed=0):
-    torch.manual_seed(seed)
-    target = torch.tensor(labels, dtype=torch.uint8)[torch.randint(0, len(labels), (2, 3, 4, 2))]
-    return 2 * torch.randn(2, 5, 3, 4, 2), target
-
-
 @pytest.mark.parametrize("labels", [[0, 1, 2, 3, 4], [0, 0, 2, 255], [3], [1, 4, 255]])
-def test_semantic_agrees_with_loops(labels):
-    logits, target = batch(labels)
+def test_semantic_agrees_with_loops(labels, batch_of):
+    logits, target = batch_of(labels, 5)
     expected = semantic_reference(logits, target)
     assert float(semantic_scal(soft_confusion(logits, target))) == pytest.approx(expected, rel=1e-5)
 
 
 @pytest.mark.parametrize("labels", [[0, 1, 2, 3, 4], [0, 0, 2, 255], [3], [1, 4, 255]])
-def test_geometric_agrees_with_loops(labels):
-    logits, target = batch(labels)
+def test_geometric_agrees_with_loops(labels, batch_of):
+    logits, target = batch_of(labels, 5)
     expected = geometric_reference(logits, target)
     assert float(geometric_scal(soft_confusion(logits, target))) == pytest.approx(expected, rel=1e-5)
 
 
-def test_all_free_scores_only_the_free_voxels():
-    logits, target = batch([0])
-    share = sum(p[0] for p, _ in voxels(logits, target)) / target.numel()
-    assert float(geometric_scal(soft_confusion(logits, target))) == pytest.approx(-math.log(share), rel=1e-5)
+def test_all_free_scores_only_the_free_voxels(batch_of):
+    logits, target = batch_of([0], 5)
+    fraction = sum(p[0] for p, _ in voxels(logits, target)) / target.numel()
+    assert float(geometric_scal(soft_confusion(logits, target))) == pytest.approx(-math.log(fraction), rel=1e-5)
 
 
-def test_sum_of_both():
-    logits, target = batch([0, 1, 2, 255])
+def test_sum_of_both(batch_of):
+    logits, target = batch_of([0, 1, 2, 255], 5)
     expected = semantic_reference(logits, target) + geometric_reference(logits, target)
     assert float(Scal()(logits, target)) == pytest.approx(expected, rel=1e-5)
 
 
-def test_perfect_prediction_is_free_of_loss():
-    _, target = batch([0, 1, 2, 3, 4])
+def test_perfect_prediction_is_free_of_loss(batch_of):
+    _, target = batch_of([0, 1, 2, 3, 4], 5)
     logits = 60 * torch.nn.functional.one_hot(target.long(), 5).movedim(-1, 1).float()
     assert float(Scal()(logits, target)) == pytest.approx(0, abs=1e-5)

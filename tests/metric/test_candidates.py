@@ -74,11 +74,11 @@ def test_parts_of_a_dataset_add_up():
     whole.update(candidates, voxels)
     left.update(candidates[:1], voxels[:1])
     right.update(candidates[1:], voxels[1:])
-    assert left._reductions["counts"] is whole._reductions["counts"]  # what processes do with their counts: ...
-    assert torch.equal(left._reductions["counts"](torch.stack([left.counts, right.counts])), whole.counts)  # ... add
+    assert left._reductions["counts"] is whole._reductions["counts"]  # processes add their counts
+    assert torch.equal(left._reductions["counts"](torch.stack([left.counts, right.counts])), whole.counts)
 
 
-def test_nothing_there_and_nothing_chosen_is_not_a_number():
+def test_scores_without_occupied_cells_and_candidates_are_nan():
     metric = Candidates(GRID, EDGES_M)
     metric.update(torch.zeros(1, *GRID.shape, dtype=torch.bool), torch.zeros(1, *GRID.shape, dtype=torch.uint8))
     scores = metric.compute()

@@ -1,4 +1,4 @@
-"""Keys of the scores for datasets with classes of their own."""
+"""Keys of the scores for datasets with other classes."""
 
 import pytest
 import torch

@@ -33,14 +33,14 @@ def test_bands_add_up_and_ranges_outside_the_spheres_do_not_count():
     true = torch.rand(1000, generator=generator) * 40
     ours = true * (1 + 0.2 * torch.randn(1000, generator=generator)).clamp(min=0.3)
     metric = DepthMetrics(nearest_m=1.0, farthest_m=30.0, range_edges_m=(0.0, 8.5, 17.0))
-    seen = torch.rand(1000, generator=generator) < 0.8
+    observed = torch.rand(1000, generator=generator) < 0.8
     for i in range(0, 1000, 250):
         part = slice(i, i + 250)
-        metric.update(ours[part], true[part], seen[part])
+        metric.update(ours[part], true[part], observed[part])
     scores = metric.compute()
     for name, low, high in (("mae", 1.0, 30.0), ("mae_0-8.5m", 1.0, 8.5), ("mae_8.5-17m", 8.5, 17.0)):
-        chosen = seen & (true >= low) & (true < high)
-        assert scores[name].item() == pytest.approx((ours.clamp(1, 30) - true)[chosen].abs().mean().item(), rel=1e-5)
+        counted = observed & (true >= low) & (true < high)
+        assert scores[name].item() == pytest.approx((ours.clamp(1, 30) - true)[counted].abs().mean().item(), rel=1e-5)
     assert len(scores) == 3 * 11
 
 

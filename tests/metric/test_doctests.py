@@ -1,4 +1,4 @@
-"""The examples in docstrings print what they say."""
+"""The examples in docstrings print the results that they show."""
 
 import doctest
 import importlib

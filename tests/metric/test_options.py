@@ -57,7 +57,7 @@ def test_free_rays_count_in_the_band_where_they_leave_the_grid():
     assert metric.predicted[:, 4].tolist() == [0, 1, 0]
 
 
-def test_a_ray_that_never_meets_the_grid_never_counts():
+def test_a_ray_that_misses_the_grid_does_not_count():
     metric = RayIoU(LINE, directions=FORWARD, count_free_rays=True)
     metric.update(line(c2=4), line(), torch.tensor([[[0.0, 5.0, 0.0]]]))
     assert metric.truth.sum() == metric.predicted.sum() == 0
@@ -93,7 +93,7 @@ def test_cells_not_observed_are_unknown():
     observed = torch.ones_like(target, dtype=torch.bool)
     observed[0, 2] = False
     assert ray_iou(prediction, target, LINE, directions=FORWARD)["rayiou"].item() == 0.0
-    # the ray ends in the unknown cell, whatever its label
+    # the ray ends in the unknown cell with any label
     masked = ray_iou(prediction, target, LINE, observed=observed, directions=FORWARD)
     assert math.isnan(masked["rayiou"].item())
     observed[0, 2:4] = torch.tensor([True, False]).reshape(2, 1, 1)

@@ -87,7 +87,7 @@ def test_equal_to_the_last_count():
 
 
 def test_only_rays_through_edges_may_differ():
-    """Cast rays from a corner of four columns: rays along the diagonals and many others meet edges.
+    """Cast rays from a corner of four columns: rays along the diagonals and many others hit edges.
 
     Rays here continue in the opposite cell; the public kernel passes a cell beside it over no length, and may hit it.
     """

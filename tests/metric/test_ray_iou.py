@@ -160,9 +160,9 @@ def test_another_free_class_gives_the_same_scores():
     turned = [
         torch.where(labels == 255, 255, (labels.long() + 11) % 12).to(torch.uint8) for labels in (prediction, target)
     ]
-    here = ray_iou(prediction, target, CUBOID)
-    there = ray_iou(turned[0], turned[1], CUBOID, free_class=11)
-    assert here["rayiou"].item() == there["rayiou"].item()
+    expected = ray_iou(prediction, target, CUBOID)
+    found = ray_iou(turned[0], turned[1], CUBOID, free_class=11)
+    assert found["rayiou"].item() == expected["rayiou"].item()
     assert ray_iou(prediction % 3, target.clamp(max=1), CUBOID, num_classes=3)["rayiou/1"] >= 0
 
 
@@ -290,7 +290,7 @@ def as_input(metric, prediction, target):
 
 def half_of_the_frames(rank, folder):
     """Score every second frame in one of two processes, then sum counts with the other."""
-    torch.distributed.init_process_group("gloo", init_method=f"file://{folder}/meet", rank=rank, world_size=2)
+    torch.distributed.init_process_group("gloo", init_method=f"file://{folder}/rendezvous", rank=rank, world_size=2)
     prediction, target = frames(CUBOID, 5)
     metrics = three_metrics()
     for metric in metrics:
@@ -301,7 +301,7 @@ def half_of_the_frames(rank, folder):
 
 
 def second_process(function, folder):
-    """Start a function of this file as rank 1 in a process of its own, which saves what it returns as `1.pt`."""
+    """Start a function of this file as rank 1 in another process, which saves the result as `1.pt`."""
     code = (
         "import runpy, sys, torch; torch.set_num_threads(1);"
         "scores = runpy.run_path(sys.argv[1])[sys.argv[3]](1, sys.argv[2]);"
@@ -316,19 +316,19 @@ def test_two_processes_equal_one(tmp_path):
     scores = half_of_the_frames(0, tmp_path)
     assert other.wait(timeout=120) == 0
     prediction, target = frames(CUBOID, 5)
-    for i, alone in enumerate(three_metrics()):
-        alone.update(*as_input(alone, prediction, target))
+    for i, expected in enumerate(three_metrics()):
+        expected.update(*as_input(expected, prediction, target))
         for theirs in (scores[i], torch.load(tmp_path / "1.pt")[i]):
-            assert alone.compute().keys() == theirs.keys()
-            for key, value in alone.compute().items():
+            assert expected.compute().keys() == theirs.keys()
+            for key, value in expected.compute().items():
                 torch.testing.assert_close(theirs[key], value, rtol=1e-7, atol=0, equal_nan=True)
 
 
-def first_process_scores_alone(rank, folder):
+def first_process_scores(rank, folder):
     """Score frames in the first of two processes; the second only joins the group and waits for the end."""
     timeout = datetime.timedelta(seconds=60)
-    meet = f"file://{folder}/meet"
-    torch.distributed.init_process_group("gloo", init_method=meet, rank=rank, world_size=2, timeout=timeout)
+    rendezvous = f"file://{folder}/rendezvous"
+    torch.distributed.init_process_group("gloo", init_method=rendezvous, rank=rank, world_size=2, timeout=timeout)
     scores = ray_iou(*frames(CUBOID, 2), CUBOID) if rank == 0 else None
     torch.distributed.barrier()
     torch.distributed.destroy_process_group()
@@ -336,10 +336,10 @@ def first_process_scores_alone(rank, folder):
 
 
 def test_function_does_not_communicate_with_other_processes(tmp_path):
-    other = second_process("first_process_scores_alone", tmp_path)
-    scores = first_process_scores_alone(0, tmp_path)
+    other = second_process("first_process_scores", tmp_path)
+    scores = first_process_scores(0, tmp_path)
     assert other.wait(timeout=120) == 0
-    alone = ray_iou(*frames(CUBOID, 2), CUBOID)
-    assert scores.keys() == alone.keys()
-    for key, value in alone.items():
+    expected = ray_iou(*frames(CUBOID, 2), CUBOID)
+    assert scores.keys() == expected.keys()
+    for key, value in expected.items():
         torch.testing.assert_close(scores[key], value, rtol=0, atol=0, equal_nan=True)

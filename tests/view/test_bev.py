@@ -27,21 +27,21 @@ def test_every_pixel_shows_the_column_it_lies_in(geometry, half_m):
     torch.manual_seed(0)
     labels = torch.tensor([0, 0, 1, 7, 255], dtype=torch.uint8)[torch.randint(0, 5, geometry.shape)]
     size = 61
-    picture = bev(labels, geometry, WORLD_CLASSES, size)
-    assert picture.shape == (size, size, 3)
+    image = bev(labels, geometry, WORLD_CLASSES, size)
+    assert image.shape == (size, size, 3)
     for row in range(size):
         for column in range(size):
             x = half_m - (row + 0.5) * 2 * half_m / size
             y = half_m - (column + 0.5) * 2 * half_m / size
             if math.hypot(x, y) < 4:
-                continue  # the own car is drawn there
+                continue  # the ego car is drawn here
             cell = column_of(geometry, x, y)
             if cell is None:
                 expected = OUTSIDE
             else:
                 known = [c for c in labels[cell].tolist() if c not in (0, 255)]
                 expected = PALETTE[known[-1]] if known else EMPTY
-            assert tuple(picture[row, column]) == tuple(expected), (x, y)
+            assert tuple(image[row, column]) == tuple(expected), (x, y)
 
 
 def test_forward_is_up_and_left_is_left():
@@ -71,6 +71,6 @@ def test_differences():
     ]
     truth, prediction = (torch.tensor([case[part] for case in cases]) for part in (0, 1))
     expected = [case[2] for case in cases]
-    picture = error_bev(truth[None].to(torch.uint8), prediction[None].to(torch.uint8), geometry, 110)
+    image = error_bev(truth[None].to(torch.uint8), prediction[None].to(torch.uint8), geometry, 110)
     for column, color in enumerate(expected):
-        assert tuple(picture[2, 105 - 10 * column]) == color, column
+        assert tuple(image[2, 105 - 10 * column]) == color, column

@@ -6,7 +6,7 @@ import torch
 from omniocc.classes import WORLD_CLASSES
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.view import comparison, save_png
-from omniocc.view.sheet import AS_SEEN, NAMES, panorama_row
+from omniocc.view.sheet import HEXAGON_ORDER, NAMES, panorama_row
 
 
 def sheet(count, geometry, width_px=900, caption="street/0003"):
@@ -15,30 +15,37 @@ def sheet(count, geometry, width_px=900, caption="street/0003"):
     return comparison(images, truth, truth.flip(0), geometry, WORLD_CLASSES, caption, width_px)
 
 
-def test_cameras_stand_where_they_look():
-    assert [NAMES[k] for k in AS_SEEN] == ["front left", "front", "front right", "rear left", "rear", "rear right"]
-    picture = sheet(6, Cylinder(shape=(6, 10, 4)), caption="")
+def test_cameras_are_placed_by_direction():
+    assert [NAMES[k] for k in HEXAGON_ORDER] == [
+        "front left",
+        "front",
+        "front right",
+        "rear left",
+        "rear",
+        "rear right",
+    ]
+    image = sheet(6, Cylinder(shape=(6, 10, 4)), caption="")
     height = (900 - 2 * 14 - 2 * 6) // 3 * 36 // 64
     for row, cameras in enumerate(((5, 0, 1), (4, 3, 2))):
         for column, camera in enumerate(cameras):
             top, left = 14 + row * (height + 6), 14 + column * 292
-            assert (picture[top + height // 2, left + 140] == 20 * (camera + 1)).all()
+            assert (image[top + height // 2, left + 140] == 20 * (camera + 1)).all()
 
 
 @pytest.mark.parametrize("count", [1, 4, 6, 8])
 @pytest.mark.parametrize("geometry", [Cylinder(shape=(6, 10, 4)), Cuboid(shape=(6, 8, 4))], ids=["cylinder", "cuboid"])
 def test_any_number_of_cameras(count, geometry):
-    picture = sheet(count, geometry)
-    assert picture.dtype == np.uint8
-    assert picture.shape[1:] == (900, 3)
+    image = sheet(count, geometry)
+    assert image.dtype == np.uint8
+    assert image.shape[1:] == (900, 3)
 
 
 def test_save_png_keeps_rgb(tmp_path):
-    picture = np.random.default_rng(0).integers(0, 256, (5, 7, 3), dtype=np.uint8)
-    save_png(tmp_path / "a.png", picture)
-    assert np.array_equal(cv2.imread(str(tmp_path / "a.png"))[..., ::-1], picture)
+    image = np.random.default_rng(0).integers(0, 256, (5, 7, 3), dtype=np.uint8)
+    save_png(tmp_path / "a.png", image)
+    assert np.array_equal(cv2.imread(str(tmp_path / "a.png"))[..., ::-1], image)
     with pytest.raises(OSError, match="missing"):
-        save_png(tmp_path / "missing" / "a.png", picture)
+        save_png(tmp_path / "missing" / "a.png", image)
 
 
 def test_a_panorama_is_enlarged_pixel_by_pixel():

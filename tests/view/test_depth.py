@@ -17,7 +17,7 @@ BLACK = [np.zeros((SIZE, SIZE, 3), np.uint8)]
 
 
 def pixel_of(row, column, range_m):
-    """Where the equidistant camera ahead of the origin sees a pixel of the panorama."""
+    """Return the pixel of the equidistant camera in which a point of the panorama appears."""
     azimuth = math.pi - (column + 0.5) * 2 * math.pi / 72
     elevation = math.radians(45 - (row + 0.5) * 5)
     x = range_m * math.cos(elevation) * math.cos(azimuth) - AHEAD_M
@@ -35,10 +35,10 @@ def hue(rgb):
 def test_a_point_is_drawn_where_the_camera_sees_it_in_the_colour_of_its_range(row, column, range_m):
     ranges = torch.full((18, 72), torch.nan)
     ranges[row, column] = range_m
-    (picture,) = paint_ranges(BLACK, RIG, PANORAMA, ranges, SIZE)
+    (image,) = paint_ranges(BLACK, RIG, PANORAMA, ranges, SIZE)
     v, u = pixel_of(row, column, range_m)
-    assert np.allclose(hue(picture[v, u]), hue(range_colors(np.array([range_m]))[0]), atol=0.06)
-    rows, columns = np.nonzero(picture.any(2))
+    assert np.allclose(hue(image[v, u]), hue(range_colors(np.array([range_m]))[0]), atol=0.06)
+    rows, columns = np.nonzero(image.any(2))
     assert abs(rows.mean() - v) <= 1
     assert abs(columns.mean() - u) <= 1
     assert len(rows) < 80
@@ -50,13 +50,13 @@ def test_nothing_is_drawn_behind_the_camera():
     assert not paint_ranges(BLACK, RIG, PANORAMA, ranges, SIZE)[0].any()
 
 
-def test_near_points_hide_far_ones_whatever_their_order():
+def test_near_points_hide_far_ones_in_any_order():
     for near, far in ((35, 36), (36, 35)):
         ranges = torch.full((18, 72), torch.nan)
         ranges[9, near], ranges[9, far] = 1.2, 40.0
-        (picture,) = paint_ranges(BLACK, RIG, PANORAMA, ranges, SIZE)
+        (image,) = paint_ranges(BLACK, RIG, PANORAMA, ranges, SIZE)
         v, u = pixel_of(9, near, 1.2)
-        assert np.allclose(hue(picture[v, u]), hue(range_colors(np.array([1.2]))[0]), atol=0.06)
+        assert np.allclose(hue(image[v, u]), hue(range_colors(np.array([1.2]))[0]), atol=0.06)
 
 
 @pytest.mark.parametrize("cameras", [1, 4, 6])
@@ -64,7 +64,7 @@ def test_sheets_of_any_rig(cameras):
     rig = Rig(RIG.cameras * cameras, FORWARD.expand(cameras, 4, 4), tuple(f"c{k}" for k in range(cameras)))
     ranges = torch.rand(18, 72) * 30 + 1
     ranges[:4] = torch.nan
-    picture = depth_sheet(BLACK * cameras, rig, PANORAMA, ranges, ranges.nan_to_num(torch.inf), "x")
-    assert picture.shape[1:] == (1280, 3)
+    image = depth_sheet(BLACK * cameras, rig, PANORAMA, ranges, ranges.nan_to_num(torch.inf), "x")
+    assert image.shape[1:] == (1280, 3)
     nothing = torch.full_like(ranges, torch.nan)
     depth_sheet(BLACK * cameras, rig, PANORAMA, nothing, ranges)

@@ -5,7 +5,7 @@ from omniocc.camera import Equidistant, Equirectangular, Rig
 from omniocc.camera.pose import pose_from_angles
 from omniocc.classes import PALETTE, WORLD_CLASSES
 from omniocc.geometry import Cuboid
-from omniocc.view.paint import NOTHING, paint_voxels, voxel_panorama
+from omniocc.view.paint import BACKGROUND, paint_voxels, voxel_panorama
 
 GRID = Cuboid((20, 20, 6), (-10.0, 10.0), (-10.0, 10.0), (-3.0, 3.0))  # cells of 1 m
 CAMERAS = (Equidistant(80, 80, 25.0, (39.5, 39.5), 80.0),) * 2
@@ -21,9 +21,9 @@ def one_voxel(x, y, z, label=7):
     return labels
 
 
-def colored(picture):
-    """Where the picture is not grey."""
-    return picture.max(2).astype(int) - picture.min(2) > 20
+def colored(image):
+    """Return which pixels are not grey."""
+    return image.max(2).astype(int) - image.min(2) > 20
 
 
 def test_a_voxel_is_painted_where_its_cell_is_seen():
@@ -47,7 +47,7 @@ def test_a_voxel_is_painted_where_its_cell_is_seen():
     assert red > 2 * blue
 
 
-def test_what_stands_in_front_hides_and_unknown_does_not():
+def test_near_voxels_hide_far_ones_and_unknown_ones_do_not():
     far = one_voxel(7.5, 0.5, 0.5, label=7)
     images = [np.full((80, 80, 3), 120, np.uint8)] * 2
     for label, hidden in ((4, True), (255, False)):
@@ -72,11 +72,11 @@ def test_masked_pixels_have_no_voxels():
 
 def test_the_panorama_has_the_class_of_the_first_voxel():
     labels = one_voxel(0.5, 6.5, 0.5)  # to the left: a quarter from the left edge
-    picture = voxel_panorama(labels, GRID, WORLD_CLASSES, Equirectangular(48, 12, 45.0, -45.0), 480)
-    assert picture.shape == (60, 240, 3)
-    rows, columns = np.nonzero((picture == PALETTE[7]).all(2))
+    image = voxel_panorama(labels, GRID, WORLD_CLASSES, Equirectangular(48, 12, 45.0, -45.0), 480)
+    assert image.shape == (60, 240, 3)
+    rows, columns = np.nonzero((image == PALETTE[7]).all(2))
     # x from 0 to 1 m, y from 6 to 7 m: from straight left to atan(1 / 6) ahead of it
     assert columns.min() == 60
     assert 64 <= columns.max() <= 66
     assert rows.max() < 31
-    assert (picture[50, 60] == NOTHING).all()
+    assert (image[50, 60] == BACKGROUND).all()

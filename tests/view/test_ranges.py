@@ -13,7 +13,7 @@ from omniocc.view.ranges import (
 )
 
 
-def test_near_is_red_far_is_blue_and_the_rest_has_its_own_colour():
+def test_near_is_red_far_is_blue_and_sky_and_gaps_have_other_colours():
     colors = range_colors(np.array([[0.2, 1.0, 8.0], [64.0, 500.0, 5.0]])).astype(int)
     assert (colors[0, 0] == colors[0, 1]).all()
     assert (colors[1, 0] == colors[1, 1]).all()

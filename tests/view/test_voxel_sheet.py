@@ -17,7 +17,7 @@ RANGES = RangePanorama(Equirectangular(24, 6, 45.0, -45.0), torch.rand(6, 24) * 
         ("surround_view", ["left", "front", "right", "back"]),
     ],
 )
-def test_cameras_stand_as_they_look(rig, expected):
+def test_cameras_are_ordered_by_direction(rig, expected):
     rig = Rig.load(rig)
     assert [rig.names[k] for k in camera_order(rig)] == expected
 

@@ -10,7 +10,7 @@ EYE, TARGET, VIEW_DEG = (-24.0, 5.0, 14.0), (0.0, -1.0, -2.0), 50.0
 
 
 def rays(width, height):
-    """Pixel rays of a camera at EYE, from its axes built by hand."""
+    """Return the pixel rays of a camera at EYE, from axes computed here."""
     forward = np.subtract(TARGET, EYE) / np.linalg.norm(np.subtract(TARGET, EYE))
     right = np.array([forward[1], -forward[0], 0]) / np.hypot(forward[0], forward[1])
     up = np.cross(right, forward)
@@ -38,12 +38,12 @@ def test_every_pixel_shows_the_first_cell_along_its_ray(geometry, monkeypatch):
     monkeypatch.setattr(voxels, "CAR_BOXES", ())
     monkeypatch.setattr(voxels, "_shade", lambda faces: faces.colors)
     width, height = 480, 320
-    picture = render_voxels(labels, geometry, WORLD_CLASSES, width, height, EYE, TARGET, VIEW_DEG)
+    image = render_voxels(labels, geometry, WORLD_CLASSES, width, height, EYE, TARGET, VIEW_DEG)
     directions = torch.from_numpy(rays(width, height).reshape(-1, 3))
     origins = torch.tensor(EYE, dtype=torch.float64).expand_as(directions)
     _, first = geometry.trace(labels, origins, directions, hit="entry")
     first = first.numpy().reshape(height, width)
-    shown = np.where((picture[:, :, None] == PALETTE[1:12]).all(3).any(2), picture.astype(int) @ [1, 256, 65536], -1)
+    shown = np.where((image[:, :, None] == PALETTE[1:12]).all(3).any(2), image.astype(int) @ [1, 256, 65536], -1)
     expected = np.where(first > 0, PALETTE[first].astype(int) @ [1, 256, 65536], -1)
     windows = np.lib.stride_tricks.sliding_window_view(first, (5, 5))
     inner = np.zeros_like(first, dtype=bool)
@@ -67,7 +67,7 @@ def test_cells_keep_their_side():
     labels = torch.zeros(geometry.shape, dtype=torch.uint8)
     index, _ = geometry.index(torch.tensor([5.0, 9.0, 0.0]))  # ahead, left
     labels[tuple(index.tolist())] = 10
-    picture = render_voxels(labels, geometry, WORLD_CLASSES, 96, 54).astype(int)
-    red = (picture[..., 0] - picture[..., 2]) > 80
+    image = render_voxels(labels, geometry, WORLD_CLASSES, 96, 54).astype(int)
+    red = (image[..., 0] - image[..., 2]) > 80
     assert red.any()
     assert np.nonzero(red)[1].max() < 48

@@ -60,7 +60,7 @@ def box():
 
 @pytest.fixture(scope="session")
 def street() -> Mesh:
-    """Road at z = 0 for |y| < 5, walls 8 m high on both sides, a house at x 10..16, y 5..9, a pole at (6, -3)."""
+    """Build a road at z = 0 for |y| < 5, walls 8 m high on both sides, a house at x 10..16, y 5..9, pole at (6, -3)."""
     return concatenate(
         [
             make_quad([[-60, -5, 0], [60, -5, 0], [60, 5, 0], [-60, 5, 0]], 1, Material.ASPHALT, (90, 90, 90)),
@@ -104,16 +104,17 @@ def rig() -> Rig:
     return Rig.load("fisheye6").resized(64, 36)
 
 
-def make_snapshot(static: Mesh, moving: Mesh, own: Mesh, light: Light, x_m: float = 0.0) -> Snapshot:
-    """The ego at (x_m, 0), 2.2 m above the road, not turned."""
+def make_snapshot(static: Mesh, moving: Mesh, ego_mesh: Mesh, light: Light, x_m: float = 0.0) -> Snapshot:
+    """Return a snapshot with the ego at (x_m, 0), 2.2 m above the road, not turned."""
     origin = np.array([x_m, 0, 2.2], np.float32)
-    here = replace(own, vertices=own.vertices + origin)
+    ego_in_world = replace(ego_mesh, vertices=ego_mesh.vertices + origin)
     layers = [Caster(static), Caster(moving)]
-    surfaces = join([make_surfaces(static), make_surfaces(moving), make_surfaces(own)])
+    surfaces = join([make_surfaces(static), make_surfaces(moving), make_surfaces(ego_mesh)])
     start = len(static) + len(moving)
+    spheres = np.concatenate([spheres_of(moving), spheres_of(ego_in_world)])
     return Snapshot(
         Layers(layers),
-        Shadows(layers[0], [layers[1], Caster(here)], np.concatenate([spheres_of(moving), spheres_of(here)]), light),
+        Shadows(layers[0], [layers[1], Caster(ego_in_world)], spheres, light),
         surfaces,
         start,
         np.eye(3, dtype=np.float32),

@@ -50,7 +50,7 @@ def test_frame_has_the_documented_shapes(frame):
     assert np.isinf(frame.range_m[frame.semantics == 0]).all()
 
 
-def test_a_frame_does_not_depend_on_frames_asked_for_before(scene, frame):
+def test_a_frame_does_not_depend_on_earlier_requests(scene, frame):
     assert _digest(scene.frame(0)) != _digest(frame)
     assert _digest(scene.frame(3)) == _digest(frame)
 
@@ -70,9 +70,8 @@ def test_the_ego_moves_and_static_points_stay_where_they_are(scene, frame):
     move = np.linalg.inv(other.world_from_ego) @ frame.world_from_ego
     ground = frame.points_m[frame.point_labels == 1].astype(np.float64) @ move[:3, :3].T + move[:3, 3]
     ground = ground[np.hypot(*ground[:, :2].T) < 12]
-    there = other.points_m[other.point_labels == 1]
     cell = {}
-    for point in there:
+    for point in other.points_m[other.point_labels == 1]:
         cell.setdefault((int(point[0] // 0.5), int(point[1] // 0.5)), []).append(point[2])
     gaps = [
         abs(np.mean(cell[key]) - point[2])
@@ -86,8 +85,8 @@ def test_the_ego_moves_and_static_points_stay_where_they_are(scene, frame):
 
 def test_another_seed_is_another_world(frame):
     other = Scene("suburb", 6, Rig.load("fisheye6").resized(32, 18), erp_size=(32, 8)).frame(3)
-    here, there = frame.erp_range_m, other.erp_range_m
-    assert (here != there)[np.isfinite(here) | np.isfinite(there)].mean() > 0.99
+    one, two = frame.erp_range_m, other.erp_range_m
+    assert (one != two)[np.isfinite(one) | np.isfinite(two)].mean() > 0.99
     assert np.abs(other.images.astype(int) - frame.images).mean() > 10
 
 
@@ -107,7 +106,7 @@ def test_another_rig_sees_the_same_world(frame):
     assert abs(frame.images[frame.semantics < 255].mean() - other.images[other.semantics < 255].mean()) < 30
 
 
-def test_each_option_changes_only_its_own_arrays(frame):
+def test_each_option_changes_only_the_arrays_that_it_concerns(frame):
     def take(**options) -> Frame:
         rig = Rig.load("fisheye6").resized(32, 18)
         return Scene("suburb", 5, rig, frame_interval_s=0.5, erp_size=(32, 8), **options).frame(3)

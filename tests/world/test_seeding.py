@@ -6,7 +6,7 @@ import pytest
 from omniocc.world.seeding import choice, generator, weighted_choice
 
 
-def test_generators_depend_on_theme_seed_and_purpose_alone() -> None:
+def test_generators_depend_on_theme_seed_and_purpose_only() -> None:
     first = generator("suburb", 3, "light").random(4)
     assert np.array_equal(first, generator("suburb", 3, "light").random(4))
     for other in (("downtown", 3, "light"), ("suburb", 4, "light"), ("suburb", 3, "traffic")):

@@ -14,16 +14,6 @@ from omniocc.camera.protocol import Camera
 from omniocc.camera.rig import Rig
 
 __all__ = [
-    "EUCM",
-    "MEI",
-    "Camera",
-    "DoubleSphere",
-    "Equidistant",
-    "Equirectangular",
-    "KannalaBrandt",
-    "OCam",
-    "Pinhole",
-    "RadialPolynomial",
-    "Rig",
-    "normalize_pixels",
-]
+    "EUCM", "MEI", "Camera", "DoubleSphere", "Equidistant", "Equirectangular", "KannalaBrandt", "OCam", "Pinhole",
+    "RadialPolynomial", "Rig", "normalize_pixels",
+]  # fmt: skip

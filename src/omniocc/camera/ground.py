@@ -24,12 +24,12 @@ def pose_from_ground(
     one that fits better is returned.
 
     Raises:
-        ValueError: fewer than 4 points, points on one line or off the plane, a pixel the lens does not see, or no pose
-            above the ground.
+        ValueError: if there are fewer than 4 points, points on one line or off the plane, a pixel outside the lens, or
+            no pose above the ground.
     """
-    rays, seen = camera.unproject(pixels)
-    if not bool(seen.all()):
-        raise ValueError(f"the lens does not see the pixels {pixels[~seen].tolist()}; leave them out")
+    rays, valid = camera.unproject(pixels)
+    if not bool(valid.all()):
+        raise ValueError(f"the lens does not cover the pixels {pixels[~valid].tolist()}; leave them out")
     _check_plane(points_ego)
     found = []
     for start in _starts(rays, points_ego):
@@ -37,7 +37,7 @@ def pose_from_ground(
         if bool(pose[2, 3] > points_ego[:, 2].mean()):
             found.append((float(errors.square().sum()), pose, errors))
     if not found:
-        raise ValueError("every pose that fits lies under the ground; are pixels and points in the same order?")
+        raise ValueError("every pose that fits is under the ground; are pixels and points in the same order?")
     _, pose, errors = min(found, key=lambda candidate: candidate[0])
     return pose, errors
 
@@ -47,20 +47,20 @@ def _check_plane(points_ego: Float64[Tensor, "n 3"]) -> None:
         raise ValueError(f"{len(points_ego)} points; a pose needs at least 4 on the ground, not all on one line")
     spread = torch.linalg.svdvals(points_ego - points_ego.mean(0))
     if spread[1] < 1e-3 * spread[0]:
-        raise ValueError("all points lie on one line; a pose needs points beside the line too")
+        raise ValueError("all points are on one line; a pose needs points beside the line too")
     if spread[2] > 1e-6 * spread[0]:
-        raise ValueError("the points do not lie in one plane; give points on the road only")
+        raise ValueError("the points are not in one plane; give points on the road only")
 
 
 def _starts(rays: Float64[Tensor, "n 3"], points_ego: Float64[Tensor, "n 3"]) -> list[Float64[Tensor, "4 4"]]:
-    """Return `camera_from_ego` of both poses of the plane, seen by a pinhole that looks at the middle of the points."""
+    """Return `camera_from_ego` of both poses of the plane, seen by a pinhole directed at the middle of the points."""
     virtual_from_camera = _turn_to_front(rays.mean(0))
     turned = rays @ virtual_from_camera.T
     ahead = turned[:, 2] > 0.1
     slopes = (turned[ahead, :2] / turned[ahead, 2:]).numpy()
     if len(slopes) < 4:
         raise ValueError(
-            "fewer than 4 points lie within 84 degrees of their common direction; give points that are closer together"
+            "fewer than 4 points are within 84 degrees of their common direction; give points that are closer together"
         )
     _, turns, shifts, _ = cv2.solvePnPGeneric(
         points_ego[ahead].numpy(), slopes[:, None], np.eye(3), None, flags=cv2.SOLVEPNP_IPPE
@@ -91,8 +91,8 @@ def _refine(
 
     def residuals(change: Float64[Tensor, "6"]) -> Float64[Tensor, " m"]:
         moved = _moved(camera_from_ego, change)
-        seen, _ = camera.project(points_ego @ moved[:3, :3].T + moved[:3, 3])
-        return (seen - pixels).flatten()
+        projected, _ = camera.project(points_ego @ moved[:3, :3].T + moved[:3, 3])
+        return (projected - pixels).flatten()
 
     no_change = torch.zeros(6, dtype=torch.float64)
     steps = DIFFERENCE * torch.eye(6, dtype=torch.float64)

@@ -15,8 +15,8 @@ def pose_from_angles(
 ) -> Float64[Tensor, "4 4"]:
     """Return `ego_from_camera` of a camera at `position_m` in the ego frame.
 
-    With all angles 0 the camera looks forward, upright. It is rolled, then pitched, then yawed: `yaw_deg`
-    counter-clockwise seen from above (90 looks left), `pitch_deg` upwards (-10 looks at the road), `roll_deg` clockwise
+    With all angles 0 the camera faces forward, upright. It is rolled, then pitched, then yawed: `yaw_deg`
+    counter-clockwise seen from above (90 is left), `pitch_deg` upwards (-10 is towards the road), `roll_deg` clockwise
     seen from behind.
     """
     cy, sy = _cos_sin(yaw_deg)

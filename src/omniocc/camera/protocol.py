@@ -76,9 +76,9 @@ def positive_pair(name: str, value: object) -> tuple[float, float]:
 
 def numbers(name: str, value: object, least: int, most: int) -> tuple[float, ...]:
     """Return `value` as a tuple of floats; raise ValueError unless it is `least` to `most` finite numbers."""
-    wanted = str(least) if least == most else f"{least} to {most}"
+    count = str(least) if least == most else f"{least} to {most}"
     if not isinstance(value, list | tuple) or not least <= len(value) <= most:
-        raise ValueError(f"{name} is {value!r}; it must be {wanted} numbers")
+        raise ValueError(f"{name} is {value!r}; it must be {count} numbers")
     return tuple(finite(name, number) for number in value)
 
 

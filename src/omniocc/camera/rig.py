@@ -18,7 +18,7 @@ from omniocc.camera.rig_file import read_rig, write_rig
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """Cameras and their poses; rigs with equal content are equal and have equal hashes, whatever file they came from.
+    """Cameras and their poses; rigs with equal content are equal and have equal hashes, also from different files.
 
     Attributes:
         cameras: models of the N cameras.
@@ -43,7 +43,9 @@ class Rig:
         if len(set(self.names)) != count:
             raise ValueError(f"camera names {list(self.names)} are not unique")
         if self.masks is not None and len(self.masks) != count:
-            raise ValueError(f"{len(self.masks)} masks for {count} cameras; give one each, None where there is none")
+            raise ValueError(
+                f"{len(self.masks)} masks for {count} cameras; give one each, None for a camera without a mask"
+            )
         for index, name in enumerate(self.names):
             check_rigid(self.ego_from_camera[index], f"camera '{name}'")
             _check_mask(self._mask(index), self.cameras[index], f"camera '{name}'")
@@ -56,7 +58,7 @@ class Rig:
         `omniocc.camera.calibration`.
 
         Raises:
-            ValueError: naming file, camera and value of what is wrong.
+            ValueError: naming file, the camera and the wrong value.
         """
         return cls(*read_rig(path))
 

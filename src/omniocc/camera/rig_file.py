@@ -45,15 +45,9 @@ from omniocc.camera.pose import check_rigid, pose_from_angles
 from omniocc.camera.protocol import Camera, finite, numbers
 
 MODELS = {
-    "equidistant": Equidistant,
-    "pinhole": Pinhole,
-    "kannala_brandt": KannalaBrandt,
-    "mei": MEI,
-    "ocam": OCam,
-    "double_sphere": DoubleSphere,
-    "eucm": EUCM,
-    "radial_polynomial": RadialPolynomial,
-}
+    "equidistant": Equidistant, "pinhole": Pinhole, "kannala_brandt": KannalaBrandt, "mei": MEI, "ocam": OCam,
+    "double_sphere": DoubleSphere, "eucm": EUCM, "radial_polynomial": RadialPolynomial,
+}  # fmt: skip
 BUILT_IN = Path(__file__).parent / "rigs"
 ANGLES = ("yaw_deg", "pitch_deg", "roll_deg")
 
@@ -61,11 +55,7 @@ Mask = Bool[Tensor, "_ _"]
 
 
 def read_rig(path: str | PathLike[str]) -> Calibration:
-    """Return the arguments of `Rig` from a rig file, a calibration of another tool or a built-in rig.
-
-    Raises:
-        ValueError: naming the file, the camera and the wrong value.
-    """
+    """Return the arguments of `Rig`; raise ValueError naming the file, the camera and the wrong value."""
     file: Path | Calibration = _find(path)
     if file.is_dir():
         file = read_calibration_folder(file)
@@ -95,12 +85,9 @@ def _read_cameras(file: Path, entries: dict[str, Any]) -> Calibration:
 
 
 def write_rig(
-    path: str | PathLike[str],
-    cameras: tuple[Camera, ...],
-    ego_from_camera: Float64[Tensor, "N 4 4"],
-    names: tuple[str, ...],
-    masks: tuple[Mask | None, ...] | None,
-) -> None:
+    path: str | PathLike[str], cameras: tuple[Camera, ...], ego_from_camera: Float64[Tensor, "N 4 4"],
+    names: tuple[str, ...], masks: tuple[Mask | None, ...] | None,
+) -> None:  # fmt: skip
     """Write a rig file; see `Rig.save`."""
     file = Path(path)
     file.parent.mkdir(parents=True, exist_ok=True)
@@ -112,7 +99,8 @@ def write_rig(
         mask = None if masks is None else masks[index]
         if mask is not None:
             entry["mask"] = f"{file.stem}.{name}.png"
-            _write_mask(file.parent / entry["mask"], mask)
+            if not cv2.imwrite(str(file.parent / entry["mask"]), mask.numpy().astype(np.uint8) * 255):
+                raise OSError(f"cannot write {file.parent / entry['mask']}")
         entries[name] = entry
     file.write_text(yaml.safe_dump({"cameras": entries}, sort_keys=False, default_flow_style=None), encoding="utf-8")
 
@@ -179,11 +167,6 @@ def _read_mask(file: Path, camera: Camera) -> Mask:
     if not file.is_file():
         raise ValueError(f"mask {file} does not exist")
     return torch.from_numpy(read_mask_pixels("mask", file, camera) > 127)
-
-
-def _write_mask(file: Path, mask: Mask) -> None:
-    if not cv2.imwrite(str(file), mask.numpy().astype(np.uint8) * 255):
-        raise OSError(f"cannot write {file}")
 
 
 def _mapping(value: Any, what: str) -> dict[str, Any]:

@@ -9,15 +9,5 @@ from omniocc.geometry.raycast.trace import Hits, Paths
 from omniocc.geometry.vote import downsample, majority
 
 __all__ = [
-    "Cuboid",
-    "Cylinder",
-    "Fans",
-    "Grid",
-    "Hits",
-    "Paths",
-    "RayTable",
-    "Scan",
-    "downsample",
-    "majority",
-    "ray_table",
-]
+    "Cuboid", "Cylinder", "Fans", "Grid", "Hits", "Paths", "RayTable", "Scan", "downsample", "majority", "ray_table",
+]  # fmt: skip

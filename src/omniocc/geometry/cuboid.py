@@ -8,7 +8,7 @@ from jaxtyping import Float, Float64
 from torch import Tensor
 
 from omniocc.geometry.grid import Grid, as_axis, as_shape
-from omniocc.geometry.raycast.crossings import Crossings, clip_slab, plane_crossings
+from omniocc.geometry.raycast.crossings import Crossings, Distances, Rays, clip_slab, plane_crossings
 
 
 @dataclass(frozen=True, init=False)
@@ -72,17 +72,13 @@ class Cuboid(Grid):
         x, y, z = self.cell_m
         return torch.full(self.shape, x * y * z, dtype=torch.float64)
 
-    def clip(
-        self, origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"]
-    ) -> tuple[Float[Tensor, " R"], Float[Tensor, " R"]]:
+    def clip(self, origins: Rays, directions: Rays) -> tuple[Distances, Distances]:
         """Return the distances at which rays enter and leave the space between all three pairs of faces."""
         slabs = [clip_slab(origins[:, i], directions[:, i], self.bounds[i]) for i in range(3)]
         enter = torch.stack([slab[0] for slab in slabs]).amax(0)
         return enter, torch.stack([slab[1] for slab in slabs]).amin(0)
 
-    def crossings(
-        self, origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"], start_m: Float[Tensor, " R"]
-    ) -> tuple[Crossings, Crossings, Crossings]:
+    def crossings(self, origins: Rays, directions: Rays, start_m: Distances) -> tuple[Crossings, Crossings, Crossings]:
         """Return the crossings with three sets of planes."""
         x, y, z = (
             plane_crossings(origins[:, i], directions[:, i], start_m, self.bounds[i], self.shape[i]) for i in range(3)

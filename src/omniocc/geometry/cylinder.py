@@ -11,6 +11,8 @@ from torch import Tensor
 from omniocc.geometry.grid import Grid, as_axis, as_shape
 from omniocc.geometry.raycast.crossings import (
     Crossings,
+    Distances,
+    Rays,
     clip_disc,
     clip_slab,
     plane_crossings,
@@ -85,17 +87,13 @@ class Cylinder(Grid):
         cell = squared * (math.pi / self.shape[1]) * self.cell_m[2]
         return cell.reshape(-1, 1, 1).expand(self.shape).contiguous()
 
-    def clip(
-        self, origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"]
-    ) -> tuple[Float[Tensor, " R"], Float[Tensor, " R"]]:
+    def clip(self, origins: Rays, directions: Rays) -> tuple[Distances, Distances]:
         """Return the distances at which rays enter and leave the cylinder; a hole around the axis is not cut out."""
         disc = clip_disc(origins, directions, self.radius_m[1])
         slab = clip_slab(origins[:, 2], directions[:, 2], self.height_m)
         return torch.maximum(disc[0], slab[0]), torch.minimum(disc[1], slab[1])
 
-    def crossings(
-        self, origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"], start_m: Float[Tensor, " R"]
-    ) -> tuple[Crossings, Crossings, Crossings]:
+    def crossings(self, origins: Rays, directions: Rays, start_m: Distances) -> tuple[Crossings, Crossings, Crossings]:
         """Return the crossings with cylinders, half-planes and planes."""
         return (
             ring_crossings(origins, directions, start_m, self.radius_m, self.shape[0]),

@@ -9,19 +9,15 @@ import torch
 from jaxtyping import Bool, Float64, Int64
 from torch import Tensor
 
+from omniocc.geometry.raycast.trace import Traversable
+
 
 @runtime_checkable
-class Dilatable(Protocol):
+class Dilatable(Traversable, Protocol):
     """The part of `omniocc.geometry.Grid` that dilation needs."""
 
     @property
-    def shape(self) -> tuple[int, int, int]: ...  # noqa: D102
-
-    @property
     def cell_m(self) -> tuple[float, float, float]: ...  # noqa: D102
-
-    @property
-    def periodic(self) -> tuple[bool, bool, bool]: ...  # noqa: D102
 
     def centers(self, dtype: torch.dtype) -> Tensor: ...  # noqa: D102
 
@@ -41,9 +37,9 @@ def dilate(
 
     Args:
         grid: cylinder or cuboid.
-        mask: cells that are candidates, batch axes first.
+        mask: cells to widen, batch axes first.
         windows: half-width in cells for each range band, one more than there are edges.
-        edges_m: distances from the axis at which one band ends and the next begins; a cell's middle decides.
+        edges_m: distances of cell middles from the axis at which one band ends and the next begins.
 
     Raises:
         ValueError: if mask, windows and edges do not fit together.
@@ -65,7 +61,7 @@ def dilate(
 def _moves(
     grid: Dilatable, windows: tuple[int, ...], edges_m: tuple[float, ...]
 ) -> tuple[Int64[Tensor, " M"], Int64[Tensor, " M"]]:
-    """Return pairs of columns: the first marks the second."""
+    """Return the columns that mark others, and for each entry the column that it marks."""
     points = grid.centers(torch.float64)[:, :, 0].flatten(0, 1)
     distance_m = grid.distances_m().flatten()
     window = torch.tensor(windows)[torch.bucketize(distance_m, torch.tensor(edges_m, dtype=torch.float64), right=True)]

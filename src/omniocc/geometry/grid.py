@@ -12,7 +12,7 @@ from torch import Tensor
 
 from omniocc.classes import NUM_CLASSES
 from omniocc.geometry.dilate import dilate
-from omniocc.geometry.raycast.crossings import Crossings
+from omniocc.geometry.raycast.crossings import Crossings, Distances, Rays
 from omniocc.geometry.raycast.table import cast
 from omniocc.geometry.raycast.trace import Hits, Paths, paths
 from omniocc.geometry.vote import majority
@@ -20,7 +20,7 @@ from omniocc.geometry.warp import Corners, fold, interpolate, trilinear
 
 
 class Grid(ABC):
-    """Regular grid along three axes in the ego frame; subclasses are frozen dataclasses, so equal grids share caches.
+    """Regular grid along three axes in the ego frame; subclasses are frozen dataclasses, equal if their fields are.
 
     Attributes:
         shape: number of cells along each axis.
@@ -56,15 +56,11 @@ class Grid(ABC):
         """Return Cartesian ego points in metres with these values along the axes; the inverse of `to_axes`."""
 
     @abstractmethod
-    def clip(
-        self, origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"]
-    ) -> tuple[Float[Tensor, " R"], Float[Tensor, " R"]]:
+    def clip(self, origins: Rays, directions: Rays) -> tuple[Distances, Distances]:
         """Return the distances at which unit rays (float64) enter and leave the grid; enter > leave for a miss."""
 
     @abstractmethod
-    def crossings(
-        self, origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"], start_m: Float[Tensor, " R"]
-    ) -> tuple[Crossings, Crossings, Crossings]:
+    def crossings(self, origins: Rays, directions: Rays, start_m: Distances) -> tuple[Crossings, Crossings, Crossings]:
         """Return the crossings of rays (float64), inside from `start_m` on, with the boundaries of each axis."""
 
     @property
@@ -89,11 +85,11 @@ class Grid(ABC):
         return self.centers(torch.float64)[:, :, 0, :2].norm(dim=-1)
 
     def neighbors(self, device: torch.device | str | None = None) -> Int64[Tensor, "X Y Z 6"]:
-        """Return the cells that share a face with each cell: down and up along the first axis, the second, the third.
+        """Return the neighbours of each cell across its faces: down and up along the first axis, the second, the third.
 
         Returns:
             Row-major indices into a volume of `shape`; -1 beyond the ends of an axis that does not wrap around. No cell
-            has a neighbour across the z axis, where cells of a cylinder share an edge only.
+            has a neighbour across the z axis, where cells of a cylinder have only an edge in common.
         """
         flat = torch.arange(self.num_cells, device=device).reshape(self.shape)
         found = []
@@ -159,16 +155,7 @@ class Grid(ABC):
     def dilate(
         self, mask: Bool[Tensor, "*B X Y Z"], windows: Sequence[int], edges_m: Sequence[float | int]
     ) -> Bool[Tensor, "*B X Y Z"]:
-        """Return a mask widened towards and away from the z axis (see `omniocc.geometry.dilate.dilate`).
-
-        Args:
-            mask: cells that are candidates.
-            windows: half-width in cells for each range band, one more than there are edges.
-            edges_m: distances from the axis at which one band ends and the next begins.
-
-        Raises:
-            ValueError: if mask, windows and edges do not fit together.
-        """
+        """Return a mask widened towards and away from the z axis; see `omniocc.geometry.dilate.dilate`."""
         return dilate(self, mask, windows, edges_m)
 
     def warp(
@@ -201,23 +188,17 @@ class Grid(ABC):
         """Return which current cells had their centre inside the past frame's grid."""
         return torch.stack([self.index(self._moved_centers(pose))[1].reshape(self.shape) for pose in past_from_current])
 
-    def paths(self, origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"]) -> Paths:
+    def paths(self, origins: Rays, directions: Rays) -> Paths:
         """Return all cells that each ray crosses, in order (see `omniocc.geometry.raycast.trace.paths`)."""
         return paths(self, origins, directions)
 
-    def cast(
-        self, labels: UInt8[Tensor, "X Y Z"], origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"]
-    ) -> Hits:
+    def cast(self, labels: UInt8[Tensor, "X Y Z"], origins: Rays, directions: Rays) -> Hits:
         """Return the first cell along each ray that is not free (see `omniocc.geometry.raycast.table.cast`)."""
         return cast(self, labels, origins, directions)
 
     def trace(
-        self,
-        labels: UInt8[Tensor, "X Y Z"],
-        origins: Float[Tensor, "R 3"],
-        directions: Float[Tensor, "R 3"],
-        hit: Literal["exit", "entry"] = "exit",
-    ) -> tuple[Float32[Tensor, " R"], UInt8[Tensor, " R"]]:
+        self, labels: UInt8[Tensor, "X Y Z"], origins: Rays, directions: Rays, hit: Literal["exit", "entry"] = "exit",
+    ) -> tuple[Float32[Tensor, " R"], UInt8[Tensor, " R"]]:  # fmt: skip
         """Return range (m) and class of the first cell along each ray that is not free (0); unknown (255) is not free.
 
         Args:
@@ -228,7 +209,7 @@ class Grid(ABC):
 
         Returns:
             Range and class of each ray: without a hit the distance at which the ray leaves the grid and class free; for
-            a ray that never meets the grid inf and class free.
+            a ray that misses the grid inf and class free.
 
         Example:
             >>> from omniocc.geometry import Cylinder
@@ -253,22 +234,14 @@ def _center_columns(grid: Grid, device: torch.device) -> Float64[Tensor, "3 N"]:
 
 
 def as_axis(name: str, values: Sequence[float | int]) -> tuple[float, float]:
-    """Return a checked (low, high) pair.
-
-    Raises:
-        ValueError: if it is not two increasing finite numbers.
-    """
+    """Return a checked (low, high) pair; raise ValueError if it is not two increasing finite numbers."""
     if len(values) != 2 or not (values[0] < values[1] and math.isfinite(values[0]) and math.isfinite(values[1])):
         raise ValueError(f"{name} must be two finite, increasing numbers (low, high) in metres, got {tuple(values)}")
     return float(values[0]), float(values[1])
 
 
 def as_shape(values: Sequence[int]) -> tuple[int, int, int]:
-    """Return the checked number of cells along three axes.
-
-    Raises:
-        ValueError: if it is not three positive whole numbers.
-    """
+    """Return the cells along three axes; raise ValueError if they are not three positive whole numbers."""
     if len(values) != 3 or not all(isinstance(cells, int) and cells > 0 for cells in values):
         raise ValueError(f"shape must be three positive whole numbers of cells, got {tuple(values)}")
     return values[0], values[1], values[2]

@@ -1,4 +1,4 @@
-"""The surface of occupied cells: what pictures and meshes of voxels are drawn from."""
+"""The surface of occupied cells, from which images and meshes of voxels are drawn."""
 
 from typing import NamedTuple
 
@@ -10,7 +10,7 @@ from torch import Tensor
 from omniocc.geometry.grid import Grid
 
 AROUND = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
-"""Corners of a face along the two axes that lie in it, in turn."""
+"""Corners of a face along the two axes in its plane, in turn."""
 
 
 class Surface(NamedTuple):
@@ -26,14 +26,10 @@ class Surface(NamedTuple):
 
 
 def surface(occupied: Bool[Tensor, "X Y Z"], geometry: Grid) -> Surface:
-    """Return the faces between an occupied cell and a neighbour that is not occupied or lies outside the grid.
+    """Return the faces between an occupied cell and a neighbour that is not occupied or is outside the grid.
 
     Faces come axis by axis, lower before upper, cells in row-major order. A cylinder's curved faces are drawn flat, as
     chords; at its axis, faces have no area.
-
-    Args:
-        occupied: cells that belong to the solid.
-        geometry: their grid.
     """
     solid = occupied.reshape(-1).numpy()
     neighbors = geometry.neighbors().reshape(-1, 6).numpy()

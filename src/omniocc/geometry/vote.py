@@ -15,11 +15,7 @@ def majority(
     A tie goes to the highest class id (the thin classes Pole, Pedestrian and Roadline are the last). Unknown points
     (255) do not vote; a cell with unknown points only is unknown. A cell without points is free (0).
 
-    Args:
-        cells: cell of each point.
-        labels: class of each point, 1 .. num_classes-1 or 255.
-        num_cells: length of the result.
-        num_classes: number of classes, free included.
+    Labels are 1 .. num_classes-1 or 255; `num_cells` is the length of the result.
 
     Raises:
         ValueError: if a label is free or not a class.

@@ -32,18 +32,12 @@ def fold(index: Int64[Tensor, "..."], cells: int) -> Int64[Tensor, "..."]:
 
 
 def trilinear(
-    position: tuple[Float[Tensor, " N"], Float[Tensor, " N"], Float[Tensor, " N"]],
-    shape: tuple[int, int, int],
-    periodic: tuple[bool, bool, bool],
-    dtype: torch.dtype,
-) -> Corners:
+    position: tuple[Float[Tensor, " N"], Float[Tensor, " N"], Float[Tensor, " N"]], shape: tuple[int, int, int],
+    periodic: tuple[bool, bool, bool], dtype: torch.dtype,
+) -> Corners:  # fmt: skip
     """Return the eight cells around each point, with their weights; border cells are repeated beyond the border.
 
-    Args:
-        position: points along each axis in units of cells (`Grid.coordinates`); float64 keeps the identity pose exact.
-        shape: cells along each axis.
-        periodic: which axes wrap around.
-        dtype: of the weights.
+    `position` is along each axis in units of cells (`Grid.coordinates`; float64 keeps the identity pose exact).
     """
     inside = torch.ones_like(position[0], dtype=torch.bool)
     cells, weights, stride = [], [], shape[0] * shape[1] * shape[2]
@@ -74,7 +68,7 @@ def _pairs(
 
 @lru_cache(maxsize=64)
 def axis_steps(cells: int, wraps: bool, stride: int, device: torch.device) -> Int32[Tensor, " steps"]:
-    """Return what indices -1 .. cells+1 of an axis add to a row-major index: beyond the ends it wraps or stops."""
+    """Return the row-major offsets of indices -1 .. cells+1 of an axis, which wrap around or stop at its ends."""
     index = torch.arange(-1, cells + 2, dtype=torch.int32, device=device)
     return (index.remainder(cells) if wraps else index.clamp(0, cells - 1)) * stride
 

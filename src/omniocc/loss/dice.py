@@ -10,8 +10,8 @@ from omniocc.loss.soft_confusion import soft_confusion
 class Dice(nn.Module):
     """Mean over classes of 1 - 2 TP / (2 TP + FP + FN), with sums of probabilities as counts (paper, eq. 5).
 
-    The paper does not say which classes count. Here those that occur in the target do, free included. A class that does
-    not occur has TP = 0 for every prediction: its term would be 1 without a gradient.
+    The paper does not state which classes count. Those that occur in the target do here, free included. A class that
+    does not occur has TP = 0 for every prediction: its term would be 1 without a gradient.
     """
 
     def forward(self, logits: Float[Tensor, "B C *grid"], target: UInt8[Tensor, "B *grid"]) -> Float32[Tensor, ""]:

@@ -12,10 +12,8 @@ def jaccard_steps(foreground: Float32[Tensor, "C N"]) -> Float32[Tensor, "C N"]:
     """Return the increase of the Jaccard loss by each further wrong voxel, in the given order.
 
     For each row, with Delta_k = 1 - |y minus the first k| / |y or the first k| the Jaccard loss with the first k voxels
-    wrong: Delta_k - Delta_(k-1), and Delta_0 = 0 (Berman et al. 2018, eq. 8 and 9).
-
-    Args:
-        foreground: 1 where a voxel belongs to the class, else 0, along the order.
+    wrong: Delta_k - Delta_(k-1), and Delta_0 = 0 (Berman et al. 2018, eq. 8 and 9). `foreground` is
+    1 where a voxel belongs to the class, else 0, along the order.
     """
     count = foreground.sum(1, keepdim=True)
     missed = count - foreground.cumsum(1)

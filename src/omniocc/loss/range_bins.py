@@ -11,7 +11,7 @@ from torch.nn import functional as F
 class RangeBins(nn.Module):
     """Mean cross-entropy with the bin of the nearest surface in each cell of the image, in float32.
 
-    The supervision of depth by BEVDepth (Li et al., 2023), with bins of range. Only cells whose nearest range lies in a
+    The supervision of depth by BEVDepth (Li et al., 2023), with bins of range. Only cells whose nearest range is in a
     bin count: not those of the sky (inf), of the ego vehicle or outside the lens (nan), or of surfaces before the first
     or behind the last bin.
 

@@ -43,12 +43,9 @@ class Total(nn.Module):
     """
 
     def __init__(
-        self,
-        voxel: Mapping[str, nn.Module],
-        pixel: Mapping[str, nn.Module],
-        weights: Mapping[str, float],
+        self, voxel: Mapping[str, nn.Module], pixel: Mapping[str, nn.Module], weights: Mapping[str, float],
         ray: Mapping[str, nn.Module] | None = None,
-    ):
+    ):  # fmt: skip
         super().__init__()
         ray = ray or {}
         names = [*voxel, *pixel, *ray]
@@ -66,19 +63,13 @@ class Total(nn.Module):
                 loss.set_class_counts(counts)
 
     def forward(
-        self,
-        prediction: HasLogits,
-        voxels: UInt8[Tensor, "B X Y Z"] | None,
-        pixel_labels: UInt8[Tensor, "B N H W"] | None,
-        camera_range_m: Float[Tensor, "B N H W"] | None = None,
-    ) -> dict[str, Float32[Tensor, ""]]:
+        self, prediction: HasLogits, voxels: UInt8[Tensor, "B X Y Z"] | None,
+        pixel_labels: UInt8[Tensor, "B N H W"] | None, camera_range_m: Float[Tensor, "B N H W"] | None = None,
+    ) -> dict[str, Float32[Tensor, ""]]:  # fmt: skip
         """Return weighted scalar terms by name; labels that are absent (None) give no terms.
 
-        Args:
-            prediction: logits.
-            voxels: class of every cell, 255 unknown.
-            pixel_labels: class of every pixel, 255 unknown; looked at only if the model predicts pixels.
-            camera_range_m: true range of every pixel, m; nan unknown. Looked at only if there are terms of rays.
+        Unknown labels are 255, unknown ranges (m) nan. `pixel_labels` are used only if the model predicts pixels, and
+        `camera_range_m` only if there are terms of rays.
 
         Raises:
             ValueError: if there are terms of rays, but the lifter estimates no ranges.

@@ -8,14 +8,6 @@ from omniocc.metric.ray_iou import RayIoU, RayTruth, ray_iou
 from omniocc.metric.voxel_iou import VoxelIoU
 
 __all__ = [
-    "Candidates",
-    "DepthMetrics",
-    "RayIoU",
-    "RayTruth",
-    "VoxelIoU",
-    "eight_origins",
-    "ray_hits",
-    "ray_iou",
-    "sparseocc_directions",
-    "sphere_index",
-]
+    "Candidates", "DepthMetrics", "RayIoU", "RayTruth", "VoxelIoU", "eight_origins", "ray_hits", "ray_iou",
+    "sparseocc_directions", "sphere_index",
+]  # fmt: skip

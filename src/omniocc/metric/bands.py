@@ -14,7 +14,7 @@ PAPER_RANGE_EDGES_M = (0.0, 8.5, 17.0, 25.6)
 
 
 def as_edges(edges_m: Sequence[float | int] | None) -> tuple[float, ...]:
-    """Return the checked ends of range bands; () for None, which stands for no bands.
+    """Return the checked ends of range bands; () for None: no bands.
 
     Raises:
         ValueError: if the ends are fewer than two or do not increase.

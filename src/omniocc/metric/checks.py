@@ -9,17 +9,10 @@ from torch import Tensor
 def check_labels(
     name: str, labels: Tensor, shape: tuple[int, ...], num_classes: int, ignore_class: int | None = None
 ) -> Tensor:
-    """Return class ids as uint8 after checking them.
-
-    Args:
-        name: name of the tensor in messages.
-        labels: (B, *shape) of an integer type, or whole numbers of a floating one.
-        shape: the axes after the batch axis.
-        num_classes: ids must lie in 0 .. num_classes-1 ...
-        ignore_class: ... or equal this one.
+    """Return class ids (B, *shape), whole numbers of any type, as uint8.
 
     Raises:
-        ValueError: naming shape, type or value.
+        ValueError: with `name`, for a wrong shape, type, or id other than 0 .. num_classes-1 and `ignore_class`.
     """
     if labels.ndim != len(shape) + 1 or labels.shape[1:] != shape:
         expected = ", ".join(["B", *map(str, shape)])
@@ -63,7 +56,7 @@ def check_same_batch(first: str, left: Tensor, second: str, right: Tensor) -> No
 
 
 def check_increasing(name: str, values: tuple[float, ...], at_least: int) -> None:
-    """Raise ValueError unless there are at least so many distances in metres, none negative and all increasing."""
+    """Raise ValueError unless `values` are `at_least` distances in metres, increasing and none negative."""
     rising = all(low < high for low, high in itertools.pairwise(values))
     if len(values) < at_least or not rising or (values and values[0] < 0):
         raise ValueError(f"{name} must be {at_least} or more increasing distances in metres, got {values}")

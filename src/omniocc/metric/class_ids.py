@@ -30,7 +30,6 @@ class ClassIds:
     names: Sequence[str] | None = None
 
     def __post_init__(self) -> None:
-        """Check ids and names."""
         if not 2 <= self.num_classes <= 255:
             raise ValueError(f"num_classes must be 2..255, got {self.num_classes}")
         if not 0 <= self.free < self.num_classes:

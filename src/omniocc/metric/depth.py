@@ -30,12 +30,9 @@ def sphere_index(
 
 
 def depth_sums(
-    prediction_m: Float64[Tensor, " R"],
-    target_m: Float64[Tensor, " R"],
-    nearest_m: float,
-    farthest_m: float,
+    prediction_m: Float64[Tensor, " R"], target_m: Float64[Tensor, " R"], nearest_m: float, farthest_m: float,
     spheres: int,
-) -> Float64[Tensor, "R sums"]:
+) -> Float64[Tensor, "R sums"]:  # fmt: skip
     """Return the errors of every ray, in the order of `NAMES`."""
     error_m = (prediction_m - target_m).abs()
     ratio = torch.maximum(prediction_m / target_m, target_m / prediction_m)
@@ -61,7 +58,7 @@ def depth_scores(
 class DepthMetrics(Metric):
     """Errors of predicted ranges over a dataset.
 
-    Rays count whose true range lies between the nearest and the farthest sphere; those of the sky do not. Predictions
+    Rays count whose true range is between the nearest and the farthest sphere; those of the sky do not. Predictions
     are clamped to that interval. Keys: `mae` and `rmse` (m), `absrel`, `delta1`..`delta3` (fraction of rays with a
     ratio below 1.25^k), `index_mae`, `index_rmse` (percent of the number of spheres) and `index>1`, `index>3`,
     `index>5` (fraction of rays with an index error above that percentage, after OmniMVS); with `_<lower>-<upper>m` the
@@ -90,12 +87,9 @@ class DepthMetrics(Metric):
     count: Tensor
 
     def __init__(
-        self,
-        nearest_m: float = 0.5,
-        farthest_m: float = float("inf"),
-        spheres: int = 192,
+        self, nearest_m: float = 0.5, farthest_m: float = float("inf"), spheres: int = 192,
         range_edges_m: Sequence[float | int] | None = None,
-    ):
+    ):  # fmt: skip
         super().__init__()
         check_increasing("nearest_m and farthest_m", (float(nearest_m), float(farthest_m)), at_least=2)
         if nearest_m <= 0 or spheres < 2:
@@ -107,11 +101,9 @@ class DepthMetrics(Metric):
         self.add_state("count", torch.zeros(rows, dtype=torch.float64), dist_reduce_fx="sum")
 
     def update(
-        self,
-        prediction_m: Float[Tensor, "..."],
-        target_m: Float[Tensor, "..."],
+        self, prediction_m: Float[Tensor, "..."], target_m: Float[Tensor, "..."],
         observed: Bool[Tensor, "..."] | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Add predicted and true ranges along the same rays.
 
         Args:

@@ -10,7 +10,7 @@ from torch import Tensor
 def sparseocc_directions() -> Float64[Tensor, "14040 3"]:
     """Return the 39 x 360 unit directions of the public RayIoU (SparseOcc, Liu et al. 2024), elevation by elevation.
 
-    The ten lowest elevations, -atan(1/k) for k = 1..10, meet flat ground at 1, 2, .. 10 times the sensor's height; the
+    The ten lowest elevations, -atan(1/k) for k = 1..10, hit flat ground at 1, 2, .. 10 times the sensor's height; the
     others continue upwards by atan(10) - atan(9) while the last one is below 0.21 rad. Azimuths are 0, 1, .. 359
     degrees, counter-clockwise from +x.
     """
@@ -20,7 +20,7 @@ def sparseocc_directions() -> Float64[Tensor, "14040 3"]:
     elevation, azimuth = torch.meshgrid(
         torch.tensor(elevations, dtype=torch.float64), torch.arange(360).double().deg2rad(), indexing="ij"
     )
-    # directions at multiples of 90 degrees lie exactly on an axis
+    # directions at multiples of 90 degrees are exactly on an axis
     x, y = (part.masked_fill(part.abs() < 1e-15, 0.0) for part in (azimuth.cos(), azimuth.sin()))
     return torch.stack([elevation.cos() * x, elevation.cos() * y, elevation.sin()], dim=-1).reshape(-1, 3)
 
@@ -33,7 +33,7 @@ def eight_origins(positions_m: Float[Tensor, "F 3"], reach_m: float = 39.0, most
             frame, in order of time.
         reach_m: positions with |x| and |y| below this are used; z does not matter.
         most: largest number of origins. Of more positions, the first, the last and evenly spaced ones between them are
-            taken, so that the frame's own position may be missing.
+            taken, so that the position of the frame itself may be missing.
 
     Returns:
         At most `most` origins. Those of a standing car repeat, and each repetition counts.

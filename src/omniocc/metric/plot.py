@@ -15,20 +15,20 @@ DEFAULT_COLOR = "#4c72b0"
 
 
 def plot_bars(scores: Mapping[str, Tensor], keys: list[str], ax: "Axes | None" = None) -> "tuple[Figure, Axes]":
-    """Draw a bar for each chosen score, from 0 to 1; scores that are nan have no bar.
+    """Draw a bar for each score in `keys`, from 0 to 1; scores that are nan have no bar.
 
     Args:
         scores: the result of `compute`.
-        keys: the chosen scores, in order. The part after a slash is the label of the bar; a class of the virtual world
+        keys: the scores to draw, in order. The part after a slash is the label of the bar; a class of the virtual world
             has its colour from the class table.
         ax: axes to draw on; default a new figure.
 
     Raises:
         ImportError: without matplotlib.
-        ValueError: if there is nothing to draw.
+        ValueError: if `keys` is empty.
     """
     if not keys:
-        raise ValueError(f"no scores with these keys; there are {', '.join(scores)}")
+        raise ValueError(f"no scores with these keys; available: {', '.join(scores)}")
     try:
         from matplotlib import pyplot
     except ImportError as error:

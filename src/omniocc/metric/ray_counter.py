@@ -39,16 +39,10 @@ class RayCounter:
     """
 
     def __init__(
-        self,
-        geometry: Cylinder | Cuboid,
-        classes: ClassIds,
-        thresholds_m: Sequence[float | int],
-        range_edges_m: Sequence[float | int] | None,
-        directions: Float[Tensor, "D 3"] | None,
-        target_geometry: Cylinder | Cuboid | None,
-        hit: Literal["exit", "entry"],
-        count_free_rays: bool,
-    ):
+        self, geometry: Cylinder | Cuboid, classes: ClassIds, thresholds_m: Sequence[float | int],
+        range_edges_m: Sequence[float | int] | None, directions: Float[Tensor, "D 3"] | None,
+        target_geometry: Cylinder | Cuboid | None, hit: Literal["exit", "entry"], count_free_rays: bool,
+    ):  # fmt: skip
         if hit not in ("exit", "entry"):
             raise ValueError(f"hit must be 'exit' or 'entry', got {hit!r}")
         self.geometry, self.target_geometry = geometry, target_geometry or geometry
@@ -65,12 +59,9 @@ class RayCounter:
         return RayCounts(zeros, zeros.clone(), zeros.unsqueeze(1).repeat(1, len(self.thresholds_m), 1))
 
     def count(
-        self,
-        prediction: Shaped[Tensor, "B *grid"],
-        target: Shaped[Tensor, "Bt *target_grid"] | RayTruth,
-        origins: Float[Tensor, "*origins 3"] | None = None,
-        observed: Shaped[Tensor, "Bo *observed_grid"] | None = None,
-    ) -> RayCounts:
+        self, prediction: Shaped[Tensor, "B *grid"], target: Shaped[Tensor, "Bt *target_grid"] | RayTruth,
+        origins: Float[Tensor, "*origins 3"] | None = None, observed: Shaped[Tensor, "Bo *observed_grid"] | None = None,
+    ) -> RayCounts:  # fmt: skip
         """Return the summed counts of a batch; arguments as in `RayIoU.update`.
 
         Raises:
@@ -110,12 +101,12 @@ class RayCounter:
             raise ValueError("count_free_rays needs rays that are the same in all frames")
         starts = torch.zeros_like(target.directions) if target.starts is None else target.starts
         rows = zip(prediction, target.range_m, target.labels, target.directions, starts, strict=True)
-        return [self._count_own_rays(*row) for row in rows]
+        return [self._count_frame_rays(*row) for row in rows]
 
-    def _count_own_rays(
+    def _count_frame_rays(
         self, prediction: Tensor, range_m: Tensor, labels: Tensor, directions: Tensor, starts: Tensor
     ) -> RayCounts:
-        """Return the counts of one frame whose R rays have directions and starts (R, 3) of their own."""
+        """Return the counts of one frame whose R rays have individual directions and starts (R, 3)."""
         kept = (labels != self.classes.free) & (labels != self.classes.ignored) & range_m.isfinite()
         range_m, labels, directions, starts = range_m[kept].double(), labels[kept], directions[kept], starts[kept]
         # uint8 wraps around, as in `_cast`
@@ -168,7 +159,7 @@ class RayCounter:
         return [found._replace(labels=found.labels + self.classes.free) for found in hits]
 
     def _inside(self, origins: Float[Tensor, "O 3"], range_m: Float[Tensor, " R"]) -> Bool[Tensor, " R"]:
-        """Return whether the points at these distances lie in the prediction's grid."""
+        """Return whether the points at these distances are in the prediction's grid."""
         starts, directions = self.scan.rays(origins)
         return self.geometry.index(starts + directions * range_m.unsqueeze(-1))[1]
 

@@ -27,26 +27,14 @@ class RayCounts(NamedTuple):
 
 
 def count_rays(
-    true_labels: UInt8[Tensor, " R"],
-    true_m: Float[Tensor, " R"],
-    predicted_labels: UInt8[Tensor, " R"],
-    error_m: Float[Tensor, " R"],
-    valid: Bool[Tensor, " R"],
-    num_classes: int,
-    thresholds_m: Sequence[float],
+    true_labels: UInt8[Tensor, " R"], true_m: Float[Tensor, " R"], predicted_labels: UInt8[Tensor, " R"],
+    error_m: Float[Tensor, " R"], valid: Bool[Tensor, " R"], num_classes: int, thresholds_m: Sequence[float],
     range_edges_m: Sequence[float],
-) -> RayCounts:
-    """Return the counts of valid rays.
+) -> RayCounts:  # fmt: skip
+    """Return the counts of the rays that are `valid`.
 
-    Args:
-        true_labels: class of the true hit.
-        true_m: distance of the true hit, which decides the band: [lower, upper).
-        predicted_labels: class of the predicted hit, the free class for none.
-        error_m: distance between the true and the predicted hit along the ray.
-        valid: rays that count.
-        num_classes: number of classes, free included.
-        thresholds_m: errors strictly below count as correct.
-        range_edges_m: ends of the range bands, increasing; may be empty.
+    A ray's true distance decides its band, [lower, upper). It is correct if true and predicted class (free for no hit)
+    are equal and the distance between both hits along the ray, `error_m`, is strictly below the threshold.
     """
     rows = num_rows(range_edges_m)
     first = band_of(true_m[valid], range_edges_m) * num_classes
@@ -61,20 +49,13 @@ def count_rays(
 
 
 def ray_scores(
-    counts: RayCounts,
-    occupied: Mapping[int, str],
-    thresholds_m: Sequence[float],
-    range_edges_m: Sequence[float],
+    counts: RayCounts, occupied: Mapping[int, str], thresholds_m: Sequence[float], range_edges_m: Sequence[float]
 ) -> dict[str, Tensor]:
     """Return the scores of counts: IoU of class c at a threshold = correct / (truth + predicted - correct).
 
     Classes that occur neither in the truth nor in the prediction are nan and left out of every mean.
 
-    Args:
-        counts: see `count_rays`.
-        occupied: names by id of the classes that are scored: all but free.
-        thresholds_m: those of the counts.
-        range_edges_m: those of the counts.
+    `occupied` has the names by id of the classes that are scored: all but free.
 
     Returns:
         `rayiou` (mean over thresholds and classes), `rayiou@<threshold>`, `rayiou/<class>` and

@@ -11,14 +11,10 @@ from omniocc.metric.directions import sparseocc_directions
 
 
 def ray_hits(
-    labels: Shaped[Tensor, "X Y Z"],
-    geometry: Cylinder | Cuboid,
-    origins: Float[Tensor, "O 3"] | None = None,
-    directions: Float[Tensor, "D 3"] | None = None,
-    num_classes: int = NUM_CLASSES,
-    free_class: int = FREE,
+    labels: Shaped[Tensor, "X Y Z"], geometry: Cylinder | Cuboid, origins: Float[Tensor, "O 3"] | None = None,
+    directions: Float[Tensor, "D 3"] | None = None, num_classes: int = NUM_CLASSES, free_class: int = FREE,
     ignore_class: int = UNKNOWN,
-) -> Hits:
+) -> Hits:  # fmt: skip
     """Return range, class and cell of the first hit of each ray in one label volume, as RayPQ needs them.
 
     Args:

@@ -23,12 +23,12 @@ class RayIoU(Metric):
     """RayIoU over a dataset, counted as in the public protocol.
 
     A ray counts if its true first hit is of a class other than free and unknown. It is correct at a threshold if the
-    predicted first hit has the same class and lies at a distance that differs by less than the threshold. Counts are
+    predicted first hit has the same class and is at a distance that differs by less than the threshold. Counts are
     summed over rays, frames and processes; IoU = correct / (true + predicted - correct) for each class and threshold,
-    and the mean runs over thresholds and over the classes present. A ray that never meets the grid is invalid (the
+    and the mean runs over thresholds and over the classes present. A ray that misses the grid is invalid (the
     public script takes voxel (0, 0, 0) for it).
 
-    The paper does not say which thresholds, rays and origins it used. The default here is the mean over 1, 2 and 4 m of
+    The paper does not state its thresholds, rays and origins. The default here is the mean over 1, 2 and 4 m of
     the public 39 x 360 rays from the ego origin. Range bands refer to the true distance along the ray.
     `docs/rayiou.md` compares this with the public script.
 
@@ -40,7 +40,7 @@ class RayIoU(Metric):
         thresholds_m: distance errors that count as correct, each strictly below; the mean runs over these.
         range_edges_m: ends of the range bands; None for no bands.
         directions: (D, 3) rays in the ego frame; default `sparseocc_directions()`.
-        target_geometry: grid of the targets; default `geometry`. Rays whose true hit lies outside the prediction's grid
+        target_geometry: grid of the targets; default `geometry`. Rays whose true hit is outside the prediction's grid
             are dropped.
         hit: distance of a hit: where the ray leaves the cell hit (the public protocol) or where it enters it.
         count_free_rays: also count rays whose truth is free, at the distance at which the ray leaves the grid, so that
@@ -126,7 +126,7 @@ class RayIoU(Metric):
         """Add predicted class ids of a batch against the measurements of a real LiDAR, whose truth has no grid.
 
         An occupied voxel does not locate the surface inside it, so the error of a ray is the distance from the true
-        range to the segment of the ray inside the predicted cell: 0 if the true point lies in it. (`hit` applies to
+        range to the segment of the ray inside the predicted cell: 0 if the true point is in it. (`hit` applies to
         voxels against voxels only, where both sides have the same bias.) A ray without a hit, or with a point outside
         the grid, has free truth and is dropped unless `count_free_rays`; no truth is available behind its point.
 
@@ -180,9 +180,9 @@ def ray_iou(
     count_free_rays: bool = False,
     class_names: Sequence[str] | None = None,
 ) -> dict[str, Tensor]:
-    """Return the RayIoU of these frames alone; see `RayIoU` for the definition, the arguments and the keys.
+    """Return the RayIoU of these frames; see `RayIoU` for the definition, the arguments and the keys.
 
-    In a distributed run each process gets the figures of its own frames, without communication.
+    In a distributed run each process gets the scores of its frames, without communication.
 
     Example:
         >>> import torch

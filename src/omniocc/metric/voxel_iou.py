@@ -20,33 +20,17 @@ if TYPE_CHECKING:
 
 
 def voxel_confusion(
-    prediction: UInt8[Tensor, "B X Y Z"],
-    target: UInt8[Tensor, "B X Y Z"],
-    counted: Bool[Tensor, "B X Y Z"],
-    num_classes: int,
-    weights: Float64[Tensor, "X Y Z"] | None = None,
-) -> Float64[Tensor, "C C"]:
-    """Return the sums of voxels, or of their weights, by true (row) and predicted (column) class.
-
-    Args:
-        prediction: class of every cell.
-        target: true class of every cell.
-        counted: cells that count.
-        num_classes: number of classes, free included.
-        weights: of every cell; default 1.
-    """
+    prediction: UInt8[Tensor, "B X Y Z"], target: UInt8[Tensor, "B X Y Z"], counted: Bool[Tensor, "B X Y Z"],
+    num_classes: int, weights: Float64[Tensor, "X Y Z"] | None = None,
+) -> Float64[Tensor, "C C"]:  # fmt: skip
+    """Return the sums of counted voxels, or of their weights, by true (row) and predicted (column) class."""
     keys = target[counted].long() * num_classes + prediction[counted]
     weights = None if weights is None else weights.to(keys.device).expand(counted.shape)[counted]
     return torch.bincount(keys, weights, minlength=num_classes**2).double().reshape(num_classes, num_classes)
 
 
 def voxel_scores(confusion: Float64[Tensor, "C C"], free_class: int, occupied: Mapping[int, str]) -> dict[str, Tensor]:
-    """Return the scores of sums.
-
-    Args:
-        confusion: see `voxel_confusion`.
-        free_class: id of free space.
-        occupied: names by id of all other classes.
+    """Return the scores of sums (`voxel_confusion`); `occupied` has the names by id of all classes but free.
 
     Returns:
         `iou`, `precision`, `recall` and `f1` of occupied against free; `iou/<class>` of the occupied classes, and
@@ -94,24 +78,18 @@ class VoxelIoU(Metric):
     confusion: Tensor
 
     def __init__(
-        self,
-        num_classes: int = NUM_CLASSES,
-        free_class: int = FREE,
-        ignore_class: int = UNKNOWN,
-        geometry: Cylinder | Cuboid | None = None,
-        class_names: Sequence[str] | None = None,
-    ):
+        self, num_classes: int = NUM_CLASSES, free_class: int = FREE, ignore_class: int = UNKNOWN,
+        geometry: Cylinder | Cuboid | None = None, class_names: Sequence[str] | None = None,
+    ):  # fmt: skip
         super().__init__()
         self.classes = ClassIds(num_classes, free_class, ignore_class, class_names)
         self.geometry = geometry
         self.add_state("confusion", torch.zeros(num_classes, num_classes, dtype=torch.float64), dist_reduce_fx="sum")
 
     def update(
-        self,
-        prediction: Shaped[Tensor, "B X Y Z"],
-        target: Shaped[Tensor, "Bt Xt Yt Zt"],
+        self, prediction: Shaped[Tensor, "B X Y Z"], target: Shaped[Tensor, "Bt Xt Yt Zt"],
         observed: Bool[Tensor, "Bt Xt Yt Zt"] | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Add predicted and true class ids of a batch.
 
         Args:

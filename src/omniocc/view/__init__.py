@@ -1,4 +1,4 @@
-"""Images for people: numpy (height, width, 3) uint8 RGB."""
+"""Images of data and predictions: numpy (height, width, 3) uint8 RGB."""
 
 from omniocc.view.bev import bev, error_bev
 from omniocc.view.canvas import save_png
@@ -9,15 +9,6 @@ from omniocc.view.sketch import sketch_sheet
 from omniocc.view.voxels import render_voxels
 
 __all__ = [
-    "SheetParts",
-    "bev",
-    "comparison",
-    "comparison_parts",
-    "comparison_sheet",
-    "depth_sheet",
-    "error_bev",
-    "predicted_sheet",
-    "render_voxels",
-    "save_png",
-    "sketch_sheet",
-]
+    "SheetParts", "bev", "comparison", "comparison_parts", "comparison_sheet", "depth_sheet", "error_bev",
+    "predicted_sheet", "render_voxels", "save_png", "sketch_sheet",
+]  # fmt: skip

@@ -3,20 +3,14 @@
 import cv2
 import numpy as np
 import torch
-from jaxtyping import UInt8
-from torch import Tensor
 
 from omniocc.classes import FREE, UNKNOWN, ClassTable
 from omniocc.geometry import Grid
-from omniocc.view.canvas import Rgb
+from omniocc.view.canvas import Labels, Rgb, legend
 
-OUTSIDE: Rgb = (255, 255, 255)
-EMPTY: Rgb = (238, 240, 243)
-RIGHT: Rgb = (196, 222, 200)
-SHIFTED: Rgb = (240, 225, 150)
-WRONG: Rgb = (240, 170, 50)
-MISSED: Rgb = (50, 105, 195)
-HALLUCINATED: Rgb = (205, 50, 60)
+OUTSIDE, EMPTY = (255, 255, 255), (238, 240, 243)
+RIGHT, SHIFTED, WRONG = (196, 222, 200), (240, 225, 150), (240, 170, 50)
+MISSED, HALLUCINATED = (50, 105, 195), (205, 50, 60)
 ERRORS: tuple[tuple[str, Rgb], ...] = (
     ("right", RIGHT),
     ("at another height", SHIFTED),
@@ -26,7 +20,7 @@ ERRORS: tuple[tuple[str, Rgb], ...] = (
 )
 
 
-def bev(labels: UInt8[Tensor, "X Y Z"], geometry: Grid, classes: ClassTable, size_px: int) -> np.ndarray:
+def bev(labels: Labels, geometry: Grid, classes: ClassTable, size_px: int) -> np.ndarray:
     """Return a square image of the whole grid, each column in the colour of its topmost occupied cell."""
     columns = topmost(labels)
     colors = classes.palette[columns]
@@ -34,19 +28,11 @@ def bev(labels: UInt8[Tensor, "X Y Z"], geometry: Grid, classes: ClassTable, siz
     return draw_columns(colors, geometry, size_px)
 
 
-def error_bev(
-    truth: UInt8[Tensor, "X Y Z"], prediction: UInt8[Tensor, "X Y Z"], geometry: Grid, size_px: int
-) -> np.ndarray:
+def error_bev(truth: Labels, prediction: Labels, geometry: Grid, size_px: int) -> np.ndarray:
     """Return a square image with the most frequent kind of difference among the occupied cells of each column.
 
     Kinds and colours are `ERRORS`; of equally frequent kinds the first is drawn. A column with as many missed as
     hallucinated cells and the right topmost class counts as 'at another height'. Cells of unknown truth do not count.
-
-    Args:
-        truth: class of every cell.
-        prediction: class of every cell.
-        geometry: the grid of both.
-        size_px: width and height of the image.
     """
     true, predicted = truth.numpy(), prediction.numpy()
     known = true != UNKNOWN
@@ -54,10 +40,8 @@ def error_bev(
     def count(kind: np.ndarray) -> np.ndarray:
         return (kind & known).sum(2)
 
-    right, wrong = (
-        count((true == predicted) & (true != FREE)),
-        count((true != predicted) & (true != FREE) & (predicted != FREE)),
-    )
+    right = count((true == predicted) & (true != FREE))
+    wrong = count((true != predicted) & (true != FREE) & (predicted != FREE))
     missed, hallucinated = count((true != FREE) & (predicted == FREE)), count((true == FREE) & (predicted != FREE))
     shifted = np.where((missed == hallucinated) & (topmost(truth) == topmost(prediction)), missed, 0)
     counts = np.stack([right, shifted, wrong, missed, hallucinated])
@@ -67,7 +51,13 @@ def error_bev(
     return draw_columns(colors, geometry, size_px)
 
 
-def topmost(labels: UInt8[Tensor, "X Y Z"]) -> np.ndarray:
+def error_legend(width: int) -> np.ndarray:
+    """Return a legend of `ERRORS`."""
+    (first, rgb), *others = ERRORS
+    return legend([(f"Difference: {first}", rgb), *others], width)
+
+
+def topmost(labels: Labels) -> np.ndarray:
     """Return the class (X, Y) of the highest occupied cell of each column; free where there is none."""
     cells = labels.numpy()[:, :, ::-1]
     occupied = (cells != FREE) & (cells != UNKNOWN)
@@ -84,7 +74,7 @@ def draw_columns(colors: np.ndarray, geometry: Grid, size_px: int) -> np.ndarray
     index, inside = geometry.index(torch.stack([x, y, torch.full_like(x, middle)], dim=-1))
     image = colors[index[..., 0].numpy(), index[..., 1].numpy()]
     image[~inside.numpy()] = OUTSIDE
-    _own_car(image, size_px / (2 * half_m))
+    _draw_ego(image, size_px / (2 * half_m))
     return image
 
 
@@ -93,7 +83,7 @@ def _half_width_m(geometry: Grid) -> float:
     return float(geometry.from_axes(*edges)[..., :2].abs().max())
 
 
-def _own_car(image: np.ndarray, px_per_m: float) -> None:
+def _draw_ego(image: np.ndarray, px_per_m: float) -> None:
     """Draw an arrowhead at the origin that points forward, in place."""
     outline = np.array([[2.4, 0.0], [-2.0, 1.3], [-1.2, 0.0], [-2.0, -1.3]])  # x, y in metres
     pixels = np.stack([-outline[:, 1], -outline[:, 0]], 1) * px_per_m + image.shape[0] / 2 - 0.5

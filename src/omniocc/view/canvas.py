@@ -1,15 +1,24 @@
 """Drawing helpers: text, labels on images, files. Images are (height, width, 3) uint8 RGB arrays."""
 
+from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
 
 import cv2
 import numpy as np
+from jaxtyping import Float, UInt8
+from torch import Tensor
 
 from omniocc.classes import FREE, ClassTable
 from omniocc.io import atomic_write
 
 Rgb = tuple[int, int, int]
+Images = Sequence[np.ndarray]
+"""RGB images (H, W, 3) uint8 of every camera."""
+Labels = UInt8[Tensor, "X Y Z"]
+"""Class of every cell, 255 unknown."""
+Ranges = Float[Tensor, "h w"]
+"""Panorama of ranges (m) around the ego origin: inf for sky, nan where not measured or predicted."""
 
 FONT = cv2.FONT_HERSHEY_DUPLEX
 INK: Rgb = (40, 44, 52)
@@ -17,11 +26,7 @@ PAPER: Rgb = (255, 255, 255)
 
 
 def save_png(path: str | PathLike[str], image: np.ndarray) -> None:
-    """Write an image as PNG.
-
-    Raises:
-        DataError: naming the path that cannot be written.
-    """
+    """Write an image as PNG; raise DataError naming the path that cannot be written."""
     done, data = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_PNG_COMPRESSION, 9])
     assert done
     atomic_write(Path(path), data.tobytes())

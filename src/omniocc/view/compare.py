@@ -3,15 +3,11 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import UInt8
-from torch import Tensor
 
 from omniocc.classes import ClassTable
 from omniocc.geometry import Grid
-from omniocc.view.bev import ERRORS, bev, error_bev
-from omniocc.view.canvas import class_legend, legend
-from omniocc.view.sheet import AS_SEEN as AS_SEEN
-from omniocc.view.sheet import NAMES as NAMES
+from omniocc.view.bev import bev, error_bev, error_legend
+from omniocc.view.canvas import Labels, class_legend
 from omniocc.view.sheet import below, beside, camera_rows, caption_line, column_width, inner_width, stack, tagged
 from omniocc.view.voxels import render_voxels
 
@@ -28,38 +24,21 @@ class SheetParts(NamedTuple):
 
 
 def comparison(
-    images: np.ndarray,
-    truth: UInt8[Tensor, "X Y Z"],
-    prediction: UInt8[Tensor, "X Y Z"],
-    geometry: Grid,
-    classes: ClassTable,
-    caption: str = "",
+    images: np.ndarray, truth: Labels, prediction: Labels, geometry: Grid, classes: ClassTable, caption: str = "",
     width_px: int = 1280,
-) -> np.ndarray:
+) -> np.ndarray:  # fmt: skip
     """Return the sheet as one image.
 
-    Args:
-        images: (N, H, W, 3) uint8 RGB; six are taken for the hexagon (0 front, then clockwise), others go in order.
-        truth: class of every cell.
-        prediction: class of every cell.
-        geometry: the grid of both.
-        classes: names and colours of the labels.
-        caption: a line at the top.
-        width_px: width of the sheet.
+    `images` are (N, H, W, 3) uint8 RGB; six are those of the hexagon (0 front, then clockwise). `caption` is
+    the line at the top.
     """
-    return comparison_sheet(
-        comparison_parts(images, truth, prediction, geometry, classes, width_px), classes, caption, width_px
-    )
+    parts = comparison_parts(images, truth, prediction, geometry, classes, width_px)
+    return comparison_sheet(parts, classes, caption, width_px)
 
 
 def comparison_parts(
-    images: np.ndarray,
-    truth: UInt8[Tensor, "X Y Z"],
-    prediction: UInt8[Tensor, "X Y Z"],
-    geometry: Grid,
-    classes: ClassTable,
-    width_px: int = 1280,
-) -> SheetParts:
+    images: np.ndarray, truth: Labels, prediction: Labels, geometry: Grid, classes: ClassTable, width_px: int = 1280,
+) -> SheetParts:  # fmt: skip
     """Return the parts of a sheet; arguments as in `comparison`."""
     inner = inner_width(width_px)
     half, third = column_width(inner, 2), column_width(inner, 3)
@@ -83,6 +62,6 @@ def comparison_sheet(parts: SheetParts, classes: ClassTable, caption: str = "", 
         beside([parts.truth, parts.prediction], inner),
         beside([parts.truth_map, parts.prediction_map, parts.differences], inner),
         class_legend(classes, inner),
-        legend([(f"Difference: {name}" if k == 0 else name, rgb) for k, (name, rgb) in enumerate(ERRORS)], inner),
+        error_legend(inner),
     ]
     return stack(rows, width_px)

@@ -1,24 +1,12 @@
 """One sheet per frame of predicted ranges: on the camera images, and as a panorama beside the truth."""
 
-from collections.abc import Sequence
-
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Float
-from torch import Tensor
 
 from omniocc.camera import Equirectangular, Rig
-from omniocc.view.canvas import fitted, legend
-from omniocc.view.ranges import (
-    FALSE_RANGE,
-    NOT_PREDICTED,
-    SKY,
-    error_bar,
-    error_colors,
-    range_bar,
-    range_colors,
-)
+from omniocc.view.canvas import Images, Ranges, fitted, legend
+from omniocc.view.ranges import FALSE_RANGE, NOT_PREDICTED, SKY, error_bar, error_colors, range_bar, range_colors
 from omniocc.view.sheet import NAMES, camera_rows, caption_line, column_width, inner_width, panorama_row, stack
 
 COVER = 1.8
@@ -26,25 +14,10 @@ COVER = 1.8
 
 
 def depth_sheet(
-    images: Sequence[np.ndarray],
-    rig: Rig,
-    panorama: Equirectangular,
-    predicted_m: Float[Tensor, "h w"],
-    true_m: Float[Tensor, "h w"],
-    caption: str = "",
+    images: Images, rig: Rig, panorama: Equirectangular, predicted_m: Ranges, true_m: Ranges, caption: str = "",
     width_px: int = 1280,
-) -> np.ndarray:
-    """Return the sheet as one image.
-
-    Args:
-        images: (H, W, 3) uint8 RGB of every camera of the rig.
-        rig: the cameras.
-        panorama: directions of the pixels of the ranges.
-        predicted_m: ranges around the ego origin, nan where no range is predicted.
-        true_m: true ranges around the ego origin, inf for sky, nan where not measured.
-        caption: a line at the top.
-        width_px: width of the sheet.
-    """
+) -> np.ndarray:  # fmt: skip
+    """Return the sheet as one image; `panorama` has the directions of the ranges, `caption` is the line at the top."""
     inner = inner_width(width_px)
     rows = [
         *caption_line(caption, inner),
@@ -54,29 +27,18 @@ def depth_sheet(
     return stack(rows, width_px)
 
 
-def painted_rows(
-    images: Sequence[np.ndarray], rig: Rig, panorama: Equirectangular, range_m: Float[Tensor, "h w"], width: int
-) -> list[np.ndarray]:
+def painted_rows(images: Images, rig: Rig, panorama: Equirectangular, range_m: Ranges, width: int) -> list[np.ndarray]:
     """Return rows of camera images with the points of a panorama on them, as `paint_ranges` draws them."""
     columns = 3 if len(images) % 3 == 0 else 2
     painted = paint_ranges(images, rig, panorama, range_m, column_width(width, columns))
     return camera_rows(painted, width, columns, None if len(rig.names) == len(NAMES) else rig.names)
 
 
-def paint_ranges(
-    images: Sequence[np.ndarray], rig: Rig, panorama: Equirectangular, range_m: Float[Tensor, "h w"], width: int
-) -> list[np.ndarray]:
+def paint_ranges(images: Images, rig: Rig, panorama: Equirectangular, range_m: Ranges, width: int) -> list[np.ndarray]:
     """Return the camera images, scaled to a width, with the points of a panorama in the colours of their range.
 
     A point is as large as the panorama's pixel appears from the camera, and nearer points hide farther ones. The
-    brightness is that of the image, so that objects stay visible.
-
-    Args:
-        images: (H, W, 3) uint8 RGB of every camera.
-        rig: the cameras.
-        panorama: directions of the pixels of the ranges.
-        range_m: ranges around the ego origin, not finite where there is none.
-        width: width of the returned images, px.
+    brightness is that of the image, so that objects stay visible. Ranges that are not finite are not drawn.
     """
     known = range_m.isfinite().flatten()
     points = (range_m.unsqueeze(-1) * panorama.rays()).flatten(0, 1)[known].double()
@@ -91,9 +53,9 @@ def paint_ranges(
         from_camera = (points[order] - rig.ego_from_camera[k, :3, 3]).norm(dim=-1).clamp(min=1e-3)
         extent_rad = step_rad * points[order].norm(dim=-1) / from_camera
         radius = extent_rad * _pixels_per_rad(rig, k) * scale * COVER / 2
-        seen = valid[k]
-        places = (pixels[k][seen] + 0.5) * scale - 0.5
-        painted.append(_dotted(camera, places.numpy(), radius[seen].clamp(1, 12).numpy(), colors[seen.numpy()]))
+        inside = valid[k]
+        places = (pixels[k][inside] + 0.5) * scale - 0.5
+        painted.append(_dotted(camera, places.numpy(), radius[inside].clamp(1, 12).numpy(), colors[inside.numpy()]))
     return painted
 
 

@@ -1,13 +1,12 @@
 """Voxels as seen from the cameras and from the ego origin."""
 
-from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from omniocc.camera import Equirectangular, Rig
@@ -15,16 +14,16 @@ from omniocc.classes import FREE, UNKNOWN, ClassTable
 from omniocc.geometry import Grid
 from omniocc.geometry.raycast.fans import Fans
 from omniocc.geometry.raycast.table import RayTable
-from omniocc.view.canvas import fitted
+from omniocc.view.canvas import Images, Labels, fitted
 
 COARSE = 2
-"""Side in pixels of the squares that share one ray."""
+"""Side in pixels of the squares that are drawn from one ray."""
 
 EDGE = 0.72
 """Brightness of pixels at the edges of voxels, relative to their inside."""
 
-NOTHING = (225, 233, 242)
-"""Colour of directions in which there is no voxel."""
+BACKGROUND = (225, 233, 242)
+"""Colour of directions without a voxel."""
 
 
 class View(NamedTuple):
@@ -40,47 +39,31 @@ class View(NamedTuple):
 
 
 def paint_voxels(
-    images: Sequence[np.ndarray],
-    rig: Rig,
-    labels: UInt8[Tensor, "X Y Z"],
-    geometry: Grid,
-    classes: ClassTable,
-    width: int,
+    images: Images, rig: Rig, labels: Labels, geometry: Grid, classes: ClassTable, width: int
 ) -> list[np.ndarray]:
     """Return the camera images, scaled to a width, with the first voxel along every pixel's ray in its class colour.
 
-    The brightness is that of the image, so that objects stay visible; where there is no voxel the image is dim and
-    grey.
-
-    Args:
-        images: (H, W, 3) uint8 RGB of every camera.
-        rig: the cameras.
-        labels: class of every cell.
-        geometry: the grid.
-        classes: names and colours of the labels.
-        width: width of the returned images, px.
+    The brightness is that of the image, so that objects stay visible; pixels without a voxel are dim and grey.
     """
     painted = []
     for k, image in enumerate(images):
         scaled = fitted(image, width)
-        size = scaled.shape[1] // COARSE, scaled.shape[0] // COARSE
-        colors, hit = _colors(camera_view(geometry, rig, k, *size), labels, classes.palette)
-        painted.append(_blended(scaled, *(_enlarged(part, scaled) for part in (colors, hit))))
+        view = camera_view(geometry, rig, k, scaled.shape[1] // COARSE, scaled.shape[0] // COARSE)
+        colors, hit = _colors(view, labels, classes.palette)
+        size = scaled.shape[1], scaled.shape[0]
+        parts = (cv2.resize(part.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) for part in (colors, hit))
+        painted.append(_blended(scaled, *parts))
     return painted
 
 
 def voxel_panorama(
-    labels: UInt8[Tensor, "X Y Z"],
-    geometry: Grid,
-    classes: ClassTable,
-    panorama: Equirectangular,
-    width: int,
+    labels: Labels, geometry: Grid, classes: ClassTable, panorama: Equirectangular, width: int
 ) -> np.ndarray:
     """Return an image, about width / 2 wide, of the first voxel in every direction from the ego origin."""
     columns = width // COARSE
     rows = round(columns * panorama.height / panorama.width)
     colors, hit = _colors(panorama_view(geometry, panorama, columns, rows), labels, classes.palette)
-    colors[~hit] = NOTHING
+    colors[~hit] = BACKGROUND
     return colors
 
 
@@ -112,8 +95,8 @@ def _view(geometry: Grid, origin: Float[Tensor, "3"], rays: Float[Tensor, "h w 3
     return View(valid, RayTable(geometry, Fans.single(origin.expand_as(directions), directions)))
 
 
-def _colors(view: View, labels: UInt8[Tensor, "X Y Z"], palette: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return class colours (h, w, 3), darker at the edges of voxels, and whether there is a voxel (h, w)."""
+def _colors(view: View, labels: Labels, palette: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return class colours (h, w, 3), darker at the edges of voxels, and whether a voxel is hit (h, w)."""
     hits = view.table.cast(labels.masked_fill(labels == UNKNOWN, FREE))
     cells = torch.full(view.valid.shape, -1, dtype=torch.int32)
     found = torch.zeros(view.valid.shape, dtype=torch.uint8)
@@ -124,11 +107,6 @@ def _colors(view: View, labels: UInt8[Tensor, "X Y Z"], palette: np.ndarray) -> 
     colors = palette[found.numpy()]
     colors[edge.numpy()] = (colors[edge.numpy()] * EDGE).astype(np.uint8)
     return colors, found.numpy() != FREE
-
-
-def _enlarged(part: np.ndarray, like: np.ndarray) -> np.ndarray:
-    size = like.shape[1], like.shape[0]
-    return cv2.resize(part.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
 
 
 def _blended(scaled: np.ndarray, colors: np.ndarray, hit: np.ndarray) -> np.ndarray:

@@ -1,39 +1,24 @@
 """One sheet per frame of predicted ranges without ground truth: the images warped by the ranges show their quality."""
 
-from collections.abc import Sequence
-
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import UInt8
 from torch import Tensor
 
 from omniocc.camera import Equirectangular, Rig
-from omniocc.view.canvas import blank, legend
+from omniocc.view.canvas import Images, Ranges, blank, legend
 from omniocc.view.depth import painted_rows
 from omniocc.view.ranges import NOT_PREDICTED, range_bar, range_colors
 from omniocc.view.sheet import caption_line, column_width, inner_width, panorama_row, row, stack
 
 
 def predicted_sheet(
-    images: Sequence[np.ndarray],
-    rig: Rig,
-    panorama: Equirectangular,
-    range_m: Float[Tensor, "h w"],
-    colors: UInt8[Tensor, "h w 3"],
-    caption: str = "",
-    half_m: float = 12.0,
-    width_px: int = 1280,
-) -> np.ndarray:
+    images: Images, rig: Rig, panorama: Equirectangular, range_m: Ranges, colors: UInt8[Tensor, "h w 3"],
+    caption: str = "", half_m: float = 12.0, width_px: int = 1280,
+) -> np.ndarray:  # fmt: skip
     """Return the sheet: ranges on the images, the images as one panorama at these ranges, ranges, points from above.
 
-    Args:
-        images: (H, W, 3) uint8 RGB of every camera.
-        rig: the cameras.
-        panorama: directions of the pixels of the ranges.
-        range_m: ranges around the ego origin, nan where no range is predicted.
-        colors: RGB of the points.
-        caption: a line at the top.
-        half_m: from the middle to the edges of the views from above.
-        width_px: width of the sheet.
+    `panorama` has the directions of the ranges, `colors` are the RGB of their points, `caption` is the line at the top.
+    The views from above reach `half_m` from their middle to their edges.
     """
     inner = inner_width(width_px)
     half = column_width(inner, 2)
@@ -41,11 +26,11 @@ def predicted_sheet(
     points = (range_m.unsqueeze(-1) * panorama.rays())[known].numpy()
     shown = [colors[known].numpy(), range_colors(np.linalg.norm(points, axis=1))]
     above = [from_above(points, part, half_m, half) for part in shown]
-    seen = np.where(known.numpy()[..., None], colors.numpy(), np.array(NOT_PREDICTED, np.uint8))
+    warped = np.where(known.numpy()[..., None], colors.numpy(), np.array(NOT_PREDICTED, np.uint8))
     rows = [
         *caption_line(caption, inner),
         *painted_rows(images, rig, panorama, range_m, inner),
-        panorama_row(seen, "images at these ranges", inner),
+        panorama_row(warped, "images at these ranges", inner),
         panorama_row(range_colors(range_m.numpy()), "range", inner),
         range_bar(inner),
         legend([("not predicted", NOT_PREDICTED)], inner),
@@ -57,11 +42,7 @@ def predicted_sheet(
 def from_above(points_m: np.ndarray, colors: np.ndarray, half_m: float, size_px: int) -> np.ndarray:
     """Return a square map of points around the ego origin, forward up, left to the left; higher points hide lower ones.
 
-    Args:
-        points_m: (P, 3), ego frame.
-        colors: (P, 3) uint8 RGB.
-        half_m: from the middle of the map to its edges.
-        size_px: width and height.
+    `points_m` is (P, 3) in the ego frame, `colors` (P, 3) uint8 RGB; `half_m` is from the map's middle to its edges.
     """
     canvas = blank(size_px, size_px, (238, 240, 243))
     order = points_m[:, 2].argsort(kind="stable")

@@ -31,12 +31,7 @@ def range_colors(range_m: np.ndarray) -> np.ndarray:
 
 
 def error_colors(predicted_m: np.ndarray, true_m: np.ndarray) -> np.ndarray:
-    """Return colours (..., 3): blue for too near, red for too far, and `SKY`, `FALSE_RANGE`, `NOT_PREDICTED`.
-
-    Args:
-        predicted_m: nan where no range is predicted.
-        true_m: inf for sky, nan where it was not measured.
-    """
+    """Return colours (..., 3): blue for too near, red for too far, and `SKY`, `FALSE_RANGE`, `NOT_PREDICTED`."""
     predicted = np.isfinite(predicted_m)
     both = predicted & np.isfinite(true_m)
     error_m = np.where(both, predicted_m, 0.0) - np.where(both, true_m, 0.0)

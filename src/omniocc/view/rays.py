@@ -19,7 +19,7 @@ ORIGINS_M = ((-12.0, -10.5, 0.0), (10.0, 8.0, 0.0), (-13.0, 2.6, 0.0))
 DIRECTIONS = ((1.0, 0.75, 0.0), (-0.2, -1.0, 0.0), (13.0, -2.6, 0.0))
 COLORS = ("tab:blue", "tab:orange", "tab:green")
 HIT = (5, 8, 0)
-"""The occupied cell of `COARSE`; the second ray meets it."""
+"""The occupied cell of `COARSE`, which the second ray hits."""
 
 
 def occupied() -> UInt8[Tensor, "X Y Z"]:
@@ -30,7 +30,7 @@ def occupied() -> UInt8[Tensor, "X Y Z"]:
 
 
 def draw_cell(axes: "Axes", grid: Cylinder, cell: int, color: str, alpha: float) -> None:
-    """Fill one cell, seen from above; x is up and y is left, as the ego looks forward."""
+    """Fill one cell, seen from above; x is up and y is left, as the ego faces forward."""
     r, theta = cell // (grid.shape[1] * grid.shape[2]), cell // grid.shape[2] % grid.shape[1]
     radius_m, angle = grid.edges(0)[r : r + 2], grid.edges(1)[theta : theta + 2]
     arc = torch.linspace(float(angle[0]), float(angle[1]), 9, dtype=torch.float64)
@@ -70,7 +70,7 @@ def draw_crossings(axes: "Axes") -> None:
 
 
 def draw_elevations(axes: "Axes") -> None:
-    """Draw the 39 elevations from the side, on the paper's grid: the ten lowest meet the road at equal steps."""
+    """Draw the 39 elevations from the side, on the paper's grid: the ten lowest hit the road at equal steps."""
     grid = Cylinder()
     labels = torch.zeros(grid.shape, dtype=torch.uint8)
     labels[:, :, :2] = 1

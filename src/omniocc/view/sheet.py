@@ -5,10 +5,11 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from omniocc.view.canvas import blank, fitted, paste, tag, write
+from omniocc.view.canvas import Images, blank, fitted, paste, tag, write
 
 NAMES = ("front", "front right", "rear right", "rear", "rear left", "front left")
-AS_SEEN = (5, 0, 1, 4, 3, 2)
+HEXAGON_ORDER = (5, 0, 1, 4, 3, 2)
+"""Cameras of the hexagon in two rows, placed by their directions."""
 MARGIN, GAP = 14, 6
 
 
@@ -22,26 +23,20 @@ def column_width(width: int, columns: int) -> int:
     return (width - (columns - 1) * GAP) // columns
 
 
-def camera_rows(
-    images: Sequence[np.ndarray], width: int, columns: int = 3, names: Sequence[str] | None = None
-) -> list[np.ndarray]:
-    """Return rows of named camera images.
+def camera_rows(images: Images, width: int, columns: int = 3, names: Sequence[str] | None = None) -> list[np.ndarray]:
+    """Return rows of named camera images, in all `width` px wide.
 
-    Args:
-        images: RGB images; six without names are those of the hexagon (0 front, then clockwise), placed by direction.
-        width: width of a row.
-        columns: images in a row.
-        names: names of the cameras; None if they have none.
+    Six images without names are those of the hexagon (0 front, then clockwise) and are placed by direction.
     """
     six = names is None and len(images) == len(NAMES)
-    order = AS_SEEN if six else range(len(images))
+    order = HEXAGON_ORDER if six else range(len(images))
     tags = NAMES if six else names or [f"camera {k}" for k in range(len(images))]
     images = [fitted(images[k], column_width(width, columns)) for k in order]
-    chosen = [tags[k] for k in order]
-    return [row(images[k : k + columns], chosen[k : k + columns], width) for k in range(0, len(images), columns)]
+    shown = [tags[k] for k in order]
+    return [row(images[k : k + columns], shown[k : k + columns], width) for k in range(0, len(images), columns)]
 
 
-def row(images: Sequence[np.ndarray], names: Sequence[str], width: int) -> np.ndarray:
+def row(images: Images, names: Sequence[str], width: int) -> np.ndarray:
     """Return images side by side, each with its name on it."""
     return beside([tagged(image, name) for image, name in zip(images, names, strict=True)], width)
 
@@ -53,7 +48,7 @@ def tagged(image: np.ndarray, name: str) -> np.ndarray:
     return image
 
 
-def beside(images: Sequence[np.ndarray], width: int) -> np.ndarray:
+def beside(images: Images, width: int) -> np.ndarray:
     """Return images side by side on a canvas of a width."""
     canvas = blank(width, max(len(image) for image in images))
     left = 0
@@ -63,7 +58,7 @@ def beside(images: Sequence[np.ndarray], width: int) -> np.ndarray:
     return canvas
 
 
-def below(rows: Sequence[np.ndarray], width: int) -> np.ndarray:
+def below(rows: Images, width: int) -> np.ndarray:
     """Return rows below one another on a canvas of a width, without margins."""
     canvas = blank(width, sum(map(len, rows)) + GAP * (len(rows) - 1))
     top = 0
@@ -90,7 +85,7 @@ def caption_line(text: str, width: int) -> list[np.ndarray]:
     return [line]
 
 
-def stack(rows: Sequence[np.ndarray], width_px: int) -> np.ndarray:
+def stack(rows: Images, width_px: int) -> np.ndarray:
     """Return rows below one another, with margins around them."""
     inner = below(rows, inner_width(width_px))
     canvas = blank(width_px, len(inner) + 2 * MARGIN)

@@ -1,22 +1,19 @@
 """One sheet per frame of a sketch: candidate voxels over the true ones, from above."""
 
-from collections.abc import Sequence
-
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool
 from torch import Tensor
 
 from omniocc.camera import Equirectangular
 from omniocc.classes import FREE, UNKNOWN, ClassTable
 from omniocc.geometry import Grid
 from omniocc.view.bev import EMPTY, MISSED, bev, draw_columns
-from omniocc.view.canvas import Rgb, class_legend, legend
+from omniocc.view.canvas import Images, Labels, Ranges, Rgb, class_legend, legend
 from omniocc.view.ranges import range_bar, range_colors
 from omniocc.view.sheet import camera_rows, caption_line, column_width, inner_width, row, stack
 
-HIT: Rgb = (90, 165, 100)
-SUPERFLUOUS: Rgb = (240, 190, 90)
+HIT, SUPERFLUOUS = (90, 165, 100), (240, 190, 90)
 KINDS: tuple[tuple[str, Rgb], ...] = (
     ("occupied and a candidate", HIT),
     ("free but a candidate", SUPERFLUOUS),
@@ -25,56 +22,32 @@ KINDS: tuple[tuple[str, Rgb], ...] = (
 
 
 def sketch_sheet(
-    images: Sequence[np.ndarray],
-    truth: UInt8[Tensor, "X Y Z"],
-    chosen: Bool[Tensor, "X Y Z"],
-    dilated: Bool[Tensor, "X Y Z"],
-    geometry: Grid,
-    classes: ClassTable,
-    panorama: Equirectangular,
-    range_m: Float[Tensor, "h w"],
-    caption: str = "",
-    width_px: int = 1280,
-) -> np.ndarray:
+    images: Images, truth: Labels, candidates: Bool[Tensor, "X Y Z"], dilated: Bool[Tensor, "X Y Z"], geometry: Grid,
+    classes: ClassTable, panorama: Equirectangular, range_m: Ranges, caption: str = "", width_px: int = 1280,
+) -> np.ndarray:  # fmt: skip
     """Return the sheet: cameras; true voxels beside the sketch's input points; candidates before and after dilation.
 
-    Args:
-        images: (H, W, 3) uint8 RGB of every camera.
-        truth: class of every cell.
-        chosen: candidates before dilation.
-        dilated: candidates after dilation.
-        geometry: the grid of all three.
-        classes: names and colours of the labels.
-        panorama: directions of the ranges.
-        range_m: ranges around the ego origin, not finite where no range is predicted.
-        caption: a line at the top.
-        width_px: width of the sheet.
+    `candidates` are before dilation; `panorama` has the directions of the ranges, `caption` is the line at the top.
     """
     inner = inner_width(width_px)
     half = column_width(inner, 2)
-    seen = [bev(truth, geometry, classes, half), points_bev(range_m, panorama, geometry, half)]
-    found = [candidate_bev(truth, candidates, geometry, half) for candidates in (chosen, dilated)]
-    names = [
-        f"{name}: {scores(truth, candidates)}"
-        for name, candidates in (("candidates before dilation", chosen), ("after", dilated))
-    ]
+    inputs = [bev(truth, geometry, classes, half), points_bev(range_m, panorama, geometry, half)]
+    results = [candidate_bev(truth, mask, geometry, half) for mask in (candidates, dilated)]
+    names = [f"candidates before dilation: {scores(truth, candidates)}", f"after: {scores(truth, dilated)}"]
+    kinds = [("Most cells of the column: " + KINDS[0][0], HIT), *KINDS[1:], ("free, not a candidate", EMPTY)]
     rows = [
         *caption_line(caption, inner),
         *camera_rows(images, inner, columns=6 if len(images) % 6 == 0 else 4),
-        row(seen, ("true voxels, topmost", "points of the predicted ranges"), inner),
+        row(inputs, ("true voxels, topmost", "points of the predicted ranges"), inner),
         class_legend(classes, inner),
         range_bar(inner),
-        row(found, names, inner),
-        legend(
-            [("Most cells of the column: " + KINDS[0][0], HIT), *KINDS[1:], ("free, not a candidate", EMPTY)], inner
-        ),
+        row(results, names, inner),
+        legend(kinds, inner),
     ]
     return stack(rows, width_px)
 
 
-def candidate_bev(
-    truth: UInt8[Tensor, "X Y Z"], candidates: Bool[Tensor, "X Y Z"], geometry: Grid, size_px: int
-) -> np.ndarray:
+def candidate_bev(truth: Labels, candidates: Bool[Tensor, "X Y Z"], geometry: Grid, size_px: int) -> np.ndarray:
     """Return an image of the most frequent of `KINDS` in each column, of equals the last; unknown cells are ignored."""
     occupied, free = (truth != FREE) & (truth != UNKNOWN), truth == FREE
     kinds = (occupied & candidates, free & candidates, occupied & ~candidates)
@@ -85,7 +58,7 @@ def candidate_bev(
     return draw_columns(colors, geometry, size_px)
 
 
-def points_bev(range_m: Float[Tensor, "h w"], panorama: Equirectangular, geometry: Grid, size_px: int) -> np.ndarray:
+def points_bev(range_m: Ranges, panorama: Equirectangular, geometry: Grid, size_px: int) -> np.ndarray:
     """Return an image of the range of the highest point in each column, in the colours of `range_colors`."""
     points = (range_m.unsqueeze(-1) * panorama.rays())[range_m.isfinite()]
     points = points[points[:, 2].argsort()]
@@ -96,7 +69,7 @@ def points_bev(range_m: Float[Tensor, "h w"], panorama: Equirectangular, geometr
     return draw_columns(columns, geometry, size_px)
 
 
-def scores(truth: UInt8[Tensor, "X Y Z"], candidates: Bool[Tensor, "X Y Z"]) -> str:
+def scores(truth: Labels, candidates: Bool[Tensor, "X Y Z"]) -> str:
     """Return recall, precision and fraction of candidates in a few words."""
     occupied, known = (truth != FREE) & (truth != UNKNOWN), truth != UNKNOWN
     found = (occupied & candidates).sum()

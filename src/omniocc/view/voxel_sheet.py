@@ -1,18 +1,16 @@
 """One sheet per frame of predicted occupancy, beside the ground truth where it is available."""
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.classes import ClassTable
 from omniocc.geometry import Grid
-from omniocc.view.bev import ERRORS, bev, error_bev
-from omniocc.view.canvas import class_legend, legend
+from omniocc.view.bev import bev, error_bev, error_legend
+from omniocc.view.canvas import Images, Labels, Ranges, class_legend, legend
 from omniocc.view.paint import paint_voxels, voxel_panorama
 from omniocc.view.ranges import NOT_PREDICTED, range_bar, range_colors
 from omniocc.view.sheet import camera_rows, caption_line, column_width, inner_width, panorama_row, row, stack
@@ -22,7 +20,7 @@ ALL_AROUND = Equirectangular(360, 90, 45.0, -45.0)
 """Directions of the panorama of voxels for models without a panorama of range."""
 
 SIDE_DEG = 105.0
-"""Largest azimuth, to either side, of cameras that are shown in the first row."""
+"""Largest azimuth, to either side, of cameras in the first row."""
 
 
 class RangePanorama(NamedTuple):
@@ -34,32 +32,16 @@ class RangePanorama(NamedTuple):
     """
 
     panorama: Equirectangular
-    range_m: Float[Tensor, "h w"]
+    range_m: Ranges
 
 
 def occupancy_sheet(
-    images: Sequence[np.ndarray],
-    rig: Rig,
-    prediction: UInt8[Tensor, "X Y Z"],
-    geometry: Grid,
-    classes: ClassTable,
-    ranges: RangePanorama | None = None,
-    truth: UInt8[Tensor, "X Y Z"] | None = None,
-    caption: str = "",
-    width_px: int = 1280,
-) -> np.ndarray:
+    images: Images, rig: Rig, prediction: Labels, geometry: Grid, classes: ClassTable,
+    ranges: RangePanorama | None = None, truth: Labels | None = None, caption: str = "", width_px: int = 1280,
+) -> np.ndarray:  # fmt: skip
     """Return the sheet: voxels on the images, as a panorama, from behind and from above.
 
-    Args:
-        images: (H, W, 3) uint8 RGB of every camera.
-        rig: the cameras.
-        prediction: class of every cell.
-        geometry: the grid.
-        classes: names and colours of the labels.
-        ranges: predicted ranges; None if the model predicts none.
-        truth: class of every cell, 255 unknown; None if no ground truth is available.
-        caption: a line at the top.
-        width_px: width of the sheet.
+    `ranges` are None if the model predicts none, `truth` if none is available; `caption` is the line at the top.
     """
     inner = inner_width(width_px)
     order, columns = camera_order(rig), columns_of(len(images))
@@ -69,18 +51,16 @@ def occupancy_sheet(
         *caption_line(caption, inner),
         *camera_rows([painted[k] for k in order], inner, columns, [rig.names[k] for k in order]),
         *_panoramas(named, geometry, classes, ranges, inner),
-        *_whole(named, geometry, classes, inner),
+        *_overviews(named, geometry, classes, inner),
         class_legend(classes, inner),
     ]
     if truth is not None:
-        rows.append(
-            legend([(f"Difference: {name}" if k == 0 else name, rgb) for k, (name, rgb) in enumerate(ERRORS)], inner)
-        )
+        rows.append(error_legend(inner))
     return stack(rows, width_px)
 
 
 def camera_order(rig: Rig) -> list[int]:
-    """Return the cameras from left to right: those that look ahead or to a side, then those that look back."""
+    """Return the cameras from left to right: first those facing forward or sideways, then those facing back."""
     ahead = rig.ego_from_camera[:, :3, 2]
     azimuth_deg = torch.rad2deg(torch.atan2(ahead[:, 1], ahead[:, 0])).round(decimals=6).tolist()
     front = [k for k, azimuth in enumerate(azimuth_deg) if abs(azimuth) <= SIDE_DEG]
@@ -89,7 +69,7 @@ def camera_order(rig: Rig) -> list[int]:
 
 
 def columns_of(cameras: int) -> int:
-    """Return how many images to show in a row."""
+    """Return the number of images in a row."""
     return cameras if cameras < 3 else 4 if cameras % 4 == 0 else 3
 
 
@@ -107,7 +87,7 @@ def _panoramas(
     return [*rows, predicted, range_bar(width), legend([("not predicted", NOT_PREDICTED)], width)]
 
 
-def _whole(named: dict[str, Tensor], geometry: Grid, classes: ClassTable, width: int) -> list[np.ndarray]:
+def _overviews(named: dict[str, Tensor], geometry: Grid, classes: ClassTable, width: int) -> list[np.ndarray]:
     """Return rows with the voxels from behind and from above."""
     half, third = column_width(width, 2), column_width(width, 3)
     if len(named) == 1:

@@ -5,19 +5,19 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 import torch
-from jaxtyping import UInt8
 from torch import Tensor
 
 from omniocc.classes import FREE, UNKNOWN, ClassTable
 from omniocc.geometry import Grid
 from omniocc.geometry.surface import face_corners, surface
+from omniocc.view.canvas import Labels
 
 SKY_TOP, SKY_BOTTOM = (214, 226, 240), (252, 252, 252)
 LIGHT = np.array([-0.35, 0.45, 0.82])
 SUPERSAMPLE = 2
 NEAR_M = 0.2
 EDGE_DARKENING = 0.22
-# Body and cabin of the own car: x, y and z from ... to in the ego frame, and colour.
+# Body and cabin of the ego car: x, y and z from ... to in the ego frame, and colour.
 CAR_BOXES = (
     (((-2.3, 2.3), (-0.95, 0.95), (-1.95, -1.2)), (250, 250, 252)),
     (((-1.7, 0.9), (-0.8, 0.8), (-1.2, -0.65)), (70, 80, 95)),
@@ -27,7 +27,7 @@ CAR_BOXES = (
 class Faces(NamedTuple):
     """Quadrilaterals, which are drawn in the order of falling depth.
 
-    Drawing farther cells first is exact for a grid: along a ray, each next cell lies beyond a boundary that separates
+    Drawing farther cells first is exact for a grid: along a ray, each next cell is beyond a boundary that separates
     its centre from the previous one's. (Only where a ray grazes a ring of a cylinder may two cells swap.)
 
     Attributes:
@@ -44,32 +44,28 @@ class Faces(NamedTuple):
 
 
 def render_voxels(
-    labels: UInt8[Tensor, "X Y Z"],
-    geometry: Grid,
-    classes: ClassTable,
-    width: int,
-    height: int,
-    eye_m: tuple[float, float, float] = (-28.0, 0.0, 22.0),
-    target_m: tuple[float, float, float] = (0.5, 0.0, -3.0),
+    labels: Labels, geometry: Grid, classes: ClassTable, width: int, height: int,
+    eye_m: tuple[float, float, float] = (-28.0, 0.0, 22.0), target_m: tuple[float, float, float] = (0.5, 0.0, -3.0),
     view_deg: float = 60.0,
-) -> np.ndarray:
-    """Return an image of the occupied cells in their class colours, with the own car as a white box.
+) -> np.ndarray:  # fmt: skip
+    """Return an image of the occupied cells in their class colours, with the ego car as a white box.
 
     Unknown cells are not drawn.
 
     Args:
         labels: class of every cell.
-        geometry: the grid.
-        classes: names and colours of the labels.
-        width: width of the image, px.
-        height: height of the image, px.
+        geometry: grid of the labels.
+        classes: colours of the labels.
+        width: px.
+        height: px.
         eye_m: viewpoint, ego frame.
         target_m: point in the middle of the image, ego frame.
         view_deg: horizontal field of view.
     """
     eye = np.array(eye_m)
     cells = _cell_faces(labels, geometry, classes.palette, eye)
-    faces = _join(cells, *(_box_faces(bounds, rgb, eye) for bounds, rgb in CAR_BOXES))
+    parts = [cells, *(_box_faces(bounds, rgb, eye) for bounds, rgb in CAR_BOXES)]
+    faces = Faces(*map(np.concatenate, zip(*parts, strict=True)))
     size = (width * SUPERSAMPLE, height * SUPERSAMPLE)
     pixels, in_front = _project(faces.corners, eye, np.array(target_m), view_deg, size)
     low, high = pixels.min(1), pixels.max(1)
@@ -87,7 +83,7 @@ def render_voxels(
 
 
 def _cell_faces(labels: Tensor, geometry: Grid, palette: np.ndarray, eye: np.ndarray) -> Faces:
-    """Return the faces between occupied and other cells that look towards the eye."""
+    """Return the faces between occupied and other cells that face the eye."""
     corners, cells = surface((labels != FREE) & (labels != UNKNOWN), geometry)
     normals = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
@@ -99,7 +95,7 @@ def _cell_faces(labels: Tensor, geometry: Grid, palette: np.ndarray, eye: np.nda
 
 
 def _box_faces(bounds_m: tuple[tuple[float, float], ...], rgb: tuple[int, int, int], eye: np.ndarray) -> Faces:
-    """Return the faces of a box of the own car, drawn a little late, since they are larger than those of cells."""
+    """Return the faces of a box of the ego car, drawn as if 4 m nearer, since they are larger than those of cells."""
     bounds = np.array(bounds_m)
     corners, normals = [], []
     for axis in range(3):
@@ -113,14 +109,10 @@ def _box_faces(bounds_m: tuple[tuple[float, float], ...], rgb: tuple[int, int, i
     return Faces(*(part[towards] for part in Faces(corners, normals, colors, depth_m)))
 
 
-def _join(*parts: Faces) -> Faces:
-    return Faces(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
-
-
 def _project(
     points: np.ndarray, eye: np.ndarray, target: np.ndarray, view_deg: float, size: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return pixels (F, 4, 2) of the corners (F, 4, 3), and whether all four lie in front of the eye (F,)."""
+    """Return pixels (F, 4, 2) of the corners (F, 4, 3), and whether all four are in front of the eye (F,)."""
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)

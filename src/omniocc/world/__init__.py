@@ -1,4 +1,4 @@
-"""The virtual world: procedural places, traffic in them, and what cameras and LiDARs record there.
+"""The virtual world: procedural places, traffic in them, and recordings of it by cameras and LiDARs.
 
 Layers: mesh < assets < town < traffic, and assets < render < sensors; `scene` puts them together.
 """

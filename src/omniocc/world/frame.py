@@ -7,7 +7,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Box:
-    """A moving actor's box in the ego frame; `size_m` runs along its own x, y, z, `velocity_mps` is (x, y)."""
+    """A moving actor's box in the ego frame; `size_m` is along the box's x, y, z, `velocity_mps` is (x, y)."""
 
     id: int
     label: int

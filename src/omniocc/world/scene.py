@@ -86,11 +86,7 @@ class Scene:
         self.recorder = Recorder(rig, self._ego_car, labeller, supersample, capture, size, erp_top_deg, erp_bottom_deg)
 
     def frame(self, index: int) -> Frame:
-        """Record the frame at `index * frame_interval_s` seconds.
-
-        Raises:
-            ValueError: the index is negative.
-        """
+        """Record the frame at `index * frame_interval_s` seconds; raise ValueError if the index is negative."""
         if index < 0:
             raise ValueError(f"frame {index}: frames are counted from 0")
         time_s = index * self._interval_s
@@ -107,16 +103,11 @@ class Scene:
         moving, spheres = Caster(moving_mesh), spheres_of(moving_mesh)
         in_light = np.concatenate([spheres, spheres_of(ego_mesh)])
         snapshot = Snapshot(
-            Layers([self._static, moving]),
-            Shadows(self._static, [moving, Caster(ego_mesh)], in_light, self._light),
+            Layers([self._static, moving]), Shadows(self._static, [moving, Caster(ego_mesh)], in_light, self._light),
             self._surfaces.topped([make_surfaces(moving_mesh), make_surfaces(ego_mesh)]),
-            self._static.size + moving.size,
-            world_from_ego[:3, :3].astype(np.float32),
-            world_from_ego[:3, 3].astype(np.float32),
-            moving_mesh,
-            spheres,
-            self._light,
-        )
+            self._static.size + moving.size, world_from_ego[:3, :3].astype(np.float32),
+            world_from_ego[:3, 3].astype(np.float32), moving_mesh, spheres, self._light,
+        )  # fmt: skip
         return snapshot, actors
 
 
@@ -126,14 +117,9 @@ def ego_box(actor: Actor, world_from_ego: np.ndarray) -> Box:
     center = ego_from_actor[:3, :3] @ (0, 0, actor.size_m[2] / 2) + ego_from_actor[:3, 3]
     velocity = world_from_ego[:3, :3].T @ (*actor.velocity_mps, 0.0)
     yaw = np.arctan2(ego_from_actor[1, 0], ego_from_actor[0, 0])
-    return Box(
-        id=actor.id,
-        label=actor.label,
-        center_m=(float(center[0]), float(center[1]), float(center[2])),
-        size_m=actor.size_m,
-        yaw_rad=float(yaw),
-        velocity_mps=(float(velocity[0]), float(velocity[1])),
-    )
+    center_m = (float(center[0]), float(center[1]), float(center[2]))
+    velocity_mps = (float(velocity[0]), float(velocity[1]))
+    return Box(actor.id, actor.label, center_m, actor.size_m, float(yaw), velocity_mps)
 
 
 def _check(frame_interval_s: float, supersample: int, erp_size: Sequence[int], lidars: int) -> None:
@@ -144,7 +130,7 @@ def _check(frame_interval_s: float, supersample: int, erp_size: Sequence[int], l
     if len(erp_size) != 2 or min(erp_size) < 1:
         raise ValueError(f"erp_size is {list(erp_size)}; give width and height in pixels, e.g. [192, 48]")
     if lidars < 1:
-        raise ValueError(f"lidars is {lidars}; give 1 for the ego's LiDAR alone, or more")
+        raise ValueError(f"lidars is {lidars}; give 1 for only the ego's LiDAR, or more")
 
 
 def _check_names(weather: str | None, label_mode: str, capture: str) -> None:

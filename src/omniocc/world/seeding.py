@@ -1,4 +1,4 @@
-"""Random numbers that depend on what they are drawn for, not on the order in which they are drawn."""
+"""Random numbers that depend on the purpose of a draw, not on the order of draws."""
 
 import hashlib
 from collections.abc import Mapping, Sequence

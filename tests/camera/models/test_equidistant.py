@@ -63,12 +63,12 @@ def test_pixel_to_ray_to_pixel(dtype, atol):
     pixels[0, 1] = torch.tensor([255.5 + 1e-5, 143.5])
     rays, valid = NARROW.unproject(pixels)
     torch.testing.assert_close(rays.norm(dim=-1), torch.ones_like(pixels[..., 0]))
-    back, seen = NARROW.project(7 * rays)
+    back, visible = NARROW.project(7 * rays)
     torch.testing.assert_close(back, pixels, rtol=0, atol=atol)
     off_limit = (pixels - 255.5).new_tensor([255.5, 143.5])
     angle = (pixels - off_limit).norm(dim=-1) / 154.4
     clear = (angle - math.radians(95)).abs() > 1e-5
-    assert torch.equal(valid[clear], seen[clear])
+    assert torch.equal(valid[clear], visible[clear])
     assert torch.equal(valid[clear], angle[clear] <= math.radians(95))
 
 

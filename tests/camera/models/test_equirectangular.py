@@ -11,8 +11,8 @@ CAMERA = Equirectangular(360, 90, 45.0, -45.0)
 @pytest.mark.parametrize(
     ("point", "u", "v"),
     [
-        ((1, 0, 0), 179.5, 44.5),  # forward: middle of the picture
-        ((0, 2, 0), 89.5, 44.5),  # left of the car: left of the picture
+        ((1, 0, 0), 179.5, 44.5),  # forward: middle of the image
+        ((0, 2, 0), 89.5, 44.5),  # left of the car: left of the image
         ((0, -2, 0), 269.5, 44.5),
         ((3, 0, 3), 179.5, -0.5),  # 45 degrees up: upper edge
         ((1, 0, -1), 179.5, 89.5),
@@ -42,9 +42,9 @@ def test_round_trip_of_every_pixel(dtype, atol):
     u, v = torch.meshgrid(torch.arange(360.0), torch.arange(90.0), indexing="xy")
     pixels = torch.stack([u, v], -1).to(dtype)
     rays, valid = CAMERA.unproject(pixels)
-    back, seen = CAMERA.project(4 * rays)
+    back, visible = CAMERA.project(4 * rays)
     assert valid.all()
-    assert seen.all()
+    assert visible.all()
     torch.testing.assert_close(back, pixels, rtol=0, atol=atol)
 
 

@@ -28,8 +28,8 @@ def test_the_mirrored_world_falls_on_the_flipped_image(camera):
 
 @pytest.mark.parametrize(("camera", "other"), list(zip(CAMERAS, OTHERS, strict=True)))
 def test_principal_point_and_tangential_distortion_change_sides(camera, other):
-    (pixels, valid), (expected, there) = mirrored(camera).project(POINTS), other.project(POINTS)
-    assert torch.equal(valid, there)
+    (pixels, valid), (expected, expected_valid) = mirrored(camera).project(POINTS), other.project(POINTS)
+    assert torch.equal(valid, expected_valid)
     assert valid.sum() > 50
     torch.testing.assert_close(pixels[valid], expected[valid])
     small = mirrored(camera).resized(32, 18).project(POINTS)[0][valid]
@@ -47,4 +47,4 @@ def test_rays_lead_back_to_their_pixels(camera):
 def test_twice_is_the_camera_itself():
     assert mirrored(mirrored(CAMERAS[0])) is CAMERAS[0]
     assert mirrored(CAMERAS[0]) == Mirrored(CAMERAS[0]) != CAMERAS[0]
-    assert repr(mirrored(CAMERAS[0])) != repr(CAMERAS[0])  # rigs are told apart by it
+    assert repr(mirrored(CAMERAS[0])) != repr(CAMERAS[0])  # fingerprints of rigs contain it

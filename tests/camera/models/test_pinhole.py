@@ -28,9 +28,9 @@ def test_round_trips(dtype, atol):
     assert valid.all()
     torch.testing.assert_close(rays.norm(dim=-1), torch.ones(300, dtype=dtype))
     assert rays[0].tolist() == [0, 0, 1]
-    back, seen = CAMERA.project(9 * rays)
+    back, visible = CAMERA.project(9 * rays)
     torch.testing.assert_close(back, pixels, rtol=0, atol=atol)
-    assert seen.all()
+    assert visible.all()
 
 
 def test_behind_and_in_the_camera_plane_is_finite_and_invalid():

@@ -28,7 +28,7 @@ def test_the_public_rays_are_a_raster_in_any_order(dtype):
     expected_start, expected_unit = scan.rays(origins)
     assert torch.equal(start, expected_start)
     torch.testing.assert_close(unit, expected_unit, rtol=0, atol=1e-15)
-    # float32 directions move by no more than their own rounding
+    # float32 directions move by no more than their rounding
     worst = (scan.directions - directions).abs().max().item()
     assert worst < (2e-7 if dtype == torch.float32 else 1e-15)
 

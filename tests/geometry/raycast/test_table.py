@@ -18,14 +18,14 @@ GRIDS = [
 def first_hits(grid, labels, origins, directions):
     """Return the first occupied cell along `Grid.paths`, which is tested against brute force."""
     found = grid.paths(origins, directions)
-    seen = torch.where(found.cells >= 0, labels.flatten()[found.cells.clamp(min=0).long()], 0)
-    column = (seen != 0).float().argmax(dim=1)
-    hit = (seen != 0).any(dim=1)
-    rows = torch.arange(len(seen))
+    path_labels = torch.where(found.cells >= 0, labels.flatten()[found.cells.clamp(min=0).long()], 0)
+    column = (path_labels != 0).float().argmax(dim=1)
+    hit = (path_labels != 0).any(dim=1)
+    rows = torch.arange(len(path_labels))
     leave_m = torch.where(found.valid, found.bounds_m[:, -1], torch.inf)
     return (
         torch.where(hit, found.cells[rows, column], -1),
-        torch.where(hit, seen[rows, column], 0),
+        torch.where(hit, path_labels[rows, column], 0),
         torch.where(hit, found.entry_m[rows, column], leave_m),
         torch.where(hit, found.exit_m[rows, column], leave_m),
     )
@@ -110,7 +110,7 @@ def test_several_volumes_at_once():
             assert torch.equal(mine, theirs)
 
 
-def test_equal_rays_and_grids_share_a_table():
+def test_equal_rays_and_grids_use_one_table():
     origins, directions = torch.zeros(2, 3), torch.randn(4, 3)
     scan = Scan(directions)
     table = ray_table(Cuboid(shape=(4, 4, 4)), origins, scan)

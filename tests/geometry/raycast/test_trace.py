@@ -115,7 +115,7 @@ def test_rays_from_faces(grid):
         assert compare(grid, grid.from_axes(*mixed), directions) < 4e-6
 
 
-def test_rays_that_meet_the_axis_change_to_the_opposite_sector():
+def test_rays_through_the_axis_change_to_the_opposite_sector():
     grid = Cylinder(shape=(2, 8, 1), radius_m=(0.0, 2.0), height_m=(-1.0, 1.0))
     angle = torch.tensor(0.3, dtype=torch.float64)
     direction = torch.stack([angle.cos(), angle.sin(), torch.zeros(())]).double()
@@ -159,16 +159,16 @@ def test_golden_values_of_the_public_kernel():
     empty = torch.zeros(VOXELS.shape, dtype=torch.uint8)
     wall = empty.clone()
     wall[150] = 3
-    own = wall.clone()
-    own[100, 100, 8] = 2
+    at_origin = wall.clone()
+    at_origin[100, 100, 8] = 2
     middle, above, outside = [100.5, 100.5, 8.5], [100.5, 100.5, 20.0], [-1.5, 100.5, 8.5]
     forward, up = [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]
     cases = [
         (empty, middle, forward, "exit", 99.5, 0),
         (wall, middle, forward, "exit", 50.5, 3),
         (wall, middle, forward, "entry", 49.5, 3),
-        (own, middle, forward, "exit", 0.5, 2),
-        (own, middle, forward, "entry", 0.0, 2),
+        (at_origin, middle, forward, "exit", 0.5, 2),
+        (at_origin, middle, forward, "entry", 0.0, 2),
         (wall, above, up, "exit", math.inf, 0),
         (wall, outside, forward, "exit", 152.5, 3),
     ]

@@ -1,4 +1,4 @@
-"""Prototypes: every kind can be built, stands on the ground, and carries the class of its group."""
+"""Prototypes: every kind can be built, touches the ground, and has the class of its group."""
 
 import numpy as np
 import pytest
@@ -14,9 +14,9 @@ _CLASS = {
 
 @pytest.mark.parametrize("group", _CLASS)
 def test_every_kind_is_built_in_its_class(group: str) -> None:
-    module, wanted = _CLASS[group]
+    module, group_class = _CLASS[group]
     for kind in module.KINDS:
-        expected = {label.VEGETATION} if kind == "hedge" else {wanted}
+        expected = {label.VEGETATION} if kind == "hedge" else {group_class}
         for mesh in catalog.variants(group, kind):
             assert set(np.unique(mesh.label)) == expected, kind
             assert mesh.vertices[:, 2].min() <= 0.5, kind

@@ -45,12 +45,12 @@ def test_outside_the_lens_is_black_and_unknown(rig, snapshot, ego_car, sensor):
 
 def test_ego_car_is_seen_at_the_bottom_and_has_no_range(rig, snapshot, ego_car, sensor):
     image = _record(rig, 0, snapshot, ego_car, sensor)
-    own = (image.label == 255) & rig.rays(0)[1].numpy()
-    rows = np.flatnonzero(own.any(axis=1))
+    ego = (image.label == 255) & rig.rays(0)[1].numpy()
+    rows = np.flatnonzero(ego.any(axis=1))
     assert rows[-1] == 35
     assert rows[0] > 18
-    assert np.isnan(image.range_m[own]).all()
-    red, green, _ = image.rgb[own].astype(float).mean(axis=0)
+    assert np.isnan(image.range_m[ego]).all()
+    red, green, _ = image.rgb[ego].astype(float).mean(axis=0)
     assert red > 1.3 * green
 
 
@@ -60,15 +60,15 @@ def test_cameras_and_lidar_agree_on_points_that_both_see(rig, snapshot, ego_car,
     for camera in range(6):
         image = _record(rig, camera, snapshot, ego_car, sensor)
         directions = rig.rays(camera)[0].numpy()
-        seen = np.isfinite(image.range_m)
-        points = rig.ego_from_camera[camera, :3, 3].numpy() + directions[seen] * image.range_m[seen][:, None]
+        finite = np.isfinite(image.range_m)
+        points = rig.ego_from_camera[camera, :3, 3].numpy() + directions[finite] * image.range_m[finite][:, None]
         distance = np.linalg.norm(points, axis=1)
         range_m, labels = scan_ego(snapshot, (points / distance[:, None]).astype(np.float32).T)
         open_view = range_m > distance - 1e-3 * distance
         agree.append(np.abs(range_m[open_view] - distance[open_view]) < 2e-3 * distance[open_view])
-        same.append(labels[open_view] == image.label[seen][open_view])
+        same.append(labels[open_view] == image.label[finite][open_view])
         assert open_view.mean() > 0.8
-    assert np.concatenate(agree).mean() > 0.985  # grazing views of edges slip past
+    assert np.concatenate(agree).mean() > 0.985  # rays that graze edges may differ
     assert np.concatenate(same).mean() > 0.985
 
 
@@ -91,18 +91,18 @@ def test_supersampling_changes_colours_at_borders_only(rig, snapshot, ego_car, s
 
 
 def test_a_pixel_on_an_edge_shows_both_sides_in_proportion(rig, snapshot_of, quad, ego_car, noon):
-    """The wall's upper edge against an even sky: colours mix both by the fraction of rays that meet each."""
+    """At a wall's upper edge before an even sky, colours are mixed by the fractions of rays that hit each."""
     wall = quad([[10, -40, 0], [10, 40, 0], [10, 40, 3.3], [10, -40, 3.3]], 4)
     snapshot = snapshot_of(wall, empty(), empty(), replace(noon, glow=0.0, cloud_cover=0.0, zenith=noon.horizon))
     view = make_view(rig, 0, 2, Caster(empty()))
-    seen, once = render_pixels(view, snapshot), render_pixels(replace(view, extra=view.extra[:, :, :0]), snapshot)
+    smooth, once = render_pixels(view, snapshot), render_pixels(replace(view, extra=view.extra[:, :, :0]), snapshot)
     on_wall = snapshot.cast(view.origin_m, view.extra.reshape(3, -1)).face.reshape(-1, 3) >= 0
     fraction = (on_wall.sum(axis=1) + (once.label == 4)) / 4
     sky = once.color[:, once.label == 0].mean(axis=1)
     edge = np.flatnonzero((fraction > 0) & (fraction < 1) & (once.label == 4))
     assert len(edge) > 10
     expected = fraction[edge] * once.color[:, edge] + (1 - fraction[edge]) * sky[:, None]
-    np.testing.assert_allclose(seen.color[:, edge], expected, atol=0.03)
+    np.testing.assert_allclose(smooth.color[:, edge], expected, atol=0.03)
 
 
 def test_mask_of_the_rig_blanks_pixels(rig, snapshot, ego_car, sensor):

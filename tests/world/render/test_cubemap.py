@@ -14,12 +14,12 @@ def _both(rig, camera, snapshot, ego_car, sensor):
     caster = Caster(ego_car)
     view = make_view(rig, camera, 2, caster)
     cube = make_cube(rig, camera, view, 2, caster)
-    seen = render_pixels(view, snapshot), render_through_cube(cube, snapshot)
-    return [expose(view, one, snapshot.light, sensor, np.random.default_rng(camera)) for one in seen], cube, view
+    pixels = render_pixels(view, snapshot), render_through_cube(cube, snapshot)
+    return [expose(view, one, snapshot.light, sensor, np.random.default_rng(camera)) for one in pixels], cube, view
 
 
 def _inner(label):
-    """Pixels whose neighbours within 2 px have the same class."""
+    """Return the pixels whose neighbours within 2 px have the same class."""
     kernel = np.ones((5, 5), np.uint8)
     return (cv2.erode(label, kernel) == cv2.dilate(label, kernel)) & (label != 255)
 
@@ -33,9 +33,9 @@ def test_cubemap_agrees_with_direct_casting(snapshot, ego_car, sensor, camera):
         np.array_equal(direct.label == 255, cube.label == 255)
         or ((direct.label == 255) != (cube.label == 255)).mean() < 0.01
     )
-    seen = (direct.label != 255) & (cube.label != 255)
-    assert (direct.label == cube.label)[seen].mean() > 0.99  # borders included; measured 99.4 to 99.7 %
-    inner = _inner(direct.label) & seen
+    visible = (direct.label != 255) & (cube.label != 255)
+    assert (direct.label == cube.label)[visible].mean() > 0.99  # borders included; measured 99.4 to 99.7 %
+    inner = _inner(direct.label) & visible
     assert (direct.label == cube.label)[inner].mean() > 0.9999
     difference = np.abs(direct.rgb.astype(float) - cube.rgb)[inner]
     assert difference.mean() < 4  # grey levels of 255: the blur of resampling; measured 1.4 to 3.1
@@ -58,7 +58,7 @@ def test_ranges_on_a_plane_are_exact_across_faces(snapshot_of, quad, noon, senso
 
 
 def test_weights_and_pixels_reproduce_the_rays(snapshot, ego_car, sensor):
-    """Blending the faces' own directions like colours gives the camera's, up to the curvature within a pixel."""
+    """Blending the faces' directions like colours gives the camera's, up to the curvature within a pixel."""
     rig = Rig.load("fisheye6").resized(64, 36)
     _, cube, view = _both(rig, 4, snapshot, ego_car, sensor)
     directions = np.concatenate([face.center for face in cube.faces], axis=1)

@@ -3,7 +3,7 @@ import pytest
 
 from omniocc.world.mesh.mesh import concatenate, empty
 from omniocc.world.render.caster import Caster
-from omniocc.world.render.cull import ShadowMask, make_cones, meets, spheres_of
+from omniocc.world.render.cull import ShadowMask, make_cones, may_hit, spheres_of
 from omniocc.world.render.shadow import Shadows
 from omniocc.world.render.view import make_view
 
@@ -50,11 +50,11 @@ def test_every_ray_that_hits_is_kept_and_most_others_are_culled(crates):
     caster, spheres = Caster(crates), spheres_of(crates)
     for point in np.random.default_rng(1).uniform(-25, 25, (30, 3)).astype(np.float32) * np.float32([1, 1, 0.2]):
         hit = caster.cast(np.broadcast_to(point, (20000, 3)), rays.T).face >= 0
-        maybe = meets(cones, point, spheres)[cones.bundle]
+        maybe = may_hit(cones, point, spheres)[cones.bundle]
         assert maybe[hit].all()
     outside = np.float32([60, 0, 2])
-    assert meets(cones, outside, spheres).mean() < 0.2
-    assert not meets(cones, outside, spheres[:0]).any()
+    assert may_hit(cones, outside, spheres).mean() < 0.2
+    assert not may_hit(cones, outside, spheres[:0]).any()
 
 
 @pytest.mark.parametrize("height", [0.06, 0.3, 0.7, 1.0])
@@ -84,7 +84,7 @@ def test_shadows_equal_those_of_all_casters(crates, street, noon):
 
 def test_casting_with_culling_equals_casting_without(snapshot, rig):
     view = make_view(rig, 0, 1, Caster(empty()))
-    maybe = snapshot.meets(view.cones, view.origin_m)[view.cones.bundle]
+    maybe = snapshot.may_hit(view.cones, view.origin_m)[view.cones.bundle]
     culled, full = snapshot.cast(view.origin_m, view.center, None, maybe), snapshot.cast(view.origin_m, view.center)
     for one, other in zip(culled, full, strict=True):
         assert np.array_equal(one, other)

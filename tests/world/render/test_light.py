@@ -20,9 +20,9 @@ def test_shadow_is_darker_than_sun_by_the_ratio_of_the_light(snapshot, noon):
     directions = (directions / np.linalg.norm(directions, axis=0)).astype(np.float32)
     hits = snapshot.cast(np.zeros(3), directions)
     assert snapshot.surfaces.label[hits.face].tolist() == [1, 1]
-    seen = shade(hits, snapshot.world_point(np.zeros(3)), directions, snapshot.surfaces, snapshot.shadows, noon, 1e6)
-    assert seen.lit.tolist() == [False, True]
-    dark, bright = seen.color.T
+    shaded = shade(hits, snapshot.world_point(np.zeros(3)), directions, snapshot.surfaces, snapshot.shadows, noon, 1e6)
+    assert shaded.lit.tolist() == [False, True]
+    dark, bright = shaded.color.T
     dim = ambient(noon, np.float32([1.0]))[:, 0]
     # Textured at the coarsest mip level, so that only the slow variation of brightness differs.
     np.testing.assert_allclose(bright / dark, (noon.sun * 0.8 + dim) / dim, rtol=0.35)
@@ -35,10 +35,10 @@ def test_ego_car_casts_a_shadow_and_the_lidars_do_not_see_it(snapshot_of, street
     directions = np.stack([below, aside], axis=1)
     hits = snapshot.cast(np.zeros(3), directions)
     assert snapshot.surfaces.label[hits.face].tolist() == [1, 1]
-    seen = shade(
+    shaded = shade(
         hits, snapshot.world_point(np.zeros(3)), directions, snapshot.surfaces, snapshot.shadows, snapshot.light, 0.01
     )
-    assert seen.lit.tolist() == [False, True]
+    assert shaded.lit.tolist() == [False, True]
 
 
 def test_sky_is_brightest_at_the_sun_and_has_clouds():
@@ -69,7 +69,7 @@ def test_developing_is_monotonic_saturates_and_darkens_to_the_rim():
     assert rim < middle - 5
 
 
-def test_noise_depends_on_the_generator_alone():
+def test_noise_depends_on_the_generator_only():
     sensor, grey = _sensor(), np.full((3, 5000), 0.2, np.float32)
     flat = np.zeros(5000, np.float32)
     first, again, other = (develop(grey, sensor, flat, np.random.default_rng(seed)) for seed in (1, 1, 2))

@@ -12,7 +12,7 @@ from omniocc.world.render.surface import lamp_strength
 from omniocc.world.render.weather import WEATHERS, draw_light, draw_sensor, draw_weather
 
 
-def _look(snapshot, directions, light):
+def _colors(snapshot, directions, light):
     directions = np.array(directions, np.float32).T
     directions /= np.linalg.norm(directions, axis=0)
     hits = snapshot.cast(np.zeros(3), directions)
@@ -51,9 +51,9 @@ def test_wrong_weather_is_named():
         draw_light("hail", np.random.default_rng(0))
 
 
-def test_fog_hides_what_is_far(snapshot):
+def test_fog_hides_distant_objects(snapshot):
     fog = draw_light("fog", np.random.default_rng(1))
-    color = _look(snapshot, [[-59, 4.9, -2.1], [3, 4, -2.2]], fog).color
+    color = _colors(snapshot, [[-59, 4.9, -2.1], [3, 4, -2.2]], fog).color
     far, near = np.abs(color - fog.horizon[:, None]).mean(axis=0)
     assert far < 0.2 * near
 
@@ -62,7 +62,7 @@ def test_wet_road_is_darker_below_and_mirrors_the_sky_ahead(snapshot):
     rain = replace(draw_light("rain", np.random.default_rng(1)), haze_m=1e6)
     dry = replace(rain, wet=0.0)
     views = [[1, 0.5, -2.2], [-40, 0.5, -2.2]]
-    wet, before = _look(snapshot, views, rain).color.mean(axis=0), _look(snapshot, views, dry).color.mean(axis=0)
+    wet, before = _colors(snapshot, views, rain).color.mean(axis=0), _colors(snapshot, views, dry).color.mean(axis=0)
     assert wet[0] < before[0]
     assert wet[1] > before[1]
 
@@ -88,7 +88,7 @@ def test_after_dark_lamps_windows_and_the_ground_below_lamps_shine(snapshot_of, 
     dusk = replace(draw_light("dusk", np.random.default_rng(0)), pools=lamp_pools(mesh), haze_m=1e6)
     off = replace(dusk, lamps=0.0)
     views = [[4.5, 2.5, 3.8], [4.5, 2.5, -2.2], [-30, 2.5, -2.2]]
-    lit, dark = _look(snapshot, views, dusk).color.mean(axis=0), _look(snapshot, views, off).color.mean(axis=0)
+    lit, dark = _colors(snapshot, views, dusk).color.mean(axis=0), _colors(snapshot, views, off).color.mean(axis=0)
     assert lit[0] > 5 * dark[0]
     assert lit[1] > 1.5 * dark[1]
     assert lit[2] == pytest.approx(dark[2], rel=0.01)

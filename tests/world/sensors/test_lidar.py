@@ -3,7 +3,7 @@ import numpy as np
 from omniocc.world.sensors import lidar
 
 
-def test_ego_rays_are_rayious():
+def test_ego_rays_are_those_of_the_public_rayiou():
     rays = lidar.ego_directions()
     assert rays.shape == (14040, 3)
     assert rays.dtype == np.float32

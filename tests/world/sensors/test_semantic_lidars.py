@@ -28,8 +28,8 @@ def test_lidars_find_the_open_surface_of_the_street(snapshot):
     found = {tuple(cell) for cell in np.floor(points[:, :2] / 0.4).astype(int)[points[:, 2] < -2.1]}
     x, y = np.meshgrid(np.arange(-50, 50), np.arange(-12, 50), indexing="ij")
     x_m, y_m = (x + 0.5) * 0.4, (y + 0.5) * 0.4
-    want = (np.hypot(x_m, y_m) < 20) & (y_m > -4.6) & ~((x_m > 7.5) & (x_m < 16.5) & (y_m > 0.8) & (y_m < 9.5))
-    hit = np.array([(a, b) in found for a, b in zip(x[want], y[want], strict=True)])
+    expected = (np.hypot(x_m, y_m) < 20) & (y_m > -4.6) & ~((x_m > 7.5) & (x_m < 16.5) & (y_m > 0.8) & (y_m < 9.5))
+    hit = np.array([(a, b) in found for a, b in zip(x[expected], y[expected], strict=True)])
     assert hit.mean() > 0.99
 
 
@@ -77,7 +77,7 @@ def test_points_do_not_depend_on_earlier_frames(snapshot, snapshot_of, street, e
     fresh = _lidars(empty_street).scan(empty_street)
     for one, other in ((first, again), (fresh, lidars.scan(empty_street))):
         assert all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
-    # The car stands 0.2 m above the road: a few rays pass below it.
+    # The car is 0.2 m above the road: a few rays pass below it.
     below = (np.abs(fresh[0] - (10, 1.9, -2.2)) < (1.0, 0.3, 0.05)).all(axis=1)
     under_car = (np.abs(first[0] - (10, 1.9, -2.2)) < (1.0, 0.3, 0.05)).all(axis=1)
     assert below.sum() > 10 * under_car.sum()
@@ -107,6 +107,6 @@ def test_thinning_against_a_dictionary():
     for number, (cell, label) in enumerate(zip(map(tuple, np.floor(points * np.float32(10))), labels, strict=True)):
         if cell not in best or (label >= 9 and labels[best[cell]] < 9):
             best[cell] = number
-    want = set(best.values())
-    assert want <= set(kept.tolist())
-    assert len(kept) < 1.02 * len(want)  # cubes 25.6 m apart collide in the table
+    expected = set(best.values())
+    assert expected <= set(kept.tolist())
+    assert len(kept) < 1.02 * len(expected)  # cubes 25.6 m apart collide in the table

@@ -1,4 +1,4 @@
-"""Places: the same bytes every time, sound triangles, all classes, on a road that is free."""
+"""Places: the same bytes every time, valid triangles, all classes, roads without obstacles."""
 
 import hashlib
 import subprocess
@@ -72,7 +72,7 @@ def test_mesh_is_sound(theme: str) -> None:
 
 
 @pytest.mark.parametrize("theme", THEMES)
-def test_every_static_class_is_there(theme: str) -> None:
+def test_every_static_class_occurs(theme: str) -> None:
     parked = set() if theme in ("oldtown", "campus") else {7}
     assert set(np.unique(built(theme).mesh.label)) >= {1, 2, 3, 4, 5, 6, 8, 9, 11} | parked
 
@@ -93,7 +93,7 @@ def test_streets_face_up_and_follow_the_land(theme: str) -> None:
 
 
 def test_streets_leave_no_hole_and_do_not_overlap() -> None:
-    """Random points of the town lie on exactly one face of road, sidewalk or land."""
+    """Random points of the town are on exactly one face of road, sidewalk or land."""
     place = built("countryside")
     mesh, rng = place.mesh, np.random.default_rng(0)
     outline = place.network.junctions_m

@@ -1,4 +1,4 @@
-"""Traffic: nothing passes through anything, the ego keeps to its road and moves smoothly."""
+"""Traffic: actors and objects never overlap, the ego stays on the road and moves smoothly."""
 
 import time
 from bisect import bisect_right
@@ -31,7 +31,7 @@ def rectangle(pose: np.ndarray, size_m: tuple[float, float, float]) -> np.ndarra
 
 
 def overlap(a: np.ndarray, b: np.ndarray) -> bool:
-    """Separating axes of two rectangles (4, 2)."""
+    """Return whether two rectangles (4, 2) overlap, by their separating axes."""
     for edge in (a[1] - a[0], a[2] - a[1], b[1] - b[0], b[2] - b[1]):
         p, q = a @ edge, b @ edge
         if p.max() <= q.min() or q.max() <= p.min():
@@ -63,8 +63,8 @@ def test_no_actor_passes_through_another(theme: str, seed: int) -> None:
 
 
 @pytest.mark.parametrize("theme", THEMES)
-def test_no_actor_passes_through_what_stands(theme: str) -> None:
-    """No corner, edge or face centre of a static object lies in an actor's box, from 0.2 m above its ground on."""
+def test_no_actor_passes_through_a_static_object(theme: str) -> None:
+    """No corner, edge or face centre of a static object is in an actor's box more than 0.2 m above the ground."""
     place, traffic = world(theme)
     corners = place.mesh.vertices[place.mesh.faces[np.isin(place.mesh.label, (4, 5, 6, 7, 8, 9))]].astype(float)
     label = place.mesh.label[np.isin(place.mesh.label, (4, 5, 6, 7, 8, 9))]
@@ -153,7 +153,7 @@ def test_actors_carry_their_faces_and_speeds(theme: str) -> None:
     assert len({a.id for a in actors}) == len(actors) > 3
     assert set(np.unique(mesh.instance[mesh.instance >= 0])) == {a.id for a in actors}
     assert set(np.unique(mesh.label[mesh.instance < 0])) <= {9}  # lamps of traffic lights
-    assert spheres_of(mesh)[:, 3].max() < 9  # wide spheres would make every ray look for moving objects
+    assert spheres_of(mesh)[:, 3].max() < 9  # wide spheres would make every ray a candidate for moving objects
     later = {a.id: a for a in traffic.boxes(12.1)}
     middle = traffic.world_from_ego(12.0)[:2, 3]
     for actor in actors:
@@ -196,7 +196,7 @@ def test_the_ego_turns_both_ways_goes_straight_and_stops() -> None:
 
 
 def test_traffic_lights_agree_with_the_cars() -> None:
-    """Cars see green when they pass the line; cars that stand at the line mostly see red."""
+    """Cars see green when they pass the line; cars that wait at the line mostly see red."""
     for theme in ("downtown", "arterial"):
         flow = world(theme)[1]._flow
         shown = {0: 0, 1: 0, 2: 0}
@@ -218,11 +218,11 @@ def test_traffic_lights_agree_with_the_cars() -> None:
 
 def test_later_steps_do_not_depend_on_earlier_queries() -> None:
     """Remembered steps are never simulated twice, and reading them changes nothing."""
-    _, asked = world("downtown")
+    _, queried = world("downtown")
     for time_s in (30.0, 3.0, 90.0):
-        asked.boxes(time_s)
+        queried.boxes(time_s)
     fresh = Traffic(places.build("downtown", 3), 3)
-    for mine, theirs in zip(asked.boxes(60.0), fresh.boxes(60.0), strict=True):
+    for mine, theirs in zip(queried.boxes(60.0), fresh.boxes(60.0), strict=True):
         assert mine.id == theirs.id
         np.testing.assert_array_equal(mine.world_from_actor, theirs.world_from_actor)
 

@@ -133,8 +133,8 @@ def _whole(key: str, value: Any) -> int:
 
 def _matrix_data(key: str, value: dict[str, Any]) -> list[Any]:
     data = required(value, "data")
-    wanted = whole(value, "rows") * whole(value, "cols")
-    if not isinstance(data, list) or len(data) != wanted:
+    count = whole(value, "rows") * whole(value, "cols")
+    if not isinstance(data, list) or len(data) != count:
         held = len(data) if isinstance(data, list) else repr(data)
-        raise ValueError(f"{key} says {value['rows']}x{value['cols']} but holds {held} numbers; is the file whole?")
+        raise ValueError(f"{key} is {value['rows']}x{value['cols']} but holds {held} numbers; is the file whole?")
     return data

@@ -3,8 +3,6 @@
 from typing import Any
 
 import torch
-from jaxtyping import Float64
-from torch import Tensor
 
 from omniocc.camera.calibration.fields import Calibration, ego_from_first, pose, required, row, size
 from omniocc.camera.models.double_sphere import DoubleSphere
@@ -26,22 +24,18 @@ def read_kalibr(content: dict[str, Any]) -> Calibration:
         ValueError: naming the camera and the key.
     """
     names = [f"cam{index}" for index in range(len(content))]
-    cameras, poses = [], []
+    cameras, poses, cam0 = [], [], torch.eye(4, dtype=torch.float64)
     for name in names:
         entry = required(content, name)
         try:
             if not isinstance(entry, dict):
                 raise ValueError(f"its entry is {entry!r}; it must be a mapping")
             cameras.append(_camera(entry))
-            poses.append(_cam0_from(entry, poses[-1]) if poses else torch.eye(4, dtype=torch.float64))
+            previous_from_this = invert_pose(pose(required(entry, "T_cn_cnm1"), "T_cn_cnm1")) if poses else cam0
+            poses.append(poses[-1] @ previous_from_this if poses else cam0)
         except ValueError as error:
             raise ValueError(f"{name}: {error}") from error
     return Calibration(tuple(cameras), ego_from_first(torch.stack(poses)), tuple(names), None)
-
-
-def _cam0_from(entry: dict[str, Any], cam0_from_previous: Float64[Tensor, "4 4"]) -> Float64[Tensor, "4 4"]:
-    this_from_previous = pose(required(entry, "T_cn_cnm1"), "T_cn_cnm1")
-    return cam0_from_previous @ invert_pose(this_from_previous)
 
 
 def _camera(entry: dict[str, Any]) -> Camera:

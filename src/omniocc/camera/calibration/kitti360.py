@@ -5,27 +5,14 @@ from typing import Any
 
 import torch
 
-from omniocc.camera.calibration.fields import (
-    Calibration,
-    centered,
-    number,
-    parse_yaml,
-    pose,
-    required,
-    single,
-    whole,
-)
+from omniocc.camera.calibration.fields import Calibration, centered, number, parse_yaml, pose, required, single, whole
 from omniocc.camera.models.mei import MEI
 
 POSES = "calib_cam_to_pose.txt"
 
 
 def read_kitti360(content: dict[str, Any], name: str) -> Calibration:
-    """Return one camera from the mirror, distortion and projection parameters of `model_type: MEI`.
-
-    Raises:
-        ValueError: naming the key that is missing or wrong.
-    """
+    """Return one camera of `model_type: MEI`; raise ValueError naming the key that is missing or wrong."""
     model = required(content, "model_type")
     if model != "MEI":
         raise ValueError(f"model_type is {model!r}; only MEI of CamOdoCal's models is supported")
@@ -33,14 +20,11 @@ def read_kitti360(content: dict[str, Any], name: str) -> Calibration:
         _section(content, key) for key in ("mirror_parameters", "distortion_parameters", "projection_parameters")
     )
     camera = MEI(
-        whole(content, "image_width"),
-        whole(content, "image_height"),
+        whole(content, "image_width"), whole(content, "image_height"),
         (number(projection, "gamma1"), number(projection, "gamma2")),
-        (number(projection, "u0"), number(projection, "v0")),
-        number(mirror, "xi"),
-        tuple(number(distortion, key) for key in ("k1", "k2", "p1", "p2")),
-        180.0,
-    )
+        (number(projection, "u0"), number(projection, "v0")), number(mirror, "xi"),
+        tuple(number(distortion, key) for key in ("k1", "k2", "p1", "p2")), 180.0,
+    )  # fmt: skip
     return single(camera, str(content.get("camera_name", name)))
 
 
@@ -51,11 +35,11 @@ def read_kitti360_folder(folder: Path) -> Calibration:
     z axes, and its origin at the mean position of the cameras.
 
     Raises:
-        ValueError: naming the file and what is wrong in it.
+        ValueError: naming the file and the wrong value.
     """
     files = sorted(folder.glob("image_*.yaml"))
     if not files:
-        raise ValueError(f"{folder}: {POSES} is here but no image_02.yaml; download KITTI-360's calibration")
+        raise ValueError(f"{folder}: {POSES} exists but no image_02.yaml; download KITTI-360's calibration")
     imu_from_camera = _poses(folder / POSES)
     ego_from_imu = torch.diag(torch.tensor([1.0, -1, -1, 1], dtype=torch.float64))
     cameras, poses = [], []

@@ -13,10 +13,9 @@ FISHEYE = ("equidistant", "fisheye", "kannala_brandt")
 def read_opencv(content: dict[str, Any], name: str) -> Calibration:
     """Return one camera from `camera_matrix`, `dist_coeffs` (`distortion_coefficients`) and the image size.
 
-    The size is `resolution`, or `image_width` and `image_height`.
-
-    Four coefficients are `cv2.fisheye`'s (Kannala-Brandt) unless `distortion_model` or `fisheye_model` says otherwise;
-    `cv2.calibrateCamera` writes five or more.
+    The size is `resolution`, or `image_width` and `image_height`. Four coefficients are `cv2.fisheye`'s
+    (Kannala-Brandt) unless `distortion_model` or `fisheye_model` names another one; `cv2.calibrateCamera` writes five
+    or more.
 
     Raises:
         ValueError: naming the key that is missing, or a distortion that no model supports.
@@ -31,13 +30,9 @@ def read_opencv(content: dict[str, Any], name: str) -> Calibration:
 
 
 def _camera(
-    content: dict[str, Any],
-    width: int,
-    height: int,
-    focal_px: tuple[float, float],
-    center_px: tuple[float, float],
+    content: dict[str, Any], width: int, height: int, focal_px: tuple[float, float], center_px: tuple[float, float],
     coefficients: list[float],
-) -> Camera:
+) -> Camera:  # fmt: skip
     if _is_fisheye(content, len(coefficients)):
         if len(coefficients) != 4:
             raise ValueError(f"a fisheye has 4 coefficients, this file holds {len(coefficients)}: {coefficients}")

@@ -30,7 +30,6 @@ class DoubleSphere(FocalCamera):
     max_angle_deg: float
 
     def __post_init__(self) -> None:
-        """Check the parameters; raise ValueError for one that no lens has."""
         super().__post_init__()
         normalize_fields(self, {"xi": finite, "alpha": finite, "max_angle_deg": angle_from_axis})
         if not -1 < self.xi <= 1:
@@ -65,7 +64,7 @@ class DoubleSphere(FocalCamera):
 
     @property
     def _behind(self) -> float:
-        """Return w2 of the paper: the model covers z > -w2 * distance, a tenth of a degree less than its image."""
+        """Return w2 of the paper: the model covers points with z > -w2 * distance."""
         w1 = pinhole_bound(self.alpha)
         return (w1 + self.xi) / math.sqrt(2 * w1 * self.xi + self.xi**2 + 1)
 

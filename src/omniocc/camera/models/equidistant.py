@@ -30,7 +30,6 @@ class Equidistant:
     max_angle_deg: float
 
     def __post_init__(self) -> None:
-        """Check the parameters; raise ValueError for one that no lens has."""
         check_size(self.width, self.height)
         normalize_fields(self, {"focal_px": positive, "center_px": pair, "max_angle_deg": angle_from_axis})
 

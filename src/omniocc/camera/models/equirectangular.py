@@ -15,8 +15,8 @@ from omniocc.camera.protocol import check_size, finite, normalize_fields
 class Equirectangular:
     """Panorama with azimuths over the full turn as columns and elevations as rows; its camera frame is the ego frame.
 
-    Column j looks to azimuth pi - (j + 0.5) * 2 pi / width: forward is the middle of the image, the car's left is its
-    left. Row i looks to elevation top - (i + 0.5) * (top - bottom) / height.
+    Column j has the azimuth pi - (j + 0.5) * 2 pi / width: forward is the middle of the image, the car's left is its
+    left. Row i has the elevation top - (i + 0.5) * (top - bottom) / height.
 
     Attributes:
         width: of the image, px.
@@ -31,7 +31,6 @@ class Equirectangular:
     bottom_deg: float
 
     def __post_init__(self) -> None:
-        """Check the parameters; raise ValueError unless -90 <= bottom_deg < top_deg <= 90."""
         check_size(self.width, self.height)
         normalize_fields(self, {"top_deg": finite, "bottom_deg": finite})
         if not -90 <= self.bottom_deg < self.top_deg <= 90:
@@ -44,7 +43,7 @@ class Equirectangular:
         return 2 * math.pi / self.width, math.radians(self.top_deg - self.bottom_deg) / self.height
 
     def project(self, points: Float[Tensor, "*batch 3"]) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"]]:
-        """Return the pixel of each ego point (m); columns lie in [-0.5, width-0.5], both ends being straight behind."""
+        """Return the pixel of each ego point (m); columns are in [-0.5, width-0.5]; both ends are straight behind."""
         x, y, z = points.unbind(-1)
         squared = x.square() + y.square()
         on_pole = squared == 0

@@ -29,7 +29,6 @@ class EUCM(FocalCamera):
     max_angle_deg: float
 
     def __post_init__(self) -> None:
-        """Check the parameters; raise ValueError for one that no lens has."""
         super().__post_init__()
         normalize_fields(self, {"alpha": finite, "beta": positive, "max_angle_deg": angle_from_axis})
         if not 0 <= self.alpha <= 1:

@@ -19,7 +19,7 @@ class KannalaBrandt(FocalCamera):
     """Fisheye with image radius f * (theta + k1 theta^3 + k2 theta^5 + k3 theta^7 + k4 theta^9).
 
     Kannala and Brandt, PAMI 2006, eq. 6 with one focal length per axis. Past the angle where the polynomial stops
-    rising two angles would share a pixel: the model ends there, at 86.9 degrees for some real lenses. Size, focal
+    rising two angles would have the same pixel: the model ends there, at 86.9 degrees for some real lenses. Size, focal
     lengths (pixels per radian on the axis) and centre are those of `FocalCamera`.
 
     Attributes:
@@ -31,14 +31,13 @@ class KannalaBrandt(FocalCamera):
     max_angle_deg: float
 
     def __post_init__(self) -> None:
-        """Check the parameters; raise ValueError for one that no lens has."""
         super().__post_init__()
         four = partial(numbers, least=4, most=4)
         normalize_fields(self, {"coefficients": four, "max_angle_deg": angle_from_axis})
 
     @property
     def limit_rad(self) -> float:
-        """Return the largest angle from the axis, in radians, that has a pixel of its own."""
+        """Return the largest angle from the axis, in radians, up to which every angle has a different pixel."""
         return positive_until(derivative(self._radius), 0.0, math.radians(self.max_angle_deg))
 
     def project(self, points: Float[Tensor, "*batch 3"]) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"]]:

@@ -22,8 +22,8 @@ COSINE_MARGIN = 1e-3  # below xi = 1 the model reaches infinity at cos = -xi: it
 class MEI(FocalCamera):
     """Unified model of Mei and Rives, ICRA 2007, with distortion on the normalised plane; the fisheyes of KITTI-360.
 
-    Past the radius where r (1 + k1 r^2 + k2 r^4) stops rising two angles would share a pixel: the model ends there.
-    Size, focal lengths (the generalised gamma1 and gamma2) and centre (u0, v0) are those of `FocalCamera`.
+    Past the radius where r (1 + k1 r^2 + k2 r^4) stops rising two angles would have the same pixel: the model ends
+    there. Size, focal lengths (the generalised gamma1 and gamma2) and centre (u0, v0) are those of `FocalCamera`.
 
     Attributes:
         xi: distance of the pinhole from the sphere's centre, not negative.
@@ -36,7 +36,6 @@ class MEI(FocalCamera):
     max_angle_deg: float
 
     def __post_init__(self) -> None:
-        """Check the parameters; raise ValueError for one that no lens has."""
         super().__post_init__()
         four = partial(numbers, least=4, most=4)
         normalize_fields(self, {"xi": finite, "distortion": four, "max_angle_deg": angle_from_axis})
@@ -72,7 +71,7 @@ class MEI(FocalCamera):
 
     @property
     def _limit(self) -> float:
-        """Return the largest radius on the undistorted plane that has a pixel of its own."""
+        """Return the largest radius on the undistorted plane up to which every angle has a different pixel."""
         cosine = self._min_cosine
         end = math.sqrt(1 - cosine**2) / (cosine + self.xi)
         return positive_until(derivative(self._radius), 0.0, end)

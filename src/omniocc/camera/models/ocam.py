@@ -27,7 +27,7 @@ class OCam:
     Attributes:
         width: of the image, px.
         height: of the image, px.
-        center_px: (cx, cy); the files name the row first.
+        center_px: (cx, cy); calibration files give the row first.
         polynomial: f, ascending powers of rho in px; the first is negative.
         inverse_polynomial: rho in px, ascending powers of the elevation angle - pi / 2 in radians; () to invert f.
         affine: (c, d, e): row = c * y + d * x + cy, column = e * y + x + cx, for x right and y down.
@@ -43,7 +43,6 @@ class OCam:
     max_angle_deg: float
 
     def __post_init__(self) -> None:
-        """Check the parameters; raise ValueError for one that no lens has."""
         check_size(self.width, self.height)
         checks = {
             "center_px": pair,
@@ -92,18 +91,15 @@ class OCam:
         scale_x, scale_y = width / self.width, height / self.height
         c, d, e = self.affine
         return replace(
-            self,
-            width=width,
-            height=height,
-            center_px=scaled_center(self.center_px, scale_x, scale_y),
+            self, width=width, height=height, center_px=scaled_center(self.center_px, scale_x, scale_y),
             polynomial=tuple(a * scale_x ** (1 - power) for power, a in enumerate(self.polynomial)),
             inverse_polynomial=tuple(a * scale_x for a in self.inverse_polynomial),
             affine=(c * scale_y / scale_x, d * scale_y / scale_x, e),
-        )
+        )  # fmt: skip
 
     @property
     def limit_rad(self) -> float:
-        """Return the largest angle from the axis, in radians, that has a pixel of its own."""
+        """Return the largest angle from the axis, in radians, up to which every angle has a different pixel."""
         if self.inverse_polynomial:
             start, end = -math.pi / 2, math.radians(self.max_angle_deg) - math.pi / 2
             return positive_until(derivative(self.inverse_polynomial), start, end) + math.pi / 2

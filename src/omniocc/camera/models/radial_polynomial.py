@@ -44,7 +44,6 @@ class RadialPolynomial:
     max_angle_deg: float
 
     def __post_init__(self) -> None:
-        """Check the parameters; raise ValueError for one that no lens has."""
         check_size(self.width, self.height)
         four = partial(numbers, least=4, most=4)
         checks = {"coefficients_px": four, "center_px": pair, "aspect": positive, "max_angle_deg": angle_from_axis}
@@ -53,7 +52,7 @@ class RadialPolynomial:
 
     @property
     def limit_rad(self) -> float:
-        """Return the largest angle from the axis, in radians, that has a pixel of its own."""
+        """Return the largest angle from the axis, in radians, up to which every angle has a different pixel."""
         return positive_until(derivative((0.0, *self.coefficients_px)), 0.0, math.radians(self.max_angle_deg))
 
     def project(self, points: Float[Tensor, "*batch 3"]) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"]]:
@@ -74,13 +73,9 @@ class RadialPolynomial:
         """See `Camera.resized`."""
         scale_x, scale_y = width / self.width, height / self.height
         return replace(
-            self,
-            width=width,
-            height=height,
-            coefficients_px=tuple(k * scale_x for k in self.coefficients_px),
-            center_px=scaled_center(self.center_px, scale_x, scale_y),
-            aspect=self.aspect * scale_y / scale_x,
-        )
+            self, width=width, height=height, coefficients_px=tuple(k * scale_x for k in self.coefficients_px),
+            center_px=scaled_center(self.center_px, scale_x, scale_y), aspect=self.aspect * scale_y / scale_x,
+        )  # fmt: skip
 
     @property
     def _radius(self) -> tuple[float, ...]:

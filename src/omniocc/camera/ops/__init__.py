@@ -1,1 +1,1 @@
-"""Mathematics and fields that several camera models share."""
+"""Mathematics and fields of several camera models."""

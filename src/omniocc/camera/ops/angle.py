@@ -51,10 +51,8 @@ def rays_of_polynomial(
 ) -> tuple[Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
     """Return the unit rays of image points whose distance from the axis is a polynomial of the angle.
 
-    Args:
-        offsets: from the image centre, in units in which the polynomial's slope on the axis is 1.
-        radius: ascending coefficients of the polynomial, which increases up to `limit_rad`.
-        limit_rad: largest angle from the axis; farther points are invalid.
+    `offsets` from the image centre are in units in which the polynomial's slope on the axis is 1; `radius` has its
+    ascending coefficients. It increases up to the angle `limit_rad`; farther points are invalid.
     """
     rays = rays_at_radius(offsets, lambda distance: invert_polynomial(radius, distance, limit_rad))
     farthest = evaluate(radius, offsets.new_tensor(limit_rad))

@@ -1,4 +1,4 @@
-"""The part that camera models with one focal length per image axis share."""
+"""The common part of camera models with one focal length per image axis."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
@@ -26,11 +26,6 @@ class FocalCamera(ABC):
     center_px: tuple[float, float]
 
     def __post_init__(self) -> None:
-        """Check the parameters.
-
-        Raises:
-            ValueError: naming a parameter that no lens has.
-        """
         check_size(self.width, self.height)
         normalize_fields(self, {"focal_px": positive_pair, "center_px": pair})
 

@@ -10,16 +10,7 @@ from omniocc.camera.protocol import Camera
 
 
 def read_mask_pixels(name: str, file: Path, camera: Camera) -> UInt8[np.ndarray, "height width"]:
-    """Return the grey values of a mask image.
-
-    Args:
-        name: name of the mask in messages.
-        file: an image file that exists.
-        camera: the camera whose image size the mask must have.
-
-    Raises:
-        ValueError: if the file is not readable or has another size.
-    """
+    """Return the grey values of a mask; raise ValueError, with `name`, if unreadable or not of the image's size."""
     pixels = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
     if pixels is None:
         raise ValueError(f"{name} {file} is not a readable image")

@@ -24,6 +24,6 @@ def pixel_centers(
 
 
 def in_image(pixels: Float[Tensor, "*batch 2"], width: int, height: int) -> Bool[Tensor, "*batch"]:
-    """Return whether a pixel lies in the image, its border included; false for NaN."""
+    """Return whether a pixel is in the image, its border included; false for NaN."""
     u, v = pixels.unbind(-1)
     return (u >= -0.5) & (u <= width - 0.5) & (v >= -0.5) & (v <= height - 0.5)

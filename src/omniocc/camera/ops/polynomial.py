@@ -15,7 +15,6 @@ from torch import Tensor
 NODES = 1024
 STEPS = 8  # measured: 4 suffice to reach rounding error, except near a turning point
 
-Values = Float[Tensor, "*batch"]
 Function = Callable[[Tensor], Tensor]
 
 
@@ -48,7 +47,7 @@ def positive_until(coefficients: tuple[float, ...], start: float, stop: float) -
 def invert_increasing(
     function: Function, slope: Function, values: Float[Tensor, "*batch"], start: float, stop: float
 ) -> Float[Tensor, "*batch"]:
-    """Return x in [start, stop] with function(x) = values, for a function that increases there.
+    """Return x in [start, stop] with function(x) = values, for a function that increases in this interval.
 
     A table brackets the root, safeguarded Newton steps find it to rounding, and a last step outside `no_grad` carries
     the gradient of the inverse. Values beyond the ends give the ends.
@@ -61,12 +60,12 @@ def invert_increasing(
     nodes = torch.linspace(start, stop, NODES, dtype=values.dtype, device=values.device)
     with torch.no_grad():
         table = function(nodes).cummax(0).values
-    wanted = values.clamp(table[0].item(), table[-1].item())
+    targets = values.clamp(table[0].item(), table[-1].item())
     with torch.no_grad():
-        x = _search(function, slope, wanted, nodes, table)
+        x = _search(function, slope, targets, nodes, table)
         steepness = slope(x).clamp(min=torch.finfo(values.dtype).eps ** 0.5)
         error = function(x)
-    return (x - (error - wanted) / steepness).clamp(start, stop)
+    return (x - (error - targets) / steepness).clamp(start, stop)
 
 
 def invert_polynomial(
@@ -77,13 +76,13 @@ def invert_polynomial(
     return invert_increasing(lambda x: evaluate(coefficients, x), lambda x: evaluate(slope, x), values, 0.0, stop)
 
 
-def _search(function: Function, slope: Function, wanted: Tensor, nodes: Tensor, table: Tensor) -> Tensor:
-    cell = (torch.searchsorted(table, wanted.detach().contiguous()) - 1).clamp(0, len(nodes) - 2)
+def _search(function: Function, slope: Function, targets: Tensor, nodes: Tensor, table: Tensor) -> Tensor:
+    cell = (torch.searchsorted(table, targets.detach().contiguous()) - 1).clamp(0, len(nodes) - 2)
     low, high, bottom, top = nodes[cell], nodes[cell + 1], table[cell], table[cell + 1]
-    fraction = (wanted - bottom) / (top - bottom).clamp(min=torch.finfo(table.dtype).tiny)
+    fraction = (targets - bottom) / (top - bottom).clamp(min=torch.finfo(table.dtype).tiny)
     x = low + (high - low) * fraction.clamp(0, 1)
     for _ in range(STEPS):
-        error = function(x) - wanted
+        error = function(x) - targets
         low, high = torch.where(error < 0, x, low), torch.where(error > 0, x, high)
         newton = x - error / slope(x)
         x = torch.where((newton >= low) & (newton <= high), newton, (low + high) / 2)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import torch
 from jaxtyping import Float64, Int64
 from torch import Tensor
+from torch.nn import functional as F
 
 from omniocc.geometry.raycast.crossings import FAR, TOUCH_M
 from omniocc.geometry.raycast.fans import Fans
@@ -22,7 +23,7 @@ class Columns(NamedTuple):
 
     Attributes:
         cells: row-major index over the first two axes of the nth column along each azimuth; the number of columns of
-            the grid where there is none.
+            the grid for none.
         ends: parameter at which each column begins and the last one ends.
     """
 
@@ -51,7 +52,9 @@ class Levels(NamedTuple):
 def find_columns(grid: Traversable, origins: Float64[Tensor, "G 3"], azimuths: Float64[Tensor, "G 2"]) -> Columns:
     """Return the columns along azimuths (horizontal vectors); heights do not matter."""
     none = grid.shape[0] * grid.shape[1]
-    origins, directions = _level(grid, origins, azimuths)
+    # level rays at half the grid's height
+    origins = F.pad(origins[:, :2], (0, 1), value=(grid.bounds[2][0] + grid.bounds[2][1]) / 2)
+    directions = F.pad(azimuths, (0, 1))
     cells, ends = [], []
     for first in range(0, max(len(origins), 1), CHUNK_RAYS):
         chunk = slice(first, first + CHUNK_RAYS)
@@ -62,14 +65,6 @@ def find_columns(grid: Traversable, origins: Float64[Tensor, "G 3"], azimuths: F
         cells.append(cell.masked_fill_((cell < 0) | (cell > none) | (end.diff(dim=1) <= TOUCH_M), none))
         ends.append(end)
     return Columns(stack_ragged(cells, none).long(), stack_ragged(ends, None))
-
-
-def _level(
-    grid: Traversable, origins: Float64[Tensor, "G 3"], azimuths: Float64[Tensor, "G 2"]
-) -> tuple[Float64[Tensor, "G 3"], Float64[Tensor, "G 3"]]:
-    """Return level rays at half the grid's height."""
-    middle = (grid.bounds[2][0] + grid.bounds[2][1]) / 2
-    return torch.nn.functional.pad(origins[:, :2], (0, 1), value=middle), torch.nn.functional.pad(azimuths, (0, 1))
 
 
 def find_levels(grid: Traversable, fans: Fans) -> Levels:
@@ -89,9 +84,9 @@ def find_levels(grid: Traversable, fans: Fans) -> Levels:
     slot = slot * slope.shape[1] + elevation
     behind = [
         torch.zeros(len(params), (params.shape[1] + 1) * slope.shape[1], dtype=torch.int64, device=params.device)
-        .scatter_(1, slot, torch.where(chosen, bit, 0))
+        .scatter_(1, slot, torch.where(is_kind, bit, 0))
         .reshape(len(params), params.shape[1] + 1, slope.shape[1])
         .cumsum(dim=1)
-        for chosen in (event < count, event >= count)
+        for is_kind in (event < count, event >= count)
     ]
     return Levels(enter, leave, params, behind[0], ~behind[1])

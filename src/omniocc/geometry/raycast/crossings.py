@@ -11,12 +11,15 @@ import torch
 from jaxtyping import Float, Float64, Int32, Int64
 from torch import Tensor
 
+Rays = Float[Tensor, "R 3"]
+Distances = Float[Tensor, " R"]
+
 FAR = 1e30
-"""Distance that stands for 'never'; finite, so that arithmetic on it never gives nan."""
+"""Distance that means 'never'; finite, so that arithmetic on it never gives nan."""
 TOUCH_M = 1e-9
 """A cell crossed over less than this does not count, and a boundary this close counts as reached."""
 FACE = 1e-10
-"""A ray this close below a sector's face, in sectors, runs along the face and belongs to the sector above it."""
+"""A ray less than this (in sectors) below a sector's face runs along the face and belongs to the sector above it."""
 
 
 class Crossings(NamedTuple):
@@ -25,7 +28,7 @@ class Crossings(NamedTuple):
     Attributes:
         index: cell on this axis at the start.
         at_m: distance along the ray of each crossing, in order; `FAR` or beyond the grid for none.
-        step: by how much the cell changes there.
+        step: change of the cell at each crossing.
     """
 
     index: Int64[Tensor, " R"]
@@ -34,11 +37,7 @@ class Crossings(NamedTuple):
 
 
 def plane_crossings(
-    origin: Float[Tensor, " R"],
-    direction: Float[Tensor, " R"],
-    start_m: Float[Tensor, " R"],
-    bounds: tuple[float, float],
-    cells: int,
+    origin: Distances, direction: Distances, start_m: Distances, bounds: tuple[float, float], cells: int
 ) -> Crossings:
     """Return the crossings with equidistant planes across one Cartesian axis."""
     low, size = bounds[0], (bounds[1] - bounds[0]) / cells
@@ -53,11 +52,7 @@ def plane_crossings(
 
 
 def ring_crossings(
-    origin: Float[Tensor, "R 3"],
-    direction: Float[Tensor, "R 3"],
-    start_m: Float[Tensor, " R"],
-    bounds: tuple[float, float],
-    cells: int,
+    origin: Rays, direction: Rays, start_m: Distances, bounds: tuple[float, float], cells: int
 ) -> Crossings:
     """Return the crossings with concentric cylinders around the z axis; index -1 is the hole inside the first one.
 
@@ -79,36 +74,34 @@ def ring_crossings(
     return Crossings((innermost + turn.abs()).long(), at_m, later.sign_().int())
 
 
-def sector_crossings(
-    origin: Float[Tensor, "R 3"], direction: Float[Tensor, "R 3"], start_m: Float[Tensor, " R"], cells: int
-) -> Crossings:
+def sector_crossings(origin: Rays, direction: Rays, start_m: Distances, cells: int) -> Crossings:
     """Return the crossings with `cells` half-planes that start at the z axis, the first towards -x.
 
-    A ray sweeps less than half a turn in one sense; a ray that meets the axis changes to the opposite sector.
+    A ray sweeps less than half a turn in one sense; a ray through the axis changes to the opposite sector.
     """
     speed2, nearest_m, miss2 = closest_approach(origin, direction)
     vertical = speed2 < TOUCH_M**2
-    meets = (miss2 < TOUCH_M**2) & ~vertical
+    through_axis = (miss2 < TOUCH_M**2) & ~vertical
     after = _sector(direction, cells, FACE)
-    coming = meets & (start_m < nearest_m - TOUCH_M)
-    there = _sector(origin + start_m.unsqueeze(-1) * direction, cells, 0.0)
-    index = torch.where(coming, _sector(-direction, cells, FACE), torch.where(meets, after, there))
+    before_axis = through_axis & (start_m < nearest_m - TOUCH_M)
+    at_start = _sector(origin + start_m.unsqueeze(-1) * direction, cells, 0.0)
+    index = torch.where(before_axis, _sector(-direction, cells, FACE), torch.where(through_axis, after, at_start))
     sweep = (origin[:, 0] * direction[:, 1] - origin[:, 1] * direction[:, 0]).sign().long()
-    straight = meets | vertical
+    straight = through_axis | vertical
     # planes half a turn apart are the same plane, which a ray crosses once
     count = 1 if bool(straight.all()) else (cells + 1) // 2
     boundary = (index + (sweep > 0)).unsqueeze(1) + torch.arange(count, device=origin.device) * sweep.unsqueeze(1)
     boundary += cells * (boundary < 0).long() - cells * (boundary >= cells).long()
-    at_m = _meet_half_planes(origin, direction, start_m, boundary, sweep, cells)
+    at_m = _cross_half_planes(origin, direction, start_m, boundary, sweep, cells)
     at_m.masked_fill_(straight.unsqueeze(1), FAR)
     sweep = sweep.int().unsqueeze(1)
     step = torch.where(boundary == 0, sweep * (1 - cells), sweep)
-    at_m[:, 0] = torch.where(coming, nearest_m, at_m[:, 0])
-    step[:, 0] = torch.where(coming, (after - index).int(), step[:, 0])
+    at_m[:, 0] = torch.where(before_axis, nearest_m, at_m[:, 0])
+    step[:, 0] = torch.where(before_axis, (after - index).int(), step[:, 0])
     return Crossings(index, at_m, step)
 
 
-def _meet_half_planes(
+def _cross_half_planes(
     origin: Tensor, direction: Tensor, start_m: Tensor, boundary: Int64[Tensor, "R N"], sweep: Tensor, cells: int
 ) -> Float64[Tensor, "R N"]:
     angle = torch.linspace(-math.pi, math.pi, cells + 1, dtype=origin.dtype, device=origin.device)[:-1]
@@ -118,13 +111,13 @@ def _meet_half_planes(
     across = direction[:, 1:2] * cos
     across.addcmul_(direction[:, :1], sin, value=-1)
     at_m = sin.mul_(origin[:, :1]).addcmul_(cos, origin[:, 1:2], value=-1).div_(across)
-    # a line meets the whole plane once: on the far side of the axis against the sweep, or before the ray begins
+    # a line crosses the whole plane once: on the far side of the axis against the sweep, or before the ray begins
     near = across.mul_(sweep.unsqueeze(1)) > 0
     near &= at_m >= start_m.unsqueeze(1) - TOUCH_M
     return at_m.masked_fill_(~near, FAR).clamp_(max=FAR)
 
 
-def _sector(points: Float[Tensor, "R 3"], cells: int, ahead: float) -> Int64[Tensor, " R"]:
+def _sector(points: Rays, cells: int, ahead: float) -> Int64[Tensor, " R"]:
     turned = (torch.atan2(points[:, 1].contiguous(), points[:, 0].contiguous()) + math.pi) * (cells / (2 * math.pi))
     return (turned + ahead).floor().remainder(cells).long()
 
@@ -133,11 +126,11 @@ def _largest(count: Tensor) -> int:
     return int(count.max()) if len(count) else 0
 
 
-def closest_approach(origin: Float[Tensor, "R 3"], direction: Float[Tensor, "R 3"]) -> tuple[Tensor, Tensor, Tensor]:
+def closest_approach(origin: Rays, direction: Rays) -> tuple[Tensor, Tensor, Tensor]:
     """Return the closest approach of rays to the z axis.
 
     Returns:
-        Squared horizontal speed, distance along the ray to the point nearest to the axis, squared radius there. A
+        Squared horizontal speed, distance along the ray to the point nearest to the axis, and its squared radius. A
         vertical ray counts as leaving, at a negligible speed.
     """
     x, y, _ = origin.unbind(-1)
@@ -163,7 +156,7 @@ def clip_slab(origin: Tensor, direction: Tensor, bounds: tuple[float, float]) ->
     )
 
 
-def clip_disc(origin: Float[Tensor, "R 3"], direction: Float[Tensor, "R 3"], radius_m: float) -> tuple[Tensor, Tensor]:
+def clip_disc(origin: Rays, direction: Rays, radius_m: float) -> tuple[Tensor, Tensor]:
     """Return the distances at which rays enter and leave an endless cylinder around z; enter > leave for a miss."""
     speed2, nearest_m, miss2 = closest_approach(origin, direction)
     offset = ((radius_m**2 - miss2).clamp(min=0) / speed2).sqrt()

@@ -37,7 +37,7 @@ class Fans(NamedTuple):
 
     @classmethod
     def single(cls, origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"]) -> "Fans":
-        """Return rays with nothing in common, each as a fan of its own."""
+        """Return rays with nothing in common, each as one fan."""
         directions = unit(directions)
         slopes = directions[:, 2:]
         order = torch.zeros(1, dtype=torch.int64, device=origins.device)
@@ -89,13 +89,8 @@ class Scan:
             return Fans.single(*self.rays(origins))
         azimuths, slopes, stretches, _, order = (part.to(origins.device) for part in self.raster)
         count = len(origins)
-        return Fans(
-            origins.double(),
-            azimuths.expand(count, -1, -1),
-            slopes.expand(count, -1),
-            stretches.expand(count, -1),
-            order,
-        )
+        azimuths, slopes, stretches = (part.expand(count, *part.shape) for part in (azimuths, slopes, stretches))
+        return Fans(origins.double(), azimuths, slopes, stretches, order)
 
 
 class _Raster(NamedTuple):
@@ -121,11 +116,8 @@ def _raster(directions: Float64[Tensor, "D 3"], tolerance: float) -> _Raster | N
     azimuth, first_azimuth = _distinct(azimuth_rad, tolerance)
     elevation, first_elevation = _distinct(torch.atan2(directions[:, 2], level), tolerance)
     slot = azimuth * len(first_elevation) + elevation
-    if (
-        len(first_elevation) < 2
-        or len(first_azimuth) * len(first_elevation) != len(slot)
-        or len(slot.unique()) != len(slot)
-    ):
+    count = len(first_azimuth) * len(first_elevation)
+    if len(first_elevation) < 2 or count != len(slot) or len(slot.unique()) != len(slot):
         return None
     azimuths = (directions[:, :2] / level.unsqueeze(1))[first_azimuth]
     return _Raster(

@@ -24,15 +24,11 @@ class KernelTable:
 
     The first call in a process loads the compiled kernels; the first on a machine compiles them and keeps the result in
     the package's `__pycache__`, else in numba's cache folder (`NUMBA_CACHE_DIR` if set). As many threads as
-    `torch.get_num_threads()` allows share the work. They are started and joined by each call, and no thread pool of
+    `torch.get_num_threads()` allows do the work. They are started and joined by each call, and no thread pool of
     numba is used: calls from several threads and from forked processes are safe.
 
-    Columns of cells are kept from the second look-up on: rays from the origins of a single frame have only one, of
-    prediction and truth together.
-
-    Args:
-        grid: cylinder or cuboid.
-        fans: the rays.
+    Columns of cells are kept only from the second call on: prediction and truth of a frame are cast in one call, and
+    most origins never occur again.
     """
 
     def __init__(self, grid: Traversable, fans: Fans):
@@ -42,11 +38,13 @@ class KernelTable:
         spans = torch.stack([enter.amin(1), leave.amax(1)], dim=1)
         parts = (fans.origins, fans.azimuths, fans.slopes, fans.stretches, fans.order, spans)
         self.rays = tuple(part.contiguous().numpy() for part in parts)
-        round_ = grid.periodic[1]
+        is_cylinder = grid.periodic[1]
         edges = torch.linspace(bottom, top, grid.shape[2] + 1, dtype=torch.float64).numpy()
-        self.grid = (edges, np.array(grid.bounds[:2]), grid.shape[:2], sector_faces(grid.shape[1] if round_ else 0))
+        self.grid = (
+            edges, np.array(grid.bounds[:2]), grid.shape[:2], sector_faces(grid.shape[1] if is_cylinder else 0),
+        )  # fmt: skip
         # the most columns along an azimuth: rings are crossed twice, half of the sectors' faces once
-        self.longest = 3 + (2 * grid.shape[0] + (grid.shape[1] + 1) // 2 if round_ else sum(grid.shape[:2]))
+        self.longest = 3 + (2 * grid.shape[0] + (grid.shape[1] + 1) // 2 if is_cylinder else sum(grid.shape[:2]))
         self.uses, self.kept = 0, None
 
     def cast_all(self, volumes: Sequence[UInt8[Tensor, "X Y Z"]]) -> list[Hits]:

@@ -104,7 +104,7 @@ def sector_params(x, y, along_x, along_y, start, reach, cells, faces, params):
         return before, after - before, 1
     index = sector_of(x + start * along_x, y + start * along_y, cells, 0.0)
     sweep = 1 if side > 0 else -1
-    # faces lie in the order of the sweep, twice around
+    # faces are in the order of the sweep, twice around
     sin, cos = (faces[0], faces[1]) if side > 0 else (faces[2], faces[3])
     first = index + 1 if side > 0 else cells - 1 - index
     total, count = (cells + 1) // 2, 0
@@ -125,15 +125,10 @@ def sector_params(x, y, along_x, along_y, start, reach, cells, faces, params):
 def merge(first, second, place, sizes, start, leave, cells, ends):
     """Put the crossings of two axes in order; return the number of columns. Cells of no length are -1.
 
-    Args:
-        first: parameters (with room for one more), their number, and how many of them lead to a smaller index.
-        second: parameters (with room for one more), their number, and the change of index at each, which wraps around.
-        place: first cell on both axes.
-        sizes: cells on both axes.
-        start: parameter at which the first column begins.
-        leave: parameter at which the last one ends.
-        cells: output, row-major index of each column.
-        ends: output, parameters between the columns.
+    `first` has parameters (with room for one more), their number, and how many of them lead to a smaller index;
+    `second` parameters, their number, and the change of index at each, which wraps around. `place` is the first cell on
+    both axes. The first column begins at `start`, the last ends at `leave`. The outputs are `cells`, the row-major
+    index of each column, and `ends`, the parameters between them.
     """
     (params, number, down), (others, other_number, step) = first, second
     row, column = place
@@ -184,20 +179,10 @@ def clip_flat(origin, along, low, high):
 @compiled
 @no_type_check
 def find_columns(x, y, along_x, along_y, span, bounds, sizes, faces, scratch, cells, ends):
-    """Find the columns along one azimuth between two parameters; return their number.
+    """Find the columns along one azimuth within `span`, where the fan is in the grid; return their number.
 
-    Args:
-        x: x of the origin.
-        y: y of the origin.
-        along_x: x of the azimuth vector.
-        along_y: y of the azimuth vector.
-        span: parameters between which some ray of the fan is between bottom and top of the grid.
-        bounds: (2, 2) lower and upper ends of the horizontal axes.
-        sizes: cells on the horizontal axes.
-        faces: sines and cosines of the sectors' faces (`sector_faces`), empty for a cuboid.
-        scratch: (2, longest + 1) working memory.
-        cells: output, row-major index of each column.
-        ends: output, parameters between the columns.
+    `bounds` (2, 2) and `sizes` are ends and cells of the horizontal axes, `faces` those of `sector_faces`, empty for a
+    cuboid, `scratch` (2, longest + 1) working memory; the outputs are those of `merge`.
     """
     size = (bounds[0, 1] - bounds[0, 0]) / sizes[0]
     if faces.size:
@@ -268,13 +253,13 @@ def first_hit(height, slope, edges, ends, count, bits):
 def find_turns(height, slope, edges, ends, count, turns):
     """Fill `turns`, for each level edge in a ray's order, with twice the number of columns that begin before it.
 
-    One is added where the edge lies within the last of them, which then belongs to the levels on both sides.
+    One is added where the edge is within the last of them, which then belongs to the levels on both sides.
     """
     levels, column = len(edges) - 1, 0
     if slope == 0:
-        own = np.searchsorted(edges, height, side="right") - 1
+        start = np.searchsorted(edges, height, side="right") - 1
         for edge in range(levels + 1):
-            turns[edge] = 2 * count if 0 <= own < edge and own < levels else 0
+            turns[edge] = 2 * count if 0 <= start < edge and start < levels else 0
         return
     for edge in range(levels + 1):
         param = (edges[edge if slope > 0 else levels - edge] - height) / slope
@@ -286,7 +271,7 @@ def find_turns(height, slope, edges, ends, count, turns):
 @compiled
 @no_type_check
 def next_hits(labels, cells, group, count, hits):
-    """Fill `hits`, for every column and level, with the first occupied column from there on; `count` for none."""
+    """Fill `hits`, for every column and level, with the first occupied column from it on; `count` for none."""
     levels = labels.shape[1]
     for level in range(levels):
         hits[count, level] = count
@@ -326,7 +311,7 @@ def hit_params(height, slope, edges, level, begin, end):
 @compiled
 @no_type_check
 def exit_param(height, slope, bottom, top, begin, end):
-    """Return the parameter at which a ray without a hit leaves the grid; inf if it never meets it."""
+    """Return the parameter at which a ray without a hit leaves the grid; inf if it misses the grid."""
     enter, leave = clip_flat(height, slope, bottom, top)
     leave = min(end, leave)
     return leave if leave > max(begin, enter) + TOUCH_M else np.inf
@@ -374,11 +359,11 @@ def cast_kept(first, last, rays, grid, kept, labels, out):
         height = origins[fan, 2]
         next_hits(labels, cells, group, count, hits)
         # a rising ray crosses none of the levels below its origin; one more for the rounding
-        own = min(max(floor((height - bottom) / (top - bottom) * levels), -1), levels + 1)
+        start = min(max(floor((height - bottom) / (top - bottom) * levels), -1), levels + 1)
         for elevation in range(elevations):
             slope, stretch = slopes[fan, elevation], stretches[fan, elevation]
             ray = fan * each * elevations + order[azimuth * elevations + elevation]
-            begin = max((own if slope > 0 else levels - 1 - own) - 1, 0)
+            begin = max((start if slope > 0 else levels - 1 - start) - 1, 0)
             column, level = known_hit(group, elevation, begin, slope > 0, turns, hits)
             if column < 0:
                 param = exit_param(height, slope, bottom, top, ends[group, 0], ends[group, count])

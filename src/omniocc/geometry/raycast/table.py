@@ -1,4 +1,4 @@
-"""First hits of rays that are cast repeatedly, or that share origins and azimuths."""
+"""First hits of rays that are cast repeatedly, or that have common origins and azimuths."""
 
 import functools
 from collections.abc import Sequence
@@ -8,6 +8,7 @@ from jaxtyping import Float, Float32, UInt8
 from torch import Tensor
 
 from omniocc.geometry.raycast.columns import MAX_LEVELS
+from omniocc.geometry.raycast.crossings import Rays
 from omniocc.geometry.raycast.fans import Fans, Scan
 from omniocc.geometry.raycast.kernel_table import KernelTable
 from omniocc.geometry.raycast.tensor_table import TensorTable
@@ -22,19 +23,13 @@ class RayTable:
 
     On a CPU the rays are cast by compiled kernels, elsewhere by tensor operations; cells and distances are the same.
 
-    Args:
-        grid: cylinder or cuboid.
-        fans: the rays.
-
     Raises:
         ValueError: if the grid has more than 48 levels.
     """
 
     def __init__(self, grid: Traversable, fans: Fans):
         if grid.shape[2] > MAX_LEVELS:
-            raise ValueError(
-                f"rays can be cast through at most {MAX_LEVELS} levels, got shape {grid.shape}; use paths()"
-            )
+            raise ValueError(f"rays are cast through at most {MAX_LEVELS} levels, got shape {grid.shape}; use paths()")
         self.shape, self.device = grid.shape, fans.origins.device
         self.table = KernelTable(grid, fans) if self.device.type == "cpu" else TensorTable(grid, fans)
 
@@ -55,25 +50,15 @@ class RayTable:
 
     @functools.cached_property
     def reach_m(self) -> Float32[Tensor, " R"]:
-        """Return the distance (m) at which each ray leaves the grid; inf if it never meets it."""
+        """Return the distance (m) at which each ray leaves the grid; inf if it misses the grid."""
         return self.cast(torch.zeros(self.shape, dtype=torch.uint8, device=self.device)).exit_m
 
 
-def cast(
-    grid: Traversable,
-    labels: UInt8[Tensor, "X Y Z"],
-    origins: Float[Tensor, "R 3"],
-    directions: Float[Tensor, "R 3"],
-) -> Hits:
+def cast(grid: Traversable, labels: UInt8[Tensor, "X Y Z"], origins: Rays, directions: Rays) -> Hits:
     """Return the first cell along each ray that is not free (0); unknown (255) is not free.
 
-    For rays that form a LiDAR raster, or that stay the same, `ray_table` is many times faster.
-
-    Args:
-        grid: cylinder or cuboid.
-        labels: class of every cell.
-        origins: ego frame, metres.
-        directions: of any length above 0.
+    For rays that form a LiDAR raster, or that stay the same, `ray_table` is many times faster. Origins are in the ego
+    frame, in metres; directions may have any length above 0.
 
     Raises:
         ValueError: if the labels do not have the grid's shape.
@@ -90,7 +75,7 @@ def ray_table(grid: Traversable, origins: Float[Tensor, "O 3"], scan: Scan) -> R
     """Return prepared rays, from a cache of the last few tables.
 
     Args:
-        grid: cylinder or cuboid; equal grids share a table.
+        grid: cylinder or cuboid; equal grids use one table.
         origins: ego frame, metres; the table lives on their device.
         scan: directions from each origin; the table's rays are in the order of `Scan.rays`.
     """

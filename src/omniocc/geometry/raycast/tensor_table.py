@@ -18,12 +18,7 @@ from omniocc.geometry.raycast.trace import Hits, Traversable
 
 
 class TensorTable:
-    """Rays of one grid on any device, for grids of at most 48 levels; needs 8 bytes for every column of every ray.
-
-    Args:
-        grid: cylinder or cuboid.
-        fans: the rays.
-    """
+    """Rays of one grid on any device, for grids of at most 48 levels; needs 8 bytes for every column of every ray."""
 
     def __init__(self, grid: Traversable, fans: Fans):
         origins, azimuths = fans.azimuths.shape[:2]
@@ -72,7 +67,7 @@ class TensorTable:
         )
 
     def _leave_m(self) -> Tensor:
-        """Return the distances (K, A, E) at which rays leave the grid; inf for those that never meet it."""
+        """Return the distances (K, A, E) at which rays leave the grid; inf for those that miss it."""
         fans = self.fans
         enter, leave = clip_slab(fans.origins[:, 2:].expand_as(fans.slopes), fans.slopes, self.grid.bounds[2])
         first = torch.maximum(self.ends[..., :1], enter.unsqueeze(1))

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
-from jaxtyping import Bool, Float, Float32, Float64, Int32, UInt8
+from jaxtyping import Bool, Float32, Float64, Int32, UInt8
 from torch import Tensor
 
-from omniocc.geometry.raycast.crossings import FAR, TOUCH_M, Crossings
+from omniocc.geometry.raycast.crossings import FAR, TOUCH_M, Crossings, Rays
 
 CHUNK_RAYS = 1024
 """Rays whose crossings are sorted together, few enough for the processor's cache."""
@@ -43,7 +43,7 @@ class Paths(NamedTuple):
     Attributes:
         cells: flat (row-major) cell index; -1 after the last cell and where a ray crosses the hole of a cylinder.
         bounds_m: distance along the ray at which the cell in the same column begins; the next column is where it ends.
-        valid: whether the ray meets the grid at all, a cylinder's hole included.
+        valid: whether the ray enters the grid, a cylinder's hole included.
     """
 
     cells: Int32[Tensor, "R L"]
@@ -68,7 +68,7 @@ class Hits(NamedTuple):
         cells: flat index of the cell hit; -1 for none.
         labels: class of the cell hit; free for none.
         entry_m: distance at which the cell is entered; without a hit the distance at which the ray leaves the grid, and
-            inf for a ray that never meets the grid.
+            inf for a ray that misses the grid.
         exit_m: distance at which the cell is left; without a hit the same as `entry_m`.
     """
 
@@ -78,15 +78,11 @@ class Hits(NamedTuple):
     exit_m: Float32[Tensor, " R"]
 
 
-def paths(grid: Traversable, origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"]) -> Paths:
+def paths(grid: Traversable, origins: Rays, directions: Rays) -> Paths:
     """Return all cells that rays cross.
 
     Cells crossed over less than a nanometre are left out, so a ray through an edge goes from cell to opposite cell.
-
-    Args:
-        grid: cylinder or cuboid.
-        origins: ego frame, metres; anywhere, inside or outside.
-        directions: of any length above 0.
+    Origins are in the ego frame, in metres, inside or outside the grid; directions may have any length above 0.
     """
     chunks = range(0, max(len(origins), 1), CHUNK_RAYS)
     parts = [_paths(grid, origins[i : i + CHUNK_RAYS], directions[i : i + CHUNK_RAYS]) for i in chunks]
@@ -94,7 +90,7 @@ def paths(grid: Traversable, origins: Float[Tensor, "R 3"], directions: Float[Te
     return Paths(stack_ragged(cells, -1), stack_ragged(bounds_m, None), torch.cat(valid))
 
 
-def _paths(grid: Traversable, origins: Float[Tensor, "R 3"], directions: Float[Tensor, "R 3"]) -> Paths:
+def _paths(grid: Traversable, origins: Rays, directions: Rays) -> Paths:
     origins, directions = origins.double(), unit(directions)
     start_m, leave_m = clip(grid, origins, directions)
     _, second, third = grid.shape
@@ -111,7 +107,7 @@ def _paths(grid: Traversable, origins: Float[Tensor, "R 3"], directions: Float[T
     return Paths(packed, packed_m, count > 0)
 
 
-def unit(directions: Float[Tensor, "R 3"]) -> Float64[Tensor, "R 3"]:
+def unit(directions: Rays) -> Float64[Tensor, "R 3"]:
     """Return the directions with length 1."""
     return torch.nn.functional.normalize(directions.double(), dim=-1, eps=0.0)
 
@@ -119,30 +115,21 @@ def unit(directions: Float[Tensor, "R 3"]) -> Float64[Tensor, "R 3"]:
 def clip(
     grid: Traversable, origins: Float64[Tensor, "R 3"], directions: Float64[Tensor, "R 3"]
 ) -> tuple[Float64[Tensor, " R"], Float64[Tensor, " R"]]:
-    """Return the distances at which rays start in the grid and leave it; equal for those that never meet it."""
+    """Return the distances at which rays start in the grid and leave it; equal for those that miss it."""
     enter_m, leave_m = grid.clip(origins, directions)
     start_m, leave_m = enter_m.clamp(min=0), leave_m.clamp(max=FAR)
-    meets = leave_m > start_m + TOUCH_M
-    return torch.where(meets, start_m, 0.0), torch.where(meets, leave_m, 0.0)
+    enters = leave_m > start_m + TOUCH_M
+    return torch.where(enters, start_m, 0.0), torch.where(enters, leave_m, 0.0)
 
 
 def in_order(
-    crossings: Sequence[Crossings],
-    strides: Sequence[int],
-    start_m: Float64[Tensor, " R"],
+    crossings: Sequence[Crossings], strides: Sequence[int], start_m: Float64[Tensor, " R"],
     leave_m: Float64[Tensor, " R"],
-) -> tuple[Int32[Tensor, "R N"], Float64[Tensor, "R N+1"]]:
-    """Return the crossings of several axes in order.
+) -> tuple[Int32[Tensor, "R N"], Float64[Tensor, "R N+1"]]:  # fmt: skip
+    """Return the crossings of several axes in order: the cell of each stretch between two, and the stretches' ends.
 
-    Args:
-        crossings: those of each axis.
-        strides: of each axis in a flat cell index.
-        start_m: distances at which rays begin.
-        leave_m: distances at which they end; crossings beyond are moved there.
-
-    Returns:
-        Flat index of the cell in each stretch between two crossings, negative in a cylinder's hole, and the ends of the
-        stretches. Some have no length.
+    `strides` are those of the axes in a flat cell index, which is negative in a cylinder's hole. Crossings beyond
+    `leave_m` are moved to it. Some stretches have no length.
     """
     at_m = torch.cat([axis.at_m for axis in crossings], dim=1).clamp_(start_m.unsqueeze(1), leave_m.unsqueeze(1))
     at_m, order = at_m.sort(dim=1, stable=True)

@@ -29,7 +29,7 @@ from omniocc.report.template import render
 from omniocc.view.bev import bev
 from omniocc.view.canvas import fitted
 from omniocc.view.ranges import SKY, range_colors
-from omniocc.view.sheet import AS_SEEN, NAMES
+from omniocc.view.sheet import HEXAGON_ORDER, NAMES
 from omniocc.view.voxels import render_voxels
 from omniocc.world import Frame
 
@@ -96,7 +96,7 @@ def _camera_name(rig: Rig, camera: int) -> str:
 
 
 def _order(rig: Rig) -> Sequence[int]:
-    return AS_SEEN if len(rig.cameras) == len(NAMES) else range(len(rig.cameras))
+    return HEXAGON_ORDER if len(rig.cameras) == len(NAMES) else range(len(rig.cameras))
 
 
 def _pinholes(twin: SceneReader | None, time_s: float) -> dict[str, Any]:

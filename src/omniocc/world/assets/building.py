@@ -1,9 +1,10 @@
-"""Buildings: the front stands on y = 0 and faces -y (the street); z = 0 is the ground at the door.
+"""Buildings: the front is at y = 0 and faces -y (the street); z = 0 is the ground at the door.
 
 Walls (materials FACADE and PLASTER) and roofs (ROOF) get their colours when a building is put up.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -27,7 +28,7 @@ _DOOR = Skin(BUILDING, Material.WOOD, (92, 60, 44))
 
 
 def _block(width: float, depth: float, low: Number, high: Number, wall: Skin, roof: Skin, back: Number = 0.0) -> Mesh:
-    """Build a body from `low` to `high` whose front stands `back` metres behind y = 0."""
+    """Build a body from `low` to `high` whose front is `back` metres behind y = 0."""
     return box((width, depth - back, high - low), (0, (depth + back) / 2, (low + high) / 2), wall, roof)
 
 
@@ -80,11 +81,8 @@ def house(rng: np.random.Generator) -> Mesh:
     if rng.uniform() < 0.4 and width < 1.3 * depth:
         body = _turned_gable(width, depth, height, float(rng.uniform(2.2, 3.4)), tiles, face)
     parts = [
-        _plinth(width, depth),
-        _block(width, depth, 0, height, face, tiles),
-        body,
-        _chimney(rng, width, depth, height),
-    ]
+        _plinth(width, depth), _block(width, depth, 0, height, face, tiles), body, _chimney(rng, width, depth, height),
+    ]  # fmt: skip
     door = float(rng.uniform(-0.25, 0.25)) * width
     parts += _entrance(door)
     parts.append(box((2.2, 1.5, 0.14), (door, -0.7, 2.55), tiles))
@@ -97,13 +95,9 @@ def garage(rng: np.random.Generator) -> Mesh:
     """Build a single garage, 3.2 x 5.5 m, its gate to the street."""
     face, gate = Skin(BUILDING, Material.PLASTER, (205, 192, 172)), Skin(BUILDING, Material.METAL, (206, 206, 200))
     height = float(rng.uniform(2.4, 2.8))
-    return concatenate(
-        [
-            box((3.2, 5.5, height + 1.0), (0, 2.75, height / 2 - 0.5), face, _FLAT),
-            box((2.5, 0.05, 2.1), (0, -0.03, 1.05), gate),
-            box((3.5, 5.8, 0.18), (0, 2.75, height + 0.09), _TRIM),
-        ]
-    )
+    walls = box((3.2, 5.5, height + 1.0), (0, 2.75, height / 2 - 0.5), face, _FLAT)
+    roof = box((3.5, 5.8, 0.18), (0, 2.75, height + 0.09), _TRIM)
+    return concatenate([walls, box((2.5, 0.05, 2.1), (0, -0.03, 1.05), gate), roof])
 
 
 def hall(rng: np.random.Generator) -> Mesh:
@@ -136,19 +130,10 @@ def barn(rng: np.random.Generator) -> Mesh:
     face = Skin(BUILDING, Material.WOOD, choice(rng, ((140, 58, 46), (120, 96, 74), (104, 84, 66))))
     tiles = _TILES
     gable = _turned_gable if rng.uniform() < 0.6 else _gable
-    gate = box(
-        (3.2, 0.1, 3.0),
-        (0, -0.04, 1.5),
-        Skin(BUILDING, Material.WOOD, (226, 220, 206) if rng.uniform() < 0.4 else (84, 62, 48)),
-    )
-    return concatenate(
-        [
-            _plinth(width, depth),
-            _block(width, depth, 0, height, face, tiles),
-            gable(width, depth, height, float(rng.uniform(3, 4.5)), tiles, face),
-            gate,
-        ]
-    )
+    paint = (226, 220, 206) if rng.uniform() < 0.4 else (84, 62, 48)
+    gate = box((3.2, 0.1, 3.0), (0, -0.04, 1.5), Skin(BUILDING, Material.WOOD, paint))
+    roof = gable(width, depth, height, float(rng.uniform(3, 4.5)), tiles, face)
+    return concatenate([_plinth(width, depth), _block(width, depth, 0, height, face, tiles), roof, gate])
 
 
 def college(rng: np.random.Generator) -> Mesh:
@@ -198,29 +183,21 @@ def _gable(width: float, depth: float, height: Number, rise: Number, tiles: Skin
     under = panes[:, ::-1] - np.array([0, 0, 0.12])
     uv = np.array([[0, 0], [2 * x, 0], [2 * x, run], [0, run]])
     half = width / 2
-    ends = np.array(
-        [
-            [[half, 0, height], [half, depth, height], [half, depth / 2, height + rise - 0.15]] * 1,
-            [[-half, depth, height], [-half, 0, height], [-half, depth / 2, height + rise - 0.15]],
-        ]
-    )
+    right = [[half, 0, height], [half, depth, height], [half, depth / 2, height + rise - 0.15]]
+    left = [[-half, depth, height], [-half, 0, height], [-half, depth / 2, height + rise - 0.15]]
+    ends = np.array([right, left])
     ends = np.concatenate([ends, ends[:, 2:]], 1)
+    both = np.stack([uv, uv])
     return concatenate(
-        [
-            quads(panes, np.stack([uv, uv]), tiles),
-            quads(under, np.stack([uv, uv])[:, ::-1], tiles),
-            quads(ends, ends[..., 1:], wall),
-        ]
+        [quads(panes, both, tiles), quads(under, both[:, ::-1], tiles), quads(ends, ends[..., 1:], wall)]
     )
 
 
 def _turned_gable(width: float, depth: float, height: Number, rise: Number, tiles: Skin, wall: Skin) -> Mesh:
     """Build a roof whose ridge runs away from the street, so that a gable faces the street."""
     roof = _gable(depth, width, height, rise, tiles, wall)
-    turned = roof.vertices[:, [1, 0, 2]] * np.array([-1, 1, 1], np.float32) + np.array(
-        [width / 2, depth / 2, 0], np.float32
-    )
-    return Mesh(turned, roof.faces, roof.uv, roof.label, roof.material, roof.color, roof.instance)
+    turned = roof.vertices[:, [1, 0, 2]] * np.array([-1, 1, 1], np.float32)
+    return replace(roof, vertices=turned + np.array([width / 2, depth / 2, 0], np.float32))
 
 
 def _chimney(rng: np.random.Generator, width: float, depth: float, height: float) -> Mesh:

@@ -1,4 +1,4 @@
-"""The prototypes that towns are furnished with: some variants of every kind, built once per process."""
+"""Prototypes of the objects in towns: some variants of every kind, built once per process."""
 
 from functools import lru_cache
 
@@ -40,7 +40,7 @@ def random_variant(rng: np.random.Generator, group: str, kind: str) -> Mesh:
 def fitting_building(
     rng: np.random.Generator, kind: str, size_m: tuple[Number, Number]
 ) -> tuple[Mesh, tuple[float, float]]:
-    """Return a building that needs little stretching to stand on (width, depth), and its two stretch factors.
+    """Return a building that needs little stretching to fill (width, depth), and its two stretch factors.
 
     It is drawn from the three that need the least.
     """

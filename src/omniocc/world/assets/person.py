@@ -28,20 +28,15 @@ def walking(rng: np.random.Generator) -> list[Mesh]:
     skin = Skin(PEDESTRIAN, Material.SKIN, choice(rng, _SKINS))
     hair = Skin(PEDESTRIAN, Material.CLOTH, choice(rng, _HAIR))
     wide = float(rng.uniform(0.85, 1.15))
+    levels = [h * height for h in (0.45, 0.46, 0.52, 0.62, 0.79, 0.84)]
     still = [
-        lathe(
-            [0.0, 0.15 * wide, 0.17 * wide, 0.14 * wide, 0.19 * wide, 0.06],
-            [h * height for h in (0.45, 0.46, 0.52, 0.62, 0.79, 0.84)],
-            8,
-            coat,
-        ),
+        lathe([0.0, *(r * wide for r in (0.15, 0.17, 0.14, 0.19)), 0.06], levels, 8, coat),
         blob(rng, (0.1, 0.085, 0.125), (0.01, 0, 0.925 * height), skin, 0.02, sides=8, rows=6),
         blob(rng, (0.105, 0.1, 0.085), (-0.02, 0, 0.965 * height), hair, 0.05, sides=8, rows=5),
     ]
     if rng.uniform() < 0.3:
-        still.append(
-            blob(rng, (0.12, 0.16, 0.22), (-0.22, 0, 0.7 * height), Skin(PEDESTRIAN, Material.CLOTH, legs), 0.05)
-        )
+        backpack = Skin(PEDESTRIAN, Material.CLOTH, legs)
+        still.append(blob(rng, (0.12, 0.16, 0.22), (-0.22, 0, 0.7 * height), backpack, 0.05))
     poses = []
     for phase in range(PHASES):
         swing = 0.45 * np.sin(2 * np.pi * phase / PHASES)
@@ -51,7 +46,7 @@ def walking(rng: np.random.Generator) -> list[Mesh]:
 
 
 def size_m(poses: list[Mesh]) -> tuple[float, float, float]:
-    """Return length of a stride, width and height; the body stands in the middle of the box."""
+    """Return length of a stride, width and height; the body is in the middle of the box."""
     points = np.concatenate([mesh.vertices for mesh in poses])
     length, width = 2 * np.abs(points[:, :2]).max(0)
     return float(length), float(width), float(points[:, 2].max())
@@ -65,15 +60,11 @@ def _limbs(side: int, swing: float, height: float, wide: float, coat: Skin, trou
     foot = (knee[0] + 0.235 * height * np.sin(lower), y, knee[2] - 0.235 * height * np.cos(lower))
     elbow = (0.16 * height * np.sin(-swing), 0.23 * side * wide, shoulder - 0.17 * height)
     hand = (elbow[0] + 0.15 * height * np.sin(0.35 - swing), 0.24 * side * wide, elbow[2] - 0.15 * height)
+    shoe = Skin(PEDESTRIAN, Material.RUBBER, (40, 36, 34))
     return [
         beam((0, y, hip), knee, 0.085 * wide, trousers),
         beam(knee, foot, 0.065 * wide, trousers),
-        beam(
-            (foot[0] - 0.08, y, foot[2]),
-            (foot[0] + 0.17, y, foot[2]),
-            0.05,
-            Skin(PEDESTRIAN, Material.RUBBER, (40, 36, 34)),
-        ),
+        beam((foot[0] - 0.08, y, foot[2]), (foot[0] + 0.17, y, foot[2]), 0.05, shoe),
         beam((0, 0.19 * side * wide, shoulder), elbow, 0.055, coat),
         beam(elbow, hand, 0.045, skin),
     ]

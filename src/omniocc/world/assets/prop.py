@@ -62,14 +62,9 @@ def shelter(rng: np.random.Generator) -> Mesh:
 def kiosk(rng: np.random.Generator) -> Mesh:
     """Build a newspaper stand with an awning."""
     body, band = _skin(rng, Material.PLASTER), _skin(rng, Material.SIGN)
-    return concatenate(
-        [
-            box((2.4, 1.6, 2.5), (0, 0, 1.2), body),
-            box((1.8, 0.04, 1.0), (0, 0.81, 1.5), Skin(OTHER, Material.GLASS, (90, 104, 112))),
-            box((2.6, 1.8, 0.25), (0, 0, 2.55), band),
-            box((2.2, 0.5, 0.06), (0, 1.05, 2.3), band),
-        ]
-    )
+    walls, roof = box((2.4, 1.6, 2.5), (0, 0, 1.2), body), box((2.6, 1.8, 0.25), (0, 0, 2.55), band)
+    window = box((1.8, 0.04, 1.0), (0, 0.81, 1.5), Skin(OTHER, Material.GLASS, (90, 104, 112)))
+    return concatenate([walls, window, roof, box((2.2, 0.5, 0.06), (0, 1.05, 2.3), band)])
 
 
 def cabinet(rng: np.random.Generator) -> Mesh:
@@ -81,9 +76,8 @@ def cabinet(rng: np.random.Generator) -> Mesh:
     if kind == 1:
         skin = _skin(rng, Material.METAL)
         return concatenate([box((0.5, 0.42, 0.75), (0, 0, 0.95), skin), box((0.34, 0.3, 0.65), (0, 0, 0.28), _STEEL)])
-    return concatenate(
-        [lathe([0.05, 0.05], [-0.1, 1.1], 6, _STEEL), box((0.26, 0.2, 0.4), (0, 0, 1.25), _skin(rng, Material.METAL))]
-    )
+    meter = box((0.26, 0.2, 0.4), (0, 0, 1.25), _skin(rng, Material.METAL))
+    return concatenate([lathe([0.05, 0.05], [-0.1, 1.1], 6, _STEEL), meter])
 
 
 def bollards(rng: np.random.Generator) -> Mesh:
@@ -128,9 +122,8 @@ def bales(rng: np.random.Generator) -> Mesh:
 
 def post_box(rng: np.random.Generator) -> Mesh:
     """Build a letter box on a post."""
-    return concatenate(
-        [box((0.1, 0.1, 1.1), (0, 0, 0.5), _WOOD), box((0.24, 0.5, 0.26), (0, 0.05, 1.15), _skin(rng, Material.METAL))]
-    )
+    letters = box((0.24, 0.5, 0.26), (0, 0.05, 1.15), _skin(rng, Material.METAL))
+    return concatenate([box((0.1, 0.1, 1.1), (0, 0, 0.5), _WOOD), letters])
 
 
 class Kind(NamedTuple):

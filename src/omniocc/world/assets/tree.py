@@ -24,11 +24,7 @@ def round_tree(rng: np.random.Generator) -> Mesh:
     parts = [lathe([0.24, 0.17, 0.13], [-0.3, 0.5, stem + 0.8], 5, _BARK)]
     for k in range(int(rng.integers(2, 5))):
         angle, out = k * 2.4 + rng.uniform(0, 1), crown * rng.uniform(0.3, 0.55)
-        center = (
-            float(out * np.cos(angle)),
-            float(out * np.sin(angle)),
-            float(rng.uniform(stem + 0.75 * crown, height - 0.6 * crown)),
-        )
+        center = _around(out, angle, rng.uniform(stem + 0.75 * crown, height - 0.6 * crown))
         size = crown * rng.uniform(0.55, 0.8)
         parts.append(blob(rng, (size, size, 0.85 * size), center, LEAVES, 0.24, sides=6, rows=4))
     parts.append(blob(rng, (crown * 0.75, crown * 0.75, crown * 0.8), (0, 0, height - 0.8 * crown), LEAVES, 0.22))
@@ -61,11 +57,7 @@ def birch(rng: np.random.Generator) -> Mesh:
     parts = [lathe([0.14, 0.1, 0.03], [-0.3, 0.4 * height, 0.95 * height], 6, _BIRCH)]
     for k in range(4):
         angle, size = 2.4 * k + rng.uniform(0, 1), rng.uniform(0.7, 1.15)
-        center = (
-            float(0.7 * np.cos(angle)),
-            float(0.7 * np.sin(angle)),
-            float(max(height * (0.45 + 0.14 * k), 2.2 + 1.4 * size)),
-        )
+        center = _around(0.7, angle, max(height * (0.45 + 0.14 * k), 2.2 + 1.4 * size))
         parts.append(blob(rng, (size, size, 1.25 * size), center, LEAVES, 0.28, sides=6, rows=4))
     return concatenate(parts)
 
@@ -94,6 +86,10 @@ def distant(rng: np.random.Generator) -> Mesh:
     height, crown, stem = rng.uniform(6, 11), rng.uniform(1.3, 2.2), rng.uniform(1.8, 3.0)
     trunk = lathe([0.2, 0.15], [-0.3, stem + 0.6], 4, _BARK)
     return concatenate([trunk, blob(rng, *_crown(height, crown, stem), LEAVES, 0.3, sides=6, rows=4)])
+
+
+def _around(radius_m: Number, angle_rad: Number, z_m: Number) -> Triple:
+    return float(radius_m * np.cos(angle_rad)), float(radius_m * np.sin(angle_rad)), float(z_m)
 
 
 def _crown(height_m: Number, radius_m: Number, stem_m: Number) -> tuple[Triple, Triple]:

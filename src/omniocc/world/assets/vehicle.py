@@ -29,15 +29,13 @@ _PLATE = Skin(VEHICLE, Material.SIGN, (226, 226, 220))
 
 def _wheel(x_m: Number, y_m: Number, radius_m: Number) -> Mesh:
     """Build a wheel around the y axis, its disc on the outer side."""
-    flat = concatenate(
-        [
-            lathe([radius_m, radius_m, 0], [-0.11, 0.1, 0.11], 9, _RUBBER),
-            lathe([0.62 * radius_m, 0], [0.112, 0.12], 6, _RIM),
-        ]
+    tyre, rim = (
+        lathe([radius_m, radius_m, 0], [-0.11, 0.1, 0.11], 9, _RUBBER),
+        lathe([0.62 * radius_m, 0], [0.112, 0.12], 6, _RIM),
     )
     side = 1.0 if y_m > 0 else -1.0
     turn = np.array([[1.0, 0, 0, x_m], [0, 0, side, y_m], [0, -side, 0, radius_m], [0, 0, 0, 1]])
-    return transform(flat, turn)
+    return transform(concatenate([tyre, rim]), turn)
 
 
 def _lights(length_m: Number, width_m: Number, z_m: Number, tail_z_m: Number) -> list[Mesh]:
@@ -57,13 +55,9 @@ def _lights(length_m: Number, width_m: Number, z_m: Number, tail_z_m: Number) ->
 
 
 def _car(
-    length: float,
-    width: float,
-    height: float,
-    hood: float,
-    cabin: tuple[float, float, float, float],
+    length: float, width: float, height: float, hood: float, cabin: tuple[float, float, float, float],
     belt: float = 0.92,
-) -> Mesh:
+) -> Mesh:  # fmt: skip
     """Build a car: a body below the belt line, glass above it.
 
     `cabin`: x of rear foot, rear roof edge, front roof edge and front foot, as fractions of the length.
@@ -117,14 +111,11 @@ def van(rng: np.random.Generator) -> Mesh:
     outline = np.array(
         [(-h, 0.36), (h, 0.36), (h, 0.95), (h - 0.55, 1.2), (h - 1.25, height - 0.05), (h - 1.6, height), (-h, height)]
     )
-    parts = [
-        loft(
-            outline,
-            np.array([1, 0.95, 0.93, 0.96, 0.92, 0.94, 0.95]) * w,
-            [_TRIM, _PAINT, _PAINT, _GLASS, _PAINT, _PAINT, _PAINT],
-            _PAINT,
-        )
-    ]
+    widths, across = (
+        np.array([1, 0.95, 0.93, 0.96, 0.92, 0.94, 0.95]) * w,
+        [_TRIM, *[_PAINT] * 2, _GLASS, *[_PAINT] * 3],
+    )
+    parts = [loft(outline, widths, across, _PAINT)]
     parts += [box((0.8, 0.02, 0.5), (h - 1.5, s * (w * 0.965), 0.62 * height), _GLASS) for s in (-1, 1)]
     parts += [_wheel(x * length, s * (w - 0.1), 0.35) for x in (-0.31, 0.33) for s in (-1, 1)]
     return concatenate(parts + _lights(length, width, 0.8, 1.0))
@@ -168,21 +159,11 @@ def bicycle(rng: np.random.Generator) -> Mesh:
     cloth = Skin(VEHICLE, Material.CLOTH, choice(rng, PAINTS))
     trousers = Skin(VEHICLE, Material.CLOTH, (52, 56, 72))
     skin = Skin(VEHICLE, Material.SKIN, (198, 150, 122))
-    wheels = [
-        transform(
-            lathe([0.33, 0.35, 0.33], [-0.025, 0, 0.025], 10, _RUBBER),
-            np.array([[1.0, 0, 0, x], [0, 0, 1, 0], [0, -1, 0, 0.34], [0, 0, 0, 1]]),
-        )
-        for x in (-0.52, 0.52)
+    axles = [
+        np.array([[1.0, 0, 0, x], [0, 0, s, 0], [0, -s, 0, 0.34], [0, 0, 0, 1]]) for x in (-0.52, 0.52) for s in (-1, 1)
     ]
-    disc = [
-        transform(
-            lathe([0.33, 0], [0, 0.005], 8, _RIM),
-            np.array([[1.0, 0, 0, x], [0, 0, s, 0], [0, -s, 0, 0.34], [0, 0, 0, 1]]),
-        )
-        for x in (-0.52, 0.52)
-        for s in (-1, 1)
-    ]
+    wheels = [transform(lathe([0.33, 0.35, 0.33], [-0.025, 0, 0.025], 10, _RUBBER), axle) for axle in axles[1::2]]
+    disc = [transform(lathe([0.33, 0], [0, 0.005], 8, _RIM), axle) for axle in axles]
     bars = [
         beam(a, b, 0.025, frame)
         for a, b in (

@@ -1,4 +1,4 @@
-"""Class ids that the faces of meshes carry, by name: the same numbers as in `omniocc.classes`."""
+"""Class ids of the faces of meshes, by name: the same numbers as in `omniocc.classes`."""
 
 from omniocc.classes import CLASSES
 

@@ -26,4 +26,4 @@ class Material(IntEnum):
     CLOTH = 17
     SKIN = 18
     SIGN = 19  # painted metal with a bright face
-    LAMP = 20  # gives light of its own
+    LAMP = 20  # gives light

@@ -1,4 +1,4 @@
-"""Triangles with a class, a material and texture coordinates, which is all that ray caster and shader see."""
+"""Triangles with a class, a material and texture coordinates, the input of ray caster and shader."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from omniocc.world.mesh.material import Material
+
+_FACE_ARRAYS = ("uv", "label", "material", "color", "instance")
 
 
 @dataclass(frozen=True)
@@ -38,14 +40,9 @@ class Mesh:
 def empty() -> Mesh:
     """Return a mesh without faces."""
     return Mesh(
-        np.zeros((0, 3), np.float32),
-        np.zeros((0, 3), np.int32),
-        np.zeros((0, 3, 2), np.float32),
-        np.zeros(0, np.uint8),
-        np.zeros(0, np.uint8),
-        np.zeros((0, 3), np.uint8),
-        np.zeros(0, np.int32),
-    )
+        np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32), np.zeros((0, 3, 2), np.float32),
+        np.zeros(0, np.uint8), np.zeros(0, np.uint8), np.zeros((0, 3), np.uint8), np.zeros(0, np.int32),
+    )  # fmt: skip
 
 
 def concatenate(meshes: Iterable[Mesh]) -> Mesh:
@@ -57,11 +54,7 @@ def concatenate(meshes: Iterable[Mesh]) -> Mesh:
     return Mesh(
         np.concatenate([mesh.vertices for mesh in parts]),
         np.concatenate([mesh.faces + np.int32(first) for mesh, first in zip(parts, first_vertex, strict=True)]),
-        np.concatenate([mesh.uv for mesh in parts]),
-        np.concatenate([mesh.label for mesh in parts]),
-        np.concatenate([mesh.material for mesh in parts]),
-        np.concatenate([mesh.color for mesh in parts]),
-        np.concatenate([mesh.instance for mesh in parts]),
+        *(np.concatenate([getattr(mesh, name) for mesh in parts]) for name in _FACE_ARRAYS),
     )
 
 
@@ -77,12 +70,10 @@ def with_instance(mesh: Mesh, instance: int) -> Mesh:
 
 
 def instances(mesh: Mesh, a_from_b: np.ndarray, paint: Mapping[Material, np.ndarray]) -> Mesh:
-    """Return copies of one mesh, posed and repainted.
+    """Return copies of one mesh (frame b), posed and repainted.
 
-    Args:
-        mesh: the prototype in frame b.
-        a_from_b: (K, 4, 4) one pose per copy, which may stretch it.
-        paint: (K, 3) uint8 colours of the copies' faces of some materials; the others keep the prototype's.
+    `a_from_b` has one pose (K, 4, 4) per copy, which may stretch it; `paint` the (K, 3) uint8 colours of the copies'
+    faces of some materials, where the others keep the prototype's.
     """
     count, vertex_count, face_count = len(a_from_b), len(mesh.vertices), len(mesh)
     linear, shift = a_from_b[:, :3, :3].astype(np.float32), a_from_b[:, None, :3, 3].astype(np.float32)
@@ -93,11 +84,6 @@ def instances(mesh: Mesh, a_from_b: np.ndarray, paint: Mapping[Material, np.ndar
     for material, color in paint.items():
         colors[:, mesh.material == material] = color[:, None]
     return Mesh(
-        vertices,
-        (mesh.faces + offsets).reshape(-1, 3),
-        np.tile(mesh.uv, (count, 1, 1)),
-        np.tile(mesh.label, count),
-        np.tile(mesh.material, count),
-        colors.reshape(-1, 3),
-        np.tile(mesh.instance, count),
-    )
+        vertices, (mesh.faces + offsets).reshape(-1, 3), np.tile(mesh.uv, (count, 1, 1)), np.tile(mesh.label, count),
+        np.tile(mesh.material, count), colors.reshape(-1, 3), np.tile(mesh.instance, count),
+    )  # fmt: skip

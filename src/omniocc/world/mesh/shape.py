@@ -54,14 +54,9 @@ def _uniform(vertices_m: np.ndarray, faces: np.ndarray, uv_m: np.ndarray, skin: 
     color = np.empty((count, 3), np.uint8)
     color[:] = skin.color
     return Mesh(
-        vertices_m,
-        faces,
-        uv_m,
-        np.full(count, skin.label, np.uint8),
-        np.full(count, skin.material, np.uint8),
-        color,
+        vertices_m, faces, uv_m, np.full(count, skin.label, np.uint8), np.full(count, skin.material, np.uint8), color,
         np.full(count, -1, np.int32),
-    )
+    )  # fmt: skip
 
 
 _BOX_SIGNS = np.array([[x, y, z] for z in (-0.5, 0.5) for y in (-0.5, 0.5) for x in (-0.5, 0.5)])
@@ -103,12 +98,9 @@ def sheet(points_m: np.ndarray, uv_m: np.ndarray, skin: Skin) -> Mesh:
 
 
 def lathe(
-    radius_m: Sequence[Number],
-    height_m: Sequence[Number],
-    sides: int,
-    skin: Skin,
+    radius_m: Sequence[Number], height_m: Sequence[Number], sides: int, skin: Skin,
     center_m: tuple[Number, Number] = (0.0, 0.0),
-) -> Mesh:
+) -> Mesh:  # fmt: skip
     """Turn a profile, given from bottom to top, around a vertical axis; a radius of 0 closes an end."""
     angle = np.linspace(0, 2 * np.pi, sides + 1)
     radius, height = np.asarray(radius_m, float)[:, None], np.asarray(height_m, float)[:, None]
@@ -171,11 +163,9 @@ def blob(
 def loft(profile_m: np.ndarray, half_width_m: np.ndarray, across: list[Skin], side: Skin) -> Mesh:
     """Build a body between two mirrored side outlines.
 
-    Args:
-        profile_m: (P, 2) counter-clockwise outline in (x, z), seen from -y (the body's right side).
-        half_width_m: (P,) half width along y at every point.
-        across: skin of the strip after every point; P of them.
-        side: skin of both sides.
+    `profile_m` is the (P, 2) counter-clockwise outline in (x, z), seen from -y (the body's right side), `half_width_m`
+    (P,) the half width along y at its points, `across` the skin of the strip after each point, `side` that of both
+    sides.
     """
     x, z = profile_m.T
     right, left = np.stack([x, -half_width_m, z], 1), np.stack([x, half_width_m, z], 1)

@@ -14,7 +14,7 @@ from omniocc.world.render.view import View
 
 _STEP_M = 0.08  # least step in depth at which neighbouring pixels are smoothed
 _STEP_FRACTION = 0.02  # the same as a fraction of the distance
-_SKY_M = 1e4  # stands for the sky where ranges are compared
+_SKY_M = 1e4  # range of the sky in comparisons
 
 
 class CameraImage(NamedTuple):
@@ -50,7 +50,7 @@ def render_pixels(view: View, snapshot: Snapshot) -> RenderedPixels:
     or light beside shadow, further rays are cast and the colours averaged in linear light; elsewhere the texture's mip
     levels are averages already.
     """
-    maybe = snapshot.meets(view.cones, view.origin_m)[view.cones.bundle]
+    maybe = snapshot.may_hit(view.cones, view.origin_m)[view.cones.bundle]
     hits = snapshot.cast(view.origin_m, view.center, _ego_hits(view.ego_center_hits, snapshot), maybe)
     seen = _shade(view, snapshot, hits, view.center)
     color, key = seen.color, np.where(hits.face >= 0, snapshot.surfaces.key.take(hits.face), 0)
@@ -65,7 +65,7 @@ def render_pixels(view: View, snapshot: Snapshot) -> RenderedPixels:
 def expose(view: View, seen: RenderedPixels, light: Light, sensor: Sensor, rng: np.random.Generator) -> CameraImage:
     """Return the image of rendered pixels, with rain before the lens, exposure and noise.
 
-    The ego car and what lies outside the lens have no class and no range.
+    The ego car and pixels outside the lens have no class and no range.
     """
     color = seen.color
     if light.streaks:
@@ -89,17 +89,12 @@ def _ego_hits(hits: Hits, snapshot: Snapshot) -> Hits:
 
 
 def _smooth(
-    view: View,
-    snapshot: Snapshot,
-    index: np.ndarray,
-    face: np.ndarray,
-    shadow: np.ndarray,
-    center_color: np.ndarray,
+    view: View, snapshot: Snapshot, index: np.ndarray, face: np.ndarray, shadow: np.ndarray, center_color: np.ndarray,
     maybe: np.ndarray,
-) -> np.ndarray:
+) -> np.ndarray:  # fmt: skip
     """Return the (3, E) mean colour of pixels `index` over all their rays.
 
-    A ray that meets the same triangle `face` (E,) as the centre ray gets its colour, unless a `shadow` (E,) ends there.
+    A ray that hits the same triangle `face` (E,) as the centre ray gets its colour, unless a `shadow` (E,) ends there.
     """
     count = view.extra.shape[2]
     directions = np.take(view.extra, index, axis=1).reshape(3, -1)

@@ -45,11 +45,7 @@ def _embree() -> tuple[Any, Any]:
 
 
 class Caster:
-    """One immutable set of triangles; rays are given in the mesh's frame.
-
-    Args:
-        mesh: may be empty, then nothing is ever hit.
-    """
+    """An immutable set of triangles, perhaps empty; rays are given in the mesh's frame."""
 
     def __init__(self, mesh: Mesh) -> None:
         self.size = len(mesh)
@@ -82,7 +78,7 @@ class Caster:
         return Hits(range_m, face, found["u"], found["v"])
 
     def blocked(self, origins: np.ndarray, directions: np.ndarray, limit_m: float = float(_FAR_M)) -> np.ndarray:
-        """Return (R,) bool: whether anything lies along each ray before `limit_m`.
+        """Return (R,) bool: whether an object is along each ray before `limit_m`.
 
         `directions` is (R, 3), or (1, 3) shared by all rays.
         """
@@ -92,7 +88,7 @@ class Caster:
 
 
 class Layers:
-    """Several casters as one: faces are numbered through all of them; of equally near hits the earlier layer's wins."""
+    """Several casters as one: faces are numbered consecutively; of equally near hits the first layer's counts."""
 
     def __init__(self, casters: list[Caster]) -> None:
         self.casters = casters
@@ -110,7 +106,7 @@ class Layers:
         return best
 
     def blocked(self, origins: np.ndarray, directions: np.ndarray, limit_m: float = float(_FAR_M)) -> np.ndarray:
-        """Return (R,) bool: whether any layer lies along each ray before `limit_m`."""
+        """Return (R,) bool: whether an object of any layer is along each ray before `limit_m`."""
         result = np.zeros(len(origins), dtype=bool)
         for caster in self.casters:
             if caster.size:
@@ -121,7 +117,7 @@ class Layers:
 
 
 def no_hits(count: int, range_m: float = np.inf) -> Hits:
-    """Return the hits of rays that meet nothing before `range_m`."""
+    """Return hits of rays that hit nothing before `range_m`."""
     zeros = np.zeros(count, np.float32)
     return Hits(np.full(count, range_m, np.float32), np.full(count, -1, np.int32), zeros, zeros)
 

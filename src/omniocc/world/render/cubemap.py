@@ -17,17 +17,10 @@ from omniocc.world.render.view import View, make_view
 
 _MARGIN_PX = 1  # beyond 90 degrees, so that pixels at a face's edge have neighbours to blend with
 # Columns: a face's right, down and forward in the camera's frame; front, right, left, down, up, back.
-_FACES = np.array(
-    [
-        [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
-        [[0, 0, 1], [0, 1, 0], [-1, 0, 0]],
-        [[0, 0, -1], [0, 1, 0], [1, 0, 0]],
-        [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
-        [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
-        [[-1, 0, 0], [0, 1, 0], [0, 0, -1]],
-    ],
-    dtype=np.float64,
-)
+_FACES = np.array([
+    [[1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 0, 1], [0, 1, 0], [-1, 0, 0]], [[0, 0, -1], [0, 1, 0], [1, 0, 0]],
+    [[1, 0, 0], [0, 0, 1], [0, -1, 0]], [[1, 0, 0], [0, 0, -1], [0, 1, 0]], [[-1, 0, 0], [0, 1, 0], [0, 0, -1]],
+], dtype=np.float64)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -52,15 +45,7 @@ class Cube:
 
 
 def make_cube(rig: Rig, camera: int, view: View, supersample: int, ego_car: Caster) -> Cube:
-    """Build the cube's faces for one camera, as fine as the camera's pixels in their middle, finer elsewhere.
-
-    Args:
-        rig: cameras of the vehicle.
-        camera: index in the rig.
-        view: rays of that camera.
-        supersample: see `make_view`.
-        ego_car: the ego car in the ego frame.
-    """
+    """Return the cube's faces for one camera, as fine as its pixels in their middle, finer elsewhere."""
     inner = int(np.ceil(2 / view.pixel_rad))
     side = inner + 2 * _MARGIN_PX
     pose = rig.ego_from_camera[camera].double().numpy()
@@ -81,13 +66,9 @@ def make_cube(rig: Rig, camera: int, view: View, supersample: int, ego_car: Cast
     forward = [np.einsum("i,ip->p", pose[:3, :3] @ _FACES[k, :, 2], v.center) for k, v in zip(used, views, strict=True)]
     nearest = corner[weight.argmax(axis=0), np.arange(len(face))]
     return Cube(
-        views,
-        np.concatenate(forward).astype(np.float32),
-        order[corner],
-        weight.astype(np.float32),
-        order[nearest],
+        views, np.concatenate(forward).astype(np.float32), order[corner], weight.astype(np.float32), order[nearest],
         z.astype(np.float32),
-    )
+    )  # fmt: skip
 
 
 def _face_views(

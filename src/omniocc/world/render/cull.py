@@ -1,4 +1,4 @@
-"""Culling: which rays may meet a moving object; most cannot, and this test is cheaper than casting them."""
+"""Culling: which rays may hit a moving object; most cannot, and this test is cheaper than casting them."""
 
 from typing import NamedTuple
 
@@ -34,8 +34,8 @@ def make_cones(directions: np.ndarray, bundle: np.ndarray) -> Cones:
     return Cones(axis.astype(np.float32), half_rad.astype(np.float32), bundle.astype(np.int32))
 
 
-def meets(cones: Cones, point_m: np.ndarray, spheres: np.ndarray) -> np.ndarray:
-    """Return (B,) bool: whether rays of a bundle from a point (3,) may meet a sphere of (K, 4), centre and radius."""
+def may_hit(cones: Cones, point_m: np.ndarray, spheres: np.ndarray) -> np.ndarray:
+    """Return (B,) bool: whether rays of a bundle from a point (3,) may hit a sphere of (K, 4), centre and radius."""
     offset = spheres[:, :3] - point_m
     distance = np.linalg.norm(offset, axis=1)
     if (distance <= spheres[:, 3]).any():
@@ -59,11 +59,10 @@ def spheres_of(mesh: Mesh) -> np.ndarray:
 
 
 class ShadowMask:
-    """A map of where shadows of moving objects may fall along one direction.
+    """A map of the possible shadows of moving objects along one direction.
 
-    Args:
-        spheres: (K, 4) centre and radius around the objects.
-        toward: (3,) unit vector to the light, above the horizon.
+    Objects are given by (K, 4) spheres, centre and radius; `toward` (3,) is the unit vector to the light, above the
+    horizon.
     """
 
     def __init__(self, spheres: np.ndarray, toward: np.ndarray) -> None:
@@ -88,7 +87,7 @@ class ShadowMask:
         self._mask[x[rows] & (_SIDE - 1), y[columns] & (_SIDE - 1)] = True
 
     def touches(self, points: np.ndarray) -> np.ndarray:
-        """Return (R,) bool: whether a point (3, R) may lie in one of the shadows."""
+        """Return (R,) bool: whether a point (3, R) may be in one of the shadows."""
         row, column = (
             np.floor((points[k] - self._slope[k] * points[2]) * np.float32(1 / _CELL_M)).astype(np.int32) & (_SIDE - 1)
             for k in (0, 1)

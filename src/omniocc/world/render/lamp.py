@@ -35,21 +35,17 @@ def lamp_pools(mesh: Mesh) -> np.ndarray:
 
 
 def lamp_light(
-    light: Light, base: np.ndarray, own: np.ndarray, tint: np.ndarray, attributes: np.ndarray, points: np.ndarray
+    light: Light, base: np.ndarray, added: np.ndarray, tint: np.ndarray, attributes: np.ndarray, points: np.ndarray
 ) -> np.ndarray:
-    """Return the (3, R) light after dark from surfaces that shine or lie under a lamp.
+    """Return the (3, R) light after dark from surfaces that shine or are below a lamp.
 
-    Args:
-        light: light of the scene.
-        base: (3, R) colour of the surfaces.
-        own: (3, R) the texture's own colour: panes with bright curtains count as lit rooms.
-        tint: (R,) fraction of the base colour in the texture, 0 in windows.
-        attributes: (16, R) see `omniocc.world.render.surface.Surfaces`.
-        points: (3, R) in the world frame.
+    Surfaces have a `base` colour (3, R), the texture's `tint` (R,) of it, 0 in windows, and its `added` colour (3, R):
+    panes with bright curtains count as lit rooms. `attributes` (16, R) are those of `Surfaces`, `points` (3, R) world
+    points.
     """
     shining = attributes[COLOR] * attributes[EMITTED]
-    window = (attributes[GLAZED] > 0) & (tint < 0.02) & (own[0] > 0.1)
-    shining += (own * _WARM[:, None]) * (np.float32(2.2) * window)
+    window = (attributes[GLAZED] > 0) & (tint < 0.02) & (added[0] > 0.1)
+    shining += (added * _WARM[:, None]) * (np.float32(2.2) * window)
     if light.pools is not None:
         row, column = (np.floor(axis * np.float32(1 / _CELL_M)).astype(np.int32) & (_SIDE - 1) for axis in points[:2])
         pool = light.pools[row * _SIDE + column] * (0.25 + 0.75 * np.maximum(attributes[UP], 0))

@@ -1,6 +1,7 @@
 """The light of a scene, and the exposure of its cameras."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -19,7 +20,7 @@ class Light:
         cloud_cover: fraction of the sky under clouds, 0..1.
         cloud_shift: (2,) offset into the cloud pattern, 0..1.
         haze_m: distance at which haze hides 63 % of an object's light.
-        wet: how wet upward surfaces are, 0..1: darker, and mirrors of the sky where water stands.
+        wet: how wet upward surfaces are, 0..1: darker, and mirrors of the sky where there are puddles.
         streaks: strength of rain streaks in the image, 0..1.
         lamps: brightness of street lamps, car lights and windows, 0 by day.
         pools: light on the ground below street lamps, from `omniocc.world.render.lamp.lamp_pools`.
@@ -67,7 +68,7 @@ def ambient(light: Light, up: np.ndarray) -> np.ndarray:
 
 
 def standing_water(light: Light, tint: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """Return (R,) mirror strength of wet surfaces; water stands where the texture is dark. `tint`, `up` are (R,)."""
+    """Return (R,) mirror strength of wet surfaces; puddles are where the texture is dark. `tint`, `up` are (R,)."""
     return light.wet * np.clip((1.35 - tint) * 0.9, 0.15, 1) * np.clip(3 * up - 2, 0, 1)
 
 
@@ -96,10 +97,8 @@ def _tone_curve() -> np.ndarray:
 
 
 _CURVE = _tone_curve()
-_GRAIN: list[np.ndarray] = []
 
 
+@lru_cache(maxsize=1)
 def _grain() -> np.ndarray:
-    if not _GRAIN:
-        _GRAIN.append(np.random.default_rng(17).standard_normal(1 << 19).astype(np.float32))
-    return _GRAIN[0]
+    return np.random.default_rng(17).standard_normal(1 << 19).astype(np.float32)

@@ -9,12 +9,9 @@ _SLANT = 0.12
 
 
 def streaks(size: tuple[int, int], pixel: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Return (P,) float32 fraction of each pixel's view that drops hide, 0..1.
+    """Return (P,) float32 fraction, 0..1, of each pixel's view that drops hide.
 
-    Args:
-        size: height and width of the image, px.
-        pixel: (P,) index into the flattened image.
-        rng: draws where the drops are.
+    `size` is the image's height and width, `pixel` (P,) the index into the flattened image.
     """
     scale = _SIZE / (1.2 * size[0])
     shift = rng.integers(0, _SIZE, 2)

@@ -8,7 +8,7 @@ from omniocc.world.render.caster import Hits
 from omniocc.world.render.lamp import lamp_light
 from omniocc.world.render.light import Light, ambient, standing_water
 from omniocc.world.render.shadow import Shadows
-from omniocc.world.render.sky import sky_color
+from omniocc.world.render.sky import dot, sky_color
 from omniocc.world.render.surface import COLOR, GLAZED, GLOSS, LAYER, NORMAL, UP, UV, UV_EDGE_1, UV_EDGE_2, Surfaces
 from omniocc.world.render.texture.atlas import sample
 
@@ -24,24 +24,13 @@ class Shading(NamedTuple):
 
 
 def shade(
-    hits: Hits,
-    origin: np.ndarray,
-    directions: np.ndarray,
-    surfaces: Surfaces,
-    shadows: Shadows,
-    light: Light,
+    hits: Hits, origin: np.ndarray, directions: np.ndarray, surfaces: Surfaces, shadows: Shadows, light: Light,
     pixel_rad: float,
-) -> Shading:
+) -> Shading:  # fmt: skip
     """Return the light along each ray: texture, sun with shadow, sky, reflection, haze; the sky where nothing is hit.
 
-    Args:
-        hits: of R rays from `origin` (3,) along `directions` (3, R) float32, world axes.
-        origin: camera position.
-        directions: unit vectors.
-        surfaces: tables of the faces in `hits`.
-        shadows: objects that block the light.
-        light: light of the scene.
-        pixel_rad: angle between neighbouring pixels.
+    `hits` are those of R rays from the camera at `origin` (3,) along unit `directions` (3, R) float32 in world axes,
+    `surfaces` the tables of their faces; `pixel_rad` is the angle between neighbouring pixels.
     """
     color = np.empty((3, len(hits.face)), np.float32)
     offset_m, lit = np.zeros(len(hits.face), np.float32), np.zeros(len(hits.face), bool)
@@ -49,7 +38,7 @@ def shade(
     color[:, sky] = sky_color(light, np.take(directions, sky, axis=1))
     some, toward = hits.take(ground), np.take(directions, ground, axis=1)
     attributes = np.ascontiguousarray(surfaces.table.take(some.face, axis=0).T)
-    cosine = -_dot(attributes[NORMAL], toward)
+    cosine = -dot(attributes[NORMAL], toward)
     attributes[NORMAL] *= np.where(cosine < 0, np.float32(-1), np.float32(1))
     cosine = np.abs(cosine)
     sunlight = _sunlight(some, origin, toward, attributes[NORMAL], shadows, light)
@@ -65,10 +54,10 @@ def _sunlight(
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Return the (R,) cosine to the sun, 0 in shadow; and under clouds the fraction (R,) of sky that is open.
 
-    Under clouds only level ground is tested: whether a car or another low object stands over it.
+    Under clouds only level ground is tested: whether a car or another low object is above it.
     """
     covered = not light.sun.any()
-    cosine = np.maximum(_dot(normal, light.sun_direction), 0)
+    cosine = np.maximum(dot(normal, light.sun_direction), 0)
     index = np.flatnonzero(normal[2] > 0.8 if covered else cosine > 0)
     points = np.take(directions, index, axis=1) * hits.range_m.take(index)
     points += np.take(normal, index, axis=1) * _LIFT_M
@@ -83,21 +72,15 @@ def _sunlight(
 
 
 def _surface_color(
-    hits: Hits,
-    points: np.ndarray,
-    directions: np.ndarray,
-    attributes: np.ndarray,
-    cosine: np.ndarray,
-    sunlight: tuple[np.ndarray, np.ndarray | None],
-    light: Light,
-    pixel_rad: float,
-) -> np.ndarray:
+    hits: Hits, points: np.ndarray, directions: np.ndarray, attributes: np.ndarray, cosine: np.ndarray,
+    sunlight: tuple[np.ndarray, np.ndarray | None], light: Light, pixel_rad: float,
+) -> np.ndarray:  # fmt: skip
     u_m, v_m = attributes[UV] + hits.u * attributes[UV_EDGE_1] + hits.v * attributes[UV_EDGE_2]
     footprint_m = hits.range_m * np.float32(pixel_rad) / np.sqrt(np.maximum(cosine, 0.05))
     code = attributes[LAYER].astype(np.int32)
-    tint, own = sample(code >> 1, code & 1, u_m, v_m, footprint_m)
+    tint, added = sample(code >> 1, code & 1, u_m, v_m, footprint_m)
     base = attributes[COLOR] * tint
-    base += own
+    base += added
     sunny, open_fraction = sunlight
     sky = ambient(light, attributes[UP])
     if open_fraction is not None:
@@ -109,21 +92,16 @@ def _surface_color(
         base *= 1 - 0.45 * light.wet * np.clip(attributes[UP] + 0.3, 0, 1)
     color = base * sky
     if light.lamps:
-        color += lamp_light(light, base, own, tint, attributes, points)
+        color += lamp_light(light, base, added, tint, attributes, points)
     _mirror(color, directions, attributes, cosine, tint, water, light)
     clear = np.exp(hits.range_m * np.float32(-1 / light.haze_m))
     return color * clear + light.horizon[:, None] * (1 - clear)
 
 
 def _mirror(
-    color: np.ndarray,
-    directions: np.ndarray,
-    attributes: np.ndarray,
-    cosine: np.ndarray,
-    tint: np.ndarray,
-    water: np.ndarray,
-    light: Light,
-) -> None:
+    color: np.ndarray, directions: np.ndarray, attributes: np.ndarray, cosine: np.ndarray, tint: np.ndarray,
+    water: np.ndarray, light: Light,
+) -> None:  # fmt: skip
     """Add what glossy surfaces reflect, in place."""
     gloss = np.maximum(attributes[GLOSS], np.float32(0.8) * attributes[GLAZED] * (tint < 0.15))
     if len(water):
@@ -145,7 +123,3 @@ def _reflect(
     slant = 1 - np.minimum(cosine, 1)
     fraction = gloss * (0.06 + 0.94 * (slant * slant * slant * slant * slant))
     return color * (1 - fraction) + np.minimum(seen, 3) * fraction
-
-
-def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

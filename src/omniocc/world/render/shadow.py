@@ -1,4 +1,4 @@
-"""Shadows of everything static and moving, the ego car included."""
+"""Shadows of all static and moving objects, the ego car included."""
 
 import numpy as np
 
@@ -11,13 +11,9 @@ _UP = np.array([0.12, 0.05, 0.9915], np.float32)
 
 
 class Shadows:
-    """Shadows at one time step.
+    """Shadows at one time step, of static objects and of moving ones, which are inside `spheres` (K, 4).
 
-    Args:
-        static: caster of all that never moves.
-        movers: casters of all that moves.
-        spheres: (K, 4) centre and radius around everything in `movers`.
-        light: light of the scene; without a sun, shadows fall straight down and only low objects cast them.
+    Without a sun, shadows fall straight down and only low objects cast them.
     """
 
     def __init__(self, static: Caster, movers: list[Caster], spheres: np.ndarray, light: Light) -> None:
@@ -29,7 +25,7 @@ class Shadows:
         self._mask = ShadowMask(spheres, self._toward[0])
 
     def fall_on(self, points: np.ndarray) -> np.ndarray:
-        """Return (R,) bool: whether something stands between a point (3, R) and the light."""
+        """Return (R,) bool: whether an object is between a point (3, R) and the light."""
         result = self._static.blocked(points.T, self._toward, self._limit_m)
         maybe = np.flatnonzero(self._mask.touches(points) & ~result)
         some = np.take(points, maybe, axis=1).T

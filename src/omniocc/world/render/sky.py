@@ -16,7 +16,7 @@ def sky_color(light: Light, directions: np.ndarray) -> np.ndarray:
     down = 1 - up
     fade = down * down * down  # several times faster than a power
     color = light.zenith[:, None] + (light.horizon - light.zenith)[:, None] * fade
-    toward_sun = np.clip(_dot(light.sun_direction, directions), 0, 1)
+    toward_sun = np.clip(dot(light.sun_direction, directions), 0, 1)
     if light.glow > 0:
         near = _squared(toward_sun, 3)
         color += light.sun[:, None] * (light.glow * (0.35 * near + 3.0 * _squared(near, 5)))
@@ -31,8 +31,9 @@ def _squared(values: np.ndarray, times: int) -> np.ndarray:
     return values
 
 
-def _dot(vector: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    return vector[0] * directions[0] + vector[1] * directions[1] + vector[2] * directions[2]
+def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the scalar products along the first axis, (3, ...)."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def _clouds(light: Light, directions: np.ndarray, up: np.ndarray) -> np.ndarray:

@@ -6,7 +6,7 @@ import numpy as np
 
 from omniocc.world.mesh.mesh import Mesh
 from omniocc.world.render.caster import Hits, Layers
-from omniocc.world.render.cull import Cones, meets
+from omniocc.world.render.cull import Cones, may_hit
 from omniocc.world.render.light import Light
 from omniocc.world.render.shadow import Shadows
 from omniocc.world.render.surface import Surfaces
@@ -53,23 +53,20 @@ class Snapshot:
         x, y, z = (points - self.origin_m).T
         return np.stack([x * row[0] + y * row[1] + z * row[2] for row in self.rotation.T], axis=1)
 
-    def meets(self, cones: Cones, point_ego: np.ndarray) -> np.ndarray:
-        """Return (B,) bool: whether bundles of rays in the ego frame may meet something that moves."""
-        return meets(
+    def may_hit(self, cones: Cones, point_ego: np.ndarray) -> np.ndarray:
+        """Return (B,) bool: whether bundles of rays in the ego frame may hit a moving object."""
+        return may_hit(
             cones._replace(axis=self.world_directions(cones.axis.T).T), self.world_point(point_ego), self.spheres
         )
 
     def cast(
-        self,
-        point_ego: np.ndarray,
-        directions_ego: np.ndarray,
-        known: Hits | None = None,
+        self, point_ego: np.ndarray, directions_ego: np.ndarray, known: Hits | None = None,
         maybe: np.ndarray | None = None,
-    ) -> Hits:
+    ) -> Hits:  # fmt: skip
         """Return the nearest hits from an ego point (3,) along ego directions (3, R).
 
-        Hits on the ego car count only where `known` has them. `maybe` (R,) bool tells which rays may meet a moving
-        object; None stands for all.
+        Hits on the ego car count only where `known` has them. `maybe` (R,) bool tells which rays may hit a moving
+        object; None means all.
         """
         point, turned = self.world_point(point_ego), self.world_directions(directions_ego)
         directions = turned.T

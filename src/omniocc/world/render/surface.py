@@ -56,19 +56,11 @@ def make_surfaces(mesh: Mesh) -> Surfaces:
 
 def join(parts: list[Surfaces]) -> Surfaces:
     """Concatenate tables, in order."""
-    return Surfaces(
-        np.concatenate([part.table for part in parts]),
-        np.concatenate([part.label for part in parts]),
-        np.concatenate([part.key for part in parts]),
-    )
+    return Surfaces(*map(np.concatenate, zip(*map(_arrays, parts), strict=True)))
 
 
 class SurfaceStack:
-    """Tables whose first part is fixed and whose last part changes every frame; the first is copied only once.
-
-    Args:
-        fixed: the part that never changes.
-    """
+    """Tables whose first part is fixed and whose last part changes every frame; the first is copied only once."""
 
     def __init__(self, fixed: Surfaces) -> None:
         self._fixed = len(fixed.label)
@@ -99,7 +91,7 @@ def _enlarged(surfaces: Surfaces, size: int) -> Surfaces:
 
 
 def _surface_key(mesh: Mesh, normal: np.ndarray) -> np.ndarray:
-    # The facets of a crown or hedge stand for leaves, so their edges need no smoothing.
+    # The facets of a crown or hedge represent leaves, so their edges need no smoothing.
     facing = np.where((mesh.material == Material.LEAVES)[:, None], 0, np.rint(normal * 2)).astype(np.int32)
     parts = [mesh.label, mesh.material, *mesh.color.T, mesh.instance, *facing.T]
     key = np.zeros(len(mesh), np.uint32)

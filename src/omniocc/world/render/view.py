@@ -43,14 +43,7 @@ class View:
 
 
 def make_view(rig: Rig, camera: int, supersample: int, ego_car: Caster) -> View:
-    """Compute the rays of one camera of the rig.
-
-    Args:
-        rig: cameras of the vehicle.
-        camera: index in the rig.
-        supersample: rays per pixel along each side; the first of its square goes through the centre.
-        ego_car: the ego car in the ego frame.
-    """
+    """Return the rays of one camera, `supersample` per pixel along each side; `ego_car` is in the ego frame."""
     directions, valid = rig.rays(camera)
     height, width = valid.shape
     pixel = np.flatnonzero(valid.numpy())
@@ -64,17 +57,11 @@ def make_view(rig: Rig, camera: int, supersample: int, ego_car: Caster) -> View:
     axis = rig.ego_from_camera[camera, :3, 2].numpy()
     angle = np.arccos(np.clip(center @ axis, -1, 1))
     return View(
-        (height, width),
-        pixel,
-        origin_m,
-        np.ascontiguousarray(center.T),
-        np.ascontiguousarray(np.moveaxis(extra, -1, 0)),
-        ego_car.cast(repeat(origin_m, len(center)), center),
-        ego_car.cast(repeat(origin_m, len(flat)), flat),
-        float(steps.mean()),
-        _tiles(pixel, (height, width), center, float(steps.max())),
-        ((angle / angle.max()) ** 2).astype(np.float32),
-    )
+        (height, width), pixel, origin_m, np.ascontiguousarray(center.T),
+        np.ascontiguousarray(np.moveaxis(extra, -1, 0)), ego_car.cast(repeat(origin_m, len(center)), center),
+        ego_car.cast(repeat(origin_m, len(flat)), flat), float(steps.mean()),
+        _tiles(pixel, (height, width), center, float(steps.max())), ((angle / angle.max()) ** 2).astype(np.float32),
+    )  # fmt: skip
 
 
 def _tiles(pixel: np.ndarray, size: tuple[int, int], center: np.ndarray, step_rad: float) -> Cones:
@@ -95,7 +82,7 @@ def _offsets(supersample: int) -> np.ndarray:
 
 
 def _shifted(rig: Rig, camera: int, pixel: np.ndarray, center: np.ndarray, offset: np.ndarray) -> np.ndarray:
-    """Return (P, 3) directions beside the pixels' centres; the centre's own where the lens ends in between."""
+    """Return (P, 3) directions beside the pixels' centres; that of the centre where the lens ends in between."""
     model = rig.cameras[camera]
     points = np.stack([pixel % model.width, pixel // model.width], axis=1) + offset
     rays, valid = model.unproject(torch.from_numpy(points))

@@ -11,19 +11,16 @@ _POINT_M = 0.0016  # area per point and metre of distance near the ego: four poi
 _PIECE_M2 = 2.0
 _PIECE_FRACTION = 0.1  # greatest area of a piece as a fraction of its squared distance from the axis
 _AXIS_M = 0.06  # distance below which points do not get denser
-_COVER_M = 0.1  # a surface with another one so near above it is covered
+_COVER_M = 0.1  # a surface with another one closer than this above it is covered
 _LIFT_M = np.float32(0.002)  # less than a road line's height above its road
 _STEP = np.array([0.7548776662466927, 0.5698402909980532])
 
 
 class GeometryLabels:
-    """Surface points of a scene without any sensor.
+    """Surface points of a scene (mesh of its static objects) without any sensor.
 
     Every surface counts, also backs of houses, undersides of cars and the inside of closed houses; only surfaces that
     another one covers at less than 0.1 m (the road under its paint) do not.
-
-    Args:
-        static: mesh of all that never moves.
     """
 
     def __init__(self, static: Mesh) -> None:
@@ -34,7 +31,7 @@ class GeometryLabels:
     def scan(self, snapshot: Snapshot) -> tuple[np.ndarray, np.ndarray]:
         """Return points (P, 3) float32 in the ego frame and their classes (P,) uint8."""
         ego = snapshot.origin_m[:2]
-        # Half the side of a level square that holds the ego's square, however that is turned and tilted.
+        # Half the side of a level square that contains the ego's square at any yaw and tilt.
         reach = np.float32(REACH_M * 1.5)
         near = np.flatnonzero(((self._low < ego + reach) & (self._high > ego - reach)).all(axis=1))
         corners = [self._static.vertices[self._static.faces[near]], snapshot.moving.vertices[snapshot.moving.faces]]
@@ -50,16 +47,10 @@ class GeometryLabels:
 
 
 def cut(corners: np.ndarray, reach_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Halve triangles along their longest edges until they are small, and drop those out of reach.
+    """Halve triangles (F, 3, 3) in the ego frame along their longest edges until they are small; drop distant ones.
 
-    Small is at most 2 m2 and, except for the innermost, a tenth of the squared distance from the ego's axis.
-
-    Args:
-        corners: (F, 3, 3) in the ego frame.
-        reach_m: half the side of the square that counts.
-
-    Returns:
-        Pieces (N, 3, 3), and the index (N,) of the triangle that each was cut from.
+    Small is at most 2 m2 and, except for the innermost, a tenth of the squared distance from the ego's axis. `reach_m`
+    is half the side of the square that counts. Return the pieces (N, 3, 3) and the index (N,) of each one's triangle.
     """
     number = np.arange(len(corners))
     done: list[tuple[np.ndarray, np.ndarray]] = []
@@ -82,15 +73,10 @@ def _halves(corners: np.ndarray) -> np.ndarray:
 
 
 def spread(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Spread points evenly over each triangle, at least one, more densely near the ego's axis.
+    """Spread points evenly over triangles (F, 3, 3), at least one on each.
 
-    Near the axis the cells of a cylinder are narrow.
-
-    Args:
-        corners: (F, 3, 3) float32 in the ego frame.
-
-    Returns:
-        Points (P, 3) float32, unit normals (F, 3) float32, and the index (P,) of each point's triangle.
+    Near the ego's axis, where the cells of a cylinder are narrow, they are denser. Return points (P, 3), unit normals
+    (F, 3), both float32, and the index (P,) of each point's triangle.
     """
     area, normal = _area_normal(corners)
     count = np.ceil(area / np.minimum(_POINT_M * _distance_m(corners), _POINT_M2)).astype(np.int64)

@@ -11,7 +11,7 @@ MAX_RANGE_M = 46.0  # of the virtual LiDARs; beyond it points are too sparse to 
 def ego_directions() -> np.ndarray:
     """Return (14040, 3) float32 unit rays of RayIoU's LiDAR at the ego origin: 39 elevations x 360 azimuths.
 
-    The first ten elevations, -atan(1 / k) for k = 1..10, meet flat ground at equal steps; the others continue
+    The first ten elevations, -atan(1 / k) for k = 1..10, hit flat ground at equal steps; the others continue
     by atan(10) - atan(9) while below 0.21 rad (SparseOcc, Liu et al. 2024).
     """
     pitch = [-(np.pi / 2 - np.arctan(k)) for k in range(1, 11)]
@@ -54,7 +54,7 @@ def _sunflower_rays(height_m: float, radius_m: float, count: int) -> np.ndarray:
 def _upper_rays(height_m: float, radius_m: float, step_deg: float) -> np.ndarray:
     """Return rays at even angles, from where the rays on the road end up to +30 degrees.
 
-    Rays steeper than a rise of 2.6 m over 13 m are sparser, since there only near objects lie within a grid's height.
+    Rays steeper than a rise of 2.6 m over 13 m are sparser, since only near objects are within a grid's height there.
     """
     rows = [-np.arctan2(height_m, radius_m)]
     while rows[-1] < np.radians(30):

@@ -9,7 +9,7 @@ import numpy as np
 from omniocc.camera import Rig
 from omniocc.world.frame import Box, Frame
 from omniocc.world.mesh.mesh import Mesh
-from omniocc.world.render.capture import CameraImage, RenderedPixels, expose, render_pixels
+from omniocc.world.render.capture import RenderedPixels, expose, render_pixels
 from omniocc.world.render.caster import Caster
 from omniocc.world.render.cubemap import make_cube, render_through_cube
 from omniocc.world.render.light import Sensor
@@ -31,35 +31,18 @@ class Labeller(Protocol):
 
 
 class Recorder:
-    """The sensors of one vehicle; all their rays are computed once.
+    """The sensors of one vehicle; all their rays are computed once. For the options see `omniocc.world.Scene`.
 
-    Args:
-        rig: cameras.
-        ego_car: ego car in the ego frame, visible to the cameras and not to the LiDARs.
-        labeller: source of the labelled points.
-        supersample: camera rays per pixel along each side where a pixel needs smoothing.
-        capture: direct (a ray through every pixel) or cubemap (the paper's way).
-        erp_size: width and height of the panorama of ranges, px.
-        erp_top_deg: elevation of the panorama's upper edge.
-        erp_bottom_deg: elevation of the panorama's lower edge.
+    `ego_car`, in the ego frame, is visible to the cameras and not to the LiDARs.
     """
 
     def __init__(
-        self,
-        rig: Rig,
-        ego_car: Mesh,
-        labeller: Labeller,
-        supersample: int,
-        capture: str,
-        erp_size: tuple[int, int],
-        erp_top_deg: float,
-        erp_bottom_deg: float,
-    ) -> None:
+        self, rig: Rig, ego_car: Mesh, labeller: Labeller, supersample: int, capture: str, erp_size: tuple[int, int],
+        erp_top_deg: float, erp_bottom_deg: float,
+    ) -> None:  # fmt: skip
         caster = Caster(ego_car)
         self.views = [make_view(rig, camera, supersample, caster) for camera in range(len(rig.cameras))]
-        self.renderers: list[Callable[[Snapshot], RenderedPixels]] = [
-            partial(render_pixels, view) for view in self.views
-        ]
+        self.renderers: list[Callable[[Snapshot], RenderedPixels]] = [partial(render_pixels, v) for v in self.views]
         if capture == "cubemap":
             cubes = [make_cube(rig, k, view, supersample, caster) for k, view in enumerate(self.views)]
             self.renderers = [partial(render_through_cube, cube) for cube in cubes]
@@ -69,40 +52,23 @@ class Recorder:
         self.labeller = labeller
 
     def frame(
-        self,
-        snapshot: Snapshot,
-        sensor: Sensor,
-        seed: tuple[int, ...],
-        time_s: float,
-        world_from_ego: np.ndarray,
+        self, snapshot: Snapshot, sensor: Sensor, seed: tuple[int, ...], time_s: float, world_from_ego: np.ndarray,
         boxes: tuple[Box, ...],
-    ) -> Frame:
+    ) -> Frame:  # fmt: skip
         """Record one time step; `seed` decides the sensors' noise."""
         images = [
             expose(view, render(snapshot), snapshot.light, sensor, np.random.default_rng([*seed, number]))
             for number, (view, render) in enumerate(zip(self.views, self.renderers, strict=True))
         ]
-        points_m, point_labels = self.labeller.scan(snapshot)
+        rgb, semantics, range_m = (np.stack(part) for part in zip(*images, strict=True))
+        points_m, labels = self.labeller.scan(snapshot)
         erp_range_m, lidar_range_m, lidar_labels = self.ranges(snapshot)
         return Frame(
-            time_s=time_s,
-            world_from_ego=world_from_ego,
-            images=_stack(images, 0),
-            semantics=_stack(images, 1),
-            range_m=_stack(images, 2),
-            erp_range_m=erp_range_m,
-            points_m=points_m,
-            point_labels=point_labels,
-            lidar_range_m=lidar_range_m,
-            lidar_labels=lidar_labels,
-            boxes=boxes,
-        )
+            time_s, world_from_ego, rgb, semantics, range_m, erp_range_m, points_m, labels, lidar_range_m, lidar_labels,
+            boxes,
+        )  # fmt: skip
 
     def ranges(self, snapshot: Snapshot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the panorama's ranges (h, w), and ranges and classes along the ego LiDAR's rays, as in `Frame`."""
         width, height = self.erp_size
         return scan_ego(snapshot, self._panorama)[0].reshape(height, width), *scan_ego(snapshot, self._ego_rays)
-
-
-def _stack(images: list[CameraImage], part: int) -> np.ndarray:
-    return np.stack([image[part] for image in images])

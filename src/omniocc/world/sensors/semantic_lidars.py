@@ -1,8 +1,7 @@
 """The virtual semantic LiDARs, whose points label voxels.
 
-One moves with the ego. The others stand on a lattice fixed in the world, and those nearest to the ego are at work.
-Their view of static objects is cast once and kept while they are near, so that a frame costs little more than the
-moving objects.
+One moves with the ego. The others stand still on a lattice in the world, and those nearest to the ego are active. Their
+view of static objects is cast once and kept while they are near: a frame costs little more than the moving objects.
 """
 
 from collections import OrderedDict
@@ -12,14 +11,14 @@ from typing import NamedTuple
 import numpy as np
 
 from omniocc.world.render.caster import Caster, Hits, no_hits
-from omniocc.world.render.cull import make_cones, meets
+from omniocc.world.render.cull import make_cones, may_hit
 from omniocc.world.render.snapshot import Snapshot, repeat
 from omniocc.world.render.surface import Surfaces
 from omniocc.world.sensors.lidar import MAX_RANGE_M, inner_rays, outer_rays
 from omniocc.world.sensors.thinning import SCRATCH, cubes, first_of_each, within_reach
 
 LATTICE_M = 6.0
-_SPREAD_M = 21.0  # greatest distance from the ego to a LiDAR at work
+_SPREAD_M = 21.0  # greatest distance from the ego to an active LiDAR
 _TRIES = 4  # positions tried in a square of the lattice before it stays empty
 _KEPT = 48  # sweeps
 _BUNDLE = 64  # rays in a cone
@@ -50,13 +49,9 @@ class Sweep(NamedTuple):
 
 
 class SemanticLidars:
-    """The virtual LiDARs of a scene.
+    """The virtual LiDARs of a scene, `count` with the ego's.
 
-    Args:
-        static: caster of all that never moves.
-        surfaces: tables of its faces.
-        height: function of world x and y that gives the ground's height, m.
-        count: number of LiDARs, the ego's included.
+    `surfaces` are the tables of the static faces, `height` gives the ground's height (m) at world x and y.
     """
 
     def __init__(self, static: Caster, surfaces: Surfaces, height: Height, count: int = 20) -> None:
@@ -89,7 +84,7 @@ class SemanticLidars:
         return points_m[near], labels[near]
 
     def cells(self, ego_m: np.ndarray) -> list[tuple[int, int]]:
-        """Return the lattice squares whose LiDARs work when the ego is at (3,): the nearest that have one."""
+        """Return the lattice squares of the LiDARs that are active when the ego is at (3,), nearest first."""
         column, row = (int(np.floor(value / LATTICE_M)) for value in ego_m[:2])
         reach = int(np.ceil(_SPREAD_M / LATTICE_M))
         around = range(-reach, reach + 1)
@@ -101,7 +96,7 @@ class SemanticLidars:
         return [cell for distance, cell in sorted(found) if distance < _SPREAD_M][: self._count - 1]
 
     def position(self, cell: tuple[int, int]) -> np.ndarray | None:
-        """Return where the LiDAR of a square stands, (3,), 1.6 to 4.8 m above the ground; None without open space."""
+        """Return the position (3,) of a square's LiDAR, 1.6 to 4.8 m above the ground; None without open space."""
         if cell not in self._positions:
             draws = np.random.default_rng([cell[0] & 0xFFFF, cell[1] & 0xFFFF, 23]).random((_TRIES, 3))
             x, y = ((np.array(cell) + 0.15 + 0.7 * draws[:, :2]) * LATTICE_M).T
@@ -139,7 +134,7 @@ class SemanticLidars:
     def _scan_from(self, snapshot: Snapshot, sweep: Sweep) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return points, classes and cubes of a sweep, with moving things in front of the static ones."""
         offset, moving = int(snapshot.layers.offsets[1]), snapshot.layers.casters[1]
-        maybe = np.flatnonzero(meets(self._cones, sweep.position_m, snapshot.spheres)[self._cones.bundle])
+        maybe = np.flatnonzero(may_hit(self._cones, sweep.position_m, snapshot.spheres)[self._cones.bundle])
         found = moving.cast(repeat(sweep.position_m, len(maybe)), self._outer[maybe], sweep.range_m[maybe])
         reached = np.flatnonzero(found.face >= 0)
         if len(reached) == 0:
@@ -158,11 +153,8 @@ class SemanticLidars:
 
     def _scan_from_ego(self, snapshot: Snapshot) -> tuple[np.ndarray, np.ndarray]:
         """Return points and classes seen by the LiDAR at the ego origin, static and moving."""
-        directions, position = (
-            np.ascontiguousarray(snapshot.world_directions(self._inner).T),
-            snapshot.world_point(np.zeros(3)),
-        )
-        count = len(directions)
+        directions = np.ascontiguousarray(snapshot.world_directions(self._inner).T)
+        position, count = snapshot.world_point(np.zeros(3)), len(directions)
         hits = snapshot.layers.cast(repeat(position, count), directions, no_hits(count, MAX_RANGE_M))
         _, points, labels = _points(snapshot.surfaces, hits, position, directions)
         return points, labels

@@ -11,7 +11,7 @@ SCRATCH = 1 << 22  # length of the scratch array
 
 
 def within_reach(points_m: np.ndarray) -> np.ndarray:
-    """Return (P,) bool: whether a point (P, 3) lies where a voxel grid may need it."""
+    """Return (P,) bool: whether a point (P, 3) is where a voxel grid may need it."""
     distance = np.abs(points_m)
     return (distance[:, 0] < REACH_M) & (distance[:, 1] < REACH_M) & (distance[:, 2] < HEIGHT_M)
 
@@ -24,13 +24,10 @@ def cubes(points_m: np.ndarray) -> np.ndarray:
 
 
 def first_of_each(cube: np.ndarray, labels: np.ndarray, scratch: np.ndarray) -> np.ndarray:
-    """Return ascending indices of one point of each cube, preferring thin things.
+    """Return ascending indices of one point of each cube, preferring thin objects.
 
-    Args:
-        cube: (P,) int32 from `cubes`.
-        labels: (P,) uint8.
-        scratch: (SCRATCH,) int32 of any content, overwritten. Where two cubes collide in it, one of them keeps all
-            its points.
+    `cube` (P,) is from `cubes`, `labels` (P,) uint8. `scratch` (SCRATCH,) int32 is overwritten; where two cubes collide
+    in it, one of them keeps all its points.
     """
     number = np.arange(len(cube), dtype=np.int32)
     place = cube & (SCRATCH - 1)

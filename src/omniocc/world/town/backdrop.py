@@ -25,7 +25,7 @@ def fill(theme: Theme, site: Site, rng: np.random.Generator) -> None:
         if site.plan.claim(pose, (4.0, 4.0)):
             color = choice(rng, tree.LEAF_COLORS)
             site.put(random_variant(rng, "tree", "distant"), pose, paint={Material.LEAVES: color})
-    block, woods = _far_things()
+    block, woods = _distant_meshes()
     for pose in _scattered(rng, _HOUSES, edge + 10.0, 330.0):
         if site.plan.claim(pose, (17.0, 14.0)):
             color = choice(rng, theme.wall_colors)
@@ -37,7 +37,7 @@ def fill(theme: Theme, site: Site, rng: np.random.Generator) -> None:
 
 
 @lru_cache(maxsize=1)
-def _far_things() -> tuple[Mesh, list[Mesh]]:
+def _distant_meshes() -> tuple[Mesh, list[Mesh]]:
     """Return a plain building 8 m high, and groups of trees."""
     rng = seeding.generator("backdrop", 0, "woods")
     walls, roof = Skin(BUILDING, Material.FACADE, (150, 150, 150)), Skin(BUILDING, Material.ROOF, (96, 84, 78))

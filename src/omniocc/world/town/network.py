@@ -118,7 +118,7 @@ def _kept_edges(rng: np.random.Generator, count: int, most: int) -> list[tuple[i
 
 
 def degrees(network: Network) -> np.ndarray:
-    """Return (N,) how many streets meet at each junction."""
+    """Return the number of streets (N,) at each junction."""
     ends = [node for edge in network.edges for node in (edge.start, edge.end)]
     return np.bincount(ends, minlength=len(network.junctions_m))
 

@@ -40,16 +40,12 @@ class Place:
     signals: tuple[Signal, ...]
 
     def height(self, x_m: np.ndarray | float, y_m: np.ndarray | float) -> np.ndarray:
-        """Return the terrain height at world positions; kerbs and streets lie within 0.15 m of it."""
+        """Return the terrain height at world positions; kerbs and streets are within 0.15 m of it."""
         return self.terrain.height(x_m, y_m)
 
 
 def build(theme: str, seed: int) -> Place:
-    """Build the place (theme, seed): the same bytes every time.
-
-    Raises:
-        ValueError: the theme does not exist.
-    """
+    """Build the place (theme, seed): the same bytes every time; raise ValueError if the theme does not exist."""
     if theme not in themes.ALL:
         raise ValueError(f"unknown theme {theme!r}; possible: {', '.join(THEMES)}")
     recipe = themes.ALL[theme]

@@ -22,7 +22,7 @@ _NEAR_M = 11.0  # from the sidewalk
 
 @dataclass(frozen=True)
 class Plot:
-    """A rectangle whose front edge lies behind the sidewalk.
+    """A rectangle whose front edge is behind the sidewalk.
 
     `front` is the middle of that edge; its x runs along the street and its y into the plot.
     """
@@ -45,30 +45,28 @@ class Plot:
         )
 
     def line(self, kind: str, start: tuple[Number, Number], end: tuple[Number, Number]) -> None:
-        """Set equal pieces of a fence, wall or hedge (`barrier.KINDS`) end to end."""
-        run = np.subtract(end, start)
-        length, yaw = float(np.hypot(*run)), float(np.arctan2(run[1], run[0]))
-        count = max(1, round(length / PIECE_M))
+        """Put pieces of a fence, wall or hedge (`barrier.KINDS`) end to end."""
         piece = random_variant(self.rng, "barrier", kind)
-        paint = {Material.LEAVES: tree.LEAF_COLORS[int(self.rng.integers(3))]}
-        stretch = (length / count / PIECE_M, 1.0, 1.0)
-        for k in range(count):
-            x, y = np.asarray(start) + run * (k + 0.5) / count
-            pose = self.front.at(float(x), float(y), yaw)
-            self.site.put(piece, pose, stretch=stretch, paint=paint, follow=True)
+        self._repeat(piece, start, end, {Material.LEAVES: tree.LEAF_COLORS[int(self.rng.integers(3))]})
 
     def pave(self, start: tuple[Number, Number], end: tuple[Number, Number]) -> None:
         """Lay a path 3 m wide."""
+        self._repeat(_PATH, start, end, None)
+
+    def _repeat(
+        self, piece: Mesh, start: tuple[Number, Number], end: tuple[Number, Number], paint: dict[Material, Color] | None
+    ) -> None:
+        """Put copies of a piece of `PIECE_M` end to end, stretched equally to fill the line."""
         run = np.subtract(end, start)
         length, yaw = float(np.hypot(*run)), float(np.arctan2(run[1], run[0]))
         count = max(1, round(length / PIECE_M))
+        stretch = (length / count / PIECE_M, 1.0, 1.0)
         for k in range(count):
             x, y = np.asarray(start) + run * (k + 0.5) / count
-            stretch = (length / count / PIECE_M, 1.0, 1.0)
-            self.site.put(_PATH, self.front.at(float(x), float(y), yaw), stretch=stretch, follow=True)
+            self.site.put(piece, self.front.at(float(x), float(y), yaw), stretch=stretch, paint=paint, follow=True)
 
-    def stand(self, mesh: Mesh, x_m: Number, y_m: Number, yaw_rad: Number = 0.0) -> None:
-        """Stand a mesh on the plot."""
+    def place(self, mesh: Mesh, x_m: Number, y_m: Number, yaw_rad: Number = 0.0) -> None:
+        """Put a mesh on the plot."""
         self.site.put(mesh, self.front.at(x_m, y_m, yaw_rad))
 
     def car(self, x_m: Number, y_m: Number, yaw_rad: Number) -> None:
@@ -129,10 +127,8 @@ _DRIVEWAY = panel((2.06, 2.9, 0.4), (0, 0, -0.17), Skin(GROUND, Material.PAVING,
 def _house(plot: Plot) -> None:
     rng, half = plot.rng, plot.width_m / 2
     back = float(rng.uniform(*plot.theme.setback_m))
-    wide, deep = (
-        min(float(rng.uniform(8, 12.5)), plot.width_m - 5.5),
-        min(float(rng.uniform(7.5, 10.5)), plot.depth_m - back - 1),
-    )
+    wide = min(float(rng.uniform(8, 12.5)), plot.width_m - 5.5)
+    deep = min(float(rng.uniform(7.5, 10.5)), plot.depth_m - back - 1)
     side = -1.0 if rng.uniform() < 0.5 else 1.0
     driveway = side * (half - 2.2)
     plot.building("house", wide, deep, -side * (half - wide / 2 - 0.9), back)
@@ -144,11 +140,8 @@ def _house(plot: Plot) -> None:
     if rng.uniform() < 0.5 and back > 5.6:
         plot.car(driveway, back - 2.6, (-1 if rng.uniform() < 0.5 else 1) * np.pi / 2)
     for _ in range(int(rng.integers(1, 3))):
-        plot.tree(
-            -side * float(rng.uniform(-0.2, 0.9)) * (half - 1),
-            float(rng.uniform(1.8, max(back - 1.9, 2.0))),
-            {**plot.theme.trees, "bush": 5},
-        )
+        x, y = -side * float(rng.uniform(-0.2, 0.9)) * (half - 1), float(rng.uniform(1.8, max(back - 1.9, 2.0)))
+        plot.tree(x, y, {**plot.theme.trees, "bush": 5})
     if plot.depth_m > back + deep + 4:
         plot.tree(float(rng.uniform(-0.6, 0.6)) * half, plot.depth_m - 2)
 
@@ -168,7 +161,7 @@ def _hall(plot: Plot) -> None:
         if rng.uniform() < 0.4 and back > 6.5:
             plot.car(float(x), back - 3.4, np.pi / 2)
         else:
-            plot.stand(random_variant(rng, "prop", weighted_choice(rng, plot.theme.props)), float(x), back - 2.2, np.pi)
+            plot.place(random_variant(rng, "prop", weighted_choice(rng, plot.theme.props)), float(x), back - 2.2, np.pi)
 
 
 _CONTAINER = box((6.06, 2.44, 2.59), (0, 0, 1.3), Skin(OTHER, Material.METAL, (140, 140, 140)))
@@ -197,7 +190,7 @@ def _park(plot: Plot) -> None:
             if rng.uniform() < 0.75:
                 plot.tree(float(x + rng.uniform(-1, 1)), float(y + rng.uniform(-1, 1)), {**plot.theme.trees, "bush": 2})
     plot.line("hedge" if rng.uniform() < 0.5 else "mesh", (-half, 0.4), (0.3 * half, 0.4))
-    plot.stand(random_variant(rng, "pole", "park"), 0.5 * half, 0.7)
+    plot.place(random_variant(rng, "pole", "park"), 0.5 * half, 0.7)
 
 
 def _lot(plot: Plot) -> None:
@@ -218,27 +211,21 @@ def _field(plot: Plot) -> None:
     for _ in range(int(rng.integers(2, 6))):
         plot.tree(float(rng.uniform(-0.9, 0.9)) * half, float(rng.uniform(3, plot.depth_m - 2)))
     for _ in range(int(rng.integers(0, 4))):
-        plot.stand(
-            random_variant(rng, "prop", "bales"),
-            float(rng.uniform(-0.8, 0.8)) * half,
-            float(rng.uniform(3, plot.depth_m - 2)),
-            float(rng.uniform(0, 3)),
-        )
+        mesh, x = random_variant(rng, "prop", "bales"), float(rng.uniform(-0.8, 0.8)) * half
+        plot.place(mesh, x, float(rng.uniform(3, plot.depth_m - 2)), float(rng.uniform(0, 3)))
 
 
 def _farm(plot: Plot) -> None:
     rng = plot.rng
     back = float(rng.uniform(*plot.theme.setback_m))
-    wide, deep = (
-        min(plot.width_m - 4, float(rng.uniform(11, 18))),
-        min(plot.depth_m - back - 1, float(rng.uniform(8, 12))),
-    )
+    wide = min(plot.width_m - 4, float(rng.uniform(11, 18)))
+    deep = min(plot.depth_m - back - 1, float(rng.uniform(8, 12)))
     plot.building("barn", wide, deep, 0, back)
     plot.line("rail", (-plot.width_m / 2, 0.6), (-3, 0.6))
     plot.line("brick", (3, 0.6), (plot.width_m / 2, 0.6))
     for x in (-0.4, 0.4):
         plot.tree(x * plot.width_m, float(rng.uniform(2, max(back - 2, 2.5))))
-        plot.stand(random_variant(rng, "prop", "crates"), 0.6 * x * plot.width_m, back - 1.5)
+        plot.place(random_variant(rng, "prop", "crates"), 0.6 * x * plot.width_m, back - 1.5)
 
 
 def _college(plot: Plot) -> None:
@@ -263,7 +250,7 @@ def _green(plot: Plot) -> None:
     for number, s in enumerate(np.arange(4.0, length - 2, 7.0)):
         x, y = start + s * run + np.array([-run[1], run[0]]) * 2.2
         mesh = random_variant(rng, "prop", "bench") if number % 2 else random_variant(rng, "pole", "park")
-        plot.stand(mesh, float(x), float(y), yaw + np.pi)
+        plot.place(mesh, float(x), float(y), yaw + np.pi)
     for _ in range(int(plot.width_m * plot.depth_m / 110)):
         x, y = float(rng.uniform(-half + 1.5, half - 1.5)), float(rng.uniform(1.5, plot.depth_m - 1))
         if abs(run[0] * (y - start[1]) - run[1] * (x - start[0])) > 3.5:
@@ -287,12 +274,12 @@ def _square(plot: Plot) -> None:
     for x in (np.arange(across) + 0.5 - across / 2) * 3:
         for y in (np.arange(down) + 0.5) * 3:
             plot.site.put(_TILE, plot.front.at(float(x), float(y)))
-    plot.stand(_FOUNTAIN, 0.0, 0.5 * plot.depth_m)
+    plot.place(_FOUNTAIN, 0.0, 0.5 * plot.depth_m)
     for x in np.arange(-half + 2.5, half - 2, 5.0):
         for y in (3.0, plot.depth_m - 3.0):
             if rng.uniform() < 0.6:
                 kind = weighted_choice(rng, {"kiosk": 3, "bench": 2, "planter": 2})
-                plot.stand(random_variant(rng, "prop", kind), float(x), float(y), np.pi if y < 4 else 0.0)
+                plot.place(random_variant(rng, "prop", kind), float(x), float(y), np.pi if y < 4 else 0.0)
     plot.line("brick", (-half, plot.depth_m - 0.4), (half, plot.depth_m - 0.4))
 
 

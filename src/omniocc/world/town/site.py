@@ -25,7 +25,7 @@ class Pose2:
     yaw_rad: Number
 
     def at(self, along_m: Number, left_m: Number, yaw_rad: Number = 0.0) -> "Pose2":
-        """Return the pose with these coordinates in this pose's own frame."""
+        """Return the pose with these coordinates in the frame of this one."""
         c, s = cos(self.yaw_rad), sin(self.yaw_rad)
         return Pose2(self.x_m + c * along_m - s * left_m, self.y_m + s * along_m + c * left_m, self.yaw_rad + yaw_rad)
 
@@ -94,7 +94,7 @@ class Site:
         colors.append(tuple(paint.values()))
 
     def mesh(self) -> Mesh:
-        """Return the mesh of everything put so far."""
+        """Return the mesh of all objects put so far."""
         parts = []
         for (_, materials), (prototype, rows, colors) in self._copies.items():
             x, y, lift, yaw, follow, *stretch = np.array(rows, float).T

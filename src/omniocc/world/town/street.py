@@ -60,15 +60,10 @@ class _Line:
 
 
 def furnish(
-    theme: Theme,
-    network: Network,
-    ring: Ring,
-    paved: bool,
-    crossings: frozenset[tuple[int, bool]],
-    site: Site,
+    theme: Theme, network: Network, ring: Ring, paved: bool, crossings: frozenset[tuple[int, bool]], site: Site,
     rng: np.random.Generator,
-) -> None:
-    """Put everything along one block's sides: furniture, parked cars, plots."""
+) -> None:  # fmt: skip
+    """Put all objects along one block's sides: furniture, parked cars, plots."""
     for side in ring.sides:
         line, first, last = _Line(side), float(side.along_m[0]), float(side.along_m[-1])
         if paved:
@@ -114,12 +109,9 @@ def _furniture(theme: Theme, line: _Line, first: Number, last: Number, site: Sit
     kinds = {kind: weight for kind, weight in theme.trees.items() if kind in _STREET_TREES}
     for s in _walk(rng, first, last, theme.tree_gap_m):
         if free(s, 1.6):
-            color = choice(rng, tree.LEAF_COLORS)
-            site.put(
-                random_variant(rng, "tree", weighted_choice(rng, kinds)),
-                line.at(s, 0.6, float(rng.uniform(0, 6))),
-                paint={Material.LEAVES: color},
-            )
+            color, kind = choice(rng, tree.LEAF_COLORS), weighted_choice(rng, kinds)
+            mesh = random_variant(rng, "tree", kind)
+            site.put(mesh, line.at(s, 0.6, float(rng.uniform(0, 6))), paint={Material.LEAVES: color})
     for s in _walk(rng, first, last, theme.prop_gap_m):
         kind = weighted_choice(rng, theme.props)
         length, across = prop.KINDS[kind].size_m
@@ -141,11 +133,8 @@ def _verge(theme: Theme, line: _Line, first: Number, last: Number, site: Site, r
             site.put(random_variant(rng, "pole", "sign"), line.at(s, 0.7))
         else:
             color = choice(rng, tree.LEAF_COLORS)
-            site.put(
-                random_variant(rng, "tree", "round" if k % 3 else "young"),
-                line.at(s, 1.1),
-                paint={Material.LEAVES: color},
-            )
+            mesh = random_variant(rng, "tree", "round" if k % 3 else "young")
+            site.put(mesh, line.at(s, 1.1), paint={Material.LEAVES: color})
 
 
 def _corner_poles(network: Network, line: _Line, along_m: Number, site: Site, rng: np.random.Generator) -> None:

@@ -24,8 +24,7 @@ DOWNTOWN = Theme(
     tree_gap_m=13.0, lamp_gap_m=27.0, prop_gap_m=11.0, parked_gap_m=26.0,
     props={"bench": 3.0, "bin": 4.0, "hydrant": 2.0, "shelter": 1.0, "kiosk": 1.0, "box": 2.0, "bollards": 2.0,
            "planter": 2.0, "post": 2.0},
-    speed_mps=(8.0, 12.0),
-    traffic=_MIXED, car_headway_s=4.0, walkers_per_block=16.0,
+    speed_mps=(8.0, 12.0), traffic=_MIXED, car_headway_s=4.0, walkers_per_block=16.0,
 )  # fmt: skip
 
 SUBURB = Theme(
@@ -41,8 +40,7 @@ SUBURB = Theme(
     trees={"round": 5.0, "tall": 2.0, "conifer": 2.0, "birch": 2.0, "young": 2.0},
     tree_gap_m=15.0, lamp_gap_m=30.0, prop_gap_m=17.0, parked_gap_m=42.0,
     props={"bin": 4.0, "hydrant": 2.0, "bench": 1.0, "post": 2.0, "box": 2.0, "crates": 1.0, "shelter": 0.6},
-    speed_mps=(6.0, 9.0),
-    traffic=_MIXED, car_headway_s=5.0, walkers_per_block=8.0,
+    speed_mps=(6.0, 9.0), traffic=_MIXED, car_headway_s=5.0, walkers_per_block=8.0,
 )  # fmt: skip
 
 INDUSTRIAL = Theme(
@@ -118,8 +116,7 @@ ARTERIAL = Theme(
 CAMPUS = Theme(
     name="campus",
     spacing_m=108.0, jitter_m=9.0, bulge_m=10.0, straight_m=18.0, lanes=(1,), lane_width_m=3.1, parking_m=0.5,
-    sidewalk_m=4.6, corner_radius_m=8.0,
-    slope=0.06, horizon_m=24.0, skyline_m=9.0, lamp="park",
+    sidewalk_m=4.6, corner_radius_m=8.0, slope=0.06, horizon_m=24.0, skyline_m=9.0, lamp="park",
     plots={"green": 5.0, "college": 4.0, "park": 1.5, "square": 0.5, "lot": 0.5},
     plot_width_m=(28.0, 42.0), setback_m=(6.0, 13.0),
     ground=((Material.GRASS, (96, 128, 62)), (Material.GRASS, (86, 118, 58))),
@@ -127,8 +124,7 @@ CAMPUS = Theme(
     trees={"round": 7.0, "tall": 2.0, "birch": 3.0, "conifer": 2.0, "bush": 2.0},
     tree_gap_m=10.0, lamp_gap_m=20.0, prop_gap_m=14.0, parked_gap_m=float("inf"),
     props={"bench": 5.0, "bin": 3.0, "planter": 2.0, "bollards": 2.0, "post": 1.0, "shelter": 0.5},
-    speed_mps=(5.0, 8.0),
-    traffic={**_LIGHT, "bicycle": 5.0}, car_headway_s=8.0, walkers_per_block=26.0,
+    speed_mps=(5.0, 8.0), traffic={**_LIGHT, "bicycle": 5.0}, car_headway_s=8.0, walkers_per_block=26.0,
 )  # fmt: skip
 
 ROUNDABOUT = Theme(

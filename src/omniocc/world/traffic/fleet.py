@@ -15,7 +15,7 @@ from omniocc.world.traffic.lanes import Roads, node_of
 
 EGO_LENGTH_M = 4.6
 _TOP_MPS = {"bicycle": 5.0, "truck": 11.0, "bus": 11.0}
-# No car starts so near to a junction: it could not stop in time, or would still stand on it.
+# Cars start at least this far before a junction, to be able to stop, or behind one, to have left it.
 _BEFORE_JUNCTION_M, _BEHIND_M = 32.0, 16.0
 _WHEELBASE_FRACTION = 0.6
 

@@ -1,8 +1,8 @@
 """Traffic flow: cars follow each other, and wait at junctions for each other and for people at crossings.
 
-It is simulated in steps from the start of the scene and remembered, so that any time can be asked for in any order.
-Cars follow the intelligent driver model (Treiber, Hennecke, Helbing 2000, eq. 3). Before a junction every car asks for
-its turn, and stops at the line until no clashing turn has the right of way; people at a crossing do the same.
+It is simulated in steps from the start of the scene and remembered, so that times can be requested in any order.
+Cars follow the intelligent driver model (Treiber, Hennecke, Helbing 2000, eq. 3). Before a junction every car requests
+the right of way, and stops at the line until no clashing turn has it; people at a crossing do the same.
 """
 
 from bisect import bisect_right
@@ -34,7 +34,7 @@ class Car:
     along_m: float
     speed_mps: float
     right_of_way: list[int] = field(default_factory=list)
-    asked_s: float = -1.0
+    requested_s: float = -1.0
 
     def current(self) -> int:
         """Return the index into `pieces` of the piece under the car's middle."""
@@ -58,7 +58,7 @@ class Crosser:
 
     @property
     def duration_s(self) -> float:
-        """Time to cross the street."""
+        """Return the time to cross the street."""
         return float(np.linalg.norm(self.end_m - self.start_m)) / self.pace_mps
 
     def progress(self, time_s: float) -> tuple[float, float]:
@@ -92,12 +92,12 @@ class Flow:
         return along + since * (speed + 0.5 * gain * since), speed + gain * since
 
     def run_to(self, time_s: float) -> None:
-        """Simulate until the time lies within what is remembered."""
+        """Simulate until the remembered steps include the time."""
         while len(self._past) < int(time_s / STEP_S) + 2:
             self._step((len(self._past) - 1) * STEP_S)
 
     def signal(self, arm: Arm, time_s: float) -> int:
-        """Return what the light at an arm shows: red (0), yellow (1), or green (2) while a car has the right of way."""
+        """Return the light at an arm: red (0), yellow (1), or green (2) while a car has the right of way."""
         step = int(time_s / STEP_S)
         self.run_to(time_s)
         if arm in self._open[step]:
@@ -142,23 +142,20 @@ class Flow:
     def _extend(self, car: Car, k: int) -> None:
         """Choose the turn and the lane after the lane that the car is on."""
         while len(car.pieces) < k + 4:
-            lane = car.pieces[-1]
-            onward = self.roads.onward[lane]
-            turn = choice(self._rng, onward)
+            turn = choice(self._rng, self.roads.onward[car.pieces[-1]])
             for piece in (turn, self.roads.turn(turn).target):
                 car.starts_m.append(car.starts_m[-1] + self.roads.pieces[car.pieces[-1]].length_m)
                 car.pieces.append(piece)
 
     def _give_way(self, time_s: float, current: list[int], onto: dict[int, list[tuple[float, int]]]) -> None:
-        given = [self._held(car) for car in self.cars]
-        taken = {piece for held in given for piece in held}
+        taken = {car.pieces[k] for car in self.cars for k in car.right_of_way}
         used = {arm for piece in taken for arm in self._ends(piece)}
         walked = {c.arm for c in self.crossers if c.moves and c.moves[-1][0] + c.duration_s > time_s}
-        asking = [(c.ready_s, -1 - n) for n, c in enumerate(self.crossers) if c.ready_s <= time_s]
-        asking += [(car.asked_s, n) for n, car in enumerate(self.cars) if self._asks(car, current[n], time_s)]
+        requests = [(c.ready_s, -1 - n) for n, c in enumerate(self.crossers) if c.ready_s <= time_s]
+        requests += [(car.requested_s, n) for n, car in enumerate(self.cars) if self._requests(car, current[n], time_s)]
         reserved: set[int] = set()
         kept: set[Arm] = set()
-        for since, number in sorted(asking):
+        for since, number in sorted(requests):
             late = time_s - since > _PATIENCE_S
             if number < 0:
                 crosser = self.crossers[-1 - number]
@@ -174,29 +171,26 @@ class Flow:
             ends = self._ends(turn)
             if not (clashes & taken or turn in reserved or walked & ends) and self._has_room(number, k, onto):
                 car.right_of_way.append(k + 1)
-                car.asked_s = -1.0
+                car.requested_s = -1.0
                 taken.add(turn)
                 used |= ends
             elif late:
                 reserved |= clashes
                 kept |= ends if not walked & ends else set()
 
-    def _held(self, car: Car) -> list[int]:
-        return [car.pieces[k] for k in car.right_of_way]
-
     def _ends(self, piece: int) -> set[Arm]:
         turn = self.roads.turn(piece)
         return {self.roads.lanes[turn.origin].end, self.roads.lanes[turn.target].start}
 
-    def _asks(self, car: Car, k: int, time_s: float) -> bool:
+    def _requests(self, car: Car, k: int, time_s: float) -> bool:
         lane = car.pieces[k]
         if lane >= self._lane_count or k + 1 in car.right_of_way:
             return False
         left_m = car.starts_m[k] + self.roads.lanes[lane].stop_m - car.along_m - 0.5 * car.length_m
         if left_m > 10 + car.speed_mps**2 / (1.4 * _BRAKE_MPS2):
             return False
-        if car.asked_s < 0:
-            car.asked_s = time_s
+        if car.requested_s < 0:
+            car.requested_s = time_s
         return True
 
     def _has_room(self, number: int, k: int, onto: dict[int, list[tuple[float, int]]]) -> bool:
@@ -240,8 +234,8 @@ class Flow:
                 gap, ahead_mps = line + 1.2, 0.0
         if gap < _LOOK_M + 20:
             closing = car.speed_mps * (car.speed_mps - ahead_mps) / (2 * sqrt(_ACCELERATE_MPS2 * _BRAKE_MPS2))
-            wanted = _GAP_M + max(car.speed_mps * _GAP_S + closing, 0.0)
-            gain -= (wanted / max(gap, 0.1)) ** 2
+            desired = _GAP_M + max(car.speed_mps * _GAP_S + closing, 0.0)
+            gain -= (desired / max(gap, 0.1)) ** 2
         return max(_ACCELERATE_MPS2 * max(gain, -3.0), -_HARDEST_MPS2)
 
     def _ahead(self, number: int, k: int, onto: dict[int, list[tuple[float, int]]]) -> tuple[float, float]:

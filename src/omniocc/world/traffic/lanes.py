@@ -32,7 +32,7 @@ class Piece:
 
     @property
     def length_m(self) -> float:
-        """Length from end to end."""
+        """Return the length from end to end."""
         return float(self.along_m[-1])
 
     def at(self, along_m: np.ndarray) -> np.ndarray:
@@ -86,10 +86,8 @@ def draw(
     for side in (side for ring in network.rings for side in ring.sides):
         start, end = (side.edge, side.forward), (side.edge, not side.forward)
         for number in range(network.edges[side.edge].lanes):
-            piece = _lane_piece(theme, network, terrain, side, number, float(speeds[side.edge]))
-            pieces.append(piece)
-            front = piece.length_m - stop_m(end in crossings)
-            lanes.append(Lane(start, end, number, front))
+            pieces.append(_lane_piece(theme, network, terrain, side, number, float(speeds[side.edge])))
+            lanes.append(Lane(start, end, number, pieces[-1].length_m - stop_m(end in crossings)))
     turns, meeting = [], degrees(network)
     for origin, target, angle in _pairs(network, lanes, pieces):
         node = node_of(network, lanes[origin].end)
@@ -151,7 +149,8 @@ def _pairs(network: Network, lanes: list[Lane], pieces: list[Piece]) -> list[tup
 
 def _turn_piece(origin: Piece, target: Piece, node: np.ndarray, island_m: float, terrain: Terrain) -> Piece:
     a, b = origin.points_m[-1], target.points_m[0]
-    ahead, leave = (_unit(x.points_m[k, :2] - x.points_m[k - 1, :2]) for x, k in ((origin, -1), (target, 1)))
+    ahead, leave = (x.points_m[k, :2] - x.points_m[k - 1, :2] for x, k in ((origin, -1), (target, 1)))
+    ahead, leave = ahead / np.linalg.norm(ahead), leave / np.linalg.norm(leave)
     xy = _bend(a[:2], ahead, b[:2], leave)
     if island_m:
         first, last = (np.arctan2(*(p[:2] - node)[::-1]) for p in (a, b))
@@ -172,16 +171,8 @@ def _turn_piece(origin: Piece, target: Piece, node: np.ndarray, island_m: float,
 def _bend(a: np.ndarray, ahead: np.ndarray, b: np.ndarray, leave: np.ndarray) -> np.ndarray:
     """Return a (25, 2) cubic curve between two points and directions, close to an arc."""
     reach, t = 0.39 * float(np.linalg.norm(b - a)), np.linspace(0, 1, 25)[:, None]
-    return (
-        (1 - t) ** 3 * a
-        + 3 * t * (1 - t) ** 2 * (a + reach * ahead)
-        + 3 * t**2 * (1 - t) * (b - reach * leave)
-        + t**3 * b
-    )
-
-
-def _unit(vector: np.ndarray) -> np.ndarray:
-    return vector / np.linalg.norm(vector)
+    first, second = a + reach * ahead, b - reach * leave
+    return (1 - t) ** 3 * a + 3 * t * (1 - t) ** 2 * first + 3 * t**2 * (1 - t) * second + t**3 * b
 
 
 def _least_radius_m(piece: Piece) -> float:
@@ -204,13 +195,13 @@ def _clashes(
     spread = [piece.at(np.linspace(0, piece.length_m, _SAMPLES))[:, :2] for piece in pieces]
     straight = np.array([abs(angle) < _STRAIGHT_RAD for _, _, angle in turns])
     for node in np.unique(nodes):
-        here = np.flatnonzero(nodes == node)
-        points = np.stack([spread[k] for k in here])
+        at_node = np.flatnonzero(nodes == node)
+        points = np.stack([spread[k] for k in at_node])
         flat = points.reshape(-1, 2)
-        away = ((flat[:, None] - flat[None]) ** 2).sum(-1).reshape(len(here), _SAMPLES, len(here), _SAMPLES)
+        away = ((flat[:, None] - flat[None]) ** 2).sum(-1).reshape(len(at_node), _SAMPLES, len(at_node), _SAMPLES)
         least = np.sqrt(away.min((1, 3)))
-        room = np.where(straight[here][:, None] & straight[here][None], _STRAIGHT_ROOM_M, _ROOM_M)
+        room = np.where(straight[at_node][:, None] & straight[at_node][None], _STRAIGHT_ROOM_M, _ROOM_M)
         for i, j in np.argwhere(least < room):
             if i != j:
-                clashes[here[i]].add(int(here[j]))
+                clashes[at_node[i]].add(int(at_node[j]))
     return clashes

@@ -17,7 +17,7 @@ class Path:
 
     @property
     def length_m(self) -> float:
-        """Length once around."""
+        """Return the length of the whole path."""
         return float(self.along_m[-1])
 
     def at(self, along_m: np.ndarray) -> np.ndarray:

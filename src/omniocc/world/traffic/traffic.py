@@ -28,7 +28,7 @@ class Actor:
         id: the instance number of its faces.
         label: class id.
         world_from_actor: (4, 4) float64; the origin is on the ground below its middle, x forward.
-        size_m: extent along its own x, y, z.
+        size_m: extent along the actor's x, y, z.
         velocity_mps: (2,) in the world frame.
     """
 
@@ -40,7 +40,7 @@ class Actor:
 
 
 class Traffic:
-    """The traffic of a place; every method is a function of time alone (0 or later)."""
+    """The traffic of a place; all methods depend only on the time (0 or later)."""
 
     def __init__(self, place: Place, seed: int) -> None:
         rng = seeding.generator(place.theme.name, seed, "traffic")
@@ -54,27 +54,22 @@ class Traffic:
         self._cars = [painted(mesh, PAINTS[k]) for mesh, k in zip(self._fleet.meshes, paint, strict=True)]
         self._flow = Flow(roads, cars, pedestrians.draw_crossers(place, rng), rng)
 
-    def ego_along_m(self, time_s: float) -> float:
-        """Return the arc length of the ego on its route."""
-        return float(self._flow.motion(time_s + self._warm_up_s)[0][0])
-
     def world_from_ego(self, time_s: float) -> np.ndarray:
         """Return the (4, 4) float64 pose of the ego frame, 2.2 m above the road.
 
         The car pitches and rolls by about 0.02 rad and heaves by 0.1 m (standard deviations) on top of the slope.
         """
-        along = self.ego_along_m(time_s)
+        along = float(self._flow.motion(time_s + self._warm_up_s)[0][0])
         front, rear = self._flow.place(0, along + 1.4), self._flow.place(0, along - 1.4)
         road = _vehicle_pose(self._place, 0.5 * (front + rear), front - rear)
         roll, pitch, heave = (_sway(time_s, draws) for draws in self._sway_draws)
-        tilt = _tilt(0.02 * roll, 0.02 * pitch)
         pose = road.copy()
-        pose[:3, :3] = road[:3, :3] @ tilt
+        pose[:3, :3] = road[:3, :3] @ _tilt(0.02 * roll, 0.02 * pitch)
         pose[:3, 3] += road[:3, 2] * (0.1 * heave - EGO_ROAD_M)
         return pose
 
     def actors(self, time_s: float) -> tuple[Mesh, tuple[Actor, ...]]:
-        """Return all that moves within 80 m of the ego: faces in the world frame (instance = actor id), and actors.
+        """Return the moving objects within 80 m of the ego: faces in the world frame (instance = actor id), and actors.
 
         Lit lamps of traffic lights are among the faces, with an instance below -1 for each light.
         """
@@ -83,11 +78,11 @@ class Traffic:
         return concatenate([*moved, *self._lamps(time_s)]), tuple(actor for _, actor in pairs)
 
     def boxes(self, time_s: float) -> tuple[Actor, ...]:
-        """Return the actors alone, which is faster."""
+        """Return the actors without their faces, which is faster."""
         return tuple(actor for _, actor in self._near(time_s))
 
     def _lamps(self, time_s: float) -> list[Mesh]:
-        """Return the lit lamps of the traffic lights near by."""
+        """Return the lit lamps of the traffic lights nearby."""
         ego_xy, lit = self.world_from_ego(time_s)[:2, 3], []
         for number, signal in enumerate(self._place.signals):
             x, y, yaw = signal.pose.x_m, signal.pose.y_m, signal.pose.yaw_rad
@@ -99,7 +94,7 @@ class Traffic:
         return lit
 
     def _near(self, time_s: float) -> list[tuple[Mesh, Actor]]:
-        """Return prototype and actor of everything near by."""
+        """Return prototype mesh and actor of everything within `_RANGE_M` of the ego."""
         ego_xy = self.world_from_ego(time_s)[:2, 3]
         return [*self._driving(time_s, ego_xy), *self._walking(time_s, ego_xy), *self._crossing(time_s, ego_xy)]
 
@@ -181,6 +176,5 @@ def _tilt(roll_rad: float, pitch_rad: float) -> np.ndarray:
 def _sway(time_s: float, draws: np.ndarray) -> float:
     """Return a sum of three sines of 0.1 to 1 Hz with unit variance; `draws` (3, 2) set frequency and phase."""
     frequency_hz = np.array([0.12, 0.35, 0.8]) * (0.8 + 0.4 * draws[:, 0])
-    return float(
-        (np.sqrt(2) * np.array([0.75, 0.55, 0.37]) * np.sin(2 * np.pi * (frequency_hz * time_s + draws[:, 1]))).sum()
-    )
+    phase = 2 * np.pi * (frequency_hz * time_s + draws[:, 1])
+    return float((np.sqrt(2) * np.array([0.75, 0.55, 0.37]) * np.sin(phase)).sum())

@@ -1,6 +1,6 @@
 """The textures of all materials: tiles with mip levels, painted once per process, looked up by metres.
 
-A texel holds a factor on the surface's base colour (`tint`, 0 to 2) and a colour of its own that is added, so that one
+A texel holds a factor on the surface's base colour (`tint`, 0 to 2) and a colour that is added, so that one
 brick pattern serves walls of any colour while its mortar stays grey and windows stay dark.
 """
 
@@ -38,11 +38,10 @@ class Atlas(NamedTuple):
 
 
 def layer_of(material: np.ndarray, color: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the texture layer of each face, and what to add to it on the ground floor, as two (F,) int32.
+    """Return the texture layer of each face, and the step to that of the ground floor, as two (F,) int32.
 
-    Args:
-        material: (F,) uint8.
-        color: (F, 3) uint8; facades of equal colour share a style, so that a building's walls match.
+    `material` is (F,) uint8, `color` (F, 3) uint8; facades of equal colour have one style, so that a building's walls
+    match.
     """
     facade = material == Material.FACADE
     digest = color.astype(np.uint32) @ np.array([73, 179, 283], np.uint32)
@@ -54,17 +53,14 @@ def layer_of(material: np.ndarray, color: np.ndarray) -> tuple[np.ndarray, np.nd
 def sample(
     layer: np.ndarray, ground_step: np.ndarray, u_m: np.ndarray, v_m: np.ndarray, footprint_m: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Look up the textures.
+    """Return the textures' tint (R,) float32, with the slow variation, and added linear colour (3, R) float32.
 
     Args:
         layer: (R,) int32 from `layer_of`.
         ground_step: (R,) int32 from `layer_of`.
         u_m: (R,) float32 along the surface.
         v_m: (R,) float32 along the surface; upwards from the ground on facades.
-        footprint_m: (R,) float32 width of the pixel on the surface; picks the mip level.
-
-    Returns:
-        tint (R,) float32 with the slow variation included, and own linear colour (3, R) float32.
+        footprint_m: (R,) float32 width of the pixel on the surface, which selects the mip level.
     """
     atlas = make_atlas()
     layer = layer + ground_step * (v_m < STOREY_M)
@@ -92,14 +88,14 @@ def make_atlas() -> Atlas:
     layers = [pattern.PAINTERS[material](np.random.default_rng([7, material]), SIZE_PX) for material in Material]
     for style in range(FACADE_STYLES):
         layers += facade_layers(style, np.random.default_rng([11, style]), SIZE_PX)
-    texels = np.concatenate([_with_mips(tile.tint, tile.own) for tile in layers])
+    texels = np.concatenate([_with_mips(tile.tint, tile.added) for tile in layers])
     texel_m = np.array([tile.size_m / SIZE_PX for tile in layers], np.float32)
     noise = pattern.fractal(np.random.default_rng(13), SIZE_PX, cells=5, octaves=5)
     return Atlas(texels, texel_m, (1.0 + 0.5 * (noise - noise.mean())).astype(np.float32).ravel())
 
 
-def _with_mips(tint: np.ndarray, own: np.ndarray) -> np.ndarray:
-    level = np.concatenate([tint[..., None], own], axis=-1)
+def _with_mips(tint: np.ndarray, added: np.ndarray) -> np.ndarray:
+    level = np.concatenate([tint[..., None], added], axis=-1)
     levels = []
     for _ in range(_LEVELS):
         encoded = np.empty(level.shape, np.uint8)

@@ -30,17 +30,17 @@ _STYLES = (
 
 def facade_layers(style: int, rng: np.random.Generator, size: int) -> list[Tile]:
     """Paint upper storeys and ground floor; rows are height above the ground and start at a storey's floor."""
-    look = _STYLES[style]
-    tint = _wall(look, rng, size)
-    upper = _glaze(tint, look.bays, look.window, look.bars, rng)
-    shops = _glaze(tint * 0.8, look.bays // 2, (0.10, 0.90, 0.12, 0.78), 3, rng)
-    return [upper, _doors(shops, look.bays // 2, rng)]
+    facade = _STYLES[style]
+    tint = _wall(facade, rng, size)
+    upper = _glaze(tint, facade.bays, facade.window, facade.bars, rng)
+    shops = _glaze(tint * 0.8, facade.bays // 2, (0.10, 0.90, 0.12, 0.78), 3, rng)
+    return [upper, _doors(shops, facade.bays // 2, rng)]
 
 
-def _wall(look: Style, rng: np.random.Generator, size: int) -> np.ndarray:
+def _wall(facade: Style, rng: np.random.Generator, size: int) -> np.ndarray:
     streak = fractal(rng, size, 32, 3, stretch=12)
     tint = 0.78 + 0.25 * streak + 0.3 * (fractal(rng, size, 4, 6) - 0.5) + 0.1 * (rng.random((size, size)) - 0.5)
-    if look.bricks:
+    if facade.bricks:
         stone, joint = cells(rng, size, 128, 42, 0.5, 0.8)
         tint *= np.where(joint, 1.2, 0.75 + 0.4 * stone)
     storey = (np.arange(size) * _STOREYS / size) % 1
@@ -64,12 +64,12 @@ def _glaze(
     cell = (np.floor(y).astype(int), np.floor(x).astype(int))
     shade, kind, curtain = (rng.random((_STOREYS, bays))[cell] for _ in range(3))
     drawn = inside & (b > curtain) & (kind > 0.45)
-    own = np.zeros((size, size, 3))
-    own[inside] = ((0.012 + 0.05 * shade * (0.4 + b))[..., None] * np.array([0.8, 1.0, 1.15]))[inside]
-    own[drawn] = ((0.12 + 0.25 * shade)[..., None] * np.array([1.0, 0.93, 0.8]))[drawn]
-    own[bar] = 0.35
+    added = np.zeros((size, size, 3))
+    added[inside] = ((0.012 + 0.05 * shade * (0.4 + b))[..., None] * np.array([0.8, 1.0, 1.15]))[inside]
+    added[drawn] = ((0.12 + 0.25 * shade)[..., None] * np.array([1.0, 0.93, 0.8]))[drawn]
+    added[bar] = 0.35
     tint = np.where(inside, 0.0, wall * np.where(rim, 1.25, 1.0) * np.where(sill, 0.55, 1.0))
-    return Tile(_TILE_M, tint, own)
+    return Tile(_TILE_M, tint, added)
 
 
 def _doors(ground: Tile, bays: int, rng: np.random.Generator) -> Tile:
@@ -83,7 +83,7 @@ def _doors(ground: Tile, bays: int, rng: np.random.Generator) -> Tile:
     door = has_door & (aside < 0.16) & (y < 2.2)
     panel = 0.7 + 0.5 * ((y % 0.7 > 0.12) & (aside < 0.12))
     color = rng.uniform(0.03, 0.25, (bays, 3))[np.broadcast_to(bay, door.shape)] * panel[..., None]
-    tint, own = ground.tint.copy(), ground.own.copy()
-    tint[frame], own[frame] = 1.2, 0.0
-    tint[door], own[door] = 0.0, color[door]
-    return Tile(ground.size_m, tint, own)
+    tint, added = ground.tint.copy(), ground.added.copy()
+    tint[frame], added[frame] = 1.2, 0.0
+    tint[door], added[door] = 0.0, color[door]
+    return Tile(ground.size_m, tint, added)

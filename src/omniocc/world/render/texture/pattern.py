@@ -9,11 +9,11 @@ from omniocc.world.mesh.material import Material
 
 
 class Tile(NamedTuple):
-    """A square tile of `size_m` metres: `tint` (N, N) multiplies the base colour, `own` (N, N, 3), linear, is added."""
+    """A square tile of `size_m` metres: `tint` (N, N) multiplies the base colour, linear `added` (N, N, 3) is added."""
 
     size_m: float
     tint: np.ndarray
-    own: np.ndarray
+    added: np.ndarray
 
 
 Painter = Callable[[np.random.Generator, int], Tile]
@@ -53,7 +53,7 @@ def cells(
     """Lay out a wall of stones, every second row shifted.
 
     Returns:
-        (size, size) random number of each stone, and whether a pixel lies in a joint.
+        (size, size) random number of each stone, and whether a pixel is in a joint.
     """
     y = (np.arange(size) + 0.5)[:, None] * rows / size
     row = np.floor(y).astype(int) % rows
@@ -67,8 +67,8 @@ def _plain(size_m: float, tint: np.ndarray) -> Tile:
     return Tile(size_m, tint, np.zeros((*tint.shape, 3)))
 
 
-def _grey(size_m: float, tint: np.ndarray, own: np.ndarray) -> Tile:
-    return Tile(size_m, tint, np.repeat(own[..., None], 3, axis=-1))
+def _grey(size_m: float, tint: np.ndarray, added: np.ndarray) -> Tile:
+    return Tile(size_m, tint, np.repeat(added[..., None], 3, axis=-1))
 
 
 def asphalt(rng: np.random.Generator, size: int) -> Tile:
@@ -84,14 +84,14 @@ def asphalt(rng: np.random.Generator, size: int) -> Tile:
 
 
 def paint(rng: np.random.Generator, size: int) -> Tile:
-    """Paint road paint worn through to the asphalt here and there."""
+    """Paint road paint worn through to the asphalt in places."""
     worn = fractal(rng, size, 12, 5) + 0.15 * (rng.random((size, size)) - 0.5)
     hole = np.clip((worn - 0.62) * 12, 0, 1)
     return _grey(4.0, (1.0 - hole) * (0.85 + 0.3 * (1 - worn)), 0.07 * hole)
 
 
 def paving(rng: np.random.Generator, size: int) -> Tile:
-    """Paint slabs of half a metre, each of its own brightness."""
+    """Paint slabs of half a metre, of different brightness."""
     stone, joint = cells(rng, size, 8, 8, 0.5, 2.0)
     tint = 0.75 + 0.4 * stone + 0.25 * (fractal(rng, size, 8, 5) - 0.5) + 0.15 * (rng.random((size, size)) - 0.5)
     return _plain(4.0, np.where(joint, 0.5, tint))
@@ -101,13 +101,8 @@ def concrete(rng: np.random.Generator, size: int) -> Tile:
     """Paint cast panels with rain streaks."""
     panel, joint = cells(rng, size, 2, 2, 0.0, 2.0)
     streak = fractal(rng, size, 24, 3, stretch=12)
-    tint = (
-        0.75
-        + 0.2 * panel
-        + 0.35 * (fractal(rng, size, 5, 6) - 0.5)
-        + 0.3 * (streak - 0.5)
-        + 0.08 * rng.random((size, size))
-    )
+    tint = 0.75 + 0.2 * panel + 0.35 * (fractal(rng, size, 5, 6) - 0.5) + 0.3 * (streak - 0.5)
+    tint += 0.08 * rng.random((size, size))
     return _plain(6.0, np.where(joint, 0.6, tint))
 
 
@@ -115,8 +110,8 @@ def grass(rng: np.random.Generator, size: int) -> Tile:
     """Paint grass: tufts, dry spots and blades."""
     tuft, dry = fractal(rng, size, 10, 5), np.clip(fractal(rng, size, 3, 4) * 3 - 1.5, 0, 1)
     tint = 0.35 + 0.9 * tuft + 0.7 * (rng.random((size, size)) - 0.5) * tuft
-    own = dry[..., None] * np.array([0.10, 0.075, 0.02]) * tuft[..., None]
-    return Tile(6.0, np.clip(tint, 0.1, None) * (1 - 0.4 * dry), own)
+    added = dry[..., None] * np.array([0.10, 0.075, 0.02]) * tuft[..., None]
+    return Tile(6.0, np.clip(tint, 0.1, None) * (1 - 0.4 * dry), added)
 
 
 def soil(rng: np.random.Generator, size: int) -> Tile:
@@ -170,8 +165,8 @@ def leaves(rng: np.random.Generator, size: int) -> Tile:
     """Paint clumps with deep gaps and sunlit tips."""
     clump, leaf = fractal(rng, size, 6, 4), value_noise(rng, size, 64, 64)
     tint = np.clip(2.6 * clump * (0.35 + leaf) - 0.25, 0.08, 1.9)
-    own = (leaf > 0.8)[..., None] * (clump > 0.5)[..., None] * np.array([0.05, 0.06, 0.0])
-    return Tile(4.0, tint, own)
+    added = (leaf > 0.8)[..., None] * (clump > 0.5)[..., None] * np.array([0.05, 0.06, 0.0])
+    return Tile(4.0, tint, added)
 
 
 def metal(rng: np.random.Generator, size: int) -> Tile:
