@@ -10,16 +10,7 @@ from omniocc.camera import Rig
 from omniocc.geometry import Grid
 from omniocc.model.ops.padded import FeatureMaps, by_shape
 from omniocc.model.ops.padding import Pointwise
-from omniocc.model.protocols import (
-    Backbone,
-    GuessesRanges,
-    Lifter,
-    Refiner,
-    SemanticHead,
-    Sketch,
-    Sketched,
-    Temporal,
-)
+from omniocc.model.protocols import Backbone, GuessesRanges, Lifter, Refiner, SemanticHead, Sketch, Sketched, Temporal
 
 
 class Prediction(NamedTuple):

@@ -116,9 +116,5 @@ class Scores(nn.Module):
 def _ray_iou(grid: Cylinder | Cuboid, spec: SourceSpec, directions: Tensor | None) -> RayIoU:
     classes = spec.classes
     return RayIoU(
-        grid,
-        classes.num_classes,
-        range_edges_m=spec.range_edges_m,
-        directions=directions,
-        class_names=classes.names,
+        grid, classes.num_classes, range_edges_m=spec.range_edges_m, directions=directions, class_names=classes.names
     )

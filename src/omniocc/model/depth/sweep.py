@@ -36,13 +36,7 @@ class Sweep(PanoramaDepth):
         ValueError: if the window is even or does not fit into the panorama.
     """
 
-    def __init__(
-        self,
-        panorama: Equirectangular,
-        spheres: SphereRange,
-        window_px: int,
-        min_confidence: float,
-    ):
+    def __init__(self, panorama: Equirectangular, spheres: SphereRange, window_px: int, min_confidence: float):
         super().__init__(panorama, spheres)
         size = panorama.width, panorama.height
         if window_px < 3 or window_px % 2 == 0 or window_px > min(size):

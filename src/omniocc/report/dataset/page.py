@@ -71,11 +71,7 @@ def save_page(path: Path, scenes: Sequence[SceneReader], geometry: Grid, classes
 
 
 def _scene(
-    scene: SceneReader,
-    twin: SceneReader | None,
-    per_scene: int,
-    geometry: Grid,
-    classes: ClassTable,
+    scene: SceneReader, twin: SceneReader | None, per_scene: int, geometry: Grid, classes: ClassTable
 ) -> dict[str, Any]:
     facts = scene.meta["facts"]
     frames = spread(len(scene), per_scene)

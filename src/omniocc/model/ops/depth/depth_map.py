@@ -38,10 +38,7 @@ SKY_INDEX = 0.5
 
 
 def from_index(
-    index: Float[Tensor, "B h w"],
-    valid: Bool[Tensor, "B h w"],
-    confidence: Float[Tensor, "B h w"],
-    spheres: Spheres,
+    index: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"], confidence: Float[Tensor, "B h w"], spheres: Spheres
 ) -> DepthMap:
     """Clamp the index to the spheres and adds the range."""
     index = index.clamp(0, spheres.count - 1)

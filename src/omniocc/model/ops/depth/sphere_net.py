@@ -4,13 +4,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from omniocc.camera import Equirectangular, Rig
-from omniocc.model.ops.depth.depth_map import (
-    SKY_INDEX,
-    DepthMap,
-    from_index,
-    rig_groups,
-    weighted_sum,
-)
+from omniocc.model.ops.depth.depth_map import SKY_INDEX, DepthMap, from_index, rig_groups, weighted_sum
 from omniocc.model.ops.depth.layers import window_argmax
 from omniocc.model.ops.depth.panorama_depth import DepthBatch, LearnedPanoramaDepth
 from omniocc.model.ops.depth.sphere_loss import SphereLoss
