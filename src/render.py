@@ -43,11 +43,7 @@ def main(cfg: DictConfig) -> None:
 
 
 def chosen(plans: Sequence[ScenePlan], first: int, count: int | None) -> Sequence[ScenePlan]:
-    """Return the scenes that a run works on.
-
-    Raises:
-        UserError: when there are none.
-    """
+    """Return the scenes that a run works on; raise UserError when there are none."""
     end = len(plans) if count is None else first + count
     if first < 0 or not plans[first:end]:
         raise UserError(f"first_scene={first} scenes={count}: there are {len(plans)} scenes in this preset")

@@ -123,10 +123,6 @@ def foreign_packages(node: Any, packages: Sequence[str]) -> list[str]:
 def build(cfg: DictConfig, **extra: Any) -> Any:
     """Build the object a checked node names; modules get plain lists and dicts.
 
-    Args:
-        cfg: the node.
-        extra: arguments that no file can hold.
-
     Raises:
         ConfigError: when a constructor refuses a value.
     """

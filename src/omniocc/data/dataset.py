@@ -73,7 +73,6 @@ class WindowDataset(Dataset):
     Before a scene's first frame that one stands in, and `exists` says so.
 
     Args:
-        scenes: recorded scenes.
         voxels: labels in the wanted geometry.
         window: T.
         extras: what else is read.

@@ -82,11 +82,7 @@ class OccupancyData(LightningDataModule):
         return self.source.labels(self.geometry, self.unknown)
 
     def check_classes(self) -> None:
-        """Compare the number of classes with the source's.
-
-        Raises:
-            UserError: if they differ.
-        """
+        """Compare the number of classes with the source's; raise UserError if they differ."""
         names = self.source.spec.classes.names
         if len(names) != self.num_classes:
             raise UserError(

@@ -44,13 +44,7 @@ class EpochSampler(DistributedSampler):
 
 
 class RankSampler(DistributedSampler):
-    """Validation and test: every sample exactly once over all ranks, in order.
-
-    Args:
-        size: number of samples in the dataset.
-        rank: this process.
-        world_size: number of processes.
-    """
+    """Validation and test: every sample exactly once over all ranks, in order."""
 
     def __init__(self, size: int, rank: int = 0, world_size: int = 1):
         super().__init__(range(size), world_size, rank, shuffle=False)  # type: ignore[arg-type]

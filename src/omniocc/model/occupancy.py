@@ -49,7 +49,6 @@ class OccupancyModel(nn.Module):
 
     Args:
         backbone: images to feature maps.
-        geometry: the voxel grid.
         sketch: chooses candidate voxels.
         lifter: feature maps to voxel features.
         temporal: fuses a window of volumes.
@@ -144,14 +143,7 @@ class OccupancyModel(nn.Module):
         exists: Bool[Tensor, "B T"],
         sketched: Sketched,
     ) -> Float[Tensor, "B classes X Y Z"]:
-        """Return logits of the newest frame from the lifted volumes of a window, oldest first.
-
-        Args:
-            volumes: of each frame, in its own ego frame.
-            world_from_ego: pose of each frame.
-            exists: which frames were recorded.
-            sketched: of the newest frame.
-        """
+        """Return logits of the newest frame from the lifted volumes of a window, oldest first."""
         return self.classifier(self.refiner(self.temporal(volumes, world_from_ego, exists), sketched))
 
     def _lift_past(

@@ -46,9 +46,6 @@ class Stream:
 
     Between calls it holds at most as many volumes as the temporal slot has past frames. Call `reset` when the model's
     weights have changed, and before another sequence.
-
-    Args:
-        model: whose volumes are remembered.
     """
 
     def __init__(self, model: OccupancyModel):
@@ -71,14 +68,7 @@ class Stream:
         world_from_ego: Float[Tensor, "4 4"],
         sketched: Sketched | None = None,
     ) -> Float[Tensor, "C X Y Z"]:
-        """Return logits of the next frame of a sequence; the past ones are those of the calls since `reset`.
-
-        Args:
-            images: RGB 0..255 as uint8, or [0, 1] as floats.
-            rig: of this frame.
-            world_from_ego: pose of this frame.
-            sketched: the sketch's answer for this frame, a batch of one; None asks it.
-        """
+        """Return logits of the next frame of a sequence; the past ones are those of the calls since `reset`."""
         window = [("", self._number - back) for back in reversed(range(self.model.temporal.frames))]
         self._number += 1
         self._lift(window[-1:], images[None], (rig,), world_from_ego[None], sketched)

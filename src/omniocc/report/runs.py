@@ -27,7 +27,6 @@ class FinishedRun(NamedTuple):
         name: name of its folder.
         facts: what it recorded besides figures (seed, steps, classes ...).
         metrics: its figures by key; NaN for classes without cases.
-        folder: its folder.
         config: its resolved configuration; empty if it was not saved.
         same_as: the row whose configuration it has, where its own name is not that of a row.
     """
@@ -57,9 +56,6 @@ class FinishedRun(NamedTuple):
 
 def read_runs(folder: Path) -> list[FinishedRun]:
     """Return finished runs by falling RayIoU; damaged ones are left out with a warning that names the file.
-
-    Args:
-        folder: of all runs.
 
     Raises:
         UserError: when there is none.

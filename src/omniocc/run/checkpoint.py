@@ -20,7 +20,6 @@ class Checkpoint(NamedTuple):
     """Content of a checkpoint.
 
     Attributes:
-        path: the file.
         stage: that wrote it: `depth`, `sketch` or `occupancy`.
         config: of the run that wrote it, without interpolations.
         weights: of the whole task, named as in the task.

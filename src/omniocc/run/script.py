@@ -46,9 +46,6 @@ def script(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callabl
     Users' mistakes end the script with the message alone and exit code 1; for overrides it names the nearest keys or
     options. With `HYDRA_FULL_ERROR=1` Hydra reports mistakes in overrides itself, with a traceback. Jobs of a
     multirun inherit that variable, so that their log files hold whole tracebacks.
-
-    Args:
-        config_name: of the root file in `conf/`.
     """
 
     def decorate(main: Callable[[DictConfig], None]) -> Callable[..., None]:

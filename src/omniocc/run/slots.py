@@ -8,11 +8,7 @@ from omniocc.model.protocols import learns
 
 
 def sketch_learns(config: Mapping[Any, Any]) -> bool:
-    """Return whether the sketch is trained, on ranges of the depth slot, in stages before occupancy.
-
-    Args:
-        config: a run's configuration.
-    """
+    """Return whether the sketch is trained, on ranges of the depth slot, in stages before occupancy."""
     return learns(target_of(config["model"]["sketch"]))
 
 
@@ -22,11 +18,7 @@ def option_of(node: Mapping[Any, Any]) -> str:
 
 
 def slots_of(config: Mapping[str, Any]) -> dict[str, str]:
-    """Return the option in every slot, for example `sketch: omni`; `depth` if the sketch learns.
-
-    Args:
-        config: a run's resolved configuration.
-    """
+    """Return the option in every slot, for example `sketch: omni`; `depth` if the sketch learns."""
     nodes = {slot: node for slot, node in config["model"].items() if isinstance(node, Mapping) and "_target_" in node}
     if sketch_learns(config):
         nodes["depth"] = config["depth"]

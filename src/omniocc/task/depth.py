@@ -24,11 +24,9 @@ class DepthTask(StageTask[nn.Module]):
 
     Args:
         model: option of the depth slot.
-        optimizer: recipe for optimiser and schedule.
         spheres: of the rig, in whose indices errors are counted; ranges nearer than all of them are not scored.
         range_edges_m: ends of the distance bands in which errors are given.
         seed: of the random choices of training, such as mirrored batches.
-        config: the run's resolved configuration as plain data.
     """
 
     STAGE = "depth"

@@ -6,12 +6,6 @@ from lightning.pytorch import LightningModule
 
 
 def step_generator(task: LightningModule, seed: int, batch_index: int) -> torch.Generator:
-    """Return a CPU generator that is a function of seed, optimiser step, batch and process alone.
-
-    Args:
-        task: whose step and process count.
-        seed: of the run or stage.
-        batch_index: number of the batch in its epoch.
-    """
+    """Return a CPU generator that is a function of seed, optimiser step, batch and process alone."""
     key = [seed, task.global_step, batch_index, task.global_rank]
     return torch.Generator().manual_seed(int(np.random.SeedSequence(key).generate_state(1)[0]))

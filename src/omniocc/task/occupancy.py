@@ -30,7 +30,6 @@ class OccupancyTask(StageTask[OccupancyModel]):
     Args:
         model: what is trained.
         loss: named terms over a prediction.
-        optimizer: recipe for optimiser and schedule.
         augment: random changes of training batches.
         ema_decay: the weights that are validated, tested and saved are this moving average over steps, for example
             0.999; None: those of the last step.

@@ -59,10 +59,6 @@ class Scores(nn.Module):
     The keys of `compute` are the metrics' own: plain for rays against voxels, `lidar/...` for true rays, `voxel/...`
     for cells. LiDAR hits beyond the last band count for no grid. Where no batch has voxels or no LiDAR, their keys
     are absent; cells outside `Batch.scored` count as unknown.
-
-    Args:
-        geometry: grid of predictions and labels.
-        spec: classes, bands and LiDAR rays of the data.
     """
 
     def __init__(self, geometry: Grid, spec: SourceSpec):

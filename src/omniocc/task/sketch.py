@@ -19,9 +19,7 @@ class SketchTask(StageTask[nn.Module]):
 
     Args:
         model: learned sketch; its depth option is not run, the batch holds the panoramas.
-        optimizer: recipe for optimiser and schedule.
         range_edges_m: ends of the distance bands in which figures are given.
-        config: the run's resolved configuration as plain data.
     """
 
     STAGE = "sketch"

@@ -19,7 +19,6 @@ class StageTask(LightningModule, Generic[Model]):
 
     Args:
         model: what is trained.
-        optimizer: recipe for optimiser and schedule.
         config: the run's resolved configuration as plain data; with it the checkpoint suffices to rebuild the model.
     """
 

@@ -37,9 +37,7 @@ def test_what_is_coming_is_said_and_a_full_disk_stops_it(tmp_path, monkeypatch):
     needed = 16 * frame_bytes(world)
     assert bytes_to_come(world, world.plans) == needed
     disk(monkeypatch, needed)
-    line = (
-        f"{world.place}: 4 of 4 scenes to render, 16 frames, about {needed / 1e6:.0f} MB, {needed / 1e6:.0f} MB free"
-    )
+    line = f"{world.place}: 4 of 4 scenes to render, 16 frames, about {needed / 1e6:.0f} MB, {needed / 1e6:.0f} MB free"
     assert announcement(world, world.plans) == line
     disk(monkeypatch, needed - 1)
     with pytest.raises(DataError, match=r"4 scenes of 4 frames.*space.*paths\.data="):

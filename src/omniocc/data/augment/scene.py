@@ -69,11 +69,6 @@ def change_scenes(batch: Batch, geometry: Grid, changes: list[Change]) -> Batch:
     LiDAR rays turn with the scene if the batch holds them. The fixed rays of a source cannot turn, so what they hit
     becomes absent; no loss looks at it.
 
-    Args:
-        batch: a training batch.
-        geometry: grid of its voxels.
-        changes: one for each sample.
-
     Raises:
         ValueError: if the grid is not the same on both sides, or after the turn.
     """

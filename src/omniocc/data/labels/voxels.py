@@ -41,13 +41,6 @@ def vote(
 ) -> UInt8[Tensor, "X Y Z"]:
     """Return the label of every cell of one frame, voted by its points.
 
-    Args:
-        scene: a scene with points.
-        frame: its number.
-        geometry: the grid.
-        unknown: what cells without points are.
-        num_classes: number of classes, free included.
-
     Raises:
         DataError: when the frame is damaged or has no points.
     """
@@ -80,10 +73,8 @@ class VoxelCache:
 
     Args:
         folder: of the dataset; the cache is its subfolder `voxels-<hash of the geometry>`.
-        geometry: the grid.
         unknown: what cells without points are.
         fingerprint: of the data; the counts of classes are kept under it.
-        num_classes: number of classes, free included.
         workers: processes that vote; 0 votes in this one.
 
     Raises:
@@ -166,14 +157,7 @@ class VoxelCache:
 
 @dataclass(frozen=True)
 class VoteJob:
-    """Makes the voxels of one scene folder after another; can be sent to other processes.
-
-    Attributes:
-        scenes: by name.
-        geometry: the grid.
-        unknown: what cells without points are.
-        num_classes: number of classes, free included.
-    """
+    """Makes the voxels of one scene folder after another; can be sent to other processes."""
 
     scenes: dict[str, SceneFrames]
     geometry: Grid

@@ -128,11 +128,7 @@ class Recorded:
 
 
 def spec_of(scene: SceneFolder) -> SourceSpec:
-    """Return the facts that a scene states about its source.
-
-    Raises:
-        DataError: when it states none or a wrong one.
-    """
+    """Return the facts that a scene states about its source; raise DataError when it states none or a wrong one."""
     try:
         return read_spec(scene.meta["facts"]["spec"])
     except (KeyError, TypeError, ValueError) as error:
@@ -141,11 +137,6 @@ def spec_of(scene: SceneFolder) -> SourceSpec:
 
 def chosen_scenes(splits: Splits, there: Sequence[str], root: str) -> dict[Split, list[str]]:
     """Return the names of the scenes of every split.
-
-    Args:
-        splits: names, patterns or fractions; see `Recorded`.
-        there: names of all scenes.
-        root: where they lie, for messages.
 
     Raises:
         DataError: naming the split or scene that is not there or is in two splits.
@@ -168,11 +159,7 @@ def chosen_scenes(splits: Splits, there: Sequence[str], root: str) -> dict[Split
 
 
 def matching(pattern: str, there: Sequence[str], split: str) -> list[str]:
-    """Return the scenes that a name or pattern means.
-
-    Raises:
-        DataError: if there are none.
-    """
+    """Return the scenes that a name or pattern means; raise DataError if there are none."""
     names = [name for name in there if fnmatchcase(name, pattern)]
     if not names:
         close = get_close_matches(pattern, there, n=1) or there[:1]

@@ -216,11 +216,7 @@ class VirtualWorld:
         return VoxelCache(self.folder, geometry, unknown, self.fingerprint, classes, self.workers)
 
     def scenes(self, split: Split) -> list[SceneReader]:
-        """Return the scenes of a split, in order.
-
-        Raises:
-            DataError: when a scene is not there.
-        """
+        """Return the scenes of a split, in order; raise DataError when a scene is not there."""
         plans = [plan for plan in self.plans if plan.split == split]
         for plan in self.missing(plans)[:1]:
             raise DataError(f"{self._where(plan)} is missing: call prepare(), or run `python src/render.py`, first")

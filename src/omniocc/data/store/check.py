@@ -64,13 +64,7 @@ class SceneSurvey:
 
 
 def check_scene(scene: SceneReader, num_frames: int, interval_s: float) -> list[str]:
-    """Return all that is wrong with a scene's files, times and poses, one line each; empty when it is whole.
-
-    Args:
-        scene: a folder of recorded frames.
-        num_frames: how many it should hold.
-        interval_s: time between them.
-    """
+    """Return all that is wrong with a scene's files, times and poses, one line each; empty when it is whole."""
     try:
         return [*_files(scene), *_frames(scene, num_frames), *_times(scene, interval_s), *_poses(scene)]
     except DataError as error:
@@ -192,13 +186,7 @@ def _content(scene: SceneReader, frame: int) -> Iterator[str]:
 
 
 def survey(work: SceneSurvey, scenes: Sequence[SceneReader], workers: int) -> list[Survey]:
-    """Check scenes side by side.
-
-    Args:
-        work: what is asked of each.
-        scenes: to be read.
-        workers: processes; 0 reads in this one.
-    """
+    """Check scenes side by side."""
     if workers == 0 or len(scenes) < 2:
         return [work(scene) for scene in scenes]
     with (

@@ -22,23 +22,18 @@ class Files(Protocol):
 
     def where(self, name: str) -> str:
         """Return path or URL of a file, for messages."""
-        ...
 
     def size(self, name: str) -> int:
         """Return the length in bytes."""
-        ...
 
     def open(self, name: str) -> Any:
         """Return the open file, binary, at its beginning; stores have file classes of their own."""
-        ...
 
     def ranges(self, name: str, spans: Sequence[tuple[int, int]]) -> list[bytes]:
         """Return the bytes from `begin` up to `end` of each (begin, end); fewer where the file ends early."""
-        ...
 
     def folders(self) -> list[str]:
         """Return the names of the folders in this one, sorted."""
-        ...
 
 
 class LocalFiles:
@@ -137,11 +132,7 @@ def _holds(folder: str, name: str) -> bool:
 
 
 def read_json(root: Path | str, name: str, remedy: str) -> Any:
-    """Return the content of a JSON file.
-
-    Raises:
-        DataError: when it cannot be read; the message ends with the remedy.
-    """
+    """Return the content of a JSON file; raise DataError when it cannot be read; the message ends with the remedy."""
     files = open_folder(root)
     try:
         with files.open(name) as file:

@@ -59,21 +59,13 @@ class FrameCache(ABC, Generic[Array]):
         return [scene for scene in scenes if self._size(scene.name) != row * len(scene)]
 
     def write(self, scene: str, arrays: Sequence[Array]) -> None:
-        """Write all frames of a scene, in order.
-
-        Raises:
-            DataError: when the disk refuses.
-        """
+        """Write all frames of a scene, in order; raise DataError when the disk refuses."""
         payloads = [self.pack(array) for array in arrays]
         rows = (payload + zlib.crc32(payload).to_bytes(_CRC_BYTES, "little") for payload in payloads)
         atomic_write(self.path(scene), b"".join(rows))
 
     def read(self, scene: str, frame: int) -> Array:
-        """Return one frame.
-
-        Raises:
-            DataError: when the file is missing, too short or damaged.
-        """
+        """Return one frame; raise DataError when the file is missing, too short or damaged."""
         path, row = self.path(scene), self.payload_bytes + _CRC_BYTES
         try:
             with path.open("rb") as file:

@@ -12,12 +12,7 @@ from omniocc.model.ops.padded import Rigs
 
 
 class Truth(PanoramaDepth):
-    """Pass the recorded range through: an upper bound for every other option.
-
-    Args:
-        panorama: directions of the answer.
-        spheres: number and reach of the spheres, in whose indices the range is also given.
-    """
+    """Pass the recorded range through: an upper bound for every other option."""
 
     NEEDS_TRUE_RANGE: ClassVar[bool] = True
 

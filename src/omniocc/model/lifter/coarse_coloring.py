@@ -23,10 +23,8 @@ class CoarseColoring(nn.Module):
     voxels is.
 
     Args:
-        geometry: the voxel grid.
         channels: of image features, queries and volume.
         levels: strides of the feature maps that come in, px.
-        layers: number of layers.
         heads: of attention, a divisor of the channels.
         points: samples per head and level.
         feedforward_channels: hidden channels of the feed-forward part.

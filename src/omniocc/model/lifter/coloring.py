@@ -44,10 +44,8 @@ class Coloring(nn.Module):
     mask token of VoxFormer (Li et al., 2023).
 
     Args:
-        geometry: the voxel grid.
         channels: of image features, queries and volume.
         levels: strides of the feature maps that come in, px.
-        layers: number of layers.
         heads: of attention, a divisor of the channels.
         points: samples per head and level.
         feedforward_channels: hidden channels of the feed-forward part.

@@ -23,7 +23,6 @@ class LiftSplat(nn.Module):
     are averaged down to the coarsest and added.
 
     Args:
-        geometry: the voxel grid.
         in_channels: of image features.
         channels: of the volume.
         levels: strides of the feature maps that come in, px, finest first.

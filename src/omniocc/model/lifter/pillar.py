@@ -36,11 +36,9 @@ class Pillar(nn.Module):
     if one of its voxels is. On a cylinder the bird's-eye view is polar.
 
     Args:
-        geometry: the voxel grid.
         in_channels: of image features and queries.
         channels: of the volume.
         levels: strides of the feature maps that come in, px.
-        layers: number of layers.
         heads: of attention, a divisor of `in_channels`.
         points: samples per head and level, a multiple of the heights, among which they are split.
         heights: reference points of each pillar.

@@ -13,10 +13,6 @@ from omniocc.model.ops.padding import Axes
 def coarsened(geometry: Grid, block: Axes) -> Grid:
     """Return the grid whose cells are blocks of `geometry`'s.
 
-    Args:
-        geometry: the voxel grid.
-        block: cells of a block along each axis.
-
     Raises:
         ValueError: if an axis does not divide into such blocks.
     """

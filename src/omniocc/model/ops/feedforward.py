@@ -5,12 +5,7 @@ from torch import Tensor, nn
 
 
 class FeedForward(nn.Module):
-    """Add the output of a perceptron with one hidden layer to each query, then normalise.
-
-    Args:
-        channels: of the queries.
-        hidden_channels: of the hidden layer.
-    """
+    """Add the output of a perceptron with one hidden layer to each query, then normalise."""
 
     def __init__(self, channels: int, hidden_channels: int):
         super().__init__()

@@ -59,14 +59,7 @@ def corners(
 def sum_samples(
     table: Float[Tensor, "R C"], row: Int32[Tensor, "N K"], weights: Float[Tensor, "N K E"], steps: tuple[int, ...]
 ) -> Float[Tensor, "N C"]:
-    """Add up the K weighted samples of each of N sums; differentiable once, in table and weights.
-
-    Args:
-        table: values of cells; each row + step must exist.
-        row: of each sample's lowest corner.
-        weights: of each sample's corners.
-        steps: rows from the lowest corner to each corner.
-    """
+    """Add up the K weighted samples of each of N sums; differentiable once, in table and weights."""
     return _SumSamples.apply(table, row, weights, steps)  # type: ignore[return-value]
 
 

@@ -78,11 +78,7 @@ class Downsample(nn.Conv3d):
         self.periodic = periodic
 
     def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B D _ _ _"]:
-        """Return the halved volume, sizes rounded up.
-
-        Raises:
-            ValueError: if a periodic axis is odd.
-        """
+        """Return the halved volume, sizes rounded up; raise ValueError if a periodic axis is odd."""
         odd = [size % 2 for size in volume.shape[2:]]
         for size, wraps in zip(volume.shape[2:], self.periodic, strict=True):
             if wraps and size % 2:

@@ -164,9 +164,7 @@ class Attention(nn.Module):
     Samples beyond an end that does not wrap around are zero.
 
     Args:
-        geometry: the voxel grid.
         channels: of the volume that comes in and goes out.
-        layers: number of layers.
         heads: of attention, a divisor of the channels.
         points: samples per head.
         feedforward_channels: hidden channels of the feed-forward part.

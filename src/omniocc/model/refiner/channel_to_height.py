@@ -41,7 +41,6 @@ class ChannelToHeight(nn.Module):
     linear maps at the ends depends on the height. Levels are merged as in `Conv`.
 
     Args:
-        geometry: the voxel grid.
         in_channels: of the lifted volume.
         channels: of the volume that comes out.
         view_channels: of the views of each level, finest first; multiples of 8.

@@ -37,7 +37,6 @@ class Conv(nn.Module):
     level it is a few convolutions, as in the occupancy head of BEVFormer (Li et al., 2022).
 
     Args:
-        geometry: the voxel grid.
         in_channels: of the lifted volume.
         channels: of each level, finest first; multiples of 8. The finest is what comes out.
         blocks: of each level.

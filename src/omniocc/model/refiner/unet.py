@@ -19,7 +19,6 @@ class UNet(nn.Module):
     along a periodic axis by a multiple of 2**(levels-1) cells rolls the output.
 
     Args:
-        geometry: the voxel grid.
         in_channels: of the lifted volume.
         channels: of each level, finest first; multiples of 8. The finest is what comes out.
 

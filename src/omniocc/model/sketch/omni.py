@@ -38,7 +38,6 @@ class Omni(nn.Module):
     trained elsewhere; here it stays frozen and in evaluation mode.
 
     Args:
-        geometry: the voxel grid.
         depth: ranges of a panorama around the ego origin.
         point_channels: features of the points in a cell.
         samples: directions of each cell that are compared with the panorama, along each axis.

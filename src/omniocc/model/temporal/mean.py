@@ -17,7 +17,6 @@ class Mean(nn.Module):
     scene's first frames have fewer before them) and whose grid holds the cell's centre.
 
     Args:
-        geometry: the voxel grid.
         frames: of a window, the newest included: N + 1.
         history_gradient: whether training reaches the network also through the past frames, as the newest; costs the
             memory of as many frames.

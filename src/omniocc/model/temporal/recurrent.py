@@ -122,10 +122,8 @@ class Recurrent(nn.Module):
     to the newest volume.
 
     Args:
-        geometry: the voxel grid.
         channels: of the volumes.
         view_channels: of the bird's-eye views.
-        layers: number of layers.
         heads: of attention, a divisor of `view_channels`.
         points: samples per head and view.
         feedforward_channels: hidden channels of the feed-forward part.

@@ -28,7 +28,6 @@ class DatasetTable(NamedTuple):
 
     Attributes:
         name: name of the file.
-        title: title of the table.
         note: its place in the paper, and inconsistencies of its figures.
         columns: title of each column, by key.
         rows: name and cells of each dataset; no cells where they are unknown.

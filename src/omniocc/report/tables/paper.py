@@ -30,7 +30,6 @@ class PaperTable(NamedTuple):
 
     Attributes:
         name: name of the file.
-        title: title of the table.
         columns: title of each metric, by key.
         order_by: key of the metric that decides which method is better.
         rows: methods in the paper's order.

@@ -25,7 +25,6 @@ class Chart(NamedTuple):
 
     Attributes:
         kind: bars and scatter show the figures of the test, lines the curves of training.
-        title: title of the panel.
         keys: keys of what is drawn; of a scatter first x, then y.
     """
 
@@ -95,11 +94,6 @@ ONE_COLUMN = ("table", "media")
 
 def workspace(entity: str, project: str, charts: Mapping[str, Sequence[Chart]]) -> "Workspace":
     """Return the dashboard, not saved yet, with runs grouped by job type (stage) and row: bars are means over seeds.
-
-    Args:
-        entity: W&B user or team.
-        project: W&B project.
-        charts: charts by section.
 
     Raises:
         UserError: when the extra `dashboard` is not installed.

@@ -20,11 +20,7 @@ MARK = ".synced"
 
 
 def waiting(runs: Path) -> list[Path]:
-    """Return files of offline runs that have not been uploaded, without runs in progress, whose files still grow.
-
-    Args:
-        runs: folder of runs, stages and the report.
-    """
+    """Return files of offline runs that have not been uploaded, without runs in progress, whose files still grow."""
     files = sorted(runs.glob(f"**/{OFFLINE}"))
     left = [path for path in files if not path.with_name(path.name + MARK).exists()]
     busy = {folder for folder in {folder_of(path) for path in left} if in_use(folder)}

@@ -38,11 +38,7 @@ def load_or_random(weights: str | None, load: Callable[[str, bool], Network], ra
 
 
 def require_equal(found: PretrainedConfig, wanted: PretrainedConfig, names: Iterable[str], weights: str) -> None:
-    """Compare entries of two configurations.
-
-    Raises:
-        ValueError: if the weights belong to a network of other sizes.
-    """
+    """Compare entries of two configurations; raise ValueError if the weights belong to a network of other sizes."""
     for name in names:
         ours, theirs = getattr(wanted, name), getattr(found, name)
         if ours != theirs:

@@ -32,11 +32,7 @@ class FeatureNet(nn.Module):
     def forward(
         self, images: Float[Tensor, "B N 3 H W"], extra: Float[Tensor, "B N E H W"] | None = None
     ) -> Float[Tensor, "B N C _ _"]:
-        """Return features of images, whose height and width must be even.
-
-        Raises:
-            ValueError: if they are not.
-        """
+        """Return features of images, whose height and width must be even; raise ValueError if they are not."""
         if images.shape[-2] % STRIDE or images.shape[-1] % STRIDE:
             raise ValueError(f"images are {images.shape[-1]}x{images.shape[-2]} px; width and height must be even")
         colors = (images - 0.45) / 0.25

@@ -88,7 +88,6 @@ class Cylinder3D(nn.Module):
     Rolling the input along a periodic axis by a multiple of 2**(levels-1) cells rolls the output.
 
     Args:
-        geometry: the voxel grid.
         in_channels: of the volume that goes in.
         channels: of each level, finest first; multiples of 8.
         out_channels: of the logits.

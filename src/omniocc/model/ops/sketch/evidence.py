@@ -68,7 +68,6 @@ class Evidence(nn.Module):
     """Compute evidence of free and hidden space (see `sight_evidence`) for every cell of a grid; no parameters.
 
     Args:
-        geometry: the voxel grid.
         panorama: of the ranges, around the ego origin.
         samples: points looked up in each cell, along each axis.
     """

@@ -61,7 +61,6 @@ class PointEncoder(nn.Module):
     """Encode the points of every cell: an MLP on each point, the maximum in each cell.
 
     Args:
-        geometry: the voxel grid.
         channels: of the result.
     """
 
