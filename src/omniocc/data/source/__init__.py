@@ -23,7 +23,7 @@ Unknown = Literal["free", "unobserved"]
 
 @dataclass(frozen=True, eq=False)
 class SourceSpec:
-    """Facts that hold for all scenes of a source.
+    """Facts about all scenes of a source.
 
     Attributes:
         classes: of voxels, pixels and LiDAR hits.
@@ -58,7 +58,7 @@ class LidarScan(NamedTuple):
 
     Attributes:
         range_m: (R,) float32 range along every ray, m; inf where nothing is hit.
-        labels: (R,) uint8 class of what is hit; 0 where nothing is hit, 255 unknown.
+        labels: (R,) uint8 class that is hit; 0 where nothing is hit, 255 unknown.
         directions: (R, 3) float32 unit rays in the ego frame.
         origins: (R, 3) float32 where the rays start, m, ego frame; None: in the ego origin.
     """
@@ -83,7 +83,7 @@ class Points(NamedTuple):
 
 @runtime_checkable
 class SceneFrames(Protocol):
-    """The frames of one scene, decoded; can be sent to other processes. A method returns None for what is absent.
+    """The frames of one scene, decoded; picklable. Methods return None where the dataset has no such data.
 
     Frames have numbers from 0 in the order of time. Errors in reading are `omniocc.errors.DataError`.
     """
@@ -127,7 +127,7 @@ class VoxelLabels(Protocol):
     """The voxel labels of a source in one grid."""
 
     def prepare(self, scenes: Sequence[SceneFrames]) -> None:
-        """Make what is missing for these scenes; safe to call from several processes at once."""
+        """Make the missing labels of these scenes; safe to call from several processes at once."""
 
     def read(self, scene: SceneFrames, frame: int) -> UInt8[Tensor, "X Y Z"] | None:
         """Return the class of every cell, 255 unknown; None without labels."""
@@ -136,19 +136,19 @@ class VoxelLabels(Protocol):
         """Return the cells that count in scores; None: all whose class is known."""
 
     def counts(self, scenes: Sequence[SceneFrames]) -> Int64[Tensor, "C X Y Z"]:
-        """Return how often each class stood in each cell over all frames; unknown is not counted."""
+        """Return the number of frames in which each cell has each class; unknown is not counted."""
 
 
 @runtime_checkable
 class SceneSource(Protocol):
-    """A dataset: which scenes there are, what they offer and what their labels mean."""
+    """A dataset: its scenes, and the meaning of their labels."""
 
     @property
     def spec(self) -> SourceSpec:
-        """Return the facts that hold for all scenes.
+        """Return the facts about all scenes.
 
         Raises:
-            DataError: when it has to be read from scenes that are not there.
+            DataError: when it has to be read from scenes and there are none.
         """
 
     @property
@@ -157,7 +157,7 @@ class SceneSource(Protocol):
 
     @property
     def folder(self) -> Path:
-        """Return the local folder of what is derived from the scenes."""
+        """Return the local folder of data derived from the scenes."""
 
     def prepare(self) -> None:
         """Make or find all scenes; safe to call from several processes at once and to repeat after a kill.
