@@ -44,7 +44,7 @@ class Mono(LearnedPanoramaDepth):
     """Estimate the log of the range and the sky in each image, from its colours and the rays of its pixels.
 
     Maps of all cameras, at half the size of the images, are drawn into the panorama from the cameras' positions, the
-    nearest surface in front. `panorama` and `spheres` as in `PanoramaDepth`.
+    nearest surface in front. Other arguments as in `PanoramaDepth`.
 
     Args:
         channels: per level of the network, finest (half the image size) first; multiples of 8.

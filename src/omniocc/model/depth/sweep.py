@@ -26,7 +26,7 @@ class Sweep(PanoramaDepth):
     The sphere with the best mean over the pairs wins, and a parabola through it and its neighbours gives the fraction.
     Images are first brought to about the resolution of the panorama.
 
-    `panorama` and `spheres` as in `PanoramaDepth`.
+    Other arguments as in `PanoramaDepth`.
 
     Args:
         window_px: side of the windows in the panorama, odd.

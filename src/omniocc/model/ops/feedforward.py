@@ -9,9 +9,8 @@ class FeedForward(nn.Module):
 
     def __init__(self, channels: int, hidden_channels: int):
         super().__init__()
-        self.layers = nn.Sequential(
-            nn.Linear(channels, hidden_channels), nn.ReLU(), nn.Linear(hidden_channels, channels)
-        )
+        first, second = nn.Linear(channels, hidden_channels), nn.Linear(hidden_channels, channels)
+        self.layers = nn.Sequential(first, nn.ReLU(), second)
         self.norm = nn.LayerNorm(channels)
 
     def forward(self, queries: Float[Tensor, "*batch C"]) -> Float[Tensor, "*batch C"]:

@@ -16,10 +16,10 @@ import torch
 from jaxtyping import Bool, Float, Float32, Int32
 from torch import Tensor
 from torch.autograd.function import once_differentiable
-from torch.nn import functional as F
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.model.ops.depth.spheres import Spheres
+from omniocc.model.ops.multilinear import bag_sum
 from omniocc.model.ops.padded import frame_size
 from omniocc.model.ops.rig_cache import once_per_rig
 from omniocc.model.ops.static import is_static
@@ -78,7 +78,7 @@ class Sampler:
         if not is_static():
             return product(self.matrix, rows, less)
         # exported programs have no sparse matrices
-        sums = F.embedding_bag(self.columns, rows, self.first, mode="sum", per_sample_weights=self.values)
+        sums = bag_sum(self.columns, rows, self.first, self.values)
         return sums if less is None else less - sums
 
 
