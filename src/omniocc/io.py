@@ -1,4 +1,4 @@
-"""Write files whole or not at all."""
+"""Write files atomically."""
 
 import contextlib
 import errno
@@ -27,8 +27,8 @@ def atomic_write(path: Path, content: bytes | memoryview | str, previous: Path |
     Args:
         path: the file; its folder is made if missing.
         content: all of it; text is encoded as UTF-8.
-        previous: name in the same folder that the old file is kept under; None keeps nothing. The old file is renamed
-            just before the new one, so that a stop between the two leaves it under this name alone.
+        previous: new name of the old file in the same folder; None does not keep it. It is renamed just
+            before the new file, so that after a stop between the two only this name exists.
 
     Raises:
         DataError: when the disk refuses; the old file is untouched and nothing temporary is left.
@@ -54,18 +54,15 @@ def atomic_write(path: Path, content: bytes | memoryview | str, previous: Path |
 
 
 def remove_leftovers(path: Path) -> None:
-    """Remove what killed processes left of writing this file; for the only process that writes it."""
+    """Remove temporary files that killed processes left of this file; for the only process that writes it."""
     for leftover in path.parent.glob(f".{path.name}.*.tmp"):
         leftover.unlink(missing_ok=True)
 
 
 def cannot_write(path: Path, error: OSError, needed_bytes: int | None = None) -> DataError:
-    """Return the error to raise when writing to `path` failed; what was complete before stays valid.
+    """Return the error to raise when writing to a file or folder failed; complete files stay valid.
 
-    Args:
-        path: file or folder.
-        error: what the system said.
-        needed_bytes: size of the file, told beside the free space when the disk is full; None if unknown.
+    With `needed_bytes`, the size of the file, the message names the missing space when the disk is full.
     """
     reason = _REMEDIES.get(error.errno or 0, f"{error.strerror or error}")
     if error.errno == errno.ENOSPC and needed_bytes is not None:

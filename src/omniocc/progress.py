@@ -1,8 +1,8 @@
-"""Progress of long work: a bar on a terminal, plain lines elsewhere, and a status file for the process that waits.
+"""Progress of long work: a bar on a terminal, plain lines elsewhere, and a status file for a waiting process.
 
-A process that starts others names a file in the environment variable `STATUS_FILE` of each; what they report lies there
-as one line of JSON (`Status`). Imports the standard library alone: Hydra loads the launcher, and so this module, at
-every start of a script.
+A process that starts others names a file for each in the environment variable `STATUS_FILE`, to which they write their
+status as one line of JSON (`Status`). Only the standard library is imported, since Hydra loads the launcher, and so
+this module, at every start of a script.
 """
 
 import contextlib
@@ -26,17 +26,17 @@ STATUS_EVERY_S = 1.0
 
 @dataclass(frozen=True)
 class Status:
-    """What a process does and how much of it is done.
+    """The state and progress of a process.
 
     Attributes:
-        state: whether it works, or waits for what another process makes.
-        title: what is being done, or what is waited for.
+        state: whether it works, or waits for another process.
+        title: of the work, or the reason for waiting.
         done: units done.
-        total: units to be done; 0 where nothing is counted.
-        unit: what is counted, in the plural.
+        total: units in all; 0 where nothing is counted.
+        unit: name of the units, in the plural.
         rate_hz: units per second; 0 before the first.
         left_s: seconds left, None where unknown.
-        text: what else there is to say, such as losses.
+        text: further information, such as losses.
     """
 
     state: Literal["running", "waiting"]
@@ -50,7 +50,7 @@ class Status:
 
     @property
     def rate(self) -> str:
-        """The rate in words: units per second, or seconds for each where they take longer than one."""
+        """Return the rate in words: units per second, or seconds for each unit where they take longer."""
         if 0 < self.rate_hz < 1:
             return f"{1 / self.rate_hz:.2f} s each"
         return f"{self.rate_hz:.1f} {self.unit}/s"
@@ -63,14 +63,14 @@ class Status:
 
 
 class Progress:
-    """Counts units of work; shows how many, how fast and how long it will still take.
+    """Count units of work and show their number, rate and time left.
 
     Args:
-        title: what is being done.
-        total: units to be done in this run.
-        unit: what is counted, in the plural.
-        done: units done before.
-        finished: return the number of units done by now, whoever did them, where several processes share the work.
+        title: of the work.
+        total: units in all.
+        unit: name of the units, in the plural.
+        done: units that were done before.
+        finished: returns the number of units done by all processes, where several share the work.
     """
 
     def __init__(self, title: str, total: int, unit: str = "frames", done: int = 0, finished: Callable[[], int] = int):
@@ -95,7 +95,7 @@ class Progress:
 
     @property
     def status(self) -> Status:
-        """Return how much is done by now, by other processes too."""
+        """Return the present status, with the work of other processes."""
         self._others = max(self.finished() - self._own, 0)
         counts = self._made and self.done < self.total
         left_s = (self.total - self.done) / max(self.rate_hz, 1e-9) if counts else None
@@ -117,12 +117,7 @@ class Progress:
         self._write()
 
     def advance(self, count: int = 1, text: str = "") -> None:
-        """Count units that are done: one just made, or all that an interrupted run has left.
-
-        Args:
-            count: units.
-            text: what else to show, such as losses.
-        """
+        """Count finished units, one at a time or all of an interrupted run; `text` is shown with them."""
         self._own, self._text = self._own + count, text
         self._made += count == 1
         if self._bar is not None:
@@ -141,7 +136,7 @@ class Progress:
             print(text, file=sys.stderr, flush=True)
 
     def wait(self, text: str) -> None:
-        """Say what is waited for; the next count ends that."""
+        """Report the reason for waiting, until the next count."""
         self.message(text)
         write_status(Status("waiting", text))
         self._written_s = -STATUS_EVERY_S
@@ -167,9 +162,9 @@ def waiting(title: str, reason: str) -> Iterator[None]:
 
 
 def write_status(status: Status) -> None:
-    """Write the status to the file that the environment names, whole or not at all; nothing if it names none.
+    """Write the status atomically to the file that the environment names, if any.
 
-    A status that cannot be written is left out: the work itself must not end for it.
+    Errors are ignored, since the work itself must not end for a status.
     """
     if STATUS_FILE not in os.environ:
         return
@@ -181,7 +176,7 @@ def write_status(status: Status) -> None:
 
 
 def read_status(path: Path) -> Status | None:
-    """Return what a process has reported in its status file, None before its first report."""
+    """Return the status in the file of a process, None before its first report."""
     try:
         return Status(**json.loads(path.read_text()))
     except FileNotFoundError:

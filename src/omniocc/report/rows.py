@@ -1,4 +1,4 @@
-"""Which row of the tables a run belongs to: the one of its name, or else the one of its configuration."""
+"""Rows of the tables to which runs belong: by name, or else by configuration."""
 
 import functools
 from collections.abc import Sequence
@@ -12,9 +12,8 @@ from omniocc.report.selection import compared
 def assign_rows(runs: Sequence[FinishedRun], conf: Path, rows: Sequence[str]) -> list[FinishedRun]:
     """Return the runs, each with its row.
 
-    A run whose name is that of a row belongs to it. Any other run (`name=demo`) belongs to the first row that Hydra
-    composes to the run's configuration with the run's preset and no other override; a run that no row composes to
-    stays in a row of its own.
+    A run with the name of a row belongs to it. Any other run (`name=demo`) belongs to the first row whose
+    configuration, composed with the run's preset and no other override, equals the run's; otherwise it is a row of its own.
 
     Args:
         runs: finished runs.

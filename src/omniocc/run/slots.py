@@ -1,4 +1,4 @@
-"""Which option fills which slot of a model, and whether there are stages before occupancy."""
+"""The option in each slot of a model, and whether there are stages before occupancy."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -13,7 +13,7 @@ def sketch_learns(config: Mapping[Any, Any]) -> bool:
 
 
 def option_of(node: Mapping[Any, Any]) -> str:
-    """Return the name of the option that a node names: that of the file its class is in, as in `conf/`."""
+    """Return the option of a node: the name of the file that its class is in, as in `conf/`."""
     return target_of(node).__module__.rpartition(".")[2]
 
 

@@ -9,7 +9,7 @@ from omniocc.progress import Progress
 
 
 class StepProgress(ProgressBar):
-    """Show the steps done of all, the time left, the loss and the last validation score."""
+    """Show finished and total steps, the time left, the loss and the last validation score."""
 
     def __init__(self, stage: str):
         super().__init__()

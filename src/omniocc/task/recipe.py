@@ -1,4 +1,4 @@
-"""The recipe of a stage before occupancy: how long and on what batches it trains."""
+"""The recipe of a stage before occupancy: steps, batches and optimiser."""
 
 from dataclasses import dataclass
 

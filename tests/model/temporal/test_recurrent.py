@@ -94,7 +94,7 @@ def test_a_resting_car_hands_each_view_to_the_next_frame(geometry):
 def test_history_moves_with_the_car():
     """A car that drives one cell ahead finds what was at x + 1 at x; what comes in at the front has no past."""
     temporal, volumes = make(CUBOID, frames=2), make_volumes(CUBOID, 2)
-    view = temporal._look(volumes[0], moving(1)[:, 0], None)
+    view = temporal._attend(volumes[0], moving(1)[:, 0], None)
     moved = torch.cat([view[:, 1:], torch.zeros_like(view[:, :1])], dim=1)
     present = volumes[1].movedim(1, -1).flatten(-2) @ temporal.fold.weight.T + temporal.fold.bias
     for layer in temporal.layers:

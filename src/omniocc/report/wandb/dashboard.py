@@ -24,7 +24,7 @@ class Chart(NamedTuple):
     """One panel.
 
     Attributes:
-        kind: bars and scatter show the figures of the test, lines the curves of training.
+        kind: bars and scatter show test figures, lines training curves.
         keys: keys of what is drawn; of a scatter first x, then y.
     """
 
@@ -34,7 +34,7 @@ class Chart(NamedTuple):
 
 
 def each(key: str, parts: Sequence[str]) -> tuple[str, ...]:
-    """Return the key with each part in place of `{}`."""
+    """Return the key with `{}` replaced by each part."""
     return tuple(key.format(part) for part in parts)
 
 
