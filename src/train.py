@@ -61,7 +61,7 @@ def train_occupancy(
     config = plain(cfg)
     run = open_run(Path(cfg.paths.runs), cfg.name, run_hash(config, data.source.fingerprint), cfg.resume)
     if run.finished:
-        print(f"{run.path} is finished; resume=never trains anew beside it")
+        print(f"{run.path} is finished; resume=never trains again beside it")
         show_results(run.path)
         return
     if run.lock is not None:

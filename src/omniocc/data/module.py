@@ -26,7 +26,7 @@ class OccupancyData(LightningDataModule):
 
     Args:
         source: of the scenes and their labels.
-        num_classes: number of classes that the model tells apart, free included; has to be that of the source.
+        num_classes: number of classes of the model, free included; equal to that of the source.
         geometry: grid of the voxel labels.
         window: frames per sample, the newest included.
         batch_size: samples per process and step.

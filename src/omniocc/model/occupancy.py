@@ -54,7 +54,7 @@ class Lifted(NamedTuple):
 class OccupancyModel(nn.Module):
     """Predict semantic occupancy from camera images, in exchangeable parts (paper, figure 'Overall architecture').
 
-    Samples may have different numbers of cameras and sizes of image, padded as `omniocc.model.ops.padded` says.
+    Samples may have different numbers of cameras and sizes of image, padded as in `omniocc.model.ops.padded`.
 
     Args:
         num_classes: of voxels, free included.

@@ -13,12 +13,12 @@ def assign_rows(runs: Sequence[FinishedRun], conf: Path, rows: Sequence[str]) ->
     """Return the runs, each with its row.
 
     A run with the name of a row belongs to it. Any other run (`name=demo`) belongs to the first row whose
-    configuration, composed with the run's preset and no other override, equals the run's; otherwise it is a row of its own.
+    configuration, composed with the run's preset and no other override, equals the run's, or else to its own row.
 
     Args:
         runs: finished runs.
         conf: folder of the configuration, with the rows in `ablation/<row>.yaml`.
-        rows: names of the tables' rows; rows without a file in `conf` are found by name alone.
+        rows: names of the tables' rows; rows without a file in `conf` are found only by name.
 
     Raises:
         ConfigError: when a row cannot be composed.

@@ -125,7 +125,7 @@ def report_markdown(sweep: Sweep) -> str:
 def write_docs(sweep: Sweep, folder: Path) -> list[Path]:
     """Write every table as a page of the documentation, `<table>.md`, and return the files.
 
-    Each page is overwritten, as a comment at its top says.
+    Existing pages are overwritten.
 
     Raises:
         DataError: naming the file that cannot be written.

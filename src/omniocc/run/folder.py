@@ -86,7 +86,7 @@ def open_run(runs: Path, name: str, digest: str, resume: str) -> RunFolder:
 
 
 def given_checkpoint(resume: str) -> Path | None:
-    """Return the checkpoint that `resume` names, if it names one; raise FileNotFoundError when it is not there."""
+    """Return the checkpoint that `resume` names, if it names one; raise FileNotFoundError when missing."""
     if resume in ("auto", "never"):
         return None
     if not Path(resume).is_file():

@@ -28,7 +28,7 @@ FULL_ERROR = "HYDRA_FULL_ERROR"
 
 
 def lines_not_tracebacks(main: Callable[..., None]) -> Callable[..., None]:
-    """Decorate a script's main: users' mistakes end it with the message alone and exit code 1."""
+    """Decorate a script's main: users' mistakes end it with only the message and exit code 1."""
 
     @functools.wraps(main)
     def wrapped(*args: Any) -> None:
@@ -43,7 +43,7 @@ def lines_not_tracebacks(main: Callable[..., None]) -> Callable[..., None]:
 def script(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callable[..., None]]:
     """Return a decorator for a script's main, which gets the configuration composed from `conf/` and the command line.
 
-    Users' mistakes end the script with the message alone and exit code 1; for overrides it names the nearest keys or
+    Users' mistakes end the script with only the message and exit code 1; for overrides it names the nearest keys or
     options. With `HYDRA_FULL_ERROR=1` Hydra reports mistakes in overrides itself, with a traceback. Jobs of a
     multirun inherit that variable, so that their log files hold whole tracebacks.
     """

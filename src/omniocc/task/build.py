@@ -1,4 +1,4 @@
-"""Build the occupancy task from a configuration, or from a checkpoint alone."""
+"""Build the occupancy task from a configuration, or from only a checkpoint."""
 
 from collections.abc import Sequence
 from pathlib import Path

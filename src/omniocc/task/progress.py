@@ -18,7 +18,7 @@ class StepProgress(ProgressBar):
         self._progress: Progress | None = None
 
     def disable(self) -> None:
-        """Show nothing; Lightning asks for this in every process but the first."""
+        """Show nothing; Lightning calls this in every process but the first."""
         self._silent = True
 
     def _start(self, title: str, total: int, done: int = 0) -> None:

@@ -21,7 +21,7 @@ OVERRULED = ("max_steps", "check_val_every_n_epoch", "devices", "strategy", "acc
 
 
 def wanted_stages(cfg: DictConfig) -> tuple[str, ...]:
-    """Return the stages up to the one asked for (`stage=...`), in order.
+    """Return the stages up to the configured one (`stage=...`), in order.
 
     Raises:
         UserError: for an unknown stage, or one that the model does not have.

@@ -1,4 +1,4 @@
-"""Fractions of classes: counted over occupied voxels, and set beside the published ones."""
+"""Fractions of classes: counted over occupied voxels, compared with the published ones."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def test_only_occupied_voxels_count():
     assert sum(percent.values()) == pytest.approx(100)
 
 
-def test_free_space_alone_gives_zeros():
+def test_only_free_space_gives_zeros():
     assert set(occupied_percent(count_classes(np.zeros((2, 2), np.uint8))).values()) == {0.0}
 
 

@@ -48,7 +48,7 @@ def test_a_position_just_below_the_seam_reads_the_cell_at_the_seam():
     assert ours(volume, positions, torch.ones(1, 1)).item() == volume[1, 0, 0].item()
 
 
-def test_far_positions_read_zero_without_gradient_and_nan_stays_visible():
+def test_far_positions_read_zero_without_gradient_and_nan_stays_nan():
     volume, positions, weights = inputs()
     far = positions.detach().clone()
     far[0, :10] = 1e9

@@ -128,7 +128,7 @@ def test_rotating_the_world_rotates_the_answer():
 
 
 @pytest.mark.parametrize("history_gradient", [False, True])
-def test_history_has_a_gradient_only_if_asked(history_gradient):
+def test_history_has_a_gradient_only_with_history_gradient(history_gradient):
     temporal, volumes = make(CUBOID, history_gradient=history_gradient), make_volumes(CUBOID)
     volumes = [volume.requires_grad_() for volume in volumes]
     temporal(volumes, moving(3, 1.0), ALL).square().mul(torch.rand(4, 1, 1, 1)).sum().backward()

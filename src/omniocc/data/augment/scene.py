@@ -133,7 +133,7 @@ def change_cells(values: Tensor, geometry: Grid, change: Change) -> Tensor:
 
 @lru_cache(maxsize=256)
 def cell_sources(geometry: Grid, change: Change) -> Tensor:
-    """Return for every cell the row-major number of the cell whose content moves there, (cells,).
+    """Return for every cell the row-major number of the cell from which its content comes, (cells,).
 
     Raises:
         ValueError: if the change does not take every cell centre to another cell's centre.

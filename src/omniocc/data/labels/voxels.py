@@ -114,7 +114,7 @@ class VoxelCache:
             make_scenes(work, [self.folder / scene.name for scene in missing], self.workers, progress)
 
     def read(self, scene: SceneFrames, frame: int) -> UInt8[Tensor, "X Y Z"]:
-        """Return the labels of one frame; where the cache is damaged, warn and vote anew."""
+        """Return the labels of one frame; where the cache is damaged, warn and vote again."""
         try:
             cached = self._cached.setdefault(scene.name, SceneFolder(self.folder / scene.name))
             blob = cached.read(frame, [MEMBER])[MEMBER]
@@ -136,7 +136,7 @@ class VoxelCache:
                 raw = zstandard.ZstdDecompressor().decompress(path.read_bytes())
                 return torch.from_numpy(np.frombuffer(bytearray(raw), dtype="<i8").astype(np.int64)).reshape(shape)
             except (zstandard.ZstdError, ValueError, RuntimeError) as error:
-                warnings.warn(f"{path} is damaged ({error}); it is counted anew", stacklevel=2)
+                warnings.warn(f"{path} is damaged ({error}); it is counted again", stacklevel=2)
         counts = count_classes(self, scenes, self.num_classes, self.geometry.shape)
         compressor = zstandard.ZstdCompressor(level=3, write_checksum=True)
         atomic_write(path, compressor.compress(counts.numpy().astype("<i8").tobytes()))

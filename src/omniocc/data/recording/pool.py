@@ -162,10 +162,10 @@ def _report(frames: int) -> None:
         raise Stopped
 
 
-def _make(work: Work, report: Report, folder: Path, tell: Callable[[str], Any] | None) -> bool:
-    """Make a scene and return True; if another run holds it, return False, or, given `tell`, report that and wait."""
+def _make(work: Work, report: Report, folder: Path, report_wait: Callable[[str], Any] | None) -> bool:
+    """Make a scene and return True; if another run holds it, return False, or call `report_wait` and wait."""
     try:
-        lock = _lock(folder, tell)
+        lock = _lock(folder, report_wait)
     except Timeout:
         return False
     except OSError as error:
@@ -179,16 +179,16 @@ def _make(work: Work, report: Report, folder: Path, tell: Callable[[str], Any] |
     return True
 
 
-def _lock(folder: Path, tell: Callable[[str], Any] | None) -> FileLock:
+def _lock(folder: Path, report_wait: Callable[[str], Any] | None) -> FileLock:
     locks = folder.parent / ".locks"
     locks.mkdir(parents=True, exist_ok=True)
     lock, owner = FileLock(locks / f"{folder.name}.lock"), locks / f"{folder.name}.owner"
     try:
         lock.acquire(blocking=False)
     except Timeout:
-        if tell is None:
+        if report_wait is None:
             raise
-        tell(f"another process {_owner(owner)} renders {folder.name}, waiting")
+        report_wait(f"another process {_owner(owner)} renders {folder.name}, waiting")
         lock.acquire()
     owner.write_text(json.dumps({"pid": os.getpid(), "host": socket.gethostname()}))
     return lock

@@ -167,7 +167,7 @@ class SceneSource(Protocol):
         """
 
     def scenes(self, split: Split) -> Sequence[SceneFrames]:
-        """Return the scenes of a split, in order, after `prepare`; raise DataError when a scene is not there."""
+        """Return the scenes of a split, in order, after `prepare`; raise DataError when one is missing."""
 
     def labels(self, geometry: Grid, unknown: Unknown) -> VoxelLabels:
         """Return the voxel labels of a grid.

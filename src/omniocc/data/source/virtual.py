@@ -52,7 +52,7 @@ class VirtualWorld:
         weather: of all scenes; None draws one for each by its seed.
         label_mode: `lidar20`, points of virtual LiDARs as in the paper, or `geometry`, all surfaces, seen or not.
         lidars: number of virtual LiDARs of `lidar20`.
-        capture: `direct`, a ray through every pixel, or `cubemap`, flat images looked up as in the paper.
+        capture: `direct`, a ray through every pixel, or `cubemap`, sampled from flat images as in the paper.
         seed: of the streets in all splits.
         shard_limit_mib: size at which a new tar shard begins, MiB.
         workers: processes that render; 0 renders in this process, None takes all usable cores.
@@ -213,7 +213,7 @@ class VirtualWorld:
         return VoxelCache(self.folder, geometry, unknown, self.fingerprint, classes, self.workers)
 
     def scenes(self, split: Split) -> list[SceneReader]:
-        """Return the scenes of a split, in order; raise DataError when a scene is not there."""
+        """Return the scenes of a split, in order; raise DataError when one is missing."""
         plans = [plan for plan in self.plans if plan.split == split]
         for plan in self.missing(plans)[:1]:
             raise DataError(f"{self._where(plan)} is missing: call prepare(), or run `python src/render.py`, first")

@@ -175,7 +175,7 @@ def _content(scene: SceneReader, frame: int) -> Iterator[str]:
     for name, array in arrays.items():
         shape = array.shape[:3]
         if shape != (len(sizes), *sizes[0]):
-            yield str(scene.damaged(shard, f"{name} have the shape {shape}, the rig says {sizes}", frame))
+            yield str(scene.damaged(shard, f"{name} have the shape {shape}, those of the rig are {sizes}", frame))
     for name, labels, least in (("pixels", recorded.semantics, 0), ("points", recorded.point_labels, 1)):
         wrong = set(np.unique(labels).tolist()) - {*range(least, NUM_CLASSES), UNKNOWN}
         if wrong:

@@ -79,9 +79,9 @@ class SceneFolder:
         where = f", frame {frame}" if frame is not None else ""
         where += f", member '{member}'" if member is not None else ""
         remedy = (
-            "Copy the scene there again"
+            "Copy the scene again"
             if is_url(self.folder)
-            else f"Delete the folder {self.folder} and run the same command again: only this scene is made anew"
+            else f"Delete the folder {self.folder} and run the same command again: only this scene is made again"
         )
         return DataError(f"{self.files.where(name)}: scene '{self.name}'{where}: {problem}. {remedy}")
 

@@ -74,7 +74,7 @@ class Mono(LearnedPanoramaDepth):
         range_m = log_range.exp().clamp(max=spheres.farthest_m)
         present, solid = present_cameras(images)[:, :, None, None].expand_as(range_m), (-sky).sigmoid()
         surface, _ = merge_cameras(range_m, solid, present & (solid > 0.5), rig, self.panorama)
-        # where the sky is likely: the range of the surface that would be there otherwise
+        # where the sky is likely: the range that would hold for a surface
         guess, _ = merge_cameras(range_m, solid, present, rig, self.panorama)
         range_or_sky_m = torch.where(solid > 0.5, range_m, spheres.farthest_m)
         _, confidence = merge_cameras(range_or_sky_m, solid, present, rig, self.panorama, depth_ratio=math.inf)

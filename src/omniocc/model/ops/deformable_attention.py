@@ -157,7 +157,7 @@ def _backward(
     pairs: Pairs,
     level: Level,
 ) -> tuple[Float[Tensor, "R C"], Float[Tensor, "2 Q K"], Float[Tensor, "Q K"]]:
-    """Return the gradients of one head and level, whose positions are computed anew."""
+    """Return the gradients of one head and level, whose positions are computed again."""
     samples = _locate(level, pairs.query, offsets)
     weight = attention.index_select(0, pairs.query)
     corner, right, low, low_right = _products(table, samples, grad, pairs.first, level.width)

@@ -43,7 +43,7 @@ WHISKER = {"ecolor": INK, "elinewidth": 1.0, "capsize": 2.0}
 
 
 def colors_of(rows: Rows) -> dict[str, tuple[float, ...]]:
-    """Return a colour for each row; the first ten are easy to tell apart."""
+    """Return a colour for each row; the first ten are easy to distinguish."""
     palette = [*colormaps["tab10"].colors, *colormaps["Dark2"].colors, *colormaps["Set2"].colors]  # type: ignore[attr-defined]
     return {row: palette[k % len(palette)] for k, row in enumerate(rows)}
 

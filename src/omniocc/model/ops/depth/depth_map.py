@@ -34,7 +34,7 @@ class DepthMap(NamedTuple):
 
 
 SKY_INDEX = 0.5
-"""Indices below this cannot be told from the sky: half a step from infinity."""
+"""Indices below this are taken for sky: half a step from infinity."""
 
 
 def from_index(

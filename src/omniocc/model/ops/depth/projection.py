@@ -67,7 +67,7 @@ class Sampler:
         return _Sample.apply(rows, self)
 
     def present_fraction(self, present: Bool[Tensor, "B N"]) -> Float[Tensor, "points B"]:
-        """Return the fraction of each point's weight that lies in cameras that are present."""
+        """Return the fraction of each point's weight that is in present cameras."""
         if all_present(present):
             return self.seen[:, None].float().expand(-1, len(present))
         pixels = present.T.float().repeat_interleave(self.matrix.shape[1] // present.shape[1], 0)

@@ -26,7 +26,7 @@ def _transposed(linear: nn.Linear, queries: Float[Tensor, "Q C"]) -> Float[Tenso
 class CrossAttention(nn.Module):
     """Apply multi-scale deformable attention (Zhu et al., 2021), averaged over the cameras that see a query (eq. 1).
 
-    Offsets and attention come from the query alone; all cameras share them.
+    Offsets and attention depend only on the query and are equal for all cameras.
 
     Args:
         channels: of queries and features.

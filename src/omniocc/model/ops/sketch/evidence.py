@@ -66,7 +66,7 @@ class Evidence(nn.Module):
 
     Args:
         panorama: of the ranges, around the ego origin.
-        samples: points looked up in each cell, along each axis.
+        samples: points of each cell along each axis.
     """
 
     pixel: Tensor
