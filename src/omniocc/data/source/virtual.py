@@ -118,15 +118,8 @@ class VirtualWorld:
             "world": code_fingerprint(Path(inspect.getfile(Scene)).parent),
             "rig": self.rig.fingerprint,
             "frames_per_scene": self.frames_per_scene,
-            "frame_interval_s": self.frame_interval_s,
-            "supersample": self.supersample,
+            **self._settings,
             "erp_size": list(self.erp_size),
-            "erp_top_deg": self.erp_top_deg,
-            "erp_bottom_deg": self.erp_bottom_deg,
-            "weather": self.weather,
-            "label_mode": self.label_mode,
-            "lidars": self.lidars,
-            "capture": self.capture,
             "shard_limit_bytes": self.shard_limit_bytes,
         }
 
@@ -162,20 +155,7 @@ class VirtualWorld:
 
     def scene(self, plan: ScenePlan) -> Recordable:
         """Return the world of one scene."""
-        return Scene(
-            theme=plan.theme,
-            seed=plan.seed,
-            rig=self.rig,
-            frame_interval_s=self.frame_interval_s,
-            supersample=self.supersample,
-            erp_size=self.erp_size,
-            erp_top_deg=self.erp_top_deg,
-            erp_bottom_deg=self.erp_bottom_deg,
-            weather=self.weather,
-            label_mode=self.label_mode,
-            lidars=self.lidars,
-            capture=self.capture,
-        )
+        return Scene(theme=plan.theme, seed=plan.seed, rig=self.rig, **self._settings)
 
     def missing(self, plans: Sequence[ScenePlan] | None = None) -> list[ScenePlan]:
         """Return those of the planned scenes (all of them by default) that are not complete."""
@@ -222,6 +202,14 @@ class VirtualWorld:
     def reader(self, plan: ScenePlan) -> SceneReader:
         """Return one scene; nothing is opened yet."""
         return SceneReader(self._where(plan))
+
+    @property
+    def _settings(self) -> dict[str, Any]:
+        """Return the arguments of `Scene` that are equal for all scenes."""
+        settings: dict[str, Any] = {"frame_interval_s": self.frame_interval_s, "supersample": self.supersample}
+        settings |= {"erp_size": self.erp_size, "erp_top_deg": self.erp_top_deg, "erp_bottom_deg": self.erp_bottom_deg}
+        settings |= {"weather": self.weather, "label_mode": self.label_mode}
+        return settings | {"lidars": self.lidars, "capture": self.capture}
 
     def _where(self, plan: ScenePlan) -> Path | str:
         return f"{self.place}/{plan.name}" if isinstance(self.place, str) else self.place / plan.name
