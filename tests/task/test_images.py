@@ -68,7 +68,7 @@ def run(callback, root=True):
 
 @pytest.mark.parametrize("kind", list(OUTPUTS))
 def test_frames_are_spread_over_the_test_set(kind, tmp_path):
-    run(kind(tmp_path / "images", 3))
+    run(kind(tmp_path / "images", 3, WORLD_CLASSES))
     names = sorted(path.name for path in tmp_path.glob("images/*.png"))
     assert names == ["test-00-scene-0000.png", "test-01-scene-0003.png", "test-02-scene-0006.png", "val-step000030.png"]
     assert cv2.imread(str(tmp_path / "images" / names[1])).shape[1] == 1280
