@@ -18,12 +18,8 @@ def main(arguments: list[str] | None = None) -> None:
     """Rebuild the model from its file, score it on the test scenes, write the results beside the checkpoint."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("checkpoint", type=Path, help="file written by train.py")
-    parser.add_argument(
-        "overrides", nargs="*", help="key=value, for example data.batch_size=1 or data.source.root=elsewhere"
-    )
-    parser.add_argument(
-        "--output", type=Path, help="folder of the results (default: evaluation-<checkpoint> beside it)"
-    )
+    parser.add_argument("overrides", nargs="*", help="key=value, such as data.batch_size=1")
+    parser.add_argument("--output", type=Path, help="folder of results (default: evaluation-<checkpoint> beside it)")
     parser.add_argument("--images", type=int, default=4, help="test frames to draw")
     options = parser.parse_intermixed_args(arguments)
     for override in options.overrides:
@@ -33,11 +29,9 @@ def main(arguments: list[str] | None = None) -> None:
     task, data = load_task(options.checkpoint, options.overrides)
     folder = options.output or options.checkpoint.parent / f"evaluation-{options.checkpoint.stem}"
     folder.mkdir(parents=True, exist_ok=True)
+    images = OccupancyImages(folder / IMAGES, options.images, data.source.spec.classes)
     trainer = Trainer(
-        callbacks=[
-            StepProgress("occupancy"),
-            OccupancyImages(folder / IMAGES, options.images, data.source.spec.classes),
-        ],
+        callbacks=[StepProgress("occupancy"), images],
         logger=False,
         enable_checkpointing=False,
         enable_model_summary=False,

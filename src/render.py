@@ -25,15 +25,15 @@ DECODED_FRAMES = 400
 
 @script("render")
 def main(cfg: DictConfig) -> None:
-    """Check -> build -> render, read back or draw."""
+    """Check the configuration and build the world; then render it, read it back or draw a page."""
     if "frames_per_scene" not in cfg.data.source:
-        raise UserError("render.py renders scenes of the virtual world alone: leave data=... out")
+        raise UserError("render.py renders only scenes of the virtual world: leave data=... out")
     whole_length = cfg.data.source.frames_per_scene
     if cfg.frames is not None:
         cfg.data.source.frames_per_scene = cfg.frames
     check(cfg.data.source)
     world = build(cfg.data.source)
-    plans = chosen(world.plans, cfg.first_scene, cfg.scenes)
+    plans = selected(world.plans, cfg.first_scene, cfg.scenes)
     if cfg.check:
         read_back(world, plans)
     elif cfg.page:
@@ -42,12 +42,8 @@ def main(cfg: DictConfig) -> None:
         render(world, plans, whole_length)
 
 
-def chosen(plans: Sequence[ScenePlan], first: int, count: int | None) -> Sequence[ScenePlan]:
-    """Return the scenes that a run works on.
-
-    Raises:
-        UserError: when there are none.
-    """
+def selected(plans: Sequence[ScenePlan], first: int, count: int | None) -> Sequence[ScenePlan]:
+    """Return the scenes to work on; raise UserError when there are none."""
     end = len(plans) if count is None else first + count
     if first < 0 or not plans[first:end]:
         raise UserError(f"first_scene={first} scenes={count}: there are {len(plans)} scenes in this preset")
@@ -91,23 +87,21 @@ def read_back(world: VirtualWorld, plans: Sequence[ScenePlan]) -> None:
 
 
 def draw_page(world: VirtualWorld, plans: Sequence[ScenePlan]) -> None:
-    """Write the page beside the scenes that are there."""
+    """Write the page beside the existing scenes."""
     from omniocc.report.dataset.page import save_page  # not needed to render
 
     missing = world.missing(plans)
     scenes = [world.reader(plan) for plan in plans if plan not in missing]
     if not scenes:
-        raise DataError(f"{world.place} has none of the chosen scenes: run without page=true first")
+        raise DataError(f"{world.place} has none of these scenes: run without page=true first")
     path = Path(world.folder) / "index.html"
     save_page(path, scenes, Cylinder(), WORLD_CLASSES)
-    print(
-        f"{path}: {path.stat().st_size / 1e6:.1f} MB, {len(scenes)} scenes"
-        + (f", {len(missing)} missing" if missing else "")
-    )
+    absent = f", {len(missing)} missing" if missing else ""
+    print(f"{path}: {path.stat().st_size / 1e6:.1f} MB, {len(scenes)} scenes{absent}")
 
 
 def amount(world: VirtualWorld, scenes: Sequence[SceneReader]) -> str:
-    """Return in words where the scenes lie and how much they are."""
+    """Return the place, number and size of the scenes in words."""
     return f"{world.place}: {len(scenes)} scenes, {sum(map(len, scenes))} frames, {size(total_bytes(scenes))}"
 
 

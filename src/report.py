@@ -1,8 +1,8 @@
 """Report over all finished runs: `python src/report.py [--runs runs] [--sweeps sweeps] [--output runs/report]`.
 
-Every table of the paper (`sweeps/*.yaml`) is written as Markdown, CSV and LaTeX, the paper's figures beside ours, with
-plots and the same test frames across rows, and all of it in one page; also while a sweep is still running. A run
-belongs to the row of its name (`+ablation=mono` gives `mono-<hash>`), or else to the row whose configuration it has
+Every table of the paper (`sweeps/*.yaml`) is written as Markdown, CSV and LaTeX, with the paper's figures beside ours;
+one page has all tables, plots, and the same test frames for all rows. It works also while a sweep is running. A run
+belongs to the row of its name (`+ablation=mono` gives `mono-<hash>`), or else to the row with the same configuration
 (`make demo`: `ours`).
 """
 
@@ -21,7 +21,7 @@ ROOT = Path(__file__).parents[1]
 
 @lines_not_tracebacks
 def main(arguments: list[str] | None = None) -> None:
-    """Read the runs' own files, print the tables and write everything."""
+    """Read the files of the runs, print the tables and write everything."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=Path, default=Path("runs"), help="folder of runs")
     parser.add_argument("--sweeps", type=Path, default=ROOT / "sweeps", help="folder of the paper's tables")

@@ -1,7 +1,4 @@
-"""Train a model, test its best checkpoint on unseen scenes, write figures and images.
-
-`--help` lists what can be chosen.
-"""
+"""Train a model, test its best checkpoint on unseen scenes, write figures and images; options: `--help`."""
 
 import time
 from pathlib import Path
@@ -18,15 +15,7 @@ from omniocc.io import atomic_write
 from omniocc.model.occupancy import to_unit_range
 from omniocc.run.checkpoint_io import BEST, LAST, AtomicCheckpointIO
 from omniocc.run.cost import PEAK, cost_of, peak_mib
-from omniocc.run.folder import (
-    IMAGES,
-    RunFolder,
-    command_line,
-    git_commit,
-    given_checkpoint,
-    open_run,
-    run_hash,
-)
+from omniocc.run.folder import IMAGES, RunFolder, command_line, git_commit, given_checkpoint, open_run, run_hash
 from omniocc.run.memory import keep_freed_memory
 from omniocc.run.results import CANDIDATES, load_results, save_results, show_results
 from omniocc.run.script import quiet_libraries, script
@@ -41,7 +30,7 @@ from omniocc.task.stages import Stages
 
 @script("train")
 def main(cfg: DictConfig) -> None:
-    """Check the configuration, build, run the stages that are missing, occupancy last."""
+    """Check the configuration, build, and run the missing stages, occupancy last."""
     check_root(cfg)
     quiet_libraries()
     keep_freed_memory()
@@ -49,38 +38,38 @@ def main(cfg: DictConfig) -> None:
     data: OccupancyData = build(cfg.data)
     data.check_classes()
     if "occupancy" in stages:
-        # mistakes in the last stage are reported now, not when the stages before have been trained
+        # mistakes in the last stage are reported before the earlier stages are trained
         given_checkpoint(cfg.resume)
         build_task(cfg, data.source.spec)
     data.prepare_data()
-    before = Stages(cfg, data) if sketch_learns(cfg) else None
+    earlier = Stages(cfg, data) if sketch_learns(cfg) else None
     figures: dict[str, float] = {}
     for number, stage in enumerate(stages, start=1):
         title = f"{stage}, stage {number} of {len(stages)}"
         if stage == "occupancy":
-            train_occupancy(cfg, data, before, figures, title)
-        elif before is not None:
-            figures |= before.run(stage, title)
-            show_results(before.results[stage])
+            train_occupancy(cfg, data, earlier, figures, title)
+        elif earlier is not None:
+            figures |= earlier.run(stage, title)
+            show_results(earlier.results[stage])
 
 
 def train_occupancy(
-    cfg: DictConfig, data: OccupancyData, before: Stages | None, figures: dict[str, float], title: str
+    cfg: DictConfig, data: OccupancyData, earlier: Stages | None, figures: dict[str, float], title: str
 ) -> None:
-    """Fit, test, and write figures and images, with the figures of the stages before beside them."""
+    """Train, test, and write figures and images, together with the figures of the earlier stages."""
     seed_everything(cfg.seed, workers=True, verbose=False)
     config = plain(cfg)
     run = open_run(Path(cfg.paths.runs), cfg.name, run_hash(config, data.source.fingerprint), cfg.resume)
     if run.finished:
-        print(f"{run.path} is finished; resume=never trains anew beside it")
+        print(f"{run.path} is finished; resume=never trains again beside it")
         show_results(run.path)
         return
     if run.lock is not None:
         atomic_write(run.path / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True))
     task = build_task(cfg, data.source.spec)
-    if before is not None:
-        task.model.sketch.load_state_dict(before.sketch_weights())  # type: ignore[union-attr]
-    data.read_also(Extras(true_ranges=len(task.loss.ray) > 0, candidates=before and before.candidates))
+    if earlier is not None:
+        task.model.sketch.load_state_dict(earlier.sketch_weights())  # type: ignore[union-attr]
+    data.read_also(Extras(true_ranges=len(task.loss.ray) > 0, candidates=earlier and earlier.candidates))
     data.setup("fit")
     task.set_training_statistics(data.voxel_counts())
     files = build(cfg.logger).build(run.path, config, "occupancy")
@@ -103,24 +92,23 @@ def train_occupancy(
         facts |= {"preset": cfg.preset.name, "command": command_line()}
         facts |= {"minutes of training": minutes, PEAK: peak_mib(trainer.strategy.root_device)}
         facts |= cost_of(task.model.eval(), data.dataset("test")[0])
-        facts |= facts_of_report(task, data, before, trainer.global_step)
+        facts |= facts_of_report(task, data, earlier, trainer.global_step)
         facts |= {"commit": git_commit(), "data": data.source.fingerprint}
         save_results(run.path, metrics | figures, facts)
         finish(trainer.loggers)
         show_results(run.path)
 
 
-def facts_of_report(task: OccupancyTask, data: OccupancyData, before: Stages | None, steps: int) -> dict[str, Any]:
-    """Return what the report needs besides figures.
+def facts_of_report(task: OccupancyTask, data: OccupancyData, earlier: Stages | None, steps: int) -> dict[str, Any]:
+    """Return facts for the report: steps of every stage, names and colours of the classes, fraction of candidates.
 
-    These are the steps of every stage, names and colours of the classes, and, of a sketch that is not a stage (whose
-    test would have measured it), the fraction of voxels that are candidates.
+    The latter is measured here if the sketch is no stage, whose test would measure it.
     """
-    stages = {} if before is None else {name: load_results(path)[0]["steps"] for name, path in before.results.items()}
+    stages = {} if earlier is None else {name: load_results(path)[0]["steps"] for name, path in earlier.results.items()}
     rows = data.source.spec.classes.rows
     classes = [{"name": row.name, "rgb": row.rgb} for row in rows if row.id != FREE]
     facts = {"stages": {**stages, "occupancy": steps}, "classes": classes}
-    if before is not None:
+    if earlier is not None:
         return facts
     sample = data.dataset("test")[0]
     images = to_unit_range(sample.images[-1:].to(task.device))
@@ -138,18 +126,17 @@ def fit(trainer: Trainer, task: OccupancyTask, data: OccupancyData, run: RunFold
 
 def callbacks(cfg: DictConfig, run: RunFolder, title: str, classes: ClassTable) -> list[Callback]:
     """Return callbacks for progress, the last and the best checkpoint, and images."""
+    steps = cfg.checkpoint_every_n_steps
     return [
         StepProgress(title),
-        ModelCheckpoint(
-            run.path, "last", every_n_train_steps=cfg.checkpoint_every_n_steps, enable_version_counter=False
-        ),
+        ModelCheckpoint(run.path, "last", every_n_train_steps=steps, enable_version_counter=False),
         ModelCheckpoint(run.path, "best", monitor="val/rayiou", mode="max", enable_version_counter=False),
         OccupancyImages(run.path / IMAGES, cfg.test_images, classes),
     ]
 
 
 def announce(run: RunFolder, task: OccupancyTask, data: OccupancyData) -> None:
-    """Print one line each: which run, which model, which data."""
+    """Print a line each on run, model and data."""
     parameters = sum(p.numel() for p in task.model.parameters()) / 1e6
     print(f"run       {run.path}" + (f", goes on from {run.checkpoint.name}" if run.checkpoint else ""))
     grid = task.model.geometry

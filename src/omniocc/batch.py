@@ -1,4 +1,4 @@
-"""What travels between data, task and model."""
+"""Batches: the data that tasks and models receive."""
 
 from typing import NamedTuple
 
@@ -12,16 +12,16 @@ from omniocc.camera import Rig
 class Batch(NamedTuple):
     """Windows of T frames, oldest first; all labels belong to the newest frame, in its ego frame.
 
-    What stands as `| None` may be absent: because the dataset does not have it, or because no stage asked for it
-    (`omniocc.data.Extras`). What is absent gives no loss and no score. Where one sample of a batch lacks what another
-    has, its part is filled with 'unknown' (label 255, range nan), which gives no loss and no score either.
+    Fields with `| None` are absent if the dataset does not have them or no stage needs them (`omniocc.data.Extras`).
+    Absent data gives no loss and no score. If only some samples have it, it is filled with 'unknown' (label 255, range
+    nan) for the others, which gives no loss and no score either.
 
-    Samples may differ in the number of cameras and in the sizes of their images: images begin at row and column 0,
-    and are padded at the end of the axes of cameras, rows and columns. `image_mask` says what is there.
+    Samples may differ in the number of cameras and in the sizes of their images, which are padded at the end of
+    the axes of cameras, rows and columns. `image_mask` is the mask of true pixels.
 
     Attributes:
         images: RGB, 0..255; 0 where padded.
-        rigs: cameras of every frame of every sample, `rigs[sample][frame]`; frames share the object if nothing moved.
+        rigs: cameras of every frame of every sample, `rigs[sample][frame]`; frames share it if nothing moved.
         world_from_ego: pose of every frame of the window.
         frame_ids: `scene/frame` of the newest frame, for messages and saved images.
         voxels: class of every cell, 255 unknown.
@@ -33,10 +33,10 @@ class Batch(NamedTuple):
         lidar_origins: where the rays start, m, ego frame. None: in the ego origin.
         erp_range_m: true panorama of range around the ego origin, inf for sky, nan unknown.
         camera_range_m: true range of every pixel; inf for sky, nan for own car, outside the lens or padded.
-        depth_range_m: panorama that the depth stage predicted, nan where it has no answer.
-        candidates: voxels that the sketch stage chose in every frame of the window.
-        evidence: what the sketch stage says about every voxel, E numbers each.
-        exists: which frames of the window were recorded; before a scene's first, that one stands in. None: all.
+        depth_range_m: panorama that the depth stage predicted, nan where unknown.
+        candidates: voxels that the sketch stage selected in every frame of the window.
+        evidence: E features of every voxel from the sketch stage.
+        exists: which frames of the window were recorded; others are copies of a scene's first. None: all.
     """
 
     images: UInt8[Tensor, "B T N 3 H W"]
@@ -69,13 +69,13 @@ class Batch(NamedTuple):
         return sizes[..., 0], sizes[..., 1]
 
     def image_mask(self) -> Bool[Tensor, "B T N H W"]:
-        """Return which pixels belong to an image and are no padding."""
+        """Return the mask of pixels that are no padding."""
         width, height = (size.to(self.images.device)[..., None, None] for size in self.image_sizes())
         rows, columns = (torch.arange(n, device=self.images.device) for n in self.images.shape[-2:])
         return (rows[:, None] < height) & (columns < width)
 
 
 def _sizes(rig: Rig, cameras: int) -> list[tuple[int, int]]:
-    """Return (width, height) of every camera, (0, 0) up to the wanted number of cameras."""
+    """Return (width, height) of every camera, padded by (0, 0) to a number of cameras."""
     sizes = [(camera.width, camera.height) for camera in rig.cameras]
     return sizes + [(0, 0)] * (cameras - len(sizes))

@@ -1,4 +1,4 @@
-"""Compose the configuration, check it, build objects from it; alone in calling Hydra's `instantiate`."""
+"""Compose the configuration, check it, and build objects from it; the only caller of Hydra's `instantiate`."""
 
 import inspect
 import os
@@ -29,7 +29,7 @@ PACKAGES_VARIABLE = "OMNIOCC_PACKAGES"
 
 
 class ConfigError(UserError):
-    """Report everything that is wrong in a configuration, one line each."""
+    """All problems of a configuration, one line each."""
 
     def __init__(self, problems: Sequence[str]):
         self.problems = tuple(problems)
@@ -64,7 +64,7 @@ def check(cfg: DictConfig, root_keys: Sequence[str] | None = None, packages: Seq
 
 @dataclass
 class Root:
-    """Name the plain keys at the root of `train.yaml` and their types; groups stand beside them."""
+    """The plain keys at the root of `train.yaml`, besides the groups, and their types."""
 
     name: str
     seed: int
@@ -105,7 +105,7 @@ def target_of(node: Mapping[Any, Any]) -> type:
     name = str(node["_target_"])
     try:
         return get_object(name)
-    except Exception as error:  # whatever importing the user's module raises is the user's problem to read
+    except Exception as error:  # a user's module may raise anything
         raise ConfigError([f"{name} cannot be imported: {error}"]) from error
 
 
@@ -123,10 +123,6 @@ def foreign_packages(node: Any, packages: Sequence[str]) -> list[str]:
 def build(cfg: DictConfig, **extra: Any) -> Any:
     """Build the object a checked node names; modules get plain lists and dicts.
 
-    Args:
-        cfg: the node.
-        extra: arguments that no file can hold.
-
     Raises:
         ConfigError: when a constructor refuses a value.
     """
@@ -140,7 +136,7 @@ def build(cfg: DictConfig, **extra: Any) -> Any:
 
 
 def refused_key(error: InstantiationException) -> str:
-    """Return the key of the node that could not be built, empty if Hydra does not name it."""
+    """Return the key of the node that could not be built, empty where Hydra does not name it."""
     return str(error).rsplit("full_key: ", 1)[-1] if "full_key: " in str(error) else ""
 
 
@@ -175,7 +171,7 @@ def _walk(node: Any, path: str, packages: Sequence[str]) -> Iterator[str]:
         return
     tree: Any = node
     for key in tree if isinstance(node, DictConfig) else range(len(tree)):
-        # what an interpolation points to is checked where it stands; whether it resolves, by _check_call
+        # the value of an interpolation is checked at its own place, and that it resolves by _check_call
         if not OmegaConf.is_interpolation(tree, key) and not OmegaConf.is_missing(tree, key):
             yield from _walk(tree[key], f"{path}.{key}".lstrip("."), packages)
 
@@ -197,12 +193,9 @@ def _check_call(node: DictConfig, path: str, packages: Sequence[str]) -> Iterato
                 yield _unknown(f"{path}.{key}", name, list(parameters))
             continue
         yield from _check_value(node, key, path, hints.get(key, Any))
+    named = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
     for key, parameter in parameters.items():
-        if (
-            parameter.default is inspect.Parameter.empty
-            and key not in node
-            and parameter.kind in (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
-        ):
+        if parameter.default is inspect.Parameter.empty and parameter.kind in named and key not in node:
             yield f"{path}.{key}: {name} needs it"
 
 
@@ -214,7 +207,7 @@ def _trusted_target(name: str, packages: Sequence[str]) -> tuple[type | None, st
         return None, f"{name} is of the package {package}, which is not allowed here; if you trust it, {remedy}"
     try:
         target = get_object(name)
-    except Exception as error:  # whatever importing the user's module raises is the user's problem to read
+    except Exception as error:  # a user's module may raise anything
         return None, f"{name} cannot be imported: {error}"
     # a module's own imports are its attributes too: omniocc.io.os.system is not of omniocc
     if not inspect.isclass(target) or target.__module__.split(".")[0] not in packages:
@@ -223,7 +216,7 @@ def _trusted_target(name: str, packages: Sequence[str]) -> tuple[type | None, st
 
 
 def parameters_of(target: Callable[..., Any]) -> dict[str, inspect.Parameter]:
-    """Return what can be passed by name; a class with nothing but a base class's `*args, **kwargs` takes nothing."""
+    """Return the parameters of a class; none if it only inherits `*args, **kwargs`."""
     parameters = dict(inspect.signature(target).parameters)
     variable = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
     return {} if all(p.kind in variable for p in parameters.values()) else parameters
@@ -268,9 +261,9 @@ def _hints(target: Any) -> dict[str, Any]:
 
 
 def fits(value: Any, hint: Any) -> bool:
-    """Return whether a plain configuration value can be passed where `hint` is asked for.
+    """Return whether a plain configuration value fits a type hint.
 
-    What is built (`_target_`) fits, and so does every value where the hint is of a kind not listed here.
+    Objects to be built (`_target_`) always fit, and every value fits hints of kinds that are not handled here.
     """
     if isinstance(value, dict) and "_target_" in value:
         return True
@@ -300,6 +293,5 @@ def _describe(hint: Any) -> str:
         return "one of " + ", ".join(map(repr, get_args(hint)))
     if get_origin(hint) in (Union, types.UnionType):
         return " or ".join(map(_describe, get_args(hint)))
-    return {int: "a whole number", float: "a number", bool: "true or false", str: "a text", type(None): "null"}.get(
-        hint
-    ) or str(hint)
+    names = {int: "a whole number", float: "a number", bool: "true or false", str: "a text", type(None): "null"}
+    return names.get(hint) or str(hint)

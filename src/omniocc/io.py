@@ -27,8 +27,8 @@ def atomic_write(path: Path, content: bytes | memoryview | str, previous: Path |
     Args:
         path: the file; its folder is made if missing.
         content: all of it; text is encoded as UTF-8.
-        previous: name in the same folder that the old file is kept under; None keeps nothing. The old file is renamed
-            just before the new one, so that a stop between the two leaves it under this name alone.
+        previous: new name of the old file in the same folder; None does not keep it. It is renamed just
+            before the new file, so that after a stop between the two only this name exists.
 
     Raises:
         DataError: when the file cannot be written; the old file is there, under its own name or that of `previous`, and
@@ -61,7 +61,7 @@ def remove_leftovers(path: Path) -> None:
 
 
 def cannot_write(path: Path, error: OSError, needed_bytes: int | None = None) -> DataError:
-    """Return the error to raise when writing to `path` failed; what was complete before stays valid.
+    """Return the error to raise when writing to a file or folder failed; complete files stay valid.
 
     Args:
         path: file or folder.

@@ -32,8 +32,8 @@ class Status:
         state: whether it works, or waits for the result of another process.
         title: what is being done, or what is waited for.
         done: units done.
-        total: units to be done; 0 where nothing is counted.
-        unit: what is counted, in the plural.
+        total: units in all; 0 where nothing is counted.
+        unit: name of the units, in the plural.
         rate_hz: units per second; 0 before the first.
         left_s: seconds left, None where unknown.
         text: further details, such as losses.
@@ -96,7 +96,7 @@ class Progress:
 
     @property
     def status(self) -> Status:
-        """Return how much is done by now, by other processes too."""
+        """Return the present status, with the work of other processes."""
         self._others = max(self.finished() - self._own, 0)
         counts = self._made and self.done < self.total
         left_s = (self.total - self.done) / max(self.rate_hz, 1e-9) if counts else None

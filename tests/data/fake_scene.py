@@ -1,4 +1,4 @@
-"""A cheap stand-in for the virtual world: frames from a seeded generator. Importable by render processes."""
+"""A cheap substitute for the virtual world, importable by render processes: frames from a seeded generator."""
 
 import os
 import time
@@ -50,7 +50,7 @@ class FakeScene:
 
 
 class FakeWorld(VirtualWorld):
-    """`VirtualWorld` whose scenes cost nothing."""
+    """`VirtualWorld` with random frames instead of rendered ones."""
 
     def __init__(
         self,

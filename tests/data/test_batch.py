@@ -1,4 +1,4 @@
-"""A batch of samples with different cameras, images and labels: what is there, and what fills the rest."""
+"""A batch of samples with different cameras, images and labels: present and filled parts."""
 
 import pytest
 import torch
@@ -21,7 +21,7 @@ def batch(data):
     return collate([data[1], data[3], data[5]])
 
 
-def test_images_are_padded_at_the_end_and_the_mask_says_where(batch, data):
+def test_images_are_padded_at_the_end_and_the_mask_shows_where(batch, data):
     assert batch.images.shape == (3, 2, 4, 3, 36, 64)
     mask = batch.image_mask()
     assert mask.shape == (3, 2, 4, 36, 64)
@@ -41,7 +41,7 @@ def test_every_frame_has_its_own_rig(batch, data):
     assert batch.newest_rigs == (data.scenes[0].rigs[1], rigs[0], rigs[2])
 
 
-def test_what_a_sample_lacks_is_unknown_and_what_all_lack_is_absent(batch):
+def test_a_field_missing_in_one_sample_is_unknown_and_in_all_is_absent(batch):
     assert (batch.voxels[2] == 255).all()
     assert (batch.voxels[:2] < 19).all()
     assert batch.pixel_labels is batch.erp_range_m is batch.camera_range_m is batch.candidates is None
@@ -72,14 +72,15 @@ def test_columns_beyond_the_width_stay():
     assert mirror_columns(values, torch.tensor([3, 4])).tolist() == [[3, 2, 1, 0], [4, 3, 2, 1]]
 
 
-def test_colors_and_boxes_leave_padding_alone(batch):
+def test_colors_and_boxes_do_not_change_padding(batch):
     mask = batch.image_mask()
     generator = torch.Generator().manual_seed(0)
     jittered = jitter(batch.images, 0.3, 0.3, 0.3, 10.0, generator, mask)
     assert (jittered.amax(3)[~mask] == 0).all()
-    alone = batch.images[:, :, :1, :, :24, :32].contiguous()
+    single = batch.images[:, :, :1, :, :24, :32].contiguous()
     same = (
-        jitter(alone, 0.0, 0.4, 0.0, 0.0, torch.Generator().manual_seed(1), m) for m in (None, mask[:, :, :1, :24, :32])
+        jitter(single, 0.0, 0.4, 0.0, 0.0, torch.Generator().manual_seed(1), m)
+        for m in (None, mask[:, :, :1, :24, :32])
     )
     assert torch.equal(*same)
     erased, lost = erase(batch.images, 1.0, (0.2, 0.3), (0.5, 2.0), generator, batch.image_sizes())

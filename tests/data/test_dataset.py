@@ -91,7 +91,7 @@ def test_collate_gives_a_batch(world):
     assert batch.frame_ids == ("train-000-downtown/000000", "train-001-suburb/000001", "train-001-suburb/000003")
 
 
-def test_a_dataset_travels_small_and_reads_elsewhere(world):
+def test_a_pickled_dataset_is_small_and_can_be_read(world):
     data = dataset(world)
     data[0]
     blob = pickle.dumps(data)
@@ -99,7 +99,7 @@ def test_a_dataset_travels_small_and_reads_elsewhere(world):
     assert torch.equal(pickle.loads(blob)[3].images, data[3].images)
 
 
-def test_geometries_have_caches_of_their_own(world):
+def test_every_geometry_has_its_own_cache(world):
     other = Cuboid(shape=(6, 5, 4), x_m=(-20.0, 20.0), y_m=(-20.0, 20.0), height_m=(-2.8, 3.6))
     assert dataset(world, geometry=other)[0].voxels.shape == (6, 5, 4)
     assert dataset(world)[0].voxels.shape == (8, 10, 4)
@@ -118,7 +118,7 @@ def test_a_damaged_voxel_cache_costs_a_warning_and_gives_the_same_labels(own_wor
     (folder / "index.json").write_text("{}")
     with pytest.warns(UserWarning, match=r"index\.json.*checksum"):
         assert torch.equal(dataset(own_world)[1].voxels, expected)
-    assert torch.equal(dataset(own_world)[1].voxels, expected)  # made anew: no warning any more
+    assert torch.equal(dataset(own_world)[1].voxels, expected)  # made again: no warning any more
 
 
 def test_damaged_recordings_are_one_error_naming_scene_frame_and_member(own_world):
@@ -132,7 +132,7 @@ def test_damaged_recordings_are_one_error_naming_scene_frame_and_member(own_worl
         dataset(own_world)[4]
 
 
-def test_class_counts_are_kept_and_counted_anew_when_damaged(own_world, monkeypatch):
+def test_class_counts_are_kept_and_counted_again_when_damaged(own_world, monkeypatch):
     data = dataset(own_world)
     expected = sum(torch.nn.functional.one_hot(data[i].voxels.long(), 12) for i in range(8)).permute(3, 0, 1, 2)
     counts = data.voxels.counts(data.scenes)

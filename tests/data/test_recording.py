@@ -7,7 +7,7 @@ from omniocc.data.store.check import check_scene
 from omniocc.world import Scene
 
 
-def test_what_the_world_shows_is_what_is_read(tmp_path):
+def test_recorded_frames_equal_those_of_the_world(tmp_path):
     world = VirtualWorld(
         root=str(tmp_path),
         rig="fisheye6",

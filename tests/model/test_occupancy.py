@@ -73,9 +73,9 @@ def test_batch_of_two_rigs_equals_two_batches_of_one(make_model, images, poses, 
     images = images.double() / 255
     both = model(images, every_frame((fisheye, pinhole)), poses)
     for index, rig in enumerate((fisheye, pinhole)):
-        alone = model(images[index : index + 1], ((rig,),), poses[index : index + 1])
-        torch.testing.assert_close(both.logits[index], alone.logits[0])
-        torch.testing.assert_close(both.pixel_logits[index], alone.pixel_logits[0])
+        single = model(images[index : index + 1], ((rig,),), poses[index : index + 1])
+        torch.testing.assert_close(both.logits[index], single.logits[0])
+        torch.testing.assert_close(both.pixel_logits[index], single.pixel_logits[0])
 
 
 def test_bytes_and_unit_floats_are_the_same_image(make_model, geometry, images, poses, fisheye):
@@ -84,7 +84,7 @@ def test_bytes_and_unit_floats_are_the_same_image(make_model, geometry, images, 
     torch.testing.assert_close(model(images, rigs, poses).logits, model(images.float() / 255, rigs, poses).logits)
 
 
-def test_only_the_frames_the_temporal_slot_wants_are_used(make_model, geometry, images, poses, fisheye):
+def test_only_the_frames_of_the_temporal_slot_are_used(make_model, geometry, images, poses, fisheye):
     model = make_model(geometry).eval()
     longer = torch.cat([torch.zeros_like(images), images], dim=1)
     rigs = every_frame((fisheye, fisheye))
@@ -121,7 +121,7 @@ def moving(frames):
     return poses
 
 
-def test_frames_that_do_not_exist_are_as_if_the_window_were_shorter(make_model, geometry, images, fisheye):
+def test_missing_frames_give_the_result_of_a_shorter_window(make_model, geometry, images, fisheye):
     model = make_model(geometry, Random(geometry, 0.5)).double().eval()
     window = torch.rand(2, 3, *images.shape[2:], dtype=torch.float64)
     rigs, poses = every_frame((fisheye, fisheye), 3), moving(3)
@@ -136,7 +136,7 @@ def test_frames_that_do_not_exist_are_as_if_the_window_were_shorter(make_model, 
 
 
 @pytest.mark.parametrize("history_gradient", [False, True])
-def test_history_has_a_gradient_only_if_asked(make_model, geometry, images, fisheye, history_gradient):
+def test_history_has_a_gradient_only_with_history_gradient(make_model, geometry, images, fisheye, history_gradient):
     model = make_model(geometry)
     model.temporal = Mean(geometry, 2, history_gradient)
     window = torch.rand(2, 2, *images.shape[2:], requires_grad=True)
@@ -146,7 +146,7 @@ def test_history_has_a_gradient_only_if_asked(make_model, geometry, images, fish
     assert (past > 0) == history_gradient
 
 
-def test_history_without_gradient_leaves_autocast_its_gradients(make_model, geometry, images, fisheye):
+def test_history_without_gradient_keeps_gradients_under_autocast(make_model, geometry, images, fisheye):
     model = make_model(geometry, Random(geometry, 0.5))
     model.temporal = Mean(geometry, 2, False)
     window = torch.cat([images, images.flip(0)], dim=1)

@@ -1,4 +1,4 @@
-"""A batch of a rig of six cameras of 64x36 px and one of four of 48x32 px, padded, against each sample alone."""
+"""A batch of a rig of six cameras of 64x36 px and one of four of 48x32 px, padded, against single samples."""
 
 import pytest
 import torch
@@ -23,8 +23,8 @@ def padded(rigs: tuple[Rig, ...], channels: int = 3, stride: int = 1) -> torch.T
     """Random images or maps of a stride; zeros in the padding."""
     batch = torch.zeros(len(rigs), 6, channels, -(-36 // stride), -(-64 // stride))
     for sample, rig in enumerate(rigs):
-        own = crop(batch[sample : sample + 1], rig, stride)
-        own.copy_(torch.rand(own.shape))
+        part = crop(batch[sample : sample + 1], rig, stride)
+        part.copy_(torch.rand(part.shape))
     return batch
 
 
@@ -35,10 +35,10 @@ def test_depth(option, rigs, smoke):
     images, true_m = padded(rigs), torch.rand(2, 16, 48) * 20
     both = model(images, rigs, true_m)
     for sample, rig in enumerate(rigs):
-        own = slice(sample, sample + 1)
-        alone = model(crop(images[own], rig), (rig,), true_m[own])
-        for ours, expected in zip(both, alone, strict=True):
-            torch.testing.assert_close(ours[own], expected, atol=1e-4, rtol=1e-4)
+        part = slice(sample, sample + 1)
+        single = model(crop(images[part], rig), (rig,), true_m[part])
+        for ours, expected in zip(both, single, strict=True):
+            torch.testing.assert_close(ours[part], expected, atol=1e-4, rtol=1e-4)
 
 
 @torch.no_grad()
@@ -50,9 +50,11 @@ def test_losses_of_depth(option, seed, rigs, smoke):
     both = model.training_terms(images, rigs, erp_m, camera_m, torch.Generator().manual_seed(seed))
     parts = []
     for sample, rig in enumerate(rigs):
-        own = slice(sample, sample + 1)
-        ranges = erp_m[own], crop(camera_m[own], rig)
-        parts.append(model.training_terms(crop(images[own], rig), (rig,), *ranges, torch.Generator().manual_seed(seed)))
+        part = slice(sample, sample + 1)
+        ranges = erp_m[part], crop(camera_m[part], rig)
+        parts.append(
+            model.training_terms(crop(images[part], rig), (rig,), *ranges, torch.Generator().manual_seed(seed))
+        )
     for name, term in both.items():
         torch.testing.assert_close(term, (parts[0][name] + parts[1][name]) / 2, atol=1e-4, rtol=1e-4)
 
@@ -71,9 +73,9 @@ def test_lifter(name, rigs):
     candidates = (torch.rand(1, *GRID.shape) < 0.7).expand(2, -1, -1, -1)
     both = lifter(features, Sketched(candidates), rigs)
     for sample, rig in enumerate(rigs):
-        own = [crop(maps[sample : sample + 1], rig, stride) for maps, stride in zip(features, LEVELS, strict=True)]
-        alone = lifter(own, Sketched(candidates[:1]), (rig,))
-        torch.testing.assert_close(both[sample], alone[0])
+        part = [crop(maps[sample : sample + 1], rig, stride) for maps, stride in zip(features, LEVELS, strict=True)]
+        single = lifter(part, Sketched(candidates[:1]), (rig,))
+        torch.testing.assert_close(both[sample], single[0])
     assert not torch.allclose(both[0], both[1])
 
 
@@ -91,13 +93,13 @@ def test_the_whole_model_with_a_rig_that_changes_from_frame_to_frame(system, rig
     poses[:, :, 0, 3] = torch.arange(frames)
     both = model(images, windows, poses)
     for sample, rig in enumerate(rigs):
-        own = slice(sample, sample + 1)
-        cropped = torch.stack([crop(images[own, t], rig) for t in range(frames)], 1)
-        alone = model(cropped, windows[own], poses[own])
-        torch.testing.assert_close(both.logits[own], alone.logits, atol=1e-4, rtol=1e-4)
-        if alone.pixel_logits is not None:
-            inner = crop(both.pixel_logits[own], rig, 4)
-            torch.testing.assert_close(inner, alone.pixel_logits, atol=1e-4, rtol=1e-4)
+        part = slice(sample, sample + 1)
+        cropped = torch.stack([crop(images[part, t], rig) for t in range(frames)], 1)
+        single = model(cropped, windows[part], poses[part])
+        torch.testing.assert_close(both.logits[part], single.logits, atol=1e-4, rtol=1e-4)
+        if single.pixel_logits is not None:
+            inner = crop(both.pixel_logits[part], rig, 4)
+            torch.testing.assert_close(inner, single.pixel_logits, atol=1e-4, rtol=1e-4)
 
 
 @torch.no_grad()

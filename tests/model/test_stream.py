@@ -77,7 +77,7 @@ def test_in_order_every_frame_is_lifted_once(model, recording, fisheye, monkeypa
     assert lifted == [2, 2, 2, 2, 1]
 
 
-def test_live_frames_give_what_windows_give(model, recording, fisheye):
+def test_live_frames_equal_windows(model, recording, fisheye):
     stream, windows = Stream(model), Stream(model)
     for scene, length in LENGTHS.items():
         stream.reset()
@@ -89,7 +89,7 @@ def test_live_frames_give_what_windows_give(model, recording, fisheye):
             assert len(stream) <= FRAMES - 1
 
 
-def test_the_sketch_is_asked_where_no_candidates_are_given(model, recording, fisheye):
+def test_the_sketch_is_run_without_given_candidates(model, recording, fisheye):
     images, rigs, poses, _, exists, names = batch(recording, [("a", 3), ("b", 0)], fisheye)
     with torch.no_grad():
         expected = model(images, rigs, poses, None, exists).logits
@@ -97,7 +97,7 @@ def test_the_sketch_is_asked_where_no_candidates_are_given(model, recording, fis
     torch.testing.assert_close(logits, expected, rtol=0, atol=1e-10)
 
 
-def test_reset_forgets_volumes_of_other_weights(model, recording, fisheye):
+def test_reset_drops_volumes_of_other_weights(model, recording, fisheye):
     stream = Stream(model)
     stream.windows(*batch(recording, [("a", 2)], fisheye))
     with torch.no_grad():

@@ -27,8 +27,8 @@ def window(model, batch=2):
     images = torch.rand(batch, frames, 6, 3, 36, 64)
     poses = torch.eye(4, dtype=torch.float64).repeat(batch, frames, 1, 1)
     poses[:, :, 0, 3] = torch.arange(frames)
-    chosen = Random(model.geometry, 0.1)(images[:, 0], (Rig.load("fisheye6"),) * batch).candidates
-    return images, poses, Sketched(chosen[:, None].expand(-1, frames, -1, -1, -1))
+    candidates = Random(model.geometry, 0.1)(images[:, 0], (Rig.load("fisheye6"),) * batch).candidates
+    return images, poses, Sketched(candidates[:, None].expand(-1, frames, -1, -1, -1))
 
 
 @SYSTEMS
@@ -43,7 +43,7 @@ def test_each_is_a_composition_of_slots_on_the_same_backbone(name, smoke):
     assert cfg.model.semantic_head._target_.endswith("NoSemanticHead")
 
 
-def test_voxformer_looks_at_monocular_depth(smoke):
+def test_voxformer_uses_monocular_depth(smoke):
     assert smoke("model=voxformer").depth._target_ == "omniocc.model.depth.Mono"
 
 
@@ -60,26 +60,26 @@ def test_every_preset_has_sizes_that_fit(name, preset, composed):
 @ON_BOTH_GRIDS
 def test_batch_of_fisheye_and_pinhole_rig_equals_two_batches_of_one(name, grid, fisheye, pinhole, make):
     model = make(name, grid).double().eval()
-    images, poses, chosen = window(model)
+    images, poses, candidates = window(model)
     with torch.no_grad():
         frames = images.shape[1]
-        both = model(images.double(), ((fisheye,) * frames, (pinhole,) * frames), poses, chosen).logits
+        both = model(images.double(), ((fisheye,) * frames, (pinhole,) * frames), poses, candidates).logits
         assert both.shape == (2, 12, *model.geometry.shape)
         for index, rig in enumerate((fisheye, pinhole)):
             part = slice(index, index + 1)
-            alone = model(images[part].double(), ((rig,) * frames,), poses[part], chosen.at(part)).logits
-            torch.testing.assert_close(both[part], alone)
+            single = model(images[part].double(), ((rig,) * frames,), poses[part], candidates.at(part)).logits
+            torch.testing.assert_close(both[part], single)
 
 
 @SYSTEMS
 @ON_BOTH_GRIDS
 def test_gradients_reach_every_parameter_that_learns(name, grid, fisheye, make):
     model = make(name, grid)
-    images, poses, chosen = window(model)
-    model(images, ((fisheye,) * images.shape[1],) * 2, poses, chosen).logits.square().mean().backward()
+    images, poses, candidates = window(model)
+    model(images, ((fisheye,) * images.shape[1],) * 2, poses, candidates).logits.square().mean().backward()
     for parameter_name, parameter in model.named_parameters():
         if not parameter_name.startswith("sketch."):
             assert parameter.grad is not None, parameter_name
             assert torch.isfinite(parameter.grad).all(), parameter_name
-            # the vector for voxels without a query is there although every voxel has one
+            # the vector for voxels without a query is not used, since every voxel has one
             assert parameter.grad.abs().sum() > 0 or parameter_name.endswith("coloring.empty"), parameter_name

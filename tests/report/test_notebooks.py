@@ -45,5 +45,5 @@ def test_rayiou_by_hand_is_that_of_the_package(data_root, monkeypatch, capsys):
     assert by_hand == pytest.approx([float(scores[f"rayiou@{threshold}"]) for threshold in (1, 2, 4)], abs=6e-4)
 
 
-def test_all_four_are_there():
+def test_there_are_four_notebooks():
     assert [path.stem[0] for path in NOTEBOOKS] == ["1", "2", "3", "4"]

@@ -1,4 +1,4 @@
-"""The page over a sweep: nothing is missing, nothing comes from outside."""
+"""The page on a sweep is complete and needs no other file."""
 
 import base64
 import importlib.util
@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[2]
 
 
 class Outline(HTMLParser):
-    """Ids, links, pictures, text and whether every element is closed."""
+    """Ids, links, images, text and whether every element is closed."""
 
     def __init__(self):
         super().__init__()
@@ -64,7 +64,7 @@ def outline(output) -> Outline:
     return parser
 
 
-def test_the_page_is_whole_and_every_link_leads_somewhere(output, outline):
+def test_the_page_is_complete_and_every_link_has_a_target(output, outline):
     assert outline.open == []
     assert len(outline.ids) == len(set(outline.ids))
     targets = [link[1:] for link in outline.links if link.startswith("#")]
@@ -75,7 +75,7 @@ def test_the_page_is_whole_and_every_link_leads_somewhere(output, outline):
     assert [path for path in files if not path.exists()] == []
 
 
-def test_nothing_comes_from_outside_and_every_picture_decodes(output, outline):
+def test_the_page_needs_no_other_file_and_every_image_decodes(output, outline):
     page = (output / "index.html").read_text("utf-8")
     assert "http" not in page
     assert "@import" not in page
@@ -95,13 +95,13 @@ def test_figures_lead_to_run_configuration_and_command(outline, runs):
     assert "0.320 ± 0.028" in text
     assert "here: not run" in text
     assert "cuboid voxel representation" in text
-    wanted = [(runs / "ours-00000002" / name).resolve() for name in ("", "config.yaml", "metrics.json")]
-    assert [str(path).split("/runs/")[1] for path in wanted if not any(
+    expected = [(runs / "ours-00000002" / name).resolve() for name in ("", "config.yaml", "metrics.json")]
+    assert [str(path).split("/runs/")[1] for path in expected if not any(
         unquote(link).rstrip("/").endswith(str(path).split("/runs/")[1]) for link in outline.links
     )] == []  # fmt: skip
 
 
-def test_tables_and_plots_lie_beside_the_page(output, capsys):
+def test_tables_and_plots_are_beside_the_page(output, capsys):
     tables = {path.stem for path in output.glob("*.tex")} & {path.stem for path in output.glob("*.csv")}
     assert tables == {
         "comparison", "dataset", "distance", "refine", "representation", "semantic_temporal", "sketch",
@@ -110,14 +110,14 @@ def test_tables_and_plots_lie_beside_the_page(output, capsys):
     assert "| dense voxels | +0.036 | +0.100 | same sign (spread unknown) | +0.050" in markdown
     assert "| This dataset (here) | – | ✓ |" in markdown
     assert markdown.index("## Comparison of datasets") < markdown.index("## Comparison against")
-    where = unquote(markdown.split("- [dense-00000001](")[1].split("/)")[0])
-    assert (output / where / "config.yaml").exists()
+    folder = unquote(markdown.split("- [dense-00000001](")[1].split("/)")[0])
+    assert (output / folder / "config.yaml").exists()
     names = {path.name for path in (output / "plots").glob("*.png")}
     assert names == {"class.png", "ranking.png", "range.png", "candidates.png", "training.png"}
     assert all(cv2.imread(str(output / "plots" / name)) is not None for name in names)
 
 
-def test_it_says_where_the_page_is_and_works_after_a_part_of_a_sweep(runs, tmp_path, capsys):
+def test_the_path_is_printed_also_for_an_unfinished_sweep(runs, tmp_path, capsys):
     part = tmp_path / "runs"
     (part / "mono-00000001" / "csv" / "version_0").mkdir(parents=True)
     (part / "mono-00000001" / "config.yaml").write_text("seed: 0\n")
@@ -145,7 +145,7 @@ def test_the_tables_are_written_as_pages_of_the_documentation(runs, tmp_path):
     assert lines[-1].startswith("preset=tiny, 40 steps, data ")
 
 
-def test_no_run_is_one_line(tmp_path):
+def test_without_runs_the_error_is_one_line(tmp_path):
     with pytest.raises(SystemExit) as caught:
         report("--runs", str(tmp_path))
     assert str(caught.value.code) == (

@@ -19,7 +19,7 @@ def test_a_bag_counts_one_row_for_every_entry():
 
 
 @pytest.mark.filterwarnings("ignore:Sparse CSR:UserWarning")
-def test_of_a_sparse_matrix_the_entries_count_that_are_stored():
+def test_only_stored_entries_of_a_sparse_matrix_count():
     sparse = torch.eye(30).to_sparse_csr()
     assert count_gflop(lambda: sparse @ torch.rand(30, 6)) == pytest.approx(2 * 30 * 6 / 1e9)
 

@@ -7,7 +7,7 @@ from omniocc.run.checkpoint_io import LAST, write_checkpoint
 from omniocc.run.folder import METRICS, command_line, open_run, run_hash
 
 
-def test_hash_follows_what_decides_a_result_and_nothing_else():
+def test_the_hash_depends_only_on_what_decides_the_result():
     config = {
         "seed": 0,
         "model": {"sketch": {"_target_": "omniocc.model.sketch.Dense"}},
@@ -36,7 +36,7 @@ def test_same_command_finds_its_folder_and_checkpoint(tmp_path):
     assert second.finished
 
 
-def test_never_starts_beside_what_is_there(tmp_path):
+def test_resume_never_makes_a_new_folder(tmp_path):
     names = [open_run(tmp_path, "train", "abc", "never").path.name for _ in range(3)]
     assert names == ["train-abc", "train-abc-2", "train-abc-3"]
 
@@ -49,7 +49,7 @@ def test_two_processes_do_not_share_a_folder(tmp_path):
     open_run(tmp_path, "train", "abc", "auto")
 
 
-def test_a_checkpoint_that_is_not_there_is_named(tmp_path):
+def test_a_missing_checkpoint_is_named(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"gone\.ckpt"):
         open_run(tmp_path, "train", "abc", str(tmp_path / "gone.ckpt"))
 

@@ -43,7 +43,7 @@ def explained(*overrides: str) -> list[str]:
         (["hydra.job.chdir=abc"], "hydra.job.chdir=abc", "not a valid bool"),
     ],
 )
-def test_the_first_line_is_the_problem_and_what_is_nearest_follows(overrides, problem, offered):
+def test_the_first_line_is_the_problem_and_the_nearest_key_follows(overrides, problem, offered):
     lines = explained(*overrides)
     assert problem in lines[0]
     assert offered in "\n".join(lines)

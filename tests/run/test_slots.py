@@ -12,11 +12,11 @@ from omniocc.run.slots import option_of, slots_of
         ("omniocc.geometry.Cylinder", "cylinder"),
     ],
 )
-def test_an_option_is_called_as_its_file(target, option):
+def test_an_option_has_the_name_of_its_file(target, option):
     assert option_of({"_target_": target}) == option
 
 
-def test_slots_are_what_the_model_is_made_of():
+def test_slots_are_the_parts_of_the_model():
     depth = {"_target_": "omniocc.model.depth.Sweep"}
     model = {
         "_target_": "omniocc.model.OccupancyModel",

@@ -1,4 +1,4 @@
-"""Random draws of a training step depend on its place in the run and on nothing else."""
+"""Random draws of a training step depend only on its place in the run."""
 
 from types import SimpleNamespace
 
@@ -12,9 +12,9 @@ def draw(seed=0, step=0, batch=0, rank=0):
     return torch.rand(3, generator=step_generator(task, seed, batch)).tolist()
 
 
-def test_a_resumed_run_draws_what_the_undisturbed_one_would_have_drawn():
+def test_a_resumed_run_has_the_draws_of_an_uninterrupted_one():
     undisturbed = [draw(step=step) for step in range(4)]
-    torch.rand(17)  # another past of the global generator
+    torch.rand(17)  # another state of the global generator
     assert [draw(step=step) for step in (2, 3)] == undisturbed[2:]
 
 

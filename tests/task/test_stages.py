@@ -1,4 +1,4 @@
-"""Which stages run, what their results are filed under, and who waits for whom."""
+"""The stages that run, the hashes of their results, and waiting for other processes."""
 
 import threading
 import time
@@ -34,7 +34,7 @@ def test_a_learned_sketch_has_stages_before_occupancy(omni):
     assert wanted_stages(omni("model/sketch=dense")) == ("occupancy",)
 
 
-def test_a_stage_that_is_not_there_is_an_error_with_a_remedy(omni):
+def test_a_missing_stage_is_an_error_with_a_remedy(omni):
     with pytest.raises(UserError, match=r"stage=skethc.*depth, sketch, occupancy"):
         wanted_stages(omni("stage=skethc"))
     with pytest.raises(UserError, match=r"stage=depth.*model/sketch.*not learned"):
@@ -63,7 +63,7 @@ def test_a_stage_that_is_not_there_is_an_error_with_a_remedy(omni):
         ("paths.runs=elsewhere", []),
     ],
 )
-def test_keys_change_with_what_makes_the_result_and_with_nothing_else(override, expected, changed):
+def test_keys_depend_only_on_what_decides_the_result(override, expected, changed):
     assert changed(*([override] if isinstance(override, str) else override)) == expected
 
 
@@ -71,7 +71,7 @@ def test_other_data_is_another_result(omni):
     assert all(one != other for one, other in zip(stage_keys(omni(), "a"), stage_keys(omni(), "b"), strict=True))
 
 
-def test_a_second_process_waits_and_says_so(tmp_path, monkeypatch, capsys):
+def test_a_second_process_waits_and_reports_it(tmp_path, monkeypatch, capsys):
     events, status = [], tmp_path / "status.json"
     monkeypatch.setenv(STATUS_FILE, str(status))
 
@@ -82,10 +82,10 @@ def test_a_second_process_waits_and_says_so(tmp_path, monkeypatch, capsys):
     with claimed(tmp_path, "depth"):
         thread = threading.Thread(target=second)
         thread.start()
-        while (said := read_status(status)) is None or said.state != "waiting":
+        while (reported := read_status(status)) is None or reported.state != "waiting":
             time.sleep(0.01)
-        assert str(tmp_path) in said.title
-        assert said.title in capsys.readouterr().out
+        assert str(tmp_path) in reported.title
+        assert reported.title in capsys.readouterr().out
         events.append("first")
     thread.join(timeout=10)
     assert events == ["first", "second"]

@@ -70,13 +70,12 @@ class Extras(NamedTuple):
 class WindowDataset(Dataset):
     """Every recorded frame once, as the newest of a window of T consecutive frames of its scene.
 
-    Before a scene's first frame that one stands in, and `exists` says so.
+    Frames before a scene's first are replaced by the first, and marked as missing in `exists`.
 
     Args:
-        scenes: recorded scenes.
-        voxels: labels in the wanted geometry.
+        voxels: labels of the grid.
         window: T.
-        extras: what else is read.
+        extras: further content to read.
         own_rays: whether every frame's LiDAR has rays of its own, so that samples hold them.
     """
 
@@ -104,8 +103,8 @@ class WindowDataset(Dataset):
         """Return scene and frame number of a sample's newest frame."""
         if not 0 <= index < len(self):
             raise IndexError(f"sample {index} of {len(self)}")
-        at = int(np.searchsorted(self._ends, index, side="right"))
-        return self.scenes[at], index - (int(self._ends[at - 1]) if at else 0)
+        scene = int(np.searchsorted(self._ends, index, side="right"))
+        return self.scenes[scene], index - (int(self._ends[scene - 1]) if scene else 0)
 
     def __getitem__(self, index: int) -> Sample:
         scene, newest = self.locate(index)
@@ -179,7 +178,7 @@ def read_true_ranges(
 
 
 def collate(samples: Sequence[Sample]) -> Batch:
-    """Stack samples along a new first axis; pads what differs in size, fills what some of them lack (see `Batch`)."""
+    """Stack samples along a new first axis; pad where sizes differ, fill where some have no value (see `Batch`)."""
     columns = dict(zip(Sample._fields, zip(*samples, strict=True), strict=True))
     rigs, frame_ids = columns.pop("rigs"), columns.pop("frame_id")
     stacked = {name: _stack(column, ABSENT.get(name)) for name, column in columns.items()}
@@ -188,9 +187,9 @@ def collate(samples: Sequence[Sample]) -> Batch:
 
 def _stack(column: Sequence[Tensor | None], fill: float | bool | None) -> Tensor | None:
     """Stack the values of one field, None if no sample has it."""
-    there = [value for value in column if value is not None]
-    if not there:
+    present = [value for value in column if value is not None]
+    if not present:
         return None
-    if fill is None:  # never absent in some samples only, and of equal shapes
-        return torch.stack(there)
-    return pad_stack([torch.full_like(there[0], fill) if value is None else value for value in column], fill)
+    if fill is None:  # present in all samples, with equal shapes
+        return torch.stack(present)
+    return pad_stack([torch.full_like(present[0], fill) if value is None else value for value in column], fill)

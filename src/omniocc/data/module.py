@@ -21,18 +21,18 @@ class OccupancyData(LightningDataModule):
     """Batches of windows of recorded frames with voxels of one geometry.
 
     The order of training is a function of (seed, epoch). A run that resumes from a checkpoint written after any batch
-    or validation sees exactly the batches that were left. (For checkpoints written in `on_train_epoch_end` this holds
+    or validation uses exactly the batches that were left. (For checkpoints written in `on_train_epoch_end` this holds
     with `max_epochs` only: with `max_steps`, Lightning 2.6 counts such an epoch twice and skips one order.)
 
     Args:
         source: of the scenes and their labels.
-        num_classes: number of classes that the model tells apart, free included; has to be that of the source.
+        num_classes: number of classes of the model, free included; equal to that of the source.
         geometry: grid of the voxel labels.
         window: frames per sample, the newest included.
         batch_size: samples per process and step.
         num_workers: loader processes; 0 loads in the training process.
         seed: of the order of training samples.
-        unknown: what cells without points are: `free` (the paper) or `unobserved` (255 where no sensor looked).
+        unknown: label of cells without points: `free` (the paper) or `unobserved` (255 unless a sensor saw through).
 
     Raises:
         ValueError: if a number is too small.
@@ -51,9 +51,8 @@ class OccupancyData(LightningDataModule):
     ):
         super().__init__()
         if batch_size < 1 or num_workers < 0:
-            raise ValueError(
-                f"batch_size must be at least 1 and num_workers at least 0, got {batch_size} and {num_workers}"
-            )
+            given = f"{batch_size} and {num_workers}"
+            raise ValueError(f"batch_size must be at least 1 and num_workers at least 0, got {given}")
         self.source = source
         self.num_classes = num_classes
         self.geometry = geometry
@@ -82,11 +81,7 @@ class OccupancyData(LightningDataModule):
         return self.source.labels(self.geometry, self.unknown)
 
     def check_classes(self) -> None:
-        """Compare the number of classes with the source's.
-
-        Raises:
-            UserError: if they differ.
-        """
+        """Compare the number of classes with the source's; raise UserError if they differ."""
         names = self.source.spec.classes.names
         if len(names) != self.num_classes:
             raise UserError(
@@ -102,7 +97,7 @@ class OccupancyData(LightningDataModule):
             self._datasets.setdefault(split, WindowDataset(scenes, self.voxels, self.window, self.extras, own_rays))
 
     def read_also(self, extras: Extras) -> None:
-        """Let samples hold more than images and labels, from the next `setup` on."""
+        """Add content to the samples, from the next `setup` on."""
         self.extras = extras
         self._datasets = {}
 
@@ -111,7 +106,7 @@ class OccupancyData(LightningDataModule):
         return self._datasets[split]
 
     def voxel_counts(self) -> Int64[Tensor, "C X Y Z"]:
-        """Return how often each class stood in each cell of the training set."""
+        """Return the number of training frames in which each cell has each class."""
         return self.voxels.counts(self.dataset("train").scenes)
 
     def train_dataloader(self) -> DataLoader[Batch]:
@@ -135,19 +130,15 @@ class OccupancyData(LightningDataModule):
         return self._in_order("test")
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the epoch and how many of its batches are done, for a resumed run."""
+        """Return the epoch and the number of its finished batches, from which a resumed run continues."""
         if self.trainer is None:
             return dict(self._resume)
         loop = self.trainer.fit_loop
-        epoch, batch = (
-            loop.epoch_progress.state_dict()["current"],
-            loop.epoch_loop.batch_progress.state_dict()["current"],
-        )
+        epoch = loop.epoch_progress.state_dict()["current"]
+        batch = loop.epoch_loop.batch_progress.state_dict()["current"]
         if epoch["started"] == epoch["processed"]:  # between two epochs
             return {"epoch": epoch["processed"], "batches": 0}
-        if (
-            batch["processed"] >= self.trainer.num_training_batches
-        ):  # after the last batch, before the epoch counts as done
+        if batch["processed"] >= self.trainer.num_training_batches:  # the epoch does not count as done yet
             return {"epoch": epoch["processed"] + 1, "batches": 0}
         return {"epoch": epoch["processed"], "batches": batch["processed"]}
 
@@ -179,6 +170,6 @@ class OccupancyData(LightningDataModule):
             num_workers=self.num_workers,
             worker_init_fn=limit_threads,
             persistent_workers=self.num_workers > 0,
-            # a plain fork copies the locks other threads (W&B, OpenMP) hold just then: the loader would wait forever
+            # a plain fork copies locks that other threads (W&B, OpenMP) hold: the loader would wait forever
             multiprocessing_context="forkserver" if self.num_workers else None,
         )

@@ -1,4 +1,4 @@
-"""Samplers: which samples a process gets, and in which order."""
+"""Samplers: the samples of a process and their order."""
 
 from collections.abc import Iterator
 
@@ -12,8 +12,8 @@ from torch.utils.data import DistributedSampler
 class EpochSampler(DistributedSampler):
     """The training order, a function of (seed, epoch) only, divided among the ranks; it can begin within an epoch.
 
-    Every rank gets equally many samples; at most `world_size - 1` are left over and not used in this epoch. `len` stays
-    that of a whole epoch.
+    Every rank gets the same number of samples; at most `world_size - 1` are not used in an epoch. `len` is always that
+    of a whole epoch.
 
     Args:
         size: number of samples in the dataset.
@@ -36,28 +36,22 @@ class EpochSampler(DistributedSampler):
     def __iter__(self) -> Iterator[int]:
         generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.epoch)
         order = torch.randperm(self.size, generator=generator).tolist()
-        mine = order[self.rank :: self.num_replicas][: len(self)]
-        return iter(mine[self.resume_samples :] if self.epoch == self.resume_epoch else mine)
+        samples = order[self.rank :: self.num_replicas][: len(self)]
+        return iter(samples[self.resume_samples :] if self.epoch == self.resume_epoch else samples)
 
     def __len__(self) -> int:
         return self.size // self.num_replicas
 
 
 class RankSampler(DistributedSampler):
-    """Validation and test: every sample exactly once over all ranks, in order.
-
-    Args:
-        size: number of samples in the dataset.
-        rank: this process.
-        world_size: number of processes.
-    """
+    """Validation and test: every sample exactly once over all ranks, in order."""
 
     def __init__(self, size: int, rank: int = 0, world_size: int = 1):
         super().__init__(range(size), world_size, rank, shuffle=False)  # type: ignore[arg-type]
-        self._mine = range(rank, size, world_size)
+        self._samples = range(rank, size, world_size)
 
     def __iter__(self) -> Iterator[int]:
-        return iter(self._mine)
+        return iter(self._samples)
 
     def __len__(self) -> int:
-        return len(self._mine)
+        return len(self._samples)

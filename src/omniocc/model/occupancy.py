@@ -19,6 +19,7 @@ from omniocc.model.protocols import (
     Sketch,
     Sketched,
     Temporal,
+    Volumes,
 )
 
 
@@ -28,8 +29,7 @@ class Prediction(NamedTuple):
     Attributes:
         logits: of the class of every voxel.
         pixel_logits: of the class of every pixel, at the finest feature map's size; None without a semantic head.
-        range_logits: of bins of range along the rays, at the coarsest map's size; None if not asked for, or if the
-            lifter predicts none.
+        range_logits: of bins of range along the rays, at the coarsest map's size; None if not requested or predicted.
     """
 
     logits: Float[Tensor, "B C X Y Z"]
@@ -54,16 +54,9 @@ class Lifted(NamedTuple):
 class OccupancyModel(nn.Module):
     """Predict semantic occupancy from camera images, in exchangeable parts (paper, figure 'Overall architecture').
 
-    Samples may have different numbers of cameras and sizes of image, padded as `omniocc.model.ops.padded` says.
+    Samples may have different numbers of cameras and sizes of image, padded as in `omniocc.model.ops.padded`.
 
     Args:
-        backbone: images to feature maps.
-        geometry: the voxel grid.
-        sketch: chooses candidate voxels.
-        lifter: feature maps to voxel features.
-        temporal: fuses a window of volumes.
-        refiner: voxel features to voxel features.
-        semantic_head: feature maps to classes of pixels.
         num_classes: of voxels, free included.
     """
 
@@ -103,24 +96,26 @@ class OccupancyModel(nn.Module):
             images: RGB 0..255 as uint8, or [0, 1] as floats; frames oldest first.
             rigs: of each sample one per frame; cameras may move on the vehicle.
             world_from_ego: pose of each frame.
-            sketched: the sketch's answer for every frame, with an axis T, where it is known already; None asks it.
-            exists: which frames were recorded; the others, before a scene's first, cost nothing. None: all.
+            sketched: output of the sketch for every frame, with an axis T; None runs the sketch.
+            exists: which frames were recorded; the others, before a scene's first, are not computed. None: all.
             with_ranges: whether to return the lifter's scores of range bins.
 
         Raises:
             ValueError: if rigs and images do not fit together.
         """
-        given, (batch, frames) = [len(own) for own in rigs], images.shape[:2]
+        given, (batch, frames) = [len(sample) for sample in rigs], images.shape[:2]
         if given != [frames] * batch:
             raise ValueError(f"rigs of {given} frames for {batch} samples of {frames} frames; give one for each frame")
         if exists is None:
             exists = torch.ones(images.shape[:2], dtype=torch.bool, device=images.device)
         window = slice(-self.temporal.frames, None)
         images, world_from_ego, exists = images[:, window], world_from_ego[:, window], exists[:, window]
-        rigs = tuple(own[window] for own in rigs)
+        rigs = tuple(sample[window] for sample in rigs)
         sketched = sketched and sketched.at(slice(None), window)
-        # the newest first: autocast keeps what it casts, in older PyTorch without gradient if the past came first
-        newest = self.lift(images[:, -1], tuple(own[-1] for own in rigs), sketched and sketched.at(slice(None), -1))
+        # the newest first: autocast caches weights, in older PyTorch without gradient if the past came first
+        newest = self.lift(
+            images[:, -1], tuple(sample[-1] for sample in rigs), sketched and sketched.at(slice(None), -1)
+        )
         with torch.set_grad_enabled(torch.is_grad_enabled() and self.temporal.history_gradient):
             past = self._lift_past(images, rigs, sketched, exists, newest.volume)
         volume = self.fuse([*past, newest.volume], world_from_ego, exists, newest.sketched)
@@ -135,32 +130,25 @@ class OccupancyModel(nn.Module):
         rigs: tuple[Rig, ...],
         sketched: Sketched | None = None,
     ) -> Lifted:
-        """Return the features of single frames: of images and voxels; without `sketched` the sketch is asked."""
+        """Return the features of images and voxels of single frames; without `sketched` the sketch is run."""
         images = to_unit_range(images)
         sketched = self.choose(images, rigs) if sketched is None else sketched
-        features = by_shape(lambda own, _: self.backbone(own), images, rigs, self.backbone.levels)
+        features = by_shape(lambda cropped, _: self.backbone(cropped), images, rigs, self.backbone.levels)
         return Lifted(self.lifter(features, sketched, rigs), sketched, features)
 
     @torch.no_grad()
     def choose(self, images: Float[Tensor, "B N 3 H W"], rigs: tuple[Rig, ...]) -> Sketched:
-        """Return the sketch's answer for single frames; it has learned in a stage of its own."""
+        """Return the output of the sketch for single frames, without gradient: it is trained in its own stage."""
         return self.sketch(images, rigs)
 
     def fuse(
         self,
-        volumes: list[Float[Tensor, "B C X Y Z"]],
+        volumes: Volumes,
         world_from_ego: Float[Tensor, "B T 4 4"],
         exists: Bool[Tensor, "B T"],
         sketched: Sketched,
     ) -> Float[Tensor, "B classes X Y Z"]:
-        """Return logits of the newest frame from the lifted volumes of a window, oldest first.
-
-        Args:
-            volumes: of each frame, in its own ego frame.
-            world_from_ego: pose of each frame.
-            exists: which frames were recorded.
-            sketched: of the newest frame.
-        """
+        """Return logits of the newest frame from the lifted volumes of a window, oldest first."""
         return self.classifier(self.refiner(self.temporal(volumes, world_from_ego, exists), sketched))
 
     def _lift_past(
@@ -170,7 +158,7 @@ class OccupancyModel(nn.Module):
         sketched: Sketched | None,
         exists: Bool[Tensor, "B T"],
         like: Float[Tensor, "B C X Y Z"],
-    ) -> list[Float[Tensor, "B C X Y Z"]]:
+    ) -> Volumes:
         """Lift all past frames that exist in one go; return zeros, laid out as `like`, for the others."""
         if exists.shape[1] == 1:
             return []
@@ -189,5 +177,5 @@ class OccupancyModel(nn.Module):
 
 
 def to_unit_range(images: UInt8[Tensor, "..."] | Float[Tensor, "..."]) -> Float[Tensor, "..."]:
-    """Return RGB in [0, 1]; floats are taken to be there already."""
+    """Return RGB in [0, 1]; floats are returned as they are."""
     return images if images.is_floating_point() else images.float() / 255

@@ -1,8 +1,8 @@
 """The contracts between the slots of the model: what every option of a slot takes and returns.
 
 Images of a batch are padded: a sample with fewer cameras or smaller images than others has zeros at the end of the
-camera axis, at the right and at the bottom. Its rig says what is there. Options answer as for the sample alone, see
-`omniocc.model.ops.padded`.
+camera axis, at the right and at the bottom. Its rig gives the true sizes. Padding does not change the result of any
+option, see `omniocc.model.ops.padded`.
 """
 
 from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
@@ -17,9 +17,12 @@ from omniocc.model.ops.depth.depth_map import DepthMap
 from omniocc.model.ops.depth.spheres import Spheres
 from omniocc.model.ops.padded import FeatureMaps, Rigs
 
+Volumes = list[Float[Tensor, "B C X Y Z"]]
+"""Voxel features of each frame of a window, oldest first."""
+
 
 class Sketched(NamedTuple):
-    """The answer of a sketch for single frames, or, with an axis T after B, for windows of frames.
+    """The output of a sketch for single frames, or, with an axis T after B, for windows of frames.
 
     Attributes:
         candidates: voxels that are worth colouring.
@@ -40,7 +43,6 @@ class Learns(Protocol):
 
     def training_terms(self, *args: Any) -> dict[str, Float[Tensor, ""]]:
         """Return weighted losses by name."""
-        ...
 
 
 def learns(option: type) -> bool:
@@ -53,7 +55,7 @@ class Backbone(Protocol):
     """Turn camera images into a pyramid of feature maps.
 
     Attributes:
-        PRETRAINED: names of the arguments that load nothing but pretrained weights; None where a checkpoint follows.
+        PRETRAINED: arguments that only load pretrained weights, None where a checkpoint is loaded afterwards.
         channels: of every map.
         levels: strides of the maps, px, finest first: an image of height H has a map of ceil(H / stride) rows.
     """
@@ -64,7 +66,6 @@ class Backbone(Protocol):
 
     def __call__(self, images: Float[Tensor, "B N 3 H W"]) -> FeatureMaps:
         """Return maps that each cover the whole image, finest first, from RGB in [0, 1]."""
-        ...
 
 
 @runtime_checkable
@@ -80,14 +81,12 @@ class Depth(Protocol):
     panorama: Equirectangular
 
     def rig_spheres(self, rig: Rig) -> Spheres:
-        """Return the spheres in whose indices it answers for a rig."""
-        ...
+        """Return the spheres to which the indices of depth maps refer for a rig."""
 
     def __call__(
         self, images: Float[Tensor, "B N 3 H W"], rigs: Rigs, true_range_m: Float[Tensor, "B h w"] | None = None
     ) -> DepthMap:
         """Return the panorama from RGB in [0, 1]; the true range (inf: sky) is used if `NEEDS_TRUE_RANGE`."""
-        ...
 
 
 @runtime_checkable
@@ -111,7 +110,6 @@ class LearnedDepth(Depth, Learns, Protocol):
             camera_range_m: true range of every pixel; None if the data has none.
             generator: source of all random choices, on the CPU.
         """
-        ...
 
 
 @runtime_checkable
@@ -125,12 +123,11 @@ class Sketch(Protocol):
 
         The true range is for a sketch whose depth needs it.
         """
-        ...
 
 
 @runtime_checkable
 class LearnedSketch(Sketch, Learns, Protocol):
-    """A sketch with weights that looks at ranges, trained in the sketch stage after the depth stage.
+    """A sketch with weights that uses ranges, trained in the sketch stage after the depth stage.
 
     Attributes:
         SELECTION: constructor arguments that choose among probabilities; the weights do not depend on them.
@@ -146,21 +143,17 @@ class LearnedSketch(Sketch, Learns, Protocol):
 
     def logits(self, range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"]) -> Float[Tensor, "B 2 X Y Z"]:
         """Return scores of free and occupied for every voxel, from a panorama of ranges and where they are known."""
-        ...
 
     def choose(self, logits: Float[Tensor, "B 2 X Y Z"]) -> Bool[Tensor, "B X Y Z"]:
         """Return the candidates before they are dilated."""
-        ...
 
     def select(self, logits: Float[Tensor, "B 2 X Y Z"]) -> Bool[Tensor, "B X Y Z"]:
         """Return the candidates."""
-        ...
 
     def training_terms(
         self, range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"], voxels: UInt8[Tensor, "B X Y Z"]
     ) -> dict[str, Float[Tensor, ""]]:
         """Return weighted losses by name; 255 in the true voxels is unknown."""
-        ...
 
 
 @runtime_checkable
@@ -175,16 +168,14 @@ class Lifter(Protocol):
 
     def __call__(self, features: FeatureMaps, sketched: Sketched, rigs: tuple[Rig, ...]) -> Float[Tensor, "B D X Y Z"]:
         """Return features of all voxels, ego frame, from feature maps (see `Backbone`), finest first."""
-        ...
 
 
 @runtime_checkable
 class GuessesRanges(Protocol):
-    """A lifter that predicts a distribution of range for every pixel on its way."""
+    """A lifter that also predicts a distribution of range for every pixel."""
 
     def range_logits(self, features: FeatureMaps) -> Float[Tensor, "B N D h w"]:
         """Return scores of bins of range along the rays, at the coarsest map's size."""
-        ...
 
 
 @runtime_checkable
@@ -200,16 +191,12 @@ class Temporal(Protocol):
     history_gradient: bool
 
     def __call__(
-        self,
-        volumes: list[Float[Tensor, "B C X Y Z"]],
-        world_from_ego: Float[Tensor, "B T 4 4"],
-        exists: Bool[Tensor, "B T"],
+        self, volumes: Volumes, world_from_ego: Float[Tensor, "B T 4 4"], exists: Bool[Tensor, "B T"]
     ) -> Float[Tensor, "B C X Y Z"]:
         """Return one volume in the newest frame's ego frame from volumes in each frame's own, oldest first.
 
-        Frames that do not exist, before a scene's first, do not count; the newest always exists.
+        Frames that do not exist, before a scene's first, are ignored; the newest always exists.
         """
-        ...
 
 
 @runtime_checkable
@@ -233,4 +220,3 @@ class SemanticHead(Protocol):
 
     def __call__(self, features: FeatureMaps) -> Float[Tensor, "B N K h w"] | None:
         """Return logits at the finest map's size, or None, from feature maps, finest first."""
-        ...

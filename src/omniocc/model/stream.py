@@ -23,21 +23,17 @@ Key = tuple[str, int]
 """Scene and number of a frame."""
 
 MISSING: Key = ("", -1)
-"""Stands for a frame that was not recorded."""
+"""Key of frames that were not recorded."""
 
 
 def window_keys(frame_ids: tuple[str, ...], exists: Bool[Tensor, "B T"]) -> list[list[Key]]:
-    """Return the frames of windows of consecutive frames, oldest first.
-
-    Args:
-        frame_ids: `scene/number` of the newest frame of each window.
-        exists: which frames were recorded.
-    """
+    """Return the frames of windows of consecutive frames, oldest first; ids are `scene/number` of the newest frames."""
     windows = []
     for frame_id, recorded in zip(frame_ids, exists.tolist(), strict=True):
         scene, newest = frame_id.rsplit("/", 1)
         numbers = range(int(newest) - len(recorded) + 1, int(newest) + 1)
-        windows.append([(scene, number) if there else MISSING for number, there in zip(numbers, recorded, strict=True)])
+        keys = zip(numbers, recorded, strict=True)
+        windows.append([(scene, number) if known else MISSING for number, known in keys])
     return windows
 
 
@@ -46,9 +42,6 @@ class Stream:
 
     Between calls it holds at most as many volumes as the temporal slot has past frames. Call `reset` when the model's
     weights have changed, and before another sequence.
-
-    Args:
-        model: whose volumes are remembered.
     """
 
     def __init__(self, model: OccupancyModel):
@@ -71,14 +64,7 @@ class Stream:
         world_from_ego: Float[Tensor, "4 4"],
         sketched: Sketched | None = None,
     ) -> Float[Tensor, "C X Y Z"]:
-        """Return logits of the next frame of a sequence; the past ones are those of the calls since `reset`.
-
-        Args:
-            images: RGB 0..255 as uint8, or [0, 1] as floats.
-            rig: of this frame.
-            world_from_ego: pose of this frame.
-            sketched: the sketch's answer for this frame, a batch of one; None asks it.
-        """
+        """Return logits of the next frame of a sequence; the past ones are those of the calls since `reset`."""
         window = [("", self._number - back) for back in reversed(range(self.model.temporal.frames))]
         self._number += 1
         self._lift(window[-1:], images[None], (rig,), world_from_ego[None], sketched)
@@ -100,17 +86,17 @@ class Stream:
         """
         first = max(0, images.shape[1] - self.model.temporal.frames)
         windows = [window[first:] for window in window_keys(frame_ids, exists)]
-        wanted = {
+        missing = {
             key: (sample, first + at)
             for sample, window in enumerate(windows)
             for at, key in enumerate(window)
             if key != MISSING and key not in self._frames
         }
-        if wanted:
-            samples, frames = (list(column) for column in zip(*wanted.values(), strict=True))
-            chosen = sketched and sketched.at(samples, frames)
-            some_rigs = tuple(rigs[sample][frame] for sample, frame in wanted.values())
-            self._lift(list(wanted), images[samples, frames], some_rigs, world_from_ego[samples, frames], chosen)
+        if missing:
+            samples, frames = (list(column) for column in zip(*missing.values(), strict=True))
+            selected = sketched and sketched.at(samples, frames)
+            their_rigs = tuple(rigs[sample][frame] for sample, frame in missing.values())
+            self._lift(list(missing), images[samples, frames], their_rigs, world_from_ego[samples, frames], selected)
         return self._fuse(windows)
 
     def _lift(
@@ -124,9 +110,8 @@ class Stream:
         assert not self.model.training
         lifted = self.model.lift(images, rigs, sketched)
         for index, (key, pose) in enumerate(zip(keys, world_from_ego, strict=True)):
-            own = slice(index, index + 1)
             # a copy: a view would keep the volumes of the whole batch
-            self._frames[key] = Remembered(lifted.volume[own].clone(), lifted.sketched.at([index]), pose)
+            self._frames[key] = Remembered(lifted.volume[index : index + 1].clone(), lifted.sketched.at([index]), pose)
 
     def _fuse(self, windows: list[list[Key]]) -> Float[Tensor, "B C X Y Z"]:
         """Return logits of windows of remembered frames; afterwards only what the next frame needs is remembered."""
@@ -141,6 +126,6 @@ class Stream:
 
 
 def joined(parts: list[Sketched]) -> Sketched:
-    """Return the answers for several samples as one batch."""
+    """Return the outputs for several samples as one batch."""
     evidence = [part.evidence for part in parts if part.evidence is not None]
     return Sketched(torch.cat([part.candidates for part in parts]), torch.cat(evidence) if evidence else None)

@@ -1,4 +1,4 @@
-"""The same test frames across rows, from the parts of sheets that every run leaves in `images/parts`."""
+"""The same test frames for all rows, from the parts of sheets that every run saves in `images/parts`."""
 
 import re
 import sys
@@ -25,7 +25,7 @@ class Shown(NamedTuple):
         row: name of the row.
         run: its first seed.
         parts: images of the sheet.
-        grid: kind of the row's grid where no row before has the same grid; empty elsewhere.
+        grid: kind of the row's grid, empty if an earlier row has the same grid.
     """
 
     row: str
@@ -43,9 +43,9 @@ class ComparedFrame(NamedTuple):
 
 
 def compared_frames(rows: Mapping[str, Sequence[FinishedRun]]) -> list[ComparedFrame]:
-    """Return every frame that a row has sheets of, as the first seed of each row predicts it.
+    """Return all frames with sheets, as the first seed of each row predicts them.
 
-    Runs that saved no parts of their sheets are left out with a line that says so.
+    Runs that saved no parts of their sheets are left out with a message.
     """
     frames: dict[tuple[str, str, str], list[Shown]] = {}
     grids: dict[tuple[str, str, str], list[dict]] = {}
@@ -58,10 +58,10 @@ def compared_frames(rows: Mapping[str, Sequence[FinishedRun]]) -> list[ComparedF
     return [ComparedFrame(key[1], key[2], frames[key]) for key in sorted(frames)]
 
 
-def _frames(pictures: Path) -> Iterator[tuple[tuple[str, str, str], SheetParts]]:
+def _frames(images: Path) -> Iterator[tuple[tuple[str, str, str], SheetParts]]:
     """Yield number, scene and frame of every test frame of a run with its parts."""
-    for sheet in sorted(pictures.glob("test-*.png")):
-        folder, match = pictures / PARTS / sheet.stem, NAME.fullmatch(sheet.stem)
+    for sheet in sorted(images.glob("test-*.png")):
+        folder, match = images / PARTS / sheet.stem, NAME.fullmatch(sheet.stem)
         if match is None:
             continue
         read = {name: cv2.imread(str(folder / f"{name}.png")) for name in SheetParts._fields if folder.is_dir()}

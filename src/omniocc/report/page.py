@@ -1,4 +1,4 @@
-"""One web page over a sweep, without any reference to files but those of the runs: `templates/page.html.j2`."""
+"""A web page on a sweep in a single file, with links only to files of runs: `templates/page.html.j2`."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -10,7 +10,7 @@ from omniocc.report.class_colors import colors_of
 from omniocc.report.dataset.table import DatasetTable, dataset_cells
 from omniocc.report.frames import ComparedFrame, Shown, inline
 from omniocc.report.runs import FinishedRun, path_between
-from omniocc.report.sweep import Sweep, open_ends
+from omniocc.report.sweep import Sweep, unfinished_lines
 from omniocc.report.tables import bounds, budget
 from omniocc.report.tables.claims import claim_cells
 from omniocc.report.tables.paper import (
@@ -32,10 +32,10 @@ CAMERAS_PX, VIEW_PX, MAP_PX = 940, 560, 360
 FILES = ("config.yaml", "metrics.json", "table.md")
 RUN_HEAD = ("run", "seed", "RayIoU", "RayIoU, LiDAR", "mIoU", "minutes", "commit", "files")
 WIDE_COLUMNS = 5
-"""A table with more columns has its claims below instead of beside it."""
+"""Tables with more columns have their claims below instead of beside them."""
 
 Section = dict[str, Any]
-"""Name, title, kind (which template draws it) and what that template needs."""
+"""Name, title, kind (which selects the template) and the values for that template."""
 
 
 def page(sweep: Sweep, plots: Mapping[str, tuple[str, str]], frames: Sequence[ComparedFrame], folder: Path) -> str:
@@ -45,7 +45,7 @@ def page(sweep: Sweep, plots: Mapping[str, tuple[str, str]], frames: Sequence[Co
         sweep: runs and tables.
         plots: title and SVG of each, by name.
         frames: test frames, compared across rows.
-        folder: in which the page will lie; links to runs start there.
+        folder: of the page, from which links to runs start.
     """
     first, *others = [_plot(name, *plot) for name, plot in plots.items()] or [None]
     sections = [
@@ -59,7 +59,7 @@ def page(sweep: Sweep, plots: Mapping[str, tuple[str, str]], frames: Sequence[Co
         _runs(sweep, folder),
     ]
     content = {
-        "remarks": [sweep.remark, *open_ends(sweep)],
+        "remarks": [sweep.remark, *unfinished_lines(sweep)],
         "facts": _facts(sweep),
         "sections": [section for section in sections if section is not None],
     }
@@ -109,7 +109,7 @@ def _paper_table(table: PaperTable, sweep: Sweep) -> Section:
 
 
 def _method(table: PaperTable, row: PaperRow, figures: Sequence[Figure | None], sweep: Sweep) -> dict[str, Any]:
-    """Return the paper's figures and ours, the latter as mean and spread; `row` is where links to its runs go."""
+    """Return the paper's figures, and ours as mean and spread; `row` is the anchor of links to its runs."""
     ours = [with_spread(key, figure).partition(" ± ") for key, figure in zip(table.columns, figures, strict=True)]
     return {
         "title": row.title,
@@ -144,11 +144,8 @@ def _strips(shown: Shown) -> Iterator[dict[str, Any]]:
     parts = shown.parts
     if shown.grid:
         truth = (parts.truth, parts.truth_map, None)
-        yield {
-            "row": "",
-            "label": f"truth, {shown.grid}",
-            "images": _images(truth, f"true voxels on the grid of {shown.row}"),
-        }
+        images = _images(truth, f"true voxels on the grid of {shown.row}")
+        yield {"row": "", "label": f"truth, {shown.grid}", "images": images}
     predicted = (parts.prediction, parts.prediction_map, parts.differences)
     yield {
         "row": shown.row,

@@ -1,4 +1,4 @@
-"""Which row of the tables a run belongs to: the one of its name, or else the one of its configuration."""
+"""Rows of the tables to which runs belong: by name, or else by configuration."""
 
 import functools
 from collections.abc import Sequence
@@ -12,14 +12,13 @@ from omniocc.report.selection import compared
 def assign_rows(runs: Sequence[FinishedRun], conf: Path, rows: Sequence[str]) -> list[FinishedRun]:
     """Return the runs, each with its row.
 
-    A run whose name is that of a row belongs to it. Any other run (`name=demo`) belongs to the first row that Hydra
-    composes to the run's configuration with the run's preset and no other override; a run that no row composes to
-    stays in a row of its own.
+    A run with the name of a row belongs to it. Any other run (`name=demo`) belongs to the first row whose
+    configuration, composed with the run's preset and no other override, equals the run's, or else to its own row.
 
     Args:
         runs: finished runs.
         conf: folder of the configuration, with the rows in `ablation/<row>.yaml`.
-        rows: names of the tables' rows; rows without a file in `conf` are found by name alone.
+        rows: names of the tables' rows; rows without a file in `conf` are found only by name.
 
     Raises:
         ConfigError: when a row cannot be composed.

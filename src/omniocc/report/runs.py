@@ -1,4 +1,4 @@
-"""All finished runs of a folder: what each recorded of itself."""
+"""The records of all finished runs of a folder."""
 
 import math
 import os
@@ -25,11 +25,10 @@ class FinishedRun(NamedTuple):
 
     Attributes:
         name: name of its folder.
-        facts: what it recorded besides figures (seed, steps, classes ...).
+        facts: its records besides figures (seed, steps, classes ...).
         metrics: its figures by key; NaN for classes without cases.
-        folder: its folder.
         config: its resolved configuration; empty if it was not saved.
-        same_as: the row whose configuration it has, where its own name is not that of a row.
+        same_as: the row with its configuration, if its name is not that of a row.
     """
 
     name: str
@@ -46,20 +45,17 @@ class FinishedRun(NamedTuple):
 
     @property
     def place(self) -> tuple[str, Any]:
-        """Return row and seed; of several runs with the same, one counts."""
+        """Return row and seed; of several runs with the same, one is used."""
         return self.row, self.facts.get("seed")
 
     @property
     def setting(self) -> tuple[str, ...]:
-        """Return what runs must have in common to be compared: preset, steps and data."""
+        """Return preset, steps and data, which must be equal for a comparison."""
         return tuple(str(self.facts.get(key, "unknown")) for key in ("preset", "steps", "data"))
 
 
 def read_runs(folder: Path) -> list[FinishedRun]:
     """Return finished runs by falling RayIoU; damaged ones are left out with a warning that names the file.
-
-    Args:
-        folder: of all runs.
 
     Raises:
         UserError: when there is none.
@@ -109,7 +105,7 @@ def known_figures(facts: Mapping[str, Any], config: Mapping[str, Any]) -> dict[s
 
 
 def grid_kind(config: Mapping[str, Any]) -> str:
-    """Return what kind of grid a run predicts, in a word; `grid` where its configuration was not saved."""
+    """Return the kind of grid of a run in a word; `grid` where its configuration was not saved."""
     return config.get("model", {}).get("geometry", {}).get("_target_", "grid").rsplit(".", 1)[-1].lower()
 
 

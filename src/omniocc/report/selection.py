@@ -1,4 +1,4 @@
-"""Which runs stand in one report: those of one setting, one for each row and seed."""
+"""Selection of the runs of a report: those of one setting, one for each row and seed."""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -73,7 +73,7 @@ def _mixtures(rows: Mapping[str, Sequence[FinishedRun]]) -> Iterator[str]:
 def differences(runs: Sequence[FinishedRun]) -> str:
     """Return the keys, four at most, whose values differ between runs.
 
-    A key that only one of two commits had is a new option, not a difference.
+    Keys of only one of two commits are new options, not differences.
     """
     found: set[str] = set()
     versions = [(run.facts.get("commit"), compared(run.config)) for run in runs]
@@ -85,7 +85,7 @@ def differences(runs: Sequence[FinishedRun]) -> str:
 
 
 def compared(config: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what runs of one row have in common, by dotted key: all but name, seed, machine and `VOLATILE`."""
+    """Return the configuration without name, seed, machine and `VOLATILE`, by dotted key; equal for runs of one row."""
     return dict(_flat({key: value for key, value in config.items() if key not in ("name", *VOLATILE)}))
 
 

@@ -1,4 +1,4 @@
-"""What a report is made of, and its tables as files."""
+"""The content of a report, and its tables as files."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -36,7 +36,7 @@ class Sweep(NamedTuple):
     Attributes:
         runs: comparable runs, by falling RayIoU.
         rows: runs of each row, in the order of the tables, then those of rows that are in no table.
-        remark: what the runs have in common, and what is left out.
+        remark: on common settings of the runs, and on runs that are left out.
         data: scenes and frames of the dataset; empty if it is not on this machine.
         tables: tables of methods.
         datasets: tables of datasets.
@@ -54,9 +54,8 @@ class Sweep(NamedTuple):
     @property
     def not_run(self) -> list[str]:
         """Return the rows of the tables without a run."""
-        return [
-            row for row in dict.fromkeys(row.run for table in self.tables for row in table.rows) if row not in self.rows
-        ]
+        rows = dict.fromkeys(row.run for table in self.tables for row in table.rows)
+        return [row for row in rows if row not in self.rows]
 
 
 def read_sweep(runs: Path, tables: Path, conf: Path, preset: str | None) -> Sweep:
@@ -65,7 +64,7 @@ def read_sweep(runs: Path, tables: Path, conf: Path, preset: str | None) -> Swee
     Args:
         runs: folder of runs.
         tables: folder of the tables.
-        conf: folder of the configuration, which says what the rows are.
+        conf: folder of the configuration, with the rows.
         preset: preset of the runs to keep; None keeps the setting that most runs have.
 
     Raises:
@@ -92,7 +91,7 @@ def unfinished(runs: Path) -> list[str]:
     return found
 
 
-def open_ends(sweep: Sweep) -> list[str]:
+def unfinished_lines(sweep: Sweep) -> list[str]:
     """Return sentences on rows that have not been run and runs that have not finished."""
     missing = f"Not run: {', '.join(sweep.not_run)}."
     begun = f"Begun, not finished: {', '.join(sweep.unfinished)}."
@@ -100,8 +99,8 @@ def open_ends(sweep: Sweep) -> list[str]:
 
 
 def remark_of(sweep: Sweep) -> str:
-    """Return a paragraph on the runs of the report, what is left out and what is still open."""
-    return f"{' '.join([sweep.remark, *open_ends(sweep)])}\n"
+    """Return a paragraph on the runs of the report, and on those left out, missing or unfinished."""
+    return f"{' '.join([sweep.remark, *unfinished_lines(sweep)])}\n"
 
 
 def chapters(sweep: Sweep) -> dict[str, str]:
@@ -126,7 +125,7 @@ def report_markdown(sweep: Sweep) -> str:
 def write_docs(sweep: Sweep, folder: Path) -> list[Path]:
     """Write every table as a page of the documentation, `<table>.md`, and return the files.
 
-    Each page is written whole, with a comment at its top that says so.
+    Existing pages are overwritten.
 
     Raises:
         DataError: naming the file that cannot be written.

@@ -1,4 +1,4 @@
-"""Read what a checkpoint holds, and make sure that its configuration names nothing but what may be built."""
+"""Read checkpoints, and check that their configurations name only classes that may be built."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,8 +20,7 @@ class Checkpoint(NamedTuple):
     """Content of a checkpoint.
 
     Attributes:
-        path: the file.
-        stage: that wrote it: `depth`, `sketch` or `occupancy`.
+        stage: `depth`, `sketch` or `occupancy`.
         config: of the run that wrote it, without interpolations.
         weights: of the whole task, named as in the task.
     """
@@ -41,13 +40,13 @@ def load_checkpoint(path: Path) -> Checkpoint:
     """Return the content of a checkpoint.
 
     Raises:
-        FileNotFoundError: when it is not there.
+        FileNotFoundError: when there is no such file.
         UserError: when it is damaged, not one of this platform, or of an older version.
     """
     content = read_checkpoint(path)
     if STAGE not in content:
-        raise UserError(f"{path} does not say which stage wrote it: it is of an older version; train again")
-    # resolved here, so that `check_parts` sees all that would be built
+        raise UserError(f"{path} names no stage: it is of an older version; train again")
+    # resolved, so that `check_parts` sees everything that would be built
     config = DictConfig(content[CONFIG])
     OmegaConf.resolve(config)
     config.pop("packages", None)
@@ -61,10 +60,10 @@ def check_parts(path: Path, config: DictConfig, parts: Sequence[str], packages: 
         path: of the checkpoint.
         config: its configuration, with overrides.
         parts: root keys.
-        packages: of others whose classes may be built, beside `OMNIOCC_PACKAGES`; never from the checkpoint itself.
+        packages: further packages whose classes may be built, never taken from the checkpoint itself.
 
     Raises:
-        UserError: when they name classes of another package.
+        UserError: when they name classes of other packages.
         ConfigError: when they do not fit this version.
     """
     trusted = allowed(OWN_PACKAGE, packages)
@@ -79,5 +78,5 @@ def check_parts(path: Path, config: DictConfig, parts: Sequence[str], packages: 
 
 
 def contents(stage: str, config: dict[str, Any]) -> dict[str, Any]:
-    """Return what a task adds to a checkpoint, by key."""
+    """Return the entries that a task adds to a checkpoint."""
     return {STAGE: stage, CONFIG: config}

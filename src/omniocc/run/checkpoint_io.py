@@ -1,4 +1,4 @@
-"""Checkpoint files: written whole or not at all, the one before kept, damage found before anything is built on it."""
+"""Checkpoint files: written atomically, with the previous one kept, and checked when read."""
 
 import io
 import pickle
@@ -14,21 +14,21 @@ from omniocc.io import atomic_write, remove_leftovers
 
 LAST, BEST = "last.ckpt", "best.ckpt"
 UNREADABLE = (zipfile.BadZipFile, pickle.UnpicklingError, RuntimeError, OSError, EOFError, LookupError, ValueError)
-"""What `zipfile` and `torch.load` raise for files that are damaged or of another kind."""
+"""Errors of `zipfile` and `torch.load` for files that are damaged or of another kind."""
 
 
 def previous_of(path: Path) -> Path:
-    """Return the name that the checkpoint before the one at `path` is kept under."""
+    """Return the name of the previous checkpoint of `path`."""
     return path.with_name(f"{path.stem}.previous{path.suffix}")
 
 
 def write_checkpoint(content: dict[str, Any], path: Path, previous: Path | None = None) -> None:
-    """Write a checkpoint whole or not at all; only one process may write to `path`.
+    """Write a checkpoint atomically; only one process may write to `path`.
 
     Args:
-        content: what `torch.save` takes.
+        content: for `torch.save`.
         path: the file; its folder is made if missing.
-        previous: name that the old file is kept under; None keeps nothing.
+        previous: new name of the old file; None does not keep it.
 
     Raises:
         DataError: when the disk refuses; the old file is untouched.
@@ -40,15 +40,15 @@ def write_checkpoint(content: dict[str, Any], path: Path, previous: Path | None 
 
 
 def read_checkpoint(path: Path, map_location: Any = "cpu", weights_only: bool = True) -> dict[str, Any]:
-    """Return the content of a checkpoint, after comparing it with its checksums, which `torch.load` does not.
+    """Return the content of a checkpoint after comparing it with its checksums, which `torch.load` does not do.
 
     Args:
         path: the file.
         map_location: as of `torch.load`.
-        weights_only: whether to refuse everything but tensors and plain values.
+        weights_only: whether to allow only tensors and plain values.
 
     Raises:
-        FileNotFoundError: when it is not there.
+        FileNotFoundError: when there is no such file.
         UserError: when it is damaged or not a checkpoint.
     """
     if not path.is_file():
@@ -70,10 +70,9 @@ def read_checkpoint(path: Path, map_location: Any = "cpu", weights_only: bool = 
 
 
 def resumable(path: Path) -> tuple[Path | None, str | None]:
-    """Return the checkpoint to go on from: the one at `path`, or the one before it when that cannot be read.
+    """Return the checkpoint to resume from, `path` or the previous one if that cannot be read, and a message.
 
-    Returns:
-        The file, None where there is none yet; and a line to tell when it is the one before, else None.
+    The checkpoint is None where there is none yet. The message is None unless the previous one has to be used.
 
     Raises:
         UserError: when there are checkpoints and none can be read.
@@ -106,10 +105,10 @@ def _brief(error: Exception) -> str:
 
 
 class AtomicCheckpointIO(CheckpointIO):
-    """Lightning's way to checkpoint files, by the functions above.
+    """Write and read Lightning's checkpoints by the functions above.
 
-    The checkpoint before `last.ckpt` is kept beside it. Only a file that this process has read or written becomes the
-    one before: a damaged one never takes the place of a good one.
+    The checkpoint before `last.ckpt` is kept beside it, if this process has read or written it: a damaged one never
+    replaces a good one.
     """
 
     def __init__(self) -> None:
@@ -135,5 +134,5 @@ class AtomicCheckpointIO(CheckpointIO):
         return content
 
     def remove_checkpoint(self, path: Any) -> None:
-        """Remove a checkpoint if it is there."""
+        """Remove a checkpoint if it exists."""
         Path(path).unlink(missing_ok=True)

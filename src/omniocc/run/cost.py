@@ -56,7 +56,7 @@ def cost_of(model: OccupancyModel, sample: Sample) -> dict[str, float]:
 
     Args:
         model: in evaluation mode.
-        sample: whose newest frame is looked at.
+        sample: of whose newest frame the operations are counted.
     """
     device = next(model.parameters()).device
     images, pose = sample.images[-1].to(device), sample.world_from_ego[-1].to(device)
@@ -65,20 +65,19 @@ def cost_of(model: OccupancyModel, sample: Sample) -> dict[str, float]:
     runs: list[Callable[[], object]] = [lambda: stream.step(images, sample.rigs[-1], pose, sketched)]
     if sketched is not None and estimates_range(model):
         runs.append(lambda: model.choose(to_unit_range(images)[None], (sample.rigs[-1],)))
-    once_and_past = [*runs, *runs[:1] * (model.temporal.frames - 1)]
-    for run in once_and_past:  # what is computed once for a rig belongs to no frame
+    for run in [*runs, *runs[:1] * (model.temporal.frames - 1)]:  # fills the caches by rig, which belong to no frame
         count_gflop(run)
     parameters = sum(parameter.numel() for parameter in model.parameters())
     return {PARAMETERS: round(parameters / 1e6, 3), GFLOP: round(sum(map(count_gflop, runs)), 4)}
 
 
 def estimates_range(model: OccupancyModel) -> bool:
-    """Return whether the sketch looks at ranges that a depth option estimates, rather than at recorded ones."""
+    """Return whether the sketch uses ranges that a depth option estimates, rather than recorded ones."""
     return learns(type(model.sketch)) and not cast(LearnedSketch, model.sketch).depth.NEEDS_TRUE_RANGE
 
 
 def peak_mib(device: torch.device) -> float:
-    """Return the most memory that was held on a GPU, or by this process, MiB."""
+    """Return the peak memory on a GPU, or of this process, MiB."""
     if device.type == "cuda":
         return round(torch.cuda.max_memory_allocated(device) / 2**20)
     return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10)

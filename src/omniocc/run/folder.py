@@ -1,4 +1,4 @@
-"""The folder of a run: named by its configuration, so that the same command finds it again."""
+"""The folder of a run, whose name is derived from the configuration, so that the same command finds it again."""
 
 import hashlib
 import json
@@ -18,20 +18,20 @@ from omniocc.run.slots import sketch_learns
 
 METRICS = "metrics.json"
 IMAGES, PARTS = "images", "parts"
-"""Folder of the sheets that a run draws, and in it the folder of their parts."""
+"""Folder of the sheets that a run draws, and its subfolder of their parts."""
 VOLATILE = ("resume", "stage", "paths", "packages", "logger", "test_images", "checkpoint_every_n_steps")
 """Root keys that do not change what a run computes."""
 RANK_FOLDER = "OMNIOCC_RUN_FOLDER"
-"""Environment variable by which the first process of a distributed run tells its children the folder."""
+"""Environment variable with the folder, set by the first process of a distributed run for its children."""
 
 
 @dataclass(frozen=True)
 class RunFolder:
-    """Point to the folder of a run and to what of it is used.
+    """The folder of a run, its checkpoint and its lock.
 
     Attributes:
         path: the folder.
-        checkpoint: readable file to go on from; None at the start, and when the run is finished.
+        checkpoint: file to resume from; None at the start, and when the run is finished.
         lock: held by the run's first process, None in the others.
     """
 
@@ -60,15 +60,15 @@ def open_run(runs: Path, name: str, digest: str, resume: str) -> RunFolder:
         runs: folder of all runs.
         name: readable part of the folder's name.
         digest: `run_hash` of the run.
-        resume: `auto` continues the folder of the same hash; `never` takes a fresh one beside it; anything else is a
-            checkpoint to go on from.
+        resume: `auto` continues the folder of the same hash; `never` makes a new one beside it; anything else is the
+            checkpoint to resume from.
 
     Raises:
         UserError: when another process works in the folder, or its checkpoints are damaged.
-        FileNotFoundError: when the checkpoint to go on from is not there.
+        FileNotFoundError: when there is no such checkpoint.
     """
     path, lock = runs / f"{name}-{digest}", None
-    # Lightning tells its children LOCAL_RANK; Slurm starts all processes itself, and at once
+    # Lightning sets LOCAL_RANK for its children; Slurm starts all processes itself, at the same time
     if os.environ.get("LOCAL_RANK", os.environ.get("SLURM_PROCID", "0")) == "0":
         path, lock = _claim(path, fresh=resume == "never")
         os.environ[RANK_FOLDER] = str(path)
@@ -79,18 +79,14 @@ def open_run(runs: Path, name: str, digest: str, resume: str) -> RunFolder:
     run = RunFolder(path, None, lock)
     if run.finished:
         return run
-    checkpoint, mishap = resumable(given or path / LAST)
-    if mishap and lock is not None:
-        print(mishap, flush=True)
+    checkpoint, message = resumable(given or path / LAST)
+    if message and lock is not None:
+        print(message, flush=True)
     return replace(run, checkpoint=checkpoint)
 
 
 def given_checkpoint(resume: str) -> Path | None:
-    """Return the checkpoint that `resume` names, if it names one.
-
-    Raises:
-        FileNotFoundError: when it is not there.
-    """
+    """Return the checkpoint that `resume` names, if it names one; raise FileNotFoundError when missing."""
     if resume in ("auto", "never"):
         return None
     if not Path(resume).is_file():
@@ -114,7 +110,7 @@ def _claim(path: Path, fresh: bool) -> tuple[Path, FileLock]:
 
 
 def command_line() -> str:
-    """Return the command that started this process, to be typed in the same folder; paths in it become relative."""
+    """Return the command that started this process, with paths relative to the working folder."""
     script, *arguments = sys.argv
     path = Path(script)
     if path.is_absolute() and path.is_relative_to(Path.cwd()):

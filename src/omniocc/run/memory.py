@@ -1,4 +1,4 @@
-"""How this process keeps the memory that it has freed."""
+"""Reuse of the memory that this process has freed."""
 
 import ctypes
 
@@ -7,9 +7,9 @@ LARGEST_BLOCK, LARGEST_REST = 2**30, 2**31 - 1
 
 
 def keep_freed_memory() -> None:
-    """Tell glibc to keep what is freed: else tensors of every step would be given back, fetched and zeroed again.
+    """Let glibc reuse freed blocks of up to 1 GiB, since returning tensors to the system after every step is slow.
 
-    This holds for blocks up to 1 GiB; other C libraries are left alone. The process keeps its peak of memory.
+    The process then keeps its peak memory. Other C libraries are not changed.
     """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:

@@ -1,4 +1,4 @@
-"""Mistakes in the overrides of a command line, explained in a few lines that name what is nearest."""
+"""Explanations of mistakes in the overrides of a command line, with the nearest keys and options."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -17,7 +17,7 @@ NEAR_ENOUGH = 0.6
 
 
 def explain(error: Exception, conf: str, config_name: str, arguments: Sequence[str]) -> str:
-    """Return a few lines about a mistake in overrides: the problem first, then what is nearest to what was written.
+    """Return a few lines about a mistake in overrides: first the problem, then the nearest keys or options.
 
     Args:
         error: raised while Hydra composed the configuration.
@@ -44,7 +44,7 @@ def explain(error: Exception, conf: str, config_name: str, arguments: Sequence[s
 
 
 def _unknown_key(key: str, keys: Sequence[str], groups: Sequence[str]) -> str:
-    """Return the lines about a key that is not there; a key with a slash was meant as a group."""
+    """Return the lines about an unknown key; one with a slash is taken for a group."""
     close = nearest(key, groups if "/" in key else [*keys, *groups])
     if close:
         hint = f"; did you mean {' or '.join(close)}?"
@@ -56,15 +56,15 @@ def _unknown_key(key: str, keys: Sequence[str], groups: Sequence[str]) -> str:
     return f"{key}: there is no such key{hint}"
 
 
-def nearest(wanted: str, known: Sequence[str]) -> list[str]:
-    """Return the few most similar of known dotted or slashed names, best first; their last parts count by half."""
+def nearest(name: str, known: Sequence[str]) -> list[str]:
+    """Return the most similar of known dotted or slashed names, best first; the last part has half of the weight."""
 
-    def likeness(name: str) -> float:
-        last = SequenceMatcher(None, _last(wanted), _last(name)).ratio()
-        return (SequenceMatcher(None, wanted, name).ratio() + last) / 2
+    def similarity(candidate: str) -> float:
+        last = SequenceMatcher(None, _last(name), _last(candidate)).ratio()
+        return (SequenceMatcher(None, name, candidate).ratio() + last) / 2
 
-    scored = sorted(((likeness(name), name) for name in known), key=lambda item: -item[0])
-    return [name for score, name in scored[:NEAREST_KEYS] if score >= NEAR_ENOUGH]
+    scored = sorted(((similarity(candidate), candidate) for candidate in known), key=lambda item: -item[0])
+    return [candidate for score, candidate in scored[:NEAREST_KEYS] if score >= NEAR_ENOUGH]
 
 
 def _last(name: str) -> str:

@@ -12,16 +12,16 @@ from omniocc.run.folder import IMAGES, METRICS
 from omniocc.run.table import as_markdown, as_text
 
 CANDIDATES = "fraction of candidates"
-"""Fact of a run whose sketch is not a stage of its own: candidates among all voxels."""
+"""Fact of runs whose sketch is no stage: the fraction of candidates among all voxels."""
 
 
 def save_results(folder: Path, metrics: Mapping[str, float], facts: Mapping[str, Any]) -> None:
-    """Write `table.md`, then `metrics.json`, whose presence says that the run is finished.
+    """Write `table.md`, then `metrics.json`, which marks the run as finished.
 
     Args:
         folder: of the run.
         metrics: figures by key; NaN for classes without cases.
-        facts: what else is recorded of the run; lists and mappings stand in `metrics.json` alone.
+        facts: further records of the run; lists and mappings are written to `metrics.json` only.
 
     Raises:
         DataError: naming the file that cannot be written.
@@ -52,13 +52,5 @@ def show_results(folder: Path) -> None:
     """Print the table of a finished run and where its files are."""
     print(f"\n{as_text(load_results(folder)[1])}\n")
     images = sorted(str(path) for path in (folder / IMAGES).glob("test-*.png"))
-    print(
-        "\n".join(
-            [
-                f"table     {folder / 'table.md'}",
-                f"figures   {folder / METRICS}",
-                *(f"image     {path}" for path in images),
-            ]
-        ),
-        flush=True,
-    )
+    lines = [f"table     {folder / 'table.md'}", f"figures   {folder / METRICS}"]
+    print("\n".join([*lines, *(f"image     {path}" for path in images)]), flush=True)

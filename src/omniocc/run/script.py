@@ -1,4 +1,4 @@
-"""What every script needs: configuration from the command line, mistakes as lines, a quiet screen."""
+"""Common parts of scripts: configuration from the command line, one-line errors, quiet libraries."""
 
 import functools
 import inspect
@@ -24,11 +24,11 @@ from omniocc.run.overrides import explain
 P = ParamSpec("P")
 T = TypeVar("T")
 FULL_ERROR = "HYDRA_FULL_ERROR"
-"""Hydra's environment variable; `1` makes it raise its errors instead of printing them."""
+"""Hydra's environment variable; with `1` it raises its errors instead of printing them."""
 
 
 def lines_not_tracebacks(main: Callable[..., None]) -> Callable[..., None]:
-    """Decorate a script's main: users' mistakes end it with the message alone and exit code 1."""
+    """Decorate a script's main: users' mistakes end it with only the message and exit code 1."""
 
     @functools.wraps(main)
     def wrapped(*args: Any) -> None:
@@ -43,12 +43,9 @@ def lines_not_tracebacks(main: Callable[..., None]) -> Callable[..., None]:
 def script(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callable[..., None]]:
     """Return a decorator for a script's main, which gets the configuration composed from `conf/` and the command line.
 
-    Users' mistakes end the script with the message alone and exit code 1; for overrides it names the nearest keys or
+    Users' mistakes end the script with only the message and exit code 1; for overrides it names the nearest keys or
     options. With `HYDRA_FULL_ERROR=1` Hydra reports mistakes in overrides itself, with a traceback. Jobs of a
     multirun inherit that variable, so that their log files hold whole tracebacks.
-
-    Args:
-        config_name: of the root file in `conf/`.
     """
 
     def decorate(main: Callable[[DictConfig], None]) -> Callable[..., None]:
@@ -56,16 +53,16 @@ def script(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callabl
 
         @functools.wraps(main)
         def task(cfg: DictConfig) -> None:
-            if asked is None:
-                os.environ.pop(FULL_ERROR, None)  # composed: errors of the code itself are reported as usual
+            if setting is None:
+                os.environ.pop(FULL_ERROR, None)  # later errors are reported as usual
             lines_not_tracebacks(main)(cfg)
 
         run = accept_lazy_help(hydra.main(version_base=VERSION_BASE, config_path=conf, config_name=config_name)(task))
-        asked = os.environ.get(FULL_ERROR)
+        setting = os.environ.get(FULL_ERROR)
 
         @functools.wraps(main)
         def wrapped(*args: Any) -> None:
-            if asked is not None:
+            if setting is not None:
                 return run(*args)
             os.environ[FULL_ERROR] = "1"
             try:
@@ -81,7 +78,7 @@ def script(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callabl
 
 
 def accept_lazy_help(main: Callable[P, T]) -> Callable[P, T]:
-    """Decorate a function so that argparse leaves help texts that are no strings unchecked while it runs.
+    """Decorate a function so that argparse does not check help texts that are no strings while it runs.
 
     Python 3.14 checks every help text when its argument is added and ends with 'badly formed help string' at the
     `--shell-completion` of Hydra 1.3, whose text is made only when it is shown. Strings are checked as before; Python

@@ -1,4 +1,4 @@
-"""Which option fills which slot of a model, and whether there are stages before occupancy."""
+"""The option in each slot of a model, and whether there are stages before occupancy."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -8,25 +8,17 @@ from omniocc.model.protocols import learns
 
 
 def sketch_learns(config: Mapping[Any, Any]) -> bool:
-    """Return whether the sketch is trained, on ranges of the depth slot, in stages before occupancy.
-
-    Args:
-        config: a run's configuration.
-    """
+    """Return whether the sketch is trained, on ranges of the depth slot, in stages before occupancy."""
     return learns(target_of(config["model"]["sketch"]))
 
 
 def option_of(node: Mapping[Any, Any]) -> str:
-    """Return the name of the option that a node names: that of the file its class is in, as in `conf/`."""
+    """Return the option of a node: the name of the file that its class is in, as in `conf/`."""
     return target_of(node).__module__.rpartition(".")[2]
 
 
 def slots_of(config: Mapping[str, Any]) -> dict[str, str]:
-    """Return the option in every slot, for example `sketch: omni`; `depth` if the sketch learns.
-
-    Args:
-        config: a run's resolved configuration.
-    """
+    """Return the option in every slot, for example `sketch: omni`; `depth` if the sketch learns."""
     nodes = {slot: node for slot, node in config["model"].items() if isinstance(node, Mapping) and "_target_" in node}
     if sketch_learns(config):
         nodes["depth"] = config["depth"]

@@ -1,4 +1,4 @@
-"""Tables of one run: the model between its baseline and its upper bound. Names of classes are those of its figures."""
+"""Tables of one run: the model between its baseline and its upper bound."""
 
 import math
 import re
@@ -19,14 +19,8 @@ def summary(metrics: Mapping[str, float]) -> tuple[list[str], list[list[str]]]:
     """Return head and rows of the overview: RayIoU, by distance and against LiDAR rays, voxel IoU and mIoU."""
     bands = band_keys(metrics)
     columns = ["rayiou", *bands, "lidar/rayiou", "voxel/iou", "voxel/miou"]
-    head = [
-        "",
-        "RayIoU",
-        *(band.removeprefix("rayiou_").replace("m", " m") for band in bands),
-        "RayIoU, LiDAR",
-        "IoU",
-        "mIoU",
-    ]
+    titles = [band.removeprefix("rayiou_").replace("m", " m") for band in bands]
+    head = ["", "RayIoU", *titles, "RayIoU, LiDAR", "IoU", "mIoU"]
     rows = [[label, *(number(metrics.get(f"{row}/{column}")) for column in columns)] for row, label in ROWS.items()]
     return head, rows
 
@@ -38,7 +32,7 @@ def band_keys(metrics: Mapping[str, float]) -> list[str]:
 
 
 def class_names(metrics: Mapping[str, float]) -> list[str]:
-    """Return the names of the classes that a run's test has scored, in the order recorded."""
+    """Return the names of the classes in a run's test scores, in the order recorded."""
     return [key.removeprefix(BY_CLASS) for key in metrics if key.startswith(BY_CLASS)]
 
 
@@ -91,9 +85,9 @@ SKETCH_EXPLANATION = (
 
 def depth_table(metrics: Mapping[str, float]) -> tuple[list[str], list[list[str]]]:
     """Return head and rows by distance band: errors of the panorama of ranges."""
+    bands = _bands(metrics, "test/depth/mae_")
     rows = [
-        [title, *(number(metrics.get(f"test/depth/{key}{band}")) for key in DEPTH_COLUMNS)]
-        for title, band in _bands(metrics, "test/depth/mae_")
+        [title, *(number(metrics.get(f"test/depth/{key}{band}")) for key in DEPTH_COLUMNS)] for title, band in bands
     ]
     return ["range", *DEPTH_COLUMNS.values()], rows
 
@@ -102,11 +96,8 @@ def sketch_table(metrics: Mapping[str, float]) -> tuple[list[str], list[list[str
     """Return head and rows by distance band: candidates after dilation, then before."""
     head = ["candidates", *SKETCH_COLUMNS.values(), *(f"{title}, raw" for title in SKETCH_COLUMNS.values())]
     keys = [f"test/sketch/{raw}{key}" for raw in ("", "raw/") for key in SKETCH_COLUMNS]
-    rows = [
-        [title, *(number(metrics.get(f"{key}{band}")) for key in keys)]
-        for title, band in _bands(metrics, "test/sketch/recall_")
-    ]
-    return head, rows
+    bands = _bands(metrics, "test/sketch/recall_")
+    return head, [[title, *(number(metrics.get(f"{key}{band}")) for key in keys)] for title, band in bands]
 
 
 def tables(metrics: Mapping[str, float]) -> list[tuple[tuple[list[str], list[list[str]]], str]]:
@@ -133,7 +124,7 @@ def as_text(metrics: Mapping[str, float]) -> str:
 
 
 def _bands(metrics: Mapping[str, float], prefix: str) -> list[tuple[str, str]]:
-    """Return title and end of the key for all distances, then for each band, nearest first."""
+    """Return title and suffix of keys for all distances, then for each band, nearest first."""
     bands = sorted((key.removeprefix(prefix) for key in metrics if key.startswith(prefix)), key=_lower_edge)
     return [("all", ""), *((band.replace("m", " m"), f"_{band}") for band in bands)]
 
@@ -144,10 +135,6 @@ def _lower_edge(band: str) -> float:
 
 def _columns(head: list[str], rows: list[list[str]]) -> str:
     widths = [max(len(line[i]) for line in [head, *rows]) for i in range(len(head))]
-    return "\n".join(
-        "  ".join(
-            cell.ljust(width) if i == 0 else cell.rjust(width)
-            for i, (cell, width) in enumerate(zip(line, widths, strict=True))
-        )
-        for line in [head, *rows]
-    )
+    align = [str.ljust, *[str.rjust] * (len(head) - 1)]
+    lines = [[pad(*cell) for pad, *cell in zip(align, line, widths, strict=True)] for line in [head, *rows]]
+    return "\n".join("  ".join(line) for line in lines)

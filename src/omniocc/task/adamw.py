@@ -21,7 +21,7 @@ class AdamW:
     Args:
         learning_rate: at the end of the warm-up.
         warmup_steps: steps of linear growth.
-        weight_decay: on tensors of two dimensions and more; norms and biases are left alone.
+        weight_decay: on tensors of two dimensions and more, not on norms and biases.
         min_lr_ratio: learning rate at the last step as a fraction of `learning_rate`.
     """
 

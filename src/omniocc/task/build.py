@@ -1,4 +1,4 @@
-"""Build the occupancy task from a configuration, or from a checkpoint alone."""
+"""Build the occupancy task from a configuration, or from only a checkpoint."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,7 +12,7 @@ from omniocc.run.checkpoint import check_parts, load_checkpoint
 from omniocc.task.occupancy import OccupancyTask
 
 PARTS = ("model", "loss", "optimizer", "augment")
-"""Root keys of what a task is built of."""
+"""Root keys from which a task is built."""
 
 
 def build_task(cfg: DictConfig, spec: SourceSpec) -> OccupancyTask:
@@ -31,7 +31,7 @@ def load_task(path: Path, overrides: Sequence[str]) -> tuple[OccupancyTask, Occu
     Raises:
         ConfigError: when an override does not fit.
         FileNotFoundError: when there is no such file.
-        UserError: when it is damaged, of another stage or version, or names classes of a package that is not allowed.
+        UserError: when it is damaged, of another stage or version, or names classes that are not allowed.
     """
     trained, changes = load_checkpoint(path), OmegaConf.from_dotlist(list(overrides))
     if trained.stage != OccupancyTask.STAGE:

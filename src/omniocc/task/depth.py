@@ -16,19 +16,17 @@ from omniocc.task.stage_task import StageTask
 from omniocc.task.terms import log_terms
 
 FARTHEST_M = 100.0
-"""Ranges beyond count as that far when errors in metres are summed."""
+"""Largest range in errors in metres; ranges beyond are clamped."""
 
 
 class DepthTask(StageTask[nn.Module]):
-    """Train an option of the depth slot, or only score one that has no weights.
+    """Train an option of the depth slot, or only score one without weights; other arguments as in `StageTask`.
 
     Args:
         model: option of the depth slot.
-        optimizer: recipe for optimiser and schedule.
-        spheres: of the rig, in whose indices errors are counted; ranges nearer than all of them are not scored.
+        spheres: of the rig, for errors in indices; ranges nearer than all of them are not scored.
         range_edges_m: ends of the distance bands in which errors are given.
         seed: of the random choices of training, such as mirrored batches.
-        config: the run's resolved configuration as plain data.
     """
 
     STAGE = "depth"
@@ -59,13 +57,13 @@ class DepthTask(StageTask[nn.Module]):
         """Score a batch and return the predicted panoramas."""
         depth = self.model(to_unit_range(batch.images[:, -1]), batch.newest_rigs, batch.erp_range_m)
         if batch.erp_range_m is not None:
-            # every ray counts, also those that the model itself calls uncertain
+            # every ray is scored, also uncertain ones
             self.errors.update(depth.range_m.float(), batch.erp_range_m)
             self.coverage.update(depth.valid[batch.erp_range_m.isfinite()].float())
         return depth.known_range_m()
 
     def log_scores(self, split: str) -> None:
-        """Log `<split>/depth/...` and begin anew."""
+        """Log `<split>/depth/...` and reset the scores."""
         scores = {**self.errors.compute(), "coverage": self.coverage.compute()}
         self.log_dict({f"{split}/depth/{key}": value for key, value in scores.items()}, sync_dist=False)
         self.errors.reset()

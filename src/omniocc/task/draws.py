@@ -1,4 +1,4 @@
-"""Random numbers of one training step, so that a resumed run draws what an undisturbed one would have drawn."""
+"""Random numbers of one training step, which are the same in a resumed run."""
 
 import numpy as np
 import torch
@@ -6,12 +6,6 @@ from lightning.pytorch import LightningModule
 
 
 def step_generator(task: LightningModule, seed: int, batch_index: int) -> torch.Generator:
-    """Return a CPU generator that is a function of seed, optimiser step, batch and process alone.
-
-    Args:
-        task: whose step and process count.
-        seed: of the run or stage.
-        batch_index: number of the batch in its epoch.
-    """
+    """Return a CPU generator that depends only on seed, optimiser step, batch index in the epoch, and process."""
     key = [seed, task.global_step, batch_index, task.global_rank]
     return torch.Generator().manual_seed(int(np.random.SeedSequence(key).generate_state(1)[0]))

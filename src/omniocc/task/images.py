@@ -1,4 +1,4 @@
-"""Sheets of test frames: what the cameras saw, and true beside predicted."""
+"""Sheets of test frames: camera images, and the truth beside the prediction."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -22,7 +22,7 @@ from omniocc.view import comparison_parts, comparison_sheet, depth_sheet, save_p
 
 
 class Drawn(NamedTuple):
-    """Hold a sheet of a frame, and by name those of its parts that are also saved alone."""
+    """A sheet of a frame, and by name the parts that are also saved as files of their own."""
 
     sheet: np.ndarray
     parts: Mapping[str, np.ndarray] = MappingProxyType({})
@@ -31,9 +31,9 @@ class Drawn(NamedTuple):
 class FrameImages(Callback, ABC):
     """Draw `count` frames spread evenly over the test set, and the first validation frame after each validation.
 
-    Sheets go to `folder` (`test-00-<scene>-<frame>.png`), the parts of a test frame's sheet that the report shows go to
-    `parts/test-00-<scene>-<frame>/<part>.png` in it. W&B gets the sheets too (`val/<key>`, `test/<key>`), and of the
-    test frames also `media` (`test/<its key>`).
+    Sheets go to `folder` (`test-00-<scene>-<frame>.png`), parts of test frames' sheets, which
+    the report shows, to its `parts/test-00-<scene>-<frame>/<part>.png`. W&B gets the sheets (`val/<key>`, `test/<key>`)
+    and for test frames also `media` (`test/<key of the medium>`).
 
     Args:
         folder: of the files.
@@ -51,10 +51,10 @@ class FrameImages(Callback, ABC):
 
     @abstractmethod
     def draw(self, task: Any, output: Tensor, batch: Batch, sample: int) -> Drawn:
-        """Return the sheet of one sample of a batch; `output` is what the task's step returned for it."""
+        """Return the sheet of one sample of a batch; `output` is what the task returned for it."""
 
     def media(self, task: Any, output: Tensor, batch: Batch, sample: int) -> dict[str, list[Named]]:
-        """Return what W&B shows beside the sheet, by key."""
+        """Return further media for W&B, by key."""
         return {}
 
     def on_validation_batch_end(  # noqa: D102
@@ -73,13 +73,13 @@ class FrameImages(Callback, ABC):
             return
         size = trainer.test_dataloaders.batch_size  # type: ignore[union-attr]
         total = len(trainer.test_dataloaders.dataset)  # type: ignore[union-attr, arg-type]
-        chosen = spread(total, self.count)
+        drawn_indices = spread(total, self.count)
         for sample, frame_id in enumerate(batch.frame_ids):
             index = batch_idx * size + sample
-            if index in chosen:
+            if index in drawn_indices:
                 output = outputs[sample].cpu()
                 drawn = self.draw(pl_module, output, batch, sample)
-                name = f"test-{chosen.index(index):02d}-{frame_id.replace('/', '-')}"
+                name = f"test-{drawn_indices.index(index):02d}-{frame_id.replace('/', '-')}"
                 self._save(name, drawn.sheet)
                 for part, image in drawn.parts.items():
                     self._save(f"{PARTS}/{name}/{part}", image)
@@ -124,15 +124,9 @@ class DepthImages(FrameImages):
     key = "depth"
 
     def draw(self, task: Any, output: Tensor, batch: Batch, sample: int) -> Drawn:  # noqa: D102
-        sheet = depth_sheet(
-            list(newest_images(batch, sample)),
-            batch.newest_rigs[sample],
-            task.model.panorama,
-            output,
-            true_range_m(batch, sample, output),
-            batch.frame_ids[sample],
-        )
-        return Drawn(sheet)
+        images, truth = list(newest_images(batch, sample)), true_range_m(batch, sample, output)
+        rig, frame_id = batch.newest_rigs[sample], batch.frame_ids[sample]
+        return Drawn(depth_sheet(images, rig, task.model.panorama, output, truth, frame_id))
 
     def media(self, task: Any, output: Tensor, batch: Batch, sample: int) -> dict[str, list[Named]]:  # noqa: D102
         return range_media(output, true_range_m(batch, sample, output), task.model.panorama)
@@ -146,11 +140,11 @@ class SketchImages(FrameImages):
     def draw(self, task: Any, output: Tensor, batch: Batch, sample: int) -> Drawn:  # noqa: D102
         range_m, valid = (part[sample : sample + 1] for part in panorama(batch))
         with torch.inference_mode():
-            chosen = task.sketch.choose(task.sketch.logits(range_m, valid))[0].cpu()
+            raw = task.sketch.choose(task.sketch.logits(range_m, valid))[0].cpu()
         sheet = sketch_sheet(
             list(newest_images(batch, sample)),
             true_voxels(batch, sample, output),
-            chosen,
+            raw,
             output,
             task.sketch.geometry,
             self.classes,

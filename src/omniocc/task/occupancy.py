@@ -24,16 +24,13 @@ from omniocc.task.terms import log_terms
 class OccupancyTask(StageTask[OccupancyModel]):
     """Train `model` with `loss`; baseline and upper bound of the test are scored in the same pass.
 
-    * `prior`, the baseline: the most frequent training class of every voxel, an answer without looking at images.
+    * `prior`, the baseline: the most frequent training class of every voxel, which needs no images.
     * `label`, the upper bound: the true voxels themselves, scored against the true LiDAR rays.
 
     Args:
-        model: what is trained.
         loss: named terms over a prediction.
-        optimizer: recipe for optimiser and schedule.
         augment: random changes of training batches.
-        ema_decay: the weights that are validated, tested and saved are this moving average over steps, for example
-            0.999; None: those of the last step.
+        ema_decay: of the moving average of weights that is validated, tested and saved, such as 0.999; None: none.
         spec: of the data: classes, bands and LiDAR rays of the scores.
         config: the run's resolved configuration as plain data; with it the checkpoint suffices to rebuild the model.
     """
@@ -62,11 +59,7 @@ class OccupancyTask(StageTask[OccupancyModel]):
         self.register_buffer("prior", torch.zeros(model.geometry.shape, dtype=torch.uint8))
 
     def set_training_statistics(self, voxel_counts: Tensor) -> None:
-        """Set class weights and prior from how often each class stood in each cell of the training set.
-
-        Args:
-            voxel_counts: (C, *shape) integers.
-        """
+        """Set class weights and prior from the number of training frames with each class in each cell, (C, *shape)."""
         self.loss.set_class_counts(voxel_counts.flatten(1).sum(1))
         self.prior.copy_(voxel_counts.argmax(0))
 
@@ -80,15 +73,15 @@ class OccupancyTask(StageTask[OccupancyModel]):
         return self.model(*model_inputs(batch), batch.exists, with_ranges)
 
     def evaluate(self, batch: Batch) -> Tensor:
-        """Return what `predict_labels` does, reusing the volumes of past frames that were evaluated before."""
+        """Return the same as `predict_labels`, reusing the volumes of past frames that were evaluated before."""
         exists = batch.exists
         if exists is None:
             exists = torch.ones(batch.images.shape[:2], dtype=torch.bool, device=batch.images.device)
         return self.stream.windows(*model_inputs(batch), exists, batch.frame_ids).argmax(1).to(torch.uint8)
 
     def configure_callbacks(self) -> list[Callback]:
-        """Return the moving average of the weights, if asked for."""
-        # buffers follow the last step: averaging would round the prior's class ids
+        """Return the callback for the moving average of the weights, if there is one."""
+        # buffers are those of the last step: averaging would round the prior's class ids
         return [] if self.ema_decay is None else [EMAWeightAveraging(decay=self.ema_decay, use_buffers=False)]
 
     def training_step(self, batch: Batch, batch_index: int) -> Tensor:
@@ -104,24 +97,24 @@ class OccupancyTask(StageTask[OccupancyModel]):
         return labels
 
     def on_validation_epoch_start(self) -> None:
-        """Forget the volumes of past frames: the weights have changed."""
+        """Drop the volumes of past frames, since the weights have changed."""
         self.stream.reset()
 
     def on_test_epoch_start(self) -> None:
-        """Forget the volumes of past frames: the weights have changed."""
+        """Drop the volumes of past frames, since the weights have changed."""
         self.stream.reset()
 
     def test_step(self, batch: Batch, batch_index: int) -> Tensor:
         """Score a batch with baseline and upper bound on it, and return the predicted labels."""
         labels = self.score(batch)
         self.prior_scores.update(self.prior.expand_as(labels), batch)
-        # an unknown cell is no prediction: it counts as empty
+        # unknown cells are scored as free
         if batch.voxels is not None:
             self.label_scores.update(batch.voxels.masked_fill(batch.voxels == UNKNOWN, FREE), batch)
         return labels
 
     def log_scores(self, split: str) -> None:
-        """Log `<split>/...`, and after a test `prior/...` and `label/...`; forget the volumes of past frames."""
+        """Log `<split>/...`, and after a test `prior/...` and `label/...`; drop the volumes of past frames."""
         self.stream.reset()
         rows = {split: self.scores}
         if split == "test":
@@ -132,6 +125,6 @@ class OccupancyTask(StageTask[OccupancyModel]):
 
 
 def model_inputs(batch: Batch) -> tuple[Tensor, tuple[tuple[Rig, ...], ...], Tensor, Sketched | None]:
-    """Return images, rigs of every frame, poses, and what the sketch stage has left, None where it has not run."""
+    """Return images, rigs of every frame, poses, and the results of the sketch stage, None where it has not run."""
     sketched = None if batch.candidates is None else Sketched(batch.candidates, batch.evidence)
     return batch.images, batch.rigs, batch.world_from_ego, sketched

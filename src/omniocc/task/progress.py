@@ -9,11 +9,7 @@ from omniocc.progress import Progress
 
 
 class StepProgress(ProgressBar):
-    """Show the steps done of all, the time left, the loss and the last validation score.
-
-    Args:
-        stage: what is trained or tested.
-    """
+    """Show finished and total steps, the time left, the loss and the last validation score."""
 
     def __init__(self, stage: str):
         super().__init__()
@@ -22,7 +18,7 @@ class StepProgress(ProgressBar):
         self._progress: Progress | None = None
 
     def disable(self) -> None:
-        """Show nothing; Lightning asks for this in every process but the first."""
+        """Show nothing; Lightning calls this in every process but the first."""
         self._silent = True
 
     def _start(self, title: str, total: int, done: int = 0) -> None:

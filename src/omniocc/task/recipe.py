@@ -1,4 +1,4 @@
-"""The recipe of a stage before occupancy: how long and on what batches it trains."""
+"""The recipe of a stage before occupancy: steps, batches and optimiser."""
 
 from dataclasses import dataclass
 
@@ -14,7 +14,6 @@ class Recipe:
         batch_size: samples per step.
         validate_every_n_epochs: epochs between validations.
         seed: of weights and order of samples.
-        optimizer: recipe for optimiser and schedule.
     """
 
     max_steps: int

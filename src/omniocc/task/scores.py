@@ -14,7 +14,7 @@ from omniocc.metric import RayIoU, RayTruth, VoxelIoU
 
 @runtime_checkable
 class HasLabels(Protocol):
-    """The part of `omniocc.batch.Batch` that predictions are scored against; None is absent."""
+    """The part of `omniocc.batch.Batch` that predictions are scored against; None where absent."""
 
     @property
     def voxels(self) -> UInt8[Tensor, "B X Y Z"] | None: ...  # noqa: D102
@@ -44,7 +44,7 @@ def within_reach(
 ) -> UInt8[Tensor, "B R"]:
     """Return the classes of hits, free where the hit is `reach_m` or more away from the ego z axis.
 
-    Only the corners of a cuboid reach farther: without them, grids of any outline are judged on the same rays.
+    Only the corners of a cuboid reach farther; without them, grids of any shape are scored on the same rays.
     """
     if origins is None:
         distance_m = range_m * directions[..., :2].norm(dim=-1)
@@ -56,13 +56,9 @@ def within_reach(
 class Scores(nn.Module):
     """RayIoU against the true voxels (as the paper does), RayIoU against the LiDAR's true rays, and voxel IoU.
 
-    The keys of `compute` are the metrics' own: plain for rays against voxels, `lidar/...` for true rays, `voxel/...`
-    for cells. LiDAR hits beyond the last band count for no grid. Where no batch has voxels or no LiDAR, their keys
+    `compute` uses the metrics' keys: plain for rays against voxels, `lidar/...` for true rays, `voxel/...` for cells.
+    LiDAR hits beyond the last band count as free on every grid. Where no batch has voxels or no LiDAR, their keys
     are absent; cells outside `Batch.scored` count as unknown.
-
-    Args:
-        geometry: grid of predictions and labels.
-        spec: classes, bands and LiDAR rays of the data.
     """
 
     def __init__(self, geometry: Grid, spec: SourceSpec):
@@ -88,7 +84,7 @@ class Scores(nn.Module):
             self._add_lidar(labels, batch)
 
     def compute(self) -> dict[str, Tensor]:
-        """Return all results; counts are summed over the dataset and over processes before anything is divided."""
+        """Return all scores, from counts over the dataset and all processes."""
         parts = {"": self.rays, "lidar/": self.lidar, "voxel/": self.cells}
         frames = {"": self.voxel_frames, "lidar/": self.lidar_frames, "voxel/": self.voxel_frames}
         return {
@@ -99,7 +95,7 @@ class Scores(nn.Module):
         }
 
     def reset(self) -> None:
-        """Forget everything."""
+        """Reset all metrics."""
         for metric in (self.rays, self.lidar, self.cells, self.voxel_frames, self.lidar_frames):
             metric.reset()
 
@@ -116,9 +112,5 @@ class Scores(nn.Module):
 def _ray_iou(grid: Cylinder | Cuboid, spec: SourceSpec, directions: Tensor | None) -> RayIoU:
     classes = spec.classes
     return RayIoU(
-        grid,
-        classes.num_classes,
-        range_edges_m=spec.range_edges_m,
-        directions=directions,
-        class_names=classes.names,
+        grid, classes.num_classes, range_edges_m=spec.range_edges_m, directions=directions, class_names=classes.names
     )

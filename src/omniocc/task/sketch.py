@@ -15,13 +15,11 @@ from omniocc.task.terms import log_terms
 
 
 class SketchTask(StageTask[nn.Module]):
-    """Train a learned sketch on panoramas that the depth stage has predicted.
+    """Train a learned sketch on panoramas of the depth stage; other arguments as in `StageTask`.
 
     Args:
-        model: learned sketch; its depth option is not run, the batch holds the panoramas.
-        optimizer: recipe for optimiser and schedule.
+        model: learned sketch; its depth option is not run, since batches hold the panoramas.
         range_edges_m: ends of the distance bands in which figures are given.
-        config: the run's resolved configuration as plain data.
     """
 
     STAGE = "sketch"
@@ -34,7 +32,7 @@ class SketchTask(StageTask[nn.Module]):
 
     @property
     def sketch(self) -> LearnedSketch:
-        """Return the model as what it is."""
+        """Return the model, typed as a learned sketch."""
         return cast(LearnedSketch, self.model)
 
     def training_step(self, batch: Batch, batch_index: int) -> Tensor:
@@ -52,14 +50,14 @@ class SketchTask(StageTask[nn.Module]):
         return candidates
 
     def log_scores(self, split: str) -> None:
-        """Log `<split>/sketch/...` and begin anew."""
+        """Log `<split>/sketch/...` and reset the scores."""
         for prefix, metric in ((f"{split}/sketch", self.dilated), (f"{split}/sketch/raw", self.raw)):
             self.log_dict({f"{prefix}/{key}": value for key, value in metric.compute().items()}, sync_dist=False)
             metric.reset()
 
 
 def panorama(batch: Batch) -> tuple[Tensor, Tensor]:
-    """Return predicted ranges and where they are valid, (B, h, w) each."""
+    """Return predicted ranges and the mask of valid ones, (B, h, w) each."""
     assert batch.depth_range_m is not None
     return known(batch.depth_range_m)
 

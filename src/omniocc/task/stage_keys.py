@@ -1,4 +1,4 @@
-"""Which stages a configuration has, and hashes of everything that makes what they leave."""
+"""The stages of a configuration, and hashes of everything that decides their results."""
 
 import hashlib
 import json
@@ -14,21 +14,21 @@ from omniocc.run.slots import sketch_learns
 
 STAGES = ("depth", "sketch", "occupancy")
 VERSIONS = {"depth": 3, "sketch": 1, "candidates": 1}
-"""Raise a number when the same configuration would give another result."""
+"""Versions in the hashes: increase one when the same configuration gives other results."""
 
 OVERRULED = ("max_steps", "check_val_every_n_epoch", "devices", "strategy", "accelerator")
-"""Trainer options that a stage sets by itself, or that do not change what it learns."""
+"""Trainer options that a stage sets itself, or that do not change its results."""
 
 
 def wanted_stages(cfg: DictConfig) -> tuple[str, ...]:
-    """Return the stages up to the one asked for (`stage=...`), in order.
+    """Return the stages up to the configured one (`stage=...`), in order.
 
     Raises:
         UserError: for an unknown stage, or one that the model does not have.
     """
     stage = cfg.stage or "occupancy"
     if stage not in STAGES:
-        raise UserError(f"stage={stage}: choose one of {', '.join(STAGES)}; leave it out to run what is missing")
+        raise UserError(f"stage={stage}: choose one of {', '.join(STAGES)}; leave it out to run all missing ones")
     present = STAGES if sketch_learns(cfg) else STAGES[-1:]
     if stage not in present:
         raise UserError(f"stage={stage}: this model/sketch is not learned and has no such stage; choose one that is")
@@ -41,7 +41,7 @@ def digest(content: Any) -> str:
 
 
 class Keys(NamedTuple):
-    """Hold hashes of everything that makes what a stage leaves."""
+    """Hashes of everything that decides the results of a stage."""
 
     depth: str
     sketch: str
@@ -58,8 +58,8 @@ def stage_keys(cfg: DictConfig, data_fingerprint: str) -> Keys:
     network = _without(sketch, selection)
     labels = config["data"]["unknown"]
     sketch_key = digest([VERSIONS["sketch"], depth_key, network, stages["sketch"], trainer, labels])
-    chosen = {name: sketch[name] for name in selection}
-    return Keys(depth_key, sketch_key, digest([VERSIONS["candidates"], sketch_key, chosen]))
+    arguments = {name: sketch[name] for name in selection}
+    return Keys(depth_key, sketch_key, digest([VERSIONS["candidates"], sketch_key, arguments]))
 
 
 def _without(arguments: Mapping[str, Any], names: tuple[str, ...]) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What the tasks of all stages share: steps that score, their optimiser, the content of their checkpoints."""
+"""Base of the tasks of all stages: steps that score, optimiser, and content of checkpoints."""
 
 from abc import abstractmethod
 from typing import Any, ClassVar, Generic, TypeVar
@@ -15,11 +15,10 @@ Model = TypeVar("Model", bound=nn.Module)
 
 
 class StageTask(LightningModule, Generic[Model]):
-    """Hold the model of one stage, its optimiser and its configuration.
+    """The model of one stage, its optimiser and its configuration.
 
     Args:
         model: what is trained.
-        optimizer: recipe for optimiser and schedule.
         config: the run's resolved configuration as plain data; with it the checkpoint suffices to rebuild the model.
     """
 
@@ -33,11 +32,11 @@ class StageTask(LightningModule, Generic[Model]):
 
     @abstractmethod
     def score(self, batch: Batch) -> Tensor:
-        """Score a batch and return what the model predicts for it."""
+        """Score a batch and return the prediction."""
 
     @abstractmethod
     def log_scores(self, split: str) -> None:
-        """Log all scores under `<split>/...` and begin anew."""
+        """Log all scores under `<split>/...` and reset them."""
 
     def validation_step(self, batch: Batch, batch_index: int) -> Tensor:
         """Score a batch and return the prediction."""

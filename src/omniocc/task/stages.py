@@ -1,9 +1,8 @@
 """The stages before occupancy: depth, then the sketch of candidate voxels.
 
-The results of a stage lie in `runs/stages/<stage>-<hash>`: weights, figures, predictions of every frame. The hash
-covers everything that made them, so that runs share them and never mix them up; a lock lets parallel runs wait for one
-another. What depends on how a sketch chooses among its probabilities lies one folder deeper, so that runs that choose
-in other ways share its weights.
+The results of a stage are in `runs/stages/<stage>-<hash>`: weights, figures, predictions of every frame. The hash
+covers everything that decides them, so that runs share them safely; a lock lets parallel runs wait for one another.
+Candidates are in a subfolder, so that runs that select them in different ways share the weights of the sketch.
 """
 
 from collections.abc import Callable, Iterator
@@ -40,13 +39,15 @@ from omniocc.task.sketch import SketchTask, known
 from omniocc.task.stage_keys import stage_keys
 from omniocc.task.stage_task import StageTask
 
+Task = StageTask[nn.Module]
+
 
 class Stages:
-    """Run what is missing of the stages before occupancy.
+    """Run the missing stages before occupancy.
 
     Args:
         cfg: checked configuration with a learned sketch.
-        data: of the occupancy stage, prepared; its scenes are what the stages learn from and predict.
+        data: of the occupancy stage, prepared; the stages are trained on its scenes and predict for all of them.
     """
 
     def __init__(self, cfg: DictConfig, data: OccupancyData):
@@ -62,11 +63,11 @@ class Stages:
         self.results = {"depth": self.depth, "sketch": self.candidates.folder}
 
     def run(self, stage: str, title: str) -> dict[str, float]:
-        """Run a stage if it is missing and return the figures of its test."""
+        """Run a stage if it is missing and return its test figures."""
         return {"depth": self.run_depth, "sketch": self.run_sketch}[stage](title)
 
     def run_depth(self, title: str) -> dict[str, float]:
-        """Train and test the depth slot, predict the panorama of every frame, and return the figures of the test."""
+        """Train and test the depth slot, predict the panorama of every frame, and return test figures."""
         with claimed(self.depth, title):
             recipe = self._recipe("depth")
             model = build(self.cfg.depth)
@@ -79,7 +80,7 @@ class Stages:
         return load_results(self.results["depth"])[1]
 
     def run_sketch(self, title: str) -> dict[str, float]:
-        """Train and test the sketch on predicted panoramas, choose every frame's candidates, and return figures."""
+        """Train and test the sketch on predicted panoramas, select all candidates, and return test figures."""
         with claimed(self.sketch, title):
             recipe = self._recipe("sketch")
             model, edges_m = build(self.cfg.model.sketch), self.spec.range_edges_m
@@ -101,25 +102,18 @@ class Stages:
         return recipe
 
     def _finish(
-        self,
-        task: StageTask[nn.Module],
-        recipe: Recipe,
-        extras: Extras,
-        images: Callback,
-        stage: str,
-        title: str,
-        trains: bool,
+        self, task: Task, recipe: Recipe, extras: Extras, images: Callback, stage: str, title: str, trains: bool
     ) -> None:
-        """Load what is there of the task, or do what is left of its training and test."""
+        """Load the finished task, or finish its training and test."""
         folder, results = {"depth": self.depth, "sketch": self.sketch}[stage], self.results[stage]
         last = folder / LAST
         if (results / METRICS).exists():
-            print(f"{title} is there: {results}", flush=True)
+            print(f"{title} is finished: {results}", flush=True)
             task.model.load_state_dict(weights_of(last))
             return
-        checkpoint, mishap = resumable(last) if trains else (None, None)
-        if mishap:
-            print(mishap, flush=True)
+        checkpoint, message = resumable(last) if trains else (None, None)
+        if message:
+            print(message, flush=True)
         print(f"{title} {'goes on' if checkpoint else 'begins'}: {folder}", flush=True)
         data = build(self.cfg.data, window=1, batch_size=recipe.batch_size, seed=recipe.seed)
         data.read_also(extras)
@@ -136,6 +130,7 @@ class Stages:
     def _trainer(self, recipe: Recipe, images: Callback, folder: Path, stage: str, title: str) -> Trainer:
         atomic_write(folder / "config.yaml", OmegaConf.to_yaml(self.cfg, resolve=True))
         steps = self.cfg.checkpoint_every_n_steps
+        last = ModelCheckpoint(folder, "last", every_n_train_steps=steps, enable_version_counter=False)
         return build(
             self.cfg.trainer,
             max_steps=recipe.max_steps,
@@ -143,11 +138,7 @@ class Stages:
             devices=1,
             strategy="auto",
             plugins=[AtomicCheckpointIO()],
-            callbacks=[
-                StepProgress(title),
-                images,
-                ModelCheckpoint(folder, "last", every_n_train_steps=steps, enable_version_counter=False),
-            ],
+            callbacks=[StepProgress(title), images, last],
             logger=build(self.cfg.logger).build(folder, plain(self.cfg), stage),
             default_root_dir=str(folder),
         )
@@ -177,18 +168,13 @@ def predict_range_m(task: DepthTask, scene: SceneFrames, frame: int) -> Tensor:
 
 
 def weights_of(path: Path) -> dict[str, Tensor]:
-    """Return the weights of the model of a stage's checkpoint.
-
-    Raises:
-        FileNotFoundError: when it is not there.
-        UserError: when it is damaged or of an older version.
-    """
+    """Return the weights of the model of a stage's checkpoint; errors are those of `load_checkpoint`."""
     return load_checkpoint(path).model_weights
 
 
 @contextmanager
 def claimed(folder: Path, title: str) -> Iterator[None]:
-    """Hold a stage's folder, after waiting while another process works in it."""
+    """Lock a stage's folder; wait while another process works in it."""
     folder.mkdir(parents=True, exist_ok=True)
     lock = FileLock(folder / ".lock")
     try:

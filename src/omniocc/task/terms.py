@@ -1,4 +1,4 @@
-"""Named loss terms: summed, logged, and refused when they are not finite."""
+"""Named loss terms: summed, logged, and checked to be finite."""
 
 from collections.abc import Mapping
 

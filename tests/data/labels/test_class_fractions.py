@@ -1,4 +1,4 @@
-"""Fractions of classes: counted over occupied voxels, and set beside the published ones."""
+"""Fractions of classes: counted over occupied voxels, compared with the published ones."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def test_only_occupied_voxels_count():
     assert sum(percent.values()) == pytest.approx(100)
 
 
-def test_free_space_alone_gives_zeros():
+def test_only_free_space_gives_zeros():
     assert set(occupied_percent(count_classes(np.zeros((2, 2), np.uint8))).values()) == {0.0}
 
 
@@ -29,10 +29,10 @@ def test_every_class_has_a_published_value():
     assert sum(PUBLISHED_PERCENT.values()) == pytest.approx(103.06)
 
 
-def test_table_marks_what_differs_by_more_than_two_times():
+def test_table_marks_what_differs_by_more_than_a_factor_of_two():
     lines = fraction_table(np.array([1000, 57, 14, 14, 7, 2, 0, 2, 1, 0, 0, 3])).splitlines()
     assert lines[1] == "Road           57.00      57.03"
-    assert lines[6] == "Vegetation      0.00       6.83  more than two times apart"
+    assert lines[6] == "Vegetation      0.00       6.83  more than a factor of two apart"
 
 
 def test_spread_includes_both_ends():

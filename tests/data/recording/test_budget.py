@@ -52,9 +52,9 @@ def test_what_is_there_is_not_counted_again(tmp_path):
     writer.append({"a": bytes(1000)}, {})
     writer.close()
     assert bytes_to_come(world, world.missing()) == 8 * frame_bytes(world) - 1536
-    assert "2 of 4 scenes to render, 2 are there, 8 frames" in announcement(world, world.plans)
+    assert "2 of 4 scenes to render, 2 exist, 8 frames" in announcement(world, world.plans)
     world.prepare(world.plans[3:])
-    assert announcement(world, world.plans[:2]).endswith("all 2 scenes are there")
+    assert announcement(world, world.plans[:2]).endswith("all 2 scenes exist")
 
 
 def test_the_nearest_folder_that_is_there(tmp_path):

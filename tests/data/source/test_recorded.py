@@ -11,7 +11,7 @@ from fake_scene import FakeWorld
 
 from omniocc.camera import Rig
 from omniocc.data import DataError, Recorded
-from omniocc.data.source.recorded import by_fraction, chosen_scenes
+from omniocc.data.source.recorded import by_fraction, split_scenes
 from omniocc.geometry import Cylinder
 
 GRID = Cylinder(shape=(4, 6, 2), radius_m=(0.0, 25.6), height_m=(-2.8, 3.6))
@@ -113,7 +113,7 @@ def test_scenes_are_read_from_a_store(root, tmp_path):
 )
 def test_splits_that_make_no_sense_are_named(splits, message):
     with pytest.raises(DataError, match=message):
-        chosen_scenes(splits, NAMES, "data/recorded")
+        split_scenes(splits, NAMES, "data/recorded")
 
 
 def test_a_folder_without_scenes_is_named(tmp_path):

@@ -60,7 +60,7 @@ def render(tmp_path):
             env=env | {"FAKE_SCENE_MARK": str(mark)},
             stderr=subprocess.PIPE,
             text=True,
-            # a test run started in the background of a shell ignores Ctrl-C, and children inherit that
+            # a test run started in the background of a shell ignores Ctrl-C, and children inherit this
             preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
         )
 
@@ -102,7 +102,7 @@ def test_the_papers_preset_has_four_scenes_of_each_theme(tmp_path):
         assert other.plans == plans
 
 
-def test_what_makes_the_data_is_in_the_fingerprint(tmp_path):
+def test_everything_that_decides_the_data_is_in_the_fingerprint(tmp_path):
     world = FakeWorld(tmp_path)
     assert world.fingerprint == FakeWorld(tmp_path / "elsewhere", workers=2).fingerprint
     more = FakeWorld(tmp_path, scenes=(3, 1, 1))
@@ -118,7 +118,7 @@ def test_impossible_numbers_are_named(tmp_path, argument, value):
         FakeWorld(tmp_path, **{argument: value})
 
 
-def test_scenes_are_complete_and_know_how_they_were_made(reference):
+def test_scenes_are_complete_and_record_how_they_were_made(reference):
     world = FakeWorld(reference)
     assert world.missing() == []
     reader = world.scenes("train")[1]
@@ -132,7 +132,7 @@ def test_scenes_are_complete_and_know_how_they_were_made(reference):
     assert facts["weather"] == weather_of("suburb", 1)
 
 
-def test_the_weather_of_a_scene_can_be_told_without_building_it():
+def test_the_weather_of_a_scene_is_known_without_building_it():
     assert {weather_of("suburb", seed) for seed in range(40)} == set(WEATHERS)
     rig = Rig.load("fisheye6").resized(16, 9)
     for seed in (0, 3):
@@ -160,11 +160,11 @@ def test_killed_while_rendering_ends_with_the_same_bytes(reference, tmp_path, re
     FakeWorld(root).prepare()
     assert tree(root) == tree(reference)
     again = mark.read_text().splitlines()
-    assert len(again) - len(set(again)) <= max(workers, 1)  # only frames that were not whole were made twice
+    assert len(again) - len(set(again)) <= max(workers, 1)  # only frames that were not whole were made again
 
 
 @pytest.mark.slow
-def test_ctrl_c_leaves_no_process_and_what_was_made(reference, tmp_path, render):
+def test_ctrl_c_leaves_no_process_and_keeps_finished_frames(reference, tmp_path, render):
     root, mark = tmp_path / "data", tmp_path / "mark"
     process = render(root, 2, 0.05, mark)
     wait_for_frames(mark, 3)
@@ -212,10 +212,10 @@ def test_jobs_of_a_few_scenes_each_make_one_dataset(reference, tmp_path, render)
     assert len(marks[1].read_text().splitlines()) == 12
     again = render(root, 0, 0.0, tmp_path / "third")
     assert again.wait() == 0
-    assert not (tmp_path / "third").exists()  # a second run finds all there and makes nothing
+    assert not (tmp_path / "third").exists()  # a second run makes nothing
 
 
-def test_a_limit_on_the_size_of_files_is_one_line_and_loses_nothing(reference, tmp_path):
+def test_a_limit_on_the_size_of_files_gives_one_line_and_loses_nothing(reference, tmp_path):
     script = (
         "import resource, sys; from fake_scene import FakeWorld\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (70_000, 70_000))\n"
@@ -234,7 +234,7 @@ def test_a_limit_on_the_size_of_files_is_one_line_and_loses_nothing(reference, t
     assert tree(tmp_path) == tree(reference)
 
 
-def test_a_read_only_folder_is_one_line(tmp_path, monkeypatch):
+def test_a_read_only_folder_gives_one_line(tmp_path, monkeypatch):
     def refuse(path, *_, **__):
         raise OSError(errno.EROFS, "Read-only file system", str(path))
 
@@ -277,7 +277,7 @@ def test_missing_scenes_and_a_folder_that_cannot_be_written(tmp_path):
         world.prepare()
 
 
-def test_code_fingerprint_follows_what_code_does(tmp_path):
+def test_code_fingerprint_ignores_comments_and_docstrings(tmp_path):
     prints = []
     for number, (says, comment, value) in enumerate([("A", "", 1), ("B", "  # why", 1), ("A", "", 2)]):
         folder = tmp_path / str(number)
@@ -287,7 +287,7 @@ def test_code_fingerprint_follows_what_code_does(tmp_path):
     assert prints[0] == prints[1] != prints[2]
 
 
-def test_code_fingerprint_covers_subfolders_and_where_a_module_lies(tmp_path):
+def test_code_fingerprint_covers_subfolders_and_paths_of_modules(tmp_path):
     def fingerprint(**files: str) -> str:
         folder = tmp_path / str(len(list(tmp_path.iterdir())))
         for name, text in files.items():

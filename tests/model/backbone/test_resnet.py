@@ -16,7 +16,7 @@ def build(weights=None, levels=(4, 8, 16, 32)):
 
 
 @pytest.mark.parametrize("height", [32, 36])
-def test_maps_come_finest_first_at_the_levels_asked_for(height):
+def test_maps_are_finest_first_at_the_given_levels(height):
     maps = build()(torch.rand(2, 3, 3, height, 64))
     assert [level.shape[:3] for level in maps] == [(2, 3, 5)] * 4
     assert [level.shape[-1] for level in maps] == [16, 8, 4, 2]
@@ -54,7 +54,7 @@ def test_weights_of_another_size_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize("offline", [True, False])
-def test_out_of_reach_weights_give_one_warning_and_random_weights(monkeypatch, caplog, tmp_path, offline):
+def test_unavailable_weights_give_one_warning_and_random_weights(monkeypatch, caplog, tmp_path, offline):
     monkeypatch.setenv("HF_HUB_OFFLINE", "1" if offline else "0")
     monkeypatch.setenv("HF_ENDPOINT", "http://127.0.0.1:9")
     started = time.monotonic()

@@ -17,7 +17,7 @@ def build(architecture="convnext", sizes=CONVNEXT, weights=None, levels=(4, 8, 1
 
 
 @pytest.mark.parametrize(("architecture", "sizes"), [("convnext", CONVNEXT), ("swin", SWIN)])
-def test_maps_come_finest_first_at_the_levels_asked_for(architecture, sizes):
+def test_maps_are_finest_first_at_the_given_levels(architecture, sizes):
     images = torch.rand(2, 3, 3, 36, 64)
     maps = build(architecture, sizes)(images)
     assert [level.shape for level in maps] == [(2, 3, 5, 9, 16), (2, 3, 5, 5, 8), (2, 3, 5, 3, 4), (2, 3, 5, 2, 2)]
@@ -30,7 +30,7 @@ def test_a_network_of_one_stride_gives_its_deepest_map():
     assert backbone.stages == [2]
 
 
-def test_maps_keep_to_their_place_in_the_image():
+def test_maps_are_aligned_with_the_image():
     backbone = build(levels=[4]).eval()
     image = torch.rand(1, 1, 3, 32, 64)
     changed = image.clone()
@@ -53,7 +53,7 @@ def test_gradients_reach_exactly_the_parameters_that_train(architecture, sizes, 
     assert sum(parameter.requires_grad for parameter in backbone.encoder.parameters()) > 20
 
 
-def test_probing_leaves_running_statistics_and_training_mode_alone():
+def test_probing_changes_neither_running_statistics_nor_training_mode():
     backbone = build("resnet", {"embedding_size": 8, "hidden_sizes": [8, 8, 16, 16], "depths": [1, 1, 1, 1]})
     statistics = {name: value for name, value in backbone.encoder.named_buffers() if name.endswith("running_mean")}
     assert statistics
@@ -74,7 +74,7 @@ def test_weights_from_a_folder_are_loaded_and_compared(tmp_path):
         build("swin", SWIN, weights=str(tmp_path))
 
 
-def test_out_of_reach_weights_give_one_warning_and_random_weights(monkeypatch, caplog):
+def test_unavailable_weights_give_one_warning_and_random_weights(monkeypatch, caplog):
     monkeypatch.setenv("HF_HUB_OFFLINE", "1")
     with caplog.at_level(logging.WARNING, logger=pretrained.__name__):
         build(weights="nobody/no-such-network")

@@ -26,7 +26,7 @@ def test_range_of_four():
     assert blocks[3].isnan()
 
 
-def test_a_network_that_knows_the_range_gives_the_panorama(small, make_ring, monkeypatch):
+def test_true_ranges_of_cameras_give_the_true_panorama(small, make_ring, monkeypatch):
     # a ball of 6 m around the ego origin, its range from each camera's own centre
     rig = make_ring(6)
     model = small("Mono", width=16, height=6).eval()

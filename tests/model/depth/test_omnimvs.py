@@ -56,7 +56,7 @@ def test_order_of_cameras_does_not_matter(small, make_ring):
     torch.testing.assert_close(ours, expected, atol=2e-3, rtol=1e-3)
 
 
-def test_the_true_range_is_not_looked_at(small, rig):
+def test_the_true_range_is_not_used(small, rig):
     model = small("OmniMVS").eval()
     images = torch.rand(1, 6, 3, 36, 64)
     with torch.no_grad():

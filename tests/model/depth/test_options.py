@@ -1,4 +1,4 @@
-"""What every option of the depth slot keeps to."""
+"""The contract of every option of the depth slot."""
 
 from dataclasses import replace
 
@@ -45,7 +45,7 @@ def test_contract(name, small, rig):
 
 
 @pytest.mark.parametrize("name", ["Truth", *BLIND])
-def test_what_learns_and_what_needs_the_true_range_can_be_told_from_the_class(name, small):
+def test_the_class_shows_whether_it_learns_and_needs_the_true_range(name, small):
     option = getattr(depth, name)
     assert learns(option) == (name in ("Mono", *NETS))
     assert isinstance(small(name), LearnedDepth) == learns(option)
@@ -66,8 +66,8 @@ def test_samples_of_different_rigs_do_not_mix(name, small, rig, make_ring):
     with torch.no_grad():
         together = model(images, rigs)
         for k, own in enumerate(rigs):
-            alone = model(images[k : k + 1], (own,))
-            for ours, expected in zip(together, alone, strict=True):
+            single = model(images[k : k + 1], (own,))
+            for ours, expected in zip(together, single, strict=True):
                 torch.testing.assert_close(ours[k].float(), expected[0].float(), atol=1e-3, rtol=1e-3)
 
 
@@ -79,7 +79,7 @@ def test_any_number_of_cameras(name, count, small, make_ring):
 
 
 @every
-def test_a_black_image_and_a_masked_camera_cost_no_more_than_their_part(name, small, rig):
+def test_a_black_image_and_a_masked_camera_change_only_their_part(name, small, rig):
     images = images_of((rig,))
     images[0, 2] = 0
     blind = torch.zeros(36, 64, dtype=torch.bool)
@@ -161,7 +161,7 @@ def test_losses_of_a_mixed_batch_are_means_over_samples(name, small, rig, make_r
 
 
 @pytest.mark.parametrize("name", ["Mono", *NETS])
-def test_training_brings_the_answer_closer(name, small, rig):
+def test_training_reduces_the_error(name, small, rig):
     model, images, (erp_m, camera_m) = small(name), images_of((rig,)), targets((rig,))
     erp_m[:, 3:], camera_m[:, :, 9:-4] = 6.0, 6.0
     optimizer = torch.optim.Adam(model.parameters(), lr=1e-2)

@@ -6,7 +6,7 @@ from omniocc.model.depth import Depth
 INF, NAN = float("inf"), float("nan")
 
 
-def test_range_goes_through_and_sky_is_not_valid(small, rig):
+def test_range_is_returned_and_sky_is_not_valid(small, rig):
     truth = small("Truth", width=3, height=1, spheres=11, min_range_m=2.0)
     depth = truth(torch.zeros(2, 6, 3, 36, 64), (rig, rig), torch.tensor([[[2.0, 5.0, INF]], [[1.0, 20.0, NAN]]]))
     assert isinstance(truth, Depth)

@@ -22,7 +22,7 @@ def make_features():
     [(Cylinder((4, 8, 4)), Cylinder((2, 4, 2))), (Cuboid((6, 4, 4)), Cuboid((3, 2, 2)))],
     ids=["cylinder", "cuboid"],
 )
-def test_every_voxel_holds_what_its_block_gets_on_the_coarser_grid(fisheye, fine, coarse):
+def test_every_voxel_has_the_feature_of_its_block(fisheye, fine, coarse):
     lifter, features = make(fine), make_features()
     coloring = Coloring(coarse, 8, [4], **SIZES).double()
     coloring.load_state_dict(lifter.coloring.state_dict())

@@ -115,10 +115,10 @@ def test_batch_with_different_rigs_and_candidate_counts_equals_single_samples(fi
     rigs = (fisheye, pinhole, fisheye, pinhole)
     both = lifter(features, Sketched(candidates), rigs)
     for index, rig in enumerate(rigs):
-        alone = lifter(
+        single = lifter(
             [level[index : index + 1] for level in features], Sketched(candidates[index : index + 1]), (rig,)
         )
-        torch.testing.assert_close(both[index], alone[0])
+        torch.testing.assert_close(both[index], single[0])
 
 
 def test_samples_are_grouped_by_rig_and_candidates(fisheye, pinhole):
@@ -143,7 +143,7 @@ def test_unseen_voxels_and_non_candidates_ignore_the_images(fisheye):
     assert torch.equal(first[~candidates[0]], lifter.empty.expand(int((~candidates).sum()), -1))
 
 
-def test_no_candidates_at_all_still_train(fisheye):
+def test_training_works_without_candidates(fisheye):
     lifter = make()
     lifter(make_features(1), Sketched(torch.zeros(1, *GRID.shape, dtype=torch.bool)), (fisheye,)).sum().backward()
     assert lifter.empty.grad.abs().sum() > 0
@@ -182,7 +182,7 @@ def test_a_rig_with_other_cameras_than_the_images_is_named(fisheye):
         ([(0.0, 0.0, 0.6)], "-0.5.*0.5"),
     ],
 )
-def test_anchors_share_the_points_and_stay_in_their_cell(anchors, message):
+def test_points_are_split_among_anchors_within_the_cell(anchors, message):
     with pytest.raises(ValueError, match=message):
         make(anchors=anchors)
 

@@ -100,8 +100,8 @@ def test_batch_with_different_rigs_equals_single_samples(fisheye, pinhole):
     lifter, features = make(CUBOID), [torch.randn(2, 6, 8, *size, dtype=torch.float64) for size in SIZES]
     both = lifter(features, Sketched(everywhere(CUBOID, 2)), (fisheye, pinhole))
     for index, rig in enumerate((fisheye, pinhole)):
-        alone = lifter([level[index : index + 1] for level in features], Sketched(everywhere(CUBOID)), (rig,))
-        torch.testing.assert_close(both[index], alone[0])
+        single = lifter([level[index : index + 1] for level in features], Sketched(everywhere(CUBOID)), (rig,))
+        torch.testing.assert_close(both[index], single[0])
     assert not torch.allclose(both[0], both[1])
 
 

@@ -66,7 +66,7 @@ def mixed(rig: Rig) -> tuple[Rig, Rig]:
     return replace(rig, cameras=tuple(small)), replace(rig, masks=masks)
 
 
-def test_a_smaller_camera_is_one_that_is_masked_at_the_right_and_at_the_bottom(make_ring):
+def test_a_smaller_camera_equals_one_masked_at_the_right_and_at_the_bottom(make_ring):
     geometry = Cuboid((8, 8, 4))
     small, masked = mixed(make_ring(6))
     for ours, expected in zip(

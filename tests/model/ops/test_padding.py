@@ -13,7 +13,7 @@ def test_pad_wraps_periodic_axes_and_fills_others_with_zeros():
     assert padded.tolist() == [[0, 0, 0, 0, 0], [3, 1, 2, 3, 1], [6, 4, 5, 6, 4], [0, 0, 0, 0, 0]]
 
 
-def test_pad_refuses_to_wrap_more_cells_than_there_are():
+def test_wrapping_more_cells_than_exist_is_an_error():
     with pytest.raises(ValueError, match="cannot wrap 4 cells"):
         pad3d(torch.zeros(1, 1, 2, 3, 2), (0, 4, 0), THETA)
 
@@ -64,7 +64,7 @@ def test_downsample_takes_pairs_of_cells_and_a_zero_beyond_an_odd_end():
     assert down(volume).flatten().tolist() == [3, 3]
 
 
-def test_downsample_refuses_an_odd_periodic_axis():
+def test_downsampling_an_odd_periodic_axis_is_an_error():
     with pytest.raises(ValueError, match="periodic axis of 5 cells"):
         Downsample(1, 1, THETA)(torch.zeros(1, 1, 2, 5, 2))
 

@@ -19,13 +19,13 @@ def rigs(fisheye):
 
 
 def visit(cache, rig, key="result"):
-    """Ask for a result; return whether it had to be computed."""
+    """Get a result; return whether it had to be computed."""
     computed = []
     cache.get(rig, key, lambda: computed.append(True) or torch.zeros(10_000))
     return bool(computed)
 
 
-def test_rigs_not_used_for_longest_go_when_the_bytes_are_used_up(rigs):
+def test_least_recently_used_rigs_are_dropped_at_the_limit(rigs):
     cache = RigCache(limit_bytes=3 * (RIG_BYTES + RESULT_BYTES))
     assert all(visit(cache, rig) for rig in rigs[:3])
     assert not visit(cache, rigs[0])
@@ -36,7 +36,7 @@ def test_rigs_not_used_for_longest_go_when_the_bytes_are_used_up(rigs):
     assert visit(cache, rigs[1])
 
 
-def test_more_small_results_fit_than_there_were_entries_before(fisheye):
+def test_small_results_of_hundreds_of_rigs_fit(fisheye):
     cache = RigCache(limit_bytes=100 * RIG_BYTES)
     for _ in range(2):
         for k in range(50):
@@ -46,7 +46,7 @@ def test_more_small_results_fit_than_there_were_entries_before(fisheye):
     assert len(cache) == 50
 
 
-def test_all_results_of_the_newest_rig_stay_however_large(rigs):
+def test_results_of_the_newest_rig_stay_at_any_size(rigs):
     cache = RigCache(limit_bytes=1)
     assert visit(cache, rigs[0], "one")
     assert visit(cache, rigs[0], "two")

@@ -66,34 +66,3 @@ def test_columns_become_channels_and_channels_columns():
         rows = slice(5 * z, 5 * z + 5)
         expected = torch.einsum("dc,bcxy->bdxy", refiner.unfold.weight[rows], view)
         torch.testing.assert_close(result[..., z], expected + refiner.unfold.bias[rows, None, None])
-
-
-@torch.no_grad()
-@pytest.mark.parametrize("roll", [2, 6])
-def test_rotating_the_world_rotates_the_answer(roll):
-    refiner = ChannelToHeight(CYLINDER, 4, 5, [8, 16], [1, 2]).double()
-    volume = torch.randn(1, 4, *CYLINDER.shape, dtype=torch.float64)
-    torch.testing.assert_close(
-        refiner(volume.roll(roll, dims=3), SKETCHED), refiner(volume, SKETCHED).roll(roll, dims=3)
-    )
-
-
-def test_training_reaches_every_parameter_on_odd_sizes():
-    refiner = ChannelToHeight(CUBOID, 4, 5, [8, 8, 16], [1, 1, 1])
-    output = refiner(torch.randn(2, 4, *CUBOID.shape), SKETCHED)
-    (output * torch.randn_like(output)).sum().backward()
-    for name, parameter in refiner.named_parameters():
-        assert parameter.grad.abs().sum() > 0, name
-
-
-@pytest.mark.parametrize(
-    ("geometry", "channels", "blocks", "message"),
-    [
-        (CYLINDER, [8, 8], [1], "one number each"),
-        (Cylinder((4, 6, 2)), [8, 8, 8], [1, 1, 1], "multiples of 4.* 6"),
-        (CUBOID, [8, 12], [1, 1], "multiple of 8"),
-    ],
-)
-def test_sizes_that_do_not_fit_are_named(geometry, channels, blocks, message):
-    with pytest.raises(ValueError, match=message):
-        ChannelToHeight(geometry, 4, 4, channels, blocks)

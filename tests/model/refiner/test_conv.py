@@ -61,36 +61,3 @@ def test_levels_are_merged_as_if_laid_side_by_side_and_mixed():
     bias = refiner.merge[0].bias + refiner.merge[1].bias
     mixed = torch.einsum("dc,bcxyz->bdxyz", weight, wide) + bias[:, None, None, None]
     torch.testing.assert_close(refiner(volume, SKETCHED), refiner.norm(mixed).clamp(min=0))
-
-
-@torch.no_grad()
-@pytest.mark.parametrize("roll", [2, 6])
-def test_rotating_the_world_rotates_the_answer(roll):
-    refiner = Conv(CYLINDER, 4, [8, 16], [1, 2]).double()
-    volume = torch.randn(1, 4, *CYLINDER.shape, dtype=torch.float64)
-    torch.testing.assert_close(
-        refiner(volume.roll(roll, dims=3), SKETCHED), refiner(volume, SKETCHED).roll(roll, dims=3)
-    )
-
-
-def test_training_reaches_every_parameter_on_odd_sizes():
-    refiner = Conv(CUBOID, 4, [8, 8, 16], [1, 1, 1])
-    output = refiner(torch.randn(2, 4, *CUBOID.shape), SKETCHED)
-    assert output.shape == (2, refiner.channels, *CUBOID.shape)
-    (output * torch.randn_like(output)).sum().backward()
-    for name, parameter in refiner.named_parameters():
-        assert parameter.grad.abs().sum() > 0, name
-
-
-@pytest.mark.parametrize(
-    ("geometry", "channels", "blocks", "message"),
-    [
-        (CYLINDER, [8, 8], [1], "one number each"),
-        (CYLINDER, [], [], "one number each"),
-        (Cylinder((4, 6, 2)), [8, 8, 8], [1, 1, 1], "multiples of 4.* 6"),
-        (CUBOID, [8, 12], [1, 1], "multiple of 8"),
-    ],
-)
-def test_sizes_that_do_not_fit_are_named(geometry, channels, blocks, message):
-    with pytest.raises(ValueError, match=message):
-        Conv(geometry, 4, channels, blocks)

@@ -55,7 +55,7 @@ def test_it_is_a_sketch(geometry, fisheye):
     assert candidates.dtype == torch.bool
 
 
-def test_what_learns_and_what_it_selects_by_can_be_told_from_the_class():
+def test_the_class_shows_whether_it_learns_and_its_selection():
     assert [learns(option) for option in (Omni, Dense, Random)] == [True, False, False]
     assert set(Omni.SELECTION) < set(inspect.signature(Omni).parameters)
 
@@ -83,7 +83,7 @@ def test_turning_the_panorama_turns_the_sketch():
     assert torch.allclose(turned, sketch.logits(range_m, valid).roll(4, 3), atol=1e-4)
 
 
-def test_ranges_of_invalid_pixels_change_nothing(geometry):
+def test_ranges_of_invalid_pixels_are_ignored(geometry):
     sketch = make(geometry)
     range_m, valid = scene()
     other = torch.where(valid, range_m, torch.tensor(torch.inf))
@@ -148,7 +148,7 @@ def test_cross_entropy_by_hand():
     assert sketch.training_terms(range_m, valid, voxels)["ce"].item() == pytest.approx(expected, rel=1e-4)
 
 
-def test_learns_to_find_what_is_there():
+def test_learns_to_find_occupied_voxels():
     grid = Cylinder((8, 12, 4))
     sketch = make(grid)
     range_m, valid = torch.full((1, 12, 24), 10.0), torch.ones(1, 12, 24, dtype=torch.bool)
@@ -169,12 +169,12 @@ def test_fraction_is_exact_and_dilation_comes_after(geometry):
     plain = make(geometry, None, 0.2)
     range_m, valid = scene()
     logits = plain.logits(range_m, valid)
-    chosen = plain.select(logits)
-    assert chosen.sum((1, 2, 3)).tolist() == [round(0.2 * geometry.num_cells)] * 2
+    candidates = plain.select(logits)
+    assert candidates.sum((1, 2, 3)).tolist() == [round(0.2 * geometry.num_cells)] * 2
     wide = make(geometry, None, 0.2, (0, 1, 2))
-    assert torch.equal(wide.choose(logits), chosen)
-    assert torch.equal(wide.select(logits), geometry.dilate(chosen, (0, 1, 2), (8.5, 17.0)))
-    assert wide.select(logits).sum() > chosen.sum()
+    assert torch.equal(wide.choose(logits), candidates)
+    assert torch.equal(wide.select(logits), geometry.dilate(candidates, (0, 1, 2), (8.5, 17.0)))
+    assert wide.select(logits).sum() > candidates.sum()
 
 
 def test_threshold_is_that_of_the_probability(geometry):

@@ -22,8 +22,8 @@ def sequence(*poses):
     return torch.stack(poses)[None]
 
 
-def seen_from(grid, field, poses):
-    """What a static world looks like on the grid at each pose: the field at every cell's centre."""
+def volumes_at(grid, field, poses):
+    """Return a static world on the grid at each pose: the field at every cell's centre."""
     centers = torch.cat([grid.centers(torch.float64), torch.ones(*grid.shape, 1, dtype=torch.float64)], dim=-1)
     return [field((centers @ at.T)[..., :3]).movedim(-1, 0)[None] for at in poses[0]]
 
@@ -57,7 +57,7 @@ DRIVES = {
 @pytest.mark.parametrize("name", list(DRIVES))
 def test_a_static_scene_aligns_exactly_and_with_the_wrong_sign_it_does_not(name):
     grid, field, poses = DRIVES[name]
-    volumes = seen_from(grid, field, poses)
+    volumes = volumes_at(grid, field, poses)
     everywhere = torch.ones(poses.shape[:2], dtype=torch.bool)
     fused = Mean(grid, poses.shape[1], False)(volumes, poses, everywhere)
     torch.testing.assert_close(fused, volumes[-1], rtol=0, atol=1e-9)
@@ -74,7 +74,7 @@ def test_between_cells_the_error_is_that_of_interpolation(kind):
             grid = Cuboid((24 * scale, 20 * scale, 8 * scale), (-12.0, 12.0), (-10.0, 10.0), (-2.0, 2.0))
         else:
             grid = Cylinder((12 * scale, 40 * scale, 8 * scale), (2.0, 14.0), (-2.0, 2.0))
-        volumes = seen_from(grid, waves, poses)
+        volumes = volumes_at(grid, waves, poses)
         fused = Mean(grid, 3, False)(volumes, poses, torch.ones(1, 3, dtype=torch.bool))
         errors.append((fused - volumes[-1]).abs().mean().item())
         wrong = Mean(grid, 3, False)(volumes, torch.linalg.inv(poses), torch.ones(1, 3, dtype=torch.bool))
@@ -86,14 +86,14 @@ def test_between_cells_the_error_is_that_of_interpolation(kind):
 
 @pytest.mark.parametrize("grid", [CUBOID, CYLINDER])
 @pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
-def test_a_standing_car_changes_no_bit(grid, dtype):
+def test_volumes_of_a_standing_car_are_averaged_exactly(grid, dtype):
     volume = torch.randn(2, 3, *grid.shape).to(dtype)
     poses = pose(211.7, -35.3, 4.1, 0.77).expand(2, 4, 4, 4)
     fused = Mean(grid, 4, False)([volume] * 4, poses, torch.ones(2, 4, dtype=torch.bool))
     assert torch.equal(fused, volume)
 
 
-def test_the_mean_runs_over_frames_that_saw_the_cell():
+def test_the_mean_is_over_frames_whose_grid_holds_the_cell():
     # 4 m forward per frame: two cells of the past frame's front are new, then four
     poses = sequence(pose(0), pose(4), pose(8))
     volumes = [torch.full((1, 1, *CUBOID.shape), value) for value in (1.0, 4.0, 10.0)]
@@ -102,7 +102,7 @@ def test_the_mean_runs_over_frames_that_saw_the_cell():
     assert torch.equal(fused, expected.view(1, 1, 12, 1, 1).expand_as(fused))
 
 
-def test_frames_that_do_not_exist_count_for_nothing():
+def test_missing_frames_are_ignored():
     torch.manual_seed(0)
     poses = sequence(pose(0), pose(1, 0.5), pose(2, yaw_rad=0.2)).repeat(2, 1, 1, 1)
     volumes = [torch.randn(2, 3, *CYLINDER.shape) for _ in range(3)]
@@ -113,11 +113,11 @@ def test_frames_that_do_not_exist_count_for_nothing():
     assert torch.equal(fused[:1], shorter)
     whole = Mean(CYLINDER, 3, False)([v[1:] for v in volumes], poses[1:], exists[1:])
     assert torch.equal(fused[1:], whole)
-    alone = Mean(CYLINDER, 3, False)(volumes, poses, torch.tensor([[False, False, True]] * 2))
-    assert torch.equal(alone, volumes[-1])
+    single = Mean(CYLINDER, 3, False)(volumes, poses, torch.tensor([[False, False, True]] * 2))
+    assert torch.equal(single, volumes[-1])
 
 
-def test_a_window_without_past_is_refused():
+def test_a_window_without_past_frames_is_an_error():
     with pytest.raises(ValueError, match="frames is 1"):
         Mean(CUBOID, 1, False)
 
@@ -135,7 +135,7 @@ def test_turning_the_ego_frame_rolls_the_mean():
     torch.testing.assert_close(rolled, straight.roll(3, dims=3), atol=1e-5, rtol=0)
 
 
-def test_gradient_reaches_past_and_newest_but_not_what_is_missing():
+def test_gradient_reaches_past_and_newest_but_not_missing_frames():
     poses = sequence(pose(0), pose(0.7, 0.3, yaw_rad=0.1), pose(1.9, yaw_rad=0.3))
     small = Cylinder((2, 4, 2), (0.0, 4.0), (-1.0, 1.0))
     torch.manual_seed(0)

@@ -94,7 +94,7 @@ def test_a_resting_car_hands_each_view_to_the_next_frame(geometry):
 def test_history_moves_with_the_car():
     """A car that drives one cell ahead finds what was at x + 1 at x; what comes in at the front has no past."""
     temporal, volumes = make(CUBOID, frames=2), make_volumes(CUBOID, 2)
-    view = temporal._look(volumes[0], moving(1)[:, 0], None)
+    view = temporal._attend(volumes[0], moving(1)[:, 0], None)
     moved = torch.cat([view[:, 1:], torch.zeros_like(view[:, :1])], dim=1)
     present = volumes[1].movedim(1, -1).flatten(-2) @ temporal.fold.weight.T + temporal.fold.bias
     for layer in temporal.layers:
@@ -128,7 +128,7 @@ def test_rotating_the_world_rotates_the_answer():
 
 
 @pytest.mark.parametrize("history_gradient", [False, True])
-def test_history_has_a_gradient_only_if_asked(history_gradient):
+def test_history_has_a_gradient_only_with_history_gradient(history_gradient):
     temporal, volumes = make(CUBOID, history_gradient=history_gradient), make_volumes(CUBOID)
     volumes = [volume.requires_grad_() for volume in volumes]
     temporal(volumes, moving(3, 1.0), ALL).square().mul(torch.rand(4, 1, 1, 1)).sum().backward()

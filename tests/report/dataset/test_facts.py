@@ -1,4 +1,4 @@
-"""What the page of a dataset says about its scenes."""
+"""Facts about scenes on the page of a dataset."""
 
 import sys
 from pathlib import Path
@@ -35,7 +35,7 @@ def test_a_pinhole_dataset_of_the_same_scenes_is_found(tmp_path):
     assert [frame_at(twin, time_s) for time_s in (0.0, 1.0, 1.5)] == [0, 2, None]
 
 
-def test_another_weather_is_no_twin(tmp_path):
+def test_a_scene_in_other_weather_is_not_the_same(tmp_path):
     scene = scene_of(tmp_path)
     twin = scene_of(tmp_path, "pinhole6")
     twin.meta["facts"]["weather"] = scene.meta["facts"]["weather"]

@@ -67,7 +67,7 @@ def test_mean_spread_and_number_of_seeds():
     assert math.isnan(figure_of(RUNS["mono"], "test/rayiou").spread)
 
 
-def test_markdown_shows_both_and_says_whether_the_order_holds():
+def test_markdown_shows_both_and_whether_the_order_holds():
     text = as_markdown(load_table(SWEEPS / "sketch.yaml"), RUNS)
     assert "| omni depth | paper | 0.470 |" in text
     assert "| omni depth | here, 2 seeds | 0.300 ± 0.141 |" in text
@@ -108,13 +108,13 @@ def test_only_runs_of_one_setting_are_compared():
         comparable(runs, "paper")
 
 
-def test_two_runs_of_a_row_with_one_seed_are_refused():
+def test_two_runs_of_a_row_with_one_seed_are_an_error():
     assert list(by_row(RUNS["ours"])) == ["ours"]
     with pytest.raises(UserError, match=r"ours.* 2 runs.*seed 0"):
         by_row([*RUNS["ours"], run("ours-0123456a-2", 0, 0.5)])
 
 
-def test_a_table_of_ones_own_needs_no_figures_of_the_paper(tmp_path):
+def test_an_added_table_needs_no_figures_of_the_paper(tmp_path):
     path = tmp_path / "own.yaml"
     path.write_text(
         "title: x\norder_by: test/rayiou\ncolumns: {test/rayiou: R}\nrows: {ours: {title: o}, mono: {title: m}}\n"

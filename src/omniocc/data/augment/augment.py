@@ -15,8 +15,8 @@ class Augment:
     """Erased boxes, other colours, mirrored and turned scenes, shorter histories; 0 switches each off.
 
     Erasing is the paper's ('random cropping on the input RGB images to enhance robustness against occlusion'). Labels
-    of voxels stay: what is behind an erased box is to be inferred from other cameras, other frames and the
-    surroundings. Labels of erased pixels become 255, since nothing of their class is left in the image.
+    of voxels stay, since the space behind an erased box can be inferred from other cameras, other frames and the
+    surroundings. Labels of erased pixels become 255.
 
     Args:
         geometry: grid of the voxel labels.
@@ -71,7 +71,7 @@ class Augment:
         self.drop_past_probability = drop_past_probability
 
     def __call__(self, batch: Batch, generator: torch.Generator) -> Batch:
-        """Return a changed batch; the same for the same state of `generator` (on the CPU), whatever device it is on."""
+        """Return a changed batch, which depends on the state of `generator` (on the CPU), not on the batch's device."""
         if self.flip_probability or self.yaw_probability:
             batch = change_scenes(batch, self.geometry, self._changes(batch, generator))
         if self.drop_past_probability:
@@ -92,9 +92,8 @@ class Augment:
         flips = torch.rand(size, generator=generator) < self.flip_probability
         turns = torch.rand(size, generator=generator) < self.yaw_probability
         steps = torch.randint(0, parts, (size,), generator=generator) * turns
-        return [
-            Change(flip, step, parts if step else 1) for flip, step in zip(flips.tolist(), steps.tolist(), strict=True)
-        ]
+        draws = zip(flips.tolist(), steps.tolist(), strict=True)
+        return [Change(flip, step, parts if step else 1) for flip, step in draws]
 
 
 def drop_past(batch: Batch, probability: float, generator: torch.Generator) -> Batch:

@@ -11,7 +11,7 @@ YIQ_FROM_RGB = (LUMINANCE, (0.5959, -0.2746, -0.3213), (0.2115, -0.5227, 0.3112)
 
 
 def uniform(size: Sequence[int], low: float, high: float, generator: torch.Generator) -> Tensor:
-    """Return uniform draws, on the CPU: the same whatever device the images are on."""
+    """Return uniform draws on the CPU, so that they do not depend on the device of the images."""
     return torch.rand(tuple(size), generator=generator) * (high - low) + low
 
 
@@ -37,16 +37,16 @@ def erase(
     Returns:
         The images and the erased pixels, (..., H, W) bool.
     """
-    *many, _, height, width = images.shape
-    hit = torch.rand(tuple(many), generator=generator) < probability
-    own_width, own_height = (torch.full(many, width), torch.full(many, height)) if sizes is None else sizes
-    area_px = uniform(many, fraction[0], fraction[1], generator) * (own_height * own_width)
-    ratio = uniform(many, math.log(aspect[0]), math.log(aspect[1]), generator).exp()
-    wide = (area_px * ratio).sqrt().round().clamp(min=1).minimum(own_width)
-    high = (area_px / ratio).sqrt().round().clamp(min=1).minimum(own_height)
-    left = (torch.rand(tuple(many), generator=generator) * (own_width - wide + 1)).floor()
-    top = (torch.rand(tuple(many), generator=generator) * (own_height - high + 1)).floor()
-    color = torch.randint(0, 256, (*many, 3, 1, 1), generator=generator, dtype=torch.uint8)
+    *leading, _, height, width = images.shape
+    hit = torch.rand(tuple(leading), generator=generator) < probability
+    image_width, image_height = (torch.full(leading, width), torch.full(leading, height)) if sizes is None else sizes
+    area_px = uniform(leading, fraction[0], fraction[1], generator) * (image_height * image_width)
+    ratio = uniform(leading, math.log(aspect[0]), math.log(aspect[1]), generator).exp()
+    wide = (area_px * ratio).sqrt().round().clamp(min=1).minimum(image_width)
+    high = (area_px / ratio).sqrt().round().clamp(min=1).minimum(image_height)
+    left = (torch.rand(tuple(leading), generator=generator) * (image_width - wide + 1)).floor()
+    top = (torch.rand(tuple(leading), generator=generator) * (image_height - high + 1)).floor()
+    color = torch.randint(0, 256, (*leading, 3, 1, 1), generator=generator, dtype=torch.uint8)
     columns, rows = torch.arange(width), torch.arange(height)
     inside_columns = (columns >= left[..., None]) & (columns < (left + wide)[..., None]) & hit[..., None]
     inside_rows = (rows >= top[..., None]) & (rows < (top + high)[..., None])
@@ -74,19 +74,19 @@ def jitter(
         generator: of all draws, on the CPU.
         mask: (B, T, N, H, W) bool, pixels that are no padding; None: all are. Padding stays 0.
     """
-    many = (images.shape[0], 1, images.shape[2])
-    factors = [uniform(many, 1 - spread, 1 + spread, generator) for spread in (brightness, contrast, saturation)]
-    bright, steep, vivid = (factor[..., None, None].to(images.device) for factor in factors)
-    angle_rad = uniform(many, -math.radians(hue_deg), math.radians(hue_deg), generator).to(images.device)
-    color = bright * (steep * (hue_matrix(angle_rad) * vivid + grey_matrix(images.device) * (1 - vivid)))
+    leading = (images.shape[0], 1, images.shape[2])
+    factors = [uniform(leading, 1 - spread, 1 + spread, generator) for spread in (brightness, contrast, saturation)]
+    bright, contrasted, vivid = (factor[..., None, None].to(images.device) for factor in factors)
+    angle_rad = uniform(leading, -math.radians(hue_deg), math.radians(hue_deg), generator).to(images.device)
+    color = bright * (contrasted * (hue_matrix(angle_rad) * vivid + grey_matrix(images.device) * (1 - vivid)))
     pixels = images.float()
     if mask is None:
         mean = pixels.mean((-2, -1))
     else:
         mean = pixels.sum((-2, -1)) / mask.sum((-2, -1)).clamp(min=1).unsqueeze(-1)
     luminance = mean @ torch.tensor(LUMINANCE, device=images.device)
-    lift = bright * (1 - steep) * luminance[..., None, None]
-    changed = ((color @ pixels.flatten(-2)) + lift).round().clamp(0, 255).to(torch.uint8).view_as(images)
+    shift = bright * (1 - contrasted) * luminance[..., None, None]
+    changed = ((color @ pixels.flatten(-2)) + shift).round().clamp(0, 255).to(torch.uint8).view_as(images)
     return changed if mask is None else changed * mask.unsqueeze(-3)
 
 

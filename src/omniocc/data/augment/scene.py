@@ -1,4 +1,4 @@
-"""The same scene mirrored left to right, or seen with the car turned: images, cameras, labels and poses together.
+"""Mirror a scene left to right, or turn the car in it: images, cameras, labels and poses together.
 
 Nothing is interpolated: cells go to cells, pixels to pixels.
 """
@@ -55,7 +55,7 @@ class Change(NamedTuple):
 
 
 def possible_turns(batch: Batch, geometry: Grid) -> int:
-    """Return into how many equal turns the circle divides so that each takes cells to cells and columns to columns."""
+    """Return the number of equal turns of a circle of which each takes cells to cells and columns to columns."""
     (x_cells, y_cells, _), (x, y, _) = geometry.shape, geometry.bounds
     square = x_cells == y_cells and x == y and x[0] == -x[1]
     around = y_cells if geometry.periodic[1] else 4 if square else 1
@@ -66,13 +66,8 @@ def possible_turns(batch: Batch, geometry: Grid) -> int:
 def change_scenes(batch: Batch, geometry: Grid, changes: list[Change]) -> Batch:
     """Change each sample in its own way.
 
-    LiDAR rays turn with the scene if the batch holds them. The fixed rays of a source cannot turn, so what they hit
-    becomes absent; no loss looks at it.
-
-    Args:
-        batch: a training batch.
-        geometry: grid of its voxels.
-        changes: one for each sample.
+    LiDAR rays turn with the scene if the batch holds them. The fixed rays of a source cannot turn, so that their ranges
+    and labels are removed; no loss uses them.
 
     Raises:
         ValueError: if the grid is not the same on both sides, or after the turn.
@@ -86,22 +81,13 @@ def change_scenes(batch: Batch, geometry: Grid, changes: list[Change]) -> Batch:
         if values is not None:
             parts = zip(values, changes, widths, strict=True)
             changed[name] = torch.stack([change_field(name, *part, geometry) for part in parts])
-    rigs = tuple(
-        tuple(change_rig(rig, change) for rig in frames) for frames, change in zip(batch.rigs, changes, strict=True)
-    )
+    pairs = zip(batch.rigs, changes, strict=True)
+    rigs = tuple(tuple(change_rig(rig, change) for rig in frames) for frames, change in pairs)
     return batch._replace(rigs=rigs, **changed)
 
 
 def change_field(name: str, value: Tensor, change: Change, widths: Tensor, geometry: Grid) -> Tensor:
-    """Return a field of a sample in the changed scene.
-
-    Args:
-        name: of the field in `Batch`.
-        value: of one sample.
-        change: of the scene.
-        widths: (T, N) of the images, px.
-        geometry: grid of cells.
-    """
+    """Return the field `name` of one sample in the changed scene; `widths` (T, N) are those of the images, px."""
     if name in IMAGES:
         return mirror_columns(value, widths if name == "images" else widths[-1]) if change.flip else value
     if name in CELLS:
@@ -147,16 +133,16 @@ def change_cells(values: Tensor, geometry: Grid, change: Change) -> Tensor:
 
 @lru_cache(maxsize=256)
 def cell_sources(geometry: Grid, change: Change) -> Tensor:
-    """Return for every cell the one whose content comes there, (cells,) row-major numbers.
+    """Return for every cell the row-major number of the cell from which its content comes, (cells,).
 
     Raises:
         ValueError: if the change does not take every cell centre to another cell's centre.
     """
     to_old = (change.turn @ change.mirror).T[:3, :3]
     centers_m = geometry.centers(torch.float64).reshape(-1, 3)
-    wanted_m = centers_m @ to_old.T
-    sources, inside = geometry.flat_index(wanted_m)
-    if not inside.all() or float((centers_m[sources] - wanted_m).abs().max()) > 1e-6:
+    origins_m = centers_m @ to_old.T
+    sources, inside = geometry.flat_index(origins_m)
+    if not inside.all() or float((centers_m[sources] - origins_m).abs().max()) > 1e-6:
         raise ValueError(f"{geometry} is not symmetric under {change}; switch flips or turns off, or centre the grid")
     return sources
 

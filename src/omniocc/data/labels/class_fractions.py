@@ -16,9 +16,9 @@ PUBLISHED_PERCENT: dict[str, float] = {
 """Percent of occupied voxels, from the legend on the authors' page; they add up to 103, so one is a misprint."""
 
 
-def spread(count: int, wanted: int) -> list[int]:
-    """Return at most `wanted` of the numbers 0 to `count` - 1, evenly spread, the first and the last included."""
-    return sorted({round(at) for at in np.linspace(0, count - 1, min(count, wanted)).tolist()})
+def spread(count: int, most: int) -> list[int]:
+    """Return at most `most` of the numbers 0 to `count` - 1, evenly spread, the first and the last included."""
+    return sorted({round(value) for value in np.linspace(0, count - 1, min(count, most)).tolist()})
 
 
 def count_classes(voxels: np.ndarray) -> np.ndarray:
@@ -41,10 +41,10 @@ def occupied_percent(counts: np.ndarray) -> dict[str, float]:
 
 
 def fraction_table(counts: np.ndarray) -> str:
-    """Return lines with our percentages beside the published ones; a mark where they differ by more than two times."""
+    """Return lines with our percentages beside the published ones, marked where they differ by a factor of two."""
     lines = [f"{'class':<12}{'ours %':>8}{'authors %':>11}"]
     for name, ours in occupied_percent(counts).items():
         theirs = PUBLISHED_PERCENT[name]
-        far = "  more than two times apart" if not theirs / 2 <= ours <= theirs * 2 else ""
+        far = "  more than a factor of two apart" if not theirs / 2 <= ours <= theirs * 2 else ""
         lines.append(f"{name:<12}{ours:>8.2f}{theirs:>11.2f}{far}")
     return "\n".join(lines)

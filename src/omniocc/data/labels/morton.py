@@ -2,7 +2,7 @@
 
 import numpy as np
 
-# how far to move, and which bits stay: 16 bits are spread to every third place in four halvings
+# shift and mask of each step: 16 bits are spread to every third place in four halvings
 _STEPS = tuple(
     (np.uint64(shift), np.uint64(mask))
     for shift, mask in (

@@ -1,9 +1,9 @@
 """The cells that the recorded sensors saw: a cell that no ray has crossed is unknown, not free.
 
 A cell is observed if it holds a labelled point, or if some ray of the ego LiDAR or of a camera leaves it before the ray
-hits anything. That is sound (no cell counts as free unless a ray has crossed it) and holds for any grid, since only
-recorded ranges are needed. What only the virtual LiDARs beside the car could see through stays unobserved: their points
-are recorded, their places are not.
+hits anything. No cell counts as free unless a ray has crossed it, and any grid will do, since only recorded ranges are
+needed. Cells that only the virtual LiDARs beside the car see through remain unobserved: the points of these LiDARs are
+recorded, their positions are not.
 """
 
 import functools
@@ -25,6 +25,8 @@ OBSERVED_VERSION = 1
 PIXEL_STEP = 4
 """Rays are cast for every fourth row and column of a camera: about one per 0.5 m at the rim of the paper's grid."""
 
+_EVERY_STEP = slice(PIXEL_STEP // 2, None, PIXEL_STEP)
+_PIXELS = (_EVERY_STEP, _EVERY_STEP)
 _CHUNK_RAYS = 8192
 
 
@@ -32,7 +34,7 @@ class Sight(NamedTuple):
     """Fixed rays and the cells they cross.
 
     Attributes:
-        cells: flat cell index, the number of cells where there is none.
+        cells: flat indices of cells, padded by the number of cells.
         exit_m: distance at which each cell is left.
     """
 
@@ -40,7 +42,7 @@ class Sight(NamedTuple):
     exit_m: Float32[Tensor, "R L"]
 
     def crossed(self, range_m: Float32[Tensor, " R"], num_cells: int) -> Bool[Tensor, " cells"]:
-        """Return the cells that some ray leaves before its range (R,), m; nan crosses no cell, inf all of its ray's."""
+        """Return the cells that some ray leaves before its range, m; with nan a ray crosses none, with inf all."""
         seen = torch.zeros(num_cells + 1, dtype=torch.bool)
         free_m = (range_m - 1 / STEPS_PER_M).nan_to_num(nan=0.0, posinf=float("inf"))
         for cells, exit_m, limit_m in zip(*(part.split(_CHUNK_RAYS) for part in (*self, free_m)), strict=True):
@@ -52,7 +54,7 @@ def observed(scene: SceneFrames, frame: int, geometry: Grid) -> UInt8[Tensor, "X
     """Return 1 for every cell of one frame that was observed, 0 for the others."""
     rig, scan, points = scene.rigs[frame], scene.lidar(frame), scene.points(frame)
     mask = torch.zeros(geometry.num_cells, dtype=torch.bool)
-    for range_m, sight in _looks(scene, frame, scan, rig, geometry):
+    for range_m, sight in _rays(scene, frame, scan, rig, geometry):
         mask |= sight.crossed(range_m, geometry.num_cells)
     if points is not None:
         cells, inside = geometry.flat_index(torch.from_numpy(points.points_m))
@@ -60,26 +62,21 @@ def observed(scene: SceneFrames, frame: int, geometry: Grid) -> UInt8[Tensor, "X
     return mask.to(torch.uint8).reshape(geometry.shape)
 
 
-def _looks(
+def _rays(
     scene: SceneFrames, frame: int, scan: LidarScan | None, rig: Rig, geometry: Grid
 ) -> Iterator[tuple[Float32[Tensor, " R"], Sight]]:
-    """Yield the ranges and rays of the LiDAR and of every camera, as far as they are recorded."""
+    """Yield recorded ranges, with their rays, of the LiDAR and of every camera."""
     if scan is not None:
         yield torch.from_numpy(scan.range_m), _lidar_sight(geometry, scan)
     ranges_m = scene.camera_range_m(frame)
     for camera, range_m in enumerate(ranges_m or ()):
-        yield torch.from_numpy(range_m[_pixels()].ravel()), _camera_sight(geometry, rig, camera)
-
-
-def _pixels() -> tuple[slice, slice]:
-    every = slice(PIXEL_STEP // 2, None, PIXEL_STEP)
-    return every, every
+        yield torch.from_numpy(range_m[_PIXELS].ravel()), _camera_sight(geometry, rig, camera)
 
 
 @functools.lru_cache(maxsize=16)
 def _camera_sight(geometry: Grid, rig: Rig, camera: int) -> Sight:
     rays, valid = rig.rays(camera)
-    rays = torch.where(valid.unsqueeze(-1), rays, rays.new_tensor([0.0, 0.0, 1.0]))[_pixels()].reshape(-1, 3)
+    rays = torch.where(valid.unsqueeze(-1), rays, rays.new_tensor([0.0, 0.0, 1.0]))[_PIXELS].reshape(-1, 3)
     pose = torch.as_tensor(rig.ego_from_camera)[camera]
     return _sight(geometry, pose[:3, 3].to(rays).expand_as(rays), rays)
 

@@ -32,21 +32,14 @@ MEMBER = "voxels.zst"
 
 def geometry_hash(geometry: Grid, unknown: Unknown = "free") -> str:
     """Return a short hash of the grid and of the way cells are labelled."""
-    how = [repr(geometry), VOTE_VERSION]
-    return digest(how if unknown == "free" else [*how, unknown, OBSERVED_VERSION])[:12]
+    labelling = [] if unknown == "free" else [unknown, OBSERVED_VERSION]
+    return digest([repr(geometry), VOTE_VERSION, *labelling])[:12]
 
 
 def vote(
     scene: SceneFrames, frame: int, geometry: Grid, unknown: Unknown = "free", num_classes: int = NUM_CLASSES
 ) -> UInt8[Tensor, "X Y Z"]:
     """Return the label of every cell of one frame, voted by its points.
-
-    Args:
-        scene: a scene with points.
-        frame: its number.
-        geometry: the grid.
-        unknown: what cells without points are.
-        num_classes: number of classes, free included.
 
     Raises:
         DataError: when the frame is damaged or has no points.
@@ -63,7 +56,7 @@ def vote(
 def count_classes(
     labels: VoxelLabels, scenes: Sequence[SceneFrames], num_classes: int, shape: Sequence[int]
 ) -> Int64[Tensor, "C X Y Z"]:
-    """Return how often each class stands in each cell of a grid of this shape; unknown is not counted."""
+    """Return the number of frames in which each cell has each class, unknown excluded, for a grid of this shape."""
     counts = torch.zeros(num_classes, *shape, dtype=torch.int64)
     for scene in scenes:
         for frame in range(len(scene)):
@@ -79,11 +72,9 @@ class VoxelCache:
     """Voxels of many scenes in one geometry, as scene folders of their own with one member per frame.
 
     Args:
-        folder: of the dataset; the cache is its subfolder `voxels-<hash of the geometry>`.
-        geometry: the grid.
-        unknown: what cells without points are.
+        folder: of the dataset, in which the cache is the subfolder `voxels-<hash of the geometry>`.
+        unknown: label of cells without points.
         fingerprint: of the data; the counts of classes are kept under it.
-        num_classes: number of classes, free included.
         workers: processes that vote; 0 votes in this one.
 
     Raises:
@@ -110,20 +101,20 @@ class VoxelCache:
         self._cached: dict[str, SceneFolder] = {}
 
     def prepare(self, scenes: Sequence[SceneFrames]) -> None:
-        """Vote for the scenes that are not there yet or whose cache cannot be opened.
+        """Vote for the scenes whose cache is missing or cannot be opened.
 
         Raises:
             DataError: when recorded points are damaged or the disk refuses.
         """
-        wanted = [scene for scene in scenes if not self._opens(scene)]
-        if not wanted:
+        missing = [scene for scene in scenes if not self._opens(scene)]
+        if not missing:
             return
-        work = VoteJob({scene.name: scene for scene in wanted}, self.geometry, self.unknown, self.num_classes)
-        with Progress(f"voxels {self.folder.name}", sum(map(len, wanted))) as progress:
-            make_scenes(work, [self.folder / scene.name for scene in wanted], self.workers, progress)
+        work = VoteJob({scene.name: scene for scene in missing}, self.geometry, self.unknown, self.num_classes)
+        with Progress(f"voxels {self.folder.name}", sum(map(len, missing))) as progress:
+            make_scenes(work, [self.folder / scene.name for scene in missing], self.workers, progress)
 
     def read(self, scene: SceneFrames, frame: int) -> UInt8[Tensor, "X Y Z"]:
-        """Return the labels of one frame; a damaged cache costs a warning and a new vote, never a wrong label."""
+        """Return the labels of one frame; where the cache is damaged, warn and vote again."""
         try:
             cached = self._cached.setdefault(scene.name, SceneFolder(self.folder / scene.name))
             blob = cached.read(frame, [MEMBER])[MEMBER]
@@ -137,7 +128,7 @@ class VoxelCache:
         """Return None: all cells whose class is known count in scores."""
 
     def counts(self, scenes: Sequence[SceneFrames]) -> Int64[Tensor, "C X Y Z"]:
-        """Return how often each class stood in each cell; unknown is not counted. Counted once, then read from disk."""
+        """Return the number of frames in which each cell has each class, unknown excluded; kept on disk."""
         path = self.folder / f"counts-{digest([self.fingerprint, [scene.name for scene in scenes]])[:12]}.zst"
         shape = (self.num_classes, *self.geometry.shape)
         if path.exists():
@@ -145,7 +136,7 @@ class VoxelCache:
                 raw = zstandard.ZstdDecompressor().decompress(path.read_bytes())
                 return torch.from_numpy(np.frombuffer(bytearray(raw), dtype="<i8").astype(np.int64)).reshape(shape)
             except (zstandard.ZstdError, ValueError, RuntimeError) as error:
-                warnings.warn(f"{path} is damaged ({error}); it is counted anew", stacklevel=2)
+                warnings.warn(f"{path} is damaged ({error}); it is counted again", stacklevel=2)
         counts = count_classes(self, scenes, self.num_classes, self.geometry.shape)
         compressor = zstandard.ZstdCompressor(level=3, write_checksum=True)
         atomic_write(path, compressor.compress(counts.numpy().astype("<i8").tobytes()))
@@ -166,14 +157,7 @@ class VoxelCache:
 
 @dataclass(frozen=True)
 class VoteJob:
-    """Makes the voxels of one scene folder after another; can be sent to other processes.
-
-    Attributes:
-        scenes: by name.
-        geometry: the grid.
-        unknown: what cells without points are.
-        num_classes: number of classes, free included.
-    """
+    """Makes the voxels of one scene folder after another; can be sent to other processes."""
 
     scenes: dict[str, SceneFrames]
     geometry: Grid

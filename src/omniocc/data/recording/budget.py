@@ -9,16 +9,16 @@ from omniocc.data.source.virtual import VirtualWorld
 from omniocc.errors import DataError
 
 OTHER_BYTES = 45_000
-"""Ego LiDAR, poses and boxes, tar headers and the frame's lines in the index."""
+"""Size of ego LiDAR, poses and boxes, tar headers and the frame's lines in the index."""
 GEOMETRY_BYTES = 800_000
 
 
 def frame_bytes(world: VirtualWorld) -> int:
-    """Return the mean size of a recorded frame in bytes: powers fitted to frames of all eight places.
+    """Return the mean size of a recorded frame in bytes, by powers fitted to frames of all eight places.
 
-    Per camera of 64x36, 256x144, 512x288 and 1024x576 px 4.9, 35.4, 105.7 and 325 kB; panoramas of 48x12, 180x45 and
-    720x180 px 0.7, 5.4 and 40.7 kB; points of 1, 5, 10, 20 and 40 LiDARs 51, 137, 207, 318 and 475 kB. Places differ by
-    15 percent.
+    Measured, in kB: 4.9, 35.4, 105.7, 325 for a camera of 64x36, 256x144, 512x288, 1024x576 px; 0.7, 5.4, 40.7 for a
+    panorama of 48x12, 180x45, 720x180 px; 51, 137, 207, 318, 475 for points of 1, 5, 10, 20, 40 LiDARs. Places differ
+    by 15 percent.
     """
     cameras = sum(8.73 * (camera.width * camera.height) ** 0.79 for camera in world.rig.cameras)
     panorama = 5.96 * (world.erp_size[0] * world.erp_size[1]) ** 0.75
@@ -33,9 +33,9 @@ def begun(world: VirtualWorld, missing: Sequence[ScenePlan]) -> list[Path]:
 
 
 def bytes_to_come(world: VirtualWorld, missing: Sequence[ScenePlan]) -> int:
-    """Return how many bytes rendering these scenes will add to what an interrupted run has left of them."""
-    there = sum(path.stat().st_size for folder in begun(world, missing) for path in folder.glob("*.tar"))
-    return max(0, len(missing) * world.frames_per_scene * frame_bytes(world) - there)
+    """Return the number of bytes that rendering these scenes will still write after an interrupted run."""
+    written = sum(path.stat().st_size for folder in begun(world, missing) for path in folder.glob("*.tar"))
+    return max(0, len(missing) * world.frames_per_scene * frame_bytes(world) - written)
 
 
 def announcement(world: VirtualWorld, plans: Sequence[ScenePlan]) -> str:
@@ -46,7 +46,7 @@ def announcement(world: VirtualWorld, plans: Sequence[ScenePlan]) -> str:
     """
     missing = world.missing(plans)
     if not missing:
-        return f"{world.place}: all {len(plans)} scenes are there"
+        return f"{world.place}: all {len(plans)} scenes exist"
     frames, needed = len(missing) * world.frames_per_scene, bytes_to_come(world, missing)
     free = shutil.disk_usage(existing(world.folder)).free
     if needed > free:
@@ -55,9 +55,9 @@ def announcement(world: VirtualWorld, plans: Sequence[ScenePlan]) -> str:
             f"disk has {size(free)} free: free some space, choose another folder (paths.data=...), or render fewer "
             f"scenes (scenes=...); nothing was written"
         )
-    there = f", {len(plans) - len(missing)} are there" if len(missing) < len(plans) else ""
+    complete = f", {len(plans) - len(missing)} exist" if len(missing) < len(plans) else ""
     return (
-        f"{world.place}: {len(missing)} of {len(plans)} scenes to render{there}, {frames:,} frames, about "
+        f"{world.place}: {len(missing)} of {len(plans)} scenes to render{complete}, {frames:,} frames, about "
         f"{size(needed)}, {size(free)} free"
     )
 

@@ -37,12 +37,11 @@ class Recordable(Protocol):
 
     def frame(self, index: int) -> Frame:
         """Return the frame with this number; it depends on nothing but the scene and the number."""
-        ...
 
 
 @functools.cache
 def code_fingerprint(folder: Path) -> str:
-    """Return a hash of what the modules below a folder do: comments, docstrings and layout do not count."""
+    """Return a hash of the code in a folder and its subfolders, without comments, docstrings and layout."""
     digest = hashlib.sha256()
     modules = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*.py")}
     for name, path in sorted(modules.items()):
@@ -51,13 +50,9 @@ def code_fingerprint(folder: Path) -> str:
         tree = ast.parse(path.read_text())
         for node in ast.walk(tree):
             body = getattr(node, "body", None)
-            if (
-                isinstance(body, list)
-                and body
-                and isinstance(body[0], ast.Expr)
-                and isinstance(body[0].value, ast.Constant)
-            ):
-                body[0].value.value = ""
+            first = body[0] if isinstance(body, list) and body else None
+            if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant):
+                first.value.value = ""
         digest.update(f"{name}\n{ast.dump(tree)}\n".encode())
     return digest.hexdigest()[:16]
 
@@ -67,10 +62,10 @@ class SceneJob:
     """Renders one scene folder after another; can be sent to other processes.
 
     Attributes:
-        build: world of a planned scene.
-        plans: the scenes it may be asked for.
-        recipe: what decides the content of frames; written beside them.
-        spec: what holds for all scenes; written beside the frames.
+        build: makes the world of a planned scene.
+        plans: all scenes that may have to be rendered.
+        recipe: everything that decides the content of frames; written beside them.
+        spec: facts about all scenes; written beside the frames.
         rig: the cameras; written beside the frames.
         frames: number of frames of each scene.
         shard_limit_bytes: see `SceneWriter`.

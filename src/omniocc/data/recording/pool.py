@@ -1,4 +1,4 @@
-"""Making scenes in several processes, each scene in exactly one, also if other runs work on the same folder."""
+"""Make scenes in several processes, each scene in exactly one, even if other runs work on the same folder."""
 
 import contextlib
 import json
@@ -61,22 +61,22 @@ def make_scenes(work: Work, folders: Sequence[Path], workers: int, progress: Pro
         events, stop = context.Queue(), context.Event()
         pool = ProcessPoolExecutor(min(workers, len(folders)), context, _start_worker, (work, events, stop))
         try:
-            for patient in (False, True):
-                jobs = {folder: pool.submit(_make_in_worker, folder, patient) for folder in folders}
+            for waits in (False, True):
+                jobs = {folder: pool.submit(_make_in_worker, folder, waits) for folder in folders}
                 _follow(list(jobs.values()), events, progress)
                 folders = [folder for folder, job in jobs.items() if not job.result()]
         except BrokenProcessPool as error:
-            reason = (
-                "a render process was killed (out of memory?). Run the same command again, perhaps with fewer workers"
-            )
-            raise DataError(f"{folders[0].parent}: {reason}; it continues where it stopped") from error
+            raise DataError(
+                f"{folders[0].parent}: a render process was killed (out of memory?). Run the same command again, "
+                "perhaps with fewer workers; it continues where it stopped"
+            ) from error
         finally:
             stop.set()
             pool.shutdown(wait=True, cancel_futures=True)
 
 
 def process_context() -> Any:
-    """Return how processes start: as copies of one that has the imports, so that a second pool costs nothing."""
+    """Return the multiprocessing context; with `forkserver` processes are copies of one that has the imports."""
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
@@ -88,15 +88,14 @@ def process_context() -> Any:
 def worker_environment(needs_main: bool) -> Iterator[None]:
     """Let processes started inside use one thread each in numerical libraries, and find this package.
 
-    Args:
-        needs_main: let them import the script that runs here too. It may import Lightning: seconds in each of them.
+    With `needs_main` they import the running script too, which takes seconds in each of them if it imports Lightning.
     """
     paths = [str(Path(omniocc.__file__).parents[1]), *filter(None, [os.environ.get("PYTHONPATH")])]
     threads = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-    wanted = dict.fromkeys(threads, "1") | {"PYTHONPATH": os.pathsep.join(paths)}
-    before = {name: os.environ.get(name) for name in wanted}
+    changes = dict.fromkeys(threads, "1") | {"PYTHONPATH": os.pathsep.join(paths)}
+    before = {name: os.environ.get(name) for name in changes}
     main = {} if needs_main else {name: value for name, value in _main_origin().items() if value is not None}
-    os.environ.update(wanted)
+    os.environ.update(changes)
     for name in main:
         setattr(sys.modules["__main__"], name, None)
     try:
@@ -126,7 +125,7 @@ def limit_threads(_worker: int = 0) -> None:
 
 def _follow(jobs: list[Future], events: Any, progress: Progress) -> None:
     while True:
-        done = all(job.done() for job in jobs)  # first of all: what they reported before is in the queue then
+        done = all(job.done() for job in jobs)  # first: all that they have reported is in the queue then
         failed = [job for job in jobs if job.done() and not job.cancelled() and job.exception() is not None]
         with contextlib.suppress(Empty):
             while True:
@@ -145,16 +144,16 @@ def _start_worker(work: Work, events: Any, stop: Any) -> None:
     limit_threads()
     parent = multiprocessing.parent_process()
     assert parent is not None
-    threading.Thread(target=_die_with, args=(parent.sentinel,), daemon=True).start()
+    threading.Thread(target=_exit_after, args=(parent.sentinel,), daemon=True).start()
 
 
-def _die_with(parent: int) -> None:
+def _exit_after(parent: int) -> None:
     wait([parent])
     os._exit(1)
 
 
-def _make_in_worker(folder: Path, patient: bool) -> bool:
-    return _make(_work, _report, folder, _events.put if patient else None)
+def _make_in_worker(folder: Path, waits: bool) -> bool:
+    return _make(_work, _report, folder, _events.put if waits else None)
 
 
 def _report(frames: int) -> None:
@@ -163,10 +162,10 @@ def _report(frames: int) -> None:
         raise Stopped
 
 
-def _make(work: Work, report: Report, folder: Path, tell: Callable[[str], Any] | None) -> bool:
-    """Make a scene and return True; if another run holds it, return False, or with `tell` report that and wait."""
+def _make(work: Work, report: Report, folder: Path, report_wait: Callable[[str], Any] | None) -> bool:
+    """Make a scene and return True; if another run holds it, return False, or call `report_wait` and wait."""
     try:
-        lock = _lock(folder, tell)
+        lock = _lock(folder, report_wait)
     except Timeout:
         return False
     except OSError as error:
@@ -180,16 +179,16 @@ def _make(work: Work, report: Report, folder: Path, tell: Callable[[str], Any] |
     return True
 
 
-def _lock(folder: Path, tell: Callable[[str], Any] | None) -> FileLock:
+def _lock(folder: Path, report_wait: Callable[[str], Any] | None) -> FileLock:
     locks = folder.parent / ".locks"
     locks.mkdir(parents=True, exist_ok=True)
     lock, owner = FileLock(locks / f"{folder.name}.lock"), locks / f"{folder.name}.owner"
     try:
         lock.acquire(blocking=False)
     except Timeout:
-        if tell is None:
+        if report_wait is None:
             raise
-        tell(f"another process {_owner(owner)} renders {folder.name}, waiting")
+        report_wait(f"another process {_owner(owner)} renders {folder.name}, waiting")
         lock.acquire()
     owner.write_text(json.dumps({"pid": os.getpid(), "host": socket.gethostname()}))
     return lock
@@ -199,7 +198,7 @@ def _owner(path: Path) -> str:
     try:
         facts = json.loads(path.read_text())
         return f"(pid {facts['pid']} on {facts['host']})"
-    except (OSError, ValueError):  # it is just being written
+    except (OSError, ValueError):  # the other process is writing it
         return "(unknown)"
 
 

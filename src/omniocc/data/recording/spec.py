@@ -1,4 +1,4 @@
-"""The part of a source's spec that a recorded scene states, as plain data in its `meta.json`."""
+"""A source's spec as plain data in the `meta.json` of its scenes."""
 
 from typing import Any
 

@@ -23,7 +23,7 @@ Unknown = Literal["free", "unobserved"]
 
 @dataclass(frozen=True, eq=False)
 class SourceSpec:
-    """Facts that hold for all scenes of a source.
+    """Facts about all scenes of a source.
 
     Attributes:
         classes: of voxels, pixels and LiDAR hits.
@@ -42,11 +42,7 @@ class SourceSpec:
     lidar_directions: Float64[Tensor, "R 3"] | None
 
     def __post_init__(self) -> None:
-        """Check the bands.
-
-        Raises:
-            ValueError: if they are fewer than one or do not increase.
-        """
+        """Check the bands; raise ValueError if they are fewer than one or do not increase."""
         edges = self.range_edges_m
         if len(edges) < 2 or any(low >= high for low, high in itertools.pairwise(edges)):
             raise ValueError(f"range_edges_m must be two or more increasing distances, got {edges}")
@@ -62,7 +58,7 @@ class LidarScan(NamedTuple):
 
     Attributes:
         range_m: (R,) float32 range along every ray, m; inf where nothing is hit.
-        labels: (R,) uint8 class of what is hit; 0 where nothing is hit, 255 unknown.
+        labels: (R,) uint8 class that is hit; 0 where nothing is hit, 255 unknown.
         directions: (R, 3) float32 unit rays in the ego frame.
         origins: (R, 3) float32 where the rays start, m, ego frame; None: in the ego origin.
     """
@@ -87,7 +83,7 @@ class Points(NamedTuple):
 
 @runtime_checkable
 class SceneFrames(Protocol):
-    """The frames of one scene, decoded; can be sent to other processes. A method returns None for what is absent.
+    """The frames of one scene, decoded; picklable. Methods return None where the dataset has no such data.
 
     Frames have numbers from 0 in the order of time. Errors in reading are `omniocc.errors.DataError`.
     """
@@ -95,45 +91,35 @@ class SceneFrames(Protocol):
     @property
     def name(self) -> str:
         """Return the scene's name, unique in its source."""
-        ...
 
     @property
     def world_from_ego(self) -> np.ndarray:
         """Return the pose of every frame, (F, 4, 4) float64."""
-        ...
 
     @property
     def rigs(self) -> Sequence[Rig]:
         """Return the cameras of every frame; real extrinsics move."""
-        ...
 
     def __len__(self) -> int:
         """Return the number of frames."""
-        ...
 
     def images(self, frame: int) -> list[np.ndarray]:
         """Return the image of every camera, (H, W, 3) uint8 RGB each."""
-        ...
 
     def pixel_labels(self, frame: int) -> list[np.ndarray] | None:
         """Return the classes of the pixels of every camera, (H, W) uint8 each; 0 sky, 255 unknown."""
-        ...
 
     def camera_range_m(self, frame: int) -> list[np.ndarray] | None:
         """Return the true range of the pixels of every camera, (H, W) float32 each, m; inf sky, nan unknown."""
-        ...
 
     def erp_range_m(self, frame: int) -> np.ndarray | None:
         """Return the true panorama of range around the ego origin, (h, w) float32, m; inf sky, nan unknown."""
-        ...
 
     def lidar(self, frame: int) -> LidarScan | None:
         """Return the hits of the LiDAR."""
-        ...
 
     def points(self, frame: int) -> Points | None:
         """Return the labelled points that vote for voxels."""
-        ...
 
 
 @runtime_checkable
@@ -141,44 +127,37 @@ class VoxelLabels(Protocol):
     """The voxel labels of a source in one grid."""
 
     def prepare(self, scenes: Sequence[SceneFrames]) -> None:
-        """Make what is missing for these scenes; safe to call from several processes at once."""
-        ...
+        """Make the missing labels of these scenes; safe to call from several processes at once."""
 
     def read(self, scene: SceneFrames, frame: int) -> UInt8[Tensor, "X Y Z"] | None:
         """Return the class of every cell, 255 unknown; None without labels."""
-        ...
 
     def scored(self, scene: SceneFrames, frame: int) -> Bool[Tensor, "X Y Z"] | None:
         """Return the cells that count in scores; None: all whose class is known."""
-        ...
 
     def counts(self, scenes: Sequence[SceneFrames]) -> Int64[Tensor, "C X Y Z"]:
-        """Return how often each class stood in each cell over all frames; unknown is not counted."""
-        ...
+        """Return the number of frames in which each cell has each class; unknown is not counted."""
 
 
 @runtime_checkable
 class SceneSource(Protocol):
-    """A dataset: which scenes there are, what they offer and what their labels mean."""
+    """A dataset: its scenes, and the meaning of their labels."""
 
     @property
     def spec(self) -> SourceSpec:
-        """Return the facts that hold for all scenes.
+        """Return the facts about all scenes.
 
         Raises:
-            DataError: when it has to be read from scenes that are not there.
+            DataError: when it has to be read from scenes and there are none.
         """
-        ...
 
     @property
     def fingerprint(self) -> str:
         """Return a hash that is equal for equal data."""
-        ...
 
     @property
     def folder(self) -> Path:
-        """Return the local folder of what is derived from the scenes."""
-        ...
+        """Return the local folder of data derived from the scenes."""
 
     def prepare(self) -> None:
         """Make or find all scenes; safe to call from several processes at once and to repeat after a kill.
@@ -186,24 +165,13 @@ class SceneSource(Protocol):
         Raises:
             DataError: when scenes are missing and cannot be made.
         """
-        ...
 
     def scenes(self, split: Split) -> Sequence[SceneFrames]:
-        """Return the scenes of a split, in order, after `prepare`.
-
-        Raises:
-            DataError: when a scene is not there.
-        """
-        ...
+        """Return the scenes of a split, in order, after `prepare`; raise DataError when one is missing."""
 
     def labels(self, geometry: Grid, unknown: Unknown) -> VoxelLabels:
         """Return the voxel labels of a grid.
 
-        Args:
-            geometry: the grid.
-            unknown: the label of cells for which nothing is recorded.
-
         Raises:
             ValueError: if the source has no labels of this grid, or of this kind.
         """
-        ...

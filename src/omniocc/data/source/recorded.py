@@ -26,14 +26,14 @@ Splits = Mapping[str, Sequence[str] | float]
 
 
 class Recorded:
-    """A source (`SceneSource`) of scenes that were recorded before; it reads them and makes none.
+    """A source (`SceneSource`) of scenes that were recorded before.
 
     Args:
         root: folder or URL (memory://, http://, s3:// ...) that holds the folders of the scenes.
-        splits: what train, val and test consist of: names or patterns (`train-*`) of scenes, or fractions of all
+        splits: the scenes of train, val and test: names or patterns (`train-*`), or fractions of all
             scenes. None reads the same from the file `splits.json` in `root`. An empty list is a split without scenes.
         workers: processes that vote for voxels; 0 votes in this process, None takes all usable cores.
-        cache: folder for what is derived from the scenes (voxels); None puts it into `root`. A URL as root needs one.
+        cache: folder for derived data (voxels); None puts it into `root`. A URL as root needs one.
 
     Raises:
         ValueError: if a URL comes without a cache, or `workers` is negative.
@@ -60,16 +60,16 @@ class Recorded:
         """Return the names of the scenes of every split.
 
         Raises:
-            DataError: naming the split or scene that is not there or is in two splits.
+            DataError: naming the split or scene that is missing, or the scene that is in two splits.
         """
         splits = self.splits
         if splits is None:
             splits = read_json(self.root, SPLITS_FILE, "set data.source.splits to names, patterns or fractions instead")
-        return chosen_scenes(splits, list_folders(self.root, META), self.root)
+        return split_scenes(splits, list_folders(self.root, META), self.root)
 
     @property
     def spec(self) -> SourceSpec:
-        """Return the facts that the first scene states.
+        """Return the facts recorded with the first scene.
 
         Raises:
             DataError: when there are no scenes, or the first is damaged.
@@ -83,22 +83,22 @@ class Recorded:
 
     @property
     def folder(self) -> Path:
-        """Return the local folder of what is derived from these very scenes."""
+        """Return the local folder of data derived from exactly these scenes."""
         return Path(self.root if self.cache is None else self.cache) / f"recorded-{digest(self._checksums)[:12]}"
 
     def prepare(self) -> None:
-        """Check that all scenes are there and fit together; each may have cameras of its own.
+        """Check that all scenes exist and fit together; each may have cameras of its own.
 
         Raises:
             DataError: when a scene is missing or has other classes, bands, road height or frame rate than the first.
         """
         readers = self._readers
-        wanted = plain_spec(spec_of(readers[0])) if readers else {}
+        first = plain_spec(spec_of(readers[0])) if readers else {}
         for reader in readers[1:]:
-            for what, value in plain_spec(spec_of(reader)).items():
-                if value != wanted[what]:
+            for key, value in plain_spec(spec_of(reader)).items():
+                if value != first[key]:
                     raise DataError(
-                        f"{reader.folder}: its {what} are {value}, those of '{readers[0].name}' are {wanted[what]}; "
+                        f"{reader.folder}: its {key} are {value}, those of '{readers[0].name}' are {first[key]}; "
                         "all scenes of data.source.root must agree: leave this one out of data.source.splits"
                     )
 
@@ -109,8 +109,8 @@ class Recorded:
 
     def scenes(self, split: Split) -> list[SceneReader]:
         """Return the scenes of a split, in order of their names."""
-        at = f"{self.root}/{{}}".format if is_url(self.root) else Path(self.root).joinpath
-        return [SceneReader(at(name)) for name in self.names[split]]
+        locate = f"{self.root}/{{}}".format if is_url(self.root) else Path(self.root).joinpath
+        return [SceneReader(locate(name)) for name in self.names[split]]
 
     @cached_property
     def _readers(self) -> list[SceneReader]:
@@ -128,29 +128,20 @@ class Recorded:
 
 
 def spec_of(scene: SceneFolder) -> SourceSpec:
-    """Return the facts that a scene states about its source.
-
-    Raises:
-        DataError: when it states none or a wrong one.
-    """
+    """Return the facts about its source recorded with a scene; raise DataError when they are missing or wrong."""
     try:
         return read_spec(scene.meta["facts"]["spec"])
     except (KeyError, TypeError, ValueError) as error:
         raise scene.damaged(META, f"its classes and frame rate cannot be read ({error!r})") from error
 
 
-def chosen_scenes(splits: Splits, there: Sequence[str], root: str) -> dict[Split, list[str]]:
+def split_scenes(splits: Splits, available: Sequence[str], root: str) -> dict[Split, list[str]]:
     """Return the names of the scenes of every split.
 
-    Args:
-        splits: names, patterns or fractions; see `Recorded`.
-        there: names of all scenes.
-        root: where they lie, for messages.
-
     Raises:
-        DataError: naming the split or scene that is not there or is in two splits.
+        DataError: naming the split or scene that is missing, or the scene that is in two splits.
     """
-    if not there:
+    if not available:
         raise DataError(f"data.source.root={root} holds no recorded scenes")
     if set(splits) != set(SPLITS):
         raise DataError(f"data.source.splits has {sorted(splits)}; it needs exactly {', '.join(SPLITS)}")
@@ -158,37 +149,33 @@ def chosen_scenes(splits: Splits, there: Sequence[str], root: str) -> dict[Split
     if fractions and len(fractions) < len(splits):
         raise DataError(f"data.source.splits={dict(splits)}: give fractions for all splits or for none")
     if fractions:
-        return by_fraction(fractions, there)
-    found = {split: [name for part in splits[split] for name in matching(part, there, split)] for split in SPLITS}  # type: ignore[union-attr]
+        return by_fraction(fractions, available)
+    found = {split: [name for part in splits[split] for name in matching(part, available, split)] for split in SPLITS}  # type: ignore[union-attr]
     names: dict[Split, list[str]] = {split: sorted(set(found[split])) for split in SPLITS}
-    for split, later in itertools.combinations(SPLITS, 2):
-        for name in sorted(set(names[split]) & set(names[later])):
-            raise DataError(f"data.source.splits: scene '{name}' is in both {split} and {later}")
+    for split, other in itertools.combinations(SPLITS, 2):
+        for name in sorted(set(names[split]) & set(names[other])):
+            raise DataError(f"data.source.splits: scene '{name}' is in both {split} and {other}")
     return names
 
 
-def matching(pattern: str, there: Sequence[str], split: str) -> list[str]:
-    """Return the scenes that a name or pattern means.
-
-    Raises:
-        DataError: if there are none.
-    """
-    names = [name for name in there if fnmatchcase(name, pattern)]
+def matching(pattern: str, available: Sequence[str], split: str) -> list[str]:
+    """Return the scenes that match a name or pattern; raise DataError if there are none."""
+    names = [name for name in available if fnmatchcase(name, pattern)]
     if not names:
-        close = get_close_matches(pattern, there, n=1) or there[:1]
+        close = get_close_matches(pattern, available, n=1) or available[:1]
         raise DataError(f"data.source.splits.{split}: no scene is called '{pattern}'; there is '{close[0]}'")
     return names
 
 
-def by_fraction(fractions: Mapping[str, float], there: Sequence[str]) -> dict[Split, list[str]]:
-    """Deal scenes to splits by fractions, in an order that depends on their names alone.
+def by_fraction(fractions: Mapping[str, float], available: Sequence[str]) -> dict[Split, list[str]]:
+    """Distribute scenes over splits by fractions, in an order that depends only on their names.
 
     Raises:
         DataError: if fractions are negative or exceed 1 together, or a split with a fraction above 0 gets no scene.
     """
     if min(fractions.values()) < 0 or sum(fractions.values()) > 1 + 1e-9:
         raise DataError(f"data.source.splits={dict(fractions)}: fractions must be from 0 to 1 and add up to at most 1")
-    order = sorted(there, key=lambda name: hashlib.sha256(name.encode()).hexdigest())
+    order = sorted(available, key=lambda name: hashlib.sha256(name.encode()).hexdigest())
     names: dict[Split, list[str]] = {}
     total = 0.0
     for split in SPLITS:

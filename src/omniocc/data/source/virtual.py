@@ -1,4 +1,4 @@
-"""The virtual world as a source: which scenes there are, where they lie, and how they are rendered."""
+"""The virtual world as a source: its scenes, their folder, and their rendering."""
 
 import inspect
 from collections.abc import Sequence
@@ -32,14 +32,14 @@ SEEDS_PER_SPLIT = 1_000_000
 class VirtualWorld:
     """A source (`SceneSource`) rendered on first use under `root/virtual-<fingerprint of one scene's recipe>`.
 
-    Scenes of the three splits have disjoint seeds: other streets. Adding scenes keeps those that exist; every other
-    change of what a frame holds leads to another folder, so that settings never mix.
+    Scenes of the three splits have disjoint seeds and so other streets. Adding scenes keeps those that exist; every
+    change in the content of a frame leads to another folder, so that settings never mix.
 
     Args:
         root: folder of all datasets, or a URL (memory://, http://, s3:// ...) of data rendered elsewhere.
         rig: built-in rig by name, or a rig file.
         image_size: width and height of every camera image, px.
-        themes: kinds of places; the scenes of a split go through them in turn, those of the test from the middle on.
+        themes: kinds of places; the scenes of a split take them in turn, those of the test split from the middle on.
         train_scenes: number of scenes to train on.
         val_scenes: number of scenes to validate on.
         test_scenes: number of scenes to test on.
@@ -52,11 +52,11 @@ class VirtualWorld:
         weather: of all scenes; None draws one for each by its seed.
         label_mode: `lidar20`, points of virtual LiDARs as in the paper, or `geometry`, all surfaces, seen or not.
         lidars: number of virtual LiDARs of `lidar20`.
-        capture: `direct`, a ray through every pixel, or `cubemap`, flat images looked up as in the paper.
-        seed: another number gives other streets in all splits.
+        capture: `direct`, a ray through every pixel, or `cubemap`, sampled from flat images as in the paper.
+        seed: of the streets in all splits.
         shard_limit_mib: size at which a new tar shard begins, MiB.
         workers: processes that render; 0 renders in this process, None takes all usable cores.
-        cache: folder for what is derived from the scenes (voxels); None puts it beside them. A URL as root needs one.
+        cache: folder for derived data (voxels); None puts it beside the scenes. A URL as root needs one.
     """
 
     def __init__(
@@ -112,21 +112,14 @@ class VirtualWorld:
 
     @cached_property
     def recipe(self) -> dict[str, Any]:
-        """Return everything, beside theme and seed, that decides what the frames of a scene hold."""
+        """Return everything that decides the content of a scene's frames, except theme and seed."""
         return {
             "schema": SCHEMA,
             "world": code_fingerprint(Path(inspect.getfile(Scene)).parent),
             "rig": self.rig.fingerprint,
             "frames_per_scene": self.frames_per_scene,
-            "frame_interval_s": self.frame_interval_s,
-            "supersample": self.supersample,
+            **self._settings,
             "erp_size": list(self.erp_size),
-            "erp_top_deg": self.erp_top_deg,
-            "erp_bottom_deg": self.erp_bottom_deg,
-            "weather": self.weather,
-            "label_mode": self.label_mode,
-            "lidars": self.lidars,
-            "capture": self.capture,
             "shard_limit_bytes": self.shard_limit_bytes,
         }
 
@@ -152,40 +145,24 @@ class VirtualWorld:
 
     @property
     def place(self) -> Path | str:
-        """Return where the scenes lie: a folder, or a URL."""
+        """Return the folder or URL of the scenes."""
         return f"{self.root.rstrip('/')}/{self.name}" if is_url(self.root) else Path(self.root) / self.name
 
     @property
     def folder(self) -> Path:
-        """Return the local folder of the dataset and of what is derived from it."""
+        """Return the local folder of the dataset and of data derived from it."""
         return Path(self.root if self.cache is None else self.cache) / self.name
 
     def scene(self, plan: ScenePlan) -> Recordable:
         """Return the world of one scene."""
-        return Scene(
-            theme=plan.theme,
-            seed=plan.seed,
-            rig=self.rig,
-            frame_interval_s=self.frame_interval_s,
-            supersample=self.supersample,
-            erp_size=self.erp_size,
-            erp_top_deg=self.erp_top_deg,
-            erp_bottom_deg=self.erp_bottom_deg,
-            weather=self.weather,
-            label_mode=self.label_mode,
-            lidars=self.lidars,
-            capture=self.capture,
-        )
+        return Scene(theme=plan.theme, seed=plan.seed, rig=self.rig, **self._settings)
 
     def missing(self, plans: Sequence[ScenePlan] | None = None) -> list[ScenePlan]:
         """Return those of the planned scenes (all of them by default) that are not complete."""
         return [plan for plan in (self.plans if plans is None else plans) if not self._exists(plan)]
 
     def prepare(self, plans: Sequence[ScenePlan] | None = None) -> None:
-        """Render what is missing; safe to call from several processes at once and to repeat after a kill.
-
-        Args:
-            plans: scenes to be rendered; None for all.
+        """Render the missing ones of these scenes (None: of all); safe in several processes and after a kill.
 
         Raises:
             DataError: when the disk refuses, or scenes are missing in an object store.
@@ -196,7 +173,7 @@ class VirtualWorld:
             return
         if isinstance(self.place, str):
             raise DataError(
-                f"{self.place}: {len(missing)} scenes are missing there, the first is {missing[0].name}. "
+                f"{self.place}: {len(missing)} scenes are missing, the first is {missing[0].name}. "
                 "Rendering writes to local folders only: render with data.source.root=<folder>, then upload that folder"
             )
         work = SceneJob(
@@ -216,11 +193,7 @@ class VirtualWorld:
         return VoxelCache(self.folder, geometry, unknown, self.fingerprint, classes, self.workers)
 
     def scenes(self, split: Split) -> list[SceneReader]:
-        """Return the scenes of a split, in order.
-
-        Raises:
-            DataError: when a scene is not there.
-        """
+        """Return the scenes of a split, in order; raise DataError when one is missing."""
         plans = [plan for plan in self.plans if plan.split == split]
         for plan in self.missing(plans)[:1]:
             raise DataError(f"{self._where(plan)} is missing: call prepare(), or run `python src/render.py`, first")
@@ -229,6 +202,14 @@ class VirtualWorld:
     def reader(self, plan: ScenePlan) -> SceneReader:
         """Return one scene; nothing is opened yet."""
         return SceneReader(self._where(plan))
+
+    @property
+    def _settings(self) -> dict[str, Any]:
+        """Return the arguments of `Scene` that are equal for all scenes."""
+        settings: dict[str, Any] = {"frame_interval_s": self.frame_interval_s, "supersample": self.supersample}
+        settings |= {"erp_size": self.erp_size, "erp_top_deg": self.erp_top_deg, "erp_bottom_deg": self.erp_bottom_deg}
+        settings |= {"weather": self.weather, "label_mode": self.label_mode}
+        return settings | {"lidars": self.lidars, "capture": self.capture}
 
     def _where(self, plan: ScenePlan) -> Path | str:
         return f"{self.place}/{plan.name}" if isinstance(self.place, str) else self.place / plan.name
@@ -247,7 +228,7 @@ class VirtualWorld:
         # with 24 + 4 + 4 scenes of eight themes, as in the paper, each theme has four
         first = len(self.themes) // 2 if split == "test" else 0
         theme = self.themes[(first + number) % len(self.themes)]
-        # one street never stands in two splits, whatever the numbers of scenes
+        # no street is in two splits, for any numbers of scenes
         seed = (self.seed * len(SPLITS) + SPLITS.index(split)) * SEEDS_PER_SPLIT + number
         name = f"{split}-{number:03d}-{theme}" if self.seed == 0 else f"{split}-{number:03d}-{theme}-seed{self.seed}"
         return ScenePlan(name, split, theme, seed)
@@ -255,7 +236,7 @@ class VirtualWorld:
 
 @cache
 def world_spec(frame_interval_s: float) -> SourceSpec:
-    """Return what holds for all scenes of the virtual world that are recorded at this interval, s."""
+    """Return the facts about scenes of the virtual world that are recorded at this interval, s."""
     return SourceSpec(WORLD_CLASSES, PAPER_RANGE_EDGES_M, frame_interval_s, EGO_ROAD_M, sparseocc_directions())
 
 

@@ -1,4 +1,4 @@
-"""Checks of a dataset: every byte against its checksum, every frame against the one before."""
+"""Check a dataset: every byte against its checksum, every frame against the one before."""
 
 import tarfile
 from collections.abc import Iterator, Sequence
@@ -44,33 +44,27 @@ class SceneSurvey:
         frames: how many each should hold.
         interval_s: time between them.
         geometry: grid in which classes are counted.
-        looked_at: frames of each scene that are decoded and counted; bytes, times and poses are checked in all.
+        decoded: frames of each scene that are decoded and counted; bytes, times and poses are checked in all.
     """
 
     frames: int
     interval_s: float
     geometry: Grid
-    looked_at: int
+    decoded: int
 
     def __call__(self, scene: SceneReader) -> Survey:
-        """Return all that is wrong with a scene, and its classes."""
+        """Return the problems of a scene, and its classes."""
         problems = check_scene(scene, self.frames, self.interval_s)
         voxels = np.zeros(NUM_CLASSES, dtype=np.int64)
         if not problems:
-            frames = spread(len(scene), self.looked_at)
+            frames = spread(len(scene), self.decoded)
             problems = [line for frame in frames for line in _content(scene, frame)]
             voxels += count_voxels(scene, frames, self.geometry)
         return Survey(problems, voxels)
 
 
 def check_scene(scene: SceneReader, num_frames: int, interval_s: float) -> list[str]:
-    """Return all that is wrong with a scene's files, times and poses, one line each; empty when it is whole.
-
-    Args:
-        scene: a folder of recorded frames.
-        num_frames: how many it should hold.
-        interval_s: time between them.
-    """
+    """Return the problems of a scene's files, times and poses, one line each."""
     try:
         return [*_files(scene), *_frames(scene, num_frames), *_times(scene, interval_s), *_poses(scene)]
     except DataError as error:
@@ -105,13 +99,13 @@ def _frames(scene: SceneReader, num_frames: int) -> Iterator[str]:
     if not len(scene) == len(records) == num_frames:
         yield str(scene.damaged(INDEX, f"{len(records)} frames instead of {num_frames}"))
     shards = sorted({shard_name(record["shard"]) for record in records})
-    there = {name for name in shards if _exists(scene, name)}
+    existing = {name for name in shards if _exists(scene, name)}
     for frame, record in enumerate(records):
-        if shard_name(record["shard"]) in there:
+        if shard_name(record["shard"]) in existing:
             yield from _members(scene, frame, members)
     names = [member_name(frame, member) for frame in range(len(records)) for member in members]
     try:
-        if len(there) == len(shards) and list(_tar_names(scene, shards)) != names:
+        if len(existing) == len(shards) and list(_tar_names(scene, shards)) != names:
             yield str(scene.damaged(shards[0], "the shards do not list all members in order"))
     except (tarfile.TarError, OSError) as error:
         yield str(scene.damaged(shards[0], f"a shard is no valid tar file ({error})"))
@@ -138,12 +132,14 @@ def _tar_names(scene: SceneReader, shards: list[str]) -> Iterator[str]:
 
 
 def _times(scene: SceneReader, interval_s: float) -> Iterator[str]:
-    wanted_s = np.arange(len(scene.time_s)) * interval_s
-    off = np.flatnonzero(np.abs(scene.time_s - wanted_s) > TIME_TOLERANCE_S)
+    expected_s = np.arange(len(scene.time_s)) * interval_s
+    off = np.flatnonzero(np.abs(scene.time_s - expected_s) > TIME_TOLERANCE_S)
     if len(off):
-        at = int(off[0])
-        what = f"its time is {scene.time_s[at]:g} s instead of {wanted_s[at]:g} s ({len(off)} frames are off)"
-        yield str(scene.damaged(INDEX, what, at))
+        first = int(off[0])
+        problem = (
+            f"its time is {scene.time_s[first]:g} s instead of {expected_s[first]:g} s ({len(off)} frames are off)"
+        )
+        yield str(scene.damaged(INDEX, problem, first))
 
 
 def _poses(scene: SceneReader) -> Iterator[str]:
@@ -161,10 +157,10 @@ def _poses(scene: SceneReader) -> Iterator[str]:
     cosine = np.clip((np.trace(between, axis1=1, axis2=2) - 1) / 2, -1, 1)
     turn_deg_per_s = np.degrees(np.arccos(cosine)) / steps_s
     for values, limit, unit in ((speed_mps, MAX_SPEED_MPS, "m/s"), (turn_deg_per_s, MAX_TURN_DEG_PER_S, "degrees/s")):
-        far = np.flatnonzero(~(values <= limit))  # nan is no continuation either
+        far = np.flatnonzero(~(values <= limit))  # nan is an error too
         if len(far):
-            what = f"its pose jumps: {values[far[0]]:.0f} {unit} since the frame before"
-            yield str(scene.damaged(INDEX, what, int(far[0]) + 1))
+            problem = f"its pose jumps: {values[far[0]]:.0f} {unit} since the frame before"
+            yield str(scene.damaged(INDEX, problem, int(far[0]) + 1))
 
 
 def _content(scene: SceneReader, frame: int) -> Iterator[str]:
@@ -175,14 +171,11 @@ def _content(scene: SceneReader, frame: int) -> Iterator[str]:
         yield str(scene.damaged(shard, f"it cannot be decoded ({type(error).__name__}: {error})", frame))
         return
     sizes = [(camera.height, camera.width) for camera in scene.rig.cameras]
-    shapes = {
-        "images": recorded.images.shape[:3],
-        "semantics": recorded.semantics.shape,
-        "ranges": recorded.range_m.shape,
-    }
-    for name, shape in shapes.items():
+    arrays = {"images": recorded.images, "semantics": recorded.semantics, "ranges": recorded.range_m}
+    for name, array in arrays.items():
+        shape = array.shape[:3]
         if shape != (len(sizes), *sizes[0]):
-            yield str(scene.damaged(shard, f"{name} have the shape {shape}, the rig says {sizes}", frame))
+            yield str(scene.damaged(shard, f"{name} have the shape {shape}, those of the rig are {sizes}", frame))
     for name, labels, least in (("pixels", recorded.semantics, 0), ("points", recorded.point_labels, 1)):
         wrong = set(np.unique(labels).tolist()) - {*range(least, NUM_CLASSES), UNKNOWN}
         if wrong:
@@ -192,13 +185,7 @@ def _content(scene: SceneReader, frame: int) -> Iterator[str]:
 
 
 def survey(work: SceneSurvey, scenes: Sequence[SceneReader], workers: int) -> list[Survey]:
-    """Check scenes side by side.
-
-    Args:
-        work: what is asked of each.
-        scenes: to be read.
-        workers: processes; 0 reads in this one.
-    """
+    """Check scenes side by side."""
     if workers == 0 or len(scenes) < 2:
         return [work(scene) for scene in scenes]
     with (

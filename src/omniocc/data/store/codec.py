@@ -10,9 +10,9 @@
 | `points.zst`      | surface points, 3 x 16 bit, and class   | 1/256 m per axis; beyond 255.99 m left out, reordered |
 | `lidar.zst`       | range (16 bit) and class of each ray    | as range; classes none                                |
 
-Points keep steps of 1/128 m: a finer step would store the noise of where a ray happened to land. They come back as odd
-multiples of 1/256 m, so that none lies on the boundary between cells of round sizes. A point changes its cell of 0.2 m
-with a chance of 1 % per axis, and only if it lies within 4 mm of the boundary. All encoders are deterministic: equal
+Points are kept in steps of 1/128 m, since finer ones would only store noise. They are decoded to odd multiples of
+1/256 m, so that none is on the boundary between cells of round sizes. A point changes its cell of 0.2 m with a
+probability of 1 % per axis, and only within 4 mm of the boundary. All encoders are deterministic: equal
 frames give equal bytes.
 """
 
@@ -104,7 +104,7 @@ def decode_range(blob: bytes) -> np.ndarray:
 
 
 def quantize_range(range_m: np.ndarray) -> np.ndarray:
-    """Return ranges in metres as uint16 steps of 1/256 m; two codes stand for nan and inf.
+    """Return ranges in metres as uint16 steps of 1/256 m; two codes are those of nan and inf.
 
     Raises:
         ValueError: for a negative range.
@@ -134,7 +134,7 @@ def encode_points(points_m: np.ndarray, labels: np.ndarray) -> bytes:
     if np.abs(steps).max(initial=0) > reach:
         kept = np.abs(steps).max(axis=1) <= reach
         steps, labels = steps[kept], labels[kept]
-    # the class in the low bits: sorted as one number, without a permutation
+    # the class is in the low bits, so that place and class are sorted as one number
     keys = np.sort((interleave(steps.astype(np.int16)) << np.uint64(8) | labels).astype(np.int64), kind="stable")
     gaps = np.diff(keys >> 8, prepend=0).astype("<u8")
     return _compress([*_byte_planes(gaps)[:_CODE_BYTES], keys.astype(np.uint8)])
@@ -161,7 +161,7 @@ def decode_lidar(blob: bytes) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _compress(columns: list[np.ndarray]) -> bytes:
-    # bytes of equal weight side by side: the high bytes change slowly and nearly vanish
+    # bytes of equal significance side by side: high bytes change slowly and compress well
     planes = [plane for column in columns for plane in _byte_planes(np.ascontiguousarray(column))]
     return zstandard.ZstdCompressor(level=ZSTD_LEVEL).compress(np.ascontiguousarray(planes).tobytes())
 
@@ -191,20 +191,11 @@ def _decode(blob: bytes, mode: int) -> np.ndarray:
 
 
 def _encode_facts(frame: Frame) -> bytes:
-    facts = {
-        "time_s": frame.time_s,
-        "world_from_ego": frame.world_from_ego.tolist(),
-        "boxes": [asdict(box) for box in frame.boxes],
-    }
+    facts = {"time_s": frame.time_s, "world_from_ego": frame.world_from_ego.tolist()}
+    facts["boxes"] = [asdict(box) for box in frame.boxes]
     return json.dumps(facts, default=lambda value: value.item()).encode()
 
 
 def _decode_box(box: dict) -> Box:
-    return Box(
-        box["id"],
-        box["label"],
-        tuple(box["center_m"]),
-        tuple(box["size_m"]),
-        box["yaw_rad"],
-        tuple(box["velocity_mps"]),
-    )
+    center_m, size_m, velocity_mps = (tuple(box[key]) for key in ("center_m", "size_m", "velocity_mps"))
+    return Box(box["id"], box["label"], center_m, size_m, box["yaw_rad"], velocity_mps)

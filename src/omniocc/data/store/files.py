@@ -18,27 +18,22 @@ JOINED_GAP_BYTES = 4096
 
 @runtime_checkable
 class Files(Protocol):
-    """The files of a folder; every method raises FileNotFoundError for what is not there."""
+    """The files of a folder; every method raises FileNotFoundError for a missing file."""
 
     def where(self, name: str) -> str:
         """Return path or URL of a file, for messages."""
-        ...
 
     def size(self, name: str) -> int:
         """Return the length in bytes."""
-        ...
 
     def open(self, name: str) -> Any:
-        """Return the open file, binary, at its beginning; stores have file classes of their own."""
-        ...
+        """Return the open file, binary, at its beginning."""
 
     def ranges(self, name: str, spans: Sequence[tuple[int, int]]) -> list[bytes]:
         """Return the bytes from `begin` up to `end` of each (begin, end); fewer where the file ends early."""
-        ...
 
     def folders(self) -> list[str]:
         """Return the names of the folders in this one, sorted."""
-        ...
 
 
 class LocalFiles:
@@ -88,7 +83,7 @@ class RemoteFiles:
         """Return bytes as `Files.ranges` does, with all requests at once.
 
         Raises:
-            OSError: when a server sends more than was asked for: it does not know byte ranges.
+            OSError: when a server does not support byte ranges and sends more.
         """
         begins, ends = [begin for begin, _ in spans], [end for _, end in spans]
         parts = self._fs.cat_ranges([self._path(name)] * len(spans), begins, ends, on_error="raise")
@@ -106,7 +101,7 @@ class RemoteFiles:
 
 
 def is_url(place: str | os.PathLike[str]) -> bool:
-    """Return whether this is a URL and not a path."""
+    """Return whether a place is a URL and not a path."""
     return isinstance(place, str) and "://" in place
 
 
@@ -119,7 +114,7 @@ def list_folders(root: Path | str, member: str) -> list[str]:
     """Return the names of the folders in `root` that hold a file `member`, sorted; those with a suffix are left out.
 
     Raises:
-        DataError: when the folder is not there or the store cannot list it.
+        DataError: when the folder does not exist or cannot be listed.
     """
     try:
         return [name for name in open_folder(root).folders() if "." not in name and _holds(f"{root}/{name}", member)]
@@ -137,11 +132,7 @@ def _holds(folder: str, name: str) -> bool:
 
 
 def read_json(root: Path | str, name: str, remedy: str) -> Any:
-    """Return the content of a JSON file.
-
-    Raises:
-        DataError: when it cannot be read; the message ends with the remedy.
-    """
+    """Return the content of a JSON file; raise DataError when it cannot be read; the message ends with the remedy."""
     files = open_folder(root)
     try:
         with files.open(name) as file:
@@ -164,7 +155,7 @@ def read_members(files: Files, name: str, offsets: Sequence[int], sizes: Sequenc
     """Read the parts of a file that begin at `offsets` and are `sizes` long; near ones are read together.
 
     Returns:
-        One per offset; shorter than asked for where the file ends early.
+        One part per offset; shorter where the file ends early.
     """
     spans: list[tuple[int, int]] = []
     for begin, size in sorted(zip(offsets, sizes, strict=True)):

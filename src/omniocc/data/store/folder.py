@@ -14,7 +14,7 @@ from omniocc.errors import DataError
 
 
 class SceneFolder:
-    """The files of a complete scene. Opens nothing before it is needed, keeps no file open, can be sent to processes.
+    """The files of a complete scene, opened only to be read; picklable.
 
     Args:
         folder: the scene's folder, or its URL in an object store (memory://, http://, s3:// ...).
@@ -49,7 +49,7 @@ class SceneFolder:
 
     @cached_property
     def index(self) -> dict[str, Any]:
-        """Return the members' names, and of each frame its shard, offsets, sizes, checksums and the writer's entry."""
+        """Return the members' names, and each frame's shard, offsets, sizes, checksums and entry."""
         return self._json(INDEX, self.checked(INDEX))
 
     def __len__(self) -> int:
@@ -74,19 +74,19 @@ class SceneFolder:
                 raise self.damaged(shard, "checksum differs", frame, member)
         return dict(zip(members, blobs, strict=True))
 
-    def damaged(self, name: str, what: str, frame: int | None = None, member: str | None = None) -> DataError:
+    def damaged(self, name: str, problem: str, frame: int | None = None, member: str | None = None) -> DataError:
         """Return the error for a damaged file of the scene; it names file, scene, frame, member and remedy."""
         where = f", frame {frame}" if frame is not None else ""
         where += f", member '{member}'" if member is not None else ""
         remedy = (
-            "Copy the scene there again"
+            "Copy the scene again"
             if is_url(self.folder)
-            else f"Delete the folder {self.folder} and run the same command again: only this scene is made anew"
+            else f"Delete the folder {self.folder} and run the same command again: only this scene is made again"
         )
-        return DataError(f"{self.files.where(name)}: scene '{self.name}'{where}: {what}. {remedy}")
+        return DataError(f"{self.files.where(name)}: scene '{self.name}'{where}: {problem}. {remedy}")
 
     def unreadable(self, name: str, error: Exception) -> DataError:
-        """Return the error for a file that the disk or the store refuses to give."""
+        """Return the error for a file that the disk or the store cannot read."""
         return DataError(f"{self.files.where(name)}: cannot be read: {type(error).__name__}: {error}")
 
     def __getstate__(self) -> dict[str, Any]:

@@ -28,7 +28,7 @@ class FrameCache(ABC, Generic[Array]):
     """Arrays of one shape, one per frame, in `folder/<scene>.frames`.
 
     Args:
-        folder: its name must depend on everything that the arrays depend on.
+        folder: of the files; its name must depend on everything that the arrays depend on.
         shape: of every array.
     """
 
@@ -47,33 +47,25 @@ class FrameCache(ABC, Generic[Array]):
 
     @abstractmethod
     def unpack(self, payload: bytes) -> Array:
-        """Return the array of bytes, the inverse of `pack`."""
+        """Return the array that bytes hold, the inverse of `pack`."""
 
     def path(self, scene: str) -> Path:
         """Return the file of a scene."""
         return self.folder / f"{scene}.frames"
 
     def missing(self, scenes: Sequence[SceneFrames]) -> list[SceneFrames]:
-        """Return the scenes that have no file, or one of another length than their frames need."""
+        """Return the scenes that have no file, or one of the wrong length."""
         row = self.payload_bytes + _CRC_BYTES
         return [scene for scene in scenes if self._size(scene.name) != row * len(scene)]
 
     def write(self, scene: str, arrays: Sequence[Array]) -> None:
-        """Write all frames of a scene, in order.
-
-        Raises:
-            DataError: when the disk refuses.
-        """
+        """Write all frames of a scene, in order; raise DataError when the disk refuses."""
         payloads = [self.pack(array) for array in arrays]
         rows = (payload + zlib.crc32(payload).to_bytes(_CRC_BYTES, "little") for payload in payloads)
         atomic_write(self.path(scene), b"".join(rows))
 
     def read(self, scene: str, frame: int) -> Array:
-        """Return one frame.
-
-        Raises:
-            DataError: when the file is missing, too short or damaged.
-        """
+        """Return one frame; raise DataError when the file is missing, too short or damaged."""
         path, row = self.path(scene), self.payload_bytes + _CRC_BYTES
         try:
             with path.open("rb") as file:

@@ -1,7 +1,7 @@
 """Lossless storage of integer images: a header of height and width (two uint16), then the pixels under zstd.
 
 16-bit pixels are replaced by their difference from a plane through the left, upper and upper left neighbours; all low
-bytes come before all high bytes. On ranges of a street that is a third smaller than PNG and seven times as fast.
+bytes come before all high bytes. Ranges of a street become a third smaller than PNG, seven times as fast.
 """
 
 import numpy as np
@@ -19,7 +19,7 @@ def pack(pixels: np.ndarray) -> bytes:
 
 
 def unpack(blob: bytes) -> np.ndarray:
-    """Return the image of bytes, the inverse of `pack`.
+    """Return the image that bytes hold, the inverse of `pack`.
 
     Raises:
         ValueError: if the bytes hold neither 8 nor 16 bits per pixel.

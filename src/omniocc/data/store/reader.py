@@ -72,7 +72,7 @@ class SceneReader(SceneFolder):
         return decode_range(self._member(frame, "erp_range.zst"))
 
     def lidar(self, frame: int) -> LidarScan:
-        """Return what the ego LiDAR saw."""
+        """Return the hits of the ego LiDAR."""
         range_m, labels = decode_lidar(self._member(frame, "lidar.zst"))
         return LidarScan(range_m, labels, _lidar_directions())
 

@@ -5,9 +5,8 @@
             frames-000.tar    members `000012.rgb0.jpg`; a new shard begins when the next frame would pass the limit
 
 The folder gets its name by one rename when it is complete. Until then it is called `<scene>.partial`, and
-`journal.jsonl` lists the frames that are whole: after a kill at any moment `SceneWriter` cuts off what came after the
-last of them and goes on. Nothing in a folder depends on when, where or in how many pieces it was made, so equal frames
-give equal bytes.
+`journal.jsonl` lists the complete frames: after a kill `SceneWriter` cuts off everything after the last of them and
+continues. Nothing in a folder depends on when, where or in how many pieces it was made: equal frames give equal bytes.
 """
 
 import hashlib
@@ -18,6 +17,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from omniocc.data.store.files import sha256_of
 from omniocc.errors import DataError
 from omniocc.io import atomic_write, cannot_write
 
@@ -35,7 +35,7 @@ class SceneWriter:
 
     Args:
         folder: final name of the scene.
-        shard_limit_bytes: size that no shard passes unless a single frame does.
+        shard_limit_bytes: largest size of a shard of more than one frame.
 
     Raises:
         DataError: when the disk refuses (full, read-only), here and in every method.
@@ -59,7 +59,7 @@ class SceneWriter:
 
     @property
     def num_frames(self) -> int:
-        """Return the number of frames that are whole so far."""
+        """Return the number of complete frames."""
         return len(self._records)
 
     def append(self, blobs: Mapping[str, bytes], entry: Mapping[str, Any]) -> None:
@@ -67,7 +67,7 @@ class SceneWriter:
 
         Args:
             blobs: content by member name.
-            entry: plain values that the index holds of this frame.
+            entry: plain values for the index.
         """
         frame = self.num_frames
         assert not self._records or list(blobs) == self._records[0]["members"]
@@ -93,33 +93,22 @@ class SceneWriter:
         self._guard(lambda: save(self.work / name))
 
     def finish(self, facts: Mapping[str, Any]) -> None:
-        """Seal the scene: index, checksums, then the final name.
-
-        Args:
-            facts: plain values about how the scene was made.
-        """
+        """Write the index, the checksums and `facts` (plain values about the making), then give the final name."""
         assert self._records
         self._guard(self._close_shard)
         frames = [{k: v for k, v in record.items() if k not in ("end", "members")} for record in self._records]
         atomic_write(self.work / INDEX, _dump({"members": self._records[0]["members"], "frames": frames}))
-        names = sorted(
-            path.name for path in self.work.iterdir() if path.name not in (META, JOURNAL) and path.suffix != ".tmp"
+        paths = sorted(
+            path for path in self.work.iterdir() if path.name not in (META, JOURNAL) and path.suffix != ".tmp"
         )
-        files = {
-            name: {"size": (self.work / name).stat().st_size, "sha256": sha256(self.work / name)} for name in names
-        }
-        meta = {
-            "schema": SCHEMA,
-            "scene": self.folder.name,
-            "frames": self.num_frames,
-            "facts": dict(facts),
-            "files": files,
-        }
+        files = {path.name: {"size": path.stat().st_size, "sha256": sha256(path)} for path in paths}
+        meta = {"schema": SCHEMA, "scene": self.folder.name, "frames": self.num_frames}
+        meta |= {"facts": dict(facts), "files": files}
         atomic_write(self.work / META, _dump(meta | {"digest": digest(meta)}))
         self._guard(self._publish)
 
     def close(self) -> None:
-        """Release the open shard; what is whole stays whole."""
+        """Close the open shard; complete frames remain."""
         if self._shard is not None:
             self._shard.close()
             self._shard = None
@@ -191,10 +180,7 @@ def member_name(frame: int, member: str) -> str:
 def sha256(path: Path) -> str:
     """Return the hex digest (SHA-256) of a file."""
     with path.open("rb") as file:
-        state = hashlib.sha256()
-        while block := file.read(2**20):
-            state.update(block)
-    return state.hexdigest()
+        return sha256_of(file)
 
 
 def digest(plain: Any) -> str:

@@ -24,11 +24,10 @@ class ResNet(nn.Module):
         embedding_size: channels after the stem.
         hidden_sizes: channels of the four stages.
         depths: blocks of the four stages.
-        weights: pretrained weights on the Hugging Face hub, or None. Where they cannot be reached: a warning and random
-            ones.
-        channels: of the maps that come out.
-        levels: strides of the maps that come out, some of 4, 8, 16, 32 px.
-        deformable_stages: those of the stages 1 to 4 whose 3x3 convolutions are deformable; they keep their weights.
+        weights: pretrained weights on the Hugging Face hub, or None; if not available, warn and use random ones.
+        channels: of the output maps.
+        levels: strides of the output maps, some of 4, 8, 16, 32 px.
+        deformable_stages: stages, of 1 to 4, whose 3x3 convolutions become deformable with the same weights.
 
     Raises:
         ValueError: if a level or stage does not exist or the weights have other sizes.

@@ -20,16 +20,15 @@ PROBE_PX = 224
 class Transformers(nn.Module):
     """Extract features by a backbone of transformers, chosen by name, and a feature pyramid.
 
-    Of the stages of equal stride the deepest counts. Images are padded at the right and at the bottom to a multiple of
-    the coarsest stride. Parameters that no map depends on (a mask token, say) are frozen.
+    Of stages of equal stride the deepest is used. Images are padded at the right and at the bottom to a multiple of the
+    coarsest stride. Parameters that no map depends on (such as a mask token) are frozen.
 
     Args:
         architecture: the library's name of the network, such as convnext, swin or dinov2.
-        sizes: entries of the architecture's configuration that differ from the library's.
-        weights: pretrained weights on the Hugging Face hub, or None. Where they cannot be reached: a warning and random
-            ones.
-        channels: of the maps that come out.
-        levels: strides of the maps that come out, some of those that the network has, px.
+        sizes: entries of the configuration that differ from the library's default.
+        weights: pretrained weights on the Hugging Face hub, or None; if not available, warn and use random ones.
+        channels: of the output maps.
+        levels: strides of the output maps, some of the network's, px.
 
     Raises:
         ValueError: if there is no such architecture, size or level, or the weights are of another network.
@@ -74,21 +73,21 @@ def make_config(architecture: str, sizes: dict[str, Any]) -> PretrainedConfig:
     if architecture not in MODEL_FOR_BACKBONE_MAPPING_NAMES:
         known = ", ".join(sorted(MODEL_FOR_BACKBONE_MAPPING_NAMES))
         raise ValueError(f"transformers has no backbone '{architecture}'; it has {known}")
-    usual = AutoConfig.for_model(architecture)
-    unknown = [name for name in sizes if not hasattr(usual, name)]
+    default = AutoConfig.for_model(architecture)
+    unknown = [name for name in sizes if not hasattr(default, name)]
     if unknown:
-        raise ValueError(f"{architecture} has no sizes {unknown}; see {type(usual).__name__} of transformers")
+        raise ValueError(f"{architecture} has no sizes {unknown}; see {type(default).__name__} of transformers")
     return with_all_stages(AutoConfig.for_model(architecture, **sizes))
 
 
 def with_all_stages(config: PretrainedConfig) -> PretrainedConfig:
-    """Ask a backbone for the maps of all its stages."""
+    """Let a backbone return the maps of all its stages."""
     config.out_indices = list(range(len(config.stage_names)))
     return config
 
 
 def build(config: PretrainedConfig, compared: list[str], weights: str | None) -> nn.Module:
-    """Return the network with pretrained weights, or with random ones where there are none.
+    """Return the network with pretrained weights, or with random ones (see `load_or_random`).
 
     Raises:
         ValueError: if the weights are of another network.
@@ -104,7 +103,7 @@ def build(config: PretrainedConfig, compared: list[str], weights: str | None) ->
 
 
 def probe(encoder: nn.Module) -> list[Tensor]:
-    """Return the maps of a grey image; running statistics stay as they are."""
+    """Return the maps of a black image without changing running statistics."""
     encoder.eval()
     maps = encoder(torch.zeros(1, 3, PROBE_PX, PROBE_PX)).feature_maps
     encoder.train()

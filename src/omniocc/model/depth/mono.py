@@ -1,4 +1,4 @@
-"""Range from each camera on its own, merged into one panorama: the baseline without overlap between cameras."""
+"""Range estimated in each camera's image and merged into one panorama: the baseline that uses no overlap."""
 
 import math
 
@@ -41,21 +41,16 @@ def ray_maps(rig: Rig, device: torch.device) -> Float[Tensor, "N 4 H W"]:
 
 
 class Mono(LearnedPanoramaDepth):
-    """Estimate the log of the range and the sky in each image alone, from its colours and the rays of its pixels.
+    """Estimate the log of the range and the sky in each image, from its colours and the rays of its pixels.
 
-    Maps of all cameras, at half the size of the images, are drawn into the panorama, the nearest in front; the cameras'
-    places on the vehicle are taken into account.
+    Maps of all cameras, at half the size of the images, are drawn into the panorama from the cameras' positions, the
+    nearest surface in front. Other arguments as in `PanoramaDepth`.
 
     Args:
-        panorama: directions of the answer.
-        spheres: number and reach of the spheres, in whose indices the range is also given.
         channels: per level of the network, finest (half the image size) first; multiples of 8.
         focus: of the scale-invariant loss, see `SILog`.
-        sky_weight: of the cross-entropy of sky beside it.
+        sky_weight: of the cross-entropy of sky, added to it.
         mirror: train on mirrored images as often as on the true ones.
-
-    Raises:
-        ValueError: if sizes do not fit together.
     """
 
     def __init__(
@@ -77,19 +72,19 @@ class Mono(LearnedPanoramaDepth):
         log_range, sky = self.camera_ranges(images, (rig,) * len(images))
         spheres = self.rig_spheres(rig)
         range_m = log_range.exp().clamp(max=spheres.farthest_m)
-        there, solid = present_cameras(images)[:, :, None, None].expand_as(range_m), (-sky).sigmoid()
-        surface, _ = merge_cameras(range_m, solid, there & (solid > 0.5), rig, self.panorama)
-        # in the sky the range is that of the surface that is there if it is no sky after all
-        guess, _ = merge_cameras(range_m, solid, there, rig, self.panorama)
+        present, solid = present_cameras(images)[:, :, None, None].expand_as(range_m), (-sky).sigmoid()
+        surface, _ = merge_cameras(range_m, solid, present & (solid > 0.5), rig, self.panorama)
+        # where the sky is likely: the range that would hold for a surface
+        guess, _ = merge_cameras(range_m, solid, present, rig, self.panorama)
         range_or_sky_m = torch.where(solid > 0.5, range_m, spheres.farthest_m)
-        _, confidence = merge_cameras(range_or_sky_m, solid, there, rig, self.panorama, depth_ratio=math.inf)
+        _, confidence = merge_cameras(range_or_sky_m, solid, present, rig, self.panorama, depth_ratio=math.inf)
         filled = fill_holes(guess, HOLE_PASSES)
         valid = (surface.isfinite() & (confidence > 0.5)) | (guess.isinf() & filled.isfinite())
         index = spheres.index(torch.where(surface.isfinite(), surface, filled))
         return from_index(index, valid, confidence, spheres)
 
     def losses(self, batch: DepthBatch, flip: bool) -> dict[str, Float[Tensor, ""]]:
-        """Return the losses `silog` and `sky`, from the ranges of single cameras alone.
+        """Return the losses `silog` and `sky`, which use only the ranges of single cameras.
 
         Raises:
             ValueError: if there are no ranges of cameras.
@@ -111,7 +106,7 @@ class Mono(LearnedPanoramaDepth):
         Args:
             images: of samples whose images have one shape, without padding.
             rigs: one per sample.
-            flip: whether to answer for mirrored images, mirrored.
+            flip: whether to mirror the images, and with them the results.
         """
         rays = torch.stack([ray_maps(rig, images.device) for rig in rigs])
         if flip:

@@ -15,9 +15,9 @@ from omniocc.model.ops.depth.projection import (
     Projection,
     Sampler,
     alternate_cameras,
-    likeness,
     present_cameras,
     samplers,
+    similarity,
     table,
 )
 from omniocc.model.ops.depth.sphere_loss import SphereLoss
@@ -27,37 +27,33 @@ from omniocc.model.ops.norm import group_norm
 from omniocc.model.ops.padding import upsample_view
 
 CONTEXT_SPHERES = (0.06, 0.25)
-"""Spheres on which the views' own features are put side by side, as fractions of the index of the nearest."""
+"""Spheres on which the features of both views are passed on, as fractions of the index of the nearest sphere."""
 
 FIRST_TRUST = 4.0
-"""Score that full likeness adds to a sphere before training."""
+"""Score that full similarity adds to a sphere before training."""
 
 
 class OmniMVS(SphereNet):
     """Find where two panoramas of features agree on every sphere: one from every other camera, one from the rest.
 
-    The correlation of the two panoramas on all spheres, by groups of channels, and the views' own features (their mean
-    and their difference, so that the two sets may be swapped) go through a 2D network that wraps around. Rotating a rig
+    The correlation of the two panoramas on all spheres, by groups of channels, and the mean and difference of their
+    features (so that the two sets may be swapped) go through a 2D network that wraps around. Rotating a rig
     of even symmetry by one camera rotates the answer.
 
+    Other arguments as in `SphereNet`.
+
     Args:
-        panorama: directions of the answer.
-        spheres: number and reach of the spheres.
-        loss: of the scores.
         feature_channels: per level of the feature network, finest (half the image size) first; multiples of 8.
         match_channels: features that are compared.
         groups: correlations per sphere, a divisor of `match_channels`.
-        context_channels: features that are passed on as they are.
+        context_channels: features that are passed on without comparison.
         sweep_stride: panorama pixels per swept point along each side, 1 or 2.
         channels: per level of the 2D network, finest (half the panorama) first; multiples of 8.
-        fine_channels: of the layers at full size, which see the correlations and the mean features once more.
+        fine_channels: of the layers at full size, which get the correlations and the mean features again.
         blocks: residual blocks on each level, down and up again.
-        window: spheres to each side of the peak that make up the answer.
-        min_confidence: answers below are not valid, in [0, 1].
-        mirror: train on the mirrored world as often as on the true one.
 
     Raises:
-        ValueError: if sizes do not fit together.
+        ValueError: if groups, stride or panorama do not fit together.
     """
 
     def __init__(
@@ -96,9 +92,9 @@ class OmniMVS(SphereNet):
         self.stem = nn.Conv2d(inputs, channels[0], 2 // sweep_stride, stride=2 // sweep_stride)
         self.net = UNet2d(channels, blocks, wrap=True)
         self.up = nn.Sequential(nn.Conv2d(channels[0], 4 * fine_channels, 1), nn.PixelShuffle(2))
-        self.seen_again = compared + len(CONTEXT_SPHERES) * context_channels
+        self.skipped = compared + len(CONTEXT_SPHERES) * context_channels
         self.fine = nn.Sequential(
-            Conv(self.seen_again + fine_channels, fine_channels, 3, wrap=True, bias=False),
+            Conv(self.skipped + fine_channels, fine_channels, 3, wrap=True, bias=False),
             group_norm(fine_channels),
             nn.ReLU(),
             Conv(fine_channels, spheres.count + 1, 3, wrap=True),
@@ -108,7 +104,7 @@ class OmniMVS(SphereNet):
     def logits(
         self, images: Float[Tensor, "B N 3 H W"], rig: Rig, flip: bool = False
     ) -> tuple[Float[Tensor, "B E h w"], Bool[Tensor, "B h w"]]:
-        """Return scores of spheres and sky, and which directions are seen; see `SphereNet.logits`."""
+        """Return scores of spheres and sky, and the mask of seen directions; see `SphereNet.logits`."""
         features = self.features(images.flip(-1) if flip else images)
         features = features.flip(-1) if flip else features
         panoramas, seen = self._sweep(features, images, rig)
@@ -116,18 +112,18 @@ class OmniMVS(SphereNet):
             panoramas, seen = panoramas.flip(-1), seen.flip(-1)
         coarse = self.up(self.net(self.stem(panoramas)))
         size = coarse.shape[-2:]
-        again = panoramas[:, : self.seen_again]
+        skip = panoramas[:, : self.skipped]
         if self.sweep_stride == 2:
-            again = upsample_view(again, size, (False, True))
-        logits = self.fine(torch.cat([again, coarse], 1))
-        alike = again[:, : self.groups * self.spheres.count].unflatten(1, (self.spheres.count, self.groups)).mean(2)
+            skip = upsample_view(skip, size, (False, True))
+        logits = self.fine(torch.cat([skip, coarse], 1))
+        alike = skip[:, : self.groups * self.spheres.count].unflatten(1, (self.spheres.count, self.groups)).mean(2)
         logits = logits + self.trust * F.pad(alike, (0, 0, 0, 0, 0, 1))
         return logits, F.interpolate(seen.float(), size)[:, 0] > 0
 
     def _sweep(
         self, features: Float[Tensor, "B N C _ _"], images: Float[Tensor, "B N 3 H W"], rig: Rig
     ) -> tuple[Float[Tensor, "B E h w"], Bool[Tensor, "B 1 h w"]]:
-        """Return the input of the 2D network, and where any camera sees."""
+        """Return the input of the 2D network, and the mask of directions that any camera sees."""
         present = present_cameras(images)
         match, context = features.split([self.match_channels, features.shape[2] - self.match_channels], 2)
         agreement, one, two = zip(*self._agreement(match, present, rig), strict=True)
@@ -143,10 +139,10 @@ class OmniMVS(SphereNet):
     def _agreement(
         self, match: Float[Tensor, "B N C _ _"], present: Bool[Tensor, "B N"], rig: Rig
     ) -> Iterator[tuple[Float[Tensor, "P B G"], Float[Tensor, "P B"], Float[Tensor, "P B"]]]:
-        """Yield the likeness, and how much of either set is there, block by block of spheres."""
+        """Yield the similarity, and the present fraction of either set, block by block of spheres."""
         rows = table(match, present)
         for one, two in self._samplers(match, rig, self.spheres.planes):
-            yield likeness(rows, one, two, present, self.groups)
+            yield similarity(rows, one, two, present, self.groups)
 
     def _views(
         self, context: Float[Tensor, "B N C _ _"], present: Bool[Tensor, "B N"], rig: Rig, planes: tuple[float, ...]
@@ -154,11 +150,11 @@ class OmniMVS(SphereNet):
         """Return the mean and the absolute difference of the features of the two sets."""
         rows = table(context, present)
 
-        def seen_by(sampler: Sampler) -> Tensor:
+        def mean_of(sampler: Sampler) -> Tensor:
             sums = sampler(rows).unflatten(1, (len(context), -1))
             return sums / sampler.present_fraction(present).clamp(min=LEAST_PRESENT)[..., None]
 
-        blocks = [(seen_by(one), seen_by(two)) for one, two in self._samplers(context, rig, planes)]
+        blocks = [(mean_of(one), mean_of(two)) for one, two in self._samplers(context, rig, planes)]
         one, two = (torch.cat(parts) for parts in zip(*blocks, strict=True))
         return [(one + two) / 2, (one - two).abs()]
 

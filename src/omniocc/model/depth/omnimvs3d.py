@@ -16,29 +16,25 @@ from omniocc.model.ops.depth.spheres import SphereRange
 from omniocc.model.ops.padding import Conv3d, Downsample, Pointwise, Residual, upsample
 
 AROUND = (False, False, True)
-"""Which of spheres, rows and columns wrap around."""
+"""Periodic axes among spheres, rows and columns."""
 
 
 class OmniMVS3D(SphereNet):
     """Regularise mean and variance over all cameras of the features on every sphere by a 3D encoder-decoder.
 
-    The paper puts the features of its four cameras side by side; mean and variance take any number in any order
-    (MVSNet, Yao et al. 2018), a missing one too. The variance is small where the cameras agree.
+    The paper concatenates the features of its four cameras; mean and variance take any number in any order (MVSNet, Yao
+    et al. 2018), also with a camera missing. The variance is small where the cameras agree.
+
+    Other arguments as in `SphereNet`.
 
     Args:
-        panorama: directions of the answer.
-        spheres: number and reach of the spheres.
-        loss: of the scores.
         feature_channels: per level of the feature network, finest (half the image size) first; multiples of 8.
         match_channels: features whose mean and variance go into the volume.
         sweep_stride: panorama pixels per swept point along each side.
         channels: per level of the 3D network, finest first; multiples of 8.
-        window: spheres to each side of the peak that make up the answer.
-        min_confidence: answers below are not valid, in [0, 1].
-        mirror: train on the mirrored world as often as on the true one.
 
     Raises:
-        ValueError: if sizes do not fit together.
+        ValueError: if the panorama cannot be halved often enough.
     """
 
     def __init__(
@@ -69,20 +65,19 @@ class OmniMVS3D(SphereNet):
     def logits(
         self, images: Float[Tensor, "B N 3 H W"], rig: Rig, flip: bool = False
     ) -> tuple[Float[Tensor, "B E h w"], Bool[Tensor, "B h w"]]:
-        """Return scores of spheres and sky, and which directions are seen; see `SphereNet.logits`."""
+        """Return scores of spheres and sky, and the mask of seen directions; see `SphereNet.logits`."""
         features = self.features(images.flip(-1) if flip else images)
         volume, seen = self._volume(features.flip(-1) if flip else features, present_cameras(images), rig)
         if flip:
             volume, seen = volume.flip(-1), seen.flip(-1)
         logits = self.net(volume)
-        return resize_panorama(logits, self.panorama.height, self.panorama.width), F.interpolate(
-            seen.float(), (self.panorama.height, self.panorama.width)
-        )[:, 0] > 0
+        size = self.panorama.height, self.panorama.width
+        return resize_panorama(logits, *size), F.interpolate(seen.float(), size)[:, 0] > 0
 
     def _volume(
         self, features: Float[Tensor, "B N C _ _"], present: Bool[Tensor, "B N"], rig: Rig
     ) -> tuple[Float[Tensor, "B E D h w"], Bool[Tensor, "B 1 h w"]]:
-        """Return mean and variance on all spheres, and where any camera sees."""
+        """Return mean and variance on all spheres, and the mask of directions that any camera sees."""
         batch = len(features)
         rows = table(torch.cat([features, features.square()], 2), present)
         size = features.shape[-1], features.shape[-2]

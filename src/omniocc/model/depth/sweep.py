@@ -1,4 +1,4 @@
-"""A sphere sweep without weights: works on any calibrated rig whose fields overlap."""
+"""A sphere sweep without weights for any calibrated rig whose fields of view overlap."""
 
 import itertools
 from collections.abc import Iterator
@@ -26,23 +26,17 @@ class Sweep(PanoramaDepth):
     The sphere with the best mean over the pairs wins, and a parabola through it and its neighbours gives the fraction.
     Images are first brought to about the resolution of the panorama.
 
+    Other arguments as in `PanoramaDepth`.
+
     Args:
-        panorama: directions of the answer.
-        spheres: number and reach of the spheres.
         window_px: side of the windows in the panorama, odd.
-        min_confidence: answers below are not valid, in [0, 1].
+        min_confidence: ranges of lower confidence are not valid, in [0, 1].
 
     Raises:
         ValueError: if the window is even or does not fit into the panorama.
     """
 
-    def __init__(
-        self,
-        panorama: Equirectangular,
-        spheres: SphereRange,
-        window_px: int,
-        min_confidence: float,
-    ):
+    def __init__(self, panorama: Equirectangular, spheres: SphereRange, window_px: int, min_confidence: float):
         super().__init__(panorama, spheres)
         size = panorama.width, panorama.height
         if window_px < 3 or window_px % 2 == 0 or window_px > min(size):
@@ -73,9 +67,8 @@ class Sweep(PanoramaDepth):
         for block in zip(*cameras, strict=True):
             swept = torch.stack([sampler(rows).T.unflatten(1, shape) for sampler in block], 2)
             seen = torch.stack([sampler.seen.unflatten(0, shape) for sampler in block], 1)
-            score = correlation(
-                swept.flatten(0, 1), (seen & present[:, None, :, None, None]).flatten(0, 1), self.window_px
-            )
+            compared = (seen & present[:, None, :, None, None]).flatten(0, 1)
+            score = correlation(swept.flatten(0, 1), compared, self.window_px)
             yield score.unflatten(0, swept.shape[:2])
 
     def _working_size(self, rig: Rig) -> tuple[int, int]:
@@ -84,13 +77,8 @@ class Sweep(PanoramaDepth):
         middle = torch.tensor([[camera.width / 2, camera.height / 2], [camera.width / 2 + 1, camera.height / 2]])
         rays, _ = camera.unproject(middle.double())
         angle_rad = float((rays[0] - rays[1]).norm())
-        factor = max(1.0, panorama_step_rad(self.panorama) / angle_rad)
+        factor = max(1.0, 2 * torch.pi / self.panorama.width / angle_rad)
         return max(2, round(height / factor)), max(2, round(width / factor))
-
-
-def panorama_step_rad(panorama: Equirectangular) -> float:
-    """Return the angle between neighbouring columns at the horizon."""
-    return 2 * torch.pi / panorama.width
 
 
 def box(maps: Float[Tensor, "M N h w"], side_px: int) -> Float[Tensor, "M N h w"]:

@@ -12,39 +12,31 @@ from omniocc.model.ops.padded import Rigs
 
 
 class Truth(PanoramaDepth):
-    """Pass the recorded range through: an upper bound for every other option.
-
-    Args:
-        panorama: directions of the answer.
-        spheres: number and reach of the spheres, in whose indices the range is also given.
-    """
+    """Return the recorded range: an upper bound for every other option."""
 
     NEEDS_TRUE_RANGE: ClassVar[bool] = True
 
     def forward(
         self, images: Float[Tensor, "B N 3 H W"], rigs: Rigs, true_range_m: Float[Tensor, "B h w"] | None = None
     ) -> DepthMap:
-        """Return the true range; not valid in the sky, where it is inf, and where it is nan.
+        """Return the true range; it is not valid in the sky (inf) or where it is nan.
 
         Raises:
             ValueError: if there is no true range, or one of another size than the panorama.
         """
         if true_range_m is None:
-            raise ValueError(
-                "model/depth=truth needs the recorded range; this data has none: choose another model/depth"
-            )
+            raise ValueError("model/depth=truth needs recorded ranges; this data has none: choose another model/depth")
         size = (self.panorama.height, self.panorama.width)
         if true_range_m.shape[1:] != size:
-            raise ValueError(
-                f"the true range is {tuple(true_range_m.shape[1:])} px, the panorama {size} (height, width)"
-            )
+            given = tuple(true_range_m.shape[1:])
+            raise ValueError(f"the true range is {given} px, the panorama {size} (height, width)")
 
         def one(rig: Rig, samples: list[int]) -> DepthMap:
             spheres = self.rig_spheres(rig)
             index = spheres.index(true_range_m[samples]).nan_to_num(0.0)
             seen = true_range_m[samples].isfinite()
             result = from_index(index, seen, seen.to(index), spheres)
-            # nearer than the nearest sphere: the index is clamped, the range need not be
+            # the index is clamped at the nearest sphere, the range is not
             measured = true_range_m[samples].nan_to_num(spheres.farthest_m).clamp(max=spheres.farthest_m)
             return result._replace(range_m=measured)
 

@@ -18,18 +18,11 @@ from omniocc.model.protocols import Sketched
 class CoarseColoring(nn.Module):
     """Lift with one query per block of voxels: `Coloring` on the coarser grid, copied to every voxel of a block.
 
-    VoxFormer (Li et al., 2023) attends to the images and among voxels at half the resolution of its output; the
-    refiner that does the latter finds the blocks' own features again as means. A block is a candidate if one of its
-    voxels is.
+    VoxFormer (Li et al., 2023) attends to the images and among voxels at half the resolution of its output; a refiner
+    that attends among voxels recovers the blocks' features as means. A block is a candidate if one of its voxels is.
+    Other arguments as in `Coloring`.
 
     Args:
-        geometry: the voxel grid.
-        channels: of image features, queries and volume.
-        levels: strides of the feature maps that come in, px.
-        layers: number of layers.
-        heads: of attention, a divisor of the channels.
-        points: samples per head and level.
-        feedforward_channels: hidden channels of the feed-forward part.
         block: cells along each axis of a block.
         anchors: reference points of a block, as offsets from its centre in blocks, -0.5 to 0.5; see `Coloring`.
 
@@ -56,10 +49,6 @@ class CoarseColoring(nn.Module):
         self.coloring = Coloring(grid, channels, levels, layers, heads, points, feedforward_channels, anchors)
 
     def forward(self, features: FeatureMaps, sketched: Sketched, rigs: tuple[Rig, ...]) -> Float[Tensor, "B C X Y Z"]:
-        """Colour the blocks that hold candidates.
-
-        Raises:
-            ValueError: if a rig has more cameras or larger images than there are maps for.
-        """
+        """Colour the blocks that hold candidates."""
         blocks = Sketched(block_any(sketched.candidates, self.block))
         return repeat_blocks(self.coloring(features, blocks, rigs), self.block)

@@ -13,7 +13,7 @@ from omniocc.model.ops.deformable_attention import Level, make_level
 from omniocc.model.ops.feedforward import FeedForward
 from omniocc.model.ops.lifter.cross_attention import CrossAttention
 from omniocc.model.ops.lifter.position import position_features
-from omniocc.model.ops.lifter.visible import CENTRE, Pairs, reference_points, visible_pairs
+from omniocc.model.ops.lifter.visible import CENTRE, Anchors, Pairs, reference_points, visible_pairs
 from omniocc.model.ops.padded import FeatureMaps, crop
 from omniocc.model.ops.rig_cache import once_per_rig
 from omniocc.model.ops.static import is_static
@@ -44,15 +44,13 @@ class Coloring(nn.Module):
     mask token of VoxFormer (Li et al., 2023).
 
     Args:
-        geometry: the voxel grid.
         channels: of image features, queries and volume.
-        levels: strides of the feature maps that come in, px.
-        layers: number of layers.
+        levels: strides of the feature maps, px.
         heads: of attention, a divisor of the channels.
         points: samples per head and level.
         feedforward_channels: hidden channels of the feed-forward part.
         anchors: reference points of a voxel, as offsets from its centre along the grid's axes in cells, -0.5 to 0.5.
-            The points are split among them, so that more of them cost nothing. A camera is hit if it sees one.
+            The points are split among them at no extra cost. A camera is attended to if it sees one of them.
 
     Raises:
         ValueError: if the heads do not divide the channels, the anchors not the points, or an anchor leaves its cell.
@@ -84,12 +82,8 @@ class Coloring(nn.Module):
         self.points = points
         self.anchors = tuple((float(first), float(second), float(third)) for first, second, third in anchors)
         self.register_buffer("positions", position_features(geometry), persistent=False)
-        self.embedding = nn.Sequential(
-            nn.Linear(self.positions.shape[1], channels),
-            nn.ReLU(),
-            nn.Linear(channels, channels),
-            nn.LayerNorm(channels),
-        )
+        first, second = nn.Linear(self.positions.shape[1], channels), nn.Linear(channels, channels)
+        self.embedding = nn.Sequential(first, nn.ReLU(), second, nn.LayerNorm(channels))
         self.layers = nn.ModuleList(
             ColoringLayer(channels, heads, points, len(levels), len(anchors), feedforward_channels)
             for _ in range(layers)
@@ -97,7 +91,7 @@ class Coloring(nn.Module):
         self.empty = nn.Parameter(torch.zeros(channels))
 
     def forward(self, features: FeatureMaps, sketched: Sketched, rigs: tuple[Rig, ...]) -> Float[Tensor, "B C X Y Z"]:
-        """Colour the candidates; samples of equal rig and candidates go through together.
+        """Colour the candidates; samples of equal rig and candidates are computed together.
 
         Raises:
             ValueError: if a rig has more cameras or larger images than there are maps for.
@@ -112,15 +106,15 @@ class Coloring(nn.Module):
             ]
             order = torch.tensor([sample for group in groups for sample in group], device=marked.device)
             volumes = torch.cat(parts)[order.argsort()]
-        # channels last in memory, as 3D convolutions like it
+        # channels last in memory, which is fast in 3D convolutions
         return volumes.unflatten(1, self.geometry.shape).movedim(-1, 1)
 
     def _color(self, features: FeatureMaps, marked: Bool[Tensor, " cells"], rig: Rig) -> Float[Tensor, "B cells C"]:
         features = [crop(level, rig, stride) for level, stride in zip(features, self.strides, strict=True)]
         batch = len(features[0])
-        whole = is_static()  # every chosen cell gets the same: queries do not attend to each other
-        place = rig, self.geometry, marked.device, self.anchors
-        cells, seen, pairs = every_cell(*place) if whole else chosen_cells(marked, *place)
+        whole = is_static()  # the result is the same, since queries do not attend to each other
+        key = rig, self.geometry, marked.device, self.anchors
+        cells, seen, pairs = every_cell(*key) if whole else marked_cells(marked, *key)
         embedding = self.embedding(self.positions[cells])
         queries = embedding[None, seen]
         dtype = torch.promote_types(embedding.dtype, torch.float32)
@@ -132,7 +126,7 @@ class Coloring(nn.Module):
         return torch.where(marked[:, None], volume, self.empty.to(volume.dtype)) if whole else volume
 
 
-class Chosen(NamedTuple):
+class Queried(NamedTuple):
     """Cells that become queries.
 
     Attributes:
@@ -146,27 +140,21 @@ class Chosen(NamedTuple):
     pairs: Pairs
 
 
-def chosen_cells(
-    marked: Bool[Tensor, " cells"],
-    rig: Rig,
-    geometry: Grid,
-    device: torch.device,
-    anchors: tuple[tuple[float, float, float], ...],
-) -> Chosen:
-    """Return the marked cells."""
+def marked_cells(
+    marked: Bool[Tensor, " cells"], rig: Rig, geometry: Grid, device: torch.device, anchors: Anchors
+) -> Queried:
+    """Return the marked cells as queries."""
     points, valid = reference_points(rig, geometry, device, anchors)
     cells = marked.nonzero()[:, 0]
     seen = valid.any(0)[cells].nonzero()[:, 0]
-    return Chosen(cells, seen, visible_pairs(points, valid, cells[seen]))
+    return Queried(cells, seen, visible_pairs(points, valid, cells[seen]))
 
 
 @once_per_rig
-def every_cell(
-    rig: Rig, geometry: Grid, device: torch.device, anchors: tuple[tuple[float, float, float], ...]
-) -> Chosen:
-    """Return all cells; never write to the result."""
+def every_cell(rig: Rig, geometry: Grid, device: torch.device, anchors: Anchors) -> Queried:
+    """Return all cells as queries; never write to the result, which is cached."""
     everything = torch.ones(geometry.num_cells, dtype=torch.bool, device=device)
-    return chosen_cells(everything, rig, geometry, device, anchors)
+    return marked_cells(everything, rig, geometry, device, anchors)
 
 
 def group_samples(marked: Bool[Tensor, "B cells"], rigs: tuple[Rig, ...]) -> list[list[int]]:

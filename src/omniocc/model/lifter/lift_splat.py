@@ -13,35 +13,30 @@ from omniocc.model.ops.lifter.splat import find_entries, splat
 from omniocc.model.ops.padded import FeatureMaps, crop, shape_groups
 from omniocc.model.protocols import Sketched
 
+Interval = Sequence[float | int]
+
 
 class LiftSplat(nn.Module):
     """Spread each pixel's feature over bins of range by predicted probabilities, and sum what falls into each voxel.
 
     Philion & Fidler (2020, 'Lift, Splat, Shoot') as in the occupancy version of BEVDet (Huang et al., 2021), but along
     each camera's own unit rays: bins are distances from the camera, not depths along its axis, so that a fisheye lens
-    works past 90 degrees. All voxels are filled; candidates are not asked for. Of several feature maps the finer ones
-    are averaged down to the coarsest and added.
+    works past 90 degrees. All voxels are filled; candidates are ignored. Of several feature maps the finer ones are
+    averaged down to the coarsest and added.
 
     Args:
-        geometry: the voxel grid.
         in_channels: of image features.
         channels: of the volume.
-        levels: strides of the feature maps that come in, px, finest first.
+        levels: strides of the feature maps, px, finest first.
         bins: of range, of equal size.
-        range_m: where the first bin begins and the last one ends, along the ray.
+        range_m: beginning of the first bin and end of the last one, along the ray.
 
     Raises:
         ValueError: if there is no bin, or the ranges do not increase from zero on.
     """
 
     def __init__(
-        self,
-        geometry: Grid,
-        in_channels: int,
-        channels: int,
-        levels: list[int],
-        bins: int,
-        range_m: Sequence[float | int],
+        self, geometry: Grid, in_channels: int, channels: int, levels: list[int], bins: int, range_m: Interval
     ):
         super().__init__()
         if bins < 1:
@@ -55,19 +50,15 @@ class LiftSplat(nn.Module):
         self.split = nn.Linear(in_channels, bins + channels)
 
     def forward(self, features: FeatureMaps, sketched: Sketched, rigs: tuple[Rig, ...]) -> Float[Tensor, "B D X Y Z"]:
-        """Lift and splat each sample through its own rig.
-
-        Raises:
-            ValueError: if a rig has more cameras or larger images than there are maps for.
-        """
+        """Lift and splat each sample through its own rig."""
         groups = shape_groups(rigs)
         volumes: list[Tensor] = [features[0]] * len(rigs)
         for samples in groups:
-            own = [level if len(groups) == 1 else level[samples] for level in features]
-            maps = [crop(level, rigs[samples[0]], stride) for level, stride in zip(own, self.strides, strict=True)]
+            levels = [level if len(groups) == 1 else level[samples] for level in features]
+            maps = [crop(level, rigs[samples[0]], stride) for level, stride in zip(levels, self.strides, strict=True)]
             for sample, volume in zip(samples, self._splat(maps, [rigs[k] for k in samples]), strict=True):
                 volumes[sample] = volume
-        # channels last in memory, as 3D convolutions like it
+        # channels last in memory, which is fast in 3D convolutions
         return torch.stack(volumes).unflatten(1, self.geometry.shape).movedim(-1, 1)
 
     def _splat(self, features: FeatureMaps, rigs: list[Rig]) -> list[Float[Tensor, "cells C"]]:
@@ -79,7 +70,7 @@ class LiftSplat(nn.Module):
             fractions = scores.softmax(-1)
             entries = (find_entries(rig, self.geometry, height, width, self.ranges_m, pixels.device) for rig in rigs)
             parts = zip(context, fractions, entries, strict=True)
-            return [splat(own.contiguous(), fraction, entry) for own, fraction, entry in parts]
+            return [splat(values.contiguous(), fraction, entry) for values, fraction, entry in parts]
 
     def range_logits(self, features: FeatureMaps) -> Float[Tensor, "B N D h w"]:
         """Return scores of the bins, which a loss may compare with true ranges (`omniocc.loss.RangeBins`)."""

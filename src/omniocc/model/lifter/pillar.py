@@ -14,14 +14,9 @@ from omniocc.model.protocols import Sketched
 
 
 def pillar_anchors(cells: int, heights: int) -> list[tuple[float, float, float]]:
-    """Return reference points of a pillar, evenly from the middle of its lowest voxel to that of its highest.
+    """Return reference points of a pillar of `cells` voxels, as offsets from its middle in pillars.
 
-    Args:
-        cells: voxels of a pillar.
-        heights: points of a pillar; a single one lies in the middle of the lowest voxel.
-
-    Returns:
-        Offsets from the middle of the pillar, in pillars.
+    They are spread evenly from the middle of the lowest voxel (where a single one is) to that of the highest.
     """
     places = torch.linspace(0.5, cells - 0.5, heights, dtype=torch.float64) / cells - 0.5
     return [(0.0, 0.0, place) for place in places.tolist()]
@@ -31,16 +26,14 @@ class Pillar(nn.Module):
     """Lift with one query per column of voxels, which attends to the cameras that see some of its heights.
 
     Li et al. (2022, 'BEVFormer', eq. 3 and 4): deformable attention around the projections of several points of each
-    pillar, averaged over the cameras that see one, of every sample for itself. Each query then becomes the features of
-    its voxels by a linear map, as the occupancy head on BEVFormer lays channels out as heights. A pillar is a candidate
-    if one of its voxels is. On a cylinder the bird's-eye view is polar.
+    pillar, averaged over the cameras that see one. Each query then becomes the features of its voxels by a linear map,
+    as in the occupancy head on BEVFormer. A pillar is a candidate if one of its voxels is. On a cylinder the bird's-eye
+    view is polar.
 
     Args:
-        geometry: the voxel grid.
         in_channels: of image features and queries.
         channels: of the volume.
-        levels: strides of the feature maps that come in, px.
-        layers: number of layers.
+        levels: strides of the feature maps, px.
         heads: of attention, a divisor of `in_channels`.
         points: samples per head and level, a multiple of the heights, among which they are split.
         heights: reference points of each pillar.
@@ -66,24 +59,12 @@ class Pillar(nn.Module):
         cells = geometry.shape[2]
         self.channels = channels
         self.block: Axes = (1, 1, cells)
-        self.coloring = Coloring(
-            coarsened(geometry, self.block),
-            in_channels,
-            levels,
-            layers,
-            heads,
-            points,
-            feedforward_channels,
-            pillar_anchors(cells, heights),
-        )
+        view, anchors = coarsened(geometry, self.block), pillar_anchors(cells, heights)
+        self.coloring = Coloring(view, in_channels, levels, layers, heads, points, feedforward_channels, anchors)
         self.raise_up = nn.Linear(in_channels, cells * channels)
 
     def forward(self, features: FeatureMaps, sketched: Sketched, rigs: tuple[Rig, ...]) -> Float[Tensor, "B D X Y Z"]:
-        """Lift each sample through its own rig.
-
-        Raises:
-            ValueError: if a rig has more cameras or larger images than there are maps for.
-        """
+        """Lift each sample through its own rig."""
         view = self.coloring(features, Sketched(block_any(sketched.candidates, self.block)), rigs)[..., 0]
-        # channels last in memory, as 3D convolutions like it
+        # channels last in memory, which is fast in 3D convolutions
         return self.raise_up(view.movedim(1, -1)).unflatten(-1, (self.block[2], -1)).movedim(-1, 1)

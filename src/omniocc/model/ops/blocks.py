@@ -1,4 +1,4 @@
-"""Blocks of cells: a coarser grid over the same space, and the ways between the two."""
+"""Blocks of cells: a coarser grid over the same space, and conversions between the two."""
 
 from dataclasses import replace
 
@@ -12,10 +12,6 @@ from omniocc.model.ops.padding import Axes
 
 def coarsened(geometry: Grid, block: Axes) -> Grid:
     """Return the grid whose cells are blocks of `geometry`'s.
-
-    Args:
-        geometry: the voxel grid.
-        block: cells of a block along each axis.
 
     Raises:
         ValueError: if an axis does not divide into such blocks.
@@ -34,13 +30,13 @@ def block_any(mask: Bool[Tensor, "B X Y Z"], block: Axes) -> Bool[Tensor, "B x y
 
 
 def block_means(volume: Float[Tensor, "B C X Y Z"], block: Axes) -> Float[Tensor, "B C x y z"]:
-    """Return the mean of every block; undoes `repeat_blocks`."""
+    """Return the mean of every block, which reverses `repeat_blocks`."""
     return F.avg_pool3d(volume, block, block)
 
 
 def repeat_blocks(volume: Float[Tensor, "B C x y z"], block: Axes) -> Float[Tensor, "B C X Y Z"]:
     """Copy the value of every block to its cells."""
-    voxels = volume.movedim(1, -1)  # channels last in memory, as 3D convolutions like it
+    voxels = volume.movedim(1, -1)  # channels last in memory, which is fast in 3D convolutions
     for axis, count in enumerate(block, start=1):
         if count > 1:
             wide = voxels.unsqueeze(axis + 1)

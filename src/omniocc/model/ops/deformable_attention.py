@@ -1,9 +1,8 @@
 """Deformable sampling on plain torch: weighted sums of bilinear samples for many queries at once.
 
 `grid_sample` and a sum write every sample to memory, and the backward pass scatters every corner of every sample. Here
-a query's samples are one bag of weighted rows (`embedding_bag`), which never exist one by one; backward, the samples
-are sorted by pixel and the same operation runs the other way round. Memory grows with the samples of one head and
-level only.
+a query's samples are one bag of weighted rows (`embedding_bag`) and are never stored; backward, the samples are sorted
+by pixel and the same operation is applied. Memory grows only with the samples of one head and level.
 """
 
 import warnings
@@ -16,6 +15,7 @@ from torch.autograd.function import once_differentiable
 from torch.nn import functional as F
 
 from omniocc.model.ops.lifter.visible import Pairs
+from omniocc.model.ops.multilinear import bag_sum
 
 
 class Level(NamedTuple):
@@ -45,8 +45,8 @@ class Samples(NamedTuple):
         row: table row of the upper left corner.
         fx: fraction towards the right corners.
         fy: fraction towards the lower corners.
-        inside_x: false where a position was clamped to the padding, which stops its gradient.
-        inside_y: the same along the other axis.
+        inside_x: false where a position was clamped along x to the padding, which stops its gradient.
+        inside_y: false where a position was clamped along y.
     """
 
     row: Int32[Tensor, "P K"]
@@ -57,13 +57,9 @@ class Samples(NamedTuple):
 
 
 def make_table(maps: Float[Tensor, "B N H C _ _"]) -> Float[Tensor, "H R BC"]:
-    """Lay the maps of one level out as one table per head, a row per pixel of the maps padded by zeros.
+    """Return one table per head of the maps of one level, with a row per pixel of the maps padded by zeros.
 
-    Args:
-        maps: (samples, cameras, heads, channels, height, width).
-
-    Returns:
-        Rows ordered by camera, row, column; the channels of all samples side by side.
+    Rows are ordered by camera, row, column; the channels of all samples are side by side.
     """
     return F.pad(maps, (1, 1, 1, 1)).permute(2, 1, 4, 5, 0, 3).flatten(4).flatten(1, 3)
 
@@ -78,7 +74,7 @@ def make_level(pairs: Pairs, height: int, width: int, points: int, dtype: torch.
 
 
 def _axis(anchor: Tensor, offset: Tensor, size: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the lower corner, the fraction, and whether the position lies on the padded map."""
+    """Return the lower corner, the fraction, and whether the position is on the padded map."""
     raw = anchor + offset
     position = raw.clamp(0, size - 1)
     lower = position.floor().clamp_(max=size - 2)
@@ -88,7 +84,7 @@ def _axis(anchor: Tensor, offset: Tensor, size: int) -> tuple[Tensor, Tensor, Te
 def _locate(level: Level, query: Int64[Tensor, " P"], offsets: Float[Tensor, "2 Q K"]) -> Samples:
     x, fx, inside_x = _axis(level.x, offsets[0].index_select(0, query), level.width)
     y, fy, inside_y = _axis(level.y, offsets[1].index_select(0, query), level.height)
-    # exact in float32: a map has far fewer than 2**24 pixels. The index of a NaN is valid, its fraction remains NaN
+    # exact in float32 up to 2**24 pixels; the index of a NaN is valid, its fraction remains NaN
     row = torch.add(x, y, alpha=level.width).int().clamp_(min=0).add_(level.row)
     return Samples(row, fx, fy, inside_x, inside_y)
 
@@ -104,19 +100,13 @@ def _corner_weights(samples: Samples, weight: Float[Tensor, "P K"]) -> list[Floa
     return [upper - right, right, lower - low_right, low_right]
 
 
-def _bag_sum(
-    rows: Int32[Tensor, " entries"], table: Tensor, first: Int32[Tensor, " bags"], weights: Float[Tensor, " entries"]
-) -> Tensor:
-    return F.embedding_bag(rows, table, first, mode="sum", per_sample_weights=weights)
-
-
 def _gather(
     table: Float[Tensor, "R C"], samples: Samples, weight: Float[Tensor, "P K"], first: Int64[Tensor, " Q"], width: int
 ) -> Float[Tensor, "Q C"]:
     """Return the weighted sum of the samples of each query."""
     bags = (first * weight.shape[1]).int()
     corners = zip(_corner_steps(width), _corner_weights(samples, weight), strict=True)
-    sums = [_bag_sum((samples.row + step).flatten(), table, bags, weights.flatten()) for step, weights in corners]
+    sums = [bag_sum((samples.row + step).flatten(), table, bags, weights.flatten()) for step, weights in corners]
     return torch.stack(sums).sum(0)
 
 
@@ -136,7 +126,7 @@ def _scatter(
     first = (counts.cumsum(0) - counts).int()
     total = torch.zeros(size, grad.shape[1], dtype=grad.dtype, device=grad.device)
     for step, weights in zip(_corner_steps(width), _corner_weights(samples, weight), strict=True):
-        corner = _bag_sum(sources, grad, first, weights.flatten().index_select(0, order))
+        corner = bag_sum(sources, grad, first, weights.flatten().index_select(0, order))
         total[step:] += corner[: size - step]
     return total
 
@@ -167,7 +157,7 @@ def _backward(
     pairs: Pairs,
     level: Level,
 ) -> tuple[Float[Tensor, "R C"], Float[Tensor, "2 Q K"], Float[Tensor, "Q K"]]:
-    """Return the gradients of one head and level, whose positions are computed anew."""
+    """Return the gradients of one head and level, whose positions are computed again."""
     samples = _locate(level, pairs.query, offsets)
     weight = attention.index_select(0, pairs.query)
     corner, right, low, low_right = _products(table, samples, grad, pairs.first, level.width)
@@ -184,7 +174,7 @@ def _backward(
 
 
 class _DeformableSum(torch.autograd.Function):
-    """Implement `deformable_sum`; tensors are cut into heads and levels, and backward only the inputs are kept."""
+    """Implement `deformable_sum` by heads and levels; only the inputs are kept for the backward pass."""
 
     @staticmethod
     def forward(
@@ -226,7 +216,7 @@ def deformable_sum(
 ) -> Float[Tensor, "H Q C"]:
     """Sample bilinearly at reference + offset, weight by attention, sum over levels, points and a query's cameras.
 
-    Outside the maps there are zeros, as with `grid_sample(padding_mode="zeros", align_corners=False)`. Differentiable
+    Values outside the maps are zero, as in `grid_sample(padding_mode="zeros", align_corners=False)`. Differentiable
     once, in tables, offsets and attention.
 
     Args:

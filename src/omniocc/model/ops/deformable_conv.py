@@ -29,7 +29,7 @@ def sampled_convolution(
     Args:
         maps: input of the convolution.
         weight: the kernel.
-        offsets: of each tap in pixels, taps in row-major order, (row, column) of each tap next to each other.
+        offsets: of each tap in pixels: (row, column) of one tap after another, in row-major order.
         mask: factor of each tap.
         stride: along rows and columns, px.
         padding: where the kernel begins, px before the first row and column.
@@ -64,8 +64,8 @@ def _torchvision() -> Operator | None:
         from torchvision.ops import deform_conv2d
     except ImportError:
         return None
-    except RuntimeError as error:  # built for another torch
-        log.warning("torchvision does not fit torch, deformable convolution goes without it: %s", error)
+    except RuntimeError as error:  # it was built for another torch
+        log.warning("torchvision does not fit torch, deformable convolution runs without it: %s", error)
         return None
     return lambda maps, weight, offsets, mask, stride, padding: deform_conv2d(
         maps, offsets, weight, None, stride, padding, mask=mask
@@ -76,16 +76,13 @@ OPERATORS: list[Operator] = [operator for operator in (_torchvision(), sampled_c
 
 
 class DeformableConv2d(nn.Module):
-    """Convolve deformably with the kernel of another convolution, at first exactly as that one.
+    """Convolve deformably with the kernel of another convolution; the initial result equals that of the other.
 
-    A convolution of the same kernel size predicts an offset and a factor 2 sigmoid(.) for each tap. It begins at zero.
-    Sampling runs in float32. torchvision's operator does the work where it imports.
+    A convolution of the same kernel size predicts an offset and a factor 2 sigmoid(.) for each tap. Its weights are
+    zero initially. Sampling runs in float32, by torchvision's operator where installed.
 
     Args:
-        conv: a convolution without bias, groups and dilation.
-
-    Raises:
-        ValueError: if it has any of them.
+        conv: a convolution; ValueError if it has bias, groups or dilation.
     """
 
     def __init__(self, conv: nn.Conv2d):

@@ -5,18 +5,12 @@ from torch import Tensor, nn
 
 
 class FeedForward(nn.Module):
-    """Add the output of a perceptron with one hidden layer to each query, then normalise.
-
-    Args:
-        channels: of the queries.
-        hidden_channels: of the hidden layer.
-    """
+    """Add the output of a perceptron with one hidden layer to each query, then normalise."""
 
     def __init__(self, channels: int, hidden_channels: int):
         super().__init__()
-        self.layers = nn.Sequential(
-            nn.Linear(channels, hidden_channels), nn.ReLU(), nn.Linear(hidden_channels, channels)
-        )
+        first, second = nn.Linear(channels, hidden_channels), nn.Linear(hidden_channels, channels)
+        self.layers = nn.Sequential(first, nn.ReLU(), second)
         self.norm = nn.LayerNorm(channels)
 
     def forward(self, queries: Float[Tensor, "*batch C"]) -> Float[Tensor, "*batch C"]:

@@ -1,8 +1,8 @@
 """Weighted sums of bilinear (2D) or trilinear (3D) samples on plain torch.
 
-The corners of all samples of a sum are one bag of weighted rows (`embedding_bag`), so that no sample is ever written to
-memory. Backward, samples are sorted by their lowest corner once, and each corner is a bag of its own the other way
-round: several times faster on a CPU than adding every corner where it belongs.
+The corners of all samples of a sum are one bag of weighted rows (`embedding_bag`), so that no sample is stored.
+Backward, samples are sorted once by their lowest corner, and each corner is a bag of gradients: several times faster on
+a CPU than scattering every corner.
 """
 
 import warnings
@@ -16,8 +16,15 @@ from torch.autograd.function import once_differentiable
 from torch.nn import functional as F
 
 
+def bag_sum(
+    rows: Int32[Tensor, "..."], table: Tensor, first: Int32[Tensor, " bags"] | None, weights: Float[Tensor, "..."]
+) -> Tensor:
+    """Return the weighted sum of table rows of each bag; `first` is None where each line of `rows` is a bag."""
+    return F.embedding_bag(rows, table, first, mode="sum", per_sample_weights=weights)
+
+
 class Corners(NamedTuple):
-    """Where samples lie in a table whose rows are the cells of a map, row-major, with one more cell at every end.
+    """Rows and weights of samples in a table of the cells of a map, row-major, padded by one cell at every end.
 
     Attributes:
         row: of the lowest corner.
@@ -35,8 +42,8 @@ def corners(
 ) -> Corners:
     """Return corners and their multilinear weights.
 
-    Positions wrap around on periodic axes. Elsewhere they stop in the middle of the cells beyond the ends, without
-    gradient. A position that is not a number has a row that exists and weights that are not numbers.
+    Positions wrap around on periodic axes. Elsewhere they are clamped to the middle of the padding, without
+    gradient. A nan position has a valid row and nan weights.
 
     Args:
         positions: along each axis in cells, 0 in the middle of the map's first cell.
@@ -59,14 +66,7 @@ def corners(
 def sum_samples(
     table: Float[Tensor, "R C"], row: Int32[Tensor, "N K"], weights: Float[Tensor, "N K E"], steps: tuple[int, ...]
 ) -> Float[Tensor, "N C"]:
-    """Add up the K weighted samples of each of N sums; differentiable once, in table and weights.
-
-    Args:
-        table: values of cells; each row + step must exist.
-        row: of each sample's lowest corner.
-        weights: of each sample's corners.
-        steps: rows from the lowest corner to each corner.
-    """
+    """Add up the K weighted samples of each of N sums; differentiable once, in table and weights."""
     return _SumSamples.apply(table, row, weights, steps)  # type: ignore[return-value]
 
 
@@ -77,7 +77,7 @@ class _SumSamples(torch.autograd.Function):
     def forward(ctx: Any, table: Tensor, row: Tensor, weights: Tensor, steps: tuple[int, ...]) -> Tensor:
         ctx.save_for_backward(table, row, weights)
         ctx.steps = steps
-        return F.embedding_bag(_all_rows(row, steps), table, mode="sum", per_sample_weights=weights.flatten(1))
+        return bag_sum(_all_rows(row, steps), table, None, weights.flatten(1))
 
     @staticmethod
     @once_differentiable
@@ -94,11 +94,7 @@ def _all_rows(row: Int32[Tensor, "N K"], steps: tuple[int, ...]) -> Int32[Tensor
 
 
 def _scatter(
-    grad: Float[Tensor, "N C"],
-    row: Int32[Tensor, "N K"],
-    weights: Float[Tensor, "N K E"],
-    steps: tuple[int, ...],
-    size: int,
+    grad: Float[Tensor, "N C"], row: Int32[Tensor, "N K"], weights: Tensor, steps: tuple[int, ...], size: int
 ) -> Float[Tensor, "R C"]:
     """Add the weighted gradient of each sum to the rows of its corners."""
     rows = row.flatten()
@@ -108,8 +104,8 @@ def _scatter(
     counts = torch.bincount(rows, minlength=size)
     first = (counts.cumsum(0) - counts).int()
     total = torch.zeros(size, grad.shape[1], dtype=grad.dtype, device=grad.device)
-    for step, own in zip(steps, sorted_weights.unbind(1), strict=True):
-        corner = F.embedding_bag(sources, grad, first, mode="sum", per_sample_weights=own.contiguous())
+    for step, step_weights in zip(steps, sorted_weights.unbind(1), strict=True):
+        corner = bag_sum(sources, grad, first, step_weights.contiguous())
         total[step:] += corner[: size - step]
     return total
 

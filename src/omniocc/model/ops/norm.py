@@ -1,4 +1,4 @@
-"""The norm of all convolutional networks, and what their halved grids need."""
+"""The norm of all convolutional networks, and the check of their halved grids."""
 
 from torch import nn
 
@@ -8,7 +8,7 @@ GROUP_CHANNELS = 8
 
 
 def group_norm(channels: int) -> nn.GroupNorm:
-    """Return a norm of each sample on its own, so that a batch of two is two batches of one.
+    """Return a norm of single samples, so that results do not depend on the batch.
 
     Raises:
         ValueError: if the channels do not split into groups of 8.
@@ -19,7 +19,7 @@ def group_norm(channels: int) -> nn.GroupNorm:
 
 
 def check_halvings(geometry: Grid, levels: int) -> None:
-    """Check that periodic axes halve evenly from level to level, so that both ends fit together on each.
+    """Check that periodic axes can be halved from level to level.
 
     Raises:
         ValueError: naming the axis's cells and the multiple they need.
@@ -27,7 +27,5 @@ def check_halvings(geometry: Grid, levels: int) -> None:
     factor = 2 ** (levels - 1)
     for cells, wraps in zip(geometry.shape, geometry.periodic, strict=True):
         if wraps and cells % factor:
-            raise ValueError(
-                f"{levels} levels need a periodic axis in multiples of {factor} cells, not {cells}; "
-                "change the grid or give fewer channels"
-            )
+            need = f"{levels} levels need a periodic axis in multiples of {factor} cells, not {cells}"
+            raise ValueError(f"{need}; change the grid or give fewer channels")

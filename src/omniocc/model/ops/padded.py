@@ -1,8 +1,8 @@
 """Batches of samples with different numbers of cameras and sizes of image.
 
-Such samples are padded by zeros at the end of the camera axis, at the right and at the bottom. The rig of a sample says
-what is there: its first N images, in the size of its largest camera, its *frame*. Maps of a stride have ceil(size /
-stride) rows and columns. What is computed on the cropped images alone does not depend on the padding.
+Such samples are padded by zeros at the end of the camera axis, at the right and at the bottom. A sample's rig gives its
+number of images and the size of its largest camera, its *frame*. Maps of a stride have ceil(size / stride) rows and
+columns. Networks run on cropped images, so that padding does not change their results.
 """
 
 from collections.abc import Callable, Sequence
@@ -52,16 +52,14 @@ def crop(maps: Float[Tensor, "B N *C _ _"], rig: Rig, stride: int = 1) -> Float[
         ValueError: if the rig has more cameras or larger images.
     """
     shape = image_shape(rig).at_stride(stride)
-    there = ImageShape(maps.shape[1], maps.shape[-2], maps.shape[-1])
-    if any(own > size for own, size in zip(shape, there, strict=True)):
-        raise ValueError(
-            f"the rig has {_told(shape)} but there are images of {_told(there)}"
-            f"{f' at stride {stride}' if stride > 1 else ''}; see Rig.resized"
-        )
+    given = ImageShape(maps.shape[1], maps.shape[-2], maps.shape[-1])
+    if any(needed > size for needed, size in zip(shape, given, strict=True)):
+        scale = f" at stride {stride}" if stride > 1 else ""
+        raise ValueError(f"the rig has {_text(shape)} but there are images of {_text(given)}{scale}; see Rig.resized")
     return maps[:, : shape.cameras, ..., : shape.height, : shape.width]
 
 
-def _told(shape: ImageShape) -> str:
+def _text(shape: ImageShape) -> str:
     return f"{shape.cameras} cameras of {shape.width}x{shape.height} px"
 
 
@@ -81,22 +79,14 @@ def by_shape(
 ) -> list[Float[Tensor, "B N C _ _"]]:
     """Run a network on samples of equal shape together, without their padding, and pad its maps by zeros.
 
-    Args:
-        network: maps of the given strides from images and their rigs.
-        images: padded.
-        rigs: one per sample.
-        strides: of the network's maps.
-
-    Raises:
-        ValueError: if a rig has more cameras or larger images than there are.
+    The network computes maps of these strides from images and their rigs. Raises ValueError as `crop` does.
     """
     batch = ImageShape(images.shape[1], *images.shape[-2:])
     groups = shape_groups(rigs)
     parts = []
     for samples in groups:
-        own = tuple(rigs[sample] for sample in samples)
-        cropped = crop(images if len(groups) == 1 else images[samples], own[0])
-        parts.append(network(cropped, own))
+        same = tuple(rigs[sample] for sample in samples)
+        parts.append(network(crop(images if len(groups) == 1 else images[samples], same[0]), same))
     if len(groups) == 1 and image_shape(rigs[0]) == batch:
         return list(parts[0])
     levels = zip(*parts, strict=True)

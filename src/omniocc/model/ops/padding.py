@@ -1,4 +1,4 @@
-"""3D layers for grids that wrap around: what leaves a periodic axis at one end enters it at the other."""
+"""3D layers for grids with periodic axes, whose two ends are neighbours."""
 
 import torch
 from jaxtyping import Float
@@ -40,7 +40,7 @@ class Conv3d(nn.Conv3d):
         self.zeros: Axes = tuple(0 if wraps else kernel_size // 2 for wraps in periodic)  # type: ignore[assignment]
 
     def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B D X Y Z"]:
-        """Return the convolved volume; zeros are left to the kernel, which needs no copy for them."""
+        """Return the convolved volume; zeros are added by the convolution, without a copy."""
         wrapped = pad3d(volume, self.wrap, self.periodic)
         return F.conv3d(wrapped, self.weight, self.bias, padding=self.zeros)
 
@@ -78,11 +78,7 @@ class Downsample(nn.Conv3d):
         self.periodic = periodic
 
     def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B D _ _ _"]:
-        """Return the halved volume, sizes rounded up.
-
-        Raises:
-            ValueError: if a periodic axis is odd.
-        """
+        """Return the halved volume, sizes rounded up; raise ValueError if a periodic axis is odd."""
         odd = [size % 2 for size in volume.shape[2:]]
         for size, wraps in zip(volume.shape[2:], self.periodic, strict=True):
             if wraps and size % 2:
@@ -93,7 +89,7 @@ class Downsample(nn.Conv3d):
 
 
 def upsample(volume: Float[Tensor, "B C X Y Z"], shape: Axes, periodic: Periodic) -> Float[Tensor, "B C _ _ _"]:
-    """Double every axis by trilinear interpolation between cell centres, then crops to `shape`: undoes `Downsample`.
+    """Double every axis by trilinear interpolation between cell centres, then crop to `shape`.
 
     Interpolates across the seam of periodic axes and holds the border's value elsewhere.
     """

@@ -1,4 +1,4 @@
-"""Results that depend on a rig and on sizes alone, kept until they take up too much memory."""
+"""Cache of results that depend only on a rig and on sizes, limited by memory."""
 
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterator
@@ -12,7 +12,7 @@ from torch import Tensor
 from omniocc.camera import Rig
 
 LIMIT_BYTES = 2 << 30
-"""Memory that the results for all rigs together may take: 40 rigs of the largest option (`omnimvs`) at preset=tiny."""
+"""Limit of the memory of all results: 40 rigs of the largest option (`omnimvs`) at preset=tiny."""
 OVERHEAD_BYTES = 1 << 12
 """Assumed size of a rig's Python objects."""
 
@@ -21,13 +21,13 @@ R = TypeVar("R")
 
 
 class RigCache:
-    """Keep results of functions by rig; beyond the limit, forget those of the rig not used for longest.
+    """Keep results of functions by rig; beyond the limit, drop those of the least recently used rig.
 
-    Results may be large (the sampling matrices of a sweep) or small (a ray map): the limit is on bytes, so that small
-    ones serve hundreds of rigs. All results of a rig go together, as they are needed together.
+    Results may be large (the sampling matrices of a sweep) or small (a ray map), so the limit is in bytes. All results
+    of a rig are dropped together.
 
     Args:
-        limit_bytes: of all results; what the newest rig needs is kept even if it is more.
+        limit_bytes: of all results; those of the newest rig are kept even if they are larger.
     """
 
     def __init__(self, limit_bytes: int = LIMIT_BYTES):
@@ -39,12 +39,12 @@ class RigCache:
         return len(self._rigs)
 
     def clear(self) -> None:
-        """Forget all results."""
+        """Drop all results."""
         with self._lock:
             self._rigs.clear()
 
     def get(self, rig: Rig, key: Hashable, compute: Callable[[], Any]) -> Any:
-        """Return the result for a rig and a key, computed if it is not there."""
+        """Return the result for a rig and a key, computed if it is not cached."""
         with self._lock:
             results = self._rigs.setdefault(rig, {})
             self._rigs.move_to_end(rig)
@@ -62,7 +62,7 @@ class RigCache:
         return [tensor_bytes((rig, results)) + OVERHEAD_BYTES for rig, results in self._rigs.items()]
 
     def _shrink(self) -> None:
-        """Forget the rigs not used for longest until the others fit into the limit."""
+        """Drop the least recently used rigs until the others fit into the limit."""
         sizes = self._sizes()  # of all: results may have grown since (`Sampler.transpose`)
         total = sum(sizes)
         for size in sizes[:-1]:
@@ -77,7 +77,7 @@ RIG_CACHE = RigCache()
 
 
 def once_per_rig(function: Callable[Concatenate[Rig, P], R]) -> Callable[Concatenate[Rig, P], R]:
-    """Keep what a function of a rig and other hashable arguments returns in `RIG_CACHE`; never write to the result."""
+    """Cache a function of a rig and other hashable arguments in `RIG_CACHE`; never write to its results."""
 
     @wraps(function)
     def cached(rig: Rig, *args: P.args, **kwargs: P.kwargs) -> R:
@@ -88,19 +88,16 @@ def once_per_rig(function: Callable[Concatenate[Rig, P], R]) -> Callable[Concate
 
 
 def tensor_bytes(value: Any) -> int:
-    """Return the memory of all tensors in nested containers and objects; memory that they share counts once."""
+    """Return the memory of all tensors in nested containers and objects; shared memory counts once."""
     storages = {storage.data_ptr(): storage.nbytes() for storage in _storages(value)}
     return sum(storages.values())
 
 
 def _storages(value: Any) -> Iterator[torch.UntypedStorage]:
     if isinstance(value, Tensor):
-        dense = (
-            (value.crow_indices(), value.col_indices(), value.values())
-            if value.layout == torch.sparse_csr
-            else (value,)
-        )
-        yield from (part.untyped_storage() for part in dense)
+        sparse = value.layout == torch.sparse_csr
+        parts = (value.crow_indices(), value.col_indices(), value.values()) if sparse else (value,)
+        yield from (part.untyped_storage() for part in parts)
     elif isinstance(value, dict):
         for item in value.values():
             yield from _storages(item)

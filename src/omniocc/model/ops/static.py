@@ -9,9 +9,9 @@ _static = ContextVar("static", default=False)
 
 @contextmanager
 def static_shapes() -> Iterator[None]:
-    """Make options that choose voxels or points compute all of them and keep the chosen: equal, but slower.
+    """Let options that select voxels or points compute all of them first: equal results, but slower.
 
-    One sample at a time.
+    Batches must have one sample.
     """
     token = _static.set(True)
     try:

@@ -33,7 +33,7 @@ class Layout(NamedTuple):
 
 
 def sheet(cells: int) -> Layout:
-    """Return the layout of an image of `cells` pixels that is as square as possible: 512x512 for 128x128x16 voxels."""
+    """Return the layout of `cells` pixels as an image, as square as possible: 512x512 for 128x128x16 voxels."""
     rows = next(rows for rows in range(math.isqrt(cells), 0, -1) if cells % rows == 0)
     return Layout((rows, cells // rows), (False, False))
 
@@ -44,7 +44,7 @@ def first_offsets(heads: int, points: int, axes: int) -> Float[Tensor, "axes H K
 
 
 def sphere_offsets(heads: int, points: int) -> Float[Tensor, "3 H K"]:
-    """Return the first offsets of samples, in cells: each head has a direction of its own, 1, 2, ... cells away.
+    """Return the first offsets of samples, in cells: one direction for each head, 1, 2, ... cells away.
 
     The directions spread evenly over a sphere (Fibonacci lattice) and are stretched to the surface of a cube.
     """
@@ -58,7 +58,7 @@ def sphere_offsets(heads: int, points: int) -> Float[Tensor, "3 H K"]:
 
 
 class SelfAttention(nn.Module):
-    """Sum samples around every voxel, with offsets and weights from its own feature.
+    """Sum samples around every voxel, with offsets and weights computed from its feature.
 
     Args:
         channels: of the voxels.
@@ -93,8 +93,8 @@ class SelfAttention(nn.Module):
         """Attend from consecutive voxels.
 
         Args:
-            queries: voxels of all samples in row-major order, from the first one asked for.
-            first: index of the first one.
+            queries: consecutive voxels of all samples in row-major order.
+            first: index of the first query.
             table: from `make_table`.
         """
         with torch.autocast(queries.device.type, enabled=False):
@@ -109,7 +109,7 @@ class SelfAttention(nn.Module):
         return self.output(sums.view(len(queries), -1))
 
     def _sampling(self, queries: Float[Tensor, "Q C"]) -> tuple[Float[Tensor, "axes Q H K"], Float[Tensor, "Q H K"]]:
-        """Return offsets in cells, and attention; softmax over a short last axis would be many times slower."""
+        """Return offsets in cells, and attention; queries are the last axis, where softmax is many times faster."""
         offsets = self.offsets(queries).view(-1, self.axes, self.heads, self.points).transpose(0, 1)
         scores = torch.addmm(self.attention.bias[:, None], self.attention.weight, queries.T)
         weights = scores.view(self.heads, self.points, -1).softmax(1)
@@ -119,7 +119,7 @@ class SelfAttention(nn.Module):
 def _unravel(
     first: int, count: int, shape: tuple[int, ...], device: torch.device
 ) -> tuple[Tensor, Float[Tensor, "axes Q"]]:
-    """Sample and place (in cells along each axis) of consecutive voxels of a batch."""
+    """Return sample and place (in cells along each axis) of consecutive voxels of a batch."""
     index = torch.arange(first, first + count, dtype=torch.int32, device=device)
     places = []
     for cells in reversed(shape):
@@ -139,7 +139,7 @@ class AttentionLayer(nn.Module):
         self.chunk = max(CHUNK_SAMPLES // (heads * points), 1)
 
     def forward(self, voxels: Float[Tensor, "B cells C"]) -> Float[Tensor, "B cells C"]:
-        """Refine voxels in chunks, which training computes again in the backward pass."""
+        """Refine voxels in chunks, which are computed again in the backward pass."""
         table = self.attention.make_table(voxels)
         chunks = voxels.reshape(-1, voxels.shape[-1]).split(self.chunk)
         if len(chunks) == 1:
@@ -158,15 +158,12 @@ class AttentionLayer(nn.Module):
 class Attention(nn.Module):
     """Refine by layers in which every voxel attends to samples around it, trilinear between cells.
 
-    As the second stage of VoxFormer, but in three dimensions. Voxels that were no candidates arrive with the one vector
-    that the lifter has learned for them: that is the mask token. What is learned of a voxel's place is a vector for
-    each index along the axes that do not wrap around, so that rolling the input along a periodic axis rolls the output.
-    Samples beyond an end that does not wrap around are zero.
+    As the second stage of VoxFormer, but in three dimensions. Voxels that are no candidates hold the lifter's mask
+    token. Positions are encoded by a learned vector for each index along the axes that do not wrap around, so that
+    rolling the input along a periodic axis rolls the output. Samples beyond an end that does not wrap around are zero.
 
     Args:
-        geometry: the voxel grid.
-        channels: of the volume that comes in and goes out.
-        layers: number of layers.
+        channels: of input and output.
         heads: of attention, a divisor of the channels.
         points: samples per head.
         feedforward_channels: hidden channels of the feed-forward part.
@@ -200,7 +197,7 @@ class Attention(nn.Module):
         self.places = nn.ParameterList()
         for axis, (cells, wraps) in enumerate(zip(*layout, strict=True)):
             if not wraps:
-                shape = [cells if own == axis else 1 for own in range(len(layout.shape))]
+                shape = [cells if other == axis else 1 for other in range(len(layout.shape))]
                 self.places.append(nn.Parameter(0.02 * torch.randn(*shape, channels)))
         self.layout = layout
         self.layers = nn.ModuleList(

@@ -37,19 +37,17 @@ class ViewBlock(nn.Module):
 class ChannelToHeight(nn.Module):
     """Turn columns of voxels into channels, apply residual blocks on a pyramid of halved views, and turn them back.
 
-    As FlashOcc (Yu et al., 2023) replaces the 3D convolutions of BEVDet's occupancy version: no operation but the two
-    linear maps at the ends depends on the height. Levels are merged as in `Conv`.
+    FlashOcc (Yu et al., 2023) replaces the 3D convolutions of BEVDet's occupancy version in this way: only the linear
+    maps at both ends depend on the height. Levels are merged as in `Conv`.
 
     Args:
-        geometry: the voxel grid.
         in_channels: of the lifted volume.
-        channels: of the volume that comes out.
-        view_channels: of the views of each level, finest first; multiples of 8.
+        channels: of the output.
+        view_channels: of each level, finest first; multiples of 8.
         blocks: of each level.
 
     Raises:
-        ValueError: if channels and blocks do not fit, a periodic axis cannot be halved often enough, or the channels
-            do not split into groups.
+        ValueError: if channels, blocks and periodic axes do not fit together.
     """
 
     def __init__(self, geometry: Grid, in_channels: int, channels: int, view_channels: list[int], blocks: list[int]):
@@ -62,8 +60,8 @@ class ChannelToHeight(nn.Module):
         self.fold = nn.Linear(geometry.shape[2] * in_channels, view_channels[0])
         self.down = nn.ModuleList(nn.Conv2d(fine, coarse, 2, stride=2) for fine, coarse in pairwise(view_channels))
         self.stages = nn.ModuleList(
-            nn.Sequential(*(ViewBlock(own, self.periodic) for _ in range(count)))
-            for own, count in zip(view_channels, blocks, strict=True)
+            nn.Sequential(*(ViewBlock(width, self.periodic) for _ in range(count)))
+            for width, count in zip(view_channels, blocks, strict=True)
         )
         self.merge = nn.ModuleList(nn.Conv2d(own, view_channels[0], 1) for own in view_channels)
         self.norm = group_norm(view_channels[0])
@@ -74,7 +72,7 @@ class ChannelToHeight(nn.Module):
         view = self.fold(volume.movedim(1, -1).flatten(-2)).movedim(-1, 1)
         levels = [self.stages[0](view)]
         for down, stage in zip(self.down, self.stages[1:], strict=True):
-            # what does not halve gets a zero cell at its upper end
+            # an odd axis gets a zero cell at its upper end
             odd = [cells for size in reversed(levels[-1].shape[2:]) for cells in (0, size % 2)]
             levels.append(stage(down(F.pad(levels[-1], odd))))
         merged = self.merge[-1](levels[-1])

@@ -32,19 +32,17 @@ class Block(nn.Module):
 class Conv(nn.Module):
     """Apply residual blocks on a pyramid of halved grids, whose levels are merged at the finest, without a decoder.
 
-    As ResNet and pyramid of BEVDet's occupancy version (Huang et al., 2021). There the levels are upsampled, laid side
-    by side and mixed by a 1x1x1 convolution; mixing first and adding after upsampling is the same and cheaper. With one
-    level it is a few convolutions, as in the occupancy head of BEVFormer (Li et al., 2022).
+    As in BEVDet's occupancy version (Huang et al., 2021). There the levels are upsampled, concatenated and mixed by a
+    1x1x1 convolution; mixing first and adding after upsampling is the same and cheaper. With one level it is a few
+    convolutions, as in the occupancy head of BEVFormer (Li et al., 2022).
 
     Args:
-        geometry: the voxel grid.
         in_channels: of the lifted volume.
-        channels: of each level, finest first; multiples of 8. The finest is what comes out.
+        channels: of each level, finest first; multiples of 8. The finest is that of the output.
         blocks: of each level.
 
     Raises:
-        ValueError: if channels and blocks do not fit, a periodic axis cannot be halved often enough, or the channels
-            do not split into groups.
+        ValueError: if channels, blocks and periodic axes do not fit together.
     """
 
     def __init__(self, geometry: Grid, in_channels: int, channels: list[int], blocks: list[int]):
@@ -57,8 +55,8 @@ class Conv(nn.Module):
         self.stem = Pointwise(in_channels, channels[0])
         self.down = nn.ModuleList(Downsample(fine, coarse, self.periodic) for fine, coarse in pairwise(channels))
         self.stages = nn.ModuleList(
-            nn.Sequential(*(Block(own, self.periodic) for _ in range(count)))
-            for own, count in zip(channels, blocks, strict=True)
+            nn.Sequential(*(Block(width, self.periodic) for _ in range(count)))
+            for width, count in zip(channels, blocks, strict=True)
         )
         self.merge = nn.ModuleList(Pointwise(own, channels[0]) for own in channels)
         self.norm = group_norm(channels[0])

@@ -7,10 +7,10 @@ from omniocc.model.protocols import Sketched
 
 
 class NoRefiner(nn.Module):
-    """Pass the lifted features on.
+    """Return the lifted features unchanged.
 
     Args:
-        channels: of the volume that comes in and goes out.
+        channels: of the volume.
     """
 
     def __init__(self, channels: int):

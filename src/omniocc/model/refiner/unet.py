@@ -15,13 +15,12 @@ from omniocc.model.protocols import Sketched
 class UNet(nn.Module):
     """Apply residual blocks on a pyramid of halved grids with added skips; wraps around on the grid's periodic axes.
 
-    The finest level, where a block costs as much as all others together, has one on the way up only. Rolling the input
+    The finest level, the most expensive one, has a block only on the way up. Rolling the input
     along a periodic axis by a multiple of 2**(levels-1) cells rolls the output.
 
     Args:
-        geometry: the voxel grid.
         in_channels: of the lifted volume.
-        channels: of each level, finest first; multiples of 8. The finest is what comes out.
+        channels: of each level, finest first; multiples of 8. The finest is that of the output.
 
     Raises:
         ValueError: if a periodic axis cannot be halved often enough, or the channels do not split into groups.

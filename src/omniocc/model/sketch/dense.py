@@ -10,11 +10,7 @@ from omniocc.model.protocols import Sketched
 
 
 class Dense(nn.Module):
-    """Choose the whole grid, as methods without a sketch do.
-
-    Args:
-        geometry: the voxel grid.
-    """
+    """Choose the whole grid, as in methods without a sketch."""
 
     def __init__(self, geometry: Grid):
         super().__init__()

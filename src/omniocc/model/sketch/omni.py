@@ -25,7 +25,7 @@ def occupancy(voxels: UInt8[Tensor, "B X Y Z"]) -> UInt8[Tensor, "B X Y Z"]:
 
 
 def place_of_cells(geometry: Grid) -> Float[Tensor, "A X Y Z"]:
-    """Return where each cell lies along the axes that do not wrap around, from -1 to 1."""
+    """Return the coordinates of each cell along the axes that do not wrap around, from -1 to 1."""
     middles = [(2 * torch.arange(cells) + 1) / cells - 1 for cells in geometry.shape]
     grids = torch.meshgrid(*middles, indexing="ij")
     return torch.stack([grids[axis] for axis in still_axes(geometry)])
@@ -35,19 +35,16 @@ class Omni(nn.Module):
     """Choose the voxels that a panorama of ranges makes likely to be occupied.
 
     Ranges -> points and evidence of every cell -> probability of being occupied -> candidates. The depth network is
-    trained elsewhere; here it stays frozen and in evaluation mode.
+    frozen and in evaluation mode.
 
     Args:
-        geometry: the voxel grid.
         depth: ranges of a panorama around the ego origin.
         point_channels: features of the points in a cell.
         samples: directions of each cell that are compared with the panorama, along each axis.
         channels: of each level of the network, finest first; multiples of 8.
-        threshold: candidates are the cells at least this likely to be occupied, above 0 and at most 1; None: `fraction`
-            chooses.
-        fraction: candidates are the likeliest cells, this fraction of all, above 0 and at most 1; None: `threshold`
-            chooses.
-        windows: cells by which the candidates of each band then grow towards and away from the z axis; 0 is not at all.
+        threshold: smallest probability of candidates, above 0 and at most 1; None uses `fraction`.
+        fraction: of cells that are candidates, the likeliest first, above 0 and at most 1; None uses `threshold`.
+        windows: cells by which candidates of each band are dilated towards and away from the z axis; 0: not at all.
         band_edges_m: horizontal distances at which one band ends and the next begins, one fewer than windows.
 
     Raises:
@@ -76,7 +73,9 @@ class Omni(nn.Module):
         limit = fraction if threshold is None else threshold
         if not 0 < limit <= 1:  # type: ignore[operator]
             raise ValueError(f"threshold or fraction is {limit}; use 0 < value <= 1")
-        geometry.dilate(torch.zeros(geometry.shape, dtype=torch.bool), windows, band_edges_m)  # do they fit together?
+        geometry.dilate(
+            torch.zeros(geometry.shape, dtype=torch.bool), windows, band_edges_m
+        )  # raises ValueError unless they fit
         assert isinstance(depth, nn.Module)
         self.geometry = geometry
         self.threshold, self.fraction = threshold, fraction
@@ -91,7 +90,7 @@ class Omni(nn.Module):
         self.lovasz = Lovasz()
 
     def train(self, mode: bool = True) -> "Omni":
-        """Set the mode of everything but depth, which stays in evaluation mode."""
+        """Set the mode, except of depth, which stays in evaluation mode."""
         super().train(mode)
         self.depth.eval()
         return self
@@ -105,12 +104,7 @@ class Omni(nn.Module):
         return Sketched(self.select(self.logits(seen.range_m, seen.valid)))
 
     def logits(self, range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"]) -> Float[Tensor, "B 2 X Y Z"]:
-        """Return scores of free and occupied for every cell.
-
-        Args:
-            range_m: of the panorama's pixels from the ego origin; where not valid, it does not count.
-            valid: where the range is known.
-        """
+        """Return scores of free and occupied for every cell from a panorama of ranges; invalid ranges are ignored."""
         encoded, hit = self.points(pseudo_points(range_m, valid, self.panorama))
         place = self.place.expand(len(range_m), *self.place.shape)
         return self.network(torch.cat([encoded, hit, self.evidence(range_m, valid), place], dim=1))

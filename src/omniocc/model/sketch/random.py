@@ -21,12 +21,8 @@ class Random(nn.Module):
     """Choose one random set of cells for all frames: the baseline of a sketch that ignores the images.
 
     Args:
-        geometry: the voxel grid.
         fraction: of the cells, above 0 and at most 1.
         seed: of the choice.
-
-    Raises:
-        ValueError: if the fraction is out of range.
     """
 
     candidates: Tensor

@@ -8,19 +8,18 @@ from omniocc.camera.pose import invert_pose
 from omniocc.geometry import Grid
 from omniocc.geometry.warp import interpolate
 from omniocc.model.ops.static import is_static
+from omniocc.model.protocols import Volumes
 
 
 class Mean(nn.Module):
     """Move every past volume into the newest ego frame and average cell by cell.
 
-    The paper divides by N + 1 everywhere. Here a cell's mean runs over the frames that saw it: those that exist (a
-    scene's first frames have fewer before them) and whose grid holds the cell's centre.
+    The paper divides by N + 1 everywhere. Here a cell's mean is over the frames that exist (fewer at the beginning of
+    a scene) and whose grid holds the cell's centre.
 
     Args:
-        geometry: the voxel grid.
         frames: of a window, the newest included: N + 1.
-        history_gradient: whether training reaches the network also through the past frames, as the newest; costs the
-            memory of as many frames.
+        history_gradient: whether gradients also flow through past frames, which takes memory for each.
 
     Raises:
         ValueError: if there are no past frames.
@@ -35,10 +34,7 @@ class Mean(nn.Module):
         self.history_gradient = history_gradient
 
     def forward(
-        self,
-        volumes: list[Float[Tensor, "B C X Y Z"]],
-        world_from_ego: Float[Tensor, "B T 4 4"],
-        exists: Bool[Tensor, "B T"],
+        self, volumes: Volumes, world_from_ego: Float[Tensor, "B T 4 4"], exists: Bool[Tensor, "B T"]
     ) -> Float[Tensor, "B C X Y Z"]:
         """Return the mean in the newest frame; without past frames the newest volume itself."""
         *past, newest = volumes
@@ -47,18 +43,18 @@ class Mean(nn.Module):
         total = torch.zeros_like(newest)  # keeps channels last in memory
         count = newest.new_ones(len(newest), 1, *self.geometry.shape)
         past_from_current = invert_pose(world_from_ego[:, :-1].double()) @ world_from_ego[:, -1:].double()
-        for frame, sample in existing(exists[:, :-1]):
+        for frame, sample in present_frames(exists[:, :-1]):
             rows = past[frame][sample].movedim(0, -1).flatten(0, 2)
             corners = self.geometry.corners(past_from_current[sample, frame].to(rows.device), rows.dtype)
-            there = exists[sample, frame]
-            moved = interpolate(rows, corners._replace(weights=corners.weights * there))
+            present = exists[sample, frame]
+            moved = interpolate(rows, corners._replace(weights=corners.weights * present))
             total[sample] += moved.unflatten(0, self.geometry.shape).movedim(-1, 0)
-            count[sample, 0] += (corners.inside & there).unflatten(0, self.geometry.shape)
+            count[sample, 0] += (corners.inside & present).unflatten(0, self.geometry.shape)
         return (total + newest) / count
 
 
-def existing(exists: Bool[Tensor, "B P"]) -> list[tuple[int, int]]:
-    """Return frame and sample of what exists, or all of them where shapes must not depend on the data."""
+def present_frames(exists: Bool[Tensor, "B P"]) -> list[tuple[int, int]]:
+    """Return (frame, sample) of all frames that exist, or of all where shapes must not depend on the data."""
     samples, frames = exists.shape
-    there = [[True] * samples] * frames if is_static() else exists.T.tolist()
-    return [(frame, sample) for frame, row in enumerate(there) for sample, yes in enumerate(row) if yes]
+    rows = [[True] * samples] * frames if is_static() else exists.T.tolist()
+    return [(frame, sample) for frame, row in enumerate(rows) for sample, present in enumerate(row) if present]

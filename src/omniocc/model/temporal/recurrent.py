@@ -1,4 +1,4 @@
-"""Temporal self-attention on the aligned bird's-eye view before (BEVFormer)."""
+"""Temporal self-attention to the previous bird's-eye view, aligned (BEVFormer)."""
 
 from typing import NamedTuple
 
@@ -14,15 +14,16 @@ from omniocc.model.ops.lifter.cross_attention import ring_offsets
 from omniocc.model.ops.multilinear import corners, sum_samples
 from omniocc.model.ops.padding import Periodic, pad3d
 from omniocc.model.ops.static import is_static
+from omniocc.model.protocols import Volumes
 
 VIEWS = 2
-"""The one before and the present one."""
+"""The previous and the present one."""
 
 
 class TemporalAttention(nn.Module):
-    """Sum samples around every cell of a bird's-eye view, half from the view before, half from the present one.
+    """Sum samples around every cell of a bird's-eye view, half from the previous view, half from the present one.
 
-    Where and how much follows from the cell's features in both (Li et al., 2022, 'BEVFormer', eq. 5).
+    Offsets and weights are computed from the cell's features in both (Li et al., 2022, 'BEVFormer', eq. 5).
 
     Args:
         channels: of the views.
@@ -44,13 +45,13 @@ class TemporalAttention(nn.Module):
         self.offsets.bias.data.copy_(rings.permute(2, 0, 1, 3).flatten())
 
     def forward(
-        self, before: Float[Tensor, "B X Y C"], present: Float[Tensor, "B X Y C"], periodic: Periodic
+        self, previous: Float[Tensor, "B X Y C"], present: Float[Tensor, "B X Y C"], periodic: Periodic
     ) -> Float[Tensor, "B X Y C"]:
         """Return the change of the present view."""
         with torch.autocast(present.device.type, enabled=False):
             dtype = torch.promote_types(present.dtype, torch.float32)
-            views = torch.stack([before, present], dim=1).to(dtype)
-            offsets, weights = self._sampling(torch.cat([before, present], dim=-1).to(dtype).flatten(0, 2))
+            views = torch.stack([previous, present], dim=1).to(dtype)
+            offsets, weights = self._sampling(torch.cat([previous, present], dim=-1).to(dtype).flatten(0, 2))
             _, x_cells, y_cells, _ = present.shape
             index = torch.arange(len(weights), dtype=torch.int32, device=weights.device)
             y, x = index % y_cells, torch.div(index, y_cells, rounding_mode="floor") % x_cells
@@ -93,10 +94,10 @@ class TemporalLayer(nn.Module):
         self.feedforward = FeedForward(channels, feedforward_channels)
 
     def forward(
-        self, before: Float[Tensor, "B X Y C"], present: Float[Tensor, "B X Y C"], periodic: Periodic
+        self, previous: Float[Tensor, "B X Y C"], present: Float[Tensor, "B X Y C"], periodic: Periodic
     ) -> Float[Tensor, "B X Y C"]:
-        """Return the present view after attention to the one before."""
-        return self.feedforward(self.attention_norm(present + self.attention(before, present, periodic)))
+        """Return the present view after attention to the previous one."""
+        return self.feedforward(self.attention_norm(present + self.attention(previous, present, periodic)))
 
 
 class History(NamedTuple):
@@ -105,32 +106,30 @@ class History(NamedTuple):
     Attributes:
         view: after attention.
         pose: world_from_ego of its frame.
-        there: whether there is any past.
+        exists: whether there is any past.
     """
 
     view: Float[Tensor, "B X Y C"]
     pose: Float[Tensor, "B 4 4"]
-    there: Bool[Tensor, " B"]
+    exists: Bool[Tensor, " B"]
 
 
 class Recurrent(nn.Module):
-    """Let each bird's-eye view attend to the one before, from the oldest frame to the newest.
+    """Let each bird's-eye view attend to the previous one, from the oldest frame to the newest.
 
     As BEVFormer (Li et al., 2022): the result of a frame, moved into the next one's ego frame, is the history of the
-    next; a frame without history is its own. There the attention stands in every layer of the encoder, here behind all
+    next; a frame without history is its own. There every layer of the encoder has the attention, here it follows all
     of them. Volumes become views by a linear map of each column of voxels, and the newest view is mapped back and added
     to the newest volume.
 
     Args:
-        geometry: the voxel grid.
         channels: of the volumes.
         view_channels: of the bird's-eye views.
-        layers: number of layers.
         heads: of attention, a divisor of `view_channels`.
         points: samples per head and view.
         feedforward_channels: hidden channels of the feed-forward part.
         frames: of a window, the newest included.
-        history_gradient: whether training reaches the network also through the past frames; BEVFormer does without.
+        history_gradient: whether gradients also flow through past frames; in BEVFormer they do not.
 
     Raises:
         ValueError: if there are no past frames, or the heads do not divide the channels.
@@ -163,50 +162,44 @@ class Recurrent(nn.Module):
         )
 
     def forward(
-        self,
-        volumes: list[Float[Tensor, "B C X Y Z"]],
-        world_from_ego: Float[Tensor, "B T 4 4"],
-        exists: Bool[Tensor, "B T"],
+        self, volumes: Volumes, world_from_ego: Float[Tensor, "B T 4 4"], exists: Bool[Tensor, "B T"]
     ) -> Float[Tensor, "B C X Y Z"]:
         """Return the newest volume, changed by the past."""
         *past, newest = volumes
         poses = world_from_ego.double()
         device, learns = newest.device.type, torch.is_grad_enabled() and self.history_gradient
-        # autocast keeps what it casts, in older PyTorch without gradient if the past comes first
-        cast = torch.autocast(
-            device, torch.get_autocast_dtype(device), torch.is_autocast_enabled(device), cache_enabled=learns
-        )
+        # autocast caches weights, in older PyTorch without gradient if the past comes first
+        dtype, enabled = torch.get_autocast_dtype(device), torch.is_autocast_enabled(device)
+        cast = torch.autocast(device, dtype, enabled, cache_enabled=learns)
         with torch.set_grad_enabled(learns), cast:
             history = self._remember(past, poses, exists)
-        view = self._look(newest, poses[:, -1], history)
+        view = self._attend(newest, poses[:, -1], history)
         change = self.unfold(view).unflatten(-1, (newest.shape[-1], -1)).movedim(-1, 1)
         return newest + change
 
-    def _remember(
-        self, past: list[Float[Tensor, "B C X Y Z"]], poses: Float[Tensor, "B T 4 4"], exists: Bool[Tensor, "B T"]
-    ) -> History | None:
+    def _remember(self, past: Volumes, poses: Float[Tensor, "B T 4 4"], exists: Bool[Tensor, "B T"]) -> History | None:
         """Go through the frames before the newest; each sample keeps its last view that exists."""
         history: History | None = None
-        for volume, pose, there in zip(past, poses.unbind(1), exists.unbind(1), strict=False):
-            if not is_static() and not there.any():
+        for volume, pose, exist in zip(past, poses.unbind(1), exists.unbind(1), strict=False):
+            if not is_static() and not exist.any():
                 continue
-            view = self._look(volume, pose, history)
+            view = self._attend(volume, pose, history)
             if history is not None:
-                view = torch.where(there[:, None, None, None], view, history.view)
-                pose = torch.where(there[:, None, None], pose, history.pose)
-                there = there | history.there
-            history = History(view, pose, there)
+                view = torch.where(exist[:, None, None, None], view, history.view)
+                pose = torch.where(exist[:, None, None], pose, history.pose)
+                exist = exist | history.exists
+            history = History(view, pose, exist)
         return history
 
-    def _look(
+    def _attend(
         self, volume: Float[Tensor, "B C X Y Z"], pose: Float[Tensor, "B 4 4"], history: History | None
     ) -> Float[Tensor, "B X Y D"]:
         """Return the view of a frame after attention."""
         present = self.fold(volume.movedim(1, -1).flatten(-2))
-        before = present
+        previous = present
         if history is not None:
             moved = self.view.warp(history.view.movedim(-1, 1).unsqueeze(-1), invert_pose(history.pose) @ pose)
-            before = torch.where(history.there[:, None, None, None], moved[..., 0].movedim(1, -1), present)
+            previous = torch.where(history.exists[:, None, None, None], moved[..., 0].movedim(1, -1), present)
         for layer in self.layers:
-            present = layer(before, present, self.view.periodic)
+            present = layer(previous, present, self.view.periodic)
         return present

@@ -27,7 +27,7 @@ OTHER_DATASETS = (
 
 
 def facts_of(scenes: Sequence[SceneReader], shown: int, geometry: Grid) -> dict[str, str]:
-    """Return the amount of data, `shown` scenes of it on the page, and how it was recorded, by title."""
+    """Return facts about amount and recording of the data by title; `shown` scenes are on the page."""
     first = scenes[0]
     rig = first.rig
     frames = sum(map(len, scenes))
@@ -52,7 +52,7 @@ def own_row(scenes: Sequence[SceneReader], twins: Sequence[SceneReader | None]) 
 
 
 def pinhole_twin(scene: SceneReader) -> SceneReader | None:
-    """Return the same scene recorded by pinhole cameras, if such a dataset lies beside the scene's own.
+    """Return the same scene recorded by pinhole cameras, if such a dataset is beside the scene's own.
 
     It has the same street, traffic and light: equal name, theme, seed, weather and code of the world.
     """

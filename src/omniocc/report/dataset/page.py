@@ -1,4 +1,4 @@
-"""One web page, without any reference to another file, to browse recorded scenes: `templates/dataset.html.j2`."""
+"""A web page in a single file to browse recorded scenes: `templates/dataset.html.j2`."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -43,7 +43,7 @@ WEBP_QUALITY = 80
 def save_page(path: Path, scenes: Sequence[SceneReader], geometry: Grid, classes: ClassTable) -> None:
     """Write the page: some frames of each scene, or of evenly spread scenes if there are many.
 
-    Where a pinhole dataset of the same scenes lies beside this one, its images at the same times are shown too.
+    If a pinhole dataset of the same scenes is beside this one, its images at the same times are shown too.
 
     Args:
         path: the .html file.
@@ -71,11 +71,7 @@ def save_page(path: Path, scenes: Sequence[SceneReader], geometry: Grid, classes
 
 
 def _scene(
-    scene: SceneReader,
-    twin: SceneReader | None,
-    per_scene: int,
-    geometry: Grid,
-    classes: ClassTable,
+    scene: SceneReader, twin: SceneReader | None, per_scene: int, geometry: Grid, classes: ClassTable
 ) -> dict[str, Any]:
     facts = scene.meta["facts"]
     frames = spread(len(scene), per_scene)
@@ -128,13 +124,9 @@ def _frame(scene: SceneReader, number: int, geometry: Grid, classes: ClassTable)
 
 
 def range_image(range_m: np.ndarray, width: int) -> np.ndarray:
-    """Return an RGB image of ranges.
+    """Return an RGB image, `width` px wide, of ranges (H, W) in m; inf is sky, nan was not measured.
 
     Colours follow the logarithm from 1 m (red) to 64 m (blue); sky is pale, no measurement dark.
-
-    Args:
-        range_m: (H, W) metres; inf is sky, nan was not measured.
-        width: width of the image, px.
     """
     image = range_colors(range_m)
     image[np.isnan(range_m)] = UNMEASURED

@@ -28,8 +28,7 @@ class DatasetTable(NamedTuple):
 
     Attributes:
         name: name of the file.
-        title: title of the table.
-        note: its place in the paper, and inconsistencies of its figures.
+        note: number in the paper, and inconsistencies of its figures.
         columns: title of each column, by key.
         rows: name and cells of each dataset; no cells where they are unknown.
     """
@@ -62,7 +61,7 @@ def load_dataset_table(path: Path) -> DatasetTable:
 
 
 def with_ours(table: DatasetTable, runs: Sequence[FinishedRun]) -> DatasetTable:
-    """Return the table with a row for the dataset that the runs used, if it lies on this machine."""
+    """Return the table with a row for the dataset that the runs used, if it is on this machine."""
     scenes = scenes_of(runs[0])
     if not scenes:
         return table._replace(rows=[*table.rows, ("here: not on this machine", ())])
@@ -71,14 +70,14 @@ def with_ours(table: DatasetTable, runs: Sequence[FinishedRun]) -> DatasetTable:
 
 
 def scenes_of(run: FinishedRun) -> list[SceneReader]:
-    """Return all scenes that a run was trained, validated and tested on; none if that very data is not there.
+    """Return all scenes that a run was trained, validated and tested on; none if exactly this data is missing.
 
     The code of the world may have changed since: a folder counts if the recipe that its scenes recorded, together with
     the run's list of scenes, has the fingerprint that the run recorded.
     """
     described: dict[str, Any] = run.config.get("data", {}).get("source", {})
     choices = {key: value for key, value in described.items() if key != "_target_"}
-    known = set(choices) <= set(signature(VirtualWorld).parameters)  # not so for runs of another version
+    known = set(choices) <= set(signature(VirtualWorld).parameters)  # false for runs of another version
     if described.get("_target_") != "omniocc.data.VirtualWorld" or not known or is_url(choices["root"]):
         return []
     world = VirtualWorld(**choices)

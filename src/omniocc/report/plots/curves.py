@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 
 class Curve(NamedTuple):
-    """Mean, lowest and highest value over seeds, at each step that all seeds have."""
+    """Mean, lowest and highest value over seeds, at each step recorded for all seeds."""
 
     steps: list[int]
     mean: list[float]
@@ -19,12 +19,8 @@ class Curve(NamedTuple):
 def read_curve(folder: Path, key: str) -> dict[int, float]:
     """Return the values of a logged metric by optimizer step.
 
-    A resumed run has one file for each start; where they overlap, the later file counts, since the run continued from
-    an earlier checkpoint.
-
-    Args:
-        folder: folder of the run; without CSV files the result is empty.
-        key: key of the metric, e.g. `val/rayiou`.
+    A resumed run has one file for each start; where they overlap, the later file is used, since the run continued from
+    an earlier checkpoint. Without CSV files in the run's folder the result is empty.
     """
     curve: dict[int, float] = {}
     for path in sorted(folder.glob("csv/version_*/metrics.csv"), key=lambda path: int(path.parent.name.split("_")[1])):

@@ -43,7 +43,7 @@ WHISKER = {"ecolor": INK, "elinewidth": 1.0, "capsize": 2.0}
 
 
 def colors_of(rows: Rows) -> dict[str, tuple[float, ...]]:
-    """Return a colour for each row; the first ten are easy to tell apart."""
+    """Return a colour for each row; the first ten are easy to distinguish."""
     palette = [*colormaps["tab10"].colors, *colormaps["Dark2"].colors, *colormaps["Set2"].colors]  # type: ignore[attr-defined]
     return {row: palette[k % len(palette)] for k, row in enumerate(rows)}
 
@@ -64,14 +64,8 @@ def ranking(rows: Rows) -> Canvas | None:
             axes.plot(seeds, [place] * len(seeds), "o", color=INK, markersize=3.2)
             if lidar := figure_of(rows[row], "test/lidar/rayiou"):
                 axes.plot([lidar.mean], [place], "D", markersize=4.5, color=INK, markerfacecolor="none")
-            axes.annotate(
-                f"{figures[row].mean:.3f}",
-                (max(seeds), place),
-                (6, 0),
-                textcoords="offset points",
-                va="center",
-                fontsize=9,
-            )
+            label = f"{figures[row].mean:.3f}"
+            axes.annotate(label, (max(seeds), place), (6, 0), textcoords="offset points", va="center", fontsize=9)
         axes.grid(axis="y", visible=False)
         axes.set_xlim(0, 1.12 * max(figure.mean for figure in figures.values()))
         axes.set_xlabel("RayIoU (dots: seeds; diamond: LiDAR rays)")

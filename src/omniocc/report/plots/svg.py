@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from omniocc.report.plots.figures import INK, LINE, STYLE
 
 SMALLEST, LARGEST = 0.65, 1.5
-"""Range in which a page may scale a plot; where there is less room, the plot scrolls."""
+"""Scales between which a page may resize a plot; on narrower pages it scrolls."""
 
 
 def as_svg(figure: Figure, name: str, title: str) -> str:

@@ -1,4 +1,4 @@
-"""What scores can be on each grid: a baseline that needs no image, and the upper bound of the grid."""
+"""Limits of scores on each grid: a baseline that needs no image, and the upper bound of the grid."""
 
 from collections.abc import Mapping, Sequence
 

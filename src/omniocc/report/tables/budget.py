@@ -1,4 +1,4 @@
-"""What each row was given and what it costs, so that equal budgets can be checked."""
+"""Training budget and cost of each row, so that equal budgets can be checked."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
@@ -6,17 +6,8 @@ from omniocc.report.runs import FinishedRun
 from omniocc.run.cost import GFLOP, PARAMETERS, PEAK
 
 STAGES = ("depth", "sketch", "occupancy")
-HEAD = [
-    "row",
-    "M parameters",
-    "GFLOP a frame",
-    "steps of depth",
-    "of the sketch",
-    "of the model",
-    "samples a step",
-    "minutes",
-    "peak MiB",
-]
+HEAD = ["row", "M parameters", "GFLOP a frame", "steps of depth", "of the sketch", "of the model", "samples a step"]
+HEAD += ["minutes", "peak MiB"]
 NOTE = (
     "Parameters and operations are those of the whole system, depth and sketch included; minutes and memory are those "
     "of the last stage, whose steps and samples are the same in all rows. A learned sketch has two stages before it."
@@ -24,10 +15,9 @@ NOTE = (
 
 
 def budget_cells(rows: Mapping[str, Sequence[FinishedRun]]) -> tuple[list[str], list[list[str]]]:
-    """Return the head and a line for each row; a dash stands for what its runs did not record.
+    """Return the head and a line for each row; a dash where its runs have no record.
 
-    Parameters and operations are those of the whole system, depth and sketch included; minutes (mean over seeds) and
-    memory (maximum over seeds) those of the last stage.
+    Minutes are means over seeds, parameters, operations and memory maxima.
     """
     return HEAD, [[row, *_budget(runs)] for row, runs in rows.items()]
 

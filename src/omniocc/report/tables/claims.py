@@ -1,4 +1,4 @@
-"""The paper's gaps between methods, and whether they are found here."""
+"""The paper's gaps between methods, compared with ours."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -12,11 +12,11 @@ from omniocc.report.tables.paper import PaperTable
 
 RAYIOU, LIDAR = "test/rayiou", "test/lidar/rayiou"
 CONFIDENCE = 0.95
-"""Two-sided confidence with which a gap must differ from zero to be called found."""
+"""Two-sided confidence with which a gap must differ from zero to be reproduced."""
 
 
 class Claim(NamedTuple):
-    """How much better the paper's best method of a table is than another one.
+    """The gap between the paper's best method of a table and another one.
 
     Attributes:
         title: title of the other method.
@@ -41,7 +41,7 @@ class Claim(NamedTuple):
 
     @property
     def verdict(self) -> str:
-        """Return whether the claim holds, with the number of standard errors; by sign alone where those are unknown."""
+        """Return whether the claim holds, with the number of standard errors; only by sign where they are unknown."""
         if math.isnan(self.here):
             return "no seed in common"
         same = self.paper * self.here > 0
@@ -96,7 +96,7 @@ class Gaps:
     def between(self, better: str, other: str) -> tuple[float, float]:
         """Return the gap between two rows and its standard error, which is nan where no row has two seeds.
 
-        Both are nan if a row has not run, or the rows have no seeds in common, directly or by way of others.
+        Both are nan if a row has not run, or the rows have no seeds in common, directly or through others.
         """
         if not (self.has(better) and self.has(other)):
             return math.nan, math.nan
@@ -113,7 +113,7 @@ def claims_of(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]], key:
 
     Args:
         table: table with the paper's gaps, in the metric that it is ordered by.
-        runs: runs of each row; rows that are not in the table help to estimate the noise.
+        runs: runs of each row; rows that are not in the table improve the estimate of the noise.
         key: key of the metric that is compared here.
     """
     gaps = Gaps(runs, key)

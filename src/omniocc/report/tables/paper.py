@@ -30,11 +30,10 @@ class PaperTable(NamedTuple):
 
     Attributes:
         name: name of the file.
-        title: title of the table.
         columns: title of each metric, by key.
         order_by: key of the metric that decides which method is better.
         rows: methods in the paper's order.
-        note: its place in the paper, and inconsistencies of its figures.
+        note: number in the paper, and inconsistencies of its figures.
         number: its number in the paper.
     """
 
@@ -65,9 +64,8 @@ def load_table(path: Path) -> PaperTable:
     try:
         columns, order_by = content["columns"], content["order_by"]
         rows = [PaperRow(run, row["title"], _by_column(columns, row, run)) for run, row in content["rows"].items()]
-        table = PaperTable(
-            path.stem, content["title"], columns, order_by, rows, content.get("note", ""), content.get("number", 0)
-        )
+        note, number_in_paper = content.get("note", ""), content.get("number", 0)
+        table = PaperTable(path.stem, content["title"], columns, order_by, rows, note, number_in_paper)
     except (KeyError, TypeError, ValueError) as error:
         raise UserError(f"{path} is not a table of the paper: {error}; see the other files beside it") from error
     if order_by not in columns:
@@ -108,7 +106,7 @@ def rows_of(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> lis
 
 
 def as_markdown(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> str:
-    """Return two lines a method, the paper's and ours, and below the order of the methods in both."""
+    """Return two lines for each method, the paper's and ours, and below the order of the methods in both."""
     lines = []
     for row, figures in rows_of(table, runs):
         if has_paper(row):
@@ -125,7 +123,7 @@ def has_paper(row: PaperRow) -> bool:
 
 
 def source_of(figures: Sequence[Figure | None]) -> str:
-    """Return over how many seeds our line of a method is the mean."""
+    """Return the number of seeds of our line of a method in words."""
     seeds = max((figure.seeds for figure in figures if figure is not None), default=0)
     return f"here, {seeds} seed{'s' * (seeds > 1)}" if seeds else "here: not run"
 

@@ -24,8 +24,7 @@ class Chart(NamedTuple):
     """One panel.
 
     Attributes:
-        kind: bars and scatter show the figures of the test, lines the curves of training.
-        title: title of the panel.
+        kind: bars and scatter show test figures, lines training curves.
         keys: keys of what is drawn; of a scatter first x, then y.
     """
 
@@ -35,7 +34,7 @@ class Chart(NamedTuple):
 
 
 def each(key: str, parts: Sequence[str]) -> tuple[str, ...]:
-    """Return the key with each part in place of `{}`."""
+    """Return the key with `{}` replaced by each part."""
     return tuple(key.format(part) for part in parts)
 
 
@@ -52,11 +51,7 @@ def sections(metrics: Mapping[str, float]) -> dict[str, tuple[Chart, ...]]:
             Chart("bars", "RayIoU by threshold", each("test/rayiou@{}", ("1", "2", "4"))),
             Chart("bars", "RayIoU against LiDAR rays", ("test/lidar/rayiou",)),
             Chart("bars", "voxel IoU and mIoU", ("test/voxel/iou", "test/voxel/miou")),
-            Chart(
-                "bars",
-                "baseline: prior; upper bound on LiDAR rays: label",
-                ("prior/rayiou", "label/lidar/rayiou"),
-            ),
+            Chart("bars", "baseline: prior; upper bound on LiDAR rays: label", ("prior/rayiou", "label/lidar/rayiou")),
             Chart("lines", "RayIoU of validation", ("val/rayiou",)),
             Chart("lines", "loss", ("train/loss",)),
         ),
@@ -99,11 +94,6 @@ ONE_COLUMN = ("table", "media")
 
 def workspace(entity: str, project: str, charts: Mapping[str, Sequence[Chart]]) -> "Workspace":
     """Return the dashboard, not saved yet, with runs grouped by job type (stage) and row: bars are means over seeds.
-
-    Args:
-        entity: W&B user or team.
-        project: W&B project.
-        charts: charts by section.
 
     Raises:
         UserError: when the extra `dashboard` is not installed.

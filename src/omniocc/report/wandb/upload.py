@@ -16,15 +16,11 @@ from omniocc.run.wandb.loggers import logged_in
 
 OFFLINE = "wandb/offline-run-*/run-*.wandb"
 MARK = ".synced"
-"""Suffix of the empty file that `wandb sync` leaves beside what it has uploaded."""
+"""Suffix of the empty file that `wandb sync` creates beside uploaded files."""
 
 
 def waiting(runs: Path) -> list[Path]:
-    """Return files of offline runs that have not been uploaded, without runs in progress, whose files still grow.
-
-    Args:
-        runs: folder of runs, stages and the report.
-    """
+    """Return files of offline runs that have not been uploaded, without runs in progress."""
     files = sorted(runs.glob(f"**/{OFFLINE}"))
     left = [path for path in files if not path.with_name(path.name + MARK).exists()]
     busy = {folder for folder in {folder_of(path) for path in left} if in_use(folder)}
@@ -75,7 +71,7 @@ def log_report(report: Path, project: str) -> bool:
 
 @lines_not_tracebacks
 def main(arguments: list[str] | None = None) -> None:
-    """Log the report if it is new, then upload everything that waits."""
+    """Log the report if it is new, then upload all waiting files."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=Path, default=Path("runs"), help="folder of runs")
     parser.add_argument("--project", default="omniocc", help="W&B project of the report; runs name their own")

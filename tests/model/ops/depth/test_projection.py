@@ -10,9 +10,9 @@ from omniocc.model.ops.depth.projection import (
     Projection,
     alternate_cameras,
     field_weight,
-    likeness,
     present_cameras,
     samplers,
+    similarity,
     table,
 )
 
@@ -68,7 +68,7 @@ def test_backward_is_the_transpose(rig):
     torch.testing.assert_close(rows.grad, sampler.matrix.to_dense().T @ slope, atol=1e-5, rtol=1e-5)
 
 
-def brute_likeness(rows, one, two, present, groups):
+def brute_similarity(rows, one, two, present, groups):
     dense = [sampler.matrix.to_dense() for sampler in (one, two)]
     pixels = present.T.float().repeat_interleave(18 * 32, 0)
     left, right = ((each @ rows).unflatten(1, (len(present), -1)) for each in dense)
@@ -81,20 +81,20 @@ def brute_likeness(rows, one, two, present, groups):
 
 
 @pytest.mark.parametrize("missing", [None, 1])
-def test_likeness_and_its_gradient(rig, missing):
+def test_similarity_and_its_gradient(rig, missing):
     present = EVERYONE.clone()
     if missing is not None:
         present[0, missing] = False
     one, two = (sampler_of(rig, cameras) for cameras in alternate_cameras(rig))
     features = torch.randn(2, 6, 4, 18, 32, requires_grad=True)
-    ours, share_one, share_two = likeness(table(features, present), one, two, present, 2)
+    ours, fraction_one, fraction_two = similarity(table(features, present), one, two, present, 2)
     slope = torch.randn_like(ours)
     (gradient,) = torch.autograd.grad((ours * slope).sum(), features)
-    expected = brute_likeness(table(features, present), one, two, present, 2)
+    expected = brute_similarity(table(features, present), one, two, present, 2)
     (expected_gradient,) = torch.autograd.grad((expected * slope).sum(), features)
     torch.testing.assert_close(ours, expected, atol=1e-5, rtol=1e-4)
     torch.testing.assert_close(gradient, expected_gradient, atol=1e-4, rtol=1e-3)
-    assert (share_one.amax(), share_two.amax()) == (pytest.approx(1), pytest.approx(1))
+    assert (fraction_one.amax(), fraction_two.amax()) == (pytest.approx(1), pytest.approx(1))
 
 
 def test_what_a_missing_camera_saw_comes_from_the_others(rig):

@@ -9,9 +9,9 @@ class FPN(nn.Module):
     """Map features of several strides to the same channels and add coarser maps to finer ones.
 
     Args:
-        in_channels: of the maps that come in, finest first.
-        channels: of the maps that go out.
-        keep: indices of the maps that go out.
+        in_channels: of the input maps, finest first.
+        channels: of the output maps.
+        keep: indices of the output maps.
     """
 
     def __init__(self, in_channels: list[int], channels: int, keep: list[int]):

@@ -1,4 +1,4 @@
-"""What networks trained on ImageNet expect."""
+"""Normalisation for networks trained on ImageNet."""
 
 import torch
 from jaxtyping import Float

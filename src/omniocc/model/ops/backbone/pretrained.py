@@ -1,4 +1,4 @@
-"""Weights from the Hugging Face hub, if they can be had."""
+"""Weights from the Hugging Face hub, if available."""
 
 import logging
 import os
@@ -20,12 +20,12 @@ Network = TypeVar("Network", bound=nn.Module)
 
 
 def load_or_random(weights: str | None, load: Callable[[str, bool], Network], random: Callable[[], Network]) -> Network:
-    """Return the network with the named weights; where they cannot be reached, warn once and take random ones.
+    """Return the network with the named weights; if they are not available, warn once and use random ones.
 
     Args:
-        weights: name on the hub or a folder; None for random weights, without any access to the network.
-        load: takes that name and whether to keep to local files.
-        random: builds the network with random weights.
+        weights: name on the hub or a folder; None for random weights without network access.
+        load: builds it from this name, and whether to use local files only.
+        random: builds it with random weights.
     """
     if weights is None:
         return random()
@@ -37,14 +37,10 @@ def load_or_random(weights: str | None, load: Callable[[str, bool], Network], ra
         return random()
 
 
-def require_equal(found: PretrainedConfig, wanted: PretrainedConfig, names: Iterable[str], weights: str) -> None:
-    """Compare entries of two configurations.
-
-    Raises:
-        ValueError: if the weights belong to a network of other sizes.
-    """
+def require_equal(found: PretrainedConfig, expected: PretrainedConfig, names: Iterable[str], weights: str) -> None:
+    """Compare entries of two configurations; raise ValueError if the weights belong to a network of other sizes."""
     for name in names:
-        ours, theirs = getattr(wanted, name), getattr(found, name)
+        ours, theirs = getattr(expected, name), getattr(found, name)
         if ours != theirs:
             raise ValueError(f"weights '{weights}' have {name} {theirs}, the config asks for {ours}; make them agree")
 
@@ -65,7 +61,7 @@ def build_resnet(config: ResNetConfig, weights: str | None) -> ResNetModel:
 
 
 def _hub_reachable(weights: str) -> bool:
-    """Return whether the hub can be reached: transformers itself would retry for minutes without a network."""
+    """Return whether the hub can be reached, since transformers would retry for minutes without a network."""
     if os.path.isdir(weights) or os.environ.get("HF_HUB_OFFLINE", "0").upper() in ("1", "TRUE", "YES", "ON"):
         return False
     endpoint = os.environ.get("HF_ENDPOINT", "https://huggingface.co")

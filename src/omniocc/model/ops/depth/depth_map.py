@@ -1,4 +1,4 @@
-"""The answer of the depth options, and their common checks and grouping."""
+"""The output of the depth options, and their common checks and grouping."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -18,8 +18,8 @@ class DepthMap(NamedTuple):
 
     Attributes:
         range_m: above 0 and finite everywhere, see `Spheres.farthest_m`.
-        index: of inverse range, 0 infinity, `spheres - 1` the nearest sphere, with fractions.
-        valid: false where no camera sees anything, in the sky, and where the answer is too uncertain.
+        index: fractional index of inverse range; 0 is infinity, `spheres - 1` the nearest sphere.
+        valid: false where no camera sees anything, in the sky, and where the range is too uncertain.
         confidence: in [0, 1].
     """
 
@@ -34,22 +34,19 @@ class DepthMap(NamedTuple):
 
 
 SKY_INDEX = 0.5
-"""Below this index nothing can be told from the sky: half a step from infinity."""
+"""Indices below this are taken for sky: half a step from infinity."""
 
 
 def from_index(
-    index: Float[Tensor, "B h w"],
-    valid: Bool[Tensor, "B h w"],
-    confidence: Float[Tensor, "B h w"],
-    spheres: Spheres,
+    index: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"], confidence: Float[Tensor, "B h w"], spheres: Spheres
 ) -> DepthMap:
-    """Clamp the index to the spheres and adds the range."""
+    """Return the depth map of indices, clamped to the spheres, with their ranges."""
     index = index.clamp(0, spheres.count - 1)
     return DepthMap(spheres.range_m(index), index, valid, confidence.clamp(0, 1))
 
 
 def check_images(images: Float[Tensor, "B N 3 H W"], rigs: Sequence[Rig]) -> None:
-    """Raise ValueError unless there is one rig per sample whose images are there, and all values are finite.
+    """Raise ValueError unless each sample has one rig and its images, and all values are finite.
 
     A rig may have fewer cameras or smaller images than the batch, which is padded (`omniocc.model.ops.padded`).
     """
@@ -70,7 +67,7 @@ def rig_groups(rigs: Sequence[Rig]) -> list[tuple[Rig, list[int]]]:
 
 
 def per_rig(rigs: Sequence[Rig], run: Callable[[Rig, list[int]], DepthMap]) -> DepthMap:
-    """Run samples of equal rig together and put the answers back in order."""
+    """Run samples of equal rig together and return the results in the order of samples."""
     groups = rig_groups(rigs)
     parts = [run(rig, samples) for rig, samples in groups]
     if len(parts) == 1:

@@ -13,13 +13,13 @@ STRIDE = 2
 class FeatureNet(nn.Module):
     """Extract features at half the size of the images, by one network for all cameras.
 
-    The stem covers 4x4 px around the centre of every 2x2 block, so that a feature stands exactly where `grid_sample`
-    coordinates put it and mirrored images give mirrored places.
+    The stem covers 4x4 px around the centre of every 2x2 block, so that features are exactly at their `grid_sample`
+    coordinates, and mirrored images give mirrored features.
 
     Args:
         channels: of each level, finest first, the first at half the image size; multiples of 8.
         out_channels: of the result.
-        extra_channels: of maps that go in beside the colours.
+        extra_channels: of input maps besides the colours.
     """
 
     def __init__(self, channels: list[int], out_channels: int, extra_channels: int = 0):
@@ -32,11 +32,7 @@ class FeatureNet(nn.Module):
     def forward(
         self, images: Float[Tensor, "B N 3 H W"], extra: Float[Tensor, "B N E H W"] | None = None
     ) -> Float[Tensor, "B N C _ _"]:
-        """Return features of images, whose height and width must be even.
-
-        Raises:
-            ValueError: if they are not.
-        """
+        """Return features of images; raise ValueError unless their height and width are even."""
         if images.shape[-2] % STRIDE or images.shape[-1] % STRIDE:
             raise ValueError(f"images are {images.shape[-1]}x{images.shape[-2]} px; width and height must be even")
         colors = (images - 0.45) / 0.25

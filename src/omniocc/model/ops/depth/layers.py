@@ -1,4 +1,4 @@
-"""2D layers for panoramas, which wrap around in azimuth, and for images, which do not; and the answer of a sweep."""
+"""2D layers for panoramas, which wrap around in azimuth, and for images, which do not."""
 
 from itertools import pairwise
 
@@ -12,7 +12,7 @@ from omniocc.model.ops.padding import upsample_view
 
 
 class Conv(nn.Conv2d):
-    """Convolve in 2D, keeping the size (odd kernels, stride 1), and wrapping around along the width if asked."""
+    """Convolve in 2D, keeping the size (odd kernels, stride 1), and wrapping around along the width if `wrap`."""
 
     def __init__(self, in_channels: int, out_channels: int, kernel_size: int, wrap: bool, bias: bool = True):
         super().__init__(in_channels, out_channels, kernel_size, bias=bias)
@@ -92,9 +92,9 @@ def window_argmax(
 ) -> tuple[Float[Tensor, "B h w"], Float[Tensor, "B h w"]]:
     """Return a fractional index and its confidence.
 
-    The mean index, weighted by probability, of the spheres up to `radius` from the peak. Unlike the mean over all
-    spheres it stays on one of two surfaces when both are likely. The peak is where three neighbours hold the most
-    probability; the confidence is what the window holds.
+    The index is the mean, weighted by probability, of the spheres up to `radius` from the peak, where three neighbours
+    have the most probability. Unlike the mean over all spheres it stays on one surface when two are likely. The
+    confidence is the probability of the window.
     """
     probability = logits.float().softmax(1)
     padded = F.pad(probability.detach(), (0, 0, 0, 0, 1, 1))

@@ -1,4 +1,4 @@
-"""Base of the depth options: samples of equal rig go through together, without padding."""
+"""Base of the depth options: samples of equal rig are computed together, without padding."""
 
 from typing import ClassVar, NamedTuple
 
@@ -13,11 +13,11 @@ from omniocc.model.ops.padded import Rigs, crop, shape_groups
 
 
 class PanoramaDepth(nn.Module):
-    """Estimate ranges from images; subclasses do so for samples of one rig, in `estimate`.
+    """Estimate ranges from images; subclasses implement `estimate` for samples of one rig.
 
     Args:
-        panorama: directions of the answer.
-        spheres: number and reach of the spheres, in whose indices the range is also given.
+        panorama: directions of the ranges.
+        spheres: number and reach of the spheres to which indices refer.
     """
 
     NEEDS_TRUE_RANGE: ClassVar[bool] = False
@@ -27,7 +27,7 @@ class PanoramaDepth(nn.Module):
         self.panorama, self.spheres = panorama, spheres
 
     def rig_spheres(self, rig: Rig) -> Spheres:
-        """Return the spheres in whose indices it answers for a rig."""
+        """Return the spheres to which the indices refer for a rig."""
         return self.spheres.of(rig, self.panorama)
 
     def estimate(self, images: Float[Tensor, "B N 3 H W"], rig: Rig) -> DepthMap:
@@ -63,11 +63,11 @@ class DepthBatch(NamedTuple):
 
 
 class LearnedPanoramaDepth(PanoramaDepth):
-    """Learn to estimate ranges; subclasses give the losses of samples whose images have one shape, in `losses`.
+    """Learn to estimate ranges; subclasses implement `losses` for samples whose images have one shape.
+
+    Other arguments as in `PanoramaDepth`.
 
     Args:
-        panorama: directions of the answer.
-        spheres: number and reach of the spheres, in whose indices the range is also given.
         mirror: train on the mirrored world as often as on the true one.
     """
 
@@ -80,7 +80,7 @@ class LearnedPanoramaDepth(PanoramaDepth):
 
         Args:
             batch: samples whose images have one shape.
-            flip: whether to learn from the mirrored world; the true ranges are mirrored already, the images not.
+            flip: whether to learn from the mirrored world: the true ranges are mirrored, the images are not yet.
         """
         raise NotImplementedError
 
@@ -101,12 +101,12 @@ class LearnedPanoramaDepth(PanoramaDepth):
         flip = self.mirror and bool(torch.rand((), generator=generator) < 0.5)
         parts = []
         for samples in shape_groups(rigs):
-            own = tuple(rigs[sample] for sample in samples)
+            same = tuple(rigs[sample] for sample in samples)
             erp_m, camera_m = erp_range_m[samples], None
             if camera_range_m is not None:
-                camera_m = crop(camera_range_m[samples], own[0])
+                camera_m = crop(camera_range_m[samples], same[0])
             if flip:
                 erp_m, camera_m = erp_m.flip(-1), None if camera_m is None else camera_m.flip(-1)
-            terms = self.losses(DepthBatch(crop(images[samples], own[0]), own, erp_m, camera_m), flip)
+            terms = self.losses(DepthBatch(crop(images[samples], same[0]), same, erp_m, camera_m), flip)
             parts.append((len(samples) / len(images), terms))
         return weighted_sum(parts)

@@ -1,9 +1,8 @@
 """Feature maps of some cameras -> features on spheres, as one sparse matrix for each block of spheres.
 
-Where a point of a sphere falls into which camera depends on rig and sizes alone. Projection, bilinear sampling and the
-weighted sum over cameras are linear in the features: one matrix in compressed rows does all three, and its transpose
-is the backward pass. On the CPU this is several times faster than `grid_sample` for every camera, which also samples
-where a camera sees nothing.
+The pixels of a point depend only on rig and sizes. Projection, bilinear sampling and the weighted sum over cameras are
+linear in the features: one matrix in compressed rows does all three, and its transpose is the backward pass. On the CPU
+this is several times faster than `grid_sample` for every camera, which also samples where a camera sees nothing.
 """
 
 import warnings
@@ -17,10 +16,10 @@ import torch
 from jaxtyping import Bool, Float, Float32, Int32
 from torch import Tensor
 from torch.autograd.function import once_differentiable
-from torch.nn import functional as F
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.model.ops.depth.spheres import Spheres
+from omniocc.model.ops.multilinear import bag_sum
 from omniocc.model.ops.padded import frame_size
 from omniocc.model.ops.rig_cache import once_per_rig
 from omniocc.model.ops.static import is_static
@@ -35,7 +34,7 @@ LEAST_PRESENT = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Sampler:
-    """Sample features by a sparse matrix whose rows sum to 1, or to 0 where no camera sees; its transpose is lazy.
+    """Sample features by a sparse matrix whose rows sum to 1, or to 0 where no camera sees; `transpose` is lazy.
 
     Attributes:
         matrix: (points, pixels of all cameras), compressed rows.
@@ -51,7 +50,7 @@ class Sampler:
 
     @cached_property
     def seen(self) -> Bool[Tensor, " points"]:
-        """Return the points that any camera sees."""
+        """Return the mask of points that any camera sees."""
         return self.matrix.crow_indices().diff() > 0
 
     @cached_property
@@ -68,8 +67,8 @@ class Sampler:
         return _Sample.apply(rows, self)
 
     def present_fraction(self, present: Bool[Tensor, "B N"]) -> Float[Tensor, "points B"]:
-        """Return the fraction of each point's weight that lies in cameras that are present."""
-        if all_there(present):
+        """Return the fraction of each point's weight that is in present cameras."""
+        if all_present(present):
             return self.seen[:, None].float().expand(-1, len(present))
         pixels = present.T.float().repeat_interleave(self.matrix.shape[1] // present.shape[1], 0)
         return self.product(pixels)
@@ -79,11 +78,11 @@ class Sampler:
         if not is_static():
             return product(self.matrix, rows, less)
         # exported programs have no sparse matrices
-        sums = F.embedding_bag(self.columns, rows, self.first, mode="sum", per_sample_weights=self.values)
+        sums = bag_sum(self.columns, rows, self.first, self.values)
         return sums if less is None else less - sums
 
 
-def all_there(present: Bool[Tensor, "B N"]) -> bool:
+def all_present(present: Bool[Tensor, "B N"]) -> bool:
     """Return whether no camera is missing, which saves work."""
     return not is_static() and bool(present.all())
 
@@ -143,19 +142,18 @@ class _SquaredGap(torch.autograd.Function):
         return product(two, sides[1].flatten(1), less=product(one, sides[0].flatten(1))), None, None, None, None
 
 
-def likeness(
+def similarity(
     rows: Float[Tensor, "pixels BC"], one: Sampler, two: Sampler, present: Bool[Tensor, "B N"], groups: int
 ) -> tuple[Float[Tensor, "points B G"], Float[Tensor, "points B"], Float[Tensor, "points B"]]:
-    """Return how alike two sets of cameras see the same points, and the fractions of the sets that are present.
+    """Return the similarity of the features of two sets of cameras, and the fractions of the sets that are present.
 
-    The likeness is 1 / (1 + mean squared difference) in each group of channels, and 0 where one set sees nothing.
-    Unlike a product it is greatest where both see the same, whatever the features are: it guides from the first step.
-    In float32.
+    It is 1 / (1 + mean squared difference) in each group of channels, and 0 where one set sees nothing.
+    Unlike a product it is greatest where both see the same, for any features, also before training. In float32.
     """
     channels = rows.shape[1] // len(present)
     pool = torch.eye(groups, device=rows.device).repeat_interleave(channels // groups, 0) * (groups / channels)
     fractions = one.present_fraction(present), two.present_fraction(present)
-    missing = None if all_there(present) else tuple(1 / part.clamp(min=LEAST_PRESENT) for part in fractions)
+    missing = None if all_present(present) else tuple(1 / part.clamp(min=LEAST_PRESENT) for part in fractions)
     gap = _SquaredGap.apply(rows, one, two, missing, pool).view(-1, len(present), groups)
     both = torch.minimum(*fractions) > 0
     return both[..., None] / (1 + gap), *fractions
@@ -169,7 +167,7 @@ class Projection:
         panorama: directions of the swept points.
         spheres: their ranges.
         feature_size: width and height of the feature maps, px; they span the rig's largest image.
-        cameras: indices of those that are summed over.
+        cameras: indices of the cameras that are summed over.
         planes: indices of the spheres, which need not be whole numbers.
     """
 
@@ -182,7 +180,7 @@ class Projection:
 
 @once_per_rig
 def field_weight(rig: Rig, camera: int) -> Float32[Tensor, "height width"]:
-    """Return 1 inside a camera's field, falling linearly to 0 at its edge (image border, end of the lens, mask)."""
+    """Return 1 inside a camera's field of view, falling linearly to 0 at its edge (image border, lens, mask)."""
     seen = rig.rays(camera)[1].numpy().astype(np.uint8)
     distance = cv2.distanceTransform(np.pad(seen, 1), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
     return torch.from_numpy(np.clip((distance - 0.5) / (TAPER * seen.shape[0]), 0, 1)).float()
@@ -248,7 +246,7 @@ def samplers(rig: Rig, projection: Projection, device: torch.device) -> tuple[Sa
 def table(features: Float[Tensor, "B N C H W"], present: Bool[Tensor, "B N"]) -> Float[Tensor, "pixels BC"]:
     """Return one row per pixel of all cameras, the channels of all samples side by side; zeros where one is missing."""
     rows = features.permute(1, 3, 4, 0, 2)
-    if not all_there(present):
+    if not all_present(present):
         rows = rows * present.T[:, None, None, :, None]
     return rows.flatten(3).flatten(0, 2)
 

@@ -29,8 +29,8 @@ def _mean(values: Float[Tensor, "B h w"], counted: Bool[Tensor, "B h w"]) -> Flo
 class SphereLoss:
     """Compute losses of index, log range and spheres where there is a surface, and of sky against surface.
 
-    Smooth L1 on the index and on the log of the range, and cross-entropy over spheres, over pixels nearer than
-    `SKY_INDEX`; cross-entropy of sky or surface over all that are known. Means over pixels. The index's weight is 1.
+    Smooth L1 of the index (weight 1) and of the log of the range, and cross-entropy over spheres, are means over pixels
+    nearer than `SKY_INDEX`; the cross-entropy of sky or surface is a mean over all known pixels.
 
     Attributes:
         log_range_weight: weight of the loss of log range.

@@ -4,13 +4,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from omniocc.camera import Equirectangular, Rig
-from omniocc.model.ops.depth.depth_map import (
-    SKY_INDEX,
-    DepthMap,
-    from_index,
-    rig_groups,
-    weighted_sum,
-)
+from omniocc.model.ops.depth.depth_map import SKY_INDEX, DepthMap, from_index, rig_groups, weighted_sum
 from omniocc.model.ops.depth.layers import window_argmax
 from omniocc.model.ops.depth.panorama_depth import DepthBatch, LearnedPanoramaDepth
 from omniocc.model.ops.depth.sphere_loss import SphereLoss
@@ -18,18 +12,15 @@ from omniocc.model.ops.depth.spheres import SphereRange
 
 
 class SphereNet(LearnedPanoramaDepth):
-    """Score every sphere and the sky in every direction; subclasses say how, in `logits`.
+    """Score every sphere and the sky in every direction; subclasses implement `logits`.
 
-    Whether there is a surface and how far it would be are two questions: the sky is no sphere, so that a doubtful edge
-    against the sky does not pull the range to infinity. Where it is likelier than a surface the answer is not valid.
+    The sky is no sphere, so that an uncertain edge against it does not pull the range to infinity. Where the sky is
+    more likely than a surface, the range is not valid. Other arguments as in `LearnedPanoramaDepth`.
 
     Args:
-        panorama: directions of the answer.
-        spheres: number and reach of the spheres.
         loss: of the scores.
-        window: spheres to each side of the peak that make up the answer.
-        min_confidence: answers below are not valid, in [0, 1].
-        mirror: train on the mirrored world as often as on the true one.
+        window: spheres to each side of the peak over which the index is averaged.
+        min_confidence: ranges of lower confidence are not valid, in [0, 1].
     """
 
     def __init__(
@@ -52,8 +43,8 @@ class SphereNet(LearnedPanoramaDepth):
         Args:
             images: of samples of one rig, without padding.
             rig: their cameras.
-            flip: whether images and panoramas go through the networks mirrored, while the sweep between them stays, as
-                with a mirrored rig in a mirrored world.
+            flip: whether images and panoramas are mirrored for the networks, but not for the sweep between them; this
+                is equal to a mirrored rig in a mirrored world.
         """
         raise NotImplementedError
 
@@ -67,7 +58,7 @@ class SphereNet(LearnedPanoramaDepth):
         return from_index(index, valid, confidence, self.rig_spheres(rig))
 
     def losses(self, batch: DepthBatch, flip: bool) -> dict[str, Float[Tensor, ""]]:
-        """Return the losses of `SphereLoss`, from the panorama alone."""
+        """Return the losses of `SphereLoss`, which use only the panorama."""
         parts = []
         for rig, samples in rig_groups(batch.rigs):
             logits, _ = self.logits(batch.images[samples], rig, flip)

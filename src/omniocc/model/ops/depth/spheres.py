@@ -1,4 +1,4 @@
-"""Spheres around the ego origin at equal steps of inverse range, and how near the nearest should be."""
+"""Spheres around the ego origin at equal steps of inverse range, and the radius of the nearest."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from omniocc.model.ops.rig_cache import once_per_rig
 FINEST = 0.1
 """Smallest index that has a range of its own: a tenth of a step from infinity."""
 OVERLAP = 0.9
-"""Fraction of the seen directions that two cameras have to see on the nearest sphere."""
+"""Smallest fraction of the seen directions that two cameras see on the nearest sphere."""
 LEAST_M = 0.5
 """Smallest radius of the nearest sphere."""
 
@@ -21,7 +21,7 @@ LEAST_M = 0.5
 class Spheres:
     """Map between ranges and indices of spheres: 0 is infinity, `count - 1` the nearest (Won et al. 2019, section 3.2).
 
-    Between neighbours at range r lie r^2 / (min_range_m * (count - 1)) metres.
+    Neighbours at range r are r^2 / (min_range_m * (count - 1)) metres apart.
 
     Attributes:
         count: number of spheres, the one at infinity included.
@@ -63,11 +63,11 @@ class Spheres:
 
 @once_per_rig
 def nearest_range_m(rig: Rig, panorama: Equirectangular) -> float:
-    """Return how near the nearest sphere of a rig should be, m.
+    """Return the radius of the nearest sphere of a rig, m.
 
-    The smallest range, between 1 and 3 times the distance of the outermost camera from the origin, at which two cameras
-    see nine tenths of the directions that any camera sees there. Without such a range, where fields hardly overlap (six
-    pinhole cameras), twice that distance. Never under 0.5 m.
+    It is the smallest range, between 1 and 3 times the distance of the outermost camera from the origin, at which two
+    cameras see 90 % of the directions that any camera sees; twice that distance where there is no such range, because
+    fields of view hardly overlap (six pinhole cameras). It is never under 0.5 m.
     """
     outermost_m = float(rig.ego_from_camera[:, :3, 3].norm(dim=-1).max())
     rays = panorama.resized(128, 32).rays().double()

@@ -1,4 +1,4 @@
-"""Ranges seen from several cameras, drawn into one panorama around the ego origin: the nearest surface wins."""
+"""Ranges of several cameras drawn into one panorama around the ego origin, the nearest surface in front."""
 
 import torch
 from jaxtyping import Bool, Float, Float32
@@ -17,7 +17,7 @@ SAME_SURFACE = 1.5
 def camera_rays(
     rig: Rig, size: tuple[int, int], device: torch.device
 ) -> tuple[Float32[Tensor, "N height width 3"], Bool[Tensor, "N height width"]]:
-    """Return ego-frame directions of the pixels of maps of `size` (width, height), and which are seen.
+    """Return ego-frame directions of the pixels of maps of `size` (width, height), and the mask of seen ones.
 
     The maps span the rig's largest image; smaller ones are padded (`omniocc.model.ops.padded`).
     """
@@ -26,11 +26,11 @@ def camera_rays(
     for k, camera in enumerate(rig.cameras):
         width, height = camera.width * size[0] // frame[0], camera.height * size[1] // frame[1]
         masks = rig.masks and rig.masks[k : k + 1]
-        own = Rig((camera,), rig.ego_from_camera[k : k + 1], rig.names[k : k + 1], masks).resized(width, height)
-        own_rays, own_seen = own.rays(0)
+        single = Rig((camera,), rig.ego_from_camera[k : k + 1], rig.names[k : k + 1], masks).resized(width, height)
+        camera_directions, camera_seen = single.rays(0)
         padding = (0, size[0] - width, 0, size[1] - height)
-        rays.append(F.pad(own_rays, (0, 0, *padding)))
-        seen.append(F.pad(own_seen, padding))
+        rays.append(F.pad(camera_directions, (0, 0, *padding)))
+        seen.append(F.pad(camera_seen, padding))
     return torch.stack(rays).to(device), torch.stack(seen).to(device)
 
 
@@ -43,9 +43,9 @@ def draw_front(
 ) -> tuple[Float[Tensor, "B h w"], Float[Tensor, "B h w"]]:
     """Return the distance from the origin to the nearest surface in each pixel, and its mean value; inf and 0 if none.
 
-    The nearest point decides which surface it is. Its range is the mean over the points of that surface around the
-    middle of the pixel, by bilinear weights: the nearest point itself would be too near wherever a surface is seen at a
-    slant, on the ground above all, and the more so the more cameras see it.
+    The nearest point selects the surface. The distance is the mean over the points of that surface around the middle of
+    the pixel, by bilinear weights: the nearest point itself would be too near on slanted surfaces such as the ground,
+    the more so the more cameras see it.
 
     Args:
         points_m: ego frame.
@@ -85,7 +85,7 @@ def _cell(pixels: Float[Tensor, "B P 2"], drawn: Bool[Tensor, "B P"], panorama: 
 def fill_holes(range_m: Float[Tensor, "B h w"], passes: int) -> Float[Tensor, "B h w"]:
     """Fill pixels without a range (inf) with the farthest of their four neighbours' ranges, `passes` times.
 
-    The farthest, since holes open beside the edges of near objects, where the background comes into view.
+    The farthest is used since holes are beside the edges of near objects, where the background becomes visible.
     """
     for _ in range(passes):
         sides = [range_m.roll(1, -1), range_m.roll(-1, -1)]
@@ -107,13 +107,7 @@ def merge_cameras(
 ) -> tuple[Float[Tensor, "B h w"], Float[Tensor, "B h w"]]:
     """Return ranges from the ego origin, and values, from ranges from the cameras' own centres; see `draw_front`.
 
-    Args:
-        range_m: on maps that span the images; finite.
-        value: goes with the ranges.
-        drawn: pixels that count, beside what lens and mask let the camera see.
-        rig: the cameras.
-        panorama: whose pixels are filled.
-        depth_ratio: see `draw_front`.
+    Maps span the images, ranges are finite; pixels in `drawn` are used where lens and mask let the camera see.
     """
     rays, seen = camera_rays(rig, (range_m.shape[-1], range_m.shape[-2]), range_m.device)
     centers_m = rig.ego_from_camera[:, :3, 3].to(rays)

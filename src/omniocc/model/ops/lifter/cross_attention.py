@@ -12,7 +12,7 @@ from omniocc.model.ops.padded import FeatureMaps
 
 
 def ring_offsets(heads: int, levels: int, points: int, anchors: int) -> Float[Tensor, "H L 2 K"]:
-    """Return the first offsets of samples, px: each head has a direction of its own, 1, 2, ... px from each anchor."""
+    """Return the first offsets of samples, px: one direction for each head, 1, 2, ... px from each anchor."""
     angle = torch.arange(heads) * (2 * math.pi / heads)
     direction = torch.stack([angle.cos(), angle.sin()], dim=-1)
     direction = direction / direction.abs().amax(-1, keepdim=True)
@@ -26,7 +26,7 @@ def _transposed(linear: nn.Linear, queries: Float[Tensor, "Q C"]) -> Float[Tenso
 class CrossAttention(nn.Module):
     """Apply multi-scale deformable attention (Zhu et al., 2021), averaged over the cameras that see a query (eq. 1).
 
-    Offsets and attention come from the query alone; all cameras share them.
+    Offsets and attention depend only on the query and are equal for all cameras.
 
     Args:
         channels: of queries and features.
@@ -53,16 +53,16 @@ class CrossAttention(nn.Module):
     def forward(
         self, queries: Float[Tensor, "G Q C"], features: FeatureMaps, pairs: Pairs, levels: list[Level]
     ) -> Float[Tensor, "B Q C"]:
-        """Attend for B samples of equal rig and candidates; G is B, or 1 while the samples have the same queries."""
+        """Attend for B samples of equal rig and candidates; G is B, or 1 if the samples have the same queries."""
         samples = len(features[0]) // len(queries)
         maps = zip(*(level.split(samples) for level in features), strict=True)
-        sums = [self._attend(query, list(own), pairs, levels) for query, own in zip(queries, maps, strict=True)]
+        sums = [self._attend(query, list(part), pairs, levels) for query, part in zip(queries, maps, strict=True)]
         return self.output(torch.cat(sums))
 
     def _attend(
         self, queries: Float[Tensor, "Q C"], features: FeatureMaps, pairs: Pairs, levels: list[Level]
     ) -> Float[Tensor, "B Q C"]:
-        """Attend with one set of queries to B samples, channels side by side: positions are computed once."""
+        """Attend with one set of queries to B samples, whose channels are side by side."""
         with torch.autocast(queries.device.type, enabled=False):
             dtype = torch.promote_types(queries.dtype, torch.float32)
             offsets, attention = self._sampling(queries.to(dtype))

@@ -1,4 +1,4 @@
-"""Where a voxel is, as numbers an MLP can use."""
+"""Features of the position of a voxel for an MLP."""
 
 import torch
 from jaxtyping import Float
@@ -10,13 +10,10 @@ OCTAVES = 4
 
 
 def position_features(geometry: Grid) -> Float[Tensor, "cells D"]:
-    """Describe every cell by the metric coordinates of its centre, so that one embedding fits any grid.
+    """Return features of the metric coordinates of every cell's centre, row-major, for grids of any kind.
 
-    x, y, z and radius scaled to [-1, 1] (or [0, 1]), sine and cosine of multiples of the azimuth, and of radius and
-    height in octaves. Nothing jumps where the azimuth does.
-
-    Returns:
-        Features of all cells in row-major order.
+    They are x, y, z and radius scaled to [-1, 1] (or [0, 1]), and sine and cosine of multiples of the azimuth, radius
+    and height; all are continuous where the azimuth is not.
     """
     centers_m = geometry.centers(torch.float64).reshape(-1, 3)
     x, y, z = centers_m.unbind(-1)

@@ -1,4 +1,4 @@
-"""Sums of pixel features over the voxels that their rays pass, weighted by where along the ray the surface may be."""
+"""Sums of pixel features over the voxels along their rays, weighted by the probability of the surface."""
 
 import warnings
 from typing import Any, NamedTuple
@@ -11,17 +11,18 @@ from torch.nn import functional as F
 
 from omniocc.camera import Rig
 from omniocc.geometry import Grid
+from omniocc.model.ops.multilinear import bag_sum
 from omniocc.model.ops.padded import frame_size
 from omniocc.model.ops.rig_cache import once_per_rig
 
 
 class Entries(NamedTuple):
-    """Every (pixel, bin) of a rig whose point lies in the grid; in order of pixels, and once more in order of voxels.
+    """All pairs (pixel, bin) of a rig whose point is in the grid, in order of pixels and in order of voxels.
 
     Attributes:
         slot: index of each entry among all pixels x bins.
-        voxel: that each entry falls into.
-        pixel_ends: how many entries all pixels before each one have, and how many there are.
+        voxel: of each entry.
+        pixel_ends: number of entries before each pixel's first, and at the end the number of all.
         by_voxel: the entries sorted by voxel, and by pixel within one.
         pixel: of the sorted entries.
         voxel_first: index of each voxel's first sorted entry.
@@ -38,16 +39,9 @@ class Entries(NamedTuple):
 def bin_points(
     rig: Rig, height: int, width: int, ranges_m: Float64[Tensor, " D"]
 ) -> tuple[Float64[Tensor, "P D 3"], Bool[Tensor, " P"]]:
-    """Return points along the rays through the pixels of feature maps, which span the rig's largest image.
+    """Return points at these ranges on the rays through the pixels of feature maps, and whether the pixel is valid.
 
-    Args:
-        rig: cameras.
-        height: of the maps, px.
-        width: of the maps, px.
-        ranges_m: distances from the camera along its unit rays.
-
-    Returns:
-        Points in the ego frame, metres, by camera, row, column; and whether the camera sees anything at that pixel.
+    The maps (height x width px) span the rig's largest image. Points are in the ego frame, m, by camera, row, column.
     """
     points, seen = [], []
     frame = frame_size(rig)
@@ -88,14 +82,14 @@ def find_entries(
 
 
 class _Splat(torch.autograd.Function):
-    """Implement `splat`; neither the outer product nor its gradient is ever written to memory."""
+    """Implement `splat` without storing the outer product or its gradient."""
 
     @staticmethod
     def forward(ctx: Any, context: Tensor, probability: Tensor, entries: Entries) -> Tensor:
         ctx.save_for_backward(context, probability)
         ctx.entries = entries
         weights = probability.flatten().index_select(0, entries.slot).index_select(0, entries.by_voxel)
-        return F.embedding_bag(entries.pixel, context, entries.voxel_first, mode="sum", per_sample_weights=weights)
+        return bag_sum(entries.pixel, context, entries.voxel_first, weights)
 
     @staticmethod
     @once_differentiable
@@ -105,21 +99,18 @@ class _Splat(torch.autograd.Function):
         grad = grad.contiguous()
         weights = probability.flatten().index_select(0, entries.slot)
         first = entries.pixel_ends[:-1]
-        grad_context = F.embedding_bag(entries.voxel, grad, first, mode="sum", per_sample_weights=weights)
+        grad_context = bag_sum(entries.voxel, grad, first, weights)
         products = _products(context, grad, entries)
-        grad_probability = (
-            torch.zeros_like(probability).flatten().index_copy_(0, entries.slot, products).view_as(probability)
-        )
-        return grad_context, grad_probability, None
+        grad_probability = torch.zeros_like(probability).flatten().index_copy_(0, entries.slot, products)
+        return grad_context, grad_probability.view_as(probability), None
 
 
 def _products(context: Tensor, grad: Tensor, entries: Entries) -> Tensor:
     """Return the inner product of each entry's pixel with the gradient of its voxel."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Sparse")  # CSR is marked beta
-        pattern = torch.sparse_csr_tensor(
-            entries.pixel_ends, entries.voxel, grad.new_zeros(len(entries.voxel)), (len(context), len(grad))
-        )
+        zeros, shape = grad.new_zeros(len(entries.voxel)), (len(context), len(grad))
+        pattern = torch.sparse_csr_tensor(entries.pixel_ends, entries.voxel, zeros, shape)
         return torch.sparse.sampled_addmm(pattern, context, grad.T, beta=0.0).values()
 
 
@@ -128,7 +119,7 @@ def splat(
 ) -> Float[Tensor, "cells C"]:
     """Add each pixel's feature to the voxel of each of its bins, times the bin's probability.
 
-    This sums the outer products of features and probabilities (Philion & Fidler, 2020) without writing them to memory.
-    Bins outside the grid are lost. Differentiable once.
+    This sums the outer products of features and probabilities (Philion & Fidler, 2020) without storing them. Bins
+    outside the grid are ignored. Differentiable once.
     """
     return _Splat.apply(context, probability, entries)  # type: ignore[return-value]

@@ -1,4 +1,4 @@
-"""Visibility of voxels: which camera sees which, and where."""
+"""Pairs of voxels and the cameras that see them, with pixels."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -12,17 +12,18 @@ from omniocc.geometry import Grid
 from omniocc.model.ops.padded import frame_size
 from omniocc.model.ops.rig_cache import once_per_rig
 
-CENTRE = ((0.0, 0.0, 0.0),)
+Anchors = tuple[tuple[float, float, float], ...]
+CENTRE: Anchors = ((0.0, 0.0, 0.0),)
 OUTSIDE = -1e4
 
 
 class Pairs(NamedTuple):
-    """Every (query, camera) of which the camera sees an anchor of the query's voxel, sorted by query.
+    """All pairs of a query and a camera that sees an anchor of the query's voxel, sorted by query.
 
     Attributes:
         query: index of the query.
         camera: index of the camera.
-        points: where the camera sees each anchor, in `grid_sample` coordinates; far outside if it does not.
+        points: projected anchors in `grid_sample` coordinates; far outside if not visible.
         counts: cameras that see each query.
         first: index of each query's first pair.
     """
@@ -35,12 +36,7 @@ class Pairs(NamedTuple):
 
 
 def anchor_points(geometry: Grid, anchors: Sequence[tuple[float, float, float]]) -> Float64[Tensor, "X Y Z A 3"]:
-    """Return points in every cell, ego frame, metres.
-
-    Args:
-        geometry: the voxel grid.
-        anchors: offsets from the middle of the cell along the grid's axes, in cells.
-    """
+    """Return points in every cell, ego frame, m, at offsets (in cells, along the grid's axes) from its middle."""
     points = []
     for anchor in anchors:
         edges = [geometry.edges(axis) for axis in range(3)]
@@ -51,12 +47,12 @@ def anchor_points(geometry: Grid, anchors: Sequence[tuple[float, float, float]])
 
 @once_per_rig
 def reference_points(
-    rig: Rig, geometry: Grid, device: torch.device, anchors: tuple[tuple[float, float, float], ...] = CENTRE
+    rig: Rig, geometry: Grid, device: torch.device, anchors: Anchors = CENTRE
 ) -> tuple[Float32[Tensor, "N cells A 2"], Bool[Tensor, "N cells"]]:
-    """Project the anchors of all cells into all cameras: `grid_sample` coordinates, and which cells are visible.
+    """Project the anchors of all cells into all cameras: `grid_sample` coordinates, and the mask of visible cells.
 
-    A cell is visible where one of its anchors is; anchors that are not lie far outside the image. Depends on rig and
-    grid alone, so each rig is projected once. The result is shared: never write to it.
+    A cell is visible if one of its anchors is; the coordinates of other anchors are far outside the image. The result
+    is cached for each rig: never write to it.
     """
     pixels, valid = rig.project(anchor_points(geometry, anchors).flatten(0, 2))
     points = torch.where(valid[..., None], normalize_pixels(pixels, *frame_size(rig)), OUTSIDE)

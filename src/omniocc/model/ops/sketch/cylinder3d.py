@@ -1,7 +1,7 @@
 """3D network in the manner of Cylinder3D (Zhu et al. 2021), on dense volumes.
 
-A sparse convolution needs a compiled library, and one that keeps to the active sites cannot complete what the panorama
-does not see. On these small grids dense ones do; which cells hold points is an input.
+Dense convolutions need no compiled library, and can complete parts that the panorama does not see, which sparse ones on
+active sites cannot. The mask of cells with points is an input.
 """
 
 from itertools import pairwise
@@ -88,8 +88,7 @@ class Cylinder3D(nn.Module):
     Rolling the input along a periodic axis by a multiple of 2**(levels-1) cells rolls the output.
 
     Args:
-        geometry: the voxel grid.
-        in_channels: of the volume that goes in.
+        in_channels: of the input.
         channels: of each level, finest first; multiples of 8.
         out_channels: of the logits.
 

@@ -1,4 +1,4 @@
-"""Evidence of a panorama of ranges about each cell: in front of the seen surface, at it, or behind."""
+"""Evidence from a panorama of ranges for each cell: in front of the seen surface, at it, or behind it."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -27,14 +27,11 @@ def cell_samples(geometry: Grid, per_axis: Sequence[int]) -> Float64[Tensor, "K 
 
 
 class Sight(NamedTuple):
-    """Pixels of the panorama in the directions of the samples of cells."""
+    """Row-major pixels in the directions of cells' samples, their distances, and whether the panorama covers them."""
 
     pixel: Int64[Tensor, "K cells"]
-    """Row-major number of the pixel."""
     distance_m: Float[Tensor, "K cells"]
-    """Of the sample from the ego origin."""
     inside: Bool[Tensor, "K cells"]
-    """Whether the panorama covers the direction."""
 
 
 def sight(geometry: Grid, panorama: Equirectangular, per_axis: Sequence[int]) -> Sight:
@@ -68,9 +65,8 @@ class Evidence(nn.Module):
     """Compute evidence of free and hidden space (see `sight_evidence`) for every cell of a grid; no parameters.
 
     Args:
-        geometry: the voxel grid.
         panorama: of the ranges, around the ego origin.
-        samples: points looked up in each cell, along each axis.
+        samples: points of each cell along each axis.
     """
 
     pixel: Tensor

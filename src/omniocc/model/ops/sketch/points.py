@@ -28,8 +28,8 @@ def still_axes(geometry: Grid) -> list[int]:
 def point_features(points: Float[Tensor, "P 3"], geometry: Grid) -> Float[Tensor, "P F"]:
     """Return the features of points in Cylinder3D: offset from the cell's centre, coordinates, range.
 
-    Offsets are in cells, coordinates in halves of the grid from its middle, the range in units of the grid's reach. The
-    azimuth itself and x, y, which Cylinder3D has too, are left out in a cylinder: turning the car turns the sketch.
+    Offsets are in cells, coordinates from -1 to 1 over the grid, the range in units of the grid's reach. Cylinder3D's
+    azimuth, x and y are left out in a cylinder, so that turning the car turns the sketch.
 
     Args:
         points: inside the grid, ego frame, metres.
@@ -61,7 +61,6 @@ class PointEncoder(nn.Module):
     """Encode the points of every cell: an MLP on each point, the maximum in each cell.
 
     Args:
-        geometry: the voxel grid.
         channels: of the result.
     """
 
@@ -73,9 +72,9 @@ class PointEncoder(nn.Module):
         self.out = nn.Linear(channels, channels)
 
     def forward(self, points: Float[Tensor, "B P 3"]) -> tuple[Float[Tensor, "B C X Y Z"], Float[Tensor, "B 1 X Y Z"]]:
-        """Return features, not negative and 0 in cells without points, and 1 where a cell has points, else 0.
+        """Return features, at least 0 and 0 in cells without points, and the mask of cells with points (0 or 1).
 
-        Points outside the grid or not finite do not count.
+        Points outside the grid or not finite are ignored.
         """
         batch = len(points)
         cells, inside = self.geometry.flat_index(points)
@@ -92,7 +91,7 @@ class PointEncoder(nn.Module):
     def _of_all(
         self, points: Float[Tensor, "B P 3"], places: Int64[Tensor, "B P"], inside: Bool[Tensor, "B P"]
     ) -> tuple[Float[Tensor, "B C X Y Z"], Float[Tensor, "B 1 X Y Z"]]:
-        """Compute the same for all points: those that do not count add zeros, which the maximum ignores."""
+        """Compute the same for all points: ignored ones add zeros, which do not change the maximum."""
         features = point_features(points.flatten(0, 1), self.geometry)
         encoded = F.relu(self.out(F.relu(self.hidden(features))))
         marked = torch.cat([encoded, torch.ones_like(encoded[:, :1])], dim=1)

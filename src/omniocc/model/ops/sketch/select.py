@@ -11,7 +11,7 @@ def above(probability: Float[Tensor, "B X Y Z"], threshold: float) -> Bool[Tenso
 
 
 def likeliest(probability: Float[Tensor, "B X Y Z"], fraction: float) -> Bool[Tensor, "B X Y Z"]:
-    """Return the round(fraction * cells) likeliest cells of each sample, as many also where values are equal."""
+    """Return the round(fraction * cells) likeliest cells of each sample, ties included in this number."""
     cells = probability.flatten(1)
     chosen = cells.topk(round(fraction * cells.shape[1]), dim=1, sorted=False).indices
     return torch.zeros_like(cells, dtype=torch.bool).scatter_(1, chosen, True).reshape(probability.shape)

@@ -1,0 +1,56 @@
+"""Tests of both refiners with a pyramid of levels."""
+
+import pytest
+import torch
+
+from omniocc.geometry import Cuboid, Cylinder
+from omniocc.model.refiner import ChannelToHeight, Conv
+from omniocc.model.sketch import Sketched
+
+SKETCHED = Sketched(torch.ones(1, 1, 1, 1, dtype=torch.bool))
+CYLINDER, CUBOID = Cylinder((6, 8, 4)), Cuboid((5, 6, 3))
+
+
+def conv(geometry, channels, blocks):
+    return Conv(geometry, 4, channels, blocks)
+
+
+def channel_to_height(geometry, channels, blocks):
+    return ChannelToHeight(geometry, 4, 5, channels, blocks)
+
+
+@pytest.fixture(params=[conv, channel_to_height])
+def build(request):
+    return request.param
+
+
+@torch.no_grad()
+@pytest.mark.parametrize("roll", [2, 6])
+def test_rotating_the_world_rotates_the_volume(build, roll):
+    refiner = build(CYLINDER, [8, 16], [1, 2]).double()
+    volume = torch.randn(1, 4, *CYLINDER.shape, dtype=torch.float64)
+    rolled = refiner(volume.roll(roll, dims=3), SKETCHED)
+    torch.testing.assert_close(rolled, refiner(volume, SKETCHED).roll(roll, dims=3))
+
+
+def test_training_reaches_every_parameter_on_odd_sizes(build):
+    refiner = build(CUBOID, [8, 8, 16], [1, 1, 1])
+    output = refiner(torch.randn(2, 4, *CUBOID.shape), SKETCHED)
+    assert output.shape == (2, refiner.channels, *CUBOID.shape)
+    (output * torch.randn_like(output)).sum().backward()
+    for name, parameter in refiner.named_parameters():
+        assert parameter.grad.abs().sum() > 0, name
+
+
+@pytest.mark.parametrize(
+    ("geometry", "channels", "blocks", "message"),
+    [
+        (CYLINDER, [8, 8], [1], "one number each"),
+        (CYLINDER, [], [], "one number each"),
+        (Cylinder((4, 6, 2)), [8, 8, 8], [1, 1, 1], "multiples of 4.* 6"),
+        (CUBOID, [8, 12], [1, 1], "multiple of 8"),
+    ],
+)
+def test_sizes_that_do_not_fit_are_named(build, geometry, channels, blocks, message):
+    with pytest.raises(ValueError, match=message):
+        build(geometry, channels, blocks)
