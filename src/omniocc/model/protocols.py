@@ -43,6 +43,7 @@ class Learns(Protocol):
 
     def training_terms(self, *args: Any) -> dict[str, Float[Tensor, ""]]:
         """Return weighted losses by name."""
+        ...
 
 
 def learns(option: type) -> bool:
@@ -66,6 +67,7 @@ class Backbone(Protocol):
 
     def __call__(self, images: Float[Tensor, "B N 3 H W"]) -> FeatureMaps:
         """Return maps that each cover the whole image, finest first, from RGB in [0, 1]."""
+        ...
 
 
 @runtime_checkable
@@ -82,11 +84,13 @@ class Depth(Protocol):
 
     def rig_spheres(self, rig: Rig) -> Spheres:
         """Return the spheres to which the indices of depth maps refer for a rig."""
+        ...
 
     def __call__(
         self, images: Float[Tensor, "B N 3 H W"], rigs: Rigs, true_range_m: Float[Tensor, "B h w"] | None = None
     ) -> DepthMap:
         """Return the panorama from RGB in [0, 1]; the true range (inf: sky) is used if `NEEDS_TRUE_RANGE`."""
+        ...
 
 
 @runtime_checkable
@@ -110,6 +114,7 @@ class LearnedDepth(Depth, Learns, Protocol):
             camera_range_m: true range of every pixel; None if the data has none.
             generator: source of all random choices, on the CPU.
         """
+        ...
 
 
 @runtime_checkable
@@ -123,6 +128,7 @@ class Sketch(Protocol):
 
         The true range is for a sketch whose depth needs it.
         """
+        ...
 
 
 @runtime_checkable
@@ -143,17 +149,21 @@ class LearnedSketch(Sketch, Learns, Protocol):
 
     def logits(self, range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"]) -> Float[Tensor, "B 2 X Y Z"]:
         """Return scores of free and occupied for every voxel, from a panorama of ranges and where they are known."""
+        ...
 
     def choose(self, logits: Float[Tensor, "B 2 X Y Z"]) -> Bool[Tensor, "B X Y Z"]:
         """Return the candidates before they are dilated."""
+        ...
 
     def select(self, logits: Float[Tensor, "B 2 X Y Z"]) -> Bool[Tensor, "B X Y Z"]:
         """Return the candidates."""
+        ...
 
     def training_terms(
         self, range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"], voxels: UInt8[Tensor, "B X Y Z"]
     ) -> dict[str, Float[Tensor, ""]]:
         """Return weighted losses by name; 255 in the true voxels is unknown."""
+        ...
 
 
 @runtime_checkable
@@ -168,6 +178,7 @@ class Lifter(Protocol):
 
     def __call__(self, features: FeatureMaps, sketched: Sketched, rigs: tuple[Rig, ...]) -> Float[Tensor, "B D X Y Z"]:
         """Return features of all voxels, ego frame, from feature maps (see `Backbone`), finest first."""
+        ...
 
 
 @runtime_checkable
@@ -176,6 +187,7 @@ class GuessesRanges(Protocol):
 
     def range_logits(self, features: FeatureMaps) -> Float[Tensor, "B N D h w"]:
         """Return scores of bins of range along the rays, at the coarsest map's size."""
+        ...
 
 
 @runtime_checkable
@@ -197,6 +209,7 @@ class Temporal(Protocol):
 
         Frames that do not exist, before a scene's first, are ignored; the newest always exists.
         """
+        ...
 
 
 @runtime_checkable
@@ -220,3 +233,4 @@ class SemanticHead(Protocol):
 
     def __call__(self, features: FeatureMaps) -> Float[Tensor, "B N K h w"] | None:
         """Return logits at the finest map's size, or None, from feature maps, finest first."""
+        ...

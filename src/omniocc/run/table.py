@@ -136,5 +136,6 @@ def _lower_edge(band: str) -> float:
 def _columns(head: list[str], rows: list[list[str]]) -> str:
     widths = [max(len(line[i]) for line in [head, *rows]) for i in range(len(head))]
     align = [str.ljust, *[str.rjust] * (len(head) - 1)]
-    lines = [[pad(*cell) for pad, *cell in zip(align, line, widths, strict=True)] for line in [head, *rows]]
+    table = [head, *rows]
+    lines = [[pad(cell, width) for pad, cell, width in zip(align, line, widths, strict=True)] for line in table]
     return "\n".join("  ".join(line) for line in lines)

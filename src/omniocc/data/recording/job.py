@@ -37,6 +37,7 @@ class Recordable(Protocol):
 
     def frame(self, index: int) -> Frame:
         """Return the frame with this number; it depends on nothing but the scene and the number."""
+        ...
 
 
 @functools.cache

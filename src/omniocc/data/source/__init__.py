@@ -91,35 +91,45 @@ class SceneFrames(Protocol):
     @property
     def name(self) -> str:
         """Return the scene's name, unique in its source."""
+        ...
 
     @property
     def world_from_ego(self) -> np.ndarray:
         """Return the pose of every frame, (F, 4, 4) float64."""
+        ...
 
     @property
     def rigs(self) -> Sequence[Rig]:
         """Return the cameras of every frame; real extrinsics move."""
+        ...
 
     def __len__(self) -> int:
         """Return the number of frames."""
+        ...
 
     def images(self, frame: int) -> list[np.ndarray]:
         """Return the image of every camera, (H, W, 3) uint8 RGB each."""
+        ...
 
     def pixel_labels(self, frame: int) -> list[np.ndarray] | None:
         """Return the classes of the pixels of every camera, (H, W) uint8 each; 0 sky, 255 unknown."""
+        ...
 
     def camera_range_m(self, frame: int) -> list[np.ndarray] | None:
         """Return the true range of the pixels of every camera, (H, W) float32 each, m; inf sky, nan unknown."""
+        ...
 
     def erp_range_m(self, frame: int) -> np.ndarray | None:
         """Return the true panorama of range around the ego origin, (h, w) float32, m; inf sky, nan unknown."""
+        ...
 
     def lidar(self, frame: int) -> LidarScan | None:
         """Return the hits of the LiDAR."""
+        ...
 
     def points(self, frame: int) -> Points | None:
         """Return the labelled points that vote for voxels."""
+        ...
 
 
 @runtime_checkable
@@ -128,15 +138,19 @@ class VoxelLabels(Protocol):
 
     def prepare(self, scenes: Sequence[SceneFrames]) -> None:
         """Make the missing labels of these scenes; safe to call from several processes at once."""
+        ...
 
     def read(self, scene: SceneFrames, frame: int) -> UInt8[Tensor, "X Y Z"] | None:
         """Return the class of every cell, 255 unknown; None without labels."""
+        ...
 
     def scored(self, scene: SceneFrames, frame: int) -> Bool[Tensor, "X Y Z"] | None:
         """Return the cells that count in scores; None: all whose class is known."""
+        ...
 
     def counts(self, scenes: Sequence[SceneFrames]) -> Int64[Tensor, "C X Y Z"]:
         """Return the number of frames in which each cell has each class; unknown is not counted."""
+        ...
 
 
 @runtime_checkable
@@ -150,14 +164,17 @@ class SceneSource(Protocol):
         Raises:
             DataError: when it has to be read from scenes and there are none.
         """
+        ...
 
     @property
     def fingerprint(self) -> str:
         """Return a hash that is equal for equal data."""
+        ...
 
     @property
     def folder(self) -> Path:
         """Return the local folder of data derived from the scenes."""
+        ...
 
     def prepare(self) -> None:
         """Make or find all scenes; safe to call from several processes at once and to repeat after a kill.
@@ -165,9 +182,11 @@ class SceneSource(Protocol):
         Raises:
             DataError: when scenes are missing and cannot be made.
         """
+        ...
 
     def scenes(self, split: Split) -> Sequence[SceneFrames]:
         """Return the scenes of a split, in order, after `prepare`; raise DataError when one is missing."""
+        ...
 
     def labels(self, geometry: Grid, unknown: Unknown) -> VoxelLabels:
         """Return the voxel labels of a grid.
@@ -175,3 +194,4 @@ class SceneSource(Protocol):
         Raises:
             ValueError: if the source has no labels of this grid, or of this kind.
         """
+        ...

@@ -22,18 +22,23 @@ class Files(Protocol):
 
     def where(self, name: str) -> str:
         """Return path or URL of a file, for messages."""
+        ...
 
     def size(self, name: str) -> int:
         """Return the length in bytes."""
+        ...
 
     def open(self, name: str) -> Any:
         """Return the open file, binary, at its beginning."""
+        ...
 
     def ranges(self, name: str, spans: Sequence[tuple[int, int]]) -> list[bytes]:
         """Return the bytes from `begin` up to `end` of each (begin, end); fewer where the file ends early."""
+        ...
 
     def folders(self) -> list[str]:
         """Return the names of the folders in this one, sorted."""
+        ...
 
 
 class LocalFiles:
