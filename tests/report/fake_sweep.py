@@ -1,4 +1,4 @@
-"""Finished runs as `train.py` leaves them, without training: figures, configuration, curves, pictures, dataset."""
+"""Finished runs as `train.py` leaves them, without training: figures, configuration, curves, images, dataset."""
 
 import sys
 from pathlib import Path
@@ -19,7 +19,7 @@ CYLINDER = {"_target_": "omniocc.geometry.Cylinder", "shape": [8, 10, 4]}
 CUBOID = {"_target_": "omniocc.geometry.Cuboid", "shape": [8, 8, 4]}
 OMNI = {"_target_": "omniocc.model.sketch.Omni"}
 DENSE = {"_target_": "omniocc.model.sketch.Dense"}
-PICTURE = "test-00-test-000-suburb-000001"
+SHEET = "test-00-test-000-suburb-000001"
 
 
 def parts(geometry: Grid, prediction_seed: int) -> SheetParts:
@@ -30,10 +30,10 @@ def parts(geometry: Grid, prediction_seed: int) -> SheetParts:
 
 def save_parts(folder: Path, parts: SheetParts) -> None:
     """Save a sheet and its parts as `omniocc.task.images` does."""
-    (folder / "parts" / PICTURE).mkdir(parents=True)
-    save_png(folder / f"{PICTURE}.png", comparison_sheet(parts, WORLD_CLASSES, "test-000-suburb/000001"))
+    (folder / "parts" / SHEET).mkdir(parents=True)
+    save_png(folder / f"{SHEET}.png", comparison_sheet(parts, WORLD_CLASSES, "test-000-suburb/000001"))
     for name, part in parts._asdict().items():
-        save_png(folder / "parts" / PICTURE / f"{name}.png", part)
+        save_png(folder / "parts" / SHEET / f"{name}.png", part)
 
 
 def labels(geometry: Grid, seed: int) -> torch.Tensor:

@@ -4,7 +4,7 @@ import shutil
 
 import numpy as np
 import pytest
-from fake_sweep import PICTURE, parts, save_parts
+from fake_sweep import SHEET, parts, save_parts
 
 from omniocc.geometry import Cylinder
 from omniocc.report.frames import compared_frames
@@ -25,17 +25,17 @@ def test_parts_are_shown_as_they_were_saved(runs):
     (frame,) = compared_frames(by_row(read_runs(runs)))
     drawn = parts(Cylinder(shape=(8, 10, 4)), 1)
     shown = next(shown.parts for shown in frame.shown if shown.row == "ours")
-    for name, picture in drawn._asdict().items():
-        np.testing.assert_array_equal(getattr(shown, name), picture, err_msg=name)
+    for name, image in drawn._asdict().items():
+        np.testing.assert_array_equal(getattr(shown, name), image, err_msg=name)
 
 
 def test_a_run_without_parts_is_left_out_with_a_line(runs, tmp_path, capsys):
     run = read_runs(runs)[0]._replace(folder=tmp_path)
     (tmp_path / "images").mkdir()
     assert compared_frames({"ours": [run]}) == []
-    assert capsys.readouterr().err == "", "no picture was asked for"
+    assert capsys.readouterr().err == "", "no image was asked for"
     save_parts(tmp_path / "images", parts(Cylinder(shape=(8, 10, 4)), 1))
-    folder = tmp_path / "images" / "parts" / PICTURE
+    folder = tmp_path / "images" / "parts" / SHEET
     assert len(compared_frames({"ours": [run]})) == 1
     (folder / "truth.png").write_bytes(b"damaged")
     (folder / "cameras.png").unlink()
@@ -53,5 +53,5 @@ def test_other_pictures_are_left_alone(runs, tmp_path, name):
     run = read_runs(runs)[0]._replace(folder=tmp_path)
     save_parts(tmp_path / "images", parts(Cylinder(shape=(8, 10, 4)), 1))
     for folder, ending in (("", ".png"), ("parts", "")):
-        (tmp_path / "images" / folder / f"{PICTURE}{ending}").rename(tmp_path / "images" / folder / f"{name}{ending}")
+        (tmp_path / "images" / folder / f"{SHEET}{ending}").rename(tmp_path / "images" / folder / f"{name}{ending}")
     assert compared_frames({"ours": [run]}) == []

@@ -83,9 +83,9 @@ def test_the_page_needs_no_other_file_and_every_image_decodes(output, outline):
     for source in outline.sources:
         kind, data = source.split(",", 1)
         assert kind == "data:image/webp;base64"
-        picture = cv2.imdecode(np.frombuffer(base64.b64decode(data), np.uint8), cv2.IMREAD_COLOR)
-        assert picture is not None
-        assert picture.std() > 5
+        image = cv2.imdecode(np.frombuffer(base64.b64decode(data), np.uint8), cv2.IMREAD_COLOR)
+        assert image is not None
+        assert image.std() > 5
 
 
 def test_figures_lead_to_run_configuration_and_command(outline, runs):
