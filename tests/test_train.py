@@ -157,7 +157,7 @@ def test_stages_run_once_and_are_shared(tmp_path, data_root):
     whole = run("train.py", *arguments, "name=whole", *logged, cwd=tmp_path)
     assert whole.returncode == 0, whole.stdout + whole.stderr
     runs_of_wandb_are_complete(tmp_path / "runs")
-    assert "depth, stage 1 of 3 is there" in whole.stdout
+    assert "depth, stage 1 of 3 is finished" in whole.stdout
     assert "sketch, stage 2 of 3 begins" in whole.stdout
     metrics = metrics_of(tmp_path, "whole")
     (path,) = tmp_path.glob("runs/whole-*/metrics.json")
@@ -167,7 +167,7 @@ def test_stages_run_once_and_are_shared(tmp_path, data_root):
 
     other = run("train.py", *arguments, "name=other", "model/refiner=none", "test_images=0", cwd=tmp_path)
     assert other.returncode == 0, other.stdout + other.stderr
-    assert "sketch, stage 2 of 3 is there" in other.stdout
+    assert "sketch, stage 2 of 3 is finished" in other.stdout
 
     chosen = ["model.sketch.threshold=null", "model.sketch.fraction=0.1", "model.sketch.windows=[0,0,0]"]
     fewer = run("train.py", *arguments, "stage=sketch", *chosen, cwd=tmp_path)
