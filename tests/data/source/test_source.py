@@ -27,7 +27,7 @@ GRID = ["model/geometry=cuboid", "model.geometry.shape=[20,16,4]", "model.geomet
 @pytest.fixture
 def compose(smoke, tmp_path):
     def make(*overrides, with_lidar=False):
-        cfg = smoke("model/sketch=dense", *GRID, "logger.mode=disabled", *overrides)
+        cfg = smoke("model/sketch=dense", *GRID, "packages=[fake_source]", "logger.mode=disabled", *overrides)
         OmegaConf.set_struct(cfg, False)
         cfg.data.source = {"_target_": "fake_source.FakeSource", "folder": str(tmp_path), "with_lidar": with_lidar}
         check_root(cfg)

@@ -21,11 +21,16 @@ class Seen(NamedTuple):
 class FakeDepth(nn.Module):
     """Ranges from a weight and the true ones, so that gradients and modes can be seen."""
 
+    NEEDS_TRUE_RANGE = False
+
     def __init__(self):
         super().__init__()
         self.panorama = PANORAMA
         self.scale = nn.Parameter(torch.tensor(2.0))
         self.norm = nn.BatchNorm2d(3)
+
+    def rig_spheres(self, rig):
+        raise NotImplementedError
 
     def forward(self, images, rigs, true_range_m=None):
         self.norm(images.flatten(0, 1))

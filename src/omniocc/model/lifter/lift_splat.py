@@ -61,7 +61,7 @@ class LiftSplat(nn.Module):
         # channels last in memory, which is fast in 3D convolutions
         return torch.stack(volumes).unflatten(1, self.geometry.shape).movedim(-1, 1)
 
-    def _splat(self, features: FeatureMaps, rigs: list[Rig]) -> list[Float[Tensor, "cells C"]]:
+    def _splat(self, features: FeatureMaps, rigs: list[Rig]) -> list[Float[Tensor, "cells D"]]:
         """Return the volumes of samples whose images have one shape."""
         height, width = features[-1].shape[-2:]
         pixels = self._pixels(features).flatten(1, 3)
