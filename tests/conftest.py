@@ -20,6 +20,7 @@ torch.set_num_threads(1)
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(Path(__file__).parent / "run" / "wandb"))  # offline_file
+sys.path.append(str(Path(__file__).parent))  # scripts
 
 
 @pytest.hookimpl(trylast=True)

@@ -1,12 +1,10 @@
 """A package outside the repository adds options by a class and a yaml each: that of docs/how_to/own_modules.md."""
 
-import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from scripts import run_script
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "how_to" / "own_modules.md"
@@ -30,10 +28,7 @@ def package(tmp_path_factory):
 
 
 def run(script, *arguments, package, cwd, allowed="mylib"):
-    paths = os.pathsep.join([str(ROOT / "src"), str(package)])
-    environment = {**os.environ, "PYTHONPATH": paths, "OMNIOCC_PACKAGES": allowed}
-    command = [sys.executable, str(ROOT / "src" / script), *arguments]
-    return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, check=False, timeout=400)
+    return run_script(script, *arguments, cwd=cwd, PYTHONPATH=str(package), OMNIOCC_PACKAGES=allowed)
 
 
 def test_the_commands_of_the_page_train_a_sketch_a_depth_network_a_lifter_and_a_source(package, data_root, tmp_path):

@@ -1,7 +1,6 @@
 """`src/predict.py` as users start it."""
 
 import shutil
-import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -10,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from scripts import run_script
 
 import predict as script
 from omniocc.camera import Rig
@@ -20,11 +20,6 @@ from omniocc.run.checkpoint import contents
 
 ROOT = Path(__file__).parents[1]
 SMALL = ("preset=smoke", "image_width=64", "rig=fisheye6")
-
-
-def start(*arguments: str, cwd: Path) -> subprocess.CompletedProcess:
-    command = [sys.executable, str(ROOT / "src" / "predict.py"), *arguments]
-    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False, timeout=300)
 
 
 def draw_frame(folder: Path, seed: int) -> Path:
@@ -60,7 +55,7 @@ def checkpoint(tmp_path_factory, smoke) -> Path:
 
 @pytest.mark.slow
 def test_frames_without_weights(frames, tmp_path):
-    result = start("depth", *SMALL, f"images={frames}", "output=out", cwd=tmp_path)
+    result = run_script("predict.py", "depth", *SMALL, f"images={frames}", "output=out", cwd=tmp_path)
     assert result.returncode == 0, result.stdout + result.stderr
     assert len(result.stdout.splitlines()) == 2
     assert "depth " in result.stdout
@@ -132,7 +127,7 @@ def test_mistakes_are_named(frames, checkpoint, tmp_path, run_here):
 
 
 def test_the_command_line_prints_one_line(tmp_path):
-    result = start("depth", "rig=fisheye6", f"images={tmp_path / 'nothing'}", cwd=tmp_path)
+    result = run_script("predict.py", "depth", "rig=fisheye6", f"images={tmp_path / 'nothing'}", cwd=tmp_path)
     assert result.returncode == 1
     assert result.stdout == ""
     assert len(result.stderr.strip().splitlines()) == 1
@@ -149,7 +144,7 @@ def test_help_and_unknown_commands(capsys, monkeypatch):
 
 
 def test_help_of_occupancy_shows_files_examples_and_options(tmp_path):
-    result = start("occupancy", "--help", cwd=tmp_path)
+    result = run_script("predict.py", "occupancy", "--help", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     for words in ("voxels.npz", "poses=my_poses.csv", "\nhistory: null"):
         assert words in result.stdout

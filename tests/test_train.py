@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from filelock import FileLock
 from offline_file import files_of, history, runs_in
+from scripts import run_script
 
 from omniocc.report.wandb.dashboard import sections
 
@@ -21,10 +22,6 @@ pytestmark = pytest.mark.slow
 
 def command(script: str, *arguments: str) -> list[str]:
     return [sys.executable, str(ROOT / "src" / script), *arguments]
-
-
-def run(*parts: str, cwd: Path) -> subprocess.CompletedProcess:
-    return subprocess.run(command(*parts), cwd=cwd, capture_output=True, text=True, check=False, timeout=400)
 
 
 def smoke(data_root: Path, *more: str) -> list[str]:
@@ -46,7 +43,7 @@ def whole(shared_folder, data_root) -> tuple[Path, list[str]]:
     with FileLock(f"{folder}.lock"):
         if not (folder / "output.txt").exists():
             folder.mkdir(exist_ok=True)
-            result = run("train.py", *arguments, cwd=folder)
+            result = run_script("train.py", *arguments, cwd=folder)
             assert result.returncode == 0, result.stdout + result.stderr
             (folder / "output.txt").write_text(result.stdout)
     return folder, arguments
@@ -76,11 +73,11 @@ def test_a_run_leaves_figures_images_and_curves(whole):
     assert (folder / "config.yaml").exists()
     assert "RayIoU" in (place / "output.txt").read_text()
 
-    again = run("train.py", *arguments, cwd=place)
+    again = run_script("train.py", *arguments, cwd=place)
     assert again.returncode == 0
     assert "is finished" in again.stdout
 
-    evaluated = run(
+    evaluated = run_script(
         "evaluate.py",
         str(folder / "best.ckpt" if (folder / "best.ckpt").exists() else folder / "last.ckpt"),
         "--images",
@@ -105,7 +102,7 @@ def test_killed_training_continues_to_the_same_figures(tmp_path, data_root, whol
     assert list(tmp_path.glob("runs/killed-*/last.ckpt"))
     assert not list(tmp_path.glob("runs/killed-*/metrics.json")), "the run ended before it could be killed"
 
-    resumed = run("train.py", *arguments, "name=killed", cwd=tmp_path)
+    resumed = run_script("train.py", *arguments, "name=killed", cwd=tmp_path)
     assert resumed.returncode == 0, resumed.stdout + resumed.stderr
     assert "goes on from" in resumed.stdout
     assert metrics_of(tmp_path, "killed") == pytest.approx(metrics_of(whole[0], "whole"), abs=1e-6, nan_ok=True)
@@ -113,14 +110,14 @@ def test_killed_training_continues_to_the_same_figures(tmp_path, data_root, whol
 
 def test_a_damaged_checkpoint_costs_the_steps_since_the_one_before(tmp_path, data_root):
     arguments = smoke(data_root, "trainer.max_steps=2", "checkpoint_every_n_steps=1", "test_images=0", "name=damaged")
-    whole = run("train.py", *arguments, cwd=tmp_path)
+    whole = run_script("train.py", *arguments, cwd=tmp_path)
     assert whole.returncode == 0, whole.stdout + whole.stderr
     (folder,) = tmp_path.glob("runs/damaged-*")
     figures = metrics_of(tmp_path, "damaged")
     (folder / "metrics.json").unlink()
     last = folder / "last.ckpt"
     last.write_bytes(last.read_bytes()[:-1000])
-    resumed = run("train.py", *arguments, cwd=tmp_path)
+    resumed = run_script("train.py", *arguments, cwd=tmp_path)
     assert resumed.returncode == 0, resumed.stdout + resumed.stderr
     assert resumed.stdout.count("goes on from the one before, last.previous.ckpt") == 1
     assert metrics_of(tmp_path, "damaged") == pytest.approx(figures, abs=1e-6, nan_ok=True)
@@ -128,7 +125,7 @@ def test_a_damaged_checkpoint_costs_the_steps_since_the_one_before(tmp_path, dat
     (folder / "metrics.json").unlink()
     for path in (last, folder / "last.previous.ckpt"):
         path.write_bytes(b"damaged")
-    refused = run("train.py", *arguments, cwd=tmp_path)
+    refused = run_script("train.py", *arguments, cwd=tmp_path)
     assert refused.returncode == 1
     (line,) = refused.stderr.strip().splitlines()
     assert "neither" in line
@@ -136,7 +133,7 @@ def test_a_damaged_checkpoint_costs_the_steps_since_the_one_before(tmp_path, dat
 
 
 def test_a_loss_that_is_not_finite_is_one_line(tmp_path, data_root):
-    result = run("train.py", *smoke(data_root, "optimizer.learning_rate=1e30", "test_images=0"), cwd=tmp_path)
+    result = run_script("train.py", *smoke(data_root, "optimizer.learning_rate=1e30", "test_images=0"), cwd=tmp_path)
     assert result.returncode == 1
     *before, line = result.stderr.strip().splitlines()  # lines before: of rendering, where this test is the first
     assert not [words for words in before if "Traceback" in words or "Warning" in words or "finite" in words]
@@ -148,13 +145,13 @@ def test_a_loss_that_is_not_finite_is_one_line(tmp_path, data_root):
 def test_stages_run_once_and_are_shared(tmp_path, data_root):
     arguments = smoke(data_root, "model/sketch=omni", "trainer.max_steps=3", "trainer.log_every_n_steps=1")
     logged = ["logger.mode=offline", "test_images=1"]
-    depth = run("train.py", *arguments, "stage=depth", *logged, cwd=tmp_path)
+    depth = run_script("train.py", *arguments, "stage=depth", *logged, cwd=tmp_path)
     assert depth.returncode == 0, depth.stdout + depth.stderr
     assert "depth, stage 1 of 1 begins" in depth.stdout
     assert "AbsRel" in depth.stdout
     assert not list(tmp_path.glob("runs/stages/sketch-*"))
 
-    whole = run("train.py", *arguments, "name=whole", *logged, cwd=tmp_path)
+    whole = run_script("train.py", *arguments, "name=whole", *logged, cwd=tmp_path)
     assert whole.returncode == 0, whole.stdout + whole.stderr
     runs_of_wandb_are_complete(tmp_path / "runs")
     assert "depth, stage 1 of 3 is finished" in whole.stdout
@@ -165,12 +162,12 @@ def test_stages_run_once_and_are_shared(tmp_path, data_root):
     for key in ("test/rayiou", "test/depth/mae_0-8.5m", "test/sketch/recall", "test/sketch/raw/recall_17-25.6m"):
         assert key in metrics
 
-    other = run("train.py", *arguments, "name=other", "model/refiner=none", "test_images=0", cwd=tmp_path)
+    other = run_script("train.py", *arguments, "name=other", "model/refiner=none", "test_images=0", cwd=tmp_path)
     assert other.returncode == 0, other.stdout + other.stderr
     assert "sketch, stage 2 of 3 is finished" in other.stdout
 
     chosen = ["model.sketch.threshold=null", "model.sketch.fraction=0.1", "model.sketch.windows=[0,0,0]"]
-    fewer = run("train.py", *arguments, "stage=sketch", *chosen, cwd=tmp_path)
+    fewer = run_script("train.py", *arguments, "stage=sketch", *chosen, cwd=tmp_path)
     assert fewer.returncode == 0, fewer.stdout + fewer.stderr
     assert len(list(tmp_path.glob("runs/stages/sketch-*"))) == 1  # other candidates of the same network
     fractions = {
@@ -180,7 +177,9 @@ def test_stages_run_once_and_are_shared(tmp_path, data_root):
     assert len(fractions) == 2
     assert min(abs(fraction - 0.1) for fraction in fractions) < 1e-3
 
-    evaluated = run("evaluate.py", str(next(tmp_path.glob("runs/whole-*/last.ckpt"))), "--images=0", cwd=tmp_path)
+    evaluated = run_script(
+        "evaluate.py", str(next(tmp_path.glob("runs/whole-*/last.ckpt"))), "--images=0", cwd=tmp_path
+    )
     assert evaluated.returncode == 0, evaluated.stdout + evaluated.stderr
     (path,) = tmp_path.glob("runs/whole-*/evaluation-*/metrics.json")
     online = json.loads(path.read_text())["metrics"]["test/voxel/miou"]  # the sketch at work, not its cache
@@ -190,7 +189,7 @@ def test_stages_run_once_and_are_shared(tmp_path, data_root):
     blob = bytearray(cached.read_bytes())
     blob[3] ^= 1
     cached.write_bytes(blob)
-    damaged = run("train.py", *arguments, "name=damaged", "test_images=0", cwd=tmp_path)
+    damaged = run_script("train.py", *arguments, "name=damaged", "test_images=0", cwd=tmp_path)
     assert damaged.returncode == 1
     assert f"{cached.name}: frame 0 is damaged; delete the file" in damaged.stderr
     assert "Traceback" not in damaged.stderr
@@ -205,7 +204,7 @@ def test_a_killed_stage_continues_to_the_same_figures(tmp_path, data_root):
         "stages.sketch.max_steps=12",
         "test_images=0",
     )
-    whole = run("train.py", *arguments, "checkpoint_every_n_steps=1", "paths.runs=whole", cwd=tmp_path)
+    whole = run_script("train.py", *arguments, "checkpoint_every_n_steps=1", "paths.runs=whole", cwd=tmp_path)
     assert whole.returncode == 0, whole.stdout + whole.stderr
     process = subprocess.Popen(
         command("train.py", *arguments, "checkpoint_every_n_steps=1", "paths.runs=killed"),
@@ -218,7 +217,7 @@ def test_a_killed_stage_continues_to_the_same_figures(tmp_path, data_root):
     process.wait()
     next(tmp_path.glob("killed/stages/sketch-*/last.previous.ckpt")).with_name("last.ckpt").write_bytes(b"damaged")
     assert not list(tmp_path.glob("killed/stages/sketch-*/*/metrics.json")), "it ended before it could be killed"
-    resumed = run("train.py", *arguments, "checkpoint_every_n_steps=1", "paths.runs=killed", cwd=tmp_path)
+    resumed = run_script("train.py", *arguments, "checkpoint_every_n_steps=1", "paths.runs=killed", cwd=tmp_path)
     assert resumed.returncode == 0, resumed.stdout + resumed.stderr
     assert "sketch, stage 2 of 2 goes on" in resumed.stdout
     assert resumed.stdout.count("goes on from the one before, last.previous.ckpt") == 1
@@ -262,7 +261,7 @@ def runs_of_wandb_are_complete(runs: Path) -> None:
     ],
 )
 def test_mistakes_end_in_lines_not_tracebacks(override, expected, tmp_path, data_root):
-    result = run("train.py", *smoke(data_root, override), cwd=tmp_path)
+    result = run_script("train.py", *smoke(data_root, override), cwd=tmp_path)
     text = result.stdout + result.stderr
     assert result.returncode != 0
     assert "Traceback" not in text
@@ -275,7 +274,7 @@ def test_mistakes_in_the_last_stage_are_reported_before_the_first_trains(tmp_pat
         ("model.lifter.heads=5", "model.lifter: 8 channels cannot be split among 5 heads; give a divisor"),
         ("resume=nowhere.ckpt", "resume=nowhere.ckpt: there is no such checkpoint"),
     ):
-        result = run("train.py", *smoke(data_root, "model/sketch=omni", override), cwd=tmp_path)
+        result = run_script("train.py", *smoke(data_root, "model/sketch=omni", override), cwd=tmp_path)
         assert result.returncode != 0
         assert message in result.stderr
     assert not list(tmp_path.glob("runs/stages/*"))
@@ -289,7 +288,7 @@ def test_mistakes_in_the_last_stage_are_reported_before_the_first_trains(tmp_pat
     ],
 )
 def test_swapped_modules_train(overrides, tmp_path, data_root):
-    result = run("train.py", *smoke(data_root, *overrides, "trainer.max_steps=2", "test_images=0"), cwd=tmp_path)
+    result = run_script("train.py", *smoke(data_root, *overrides, "trainer.max_steps=2", "test_images=0"), cwd=tmp_path)
     assert result.returncode == 0, result.stdout + result.stderr
 
 
@@ -301,7 +300,7 @@ def test_two_processes_train_one_model(tmp_path, data_root):
         "trainer.max_steps=2",
         "data.batch_size=1",
     )
-    result = run("train.py", *smoke(data_root, *distributed, "test_images=0", "name=pair"), cwd=tmp_path)
+    result = run_script("train.py", *smoke(data_root, *distributed, "test_images=0", "name=pair"), cwd=tmp_path)
     assert result.returncode == 0, result.stdout + result.stderr
     assert metrics_of(tmp_path, "pair")["label/rayiou"] == 1.0
     assert len(list(tmp_path.glob("runs/*"))) == 1
@@ -310,7 +309,7 @@ def test_two_processes_train_one_model(tmp_path, data_root):
 def test_a_file_that_is_no_checkpoint_is_one_line(tmp_path):
     bad = tmp_path / "bad.ckpt"
     bad.write_bytes(b"not a checkpoint")
-    result = run("evaluate.py", str(bad), cwd=tmp_path)
+    result = run_script("evaluate.py", str(bad), cwd=tmp_path)
     assert result.returncode != 0
     assert "Traceback" not in result.stderr
     assert "bad.ckpt" in result.stderr

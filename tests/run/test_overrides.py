@@ -1,13 +1,11 @@
 """Mistakes on the command line end in a few lines that name the nearest keys or options."""
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from hydra import compose, initialize_config_dir
 from hydra.errors import HydraException
+from scripts import run_script
 
 from omniocc.run.overrides import explain, nearest
 
@@ -61,12 +59,6 @@ def test_nearest_names_come_best_first_and_far_ones_not_at_all():
     assert nearest("zzz", ["seed"]) == []
 
 
-def script(name: str, *arguments: str) -> subprocess.CompletedProcess:
-    command = [sys.executable, str(ROOT / "src" / name), *arguments]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT / "src")}
-    return subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=120)
-
-
 @pytest.mark.parametrize(
     ("command", "first"),
     [
@@ -81,7 +73,7 @@ def script(name: str, *arguments: str) -> subprocess.CompletedProcess:
     ],
 )
 def test_every_script_says_it_without_a_traceback(command, first, tmp_path):
-    result = script(*command)
+    result = run_script(*command)
     assert result.returncode == 1
     assert result.stderr.startswith(first)
     assert len(result.stderr.splitlines()) <= 4
