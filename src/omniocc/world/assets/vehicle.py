@@ -29,10 +29,8 @@ _PLATE = Skin(VEHICLE, Material.SIGN, (226, 226, 220))
 
 def _wheel(x_m: Number, y_m: Number, radius_m: Number) -> Mesh:
     """Build a wheel around the y axis, its disc on the outer side."""
-    tyre, rim = (
-        lathe([radius_m, radius_m, 0], [-0.11, 0.1, 0.11], 9, _RUBBER),
-        lathe([0.62 * radius_m, 0], [0.112, 0.12], 6, _RIM),
-    )
+    tyre = lathe([radius_m, radius_m, 0], [-0.11, 0.1, 0.11], 9, _RUBBER)
+    rim = lathe([0.62 * radius_m, 0], [0.112, 0.12], 6, _RIM)
     side = 1.0 if y_m > 0 else -1.0
     turn = np.array([[1.0, 0, 0, x_m], [0, 0, side, y_m], [0, -side, 0, radius_m], [0, 0, 0, 1]])
     return transform(concatenate([tyre, rim]), turn)
@@ -41,12 +39,12 @@ def _wheel(x_m: Number, y_m: Number, radius_m: Number) -> Mesh:
 def _lights(length_m: Number, width_m: Number, z_m: Number, tail_z_m: Number) -> list[Mesh]:
     parts = []
     for side in (-1, 1):
-        front, rear = (
-            (length_m / 2 - 0.05, side * (width_m / 2 - 0.3)),
-            (-length_m / 2 + 0.03, side * (width_m / 2 - 0.2)),
-        )
-        parts.append(panel((0.1, 0.34, 0.14), (*front, z_m), _HEADLIGHT, "frbt"))
-        parts.append(panel((0.08, 0.24, 0.22), (*rear, tail_z_m), _TAIL_LIGHT, "flb"))
+        front = (length_m / 2 - 0.05, side * (width_m / 2 - 0.3), z_m)
+        rear = (-length_m / 2 + 0.03, side * (width_m / 2 - 0.2), tail_z_m)
+        parts += [
+            panel((0.1, 0.34, 0.14), front, _HEADLIGHT, "frbt"),
+            panel((0.08, 0.24, 0.22), rear, _TAIL_LIGHT, "flb"),
+        ]
     y, z = 0.25 * np.array([-1, 1, 1, -1]), 0.48 + 0.055 * np.array([-1, -1, 1, 1])
     for end in (-1, 1):
         face = np.stack([np.full(4, end * (length_m / 2 + 0.01)), end * y, z], 1)
@@ -111,11 +109,8 @@ def van(rng: np.random.Generator) -> Mesh:
     outline = np.array(
         [(-h, 0.36), (h, 0.36), (h, 0.95), (h - 0.55, 1.2), (h - 1.25, height - 0.05), (h - 1.6, height), (-h, height)]
     )
-    widths, across = (
-        np.array([1, 0.95, 0.93, 0.96, 0.92, 0.94, 0.95]) * w,
-        [_TRIM, *[_PAINT] * 2, _GLASS, *[_PAINT] * 3],
-    )
-    parts = [loft(outline, widths, across, _PAINT)]
+    widths = np.array([1, 0.95, 0.93, 0.96, 0.92, 0.94, 0.95]) * w
+    parts = [loft(outline, widths, [_TRIM, *[_PAINT] * 2, _GLASS, *[_PAINT] * 3], _PAINT)]
     parts += [box((0.8, 0.02, 0.5), (h - 1.5, s * (w * 0.965), 0.62 * height), _GLASS) for s in (-1, 1)]
     parts += [_wheel(x * length, s * (w - 0.1), 0.35) for x in (-0.31, 0.33) for s in (-1, 1)]
     return concatenate(parts + _lights(length, width, 0.8, 1.0))
@@ -165,15 +160,12 @@ def bicycle(rng: np.random.Generator) -> Mesh:
     wheels = [transform(lathe([0.33, 0.35, 0.33], [-0.025, 0, 0.025], 10, _RUBBER), axle) for axle in axles[1::2]]
     disc = [transform(lathe([0.33, 0], [0, 0.005], 8, _RIM), axle) for axle in axles]
     bars = [
-        beam(a, b, 0.025, frame)
-        for a, b in (
-            ((-0.52, 0, 0.34), (-0.15, 0, 0.85)),
-            ((-0.15, 0, 0.85), (0.4, 0, 0.8)),
-            ((0.52, 0, 0.34), (0.38, 0, 1.0)),
-            ((-0.05, 0, 0.32), (0.4, 0, 0.75)),
-            ((-0.52, 0, 0.34), (-0.05, 0, 0.32)),
-            ((0.38, -0.28, 1.02), (0.38, 0.28, 1.02)),
-        )
+        beam((-0.52, 0, 0.34), (-0.15, 0, 0.85), 0.025, frame),
+        beam((-0.15, 0, 0.85), (0.4, 0, 0.8), 0.025, frame),
+        beam((0.52, 0, 0.34), (0.38, 0, 1.0), 0.025, frame),
+        beam((-0.05, 0, 0.32), (0.4, 0, 0.75), 0.025, frame),
+        beam((-0.52, 0, 0.34), (-0.05, 0, 0.32), 0.025, frame),
+        beam((0.38, -0.28, 1.02), (0.38, 0.28, 1.02), 0.025, frame),
     ]
     rider = [
         beam((-0.18, 0, 0.95), (0.12, 0, 1.45), 0.19, cloth),
