@@ -11,6 +11,7 @@ from omniocc.world.mesh.mesh import Mesh, concatenate, transform
 from omniocc.world.mesh.shape import Color, Number, Skin, beam, blob, box, lathe, loft, panel, quads
 from omniocc.world.seeding import choice
 
+EGO_LENGTH_M = 4.6
 EGO_ROAD_M = -2.2  # height of the road in the ego frame
 PAINTS: tuple[Color, ...] = (
     (196, 198, 200), (236, 236, 234), (40, 42, 46), (96, 100, 106), (150, 30, 34), (34, 62, 120), (60, 92, 76),
@@ -201,7 +202,7 @@ def painted(mesh: Mesh, color: Color) -> Mesh:
 
 def ego_car() -> Mesh:
     """Build the ego car in the ego frame: 4.6 x 1.9 m, roof at z = -0.55 m, wheels on z = -2.2 m."""
-    mesh = _car(4.6, 1.86, 1.65, 1.02, (-0.47, -0.4, 0.06, 0.22), 1.03)
+    mesh = _car(EGO_LENGTH_M, 1.86, 1.65, 1.02, (-0.47, -0.4, 0.06, 0.22), 1.03)
     down = np.eye(4)
     down[2, 3] = EGO_ROAD_M
     return transform(painted(mesh, _EGO_PAINT), down)
