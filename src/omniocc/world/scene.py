@@ -42,7 +42,7 @@ class Scene:
         weather: clear, overcast, rain, fog or dusk; None draws one by the seed.
         label_mode: lidar20 (virtual semantic LiDARs, as in the paper) or geometry (all surfaces, visible or not).
         lidars: number of virtual LiDARs of `lidar20`, the ego's included.
-        capture: direct (a ray through every pixel) or cubemap (six flat images, then looked up, as in the paper).
+        capture: direct (a ray through every pixel) or cubemap (pixels looked up in six flat images, as in the paper).
 
     Raises:
         ValueError: the theme does not exist, or an option is out of range.

@@ -32,9 +32,12 @@ def _wheel(x_m: Number, y_m: Number, radius_m: Number) -> Mesh:
     """Build a wheel around the y axis, its disc on the outer side."""
     tyre = lathe([radius_m, radius_m, 0], [-0.11, 0.1, 0.11], 9, _RUBBER)
     rim = lathe([0.62 * radius_m, 0], [0.112, 0.12], 6, _RIM)
-    side = 1.0 if y_m > 0 else -1.0
-    turn = np.array([[1.0, 0, 0, x_m], [0, 0, side, y_m], [0, -side, 0, radius_m], [0, 0, 0, 1]])
-    return transform(concatenate([tyre, rim]), turn)
+    return transform(concatenate([tyre, rim]), _axle(x_m, y_m, radius_m, 1 if y_m > 0 else -1))
+
+
+def _axle(x_m: Number, y_m: Number, z_m: Number, side: int) -> np.ndarray:
+    """Return the (4, 4) pose of a wheel that was turned around z: its top shows to the left (side 1) or right (-1)."""
+    return np.array([[1.0, 0, 0, x_m], [0, 0, side, y_m], [0, -side, 0, z_m], [0, 0, 0, 1]])
 
 
 def _lights(length_m: Number, width_m: Number, z_m: Number, tail_z_m: Number) -> list[Mesh]:
@@ -73,9 +76,8 @@ def _car(
         (rear, belt), (front, belt - 0.02), (front_top, height - 0.03), (0.5 * (front_top + rear_top), height),
         (rear_top, height - 0.05),
     ])  # fmt: skip
-    parts.append(
-        loft(top, np.array([0.94, 0.94, 0.76, 0.76, 0.75]) * w, [_TRIM, _GLASS, _PAINT, _PAINT, _GLASS], _GLASS)
-    )
+    narrow = np.array([0.94, 0.94, 0.76, 0.76, 0.75]) * w
+    parts.append(loft(top, narrow, [_TRIM, _GLASS, _PAINT, _PAINT, _GLASS], _GLASS))
     pillar = 0.5 * (front_top + rear_top) - 0.05 * length
     parts += [beam((pillar, s * 0.93 * w, belt), (pillar, s * 0.765 * w, height - 0.05), 0.05, _PAINT) for s in (-1, 1)]
     radius = 0.31 + 0.03 * (height > 1.6)
@@ -155,9 +157,7 @@ def bicycle(rng: np.random.Generator) -> Mesh:
     cloth = Skin(VEHICLE, Material.CLOTH, choice(rng, PAINTS))
     trousers = Skin(VEHICLE, Material.CLOTH, (52, 56, 72))
     skin = Skin(VEHICLE, Material.SKIN, (198, 150, 122))
-    axles = [
-        np.array([[1.0, 0, 0, x], [0, 0, s, 0], [0, -s, 0, 0.34], [0, 0, 0, 1]]) for x in (-0.52, 0.52) for s in (-1, 1)
-    ]
+    axles = [_axle(x, 0.0, 0.34, s) for x in (-0.52, 0.52) for s in (-1, 1)]
     wheels = [transform(lathe([0.33, 0.35, 0.33], [-0.025, 0, 0.025], 10, _RUBBER), axle) for axle in axles[1::2]]
     disc = [transform(lathe([0.33, 0], [0, 0.005], 8, _RIM), axle) for axle in axles]
     bars = [
