@@ -82,7 +82,7 @@ class Scene:
         size = (int(erp_size[0]), int(erp_size[1]))
         labeller: Labeller = GeometryLabels(town.mesh)
         if label_mode == "lidar20":
-            labeller = SemanticLidars(self._static, static_surfaces, town.height, lidars)
+            labeller = SemanticLidars(self._static, static_surfaces, town.terrain.height, lidars)
         self.recorder = Recorder(rig, self._ego_car, labeller, supersample, capture, size, erp_top_deg, erp_bottom_deg)
 
     def frame(self, index: int) -> Frame:

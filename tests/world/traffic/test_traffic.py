@@ -68,11 +68,11 @@ def test_no_actor_passes_through_a_static_object(theme: str) -> None:
     place, traffic = world(theme)
     corners = place.mesh.vertices[place.mesh.faces[np.isin(place.mesh.label, (4, 5, 6, 7, 8, 9))]].astype(float)
     label = place.mesh.label[np.isin(place.mesh.label, (4, 5, 6, 7, 8, 9))]
-    near = corners[..., 2].min(1) < place.height(*corners[:, 0, :2].T) + 4.5
+    near = corners[..., 2].min(1) < place.terrain.height(*corners[:, 0, :2].T) + 4.5
     (a, b, c), label = corners[near].transpose(1, 0, 2), label[near]
     points = np.concatenate([a, b, c, (a + b) / 2, (b + c) / 2, (c + a) / 2, (a + b + c) / 3])
     labels = np.tile(label, 7)
-    low = points[:, 2] < place.height(points[:, 0], points[:, 1]) + 3.6
+    low = points[:, 2] < place.terrain.height(points[:, 0], points[:, 1]) + 3.6
     order = np.argsort(points[low, 0])
     points, labels = points[low][order], labels[low][order]
     found = []

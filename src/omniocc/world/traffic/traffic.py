@@ -86,7 +86,7 @@ class Traffic:
             x, y, yaw = signal.pose.x_m, signal.pose.y_m, signal.pose.yaw_rad
             if np.hypot(x - ego_xy[0], y - ego_xy[1]) < _RANGE_M:
                 shown = self._flow.signal(signal.arm, time_s + self._warm_up_s)
-                foot = np.array([x, y, float(self._place.height(x, y)) + KERB_M])
+                foot = np.array([x, y, float(self._place.terrain.height(x, y)) + KERB_M])
                 lamps = transform(pole.lit_lamps(shown), upright_pose(foot, yaw))
                 lit.append(with_instance(lamps, -2 - number))
         return lit
@@ -147,7 +147,8 @@ def _vehicle_pose(place: Place, point: np.ndarray, direction: np.ndarray) -> np.
     forward = direction / np.linalg.norm(direction)
     left = np.array([-forward[1], forward[0], 0.0])
     left /= np.linalg.norm(left)
-    rise = place.height(point[0] + np.array([1.0, -1.0]) * left[0], point[1] + np.array([1.0, -1.0]) * left[1])
+    beside = point[:2] + np.array([[1.0], [-1.0]]) * left[:2]
+    rise = place.terrain.height(*beside.T)
     left[2] = 0.5 * (rise[0] - rise[1])
     up = np.cross(forward, left)
     up /= np.linalg.norm(up)
