@@ -138,9 +138,8 @@ def in_order(
     first = sum(axis.index * stride for axis, stride in zip(crossings, strides, strict=True))
     assert isinstance(first, Tensor)
     cells = torch.cat([first.int().unsqueeze(1), step.gather(1, order[:, :last])], dim=1)
-    return cells.cumsum(dim=1, dtype=torch.int32), torch.cat(
-        [start_m.unsqueeze(1), at_m[:, :last], leave_m.unsqueeze(1)], dim=1
-    )
+    cells = cells.cumsum(dim=1, dtype=torch.int32)
+    return cells, torch.cat([start_m.unsqueeze(1), at_m[:, :last], leave_m.unsqueeze(1)], dim=1)
 
 
 def stack_ragged(parts: Sequence[Tensor], fill: int | None) -> Tensor:

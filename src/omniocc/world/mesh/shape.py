@@ -150,9 +150,8 @@ def blob(
     scale[:, -1] = scale[:, 0]
     scale[[0, -1]] = 1
     twist = angle + np.pi / sides * (np.arange(rows)[:, None] % 2)
-    unit = np.stack(
-        np.broadcast_arrays(np.cos(polar) * np.cos(twist), np.cos(polar) * np.sin(twist), np.sin(polar)), -1
-    )
+    x, y, z = np.cos(polar) * np.cos(twist), np.cos(polar) * np.sin(twist), np.sin(polar)
+    unit = np.stack(np.broadcast_arrays(x, y, z), -1)
     points = unit * scale[..., None] * radius_m + center_m
     uv = np.stack(np.broadcast_arrays(angle * radius_m[0], polar * radius_m[2]), -1)
     return sheet(points, uv, skin)
@@ -172,9 +171,8 @@ def loft(profile_m: np.ndarray, half_width_m: np.ndarray, across: list[Skin], si
         j = (i + 1) % len(across)
         length = float(np.hypot(*(profile_m[j] - profile_m[i])))
         corners = np.stack([right[i], right[j], left[j], left[i]])[None, ::-1]
-        uv = np.array(
-            [[half_width_m[i], 0], [half_width_m[j], length], [-half_width_m[j], length], [-half_width_m[i], 0]]
-        )
+        a, b = half_width_m[i], half_width_m[j]
+        uv = np.array([[a, 0], [b, length], [-b, length], [-a, 0]])
         meshes.append(quads(corners, uv[None, ::-1], skin))
     return concatenate([*meshes, fan(right, side, (0, 2)), fan(left[::-1], side, (0, 2))])
 
