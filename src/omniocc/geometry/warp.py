@@ -49,8 +49,8 @@ def trilinear(
         lower = (offset + SNAP_CELLS).floor()
         fraction = offset - lower
         fraction = (fraction * (fraction > SNAP_CELLS)).to(torch.promote_types(dtype, torch.float32))
-        steps, row = axis_steps(count, wraps, stride, along.device), lower.int() + 1
-        cells.append((steps.index_select(0, row), steps.index_select(0, row + 1)))
+        steps, below = axis_steps(count, wraps, stride, along.device), lower.int() + 1
+        cells.append((steps.index_select(0, below), steps.index_select(0, below + 1)))
         weights.append((1 - fraction, fraction))
     weights[0] = (weights[0][0] * inside, weights[0][1] * inside)
     # corner by corner on whole columns: much faster than broadcasting pairs
