@@ -61,7 +61,7 @@ def dilate(
 def _moves(
     grid: Dilatable, windows: tuple[int, ...], edges_m: tuple[float, ...]
 ) -> tuple[Int64[Tensor, " M"], Int64[Tensor, " M"]]:
-    """Return the columns that mark others, and for each entry the column that it marks."""
+    """Return pairs of columns as two tensors: one that marks, and one that it marks."""
     points = grid.centers(torch.float64)[:, :, 0].flatten(0, 1)
     distance_m = grid.distances_m().flatten()
     window = torch.tensor(windows)[torch.bucketize(distance_m, torch.tensor(edges_m, dtype=torch.float64), right=True)]

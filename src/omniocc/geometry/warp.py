@@ -49,21 +49,16 @@ def trilinear(
         lower = (offset + SNAP_CELLS).floor()
         fraction = offset - lower
         fraction = (fraction * (fraction > SNAP_CELLS)).to(torch.promote_types(dtype, torch.float32))
-        steps, first = axis_steps(count, wraps, stride, along.device), lower.int() + 1
-        cells.append((steps.index_select(0, first), steps.index_select(0, first + 1)))
+        steps, below = axis_steps(count, wraps, stride, along.device), lower.int() + 1
+        cells.append((steps.index_select(0, below), steps.index_select(0, below + 1)))
         weights.append((1 - fraction, fraction))
     weights[0] = (weights[0][0] * inside, weights[0][1] * inside)
     # corner by corner on whole columns: much faster than broadcasting pairs
-    columns = [(x + y, u * v) for x, u in zip(cells[0], weights[0], strict=True) for y, v in _pairs(cells, weights, 1)]
-    corners = [(xy + z, uv * w) for xy, uv in columns for z, w in _pairs(cells, weights, 2)]
+    first, second, third = (list(zip(*sides, strict=True)) for sides in zip(cells, weights, strict=True))
+    columns = [(x + y, u * v) for x, u in first for y, v in second]
+    corners = [(xy + z, uv * w) for xy, uv in columns for z, w in third]
     row, weight = (torch.stack(parts, dim=-1) for parts in zip(*corners, strict=True))
     return Corners(row, weight.to(dtype), inside)
-
-
-def _pairs(
-    cells: list[tuple[Tensor, Tensor]], weights: list[tuple[Tensor, Tensor]], axis: int
-) -> list[tuple[Tensor, Tensor]]:
-    return list(zip(cells[axis], weights[axis], strict=True))
 
 
 @lru_cache(maxsize=64)

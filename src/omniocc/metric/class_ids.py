@@ -49,14 +49,12 @@ class ClassIds:
             names = WORLD_CLASSES.names if known else [str(label) for label in range(self.num_classes)]
         return {label: name for label, name in enumerate(names) if label != self.free}
 
-    def check_prediction(
-        self, name: str, labels: Shaped[Tensor, "B *grid"], shape: tuple[int, ...]
+    def check(
+        self, name: str, labels: Shaped[Tensor, "B *grid"], shape: tuple[int, ...], truth: bool
     ) -> UInt8[Tensor, "B *grid"]:
-        """Return predicted ids (B, *shape) as uint8; raise ValueError, with `name`, for a wrong shape, type or id."""
-        return check_labels(name, labels, shape, self.num_classes)
+        """Return ids (B, *shape) as uint8; those of the truth may be `ignored`.
 
-    def check_truth(
-        self, name: str, labels: Shaped[Tensor, "B *grid"], shape: tuple[int, ...]
-    ) -> UInt8[Tensor, "B *grid"]:
-        """Return true ids (B, *shape), which may be ignored, as uint8; raise ValueError as `check_prediction`."""
-        return check_labels(name, labels, shape, self.num_classes, self.ignored)
+        Raises:
+            ValueError: with `name`, for a wrong shape, type or id.
+        """
+        return check_labels(name, labels, shape, self.num_classes, self.ignored if truth else None)

@@ -67,7 +67,7 @@ class RayCounter:
         Raises:
             ValueError: naming a wrong shape, type or value.
         """
-        prediction = self.classes.check_prediction("prediction", prediction, self.geometry.shape)
+        prediction = self.classes.check("prediction", prediction, self.geometry.shape, truth=False)
         if origins is not None and (origins.ndim != 3 or len(origins) != len(prediction) or origins.shape[2] != 3):
             raise ValueError(f"origins must have shape ({len(prediction)}, O, 3), got {tuple(origins.shape)}")
         origins = torch.zeros(1, 3).expand(len(prediction), 1, 3) if origins is None else origins
@@ -86,7 +86,7 @@ class RayCounter:
 
     def _known(self, prediction: Tensor, target: Tensor, observed: Tensor | None) -> Tensor:
         """Return the checked target, unknown where it is not observed."""
-        target = self.classes.check_truth("target", target, self.target_geometry.shape)
+        target = self.classes.check("target", target, self.target_geometry.shape, truth=True)
         check_same_batch("prediction", prediction, "target", target)
         check_mask("observed", observed, target.shape)
         return target if observed is None else target.masked_fill(~observed, self.classes.ignored)
@@ -116,7 +116,7 @@ class RayCounter:
         return self._count(labels, range_m, found.labels + self.classes.free, error_m, inside)
 
     def _check_rays(self, prediction: Tensor, target: RayTruth, origins: Tensor) -> None:
-        self.classes.check_truth("labels", target.labels, (len(self.scan) * origins.shape[1],))
+        self.classes.check("labels", target.labels, (len(self.scan) * origins.shape[1],), truth=True)
         check_same_batch("prediction", prediction, "labels", target.labels)
         if target.range_m.shape != target.labels.shape:
             shapes = f"{tuple(target.labels.shape)}, got {tuple(target.range_m.shape)}"

@@ -42,7 +42,7 @@ def ray_hits(
         (4, 3, 3.0, 4.0)
     """
     classes = ClassIds(num_classes, free_class, ignore_class)
-    checked = classes.check_truth("labels", labels.unsqueeze(0), geometry.shape)[0]
+    checked = classes.check("labels", labels.unsqueeze(0), geometry.shape, truth=True)[0]
     origins = torch.zeros(1, 3) if origins is None else origins
     scan = Scan(sparseocc_directions() if directions is None else directions)
     hits = ray_table(geometry, origins.to(labels.device), scan).cast(checked - free_class)

@@ -102,8 +102,8 @@ class VoxelIoU(Metric):
         """
         check_same_shape("prediction", prediction, "target", target)
         shape = tuple(target.shape[1:]) if self.geometry is None else self.geometry.shape
-        prediction = self.classes.check_prediction("prediction", prediction, shape)
-        target = self.classes.check_truth("target", target, shape)
+        prediction = self.classes.check("prediction", prediction, shape, truth=False)
+        target = self.classes.check("target", target, shape, truth=True)
         check_mask("observed", observed, target.shape)
         known = target != self.classes.ignored
         counted = known if observed is None else observed & known

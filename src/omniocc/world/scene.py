@@ -42,7 +42,7 @@ class Scene:
         weather: clear, overcast, rain, fog or dusk; None draws one by the seed.
         label_mode: lidar20 (virtual semantic LiDARs, as in the paper) or geometry (all surfaces, visible or not).
         lidars: number of virtual LiDARs of `lidar20`, the ego's included.
-        capture: direct (a ray through every pixel) or cubemap (six flat images, then looked up, as in the paper).
+        capture: direct (a ray through every pixel) or cubemap (pixels looked up in six flat images, as in the paper).
 
     Raises:
         ValueError: the theme does not exist, or an option is out of range.
@@ -82,7 +82,7 @@ class Scene:
         size = (int(erp_size[0]), int(erp_size[1]))
         labeller: Labeller = GeometryLabels(town.mesh)
         if label_mode == "lidar20":
-            labeller = SemanticLidars(self._static, static_surfaces, town.height, lidars)
+            labeller = SemanticLidars(self._static, static_surfaces, town.terrain.height, lidars)
         self.recorder = Recorder(rig, self._ego_car, labeller, supersample, capture, size, erp_top_deg, erp_bottom_deg)
 
     def frame(self, index: int) -> Frame:

@@ -8,8 +8,7 @@ from omniocc.world.mesh.mesh import empty
 from omniocc.world.render.capture import expose, render_pixels
 from omniocc.world.render.caster import Caster
 from omniocc.world.render.view import make_view
-from omniocc.world.sensors.lidar import scan_ego
-from omniocc.world.sensors.panorama import panorama_directions
+from omniocc.world.sensors.lidar import panorama_directions, scan_ego
 
 
 def _record(rig, camera, snapshot, ego_car, sensor, supersample=2):

@@ -85,7 +85,7 @@ def test_streets_face_up_and_follow_the_land(theme: str) -> None:
     a, b, c = (mesh.vertices[mesh.faces[flat, k]].astype(float) for k in range(3))
     normal = np.cross(b - a, c - a)
     assert (normal[:, 2] > 0).all()
-    over = a[:, 2] - place.height(a[:, 0], a[:, 1])
+    over = a[:, 2] - place.terrain.height(a[:, 0], a[:, 1])
     assert over.min() > -0.02
     assert over.max() < 0.2
     slope = np.hypot(normal[:, 0], normal[:, 1]) / normal[:, 2]

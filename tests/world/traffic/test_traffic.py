@@ -40,7 +40,7 @@ def overlap(a: np.ndarray, b: np.ndarray) -> bool:
 
 
 def rectangles(traffic: Traffic, time_s: float) -> tuple[list[np.ndarray], tuple[Actor, ...]]:
-    actors = traffic.boxes(time_s)
+    actors = traffic.actors(time_s)[1]
     return [rectangle(traffic.world_from_ego(time_s), _EGO_SIZE_M)] + [
         rectangle(a.world_from_actor, a.size_m) for a in actors
     ], actors
@@ -68,11 +68,11 @@ def test_no_actor_passes_through_a_static_object(theme: str) -> None:
     place, traffic = world(theme)
     corners = place.mesh.vertices[place.mesh.faces[np.isin(place.mesh.label, (4, 5, 6, 7, 8, 9))]].astype(float)
     label = place.mesh.label[np.isin(place.mesh.label, (4, 5, 6, 7, 8, 9))]
-    near = corners[..., 2].min(1) < place.height(*corners[:, 0, :2].T) + 4.5
+    near = corners[..., 2].min(1) < place.terrain.height(*corners[:, 0, :2].T) + 4.5
     (a, b, c), label = corners[near].transpose(1, 0, 2), label[near]
     points = np.concatenate([a, b, c, (a + b) / 2, (b + c) / 2, (c + a) / 2, (a + b + c) / 3])
     labels = np.tile(label, 7)
-    low = points[:, 2] < place.height(points[:, 0], points[:, 1]) + 3.6
+    low = points[:, 2] < place.terrain.height(points[:, 0], points[:, 1]) + 3.6
     order = np.argsort(points[low, 0])
     points, labels = points[low][order], labels[low][order]
     found = []
@@ -80,7 +80,7 @@ def test_no_actor_passes_through_a_static_object(theme: str) -> None:
         ego = traffic.world_from_ego(time_s).copy()
         ego[:3, 3] -= 2.2 * ego[:3, 2]
         objects = [("ego", ego, _EGO_SIZE_M)] + [
-            (str(x.label), x.world_from_actor, x.size_m) for x in traffic.boxes(time_s)
+            (str(x.label), x.world_from_actor, x.size_m) for x in traffic.actors(time_s)[1]
         ]
         for name, pose, size in objects:
             first, last = np.searchsorted(points[:, 0], pose[0, 3] + np.array([-8, 8]))
@@ -154,7 +154,7 @@ def test_actors_carry_their_faces_and_speeds(theme: str) -> None:
     assert set(np.unique(mesh.instance[mesh.instance >= 0])) == {a.id for a in actors}
     assert set(np.unique(mesh.label[mesh.instance < 0])) <= {9}  # lamps of traffic lights
     assert spheres_of(mesh)[:, 3].max() < 9  # wide spheres would make every ray a candidate for moving objects
-    later = {a.id: a for a in traffic.boxes(12.1)}
+    later = {a.id: a for a in traffic.actors(12.1)[1]}
     middle = traffic.world_from_ego(12.0)[:2, 3]
     for actor in actors:
         faces = mesh.instance == actor.id
@@ -173,7 +173,7 @@ def test_people_walk_and_cars_drive_somewhere() -> None:
     labels, crossing = set(), 0
     for theme in THEMES:
         _, traffic = world(theme)
-        labels |= {a.label for t in (0.0, 40.0) for a in traffic.boxes(t)}
+        labels |= {a.label for t in (0.0, 40.0) for a in traffic.actors(t)[1]}
         crossing += len(traffic._flow.crossers)
     assert labels == {7, 10}
     assert crossing >= 4
@@ -220,9 +220,9 @@ def test_later_steps_do_not_depend_on_earlier_queries() -> None:
     """Remembered steps are never simulated twice, and reading them changes nothing."""
     _, queried = world("downtown")
     for time_s in (30.0, 3.0, 90.0):
-        queried.boxes(time_s)
+        queried.actors(time_s)[1]
     fresh = Traffic(places.build("downtown", 3), 3)
-    for mine, theirs in zip(queried.boxes(60.0), fresh.boxes(60.0), strict=True):
+    for mine, theirs in zip(queried.actors(60.0)[1], fresh.actors(60.0)[1], strict=True):
         assert mine.id == theirs.id
         np.testing.assert_array_equal(mine.world_from_actor, theirs.world_from_actor)
 

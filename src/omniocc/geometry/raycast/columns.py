@@ -1,4 +1,4 @@
-"""Columns of cells that fans of rays cross along their azimuths, and levels that they cross along their elevations.
+"""Columns of cells (over x and y, or radius and azimuth) and levels (cells along z) that fans of rays cross.
 
 Positions along a ray are given by its parameter, see `omniocc.geometry.raycast.fans`.
 """
@@ -22,8 +22,8 @@ class Columns(NamedTuple):
     """The columns of cells along G azimuths, L at most, in order.
 
     Attributes:
-        cells: row-major index over the first two axes of the nth column along each azimuth; the number of columns of
-            the grid for none.
+        cells: row-major index over the first two axes of the nth column along each azimuth; where there is none, the
+            number of the grid's columns.
         ends: parameter at which each column begins and the last one ends.
     """
 

@@ -130,7 +130,7 @@ def _raster(directions: Float64[Tensor, "D 3"], tolerance: float) -> _Raster | N
 
 
 def _distinct(values: Float64[Tensor, " D"], tolerance: float) -> tuple[Tensor, Tensor]:
-    """Return the number of each value among the distinct values, and for each of those the place of one entry."""
+    """Return for each value its number among the distinct values, and for each distinct value the index of an entry."""
     ordered, order = values.sort()
     new = torch.cat([torch.ones_like(order[:1], dtype=torch.bool), ordered.diff() > tolerance])
     number = torch.empty_like(order)

@@ -251,9 +251,9 @@ def first_hit(height, slope, edges, ends, count, bits):
 @compiled
 @no_type_check
 def find_turns(height, slope, edges, ends, count, turns):
-    """Fill `turns`, for each level edge in a ray's order, with twice the number of columns that begin before it.
+    """Fill `turns`: for each edge between levels, in a ray's order, twice the number of columns that begin before it.
 
-    One is added where the edge is within the last of them, which then belongs to the levels on both sides.
+    One is added where the ray crosses the edge inside the last of these columns, which is then in both levels.
     """
     levels, column = len(edges) - 1, 0
     if slope == 0:

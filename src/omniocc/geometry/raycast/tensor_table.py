@@ -39,8 +39,7 @@ class TensorTable:
         """Return the mask of levels that each ray crosses inside each column."""
         origins, azimuths, ends = self.ends.shape
         params, entered, ahead = self.levels.params, self.levels.entered, self.levels.ahead
-        rank = torch.searchsorted(params, self.ends.reshape(origins, azimuths * ends), right=True)
-        rank = rank.reshape(origins, azimuths, ends)
+        rank = torch.searchsorted(params, self.ends.flatten(1), right=True).reshape(origins, azimuths, ends)
         fan = torch.arange(origins, device=rank.device).reshape(-1, 1, 1)
         return ahead[fan, rank[..., :-1]] & entered[fan, rank[..., 1:]]
 

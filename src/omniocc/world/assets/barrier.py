@@ -41,9 +41,8 @@ def picket_fence(rng: np.random.Generator) -> Mesh:
     height = float(rng.uniform(0.85, 1.3))
     color = choice(rng, ((226, 224, 216), (136, 104, 76), (104, 88, 74)))
     wood = Skin(WALL, Material.WOOD, color)
-    boards = [
-        panel((0.2, 0.025, height), (float(x), 0.04, height / 2 + 0.06), wood, "fbt") for x in np.arange(-1.8, 2.0, 0.4)
-    ]
+    along = np.arange(-1.8, 2.0, 0.4).tolist()
+    boards = [panel((0.2, 0.025, height), (x, 0.04, height / 2 + 0.06), wood, "fbt") for x in along]
     rails = [panel((PIECE_M + 0.04, 0.05, 0.08), (0, 0, z * height), wood, "fbtd") for z in (0.3, 0.8)]
     return concatenate([*boards, *rails, _post(0.1, height, wood)])
 
@@ -62,9 +61,8 @@ def mesh_fence(rng: np.random.Generator) -> Mesh:
     """Build a fence of steel posts, rails and thin bars."""
     height = float(rng.uniform(1.6, 2.2))
     steel = Skin(WALL, Material.METAL, choice(rng, ((70, 96, 80), (120, 124, 126), (52, 56, 60))))
-    bars = [
-        panel((0.04, 0.03, height - 0.1), (float(x), 0, height / 2), steel, "frbl") for x in np.arange(-1.5, 2.0, 0.5)
-    ]
+    along = np.arange(-1.5, 2.0, 0.5).tolist()
+    bars = [panel((0.04, 0.03, height - 0.1), (x, 0, height / 2), steel, "frbl") for x in along]
     rails = [panel((PIECE_M + 0.02, 0.04, 0.05), (0, 0, z), steel, "fbt") for z in (0.15, height)]
     return concatenate([*bars, *rails, _post(0.08, height, steel)])
 
@@ -73,9 +71,7 @@ def rail_fence(rng: np.random.Generator) -> Mesh:
     """Build a fence of three bars between posts, as around pastures."""
     height = float(rng.uniform(1.1, 1.4))
     wood = Skin(WALL, Material.WOOD, (124, 102, 80))
-    rails = [
-        panel((PIECE_M + 0.04, 0.06, 0.12), (0, 0, fraction * height), wood, "fbtd") for fraction in (0.3, 0.62, 0.94)
-    ]
+    rails = [panel((PIECE_M + 0.04, 0.06, 0.12), (0, 0, z * height), wood, "fbtd") for z in (0.3, 0.62, 0.94)]
     return concatenate([*rails, _post(0.14, height, wood)])
 
 

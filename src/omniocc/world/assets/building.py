@@ -41,12 +41,13 @@ def tower(rng: np.random.Generator) -> Mesh:
     width, depth = float(rng.uniform(12, 26)), float(rng.uniform(11, 17))
     storeys = int(rng.integers(4, 12))
     height = STOREY_M * storeys
-    face, top = _FACE, _FLAT
-    parts = [_plinth(width, depth), _block(width, depth, 0, height, face, top)]
-    parts.append(box((width + 0.5, depth + 0.5, 0.4), (0, depth / 2, height + 0.2), _TRIM, top))
-    if rng.uniform() < 0.5 and width > 12:
-        inner = _block(0.7 * width, depth - 3, height + 0.4, height + 2 * STOREY_M, face, top, back=3)
-        parts.append(inner)
+    parts = [
+        _plinth(width, depth),
+        _block(width, depth, 0, height, _FACE, _FLAT),
+        box((width + 0.5, depth + 0.5, 0.4), (0, depth / 2, height + 0.2), _TRIM, _FLAT),
+    ]
+    if rng.uniform() < 0.5:
+        parts.append(_block(0.7 * width, depth - 3, height + 0.4, height + 2 * STOREY_M, _FACE, _FLAT, back=3))
     for _ in range(int(rng.integers(1, 4))):
         size = (float(rng.uniform(1.5, 3)), float(rng.uniform(1.5, 3)), float(rng.uniform(1, 2.4)))
         at = (float(rng.uniform(-0.35, 0.35) * width), float(depth * rng.uniform(0.3, 0.7)), height + 0.4 + size[2] / 2)
@@ -59,14 +60,13 @@ def row(rng: np.random.Generator) -> Mesh:
     width, depth = float(rng.uniform(6, 10.5)), float(rng.uniform(9, 12))
     storeys = int(rng.integers(2, 5))
     height = STOREY_M * storeys
-    face, tiles = _FACE, _TILES
     parts = [
         _plinth(width, depth),
-        _block(width, depth, 0, height, face, tiles),
-        _gable(width, depth, height, float(rng.uniform(2, 3.6)), tiles, face),
+        _block(width, depth, 0, height, _FACE, _TILES),
+        _gable(width, depth, height, float(rng.uniform(2, 3.6)), _TILES, _FACE),
+        box((width, 0.3, 0.25), (0, -0.05, height - 0.1), _TRIM),
+        _chimney(rng, width, depth, height),
     ]
-    parts.append(box((width, 0.3, 0.25), (0, -0.05, height - 0.1), _TRIM))
-    parts.append(_chimney(rng, width, depth, height))
     lower = _shops(rng, width) if rng.uniform() < 0.5 else _entrance(float(rng.uniform(-0.3, 0.3)) * width)
     return concatenate([*parts, *lower, *_balconies(rng, width, storeys)])
 
@@ -76,19 +76,18 @@ def house(rng: np.random.Generator) -> Mesh:
     width, depth = float(rng.uniform(8, 12.5)), float(rng.uniform(7.5, 10.5))
     storeys = int(rng.integers(1, 3))
     height = STOREY_M * storeys - 0.2
-    face, tiles = _FACE, _TILES
-    body = _gable(width, depth, height, float(rng.uniform(2.0, 3.4)), tiles, face)
+    roof = _gable(width, depth, height, float(rng.uniform(2.0, 3.4)), _TILES, _FACE)
     if rng.uniform() < 0.4 and width < 1.3 * depth:
-        body = _turned_gable(width, depth, height, float(rng.uniform(2.2, 3.4)), tiles, face)
-    parts = [
-        _plinth(width, depth), _block(width, depth, 0, height, face, tiles), body, _chimney(rng, width, depth, height),
-    ]  # fmt: skip
+        roof = _turned_gable(width, depth, height, float(rng.uniform(2.2, 3.4)), _TILES, _FACE)
+    chimney = _chimney(rng, width, depth, height)
     door = float(rng.uniform(-0.25, 0.25)) * width
-    parts += _entrance(door)
-    parts.append(box((2.2, 1.5, 0.14), (door, -0.7, 2.55), tiles))
-    parts += [box((0.12, 0.12, 2.5), (door + x, -1.35, 1.25), _TRIM) for x in (-0.95, 0.95)]
-    parts.append(box((2.2, 1.4, 0.5), (door, -0.7, -0.1), _TRIM))
-    return concatenate(parts)
+    porch = [
+        box((2.2, 1.5, 0.14), (door, -0.7, 2.55), _TILES),
+        *(box((0.12, 0.12, 2.5), (door + x, -1.35, 1.25), _TRIM) for x in (-0.95, 0.95)),
+        box((2.2, 1.4, 0.5), (door, -0.7, -0.1), _TRIM),
+    ]
+    walls = _block(width, depth, 0, height, _FACE, _TILES)
+    return concatenate([_plinth(width, depth), walls, roof, chimney, *_entrance(door), *porch])
 
 
 def garage(rng: np.random.Generator) -> Mesh:
@@ -128,12 +127,11 @@ def barn(rng: np.random.Generator) -> Mesh:
     width, depth = float(rng.uniform(11, 18)), float(rng.uniform(8, 12))
     height = float(rng.uniform(3.2, 4.6))
     face = Skin(BUILDING, Material.WOOD, choice(rng, ((140, 58, 46), (120, 96, 74), (104, 84, 66))))
-    tiles = _TILES
     gable = _turned_gable if rng.uniform() < 0.6 else _gable
     paint = (226, 220, 206) if rng.uniform() < 0.4 else (84, 62, 48)
     gate = box((3.2, 0.1, 3.0), (0, -0.04, 1.5), Skin(BUILDING, Material.WOOD, paint))
-    roof = gable(width, depth, height, float(rng.uniform(3, 4.5)), tiles, face)
-    return concatenate([_plinth(width, depth), _block(width, depth, 0, height, face, tiles), roof, gate])
+    roof = gable(width, depth, height, float(rng.uniform(3, 4.5)), _TILES, face)
+    return concatenate([_plinth(width, depth), _block(width, depth, 0, height, face, _TILES), roof, gate])
 
 
 def college(rng: np.random.Generator) -> Mesh:
@@ -141,15 +139,17 @@ def college(rng: np.random.Generator) -> Mesh:
     width, depth = float(rng.uniform(26, 40)), float(rng.uniform(12, 17))
     height = STOREY_M * int(rng.integers(2, 5))
     stone = Skin(BUILDING, Material.CONCRETE, (206, 200, 188))
-    parts = [_plinth(width, depth), _block(width, depth, 0, height, _FACE, _FLAT)]
-    parts.append(box((width + 0.7, depth + 0.7, 0.5), (0, depth / 2, height + 0.2), stone, _FLAT))
     porch = float(rng.uniform(9, 14))
-    parts.append(box((porch + 1.2, 3.2, 0.5), (0, -1.5, STOREY_M + 0.7), stone))
-    parts.append(box((porch + 1.6, 4.0, 0.6), (0, -1.8, -0.15), stone))
     columns = np.linspace(-porch / 2, porch / 2, int(porch // 2.4) + 1)
-    parts += [lathe([0.3, 0.26], [0.1, STOREY_M + 0.5], 8, stone, (float(x), -2.7)) for x in columns]
-    parts.append(box((3.0, 0.1, 2.8), (0, -0.04, 1.5), _DARK_GLASS))
-    return concatenate(parts)
+    return concatenate([
+        _plinth(width, depth),
+        _block(width, depth, 0, height, _FACE, _FLAT),
+        box((width + 0.7, depth + 0.7, 0.5), (0, depth / 2, height + 0.2), stone, _FLAT),
+        box((porch + 1.2, 3.2, 0.5), (0, -1.5, STOREY_M + 0.7), stone),
+        box((porch + 1.6, 4.0, 0.6), (0, -1.8, -0.15), stone),
+        *(lathe([0.3, 0.26], [0.1, STOREY_M + 0.5], 8, stone, (float(x), -2.7)) for x in columns),
+        box((3.0, 0.1, 2.8), (0, -0.04, 1.5), _DARK_GLASS),
+    ])  # fmt: skip
 
 
 def church(rng: np.random.Generator) -> Mesh:

@@ -9,19 +9,18 @@ from omniocc.world.assets import barrier, building, person, pole, prop, tree, ve
 from omniocc.world.mesh.mesh import Mesh
 from omniocc.world.mesh.shape import Number
 
-_MAKERS = {
-    "tree": tree.KINDS, "barrier": barrier.KINDS, "prop": {kind: made.make for kind, made in prop.KINDS.items()},
-    "pole": pole.KINDS, "vehicle": vehicle.KINDS, "building": building.KINDS,
+_GROUPS = {  # builders by kind, and how many variants of each kind there are
+    "tree": (tree.KINDS, 8), "barrier": (barrier.KINDS, 4), "pole": (pole.KINDS, 8), "vehicle": (vehicle.KINDS, 6),
+    "building": (building.KINDS, 12), "prop": ({kind: made.make for kind, made in prop.KINDS.items()}, 5),
 }  # fmt: skip
-_VARIANTS = {"tree": 8, "barrier": 4, "prop": 5, "pole": 8, "vehicle": 6, "building": 12}
 _PEOPLE = 16
 
 
 @lru_cache(maxsize=256)
 def variants(group: str, kind: str) -> tuple[Mesh, ...]:
     """Return all variants of a kind (see `KINDS` of the group's module); equal in every process."""
-    make, rng = _MAKERS[group][kind], seeding.generator(group, 0, kind)
-    return tuple(make(rng) for _ in range(_VARIANTS[group]))
+    (builders, count), rng = _GROUPS[group], seeding.generator(group, 0, kind)
+    return tuple(builders[kind](rng) for _ in range(count))
 
 
 @lru_cache(maxsize=1)

@@ -35,8 +35,9 @@ def park_lamp(rng: np.random.Generator) -> Mesh:
 
 def sign(rng: np.random.Generator) -> Mesh:
     """Build a traffic sign that faces +x: disc, triangle, square or a name board."""
-    height, color = float(rng.uniform(2.2, 2.7)), choice(rng, SIGN_COLORS)
-    face, post = (Skin(POLE, Material.SIGN, color), lathe([0.04, 0.04], [-0.3, height + 0.35], 5, _STEEL))
+    height = float(rng.uniform(2.2, 2.7))
+    face = Skin(POLE, Material.SIGN, choice(rng, SIGN_COLORS))
+    post = lathe([0.04, 0.04], [-0.3, height + 0.35], 5, _STEEL)
     sides = int(rng.choice([3, 4, 9]))
     angle = np.linspace(0, 2 * np.pi, sides, endpoint=False) + np.pi / 2 + (np.pi / 4 if sides == 4 else 0)
     rim = 0.36 * np.stack([np.cos(angle), np.sin(angle)], 1)

@@ -11,6 +11,7 @@ from omniocc.world.mesh.mesh import Mesh, concatenate, transform
 from omniocc.world.mesh.shape import Color, Number, Skin, beam, blob, box, lathe, loft, panel, quads
 from omniocc.world.seeding import choice
 
+EGO_LENGTH_M = 4.6
 EGO_ROAD_M = -2.2  # height of the road in the ego frame
 PAINTS: tuple[Color, ...] = (
     (196, 198, 200), (236, 236, 234), (40, 42, 46), (96, 100, 106), (150, 30, 34), (34, 62, 120), (60, 92, 76),
@@ -29,24 +30,25 @@ _PLATE = Skin(VEHICLE, Material.SIGN, (226, 226, 220))
 
 def _wheel(x_m: Number, y_m: Number, radius_m: Number) -> Mesh:
     """Build a wheel around the y axis, its disc on the outer side."""
-    tyre, rim = (
-        lathe([radius_m, radius_m, 0], [-0.11, 0.1, 0.11], 9, _RUBBER),
-        lathe([0.62 * radius_m, 0], [0.112, 0.12], 6, _RIM),
-    )
-    side = 1.0 if y_m > 0 else -1.0
-    turn = np.array([[1.0, 0, 0, x_m], [0, 0, side, y_m], [0, -side, 0, radius_m], [0, 0, 0, 1]])
-    return transform(concatenate([tyre, rim]), turn)
+    tyre = lathe([radius_m, radius_m, 0], [-0.11, 0.1, 0.11], 9, _RUBBER)
+    rim = lathe([0.62 * radius_m, 0], [0.112, 0.12], 6, _RIM)
+    return transform(concatenate([tyre, rim]), _axle(x_m, y_m, radius_m, 1 if y_m > 0 else -1))
+
+
+def _axle(x_m: Number, y_m: Number, z_m: Number, side: int) -> np.ndarray:
+    """Return the (4, 4) pose of a wheel that was turned around z: its top shows to the left (side 1) or right (-1)."""
+    return np.array([[1.0, 0, 0, x_m], [0, 0, side, y_m], [0, -side, 0, z_m], [0, 0, 0, 1]])
 
 
 def _lights(length_m: Number, width_m: Number, z_m: Number, tail_z_m: Number) -> list[Mesh]:
     parts = []
     for side in (-1, 1):
-        front, rear = (
-            (length_m / 2 - 0.05, side * (width_m / 2 - 0.3)),
-            (-length_m / 2 + 0.03, side * (width_m / 2 - 0.2)),
-        )
-        parts.append(panel((0.1, 0.34, 0.14), (*front, z_m), _HEADLIGHT, "frbt"))
-        parts.append(panel((0.08, 0.24, 0.22), (*rear, tail_z_m), _TAIL_LIGHT, "flb"))
+        front = (length_m / 2 - 0.05, side * (width_m / 2 - 0.3), z_m)
+        rear = (-length_m / 2 + 0.03, side * (width_m / 2 - 0.2), tail_z_m)
+        parts += [
+            panel((0.1, 0.34, 0.14), front, _HEADLIGHT, "frbt"),
+            panel((0.08, 0.24, 0.22), rear, _TAIL_LIGHT, "flb"),
+        ]
     y, z = 0.25 * np.array([-1, 1, 1, -1]), 0.48 + 0.055 * np.array([-1, -1, 1, 1])
     for end in (-1, 1):
         face = np.stack([np.full(4, end * (length_m / 2 + 0.01)), end * y, z], 1)
@@ -74,9 +76,8 @@ def _car(
         (rear, belt), (front, belt - 0.02), (front_top, height - 0.03), (0.5 * (front_top + rear_top), height),
         (rear_top, height - 0.05),
     ])  # fmt: skip
-    parts.append(
-        loft(top, np.array([0.94, 0.94, 0.76, 0.76, 0.75]) * w, [_TRIM, _GLASS, _PAINT, _PAINT, _GLASS], _GLASS)
-    )
+    narrow = np.array([0.94, 0.94, 0.76, 0.76, 0.75]) * w
+    parts.append(loft(top, narrow, [_TRIM, _GLASS, _PAINT, _PAINT, _GLASS], _GLASS))
     pillar = 0.5 * (front_top + rear_top) - 0.05 * length
     parts += [beam((pillar, s * 0.93 * w, belt), (pillar, s * 0.765 * w, height - 0.05), 0.05, _PAINT) for s in (-1, 1)]
     radius = 0.31 + 0.03 * (height > 1.6)
@@ -111,11 +112,8 @@ def van(rng: np.random.Generator) -> Mesh:
     outline = np.array(
         [(-h, 0.36), (h, 0.36), (h, 0.95), (h - 0.55, 1.2), (h - 1.25, height - 0.05), (h - 1.6, height), (-h, height)]
     )
-    widths, across = (
-        np.array([1, 0.95, 0.93, 0.96, 0.92, 0.94, 0.95]) * w,
-        [_TRIM, *[_PAINT] * 2, _GLASS, *[_PAINT] * 3],
-    )
-    parts = [loft(outline, widths, across, _PAINT)]
+    widths = np.array([1, 0.95, 0.93, 0.96, 0.92, 0.94, 0.95]) * w
+    parts = [loft(outline, widths, [_TRIM, *[_PAINT] * 2, _GLASS, *[_PAINT] * 3], _PAINT)]
     parts += [box((0.8, 0.02, 0.5), (h - 1.5, s * (w * 0.965), 0.62 * height), _GLASS) for s in (-1, 1)]
     parts += [_wheel(x * length, s * (w - 0.1), 0.35) for x in (-0.31, 0.33) for s in (-1, 1)]
     return concatenate(parts + _lights(length, width, 0.8, 1.0))
@@ -159,21 +157,16 @@ def bicycle(rng: np.random.Generator) -> Mesh:
     cloth = Skin(VEHICLE, Material.CLOTH, choice(rng, PAINTS))
     trousers = Skin(VEHICLE, Material.CLOTH, (52, 56, 72))
     skin = Skin(VEHICLE, Material.SKIN, (198, 150, 122))
-    axles = [
-        np.array([[1.0, 0, 0, x], [0, 0, s, 0], [0, -s, 0, 0.34], [0, 0, 0, 1]]) for x in (-0.52, 0.52) for s in (-1, 1)
-    ]
+    axles = [_axle(x, 0.0, 0.34, s) for x in (-0.52, 0.52) for s in (-1, 1)]
     wheels = [transform(lathe([0.33, 0.35, 0.33], [-0.025, 0, 0.025], 10, _RUBBER), axle) for axle in axles[1::2]]
     disc = [transform(lathe([0.33, 0], [0, 0.005], 8, _RIM), axle) for axle in axles]
     bars = [
-        beam(a, b, 0.025, frame)
-        for a, b in (
-            ((-0.52, 0, 0.34), (-0.15, 0, 0.85)),
-            ((-0.15, 0, 0.85), (0.4, 0, 0.8)),
-            ((0.52, 0, 0.34), (0.38, 0, 1.0)),
-            ((-0.05, 0, 0.32), (0.4, 0, 0.75)),
-            ((-0.52, 0, 0.34), (-0.05, 0, 0.32)),
-            ((0.38, -0.28, 1.02), (0.38, 0.28, 1.02)),
-        )
+        beam((-0.52, 0, 0.34), (-0.15, 0, 0.85), 0.025, frame),
+        beam((-0.15, 0, 0.85), (0.4, 0, 0.8), 0.025, frame),
+        beam((0.52, 0, 0.34), (0.38, 0, 1.0), 0.025, frame),
+        beam((-0.05, 0, 0.32), (0.4, 0, 0.75), 0.025, frame),
+        beam((-0.52, 0, 0.34), (-0.05, 0, 0.32), 0.025, frame),
+        beam((0.38, -0.28, 1.02), (0.38, 0.28, 1.02), 0.025, frame),
     ]
     rider = [
         beam((-0.18, 0, 0.95), (0.12, 0, 1.45), 0.19, cloth),
@@ -209,7 +202,7 @@ def painted(mesh: Mesh, color: Color) -> Mesh:
 
 def ego_car() -> Mesh:
     """Build the ego car in the ego frame: 4.6 x 1.9 m, roof at z = -0.55 m, wheels on z = -2.2 m."""
-    mesh = _car(4.6, 1.86, 1.65, 1.02, (-0.47, -0.4, 0.06, 0.22), 1.03)
+    mesh = _car(EGO_LENGTH_M, 1.86, 1.65, 1.02, (-0.47, -0.4, 0.06, 0.22), 1.03)
     down = np.eye(4)
     down[2, 3] = EGO_ROAD_M
     return transform(painted(mesh, _EGO_PAINT), down)

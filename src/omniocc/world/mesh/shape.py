@@ -134,12 +134,10 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
-def fan(rim_m: np.ndarray, skin: Skin) -> Mesh:
-    """Build a face over a closed counter-clockwise (P, 3) rim from its mean point, uv from x and y."""
-    following = np.roll(rim_m, -1, 0)
-    middle = np.broadcast_to(rim_m.mean(0), rim_m.shape)
-    corners = np.stack([middle, rim_m, following], 1)
-    return triangles(corners, corners[..., :2], skin)
+def fan(rim_m: np.ndarray, skin: Skin, uv_axes: tuple[int, int] = (0, 1)) -> Mesh:
+    """Build a face over a closed counter-clockwise (P, 3) rim from its mean point; `uv_axes` of the points give uv."""
+    corners = np.stack([np.broadcast_to(rim_m.mean(0), rim_m.shape), rim_m, np.roll(rim_m, -1, 0)], 1)
+    return triangles(corners, corners[..., uv_axes], skin)
 
 
 def blob(
@@ -152,9 +150,8 @@ def blob(
     scale[:, -1] = scale[:, 0]
     scale[[0, -1]] = 1
     twist = angle + np.pi / sides * (np.arange(rows)[:, None] % 2)
-    unit = np.stack(
-        np.broadcast_arrays(np.cos(polar) * np.cos(twist), np.cos(polar) * np.sin(twist), np.sin(polar)), -1
-    )
+    x, y, z = np.cos(polar) * np.cos(twist), np.cos(polar) * np.sin(twist), np.sin(polar)
+    unit = np.stack(np.broadcast_arrays(x, y, z), -1)
     points = unit * scale[..., None] * radius_m + center_m
     uv = np.stack(np.broadcast_arrays(angle * radius_m[0], polar * radius_m[2]), -1)
     return sheet(points, uv, skin)
@@ -174,14 +171,10 @@ def loft(profile_m: np.ndarray, half_width_m: np.ndarray, across: list[Skin], si
         j = (i + 1) % len(across)
         length = float(np.hypot(*(profile_m[j] - profile_m[i])))
         corners = np.stack([right[i], right[j], left[j], left[i]])[None, ::-1]
-        uv = np.array(
-            [[half_width_m[i], 0], [half_width_m[j], length], [-half_width_m[j], length], [-half_width_m[i], 0]]
-        )
+        a, b = half_width_m[i], half_width_m[j]
+        uv = np.array([[a, 0], [b, length], [-b, length], [-a, 0]])
         meshes.append(quads(corners, uv[None, ::-1], skin))
-    for rim in (right, left[::-1]):
-        corners = np.stack([np.broadcast_to(rim.mean(0), rim.shape), rim, np.roll(rim, -1, 0)], 1)
-        meshes.append(triangles(corners, corners[..., [0, 2]], side))
-    return concatenate(meshes)
+    return concatenate([*meshes, fan(right, side, (0, 2)), fan(left[::-1], side, (0, 2))])
 
 
 def upright_pose(point_m: np.ndarray, yaw_rad: Number) -> np.ndarray:

@@ -112,7 +112,7 @@ def _smooth(
 
 
 def _borders(view: View, key: np.ndarray, seen: Shading, range_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return for (P,) pixels whether a direct neighbour sees another surface, or other light, as two bool arrays."""
+    """Return two (P,) bool arrays: whether a direct neighbour sees another surface, or only one of both is sunlit."""
     keys, lit = _image(view, key, 0), _image(view, seen.lit, False)
     plane, distance = _image(view, seen.offset_m, 0), _image(view, np.minimum(range_m, _SKY_M), _SKY_M)
     surface, shadow = np.zeros(view.size, dtype=bool), np.zeros(view.size, dtype=bool)

@@ -88,14 +88,14 @@ class Caster:
 
 
 class Layers:
-    """Several casters as one: faces are numbered consecutively; of equally near hits the first layer's counts."""
+    """Several casters as one: faces are numbered layer by layer; of equally near hits the first layer's counts."""
 
     def __init__(self, casters: list[Caster]) -> None:
         self.casters = casters
         self.offsets = np.cumsum([0] + [caster.size for caster in casters])
 
     def cast(self, origins: np.ndarray, directions: np.ndarray, known: Hits | None = None) -> Hits:
-        """Return the nearest hit over all layers and over hits `known` beforehand, whose faces are kept as they are."""
+        """Return the nearest hit over all layers and the hits in `known`, whose face numbers are kept."""
         best = known
         for caster, offset in zip(self.casters, self.offsets, strict=False):
             if caster.size == 0 and best is not None:

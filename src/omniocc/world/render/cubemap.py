@@ -29,11 +29,11 @@ class Cube:
 
     Attributes:
         faces: views of the faces, restricted to the pixels that are needed.
-        forward: (Q,) float32 part along its face's axis of the ray of each face pixel, all faces in a row.
-        corner: (4, P) int64 the four face pixels around each pixel, as indices into that row.
+        forward: (Q,) float32 component of each face pixel's ray along the axis of its face, face after face.
+        corner: (4, P) int64 the four face pixels around each pixel, as indices into `forward`.
         weight: (4, P) float32 bilinear weights.
         nearest: (P,) int64 the closest face pixel.
-        camera_forward: (P,) float32 part of the camera's ray along the face's axis.
+        camera_forward: (P,) float32 component of each camera pixel's ray along the axis of its face.
     """
 
     faces: tuple[View, ...]

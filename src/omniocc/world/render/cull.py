@@ -40,8 +40,8 @@ def may_hit(cones: Cones, point_m: np.ndarray, spheres: np.ndarray) -> np.ndarra
     distance = np.linalg.norm(offset, axis=1)
     if (distance <= spheres[:, 3]).any():
         return np.ones(len(cones.axis), dtype=bool)
-    x, y, z = cones.axis.T
-    cosine = sum(axis[:, None] * part for axis, part in zip((x, y, z), (offset / distance[:, None]).T, strict=True))
+    toward = offset / distance[:, None]
+    cosine = sum(axis[:, None] * part for axis, part in zip(cones.axis.T, toward.T, strict=True))
     reach = cones.half_rad[:, None] + np.arcsin(spheres[:, 3] / distance)
     return (cosine > np.cos(np.minimum(reach, np.float32(np.pi)))).any(axis=1)
 

@@ -39,9 +39,9 @@ def lamp_light(
 ) -> np.ndarray:
     """Return the (3, R) light after dark from surfaces that shine or are below a lamp.
 
-    Surfaces have a `base` colour (3, R), the texture's `tint` (R,) of it, 0 in windows, and its `added` colour (3, R):
-    panes with bright curtains count as lit rooms. `attributes` (16, R) are those of `Surfaces`, `points` (3, R) world
-    points.
+    `base` (3, R) is the colour of the surfaces with their texture, `tint` (R,) the texture's factor in it, 0 in
+    windows, and `added` (3, R) the texture's own colour; panes with bright curtains count as lit rooms. `attributes`
+    (16, R) are those of `Surfaces`, `points` (3, R) world points.
     """
     shining = attributes[COLOR] * attributes[EMITTED]
     window = (attributes[GLAZED] > 0) & (tint < 0.02) & (added[0] > 0.1)

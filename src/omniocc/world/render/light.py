@@ -13,7 +13,7 @@ class Light:
     Attributes:
         sun_direction: unit vector from the ground to the sun, world frame.
         sun: light on a surface that faces the sun.
-        zenith: colour of the sky overhead; the mean with `horizon` lights shadows.
+        zenith: colour of the sky overhead; its mean with `horizon` lights what is in shadow.
         horizon: colour of the sky at the horizon, and of haze.
         bounce: light from the ground on surfaces that face down.
         glow: brightness of the sky around the sun.

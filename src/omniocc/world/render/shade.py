@@ -87,39 +87,30 @@ def _surface_color(
         sky *= 0.3 + 0.7 * open_fraction
     if light.sun.any():
         sky += light.sun[:, None] * sunny
-    water = standing_water(light, tint, attributes[UP]) if light.wet else np.zeros(0, np.float32)
     if light.wet:
         base *= 1 - 0.45 * light.wet * np.clip(attributes[UP] + 0.3, 0, 1)
     color = base * sky
     if light.lamps:
         color += lamp_light(light, base, added, tint, attributes, points)
-    _mirror(color, directions, attributes, cosine, tint, water, light)
+    _mirror(color, directions, attributes, cosine, tint, light)
     clear = np.exp(hits.range_m * np.float32(-1 / light.haze_m))
     return color * clear + light.horizon[:, None] * (1 - clear)
 
 
 def _mirror(
     color: np.ndarray, directions: np.ndarray, attributes: np.ndarray, cosine: np.ndarray, tint: np.ndarray,
-    water: np.ndarray, light: Light,
+    light: Light,
 ) -> None:  # fmt: skip
-    """Add what glossy surfaces reflect, in place."""
+    """Add in place what glossy surfaces mirror by Schlick's Fresnel term: the sky; below the horizon a dim grey."""
     gloss = np.maximum(attributes[GLOSS], np.float32(0.8) * attributes[GLAZED] * (tint < 0.15))
-    if len(water):
-        gloss = np.maximum(gloss, water)
+    if light.wet:
+        gloss = np.maximum(gloss, standing_water(light, tint, attributes[UP]))
     index = np.flatnonzero(gloss > 0)
-    color[:, index] = _reflect(
-        color[:, index], directions[:, index], attributes[NORMAL, index], cosine[index], gloss[index], light
-    )
-
-
-def _reflect(
-    color: np.ndarray, directions: np.ndarray, normal: np.ndarray, cosine: np.ndarray, gloss: np.ndarray, light: Light
-) -> np.ndarray:
-    """Add the mirrored sky, or an even dim grey below the horizon, by Schlick's Fresnel term."""
-    mirrored = directions + 2 * cosine * normal
+    cosine, gloss = cosine[index], gloss[index]
+    mirrored = directions[:, index] + 2 * cosine * attributes[NORMAL, index]
     seen = sky_color(light, mirrored)
     blend = np.clip(mirrored[2] * 4 + 0.3, 0, 1)
     seen = seen * blend + 0.12 * light.horizon[:, None] * (1 - blend)
     slant = 1 - np.minimum(cosine, 1)
     fraction = gloss * (0.06 + 0.94 * (slant * slant * slant * slant * slant))
-    return color * (1 - fraction) + np.minimum(seen, 3) * fraction
+    color[:, index] = color[:, index] * (1 - fraction) + np.minimum(seen, 3) * fraction

@@ -1,6 +1,6 @@
 """Attributes of triangles for shading: normal, colour, texture, gloss, emitted light."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,8 +17,7 @@ _GLOSS = {Material.GLASS: 0.9, Material.CAR_PAINT: 0.5, Material.METAL: 0.15, Ma
 _GLAZED = (Material.FACADE, Material.GLASS)
 
 
-@dataclass(frozen=True)
-class Surfaces:
+class Surfaces(NamedTuple):
     """Attributes of all triangles in one table, so that a hit costs one gather.
 
     Attributes:
@@ -56,7 +55,7 @@ def make_surfaces(mesh: Mesh) -> Surfaces:
 
 def join(parts: list[Surfaces]) -> Surfaces:
     """Concatenate tables, in order."""
-    return Surfaces(*map(np.concatenate, zip(*map(_arrays, parts), strict=True)))
+    return Surfaces(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 class SurfaceStack:
@@ -72,22 +71,15 @@ class SurfaceStack:
         end = self._fixed + len(top.label)
         if end > len(self._all.label):
             self._all = _enlarged(self._all, 2 * end)
-        for whole, part in zip(_arrays(self._all), _arrays(top), strict=True):
+        for whole, part in zip(self._all, top, strict=True):
             whole[self._fixed : end] = part
-        return Surfaces(*(whole[:end] for whole in _arrays(self._all)))
-
-
-def _arrays(surfaces: Surfaces) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    return surfaces.table, surfaces.label, surfaces.key
+        return Surfaces(*(whole[:end] for whole in self._all))
 
 
 def _enlarged(surfaces: Surfaces, size: int) -> Surfaces:
-    def grown(array: np.ndarray) -> np.ndarray:
-        result = np.zeros((size, *array.shape[1:]), array.dtype)
-        result[: len(array)] = array
-        return result
-
-    return Surfaces(*(grown(array) for array in _arrays(surfaces)))
+    """Return the tables with zeros at their ends, `size` rows in all."""
+    more = size - len(surfaces.label)
+    return Surfaces(*(np.concatenate([array, np.zeros((more, *array.shape[1:]), array.dtype)]) for array in surfaces))
 
 
 def _surface_key(mesh: Mesh, normal: np.ndarray) -> np.ndarray:

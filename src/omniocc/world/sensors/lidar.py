@@ -1,4 +1,7 @@
-"""Rays of the ego LiDAR, whose hits score models, and of the virtual semantic LiDARs, whose points label voxels."""
+"""Rays from the ego origin: of the LiDAR, whose hits score models, and of the panorama of ranges.
+
+Also the rays of the virtual semantic LiDARs, whose points label voxels.
+"""
 
 import numpy as np
 
@@ -18,6 +21,14 @@ def ego_directions() -> np.ndarray:
     while pitch[-1] < 0.21:
         pitch.append(pitch[-1] + np.arctan(10) - np.arctan(9))
     elevation, azimuth = np.meshgrid(pitch, np.radians(np.arange(360)), indexing="ij")
+    return np.ascontiguousarray(_unit(azimuth.ravel(), elevation.ravel()).T)
+
+
+def panorama_directions(width: int, height: int, top_deg: float, bottom_deg: float) -> np.ndarray:
+    """Return (3, height * width) float32 unit rays of an equirectangular image (see docs/design.md, frames)."""
+    azimuth = np.pi - (np.arange(width) + 0.5) * (2 * np.pi / width)
+    elevation = np.radians(top_deg - (np.arange(height) + 0.5) * ((top_deg - bottom_deg) / height))
+    elevation, azimuth = np.meshgrid(elevation, azimuth, indexing="ij")
     return _unit(azimuth.ravel(), elevation.ravel())
 
 
@@ -27,7 +38,10 @@ def inner_rays() -> np.ndarray:
     On flat ground they form a polar grid as fine as the innermost cells of a cylinder; above it angles are even, up to
     +30 degrees.
     """
-    return _neighbors_first(np.concatenate([_polar_rays(), _upper_rays(-EGO_ROAD_M, 8.0, 1.2)], axis=1))
+    rings = np.concatenate([np.arange(0.05, 4.0, 0.1), np.arange(4.1, 7.0, 0.2)])
+    radius_m, azimuth = np.meshgrid(rings, (np.arange(400) + 0.5) * (2 * np.pi / 400), indexing="ij")
+    polar = _unit(azimuth.ravel(), np.arctan2(EGO_ROAD_M, radius_m.ravel()))
+    return _neighbors_first(np.concatenate([polar, _upper_rays(-EGO_ROAD_M, 8.0)], axis=1))
 
 
 def outer_rays() -> np.ndarray:
@@ -36,36 +50,28 @@ def outer_rays() -> np.ndarray:
     They are spread by where they land on the road, not by angle: about one for each 0.25 m square within 13 m. Above it
     angles are even, up to +30 degrees.
     """
-    return _neighbors_first(np.concatenate([_sunflower_rays(3.2, 13.0, 8000), _upper_rays(3.2, 13.0, 1.2)], axis=1))
-
-
-def _polar_rays() -> np.ndarray:
-    rings = np.concatenate([np.arange(0.05, 4.0, 0.1), np.arange(4.1, 7.0, 0.2)])
-    radius_m, azimuth = np.meshgrid(rings, (np.arange(400) + 0.5) * (2 * np.pi / 400), indexing="ij")
-    return np.ascontiguousarray(_unit(azimuth.ravel(), np.arctan2(EGO_ROAD_M, radius_m.ravel())).T)
-
-
-def _sunflower_rays(height_m: float, radius_m: float, count: int) -> np.ndarray:
+    height_m, radius_m, count = 3.2, 13.0, 8000
     number = np.arange(count) + 0.5
     distance_m = radius_m * np.sqrt(number / count)
-    return np.ascontiguousarray(_unit(number * (np.pi * (3 - np.sqrt(5))), np.arctan2(-height_m, distance_m)).T)
+    sunflower = _unit(number * (np.pi * (3 - np.sqrt(5))), np.arctan2(-height_m, distance_m))
+    return _neighbors_first(np.concatenate([sunflower, _upper_rays(height_m, radius_m)], axis=1))
 
 
-def _upper_rays(height_m: float, radius_m: float, step_deg: float) -> np.ndarray:
-    """Return rays at even angles, from where the rays on the road end up to +30 degrees.
+def _upper_rays(height_m: float, radius_m: float) -> np.ndarray:
+    """Return (3, R) rays at even angles, from those that meet the road at `radius_m` up to +30 degrees.
 
     Rays steeper than a rise of 2.6 m over 13 m are sparser, since only near objects are within a grid's height there.
     """
     rows = [-np.arctan2(height_m, radius_m)]
     while rows[-1] < np.radians(30):
-        rows.append(rows[-1] + _step(rows[-1], step_deg))
-    turn = [np.arange(0, 2 * np.pi, _step(row, step_deg)) + number * 0.0061 for number, row in enumerate(rows)]
+        rows.append(rows[-1] + _step(rows[-1]))
+    turn = [np.arange(0, 2 * np.pi, _step(row)) + number * 0.0061 for number, row in enumerate(rows)]
     elevation = np.repeat(rows, [len(azimuth) for azimuth in turn])
-    return np.ascontiguousarray(_unit(np.concatenate(turn), elevation).T)
+    return _unit(np.concatenate(turn), elevation)
 
 
-def _step(elevation: float, step_deg: float) -> float:
-    return np.radians(step_deg) * max(1.0, np.tan(elevation) * 13 / 2.6)
+def _step(elevation: float) -> float:
+    return np.radians(1.2) * max(1.0, np.tan(elevation) * 13 / 2.6)
 
 
 def _neighbors_first(rays: np.ndarray) -> np.ndarray:
@@ -77,8 +83,9 @@ def _neighbors_first(rays: np.ndarray) -> np.ndarray:
 
 
 def _unit(azimuth: np.ndarray, elevation: np.ndarray) -> np.ndarray:
+    """Return (3, R) float32 unit vectors."""
     flat = np.cos(elevation)
-    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=1).astype(np.float32)
+    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)]).astype(np.float32)
 
 
 def scan_ego(snapshot: Snapshot, directions_ego: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

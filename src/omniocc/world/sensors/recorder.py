@@ -15,8 +15,7 @@ from omniocc.world.render.cubemap import make_cube, render_through_cube
 from omniocc.world.render.light import Sensor
 from omniocc.world.render.snapshot import Snapshot
 from omniocc.world.render.view import make_view
-from omniocc.world.sensors.lidar import ego_directions, scan_ego
-from omniocc.world.sensors.panorama import panorama_directions
+from omniocc.world.sensors.lidar import ego_directions, panorama_directions, scan_ego
 
 Capture = Literal["direct", "cubemap"]
 

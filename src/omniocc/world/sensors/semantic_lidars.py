@@ -109,7 +109,8 @@ class SemanticLidars:
         """Return (K,) bool: whether no surface is seen from behind or within 0.5 m along six axes."""
         directions = np.tile(_PROBES, (len(positions_m), 1))
         hits = self._static.cast(np.repeat(positions_m, len(_PROBES), axis=0), directions)
-        bad = _from_behind(self._surfaces, hits, directions) | (hits.range_m < 0.5)
+        facing = (self._surfaces.table[hits.face, :3] * directions).sum(axis=1)
+        bad = (hits.face >= 0) & (facing > 0) | (hits.range_m < 0.5)
         return np.logical_not(bad.reshape(-1, len(_PROBES)).any(axis=1))
 
     def _sweep(self, cell: tuple[int, int]) -> Sweep:
@@ -169,10 +170,3 @@ def _points(
     ray = hit[np.einsum("ij,ij->i", normal, toward) <= 0]
     points = position_m + directions[ray] * hits.range_m[ray, None]
     return ray, points, surfaces.label[hits.face[ray]]
-
-
-def _from_behind(surfaces: Surfaces, hits: Hits, directions: np.ndarray) -> np.ndarray:
-    """Return (R,) bool: whether a surface is hit from inside; directions are (R, 3)."""
-    normal = surfaces.table[hits.face, :3]
-    facing = (normal * directions).sum(axis=1)
-    return (hits.face >= 0) & (facing > 0)

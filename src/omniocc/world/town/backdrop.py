@@ -41,9 +41,8 @@ def _distant_meshes() -> tuple[Mesh, list[Mesh]]:
     """Return a plain building 8 m high, and groups of trees."""
     rng = seeding.generator("backdrop", 0, "woods")
     walls, roof = Skin(BUILDING, Material.FACADE, (150, 150, 150)), Skin(BUILDING, Material.ROOF, (96, 84, 78))
-    woods = [
-        blob(rng, (15, 11, 9), (0, 0, 1), Skin(VEGETATION, Material.LEAVES, (70, 92, 52)), 0.25, 8, 4) for _ in range(4)
-    ]
+    leaves = Skin(VEGETATION, Material.LEAVES, (70, 92, 52))
+    woods = [blob(rng, (15, 11, 9), (0, 0, 1), leaves, 0.25, 8, 4) for _ in range(4)]
     return box((16, 13, 12), (0, 0, 2), walls, roof), woods
 
 

@@ -43,8 +43,7 @@ def medians(theme: Theme, network: Network, terrain: Terrain, site: Site, rng: n
     if theme.median_m == 0:
         return concatenate([])
     parts, rail = [], random_variant(rng, "barrier", "median")
-    sides = {side.edge: side for ring in network.rings for side in ring.sides if side.forward}
-    for side in sides.values():
+    for side in (side for ring in network.rings for side in ring.sides if side.forward):
         along = np.arange(side.along_m[0] + 7.0, side.along_m[-1] - 7.0, PIECE_M)
         center, normal = center_line(network.junctions_m, network.edges[side.edge], along)
         yaw = np.arctan2(-normal[:, 0], normal[:, 1])

@@ -6,6 +6,7 @@ from omniocc.world.mesh.label import ROADLINE
 from omniocc.world.mesh.material import Material
 from omniocc.world.mesh.mesh import Mesh, concatenate
 from omniocc.world.mesh.shape import Skin, triangles
+from omniocc.world.town.line import interpolate
 from omniocc.world.town.network import Network, Ring, Side
 from omniocc.world.town.road import CROWN_M
 from omniocc.world.town.terrain import Terrain
@@ -87,11 +88,9 @@ def _arrow(tip: float, from_kerb_m: float) -> np.ndarray:
 
 def _paint(terrain: Terrain, side: Side, width_m: float, patches: np.ndarray) -> Mesh:
     """Lay triangles in (along, from kerb) onto the street, which is straight from kerb to centre line."""
-    kerb = np.column_stack([side.kerb_m, terrain.height(*side.kerb_m.T)])
-    center = np.column_stack([side.center_m, terrain.height(*side.center_m.T) + CROWN_M])
-    along, fraction = patches[..., 0], patches[..., 1:] / width_m
-    low, high = (np.stack([np.interp(along, side.along_m, rim[:, k]) for k in range(3)], -1) for rim in (kerb, center))
-    corners = low + fraction * (high - low) + np.array([0, 0, _RAISED_M])
+    rims = terrain.points(side.kerb_m), terrain.points(side.center_m, CROWN_M)
+    low, high = (interpolate(patches[..., 0], side.along_m, rim) for rim in rims)
+    corners = low + patches[..., 1:] / width_m * (high - low) + np.array([0, 0, _RAISED_M])
     a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     corners = np.where((a[:, 0] * b[:, 1] < a[:, 1] * b[:, 0])[:, None, None], corners[:, ::-1], corners)
     return triangles(corners, corners[..., :2], _PAINT)

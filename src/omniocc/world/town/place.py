@@ -2,8 +2,6 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from omniocc.world import seeding
 from omniocc.world.mesh.mesh import Mesh, concatenate
 from omniocc.world.town import backdrop, islands, marking, network, railway, road, street, terrain, themes
@@ -24,7 +22,7 @@ class Place:
     Attributes:
         theme: its recipe.
         mesh: all static faces, world frame.
-        terrain: height of the land.
+        terrain: height of the land; kerbs and streets are within 0.15 m of it.
         network: streets and blocks.
         paved: which blocks (rings of the network) have a sidewalk.
         crossings: (street, at its end) of the junction arms with a zebra crossing.
@@ -38,10 +36,6 @@ class Place:
     paved: tuple[bool, ...]
     crossings: frozenset[tuple[int, bool]]
     signals: tuple[Signal, ...]
-
-    def height(self, x_m: np.ndarray | float, y_m: np.ndarray | float) -> np.ndarray:
-        """Return the terrain height at world positions; kerbs and streets are within 0.15 m of it."""
-        return self.terrain.height(x_m, y_m)
 
 
 def build(theme: str, seed: int) -> Place:

@@ -49,6 +49,11 @@ class Plot:
         piece = random_variant(self.rng, "barrier", kind)
         self._repeat(piece, start, end, {Material.LEAVES: tree.LEAF_COLORS[int(self.rng.integers(3))]})
 
+    def front_line(self, kind: str, y_m: Number, gate: tuple[Number, Number]) -> None:
+        """Put a fence, wall or hedge (`barrier.KINDS`) along the front, open between the two ends of the gate."""
+        self.line(kind, (-self.width_m / 2, y_m), (gate[0], y_m))
+        self.line(kind, (gate[1], y_m), (self.width_m / 2, y_m))
+
     def pave(self, start: tuple[Number, Number], end: tuple[Number, Number]) -> None:
         """Lay a path 3 m wide."""
         self._repeat(_PATH, start, end, None)
@@ -106,19 +111,16 @@ def _row(plot: Plot) -> None:
         plot.building("row", wide, deep, (k + 0.5 - count / 2) * wide - 0.5 * passage, back)
     if back > 2.5:
         kind = choice(plot.rng, ("brick", "picket", "mesh"))
-        for a, b in ((-0.5, -0.12), (0.12, 0.5)):
-            plot.line(kind, (a * plot.width_m, 0.3), (b * plot.width_m, 0.3))
+        plot.front_line(kind, 0.3, (-0.12 * plot.width_m, 0.12 * plot.width_m))
 
 
 def _boundary(plot: Plot, gate: tuple[Number, Number]) -> None:
     """Put a fence, wall or hedge along the front (open at the gate) and one side."""
-    half = plot.width_m / 2
     kind = weighted_choice(plot.rng, {"hedge": 3, "picket": 2, "brick": 1.5, "mesh": 1, "none": 2})
     if kind != "none":
-        plot.line(kind, (-half, 0.5), (gate[0], 0.5))
-        plot.line(kind, (gate[1], 0.5), (half, 0.5))
-    side = "hedge" if plot.rng.uniform() < 0.4 else "board"
-    plot.line(side, (half - 0.1, 3.0), (half - 0.1, plot.depth_m - 0.5))
+        plot.front_line(kind, 0.5, gate)
+    side, x = "hedge" if plot.rng.uniform() < 0.4 else "board", plot.width_m / 2 - 0.1
+    plot.line(side, (x, 3.0), (x, plot.depth_m - 0.5))
 
 
 _DRIVEWAY = panel((2.06, 2.9, 0.4), (0, 0, -0.17), Skin(GROUND, Material.PAVING, (150, 142, 132)), "frblt")
@@ -153,8 +155,7 @@ def _hall(plot: Plot) -> None:
     plot.building("hall", plot.width_m - 4, deep, 0, back)
     kind = choice(rng, ("mesh", "concrete", "brick"))
     gate = float(rng.uniform(-0.2, 0.2)) * plot.width_m
-    plot.line(kind, (-plot.width_m / 2, 0.4), (gate - 4, 0.4))
-    plot.line(kind, (gate + 4, 0.4), (plot.width_m / 2, 0.4))
+    plot.front_line(kind, 0.4, (gate - 4, gate + 4))
     for x in rng.permutation(np.arange(-plot.width_m / 2 + 3, plot.width_m / 2 - 2, 4.2))[: int(rng.integers(1, 5))]:
         if back < 4.5 or abs(x - gate) < 3:
             continue
@@ -178,9 +179,7 @@ def _yard(plot: Plot) -> None:
                     color = choice(rng, _CONTAINERS)
                     pose = plot.front.at(float(x), float(y))
                     plot.site.put(_CONTAINER, pose, lift_m=KERB_M + 2.6 * k, paint={Material.METAL: color})
-    kind = "mesh" if rng.uniform() < 0.6 else "concrete"
-    plot.line(kind, (-half, 0.4), (-3.5, 0.4))
-    plot.line(kind, (3.5, 0.4), (half, 0.4))
+    plot.front_line("mesh" if rng.uniform() < 0.6 else "concrete", 0.4, (-3.5, 3.5))
 
 
 def _park(plot: Plot) -> None:
@@ -200,8 +199,7 @@ def _lot(plot: Plot) -> None:
         for x in np.arange(-half + 1.6, half - 1.2, 2.7):
             if rng.uniform() < 0.3:
                 plot.car(float(x), float(y), (-1 if rng.uniform() < 0.5 else 1) * np.pi / 2)
-    kind = "guard" if rng.uniform() < 0.4 else "mesh"
-    plot.line(kind, (-half, 0.4), (half - 5, 0.4))
+    plot.line("guard" if rng.uniform() < 0.4 else "mesh", (-half, 0.4), (half - 5, 0.4))
 
 
 def _field(plot: Plot) -> None:
@@ -236,16 +234,16 @@ def _college(plot: Plot) -> None:
     for x in np.arange(-half + 2, half - 1, 6.0):
         if abs(x) > 5:
             plot.tree(float(x), float(rng.uniform(1.5, max(back - 3, 2.0))))
-    plot.line("hedge", (-half, 0.4), (-5, 0.4))
-    plot.line("hedge", (5, 0.4), (half, 0.4))
+    plot.front_line("hedge", 0.4, (-5, 5))
 
 
 def _green(plot: Plot) -> None:
     """Lay a lawn with a path across, benches and lamps beside it, and old trees."""
     rng, half = plot.rng, plot.width_m / 2
     start, end = np.array([-0.7 * half, 0.0]), np.array([0.7 * half, plot.depth_m - 1])
-    run = (end - start) / np.hypot(*(end - start))
-    yaw, length = float(np.arctan2(run[1], run[0])), float(np.hypot(*(end - start)))
+    length = float(np.hypot(*(end - start)))
+    run = (end - start) / length
+    yaw = float(np.arctan2(run[1], run[0]))
     plot.pave((float(start[0]), float(start[1])), (float(end[0]), float(end[1])))
     for number, s in enumerate(np.arange(4.0, length - 2, 7.0)):
         x, y = start + s * run + np.array([-run[1], run[0]]) * 2.2
@@ -259,10 +257,8 @@ def _green(plot: Plot) -> None:
 
 def _churchyard(plot: Plot) -> None:
     rng, half = plot.rng, plot.width_m / 2
-    wide = min(plot.width_m - 1.5, 16.0)
-    plot.building("church", wide, min(plot.depth_m - 4.5, 19.0), 0, 3.5)
-    plot.line("brick", (-half, 0.4), (-2, 0.4))
-    plot.line("brick", (2, 0.4), (half, 0.4))
+    plot.building("church", min(plot.width_m - 1.5, 16.0), min(plot.depth_m - 4.5, 19.0), 0, 3.5)
+    plot.front_line("brick", 0.4, (-2, 2))
     for x in (-half + 1.2, half - 1.2):
         plot.tree(x, float(rng.uniform(1.6, 3)), {"young": 2, "bush": 1})
 

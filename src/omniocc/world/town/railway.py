@@ -6,6 +6,7 @@ from omniocc.world.mesh.label import OTHER
 from omniocc.world.mesh.material import Material
 from omniocc.world.mesh.mesh import Mesh
 from omniocc.world.mesh.shape import Skin, box, sheet
+from omniocc.world.town.line import arc_lengths
 from omniocc.world.town.network import Network
 from omniocc.world.town.site import Pose2, Site
 
@@ -45,7 +46,5 @@ def _deck(points: np.ndarray, top: np.ndarray, left: np.ndarray) -> Mesh:
                         (w - 0.25, 1.0), (-w + 0.25, 1.0), (-w + 0.25, 1.9), (-w, 1.9)])  # fmt: skip
     xy = points[:, None] + outline[:, :1] * left
     net = np.concatenate([xy, np.broadcast_to((top[:, None] + outline[:, 1])[..., None], (*xy.shape[:2], 1))], -1)
-    around = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(outline, axis=0), axis=1))])
-    along = _SPAN_M * np.arange(len(points))
-    uv = np.stack(np.meshgrid(around, along), -1)
+    uv = np.stack(np.meshgrid(arc_lengths(outline), _SPAN_M * np.arange(len(points))), -1)
     return sheet(net[::-1], uv[::-1], _CONCRETE)

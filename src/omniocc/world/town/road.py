@@ -7,6 +7,7 @@ from omniocc.world.mesh.material import Material
 from omniocc.world.mesh.mesh import Mesh, concatenate
 from omniocc.world.mesh.shape import Skin, fan, sheet
 from omniocc.world.seeding import choice
+from omniocc.world.town.line import arc_lengths
 from omniocc.world.town.network import Network, Ring
 from omniocc.world.town.terrain import Terrain
 from omniocc.world.town.theme import Theme
@@ -16,22 +17,6 @@ KERB_M = 0.13
 _KERB_STONE_M = 0.16
 
 
-def kerb_points(ring: Ring, terrain: Terrain) -> np.ndarray:
-    """Return the (n, 3) foot of the kerb."""
-    return np.column_stack([ring.kerb_m, terrain.height(*ring.kerb_m.T)])
-
-
-def inner_points(ring: Ring, terrain: Terrain) -> np.ndarray:
-    """Return (n, 3) points on the crown of the street: the centre line or junction that each kerb vertex faces."""
-    return np.column_stack([ring.inner_m, terrain.height(*ring.inner_m.T) + CROWN_M])
-
-
-def sidewalk_path(ring: Ring, terrain: Terrain, from_kerb_m: float) -> np.ndarray:
-    """Return the (n, 3) closed path on the sidewalk at a constant distance from the kerb."""
-    xy = ring.offset(from_kerb_m)
-    return np.column_stack([xy, terrain.height(*xy.T) + KERB_M])
-
-
 def build(theme: Theme, terrain: Terrain, network: Network, paved: tuple[bool, ...], rng: np.random.Generator) -> Mesh:
     """Build all surfaces; `paved` tells which blocks have a sidewalk instead of a verge."""
     material, dark, light = theme.road
@@ -39,7 +24,7 @@ def build(theme: Theme, terrain: Terrain, network: Network, paved: tuple[bool, .
     asphalt = Skin(ROAD, material, (shade, shade, shade + 3))
     meshes = []
     for ring, has_sidewalk in zip(network.rings, paved, strict=True):
-        kerb, inner = kerb_points(ring, terrain), inner_points(ring, terrain)
+        kerb, inner = terrain.points(ring.kerb_m), terrain.points(ring.inner_m, CROWN_M)
         meshes.append(_surface([inner, kerb], asphalt))
         meshes.append(_edge(theme, terrain, ring, kerb, has_sidewalk, rng))
         meshes.append(_land(theme, terrain, ring, rng))
@@ -54,10 +39,9 @@ def _surface(rows: list[np.ndarray], skin: Skin) -> Mesh:
 
 def _edge(theme: Theme, terrain: Terrain, ring: Ring, kerb: np.ndarray, paved: bool, rng: np.random.Generator) -> Mesh:
     """Build kerb face, kerb stone and sidewalk, or a verge of the same shape."""
-    rows = [sidewalk_path(ring, terrain, offset) for offset in (0.0, _KERB_STONE_M, theme.sidewalk_m)]
+    rows = [terrain.points(ring.offset(from_kerb_m), KERB_M) for from_kerb_m in (0.0, _KERB_STONE_M, theme.sidewalk_m)]
     closed = np.stack([np.concatenate([row, row[:1]]) for row in (kerb, rows[0])])
-    along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(closed[0], axis=0), axis=1))])
-    face_uv = np.stack(np.meshgrid(along, [0, KERB_M]), -1)
+    face_uv = np.stack(np.meshgrid(arc_lengths(closed[0]), [0, KERB_M]), -1)
     if paved:
         shade = int(rng.integers(120, 172))
         stone = Skin(SIDEWALK, Material.CONCRETE, (170, 168, 162))
@@ -74,10 +58,7 @@ def _land(theme: Theme, terrain: Terrain, ring: Ring, rng: np.random.Generator) 
     rim = ring.offset(theme.sidewalk_m)
     middle = np.zeros(2) if ring.outside else rim.mean(0)
     fractions = (1.0, 1.12, 1.4, 2.0, 3.0, 5.0) if ring.outside else (1.0, 0.75, 0.45)
-    rows = []
-    for fraction in fractions:
-        xy = middle + fraction * (rim - middle)
-        rows.append(np.column_stack([xy, terrain.height(*xy.T) + KERB_M]))
+    rows = [terrain.points(middle + fraction * (rim - middle), KERB_M) for fraction in fractions]
     material, color = choice(rng, theme.ground)
     varied = np.clip(np.asarray(color) + rng.integers(-8, 9, 3), 0, 255)
     skin = Skin(GROUND, material, (int(varied[0]), int(varied[1]), int(varied[2])))

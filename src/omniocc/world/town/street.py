@@ -13,6 +13,7 @@ from omniocc.world.mesh.material import Material
 from omniocc.world.mesh.shape import Number
 from omniocc.world.seeding import choice, weighted_choice
 from omniocc.world.town import plot
+from omniocc.world.town.line import interpolate
 from omniocc.world.town.marking import CROSSING_M
 from omniocc.world.town.network import Network, Ring, Side, degrees
 from omniocc.world.town.site import Plan, Pose2, Signal, Site
@@ -31,9 +32,7 @@ def reserve(theme: Theme, network: Network, plan: Plan) -> None:
     for ring in network.rings:
         closed = [np.concatenate([points, points[:1]]) for points in (ring.kerb_m, ring.normal, ring.inner_m)]
         fine = np.arange(0, len(ring.kerb_m), 0.1)
-        kerb, normal, inner = (
-            np.stack([np.interp(fine, np.arange(len(points)), points[:, k]) for k in (0, 1)], -1) for points in closed
-        )
+        kerb, normal, inner = (interpolate(fine, np.arange(len(points)), points) for points in closed)
         for fraction in np.linspace(0, 1, 28):
             plan.block(kerb + fraction * (inner - kerb))
         for offset in np.arange(0, theme.sidewalk_m + 0.01, 0.25):
@@ -48,8 +47,14 @@ class _Line:
         self._along, self._points = side.along_m.tolist(), side.kerb_m.tolist()
 
     def at(self, along_m: Number, into_block_m: Number, yaw_rad: Number = 0.0) -> Pose2:
+        """Return the pose at a distance along the side."""
         (ax, ay), (bx, by) = self._point(along_m - 0.5), self._point(along_m + 0.5)
         return Pose2(0.5 * (ax + bx), 0.5 * (ay + by), atan2(by - ay, bx - ax)).at(0, into_block_m, yaw_rad)
+
+    def front(self, along_m: Number, into_block_m: Number) -> Pose2:
+        """Return the pose of a plot's front edge, also a little past the ends of the side."""
+        inside = float(np.clip(along_m, self.side.along_m[0] + 0.5, self.side.along_m[-1] - 0.5))
+        return self.at(inside, into_block_m).at(along_m - inside, 0.0)
 
     def _point(self, along_m: Number) -> tuple[float, float]:
         k = min(max(bisect_right(self._along, along_m), 1), len(self._along) - 1)
@@ -174,7 +179,7 @@ def _plots(theme: Theme, side: Side, site: Site, rng: np.random.Generator) -> No
         kind = weighted_choice(rng, theme.plots)
         for shrink, narrow, back in _TRIALS:
             width, depth = wide * narrow, deep * shrink
-            front = _front(line, side, s + width / 2, theme.sidewalk_m + back)
+            front = line.front(s + width / 2, theme.sidewalk_m + back)
             if depth > theme.setback_m[1] + 6 and site.plan.claim(front.at(0, depth / 2), (width - 0.4, depth - 0.2)):
                 plot.KINDS[kind](plot.Plot(site, theme, rng, front, width - 0.4, depth - 0.2))
                 s += width + 0.3
@@ -188,13 +193,7 @@ def _infill(theme: Theme, side: Side, site: Site, rng: np.random.Generator) -> N
     line = _Line(side)
     for s in np.arange(float(side.along_m[0]) - 6, float(side.along_m[-1]) + 6, 2.2):
         for width, depth in ((6.5, 9.0), (4.6, 8.0)):
-            front = _front(line, side, float(s), theme.sidewalk_m + 0.55)
+            front = line.front(float(s), theme.sidewalk_m + 0.55)
             if site.plan.claim(front.at(0, depth / 2), (width, depth)):
                 plot.KINDS["row"](plot.Plot(site, theme, rng, front, width + 0.3, depth))
                 break
-
-
-def _front(line: _Line, side: Side, along_m: Number, into_block_m: Number) -> Pose2:
-    """Return the pose behind the sidewalk, also a little past the ends of the side."""
-    inside = float(np.clip(along_m, side.along_m[0] + 0.5, side.along_m[-1] - 0.5))
-    return line.at(inside, into_block_m).at(along_m - inside, 0.0)

@@ -32,6 +32,10 @@ class Terrain:
         hills = self.horizon_m * outside * (1 + 0.5 * np.sin(5 * np.arctan2(y_m, x_m)))
         return np.asarray((np.sin(angle) * self.amplitude_m).sum(-1) + hills)
 
+    def points(self, xy_m: np.ndarray, above_m: np.ndarray | float = 0.0) -> np.ndarray:
+        """Return (..., 3) points `above_m` over the land at world positions (..., 2)."""
+        return np.concatenate([xy_m, (self.height(xy_m[..., 0], xy_m[..., 1]) + above_m)[..., None]], -1)
+
 
 def draw(rng: np.random.Generator, slope: float, horizon_m: float) -> Terrain:
     """Draw hills whose steepest slopes come near `slope` (rise over run)."""

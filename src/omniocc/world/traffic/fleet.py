@@ -1,7 +1,5 @@
 """The vehicles of a scene and where they start; vehicle 0 is the ego."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from omniocc.world.assets import vehicle
@@ -13,35 +11,22 @@ from omniocc.world.town.place import Place
 from omniocc.world.traffic.flow import Car
 from omniocc.world.traffic.lanes import Roads, node_of
 
-EGO_LENGTH_M = 4.6
 _TOP_MPS = {"bicycle": 5.0, "truck": 11.0, "bus": 11.0}
 # Cars start at least this far before a junction, to be able to stop, or behind one, to have left it.
 _BEFORE_JUNCTION_M, _BEHIND_M = 32.0, 16.0
-_WHEELBASE_FRACTION = 0.6
 
 
-@dataclass(frozen=True)
-class Fleet:
-    """The mesh and the size (K, 3) of every car; car 0 is the ego, whose mesh is not used."""
-
-    meshes: tuple[Mesh, ...]
-    size_m: np.ndarray
-
-
-def draw_fleet(place: Place, roads: Roads, rng: np.random.Generator) -> tuple[Fleet, list[Car]]:
-    """Draw cars spread over the lanes, about a headway apart; the first is the ego."""
-    slots = _slots(place, roads, rng)
+def draw_fleet(place: Place, roads: Roads, rng: np.random.Generator) -> tuple[list[Mesh], list[Car]]:
+    """Draw cars spread over the lanes, about a headway apart; the first is the ego, whose mesh is not used."""
     meshes, cars = [], []
-    for number, (lane, along) in enumerate(slots):
+    for number, (lane, along) in enumerate(_slots(place, roads, rng)):
         kind = "hatchback" if number == 0 else weighted_choice(rng, place.theme.traffic)
         mesh = random_variant(rng, "vehicle", kind)
-        length = EGO_LENGTH_M if number == 0 else vehicle.size_m(mesh)[0]
-        top = min(_TOP_MPS.get(kind, 15.0), roads.pieces[lane].speed_mps)
-        car = Car(length, _TOP_MPS.get(kind, 15.0), [lane], [0.0], along, 0.75 * top)
+        length = vehicle.EGO_LENGTH_M if number == 0 else vehicle.size_m(mesh)[0]
+        top = _TOP_MPS.get(kind, 15.0)
+        cars.append(Car(length, top, [lane], [0.0], along, 0.75 * min(top, roads.pieces[lane].speed_mps)))
         meshes.append(mesh)
-        cars.append(car)
-    sizes = np.array([vehicle.size_m(mesh) for mesh in meshes])
-    return Fleet(tuple(meshes), sizes), cars
+    return meshes, cars
 
 
 def _slots(place: Place, roads: Roads, rng: np.random.Generator) -> list[tuple[int, float]]:
@@ -61,8 +46,3 @@ def _slots(place: Place, roads: Roads, rng: np.random.Generator) -> list[tuple[i
         meeting = degrees(place.network)
         order.sort(key=lambda slot: -meeting[node_of(place.network, roads.lanes[slot[0]].end)])
     return order
-
-
-def half_wheelbase_m(length_m: float) -> float:
-    """Return the distance from a vehicle's middle to its axles."""
-    return 0.5 * _WHEELBASE_FRACTION * length_m

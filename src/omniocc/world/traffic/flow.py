@@ -148,6 +148,7 @@ class Flow:
                 car.pieces.append(piece)
 
     def _give_way(self, time_s: float, current: list[int], onto: dict[int, list[tuple[float, int]]]) -> None:
+        """Give cars the right of way and let people cross, in the order of their requests."""
         taken = {car.pieces[k] for car in self.cars for k in car.right_of_way}
         used = {arm for piece in taken for arm in self._ends(piece)}
         walked = {c.arm for c in self.crossers if c.moves and c.moves[-1][0] + c.duration_s > time_s}
@@ -183,6 +184,7 @@ class Flow:
         return {self.roads.lanes[turn.origin].end, self.roads.lanes[turn.target].start}
 
     def _requests(self, car: Car, k: int, time_s: float) -> bool:
+        """Return whether a car needs the right of way: it is near the end of its lane and does not have it yet."""
         lane = car.pieces[k]
         if lane >= self._lane_count or k + 1 in car.right_of_way:
             return False

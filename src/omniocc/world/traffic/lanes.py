@@ -3,17 +3,18 @@
 Traffic keeps right: the lanes of a half street run against its block's ring, with the block to their right.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from omniocc.world.town.line import arc_lengths, interpolate
 from omniocc.world.town.marking import stop_m
 from omniocc.world.town.network import Network, Side, degrees
 from omniocc.world.town.road import CROWN_M
 from omniocc.world.town.terrain import Terrain
 from omniocc.world.town.theme import Theme
+from omniocc.world.traffic.path import STEP_M, Path
 
-_STEP_M = 0.5
 _LATERAL_MPS2 = 2.2
 _ROOM_M, _STRAIGHT_ROOM_M = 3.8, 2.75  # least distance of two vehicles' middles: turning, both going straight
 _SAMPLES = 20
@@ -23,21 +24,10 @@ Arm = tuple[int, bool]
 
 
 @dataclass(frozen=True)
-class Piece:
-    """A lane or a turn: (n, 3) points at (n,) arc lengths, with a speed limit."""
+class Piece(Path):
+    """A lane or a turn, with a speed limit."""
 
-    points_m: np.ndarray
-    along_m: np.ndarray
     speed_mps: float
-
-    @property
-    def length_m(self) -> float:
-        """Return the length from end to end."""
-        return float(self.along_m[-1])
-
-    def at(self, along_m: np.ndarray) -> np.ndarray:
-        """Return (..., 3) positions at arc lengths."""
-        return np.stack([np.interp(along_m, self.along_m, self.points_m[:, k]) for k in range(3)], -1)
 
 
 @dataclass(frozen=True)
@@ -112,16 +102,15 @@ def node_of(network: Network, arm: Arm) -> int:
 
 def _piece(points_m: np.ndarray, speed_mps: float) -> Piece:
     """Resample points to steps of half a metre."""
-    along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points_m, axis=0), axis=1))])
-    fine = np.linspace(0, along[-1], int(along[-1] / _STEP_M) + 2)
-    return Piece(np.stack([np.interp(fine, along, points_m[:, k]) for k in range(3)], -1), fine, speed_mps)
+    along = arc_lengths(points_m)
+    fine = np.linspace(0, along[-1], int(along[-1] / STEP_M) + 2)
+    return Piece(interpolate(fine, along, points_m), fine, speed_mps)
 
 
 def _lane_piece(theme: Theme, network: Network, terrain: Terrain, side: Side, number: int, speed_mps: float) -> Piece:
     from_kerb_m = theme.parking_m + (number + 0.5) * theme.lane_width_m
     fraction = from_kerb_m / network.edges[side.edge].half_width_m
-    low = np.column_stack([side.kerb_m, terrain.height(*side.kerb_m.T)])
-    high = np.column_stack([side.center_m, terrain.height(*side.center_m.T) + CROWN_M])
+    low, high = terrain.points(side.kerb_m), terrain.points(side.center_m, CROWN_M)
     return _piece((low + fraction * (high - low))[::-1], speed_mps)
 
 
@@ -162,10 +151,9 @@ def _turn_piece(origin: Piece, target: Piece, node: np.ndarray, island_m: float,
             into, out = _bend(a[:2], ahead, ring[0], tangent[0]), _bend(ring[-1], tangent[-1], b[:2], leave)
             xy = np.concatenate([into[:-1], ring, out[1:]])
     start, end = (float(p[2]) - float(terrain.height(p[0], p[1])) for p in (a, b))
-    over = np.linspace(start, end, len(xy))
-    piece = _piece(np.column_stack([xy, terrain.height(*xy.T) + over]), 1.0)
+    piece = _piece(terrain.points(xy, np.linspace(start, end, len(xy))), 1.0)
     speed = min(origin.speed_mps, target.speed_mps, float(np.sqrt(_LATERAL_MPS2 * _least_radius_m(piece))))
-    return Piece(piece.points_m, piece.along_m, max(speed, 2.5))
+    return replace(piece, speed_mps=max(speed, 2.5))
 
 
 def _bend(a: np.ndarray, ahead: np.ndarray, b: np.ndarray, leave: np.ndarray) -> np.ndarray:
@@ -184,7 +172,7 @@ def _least_radius_m(piece: Piece) -> float:
     chord = points[step:] - points[:-step]
     azimuth = np.unwrap(np.arctan2(chord[:, 1], chord[:, 0]))
     turn = np.abs(azimuth[step:] - azimuth[:-step]).max()
-    return _STEP_M * step / max(float(turn), 1e-3)
+    return STEP_M * step / max(float(turn), 1e-3)
 
 
 def _clashes(

@@ -4,10 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from omniocc.world.town.line import interpolate
 from omniocc.world.town.marking import CROSSING_M
 from omniocc.world.town.network import Side
 from omniocc.world.town.place import Place
-from omniocc.world.town.road import CROWN_M, KERB_M, sidewalk_path
+from omniocc.world.town.road import CROWN_M, KERB_M
 from omniocc.world.town.street import furniture_m
 from omniocc.world.traffic.flow import Crosser
 from omniocc.world.traffic.path import Path, close
@@ -19,7 +20,7 @@ _ACROSS_M = 0.8  # of each person from the middle of a crossing
 
 @dataclass(frozen=True)
 class Round:
-    """Walkers on one path around a block: (K,) arc lengths at time 0, one speed for all."""
+    """Walkers on one closed path around a block: (K,) arc lengths at time 0, one speed for all."""
 
     path: Path
     speed_mps: float
@@ -35,7 +36,7 @@ def draw_rounds(place: Place, rng: np.random.Generator) -> list[Round]:
         for offset, forward in files:
             if not paved:
                 continue
-            points = sidewalk_path(ring, place.terrain, offset)
+            points = place.terrain.points(ring.offset(offset), KERB_M)
             path = close(points if forward else points[::-1])
             scale = path.length_m / 340 / len(files)
             count = min(rng.poisson(place.theme.walkers_per_block * scale), int(path.length_m / _LEAST_SPACE_M / 2))
@@ -67,12 +68,12 @@ def _crosser(
     kerbs = []
     for _, side in pair:
         s = side.along_m[-1] - into if side.forward == arm[1] else side.along_m[0] + into
-        kerbs.append(np.array([np.interp(s, side.along_m, side.kerb_m[:, k]) for k in (0, 1)]))
+        kerbs.append(interpolate(s, side.along_m, side.kerb_m))
     if rng.uniform() < 0.5:
         kerbs.reverse()
     ahead = (kerbs[1] - kerbs[0]) / np.linalg.norm(kerbs[1] - kerbs[0])
     ends = [kerbs[0] - _WAIT_M * ahead, kerbs[1] + _WAIT_M * ahead]
-    start, end = (np.append(xy, place.terrain.height(*xy) + KERB_M) for xy in ends)
+    start, end = (place.terrain.points(xy, KERB_M) for xy in ends)
     pace, rest, ready = (float(rng.uniform(*span)) for span in ((1.2, 1.7), (8.0, 30.0), (0.0, 25.0)))
     return Crosser(arm, start, end, pace, rest, ready)
 
@@ -83,4 +84,4 @@ def crossing_point(place: Place, crosser: Crosser, fraction: float) -> np.ndarra
     length = float(np.linalg.norm(crosser.end_m - crosser.start_m))
     from_middle = abs(2 * fraction - 1) * length / (length - 2 * _WAIT_M)
     lift = KERB_M if from_middle > 1 else CROWN_M * (1 - from_middle)
-    return np.append(xy, place.terrain.height(*xy) + lift)
+    return place.terrain.points(xy, lift)

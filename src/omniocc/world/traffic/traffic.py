@@ -7,7 +7,7 @@ import numpy as np
 from omniocc.world import seeding
 from omniocc.world.assets import person, pole
 from omniocc.world.assets.catalog import people
-from omniocc.world.assets.vehicle import EGO_ROAD_M, PAINTS, painted
+from omniocc.world.assets.vehicle import EGO_ROAD_M, PAINTS, painted, size_m
 from omniocc.world.mesh.label import PEDESTRIAN, VEHICLE
 from omniocc.world.mesh.mesh import Mesh, concatenate, transform, with_instance
 from omniocc.world.mesh.shape import upright_pose
@@ -18,6 +18,7 @@ from omniocc.world.traffic.flow import Flow
 
 _RANGE_M = 80.0
 _WARM_UP_S = 10.0
+_WHEELBASE_FRACTION = 0.6  # of a vehicle's length
 
 
 @dataclass(frozen=True)
@@ -46,12 +47,12 @@ class Traffic:
         rng = seeding.generator(place.theme.name, seed, "traffic")
         self._place = place
         roads = lanes.draw(place.theme, place.network, place.terrain, place.crossings, rng)
-        self._fleet, cars = fleet.draw_fleet(place, roads, rng)
+        meshes, cars = fleet.draw_fleet(place, roads, rng)
         self._rounds = pedestrians.draw_rounds(place, rng)
         self._sway_draws = rng.uniform(size=(3, 3, 2))
         self._warm_up_s = float(rng.uniform(0, _WARM_UP_S))
         paint = rng.integers(len(PAINTS), size=len(cars))
-        self._cars = [painted(mesh, PAINTS[k]) for mesh, k in zip(self._fleet.meshes, paint, strict=True)]
+        self._cars = [painted(mesh, PAINTS[k]) for mesh, k in zip(meshes, paint, strict=True)]
         self._flow = Flow(roads, cars, pedestrians.draw_crossers(place, rng), rng)
 
     def world_from_ego(self, time_s: float) -> np.ndarray:
@@ -73,53 +74,46 @@ class Traffic:
 
         Lit lamps of traffic lights are among the faces, with an instance below -1 for each light.
         """
-        pairs = self._near(time_s)
+        ego_xy = self.world_from_ego(time_s)[:2, 3]
+        pairs = [*self._driving(time_s, ego_xy), *self._walking(time_s, ego_xy), *self._crossing(time_s, ego_xy)]
         moved = (with_instance(transform(mesh, actor.world_from_actor), actor.id) for mesh, actor in pairs)
-        return concatenate([*moved, *self._lamps(time_s)]), tuple(actor for _, actor in pairs)
+        return concatenate([*moved, *self._lamps(time_s, ego_xy)]), tuple(actor for _, actor in pairs)
 
-    def boxes(self, time_s: float) -> tuple[Actor, ...]:
-        """Return the actors without their faces, which is faster."""
-        return tuple(actor for _, actor in self._near(time_s))
-
-    def _lamps(self, time_s: float) -> list[Mesh]:
-        """Return the lit lamps of the traffic lights nearby."""
-        ego_xy, lit = self.world_from_ego(time_s)[:2, 3], []
+    def _lamps(self, time_s: float, ego_xy: np.ndarray) -> list[Mesh]:
+        """Return the lit lamps of the traffic lights within `_RANGE_M` of the ego, world frame."""
+        lit = []
         for number, signal in enumerate(self._place.signals):
             x, y, yaw = signal.pose.x_m, signal.pose.y_m, signal.pose.yaw_rad
             if np.hypot(x - ego_xy[0], y - ego_xy[1]) < _RANGE_M:
                 shown = self._flow.signal(signal.arm, time_s + self._warm_up_s)
-                foot = np.array([x, y, float(self._place.height(x, y)) + KERB_M])
+                foot = np.array([x, y, float(self._place.terrain.height(x, y)) + KERB_M])
                 lamps = transform(pole.lit_lamps(shown), upright_pose(foot, yaw))
                 lit.append(with_instance(lamps, -2 - number))
         return lit
 
-    def _near(self, time_s: float) -> list[tuple[Mesh, Actor]]:
-        """Return prototype mesh and actor of everything within `_RANGE_M` of the ego."""
-        ego_xy = self.world_from_ego(time_s)[:2, 3]
-        return [*self._driving(time_s, ego_xy), *self._walking(time_s, ego_xy), *self._crossing(time_s, ego_xy)]
-
     def _driving(self, time_s: float, ego_xy: np.ndarray) -> list[tuple[Mesh, Actor]]:
+        """Return prototype mesh and actor of each vehicle within `_RANGE_M` of the ego."""
         found = []
         along, speed = self._flow.motion(time_s + self._warm_up_s)
         for car in range(1, len(along)):
             if np.linalg.norm(self._flow.place(car, along[car])[:2] - ego_xy) > _RANGE_M:
                 continue
-            half = fleet.half_wheelbase_m(self._flow.cars[car].length_m)
+            half = 0.5 * _WHEELBASE_FRACTION * self._flow.cars[car].length_m
             front, rear = self._flow.place(car, along[car] + half), self._flow.place(car, along[car] - half)
             pose = _vehicle_pose(self._place, 0.5 * (front + rear), front - rear)
-            velocity = speed[car] * pose[:2, 0]
-            found.append(self._actor(self._cars[car], car, VEHICLE, pose, self._fleet.size_m[car], velocity))
+            velocity_mps = (float(speed[car] * pose[0, 0]), float(speed[car] * pose[1, 0]))
+            found.append((self._cars[car], Actor(car, VEHICLE, pose, size_m(self._cars[car]), velocity_mps)))
         return found
 
     def _walking(self, time_s: float, ego_xy: np.ndarray) -> list[tuple[Mesh, Actor]]:
         found, number = [], len(self._cars)
         for walk in self._rounds:
             along = walk.along_m + walk.speed_mps * time_s
-            points, ahead = walk.path.at(along), walk.path.at(along + 0.5)
+            points, ahead = (walk.path.at(np.mod(s, walk.path.length_m)) for s in (along, along + 0.5))
             direction = ahead - points
             for k in np.flatnonzero(np.linalg.norm(points[:, :2] - ego_xy, axis=1) < _RANGE_M):
                 velocity = walk.speed_mps * direction[k, :2] / np.linalg.norm(direction[k])
-                found.append(self._person(number + int(k), points[k], direction[k], velocity, float(along[k])))
+                found.append(_person(number + int(k), points[k], direction[k], velocity, float(along[k])))
             number += len(along)
         return found
 
@@ -134,23 +128,18 @@ class Traffic:
             direction = way * (sign or (1.0 if fraction < 0.5 else -1.0))
             velocity = sign * way[:2] / crosser.duration_s
             pace_m = fraction * float(np.linalg.norm(way)) if sign else 0.0
-            found.append(self._person(number + k, point, direction, velocity, pace_m))
+            found.append(_person(number + k, point, direction, velocity, pace_m))
         return found
 
-    def _person(
-        self, number: int, point: np.ndarray, direction: np.ndarray, velocity: np.ndarray, pace_m: float
-    ) -> tuple[Mesh, Actor]:
-        poses, size = people()[number % len(people())]
-        mesh = poses[int(pace_m / person.STRIDE_M * person.PHASES) % person.PHASES]
-        pose = upright_pose(point, float(np.arctan2(direction[1], direction[0])))
-        return self._actor(mesh, number, PEDESTRIAN, pose, np.array(size), velocity)
 
-    @staticmethod
-    def _actor(
-        mesh: Mesh, number: int, label: int, pose: np.ndarray, size: np.ndarray, velocity: np.ndarray
-    ) -> tuple[Mesh, Actor]:
-        size_m = (float(size[0]), float(size[1]), float(size[2]))
-        return mesh, Actor(number, label, pose, size_m, (float(velocity[0]), float(velocity[1])))
+def _person(
+    number: int, point: np.ndarray, direction: np.ndarray, velocity: np.ndarray, pace_m: float
+) -> tuple[Mesh, Actor]:
+    """Return prototype mesh and actor of a person who has walked `pace_m` since the first pose of a stride."""
+    poses, size = people()[number % len(people())]
+    mesh = poses[int(pace_m / person.STRIDE_M * person.PHASES) % person.PHASES]
+    pose = upright_pose(point, float(np.arctan2(direction[1], direction[0])))
+    return mesh, Actor(number, PEDESTRIAN, pose, size, (float(velocity[0]), float(velocity[1])))
 
 
 def _vehicle_pose(place: Place, point: np.ndarray, direction: np.ndarray) -> np.ndarray:
@@ -158,7 +147,8 @@ def _vehicle_pose(place: Place, point: np.ndarray, direction: np.ndarray) -> np.
     forward = direction / np.linalg.norm(direction)
     left = np.array([-forward[1], forward[0], 0.0])
     left /= np.linalg.norm(left)
-    rise = place.height(point[0] + np.array([1.0, -1.0]) * left[0], point[1] + np.array([1.0, -1.0]) * left[1])
+    beside = point[:2] + np.array([[1.0], [-1.0]]) * left[:2]
+    rise = place.terrain.height(*beside.T)
     left[2] = 0.5 * (rise[0] - rise[1])
     up = np.cross(forward, left)
     up /= np.linalg.norm(up)

@@ -210,15 +210,10 @@ def lamp(rng: np.random.Generator, size: int) -> Tile:
     return _plain(0.5, 0.9 + 0.2 * fractal(rng, size, 6, 2))
 
 
-def facade_wall(rng: np.random.Generator, size: int) -> Tile:
-    """Paint the wall of a facade without its windows."""
-    return plaster(rng, size)
-
-
 PAINTERS: dict[Material, Painter] = {
     Material.ASPHALT: asphalt, Material.PAINT: paint, Material.PAVING: paving, Material.CONCRETE: concrete,
     Material.GRASS: grass, Material.SOIL: soil, Material.BRICK: brick, Material.PLASTER: plaster,
-    Material.FACADE: facade_wall, Material.GLASS: glass, Material.ROOF: roof, Material.WOOD: wood,
+    Material.FACADE: plaster, Material.GLASS: glass, Material.ROOF: roof, Material.WOOD: wood,
     Material.BARK: bark, Material.LEAVES: leaves, Material.METAL: metal, Material.CAR_PAINT: car_paint,
     Material.RUBBER: rubber, Material.CLOTH: cloth, Material.SKIN: skin, Material.SIGN: sign, Material.LAMP: lamp,
 }  # fmt: skip
