@@ -13,7 +13,7 @@ from omniocc.model.ops.depth.projection import LEAST_PRESENT, Projection, presen
 from omniocc.model.ops.depth.sphere_loss import SphereLoss
 from omniocc.model.ops.depth.sphere_net import SphereNet
 from omniocc.model.ops.depth.spheres import SphereRange
-from omniocc.model.ops.padding import Conv3d, Downsample, Pointwise, Residual, upsample
+from omniocc.model.ops.padding import Conv3d, Downsample, Pointwise, residual3d, upsample
 
 AROUND = (False, False, True)
 """Periodic axes among spheres, rows and columns."""
@@ -108,10 +108,10 @@ class VolumeNet(nn.Module):
         super().__init__()
         pairs = list(pairwise(channels))
         self.stem = Conv3d(in_channels, channels[0], 3, AROUND)
-        self.encoder = nn.ModuleList(Residual(count, AROUND) for count in channels)
+        self.encoder = nn.ModuleList(residual3d(count, AROUND) for count in channels)
         self.down = nn.ModuleList(Downsample(fine, coarse, AROUND) for fine, coarse in pairs)
         self.up = nn.ModuleList(Pointwise(coarse, fine) for fine, coarse in pairs)
-        self.decoder = nn.ModuleList(Residual(fine, AROUND) for fine, _ in pairs)
+        self.decoder = nn.ModuleList(residual3d(fine, AROUND) for fine, _ in pairs)
         self.out = Conv3d(channels[0], 2, 3, AROUND)
 
     def forward(self, volume: Float[Tensor, "B C D h w"]) -> Float[Tensor, "B E h w"]:

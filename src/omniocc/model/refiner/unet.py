@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from omniocc.geometry import Grid
 from omniocc.model.ops.norm import check_halvings
-from omniocc.model.ops.padding import Downsample, Pointwise, Residual, upsample
+from omniocc.model.ops.padding import Downsample, Pointwise, residual3d, upsample
 from omniocc.model.protocols import Sketched
 
 
@@ -34,9 +34,9 @@ class UNet(nn.Module):
         pairs = list(pairwise(channels))
         self.stem = Pointwise(in_channels, channels[0])
         self.down = nn.ModuleList(Downsample(fine, coarse, self.periodic) for fine, coarse in pairs)
-        self.encoder = nn.ModuleList(Residual(coarse, self.periodic) for _, coarse in pairs)
+        self.encoder = nn.ModuleList(residual3d(coarse, self.periodic) for _, coarse in pairs)
         self.up = nn.ModuleList(Pointwise(coarse, fine) for fine, coarse in pairs)
-        self.decoder = nn.ModuleList(Residual(fine, self.periodic) for fine, _ in pairs)
+        self.decoder = nn.ModuleList(residual3d(fine, self.periodic) for fine, _ in pairs)
 
     def forward(self, volume: Float[Tensor, "B C X Y Z"], sketched: Sketched) -> Float[Tensor, "B D X Y Z"]:
         """Refine a volume; the result has `channels` channels."""
