@@ -11,8 +11,8 @@ from lightning.pytorch.callbacks import ModelCheckpoint
 from omniocc.batch import Batch
 from omniocc.camera import Rig
 from omniocc.task.build import build_task, load_task
-from omniocc.task.draws import step_generator
 from omniocc.task.scores import Scores
+from omniocc.task.stage_task import step_generator
 
 CONF = Path(__file__).parents[2] / "conf"
 RIG = Rig.load("fisheye6").resized(64, 36)

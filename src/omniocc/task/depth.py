@@ -11,8 +11,7 @@ from omniocc.metric import DepthMetrics
 from omniocc.model.depth import Spheres
 from omniocc.model.occupancy import to_unit_range
 from omniocc.task.adamw import AdamW
-from omniocc.task.draws import step_generator
-from omniocc.task.stage_task import StageTask
+from omniocc.task.stage_task import StageTask, step_generator
 from omniocc.task.terms import log_terms
 
 FARTHEST_M = 100.0

@@ -15,9 +15,8 @@ from omniocc.loss import Total
 from omniocc.model import OccupancyModel, Prediction, Stream
 from omniocc.model.sketch import Sketched
 from omniocc.task.adamw import AdamW
-from omniocc.task.draws import step_generator
 from omniocc.task.scores import Scores
-from omniocc.task.stage_task import StageTask
+from omniocc.task.stage_task import StageTask, step_generator
 from omniocc.task.terms import log_terms
 
 

@@ -34,10 +34,9 @@ from omniocc.run.wandb.loggers import finish
 from omniocc.task.depth import DepthTask
 from omniocc.task.images import DepthImages, SketchImages
 from omniocc.task.progress import StepProgress
-from omniocc.task.recipe import Recipe
 from omniocc.task.sketch import SketchTask, known
 from omniocc.task.stage_keys import stage_keys
-from omniocc.task.stage_task import StageTask
+from omniocc.task.stage_task import Recipe, StageTask
 
 Task = StageTask[nn.Module]
 

@@ -5,7 +5,6 @@ a query's samples are one bag of weighted rows (`embedding_bag`) and are never s
 by pixel and the same operation is applied. Memory grows only with the samples of one head and level.
 """
 
-import warnings
 from typing import Any, NamedTuple
 
 import torch
@@ -15,7 +14,7 @@ from torch.autograd.function import once_differentiable
 from torch.nn import functional as F
 
 from omniocc.model.ops.lifter.visible import Pairs
-from omniocc.model.ops.multilinear import bag_sum
+from omniocc.model.ops.multilinear import bag_sum, inner_products
 
 
 class Level(NamedTuple):
@@ -137,16 +136,8 @@ def _products(
     """Return the inner product of each corner's row with the gradient of its sample's query."""
     shape = samples.row.shape
     ends = torch.cat([first * shape[1], first.new_tensor([samples.row.numel()])]).int()
-    nothing = table.new_zeros(samples.row.numel())
-    products = []
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Sparse")  # CSR is marked beta; its checks cost more than the product
-        for step in _corner_steps(width):
-            rows = (samples.row + step).flatten()
-            pattern = torch.sparse_csr_tensor(ends, rows, nothing, (len(grad), len(table)))
-            product = torch.sparse.sampled_addmm(pattern, grad, table.T, beta=0.0)
-            products.append(product.values().reshape(shape))
-    return products
+    corners = [(samples.row + step).flatten() for step in _corner_steps(width)]
+    return [inner_products(grad, table, ends, rows).reshape(shape) for rows in corners]
 
 
 def _backward(

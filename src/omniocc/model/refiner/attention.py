@@ -10,7 +10,7 @@ from torch.utils.checkpoint import checkpoint
 
 from omniocc.geometry import Grid
 from omniocc.model.ops.blocks import block_means, coarsened
-from omniocc.model.ops.feedforward import FeedForward
+from omniocc.model.ops.feedforward import AttentionLayer
 from omniocc.model.ops.lifter.cross_attention import ring_offsets
 from omniocc.model.ops.multilinear import corners, sum_samples
 from omniocc.model.ops.padding import Axes, pad3d, upsample
@@ -128,31 +128,17 @@ def _unravel(
     return index, torch.stack(places[::-1]).to(torch.float32)
 
 
-class AttentionLayer(nn.Module):
-    """Apply self-attention and a feed-forward part, each added and normalised."""
-
-    def __init__(self, channels: int, heads: int, points: int, feedforward_channels: int, layout: Layout):
-        super().__init__()
-        self.attention = SelfAttention(channels, heads, points, layout)
-        self.attention_norm = nn.LayerNorm(channels)
-        self.feedforward = FeedForward(channels, feedforward_channels)
-        self.chunk = max(CHUNK_SAMPLES // (heads * points), 1)
-
-    def forward(self, voxels: Float[Tensor, "B cells C"]) -> Float[Tensor, "B cells C"]:
-        """Refine voxels in chunks, which are computed again in the backward pass."""
-        table = self.attention.make_table(voxels)
-        chunks = voxels.reshape(-1, voxels.shape[-1]).split(self.chunk)
-        if len(chunks) == 1:
-            return self._refine(chunks[0], 0, table).view(voxels.shape)
-        starts = range(0, len(chunks) * self.chunk, self.chunk)
-        parts = [
-            checkpoint(self._refine, chunk, first, table, use_reentrant=False, preserve_rng_state=False)
-            for first, chunk in zip(starts, chunks, strict=True)
-        ]
-        return torch.cat(parts).view(voxels.shape)  # type: ignore[arg-type]
-
-    def _refine(self, queries: Float[Tensor, "Q C"], first: int, table: Float[Tensor, "R D"]) -> Float[Tensor, "Q C"]:
-        return self.feedforward(self.attention_norm(queries + self.attention(queries, first, table)))
+def refine(layer: AttentionLayer, voxels: Float[Tensor, "B cells C"], chunk: int) -> Float[Tensor, "B cells C"]:
+    """Apply a layer with `SelfAttention` to `chunk` voxels at a time, which are computed again in the backward pass."""
+    table = layer.attention.make_table(voxels)  # type: ignore[operator]
+    chunks = voxels.reshape(-1, voxels.shape[-1]).split(chunk)
+    if len(chunks) == 1:
+        return layer(chunks[0], 0, table).view(voxels.shape)
+    parts = [
+        checkpoint(layer, queries, index * chunk, table, use_reentrant=False, preserve_rng_state=False)
+        for index, queries in enumerate(chunks)
+    ]
+    return torch.cat(parts).view(voxels.shape)  # type: ignore[arg-type]
 
 
 class Attention(nn.Module):
@@ -200,8 +186,10 @@ class Attention(nn.Module):
                 shape = [cells if other == axis else 1 for other in range(len(layout.shape))]
                 self.places.append(nn.Parameter(0.02 * torch.randn(*shape, channels)))
         self.layout = layout
+        self.chunk = max(CHUNK_SAMPLES // (heads * points), 1)
         self.layers = nn.ModuleList(
-            AttentionLayer(channels, heads, points, feedforward_channels, layout) for _ in range(layers)
+            AttentionLayer(SelfAttention(channels, heads, points, layout), channels, feedforward_channels)
+            for _ in range(layers)
         )
 
     def forward(self, volume: Float[Tensor, "B C X Y Z"], sketched: Sketched) -> Float[Tensor, "B C X Y Z"]:
@@ -216,5 +204,5 @@ class Attention(nn.Module):
             voxels = voxels + place
         voxels = voxels.flatten(1, -2)
         for layer in self.layers:
-            voxels = layer(voxels)
+            voxels = refine(layer, voxels, self.chunk)  # type: ignore[arg-type]
         return voxels.unflatten(1, volume.shape[2:]).movedim(-1, 1)

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from omniocc.camera.pose import invert_pose
 from omniocc.geometry import Grid
 from omniocc.model.ops.blocks import coarsened
-from omniocc.model.ops.feedforward import FeedForward
+from omniocc.model.ops.feedforward import AttentionLayer
 from omniocc.model.ops.lifter.cross_attention import ring_offsets
 from omniocc.model.ops.multilinear import corners, sum_samples
 from omniocc.model.ops.padding import Periodic, pad3d
@@ -45,7 +45,7 @@ class TemporalAttention(nn.Module):
         self.offsets.bias.data.copy_(rings.permute(2, 0, 1, 3).flatten())
 
     def forward(
-        self, previous: Float[Tensor, "B X Y C"], present: Float[Tensor, "B X Y C"], periodic: Periodic
+        self, present: Float[Tensor, "B X Y C"], previous: Float[Tensor, "B X Y C"], periodic: Periodic
     ) -> Float[Tensor, "B X Y C"]:
         """Return the change of the present view."""
         with torch.autocast(present.device.type, enabled=False):
@@ -82,22 +82,6 @@ class TemporalAttention(nn.Module):
         scores = torch.addmm(self.attention.bias[:, None], self.attention.weight, queries.T)
         weights = scores.view(self.heads, VIEWS, self.points, -1).softmax(2) / VIEWS
         return offsets, weights.flatten(1, 2).permute(2, 0, 1).contiguous()
-
-
-class TemporalLayer(nn.Module):
-    """Apply temporal attention and a feed-forward part, each added and normalised."""
-
-    def __init__(self, channels: int, heads: int, points: int, feedforward_channels: int):
-        super().__init__()
-        self.attention = TemporalAttention(channels, heads, points)
-        self.attention_norm = nn.LayerNorm(channels)
-        self.feedforward = FeedForward(channels, feedforward_channels)
-
-    def forward(
-        self, previous: Float[Tensor, "B X Y C"], present: Float[Tensor, "B X Y C"], periodic: Periodic
-    ) -> Float[Tensor, "B X Y C"]:
-        """Return the present view after attention to the previous one."""
-        return self.feedforward(self.attention_norm(present + self.attention(previous, present, periodic)))
 
 
 class History(NamedTuple):
@@ -158,7 +142,8 @@ class Recurrent(nn.Module):
         self.fold = nn.Linear(geometry.shape[2] * channels, view_channels)
         self.unfold = nn.Linear(view_channels, geometry.shape[2] * channels)
         self.layers = nn.ModuleList(
-            TemporalLayer(view_channels, heads, points, feedforward_channels) for _ in range(layers)
+            AttentionLayer(TemporalAttention(view_channels, heads, points), view_channels, feedforward_channels)
+            for _ in range(layers)
         )
 
     def forward(
@@ -201,5 +186,5 @@ class Recurrent(nn.Module):
             moved = self.view.warp(history.view.movedim(-1, 1).unsqueeze(-1), invert_pose(history.pose) @ pose)
             previous = torch.where(history.exists[:, None, None, None], moved[..., 0].movedim(1, -1), present)
         for layer in self.layers:
-            present = layer(previous, present, self.view.periodic)
+            present = layer(present, previous, self.view.periodic)
         return present
