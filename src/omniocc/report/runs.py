@@ -60,19 +60,15 @@ def read_runs(folder: Path) -> list[FinishedRun]:
     Raises:
         UserError: when there is none.
     """
-    found = [_read_or_warn(path.parent) for path in sorted(folder.glob(f"*/{METRICS}"))]
-    runs = [run for run in found if run is not None]
+    runs = []
+    for path in sorted(folder.glob(f"*/{METRICS}")):
+        try:
+            runs.append(_read(path.parent))
+        except UserError as error:
+            print(f"left out: {error}", file=sys.stderr, flush=True)
     if not runs:
         raise UserError(f"{folder} holds no finished run ({METRICS}); train one: python src/train.py")
     return sorted(runs, key=lambda run: -run.metrics["test/rayiou"])
-
-
-def _read_or_warn(folder: Path) -> FinishedRun | None:
-    try:
-        return _read(folder)
-    except UserError as error:
-        print(f"left out: {error}", file=sys.stderr, flush=True)
-        return None
 
 
 def _read(folder: Path) -> FinishedRun:

@@ -51,11 +51,8 @@ def count_gflop(run: Callable[[], object]) -> float:
 def cost_of(model: OccupancyModel, sample: Sample) -> dict[str, float]:
     """Return parameters, and operations of one more frame of a sequence; a learned sketch and its depth count in both.
 
-    Recorded ranges (`model/depth=truth`) cost nothing.
-
-    Args:
-        model: in evaluation mode.
-        sample: of whose newest frame the operations are counted.
+    Recorded ranges (`model/depth=truth`) cost nothing. The frame is the newest of the sample; the model has to be in
+    evaluation mode.
     """
     device = next(model.parameters()).device
     images, pose = sample.images[-1].to(device), sample.world_from_ego[-1].to(device)

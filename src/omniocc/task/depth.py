@@ -22,7 +22,6 @@ class DepthTask(StageTask[nn.Module]):
     """Train an option of the depth slot, or only score one without weights; other arguments as in `StageTask`.
 
     Args:
-        model: option of the depth slot.
         spheres: of the rig, for errors in indices; ranges nearer than all of them are not scored.
         range_edges_m: ends of the distance bands in which errors are given.
         seed: of the random choices of training, such as mirrored batches.

@@ -27,11 +27,9 @@ class OccupancyTask(StageTask[OccupancyModel]):
     * `label`, the upper bound: the true voxels themselves, scored against the true LiDAR rays.
 
     Args:
-        loss: named terms over a prediction.
         augment: random changes of training batches.
         ema_decay: of the moving average of weights that is validated, tested and saved, such as 0.999; None: none.
         spec: of the data: classes, bands and LiDAR rays of the scores.
-        config: the run's resolved configuration as plain data; with it the checkpoint suffices to rebuild the model.
     """
 
     STAGE = "occupancy"

@@ -22,9 +22,6 @@ class Recipe:
     """Describe the training of one stage.
 
     Attributes:
-        max_steps: optimiser steps.
-        batch_size: samples per step.
-        validate_every_n_epochs: epochs between validations.
         seed: of weights and order of samples.
     """
 
@@ -39,7 +36,6 @@ class StageTask(LightningModule, Generic[Model]):
     """The model of one stage, its optimiser and its configuration.
 
     Args:
-        model: what is trained.
         config: the run's resolved configuration as plain data; with it the checkpoint suffices to rebuild the model.
     """
 

@@ -84,7 +84,7 @@ class Stages:
             recipe = self._recipe("sketch")
             model, edges_m = build(self.cfg.model.sketch), self.spec.range_edges_m
             task = SketchTask(model, recipe.optimizer, edges_m, plain(self.cfg))
-            cast(nn.Module, task.sketch.depth).load_state_dict(weights_of(self.depth / LAST))
+            cast(nn.Module, task.sketch.depth).load_state_dict(load_checkpoint(self.depth / LAST).model_weights)
             extras = Extras(true_ranges=True, depth=self.ranges)
             drawn = SketchImages(self.results["sketch"] / IMAGES, self.cfg.test_images, self.spec.classes)
             self._finish(task, recipe, extras, drawn, "sketch", title, trains=True)
@@ -93,7 +93,7 @@ class Stages:
 
     def sketch_weights(self) -> dict[str, Tensor]:
         """Return the weights of the trained sketch, depth included, as the occupancy model's `sketch` loads them."""
-        return weights_of(self.sketch / LAST)
+        return load_checkpoint(self.sketch / LAST).model_weights
 
     def _recipe(self, stage: str) -> Recipe:
         recipe: Recipe = build(self.cfg.stages[stage])
@@ -108,7 +108,7 @@ class Stages:
         last = folder / LAST
         if (results / METRICS).exists():
             print(f"{title} is finished: {results}", flush=True)
-            task.model.load_state_dict(weights_of(last))
+            task.model.load_state_dict(load_checkpoint(last).model_weights)
             return
         checkpoint, message = resumable(last) if trains else (None, None)
         if message:
@@ -164,11 +164,6 @@ def predict_range_m(task: DepthTask, scene: SceneFrames, frame: int) -> Tensor:
     true_range_m = None if panorama is None else panorama.unsqueeze(0).to(task.device)
     depth = task.eval().model(images, (scene.rigs[frame],), true_range_m)
     return depth.known_range_m()[0]
-
-
-def weights_of(path: Path) -> dict[str, Tensor]:
-    """Return the weights of the model of a stage's checkpoint; errors are those of `load_checkpoint`."""
-    return load_checkpoint(path).model_weights
 
 
 @contextmanager

@@ -103,10 +103,7 @@ class Mono(LearnedPanoramaDepth):
     ) -> tuple[Float[Tensor, "B N _ _"], Float[Tensor, "B N _ _"]]:
         """Return the log of the range (m) from each camera's centre and the logit of sky, at half size.
 
-        Args:
-            images: of samples whose images have one shape, without padding.
-            rigs: one per sample.
-            flip: whether to mirror the images, and with them the results.
+        The images have one shape, without padding; if `flip`, they are mirrored, and with them the results.
         """
         rays = torch.stack([ray_maps(rig, images.device) for rig in rigs])
         if flip:

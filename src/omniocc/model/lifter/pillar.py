@@ -32,7 +32,6 @@ class Pillar(nn.Module):
 
     Args:
         in_channels: of image features and queries.
-        channels: of the volume.
         levels: strides of the feature maps, px.
         heads: of attention, a divisor of `in_channels`.
         points: samples per head and level, a multiple of the heights, among which they are split.

@@ -10,8 +10,8 @@ from torch.utils.checkpoint import checkpoint
 
 from omniocc.geometry import Grid
 from omniocc.model.ops.blocks import block_means, coarsened
+from omniocc.model.ops.deformable_attention import SampledAttention, ring_offsets, transposed
 from omniocc.model.ops.feedforward import AttentionLayer
-from omniocc.model.ops.lifter.cross_attention import ring_offsets
 from omniocc.model.ops.multilinear import corners, sum_samples
 from omniocc.model.ops.padding import Axes, pad3d, upsample
 from omniocc.model.protocols import Sketched
@@ -57,28 +57,18 @@ def sphere_offsets(heads: int, points: int) -> Float[Tensor, "3 H K"]:
     return direction[..., None] * torch.arange(1, points + 1)
 
 
-class SelfAttention(nn.Module):
+class SelfAttention(SampledAttention):
     """Sum samples around every voxel, with offsets and weights computed from its feature.
 
     Args:
-        channels: of the voxels.
         heads: a divisor of the channels.
         points: samples per head.
-        layout: of the voxels.
     """
 
     def __init__(self, channels: int, heads: int, points: int, layout: Layout):
-        super().__init__()
-        self.heads, self.points, self.layout = heads, points, layout
-        self.axes = len(layout.shape)
-        self.value = nn.Linear(channels, channels)
-        self.offsets = nn.Linear(channels, self.axes * heads * points)
-        self.attention = nn.Linear(channels, heads * points)
-        self.output = nn.Linear(channels, channels)
-        for layer in (self.offsets, self.attention):
-            nn.init.zeros_(layer.weight)
-            nn.init.zeros_(layer.bias)
-        self.offsets.bias.data.copy_(first_offsets(heads, points, self.axes).flatten())
+        axes = len(layout.shape)
+        super().__init__(channels, channels, heads, first_offsets(heads, points, axes), axes)
+        self.points, self.layout, self.axes = points, layout, axes
 
     def make_table(self, voxels: Float[Tensor, "B cells C"]) -> Float[Tensor, "R D"]:
         """Return values by sample, cell and head; padded by one cell: the other end's on periodic axes, else zeros."""
@@ -90,13 +80,7 @@ class SelfAttention(nn.Module):
         return padded.movedim(1, -1).reshape(-1, values.shape[1] // self.heads)
 
     def forward(self, queries: Float[Tensor, "Q C"], first: int, table: Float[Tensor, "R D"]) -> Float[Tensor, "Q C"]:
-        """Attend from consecutive voxels.
-
-        Args:
-            queries: consecutive voxels of all samples in row-major order.
-            first: index of the first query.
-            table: from `make_table`.
-        """
+        """Attend from consecutive voxels of all samples, row-major, from number `first` on; see `make_table`."""
         with torch.autocast(queries.device.type, enabled=False):
             offsets, weights = self._sampling(queries.to(table.dtype))
             sample, place = _unravel(first, len(queries), self.layout.shape, queries.device)
@@ -109,10 +93,9 @@ class SelfAttention(nn.Module):
         return self.output(sums.view(len(queries), -1))
 
     def _sampling(self, queries: Float[Tensor, "Q C"]) -> tuple[Float[Tensor, "axes Q H K"], Float[Tensor, "Q H K"]]:
-        """Return offsets in cells, and attention; queries are the last axis, where softmax is many times faster."""
+        """Return offsets in cells, and attention."""
         offsets = self.offsets(queries).view(-1, self.axes, self.heads, self.points).transpose(0, 1)
-        scores = torch.addmm(self.attention.bias[:, None], self.attention.weight, queries.T)
-        weights = scores.view(self.heads, self.points, -1).softmax(1)
+        weights = transposed(self.attention, queries).view(self.heads, self.points, -1).softmax(1)
         return offsets, weights.permute(2, 0, 1).contiguous()
 
 
@@ -149,7 +132,6 @@ class Attention(nn.Module):
     rolling the input along a periodic axis rolls the output. Samples beyond an end that does not wrap around are zero.
 
     Args:
-        channels: of input and output.
         heads: of attention, a divisor of the channels.
         points: samples per head.
         feedforward_channels: hidden channels of the feed-forward part.

@@ -36,8 +36,6 @@ class ChannelToHeight(nn.Module):
     maps at both ends depend on the height. Levels are merged as in `Conv`.
 
     Args:
-        in_channels: of the lifted volume.
-        channels: of the output.
         view_channels: of each level, finest first; multiples of 8.
         blocks: of each level.
 

@@ -19,7 +19,6 @@ class UNet(nn.Module):
     along a periodic axis by a multiple of 2**(levels-1) cells rolls the output.
 
     Args:
-        in_channels: of the lifted volume.
         channels: of each level, finest first; multiples of 8. The finest is that of the output.
 
     Raises:
@@ -46,7 +45,6 @@ class UNet(nn.Module):
         for down, block in zip(self.down, self.encoder, strict=True):
             skips.append(volume)
             volume = block(down(volume))
-        for up, block in reversed(list(zip(self.up, self.decoder, strict=True))):
-            skip = skips.pop()
+        for up, block, skip in reversed(list(zip(self.up, self.decoder, skips, strict=True))):
             volume = block(skip + upsample(up(volume), skip.shape[2:], self.periodic))
         return volume

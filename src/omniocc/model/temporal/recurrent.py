@@ -9,8 +9,8 @@ from torch import Tensor, nn
 from omniocc.camera.pose import invert_pose
 from omniocc.geometry import Grid
 from omniocc.model.ops.blocks import coarsened
+from omniocc.model.ops.deformable_attention import SampledAttention, ring_offsets, transposed
 from omniocc.model.ops.feedforward import AttentionLayer
-from omniocc.model.ops.lifter.cross_attention import ring_offsets
 from omniocc.model.ops.multilinear import corners, sum_samples
 from omniocc.model.ops.padding import Periodic, pad3d
 from omniocc.model.ops.static import is_static
@@ -20,29 +20,20 @@ VIEWS = 2
 """The previous and the present one."""
 
 
-class TemporalAttention(nn.Module):
+class TemporalAttention(SampledAttention):
     """Sum samples around every cell of a bird's-eye view, half from the previous view, half from the present one.
 
     Offsets and weights are computed from the cell's features in both (Li et al., 2022, 'BEVFormer', eq. 5).
 
     Args:
-        channels: of the views.
         heads: a divisor of the channels.
         points: samples per head and view.
     """
 
     def __init__(self, channels: int, heads: int, points: int):
-        super().__init__()
-        self.heads, self.points = heads, points
-        self.value = nn.Linear(channels, channels)
-        self.offsets = nn.Linear(VIEWS * channels, 2 * heads * VIEWS * points)
-        self.attention = nn.Linear(VIEWS * channels, heads * VIEWS * points)
-        self.output = nn.Linear(channels, channels)
-        for layer in (self.offsets, self.attention):
-            nn.init.zeros_(layer.weight)
-            nn.init.zeros_(layer.bias)
-        rings = ring_offsets(heads, VIEWS, points, anchors=1)
-        self.offsets.bias.data.copy_(rings.permute(2, 0, 1, 3).flatten())
+        rings = ring_offsets(heads, VIEWS, points, anchors=1).permute(2, 0, 1, 3)
+        super().__init__(channels, VIEWS * channels, heads, rings, axes=2)
+        self.points = points
 
     def forward(
         self, present: Float[Tensor, "B X Y C"], previous: Float[Tensor, "B X Y C"], periodic: Periodic
@@ -77,10 +68,9 @@ class TemporalAttention(nn.Module):
         return (sample[:, None, None] * VIEWS + view) * ((x_cells + 2) * (y_cells + 2))
 
     def _sampling(self, queries: Float[Tensor, "N E"]) -> tuple[Float[Tensor, "2 N H K"], Float[Tensor, "N H K"]]:
-        """Return offsets in cells along both axes, and attention; softmax over a long last axis is fast."""
+        """Return offsets in cells along both axes, and attention."""
         offsets = self.offsets(queries).view(len(queries), 2, self.heads, -1).transpose(0, 1)
-        scores = torch.addmm(self.attention.bias[:, None], self.attention.weight, queries.T)
-        weights = scores.view(self.heads, VIEWS, self.points, -1).softmax(2) / VIEWS
+        weights = transposed(self.attention, queries).view(self.heads, VIEWS, self.points, -1).softmax(2) / VIEWS
         return offsets, weights.flatten(1, 2).permute(2, 0, 1).contiguous()
 
 
@@ -107,8 +97,6 @@ class Recurrent(nn.Module):
     to the newest volume.
 
     Args:
-        channels: of the volumes.
-        view_channels: of the bird's-eye views.
         heads: of attention, a divisor of `view_channels`.
         points: samples per head and view.
         feedforward_channels: hidden channels of the feed-forward part.

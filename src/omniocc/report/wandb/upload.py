@@ -44,14 +44,9 @@ def in_use(folder: Path) -> bool:
 
 
 def log_report(report: Path, project: str) -> bool:
-    """Log the tables of a report (its CSV files) as an offline W&B run of job type `report`.
+    """Log the tables of a report (the CSV files in its folder) as an offline W&B run of job type `report`.
 
-    Returns:
-        False if that has been done already, or there is no table.
-
-    Args:
-        report: folder that `report.py` has written.
-        project: W&B project.
+    Return False if that has been done already, or there is no table.
     """
     files = sorted(report.glob("*.csv"))
     text = "".join(path.name + path.read_text() for path in files)

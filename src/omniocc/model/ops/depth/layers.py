@@ -62,10 +62,8 @@ class UNet2d(nn.Module):
             skips.append(maps)
             height, width = maps.shape[-2:]
             maps = block(down(F.pad(maps, (0, width % 2, 0, height % 2))))
-        for up, block in reversed(list(zip(self.up, self.decoder, strict=True))):
-            skip = skips.pop()
-            height, width = skip.shape[-2:]
-            maps = block(skip + upsample_view(up(maps), (height, width), (False, self.wrap)))
+        for up, block, skip in reversed(list(zip(self.up, self.decoder, skips, strict=True))):
+            maps = block(skip + upsample_view(up(maps), skip.shape[-2:], (False, self.wrap)))
         return maps
 
 

@@ -76,11 +76,9 @@ class LearnedPanoramaDepth(PanoramaDepth):
         self.mirror = mirror
 
     def losses(self, batch: DepthBatch, flip: bool) -> dict[str, Float[Tensor, ""]]:
-        """Return weighted losses by name.
+        """Return weighted losses by name of samples whose images have one shape.
 
-        Args:
-            batch: samples whose images have one shape.
-            flip: whether to learn from the mirrored world: the true ranges are mirrored, the images are not yet.
+        With `flip` it is the mirrored world that is learned: the true ranges are mirrored, the images are not yet.
         """
         raise NotImplementedError
 

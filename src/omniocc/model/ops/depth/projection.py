@@ -73,6 +73,13 @@ class Sampler:
         pixels = present.T.float().repeat_interleave(self.matrix.shape[1] // present.shape[1], 0)
         return self.product(pixels)
 
+    def mean(
+        self, rows: Float[Tensor, "pixels BC"], present: Bool[Tensor, "B N"]
+    ) -> tuple[Float[Tensor, "points B C"], Float[Tensor, "points B"]]:
+        """Return the mean features over present cameras, and the fraction of each point's weight that is in these."""
+        fraction = self.present_fraction(present)
+        return self(rows).unflatten(1, (len(present), -1)) / fraction.clamp(min=LEAST_PRESENT)[..., None], fraction
+
     def product(self, rows: Float[Tensor, "columns K"], less: Float[Tensor, "points K"] | None = None) -> Tensor:
         """Return `matrix @ rows`, or `less - matrix @ rows` in place."""
         if not is_static():

@@ -26,14 +26,10 @@ def still_axes(geometry: Grid) -> list[int]:
 
 
 def point_features(points: Float[Tensor, "P 3"], geometry: Grid) -> Float[Tensor, "P F"]:
-    """Return the features of points in Cylinder3D: offset from the cell's centre, coordinates, range.
+    """Return the features that Cylinder3D has of points in the grid (ego frame, m): offset in the cell, place, range.
 
-    Offsets are in cells, coordinates from -1 to 1 over the grid, the range in units of the grid's reach. Cylinder3D's
-    azimuth, x and y are left out in a cylinder, so that turning the car turns the sketch.
-
-    Args:
-        points: inside the grid, ego frame, metres.
-        geometry: the grid.
+    Offsets from the cell's centre are in cells, places from -1 to 1 over the grid, ranges in units of the grid's reach.
+    Cylinder3D's azimuth, x and y are left out in a cylinder, so that turning the car turns the sketch.
     """
     places = torch.stack(geometry.coordinates(points), dim=-1)
     offset = places - places.floor() - 0.5
@@ -58,11 +54,7 @@ def voxel_max(
 
 
 class PointEncoder(nn.Module):
-    """Encode the points of every cell: an MLP on each point, the maximum in each cell.
-
-    Args:
-        channels: of the result.
-    """
+    """Encode the points of every cell: an MLP on each point, the maximum in each cell."""
 
     def __init__(self, geometry: Grid, channels: int):
         super().__init__()
