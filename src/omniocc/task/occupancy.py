@@ -60,17 +60,13 @@ class OccupancyTask(StageTask[OccupancyModel]):
         self.loss.set_class_counts(voxel_counts.flatten(1).sum(1))
         self.prior.copy_(voxel_counts.argmax(0))
 
-    def predict_labels(self, batch: Batch) -> Tensor:
-        """Return the class of every cell, (B, *shape) uint8."""
-        return self.predict(batch).logits.argmax(1).to(torch.uint8)
-
     def predict(self, batch: Batch) -> Prediction:
         """Return logits of the newest frame, and of ranges where the batch has true ones."""
         with_ranges = batch.camera_range_m is not None
         return self.model(*model_inputs(batch), batch.exists, with_ranges)
 
     def evaluate(self, batch: Batch) -> Tensor:
-        """Return the same as `predict_labels`, reusing the volumes of past frames that were evaluated before."""
+        """Return the class of every cell, (B, *shape) uint8; volumes of frames that were evaluated before are reused."""
         exists = batch.exists
         if exists is None:
             exists = torch.ones(batch.images.shape[:2], dtype=torch.bool, device=batch.images.device)

@@ -44,13 +44,12 @@ class Mono(LearnedPanoramaDepth):
     """Estimate the log of the range and the sky in each image, from its colours and the rays of its pixels.
 
     Maps of all cameras, at half the size of the images, are drawn into the panorama from the cameras' positions, the
-    nearest surface in front. Other arguments as in `PanoramaDepth`.
+    nearest surface in front. Other arguments as in `LearnedPanoramaDepth`.
 
     Args:
         channels: per level of the network, finest (half the image size) first; multiples of 8.
         focus: of the scale-invariant loss, see `SILog`.
         sky_weight: of the cross-entropy of sky, added to it.
-        mirror: train on mirrored images as often as on the true ones.
     """
 
     def __init__(

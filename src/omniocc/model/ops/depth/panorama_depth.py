@@ -47,14 +47,7 @@ class PanoramaDepth(nn.Module):
 
 
 class DepthBatch(NamedTuple):
-    """Samples that a depth network learns from, without padding.
-
-    Attributes:
-        images: RGB in [0, 1].
-        rigs: one per sample.
-        erp_range_m: true panorama; inf for the sky, nan where unknown.
-        camera_range_m: true range of every pixel; None if the data has none.
-    """
+    """Samples that a depth network learns from, as in `LearnedDepth.training_terms`, but without padding."""
 
     images: Float[Tensor, "B N 3 H W"]
     rigs: Rigs
