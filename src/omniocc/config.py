@@ -111,12 +111,10 @@ def target_of(node: Mapping[Any, Any]) -> type:
 
 def foreign_packages(node: Any, packages: Sequence[str]) -> list[str]:
     """Return, sorted, the packages of the classes in a tree that are not among `packages`."""
-    found: set[str] = set()
-    if isinstance(node, Mapping):
-        found |= {str(node["_target_"]).split(".")[0]} - set(packages) if "_target_" in node else set()
-    if isinstance(node, Mapping | list):
-        for child in node.values() if isinstance(node, Mapping) else node:
-            found |= set(foreign_packages(child, packages))
+    children = node.values() if isinstance(node, Mapping) else node if isinstance(node, list) else ()
+    found = {package for child in children for package in foreign_packages(child, packages)}
+    if isinstance(node, Mapping) and "_target_" in node:
+        found |= {str(node["_target_"]).split(".")[0]} - set(packages)
     return sorted(found)
 
 

@@ -6,11 +6,10 @@ from typing import Any
 
 from markupsafe import Markup
 
-from omniocc.report.class_colors import colors_of
 from omniocc.report.dataset.table import dataset_cells
 from omniocc.report.frames import ComparedFrame, Shown, inline
 from omniocc.report.html import render
-from omniocc.report.runs import FinishedRun, path_between
+from omniocc.report.runs import FinishedRun, colors_of, path_between
 from omniocc.report.sweep import Sweep, unfinished_lines
 from omniocc.report.tables import bounds, budget
 from omniocc.report.tables.claims import claim_cells

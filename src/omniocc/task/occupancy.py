@@ -66,7 +66,7 @@ class OccupancyTask(StageTask[OccupancyModel]):
         return self.model(*model_inputs(batch), batch.exists, with_ranges)
 
     def evaluate(self, batch: Batch) -> Tensor:
-        """Return the class of every cell, (B, *shape) uint8; volumes of frames that were evaluated before are reused."""
+        """Return the class of every cell, (B, *shape) uint8; volumes of frames evaluated before are reused."""
         exists = batch.exists
         if exists is None:
             exists = torch.ones(batch.images.shape[:2], dtype=torch.bool, device=batch.images.device)

@@ -8,8 +8,7 @@ from torch import Tensor, nn
 from transformers import ResNetConfig
 
 from omniocc.model.ops.backbone.fpn import FPN
-from omniocc.model.ops.backbone.imagenet import Normalize
-from omniocc.model.ops.backbone.pretrained import build_resnet
+from omniocc.model.ops.backbone.pretrained import Normalize, build_resnet
 from omniocc.model.ops.deformable_conv import DeformableConv2d
 from omniocc.model.ops.padded import FeatureMaps
 

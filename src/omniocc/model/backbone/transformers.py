@@ -10,8 +10,7 @@ from transformers import AutoBackbone, AutoConfig, PretrainedConfig
 from transformers.models.auto.modeling_auto import MODEL_FOR_BACKBONE_MAPPING, MODEL_FOR_BACKBONE_MAPPING_NAMES
 
 from omniocc.model.ops.backbone.fpn import FPN
-from omniocc.model.ops.backbone.imagenet import Normalize
-from omniocc.model.ops.backbone.pretrained import load_or_random, require_equal
+from omniocc.model.ops.backbone.pretrained import Normalize, load_or_random, require_equal
 from omniocc.model.ops.padded import FeatureMaps
 
 PROBE_PX = 224

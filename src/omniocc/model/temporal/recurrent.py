@@ -91,10 +91,10 @@ class History(NamedTuple):
 class Recurrent(nn.Module):
     """Let each bird's-eye view attend to the previous one, from the oldest frame to the newest.
 
-    As BEVFormer (Li et al., 2022): the result of a frame, moved into the next one's ego frame, is the history of the
-    next; a frame without history is its own. There every layer of the encoder has the attention, here it follows all
-    of them. Volumes become views by a linear map of each column of voxels, and the newest view is mapped back and added
-    to the newest volume.
+    As in BEVFormer (Li et al., 2022), the result of a frame, moved into the next one's ego frame, is the history of the
+    next; a frame without history attends to itself. BEVFormer has this attention in every layer of its encoder, here it
+    follows the whole encoder. Volumes become views by a linear map of each column of voxels, and the newest view is
+    mapped back and added to the newest volume.
 
     Args:
         heads: of attention, a divisor of `view_channels`.
@@ -141,7 +141,7 @@ class Recurrent(nn.Module):
         *past, newest = volumes
         poses = world_from_ego.double()
         device, learns = newest.device.type, torch.is_grad_enabled() and self.history_gradient
-        # autocast caches weights, in older PyTorch without gradient if the past comes first
+        # older versions of PyTorch cache weights for autocast without gradient if their first use needs none
         dtype, enabled = torch.get_autocast_dtype(device), torch.is_autocast_enabled(device)
         cast = torch.autocast(device, dtype, enabled, cache_enabled=learns)
         with torch.set_grad_enabled(learns), cast:

@@ -29,7 +29,7 @@ TAPER = 0.08
 BLOCK_ROWS = 1 << 16
 FAR_M = 1e6
 LEAST_PRESENT = 0.05
-"""Smallest fraction of a point's cameras by which its features are scaled up to those of all its cameras."""
+"""Lower limit of the fraction of present cameras by which a point's features are divided."""
 
 
 @dataclass(frozen=True, eq=False)
