@@ -102,7 +102,7 @@ def train_occupancy(
 def facts_of_report(task: OccupancyTask, data: OccupancyData, earlier: Stages | None, steps: int) -> dict[str, Any]:
     """Return facts for the report: steps of every stage, names and colours of the classes, fraction of candidates.
 
-    The latter is measured here if the sketch is no stage, whose test would measure it.
+    The fraction is measured here only if the sketch is not learned; else the test of its stage measures it.
     """
     stages = {} if earlier is None else {name: load_results(path)[0]["steps"] for name, path in earlier.results.items()}
     rows = data.source.spec.classes.rows

@@ -26,9 +26,6 @@ class SemanticClass(NamedTuple):
 class ClassTable:
     """The classes of a dataset, with ids 0 .. N-1 in order; 0 is free space, 255 (unknown) is no class.
 
-    Attributes:
-        rows: id, name and colour of each class.
-
     Raises:
         ValueError: naming the row that is wrong.
     """

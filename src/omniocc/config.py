@@ -111,12 +111,10 @@ def target_of(node: Mapping[Any, Any]) -> type:
 
 def foreign_packages(node: Any, packages: Sequence[str]) -> list[str]:
     """Return, sorted, the packages of the classes in a tree that are not among `packages`."""
-    found: set[str] = set()
-    if isinstance(node, Mapping):
-        found |= {str(node["_target_"]).split(".")[0]} - set(packages) if "_target_" in node else set()
-    if isinstance(node, Mapping | list):
-        for child in node.values() if isinstance(node, Mapping) else node:
-            found |= set(foreign_packages(child, packages))
+    children = node.values() if isinstance(node, Mapping) else node if isinstance(node, list) else ()
+    found = {package for child in children for package in foreign_packages(child, packages)}
+    if isinstance(node, Mapping) and "_target_" in node:
+        found |= {str(node["_target_"]).split(".")[0]} - set(packages)
     return sorted(found)
 
 
@@ -146,12 +144,7 @@ def plain(cfg: DictConfig) -> dict[str, Any]:
 
 
 def compose_plain(folder: Path, name: str, overrides: Sequence[str]) -> dict[str, Any]:
-    """Return the tree that a script would get with these overrides, resolved, as plain dicts and lists.
-
-    Args:
-        folder: of the configuration.
-        name: of the file at its root, without ending.
-        overrides: as on the command line.
+    """Return the tree that a script would get from `<folder>/<name>.yaml`, resolved, as plain dicts and lists.
 
     Raises:
         ConfigError: when it cannot be composed.
@@ -236,14 +229,11 @@ def _check_value(node: DictConfig, key: str, path: str, hint: Any) -> Iterator[s
     except OmegaConfBaseException as error:
         yield f"{path}.{key}: {str(error).splitlines()[0]}"
         return
+    wrong_seed = key == "seed" and isinstance(plain, int) and not 0 <= plain <= MAX_SEED
     if not fits(plain, hint):
         yield f"{path}.{key}: {plain!r} is not {_describe(hint)}"
-    elif key == "seed" and _is_out_of_range(plain) and not OmegaConf.is_interpolation(node, key):
+    elif wrong_seed and not OmegaConf.is_interpolation(node, key):
         yield f"{path}.seed: {plain} is not from 0 to {MAX_SEED}"
-
-
-def _is_out_of_range(seed: Any) -> bool:
-    return isinstance(seed, int) and not 0 <= seed <= MAX_SEED
 
 
 def _unknown(path: str, owner: str, known: Sequence[str]) -> str:
@@ -267,14 +257,10 @@ def fits(value: Any, hint: Any) -> bool:
     """
     if isinstance(value, dict) and "_target_" in value:
         return True
-    if hint is bool or hint is str:
+    if hint in (bool, str, type(None)):
         return isinstance(value, hint)
-    if hint is int:
-        return isinstance(value, int) and not isinstance(value, bool)
-    if hint is float:
-        return isinstance(value, int | float) and not isinstance(value, bool)
-    if hint is type(None):
-        return value is None
+    if hint in (int, float):
+        return isinstance(value, (int, hint)) and not isinstance(value, bool)
     origin, arguments = get_origin(hint), get_args(hint)
     if origin is Literal:
         return value in arguments

@@ -63,10 +63,7 @@ def remove_leftovers(path: Path) -> None:
 def cannot_write(path: Path, error: OSError, needed_bytes: int | None = None) -> DataError:
     """Return the error to raise when writing to a file or folder failed; complete files stay valid.
 
-    Args:
-        path: file or folder.
-        error: the error of the operating system.
-        needed_bytes: size of the file, named with the free space when the disk is full; None if unknown.
+    The size of the file, if known, is named with the free space when the disk is full.
     """
     reason = _REMEDIES.get(error.errno or 0, f"{error.strerror or error}")
     if error.errno == errno.ENOSPC and needed_bytes is not None:

@@ -120,9 +120,7 @@ class Progress:
     def advance(self, count: int = 1, text: str = "") -> None:
         """Count units that are done: one just finished, or several that an earlier run had finished.
 
-        Args:
-            count: units.
-            text: further details to show, such as losses.
+        `text` is shown beside the count, such as losses.
         """
         self._own, self._text = self._own + count, text
         self._made += count == 1

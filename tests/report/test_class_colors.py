@@ -1,7 +1,6 @@
 """Names and colours of classes come from the runs."""
 
-from omniocc.report.class_colors import colors_of, names_of
-from omniocc.report.runs import FinishedRun
+from omniocc.report.runs import FinishedRun, colors_of, names_of
 
 
 def run(classes, *names):

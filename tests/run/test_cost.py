@@ -1,10 +1,14 @@
+import inspect
+from types import SimpleNamespace
+
 import pytest
 import torch
+from torch import nn
 
 from omniocc.camera import Rig
 from omniocc.config import build
 from omniocc.data.dataset import Sample
-from omniocc.run.cost import GFLOP, PARAMETERS, cost_of, count_gflop
+from omniocc.run.cost import GFLOP, PARAMETERS, cost_of, count_gflop, estimates_range
 
 
 def test_a_product_counts_multiplications_and_additions():
@@ -59,6 +63,26 @@ def test_depth_is_part_of_the_cost_unless_it_was_recorded(make_model):
     predicted, recorded = make_model(), make_model("model/depth=truth")
     sample = make_sample(predicted.geometry, predicted.temporal.frames, 0.3)
     assert cost_of(predicted, sample)[GFLOP] > cost_of(recorded, sample)[GFLOP] > 0
+
+
+class OnDepth(nn.Module):
+    """A learned sketch whose depth is a registered submodule, which `isinstance` with a protocol may not see."""
+
+    def __init__(self, recorded):
+        super().__init__()
+        self.depth = nn.Identity()
+        self.depth.NEEDS_TRUE_RANGE = recorded
+
+    def training_terms(self, range_m, valid, voxels):
+        return {}
+
+
+@pytest.mark.parametrize("recorded", [False, True])
+def test_depth_that_is_a_submodule_is_found(recorded):
+    sketch = OnDepth(recorded)
+    with pytest.raises(AttributeError):
+        inspect.getattr_static(sketch, "depth")
+    assert estimates_range(SimpleNamespace(sketch=sketch)) != recorded
 
 
 def test_sketches_without_depth_need_no_candidates(make_model):

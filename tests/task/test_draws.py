@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import torch
 
-from omniocc.task.draws import step_generator
+from omniocc.task.stage_task import step_generator
 
 
 def draw(seed=0, step=0, batch=0, rank=0):

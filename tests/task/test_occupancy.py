@@ -11,8 +11,8 @@ from lightning.pytorch.callbacks import ModelCheckpoint
 from omniocc.batch import Batch
 from omniocc.camera import Rig
 from omniocc.task.build import build_task, load_task
-from omniocc.task.draws import step_generator
 from omniocc.task.scores import Scores
+from omniocc.task.stage_task import step_generator
 
 CONF = Path(__file__).parents[2] / "conf"
 RIG = Rig.load("fisheye6").resized(64, 36)
@@ -70,7 +70,7 @@ def test_streamed_evaluation_scores_what_whole_windows_score(make_task, spec):
     lift = task.model.lift
     for samples in SAMPLES:
         batch = make_batch(task, samples)
-        labels = task.predict_labels(batch)
+        labels = task.predict(batch).logits.argmax(1).to(torch.uint8)
         expected.update(labels, batch)
         task.model.lift = lambda images, *rest: lifted.append(len(images)) or lift(images, *rest)
         assert torch.equal(task.validation_step(batch, 0), labels)
@@ -227,7 +227,7 @@ def test_only_training_is_augmented(make_task):
     task.eval()
     task.validation_step(batch, 0)
     task.test_step(batch, 0)
-    task.predict_labels(batch)
+    task.predict(batch)
     assert len(asked) == 1
 
 

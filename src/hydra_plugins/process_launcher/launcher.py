@@ -134,15 +134,10 @@ def left_s(jobs: Sequence[Job], n_jobs: int) -> float:
     """
     done = [job for job in jobs if job.code is not None]
     each_s = sum(job.elapsed_s for job in done) / len(done)
-    running = [max(each_s - job.age_s, reported_left_s(job)) for job in jobs if job.running]
+    reports = [(job, job.status) for job in jobs if job.running]
+    running = [max(each_s - job.age_s, (status and status.left_s) or 0.0) for job, status in reports]
     pending_s = each_s * sum(job.process is None for job in jobs)
     return max([(sum(running) + pending_s) / n_jobs, *running])
-
-
-def reported_left_s(job: Job) -> float:
-    """Return the seconds left that a job reports; 0 if it reports none."""
-    status = job.status
-    return 0.0 if status is None or status.left_s is None else status.left_s
 
 
 def summary(jobs: Sequence[Job], failed: Sequence[Job]) -> str:

@@ -112,7 +112,8 @@ class OccupancyModel(nn.Module):
         images, world_from_ego, exists = images[:, window], world_from_ego[:, window], exists[:, window]
         rigs = tuple(sample[window] for sample in rigs)
         sketched = sketched and sketched.at(slice(None), window)
-        # the newest first: autocast caches weights, in older PyTorch without gradient if the past came first
+        # the newest first: older versions of PyTorch cache weights for autocast as their first use needs them, and the
+        # past may need no gradient
         newest = self.lift(
             images[:, -1], tuple(sample[-1] for sample in rigs), sketched and sketched.at(slice(None), -1)
         )

@@ -131,9 +131,10 @@ class Sketch(Protocol):
         ...
 
 
-@runtime_checkable
 class LearnedSketch(Sketch, Learns, Protocol):
     """A sketch with weights that uses ranges, trained in the sketch stage after the depth stage.
+
+    Ask `learns(type(sketch))` instead of `isinstance`, which from Python 3.12 on does not see `depth` as a submodule.
 
     Attributes:
         SELECTION: constructor arguments that choose among probabilities; the weights do not depend on them.

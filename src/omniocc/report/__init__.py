@@ -2,5 +2,5 @@
 
 `runs` reads what every run recorded; `rows` and `selection` choose the runs of each row; `tables/`, `plots/`, `frames`
 and `dataset/` make the parts; `sweep` holds them together and writes the tables; `page` with `templates/` makes the
-page. `wandb/` has the dashboard and the upload. Helpers: `class_colors`, `data_url`, `template`.
+page. `wandb/` has the dashboard and the upload. Helper: `html`.
 """

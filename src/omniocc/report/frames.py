@@ -9,7 +9,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from omniocc.report.data_url import webp
+from omniocc.report.html import webp
 from omniocc.report.runs import FinishedRun, grid_kind
 from omniocc.run.folder import IMAGES, PARTS
 from omniocc.view import SheetParts
@@ -22,7 +22,6 @@ class Shown(NamedTuple):
     """One row's prediction of a frame.
 
     Attributes:
-        row: name of the row.
         run: its first seed.
         parts: images of the sheet.
         grid: kind of the row's grid, empty if an earlier row has the same grid.

@@ -6,10 +6,10 @@ from typing import Any
 
 from markupsafe import Markup
 
-from omniocc.report.class_colors import colors_of
-from omniocc.report.dataset.table import DatasetTable, dataset_cells
+from omniocc.report.dataset.table import dataset_cells
 from omniocc.report.frames import ComparedFrame, Shown, inline
-from omniocc.report.runs import FinishedRun, path_between
+from omniocc.report.html import render
+from omniocc.report.runs import FinishedRun, colors_of, path_between
 from omniocc.report.sweep import Sweep, unfinished_lines
 from omniocc.report.tables import bounds, budget
 from omniocc.report.tables.claims import claim_cells
@@ -24,7 +24,6 @@ from omniocc.report.tables.paper import (
     source_of,
     with_spread,
 )
-from omniocc.report.template import render
 from omniocc.run.table import number
 from omniocc.view.bev import ERRORS
 
@@ -39,21 +38,20 @@ Section = dict[str, Any]
 
 
 def page(sweep: Sweep, plots: Mapping[str, tuple[str, str]], frames: Sequence[ComparedFrame], folder: Path) -> str:
-    """Return the whole page.
-
-    Args:
-        sweep: runs and tables.
-        plots: title and SVG of each, by name.
-        frames: test frames, compared across rows.
-        folder: of the page, from which links to runs start.
-    """
-    first, *others = [_plot(name, *plot) for name, plot in plots.items()] or [None]
+    """Return the whole page, with links to runs from its `folder`; `plots` has title and SVG of each plot by name."""
+    drawn: list[Section | None] = [
+        {"kind": "plot", "name": f"plot-{name}", "title": title, "svg": Markup(svg)}
+        for name, (title, svg) in plots.items()
+    ]
     sections = [
-        first,
+        *drawn[:1],
         _text_table("bounds", bounds.TITLE, bounds.NOTE, bounds.bounds_cells(sweep.rows)),
-        *map(_dataset, sweep.datasets),
+        *(
+            _text_table(table.name, table.title, table.note, dataset_cells(table), files=True)
+            for table in sweep.datasets
+        ),
         *(_paper_table(table, sweep) for table in sweep.tables),
-        *others,
+        *drawn[1:],
         _frames(frames, sweep.runs) if frames else None,
         _text_table("budget", "Budget", budget.NOTE, budget.budget_cells(sweep.rows)),
         _runs(sweep, folder),
@@ -78,18 +76,11 @@ def _facts(sweep: Sweep) -> dict[str, str]:
     }
 
 
-def _plot(name: str, title: str, svg: str) -> Section:
-    return {"kind": "plot", "name": f"plot-{name}", "title": title, "svg": Markup(svg)}
-
-
-def _text_table(name: str, title: str, note: str, cells: tuple[list[str], list[list[str]]]) -> Section:
-    head, rows = cells
-    section = {"kind": "text_table", "name": name, "title": title, "note": note}
-    return section | {"head": head, "rows": rows, "files": False}
-
-
-def _dataset(table: DatasetTable) -> Section:
-    return _text_table(table.name, table.title, table.note, dataset_cells(table)) | {"files": True}
+def _text_table(
+    name: str, title: str, note: str, cells: tuple[list[str], list[list[str]]], files: bool = False
+) -> Section:
+    content = {"title": title, "note": note, "head": cells[0], "rows": cells[1], "files": files}
+    return {"kind": "text_table", "name": name, **content}
 
 
 def _paper_table(table: PaperTable, sweep: Sweep) -> Section:

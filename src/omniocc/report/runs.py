@@ -1,10 +1,11 @@
-"""The records of all finished runs of a folder."""
+"""The records of all finished runs of a folder, with names and colours of the classes that they scored."""
 
+import colorsys
 import math
 import os
 import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -15,6 +16,7 @@ import yaml
 from omniocc.errors import UserError
 from omniocc.run.folder import METRICS
 from omniocc.run.results import CANDIDATES, load_results
+from omniocc.run.table import class_names
 
 HASH = re.compile(r"-[0-9a-f]{8}(-\d+)?$")
 FRACTION, RECALL, VOXELS = "test/sketch/fraction", "test/sketch/recall", "voxels"
@@ -60,19 +62,15 @@ def read_runs(folder: Path) -> list[FinishedRun]:
     Raises:
         UserError: when there is none.
     """
-    found = [_read_or_warn(path.parent) for path in sorted(folder.glob(f"*/{METRICS}"))]
-    runs = [run for run in found if run is not None]
+    runs = []
+    for path in sorted(folder.glob(f"*/{METRICS}")):
+        try:
+            runs.append(_read(path.parent))
+        except UserError as error:
+            print(f"left out: {error}", file=sys.stderr, flush=True)
     if not runs:
         raise UserError(f"{folder} holds no finished run ({METRICS}); train one: python src/train.py")
     return sorted(runs, key=lambda run: -run.metrics["test/rayiou"])
-
-
-def _read_or_warn(folder: Path) -> FinishedRun | None:
-    try:
-        return _read(folder)
-    except UserError as error:
-        print(f"left out: {error}", file=sys.stderr, flush=True)
-        return None
 
 
 def _read(folder: Path) -> FinishedRun:
@@ -118,3 +116,17 @@ def grid_name(config: Mapping[str, Any]) -> str:
 def path_between(start: Path, target: Path) -> str:
     """Return the link to a file or folder from a page in the folder `start`."""
     return quote(os.path.relpath(target.resolve(), start.resolve()))
+
+
+def names_of(runs: Sequence[FinishedRun]) -> list[str]:
+    """Return the names of all classes that the runs have scored, in the order recorded."""
+    return list(dict.fromkeys(name for run in runs for name in class_names(run.metrics)))
+
+
+def colors_of(runs: Sequence[FinishedRun]) -> dict[str, tuple[int, ...]]:
+    """Return RGB (0 to 255) of every class by name; evenly spaced hues where no run recorded a colour."""
+    names = names_of(runs)
+    recorded = {entry["name"]: tuple(entry["rgb"]) for run in runs for entry in run.facts.get("classes", [])}
+    hues = [colorsys.hsv_to_rgb(k / len(names), 0.6, 0.8) for k in range(len(names))]
+    spread = {name: tuple(round(255 * part) for part in hue) for name, hue in zip(names, hues, strict=True)}
+    return {name: recorded.get(name, spread[name]) for name in names}

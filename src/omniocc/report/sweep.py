@@ -59,13 +59,9 @@ class Sweep(NamedTuple):
 
 
 def read_sweep(runs: Path, tables: Path, conf: Path, preset: str | None) -> Sweep:
-    """Return the finished runs of a folder with the tables of another.
+    """Return the finished runs of a folder with the tables of another; the folder `conf` has the rows.
 
-    Args:
-        runs: folder of runs.
-        tables: folder of the tables.
-        conf: folder of the configuration, with the rows.
-        preset: preset of the runs to keep; None keeps the setting that most runs have.
+    Only runs of one preset are kept; None keeps the setting that most runs have.
 
     Raises:
         UserError: when there is no run, none of that preset, or a table or row is broken.
@@ -108,13 +104,11 @@ def chapters(sweep: Sweep) -> dict[str, str]:
     baseline = f"## {bounds.TITLE}\n\n{bounds.NOTE}\n\n{markdown(*bounds.bounds_cells(sweep.rows))}"
     cost = f"## Budget\n\n{budget.NOTE}\n\n{markdown(*budget.budget_cells(sweep.rows))}"
     datasets = {table.name: dataset_markdown(table) for table in sweep.datasets}
-    papers = {table.name: _with_claims(table, sweep.rows) for table in sweep.tables}
+    papers = {}
+    for table in sweep.tables:
+        head, claims = claim_cells(table, sweep.rows)
+        papers[table.name] = "\n".join([as_markdown(table, sweep.rows), *([markdown(head, claims)] if claims else [])])
     return {"bounds": baseline, **datasets, **papers, "budget": cost}
-
-
-def _with_claims(table: PaperTable, rows: Mapping[str, Sequence[FinishedRun]]) -> str:
-    head, claims = claim_cells(table, rows)
-    return "\n".join([as_markdown(table, rows), *([markdown(head, claims)] if claims else [])])
 
 
 def report_markdown(sweep: Sweep) -> str:

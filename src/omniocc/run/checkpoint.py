@@ -54,13 +54,9 @@ def load_checkpoint(path: Path) -> Checkpoint:
 
 
 def check_parts(path: Path, config: DictConfig, parts: Sequence[str], packages: Sequence[str] = ()) -> None:
-    """Check root keys of a checkpoint's configuration before anything is built from them.
+    """Check root keys (`parts`) of a checkpoint's configuration, with overrides, before anything is built from them.
 
-    Args:
-        path: of the checkpoint.
-        config: its configuration, with overrides.
-        parts: root keys.
-        packages: further packages whose classes may be built, never taken from the checkpoint itself.
+    Classes of further `packages` may be built; these are never taken from the checkpoint itself.
 
     Raises:
         UserError: when they name classes of other packages.

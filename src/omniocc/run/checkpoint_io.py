@@ -23,12 +23,9 @@ def previous_of(path: Path) -> Path:
 
 
 def write_checkpoint(content: dict[str, Any], path: Path, previous: Path | None = None) -> None:
-    """Write a checkpoint atomically; only one process may write to `path`.
+    """Write a checkpoint atomically, and make its folder if missing; only one process may write to `path`.
 
-    Args:
-        content: for `torch.save`.
-        path: the file; its folder is made if missing.
-        previous: new name of the old file; None does not keep it.
+    The old file is renamed to `previous`; None does not keep it.
 
     Raises:
         DataError: when the disk refuses; the old file is untouched.
@@ -42,10 +39,7 @@ def write_checkpoint(content: dict[str, Any], path: Path, previous: Path | None 
 def read_checkpoint(path: Path, map_location: Any = "cpu", weights_only: bool = True) -> dict[str, Any]:
     """Return the content of a checkpoint after comparing it with its checksums, which `torch.load` does not do.
 
-    Args:
-        path: the file.
-        map_location: as of `torch.load`.
-        weights_only: whether to allow only tensors and plain values.
+    `map_location` is that of `torch.load`; `weights_only` allows only tensors and plain values.
 
     Raises:
         FileNotFoundError: when there is no such file.

@@ -21,24 +21,23 @@ def bag_flops(table: Tensor, rows: Tensor, *arguments: Any, **options: Any) -> i
     return 2 * rows.numel() * table.shape[1]
 
 
-def product_flops(left: Tensor, right: Tensor, **options: Any) -> int:
-    """Return the operations of a matrix product; of a sparse matrix only stored entries count."""
+def product_flops(*operands: Tensor, **options: Any) -> int:
+    """Return the operations of a product of the last two matrices, which may be added to a bias at no cost.
+
+    Of a sparse matrix only stored entries count.
+    """
+    left, right = operands[-2:]
     stored = left._nnz() if left.layout != torch.strided else left.numel()
     return 2 * stored * right.shape[1]
 
 
-def added_product_flops(bias: Tensor, left: Tensor, right: Tensor, **options: Any) -> int:
-    """Return the operations of a matrix product that is added to a bias, which counts as none."""
-    return product_flops(left, right)
-
-
-for formula in (bag_flops, product_flops, added_product_flops):
+for formula in (bag_flops, product_flops):
     formula._get_raw = True  # type: ignore[attr-defined]
 FORMULAS = {
     torch.ops.aten._embedding_bag: bag_flops,
     torch.ops.aten._embedding_bag_forward_only: bag_flops,
     torch.ops.aten.mm: product_flops,
-    torch.ops.aten.addmm: added_product_flops,
+    torch.ops.aten.addmm: product_flops,
 }
 
 
@@ -52,11 +51,8 @@ def count_gflop(run: Callable[[], object]) -> float:
 def cost_of(model: OccupancyModel, sample: Sample) -> dict[str, float]:
     """Return parameters, and operations of one more frame of a sequence; a learned sketch and its depth count in both.
 
-    Recorded ranges (`model/depth=truth`) cost nothing.
-
-    Args:
-        model: in evaluation mode.
-        sample: of whose newest frame the operations are counted.
+    Recorded ranges (`model/depth=truth`) cost nothing. The frame is the newest of the sample; the model has to be in
+    evaluation mode.
     """
     device = next(model.parameters()).device
     images, pose = sample.images[-1].to(device), sample.world_from_ego[-1].to(device)

@@ -30,7 +30,6 @@ class RunFolder:
     """The folder of a run, its checkpoint and its lock.
 
     Attributes:
-        path: the folder.
         checkpoint: file to resume from; None at the start, and when the run is finished.
         lock: held by the run's first process, None in the others.
     """
@@ -49,8 +48,12 @@ def run_hash(config: dict[str, Any], data_fingerprint: str) -> str:
     """Return eight hex digits of everything that decides a run's result."""
     unused = () if sketch_learns(config) else ("depth", "stages")
     kept = {key: value for key, value in config.items() if key not in (*VOLATILE, *unused)}
-    text = json.dumps([kept, data_fingerprint], sort_keys=True, default=str)
-    return hashlib.sha256(text.encode()).hexdigest()[:8]
+    return short_hash([kept, data_fingerprint])
+
+
+def short_hash(content: Any) -> str:
+    """Return eight hex digits of plain data."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()[:8]
 
 
 def open_run(runs: Path, name: str, digest: str, resume: str) -> RunFolder:

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterator, Sequence
 from difflib import SequenceMatcher, get_close_matches
+from itertools import accumulate
 from typing import cast
 
 import hydra
@@ -19,11 +20,8 @@ NEAR_ENOUGH = 0.6
 def explain(error: Exception, conf: str, config_name: str, arguments: Sequence[str]) -> str:
     """Return a few lines about a mistake in overrides: first the problem, then the nearest keys or options.
 
-    Args:
-        error: raised while Hydra composed the configuration.
-        conf: folder of the configuration.
-        config_name: of its root file.
-        arguments: of the command line.
+    Hydra raised the error while it composed the file `config_name` of the folder `conf` with the arguments of the
+    command line.
     """
     cause = error.__cause__
     if isinstance(error, OverrideParseException):
@@ -49,7 +47,8 @@ def _unknown_key(key: str, keys: Sequence[str], groups: Sequence[str]) -> str:
     if close:
         hint = f"; did you mean {' or '.join(close)}?"
     else:
-        parent = next((p for p in _parents(key) if any(k.startswith(f"{p}.") for k in keys)), "")
+        parents = list(accumulate(key.split(".")[:-1], "{}.{}".format))
+        parent = next((p for p in reversed(parents) if any(k.startswith(f"{p}.") for k in keys)), "")
         within = [k.removeprefix(f"{parent}.") for k in keys if not parent or k.startswith(f"{parent}.")]
         children = groups if "/" in key else [child for child in within if "." not in child]
         hint = f"\n  {'groups' if '/' in key else parent or 'keys'}: {', '.join(children)}"
@@ -69,12 +68,6 @@ def nearest(name: str, known: Sequence[str]) -> list[str]:
 
 def _last(name: str) -> str:
     return re.split(r"[./]", name)[-1]
-
-
-def _parents(key: str) -> Iterator[str]:
-    while "." in key:
-        key = key.rpartition(".")[0]
-        yield key
 
 
 def _names(conf: str, config_name: str, wrong: str, arguments: Sequence[str]) -> tuple[list[str], list[str]]:

@@ -18,10 +18,7 @@ CANDIDATES = "fraction of candidates"
 def save_results(folder: Path, metrics: Mapping[str, float], facts: Mapping[str, Any]) -> None:
     """Write `table.md`, then `metrics.json`, which marks the run as finished.
 
-    Args:
-        folder: of the run.
-        metrics: figures by key; NaN for classes without cases.
-        facts: further records of the run; lists and mappings are written to `metrics.json` only.
+    Figures of classes without cases are NaN. Lists and mappings among the facts are written to `metrics.json` only.
 
     Raises:
         DataError: naming the file that cannot be written.

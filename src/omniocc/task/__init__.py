@@ -4,8 +4,8 @@ from omniocc.task.adamw import AdamW
 from omniocc.task.depth import DepthTask
 from omniocc.task.occupancy import OccupancyTask
 from omniocc.task.progress import StepProgress
-from omniocc.task.recipe import Recipe
 from omniocc.task.scores import Scores
 from omniocc.task.sketch import SketchTask
+from omniocc.task.stage_task import Recipe
 
 __all__ = ["AdamW", "DepthTask", "OccupancyTask", "Recipe", "Scores", "SketchTask", "StepProgress"]

@@ -1,6 +1,7 @@
 """AdamW with a linear warm-up and a cosine decay by steps."""
 
 import math
+from dataclasses import dataclass
 
 import torch
 from lightning.pytorch.utilities.types import OptimizerLRSchedulerConfig
@@ -15,21 +16,21 @@ def warmup_cosine(step: int, warmup_steps: int, total_steps: int, min_lr_ratio: 
     return min_lr_ratio + (1 - min_lr_ratio) * 0.5 * (1 + math.cos(math.pi * progress))
 
 
+@dataclass(frozen=True)
 class AdamW:
     """Describe optimiser and schedule for a Lightning module's `configure_optimizers`.
 
-    Args:
+    Attributes:
         learning_rate: at the end of the warm-up.
         warmup_steps: steps of linear growth.
         weight_decay: on tensors of two dimensions and more, not on norms and biases.
         min_lr_ratio: learning rate at the last step as a fraction of `learning_rate`.
     """
 
-    def __init__(self, learning_rate: float, warmup_steps: int, weight_decay: float, min_lr_ratio: float):
-        self.learning_rate = learning_rate
-        self.warmup_steps = warmup_steps
-        self.weight_decay = weight_decay
-        self.min_lr_ratio = min_lr_ratio
+    learning_rate: float
+    warmup_steps: int
+    weight_decay: float
+    min_lr_ratio: float
 
     def configure(self, model: nn.Module, total_steps: int) -> OptimizerLRSchedulerConfig:
         """Return optimiser and schedule by steps for the parameters of `model` that require gradients."""

@@ -22,11 +22,9 @@ def build_task(cfg: DictConfig, spec: SourceSpec) -> OccupancyTask:
 
 
 def load_task(path: Path, overrides: Sequence[str]) -> tuple[OccupancyTask, OccupancyData]:
-    """Return the trained task of a checkpoint, and the data of its configuration, both with overrides.
+    """Return the trained task of a checkpoint of the occupancy stage, and the data of its configuration.
 
-    Args:
-        path: written by the occupancy stage.
-        overrides: `key=value`; `packages=[...]` allows classes of other packages.
+    Both get the overrides (`key=value`), of which `packages=[...]` allows classes of other packages.
 
     Raises:
         ConfigError: when an override does not fit.

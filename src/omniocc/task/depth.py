@@ -11,8 +11,7 @@ from omniocc.metric import DepthMetrics
 from omniocc.model.depth import Spheres
 from omniocc.model.occupancy import to_unit_range
 from omniocc.task.adamw import AdamW
-from omniocc.task.draws import step_generator
-from omniocc.task.stage_task import StageTask
+from omniocc.task.stage_task import StageTask, step_generator
 from omniocc.task.terms import log_terms
 
 FARTHEST_M = 100.0
@@ -23,7 +22,6 @@ class DepthTask(StageTask[nn.Module]):
     """Train an option of the depth slot, or only score one without weights; other arguments as in `StageTask`.
 
     Args:
-        model: option of the depth slot.
         spheres: of the rig, for errors in indices; ranges nearer than all of them are not scored.
         range_edges_m: ends of the distance bands in which errors are given.
         seed: of the random choices of training, such as mirrored batches.

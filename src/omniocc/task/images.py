@@ -36,9 +36,7 @@ class FrameImages(Callback, ABC):
     and for test frames also `media` (`test/<key of the medium>`).
 
     Args:
-        folder: of the files.
         count: number of test frames; 0 draws nothing.
-        classes: names and colours.
     """
 
     key: ClassVar[str]

@@ -15,9 +15,8 @@ from omniocc.loss import Total
 from omniocc.model import OccupancyModel, Prediction, Stream
 from omniocc.model.sketch import Sketched
 from omniocc.task.adamw import AdamW
-from omniocc.task.draws import step_generator
 from omniocc.task.scores import Scores
-from omniocc.task.stage_task import StageTask
+from omniocc.task.stage_task import StageTask, step_generator
 from omniocc.task.terms import log_terms
 
 
@@ -28,11 +27,9 @@ class OccupancyTask(StageTask[OccupancyModel]):
     * `label`, the upper bound: the true voxels themselves, scored against the true LiDAR rays.
 
     Args:
-        loss: named terms over a prediction.
         augment: random changes of training batches.
         ema_decay: of the moving average of weights that is validated, tested and saved, such as 0.999; None: none.
         spec: of the data: classes, bands and LiDAR rays of the scores.
-        config: the run's resolved configuration as plain data; with it the checkpoint suffices to rebuild the model.
     """
 
     STAGE = "occupancy"
@@ -63,17 +60,13 @@ class OccupancyTask(StageTask[OccupancyModel]):
         self.loss.set_class_counts(voxel_counts.flatten(1).sum(1))
         self.prior.copy_(voxel_counts.argmax(0))
 
-    def predict_labels(self, batch: Batch) -> Tensor:
-        """Return the class of every cell, (B, *shape) uint8."""
-        return self.predict(batch).logits.argmax(1).to(torch.uint8)
-
     def predict(self, batch: Batch) -> Prediction:
         """Return logits of the newest frame, and of ranges where the batch has true ones."""
         with_ranges = batch.camera_range_m is not None
         return self.model(*model_inputs(batch), batch.exists, with_ranges)
 
     def evaluate(self, batch: Batch) -> Tensor:
-        """Return the same as `predict_labels`, reusing the volumes of past frames that were evaluated before."""
+        """Return the class of every cell, (B, *shape) uint8; volumes of frames evaluated before are reused."""
         exists = batch.exists
         if exists is None:
             exists = torch.ones(batch.images.shape[:2], dtype=torch.bool, device=batch.images.device)

@@ -1,7 +1,5 @@
 """The stages of a configuration, and hashes of everything that decides their results."""
 
-import hashlib
-import json
 from collections.abc import Mapping
 from typing import Any, NamedTuple, cast
 
@@ -10,6 +8,7 @@ from omegaconf import DictConfig
 from omniocc.config import plain, target_of
 from omniocc.errors import UserError
 from omniocc.model.protocols import LearnedSketch
+from omniocc.run.folder import short_hash
 from omniocc.run.slots import sketch_learns
 
 STAGES = ("depth", "sketch", "occupancy")
@@ -35,11 +34,6 @@ def wanted_stages(cfg: DictConfig) -> tuple[str, ...]:
     return present[: present.index(stage) + 1]
 
 
-def digest(content: Any) -> str:
-    """Return eight hex digits of plain data."""
-    return hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()[:8]
-
-
 class Keys(NamedTuple):
     """Hashes of everything that decides the results of a stage."""
 
@@ -54,12 +48,12 @@ def stage_keys(cfg: DictConfig, data_fingerprint: str) -> Keys:
     trainer = _without(config["trainer"], OVERRULED)
     stages, sketch = config["stages"], config["model"]["sketch"]
     selection = cast(type[LearnedSketch], target_of(sketch)).SELECTION
-    depth_key = digest([VERSIONS["depth"], config["depth"], stages["depth"], trainer, data_fingerprint])
+    depth_key = short_hash([VERSIONS["depth"], config["depth"], stages["depth"], trainer, data_fingerprint])
     network = _without(sketch, selection)
     labels = config["data"]["unknown"]
-    sketch_key = digest([VERSIONS["sketch"], depth_key, network, stages["sketch"], trainer, labels])
+    sketch_key = short_hash([VERSIONS["sketch"], depth_key, network, stages["sketch"], trainer, labels])
     arguments = {name: sketch[name] for name in selection}
-    return Keys(depth_key, sketch_key, digest([VERSIONS["candidates"], sketch_key, arguments]))
+    return Keys(depth_key, sketch_key, short_hash([VERSIONS["candidates"], sketch_key, arguments]))
 
 
 def _without(arguments: Mapping[str, Any], names: tuple[str, ...]) -> dict[str, Any]:

@@ -1,8 +1,11 @@
-"""Base of the tasks of all stages: steps that score, optimiser, and content of checkpoints."""
+"""Base of the tasks of all stages: steps that score, optimiser, random draws, and content of checkpoints."""
 
 from abc import abstractmethod
+from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, TypeVar
 
+import numpy as np
+import torch
 from lightning.pytorch import LightningModule
 from lightning.pytorch.utilities.types import OptimizerLRSchedulerConfig
 from torch import Tensor, nn
@@ -14,11 +17,25 @@ from omniocc.task.adamw import AdamW
 Model = TypeVar("Model", bound=nn.Module)
 
 
+@dataclass(frozen=True)
+class Recipe:
+    """Describe the training of one stage.
+
+    Attributes:
+        seed: of weights and order of samples.
+    """
+
+    max_steps: int
+    batch_size: int
+    validate_every_n_epochs: int
+    seed: int
+    optimizer: AdamW
+
+
 class StageTask(LightningModule, Generic[Model]):
     """The model of one stage, its optimiser and its configuration.
 
     Args:
-        model: what is trained.
         config: the run's resolved configuration as plain data; with it the checkpoint suffices to rebuild the model.
     """
 
@@ -61,3 +78,9 @@ class StageTask(LightningModule, Generic[Model]):
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Add stage and configuration to the weights."""
         checkpoint |= contents(self.STAGE, self.config)
+
+
+def step_generator(task: LightningModule, seed: int, batch_index: int) -> torch.Generator:
+    """Return a CPU generator that depends only on seed, optimiser step, batch index in the epoch, and process."""
+    key = [seed, task.global_step, batch_index, task.global_rank]
+    return torch.Generator().manual_seed(int(np.random.SeedSequence(key).generate_state(1)[0]))

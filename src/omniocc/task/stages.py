@@ -34,10 +34,9 @@ from omniocc.run.wandb.loggers import finish
 from omniocc.task.depth import DepthTask
 from omniocc.task.images import DepthImages, SketchImages
 from omniocc.task.progress import StepProgress
-from omniocc.task.recipe import Recipe
 from omniocc.task.sketch import SketchTask, known
 from omniocc.task.stage_keys import stage_keys
-from omniocc.task.stage_task import StageTask
+from omniocc.task.stage_task import Recipe, StageTask
 
 Task = StageTask[nn.Module]
 
@@ -56,60 +55,53 @@ class Stages:
         self.scenes = [scene for split in SPLITS for scene in data.source.scenes(split)]
         keys = stage_keys(cfg, self.fingerprint)
         stages = Path(cfg.paths.runs) / "stages"
-        self.depth, self.sketch = stages / f"depth-{keys.depth}", stages / f"sketch-{keys.sketch}"
+        depth, sketch = stages / f"depth-{keys.depth}", stages / f"sketch-{keys.sketch}"
         panorama = build(cfg.depth).panorama
-        self.ranges = RangeCache(self.depth / "ranges", (panorama.height, panorama.width))
-        self.candidates = CandidateCache(self.sketch / f"candidates-{keys.candidates}", data.geometry.shape)
-        self.results = {"depth": self.depth, "sketch": self.candidates.folder}
+        self.ranges = RangeCache(depth / "ranges", (panorama.height, panorama.width))
+        self.candidates = CandidateCache(sketch / f"candidates-{keys.candidates}", data.geometry.shape)
+        self.folders = {"depth": depth, "sketch": sketch}
+        self.results = {"depth": depth, "sketch": self.candidates.folder}
 
     def run(self, stage: str, title: str) -> dict[str, float]:
         """Run a stage if it is missing and return its test figures."""
-        return {"depth": self.run_depth, "sketch": self.run_sketch}[stage](title)
+        with claimed(self.folders[stage], title):
+            recipe: Recipe = build(self.cfg.stages[stage])
+            seed_everything(recipe.seed, workers=True, verbose=False)
+            {"depth": self._run_depth, "sketch": self._run_sketch}[stage](recipe, title)
+        return load_results(self.results[stage])[1]
 
-    def run_depth(self, title: str) -> dict[str, float]:
-        """Train and test the depth slot, predict the panorama of every frame, and return test figures."""
-        with claimed(self.depth, title):
-            recipe = self._recipe("depth")
-            model = build(self.cfg.depth)
-            spheres = cast(Depth, model).rig_spheres(self.scenes[0].rigs[0])
-            edges_m = self.spec.range_edges_m
-            task = DepthTask(model, recipe.optimizer, spheres, edges_m, recipe.seed, plain(self.cfg))
-            drawn = DepthImages(self.results["depth"] / IMAGES, self.cfg.test_images, self.spec.classes)
-            self._finish(task, recipe, Extras(true_ranges=True), drawn, "depth", title, learns(type(model)))
-            self._fill(self.ranges, lambda scene, frame: predict_range_m(task, scene, frame), f"{title}, ranges")
-        return load_results(self.results["depth"])[1]
+    def _run_depth(self, recipe: Recipe, title: str) -> None:
+        """Train and test the depth slot, and predict the panorama of every frame."""
+        model = build(self.cfg.depth)
+        spheres = cast(Depth, model).rig_spheres(self.scenes[0].rigs[0])
+        edges_m = self.spec.range_edges_m
+        task = DepthTask(model, recipe.optimizer, spheres, edges_m, recipe.seed, plain(self.cfg))
+        drawn = DepthImages(self.results["depth"] / IMAGES, self.cfg.test_images, self.spec.classes)
+        self._finish(task, recipe, Extras(true_ranges=True), drawn, "depth", title, learns(type(model)))
+        self._fill(self.ranges, lambda scene, frame: predict_range_m(task, scene, frame), f"{title}, ranges")
 
-    def run_sketch(self, title: str) -> dict[str, float]:
-        """Train and test the sketch on predicted panoramas, select all candidates, and return test figures."""
-        with claimed(self.sketch, title):
-            recipe = self._recipe("sketch")
-            model, edges_m = build(self.cfg.model.sketch), self.spec.range_edges_m
-            task = SketchTask(model, recipe.optimizer, edges_m, plain(self.cfg))
-            cast(nn.Module, task.sketch.depth).load_state_dict(weights_of(self.depth / LAST))
-            extras = Extras(true_ranges=True, depth=self.ranges)
-            drawn = SketchImages(self.results["sketch"] / IMAGES, self.cfg.test_images, self.spec.classes)
-            self._finish(task, recipe, extras, drawn, "sketch", title, trains=True)
-            self._fill(self.candidates, lambda scene, frame: self._choose(task, scene, frame), f"{title}, candidates")
-        return load_results(self.results["sketch"])[1]
+    def _run_sketch(self, recipe: Recipe, title: str) -> None:
+        """Train and test the sketch on predicted panoramas, and select the candidates of every frame."""
+        task = SketchTask(build(self.cfg.model.sketch), recipe.optimizer, self.spec.range_edges_m, plain(self.cfg))
+        cast(nn.Module, task.sketch.depth).load_state_dict(load_checkpoint(self.folders["depth"] / LAST).model_weights)
+        extras = Extras(true_ranges=True, depth=self.ranges)
+        drawn = SketchImages(self.results["sketch"] / IMAGES, self.cfg.test_images, self.spec.classes)
+        self._finish(task, recipe, extras, drawn, "sketch", title, trains=True)
+        self._fill(self.candidates, lambda scene, frame: self._choose(task, scene, frame), f"{title}, candidates")
 
     def sketch_weights(self) -> dict[str, Tensor]:
         """Return the weights of the trained sketch, depth included, as the occupancy model's `sketch` loads them."""
-        return weights_of(self.sketch / LAST)
-
-    def _recipe(self, stage: str) -> Recipe:
-        recipe: Recipe = build(self.cfg.stages[stage])
-        seed_everything(recipe.seed, workers=True, verbose=False)
-        return recipe
+        return load_checkpoint(self.folders["sketch"] / LAST).model_weights
 
     def _finish(
         self, task: Task, recipe: Recipe, extras: Extras, images: Callback, stage: str, title: str, trains: bool
     ) -> None:
         """Load the finished task, or finish its training and test."""
-        folder, results = {"depth": self.depth, "sketch": self.sketch}[stage], self.results[stage]
+        folder, results = self.folders[stage], self.results[stage]
         last = folder / LAST
         if (results / METRICS).exists():
             print(f"{title} is finished: {results}", flush=True)
-            task.model.load_state_dict(weights_of(last))
+            task.model.load_state_dict(load_checkpoint(last).model_weights)
             return
         checkpoint, message = resumable(last) if trains else (None, None)
         if message:
@@ -165,11 +157,6 @@ def predict_range_m(task: DepthTask, scene: SceneFrames, frame: int) -> Tensor:
     true_range_m = None if panorama is None else panorama.unsqueeze(0).to(task.device)
     depth = task.eval().model(images, (scene.rigs[frame],), true_range_m)
     return depth.known_range_m()[0]
-
-
-def weights_of(path: Path) -> dict[str, Tensor]:
-    """Return the weights of the model of a stage's checkpoint; errors are those of `load_checkpoint`."""
-    return load_checkpoint(path).model_weights
 
 
 @contextmanager

@@ -81,7 +81,7 @@ def test_chunks_change_neither_values_nor_gradients(monkeypatch, geometry):
     monkeypatch.setattr(attention, "CHUNK_SAMPLES", 50 * 6)
     chunked = Attention(geometry, 8, 2, heads=2, points=3, feedforward_channels=12).double()
     chunked.load_state_dict(refiner.state_dict())
-    assert chunked.layers[0].chunk == 50
+    assert chunked.chunk == 50
     parts = chunked(volume, SKETCHED)
     torch.testing.assert_close(parts, whole)
     gradients = torch.autograd.grad(parts.square().sum(), [volume, *chunked.parameters()])

@@ -4,7 +4,7 @@ from torch.nn import functional as F
 
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.model.refiner import ChannelToHeight
-from omniocc.model.refiner.channel_to_height import ViewBlock
+from omniocc.model.refiner.channel_to_height import view_block
 from omniocc.model.sketch import Sketched
 
 SKETCHED = Sketched(torch.ones(1, 1, 1, 1, dtype=torch.bool))
@@ -37,7 +37,7 @@ def normalize(view, norm):
 @torch.no_grad()
 @GRIDS
 def test_a_block_equals_its_formula(geometry):
-    block = ViewBlock(8, geometry.periodic).double()
+    block = view_block(8, geometry.periodic).double()
     for norm in (block.first_norm, block.second_norm):
         torch.nn.init.normal_(norm.weight)
         torch.nn.init.normal_(norm.bias)

@@ -4,7 +4,7 @@ from torch.nn import functional as F
 
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.model.refiner import Conv
-from omniocc.model.refiner.conv import Block
+from omniocc.model.refiner.conv import block as make_block
 from omniocc.model.sketch import Sketched
 
 SKETCHED = Sketched(torch.ones(1, 1, 1, 1, dtype=torch.bool))
@@ -40,7 +40,7 @@ def normalize(volume, norm):
 @torch.no_grad()
 @pytest.mark.parametrize("geometry", [CYLINDER, CUBOID], ids=["cylinder", "cuboid"])
 def test_a_block_equals_its_formula(geometry):
-    block = Block(8, geometry.periodic).double()
+    block = make_block(8, geometry.periodic).double()
     for norm in (block.first_norm, block.second_norm):
         torch.nn.init.normal_(norm.weight)
         torch.nn.init.normal_(norm.bias)

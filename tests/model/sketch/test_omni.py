@@ -7,8 +7,8 @@ from torch import nn
 
 from omniocc.camera import Equirectangular
 from omniocc.geometry import Cuboid, Cylinder
-from omniocc.model.sketch import Dense, LearnedSketch, Omni, Random, Sketch, learns
-from omniocc.model.sketch.omni import occupancy
+from omniocc.model.sketch import Dense, Omni, Random, Sketch, learns
+from omniocc.model.sketch.omni import likeliest, occupancy
 
 PANORAMA = Equirectangular(24, 12, 45.0, -45.0)
 
@@ -55,7 +55,7 @@ def test_it_is_a_sketch(geometry, fisheye):
     candidates, evidence = sketch(torch.rand(2, 6, 3, 4, 4), (fisheye, fisheye), torch.rand(2, 12, 24) * 20 + 1)
     assert evidence is None
     assert isinstance(sketch, Sketch)
-    assert isinstance(sketch, LearnedSketch)
+    assert learns(type(sketch))
     assert candidates.shape == (2, *geometry.shape)
     assert candidates.dtype == torch.bool
 
@@ -203,3 +203,24 @@ def test_impossible_values_are_named(threshold, fraction):
 def test_windows_that_do_not_fit_are_named():
     with pytest.raises(ValueError, match="one more window"):
         make(Cylinder((8, 12, 4)), windows=(0, 1))
+
+
+def test_the_threshold_itself_is_chosen():
+    logits = torch.tensor([[0.0, 0.0], [0.0, -0.1], [0.0, 0.1]]).T.reshape(1, 2, 3, 1, 1)
+    assert make(Cylinder((8, 12, 4)), 0.5).choose(logits).flatten().tolist() == [True, False, True]
+
+
+@pytest.mark.parametrize(("fraction", "count"), [(0.25, 96), (0.1, 38), (1.0, 384)])
+def test_fraction_is_exact_in_every_sample(fraction, count):
+    probability = torch.rand(3, 8, 12, 4)
+    probability[1] = 0.5  # all equal
+    chosen = likeliest(probability, fraction)
+    assert chosen.sum((1, 2, 3)).tolist() == [count] * 3
+
+
+def test_fraction_takes_the_likeliest_of_each_sample():
+    probability = torch.rand(2, 8, 12, 4)
+    probability[1] *= 0.1
+    chosen = likeliest(probability, 0.3)
+    for sample in range(2):
+        assert probability[sample][chosen[sample]].min() > probability[sample][~chosen[sample]].max()

@@ -67,7 +67,7 @@ def test_attention_equals_loops_over_cells_heads_views_and_points(geometry):
     attention = make(geometry).layers[0].attention
     before, present = torch.randn(2, 2, *geometry.shape[:2], 8, dtype=torch.float64)
     expected = [attend_by_loops(attention, *views, geometry.periodic) for views in zip(before, present, strict=True)]
-    torch.testing.assert_close(attention(before, present, geometry.periodic), torch.stack(expected))
+    torch.testing.assert_close(attention(present, before, geometry.periodic), torch.stack(expected))
 
 
 @torch.no_grad()
@@ -80,7 +80,7 @@ def test_a_resting_car_hands_each_view_to_the_next_frame(geometry):
         present = columns @ temporal.fold.weight.T + temporal.fold.bias
         before = present if before is None else before
         for layer in temporal.layers:
-            mixed = layer.attention_norm(present + layer.attention(before, present, geometry.periodic))
+            mixed = layer.attention_norm(present + layer.attention(present, before, geometry.periodic))
             present = layer.feedforward(mixed)
         return present
 
@@ -98,7 +98,7 @@ def test_history_moves_with_the_car():
     moved = torch.cat([view[:, 1:], torch.zeros_like(view[:, :1])], dim=1)
     present = volumes[1].movedim(1, -1).flatten(-2) @ temporal.fold.weight.T + temporal.fold.bias
     for layer in temporal.layers:
-        present = layer(moved, present, CUBOID.periodic)
+        present = layer(present, moved, CUBOID.periodic)
     expected = volumes[1] + temporal.unfold(present).unflatten(-1, (3, 4)).movedim(-1, 1)
     torch.testing.assert_close(temporal(volumes, moving(2, step_m=4.0), ALL[:, :2]), expected)
 
@@ -142,7 +142,7 @@ def test_gradients_of_attention_are_those_of_finite_differences():
     attention = TemporalAttention(4, heads=2, points=2).double()
     torch.nn.init.normal_(attention.offsets.bias)  # between cells, where bilinear samples are smooth
     views = torch.randn(2, 1, 3, 4, 4, dtype=torch.float64, requires_grad=True)
-    run = lambda views: attention(views[0], views[1], (False, True, False))  # noqa: E731
+    run = lambda views: attention(views[1], views[0], (False, True, False))  # noqa: E731
     assert torch.autograd.gradcheck(run, views, eps=1e-7, atol=1e-5, fast_mode=True)
 
 

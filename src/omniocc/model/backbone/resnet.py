@@ -8,8 +8,7 @@ from torch import Tensor, nn
 from transformers import ResNetConfig
 
 from omniocc.model.ops.backbone.fpn import FPN
-from omniocc.model.ops.backbone.imagenet import Normalize
-from omniocc.model.ops.backbone.pretrained import build_resnet
+from omniocc.model.ops.backbone.pretrained import Normalize, build_resnet
 from omniocc.model.ops.deformable_conv import DeformableConv2d
 from omniocc.model.ops.padded import FeatureMaps
 
@@ -20,12 +19,10 @@ class ResNet(nn.Module):
     """Extract features by a residual network of transformers and a feature pyramid.
 
     Args:
-        layer_type: kind of block.
         embedding_size: channels after the stem.
         hidden_sizes: channels of the four stages.
         depths: blocks of the four stages.
         weights: pretrained weights on the Hugging Face hub, or None; if not available, warn and use random ones.
-        channels: of the output maps.
         levels: strides of the output maps, some of 4, 8, 16, 32 px.
         deformable_stages: stages, of 1 to 4, whose 3x3 convolutions become deformable with the same weights.
 

@@ -10,8 +10,7 @@ from transformers import AutoBackbone, AutoConfig, PretrainedConfig
 from transformers.models.auto.modeling_auto import MODEL_FOR_BACKBONE_MAPPING, MODEL_FOR_BACKBONE_MAPPING_NAMES
 
 from omniocc.model.ops.backbone.fpn import FPN
-from omniocc.model.ops.backbone.imagenet import Normalize
-from omniocc.model.ops.backbone.pretrained import load_or_random, require_equal
+from omniocc.model.ops.backbone.pretrained import Normalize, load_or_random, require_equal
 from omniocc.model.ops.padded import FeatureMaps
 
 PROBE_PX = 224
@@ -27,7 +26,6 @@ class Transformers(nn.Module):
         architecture: the library's name of the network, such as convnext, swin or dinov2.
         sizes: entries of the configuration that differ from the library's default.
         weights: pretrained weights on the Hugging Face hub, or None; if not available, warn and use random ones.
-        channels: of the output maps.
         levels: strides of the output maps, some of the network's, px.
 
     Raises:

@@ -44,13 +44,12 @@ class Mono(LearnedPanoramaDepth):
     """Estimate the log of the range and the sky in each image, from its colours and the rays of its pixels.
 
     Maps of all cameras, at half the size of the images, are drawn into the panorama from the cameras' positions, the
-    nearest surface in front. Other arguments as in `PanoramaDepth`.
+    nearest surface in front. Other arguments as in `LearnedPanoramaDepth`.
 
     Args:
         channels: per level of the network, finest (half the image size) first; multiples of 8.
         focus: of the scale-invariant loss, see `SILog`.
         sky_weight: of the cross-entropy of sky, added to it.
-        mirror: train on mirrored images as often as on the true ones.
     """
 
     def __init__(
@@ -103,10 +102,7 @@ class Mono(LearnedPanoramaDepth):
     ) -> tuple[Float[Tensor, "B N _ _"], Float[Tensor, "B N _ _"]]:
         """Return the log of the range (m) from each camera's centre and the logit of sky, at half size.
 
-        Args:
-            images: of samples whose images have one shape, without padding.
-            rigs: one per sample.
-            flip: whether to mirror the images, and with them the results.
+        The images have one shape, without padding; if `flip`, they are mirrored, and with them the results.
         """
         rays = torch.stack([ray_maps(rig, images.device) for rig in rigs])
         if flip:

@@ -11,7 +11,6 @@ from omniocc.camera import Equirectangular, Rig
 from omniocc.model.ops.depth.features import FeatureNet
 from omniocc.model.ops.depth.layers import Conv, UNet2d
 from omniocc.model.ops.depth.projection import (
-    LEAST_PRESENT,
     Projection,
     Sampler,
     alternate_cameras,
@@ -149,13 +148,8 @@ class OmniMVS(SphereNet):
     ) -> list[Float[Tensor, "P B C"]]:
         """Return the mean and the absolute difference of the features of the two sets."""
         rows = table(context, present)
-
-        def mean_of(sampler: Sampler) -> Tensor:
-            sums = sampler(rows).unflatten(1, (len(context), -1))
-            return sums / sampler.present_fraction(present).clamp(min=LEAST_PRESENT)[..., None]
-
-        blocks = [(mean_of(one), mean_of(two)) for one, two in self._samplers(context, rig, planes)]
-        one, two = (torch.cat(parts) for parts in zip(*blocks, strict=True))
+        blocks = zip(*self._samplers(context, rig, planes), strict=True)
+        one, two = (torch.cat([sampler.mean(rows, present)[0] for sampler in side]) for side in blocks)
         return [(one + two) / 2, (one - two).abs()]
 
     def _samplers(

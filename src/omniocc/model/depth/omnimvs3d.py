@@ -9,11 +9,11 @@ from torch.nn import functional as F
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.model.ops.depth.features import FeatureNet
-from omniocc.model.ops.depth.projection import LEAST_PRESENT, Projection, present_cameras, samplers, table
+from omniocc.model.ops.depth.projection import Projection, present_cameras, samplers, table
 from omniocc.model.ops.depth.sphere_loss import SphereLoss
 from omniocc.model.ops.depth.sphere_net import SphereNet
 from omniocc.model.ops.depth.spheres import SphereRange
-from omniocc.model.ops.padding import Conv3d, Downsample, Pointwise, Residual, upsample
+from omniocc.model.ops.padding import Conv3d, Downsample, Pointwise, residual3d, upsample
 
 AROUND = (False, False, True)
 """Periodic axes among spheres, rows and columns."""
@@ -78,19 +78,16 @@ class OmniMVS3D(SphereNet):
         self, features: Float[Tensor, "B N C _ _"], present: Bool[Tensor, "B N"], rig: Rig
     ) -> tuple[Float[Tensor, "B E D h w"], Bool[Tensor, "B 1 h w"]]:
         """Return mean and variance on all spheres, and the mask of directions that any camera sees."""
-        batch = len(features)
         rows = table(torch.cat([features, features.square()], 2), present)
         size = features.shape[-1], features.shape[-2]
         cameras = tuple(range(len(rig.cameras)))
         projection = Projection(self.swept, self.rig_spheres(rig), size, cameras, self.spheres.planes)
-        parts, fractions = [], []
-        for sampler in samplers(rig, projection, features.device):
-            fractions.append(sampler.present_fraction(present))
-            parts.append(sampler(rows).unflatten(1, (batch, -1)) / fractions[-1].clamp(min=LEAST_PRESENT)[..., None])
-        mean, square = torch.cat(parts).chunk(2, -1)
+        blocks = [sampler.mean(rows, present) for sampler in samplers(rig, projection, features.device)]
+        means, fractions = (torch.cat(parts) for parts in zip(*blocks, strict=True))
+        mean, square = means.chunk(2, -1)
         moments = torch.cat([mean, square - mean.square()], -1)
         shape = (self.spheres.count, self.swept.height, self.swept.width)
-        seen = torch.cat(fractions).gt(0).unflatten(0, shape).any(0).permute(2, 0, 1)[:, None]
+        seen = fractions.gt(0).unflatten(0, shape).any(0).permute(2, 0, 1)[:, None]
         return moments.unflatten(0, shape).permute(3, 4, 0, 1, 2), seen
 
 
@@ -100,7 +97,6 @@ class VolumeNet(nn.Module):
     The sky's score is a mean over spheres.
 
     Args:
-        in_channels: of the volume.
         channels: of each level, finest first; multiples of 8.
     """
 
@@ -108,10 +104,10 @@ class VolumeNet(nn.Module):
         super().__init__()
         pairs = list(pairwise(channels))
         self.stem = Conv3d(in_channels, channels[0], 3, AROUND)
-        self.encoder = nn.ModuleList(Residual(count, AROUND) for count in channels)
+        self.encoder = nn.ModuleList(residual3d(count, AROUND) for count in channels)
         self.down = nn.ModuleList(Downsample(fine, coarse, AROUND) for fine, coarse in pairs)
         self.up = nn.ModuleList(Pointwise(coarse, fine) for fine, coarse in pairs)
-        self.decoder = nn.ModuleList(Residual(fine, AROUND) for fine, _ in pairs)
+        self.decoder = nn.ModuleList(residual3d(fine, AROUND) for fine, _ in pairs)
         self.out = Conv3d(channels[0], 2, 3, AROUND)
 
     def forward(self, volume: Float[Tensor, "B C D h w"]) -> Float[Tensor, "B E h w"]:
@@ -121,8 +117,7 @@ class VolumeNet(nn.Module):
         for down, block in zip(self.down, list(self.encoder)[1:], strict=True):
             skips.append(volume)
             volume = block(down(volume))
-        for up, block in reversed(list(zip(self.up, self.decoder, strict=True))):
-            skip = skips.pop()
+        for up, block, skip in reversed(list(zip(self.up, self.decoder, skips, strict=True))):
             volume = block(skip + upsample(up(volume), skip.shape[2:], AROUND))
         scores, sky = self.out(volume).unbind(1)
         return torch.cat([scores, sky.mean(1, keepdim=True)], 1)

@@ -9,8 +9,8 @@ from torch import Tensor, nn
 
 from omniocc.camera import Rig
 from omniocc.geometry import Grid
-from omniocc.model.ops.deformable_attention import Level, make_level
-from omniocc.model.ops.feedforward import FeedForward
+from omniocc.model.ops.deformable_attention import make_level
+from omniocc.model.ops.feedforward import AttentionLayer
 from omniocc.model.ops.lifter.cross_attention import CrossAttention
 from omniocc.model.ops.lifter.position import position_features
 from omniocc.model.ops.lifter.visible import CENTRE, Anchors, Pairs, reference_points, visible_pairs
@@ -18,22 +18,6 @@ from omniocc.model.ops.padded import FeatureMaps, crop
 from omniocc.model.ops.rig_cache import once_per_rig
 from omniocc.model.ops.static import is_static
 from omniocc.model.protocols import Sketched
-
-
-class ColoringLayer(nn.Module):
-    """Apply cross-attention and a feed-forward part, each added and normalised."""
-
-    def __init__(self, channels: int, heads: int, points: int, levels: int, anchors: int, feedforward_channels: int):
-        super().__init__()
-        self.attention = CrossAttention(channels, heads, points, levels, anchors)
-        self.attention_norm = nn.LayerNorm(channels)
-        self.feedforward = FeedForward(channels, feedforward_channels)
-
-    def forward(
-        self, queries: Float[Tensor, "G Q C"], features: FeatureMaps, pairs: Pairs, levels: list[Level]
-    ) -> Float[Tensor, "B Q C"]:
-        """Return the queries of each sample; G is B, or 1 before the samples differ."""
-        return self.feedforward(self.attention_norm(queries + self.attention(queries, features, pairs, levels)))
 
 
 class Coloring(nn.Module):
@@ -85,7 +69,9 @@ class Coloring(nn.Module):
         first, second = nn.Linear(self.positions.shape[1], channels), nn.Linear(channels, channels)
         self.embedding = nn.Sequential(first, nn.ReLU(), second, nn.LayerNorm(channels))
         self.layers = nn.ModuleList(
-            ColoringLayer(channels, heads, points, len(levels), len(anchors), feedforward_channels)
+            AttentionLayer(
+                CrossAttention(channels, heads, points, len(levels), len(anchors)), channels, feedforward_channels
+            )
             for _ in range(layers)
         )
         self.empty = nn.Parameter(torch.zeros(channels))

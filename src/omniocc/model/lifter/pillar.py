@@ -28,16 +28,13 @@ class Pillar(nn.Module):
     Li et al. (2022, 'BEVFormer', eq. 3 and 4): deformable attention around the projections of several points of each
     pillar, averaged over the cameras that see one. Each query then becomes the features of its voxels by a linear map,
     as in the occupancy head on BEVFormer. A pillar is a candidate if one of its voxels is. On a cylinder the bird's-eye
-    view is polar.
+    view is polar. Other arguments as in `Coloring`.
 
     Args:
         in_channels: of image features and queries.
-        channels: of the volume.
-        levels: strides of the feature maps, px.
         heads: of attention, a divisor of `in_channels`.
         points: samples per head and level, a multiple of the heights, among which they are split.
         heights: reference points of each pillar.
-        feedforward_channels: hidden channels of the feed-forward part.
 
     Raises:
         ValueError: if the heads do not divide the channels, or the heights not the points.

@@ -1,13 +1,25 @@
-"""Blocks of cells: a coarser grid over the same space, and conversions between the two."""
+"""Points in cells, and blocks of cells: a coarser grid over the same space, and conversions between the two."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
-from jaxtyping import Bool, Float
+import torch
+from jaxtyping import Bool, Float, Float64
 from torch import Tensor
 from torch.nn import functional as F
 
 from omniocc.geometry import Grid
 from omniocc.model.ops.padding import Axes
+
+
+def points_in_cells(geometry: Grid, places: Sequence[Sequence[float]]) -> Float64[Tensor, "K X Y Z 3"]:
+    """Return points in every cell, ego frame, m, at fractions of the cell along each of the grid's axes."""
+    edges = [geometry.edges(axis) for axis in range(3)]
+    points = []
+    for place in places:
+        along = [low[:-1] + low.diff() * fraction for low, fraction in zip(edges, place, strict=True)]
+        points.append(geometry.from_axes(*torch.meshgrid(*along, indexing="ij")))
+    return torch.stack(points)
 
 
 def coarsened(geometry: Grid, block: Axes) -> Grid:

@@ -5,17 +5,54 @@ a query's samples are one bag of weighted rows (`embedding_bag`) and are never s
 by pixel and the same operation is applied. Memory grows only with the samples of one head and level.
 """
 
-import warnings
+import math
 from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Float, Int32, Int64
-from torch import Tensor
+from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 from torch.nn import functional as F
 
 from omniocc.model.ops.lifter.visible import Pairs
-from omniocc.model.ops.multilinear import bag_sum
+from omniocc.model.ops.multilinear import bag_sum, inner_products
+
+
+def ring_offsets(heads: int, levels: int, points: int, anchors: int) -> Float[Tensor, "H L 2 K"]:
+    """Return the first offsets of samples, px: one direction for each head, 1, 2, ... px from each anchor."""
+    angle = torch.arange(heads) * (2 * math.pi / heads)
+    direction = torch.stack([angle.cos(), angle.sin()], dim=-1)
+    direction = direction / direction.abs().amax(-1, keepdim=True)
+    return (direction[..., None] * (torch.arange(points) % (points // anchors) + 1))[:, None].expand(-1, levels, -1, -1)
+
+
+def transposed(linear: nn.Linear, queries: Float[Tensor, "Q C"]) -> Float[Tensor, "D Q"]:
+    """Return `linear(queries)` transposed: queries run along the last axis, where softmax is many times faster."""
+    return torch.addmm(linear.bias[:, None], linear.weight, queries.T)
+
+
+class SampledAttention(nn.Module):
+    """Hold the linear maps of deformable attention; before training, offsets and weights are equal for all queries.
+
+    Args:
+        channels: of values and output.
+        query_channels: from which offsets and weights of the samples are computed.
+        heads: a divisor of the channels.
+        first_offsets: of all samples along all axes, before training, in the order of the linear map.
+        axes: along which samples are moved.
+    """
+
+    def __init__(self, channels: int, query_channels: int, heads: int, first_offsets: Float[Tensor, "..."], axes: int):
+        super().__init__()
+        self.heads = heads
+        self.value = nn.Linear(channels, channels)
+        self.offsets = nn.Linear(query_channels, first_offsets.numel())
+        self.attention = nn.Linear(query_channels, first_offsets.numel() // axes)
+        self.output = nn.Linear(channels, channels)
+        for layer in (self.offsets, self.attention):
+            nn.init.zeros_(layer.weight)
+            nn.init.zeros_(layer.bias)
+        self.offsets.bias.data.copy_(first_offsets.flatten())
 
 
 class Level(NamedTuple):
@@ -137,16 +174,8 @@ def _products(
     """Return the inner product of each corner's row with the gradient of its sample's query."""
     shape = samples.row.shape
     ends = torch.cat([first * shape[1], first.new_tensor([samples.row.numel()])]).int()
-    nothing = table.new_zeros(samples.row.numel())
-    products = []
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Sparse")  # CSR is marked beta; its checks cost more than the product
-        for step in _corner_steps(width):
-            rows = (samples.row + step).flatten()
-            pattern = torch.sparse_csr_tensor(ends, rows, nothing, (len(grad), len(table)))
-            product = torch.sparse.sampled_addmm(pattern, grad, table.T, beta=0.0)
-            products.append(product.values().reshape(shape))
-    return products
+    corners = [(samples.row + step).flatten() for step in _corner_steps(width)]
+    return [inner_products(grad, table, ends, rows).reshape(shape) for rows in corners]
 
 
 def _backward(

@@ -23,6 +23,16 @@ def bag_sum(
     return F.embedding_bag(rows, table, first, mode="sum", per_sample_weights=weights)
 
 
+def inner_products(
+    left: Float[Tensor, "N C"], right: Float[Tensor, "R C"], ends: Int32[Tensor, " N+1"], rows: Int32[Tensor, " E"]
+) -> Float[Tensor, " E"]:
+    """Return the inner products of each row n of `left` with the rows `rows[ends[n]:ends[n + 1]]` of `right`."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Sparse")  # CSR is marked beta
+        pattern = torch.sparse_csr_tensor(ends, rows, left.new_zeros(len(rows)), (len(left), len(right)))
+        return torch.sparse.sampled_addmm(pattern, left, right.T, beta=0.0).values()
+
+
 class Corners(NamedTuple):
     """Rows and weights of samples in a table of the cells of a map, row-major, padded by one cell at every end.
 
@@ -116,9 +126,4 @@ def _products(
     """Return the inner product of each corner's row with the gradient of its sum."""
     columns = _all_rows(row, steps)
     ends = torch.arange(0, columns.numel() + 1, columns.shape[1], dtype=torch.int32, device=row.device)
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Sparse")  # CSR is marked beta
-        nothing = grad.new_zeros(columns.numel())
-        pattern = torch.sparse_csr_tensor(ends, columns.flatten(), nothing, (len(grad), len(table)))
-        products = torch.sparse.sampled_addmm(pattern, grad, table.T, beta=0.0)
-    return products.values().reshape(*row.shape, len(steps))
+    return inner_products(grad, table, ends, columns.flatten()).reshape(*row.shape, len(steps))

@@ -5,8 +5,8 @@ number of images and the size of its largest camera, its *frame*. Maps of a stri
 columns. Networks run on cropped images, so that padding does not change their results.
 """
 
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Hashable, Iterable, Sequence
+from typing import NamedTuple, TypeVar
 
 import torch
 from jaxtyping import Float
@@ -20,6 +20,8 @@ FeatureMaps = list[Float[Tensor, "B N C _ _"]]
 
 Rigs = tuple[Rig, ...]
 """One rig per sample."""
+
+Key = TypeVar("Key", bound=Hashable)
 
 
 class ImageShape(NamedTuple):
@@ -65,10 +67,15 @@ def _text(shape: ImageShape) -> str:
 
 def shape_groups(rigs: Sequence[Rig]) -> list[list[int]]:
     """Return the samples of a batch in groups whose images have one shape without padding."""
-    groups: dict[ImageShape, list[int]] = {}
-    for sample, rig in enumerate(rigs):
-        groups.setdefault(image_shape(rig), []).append(sample)
-    return list(groups.values())
+    return list(grouped(map(image_shape, rigs)).values())
+
+
+def grouped(keys: Iterable[Key]) -> dict[Key, list[int]]:
+    """Return the positions of each distinct key, in the order in which the keys first appear."""
+    groups: dict[Key, list[int]] = {}
+    for position, key in enumerate(keys):
+        groups.setdefault(key, []).append(position)
+    return groups
 
 
 def by_shape(

@@ -33,11 +33,12 @@ def pad3d(volume: Float[Tensor, "B C X Y Z"], padding: Axes, periodic: Periodic)
 class Conv3d(nn.Conv3d):
     """Convolve a volume, keeping its size (odd kernels, stride 1) and wrapping around on periodic axes."""
 
-    def __init__(self, in_channels: int, out_channels: int, kernel_size: int, periodic: Periodic, bias: bool = True):
-        super().__init__(in_channels, out_channels, kernel_size, bias=bias)
+    def __init__(self, in_channels: int, out_channels: int, kernel: int | Axes, periodic: Periodic, bias: bool = True):
+        super().__init__(in_channels, out_channels, kernel, bias=bias)
         self.periodic = periodic
-        self.wrap: Axes = tuple(kernel_size // 2 if wraps else 0 for wraps in periodic)  # type: ignore[assignment]
-        self.zeros: Axes = tuple(0 if wraps else kernel_size // 2 for wraps in periodic)  # type: ignore[assignment]
+        sides = list(zip(self.kernel_size, periodic, strict=True))
+        self.wrap: Axes = tuple(size // 2 if wraps else 0 for size, wraps in sides)  # type: ignore[assignment]
+        self.zeros: Axes = tuple(0 if wraps else size // 2 for size, wraps in sides)  # type: ignore[assignment]
 
     def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B D X Y Z"]:
         """Return the convolved volume; zeros are added by the convolution, without a copy."""
@@ -46,16 +47,37 @@ class Conv3d(nn.Conv3d):
 
 
 class Residual(nn.Module):
-    """Compute x + relu(norm(conv(x)))."""
+    """Compute x + relu(norm(conv(x))) of maps or volumes, with a convolution that keeps their size and channels."""
 
-    def __init__(self, channels: int, periodic: Periodic):
+    def __init__(self, conv: nn.Conv2d | nn.Conv3d):
         super().__init__()
-        self.conv = Conv3d(channels, channels, 3, periodic, bias=False)
-        self.norm = group_norm(channels)
+        self.conv = conv
+        self.norm = group_norm(conv.out_channels)
 
-    def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B C X Y Z"]:
-        """Return a volume of the same size."""
-        return volume + F.relu(self.norm(self.conv(volume)))
+    def forward(self, values: Float[Tensor, "B C *size"]) -> Float[Tensor, "B C *size"]:
+        """Return values of the same size."""
+        return values + F.relu(self.norm(self.conv(values)))
+
+
+def residual3d(channels: int, periodic: Periodic) -> Residual:
+    """Return a residual block of a 3x3x3 convolution."""
+    return Residual(Conv3d(channels, channels, 3, periodic, bias=False))
+
+
+class ResidualPair(nn.Module):
+    """Compute relu(x + norm(second(relu(norm(first(x)))))), with convolutions that keep size and channels."""
+
+    def __init__(self, first: nn.Conv2d | nn.Conv3d, second: nn.Conv2d | nn.Conv3d):
+        super().__init__()
+        self.first = first
+        self.first_norm = group_norm(first.out_channels)
+        self.second = second
+        self.second_norm = group_norm(second.out_channels)
+
+    def forward(self, values: Float[Tensor, "B C *size"]) -> Float[Tensor, "B C *size"]:
+        """Return values of the same size."""
+        change = self.second_norm(self.second(F.relu(self.first_norm(self.first(values)))))
+        return F.relu(values + change)
 
 
 class Pointwise(nn.Linear):

@@ -10,8 +10,8 @@ from torch.utils.checkpoint import checkpoint
 
 from omniocc.geometry import Grid
 from omniocc.model.ops.blocks import block_means, coarsened
-from omniocc.model.ops.feedforward import FeedForward
-from omniocc.model.ops.lifter.cross_attention import ring_offsets
+from omniocc.model.ops.deformable_attention import SampledAttention, ring_offsets, transposed
+from omniocc.model.ops.feedforward import AttentionLayer
 from omniocc.model.ops.multilinear import corners, sum_samples
 from omniocc.model.ops.padding import Axes, pad3d, upsample
 from omniocc.model.protocols import Sketched
@@ -57,28 +57,18 @@ def sphere_offsets(heads: int, points: int) -> Float[Tensor, "3 H K"]:
     return direction[..., None] * torch.arange(1, points + 1)
 
 
-class SelfAttention(nn.Module):
+class SelfAttention(SampledAttention):
     """Sum samples around every voxel, with offsets and weights computed from its feature.
 
     Args:
-        channels: of the voxels.
         heads: a divisor of the channels.
         points: samples per head.
-        layout: of the voxels.
     """
 
     def __init__(self, channels: int, heads: int, points: int, layout: Layout):
-        super().__init__()
-        self.heads, self.points, self.layout = heads, points, layout
-        self.axes = len(layout.shape)
-        self.value = nn.Linear(channels, channels)
-        self.offsets = nn.Linear(channels, self.axes * heads * points)
-        self.attention = nn.Linear(channels, heads * points)
-        self.output = nn.Linear(channels, channels)
-        for layer in (self.offsets, self.attention):
-            nn.init.zeros_(layer.weight)
-            nn.init.zeros_(layer.bias)
-        self.offsets.bias.data.copy_(first_offsets(heads, points, self.axes).flatten())
+        axes = len(layout.shape)
+        super().__init__(channels, channels, heads, first_offsets(heads, points, axes), axes)
+        self.points, self.layout, self.axes = points, layout, axes
 
     def make_table(self, voxels: Float[Tensor, "B cells C"]) -> Float[Tensor, "R D"]:
         """Return values by sample, cell and head; padded by one cell: the other end's on periodic axes, else zeros."""
@@ -90,13 +80,7 @@ class SelfAttention(nn.Module):
         return padded.movedim(1, -1).reshape(-1, values.shape[1] // self.heads)
 
     def forward(self, queries: Float[Tensor, "Q C"], first: int, table: Float[Tensor, "R D"]) -> Float[Tensor, "Q C"]:
-        """Attend from consecutive voxels.
-
-        Args:
-            queries: consecutive voxels of all samples in row-major order.
-            first: index of the first query.
-            table: from `make_table`.
-        """
+        """Attend from consecutive voxels of all samples, row-major, from number `first` on; see `make_table`."""
         with torch.autocast(queries.device.type, enabled=False):
             offsets, weights = self._sampling(queries.to(table.dtype))
             sample, place = _unravel(first, len(queries), self.layout.shape, queries.device)
@@ -109,10 +93,9 @@ class SelfAttention(nn.Module):
         return self.output(sums.view(len(queries), -1))
 
     def _sampling(self, queries: Float[Tensor, "Q C"]) -> tuple[Float[Tensor, "axes Q H K"], Float[Tensor, "Q H K"]]:
-        """Return offsets in cells, and attention; queries are the last axis, where softmax is many times faster."""
+        """Return offsets in cells, and attention."""
         offsets = self.offsets(queries).view(-1, self.axes, self.heads, self.points).transpose(0, 1)
-        scores = torch.addmm(self.attention.bias[:, None], self.attention.weight, queries.T)
-        weights = scores.view(self.heads, self.points, -1).softmax(1)
+        weights = transposed(self.attention, queries).view(self.heads, self.points, -1).softmax(1)
         return offsets, weights.permute(2, 0, 1).contiguous()
 
 
@@ -128,31 +111,17 @@ def _unravel(
     return index, torch.stack(places[::-1]).to(torch.float32)
 
 
-class AttentionLayer(nn.Module):
-    """Apply self-attention and a feed-forward part, each added and normalised."""
-
-    def __init__(self, channels: int, heads: int, points: int, feedforward_channels: int, layout: Layout):
-        super().__init__()
-        self.attention = SelfAttention(channels, heads, points, layout)
-        self.attention_norm = nn.LayerNorm(channels)
-        self.feedforward = FeedForward(channels, feedforward_channels)
-        self.chunk = max(CHUNK_SAMPLES // (heads * points), 1)
-
-    def forward(self, voxels: Float[Tensor, "B cells C"]) -> Float[Tensor, "B cells C"]:
-        """Refine voxels in chunks, which are computed again in the backward pass."""
-        table = self.attention.make_table(voxels)
-        chunks = voxels.reshape(-1, voxels.shape[-1]).split(self.chunk)
-        if len(chunks) == 1:
-            return self._refine(chunks[0], 0, table).view(voxels.shape)
-        starts = range(0, len(chunks) * self.chunk, self.chunk)
-        parts = [
-            checkpoint(self._refine, chunk, first, table, use_reentrant=False, preserve_rng_state=False)
-            for first, chunk in zip(starts, chunks, strict=True)
-        ]
-        return torch.cat(parts).view(voxels.shape)  # type: ignore[arg-type]
-
-    def _refine(self, queries: Float[Tensor, "Q C"], first: int, table: Float[Tensor, "R D"]) -> Float[Tensor, "Q C"]:
-        return self.feedforward(self.attention_norm(queries + self.attention(queries, first, table)))
+def refine(layer: AttentionLayer, voxels: Float[Tensor, "B cells C"], chunk: int) -> Float[Tensor, "B cells C"]:
+    """Apply a layer with `SelfAttention` to `chunk` voxels at a time, which are computed again in the backward pass."""
+    table = layer.attention.make_table(voxels)  # type: ignore[operator]
+    chunks = voxels.reshape(-1, voxels.shape[-1]).split(chunk)
+    if len(chunks) == 1:
+        return layer(chunks[0], 0, table).view(voxels.shape)
+    parts = [
+        checkpoint(layer, queries, index * chunk, table, use_reentrant=False, preserve_rng_state=False)
+        for index, queries in enumerate(chunks)
+    ]
+    return torch.cat(parts).view(voxels.shape)  # type: ignore[arg-type]
 
 
 class Attention(nn.Module):
@@ -163,7 +132,6 @@ class Attention(nn.Module):
     rolling the input along a periodic axis rolls the output. Samples beyond an end that does not wrap around are zero.
 
     Args:
-        channels: of input and output.
         heads: of attention, a divisor of the channels.
         points: samples per head.
         feedforward_channels: hidden channels of the feed-forward part.
@@ -200,8 +168,10 @@ class Attention(nn.Module):
                 shape = [cells if other == axis else 1 for other in range(len(layout.shape))]
                 self.places.append(nn.Parameter(0.02 * torch.randn(*shape, channels)))
         self.layout = layout
+        self.chunk = max(CHUNK_SAMPLES // (heads * points), 1)
         self.layers = nn.ModuleList(
-            AttentionLayer(channels, heads, points, feedforward_channels, layout) for _ in range(layers)
+            AttentionLayer(SelfAttention(channels, heads, points, layout), channels, feedforward_channels)
+            for _ in range(layers)
         )
 
     def forward(self, volume: Float[Tensor, "B C X Y Z"], sketched: Sketched) -> Float[Tensor, "B C X Y Z"]:
@@ -216,5 +186,5 @@ class Attention(nn.Module):
             voxels = voxels + place
         voxels = voxels.flatten(1, -2)
         for layer in self.layers:
-            voxels = layer(voxels)
+            voxels = refine(layer, voxels, self.chunk)  # type: ignore[arg-type]
         return voxels.unflatten(1, volume.shape[2:]).movedim(-1, 1)

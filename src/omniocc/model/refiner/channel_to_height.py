@@ -8,30 +8,25 @@ from torch.nn import functional as F
 
 from omniocc.geometry import Grid
 from omniocc.model.ops.norm import check_halvings, group_norm
-from omniocc.model.ops.padding import Periodic, pad3d, upsample_view
+from omniocc.model.ops.padding import Periodic, ResidualPair, pad3d, upsample_view
 from omniocc.model.protocols import Sketched
 
 
-def pad_view(view: Float[Tensor, "B C X Y"], periodic: Periodic) -> Float[Tensor, "B C _ _"]:
-    """Add one cell at both ends of both axes: the other end's where periodic, zeros elsewhere."""
-    return pad3d(view.unsqueeze(-1), (1, 1, 0), periodic).squeeze(-1)
-
-
-class ViewBlock(nn.Module):
-    """Compute relu(x + norm(conv(relu(norm(conv(x))))))."""
+class ViewConv(nn.Conv2d):
+    """Convolve a view by 3x3 kernels without bias, keeping its size and wrapping around on periodic axes."""
 
     def __init__(self, channels: int, periodic: Periodic):
-        super().__init__()
+        super().__init__(channels, channels, 3, bias=False)
         self.periodic = periodic
-        self.first = nn.Conv2d(channels, channels, 3, bias=False)
-        self.first_norm = group_norm(channels)
-        self.second = nn.Conv2d(channels, channels, 3, bias=False)
-        self.second_norm = group_norm(channels)
 
     def forward(self, view: Float[Tensor, "B C X Y"]) -> Float[Tensor, "B C X Y"]:
-        """Return a view of the same size."""
-        change = F.relu(self.first_norm(self.first(pad_view(view, self.periodic))))
-        return F.relu(view + self.second_norm(self.second(pad_view(change, self.periodic))))
+        """Return the convolved view."""
+        return super().forward(pad3d(view.unsqueeze(-1), (1, 1, 0), self.periodic).squeeze(-1))
+
+
+def view_block(channels: int, periodic: Periodic) -> ResidualPair:
+    """Return a residual block of two convolutions."""
+    return ResidualPair(ViewConv(channels, periodic), ViewConv(channels, periodic))
 
 
 class ChannelToHeight(nn.Module):
@@ -41,8 +36,6 @@ class ChannelToHeight(nn.Module):
     maps at both ends depend on the height. Levels are merged as in `Conv`.
 
     Args:
-        in_channels: of the lifted volume.
-        channels: of the output.
         view_channels: of each level, finest first; multiples of 8.
         blocks: of each level.
 
@@ -60,7 +53,7 @@ class ChannelToHeight(nn.Module):
         self.fold = nn.Linear(geometry.shape[2] * in_channels, view_channels[0])
         self.down = nn.ModuleList(nn.Conv2d(fine, coarse, 2, stride=2) for fine, coarse in pairwise(view_channels))
         self.stages = nn.ModuleList(
-            nn.Sequential(*(ViewBlock(width, self.periodic) for _ in range(count)))
+            nn.Sequential(*(view_block(width, self.periodic) for _ in range(count)))
             for width, count in zip(view_channels, blocks, strict=True)
         )
         self.merge = nn.ModuleList(nn.Conv2d(own, view_channels[0], 1) for own in view_channels)

@@ -9,24 +9,13 @@ from torch.nn import functional as F
 
 from omniocc.geometry import Grid
 from omniocc.model.ops.norm import check_halvings, group_norm
-from omniocc.model.ops.padding import Conv3d, Downsample, Periodic, Pointwise, upsample
+from omniocc.model.ops.padding import Conv3d, Downsample, Periodic, Pointwise, ResidualPair, upsample
 from omniocc.model.protocols import Sketched
 
 
-class Block(nn.Module):
-    """Compute relu(x + norm(conv(relu(norm(conv(x))))))."""
-
-    def __init__(self, channels: int, periodic: Periodic):
-        super().__init__()
-        self.first = Conv3d(channels, channels, 3, periodic, bias=False)
-        self.first_norm = group_norm(channels)
-        self.second = Conv3d(channels, channels, 3, periodic, bias=False)
-        self.second_norm = group_norm(channels)
-
-    def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B C X Y Z"]:
-        """Return a volume of the same size."""
-        change = self.second_norm(self.second(F.relu(self.first_norm(self.first(volume)))))
-        return F.relu(volume + change)
+def block(channels: int, periodic: Periodic) -> ResidualPair:
+    """Return a residual block of two 3x3x3 convolutions."""
+    return ResidualPair(*(Conv3d(channels, channels, 3, periodic, bias=False) for _ in range(2)))
 
 
 class Conv(nn.Module):
@@ -37,7 +26,6 @@ class Conv(nn.Module):
     convolutions, as in the occupancy head of BEVFormer (Li et al., 2022).
 
     Args:
-        in_channels: of the lifted volume.
         channels: of each level, finest first; multiples of 8. The finest is that of the output.
         blocks: of each level.
 
@@ -55,7 +43,7 @@ class Conv(nn.Module):
         self.stem = Pointwise(in_channels, channels[0])
         self.down = nn.ModuleList(Downsample(fine, coarse, self.periodic) for fine, coarse in pairwise(channels))
         self.stages = nn.ModuleList(
-            nn.Sequential(*(Block(width, self.periodic) for _ in range(count)))
+            nn.Sequential(*(block(width, self.periodic) for _ in range(count)))
             for width, count in zip(channels, blocks, strict=True)
         )
         self.merge = nn.ModuleList(Pointwise(own, channels[0]) for own in channels)

@@ -7,11 +7,7 @@ from omniocc.model.protocols import Sketched
 
 
 class NoRefiner(nn.Module):
-    """Return the lifted features unchanged.
-
-    Args:
-        channels: of the volume.
-    """
+    """Return the lifted features unchanged."""
 
     def __init__(self, channels: int):
         super().__init__()

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from omniocc.geometry import Grid
 from omniocc.model.ops.norm import check_halvings
-from omniocc.model.ops.padding import Downsample, Pointwise, Residual, upsample
+from omniocc.model.ops.padding import Downsample, Pointwise, residual3d, upsample
 from omniocc.model.protocols import Sketched
 
 
@@ -19,7 +19,6 @@ class UNet(nn.Module):
     along a periodic axis by a multiple of 2**(levels-1) cells rolls the output.
 
     Args:
-        in_channels: of the lifted volume.
         channels: of each level, finest first; multiples of 8. The finest is that of the output.
 
     Raises:
@@ -34,9 +33,9 @@ class UNet(nn.Module):
         pairs = list(pairwise(channels))
         self.stem = Pointwise(in_channels, channels[0])
         self.down = nn.ModuleList(Downsample(fine, coarse, self.periodic) for fine, coarse in pairs)
-        self.encoder = nn.ModuleList(Residual(coarse, self.periodic) for _, coarse in pairs)
+        self.encoder = nn.ModuleList(residual3d(coarse, self.periodic) for _, coarse in pairs)
         self.up = nn.ModuleList(Pointwise(coarse, fine) for fine, coarse in pairs)
-        self.decoder = nn.ModuleList(Residual(fine, self.periodic) for fine, _ in pairs)
+        self.decoder = nn.ModuleList(residual3d(fine, self.periodic) for fine, _ in pairs)
 
     def forward(self, volume: Float[Tensor, "B C X Y Z"], sketched: Sketched) -> Float[Tensor, "B D X Y Z"]:
         """Refine a volume; the result has `channels` channels."""
@@ -46,7 +45,6 @@ class UNet(nn.Module):
         for down, block in zip(self.down, self.encoder, strict=True):
             skips.append(volume)
             volume = block(down(volume))
-        for up, block in reversed(list(zip(self.up, self.decoder, strict=True))):
-            skip = skips.pop()
+        for up, block, skip in reversed(list(zip(self.up, self.decoder, skips, strict=True))):
             volume = block(skip + upsample(up(volume), skip.shape[2:], self.periodic))
         return volume

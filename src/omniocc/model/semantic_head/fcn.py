@@ -10,8 +10,6 @@ class FCN(nn.Module):
     """Classify pixels by 3x3 convolution, batch norm, ReLU and 1x1 convolution of the finest feature map.
 
     Args:
-        in_channels: of the backbone's maps.
-        hidden_channels: between the two convolutions.
         num_classes: logits per pixel; class 0 is the sky.
     """
 

@@ -15,7 +15,6 @@ from omniocc.model.ops.padded import Rigs
 from omniocc.model.ops.sketch.cylinder3d import Cylinder3D
 from omniocc.model.ops.sketch.evidence import EVIDENCE_CHANNELS, Evidence
 from omniocc.model.ops.sketch.points import PointEncoder, pseudo_points, still_axes
-from omniocc.model.ops.sketch.select import above, likeliest
 from omniocc.model.protocols import Depth, Sketched
 
 
@@ -29,6 +28,13 @@ def place_of_cells(geometry: Grid) -> Float[Tensor, "A X Y Z"]:
     middles = [(2 * torch.arange(cells) + 1) / cells - 1 for cells in geometry.shape]
     grids = torch.meshgrid(*middles, indexing="ij")
     return torch.stack([grids[axis] for axis in still_axes(geometry)])
+
+
+def likeliest(probability: Float[Tensor, "B X Y Z"], fraction: float) -> Bool[Tensor, "B X Y Z"]:
+    """Return the round(fraction * cells) likeliest cells of each sample, ties included in this number."""
+    cells = probability.flatten(1)
+    chosen = cells.topk(round(fraction * cells.shape[1]), dim=1, sorted=False).indices
+    return torch.zeros_like(cells, dtype=torch.bool).scatter_(1, chosen, True).reshape(probability.shape)
 
 
 class Omni(nn.Module):
@@ -113,7 +119,7 @@ class Omni(nn.Module):
         """Return the candidates before they are dilated."""
         probability = logits.detach().float().softmax(1)[:, 1]
         if self.threshold is not None:
-            return above(probability, self.threshold)
+            return probability >= self.threshold
         assert self.fraction is not None
         return likeliest(probability, self.fraction)
 

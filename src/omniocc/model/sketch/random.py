@@ -22,7 +22,6 @@ class Random(nn.Module):
 
     Args:
         fraction: of the cells, above 0 and at most 1.
-        seed: of the choice.
     """
 
     candidates: Tensor

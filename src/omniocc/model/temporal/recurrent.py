@@ -9,8 +9,8 @@ from torch import Tensor, nn
 from omniocc.camera.pose import invert_pose
 from omniocc.geometry import Grid
 from omniocc.model.ops.blocks import coarsened
-from omniocc.model.ops.feedforward import FeedForward
-from omniocc.model.ops.lifter.cross_attention import ring_offsets
+from omniocc.model.ops.deformable_attention import SampledAttention, ring_offsets, transposed
+from omniocc.model.ops.feedforward import AttentionLayer
 from omniocc.model.ops.multilinear import corners, sum_samples
 from omniocc.model.ops.padding import Periodic, pad3d
 from omniocc.model.ops.static import is_static
@@ -20,32 +20,23 @@ VIEWS = 2
 """The previous and the present one."""
 
 
-class TemporalAttention(nn.Module):
+class TemporalAttention(SampledAttention):
     """Sum samples around every cell of a bird's-eye view, half from the previous view, half from the present one.
 
     Offsets and weights are computed from the cell's features in both (Li et al., 2022, 'BEVFormer', eq. 5).
 
     Args:
-        channels: of the views.
         heads: a divisor of the channels.
         points: samples per head and view.
     """
 
     def __init__(self, channels: int, heads: int, points: int):
-        super().__init__()
-        self.heads, self.points = heads, points
-        self.value = nn.Linear(channels, channels)
-        self.offsets = nn.Linear(VIEWS * channels, 2 * heads * VIEWS * points)
-        self.attention = nn.Linear(VIEWS * channels, heads * VIEWS * points)
-        self.output = nn.Linear(channels, channels)
-        for layer in (self.offsets, self.attention):
-            nn.init.zeros_(layer.weight)
-            nn.init.zeros_(layer.bias)
-        rings = ring_offsets(heads, VIEWS, points, anchors=1)
-        self.offsets.bias.data.copy_(rings.permute(2, 0, 1, 3).flatten())
+        rings = ring_offsets(heads, VIEWS, points, anchors=1).permute(2, 0, 1, 3)
+        super().__init__(channels, VIEWS * channels, heads, rings, axes=2)
+        self.points = points
 
     def forward(
-        self, previous: Float[Tensor, "B X Y C"], present: Float[Tensor, "B X Y C"], periodic: Periodic
+        self, present: Float[Tensor, "B X Y C"], previous: Float[Tensor, "B X Y C"], periodic: Periodic
     ) -> Float[Tensor, "B X Y C"]:
         """Return the change of the present view."""
         with torch.autocast(present.device.type, enabled=False):
@@ -77,27 +68,10 @@ class TemporalAttention(nn.Module):
         return (sample[:, None, None] * VIEWS + view) * ((x_cells + 2) * (y_cells + 2))
 
     def _sampling(self, queries: Float[Tensor, "N E"]) -> tuple[Float[Tensor, "2 N H K"], Float[Tensor, "N H K"]]:
-        """Return offsets in cells along both axes, and attention; softmax over a long last axis is fast."""
+        """Return offsets in cells along both axes, and attention."""
         offsets = self.offsets(queries).view(len(queries), 2, self.heads, -1).transpose(0, 1)
-        scores = torch.addmm(self.attention.bias[:, None], self.attention.weight, queries.T)
-        weights = scores.view(self.heads, VIEWS, self.points, -1).softmax(2) / VIEWS
+        weights = transposed(self.attention, queries).view(self.heads, VIEWS, self.points, -1).softmax(2) / VIEWS
         return offsets, weights.flatten(1, 2).permute(2, 0, 1).contiguous()
-
-
-class TemporalLayer(nn.Module):
-    """Apply temporal attention and a feed-forward part, each added and normalised."""
-
-    def __init__(self, channels: int, heads: int, points: int, feedforward_channels: int):
-        super().__init__()
-        self.attention = TemporalAttention(channels, heads, points)
-        self.attention_norm = nn.LayerNorm(channels)
-        self.feedforward = FeedForward(channels, feedforward_channels)
-
-    def forward(
-        self, previous: Float[Tensor, "B X Y C"], present: Float[Tensor, "B X Y C"], periodic: Periodic
-    ) -> Float[Tensor, "B X Y C"]:
-        """Return the present view after attention to the previous one."""
-        return self.feedforward(self.attention_norm(present + self.attention(previous, present, periodic)))
 
 
 class History(NamedTuple):
@@ -117,14 +91,12 @@ class History(NamedTuple):
 class Recurrent(nn.Module):
     """Let each bird's-eye view attend to the previous one, from the oldest frame to the newest.
 
-    As BEVFormer (Li et al., 2022): the result of a frame, moved into the next one's ego frame, is the history of the
-    next; a frame without history is its own. There every layer of the encoder has the attention, here it follows all
-    of them. Volumes become views by a linear map of each column of voxels, and the newest view is mapped back and added
-    to the newest volume.
+    As in BEVFormer (Li et al., 2022), the result of a frame, moved into the next one's ego frame, is the history of the
+    next; a frame without history attends to itself. BEVFormer has this attention in every layer of its encoder, here it
+    follows the whole encoder. Volumes become views by a linear map of each column of voxels, and the newest view is
+    mapped back and added to the newest volume.
 
     Args:
-        channels: of the volumes.
-        view_channels: of the bird's-eye views.
         heads: of attention, a divisor of `view_channels`.
         points: samples per head and view.
         feedforward_channels: hidden channels of the feed-forward part.
@@ -158,7 +130,8 @@ class Recurrent(nn.Module):
         self.fold = nn.Linear(geometry.shape[2] * channels, view_channels)
         self.unfold = nn.Linear(view_channels, geometry.shape[2] * channels)
         self.layers = nn.ModuleList(
-            TemporalLayer(view_channels, heads, points, feedforward_channels) for _ in range(layers)
+            AttentionLayer(TemporalAttention(view_channels, heads, points), view_channels, feedforward_channels)
+            for _ in range(layers)
         )
 
     def forward(
@@ -168,7 +141,7 @@ class Recurrent(nn.Module):
         *past, newest = volumes
         poses = world_from_ego.double()
         device, learns = newest.device.type, torch.is_grad_enabled() and self.history_gradient
-        # autocast caches weights, in older PyTorch without gradient if the past comes first
+        # older versions of PyTorch cache weights for autocast without gradient if their first use needs none
         dtype, enabled = torch.get_autocast_dtype(device), torch.is_autocast_enabled(device)
         cast = torch.autocast(device, dtype, enabled, cache_enabled=learns)
         with torch.set_grad_enabled(learns), cast:
@@ -201,5 +174,5 @@ class Recurrent(nn.Module):
             moved = self.view.warp(history.view.movedim(-1, 1).unsqueeze(-1), invert_pose(history.pose) @ pose)
             previous = torch.where(history.exists[:, None, None, None], moved[..., 0].movedim(1, -1), present)
         for layer in self.layers:
-            present = layer(previous, present, self.view.periodic)
+            present = layer(present, previous, self.view.periodic)
         return present

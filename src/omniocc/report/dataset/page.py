@@ -15,7 +15,6 @@ from omniocc.data.store.codec import decode_frame, decode_image
 from omniocc.data.store.reader import SceneReader
 from omniocc.geometry import Grid
 from omniocc.io import atomic_write
-from omniocc.report.data_url import png, webp
 from omniocc.report.dataset.facts import (
     OTHER_DATASETS,
     facts_of,
@@ -25,7 +24,7 @@ from omniocc.report.dataset.facts import (
     speed_mps,
     time_of_day,
 )
-from omniocc.report.template import render
+from omniocc.report.html import png, render, webp
 from omniocc.view.bev import bev
 from omniocc.view.canvas import fitted
 from omniocc.view.ranges import SKY, range_colors
@@ -43,13 +42,8 @@ WEBP_QUALITY = 80
 def save_page(path: Path, scenes: Sequence[SceneReader], geometry: Grid, classes: ClassTable) -> None:
     """Write the page: some frames of each scene, or of evenly spread scenes if there are many.
 
-    If a pinhole dataset of the same scenes is beside this one, its images at the same times are shown too.
-
-    Args:
-        path: the .html file.
-        scenes: at least one.
-        geometry: grid of the voxels that are drawn and counted.
-        classes: names and colours of the labels.
+    Voxels are drawn and counted on the grid `geometry`. If a pinhole dataset of the same scenes is beside this one, its
+    images at the same times are shown too. There must be at least one scene.
 
     Raises:
         DataError: when a scene is damaged or the disk refuses.

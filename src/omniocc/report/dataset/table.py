@@ -1,7 +1,5 @@
 """The paper's comparison of datasets, and the dataset that the runs used as its last row."""
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
 from inspect import signature
 from pathlib import Path
@@ -17,7 +15,7 @@ from omniocc.data.store.shard import digest
 from omniocc.errors import UserError
 from omniocc.report.dataset.facts import own_row, pinhole_twin
 from omniocc.report.runs import FinishedRun
-from omniocc.report.tables.latex import tabular
+from omniocc.report.tables.formats import csv_text, tabular
 from omniocc.run.table import markdown
 
 Row = tuple[str, Sequence[bool | int]]
@@ -121,12 +119,8 @@ def dataset_markdown(table: DatasetTable) -> str:
 
 def dataset_csv(table: DatasetTable) -> str:
     """Return CSV with a line per dataset."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(["dataset", *table.columns])
-    for name, cells in table.rows:
-        writer.writerow([name, *(cells or [""] * len(table.columns))])
-    return out.getvalue()
+    rows = ([name, *(cells or [""] * len(table.columns))] for name, cells in table.rows)
+    return csv_text(["dataset", *table.columns], rows)
 
 
 def dataset_latex(table: DatasetTable) -> str:

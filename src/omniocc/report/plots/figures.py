@@ -12,9 +12,8 @@ from matplotlib import colormaps, rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
-from omniocc.report.class_colors import names_of
 from omniocc.report.plots.curves import over_seeds, read_curve, smoothed
-from omniocc.report.runs import FRACTION, FinishedRun
+from omniocc.report.runs import FRACTION, FinishedRun, names_of
 from omniocc.report.tables.paper import figure_of
 from omniocc.run.table import band_keys
 

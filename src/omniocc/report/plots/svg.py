@@ -18,7 +18,7 @@ def as_svg(figure: Figure, name: str, title: str) -> str:
     Args:
         figure: a figure with text in `INK` and lines in `LINE`.
         name: prefix of every id, so that several figures can be in one page.
-        title: description for screen readers; goes into the markup as it is.
+        title: description for screen readers; it is not escaped.
     """
     buffer = io.StringIO()
     with rc_context(STYLE):

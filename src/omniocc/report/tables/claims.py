@@ -19,7 +19,6 @@ class Claim(NamedTuple):
     """The gap between the paper's best method of a table and another one.
 
     Attributes:
-        title: title of the other method.
         paper: gap in the paper.
         here: gap here, as `Gaps` estimates it; nan if no seed connects the two methods.
         error: standard error of `here`; nan as long as no method has two seeds.

@@ -1,7 +1,5 @@
 """Tables of the paper: its figures beside those of the runs here, mean and spread over seeds."""
 
-import csv
-import io
 import math
 import statistics
 from collections.abc import Mapping, Sequence
@@ -13,7 +11,7 @@ from scipy import stats
 
 from omniocc.errors import UserError
 from omniocc.report.runs import VOXELS, FinishedRun
-from omniocc.report.tables.latex import tabular
+from omniocc.report.tables.formats import csv_text, tabular
 from omniocc.run.table import markdown, number
 
 
@@ -151,16 +149,14 @@ def order_line(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> 
 
 def as_csv(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> str:
     """Return CSV with a line per method and column."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(["row", "method", "metric", "paper", "mean", "standard_deviation", "seeds"])
+    lines = []
     for row, figures in rows_of(table, runs):
         for key, figure in zip(table.columns, figures, strict=True):
             ours = figure or Figure(math.nan, math.nan, 0)
             known = ["" if math.isnan(value) else f"{value:.6g}" for value in ours[:2]]
             paper = row.paper[key]
-            writer.writerow([row.run, row.title, key, "" if paper is None else paper, *known, ours.seeds])
-    return out.getvalue()
+            lines.append([row.run, row.title, key, "" if paper is None else paper, *known, ours.seeds])
+    return csv_text(["row", "method", "metric", "paper", "mean", "standard_deviation", "seeds"], lines)
 
 
 def as_latex(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> str:

@@ -39,11 +39,7 @@ def each(key: str, parts: Sequence[str]) -> tuple[str, ...]:
 
 
 def sections(metrics: Mapping[str, float]) -> dict[str, tuple[Chart, ...]]:
-    """Return the charts of the dashboard by section.
-
-    Args:
-        metrics: figures of a finished run, whose classes and distance bands are drawn.
-    """
+    """Return the charts of the dashboard by section, for the classes and distance bands of a finished run's figures."""
     classes, bands = class_names(metrics), band_names(metrics)
     return {
         "compare rows": (

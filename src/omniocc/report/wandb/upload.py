@@ -23,13 +23,8 @@ def waiting(runs: Path) -> list[Path]:
     """Return files of offline runs that have not been uploaded, without runs in progress."""
     files = sorted(runs.glob(f"**/{OFFLINE}"))
     left = [path for path in files if not path.with_name(path.name + MARK).exists()]
-    busy = {folder for folder in {folder_of(path) for path in left} if in_use(folder)}
-    return [path for path in left if folder_of(path) not in busy]
-
-
-def folder_of(path: Path) -> Path:
-    """Return the run's folder that a W&B file is in."""
-    return path.parents[2]
+    busy = {folder for folder in {path.parents[2] for path in left} if in_use(folder)}  # folders of runs
+    return [path for path in left if path.parents[2] not in busy]
 
 
 def in_use(folder: Path) -> bool:
@@ -44,14 +39,9 @@ def in_use(folder: Path) -> bool:
 
 
 def log_report(report: Path, project: str) -> bool:
-    """Log the tables of a report (its CSV files) as an offline W&B run of job type `report`.
+    """Log the tables of a report (the CSV files in its folder) as an offline W&B run of job type `report`.
 
-    Returns:
-        False if that has been done already, or there is no table.
-
-    Args:
-        report: folder that `report.py` has written.
-        project: W&B project.
+    Return False if that has been done already, or there is no table.
     """
     files = sorted(report.glob("*.csv"))
     text = "".join(path.name + path.read_text() for path in files)

@@ -1,14 +1,15 @@
 """Loggers of a run: always a CSV file, and W&B offline unless configured otherwise.
 
-The CSV file has every row on disk at once. W&B (measured: 0.31, offline) writes its file every 15 s, so that a SIGKILL
-of the process or of its whole group takes the rows of at most the last 15 s from the curves: 40 rows of 4.1 s at 0.1 s
-per row, 12 rows of 12 s at 1 s per row. A resumed run leaves out the rows that the CSV files have.
+The CSV file has every row on disk at once. W&B writes its file every 15 s, so that after a SIGKILL of the process or of
+its whole group the curves lack the rows of at most the last 15 s (measured with W&B 0.31, offline: 40 rows at 0.1 s per
+row, 12 rows at 1 s per row). A resumed run does not log rows again that the CSV files have.
 """
 
 import csv
 import hashlib
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -25,23 +26,20 @@ CSV = "csv"
 """Folder of the CSV files, one for every start of the run, in the run's folder."""
 
 
+@dataclass(frozen=True)
 class Loggers:
     """Recipe for the loggers of one run.
 
-    Args:
+    Attributes:
         mode: of W&B; `disabled` leaves only the CSV file.
-        project: W&B project.
         group: W&B group: the sweep that the run belongs to.
         tags: W&B tags in addition to the row (`name`) of an occupancy run.
     """
 
-    def __init__(
-        self, mode: Literal["offline", "online", "disabled"], project: str, group: str | None, tags: Sequence[str]
-    ):
-        self.mode = mode
-        self.project = project
-        self.group = group
-        self.tags = list(tags)
+    mode: Literal["offline", "online", "disabled"]
+    project: str
+    group: str | None
+    tags: Sequence[str]
 
     def build(self, folder: Path, config: dict[str, Any], job_type: JobType) -> list[Logger]:
         """Return the loggers that write below `folder`.
@@ -57,55 +55,37 @@ class Loggers:
         # a sweep agent has set the id of one run, which a W&B run of an earlier stage would take
         wanted = "WANDB_SWEEP_ID" not in os.environ or job_type == (config.get("stage") or "occupancy")
         if self.mode != "disabled" and wanted:
-            loggers.append(self._wandb(folder, config, job_type, earlier))
+            os.environ.setdefault("WANDB_SILENT", "true")
+            if self.mode == "online" and not logged_in():
+                raise UserError("logger.mode=online needs W&B credentials: run `wandb login` or set WANDB_API_KEY")
+            loggers.append(WandbCurves(self, folder, config, job_type, earlier))
         return loggers
-
-    def _wandb(
-        self, folder: Path, config: dict[str, Any], job_type: JobType, earlier: set[tuple[int, str]]
-    ) -> "WandbCurves":
-        os.environ.setdefault("WANDB_SILENT", "true")
-        if self.mode == "online" and not logged_in():
-            raise UserError("logger.mode=online needs W&B credentials: run `wandb login` or set WANDB_API_KEY")
-        return WandbCurves(
-            folder, self.mode == "offline", self.project, self.group, self.tags, job_type, config, earlier
-        )
 
 
 class WandbCurves(WandbLogger):
     """Lightning's logger for W&B, which does not repeat what an interrupted run has logged.
 
     Args:
+        recipe: mode, project, group and tags; offline, data stays on the machine until `make wandb-sync`.
         folder: of the run.
-        offline: whether data stays on the machine until `make wandb-sync`.
-        project: W&B project.
-        group: W&B group.
-        tags: W&B tags; the row of an occupancy run is added.
+        config: the run's resolved configuration; its row is a further tag of an occupancy run.
         job_type: W&B job type, the stage.
-        config: the run's resolved configuration.
         earlier: step and key of the values that the run has logged before it was interrupted.
     """
 
     def __init__(
-        self,
-        folder: Path,
-        offline: bool,
-        project: str,
-        group: str | None,
-        tags: Sequence[str],
-        job_type: JobType,
-        config: dict[str, Any],
-        earlier: set[tuple[int, str]],
+        self, recipe: Loggers, folder: Path, config: dict[str, Any], job_type: JobType, earlier: set[tuple[int, str]]
     ):
         row = {"row": config["name"]} if job_type == "occupancy" else {}
         super().__init__(
             name=folder.name,
             save_dir=folder,
             id=run_id(folder),
-            project=project,
-            offline=offline,
-            group=group,
+            project=recipe.project,
+            offline=recipe.mode == "offline",
+            group=recipe.group,
             job_type=job_type,
-            tags=list(dict.fromkeys([*row.values(), *tags])),
+            tags=list(dict.fromkeys([*row.values(), *recipe.tags])),
             resume="allow",
             config={**config, **row, "slots": slots_of(config)},
         )
@@ -138,8 +118,7 @@ class WandbCurves(WandbLogger):
         """Log the tables of a test and end the run, so that the next one in this process is a run of its own."""
         import wandb
 
-        tables = result_tables(self.scalars)
-        if tables:
+        if tables := result_tables(self.scalars):
             self.log_metrics(
                 {key: wandb.Table(columns=[*table.columns], data=table.rows) for key, table in tables.items()}
             )

@@ -20,11 +20,9 @@ def test_spheres_of_the_original_setting():
     spheres = Spheres(192, 1.65)
     for range_m, step_m in ((5.0, 0.079), (15.0, 0.714), (25.6, 2.080)):
         assert range_m**2 * spheres.step_per_m == pytest.approx(step_m, abs=5e-4)
-    radii = spheres.radii_m()
-    assert len(radii) == 192
-    assert radii[0] == float("inf")
-    assert radii[1] == pytest.approx(315.15)
-    assert radii[-1] == pytest.approx(1.65)
+    radii = spheres.range_m(torch.arange(1, spheres.count).double())
+    assert radii[0].item() == pytest.approx(315.15)
+    assert radii[-1].item() == pytest.approx(1.65)
 
 
 def test_ranges_stay_finite():

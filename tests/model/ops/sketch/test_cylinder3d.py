@@ -3,13 +3,14 @@ import torch
 from torch.nn import functional as F
 
 from omniocc.geometry import Cuboid, Cylinder
-from omniocc.model.ops.sketch.cylinder3d import Asymmetric, AxisConv, Context, Cylinder3D
+from omniocc.model.ops.padding import Conv3d
+from omniocc.model.ops.sketch.cylinder3d import Asymmetric, Context, Cylinder3D
 
 GRID = Cylinder((8, 12, 4))
 
 
 def test_convolution_wraps_around_and_pads_with_zeros():
-    conv = AxisConv(3, 5, (3, 5, 1), GRID.periodic)
+    conv = Conv3d(3, 5, (3, 5, 1), GRID.periodic)
     volume = torch.randn(2, 3, 8, 12, 4)
     repeated = torch.cat([volume] * 3, dim=3)
     expected = F.conv3d(repeated, conv.weight, conv.bias, padding=(1, 0, 0))[:, :, :, 10:22]

@@ -1,4 +1,4 @@
-"""Weights from the Hugging Face hub, if available."""
+"""Weights from the Hugging Face hub, if available, and the normalisation of images that they were trained with."""
 
 import logging
 import os
@@ -7,16 +7,35 @@ import urllib.request
 from collections.abc import Callable, Iterable
 from typing import TypeVar
 
-from torch import nn
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
 from transformers import PretrainedConfig, ResNetConfig, ResNetModel
 
 log = logging.getLogger(__name__)
 
 PROBE_TIMEOUT_S = 3.0
 COMPARED = ("layer_type", "embedding_size", "hidden_sizes", "depths")
-
+MEAN = (0.485, 0.456, 0.406)
+STD = (0.229, 0.224, 0.225)
 
 Network = TypeVar("Network", bound=nn.Module)
+
+
+class Normalize(nn.Module):
+    """Normalise RGB in [0, 1] to the mean 0 and deviation 1 of ImageNet."""
+
+    mean: Tensor
+    std: Tensor
+
+    def __init__(self):
+        super().__init__()
+        self.register_buffer("mean", torch.tensor(MEAN).view(3, 1, 1), persistent=False)
+        self.register_buffer("std", torch.tensor(STD).view(3, 1, 1), persistent=False)
+
+    def forward(self, images: Float[Tensor, "B N 3 H W"]) -> Float[Tensor, "BN 3 H W"]:
+        """Return images of all cameras as one batch, channels last in memory."""
+        return ((images - self.mean) / self.std).flatten(0, 1).contiguous(memory_format=torch.channels_last)
 
 
 def load_or_random(weights: str | None, load: Callable[[str, bool], Network], random: Callable[[], Network]) -> Network:

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from omniocc.camera import Rig
 from omniocc.model.ops.depth.spheres import Spheres
-from omniocc.model.ops.padded import crop
+from omniocc.model.ops.padded import crop, grouped
 from omniocc.model.ops.static import is_static
 
 
@@ -58,21 +58,13 @@ def check_images(images: Float[Tensor, "B N 3 H W"], rigs: Sequence[Rig]) -> Non
         raise ValueError("images hold NaN or infinity; they must be RGB in [0, 1]")
 
 
-def rig_groups(rigs: Sequence[Rig]) -> list[tuple[Rig, list[int]]]:
-    """Return the distinct rigs of a batch, each with its samples."""
-    groups: dict[Rig, list[int]] = {}
-    for sample, rig in enumerate(rigs):
-        groups.setdefault(rig, []).append(sample)
-    return list(groups.items())
-
-
 def per_rig(rigs: Sequence[Rig], run: Callable[[Rig, list[int]], DepthMap]) -> DepthMap:
     """Run samples of equal rig together and return the results in the order of samples."""
-    groups = rig_groups(rigs)
-    parts = [run(rig, samples) for rig, samples in groups]
+    groups = grouped(rigs)
+    parts = [run(rig, samples) for rig, samples in groups.items()]
     if len(parts) == 1:
         return parts[0]
-    order = torch.tensor([sample for _, samples in groups for sample in samples]).argsort()
+    order = torch.tensor([sample for samples in groups.values() for sample in samples]).argsort()
     return DepthMap(*(torch.cat(field)[order.to(field[0].device)] for field in zip(*parts, strict=True)))
 
 

@@ -18,7 +18,6 @@ class FeatureNet(nn.Module):
 
     Args:
         channels: of each level, finest first, the first at half the image size; multiples of 8.
-        out_channels: of the result.
         extra_channels: of input maps besides the colours.
     """
 

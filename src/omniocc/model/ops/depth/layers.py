@@ -7,8 +7,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from omniocc.model.ops.norm import group_norm
-from omniocc.model.ops.padding import upsample_view
+from omniocc.model.ops.padding import Residual, upsample_view
 
 
 class Conv(nn.Conv2d):
@@ -25,19 +24,6 @@ class Conv(nn.Conv2d):
             return F.conv2d(maps, self.weight, self.bias, padding=border)
         maps = F.pad(maps, (border, border, 0, 0), mode="circular")
         return F.conv2d(maps, self.weight, self.bias, padding=(border, 0))
-
-
-class Residual(nn.Module):
-    """Compute x + relu(norm(conv(x)))."""
-
-    def __init__(self, channels: int, wrap: bool):
-        super().__init__()
-        self.conv = Conv(channels, channels, 3, wrap, bias=False)
-        self.norm = group_norm(channels)
-
-    def forward(self, maps: Float[Tensor, "B C H W"]) -> Float[Tensor, "B C H W"]:
-        """Return maps of the same size."""
-        return maps + F.relu(self.norm(self.conv(maps)))
 
 
 class UNet2d(nn.Module):
@@ -76,15 +62,13 @@ class UNet2d(nn.Module):
             skips.append(maps)
             height, width = maps.shape[-2:]
             maps = block(down(F.pad(maps, (0, width % 2, 0, height % 2))))
-        for up, block in reversed(list(zip(self.up, self.decoder, strict=True))):
-            skip = skips.pop()
-            height, width = skip.shape[-2:]
-            maps = block(skip + upsample_view(up(maps), (height, width), (False, self.wrap)))
+        for up, block, skip in reversed(list(zip(self.up, self.decoder, skips, strict=True))):
+            maps = block(skip + upsample_view(up(maps), skip.shape[-2:], (False, self.wrap)))
         return maps
 
 
 def _blocks(channels: int, count: int, wrap: bool) -> nn.Sequential:
-    return nn.Sequential(*(Residual(channels, wrap) for _ in range(count)))
+    return nn.Sequential(*(Residual(Conv(channels, channels, 3, wrap, bias=False)) for _ in range(count)))
 
 
 def window_argmax(

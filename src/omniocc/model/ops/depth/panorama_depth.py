@@ -47,14 +47,7 @@ class PanoramaDepth(nn.Module):
 
 
 class DepthBatch(NamedTuple):
-    """Samples that a depth network learns from, without padding.
-
-    Attributes:
-        images: RGB in [0, 1].
-        rigs: one per sample.
-        erp_range_m: true panorama; inf for the sky, nan where unknown.
-        camera_range_m: true range of every pixel; None if the data has none.
-    """
+    """Samples that a depth network learns from, as in `LearnedDepth.training_terms`, but without padding."""
 
     images: Float[Tensor, "B N 3 H W"]
     rigs: Rigs
@@ -76,11 +69,9 @@ class LearnedPanoramaDepth(PanoramaDepth):
         self.mirror = mirror
 
     def losses(self, batch: DepthBatch, flip: bool) -> dict[str, Float[Tensor, ""]]:
-        """Return weighted losses by name.
+        """Return weighted losses by name of samples whose images have one shape.
 
-        Args:
-            batch: samples whose images have one shape.
-            flip: whether to learn from the mirrored world: the true ranges are mirrored, the images are not yet.
+        With `flip` it is the mirrored world that is learned: the true ranges are mirrored, the images are not yet.
         """
         raise NotImplementedError
 

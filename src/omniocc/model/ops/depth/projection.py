@@ -29,7 +29,7 @@ TAPER = 0.08
 BLOCK_ROWS = 1 << 16
 FAR_M = 1e6
 LEAST_PRESENT = 0.05
-"""Smallest fraction of a point's cameras by which its features are scaled up to those of all its cameras."""
+"""Lower limit of the fraction of present cameras by which a point's features are divided."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +72,13 @@ class Sampler:
             return self.seen[:, None].float().expand(-1, len(present))
         pixels = present.T.float().repeat_interleave(self.matrix.shape[1] // present.shape[1], 0)
         return self.product(pixels)
+
+    def mean(
+        self, rows: Float[Tensor, "pixels BC"], present: Bool[Tensor, "B N"]
+    ) -> tuple[Float[Tensor, "points B C"], Float[Tensor, "points B"]]:
+        """Return the mean features over present cameras, and the fraction of each point's weight that is in these."""
+        fraction = self.present_fraction(present)
+        return self(rows).unflatten(1, (len(present), -1)) / fraction.clamp(min=LEAST_PRESENT)[..., None], fraction
 
     def product(self, rows: Float[Tensor, "columns K"], less: Float[Tensor, "points K"] | None = None) -> Tensor:
         """Return `matrix @ rows`, or `less - matrix @ rows` in place."""

@@ -31,11 +31,6 @@ class SphereLoss:
 
     Smooth L1 of the index (weight 1) and of the log of the range, and cross-entropy over spheres, are means over pixels
     nearer than `SKY_INDEX`; the cross-entropy of sky or surface is a mean over all known pixels.
-
-    Attributes:
-        log_range_weight: weight of the loss of log range.
-        entropy_weight: weight of the cross-entropy over spheres.
-        sky_weight: weight of the cross-entropy of sky or surface.
     """
 
     log_range_weight: float

@@ -4,11 +4,12 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from omniocc.camera import Equirectangular, Rig
-from omniocc.model.ops.depth.depth_map import SKY_INDEX, DepthMap, from_index, rig_groups, weighted_sum
+from omniocc.model.ops.depth.depth_map import SKY_INDEX, DepthMap, from_index, weighted_sum
 from omniocc.model.ops.depth.layers import window_argmax
 from omniocc.model.ops.depth.panorama_depth import DepthBatch, LearnedPanoramaDepth
 from omniocc.model.ops.depth.sphere_loss import SphereLoss
 from omniocc.model.ops.depth.spheres import SphereRange
+from omniocc.model.ops.padded import grouped
 
 
 class SphereNet(LearnedPanoramaDepth):
@@ -18,7 +19,6 @@ class SphereNet(LearnedPanoramaDepth):
     more likely than a surface, the range is not valid. Other arguments as in `LearnedPanoramaDepth`.
 
     Args:
-        loss: of the scores.
         window: spheres to each side of the peak over which the index is averaged.
         min_confidence: ranges of lower confidence are not valid, in [0, 1].
     """
@@ -60,7 +60,7 @@ class SphereNet(LearnedPanoramaDepth):
     def losses(self, batch: DepthBatch, flip: bool) -> dict[str, Float[Tensor, ""]]:
         """Return the losses of `SphereLoss`, which use only the panorama."""
         parts = []
-        for rig, samples in rig_groups(batch.rigs):
+        for rig, samples in grouped(batch.rigs).items():
             logits, _ = self.logits(batch.images[samples], rig, flip)
             index, _ = window_argmax(logits[:, :-1], self.window)
             terms = self.loss(logits, index, batch.erp_range_m[samples], self.rig_spheres(rig))

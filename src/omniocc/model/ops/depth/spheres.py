@@ -56,10 +56,6 @@ class Spheres:
         """Return ranges of indices, m, at most `farthest_m`; the inverse of `index`."""
         return 1 / (index.clamp(min=FINEST) * self.step_per_m)
 
-    def radii_m(self) -> tuple[float, ...]:
-        """Return the radius of every sphere, m, infinity first."""
-        return (float("inf"), *(1 / (k * self.step_per_m) for k in range(1, self.count)))
-
 
 @once_per_rig
 def nearest_range_m(rig: Rig, panorama: Equirectangular) -> float:

@@ -45,14 +45,8 @@ def draw_front(
 
     The nearest point selects the surface. The distance is the mean over the points of that surface around the middle of
     the pixel, by bilinear weights: the nearest point itself would be too near on slanted surfaces such as the ground,
-    the more so the more cameras see it.
-
-    Args:
-        points_m: ego frame.
-        value: of each point.
-        drawn: points that count.
-        panorama: whose pixels are filled.
-        depth_ratio: points up to this many times as far as the nearest are of its surface; inf takes all.
+    the more so the more cameras see it. Points up to `depth_ratio` times as far as the nearest are of its surface; inf
+    takes all. Points are in the ego frame; those that are not in `drawn` do not count.
     """
     pixels, inside = panorama.project(points_m)
     size = panorama.height * panorama.width

@@ -1,29 +1,22 @@
 """Deformable cross-attention from voxels to the cameras that see them."""
 
-import math
-
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from omniocc.model.ops.deformable_attention import Level, deformable_sum, make_table
+from omniocc.model.ops.deformable_attention import (
+    Level,
+    SampledAttention,
+    deformable_sum,
+    make_table,
+    ring_offsets,
+    transposed,
+)
 from omniocc.model.ops.lifter.visible import Pairs
 from omniocc.model.ops.padded import FeatureMaps
 
 
-def ring_offsets(heads: int, levels: int, points: int, anchors: int) -> Float[Tensor, "H L 2 K"]:
-    """Return the first offsets of samples, px: one direction for each head, 1, 2, ... px from each anchor."""
-    angle = torch.arange(heads) * (2 * math.pi / heads)
-    direction = torch.stack([angle.cos(), angle.sin()], dim=-1)
-    direction = direction / direction.abs().amax(-1, keepdim=True)
-    return (direction[..., None] * (torch.arange(points) % (points // anchors) + 1))[:, None].expand(-1, levels, -1, -1)
-
-
-def _transposed(linear: nn.Linear, queries: Float[Tensor, "Q C"]) -> Float[Tensor, "D Q"]:
-    return torch.addmm(linear.bias[:, None], linear.weight, queries.T)
-
-
-class CrossAttention(nn.Module):
+class CrossAttention(SampledAttention):
     """Apply multi-scale deformable attention (Zhu et al., 2021), averaged over the cameras that see a query (eq. 1).
 
     Offsets and attention depend only on the query and are equal for all cameras.
@@ -37,18 +30,9 @@ class CrossAttention(nn.Module):
     """
 
     def __init__(self, channels: int, heads: int, points: int, levels: int, anchors: int):
-        super().__init__()
-        self.heads, self.points, self.levels = heads, points, levels
-        samples = levels * points
-        self.value = nn.Linear(channels, channels)
+        super().__init__(channels, channels, heads, ring_offsets(heads, levels, points, anchors), axes=2)
+        self.points, self.levels = points, levels
         self.level_embedding = nn.Parameter(torch.zeros(levels, channels))
-        self.offsets = nn.Linear(channels, heads * 2 * samples)
-        self.attention = nn.Linear(channels, heads * samples)
-        self.output = nn.Linear(channels, channels)
-        for layer in (self.offsets, self.attention):
-            nn.init.zeros_(layer.weight)
-            nn.init.zeros_(layer.bias)
-        self.offsets.bias.data.copy_(ring_offsets(heads, levels, points, anchors).flatten())
 
     def forward(
         self, queries: Float[Tensor, "G Q C"], features: FeatureMaps, pairs: Pairs, levels: list[Level]
@@ -71,10 +55,10 @@ class CrossAttention(nn.Module):
         return sums.unflatten(-1, (len(features[0]), -1)).permute(2, 1, 0, 3).flatten(2)
 
     def _sampling(self, queries: Float[Tensor, "Q C"]) -> tuple[Float[Tensor, "H L 2 Q K"], Float[Tensor, "H L Q K"]]:
-        """Return offsets and attention; queries run along the last axis, where softmax is many times faster."""
+        """Return offsets and attention."""
         shape = (self.heads, self.levels, self.points)
-        offsets = _transposed(self.offsets, queries).unflatten(0, (*shape[:2], 2, self.points))
-        attention = _transposed(self.attention, queries).unflatten(0, (self.heads, -1)).softmax(1)
+        offsets = transposed(self.offsets, queries).unflatten(0, (*shape[:2], 2, self.points))
+        attention = transposed(self.attention, queries).unflatten(0, (self.heads, -1)).softmax(1)
         attention = attention.unflatten(1, shape[1:])
         return offsets.transpose(-1, -2).contiguous(), attention.transpose(-1, -2).contiguous()
 

@@ -1,6 +1,5 @@
 """Sums of pixel features over the voxels along their rays, weighted by the probability of the surface."""
 
-import warnings
 from typing import Any, NamedTuple
 
 import torch
@@ -11,7 +10,7 @@ from torch.nn import functional as F
 
 from omniocc.camera import Rig
 from omniocc.geometry import Grid
-from omniocc.model.ops.multilinear import bag_sum
+from omniocc.model.ops.multilinear import bag_sum, inner_products
 from omniocc.model.ops.padded import frame_size
 from omniocc.model.ops.rig_cache import once_per_rig
 
@@ -100,18 +99,9 @@ class _Splat(torch.autograd.Function):
         weights = probability.flatten().index_select(0, entries.slot)
         first = entries.pixel_ends[:-1]
         grad_context = bag_sum(entries.voxel, grad, first, weights)
-        products = _products(context, grad, entries)
+        products = inner_products(context, grad, entries.pixel_ends, entries.voxel)
         grad_probability = torch.zeros_like(probability).flatten().index_copy_(0, entries.slot, products)
         return grad_context, grad_probability.view_as(probability), None
-
-
-def _products(context: Tensor, grad: Tensor, entries: Entries) -> Tensor:
-    """Return the inner product of each entry's pixel with the gradient of its voxel."""
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Sparse")  # CSR is marked beta
-        zeros, shape = grad.new_zeros(len(entries.voxel)), (len(context), len(grad))
-        pattern = torch.sparse_csr_tensor(entries.pixel_ends, entries.voxel, zeros, shape)
-        return torch.sparse.sampled_addmm(pattern, context, grad.T, beta=0.0).values()
 
 
 def splat(

@@ -1,14 +1,14 @@
 """Pairs of voxels and the cameras that see them, with pixels."""
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float, Float32, Float64, Int64
+from jaxtyping import Bool, Float, Float32, Int64
 from torch import Tensor
 
 from omniocc.camera import Rig, normalize_pixels
 from omniocc.geometry import Grid
+from omniocc.model.ops.blocks import points_in_cells
 from omniocc.model.ops.padded import frame_size
 from omniocc.model.ops.rig_cache import once_per_rig
 
@@ -21,8 +21,6 @@ class Pairs(NamedTuple):
     """All pairs of a query and a camera that sees an anchor of the query's voxel, sorted by query.
 
     Attributes:
-        query: index of the query.
-        camera: index of the camera.
         points: projected anchors in `grid_sample` coordinates; far outside if not visible.
         counts: cameras that see each query.
         first: index of each query's first pair.
@@ -35,26 +33,18 @@ class Pairs(NamedTuple):
     first: Int64[Tensor, " Q"]
 
 
-def anchor_points(geometry: Grid, anchors: Sequence[tuple[float, float, float]]) -> Float64[Tensor, "X Y Z A 3"]:
-    """Return points in every cell, ego frame, m, at offsets (in cells, along the grid's axes) from its middle."""
-    points = []
-    for anchor in anchors:
-        edges = [geometry.edges(axis) for axis in range(3)]
-        places = [low[:-1] + (0.5 + part) * low.diff() for low, part in zip(edges, anchor, strict=True)]
-        points.append(geometry.from_axes(*torch.meshgrid(*places, indexing="ij")))
-    return torch.stack(points, dim=-2)
-
-
 @once_per_rig
 def reference_points(
     rig: Rig, geometry: Grid, device: torch.device, anchors: Anchors = CENTRE
 ) -> tuple[Float32[Tensor, "N cells A 2"], Bool[Tensor, "N cells"]]:
     """Project the anchors of all cells into all cameras: `grid_sample` coordinates, and the mask of visible cells.
 
-    A cell is visible if one of its anchors is; the coordinates of other anchors are far outside the image. The result
-    is cached for each rig: never write to it.
+    Anchors are offsets from the middle of the cell along the grid's axes, in cells. A cell is visible if one of its
+    anchors is; the coordinates of other anchors are far outside the image. The result is cached for each rig: never
+    write to it.
     """
-    pixels, valid = rig.project(anchor_points(geometry, anchors).flatten(0, 2))
+    places = [[0.5 + offset for offset in anchor] for anchor in anchors]
+    pixels, valid = rig.project(points_in_cells(geometry, places).movedim(0, -2).flatten(0, 2))
     points = torch.where(valid[..., None], normalize_pixels(pixels, *frame_size(rig)), OUTSIDE)
     return points.to(device=device, dtype=torch.float32), valid.any(-1).to(device)
 

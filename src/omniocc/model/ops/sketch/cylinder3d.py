@@ -13,25 +13,10 @@ from torch.nn import functional as F
 
 from omniocc.geometry import Grid
 from omniocc.model.ops.norm import check_halvings, group_norm
-from omniocc.model.ops.padding import Axes, Downsample, Periodic, Pointwise, pad3d, upsample
+from omniocc.model.ops.padding import Axes, Conv3d, Downsample, Periodic, Pointwise, upsample
 
 ACROSS_SECOND: Axes = (3, 1, 3)
 ACROSS_FIRST: Axes = (1, 3, 3)
-
-
-class AxisConv(nn.Conv3d):
-    """Convolve with an odd kernel size for each axis, keeping the size and wrapping around on periodic axes."""
-
-    def __init__(self, in_channels: int, out_channels: int, kernel: Axes, periodic: Periodic):
-        super().__init__(in_channels, out_channels, kernel)
-        self.periodic = periodic
-        halves = [size // 2 for size in kernel]
-        self.wrap: Axes = tuple(h if wraps else 0 for h, wraps in zip(halves, periodic, strict=True))  # type: ignore[assignment]
-        self.zeros: Axes = tuple(0 if wraps else h for h, wraps in zip(halves, periodic, strict=True))  # type: ignore[assignment]
-
-    def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B D X Y Z"]:
-        """Return the convolved volume."""
-        return F.conv3d(pad3d(volume, self.wrap, self.periodic), self.weight, self.bias, padding=self.zeros)
 
 
 class ConvNorm(nn.Module):
@@ -39,7 +24,7 @@ class ConvNorm(nn.Module):
 
     def __init__(self, in_channels: int, out_channels: int, kernel: Axes, periodic: Periodic):
         super().__init__()
-        self.conv = AxisConv(in_channels, out_channels, kernel, periodic)
+        self.conv = Conv3d(in_channels, out_channels, kernel, periodic)
         self.norm = group_norm(out_channels)
 
     def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B D X Y Z"]:
@@ -73,7 +58,7 @@ class Context(nn.Module):
     def __init__(self, channels: int, periodic: Periodic):
         super().__init__()
         kernels: list[Axes] = [(3, 1, 1), (1, 3, 1), (1, 1, 3)]
-        self.convs = nn.ModuleList(AxisConv(channels, channels, kernel, periodic) for kernel in kernels)
+        self.convs = nn.ModuleList(Conv3d(channels, channels, kernel, periodic) for kernel in kernels)
         self.norms = nn.ModuleList(group_norm(channels) for _ in kernels)
 
     def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B C X Y Z"]:
@@ -88,9 +73,7 @@ class Cylinder3D(nn.Module):
     Rolling the input along a periodic axis by a multiple of 2**(levels-1) cells rolls the output.
 
     Args:
-        in_channels: of the input.
         channels: of each level, finest first; multiples of 8.
-        out_channels: of the logits.
 
     Raises:
         ValueError: if a periodic axis cannot be halved often enough, or the channels do not split into groups.
@@ -107,7 +90,7 @@ class Cylinder3D(nn.Module):
         self.up = nn.ModuleList(Pointwise(coarse, fine) for fine, coarse in pairs)
         self.decoder = nn.ModuleList(Asymmetric(fine, fine, periodic) for fine, _ in pairs[1:])
         self.context = Context(channels[0], periodic)
-        self.out = AxisConv(2 * channels[0], out_channels, (3, 3, 3), periodic)
+        self.out = Conv3d(2 * channels[0], out_channels, 3, periodic)
 
     def forward(self, volume: Float[Tensor, "B C X Y Z"]) -> Float[Tensor, "B D X Y Z"]:
         """Return logits of every cell."""

@@ -1,6 +1,7 @@
 """Evidence from a panorama of ranges for each cell: in front of the seen surface, at it, or behind it."""
 
 from collections.abc import Sequence
+from itertools import product
 from typing import NamedTuple
 
 import torch
@@ -9,6 +10,7 @@ from torch import Tensor, nn
 
 from omniocc.camera import Equirectangular
 from omniocc.geometry import Grid
+from omniocc.model.ops.blocks import points_in_cells
 
 EVIDENCE_CHANNELS = 4
 """Channels of the evidence: known fraction, and the gap at three scales."""
@@ -16,14 +18,8 @@ EVIDENCE_CHANNELS = 4
 
 def cell_samples(geometry: Grid, per_axis: Sequence[int]) -> Float64[Tensor, "K X Y Z 3"]:
     """Return points spread evenly in every cell, `per_axis` of them along each axis; ego frame, metres."""
-    axes = []
-    for axis, count in enumerate(per_axis):
-        edges = geometry.edges(axis)
-        fractions = (torch.arange(count, dtype=torch.float64) + 0.5) / count
-        axes.append([edges[:-1] + edges.diff() * fraction for fraction in fractions])
-    first, second, third = axes
-    grids = [torch.meshgrid(x, y, z, indexing="ij") for x in first for y in second for z in third]
-    return torch.stack([geometry.from_axes(*grid) for grid in grids])
+    fractions = [[(index + 0.5) / count for index in range(count)] for count in per_axis]
+    return points_in_cells(geometry, list(product(*fractions)))
 
 
 class Sight(NamedTuple):

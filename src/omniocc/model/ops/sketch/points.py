@@ -26,14 +26,10 @@ def still_axes(geometry: Grid) -> list[int]:
 
 
 def point_features(points: Float[Tensor, "P 3"], geometry: Grid) -> Float[Tensor, "P F"]:
-    """Return the features of points in Cylinder3D: offset from the cell's centre, coordinates, range.
+    """Return the features that Cylinder3D has of points in the grid (ego frame, m): offset in the cell, place, range.
 
-    Offsets are in cells, coordinates from -1 to 1 over the grid, the range in units of the grid's reach. Cylinder3D's
-    azimuth, x and y are left out in a cylinder, so that turning the car turns the sketch.
-
-    Args:
-        points: inside the grid, ego frame, metres.
-        geometry: the grid.
+    Offsets from the cell's centre are in cells, places from -1 to 1 over the grid, ranges in units of the grid's reach.
+    Cylinder3D's azimuth, x and y are left out in a cylinder, so that turning the car turns the sketch.
     """
     places = torch.stack(geometry.coordinates(points), dim=-1)
     offset = places - places.floor() - 0.5
@@ -58,11 +54,7 @@ def voxel_max(
 
 
 class PointEncoder(nn.Module):
-    """Encode the points of every cell: an MLP on each point, the maximum in each cell.
-
-    Args:
-        channels: of the result.
-    """
+    """Encode the points of every cell: an MLP on each point, the maximum in each cell."""
 
     def __init__(self, geometry: Grid, channels: int):
         super().__init__()
@@ -76,30 +68,14 @@ class PointEncoder(nn.Module):
 
         Points outside the grid or not finite are ignored.
         """
-        batch = len(points)
         cells, inside = self.geometry.flat_index(points)
-        sample = torch.arange(batch, device=points.device).unsqueeze(1) * self.geometry.num_cells
-        if is_static():
-            return self._of_all(points, cells + sample, inside)
-        features = point_features(points[inside], self.geometry)
-        encoded = F.relu(self.out(F.relu(self.hidden(features))))
-        places = (cells + sample)[inside]
-        volume = voxel_max(encoded, places, batch * self.geometry.num_cells)
-        hit = volume.new_zeros(len(volume), 1).index_fill_(0, places, 1)
-        return self._split(torch.cat([volume, hit], dim=1), batch)
-
-    def _of_all(
-        self, points: Float[Tensor, "B P 3"], places: Int64[Tensor, "B P"], inside: Bool[Tensor, "B P"]
-    ) -> tuple[Float[Tensor, "B C X Y Z"], Float[Tensor, "B 1 X Y Z"]]:
-        """Compute the same for all points: ignored ones add zeros, which do not change the maximum."""
-        features = point_features(points.flatten(0, 1), self.geometry)
-        encoded = F.relu(self.out(F.relu(self.hidden(features))))
+        cells = cells + torch.arange(len(points), device=points.device).unsqueeze(1) * self.geometry.num_cells
+        static = is_static()
+        points, places = (points.flatten(0, 1), cells.flatten()) if static else (points[inside], cells[inside])
+        encoded = F.relu(self.out(F.relu(self.hidden(point_features(points, self.geometry)))))
         marked = torch.cat([encoded, torch.ones_like(encoded[:, :1])], dim=1)
-        marked = torch.where(inside.flatten()[:, None], marked, 0)
-        return self._split(voxel_max(marked, places.flatten(), len(points) * self.geometry.num_cells), len(points))
-
-    def _split(
-        self, volume: Float[Tensor, "cells D"], batch: int
-    ) -> tuple[Float[Tensor, "B C X Y Z"], Float[Tensor, "B 1 X Y Z"]]:
-        volume = volume.reshape(batch, *self.geometry.shape, -1).movedim(-1, 1)
+        if static:  # ignored points add zeros, which do not change the maximum
+            marked = torch.where(inside.flatten()[:, None], marked, 0)
+        volume = voxel_max(marked, places, len(inside) * self.geometry.num_cells)
+        volume = volume.reshape(len(inside), *self.geometry.shape, -1).movedim(-1, 1)
         return volume[:, :-1], volume[:, -1:]

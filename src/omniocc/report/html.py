@@ -1,0 +1,42 @@
+"""Web pages from the templates beside this file, and images inside them, so that a page needs no other file."""
+
+import base64
+from typing import Any
+
+import cv2
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+ENVIRONMENT = Environment(
+    loader=PackageLoader("omniocc.report"),
+    autoescape=True,
+    undefined=StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
+)
+ENVIRONMENT.policies["json.dumps_kwargs"] = {"separators": (",", ":")}  # keeps the order of keys
+
+
+def render(name: str, content: dict[str, Any]) -> str:
+    """Return the page of a template, whose names get the values of `content`, escaped unless they are marked as safe.
+
+    Raises:
+        jinja2.UndefinedError: when the template uses a name that is missing.
+    """
+    return ENVIRONMENT.get_template(name).render(content)
+
+
+def webp(image: np.ndarray, quality: int) -> str:
+    """Return an RGB image as a data URL in WebP; quality 1 to 100."""
+    return _data_url("webp", image, [cv2.IMWRITE_WEBP_QUALITY, quality])
+
+
+def png(image: np.ndarray) -> str:
+    """Return an RGB image as a data URL in PNG, without loss."""
+    return _data_url("png", image, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+
+
+def _data_url(kind: str, image: np.ndarray, options: list[int]) -> str:
+    done, data = cv2.imencode(f".{kind}", cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2BGR), options)
+    assert done
+    return f"data:image/{kind};base64,{base64.b64encode(data.tobytes()).decode()}"
