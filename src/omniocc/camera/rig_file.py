@@ -32,6 +32,7 @@ from jaxtyping import Bool, Float64
 from torch import Tensor
 
 from omniocc.camera.calibration import Calibration, parse, read_calibration, read_calibration_folder
+from omniocc.camera.calibration.fields import read_mask_pixels
 from omniocc.camera.models.double_sphere import DoubleSphere
 from omniocc.camera.models.equidistant import Equidistant
 from omniocc.camera.models.eucm import EUCM
@@ -40,7 +41,6 @@ from omniocc.camera.models.mei import MEI
 from omniocc.camera.models.ocam import OCam
 from omniocc.camera.models.pinhole import Pinhole
 from omniocc.camera.models.radial_polynomial import RadialPolynomial
-from omniocc.camera.ops.mask_file import read_mask_pixels
 from omniocc.camera.pose import check_rigid, pose_from_angles
 from omniocc.camera.protocol import Camera, finite, numbers
 
