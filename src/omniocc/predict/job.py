@@ -148,7 +148,7 @@ class Job:
         caption = f"{sequence.name} {sequence.frame_names[frame]}".strip()
         missing = f", without {', '.join(excluded)}" * bool(excluded)
         ranges = None if panorama is None or prediction.range_m is None else RangePanorama(panorama, prediction.range_m)
-        voxels = None if truth is None else truth.voxels
+        voxels = None if truth is None else truth.voxels[0]
         geometry, caption = self.predictor.model.geometry, f"{caption}{missing}".lstrip(", ")
         return occupancy_sheet(images, sequence.rig, prediction.labels, geometry, self.classes, ranges, voxels, caption)
 
@@ -161,9 +161,9 @@ class Job:
     def _score(self, labels: Tensor, truth: Truth) -> str:
         """Add a frame to the scores and return its own in a few words."""
         assert self.scores is not None
-        self.scores.update(labels[None], truth.as_batch())
+        self.scores.update(labels[None], truth)
         frame_iou = VoxelIoU(self.classes.num_classes, class_names=self.classes.names)
-        frame_iou.update(labels[None], truth.voxels[None])
+        frame_iou.update(labels[None], truth.voxels)
         own = frame_iou.compute()
         return f"IoU {own['iou']:.3f}, mIoU {own['miou']:.3f}"
 

@@ -7,7 +7,6 @@ recorded, their positions are not.
 """
 
 import functools
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import torch
@@ -52,25 +51,17 @@ class Sight(NamedTuple):
 
 def observed(scene: SceneFrames, frame: int, geometry: Grid) -> UInt8[Tensor, "X Y Z"]:
     """Return 1 for every cell of one frame that was observed, 0 for the others."""
-    rig, scan, points = scene.rigs[frame], scene.lidar(frame), scene.points(frame)
-    mask = torch.zeros(geometry.num_cells, dtype=torch.bool)
-    for range_m, sight in _rays(scene, frame, scan, rig, geometry):
-        mask |= sight.crossed(range_m, geometry.num_cells)
+    scan, points, num_cells = scene.lidar(frame), scene.points(frame), geometry.num_cells
+    mask = torch.zeros(num_cells, dtype=torch.bool)
+    if scan is not None:
+        mask |= _lidar_sight(geometry, scan).crossed(torch.from_numpy(scan.range_m), num_cells)
+    for camera, pixels_m in enumerate(scene.camera_range_m(frame) or ()):
+        range_m = torch.from_numpy(pixels_m[_PIXELS].ravel())
+        mask |= _camera_sight(geometry, scene.rigs[frame], camera).crossed(range_m, num_cells)
     if points is not None:
         cells, inside = geometry.flat_index(torch.from_numpy(points.points_m))
         mask[cells[inside]] = True
     return mask.to(torch.uint8).reshape(geometry.shape)
-
-
-def _rays(
-    scene: SceneFrames, frame: int, scan: LidarScan | None, rig: Rig, geometry: Grid
-) -> Iterator[tuple[Float32[Tensor, " R"], Sight]]:
-    """Yield recorded ranges, with their rays, of the LiDAR and of every camera."""
-    if scan is not None:
-        yield torch.from_numpy(scan.range_m), _lidar_sight(geometry, scan)
-    ranges_m = scene.camera_range_m(frame)
-    for camera, range_m in enumerate(ranges_m or ()):
-        yield torch.from_numpy(range_m[_PIXELS].ravel()), _camera_sight(geometry, rig, camera)
 
 
 @functools.lru_cache(maxsize=16)

@@ -3,6 +3,7 @@
 import shutil
 import warnings
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import get_args
@@ -28,12 +29,6 @@ VOTE_VERSION = 1
 """Raise it when the same points would give other voxels."""
 
 MEMBER = "voxels.zst"
-
-
-def geometry_hash(geometry: Grid, unknown: Unknown = "free") -> str:
-    """Return a short hash of the grid and of the way cells are labelled."""
-    labelling = [] if unknown == "free" else [unknown, OBSERVED_VERSION]
-    return digest([repr(geometry), VOTE_VERSION, *labelling])[:12]
 
 
 def vote(
@@ -72,7 +67,7 @@ class VoxelCache:
     """Voxels of many scenes in one geometry, as scene folders of their own with one member per frame.
 
     Args:
-        folder: of the dataset, in which the cache is the subfolder `voxels-<hash of the geometry>`.
+        folder: of the dataset, in which the cache is the subfolder `voxels-<hash of grid and labelling>`.
         unknown: label of cells without points.
         fingerprint: of the data; the counts of classes are kept under it.
         workers: processes that vote; 0 votes in this one.
@@ -92,7 +87,8 @@ class VoxelCache:
     ):
         if unknown not in get_args(Unknown):
             raise ValueError(f"unknown must be one of {', '.join(get_args(Unknown))}, got {unknown!r}")
-        self.folder = Path(folder) / f"voxels-{geometry_hash(geometry, unknown)}"
+        labelling = [] if unknown == "free" else [unknown, OBSERVED_VERSION]
+        self.folder = Path(folder) / f"voxels-{digest([repr(geometry), VOTE_VERSION, *labelling])[:12]}"
         self.geometry = geometry
         self.unknown: Unknown = unknown
         self.fingerprint = fingerprint
@@ -166,9 +162,8 @@ class VoteJob:
 
     def __call__(self, folder: Path, report: Report) -> None:
         """Vote for every frame that is missing, then seal the folder."""
-        writer = SceneWriter(folder, SHARD_LIMIT_BYTES)
         scene = self.scenes[folder.name]
-        try:
+        with closing(SceneWriter(folder, SHARD_LIMIT_BYTES)) as writer:
             report(len(scene) if writer.finished else writer.num_frames)
             if writer.finished:
                 return
@@ -177,5 +172,3 @@ class VoteJob:
                 writer.append({MEMBER: zstandard.ZstdCompressor(level=3).compress(cells.tobytes())}, {})
                 report(1)
             writer.finish({"geometry": repr(self.geometry), "vote": VOTE_VERSION, "unknown": self.unknown})
-        finally:
-            writer.close()

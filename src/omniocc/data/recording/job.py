@@ -4,6 +4,7 @@ import ast
 import functools
 import hashlib
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -86,14 +87,11 @@ class SceneJob:
         Raises:
             RuntimeError: naming scene and frame, when the world fails.
         """
-        writer = SceneWriter(folder, self.shard_limit_bytes)
-        try:
+        with closing(SceneWriter(folder, self.shard_limit_bytes)) as writer:
             if writer.finished:
                 report(self.frames)
             else:
                 self._record(writer, next(plan for plan in self.plans if plan.name == folder.name), report)
-        finally:
-            writer.close()
 
     def _record(self, writer: SceneWriter, plan: ScenePlan, report: Report) -> None:
         report(writer.num_frames)

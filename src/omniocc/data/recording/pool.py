@@ -94,24 +94,23 @@ def worker_environment(needs_main: bool) -> Iterator[None]:
     threads = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
     changes = dict.fromkeys(threads, "1") | {"PYTHONPATH": os.pathsep.join(paths)}
     before = {name: os.environ.get(name) for name in changes}
-    main = {} if needs_main else {name: value for name, value in _main_origin().items() if value is not None}
+    script = sys.modules["__main__"]
+    origin = {} if needs_main else {name: getattr(script, name, None) for name in ("__file__", "__spec__")}
     os.environ.update(changes)
-    for name in main:
-        setattr(sys.modules["__main__"], name, None)
+    for name, value in origin.items():
+        if value is not None:
+            setattr(script, name, None)
     try:
         yield
     finally:
-        for name, value in main.items():
-            setattr(sys.modules["__main__"], name, value)
+        for name, value in origin.items():
+            if value is not None:
+                setattr(script, name, value)
         for name, value in before.items():
             if value is None:
                 os.environ.pop(name, None)
             else:
                 os.environ[name] = value
-
-
-def _main_origin() -> dict[str, Any]:
-    return {name: getattr(sys.modules["__main__"], name, None) for name in ("__file__", "__spec__")}
 
 
 def limit_threads(_worker: int = 0) -> None:

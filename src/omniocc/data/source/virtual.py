@@ -12,7 +12,7 @@ from omniocc.data.labels.voxels import VoxelCache
 from omniocc.data.recording.job import Recordable, SceneJob, ScenePlan, code_fingerprint
 from omniocc.data.recording.pool import make_scenes, usable_cores
 from omniocc.data.source import SPLITS, SourceSpec, Split, Unknown
-from omniocc.data.store.files import is_url, open_folder
+from omniocc.data.store.files import holds, is_url
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import META, SCHEMA, digest
 from omniocc.errors import DataError
@@ -218,9 +218,7 @@ class VirtualWorld:
         if isinstance(self.place, Path):
             return (self.place / plan.name).is_dir()
         try:
-            return open_folder(self._where(plan)).size(META) > 0
-        except FileNotFoundError:
-            return False
+            return holds(self._where(plan), META)
         except Exception as error:  # each kind of store has errors of its own
             raise self.reader(plan).unreadable(META, error) from error
 

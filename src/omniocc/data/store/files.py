@@ -1,6 +1,5 @@
 """The files of one folder, on this disk or in an object store (any URL that fsspec understands), read by byte range."""
 
-import hashlib
 import json
 import os
 from collections.abc import Sequence
@@ -122,14 +121,15 @@ def list_folders(root: Path | str, member: str) -> list[str]:
         DataError: when the folder does not exist or cannot be listed.
     """
     try:
-        return [name for name in open_folder(root).folders() if "." not in name and _holds(f"{root}/{name}", member)]
+        return [name for name in open_folder(root).folders() if "." not in name and holds(f"{root}/{name}", member)]
     except FileNotFoundError as error:
         raise DataError(f"{root}: there is no such folder") from error
     except Exception as error:  # each kind of store has errors of its own
         raise DataError(f"{root}: its folders cannot be listed: {type(error).__name__}: {error}") from error
 
 
-def _holds(folder: str, name: str) -> bool:
+def holds(folder: Path | str, name: str) -> bool:
+    """Return whether a folder has a file of this name that is not empty."""
     try:
         return open_folder(folder).size(name) > 0
     except FileNotFoundError:
@@ -146,14 +146,6 @@ def read_json(root: Path | str, name: str, remedy: str) -> Any:
         raise DataError(f"{files.where(name)}: the file is missing; {remedy}") from error
     except Exception as error:  # each kind of store has errors of its own
         raise DataError(f"{files.where(name)}: cannot be read: {type(error).__name__}: {error}; {remedy}") from error
-
-
-def sha256_of(file: Any) -> str:
-    """Return the hex digest (SHA-256) of an open file from its current position on."""
-    state = hashlib.sha256()
-    while block := file.read(BLOCK_BYTES):
-        state.update(block)
-    return state.hexdigest()
 
 
 def read_members(files: Files, name: str, offsets: Sequence[int], sizes: Sequence[int]) -> list[bytes]:

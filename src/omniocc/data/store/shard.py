@@ -17,7 +17,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from omniocc.data.store.files import sha256_of
 from omniocc.errors import DataError
 from omniocc.io import atomic_write, cannot_write
 
@@ -180,7 +179,7 @@ def member_name(frame: int, member: str) -> str:
 def sha256(path: Path) -> str:
     """Return the hex digest (SHA-256) of a file."""
     with path.open("rb") as file:
-        return sha256_of(file)
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def digest(plain: Any) -> str:

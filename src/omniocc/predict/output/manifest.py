@@ -54,12 +54,6 @@ def _changed(old: str, new: Mapping[str, Any]) -> str:
     return ", ".join(changes) or "other keys"
 
 
-def file_digest(path: Path) -> str:
-    """Return the first 16 hex digits of a file's SHA-256."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()[:16]
-
-
 def pose_digest(poses: Tensor | None) -> str | None:
     """Return the first 16 hex digits of the poses' SHA-256, None without poses."""
     return None if poses is None else hashlib.sha256(poses.contiguous().numpy().tobytes()).hexdigest()[:16]
