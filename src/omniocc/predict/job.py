@@ -35,11 +35,8 @@ class Job:
     """Predict sequences, write their files and score them where there is ground truth.
 
     Attributes:
-        predictor: the model.
         history: how frames get their past.
-        classes: table of the model's classes.
         unknown: label of true cells without points, as in training.
-        output: folder of all results.
         force: whether finished frames are predicted again.
         mesh: whether `voxels.ply` is written.
         overview: whether `overview.png` is drawn.

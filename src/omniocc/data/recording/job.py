@@ -69,8 +69,6 @@ class SceneJob:
         recipe: everything that decides the content of frames; written beside them.
         spec: facts about all scenes; written beside the frames.
         rig: the cameras; written beside the frames.
-        frames: number of frames of each scene.
-        shard_limit_bytes: see `SceneWriter`.
     """
 
     build: Callable[[ScenePlan], Recordable]

@@ -41,11 +41,8 @@ def usable_cores() -> int:
 def make_scenes(work: Work, folders: Sequence[Path], workers: int, progress: Progress) -> None:
     """Run `work` for every folder; scenes that another run is making come last and are waited for.
 
-    Args:
-        work: picklable.
-        folders: scene folders to be made.
-        workers: processes; 0 works in this one.
-        progress: is advanced frame by frame.
+    `workers` processes share the folders; 0 works in this one. `work` must be picklable; `progress` advances frame by
+    frame.
 
     Raises:
         DataError: when the disk refuses, or a worker process was killed.

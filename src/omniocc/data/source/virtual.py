@@ -27,6 +27,11 @@ from omniocc.world.scene import LabelMode
 from omniocc.world.sensors.recorder import Capture
 
 SEEDS_PER_SPLIT = 1_000_000
+SETTINGS = (
+    "frame_interval_s", "supersample", "erp_size", "erp_top_deg", "erp_bottom_deg", "weather", "label_mode", "lidars",
+    "capture",
+)  # fmt: skip
+"""Arguments of `Scene` that are equal for all scenes."""
 
 
 class VirtualWorld:
@@ -40,9 +45,6 @@ class VirtualWorld:
         rig: built-in rig by name, or a rig file.
         image_size: width and height of every camera image, px.
         themes: kinds of places; the scenes of a split take them in turn, those of the test split from the middle on.
-        train_scenes: number of scenes to train on.
-        val_scenes: number of scenes to validate on.
-        test_scenes: number of scenes to test on.
         frames_per_scene: recorded frames of each scene.
         frame_interval_s: time between recorded frames.
         supersample: camera rays per pixel along each side.
@@ -205,11 +207,7 @@ class VirtualWorld:
 
     @property
     def _settings(self) -> dict[str, Any]:
-        """Return the arguments of `Scene` that are equal for all scenes."""
-        settings: dict[str, Any] = {"frame_interval_s": self.frame_interval_s, "supersample": self.supersample}
-        settings |= {"erp_size": self.erp_size, "erp_top_deg": self.erp_top_deg, "erp_bottom_deg": self.erp_bottom_deg}
-        settings |= {"weather": self.weather, "label_mode": self.label_mode}
-        return settings | {"lidars": self.lidars, "capture": self.capture}
+        return {name: getattr(self, name) for name in SETTINGS}
 
     def _where(self, plan: ScenePlan) -> Path | str:
         return f"{self.place}/{plan.name}" if isinstance(self.place, str) else self.place / plan.name

@@ -39,7 +39,9 @@ _CODE_BYTES = 6
 
 def encode_frame(frame: Frame) -> dict[str, bytes]:
     """Return all blobs of a frame by name, in a fixed order."""
-    blobs = {"frame.json": _encode_facts(frame)}
+    facts = {"time_s": frame.time_s, "world_from_ego": frame.world_from_ego.tolist()}
+    facts["boxes"] = [asdict(box) for box in frame.boxes]
+    blobs = {"frame.json": json.dumps(facts, default=lambda value: value.item()).encode()}
     for k, image in enumerate(frame.images):
         blobs[f"rgb{k}.jpg"] = encode_image(image)
     for k, labels in enumerate(frame.semantics):
@@ -171,12 +173,6 @@ def _decompress(blob: bytes, planes: int) -> np.ndarray:
 
 def _join(planes: np.ndarray, dtype: str) -> np.ndarray:
     return np.ascontiguousarray(planes.T).view(dtype).reshape(-1)
-
-
-def _encode_facts(frame: Frame) -> bytes:
-    facts = {"time_s": frame.time_s, "world_from_ego": frame.world_from_ego.tolist()}
-    facts["boxes"] = [asdict(box) for box in frame.boxes]
-    return json.dumps(facts, default=lambda value: value.item()).encode()
 
 
 def _decode_box(box: dict) -> Box:

@@ -3,8 +3,9 @@
 import json
 import os
 from collections.abc import Sequence
+from io import BufferedReader
 from pathlib import Path
-from typing import Any, BinaryIO, Protocol, runtime_checkable
+from typing import Any
 
 import fsspec
 
@@ -15,60 +16,40 @@ JOINED_GAP_BYTES = 4096
 """Ranges nearer to one another than this are read as one: headers between members cost less than another request."""
 
 
-@runtime_checkable
-class Files(Protocol):
-    """The files of a folder; every method raises FileNotFoundError for a missing file."""
-
-    def where(self, name: str) -> str:
-        """Return path or URL of a file, for messages."""
-        ...
-
-    def size(self, name: str) -> int:
-        """Return the length in bytes."""
-        ...
-
-    def open(self, name: str) -> Any:
-        """Return the open file, binary, at its beginning."""
-        ...
-
-    def ranges(self, name: str, spans: Sequence[tuple[int, int]]) -> list[bytes]:
-        """Return the bytes from `begin` up to `end` of each (begin, end); fewer where the file ends early."""
-        ...
-
-    def folders(self) -> list[str]:
-        """Return the names of the folders in this one, sorted."""
-        ...
-
-
 class LocalFiles:
-    """A folder on this disk."""
+    """The files of a folder on this disk; every method raises FileNotFoundError for a missing file."""
 
     def __init__(self, folder: Path):
         self.folder = folder
 
-    def where(self, name: str) -> str:  # noqa: D102
+    def where(self, name: str) -> str:
+        """Return path or URL of a file, for messages."""
         return str(self.folder / name)
 
-    def size(self, name: str) -> int:  # noqa: D102
+    def size(self, name: str) -> int:
+        """Return the length in bytes."""
         return (self.folder / name).stat().st_size
 
-    def open(self, name: str) -> BinaryIO:  # noqa: D102
+    def open(self, name: str) -> BufferedReader:
+        """Return the open file, binary, at its beginning."""
         return (self.folder / name).open("rb")
 
-    def ranges(self, name: str, spans: Sequence[tuple[int, int]]) -> list[bytes]:  # noqa: D102
+    def ranges(self, name: str, spans: Sequence[tuple[int, int]]) -> list[bytes]:
+        """Return the bytes from `begin` up to `end` of each (begin, end); fewer where the file ends early."""
+        parts = []
         with self.open(name) as file:
-            return [self._range(file, begin, end) for begin, end in spans]
+            for begin, end in spans:
+                file.seek(begin)
+                parts.append(file.read(end - begin))
+        return parts
 
-    def folders(self) -> list[str]:  # noqa: D102
+    def folders(self) -> list[str]:
+        """Return the names of the folders in this one, sorted."""
         return sorted(path.name for path in self.folder.iterdir() if path.is_dir())
-
-    def _range(self, file: BinaryIO, begin: int, end: int) -> bytes:
-        file.seek(begin)
-        return file.read(end - begin)
 
 
 class RemoteFiles:
-    """A folder behind a URL; the connection is made at the first use, in the process that uses it."""
+    """The same for a folder behind a URL; the connection is made by the process that creates the object."""
 
     def __init__(self, url: str):
         self.url = url
@@ -84,7 +65,7 @@ class RemoteFiles:
         return self._fs.open(self._path(name), "rb", block_size=BLOCK_BYTES)
 
     def ranges(self, name: str, spans: Sequence[tuple[int, int]]) -> list[bytes]:
-        """Return bytes as `Files.ranges` does, with all requests at once.
+        """Return bytes as `LocalFiles.ranges` does, with all requests at once.
 
         Raises:
             OSError: when a server does not support byte ranges and sends more.
@@ -102,6 +83,9 @@ class RemoteFiles:
 
     def _path(self, name: str) -> str:
         return f"{self._root.rstrip('/')}/{name}"
+
+
+Files = LocalFiles | RemoteFiles
 
 
 def is_url(place: str | os.PathLike[str]) -> bool:

@@ -62,11 +62,9 @@ class SceneWriter:
         return len(self._records)
 
     def append(self, blobs: Mapping[str, bytes], entry: Mapping[str, Any]) -> None:
-        """Write one frame; all frames of a scene have members of the same names.
+        """Write the blobs of one frame, by member name, and its entry of the index (plain values).
 
-        Args:
-            blobs: content by member name.
-            entry: plain values for the index.
+        All frames of a scene have members of the same names.
         """
         frame = self.num_frames
         assert not self._records or list(blobs) == self._records[0]["members"]

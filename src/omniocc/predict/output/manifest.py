@@ -18,10 +18,8 @@ MANIFEST = "prediction.json"
 def write_manifest(output: Path, facts: Mapping[str, Any], force: bool) -> None:
     """Write what the predictions of a folder are made from, so that it never mixes those of two models.
 
-    Args:
-        output: the folder.
-        facts: checkpoint, input and options.
-        force: replace a manifest with other facts, and first remove its predictions.
+    The facts are checkpoint, input and options. `force` replaces a manifest with other facts, after removing its
+    predictions.
 
     Raises:
         UserError: when the folder cannot be written, or its predictions were made from other facts.
