@@ -77,11 +77,10 @@ def _is_rig(content: Any) -> bool:
 
 
 def _read_cameras(file: Path, entries: dict[str, Any]) -> Calibration:
-    read = [_read_entry(file, str(name), entry) for name, entry in entries.items()]
-    masks = tuple(mask for _, _, mask in read)
-    cameras, poses = tuple(camera for camera, _, _ in read), torch.stack([pose for _, pose, _ in read])
-    names = tuple(str(name) for name in entries)
-    return Calibration(cameras, poses, names, None if all(mask is None for mask in masks) else masks)
+    names = tuple(map(str, entries))
+    read = [_read_entry(file, name, entry) for name, entry in zip(names, entries.values(), strict=True)]
+    cameras, poses, masks = zip(*read, strict=True)
+    return Calibration(cameras, torch.stack(poses), names, None if all(mask is None for mask in masks) else masks)
 
 
 def write_rig(

@@ -55,11 +55,6 @@ class Job:
     scores: Scores | None
     seconds: list[dict[str, float]] = field(default_factory=list)
 
-    @property
-    def window(self) -> int:
-        """Return the number of frames that the model fuses, the newest included."""
-        return self.predictor.model.temporal.frames
-
     def run(self, sequences: Sequence[FrameSequence]) -> None:
         """Predict all wanted frames of the sequences.
 
@@ -70,11 +65,13 @@ class Job:
         total = sum(map(len, left))
         if skipped := sum(len(sequence.wanted) for sequence in sequences) - total:
             print(f"{skipped} frames are finished in {self.output} and skipped; force=true predicts them again")
+        window = self.predictor.model.temporal.frames
+        window = self.predictor.model.temporal.frames
         with Progress(f"predicting {self.output}", total) as progress:
             for sequence, wanted in zip(sequences, left, strict=True):
                 for frame in sorted(set(sequence.wanted) - set(wanted)):
                     self._score_finished(sequence, frame)
-                for lift in schedule(wanted, self.window, self.history):
+                for lift in schedule(wanted, window, self.history):
                     line = self._predict(sequence, lift)
                     if line:
                         progress.message(line)

@@ -2,8 +2,8 @@
 
 A cell is observed if it holds a labelled point, or if some ray of the ego LiDAR or of a camera leaves it before the ray
 hits anything. No cell counts as free unless a ray has crossed it, and any grid will do, since only recorded ranges are
-needed. Cells that only the virtual LiDARs beside the car see through remain unobserved: the points of these LiDARs are
-recorded, their positions are not.
+needed. Cells that only rays of the virtual LiDARs beside the car cross remain unobserved, since the points of these
+LiDARs are recorded, but not their positions.
 """
 
 import functools
@@ -24,8 +24,7 @@ OBSERVED_VERSION = 1
 PIXEL_STEP = 4
 """Rays are cast for every fourth row and column of a camera: about one per 0.5 m at the rim of the paper's grid."""
 
-_EVERY_STEP = slice(PIXEL_STEP // 2, None, PIXEL_STEP)
-_PIXELS = (_EVERY_STEP, _EVERY_STEP)
+_PIXELS = (slice(PIXEL_STEP // 2, None, PIXEL_STEP),) * 2
 _CHUNK_RAYS = 8192
 
 

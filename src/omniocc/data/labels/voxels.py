@@ -161,7 +161,7 @@ class VoteJob:
     num_classes: int
 
     def __call__(self, folder: Path, report: Report) -> None:
-        """Vote for every frame that is missing, then seal the folder."""
+        """Vote for every frame that is missing, then complete the folder."""
         scene = self.scenes[folder.name]
         with closing(SceneWriter(folder, SHARD_LIMIT_BYTES)) as writer:
             report(len(scene) if writer.finished else writer.num_frames)

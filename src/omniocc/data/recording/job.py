@@ -21,6 +21,8 @@ from omniocc.world import Frame, seeding
 from omniocc.world.render.weather import draw_weather
 
 RECORDERS = ("numpy", "opencv-python-headless", "zstandard", "embreex")
+"""Packages whose versions are written beside the frames."""
+"""Packages whose versions are written beside the frames."""
 
 
 class ScenePlan(NamedTuple):
@@ -80,7 +82,7 @@ class SceneJob:
     shard_limit_bytes: int
 
     def __call__(self, folder: Path, report: Report) -> None:
-        """Render the frames of `folder` that are missing, then seal it.
+        """Render the frames of `folder` that are missing, then complete it.
 
         Raises:
             RuntimeError: naming scene and frame, when the world fails.
@@ -109,14 +111,10 @@ class SceneJob:
         writer.attach("rig.yaml", self.rig.save)
         weather = self.recipe["weather"] or weather_of(plan.theme, plan.seed)
         facts = {"split": plan.split, "theme": plan.theme, "seed": plan.seed, "weather": weather, "recipe": self.recipe}
-        writer.finish(facts | {"spec": plain_spec(self.spec), "software": _software()})
+        software = {name: version(name) for name in RECORDERS}
+        writer.finish(facts | {"spec": plain_spec(self.spec), "software": software})
 
 
 def weather_of(theme: str, seed: int) -> str:
     """Return the weather that `omniocc.world.Scene` draws for a scene when none is chosen."""
     return draw_weather(seeding.generator(theme, seed, "light"))
-
-
-@functools.cache
-def _software() -> dict[str, str]:
-    return {name: version(name) for name in RECORDERS}

@@ -26,7 +26,7 @@ from omniocc.progress import Progress
 
 Report = Callable[[int], None]
 Work = Callable[[Path, Report], None]
-"""A function that makes one scene folder and reports every frame; the report raises `Stopped` when it has to end."""
+"""A function that makes one scene folder and reports every frame; reporting raises `Stopped` when work has to end."""
 
 
 class Stopped(Exception):  # noqa: N818
@@ -121,7 +121,7 @@ def limit_threads(_worker: int = 0) -> None:
 
 def _follow(jobs: list[Future], events: Any, progress: Progress) -> None:
     while True:
-        done = all(job.done() for job in jobs)  # first: all that they have reported is in the queue then
+        done = all(job.done() for job in jobs)  # asked first: what finished jobs report is in the queue by then
         failed = [job for job in jobs if job.done() and not job.cancelled() and job.exception() is not None]
         with contextlib.suppress(Empty):
             while True:

@@ -35,9 +35,9 @@ SETTINGS = (
 
 
 class VirtualWorld:
-    """A source (`SceneSource`) rendered on first use under `root/virtual-<fingerprint of one scene's recipe>`.
+    """A source (`SceneSource`) rendered on first use under `root/virtual-<hash of recipe>`.
 
-    Scenes of the three splits have disjoint seeds and so other streets. Adding scenes keeps those that exist; every
+    The three splits have disjoint seeds, and therefore different streets. Adding scenes keeps those that exist; every
     change in the content of a frame leads to another folder, so that settings never mix.
 
     Args:

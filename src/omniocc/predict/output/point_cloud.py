@@ -18,8 +18,8 @@ class PointCloud(NamedTuple):
     """The point and colour that every pixel of a panorama sees.
 
     Attributes:
-        points_m: in the ego frame, nan where there is no answer.
-        colors: RGB, 0 where there is no answer.
+        points_m: in the ego frame, nan where no range is predicted.
+        colors: RGB, 0 where no range is predicted.
     """
 
     points_m: Float64[Tensor, "h w 3"]
@@ -31,7 +31,7 @@ def point_cloud(
 ) -> PointCloud:
     """Return the points of a range panorama and their colours.
 
-    `range_m` is the range from the ego origin in the directions of `panorama`, not finite where there is no answer;
+    `range_m` is the range from the ego origin in the directions of `panorama`, not finite where none is known;
     `images` are (H, W, 3) uint8 RGB of every camera, of any size.
     """
     points = range_m.double().unsqueeze(-1) * panorama.rays().double()
