@@ -20,7 +20,7 @@ class TrainingData:
 
     Attributes:
         rig: its cameras, at the size of its images.
-        rig_name: name or file of the rig, or words for that of recorded scenes.
+        rig_name: name or file of the rig, or a phrase where scenes are recorded.
         road_z_m: height of the road in its ego frame.
         classes: table of the model's classes.
         unknown: label of true cells without points.

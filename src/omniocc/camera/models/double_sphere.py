@@ -22,7 +22,7 @@ class DoubleSphere(FocalCamera):
     Attributes:
         xi: distance between the centres of the two spheres, in (-1, 1].
         alpha: position of the pinhole behind the second sphere, in [0, 1].
-        max_angle_deg: largest angle from the optical axis that the lens sees; 180 leaves it to the model.
+        max_angle_deg: largest angle from the optical axis that the lens sees; at 180 the model alone sets it.
     """
 
     xi: float

@@ -66,8 +66,8 @@ def possible_turns(batch: Batch, geometry: Grid) -> int:
 def change_scenes(batch: Batch, geometry: Grid, changes: list[Change]) -> Batch:
     """Change each sample in its own way.
 
-    LiDAR rays turn with the scene if the batch holds them. The fixed rays of a source cannot turn, so that their ranges
-    and labels are removed; no loss uses them.
+    LiDAR rays turn with the scene if the batch holds them. The fixed rays of a source cannot turn, so their ranges and
+    labels are removed; no loss uses them.
 
     Raises:
         ValueError: if the grid is not the same on both sides, or after the turn.

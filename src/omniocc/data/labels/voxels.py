@@ -4,7 +4,7 @@ import shutil
 import warnings
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import get_args
 
@@ -105,7 +105,7 @@ class VoxelCache:
         missing = [scene for scene in scenes if not self._opens(scene)]
         if not missing:
             return
-        work = VoteJob({scene.name: scene for scene in missing}, self.geometry, self.unknown, self.num_classes)
+        work = partial(self._vote_scene, {scene.name: scene for scene in missing})
         with Progress(f"voxels {self.folder.name}", sum(map(len, missing))) as progress:
             make_scenes(work, [self.folder / scene.name for scene in missing], self.workers, progress)
 
@@ -150,19 +150,9 @@ class VoxelCache:
             shutil.rmtree(folder)
             return False
 
-
-@dataclass(frozen=True)
-class VoteJob:
-    """Makes the voxels of one scene folder after another; can be sent to other processes."""
-
-    scenes: dict[str, SceneFrames]
-    geometry: Grid
-    unknown: Unknown
-    num_classes: int
-
-    def __call__(self, folder: Path, report: Report) -> None:
-        """Vote for every frame that is missing, then complete the folder."""
-        scene = self.scenes[folder.name]
+    def _vote_scene(self, scenes: dict[str, SceneFrames], folder: Path, report: Report) -> None:
+        """Vote for every frame that is missing in the folder of a scene, then complete it."""
+        scene = scenes[folder.name]
         with closing(SceneWriter(folder, SHARD_LIMIT_BYTES)) as writer:
             report(len(scene) if writer.finished else writer.num_frames)
             if writer.finished:

@@ -2,14 +2,14 @@
 
 import inspect
 from collections.abc import Sequence
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from pathlib import Path
 from typing import Any, get_args
 
 from omniocc.camera import Rig
 from omniocc.classes import WORLD_CLASSES
 from omniocc.data.labels.voxels import VoxelCache
-from omniocc.data.recording.job import Recordable, SceneJob, ScenePlan, code_fingerprint
+from omniocc.data.recording.job import Recordable, ScenePlan, code_fingerprint, record_scene
 from omniocc.data.recording.pool import make_scenes, usable_cores
 from omniocc.data.source import SPLITS, SourceSpec, Split, Unknown
 from omniocc.data.store.files import holds, is_url
@@ -178,16 +178,14 @@ class VirtualWorld:
                 f"{self.place}: {len(missing)} scenes are missing, the first is {missing[0].name}. "
                 "Rendering writes to local folders only: render with data.source.root=<folder>, then upload that folder"
             )
-        work = SceneJob(
-            self.scene, tuple(missing), self.recipe, self.spec, self.rig, self.frames_per_scene, self.shard_limit_bytes
-        )
 
         def finished() -> int:
             return sum(map(self._exists, missing)) * self.frames_per_scene
 
+        folders = [self.place / plan.name for plan in missing]
         title, total = f"rendering {self.place}", len(missing) * self.frames_per_scene
         with Progress(title, total, finished=finished) as progress:
-            make_scenes(work, [self.place / plan.name for plan in missing], self.workers, progress)
+            make_scenes(partial(record_scene, self), folders, self.workers, progress)
 
     def labels(self, geometry: Grid, unknown: Unknown) -> VoxelCache:
         """Return the voxel labels of a grid, voted from the recorded points."""

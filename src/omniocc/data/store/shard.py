@@ -51,7 +51,7 @@ class SceneWriter:
 
     @property
     def finished(self) -> bool:
-        """Return whether the scene is complete; does the last rename if a kill came just before it."""
+        """Return whether the scene is complete; does the last rename if the writer was killed just before it."""
         if not self.folder.exists() and (self.work / META).exists():
             self._guard(self._publish)
         return self.folder.exists()
