@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float64
 from torch import Tensor
 
-from omniocc.camera.pose import invert_pose
+from omniocc.camera.pose import invert_pose, rigid_pose
 from omniocc.camera.protocol import Camera
 
 STEPS = 30
@@ -67,10 +67,8 @@ def _starts(rays: Float64[Tensor, "n 3"], points_ego: Float64[Tensor, "n 3"]) ->
     )
     starts = []
     for turn, shift in zip(turns, shifts, strict=True):
-        pose = torch.eye(4, dtype=torch.float64)
-        pose[:3, :3] = virtual_from_camera.T @ torch.from_numpy(cv2.Rodrigues(turn)[0])
-        pose[:3, 3] = virtual_from_camera.T @ torch.from_numpy(shift[:, 0])
-        starts.append(pose)
+        rotation = virtual_from_camera.T @ torch.from_numpy(cv2.Rodrigues(turn)[0])
+        starts.append(rigid_pose(rotation, virtual_from_camera.T @ torch.from_numpy(shift[:, 0])))
     return starts
 
 

@@ -3,7 +3,7 @@
 import math
 
 import torch
-from jaxtyping import Float64
+from jaxtyping import Float, Float64
 from torch import Tensor
 
 # Columns: the directions of a camera's right, down and forward in the ego frame when all angles are 0.
@@ -25,10 +25,16 @@ def pose_from_angles(
     yaw = torch.tensor([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]], dtype=torch.float64)
     pitch = torch.tensor([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]], dtype=torch.float64)
     roll = torch.tensor([[1, 0, 0], [0, cr, -sr], [0, sr, cr]], dtype=torch.float64)
-    pose = torch.eye(4, dtype=torch.float64)
-    pose[:3, :3] = yaw @ pitch @ roll @ torch.tensor(LEVEL_FORWARD, dtype=torch.float64)
-    pose[:3, 3] = torch.tensor(position_m, dtype=torch.float64)
+    rotation = yaw @ pitch @ roll @ torch.tensor(LEVEL_FORWARD, dtype=torch.float64)
+    pose = rigid_pose(rotation, torch.tensor(position_m, dtype=torch.float64))
     return pose + 0.0  # turns -0.0 into 0.0, so that equal poses have equal bytes
+
+
+def rigid_pose(rotation: Float64[Tensor, "3 3"], position: Float[Tensor, "3"]) -> Float64[Tensor, "4 4"]:
+    """Return `a_from_b` of the rotation of b's axes into a, and of the position of b's origin in a, m."""
+    pose = torch.eye(4, dtype=torch.float64)
+    pose[:3, :3], pose[:3, 3] = rotation, position
+    return pose
 
 
 def invert_pose(a_from_b: Float64[Tensor, "*batch 4 4"]) -> Float64[Tensor, "*batch 4 4"]:

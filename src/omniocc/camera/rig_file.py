@@ -32,6 +32,7 @@ from jaxtyping import Bool, Float64
 from torch import Tensor
 
 from omniocc.camera.calibration import Calibration, parse, read_calibration, read_calibration_folder
+from omniocc.camera.calibration.fields import read_mask_pixels
 from omniocc.camera.models.double_sphere import DoubleSphere
 from omniocc.camera.models.equidistant import Equidistant
 from omniocc.camera.models.eucm import EUCM
@@ -40,7 +41,6 @@ from omniocc.camera.models.mei import MEI
 from omniocc.camera.models.ocam import OCam
 from omniocc.camera.models.pinhole import Pinhole
 from omniocc.camera.models.radial_polynomial import RadialPolynomial
-from omniocc.camera.ops.mask_file import read_mask_pixels
 from omniocc.camera.pose import check_rigid, pose_from_angles
 from omniocc.camera.protocol import Camera, finite, numbers
 
@@ -77,11 +77,10 @@ def _is_rig(content: Any) -> bool:
 
 
 def _read_cameras(file: Path, entries: dict[str, Any]) -> Calibration:
-    read = [_read_entry(file, str(name), entry) for name, entry in entries.items()]
-    masks = tuple(mask for _, _, mask in read)
-    cameras, poses = tuple(camera for camera, _, _ in read), torch.stack([pose for _, pose, _ in read])
-    names = tuple(str(name) for name in entries)
-    return Calibration(cameras, poses, names, None if all(mask is None for mask in masks) else masks)
+    names = tuple(map(str, entries))
+    read = [_read_entry(file, name, entry) for name, entry in zip(names, entries.values(), strict=True)]
+    cameras, poses, masks = zip(*read, strict=True)
+    return Calibration(cameras, torch.stack(poses), names, None if all(mask is None for mask in masks) else masks)
 
 
 def write_rig(

@@ -16,10 +16,6 @@ class EpochSampler(DistributedSampler):
     of a whole epoch.
 
     Args:
-        size: number of samples in the dataset.
-        seed: of the order.
-        rank: this process.
-        world_size: number of processes.
         resume_epoch: epoch that was interrupted.
         resume_samples: samples this rank has already seen in it; other epochs are whole.
     """

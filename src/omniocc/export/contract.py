@@ -1,11 +1,9 @@
 """Describe inputs and outputs of an exported program, for use without this package."""
 
-import dataclasses
 from typing import Any
 
 from omniocc.classes import ClassTable
 from omniocc.export.program import Frame, Step, example_inputs
-from omniocc.geometry import Grid
 
 MEANINGS = {
     "images": "RGB 0..255 of every camera in the rig's order, rows from the top; a black image marks a missing camera",
@@ -25,19 +23,18 @@ AXES = {
 def contract_of(module: Frame | Step, classes: ClassTable) -> dict[str, Any]:
     """Return names, shapes, types and units of inputs and outputs, the grid, the classes and the rig, as plain data.
 
-    Args:
-        module: the program before its export.
-        classes: table of the labels.
+    Along each axis of the grid, cell i spans low + (high - low) * [i, i + 1] / shape, with (low, high) from `bounds`.
     """
     model, rig = module.model, module.rig
+    grid, kind = model.geometry, type(model.geometry).__name__
     names = ["images", "past_volumes", "past_exists", "world_from_ego"]
     inputs = [
         _port(name, tuple(tensor.shape), str(tensor.dtype).removeprefix("torch."))
         for name, tensor in zip(names, example_inputs(module), strict=False)
     ]
-    outputs = [_port("labels", model.geometry.shape, "uint8")]
+    outputs = [_port("labels", grid.shape, "uint8")]
     if isinstance(module, Step):
-        outputs.append(_port("volume", (model.lifter.channels, *model.geometry.shape), "float32"))
+        outputs.append(_port("volume", (model.lifter.channels, *grid.shape), "float32"))
     camera = rig.cameras[0]
     return {
         "inputs": inputs,
@@ -48,20 +45,13 @@ def contract_of(module: Frame | Step, classes: ClassTable) -> dict[str, Any]:
             "image_size_px": [camera.width, camera.height],
             "fingerprint": rig.fingerprint,
         },
-        "grid": grid_of(model.geometry),
+        "grid": {
+            "kind": kind,
+            "axes": AXES[kind],
+            "shape": list(grid.shape),
+            "bounds": [list(ends) for ends in grid.bounds],
+        },
         "classes": list(classes.names),
-    }
-
-
-def grid_of(geometry: Grid) -> dict[str, Any]:
-    """Return kind, sizes and axes of a grid: cell i along an axis spans low + (high - low) * [i, i + 1] / shape."""
-    assert dataclasses.is_dataclass(geometry)
-    kind = type(geometry).__name__
-    return {
-        "kind": kind,
-        "axes": AXES[kind],
-        "shape": list(geometry.shape),
-        "bounds": [list(ends) for ends in geometry.bounds],
     }
 
 

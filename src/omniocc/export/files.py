@@ -41,7 +41,7 @@ class Options:
 
 
 def export_files(options: Options) -> str:
-    """Write the program and, beside it, its contract as JSON; return a line about them.
+    """Write the program and, beside it, the description of its inputs and outputs as JSON; return a line about them.
 
     Raises:
         FileNotFoundError, UserError: when the checkpoint, rig, output or an option of the model cannot be used.

@@ -10,12 +10,7 @@ from omniocc.errors import UserError
 
 
 def onnx_bytes(program: ExportedProgram, inputs: list[str], outputs: list[str]) -> bytes:
-    """Return the content of an ONNX file.
-
-    Args:
-        program: the exported program.
-        inputs: names of its inputs, in order.
-        outputs: names of its outputs, in order.
+    """Return the content of an ONNX file, given the names of the program's inputs and outputs, in order.
 
     Raises:
         UserError: when packages are missing or ONNX lacks an operator.

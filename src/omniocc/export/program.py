@@ -1,7 +1,6 @@
 """Export the whole network for one rig as a program of plain operators with `torch.export`."""
 
 import traceback
-from collections.abc import Iterable
 from typing import cast
 
 import torch
@@ -107,14 +106,13 @@ def option_of(error: BaseException, model: OccupancyModel) -> str:
     parts = [(slot, getattr(model, slot)) for slot in SLOTS]
     if learns(type(model.sketch)):
         parts.insert(0, ("depth", cast(LearnedSketch, model.sketch).depth))
-    owner = {id(module): (slot, part) for slot, part in reversed(parts) for module in modules_of(part)}
+    owner = {
+        id(module): (slot, part)
+        for slot, part in reversed(parts)
+        for module in (part.modules() if isinstance(part, nn.Module) else [part])
+    }
     for frame, _ in reversed(list(traceback.walk_tb(error.__traceback__))):
         if id(frame.f_locals.get("self")) in owner:
             slot, part = owner[id(frame.f_locals["self"])]
             return f"model/{slot}={type(part).__name__}"
     return "the model"
-
-
-def modules_of(part: object) -> Iterable[object]:
-    """Return a part of the model and all modules in it."""
-    return part.modules() if isinstance(part, nn.Module) else [part]

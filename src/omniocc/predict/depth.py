@@ -22,11 +22,7 @@ from omniocc.view import predicted_sheet
 
 
 def predict_panoramas(cfg: DictConfig, overrides: Sequence[str]) -> None:
-    """Predict every frame and write its folder of files.
-
-    Args:
-        cfg: composed from `conf/predict_depth.yaml`.
-        overrides: those of the command line.
+    """Predict every frame and write its folder of files; `cfg` is composed from `conf/predict_depth.yaml`.
 
     Raises:
         UserError, FileNotFoundError: naming the option, file or checkpoint that cannot be used.

@@ -17,14 +17,9 @@ RIG, POSES = "rig.yaml", "poses.csv"
 
 
 def export_scene(scene: Path, folder: Path) -> int:
-    """Write `<frame>/<camera>.png`, `rig.yaml` and `poses.csv`, without any loss.
+    """Write `<frame>/<camera>.png`, `rig.yaml` and `poses.csv` of a recorded scene, without any loss.
 
-    Args:
-        scene: folder of a recorded scene.
-        folder: to write into; created if missing.
-
-    Returns:
-        the number of frames.
+    The folder is created if it is missing; the number of frames is returned.
 
     Raises:
         UserError: when there is no scene.

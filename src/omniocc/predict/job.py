@@ -35,11 +35,8 @@ class Job:
     """Predict sequences, write their files and score them where there is ground truth.
 
     Attributes:
-        predictor: the model.
         history: how frames get their past.
-        classes: table of the model's classes.
         unknown: label of true cells without points, as in training.
-        output: folder of all results.
         force: whether finished frames are predicted again.
         mesh: whether `voxels.ply` is written.
         overview: whether `overview.png` is drawn.
@@ -58,11 +55,6 @@ class Job:
     scores: Scores | None
     seconds: list[dict[str, float]] = field(default_factory=list)
 
-    @property
-    def window(self) -> int:
-        """Return the number of frames that the model fuses, the newest included."""
-        return self.predictor.model.temporal.frames
-
     def run(self, sequences: Sequence[FrameSequence]) -> None:
         """Predict all wanted frames of the sequences.
 
@@ -73,11 +65,13 @@ class Job:
         total = sum(map(len, left))
         if skipped := sum(len(sequence.wanted) for sequence in sequences) - total:
             print(f"{skipped} frames are finished in {self.output} and skipped; force=true predicts them again")
+        window = self.predictor.model.temporal.frames
+        window = self.predictor.model.temporal.frames
         with Progress(f"predicting {self.output}", total) as progress:
             for sequence, wanted in zip(sequences, left, strict=True):
                 for frame in sorted(set(sequence.wanted) - set(wanted)):
                     self._score_finished(sequence, frame)
-                for lift in schedule(wanted, self.window, self.history):
+                for lift in schedule(wanted, window, self.history):
                     line = self._predict(sequence, lift)
                     if line:
                         progress.message(line)
@@ -148,7 +142,7 @@ class Job:
         caption = f"{sequence.name} {sequence.frame_names[frame]}".strip()
         missing = f", without {', '.join(excluded)}" * bool(excluded)
         ranges = None if panorama is None or prediction.range_m is None else RangePanorama(panorama, prediction.range_m)
-        voxels = None if truth is None else truth.voxels
+        voxels = None if truth is None else truth.voxels[0]
         geometry, caption = self.predictor.model.geometry, f"{caption}{missing}".lstrip(", ")
         return occupancy_sheet(images, sequence.rig, prediction.labels, geometry, self.classes, ranges, voxels, caption)
 
@@ -161,9 +155,9 @@ class Job:
     def _score(self, labels: Tensor, truth: Truth) -> str:
         """Add a frame to the scores and return its own in a few words."""
         assert self.scores is not None
-        self.scores.update(labels[None], truth.as_batch())
+        self.scores.update(labels[None], truth)
         frame_iou = VoxelIoU(self.classes.num_classes, class_names=self.classes.names)
-        frame_iou.update(labels[None], truth.voxels[None])
+        frame_iou.update(labels[None], truth.voxels)
         own = frame_iou.compute()
         return f"IoU {own['iou']:.3f}, mIoU {own['miou']:.3f}"
 

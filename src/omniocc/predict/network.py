@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TypeVar, cast
 
 import torch
+from jaxtyping import Float32
 from omegaconf import DictConfig, OmegaConf
 from torch import Tensor, nn
 
@@ -14,7 +15,10 @@ from omniocc.errors import UserError
 from omniocc.model import OccupancyModel
 from omniocc.model.depth import DepthMap
 from omniocc.model.protocols import Backbone
-from omniocc.run.checkpoint import Checkpoint, check_parts, load_checkpoint
+from omniocc.run.checkpoint import check_parts, load_checkpoint
+
+DEPTH_PREFIX = {"occupancy": "sketch.depth.", "sketch": "depth.", "depth": ""}
+"""Prefix of the names of the depth option's weights in the model of each stage."""
 
 Network = TypeVar("Network", bound=nn.Module)
 
@@ -32,22 +36,21 @@ def load_depth(path: Path, overrides: Sequence[str] = ()) -> tuple[nn.Module, Di
         ConfigError: when an override names an unknown argument.
     """
     trained = load_checkpoint(path)
-    own = depth_weights(trained)
+    prefix = DEPTH_PREFIX[trained.stage]
+    own = {name.removeprefix(prefix): value for name, value in trained.model_weights.items() if name.startswith(prefix)}
     if not own:
         raise UserError(f"{path} holds no depth network; the stage's own checkpoints are runs/stages/depth-*/last.ckpt")
     merged = OmegaConf.merge(trained.config, OmegaConf.from_dotlist(list(overrides)))
     assert isinstance(merged, DictConfig)
     check_parts(path, merged, ["depth"])
-    return _with_weights(
-        build(merged.depth), own, path, "is it a checkpoint of the depth stage, are overrides needed?"
-    ), merged
+    question = "is it a checkpoint of the depth stage, are overrides needed?"
+    return _with_weights(build(merged.depth), own, path, question), merged
 
 
 def load_occupancy(path: Path) -> tuple[OccupancyModel, DictConfig]:
     """Return the model of an occupancy checkpoint, sketch and depth included, and the configuration of its training.
 
-    Args:
-        path: `runs/<name>-<hash>/best.ckpt` or `last.ckpt`.
+    `path` is `runs/<name>-<hash>/best.ckpt` or `last.ckpt`.
 
     Raises:
         FileNotFoundError: when the file does not exist.
@@ -62,25 +65,11 @@ def load_occupancy(path: Path) -> tuple[OccupancyModel, DictConfig]:
             "such as runs/<name>-<hash>/best.ckpt"
         )
     check_parts(path, cfg, ["model"])
-    return _with_weights(build(without_download(cfg.model)), own, path, "was it written by another version?"), cfg
-
-
-DEPTH_PREFIX = {"occupancy": "sketch.depth.", "sketch": "depth.", "depth": ""}
-"""Prefix of the names of the depth option's weights in the model of each stage."""
-
-
-def depth_weights(trained: Checkpoint) -> dict[str, Tensor]:
-    """Return the weights of the depth option in a checkpoint of any stage, named as in the option."""
-    prefix, weights = DEPTH_PREFIX[trained.stage], trained.model_weights
-    return {name.removeprefix(prefix): value for name, value in weights.items() if name.startswith(prefix)}
-
-
-def without_download(model: DictConfig) -> DictConfig:
-    """Return a model's configuration that loads no pretrained weights: those of a checkpoint replace them."""
-    pretrained = cast(type[Backbone], target_of(model.backbone)).PRETRAINED
-    merged = OmegaConf.merge(model, {"backbone": dict.fromkeys(pretrained)})
-    assert isinstance(merged, DictConfig)
-    return merged
+    pretrained = cast(type[Backbone], target_of(cfg.model.backbone)).PRETRAINED
+    # the weights of the checkpoint replace pretrained ones, so that none are downloaded
+    offline = OmegaConf.merge(cfg.model, {"backbone": dict.fromkeys(pretrained)})
+    assert isinstance(offline, DictConfig)
+    return _with_weights(build(offline), own, path, "was it written by another version?"), cfg
 
 
 def _with_weights(model: Network, weights: Mapping[str, Tensor], path: Path, question: str) -> Network:
@@ -94,14 +83,10 @@ def _with_weights(model: Network, weights: Mapping[str, Tensor], path: Path, que
     return model.eval()
 
 
-def predict_depth(model: nn.Module, images: Tensor, rig: Rig, device: torch.device) -> DepthMap:
-    """Return the range panorama of one frame, on the CPU.
+def predict_depth(model: nn.Module, images: Float32[Tensor, "1 N 3 H W"], rig: Rig, device: torch.device) -> DepthMap:
+    """Return the range panorama that a depth option computes on `device` from the images of one frame, on the CPU.
 
-    Args:
-        model: a depth option.
-        images: (1, N, 3, H, W), in [0, 1].
-        rig: at the images' size.
-        device: to compute on.
+    The images are in [0, 1], and the rig is the one at their size.
 
     Raises:
         UserError: when the option needs more than images, or returns NaN.

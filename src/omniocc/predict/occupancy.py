@@ -8,8 +8,8 @@ from omegaconf import DictConfig, OmegaConf
 
 from omniocc.camera import Rig
 from omniocc.config import build, check
+from omniocc.data.store.shard import sha256
 from omniocc.errors import UserError
-from omniocc.geometry import Grid
 from omniocc.model import OccupancyModel
 from omniocc.predict.export_scene import RIG
 from omniocc.predict.input.images import find_frames
@@ -19,7 +19,7 @@ from omniocc.predict.input.sequence import FrameSequence, ImageSequence, Recorde
 from omniocc.predict.job import Job
 from omniocc.predict.network import load_occupancy
 from omniocc.predict.options import choose_device, load_rig, require
-from omniocc.predict.output.manifest import file_digest, pose_digest, write_manifest
+from omniocc.predict.output.manifest import pose_digest, write_manifest
 from omniocc.predict.predictor import Predictor
 from omniocc.predict.trained import TrainingData, training_data
 from omniocc.run.results import save_results
@@ -175,7 +175,7 @@ def facts_of(
     """Return what the predictions are made from, for the manifest of their folder."""
     own = sequences[0] if options.recorded is None else None
     return {
-        "checkpoint": file_digest(Path(options.checkpoint)),
+        "checkpoint": sha256(Path(options.checkpoint))[:16],
         "images": str(options.recorded if own is None else options.images),
         "rig": None if own is None else own.rig.fingerprint[:16],
         "poses": None if own is None else pose_digest(own.world_from_ego),
@@ -193,7 +193,8 @@ def announcement(
     history: History,
 ) -> list[str]:
     """Return one line each about model, cameras and history."""
-    grid, past = model.geometry, model.temporal.frames - 1
+    grid = f"{type(model.geometry).__name__} {'x'.join(map(str, model.geometry.shape))}"
+    past = model.temporal.frames - 1
     parameters = sum(parameter.numel() for parameter in model.parameters()) / 1e6
     if history != "none":
         used = f"{history}: up to {past} past frames"
@@ -204,15 +205,10 @@ def announcement(
     else:
         used = f"off, as requested; the model was trained with {past} past frames"
     return [
-        f"model     {options.checkpoint}, {parameters:.2f} M parameters, {describe(grid)}",
+        f"model     {options.checkpoint}, {parameters:.2f} M parameters, {grid}",
         f"cameras   {', '.join(sequences[0].rig.names)}: {compare_rig(sequences[0].rig, trained)}",
         f"history   {used}",
     ]
-
-
-def describe(grid: Grid) -> str:
-    """Return the kind and shape of a grid."""
-    return f"{type(grid).__name__} {'x'.join(map(str, grid.shape))}"
 
 
 def compare_rig(rig: Rig, trained: TrainingData) -> str:

@@ -27,7 +27,7 @@ class Prediction(NamedTuple):
     Attributes:
         labels: class of every cell.
         candidates: cells that the sketch chose.
-        range_m: the depth network's panorama, nan where it has no answer; None for a sketch without depth.
+        range_m: the depth network's panorama, nan where it predicts no range; None for a sketch without depth.
     """
 
     labels: UInt8[Tensor, "X Y Z"]

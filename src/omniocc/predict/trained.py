@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, runtime_checkable
 
 from omegaconf import DictConfig, OmegaConf
 
@@ -15,20 +14,13 @@ from omniocc.errors import UserError
 from omniocc.run.checkpoint import check_parts
 
 
-@runtime_checkable
-class OneRig(Protocol):
-    """A source whose scenes all have the same cameras."""
-
-    rig: Rig
-
-
 @dataclass(frozen=True)
 class TrainingData:
     """The data that a model was trained on.
 
     Attributes:
         rig: its cameras, at the size of its images.
-        rig_name: name or file of the rig, or words for that of recorded scenes.
+        rig_name: name or file of the rig, or a phrase where scenes are recorded.
         road_z_m: height of the road in its ego frame.
         classes: table of the model's classes.
         unknown: label of true cells without points.
@@ -47,11 +39,7 @@ class TrainingData:
 
 
 def training_data(path: Path, cfg: DictConfig) -> TrainingData:
-    """Return what the data source in the configuration of a checkpoint tells about its data.
-
-    Args:
-        path: of the checkpoint.
-        cfg: its configuration.
+    """Return what the data source in `cfg`, the configuration of the checkpoint at `path`, tells about its data.
 
     Raises:
         UserError: when the source cannot be built here, needs scenes that are not there, or has other classes.
@@ -72,8 +60,9 @@ def training_rig(source: SceneSource) -> Rig:
     Raises:
         UserError: when there are no training scenes.
     """
-    if isinstance(source, OneRig):
-        return source.rig
+    rig = getattr(source, "rig", None)  # of sources whose scenes all have the same cameras
+    if rig is not None:
+        return rig
     scenes = source.scenes("train")
     if not scenes:
         raise UserError("the model's training data has no training scenes, whose cameras are needed")

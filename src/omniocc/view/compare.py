@@ -41,16 +41,20 @@ def comparison_parts(
 ) -> SheetParts:  # fmt: skip
     """Return the parts of a sheet; arguments as in `comparison`."""
     inner = inner_width(width_px)
-    half, third = column_width(inner, 2), column_width(inner, 3)
-    views = (render_voxels(labels, geometry, classes, half, half * 9 // 16) for labels in (truth, prediction))
-    maps = (
-        bev(truth, geometry, classes, third),
-        bev(prediction, geometry, classes, third),
-        error_bev(truth, prediction, geometry, third),
-    )
+    views, maps = views_and_maps(truth, prediction, geometry, classes, inner)
     names = ("truth", "prediction", "truth from above", "prediction from above", "differences")
     drawn = (tagged(image, name) for image, name in zip((*views, *maps), names, strict=True))
     return SheetParts(below(camera_rows(list(images), inner), inner), *drawn)
+
+
+def views_and_maps(
+    truth: Labels, prediction: Labels, geometry: Grid, classes: ClassTable, width: int
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Return both in perspective, and both and their differences from above: images for two rows of a width, px."""
+    half, third = column_width(width, 2), column_width(width, 3)
+    views = [render_voxels(labels, geometry, classes, half, half * 9 // 16) for labels in (truth, prediction)]
+    maps = [bev(labels, geometry, classes, third) for labels in (truth, prediction)]
+    return views, [*maps, error_bev(truth, prediction, geometry, third)]
 
 
 def comparison_sheet(parts: SheetParts, classes: ClassTable, caption: str = "", width_px: int = 1280) -> np.ndarray:

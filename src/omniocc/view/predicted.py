@@ -5,6 +5,7 @@ from jaxtyping import UInt8
 from torch import Tensor
 
 from omniocc.camera import Equirectangular, Rig
+from omniocc.view.bev import EMPTY
 from omniocc.view.canvas import Images, Ranges, blank, legend
 from omniocc.view.depth import painted_rows
 from omniocc.view.ranges import NOT_PREDICTED, range_bar, range_colors
@@ -44,7 +45,7 @@ def from_above(points_m: np.ndarray, colors: np.ndarray, half_m: float, size_px:
 
     `points_m` is (P, 3) in the ego frame, `colors` (P, 3) uint8 RGB; `half_m` is from the map's middle to its edges.
     """
-    canvas = blank(size_px, size_px, (238, 240, 243))
+    canvas = blank(size_px, size_px, EMPTY)
     order = points_m[:, 2].argsort(kind="stable")
     places = ((half_m - points_m[order, :2]) * size_px / (2 * half_m)).astype(int)
     inside = ((places >= 1) & (places < size_px - 1)).all(1)

@@ -48,7 +48,7 @@ def sketch_sheet(
 
 
 def candidate_bev(truth: Labels, candidates: Bool[Tensor, "X Y Z"], geometry: Grid, size_px: int) -> np.ndarray:
-    """Return an image of the most frequent of `KINDS` in each column, of equals the last; unknown cells are ignored."""
+    """Return an image of the most frequent of `KINDS` in each column, at a tie the last; unknown cells are ignored."""
     occupied, free = (truth != FREE) & (truth != UNKNOWN), truth == FREE
     kinds = (occupied & candidates, free & candidates, occupied & ~candidates)
     counts = torch.stack([kind.sum(2) for kind in kinds]).numpy()

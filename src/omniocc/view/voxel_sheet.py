@@ -9,8 +9,9 @@ from torch import Tensor
 from omniocc.camera import Equirectangular, Rig
 from omniocc.classes import ClassTable
 from omniocc.geometry import Grid
-from omniocc.view.bev import bev, error_bev, error_legend
+from omniocc.view.bev import bev, error_legend
 from omniocc.view.canvas import Images, Labels, Ranges, class_legend, legend
+from omniocc.view.compare import views_and_maps
 from omniocc.view.paint import paint_voxels, voxel_panorama
 from omniocc.view.ranges import NOT_PREDICTED, range_bar, range_colors
 from omniocc.view.sheet import camera_rows, caption_line, column_width, inner_width, panorama_row, row, stack
@@ -89,19 +90,12 @@ def _panoramas(
 
 def _overviews(named: dict[str, Tensor], geometry: Grid, classes: ClassTable, width: int) -> list[np.ndarray]:
     """Return rows with the voxels from behind and from above."""
-    half, third = column_width(width, 2), column_width(width, 3)
     if len(named) == 1:
         ((name, labels),) = named.items()
+        half = column_width(width, 2)
         views = [render_voxels(labels, geometry, classes, half, half), bev(labels, geometry, classes, half)]
         return [row(views, (name, "from above"), width)]
     truth, prediction = named.values()
-    views = [render_voxels(labels, geometry, classes, half, half * 9 // 16) for labels in (truth, prediction)]
-    maps = [
-        bev(truth, geometry, classes, third),
-        bev(prediction, geometry, classes, third),
-        error_bev(truth, prediction, geometry, third),
-    ]
-    return [
-        row(views, tuple(named), width),
-        row(maps, ("truth from above", "prediction from above", "differences"), width),
-    ]
+    views, maps = views_and_maps(truth, prediction, geometry, classes, width)
+    above = row(maps, ("truth from above", "prediction from above", "differences"), width)
+    return [row(views, tuple(named), width), above]

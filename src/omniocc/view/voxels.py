@@ -50,22 +50,15 @@ def render_voxels(
 ) -> np.ndarray:  # fmt: skip
     """Return an image of the occupied cells in their class colours, with the ego car as a white box.
 
-    Unknown cells are not drawn.
-
-    Args:
-        labels: class of every cell.
-        geometry: grid of the labels.
-        classes: colours of the labels.
-        width: px.
-        height: px.
-        eye_m: viewpoint, ego frame.
-        target_m: point in the middle of the image, ego frame.
-        view_deg: horizontal field of view.
+    Unknown cells are not drawn. The image has `width` x `height` px; `eye_m` is the viewpoint and `target_m` the point
+    in the middle of the image, ego frame; `view_deg` is the horizontal field of view.
     """
     eye = np.array(eye_m)
     cells = _cell_faces(labels, geometry, classes.palette, eye)
     parts = [cells, *(_box_faces(bounds, rgb, eye) for bounds, rgb in CAR_BOXES)]
     faces = Faces(*map(np.concatenate, zip(*parts, strict=True)))
+    towards = ((eye - faces.corners.mean(1)) * faces.normals).sum(1) > 0
+    faces = Faces(*(part[towards] for part in faces))
     size = (width * SUPERSAMPLE, height * SUPERSAMPLE)
     pixels, in_front = _project(faces.corners, eye, np.array(target_m), view_deg, size)
     low, high = pixels.min(1), pixels.max(1)
@@ -83,15 +76,13 @@ def render_voxels(
 
 
 def _cell_faces(labels: Tensor, geometry: Grid, palette: np.ndarray, eye: np.ndarray) -> Faces:
-    """Return the faces between occupied and other cells that face the eye."""
+    """Return the faces between occupied and other cells."""
     corners, cells = surface((labels != FREE) & (labels != UNKNOWN), geometry)
     normals = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    towards = ((eye - corners.mean(1)) * normals).sum(1) > 0
     centers = geometry.centers(torch.float64).reshape(-1, 3).numpy()[cells]
     colors = palette[labels.reshape(-1).numpy()[cells]].astype(np.float64)
-    faces = Faces(corners, normals, colors, np.linalg.norm(centers - eye, axis=1))
-    return Faces(*(part[towards] for part in faces))
+    return Faces(corners, normals, colors, np.linalg.norm(centers - eye, axis=1))
 
 
 def _box_faces(bounds_m: tuple[tuple[float, float], ...], rgb: tuple[int, int, int], eye: np.ndarray) -> Faces:
@@ -102,11 +93,9 @@ def _box_faces(bounds_m: tuple[tuple[float, float], ...], rgb: tuple[int, int, i
         for side in (0, 1):
             corners.append(np.take_along_axis(bounds, face_corners(axis, side).T, 1).T)
             normals.append((2 * side - 1) * np.eye(3)[axis])
-    corners, normals = np.array(corners), np.array(normals)
-    towards = ((eye - corners.mean(1)) * normals).sum(1) > 0
     colors = np.tile(np.array(rgb, dtype=np.float64), (6, 1))
     depth_m = np.full(6, np.linalg.norm(bounds.mean(1) - eye) - 4.0)
-    return Faces(*(part[towards] for part in Faces(corners, normals, colors, depth_m)))
+    return Faces(np.array(corners), np.array(normals), colors, depth_m)
 
 
 def _project(

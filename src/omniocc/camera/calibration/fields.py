@@ -1,14 +1,16 @@
 """Checked reading of values in calibration files: an error names the key, the value and the remedy."""
 
+from pathlib import Path
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 import torch
 import yaml
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Float64, UInt8
 from torch import Tensor
 
-from omniocc.camera.pose import LEVEL_FORWARD, invert_pose
+from omniocc.camera.pose import LEVEL_FORWARD, invert_pose, rigid_pose
 from omniocc.camera.protocol import Camera, finite
 
 ROTATION_TOLERANCE = 1e-3  # largest difference of singular values from 1, for files with few digits
@@ -90,16 +92,12 @@ def pose(rows: Any, name: str) -> Float64[Tensor, "4 4"]:
     left, stretch, right = np.linalg.svd(matrix[:, :3])
     if np.abs(stretch - 1).max() > ROTATION_TOLERANCE or np.linalg.det(matrix[:, :3]) < 0:
         raise ValueError(f"{name}: its 3x3 part stretches by {stretch.round(4).tolist()}; it must be a rotation")
-    result = torch.eye(4, dtype=torch.float64)
-    result[:3, :3] = torch.from_numpy(left @ right)
-    result[:3, 3] = torch.from_numpy(matrix[:, 3])
-    return result
+    return rigid_pose(torch.from_numpy(left @ right), torch.from_numpy(matrix[:, 3]))
 
 
 def ego_from_first(first_from_camera: Float64[Tensor, "N 4 4"]) -> Float64[Tensor, "N 4 4"]:
     """Return poses in an ego frame whose forward is the first camera's and whose origin is the mean position."""
-    ego_from_first = torch.eye(4, dtype=torch.float64)
-    ego_from_first[:3, :3] = torch.tensor(LEVEL_FORWARD, dtype=torch.float64)
+    ego_from_first = rigid_pose(torch.tensor(LEVEL_FORWARD, dtype=torch.float64), torch.zeros(3))
     return centered(ego_from_first @ invert_pose(first_from_camera[0]) @ first_from_camera)
 
 
@@ -113,6 +111,17 @@ def centered(ego_from_camera: Float64[Tensor, "N 4 4"]) -> Float64[Tensor, "N 4 
 def single(camera: Camera, name: str) -> Calibration:
     """Return a rig of one camera without a pose: its forward direction is that of the camera."""
     return Calibration((camera,), ego_from_first(torch.eye(4, dtype=torch.float64)[None]), (name,), None)
+
+
+def read_mask_pixels(name: str, file: Path, camera: Camera) -> UInt8[np.ndarray, "height width"]:
+    """Return the grey values of a mask; raise ValueError, with `name`, if unreadable or not of the image's size."""
+    pixels = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
+    if pixels is None:
+        raise ValueError(f"{name} {file} is not a readable image")
+    if pixels.shape != (camera.height, camera.width):
+        size = f"{pixels.shape[1]}x{pixels.shape[0]}"
+        raise ValueError(f"{name} {file} is {size} px but the image is {camera.width}x{camera.height} px")
+    return pixels.astype(np.uint8, copy=False)
 
 
 def _number(key: str, value: Any) -> float:

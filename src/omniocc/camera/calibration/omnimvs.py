@@ -9,11 +9,10 @@ import torch
 from jaxtyping import Bool, Float64
 from torch import Tensor
 
-from omniocc.camera.calibration.fields import Calibration, number, required, row, size
+from omniocc.camera.calibration.fields import Calibration, number, read_mask_pixels, required, row, size
 from omniocc.camera.calibration.ocamcalib import counted
 from omniocc.camera.models.ocam import OCam
-from omniocc.camera.ops.mask_file import read_mask_pixels
-from omniocc.camera.pose import LEVEL_FORWARD
+from omniocc.camera.pose import LEVEL_FORWARD, rigid_pose
 
 
 def read_omnimvs(content: dict[str, Any], folder: Path) -> Calibration:
@@ -55,12 +54,9 @@ def _camera(entry: dict[str, Any]) -> OCam:
 
 
 def _pose(values: list[float]) -> Float64[Tensor, "4 4"]:
-    ego_from_camera = torch.eye(4, dtype=torch.float64)
     ego_from_rig = torch.tensor(LEVEL_FORWARD, dtype=torch.float64)
     rig_from_camera = torch.from_numpy(cv2.Rodrigues(np.array(values[:3]))[0])
-    ego_from_camera[:3, :3] = ego_from_rig @ rig_from_camera
-    ego_from_camera[:3, 3] = ego_from_rig @ torch.tensor(values[3:], dtype=torch.float64)
-    return ego_from_camera
+    return rigid_pose(ego_from_rig @ rig_from_camera, ego_from_rig @ torch.tensor(values[3:], dtype=torch.float64))
 
 
 def _mask(file: Path, camera: OCam) -> Bool[Tensor, "_ _"] | None:

@@ -22,7 +22,7 @@ class DoubleSphere(FocalCamera):
     Attributes:
         xi: distance between the centres of the two spheres, in (-1, 1].
         alpha: position of the pinhole behind the second sphere, in [0, 1].
-        max_angle_deg: largest angle from the optical axis that the lens sees; 180 leaves it to the model.
+        max_angle_deg: largest angle from the optical axis that the lens sees; at 180 the model alone sets it.
     """
 
     xi: float
@@ -44,7 +44,7 @@ class DoubleSphere(FocalCamera):
         shifted = self.xi + z
         second = x.square() + y.square() + shifted.square()
         depth = self.alpha * torch.where(second > 0, second, 1).sqrt() + (1 - self.alpha) * shifted
-        covered = defined & (z > -self._behind) & (z >= self._min_cosine) & (depth > torch.finfo(z.dtype).eps)
+        covered = defined & self._covers(z) & (depth > torch.finfo(z.dtype).eps)
         pixels = self._to_pixels(rays[..., :2] / torch.where(covered, depth, 1)[..., None])
         return pixels, covered & in_image(pixels, self.width, self.height)
 
@@ -59,15 +59,10 @@ class DoubleSphere(FocalCamera):
         reach = (height.square() + (1 - self.xi**2) * squared).sqrt()
         scale = (height * self.xi + reach) / (height.square() + squared)
         rays = torch.cat([scale[..., None] * m, (scale * height - self.xi)[..., None]], dim=-1)
-        z = rays[..., 2]
-        return rays, covered & (z > -self._behind) & (z >= self._min_cosine)
+        return rays, covered & self._covers(rays[..., 2])
 
-    @property
-    def _behind(self) -> float:
-        """Return w2 of the paper: the model covers points with z > -w2 * distance."""
+    def _covers(self, cosine: Float[Tensor, "*batch"]) -> Bool[Tensor, "*batch"]:
+        """Return whether model and lens cover angles from the axis: with w2 of the paper, where cosine > -w2."""
         w1 = pinhole_bound(self.alpha)
-        return (w1 + self.xi) / math.sqrt(2 * w1 * self.xi + self.xi**2 + 1)
-
-    @property
-    def _min_cosine(self) -> float:
-        return min_cosine(self.max_angle_deg)
+        w2 = (w1 + self.xi) / math.sqrt(2 * w1 * self.xi + self.xi**2 + 1)
+        return (cosine > -w2) & (cosine >= min_cosine(self.max_angle_deg))

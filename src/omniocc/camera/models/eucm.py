@@ -21,7 +21,7 @@ class EUCM(FocalCamera):
     Attributes:
         alpha: position of the pinhole, in [0, 1].
         beta: squared stretch of the ellipsoid; 1 makes it the unified model's sphere.
-        max_angle_deg: largest angle from the optical axis that the lens sees; 180 leaves it to the model.
+        max_angle_deg: largest angle from the optical axis that the lens sees; at 180 the model alone sets it.
     """
 
     alpha: float

@@ -24,7 +24,7 @@ class KannalaBrandt(FocalCamera):
 
     Attributes:
         coefficients: (k1, k2, k3, k4).
-        max_angle_deg: largest angle from the optical axis that the lens sees; 180 leaves it to the polynomial.
+        max_angle_deg: largest angle from the optical axis that the lens sees; at 180 the polynomial alone sets it.
     """
 
     coefficients: tuple[float, ...]

@@ -22,13 +22,13 @@ COSINE_MARGIN = 1e-3  # below xi = 1 the model reaches infinity at cos = -xi: it
 class MEI(FocalCamera):
     """Unified model of Mei and Rives, ICRA 2007, with distortion on the normalised plane; the fisheyes of KITTI-360.
 
-    Past the radius where r (1 + k1 r^2 + k2 r^4) stops rising two angles would have the same pixel: the model ends
+    Past the radius where r (1 + k1 r^2 + k2 r^4) stops rising, two angles would have the same pixel: the model ends
     there. Size, focal lengths (the generalised gamma1 and gamma2) and centre (u0, v0) are those of `FocalCamera`.
 
     Attributes:
         xi: distance of the pinhole from the sphere's centre, not negative.
         distortion: (k1, k2, p1, p2), radial and tangential.
-        max_angle_deg: largest angle from the optical axis that the lens sees; 180 leaves it to the model.
+        max_angle_deg: largest angle from the optical axis that the lens sees; at 180 the model alone sets it.
     """
 
     xi: float

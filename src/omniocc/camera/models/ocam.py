@@ -31,7 +31,7 @@ class OCam:
         polynomial: f, ascending powers of rho in px; the first is negative.
         inverse_polynomial: rho in px, ascending powers of the elevation angle - pi / 2 in radians; () to invert f.
         affine: (c, d, e): row = c * y + d * x + cy, column = e * y + x + cx, for x right and y down.
-        max_angle_deg: largest angle from the optical axis that the lens sees; 180 leaves it to the polynomials.
+        max_angle_deg: largest angle from the optical axis that the lens sees; at 180 the polynomials alone set it.
     """
 
     width: int

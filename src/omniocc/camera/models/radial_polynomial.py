@@ -33,7 +33,7 @@ class RadialPolynomial:
         coefficients_px: (k1, k2, k3, k4), px per power of a radian.
         center_px: (cx, cy) of the optical axis.
         aspect: factor on the vertical distance from the centre.
-        max_angle_deg: largest angle from the optical axis that the lens sees; 180 leaves it to the polynomial.
+        max_angle_deg: largest angle from the optical axis that the lens sees; at 180 the polynomial alone sets it.
     """
 
     width: int

@@ -1,16 +1,16 @@
 """The common part of camera models with one focal length per image axis."""
 
-from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
+from typing import Self
 
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from omniocc.camera.protocol import check_size, normalize_fields, pair, positive_pair, scaled_center
 
 
 @dataclass(frozen=True)
-class FocalCamera(ABC):
+class FocalCamera:
     """An image with a focal length per axis; subclasses map points to its normalised plane and back.
 
     Attributes:
@@ -29,15 +29,7 @@ class FocalCamera(ABC):
         check_size(self.width, self.height)
         normalize_fields(self, {"focal_px": positive_pair, "center_px": pair})
 
-    @abstractmethod
-    def project(self, points: Float[Tensor, "*batch 3"]) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"]]:
-        """See `Camera.project`."""
-
-    @abstractmethod
-    def unproject(self, pixels: Float[Tensor, "*batch 2"]) -> tuple[Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
-        """See `Camera.unproject`."""
-
-    def resized(self, width: int, height: int) -> "FocalCamera":
+    def resized(self, width: int, height: int) -> Self:
         """See `Camera.resized`."""
         scale_x, scale_y = width / self.width, height / self.height
         focal_px = (self.focal_px[0] * scale_x, self.focal_px[1] * scale_y)

@@ -78,14 +78,15 @@ def jitter(
     factors = [uniform(leading, 1 - spread, 1 + spread, generator) for spread in (brightness, contrast, saturation)]
     bright, contrasted, vivid = (factor[..., None, None].to(images.device) for factor in factors)
     angle_rad = uniform(leading, -math.radians(hue_deg), math.radians(hue_deg), generator).to(images.device)
-    color = bright * (contrasted * (hue_matrix(angle_rad) * vivid + grey_matrix(images.device) * (1 - vivid)))
+    weights = torch.tensor(LUMINANCE, device=images.device)
+    grey = weights.expand(3, 3)  # makes every colour its luminance
+    color = bright * (contrasted * (hue_matrix(angle_rad) * vivid + grey * (1 - vivid)))
     pixels = images.float()
     if mask is None:
         mean = pixels.mean((-2, -1))
     else:
         mean = pixels.sum((-2, -1)) / mask.sum((-2, -1)).clamp(min=1).unsqueeze(-1)
-    luminance = mean @ torch.tensor(LUMINANCE, device=images.device)
-    shift = bright * (1 - contrasted) * luminance[..., None, None]
+    shift = bright * (1 - contrasted) * (mean @ weights)[..., None, None]
     changed = ((color @ pixels.flatten(-2)) + shift).round().clamp(0, 255).to(torch.uint8).view_as(images)
     return changed if mask is None else changed * mask.unsqueeze(-3)
 
@@ -98,8 +99,3 @@ def hue_matrix(angle_rad: Tensor) -> Tensor:
     turn[..., 1, 1] = turn[..., 2, 2] = angle_rad.cos()
     turn[..., 1, 2], turn[..., 2, 1] = -angle_rad.sin(), angle_rad.sin()
     return torch.linalg.inv(yiq) @ turn @ yiq
-
-
-def grey_matrix(device: torch.device) -> Tensor:
-    """Return the (3, 3) matrix that makes every colour its luminance."""
-    return torch.tensor(LUMINANCE, device=device).expand(3, 3)

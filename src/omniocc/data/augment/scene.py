@@ -66,8 +66,8 @@ def possible_turns(batch: Batch, geometry: Grid) -> int:
 def change_scenes(batch: Batch, geometry: Grid, changes: list[Change]) -> Batch:
     """Change each sample in its own way.
 
-    LiDAR rays turn with the scene if the batch holds them. The fixed rays of a source cannot turn, so that their ranges
-    and labels are removed; no loss uses them.
+    LiDAR rays turn with the scene if the batch holds them. The fixed rays of a source cannot turn, so their ranges and
+    labels are removed; no loss uses them.
 
     Raises:
         ValueError: if the grid is not the same on both sides, or after the turn.
@@ -94,7 +94,9 @@ def change_field(name: str, value: Tensor, change: Change, widths: Tensor, geome
         return change_cells(value, geometry, change)
     if name in PANORAMAS:
         return change.columns(value)
-    return change_vectors(value, change) if name in VECTORS else change_poses(value, change)
+    if name in VECTORS:
+        return value @ (change.turn @ change.mirror)[:3, :3].T.to(value)
+    return change_poses(value, change)
 
 
 def mirror_columns(values: Tensor, widths: Tensor) -> Tensor:
@@ -111,11 +113,6 @@ def mirror_columns(values: Tensor, widths: Tensor) -> Tensor:
     sources = torch.where(columns < widths[..., None], widths[..., None] - 1 - columns, columns)
     sources = sources.reshape(*widths.shape, *[1] * (values.ndim - widths.ndim - 1), width)
     return values.gather(-1, sources.to(values.device).expand_as(values))
-
-
-def change_vectors(vectors: Tensor, change: Change) -> Tensor:
-    """Return vectors (..., 3) of the ego frame in the changed scene."""
-    return vectors @ (change.turn @ change.mirror)[:3, :3].T.to(vectors)
 
 
 def change_poses(world_from_ego: Tensor, change: Change) -> Tensor:

@@ -28,10 +28,8 @@ def count_classes(voxels: np.ndarray) -> np.ndarray:
 
 def count_voxels(scene: SceneReader, frames: Sequence[int], geometry: Grid) -> np.ndarray:
     """Return the (12,) int64 number of cells of each class over some frames of a scene; unknown is not counted."""
-    counts = np.zeros(NUM_CLASSES, dtype=np.int64)
-    for frame in frames:
-        counts += count_classes(vote(scene, frame, geometry).numpy())
-    return counts
+    counts = (count_classes(vote(scene, frame, geometry).numpy()) for frame in frames)
+    return sum(counts, np.zeros(NUM_CLASSES, dtype=np.int64))
 
 
 def occupied_percent(counts: np.ndarray) -> dict[str, float]:

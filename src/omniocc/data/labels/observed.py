@@ -2,12 +2,11 @@
 
 A cell is observed if it holds a labelled point, or if some ray of the ego LiDAR or of a camera leaves it before the ray
 hits anything. No cell counts as free unless a ray has crossed it, and any grid will do, since only recorded ranges are
-needed. Cells that only the virtual LiDARs beside the car see through remain unobserved: the points of these LiDARs are
-recorded, their positions are not.
+needed. Cells that only rays of the virtual LiDARs beside the car cross remain unobserved, since the points of these
+LiDARs are recorded, but not their positions.
 """
 
 import functools
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import torch
@@ -25,8 +24,7 @@ OBSERVED_VERSION = 1
 PIXEL_STEP = 4
 """Rays are cast for every fourth row and column of a camera: about one per 0.5 m at the rim of the paper's grid."""
 
-_EVERY_STEP = slice(PIXEL_STEP // 2, None, PIXEL_STEP)
-_PIXELS = (_EVERY_STEP, _EVERY_STEP)
+_PIXELS = (slice(PIXEL_STEP // 2, None, PIXEL_STEP),) * 2
 _CHUNK_RAYS = 8192
 
 
@@ -52,25 +50,17 @@ class Sight(NamedTuple):
 
 def observed(scene: SceneFrames, frame: int, geometry: Grid) -> UInt8[Tensor, "X Y Z"]:
     """Return 1 for every cell of one frame that was observed, 0 for the others."""
-    rig, scan, points = scene.rigs[frame], scene.lidar(frame), scene.points(frame)
-    mask = torch.zeros(geometry.num_cells, dtype=torch.bool)
-    for range_m, sight in _rays(scene, frame, scan, rig, geometry):
-        mask |= sight.crossed(range_m, geometry.num_cells)
+    scan, points, num_cells = scene.lidar(frame), scene.points(frame), geometry.num_cells
+    mask = torch.zeros(num_cells, dtype=torch.bool)
+    if scan is not None:
+        mask |= _lidar_sight(geometry, scan).crossed(torch.from_numpy(scan.range_m), num_cells)
+    for camera, pixels_m in enumerate(scene.camera_range_m(frame) or ()):
+        range_m = torch.from_numpy(pixels_m[_PIXELS].ravel())
+        mask |= _camera_sight(geometry, scene.rigs[frame], camera).crossed(range_m, num_cells)
     if points is not None:
         cells, inside = geometry.flat_index(torch.from_numpy(points.points_m))
         mask[cells[inside]] = True
     return mask.to(torch.uint8).reshape(geometry.shape)
-
-
-def _rays(
-    scene: SceneFrames, frame: int, scan: LidarScan | None, rig: Rig, geometry: Grid
-) -> Iterator[tuple[Float32[Tensor, " R"], Sight]]:
-    """Yield recorded ranges, with their rays, of the LiDAR and of every camera."""
-    if scan is not None:
-        yield torch.from_numpy(scan.range_m), _lidar_sight(geometry, scan)
-    ranges_m = scene.camera_range_m(frame)
-    for camera, range_m in enumerate(ranges_m or ()):
-        yield torch.from_numpy(range_m[_PIXELS].ravel()), _camera_sight(geometry, rig, camera)
 
 
 @functools.lru_cache(maxsize=16)

@@ -3,7 +3,8 @@
 import shutil
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import get_args
 
@@ -28,12 +29,6 @@ VOTE_VERSION = 1
 """Raise it when the same points would give other voxels."""
 
 MEMBER = "voxels.zst"
-
-
-def geometry_hash(geometry: Grid, unknown: Unknown = "free") -> str:
-    """Return a short hash of the grid and of the way cells are labelled."""
-    labelling = [] if unknown == "free" else [unknown, OBSERVED_VERSION]
-    return digest([repr(geometry), VOTE_VERSION, *labelling])[:12]
 
 
 def vote(
@@ -72,7 +67,7 @@ class VoxelCache:
     """Voxels of many scenes in one geometry, as scene folders of their own with one member per frame.
 
     Args:
-        folder: of the dataset, in which the cache is the subfolder `voxels-<hash of the geometry>`.
+        folder: of the dataset, in which the cache is the subfolder `voxels-<hash of grid and labelling>`.
         unknown: label of cells without points.
         fingerprint: of the data; the counts of classes are kept under it.
         workers: processes that vote; 0 votes in this one.
@@ -92,7 +87,8 @@ class VoxelCache:
     ):
         if unknown not in get_args(Unknown):
             raise ValueError(f"unknown must be one of {', '.join(get_args(Unknown))}, got {unknown!r}")
-        self.folder = Path(folder) / f"voxels-{geometry_hash(geometry, unknown)}"
+        labelling = [] if unknown == "free" else [unknown, OBSERVED_VERSION]
+        self.folder = Path(folder) / f"voxels-{digest([repr(geometry), VOTE_VERSION, *labelling])[:12]}"
         self.geometry = geometry
         self.unknown: Unknown = unknown
         self.fingerprint = fingerprint
@@ -109,7 +105,7 @@ class VoxelCache:
         missing = [scene for scene in scenes if not self._opens(scene)]
         if not missing:
             return
-        work = VoteJob({scene.name: scene for scene in missing}, self.geometry, self.unknown, self.num_classes)
+        work = partial(self._vote_scene, {scene.name: scene for scene in missing})
         with Progress(f"voxels {self.folder.name}", sum(map(len, missing))) as progress:
             make_scenes(work, [self.folder / scene.name for scene in missing], self.workers, progress)
 
@@ -154,21 +150,10 @@ class VoxelCache:
             shutil.rmtree(folder)
             return False
 
-
-@dataclass(frozen=True)
-class VoteJob:
-    """Makes the voxels of one scene folder after another; can be sent to other processes."""
-
-    scenes: dict[str, SceneFrames]
-    geometry: Grid
-    unknown: Unknown
-    num_classes: int
-
-    def __call__(self, folder: Path, report: Report) -> None:
-        """Vote for every frame that is missing, then seal the folder."""
-        writer = SceneWriter(folder, SHARD_LIMIT_BYTES)
-        scene = self.scenes[folder.name]
-        try:
+    def _vote_scene(self, scenes: dict[str, SceneFrames], folder: Path, report: Report) -> None:
+        """Vote for every frame that is missing in the folder of a scene, then complete it."""
+        scene = scenes[folder.name]
+        with closing(SceneWriter(folder, SHARD_LIMIT_BYTES)) as writer:
             report(len(scene) if writer.finished else writer.num_frames)
             if writer.finished:
                 return
@@ -177,5 +162,3 @@ class VoteJob:
                 writer.append({MEMBER: zstandard.ZstdCompressor(level=3).compress(cells.tobytes())}, {})
                 report(1)
             writer.finish({"geometry": repr(self.geometry), "vote": VOTE_VERSION, "unknown": self.unknown})
-        finally:
-            writer.close()

@@ -3,23 +3,26 @@
 import ast
 import functools
 import hashlib
-from collections.abc import Callable
-from dataclasses import dataclass
+from contextlib import closing
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
 
-from omniocc.camera import Rig
 from omniocc.data.recording.pool import Report, Stopped
 from omniocc.data.recording.spec import plain_spec
-from omniocc.data.source import SourceSpec, Split
+from omniocc.data.source import Split
 from omniocc.data.store.codec import encode_frame
 from omniocc.data.store.shard import SceneWriter
 from omniocc.errors import DataError
 from omniocc.world import Frame, seeding
 from omniocc.world.render.weather import draw_weather
 
+if TYPE_CHECKING:
+    from omniocc.data.source.virtual import VirtualWorld
+
 RECORDERS = ("numpy", "opencv-python-headless", "zstandard", "embreex")
+"""Packages whose versions are written beside the frames."""
+"""Packages whose versions are written beside the frames."""
 
 
 class ScenePlan(NamedTuple):
@@ -58,69 +61,42 @@ def code_fingerprint(folder: Path) -> str:
     return digest.hexdigest()[:16]
 
 
-@dataclass(frozen=True)
-class SceneJob:
-    """Renders one scene folder after another; can be sent to other processes.
+def record_scene(world: "VirtualWorld", folder: Path, report: Report) -> None:
+    """Render the frames that are missing in the folder of a planned scene, then complete it.
 
-    Attributes:
-        build: makes the world of a planned scene.
-        plans: all scenes that may have to be rendered.
-        recipe: everything that decides the content of frames; written beside them.
-        spec: facts about all scenes; written beside the frames.
-        rig: the cameras; written beside the frames.
-        frames: number of frames of each scene.
-        shard_limit_bytes: see `SceneWriter`.
+    Raises:
+        RuntimeError: naming scene and frame, when the world fails.
     """
-
-    build: Callable[[ScenePlan], Recordable]
-    plans: tuple[ScenePlan, ...]
-    recipe: dict[str, Any]
-    spec: SourceSpec
-    rig: Rig
-    frames: int
-    shard_limit_bytes: int
-
-    def __call__(self, folder: Path, report: Report) -> None:
-        """Render the frames of `folder` that are missing, then seal it.
-
-        Raises:
-            RuntimeError: naming scene and frame, when the world fails.
-        """
-        writer = SceneWriter(folder, self.shard_limit_bytes)
-        try:
-            if writer.finished:
-                report(self.frames)
-            else:
-                self._record(writer, next(plan for plan in self.plans if plan.name == folder.name), report)
-        finally:
-            writer.close()
-
-    def _record(self, writer: SceneWriter, plan: ScenePlan, report: Report) -> None:
+    with closing(SceneWriter(folder, world.shard_limit_bytes)) as writer:
+        if writer.finished:
+            report(world.frames_per_scene)
+            return
         report(writer.num_frames)
-        index = writer.num_frames
-        try:
-            scene = self.build(plan) if index < self.frames else None
-            for index in range(writer.num_frames, self.frames):
-                assert scene is not None
-                frame = scene.frame(index)
-                entry = {"time_s": float(frame.time_s), "world_from_ego": frame.world_from_ego.tolist()}
-                writer.append(encode_frame(frame), entry)
-                report(1)
-        except (DataError, Stopped):
-            raise
-        except Exception as error:  # of any kind: the message names scene and frame
-            raise RuntimeError(f"scene {plan.name}, frame {index}: {type(error).__name__}: {error}") from error
-        writer.attach("rig.yaml", self.rig.save)
-        weather = self.recipe["weather"] or weather_of(plan.theme, plan.seed)
-        facts = {"split": plan.split, "theme": plan.theme, "seed": plan.seed, "weather": weather, "recipe": self.recipe}
-        writer.finish(facts | {"spec": plain_spec(self.spec), "software": _software()})
+        plan = next(plan for plan in world.plans if plan.name == folder.name)
+        _record_frames(world, plan, writer, report)
+        writer.attach("rig.yaml", world.rig.save)
+        weather = world.recipe["weather"] or weather_of(plan.theme, plan.seed)
+        facts = {"split": plan.split, "theme": plan.theme, "seed": plan.seed, "weather": weather}
+        software = {name: version(name) for name in RECORDERS}
+        writer.finish(facts | {"recipe": world.recipe, "spec": plain_spec(world.spec), "software": software})
+
+
+def _record_frames(world: "VirtualWorld", plan: ScenePlan, writer: SceneWriter, report: Report) -> None:
+    index = writer.num_frames
+    try:
+        scene = world.scene(plan) if index < world.frames_per_scene else None
+        for index in range(writer.num_frames, world.frames_per_scene):
+            assert scene is not None
+            frame = scene.frame(index)
+            entry = {"time_s": float(frame.time_s), "world_from_ego": frame.world_from_ego.tolist()}
+            writer.append(encode_frame(frame), entry)
+            report(1)
+    except (DataError, Stopped):
+        raise
+    except Exception as error:  # of any kind: the message names scene and frame
+        raise RuntimeError(f"scene {plan.name}, frame {index}: {type(error).__name__}: {error}") from error
 
 
 def weather_of(theme: str, seed: int) -> str:
     """Return the weather that `omniocc.world.Scene` draws for a scene when none is chosen."""
     return draw_weather(seeding.generator(theme, seed, "light"))
-
-
-@functools.cache
-def _software() -> dict[str, str]:
-    return {name: version(name) for name in RECORDERS}

@@ -26,7 +26,7 @@ from omniocc.progress import Progress
 
 Report = Callable[[int], None]
 Work = Callable[[Path, Report], None]
-"""A function that makes one scene folder and reports every frame; the report raises `Stopped` when it has to end."""
+"""A function that makes one scene folder and reports every frame; reporting raises `Stopped` when work has to end."""
 
 
 class Stopped(Exception):  # noqa: N818
@@ -41,11 +41,8 @@ def usable_cores() -> int:
 def make_scenes(work: Work, folders: Sequence[Path], workers: int, progress: Progress) -> None:
     """Run `work` for every folder; scenes that another run is making come last and are waited for.
 
-    Args:
-        work: picklable.
-        folders: scene folders to be made.
-        workers: processes; 0 works in this one.
-        progress: is advanced frame by frame.
+    `workers` processes share the folders; 0 works in this one. `work` must be picklable; `progress` advances frame by
+    frame.
 
     Raises:
         DataError: when the disk refuses, or a worker process was killed.
@@ -94,24 +91,23 @@ def worker_environment(needs_main: bool) -> Iterator[None]:
     threads = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
     changes = dict.fromkeys(threads, "1") | {"PYTHONPATH": os.pathsep.join(paths)}
     before = {name: os.environ.get(name) for name in changes}
-    main = {} if needs_main else {name: value for name, value in _main_origin().items() if value is not None}
+    script = sys.modules["__main__"]
+    origin = {} if needs_main else {name: getattr(script, name, None) for name in ("__file__", "__spec__")}
     os.environ.update(changes)
-    for name in main:
-        setattr(sys.modules["__main__"], name, None)
+    for name, value in origin.items():
+        if value is not None:
+            setattr(script, name, None)
     try:
         yield
     finally:
-        for name, value in main.items():
-            setattr(sys.modules["__main__"], name, value)
+        for name, value in origin.items():
+            if value is not None:
+                setattr(script, name, value)
         for name, value in before.items():
             if value is None:
                 os.environ.pop(name, None)
             else:
                 os.environ[name] = value
-
-
-def _main_origin() -> dict[str, Any]:
-    return {name: getattr(sys.modules["__main__"], name, None) for name in ("__file__", "__spec__")}
 
 
 def limit_threads(_worker: int = 0) -> None:
@@ -125,7 +121,7 @@ def limit_threads(_worker: int = 0) -> None:
 
 def _follow(jobs: list[Future], events: Any, progress: Progress) -> None:
     while True:
-        done = all(job.done() for job in jobs)  # first: all that they have reported is in the queue then
+        done = all(job.done() for job in jobs)  # asked first: what finished jobs report is in the queue by then
         failed = [job for job in jobs if job.done() and not job.cancelled() and job.exception() is not None]
         with contextlib.suppress(Empty):
             while True:

@@ -1,4 +1,4 @@
-"""Sources of scenes: the contract, and one file for each option."""
+"""Sources of scenes: what they promise, and one file for each option."""
 
 import itertools
 from collections.abc import Sequence
@@ -100,7 +100,7 @@ class SceneFrames(Protocol):
 
     @property
     def rigs(self) -> Sequence[Rig]:
-        """Return the cameras of every frame; real extrinsics move."""
+        """Return the cameras of every frame, since extrinsics of real cars change."""
         ...
 
     def __len__(self) -> int:

@@ -42,7 +42,7 @@ class Recorded:
     def __init__(
         self,
         root: str,
-        splits: Mapping[str, Sequence[str] | float] | None = None,
+        splits: Splits | None = None,
         workers: int | None = None,
         cache: str | None = None,
     ):

@@ -2,17 +2,17 @@
 
 import inspect
 from collections.abc import Sequence
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from pathlib import Path
 from typing import Any, get_args
 
 from omniocc.camera import Rig
 from omniocc.classes import WORLD_CLASSES
 from omniocc.data.labels.voxels import VoxelCache
-from omniocc.data.recording.job import Recordable, SceneJob, ScenePlan, code_fingerprint
+from omniocc.data.recording.job import Recordable, ScenePlan, code_fingerprint, record_scene
 from omniocc.data.recording.pool import make_scenes, usable_cores
 from omniocc.data.source import SPLITS, SourceSpec, Split, Unknown
-from omniocc.data.store.files import is_url, open_folder
+from omniocc.data.store.files import holds, is_url
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import META, SCHEMA, digest
 from omniocc.errors import DataError
@@ -27,12 +27,17 @@ from omniocc.world.scene import LabelMode
 from omniocc.world.sensors.recorder import Capture
 
 SEEDS_PER_SPLIT = 1_000_000
+SETTINGS = (
+    "frame_interval_s", "supersample", "erp_size", "erp_top_deg", "erp_bottom_deg", "weather", "label_mode", "lidars",
+    "capture",
+)  # fmt: skip
+"""Arguments of `Scene` that are equal for all scenes."""
 
 
 class VirtualWorld:
-    """A source (`SceneSource`) rendered on first use under `root/virtual-<fingerprint of one scene's recipe>`.
+    """A source (`SceneSource`) rendered on first use under `root/virtual-<hash of recipe>`.
 
-    Scenes of the three splits have disjoint seeds and so other streets. Adding scenes keeps those that exist; every
+    The three splits have disjoint seeds, and therefore different streets. Adding scenes keeps those that exist; every
     change in the content of a frame leads to another folder, so that settings never mix.
 
     Args:
@@ -40,9 +45,6 @@ class VirtualWorld:
         rig: built-in rig by name, or a rig file.
         image_size: width and height of every camera image, px.
         themes: kinds of places; the scenes of a split take them in turn, those of the test split from the middle on.
-        train_scenes: number of scenes to train on.
-        val_scenes: number of scenes to validate on.
-        test_scenes: number of scenes to test on.
         frames_per_scene: recorded frames of each scene.
         frame_interval_s: time between recorded frames.
         supersample: camera rays per pixel along each side.
@@ -176,16 +178,14 @@ class VirtualWorld:
                 f"{self.place}: {len(missing)} scenes are missing, the first is {missing[0].name}. "
                 "Rendering writes to local folders only: render with data.source.root=<folder>, then upload that folder"
             )
-        work = SceneJob(
-            self.scene, tuple(missing), self.recipe, self.spec, self.rig, self.frames_per_scene, self.shard_limit_bytes
-        )
 
         def finished() -> int:
             return sum(map(self._exists, missing)) * self.frames_per_scene
 
+        folders = [self.place / plan.name for plan in missing]
         title, total = f"rendering {self.place}", len(missing) * self.frames_per_scene
         with Progress(title, total, finished=finished) as progress:
-            make_scenes(work, [self.place / plan.name for plan in missing], self.workers, progress)
+            make_scenes(partial(record_scene, self), folders, self.workers, progress)
 
     def labels(self, geometry: Grid, unknown: Unknown) -> VoxelCache:
         """Return the voxel labels of a grid, voted from the recorded points."""
@@ -205,11 +205,7 @@ class VirtualWorld:
 
     @property
     def _settings(self) -> dict[str, Any]:
-        """Return the arguments of `Scene` that are equal for all scenes."""
-        settings: dict[str, Any] = {"frame_interval_s": self.frame_interval_s, "supersample": self.supersample}
-        settings |= {"erp_size": self.erp_size, "erp_top_deg": self.erp_top_deg, "erp_bottom_deg": self.erp_bottom_deg}
-        settings |= {"weather": self.weather, "label_mode": self.label_mode}
-        return settings | {"lidars": self.lidars, "capture": self.capture}
+        return {name: getattr(self, name) for name in SETTINGS}
 
     def _where(self, plan: ScenePlan) -> Path | str:
         return f"{self.place}/{plan.name}" if isinstance(self.place, str) else self.place / plan.name
@@ -218,9 +214,7 @@ class VirtualWorld:
         if isinstance(self.place, Path):
             return (self.place / plan.name).is_dir()
         try:
-            return open_folder(self._where(plan)).size(META) > 0
-        except FileNotFoundError:
-            return False
+            return holds(self._where(plan), META)
         except Exception as error:  # each kind of store has errors of its own
             raise self.reader(plan).unreadable(META, error) from error
 

@@ -1,10 +1,11 @@
 """Check a dataset: every byte against its checksum, every frame against the one before."""
 
+import hashlib
 import tarfile
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,7 +13,6 @@ from omniocc.classes import NUM_CLASSES, UNKNOWN
 from omniocc.data.labels.class_fractions import count_voxels, spread
 from omniocc.data.recording.pool import limit_threads, process_context, worker_environment
 from omniocc.data.store.codec import decode_frame
-from omniocc.data.store.files import sha256_of
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import INDEX, member_name, shard_name
 from omniocc.errors import DataError
@@ -73,25 +73,18 @@ def check_scene(scene: SceneReader, num_frames: int, interval_s: float) -> list[
 
 def _files(scene: SceneReader) -> Iterator[str]:
     for name, facts in scene.meta["files"].items():
-        yield from _file(scene, name, facts)
-
-
-def _file(scene: SceneReader, name: str, facts: dict[str, Any]) -> Iterator[str]:
-    try:
-        size = scene.files.size(name)
-        if size != facts["size"]:
-            yield str(scene.damaged(name, f"{size} bytes instead of {facts['size']}"))
-        elif name != INDEX and _sha256(scene, name) != facts["sha256"]:
-            yield str(scene.damaged(name, "its checksum differs"))
-    except FileNotFoundError:
-        yield str(scene.damaged(name, "the file is missing"))
-    except Exception as error:  # each kind of store has errors of its own
-        yield str(scene.unreadable(name, error))
-
-
-def _sha256(scene: SceneReader, name: str) -> str:
-    with scene.files.open(name) as file:
-        return sha256_of(file)
+        try:
+            size = scene.files.size(name)
+            if size != facts["size"]:
+                yield str(scene.damaged(name, f"{size} bytes instead of {facts['size']}"))
+            elif name != INDEX:
+                with scene.files.open(name) as file:
+                    if hashlib.file_digest(file, "sha256").hexdigest() != facts["sha256"]:
+                        yield str(scene.damaged(name, "its checksum differs"))
+        except FileNotFoundError:
+            yield str(scene.damaged(name, "the file is missing"))
+        except Exception as error:  # each kind of store has errors of its own
+            yield str(scene.unreadable(name, error))
 
 
 def _frames(scene: SceneReader, num_frames: int) -> Iterator[str]:
@@ -136,9 +129,8 @@ def _times(scene: SceneReader, interval_s: float) -> Iterator[str]:
     off = np.flatnonzero(np.abs(scene.time_s - expected_s) > TIME_TOLERANCE_S)
     if len(off):
         first = int(off[0])
-        problem = (
-            f"its time is {scene.time_s[first]:g} s instead of {expected_s[first]:g} s ({len(off)} frames are off)"
-        )
+        times = f"{scene.time_s[first]:g} s instead of {expected_s[first]:g} s"
+        problem = f"its time is {times} ({len(off)} frames are off)"
         yield str(scene.damaged(INDEX, problem, first))
 
 

@@ -39,11 +39,13 @@ _CODE_BYTES = 6
 
 def encode_frame(frame: Frame) -> dict[str, bytes]:
     """Return all blobs of a frame by name, in a fixed order."""
-    blobs = {"frame.json": _encode_facts(frame)}
+    facts = {"time_s": frame.time_s, "world_from_ego": frame.world_from_ego.tolist()}
+    facts["boxes"] = [asdict(box) for box in frame.boxes]
+    blobs = {"frame.json": json.dumps(facts, default=lambda value: value.item()).encode()}
     for k, image in enumerate(frame.images):
         blobs[f"rgb{k}.jpg"] = encode_image(image)
     for k, labels in enumerate(frame.semantics):
-        blobs[f"semantic{k}.zst"] = encode_labels(labels)
+        blobs[f"semantic{k}.zst"] = pack(labels)
     for k, range_m in enumerate(frame.range_m):
         blobs[f"range{k}.zst"] = encode_range(range_m)
     blobs["erp_range.zst"] = encode_range(frame.erp_range_m)
@@ -62,7 +64,7 @@ def decode_frame(blobs: Mapping[str, bytes]) -> Frame:
         time_s=facts["time_s"],
         world_from_ego=np.array(facts["world_from_ego"], dtype=np.float64),
         images=np.stack([decode_image(blobs[f"rgb{k}.jpg"]) for k in cameras]),
-        semantics=np.stack([decode_labels(blobs[f"semantic{k}.zst"]) for k in cameras]),
+        semantics=np.stack([unpack(blobs[f"semantic{k}.zst"]) for k in cameras]),
         range_m=np.stack([decode_range(blobs[f"range{k}.zst"]) for k in cameras]),
         erp_range_m=decode_range(blobs["erp_range.zst"]),
         points_m=points_m,
@@ -75,22 +77,17 @@ def decode_frame(blobs: Mapping[str, bytes]) -> Frame:
 
 def encode_image(image: np.ndarray) -> bytes:
     """Return (H, W, 3) uint8 RGB as JPEG."""
-    return _encode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    options = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
+    done, blob = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), options)
+    assert done
+    return blob.tobytes()
 
 
 def decode_image(blob: bytes) -> np.ndarray:
     """Return the image, (H, W, 3) uint8 RGB."""
-    return cv2.cvtColor(_decode(blob, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
-
-
-def encode_labels(labels: np.ndarray) -> bytes:
-    """Return labels (H, W) uint8 as bytes, without loss."""
-    return pack(labels)
-
-
-def decode_labels(blob: bytes) -> np.ndarray:
-    """Return the labels, (H, W) uint8."""
-    return unpack(blob)
+    pixels = cv2.imdecode(np.frombuffer(blob, dtype=np.uint8), cv2.IMREAD_COLOR)
+    assert pixels is not None
+    return cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB)
 
 
 def encode_range(range_m: np.ndarray) -> bytes:
@@ -176,24 +173,6 @@ def _decompress(blob: bytes, planes: int) -> np.ndarray:
 
 def _join(planes: np.ndarray, dtype: str) -> np.ndarray:
     return np.ascontiguousarray(planes.T).view(dtype).reshape(-1)
-
-
-def _encode(kind: str, pixels: np.ndarray, options: list[int]) -> bytes:
-    done, blob = cv2.imencode(kind, np.ascontiguousarray(pixels), options)
-    assert done
-    return blob.tobytes()
-
-
-def _decode(blob: bytes, mode: int) -> np.ndarray:
-    pixels = cv2.imdecode(np.frombuffer(blob, dtype=np.uint8), mode)
-    assert pixels is not None
-    return np.asarray(pixels)
-
-
-def _encode_facts(frame: Frame) -> bytes:
-    facts = {"time_s": frame.time_s, "world_from_ego": frame.world_from_ego.tolist()}
-    facts["boxes"] = [asdict(box) for box in frame.boxes]
-    return json.dumps(facts, default=lambda value: value.item()).encode()
 
 
 def _decode_box(box: dict) -> Box:

@@ -1,11 +1,11 @@
 """The files of one folder, on this disk or in an object store (any URL that fsspec understands), read by byte range."""
 
-import hashlib
 import json
 import os
 from collections.abc import Sequence
+from io import BufferedReader
 from pathlib import Path
-from typing import Any, BinaryIO, Protocol, runtime_checkable
+from typing import Any
 
 import fsspec
 
@@ -16,60 +16,40 @@ JOINED_GAP_BYTES = 4096
 """Ranges nearer to one another than this are read as one: headers between members cost less than another request."""
 
 
-@runtime_checkable
-class Files(Protocol):
-    """The files of a folder; every method raises FileNotFoundError for a missing file."""
-
-    def where(self, name: str) -> str:
-        """Return path or URL of a file, for messages."""
-        ...
-
-    def size(self, name: str) -> int:
-        """Return the length in bytes."""
-        ...
-
-    def open(self, name: str) -> Any:
-        """Return the open file, binary, at its beginning."""
-        ...
-
-    def ranges(self, name: str, spans: Sequence[tuple[int, int]]) -> list[bytes]:
-        """Return the bytes from `begin` up to `end` of each (begin, end); fewer where the file ends early."""
-        ...
-
-    def folders(self) -> list[str]:
-        """Return the names of the folders in this one, sorted."""
-        ...
-
-
 class LocalFiles:
-    """A folder on this disk."""
+    """The files of a folder on this disk; every method raises FileNotFoundError for a missing file."""
 
     def __init__(self, folder: Path):
         self.folder = folder
 
-    def where(self, name: str) -> str:  # noqa: D102
+    def where(self, name: str) -> str:
+        """Return path or URL of a file, for messages."""
         return str(self.folder / name)
 
-    def size(self, name: str) -> int:  # noqa: D102
+    def size(self, name: str) -> int:
+        """Return the length in bytes."""
         return (self.folder / name).stat().st_size
 
-    def open(self, name: str) -> BinaryIO:  # noqa: D102
+    def open(self, name: str) -> BufferedReader:
+        """Return the open file, binary, at its beginning."""
         return (self.folder / name).open("rb")
 
-    def ranges(self, name: str, spans: Sequence[tuple[int, int]]) -> list[bytes]:  # noqa: D102
+    def ranges(self, name: str, spans: Sequence[tuple[int, int]]) -> list[bytes]:
+        """Return the bytes from `begin` up to `end` of each (begin, end); fewer where the file ends early."""
+        parts = []
         with self.open(name) as file:
-            return [self._range(file, begin, end) for begin, end in spans]
+            for begin, end in spans:
+                file.seek(begin)
+                parts.append(file.read(end - begin))
+        return parts
 
-    def folders(self) -> list[str]:  # noqa: D102
+    def folders(self) -> list[str]:
+        """Return the names of the folders in this one, sorted."""
         return sorted(path.name for path in self.folder.iterdir() if path.is_dir())
-
-    def _range(self, file: BinaryIO, begin: int, end: int) -> bytes:
-        file.seek(begin)
-        return file.read(end - begin)
 
 
 class RemoteFiles:
-    """A folder behind a URL; the connection is made at the first use, in the process that uses it."""
+    """The same for a folder behind a URL; the connection is made by the process that creates the object."""
 
     def __init__(self, url: str):
         self.url = url
@@ -85,7 +65,7 @@ class RemoteFiles:
         return self._fs.open(self._path(name), "rb", block_size=BLOCK_BYTES)
 
     def ranges(self, name: str, spans: Sequence[tuple[int, int]]) -> list[bytes]:
-        """Return bytes as `Files.ranges` does, with all requests at once.
+        """Return bytes as `LocalFiles.ranges` does, with all requests at once.
 
         Raises:
             OSError: when a server does not support byte ranges and sends more.
@@ -105,6 +85,9 @@ class RemoteFiles:
         return f"{self._root.rstrip('/')}/{name}"
 
 
+Files = LocalFiles | RemoteFiles
+
+
 def is_url(place: str | os.PathLike[str]) -> bool:
     """Return whether a place is a URL and not a path."""
     return isinstance(place, str) and "://" in place
@@ -122,14 +105,15 @@ def list_folders(root: Path | str, member: str) -> list[str]:
         DataError: when the folder does not exist or cannot be listed.
     """
     try:
-        return [name for name in open_folder(root).folders() if "." not in name and _holds(f"{root}/{name}", member)]
+        return [name for name in open_folder(root).folders() if "." not in name and holds(f"{root}/{name}", member)]
     except FileNotFoundError as error:
         raise DataError(f"{root}: there is no such folder") from error
     except Exception as error:  # each kind of store has errors of its own
         raise DataError(f"{root}: its folders cannot be listed: {type(error).__name__}: {error}") from error
 
 
-def _holds(folder: str, name: str) -> bool:
+def holds(folder: Path | str, name: str) -> bool:
+    """Return whether a folder has a file of this name that is not empty."""
     try:
         return open_folder(folder).size(name) > 0
     except FileNotFoundError:
@@ -146,14 +130,6 @@ def read_json(root: Path | str, name: str, remedy: str) -> Any:
         raise DataError(f"{files.where(name)}: the file is missing; {remedy}") from error
     except Exception as error:  # each kind of store has errors of its own
         raise DataError(f"{files.where(name)}: cannot be read: {type(error).__name__}: {error}; {remedy}") from error
-
-
-def sha256_of(file: Any) -> str:
-    """Return the hex digest (SHA-256) of an open file from its current position on."""
-    state = hashlib.sha256()
-    while block := file.read(BLOCK_BYTES):
-        state.update(block)
-    return state.hexdigest()
 
 
 def read_members(files: Files, name: str, offsets: Sequence[int], sizes: Sequence[int]) -> list[bytes]:

@@ -29,7 +29,7 @@ class SceneFolder:
     @property
     def name(self) -> str:
         """Return the scene's name."""
-        return str(self.folder).rsplit("/", 1)[-1] if isinstance(self.folder, str) else self.folder.name
+        return self.folder.rsplit("/", 1)[-1] if isinstance(self.folder, str) else self.folder.name
 
     @cached_property
     def files(self) -> Files:

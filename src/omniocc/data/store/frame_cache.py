@@ -8,7 +8,7 @@ import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import ClassVar, Generic, TypeVar
 
 import numpy as np
 import torch
@@ -32,14 +32,13 @@ class FrameCache(ABC, Generic[Array]):
         shape: of every array.
     """
 
+    BITS: ClassVar[int]
+    """Number of bits of one element of an array."""
+
     def __init__(self, folder: Path, shape: Sequence[int]):
         self.folder = folder
         self.shape = tuple(shape)
-
-    @property
-    @abstractmethod
-    def payload_bytes(self) -> int:
-        """Return the number of bytes of one packed array."""
+        self._row_bytes = -(-self.BITS * math.prod(self.shape) // 8) + _CRC_BYTES
 
     @abstractmethod
     def pack(self, array: Array) -> bytes:
@@ -55,8 +54,7 @@ class FrameCache(ABC, Generic[Array]):
 
     def missing(self, scenes: Sequence[SceneFrames]) -> list[SceneFrames]:
         """Return the scenes that have no file, or one of the wrong length."""
-        row = self.payload_bytes + _CRC_BYTES
-        return [scene for scene in scenes if self._size(scene.name) != row * len(scene)]
+        return [scene for scene in scenes if self._size(scene.name) != self._row_bytes * len(scene)]
 
     def write(self, scene: str, arrays: Sequence[Array]) -> None:
         """Write all frames of a scene, in order; raise DataError when the disk refuses."""
@@ -66,7 +64,7 @@ class FrameCache(ABC, Generic[Array]):
 
     def read(self, scene: str, frame: int) -> Array:
         """Return one frame; raise DataError when the file is missing, too short or damaged."""
-        path, row = self.path(scene), self.payload_bytes + _CRC_BYTES
+        path, row = self.path(scene), self._row_bytes
         try:
             with path.open("rb") as file:
                 file.seek(frame * row)
@@ -86,10 +84,7 @@ class FrameCache(ABC, Generic[Array]):
 class CandidateCache(FrameCache[Bool[Tensor, "X Y Z"]]):
     """Candidate voxels, one bit each."""
 
-    @property
-    def payload_bytes(self) -> int:
-        """Return the bytes of one bit per cell, rounded up."""
-        return -(-math.prod(self.shape) // 8)
+    BITS = 1
 
     def pack(self, array: Bool[Tensor, "X Y Z"]) -> bytes:
         """Return the cells (X, Y, Z), eight in a byte."""
@@ -104,10 +99,7 @@ class CandidateCache(FrameCache[Bool[Tensor, "X Y Z"]]):
 class RangeCache(FrameCache[Float32[Tensor, "h w"]]):
     """Predicted panoramas of range in steps of 1/256 m; nan where there is no prediction."""
 
-    @property
-    def payload_bytes(self) -> int:
-        """Return two bytes per pixel."""
-        return 2 * math.prod(self.shape)
+    BITS = 16
 
     def pack(self, array: Float32[Tensor, "h w"]) -> bytes:
         """Return ranges (h, w), m, with 16 bits per pixel, as in recordings."""

@@ -13,7 +13,7 @@ _HEADER = np.dtype("<u2")
 
 def pack(pixels: np.ndarray) -> bytes:
     """Return an image (H, W) uint8 or uint16 as bytes; equal pixels give equal bytes."""
-    body = pixels if pixels.dtype == np.uint8 else _planes(_differences(pixels))
+    body = pixels if pixels.dtype == np.uint8 else _differences(pixels)
     header = np.array(pixels.shape, dtype=_HEADER).tobytes()
     return zstandard.ZstdCompressor(level=_LEVEL).compress(header + np.ascontiguousarray(body).tobytes())
 
@@ -37,14 +37,14 @@ def unpack(blob: bytes) -> np.ndarray:
 
 
 def _differences(pixels: np.ndarray) -> np.ndarray:
-    """Return second differences modulo 2**16, those near zero as small numbers: 0, -1, 1, -2 as 0, 1, 2, 3."""
+    """Return the low, then the high bytes (2, H, W) of second differences modulo 2**16.
+
+    Differences near zero become small numbers: 0, -1, 1, -2 become 0, 1, 2, 3.
+    """
     across = pixels.copy()
     across[:, 1:] -= pixels[:, :-1]
     residual = across.copy()
     residual[1:] -= across[:-1]
     signed = residual.view(np.int16)
-    return ((signed << 1) ^ (signed >> 15)).view(np.uint16)
-
-
-def _planes(pixels: np.ndarray) -> np.ndarray:
-    return np.stack([pixels & 0xFF, pixels >> 8]).astype(np.uint8)
+    folded = ((signed << 1) ^ (signed >> 15)).view(np.uint16)
+    return np.stack([folded & 0xFF, folded >> 8]).astype(np.uint8)

@@ -8,8 +8,9 @@ import numpy as np
 
 from omniocc.camera import Rig
 from omniocc.data.source import LidarScan, Points
-from omniocc.data.store.codec import decode_image, decode_labels, decode_lidar, decode_points, decode_range
+from omniocc.data.store.codec import decode_image, decode_lidar, decode_points, decode_range
 from omniocc.data.store.folder import SceneFolder
+from omniocc.data.store.raster import unpack
 from omniocc.metric import sparseocc_directions
 
 _RIGS: dict[tuple[str, ...], Rig] = {}
@@ -61,7 +62,7 @@ class SceneReader(SceneFolder):
 
     def pixel_labels(self, frame: int) -> list[np.ndarray]:
         """Return the classes of the pixels of every camera, (H, W) uint8 each; 0 sky, 255 unknown."""
-        return [decode_labels(blob) for blob in self._of_cameras(frame, "semantic{}.zst")]
+        return [unpack(blob) for blob in self._of_cameras(frame, "semantic{}.zst")]
 
     def camera_range_m(self, frame: int) -> list[np.ndarray]:
         """Return the true range of the pixels of every camera, (H, W) float32 each, m; inf sky, nan unknown."""

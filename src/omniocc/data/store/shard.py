@@ -17,7 +17,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from omniocc.data.store.files import sha256_of
 from omniocc.errors import DataError
 from omniocc.io import atomic_write, cannot_write
 
@@ -52,7 +51,7 @@ class SceneWriter:
 
     @property
     def finished(self) -> bool:
-        """Return whether the scene is complete; does the last rename if a kill came just before it."""
+        """Return whether the scene is complete; does the last rename if the writer was killed just before it."""
         if not self.folder.exists() and (self.work / META).exists():
             self._guard(self._publish)
         return self.folder.exists()
@@ -63,11 +62,9 @@ class SceneWriter:
         return len(self._records)
 
     def append(self, blobs: Mapping[str, bytes], entry: Mapping[str, Any]) -> None:
-        """Write one frame; all frames of a scene have members of the same names.
+        """Write the blobs of one frame, by member name, and its entry of the index (plain values).
 
-        Args:
-            blobs: content by member name.
-            entry: plain values for the index.
+        All frames of a scene have members of the same names.
         """
         frame = self.num_frames
         assert not self._records or list(blobs) == self._records[0]["members"]
@@ -180,7 +177,7 @@ def member_name(frame: int, member: str) -> str:
 def sha256(path: Path) -> str:
     """Return the hex digest (SHA-256) of a file."""
     with path.open("rb") as file:
-        return sha256_of(file)
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def digest(plain: Any) -> str:

@@ -20,6 +20,7 @@ import torch
 from jaxtyping import Float64
 from torch import Tensor
 
+from omniocc.camera.pose import rigid_pose
 from omniocc.errors import UserError
 
 QUATERNION = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
@@ -83,8 +84,7 @@ def _from_quaternion(values: Sequence[float], where: str) -> Float64[Tensor, "4 
     if abs(length - 1) > TOLERANCE:
         raise UserError(f"{where}: the quaternion qw,qx,qy,qz has the length {length:.4g}; it must be 1")
     w, x, y, z = (value / length for value in values[3:])
-    pose = torch.eye(4, dtype=torch.float64)
-    pose[:3, :3] = torch.tensor(
+    rotation = torch.tensor(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
             [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
@@ -92,8 +92,7 @@ def _from_quaternion(values: Sequence[float], where: str) -> Float64[Tensor, "4 
         ],
         dtype=torch.float64,
     )
-    pose[:3, 3] = torch.tensor(values[:3], dtype=torch.float64)
-    return pose
+    return rigid_pose(rotation, torch.tensor(values[:3], dtype=torch.float64))
 
 
 def _from_rows(values: Sequence[float], where: str) -> Float64[Tensor, "4 4"]:

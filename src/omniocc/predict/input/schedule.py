@@ -22,14 +22,10 @@ class Lift(NamedTuple):
 
 
 def schedule(wanted: Sequence[int], window: int, history: History) -> list[Lift]:
-    """Return the frames to lift, in order.
+    """Return the frames to lift, in order, so that the frames with the increasing indices `wanted` can be predicted.
 
-    Every wanted frame directly follows the `window` - 1 frames before it, or as many as the sequence has.
-
-    Args:
-        wanted: indices of frames, increasing.
-        window: number of frames that the model fuses, the newest included.
-        history: how past frames are provided.
+    Each of these directly follows the `window` - 1 frames before it, or as many as the sequence has: the model fuses
+    `window` frames, the newest included.
     """
     if history == "stream":
         chosen = set(wanted)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import torch
@@ -23,7 +23,7 @@ from omniocc.predict.input.images import Frame, check_excluded, read_frame
 
 
 class Truth(NamedTuple):
-    """The ground truth of a frame.
+    """The ground truth of a frame, with a first axis of length 1, as `omniocc.task.scores.Scores` takes it.
 
     Attributes:
         voxels: class of every cell.
@@ -34,68 +34,25 @@ class Truth(NamedTuple):
         lidar_origins: None: the rays start in the ego origin.
     """
 
-    voxels: UInt8[Tensor, "X Y Z"]
-    lidar_range_m: Float32[Tensor, " R"]
-    lidar_labels: UInt8[Tensor, " R"]
-    scored: Bool[Tensor, "X Y Z"] | None = None
-    lidar_directions: Float32[Tensor, "R 3"] | None = None
-    lidar_origins: Float32[Tensor, "R 3"] | None = None
-
-    def as_batch(self) -> "Truth":
-        """Return the same with a first axis of length 1, as `omniocc.task.Scores` takes it."""
-        return Truth(self.voxels[None], self.lidar_range_m[None], self.lidar_labels[None])
-
-
-@runtime_checkable
-class FrameSequence(Protocol):
-    """Frames of one rig in the order of time."""
-
-    @property
-    def name(self) -> str:
-        """Return the name of the folder that the results of this sequence go to; empty: the output folder itself."""
-        ...
-
-    @property
-    def rig(self) -> Rig:
-        """Return the cameras."""
-        ...
-
-    @property
-    def frame_names(self) -> tuple[str, ...]:
-        """Return the name of every frame."""
-        ...
-
-    @property
-    def wanted(self) -> tuple[int, ...]:
-        """Return the indices of the frames to be predicted; the others serve as history."""
-        ...
-
-    @property
-    def world_from_ego(self) -> Float64[Tensor, "F 4 4"] | None:
-        """Return the pose of every frame, None if poses are unknown."""
-        ...
-
-    @property
-    def origin_z_m(self) -> float:
-        """Return the height of the ego origin in the frame of the rig file, in which predictions are written."""
-        ...
-
-    def images(self, frame: int) -> list[np.ndarray]:
-        """Return (H, W, 3) uint8 RGB of every camera."""
-        ...
-
-    def truth(self, frame: int, geometry: Grid, unknown: Unknown) -> Truth | None:
-        """Return the ground truth of a frame, None if there is none."""
-        ...
-
-    def true_range_m(self, frame: int) -> Float32[Tensor, "1 h w"] | None:
-        """Return the recorded range panorama, None if there is none."""
-        ...
+    voxels: UInt8[Tensor, "1 X Y Z"]
+    lidar_range_m: Float32[Tensor, "1 R"]
+    lidar_labels: UInt8[Tensor, "1 R"]
+    scored: Bool[Tensor, "1 X Y Z"] | None = None
+    lidar_directions: Float32[Tensor, "1 R 3"] | None = None
+    lidar_origins: Float32[Tensor, "1 R 3"] | None = None
 
 
 @dataclass(frozen=True)
 class ImageSequence:
-    """A user's own images; see `omniocc.predict.find_frames`."""
+    """A user's own images in the order of time; see `omniocc.predict.find_frames`.
+
+    Attributes:
+        rig: the cameras.
+        frames: the image files of every frame.
+        world_from_ego: pose of every frame, None if poses are unknown.
+        origin_z_m: height of the ego origin in the frame of the rig file, in which predictions are written.
+        name: of the folder that the results of this sequence go to; empty: the output folder itself.
+    """
 
     rig: Rig
     frames: tuple[Frame, ...]
@@ -112,15 +69,17 @@ class ImageSequence:
         return replace(self, rig=rig, world_from_ego=world_from_ego, origin_z_m=self.origin_z_m + height_m)
 
     @property
-    def frame_names(self) -> tuple[str, ...]:  # noqa: D102
+    def frame_names(self) -> tuple[str, ...]:
+        """Return the name of every frame."""
         return tuple(frame.name for frame in self.frames)
 
     @property
     def wanted(self) -> tuple[int, ...]:
-        """Return the indices of all frames."""
+        """Return the indices of the frames to be predicted: all."""
         return tuple(range(len(self.frames)))
 
-    def images(self, frame: int) -> list[np.ndarray]:  # noqa: D102
+    def images(self, frame: int) -> list[np.ndarray]:
+        """Return (H, W, 3) uint8 RGB of every camera."""
         return read_frame(self.frames[frame], self.rig)
 
     def truth(self, frame: int, geometry: Grid, unknown: Unknown) -> None:
@@ -132,55 +91,59 @@ class ImageSequence:
 
 @dataclass(frozen=True)
 class RecordedSequence:
-    """A recorded scene.
+    """A recorded scene, with the attributes and methods of `ImageSequence`.
 
     Attributes:
         scene: reader of its files.
-        wanted: indices of the frames to be predicted.
+        wanted: indices of the frames to be predicted; the others serve as history.
     """
 
     scene: SceneReader
     wanted: tuple[int, ...]
+    origin_z_m: ClassVar[float] = 0.0
 
     @property
-    def name(self) -> str:  # noqa: D102
+    def name(self) -> str:
+        """Return the name of the scene, and of the folder that its results go to."""
         return self.scene.name
 
     @property
-    def rig(self) -> Rig:  # noqa: D102
+    def rig(self) -> Rig:
+        """Return the cameras."""
         return self.scene.rig
 
     @property
     def spec(self) -> SourceSpec:
-        """Return the classes and bands that the scene states.
-
-        Raises:
-            DataError: when it states none.
-        """
+        """Return the classes and bands that the scene states; raise DataError when it states none."""
         return spec_of(self.scene)
 
     @property
-    def origin_z_m(self) -> float:  # noqa: D102
-        return 0.0
-
-    @property
-    def frame_names(self) -> tuple[str, ...]:  # noqa: D102
+    def frame_names(self) -> tuple[str, ...]:
+        """Return the name of every frame: its number."""
         return tuple(f"{frame:06d}" for frame in range(len(self.scene)))
 
     @property
-    def world_from_ego(self) -> Float64[Tensor, "F 4 4"]:  # noqa: D102
+    def world_from_ego(self) -> Float64[Tensor, "F 4 4"]:
+        """Return the pose of every frame."""
         return torch.from_numpy(self.scene.world_from_ego)
 
-    def images(self, frame: int) -> list[np.ndarray]:  # noqa: D102
+    def images(self, frame: int) -> list[np.ndarray]:
+        """Return (H, W, 3) uint8 RGB of every camera."""
         return self.scene.images(frame)
 
-    def truth(self, frame: int, geometry: Grid, unknown: Unknown) -> Truth:  # noqa: D102
+    def truth(self, frame: int, geometry: Grid, unknown: Unknown) -> Truth:
+        """Return the ground truth of a frame."""
         scan = self.scene.lidar(frame)
         voxels = vote(self.scene, frame, geometry, unknown, self.spec.classes.num_classes)
-        return Truth(voxels, torch.from_numpy(scan.range_m), torch.from_numpy(scan.labels))
+        return Truth(voxels[None], torch.from_numpy(scan.range_m)[None], torch.from_numpy(scan.labels)[None])
 
-    def true_range_m(self, frame: int) -> Float32[Tensor, "1 h w"]:  # noqa: D102
+    def true_range_m(self, frame: int) -> Float32[Tensor, "1 h w"]:
+        """Return the recorded panorama of range."""
         return torch.from_numpy(self.scene.erp_range_m(frame)).unsqueeze(0)
+
+
+FrameSequence = ImageSequence | RecordedSequence
+"""Frames of one rig in the order of time."""
 
 
 def raise_poses(world_from_ego: Float64[Tensor, "*F 4 4"], height_m: float) -> Float64[Tensor, "*F 4 4"]:

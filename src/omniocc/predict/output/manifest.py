@@ -18,10 +18,8 @@ MANIFEST = "prediction.json"
 def write_manifest(output: Path, facts: Mapping[str, Any], force: bool) -> None:
     """Write what the predictions of a folder are made from, so that it never mixes those of two models.
 
-    Args:
-        output: the folder.
-        facts: checkpoint, input and options.
-        force: replace a manifest with other facts, and first remove its predictions.
+    The facts are checkpoint, input and options. `force` replaces a manifest with other facts, after removing its
+    predictions.
 
     Raises:
         UserError: when the folder cannot be written, or its predictions were made from other facts.
@@ -52,12 +50,6 @@ def _changed(old: str, new: Mapping[str, Any]) -> str:
         return f"{MANIFEST} is damaged"
     changes = [f"{key} was {before.get(key)!r}" for key in new if before.get(key) != new[key]]
     return ", ".join(changes) or "other keys"
-
-
-def file_digest(path: Path) -> str:
-    """Return the first 16 hex digits of a file's SHA-256."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()[:16]
 
 
 def pose_digest(poses: Tensor | None) -> str | None:

@@ -15,21 +15,14 @@ from omniocc.view import save_png
 def write_depth(
     folder: Path, depth: DepthMap, panorama: Equirectangular, cloud: PointCloud, overview: np.ndarray
 ) -> int:
-    """Write `range.png`, `range.npz`, `points.ply` and `overview.png`.
+    """Write `range.png`, `range.npz`, `points.ply` and `overview.png` of one frame; return the number of points.
 
-    `range.png` is 16 bit, 1/256 m per step as in KITTI's depth maps; 0: no answer. `range.npz` holds `range_m` (nan
-    where there is no answer) and `confidence`, float32 of (height, width), and the panorama's edges `top_deg` and
+    `range.png` is 16 bit, 1/256 m per step as in KITTI's depth maps; 0: no range. `range.npz` holds `range_m` (nan
+    where there is no range) and `confidence`, float32 of (height, width), and the panorama's edges `top_deg` and
     `bottom_deg`.
 
-    Args:
-        folder: to write into; created if missing.
-        depth: of one frame.
-        panorama: directions of its pixels.
-        cloud: its points.
-        overview: (H, W, 3) uint8 RGB.
-
-    Returns:
-        the number of points of the cloud.
+    The folder is created if it is missing. `panorama` has the directions of the pixels, `overview` is (H, W, 3) uint8
+    RGB.
 
     Raises:
         OSError: naming the path that cannot be written.

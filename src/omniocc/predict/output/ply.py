@@ -8,7 +8,7 @@ _PLY_TYPES = {"f4": "float", "u1": "uchar"}
 
 
 def ply_bytes(points_m: np.ndarray, colors: np.ndarray, triangles: np.ndarray | None = None) -> bytes:
-    """Return the content of a PLY file.
+    """Return the content of a binary PLY file, with float coordinates in metres and uchar colours.
 
     Args:
         points_m: (V, 3), ego frame.

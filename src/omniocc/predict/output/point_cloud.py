@@ -18,8 +18,8 @@ class PointCloud(NamedTuple):
     """The point and colour that every pixel of a panorama sees.
 
     Attributes:
-        points_m: in the ego frame, nan where there is no answer.
-        colors: RGB, 0 where there is no answer.
+        points_m: in the ego frame, nan where no range is predicted.
+        colors: RGB, 0 where no range is predicted.
     """
 
     points_m: Float64[Tensor, "h w 3"]
@@ -31,15 +31,12 @@ def point_cloud(
 ) -> PointCloud:
     """Return the points of a range panorama and their colours.
 
-    Args:
-        range_m: range from the ego origin, not finite where there is no answer.
-        panorama: directions of its pixels.
-        images: (H, W, 3) uint8 RGB of every camera, of any size.
-        rig: the cameras.
+    `range_m` is the range from the ego origin in the directions of `panorama`, not finite where none is known;
+    `images` are (H, W, 3) uint8 RGB of every camera, of any size.
     """
     points = range_m.double().unsqueeze(-1) * panorama.rays().double()
-    points = points.masked_fill(~range_m.isfinite().unsqueeze(-1), torch.nan)
     known = range_m.isfinite()
+    points = points.masked_fill(~known.unsqueeze(-1), torch.nan)
     colors = torch.zeros(*range_m.shape, 3, dtype=torch.uint8)
     colors[known] = point_colors(points[known], images, rig)[0]
     return PointCloud(points, colors)
@@ -48,15 +45,10 @@ def point_cloud(
 def point_colors(
     points_m: Float64[Tensor, "P 3"], images: Sequence[np.ndarray], rig: Rig
 ) -> tuple[UInt8[Tensor, "P 3"], Bool[Tensor, " P"]]:
-    """Return the RGB of points and whether any camera sees them.
+    """Return the RGB of points, given in the ego frame, and whether any camera sees them.
 
     The colour comes from the camera that sees the point nearest to its optical axis. Occlusion is ignored; cameras with
-    a black image see nothing.
-
-    Args:
-        points_m: in the ego frame.
-        images: (H, W, 3) uint8 RGB of every camera, of any size.
-        rig: the cameras.
+    a black image see nothing. `images` are as in `point_cloud`.
     """
     pixels, valid = rig.project(points_m)
     to_camera = points_m - rig.ego_from_camera[:, None, :3, 3]
@@ -79,10 +71,7 @@ def _sampled(image: np.ndarray, pixels: Float64[Tensor, "P 2"], camera: Camera) 
 
 
 def write_ply(path: Path, cloud: PointCloud) -> int:
-    """Write the finite points as a binary PLY file, little endian, with float coordinates in metres and uchar colours.
-
-    Returns:
-        the number of points.
+    """Write the finite points as a PLY file (see `ply_bytes`) and return their number.
 
     Raises:
         OSError: naming the path that cannot be written.

@@ -28,15 +28,9 @@ def voxel_arrays(
     classes: ClassTable,
     world_from_ego: Float64[Tensor, "4 4"] | None,
 ) -> dict[str, np.ndarray]:
-    """Return by name all arrays that another program needs to place and name the voxels.
+    """Return by name all arrays that another program needs to place and name the voxels, the pose if it is known.
 
     Cell (i, j, k) spans `low + (high - low) * ((i, j, k) + (0 .. 1)) / shape` along the three `axes`.
-
-    Args:
-        prediction: labels and candidates.
-        geometry: the grid.
-        classes: table of the labels.
-        world_from_ego: pose of the frame, None if unknown.
     """
     axes = ("r_m", "theta_rad", "z_m") if isinstance(geometry, Cylinder) else ("x_m", "y_m", "z_m")
     low, high = np.array(geometry.bounds, dtype=np.float64).T

@@ -29,18 +29,9 @@ class VoxelMesh(NamedTuple):
 
 
 def voxel_mesh(labels: UInt8[Tensor, "X Y Z"], geometry: Grid, classes: ClassTable) -> VoxelMesh:
-    """Return the faces of occupied cells towards cells that are not; unknown cells count as empty.
-
-    Args:
-        labels: class of every cell.
-        geometry: the grid.
-        classes: names and colours of the labels.
-    """
+    """Return the faces of occupied cells towards cells that are not; unknown cells count as empty."""
     quads, cells = surface((labels != FREE) & (labels != UNKNOWN), geometry)
-    return _triangulated(quads, classes.palette[labels.reshape(-1).numpy()[cells]])
-
-
-def _triangulated(quads: np.ndarray, colors: np.ndarray) -> VoxelMesh:
+    colors = classes.palette[labels.reshape(-1).numpy()[cells]]
     diagonals = np.cross(quads[:, 2] - quads[:, 0], quads[:, 3] - quads[:, 1])
     solid = np.linalg.norm(diagonals, axis=-1) > 2 * FLAT_M2
     quads, colors = quads[solid], colors[solid]
