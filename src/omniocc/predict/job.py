@@ -66,7 +66,6 @@ class Job:
         if skipped := sum(len(sequence.wanted) for sequence in sequences) - total:
             print(f"{skipped} frames are finished in {self.output} and skipped; force=true predicts them again")
         window = self.predictor.model.temporal.frames
-        window = self.predictor.model.temporal.frames
         with Progress(f"predicting {self.output}", total) as progress:
             for sequence, wanted in zip(sequences, left, strict=True):
                 for frame in sorted(set(sequence.wanted) - set(wanted)):

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
 RECORDERS = ("numpy", "opencv-python-headless", "zstandard", "embreex")
 """Packages whose versions are written beside the frames."""
-"""Packages whose versions are written beside the frames."""
 
 
 class ScenePlan(NamedTuple):
