@@ -1,4 +1,4 @@
-"""Rays that cross a cylinder: `python -m omniocc.view.rays docs/pictures/rays.png` (needs matplotlib)."""
+"""Rays that cross a cylinder: `python tools/draw_rays.py docs/pictures/rays.png` (needs matplotlib)."""
 
 import math
 import sys
