@@ -1,5 +1,11 @@
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 
+import omniocc
 from omniocc.camera import Rig
 from omniocc.data import VirtualWorld
 from omniocc.data.store import codec
@@ -42,3 +48,11 @@ def test_recorded_frames_equal_those_of_the_world(tmp_path):
         np.testing.assert_allclose(getattr(back, name), expected, rtol=0, atol=1 / 512 + 1e-5, err_msg=name)
     assert len(back.points_m) == len(frame.points_m)
     assert np.bincount(back.point_labels).tolist() == np.bincount(frame.point_labels).tolist()
+
+
+def test_render_processes_import_neither_lightning_nor_torchmetrics():
+    # both take longer to import than everything else together
+    code = "import omniocc.data.source.virtual, sys; print(sorted({'lightning', 'torchmetrics'} & set(sys.modules)))"
+    environment = {**os.environ, "PYTHONPATH": str(Path(omniocc.__file__).parents[1])}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"

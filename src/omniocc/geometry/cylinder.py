@@ -20,6 +20,9 @@ from omniocc.geometry.raycast.crossings import (
     sector_crossings,
 )
 
+PAPER_RANGE_EDGES_M = (0.0, 8.5, 17.0, 25.6)
+"""Ends of the paper's range bands (its Table 'result in different distance'), which end where its grid ends."""
+
 
 @dataclass(frozen=True, init=False)
 class Cylinder(Grid):

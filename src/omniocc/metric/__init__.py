@@ -1,8 +1,8 @@
 """Metrics of occupancy and depth."""
 
+from omniocc.geometry.directions import eight_origins, sparseocc_directions
 from omniocc.metric.candidates import Candidates
 from omniocc.metric.depth import DepthMetrics, sphere_index
-from omniocc.metric.directions import eight_origins, sparseocc_directions
 from omniocc.metric.ray_hits import ray_hits
 from omniocc.metric.ray_iou import RayIoU, RayTruth, ray_iou
 from omniocc.metric.voxel_iou import VoxelIoU

@@ -9,9 +9,6 @@ from torch import Tensor
 
 from omniocc.metric.checks import check_increasing
 
-PAPER_RANGE_EDGES_M = (0.0, 8.5, 17.0, 25.6)
-"""Ends of the paper's range bands (its Table 'result in different distance'), the default where none are given."""
-
 
 def as_edges(edges_m: Sequence[float | int] | None) -> tuple[float, ...]:
     """Return the checked ends of range bands; () for None: no bands.

@@ -9,7 +9,8 @@ from torchmetrics import Metric
 
 from omniocc.classes import FREE, UNKNOWN
 from omniocc.geometry import Cuboid, Cylinder
-from omniocc.metric.bands import PAPER_RANGE_EDGES_M, as_edges, band_of, band_suffixes, num_rows
+from omniocc.geometry.cylinder import PAPER_RANGE_EDGES_M
+from omniocc.metric.bands import as_edges, band_of, band_suffixes, num_rows
 from omniocc.metric.checks import check_labels, check_mask
 
 COUNTS = ("found", "occupied", "known_candidates", "candidates", "cells")

@@ -8,10 +8,10 @@ from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
 from omniocc.geometry import Cuboid, Cylinder, Hits, RayTable, Scan, ray_table
+from omniocc.geometry.directions import sparseocc_directions
 from omniocc.metric.bands import as_edges, num_rows
 from omniocc.metric.checks import check_increasing, check_mask, check_same_batch
 from omniocc.metric.class_ids import ClassIds
-from omniocc.metric.directions import sparseocc_directions
 from omniocc.metric.ray_counts import RayCounts, count_rays, ray_scores
 
 

@@ -6,8 +6,8 @@ from torch import Tensor
 
 from omniocc.classes import FREE, NUM_CLASSES, UNKNOWN
 from omniocc.geometry import Cuboid, Cylinder, Hits, Scan, ray_table
+from omniocc.geometry.directions import sparseocc_directions
 from omniocc.metric.class_ids import ClassIds
-from omniocc.metric.directions import sparseocc_directions
 
 
 def ray_hits(

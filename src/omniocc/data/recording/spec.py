@@ -4,7 +4,7 @@ from typing import Any
 
 from omniocc.classes import ClassTable
 from omniocc.data.source import SourceSpec
-from omniocc.metric import sparseocc_directions
+from omniocc.geometry.directions import sparseocc_directions
 
 
 def plain_spec(spec: SourceSpec) -> dict[str, Any]:

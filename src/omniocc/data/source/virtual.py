@@ -17,8 +17,8 @@ from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import META, SCHEMA, digest
 from omniocc.errors import DataError
 from omniocc.geometry import Grid
-from omniocc.metric import sparseocc_directions
-from omniocc.metric.bands import PAPER_RANGE_EDGES_M
+from omniocc.geometry.cylinder import PAPER_RANGE_EDGES_M
+from omniocc.geometry.directions import sparseocc_directions
 from omniocc.progress import Progress
 from omniocc.world import THEMES, Scene
 from omniocc.world.assets.vehicle import EGO_ROAD_M

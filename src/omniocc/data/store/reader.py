@@ -11,7 +11,7 @@ from omniocc.data.source import LidarScan, Points
 from omniocc.data.store.codec import decode_image, decode_lidar, decode_points, decode_range
 from omniocc.data.store.folder import SceneFolder
 from omniocc.data.store.raster import unpack
-from omniocc.metric import sparseocc_directions
+from omniocc.geometry.directions import sparseocc_directions
 
 _RIGS: dict[tuple[str, ...], Rig] = {}
 
