@@ -10,7 +10,6 @@ from torch import Tensor
 
 from omniocc.camera.ops.angle import unit
 from omniocc.camera.ops.focal_camera import FocalCamera
-from omniocc.camera.ops.pixels import in_image
 from omniocc.camera.ops.polynomial import derivative, invert_polynomial, positive_until
 from omniocc.camera.protocol import angle_from_axis, finite, normalize_fields, numbers
 
@@ -42,19 +41,16 @@ class MEI(FocalCamera):
         if self.xi < 0:
             raise ValueError(f"xi is {self.xi}; it must not be negative")
 
-    def project(self, points: Float[Tensor, "*batch 3"]) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"]]:
-        """See `Camera.project`."""
+    def _to_plane(self, points: Float[Tensor, "*batch 3"]) -> tuple[Tensor, Tensor]:
         rays, defined = unit(points)
         in_front = defined & (rays[..., 2] >= self._min_cosine)
         depth = torch.where(in_front, rays[..., 2] + self.xi, 1)
         plane = rays[..., :2] / depth[..., None]
         covered = in_front & (plane.square().sum(-1) <= self._limit**2)
-        pixels = self._to_pixels(self._distorted(plane))
-        return pixels, covered & in_image(pixels, self.width, self.height)
+        return self._distorted(plane), covered
 
-    def unproject(self, pixels: Float[Tensor, "*batch 2"]) -> tuple[Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
-        """See `Camera.unproject`."""
-        plane, converged = self._undistorted(self._to_plane(pixels))
+    def _from_plane(self, plane: Float[Tensor, "*batch 2"]) -> tuple[Tensor, Tensor]:
+        plane, converged = self._undistorted(plane)
         squared = plane.square().sum(-1)
         under_root = 1 + (1 - self.xi**2) * squared
         covered = converged & (under_root >= 0) & (squared <= self._limit**2)
