@@ -7,7 +7,7 @@ import torch
 from omniocc.camera import Equirectangular, Rig
 from omniocc.view.canvas import Images, Ranges, fitted, legend
 from omniocc.view.ranges import FALSE_RANGE, NOT_PREDICTED, SKY, error_bar, error_colors, range_bar, range_colors
-from omniocc.view.sheet import NAMES, camera_rows, caption_line, column_width, inner_width, panorama_row, stack
+from omniocc.view.sheet import NAMES, camera_rows, column_width, inner_width, panorama_row, stack
 
 COVER = 1.8
 """Diameter of a point over the distance to its neighbour."""
@@ -19,12 +19,8 @@ def depth_sheet(
 ) -> np.ndarray:  # fmt: skip
     """Return the sheet as one image; `panorama` has the directions of the ranges, `caption` is the line at the top."""
     inner = inner_width(width_px)
-    rows = [
-        *caption_line(caption, inner),
-        *painted_rows(images, rig, panorama, predicted_m, inner),
-        *_panoramas(predicted_m.numpy(), true_m.numpy(), inner),
-    ]
-    return stack(rows, width_px)
+    painted = painted_rows(images, rig, panorama, predicted_m, inner)
+    return stack([*painted, *_panoramas(predicted_m.numpy(), true_m.numpy(), inner)], width_px, caption)
 
 
 def painted_rows(images: Images, rig: Rig, panorama: Equirectangular, range_m: Ranges, width: int) -> list[np.ndarray]:
