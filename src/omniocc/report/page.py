@@ -11,7 +11,7 @@ from omniocc.report.dataset.table import dataset_cells
 from omniocc.report.frames import ComparedFrame, inline
 from omniocc.report.html import render
 from omniocc.report.runs import FinishedRun, colors_of, path_between
-from omniocc.report.sweep import Sweep, unfinished_lines
+from omniocc.report.sweep import Sweep
 from omniocc.report.tables import bounds, budget
 from omniocc.report.tables.claims import claim_cells
 from omniocc.report.tables.paper import (
@@ -62,7 +62,7 @@ def page(sweep: Sweep, plots: Mapping[str, tuple[str, str]], frames: Sequence[Co
         },
     ]
     content = {
-        "remarks": [sweep.remark, *unfinished_lines(sweep)],
+        "remarks": sweep.remarks,
         "facts": _facts(sweep),
         "sections": [section for section in sections if section is not None],
     }

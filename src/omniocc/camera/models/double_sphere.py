@@ -9,7 +9,7 @@ from torch import Tensor
 
 from omniocc.camera.ops.angle import min_cosine, pinhole_bound, unit
 from omniocc.camera.ops.focal_camera import FocalCamera
-from omniocc.camera.protocol import angle_from_axis, finite, normalize_fields
+from omniocc.camera.protocol import angle_from_axis, check_fields, finite
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class DoubleSphere(FocalCamera):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        normalize_fields(self, {"xi": finite, "alpha": finite, "max_angle_deg": angle_from_axis})
+        check_fields(self, {"xi": finite, "alpha": finite, "max_angle_deg": angle_from_axis})
         if not -1 < self.xi <= 1:
             raise ValueError(f"xi is {self.xi}; the double sphere model needs -1 < xi <= 1")
         if not 0 <= self.alpha <= 1:

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from omniocc.camera.ops.angle import min_cosine, pinhole_bound, unit
 from omniocc.camera.ops.focal_camera import FocalCamera
-from omniocc.camera.protocol import angle_from_axis, finite, normalize_fields, positive
+from omniocc.camera.protocol import angle_from_axis, check_fields, finite, positive
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class EUCM(FocalCamera):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        normalize_fields(self, {"alpha": finite, "beta": positive, "max_angle_deg": angle_from_axis})
+        check_fields(self, {"alpha": finite, "beta": positive, "max_angle_deg": angle_from_axis})
         if not 0 <= self.alpha <= 1:
             raise ValueError(f"alpha is {self.alpha}; the extended unified model needs 0 <= alpha <= 1")
 

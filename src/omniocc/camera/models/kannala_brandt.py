@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass
-from functools import partial
 
 from jaxtyping import Float
 from torch import Tensor
@@ -10,7 +9,7 @@ from torch import Tensor
 from omniocc.camera.ops.angle import rays_of_polynomial, theta_over_radius
 from omniocc.camera.ops.focal_camera import FocalCamera
 from omniocc.camera.ops.polynomial import derivative, evaluate, positive_until
-from omniocc.camera.protocol import angle_from_axis, normalize_fields, numbers
+from omniocc.camera.protocol import angle_from_axis, check_fields, four_numbers
 
 
 @dataclass(frozen=True)
@@ -31,8 +30,7 @@ class KannalaBrandt(FocalCamera):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        four = partial(numbers, least=4, most=4)
-        normalize_fields(self, {"coefficients": four, "max_angle_deg": angle_from_axis})
+        check_fields(self, {"coefficients": four_numbers, "max_angle_deg": angle_from_axis})
 
     @property
     def limit_rad(self) -> float:

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass
-from functools import partial
 
 import torch
 from jaxtyping import Bool, Float
@@ -11,7 +10,7 @@ from torch import Tensor
 from omniocc.camera.ops.angle import unit
 from omniocc.camera.ops.focal_camera import FocalCamera
 from omniocc.camera.ops.polynomial import derivative, invert_polynomial, positive_until
-from omniocc.camera.protocol import angle_from_axis, finite, normalize_fields, numbers
+from omniocc.camera.protocol import angle_from_axis, check_fields, finite, four_numbers
 
 NEWTON_STEPS = 6
 COSINE_MARGIN = 1e-3  # below xi = 1 the model reaches infinity at cos = -xi: it ends this much before
@@ -36,8 +35,7 @@ class MEI(FocalCamera):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        four = partial(numbers, least=4, most=4)
-        normalize_fields(self, {"xi": finite, "distortion": four, "max_angle_deg": angle_from_axis})
+        check_fields(self, {"xi": finite, "distortion": four_numbers, "max_angle_deg": angle_from_axis})
         if self.xi < 0:
             raise ValueError(f"xi is {self.xi}; it must not be negative")
 

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass, replace
-from functools import partial
 
 from jaxtyping import Bool, Float
 from torch import Tensor
@@ -12,9 +11,8 @@ from omniocc.camera.ops.pixels import in_image
 from omniocc.camera.ops.polynomial import derivative, evaluate, positive_until
 from omniocc.camera.protocol import (
     angle_from_axis,
-    check_size,
-    normalize_fields,
-    numbers,
+    check_fields,
+    four_numbers,
     pair,
     positive,
     scaled_center,
@@ -44,10 +42,13 @@ class RadialPolynomial:
     max_angle_deg: float
 
     def __post_init__(self) -> None:
-        check_size(self.width, self.height)
-        four = partial(numbers, least=4, most=4)
-        checks = {"coefficients_px": four, "center_px": pair, "aspect": positive, "max_angle_deg": angle_from_axis}
-        normalize_fields(self, checks)
+        checks = {
+            "coefficients_px": four_numbers,
+            "center_px": pair,
+            "aspect": positive,
+            "max_angle_deg": angle_from_axis,
+        }
+        check_fields(self, checks)
         positive("coefficients_px[0]", self.coefficients_px[0])
 
     @property

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from omniocc.camera.ops.pixels import in_image
-from omniocc.camera.protocol import check_size, normalize_fields, pair, positive_pair, scaled_center
+from omniocc.camera.protocol import check_fields, pair, positive_pair, scaled_center
 
 
 @dataclass(frozen=True)
@@ -29,8 +29,7 @@ class FocalCamera:
     center_px: tuple[float, float]
 
     def __post_init__(self) -> None:
-        check_size(self.width, self.height)
-        normalize_fields(self, {"focal_px": positive_pair, "center_px": pair})
+        check_fields(self, {"focal_px": positive_pair, "center_px": pair})
 
     def project(self, points: Float[Tensor, "*batch 3"]) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"]]:
         """See `Camera.project`."""
