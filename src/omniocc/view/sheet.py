@@ -73,7 +73,7 @@ def panorama_row(colors: np.ndarray, name: str, width: int) -> np.ndarray:
     return tagged(fitted(colors, width, cv2.INTER_NEAREST), name)
 
 
-def stack(rows: Images, width_px: int, caption: str) -> np.ndarray:
+def stack(rows: Images, width_px: int, caption: str = "") -> np.ndarray:
     """Return rows below one another and below a caption, if it is not empty, with margins around them."""
     if caption:
         line = blank(inner_width(width_px), 24)

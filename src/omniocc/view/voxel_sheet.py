@@ -88,7 +88,6 @@ def _panoramas(
 
 
 def _overviews(named: dict[str, Tensor], geometry: Grid, classes: ClassTable, width: int) -> list[np.ndarray]:
-    """Return rows with the voxels from behind and from above."""
     if len(named) == 1:
         ((name, labels),) = named.items()
         half = column_width(width, 2)

@@ -72,37 +72,19 @@ def ranking(rows: Rows) -> Canvas | None:
     return canvas
 
 
-@rc_context(STYLE)
 def by_range(rows: Rows) -> Canvas | None:
     """Draw RayIoU of each row in each distance band."""
     every = [run for runs in rows.values() for run in runs]
     bands = band_keys(every[0].metrics) if every else []
-    if not bands:
-        return None
-    canvas = Canvas(figsize=(8.6, 3.6), layout="constrained")
-    axes = canvas.subplots()
-    _grouped(axes, rows, {band.removeprefix("rayiou_").replace("m", " m"): f"test/{band}" for band in bands})
-    axes.set_ylabel("RayIoU")
-    axes.set_xlabel(f"distance of the true hit{_whiskers(rows)}")
-    _legend(canvas, axes, rows)
-    return canvas
+    keys = {band.removeprefix("rayiou_").replace("m", " m"): f"test/{band}" for band in bands}
+    return _bars(rows, [keys], 3.6, "distance of the true hit") if keys else None
 
 
-@rc_context(STYLE)
 def by_class(rows: Rows) -> Canvas | None:
     """Draw RayIoU of each row and class, in two panels."""
-    names = names_of([run for runs in rows.values() for run in runs])
-    if not names:
-        return None
-    half = (len(names) + 1) // 2
-    canvas = Canvas(figsize=(8.6, 5.6), layout="constrained")
-    upper, lower = canvas.subplots(2, 1)
-    for axes, part in ((upper, names[:half]), (lower, names[half:])):
-        _grouped(axes, rows, {name: f"test/rayiou/{name}" for name in part})
-        axes.set_ylabel("RayIoU")
-    lower.set_xlabel(f"class{_whiskers(rows)}")
-    _legend(canvas, upper, rows)
-    return canvas
+    keys = [(name, f"test/rayiou/{name}") for name in names_of([run for runs in rows.values() for run in runs])]
+    half = (len(keys) + 1) // 2
+    return _bars(rows, [dict(keys[:half]), dict(keys[half:])], 5.6, "class") if keys else None
 
 
 @rc_context(STYLE)
@@ -159,8 +141,21 @@ PLOTS = {
 """Title and function of every plot, by the name of its file."""
 
 
+@rc_context(STYLE)
+def _bars(rows: Rows, panels: Sequence[Mapping[str, str]], height_inch: float, horizontal: str) -> Canvas:
+    """Draw RayIoU of all rows in panels below one another, each with the keys of its metrics by their names."""
+    canvas = Canvas(figsize=(8.6, height_inch), layout="constrained")
+    drawn = canvas.subplots(len(panels), 1, squeeze=False)[:, 0]
+    for axes, keys in zip(drawn, panels, strict=True):
+        _grouped(axes, rows, keys)
+        axes.set_ylabel("RayIoU")
+    several = any(len(runs) > 1 for runs in rows.values())
+    drawn[-1].set_xlabel(horizontal + " (whiskers: one standard deviation over seeds)" * several)
+    _legend(canvas, drawn[0], rows)
+    return canvas
+
+
 def _grouped(axes: Axes, rows: Rows, keys: Mapping[str, str]) -> None:
-    """Draw bars of all rows beside one another, for each metric."""
     colors, width = colors_of(rows), 0.84 / max(len(rows), 1)
     for k, (row, runs) in enumerate(rows.items()):
         places = [group - 0.42 + (k + 0.5) * width for group in range(len(keys))]
@@ -174,10 +169,6 @@ def _grouped(axes: Axes, rows: Rows, keys: Mapping[str, str]) -> None:
     axes.set_ylim(bottom=0)
     axes.tick_params(axis="x", length=0)
     axes.grid(axis="x", visible=False)
-
-
-def _whiskers(rows: Rows) -> str:
-    return " (whiskers: one standard deviation over seeds)" * any(len(runs) > 1 for runs in rows.values())
 
 
 def _legend(canvas: Canvas, axes: Axes, rows: Rows) -> None:
