@@ -39,13 +39,6 @@ class Camera(Protocol):
         ...
 
 
-def check_size(width: object, height: object) -> None:
-    """Raise ValueError unless both are positive whole numbers."""
-    for name, value in (("width", width), ("height", height)):
-        if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-            raise ValueError(f"{name} is {value!r}; it must be a positive whole number of pixels")
-
-
 def finite(name: str, value: object) -> float:
     """Return `value` as a float; raise ValueError if it is no finite number."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
@@ -90,8 +83,20 @@ def angle_from_axis(name: str, value: object) -> float:
     return angle_deg
 
 
-def normalize_fields(camera: object, checks: Mapping[str, Callable[[str, object], object]]) -> None:
-    """Replace fields of a frozen dataclass by what `check(name, value)` returns for each."""
+def four_numbers(name: str, value: object) -> tuple[float, ...]:
+    """Return `value` as a tuple of floats; raise ValueError unless it is four finite numbers."""
+    return numbers(name, value, 4, 4)
+
+
+def check_fields(camera: Camera, checks: Mapping[str, Callable[[str, object], object]]) -> None:
+    """Replace fields of a frozen camera by what `check(name, value)` returns for each.
+
+    Raises:
+        ValueError: naming the wrong field, or a width or height that is no positive whole number.
+    """
+    for name, value in (("width", camera.width), ("height", camera.height)):
+        if isinstance(value, bool) or not isinstance(value, int) or value < 1:
+            raise ValueError(f"{name} is {value!r}; it must be a positive whole number of pixels")
     for name, check in checks.items():
         object.__setattr__(camera, name, check(name, getattr(camera, name)))
 

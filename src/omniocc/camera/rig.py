@@ -1,6 +1,7 @@
 """A rig: calibrated cameras with known poses on the vehicle."""
 
 import hashlib
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from os import PathLike
@@ -48,7 +49,12 @@ class Rig:
             )
         for index, name in enumerate(self.names):
             check_rigid(self.ego_from_camera[index], f"camera '{name}'")
-            _check_mask(self._mask(index), self.cameras[index], f"camera '{name}'")
+            mask, camera = self._mask(index), self.cameras[index]
+            if mask is not None and mask.shape != (camera.height, camera.width):
+                size = f"{mask.shape[1]}x{mask.shape[0]}"
+                raise ValueError(
+                    f"camera '{name}': mask is {size} px but the image is {camera.width}x{camera.height} px"
+                )
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> "Rig":
@@ -85,9 +91,7 @@ class Rig:
     def resized(self, width: int, height: int) -> "Rig":
         """Return the same rig with every image scaled to `width` x `height` px."""
         cameras = tuple(camera.resized(width, height) for camera in self.cameras)
-        masks = None
-        if self.masks is not None:
-            masks = tuple(None if mask is None else _resized_mask(mask, width, height) for mask in self.masks)
+        masks = _each_mask(self.masks, lambda mask: _resized_mask(mask, width, height))
         return replace(self, cameras=cameras, masks=masks)
 
     @cached_property
@@ -109,14 +113,11 @@ class Rig:
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the state with arrays for tensors: between processes each tensor would need an open file."""
-        masks = None if self.masks is None else [None if mask is None else mask.numpy() for mask in self.masks]
+        masks = _each_mask(self.masks, Tensor.numpy)
         return self.__dict__ | {"ego_from_camera": self.ego_from_camera.numpy(), "masks": masks}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        masks = state["masks"]
-        if masks is not None:
-            masks = tuple(None if mask is None else torch.from_numpy(mask) for mask in masks)
-        poses = torch.from_numpy(state["ego_from_camera"])
+        poses, masks = torch.from_numpy(state["ego_from_camera"]), _each_mask(state["masks"], torch.from_numpy)
         self.__dict__.update(state | {"ego_from_camera": poses, "masks": masks})
 
     def _mask(self, camera: int) -> Bool[Tensor, "height width"] | None:
@@ -138,10 +139,8 @@ class Rig:
         return pixels, valid & mask.to(points_ego.device)[v, u]
 
 
-def _check_mask(mask: Bool[Tensor, "height width"] | None, camera: Camera, name: str) -> None:
-    if mask is not None and mask.shape != (camera.height, camera.width):
-        size = f"{mask.shape[1]}x{mask.shape[0]}"
-        raise ValueError(f"{name}: mask is {size} px but the image is {camera.width}x{camera.height} px")
+def _each_mask(masks: Sequence[Any] | None, change: Callable[[Any], Any]) -> tuple[Any, ...] | None:
+    return None if masks is None else tuple(None if mask is None else change(mask) for mask in masks)
 
 
 def _resized_mask(mask: Bool[Tensor, "old_height old_width"], width: int, height: int) -> Bool[Tensor, "height width"]:

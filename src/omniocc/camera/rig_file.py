@@ -32,7 +32,7 @@ from jaxtyping import Bool, Float64
 from torch import Tensor
 
 from omniocc.camera.calibration import Calibration, parse, read_calibration, read_calibration_folder
-from omniocc.camera.calibration.fields import read_mask_pixels
+from omniocc.camera.calibration.fields import mapping, naming, read_mask_pixels
 from omniocc.camera.models.double_sphere import DoubleSphere
 from omniocc.camera.models.equidistant import Equidistant
 from omniocc.camera.models.eucm import EUCM
@@ -61,22 +61,13 @@ def read_rig(path: str | PathLike[str]) -> Calibration:
         file = read_calibration_folder(file)
     if isinstance(file, Calibration):
         return file
-    try:
+    with naming(str(file)):
         text = file.read_text(encoding="utf-8")
         content = parse(text)
-        if not _is_rig(content):
+        if not isinstance(content, dict) or isinstance(content.get("cameras", []), list):
             return read_calibration(file, text, content)
         _check_keys(content, ["cameras"], [])
-    except ValueError as error:
-        raise ValueError(f"{file}: {error}") from error
-    return _read_cameras(file, _mapping(content["cameras"], f"{file}: 'cameras'"))
-
-
-def _is_rig(content: Any) -> bool:
-    return isinstance(content, dict) and "cameras" in content and not isinstance(content["cameras"], list)
-
-
-def _read_cameras(file: Path, entries: dict[str, Any]) -> Calibration:
+        entries = mapping(content["cameras"], "'cameras'")
     names = tuple(map(str, entries))
     read = [_read_entry(file, name, entry) for name, entry in zip(names, entries.values(), strict=True)]
     cameras, poses, masks = zip(*read, strict=True)
@@ -105,13 +96,12 @@ def write_rig(
 
 
 def _read_entry(file: Path, name: str, entry: Any) -> tuple[Camera, Float64[Tensor, "4 4"], Mask | None]:
-    try:
-        camera = _read_camera(file.parent, _mapping(entry, "its entry"))
+    with naming(f"{file}: camera '{name}'"):
+        camera = _read_camera(file.parent, mapping(entry, "its entry"))
         pose = _read_pose(entry["ego_from_camera"])
-        mask = _read_mask(file.parent / entry["mask"], camera) if "mask" in entry else None
-    except ValueError as error:
-        raise ValueError(f"{file}: camera '{name}': {error}") from error
-    return camera, pose, mask
+        if "mask" not in entry:
+            return camera, pose, None
+        return camera, pose, torch.from_numpy(read_mask_pixels("mask", file.parent / entry["mask"], camera) > 127)
 
 
 def _find(path: str | PathLike[str]) -> Path:
@@ -160,18 +150,6 @@ def _read_pose(value: Any) -> Float64[Tensor, "4 4"]:
     pose = torch.tensor(rows, dtype=torch.float64)
     check_rigid(pose, "its pose")
     return pose
-
-
-def _read_mask(file: Path, camera: Camera) -> Mask:
-    if not file.is_file():
-        raise ValueError(f"mask {file} does not exist")
-    return torch.from_numpy(read_mask_pixels("mask", file, camera) > 127)
-
-
-def _mapping(value: Any, what: str) -> dict[str, Any]:
-    if not isinstance(value, dict) or not value:
-        raise ValueError(f"{what} is {value!r}; it must be a mapping with entries")
-    return value
 
 
 def _check_keys(entry: dict[str, Any], required: list[str], optional: list[str], prefix: str = "") -> None:

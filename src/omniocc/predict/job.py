@@ -8,11 +8,10 @@ from pathlib import Path
 import numpy as np
 from torch import Tensor
 
-from omniocc.classes import ClassTable
-from omniocc.data.source import Unknown
 from omniocc.metric import VoxelIoU
 from omniocc.predict.input.schedule import History, Lift, schedule
 from omniocc.predict.input.sequence import FrameSequence, Truth, raise_poses
+from omniocc.predict.options import Options
 from omniocc.predict.output.voxel_files import (
     OVERVIEW,
     VOXELS,
@@ -24,6 +23,7 @@ from omniocc.predict.output.voxel_files import (
 )
 from omniocc.predict.predictor import STEPS, Prediction, Predictor
 from omniocc.predict.stopwatch import Stopwatch
+from omniocc.predict.trained import TrainingData
 from omniocc.progress import Progress, clock
 from omniocc.task.scores import Scores
 from omniocc.view import save_png
@@ -36,24 +36,22 @@ class Job:
 
     Attributes:
         history: how frames get their past.
-        unknown: label of true cells without points, as in training.
-        force: whether finished frames are predicted again.
-        mesh: whether `voxels.ply` is written.
-        overview: whether `overview.png` is drawn.
+        trained: the data of the training, whose classes and label of cells without points are used.
         scores: against the ground truth; None for a user's own images.
         seconds: by step, of every frame that was predicted.
     """
 
     predictor: Predictor
     history: History
-    classes: ClassTable
-    unknown: Unknown
-    output: Path
-    force: bool
-    mesh: bool
-    overview: bool
+    trained: TrainingData
+    options: Options
     scores: Scores | None
     seconds: list[dict[str, float]] = field(default_factory=list)
+
+    @property
+    def output(self) -> Path:
+        """Return the folder of all files."""
+        return Path(self.options.output)
 
     def run(self, sequences: Sequence[FrameSequence]) -> None:
         """Predict all wanted frames of the sequences.
@@ -78,7 +76,7 @@ class Job:
 
     def left_of(self, sequence: FrameSequence) -> list[int]:
         """Return the wanted frames of a sequence that are not finished."""
-        return [k for k in sequence.wanted if self.force or not (self._folder(sequence, k) / VOXELS).is_file()]
+        return [k for k in sequence.wanted if self.options.force or not (self._folder(sequence, k) / VOXELS).is_file()]
 
     def summary(self) -> list[str]:
         """Return a line about the time it took; none if nothing was predicted."""
@@ -102,7 +100,7 @@ class Job:
         prediction = predictor.step(images, sequence.rig, pose, true_range_m, watch)
         if not lift.wanted:
             return ""
-        truth = sequence.truth(frame, predictor.model.geometry, self.unknown)
+        truth = sequence.truth(frame, predictor.model.geometry, self.trained.unknown)
         with watch("write"):
             self._write(sequence, frame, images, prediction, truth)
         scored = "" if truth is None else f"{self._score(prediction.labels, truth)}; "
@@ -120,34 +118,27 @@ class Job:
     ) -> None:
         folder = self._folder(sequence, frame)
         folder.mkdir(parents=True, exist_ok=True)
-        grid = raise_grid(self.predictor.model.geometry, sequence.origin_z_m)
-        if self.mesh:
-            write_mesh(folder, prediction.labels, grid, self.classes)
-        if self.overview:
-            save_png(folder / OVERVIEW, self._draw(sequence, frame, images, prediction, truth))
+        predictor, classes = self.predictor, self.trained.classes
+        geometry, labels = predictor.model.geometry, prediction.labels
+        grid = raise_grid(geometry, sequence.origin_z_m)
+        if self.options.mesh:
+            write_mesh(folder, labels, grid, classes)
+        if self.options.overview:
+            missing = f", without {', '.join(predictor.excluded)}" * bool(predictor.excluded)
+            caption = f"{f'{sequence.name} {sequence.frame_names[frame]}'.strip()}{missing}".lstrip(", ")
+            ranges = None
+            if predictor.panorama is not None and prediction.range_m is not None:
+                ranges = RangePanorama(predictor.panorama, prediction.range_m)
+            voxels = None if truth is None else truth.voxels[0]
+            sheet = occupancy_sheet(images, sequence.rig, labels, geometry, classes, ranges, voxels, caption)
+            save_png(folder / OVERVIEW, sheet)
         poses = sequence.world_from_ego
         pose = None if poses is None else raise_poses(poses[frame], -sequence.origin_z_m)
-        write_voxels(folder, voxel_arrays(prediction, grid, self.classes, pose))
-
-    def _draw(
-        self,
-        sequence: FrameSequence,
-        frame: int,
-        images: Sequence[np.ndarray],
-        prediction: Prediction,
-        truth: Truth | None,
-    ) -> np.ndarray:
-        panorama, excluded = self.predictor.panorama, self.predictor.excluded
-        caption = f"{sequence.name} {sequence.frame_names[frame]}".strip()
-        missing = f", without {', '.join(excluded)}" * bool(excluded)
-        ranges = None if panorama is None or prediction.range_m is None else RangePanorama(panorama, prediction.range_m)
-        voxels = None if truth is None else truth.voxels[0]
-        geometry, caption = self.predictor.model.geometry, f"{caption}{missing}".lstrip(", ")
-        return occupancy_sheet(images, sequence.rig, prediction.labels, geometry, self.classes, ranges, voxels, caption)
+        write_voxels(folder, voxel_arrays(prediction, grid, classes, pose))
 
     def _score_finished(self, sequence: FrameSequence, frame: int) -> None:
         geometry = self.predictor.model.geometry
-        truth = sequence.truth(frame, geometry, self.unknown)
+        truth = sequence.truth(frame, geometry, self.trained.unknown)
         if truth is not None:
             self._score(read_labels(self._folder(sequence, frame), geometry), truth)
 
@@ -155,7 +146,7 @@ class Job:
         """Add a frame to the scores and return its own in a few words."""
         assert self.scores is not None
         self.scores.update(labels[None], truth)
-        frame_iou = VoxelIoU(self.classes.num_classes, class_names=self.classes.names)
+        frame_iou = VoxelIoU(self.trained.classes.num_classes, class_names=self.trained.classes.names)
         frame_iou.update(labels[None], truth.voxels)
         own = frame_iou.compute()
         return f"IoU {own['iou']:.3f}, mIoU {own['miou']:.3f}"

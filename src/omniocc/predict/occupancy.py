@@ -1,7 +1,6 @@
 """The command `predict.py occupancy`: from a checkpoint and images to voxels in files."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from omegaconf import DictConfig, OmegaConf
@@ -18,35 +17,13 @@ from omniocc.predict.input.schedule import History
 from omniocc.predict.input.sequence import FrameSequence, ImageSequence, RecordedSequence, find_scenes
 from omniocc.predict.job import Job
 from omniocc.predict.network import load_occupancy
-from omniocc.predict.options import choose_device, load_rig, require
+from omniocc.predict.options import Options, choose_device, load_rig, require
 from omniocc.predict.output.manifest import pose_digest, write_manifest
 from omniocc.predict.predictor import Predictor
 from omniocc.predict.trained import TrainingData, training_data
 from omniocc.run.results import save_results
 from omniocc.run.table import summary
 from omniocc.task.scores import Scores
-
-
-@dataclass(frozen=True)
-class Options:
-    """Options of the command line; see `conf/predict_occupancy.yaml`."""
-
-    checkpoint: str
-    images: str | Sequence[str] | None
-    rig: str | None
-    poses: str | None
-    road_z_m: float | None
-    recorded: str | None
-    scene: str | None
-    frames: Sequence[int] | None
-    history: History | None
-    output: str
-    force: bool
-    overview: bool
-    mesh: bool
-    exclude_cameras: Sequence[str]
-    image_width: int | None
-    device: str | None
 
 
 def options_of(cfg: DictConfig) -> Options:
@@ -56,7 +33,7 @@ def options_of(cfg: DictConfig) -> Options:
         UserError: naming the option that is missing, contradictory or of the wrong type.
     """
     require(cfg, ("checkpoint",), "predict.py occupancy")
-    node = OmegaConf.create({"occupancy": {"_target_": f"{__name__}.Options", **cfg}})
+    node = OmegaConf.create({"occupancy": {"_target_": f"{Options.__module__}.Options", **cfg}})
     check(node)
     options: Options = build(node.occupancy)
     if (options.images is None) == (options.recorded is None):
@@ -81,28 +58,19 @@ def predict_occupancy(options: Options) -> None:
     sequences, device = sequences_of(options, trained), choose_device(options.device)
     history = choose_history(options, model, sequences)
     width = trained.image_size[0] if options.image_width is None else options.image_width
-    output = Path(options.output)
-    write_manifest(output, facts_of(options, sequences, history, width), options.force)
+    write_manifest(Path(options.output), facts_of(options, sequences, history, width), options.force)
     print("\n".join(announcement(options, model, trained, sequences, history)), flush=True)
     scores = scores_of(model, trained, sequences)
-    job = Job(
-        Predictor(model, width, options.exclude_cameras, device),
-        history,
-        trained.classes,
-        trained.unknown,
-        output,
-        options.force,
-        options.mesh,
-        options.overview,
-        scores,
-    )
+    job = Job(Predictor(model, width, options.exclude_cameras, device), history, trained, options, scores)
     job.run(sequences)
     print("\n".join(job.summary()), flush=True)
     if scores is not None:
         metrics = {f"test/{key}": float(value) for key, value in scores.compute().items()}
         frames = sum(len(sequence.wanted) for sequence in sequences)
-        save_results(output, metrics, {"checkpoint": options.checkpoint, "data": options.recorded, "frames": frames})
-        print(f"{frames} frames: {figures(metrics)}; all figures: {output / 'table.md'}")
+        save_results(
+            job.output, metrics, {"checkpoint": options.checkpoint, "data": options.recorded, "frames": frames}
+        )
+        print(f"{frames} frames: {figures(metrics)}; all figures: {job.output / 'table.md'}")
 
 
 def scores_of(model: OccupancyModel, trained: TrainingData, sequences: Sequence[FrameSequence]) -> Scores | None:

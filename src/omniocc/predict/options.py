@@ -1,12 +1,36 @@
-"""Options that several commands share: rig, device, required keys."""
+"""Options of `predict.py occupancy`, and those that several commands share: rig, device, required keys."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import torch
 from omegaconf import DictConfig, OmegaConf
 
 from omniocc.camera import Rig
 from omniocc.errors import UserError
+from omniocc.predict.input.schedule import History
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of `predict.py occupancy`; see `conf/predict_occupancy.yaml`."""
+
+    checkpoint: str
+    images: str | Sequence[str] | None
+    rig: str | None
+    poses: str | None
+    road_z_m: float | None
+    recorded: str | None
+    scene: str | None
+    frames: Sequence[int] | None
+    history: History | None
+    output: str
+    force: bool
+    overview: bool
+    mesh: bool
+    exclude_cameras: Sequence[str]
+    image_width: int | None
+    device: str | None
 
 
 def require(cfg: DictConfig, keys: Sequence[str], command: str) -> None:

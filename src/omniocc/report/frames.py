@@ -13,6 +13,7 @@ from omniocc.report.html import webp
 from omniocc.report.runs import FinishedRun, grid_kind
 from omniocc.run.folder import IMAGES, PARTS
 from omniocc.view import SheetParts
+from omniocc.view.canvas import fitted
 
 NAME = re.compile(r"test-(\d+)-(.+)-(\d+)")
 WEBP_QUALITY = 78
@@ -73,5 +74,4 @@ def _frames(images: Path) -> Iterator[tuple[tuple[str, str, str], SheetParts]]:
 
 def inline(image: np.ndarray, width: int) -> str:
     """Return an RGB image, scaled to a width, as a data URL."""
-    height = round(image.shape[0] * width / image.shape[1])
-    return webp(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), WEBP_QUALITY)
+    return webp(fitted(image, width, cv2.INTER_AREA), WEBP_QUALITY)

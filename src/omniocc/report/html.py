@@ -7,6 +7,8 @@ import cv2
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from omniocc.run.table import number
+
 ENVIRONMENT = Environment(
     loader=PackageLoader("omniocc.report"),
     autoescape=True,
@@ -14,6 +16,7 @@ ENVIRONMENT = Environment(
     trim_blocks=True,
     lstrip_blocks=True,
 )
+ENVIRONMENT.filters["number"] = number
 ENVIRONMENT.policies["json.dumps_kwargs"] = {"separators": (",", ":")}  # keeps the order of keys
 
 

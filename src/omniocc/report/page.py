@@ -1,16 +1,17 @@
 """A web page on a sweep in a single file, with links only to files of runs: `templates/page.html.j2`."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from markupsafe import Markup
 
 from omniocc.report.dataset.table import dataset_cells
-from omniocc.report.frames import ComparedFrame, Shown, inline
+from omniocc.report.frames import ComparedFrame, inline
 from omniocc.report.html import render
 from omniocc.report.runs import FinishedRun, colors_of, path_between
-from omniocc.report.sweep import Sweep, unfinished_lines
+from omniocc.report.sweep import Sweep
 from omniocc.report.tables import bounds, budget
 from omniocc.report.tables.claims import claim_cells
 from omniocc.report.tables.paper import (
@@ -24,12 +25,9 @@ from omniocc.report.tables.paper import (
     source_of,
     with_spread,
 )
-from omniocc.run.table import number
 from omniocc.view.bev import ERRORS
 
-CAMERAS_PX, VIEW_PX, MAP_PX = 940, 560, 360
 FILES = ("config.yaml", "metrics.json", "table.md")
-RUN_HEAD = ("run", "seed", "RayIoU", "RayIoU, LiDAR", "mIoU", "minutes", "commit", "files")
 WIDE_COLUMNS = 5
 """Tables with more columns have their claims below instead of beside them."""
 
@@ -54,10 +52,17 @@ def page(sweep: Sweep, plots: Mapping[str, tuple[str, str]], frames: Sequence[Co
         *drawn[1:],
         _frames(frames, sweep.runs) if frames else None,
         _text_table("budget", "Budget", budget.NOTE, budget.budget_cells(sweep.rows)),
-        _runs(sweep, folder),
+        {
+            "kind": "runs",
+            "name": "runs",
+            "title": "Runs",
+            "rows": sweep.rows,
+            "files": FILES,
+            "link": partial(path_between, folder),
+        },
     ]
     content = {
-        "remarks": [sweep.remark, *unfinished_lines(sweep)],
+        "remarks": sweep.remarks,
         "facts": _facts(sweep),
         "sections": [section for section in sections if section is not None],
     }
@@ -119,54 +124,6 @@ def _frames(frames: Sequence[ComparedFrame], runs: Sequence[FinishedRun]) -> Sec
         "title": "Same frames, every row",
         "note": "Test frames, as the first seed of each row predicts them; the truth once for each grid.",
         "legend": [(name, "#{:02x}{:02x}{:02x}".format(*rgb)) for name, rgb in [*colors_of(runs).items(), *errors]],
-        "frames": [
-            {
-                "title": f"{frame.scene}, frame {int(frame.frame)}",
-                "cameras": {"address": inline(frame.shown[0].parts.cameras, CAMERAS_PX), "alt": "camera images"},
-                "strips": [strip for shown in frame.shown for strip in _strips(shown)],
-            }
-            for frame in frames
-        ],
+        "frames": frames,
+        "inline": inline,
     }
-
-
-def _strips(shown: Shown) -> Iterator[dict[str, Any]]:
-    """Yield the truth where the grid is new, then the row's prediction: a label and images side by side."""
-    parts = shown.parts
-    if shown.grid:
-        truth = (parts.truth, parts.truth_map, None)
-        images = _images(truth, f"true voxels on the grid of {shown.row}")
-        yield {"row": "", "label": f"truth, {shown.grid}", "images": images}
-    predicted = (parts.prediction, parts.prediction_map, parts.differences)
-    yield {
-        "row": shown.row,
-        "label": shown.row,
-        "score": f"RayIoU {number(shown.run.metrics.get('test/rayiou'))} over the test",
-        "images": _images(predicted, f"predicted by {shown.row}"),
-    }
-
-
-def _images(parts: Sequence, alt: str) -> list[dict[str, str] | None]:
-    kinds = (("", VIEW_PX), (", from above", MAP_PX), (", differences", MAP_PX))
-    return [
-        None if part is None else {"address": inline(part, width), "alt": f"{alt}{kind}"}
-        for part, (kind, width) in zip(parts, kinds, strict=True)
-    ]
-
-
-def _runs(sweep: Sweep, folder: Path) -> Section:
-    rows = [
-        {
-            "name": row,
-            "runs": [_run(run, folder) for run in runs],
-            "commands": list(dict.fromkeys(str(run.facts.get("command", "command not recorded")) for run in runs)),
-        }
-        for row, runs in sweep.rows.items()
-    ]
-    return {"kind": "runs", "name": "runs", "title": "Runs", "head": RUN_HEAD, "files": FILES, "rows": rows}
-
-
-def _run(run: FinishedRun, folder: Path) -> dict[str, Any]:
-    figures = [number(run.metrics.get(f"test/{key}")) for key in ("rayiou", "lidar/rayiou", "voxel/miou")]
-    seed, *facts = (str(run.facts.get(key, "–")) for key in ("seed", "minutes of training", "commit"))
-    return {"name": run.name, "folder": path_between(folder, run.folder), "cells": [seed, *figures, *facts]}

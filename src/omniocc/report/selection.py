@@ -32,7 +32,8 @@ def comparable(runs: Sequence[FinishedRun], preset: str | None) -> tuple[list[Fi
         raise UserError(f"no finished run of preset {preset}; there are runs of {', '.join(found)}")
     chosen = Counter(run.setting for run in candidates).most_common(1)[0][0]
     same = [run for run in candidates if run.setting == chosen]
-    kept = _newest(same)
+    newest = {run.place: run for run in sorted(same, key=_age)}
+    kept = [run for run in same if newest[run.place] is run]
     commits = sorted({str(run.facts.get("commit", "unknown")) for run in kept})
     name, steps, data = chosen
     text = f"preset={name}, {steps} steps, data {data[:8]}, commit {', '.join(commits)}."
@@ -40,23 +41,18 @@ def comparable(runs: Sequence[FinishedRun], preset: str | None) -> tuple[list[Fi
         text += f" Left out, of another setting: {', '.join(others)}."
     if alike := sorted(f"{run.name} ({run.same_as})" for run in kept if run.same_as):
         text += f" Counted in the row whose configuration they have: {', '.join(alike)}."
-    if older := sorted(_replaced(same, kept)):
+    if older := sorted(_replaced(same, newest)):
         text += f" Left out, older runs of the same row and seed: {', '.join(older)}."
     return kept, text + "".join(f" {line}" for line in _mixtures(by_row(kept)))
 
 
-def _newest(runs: Sequence[FinishedRun]) -> list[FinishedRun]:
-    def age(run: FinishedRun) -> tuple[float, str]:
-        path = run.folder / METRICS
-        return (path.stat().st_mtime if path.exists() else 0.0, run.name)
-
-    newest = {run.place: run for run in sorted(runs, key=age)}
-    return [run for run in runs if newest[run.place] is run]
+def _age(run: FinishedRun) -> tuple[float, str]:
+    path = run.folder / METRICS
+    return (path.stat().st_mtime if path.exists() else 0.0, run.name)
 
 
-def _replaced(runs: Sequence[FinishedRun], kept: Sequence[FinishedRun]) -> Iterator[str]:
-    """Yield the names of runs that are not kept, and the keys in which they differ from the run that is."""
-    newest = {run.place: run for run in kept}
+def _replaced(runs: Sequence[FinishedRun], newest: Mapping[tuple[str, Any], FinishedRun]) -> Iterator[str]:
+    """Yield the names of runs that are not the newest of their place, and the keys in which they differ from it."""
     for run in runs:
         if (newer := newest[run.place]) is not run:
             keys = differences([run, newer])

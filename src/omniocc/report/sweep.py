@@ -57,6 +57,13 @@ class Sweep(NamedTuple):
         rows = dict.fromkeys(row.run for table in self.tables for row in table.rows)
         return [row for row in rows if row not in self.rows]
 
+    @property
+    def remarks(self) -> list[str]:
+        """Return sentences on the runs of the report, and on those left out, missing or unfinished."""
+        missing = [f"Not run: {', '.join(self.not_run)}."] if self.not_run else []
+        begun = [f"Begun, not finished: {', '.join(self.unfinished)}."] if self.unfinished else []
+        return [self.remark, *missing, *begun]
+
 
 def read_sweep(runs: Path, tables: Path, conf: Path, preset: str | None) -> Sweep:
     """Return the finished runs of a folder with the tables of another; the folder `conf` has the rows.
@@ -87,18 +94,6 @@ def unfinished(runs: Path) -> list[str]:
     return found
 
 
-def unfinished_lines(sweep: Sweep) -> list[str]:
-    """Return sentences on rows that have not been run and runs that have not finished."""
-    missing = f"Not run: {', '.join(sweep.not_run)}."
-    begun = f"Begun, not finished: {', '.join(sweep.unfinished)}."
-    return [missing] * bool(sweep.not_run) + [begun] * bool(sweep.unfinished)
-
-
-def remark_of(sweep: Sweep) -> str:
-    """Return a paragraph on the runs of the report, and on those left out, missing or unfinished."""
-    return f"{' '.join([sweep.remark, *unfinished_lines(sweep)])}\n"
-
-
 def chapters(sweep: Sweep) -> dict[str, str]:
     """Return every table as Markdown under a heading of level 2, by name."""
     baseline = f"## {bounds.TITLE}\n\n{bounds.NOTE}\n\n{markdown(*bounds.bounds_cells(sweep.rows))}"
@@ -113,7 +108,8 @@ def chapters(sweep: Sweep) -> dict[str, str]:
 
 def report_markdown(sweep: Sweep) -> str:
     """Return all tables in one text."""
-    return "\n".join([remark_of(sweep), markdown(*table_of_runs(sweep.runs)), *chapters(sweep).values()])
+    remarks = " ".join(sweep.remarks) + "\n"
+    return "\n".join([remarks, markdown(*table_of_runs(sweep.runs)), *chapters(sweep).values()])
 
 
 def write_docs(sweep: Sweep, folder: Path) -> list[Path]:
@@ -127,7 +123,7 @@ def write_docs(sweep: Sweep, folder: Path) -> list[Path]:
     written = []
     for name, chapter in chapters(sweep).items():
         written.append(folder / f"{name}.md")
-        atomic_write(written[-1], f"{GENERATED}\n\n{chapter.replace('## ', '# ', 1)}\n{remark_of(sweep)}")
+        atomic_write(written[-1], f"{GENERATED}\n\n{chapter.replace('## ', '# ', 1)}\n{' '.join(sweep.remarks)}\n")
     return written
 
 

@@ -67,7 +67,8 @@ def topmost(labels: Labels) -> np.ndarray:
 
 def draw_columns(colors: np.ndarray, geometry: Grid, size_px: int) -> np.ndarray:
     """Return a square image of column colours (X, Y, 3); every pixel shows the column that its centre is in."""
-    half_m = _half_width_m(geometry)
+    edges = torch.meshgrid(*(geometry.edges(axis) for axis in range(3)), indexing="ij")
+    half_m = float(geometry.from_axes(*edges)[..., :2].abs().max())
     axis = half_m - (torch.arange(size_px, dtype=torch.float64) + 0.5) * (2 * half_m / size_px)
     x, y = torch.meshgrid(axis, axis, indexing="ij")
     middle = sum(geometry.bounds[2]) / 2
@@ -76,11 +77,6 @@ def draw_columns(colors: np.ndarray, geometry: Grid, size_px: int) -> np.ndarray
     image[~inside.numpy()] = OUTSIDE
     _draw_ego(image, size_px / (2 * half_m))
     return image
-
-
-def _half_width_m(geometry: Grid) -> float:
-    edges = torch.meshgrid(*(geometry.edges(axis) for axis in range(3)), indexing="ij")
-    return float(geometry.from_axes(*edges)[..., :2].abs().max())
 
 
 def _draw_ego(image: np.ndarray, px_per_m: float) -> None:

@@ -37,11 +37,12 @@ def blank(width: int, height: int, rgb: Rgb = PAPER) -> np.ndarray:
     return np.full((height, width, 3), rgb, dtype=np.uint8)
 
 
-def fitted(image: np.ndarray, width: int) -> np.ndarray:
-    """Return the image scaled to a width."""
+def fitted(image: np.ndarray, width: int, interpolation: int | None = None) -> np.ndarray:
+    """Return the image scaled to a width, by OpenCV's `interpolation`; None: areas if it shrinks, else cubic."""
     height = round(image.shape[0] * width / image.shape[1])
-    smaller = width < image.shape[1]
-    return cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA if smaller else cv2.INTER_CUBIC)
+    if interpolation is None:
+        interpolation = cv2.INTER_AREA if width < image.shape[1] else cv2.INTER_CUBIC
+    return cv2.resize(image, (width, height), interpolation=interpolation)
 
 
 def paste(canvas: np.ndarray, image: np.ndarray, left: int, top: int) -> None:

@@ -8,7 +8,7 @@ from omniocc.classes import ClassTable
 from omniocc.geometry import Grid
 from omniocc.view.bev import bev, error_bev, error_legend
 from omniocc.view.canvas import Labels, class_legend
-from omniocc.view.sheet import below, beside, camera_rows, caption_line, column_width, inner_width, stack, tagged
+from omniocc.view.sheet import below, beside, camera_rows, column_width, inner_width, stack, tagged
 from omniocc.view.voxels import render_voxels
 
 
@@ -61,11 +61,10 @@ def comparison_sheet(parts: SheetParts, classes: ClassTable, caption: str = "", 
     """Return the sheet made of these parts, drawn for its width."""
     inner = inner_width(width_px)
     rows = [
-        *caption_line(caption, inner),
         parts.cameras,
         beside([parts.truth, parts.prediction], inner),
         beside([parts.truth_map, parts.prediction_map, parts.differences], inner),
         class_legend(classes, inner),
         error_legend(inner),
     ]
-    return stack(rows, width_px)
+    return stack(rows, width_px, caption)

@@ -7,7 +7,7 @@ import torch
 from omniocc.camera import Equirectangular, Rig
 from omniocc.view.canvas import Images, Ranges, fitted, legend
 from omniocc.view.ranges import FALSE_RANGE, NOT_PREDICTED, SKY, error_bar, error_colors, range_bar, range_colors
-from omniocc.view.sheet import NAMES, camera_rows, caption_line, column_width, inner_width, panorama_row, stack
+from omniocc.view.sheet import NAMES, camera_rows, column_width, inner_width, panorama_row, stack
 
 COVER = 1.8
 """Diameter of a point over the distance to its neighbour."""
@@ -19,12 +19,20 @@ def depth_sheet(
 ) -> np.ndarray:  # fmt: skip
     """Return the sheet as one image; `panorama` has the directions of the ranges, `caption` is the line at the top."""
     inner = inner_width(width_px)
+    predicted, true = predicted_m.numpy(), true_m.numpy()
+    both = np.isfinite(predicted) & np.isfinite(true)
+    mean = f", {np.abs(predicted[both] - true[both]).mean():.2f} m on average" if both.any() else ""
     rows = [
-        *caption_line(caption, inner),
         *painted_rows(images, rig, panorama, predicted_m, inner),
-        *_panoramas(predicted_m.numpy(), true_m.numpy(), inner),
+        panorama_row(range_colors(true), "true range", inner),
+        panorama_row(range_colors(predicted), "predicted range", inner),
+        range_bar(inner),
+        legend([("sky", SKY), ("not predicted", NOT_PREDICTED)], inner),
+        panorama_row(error_colors(predicted, true), f"error: predicted minus true{mean}", inner),
+        error_bar(inner),
+        legend([("sky", SKY), ("predicted where there is sky", FALSE_RANGE), ("not predicted", NOT_PREDICTED)], inner),
     ]
-    return stack(rows, width_px)
+    return stack(rows, width_px, caption)
 
 
 def painted_rows(images: Images, rig: Rig, panorama: Equirectangular, range_m: Ranges, width: int) -> list[np.ndarray]:
@@ -81,18 +89,3 @@ def _dotted(image: np.ndarray, places: np.ndarray, radius: np.ndarray, colors: n
     light = 0.45 + 0.75 * (grey / 255.0)
     lit = (paint * light[..., None]).clip(0, 255).astype(np.uint8)
     return np.where(drawn[..., None] > 0, lit, paint)
-
-
-def _panoramas(predicted_m: np.ndarray, true_m: np.ndarray, width: int) -> list[np.ndarray]:
-    both = np.isfinite(predicted_m) & np.isfinite(true_m)
-    error_m = np.abs(predicted_m[both] - true_m[both])
-    mean = f", {error_m.mean():.2f} m on average" if both.any() else ""
-    return [
-        panorama_row(range_colors(true_m), "true range", width),
-        panorama_row(range_colors(predicted_m), "predicted range", width),
-        range_bar(width),
-        legend([("sky", SKY), ("not predicted", NOT_PREDICTED)], width),
-        panorama_row(error_colors(predicted_m, true_m), f"error: predicted minus true{mean}", width),
-        error_bar(width),
-        legend([("sky", SKY), ("predicted where there is sky", FALSE_RANGE), ("not predicted", NOT_PREDICTED)], width),
-    ]

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from omniocc.camera import Equirectangular, Rig
+from omniocc.camera.ops.pixels import pixel_centers
 from omniocc.classes import FREE, UNKNOWN, ClassTable
 from omniocc.geometry import Grid
 from omniocc.geometry.raycast.fans import Fans
@@ -71,9 +72,8 @@ def voxel_panorama(
 def camera_view(geometry: Grid, rig: Rig, camera: int, columns: int, rows: int) -> View:
     """Return rays through the centres of `columns` x `rows` equal parts of a camera's image."""
     model = rig.cameras[camera]
-    u = (torch.arange(columns, dtype=torch.float64) + 0.5) * model.width / columns - 0.5
-    v = (torch.arange(rows, dtype=torch.float64) + 0.5) * model.height / rows - 0.5
-    pixels = torch.stack(torch.meshgrid(u, v, indexing="xy"), -1)
+    size, parts = torch.tensor([model.width, model.height]), torch.tensor([columns, rows])
+    pixels = (pixel_centers(columns, rows, torch.float64) + 0.5) * size / parts - 0.5
     rays, valid = model.unproject(pixels)
     mask = None if rig.masks is None else rig.masks[camera]
     if mask is not None:

@@ -9,7 +9,7 @@ from omniocc.view.bev import EMPTY
 from omniocc.view.canvas import Images, Ranges, blank, legend
 from omniocc.view.depth import painted_rows
 from omniocc.view.ranges import NOT_PREDICTED, range_bar, range_colors
-from omniocc.view.sheet import caption_line, column_width, inner_width, panorama_row, row, stack
+from omniocc.view.sheet import column_width, inner_width, panorama_row, row, stack
 
 
 def predicted_sheet(
@@ -29,7 +29,6 @@ def predicted_sheet(
     above = [from_above(points, part, half_m, half) for part in shown]
     warped = np.where(known.numpy()[..., None], colors.numpy(), np.array(NOT_PREDICTED, np.uint8))
     rows = [
-        *caption_line(caption, inner),
         *painted_rows(images, rig, panorama, range_m, inner),
         panorama_row(warped, "images at these ranges", inner),
         panorama_row(range_colors(range_m.numpy()), "range", inner),
@@ -37,7 +36,7 @@ def predicted_sheet(
         legend([("not predicted", NOT_PREDICTED)], inner),
         row(above, (f"points from above, {2 * half_m:g} m across", "their range"), inner),
     ]
-    return stack(rows, width_px)
+    return stack(rows, width_px, caption)
 
 
 def from_above(points_m: np.ndarray, colors: np.ndarray, half_m: float, size_px: int) -> np.ndarray:

@@ -70,23 +70,15 @@ def below(rows: Images, width: int) -> np.ndarray:
 
 def panorama_row(colors: np.ndarray, name: str, width: int) -> np.ndarray:
     """Return a small image scaled to a width, every pixel a rectangle, with its name on it."""
-    height = round(colors.shape[0] * width / colors.shape[1])
-    image = cv2.resize(colors, (width, height), interpolation=cv2.INTER_NEAREST)
-    tag(image, name, 8, 8)
-    return image
+    return tagged(fitted(colors, width, cv2.INTER_NEAREST), name)
 
 
-def caption_line(text: str, width: int) -> list[np.ndarray]:
-    """Return the first row of a sheet; no row without a text."""
-    if not text:
-        return []
-    line = blank(width, 24)
-    write(line, text, 0, 17, 12)
-    return [line]
-
-
-def stack(rows: Images, width_px: int) -> np.ndarray:
-    """Return rows below one another, with margins around them."""
+def stack(rows: Images, width_px: int, caption: str = "") -> np.ndarray:
+    """Return rows below one another and below a caption, if it is not empty, with margins around them."""
+    if caption:
+        line = blank(inner_width(width_px), 24)
+        write(line, caption, 0, 17, 12)
+        rows = [line, *rows]
     inner = below(rows, inner_width(width_px))
     canvas = blank(width_px, len(inner) + 2 * MARGIN)
     paste(canvas, inner, MARGIN, MARGIN)

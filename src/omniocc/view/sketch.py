@@ -11,7 +11,7 @@ from omniocc.geometry import Grid
 from omniocc.view.bev import EMPTY, MISSED, bev, draw_columns
 from omniocc.view.canvas import Images, Labels, Ranges, Rgb, class_legend, legend
 from omniocc.view.ranges import range_bar, range_colors
-from omniocc.view.sheet import camera_rows, caption_line, column_width, inner_width, row, stack
+from omniocc.view.sheet import camera_rows, column_width, inner_width, row, stack
 
 HIT, SUPERFLUOUS = (90, 165, 100), (240, 190, 90)
 KINDS: tuple[tuple[str, Rgb], ...] = (
@@ -36,7 +36,6 @@ def sketch_sheet(
     names = [f"candidates before dilation: {scores(truth, candidates)}", f"after: {scores(truth, dilated)}"]
     kinds = [("Most cells of the column: " + KINDS[0][0], HIT), *KINDS[1:], ("free, not a candidate", EMPTY)]
     rows = [
-        *caption_line(caption, inner),
         *camera_rows(images, inner, columns=6 if len(images) % 6 == 0 else 4),
         row(inputs, ("true voxels, topmost", "points of the predicted ranges"), inner),
         class_legend(classes, inner),
@@ -44,7 +43,7 @@ def sketch_sheet(
         row(results, names, inner),
         legend(kinds, inner),
     ]
-    return stack(rows, width_px)
+    return stack(rows, width_px, caption)
 
 
 def candidate_bev(truth: Labels, candidates: Bool[Tensor, "X Y Z"], geometry: Grid, size_px: int) -> np.ndarray:

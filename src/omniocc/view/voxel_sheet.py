@@ -14,7 +14,7 @@ from omniocc.view.canvas import Images, Labels, Ranges, class_legend, legend
 from omniocc.view.compare import views_and_maps
 from omniocc.view.paint import paint_voxels, voxel_panorama
 from omniocc.view.ranges import NOT_PREDICTED, range_bar, range_colors
-from omniocc.view.sheet import camera_rows, caption_line, column_width, inner_width, panorama_row, row, stack
+from omniocc.view.sheet import camera_rows, column_width, inner_width, panorama_row, row, stack
 from omniocc.view.voxels import render_voxels
 
 ALL_AROUND = Equirectangular(360, 90, 45.0, -45.0)
@@ -49,7 +49,6 @@ def occupancy_sheet(
     painted = paint_voxels(images, rig, prediction, geometry, classes, column_width(inner, columns))
     named = {"predicted voxels": prediction} if truth is None else {"true voxels": truth, "predicted": prediction}
     rows = [
-        *caption_line(caption, inner),
         *camera_rows([painted[k] for k in order], inner, columns, [rig.names[k] for k in order]),
         *_panoramas(named, geometry, classes, ranges, inner),
         *_overviews(named, geometry, classes, inner),
@@ -57,7 +56,7 @@ def occupancy_sheet(
     ]
     if truth is not None:
         rows.append(error_legend(inner))
-    return stack(rows, width_px)
+    return stack(rows, width_px, caption)
 
 
 def camera_order(rig: Rig) -> list[int]:
@@ -89,7 +88,6 @@ def _panoramas(
 
 
 def _overviews(named: dict[str, Tensor], geometry: Grid, classes: ClassTable, width: int) -> list[np.ndarray]:
-    """Return rows with the voxels from behind and from above."""
     if len(named) == 1:
         ((name, labels),) = named.items()
         half = column_width(width, 2)

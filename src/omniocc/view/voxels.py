@@ -76,7 +76,6 @@ def render_voxels(
 
 
 def _cell_faces(labels: Tensor, geometry: Grid, palette: np.ndarray, eye: np.ndarray) -> Faces:
-    """Return the faces between occupied and other cells."""
     corners, cells = surface((labels != FREE) & (labels != UNKNOWN), geometry)
     normals = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)

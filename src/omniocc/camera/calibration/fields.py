@@ -1,5 +1,7 @@
 """Checked reading of values in calibration files: an error names the key, the value and the remedy."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -29,12 +31,23 @@ class _Loader(yaml.SafeLoader):
     """Loader of YAML with OpenCV's matrices, which are mappings of rows, cols, dt and data."""
 
 
-def _matrix(loader: yaml.SafeLoader, node: yaml.Node) -> dict[Any, Any]:
-    assert isinstance(node, yaml.MappingNode)
-    return loader.construct_mapping(node, deep=True)
+_Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", yaml.SafeLoader.construct_yaml_map)
 
 
-_Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _matrix)
+@contextmanager
+def naming(place: str) -> Iterator[None]:
+    """Put the name of a file or camera in front of the message of a ValueError that is raised in the block."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{place}: {error}") from error
+
+
+def mapping(value: Any, what: str) -> dict[str, Any]:
+    """Return `value`; raise ValueError if it is no mapping, or empty."""
+    if not isinstance(value, dict) or not value:
+        raise ValueError(f"{what} is {value!r}; it must be a mapping with entries")
+    return value
 
 
 def parse_yaml(text: str) -> Any:
@@ -76,10 +89,10 @@ def row(entry: dict[str, Any], count: int | None, *keys: str) -> list[float]:
     return [_number(key, item) for item in value]
 
 
-def size(entry: dict[str, Any], *keys: str) -> tuple[int, int]:
-    """Return the two whole numbers under the first of `keys`."""
-    first, second = row(entry, 2, *keys)
-    return _whole(keys[0], first), _whole(keys[0], second)
+def size(entry: dict[str, Any], key: str) -> tuple[int, int]:
+    """Return the two whole numbers under `key`."""
+    first, second = row(entry, 2, key)
+    return _whole(key, first), _whole(key, second)
 
 
 def pose(rows: Any, name: str) -> Float64[Tensor, "4 4"]:
@@ -114,7 +127,9 @@ def single(camera: Camera, name: str) -> Calibration:
 
 
 def read_mask_pixels(name: str, file: Path, camera: Camera) -> UInt8[np.ndarray, "height width"]:
-    """Return the grey values of a mask; raise ValueError, with `name`, if unreadable or not of the image's size."""
+    """Return the grey values of a mask; raise ValueError, with `name`, if missing, unreadable or of another size."""
+    if not file.is_file():
+        raise ValueError(f"{name} {file} does not exist")
     pixels = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
     if pixels is None:
         raise ValueError(f"{name} {file} is not a readable image")

@@ -4,7 +4,7 @@ from typing import Any
 
 import torch
 
-from omniocc.camera.calibration.fields import Calibration, ego_from_first, pose, required, row, size
+from omniocc.camera.calibration.fields import Calibration, ego_from_first, mapping, naming, pose, required, row, size
 from omniocc.camera.models.double_sphere import DoubleSphere
 from omniocc.camera.models.eucm import EUCM
 from omniocc.camera.models.kannala_brandt import KannalaBrandt
@@ -27,14 +27,10 @@ def read_kalibr(content: dict[str, Any]) -> Calibration:
     cameras, poses, cam0 = [], [], torch.eye(4, dtype=torch.float64)
     for name in names:
         entry = required(content, name)
-        try:
-            if not isinstance(entry, dict):
-                raise ValueError(f"its entry is {entry!r}; it must be a mapping")
-            cameras.append(_camera(entry))
+        with naming(name):
+            cameras.append(_camera(mapping(entry, "its entry")))
             previous_from_this = invert_pose(pose(required(entry, "T_cn_cnm1"), "T_cn_cnm1")) if poses else cam0
             poses.append(poses[-1] @ previous_from_this if poses else cam0)
-        except ValueError as error:
-            raise ValueError(f"{name}: {error}") from error
     return Calibration(tuple(cameras), ego_from_first(torch.stack(poses)), tuple(names), None)
 
 

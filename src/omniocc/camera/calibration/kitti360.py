@@ -5,7 +5,18 @@ from typing import Any
 
 import torch
 
-from omniocc.camera.calibration.fields import Calibration, centered, number, parse_yaml, pose, required, single, whole
+from omniocc.camera.calibration.fields import (
+    Calibration,
+    centered,
+    mapping,
+    naming,
+    number,
+    parse_yaml,
+    pose,
+    required,
+    single,
+    whole,
+)  # fmt: skip
 from omniocc.camera.models.mei import MEI
 
 POSES = "calib_cam_to_pose.txt"
@@ -17,7 +28,8 @@ def read_kitti360(content: dict[str, Any], name: str) -> Calibration:
     if model != "MEI":
         raise ValueError(f"model_type is {model!r}; only MEI of CamOdoCal's models is supported")
     mirror, distortion, projection = (
-        _section(content, key) for key in ("mirror_parameters", "distortion_parameters", "projection_parameters")
+        mapping(required(content, key), key)
+        for key in ("mirror_parameters", "distortion_parameters", "projection_parameters")
     )
     camera = MEI(
         whole(content, "image_width"), whole(content, "image_height"),
@@ -44,10 +56,8 @@ def read_kitti360_folder(folder: Path) -> Calibration:
     ego_from_imu = torch.diag(torch.tensor([1.0, -1, -1, 1], dtype=torch.float64))
     cameras, poses = [], []
     for file in files:
-        try:
+        with naming(str(file)):
             cameras.append(read_kitti360(parse_yaml(file.read_text(encoding="utf-8")), file.stem).cameras[0])
-        except ValueError as error:
-            raise ValueError(f"{file}: {error}") from error
         if file.stem not in imu_from_camera:
             raise ValueError(f"{folder / POSES}: {file.stem} is missing; it holds {', '.join(imu_from_camera)}")
         poses.append(ego_from_imu @ imu_from_camera[file.stem])
@@ -63,10 +73,3 @@ def _poses(file: Path) -> dict[str, torch.Tensor]:
             words = values.split()
             poses[name.strip()] = pose([words[i : i + 4] for i in range(0, len(words), 4)], f"{file}: {name}")
     return poses
-
-
-def _section(content: dict[str, Any], key: str) -> dict[str, Any]:
-    section = required(content, key)
-    if not isinstance(section, dict):
-        raise ValueError(f"{key} is {section!r}; it must be a mapping")
-    return section

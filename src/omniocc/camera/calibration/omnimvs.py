@@ -9,7 +9,16 @@ import torch
 from jaxtyping import Bool, Float64
 from torch import Tensor
 
-from omniocc.camera.calibration.fields import Calibration, number, read_mask_pixels, required, row, size
+from omniocc.camera.calibration.fields import (
+    Calibration,
+    mapping,
+    naming,
+    number,
+    read_mask_pixels,
+    required,
+    row,
+    size,
+)
 from omniocc.camera.calibration.ocamcalib import counted
 from omniocc.camera.models.ocam import OCam
 from omniocc.camera.pose import LEVEL_FORWARD, rigid_pose
@@ -26,15 +35,11 @@ def read_omnimvs(content: dict[str, Any], folder: Path) -> Calibration:
     """
     cameras, poses, names, masks = [], [], [], []
     for index, entry in enumerate(required(content, "cameras")):
-        if not isinstance(entry, dict):
-            raise ValueError(f"cameras[{index}] is {entry!r}; it must be a mapping")
-        name = f"cam{entry.get('cam_id', index + 1)}"
-        try:
+        name = f"cam{mapping(entry, f'cameras[{index}]').get('cam_id', index + 1)}"
+        with naming(name):
             cameras.append(_camera(entry))
             poses.append(_pose(row(entry, 6, "pose")))
             masks.append(_mask(folder / str(entry.get("invalid_mask", "")), cameras[-1]))
-        except ValueError as error:
-            raise ValueError(f"{name}: {error}") from error
         names.append(name)
     if not cameras:
         raise ValueError("cameras is an empty list; is the file whole?")

@@ -5,7 +5,6 @@ from typing import Any
 from omniocc.camera.calibration.fields import Calibration, number, required, row, single, size, whole
 from omniocc.camera.models.kannala_brandt import KannalaBrandt
 from omniocc.camera.models.pinhole import Pinhole
-from omniocc.camera.protocol import Camera
 
 FISHEYE = ("equidistant", "fisheye", "kannala_brandt")
 
@@ -24,25 +23,22 @@ def read_opencv(content: dict[str, Any], name: str) -> Calibration:
     fx, skew, cx, zero, fy, cy, *last = matrix
     if skew != 0 or zero != 0 or last != [0, 0, 1]:
         raise ValueError(f"camera_matrix is {matrix}; it must be [fx, 0, cx, 0, fy, cy, 0, 0, 1]")
-    width, height = _image_size(content)
+    if "image_width" in content or "image_height" in content:
+        width, height = whole(content, "image_width"), whole(content, "image_height")
+    else:
+        required(content, "resolution", "image_width")
+        width, height = size(content, "resolution")
     coefficients = row(content, None, "dist_coeffs", "distortion_coefficients")
-    return single(_camera(content, width, height, (fx, fy), (cx, cy), coefficients), name)
-
-
-def _camera(
-    content: dict[str, Any], width: int, height: int, focal_px: tuple[float, float], center_px: tuple[float, float],
-    coefficients: list[float],
-) -> Camera:  # fmt: skip
     if _is_fisheye(content, len(coefficients)):
         if len(coefficients) != 4:
             raise ValueError(f"a fisheye has 4 coefficients, this file holds {len(coefficients)}: {coefficients}")
-        return KannalaBrandt(width, height, focal_px, center_px, tuple(coefficients), 180.0)
+        return single(KannalaBrandt(width, height, (fx, fy), (cx, cy), tuple(coefficients), 180.0), name)
     if any(coefficients):
         raise ValueError(
             f"dist_coeffs are {coefficients}: a pinhole with distortion is not supported; undistort the images "
             "(cv2.undistort) and set the coefficients to 0, or calibrate with cv2.fisheye"
         )
-    return Pinhole(width, height, focal_px, center_px)
+    return single(Pinhole(width, height, (fx, fy), (cx, cy)), name)
 
 
 def _is_fisheye(content: dict[str, Any], count: int) -> bool:
@@ -51,10 +47,3 @@ def _is_fisheye(content: dict[str, Any], count: int) -> bool:
     if "distortion_model" in content:
         return str(content["distortion_model"]).lower() in FISHEYE
     return count == 4
-
-
-def _image_size(content: dict[str, Any]) -> tuple[int, int]:
-    if "image_width" in content or "image_height" in content:
-        return whole(content, "image_width"), whole(content, "image_height")
-    required(content, "resolution", "image_width")
-    return size(content, "resolution")

@@ -9,8 +9,7 @@ from torch import Tensor
 
 from omniocc.camera.ops.angle import min_cosine, pinhole_bound, unit
 from omniocc.camera.ops.focal_camera import FocalCamera
-from omniocc.camera.ops.pixels import in_image
-from omniocc.camera.protocol import angle_from_axis, finite, normalize_fields
+from omniocc.camera.protocol import angle_from_axis, check_fields, finite
 
 
 @dataclass(frozen=True)
@@ -31,28 +30,24 @@ class DoubleSphere(FocalCamera):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        normalize_fields(self, {"xi": finite, "alpha": finite, "max_angle_deg": angle_from_axis})
+        check_fields(self, {"xi": finite, "alpha": finite, "max_angle_deg": angle_from_axis})
         if not -1 < self.xi <= 1:
             raise ValueError(f"xi is {self.xi}; the double sphere model needs -1 < xi <= 1")
         if not 0 <= self.alpha <= 1:
             raise ValueError(f"alpha is {self.alpha}; the double sphere model needs 0 <= alpha <= 1")
 
-    def project(self, points: Float[Tensor, "*batch 3"]) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"]]:
-        """See `Camera.project`."""
+    def _to_plane(self, points: Float[Tensor, "*batch 3"]) -> tuple[Tensor, Tensor]:
         rays, defined = unit(points)
         x, y, z = rays.unbind(-1)
         shifted = self.xi + z
         second = x.square() + y.square() + shifted.square()
         depth = self.alpha * torch.where(second > 0, second, 1).sqrt() + (1 - self.alpha) * shifted
         covered = defined & self._covers(z) & (depth > torch.finfo(z.dtype).eps)
-        pixels = self._to_pixels(rays[..., :2] / torch.where(covered, depth, 1)[..., None])
-        return pixels, covered & in_image(pixels, self.width, self.height)
+        return rays[..., :2] / torch.where(covered, depth, 1)[..., None], covered
 
-    def unproject(self, pixels: Float[Tensor, "*batch 2"]) -> tuple[Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
-        """See `Camera.unproject`."""
-        m = self._to_plane(pixels)
-        covered = 1 - (2 * self.alpha - 1) * m.square().sum(-1) > torch.finfo(m.dtype).eps
-        m = torch.where(covered[..., None], m, 0)
+    def _from_plane(self, plane: Float[Tensor, "*batch 2"]) -> tuple[Tensor, Tensor]:
+        covered = 1 - (2 * self.alpha - 1) * plane.square().sum(-1) > torch.finfo(plane.dtype).eps
+        m = torch.where(covered[..., None], plane, 0)
         squared = m.square().sum(-1)
         root = (1 - (2 * self.alpha - 1) * squared).sqrt()
         height = (1 - self.alpha**2 * squared) / (self.alpha * root + 1 - self.alpha)

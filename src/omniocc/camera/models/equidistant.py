@@ -8,7 +8,7 @@ from torch import Tensor
 
 from omniocc.camera.ops.angle import rays_at_radius, theta_over_radius
 from omniocc.camera.ops.pixels import in_image
-from omniocc.camera.protocol import angle_from_axis, check_size, normalize_fields, pair, positive, scaled_center
+from omniocc.camera.protocol import angle_from_axis, check_fields, pair, positive, scaled_center
 
 
 @dataclass(frozen=True)
@@ -30,8 +30,7 @@ class Equidistant:
     max_angle_deg: float
 
     def __post_init__(self) -> None:
-        check_size(self.width, self.height)
-        normalize_fields(self, {"focal_px": positive, "center_px": pair, "max_angle_deg": angle_from_axis})
+        check_fields(self, {"focal_px": positive, "center_px": pair, "max_angle_deg": angle_from_axis})
 
     def project(self, points: Float[Tensor, "*batch 3"]) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"]]:
         """See `Camera.project`. Points straight behind the camera have no single pixel and are invalid."""

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Float32
 from torch import Tensor
 
 from omniocc.camera.ops.pixels import in_image, pixel_centers
-from omniocc.camera.protocol import check_size, finite, normalize_fields
+from omniocc.camera.protocol import check_fields, finite
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,7 @@ class Equirectangular:
     bottom_deg: float
 
     def __post_init__(self) -> None:
-        check_size(self.width, self.height)
-        normalize_fields(self, {"top_deg": finite, "bottom_deg": finite})
+        check_fields(self, {"top_deg": finite, "bottom_deg": finite})
         if not -90 <= self.bottom_deg < self.top_deg <= 90:
             raise ValueError(
                 f"top_deg {self.top_deg} and bottom_deg {self.bottom_deg}: need -90 <= bottom_deg < top_deg <= 90"

@@ -3,13 +3,12 @@
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from omniocc.camera.ops.angle import min_cosine, pinhole_bound, unit
 from omniocc.camera.ops.focal_camera import FocalCamera
-from omniocc.camera.ops.pixels import in_image
-from omniocc.camera.protocol import angle_from_axis, finite, normalize_fields, positive
+from omniocc.camera.protocol import angle_from_axis, check_fields, finite, positive
 
 
 @dataclass(frozen=True)
@@ -30,12 +29,11 @@ class EUCM(FocalCamera):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        normalize_fields(self, {"alpha": finite, "beta": positive, "max_angle_deg": angle_from_axis})
+        check_fields(self, {"alpha": finite, "beta": positive, "max_angle_deg": angle_from_axis})
         if not 0 <= self.alpha <= 1:
             raise ValueError(f"alpha is {self.alpha}; the extended unified model needs 0 <= alpha <= 1")
 
-    def project(self, points: Float[Tensor, "*batch 3"]) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"]]:
-        """See `Camera.project`."""
+    def _to_plane(self, points: Float[Tensor, "*batch 3"]) -> tuple[Tensor, Tensor]:
         rays, defined = unit(points)
         x, y, z = rays.unbind(-1)
         squared = self.beta * (x.square() + y.square()) + z.square()
@@ -43,15 +41,12 @@ class EUCM(FocalCamera):
         depth = self.alpha * distance + (1 - self.alpha) * z
         in_domain = (z > -pinhole_bound(self.alpha) * distance) & (depth > torch.finfo(z.dtype).eps)
         covered = defined & in_domain & (z >= min_cosine(self.max_angle_deg))
-        pixels = self._to_pixels(rays[..., :2] / torch.where(covered, depth, 1)[..., None])
-        return pixels, covered & in_image(pixels, self.width, self.height)
+        return rays[..., :2] / torch.where(covered, depth, 1)[..., None], covered
 
-    def unproject(self, pixels: Float[Tensor, "*batch 2"]) -> tuple[Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
-        """See `Camera.unproject`."""
-        m = self._to_plane(pixels)
+    def _from_plane(self, plane: Float[Tensor, "*batch 2"]) -> tuple[Tensor, Tensor]:
         bend = (2 * self.alpha - 1) * self.beta
-        covered = 1 - bend * m.square().sum(-1) > torch.finfo(m.dtype).eps
-        m = torch.where(covered[..., None], m, 0)
+        covered = 1 - bend * plane.square().sum(-1) > torch.finfo(plane.dtype).eps
+        m = torch.where(covered[..., None], plane, 0)
         squared = m.square().sum(-1)
         root = (1 - bend * squared).sqrt()
         height = (1 - self.beta * self.alpha**2 * squared) / (self.alpha * root + 1 - self.alpha)

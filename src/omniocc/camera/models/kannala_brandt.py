@@ -2,16 +2,14 @@
 
 import math
 from dataclasses import dataclass
-from functools import partial
 
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from omniocc.camera.ops.angle import rays_of_polynomial, theta_over_radius
 from omniocc.camera.ops.focal_camera import FocalCamera
-from omniocc.camera.ops.pixels import in_image
 from omniocc.camera.ops.polynomial import derivative, evaluate, positive_until
-from omniocc.camera.protocol import angle_from_axis, normalize_fields, numbers
+from omniocc.camera.protocol import angle_from_axis, check_fields, four_numbers
 
 
 @dataclass(frozen=True)
@@ -32,24 +30,20 @@ class KannalaBrandt(FocalCamera):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        four = partial(numbers, least=4, most=4)
-        normalize_fields(self, {"coefficients": four, "max_angle_deg": angle_from_axis})
+        check_fields(self, {"coefficients": four_numbers, "max_angle_deg": angle_from_axis})
 
     @property
     def limit_rad(self) -> float:
         """Return the largest angle from the axis, in radians, up to which every angle has a different pixel."""
         return positive_until(derivative(self._radius), 0.0, math.radians(self.max_angle_deg))
 
-    def project(self, points: Float[Tensor, "*batch 3"]) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"]]:
-        """See `Camera.project`."""
+    def _to_plane(self, points: Float[Tensor, "*batch 3"]) -> tuple[Tensor, Tensor]:
         theta_per_r, theta, defined = theta_over_radius(points)
         stretch = evaluate((1.0, *self.coefficients), theta.square()) * theta_per_r
-        pixels = self._to_pixels(stretch[..., None] * points[..., :2])
-        return pixels, defined & (theta <= self.limit_rad) & in_image(pixels, self.width, self.height)
+        return stretch[..., None] * points[..., :2], defined & (theta <= self.limit_rad)
 
-    def unproject(self, pixels: Float[Tensor, "*batch 2"]) -> tuple[Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
-        """See `Camera.unproject`."""
-        return rays_of_polynomial(self._to_plane(pixels), self._radius, self.limit_rad)
+    def _from_plane(self, plane: Float[Tensor, "*batch 2"]) -> tuple[Tensor, Tensor]:
+        return rays_of_polynomial(plane, self._radius, self.limit_rad)
 
     @property
     def _radius(self) -> tuple[float, ...]:

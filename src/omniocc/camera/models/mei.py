@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass
-from functools import partial
 
 import torch
 from jaxtyping import Bool, Float
@@ -10,9 +9,8 @@ from torch import Tensor
 
 from omniocc.camera.ops.angle import unit
 from omniocc.camera.ops.focal_camera import FocalCamera
-from omniocc.camera.ops.pixels import in_image
 from omniocc.camera.ops.polynomial import derivative, invert_polynomial, positive_until
-from omniocc.camera.protocol import angle_from_axis, finite, normalize_fields, numbers
+from omniocc.camera.protocol import angle_from_axis, check_fields, finite, four_numbers
 
 NEWTON_STEPS = 6
 COSINE_MARGIN = 1e-3  # below xi = 1 the model reaches infinity at cos = -xi: it ends this much before
@@ -37,24 +35,20 @@ class MEI(FocalCamera):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        four = partial(numbers, least=4, most=4)
-        normalize_fields(self, {"xi": finite, "distortion": four, "max_angle_deg": angle_from_axis})
+        check_fields(self, {"xi": finite, "distortion": four_numbers, "max_angle_deg": angle_from_axis})
         if self.xi < 0:
             raise ValueError(f"xi is {self.xi}; it must not be negative")
 
-    def project(self, points: Float[Tensor, "*batch 3"]) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"]]:
-        """See `Camera.project`."""
+    def _to_plane(self, points: Float[Tensor, "*batch 3"]) -> tuple[Tensor, Tensor]:
         rays, defined = unit(points)
         in_front = defined & (rays[..., 2] >= self._min_cosine)
         depth = torch.where(in_front, rays[..., 2] + self.xi, 1)
         plane = rays[..., :2] / depth[..., None]
         covered = in_front & (plane.square().sum(-1) <= self._limit**2)
-        pixels = self._to_pixels(self._distorted(plane))
-        return pixels, covered & in_image(pixels, self.width, self.height)
+        return self._distorted(plane), covered
 
-    def unproject(self, pixels: Float[Tensor, "*batch 2"]) -> tuple[Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
-        """See `Camera.unproject`."""
-        plane, converged = self._undistorted(self._to_plane(pixels))
+    def _from_plane(self, plane: Float[Tensor, "*batch 2"]) -> tuple[Tensor, Tensor]:
+        plane, converged = self._undistorted(plane)
         squared = plane.square().sum(-1)
         under_root = 1 + (1 - self.xi**2) * squared
         covered = converged & (under_root >= 0) & (squared <= self._limit**2)

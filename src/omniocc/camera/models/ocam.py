@@ -11,7 +11,7 @@ from torch import Tensor
 from omniocc.camera.ops.angle import min_cosine, theta_over_radius, unit
 from omniocc.camera.ops.pixels import in_image
 from omniocc.camera.ops.polynomial import derivative, evaluate, invert_increasing, positive_until
-from omniocc.camera.protocol import angle_from_axis, check_size, normalize_fields, numbers, pair, scaled_center
+from omniocc.camera.protocol import angle_from_axis, check_fields, numbers, pair, scaled_center
 
 MAX_COEFFICIENTS = 40
 
@@ -43,7 +43,6 @@ class OCam:
     max_angle_deg: float
 
     def __post_init__(self) -> None:
-        check_size(self.width, self.height)
         checks = {
             "center_px": pair,
             "polynomial": partial(numbers, least=1, most=MAX_COEFFICIENTS),
@@ -51,7 +50,7 @@ class OCam:
             "affine": partial(numbers, least=3, most=3),
             "max_angle_deg": angle_from_axis,
         }
-        normalize_fields(self, checks)
+        check_fields(self, checks)
         if self.polynomial[0] >= 0:
             raise ValueError(f"polynomial[0] is {self.polynomial[0]}; it must be negative (OCamCalib's convention)")
         if self.affine[0] - self.affine[1] * self.affine[2] <= 0:

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass, replace
-from functools import partial
 
 from jaxtyping import Bool, Float
 from torch import Tensor
@@ -10,15 +9,7 @@ from torch import Tensor
 from omniocc.camera.ops.angle import rays_of_polynomial, theta_over_radius
 from omniocc.camera.ops.pixels import in_image
 from omniocc.camera.ops.polynomial import derivative, evaluate, positive_until
-from omniocc.camera.protocol import (
-    angle_from_axis,
-    check_size,
-    normalize_fields,
-    numbers,
-    pair,
-    positive,
-    scaled_center,
-)
+from omniocc.camera.protocol import angle_from_axis, check_fields, four_numbers, pair, positive, scaled_center
 
 
 @dataclass(frozen=True)
@@ -44,10 +35,8 @@ class RadialPolynomial:
     max_angle_deg: float
 
     def __post_init__(self) -> None:
-        check_size(self.width, self.height)
-        four = partial(numbers, least=4, most=4)
-        checks = {"coefficients_px": four, "center_px": pair, "aspect": positive, "max_angle_deg": angle_from_axis}
-        normalize_fields(self, checks)
+        check_fields(self, {"coefficients_px": four_numbers, "center_px": pair})
+        check_fields(self, {"aspect": positive, "max_angle_deg": angle_from_axis})
         positive("coefficients_px[0]", self.coefficients_px[0])
 
     @property

@@ -3,15 +3,18 @@
 from dataclasses import dataclass, replace
 from typing import Self
 
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
-from omniocc.camera.protocol import check_size, normalize_fields, pair, positive_pair, scaled_center
+from omniocc.camera.ops.pixels import in_image
+from omniocc.camera.protocol import check_fields, pair, positive_pair, scaled_center
 
 
 @dataclass(frozen=True)
 class FocalCamera:
-    """An image with a focal length per axis; subclasses map points to its normalised plane and back.
+    """An image with a focal length per axis; subclasses map points to its normalised plane (`_to_plane`) and back.
+
+    Both functions also return what the model covers.
 
     Attributes:
         width: of the image, px.
@@ -26,8 +29,17 @@ class FocalCamera:
     center_px: tuple[float, float]
 
     def __post_init__(self) -> None:
-        check_size(self.width, self.height)
-        normalize_fields(self, {"focal_px": positive_pair, "center_px": pair})
+        check_fields(self, {"focal_px": positive_pair, "center_px": pair})
+
+    def project(self, points: Float[Tensor, "*batch 3"]) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"]]:
+        """See `Camera.project`."""
+        plane, covered = self._to_plane(points)
+        pixels = plane * plane.new_tensor(self.focal_px) + plane.new_tensor(self.center_px)
+        return pixels, covered & in_image(pixels, self.width, self.height)
+
+    def unproject(self, pixels: Float[Tensor, "*batch 2"]) -> tuple[Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
+        """See `Camera.unproject`."""
+        return self._from_plane((pixels - pixels.new_tensor(self.center_px)) / pixels.new_tensor(self.focal_px))
 
     def resized(self, width: int, height: int) -> Self:
         """See `Camera.resized`."""
@@ -36,8 +48,8 @@ class FocalCamera:
         center_px = scaled_center(self.center_px, scale_x, scale_y)
         return replace(self, width=width, height=height, focal_px=focal_px, center_px=center_px)
 
-    def _to_pixels(self, plane: Float[Tensor, "*batch 2"]) -> Float[Tensor, "*batch 2"]:
-        return plane * plane.new_tensor(self.focal_px) + plane.new_tensor(self.center_px)
+    def _to_plane(self, points: Float[Tensor, "*batch 3"]) -> tuple[Tensor, Tensor]:
+        raise NotImplementedError
 
-    def _to_plane(self, pixels: Float[Tensor, "*batch 2"]) -> Float[Tensor, "*batch 2"]:
-        return (pixels - pixels.new_tensor(self.center_px)) / pixels.new_tensor(self.focal_px)
+    def _from_plane(self, plane: Float[Tensor, "*batch 2"]) -> tuple[Tensor, Tensor]:
+        raise NotImplementedError

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import NamedTuple
@@ -66,7 +66,7 @@ def check_excluded(excluded: Sequence[str], rig: Rig) -> None:
     """
     for name in excluded:
         if name not in rig.names:
-            hint = _hint(name, rig.names)
+            hint = closest(name, rig.names)
             raise UserError(f"exclude_cameras={name}: no such camera{hint}; cameras: {', '.join(rig.names)}")
     if len(set(excluded)) == len(rig.names):
         raise UserError("every camera is excluded; keep at least one")
@@ -88,31 +88,28 @@ def _listed(paths: list[Path], rig: Rig, excluded: Sequence[str]) -> Frame:
 
 
 def _named(folder: Path, rig: Rig, excluded: Sequence[str]) -> tuple[Path | None, ...]:
+    return tuple(None if name in excluded else _image_of(name, folder, rig) for name in rig.names)
+
+
+def _image_of(name: str, folder: Path, rig: Rig) -> Path:
     images = _image_files(folder)
-    files: list[Path | None] = []
-    for name in rig.names:
-        own = [path for path in images if path.stem == name]
-        if name in excluded:
-            files.append(None)
-            continue
-        if len(own) != 1:
-            raise UserError(_not_one(folder, name, own, [path.stem for path in images if path.stem not in rig.names]))
-        files.append(own[0])
-    return tuple(files)
-
-
-def _not_one(folder: Path, name: str, own: list[Path], others: list[str]) -> str:
+    own = [path for path in images if path.stem == name]
+    if len(own) == 1:
+        return own[0]
     if own:
-        return f"{folder}: several images of camera '{name}': {', '.join(path.name for path in own)}; keep one"
+        names = ", ".join(path.name for path in own)
+        raise UserError(f"{folder}: several images of camera '{name}': {names}; keep one")
+    others = [path.stem for path in images if path.stem not in rig.names]
     others_text = f"; images that belong to no camera of the rig: {', '.join(sorted(others)[:8])}" if others else ""
-    return (
+    raise UserError(
         f"{folder}: no image of camera '{name}' (a file {name}.png or {name}.jpg)"
-        f"{_hint(name, others)}{others_text}; exclude_cameras=[{name}] leaves it out"
+        f"{closest(name, others)}{others_text}; exclude_cameras=[{name}] leaves it out"
     )
 
 
-def _hint(name: str, others: Sequence[str]) -> str:
-    close = get_close_matches(name, others, n=1)
+def closest(name: str, others: Iterable[str]) -> str:
+    """Return a question for an error message, whether the most similar of the others is meant; empty if none is."""
+    close = get_close_matches(name, list(others), n=1)
     return f" (is it '{close[0]}'?)" if close else ""
 
 

@@ -13,7 +13,6 @@ Ego: x forward, y left, z up, origin as in the rig file. World: any fixed coordi
 import csv
 import math
 from collections.abc import Sequence
-from difflib import get_close_matches
 from pathlib import Path
 
 import torch
@@ -22,6 +21,7 @@ from torch import Tensor
 
 from omniocc.camera.pose import rigid_pose
 from omniocc.errors import UserError
+from omniocc.predict.input.images import closest
 
 QUATERNION = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
 MATRIX = tuple(f"m{row}{column}" for row in range(4) for column in range(4))
@@ -48,8 +48,7 @@ def read_poses(path: Path, frames: Sequence[str]) -> Float64[Tensor, "F 4 4"]:
             poses[words[0]] = _pose(words[1:], f"{where}, frame '{words[0]}'")
     for name in frames:
         if name not in poses:
-            close = get_close_matches(name, poses, n=1)
-            hint = f" (is it '{close[0]}'?)" if close else f"; its first frames are {', '.join(list(poses)[:3])}"
+            hint = closest(name, poses) or f"; its first frames are {', '.join(list(poses)[:3])}"
             raise UserError(f"{path} has no pose of frame '{name}'{hint if poses else ''}")
     return torch.stack([poses[name] for name in frames])
 

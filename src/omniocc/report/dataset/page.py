@@ -124,17 +124,14 @@ def range_image(range_m: np.ndarray, width: int) -> np.ndarray:
     """
     image = range_colors(range_m)
     image[np.isnan(range_m)] = UNMEASURED
-    height = round(range_m.shape[0] * width / range_m.shape[1])
-    return cv2.resize(image, (width, height), interpolation=cv2.INTER_NEAREST)
+    return fitted(image, width, cv2.INTER_NEAREST)
 
 
 def _semantics(frame: Frame, camera: int, palette: np.ndarray) -> np.ndarray:
     labels = frame.semantics[camera]
     colors = palette[labels]
     colors[labels == FREE] = SKY
-    width = min(CAMERA_PX, labels.shape[1])
-    size = (width, round(labels.shape[0] * width / labels.shape[1]))
-    return cv2.resize(colors, size, interpolation=cv2.INTER_NEAREST)
+    return fitted(colors, min(CAMERA_PX, labels.shape[1]), cv2.INTER_NEAREST)
 
 
 def _smaller(image: np.ndarray) -> np.ndarray:

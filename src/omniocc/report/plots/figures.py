@@ -47,6 +47,7 @@ def colors_of(rows: Rows) -> dict[str, tuple[float, ...]]:
     return {row: palette[k % len(palette)] for k, row in enumerate(rows)}
 
 
+@rc_context(STYLE)
 def ranking(rows: Rows) -> Canvas | None:
     """Draw RayIoU of each row, best on top; a diamond is the score against LiDAR rays, dots are single seeds."""
     figures = {row: figure for row, runs in rows.items() if (figure := figure_of(runs, "test/rayiou"))}
@@ -54,21 +55,20 @@ def ranking(rows: Rows) -> Canvas | None:
         return None
     order = sorted(figures, key=lambda row: figures[row].mean)
     colors = colors_of(rows)
-    with rc_context(STYLE):
-        canvas = Canvas(figsize=(5.2, 0.8 + 0.26 * len(order)), layout="constrained")
-        axes = canvas.subplots()
-        axes.barh(order, [figures[row].mean for row in order], color=[colors[row] for row in order], height=0.66)
-        for place, row in enumerate(order):
-            seeds = [run.metrics["test/rayiou"] for run in rows[row]]
-            axes.plot(seeds, [place] * len(seeds), "o", color=INK, markersize=3.2)
-            if lidar := figure_of(rows[row], "test/lidar/rayiou"):
-                axes.plot([lidar.mean], [place], "D", markersize=4.5, color=INK, markerfacecolor="none")
-            label = f"{figures[row].mean:.3f}"
-            axes.annotate(label, (max(seeds), place), (6, 0), textcoords="offset points", va="center", fontsize=9)
-        axes.grid(axis="y", visible=False)
-        axes.set_xlim(0, 1.12 * max(figure.mean for figure in figures.values()))
-        axes.set_xlabel("RayIoU (dots: seeds; diamond: LiDAR rays)")
-        axes.tick_params(axis="y", length=0)
+    canvas = Canvas(figsize=(5.2, 0.8 + 0.26 * len(order)), layout="constrained")
+    axes = canvas.subplots()
+    axes.barh(order, [figures[row].mean for row in order], color=[colors[row] for row in order], height=0.66)
+    for place, row in enumerate(order):
+        seeds = [run.metrics["test/rayiou"] for run in rows[row]]
+        axes.plot(seeds, [place] * len(seeds), "o", color=INK, markersize=3.2)
+        if lidar := figure_of(rows[row], "test/lidar/rayiou"):
+            axes.plot([lidar.mean], [place], "D", markersize=4.5, color=INK, markerfacecolor="none")
+        label = f"{figures[row].mean:.3f}"
+        axes.annotate(label, (max(seeds), place), (6, 0), textcoords="offset points", va="center", fontsize=9)
+    axes.grid(axis="y", visible=False)
+    axes.set_xlim(0, 1.12 * max(figure.mean for figure in figures.values()))
+    axes.set_xlabel("RayIoU (dots: seeds; diamond: LiDAR rays)")
+    axes.tick_params(axis="y", length=0)
     return canvas
 
 
@@ -76,76 +76,58 @@ def by_range(rows: Rows) -> Canvas | None:
     """Draw RayIoU of each row in each distance band."""
     every = [run for runs in rows.values() for run in runs]
     bands = band_keys(every[0].metrics) if every else []
-    if not bands:
-        return None
-    with rc_context(STYLE):
-        canvas = Canvas(figsize=(8.6, 3.6), layout="constrained")
-        axes = canvas.subplots()
-        _grouped(axes, rows, {band.removeprefix("rayiou_").replace("m", " m"): f"test/{band}" for band in bands})
-        axes.set_ylabel("RayIoU")
-        axes.set_xlabel(f"distance of the true hit{_whiskers(rows)}")
-        _legend(canvas, axes, rows)
-    return canvas
+    keys = {band.removeprefix("rayiou_").replace("m", " m"): f"test/{band}" for band in bands}
+    return _bars(rows, [keys], 3.6, "distance of the true hit") if keys else None
 
 
 def by_class(rows: Rows) -> Canvas | None:
     """Draw RayIoU of each row and class, in two panels."""
-    names = names_of([run for runs in rows.values() for run in runs])
-    if not names:
-        return None
-    half = (len(names) + 1) // 2
-    with rc_context(STYLE):
-        canvas = Canvas(figsize=(8.6, 5.6), layout="constrained")
-        upper, lower = canvas.subplots(2, 1)
-        for axes, part in ((upper, names[:half]), (lower, names[half:])):
-            _grouped(axes, rows, {name: f"test/rayiou/{name}" for name in part})
-            axes.set_ylabel("RayIoU")
-        lower.set_xlabel(f"class{_whiskers(rows)}")
-        _legend(canvas, upper, rows)
-    return canvas
+    keys = [(name, f"test/rayiou/{name}") for name in names_of([run for runs in rows.values() for run in runs])]
+    half = (len(keys) + 1) // 2
+    return _bars(rows, [dict(keys[:half]), dict(keys[half:])], 5.6, "class") if keys else None
 
 
+@rc_context(STYLE)
 def by_candidates(rows: Rows) -> Canvas | None:
     """Draw RayIoU against the fraction of voxels that are candidates."""
     points = {row: (figure_of(runs, FRACTION), figure_of(runs, "test/rayiou")) for row, runs in rows.items()}
     if not any(fraction and score for fraction, score in points.values()):
         return None
     colors = colors_of(rows)
-    with rc_context(STYLE):
-        canvas = Canvas(figsize=(8.6, 3.8), layout="constrained")
-        axes = canvas.subplots()
-        for row, (fraction, score) in points.items():
-            if fraction and score:
-                xerr, yerr = (0.0 if math.isnan(figure.spread) else figure.spread for figure in (fraction, score))
-                label = f"{row} ({100 * fraction.mean:.0f} %, {score.mean:.3f})"
-                axes.errorbar(fraction.mean, score.mean, yerr, xerr, fmt="none", **WHISKER)
-                axes.plot(fraction.mean, score.mean, "o", markersize=8, color=colors[row], label=label)
-        axes.set_xlim(0, 1.05)
-        axes.set_xlabel("candidates, fraction of all voxels")
-        axes.set_ylabel("RayIoU")
-        canvas.legend(loc="outside right upper", fontsize=9)
+    canvas = Canvas(figsize=(8.6, 3.8), layout="constrained")
+    axes = canvas.subplots()
+    for row, (fraction, score) in points.items():
+        if fraction and score:
+            xerr, yerr = (0.0 if math.isnan(figure.spread) else figure.spread for figure in (fraction, score))
+            label = f"{row} ({100 * fraction.mean:.0f} %, {score.mean:.3f})"
+            axes.errorbar(fraction.mean, score.mean, yerr, xerr, fmt="none", **WHISKER)
+            axes.plot(fraction.mean, score.mean, "o", markersize=8, color=colors[row], label=label)
+    axes.set_xlim(0, 1.05)
+    axes.set_xlabel("candidates, fraction of all voxels")
+    axes.set_ylabel("RayIoU")
+    canvas.legend(loc="outside right upper", fontsize=9)
     return canvas
 
 
+@rc_context(STYLE)
 def training(rows: Rows) -> Canvas | None:
     """Draw validation RayIoU and training loss over the steps; the band spans the lowest to the highest seed."""
     colors = colors_of(rows)
-    with rc_context(STYLE):
-        canvas = Canvas(figsize=(8.6, 3.6), layout="constrained")
-        panels = canvas.subplots(1, 2)
-        drawn = 0
-        for axes, key in zip(panels, ("val/rayiou", "train/loss"), strict=True):
-            for row, runs in rows.items():
-                curves = [curve for run in runs if (curve := read_curve(run.folder, key))]
-                mean = over_seeds([smoothed(curve) for curve in curves] if key == "train/loss" else curves)
-                drawn += len(mean.steps)
-                axes.plot(mean.steps, mean.mean, color=colors[row], marker=".", linewidth=1.6, label=row)
-                if len(curves) > 1:
-                    axes.fill_between(mean.steps, mean.low, mean.high, color=colors[row], alpha=0.18, linewidth=0)
-            axes.set_xlabel("optimizer step")
-        panels[0].set_ylabel("RayIoU, validation")
-        panels[1].set_ylabel("training loss, mean of five")
-        _legend(canvas, panels[0], rows)
+    canvas = Canvas(figsize=(8.6, 3.6), layout="constrained")
+    panels = canvas.subplots(1, 2)
+    drawn = 0
+    for axes, key in zip(panels, ("val/rayiou", "train/loss"), strict=True):
+        for row, runs in rows.items():
+            curves = [curve for run in runs if (curve := read_curve(run.folder, key))]
+            mean = over_seeds([smoothed(curve) for curve in curves] if key == "train/loss" else curves)
+            drawn += len(mean.steps)
+            axes.plot(mean.steps, mean.mean, color=colors[row], marker=".", linewidth=1.6, label=row)
+            if len(curves) > 1:
+                axes.fill_between(mean.steps, mean.low, mean.high, color=colors[row], alpha=0.18, linewidth=0)
+        axes.set_xlabel("optimizer step")
+    panels[0].set_ylabel("RayIoU, validation")
+    panels[1].set_ylabel("training loss, mean of five")
+    _legend(canvas, panels[0], rows)
     return canvas if drawn else None
 
 
@@ -159,8 +141,21 @@ PLOTS = {
 """Title and function of every plot, by the name of its file."""
 
 
+@rc_context(STYLE)
+def _bars(rows: Rows, panels: Sequence[Mapping[str, str]], height_inch: float, horizontal: str) -> Canvas:
+    """Draw RayIoU of all rows in panels below one another, each with the keys of its metrics by their names."""
+    canvas = Canvas(figsize=(8.6, height_inch), layout="constrained")
+    drawn = canvas.subplots(len(panels), 1, squeeze=False)[:, 0]
+    for axes, keys in zip(drawn, panels, strict=True):
+        _grouped(axes, rows, keys)
+        axes.set_ylabel("RayIoU")
+    several = any(len(runs) > 1 for runs in rows.values())
+    drawn[-1].set_xlabel(horizontal + " (whiskers: one standard deviation over seeds)" * several)
+    _legend(canvas, drawn[0], rows)
+    return canvas
+
+
 def _grouped(axes: Axes, rows: Rows, keys: Mapping[str, str]) -> None:
-    """Draw bars of all rows beside one another, for each metric."""
     colors, width = colors_of(rows), 0.84 / max(len(rows), 1)
     for k, (row, runs) in enumerate(rows.items()):
         places = [group - 0.42 + (k + 0.5) * width for group in range(len(keys))]
@@ -174,10 +169,6 @@ def _grouped(axes: Axes, rows: Rows, keys: Mapping[str, str]) -> None:
     axes.set_ylim(bottom=0)
     axes.tick_params(axis="x", length=0)
     axes.grid(axis="x", visible=False)
-
-
-def _whiskers(rows: Rows) -> str:
-    return " (whiskers: one standard deviation over seeds)" * any(len(runs) > 1 for runs in rows.values())
 
 
 def _legend(canvas: Canvas, axes: Axes, rows: Rows) -> None:

@@ -15,7 +15,7 @@ from omniocc.run.table import band_names, class_names
 from omniocc.run.wandb.loggers import logged_in
 
 if TYPE_CHECKING:
-    from wandb_workspaces.workspaces import Section, Workspace
+    from wandb_workspaces.workspaces import Workspace
 
 STEP = "trainer/global_step"
 
@@ -102,24 +102,22 @@ def workspace(entity: str, project: str, charts: Mapping[str, Sequence[Chart]]) 
         entity=entity,
         project=project,
         name="OmniDepth-Occ",
-        sections=[_section(name, part) for name, part in charts.items()],
+        sections=[
+            ws.Section(
+                name=name,
+                panels=[_panel(chart) for chart in part],
+                is_open=True,
+                layout_settings=ws.SectionLayoutSettings(
+                    columns=2 if all(chart.kind in ONE_COLUMN for chart in part) else 3, rows=3
+                ),
+            )
+            for name, part in charts.items()
+        ],
         settings=ws.WorkspaceSettings(x_axis=STEP, max_runs=40),
         runset_settings=ws.RunsetSettings(
             groupby=[ws.Metric("JobType"), ws.Config("row")],
             pinned_columns=["config:preset.name", "config:seed", "summary:test/rayiou", "summary:test/lidar/rayiou"],
         ),
-    )
-
-
-def _section(name: str, charts: Sequence[Chart]) -> "Section":
-    from wandb_workspaces import workspaces as ws
-
-    columns = 2 if all(chart.kind in ONE_COLUMN for chart in charts) else 3
-    return ws.Section(
-        name=name,
-        panels=[_panel(chart) for chart in charts],
-        is_open=True,
-        layout_settings=ws.SectionLayoutSettings(columns=columns, rows=3),
     )
 
 
