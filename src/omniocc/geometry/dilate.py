@@ -3,31 +3,16 @@
 import functools
 import itertools
 from collections.abc import Sequence
-from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float64, Int64
 from torch import Tensor
 
-from omniocc.geometry.raycast.trace import Traversable
-
-
-@runtime_checkable
-class Dilatable(Traversable, Protocol):
-    """The part of `omniocc.geometry.Grid` that dilation needs."""
-
-    @property
-    def cell_m(self) -> tuple[float, float, float]: ...  # noqa: D102
-
-    def centers(self, dtype: torch.dtype) -> Tensor: ...  # noqa: D102
-
-    def distances_m(self) -> Tensor: ...  # noqa: D102
-
-    def flat_index(self, points: Tensor) -> tuple[Tensor, Tensor]: ...  # noqa: D102
+from omniocc.geometry.lattice import Lattice
 
 
 def dilate(
-    grid: Dilatable, mask: Bool[Tensor, "*B X Y Z"], windows: Sequence[int], edges_m: Sequence[float | int]
+    grid: Lattice, mask: Bool[Tensor, "*B X Y Z"], windows: Sequence[int], edges_m: Sequence[float | int]
 ) -> Bool[Tensor, "*B X Y Z"]:
     """Return a mask widened towards and away from the z axis, by more the farther a cell is (paper, section IV-B).
 
@@ -59,7 +44,7 @@ def dilate(
 
 @functools.lru_cache(maxsize=8)
 def _moves(
-    grid: Dilatable, windows: tuple[int, ...], edges_m: tuple[float, ...]
+    grid: Lattice, windows: tuple[int, ...], edges_m: tuple[float, ...]
 ) -> tuple[Int64[Tensor, " M"], Int64[Tensor, " M"]]:
     """Return pairs of columns as two tensors: one that marks, and one that it marks."""
     points = grid.centers(torch.float64)[:, :, 0].flatten(0, 1)
@@ -76,7 +61,7 @@ def _moves(
 
 
 def _moved(
-    grid: Dilatable, points: Float64[Tensor, "N 3"], distance_m: Float64[Tensor, " N"], by_m: float
+    grid: Lattice, points: Float64[Tensor, "N 3"], distance_m: Float64[Tensor, " N"], by_m: float
 ) -> tuple[Int64[Tensor, " N"], Bool[Tensor, " N"]]:
     """Return the column of each point moved away from the axis, and whether it is in the grid, on the same side."""
     shift = torch.zeros_like(points)
