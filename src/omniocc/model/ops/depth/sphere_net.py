@@ -1,19 +1,21 @@
 """Base of the networks that choose among spheres: from logits to depth, and the losses."""
 
 from jaxtyping import Bool, Float
-from torch import Tensor
+from torch import Tensor, nn
+from torch.nn import functional as F
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.model.ops.depth.depth_map import SKY_INDEX, DepthMap, from_index, weighted_sum
 from omniocc.model.ops.depth.layers import window_argmax
 from omniocc.model.ops.depth.panorama_depth import DepthBatch, LearnedPanoramaDepth
+from omniocc.model.ops.depth.projection import present_cameras
 from omniocc.model.ops.depth.sphere_loss import SphereLoss
 from omniocc.model.ops.depth.spheres import SphereRange
 from omniocc.model.ops.padded import grouped
 
 
 class SphereNet(LearnedPanoramaDepth):
-    """Score every sphere and the sky in every direction; subclasses implement `logits`.
+    """Score every sphere and the sky in every direction; subclasses implement `features`, `sweep` and `scores`.
 
     The sky is no sphere, so that an uncertain edge against it does not pull the range to infinity. Where the sky is
     more likely than a surface, the range is not valid. Other arguments as in `LearnedPanoramaDepth`.
@@ -22,6 +24,8 @@ class SphereNet(LearnedPanoramaDepth):
         window: spheres to each side of the peak over which the index is averaged.
         min_confidence: ranges of lower confidence are not valid, in [0, 1].
     """
+
+    features: nn.Module
 
     def __init__(
         self,
@@ -46,6 +50,20 @@ class SphereNet(LearnedPanoramaDepth):
             flip: whether images and panoramas are mirrored for the networks, but not for the sweep between them; this
                 is equal to a mirrored rig in a mirrored world.
         """
+        features = self.features(images.flip(-1) if flip else images)
+        swept, seen = self.sweep(features.flip(-1) if flip else features, present_cameras(images), rig)
+        logits = self.scores(swept.flip(-1) if flip else swept)
+        seen = seen.flip(-1) if flip else seen
+        return logits, F.interpolate(seen.float(), logits.shape[-2:])[:, 0] > 0
+
+    def sweep(
+        self, features: Float[Tensor, "B N C _ _"], present: Bool[Tensor, "B N"], rig: Rig
+    ) -> tuple[Float[Tensor, "B E *D h w"], Bool[Tensor, "B 1 h w"]]:
+        """Return what the features of all cameras give on the spheres, and the mask of directions that any one sees."""
+        raise NotImplementedError
+
+    def scores(self, swept: Float[Tensor, "B C *D _ _"]) -> Float[Tensor, "B E h w"]:
+        """Return scores of every sphere and, last, of the sky, at the size of the panorama."""
         raise NotImplementedError
 
     def estimate(self, images: Float[Tensor, "B N 3 H W"], rig: Rig) -> DepthMap:
