@@ -17,8 +17,7 @@ from omniocc.model.ops.depth.projection import (
     similarity,
     table,
 )
-from omniocc.model.ops.depth.sphere_loss import SphereLoss
-from omniocc.model.ops.depth.sphere_net import SphereNet
+from omniocc.model.ops.depth.sphere_net import SphereLoss, SphereNet
 from omniocc.model.ops.depth.spheres import SphereRange
 from omniocc.model.ops.norm import group_norm
 from omniocc.model.ops.padding import upsample_view

@@ -10,8 +10,7 @@ from torch.nn import functional as F
 from omniocc.camera import Equirectangular, Rig
 from omniocc.model.ops.depth.layers import FeatureNet
 from omniocc.model.ops.depth.projection import Projection, samplers, table
-from omniocc.model.ops.depth.sphere_loss import SphereLoss
-from omniocc.model.ops.depth.sphere_net import SphereNet
+from omniocc.model.ops.depth.sphere_net import SphereLoss, SphereNet
 from omniocc.model.ops.depth.spheres import SphereRange
 from omniocc.model.ops.padding import Conv3d, Downsample, Pointwise, residual3d, upsample
 

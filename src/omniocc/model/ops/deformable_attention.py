@@ -15,8 +15,8 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 from torch.nn import functional as F
 
-from omniocc.model.ops.lifter.visible import Pairs
 from omniocc.model.ops.multilinear import bag_sum, corners, inner_products, sum_samples
+from omniocc.model.ops.visible import Pairs
 
 
 def ring_offsets(heads: int, levels: int, points: int, anchors: int) -> Float[Tensor, "H L 2 K"]:

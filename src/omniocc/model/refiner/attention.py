@@ -37,11 +37,6 @@ def sheet(cells: int) -> Layout:
     return Layout((rows, cells // rows), (False, False))
 
 
-def first_offsets(heads: int, points: int, axes: int) -> Float[Tensor, "axes H K"]:
-    """Return the first offsets of samples, in cells, along two or three axes."""
-    return ring_offsets(heads, 1, points, 1)[:, 0].transpose(0, 1) if axes == 2 else sphere_offsets(heads, points)
-
-
 def sphere_offsets(heads: int, points: int) -> Float[Tensor, "3 H K"]:
     """Return the first offsets of samples, in cells: one direction for each head, 1, 2, ... cells away.
 
@@ -66,7 +61,8 @@ class SelfAttention(SampledAttention):
 
     def __init__(self, channels: int, heads: int, points: int, layout: Layout):
         axes = len(layout.shape)
-        super().__init__(channels, channels, heads, first_offsets(heads, points, axes), axes)
+        rings = ring_offsets(heads, 1, points, 1)[:, 0].transpose(0, 1)
+        super().__init__(channels, channels, heads, rings if axes == 2 else sphere_offsets(heads, points), axes)
         self.points, self.layout, self.axes = points, layout, axes
 
     def make_table(self, voxels: Float[Tensor, "B cells C"]) -> Float[Tensor, "R D"]:
