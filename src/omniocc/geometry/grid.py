@@ -1,7 +1,7 @@
-"""The common part of cylindrical and rectangular grids: all but the map between points and axis values."""
+"""The common part of cylindrical and rectangular grids: what is done with volumes of their cells."""
 
+import itertools
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import Literal
@@ -11,130 +11,16 @@ from jaxtyping import Bool, Float, Float32, Float64, Int64, UInt8
 from torch import Tensor
 
 from omniocc.classes import NUM_CLASSES
-from omniocc.geometry.dilate import dilate
-from omniocc.geometry.raycast.crossings import Crossings, Distances, Rays
+from omniocc.geometry.lattice import Lattice
+from omniocc.geometry.raycast.crossings import Rays
 from omniocc.geometry.raycast.table import cast
 from omniocc.geometry.raycast.trace import Hits, Paths, paths
 from omniocc.geometry.vote import majority
-from omniocc.geometry.warp import Corners, fold, interpolate, trilinear
+from omniocc.geometry.warp import Corners, interpolate, trilinear
 
 
-class Grid(ABC):
-    """Regular grid along three axes in the ego frame; subclasses are frozen dataclasses, equal if their fields are.
-
-    Attributes:
-        shape: number of cells along each axis.
-    """
-
-    shape: tuple[int, int, int]
-
-    @property
-    @abstractmethod
-    def periodic(self) -> tuple[bool, bool, bool]:
-        """Return which axes wrap around."""
-
-    @property
-    @abstractmethod
-    def bounds(self) -> tuple[tuple[float, float], tuple[float, float], tuple[float, float]]:
-        """Return lower and upper end of each axis, metres (radians for an angle); the upper end is outside."""
-
-    @property
-    @abstractmethod
-    def cell_m(self) -> tuple[float, float, float]:
-        """Return the extent of a cell along each axis, metres; of an angle, the arc at the middle radius."""
-
-    @abstractmethod
-    def volumes_m3(self) -> Float64[Tensor, "X Y Z"]:
-        """Return the volume of every cell."""
-
-    @abstractmethod
-    def to_axes(self, points: Float[Tensor, "... 3"]) -> tuple[Tensor, Tensor, Tensor]:
-        """Return the values along the three axes of Cartesian ego points in metres."""
-
-    @abstractmethod
-    def from_axes(self, first: Tensor, second: Tensor, third: Tensor) -> Float[Tensor, "... 3"]:
-        """Return Cartesian ego points in metres with these values along the axes; the inverse of `to_axes`."""
-
-    @abstractmethod
-    def clip(self, origins: Rays, directions: Rays) -> tuple[Distances, Distances]:
-        """Return the distances at which unit rays (float64) enter and leave the grid; enter > leave for a miss."""
-
-    @abstractmethod
-    def crossings(self, origins: Rays, directions: Rays, start_m: Distances) -> tuple[Crossings, Crossings, Crossings]:
-        """Return the crossings of rays (float64), inside from `start_m` on, with the boundaries of each axis."""
-
-    @property
-    def num_cells(self) -> int:
-        """Return the number of cells in the grid."""
-        return self.shape[0] * self.shape[1] * self.shape[2]
-
-    def edges(self, axis: int) -> Float[Tensor, " edges"]:
-        """Return the cell boundaries along one axis, float64, metres (radians for an angle)."""
-        low, high = self.bounds[axis]
-        return torch.linspace(low, high, self.shape[axis] + 1, dtype=torch.float64)
-
-    def centers(
-        self, dtype: torch.dtype = torch.float32, device: torch.device | str | None = None
-    ) -> Float[Tensor, "X Y Z 3"]:
-        """Return the cell centres, the middle along each axis, as Cartesian ego points in metres."""
-        middles = [(self.edges(axis)[1:] + self.edges(axis)[:-1]) / 2 for axis in range(3)]
-        return self.from_axes(*torch.meshgrid(*middles, indexing="ij")).to(device=device, dtype=dtype)
-
-    def distances_m(self) -> Float64[Tensor, "X Y"]:
-        """Return the horizontal distance (m) of every column's middle from the z axis."""
-        return self.centers(torch.float64)[:, :, 0, :2].norm(dim=-1)
-
-    def neighbors(self, device: torch.device | str | None = None) -> Int64[Tensor, "X Y Z 6"]:
-        """Return the neighbours of each cell across its faces: down and up along the first axis, the second, the third.
-
-        Returns:
-            Row-major indices into a volume of `shape`; -1 beyond the ends of an axis that does not wrap around. No cell
-            has a neighbour across the z axis, where cells of a cylinder have only an edge in common.
-        """
-        flat = torch.arange(self.num_cells, device=device).reshape(self.shape)
-        found = []
-        for axis, wraps in enumerate(self.periodic):
-            for step, end in ((1, 0), (-1, self.shape[axis] - 1)):
-                moved = flat.roll(step, axis)
-                found.append(moved if wraps else moved.index_fill(axis, moved.new_tensor([end]), -1))
-        return torch.stack(found, dim=-1)
-
-    def coordinates(self, points: Float[Tensor, "... 3"]) -> tuple[Tensor, Tensor, Tensor]:
-        """Return the position along each axis in units of cells, at least in float32: cell i spans [i, i+1)."""
-        if points.dtype not in (torch.float32, torch.float64):
-            points = points.float()
-        # atan2 is an order of magnitude slower on strided input
-        points = points.movedim(-1, 0).contiguous().movedim(0, -1)
-        scaled = [
-            (value - low) * (cells / (high - low))
-            for value, (low, high), cells in zip(self.to_axes(points), self.bounds, self.shape, strict=True)
-        ]
-        return scaled[0], scaled[1], scaled[2]
-
-    def index(self, points: Float[Tensor, "... 3"]) -> tuple[Int64[Tensor, "... 3"], Bool[Tensor, "..."]]:
-        """Return the cell of each ego point (metres).
-
-        Returns:
-            The index along each axis (for a point outside, that of the nearest cell) and whether the point is inside. A
-            point that is not finite is outside.
-        """
-        first, second, third, inside = self._cells(points)
-        return torch.stack([first, second, third], dim=-1), inside
-
-    def flat_index(self, points: Float[Tensor, "... 3"]) -> tuple[Int64[Tensor, "..."], Bool[Tensor, "..."]]:
-        """Return the result of `index` with one number per cell: the row-major index into a volume of `shape`."""
-        first, second, third, inside = self._cells(points)
-        return (first * self.shape[1] + second) * self.shape[2] + third, inside
-
-    def _cells(self, points: Float[Tensor, "... 3"]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        indices, inside = [], torch.ones(points.shape[:-1], dtype=torch.bool, device=points.device)
-        for position, cells, periodic in zip(self.coordinates(points), self.shape, self.periodic, strict=True):
-            floor = position.floor()
-            inside &= floor.abs() <= cells if periodic else (floor >= 0) & (floor < cells)
-            # the angle is wrapped as an integer: float32 can round it up to a whole turn
-            whole = floor.nan_to_num(0.0).clamp(-1, cells).long()
-            indices.append(fold(whole, cells) if periodic else whole.clamp(0, cells - 1))
-        return indices[0], indices[1], indices[2], inside
+class Grid(Lattice):
+    """Lattice with voxels, rays and motion; subclasses are frozen dataclasses, equal if their fields are."""
 
     def voxelize(
         self, points: Float[Tensor, "P 3"], labels: UInt8[Tensor, " P"], num_classes: int = NUM_CLASSES
@@ -155,8 +41,32 @@ class Grid(ABC):
     def dilate(
         self, mask: Bool[Tensor, "*B X Y Z"], windows: Sequence[int], edges_m: Sequence[float | int]
     ) -> Bool[Tensor, "*B X Y Z"]:
-        """Return a mask widened towards and away from the z axis; see `omniocc.geometry.dilate.dilate`."""
-        return dilate(self, mask, windows, edges_m)
+        """Return a mask widened towards and away from the z axis, by more the farther a cell is (paper, section IV-B).
+
+        In a cylinder a cell marks the `window` next cells on either side of it along r. In a cuboid it marks the cells
+        that hold the points up to `window` cell lengths before and behind its middle, on the horizontal ray from the
+        axis: the same region of space for cells of the same length. Heights do not change, and no mark crosses the
+        axis.
+
+        Args:
+            mask: cells to widen, batch axes first.
+            windows: half-width in cells for each range band, one more than there are edges.
+            edges_m: distances of cell middles from the axis at which one band ends and the next begins.
+
+        Raises:
+            ValueError: if mask, windows and edges do not fit together.
+        """
+        if tuple(mask.shape[-3:]) != self.shape:
+            raise ValueError(f"mask must end with the grid's shape {self.shape}, got {tuple(mask.shape)}")
+        rising = all(low < high for low, high in itertools.pairwise(edges_m))
+        if len(windows) != len(edges_m) + 1 or not rising or any(window < 0 for window in windows):
+            sizes = f"windows {tuple(windows)} and edges_m {tuple(edges_m)}"
+            raise ValueError(f"there must be increasing edges_m and one more window, none negative, got {sizes}")
+        origin, target = (side.to(mask.device) for side in _moves(self, tuple(windows), tuple(map(float, edges_m))))
+        columns = mask.reshape(-1, self.shape[0] * self.shape[1], self.shape[2])
+        # sums, not assignments: several cells may mark the same one
+        marks = columns.to(torch.int16)
+        return marks.index_add(1, target, marks.index_select(1, origin)).bool().reshape(mask.shape)
 
     def warp(
         self, volume: Float[Tensor, "B C X Y Z"], past_from_current: Float[Tensor, "B 4 4"]
@@ -231,6 +141,34 @@ class Grid(ABC):
 @lru_cache(maxsize=8)
 def _center_columns(grid: Grid, device: torch.device) -> Float64[Tensor, "3 N"]:
     return grid.centers(torch.float64, device).reshape(-1, 3).T.contiguous()
+
+
+@lru_cache(maxsize=8)
+def _moves(
+    grid: Grid, windows: tuple[int, ...], edges_m: tuple[float, ...]
+) -> tuple[Int64[Tensor, " M"], Int64[Tensor, " M"]]:
+    """Return pairs of columns as two tensors: one that marks, and one that it marks."""
+    points = grid.centers(torch.float64)[:, :, 0].flatten(0, 1)
+    distance_m = grid.distances_m().flatten()
+    window = torch.tensor(windows)[torch.bucketize(distance_m, torch.tensor(edges_m, dtype=torch.float64), right=True)]
+    step_m = grid.cell_m[0] if grid.periodic[1] else min(grid.cell_m[:2])
+    pairs = [torch.zeros(0, 2, dtype=torch.int64)]
+    for offset in [*range(-max(windows), 0), *range(1, max(windows) + 1)]:
+        moved, inside = _moved(grid, points, distance_m, offset * step_m)
+        origin = ((window >= abs(offset)) & inside).nonzero().flatten()
+        pairs.append(torch.stack([origin, moved[origin]], dim=1))
+    origin, target = torch.cat(pairs).unique(dim=0).unbind(1)
+    return origin, target
+
+
+def _moved(
+    grid: Grid, points: Float64[Tensor, "N 3"], distance_m: Float64[Tensor, " N"], by_m: float
+) -> tuple[Int64[Tensor, " N"], Bool[Tensor, " N"]]:
+    """Return the column of each point moved away from the axis, and whether it is in the grid, on the same side."""
+    shift = torch.zeros_like(points)
+    shift[:, :2] = points[:, :2] / distance_m.clamp(min=1e-9).unsqueeze(1) * by_m
+    cell, inside = grid.flat_index(points + shift)
+    return cell // grid.shape[2], inside & (distance_m + by_m > -1e-6)
 
 
 def as_axis(name: str, values: Sequence[float | int]) -> tuple[float, float]:

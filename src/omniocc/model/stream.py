@@ -120,12 +120,8 @@ class Stream:
         volumes = [torch.cat([frame.volume for frame in column]) for column in zip(*frames, strict=True)]
         poses = torch.stack([torch.stack([frame.world_from_ego for frame in window]) for window in frames])
         exists = torch.tensor([[key in known for key in window] for window in windows], device=poses.device)
-        sketched = joined([window[-1].sketched for window in frames])
+        newest = [window[-1].sketched for window in frames]
+        evidence = [part.evidence for part in newest if part.evidence is not None]
+        sketched = Sketched(torch.cat([part.candidates for part in newest]), torch.cat(evidence) if evidence else None)
         self._frames = {key: known[key] for key in windows[-1][1:] if key in known}
         return self.model.fuse(volumes, poses, exists, sketched)
-
-
-def joined(parts: list[Sketched]) -> Sketched:
-    """Return the outputs for several samples as one batch."""
-    evidence = [part.evidence for part in parts if part.evidence is not None]
-    return Sketched(torch.cat([part.candidates for part in parts]), torch.cat(evidence) if evidence else None)

@@ -6,9 +6,8 @@ import torch
 
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.model.lifter import Coloring
-from omniocc.model.lifter.coloring import group_samples
-from omniocc.model.ops.lifter.position import position_features
-from omniocc.model.ops.lifter.visible import reference_points
+from omniocc.model.lifter.coloring import group_samples, position_features
+from omniocc.model.ops.visible import reference_points
 from omniocc.model.sketch import Sketched
 
 GRID = Cylinder((4, 8, 3))

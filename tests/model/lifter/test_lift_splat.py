@@ -3,7 +3,7 @@ import torch
 
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.model.lifter import LiftSplat
-from omniocc.model.ops.lifter.splat import find_entries, splat
+from omniocc.model.lifter.lift_splat import find_entries, splat
 from omniocc.model.sketch import Sketched
 
 GRID = Cylinder((4, 8, 3))

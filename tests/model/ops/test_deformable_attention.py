@@ -3,7 +3,7 @@ import torch
 from torch.nn import functional as F
 
 from omniocc.model.ops.deformable_attention import deformable_sum, make_level, make_table
-from omniocc.model.ops.lifter.visible import Pairs
+from omniocc.model.ops.visible import Pairs
 
 SAMPLES, CAMERAS, HEADS, CHANNELS, POINTS = 2, 3, 2, 4, 3
 SIZES = [(5, 7), (3, 4)]

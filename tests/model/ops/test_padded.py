@@ -6,10 +6,10 @@ from torch.nn import functional as F
 
 from omniocc.camera import Rig
 from omniocc.geometry import Cuboid
+from omniocc.model.lifter.lift_splat import find_entries
 from omniocc.model.ops.depth.zbuffer import camera_rays
-from omniocc.model.ops.lifter.splat import find_entries
-from omniocc.model.ops.lifter.visible import reference_points
 from omniocc.model.ops.padded import ImageShape, by_shape, crop, image_shape
+from omniocc.model.ops.visible import reference_points
 
 CPU = torch.device("cpu")
 

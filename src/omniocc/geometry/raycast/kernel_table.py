@@ -10,10 +10,11 @@ import torch
 from jaxtyping import UInt8
 from torch import Tensor
 
+from omniocc.geometry.lattice import Lattice
 from omniocc.geometry.raycast import march
 from omniocc.geometry.raycast.crossings import clip_slab
 from omniocc.geometry.raycast.fans import Fans
-from omniocc.geometry.raycast.trace import Hits, Traversable
+from omniocc.geometry.raycast.trace import Hits
 
 RAYS_PER_TASK = 2000
 """Approximate number of rays of one task of a thread; less work is not worth a thread."""
@@ -31,7 +32,7 @@ class KernelTable:
     most origins never occur again.
     """
 
-    def __init__(self, grid: Traversable, fans: Fans):
+    def __init__(self, grid: Lattice, fans: Fans):
         self.fans = fans
         bottom, top = grid.bounds[2]
         enter, leave = clip_slab(fans.origins[:, 2:].expand_as(fans.slopes), fans.slopes, (bottom, top))

@@ -7,12 +7,12 @@ import torch
 from jaxtyping import Float, Float32, UInt8
 from torch import Tensor
 
-from omniocc.geometry.raycast.columns import MAX_LEVELS
+from omniocc.geometry.lattice import Lattice
 from omniocc.geometry.raycast.crossings import Rays
 from omniocc.geometry.raycast.fans import Fans, Scan
 from omniocc.geometry.raycast.kernel_table import KernelTable
-from omniocc.geometry.raycast.tensor_table import TensorTable
-from omniocc.geometry.raycast.trace import Hits, Traversable
+from omniocc.geometry.raycast.tensor_table import MAX_LEVELS, TensorTable
+from omniocc.geometry.raycast.trace import Hits
 
 CHUNK_SINGLE_RAYS = 1 << 14
 """Single rays that are cast together on a GPU."""
@@ -27,7 +27,7 @@ class RayTable:
         ValueError: if the grid has more than 48 levels.
     """
 
-    def __init__(self, grid: Traversable, fans: Fans):
+    def __init__(self, grid: Lattice, fans: Fans):
         if grid.shape[2] > MAX_LEVELS:
             raise ValueError(f"rays are cast through at most {MAX_LEVELS} levels, got shape {grid.shape}; use paths()")
         self.shape, self.device = grid.shape, fans.origins.device
@@ -54,7 +54,7 @@ class RayTable:
         return self.cast(torch.zeros(self.shape, dtype=torch.uint8, device=self.device)).exit_m
 
 
-def cast(grid: Traversable, labels: UInt8[Tensor, "X Y Z"], origins: Rays, directions: Rays) -> Hits:
+def cast(grid: Lattice, labels: UInt8[Tensor, "X Y Z"], origins: Rays, directions: Rays) -> Hits:
     """Return the first cell along each ray that is not free (0); unknown (255) is not free.
 
     For rays that form a LiDAR raster, or that stay the same, `ray_table` is many times faster. Origins are in the ego
@@ -71,7 +71,7 @@ def cast(grid: Traversable, labels: UInt8[Tensor, "X Y Z"], origins: Rays, direc
     return Hits(*(torch.cat(part) for part in zip(*parts, strict=True)))
 
 
-def ray_table(grid: Traversable, origins: Float[Tensor, "O 3"], scan: Scan) -> RayTable:
+def ray_table(grid: Lattice, origins: Float[Tensor, "O 3"], scan: Scan) -> RayTable:
     """Return prepared rays, from a cache of the last few tables.
 
     Args:
@@ -83,6 +83,6 @@ def ray_table(grid: Traversable, origins: Float[Tensor, "O 3"], scan: Scan) -> R
 
 
 @functools.lru_cache(maxsize=4)
-def _cached(grid: Traversable, origins: bytes, scan: Scan, device: str) -> RayTable:
+def _cached(grid: Lattice, origins: bytes, scan: Scan, device: str) -> RayTable:
     starts = torch.frombuffer(bytearray(origins), dtype=torch.float64).reshape(-1, 3).to(device)
     return RayTable(grid, scan.fans(starts))

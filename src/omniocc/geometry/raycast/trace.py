@@ -5,36 +5,17 @@ each changes the cell by one along its axis.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float32, Float64, Int32, UInt8
 from torch import Tensor
 
+from omniocc.geometry.lattice import Lattice
 from omniocc.geometry.raycast.crossings import FAR, TOUCH_M, Crossings, Rays
 
 CHUNK_RAYS = 1024
 """Rays whose crossings are sorted together, few enough for the processor's cache."""
-
-
-@runtime_checkable
-class Traversable(Protocol):
-    """The part of `omniocc.geometry.Grid` that tracing needs."""
-
-    @property
-    def shape(self) -> tuple[int, int, int]: ...  # noqa: D102
-
-    @property
-    def periodic(self) -> tuple[bool, bool, bool]: ...  # noqa: D102
-
-    @property
-    def bounds(self) -> tuple[tuple[float, float], tuple[float, float], tuple[float, float]]: ...  # noqa: D102
-
-    def clip(self, origins: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]: ...  # noqa: D102
-
-    def crossings(  # noqa: D102
-        self, origins: Tensor, directions: Tensor, start_m: Tensor
-    ) -> tuple[Crossings, Crossings, Crossings]: ...
 
 
 class Paths(NamedTuple):
@@ -78,7 +59,7 @@ class Hits(NamedTuple):
     exit_m: Float32[Tensor, " R"]
 
 
-def paths(grid: Traversable, origins: Rays, directions: Rays) -> Paths:
+def paths(grid: Lattice, origins: Rays, directions: Rays) -> Paths:
     """Return all cells that rays cross.
 
     Cells crossed over less than a nanometre are left out, so a ray through an edge goes from cell to opposite cell.
@@ -90,7 +71,7 @@ def paths(grid: Traversable, origins: Rays, directions: Rays) -> Paths:
     return Paths(stack_ragged(cells, -1), stack_ragged(bounds_m, None), torch.cat(valid))
 
 
-def _paths(grid: Traversable, origins: Rays, directions: Rays) -> Paths:
+def _paths(grid: Lattice, origins: Rays, directions: Rays) -> Paths:
     origins, directions = origins.double(), unit(directions)
     start_m, leave_m = clip(grid, origins, directions)
     _, second, third = grid.shape
@@ -113,7 +94,7 @@ def unit(directions: Rays) -> Float64[Tensor, "R 3"]:
 
 
 def clip(
-    grid: Traversable, origins: Float64[Tensor, "R 3"], directions: Float64[Tensor, "R 3"]
+    grid: Lattice, origins: Float64[Tensor, "R 3"], directions: Float64[Tensor, "R 3"]
 ) -> tuple[Float64[Tensor, " R"], Float64[Tensor, " R"]]:
     """Return the distances at which rays start in the grid and leave it; equal for those that miss it."""
     enter_m, leave_m = grid.clip(origins, directions)

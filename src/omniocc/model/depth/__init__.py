@@ -6,7 +6,7 @@ from omniocc.model.depth.omnimvs3d import OmniMVS3D
 from omniocc.model.depth.sweep import Sweep
 from omniocc.model.depth.truth import Truth
 from omniocc.model.ops.depth.depth_map import DepthMap
-from omniocc.model.ops.depth.sphere_loss import SphereLoss
+from omniocc.model.ops.depth.sphere_net import SphereLoss
 from omniocc.model.ops.depth.spheres import SphereRange, Spheres
 from omniocc.model.protocols import Depth, LearnedDepth, learns
 

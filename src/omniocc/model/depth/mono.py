@@ -11,7 +11,7 @@ from omniocc.camera import Equirectangular, Rig
 from omniocc.camera.ops.pixels import pixel_centers
 from omniocc.loss import SILog
 from omniocc.model.ops.depth.depth_map import DepthMap, from_index
-from omniocc.model.ops.depth.features import FeatureNet
+from omniocc.model.ops.depth.layers import FeatureNet
 from omniocc.model.ops.depth.panorama_depth import DepthBatch, LearnedPanoramaDepth
 from omniocc.model.ops.depth.projection import present_cameras
 from omniocc.model.ops.depth.spheres import SphereRange

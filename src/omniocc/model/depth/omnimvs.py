@@ -8,19 +8,16 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from omniocc.camera import Equirectangular, Rig
-from omniocc.model.ops.depth.features import FeatureNet
-from omniocc.model.ops.depth.layers import Conv, UNet2d
+from omniocc.model.ops.depth.layers import Conv, FeatureNet, UNet2d
 from omniocc.model.ops.depth.projection import (
     Projection,
     Sampler,
     alternate_cameras,
-    present_cameras,
     samplers,
     similarity,
     table,
 )
-from omniocc.model.ops.depth.sphere_loss import SphereLoss
-from omniocc.model.ops.depth.sphere_net import SphereNet
+from omniocc.model.ops.depth.sphere_net import SphereLoss, SphereNet
 from omniocc.model.ops.depth.spheres import SphereRange
 from omniocc.model.ops.norm import group_norm
 from omniocc.model.ops.padding import upsample_view
@@ -100,54 +97,36 @@ class OmniMVS(SphereNet):
         )
         self.trust = nn.Parameter(torch.full((), FIRST_TRUST))
 
-    def logits(
-        self, images: Float[Tensor, "B N 3 H W"], rig: Rig, flip: bool = False
-    ) -> tuple[Float[Tensor, "B E h w"], Bool[Tensor, "B h w"]]:
-        """Return scores of spheres and sky, and the mask of seen directions; see `SphereNet.logits`."""
-        features = self.features(images.flip(-1) if flip else images)
-        features = features.flip(-1) if flip else features
-        panoramas, seen = self._sweep(features, images, rig)
-        if flip:
-            panoramas, seen = panoramas.flip(-1), seen.flip(-1)
-        coarse = self.up(self.net(self.stem(panoramas)))
-        size = coarse.shape[-2:]
-        skip = panoramas[:, : self.skipped]
+    def scores(self, swept: Float[Tensor, "B C _ _"]) -> Float[Tensor, "B E h w"]:
+        """Return scores of spheres and sky: those of the 2D network, and the similarity on each sphere."""
+        coarse = self.up(self.net(self.stem(swept)))
+        skip = swept[:, : self.skipped]
         if self.sweep_stride == 2:
-            skip = upsample_view(skip, size, (False, True))
+            skip = upsample_view(skip, coarse.shape[-2:], (False, True))
         logits = self.fine(torch.cat([skip, coarse], 1))
         alike = skip[:, : self.groups * self.spheres.count].unflatten(1, (self.spheres.count, self.groups)).mean(2)
-        logits = logits + self.trust * F.pad(alike, (0, 0, 0, 0, 0, 1))
-        return logits, F.interpolate(seen.float(), size)[:, 0] > 0
+        return logits + self.trust * F.pad(alike, (0, 0, 0, 0, 0, 1))
 
-    def _sweep(
-        self, features: Float[Tensor, "B N C _ _"], images: Float[Tensor, "B N 3 H W"], rig: Rig
+    def sweep(
+        self, features: Float[Tensor, "B N C _ _"], present: Bool[Tensor, "B N"], rig: Rig
     ) -> tuple[Float[Tensor, "B E h w"], Bool[Tensor, "B 1 h w"]]:
         """Return the input of the 2D network, and the mask of directions that any camera sees."""
-        present = present_cameras(images)
         match, context = features.split([self.match_channels, features.shape[2] - self.match_channels], 2)
-        agreement, one, two = zip(*self._agreement(match, present, rig), strict=True)
-        views = self._views(context, present, rig, tuple(part * (self.spheres.count - 1) for part in CONTEXT_SPHERES))
-        one, two = (self._maps(torch.cat(parts)[..., None]) for parts in (one, two))
+        rows, blocks = table(match, present), self._samplers(match, rig, self.spheres.planes)
+        parts = [similarity(rows, *pair, present, self.groups) for pair in blocks]
+        agreement, *fractions = (torch.cat(part) for part in zip(*parts, strict=True))
+        one, two = (self._maps(fraction[..., None]) for fraction in fractions)
         both, either = torch.minimum(one, two).mean(1, keepdim=True), torch.maximum(one, two).mean(1, keepdim=True)
         height = self.swept.height
-        row = 1 - 2 * (torch.arange(height, device=images.device) + 0.5) / height
-        row = row[:, None].expand_as(both)
-        maps = [self._maps(part) for part in (torch.cat(agreement), *views)]
-        return torch.cat([*maps, both, either, row], 1), either > 0
-
-    def _agreement(
-        self, match: Float[Tensor, "B N C _ _"], present: Bool[Tensor, "B N"], rig: Rig
-    ) -> Iterator[tuple[Float[Tensor, "P B G"], Float[Tensor, "P B"], Float[Tensor, "P B"]]]:
-        """Yield the similarity, and the present fraction of either set, block by block of spheres."""
-        rows = table(match, present)
-        for one, two in self._samplers(match, rig, self.spheres.planes):
-            yield similarity(rows, one, two, present, self.groups)
+        row = 1 - 2 * (torch.arange(height, device=features.device) + 0.5) / height
+        maps = [self._maps(part) for part in (agreement, *self._views(context, present, rig))]
+        return torch.cat([*maps, both, either, row[:, None].expand_as(both)], 1), either > 0
 
     def _views(
-        self, context: Float[Tensor, "B N C _ _"], present: Bool[Tensor, "B N"], rig: Rig, planes: tuple[float, ...]
+        self, context: Float[Tensor, "B N C _ _"], present: Bool[Tensor, "B N"], rig: Rig
     ) -> list[Float[Tensor, "P B C"]]:
-        """Return the mean and the absolute difference of the features of the two sets."""
-        rows = table(context, present)
+        """Return the mean and the absolute difference of the features of the two sets on some spheres."""
+        rows, planes = table(context, present), tuple(part * (self.spheres.count - 1) for part in CONTEXT_SPHERES)
         blocks = zip(*self._samplers(context, rig, planes), strict=True)
         one, two = (torch.cat([sampler.mean(rows, present)[0] for sampler in side]) for side in blocks)
         return [(one + two) / 2, (one - two).abs()]

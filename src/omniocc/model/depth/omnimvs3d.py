@@ -8,10 +8,9 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from omniocc.camera import Equirectangular, Rig
-from omniocc.model.ops.depth.features import FeatureNet
-from omniocc.model.ops.depth.projection import Projection, present_cameras, samplers, table
-from omniocc.model.ops.depth.sphere_loss import SphereLoss
-from omniocc.model.ops.depth.sphere_net import SphereNet
+from omniocc.model.ops.depth.layers import FeatureNet
+from omniocc.model.ops.depth.projection import Projection, samplers, table
+from omniocc.model.ops.depth.sphere_net import SphereLoss, SphereNet
 from omniocc.model.ops.depth.spheres import SphereRange
 from omniocc.model.ops.padding import Conv3d, Downsample, Pointwise, residual3d, upsample
 
@@ -62,19 +61,11 @@ class OmniMVS3D(SphereNet):
         self.features = FeatureNet(feature_channels, match_channels)
         self.net = VolumeNet(2 * match_channels, channels)
 
-    def logits(
-        self, images: Float[Tensor, "B N 3 H W"], rig: Rig, flip: bool = False
-    ) -> tuple[Float[Tensor, "B E h w"], Bool[Tensor, "B h w"]]:
-        """Return scores of spheres and sky, and the mask of seen directions; see `SphereNet.logits`."""
-        features = self.features(images.flip(-1) if flip else images)
-        volume, seen = self._volume(features.flip(-1) if flip else features, present_cameras(images), rig)
-        if flip:
-            volume, seen = volume.flip(-1), seen.flip(-1)
-        logits = self.net(volume)
-        size = self.panorama.height, self.panorama.width
-        return resize_panorama(logits, *size), F.interpolate(seen.float(), size)[:, 0] > 0
+    def scores(self, swept: Float[Tensor, "B C D _ _"]) -> Float[Tensor, "B E h w"]:
+        """Return scores of spheres and sky by the 3D network."""
+        return resize_panorama(self.net(swept), self.panorama.height, self.panorama.width)
 
-    def _volume(
+    def sweep(
         self, features: Float[Tensor, "B N C _ _"], present: Bool[Tensor, "B N"], rig: Rig
     ) -> tuple[Float[Tensor, "B E D h w"], Bool[Tensor, "B 1 h w"]]:
         """Return mean and variance on all spheres, and the mask of directions that any camera sees."""

@@ -9,9 +9,9 @@ from omniocc.camera import Rig
 from omniocc.geometry import Grid
 from omniocc.model.lifter.coloring import Coloring
 from omniocc.model.ops.blocks import block_any, coarsened, repeat_blocks
-from omniocc.model.ops.lifter.visible import CENTRE
 from omniocc.model.ops.padded import FeatureMaps
 from omniocc.model.ops.padding import Axes
+from omniocc.model.ops.visible import CENTRE
 from omniocc.model.protocols import Sketched
 
 

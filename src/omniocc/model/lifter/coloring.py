@@ -1,7 +1,6 @@
 """The coloring module: candidate voxels attend to image features (paper, section IV-C, eq. 1)."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, Int64
@@ -9,15 +8,26 @@ from torch import Tensor, nn
 
 from omniocc.camera import Rig
 from omniocc.geometry import Grid
-from omniocc.model.ops.deformable_attention import make_level
+from omniocc.model.ops.deformable_attention import (
+    Level,
+    SampledAttention,
+    deformable_sum,
+    make_level,
+    make_table,
+    ring_offsets,
+    transposed,
+)
 from omniocc.model.ops.feedforward import AttentionLayer
-from omniocc.model.ops.lifter.cross_attention import CrossAttention
-from omniocc.model.ops.lifter.position import position_features
-from omniocc.model.ops.lifter.visible import CENTRE, Anchors, Pairs, reference_points, visible_pairs
 from omniocc.model.ops.padded import FeatureMaps, crop
 from omniocc.model.ops.rig_cache import once_per_rig
 from omniocc.model.ops.static import is_static
+from omniocc.model.ops.visible import CENTRE, Anchors, Pairs, reference_points, visible_pairs
 from omniocc.model.protocols import Sketched
+
+OCTAVES = 4
+"""Multiples of angles, and powers of two of lengths, in the features of a position."""
+
+Queried = tuple[Int64[Tensor, " E"], Int64[Tensor, " Q"], Pairs]
 
 
 class Coloring(nn.Module):
@@ -54,8 +64,6 @@ class Coloring(nn.Module):
         anchors: Sequence[Sequence[float | int]] = CENTRE,
     ):
         super().__init__()
-        if channels % heads:
-            raise ValueError(f"{channels} channels cannot be split among {heads} heads; give a divisor")
         if not anchors or points % len(anchors):
             raise ValueError(f"{points} points cannot be split among {len(anchors)} anchors; give a multiple")
         if any(len(anchor) != 3 or max(map(abs, anchor)) > 0.5 for anchor in anchors):
@@ -112,33 +120,89 @@ class Coloring(nn.Module):
         return torch.where(marked[:, None], volume, self.empty.to(volume.dtype)) if whole else volume
 
 
-class Queried(NamedTuple):
-    """Cells that become queries.
+def position_features(geometry: Grid) -> Float[Tensor, "cells D"]:
+    """Return features of the metric coordinates of every cell's centre, row-major, for grids of any kind.
 
-    Attributes:
-        cells: row-major indices.
-        seen: those of `cells` that any camera sees, as indices into it.
-        pairs: the cameras that see them.
+    They are x, y, z and radius scaled to [-1, 1] (or [0, 1]), and sine and cosine of multiples of the azimuth, radius
+    and height; all are continuous where the azimuth is not.
+    """
+    centers_m = geometry.centers(torch.float64).reshape(-1, 3)
+    x, y, z = centers_m.unbind(-1)
+    radius = torch.hypot(x, y)
+    azimuth = torch.atan2(y, x)
+    radius_unit = radius / radius.max()
+    low, high = z.min(), z.max()
+    height_unit = (2 * z - low - high) / (high - low).clamp(min=1e-9)
+    waves = [azimuth * k for k in range(1, OCTAVES + 1)]
+    waves += [torch.pi * 2**k * unit for k in range(OCTAVES) for unit in (radius_unit, height_unit)]
+    columns = [x / radius.max(), y / radius.max(), height_unit, radius_unit]
+    columns += [wave for angle in waves for wave in (angle.sin(), angle.cos())]
+    return torch.stack(columns, dim=-1).float()
+
+
+class CrossAttention(SampledAttention):
+    """Apply multi-scale deformable attention (Zhu et al., 2021), averaged over the cameras that see a query (eq. 1).
+
+    Offsets and attention depend only on the query and are equal for all cameras.
+
+    Args:
+        channels: of queries and features.
+        heads: a divisor of the channels.
+        points: samples per head and level.
+        levels: number of feature maps.
+        anchors: reference points of each query, a divisor of the points, which are split equally among them.
     """
 
-    cells: Int64[Tensor, " E"]
-    seen: Int64[Tensor, " Q"]
-    pairs: Pairs
+    def __init__(self, channels: int, heads: int, points: int, levels: int, anchors: int):
+        super().__init__(channels, channels, heads, ring_offsets(heads, levels, points, anchors), axes=2)
+        self.points, self.levels = points, levels
+        self.level_embedding = nn.Parameter(torch.zeros(levels, channels))
+
+    def forward(
+        self, queries: Float[Tensor, "G Q C"], features: FeatureMaps, pairs: Pairs, levels: list[Level]
+    ) -> Float[Tensor, "B Q C"]:
+        """Attend for B samples of equal rig and candidates; G is B, or 1 if the samples have the same queries."""
+        samples = len(features[0]) // len(queries)
+        maps = zip(*(level.split(samples) for level in features), strict=True)
+        sums = [self._attend(query, list(part), pairs, levels) for query, part in zip(queries, maps, strict=True)]
+        return self.output(torch.cat(sums))
+
+    def _attend(
+        self, queries: Float[Tensor, "Q C"], features: FeatureMaps, pairs: Pairs, levels: list[Level]
+    ) -> Float[Tensor, "B Q C"]:
+        """Attend with one set of queries to B samples, whose channels are side by side."""
+        with torch.autocast(queries.device.type, enabled=False):
+            dtype = torch.promote_types(queries.dtype, torch.float32)
+            offsets, attention = self._sampling(queries.to(dtype))
+            tables = [make_table(self._value(level.to(dtype), index)) for index, level in enumerate(features)]
+            sums = deformable_sum(tables, offsets, attention, pairs, levels) / pairs.counts[:, None]
+        return sums.unflatten(-1, (len(features[0]), -1)).permute(2, 1, 0, 3).flatten(2)
+
+    def _sampling(self, queries: Float[Tensor, "Q C"]) -> tuple[Float[Tensor, "H L 2 Q K"], Float[Tensor, "H L Q K"]]:
+        shape = (self.heads, self.levels, self.points)
+        offsets = transposed(self.offsets, queries).unflatten(0, (*shape[:2], 2, self.points))
+        attention = transposed(self.attention, queries).unflatten(0, (self.heads, -1)).softmax(1)
+        attention = attention.unflatten(1, shape[1:])
+        return offsets.transpose(-1, -2).contiguous(), attention.transpose(-1, -2).contiguous()
+
+    def _value(self, level: Float[Tensor, "B N C h w"], index: int) -> Float[Tensor, "B N H D h w"]:
+        values = self.value(level.movedim(2, -1) + self.level_embedding[index])
+        return values.movedim(-1, 2).unflatten(2, (self.heads, -1))
 
 
 def marked_cells(
     marked: Bool[Tensor, " cells"], rig: Rig, geometry: Grid, device: torch.device, anchors: Anchors
 ) -> Queried:
-    """Return the marked cells as queries."""
+    """Return the marked cells, those of them that any camera sees (as indices into them), and the cameras that do."""
     points, valid = reference_points(rig, geometry, device, anchors)
     cells = marked.nonzero()[:, 0]
     seen = valid.any(0)[cells].nonzero()[:, 0]
-    return Queried(cells, seen, visible_pairs(points, valid, cells[seen]))
+    return cells, seen, visible_pairs(points, valid, cells[seen])
 
 
 @once_per_rig
 def every_cell(rig: Rig, geometry: Grid, device: torch.device, anchors: Anchors) -> Queried:
-    """Return all cells as queries; never write to the result, which is cached."""
+    """Return the result of `marked_cells` for all cells; never write to the result, which is cached."""
     everything = torch.ones(geometry.num_cells, dtype=torch.bool, device=device)
     return marked_cells(everything, rig, geometry, device, anchors)
 

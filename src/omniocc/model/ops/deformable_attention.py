@@ -6,6 +6,7 @@ by pixel and the same operation is applied. Memory grows only with the samples o
 """
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -14,8 +15,8 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 from torch.nn import functional as F
 
-from omniocc.model.ops.lifter.visible import Pairs
-from omniocc.model.ops.multilinear import bag_sum, inner_products
+from omniocc.model.ops.multilinear import bag_sum, corners, inner_products, sum_samples
+from omniocc.model.ops.visible import Pairs
 
 
 def ring_offsets(heads: int, levels: int, points: int, anchors: int) -> Float[Tensor, "H L 2 K"]:
@@ -40,10 +41,15 @@ class SampledAttention(nn.Module):
         heads: a divisor of the channels.
         first_offsets: of all samples along all axes, before training, in the order of the linear map.
         axes: along which samples are moved.
+
+    Raises:
+        ValueError: if the heads do not divide the channels.
     """
 
     def __init__(self, channels: int, query_channels: int, heads: int, first_offsets: Float[Tensor, "..."], axes: int):
         super().__init__()
+        if channels % heads:
+            raise ValueError(f"{channels} channels cannot be split among {heads} heads; give a divisor")
         self.heads = heads
         self.value = nn.Linear(channels, channels)
         self.offsets = nn.Linear(query_channels, first_offsets.numel())
@@ -53,6 +59,37 @@ class SampledAttention(nn.Module):
             nn.init.zeros_(layer.weight)
             nn.init.zeros_(layer.bias)
         self.offsets.bias.data.copy_(first_offsets.flatten())
+
+    def sum_among_cells(
+        self,
+        table: Float[Tensor, "R D"],
+        places: Float[Tensor, "axes Q H K"],
+        weights: Float[Tensor, "Q H K"],
+        first: Int32[Tensor, "Q 1 _"],
+        shape: Sequence[int],
+        periodic: Sequence[bool],
+    ) -> Float[Tensor, "Q C"]:
+        """Return the weighted sum of samples at `places`, in cells, from a table by cell and head (see `Corners`).
+
+        `first` is the table's cell with which the map of a query's samples begins.
+        """
+        found = corners(places, weights, shape, periodic)
+        head = torch.arange(self.heads, dtype=torch.int32, device=table.device)
+        row = (found.row + first) * self.heads + head[:, None]
+        steps = tuple(step * self.heads for step in found.steps)
+        return sum_samples(table, row.flatten(0, 1), found.weights.flatten(0, 1), steps).view(len(weights), -1)
+
+
+def unravel(
+    first: int, count: int, shape: Sequence[int], device: torch.device
+) -> tuple[Int32[Tensor, " Q"], Float[Tensor, "axes Q"]]:
+    """Return sample and place (in cells along each axis) of consecutive cells of a batch."""
+    index = torch.arange(first, first + count, dtype=torch.int32, device=device)
+    places = []
+    for cells in reversed(shape):
+        places.append(index % cells)
+        index = torch.div(index, cells, rounding_mode="floor")
+    return index, torch.stack(places[::-1]).to(torch.float32)
 
 
 class Level(NamedTuple):

@@ -81,8 +81,6 @@ def sum_samples(
 
 
 class _SumSamples(torch.autograd.Function):
-    """Implement `sum_samples`."""
-
     @staticmethod
     def forward(ctx: Any, table: Tensor, row: Tensor, weights: Tensor, steps: tuple[int, ...]) -> Tensor:
         ctx.save_for_backward(table, row, weights)

@@ -10,9 +10,8 @@ from torch.utils.checkpoint import checkpoint
 
 from omniocc.geometry import Grid
 from omniocc.model.ops.blocks import block_means, coarsened
-from omniocc.model.ops.deformable_attention import SampledAttention, ring_offsets, transposed
+from omniocc.model.ops.deformable_attention import SampledAttention, ring_offsets, transposed, unravel
 from omniocc.model.ops.feedforward import AttentionLayer
-from omniocc.model.ops.multilinear import corners, sum_samples
 from omniocc.model.ops.padding import Axes, pad3d, upsample
 from omniocc.model.protocols import Sketched
 
@@ -36,11 +35,6 @@ def sheet(cells: int) -> Layout:
     """Return the layout of `cells` pixels as an image, as square as possible: 512x512 for 128x128x16 voxels."""
     rows = next(rows for rows in range(math.isqrt(cells), 0, -1) if cells % rows == 0)
     return Layout((rows, cells // rows), (False, False))
-
-
-def first_offsets(heads: int, points: int, axes: int) -> Float[Tensor, "axes H K"]:
-    """Return the first offsets of samples, in cells, along two or three axes."""
-    return ring_offsets(heads, 1, points, 1)[:, 0].transpose(0, 1) if axes == 2 else sphere_offsets(heads, points)
 
 
 def sphere_offsets(heads: int, points: int) -> Float[Tensor, "3 H K"]:
@@ -67,7 +61,8 @@ class SelfAttention(SampledAttention):
 
     def __init__(self, channels: int, heads: int, points: int, layout: Layout):
         axes = len(layout.shape)
-        super().__init__(channels, channels, heads, first_offsets(heads, points, axes), axes)
+        rings = ring_offsets(heads, 1, points, 1)[:, 0].transpose(0, 1)
+        super().__init__(channels, channels, heads, rings if axes == 2 else sphere_offsets(heads, points), axes)
         self.points, self.layout, self.axes = points, layout, axes
 
     def make_table(self, voxels: Float[Tensor, "B cells C"]) -> Float[Tensor, "R D"]:
@@ -83,32 +78,15 @@ class SelfAttention(SampledAttention):
         """Attend from consecutive voxels of all samples, row-major, from number `first` on; see `make_table`."""
         with torch.autocast(queries.device.type, enabled=False):
             offsets, weights = self._sampling(queries.to(table.dtype))
-            sample, place = _unravel(first, len(queries), self.layout.shape, queries.device)
-            found = corners(place[:, :, None, None] + offsets, weights, *self.layout)
-            rows = sample * math.prod(cells + 2 for cells in self.layout.shape)
-            head = torch.arange(self.heads, dtype=torch.int32, device=rows.device)
-            row = (found.row + rows[:, None, None]) * self.heads + head[:, None]
-            steps = tuple(step * self.heads for step in found.steps)
-            sums = sum_samples(table, row.flatten(0, 1), found.weights.flatten(0, 1), steps)
-        return self.output(sums.view(len(queries), -1))
+            sample, place = unravel(first, len(queries), self.layout.shape, queries.device)
+            begin = sample[:, None, None] * math.prod(cells + 2 for cells in self.layout.shape)
+            sums = self.sum_among_cells(table, place[:, :, None, None] + offsets, weights, begin, *self.layout)
+        return self.output(sums)
 
     def _sampling(self, queries: Float[Tensor, "Q C"]) -> tuple[Float[Tensor, "axes Q H K"], Float[Tensor, "Q H K"]]:
-        """Return offsets in cells, and attention."""
         offsets = self.offsets(queries).view(-1, self.axes, self.heads, self.points).transpose(0, 1)
         weights = transposed(self.attention, queries).view(self.heads, self.points, -1).softmax(1)
         return offsets, weights.permute(2, 0, 1).contiguous()
-
-
-def _unravel(
-    first: int, count: int, shape: tuple[int, ...], device: torch.device
-) -> tuple[Tensor, Float[Tensor, "axes Q"]]:
-    """Return sample and place (in cells along each axis) of consecutive voxels of a batch."""
-    index = torch.arange(first, first + count, dtype=torch.int32, device=device)
-    places = []
-    for cells in reversed(shape):
-        places.append(index % cells)
-        index = torch.div(index, cells, rounding_mode="floor")
-    return index, torch.stack(places[::-1]).to(torch.float32)
 
 
 def refine(layer: AttentionLayer, voxels: Float[Tensor, "B cells C"], chunk: int) -> Float[Tensor, "B cells C"]:
@@ -156,8 +134,6 @@ class Attention(nn.Module):
         flat: bool = False,
     ):
         super().__init__()
-        if channels % heads:
-            raise ValueError(f"{channels} channels cannot be split among {heads} heads; give a divisor")
         self.halved = halved
         self.geometry = geometry = coarsened(geometry, HALF) if halved else geometry
         self.channels = channels

@@ -1,5 +1,6 @@
 """Temporal self-attention to the previous bird's-eye view, aligned (BEVFormer)."""
 
+import math
 from typing import NamedTuple
 
 import torch
@@ -9,9 +10,8 @@ from torch import Tensor, nn
 from omniocc.camera.pose import invert_pose
 from omniocc.geometry import Grid
 from omniocc.model.ops.blocks import coarsened
-from omniocc.model.ops.deformable_attention import SampledAttention, ring_offsets, transposed
+from omniocc.model.ops.deformable_attention import SampledAttention, ring_offsets, transposed, unravel
 from omniocc.model.ops.feedforward import AttentionLayer
-from omniocc.model.ops.multilinear import corners, sum_samples
 from omniocc.model.ops.padding import Periodic, pad3d
 from omniocc.model.ops.static import is_static
 from omniocc.model.protocols import Volumes
@@ -43,16 +43,12 @@ class TemporalAttention(SampledAttention):
             dtype = torch.promote_types(present.dtype, torch.float32)
             views = torch.stack([previous, present], dim=1).to(dtype)
             offsets, weights = self._sampling(torch.cat([previous, present], dim=-1).to(dtype).flatten(0, 2))
-            _, x_cells, y_cells, _ = present.shape
-            index = torch.arange(len(weights), dtype=torch.int32, device=weights.device)
-            y, x = index % y_cells, torch.div(index, y_cells, rounding_mode="floor") % x_cells
-            places = torch.stack([x, y]).to(dtype)[:, :, None, None] + offsets
-            found = corners(places, weights, (x_cells, y_cells), periodic[:2])
-            row = (found.row + self._first_rows(views, index)) * self.heads
-            row = row + torch.arange(self.heads, dtype=torch.int32, device=row.device)[:, None]
-            steps = tuple(step * self.heads for step in found.steps)
-            table = self._table(views, periodic)
-            sums = sum_samples(table, row.flatten(0, 1), found.weights.flatten(0, 1), steps)
+            cells = present.shape[1:3]
+            sample, place = unravel(0, len(weights), cells, weights.device)
+            view = torch.arange(VIEWS, dtype=torch.int32, device=sample.device).repeat_interleave(self.points)
+            begin = (sample[:, None, None] * VIEWS + view) * math.prod(count + 2 for count in cells)
+            places, table = place[:, :, None, None] + offsets, self._table(views, periodic)
+            sums = self.sum_among_cells(table, places, weights, begin, cells, periodic[:2])
         return self.output(sums.view(present.shape))
 
     def _table(self, views: Float[Tensor, "B 2 X Y C"], periodic: Periodic) -> Float[Tensor, "R D"]:
@@ -60,15 +56,7 @@ class TemporalAttention(SampledAttention):
         values = self.value(views).flatten(0, 1).movedim(-1, 1).unsqueeze(-1)
         return pad3d(values, (1, 1, 0), periodic).movedim(1, -1).reshape(-1, views.shape[-1] // self.heads)
 
-    def _first_rows(self, views: Tensor, index: Tensor) -> Tensor:
-        """Return (N, 1, 2 * points), the first cell of the padded view that each sample comes from."""
-        x_cells, y_cells = views.shape[2:4]
-        sample = torch.div(index, x_cells * y_cells, rounding_mode="floor")
-        view = torch.arange(VIEWS, dtype=torch.int32, device=index.device).repeat_interleave(self.points)
-        return (sample[:, None, None] * VIEWS + view) * ((x_cells + 2) * (y_cells + 2))
-
     def _sampling(self, queries: Float[Tensor, "N E"]) -> tuple[Float[Tensor, "2 N H K"], Float[Tensor, "N H K"]]:
-        """Return offsets in cells along both axes, and attention."""
         offsets = self.offsets(queries).view(len(queries), 2, self.heads, -1).transpose(0, 1)
         weights = transposed(self.attention, queries).view(self.heads, VIEWS, self.points, -1).softmax(2) / VIEWS
         return offsets, weights.flatten(1, 2).permute(2, 0, 1).contiguous()
@@ -122,8 +110,6 @@ class Recurrent(nn.Module):
         super().__init__()
         if frames < 2:
             raise ValueError(f"frames is {frames}; a window needs at least 2, without past frames use NoTemporal")
-        if view_channels % heads:
-            raise ValueError(f"{view_channels} channels cannot be split among {heads} heads; give a divisor")
         self.view = coarsened(geometry, (1, 1, geometry.shape[2]))
         self.frames = frames
         self.history_gradient = history_gradient
@@ -167,7 +153,6 @@ class Recurrent(nn.Module):
     def _attend(
         self, volume: Float[Tensor, "B C X Y Z"], pose: Float[Tensor, "B 4 4"], history: History | None
     ) -> Float[Tensor, "B X Y D"]:
-        """Return the view of a frame after attention."""
         present = self.fold(volume.movedim(1, -1).flatten(-2))
         previous = present
         if history is not None:

@@ -86,23 +86,19 @@ def _car(
     return concatenate(parts + _lights(length, width, 0.66, 0.76))
 
 
-def sedan(rng: np.random.Generator) -> Mesh:
-    """Build a sedan: hood, cabin and trunk."""
-    return _car(rng.uniform(4.3, 5.2), rng.uniform(1.75, 1.9), rng.uniform(1.4, 1.5), 0.9, (-0.38, -0.22, 0.02, 0.2))
+Span = tuple[float, float]
 
 
-def hatchback(rng: np.random.Generator) -> Mesh:
-    """Build a short car with a steep tail."""
-    return _car(
-        rng.uniform(3.6, 4.3), rng.uniform(1.65, 1.8), rng.uniform(1.45, 1.58), 0.92, (-0.48, -0.38, 0.05, 0.24)
-    )
+def _cars(
+    length: Span, width: Span, height: Span, hood: float, cabin: tuple[float, float, float, float], belt: float = 0.92
+) -> Callable[[np.random.Generator], Mesh]:
+    """Return a builder of cars whose length, width and height are drawn between two values; see `_car`."""
+    return lambda rng: _car(rng.uniform(*length), rng.uniform(*width), rng.uniform(*height), hood, cabin, belt)
 
 
-def suv(rng: np.random.Generator) -> Mesh:
-    """Build a high car with a long roof."""
-    return _car(
-        rng.uniform(4.4, 4.9), rng.uniform(1.82, 1.95), rng.uniform(1.65, 1.85), 1.05, (-0.48, -0.42, 0.04, 0.2), 1.05
-    )
+sedan = _cars((4.3, 5.2), (1.75, 1.9), (1.4, 1.5), 0.9, (-0.38, -0.22, 0.02, 0.2))  # hood, cabin and trunk
+hatchback = _cars((3.6, 4.3), (1.65, 1.8), (1.45, 1.58), 0.92, (-0.48, -0.38, 0.05, 0.24))  # short, with a steep tail
+suv = _cars((4.4, 4.9), (1.82, 1.95), (1.65, 1.85), 1.05, (-0.48, -0.42, 0.04, 0.2), 1.05)  # high, with a long roof
 
 
 def van(rng: np.random.Generator) -> Mesh:

@@ -70,8 +70,7 @@ def box(size_m: Triple, center_m: Triple, skin: Skin, top: Skin | None = None) -
 
     Side faces have u along the wall and v = height above the frame's z = 0.
     """
-    corners = (_BOX_SIGNS * size_m + center_m).astype(np.float32)
-    mesh = _uniform(corners, _BOX_FACES, corners[_BOX_FACES[:, :, None], _BOX_AXES[:, None]], skin)
+    mesh = panel(size_m, center_m, skin, "frbltd")
     if top is not None:
         mesh.label[8:10], mesh.material[8:10], mesh.color[8:10] = top
     return mesh

@@ -61,7 +61,12 @@ def make_cube(rig: Rig, camera: int, view: View, supersample: int, ego_car: Cast
     needed = np.zeros((len(_FACES), side, side), dtype=bool)
     needed.reshape(-1)[corner] = True
     used = np.flatnonzero(needed.any(axis=(1, 2)))
-    views = _face_views(pose, needed[used], _FACES[used], inner, supersample, ego_car)
+    model = Pinhole(side, side, focal_px=(inner / 2, inner / 2), center_px=((side - 1) / 2, (side - 1) / 2))
+    poses = np.tile(pose, (len(used), 1, 1))
+    poses[:, :3, :3] = pose[:3, :3] @ _FACES[used]
+    names, masks = tuple(f"face{number}" for number in used), tuple(torch.from_numpy(mask) for mask in needed[used])
+    face_rig = Rig((model,) * len(used), torch.from_numpy(poses), names, masks)
+    views = tuple(make_view(face_rig, number, supersample, ego_car) for number in range(len(used)))
     order = np.cumsum(needed.reshape(-1)) - 1
     forward = [np.einsum("i,ip->p", pose[:3, :3] @ _FACES[k, :, 2], v.center) for k, v in zip(used, views, strict=True)]
     nearest = corner[weight.argmax(axis=0), np.arange(len(face))]
@@ -69,22 +74,6 @@ def make_cube(rig: Rig, camera: int, view: View, supersample: int, ego_car: Cast
         views, np.concatenate(forward).astype(np.float32), order[corner], weight.astype(np.float32), order[nearest],
         z.astype(np.float32),
     )  # fmt: skip
-
-
-def _face_views(
-    pose: np.ndarray, needed: np.ndarray, faces: np.ndarray, inner: int, supersample: int, ego_car: Caster
-) -> tuple[View, ...]:
-    side = inner + 2 * _MARGIN_PX
-    model = Pinhole(side, side, focal_px=(inner / 2, inner / 2), center_px=((side - 1) / 2, (side - 1) / 2))
-    poses = np.tile(pose, (len(faces), 1, 1))
-    poses[:, :3, :3] = pose[:3, :3] @ faces
-    rig = Rig(
-        (model,) * len(faces),
-        torch.from_numpy(poses),
-        tuple(f"face{number}" for number in range(len(faces))),
-        tuple(torch.from_numpy(mask) for mask in needed),
-    )
-    return tuple(make_view(rig, number, supersample, ego_car) for number in range(len(faces)))
 
 
 def render_through_cube(cube: Cube, snapshot: Snapshot) -> RenderedPixels:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import Literal, Protocol, runtime_checkable
+from typing import Literal
 
 import numpy as np
 
@@ -15,18 +15,13 @@ from omniocc.world.render.cubemap import make_cube, render_through_cube
 from omniocc.world.render.light import Sensor
 from omniocc.world.render.snapshot import Snapshot
 from omniocc.world.render.view import make_view
+from omniocc.world.sensors.geometry_labels import GeometryLabels
 from omniocc.world.sensors.lidar import ego_directions, panorama_directions, scan_ego
+from omniocc.world.sensors.semantic_lidars import SemanticLidars
 
 Capture = Literal["direct", "cubemap"]
-
-
-@runtime_checkable
-class Labeller(Protocol):
-    """A source of labelled surface points: `SemanticLidars` or `GeometryLabels`."""
-
-    def scan(self, snapshot: Snapshot) -> tuple[np.ndarray, np.ndarray]:
-        """Return points (P, 3) float32 in the ego frame and their classes (P,) uint8."""
-        ...
+Labeller = SemanticLidars | GeometryLabels
+"""A source of labelled surface points."""
 
 
 class Recorder:

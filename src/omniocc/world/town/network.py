@@ -57,7 +57,6 @@ class Ring:
         kerb_m: (n, 2).
         normal: (n, 2) unit vectors into the block.
         inner_m: (n, 2) the street's centre line, or in corners the junction, that the kerb vertex faces.
-        side: (n,) index into `sides`, -1 in corners.
         sides: in the order of the ring.
         outside: whether this is the land around the town.
     """
@@ -65,7 +64,6 @@ class Ring:
     kerb_m: np.ndarray
     normal: np.ndarray
     inner_m: np.ndarray
-    side: np.ndarray
     sides: tuple[Side, ...]
     outside: bool
 
@@ -229,8 +227,8 @@ def _ring(
     junctions: np.ndarray, edges: tuple[Edge, ...], face: list[tuple[int, bool]], corners: list[_Corner],
     trim: dict[tuple[int, bool], float],
 ) -> Ring:  # fmt: skip
-    kerb, normals, inner, side_of, sides = [], [], [], [], []
-    for k, (index, forward) in enumerate(face):
+    kerb, normals, inner, sides = [], [], [], []
+    for (index, forward), corner in zip(face, corners, strict=True):
         edge = edges[index]
         length = float(np.linalg.norm(junctions[edge.end] - junctions[edge.start]))
         first, last = trim[(index, False)], length - trim[(index, True)]
@@ -239,12 +237,10 @@ def _ring(
         if not forward:
             center, left, along = center[::-1], -left[::-1], length - along[::-1]
         sides.append(Side(index, forward, along, center, center + edge.half_width_m * left))
-        corner = corners[k]
         kerb += [sides[-1].kerb_m, corner.points_m]
         normals += [left, corner.normal]
         inner += [center, np.tile(junctions[corner.junction], (len(corner.points_m), 1))]
-        side_of += [np.full(len(along), k), np.full(len(corner.points_m), -1)]
     points = np.concatenate(kerb)
     x, y = points.T
     area = 0.5 * float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
-    return Ring(points, np.concatenate(normals), np.concatenate(inner), np.concatenate(side_of), tuple(sides), area < 0)
+    return Ring(points, np.concatenate(normals), np.concatenate(inner), tuple(sides), area < 0)

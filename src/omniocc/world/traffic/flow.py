@@ -161,7 +161,9 @@ class Flow:
             if number < 0:
                 crosser = self.crossers[-1 - number]
                 if crosser.arm not in used and crosser.arm not in kept:
-                    self._start_crossing(crosser, time_s)
+                    crosser.moves.append((time_s, -crosser.moves[-1][1] if crosser.moves else 1.0))
+                    rest_s = crosser.rest_s * float(self._rng.uniform(0.5, 1.5))
+                    crosser.ready_s = time_s + crosser.duration_s + rest_s
                     walked.add(crosser.arm)
                 elif late:
                     walked.add(crosser.arm)  # then cars wait, and this person goes next
@@ -206,19 +208,10 @@ class Flow:
         for position, other in onto.get(car.pieces[k + 2], ())[:1]:
             room = position - 0.5 * self.cars[other].length_m
         for other in self.cars:
-            if other is not car and self._is_coming(other, car.pieces[k + 2]):
+            onto_lane = [j + 1 for j in other.right_of_way if other.pieces[j + 1] == car.pieces[k + 2]]
+            if other is not car and any(other.along_m < other.starts_m[j] for j in onto_lane):
                 room -= other.length_m + 2 * _GAP_M
         return room > _CLEAR_M + car.length_m + 2 * _GAP_M
-
-    @staticmethod
-    def _is_coming(car: Car, lane: int) -> bool:
-        """Return whether a car with the right of way will enter a lane but is not in it yet."""
-        return any(car.pieces[k + 1] == lane and car.along_m < car.starts_m[k + 1] for k in car.right_of_way)
-
-    def _start_crossing(self, crosser: Crosser, time_s: float) -> None:
-        direction = -crosser.moves[-1][1] if crosser.moves else 1.0
-        crosser.moves.append((time_s, direction))
-        crosser.ready_s = time_s + crosser.duration_s + crosser.rest_s * float(self._rng.uniform(0.5, 1.5))
 
     def _acceleration(self, number: int, k: int, onto: dict[int, list[tuple[float, int]]]) -> float:
         car = self.cars[number]

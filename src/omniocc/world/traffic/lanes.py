@@ -42,14 +42,10 @@ class Lane:
 
 @dataclass(frozen=True)
 class Turn:
-    """A path over a junction between two lanes (indices of pieces); `angle_rad` is positive to the left.
-
-    `clashes` are the turns (indices of pieces) that must not be used at the same time.
-    """
+    """A path over a junction between two lanes; `clashes` must not be used at the same time. All are piece numbers."""
 
     origin: int
     target: int
-    angle_rad: float
     clashes: frozenset[int]
 
 
@@ -88,8 +84,8 @@ def draw(
     clashes = _clashes(network, lanes, turns, pieces[first:])
     onward = tuple(tuple(first + k for k, turn in enumerate(turns) if turn[0] == lane) for lane in range(first))
     built = tuple(
-        Turn(origin, target, angle, frozenset(first + k for k in clash))
-        for (origin, target, angle), clash in zip(turns, clashes, strict=True)
+        Turn(origin, target, frozenset(first + k for k in clash))
+        for (origin, target, _), clash in zip(turns, clashes, strict=True)
     )
     return Roads(tuple(pieces), tuple(lanes), built, onward)
 

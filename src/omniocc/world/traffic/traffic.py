@@ -92,7 +92,6 @@ class Traffic:
         return lit
 
     def _driving(self, time_s: float, ego_xy: np.ndarray) -> list[tuple[Mesh, Actor]]:
-        """Return prototype mesh and actor of each vehicle within `_RANGE_M` of the ego."""
         found = []
         along, speed = self._flow.motion(time_s + self._warm_up_s)
         for car in range(1, len(along)):

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from omniocc.model.depth import Spheres
-from omniocc.model.ops.depth.sphere_loss import SphereLoss, two_hot_cross_entropy
+from omniocc.model.ops.depth.sphere_net import SphereLoss, two_hot_cross_entropy
 
 SPHERES = Spheres(11, 1.0)  # index 10 at 1 m, 1 at 10 m
 INF, NAN = float("inf"), float("nan")

@@ -181,21 +181,11 @@ def car_paint(rng: np.random.Generator, size: int) -> Tile:
     return _grey(3.0, 0.9 + 0.12 * fractal(rng, size, 4, 3), 0.02 * fractal(rng, size, 6, 4))
 
 
-def rubber(rng: np.random.Generator, size: int) -> Tile:
-    """Paint tyre rubber."""
-    return _plain(0.6, 0.7 + 0.6 * fractal(rng, size, 16, 3))
-
-
 def cloth(rng: np.random.Generator, size: int) -> Tile:
     """Paint folds and stripes."""
     band = np.sin(np.arange(size) * 2 * np.pi * 6 / size)[:, None] > 0.75
     fold = fractal(rng, size, 6, 4, stretch=3)
     return _plain(0.9, (0.45 + 1.1 * fold) * np.where(band, 0.6, 1.0))
-
-
-def skin(rng: np.random.Generator, size: int) -> Tile:
-    """Paint skin, which is nearly even."""
-    return _plain(0.5, 0.85 + 0.3 * fractal(rng, size, 4, 3))
 
 
 def sign(rng: np.random.Generator, size: int) -> Tile:
@@ -205,9 +195,9 @@ def sign(rng: np.random.Generator, size: int) -> Tile:
     return _grey(0.8, np.where(letters, 1.1, 0.25), np.where(letters, 0.0, 0.5))
 
 
-def lamp(rng: np.random.Generator, size: int) -> Tile:
-    """Paint the bright cover of a lamp."""
-    return _plain(0.5, 0.9 + 0.2 * fractal(rng, size, 6, 2))
+def _noise(size_m: float, least: float, gain: float, cells: int, octaves: int) -> Painter:
+    """Return the painter of a nearly even surface."""
+    return lambda rng, size: _plain(size_m, least + gain * fractal(rng, size, cells, octaves))
 
 
 PAINTERS: dict[Material, Painter] = {
@@ -215,5 +205,6 @@ PAINTERS: dict[Material, Painter] = {
     Material.GRASS: grass, Material.SOIL: soil, Material.BRICK: brick, Material.PLASTER: plaster,
     Material.FACADE: plaster, Material.GLASS: glass, Material.ROOF: roof, Material.WOOD: wood,
     Material.BARK: bark, Material.LEAVES: leaves, Material.METAL: metal, Material.CAR_PAINT: car_paint,
-    Material.RUBBER: rubber, Material.CLOTH: cloth, Material.SKIN: skin, Material.SIGN: sign, Material.LAMP: lamp,
+    Material.RUBBER: _noise(0.6, 0.7, 0.6, 16, 3), Material.CLOTH: cloth, Material.SKIN: _noise(0.5, 0.85, 0.3, 4, 3),
+    Material.SIGN: sign, Material.LAMP: _noise(0.5, 0.9, 0.2, 6, 2),
 }  # fmt: skip

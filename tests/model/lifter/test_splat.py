@@ -5,7 +5,7 @@ import torch
 
 from omniocc.camera import Rig
 from omniocc.geometry import Cuboid, Cylinder
-from omniocc.model.ops.lifter.splat import bin_points, find_entries, splat
+from omniocc.model.lifter.lift_splat import bin_points, find_entries, splat
 
 CPU = torch.device("cpu")
 RANGES_M = (1.0, 3.0, 5.5, 9.0)
