@@ -3,6 +3,7 @@
 import sys
 import time
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from omniocc.data import DataError, SceneReader, VirtualWorld
 from omniocc.data.labels.class_fractions import fraction_table
 from omniocc.data.recording.budget import announcement, begun, size
 from omniocc.data.recording.job import ScenePlan
-from omniocc.data.store.check import SceneSurvey, survey
+from omniocc.data.store.check import survey, survey_scene
 from omniocc.errors import UserError
 from omniocc.geometry import Cylinder
 from omniocc.progress import clock
@@ -75,7 +76,8 @@ def read_back(world: VirtualWorld, plans: Sequence[ScenePlan]) -> None:
     missing = world.missing(plans)
     problems = [f"{world.place}: scene '{plan.name}' is missing: run without check=true" for plan in missing]
     scenes = [world.reader(plan) for plan in plans if plan not in missing]
-    work = SceneSurvey(world.frames_per_scene, world.frame_interval_s, Cylinder(), max(1, DECODED_FRAMES // len(plans)))
+    decoded = max(1, DECODED_FRAMES // len(plans))
+    work = partial(survey_scene, world.frames_per_scene, world.frame_interval_s, Cylinder(), decoded)
     found = survey(work, scenes, world.workers)
     problems += [line for result in found for line in result.problems]
     if found:

@@ -5,7 +5,6 @@ import os
 import re
 import types
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Literal, Union, cast, get_args, get_origin, get_type_hints
@@ -62,20 +61,17 @@ def check(cfg: DictConfig, root_keys: Sequence[str] | None = None, packages: Seq
         raise ConfigError([problem.lstrip(".") for problem in problems])
 
 
-@dataclass
-class Root:
-    """The plain keys at the root of `train.yaml`, besides the groups, and their types."""
-
-    name: str
-    seed: int
-    resume: str
-    stage: str | None
-    checkpoint_every_n_steps: int
-    test_images: int
-    ema_decay: float | None
-    packages: list[str]
-
-
+ROOT: dict[str, Any] = {
+    "name": str,
+    "seed": int,
+    "resume": str,
+    "stage": str | None,
+    "checkpoint_every_n_steps": int,
+    "test_images": int,
+    "ema_decay": float | None,
+    "packages": list[str],
+}
+"""The plain keys at the root of `train.yaml`, besides the groups, and their types."""
 GROUPS = ("preset", "stages", "depth", "model", "data", "loss", "optimizer", "augment", "trainer", "logger", "paths")
 
 
@@ -85,11 +81,10 @@ def check_root(cfg: DictConfig) -> None:
     Raises:
         ConfigError: with every problem found.
     """
-    hints = get_type_hints(Root)
-    problems = [problem for key, hint in hints.items() for problem in _check_value(cfg, key, "", hint)]
+    problems = [problem for key, hint in ROOT.items() for problem in _check_value(cfg, key, "", hint)]
     more = [] if problems else list(cfg.packages)
     try:
-        check(cfg, (*hints, *GROUPS), allowed(PACKAGES, more))
+        check(cfg, (*ROOT, *GROUPS), allowed(PACKAGES, more))
     except ConfigError as error:
         problems += error.problems
     if problems:

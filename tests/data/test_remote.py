@@ -15,7 +15,7 @@ from omniocc.data import DataError, SceneReader, VirtualWorld
 from omniocc.data.dataset import WindowDataset
 from omniocc.data.labels.voxels import VoxelCache
 from omniocc.data.store.check import check_scene
-from omniocc.data.store.files import LocalFiles, read_members
+from omniocc.data.store.files import Files, read_members
 from omniocc.geometry import Cuboid
 
 GRID = Cuboid(shape=(6, 5, 4), x_m=(-20.0, 20.0), y_m=(-20.0, 20.0), height_m=(-2.8, 3.6))
@@ -148,6 +148,6 @@ def test_read_members_against_slices(tmp_path):
     content = np.random.default_rng(0).bytes(60_000)
     (tmp_path / "file").write_bytes(content)
     offsets, sizes = [40_000, 0, 700, 8_000, 59_990], [5, 700, 100, 9_000, 100]
-    parts = read_members(LocalFiles(tmp_path), "file", offsets, sizes)
+    parts = read_members(Files(tmp_path), "file", offsets, sizes)
     assert parts == [content[begin : begin + size] for begin, size in zip(offsets, sizes, strict=True)]
     assert len(parts[-1]) == 10

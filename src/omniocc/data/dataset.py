@@ -186,7 +186,6 @@ def collate(samples: Sequence[Sample]) -> Batch:
 
 
 def _stack(column: Sequence[Tensor | None], fill: float | bool | None) -> Tensor | None:
-    """Stack the values of one field, None if no sample has it."""
     present = [value for value in column if value is not None]
     if not present:
         return None

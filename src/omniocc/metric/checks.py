@@ -21,12 +21,8 @@ def check_labels(
     if labels.is_complex() or labels.dtype == torch.bool:
         raise ValueError(f"{name} must hold class ids in an integer type, got {labels.dtype}")
     whole = not labels.is_floating_point() or bool((labels == labels.floor()).all())
-    if labels.numel() and not (whole and labels.amin() >= 0 and labels.amax() < num_classes):
-        _check_each(name, labels, num_classes, ignore_class)
-    return labels.to(torch.uint8)
-
-
-def _check_each(name: str, labels: Tensor, num_classes: int, ignore_class: int | None) -> None:
+    if not labels.numel() or (whole and labels.amin() >= 0 and labels.amax() < num_classes):
+        return labels.to(torch.uint8)
     wrong = (labels < 0) | (labels >= num_classes) | (labels != labels.floor())
     if ignore_class is not None:
         wrong &= labels != ignore_class
@@ -34,6 +30,7 @@ def _check_each(name: str, labels: Tensor, num_classes: int, ignore_class: int |
         allowed = f"0..{num_classes - 1}" + ("" if ignore_class is None else f" or {ignore_class}")
         found = labels[wrong].unique().tolist()[:8]
         raise ValueError(f"{name} must hold class ids {allowed}, got {found} in {labels.dtype}")
+    return labels.to(torch.uint8)
 
 
 def check_mask(name: str, mask: Tensor | None, shape: torch.Size) -> None:

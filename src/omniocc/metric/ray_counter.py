@@ -85,14 +85,12 @@ class RayCounter:
         return ray_scores(counts, self.classes.occupied, self.thresholds_m, self.range_edges_m)
 
     def _known(self, prediction: Tensor, target: Tensor, observed: Tensor | None) -> Tensor:
-        """Return the checked target, unknown where it is not observed."""
         target = self.classes.check("target", target, self.target_geometry.shape, truth=True)
         check_same_batch("prediction", prediction, "target", target)
         check_mask("observed", observed, target.shape)
         return target if observed is None else target.masked_fill(~observed, self.classes.ignored)
 
     def _count_truth(self, prediction: Tensor, target: RayTruth, origins: Tensor) -> list[RayCounts]:
-        """Return the counts of each frame."""
         if target.directions is None:
             self._check_rays(prediction, target, origins)
             samples = zip(prediction, target.range_m, target.labels, origins, strict=True)

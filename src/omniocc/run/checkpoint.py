@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from omegaconf import DictConfig, OmegaConf
 from torch import Tensor
@@ -71,8 +71,3 @@ def check_parts(path: Path, config: DictConfig, parts: Sequence[str], packages: 
             f"allow them by {PACKAGES_VARIABLE}={names} or, for train.py and evaluate.py, packages=[{names}]"
         )
     check(chosen, packages=trusted)
-
-
-def contents(stage: str, config: dict[str, Any]) -> dict[str, Any]:
-    """Return the entries that a task adds to a checkpoint."""
-    return {STAGE: stage, CONFIG: config}

@@ -94,7 +94,6 @@ def resumable(path: Path) -> tuple[Path | None, str | None]:
 
 
 def _brief(error: Exception) -> str:
-    """Return the first sentence of an error."""
     return str(error).split(". ")[0].strip() or type(error).__name__
 
 

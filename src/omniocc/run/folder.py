@@ -6,7 +6,7 @@ import os
 import shlex
 import subprocess
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -79,13 +79,12 @@ def open_run(runs: Path, name: str, digest: str, resume: str) -> RunFolder:
         path = Path(os.environ.get(RANK_FOLDER, path))
         path.mkdir(parents=True, exist_ok=True)
     given = given_checkpoint(resume)
-    run = RunFolder(path, None, lock)
-    if run.finished:
-        return run
+    if (path / METRICS).exists():
+        return RunFolder(path, None, lock)
     checkpoint, message = resumable(given or path / LAST)
     if message and lock is not None:
         print(message, flush=True)
-    return replace(run, checkpoint=checkpoint)
+    return RunFolder(path, checkpoint, lock)
 
 
 def given_checkpoint(resume: str) -> Path | None:

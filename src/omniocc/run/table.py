@@ -17,9 +17,8 @@ EXPLANATION = (
 
 def summary(metrics: Mapping[str, float]) -> tuple[list[str], list[list[str]]]:
     """Return head and rows of the overview: RayIoU, by distance and against LiDAR rays, voxel IoU and mIoU."""
-    bands = band_keys(metrics)
-    columns = ["rayiou", *bands, "lidar/rayiou", "voxel/iou", "voxel/miou"]
-    titles = [band.removeprefix("rayiou_").replace("m", " m") for band in bands]
+    columns = ["rayiou", *band_keys(metrics), "lidar/rayiou", "voxel/iou", "voxel/miou"]
+    titles = [title for title, _ in _bands(metrics, "test/rayiou_")[1:]]
     head = ["", "RayIoU", *titles, "RayIoU, LiDAR", "IoU", "mIoU"]
     rows = [[label, *(number(metrics.get(f"{row}/{column}")) for column in columns)] for row, label in ROWS.items()]
     return head, rows
@@ -27,8 +26,7 @@ def summary(metrics: Mapping[str, float]) -> tuple[list[str], list[list[str]]]:
 
 def band_keys(metrics: Mapping[str, float]) -> list[str]:
     """Return the keys `rayiou_<lo>-<hi>m` of a run's test, nearest band first."""
-    keys = [key.removeprefix("test/") for key in metrics if key.startswith("test/rayiou_")]
-    return sorted(keys, key=lambda key: _lower_edge(key.split("_")[1]))
+    return [f"rayiou{suffix}" for _, suffix in _bands(metrics, "test/rayiou_")[1:]]
 
 
 def class_names(metrics: Mapping[str, float]) -> list[str]:

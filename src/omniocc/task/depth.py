@@ -51,7 +51,7 @@ class DepthTask(StageTask[nn.Module]):
         terms = self.model.training_terms(images, batch.newest_rigs, *ranges, generator)  # type: ignore[operator]
         return log_terms(self, terms, batch)
 
-    def score(self, batch: Batch) -> Tensor:
+    def validation_step(self, batch: Batch, batch_index: int) -> Tensor:
         """Score a batch and return the predicted panoramas."""
         depth = self.model(to_unit_range(batch.images[:, -1]), batch.newest_rigs, batch.erp_range_m)
         if batch.erp_range_m is not None:

@@ -83,7 +83,7 @@ class OccupancyTask(StageTask[OccupancyModel]):
         prediction = self.predict(batch)
         return log_terms(self, self.loss(prediction, batch.voxels, batch.pixel_labels, batch.camera_range_m), batch)
 
-    def score(self, batch: Batch) -> Tensor:
+    def validation_step(self, batch: Batch, batch_index: int) -> Tensor:
         """Score a batch and return the predicted labels."""
         labels = self.evaluate(batch)
         self.scores.update(labels, batch)
@@ -93,13 +93,11 @@ class OccupancyTask(StageTask[OccupancyModel]):
         """Drop the volumes of past frames, since the weights have changed."""
         self.stream.reset()
 
-    def on_test_epoch_start(self) -> None:
-        """Drop the volumes of past frames, since the weights have changed."""
-        self.stream.reset()
+    on_test_epoch_start = on_validation_epoch_start
 
     def test_step(self, batch: Batch, batch_index: int) -> Tensor:
         """Score a batch with baseline and upper bound on it, and return the predicted labels."""
-        labels = self.score(batch)
+        labels = self.validation_step(batch, batch_index)
         self.prior_scores.update(self.prior.expand_as(labels), batch)
         # unknown cells are scored as free
         if batch.voxels is not None:

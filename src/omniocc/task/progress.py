@@ -53,8 +53,7 @@ class StepProgress(ProgressBar):
     ) -> None:
         self._show(batch_idx + 1)
 
-    def on_test_end(self, trainer: Trainer, pl_module: LightningModule) -> None:  # noqa: D102
-        self._stop()
+    on_test_end = on_train_end
 
     def on_exception(self, trainer: Trainer, pl_module: LightningModule, exception: BaseException) -> None:  # noqa: D102
         self._stop(exception)

@@ -1,5 +1,6 @@
 """One row of the results table: predictions scored against true voxels and against true LiDAR rays."""
 
+from functools import partial
 from typing import Protocol, cast
 
 from jaxtyping import Bool, Float, UInt8
@@ -64,9 +65,10 @@ class Scores(nn.Module):
         super().__init__()
         grid = cast(Cylinder | Cuboid, geometry)
         self.num_classes, self.reach_m = spec.classes.num_classes, spec.reach_m
-        self.rays = _ray_iou(grid, spec, None)
-        self.lidar = _ray_iou(grid, spec, spec.lidar_directions)
-        self.cells = VoxelIoU(self.num_classes, class_names=spec.classes.names)
+        names, edges_m = spec.classes.names, spec.range_edges_m
+        ray_iou = partial(RayIoU, grid, self.num_classes, range_edges_m=edges_m, class_names=names)
+        self.rays, self.lidar = ray_iou(), ray_iou(directions=spec.lidar_directions)
+        self.cells = VoxelIoU(self.num_classes, class_names=names)
         self.voxel_frames, self.lidar_frames = SumMetric(), SumMetric()
         directions = None if spec.lidar_directions is None else spec.lidar_directions.float()
         self.directions: Tensor | None
@@ -106,10 +108,3 @@ class Scores(nn.Module):
         range_m, origins = batch.lidar_range_m, batch.lidar_origins
         hits = within_reach(batch.lidar_labels, range_m, directions, self.reach_m, origins)
         self.lidar.update(labels, RayTruth(range_m, hits, batch.lidar_directions, origins))
-
-
-def _ray_iou(grid: Cylinder | Cuboid, spec: SourceSpec, directions: Tensor | None) -> RayIoU:
-    classes = spec.classes
-    return RayIoU(
-        grid, classes.num_classes, range_edges_m=spec.range_edges_m, directions=directions, class_names=classes.names
-    )

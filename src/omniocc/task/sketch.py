@@ -40,7 +40,7 @@ class SketchTask(StageTask[nn.Module]):
         terms = {} if batch.voxels is None else self.sketch.training_terms(*panorama(batch), batch.voxels)
         return log_terms(self, terms, batch)
 
-    def score(self, batch: Batch) -> Tensor:
+    def validation_step(self, batch: Batch, batch_index: int) -> Tensor:
         """Score a batch and return the predicted candidates."""
         logits = self.sketch.logits(*panorama(batch))
         candidates = self.sketch.select(logits)

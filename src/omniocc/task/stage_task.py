@@ -11,7 +11,7 @@ from lightning.pytorch.utilities.types import OptimizerLRSchedulerConfig
 from torch import Tensor, nn
 
 from omniocc.batch import Batch
-from omniocc.run.checkpoint import contents
+from omniocc.run.checkpoint import CONFIG, STAGE
 from omniocc.task.adamw import AdamW
 
 Model = TypeVar("Model", bound=nn.Module)
@@ -48,20 +48,16 @@ class StageTask(LightningModule, Generic[Model]):
         self.config = config
 
     @abstractmethod
-    def score(self, batch: Batch) -> Tensor:
-        """Score a batch and return the prediction."""
-
-    @abstractmethod
     def log_scores(self, split: str) -> None:
         """Log all scores under `<split>/...` and reset them."""
 
+    @abstractmethod
     def validation_step(self, batch: Batch, batch_index: int) -> Tensor:
         """Score a batch and return the prediction."""
-        return self.score(batch)
 
     def test_step(self, batch: Batch, batch_index: int) -> Tensor:
         """Score a batch and return the prediction."""
-        return self.score(batch)
+        return self.validation_step(batch, batch_index)
 
     def on_validation_epoch_end(self) -> None:
         """Log the scores of the validation."""
@@ -77,7 +73,7 @@ class StageTask(LightningModule, Generic[Model]):
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Add stage and configuration to the weights."""
-        checkpoint |= contents(self.STAGE, self.config)
+        checkpoint |= {STAGE: self.STAGE, CONFIG: self.config}
 
 
 def step_generator(task: LightningModule, seed: int, batch_index: int) -> torch.Generator:

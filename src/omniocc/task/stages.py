@@ -71,7 +71,6 @@ class Stages:
         return load_results(self.results[stage])[1]
 
     def _run_depth(self, recipe: Recipe, title: str) -> None:
-        """Train and test the depth slot, and predict the panorama of every frame."""
         model = build(self.cfg.depth)
         spheres = cast(Depth, model).rig_spheres(self.scenes[0].rigs[0])
         edges_m = self.spec.range_edges_m
@@ -81,7 +80,6 @@ class Stages:
         self._fill(self.ranges, lambda scene, frame: predict_range_m(task, scene, frame), f"{title}, ranges")
 
     def _run_sketch(self, recipe: Recipe, title: str) -> None:
-        """Train and test the sketch on predicted panoramas, and select the candidates of every frame."""
         task = SketchTask(build(self.cfg.model.sketch), recipe.optimizer, self.spec.range_edges_m, plain(self.cfg))
         cast(nn.Module, task.sketch.depth).load_state_dict(load_checkpoint(self.folders["depth"] / LAST).model_weights)
         extras = Extras(true_ranges=True, depth=self.ranges)

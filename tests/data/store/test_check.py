@@ -1,12 +1,13 @@
 import re
 import shutil
+from functools import partial
 
 import numpy as np
 import pytest
 from fake_scene import FakeWorld
 
 from omniocc.data.labels.voxels import vote
-from omniocc.data.store.check import SceneSurvey, check_scene, survey
+from omniocc.data.store.check import check_scene, survey, survey_scene
 from omniocc.geometry import Cylinder
 
 GRID = Cylinder(shape=(8, 10, 4), radius_m=(0.0, 25.6), height_m=(-2.8, 3.6))
@@ -102,7 +103,7 @@ def test_a_survey_counts_classes_and_lists_problems(tmp_path, workers):
     world.prepare()
     scenes = world.scenes("train")
     (scenes[1].folder / "rig.yaml").unlink()
-    found = survey(SceneSurvey(4, 0.5, GRID, 2), scenes, workers)
+    found = survey(partial(survey_scene, 4, 0.5, GRID, 2), scenes, workers)
     assert [len(result.problems) for result in found] == [0, 1, 0]
     cells = np.concatenate([vote(scenes[2], frame, GRID).numpy().ravel() for frame in (0, 3)])
     assert found[2].voxels.tolist() == np.bincount(cells, minlength=12).tolist()

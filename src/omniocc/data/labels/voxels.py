@@ -151,7 +151,6 @@ class VoxelCache:
             return False
 
     def _vote_scene(self, scenes: dict[str, SceneFrames], folder: Path, report: Report) -> None:
-        """Vote for every frame that is missing in the folder of a scene, then complete it."""
         scene = scenes[folder.name]
         with closing(SceneWriter(folder, SHARD_LIMIT_BYTES)) as writer:
             report(len(scene) if writer.finished else writer.num_frames)

@@ -16,6 +16,7 @@ from pathlib import Path
 from queue import Empty
 from signal import SIG_IGN, SIGINT, signal
 from typing import Any
+from unittest.mock import patch
 
 from filelock import FileLock, Timeout
 
@@ -49,9 +50,8 @@ def make_scenes(work: Work, folders: Sequence[Path], workers: int, progress: Pro
         RuntimeError: from `work`.
     """
     if workers == 0:
-        busy = [folder for folder in folders if not _make(work, progress.advance, folder, None)]
-        for folder in busy:
-            _make(work, progress.advance, folder, progress.wait)
+        for report_wait in (None, progress.wait):
+            folders = [folder for folder in folders if not _make(work, progress.advance, folder, report_wait)]
         return
     context = process_context()
     with worker_environment(needs_main=b"__main__" in pickle.dumps(work)):
@@ -90,24 +90,13 @@ def worker_environment(needs_main: bool) -> Iterator[None]:
     paths = [str(Path(omniocc.__file__).parents[1]), *filter(None, [os.environ.get("PYTHONPATH")])]
     threads = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
     changes = dict.fromkeys(threads, "1") | {"PYTHONPATH": os.pathsep.join(paths)}
-    before = {name: os.environ.get(name) for name in changes}
     script = sys.modules["__main__"]
-    origin = {} if needs_main else {name: getattr(script, name, None) for name in ("__file__", "__spec__")}
-    os.environ.update(changes)
-    for name, value in origin.items():
-        if value is not None:
-            setattr(script, name, None)
-    try:
+    with contextlib.ExitStack() as restored:
+        restored.enter_context(patch.dict(os.environ, changes))
+        for name in () if needs_main else ("__file__", "__spec__"):
+            if getattr(script, name, None) is not None:
+                restored.enter_context(patch.object(script, name, None))
         yield
-    finally:
-        for name, value in origin.items():
-            if value is not None:
-                setattr(script, name, value)
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
 
 
 def limit_threads(_worker: int = 0) -> None:

@@ -67,14 +67,16 @@ class Recorded:
             splits = read_json(self.root, SPLITS_FILE, "set data.source.splits to names, patterns or fractions instead")
         return split_scenes(splits, list_folders(self.root, META), self.root)
 
-    @property
+    @cached_property
     def spec(self) -> SourceSpec:
         """Return the facts recorded with the first scene.
 
         Raises:
             DataError: when there are no scenes, or the first is damaged.
         """
-        return self._spec
+        if not self._readers:
+            raise DataError(f"{self.root}: all splits are empty")
+        return spec_of(self._readers[0])
 
     @property
     def fingerprint(self) -> str:
@@ -115,12 +117,6 @@ class Recorded:
     @cached_property
     def _readers(self) -> list[SceneReader]:
         return [reader for split in SPLITS for reader in self.scenes(split)]
-
-    @cached_property
-    def _spec(self) -> SourceSpec:
-        if not self._readers:
-            raise DataError(f"{self.root}: all splits are empty")
-        return spec_of(self._readers[0])
 
     @cached_property
     def _checksums(self) -> list[list[Any]]:

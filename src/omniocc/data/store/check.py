@@ -2,9 +2,8 @@
 
 import hashlib
 import tarfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -36,31 +35,23 @@ class Survey(NamedTuple):
     voxels: np.ndarray
 
 
-@dataclass(frozen=True)
-class SceneSurvey:
-    """A check of one scene after another; can be sent to other processes.
+def survey_scene(frames: int, interval_s: float, geometry: Grid, decoded: int, scene: SceneReader) -> Survey:
+    """Return the problems of a scene, and its classes.
 
-    Attributes:
-        frames: how many each should hold.
+    Args:
+        frames: how many it should hold.
         interval_s: time between them.
         geometry: grid in which classes are counted.
-        decoded: frames of each scene that are decoded and counted; bytes, times and poses are checked in all.
+        decoded: frames that are decoded and counted; bytes, times and poses are checked in all.
+        scene: to be checked.
     """
-
-    frames: int
-    interval_s: float
-    geometry: Grid
-    decoded: int
-
-    def __call__(self, scene: SceneReader) -> Survey:
-        """Return the problems of a scene, and its classes."""
-        problems = check_scene(scene, self.frames, self.interval_s)
-        voxels = np.zeros(NUM_CLASSES, dtype=np.int64)
-        if not problems:
-            frames = spread(len(scene), self.decoded)
-            problems = [line for frame in frames for line in _content(scene, frame)]
-            voxels += count_voxels(scene, frames, self.geometry)
-        return Survey(problems, voxels)
+    problems = check_scene(scene, frames, interval_s)
+    voxels = np.zeros(NUM_CLASSES, dtype=np.int64)
+    if not problems:
+        chosen = spread(len(scene), decoded)
+        problems = [line for frame in chosen for line in _content(scene, frame)]
+        voxels += count_voxels(scene, chosen, geometry)
+    return Survey(problems, voxels)
 
 
 def check_scene(scene: SceneReader, num_frames: int, interval_s: float) -> list[str]:
@@ -94,8 +85,11 @@ def _frames(scene: SceneReader, num_frames: int) -> Iterator[str]:
     shards = sorted({shard_name(record["shard"]) for record in records})
     existing = {name for name in shards if _exists(scene, name)}
     for frame, record in enumerate(records):
-        if shard_name(record["shard"]) in existing:
-            yield from _members(scene, frame, members)
+        try:
+            if shard_name(record["shard"]) in existing:
+                scene.read(frame, members)
+        except DataError as error:
+            yield str(error)
     names = [member_name(frame, member) for frame in range(len(records)) for member in members]
     try:
         if len(existing) == len(shards) and list(_tar_names(scene, shards)) != names:
@@ -109,13 +103,6 @@ def _exists(scene: SceneReader, name: str) -> bool:
         return scene.files.size(name) >= 0
     except FileNotFoundError:
         return False
-
-
-def _members(scene: SceneReader, frame: int, members: list[str]) -> Iterator[str]:
-    try:
-        scene.read(frame, members)
-    except DataError as error:
-        yield str(error)
 
 
 def _tar_names(scene: SceneReader, shards: list[str]) -> Iterator[str]:
@@ -176,8 +163,8 @@ def _content(scene: SceneReader, frame: int) -> Iterator[str]:
         yield str(scene.damaged(shard, "frame.json and the index give different poses", frame))
 
 
-def survey(work: SceneSurvey, scenes: Sequence[SceneReader], workers: int) -> list[Survey]:
-    """Check scenes side by side."""
+def survey(work: Callable[[SceneReader], Survey], scenes: Sequence[SceneReader], workers: int) -> list[Survey]:
+    """Check scenes side by side; `work` must be picklable."""
     if workers == 0 or len(scenes) < 2:
         return [work(scene) for scene in scenes]
     with (

@@ -2,12 +2,12 @@
 
 import json
 import os
-from collections.abc import Sequence
-from io import BufferedReader
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import fsspec
+from fsspec.implementations.local import LocalFileSystem
 
 from omniocc.errors import DataError
 
@@ -16,56 +16,33 @@ JOINED_GAP_BYTES = 4096
 """Ranges nearer to one another than this are read as one: headers between members cost less than another request."""
 
 
-class LocalFiles:
-    """The files of a folder on this disk; every method raises FileNotFoundError for a missing file."""
+class Files:
+    """The files of a folder: a path on this disk, or a URL; every method raises FileNotFoundError for a missing file.
 
-    def __init__(self, folder: Path):
-        self.folder = folder
+    The connection to an object store is made by the process that creates the object.
+    """
+
+    def __init__(self, folder: Path | str):
+        self.folder = str(folder)
+        local = LocalFileSystem(), str(Path(folder).absolute())
+        self._fs, self._root = fsspec.core.url_to_fs(self.folder) if is_url(folder) else local
 
     def where(self, name: str) -> str:
         """Return path or URL of a file, for messages."""
-        return str(self.folder / name)
+        return f"{self.folder}/{name}"
 
     def size(self, name: str) -> int:
         """Return the length in bytes."""
-        return (self.folder / name).stat().st_size
+        return self._fs.info(self._path(name))["size"]
 
-    def open(self, name: str) -> BufferedReader:
+    def open(self, name: str) -> Any:
         """Return the open file, binary, at its beginning."""
-        return (self.folder / name).open("rb")
-
-    def ranges(self, name: str, spans: Sequence[tuple[int, int]]) -> list[bytes]:
-        """Return the bytes from `begin` up to `end` of each (begin, end); fewer where the file ends early."""
-        parts = []
-        with self.open(name) as file:
-            for begin, end in spans:
-                file.seek(begin)
-                parts.append(file.read(end - begin))
-        return parts
-
-    def folders(self) -> list[str]:
-        """Return the names of the folders in this one, sorted."""
-        return sorted(path.name for path in self.folder.iterdir() if path.is_dir())
-
-
-class RemoteFiles:
-    """The same for a folder behind a URL; the connection is made by the process that creates the object."""
-
-    def __init__(self, url: str):
-        self.url = url
-        self._fs, self._root = fsspec.core.url_to_fs(url)
-
-    def where(self, name: str) -> str:  # noqa: D102
-        return f"{self.url}/{name}"
-
-    def size(self, name: str) -> int:  # noqa: D102
-        return int(self._fs.size(self._path(name)))
-
-    def open(self, name: str) -> Any:  # noqa: D102
         return self._fs.open(self._path(name), "rb", block_size=BLOCK_BYTES)
 
     def ranges(self, name: str, spans: Sequence[tuple[int, int]]) -> list[bytes]:
-        """Return bytes as `LocalFiles.ranges` does, with all requests at once.
+        """Return the bytes from `begin` up to `end` of each (begin, end); fewer where the file ends early.
+
+        All requests to an object store are sent at once.
 
         Raises:
             OSError: when a server does not support byte ranges and sends more.
@@ -77,25 +54,22 @@ class RemoteFiles:
                 raise OSError(f"the server does not support byte ranges: {len(part)} bytes instead of {end - begin}")
         return parts
 
-    def folders(self) -> list[str]:  # noqa: D102
+    def folders(self) -> list[str]:
+        """Return the names of the folders in this one, sorted."""
         rows = self._fs.ls(self._root, detail=True)
-        return sorted(row["name"].rstrip("/").rsplit("/", 1)[-1] for row in rows if row["type"] == "directory")
+        found = [row["name"] for row in rows if row["type"] == "directory" or self._links_to_folder(row)]
+        return sorted(name.rstrip("/").rsplit("/", 1)[-1] for name in found)
+
+    def _links_to_folder(self, row: Mapping[str, Any]) -> bool:
+        return bool(row.get("islink")) and self._fs.isdir(row["name"])
 
     def _path(self, name: str) -> str:
         return f"{self._root.rstrip('/')}/{name}"
 
 
-Files = LocalFiles | RemoteFiles
-
-
 def is_url(place: str | os.PathLike[str]) -> bool:
     """Return whether a place is a URL and not a path."""
     return isinstance(place, str) and "://" in place
-
-
-def open_folder(folder: Path | str) -> Files:
-    """Return the files of a folder: a URL, or a path on this disk."""
-    return RemoteFiles(str(folder)) if is_url(folder) else LocalFiles(Path(folder))
 
 
 def list_folders(root: Path | str, member: str) -> list[str]:
@@ -105,7 +79,7 @@ def list_folders(root: Path | str, member: str) -> list[str]:
         DataError: when the folder does not exist or cannot be listed.
     """
     try:
-        return [name for name in open_folder(root).folders() if "." not in name and holds(f"{root}/{name}", member)]
+        return [name for name in Files(root).folders() if "." not in name and holds(f"{root}/{name}", member)]
     except FileNotFoundError as error:
         raise DataError(f"{root}: there is no such folder") from error
     except Exception as error:  # each kind of store has errors of its own
@@ -115,14 +89,14 @@ def list_folders(root: Path | str, member: str) -> list[str]:
 def holds(folder: Path | str, name: str) -> bool:
     """Return whether a folder has a file of this name that is not empty."""
     try:
-        return open_folder(folder).size(name) > 0
+        return Files(folder).size(name) > 0
     except FileNotFoundError:
         return False
 
 
 def read_json(root: Path | str, name: str, remedy: str) -> Any:
     """Return the content of a JSON file; raise DataError when it cannot be read; the message ends with the remedy."""
-    files = open_folder(root)
+    files = Files(root)
     try:
         with files.open(name) as file:
             return json.load(file)

@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from omniocc.data.store.files import Files, is_url, open_folder, read_members
+from omniocc.data.store.files import Files, is_url, read_members
 from omniocc.data.store.shard import INDEX, META, SCHEMA, digest, shard_name
 from omniocc.errors import DataError
 
@@ -34,7 +34,7 @@ class SceneFolder:
     @cached_property
     def files(self) -> Files:
         """Return the scene's files."""
-        return open_folder(self.folder)
+        return Files(self.folder)
 
     @cached_property
     def meta(self) -> dict[str, Any]:

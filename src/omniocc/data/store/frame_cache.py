@@ -8,7 +8,7 @@ import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
-from typing import ClassVar, Generic, TypeVar
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -21,10 +21,9 @@ from omniocc.errors import DataError
 from omniocc.io import atomic_write
 
 _CRC_BYTES = 4
-Array = TypeVar("Array", bound=Tensor)
 
 
-class FrameCache(ABC, Generic[Array]):
+class FrameCache(ABC):
     """Arrays of one shape, one per frame, in `folder/<scene>.frames`.
 
     Args:
@@ -41,11 +40,11 @@ class FrameCache(ABC, Generic[Array]):
         self._row_bytes = -(-self.BITS * math.prod(self.shape) // 8) + _CRC_BYTES
 
     @abstractmethod
-    def pack(self, array: Array) -> bytes:
+    def pack(self, array: Tensor) -> bytes:
         """Return one array as bytes."""
 
     @abstractmethod
-    def unpack(self, payload: bytes) -> Array:
+    def unpack(self, payload: bytes) -> Tensor:
         """Return the array that bytes hold, the inverse of `pack`."""
 
     def path(self, scene: str) -> Path:
@@ -56,13 +55,13 @@ class FrameCache(ABC, Generic[Array]):
         """Return the scenes that have no file, or one of the wrong length."""
         return [scene for scene in scenes if self._size(scene.name) != self._row_bytes * len(scene)]
 
-    def write(self, scene: str, arrays: Sequence[Array]) -> None:
+    def write(self, scene: str, arrays: Sequence[Tensor]) -> None:
         """Write all frames of a scene, in order; raise DataError when the disk refuses."""
         payloads = [self.pack(array) for array in arrays]
         rows = (payload + zlib.crc32(payload).to_bytes(_CRC_BYTES, "little") for payload in payloads)
         atomic_write(self.path(scene), b"".join(rows))
 
-    def read(self, scene: str, frame: int) -> Array:
+    def read(self, scene: str, frame: int) -> Tensor:
         """Return one frame; raise DataError when the file is missing, too short or damaged."""
         path, row = self.path(scene), self._row_bytes
         try:
@@ -81,7 +80,7 @@ class FrameCache(ABC, Generic[Array]):
         return path.stat().st_size if path.is_file() else -1
 
 
-class CandidateCache(FrameCache[Bool[Tensor, "X Y Z"]]):
+class CandidateCache(FrameCache):
     """Candidate voxels, one bit each."""
 
     BITS = 1
@@ -96,7 +95,7 @@ class CandidateCache(FrameCache[Bool[Tensor, "X Y Z"]]):
         return torch.from_numpy(bits.reshape(self.shape).astype(bool))
 
 
-class RangeCache(FrameCache[Float32[Tensor, "h w"]]):
+class RangeCache(FrameCache):
     """Predicted panoramas of range in steps of 1/256 m; nan where there is no prediction."""
 
     BITS = 16
