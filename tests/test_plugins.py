@@ -55,10 +55,23 @@ def test_the_commands_of_the_page_train_a_sketch_a_depth_network_a_lifter_and_a_
         assert loaded.returncode == 0, loaded.stdout + loaded.stderr
 
 
+def test_a_package_that_is_not_there_and_an_option_of_a_name_in_use_are_one_line(package, tmp_path):
+    taken = tmp_path / "other" / "conf" / "model" / "sketch" / "random.yaml"
+    taken.parent.mkdir(parents=True)
+    taken.touch()
+    (tmp_path / "other" / "__init__.py").touch()
+    for allowed, words in (("mylbi", "mylbi, which OMNIOCC_PACKAGES names, cannot be imported"), ("other", str(taken))):
+        result = run("train.py", "preset=smoke", package=tmp_path, cwd=tmp_path, allowed=allowed)
+        assert result.returncode == 1
+        assert [words in line for line in result.stderr.splitlines()] == [True]
+    result = run("train.py", "preset=smoke", "packages=[mylbi]", package=package, cwd=tmp_path, allowed="")
+    assert "packages: mylbi cannot be imported" in result.stderr
+
+
 def test_a_class_of_a_package_that_is_not_allowed_is_one_problem(package, tmp_path):
     search = f"hydra.searchpath=[file://{package}/mylib/conf]"
-    result = run("train.py", "preset=smoke", search, "model/sketch=low", package=package, cwd=tmp_path, allowed="")
+    result = run("train.py", "preset=smoke", search, "model/sketch=bottom", package=package, cwd=tmp_path, allowed="")
     assert result.returncode == 1
-    assert "model.sketch._target_: mylib.sketch.Low is of the package mylib" in result.stderr
+    assert "model.sketch._target_: mylib.sketch.Bottom is of the package mylib" in result.stderr
     assert "packages=[mylib]" in result.stderr
     assert "Traceback" not in result.stderr

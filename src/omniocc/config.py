@@ -6,6 +6,7 @@ import re
 import types
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal, Union, cast, get_args, get_origin, get_type_hints
 
@@ -25,6 +26,7 @@ PACKAGES = (*OWN_PACKAGE, "lightning", "torch")
 """Packages whose classes a configuration from the command line may name."""
 PACKAGES_VARIABLE = "OMNIOCC_PACKAGES"
 """Environment variable with further packages, separated by commas."""
+NOT_THERE = "cannot be imported; install it, or add its parent folder to PYTHONPATH"
 
 
 class ConfigError(UserError):
@@ -83,6 +85,7 @@ def check_root(cfg: DictConfig) -> None:
     """
     problems = [problem for key, hint in ROOT.items() for problem in _check_value(cfg, key, "", hint)]
     more = [] if problems else list(cfg.packages)
+    problems += [f"packages: {name} {NOT_THERE}" for name in more if find_spec(name) is None]
     try:
         check(cfg, (*ROOT, *GROUPS), allowed(PACKAGES, more))
     except ConfigError as error:
@@ -183,7 +186,7 @@ def _check_call(node: DictConfig, path: str, packages: Sequence[str]) -> Iterato
         yield from _check_value(node, key, path, hints.get(key, Any))
     named = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
     for key, parameter in parameters.items():
-        if parameter.default is inspect.Parameter.empty and parameter.kind in named and key not in node:
+        if parameter.default is inspect.Parameter.empty and parameter.kind in named and key not in set(node):
             yield f"{path}.{key}: {name} needs it"
 
 

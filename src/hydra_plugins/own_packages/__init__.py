@@ -6,16 +6,29 @@ from pathlib import Path
 from hydra.core.config_search_path import ConfigSearchPath
 from hydra.plugins.search_path_plugin import SearchPathPlugin
 
-from omniocc.config import allowed
+from omniocc.config import NOT_THERE, PACKAGES_VARIABLE, allowed
+from omniocc.errors import UserError
 
 
 class OwnPackages(SearchPathPlugin):
-    """Add `<package>/conf` of every such package that has one; a package that is not installed adds nothing."""
+    """Add `<package>/conf` of every such package that has one."""
 
     def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
-        """Append the folders; of options with the same name the platform's own is found first."""
+        """Append the folders.
+
+        Raises:
+            UserError: when a package cannot be imported, or one of its options has the name of the platform's, which
+                Hydra would take instead.
+        """
+        platform = [
+            Path(item.path.removeprefix("file://")) for item in search_path.get_path() if item.provider == "main"
+        ]
         for package in allowed(()):
-            spec = find_spec(package)
-            for place in (spec and spec.submodule_search_locations) or ():
-                if (folder := Path(place) / "conf").is_dir():
+            if (spec := find_spec(package)) is None:
+                raise UserError(f"{package}, which {PACKAGES_VARIABLE} names, {NOT_THERE}")
+            for folder in (Path(place) / "conf" for place in spec.submodule_search_locations or ()):
+                for option in sorted(folder.rglob("*.yaml")):
+                    if any((own / option.relative_to(folder)).exists() for own in platform):
+                        raise UserError(f"{option} has the name of an option of the platform; give it another")
+                if folder.is_dir():
                     search_path.append(package, f"file://{folder}")

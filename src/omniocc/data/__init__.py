@@ -15,20 +15,9 @@ if TYPE_CHECKING:
     from omniocc.data.module import OccupancyData
 
 __all__ = [
-    "Augment",
-    "CandidateCache",
-    "DataError",
-    "Extras",
-    "OccupancyData",
-    "RangeCache",
-    "Recorded",
-    "SceneReader",
-    "SceneSource",
-    "SourceSpec",
-    "VirtualWorld",
-    "WindowDataset",
-    "collate",
-]
+    "Augment", "CandidateCache", "DataError", "Extras", "OccupancyData", "RangeCache", "Recorded", "SceneReader",
+    "SceneSource", "SourceSpec", "VirtualWorld", "WindowDataset", "collate",
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

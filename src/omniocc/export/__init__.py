@@ -5,13 +5,6 @@ from omniocc.export.files import Options, export_files, load_program
 from omniocc.export.program import Frame, Step, example_inputs, export_program, make_module
 
 __all__ = [
-    "Frame",
-    "Options",
-    "Step",
-    "contract_of",
-    "example_inputs",
-    "export_files",
-    "export_program",
-    "load_program",
+    "Frame", "Options", "Step", "contract_of", "example_inputs", "export_files", "export_program", "load_program",
     "make_module",
-]
+]  # fmt: skip

@@ -9,7 +9,7 @@ from omniocc.loss.soft_confusion import log_ratio, soft_confusion
 
 
 def semantic_scal(confusion: Float32[Tensor, "C C"]) -> Float32[Tensor, ""]:
-    """Return the mean of -(log precision + log recall + log specificity) over the classes in the target, with free.
+    """Return the mean of -(log precision + log recall + log specificity) over the target's classes, free included.
 
     Precision P = sum p y / sum p, recall R = sum p y / sum y, specificity S = sum (1-p)(1-y) / sum (1-y). S counts only
     where the target holds other classes too.

@@ -7,17 +7,6 @@ from omniocc.predict.output.point_cloud import PointCloud, point_cloud, write_pl
 from omniocc.predict.predictor import Prediction, Predictor
 
 __all__ = [
-    "Frame",
-    "PointCloud",
-    "Prediction",
-    "Predictor",
-    "find_frames",
-    "load_depth",
-    "load_occupancy",
-    "point_cloud",
-    "predict_depth",
-    "read_frame",
-    "resized_to_width",
-    "write_depth",
-    "write_ply",
-]
+    "Frame", "PointCloud", "Prediction", "Predictor", "find_frames", "load_depth", "load_occupancy", "point_cloud",
+    "predict_depth", "read_frame", "resized_to_width", "write_depth", "write_ply",
+]  # fmt: skip

@@ -67,6 +67,8 @@ def script(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callabl
             os.environ[FULL_ERROR] = "1"
             try:
                 run(*args)
+            except UserError as error:
+                sys.exit(str(error))
             except (HydraException, OmegaConfBaseException) as error:
                 sys.exit(explain(error, conf, config_name, sys.argv[1:]))
             finally:

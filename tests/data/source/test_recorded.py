@@ -123,7 +123,7 @@ def test_a_folder_without_scenes_is_named(tmp_path):
         Recorded(str(tmp_path / "nowhere"), PATTERNS).prepare()
 
 
-def test_fractions_deal_all_scenes_out_whatever_their_order():
+def test_fractions_assign_every_scene_regardless_of_order():
     names = [f"scene-{k}" for k in range(20)]
     dealt = by_fraction({"train": 0.6, "val": 0.2, "test": 0.2}, names)
     assert [len(dealt[split]) for split in ("train", "val", "test")] == [12, 4, 4]

@@ -14,7 +14,7 @@ GEOMETRY_BYTES = 800_000
 
 
 def frame_bytes(world: VirtualWorld) -> int:
-    """Return the mean size of a recorded frame in bytes, by powers fitted to frames of all eight places.
+    """Return the mean size of a recorded frame in bytes, by power laws fitted to frames of all eight places.
 
     Measured, in kB: 4.9, 35.4, 105.7, 325 for a camera of 64x36, 256x144, 512x288, 1024x576 px; 0.7, 5.4, 40.7 for a
     panorama of 48x12, 180x45, 720x180 px; 51, 137, 207, 318, 475 for points of 1, 5, 10, 20, 40 LiDARs. Places differ

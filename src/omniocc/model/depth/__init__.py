@@ -11,16 +11,6 @@ from omniocc.model.ops.depth.spheres import SphereRange, Spheres
 from omniocc.model.protocols import Depth, LearnedDepth, learns
 
 __all__ = [
-    "Depth",
-    "DepthMap",
-    "LearnedDepth",
-    "Mono",
-    "OmniMVS",
-    "OmniMVS3D",
-    "SphereLoss",
-    "SphereRange",
-    "Spheres",
-    "Sweep",
-    "Truth",
-    "learns",
-]
+    "Depth", "DepthMap", "LearnedDepth", "Mono", "OmniMVS", "OmniMVS3D", "SphereLoss", "SphereRange", "Spheres",
+    "Sweep", "Truth", "learns",
+]  # fmt: skip

@@ -31,8 +31,9 @@ class PaperTable(NamedTuple):
         columns: title of each metric, by key.
         order_by: key of the metric that decides which method is better.
         rows: methods in the paper's order.
-        note: number in the paper, and inconsistencies of its figures.
-        number: its number in the paper.
+        title: of the table on the page of the report.
+        note: inconsistencies of the paper's figures.
+        number: the table's number in the paper.
     """
 
     name: str

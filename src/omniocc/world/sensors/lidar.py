@@ -35,8 +35,8 @@ def panorama_directions(width: int, height: int, top_deg: float, bottom_deg: flo
 def inner_rays() -> np.ndarray:
     """Return (3, R) float32 rays of the virtual LiDAR at the ego origin, ego frame.
 
-    On flat ground they form a polar grid as fine as the innermost cells of a cylinder; above it angles are even, up to
-    +30 degrees.
+    On flat ground they form a polar grid as fine as the innermost cells of a cylinder; above the road, angles are
+    evenly spaced, up to +30 degrees.
     """
     rings = np.concatenate([np.arange(0.05, 4.0, 0.1), np.arange(4.1, 7.0, 0.2)])
     radius_m, azimuth = np.meshgrid(rings, (np.arange(400) + 0.5) * (2 * np.pi / 400), indexing="ij")
@@ -60,7 +60,7 @@ def outer_rays() -> np.ndarray:
 def _upper_rays(height_m: float, radius_m: float) -> np.ndarray:
     """Return (3, R) rays at even angles, from those that meet the road at `radius_m` up to +30 degrees.
 
-    Rays steeper than a rise of 2.6 m over 13 m are sparser, since only near objects are within a grid's height there.
+    Above a slope of 2.6 m in 13 m rays are sparser: only near objects lie inside the grid there.
     """
     rows = [-np.arctan2(height_m, radius_m)]
     while rows[-1] < np.radians(30):
