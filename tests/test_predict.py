@@ -16,7 +16,7 @@ from omniocc.camera import Rig
 from omniocc.config import build, plain
 from omniocc.errors import UserError
 from omniocc.predict.depth import predict_panoramas
-from omniocc.run.checkpoint import contents
+from omniocc.run.checkpoint import CONFIG, STAGE
 
 ROOT = Path(__file__).parents[1]
 SMALL = ("preset=smoke", "image_width=64", "rig=fisheye6")
@@ -49,7 +49,7 @@ def checkpoint(tmp_path_factory, smoke) -> Path:
     cfg = smoke("model/depth=mono")
     weights = {f"model.{name}": value for name, value in build(cfg.depth).state_dict().items()}
     path = tmp_path_factory.mktemp("stage") / "last.ckpt"
-    torch.save(contents("depth", plain(cfg)) | {"state_dict": weights}, path)
+    torch.save({STAGE: "depth", CONFIG: plain(cfg), "state_dict": weights}, path)
     return path
 
 

@@ -27,7 +27,7 @@ from omniocc.predict.input.poses import read_poses, write_poses
 from omniocc.predict.network import load_depth
 from omniocc.predict.occupancy import options_of, predict_occupancy
 from omniocc.predict.predictor import mask_cameras
-from omniocc.run.checkpoint import contents
+from omniocc.run.checkpoint import CONFIG, STAGE
 from omniocc.task.build import build_task, load_task
 from omniocc.task.scores import Scores
 from omniocc.world.frame import Frame
@@ -87,7 +87,7 @@ def checkpoint(tmp_path_factory, smoke, spec) -> Path:
     torch.manual_seed(3)
     task = build_task(smoke(), spec)
     path = tmp_path_factory.mktemp("run") / "best.ckpt"
-    torch.save(contents("occupancy", plain(smoke())) | {"state_dict": task.state_dict()}, path)
+    torch.save({STAGE: "occupancy", CONFIG: plain(smoke()), "state_dict": task.state_dict()}, path)
     return path
 
 
@@ -278,7 +278,7 @@ def test_mistakes_are_named_in_a_line(images, scene, checkpoint, tmp_path, capsy
     depth = {
         name.replace("sketch.depth.", ""): value for name, value in content["state_dict"].items() if ".depth." in name
     }
-    torch.save(contents("depth", content["config"]) | {"state_dict": depth}, tmp_path / "depth.ckpt")
+    torch.save({STAGE: "depth", CONFIG: content["config"], "state_dict": depth}, tmp_path / "depth.ckpt")
     (tmp_path / "damaged.ckpt").write_bytes(checkpoint.read_bytes()[:3000])
     next(value for name, value in content["state_dict"].items() if "classifier" in name).fill_(torch.nan)
     torch.save(content, tmp_path / "nan.ckpt")
@@ -343,7 +343,7 @@ def test_the_depth_network_of_an_occupancy_checkpoint(checkpoint, tmp_path):
     assert all(torch.equal(value, inside[name]) for name, value in depth.state_dict().items())
     content = torch.load(checkpoint, weights_only=True)
     rest = {name: value for name, value in content["state_dict"].items() if ".sketch." not in name}
-    torch.save(contents("occupancy", content["config"]) | {"state_dict": rest}, tmp_path / "dense.ckpt")
+    torch.save({STAGE: "occupancy", CONFIG: content["config"], "state_dict": rest}, tmp_path / "dense.ckpt")
     with pytest.raises(UserError, match=r"dense\.ckpt.*depth"):
         load_depth(tmp_path / "dense.ckpt")
 
@@ -363,7 +363,7 @@ def test_a_model_of_nineteen_classes_scores_its_own(scene, checkpoint, images, s
     cfg = smoke("data=recorded", f"data.source.root={root}", splits, "data.num_classes=19")
     task = build_task(cfg, spec)
     trained = tmp_path / "nineteen.ckpt"
-    torch.save(contents("occupancy", plain(cfg)) | {"state_dict": task.state_dict()}, trained)
+    torch.save({STAGE: "occupancy", CONFIG: plain(cfg), "state_dict": task.state_dict()}, trained)
 
     run(f"checkpoint={trained}", f"recorded={root}", "overview=false", f"output={tmp_path / 'out'}")
     assert "as in training" in capsys.readouterr().out

@@ -116,7 +116,7 @@ class Predictor:
         true_range_m: Float32[Tensor, "1 h w"] | None,
         watch: Stopwatch,
     ) -> tuple[Sketched, DepthMap | None]:
-        """Return the candidates and the ranges that they come from; depth ignores the black images of excluded cameras."""
+        """Return the candidates and their ranges; depth ignores the black images of excluded cameras."""
         sketch = self.learned_sketch
         if sketch is None:
             with watch("sketch"):
