@@ -75,6 +75,17 @@ class Batch(NamedTuple):
         return (rows[:, None] < height) & (columns < width)
 
 
+class Truth(NamedTuple):
+    """The ground truth of one frame, with a batch axis of length 1; fields as in `Batch`."""
+
+    voxels: UInt8[Tensor, "1 X Y Z"]
+    lidar_range_m: Float32[Tensor, "1 R"]
+    lidar_labels: UInt8[Tensor, "1 R"]
+    scored: Bool[Tensor, "1 X Y Z"] | None = None
+    lidar_directions: Float32[Tensor, "1 R 3"] | None = None
+    lidar_origins: Float32[Tensor, "1 R 3"] | None = None
+
+
 def _sizes(rig: Rig, cameras: int) -> list[tuple[int, int]]:
     """Return (width, height) of every camera, padded by (0, 0) to a number of cameras."""
     sizes = [(camera.width, camera.height) for camera in rig.cameras]

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 from torch import Tensor
 
+from omniocc.batch import Truth
 from omniocc.metric import VoxelIoU
 from omniocc.predict.input.schedule import History, Lift, schedule
-from omniocc.predict.input.sequence import FrameSequence, Truth, raise_poses
+from omniocc.predict.input.sequence import FrameSequence, raise_poses
 from omniocc.predict.options import Options
 from omniocc.predict.output.voxel_files import (
     OVERVIEW,

@@ -154,11 +154,7 @@ def facts_of(
 
 
 def announcement(
-    options: Options,
-    model: OccupancyModel,
-    trained: TrainingData,
-    sequences: Sequence[FrameSequence],
-    history: History,
+    options: Options, model: OccupancyModel, trained: TrainingData, sequences: Sequence[FrameSequence], history: History
 ) -> list[str]:
     """Return one line each about model, cameras and history."""
     grid = f"{type(model.geometry).__name__} {'x'.join(map(str, model.geometry.shape))}"

@@ -1,38 +1,17 @@
 """One row of the results table: predictions scored against true voxels and against true LiDAR rays."""
 
 from functools import partial
-from typing import Protocol, cast
+from typing import cast
 
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Float, UInt8
 from torch import Tensor, nn
 from torchmetrics import SumMetric
 
+from omniocc.batch import Batch, Truth
 from omniocc.classes import FREE
 from omniocc.data import SourceSpec
 from omniocc.geometry import Cuboid, Cylinder, Grid
 from omniocc.metric import RayIoU, RayTruth, VoxelIoU
-
-
-class HasLabels(Protocol):
-    """The part of `omniocc.batch.Batch` that predictions are scored against; None where absent."""
-
-    @property
-    def voxels(self) -> UInt8[Tensor, "B X Y Z"] | None: ...  # noqa: D102
-
-    @property
-    def scored(self) -> Bool[Tensor, "B X Y Z"] | None: ...  # noqa: D102
-
-    @property
-    def lidar_range_m(self) -> Float[Tensor, "B R"] | None: ...  # noqa: D102
-
-    @property
-    def lidar_labels(self) -> UInt8[Tensor, "B R"] | None: ...  # noqa: D102
-
-    @property
-    def lidar_directions(self) -> Float[Tensor, "B R 3"] | None: ...  # noqa: D102
-
-    @property
-    def lidar_origins(self) -> Float[Tensor, "B R 3"] | None: ...  # noqa: D102
 
 
 def within_reach(
@@ -74,7 +53,7 @@ class Scores(nn.Module):
         self.directions: Tensor | None
         self.register_buffer("directions", directions, persistent=False)
 
-    def update(self, labels: UInt8[Tensor, "B X Y Z"], batch: HasLabels) -> None:
+    def update(self, labels: UInt8[Tensor, "B X Y Z"], batch: Batch | Truth) -> None:
         """Add a batch of predicted labels."""
         self.voxel_frames.update(0 if batch.voxels is None else len(labels))
         if batch.voxels is not None:
@@ -100,7 +79,7 @@ class Scores(nn.Module):
         for metric in (self.rays, self.lidar, self.cells, self.voxel_frames, self.lidar_frames):
             metric.reset()
 
-    def _add_lidar(self, labels: Tensor, batch: HasLabels) -> None:
+    def _add_lidar(self, labels: Tensor, batch: Batch | Truth) -> None:
         assert batch.lidar_range_m is not None
         assert batch.lidar_labels is not None
         directions = self.directions if batch.lidar_directions is None else batch.lidar_directions

@@ -39,13 +39,7 @@ class Recorded:
         ValueError: if a URL comes without a cache, or `workers` is negative.
     """
 
-    def __init__(
-        self,
-        root: str,
-        splits: Splits | None = None,
-        workers: int | None = None,
-        cache: str | None = None,
-    ):
+    def __init__(self, root: str, splits: Splits | None = None, workers: int | None = None, cache: str | None = None):
         if is_url(root) and cache is None:
             raise ValueError(f"root is a URL ({root}): set cache to a local folder, where voxels are kept")
         if workers is not None and workers < 0:

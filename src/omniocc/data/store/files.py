@@ -2,7 +2,7 @@
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -57,11 +57,9 @@ class Files:
     def folders(self) -> list[str]:
         """Return the names of the folders in this one, sorted."""
         rows = self._fs.ls(self._root, detail=True)
-        found = [row["name"] for row in rows if row["type"] == "directory" or self._links_to_folder(row)]
+        links = [row["name"] for row in rows if row.get("islink") and self._fs.isdir(row["name"])]
+        found = {row["name"] for row in rows if row["type"] == "directory"}.union(links)
         return sorted(name.rstrip("/").rsplit("/", 1)[-1] for name in found)
-
-    def _links_to_folder(self, row: Mapping[str, Any]) -> bool:
-        return bool(row.get("islink")) and self._fs.isdir(row["name"])
 
     def _path(self, name: str) -> str:
         return f"{self._root.rstrip('/')}/{name}"

@@ -9,14 +9,7 @@ from torch.nn import functional as F
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.model.ops.depth.layers import Conv, FeatureNet, UNet2d
-from omniocc.model.ops.depth.projection import (
-    Projection,
-    Sampler,
-    alternate_cameras,
-    samplers,
-    similarity,
-    table,
-)
+from omniocc.model.ops.depth.projection import Projection, Sampler, alternate_cameras, samplers, similarity, table
 from omniocc.model.ops.depth.sphere_net import SphereLoss, SphereNet
 from omniocc.model.ops.depth.spheres import SphereRange
 from omniocc.model.ops.norm import group_norm

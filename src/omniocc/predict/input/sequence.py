@@ -4,13 +4,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float32, Float64, UInt8
+from jaxtyping import Float32, Float64
 from torch import Tensor
 
+from omniocc.batch import Truth
 from omniocc.camera import Rig
 from omniocc.data import SceneReader
 from omniocc.data.labels.voxels import vote
@@ -20,26 +21,6 @@ from omniocc.data.store.shard import META
 from omniocc.errors import UserError
 from omniocc.geometry import Grid
 from omniocc.predict.input.images import Frame, check_excluded, read_frame
-
-
-class Truth(NamedTuple):
-    """The ground truth of a frame, with a first axis of length 1, as `omniocc.task.scores.Scores` takes it.
-
-    Attributes:
-        voxels: class of every cell.
-        lidar_range_m: length of every LiDAR ray.
-        lidar_labels: class that every LiDAR ray hits.
-        scored: None: all cells of a known class count.
-        lidar_directions: None: the rays are those of the spec.
-        lidar_origins: None: the rays start in the ego origin.
-    """
-
-    voxels: UInt8[Tensor, "1 X Y Z"]
-    lidar_range_m: Float32[Tensor, "1 R"]
-    lidar_labels: UInt8[Tensor, "1 R"]
-    scored: Bool[Tensor, "1 X Y Z"] | None = None
-    lidar_directions: Float32[Tensor, "1 R 3"] | None = None
-    lidar_origins: Float32[Tensor, "1 R 3"] | None = None
 
 
 @dataclass(frozen=True)

@@ -23,10 +23,7 @@ FRAME = "ego: x forward, y left, z up, metres, origin as in the rig file"
 
 
 def voxel_arrays(
-    prediction: Prediction,
-    geometry: Grid,
-    classes: ClassTable,
-    world_from_ego: Float64[Tensor, "4 4"] | None,
+    prediction: Prediction, geometry: Grid, classes: ClassTable, world_from_ego: Float64[Tensor, "4 4"] | None
 ) -> dict[str, np.ndarray]:
     """Return by name all arrays that another program needs to place and name the voxels, the pose if it is known.
 
