@@ -1,7 +1,6 @@
 """The common part of camera models with one focal length per image axis."""
 
 from dataclasses import dataclass, replace
-from typing import Self
 
 from jaxtyping import Bool, Float
 from torch import Tensor
@@ -41,7 +40,7 @@ class FocalCamera:
         """See `Camera.unproject`."""
         return self._from_plane((pixels - pixels.new_tensor(self.center_px)) / pixels.new_tensor(self.focal_px))
 
-    def resized(self, width: int, height: int) -> Self:
+    def resized(self, width: int, height: int) -> "FocalCamera":
         """See `Camera.resized`."""
         scale_x, scale_y = width / self.width, height / self.height
         focal_px = (self.focal_px[0] * scale_x, self.focal_px[1] * scale_y)
