@@ -12,7 +12,7 @@ help:  ## Show this list
 
 $(READY): pyproject.toml constraints.txt
 	@$(PYTHON) tools/python_version.py
-	@echo "Setting up $(VENV) (about two minutes, once)"
+	@echo "Setting up $(VENV) (about three minutes, once)"
 	$(PYTHON) -m venv $(VENV)
 	$(INSTALL) $(if $(CONSTRAINTS),--constraint $(CONSTRAINTS)) --editable '.[dev]'
 	@touch $@

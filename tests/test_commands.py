@@ -79,7 +79,7 @@ def test_the_sweep_has_a_job_that_passes_the_check_for_every_row_and_seed(compos
 
 @pytest.mark.parametrize(("line", "called"), MAKE.items())
 def test_make_calls_the_same_commands(line, called, checkout):
-    result = shell(line.replace("make", "make -n", 1), checkout)
+    result = shell(line.replace("make", "make -n --no-print-directory", 1), checkout)
     assert result.returncode == 0, result.stderr
     first = result.stdout.splitlines()[0].removeprefix("@").strip()
     assert first.split(" \\")[0].strip() == called
