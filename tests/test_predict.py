@@ -18,7 +18,6 @@ from omniocc.errors import UserError
 from omniocc.predict.depth import predict_panoramas
 from omniocc.run.checkpoint import CONFIG, STAGE
 
-ROOT = Path(__file__).parents[1]
 SMALL = ("preset=smoke", "image_width=64", "rig=fisheye6")
 
 

@@ -185,8 +185,9 @@ def _check_call(node: DictConfig, path: str, packages: Sequence[str]) -> Iterato
             continue
         yield from _check_value(node, key, path, hints.get(key, Any))
     named = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
+    present = set(node)  # with the keys whose value is missing, which were named above
     for key, parameter in parameters.items():
-        if parameter.default is inspect.Parameter.empty and parameter.kind in named and key not in set(node):
+        if parameter.default is inspect.Parameter.empty and parameter.kind in named and key not in present:
             yield f"{path}.{key}: {name} needs it"
 
 
