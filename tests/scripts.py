@@ -4,7 +4,6 @@ Imports take about nine seconds of processor time, a fork a few milliseconds. Ev
 started from a shell: arguments, working folder, environment, output and exit code. A process of tests has one server.
 """
 
-import atexit
 import functools
 import json
 import os
@@ -14,6 +13,8 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,12 @@ PYTHONPATH = "PYTHONPATH"
 
 
 def run_script(
-    name: str, *arguments: str, cwd: Path | None = None, timeout_s: float = 400, **environment: str
+    name: str,
+    *arguments: str,
+    cwd: Path | None = None,
+    timeout_s: float = 400,
+    kill_when: Callable[[], bool] = lambda: False,
+    **environment: str,
 ) -> subprocess.CompletedProcess[str]:
     """Run a script of `src/` to its end.
 
@@ -32,6 +38,7 @@ def run_script(
         arguments: of its command line.
         cwd: folder in which it runs; None: the current one.
         timeout_s: after which it is killed, s.
+        kill_when: is called again and again; once it returns true, the script and its processes get a SIGKILL.
         environment: further variables; folders in `PYTHONPATH` are searched for packages.
 
     Raises:
@@ -40,51 +47,48 @@ def run_script(
     command = [str(ROOT / "src" / name), *arguments]
     with tempfile.TemporaryFile("w+") as output, tempfile.TemporaryFile("w+") as errors:
         request = {"argv": command, "cwd": str(cwd or Path.cwd()), "environment": {**os.environ, **environment}}
-        code = _ask(request, [output.fileno(), errors.fileno()], timeout_s)
+        code = _ask(request, [output.fileno(), errors.fileno()], timeout_s, kill_when)
         texts = [file.read() for file in (output, errors) if file.seek(0) == 0]
     return subprocess.CompletedProcess(command, code, *texts)
 
 
-def _ask(request: dict[str, Any], files: list[int], timeout_s: float) -> int:
+def _ask(request: dict[str, Any], files: list[int], timeout_s: float, kill_when: Callable[[], bool]) -> int:
     """Let the server run a script; return its exit code."""
     server = _server()
     request["files"] = [f"/proc/{os.getpid()}/fd/{number}" for number in files]
     server.stdin.write(json.dumps(request) + "\n")  # type: ignore[union-attr]
     server.stdin.flush()  # type: ignore[union-attr]
-    if not select.select([server.stdout], [], [], timeout_s)[0]:
-        _end(server)
-        _server.cache_clear()
-        raise subprocess.TimeoutExpired(request["argv"], timeout_s)
+    group = int(server.stdout.readline())  # type: ignore[union-attr]
+    deadline = time.monotonic() + timeout_s
+    while not select.select([server.stdout], [], [], 0.02)[0]:
+        late = time.monotonic() > deadline
+        if late or kill_when():
+            os.killpg(group, signal.SIGKILL)
+        if late:
+            raise subprocess.TimeoutExpired(request["argv"], timeout_s)
     return int(server.stdout.readline())  # type: ignore[union-attr]
 
 
 @functools.cache
 def _server() -> "subprocess.Popen[str]":
-    """Start the process from which scripts are forked."""
+    """Start the process from which scripts are forked; it ends with this one."""
     environment = {**os.environ, "OMP_NUM_THREADS": "1", PYTHONPATH: str(ROOT / "src")}
     command = [sys.executable, __file__]
-    server = subprocess.Popen(
-        command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
-    )
-    atexit.register(_end, server)
-    return server
-
-
-def _end(server: "subprocess.Popen[str]") -> None:
-    """Kill the server and the script that it runs."""
-    if server.poll() is None:
-        os.killpg(server.pid, signal.SIGKILL)
-        server.wait()
+    return subprocess.Popen(command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
 
 
 def _serve() -> dict[str, Any]:
-    """Answer each request with an exit code; in the process that is forked for one, return the request."""
+    """Answer each request with a process group and an exit code; in the process that is forked, return the request."""
+    import wandb.sdk.launch.inputs.internal  # noqa: F401  imported by every run with curves when it begins
+
     for script in SCRIPTS:
         runpy.run_path(str(ROOT / "src" / script), run_name="imported")
     while line := sys.stdin.readline():
         process = os.fork()
         if process == 0:
+            os.setpgid(0, 0)
             return json.loads(line)
+        print(process, flush=True)
         print(os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]), flush=True)
     sys.exit()
 
@@ -94,6 +98,9 @@ def _become(request: dict[str, Any]) -> None:
     output, errors = (os.open(path, os.O_WRONLY | os.O_APPEND) for path in request["files"])
     for number, file in enumerate((os.open(os.devnull, os.O_RDONLY), output, errors)):
         os.dup2(file, number)
+    from wandb.sdk.data_types._private import MEDIA_TMP
+
+    Path(MEDIA_TMP.name).mkdir(exist_ok=True)  # the script before has removed it at its end
     os.chdir(request["cwd"])
     os.environ.clear()
     os.environ.update(request["environment"])

@@ -1,35 +1,29 @@
 """Multiruns as users start them; jobs on one machine in detail: `test_process.py`."""
 
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 from hydra import compose, initialize_config_dir
+from scripts import run_script
 
 ROOT = Path(__file__).parents[2]
 SMOKE = ("preset=smoke", "logger.mode=disabled", "test_images=0")
 
 
-def multirun(folder: Path, data: Path, *overrides: str) -> subprocess.CompletedProcess:
-    command = [sys.executable, str(ROOT / "src" / "train.py"), "--multirun", *SMOKE, f"paths.data={data}", *overrides]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT / "src")}
-    return subprocess.run(
-        command, cwd=folder, env=environment, capture_output=True, text=True, check=False, timeout=600
-    )
-
-
-@pytest.mark.slow
+@pytest.mark.slow(30)
 def test_a_job_of_two_processes_trains_one_model(tmp_path, data_root):
-    overrides = ["model/sketch=dense", "trainer.max_steps=2", "data.batch_size=1", "seed=4"]
+    overrides = ["model/sketch=dense", "trainer.max_steps=2", "data.batch_size=1", "seed=4", f"paths.data={data_root}"]
     distributed = ["trainer.accelerator=cpu", "trainer.devices=2", "trainer.strategy=ddp"]
-    result = multirun(tmp_path, data_root, *overrides, *distributed)
+    result = run_script("train.py", "--multirun", *SMOKE, *overrides, *distributed, cwd=tmp_path)
     assert result.returncode == 0, result.stdout + result.stderr
     assert "1 of 1 jobs finished" in result.stdout
     (path,) = tmp_path.glob("runs/train-*/metrics.json")
-    assert json.loads(path.read_text())["steps"] == 2
+    written = json.loads(path.read_text())
+    assert written["steps"] == 2
+    assert written["metrics"]["label/rayiou"] == 1.0
     (log,) = tmp_path.glob(
         "runs/sweeps/*/*.log"
     )  # a child process that started the sweep again would have another folder

@@ -8,6 +8,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from omniocc.run.table import number
+from omniocc.view.canvas import PNG_OPTIONS
 
 ENVIRONMENT = Environment(
     loader=PackageLoader("omniocc.report"),
@@ -36,7 +37,7 @@ def webp(image: np.ndarray, quality: int) -> str:
 
 def png(image: np.ndarray) -> str:
     """Return an RGB image as a data URL in PNG, without loss."""
-    return _data_url("png", image, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    return _data_url("png", image, PNG_OPTIONS)
 
 
 def _data_url(kind: str, image: np.ndarray, options: list[int]) -> str:
