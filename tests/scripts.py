@@ -4,7 +4,9 @@ Imports take about nine seconds of processor time, a fork a few milliseconds. Ev
 started from a shell: arguments, working folder, environment, output and exit code. A process of tests has one server.
 """
 
+import atexit
 import functools
+import gc
 import json
 import os
 import runpy
@@ -13,6 +15,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -83,6 +86,8 @@ def _serve() -> dict[str, Any]:
 
     for script in SCRIPTS:
         runpy.run_path(str(ROOT / "src" / script), run_name="imported")
+    gc.collect()
+    gc.freeze()
     while line := sys.stdin.readline():
         process = os.fork()
         if process == 0:
@@ -108,6 +113,25 @@ def _become(request: dict[str, Any]) -> None:
     sys.path[:0] = [folder for folder in os.environ.get(PYTHONPATH, "").split(os.pathsep) if folder]
 
 
+def _run(path: str) -> int:
+    """Run a script and return its exit code, after all that Python does at its end but for taking modules apart."""
+    code: Any = 0
+    try:
+        runpy.run_path(path, run_name="__main__")
+    except SystemExit as end:
+        code = end.code
+    except BaseException:
+        sys.excepthook(*sys.exc_info())
+        code = 1
+    if isinstance(code, str):
+        print(code, file=sys.stderr)
+    threading._shutdown()  # type: ignore[attr-defined]
+    atexit._run_exitfuncs()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    return int(bool(code)) if isinstance(code, str) else int(code or 0)
+
+
 if __name__ == "__main__":
     _become(request := _serve())
-    runpy.run_path(request["argv"][0], run_name="__main__")
+    os._exit(_run(request["argv"][0]))
