@@ -21,6 +21,7 @@ torch.set_num_threads(1)
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(Path(__file__).parent / "run" / "wandb"))  # offline_file
 sys.path.append(str(Path(__file__).parent))  # scripts
+sys.path.append(str(Path(__file__).parent / "world" / "render"))  # plain_shading
 
 
 @pytest.hookimpl(trylast=True)

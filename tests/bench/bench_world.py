@@ -20,7 +20,7 @@ from omniocc.geometry import Cuboid, Cylinder
 from omniocc.world import THEMES, Frame, Scene
 from omniocc.world.render.capture import expose
 from omniocc.world.render.caster import Caster
-from omniocc.world.render.snapshot import Snapshot, repeat
+from omniocc.world.render.snapshot import Snapshot
 
 INTERVAL_S = 0.5
 GRIDS = (Cylinder((128, 200, 16)), Cuboid((256, 256, 16)))
@@ -31,10 +31,11 @@ def rates(scene: Scene, snapshot: Snapshot) -> tuple[float, float]:
     """Rays per second of the front camera against all that is static: to the nearest hit, and to any hit."""
     view, static = scene.recorder.views[0], snapshot.layers.casters[0]
     directions = np.ascontiguousarray(snapshot.world_directions(view.center).T)
-    origins = repeat(snapshot.world_point(view.origin_m), len(directions))
+    origin = snapshot.world_point(view.origin_m)[None]
     found = []
     for work in (static.cast, static.blocked):
         times = []
+        origins = origin if work == static.cast else np.repeat(origin, len(directions), axis=0)
         for _ in range(5):
             start = time.process_time()
             work(origins, directions)
@@ -52,9 +53,9 @@ class RayCounter:
         self._cast, self._blocked = Caster.cast, Caster.blocked
 
     def __enter__(self) -> "RayCounter":
-        def cast(caster, origins, *rest):
-            self.nearest += len(origins) * (caster is self._static)
-            return self._cast(caster, origins, *rest)
+        def cast(caster, origins, directions, *rest):
+            self.nearest += len(directions) * (caster is self._static)
+            return self._cast(caster, origins, directions, *rest)
 
         def blocked(caster, origins, *rest):
             self.any += len(origins) * (caster is self._static)

@@ -83,7 +83,7 @@ class Scene:
         labeller: Labeller = GeometryLabels(town.mesh)
         if label_mode == "lidar20":
             labeller = SemanticLidars(self._static, static_surfaces, town.terrain.height, lidars)
-        self.recorder = Recorder(rig, self._ego_car, labeller, supersample, capture, size, erp_top_deg, erp_bottom_deg)
+        self.recorder = Recorder(rig, labeller, supersample, capture, size, erp_top_deg, erp_bottom_deg)
 
     def frame(self, index: int) -> Frame:
         """Record the frame at `index * frame_interval_s` seconds; raise ValueError if the index is negative."""

@@ -81,14 +81,14 @@ def test_an_empty_mesh_is_never_hit(street):
 
 
 def test_missing_embree_is_one_clear_error(monkeypatch, street):
-    from omniocc.world.render import caster
+    from omniocc.world.render import embree
 
     monkeypatch.setitem(sys.modules, "embreex", None)
-    caster._embree.cache_clear()
+    embree.library.cache_clear()
     with pytest.raises(ImportError, match=r"package 'embreex'.*platform"):
         Caster(street)
     monkeypatch.undo()
-    caster._embree.cache_clear()
+    embree.library.cache_clear()
     Caster(street)
 
 

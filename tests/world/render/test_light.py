@@ -1,12 +1,17 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
+from plain_shading import ambient
+from plain_shading import shade as shade_plainly
 
-from omniocc.world.mesh.mesh import empty
-from omniocc.world.render.light import ambient, develop
+from omniocc.world.mesh.material import Material
+from omniocc.world.mesh.mesh import concatenate, empty
+from omniocc.world.render.caster import no_hits
+from omniocc.world.render.exposure import develop
+from omniocc.world.render.lamp import lamp_pools
 from omniocc.world.render.shade import shade
-from omniocc.world.render.sky import sky_color
-from omniocc.world.render.weather import draw_light, draw_sensor
+from omniocc.world.render.weather import WEATHERS, draw_light, draw_sensor
 
 
 def _sensor(seed=0):
@@ -41,18 +46,45 @@ def test_ego_car_casts_a_shadow_and_the_lidars_do_not_see_it(snapshot_of, street
     assert shaded.lit.tolist() == [False, True]
 
 
-def test_sky_is_brightest_at_the_sun_and_has_clouds():
+@pytest.mark.parametrize("weather", WEATHERS)
+def test_colours_equal_those_of_plain_numpy(weather, snapshot_of, street, ego_car, box, quad):
+    lamp = quad([[4, 2, 6], [4, 3, 6], [5, 3, 6], [5, 2, 6]], 9, Material.LAMP, (255, 236, 190))
+    car = box([8, 1, 0.2], [12, 2.8, 1.6], 7, material=Material.CAR_PAINT)
+    window = box([5, -2, 0.2], [6, -1, 2], 4, material=Material.GLASS)
+    static = concatenate([street, lamp, window])
+    light = draw_light(weather, np.random.default_rng(0))
+    light = replace(light, pools=lamp_pools(static)) if light.lamps else light
+    snapshot = snapshot_of(static, car, ego_car, light)
+    directions = np.random.default_rng(1).normal(size=(3, 20000)).astype(np.float32)
+    directions /= np.linalg.norm(directions, axis=0)
+    hits = snapshot.cast(np.zeros(3), directions)
+    seen = (hits, snapshot.world_point(np.zeros(3)), directions, snapshot.surfaces, snapshot.shadows, light, 0.01)
+    found, expected = shade(*seen), shade_plainly(*seen)
+    other = np.abs(found.color - expected.color).max(axis=0) > 2e-5
+    assert other.sum() <= 10, "at most ten of 20,000 rays may see the next texel, as rounded positions at its border do"
+    assert np.array_equal(found.offset_m, expected.offset_m)
+    assert np.array_equal(found.lit, expected.lit)
+    assert 0.1 < (hits.face < 0).mean() < 0.9
+    assert len(np.unique(found.color[0])) > 10000
+
+
+def test_sky_is_brightest_at_the_sun_and_has_clouds(snapshot):
     light = draw_light("clear", np.random.default_rng(0))
     rng = np.random.default_rng(1)
     directions = rng.normal(size=(3, 4000)).astype(np.float32)
     directions[2] = np.abs(directions[2]) + 0.3
     directions /= np.linalg.norm(directions, axis=0)
-    sky = sky_color(light, directions)
+
+    def sky_color(toward):
+        nothing = no_hits(toward.shape[1])
+        return shade(nothing, np.zeros(3), toward, snapshot.surfaces, snapshot.shadows, light, 0.01).color
+
+    sky = sky_color(directions)
     assert np.isfinite(sky).all()
     assert sky.min() > 0
     assert sky.std(axis=1).min() > 0.02
     if light.glow > 0:
-        at_sun = sky_color(light, light.sun_direction[:, None])
+        at_sun = sky_color(light.sun_direction[:, None])
         assert at_sun.mean() > sky.mean(axis=1).max()
 
 

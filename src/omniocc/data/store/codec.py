@@ -18,7 +18,6 @@ frames give equal bytes.
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict
 
 import cv2
 import numpy as np
@@ -40,7 +39,7 @@ _CODE_BYTES = 6
 def encode_frame(frame: Frame) -> dict[str, bytes]:
     """Return all blobs of a frame by name, in a fixed order."""
     facts = {"time_s": frame.time_s, "world_from_ego": frame.world_from_ego.tolist()}
-    facts["boxes"] = [asdict(box) for box in frame.boxes]
+    facts["boxes"] = [vars(box) for box in frame.boxes]
     blobs = {"frame.json": json.dumps(facts, default=lambda value: value.item()).encode()}
     for k, image in enumerate(frame.images):
         blobs[f"rgb{k}.jpg"] = encode_image(image)

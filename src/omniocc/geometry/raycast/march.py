@@ -5,29 +5,20 @@ computed in closed form and merged into columns. With the next occupied column o
 ray needs one look-up per level. The rules of `raycast.crossings` hold: float64, boundaries closer than `TOUCH_M` are
 the same, and errors do not accumulate.
 
-All kernels are in one file, since numba's cache does not notice changes in another. Inside loops over rays arrays are
-indexed and never sliced: numba counts references to slices atomically, and threads would wait for one another.
+All kernels are in one file, see `omniocc.compiled`. Inside loops over rays arrays are indexed and never
+sliced: numba counts references to slices atomically, and threads would wait for one another.
 """
 
-from collections.abc import Callable
 from math import atan2, copysign, floor, pi, sqrt
 from typing import no_type_check
 
 import numpy as np
-from numba import njit
 
+from omniocc.compiled import compiled
 from omniocc.geometry.raycast.crossings import FACE, FAR, TOUCH_M
 
 BATCH = 16
 """Parameters computed together before the next check whether they are beyond the grid."""
-
-
-def compiled(function: Callable) -> Callable:
-    """Compile at the first call; keep the result on disk if a folder is writable."""
-    try:
-        return njit(cache=True, nogil=True, error_model="numpy")(function)
-    except RuntimeError:  # neither the package's folder nor the user's cache folder is writable
-        return njit(nogil=True, error_model="numpy")(function)
 
 
 @compiled

@@ -6,15 +6,16 @@ import numpy as np
 
 from omniocc.classes import UNKNOWN
 from omniocc.world.render.caster import Hits
-from omniocc.world.render.light import Light, Sensor, develop
+from omniocc.world.render.exposure import develop
+from omniocc.world.render.kernel import average, find_borders
+from omniocc.world.render.light import Light, Sensor
 from omniocc.world.render.rain import streaks
 from omniocc.world.render.shade import Shading, shade
 from omniocc.world.render.snapshot import Snapshot
 from omniocc.world.render.view import View
 
-_STEP_M = 0.08  # least step in depth at which neighbouring pixels are smoothed
-_STEP_FRACTION = 0.02  # the same as a fraction of the distance
-_SKY_M = 1e4  # range of the sky in comparisons
+_STEP_M = np.float32(0.08)  # least step in depth at which neighbouring pixels are smoothed
+_STEP_FRACTION = np.float32(0.02)  # the same as a fraction of the distance
 
 
 class CameraImage(NamedTuple):
@@ -53,13 +54,18 @@ def render_pixels(view: View, snapshot: Snapshot) -> RenderedPixels:
     maybe = snapshot.may_hit(view.cones, view.origin_m)[view.cones.bundle]
     hits = snapshot.cast(view.origin_m, view.center, _ego_hits(view.ego_center_hits, snapshot), maybe)
     seen = _shade(view, snapshot, hits, view.center)
-    color, key = seen.color, np.where(hits.face >= 0, snapshot.surfaces.key.take(hits.face), 0)
+    surfaces = snapshot.surfaces
     if view.extra.shape[2]:
-        surface, shadow = _borders(view, key, seen, hits.range_m)
-        index = np.flatnonzero(surface | shadow)
-        color[:, index] = _smooth(view, snapshot, index, hits.face[index], shadow[index], color[:, index], maybe[index])
-    label = np.where(hits.face >= 0, snapshot.surfaces.label.take(hits.face), np.uint8(0))
-    return RenderedPixels(color, label, hits.range_m, key, hits.face >= snapshot.ego_start)
+        border, shadow = np.zeros((2, len(view.pixel)), bool)
+        find_borders(
+            view.right, view.below, hits.face, surfaces.key, seen.lit, seen.offset_m, hits.range_m, _STEP_M,
+            _STEP_FRACTION, border, shadow,
+        )  # fmt: skip
+        _smooth(view, snapshot, np.flatnonzero(border | shadow), hits.face, shadow, seen.color, maybe)
+    hit = hits.face >= 0
+    key = np.where(hit, surfaces.key.take(hits.face), 0)
+    label = np.where(hit, surfaces.label.take(hits.face), np.uint8(0))
+    return RenderedPixels(seen.color, label, hits.range_m, key, hits.face >= snapshot.ego_start)
 
 
 def expose(view: View, seen: RenderedPixels, light: Light, sensor: Sensor, rng: np.random.Generator) -> CameraImage:
@@ -89,42 +95,22 @@ def _ego_hits(hits: Hits, snapshot: Snapshot) -> Hits:
 
 
 def _smooth(
-    view: View, snapshot: Snapshot, index: np.ndarray, face: np.ndarray, shadow: np.ndarray, center_color: np.ndarray,
+    view: View, snapshot: Snapshot, index: np.ndarray, face: np.ndarray, shadow: np.ndarray, color: np.ndarray,
     maybe: np.ndarray,
-) -> np.ndarray:  # fmt: skip
-    """Return the (3, E) mean colour of pixels `index` over all their rays.
+) -> None:  # fmt: skip
+    """Set the colour (3, P) of the pixels `index` to the mean over all their rays, in place.
 
-    A ray that hits the same triangle `face` (E,) as the centre ray gets its colour, unless a `shadow` (E,) ends there.
+    A ray that hits the same triangle `face` (P,) as the centre ray gets its colour, unless a `shadow` (P,) ends there.
     """
     count = view.extra.shape[2]
     directions = np.take(view.extra, index, axis=1).reshape(3, -1)
     rays = (index[:, None] * count + np.arange(count)).ravel()
     hits = snapshot.cast(
-        view.origin_m, directions, _ego_hits(view.ego_extra_hits.take(rays), snapshot), maybe.repeat(count)
+        view.origin_m, directions, _ego_hits(view.ego_extra_hits.take(rays), snapshot), maybe[index].repeat(count)
     )
-    color = center_color.repeat(count, axis=1)
-    other = np.flatnonzero((hits.face != face.repeat(count)) | shadow.repeat(count))
-    color[:, other] = _shade(view, snapshot, hits.take(other), np.take(directions, other, axis=1)).color
-    color, total = color.reshape(3, len(index), count), center_color
-    for ray in range(count):
-        total = total + np.minimum(color[:, :, ray], 4.0)
-    return total / (count + 1)
-
-
-def _borders(view: View, key: np.ndarray, seen: Shading, range_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return two (P,) bool arrays: whether a direct neighbour sees another surface, or only one of both is sunlit."""
-    keys, lit = _image(view, key, 0), _image(view, seen.lit, False)
-    plane, distance = _image(view, seen.offset_m, 0), _image(view, np.minimum(range_m, _SKY_M), _SKY_M)
-    surface, shadow = np.zeros(view.size, dtype=bool), np.zeros(view.size, dtype=bool)
-    for one, other in (((slice(None), slice(1, None)), (slice(None), slice(-1))), ((slice(1, None),), (slice(-1),))):
-        # Facets of a crown differ in plane, a road at a grazing angle in range, separate objects in both.
-        step = np.abs(plane[one] - plane[other]) > _STEP_M + _STEP_FRACTION * plane[one]
-        step &= np.abs(distance[one] - distance[other]) > _STEP_M + _STEP_FRACTION * distance[one]
-        differ = keys[one] != keys[other]
-        for border, found in ((surface, differ | step), (shadow, (lit[one] != lit[other]) & ~differ)):
-            border[one] |= found
-            border[other] |= found
-    return surface.ravel()[view.pixel], shadow.ravel()[view.pixel]
+    other = np.flatnonzero((hits.face != face[index].repeat(count)) | shadow[index].repeat(count))
+    shaded = _shade(view, snapshot, hits.take(other), np.take(directions, other, axis=1))
+    average(color, index, other, shaded.color, count)
 
 
 def _image(view: View, values: np.ndarray, outside: float | int) -> np.ndarray:

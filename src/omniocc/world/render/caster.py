@@ -1,14 +1,15 @@
 """Ray casting with Embree: the nearest hit, and whether anything blocks a ray."""
 
-import platform
-from functools import lru_cache
-from typing import Any, NamedTuple
+import ctypes
+from typing import NamedTuple
 
 import numpy as np
 
 from omniocc.world.mesh.mesh import Mesh
+from omniocc.world.render.embree import ARGUMENTS, Triangles, intersect, occlude
 
-_FAR_M = np.float32(1e37)
+_ARGUMENTS = ctypes.addressof(ARGUMENTS)
+_NO_LIMIT = np.full(1, np.inf, np.float32)
 
 
 class Hits(NamedTuple):
@@ -31,60 +32,45 @@ class Hits(NamedTuple):
         return Hits(*(array.take(index) for array in self))
 
 
-@lru_cache(maxsize=1)
-def _embree() -> tuple[Any, Any]:
-    try:
-        from embreex import mesh_construction, rtcore_scene
-    except ImportError as error:
-        raise ImportError(
-            f"rendering the virtual world needs the package 'embreex', which is not installed or has no wheel for this "
-            f"platform ({platform.system()} {platform.machine()}, Python {platform.python_version()}); install it with "
-            "`pip install embreex` on an x86-64 machine, or use a dataset rendered on another machine"
-        ) from error
-    return rtcore_scene, mesh_construction
-
-
 class Caster:
-    """An immutable set of triangles, perhaps empty; rays are given in the mesh's frame."""
+    """An immutable set of triangles, perhaps empty; rays are given in the mesh's frame.
+
+    Rays are cast in packets of eight, so neighbours in the arrays should be neighbours in space.
+    """
 
     def __init__(self, mesh: Mesh) -> None:
         self.size = len(mesh)
         self._scene = None
-        if self.size == 0:
-            return
-        scenes, meshes = _embree()
-        vertices = np.ascontiguousarray(mesh.vertices, dtype=np.float32)
-        # Embree's watertight mode costs 20 % and changed none of 1.6 million camera rays in two places.
-        self._scene = scenes.EmbreeScene(robust=False)
-        # The mesh object must outlive the scene.
-        self._triangles = meshes.TriangleMesh(self._scene, vertices, np.ascontiguousarray(mesh.faces, dtype=np.int32))
+        if self.size:
+            vertices = np.ascontiguousarray(mesh.vertices, dtype=np.float32)
+            self._scene = Triangles(vertices, np.ascontiguousarray(mesh.faces, dtype=np.int32))
 
     def cast(self, origins: np.ndarray, directions: np.ndarray, limit_m: np.ndarray | None = None) -> Hits:
         """Return the nearest hit of each ray.
 
         Args:
-            origins: (R, 3) float32; any strides, for example a broadcast view of one point.
+            origins: (R, 3) float32, or (1, 3) shared by all rays.
             directions: (R, 3) float32 unit vectors.
-            limit_m: (R,) range from which on hits count as misses.
+            limit_m: (R,) float32 range from which on hits count as misses.
         """
-        count = len(origins)
+        count = len(directions)
         if self._scene is None or count == 0:
             return no_hits(count)
-        limits = None if limit_m is None else np.minimum(limit_m, _FAR_M)
-        found = self._scene.run(origins, directions, query="INTERSECT", output=True, dists=limits)
-        face = found["primID"]
-        range_m = found["tfar"]
-        range_m[face < 0] = np.inf
-        return Hits(range_m, face, found["u"], found["v"])
+        limits = _NO_LIMIT if limit_m is None else limit_m
+        hits = Hits(*(np.empty(count, kind) for kind in (np.float32, np.int32, np.float32, np.float32)))
+        intersect(self._scene.pointer, _ARGUMENTS, _by_axis(origins), _by_axis(directions), limits, *hits)
+        return hits
 
-    def blocked(self, origins: np.ndarray, directions: np.ndarray, limit_m: float = float(_FAR_M)) -> np.ndarray:
+    def blocked(self, origins: np.ndarray, directions: np.ndarray, limit_m: float = np.inf) -> np.ndarray:
         """Return (R,) bool: whether an object is along each ray before `limit_m`.
 
         `directions` is (R, 3), or (1, 3) shared by all rays.
         """
-        if self._scene is None or len(origins) == 0:
-            return np.zeros(len(origins), dtype=bool)
-        return self._scene.run(origins, directions, query="OCCLUDED", dists=float(limit_m)) >= 0
+        result = np.zeros(len(origins), dtype=bool)
+        if self._scene is not None and len(origins):
+            limits = np.full(1, limit_m, np.float32)
+            occlude(self._scene.pointer, _ARGUMENTS, _by_axis(origins), _by_axis(directions), limits, result)
+        return result
 
 
 class Layers:
@@ -105,7 +91,7 @@ class Layers:
         assert best is not None, "a world without layers"
         return best
 
-    def blocked(self, origins: np.ndarray, directions: np.ndarray, limit_m: float = float(_FAR_M)) -> np.ndarray:
+    def blocked(self, origins: np.ndarray, directions: np.ndarray, limit_m: float = np.inf) -> np.ndarray:
         """Return (R,) bool: whether an object of any layer is along each ray before `limit_m`."""
         result = np.zeros(len(origins), dtype=bool)
         for caster in self.casters:
@@ -114,6 +100,11 @@ class Layers:
                 toward = directions if len(directions) == 1 else directions[free]
                 result[free] = caster.blocked(origins[free], toward, limit_m)
         return result
+
+
+def _by_axis(rays: np.ndarray) -> np.ndarray:
+    """Return (R, 3) as contiguous (3, R) float32."""
+    return np.ascontiguousarray(rays.T, np.float32)
 
 
 def no_hits(count: int, range_m: float = np.inf) -> Hits:

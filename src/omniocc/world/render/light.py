@@ -1,7 +1,6 @@
 """The light of a scene, and the exposure of its cameras."""
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
@@ -58,47 +57,3 @@ class Sensor:
     vignette: float
     read_noise: float
     shot_noise: float
-
-
-def ambient(light: Light, up: np.ndarray) -> np.ndarray:
-    """Return (3, R) light from sky and ground on surfaces whose normals have the upward component `up` (R,)."""
-    sky = 0.5 * (light.zenith + light.horizon)
-    fraction = 0.5 + 0.5 * up
-    return sky[:, None] * fraction + light.bounce[:, None] * (1 - fraction)
-
-
-def standing_water(light: Light, tint: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """Return (R,) mirror strength of wet surfaces; puddles are where the texture is dark. `tint`, `up` are (R,)."""
-    return light.wet * np.clip((1.35 - tint) * 0.9, 0.15, 1) * np.clip(3 * up - 2, 0, 1)
-
-
-def develop(linear: np.ndarray, sensor: Sensor, falloff: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Turn linear light (3, P) into RGB (P, 3) uint8; `falloff` (P,) is 0 on the axis and 1 at the rim.
-
-    `rng` draws the noise.
-    """
-    gain = sensor.exposure * (1 - sensor.vignette * falloff)
-    result = np.empty((linear.shape[1], 3), np.uint8)
-    grain = _grain()
-    for channel in range(3):
-        value = np.maximum(linear[channel] * (gain * sensor.white_balance[channel]), 0)
-        start = int(rng.integers(0, len(grain)))
-        noise = np.take(grain, np.arange(start, start + len(value)), mode="wrap")
-        value += noise * (sensor.read_noise + sensor.shot_noise * np.sqrt(np.minimum(value, 1)))
-        result[:, channel] = _CURVE[np.clip(value * 1024, 0, len(_CURVE) - 1).astype(np.int32)]
-    return result
-
-
-def _tone_curve() -> np.ndarray:
-    value = np.arange(4096) / 1024
-    shoulder = value * (1 + value / 9) / (1 + 0.85 * value) * 1.08
-    encoded = np.where(shoulder < 0.0031308, 12.92 * shoulder, 1.055 * np.maximum(shoulder, 1e-6) ** (1 / 2.4) - 0.055)
-    return np.clip(np.rint(255 * encoded), 0, 255).astype(np.uint8)
-
-
-_CURVE = _tone_curve()
-
-
-@lru_cache(maxsize=1)
-def _grain() -> np.ndarray:
-    return np.random.default_rng(17).standard_normal(1 << 19).astype(np.float32)

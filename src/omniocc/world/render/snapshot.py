@@ -71,19 +71,12 @@ class Snapshot:
         point, turned = self.world_point(point_ego), self.world_directions(directions_ego)
         directions = turned.T
         if maybe is None:
-            return self.layers.cast(repeat(point, len(directions)), directions, known)
-        hits = Layers(self.layers.casters[:1]).cast(repeat(point, len(directions)), directions, known)
+            return self.layers.cast(point[None], directions, known)
+        hits = Layers(self.layers.casters[:1]).cast(point[None], directions, known)
         index = np.flatnonzero(maybe)
-        found = self.layers.casters[1].cast(
-            repeat(point, len(index)), np.take(turned, index, axis=1).T, hits.range_m[index]
-        )
+        found = self.layers.casters[1].cast(point[None], np.take(turned, index, axis=1).T, hits.range_m[index])
         hit = np.flatnonzero(found.face >= 0)
         found.face[:] += np.int32(self.layers.offsets[1])
         for result, some in zip(hits, found, strict=True):
             result[index[hit]] = some[hit]
         return hits
-
-
-def repeat(point: np.ndarray, count: int) -> np.ndarray:
-    """Return a (count, 3) view of one point."""
-    return np.broadcast_to(point, (count, 3))

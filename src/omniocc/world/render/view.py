@@ -8,7 +8,6 @@ import torch
 from omniocc.camera import Rig
 from omniocc.world.render.caster import Caster, Hits
 from omniocc.world.render.cull import Cones, make_cones
-from omniocc.world.render.snapshot import repeat
 
 _TILES = 32  # number of tiles across the image
 
@@ -20,6 +19,8 @@ class View:
     Attributes:
         size: (height, width), px.
         pixel: (P,) int64 index into the flattened image.
+        right: (P,) int64 number of the pixel's right neighbour, -1 without one.
+        below: (P,) int64 number of the lower neighbour, -1 without one.
         origin_m: (3,) float32, ego frame.
         center: (3, P) float32 unit directions in the ego frame through the pixels' centres.
         extra: (3, P, S-1) float32 directions through other points of the pixels.
@@ -32,6 +33,8 @@ class View:
 
     size: tuple[int, int]
     pixel: np.ndarray
+    right: np.ndarray
+    below: np.ndarray
     origin_m: np.ndarray
     center: np.ndarray
     extra: np.ndarray
@@ -52,14 +55,16 @@ def make_view(rig: Rig, camera: int, supersample: int, ego_car: Caster) -> View:
     beside = [_shifted(rig, camera, pixel, center, offset) for offset in _offsets(supersample)]
     extra = np.stack(beside, axis=1) if beside else np.empty((len(pixel), 0, 3), np.float32)
     flat = extra.reshape(-1, 3)
-    neighbor = np.flatnonzero((np.diff(pixel) == 1) & (pixel[:-1] % width < width - 1))
-    steps = np.linalg.norm(center[neighbor + 1] - center[neighbor], axis=1)
+    number = np.full((height + 1, width + 1), -1)
+    number[:-1, :-1].flat[pixel] = np.arange(len(pixel))
+    right, below = number[:-1, 1:].ravel()[pixel], number[1:, :-1].ravel()[pixel]
+    steps = np.linalg.norm(center[right[right >= 0]] - center[right >= 0], axis=1)
     axis = rig.ego_from_camera[camera, :3, 2].numpy()
     angle = np.arccos(np.clip(center @ axis, -1, 1))
     return View(
-        (height, width), pixel, origin_m, np.ascontiguousarray(center.T),
-        np.ascontiguousarray(np.moveaxis(extra, -1, 0)), ego_car.cast(repeat(origin_m, len(center)), center),
-        ego_car.cast(repeat(origin_m, len(flat)), flat), float(steps.mean()),
+        (height, width), pixel, right, below, origin_m, np.ascontiguousarray(center.T),
+        np.ascontiguousarray(np.moveaxis(extra, -1, 0)), ego_car.cast(origin_m[None], center),
+        ego_car.cast(origin_m[None], flat), float(steps.mean()),
         _tiles(pixel, (height, width), center, float(steps.max())), ((angle / angle.max()) ** 2).astype(np.float32),
     )  # fmt: skip
 

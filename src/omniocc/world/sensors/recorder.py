@@ -1,25 +1,26 @@
 """Recording of one frame with all sensors: cameras, panorama of ranges, ego LiDAR and labelled points."""
 
 from collections.abc import Callable
-from functools import partial
+from functools import lru_cache, partial
 from typing import Literal
 
 import numpy as np
 
 from omniocc.camera import Rig
+from omniocc.world.assets.vehicle import ego_car
 from omniocc.world.frame import Box, Frame
-from omniocc.world.mesh.mesh import Mesh
 from omniocc.world.render.capture import RenderedPixels, expose, render_pixels
 from omniocc.world.render.caster import Caster
 from omniocc.world.render.cubemap import make_cube, render_through_cube
 from omniocc.world.render.light import Sensor
 from omniocc.world.render.snapshot import Snapshot
-from omniocc.world.render.view import make_view
+from omniocc.world.render.view import View, make_view
 from omniocc.world.sensors.geometry_labels import GeometryLabels
 from omniocc.world.sensors.lidar import ego_directions, panorama_directions, scan_ego
 from omniocc.world.sensors.semantic_lidars import SemanticLidars
 
 Capture = Literal["direct", "cubemap"]
+Render = Callable[[Snapshot], RenderedPixels]
 Labeller = SemanticLidars | GeometryLabels
 """A source of labelled surface points."""
 
@@ -27,19 +28,14 @@ Labeller = SemanticLidars | GeometryLabels
 class Recorder:
     """The sensors of one vehicle; all their rays are computed once. For the options see `omniocc.world.Scene`.
 
-    `ego_car`, in the ego frame, is visible to the cameras and not to the LiDARs.
+    The ego car is visible to the cameras and not to the LiDARs.
     """
 
     def __init__(
-        self, rig: Rig, ego_car: Mesh, labeller: Labeller, supersample: int, capture: str, erp_size: tuple[int, int],
+        self, rig: Rig, labeller: Labeller, supersample: int, capture: str, erp_size: tuple[int, int],
         erp_top_deg: float, erp_bottom_deg: float,
     ) -> None:  # fmt: skip
-        caster = Caster(ego_car)
-        self.views = [make_view(rig, camera, supersample, caster) for camera in range(len(rig.cameras))]
-        self.renderers: list[Callable[[Snapshot], RenderedPixels]] = [partial(render_pixels, v) for v in self.views]
-        if capture == "cubemap":
-            cubes = [make_cube(rig, k, view, supersample, caster) for k, view in enumerate(self.views)]
-            self.renderers = [partial(render_through_cube, cube) for cube in cubes]
+        self.views, self.renderers = make_cameras(rig, supersample, capture)
         self.erp_size = erp_size
         self._panorama = panorama_directions(*erp_size, erp_top_deg, erp_bottom_deg)
         self._ego_rays = np.ascontiguousarray(ego_directions().T)
@@ -66,3 +62,14 @@ class Recorder:
         """Return the panorama's ranges (h, w), and ranges and classes along the ego LiDAR's rays, as in `Frame`."""
         width, height = self.erp_size
         return scan_ego(snapshot, self._panorama)[0].reshape(height, width), *scan_ego(snapshot, self._ego_rays)
+
+
+@lru_cache(maxsize=2)
+def make_cameras(rig: Rig, supersample: int, capture: str) -> tuple[list[View], list[Render]]:
+    """Return the rays of each camera, and what renders its image; scenes with the same rig share them."""
+    caster = Caster(ego_car())
+    views = [make_view(rig, camera, supersample, caster) for camera in range(len(rig.cameras))]
+    if capture == "direct":
+        return views, [partial(render_pixels, view) for view in views]
+    cubes = [make_cube(rig, camera, view, supersample, caster) for camera, view in enumerate(views)]
+    return views, [partial(render_through_cube, cube) for cube in cubes]

@@ -12,7 +12,7 @@ import numpy as np
 
 from omniocc.world.render.caster import Caster, Hits, no_hits
 from omniocc.world.render.cull import make_cones, may_hit
-from omniocc.world.render.snapshot import Snapshot, repeat
+from omniocc.world.render.snapshot import Snapshot
 from omniocc.world.render.surface import Surfaces
 from omniocc.world.sensors.lidar import MAX_RANGE_M, inner_rays, outer_rays
 from omniocc.world.sensors.thinning import SCRATCH, cubes, first_of_each, within_reach
@@ -119,9 +119,7 @@ class SemanticLidars:
             return self._sweeps[cell]
         position = self.position(cell)
         assert position is not None, "this square of the lattice has no LiDAR"
-        hits = self._static.cast(
-            repeat(position, len(self._outer)), self._outer, np.full(len(self._outer), MAX_RANGE_M, np.float32)
-        )
+        hits = self._static.cast(position[None], self._outer, np.full(len(self._outer), MAX_RANGE_M, np.float32))
         range_m = np.minimum(hits.range_m, np.float32(MAX_RANGE_M))
         ray, points, labels = _points(self._surfaces, hits, position, self._outer)
         cube = cubes(points)
@@ -136,7 +134,7 @@ class SemanticLidars:
         """Return points, classes and cubes of a sweep, with moving things in front of the static ones."""
         offset, moving = int(snapshot.layers.offsets[1]), snapshot.layers.casters[1]
         maybe = np.flatnonzero(may_hit(self._cones, sweep.position_m, snapshot.spheres)[self._cones.bundle])
-        found = moving.cast(repeat(sweep.position_m, len(maybe)), self._outer[maybe], sweep.range_m[maybe])
+        found = moving.cast(sweep.position_m[None], self._outer[maybe], sweep.range_m[maybe])
         reached = np.flatnonzero(found.face >= 0)
         if len(reached) == 0:
             return sweep.points_m, sweep.labels, sweep.cube
@@ -156,7 +154,7 @@ class SemanticLidars:
         """Return points and classes seen by the LiDAR at the ego origin, static and moving."""
         directions = np.ascontiguousarray(snapshot.world_directions(self._inner).T)
         position, count = snapshot.world_point(np.zeros(3)), len(directions)
-        hits = snapshot.layers.cast(repeat(position, count), directions, no_hits(count, MAX_RANGE_M))
+        hits = snapshot.layers.cast(position[None], directions, no_hits(count, MAX_RANGE_M))
         _, points, labels = _points(snapshot.surfaces, hits, position, directions)
         return points, labels
 

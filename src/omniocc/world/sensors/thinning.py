@@ -1,7 +1,10 @@
 """Thinning of a frame's surface points: within reach, and about one in each cube of 0.1 m."""
 
+from typing import no_type_check
+
 import numpy as np
 
+from omniocc.compiled import compiled
 from omniocc.world.mesh.label import POLE, ROADLINE
 
 REACH_M = 26.0  # points farther off in x or y are not kept
@@ -29,11 +32,24 @@ def first_of_each(cube: np.ndarray, labels: np.ndarray, scratch: np.ndarray) -> 
     `cube` (P,) is from `cubes`, `labels` (P,) uint8. `scratch` (SCRATCH,) int32 is overwritten; where two cubes collide
     in it, one of them keeps all its points.
     """
-    number = np.arange(len(cube), dtype=np.int32)
-    place = cube & (SCRATCH - 1)
+    kept = np.empty(len(cube), np.int64)
+    return kept[: _first_of_each(cube, labels, scratch, kept)]
+
+
+@compiled
+@no_type_check
+def _first_of_each(cube, labels, scratch, kept):
+    """Fill the first elements of `kept` (P,) with the indices; return their number."""
     # Every entry that is read has been written in this call, so that nothing needs clearing; later writes win.
-    scratch[place[::-1]] = number[::-1]
-    thin = np.flatnonzero((labels >= POLE) & (labels <= ROADLINE))[::-1]
-    scratch[place[thin]] = number[thin]
-    winner = scratch[place]
-    return np.flatnonzero((winner == number) | (cube[winner] != cube))
+    for point in range(len(cube) - 1, -1, -1):
+        scratch[cube[point] & (SCRATCH - 1)] = point
+    for point in range(len(cube) - 1, -1, -1):
+        if POLE <= labels[point] <= ROADLINE:
+            scratch[cube[point] & (SCRATCH - 1)] = point
+    count = 0
+    for point in range(len(cube)):
+        winner = scratch[cube[point] & (SCRATCH - 1)]
+        if winner == point or cube[winner] != cube[point]:
+            kept[count] = point
+            count += 1
+    return count

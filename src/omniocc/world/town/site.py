@@ -2,10 +2,11 @@
 
 from dataclasses import dataclass, field
 from math import cos, sin
-from typing import NamedTuple
+from typing import NamedTuple, no_type_check
 
 import numpy as np
 
+from omniocc.compiled import compiled
 from omniocc.world.mesh.material import Material
 from omniocc.world.mesh.mesh import Mesh, concatenate, instances
 from omniocc.world.mesh.shape import Color, Number, Triple, upright
@@ -51,24 +52,33 @@ class Plan:
 
     def claim(self, pose: Pose2, size_m: tuple[Number, Number]) -> bool:
         """Take a rectangle centred on the pose if all of it is free; return whether it was."""
-        if self._taken[self._rectangle(pose, size_m, 6.0)].any():  # a coarse test first: most failing claims fail here
-            return False
-        index = self._rectangle(pose, size_m, _SAMPLE_M)
-        if self._taken[index].any():
-            return False
-        self._taken[index] = True
-        return True
-
-    def _rectangle(self, pose: Pose2, size_m: tuple[Number, Number], step_m: float) -> np.ndarray:
-        c, s = cos(pose.yaw_rad), sin(pose.yaw_rad)
-        a, b = (np.arange(-0.5, 0.5 + 1e-9, 1 / (int(side / step_m) + 1)) * side for side in size_m)
-        a = a[:, None]
-        return self._cells(pose.x_m + c * a - s * b, pose.y_m + s * a + c * b)
+        place = float(pose.x_m), float(pose.y_m), cos(pose.yaw_rad), sin(pose.yaw_rad)
+        return _claim(self._taken, self._count, self._radius_m, *place, float(size_m[0]), float(size_m[1]))
 
     def _cells(self, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
         x, y = ((v + self._radius_m) * (1 / _CELL_M) for v in (x_m, y_m))
         x, y = (np.minimum(np.maximum(v, 0), self._count - 1).astype(np.int64) for v in (x, y))
         return x * self._count + y
+
+
+@compiled
+@no_type_check
+def _claim(taken, count, radius_m, x_m, y_m, c, s, length_m, width_m):
+    """Take the cells of a rectangle if all are free: most claims fail in a coarse test of them, before the fine one."""
+    for step_m, take in ((6.0, False), (_SAMPLE_M, False), (_SAMPLE_M, True)):
+        rows, columns = int(length_m / step_m) + 1, int(width_m / step_m) + 1
+        for row in range(rows + 1):
+            a = (row / rows - 0.5) * length_m
+            for column in range(columns + 1):
+                b = (column / columns - 0.5) * width_m
+                x = min(max((x_m + c * a - s * b + radius_m) / _CELL_M, 0.0), count - 1.0)
+                y = min(max((y_m + s * a + c * b + radius_m) / _CELL_M, 0.0), count - 1.0)
+                cell = int(x) * count + int(y)
+                if take:
+                    taken[cell] = True
+                elif taken[cell]:
+                    return False
+    return True
 
 
 @dataclass

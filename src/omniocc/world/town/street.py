@@ -53,7 +53,7 @@ class _Line:
 
     def front(self, along_m: Number, into_block_m: Number) -> Pose2:
         """Return the pose of a plot's front edge, also a little past the ends of the side."""
-        inside = float(np.clip(along_m, self.side.along_m[0] + 0.5, self.side.along_m[-1] - 0.5))
+        inside = min(max(float(along_m), self._along[0] + 0.5), self._along[-1] - 0.5)
         return self.at(inside, into_block_m).at(along_m - inside, 0.0)
 
     def _point(self, along_m: Number) -> tuple[float, float]:

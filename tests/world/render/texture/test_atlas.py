@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from plain_shading import sample
 
 from omniocc.world.mesh.material import Material
 from omniocc.world.render.texture import atlas
@@ -14,7 +15,7 @@ def _colors(material: Material, u, v, footprint_m: float, color=(150, 140, 130))
     """Return (3, R) linear colours."""
     count = len(u)
     layer, ground = atlas.layer_of(np.full(count, material, np.uint8), np.tile(np.uint8(color), (count, 1)))
-    tint, added = atlas.sample(layer, ground, u, v, np.full(count, footprint_m, np.float32))
+    tint, added = sample(layer, ground, u, v, np.full(count, footprint_m, np.float32))
     return 0.2 * tint + added
 
 
@@ -57,8 +58,8 @@ def test_textures_move_with_the_surface_and_repeat():
     u, v = _grid(1.0)
     layer = np.full(len(u), Material.BRICK, np.int32)
     zero = np.zeros(len(u), np.int32)
-    _, first = atlas.sample(layer, zero, u, v, np.zeros_like(u))
-    _, shifted = atlas.sample(layer, zero, u + 3 * size_m, v - 2 * size_m, np.zeros_like(u))
+    _, first = sample(layer, zero, u, v, np.zeros_like(u))
+    _, shifted = sample(layer, zero, u + 3 * size_m, v - 2 * size_m, np.zeros_like(u))
     assert (first != shifted).mean() < 0.02  # float32 rounding at the borders of texels
 
 
@@ -79,7 +80,7 @@ def test_base_colour_tints_walls_but_not_windows():
     layer, ground = atlas.layer_of(
         np.full(len(u), Material.FACADE, np.uint8), np.tile(np.uint8([200, 180, 150]), (len(u), 1))
     )
-    tint, added = atlas.sample(layer, ground, u, v + 3.2, np.zeros_like(u))
+    tint, added = sample(layer, ground, u, v + 3.2, np.zeros_like(u))
     glass = tint == 0
     assert 0.05 < glass.mean() < 0.6
     assert added[:, glass].min() > 0

@@ -9,16 +9,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from omniocc.world.assets.building import STOREY_M
 from omniocc.world.mesh.material import Material
 from omniocc.world.render.texture import pattern
 from omniocc.world.render.texture.facade import facade_layers
 
 SIZE_PX = 256
-_LEVELS = SIZE_PX.bit_length()
-_LAYER_PX = sum((SIZE_PX >> level) ** 2 for level in range(_LEVELS))
-_LEVEL_START = np.cumsum([0] + [(SIZE_PX >> level) ** 2 for level in range(_LEVELS - 1)]).astype(np.int32)
-_MACRO_M = 53.0
+LEVELS = SIZE_PX.bit_length()
+LAYER_PX = sum((SIZE_PX >> level) ** 2 for level in range(LEVELS))
+LEVEL_START = np.cumsum([0] + [(SIZE_PX >> level) ** 2 for level in range(LEVELS - 1)]).astype(np.int32)
+MACRO_M = 53.0
 FACADE_STYLES = 4
 
 
@@ -50,38 +49,6 @@ def layer_of(material: np.ndarray, color: np.ndarray) -> tuple[np.ndarray, np.nd
     return layer, facade.astype(np.int32)
 
 
-def sample(
-    layer: np.ndarray, ground_step: np.ndarray, u_m: np.ndarray, v_m: np.ndarray, footprint_m: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the textures' tint (R,) float32, with the slow variation, and added linear colour (3, R) float32.
-
-    Args:
-        layer: (R,) int32 from `layer_of`.
-        ground_step: (R,) int32 from `layer_of`.
-        u_m: (R,) float32 along the surface.
-        v_m: (R,) float32 along the surface; upwards from the ground on facades.
-        footprint_m: (R,) float32 width of the pixel on the surface, which selects the mip level.
-    """
-    atlas = make_atlas()
-    layer = layer + ground_step * (v_m < STOREY_M)
-    texel_m = atlas.texel_m[layer]
-    level = np.log2(np.maximum(footprint_m / texel_m, 1.0)).astype(np.int32)
-    np.minimum(level, _LEVELS - 1, out=level)
-    column = np.floor(u_m / texel_m).astype(np.int32) & (SIZE_PX - 1)
-    row = np.floor(v_m / texel_m).astype(np.int32) & (SIZE_PX - 1)
-    index = layer * _LAYER_PX + _LEVEL_START[level] + ((row >> level) * (SIZE_PX >> level)) + (column >> level)
-    texel = atlas.texels.take(index).view(np.uint8).reshape(-1, 4)
-    scale = np.float32(SIZE_PX / _MACRO_M)
-    macro_row = np.floor(v_m * scale).astype(np.int32) & (SIZE_PX - 1)
-    macro_column = np.floor(u_m * scale).astype(np.int32) & (SIZE_PX - 1)
-    tint = _TINT.take(texel[:, 0]) * atlas.macro.take(macro_row * SIZE_PX + macro_column)
-    return tint, np.stack([_OWN.take(texel[:, channel]) for channel in (1, 2, 3)])
-
-
-_TINT = (np.arange(256) / 128).astype(np.float32)
-_OWN = ((np.arange(256) / 255) ** 2).astype(np.float32)
-
-
 @lru_cache(maxsize=1)
 def make_atlas() -> Atlas:
     """Paint every material, which takes about half a second; kept for the process."""
@@ -97,7 +64,7 @@ def make_atlas() -> Atlas:
 def _with_mips(tint: np.ndarray, added: np.ndarray) -> np.ndarray:
     level = np.concatenate([tint[..., None], added], axis=-1)
     levels = []
-    for _ in range(_LEVELS):
+    for _ in range(LEVELS):
         encoded = np.empty(level.shape, np.uint8)
         encoded[..., 0] = np.clip(np.rint(level[..., 0] * 128), 0, 255)
         encoded[..., 1:] = np.clip(np.rint(np.sqrt(np.clip(level[..., 1:], 0, 1)) * 255), 0, 255)
