@@ -22,8 +22,13 @@ setup: $(READY)  ## Make .venv from pyproject.toml and constraints.txt
 demo: $(READY)  ## Render streets, train, test on unseen streets, show table and images (20 to 25 minutes on 2 cores; PRESET=smoke: one or two)
 	$(BIN)/python src/train.py name=demo preset=$(PRESET)
 
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
+
 test: $(READY)  ## Run the tests (COVERAGE=1: and print how many lines they ran)
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal $(if $(COVERAGE),--cov)
+	$(PYTEST) -m 'not whole_runs' $(if $(COVERAGE),--cov)
+
+test-runs: $(READY)  ## Run the tests that train by the scripts, as users start them: killed, resumed, in two processes
+	$(PYTEST) -m whole_runs
 
 test-typecheck: $(READY)  ## Run four folders of tests again, with every shape annotation checked
 	$(BIN)/python tools/typecheck.py
@@ -65,4 +70,4 @@ wandb-sync: $(READY)  ## Upload new offline W&B runs and the tables of the repor
 dashboard: $(READY)  ## Save the W&B dashboard to the project omniocc (docs/how_to/dashboards.md)
 	@$(BIN)/python -m omniocc.report.wandb.dashboard --runs $(RUNS)
 
-.PHONY: help setup demo test test-typecheck docs lint types constraints bench ablations wandb-sync dashboard
+.PHONY: help setup demo test test-runs test-typecheck docs lint types constraints bench ablations wandb-sync dashboard

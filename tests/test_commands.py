@@ -25,7 +25,7 @@ TRAIN = [
 SWEEP = "python src/train.py --multirun +ablation='glob(*)' seed=0,1,2"
 MAKE = {
     "make demo": ".venv/bin/python src/train.py name=demo preset=tiny",
-    "make test": "OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n auto --dist worksteal",
+    "make test": "OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n auto --dist worksteal -m 'not whole_runs'",
     "make ablations": f".venv/bin/python src/train.py --multirun +ablation={','.join(ROWS)} seed=0 preset=tiny",
 }
 
@@ -50,6 +50,7 @@ def shell(line: str, folder: Path, **more: str) -> subprocess.CompletedProcess:
     )
 
 
+@pytest.mark.whole_runs
 @pytest.mark.slow(40)
 def test_training_commands_run_as_they_stand(checkout):
     """The first is started by a shell, the others with the words that a shell would make of them, without imports."""

@@ -11,7 +11,7 @@ PAGE = ROOT / "docs" / "how_to" / "own_modules.md"
 FILE = re.compile(r"^`([\w/.]+)`:\n\n```\w+\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 COMMAND = re.compile(r"^python src/train\.py (.*)$", re.MULTILINE)
 SMALL = ["preset=smoke", "logger.mode=disabled", "test_images=0", "trainer.max_steps=2", "stages.depth.max_steps=2"]
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.whole_runs]
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from omniocc.report.wandb.dashboard import sections
 
 ROOT = Path(__file__).parents[1]
 TWELVE_STEPS = ("trainer.max_steps=12", "checkpoint_every_n_steps=1")  # time enough to be killed in
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.whole_runs]
 
 
 def smoke(data_root: Path, *more: str) -> list[str]:

@@ -13,6 +13,7 @@ ROOT = Path(__file__).parents[2]
 SMOKE = ("preset=smoke", "logger.mode=disabled", "test_images=0")
 
 
+@pytest.mark.whole_runs
 @pytest.mark.slow(30)
 def test_a_job_of_two_processes_trains_one_model(tmp_path, data_root):
     overrides = ["model/sketch=dense", "trainer.max_steps=2", "data.batch_size=1", "seed=4", f"paths.data={data_root}"]

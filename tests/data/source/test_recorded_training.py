@@ -8,6 +8,7 @@ from scripts import run_script
 from omniocc.config import build
 
 
+@pytest.mark.whole_runs
 @pytest.mark.slow
 def test_all_stages_train_on_recorded_scenes(smoke, data_root, tmp_path):
     rendered = build(smoke(f"paths.data={data_root}").data).source
