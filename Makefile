@@ -14,7 +14,7 @@ $(READY): pyproject.toml constraints.txt
 	@$(PYTHON) tools/python_version.py
 	@echo "Setting up $(VENV) (about three minutes, once)"
 	$(PYTHON) -m venv $(VENV)
-	$(INSTALL) $(if $(CONSTRAINTS),--constraint $(CONSTRAINTS)) --editable '.[dev]'
+	@$(PYTHON) tools/with_clock.py $(VENV) $(INSTALL) $(if $(CONSTRAINTS),--constraint $(CONSTRAINTS)) --editable '.[dev]'
 	@touch $@
 
 setup: $(READY)  ## Make .venv from pyproject.toml and constraints.txt
@@ -25,10 +25,13 @@ demo: $(READY)  ## Render streets, train, test on unseen streets, show table and
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
 
 test: $(READY)  ## Run the tests (COVERAGE=1: and print how many lines they ran)
-	$(PYTEST) -m 'not whole_runs' $(if $(COVERAGE),--cov)
+	$(PYTEST) -m 'not whole_runs and not second_device' $(if $(COVERAGE),--cov)
 
 test-runs: $(READY)  ## Run the tests that train by the scripts, as users start them: killed, resumed, in two processes
 	$(PYTEST) -m whole_runs
+
+test-device: $(READY)  ## Train every row of the tables on a simulated second device, where device mistakes show
+	$(PYTEST) -m second_device
 
 test-typecheck: $(READY)  ## Run four folders of tests again, with every shape annotation checked
 	$(BIN)/python tools/typecheck.py
@@ -70,4 +73,4 @@ wandb-sync: $(READY)  ## Upload new offline W&B runs and the tables of the repor
 dashboard: $(READY)  ## Save the W&B dashboard to the project omniocc (docs/how_to/dashboards.md)
 	@$(BIN)/python -m omniocc.report.wandb.dashboard --runs $(RUNS)
 
-.PHONY: help setup demo test test-runs test-typecheck docs lint types constraints bench ablations wandb-sync dashboard
+.PHONY: help setup demo test test-runs test-device test-typecheck docs lint types constraints bench ablations wandb-sync dashboard

@@ -19,9 +19,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 torch.set_num_threads(1)
 
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(Path(__file__).parent / "run" / "wandb"))  # offline_file
-sys.path.append(str(Path(__file__).parent))  # scripts
-sys.path.append(str(Path(__file__).parent / "world" / "render"))  # plain_shading
+TESTS = Path(__file__).parent
+# folders of helpers: scripts, second_device; offline_file; plain_shading; batches
+sys.path[:0] = [str(TESTS), *(str(TESTS / folder) for folder in ("run/wandb", "world/render", "task"))]
 
 
 @pytest.hookimpl(trylast=True)

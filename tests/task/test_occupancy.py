@@ -5,60 +5,19 @@ from pathlib import Path
 
 import pytest
 import torch
+from batches import make_batch
 from lightning.pytorch import Callback, LightningDataModule, Trainer
 from lightning.pytorch.callbacks import ModelCheckpoint
 
-from omniocc.batch import Batch
-from omniocc.camera import Rig
-from omniocc.task.build import build_task, load_task
+from omniocc.task.build import load_task
 from omniocc.task.scores import Scores
 from omniocc.task.stage_task import step_generator
 
 CONF = Path(__file__).parents[2] / "conf"
-RIG = Rig.load("fisheye6").resized(64, 36)
 pytestmark = [
     pytest.mark.filterwarnings("ignore::UserWarning:lightning.*"),
     pytest.mark.filterwarnings("ignore:`isinstance:FutureWarning"),
 ]
-
-
-@pytest.fixture(scope="session")
-def make_task(smoke, spec):
-    def make(*overrides):
-        torch.manual_seed(0)
-        return build_task(smoke(*overrides), spec)
-
-    return make
-
-
-def make_batch(task, samples, with_candidates=True):
-    """Windows of scenes whose content is a function of scene and frame."""
-    shape, frames = task.model.geometry.shape, task.model.temporal.frames
-
-    def frame(scene, number):
-        generator = torch.Generator().manual_seed(1000 * scene + number)
-        pose = torch.eye(4, dtype=torch.float64)
-        pose[0, 3] = 2.3 * number
-        images = torch.randint(0, 256, (6, 3, 36, 64), generator=generator, dtype=torch.uint8)
-        marked = torch.rand(shape, generator=generator) < 0.4
-        voxels = torch.randint(0, 12, shape, generator=generator) * (torch.rand(shape, generator=generator) < 0.2)
-        labels = torch.randint(0, 12, (6, 36, 64), generator=generator, dtype=torch.uint8)
-        return images, pose, marked, voxels.to(torch.uint8), labels
-
-    windows = [[frame(scene, max(0, number - back)) for back in reversed(range(frames))] for scene, number in samples]
-    images, poses, marked = (torch.stack([torch.stack([f[k] for f in w]) for w in windows]) for k in range(3))
-    return Batch(
-        images=images,
-        rigs=((RIG,) * frames,) * len(samples),
-        world_from_ego=poses,
-        voxels=torch.stack([w[-1][3] for w in windows]),
-        pixel_labels=torch.stack([w[-1][4] for w in windows]),
-        lidar_range_m=torch.full((len(samples), 14040), 5.0),
-        lidar_labels=torch.ones(len(samples), 14040, dtype=torch.uint8),
-        frame_ids=tuple(f"{scene}/{number:06d}" for scene, number in samples),
-        candidates=marked if with_candidates else None,
-        exists=torch.tensor([[number >= back for back in reversed(range(frames))] for _, number in samples]),
-    )
 
 
 SAMPLES = [[(0, 0), (0, 1)], [(0, 2), (0, 3)], [(1, 0), (1, 1)], [(1, 2)]]

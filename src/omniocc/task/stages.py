@@ -5,8 +5,9 @@ covers everything that decides them, so that runs share them safely; a lock lets
 Candidates are in a subfolder, so that runs that select them in different ways share the weights of the sketch.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import cast
 
@@ -16,10 +17,13 @@ from lightning.pytorch import Trainer, seed_everything
 from lightning.pytorch.callbacks import Callback, ModelCheckpoint
 from omegaconf import DictConfig, OmegaConf
 from torch import Tensor, nn
+from torch.utils.data import DataLoader, Dataset
 
+from omniocc.camera import Rig
 from omniocc.config import build, plain
 from omniocc.data import CandidateCache, Extras, OccupancyData, RangeCache
-from omniocc.data.dataset import read_images, read_true_ranges
+from omniocc.data.dataset import read_images
+from omniocc.data.recording.pool import limit_threads
 from omniocc.data.source import SPLITS, SceneFrames
 from omniocc.data.store.frame_cache import FrameCache
 from omniocc.io import atomic_write
@@ -39,6 +43,8 @@ from omniocc.task.stage_keys import stage_keys
 from omniocc.task.stage_task import Recipe, StageTask
 
 Task = StageTask[nn.Module]
+Read = Callable[[SceneFrames, int], tuple[Tensor | None, ...]]
+Predict = Callable[..., Tensor]
 
 
 class Stages:
@@ -77,7 +83,8 @@ class Stages:
         task = DepthTask(model, recipe.optimizer, spheres, edges_m, recipe.seed, plain(self.cfg))
         drawn = DepthImages(self.results["depth"] / IMAGES, self.cfg.test_images, self.spec.classes)
         self._finish(task, recipe, Extras(true_ranges=True), drawn, "depth", title, learns(type(model)))
-        self._fill(self.ranges, lambda scene, frame: predict_range_m(task, scene, frame), f"{title}, ranges")
+        read = partial(read_depth_inputs, with_range=cast(Depth, model).NEEDS_TRUE_RANGE)
+        self._fill(task, self.ranges, read, predict_range_m, f"{title}, ranges")
 
     def _run_sketch(self, recipe: Recipe, title: str) -> None:
         task = SketchTask(build(self.cfg.model.sketch), recipe.optimizer, self.spec.range_edges_m, plain(self.cfg))
@@ -85,7 +92,7 @@ class Stages:
         extras = Extras(true_ranges=True, depth=self.ranges)
         drawn = SketchImages(self.results["sketch"] / IMAGES, self.cfg.test_images, self.spec.classes)
         self._finish(task, recipe, extras, drawn, "sketch", title, trains=True)
-        self._fill(self.candidates, lambda scene, frame: self._choose(task, scene, frame), f"{title}, candidates")
+        self._fill(task, self.candidates, partial(read_range, self.ranges), choose, f"{title}, candidates")
 
     def sketch_weights(self) -> dict[str, Tensor]:
         """Return the weights of the trained sketch, depth included, as the occupancy model's `sketch` loads them."""
@@ -133,28 +140,76 @@ class Stages:
             default_root_dir=str(folder),
         )
 
-    def _choose(self, task: SketchTask, scene: SceneFrames, frame: int) -> Tensor:
-        range_m = self.ranges.read(scene.name, frame).unsqueeze(0).to(task.device)
-        return task.sketch.select(task.sketch.logits(*known(range_m)))[0]
+    def _fill(self, task: Task, cache: FrameCache, read: Read, predict: Predict, title: str) -> None:
+        """Predict for all frames of the scenes that are missing in a cache, on the device that trains.
 
-    def _fill(self, cache: FrameCache, predict: Callable[[SceneFrames, int], Tensor], title: str) -> None:
+        Loader processes read the inputs; Lightning has moved the task to the CPU.
+        """
         missing = cache.missing(self.scenes)
+        if not missing:
+            return
+        trainer = build(self.cfg.trainer, devices=1, strategy="auto", logger=False, enable_checkpointing=False)
+        device = task.to(trainer.strategy.root_device).eval().device
+        inputs = iter(frame_loader(missing, read, self.cfg.data.num_workers))
         with Progress(title, sum(map(len, missing))) as progress, torch.inference_mode():
             for scene in missing:
                 arrays = []
                 for frame in range(len(scene)):
-                    arrays.append(predict(scene, frame))
+                    arrays.append(predict(task, scene.rigs[frame], *to_device(next(inputs), device)).cpu())
                     progress.advance()
                 cache.write(scene.name, arrays)
+        task.cpu()
 
 
-def predict_range_m(task: DepthTask, scene: SceneFrames, frame: int) -> Tensor:
-    """Return the predicted panorama of a recorded frame, (h, w), m; nan where unknown."""
-    images = to_unit_range(read_images(scene, frame).unsqueeze(0).to(task.device))
-    panorama = read_true_ranges(scene, frame)[0]
-    true_range_m = None if panorama is None else panorama.unsqueeze(0).to(task.device)
-    depth = task.eval().model(images, (scene.rigs[frame],), true_range_m)
-    return depth.known_range_m()[0]
+class Frames(Dataset):
+    """The inputs of every frame of some scenes, in order."""
+
+    def __init__(self, scenes: Sequence[SceneFrames], read: Read):
+        self.frames = [(scene, frame) for scene in scenes for frame in range(len(scene))]
+        self.read = read
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __getitem__(self, index: int) -> tuple[Tensor | None, ...]:
+        return self.read(*self.frames[index])
+
+
+def frame_loader(scenes: Sequence[SceneFrames], read: Read, num_workers: int) -> DataLoader[tuple[Tensor | None, ...]]:
+    """Return the inputs of every frame of some scenes, in order, read by other processes (0: by this one)."""
+    return DataLoader(
+        Frames(scenes, read),
+        batch_size=None,
+        num_workers=num_workers,
+        worker_init_fn=limit_threads,
+        multiprocessing_context="forkserver" if num_workers else None,
+    )
+
+
+def to_device(inputs: tuple[Tensor | None, ...], device: torch.device) -> list[Tensor | None]:
+    """Return tensors as a batch of one on a device."""
+    return [None if value is None else value.unsqueeze(0).to(device) for value in inputs]
+
+
+def read_depth_inputs(scene: SceneFrames, frame: int, with_range: bool) -> tuple[Tensor, Tensor | None]:
+    """Return the images of a frame, and the recorded panorama if it is wanted and exists."""
+    panorama = scene.erp_range_m(frame) if with_range else None
+    return read_images(scene, frame), None if panorama is None else torch.from_numpy(panorama)
+
+
+def read_range(ranges: RangeCache, scene: SceneFrames, frame: int) -> tuple[Tensor]:
+    """Return the predicted panorama of a frame."""
+    return (ranges.read(scene.name, frame),)
+
+
+def predict_range_m(task: DepthTask, rig: Rig, images: Tensor, true_range_m: Tensor | None) -> Tensor:
+    """Return the predicted panorama of a frame, (h, w), m; nan where unknown."""
+    return task.model(to_unit_range(images), (rig,), true_range_m).known_range_m()[0]
+
+
+def choose(task: SketchTask, rig: Rig, range_m: Tensor) -> Tensor:
+    """Return the candidates of a frame, (X, Y, Z), from its predicted panorama."""
+    return task.sketch.select(task.sketch.logits(*known(range_m)))[0]
 
 
 @contextmanager

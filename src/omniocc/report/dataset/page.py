@@ -15,6 +15,7 @@ from omniocc.data.store.codec import decode_frame, decode_image
 from omniocc.data.store.reader import SceneReader
 from omniocc.geometry import Grid
 from omniocc.io import atomic_write
+from omniocc.progress import Progress
 from omniocc.report.dataset.facts import (
     OTHER_DATASETS,
     facts_of,
@@ -51,15 +52,20 @@ def save_page(path: Path, scenes: Sequence[SceneReader], geometry: Grid, classes
     shown = [scenes[at] for at in spread(len(scenes), MAX_FRAMES)]
     per_scene = max(1, min(MAX_FRAMES_PER_SCENE, MAX_FRAMES // len(shown)))
     twins = [pinhole_twin(scene) for scene in shown]
-    counts = sum(count_voxels(scene, spread(len(scene), per_scene), geometry) for scene in shown)
+    counts, drawn = [], []
+    with Progress("page", len(shown), "scenes") as progress:
+        for scene, twin in zip(shown, twins, strict=True):
+            counts.append(count_voxels(scene, spread(len(scene), per_scene), geometry))
+            drawn.append(_scene(scene, twin, per_scene, geometry, classes))
+            progress.advance()
     content = {
         "facts": facts_of(scenes, len(shown), geometry),
         "table": [*OTHER_DATASETS, own_row(scenes, twins)],
         "classes": [{"name": row.name, "rgb": row.rgb} for row in classes.rows if row.id != FREE],
-        "ours": occupied_percent(np.asarray(counts)),
+        "ours": occupied_percent(np.sum(counts, axis=0)),
         "authors": PUBLISHED_PERCENT,
         "sky": SKY,
-        "scenes": [_scene(scene, twin, per_scene, geometry, classes) for scene, twin in zip(shown, twins, strict=True)],
+        "scenes": drawn,
     }
     atomic_write(Path(path), render("dataset.html.j2", {"content": content}))
 

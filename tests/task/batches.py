@@ -1,0 +1,38 @@
+"""Batches of windows whose content is a function of scene and frame, at the size of `preset=smoke`."""
+
+import torch
+
+from omniocc.batch import Batch
+from omniocc.camera import Rig
+
+RIG = Rig.load("fisheye6").resized(64, 36)
+
+
+def make_batch(task, samples, with_candidates=True):
+    """Return a batch of windows, whose newest frames are given as (scene, number)."""
+    shape, frames = task.model.geometry.shape, task.model.temporal.frames
+
+    def frame(scene, number):
+        generator = torch.Generator().manual_seed(1000 * scene + number)
+        pose = torch.eye(4, dtype=torch.float64)
+        pose[0, 3] = 2.3 * number
+        images = torch.randint(0, 256, (6, 3, 36, 64), generator=generator, dtype=torch.uint8)
+        marked = torch.rand(shape, generator=generator) < 0.4
+        voxels = torch.randint(0, 12, shape, generator=generator) * (torch.rand(shape, generator=generator) < 0.2)
+        labels = torch.randint(0, 12, (6, 36, 64), generator=generator, dtype=torch.uint8)
+        return images, pose, marked, voxels.to(torch.uint8), labels
+
+    windows = [[frame(scene, max(0, number - back)) for back in reversed(range(frames))] for scene, number in samples]
+    images, poses, marked = (torch.stack([torch.stack([f[k] for f in w]) for w in windows]) for k in range(3))
+    return Batch(
+        images=images,
+        rigs=((RIG,) * frames,) * len(samples),
+        world_from_ego=poses,
+        voxels=torch.stack([w[-1][3] for w in windows]),
+        pixel_labels=torch.stack([w[-1][4] for w in windows]),
+        lidar_range_m=torch.full((len(samples), 14040), 5.0),
+        lidar_labels=torch.ones(len(samples), 14040, dtype=torch.uint8),
+        frame_ids=tuple(f"{scene}/{number:06d}" for scene, number in samples),
+        candidates=marked if with_candidates else None,
+        exists=torch.tensor([[number >= back for back in reversed(range(frames))] for _, number in samples]),
+    )
