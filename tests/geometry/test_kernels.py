@@ -12,8 +12,8 @@ import torch
 from torch.utils.data import DataLoader
 
 import omniocc
-from omniocc.compiled import run_in_threads
 from omniocc.geometry import Cuboid, Cylinder, RayTable, Scan
+from omniocc.geometry.raycast.kernel_table import run_in_threads
 from omniocc.metric import sparseocc_directions
 
 GRID = Cylinder((16, 20, 6), (0.0, 12.0), (-2.8, 3.2))

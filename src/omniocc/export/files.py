@@ -2,6 +2,7 @@
 
 import io
 import json
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -53,8 +54,10 @@ def export_files(options: Options) -> str:
     trained = training_data(options.checkpoint, cfg)
     rig = scale_rig(options.rig, options.image_width or trained.image_size[0])
     module = make_module(model, rig)
+    print(f"tracing the network of {options.checkpoint}: half a minute or more", file=sys.stderr, flush=True)
     program = export_program(module)
     contract = contract_of(module, trained.classes)
+    print(f"writing {output}", file=sys.stderr, flush=True)
     write_program(program, contract, output)
     facts = {"program": output.name, "checkpoint": str(options.checkpoint), "torch": torch.__version__}
     atomic_write(output.with_suffix(".json"), json.dumps(facts | contract, indent=2) + "\n")

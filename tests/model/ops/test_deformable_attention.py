@@ -1,22 +1,12 @@
-from contextlib import nullcontext
-
 import pytest
 import torch
 from torch.nn import functional as F
 
 from omniocc.model.ops.deformable_attention import deformable_sum, make_level, make_table
-from omniocc.model.ops.static import static_shapes
 from omniocc.model.ops.visible import Pairs
 
 SAMPLES, CAMERAS, HEADS, CHANNELS, POINTS = 2, 3, 2, 4, 3
 SIZES = [(5, 7), (3, 4)]
-
-
-@pytest.fixture(autouse=True, params=["compiled", "torch"])
-def implementation(request):
-    """Run every test with the kernels for CPUs, and with the operations of torch that GPUs and exports use."""
-    with static_shapes() if request.param == "torch" else nullcontext():
-        yield
 
 
 def make_pairs(queries=6, anchors=1):

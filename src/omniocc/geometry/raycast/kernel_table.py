@@ -1,19 +1,23 @@
 """First hits of rays on a CPU: the compiled kernels of `raycast.march` for tensors, in several threads."""
 
+import itertools
 import math
-from collections.abc import Sequence
+import threading
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
 from jaxtyping import UInt8
 from torch import Tensor
 
-from omniocc.compiled import run_in_threads
 from omniocc.geometry.lattice import Lattice
 from omniocc.geometry.raycast import march
 from omniocc.geometry.raycast.crossings import clip_slab
 from omniocc.geometry.raycast.fans import Fans
 from omniocc.geometry.raycast.trace import Hits
+
+RAYS_PER_TASK = 2000
+"""Approximate number of rays of one task of a thread; less work is not worth a thread."""
 
 
 class KernelTable:
@@ -86,3 +90,29 @@ def sector_faces(sectors: int) -> np.ndarray:
     angle = torch.linspace(-math.pi, math.pi, sectors + 1, dtype=torch.float64)[:-1].repeat(2)
     twice = torch.stack([angle.sin(), angle.cos()])
     return torch.cat([twice, twice.flip(1)]).numpy()
+
+
+def run_in_threads(work: Callable[[int, int], object], groups: int, rays: int) -> None:
+    """Call `work(first, last)` for ranges that cover 0 .. groups-1, in as many threads as torch may use."""
+    threads = torch.get_num_threads()
+    tasks = max(1, min(groups, rays // RAYS_PER_TASK, 8 * threads))
+    ranges = list(itertools.pairwise(groups * i // tasks for i in range(tasks + 1)))
+    failed: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            while not failed:
+                work(*ranges.pop())  # the interpreter's lock makes pop atomic; the kernels release the lock
+        except IndexError:
+            return
+        except BaseException as error:  # raised again below, in the calling thread
+            failed.append(error)
+
+    helpers = [threading.Thread(target=run) for _ in range(min(threads, tasks) - 1)]
+    for helper in helpers:
+        helper.start()
+    run()
+    for helper in helpers:
+        helper.join()
+    if failed:
+        raise failed[0]

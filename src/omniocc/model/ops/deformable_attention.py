@@ -15,9 +15,7 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 from torch.nn import functional as F
 
-from omniocc.model.ops.deformable_kernel import gradients_on_cpu, sum_on_cpu
 from omniocc.model.ops.multilinear import bag_sum, corners, inner_products, sum_samples
-from omniocc.model.ops.static import is_static
 from omniocc.model.ops.visible import Pairs
 
 
@@ -250,8 +248,6 @@ class _DeformableSum(torch.autograd.Function):
     ) -> Tensor:
         ctx.save_for_backward(offsets, attention, *tables)
         ctx.pairs, ctx.levels = pairs, levels
-        if runs_kernels(offsets):
-            return sum_on_cpu(list(tables), offsets, attention, pairs, levels)
         sums = []
         for head in range(len(offsets)):
             parts = []
@@ -266,9 +262,6 @@ class _DeformableSum(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, grad: Tensor) -> Any:
         offsets, attention, *tables = ctx.saved_tensors
-        if runs_kernels(offsets):
-            grads = gradients_on_cpu(tables, offsets, attention, ctx.pairs, ctx.levels, grad)
-            return grads[0], grads[1], None, None, *grads[2]
         grad_offsets, grad_attention = torch.empty_like(offsets), torch.empty_like(attention)
         grad_tables = [torch.empty_like(table) for table in tables]
         for head in range(len(offsets)):
@@ -278,11 +271,6 @@ class _DeformableSum(torch.autograd.Function):
                     table[head], offsets[head, index], attention[head, index], head_grad, ctx.pairs, level
                 )
         return grad_offsets, grad_attention, None, None, *grad_tables
-
-
-def runs_kernels(values: Tensor) -> bool:
-    """Return whether the compiled kernels are used: on a CPU, unless a program is made of torch's operations."""
-    return values.device.type == "cpu" and not is_static()
 
 
 def deformable_sum(
