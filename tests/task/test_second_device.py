@@ -79,8 +79,10 @@ def test_every_depth_option_predicts_there_and_learned_ones_train(name, smoke, d
         assert predict_depth(model, images.cpu(), RIG, CUDA).range_m.isfinite().any()
 
 
-@pytest.mark.parametrize("slot", ["backbone", "lifter", "refiner"])
-@pytest.mark.parametrize("mistake", ["an output on the CPU", "an operand on the CPU", "numpy"])
+@pytest.mark.parametrize(
+    ("slot", "mistake"),
+    [("backbone", "an output on the CPU"), ("lifter", "an operand on the CPU"), ("refiner", "numpy")],
+)
 def test_a_mistake_in_a_slot_is_found(slot, mistake, make_task, device, monkeypatch):
     task = make_task("model/sketch=dense")
     module = getattr(task.model, slot)
