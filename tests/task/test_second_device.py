@@ -12,7 +12,7 @@ from torch import nn
 
 from omniocc.batch import Batch
 from omniocc.config import build
-from omniocc.data import RangeCache
+from omniocc.data import OccupancyData, RangeCache
 from omniocc.export.program import make_module
 from omniocc.model.ops.static import static_shapes
 from omniocc.predict.network import predict_depth
@@ -38,8 +38,7 @@ def device():
 def on_device(task, samples) -> Batch:
     batch = make_batch(task, samples)
     ranges = torch.rand(len(samples), 6, 36, 64) * 30
-    batch = batch._replace(camera_range_m=ranges)
-    return batch._replace(**{k: v.to(CUDA) for k, v in batch._asdict().items() if isinstance(v, torch.Tensor)})
+    return OccupancyData.transfer_batch_to_device(None, batch._replace(camera_range_m=ranges), CUDA, 0)
 
 
 def train_and_test(task, samples=((0, 1), (1, 2))) -> None:

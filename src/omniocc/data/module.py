@@ -167,9 +167,16 @@ class OccupancyData(LightningDataModule):
             sampler=sampler,
             drop_last=drop_last,
             collate_fn=collate,
-            num_workers=self.num_workers,
-            worker_init_fn=limit_threads,
             persistent_workers=self.num_workers > 0,
-            # a plain fork copies locks that other threads (W&B, OpenMP) hold: the loader would wait forever
-            multiprocessing_context="forkserver" if self.num_workers else None,
+            **worker_options(self.num_workers),
         )
+
+
+def worker_options(num_workers: int) -> dict[str, Any]:
+    """Return the arguments of a `DataLoader` for its processes, each with one thread; 0 reads in this process."""
+    return {
+        "num_workers": num_workers,
+        "worker_init_fn": limit_threads,
+        # a plain fork copies locks that other threads (W&B, OpenMP) hold: the loader would wait forever
+        "multiprocessing_context": "forkserver" if num_workers else None,
+    }

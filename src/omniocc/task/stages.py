@@ -23,7 +23,7 @@ from omniocc.camera import Rig
 from omniocc.config import build, plain
 from omniocc.data import CandidateCache, Extras, OccupancyData, RangeCache
 from omniocc.data.dataset import read_images
-from omniocc.data.recording.pool import limit_threads
+from omniocc.data.module import worker_options
 from omniocc.data.source import SPLITS, SceneFrames
 from omniocc.data.store.frame_cache import FrameCache
 from omniocc.io import atomic_write
@@ -177,13 +177,7 @@ class Frames(Dataset):
 
 def frame_loader(scenes: Sequence[SceneFrames], read: Read, num_workers: int) -> DataLoader[tuple[Tensor | None, ...]]:
     """Return the inputs of every frame of some scenes, in order, read by other processes (0: by this one)."""
-    return DataLoader(
-        Frames(scenes, read),
-        batch_size=None,
-        num_workers=num_workers,
-        worker_init_fn=limit_threads,
-        multiprocessing_context="forkserver" if num_workers else None,
-    )
+    return DataLoader(Frames(scenes, read), batch_size=None, **worker_options(num_workers))
 
 
 def to_device(inputs: tuple[Tensor | None, ...], device: torch.device) -> list[Tensor | None]:

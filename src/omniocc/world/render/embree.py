@@ -129,8 +129,8 @@ def _fill(packet, whole, valid, start, origins, directions, limit_m):
 def intersect(scene, arguments, origins, directions, limit_m, range_m, face, u, v):
     """Fill range, face and barycentric weights of R rays; inf, -1 and 0 where nothing is hit before `limit_m`.
 
-    `scene` and `arguments` are pointers. `origins` and `directions` are (3, R) float32, or (3, 1) where all rays share
-    one; `limit_m` is (R,), or (1,) for all.
+    `scene` and `arguments` are pointers. `origins` and `directions` are (3, R) float32, or (3, 1) if equal for all
+    rays; `limit_m` is (R,), or (1,) if equal for all.
     """
     packet, whole, valid = _packet()
     for start in range(0, len(face), WIDTH):
