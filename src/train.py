@@ -10,7 +10,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from omniocc.classes import FREE, ClassTable
 from omniocc.config import build, check_root, plain
-from omniocc.data import Extras, OccupancyData
+from omniocc.data import Needs, OccupancyData
 from omniocc.io import atomic_write
 from omniocc.model.occupancy import to_unit_range
 from omniocc.run.checkpoint_io import BEST, LAST, AtomicCheckpointIO
@@ -69,7 +69,9 @@ def train_occupancy(
     task = build_task(cfg, data.source.spec)
     if earlier is not None:
         task.model.sketch.load_state_dict(earlier.sketch_weights())  # type: ignore[union-attr]
-    data.read_also(Extras(true_ranges=len(task.loss.ray) > 0, candidates=earlier and earlier.candidates))
+    test = Needs(pixel_labels=False, candidates=earlier and earlier.candidates)
+    learned = {"pixel_labels": len(task.loss.pixel) > 0, "camera_ranges": len(task.loss.ray) > 0}
+    data.read_only(test._replace(scores=False, **learned), test)
     data.setup("fit")
     task.set_training_statistics(data.voxel_counts())
     files = build(cfg.logger).build(run.path, config, "occupancy")

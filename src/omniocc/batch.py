@@ -12,7 +12,7 @@ from omniocc.camera import Rig
 class Batch(NamedTuple):
     """Windows of T frames, oldest first; all labels belong to the newest frame, in its ego frame.
 
-    Fields with `| None` are absent if the dataset does not have them or no stage needs them (`omniocc.data.Extras`).
+    Fields with `| None` are absent if the dataset does not have them or no stage needs them (`omniocc.data.Needs`).
     Absent data gives no loss and no score. If only some samples have it, it is filled with 'unknown' (label 255, range
     nan) for the others, which gives no loss and no score either.
 
@@ -20,7 +20,7 @@ class Batch(NamedTuple):
     the axes of cameras, rows and columns. `image_mask` is the mask of true pixels.
 
     Attributes:
-        images: RGB, 0..255; 0 where padded.
+        images: RGB, 0..255; 0 where padded; without cameras if no stage needs them.
         rigs: cameras of every frame of every sample, `rigs[sample][frame]`; frames share it if nothing moved.
         world_from_ego: pose of every frame of the window.
         frame_ids: `scene/frame` of the newest frame, for messages and saved images.

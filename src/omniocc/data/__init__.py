@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 from omniocc.data.augment.augment import Augment
-from omniocc.data.dataset import Extras, WindowDataset, collate
+from omniocc.data.dataset import Needs, WindowDataset, collate
 from omniocc.data.source import SceneSource, SourceSpec
 from omniocc.data.source.recorded import Recorded
 from omniocc.data.source.virtual import VirtualWorld
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from omniocc.data.module import OccupancyData
 
 __all__ = [
-    "Augment", "CandidateCache", "DataError", "Extras", "OccupancyData", "RangeCache", "Recorded", "SceneReader",
+    "Augment", "CandidateCache", "DataError", "Needs", "OccupancyData", "RangeCache", "Recorded", "SceneReader",
     "SceneSource", "SourceSpec", "VirtualWorld", "WindowDataset", "collate",
 ]  # fmt: skip
 

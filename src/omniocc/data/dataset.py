@@ -53,16 +53,26 @@ class Sample(NamedTuple):
     exists: Bool[Tensor, " T"] | None = None
 
 
-class Extras(NamedTuple):
-    """Content of samples beyond the images and labels that every stage needs.
+class Needs(NamedTuple):
+    """The parts of a sample that are used; nothing else is read and decoded.
 
     Attributes:
-        true_ranges: of the panorama and of every pixel.
+        images: of the window; without them it has no cameras.
+        voxels: of the newest frame, as all further parts but the candidates.
+        pixel_labels: classes of the pixels.
+        scores: hits of the LiDAR, and which cells count.
+        panorama: true ranges around the ego origin.
+        camera_ranges: true range of every pixel.
         depth: panoramas that the depth stage predicted.
         candidates: voxels that the sketch stage chose.
     """
 
-    true_ranges: bool = False
+    images: bool = True
+    voxels: bool = True
+    pixel_labels: bool = True
+    scores: bool = True
+    panorama: bool = False
+    camera_ranges: bool = False
     depth: RangeCache | None = None
     candidates: CandidateCache | None = None
 
@@ -75,7 +85,7 @@ class WindowDataset(Dataset):
     Args:
         voxels: labels of the grid.
         window: T.
-        extras: further content to read.
+        needs: parts of the samples to read.
         own_rays: whether every frame's LiDAR has rays of its own, so that samples hold them.
     """
 
@@ -84,7 +94,7 @@ class WindowDataset(Dataset):
         scenes: Sequence[SceneFrames],
         voxels: VoxelLabels,
         window: int,
-        extras: Extras | None = None,
+        needs: Needs = Needs(),  # noqa: B008 - immutable
         own_rays: bool = False,
     ):
         if window < 1:
@@ -92,7 +102,7 @@ class WindowDataset(Dataset):
         self.scenes = tuple(scenes)
         self.voxels = voxels
         self.window = window
-        self.extras = extras or Extras()
+        self.needs = needs
         self.own_rays = own_rays
         self._ends = np.cumsum([len(scene) for scene in self.scenes])
 
@@ -108,24 +118,23 @@ class WindowDataset(Dataset):
 
     def __getitem__(self, index: int) -> Sample:
         scene, newest = self.locate(index)
-        frames = window_frames(newest, self.window)
-        depth, candidates = self.extras.depth, self.extras.candidates
-        images = {frame: read_images(scene, frame) for frame in set(frames)}
-        erp_range_m, camera_range_m = read_true_ranges(scene, newest) if self.extras.true_ranges else (None, None)
-        labels = scene.pixel_labels(newest)
+        frames, needs = window_frames(newest, self.window), self.needs
+        labels = scene.pixel_labels(newest) if needs.pixel_labels else None
+        panorama = scene.erp_range_m(newest) if needs.panorama else None
+        ranges = scene.camera_range_m(newest) if needs.camera_ranges else None
         return Sample(
-            images=pad_stack([images[frame] for frame in frames], ABSENT["images"]),
+            images=read_window(scene, frames) if needs.images else torch.zeros(self.window, 0, 3, 1, 1).byte(),
             rigs=tuple(scene.rigs[frame] for frame in frames),
             world_from_ego=torch.from_numpy(scene.world_from_ego[frames]),
             frame_id=f"{scene.name}/{newest:06d}",
-            voxels=self.voxels.read(scene, newest),
-            scored=self.voxels.scored(scene, newest),
+            voxels=self.voxels.read(scene, newest) if needs.voxels else None,
+            scored=self.voxels.scored(scene, newest) if needs.scores else None,
             pixel_labels=None if labels is None else stack_cameras(labels, ABSENT["pixel_labels"]),
-            **self._lidar(scene, newest),
-            erp_range_m=erp_range_m,
-            camera_range_m=camera_range_m,
-            depth_range_m=depth and depth.read(scene.name, newest),
-            candidates=candidates and torch.stack([candidates.read(scene.name, frame) for frame in frames]),
+            **(self._lidar(scene, newest) if needs.scores else {}),
+            erp_range_m=None if panorama is None else torch.from_numpy(panorama),
+            camera_range_m=None if ranges is None else stack_cameras(ranges, ABSENT["camera_range_m"]),
+            depth_range_m=needs.depth and needs.depth.read(scene.name, newest),
+            candidates=needs.candidates and torch.stack([needs.candidates.read(scene.name, t) for t in frames]),
             exists=torch.arange(newest - self.window + 1, newest + 1) >= 0,
         )
 
@@ -162,27 +171,33 @@ def stack_cameras(arrays: Sequence[np.ndarray], fill: float | bool) -> Tensor:
 
 
 def read_images(scene: SceneFrames, frame: int) -> UInt8[Tensor, "N 3 H W"]:
-    """Return the images of all cameras in a frame."""
-    return stack_cameras(scene.images(frame), ABSENT["images"]).permute(0, 3, 1, 2).contiguous()
+    """Return the images of all cameras in a frame, channels last in memory, as they are decoded."""
+    return stack_cameras(scene.images(frame), ABSENT["images"]).permute(0, 3, 1, 2)
 
 
-def read_true_ranges(
-    scene: SceneFrames, frame: int
-) -> tuple[Float32[Tensor, "h w"] | None, Float32[Tensor, "N H W"] | None]:
-    """Return panorama and cameras' ranges of a frame, None where they are not recorded; see `Batch`."""
-    panorama, cameras = scene.erp_range_m(frame), scene.camera_range_m(frame)
-    return (
-        None if panorama is None else torch.from_numpy(panorama),
-        None if cameras is None else stack_cameras(cameras, ABSENT["camera_range_m"]),
-    )
+def read_window(scene: SceneFrames, frames: Sequence[int]) -> UInt8[Tensor, "T N 3 H W"]:
+    """Return the images of some frames, channels last in memory; a frame that occurs twice is decoded once."""
+    images = {frame: read_images(scene, frame) for frame in set(frames)}
+    return channels_first(pad_stack([channels_last(images[frame]) for frame in frames], ABSENT["images"]))
+
+
+def channels_last(images: UInt8[Tensor, "*B C H W"]) -> UInt8[Tensor, "*B H W C"]:
+    """Return images with the channels as last axis; nothing is copied."""
+    return images.movedim(-3, -1)
+
+
+def channels_first(images: UInt8[Tensor, "*B H W C"]) -> UInt8[Tensor, "*B C H W"]:
+    """Return images with the channels before rows and columns; nothing is copied."""
+    return images.movedim(-1, -3)
 
 
 def collate(samples: Sequence[Sample]) -> Batch:
     """Stack samples along a new first axis; pad where sizes differ, fill where some have no value (see `Batch`)."""
     columns = dict(zip(Sample._fields, zip(*samples, strict=True), strict=True))
     rigs, frame_ids = columns.pop("rigs"), columns.pop("frame_id")
+    images = channels_first(pad_stack([channels_last(part) for part in columns.pop("images")], ABSENT["images"]))
     stacked = {name: _stack(column, ABSENT.get(name)) for name, column in columns.items()}
-    return Batch(rigs=rigs, frame_ids=frame_ids, **stacked)  # type: ignore[arg-type]
+    return Batch(images=images, rigs=rigs, frame_ids=frame_ids, **stacked)  # type: ignore[arg-type]
 
 
 def _stack(column: Sequence[Tensor | None], fill: float | bool | None) -> Tensor | None:

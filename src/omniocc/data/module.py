@@ -3,13 +3,14 @@
 from functools import cached_property
 from typing import Any
 
+import torch
 from jaxtyping import Int64
 from lightning.pytorch import LightningDataModule
 from torch import Tensor, device
 from torch.utils.data import DataLoader
 
 from omniocc.batch import Batch
-from omniocc.data.dataset import Extras, WindowDataset, collate
+from omniocc.data.dataset import Needs, WindowDataset, collate
 from omniocc.data.recording.pool import limit_threads
 from omniocc.data.sampler import EpochSampler, RankSampler
 from omniocc.data.source import SPLITS, SceneSource, Split, Unknown, VoxelLabels
@@ -61,7 +62,7 @@ class OccupancyData(LightningDataModule):
         self.num_workers = num_workers
         self.seed = seed
         self.unknown: Unknown = unknown
-        self.extras = Extras()
+        self.needs: dict[Split, Needs] = dict.fromkeys(SPLITS, Needs())
         self._datasets: dict[Split, WindowDataset] = {}
         self._resume = {"epoch": 0, "batches": 0}
 
@@ -94,11 +95,13 @@ class OccupancyData(LightningDataModule):
         own_rays = self.source.spec.lidar_directions is None
         for split in SPLITS:
             scenes = self.source.scenes(split)
-            self._datasets.setdefault(split, WindowDataset(scenes, self.voxels, self.window, self.extras, own_rays))
+            self._datasets.setdefault(
+                split, WindowDataset(scenes, self.voxels, self.window, self.needs[split], own_rays)
+            )
 
-    def read_also(self, extras: Extras) -> None:
-        """Add content to the samples, from the next `setup` on."""
-        self.extras = extras
+    def read_only(self, train: Needs, test: Needs) -> None:
+        """Set what samples hold from the next `setup` on: those of training, and those of validation and test."""
+        self.needs = {"train": train, "val": test, "test": test}
         self._datasets = {}
 
     def dataset(self, split: Split) -> WindowDataset:
@@ -179,4 +182,5 @@ def worker_options(num_workers: int) -> dict[str, Any]:
         "worker_init_fn": limit_threads,
         # a plain fork copies locks that other threads (W&B, OpenMP) hold: the loader would wait forever
         "multiprocessing_context": "forkserver" if num_workers else None,
+        "pin_memory": torch.cuda.is_available(),  # copies to the GPU run beside its work
     }

@@ -21,13 +21,14 @@ from torch.utils.data import DataLoader, Dataset
 
 from omniocc.camera import Rig
 from omniocc.config import build, plain
-from omniocc.data import CandidateCache, Extras, OccupancyData, RangeCache
+from omniocc.data import CandidateCache, Needs, OccupancyData, RangeCache
 from omniocc.data.dataset import read_images
 from omniocc.data.module import worker_options
 from omniocc.data.source import SPLITS, SceneFrames
 from omniocc.data.store.frame_cache import FrameCache
 from omniocc.io import atomic_write
 from omniocc.model.occupancy import to_unit_range
+from omniocc.model.ops.depth.sphere_net import SphereNet
 from omniocc.model.protocols import Depth, learns
 from omniocc.progress import Progress, waiting
 from omniocc.run.checkpoint import load_checkpoint
@@ -82,16 +83,19 @@ class Stages:
         edges_m = self.spec.range_edges_m
         task = DepthTask(model, recipe.optimizer, spheres, edges_m, recipe.seed, plain(self.cfg))
         drawn = DepthImages(self.results["depth"] / IMAGES, self.cfg.test_images, self.spec.classes)
-        self._finish(task, recipe, Extras(true_ranges=True), drawn, "depth", title, learns(type(model)))
+        test = Needs(voxels=False, pixel_labels=False, scores=False, panorama=True)
+        train = test._replace(camera_ranges=not isinstance(model, SphereNet))  # which learns from the panorama
+        self._finish(task, recipe, (train, test), drawn, "depth", title, learns(type(model)))
         read = partial(read_depth_inputs, with_range=cast(Depth, model).NEEDS_TRUE_RANGE)
         self._fill(task, self.ranges, read, predict_range_m, f"{title}, ranges")
 
     def _run_sketch(self, recipe: Recipe, title: str) -> None:
         task = SketchTask(build(self.cfg.model.sketch), recipe.optimizer, self.spec.range_edges_m, plain(self.cfg))
         cast(nn.Module, task.sketch.depth).load_state_dict(load_checkpoint(self.folders["depth"] / LAST).model_weights)
-        extras = Extras(true_ranges=True, depth=self.ranges)
+        test = Needs(pixel_labels=False, scores=False, depth=self.ranges)
+        train = test._replace(images=False)
         drawn = SketchImages(self.results["sketch"] / IMAGES, self.cfg.test_images, self.spec.classes)
-        self._finish(task, recipe, extras, drawn, "sketch", title, trains=True)
+        self._finish(task, recipe, (train, test), drawn, "sketch", title, trains=True)
         self._fill(task, self.candidates, partial(read_range, self.ranges), choose, f"{title}, candidates")
 
     def sketch_weights(self) -> dict[str, Tensor]:
@@ -99,8 +103,9 @@ class Stages:
         return load_checkpoint(self.folders["sketch"] / LAST).model_weights
 
     def _finish(
-        self, task: Task, recipe: Recipe, extras: Extras, images: Callback, stage: str, title: str, trains: bool
-    ) -> None:
+        self, task: Task, recipe: Recipe, needs: tuple[Needs, Needs], images: Callback, stage: str, title: str,
+        trains: bool,
+    ) -> None:  # fmt: skip
         """Load the finished task, or finish its training and test."""
         folder, results = self.folders[stage], self.results[stage]
         last = folder / LAST
@@ -113,7 +118,7 @@ class Stages:
             print(message, flush=True)
         print(f"{title} {'goes on' if checkpoint else 'begins'}: {folder}", flush=True)
         data = build(self.cfg.data, window=1, batch_size=recipe.batch_size, seed=recipe.seed)
-        data.read_also(extras)
+        data.read_only(*needs)
         trainer = self._trainer(recipe, images, folder, stage, title)
         if trains:
             trainer.fit(task, datamodule=data, ckpt_path=checkpoint and str(checkpoint))
