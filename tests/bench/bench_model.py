@@ -146,23 +146,36 @@ class Inputs:
         return Random(geometry, fraction).to(self.newest.device)(self.newest, self.rigs)
 
 
-def slots(meter: Meter, model: Any, inputs: Inputs) -> None:
-    """Print the rows of the slots and of the whole model."""
-    header("slot")
+SlotRun = tuple[str, object, Run, bool]
+
+
+def slot_runs(model: Any, inputs: Inputs) -> list[SlotRun]:
+    """Return name, module and forward pass of every slot and of the whole model, and whether it is trained."""
     frames = inputs.images.shape[1]
     window = Sketched(inputs.sketched.candidates[:, None].expand(-1, frames, -1, -1, -1))
     rigs = tuple((rig,) * frames for rig in inputs.rigs)
     everything = (inputs.images, rigs, inputs.poses, window, inputs.exists)
-    row(meter, "sketch and depth", model.sketch, lambda: model.sketch(inputs.newest, inputs.rigs), trains=False)
-    row(meter, "backbone", model.backbone, lambda: model.backbone(inputs.newest))
-    row(meter, "lifter", model.lifter, lambda: model.lifter(inputs.features, inputs.sketched, inputs.rigs))
-    row(meter, "temporal", model.temporal, lambda: model.temporal(inputs.volumes, inputs.poses, inputs.exists))
-    row(meter, "refiner", model.refiner, lambda: model.refiner(inputs.volume, inputs.sketched))
-    row(meter, "semantic_head", model.semantic_head, lambda: model.semantic_head(inputs.features))
-    row(meter, "classifier", model.classifier, lambda: model.classifier(inputs.refined))
-    row(meter, "all but the sketch", model, lambda: model(*everything))
+    return [
+        ("sketch and depth", model.sketch, lambda: model.sketch(inputs.newest, inputs.rigs), False),
+        ("backbone", model.backbone, lambda: model.backbone(inputs.newest), True),
+        ("lifter", model.lifter, lambda: model.lifter(inputs.features, inputs.sketched, inputs.rigs), True),
+        ("temporal", model.temporal, lambda: model.temporal(inputs.volumes, inputs.poses, inputs.exists), True),
+        ("refiner", model.refiner, lambda: model.refiner(inputs.volume, inputs.sketched), True),
+        ("semantic_head", model.semantic_head, lambda: model.semantic_head(inputs.features), True),
+        ("classifier", model.classifier, lambda: model.classifier(inputs.refined), True),
+        ("all but the sketch", model, lambda: model(*everything), True),
+    ]
+
+
+def slots(meter: Meter, model: Any, inputs: Inputs) -> None:
+    """Print the rows of the slots and of the whole model."""
+    header("slot")
+    runs = slot_runs(model, inputs)
+    for name, module, run, trains in runs:
+        row(meter, name, module, run, trains)
+    everything = runs[-1][2]
     with profile() as profiler:
-        total(model(*everything)).backward()
+        total(everything()).backward()
     events = profiler.key_averages()
     key = "self_cpu_time_total" if meter.device.type == "cpu" else "self_device_time_total"
     whole = sum(getattr(event, key) for event in events)
