@@ -25,9 +25,8 @@ def test_a_job_of_two_processes_trains_one_model(tmp_path, data_root):
     written = json.loads(path.read_text())
     assert written["steps"] == 2
     assert written["metrics"]["label/rayiou"] == 1.0
-    (log,) = tmp_path.glob(
-        "runs/sweeps/*/*.log"
-    )  # a child process that started the sweep again would have another folder
+    # a child process that started the sweep again would have another folder
+    (log,) = tmp_path.glob("runs/sweeps/*/000-*.log")
     assert "Traceback" not in log.read_text()
 
 

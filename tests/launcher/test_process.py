@@ -166,7 +166,7 @@ def test_an_interrupt_ends_all_jobs(tmp_path):
 
 
 def test_ctrl_c_ends_a_multirun_with_a_line(tmp_path, monkeypatch, capsys):
-    def interrupted(jobs, n_jobs):
+    def interrupted(jobs, n_jobs, start):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("hydra_plugins.process_launcher.launcher.run_all", interrupted)
@@ -181,7 +181,9 @@ def test_ctrl_c_ends_a_multirun_with_a_line(tmp_path, monkeypatch, capsys):
 
 def test_hydra_gets_one_result_per_job_and_exit_code_1_for_failures(tmp_path, monkeypatch, capsys):
     script = tmp_path / "script.py"
-    script.write_text("import sys; print(sys.argv[1:]); sys.exit('broken' in sys.argv[1])")
+    script.write_text(
+        "import sys\nif __name__ == '__main__':\n    print(sys.argv[1:]); sys.exit('broken' in sys.argv[1])"
+    )
     monkeypatch.setattr(sys, "argv", [str(script), "--multirun"])
     launcher = ProcessLauncher(n_jobs=2, force=True)
     config = OmegaConf.create({"hydra": {"sweep": {"dir": str(tmp_path / "sweep")}}})
@@ -192,6 +194,18 @@ def test_hydra_gets_one_result_per_job_and_exit_code_1_for_failures(tmp_path, mo
         launcher.launch([["broken=1"], ["x=1"]], 2)
     assert error.value.code == 1
     assert "1 of 2 jobs finished" in capsys.readouterr().out
+
+
+def test_a_script_that_cannot_be_imported_is_shown_once_for_every_job(tmp_path, monkeypatch, capsys):
+    script = tmp_path / "script.py"
+    script.write_text("import no_such_module")
+    monkeypatch.setattr(sys, "argv", [str(script), "--multirun"])
+    launcher = ProcessLauncher(n_jobs=1, force=False)
+    config = OmegaConf.create({"hydra": {"sweep": {"dir": str(tmp_path / "sweep")}}})
+    launcher.setup(hydra_context=None, task_function=None, config=config)  # type: ignore[arg-type]
+    with pytest.raises(SystemExit):
+        launcher.launch([["a=1"], ["a=2"]], 0)
+    assert capsys.readouterr().out.count("No module named 'no_such_module'") == 2
 
 
 def test_labels_and_log_names_distinguish_jobs():

@@ -1,19 +1,36 @@
 """One job of a multirun: a process, a log file of its output, and a status file of its progress."""
 
-import ctypes
+import contextlib
 import os
 import re
-import signal
 import subprocess
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Protocol
 
 from omniocc.progress import STATUS_FILE, Status, read_status
+from omniocc.run.fork_server import end_with_parent
 
 TAIL_BYTES = 4096
 FAILURE_LINES = 12
-PR_SET_PDEATHSIG = 1
+
+
+class Process(Protocol):
+    """A process that has been asked for, such as `subprocess.Popen`."""
+
+    @property
+    def pid(self) -> int | None:
+        """Return its id, which is that of its group; None before it begins."""
+        ...
+
+    def poll(self) -> int | None:
+        """Return the exit code; None before the end."""
+        ...
+
+
+Starter = Callable[[Sequence[str], Mapping[str, str], Path], Process]
+"""Starts a command with an environment and a file for its output."""
 
 
 class Job:
@@ -30,22 +47,14 @@ class Job:
         self.command = list(command)
         self.log = log
         self.status_file = log.with_suffix(".status.json")
-        self.process: subprocess.Popen[bytes] | None = None
+        self.process: Process | None = None
         self.started_s = self.elapsed_s = 0.0
 
-    def start(self, environment: dict[str, str]) -> None:
+    def start(self, environment: Mapping[str, str], start: Starter | None = None) -> None:
         """Start the process with additional environment variables."""
         self.status_file.unlink(missing_ok=True)
-        with self.log.open("wb") as output:
-            self.process = subprocess.Popen(
-                self.command,
-                env={**os.environ, **environment, STATUS_FILE: str(self.status_file)},
-                stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=subprocess.STDOUT,
-                start_new_session=True,
-                preexec_fn=end_with_parent,
-            )
+        everything = {**os.environ, **environment, STATUS_FILE: str(self.status_file)}
+        self.process = (start or start_command)(self.command, everything, self.log)
         self.started_s = time.monotonic()
 
     @property
@@ -81,22 +90,43 @@ class Job:
 
     def last_lines(self, count: int = FAILURE_LINES) -> list[str]:
         """Return the last lines of its log that are not empty."""
-        if not self.log.exists():
-            return []
-        with self.log.open("rb") as file:
-            file.seek(max(0, self.log.stat().st_size - TAIL_BYTES))
-            text = file.read().decode(errors="replace")
-        return [line.rstrip() for line in text.splitlines() if line.strip()][-count:]
+        return last_lines(self.log, count)
+
+    @property
+    def group(self) -> int | None:
+        """Return the process group of a running job; None before it begins and after its end."""
+        return self.process.pid if self.process is not None and self.running else None
 
     def interrupt(self, number: int) -> None:
         """Send a signal to its process group."""
-        if self.process is not None and self.running:
-            os.killpg(self.process.pid, number)
+        group = self.group
+        if group is not None:
+            with contextlib.suppress(ProcessLookupError):  # it may end at this moment
+                os.killpg(group, number)
 
 
-def end_with_parent() -> None:
-    """Ask Linux, in the child, to send it SIGTERM when its parent ends for any reason."""
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+def start_command(command: Sequence[str], environment: Mapping[str, str], log: Path) -> Process:
+    """Start a command in a process group of its own, which ends with this process."""
+    with log.open("wb") as output:
+        return subprocess.Popen(
+            command,
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+            preexec_fn=end_with_parent,
+        )
+
+
+def last_lines(log: Path, count: int = FAILURE_LINES) -> list[str]:
+    """Return the last lines of a file that are not empty; none if there is no such file."""
+    if not log.exists():
+        return []
+    with log.open("rb") as file:
+        file.seek(max(0, log.stat().st_size - TAIL_BYTES))
+        text = file.read().decode(errors="replace")
+    return [line.rstrip() for line in text.splitlines() if line.strip()][-count:]
 
 
 def label_of(overrides: Sequence[str]) -> str:

@@ -12,18 +12,21 @@ from hydra.plugins.launcher import Launcher
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig
 
-from hydra_plugins.process_launcher.job import Job, file_name, label_of
+from hydra_plugins.process_launcher.job import Job, Starter, file_name, label_of, last_lines, start_command
 from omniocc.progress import clock
+from omniocc.run.fork_server import ForkServer
 
 POLL_S = 0.5
 SEPARATOR = " | "  # between the jobs of the progress line; on a terminal each has a line of its own
 INTERRUPTED = 130  # exit code of a process that Ctrl-C has ended, as in shells
 LINE_EVERY_S = 60.0
 GRACE_S = 20.0
+IMPORTS = "imports.log"
+"""File of what the imports print, which all jobs share."""
 
 
 class ProcessLauncher(Launcher):
-    """Runs the jobs of a multirun as `python <script> <overrides>`, in the order given.
+    """Runs the jobs of a multirun as `python <script> <overrides>`, in the order given, with the imports done once.
 
     A failing job does not stop the others; its last lines are printed at the end and the exit code is 1. Jobs end with
     their parent. The script itself continues interrupted jobs and skips finished ones.
@@ -48,19 +51,23 @@ class ProcessLauncher(Launcher):
         """Run all jobs; end this process with exit code 1 if any fails, 130 after Ctrl-C."""
         self.folder.mkdir(parents=True, exist_ok=True)
         varied = varying(job_overrides)
-        jobs = []
+        jobs, script = [], Path(sys.argv[0]).resolve()
         for number, overrides in enumerate(job_overrides, start=initial_job_idx):
             label = label_of([o for o in overrides if o in varied]) or "job"
             arguments = [*overrides, *(["resume=never"] if self.force else [])]
-            command = [sys.executable, str(Path(sys.argv[0]).resolve()), *arguments]
+            command = [sys.executable, str(script), *arguments]
             jobs.append(Job(label, command, self.folder / file_name(label, number)))
         print(f"{len(jobs)} jobs, {self.n_jobs} at a time; logs in {self.folder}", flush=True)
+        server = ForkServer(script, self.folder / IMPORTS)
         try:
-            run_all(jobs, self.n_jobs)
+            # a command is python, the script, and its arguments
+            run_all(jobs, self.n_jobs, lambda command, *rest: server.start(command[2:], *rest))
         except KeyboardInterrupt:
             done = sum(job.code == 0 for job in jobs)
             print(f"\nstopped, {done} of {len(jobs)} jobs are finished; the same command continues", flush=True)
             sys.exit(INTERRUPTED)
+        finally:
+            server.close()
         failed = [job for job in jobs if job.code != 0]
         print(summary(jobs, failed), flush=True)
         if failed:
@@ -74,7 +81,7 @@ def varying(job_overrides: Sequence[Sequence[str]]) -> set[str]:
     return {override for overrides in job_overrides for override in overrides} - shared
 
 
-def run_all(jobs: Sequence[Job], n_jobs: int) -> None:
+def run_all(jobs: Sequence[Job], n_jobs: int, start: Starter = start_command) -> None:
     """Start jobs as others end, and show their progress, until all have ended."""
     from rich.console import Console  # Hydra imports this module at every start of a script
 
@@ -86,7 +93,7 @@ def run_all(jobs: Sequence[Job], n_jobs: int) -> None:
         with console.status("") as status:
             while any(job.code is None for job in jobs):
                 for job in [job for job in jobs if job.process is None][: free_slots(jobs, n_jobs)]:
-                    job.start(environment)
+                    job.start(environment, start)
                 line = progress(jobs, n_jobs, time.monotonic() - started_s)
                 status.update(line.replace(SEPARATOR, "\n  "))
                 if not console.is_terminal and time.monotonic() - printed_s > LINE_EVERY_S:
@@ -113,7 +120,7 @@ def stop(jobs: Sequence[Job]) -> None:
         for job in jobs:
             job.interrupt(number)
         deadline_s = time.monotonic() + GRACE_S
-        while any(job.running for job in jobs) and time.monotonic() < deadline_s:
+        while any(job.group for job in jobs) and time.monotonic() < deadline_s:
             time.sleep(0.1)
 
 
@@ -145,6 +152,6 @@ def summary(jobs: Sequence[Job], failed: Sequence[Job]) -> str:
     lines = [f"{len(jobs) - len(failed)} of {len(jobs)} jobs finished"]
     for job in failed:
         lines += [f"\nfailed: {job.label} (exit code {job.code}), {job.log}"]
-        lines += [f"  {line}" for line in job.last_lines()]
+        lines += [f"  {line}" for line in job.last_lines() or last_lines(job.log.with_name(IMPORTS))]
         lines += [f"  again: {' '.join(job.command)}"]
     return "\n".join(lines)

@@ -1,0 +1,157 @@
+"""Start a script many times as copies of one process whose imports are done.
+
+Imports take some ten seconds of processor time, a copy some milliseconds. The process that is copied only imports: it
+starts no thread, touches no GPU and computes nothing. It speaks lines of JSON: a request for each copy, and an answer
+when the copy begins and when it ends. This module imports the standard library alone, as `omniocc.progress` does.
+"""
+
+import contextlib
+import ctypes
+import gc
+import json
+import os
+import runpy
+import select
+import signal
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+PR_SET_PDEATHSIG = 1
+LOOK_EVERY_S = 0.1
+THREADS = "OMP_NUM_THREADS"
+
+
+def end_with_parent() -> None:
+    """Ask Linux, in the child, to send it SIGTERM when its parent ends for any reason."""
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
+class Copy:
+    """A copy that runs the script; it has no process id before it has begun."""
+
+    def __init__(self, server: "ForkServer", number: int):
+        self._server, self._number = server, number
+
+    @property
+    def pid(self) -> int | None:
+        """Return the process, which leads a group of its own; None before it begins."""
+        return self._server.answers(self._number).get("pid")
+
+    def poll(self) -> int | None:
+        """Return the exit code, negative after a signal; None before the end."""
+        return self._server.answers(self._number).get("code")
+
+
+class ForkServer:
+    """Starts copies of a process that has imported a script; all of them end with it, and it with this process.
+
+    Args:
+        script: file of Python whose imports are done once; it must do nothing else when it is imported.
+        log: file for what the imports print.
+    """
+
+    def __init__(self, script: Path, log: Path):
+        with log.open("wb") as output:
+            self._process = subprocess.Popen(
+                [sys.executable, __file__, str(script)],
+                env={**os.environ, THREADS: "1"},
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=output,
+                start_new_session=True,
+                preexec_fn=end_with_parent,
+            )
+        os.set_blocking(self._output, False)
+        self._rest = b""
+        self._answers: list[dict[str, int]] = []
+
+    def start(self, arguments: Sequence[str], environment: Mapping[str, str], log: Path) -> Copy:
+        """Run the script with these arguments; output goes to `log`, which is replaced."""
+        request = {"arguments": [*arguments], "environment": {**environment}, "log": str(log.resolve())}
+        self._answers.append({})
+        with contextlib.suppress(BrokenPipeError):  # the server has ended, which `answers` tells
+            self._process.stdin.write(json.dumps(request).encode() + b"\n")  # type: ignore[union-attr]
+            self._process.stdin.flush()  # type: ignore[union-attr]
+        return Copy(self, len(self._answers) - 1)
+
+    def answers(self, number: int) -> dict[str, int]:
+        """Return what is known of a copy; when this server has ended, its exit code is that of all that still ran."""
+        ended = self._process.poll()
+        self._read()
+        answer = self._answers[number]
+        if ended is not None:
+            answer.setdefault("code", ended or 1)
+        return answer
+
+    def close(self) -> None:
+        """End the server, and with it all copies."""
+        self._process.terminate()
+        self._process.wait()
+
+    @property
+    def _output(self) -> int:
+        return self._process.stdout.fileno()  # type: ignore[union-attr]
+
+    def _read(self) -> None:
+        """Take in the answers that have come."""
+        while select.select([self._output], [], [], 0)[0]:
+            chunk = os.read(self._output, 1 << 16)
+            if not chunk:
+                break
+            *lines, self._rest = (self._rest + chunk).split(b"\n")
+            for line in map(json.loads, lines):
+                self._answers[line.pop("number")].update(line)
+
+
+def serve(script: str) -> dict[str, Any]:
+    """Import a script and answer requests; in a copy, return its request."""
+    answers = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)  # what is printed must not look like an answer
+    runpy.run_path(script, run_name="imported")
+    gc.collect()
+    gc.freeze()  # copies share the memory of the imports
+    requests = os.fdopen(os.dup(0), "rb", buffering=0)
+    running: dict[int, int] = {}
+    count = 0
+    while True:
+        if select.select([requests], [], [], LOOK_EVERY_S)[0]:
+            line = requests.readline()
+            if not line:
+                sys.exit()
+            pid = os.fork()
+            if pid == 0:
+                return json.loads(line)
+            running[pid] = count
+            print(json.dumps({"number": count, "pid": pid}), file=answers, flush=True)
+            count += 1
+        for pid, code in ended(running):
+            print(json.dumps({"number": running.pop(pid), "code": code}), file=answers, flush=True)
+
+
+def ended(running: Mapping[int, int]) -> list[tuple[int, int]]:
+    """Return processes that have ended, with their exit codes."""
+    found = [(pid, os.waitpid(pid, os.WNOHANG)) for pid in running]
+    return [(pid, os.waitstatus_to_exitcode(status)) for pid, (done, status) in found if done]
+
+
+def become(script: str, request: Mapping[str, Any]) -> None:
+    """Take over arguments, environment and output of a request, in a group of processes of its own."""
+    os.setsid()
+    end_with_parent()
+    output = os.open(request["log"], os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND)
+    for number, file in enumerate((os.open(os.devnull, os.O_RDONLY), output, output)):
+        os.dup2(file, number)
+    os.environ.clear()
+    os.environ.update(request["environment"])
+    sys.argv = [script, *request["arguments"]]
+    if THREADS in os.environ and "torch" in sys.modules:
+        sys.modules["torch"].set_num_threads(int(os.environ[THREADS]))
+
+
+if __name__ == "__main__":
+    sys.path[0] = str(Path(sys.argv[1]).parent)  # as if the script had been started
+    become(sys.argv[1], serve(sys.argv[1]))
+    runpy.run_path(sys.argv[0], run_name="__main__")
