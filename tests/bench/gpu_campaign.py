@@ -27,7 +27,9 @@ from omniocc.camera import Rig, normalize_pixels
 from omniocc.config import build
 from omniocc.metric import RayIoU
 from omniocc.model import Stream
+from omniocc.model.lifter.coloring import every_cell
 from omniocc.model.lifter.lift_splat import find_entries, splat
+from omniocc.model.ops.deformable_attention import deformable_sum, make_level, make_table
 from omniocc.model.ops.depth.projection import Projection, alternate_cameras, field_weight, samplers, table
 from omniocc.model.ops.padding import pad3d
 from omniocc.run.folder import git_commit
@@ -117,9 +119,6 @@ Pair = tuple[Callable[[], Tensor], Callable[[], Tensor]]
 
 def attention_pair(cfg: DictConfig, rig: Rig, device: torch.device) -> Pair:
     """Return one layer of the lifter's attention, and the same by `grid_sample` for every camera."""
-    from omniocc.model.lifter.coloring import every_cell
-    from omniocc.model.ops.deformable_attention import deformable_sum, make_level, make_table
-
     lifter, geometry = cfg.preset.lifter.coloring, build(cfg.model.geometry)
     heads, points, channels = lifter.heads, lifter.points, cfg.preset.channels // lifter.heads
     _, _, pairs = every_cell(rig, geometry, device, ((0.0, 0.0, 0.0),))
@@ -161,14 +160,14 @@ def sweep_pair(cfg: DictConfig, rig: Rig, device: torch.device) -> Pair:
     rays = depth.swept.rays().double().reshape(-1, 3)
     points_m = torch.cat([rays * (1 / (k * spheres.step_per_m) if k else 1e6) for k in planes])
     pixels, valid = rig.project(points_m)
-    places, shares = [], []
+    places, weights = [], []
     for k in cameras:
         inside = torch.where(valid[k, :, None], pixels[k], 0.0)
         places.append(normalize_pixels(inside, rig.cameras[k].width, rig.cameras[k].height).float().to(device))
         u, v = inside.round().long().unbind(-1)
         weight = field_weight(rig, k)
-        shares.append((weight[v.clamp(0, weight.shape[0] - 1), u.clamp(0, weight.shape[1] - 1)] * valid[k]).to(device))
-    shares = torch.stack(shares) / torch.stack(shares).sum(0).clamp(min=1e-9)
+        weights.append((weight[v.clamp(0, weight.shape[0] - 1), u.clamp(0, weight.shape[1] - 1)] * valid[k]).to(device))
+    weights = torch.stack(weights) / torch.stack(weights).sum(0).clamp(min=1e-9)
 
     def ours() -> Tensor:
         rows = table(features, present)
@@ -176,9 +175,9 @@ def sweep_pair(cfg: DictConfig, rig: Rig, device: torch.device) -> Pair:
 
     def plain() -> Tensor:
         swept = features.new_zeros(channels, len(points_m))
-        for k, place, share in zip(cameras, places, shares, strict=True):
-            sampled = F.grid_sample(features[:, k], place[None, None], padding_mode="border", align_corners=False)
-            swept = swept + sampled[0, :, 0] * share
+        for camera, place, weight in zip(cameras, places, weights, strict=True):
+            sampled = F.grid_sample(features[:, camera], place[None, None], padding_mode="border", align_corners=False)
+            swept = swept + sampled[0, :, 0] * weight
         return swept.T
 
     return ours, plain

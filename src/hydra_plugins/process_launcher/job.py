@@ -101,7 +101,7 @@ class Job:
         """Send a signal to its process group."""
         group = self.group
         if group is not None:
-            with contextlib.suppress(ProcessLookupError):  # it may end at this moment
+            with contextlib.suppress(ProcessLookupError):  # the process has just ended
                 os.killpg(group, number)
 
 

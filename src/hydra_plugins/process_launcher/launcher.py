@@ -22,7 +22,7 @@ INTERRUPTED = 130  # exit code of a process that Ctrl-C has ended, as in shells
 LINE_EVERY_S = 60.0
 GRACE_S = 20.0
 IMPORTS = "imports.log"
-"""File of what the imports print, which all jobs share."""
+"""Log file of the process that imports the script for all jobs."""
 
 
 class ProcessLauncher(Launcher):

@@ -112,7 +112,7 @@ def serve(script: str) -> dict[str, Any]:
     os.dup2(2, 1)  # what is printed must not look like an answer
     runpy.run_path(script, run_name="imported")
     gc.collect()
-    gc.freeze()  # copies share the memory of the imports
+    gc.freeze()  # garbage collection in a copy then leaves the memory alone that copies have in common
     requests = os.fdopen(os.dup(0), "rb", buffering=0)
     running: dict[int, int] = {}
     count = 0
