@@ -33,6 +33,20 @@ Starter = Callable[[Sequence[str], Mapping[str, str], Path], Process]
 """Starts a command with an environment and a file for its output."""
 
 
+def start_command(command: Sequence[str], environment: Mapping[str, str], log: Path) -> Process:
+    """Start a command in a process group of its own, which ends with this process."""
+    with log.open("wb") as output:
+        return subprocess.Popen(
+            command,
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+            preexec_fn=end_with_parent,
+        )
+
+
 class Job:
     """A process that is started later, in its own process group.
 
@@ -50,11 +64,11 @@ class Job:
         self.process: Process | None = None
         self.started_s = self.elapsed_s = 0.0
 
-    def start(self, environment: Mapping[str, str], start: Starter | None = None) -> None:
+    def start(self, environment: Mapping[str, str], start: Starter = start_command) -> None:
         """Start the process with additional environment variables."""
         self.status_file.unlink(missing_ok=True)
         everything = {**os.environ, **environment, STATUS_FILE: str(self.status_file)}
-        self.process = (start or start_command)(self.command, everything, self.log)
+        self.process = start(self.command, everything, self.log)
         self.started_s = time.monotonic()
 
     @property
@@ -103,20 +117,6 @@ class Job:
         if group is not None:
             with contextlib.suppress(ProcessLookupError):  # the process has just ended
                 os.killpg(group, number)
-
-
-def start_command(command: Sequence[str], environment: Mapping[str, str], log: Path) -> Process:
-    """Start a command in a process group of its own, which ends with this process."""
-    with log.open("wb") as output:
-        return subprocess.Popen(
-            command,
-            env=environment,
-            stdin=subprocess.DEVNULL,
-            stdout=output,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-            preexec_fn=end_with_parent,
-        )
 
 
 def last_lines(log: Path, count: int = FAILURE_LINES) -> list[str]:
