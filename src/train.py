@@ -34,15 +34,15 @@ def main(cfg: DictConfig) -> None:
     check_root(cfg)
     quiet_libraries()
     keep_freed_memory()
-    stages = wanted_stages(cfg)
+    stages, with_evidence = wanted_stages(cfg), False
     data: OccupancyData = build(cfg.data)
     data.check_classes()
     if "occupancy" in stages:
         # mistakes in the last stage are reported before the earlier stages are trained
         given_checkpoint(cfg.resume)
-        build_task(cfg, data.source.spec)
+        with_evidence = build_task(cfg, data.source.spec).model.uses_evidence
     data.prepare_data()
-    earlier = Stages(cfg, data) if sketch_learns(cfg) else None
+    earlier = Stages(cfg, data, with_evidence) if sketch_learns(cfg) else None
     figures: dict[str, float] = {}
     for number, stage in enumerate(stages, start=1):
         title = f"{stage}, stage {number} of {len(stages)}"
@@ -69,7 +69,8 @@ def train_occupancy(
     task = build_task(cfg, data.source.spec)
     if earlier is not None:
         task.model.sketch.load_state_dict(earlier.sketch_weights())  # type: ignore[union-attr]
-    test = Needs(pixel_labels=False, candidates=earlier and earlier.candidates)
+    evidence = earlier and earlier.evidence
+    test = Needs(pixel_labels=False, candidates=earlier and earlier.candidates, evidence=evidence)
     learned = {"pixel_labels": len(task.loss.pixel) > 0, "camera_ranges": len(task.loss.ray) > 0}
     data.read_only(test._replace(scores=False, **learned), test)
     data.setup("fit")

@@ -14,6 +14,7 @@ from omegaconf import DictConfig
 
 from omniocc.data import SourceSpec
 from omniocc.data.source.virtual import world_spec
+from omniocc.model import OccupancyModel
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 torch.set_num_threads(1)
@@ -63,6 +64,20 @@ def composed() -> Callable[..., DictConfig]:
         return copy.deepcopy(compose_once(name, overrides))
 
     return get
+
+
+@pytest.fixture(scope="session")
+def as_trained() -> Callable[[OccupancyModel], OccupancyModel]:
+    """Return a function that gives a model's classifier random weights and counts, as if it had been trained."""
+
+    def change(model: OccupancyModel) -> OccupancyModel:
+        classifier = model.classifier
+        torch.nn.init.normal_(classifier.linear.weight)
+        counts = torch.randint(0, 9, (classifier.linear.out_features, *model.geometry.shape))
+        classifier.set_class_counts(counts)
+        return model
+
+    return change
 
 
 @pytest.fixture(scope="session")

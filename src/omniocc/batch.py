@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float, Float32, Float64, UInt8
+from jaxtyping import Bool, Float32, Float64, UInt8
 from torch import Tensor
 
 from omniocc.camera import Rig
@@ -35,7 +35,7 @@ class Batch(NamedTuple):
         camera_range_m: true range of every pixel; inf for sky, nan for own car, outside the lens or padded.
         depth_range_m: panorama that the depth stage predicted, nan where unknown.
         candidates: voxels that the sketch stage selected in every frame of the window.
-        evidence: E features of every voxel from the sketch stage.
+        evidence: bits of what the sketch stage knows of every voxel, see `omniocc.model.ops.evidence`.
         exists: which frames of the window were recorded; others are copies of a scene's first. None: all.
     """
 
@@ -54,7 +54,7 @@ class Batch(NamedTuple):
     camera_range_m: Float32[Tensor, "B N H W"] | None = None
     depth_range_m: Float32[Tensor, "B h w"] | None = None
     candidates: Bool[Tensor, "B T X Y Z"] | None = None
-    evidence: Float[Tensor, "B T E X Y Z"] | None = None
+    evidence: UInt8[Tensor, "B T X Y Z"] | None = None
     exists: Bool[Tensor, "B T"] | None = None
 
     @property

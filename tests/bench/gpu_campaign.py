@@ -27,11 +27,11 @@ from omniocc.camera import Rig, normalize_pixels
 from omniocc.config import build
 from omniocc.metric import RayIoU
 from omniocc.model import Stream
-from omniocc.model.lifter.coloring import every_cell
 from omniocc.model.lifter.lift_splat import find_entries, splat
 from omniocc.model.ops.deformable_attention import deformable_sum, make_level, make_table
 from omniocc.model.ops.depth.projection import Projection, alternate_cameras, field_weight, samplers, table
 from omniocc.model.ops.padding import pad3d
+from omniocc.model.ops.visible import every_cell
 from omniocc.run.folder import git_commit
 from omniocc.run.memory import keep_freed_memory
 

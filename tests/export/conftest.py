@@ -16,12 +16,12 @@ def rig() -> Rig:
 
 
 @pytest.fixture(scope="session")
-def make_model(smoke) -> Callable[..., OccupancyModel]:
+def make_model(smoke, as_trained) -> Callable[..., OccupancyModel]:
     """Return a function that builds a smoke model with random weights, in evaluation mode."""
 
     def make(*overrides: str) -> OccupancyModel:
         torch.manual_seed(0)
-        return build(smoke(*overrides).model).eval()
+        return as_trained(build(smoke(*overrides).model)).eval()
 
     return make
 

@@ -12,6 +12,7 @@ from omniocc.model.ops.static import static_shapes
 OPTIONS = [
     ["model/temporal=none"],
     ["model/temporal=none", "model.sketch.fraction=0.2", "model.sketch.threshold=null"],
+    ["model/temporal=none", "model=extended"],
     ["model/temporal=none", "model/depth=omnimvs3d"],
     ["model/temporal=none", "model/depth=mono"],
     ["model/temporal=none", "model/sketch=random", "model/refiner=attention"],

@@ -53,9 +53,9 @@ def make_backbone():
 
 
 @pytest.fixture
-def make_model(make_backbone):
+def make_model(make_backbone, as_trained):
     def make(geometry, sketch=None):
-        return OccupancyModel(
+        model = OccupancyModel(
             make_backbone([4, 8]),
             geometry,
             sketch or Dense(geometry),
@@ -65,6 +65,7 @@ def make_model(make_backbone):
             FCN(8, 8, 12),
             num_classes=12,
         )
+        return as_trained(model)
 
     return make
 

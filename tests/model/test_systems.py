@@ -17,8 +17,8 @@ ON_BOTH_GRIDS = pytest.mark.parametrize("grid", ["cuboid", "cylinder"])
 
 
 @pytest.fixture
-def make(smoke):
-    return lambda name, grid="cuboid": build(smoke(f"model={name}", f"model/geometry={grid}").model)
+def make(smoke, as_trained):
+    return lambda name, grid="cuboid": as_trained(build(smoke(f"model={name}", f"model/geometry={grid}").model))
 
 
 def window(model, batch=2):

@@ -105,10 +105,10 @@ class Remember(Callback):
         self.steps, self.validated = [], []
 
     def on_train_batch_end(self, trainer, module, *_):
-        self.steps.append(module.model.classifier.weight.detach().clone())
+        self.steps.append(module.model.classifier.linear.weight.detach().clone())
 
     def on_validation_batch_end(self, trainer, module, *_):
-        self.validated.append(module.model.classifier.weight.detach().clone())
+        self.validated.append(module.model.classifier.linear.weight.detach().clone())
 
 
 def train(folder, task, max_steps, checkpoint=None):
@@ -156,13 +156,13 @@ def test_the_average_is_validated_and_saved(averaged, averaging_task):
     assert len(averages) == 4
     torch.testing.assert_close(remembered.validated, [averages[1], averages[3]])
     last, best = (torch.load(folder / f"{name}.ckpt", weights_only=True) for name in ("last", "best"))
-    torch.testing.assert_close(last["state_dict"]["model.classifier.weight"], averages[3])
-    torch.testing.assert_close(last["current_model_state"]["model.classifier.weight"], remembered.steps[3])
-    torch.testing.assert_close(best["state_dict"]["model.classifier.weight"], averages[best["global_step"] - 1])
+    torch.testing.assert_close(last["state_dict"]["model.classifier.linear.weight"], averages[3])
+    torch.testing.assert_close(last["current_model_state"]["model.classifier.linear.weight"], remembered.steps[3])
+    torch.testing.assert_close(best["state_dict"]["model.classifier.linear.weight"], averages[best["global_step"] - 1])
     assert torch.equal(last["state_dict"]["prior"], prior)
     assert torch.equal(prior, averaging_task().prior)
     rebuilt, _ = load_task(folder / "last.ckpt", [])
-    torch.testing.assert_close(rebuilt.model.classifier.weight, averages[3])
+    torch.testing.assert_close(rebuilt.model.classifier.linear.weight, averages[3])
 
 
 def test_a_resumed_run_goes_on_with_weights_and_average(averaged, averaging_task, tmp_path):
@@ -172,7 +172,7 @@ def test_a_resumed_run_goes_on_with_weights_and_average(averaged, averaging_task
     rest = train(tmp_path, averaging_task(), 4, tmp_path / "last.ckpt")
     torch.testing.assert_close(rest.steps, whole.steps[2:], rtol=0, atol=1e-7)
     saved = [torch.load(place / "last.ckpt", weights_only=True)["state_dict"] for place in (folder, tmp_path)]
-    torch.testing.assert_close(*[state["model.classifier.weight"] for state in saved], rtol=0, atol=1e-7)
+    torch.testing.assert_close(*[state["model.classifier.linear.weight"] for state in saved], rtol=0, atol=1e-7)
 
 
 def test_only_training_is_augmented(make_task):

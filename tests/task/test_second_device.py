@@ -158,7 +158,7 @@ def test_predictions_for_all_frames_are_made_where_training_was(smoke, tmp_path,
     def read(scene, frame):
         return torch.randint(0, 256, (6, 3, 36, 64), dtype=torch.uint8), None
 
-    stages._fill(task, cache, read, predict, "ranges")
+    stages._fill(task, [cache], read, predict, "ranges")
     assert seen == [(True, None)] * 2
     assert cache.missing(stages.scenes) == []
     assert cache.read("street", 1).isfinite().any()

@@ -7,7 +7,7 @@ from omniocc.data.dataset import Needs, WindowDataset, collate
 from omniocc.data.source import SceneSource, SourceSpec
 from omniocc.data.source.recorded import Recorded
 from omniocc.data.source.virtual import VirtualWorld
-from omniocc.data.store.frame_cache import CandidateCache, RangeCache
+from omniocc.data.store.frame_cache import CandidateCache, EvidenceCache, RangeCache
 from omniocc.data.store.reader import SceneReader
 from omniocc.errors import DataError
 
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from omniocc.data.module import OccupancyData
 
 __all__ = [
-    "Augment", "CandidateCache", "DataError", "Needs", "OccupancyData", "RangeCache", "Recorded", "SceneReader",
-    "SceneSource", "SourceSpec", "VirtualWorld", "WindowDataset", "collate",
+    "Augment", "CandidateCache", "DataError", "EvidenceCache", "Needs", "OccupancyData", "RangeCache", "Recorded",
+    "SceneReader", "SceneSource", "SourceSpec", "VirtualWorld", "WindowDataset", "collate",
 ]  # fmt: skip
 
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Float32, Float64, UInt8
+from jaxtyping import Bool, Float32, Float64, UInt8
 from torch import Tensor
 from torch.utils.data import Dataset
 
@@ -13,7 +13,7 @@ from omniocc.batch import Batch
 from omniocc.camera import Rig
 from omniocc.classes import UNKNOWN
 from omniocc.data.source import SceneFrames, VoxelLabels
-from omniocc.data.store.frame_cache import CandidateCache, RangeCache
+from omniocc.data.store.frame_cache import CandidateCache, EvidenceCache, FrameCache, RangeCache
 
 NAN = float("nan")
 ABSENT: dict[str, float | bool] = {
@@ -49,7 +49,7 @@ class Sample(NamedTuple):
     camera_range_m: Float32[Tensor, "N H W"] | None = None
     depth_range_m: Float32[Tensor, "h w"] | None = None
     candidates: Bool[Tensor, "T X Y Z"] | None = None
-    evidence: Float[Tensor, "T E X Y Z"] | None = None
+    evidence: UInt8[Tensor, "T X Y Z"] | None = None
     exists: Bool[Tensor, " T"] | None = None
 
 
@@ -58,13 +58,14 @@ class Needs(NamedTuple):
 
     Attributes:
         images: of the window; without them it has no cameras.
-        voxels: of the newest frame, as all further parts but the candidates.
+        voxels: of the newest frame, as all further parts but candidates and evidence.
         pixel_labels: classes of the pixels.
         scores: hits of the LiDAR, and which cells count.
         panorama: true ranges around the ego origin.
         camera_ranges: true range of every pixel.
         depth: panoramas that the depth stage predicted.
         candidates: voxels that the sketch stage chose.
+        evidence: what it knows of every voxel.
     """
 
     images: bool = True
@@ -75,6 +76,7 @@ class Needs(NamedTuple):
     camera_ranges: bool = False
     depth: RangeCache | None = None
     candidates: CandidateCache | None = None
+    evidence: EvidenceCache | None = None
 
 
 class WindowDataset(Dataset):
@@ -134,7 +136,8 @@ class WindowDataset(Dataset):
             erp_range_m=None if panorama is None else torch.from_numpy(panorama),
             camera_range_m=None if ranges is None else stack_cameras(ranges, ABSENT["camera_range_m"]),
             depth_range_m=needs.depth and needs.depth.read(scene.name, newest),
-            candidates=needs.candidates and torch.stack([needs.candidates.read(scene.name, t) for t in frames]),
+            candidates=needs.candidates and read_frames(needs.candidates, scene, frames),
+            evidence=needs.evidence and read_frames(needs.evidence, scene, frames),
             exists=torch.arange(newest - self.window + 1, newest + 1) >= 0,
         )
 
@@ -179,6 +182,11 @@ def read_window(scene: SceneFrames, frames: Sequence[int]) -> UInt8[Tensor, "T N
     """Return the images of some frames, channels last in memory; a frame that occurs twice is decoded once."""
     images = {frame: read_images(scene, frame) for frame in set(frames)}
     return channels_first(pad_stack([channels_last(images[frame]) for frame in frames], ABSENT["images"]))
+
+
+def read_frames(cache: FrameCache, scene: SceneFrames, frames: Sequence[int]) -> Tensor:
+    """Return the cached arrays of some frames, stacked."""
+    return torch.stack([cache.read(scene.name, frame) for frame in frames])
 
 
 def channels_last(images: UInt8[Tensor, "*B C H W"]) -> UInt8[Tensor, "*B H W C"]:

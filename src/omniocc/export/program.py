@@ -38,7 +38,8 @@ class Frame(Program):
         pose = torch.eye(4, dtype=torch.float64, device=images.device)[None, None]
         there = torch.ones(1, 1, dtype=torch.bool, device=images.device)
         lifted = self.model.lift(images[None], (self.rig,))
-        return self.model.fuse([lifted.volume], pose, there, lifted.sketched).argmax(1)[0].to(torch.uint8)
+        known = self.model.with_classes(lifted, (self.rig,))
+        return self.model.fuse([lifted.volume], pose, there, known).argmax(1)[0].to(torch.uint8)
 
 
 class Step(Program):
@@ -61,10 +62,11 @@ class Step(Program):
             past_exists: whether each past frame exists.
             world_from_ego: poses of the past frames and, last, of the newest.
         """
-        volume, sketched, _ = self.model.lift(images[None], (self.rig,))
+        lifted = self.model.lift(images[None], (self.rig,))
+        known = self.model.with_classes(lifted, (self.rig,))
         exists = torch.cat([past_exists, torch.ones_like(past_exists[:1])])[None]
-        logits = self.model.fuse([*past_volumes.split(1), volume], world_from_ego[None], exists, sketched)
-        return logits.argmax(1)[0].to(torch.uint8), volume[0]
+        logits = self.model.fuse([*past_volumes.split(1), lifted.volume], world_from_ego[None], exists, known)
+        return logits.argmax(1)[0].to(torch.uint8), lifted.volume[0]
 
 
 def make_module(model: OccupancyModel, rig: Rig) -> Frame | Step:

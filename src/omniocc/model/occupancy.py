@@ -1,4 +1,4 @@
-"""The chain: images -> backbone -> lifter -> temporal -> refiner -> class of every voxel."""
+"""The chain: images -> backbone -> lifter -> temporal -> refiner -> classifier -> class of every voxel."""
 
 from typing import NamedTuple
 
@@ -8,8 +8,11 @@ from torch import Tensor, nn
 
 from omniocc.camera import Rig
 from omniocc.geometry import Grid
+from omniocc.model.ops.classifier import Classifier
+from omniocc.model.ops.evidence import INPUTS, network_inputs, required
 from omniocc.model.ops.padded import FeatureMaps, by_shape
 from omniocc.model.ops.padding import Pointwise
+from omniocc.model.ops.pixel_classes import classes_at_voxels
 from omniocc.model.protocols import (
     Backbone,
     GuessesRanges,
@@ -56,8 +59,14 @@ class OccupancyModel(nn.Module):
 
     Samples may have different numbers of cameras and sizes of image, padded as in `omniocc.model.ops.padded`.
 
+    Beyond the paper, what the sketch and the 2D head know of a voxel can be handed on to the later slots.
+
     Args:
         num_classes: of voxels, free included.
+        evidence_in_volume: whether the sketch's evidence is added to the volume before the refiner.
+        evidence_in_logits: whether the logits start from the sketch's probabilities.
+        pixel_classes: whether the 2D head's classes at the voxels are added to the volume, and the logits start from
+            them.
     """
 
     def __init__(
@@ -70,6 +79,9 @@ class OccupancyModel(nn.Module):
         refiner: Refiner,
         semantic_head: SemanticHead,
         num_classes: int,
+        evidence_in_volume: bool = False,
+        evidence_in_logits: bool = False,
+        pixel_classes: bool = False,
     ):
         super().__init__()
         self.geometry = geometry
@@ -79,7 +91,9 @@ class OccupancyModel(nn.Module):
         self.temporal = temporal
         self.refiner = refiner
         self.semantic_head = semantic_head
-        self.classifier = Pointwise(refiner.channels, num_classes)
+        self.evidence = Pointwise(INPUTS, lifter.channels) if evidence_in_volume else None
+        self.seen_classes = Pointwise(num_classes, lifter.channels) if pixel_classes else None
+        self.classifier = Classifier(geometry, refiner.channels, num_classes, evidence_in_logits, pixel_classes)
 
     def forward(
         self,
@@ -119,11 +133,13 @@ class OccupancyModel(nn.Module):
         )
         with torch.set_grad_enabled(torch.is_grad_enabled() and self.temporal.history_gradient):
             past = self._lift_past(images, rigs, sketched, exists, newest.volume)
-        volume = self.fuse([*past, newest.volume], world_from_ego, exists, newest.sketched)
+        pixel_logits = self.semantic_head(newest.features)
+        seen = self.with_classes(newest, tuple(sample[-1] for sample in rigs), pixel_logits)
+        logits = self.fuse([*past, newest.volume], world_from_ego, exists, seen)
         ranges = None
         if with_ranges and isinstance(self.lifter, GuessesRanges):
             ranges = self.lifter.range_logits(newest.features)
-        return Prediction(volume, self.semantic_head(newest.features), ranges)
+        return Prediction(logits, pixel_logits, ranges)
 
     def lift(
         self,
@@ -137,10 +153,32 @@ class OccupancyModel(nn.Module):
         features = by_shape(lambda cropped, _: self.backbone(cropped), images, rigs, self.backbone.levels)
         return Lifted(self.lifter(features, sketched, rigs), sketched, features)
 
+    @property
+    def uses_evidence(self) -> bool:
+        """Return whether a part of the model uses the sketch's evidence."""
+        in_queries = getattr(self.lifter, "evidence", None) is not None
+        return in_queries or self.evidence is not None or self.classifier.use_evidence
+
     @torch.no_grad()
     def choose(self, images: Float[Tensor, "B N 3 H W"], rigs: tuple[Rig, ...]) -> Sketched:
         """Return the output of the sketch for single frames, without gradient: it is trained in its own stage."""
         return self.sketch(images, rigs)
+
+    def with_classes(
+        self, lifted: Lifted, rigs: tuple[Rig, ...], pixel_logits: Float[Tensor, "B N K h w"] | None = None
+    ) -> Sketched:
+        """Return what is known of the voxels of single frames, with the 2D head's classes if the model uses them.
+
+        The head is run if its logits are not given. Raises ValueError if the model has no head.
+        """
+        if self.seen_classes is None:
+            return lifted.sketched
+        pixel_logits = self.semantic_head(lifted.features) if pixel_logits is None else pixel_logits
+        if pixel_logits is None:
+            raise ValueError("pixel_classes needs a 2D head: choose model/semantic_head=fcn")
+        candidates, stride = lifted.sketched.candidates, self.backbone.levels[0]
+        classes = classes_at_voxels(pixel_logits, candidates, rigs, self.geometry, stride)
+        return lifted.sketched._replace(classes=classes)
 
     def fuse(
         self,
@@ -149,8 +187,18 @@ class OccupancyModel(nn.Module):
         exists: Bool[Tensor, "B T"],
         sketched: Sketched,
     ) -> Float[Tensor, "B classes X Y Z"]:
-        """Return logits of the newest frame from the lifted volumes of a window, oldest first."""
-        return self.classifier(self.refiner(self.temporal(volumes, world_from_ego, exists), sketched))
+        """Return logits of the newest frame from the lifted volumes of a window, oldest first.
+
+        Args:
+            sketched: of the newest frame, from `with_classes`.
+        """
+        volume = self.temporal(volumes, world_from_ego, exists)
+        if self.evidence is not None:
+            volume = volume + self.evidence(network_inputs(required(sketched.evidence)))
+        if self.seen_classes is not None:
+            assert sketched.classes is not None
+            volume = volume + self.seen_classes(sketched.classes.softmax(1))
+        return self.classifier(self.refiner(volume, sketched), sketched)
 
     def _lift_past(
         self,

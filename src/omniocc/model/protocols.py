@@ -5,6 +5,7 @@ camera axis, at the right and at the bottom. Its rig gives the true sizes. Paddi
 option, see `omniocc.model.ops.padded`.
 """
 
+from collections.abc import Sequence
 from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import torch
@@ -13,9 +14,12 @@ from torch import Tensor
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.geometry import Grid
+from omniocc.model.ops.blocks import block_any, block_means
 from omniocc.model.ops.depth.depth_map import DepthMap
 from omniocc.model.ops.depth.spheres import Spheres
+from omniocc.model.ops.evidence import unpack_evidence
 from omniocc.model.ops.padded import FeatureMaps, Rigs
+from omniocc.model.ops.padding import Axes
 
 Volumes = list[Float[Tensor, "B C X Y Z"]]
 """Voxel features of each frame of a window, oldest first."""
@@ -26,15 +30,36 @@ class Sketched(NamedTuple):
 
     Attributes:
         candidates: voxels that are worth colouring.
-        evidence: E features of every voxel; None if the sketch has none.
+        evidence: of every voxel, see `omniocc.model.ops.evidence`; None if the sketch has none.
+        classes: logits of the 2D head at the candidates, 0 elsewhere; the model adds them if it uses them.
     """
 
     candidates: Bool[Tensor, "B *T X Y Z"]
     evidence: Float[Tensor, "B *T E X Y Z"] | None = None
+    classes: Float[Tensor, "B *T K X Y Z"] | None = None
 
     def at(self, *index: Any) -> "Sketched":
         """Return the part at an index of the leading axes."""
-        return Sketched(self.candidates[index], None if self.evidence is None else self.evidence[index])
+        return Sketched(*(None if part is None else part[index] for part in self))  # type: ignore[arg-type]
+
+
+def stored(candidates: Bool[Tensor, "B *T X Y Z"] | None, bits: UInt8[Tensor, "B *T X Y Z"] | None) -> Sketched | None:
+    """Return what a sketch stage stored: candidates, and the bits of the evidence, if any; None without candidates."""
+    if candidates is None:
+        return None
+    return Sketched(candidates, None if bits is None else unpack_evidence(bits))
+
+
+def joined(parts: Sequence[Sketched]) -> Sketched:
+    """Return one batch of several, which have the same fields."""
+    columns = zip(*parts, strict=True)
+    return Sketched(*(None if column[0] is None else torch.cat(column) for column in columns))
+
+
+def sketched_blocks(sketched: Sketched, block: Axes) -> Sketched:
+    """Return the sketch on the grid of blocks: blocks with a candidate, and means of the evidence."""
+    means = None if sketched.evidence is None else block_means(sketched.evidence, block)
+    return Sketched(block_any(sketched.candidates, block), means)
 
 
 @runtime_checkable
@@ -150,6 +175,10 @@ class LearnedSketch(Sketch, Learns, Protocol):
 
     def logits(self, range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"]) -> Float[Tensor, "B 2 X Y Z"]:
         """Return scores of free and occupied for every voxel, from a panorama of ranges and where they are known."""
+        ...
+
+    def hand_on(self, range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"]) -> Sketched:
+        """Return candidates and evidence, from a panorama of ranges and where they are known."""
         ...
 
     def choose(self, logits: Float[Tensor, "B 2 X Y Z"]) -> Bool[Tensor, "B X Y Z"]:

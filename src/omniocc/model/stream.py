@@ -8,7 +8,7 @@ from torch import Tensor
 
 from omniocc.camera import Rig
 from omniocc.model.occupancy import OccupancyModel
-from omniocc.model.protocols import Sketched
+from omniocc.model.protocols import Sketched, joined
 
 
 class Remembered(NamedTuple):
@@ -109,9 +109,10 @@ class Stream:
     ) -> None:
         assert not self.model.training
         lifted = self.model.lift(images, rigs, sketched)
+        known = self.model.with_classes(lifted, rigs)
         for index, (key, pose) in enumerate(zip(keys, world_from_ego, strict=True)):
             # a copy: a view would keep the volumes of the whole batch
-            self._frames[key] = Remembered(lifted.volume[index : index + 1].clone(), lifted.sketched.at([index]), pose)
+            self._frames[key] = Remembered(lifted.volume[index : index + 1].clone(), known.at([index]), pose)
 
     def _fuse(self, windows: list[list[Key]]) -> Float[Tensor, "B C X Y Z"]:
         """Return logits of windows of remembered frames; afterwards only what the next frame needs is remembered."""
@@ -120,8 +121,6 @@ class Stream:
         volumes = [torch.cat([frame.volume for frame in column]) for column in zip(*frames, strict=True)]
         poses = torch.stack([torch.stack([frame.world_from_ego for frame in window]) for window in frames])
         exists = torch.tensor([[key in known for key in window] for window in windows], device=poses.device)
-        newest = [window[-1].sketched for window in frames]
-        evidence = [part.evidence for part in newest if part.evidence is not None]
-        sketched = Sketched(torch.cat([part.candidates for part in newest]), torch.cat(evidence) if evidence else None)
+        sketched = joined([window[-1].sketched for window in frames])
         self._frames = {key: known[key] for key in windows[-1][1:] if key in known}
         return self.model.fuse(volumes, poses, exists, sketched)

@@ -125,7 +125,7 @@ class Predictor:
             true_range_m = None if true_range_m is None else true_range_m.to(self.device)
             depth = sketch.depth(images, (rig,), true_range_m)
         with watch("sketch"):
-            return Sketched(sketch.select(sketch.logits(depth.range_m, depth.valid))), depth
+            return sketch.hand_on(depth.range_m, depth.valid), depth
 
 
 @lru_cache(maxsize=8)

@@ -11,7 +11,7 @@ from torch.utils.flop_counter import FlopCounterMode
 from omniocc.data.dataset import Sample
 from omniocc.model import OccupancyModel, Stream
 from omniocc.model.occupancy import to_unit_range
-from omniocc.model.protocols import LearnedSketch, Sketched, learns
+from omniocc.model.protocols import LearnedSketch, learns, stored
 
 PARAMETERS, GFLOP, PEAK = "million parameters", "GFLOP a frame", "peak MiB"
 
@@ -56,7 +56,8 @@ def cost_of(model: OccupancyModel, sample: Sample) -> dict[str, float]:
     """
     device = next(model.parameters()).device
     images, pose = sample.images[-1].to(device), sample.world_from_ego[-1].to(device)
-    sketched = None if sample.candidates is None else Sketched(sample.candidates[-1:].to(device))
+    parts = (None if part is None else part[-1:].to(device) for part in (sample.candidates, sample.evidence))
+    sketched = stored(*parts)
     stream = Stream(model)
     runs: list[Callable[[], object]] = [lambda: stream.step(images, sample.rigs[-1], pose, sketched)]
     if sketched is not None and estimates_range(model):

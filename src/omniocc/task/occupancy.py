@@ -13,7 +13,7 @@ from omniocc.classes import FREE, UNKNOWN
 from omniocc.data import Augment, SourceSpec
 from omniocc.loss import Total
 from omniocc.model import OccupancyModel, Prediction, Stream
-from omniocc.model.sketch import Sketched
+from omniocc.model.protocols import Sketched, stored
 from omniocc.task.adamw import AdamW
 from omniocc.task.scores import Scores
 from omniocc.task.stage_task import StageTask, step_generator
@@ -56,7 +56,12 @@ class OccupancyTask(StageTask[OccupancyModel]):
         self.register_buffer("prior", torch.zeros(model.geometry.shape, dtype=torch.uint8))
 
     def set_training_statistics(self, voxel_counts: Tensor) -> None:
-        """Set class weights and prior from the number of training frames with each class in each cell, (C, *shape)."""
+        """Set class weights, prior and first logits from the number of training frames with each class in each cell.
+
+        Args:
+            voxel_counts: (C, *shape).
+        """
+        self.model.classifier.set_class_counts(voxel_counts)
         self.loss.set_class_counts(voxel_counts.flatten(1).sum(1))
         self.prior.copy_(voxel_counts.argmax(0))
 
@@ -117,5 +122,4 @@ class OccupancyTask(StageTask[OccupancyModel]):
 
 def model_inputs(batch: Batch) -> tuple[Tensor, tuple[tuple[Rig, ...], ...], Tensor, Sketched | None]:
     """Return images, rigs of every frame, poses, and the results of the sketch stage, None where it has not run."""
-    sketched = None if batch.candidates is None else Sketched(batch.candidates, batch.evidence)
-    return batch.images, batch.rigs, batch.world_from_ego, sketched
+    return batch.images, batch.rigs, batch.world_from_ego, stored(batch.candidates, batch.evidence)

@@ -21,7 +21,7 @@ from torch.utils.data import DataLoader, Dataset
 
 from omniocc.camera import Rig
 from omniocc.config import build, plain
-from omniocc.data import CandidateCache, Needs, OccupancyData, RangeCache
+from omniocc.data import CandidateCache, EvidenceCache, Needs, OccupancyData, RangeCache
 from omniocc.data.dataset import read_images
 from omniocc.data.module import worker_options
 from omniocc.data.source import SPLITS, SceneFrames
@@ -29,6 +29,7 @@ from omniocc.data.store.frame_cache import FrameCache
 from omniocc.io import atomic_write
 from omniocc.model.occupancy import to_unit_range
 from omniocc.model.ops.depth.sphere_net import SphereNet
+from omniocc.model.ops.evidence import repack_evidence
 from omniocc.model.protocols import Depth, learns
 from omniocc.progress import Progress, waiting
 from omniocc.run.checkpoint import load_checkpoint
@@ -45,7 +46,7 @@ from omniocc.task.stage_task import Recipe, StageTask
 
 Task = StageTask[nn.Module]
 Read = Callable[[SceneFrames, int], tuple[Tensor | None, ...]]
-Predict = Callable[..., Tensor]
+Predict = Callable[..., tuple[Tensor, ...]]
 
 
 class Stages:
@@ -54,9 +55,10 @@ class Stages:
     Args:
         cfg: checked configuration with a learned sketch.
         data: of the occupancy stage, prepared; the stages are trained on its scenes and predict for all of them.
+        with_evidence: whether the sketch's evidence is stored as well.
     """
 
-    def __init__(self, cfg: DictConfig, data: OccupancyData):
+    def __init__(self, cfg: DictConfig, data: OccupancyData, with_evidence: bool):
         self.cfg = cfg
         self.fingerprint, self.spec = data.source.fingerprint, data.source.spec
         self.scenes = [scene for split in SPLITS for scene in data.source.scenes(split)]
@@ -66,6 +68,7 @@ class Stages:
         panorama = build(cfg.depth).panorama
         self.ranges = RangeCache(depth / "ranges", (panorama.height, panorama.width))
         self.candidates = CandidateCache(sketch / f"candidates-{keys.candidates}", data.geometry.shape)
+        self.evidence = EvidenceCache(sketch / "evidence", data.geometry.shape) if with_evidence else None
         self.folders = {"depth": depth, "sketch": sketch}
         self.results = {"depth": depth, "sketch": self.candidates.folder}
 
@@ -87,7 +90,7 @@ class Stages:
         train = test._replace(camera_ranges=not isinstance(model, SphereNet))  # which learns from the panorama
         self._finish(task, recipe, (train, test), drawn, "depth", title, learns(type(model)))
         read = partial(read_depth_inputs, with_range=cast(Depth, model).NEEDS_TRUE_RANGE)
-        self._fill(task, self.ranges, read, predict_range_m, f"{title}, ranges")
+        self._fill(task, [self.ranges], read, predict_range_m, f"{title}, ranges")
 
     def _run_sketch(self, recipe: Recipe, title: str) -> None:
         task = SketchTask(build(self.cfg.model.sketch), recipe.optimizer, self.spec.range_edges_m, plain(self.cfg))
@@ -96,7 +99,8 @@ class Stages:
         train = test._replace(images=False)
         drawn = SketchImages(self.results["sketch"] / IMAGES, self.cfg.test_images, self.spec.classes)
         self._finish(task, recipe, (train, test), drawn, "sketch", title, trains=True)
-        self._fill(task, self.candidates, partial(read_range, self.ranges), choose, f"{title}, candidates")
+        caches = [self.candidates, *([self.evidence] if self.evidence else [])]
+        self._fill(task, caches, partial(read_range, self.ranges), predict_sketched, f"{title}, candidates")
 
     def sketch_weights(self) -> dict[str, Tensor]:
         """Return the weights of the trained sketch, depth included, as the occupancy model's `sketch` loads them."""
@@ -145,12 +149,14 @@ class Stages:
             default_root_dir=str(folder),
         )
 
-    def _fill(self, task: Task, cache: FrameCache, read: Read, predict: Predict, title: str) -> None:
-        """Predict for all frames of the scenes that are missing in a cache, on the device that trains.
+    def _fill(self, task: Task, caches: Sequence[FrameCache], read: Read, predict: Predict, title: str) -> None:
+        """Predict for all frames of the scenes that are missing in one of the caches, on the device that trains.
 
-        Loader processes read the inputs; Lightning has moved the task to the CPU.
+        `predict` returns one array for each cache, and may return more. Loader processes read the inputs; Lightning has
+        moved the task to the CPU.
         """
-        missing = cache.missing(self.scenes)
+        absent = {scene.name for cache in caches for scene in cache.missing(self.scenes)}
+        missing = [scene for scene in self.scenes if scene.name in absent]
         if not missing:
             return
         trainer = build(self.cfg.trainer, devices=1, strategy="auto", logger=False, enable_checkpointing=False)
@@ -158,11 +164,13 @@ class Stages:
         inputs = iter(frame_loader(missing, read, self.cfg.data.num_workers))
         with Progress(title, sum(map(len, missing))) as progress, torch.inference_mode():
             for scene in missing:
-                arrays = []
+                frames = []
                 for frame in range(len(scene)):
-                    arrays.append(predict(task, scene.rigs[frame], *to_device(next(inputs), device)).cpu())
+                    predicted = predict(task, scene.rigs[frame], *to_device(next(inputs), device))
+                    frames.append([array.cpu() for array in predicted[: len(caches)]])
                     progress.advance()
-                cache.write(scene.name, arrays)
+                for cache, arrays in zip(caches, zip(*frames, strict=True), strict=True):
+                    cache.write(scene.name, arrays)
         task.cpu()
 
 
@@ -201,14 +209,17 @@ def read_range(ranges: RangeCache, scene: SceneFrames, frame: int) -> tuple[Tens
     return (ranges.read(scene.name, frame),)
 
 
-def predict_range_m(task: DepthTask, rig: Rig, images: Tensor, true_range_m: Tensor | None) -> Tensor:
+def predict_range_m(task: DepthTask, rig: Rig, images: Tensor, true_range_m: Tensor | None) -> tuple[Tensor]:
     """Return the predicted panorama of a frame, (h, w), m; nan where unknown."""
-    return task.model(to_unit_range(images), (rig,), true_range_m).known_range_m()[0]
+    return (task.model(to_unit_range(images), (rig,), true_range_m).known_range_m()[0],)
 
 
-def choose(task: SketchTask, rig: Rig, range_m: Tensor) -> Tensor:
-    """Return the candidates of a frame, (X, Y, Z), from its predicted panorama."""
-    return task.sketch.select(task.sketch.logits(*known(range_m)))[0]
+def predict_sketched(task: SketchTask, rig: Rig, range_m: Tensor) -> tuple[Tensor, ...]:
+    """Return candidates, and bits of the evidence if there is any, (X, Y, Z) each, from a predicted panorama."""
+    sketched = task.sketch.hand_on(*known(range_m))
+    if sketched.evidence is None:
+        return (sketched.candidates[0],)
+    return sketched.candidates[0], repack_evidence(sketched.evidence[0])
 
 
 @contextmanager

@@ -6,8 +6,9 @@ import torch
 
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.model.lifter import Coloring
-from omniocc.model.lifter.coloring import group_samples, position_features
-from omniocc.model.ops.visible import reference_points
+from omniocc.model.lifter.coloring import position_features
+from omniocc.model.ops.evidence import network_inputs
+from omniocc.model.ops.visible import group_samples, reference_points
 from omniocc.model.sketch import Sketched
 
 GRID = Cylinder((4, 8, 3))
@@ -73,13 +74,15 @@ def attend(attention, query, features, pixels, seen, rig):
     return attention.output(total / seen.any(1).sum())
 
 
-def color_by_loops(lifter, features, candidates, rig):
-    """The coloring module for one sample, a voxel at a time."""
+def color_by_loops(lifter, features, candidates, rig, inputs=None):
+    """The coloring module for one sample, a voxel at a time; `inputs` are those from the evidence, (5, cells)."""
     points_m = torch.stack([cells_at(lifter.geometry, anchor) for anchor in lifter.anchors], dim=1)
     pixels, valid = rig.project(points_m)
     volume = lifter.empty.expand(candidates.numel(), -1).clone()
     for cell in candidates.flatten().nonzero().flatten().tolist():
         query = lifter.embedding(lifter.positions[cell])
+        if inputs is not None:
+            query = query + lifter.evidence(inputs[:, cell])
         for layer in lifter.layers if valid[:, cell].any() else []:
             mixed = attend(layer.attention, query, features, pixels[:, cell], valid[:, cell], rig)
             query = layer.attention_norm(query + mixed)
@@ -107,6 +110,20 @@ def test_equals_loops_over_voxels_cameras_heads_levels_and_points(fisheye, geome
 
 
 @torch.no_grad()
+def test_evidence_is_added_to_the_queries_of_each_sample(fisheye):
+    lifter, features = make(evidence=True), make_features()
+    candidates = (torch.rand(1, *GRID.shape) < 0.6).expand(2, -1, -1, -1)
+    evidence = torch.randn(2, 4, *GRID.shape, dtype=torch.float64)
+    result = lifter(features, Sketched(candidates, evidence), (fisheye, fisheye))
+    for index in range(2):
+        inputs = network_inputs(evidence)[index].flatten(1)
+        expected = color_by_loops(lifter, [level[index] for level in features], candidates[index], fisheye, inputs)
+        torch.testing.assert_close(result[index], expected, rtol=1e-5, atol=1e-5)
+    with pytest.raises(ValueError, match="choose model/sketch=omni"):
+        lifter(features, Sketched(candidates), (fisheye, fisheye))
+
+
+@torch.no_grad()
 def test_batch_with_different_rigs_and_candidate_counts_equals_single_samples(fisheye, pinhole):
     lifter, features = make(), make_features(batch=4)
     candidates = torch.rand(4, *GRID.shape) < torch.tensor([0.2, 0.9, 0.5, 0.0])[:, None, None, None]
@@ -122,7 +139,7 @@ def test_batch_with_different_rigs_and_candidate_counts_equals_single_samples(fi
 
 def test_samples_are_grouped_by_rig_and_candidates(fisheye, pinhole):
     marked = torch.tensor([[True, False], [True, True], [True, False], [True, False]])
-    assert group_samples(marked, (fisheye, fisheye, pinhole, fisheye)) == [[0, 3], [1], [2]]
+    assert group_samples((fisheye, fisheye, pinhole, fisheye), marked) == [[0, 3], [1], [2]]
 
 
 @torch.no_grad()

@@ -4,8 +4,8 @@ from omniocc.model.sketch import Dense
 
 
 def test_all_voxels_are_candidates(geometry, fisheye):
-    candidates, evidence = Dense(geometry)(torch.zeros(2, 6, 3, 4, 4), (fisheye, fisheye))
-    assert evidence is None
+    candidates, *others = Dense(geometry)(torch.zeros(2, 6, 3, 4, 4), (fisheye, fisheye))
+    assert others == [None, None]
     assert candidates.shape == (2, *geometry.shape)
     assert candidates.dtype == torch.bool
     assert candidates.all()

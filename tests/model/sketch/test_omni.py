@@ -7,6 +7,7 @@ from torch import nn
 
 from omniocc.camera import Equirectangular
 from omniocc.geometry import Cuboid, Cylinder
+from omniocc.model.ops.sketch.points import pseudo_points
 from omniocc.model.sketch import Dense, Omni, Random, Sketch, learns
 from omniocc.model.sketch.omni import likeliest, occupancy
 
@@ -52,8 +53,11 @@ def labels(geometry, batch=2):
 
 def test_it_is_a_sketch(geometry, fisheye):
     sketch = make(geometry)
-    candidates, evidence = sketch(torch.rand(2, 6, 3, 4, 4), (fisheye, fisheye), torch.rand(2, 12, 24) * 20 + 1)
-    assert evidence is None
+    candidates, evidence, classes = sketch(
+        torch.rand(2, 6, 3, 4, 4), (fisheye, fisheye), torch.rand(2, 12, 24) * 20 + 1
+    )
+    assert evidence.shape == (2, 4, *geometry.shape)
+    assert classes is None
     assert isinstance(sketch, Sketch)
     assert learns(type(sketch))
     assert candidates.shape == (2, *geometry.shape)
@@ -224,3 +228,19 @@ def test_fraction_takes_the_likeliest_of_each_sample():
     chosen = likeliest(probability, 0.3)
     for sample in range(2):
         assert probability[sample][chosen[sample]].min() > probability[sample][~chosen[sample]].max()
+
+
+def test_evidence_is_the_probability_and_what_the_panorama_saw(geometry):
+    sketch = make(geometry)
+    range_m, valid = scene()
+    candidates, evidence, _ = sketch.hand_on(range_m, valid)
+    logits = sketch.logits(range_m, valid)
+    assert torch.equal(candidates, sketch.select(logits))
+    expected = (logits[:, 1] - logits[:, 0]).clamp(-6.3, 6.3)
+    assert float((evidence[:, 0] - expected).abs().max()) <= 0.1 + 1e-5
+    hit = sketch.points(pseudo_points(range_m, valid, PANORAMA))[1][:, 0] > 0
+    assert torch.equal(evidence[:, 1].bool(), hit)
+    known, _, gap, _ = sketch.evidence(range_m, valid).unbind(1)
+    assert torch.equal(evidence[:, 2].bool(), ~hit & (known > 0) & (gap > 0))
+    assert torch.equal(evidence[:, 3].bool(), ~hit & (known > 0) & (gap <= 0))
+    assert evidence[:, 1:].sum((0, 2, 3, 4)).min() > 0

@@ -8,11 +8,11 @@ from torch import Tensor, nn
 from omniocc.camera import Rig
 from omniocc.geometry import Grid
 from omniocc.model.lifter.coloring import Coloring
-from omniocc.model.ops.blocks import block_any, coarsened, repeat_blocks
+from omniocc.model.ops.blocks import coarsened, repeat_blocks
 from omniocc.model.ops.padded import FeatureMaps
 from omniocc.model.ops.padding import Axes
 from omniocc.model.ops.visible import CENTRE
-from omniocc.model.protocols import Sketched
+from omniocc.model.protocols import Sketched, sketched_blocks
 
 
 class CoarseColoring(nn.Module):
@@ -25,6 +25,7 @@ class CoarseColoring(nn.Module):
     Args:
         block: cells along each axis of a block.
         anchors: reference points of a block, as offsets from its centre in blocks, -0.5 to 0.5; see `Coloring`.
+        evidence: whether queries also start from the mean evidence of their block.
 
     Raises:
         ValueError: if the grid does not divide into blocks, or as `Coloring`.
@@ -41,14 +42,14 @@ class CoarseColoring(nn.Module):
         feedforward_channels: int,
         block: int,
         anchors: Sequence[Sequence[float | int]] = CENTRE,
+        evidence: bool = False,
     ):
         super().__init__()
         self.channels = channels
         self.block: Axes = (block, block, block)
         grid = coarsened(geometry, self.block)
-        self.coloring = Coloring(grid, channels, levels, layers, heads, points, feedforward_channels, anchors)
+        self.coloring = Coloring(grid, channels, levels, layers, heads, points, feedforward_channels, anchors, evidence)
 
     def forward(self, features: FeatureMaps, sketched: Sketched, rigs: tuple[Rig, ...]) -> Float[Tensor, "B C X Y Z"]:
         """Colour the blocks that hold candidates."""
-        blocks = Sketched(block_any(sketched.candidates, self.block))
-        return repeat_blocks(self.coloring(features, blocks, rigs), self.block)
+        return repeat_blocks(self.coloring(features, sketched_blocks(sketched, self.block), rigs), self.block)

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 import torch
-from jaxtyping import Bool, Float, Int64
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from omniocc.camera import Rig
@@ -17,25 +17,23 @@ from omniocc.model.ops.deformable_attention import (
     ring_offsets,
     transposed,
 )
+from omniocc.model.ops.evidence import INPUTS, network_inputs, required
 from omniocc.model.ops.feedforward import AttentionLayer
 from omniocc.model.ops.padded import FeatureMaps, crop
-from omniocc.model.ops.rig_cache import once_per_rig
 from omniocc.model.ops.static import is_static
-from omniocc.model.ops.visible import CENTRE, Anchors, Pairs, reference_points, visible_pairs
+from omniocc.model.ops.visible import CENTRE, Pairs, every_cell, group_samples, marked_cells
 from omniocc.model.protocols import Sketched
 
 OCTAVES = 4
 """Multiples of angles, and powers of two of lengths, in the features of a position."""
 
-Queried = tuple[Int64[Tensor, " E"], Int64[Tensor, " Q"], Pairs]
-
 
 class Coloring(nn.Module):
     """Lift image features into the candidate voxels by deformable cross-attention through each sample's own rig.
 
-    A query starts as an embedding of its voxel's position. Work and memory grow with the number of visible (candidate,
-    camera) pairs. Candidates that no camera sees keep their embedding; all other voxels get one learned vector, the
-    mask token of VoxFormer (Li et al., 2023).
+    A query starts as an embedding of its voxel's position, and of the sketch's evidence if it is used. Work and memory
+    grow with the number of visible (candidate, camera) pairs. Candidates that no camera sees keep their embedding; all
+    other voxels get one learned vector, the mask token of VoxFormer (Li et al., 2023).
 
     Args:
         channels: of image features, queries and volume.
@@ -45,6 +43,7 @@ class Coloring(nn.Module):
         feedforward_channels: hidden channels of the feed-forward part.
         anchors: reference points of a voxel, as offsets from its centre along the grid's axes in cells, -0.5 to 0.5.
             The points are split among them at no extra cost. A camera is attended to if it sees one of them.
+        evidence: whether queries also start from the sketch's evidence.
 
     Raises:
         ValueError: if the heads do not divide the channels, the anchors not the points, or an anchor leaves its cell.
@@ -62,6 +61,7 @@ class Coloring(nn.Module):
         points: int,
         feedforward_channels: int,
         anchors: Sequence[Sequence[float | int]] = CENTRE,
+        evidence: bool = False,
     ):
         super().__init__()
         if not anchors or points % len(anchors):
@@ -76,6 +76,7 @@ class Coloring(nn.Module):
         self.register_buffer("positions", position_features(geometry), persistent=False)
         first, second = nn.Linear(self.positions.shape[1], channels), nn.Linear(channels, channels)
         self.embedding = nn.Sequential(first, nn.ReLU(), second, nn.LayerNorm(channels))
+        self.evidence = nn.Linear(INPUTS, channels) if evidence else None
         self.layers = nn.ModuleList(
             AttentionLayer(
                 CrossAttention(channels, heads, points, len(levels), len(anchors)), channels, feedforward_channels
@@ -85,31 +86,38 @@ class Coloring(nn.Module):
         self.empty = nn.Parameter(torch.zeros(channels))
 
     def forward(self, features: FeatureMaps, sketched: Sketched, rigs: tuple[Rig, ...]) -> Float[Tensor, "B C X Y Z"]:
-        """Colour the candidates; samples of equal rig and candidates are computed together.
+        """Colour the candidates; samples of equal rig, candidates and evidence are computed together.
 
         Raises:
-            ValueError: if a rig has more cameras or larger images than there are maps for.
+            ValueError: if a rig has more cameras or larger images than there are maps for, or there is no evidence.
         """
-        marked = sketched.candidates.flatten(1)
-        groups = group_samples(marked, rigs)
-        if len(groups) == 1:
-            volumes = self._color(features, marked[0], rigs[0])
-        else:
-            parts = [
-                self._color([level[group] for level in features], marked[group[0]], rigs[group[0]]) for group in groups
-            ]
+        marked, evidence = sketched.candidates.flatten(1), None
+        if self.evidence is not None:
+            evidence = network_inputs(required(sketched.evidence)).flatten(2).transpose(1, 2)
+        groups = group_samples(rigs, marked, evidence)
+        parts = []
+        for group in groups:
+            maps = features if len(groups) == 1 else [level[group] for level in features]
+            first = group[0]
+            parts.append(self._color(maps, marked[first], None if evidence is None else evidence[first], rigs[first]))
+        volumes = parts[0]
+        if len(parts) > 1:
             order = torch.tensor([sample for group in groups for sample in group], device=marked.device)
             volumes = torch.cat(parts)[order.argsort()]
         # channels last in memory, which is fast in 3D convolutions
         return volumes.unflatten(1, self.geometry.shape).movedim(-1, 1)
 
-    def _color(self, features: FeatureMaps, marked: Bool[Tensor, " cells"], rig: Rig) -> Float[Tensor, "B cells C"]:
+    def _color(
+        self, features: FeatureMaps, marked: Bool[Tensor, " cells"], evidence: Float[Tensor, "cells E"] | None, rig: Rig
+    ) -> Float[Tensor, "B cells C"]:
         features = [crop(level, rig, stride) for level, stride in zip(features, self.strides, strict=True)]
         batch = len(features[0])
         whole = is_static()  # the result is the same, since queries do not attend to each other
         key = rig, self.geometry, marked.device, self.anchors
         cells, seen, pairs = every_cell(*key) if whole else marked_cells(marked, *key)
         embedding = self.embedding(self.positions[cells])
+        if self.evidence is not None and evidence is not None:
+            embedding = embedding + self.evidence(evidence[cells])
         queries = embedding[None, seen]
         dtype = torch.promote_types(embedding.dtype, torch.float32)
         levels = [make_level(pairs, level.shape[-2], level.shape[-1], self.points, dtype) for level in features]
@@ -188,33 +196,3 @@ class CrossAttention(SampledAttention):
     def _value(self, level: Float[Tensor, "B N C h w"], index: int) -> Float[Tensor, "B N H D h w"]:
         values = self.value(level.movedim(2, -1) + self.level_embedding[index])
         return values.movedim(-1, 2).unflatten(2, (self.heads, -1))
-
-
-def marked_cells(
-    marked: Bool[Tensor, " cells"], rig: Rig, geometry: Grid, device: torch.device, anchors: Anchors
-) -> Queried:
-    """Return the marked cells, those of them that any camera sees (as indices into them), and the cameras that do."""
-    points, valid = reference_points(rig, geometry, device, anchors)
-    cells = marked.nonzero()[:, 0]
-    seen = valid.any(0)[cells].nonzero()[:, 0]
-    return cells, seen, visible_pairs(points, valid, cells[seen])
-
-
-@once_per_rig
-def every_cell(rig: Rig, geometry: Grid, device: torch.device, anchors: Anchors) -> Queried:
-    """Return the result of `marked_cells` for all cells; never write to the result, which is cached."""
-    everything = torch.ones(geometry.num_cells, dtype=torch.bool, device=device)
-    return marked_cells(everything, rig, geometry, device, anchors)
-
-
-def group_samples(marked: Bool[Tensor, "B cells"], rigs: tuple[Rig, ...]) -> list[list[int]]:
-    """Return groups of samples that have rig and candidates in common."""
-    groups: list[list[int]] = []
-    for sample, rig in enumerate(rigs):
-        for group in groups:
-            if rigs[group[0]] == rig and torch.equal(marked[group[0]], marked[sample]):
-                group.append(sample)
-                break
-        else:
-            groups.append([sample])
-    return groups

@@ -7,10 +7,10 @@ from torch import Tensor, nn
 from omniocc.camera import Rig
 from omniocc.geometry import Grid
 from omniocc.model.lifter.coloring import Coloring
-from omniocc.model.ops.blocks import block_any, coarsened
+from omniocc.model.ops.blocks import coarsened
 from omniocc.model.ops.padded import FeatureMaps
 from omniocc.model.ops.padding import Axes
-from omniocc.model.protocols import Sketched
+from omniocc.model.protocols import Sketched, sketched_blocks
 
 
 def pillar_anchors(cells: int, heights: int) -> list[tuple[float, float, float]]:
@@ -35,6 +35,7 @@ class Pillar(nn.Module):
         heads: of attention, a divisor of `in_channels`.
         points: samples per head and level, a multiple of the heights, among which they are split.
         heights: reference points of each pillar.
+        evidence: whether queries also start from the mean evidence of their column.
 
     Raises:
         ValueError: if the heads do not divide the channels, or the heights not the points.
@@ -51,17 +52,20 @@ class Pillar(nn.Module):
         points: int,
         heights: int,
         feedforward_channels: int,
+        evidence: bool = False,
     ):
         super().__init__()
         cells = geometry.shape[2]
         self.channels = channels
         self.block: Axes = (1, 1, cells)
         view, anchors = coarsened(geometry, self.block), pillar_anchors(cells, heights)
-        self.coloring = Coloring(view, in_channels, levels, layers, heads, points, feedforward_channels, anchors)
+        self.coloring = Coloring(
+            view, in_channels, levels, layers, heads, points, feedforward_channels, anchors, evidence
+        )
         self.raise_up = nn.Linear(in_channels, cells * channels)
 
     def forward(self, features: FeatureMaps, sketched: Sketched, rigs: tuple[Rig, ...]) -> Float[Tensor, "B D X Y Z"]:
         """Lift each sample through its own rig."""
-        view = self.coloring(features, Sketched(block_any(sketched.candidates, self.block)), rigs)[..., 0]
+        view = self.coloring(features, sketched_blocks(sketched, self.block), rigs)[..., 0]
         # channels last in memory, which is fast in 3D convolutions
         return self.raise_up(view.movedim(1, -1)).unflatten(-1, (self.block[2], -1)).movedim(-1, 1)

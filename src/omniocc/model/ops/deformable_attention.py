@@ -20,11 +20,12 @@ from omniocc.model.ops.visible import Pairs
 
 
 def ring_offsets(heads: int, levels: int, points: int, anchors: int) -> Float[Tensor, "H L 2 K"]:
-    """Return the first offsets of samples, px: one direction for each head, 1, 2, ... px from each anchor."""
+    """Return the first offsets of samples, px: 0, 0.5, 1, ... from each anchor, in one direction for each head."""
     angle = torch.arange(heads) * (2 * math.pi / heads)
     direction = torch.stack([angle.cos(), angle.sin()], dim=-1)
     direction = direction / direction.abs().amax(-1, keepdim=True)
-    return (direction[..., None] * (torch.arange(points) % (points // anchors) + 1))[:, None].expand(-1, levels, -1, -1)
+    steps = torch.arange(points) % (points // anchors) / 2
+    return (direction[..., None] * steps)[:, None].expand(-1, levels, -1, -1)
 
 
 def transposed(linear: nn.Linear, queries: Float[Tensor, "Q C"]) -> Float[Tensor, "D Q"]:

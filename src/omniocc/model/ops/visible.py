@@ -1,4 +1,4 @@
-"""Pairs of voxels and the cameras that see them, with pixels."""
+"""Pairs of voxels and the cameras that see them, with pixels; samples of a batch that have them in common."""
 
 from typing import NamedTuple
 
@@ -33,6 +33,9 @@ class Pairs(NamedTuple):
     first: Int64[Tensor, " Q"]
 
 
+Queried = tuple[Int64[Tensor, " E"], Int64[Tensor, " Q"], Pairs]
+
+
 @once_per_rig
 def reference_points(
     rig: Rig, geometry: Grid, device: torch.device, anchors: Anchors = CENTRE
@@ -57,3 +60,34 @@ def visible_pairs(
     query, camera = seen.nonzero(as_tuple=True)
     counts = seen.sum(1)
     return Pairs(query, camera, points[camera, cells[query]], counts, counts.cumsum(0) - counts)
+
+
+def marked_cells(
+    marked: Bool[Tensor, " cells"], rig: Rig, geometry: Grid, device: torch.device, anchors: Anchors
+) -> Queried:
+    """Return the marked cells, those of them that any camera sees (as indices into them), and the cameras that do."""
+    points, valid = reference_points(rig, geometry, device, anchors)
+    cells = marked.nonzero()[:, 0]
+    seen = valid.any(0)[cells].nonzero()[:, 0]
+    return cells, seen, visible_pairs(points, valid, cells[seen])
+
+
+@once_per_rig
+def every_cell(rig: Rig, geometry: Grid, device: torch.device, anchors: Anchors) -> Queried:
+    """Return the result of `marked_cells` for all cells; never write to the result, which is cached."""
+    everything = torch.ones(geometry.num_cells, dtype=torch.bool, device=device)
+    return marked_cells(everything, rig, geometry, device, anchors)
+
+
+def group_samples(rigs: tuple[Rig, ...], *content: Tensor | None) -> list[list[int]]:
+    """Return groups of samples that have the rig and all content (first axis: samples) in common."""
+    groups: list[list[int]] = []
+    for sample, rig in enumerate(rigs):
+        for group in groups:
+            first = group[0]
+            if rigs[first] == rig and all(part is None or torch.equal(part[first], part[sample]) for part in content):
+                group.append(sample)
+                break
+        else:
+            groups.append([sample])
+    return groups

@@ -11,6 +11,7 @@ from torch.nn import functional as F
 from omniocc.classes import FREE, UNKNOWN
 from omniocc.geometry import Grid
 from omniocc.loss import Lovasz
+from omniocc.model.ops.evidence import pack_evidence, sight_of, unpack_evidence
 from omniocc.model.ops.padded import Rigs
 from omniocc.model.ops.sketch.cylinder3d import Cylinder3D
 from omniocc.model.ops.sketch.evidence import EVIDENCE_CHANNELS, Evidence
@@ -28,6 +29,12 @@ def place_of_cells(geometry: Grid) -> Float[Tensor, "A X Y Z"]:
     middles = [(2 * torch.arange(cells) + 1) / cells - 1 for cells in geometry.shape]
     grids = torch.meshgrid(*middles, indexing="ij")
     return torch.stack([grids[axis] for axis in still_axes(geometry)])
+
+
+def log_odds(logits: Float[Tensor, "B 2 X Y Z"]) -> Float32[Tensor, "B X Y Z"]:
+    """Return the log-odds of being occupied."""
+    free, occupied = logits.float().unbind(1)
+    return occupied - free
 
 
 def likeliest(probability: Float[Tensor, "B X Y Z"], fraction: float) -> Bool[Tensor, "B X Y Z"]:
@@ -107,13 +114,26 @@ class Omni(nn.Module):
         """Return the candidates; true ranges are for a depth option that needs them."""
         with torch.no_grad():
             seen = self.depth(images, rigs, true_range_m)
-        return Sketched(self.select(self.logits(seen.range_m, seen.valid)))
+        return self.hand_on(seen.range_m, seen.valid)
 
     def logits(self, range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"]) -> Float[Tensor, "B 2 X Y Z"]:
         """Return scores of free and occupied for every cell from a panorama of ranges; invalid ranges are ignored."""
+        return self._logits_and_sight(range_m, valid)[0]
+
+    def hand_on(self, range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"]) -> Sketched:
+        """Return candidates and evidence from a panorama of ranges; invalid ranges are ignored."""
+        logits, sight = self._logits_and_sight(range_m, valid)
+        bits = pack_evidence(log_odds(logits), sight)
+        return Sketched(self.select(logits), unpack_evidence(bits))
+
+    def _logits_and_sight(
+        self, range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"]
+    ) -> tuple[Float[Tensor, "B 2 X Y Z"], UInt8[Tensor, "B X Y Z"]]:
         encoded, hit = self.points(pseudo_points(range_m, valid, self.panorama))
+        evidence = self.evidence(range_m, valid)
         place = self.place.expand(len(range_m), *self.place.shape)
-        return self.network(torch.cat([encoded, hit, self.evidence(range_m, valid), place], dim=1))
+        logits = self.network(torch.cat([encoded, hit, evidence, place], dim=1))
+        return logits, sight_of(hit[:, 0] > 0, known=evidence[:, 0], gap=evidence[:, 2])
 
     def choose(self, logits: Float[Tensor, "B 2 X Y Z"]) -> Bool[Tensor, "B X Y Z"]:
         """Return the candidates before they are dilated."""

@@ -1,0 +1,91 @@
+"""The last layer: logits of every voxel, which start from what is known before training."""
+
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Float, Int64
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from omniocc.classes import FREE
+from omniocc.geometry import Grid
+from omniocc.model.ops.evidence import LOG_ODDS, required
+from omniocc.model.ops.padding import Pointwise
+from omniocc.model.protocols import Sketched
+
+SMOOTHING = 20.0
+"""Frames by which the counts of a voxel's neighbours count in its own."""
+FIRST_WEIGHTS = 0.01
+"""Standard deviation of the linear map's first weights: small, so that the first logits are the start."""
+
+
+class Classifier(nn.Module):
+    """Add a linear map of the voxels' features to a start: the log-probabilities of the classes before training.
+
+    The start has the frequencies of the classes in each voxel of the training frames. With evidence, the sketch's
+    probability takes the place of the frequency of being occupied. With pixel classes, the class of an occupied voxel
+    starts as the product of its frequency there and what the 2D head sees there. How much each of the two counts is
+    learned for each class.
+
+    Args:
+        channels: of the volume.
+        num_classes: of voxels, free included.
+        evidence: whether the sketch's evidence is used.
+        pixel_classes: whether the 2D head's classes at the voxels are used.
+    """
+
+    prior_log_odds: Tensor
+    prior_shares: Tensor
+
+    def __init__(self, geometry: Grid, channels: int, num_classes: int, evidence: bool, pixel_classes: bool):
+        super().__init__()
+        self.geometry = geometry
+        self.use_evidence = evidence
+        self.linear = Pointwise(channels, num_classes)
+        nn.init.normal_(self.linear.weight, std=FIRST_WEIGHTS)
+        nn.init.zeros_(self.linear.bias)
+        self.prior_weight = nn.Parameter(torch.ones(num_classes - 1))
+        self.pixel_weight = nn.Parameter(torch.ones(num_classes - 1)) if pixel_classes else None
+        self.register_buffer("prior_log_odds", torch.zeros(geometry.shape))
+        self.register_buffer("prior_shares", torch.zeros(*geometry.shape, num_classes - 1))
+
+    def set_class_counts(self, counts: Int64[Tensor, "K X Y Z"]) -> None:
+        """Set the start from the number of training frames with each class in each voxel."""
+        rings = [axis for axis in range(3) if self.geometry.periodic[axis]]
+        occupied = smoothed_shares(torch.stack([counts[FREE], counts[FREE + 1 :].sum(0)]), rings)
+        self.prior_log_odds.copy_(torch.log(occupied[1] / occupied[0]))
+        self.prior_shares.copy_(smoothed_shares(counts[FREE + 1 :], rings).log().movedim(0, -1))
+
+    def forward(self, volume: Float[Tensor, "B C X Y Z"], sketched: Sketched) -> Float[Tensor, "B K X Y Z"]:
+        """Return logits; raise ValueError if evidence is used and the sketch has none."""
+        return self.linear(volume) + self.start(sketched).movedim(-1, 1)
+
+    def start(self, sketched: Sketched) -> Float[Tensor, "B X Y Z K"]:
+        """Return the log-probabilities before any feature of the images is used."""
+        log_odds = required(sketched.evidence)[:, LOG_ODDS] if self.use_evidence else self.prior_log_odds[None]
+        scores = self.prior_weight * self.prior_shares[None]
+        if self.pixel_weight is not None:
+            assert sketched.classes is not None
+            seen = sketched.classes.movedim(1, -1)[..., FREE + 1 :].float()
+            scores = scores + self.pixel_weight * seen.log_softmax(-1)
+        occupied = scores.log_softmax(-1) + F.logsigmoid(log_odds)[..., None]
+        free = F.logsigmoid(-log_odds)[..., None]
+        return torch.cat([free.expand(*occupied.shape[:-1], 1), occupied], dim=-1)
+
+
+def smoothed_shares(counts: Int64[Tensor, "K X Y Z"], rings: Sequence[int]) -> Float[Tensor, "K X Y Z"]:
+    """Return the share of each class in each voxel, drawn towards that of its surroundings where frames are few.
+
+    The surroundings of a voxel are its ring along the periodic axes, those of a ring its height, those of a height the
+    whole grid, those of the grid equal shares. Each is worth 20 frames.
+
+    Args:
+        counts: frames with each class in each voxel.
+        rings: periodic axes of the grid.
+    """
+    shares = torch.full((len(counts), 1, 1, 1), 1 / len(counts), dtype=torch.float64)
+    wholes = [(1, 2, 3), (1, 2), tuple(axis + 1 for axis in rings), ()]
+    for axes in wholes:
+        summed = counts.double().sum(axes, keepdim=True) if axes else counts.double()
+        shares = (summed + SMOOTHING * shares) / (summed.sum(0, keepdim=True) + SMOOTHING)
+    return shares.float()

@@ -1,0 +1,98 @@
+import pytest
+import torch
+
+from omniocc.geometry import Cuboid, Cylinder
+from omniocc.model.ops.classifier import Classifier, smoothed_shares
+from omniocc.model.protocols import Sketched
+
+GRID = Cylinder((4, 6, 2))
+CLASSES = 4
+
+
+def make(evidence=False, pixel_classes=False, geometry=GRID, zeros=True):
+    classifier = Classifier(geometry, 3, CLASSES, evidence, pixel_classes)
+    classifier.set_class_counts(torch.randint(0, 30, (CLASSES, *geometry.shape)))
+    if zeros:
+        torch.nn.init.zeros_(classifier.linear.weight)
+    return classifier
+
+
+def sketched(batch=2, geometry=GRID):
+    return Sketched(
+        torch.ones(batch, *geometry.shape, dtype=torch.bool),
+        torch.randn(batch, 4, *geometry.shape),
+        torch.randn(batch, CLASSES, *geometry.shape),
+    )
+
+
+def volume(batch=2, geometry=GRID):
+    return torch.randn(batch, 3, *geometry.shape)
+
+
+def test_shares_are_counts_drawn_towards_ring_height_and_grid():
+    counts = torch.randint(0, 9, (3, *GRID.shape))
+    shares = smoothed_shares(counts, [1])
+    assert torch.allclose(shares.sum(0), torch.ones(GRID.shape))
+    equal = 1 / 3
+    for r, theta, z in [(0, 0, 0), (3, 5, 1), (2, 1, 0)]:
+        for label in range(3):
+            share = equal
+            for part in (counts, counts[..., z], counts[:, r, :, z], counts[:, r, theta, z]):
+                part = part.reshape(3, -1).sum(1).tolist()
+                share = (part[label] + 20 * share) / (sum(part) + 20)
+            assert float(shares[label, r, theta, z]) == pytest.approx(share, rel=1e-5)
+
+
+@pytest.mark.parametrize("geometry", [GRID, Cuboid((4, 4, 2))])
+def test_the_first_logits_are_the_frequencies_of_the_training_frames(geometry):
+    counts = torch.zeros(CLASSES, *geometry.shape, dtype=torch.int64)
+    counts[0], counts[2], counts[3] = 60_000, 30_000, 10_000
+    classifier = make(geometry=geometry)
+    classifier.set_class_counts(counts)
+    probabilities = classifier(volume(geometry=geometry), sketched(geometry=geometry)).softmax(1)
+    expected = torch.tensor([0.6, 0.0, 0.3, 0.1])[None, :, None, None, None].expand_as(probabilities)
+    torch.testing.assert_close(probabilities, expected, atol=1e-3, rtol=0)
+
+
+def test_evidence_decides_free_or_occupied_and_the_frequencies_the_class():
+    classifier, known = make(evidence=True), sketched()
+    probabilities = classifier(volume(), known).softmax(1)
+    torch.testing.assert_close(1 - probabilities[:, 0], known.evidence[:, 0].sigmoid())
+    shares = probabilities[:, 1:] / probabilities[:, 1:].sum(1, keepdim=True)
+    torch.testing.assert_close(shares[0], classifier.prior_shares.exp().movedim(-1, 0))
+
+
+def test_pixel_classes_multiply_the_frequencies():
+    classifier, known = make(evidence=True, pixel_classes=True), sketched()
+    probabilities = classifier(volume(), known).softmax(1)[:, 1:]
+    shares = probabilities / probabilities.sum(1, keepdim=True)
+    products = classifier.prior_shares.exp().movedim(-1, 0) * known.classes[:, 1:].softmax(1)
+    torch.testing.assert_close(shares, products / products.sum(1, keepdim=True))
+
+
+def test_voxels_that_no_camera_sees_keep_the_frequencies():
+    classifier, known = make(pixel_classes=True), sketched()
+    without = make(pixel_classes=False)
+    without.load_state_dict(classifier.state_dict(), strict=False)
+    unseen = known._replace(classes=torch.zeros_like(known.classes))
+    torch.testing.assert_close(classifier(volume(), unseen), without(volume(), unseen).expand(2, -1, -1, -1, -1))
+
+
+def test_the_linear_map_is_added_and_everything_learns():
+    classifier, known, features = make(True, True, zeros=False), sketched(), volume()
+    logits = classifier(features, known)
+    expected = classifier.linear(features) + classifier.start(known).movedim(-1, 1)
+    torch.testing.assert_close(logits, expected)
+    logits.square().mean().backward()
+    assert all(parameter.grad.abs().sum() > 0 for parameter in classifier.parameters())
+
+
+def test_without_counts_free_is_as_likely_as_all_others_together():
+    probabilities = Classifier(GRID, 3, CLASSES, False, False).start(sketched()).exp().detach()
+    expected = torch.tensor([0.5, *[0.5 / (CLASSES - 1)] * (CLASSES - 1)])
+    torch.testing.assert_close(probabilities[0, 0, 0, 0], expected)
+
+
+def test_missing_evidence_is_named():
+    with pytest.raises(ValueError, match="model/sketch=omni"):
+        make(evidence=True)(volume(), sketched()._replace(evidence=None))
