@@ -189,8 +189,7 @@ class OccupancyModel(nn.Module):
     ) -> Float[Tensor, "B classes X Y Z"]:
         """Return logits of the newest frame from the lifted volumes of a window, oldest first.
 
-        Args:
-            sketched: of the newest frame, from `with_classes`.
+        `sketched` is that of the newest frame, from `with_classes`.
         """
         volume = self.temporal(volumes, world_from_ego, exists)
         if self.evidence is not None:

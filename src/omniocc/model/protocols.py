@@ -40,7 +40,8 @@ class Sketched(NamedTuple):
 
     def at(self, *index: Any) -> "Sketched":
         """Return the part at an index of the leading axes."""
-        return Sketched(*(None if part is None else part[index] for part in self))  # type: ignore[arg-type]
+        evidence, classes = (None if part is None else part[index] for part in self[1:])
+        return Sketched(self.candidates[index], evidence, classes)
 
 
 def stored(candidates: Bool[Tensor, "B *T X Y Z"] | None, bits: UInt8[Tensor, "B *T X Y Z"] | None) -> Sketched | None:
@@ -52,8 +53,9 @@ def stored(candidates: Bool[Tensor, "B *T X Y Z"] | None, bits: UInt8[Tensor, "B
 
 def joined(parts: Sequence[Sketched]) -> Sketched:
     """Return one batch of several, which have the same fields."""
-    columns = zip(*parts, strict=True)
-    return Sketched(*(None if column[0] is None else torch.cat(column) for column in columns))
+    candidates, *others = zip(*parts, strict=True)
+    evidence, classes = (None if column[0] is None else torch.cat(column) for column in others)
+    return Sketched(torch.cat(candidates), evidence, classes)
 
 
 def sketched_blocks(sketched: Sketched, block: Axes) -> Sketched:

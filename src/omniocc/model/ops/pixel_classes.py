@@ -21,11 +21,8 @@ def classes_at_voxels(
 ) -> Float[Tensor, "B K X Y Z"]:
     """Return logits at the middle of every candidate: bilinear samples, their mean over the cameras that see it.
 
-    Zero, which prefers no class, elsewhere and where no camera sees a candidate.
-
-    Args:
-        pixel_logits: of the classes of a map's pixels.
-        stride: of the map, px.
+    They are zero, which prefers no class, elsewhere and where no camera sees a candidate. The logits are those of the
+    classes of a map's pixels; `stride` is that of the map, px.
     """
     marked = candidates.flatten(1)
     parts, order = [], []
@@ -43,10 +40,11 @@ def _at_voxels(
     whole = is_static()
     key = rig, geometry, marked.device, CENTRE
     cells, seen, pairs = every_cell(*key) if whole else marked_cells(marked, *key)
+    height, width = maps.shape[-2:]
     with torch.autocast(maps.device.type, enabled=False):
         values = maps.to(torch.promote_types(maps.dtype, torch.float32))
         table = make_table(values.unsqueeze(2))  # of one head
-        level = make_level(pairs, *maps.shape[-2:], 1, values.dtype)
+        level = make_level(pairs, height, width, 1, values.dtype)
         offsets = values.new_zeros(1, 1, 2, len(seen), 1)
         sums = deformable_sum([table], offsets, offsets[:, :, 0] + 1, pairs, [level])[0] / pairs.counts[:, None]
     rows = sums.unflatten(1, (len(maps), -1)).movedim(1, 0)
