@@ -15,6 +15,7 @@ from omniocc.data.store.codec import encode_frame
 from omniocc.data.store.shard import SceneWriter
 from omniocc.errors import DataError
 from omniocc.world import Frame, seeding
+from omniocc.world.render.own_car import mask_ego_car
 from omniocc.world.render.weather import draw_weather
 
 if TYPE_CHECKING:
@@ -73,7 +74,7 @@ def record_scene(world: "VirtualWorld", folder: Path, report: Report) -> None:
         report(writer.num_frames)
         plan = next(plan for plan in world.plans if plan.name == folder.name)
         _record_frames(world, plan, writer, report)
-        writer.attach("rig.yaml", world.rig.save)
+        writer.attach("rig.yaml", mask_ego_car(world.rig).save)
         weather = world.recipe["weather"] or weather_of(plan.theme, plan.seed)
         facts = {"split": plan.split, "theme": plan.theme, "seed": plan.seed, "weather": weather}
         software = {name: version(name) for name in RECORDERS}

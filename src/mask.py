@@ -1,0 +1,76 @@
+"""Mask the pixels in which a rig's cameras see their own car: `python src/mask.py rig=... output=...`; see `--help`."""
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from omegaconf import DictConfig
+
+from omniocc.camera import Rig
+from omniocc.classes import UNKNOWN
+from omniocc.data import SceneReader
+from omniocc.data.store.files import list_folders
+from omniocc.data.store.shard import META
+from omniocc.errors import UserError
+from omniocc.predict.options import load_rig, require
+from omniocc.progress import Progress
+from omniocc.run.script import script
+from omniocc.view import save_png
+from omniocc.view.sheet import camera_rows, inner_width, stack
+from omniocc.world.assets.vehicle import ego_car
+from omniocc.world.render.own_car import Masks, grown, masking, own_car_pixels, read_obj
+
+WIDTH = 1280
+SEEN, MASKED = 225, 60
+"""Grey of usable and masked pixels in the picture."""
+
+
+@script("mask")
+def main(cfg: DictConfig) -> None:
+    """Find the pixels, write the masked rig and a picture, print how much of each camera is masked."""
+    require(cfg, ("output",), "mask.py")
+    if (cfg.rig is None) == (cfg.scenes is None):
+        raise UserError("give either rig=... or scenes=...; see python src/mask.py --help")
+    if cfg.scenes is None:
+        rig = load_rig(cfg.rig)
+        pixels = own_car_pixels(rig, ego_car() if cfg.car is None else read_obj(Path(cfg.car)))
+    else:
+        rig, pixels = unlabelled(open_scenes(cfg.scenes))
+    masked = masking(rig, grown(pixels, cfg.grow_px))
+    output = Path(cfg.output)
+    masked.save(output)
+    masks = [masked.rays(camera)[1] for camera in range(len(rig.cameras))]
+    picture = output.with_name(f"{output.stem}.masks.png")
+    greys = [np.where(mask.numpy()[..., None], SEEN, MASKED).repeat(3, -1).astype(np.uint8) for mask in masks]
+    save_png(picture, stack(camera_rows(greys, inner_width(WIDTH), names=rig.names), WIDTH))
+    for name, before, after in zip(rig.names, pixels, masks, strict=True):
+        print(f"{name:12} own car {float(before.float().mean()):6.1%}   usable {float(after.float().mean()):6.1%}")
+    print(f"rig       {output}\npicture   {picture}")
+
+
+def open_scenes(root: str) -> list[SceneReader]:
+    """Return the recorded scenes of a folder; raise UserError if there are none, or their cameras differ."""
+    scenes = [SceneReader(Path(root) / name) for name in list_folders(root, META)]
+    if not scenes:
+        raise UserError(f"scenes={root}: there are no recorded scenes; give the folder that holds the scenes' folders")
+    for scene in scenes[1:]:
+        if scene.rig != scenes[0].rig:
+            raise UserError(f"{scene.folder} has other cameras than {scenes[0].folder}; give scenes of one rig")
+    return scenes
+
+
+def unlabelled(scenes: list[SceneReader]) -> tuple[Rig, Masks]:
+    """Return the rig of scenes, and for every camera the pixels without a label in every frame of all scenes."""
+    rig = scenes[0].rig
+    never = [rig.rays(camera)[1] for camera in range(len(rig.cameras))]
+    with Progress("reading labels", sum(map(len, scenes))) as progress:
+        for scene in scenes:
+            for frame in range(len(scene)):
+                labels = scene.pixel_labels(frame)
+                never = [old & torch.from_numpy(new == UNKNOWN) for old, new in zip(never, labels, strict=True)]
+                progress.advance()
+    return rig, tuple(never)
+
+
+if __name__ == "__main__":
+    main()
