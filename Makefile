@@ -57,13 +57,18 @@ bench: $(READY)  ## Measure speed and memory (tests/bench)
 
 comma := ,
 empty :=
-ABLATIONS ?= $(subst $(empty) $(empty),$(comma),$(basename $(notdir $(wildcard conf/ablation/*.yaml))))
+rows_paper = $(basename $(notdir $(wildcard conf/ablation/*.yaml)))
+rows_beyond = ours bevdet $(addprefix beyond/,$(basename $(notdir $(wildcard conf/ablation/beyond/*.yaml))))
+rows_all = $(rows_paper) $(filter beyond/%,$(rows_beyond))
+TABLES ?= paper
+ABLATIONS ?= $(subst $(empty) $(empty),$(comma),$(strip $(or $(rows_$(TABLES)),$(error TABLES=$(TABLES): choose paper, beyond or all))))
 SEEDS ?= 0
 JOBS ?= 2
+ARGS ?=
 
-ablations: $(READY)  ## Train every row of conf/ablation (SEEDS=0,1 ABLATIONS=ours,mono JOBS=2 PRESET=small), then one table
+ablations: $(READY)  ## Train the rows of the paper's tables (TABLES=beyond|all ABLATIONS=ours,mono SEEDS=0,1 JOBS=2 PRESET=small ARGS='key=value'), then one table
 	@$(BIN)/python src/train.py --multirun +ablation=$(ABLATIONS) seed=$(SEEDS) preset=$(PRESET) \
-	  hydra.launcher.n_jobs=$(JOBS) logger.group=ablations-$(PRESET); code=$$?; $(BIN)/python src/report.py; exit $$code
+	  hydra.launcher.n_jobs=$(JOBS) logger.group=ablations-$(PRESET) $(ARGS); code=$$?; $(BIN)/python src/report.py; exit $$code
 
 RUNS ?= runs
 

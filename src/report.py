@@ -1,9 +1,10 @@
 """Report over all finished runs: `python src/report.py [--runs runs] [--sweeps sweeps] [--output runs/report]`.
 
 Every table of the paper (`sweeps/*.yaml`) is written as Markdown, CSV and LaTeX, with the paper's figures beside ours;
-one page has all tables, plots, and the same test frames for all rows. It works also while a sweep is running. A run
-belongs to the row of its name (`+ablation=mono` gives `mono-<hash>`), or else to the row with the same configuration
-(`make demo`: `ours`).
+one page has all tables, plots, and the same test frames for all rows. Runs of another preset, number of steps or
+dataset have tables and a page of their own in a subfolder; rows of tables may name them, as `ours@3000`. It works also
+while a sweep is running. A run belongs to the row of its name (`+ablation=mono` gives `mono-<hash>`), or else to the
+row with the same configuration (`make demo`: `ours`).
 """
 
 import argparse
@@ -13,7 +14,7 @@ from pathlib import Path
 from omniocc.io import atomic_write
 from omniocc.report.frames import compared_frames
 from omniocc.report.page import page
-from omniocc.report.sweep import Sweep, read_sweep, report_markdown, write_docs, write_tables
+from omniocc.report.sweep import Sweep, read_sweeps, report_markdown, write_docs, write_tables
 from omniocc.run.script import lines_not_tracebacks
 
 ROOT = Path(__file__).parents[1]
@@ -30,13 +31,22 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--output", type=Path, help="folder of the report (default: report in the folder of runs)")
     parser.add_argument("--docs", type=Path, help="write the tables as Markdown pages too, into this folder")
     options = parser.parse_args(arguments)
-    sweep = read_sweep(options.runs, options.sweeps, options.conf, options.preset)
+    first, *others = read_sweeps(options.runs, options.sweeps, options.conf, options.preset)
     output = options.output or options.runs / "report"
-    write_tables(sweep, output)
-    atomic_write(output / "index.html", page(sweep, draw(sweep, output), compared_frames(sweep.rows), output))
+    folders = {first.setting: output} | {sweep.setting: output / sweep.setting for sweep in others}
+    pages = {setting: folder / "index.html" for setting, folder in folders.items()}
+    for sweep in (first, *others):
+        folder = folders[sweep.setting]
+        write_tables(sweep, folder)
+        links = {setting: path for setting, path in pages.items() if setting != sweep.setting}
+        plots, frames = draw(sweep, folder), compared_frames(sweep.rows)
+        atomic_write(folder / "index.html", page(sweep, plots, frames, folder, links))
     if options.docs is not None:
-        write_docs(sweep, options.docs)
-    print(f"{report_markdown(sweep)}\ntables  {output / 'report.md'}\npage    {output / 'index.html'}")
+        write_docs(first, options.docs)
+    print(report_markdown(first))
+    for setting, path in list(pages.items())[1:]:
+        print(f"setting {setting}: {path}")
+    print(f"tables  {output / 'report.md'}\npage    {output / 'index.html'}")
 
 
 def draw(sweep: Sweep, output: Path) -> dict[str, tuple[str, str]]:

@@ -2,6 +2,8 @@
 
 import base64
 import importlib.util
+import json
+import shutil
 from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote
@@ -104,7 +106,7 @@ def test_figures_lead_to_run_configuration_and_command(outline, runs):
 def test_tables_and_plots_are_beside_the_page(output, capsys):
     tables = {path.stem for path in output.glob("*.tex")} & {path.stem for path in output.glob("*.csv")}
     assert tables == {
-        "comparison", "dataset", "distance", "refine", "representation", "semantic_temporal", "sketch",
+        "beyond", "comparison", "dataset", "distance", "refine", "representation", "semantic_temporal", "sketch",
     }  # fmt: skip
     markdown = (output / "report.md").read_text("utf-8")
     assert "| dense voxels | +0.036 | +0.100 | same sign (spread unknown) | +0.050" in markdown
@@ -134,8 +136,8 @@ def test_the_tables_are_written_as_pages_of_the_documentation(runs, tmp_path):
     docs = tmp_path / "docs" / "results"
     report("--runs", str(runs), "--output", str(tmp_path / "report"), "--docs", str(docs))
     assert {path.name for path in docs.iterdir()} == {
-        "bounds.md", "budget.md", "comparison.md", "dataset.md", "distance.md", "refine.md", "representation.md",
-        "semantic_temporal.md", "sketch.md",
+        "beyond.md", "bounds.md", "budget.md", "comparison.md", "dataset.md", "distance.md", "refine.md",
+        "representation.md", "semantic_temporal.md", "sketch.md",
     }  # fmt: skip
     generated, _, title, *lines = (docs / "sketch.md").read_text("utf-8").splitlines()
     assert generated == "<!-- Written by `python src/report.py --docs`; do not edit. -->"
@@ -151,3 +153,25 @@ def test_without_runs_the_error_is_one_line(tmp_path):
     assert str(caught.value.code) == (
         f"{tmp_path} holds no finished run (metrics.json); train one: python src/train.py"
     )
+
+
+def test_runs_of_other_lengths_have_pages_of_their_own_and_can_be_named_in_tables(runs, tmp_path, capsys):
+    folder, tables = tmp_path / "runs", tmp_path / "sweeps"
+    shutil.copytree(runs, folder)
+    longer = folder / "ours-0000000a"
+    shutil.copytree(runs / "ours-00000001", longer)
+    facts = json.loads((longer / "metrics.json").read_text()) | {"steps": 4000, "run": longer.name}
+    (longer / "metrics.json").write_text(json.dumps(facts))
+    tables.mkdir()
+    rows = "{ours: {title: ours}, ours@4000: {title: four times the steps}}"
+    (tables / "long.yaml").write_text(
+        f"title: Longer\norder_by: test/rayiou\ncolumns: {{test/rayiou: RayIoU}}\nrows: {rows}\n"
+    )
+    report("--runs", str(folder), "--sweeps", str(tables))
+    (other,) = (path.parent for path in (folder / "report").glob("*/index.html"))
+    assert "-4000-" in other.name
+    assert f'href="{other.name}/index.html"' in (folder / "report" / "index.html").read_text()
+    assert 'href="../index.html"' in (other / "index.html").read_text()
+    for text in (capsys.readouterr().out, (other / "report.md").read_text()):
+        (line,) = (line for line in text.splitlines() if line.startswith("| four times the steps"))
+        assert "here, 1 seed" in line

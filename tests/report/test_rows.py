@@ -15,7 +15,10 @@ from omniocc.report.tables.paper import as_markdown
 
 ROOT = Path(__file__).parents[2]
 CONF = ROOT / "conf"
-ROWS = sorted(path.stem for path in (CONF / "ablation").glob("*.yaml"))
+OPTIONS = {
+    path.stem: path.relative_to(CONF / "ablation").with_suffix("") for path in (CONF / "ablation").rglob("*.yaml")
+}
+ROWS = sorted(OPTIONS)
 
 
 def run_of(name: str, *overrides: str) -> FinishedRun:
@@ -32,7 +35,7 @@ def test_every_row_is_told_by_its_configuration():
         "test_images=0",
         "logger.mode=disabled",
     )
-    runs = [run_of("mine", f"+ablation={row}", *mine) for row in ROWS]
+    runs = [run_of("mine", f"+ablation={OPTIONS[row]}", *mine) for row in ROWS]
     assert [run.row for run in assign_rows(runs, CONF, ["ours"])] == ROWS
 
 

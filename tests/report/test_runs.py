@@ -7,8 +7,13 @@ import shutil
 import yaml
 
 from omniocc.report.runs import known_figures, read_runs
-from omniocc.report.selection import by_row, comparable
+from omniocc.report.selection import by_row, comparable, settings_of
 from omniocc.run.results import CANDIDATES
+
+
+def comparable_of(folder):
+    found = read_runs(folder)
+    return comparable(found, settings_of(found, None)[0])
 
 
 def test_figures_that_need_no_test():
@@ -30,28 +35,28 @@ def test_of_two_runs_with_one_seed_the_newest_counts(runs, tmp_path):
     shutil.copytree(runs, folder)
     shutil.copytree(runs / "ours-00000001", folder / "ours-0000000a")
     os.utime(folder / "ours-0000000a" / "metrics.json", (1, 1))
-    kept, remark = comparable(read_runs(folder), None)
+    kept, remark = comparable_of(folder)
     assert [run.name for run in by_row(kept)["ours"]] == ["ours-00000001", "ours-00000002"]
     assert "older runs of the same row and seed: ours-0000000a" in remark
     os.utime(folder / "ours-0000000a" / "metrics.json", (2e10, 2e10))
-    kept, _ = comparable(read_runs(folder), None)
+    kept, _ = comparable_of(folder)
     assert "ours-0000000a" in [run.name for run in by_row(kept)["ours"]]
 
 
 def test_seeds_of_one_row_with_other_settings_are_named(runs, tmp_path):
     folder = tmp_path / "runs"
     shutil.copytree(runs, folder)
-    assert "Warning" not in comparable(read_runs(folder), None)[1]
+    assert "Warning" not in comparable_of(folder)[1]
     path = folder / "ours-00000002" / "config.yaml"
     config = yaml.safe_load(path.read_text())
     config["data"]["source"]["root"], config["lr"], config["new key"] = "elsewhere", 0.2, 1
     path.write_text(yaml.safe_dump(config))
-    assert comparable(read_runs(folder), None)[1].endswith(
+    assert comparable_of(folder)[1].endswith(
         "Warning: the runs of row ours differ in lr, new key; another name=... makes a row of its own."
     )
     facts = yaml.safe_load((path.parent / "metrics.json").read_text())
     (path.parent / "metrics.json").write_text(json.dumps(facts | {"commit": "0123abc"}))
-    remark = comparable(read_runs(folder), None)[1]
+    remark = comparable_of(folder)[1]
     assert "of row ours differ in lr;" in remark  # of another version, which had a new option
 
 
@@ -78,4 +83,4 @@ def test_what_tells_a_replaced_run_from_the_newer_one_is_said(runs, tmp_path):
     config = yaml.safe_load((other / "config.yaml").read_text())
     (other / "config.yaml").write_text(yaml.safe_dump(config | {"loss": {"weights": {"ranges": 1.0}}}))
     os.utime(other / "metrics.json", (1, 1))
-    assert "ours-0000000a (of another loss.weights.ranges than ours-00000001)" in comparable(read_runs(folder), None)[1]
+    assert "ours-0000000a (of another loss.weights.ranges than ours-00000001)" in comparable_of(folder)[1]

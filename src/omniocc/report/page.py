@@ -35,8 +35,14 @@ Section = dict[str, Any]
 """Name, title, kind (which selects the template) and the values for that template."""
 
 
-def page(sweep: Sweep, plots: Mapping[str, tuple[str, str]], frames: Sequence[ComparedFrame], folder: Path) -> str:
-    """Return the whole page, with links to runs from its `folder`; `plots` has title and SVG of each plot by name."""
+def page(
+    sweep: Sweep, plots: Mapping[str, tuple[str, str]], frames: Sequence[ComparedFrame], folder: Path,
+    others: Mapping[str, Path],
+) -> str:  # fmt: skip
+    """Return the whole page, with links to runs and to the pages of other settings from its `folder`.
+
+    `plots` has title and SVG of each plot by name.
+    """
     drawn: list[Section | None] = [
         {"kind": "plot", "name": f"plot-{name}", "title": title, "svg": Markup(svg)}
         for name, (title, svg) in plots.items()
@@ -63,6 +69,8 @@ def page(sweep: Sweep, plots: Mapping[str, tuple[str, str]], frames: Sequence[Co
     ]
     content = {
         "remarks": sweep.remarks,
+        "setting": sweep.setting,
+        "others": {name: path_between(folder, path) for name, path in others.items()},
         "facts": _facts(sweep),
         "sections": [section for section in sections if section is not None],
     }
@@ -97,8 +105,8 @@ def _paper_table(table: PaperTable, sweep: Sweep) -> Section:
         "note": table.note,
         "wide": len(table.columns) > WIDE_COLUMNS,
         "columns": list(table.columns.values()),
-        "methods": [_method(table, row, figures, sweep) for row, figures in rows_of(table, sweep.rows)],
-        "order": order_line(table, sweep.rows),
+        "methods": [_method(table, row, figures, sweep) for row, figures in rows_of(table, sweep.table_rows)],
+        "order": order_line(table, sweep.table_rows),
         "claims_head": claims_head,
         "claims": claims,
     }

@@ -17,18 +17,21 @@ def assign_rows(runs: Sequence[FinishedRun], conf: Path, rows: Sequence[str]) ->
 
     Args:
         runs: finished runs.
-        conf: folder of the configuration, with the rows in `ablation/<row>.yaml`.
+        conf: folder of the configuration, with the rows in `ablation/`, those beyond the paper in its subfolders.
         rows: names of the tables' rows; rows without a file in `conf` are found only by name.
 
     Raises:
         ConfigError: when a row cannot be composed.
     """
-    named = {*rows, *(path.stem for path in (conf / "ablation").glob("*.yaml"))}
-    tried = [row for row in dict.fromkeys([*rows, *sorted(named)]) if (conf / "ablation" / f"{row}.yaml").exists()]
+    options = {path.stem: path.relative_to(conf / "ablation") for path in (conf / "ablation").rglob("*.yaml")}
+    named = {*rows, *options}
+    tried = [row for row in dict.fromkeys([*rows, *sorted(named)]) if row in options]
 
     @functools.cache
     def composed(preset: str, row: str) -> dict:
-        return compared(compose_plain(conf, "train", [f"preset={preset}", f"+ablation={row}"]))
+        return compared(
+            compose_plain(conf, "train", [f"preset={preset}", f"+ablation={options[row].with_suffix('').as_posix()}"])
+        )
 
     def assigned(run: FinishedRun) -> FinishedRun:
         preset = run.config.get("preset", {}).get("name")

@@ -14,14 +14,12 @@ OF_MACHINES = ("root", "cache", "workers", "num_workers", "accelerator", "seed")
 """Keys at any depth that may differ between runs of one row."""
 
 
-def comparable(runs: Sequence[FinishedRun], preset: str | None) -> tuple[list[FinishedRun], str]:
-    """Return the runs of one preset, number of steps and dataset, and a remark on them and on what is left out.
-
-    Of several runs of a row with one seed the newest is taken.
+def settings_of(runs: Sequence[FinishedRun], preset: str | None) -> list[tuple[str, ...]]:
+    """Return preset, steps and data of the runs, the setting that most of them have first.
 
     Args:
         runs: at least one.
-        preset: preset of the runs to keep; None keeps the setting that most runs have.
+        preset: of the runs that count; None: any.
 
     Raises:
         UserError: when no run has that preset.
@@ -30,15 +28,22 @@ def comparable(runs: Sequence[FinishedRun], preset: str | None) -> tuple[list[Fi
     if not candidates:
         found = sorted({str(run.facts.get("preset", "unknown")) for run in runs})
         raise UserError(f"no finished run of preset {preset}; there are runs of {', '.join(found)}")
-    chosen = Counter(run.setting for run in candidates).most_common(1)[0][0]
-    same = [run for run in candidates if run.setting == chosen]
+    return [setting for setting, _ in Counter(run.setting for run in candidates).most_common()]
+
+
+def comparable(runs: Sequence[FinishedRun], setting: tuple[str, ...]) -> tuple[list[FinishedRun], str]:
+    """Return the runs of one preset, number of steps and dataset, and a remark on them and on what is left out.
+
+    Of several runs of a row with one seed the newest is taken.
+    """
+    chosen, same = setting, [run for run in runs if run.setting == setting]
     newest = {run.place: run for run in sorted(same, key=_age)}
     kept = [run for run in same if newest[run.place] is run]
     commits = sorted({str(run.facts.get("commit", "unknown")) for run in kept})
     name, steps, data = chosen
     text = f"preset={name}, {steps} steps, data {data[:8]}, commit {', '.join(commits)}."
     if others := sorted(run.name for run in runs if run.setting != chosen):
-        text += f" Left out, of another setting: {', '.join(others)}."
+        text += f" In sections of their own, of another setting: {', '.join(others)}."
     if alike := sorted(f"{run.name} ({run.same_as})" for run in kept if run.same_as):
         text += f" Counted in the row whose configuration they have: {', '.join(alike)}."
     if older := sorted(_replaced(same, newest)):

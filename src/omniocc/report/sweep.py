@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
 from omniocc.io import atomic_write
@@ -19,7 +20,7 @@ from omniocc.report.dataset.table import (
 from omniocc.report.plots.curves import read_curve
 from omniocc.report.rows import assign_rows
 from omniocc.report.runs import FinishedRun, path_between, read_runs
-from omniocc.report.selection import by_row, comparable
+from omniocc.report.selection import by_row, comparable, settings_of
 from omniocc.report.tables import bounds, budget
 from omniocc.report.tables.claims import claim_cells
 from omniocc.report.tables.overview import table_of_runs
@@ -41,6 +42,7 @@ class Sweep(NamedTuple):
         tables: tables of methods.
         datasets: tables of datasets.
         unfinished: runs that have begun and not finished, with the last step recorded.
+        lengths: runs of all settings of the same preset by `row@steps`, which rows of tables may name.
     """
 
     runs: list[FinishedRun]
@@ -50,12 +52,24 @@ class Sweep(NamedTuple):
     tables: Sequence[PaperTable]
     datasets: Sequence[DatasetTable]
     unfinished: Sequence[str] = ()
+    lengths: Mapping[str, Sequence[FinishedRun]] = MappingProxyType({})
+
+    @property
+    def setting(self) -> str:
+        """Return preset, steps and data in a word, for the name of a folder."""
+        preset, steps, data = self.runs[0].setting
+        return f"{preset}-{steps}-{data[:8]}"
+
+    @property
+    def table_rows(self) -> Mapping[str, Sequence[FinishedRun]]:
+        """Return the runs of everything that a row of a table may name."""
+        return {**self.lengths, **self.rows}
 
     @property
     def not_run(self) -> list[str]:
         """Return the rows of the tables without a run."""
         rows = dict.fromkeys(row.run for table in self.tables for row in table.rows)
-        return [row for row in rows if row not in self.rows]
+        return [row for row in rows if row not in self.table_rows]
 
     @property
     def remarks(self) -> list[str]:
@@ -65,23 +79,44 @@ class Sweep(NamedTuple):
         return [self.remark, *missing, *begun]
 
 
-def read_sweep(runs: Path, tables: Path, conf: Path, preset: str | None) -> Sweep:
-    """Return the finished runs of a folder with the tables of another; the folder `conf` has the rows.
+def read_sweeps(runs: Path, tables: Path, conf: Path, preset: str | None) -> list[Sweep]:
+    """Return the finished runs of a folder with the tables of another, apart by preset, steps and data.
 
-    Only runs of one preset are kept; None keeps the setting that most runs have.
+    The setting that most runs have is the first. The folder `conf` has the rows. A preset leaves out the others.
 
     Raises:
         UserError: when there is no run, none of that preset, or a table or row is broken.
     """
     paths = sorted(tables.glob("*.yaml"))
-    found = sorted((load_table(path) for path in paths if is_table(path)), key=lambda table: table.number)
+    found = sorted((load_table(path) for path in paths if is_table(path)), key=lambda table: table.number or len(paths))
     first = list(dict.fromkeys(["ours", *(row.run for table in found for row in table.rows)]))
-    kept, remark = comparable(assign_rows(read_runs(runs), conf, first), preset)
-    datasets = [with_ours(load_dataset_table(path), kept) for path in paths if is_dataset_table(path)]
-    rows, scenes = by_row(kept), scenes_of(kept[0])
-    order = [row for row in dict.fromkeys([*first, *rows]) if row in rows]
-    data = facts_of_scenes(scenes) if scenes else ""
-    return Sweep(kept, {row: rows[row] for row in order}, remark, data, found, datasets, unfinished(runs))
+    finished = assign_rows(read_runs(runs), conf, first)
+
+    def sweep_of(setting: tuple[str, ...]) -> Sweep:
+        kept, remark = comparable(finished, setting)
+        datasets = [with_ours(load_dataset_table(path), kept) for path in paths if is_dataset_table(path)]
+        rows, scenes = by_row(kept), scenes_of(kept[0])
+        order = [row for row in dict.fromkeys([*first, *rows]) if row in rows]
+        data = facts_of_scenes(scenes) if scenes else ""
+        return Sweep(kept, {row: rows[row] for row in order}, remark, data, found, datasets, unfinished(runs))
+
+    sweeps = [sweep_of(setting) for setting in settings_of(finished, preset)]
+    return [sweep._replace(lengths=by_length(sweeps, sweep.runs[0].setting[0])) for sweep in sweeps]
+
+
+def read_sweep(runs: Path, tables: Path, conf: Path, preset: str | None) -> Sweep:
+    """Return the first of `read_sweeps`: the runs of the setting that most runs have."""
+    return read_sweeps(runs, tables, conf, preset)[0]
+
+
+def by_length(sweeps: Sequence[Sweep], preset: str) -> dict[str, Sequence[FinishedRun]]:
+    """Return the runs of a preset by `row@steps`; of two datasets, those of the one with more runs."""
+    found: dict[str, Sequence[FinishedRun]] = {}
+    for sweep in sweeps:
+        if sweep.runs[0].setting[0] == preset:
+            for row, runs in sweep.rows.items():
+                found.setdefault(f"{row}@{runs[0].setting[1]}", runs)
+    return found
 
 
 def unfinished(runs: Path) -> list[str]:
@@ -102,7 +137,8 @@ def chapters(sweep: Sweep) -> dict[str, str]:
     papers = {}
     for table in sweep.tables:
         head, claims = claim_cells(table, sweep.rows)
-        papers[table.name] = "\n".join([as_markdown(table, sweep.rows), *([markdown(head, claims)] if claims else [])])
+        text = as_markdown(table, sweep.table_rows)
+        papers[table.name] = "\n".join([text, *([markdown(head, claims)] if claims else [])])
     return {"bounds": baseline, **datasets, **papers, "budget": cost}
 
 
@@ -142,8 +178,8 @@ def write_tables(sweep: Sweep, output: Path) -> None:
     output.mkdir(parents=True, exist_ok=True)
     atomic_write(output / "report.md", f"{report_markdown(sweep)}\n{run_list(sweep, output)}")
     for table in sweep.tables:
-        atomic_write(output / f"{table.name}.csv", as_csv(table, sweep.rows))
-        atomic_write(output / f"{table.name}.tex", as_latex(table, sweep.rows))
+        atomic_write(output / f"{table.name}.csv", as_csv(table, sweep.table_rows))
+        atomic_write(output / f"{table.name}.tex", as_latex(table, sweep.table_rows))
     for datasets in sweep.datasets:
         atomic_write(output / f"{datasets.name}.csv", dataset_csv(datasets))
         atomic_write(output / f"{datasets.name}.tex", dataset_latex(datasets))

@@ -9,7 +9,7 @@ import pytest
 from omniocc.classes import CLASSES, FREE
 from omniocc.errors import UserError
 from omniocc.report.runs import VOXELS, FinishedRun
-from omniocc.report.selection import by_row, comparable
+from omniocc.report.selection import by_row, comparable, settings_of
 from omniocc.report.tables.claims import claims_of
 from omniocc.report.tables.paper import (
     as_csv,
@@ -42,8 +42,8 @@ def test_every_table_has_our_row_and_figures_in_0_to_1(path):
     assert {row.run for row in table.rows} & {"ours", "cylinder"}
     fractions = [value for row in table.rows for key, value in row.paper.items() if key != VOXELS and value is not None]
     assert all(0 <= value <= 1 for value in fractions)
-    assert "Table " in table.note
-    runnable = {row.run for row in table.rows} & {path.stem for path in ROWS.glob("*.yaml")}
+    assert ("Table " in table.note) == (table.number > 0)
+    runnable = {row.run for row in table.rows} & {path.stem for path in ROWS.rglob("*.yaml")}
     assert runnable
 
 
@@ -100,12 +100,14 @@ def test_a_broken_table_is_named(tmp_path):
 
 def test_only_runs_of_one_setting_are_compared():
     runs = [*RUNS["ours"], run("big-01234567", 0, 0.9, preset="small")]
-    kept, text = comparable(runs, None)
+    first, second = settings_of(runs, None)
+    kept, text = comparable(runs, first)
     assert [r.name for r in kept] == ["ours-01234567", "ours-01234568"]
-    assert "Left out, of another setting: big-01234567" in text
-    assert [r.name for r in comparable(runs, "small")[0]] == ["big-01234567"]
+    assert "In sections of their own, of another setting: big-01234567" in text
+    assert [r.name for r in comparable(runs, second)[0]] == ["big-01234567"]
+    assert settings_of(runs, "small") == [second]
     with pytest.raises(UserError, match=r"paper.*small, tiny"):
-        comparable(runs, "paper")
+        settings_of(runs, "paper")
 
 
 def test_two_runs_of_a_row_with_one_seed_are_an_error():
