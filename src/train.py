@@ -15,6 +15,7 @@ from omniocc.io import atomic_write
 from omniocc.model.occupancy import to_unit_range
 from omniocc.run.checkpoint_io import BEST, LAST, AtomicCheckpointIO
 from omniocc.run.cost import PEAK, cost_of, peak_mib
+from omniocc.run.distributed import is_first
 from omniocc.run.folder import IMAGES, RunFolder, command_line, git_commit, given_checkpoint, open_run, run_hash
 from omniocc.run.memory import keep_freed_memory
 from omniocc.run.results import CANDIDATES, load_results, save_results, show_results
@@ -50,7 +51,8 @@ def main(cfg: DictConfig) -> None:
             train_occupancy(cfg, data, earlier, figures, title)
         elif earlier is not None:
             figures |= earlier.run(stage, title)
-            show_results(earlier.results[stage])
+            if is_first():
+                show_results(earlier.results[stage])
 
 
 def train_occupancy(

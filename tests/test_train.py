@@ -152,7 +152,7 @@ def test_stages_run_once_and_are_shared(tmp_path, data_root):
     for key in ("test/rayiou", "test/depth/mae_0-8.5m", "test/sketch/recall", "test/sketch/raw/recall_17-25.6m"):
         assert key in metrics
 
-    chosen = ["model.sketch.threshold=null", "model.sketch.fraction=0.1", "model.sketch.windows=[0,0,0]"]
+    chosen = ["model.sketch.threshold=null", "model.sketch.fraction=0.1", "model.sketch.windows_m=[0,0,0]"]
     fewer = run_script("train.py", *arguments, "stage=sketch", *chosen, cwd=tmp_path)
     assert fewer.returncode == 0, fewer.stdout + fewer.stderr
     assert len(list(tmp_path.glob("runs/stages/sketch-*"))) == 1  # other candidates of the same network

@@ -30,6 +30,26 @@ def test_a_job_of_two_processes_trains_one_model(tmp_path, data_root):
     assert "Traceback" not in log.read_text()
 
 
+@pytest.mark.whole_runs
+@pytest.mark.slow(40)
+def test_all_stages_are_trained_by_two_processes(tmp_path, data_root):
+    overrides = [f"paths.data={data_root}", "trainer.accelerator=cpu", "trainer.devices=2", "trainer.strategy=ddp"]
+    epochs = ["preset.stages.sketch.max_steps=-1", "preset.stages.sketch.max_epochs=2"]
+    arguments = ["--multirun", *SMOKE, "seed=5", "model=extended", *overrides, *epochs]
+    result = run_script("train.py", *arguments, cwd=tmp_path)
+    (log,) = tmp_path.glob("runs/sweeps/*/000-*.log")
+    assert result.returncode == 0, result.stdout + result.stderr + log.read_text()
+    assert "Traceback" not in log.read_text()
+    (path,) = tmp_path.glob("runs/train-*/metrics.json")
+    # six frames, one batch of two for each process
+    assert json.loads(path.read_text())["stages"] == {"depth": 4, "sketch": 2, "occupancy": 6}
+    for stage, frames in (("depth", "ranges/*"), ("sketch", "candidates-*/*"), ("sketch", "evidence/*")):
+        assert len(list(tmp_path.glob(f"runs/stages/{stage}-*/{frames}.frames"))) == 5
+    again = run_script("train.py", *arguments, cwd=tmp_path)
+    assert again.returncode == 0
+    assert log.read_text().count("depth, stage 1 of 3 begins") == 1
+
+
 SCRIPT = """
 import os
 from pathlib import Path

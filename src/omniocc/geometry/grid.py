@@ -68,6 +68,11 @@ class Grid(Lattice):
         marks = columns.to(torch.int16)
         return marks.index_add(1, target, marks.index_select(1, origin)).bool().reshape(mask.shape)
 
+    @property
+    def radial_step_m(self) -> float:
+        """Return the length of a cell on the way to the z axis."""
+        return self.cell_m[0] if self.periodic[1] else min(self.cell_m[:2])
+
     def warp(
         self, volume: Float[Tensor, "B C X Y Z"], past_from_current: Float[Tensor, "B 4 4"]
     ) -> Float[Tensor, "B C X Y Z"]:
@@ -151,7 +156,7 @@ def _moves(
     points = grid.centers(torch.float64)[:, :, 0].flatten(0, 1)
     distance_m = grid.distances_m().flatten()
     window = torch.tensor(windows)[torch.bucketize(distance_m, torch.tensor(edges_m, dtype=torch.float64), right=True)]
-    step_m = grid.cell_m[0] if grid.periodic[1] else min(grid.cell_m[:2])
+    step_m = grid.radial_step_m
     pairs = [torch.zeros(0, 2, dtype=torch.int64)]
     for offset in [*range(-max(windows), 0), *range(1, max(windows) + 1)]:
         moved, inside = _moved(grid, points, distance_m, offset * step_m)

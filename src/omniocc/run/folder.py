@@ -14,6 +14,7 @@ from filelock import FileLock, Timeout
 
 from omniocc.errors import UserError
 from omniocc.run.checkpoint_io import LAST, resumable
+from omniocc.run.distributed import from_first, is_first
 from omniocc.run.slots import sketch_learns
 
 METRICS = "metrics.json"
@@ -71,13 +72,13 @@ def open_run(runs: Path, name: str, digest: str, resume: str) -> RunFolder:
         FileNotFoundError: when there is no such checkpoint.
     """
     path, lock = runs / f"{name}-{digest}", None
-    # Lightning sets LOCAL_RANK for its children; Slurm starts all processes itself, at the same time
-    if os.environ.get("LOCAL_RANK", os.environ.get("SLURM_PROCID", "0")) == "0":
+    if is_first():
         path, lock = _claim(path, fresh=resume == "never")
         os.environ[RANK_FOLDER] = str(path)
     else:
         path = Path(os.environ.get(RANK_FOLDER, path))
-        path.mkdir(parents=True, exist_ok=True)
+    path = Path(from_first(str(path)))
+    path.mkdir(parents=True, exist_ok=True)
     given = given_checkpoint(resume)
     if (path / METRICS).exists():
         return RunFolder(path, None, lock)

@@ -15,7 +15,7 @@ STAGES = ("depth", "sketch", "occupancy")
 VERSIONS = {"depth": 3, "sketch": 1, "candidates": 1}
 """Versions in the hashes: increase one when the same configuration gives other results."""
 
-OVERRULED = ("max_steps", "check_val_every_n_epoch", "devices", "strategy", "accelerator")
+OVERRULED = ("max_steps", "max_epochs", "check_val_every_n_epoch", "strategy", "accelerator")
 """Trainer options that a stage sets itself, or that do not change its results."""
 
 

@@ -22,10 +22,14 @@ class Recipe:
     """Describe the training of one stage.
 
     Attributes:
+        max_steps: optimiser steps; -1: as many as `max_epochs` are.
+        max_epochs: passes over the training frames; None: as many as `max_steps` are.
+        batch_size: samples per process and step.
         seed: of weights and order of samples.
     """
 
     max_steps: int
+    max_epochs: int | None
     batch_size: int
     validate_every_n_epochs: int
     seed: int

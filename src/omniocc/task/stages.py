@@ -6,7 +6,7 @@ Candidates are in a subfolder, so that runs that select them in different ways s
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
 from typing import cast
@@ -34,6 +34,7 @@ from omniocc.model.protocols import Depth, learns
 from omniocc.progress import Progress, waiting
 from omniocc.run.checkpoint import load_checkpoint
 from omniocc.run.checkpoint_io import LAST, AtomicCheckpointIO, resumable
+from omniocc.run.distributed import is_first, meet, share
 from omniocc.run.folder import IMAGES, METRICS, git_commit
 from omniocc.run.results import load_results, save_results
 from omniocc.run.wandb.loggers import finish
@@ -74,10 +75,11 @@ class Stages:
 
     def run(self, stage: str, title: str) -> dict[str, float]:
         """Run a stage if it is missing and return its test figures."""
-        with claimed(self.folders[stage], title):
+        with claimed(self.folders[stage], title) if is_first() else nullcontext():
             recipe: Recipe = build(self.cfg.stages[stage])
             seed_everything(recipe.seed, workers=True, verbose=False)
             {"depth": self._run_depth, "sketch": self._run_sketch}[stage](recipe, title)
+        meet()
         return load_results(self.results[stage])[1]
 
     def _run_depth(self, recipe: Recipe, title: str) -> None:
@@ -114,13 +116,13 @@ class Stages:
         folder, results = self.folders[stage], self.results[stage]
         last = folder / LAST
         if (results / METRICS).exists():
-            print(f"{title} is finished: {results}", flush=True)
+            say(f"{title} is finished: {results}")
             task.model.load_state_dict(load_checkpoint(last).model_weights)
             return
         checkpoint, message = resumable(last) if trains else (None, None)
         if message:
-            print(message, flush=True)
-        print(f"{title} {'goes on' if checkpoint else 'begins'}: {folder}", flush=True)
+            say(message)
+        say(f"{title} {'goes on' if checkpoint else 'begins'}: {folder}")
         data = build(self.cfg.data, window=1, batch_size=recipe.batch_size, seed=recipe.seed)
         data.read_only(*needs)
         trainer = self._trainer(recipe, images, folder, stage, title)
@@ -128,21 +130,24 @@ class Stages:
             trainer.fit(task, datamodule=data, ckpt_path=checkpoint and str(checkpoint))
         metrics = trainer.test(task, datamodule=data, verbose=False)[0]
         trainer.save_checkpoint(last)
+        meet()
+        if not trainer.is_global_zero:
+            return
         facts = {"run": folder.name, "steps": trainer.global_step, "seed": recipe.seed, "commit": git_commit()}
         results.mkdir(parents=True, exist_ok=True)
         save_results(results, metrics, facts | {"data": self.fingerprint})
         finish(trainer.loggers)
 
     def _trainer(self, recipe: Recipe, images: Callback, folder: Path, stage: str, title: str) -> Trainer:
-        atomic_write(folder / "config.yaml", OmegaConf.to_yaml(self.cfg, resolve=True))
+        if is_first():
+            atomic_write(folder / "config.yaml", OmegaConf.to_yaml(self.cfg, resolve=True))
         steps = self.cfg.checkpoint_every_n_steps
         last = ModelCheckpoint(folder, "last", every_n_train_steps=steps, enable_version_counter=False)
         return build(
             self.cfg.trainer,
             max_steps=recipe.max_steps,
+            max_epochs=recipe.max_epochs,
             check_val_every_n_epoch=recipe.validate_every_n_epochs,
-            devices=1,
-            strategy="auto",
             plugins=[AtomicCheckpointIO()],
             callbacks=[StepProgress(title), images, last],
             logger=build(self.cfg.logger).build(folder, plain(self.cfg), stage),
@@ -153,13 +158,15 @@ class Stages:
         """Predict for all frames of the scenes that are missing in one of the caches, on the device that trains.
 
         `predict` returns one array for each cache, and may return more. Loader processes read the inputs; Lightning has
-        moved the task to the CPU.
+        moved the task to the CPU. Several processes share the scenes.
         """
-        absent = {scene.name for cache in caches for scene in cache.missing(self.scenes)}
-        missing = [scene for scene in self.scenes if scene.name in absent]
+        rank, processes = share()
+        own = self.scenes[rank::processes]
+        absent = {scene.name for cache in caches for scene in cache.missing(own)}
+        missing = [scene for scene in own if scene.name in absent]
         if not missing:
             return
-        trainer = build(self.cfg.trainer, devices=1, strategy="auto", logger=False, enable_checkpointing=False)
+        trainer = build(self.cfg.trainer, logger=False, enable_checkpointing=False)
         device = task.to(trainer.strategy.root_device).eval().device
         inputs = iter(frame_loader(missing, read, self.cfg.data.num_workers))
         with Progress(title, sum(map(len, missing))) as progress, torch.inference_mode():
@@ -172,6 +179,12 @@ class Stages:
                 for cache, arrays in zip(caches, zip(*frames, strict=True), strict=True):
                     cache.write(scene.name, arrays)
         task.cpu()
+
+
+def say(text: str) -> None:
+    """Print a line in the first process."""
+    if is_first():
+        print(text, flush=True)
 
 
 class Frames(Dataset):

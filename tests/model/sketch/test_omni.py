@@ -180,7 +180,8 @@ def test_fraction_is_exact_and_dilation_comes_after(geometry):
     logits = plain.logits(range_m, valid)
     candidates = plain.select(logits)
     assert candidates.sum((1, 2, 3)).tolist() == [round(0.2 * geometry.num_cells)] * 2
-    wide = make(geometry, None, 0.2, (0, 1, 2))
+    step_m = geometry.radial_step_m
+    wide = make(geometry, None, 0.2, (0, step_m, 2 * step_m))
     assert torch.equal(wide.choose(logits), candidates)
     assert torch.equal(wide.select(logits), geometry.dilate(candidates, (0, 1, 2), (8.5, 17.0)))
     assert wide.select(logits).sum() > candidates.sum()
@@ -202,6 +203,14 @@ def test_exactly_one_of_threshold_and_fraction(threshold, fraction):
 def test_impossible_values_are_named(threshold, fraction):
     with pytest.raises(ValueError, match=f"is {fraction if threshold is None else threshold}"):
         make(Cylinder((8, 12, 4)), threshold, fraction)
+
+
+def test_windows_are_metres_so_that_finer_grids_widen_as_far():
+    edges = (0.0, 25.6)
+    coarse, fine = (make(Cylinder((cells, 12, 4), edges), windows=(0.0, 0.4, 0.8)) for cells in (64, 128))
+    assert coarse.windows == (0, 1, 2)
+    assert fine.windows == (0, 2, 4)
+    assert make(Cuboid((128, 128, 4), edges, edges), windows=(0.0, 0.4, 0.8)).windows == (0, 2, 4)
 
 
 def test_windows_that_do_not_fit_are_named():
@@ -237,7 +246,7 @@ def test_evidence_is_the_probability_and_what_the_panorama_saw(geometry):
     logits = sketch.logits(range_m, valid)
     assert torch.equal(candidates, sketch.select(logits))
     expected = (logits[:, 1] - logits[:, 0]).clamp(-6.3, 6.3)
-    assert float((evidence[:, 0] - expected).abs().max()) <= 0.1 + 1e-5
+    assert float((evidence[:, 0] - expected).detach().abs().max()) <= 0.1 + 1e-5
     hit = sketch.points(pseudo_points(range_m, valid, PANORAMA))[1][:, 0] > 0
     assert torch.equal(evidence[:, 1].bool(), hit)
     known, _, gap, _ = sketch.evidence(range_m, valid).unbind(1)

@@ -57,14 +57,15 @@ class Omni(nn.Module):
         channels: of each level of the network, finest first; multiples of 8.
         threshold: smallest probability of candidates, above 0 and at most 1; None uses `fraction`.
         fraction: of cells that are candidates, the likeliest first, above 0 and at most 1; None uses `threshold`.
-        windows: cells by which candidates of each band are dilated towards and away from the z axis; 0: not at all.
+        windows_m: distance by which candidates of each band are dilated towards and away from the z axis, rounded to
+            whole cells; 0: not at all.
         band_edges_m: horizontal distances at which one band ends and the next begins, one fewer than windows.
 
     Raises:
         ValueError: unless one of threshold and fraction is given and in range, or if sizes do not fit.
     """
 
-    SELECTION: ClassVar = ("threshold", "fraction", "windows", "band_edges_m")
+    SELECTION: ClassVar = ("threshold", "fraction", "windows_m", "band_edges_m")
 
     place: Tensor
 
@@ -77,7 +78,7 @@ class Omni(nn.Module):
         channels: list[int],
         threshold: float | None,
         fraction: float | None,
-        windows: Sequence[int],
+        windows_m: Sequence[float | int],
         band_edges_m: Sequence[float | int],
     ):
         super().__init__()
@@ -86,9 +87,9 @@ class Omni(nn.Module):
         limit = fraction if threshold is None else threshold
         if not 0 < limit <= 1:  # type: ignore[operator]
             raise ValueError(f"threshold or fraction is {limit}; use 0 < value <= 1")
-        geometry.dilate(
-            torch.zeros(geometry.shape, dtype=torch.bool), windows, band_edges_m
-        )  # raises ValueError unless they fit
+        windows = [round(window_m / geometry.radial_step_m) for window_m in windows_m]
+        # raises ValueError unless they fit
+        geometry.dilate(torch.zeros(geometry.shape, dtype=torch.bool), windows, band_edges_m)
         assert isinstance(depth, nn.Module)
         self.geometry = geometry
         self.threshold, self.fraction = threshold, fraction
