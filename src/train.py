@@ -1,6 +1,7 @@
 """Train a model, test its best checkpoint on unseen scenes, write figures and images; options: `--help`."""
 
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from omniocc.run.cost import PEAK, cost_of, peak_mib
 from omniocc.run.distributed import is_first
 from omniocc.run.folder import IMAGES, RunFolder, command_line, git_commit, given_checkpoint, open_run, run_hash
 from omniocc.run.memory import keep_freed_memory
+from omniocc.run.plan import plan_line
 from omniocc.run.results import CANDIDATES, load_results, save_results, show_results
 from omniocc.run.script import quiet_libraries, script
 from omniocc.run.slots import sketch_learns
@@ -44,6 +46,8 @@ def main(cfg: DictConfig) -> None:
         with_evidence = build_task(cfg, data.source.spec).model.uses_evidence
     data.prepare_data()
     earlier = Stages(cfg, data, with_evidence) if sketch_learns(cfg) else None
+    if is_first():
+        announce_plan(cfg, stages, sum(map(len, data.source.scenes("train"))))
     figures: dict[str, float] = {}
     for number, stage in enumerate(stages, start=1):
         title = f"{stage}, stage {number} of {len(stages)}"
@@ -138,6 +142,17 @@ def callbacks(cfg: DictConfig, run: RunFolder, title: str, classes: ClassTable) 
         ModelCheckpoint(run.path, "best", monitor="val/rayiou", mode="max", enable_version_counter=False),
         OccupancyImages(run.path / IMAGES, cfg.test_images, classes),
     ]
+
+
+def announce_plan(cfg: DictConfig, stages: Sequence[str], frames: int) -> None:
+    """Print how many steps, samples and epochs each stage takes; those that are finished are included."""
+    trainer: Trainer = build(cfg.trainer, logger=False, enable_checkpointing=False)
+    devices = trainer.num_devices * trainer.num_nodes
+    for stage in stages:
+        length = cfg.trainer if stage == "occupancy" else cfg.stages[stage]
+        size = cfg.data.batch_size if stage == "occupancy" else length.batch_size
+        limits = length.max_steps, length.max_epochs
+        print(f"{stage:10}{plan_line(*limits, frames, size, devices, trainer.accumulate_grad_batches)}", flush=True)
 
 
 def announce(run: RunFolder, task: OccupancyTask, data: OccupancyData) -> None:
