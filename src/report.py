@@ -14,10 +14,14 @@ from pathlib import Path
 from omniocc.io import atomic_write
 from omniocc.report.frames import compared_frames
 from omniocc.report.page import page
+from omniocc.report.runs import read_runs
 from omniocc.report.sweep import Sweep, read_sweeps, report_markdown, write_docs, write_tables
+from omniocc.report.tables.tried import NOTE, TITLE, tried_cells
 from omniocc.run.script import lines_not_tracebacks
+from omniocc.run.table import markdown
 
 ROOT = Path(__file__).parents[1]
+GENERATED_TRIED = "<!-- Written by `python src/report.py --tried`; do not edit. -->"
 
 
 @lines_not_tracebacks
@@ -30,7 +34,12 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--preset", help="only runs of this preset (default: that of most runs)")
     parser.add_argument("--output", type=Path, help="folder of the report (default: report in the folder of runs)")
     parser.add_argument("--docs", type=Path, help="write the tables as Markdown pages too, into this folder")
+    parser.add_argument("--tried", type=Path, help="write one table of all runs, of any setting, on validation scenes")
+    parser.add_argument("--reference", default="ours", help="row to which --tried compares the others (default: ours)")
     options = parser.parse_args(arguments)
+    if options.tried is not None:
+        write_tried(options.runs, options.tried, options.reference)
+        return
     first, *others = read_sweeps(options.runs, options.sweeps, options.conf, options.preset)
     output = options.output or options.runs / "report"
     folders = {first.setting: output} | {sweep.setting: output / sweep.setting for sweep in others}
@@ -47,6 +56,14 @@ def main(arguments: list[str] | None = None) -> None:
     for setting, path in list(pages.items())[1:]:
         print(f"setting {setting}: {path}")
     print(f"tables  {output / 'report.md'}\npage    {output / 'index.html'}")
+
+
+def write_tried(runs: Path, path: Path, reference: str) -> None:
+    """Write what was tried as a page of the documentation, with the command that writes it."""
+    cells = tried_cells(read_runs(runs), reference)
+    text = f"{GENERATED_TRIED}\n\n# {TITLE}\n\n{NOTE}\n\n{markdown(*cells)}"
+    atomic_write(path, text)
+    print(f"{text}\npage    {path}")
 
 
 def draw(sweep: Sweep, output: Path) -> dict[str, tuple[str, str]]:

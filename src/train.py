@@ -93,7 +93,8 @@ def train_occupancy(
         announce(run, task, data)
     minutes = fit(trainer, task, data, run)
     tested = run.path / (BEST if (run.path / BEST).exists() else LAST)
-    metrics = trainer.test(task, datamodule=data, ckpt_path=str(tested), verbose=False)[0]
+    metrics = trainer.validate(task, datamodule=data, ckpt_path=str(tested), verbose=False)[0]
+    metrics |= trainer.test(task, datamodule=data, ckpt_path=str(tested), verbose=False)[0]
     if trainer.is_global_zero:
         for logger in trainer.loggers:
             logger.log_metrics(figures, trainer.global_step)
