@@ -3,12 +3,17 @@
 import argparse
 from pathlib import Path
 
+import torch
 from lightning.pytorch import Trainer
 
+from omniocc.data import Needs, OccupancyData
+from omniocc.model.occupancy import to_unit_range
+from omniocc.progress import Progress
 from omniocc.run.folder import IMAGES, git_commit
 from omniocc.run.results import save_results, show_results
 from omniocc.run.script import lines_not_tracebacks, quiet_libraries
-from omniocc.task import StepProgress
+from omniocc.task import OccupancyTask, StepProgress
+from omniocc.task.audit import Audit
 from omniocc.task.build import load_task
 from omniocc.task.images import OccupancyImages
 
@@ -21,12 +26,17 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("overrides", nargs="*", help="key=value, such as data.batch_size=1")
     parser.add_argument("--output", type=Path, help="folder of results (default: evaluation-<checkpoint> beside it)")
     parser.add_argument("--images", type=int, default=4, help="test frames to draw")
+    parser.add_argument("--audit", action="store_true", help="only print where the score is lost, on validation scenes")
     options = parser.parse_intermixed_args(arguments)
     for override in options.overrides:
         if "=" not in override:
             parser.error(f"'{override}' is not key=value; one checkpoint at a time")
     quiet_libraries()
     task, data = load_task(options.checkpoint, options.overrides)
+    if options.audit:
+        for name, value in audit(task, data):
+            print(f"{name:58} {value}")
+        return
     folder = options.output or options.checkpoint.parent / f"evaluation-{options.checkpoint.stem}"
     folder.mkdir(parents=True, exist_ok=True)
     images = OccupancyImages(folder / IMAGES, options.images, data.source.spec.classes)
@@ -41,6 +51,22 @@ def main(arguments: list[str] | None = None) -> None:
     facts = {"checkpoint": str(options.checkpoint), "commit": git_commit(), "data": data.source.fingerprint}
     save_results(folder, metrics, facts)
     show_results(folder)
+
+
+@torch.inference_mode()
+def audit(task: OccupancyTask, data: OccupancyData) -> list[tuple[str, str]]:
+    """Return what each part of a model costs, on validation scenes; see `omniocc.task.audit`."""
+    data.read_only(Needs(), Needs())
+    data.setup()
+    loader, task = data.val_dataloader(), task.eval()
+    found = Audit(task.model.geometry, data.source.spec)
+    with Progress("audit", len(loader), "batches") as progress:
+        for batch in loader:
+            logits = task.predict(batch).logits
+            sketched = task.model.choose(to_unit_range(batch.images[:, -1]), batch.newest_rigs)
+            found.update(logits, sketched, batch)
+            progress.advance()
+    return found.lines()
 
 
 if __name__ == "__main__":

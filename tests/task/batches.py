@@ -34,5 +34,6 @@ def make_batch(task, samples, with_candidates=True):
         lidar_labels=torch.ones(len(samples), 14040, dtype=torch.uint8),
         frame_ids=tuple(f"{scene}/{number:06d}" for scene, number in samples),
         candidates=marked if with_candidates else None,
+        evidence=(marked * 200).to(torch.uint8) if with_candidates else None,
         exists=torch.tensor([[number >= back for back in reversed(range(frames))] for _, number in samples]),
     )

@@ -1,0 +1,117 @@
+"""Where a model loses its score: geometry or classes, itself or its sketch; what its cameras see of their own car."""
+
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Float, Float32, UInt8
+from torch import Tensor, nn
+from torchmetrics import MeanMetric
+
+from omniocc.batch import Batch
+from omniocc.camera import Rig
+from omniocc.classes import FREE, UNKNOWN
+from omniocc.data import SourceSpec
+from omniocc.geometry import Grid
+from omniocc.model.ops.evidence import LOG_ODDS
+from omniocc.model.protocols import Sketched
+from omniocc.task.scores import Scores
+
+THRESHOLDS = (0.08, 0.15, 0.25, 0.35, 0.5)
+"""Probabilities at which the sketch is cut, to compare its geometry with the model's."""
+
+
+class Audit(nn.Module):
+    """Score variants of a model's predictions, to see what each part of it costs.
+
+    Args:
+        spec: of the data: classes, bands and LiDAR rays of the scores.
+    """
+
+    def __init__(self, geometry: Grid, spec: SourceSpec):
+        super().__init__()
+        self.geometry = geometry
+        self.model, self.true_geometry, self.true_classes = (Scores(geometry, spec) for _ in range(3))
+        self.overlap = Overlap()
+        self.sketch_overlaps = [Overlap() for _ in THRESHOLDS]
+        self.confidence, self.accuracy, self.on_own_car = MeanMetric(), MeanMetric(), MeanMetric()
+
+    def update(self, logits: Float[Tensor, "B K X Y Z"], sketched: Sketched, batch: Batch) -> None:
+        """Add the predictions for a batch that has true voxels; `sketched` is that of the newest frames."""
+        assert batch.voxels is not None
+        truth, labels = batch.voxels, logits.argmax(1).to(torch.uint8)
+        known = truth != UNKNOWN
+        self.model.update(labels, batch)
+        self.true_geometry.update(with_true_geometry(logits, truth), batch)
+        self.true_classes.update(with_true_classes(labels, truth), batch)
+        self.overlap.update(labels != FREE, truth)
+        if sketched.evidence is not None:
+            probability = sketched.evidence[:, LOG_ODDS].sigmoid()
+            for cut, overlap in zip(THRESHOLDS, self.sketch_overlaps, strict=True):
+                overlap.update(probability >= cut, truth)
+        top = logits.float().softmax(1).amax(1)
+        self.confidence.update(top[known])
+        self.accuracy.update((labels == truth)[known].float())
+        if batch.pixel_labels is not None:
+            for rig, pixels in zip(batch.newest_rigs, batch.pixel_labels, strict=True):
+                self.on_own_car.update(pairs_without_label(rig, self.geometry, pixels))
+
+    def lines(self) -> list[tuple[str, str]]:
+        """Return what was measured and its value, in words."""
+        rows = [("RayIoU of the model", self.model), ("RayIoU with true geometry", self.true_geometry)]
+        rows += [("RayIoU with true classes", self.true_classes)]
+        lines = [(name, f"{float(scores.compute()['rayiou']):.3f}") for name, scores in rows]
+        overlaps = [("the model", self.overlap)]
+        overlaps += [(f"the sketch at {cut}", one) for cut, one in zip(THRESHOLDS, self.sketch_overlaps, strict=True)]
+        lines += [(f"voxel IoU (precision, recall) of {name}", one.text()) for name, one in overlaps if one.filled]
+        lines += [("mean top probability, accuracy", f"{_mean(self.confidence):.3f}, {_mean(self.accuracy):.3f}")]
+        return [*lines, ("(voxel, camera) pairs on pixels without a label", f"{_mean(self.on_own_car):.2%}")]
+
+
+class Overlap:
+    """Count occupied voxels: found, missed, and wrong."""
+
+    def __init__(self):
+        self.counts = torch.zeros(3, dtype=torch.int64)
+
+    @property
+    def filled(self) -> bool:
+        """Return whether anything was counted."""
+        return bool(self.counts.any())
+
+    def update(self, occupied: Tensor, truth: UInt8[Tensor, "B X Y Z"]) -> None:
+        """Add predictions, which are ignored where the truth is unknown."""
+        known, true = truth != UNKNOWN, truth != FREE
+        parts = [occupied & true, ~occupied & true, occupied & ~true]
+        self.counts += torch.stack([(part & known).sum() for part in parts]).cpu()
+
+    def text(self) -> str:
+        """Return IoU, precision and recall."""
+        hit, missed, wrong = (float(count) for count in self.counts)
+        return f"{hit / (hit + missed + wrong):.3f} ({hit / max(1, hit + wrong):.3f}, {hit / max(1, hit + missed):.3f})"
+
+
+def with_true_geometry(logits: Float[Tensor, "B K X Y Z"], truth: UInt8[Tensor, "B X Y Z"]) -> UInt8[Tensor, "B X Y Z"]:
+    """Return the likeliest class that is not free where the truth is occupied, free elsewhere."""
+    best = logits[:, FREE + 1 :].argmax(1).to(torch.uint8) + (FREE + 1)
+    return torch.where((truth != FREE) & (truth != UNKNOWN), best, FREE).to(torch.uint8)
+
+
+def with_true_classes(labels: UInt8[Tensor, "B X Y Z"], truth: UInt8[Tensor, "B X Y Z"]) -> UInt8[Tensor, "B X Y Z"]:
+    """Return the true class where prediction and truth are occupied, else the prediction."""
+    both = (labels != FREE) & (truth != FREE) & (truth != UNKNOWN)
+    return torch.where(both, truth, labels)
+
+
+def pairs_without_label(rig: Rig, geometry: Grid, pixel_labels: UInt8[Tensor, "N H W"]) -> Float32[Tensor, " pairs"]:
+    """Return 1 for every visible (voxel, camera) pair whose pixel has no class, such as the own car's, 0 for others."""
+    centers = geometry.centers(torch.float64).reshape(-1, 3)
+    pixels, valid = rig.project(centers)
+    found: Sequence[Tensor] = [
+        labels[place[seen][:, 1].round().long(), place[seen][:, 0].round().long()] == UNKNOWN
+        for labels, place, seen in zip(pixel_labels.cpu(), pixels, valid, strict=True)
+    ]
+    return torch.cat(list(found)).float()
+
+
+def _mean(metric: MeanMetric) -> float:
+    return float(metric.compute())

@@ -1,0 +1,56 @@
+import pytest
+import torch
+from batches import RIG, make_batch
+
+from omniocc.camera import Rig
+from omniocc.classes import FREE, UNKNOWN
+from omniocc.model.protocols import Sketched
+from omniocc.task.audit import Audit, Overlap, pairs_without_label, with_true_classes, with_true_geometry
+
+
+def test_geometry_and_classes_are_exchanged_one_at_a_time():
+    truth = torch.tensor([[[[0, 3, 3, 255, 2]]]], dtype=torch.uint8)
+    labels = torch.tensor([[[[1, 1, 0, 2, 2]]]], dtype=torch.uint8)
+    logits = torch.nn.functional.one_hot(labels.long(), 4).movedim(-1, 1).float()
+    logits[:, 2] += 0.1  # the second best class
+    assert with_true_geometry(logits, truth).flatten().tolist() == [0, 1, 2, 0, 2]
+    assert with_true_classes(labels, truth).flatten().tolist() == [1, 3, 0, 2, 2]
+
+
+def test_overlap_is_intersection_over_union_precision_and_recall():
+    overlap = Overlap()
+    assert not overlap.filled
+    truth = torch.tensor([[[[0, 3, 3, 255, 2, 1]]]], dtype=torch.uint8)
+    overlap.update(torch.tensor([[[[1, 1, 0, 1, 1, 0]]]]).bool(), truth)
+    assert overlap.text() == "0.400 (0.667, 0.500)"
+
+
+def test_pairs_on_pixels_without_a_label_are_found(make_task):
+    geometry = make_task("model/sketch=dense").model.geometry
+    labels = torch.zeros(6, 36, 64, dtype=torch.uint8)
+    assert not pairs_without_label(RIG, geometry, labels).any()
+    labels[2] = UNKNOWN
+    pairs = pairs_without_label(RIG, geometry, labels)
+    seen = RIG.project(geometry.centers(torch.float64).reshape(-1, 3))[1].sum(1)
+    assert pairs.sum() == seen[2]
+    assert len(pairs) == seen.sum()
+    assert pairs_without_label(Rig.load("fisheye6").resized(64, 36), geometry, labels).mean() < 1 / 3
+
+
+def test_a_perfect_prediction_loses_nothing(make_task, spec):
+    task = make_task("model/sketch=omni")
+    batch = make_batch(task, ((0, 1), (1, 0)))
+    logits = 9 * torch.nn.functional.one_hot(batch.voxels.long(), 12).movedim(-1, 1).float()
+    audit = Audit(task.model.geometry, spec)
+    occupied = (batch.voxels != FREE).float()
+    evidence = torch.stack([torch.logit(0.1 + 0.8 * occupied), occupied, occupied, occupied], dim=1)
+    audit.update(logits, Sketched(batch.candidates[:, -1], evidence), batch)
+    lines = dict(audit.lines())
+    for variant in ("of the model", "with true geometry", "with true classes"):
+        assert lines[f"RayIoU {variant}"] == "1.000"
+    assert lines["voxel IoU (precision, recall) of the model"] == "1.000 (1.000, 1.000)"
+    assert lines["voxel IoU (precision, recall) of the sketch at 0.5"] == "1.000 (1.000, 1.000)"
+    assert lines["voxel IoU (precision, recall) of the sketch at 0.08"].endswith("1.000)")
+    top, accuracy = map(float, lines["mean top probability, accuracy"].split(", "))
+    assert accuracy == 1
+    assert top == pytest.approx(1, abs=2e-3)
