@@ -105,6 +105,31 @@ def test_time_left_is_at_least_that_of_a_running_job(tmp_path):
         stop(jobs)
 
 
+def test_the_time_left_is_estimated_before_the_first_job_is_done(tmp_path):
+    jobs = [job(tmp_path, name, "import time; time.sleep(60)") for name in "abcd"]
+    try:
+        for running, age_s in zip(jobs[:2], (300.0, 100.0), strict=True):
+            running.start({})
+            running.started_s -= age_s
+        assert left_s(jobs, 2) is None
+        assert "left" not in progress(jobs, 2, 300.0)
+        jobs[0].status_file.write_text(json.dumps(asdict(Status("running", "depth", 1, 2, "steps", 1.0, 500.0))))
+        # the job takes 800 s: 500 are left of it, 700 of the second, 1600 of the two others
+        assert left_s(jobs, 2) == pytest.approx((500 + 700 + 1600) / 2, abs=3)
+        assert "about 23:" in progress(jobs, 2, 300.0)
+    finally:
+        stop(jobs)
+
+
+def test_runs_that_were_finished_before_do_not_shorten_the_estimate(tmp_path):
+    jobs = [job(tmp_path, name, "pass") for name in "abc"]
+    for ended, elapsed_s in zip(jobs[:2], (600.0, 4.0), strict=True):
+        ended.start({})
+        ended.process.wait()
+        ended.elapsed_s = elapsed_s
+    assert left_s(jobs, 1) == pytest.approx(600, abs=2)
+
+
 def test_the_number_of_waiting_jobs_is_limited(tmp_path):
     jobs = [job(tmp_path, str(number), f"{WAITS}time.sleep(60)") for number in range(5)]
     try:

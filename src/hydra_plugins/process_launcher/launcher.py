@@ -22,6 +22,8 @@ INTERRUPTED = 130  # exit code of a process that Ctrl-C has ended, as in shells
 LINE_EVERY_S = 60.0
 GRACE_S = 20.0
 IMPORTS = "imports.log"
+RESTED = 0.1
+"""Fraction of the longest job's time below which a finished job had nothing to do, such as a run that was finished."""
 """Log file of the process that imports the script for all jobs."""
 
 
@@ -128,19 +130,37 @@ def progress(jobs: Sequence[Job], n_jobs: int, elapsed_s: float) -> str:
     """Return one line: how many jobs are done, the time left, what each running job reports."""
     done = [job for job in jobs if job.code is not None]
     failed = sum(job.code != 0 for job in done)
-    left = f", about {clock(left_s(jobs, n_jobs))} left" if done else ""
+    seconds = left_s(jobs, n_jobs)
+    left = "" if seconds is None else f", about {clock(seconds)} left"
     parts = [f"{len(done)} of {len(jobs)} jobs done{f', {failed} failed' if failed else ''}{left}"]
     parts += [f"{job.label}: {job.status or 'starting'}" for job in jobs if job.running]
     return SEPARATOR.join([f"{clock(elapsed_s)}: {parts[0]}", *parts[1:]])
 
 
-def left_s(jobs: Sequence[Job], n_jobs: int) -> float:
-    """Return the estimated seconds until all jobs are done.
+def expected_s(jobs: Sequence[Job]) -> float | None:
+    """Return how long a job is expected to take, s; None as long as nothing is known.
 
-    Each job takes as long as the mean of the finished ones, or longer if it reports so.
+    That is the mean of the finished ones, without those that had nothing left to do. Before the first is finished, it
+    is the mean of what the running ones report of their present stage.
     """
-    done = [job for job in jobs if job.code is not None]
-    each_s = sum(job.elapsed_s for job in done) / len(done)
+    ages_s = [job.age_s for job in jobs if job.running]
+    finished_s = [job.elapsed_s for job in jobs if job.code is not None]
+    worked_s = [seconds for seconds in finished_s if seconds >= RESTED * max([*finished_s, *ages_s])]
+    if worked_s:
+        return sum(worked_s) / len(worked_s)
+    reports = [(job.age_s, job.status) for job in jobs if job.running and not job.waiting]
+    guesses_s = [age_s + status.left_s for age_s, status in reports if status is not None and status.left_s is not None]
+    return sum(guesses_s) / len(guesses_s) if guesses_s else None
+
+
+def left_s(jobs: Sequence[Job], n_jobs: int) -> float | None:
+    """Return the estimated seconds until all jobs are done; None as long as nothing is known.
+
+    Each job takes as long as `expected_s`, or longer if it reports so.
+    """
+    each_s = expected_s(jobs)
+    if each_s is None:
+        return None
     reports = [(job, job.status) for job in jobs if job.running]
     running = [max(each_s - job.age_s, (status and status.left_s) or 0.0) for job, status in reports]
     pending_s = each_s * sum(job.process is None for job in jobs)
