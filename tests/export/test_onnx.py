@@ -1,10 +1,12 @@
 """Replacements of operators that ONNX lacks compute the same values."""
 
+import logging
+
 import pytest
 import torch
 from torch.nn import functional as F
 
-from omniocc.export.onnx import convolution3d, embedding_bag
+from omniocc.export.onnx import convolution3d, embedding_bag, without_notices
 
 
 @pytest.mark.parametrize(
@@ -24,3 +26,12 @@ def test_convolution_without_bias():
     volume, weight = torch.randn(1, 2, 4, 5, 6), torch.randn(3, 2, 3, 3, 3)
     found = convolution3d(volume, weight, None, [1, 1, 1], [1, 0, 1], [1, 1, 1], 1)
     torch.testing.assert_close(found, F.conv3d(volume, weight, padding=(1, 0, 1)))
+
+
+def test_notices_of_the_exporting_libraries_are_silent_for_the_time_of_the_export(caplog):
+    logger = logging.getLogger("onnx_ir")
+    with without_notices():
+        logger.warning("Attribute type is ambiguous")
+        logger.error("this counts")
+    logger.warning("afterwards")
+    assert [record.message for record in caplog.records] == ["this counts", "afterwards"]

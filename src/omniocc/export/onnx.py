@@ -1,5 +1,9 @@
 """Convert an exported program to ONNX."""
 
+import logging
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import torch
@@ -21,13 +25,30 @@ def onnx_bytes(program: ExportedProgram, inputs: list[str], outputs: list[str]) 
         raise UserError("ONNX needs more packages: pip install --editable '.[export]'; .pt2 does not") from error
     program = program.run_decompositions(DECOMPOSITIONS)
     try:
-        written = torch.onnx.export(program, dynamo=True, input_names=inputs, output_names=outputs, verbose=False)
+        with without_notices():
+            written = torch.onnx.export(program, dynamo=True, input_names=inputs, output_names=outputs, verbose=False)
     except torch.onnx.OnnxExporterError as error:
         raise UserError(f"ONNX lacks an operator: {str(error).splitlines()[0]}") from error
     assert written is not None
     model = written.model_proto
     use_float32_arctangents(model)
     return model.SerializeToString()
+
+
+@contextmanager
+def without_notices() -> Iterator[None]:
+    """Silence what the exporting libraries print below an error: a line for every empty list, and missing torchvision."""
+    loggers = [logging.getLogger(name) for name in ("onnx_ir", "onnxscript", "torch.onnx")]
+    levels = [logger.level for logger in loggers]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)
+        try:
+            for logger in loggers:
+                logger.setLevel(logging.ERROR)
+            yield
+        finally:
+            for logger, level in zip(loggers, levels, strict=True):
+                logger.setLevel(level)
 
 
 def use_float32_arctangents(model: Any) -> None:
