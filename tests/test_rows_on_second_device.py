@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 from scripts import run_script
 
-ROWS = sorted(path.stem for path in (Path(__file__).parents[1] / "conf" / "ablation").glob("*.yaml"))
+FOLDER = Path(__file__).parents[1] / "conf" / "ablation"
+ROWS = sorted(path.relative_to(FOLDER).with_suffix("").as_posix() for path in FOLDER.rglob("*.yaml"))
 OPTIONS = ["preset=smoke", "data.num_workers=0", "logger.mode=disabled", "test_images=1"]
 
 
@@ -17,5 +18,5 @@ def test_a_row_trains_and_is_tested_there(row, data_root, tmp_path):
     options = [*OPTIONS, f"+ablation={row}", f"paths.data={data_root}"]
     done = run_script("../tests/train_on_second_device.py", *options, cwd=tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
-    (path,) = tmp_path.glob(f"runs/{row}-*/metrics.json")
+    (path,) = tmp_path.glob(f"runs/{Path(row).name}-*/metrics.json")
     assert json.loads(path.read_text())["metrics"]["label/rayiou"] == 1.0

@@ -3,6 +3,7 @@
 import itertools
 import json
 import shutil
+from dataclasses import replace
 
 import fsspec
 import pytest
@@ -153,3 +154,20 @@ def test_a_damaged_scene_is_named(root):
     path.write_text(path.read_text().replace("Roadline", "Roadlime"))
     with pytest.raises(DataError, match=r"val-000-downtown.*checksum"):
         Recorded(str(root), PATTERNS).prepare()
+
+
+def test_masks_of_a_rig_file_replace_the_recorded_ones(root, tmp_path):
+    plain = Recorded(str(root), PATTERNS)
+    rig = plain.scenes("train")[0].rig
+    pixels = torch.ones(rig.cameras[0].height, rig.cameras[0].width, dtype=torch.bool)
+    pixels[-1] = False
+    replace(rig, masks=(pixels,) * len(rig.cameras)).save(tmp_path / "masked.yaml")
+    masked = Recorded(str(root), PATTERNS, masks=str(tmp_path / "masked.yaml"))
+    assert masked.fingerprint != plain.fingerprint
+    assert masked.folder == plain.folder
+    for one in masked.scenes("test")[0].rigs:
+        assert all(torch.equal(mask, pixels) for mask in one.masks)
+    Rig.load("pinhole6").save(tmp_path / "other.yaml")
+    other = Recorded(str(root), PATTERNS, masks=str(tmp_path / "other.yaml"))
+    with pytest.raises(DataError, match="its cameras are not those of the rig with masks"):
+        other.scenes("train")[0].rig  # noqa: B018

@@ -9,6 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from omniocc.camera import Rig
 from omniocc.data.labels.voxels import VoxelCache
 from omniocc.data.recording.pool import usable_cores
 from omniocc.data.recording.spec import plain_spec, read_spec
@@ -34,12 +35,16 @@ class Recorded:
             scenes. None reads the same from the file `splits.json` in `root`. An empty list is a split without scenes.
         workers: processes that vote for voxels; 0 votes in this process, None takes all usable cores.
         cache: folder for derived data (voxels); None puts it into `root`. A URL as root needs one.
+        masks: rig file with the masks of all scenes, as `src/mask.py` writes it; None keeps those that were recorded.
 
     Raises:
-        ValueError: if a URL comes without a cache, or `workers` is negative.
+        ValueError: if a URL comes without a cache, `workers` is negative, or `masks` is no rig file.
     """
 
-    def __init__(self, root: str, splits: Splits | None = None, workers: int | None = None, cache: str | None = None):
+    def __init__(
+        self, root: str, splits: Splits | None = None, workers: int | None = None, cache: str | None = None,
+        masks: str | None = None,
+    ):  # fmt: skip
         if is_url(root) and cache is None:
             raise ValueError(f"root is a URL ({root}): set cache to a local folder, where voxels are kept")
         if workers is not None and workers < 0:
@@ -47,6 +52,7 @@ class Recorded:
         self.root = root.rstrip("/")
         self.cache = cache
         self.splits = splits
+        self.masked = None if masks is None else Rig.load(masks)
         self.workers = usable_cores() if workers is None else workers
 
     @cached_property
@@ -74,8 +80,9 @@ class Recorded:
 
     @property
     def fingerprint(self) -> str:
-        """Return a hash of the splits and of the checksums of all files."""
-        return digest([self.names, self._checksums])
+        """Return a hash of the splits, of the checksums of all files, and of other masks than the recorded ones."""
+        masks = [] if self.masked is None else [self.masked.fingerprint]
+        return digest([self.names, self._checksums, *masks])
 
     @property
     def folder(self) -> Path:
@@ -106,7 +113,7 @@ class Recorded:
     def scenes(self, split: Split) -> list[SceneReader]:
         """Return the scenes of a split, in order of their names."""
         locate = f"{self.root}/{{}}".format if is_url(self.root) else Path(self.root).joinpath
-        return [SceneReader(locate(name)) for name in self.names[split]]
+        return [SceneReader(locate(name), self.masked) for name in self.names[split]]
 
     @cached_property
     def _readers(self) -> list[SceneReader]:

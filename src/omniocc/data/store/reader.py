@@ -1,5 +1,6 @@
 """Recorded scenes: the decoded arrays of any frame."""
 
+from dataclasses import replace
 from functools import cache, cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -11,6 +12,7 @@ from omniocc.data.source import LidarScan, Points
 from omniocc.data.store.codec import decode_image, decode_lidar, decode_points, decode_range
 from omniocc.data.store.folder import SceneFolder
 from omniocc.data.store.raster import unpack
+from omniocc.errors import DataError
 from omniocc.geometry.directions import sparseocc_directions
 
 _RIGS: dict[tuple[str, ...], Rig] = {}
@@ -22,7 +24,16 @@ def _lidar_directions() -> np.ndarray:
 
 
 class SceneReader(SceneFolder):
-    """A recorded scene (`omniocc.data.source.SceneFrames`); the LiDAR's rays are those of `sparseocc_directions`."""
+    """A recorded scene (`omniocc.data.source.SceneFrames`); the LiDAR's rays are those of `sparseocc_directions`.
+
+    Args:
+        folder: as in `SceneFolder`.
+        masked: rig whose masks are used instead of the recorded ones; None keeps these.
+    """
+
+    def __init__(self, folder: Path | str, masked: Rig | None = None):
+        super().__init__(folder)
+        self.masked = masked
 
     @property
     def world_from_ego(self) -> np.ndarray:
@@ -40,7 +51,21 @@ class SceneReader(SceneFolder):
 
     @cached_property
     def rig(self) -> Rig:
-        """Return the cameras that recorded the scene; scenes with equal files share one object."""
+        """Return the cameras that recorded the scene; scenes with equal files share one object.
+
+        Raises:
+            DataError: when other masks are to be used, and their rig has other cameras.
+        """
+        if self.masked is None:
+            return self._recorded_rig
+        if replace(self.masked, masks=None) != replace(self._recorded_rig, masks=None):
+            raise DataError(
+                f"{self.folder}: its cameras are not those of the rig with masks; make masks of its own rig"
+            )
+        return self.masked
+
+    @cached_property
+    def _recorded_rig(self) -> Rig:
         names = sorted({"rig.yaml", *(name for name in self.meta["files"] if name.startswith("rig."))})
         contents = [self.checked(name) for name in names]
         key = tuple(self.meta["files"][name]["sha256"] for name in names)
