@@ -4,6 +4,7 @@ from dataclasses import replace
 from functools import cache, cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 
@@ -34,6 +35,9 @@ class SceneReader(SceneFolder):
     def __init__(self, folder: Path | str, masked: Rig | None = None):
         super().__init__(folder)
         self.masked = masked
+
+    def __getstate__(self) -> dict[str, Any]:
+        return super().__getstate__() | {"masked": self.masked}
 
     @property
     def world_from_ego(self) -> np.ndarray:
