@@ -12,7 +12,7 @@ from omniocc.run.folder import short_hash
 from omniocc.run.slots import sketch_learns
 
 STAGES = ("depth", "sketch", "occupancy")
-VERSIONS = {"depth": 3, "sketch": 1, "candidates": 1}
+VERSIONS = {"depth": 4, "sketch": 1, "candidates": 1}
 """Versions in the hashes: increase one when the same configuration gives other results."""
 
 OVERRULED = ("max_steps", "max_epochs", "check_val_every_n_epoch", "strategy", "accelerator")

@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -34,7 +35,7 @@ def true_range_m(panorama, radius_m):
 
 @pytest.mark.parametrize("radius_m", [3.0, 6.0])
 def test_the_wall_of_a_round_room_is_found(radius_m, small):
-    rig = Rig.load("fisheye6").resized(256, 144)
+    rig = replace(Rig.load("fisheye6").resized(256, 144), masks=None)  # no car stands in the room
     sweep = small("Sweep", width=96, height=24, spheres=24, min_range_m=1.6, window_px=5)
     depth = sweep(wall_images(rig, radius_m), (rig,))
     true_m = true_range_m(sweep.panorama, radius_m)[None]

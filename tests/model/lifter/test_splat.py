@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -10,6 +11,18 @@ from omniocc.model.lifter.lift_splat import bin_points, find_entries, splat
 CPU = torch.device("cpu")
 RANGES_M = (1.0, 3.0, 5.5, 9.0)
 GRIDS = [Cylinder((4, 7, 3), (0.0, 6.0), (-3.0, 3.0)), Cuboid((5, 4, 3), (-6.0, 6.0), (-4.0, 5.0), (-3.0, 3.0))]
+
+
+@pytest.fixture
+def fisheye(fisheye):
+    """Return the rig without the masks of its own car, which the loops do not know."""
+    return replace(fisheye, masks=None)
+
+
+@pytest.fixture
+def pinhole(pinhole):
+    """Return the rig without the masks of its own car, which the loops do not know."""
+    return replace(pinhole, masks=None)
 
 
 def cell_by_hand(grid, point):

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -40,8 +42,10 @@ def test_impossible_spheres_are_refused(count, range_m):
 
 
 def test_nearest_sphere_is_where_two_cameras_begin_to_see_nearly_everything():
-    rig = Rig.load("fisheye6").resized(256, 144)
+    masked = Rig.load("fisheye6").resized(256, 144)
+    rig = replace(masked, masks=None)
     nearest_m = nearest_range_m(rig, PANORAMA)
+    assert nearest_range_m(masked, PANORAMA) == nearest_m
     assert 1.4 < nearest_m < 1.7
 
     def shared(range_m):

@@ -1,6 +1,6 @@
 """Spheres around the ego origin at equal steps of inverse range, and the radius of the nearest."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
@@ -63,8 +63,10 @@ def nearest_range_m(rig: Rig, panorama: Equirectangular) -> float:
 
     It is the smallest range, between 1 and 3 times the distance of the outermost camera from the origin, at which two
     cameras see 90 % of the directions that any camera sees; twice that distance where there is no such range, because
-    fields of view hardly overlap (six pinhole cameras). It is never under 0.5 m.
+    fields of view hardly overlap (six pinhole cameras). It is never under 0.5 m. Masks do not count: the own car hides
+    directions below the horizon at every range.
     """
+    rig = replace(rig, masks=None)
     outermost_m = float(rig.ego_from_camera[:, :3, 3].norm(dim=-1).max())
     rays = panorama.resized(128, 32).rays().double()
     nearest_m = 2 * outermost_m
