@@ -35,6 +35,7 @@ from omniocc.world.frame import Frame
 ROOT = Path(__file__).parents[2]
 RIG = Rig.load("fisheye6").resized(64, 36)
 FRAMES = [f"{k:06d}" for k in range(5)]
+MASKS = sorted(f"rig.{name}.png" for name in RIG.names)
 QUICK = ("overview=false", "mesh=false")
 pytestmark = [
     pytest.mark.filterwarnings("ignore:voxels are voted anew"),
@@ -83,9 +84,10 @@ def scene(tmp_path_factory, spec) -> Path:
 
 @pytest.fixture(scope="module")
 def checkpoint(tmp_path_factory, smoke, spec) -> Path:
-    """Return a checkpoint with initial weights."""
+    """Return a checkpoint with random weights that predict many classes."""
     torch.manual_seed(3)
     task = build_task(smoke(), spec)
+    torch.nn.init.normal_(task.model.classifier.linear.weight)
     path = tmp_path_factory.mktemp("run") / "best.ckpt"
     torch.save({STAGE: "occupancy", CONFIG: plain(smoke()), "state_dict": task.state_dict()}, path)
     return path
@@ -110,7 +112,7 @@ def evaluated(scene, checkpoint, spec):
 def images(scene, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("images") / "sequence"
     export([str(scene), str(folder)])
-    assert sorted(path.name for path in folder.iterdir()) == [*FRAMES, "poses.csv", "rig.yaml"]
+    assert sorted(path.name for path in folder.iterdir()) == [*FRAMES, "poses.csv", *MASKS, "rig.yaml"]
     return folder
 
 
@@ -237,7 +239,7 @@ def test_a_rig_whose_origin_lies_elsewhere(evaluated, images, checkpoint, tmp_pa
     """Move the origin of the same car's files 1.7 m down, to half a metre above the road."""
     poses = RIG.ego_from_camera.clone()
     poses[:, 2, 3] += 1.7
-    Rig(RIG.cameras, poses, RIG.names).save(tmp_path / "low.yaml")
+    Rig(RIG.cameras, poses, RIG.names, RIG.masks).save(tmp_path / "low.yaml")
     lower = torch.eye(4, dtype=torch.float64)
     lower[2, 3] = -1.7
     world_from_low = read_poses(images / "poses.csv", FRAMES) @ lower

@@ -18,7 +18,7 @@ from omniocc.data.source import LidarScan, SceneFrames
 from omniocc.data.store.codec import STEPS_PER_M
 from omniocc.geometry import Grid
 
-OBSERVED_VERSION = 1
+OBSERVED_VERSION = 2
 """Raise it when the same recording would give another mask."""
 
 PIXEL_STEP = 4
@@ -55,8 +55,8 @@ def observed(scene: SceneFrames, frame: int, geometry: Grid) -> UInt8[Tensor, "X
     if scan is not None:
         mask |= _lidar_sight(geometry, scan).crossed(torch.from_numpy(scan.range_m), num_cells)
     for camera, pixels_m in enumerate(scene.camera_range_m(frame) or ()):
-        range_m = torch.from_numpy(pixels_m[_PIXELS].ravel())
-        mask |= _camera_sight(geometry, scene.rigs[frame], camera).crossed(range_m, num_cells)
+        sight, valid = _camera_sight(geometry, scene.rigs[frame], camera)
+        mask |= sight.crossed(torch.from_numpy(pixels_m[_PIXELS].ravel()).where(valid, torch.nan), num_cells)
     if points is not None:
         cells, inside = geometry.flat_index(torch.from_numpy(points.points_m))
         mask[cells[inside]] = True
@@ -64,11 +64,12 @@ def observed(scene: SceneFrames, frame: int, geometry: Grid) -> UInt8[Tensor, "X
 
 
 @functools.lru_cache(maxsize=16)
-def _camera_sight(geometry: Grid, rig: Rig, camera: int) -> Sight:
+def _camera_sight(geometry: Grid, rig: Rig, camera: int) -> tuple[Sight, Bool[Tensor, " R"]]:
+    """Return the cells along the rays of some pixels, and the pixels that lens and mask allow."""
     rays, valid = rig.rays(camera)
     rays = torch.where(valid.unsqueeze(-1), rays, rays.new_tensor([0.0, 0.0, 1.0]))[_PIXELS].reshape(-1, 3)
     pose = torch.as_tensor(rig.ego_from_camera)[camera]
-    return _sight(geometry, pose[:3, 3].to(rays).expand_as(rays), rays)
+    return _sight(geometry, pose[:3, 3].to(rays).expand_as(rays), rays), valid[_PIXELS].flatten()
 
 
 _lidar_sights: dict[tuple[Grid, bytes], Sight] = {}

@@ -53,7 +53,8 @@ def find_frames(images: str | Sequence[str], rig: Rig, excluded: Sequence[str] =
         hint = "; give a folder, or a list with one image per camera: images=[a.png,b.png]" * folder.exists()
         raise UserError(f"images={images}: there is no such folder{hint}")
     frames = sorted((path for path in folder.iterdir() if path.is_dir() and _image_files(path)), key=_natural_order)
-    if _image_files(folder) or not frames:
+    of_cameras = any(path.stem in rig.names for path in _image_files(folder))  # others may be masks of the rig
+    if of_cameras or not frames:
         return [Frame("", _named(folder, rig, excluded))]
     return [Frame(frame.name, _named(frame, rig, excluded)) for frame in frames]
 
