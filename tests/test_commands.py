@@ -86,6 +86,14 @@ def test_the_sweep_has_a_job_that_passes_the_check_for_every_row_and_seed(compos
         assert (cfg.name, cfg.seed) == (row, 2)
 
 
+@pytest.mark.parametrize("path", sorted((ROOT / "conf" / "ablation").glob("*/*.yaml")), ids=lambda path: path.stem)
+def test_rows_beyond_the_paper_and_tried_changes_pass_the_check(path, composed):
+    cfg = composed(f"+ablation={path.parent.name}/{path.stem}")
+    check_root(cfg)
+    assert cfg.name == (f"tried_{path.stem}" if path.parent.name == "tried" else path.stem)
+    assert f"+ablation={path.parent.name}/{path.stem}\n" in path.read_text()
+
+
 @pytest.mark.parametrize(("line", "called"), MAKE.items())
 def test_make_calls_the_same_commands(line, called, checkout):
     result = shell(line.replace("make", "make -n --no-print-directory", 1), checkout)
