@@ -12,6 +12,7 @@ SIZES = {
     "OmniMVS": {
         "loss": depth.SphereLoss(**LOSS),
         "feature_channels": [8, 8],
+        "feature_stride": 2,
         "match_channels": 4,
         "groups": 2,
         "context_channels": 4,

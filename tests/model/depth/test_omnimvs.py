@@ -20,11 +20,13 @@ def test_turning_the_car_by_one_camera_turns_the_panorama(name, stride, small, m
     assert not torch.allclose(turned, logits, atol=0.1)
 
 
-@pytest.mark.parametrize("name", ["OmniMVS", "OmniMVS3D"])
-def test_the_mirrored_world(name, small, make_ring):
+@pytest.mark.parametrize(
+    ("name", "changes"), [("OmniMVS", {}), ("OmniMVS", {"feature_stride": 1}), ("OmniMVS3D", {})]
+)
+def test_the_mirrored_world(name, changes, small, make_ring):
     # a rig of even symmetry: mirroring images and the order of cameras mirrors the world
     rig = make_ring(6)
-    model = small(name).eval()
+    model = small(name, **changes).eval()
     torch.manual_seed(0)
     images = torch.rand(1, 6, 3, 36, 64)
     mirrored = images.flip(-1)[:, [0, 5, 4, 3, 2, 1]]
@@ -93,6 +95,7 @@ def test_uncertain_answers_are_not_valid(small, rig):
     [
         ({"groups": 3}, "4 match_channels.* 3"),
         ({"sweep_stride": 3}, "sweep_stride is 3"),
+        ({"feature_stride": 3}, "stride of the features is 3"),
         ({"width": 46}, "46x12 px.*multiples of 4"),
     ],
 )

@@ -33,6 +33,7 @@ class OmniMVS(SphereNet):
 
     Args:
         feature_channels: per level of the feature network, finest (half the image size) first; multiples of 8.
+        feature_stride: image pixels per feature along each side, 1 or 2.
         match_channels: features that are compared.
         groups: correlations per sphere, a divisor of `match_channels`.
         context_channels: features that are passed on without comparison.
@@ -51,6 +52,7 @@ class OmniMVS(SphereNet):
         spheres: SphereRange,
         loss: SphereLoss,
         feature_channels: list[int],
+        feature_stride: int,
         match_channels: int,
         groups: int,
         context_channels: int,
@@ -75,7 +77,7 @@ class OmniMVS(SphereNet):
             )
         self.match_channels, self.groups, self.sweep_stride = match_channels, groups, sweep_stride
         self.swept = panorama.resized(width // sweep_stride, height // sweep_stride)
-        self.features = FeatureNet(feature_channels, match_channels + context_channels)
+        self.features = FeatureNet(feature_channels, match_channels + context_channels, stride=feature_stride)
         compared = groups * spheres.count
         inputs = compared + 2 * len(CONTEXT_SPHERES) * context_channels + 3
         self.stem = nn.Conv2d(inputs, channels[0], 2 // sweep_stride, stride=2 // sweep_stride)

@@ -76,7 +76,7 @@ def _blocks(channels: int, count: int, wrap: bool) -> nn.Sequential:
 
 
 class FeatureNet(nn.Module):
-    """Extract features at half the size of the images, by one network for all cameras.
+    """Extract features at half or all of the size of the images, by one network for all cameras.
 
     The stem covers 4x4 px around the centre of every 2x2 block, so that features are exactly at their `grid_sample`
     coordinates, and mirrored images give mirrored features.
@@ -84,14 +84,21 @@ class FeatureNet(nn.Module):
     Args:
         channels: of each level, finest first, the first at half the image size; multiples of 8.
         extra_channels: of input maps besides the colours.
+        stride: image pixels per feature along each side, 1 or 2; at 1 each pixel of the finest level gives four.
+
+    Raises:
+        ValueError: for another stride.
     """
 
-    def __init__(self, channels: list[int], out_channels: int, extra_channels: int = 0):
+    def __init__(self, channels: list[int], out_channels: int, extra_channels: int = 0, stride: int = STRIDE):
         super().__init__()
+        if stride not in (1, STRIDE):
+            raise ValueError(f"the stride of the features is {stride}; it must be 1 or {STRIDE}")
+        self.enlarge = nn.PixelShuffle(STRIDE) if stride == 1 else nn.Identity()
         self.stem = nn.Conv2d(3 + extra_channels, channels[0], 4, stride=STRIDE, padding=1, bias=False)
         self.norm = group_norm(channels[0])
         self.net = UNet2d(channels, blocks=1, wrap=False)
-        self.out = nn.Conv2d(channels[0], out_channels, 1)
+        self.out = nn.Conv2d(channels[0], out_channels * (STRIDE // stride) ** 2, 1)
 
     def forward(
         self, images: Float[Tensor, "B N 3 H W"], extra: Float[Tensor, "B N E H W"] | None = None
@@ -103,7 +110,7 @@ class FeatureNet(nn.Module):
         inputs = colors if extra is None else torch.cat([colors, extra], 2)
         flat = inputs.flatten(0, 1).contiguous(memory_format=torch.channels_last)
         maps = self.net(torch.relu(self.norm(self.stem(flat))))
-        return self.out(maps).unflatten(0, images.shape[:2])
+        return self.enlarge(self.out(maps)).unflatten(0, images.shape[:2])
 
 
 def window_argmax(
