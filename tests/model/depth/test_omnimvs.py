@@ -20,9 +20,7 @@ def test_turning_the_car_by_one_camera_turns_the_panorama(name, stride, small, m
     assert not torch.allclose(turned, logits, atol=0.1)
 
 
-@pytest.mark.parametrize(
-    ("name", "changes"), [("OmniMVS", {}), ("OmniMVS", {"feature_stride": 1}), ("OmniMVS3D", {})]
-)
+@pytest.mark.parametrize(("name", "changes"), [("OmniMVS", {}), ("OmniMVS", {"feature_stride": 1}), ("OmniMVS3D", {})])
 def test_the_mirrored_world(name, changes, small, make_ring):
     # a rig of even symmetry: mirroring images and the order of cameras mirrors the world
     rig = make_ring(6)
