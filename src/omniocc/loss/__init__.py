@@ -2,6 +2,7 @@
 
 from omniocc.loss.cross_entropy import CrossEntropy
 from omniocc.loss.dice import Dice
+from omniocc.loss.first_hit import FirstHit, SoftRayIoU
 from omniocc.loss.lovasz import Lovasz
 from omniocc.loss.range_bins import RangeBins
 from omniocc.loss.scal import Scal
@@ -9,4 +10,15 @@ from omniocc.loss.semantics import Semantics
 from omniocc.loss.silog import SILog
 from omniocc.loss.total import Total
 
-__all__ = ["CrossEntropy", "Dice", "Lovasz", "RangeBins", "SILog", "Scal", "Semantics", "Total"]
+__all__ = [
+    "CrossEntropy",
+    "Dice",
+    "FirstHit",
+    "Lovasz",
+    "RangeBins",
+    "SILog",
+    "Scal",
+    "Semantics",
+    "SoftRayIoU",
+    "Total",
+]
