@@ -10,9 +10,7 @@ from omniocc.loss.first_hit import LEAST, RayCells, first_hits
 from omniocc.metric import RayIoU
 
 WITHIN_M = (1.0, 2.0, 4.0)
-LINE = RayCells(
-    torch.tensor([[0, 1, 2, 4]]), torch.tensor([[0.0, 1.0, 2.0, math.inf]])
-)  # of four cells three, in a row
+LINE = RayCells(torch.tensor([[0, 1, 2, 4]]), torch.tensor([[0.0, 1.0, 2.0, math.inf]]))  # three of four cells
 
 
 def logits_of(rows):

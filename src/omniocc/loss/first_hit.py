@@ -1,4 +1,4 @@
-"""Losses of the first hits of rays, which RayIoU scores: differentiable in the probabilities of all voxels on the way."""
+"""Losses of the first hits of rays, which RayIoU scores, as functions of the probabilities of all voxels on the way."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
