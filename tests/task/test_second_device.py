@@ -54,7 +54,9 @@ def train_and_test(task, samples=((0, 1), (1, 2))) -> None:
     assert all(torch.isfinite(value) or value.isnan() for value in task.scores.compute().values())
 
 
-@pytest.mark.parametrize("option", [*OPTIONS, "loss=with_ranges model=bevdet", "model=extended"])
+@pytest.mark.parametrize(
+    "option", [*OPTIONS, "loss=with_ranges model=bevdet", "loss=with_first_hits", "model=extended"]
+)
 def test_every_option_trains_and_is_scored_there(option, make_task, device):
     sketch = [] if option.startswith(("model/sketch", "model=extended")) else ["model/sketch=dense"]
     task = make_task(*sketch, *option.split())
