@@ -19,7 +19,7 @@ from omniocc.run.cost import PEAK, cost_of, peak_mib
 from omniocc.run.distributed import is_first
 from omniocc.run.folder import IMAGES, RunFolder, command_line, git_commit, given_checkpoint, open_run, run_hash
 from omniocc.run.memory import keep_freed_memory
-from omniocc.run.plan import plan_line
+from omniocc.run.plan import plan_line, validation_times
 from omniocc.run.results import CANDIDATES, load_results, save_results, show_results
 from omniocc.run.script import quiet_libraries, script
 from omniocc.run.slots import sketch_learns
@@ -84,6 +84,7 @@ def train_occupancy(
     files = build(cfg.logger).build(run.path, config, "occupancy")
     trainer = build(
         cfg.trainer,
+        **validation_times(cfg.trainer),
         callbacks=callbacks(cfg, run, title, data.source.spec.classes),
         plugins=[AtomicCheckpointIO()],
         logger=files,

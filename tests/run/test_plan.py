@@ -1,6 +1,6 @@
 import pytest
 
-from omniocc.run.plan import plan_line
+from omniocc.run.plan import plan_line, validation_times
 
 
 @pytest.mark.parametrize(
@@ -16,3 +16,20 @@ from omniocc.run.plan import plan_line
 )
 def test_steps_samples_and_epochs(arguments, line):
     assert plan_line(*arguments) == line
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({}, {"check_val_every_n_epoch": None, "val_check_interval": 200}),
+        ({"accumulate_grad_batches": 4}, {"check_val_every_n_epoch": None, "val_check_interval": 800}),
+        ({"max_steps": 12}, {"check_val_every_n_epoch": None, "val_check_interval": 3}),
+        ({"max_steps": 7}, {"check_val_every_n_epoch": None, "val_check_interval": 7}),
+        ({"max_steps": -1, "max_epochs": 40}, {"check_val_every_n_epoch": 1}),
+        ({"max_epochs": 2}, {"check_val_every_n_epoch": 1}),
+        ({"check_val_every_n_epoch": 3}, {"check_val_every_n_epoch": 3}),
+    ],
+)
+def test_the_end_of_training_is_validated(changes, expected):
+    plain = {"max_steps": 1000, "max_epochs": None, "accumulate_grad_batches": 1, "check_val_every_n_epoch": None}
+    assert validation_times(plain | changes) == expected

@@ -1,6 +1,11 @@
-"""How much training a stage asks for, in words, before it starts."""
+"""How much training a stage asks for, in words, before it starts, and when it is validated."""
 
 import math
+from collections.abc import Mapping
+from typing import Any
+
+VALIDATIONS = 5
+"""Most of a training that is limited by steps."""
 
 
 def plan_line(
@@ -27,3 +32,17 @@ def plan_line(
     parts += [f"{accumulated} batches"] if accumulated > 1 else []
     together = " x ".join(parts)
     return f"{steps} steps of {together} samples: {steps * samples / max(1, frames):.1f} epochs of {frames} frames"
+
+
+def validation_times(trainer: Mapping[str, Any]) -> dict[str, int | None]:
+    """Return the arguments of the trainer that say when to validate, so that the last time is the end of training.
+
+    `check_val_every_n_epoch` of the configuration is kept. Where it is null, a training that is limited by epochs is
+    validated after each, and one that is limited by steps up to five times at equal distances.
+    """
+    epochs, steps = trainer["check_val_every_n_epoch"], trainer["max_steps"]
+    if epochs is not None or trainer["max_epochs"] not in (None, -1) or steps < 1:
+        return {"check_val_every_n_epoch": epochs or 1}
+    times = max(count for count in range(1, VALIDATIONS + 1) if steps % count == 0)
+    interval = steps // times * trainer["accumulate_grad_batches"]  # batches
+    return {"check_val_every_n_epoch": None, "val_check_interval": interval}
