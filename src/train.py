@@ -9,9 +9,10 @@ from lightning.pytorch import Trainer, seed_everything
 from lightning.pytorch.callbacks import Callback, ModelCheckpoint
 from omegaconf import DictConfig, OmegaConf
 
+from omniocc.camera import Rig
 from omniocc.classes import FREE, ClassTable
 from omniocc.config import build, check_root, plain
-from omniocc.data import Needs, OccupancyData
+from omniocc.data import Needs, OccupancyData, SourceSpec
 from omniocc.io import atomic_write
 from omniocc.model.occupancy import to_unit_range
 from omniocc.run.checkpoint_io import BEST, LAST, AtomicCheckpointIO
@@ -19,7 +20,7 @@ from omniocc.run.cost import PEAK, cost_of, peak_mib
 from omniocc.run.distributed import is_first
 from omniocc.run.folder import IMAGES, RunFolder, command_line, git_commit, given_checkpoint, open_run, run_hash
 from omniocc.run.memory import keep_freed_memory
-from omniocc.run.plan import plan_line, validation_times
+from omniocc.run.plan import hours_line, plan_line, planned_steps, validation_times
 from omniocc.run.results import CANDIDATES, load_results, save_results, show_results
 from omniocc.run.script import quiet_libraries, script
 from omniocc.run.slots import sketch_learns
@@ -29,6 +30,7 @@ from omniocc.task.build import build_task
 from omniocc.task.images import OccupancyImages
 from omniocc.task.stage_keys import wanted_stages
 from omniocc.task.stages import Stages
+from omniocc.task.step_time import planned_scenes, step_seconds
 
 
 @script("train")
@@ -44,6 +46,10 @@ def main(cfg: DictConfig) -> None:
         # mistakes in the last stage are reported before the earlier stages are trained
         given_checkpoint(cfg.resume)
         with_evidence = build_task(cfg, data.source.spec).model.uses_evidence
+    if cfg.plan:
+        rig, frames = planned_scenes(data.source)
+        announce_plan(cfg, stages, frames, (rig, data.source.spec))
+        return
     data.prepare_data()
     earlier = Stages(cfg, data, with_evidence) if sketch_learns(cfg) else None
     if is_first():
@@ -146,15 +152,24 @@ def callbacks(cfg: DictConfig, run: RunFolder, title: str, classes: ClassTable) 
     ]
 
 
-def announce_plan(cfg: DictConfig, stages: Sequence[str], frames: int) -> None:
-    """Print how many steps, samples and epochs each stage takes; those that are finished are included."""
+def announce_plan(
+    cfg: DictConfig, stages: Sequence[str], frames: int, hours: tuple[Rig, SourceSpec] | None = None
+) -> None:
+    """Print how many steps, samples and epochs each stage takes; those that are finished are included.
+
+    `hours` are the source's rig and classes, with which the duration is measured as well.
+    """
     trainer: Trainer = build(cfg.trainer, logger=False, enable_checkpointing=False)
     devices = trainer.num_devices * trainer.num_nodes
     for stage in stages:
         length = cfg.trainer if stage == "occupancy" else cfg.stages[stage]
         size = cfg.data.batch_size if stage == "occupancy" else length.batch_size
-        limits = length.max_steps, length.max_epochs
-        print(f"{stage:10}{plan_line(*limits, frames, size, devices, trainer.accumulate_grad_batches)}", flush=True)
+        batches = trainer.accumulate_grad_batches
+        amount = length.max_steps, length.max_epochs, frames, size, devices, batches
+        print(f"{stage:10}{plan_line(*amount)}", flush=True)
+        if hours is not None:
+            step_s = batches * step_seconds(cfg, stage, *hours, trainer.strategy.root_device)
+            print(f"{'':10}{hours_line(planned_steps(*amount), step_s)}", flush=True)
 
 
 def announce(run: RunFolder, task: OccupancyTask, data: OccupancyData) -> None:

@@ -72,6 +72,7 @@ ROOT: dict[str, Any] = {
     "test_images": int,
     "ema_decay": float | None,
     "packages": list[str],
+    "plan": bool,
 }
 """The plain keys at the root of `train.yaml`, besides the groups, and their types."""
 GROUPS = ("preset", "stages", "depth", "model", "data", "loss", "optimizer", "augment", "trainer", "logger", "paths")

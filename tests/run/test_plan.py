@@ -1,6 +1,6 @@
 import pytest
 
-from omniocc.run.plan import plan_line, validation_times
+from omniocc.run.plan import hours_line, plan_line, planned_steps, validation_times
 
 
 @pytest.mark.parametrize(
@@ -16,6 +16,14 @@ from omniocc.run.plan import plan_line, validation_times
 )
 def test_steps_samples_and_epochs(arguments, line):
     assert plan_line(*arguments) == line
+    steps = planned_steps(*arguments)
+    assert line.startswith("without end" if steps is None else f"{steps} steps")
+
+
+def test_hours():
+    assert hours_line(1000, 0.35) == "0.35 s a step: 5:50 min"
+    assert hours_line(1_728_000, 0.5) == "0.50 s a step: 10.0 days"
+    assert hours_line(None, 0.5) == "0.50 s a step: without end"
 
 
 @pytest.mark.parametrize(

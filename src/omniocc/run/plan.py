@@ -4,14 +4,16 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from omniocc.progress import clock
+
 VALIDATIONS = 5
 """Most of a training that is limited by steps."""
 
 
-def plan_line(
+def planned_steps(
     max_steps: int, max_epochs: int | None, frames: int, batch_size: int, devices: int, accumulated: int
-) -> str:
-    """Return steps, samples and epochs of a training, for example `1000 steps of 2 samples: 5.0 epochs of 400 frames`.
+) -> int | None:
+    """Return the optimiser steps of a training; None if nothing ends it.
 
     Args:
         max_steps: optimiser steps; -1: as many as `max_epochs` are.
@@ -25,13 +27,29 @@ def plan_line(
     per_epoch = max(1, math.ceil(batches / accumulated))
     limits = [max_steps] if max_steps >= 0 else []
     limits += [max_epochs * per_epoch] if max_epochs is not None and max_epochs >= 0 else []
-    if not limits:
+    return min(limits, default=None)
+
+
+def plan_line(
+    max_steps: int, max_epochs: int | None, frames: int, batch_size: int, devices: int, accumulated: int
+) -> str:
+    """Return steps, samples and epochs of a training, for example `1000 steps of 2 samples: 5.0 epochs of 400 frames`.
+
+    Arguments as in `planned_steps`.
+    """
+    steps = planned_steps(max_steps, max_epochs, frames, batch_size, devices, accumulated)
+    if steps is None:
         return f"without end, over {frames} frames"
-    steps, samples = min(limits), batch_size * devices * accumulated
+    samples = batch_size * devices * accumulated
     parts = [str(batch_size), *([f"{devices} devices"] if devices > 1 else [])]
     parts += [f"{accumulated} batches"] if accumulated > 1 else []
     together = " x ".join(parts)
     return f"{steps} steps of {together} samples: {steps * samples / max(1, frames):.1f} epochs of {frames} frames"
+
+
+def hours_line(steps: int | None, step_s: float) -> str:
+    """Return the duration of a training, for example `0.35 s a step: 5:50 min`."""
+    return f"{step_s:.2f} s a step: {'without end' if steps is None else clock(steps * step_s)}"
 
 
 def validation_times(trainer: Mapping[str, Any]) -> dict[str, int | None]:

@@ -1,0 +1,102 @@
+"""The time of a training step of every stage on this machine, measured on random inputs: no data are needed."""
+
+import time
+import warnings
+from typing import cast
+
+import torch
+from omegaconf import DictConfig
+from torch import Tensor
+
+from omniocc.batch import Batch
+from omniocc.camera import Rig
+from omniocc.config import build, plain
+from omniocc.data import OccupancyData, SceneSource, SourceSpec, VirtualWorld
+from omniocc.model.protocols import Depth
+from omniocc.task.build import build_task
+from omniocc.task.depth import DepthTask
+from omniocc.task.sketch import SketchTask
+from omniocc.task.stage_task import StageTask
+
+OCCUPIED, CANDIDATES = 0.1, 0.25
+"""Fractions of voxels, about those of the virtual world."""
+WARM_UP = 2
+"""Steps that are not measured: tables of the rig are made in the first."""
+
+
+def step_seconds(
+    cfg: DictConfig, stage: str, rig: Rig, spec: SourceSpec, device: torch.device, steps: int = 3
+) -> float:
+    """Return the seconds of a step: the best of `steps`, after others that warm up; reading samples is not included.
+
+    Args:
+        cfg: checked configuration.
+        stage: depth, sketch or occupancy.
+        rig: cameras of every sample.
+        spec: of the data.
+        device: on which the stage is trained.
+        steps: measured, at least 1.
+    """
+    task = make_task(cfg, stage, rig, spec).to(device).train()
+    size = cfg.data.batch_size if stage == "occupancy" else cfg.stages[stage].batch_size
+    batch = random_batch(cfg, rig, size, cfg.data.window if stage == "occupancy" else 1)
+    batch = OccupancyData.transfer_batch_to_device(None, batch, device, 0)  # type: ignore[arg-type]
+    optimizer = task.optimizer.configure(task.model, WARM_UP + steps)["optimizer"]
+    low = cfg.trainer.precision.startswith("bf16")
+    best = float("inf")
+    for number in range(WARM_UP + steps):
+        start_s = time.perf_counter()
+        with warnings.catch_warnings(), torch.autocast(device.type, torch.bfloat16, enabled=low):
+            warnings.filterwarnings("ignore", message=".*self.log.*")  # there is no trainer
+            loss = cast(Tensor, task.training_step(batch, number))
+        loss.backward()
+        optimizer.step()
+        optimizer.zero_grad()
+        if device.type == "cuda":
+            torch.cuda.synchronize(device)
+        best = min(best, time.perf_counter() - start_s) if number >= WARM_UP else best
+    return best
+
+
+def make_task(cfg: DictConfig, stage: str, rig: Rig, spec: SourceSpec) -> StageTask:
+    """Return the task of a stage, with fresh weights."""
+    if stage == "occupancy":
+        return build_task(cfg, spec)
+    optimizer = build(cfg.stages[stage]).optimizer
+    if stage == "sketch":
+        return SketchTask(build(cfg.model.sketch), optimizer, spec.range_edges_m, plain(cfg))
+    model = build(cfg.depth)
+    spheres = cast(Depth, model).rig_spheres(rig)
+    return DepthTask(model, optimizer, spheres, spec.range_edges_m, cfg.seed, plain(cfg))
+
+
+def random_batch(cfg: DictConfig, rig: Rig, size: int, window: int) -> Batch:
+    """Return windows of noise with every input and label that a stage may use."""
+    shape, panorama = build(cfg.model.geometry).shape, build(cfg.depth).panorama
+    cameras, width, height = len(rig.cameras), rig.cameras[0].width, rig.cameras[0].height
+    occupied = torch.rand(size, *shape) < OCCUPIED
+    classes = cfg.data.num_classes
+    poses = torch.eye(4, dtype=torch.float64).repeat(size, window, 1, 1)
+    poses[..., 0, 3] = torch.arange(window)
+    range_m = 1 + 20 * torch.rand(size, panorama.height, panorama.width)
+    return Batch(
+        images=torch.randint(0, 256, (size, window, cameras, 3, height, width), dtype=torch.uint8),
+        rigs=((rig,) * window,) * size,
+        world_from_ego=poses,
+        frame_ids=("noise",) * size,
+        voxels=(torch.randint(1, classes, (size, *shape)) * occupied).to(torch.uint8),
+        pixel_labels=torch.randint(0, classes, (size, cameras, height, width), dtype=torch.uint8),
+        erp_range_m=range_m,
+        camera_range_m=1 + 20 * torch.rand(size, cameras, height, width),
+        depth_range_m=range_m,
+        candidates=torch.rand(size, window, *shape) < CANDIDATES,
+        evidence=torch.randint(0, 256, (size, window, *shape), dtype=torch.uint8),
+    )
+
+
+def planned_scenes(source: SceneSource) -> tuple[Rig, int]:
+    """Return cameras and number of training frames of a source; scenes of the virtual world may be missing."""
+    if isinstance(source, VirtualWorld):
+        return source.rig, source.num_scenes["train"] * source.frames_per_scene
+    scenes = source.scenes("train")
+    return scenes[0].rigs[0], sum(map(len, scenes))
