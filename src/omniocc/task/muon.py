@@ -52,17 +52,17 @@ class MuonOptimizer(torch.optim.AdamW):
         for group in self.param_groups:
             for parameter in group["params"] if "momentum" in group else ():
                 if parameter.grad is not None:
-                    self._step_matrix(parameter, group)
+                    self._step_matrix(parameter, parameter.grad, group)
                     parameter.grad = None
         super().step()
         return loss
 
-    def _step_matrix(self, parameter: Tensor, group: dict[str, Any]) -> None:
+    def _step_matrix(self, parameter: Tensor, grad: Tensor, group: dict[str, Any]) -> None:
         state = self.state[parameter]
         if not state:
             state["momentum"], state["step"] = torch.zeros_like(parameter), torch.zeros(())  # AdamW loads no state else
-        mean = state["momentum"].lerp_(parameter.grad, 1 - group["momentum"])
-        ahead = parameter.grad.lerp(mean, group["momentum"]).flatten(1)
+        mean = state["momentum"].lerp_(grad, 1 - group["momentum"])
+        ahead = grad.lerp(mean, group["momentum"]).flatten(1)
         update = orthogonal(ahead) * (RMS * max(ahead.shape) ** 0.5)
         parameter.mul_(1 - group["lr"] * group["weight_decay"])
         parameter.add_(update.view_as(parameter), alpha=-group["lr"])

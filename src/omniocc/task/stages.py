@@ -128,7 +128,7 @@ class Stages:
         trainer = self._trainer(recipe, images, folder, stage, title)
         if trains:
             trainer.fit(task, datamodule=data, ckpt_path=checkpoint and str(checkpoint))
-        metrics = trainer.validate(task, datamodule=data, verbose=False)[0]
+        metrics = dict(trainer.validate(task, datamodule=data, verbose=False)[0])
         metrics |= trainer.test(task, datamodule=data, verbose=False)[0]
         trainer.save_checkpoint(last)
         meet()
