@@ -24,7 +24,7 @@ TRAIN = [
 ]
 SWEEP = "python src/train.py --multirun +ablation='glob(*)' seed=0,1,2"
 MAKE = {
-    "make demo": ".venv/bin/python src/train.py name=demo preset=tiny",
+    "make demo": ".venv/bin/python src/train.py name=demo model=extended preset=tiny",
     "make test": "OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n auto --dist worksteal"
     " -m 'not whole_runs and not second_device'",
     "make ablations": f".venv/bin/python src/train.py --multirun +ablation={','.join(ROWS)} seed=0 preset=tiny",
