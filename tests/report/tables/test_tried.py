@@ -1,5 +1,8 @@
+from pathlib import Path
+
 import pytest
 
+from omniocc.config import compose_plain
 from omniocc.errors import UserError
 from omniocc.report.runs import FinishedRun
 from omniocc.report.tables.tried import changes, tried_cells
@@ -10,12 +13,21 @@ def run(name, seed, rayiou, config, data="d", **facts):
     return FinishedRun(f"{name}-0123456{seed}", known | facts, {"val/rayiou": rayiou}, config=config)
 
 
-OURS = {"name": "ours", "seed": 0, "model": {"lifter": {"evidence": False}, "refiner": {"channels": [16, 32]}}}
-MORE = {"name": "more", "seed": 1, "model": {"lifter": {"evidence": True}, "refiner": {"channels": [16, 32]}}}
+CONF = Path(__file__).parents[3] / "conf"
 
 
-def test_a_line_for_each_configuration_with_its_changes_by_falling_score():
-    runs = [run("ours", 0, 0.2, OURS), run("ours", 1, 0.3, OURS), run("more", 0, 0.4, MORE), run("more", 1, 0.6, MORE)]
+@pytest.fixture(scope="module")
+def ours():
+    return compose_plain(CONF, "train", ["name=ours"])
+
+
+@pytest.fixture(scope="module")
+def more():
+    return compose_plain(CONF, "train", ["name=more", "model.lifter.evidence=true"])
+
+
+def test_a_line_for_each_configuration_with_its_changes_by_falling_score(ours, more):
+    runs = [run("ours", 0, 0.2, ours), run("ours", 1, 0.3, ours), run("more", 0, 0.4, more), run("more", 1, 0.6, more)]
     head, lines = tried_cells(runs, "ours")
     assert head[:6] == ["run", "change", "steps", "seeds", "minutes", "RayIoU"]
     assert [line[:6] for line in lines] == [
@@ -24,15 +36,32 @@ def test_a_line_for_each_configuration_with_its_changes_by_falling_score():
     ]
 
 
-def test_other_data_is_a_line_of_its_own():
-    lines = tried_cells([run("ours", 0, 0.2, OURS), run("ours", 0, 0.3, OURS, data="larger")], "ours")[1]
+def test_equal_runs_of_a_seed_count_once_by_the_name_of_the_reference(ours):
+    runs = [run("ours", 0, 0.2, ours), run("demo", 0, 0.2, ours), run("train", 0, 0.2, ours)]
+    assert [line[:6] for line in tried_cells(runs, "ours")[1]] == [
+        ["ours", "the reference", "8/5/10", "1", "2", "0.200"]
+    ]
+
+
+def test_other_data_is_a_line_of_its_own(ours):
+    lines = tried_cells([run("ours", 0, 0.2, ours), run("ours", 0, 0.3, ours, data="larger")], "ours")[1]
     assert [line[5] for line in lines] == ["0.300", "0.200"]
 
 
-def test_changes_name_new_values_only():
-    assert changes({"a.b.c": [1, 2], "a.d": "x"}, {"a.b.c": [1], "gone.e": 1, "a.d": "y"}) == "b.c=[1, 2], a.d=x"
+@pytest.mark.parametrize(
+    ("overrides", "named"),
+    [
+        (["model/geometry=cuboid"], "model/geometry=cuboid"),
+        (["model/sketch=mono"], "model/depth=mono"),
+        (["optimizer=adamw"], "optimizer=AdamW"),
+        (["loss.weights.scal=0.5", "seed=3", "preset.channels=32"], "weights.scal=0.5"),
+        (["model.sketch.windows_m=[0,0,0]"], "sketch.windows_m=[0, 0, 0]"),
+    ],
+)
+def test_changes_name_exchanged_parts_and_new_values_once(overrides, named, ours):
+    assert changes(compose_plain(CONF, "train", overrides), ours) == named
 
 
-def test_a_missing_reference_is_named():
+def test_a_missing_reference_is_named(more):
     with pytest.raises(UserError, match="no finished run of row ours"):
-        tried_cells([run("more", 0, 0.4, MORE)], "ours")
+        tried_cells([run("more", 0, 0.4, more)], "ours")

@@ -130,8 +130,11 @@ def source_of(figures: Sequence[Figure | None]) -> str:
 def order_line(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> str:
     """Return a sentence with the paper's order and ours, and Kendall's tau between them.
 
-    It covers the methods that have both figures. Tau is tau-b, which accounts for equal figures.
+    It covers the methods that have both figures. Tau is tau-b, which accounts for equal figures. The sentence is empty
+    if the paper has no such table.
     """
+    if not any(has_paper(row) for row in table.rows):
+        return ""
     both = []
     for row in table.rows:
         figure, paper = figure_of(runs.get(row.run, []), table.order_by), row.paper[table.order_by]
