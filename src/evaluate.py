@@ -34,6 +34,7 @@ def main(arguments: list[str] | None = None) -> None:
     quiet_libraries()
     task, data = load_task(options.checkpoint, options.overrides)
     if options.audit:
+        print(f"{len(data.source.scenes('val'))} validation scenes of {data.source.folder}")
         for name, value in audit(task, data):
             print(f"{name:58} {value}")
         return

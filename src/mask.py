@@ -22,12 +22,12 @@ from omniocc.world.render.own_car import Masks, grown, masking, own_car_pixels, 
 
 WIDTH = 1280
 SEEN, MASKED = 225, 60
-"""Grey of usable and masked pixels in the picture."""
+"""Grey of usable and masked pixels in the image."""
 
 
 @script("mask")
 def main(cfg: DictConfig) -> None:
-    """Find the pixels, write the masked rig and a picture, print how much of each camera is masked."""
+    """Find the pixels, write the masked rig and an image, print how much of each camera is masked."""
     require(cfg, ("output",), "mask.py")
     if (cfg.rig is None) == (cfg.scenes is None):
         raise UserError("give either rig=... or scenes=...; see python src/mask.py --help")
@@ -45,11 +45,15 @@ def main(cfg: DictConfig) -> None:
     save_png(picture, stack(camera_rows(greys, inner_width(WIDTH), names=rig.names), WIDTH))
     for name, before, after in zip(rig.names, pixels, masks, strict=True):
         print(f"{name:12} own car {float(before.float().mean()):6.1%}   usable {float(after.float().mean()):6.1%}")
-    print(f"rig       {output}\npicture   {picture}")
+    if rig.masks is not None:
+        print("the rig was masked already: 'own car' is what is masked now in addition")
+    print(f"rig       {output}\nimage     {picture}")
 
 
 def open_scenes(root: str) -> list[SceneReader]:
     """Return the recorded scenes of a folder; raise UserError if there are none, or their cameras differ."""
+    if not Path(root).is_dir():
+        raise UserError(f"scenes={root}: there is no such folder; give the folder that holds the scenes' folders")
     scenes = [SceneReader(Path(root) / name) for name in list_folders(root, META)]
     if not scenes:
         raise UserError(f"scenes={root}: there are no recorded scenes; give the folder that holds the scenes' folders")

@@ -28,13 +28,21 @@ GENERATED_TRIED = "<!-- Written by `python src/report.py --tried`; do not edit. 
 def main(arguments: list[str] | None = None) -> None:
     """Read the files of the runs, print the tables and write everything."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--runs", type=Path, default=Path("runs"), help="folder of runs")
-    parser.add_argument("--sweeps", type=Path, default=ROOT / "sweeps", help="folder of the paper's tables")
-    parser.add_argument("--conf", type=Path, default=ROOT / "conf", help="folder of the configuration")
+    parser.add_argument("--runs", type=Path, metavar="FOLDER", default=Path("runs"), help="folder of runs")
+    parser.add_argument(
+        "--sweeps", type=Path, metavar="FOLDER", default=ROOT / "sweeps", help="folder of the paper's tables"
+    )
+    parser.add_argument(
+        "--conf", type=Path, metavar="FOLDER", default=ROOT / "conf", help="folder of the configuration"
+    )
     parser.add_argument("--preset", help="only runs of this preset (default: that of most runs)")
-    parser.add_argument("--output", type=Path, help="folder of the report (default: report in the folder of runs)")
-    parser.add_argument("--docs", type=Path, help="write the tables as Markdown pages too, into this folder")
-    parser.add_argument("--tried", type=Path, help="write one table of all runs, of any setting, on validation scenes")
+    where = "folder of the report (default: report in the folder of runs)"
+    parser.add_argument("--output", type=Path, metavar="FOLDER", help=where)
+    parser.add_argument(
+        "--docs", type=Path, metavar="FOLDER", help="write the tables as Markdown pages too, into this folder"
+    )
+    tried = "write one table of all runs, of any setting, on validation scenes"
+    parser.add_argument("--tried", type=Path, metavar="FILE", help=tried)
     parser.add_argument("--reference", default="ours", help="row to which --tried compares the others (default: ours)")
     options = parser.parse_args(arguments)
     if options.tried is not None:

@@ -201,7 +201,8 @@ def _trusted_target(name: str, packages: Sequence[str]) -> tuple[type | None, st
     try:
         target = get_object(name)
     except Exception as error:  # a user's module may raise anything
-        return None, f"{name} cannot be imported: {error}"
+        reason, module = str(error).splitlines()[0], name.rpartition(".")[0]
+        return None, f"{name} cannot be imported: {reason} (is it exported by {module}?)"
     # a module's own imports are its attributes too: omniocc.io.os.system is not of omniocc
     if not inspect.isclass(target) or target.__module__.split(".")[0] not in packages:
         return None, f"{name} is not a class of {', '.join(packages)}"

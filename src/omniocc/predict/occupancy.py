@@ -21,6 +21,7 @@ from omniocc.predict.options import Options, choose_device, load_rig, require
 from omniocc.predict.output.manifest import pose_digest, write_manifest
 from omniocc.predict.predictor import Predictor
 from omniocc.predict.trained import TrainingData, training_data
+from omniocc.run.checkpoint_io import no_checkpoint
 from omniocc.run.results import save_results
 from omniocc.run.table import summary
 from omniocc.task.scores import Scores
@@ -43,7 +44,7 @@ def options_of(cfg: DictConfig) -> Options:
     if options.recorded is None and (options.scene or options.frames is not None):
         raise UserError("scene=... and frames=... belong to recorded=...; choose images by their folder")
     if not Path(options.checkpoint).is_file():
-        raise FileNotFoundError(f"{options.checkpoint}: there is no such checkpoint")
+        raise FileNotFoundError(no_checkpoint(Path(options.checkpoint)))
     return options
 
 

@@ -36,6 +36,13 @@ def write_checkpoint(content: dict[str, Any], path: Path, previous: Path | None 
     atomic_write(path, buffer.getbuffer(), previous)
 
 
+def no_checkpoint(path: Path) -> str:
+    """Return the message for a path that is no file; in a run's folder it names the checkpoint."""
+    if (path / BEST).is_file():
+        return f"{path} is the folder of a run; its checkpoint is {path / BEST}"
+    return f"{path}: there is no such checkpoint"
+
+
 def read_checkpoint(path: Path, map_location: Any = "cpu", weights_only: bool = True) -> dict[str, Any]:
     """Return the content of a checkpoint after comparing it with its checksums, which `torch.load` does not do.
 
@@ -46,7 +53,7 @@ def read_checkpoint(path: Path, map_location: Any = "cpu", weights_only: bool = 
         UserError: when it is damaged or not a checkpoint.
     """
     if not path.is_file():
-        raise FileNotFoundError(f"{path}: there is no such checkpoint")
+        raise FileNotFoundError(no_checkpoint(path))
     try:
         with zipfile.ZipFile(path) as members:
             if (damaged := members.testzip()) is not None:
