@@ -2,12 +2,14 @@
 
 import argparse
 from pathlib import Path
+from typing import cast
 
 import torch
 from lightning.pytorch import Trainer
 
 from omniocc.data import Needs, OccupancyData
 from omniocc.model.occupancy import to_unit_range
+from omniocc.model.protocols import LearnedSketch, learns
 from omniocc.progress import Progress
 from omniocc.run.folder import IMAGES, git_commit
 from omniocc.run.results import save_results, show_results
@@ -57,15 +59,21 @@ def main(arguments: list[str] | None = None) -> None:
 @torch.inference_mode()
 def audit(task: OccupancyTask, data: OccupancyData) -> list[tuple[str, str]]:
     """Return what each part of a model costs, on validation scenes; see `omniocc.task.audit`."""
-    data.read_only(Needs(), Needs())
+    needs = Needs(panorama=True)
+    data.read_only(needs, needs)
     data.setup()
     loader, task = data.val_dataloader(), task.eval()
     found = Audit(task.model.geometry, data.source.spec)
     with Progress("audit", len(loader), "batches") as progress:
         for batch in loader:
             logits = task.predict(batch).logits
-            sketched = task.model.choose(to_unit_range(batch.images[:, -1]), batch.newest_rigs)
+            images = to_unit_range(batch.images[:, -1])
+            sketched = task.model.choose(images, batch.newest_rigs)
             found.update(logits, sketched, batch)
+            if batch.erp_range_m is not None and learns(type(task.model.sketch)):
+                sketch = cast(LearnedSketch, task.model.sketch)
+                seen = sketch.depth(images, batch.newest_rigs, batch.erp_range_m)
+                found.update_ranges(seen.range_m, batch, sketch.panorama)
             progress.advance()
     return found.lines()
 

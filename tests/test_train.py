@@ -172,6 +172,10 @@ def test_stages_run_once_and_are_shared(tmp_path, data_root):
     (path,) = tmp_path.glob("runs/whole-*/evaluation-*/metrics.json")
     online = json.loads(path.read_text())["metrics"]["test/voxel/miou"]  # the sketch at work, not its cache
     assert online == pytest.approx(metrics["test/voxel/miou"], abs=2e-3)
+    audited = run_script("evaluate.py", str(next(tmp_path.glob("runs/whole-*/last.ckpt"))), "--audit", cwd=tmp_path)
+    assert audited.returncode == 0, audited.stdout + audited.stderr
+    assert "voxel IoU (precision, recall) of the model" in audited.stdout
+    assert "error of range, 0-8.5m" in audited.stdout
 
     cached = next(fractions[metrics["test/sketch/fraction"]].glob("train-*.frames"))
     blob = bytearray(cached.read_bytes())

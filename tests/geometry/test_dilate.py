@@ -55,6 +55,15 @@ def test_marks_are_near_the_ray_and_within_the_window():
     assert 4 <= len(marked) <= 5
 
 
+def test_cells_behind_are_marked_away_from_the_axis_only():
+    mask = torch.zeros(CYLINDER.shape, dtype=torch.bool)
+    mask[4, 3, 1] = True
+    assert CYLINDER.dilate(mask, (1,), (), behind=2).nonzero().tolist() == [[r, 3, 1] for r in (3, 4, 5, 6, 7)]
+    mask = torch.zeros(CUBOID.shape, dtype=torch.bool)
+    mask[20 - 8, 20, 1] = True
+    assert CUBOID.dilate(mask, (0,), (), behind=1).nonzero().tolist() == [[11, 20, 1], [12, 20, 1]]
+
+
 def test_no_mark_crosses_the_axis():
     mask = torch.zeros(CYLINDER.shape, dtype=torch.bool)
     mask[1, 3, 1] = True

@@ -2,10 +2,11 @@ import pytest
 import torch
 from batches import RIG, make_batch
 
-from omniocc.camera import Rig
+from omniocc.camera import Equirectangular, Rig
+from omniocc.camera.parallax import pixels_per_metre
 from omniocc.classes import FREE, UNKNOWN
 from omniocc.model.protocols import Sketched
-from omniocc.task.audit import Audit, Overlap, pairs_without_label, with_true_classes, with_true_geometry
+from omniocc.task.audit import Audit, Overlap, RangeErrors, pairs_without_label, with_true_classes, with_true_geometry
 
 
 def test_geometry_and_classes_are_exchanged_one_at_a_time():
@@ -54,3 +55,20 @@ def test_a_perfect_prediction_loses_nothing(make_task, spec):
     top, accuracy = map(float, lines["mean top probability, accuracy"].split(", "))
     assert accuracy == 1
     assert top == pytest.approx(1, abs=2e-3)
+
+
+def test_errors_of_range_are_in_metres_and_in_pixels_of_parallax():
+    panorama, errors = Equirectangular(36, 4, 20.0, -20.0), RangeErrors([0.0, 10.0, 20.0])
+    true_m = torch.full((4, 36), 5.0)
+    true_m[0], true_m[1, :18], true_m[1, 18:] = 15.0, float("inf"), float("nan")
+    true_m[2] = 30.0  # beyond all bands
+    rig = Rig.load("fisheye6")
+    errors.update(true_m + 0.1 * (true_m == 15) - 0.2 * (true_m == 5), true_m, panorama, rig)
+    lines = dict(errors.lines())
+    assert list(lines) == ["error of range, 0-10m", "error of range, 10-20m"]
+    for name, row, distance_m, error_m in (("0-10m", 3, 5.0, 0.2), ("10-20m", 0, 15.0, 0.1)):
+        px_per_m = pixels_per_metre(rig, panorama.rays()[row] * distance_m)
+        seen = px_per_m > 0
+        share, pixels = seen.double().mean(), (px_per_m * error_m).sum() / seen.sum()
+        text = f"{error_m:.3f} m; seen by two cameras {share:.0%}, there {error_m:.3f} m or {pixels:.2f} px"
+        assert lines[f"error of range, {name}"] == text

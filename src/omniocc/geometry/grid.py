@@ -39,7 +39,7 @@ class Grid(Lattice):
         return majority(cells[inside], labels[inside], self.num_cells, num_classes).reshape(self.shape)
 
     def dilate(
-        self, mask: Bool[Tensor, "*B X Y Z"], windows: Sequence[int], edges_m: Sequence[float | int]
+        self, mask: Bool[Tensor, "*B X Y Z"], windows: Sequence[int], edges_m: Sequence[float | int], behind: int = 0
     ) -> Bool[Tensor, "*B X Y Z"]:
         """Return a mask widened towards and away from the z axis, by more the farther a cell is (paper, section IV-B).
 
@@ -52,6 +52,7 @@ class Grid(Lattice):
             mask: cells to widen, batch axes first.
             windows: half-width in cells for each range band, one more than there are edges.
             edges_m: distances of cell middles from the axis at which one band ends and the next begins.
+            behind: further cells, in all bands, away from the axis only.
 
         Raises:
             ValueError: if mask, windows and edges do not fit together.
@@ -59,10 +60,11 @@ class Grid(Lattice):
         if tuple(mask.shape[-3:]) != self.shape:
             raise ValueError(f"mask must end with the grid's shape {self.shape}, got {tuple(mask.shape)}")
         rising = all(low < high for low, high in itertools.pairwise(edges_m))
-        if len(windows) != len(edges_m) + 1 or not rising or any(window < 0 for window in windows):
-            sizes = f"windows {tuple(windows)} and edges_m {tuple(edges_m)}"
+        if len(windows) != len(edges_m) + 1 or not rising or min(*windows, behind) < 0:
+            sizes = f"windows {tuple(windows)}, behind {behind} and edges_m {tuple(edges_m)}"
             raise ValueError(f"there must be increasing edges_m and one more window, none negative, got {sizes}")
-        origin, target = (side.to(mask.device) for side in _moves(self, tuple(windows), tuple(map(float, edges_m))))
+        moves = _moves(self, tuple(windows), tuple(map(float, edges_m)), behind)
+        origin, target = (side.to(mask.device) for side in moves)
         columns = mask.reshape(-1, self.shape[0] * self.shape[1], self.shape[2])
         # sums, not assignments: several cells may mark the same one
         marks = columns.to(torch.int16)
@@ -150,7 +152,7 @@ def _center_columns(grid: Grid, device: torch.device) -> Float64[Tensor, "3 N"]:
 
 @lru_cache(maxsize=8)
 def _moves(
-    grid: Grid, windows: tuple[int, ...], edges_m: tuple[float, ...]
+    grid: Grid, windows: tuple[int, ...], edges_m: tuple[float, ...], behind: int
 ) -> tuple[Int64[Tensor, " M"], Int64[Tensor, " M"]]:
     """Return pairs of columns as two tensors: one that marks, and one that it marks."""
     points = grid.centers(torch.float64)[:, :, 0].flatten(0, 1)
@@ -158,9 +160,10 @@ def _moves(
     window = torch.tensor(windows)[torch.bucketize(distance_m, torch.tensor(edges_m, dtype=torch.float64), right=True)]
     step_m = grid.radial_step_m
     pairs = [torch.zeros(0, 2, dtype=torch.int64)]
-    for offset in [*range(-max(windows), 0), *range(1, max(windows) + 1)]:
+    for offset in [*range(-max(windows), 0), *range(1, max(windows) + behind + 1)]:
         moved, inside = _moved(grid, points, distance_m, offset * step_m)
-        origin = ((window >= abs(offset)) & inside).nonzero().flatten()
+        reach = window if offset < 0 else window + behind
+        origin = ((reach >= abs(offset)) & inside).nonzero().flatten()
         pairs.append(torch.stack([origin, moved[origin]], dim=1))
     origin, target = torch.cat(pairs).unique(dim=0).unbind(1)
     return origin, target

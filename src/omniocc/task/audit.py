@@ -1,17 +1,19 @@
-"""Where a model loses its score: geometry or classes, itself or its sketch; what its cameras see of their own car."""
+"""Where a model loses its score: geometry or classes, itself, its sketch or its ranges; what cameras see of the car."""
 
 from collections.abc import Sequence
 
 import torch
-from jaxtyping import Float, Float32, UInt8
+from jaxtyping import Bool, Float, Float32, UInt8
 from torch import Tensor, nn
 from torchmetrics import MeanMetric
 
 from omniocc.batch import Batch
-from omniocc.camera import Rig
+from omniocc.camera import Equirectangular, Rig
+from omniocc.camera.parallax import pixels_per_metre
 from omniocc.classes import FREE, UNKNOWN
 from omniocc.data import SourceSpec
 from omniocc.geometry import Grid
+from omniocc.metric.bands import as_edges, band_of, band_suffixes, num_rows
 from omniocc.model.ops.evidence import LOG_ODDS
 from omniocc.model.protocols import Sketched
 from omniocc.task.scores import Scores
@@ -33,6 +35,7 @@ class Audit(nn.Module):
         self.model, self.true_geometry, self.true_classes = (Scores(geometry, spec) for _ in range(3))
         self.overlap = Overlap()
         self.sketch_overlaps = [Overlap() for _ in THRESHOLDS]
+        self.range_errors = RangeErrors(spec.range_edges_m)
         self.confidence, self.accuracy, self.on_own_car = MeanMetric(), MeanMetric(), MeanMetric()
 
     def update(self, logits: Float[Tensor, "B K X Y Z"], sketched: Sketched, batch: Batch) -> None:
@@ -55,6 +58,12 @@ class Audit(nn.Module):
             for rig, pixels in zip(batch.newest_rigs, batch.pixel_labels, strict=True):
                 self.on_own_car.update(pairs_without_label(rig, self.geometry, pixels))
 
+    def update_ranges(self, range_m: Float[Tensor, "B h w"], batch: Batch, panorama: Equirectangular) -> None:
+        """Add the model's ranges for a batch that has true ones."""
+        assert batch.erp_range_m is not None
+        for one, true_m, rig in zip(range_m.cpu(), batch.erp_range_m.cpu(), batch.newest_rigs, strict=True):
+            self.range_errors.update(one, true_m, panorama, rig)
+
     def lines(self) -> list[tuple[str, str]]:
         """Return what was measured and its value, in words."""
         rows = [("RayIoU of the model", self.model), ("RayIoU with true geometry", self.true_geometry)]
@@ -64,7 +73,44 @@ class Audit(nn.Module):
         overlaps += [(f"the sketch at {cut}", one) for cut, one in zip(THRESHOLDS, self.sketch_overlaps, strict=True)]
         lines += [(f"voxel IoU (precision, recall) of {name}", one.text()) for name, one in overlaps if one.filled]
         lines += [("mean top probability, accuracy", f"{_mean(self.confidence):.3f}, {_mean(self.accuracy):.3f}")]
-        return [*lines, ("(voxel, camera) pairs on pixels without a label", f"{_mean(self.on_own_car):.2%}")]
+        lines += [("(voxel, camera) pairs on pixels without a label", f"{_mean(self.on_own_car):.2%}")]
+        return lines + self.range_errors.lines()
+
+
+class RangeErrors:
+    """Compare errors of range with what the rig can see: by how many pixels a wrong range moves a point's images.
+
+    Args:
+        edges_m: ends of the bands of true range.
+    """
+
+    def __init__(self, edges_m: Sequence[float]):
+        self.edges_m = as_edges(edges_m)
+        self.sums = torch.zeros(num_rows(self.edges_m), 5, dtype=torch.float64)
+
+    def update(
+        self, range_m: Float[Tensor, "h w"], true_m: Float[Tensor, "h w"], panorama: Equirectangular, rig: Rig
+    ) -> None:
+        """Add a panorama; directions without a true range do not count."""
+        known: Bool[Tensor, "h w"] = true_m < self.edges_m[-1]
+        true, error_m = true_m[known].double(), (range_m - true_m)[known].abs().double()
+        px_per_m = pixels_per_metre(rig, panorama.rays()[known] * true[:, None])
+        seen = px_per_m > 0
+        measures = [torch.ones_like(true), error_m, seen, error_m * seen, error_m * px_per_m]
+        self.sums.index_add_(0, band_of(true, self.edges_m), torch.stack([one.double() for one in measures], 1))
+
+    def lines(self) -> list[tuple[str, str]]:
+        """Return for each band the mean error in metres and in pixels of parallax, and how much two cameras see."""
+        rows = zip(band_suffixes(self.edges_m), self.sums.tolist(), strict=False)
+        return [
+            (
+                f"error of range, {suffix[1:]}",
+                f"{error / count:.3f} m; seen by two cameras {seen / count:.0%}, "
+                f"there {error_seen / max(1, seen):.3f} m or {pixels / max(1, seen):.2f} px",
+            )
+            for suffix, (count, error, seen, error_seen, pixels) in rows
+            if count
+        ]
 
 
 class Overlap:

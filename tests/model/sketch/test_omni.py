@@ -39,8 +39,8 @@ class FakeDepth(nn.Module):
         return Seen(self.scale * base, base < 15)
 
 
-def make(geometry, threshold: float | None = 0.5, fraction=None, windows=(0, 0, 0)):
-    return Omni(geometry, FakeDepth(), 8, [1, 2, 2], [8, 8, 16], threshold, fraction, windows, [8.5, 17.0])
+def make(geometry, threshold: float | None = 0.5, fraction=None, windows=(0, 0, 0), behind_m=0.0):
+    return Omni(geometry, FakeDepth(), 8, [1, 2, 2], [8, 8, 16], threshold, fraction, windows, [8.5, 17.0], behind_m)
 
 
 def scene(batch=2):
@@ -185,6 +185,8 @@ def test_fraction_is_exact_and_dilation_comes_after(geometry):
     assert torch.equal(wide.choose(logits), candidates)
     assert torch.equal(wide.select(logits), geometry.dilate(candidates, (0, 1, 2), (8.5, 17.0)))
     assert wide.select(logits).sum() > candidates.sum()
+    thick = make(geometry, None, 0.2, behind_m=1.6 * step_m)
+    assert torch.equal(thick.select(logits), geometry.dilate(candidates, (0, 0, 0), (8.5, 17.0), behind=2))
 
 
 def test_threshold_is_that_of_the_probability(geometry):

@@ -60,12 +60,13 @@ class Omni(nn.Module):
         windows_m: distance by which candidates of each band are dilated towards and away from the z axis, rounded to
             whole cells; 0: not at all.
         band_edges_m: horizontal distances at which one band ends and the next begins, one fewer than windows.
+        behind_m: distance by which candidates are further widened, away from the z axis only, rounded to whole cells.
 
     Raises:
         ValueError: unless one of threshold and fraction is given and in range, or if sizes do not fit.
     """
 
-    SELECTION: ClassVar = ("threshold", "fraction", "windows_m", "band_edges_m")
+    SELECTION: ClassVar = ("threshold", "fraction", "windows_m", "band_edges_m", "behind_m")
 
     place: Tensor
 
@@ -80,6 +81,7 @@ class Omni(nn.Module):
         fraction: float | None,
         windows_m: Sequence[float | int],
         band_edges_m: Sequence[float | int],
+        behind_m: float = 0.0,
     ):
         super().__init__()
         if (threshold is None) == (fraction is None):
@@ -88,12 +90,13 @@ class Omni(nn.Module):
         if not 0 < limit <= 1:  # type: ignore[operator]
             raise ValueError(f"threshold or fraction is {limit}; use 0 < value <= 1")
         windows = [round(window_m / geometry.radial_step_m) for window_m in windows_m]
+        behind = round(behind_m / geometry.radial_step_m)
         # raises ValueError unless they fit
-        geometry.dilate(torch.zeros(geometry.shape, dtype=torch.bool), windows, band_edges_m)
+        geometry.dilate(torch.zeros(geometry.shape, dtype=torch.bool), windows, band_edges_m, behind)
         assert isinstance(depth, nn.Module)
         self.geometry = geometry
         self.threshold, self.fraction = threshold, fraction
-        self.windows, self.band_edges_m = tuple(windows), tuple(band_edges_m)
+        self.windows, self.band_edges_m, self.behind = tuple(windows), tuple(band_edges_m), behind
         self.panorama = depth.panorama
         self.depth = depth.requires_grad_(False).eval()
         self.points = PointEncoder(geometry, point_channels)
@@ -146,7 +149,7 @@ class Omni(nn.Module):
 
     def select(self, logits: Float[Tensor, "B 2 X Y Z"]) -> Bool[Tensor, "B X Y Z"]:
         """Return the candidates, dilated."""
-        return self.geometry.dilate(self.choose(logits), self.windows, self.band_edges_m)
+        return self.geometry.dilate(self.choose(logits), self.windows, self.band_edges_m, self.behind)
 
     def training_terms(
         self, range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"], voxels: UInt8[Tensor, "B X Y Z"]
