@@ -14,7 +14,7 @@ from torch import Tensor
 from omniocc.camera.ops.pixels import pixel_centers
 from omniocc.camera.pose import check_rigid, invert_pose
 from omniocc.camera.protocol import Camera
-from omniocc.camera.rig_file import read_rig, write_rig
+from omniocc.camera.rig_file import Calibration, read_rig, write_rig
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,12 +26,14 @@ class Rig:
         ego_from_camera: rigid poses, camera frame (x right, y down, z forward) to ego frame.
         names: unique, in the order of the cameras.
         masks: for each camera None or (height, width), true where the image is usable; None if no camera has one.
+        road_z_m: height of the road below the ego origin, in the ego frame; None if it is not known.
     """
 
     cameras: tuple[Camera, ...]
     ego_from_camera: Float64[Tensor, "N 4 4"]
     names: tuple[str, ...]
     masks: tuple[Bool[Tensor, "_ _"] | None, ...] | None = None
+    road_z_m: float | None = None
 
     def __post_init__(self) -> None:
         """Check the parts; raise ValueError naming the camera whose pose or mask is wrong."""
@@ -47,6 +49,8 @@ class Rig:
             raise ValueError(
                 f"{len(self.masks)} masks for {count} cameras; give one each, None for a camera without a mask"
             )
+        if self.road_z_m is not None and not -100 < self.road_z_m < 0:
+            raise ValueError(f"road_z_m is {self.road_z_m}; it must be below 0, in metres: the road is below the rig")
         for index, name in enumerate(self.names):
             check_rigid(self.ego_from_camera[index], f"camera '{name}'")
             mask, camera = self._mask(index), self.cameras[index]
@@ -70,7 +74,7 @@ class Rig:
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write a rig file, and masks as PNG files beside it; loading it gives an equal rig."""
-        write_rig(path, self.cameras, self.ego_from_camera, self.names, self.masks)
+        write_rig(path, Calibration(self.cameras, self.ego_from_camera, self.names, self.masks, self.road_z_m))
 
     def project(
         self, points_ego: Float[Tensor, "*batch 3"]
@@ -96,13 +100,15 @@ class Rig:
 
     @cached_property
     def fingerprint(self) -> str:
-        """Return a hash of models, poses, names and masks: equal for equal rigs, in every process."""
+        """Return a hash of models, poses, names, masks and road: equal for equal rigs, in every process."""
         digest = hashlib.sha256()
         for index, (name, camera) in enumerate(zip(self.names, self.cameras, strict=True)):
             digest.update(f"{name}\n{camera!r}\n".encode())
             digest.update((self.ego_from_camera[index] + 0.0).numpy().tobytes())
             mask = self._mask(index)
             digest.update(b"-" if mask is None else mask.numpy().tobytes())
+        if self.road_z_m is not None:
+            digest.update(repr(self.road_z_m).encode())
         return digest.hexdigest()
 
     def __eq__(self, other: object) -> bool:

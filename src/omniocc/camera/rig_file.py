@@ -1,5 +1,6 @@
 """Rig files: one YAML per rig.
 
+    road_z_m: -2.2                            # optional, m, height of the road in the rig's frame
     cameras:
       front:
         model: equidistant                    # a key of MODELS below
@@ -66,33 +67,39 @@ def read_rig(path: str | PathLike[str]) -> Calibration:
         content = parse(text)
         if not isinstance(content, dict) or isinstance(content.get("cameras", []), list):
             return read_calibration(file, text, content)
-        _check_keys(content, ["cameras"], [])
+        _check_keys(content, ["cameras"], ["road_z_m"])
+        road_z_m = None if content.get("road_z_m") is None else finite("road_z_m", content["road_z_m"])
         entries = mapping(content["cameras"], "'cameras'")
     names = tuple(map(str, entries))
     read = [_read_entry(file, name, entry) for name, entry in zip(names, entries.values(), strict=True)]
     cameras, poses, masks = zip(*read, strict=True)
-    return Calibration(cameras, torch.stack(poses), names, None if all(mask is None for mask in masks) else masks)
+    known = None if all(mask is None for mask in masks) else masks
+    return Calibration(cameras, torch.stack(poses), names, known, road_z_m)
 
 
-def write_rig(
-    path: str | PathLike[str], cameras: tuple[Camera, ...], ego_from_camera: Float64[Tensor, "N 4 4"],
-    names: tuple[str, ...], masks: tuple[Mask | None, ...] | None,
-) -> None:  # fmt: skip
+def write_rig(path: str | PathLike[str], rig: Calibration) -> None:
     """Write a rig file; see `Rig.save`."""
     file = Path(path)
     file.parent.mkdir(parents=True, exist_ok=True)
     model_names = {model: name for name, model in MODELS.items()}
     entries = {}
-    for index, (name, camera) in enumerate(zip(names, cameras, strict=True)):
+    for index, (name, camera) in enumerate(zip(rig.names, rig.cameras, strict=True)):
         parameters = {key: list(v) if isinstance(v, tuple) else v for key, v in vars(camera).items()}
-        entry = {"model": model_names[type(camera)], **parameters, "ego_from_camera": ego_from_camera[index].tolist()}
-        mask = None if masks is None else masks[index]
+        entry = {
+            "model": model_names[type(camera)],
+            **parameters,
+            "ego_from_camera": rig.ego_from_camera[index].tolist(),
+        }
+        mask = None if rig.masks is None else rig.masks[index]
         if mask is not None:
             entry["mask"] = f"{file.stem}.{name}.png"
             if not cv2.imwrite(str(file.parent / entry["mask"]), mask.numpy().astype(np.uint8) * 255):
                 raise OSError(f"cannot write {file.parent / entry['mask']}")
         entries[name] = entry
-    file.write_text(yaml.safe_dump({"cameras": entries}, sort_keys=False, default_flow_style=None), encoding="utf-8")
+    road = {} if rig.road_z_m is None else {"road_z_m": rig.road_z_m}
+    file.write_text(
+        yaml.safe_dump(road | {"cameras": entries}, sort_keys=False, default_flow_style=None), encoding="utf-8"
+    )
 
 
 def _read_entry(file: Path, name: str, entry: Any) -> tuple[Camera, Float64[Tensor, "4 4"], Mask | None]:

@@ -1,6 +1,7 @@
 """Apply an occupancy model to one frame after the other, with or without history."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple, cast
 
@@ -138,4 +139,4 @@ def mask_cameras(rig: Rig, names: tuple[str, ...]) -> Rig:
         torch.zeros(camera.height, camera.width, dtype=torch.bool) if name in names else mask
         for camera, name, mask in zip(rig.cameras, rig.names, masks, strict=True)
     ]
-    return Rig(rig.cameras, rig.ego_from_camera, rig.names, tuple(masked))
+    return replace(rig, masks=tuple(masked))

@@ -97,6 +97,6 @@ def random_batch(cfg: DictConfig, rig: Rig, size: int, window: int) -> Batch:
 def planned_scenes(source: SceneSource) -> tuple[Rig, int]:
     """Return cameras and number of training frames of a source; scenes of the virtual world may be missing."""
     if isinstance(source, VirtualWorld):
-        return source.rig, source.num_scenes["train"] * source.frames_per_scene
+        return source.rig_of(source.plans[0]), source.num_scenes["train"] * source.frames_per_scene
     scenes = source.scenes("train")
     return scenes[0].rigs[0], sum(map(len, scenes))

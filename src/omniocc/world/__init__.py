@@ -5,6 +5,6 @@ Layers: mesh < assets < town < traffic, and assets < render < sensors; `scene` p
 
 from omniocc.world.frame import Box, Frame
 from omniocc.world.scene import Scene
-from omniocc.world.town.place import THEMES
+from omniocc.world.town.place import ABSTRACT, THEMES
 
-__all__ = ["THEMES", "Box", "Frame", "Scene"]
+__all__ = ["ABSTRACT", "THEMES", "Box", "Frame", "Scene"]

@@ -8,12 +8,14 @@ import numpy as np
 
 from omniocc.camera import Rig
 from omniocc.world import seeding
-from omniocc.world.assets.vehicle import ego_car
+from omniocc.world.assets.vehicle import EGO_ROAD_M
 from omniocc.world.frame import Box, Frame
 from omniocc.world.mesh.mesh import transform
+from omniocc.world.mesh.repaint import repaint as repainted
 from omniocc.world.render.caster import Caster, Layers
 from omniocc.world.render.cull import spheres_of
 from omniocc.world.render.lamp import lamp_pools
+from omniocc.world.render.own_car import car_under, road_of
 from omniocc.world.render.shadow import Shadows
 from omniocc.world.render.snapshot import Snapshot
 from omniocc.world.render.surface import SurfaceStack, make_surfaces
@@ -33,7 +35,7 @@ class Scene:
     Args:
         theme: one of `omniocc.world.THEMES`.
         seed: draws streets, traffic, light and noise.
-        rig: cameras of the ego vehicle.
+        rig: cameras of the ego vehicle; the road is as far below its origin as it says, or else 2.2 m.
         frame_interval_s: time between frames.
         supersample: camera rays per pixel along each side where a pixel needs smoothing; 1 for one ray per pixel.
         erp_size: width and height of the panorama of ranges around the ego origin, px.
@@ -43,6 +45,7 @@ class Scene:
         label_mode: lidar20 (virtual semantic LiDARs, as in the paper) or geometry (all surfaces, visible or not).
         lidars: number of virtual LiDARs of `lidar20`, the ego's included.
         capture: direct (a ray through every pixel) or cubemap (pixels looked up in six flat images, as in the paper).
+        repaint: whether all materials and colours are exchanged for others.
 
     Raises:
         ValueError: the theme does not exist, or an option is out of range.
@@ -63,14 +66,18 @@ class Scene:
         label_mode: str = "lidar20",
         lidars: int = 20,
         capture: str = "direct",
+        repaint: bool = False,
     ) -> None:
         _check(frame_interval_s, supersample, erp_size, lidars)
         _check_names(weather, label_mode, capture)
         town = place.build(theme, seed)
+        if repaint:
+            town = replace(town, mesh=repainted(town.mesh, seeding.generator(theme, seed, "repaint")))
         self._interval_s = frame_interval_s
         self._seed = (seed, *theme.encode())
         self._traffic = Traffic(town, seed)
-        self._ego_car = ego_car()
+        self._ego_car = car_under(rig)
+        self._lift_m = EGO_ROAD_M - road_of(rig)
         self._static = Caster(town.mesh)
         static_surfaces = make_surfaces(town.mesh)
         self._surfaces = SurfaceStack(static_surfaces)
@@ -90,14 +97,14 @@ class Scene:
         if index < 0:
             raise ValueError(f"frame {index}: frames are counted from 0")
         time_s = index * self._interval_s
-        world_from_ego = self._traffic.world_from_ego(time_s)
+        world_from_ego = self._world_from_ego(time_s)
         snapshot, actors = self.snapshot(time_s)
         boxes = tuple(ego_box(actor, world_from_ego) for actor in actors)
         return self.recorder.frame(snapshot, self.sensor, (*self._seed, index), time_s, world_from_ego, boxes)
 
     def snapshot(self, time_s: float) -> tuple[Snapshot, tuple[Actor, ...]]:
         """Return the world at a time, ready to be rendered, and its moving actors; valid until the next call."""
-        world_from_ego = self._traffic.world_from_ego(time_s)
+        world_from_ego = self._world_from_ego(time_s)
         moving_mesh, actors = self._traffic.actors(time_s)
         ego_mesh = transform(self._ego_car, world_from_ego)
         moving, spheres = Caster(moving_mesh), spheres_of(moving_mesh)
@@ -109,6 +116,12 @@ class Scene:
             world_from_ego[:3, 3].astype(np.float32), moving_mesh, spheres, self._light,
         )  # fmt: skip
         return snapshot, actors
+
+    def _world_from_ego(self, time_s: float) -> np.ndarray:
+        """Return the (4, 4) pose of the ego frame, whose origin is as high above the road as the rig's."""
+        pose = self._traffic.world_from_ego(time_s)
+        pose[:3, 3] += self._lift_m * pose[:3, 2]
+        return pose
 
 
 def ego_box(actor: Actor, world_from_ego: np.ndarray) -> Box:

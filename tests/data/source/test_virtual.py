@@ -15,13 +15,13 @@ from filelock import FileLock
 import omniocc
 from omniocc.camera import Rig
 from omniocc.data import VirtualWorld
-from omniocc.data.recording.job import code_fingerprint, weather_of
+from omniocc.data.recording.job import code_fingerprint
 from omniocc.data.recording.pool import worker_environment
 from omniocc.data.store.reader import SceneReader
 from omniocc.errors import DataError
 from omniocc.report.dataset.facts import light_of
-from omniocc.world import THEMES, Scene
-from omniocc.world.render.weather import WEATHERS
+from omniocc.world import THEMES, Scene, seeding
+from omniocc.world.render.weather import WEATHERS, draw_weather
 
 SCRIPT = """
 import sys
@@ -130,6 +130,10 @@ def test_scenes_are_complete_and_record_how_they_were_made(reference):
     assert (facts["split"], facts["theme"], facts["seed"]) == ("train", "suburb", 1)
     assert facts["spec"]["classes"]["11"]["name"] == "Roadline"
     assert facts["weather"] == weather_of("suburb", 1)
+
+
+def weather_of(theme, seed):
+    return draw_weather(seeding.generator(theme, seed, "light"))
 
 
 def test_the_weather_of_a_scene_is_known_without_building_it():
@@ -303,3 +307,24 @@ def test_code_fingerprint_covers_subfolders_and_paths_of_modules(tmp_path):
     assert one == fingerprint(a="x = 1\n", town_in_b="y = 1  # why\n")
     assert one != fingerprint(a="x = 1\n", town_in_b="y = 2\n")
     assert one != fingerprint(a="x = 1\n", traffic_in_b="y = 1\n")
+
+
+def test_drawn_rigs_are_recorded_with_errors_and_share_weathers_evenly(tmp_path):
+    arguments = {"root": str(tmp_path), "rig": "random", "image_size": (48, 27), "themes": [*THEMES, "solids"]}
+    numbers = {"train_scenes": 90, "val_scenes": 9, "test_scenes": 0, "frames_per_scene": 1, "frame_interval_s": 0.5}
+    panorama = {"supersample": 1, "erp_size": (16, 4), "erp_top_deg": 45.0, "erp_bottom_deg": -45.0}
+    world = VirtualWorld(**arguments, **numbers, **panorama, weather="in_turn", repainted_fraction=0.5, lidars=1)
+    plans = world.plans[:90]
+    assert len({world.rig_of(plan) for plan in plans}) == 90
+    pairs = Counter((plan.theme, world.weather_of(plan)) for plan in plans)
+    assert set(pairs.values()) == {2}
+    assert len(pairs) == 45
+    true, recorded = world.rig_of(plans[0]), world.calibration_of(plans[0])
+    assert recorded.cameras == true.cameras
+    assert recorded.road_z_m == true.road_z_m
+    assert 0 < (recorded.ego_from_camera - true.ego_from_camera).abs().max() < 0.02
+    world.prepare(plans[:1])
+    reader = world.reader(plans[0])
+    assert reader.rig == recorded
+    assert len(reader.images(0)) == len(true.cameras)
+    assert world.name != VirtualWorld(**arguments, **numbers, **panorama, weather="in_turn", lidars=1).name

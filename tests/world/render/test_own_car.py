@@ -9,7 +9,7 @@ from omniocc.classes import UNKNOWN
 from omniocc.errors import UserError
 from omniocc.world import Scene
 from omniocc.world.assets.vehicle import ego_car
-from omniocc.world.render.own_car import grown, mask_ego_car, masking, own_car_pixels, read_obj, show_ego_car
+from omniocc.world.render.own_car import car_under, grown, mask_ego_car, masking, own_car_pixels, read_obj, show_ego_car
 
 RIG = Rig.load("fisheye6").resized(64, 36)
 BARE = replace(RIG, masks=None)
@@ -92,3 +92,18 @@ def test_damaged_obj_files_are_named(tmp_path, text, message):
         read_obj(tmp_path / "car.obj")
     with pytest.raises(UserError, match=r"none\.obj cannot be read"):
         read_obj(tmp_path / "none.obj")
+
+
+def test_the_car_stands_on_the_road_of_the_rig_and_is_left_out_around_cameras():
+    high = replace(BARE, road_z_m=-2.5)
+    assert car_under(high).vertices[:, 2].min() == pytest.approx(-2.5, abs=0.01)
+    assert np.array_equal(car_under(BARE).vertices, ego_car().vertices)
+    assert len(car_under(replace(BARE, road_z_m=-0.9)).faces) == 0  # its cameras would be in the seats
+
+
+def test_a_lower_origin_moves_the_world_up(frame):
+    low = Scene("suburb", 3, replace(BARE, road_z_m=-1.0), supersample=1, erp_size=(48, 12), lidars=1).frame(0)
+    assert frame.world_from_ego[2, 3] - low.world_from_ego[2, 3] == pytest.approx(1.2, abs=0.02)
+    below = [np.median(one.points_m[one.point_labels == 1][:, 2]) for one in (frame, low)]  # of the road
+    assert below == pytest.approx([-2.2, -1.0], abs=0.25)
+    assert not (low.semantics == UNKNOWN).sum() > (frame.semantics == UNKNOWN).sum()

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from omniocc.world.mesh.label import OTHER, ROAD
 from omniocc.world.town import place as places
 from omniocc.world.town.place import THEMES, Place
 
@@ -115,3 +116,18 @@ def test_streets_leave_no_hole_and_do_not_overlap() -> None:
     covered = ((side(a, b) > 0) & (side(b, c) > 0) & (side(c, a) > 0)).sum(1)
     assert (covered >= 1).mean() == 1.0
     assert (covered == 1).mean() > 0.97  # the rest are driveways laid onto the land
+
+
+def test_the_abstract_place_has_solids_and_sometimes_a_ceiling() -> None:
+    meshes = [places.build(name, seed).mesh for name in places.ABSTRACT for seed in range(4)]
+    ceilings = []
+    for mesh in meshes:
+        middle = mesh.vertices[mesh.faces].mean(1)
+        normal = np.cross(*(mesh.vertices[mesh.faces[:, k]] - mesh.vertices[mesh.faces[:, 0]] for k in (1, 2)))
+        area = np.linalg.norm(normal, axis=1) / 2
+        over = (normal[:, 2] < 0) & (area > 10_000)
+        ceilings.append(bool(over.any()))
+        if over.any():
+            assert 3 < middle[over, 2].min() - np.median(middle[mesh.label == ROAD, 2]) < 12
+        assert len(np.unique(mesh.material[mesh.label == OTHER])) > 10
+    assert set(ceilings) == {True, False}

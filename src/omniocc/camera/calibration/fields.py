@@ -25,6 +25,7 @@ class Calibration(NamedTuple):
     ego_from_camera: Float64[Tensor, "N 4 4"]
     names: tuple[str, ...]
     masks: tuple[Bool[Tensor, "_ _"] | None, ...] | None
+    road_z_m: float | None = None
 
 
 class _Loader(yaml.SafeLoader):

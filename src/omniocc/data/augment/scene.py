@@ -4,6 +4,7 @@ Nothing is interpolated: cells go to cells, pixels to pixels.
 """
 
 import math
+from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -155,4 +156,4 @@ def change_rig(rig: Rig, change: Change) -> Rig:
     if change.flip:
         cameras = tuple(mirrored(camera) for camera in cameras)
         masks = masks and tuple(None if mask is None else mask.flip(-1) for mask in masks)
-    return Rig(cameras, ego_from_camera, rig.names, masks)
+    return replace(rig, cameras=cameras, ego_from_camera=ego_from_camera, masks=masks)

@@ -11,6 +11,8 @@ from omniocc.errors import DataError
 OTHER_BYTES = 45_000
 """Size of ego LiDAR, poses and boxes, tar headers and the frame's lines in the index."""
 GEOMETRY_BYTES = 800_000
+RIGS = 20
+"""Drawn rigs over which the size is averaged."""
 
 
 def frame_bytes(world: VirtualWorld) -> int:
@@ -20,7 +22,8 @@ def frame_bytes(world: VirtualWorld) -> int:
     panorama of 48x12, 180x45, 720x180 px; 51, 137, 207, 318, 475 for points of 1, 5, 10, 20, 40 LiDARs. Places differ
     by 15 percent.
     """
-    cameras = sum(8.73 * (camera.width * camera.height) ** 0.79 for camera in world.rig.cameras)
+    rigs = [world.rig_of(plan) for plan in world.plans[:RIGS]] if world.rig is None else [world.rig]
+    cameras = sum(8.73 * (camera.width * camera.height) ** 0.79 for rig in rigs for camera in rig.cameras) / len(rigs)
     panorama = 5.96 * (world.erp_size[0] * world.erp_size[1]) ** 0.75
     points = GEOMETRY_BYTES if world.label_mode == "geometry" else 318_000 * (world.lidars / 20) ** 0.6
     return round(cameras + panorama + points + OTHER_BYTES)

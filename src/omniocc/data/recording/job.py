@@ -14,9 +14,7 @@ from omniocc.data.source import Split
 from omniocc.data.store.codec import encode_frame
 from omniocc.data.store.shard import SceneWriter
 from omniocc.errors import DataError
-from omniocc.world import Frame, seeding
-from omniocc.world.render.own_car import mask_ego_car
-from omniocc.world.render.weather import draw_weather
+from omniocc.world import Frame
 
 if TYPE_CHECKING:
     from omniocc.data.source.virtual import VirtualWorld
@@ -74,9 +72,8 @@ def record_scene(world: "VirtualWorld", folder: Path, report: Report) -> None:
         report(writer.num_frames)
         plan = next(plan for plan in world.plans if plan.name == folder.name)
         _record_frames(world, plan, writer, report)
-        writer.attach("rig.yaml", mask_ego_car(world.rig).save)
-        weather = world.recipe["weather"] or weather_of(plan.theme, plan.seed)
-        facts = {"split": plan.split, "theme": plan.theme, "seed": plan.seed, "weather": weather}
+        writer.attach("rig.yaml", world.calibration_of(plan).save)
+        facts = {"split": plan.split, "theme": plan.theme, "seed": plan.seed, "weather": world.weather_of(plan)}
         software = {name: version(name) for name in RECORDERS}
         writer.finish(facts | {"recipe": world.recipe, "spec": plain_spec(world.spec), "software": software})
 
@@ -95,8 +92,3 @@ def _record_frames(world: "VirtualWorld", plan: ScenePlan, writer: SceneWriter, 
         raise
     except Exception as error:  # of any kind: the message names scene and frame
         raise RuntimeError(f"scene {plan.name}, frame {index}: {type(error).__name__}: {error}") from error
-
-
-def weather_of(theme: str, seed: int) -> str:
-    """Return the weather that `omniocc.world.Scene` draws for a scene when none is chosen."""
-    return draw_weather(seeding.generator(theme, seed, "light"))

@@ -4,9 +4,10 @@ import inspect
 from collections.abc import Sequence
 from functools import cache, cached_property, partial
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, Literal, get_args
 
 from omniocc.camera import Rig
+from omniocc.camera.drawn import RANDOM, VERSION, disturbed, draw_rig
 from omniocc.classes import WORLD_CLASSES
 from omniocc.data.labels.voxels import VoxelCache
 from omniocc.data.recording.job import Recordable, ScenePlan, code_fingerprint, record_scene
@@ -20,9 +21,10 @@ from omniocc.geometry import Grid
 from omniocc.geometry.cylinder import PAPER_RANGE_EDGES_M
 from omniocc.geometry.directions import sparseocc_directions
 from omniocc.progress import Progress
-from omniocc.world import THEMES, Scene
+from omniocc.world import ABSTRACT, THEMES, Scene, seeding
 from omniocc.world.assets.vehicle import EGO_ROAD_M
-from omniocc.world.render.weather import Weather
+from omniocc.world.render.own_car import mask_ego_car
+from omniocc.world.render.weather import WEATHERS, Weather, draw_weather
 from omniocc.world.scene import LabelMode
 from omniocc.world.sensors.recorder import Capture
 
@@ -32,6 +34,9 @@ SETTINGS = (
     "capture",
 )  # fmt: skip
 """Arguments of `Scene` that are equal for all scenes."""
+IN_TURN = "in_turn"
+CALIBRATION_ERROR = {"angle_deg": 0.1, "distance_m": 0.003}
+"""Standard deviation of the errors in the recorded poses of drawn rigs, about each axis."""
 
 
 class VirtualWorld:
@@ -42,8 +47,8 @@ class VirtualWorld:
 
     Args:
         root: folder of all datasets, or a URL (memory://, http://, s3:// ...) of data rendered elsewhere.
-        rig: built-in rig by name, or a rig file.
-        image_size: width and height of every camera image, px.
+        rig: built-in rig by name, or a rig file; `random` draws another for each scene, see `omniocc.camera.drawn`.
+        image_size: width and height of every camera image, px; those of drawn rigs have about as many pixels.
         themes: kinds of places; the scenes of a split take them in turn, those of the test split from the middle on.
         frames_per_scene: recorded frames of each scene.
         frame_interval_s: time between recorded frames.
@@ -51,10 +56,11 @@ class VirtualWorld:
         erp_size: width and height of the panorama of ranges, px.
         erp_top_deg: elevation of the panorama's upper edge.
         erp_bottom_deg: elevation of its lower edge.
-        weather: of all scenes; None draws one for each by its seed.
+        weather: of all scenes; None draws one for each by its seed, `in_turn` gives all of them the same share.
         label_mode: `lidar20`, points of virtual LiDARs as in the paper, or `geometry`, all surfaces, seen or not.
         lidars: number of virtual LiDARs of `lidar20`.
         capture: `direct`, a ray through every pixel, or `cubemap`, sampled from flat images as in the paper.
+        repainted_fraction: fraction of scenes in which all materials and colours are exchanged for others.
         seed: of the streets in all splits.
         shard_limit_mib: size at which a new tar shard begins, MiB.
         workers: processes that render; 0 renders in this process, None takes all usable cores.
@@ -76,10 +82,11 @@ class VirtualWorld:
         erp_size: Sequence[int],
         erp_top_deg: float,
         erp_bottom_deg: float,
-        weather: Weather | None = None,
+        weather: Weather | Literal["in_turn"] | None = None,
         label_mode: LabelMode = "lidar20",
         lidars: int = 20,
         capture: Capture = "direct",
+        repainted_fraction: float = 0.0,
         seed: int = 0,
         shard_limit_mib: int = 256,
         workers: int | None = None,
@@ -89,7 +96,8 @@ class VirtualWorld:
             raise ValueError(f"root is a URL ({root}): set cache to a local folder, where voxels are kept")
         self.root = root
         self.cache = cache
-        self.rig = Rig.load(rig).resized(*image_size)
+        self.rig = None if rig == RANDOM else Rig.load(rig).resized(*image_size)
+        self.pixels = image_size[0] * image_size[1]
         self.themes = tuple(themes)
         self.num_scenes = {"train": train_scenes, "val": val_scenes, "test": test_scenes}
         self.frames_per_scene = _at_least("frames_per_scene", frames_per_scene, 1)
@@ -98,16 +106,19 @@ class VirtualWorld:
         self.erp_size = tuple(erp_size)
         self.erp_top_deg = float(erp_top_deg)
         self.erp_bottom_deg = float(erp_bottom_deg)
-        self.weather: Weather | None = None if weather is None else _one_of("weather", weather, get_args(Weather))
+        self.weather = None if weather is None else _one_of("weather", weather, (*WEATHERS, IN_TURN))
         self.label_mode: LabelMode = _one_of("label_mode", label_mode, get_args(LabelMode))
         self.lidars = _at_least("lidars", lidars, 1)
         self.capture: Capture = _one_of("capture", capture, get_args(Capture))
+        if not 0 <= repainted_fraction <= 1:
+            raise ValueError(f"repainted_fraction is {repainted_fraction}; it must be from 0 to 1")
+        self.repainted_fraction = float(repainted_fraction)
         self.seed = _at_least("seed", seed, 0)
         self.shard_limit_bytes = _at_least("shard_limit_mib", shard_limit_mib, 1) * 2**20
         self.workers = usable_cores() if workers is None else _at_least("workers", workers, 0)
-        unknown = [theme for theme in self.themes if theme not in THEMES]
-        if unknown or not self.themes:
-            raise ValueError(f"themes are {list(self.themes)}: choose one or more of {', '.join(THEMES)}")
+        known = (*THEMES, *ABSTRACT)
+        if not self.themes or not set(self.themes) <= set(known):
+            raise ValueError(f"themes are {list(self.themes)}: choose one or more of {', '.join(known)}")
         for split, count in self.num_scenes.items():
             if not 0 <= count < SEEDS_PER_SPLIT:
                 raise ValueError(f"{split}_scenes must be from 0 to {SEEDS_PER_SPLIT - 1}, got {count}")
@@ -118,11 +129,12 @@ class VirtualWorld:
         return {
             "schema": SCHEMA,
             "world": code_fingerprint(Path(inspect.getfile(Scene)).parent),
-            "rig": self.rig.fingerprint,
+            "rig": f"{RANDOM} {VERSION} {self.pixels}" if self.rig is None else self.rig.fingerprint,
             "frames_per_scene": self.frames_per_scene,
             **self._settings,
             "erp_size": list(self.erp_size),
             "shard_limit_bytes": self.shard_limit_bytes,
+            **({"repainted_fraction": self.repainted_fraction} if self.repainted_fraction else {}),
         }
 
     @cached_property
@@ -157,7 +169,29 @@ class VirtualWorld:
 
     def scene(self, plan: ScenePlan) -> Recordable:
         """Return the world of one scene."""
-        return Scene(theme=plan.theme, seed=plan.seed, rig=self.rig, **self._settings)
+        draw = seeding.generator(plan.theme, plan.seed, "repainted").uniform()
+        settings: dict[str, Any] = {**self._settings, "weather": self.weather_of(plan)}
+        return Scene(plan.theme, plan.seed, self.rig_of(plan), repaint=draw < self.repainted_fraction, **settings)
+
+    def rig_of(self, plan: ScenePlan) -> Rig:
+        """Return the cameras of one scene."""
+        return self.rig or draw_rig(seeding.generator(plan.theme, plan.seed, "rig"), self.pixels)
+
+    def calibration_of(self, plan: ScenePlan) -> Rig:
+        """Return the cameras of one scene as they are recorded: with masks, drawn rigs with errors of their poses."""
+        masked = mask_ego_car(self.rig_of(plan))
+        if self.rig is not None:
+            return masked
+        return disturbed(seeding.generator(plan.theme, plan.seed, "calibration"), masked, **CALIBRATION_ERROR)
+
+    def weather_of(self, plan: ScenePlan) -> str:
+        """Return the weather of one scene."""
+        if self.weather is None:
+            return draw_weather(seeding.generator(plan.theme, plan.seed, "light"))
+        if self.weather != IN_TURN:
+            return self.weather
+        turn, theme = divmod(plan.seed % SEEDS_PER_SPLIT, len(self.themes))
+        return WEATHERS[(turn + theme) % len(WEATHERS)]
 
     def missing(self, plans: Sequence[ScenePlan] | None = None) -> list[ScenePlan]:
         """Return those of the planned scenes (all of them by default) that are not complete."""

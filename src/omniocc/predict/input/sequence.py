@@ -46,7 +46,8 @@ class ImageSequence:
         poses = self.rig.ego_from_camera.clone()
         poses[:, 2, 3] -= height_m
         world_from_ego = None if self.world_from_ego is None else raise_poses(self.world_from_ego, height_m)
-        rig = Rig(self.rig.cameras, poses, self.rig.names, self.rig.masks)
+        road_z_m = None if self.rig.road_z_m is None else self.rig.road_z_m - height_m
+        rig = replace(self.rig, ego_from_camera=poses, road_z_m=road_z_m)
         return replace(self, rig=rig, world_from_ego=world_from_ego, origin_z_m=self.origin_z_m + height_m)
 
     @property

@@ -5,13 +5,14 @@ from functools import lru_cache
 import numpy as np
 
 from omniocc.world import seeding
-from omniocc.world.assets import barrier, building, person, pole, prop, tree, vehicle
+from omniocc.world.assets import barrier, building, person, pole, prop, solid, tree, vehicle
 from omniocc.world.mesh.mesh import Mesh
 from omniocc.world.mesh.shape import Number
 
 _GROUPS = {  # builders by kind, and how many variants of each kind there are
     "tree": (tree.KINDS, 8), "barrier": (barrier.KINDS, 4), "pole": (pole.KINDS, 8), "vehicle": (vehicle.KINDS, 6),
     "building": (building.KINDS, 12), "prop": ({kind: made.make for kind, made in prop.KINDS.items()}, 5),
+    "solid": (solid.KINDS, 16),
 }  # fmt: skip
 _PEOPLE = 16
 

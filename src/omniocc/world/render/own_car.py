@@ -12,13 +12,29 @@ from torch import Tensor
 
 from omniocc.camera import Rig
 from omniocc.errors import UserError
-from omniocc.world.assets.vehicle import ego_car
-from omniocc.world.mesh.mesh import Mesh, empty
+from omniocc.world.assets.vehicle import EGO_ROAD_M, ego_car
+from omniocc.world.mesh.mesh import Mesh, empty, transform
 from omniocc.world.render.caster import Caster
 
 Masks = tuple[Bool[Tensor, "_ _"], ...]
 BORDER_PX = 3
 """Pixels around the own car that are drawn although they are masked."""
+
+
+def road_of(rig: Rig) -> float:
+    """Return the height of the road in a rig's frame, m; that of the virtual world's car where it is not known."""
+    return EGO_ROAD_M if rig.road_z_m is None else rig.road_z_m
+
+
+def car_under(rig: Rig) -> Mesh:
+    """Return the own car in the frame of a rig on it; empty for a rig with a camera inside of the car's body."""
+    down = np.eye(4)
+    down[2, 3] = road_of(rig) - EGO_ROAD_M
+    car = transform(ego_car(), down)
+    low, high = car.vertices.min(0), car.vertices.max(0)
+    places_m = rig.ego_from_camera[:, :3, 3].numpy()
+    inside = ((places_m > low) & (places_m < high)).all(1)
+    return empty() if inside.any() else car
 
 
 def own_car_pixels(rig: Rig, car: Mesh) -> Masks:
@@ -54,7 +70,7 @@ def masking(rig: Rig, pixels: Masks) -> Rig:
 @lru_cache(maxsize=4)
 def mask_ego_car(rig: Rig) -> Rig:
     """Return the rig with the pixels masked in which the virtual world's car is seen."""
-    return masking(rig, own_car_pixels(rig, ego_car()))
+    return masking(rig, own_car_pixels(rig, car_under(rig)))
 
 
 def show_ego_car(rig: Rig) -> Rig:
@@ -64,7 +80,7 @@ def show_ego_car(rig: Rig) -> Rig:
     """
     if rig.masks is None:
         return rig
-    seen = grown(own_car_pixels(rig, ego_car()), BORDER_PX)
+    seen = grown(own_car_pixels(rig, car_under(rig)), BORDER_PX)
     return replace(rig, masks=tuple(m if m is None else m | part for m, part in zip(rig.masks, seen, strict=True)))
 
 

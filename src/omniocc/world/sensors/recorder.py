@@ -7,13 +7,12 @@ from typing import Literal
 import numpy as np
 
 from omniocc.camera import Rig
-from omniocc.world.assets.vehicle import ego_car
 from omniocc.world.frame import Box, Frame
 from omniocc.world.render.capture import RenderedPixels, expose, render_pixels
 from omniocc.world.render.caster import Caster
 from omniocc.world.render.cubemap import make_cube, render_through_cube
 from omniocc.world.render.light import Sensor
-from omniocc.world.render.own_car import show_ego_car
+from omniocc.world.render.own_car import car_under, show_ego_car
 from omniocc.world.render.snapshot import Snapshot
 from omniocc.world.render.view import View, make_view
 from omniocc.world.sensors.geometry_labels import GeometryLabels
@@ -68,7 +67,7 @@ class Recorder:
 @lru_cache(maxsize=2)
 def make_cameras(rig: Rig, supersample: int, capture: str) -> tuple[list[View], list[Render]]:
     """Return the rays of each camera, and what renders its image; scenes with the same rig share them."""
-    caster, rig = Caster(ego_car()), show_ego_car(rig)
+    caster, rig = Caster(car_under(rig)), show_ego_car(rig)
     views = [make_view(rig, camera, supersample, caster) for camera in range(len(rig.cameras))]
     if capture == "direct":
         return views, [partial(render_pixels, view) for view in views]

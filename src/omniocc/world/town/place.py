@@ -4,13 +4,16 @@ from dataclasses import dataclass
 
 from omniocc.world import seeding
 from omniocc.world.mesh.mesh import Mesh, concatenate
-from omniocc.world.town import backdrop, islands, marking, network, railway, road, street, terrain, themes
+from omniocc.world.town import backdrop, hall, islands, marking, network, railway, road, street, terrain, themes
 from omniocc.world.town.network import Network
 from omniocc.world.town.site import Plan, Signal, Site
 from omniocc.world.town.terrain import Terrain
 from omniocc.world.town.theme import Theme
 
-THEMES: tuple[str, ...] = tuple(themes.ALL)
+THEMES: tuple[str, ...] = tuple(theme.name for theme in themes.TOWNS)
+"""Places that look like places."""
+ABSTRACT: tuple[str, ...] = tuple(name for name in themes.ALL if name not in THEMES)
+"""Places that look like nothing, for networks that are to learn no habits."""
 _CROSSING_FRACTION = 0.5
 _PLAN_RADIUS_M = 300.0
 
@@ -41,7 +44,7 @@ class Place:
 def build(theme: str, seed: int) -> Place:
     """Build the place (theme, seed): the same bytes every time; raise ValueError if the theme does not exist."""
     if theme not in themes.ALL:
-        raise ValueError(f"unknown theme {theme!r}; possible: {', '.join(THEMES)}")
+        raise ValueError(f"unknown theme {theme!r}; possible: {', '.join(themes.ALL)}")
     recipe = themes.ALL[theme]
     land = terrain.draw(seeding.generator(theme, seed, "terrain"), recipe.slope, recipe.horizon_m)
     town = network.draw(recipe, seeding.generator(theme, seed, "network"))
@@ -57,6 +60,9 @@ def build(theme: str, seed: int) -> Place:
     extras = [islands.islands(recipe, town, site, rng), islands.medians(recipe, town, land, site, rng)]
     if recipe.railway:
         extras.append(railway.railway(town, site))
+    rng = seeding.generator(theme, seed, "hall")
+    if rng.uniform() < recipe.hall_fraction:
+        extras.append(hall.hall(recipe, town, land, rng))
     for index, (ring, has_sidewalk) in enumerate(zip(town.rings, paved, strict=True)):
         street.furnish(
             recipe, town, ring, has_sidewalk, crossings, site, seeding.generator(theme, seed, f"block {index}")

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from omniocc.world.assets import tree, vehicle
+from omniocc.world.assets import solid, tree, vehicle
 from omniocc.world.assets.barrier import PIECE_M
 from omniocc.world.assets.catalog import fitting_building, random_variant
 from omniocc.world.mesh.label import GROUND, OTHER, SIDEWALK
@@ -288,7 +288,23 @@ _FOUNTAIN = concatenate([
     lathe([0.3, 0.2, 0.8, 0.0], [0.2, 1.5, 1.8, 1.7], 10, _STONE),
 ])  # fmt: skip
 
+
+def _solids(plot: Plot) -> None:
+    """Scatter plain solids on the plot and in the air above it, most of them near the street."""
+    rng, half = plot.rng, plot.width_m / 2
+    for _ in range(int(plot.width_m * plot.depth_m / 12)):
+        x, y = float(rng.uniform(-half, half)), float(plot.depth_m * rng.uniform() ** 2)
+        kind = choice(rng, tuple(solid.KINDS))
+        mesh = random_variant(rng, "solid", kind)
+        lift = float(rng.uniform(0, 5)) if kind in ("block", "ball") and rng.uniform() < 0.4 else 0.0
+        wide, high = np.exp(rng.uniform(-0.5, 0.7, 2)).tolist()
+        paint = {Material(int(mesh.material[0])): solid.random_color(rng)}
+        pose = plot.front.at(x, y, float(rng.uniform(0, 2 * np.pi)))
+        plot.site.put(mesh, pose, stretch=(wide, wide, high), lift_m=KERB_M + lift, paint=paint)
+
+
 KINDS: dict[str, Callable[[Plot], None]] = {
     "tower": _tower, "row": _row, "house": _house, "hall": _hall, "yard": _yard, "park": _park, "lot": _lot,
     "field": _field, "farm": _farm, "college": _college, "green": _green, "church": _churchyard, "square": _square,
+    "solids": _solids,
 }  # fmt: skip

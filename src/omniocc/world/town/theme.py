@@ -37,6 +37,7 @@ class Theme:
         traffic: kind (`vehicle.KINDS`) -> weight among moving vehicles.
         car_headway_s: mean time between cars of one lane.
         walkers_per_block: mean number of walkers around a block.
+        hall_fraction: fraction of places that are a hall: walls along the kerbs, and a ceiling over everything.
     """
 
     name: str
@@ -77,3 +78,4 @@ class Theme:
     traffic: dict[str, float]
     car_headway_s: float
     walkers_per_block: float
+    hall_fraction: float = 0.0

@@ -144,6 +144,19 @@ ROUNDABOUT = Theme(
     car_headway_s=5.0, walkers_per_block=9.0,
 )  # fmt: skip
 
-ALL = {
-    theme.name: theme for theme in (DOWNTOWN, SUBURB, INDUSTRIAL, COUNTRYSIDE, OLD_TOWN, ARTERIAL, CAMPUS, ROUNDABOUT)
-}
+SOLIDS = Theme(
+    name="solids",
+    spacing_m=80.0, jitter_m=8.0, bulge_m=8.0, straight_m=14.0, lanes=(1,), lane_width_m=2.9, parking_m=0.2,
+    sidewalk_m=0.8, corner_radius_m=5.0, lane_lines=False, paved_fraction=0.5,
+    slope=0.02, horizon_m=20.0, skyline_m=10.0, lamp="park",
+    plots={"solids": 1.0}, plot_width_m=(8.0, 20.0), setback_m=(0.0, 0.3),
+    ground=((Material.PAVING, (150, 140, 124)), (Material.CONCRETE, (142, 140, 136)), (Material.SOIL, (128, 110, 88))),
+    wall_colors=_WARM, roof_colors=((96, 92, 90),),
+    trees={"bush": 1.0, "round": 1.0}, tree_gap_m=float("inf"), lamp_gap_m=60.0, prop_gap_m=20.0,
+    parked_gap_m=float("inf"), props={"bollards": 1.0, "crates": 1.0, "planter": 1.0},
+    speed_mps=(3.0, 6.0), traffic=_LIGHT, car_headway_s=20.0, walkers_per_block=10.0, hall_fraction=0.4,
+)  # fmt: skip
+
+TOWNS = (DOWNTOWN, SUBURB, INDUSTRIAL, COUNTRYSIDE, OLD_TOWN, ARTERIAL, CAMPUS, ROUNDABOUT)
+
+ALL = {theme.name: theme for theme in (*TOWNS, SOLIDS)}
