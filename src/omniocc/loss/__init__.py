@@ -2,7 +2,7 @@
 
 from omniocc.loss.cross_entropy import CrossEntropy
 from omniocc.loss.dice import Dice
-from omniocc.loss.first_hit import FirstHit, SoftRayIoU
+from omniocc.loss.first_hit import FirstHit
 from omniocc.loss.lovasz import Lovasz
 from omniocc.loss.range_bins import RangeBins
 from omniocc.loss.scal import Scal
@@ -19,6 +19,5 @@ __all__ = [
     "SILog",
     "Scal",
     "Semantics",
-    "SoftRayIoU",
     "Total",
 ]

@@ -91,13 +91,32 @@ def first_hits(
     return FirstHits(correct, torch.einsum("bcn,bn->bc", logarithm[..., :-1].exp(), arriving), labels)
 
 
-class _OnRays(nn.Module):
-    """Keep the rays of a grid.
+def unlikely(hits: FirstHits) -> Float32[Tensor, ""]:
+    """Return -log of the probability that a first hit is correct: mean over rays with a true hit, and distances."""
+    known = hits.labels != FREE
+    return -((hits.correct + LEAST).log() * known).sum() / (known.sum() * len(hits.correct)).clamp(min=1)
+
+
+def missed_overlap(hits: FirstHits) -> Float32[Tensor, ""]:
+    """Return 1 - RayIoU of the probabilities: mean over the classes that true hits of the batch have, and distances."""
+    number = torch.arange(hits.predicted.shape[1], dtype=torch.uint8, device=hits.labels.device)
+    one_hot = (hits.labels[..., None] == number).float()
+    correct = torch.einsum("dbr,brc->dc", hits.correct, one_hot)
+    true, predicted = one_hot.sum((0, 1)), hits.predicted.sum(0)
+    present = (true > 0) & (number != FREE)
+    wrong = torch.where(present, 1 - correct / (true + predicted - correct).clamp(min=1e-6), 0)
+    return wrong.sum() / (present.sum() * len(hits.correct)).clamp(min=1)
+
+
+class FirstHit(nn.Module):
+    """Add what is unlikely and what RayIoU misses of the first hits of rays; 0 if no ray has a true hit.
 
     Args:
         geometry: grid of the voxels.
         azimuths: directions around the car; 39 rays, of different elevations, in each.
         within_m: distances from the true hit that count as correct, one after the other.
+        likelihood_weight: of -log of the probability that the first hit is correct.
+        overlap_weight: of 1 - RayIoU of the probabilities.
 
     Raises:
         ValueError: if there are no azimuths or distances.
@@ -106,50 +125,24 @@ class _OnRays(nn.Module):
     cells: Tensor
     entry_m: Tensor
 
-    def __init__(self, geometry: Grid, azimuths: int, within_m: Sequence[float]):
+    def __init__(
+        self,
+        geometry: Grid,
+        azimuths: int,
+        within_m: Sequence[float],
+        likelihood_weight: float,
+        overlap_weight: float,
+    ):
         super().__init__()
         if azimuths < 1 or not within_m or min(within_m) <= 0:
             raise ValueError(f"azimuths is {azimuths}, within_m {list(within_m)}; both need positive values")
         self.within_m = tuple(float(limit_m) for limit_m in within_m)
+        self.likelihood_weight, self.overlap_weight = likelihood_weight, overlap_weight
         for name, value in ray_cells(geometry, azimuths)._asdict().items():
             self.register_buffer(name, value, persistent=False)
 
-    def hits(self, logits: Float[Tensor, "B C *grid"], target: UInt8[Tensor, "B *grid"]) -> FirstHits:
-        """Return the probabilities of the first hits, in float32 also under autocast."""
+    def forward(self, logits: Float[Tensor, "B C *grid"], target: UInt8[Tensor, "B *grid"]) -> Float32[Tensor, ""]:
+        """Return a scalar, computed in float32 also under autocast."""
         with torch.autocast(logits.device.type, enabled=False):
-            return first_hits(logits, target, RayCells(self.cells, self.entry_m), self.within_m)
-
-
-class FirstHit(_OnRays):
-    """Return -log of the probability that a ray's first hit is correct: mean over rays with a true hit and distances.
-
-    Arguments as in `_OnRays`.
-    """
-
-    def forward(self, logits: Float[Tensor, "B C *grid"], target: UInt8[Tensor, "B *grid"]) -> Float32[Tensor, ""]:
-        """Return a scalar; 0 if no ray has a true hit."""
-        hits = self.hits(logits, target)
-        known = hits.labels != FREE
-        return -((hits.correct + LEAST).log() * known).sum() / (known.sum() * len(self.within_m)).clamp(min=1)
-
-
-class SoftRayIoU(_OnRays):
-    """Return 1 - RayIoU of the probabilities: mean over the classes that true hits of the batch have, and distances.
-
-    Arguments as in `_OnRays`.
-    """
-
-    def forward(self, logits: Float[Tensor, "B C *grid"], target: UInt8[Tensor, "B *grid"]) -> Float32[Tensor, ""]:
-        """Return a scalar; 0 if no ray has a true hit."""
-        hits = self.hits(logits, target)
-        one_hot = self._classes(hits.labels, logits.shape[1])
-        correct = torch.einsum("dbr,brc->dc", hits.correct, one_hot)
-        true, predicted = one_hot.sum((0, 1)), hits.predicted.sum(0)
-        present = (true > 0) & (torch.arange(len(true), device=true.device) != FREE)
-        iou = correct / (true + predicted - correct).clamp(min=1e-6)
-        wrong = torch.where(present, 1 - iou, 0)
-        return wrong.sum() / (present.sum() * len(self.within_m)).clamp(min=1)
-
-    @staticmethod
-    def _classes(labels: UInt8[Tensor, "B R"], classes: int) -> Float32[Tensor, "B R C"]:
-        return (labels[..., None] == torch.arange(classes, dtype=torch.uint8, device=labels.device)).float()
+            hits = first_hits(logits, target, RayCells(self.cells, self.entry_m), self.within_m)
+            return self.likelihood_weight * unlikely(hits) + self.overlap_weight * missed_overlap(hits)
