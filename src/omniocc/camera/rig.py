@@ -80,8 +80,7 @@ class Rig:
         self, points_ego: Float[Tensor, "*batch 3"]
     ) -> tuple[Float[Tensor, "N *batch 2"], Bool[Tensor, "N *batch"]]:
         """Return the pixels of ego points (m) in every camera, and where they are valid: seen by lens and mask."""
-        camera_from_ego = invert_pose(self.ego_from_camera).to(points_ego)
-        results = [self._project_one(i, points_ego, camera_from_ego[i]) for i in range(len(self.cameras))]
+        results = [self.project_into(camera, points_ego) for camera in range(len(self.cameras))]
         return torch.stack([pixels for pixels, _ in results]), torch.stack([valid for _, valid in results])
 
     def rays(self, camera: int) -> tuple[Float32[Tensor, "height width 3"], Bool[Tensor, "height width"]]:
@@ -129,14 +128,16 @@ class Rig:
     def _mask(self, camera: int) -> Bool[Tensor, "height width"] | None:
         return None if self.masks is None else self.masks[camera]
 
-    def _project_one(
-        self, index: int, points_ego: Float[Tensor, "*batch 3"], camera_from_ego: Float[Tensor, "4 4"]
+    def project_into(
+        self, camera: int, points_ego: Float[Tensor, "*batch 3"]
     ) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"]]:
+        """Return the pixels of ego points (m) in one camera, and where they are valid: seen by lens and mask."""
+        camera_from_ego = invert_pose(self.ego_from_camera[camera]).to(points_ego)
         x, y, z = points_ego[..., :1], points_ego[..., 1:2], points_ego[..., 2:]
         # Sums instead of a matrix product, which autocast or TF32 would round.
         right, down, forward, origin = camera_from_ego[:3].unbind(-1)
-        pixels, valid = self.cameras[index].project(x * right + y * down + z * forward + origin)
-        mask = self._mask(index)
+        pixels, valid = self.cameras[camera].project(x * right + y * down + z * forward + origin)
+        mask = self._mask(camera)
         if mask is None:
             return pixels, valid
         nearest = torch.where(valid[..., None], pixels, 0).round().long()

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -100,3 +102,37 @@ def test_uncertain_answers_are_not_valid(small, rig):
 def test_sizes_that_do_not_fit_are_named(changes, words, small):
     with pytest.raises(ValueError, match=words):
         small("OmniMVS", **changes)
+
+
+def test_with_pairs_by_angle_any_order_of_any_number_of_cameras_gives_one_answer(small, make_ring):
+    model = small("OmniMVS", pairs="nearest", hints=True).eval()
+    for count, order in ((3, [2, 0, 1]), (5, [4, 1, 0, 3, 2])):
+        rig = make_ring(count)
+        shuffled = Rig(rig.cameras, rig.ego_from_camera[order], tuple(rig.names[k] for k in order))
+        images = torch.rand(1, count, 3, 36, 64)
+        with torch.no_grad():
+            ours, _ = model.logits(images[:, order], shuffled)
+            expected, _ = model.logits(images, rig)
+        torch.testing.assert_close(ours, expected, atol=2e-3, rtol=1e-3)
+
+
+def test_the_height_of_the_road_is_an_input_that_half_of_the_training_lacks(small, make_ring):
+    rig = make_ring(4)
+    model = small("OmniMVS", hints=True).eval()
+    images = torch.rand(1, 4, 3, 36, 64)
+    with torch.no_grad():
+        answers = [model.logits(images, replace(rig, road_z_m=z))[0] for z in (None, -1.0, -2.0)]
+    assert not torch.allclose(answers[0], answers[1])
+    assert not torch.allclose(answers[1], answers[2])
+    told = []
+    model._hints = lambda rig, like: told.append(model.told) or like.new_zeros(len(like), 5, *like.shape[-2:])
+    for seed in range(40):
+        generator = torch.Generator().manual_seed(seed)
+        model.training_terms(images, (rig,), torch.full((1, 12, 48), 5.0), None, generator)
+    assert 8 < sum(told) < 32
+    assert model.told
+
+
+def test_an_unknown_way_to_pair_is_named(small):
+    with pytest.raises(ValueError, match="pairs is odd"):
+        small("OmniMVS", pairs="odd")

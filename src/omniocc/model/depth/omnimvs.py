@@ -1,6 +1,7 @@
 """Omnidirectional depth by one combined sweep and 2D regularisation (paper, section IV-B; RtHexa-OmniMVS)."""
 
 from collections.abc import Iterator
+from typing import Literal
 
 import torch
 from jaxtyping import Bool, Float
@@ -8,15 +9,20 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from omniocc.camera import Equirectangular, Rig
+from omniocc.model.ops.depth.hints import HINTS, ROAD_HINTS, rig_hints
 from omniocc.model.ops.depth.layers import Conv, FeatureNet, UNet2d
 from omniocc.model.ops.depth.projection import Projection, Sampler, alternate_cameras, samplers, similarity, table
 from omniocc.model.ops.depth.sphere_net import SphereLoss, SphereNet
 from omniocc.model.ops.depth.spheres import SphereRange
 from omniocc.model.ops.norm import group_norm
+from omniocc.model.ops.padded import Rigs
 from omniocc.model.ops.padding import upsample_view
 
 CONTEXT_SPHERES = (0.06, 0.25)
 """Spheres on which the features of both views are passed on, as fractions of the index of the nearest sphere."""
+
+UNTOLD = 0.5
+"""Fraction of training batches in which the network is not told the height of the road."""
 
 FIRST_TRUST = 4.0
 """Score that full similarity adds to a sphere before training."""
@@ -41,6 +47,10 @@ class OmniMVS(SphereNet):
         channels: per level of the 2D network, finest (half the panorama) first; multiples of 8.
         fine_channels: of the layers at full size, which get the correlations and the mean features again.
         blocks: residual blocks on each level, down and up again.
+        pairs: how cameras are divided into the two sets. `alternate`: every other camera of the ring, in all
+            directions. `nearest`: every other one of those that see a point, by its angle from their axes, so that two
+            cameras are compared wherever two see, in any rig.
+        hints: whether the network is told what the rig alone says of a direction: parallax, number of cameras, road.
 
     Raises:
         ValueError: if groups, stride or panorama do not fit together.
@@ -63,6 +73,8 @@ class OmniMVS(SphereNet):
         window: int,
         min_confidence: float,
         mirror: bool,
+        pairs: Literal["alternate", "nearest"] = "alternate",
+        hints: bool = False,
     ):
         super().__init__(panorama, spheres, loss, window, min_confidence, mirror)
         width, height = panorama.width, panorama.height
@@ -75,11 +87,14 @@ class OmniMVS(SphereNet):
                 f"the panorama is {width}x{height} px; {len(channels)} levels need an even height "
                 f"and a width in multiples of {2 ** len(channels)}"
             )
+        if pairs not in ("alternate", "nearest"):
+            raise ValueError(f"pairs is {pairs}; it must be alternate or nearest")
         self.match_channels, self.groups, self.sweep_stride = match_channels, groups, sweep_stride
+        self.pairs, self.hints, self.told = pairs, hints, True
         self.swept = panorama.resized(width // sweep_stride, height // sweep_stride)
         self.features = FeatureNet(feature_channels, match_channels + context_channels, stride=feature_stride)
         compared = groups * spheres.count
-        inputs = compared + 2 * len(CONTEXT_SPHERES) * context_channels + 3
+        inputs = compared + 2 * len(CONTEXT_SPHERES) * context_channels + 3 + HINTS * hints
         self.stem = nn.Conv2d(inputs, channels[0], 2 // sweep_stride, stride=2 // sweep_stride)
         self.net = UNet2d(channels, blocks, wrap=True)
         self.up = nn.Sequential(nn.Conv2d(channels[0], 4 * fine_channels, 1), nn.PixelShuffle(2))
@@ -115,7 +130,28 @@ class OmniMVS(SphereNet):
         height = self.swept.height
         row = 1 - 2 * (torch.arange(height, device=features.device) + 0.5) / height
         maps = [self._maps(part) for part in (agreement, *self._views(context, present, rig))]
-        return torch.cat([*maps, both, either, row[:, None].expand_as(both)], 1), either > 0
+        told = [self._hints(rig, either)] if self.hints else []
+        return torch.cat([*maps, both, either, row[:, None].expand_as(both), *told], 1), either > 0
+
+    def training_terms(
+        self,
+        images: Float[Tensor, "B N 3 H W"],
+        rigs: Rigs,
+        erp_range_m: Float[Tensor, "B h w"],
+        camera_range_m: Float[Tensor, "B N H W"] | None,
+        generator: torch.Generator,
+    ) -> dict[str, Float[Tensor, ""]]:
+        """Return weighted losses by name; every other batch is not told the height of the road."""
+        self.told = not self.hints or bool(torch.rand((), generator=generator) >= UNTOLD)
+        terms = super().training_terms(images, rigs, erp_range_m, camera_range_m, generator)
+        self.told = True
+        return terms
+
+    def _hints(self, rig: Rig, like: Float[Tensor, "B 1 h w"]) -> Float[Tensor, "B 5 h w"]:
+        maps = rig_hints(rig, self.swept, self.rig_spheres(rig)).to(like)
+        if not self.told:
+            maps = torch.cat([maps[:-ROAD_HINTS], torch.zeros_like(maps[-ROAD_HINTS:])])
+        return maps.expand(len(like), -1, -1, -1)
 
     def _views(
         self, context: Float[Tensor, "B N C _ _"], present: Bool[Tensor, "B N"], rig: Rig
@@ -130,9 +166,11 @@ class OmniMVS(SphereNet):
         self, features: Float[Tensor, "B N C _ _"], rig: Rig, planes: tuple[float, ...]
     ) -> Iterator[tuple[Sampler, Sampler]]:
         size = features.shape[-1], features.shape[-2]
-        sweeps = [
-            Projection(self.swept, self.rig_spheres(rig), size, cameras, planes) for cameras in alternate_cameras(rig)
-        ]
+        spheres, everyone = self.rig_spheres(rig), tuple(range(len(rig.cameras)))
+        if self.pairs == "nearest":
+            sweeps = [Projection(self.swept, spheres, size, everyone, planes, parity) for parity in (0, 1)]
+        else:
+            sweeps = [Projection(self.swept, spheres, size, cameras, planes) for cameras in alternate_cameras(rig)]
         return zip(*(samplers(rig, sweep, features.device) for sweep in sweeps), strict=True)
 
     def _maps(self, points: Float[Tensor, "P B C"]) -> Float[Tensor, "B DC h w"]:

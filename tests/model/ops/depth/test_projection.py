@@ -141,3 +141,39 @@ def test_black_images_are_missing():
     images = torch.rand(1, 3, 3, 4, 4)
     images[0, 1] = 0
     assert present_cameras(images).tolist() == [[True, False, True]]
+
+
+def test_every_other_camera_in_the_order_of_angles(make_ring):
+    rig = make_ring(5)
+    points_m = 20 * PANORAMA.rays().double().reshape(-1, 3)
+    valid = rig.project(points_m)[1]
+    toward = F.normalize(points_m - rig.ego_from_camera[:, None, :3, 3], dim=-1)
+    cosine = (toward * rig.ego_from_camera[:, None, :3, 2]).sum(-1)
+    plane = SPHERES.index(torch.tensor(20.0)).item()
+    pair = [
+        samplers(rig, Projection(PANORAMA, SPHERES, (32, 18), tuple(range(5)), (plane,), k), CPU)[0] for k in (0, 1)
+    ]
+    for point in range(0, len(points_m), 7):
+        order = sorted((k for k in range(5) if valid[k, point]), key=lambda k: -float(cosine[k, point]))
+        for parity, sampler in enumerate(pair):
+            first, last = sampler.matrix.crow_indices()[point : point + 2].tolist()
+            used = set((sampler.columns[first:last] // (32 * 18)).tolist())
+            assert used <= set(order[parity::2])
+            assert used or not order[parity:] or len(order) < parity + 2
+
+
+@pytest.mark.parametrize("count", [2, 3, 5])
+def test_two_cameras_are_compared_wherever_two_see(count, make_ring):
+    rig = make_ring(count)
+    planes = (0.0, 2.0)
+    pair = [
+        samplers(rig, Projection(PANORAMA, SPHERES, (32, 18), tuple(range(count)), planes, k), CPU)[0] for k in (0, 1)
+    ]
+    both = (pair[0].seen & pair[1].seen).unflatten(0, (2, -1))
+    one = sampler_of(rig, tuple(range(count)), planes).seen.unflatten(0, (2, -1))
+    points_m = PANORAMA.rays().double().reshape(-1, 3)
+    for k, range_m in enumerate((1e6, 1 / (2.0 * SPHERES.step_per_m))):
+        seen = rig.project(points_m * range_m)[1].sum(0)
+        assert (both[k] == (seen >= 2)).float().mean() > 0.97  # weights are zero at the very rim
+        assert not (both[k] & (seen < 2)).any()
+        assert not (both[k] & ~one[k]).any()

@@ -6,6 +6,7 @@ this is several times faster than `grid_sample` for every camera, which also sam
 """
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -13,9 +14,10 @@ from typing import Any
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Float32, Int32
+from jaxtyping import Bool, Float, Float32, Int32, Int64
 from torch import Tensor
 from torch.autograd.function import once_differentiable
+from torch.nn import functional as F
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.model.ops.depth.spheres import Spheres
@@ -176,6 +178,8 @@ class Projection:
         feature_size: width and height of the feature maps, px; they span the rig's largest image.
         cameras: indices of the cameras that are summed over.
         planes: indices of the spheres, which need not be whole numbers.
+        every_other: 0 or 1: of the cameras that see a point, in the order of its angle from their axes, only the first,
+            third, ... (0) or the second, fourth, ... (1) count; None: all.
     """
 
     panorama: Equirectangular
@@ -183,6 +187,7 @@ class Projection:
     feature_size: tuple[int, int]
     cameras: tuple[int, ...]
     planes: tuple[float, ...]
+    every_other: int | None = None
 
 
 @once_per_rig
@@ -216,15 +221,30 @@ def _taps(
 def _rows(rig: Rig, projection: Projection, plane: float, rays: Float[Tensor, "P 3"]) -> tuple[Tensor, Tensor, Tensor]:
     """Return the entries of the rows of one sphere: their number in each row, their columns, their values."""
     points_m = rays * min(1 / (plane * projection.spheres.step_per_m) if plane else FAR_M, FAR_M)
-    pixels, valid = rig.project(points_m)
     width, height = projection.feature_size
     if not projection.cameras:
         return torch.zeros(len(rays), dtype=torch.long), torch.empty(0, dtype=torch.int32), torch.empty(0)
-    taps = [_taps(rig, k, pixels[k], valid[k], width, height) for k in projection.cameras]
+    projected = [rig.project_into(k, points_m) for k in projection.cameras]
+    if projection.every_other is not None:
+        place = _places(rig, projection.cameras, points_m, [valid for _, valid in projected])
+        parity = place % 2 == projection.every_other
+        projected = [(pixels, valid & own) for (pixels, valid), own in zip(projected, parity, strict=True)]
+    taps = [_taps(rig, k, *part, width, height) for k, part in zip(projection.cameras, projected, strict=True)]
     column = torch.cat([column for column, _ in taps], -1)
     value = torch.cat([value for _, value in taps], -1)
     kept = value > 1e-6
     return kept.sum(-1), column[kept].int(), value[kept].float()
+
+
+def _places(
+    rig: Rig, cameras: Sequence[int], points_m: Float[Tensor, "P 3"], valid: Sequence[Bool[Tensor, " P"]]
+) -> Int64[Tensor, "N P"]:
+    """Return each camera's place, from 0, in the order of angles between its axis and a point; blind ones are last."""
+    poses = rig.ego_from_camera[list(cameras)]
+    toward = F.normalize(points_m - poses[:, None, :3, 3], dim=-1)
+    cosine = (toward * poses[:, None, :3, 2]).sum(-1)
+    order = torch.argsort(cosine.where(torch.stack(list(valid)), -2), dim=0, descending=True, stable=True)
+    return torch.argsort(order, dim=0)
 
 
 def _sampler(rig: Rig, projection: Projection, planes: tuple[float, ...], device: torch.device) -> Sampler:
