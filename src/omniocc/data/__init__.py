@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING, Any
 
+from omniocc.data.augment.appearance import Appearance
 from omniocc.data.augment.augment import Augment
 from omniocc.data.dataset import Needs, WindowDataset, collate
 from omniocc.data.source import SceneSource, SourceSpec
@@ -15,8 +16,8 @@ if TYPE_CHECKING:
     from omniocc.data.module import OccupancyData
 
 __all__ = [
-    "Augment", "CandidateCache", "DataError", "EvidenceCache", "Needs", "OccupancyData", "RangeCache", "Recorded",
-    "SceneReader", "SceneSource", "SourceSpec", "VirtualWorld", "WindowDataset", "collate",
+    "Appearance", "Augment", "CandidateCache", "DataError", "EvidenceCache", "Needs", "OccupancyData", "RangeCache",
+    "Recorded", "SceneReader", "SceneSource", "SourceSpec", "VirtualWorld", "WindowDataset", "collate",
 ]  # fmt: skip
 
 

@@ -7,6 +7,7 @@ from torch import Tensor, nn
 from torchmetrics import MeanMetric
 
 from omniocc.batch import Batch
+from omniocc.data import Appearance
 from omniocc.metric import DepthMetrics
 from omniocc.model.depth import Spheres
 from omniocc.model.occupancy import to_unit_range
@@ -25,6 +26,7 @@ class DepthTask(StageTask[nn.Module]):
         spheres: of the rig, for errors in indices; ranges nearer than all of them are not scored.
         range_edges_m: ends of the distance bands in which errors are given.
         seed: of the random choices of training, such as mirrored batches.
+        appearance: changes of the training images; None: as they are.
     """
 
     STAGE = "depth"
@@ -37,9 +39,10 @@ class DepthTask(StageTask[nn.Module]):
         range_edges_m: Sequence[float],
         seed: int,
         config: dict[str, Any],
+        appearance: Appearance | None = None,
     ):
         super().__init__(model, optimizer, config)
-        self.seed = seed
+        self.seed, self.appearance = seed, appearance
         self.errors = DepthMetrics(spheres.min_range_m, FARTHEST_M, spheres.count, range_edges_m)
         self.coverage = MeanMetric()
 
@@ -48,6 +51,8 @@ class DepthTask(StageTask[nn.Module]):
         images = to_unit_range(batch.images[:, -1])
         ranges = batch.erp_range_m, batch.camera_range_m
         generator = step_generator(self, self.seed, batch_index)
+        if self.appearance is not None:
+            images = self.appearance(images, batch.image_mask()[:, -1], generator)
         terms = self.model.training_terms(images, batch.newest_rigs, *ranges, generator)  # type: ignore[operator]
         return log_terms(self, terms, batch)
 

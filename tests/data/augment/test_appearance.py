@@ -1,0 +1,78 @@
+import pytest
+import torch
+
+from omniocc.data import Appearance
+from omniocc.data.augment.appearance import missing_ones
+
+OFF = dict.fromkeys(
+    ("exposure", "gamma", "white_balance", "grey", "blur_px", "noise", "vignette", "glare", "jpeg", "missing"), 0.0
+)
+MASK = torch.ones(2, 4, 24, 32, dtype=torch.bool)
+
+
+def images():
+    smooth = torch.rand(2, 4, 3, 6, 8, generator=torch.Generator().manual_seed(1))
+    return torch.nn.functional.interpolate(smooth.flatten(0, 1), scale_factor=4, mode="bilinear").unflatten(0, (2, 4))
+
+
+def changed(seed=0, **limits):
+    return Appearance(**(OFF | limits))(images(), MASK, torch.Generator().manual_seed(seed))
+
+
+def test_off_changes_nothing():
+    torch.testing.assert_close(changed(), images(), atol=2e-4, rtol=0)
+
+
+@pytest.mark.parametrize(
+    "limits",
+    [{name: 0.5 if name != "jpeg" else 1.0} for name in OFF if name not in ("grey", "missing")],
+    ids=lambda limits: next(iter(limits)),
+)
+def test_each_change_changes_and_depends_only_on_the_generator(limits):
+    one = changed(3, **limits)
+    assert torch.equal(one, changed(3, **limits))
+    assert not all(torch.allclose(one, changed(seed, **limits), atol=1e-3) for seed in (4, 5, 6))
+    assert one.min() >= 0
+    assert one.max() <= 1
+    assert 0.3 < torch.corrcoef(torch.stack([one.flatten(), images().flatten()]))[0, 1] < 0.9999
+
+
+def test_cameras_of_a_rig_differ_by_less_than_it():
+    result = changed(0, exposure=1.0)
+    stops = (result / images()).log2().masked_fill(result > 0.99, torch.nan).flatten(2).nanmedian(2).values
+    assert (stops.amax(1) - stops.amin(1) <= 1.0).all()
+    assert stops.std(1).min() > 0
+    assert (stops.mean(1) - stops.mean()).abs().min() > 0.01
+
+
+def test_grey_rigs_have_equal_channels():
+    result = changed(grey=1.0)
+    assert torch.allclose(result[:, :, 0], result[:, :, 1], atol=1e-3)
+    assert torch.allclose(result[:, :, 0], result[:, :, 2], atol=1e-3)
+
+
+def test_at_most_one_camera_of_three_or_more_is_lost():
+    mask = MASK.clone()
+    mask[1, 2:] = False
+    lost = torch.stack([missing_ones(mask, 1.0, torch.Generator().manual_seed(seed)) for seed in range(30)])
+    assert (lost[:, 0].sum(1) == 1).all()
+    assert lost[:, 0].any(0).all()
+    assert not lost[:, 1].any()
+
+
+def test_padding_and_black_pictures_stay_black():
+    mask, given = MASK.clone(), images()
+    mask[0, 1, :, 20:], mask[1, 3] = False, False
+    given[1, 0] = 0
+    everything = {name: 0.5 for name in OFF if name != "missing"}
+    result = Appearance(**(OFF | everything))(given * mask[:, :, None], mask, torch.Generator().manual_seed(0))
+    assert not result[0, 1, :, :, 20:].any()
+    assert not result[1, 3].any()
+    assert not result[1, 0].any()
+    assert result[0, 0].any()
+
+
+@pytest.mark.parametrize(("name", "value"), [("noise", -0.1), ("jpeg", 1.5)])
+def test_impossible_values_are_named(name, value):
+    with pytest.raises(ValueError, match=f"{name} is {value}"):
+        Appearance(**(OFF | {name: value}))
