@@ -75,7 +75,20 @@ ROOT: dict[str, Any] = {
     "plan": bool,
 }
 """The plain keys at the root of `train.yaml`, besides the groups, and their types."""
-GROUPS = ("preset", "stages", "depth", "model", "data", "loss", "optimizer", "augment", "trainer", "logger", "paths")
+GROUPS = (
+    "preset",
+    "stages",
+    "depth",
+    "model",
+    "data",
+    "loss",
+    "optimizer",
+    "augment",
+    "appearance",
+    "trainer",
+    "logger",
+    "paths",
+)
 
 
 def check_root(cfg: DictConfig) -> None:

@@ -48,7 +48,10 @@ def stage_keys(cfg: DictConfig, data_fingerprint: str) -> Keys:
     trainer = _without(config["trainer"], OVERRULED)
     stages, sketch = config["stages"], config["model"]["sketch"]
     selection = cast(type[LearnedSketch], target_of(sketch)).SELECTION
-    depth_key = short_hash([VERSIONS["depth"], config["depth"], stages["depth"], trainer, data_fingerprint])
+    appearance = [config["appearance"]] if config.get("appearance") else []
+    depth_key = short_hash(
+        [VERSIONS["depth"], config["depth"], stages["depth"], trainer, data_fingerprint, *appearance]
+    )
     network = _without(sketch, selection)
     labels = config["data"]["unknown"]
     sketch_key = short_hash([VERSIONS["sketch"], depth_key, network, stages["sketch"], trainer, labels])

@@ -11,7 +11,6 @@ from lightning.pytorch.utilities.types import OptimizerLRSchedulerConfig
 from torch import Tensor, nn
 
 from omniocc.batch import Batch
-from omniocc.data import Appearance
 from omniocc.run.checkpoint import CONFIG, STAGE
 from omniocc.task.adamw import AdamW
 
@@ -27,7 +26,6 @@ class Recipe:
         max_epochs: passes over the training frames; None: as many as `max_steps` are.
         batch_size: samples per process and step.
         seed: of weights and order of samples.
-        appearance: changes of the depth stage's training images; None: as they are.
     """
 
     max_steps: int
@@ -36,7 +34,6 @@ class Recipe:
     validate_every_n_epochs: int
     seed: int
     optimizer: AdamW
-    appearance: Appearance | None = None
 
 
 class StageTask(LightningModule, Generic[Model]):

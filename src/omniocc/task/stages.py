@@ -86,7 +86,8 @@ class Stages:
         model = build(self.cfg.depth)
         spheres = cast(Depth, model).rig_spheres(self.scenes[0].rigs[0])
         edges_m = self.spec.range_edges_m
-        task = DepthTask(model, recipe.optimizer, spheres, edges_m, recipe.seed, plain(self.cfg), recipe.appearance)
+        appearance = None if self.cfg.appearance is None else build(self.cfg.appearance)
+        task = DepthTask(model, recipe.optimizer, spheres, edges_m, recipe.seed, plain(self.cfg), appearance)
         drawn = DepthImages(self.results["depth"] / IMAGES, self.cfg.test_images, self.spec.classes)
         test = Needs(voxels=False, pixel_labels=False, scores=False, panorama=True)
         train = test._replace(camera_ranges=not isinstance(model, SphereNet))  # which learns from the panorama

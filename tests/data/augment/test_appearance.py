@@ -25,7 +25,7 @@ def test_off_changes_nothing():
 
 @pytest.mark.parametrize(
     "limits",
-    [{name: 0.5 if name != "jpeg" else 1.0} for name in OFF if name not in ("grey", "missing")],
+    [{name: {"jpeg": 1.0, "blur_px": 3.0}.get(name, 0.5)} for name in OFF if name not in ("grey", "missing")],
     ids=lambda limits: next(iter(limits)),
 )
 def test_each_change_changes_and_depends_only_on_the_generator(limits):
