@@ -29,12 +29,12 @@ def test_off_changes_nothing():
     ids=lambda limits: next(iter(limits)),
 )
 def test_each_change_changes_and_depends_only_on_the_generator(limits):
-    one = changed(3, **limits)
-    assert torch.equal(one, changed(3, **limits))
-    assert not all(torch.allclose(one, changed(seed, **limits), atol=1e-3) for seed in (4, 5, 6))
-    assert one.min() >= 0
-    assert one.max() <= 1
-    assert 0.3 < torch.corrcoef(torch.stack([one.flatten(), images().flatten()]))[0, 1] < 0.9999
+    results = [changed(seed, **limits) for seed in range(4)]
+    assert torch.equal(results[0], changed(0, **limits))
+    alike = [float(torch.corrcoef(torch.stack([one.flatten(), images().flatten()]))[0, 1]) for one in results]
+    assert 0.3 < min(alike) < 0.9999
+    assert len(set(alike)) > 1
+    assert all(0 <= one.min() and one.max() <= 1 for one in results)
 
 
 def test_cameras_of_a_rig_differ_by_less_than_it():
