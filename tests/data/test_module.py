@@ -137,5 +137,7 @@ def test_more_than_a_batch_is_needed(root):
     data.setup()
     with pytest.raises(ValueError, match=r"8 training samples.* 9: .*more scenes"):
         data.train_dataloader()
-    with pytest.raises(ValueError, match="got 0 and 0"):
+    with pytest.raises(ValueError, match="got 0, 1 and 0"):
         make(root, batch_size=0)
+    with pytest.raises(ValueError, match="got 2, 0 and 0"):
+        OccupancyData(FakeWorld(root), 12, GRID, window=1, batch_size=2, num_workers=0, seed=0, frames_together=0)

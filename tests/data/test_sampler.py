@@ -1,6 +1,9 @@
-import pytest
+import itertools
 
-from omniocc.data.sampler import EpochSampler, RankSampler
+import pytest
+import torch
+
+from omniocc.data.sampler import EpochSampler, RankSampler, shuffled
 
 
 def epoch(sampler, number):
@@ -40,3 +43,20 @@ def test_testing_scores_every_sample_exactly_once():
     parts = [RankSampler(7, rank, 3) for rank in range(3)]
     assert [list(part) for part in parts] == [[0, 3, 6], [1, 4], [2, 5]]
     assert [len(part) for part in parts] == [3, 2, 2]
+
+
+def test_frames_of_a_scene_follow_one_another():
+    scenes = [6, 5, 1, 6]
+    order = shuffled(scenes, 2, torch.Generator().manual_seed(0))
+    assert sorted(order) == list(range(18))
+    scene_of = [k for k, size in enumerate(scenes) for _ in range(size)]
+    visited = [scene_of[sample] for sample in order]
+    runs = [1 for one, other in itertools.pairwise(visited) if one == other]
+    assert len(runs) >= 3 + 2 + 3  # pairs of whole groups
+    assert visited != sorted(visited)
+    assert order != shuffled(scenes, 2, torch.Generator().manual_seed(1))
+    assert epoch(EpochSampler(18, 0, scenes=scenes, together=2), 3) != epoch(EpochSampler(18, 0), 3)
+
+
+def test_one_at_a_time_scenes_do_not_matter():
+    assert epoch(EpochSampler(18, 0, scenes=[9, 9]), 3) == epoch(EpochSampler(18, 0), 3)

@@ -34,6 +34,8 @@ class OccupancyData(LightningDataModule):
         num_workers: loader processes; 0 loads in the training process.
         seed: of the order of training samples.
         unknown: label of cells without points: `free` (the paper) or `unobserved` (255 unless a sensor saw through).
+        frames_together: training frames of a scene that follow one another; where every scene has a rig of its own,
+            two or more save time.
 
     Raises:
         ValueError: if a number is too small.
@@ -49,11 +51,12 @@ class OccupancyData(LightningDataModule):
         num_workers: int,
         seed: int,
         unknown: Unknown = "free",
+        frames_together: int = 1,
     ):
         super().__init__()
-        if batch_size < 1 or num_workers < 0:
-            given = f"{batch_size} and {num_workers}"
-            raise ValueError(f"batch_size must be at least 1 and num_workers at least 0, got {given}")
+        if min(batch_size, frames_together) < 1 or num_workers < 0:
+            given = f"{batch_size}, {frames_together} and {num_workers}"
+            raise ValueError(f"batch_size and frames_together must be at least 1, num_workers 0, got {given}")
         self.source = source
         self.num_classes = num_classes
         self.geometry = geometry
@@ -62,6 +65,7 @@ class OccupancyData(LightningDataModule):
         self.num_workers = num_workers
         self.seed = seed
         self.unknown: Unknown = unknown
+        self.frames_together = frames_together
         self.needs: dict[Split, Needs] = dict.fromkeys(SPLITS, Needs())
         self._datasets: dict[Split, WindowDataset] = {}
         self._resume = {"epoch": 0, "batches": 0}
@@ -116,7 +120,9 @@ class OccupancyData(LightningDataModule):
         """Return the shuffled loader; the last incomplete batch of an epoch is left out."""
         dataset = self.dataset("train")
         done = self._resume["batches"] * self.batch_size
-        sampler = EpochSampler(len(dataset), self.seed, *self._rank(), self._resume["epoch"], done)
+        sizes = [len(scene) for scene in dataset.scenes]
+        resume = self._resume["epoch"], done
+        sampler = EpochSampler(len(dataset), self.seed, *self._rank(), *resume, sizes, self.frames_together)
         if len(sampler) < self.batch_size:
             raise ValueError(
                 f"{len(sampler)} training samples per process are less than one batch of {self.batch_size}: "
