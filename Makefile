@@ -60,7 +60,7 @@ empty :=
 rows_paper = $(basename $(notdir $(wildcard conf/ablation/*.yaml)))
 rows_beyond = ours bevdet $(addprefix beyond/,$(basename $(notdir $(wildcard conf/ablation/beyond/*.yaml))))
 rows_all = $(rows_paper) $(filter beyond/%,$(rows_beyond))
-rows_tried = ours beyond/extended $(addprefix tried/,$(basename $(notdir $(wildcard conf/ablation/tried/*.yaml))))
+rows_tried = ours beyond/extended beyond/pixel_classes $(addprefix tried/,$(basename $(notdir $(wildcard conf/ablation/tried/*.yaml))))
 TABLES ?= paper
 ABLATIONS ?= $(subst $(empty) $(empty),$(comma),$(strip $(or $(rows_$(TABLES)),$(error TABLES=$(TABLES): choose paper, beyond, tried or all))))
 SEEDS ?= 0
