@@ -14,6 +14,7 @@ from omniocc.progress import Progress
 from omniocc.run.folder import IMAGES, git_commit
 from omniocc.run.results import save_results, show_results
 from omniocc.run.script import lines_not_tracebacks, quiet_libraries
+from omniocc.run.weights import SHIPPED, find_checkpoint
 from omniocc.task import OccupancyTask, StepProgress
 from omniocc.task.audit import Audit
 from omniocc.task.build import load_task
@@ -24,7 +25,7 @@ from omniocc.task.images import OccupancyImages
 def main(arguments: list[str] | None = None) -> None:
     """Rebuild the model from its file, score it on the test scenes, write the results beside the checkpoint."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("checkpoint", type=Path, help="file written by train.py")
+    parser.add_argument("checkpoint", type=Path, help="file written by train.py, or a name of shipped weights")
     parser.add_argument("overrides", nargs="*", help="key=value, such as data.batch_size=1")
     parser.add_argument("--output", type=Path, help="folder of results (default: evaluation-<checkpoint> beside it)")
     parser.add_argument("--images", type=int, default=4, help="test frames to draw")
@@ -34,13 +35,15 @@ def main(arguments: list[str] | None = None) -> None:
         if "=" not in override:
             parser.error(f"'{override}' is not key=value; one checkpoint at a time")
     quiet_libraries()
-    task, data = load_task(options.checkpoint, options.overrides)
+    checkpoint = find_checkpoint(options.checkpoint)
+    task, data = load_task(checkpoint, options.overrides)
     if options.audit:
         print(f"{len(data.source.scenes('val'))} validation scenes of {data.source.folder}")
         for name, value in audit(task, data):
             print(f"{name:58} {value}")
         return
-    folder = options.output or options.checkpoint.parent / f"evaluation-{options.checkpoint.stem}"
+    beside = Path("runs") if checkpoint.parent == SHIPPED else checkpoint.parent
+    folder = options.output or beside / f"evaluation-{checkpoint.stem}"
     folder.mkdir(parents=True, exist_ok=True)
     images = OccupancyImages(folder / IMAGES, options.images, data.source.spec.classes)
     trainer = Trainer(
@@ -51,7 +54,7 @@ def main(arguments: list[str] | None = None) -> None:
         devices=1,
     )
     metrics = trainer.test(task, datamodule=data, verbose=False)[0]
-    facts = {"checkpoint": str(options.checkpoint), "commit": git_commit(), "data": data.source.fingerprint}
+    facts = {"checkpoint": str(checkpoint), "commit": git_commit(), "data": data.source.fingerprint}
     save_results(folder, metrics, facts)
     show_results(folder)
 

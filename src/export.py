@@ -7,6 +7,7 @@ from omegaconf import DictConfig
 from omniocc.export import Options, export_files
 from omniocc.predict.options import load_rig, require
 from omniocc.run.script import quiet_libraries, script
+from omniocc.run.weights import find_checkpoint
 
 
 @script("export")
@@ -14,7 +15,7 @@ def main(cfg: DictConfig) -> None:
     """Check the options, export, print a line about the files."""
     quiet_libraries()
     require(cfg, ("checkpoint", "rig"), "export.py")
-    print(export_files(Options(Path(cfg.checkpoint), load_rig(cfg.rig), Path(cfg.output), cfg.image_width)))
+    print(export_files(Options(find_checkpoint(cfg.checkpoint), load_rig(cfg.rig), Path(cfg.output), cfg.image_width)))
 
 
 if __name__ == "__main__":

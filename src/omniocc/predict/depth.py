@@ -18,6 +18,7 @@ from omniocc.predict.output.panorama_files import write_depth
 from omniocc.predict.output.point_cloud import point_cloud
 from omniocc.predict.stopwatch import Stopwatch
 from omniocc.predict.trained import training_data
+from omniocc.run.weights import find_checkpoint
 from omniocc.view import predicted_sheet
 
 
@@ -47,7 +48,7 @@ def choose_model(cfg: DictConfig, overrides: Sequence[str]) -> tuple[nn.Module, 
     conflicting = [text for text in overrides if text.startswith(("model/", "preset", "depth="))]
     if conflicting:
         raise UserError(f"{conflicting[0]}: the checkpoint sets this; leave it out, or leave out the checkpoint")
-    path = Path(cfg.checkpoint)
+    path = find_checkpoint(cfg.checkpoint)
     model, trained = load_depth(path, [text for text in overrides if text.startswith("depth.")])
     chosen = any(text.startswith("image_width=") for text in overrides)
     return model, cfg.image_width if chosen else training_data(path, trained).image_size[0]

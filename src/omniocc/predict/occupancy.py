@@ -1,6 +1,7 @@
 """The command `predict.py occupancy`: from a checkpoint and images to voxels in files."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from omegaconf import DictConfig, OmegaConf
@@ -24,6 +25,7 @@ from omniocc.predict.trained import TrainingData, training_data
 from omniocc.run.checkpoint_io import no_checkpoint
 from omniocc.run.results import save_results
 from omniocc.run.table import summary
+from omniocc.run.weights import find_checkpoint
 from omniocc.task.scores import Scores
 
 
@@ -43,9 +45,10 @@ def options_of(cfg: DictConfig) -> Options:
         raise UserError("rig=..., poses=... and road_z_m=... belong to images=...; recorded scenes have their own")
     if options.recorded is None and (options.scene or options.frames is not None):
         raise UserError("scene=... and frames=... belong to recorded=...; choose images by their folder")
-    if not Path(options.checkpoint).is_file():
-        raise FileNotFoundError(no_checkpoint(Path(options.checkpoint)))
-    return options
+    path = find_checkpoint(options.checkpoint)
+    if not path.is_file():
+        raise FileNotFoundError(no_checkpoint(path))
+    return replace(options, checkpoint=str(path))
 
 
 def predict_occupancy(options: Options) -> None:
@@ -116,7 +119,8 @@ def sequences_of(options: Options, trained: TrainingData) -> Sequence[FrameSeque
             raise UserError(f"poses={options.poses}: a single frame has no past; leave poses=... out")
         poses = read_poses(Path(options.poses), [frame.name for frame in frames])
     sequence = ImageSequence(rig, frames, poses)
-    return [sequence if options.road_z_m is None else sequence.raise_origin(options.road_z_m - trained.road_z_m)]
+    road_z_m = rig.road_z_m if options.road_z_m is None else options.road_z_m
+    return [sequence if road_z_m is None else sequence.raise_origin(road_z_m - trained.road_z_m)]
 
 
 def rig_of(options: Options) -> Rig:

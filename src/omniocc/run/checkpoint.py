@@ -10,6 +10,7 @@ from torch import Tensor
 from omniocc.config import OWN_PACKAGE, PACKAGES_VARIABLE, allowed, check, foreign_packages
 from omniocc.errors import UserError
 from omniocc.run.checkpoint_io import read_checkpoint
+from omniocc.run.weights import SUFFIX, read_weights
 
 STAGE, CONFIG = "stage", "config"
 """Keys of a checkpoint beside Lightning's own."""
@@ -37,13 +38,13 @@ class Checkpoint(NamedTuple):
 
 
 def load_checkpoint(path: Path) -> Checkpoint:
-    """Return the content of a checkpoint.
+    """Return the content of a checkpoint, or of a file of weights.
 
     Raises:
         FileNotFoundError: when there is no such file.
         UserError: when it is damaged, not one of this platform, or of an older version.
     """
-    content = read_checkpoint(path)
+    content = read_weights(path)[0] if path.suffix == SUFFIX else read_checkpoint(path)
     if STAGE not in content:
         raise UserError(f"{path} names no stage: it is of an older version; train again")
     # resolved, so that `check_parts` sees everything that would be built

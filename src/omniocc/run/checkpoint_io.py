@@ -11,6 +11,7 @@ from lightning.pytorch.plugins.io import CheckpointIO
 
 from omniocc.errors import UserError
 from omniocc.io import atomic_write, remove_leftovers
+from omniocc.run.weights import shipped
 
 LAST, BEST = "last.ckpt", "best.ckpt"
 UNREADABLE = (zipfile.BadZipFile, pickle.UnpicklingError, RuntimeError, OSError, EOFError, LookupError, ValueError)
@@ -40,7 +41,13 @@ def no_checkpoint(path: Path) -> str:
     """Return the message for a path that is no file; in a run's folder it names the checkpoint."""
     if (path / BEST).is_file():
         return f"{path} is the folder of a run; its checkpoint is {path / BEST}"
-    return f"{path}: there is no such checkpoint"
+    return f"{path}: there is no such checkpoint{shipped_hint()}"
+
+
+def shipped_hint() -> str:
+    """Return a phrase that names the weights that come with the package; nothing if there are none."""
+    names = ", ".join(shipped())
+    return f"; the names of weights that come with the package are {names}" if names else ""
 
 
 def read_checkpoint(path: Path, map_location: Any = "cpu", weights_only: bool = True) -> dict[str, Any]:
