@@ -15,10 +15,7 @@ from omniocc.errors import UserError
 from omniocc.model import OccupancyModel
 from omniocc.model.depth import DepthMap
 from omniocc.model.protocols import Backbone
-from omniocc.run.checkpoint import check_parts, load_checkpoint
-
-DEPTH_PREFIX = {"occupancy": "sketch.depth.", "sketch": "depth.", "depth": ""}
-"""Prefix of the names of the depth option's weights in the model of each stage."""
+from omniocc.run.checkpoint import check_parts, load_checkpoint, part_weights
 
 Network = TypeVar("Network", bound=nn.Module)
 
@@ -36,10 +33,7 @@ def load_depth(path: Path, overrides: Sequence[str] = ()) -> tuple[nn.Module, Di
         ConfigError: when an override names an unknown argument.
     """
     trained = load_checkpoint(path)
-    prefix = DEPTH_PREFIX[trained.stage]
-    own = {name.removeprefix(prefix): value for name, value in trained.model_weights.items() if name.startswith(prefix)}
-    if not own:
-        raise UserError(f"{path} holds no depth network; the stage's own checkpoints are runs/stages/depth-*/last.ckpt")
+    own = part_weights(trained, "depth")
     merged = OmegaConf.merge(trained.config, OmegaConf.from_dotlist(list(overrides)))
     assert isinstance(merged, DictConfig)
     check_parts(path, merged, ["depth"])

@@ -15,6 +15,11 @@ from omniocc.run.weights import SUFFIX, read_weights
 STAGE, CONFIG = "stage", "config"
 """Keys of a checkpoint beside Lightning's own."""
 MODEL = "model."
+PREFIXES = {
+    "depth": {"occupancy": "sketch.depth.", "sketch": "depth.", "depth": ""},
+    "sketch": {"occupancy": "sketch.", "sketch": ""},
+}
+"""Prefix of the names of a part's weights, in the model of every stage that holds the part."""
 
 
 class Checkpoint(NamedTuple):
@@ -35,6 +40,21 @@ class Checkpoint(NamedTuple):
     def model_weights(self) -> dict[str, Tensor]:
         """Return the weights of the task's model, named as in the model."""
         return {name.removeprefix(MODEL): value for name, value in self.weights.items() if name.startswith(MODEL)}
+
+
+def part_weights(trained: Checkpoint, part: str) -> dict[str, Tensor]:
+    """Return the weights of a part (depth, or sketch with its depth) that a checkpoint holds, named as in the part.
+
+    Raises:
+        UserError: when it holds none.
+    """
+    prefix, named = PREFIXES[part].get(trained.stage, "nothing."), trained.model_weights
+    own = {name.removeprefix(prefix): value for name, value in named.items() if name.startswith(prefix)}
+    if not own:
+        raise UserError(
+            f"{trained.path} holds no {part} network; the stage's own checkpoints are runs/stages/{part}-*/last.ckpt"
+        )
+    return own
 
 
 def load_checkpoint(path: Path) -> Checkpoint:

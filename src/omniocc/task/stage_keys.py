@@ -6,10 +6,13 @@ from typing import Any, NamedTuple, cast
 from omegaconf import DictConfig
 
 from omniocc.config import plain, target_of
+from omniocc.data.store.shard import sha256
 from omniocc.errors import UserError
 from omniocc.model.protocols import LearnedSketch
+from omniocc.run.checkpoint_io import no_checkpoint
 from omniocc.run.folder import short_hash
 from omniocc.run.slots import sketch_learns
+from omniocc.run.weights import find_checkpoint
 
 STAGES = ("depth", "sketch", "occupancy")
 VERSIONS = {"depth": 4, "sketch": 1, "candidates": 1}
@@ -46,7 +49,8 @@ def stage_keys(cfg: DictConfig, data_fingerprint: str) -> Keys:
     """Return the hashes for a configuration with a learned sketch."""
     config = plain(cfg)
     trainer = _without(config["trainer"], OVERRULED)
-    stages, sketch = config["stages"], config["model"]["sketch"]
+    stages = {stage: with_digest(recipe) for stage, recipe in config["stages"].items()}
+    sketch = config["model"]["sketch"]
     selection = cast(type[LearnedSketch], target_of(sketch)).SELECTION
     appearance = [config["appearance"]] if config.get("appearance") else []
     depth_key = short_hash(
@@ -57,6 +61,20 @@ def stage_keys(cfg: DictConfig, data_fingerprint: str) -> Keys:
     sketch_key = short_hash([VERSIONS["sketch"], depth_key, network, stages["sketch"], trainer, labels])
     arguments = {name: sketch[name] for name in selection}
     return Keys(depth_key, sketch_key, short_hash([VERSIONS["candidates"], sketch_key, arguments]))
+
+
+def with_digest(recipe: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a stage's recipe with a hash of the file of weights that it starts from instead of the file's name.
+
+    Raises:
+        UserError: when there is no such file.
+    """
+    if recipe.get("weights") is None:
+        return {key: value for key, value in recipe.items() if key != "weights"}
+    path = find_checkpoint(recipe["weights"])
+    if not path.is_file():
+        raise UserError(f"weights={recipe['weights']}: {no_checkpoint(path)}")
+    return {**recipe, "weights": sha256(path)}
 
 
 def _without(arguments: Mapping[str, Any], names: tuple[str, ...]) -> dict[str, Any]:

@@ -26,6 +26,8 @@ class Recipe:
         max_epochs: passes over the training frames; None: as many as `max_steps` are.
         batch_size: samples per process and step.
         seed: of weights and order of samples.
+        weights: checkpoint, or name of shipped weights, from which the stage starts; None: from random ones. With
+            `max_steps` 0 it is used as it is.
     """
 
     max_steps: int
@@ -34,6 +36,7 @@ class Recipe:
     validate_every_n_epochs: int
     seed: int
     optimizer: AdamW
+    weights: str | None = None
 
 
 class StageTask(LightningModule, Generic[Model]):

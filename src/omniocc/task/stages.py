@@ -26,18 +26,20 @@ from omniocc.data.dataset import read_images
 from omniocc.data.module import worker_options
 from omniocc.data.source import SPLITS, SceneFrames
 from omniocc.data.store.frame_cache import FrameCache
+from omniocc.errors import UserError
 from omniocc.io import atomic_write
 from omniocc.model.occupancy import to_unit_range
 from omniocc.model.ops.depth.sphere_net import SphereNet
 from omniocc.model.ops.evidence import repack_evidence
 from omniocc.model.protocols import Depth, learns
 from omniocc.progress import Progress, waiting
-from omniocc.run.checkpoint import load_checkpoint
+from omniocc.run.checkpoint import load_checkpoint, part_weights
 from omniocc.run.checkpoint_io import LAST, AtomicCheckpointIO, resumable
 from omniocc.run.distributed import is_first, meet, share
 from omniocc.run.folder import IMAGES, METRICS, git_commit
 from omniocc.run.results import load_results, save_results
 from omniocc.run.wandb.loggers import finish
+from omniocc.run.weights import find_checkpoint
 from omniocc.task.depth import DepthTask
 from omniocc.task.images import DepthImages, SketchImages
 from omniocc.task.progress import StepProgress
@@ -127,7 +129,9 @@ class Stages:
         data = build(self.cfg.data, window=1, batch_size=recipe.batch_size, seed=recipe.seed)
         data.read_only(*needs)
         trainer = self._trainer(recipe, images, folder, stage, title)
-        if trains:
+        if recipe.weights is not None and checkpoint is None:
+            start_from(task.model, recipe.weights, stage)
+        if trains and recipe.max_steps:
             trainer.fit(task, datamodule=data, ckpt_path=checkpoint and str(checkpoint))
         metrics = dict(trainer.validate(task, datamodule=data, verbose=False)[0])
         metrics |= trainer.test(task, datamodule=data, verbose=False)[0]
@@ -181,6 +185,25 @@ class Stages:
                 for cache, arrays in zip(caches, zip(*frames, strict=True), strict=True):
                     cache.write(scene.name, arrays)
         task.cpu()
+
+
+def start_from(model: nn.Module, weights: str, stage: str) -> None:
+    """Load a stage's weights from a checkpoint of any later stage; the depth in a sketch keeps those that it has.
+
+    Raises:
+        UserError: when the checkpoint does not hold the stage, or its weights do not fit.
+    """
+    path = find_checkpoint(weights)
+    own = part_weights(load_checkpoint(path), stage)
+    inner = model.state_dict() if stage == "sketch" else {}
+    own |= {name: value for name, value in inner.items() if name.startswith("depth.")}
+    try:
+        model.load_state_dict(own)
+    except RuntimeError as error:
+        first = str(error).splitlines()[1:2] or [str(error)]
+        raise UserError(
+            f"stages.{stage}.weights={weights} do not fit this {stage} network: {first[0].strip()}"
+        ) from error
 
 
 def say(text: str) -> None:
