@@ -72,6 +72,9 @@ ablations: $(READY)  ## Train the rows of the paper's tables (TABLES=beyond|trie
 	  hydra.launcher.n_jobs=$(JOBS) logger.group=ablations-$(PRESET) $(ARGS); code=$$?; \
 	  $(BIN)/python src/report.py; [ $$code = 0 ] || echo "Not everything was trained: the reasons stand above the tables"; exit $$code
 
+weights: $(READY)  ## Train the weights that come with the package, for hours, and pack them with a card each (NAME=tiny: one of tools/weights)
+	$(BIN)/python tools/make_weights.py $(NAME)
+
 RUNS ?= runs
 
 wandb-sync: $(READY)  ## Upload new offline W&B runs and the tables of the report (RUNS=runs)
@@ -80,4 +83,4 @@ wandb-sync: $(READY)  ## Upload new offline W&B runs and the tables of the repor
 dashboard: $(READY)  ## Save the W&B dashboard to the project omniocc (docs/how_to/dashboards.md)
 	@$(BIN)/python -m omniocc.report.wandb.dashboard --runs $(RUNS)
 
-.PHONY: help setup demo test test-runs test-device test-typecheck docs lint types constraints bench ablations wandb-sync dashboard
+.PHONY: help setup demo test test-runs test-device test-typecheck docs lint types constraints bench ablations wandb-sync weights dashboard

@@ -119,7 +119,7 @@ def draw_lens(rng: Draw, lens: str, width: int, height: int, field_deg: float, f
     center = tuple((np.array((width, height)) * rng.normal(0.5, 0.012, 2) - 0.5).tolist())
     while True:
         shape = _DRAW[lens](rng, half_deg)
-        radius_px, seen = shape(1000, (1e6, 1e6), 2_000_001, 2_000_001).project(ray)
+        radius_px, seen = shape(1000.0, (1e6, 1e6), 2_000_001, 2_000_001).project(ray)
         if bool(seen):
             focal_px = 1000 * fill * width / 2 / float(radius_px[0] - 1e6)
             return shape(focal_px, center, width, height)

@@ -47,7 +47,7 @@ class RunFolder:
 
 def run_hash(config: dict[str, Any], data_fingerprint: str) -> str:
     """Return eight hex digits of everything that decides a run's result."""
-    unused = () if sketch_learns(config) else ("depth", "stages")
+    unused = () if sketch_learns(config) else ("depth", "stages", "appearance")
     kept = {key: value for key, value in config.items() if key not in (*VOLATILE, *unused)}
     return short_hash([kept, data_fingerprint])
 

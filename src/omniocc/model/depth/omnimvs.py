@@ -1,7 +1,6 @@
 """Omnidirectional depth by one combined sweep and 2D regularisation (paper, section IV-B; RtHexa-OmniMVS)."""
 
 from collections.abc import Iterator
-from typing import Literal
 
 import torch
 from jaxtyping import Bool, Float
@@ -73,7 +72,7 @@ class OmniMVS(SphereNet):
         window: int,
         min_confidence: float,
         mirror: bool,
-        pairs: Literal["alternate", "nearest"] = "alternate",
+        pairs: str = "alternate",
         hints: bool = False,
     ):
         super().__init__(panorama, spheres, loss, window, min_confidence, mirror)

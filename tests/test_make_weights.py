@@ -1,0 +1,93 @@
+"""The recipes of the shipped weights, and packing a finished run with its card."""
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+import torch
+import yaml
+from omegaconf import OmegaConf
+
+from omniocc.config import check_root, compose_plain
+from omniocc.errors import UserError
+from omniocc.report.card import card
+from omniocc.run.checkpoint import load_checkpoint
+from omniocc.run.checkpoint_io import LAST, write_checkpoint
+from omniocc.run.results import save_results
+
+ROOT = Path(__file__).parents[1]
+NAMES = sorted(path.stem for path in (ROOT / "tools" / "weights").glob("*.yaml"))
+
+
+@pytest.fixture
+def tool(tmp_path, monkeypatch):
+    spec = importlib.util.spec_from_file_location("make_weights", ROOT / "tools" / "make_weights.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    monkeypatch.setattr(module, "SHIPPED", tmp_path / "weights")
+    return module
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_recipe_is_a_configuration_that_trains(name, tool, tmp_path):
+    recipe = tool.recipe_of(name)
+    config = compose_plain(ROOT / "conf", "train", recipe["overrides"])
+    check_root(OmegaConf.create(config))
+    folder, checkpoint = tool.folder_of(recipe, tmp_path)
+    assert folder.name.startswith("weights_tiny-" if recipe["stage"] == "occupancy" else "depth-")
+    assert checkpoint == ("best.ckpt" if recipe["stage"] == "occupancy" else "last.ckpt")
+    for key in recipe.get("shipped", {}):
+        assert OmegaConf.select(OmegaConf.create(config), key) is not None
+
+
+def test_a_recipe_may_be_like_another_and_a_wrong_name_is_answered(tool):
+    assert tool.recipe_of("tiny-depth")["overrides"] == tool.recipe_of("tiny")["overrides"]
+    assert tool.recipe_of("tiny-depth")["stage"] == "depth"
+    with pytest.raises(UserError, match=r"NAME=large: choose one of any-rig, tiny, tiny-depth"):
+        tool.recipe_of("large")
+
+
+def test_a_finished_stage_is_packed_with_its_card(tool, tmp_path):
+    weights = {"model.a": torch.randn(20, 30)}
+    config = {"data": {"source": {"train_scenes": 2000}}, "depth": {"_target_": "omniocc.model.depth.OmniMVS"}}
+    write_checkpoint({"stage": "depth", "config": config, "state_dict": weights}, tmp_path / "run" / LAST)
+    facts = {"steps": 12, "seed": 0, "commit": "0ce6810", "data": "f" * 64}
+    metrics = {"test/depth/mae": 1.5, "test/depth/mae_0-8.5m": 0.2, "test/depth/mae_8.5-17m": float("nan")}
+    save_results(tmp_path / "run", metrics, facts)
+    recipe = {"half": True, "shipped": {"data.source.train_scenes": 240}, "good_for": "trying", "not_good_for": "cars"}
+    path = tool.pack("small", recipe, tmp_path / "run", LAST, "python src/train.py stage=depth")
+    trained = load_checkpoint(path)
+    assert trained.config.data.source.train_scenes == 240
+    torch.testing.assert_close(trained.weights["model.a"], weights["model.a"], atol=2e-3, rtol=1e-3)
+    text = path.with_suffix(".md").read_text()
+    for part in ("# small", "Good for trying.", "Not good for cars.", "`python src/train.py stage=depth`", "`0ce6810`"):
+        assert part in text
+    assert "| MAE, m | 1.500 |" in text
+    assert "| MAE, m, 0-8.5 m | 0.200 |" in text
+    assert "| MAE, m, 8.5-17 m | - |" in text
+    tool.LIMIT_MB = 1e-4
+    with pytest.raises(UserError, match=r"at most 0\.0001 MB"):
+        tool.pack("small", recipe, tmp_path / "run", LAST, "")
+
+
+def test_the_card_of_a_whole_chain_has_scores_by_distance_and_class():
+    metrics = {"test/rayiou": 0.5, "test/rayiou_17-25.6m": 0.3, "test/rayiou/Pole": 0.2, "test/lidar/rayiou": 0.3}
+    text = card(
+        "tiny", {"good_for": "demos"}, {"steps": 3}, metrics | {"val/rayiou": 0.6, "test/lidar/rayiou/Pole": 0.1}
+    )
+    for row in (
+        "| RayIoU | 0.500 |",
+        "| RayIoU, 17-25.6 m | 0.300 |",
+        "| RayIoU, Pole | 0.200 |",
+        "| RayIoU, LiDAR | 0.300 |",
+    ):
+        assert row in text
+    assert "0.600" not in text
+    assert "Errors of range" not in text
+    assert "Not good" not in text
+
+
+def test_recipes_hold_nothing_else():
+    known = {"like", "stage", "half", "overrides", "shipped", "good_for", "not_good_for"}
+    for name in NAMES:
+        assert set(yaml.safe_load((ROOT / "tools" / "weights" / f"{name}.yaml").read_text())) <= known

@@ -1,0 +1,93 @@
+"""Train the weights that come with the package and pack each with a card: `make weights` (NAME=tiny: one of them).
+
+The recipes are in `tools/weights`. Training goes on where it was stopped; what is finished is not trained again.
+"""
+
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import yaml
+from omegaconf import DictConfig, OmegaConf
+
+from omniocc.config import build, compose_plain
+from omniocc.errors import UserError
+from omniocc.io import atomic_write
+from omniocc.report.card import card
+from omniocc.run.checkpoint import load_checkpoint
+from omniocc.run.checkpoint_io import BEST, LAST
+from omniocc.run.folder import run_hash
+from omniocc.run.results import load_results
+from omniocc.run.script import quiet_libraries
+from omniocc.run.weights import SHIPPED, SUFFIX, digest_of, pack_weights, read_weights
+from omniocc.task.stage_keys import stage_keys
+
+ROOT = Path(__file__).parents[1]
+RECIPES = ROOT / "tools" / "weights"
+LIMIT_MB = 12.0
+"""Greatest size of a file."""
+
+
+def recipe_of(name: str) -> dict[str, Any]:
+    """Return a recipe, on top of the one that it is like; raise UserError if there is none."""
+    path = RECIPES / f"{name}.yaml"
+    if not path.is_file():
+        raise UserError(f"NAME={name}: choose one of {', '.join(sorted(file.stem for file in RECIPES.glob('*.yaml')))}")
+    own = yaml.safe_load(path.read_text())
+    return (recipe_of(own.pop("like")) if "like" in own else {}) | own
+
+
+def folder_of(recipe: dict[str, Any], runs: Path) -> tuple[Path, str]:
+    """Return the folder of a recipe's finished run or stage, and the name of its checkpoint."""
+    cfg = OmegaConf.create(compose_plain(ROOT / "conf", "train", recipe["overrides"]))
+    assert isinstance(cfg, DictConfig)
+    fingerprint = build(cfg.data).source.fingerprint
+    if recipe["stage"] == "occupancy":
+        config = OmegaConf.to_container(cfg, resolve=True)
+        return runs / f"{cfg.name}-{run_hash(config, fingerprint)}", BEST  # type: ignore[arg-type]
+    keys = stage_keys(cfg, fingerprint)._asdict()
+    return runs / "stages" / f"{recipe['stage']}-{keys[recipe['stage']]}", LAST
+
+
+def train(recipe: dict[str, Any]) -> str:
+    """Run the recipe's training to its end and return its command; raise UserError if it fails."""
+    command = ["python", "src/train.py", *recipe["overrides"]]
+    if subprocess.run([sys.executable, *command[1:]], cwd=ROOT, check=False).returncode:
+        raise UserError("the training stopped; the same command goes on")
+    return shlex.join(command)
+
+
+def pack(name: str, recipe: dict[str, Any], folder: Path, checkpoint: str, command: str) -> Path:
+    """Write the file of weights and its card, and return the file."""
+    trained, (facts, metrics) = load_checkpoint(folder / checkpoint), load_results(folder)
+    for key, value in recipe.get("shipped", {}).items():
+        OmegaConf.update(trained.config, key, value)
+    config = OmegaConf.to_container(trained.config)
+    made = {"command": command, "commit": facts["commit"], "data": facts["data"][:12], "steps": facts["steps"]}
+    made |= {key: facts[key] for key in ("seed", "minutes of training") if key in facts}
+    path = SHIPPED / f"{name}{SUFFIX}"
+    pack_weights(path, trained.stage, config, trained.weights, made, recipe["half"])  # type: ignore[arg-type]
+    size_mb = path.stat().st_size / 1e6
+    if size_mb > LIMIT_MB:
+        raise UserError(f"{path} has {size_mb:.1f} MB; at most {LIMIT_MB} MB can be shipped")
+    made |= {"size": f"{size_mb:.1f} MB", "sha256": digest_of(read_weights(path)[0]["state_dict"])}
+    atomic_write(SHIPPED / f"{name}.md", card(name, recipe, made, metrics))
+    return path
+
+
+def main(names: list[str]) -> None:
+    """Make the weights of these names, or of all recipes."""
+    quiet_libraries()
+    for name in names or sorted(path.stem for path in RECIPES.glob("*.yaml")):
+        recipe = recipe_of(name)
+        command = train(recipe)
+        print(pack(name, recipe, *folder_of(recipe, ROOT / "runs"), command))
+
+
+if __name__ == "__main__":
+    try:
+        main(sys.argv[1:])
+    except UserError as error:
+        sys.exit(str(error))
