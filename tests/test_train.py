@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
+import torch
 from filelock import FileLock
 from offline_file import files_of, history, runs_in
 from scripts import run_script
@@ -142,6 +143,10 @@ def test_stages_run_once_and_are_shared(tmp_path, data_root):
     assert "depth, stage 1 of 1 begins" in depth.stdout
     assert "AbsRel" in depth.stdout
     assert not list(tmp_path.glob("runs/stages/sketch-*"))
+    assert not list(tmp_path.glob("runs/stages/depth-*/ranges/*.frames"))  # nothing follows that reads them
+    (trained,) = tmp_path.glob("runs/stages/depth-*/last.ckpt")
+    fitted = torch.load(trained, weights_only=False)["state_dict"]["model.confidence.weights"]
+    assert fitted.tolist() != [1, 0, 0]  # to the validation scenes
 
     whole = run_script("train.py", *arguments, "name=whole", *logged, cwd=tmp_path)
     assert whole.returncode == 0, whole.stdout + whole.stderr
@@ -151,7 +156,13 @@ def test_stages_run_once_and_are_shared(tmp_path, data_root):
     metrics = metrics_of(tmp_path, "whole")
     (path,) = tmp_path.glob("runs/whole-*/metrics.json")
     assert json.loads(path.read_text())["stages"] == {"depth": 4, "sketch": 4, "occupancy": 3}
-    for key in ("test/rayiou", "test/depth/mae_0-8.5m", "test/sketch/recall", "test/sketch/raw/recall_17-25.6m"):
+    for key in (
+        "test/rayiou",
+        "test/depth/mae_0-8.5m",
+        "test/depth/ece",
+        "test/sketch/recall",
+        "test/sketch/raw/recall_17-25.6m",
+    ):
         assert key in metrics
 
     chosen = ["model.sketch.threshold=null", "model.sketch.fraction=0.1", "model.sketch.windows_m=[0,0,0]"]

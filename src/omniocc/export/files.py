@@ -32,7 +32,7 @@ class Options:
         checkpoint: of the occupancy stage.
         rig: cameras that the program is for.
         output: file to write, .pt2 or .onnx.
-        image_width: width of the images that the program takes, px; None: as in training.
+        image_width: width of the images that the program takes, px; None: as many pixels as in training.
     """
 
     checkpoint: Path
@@ -52,7 +52,7 @@ def export_files(options: Options) -> str:
         raise UserError(f"output={output}: its name must end with one of {', '.join(SUFFIXES)}")
     model, cfg = load_occupancy(options.checkpoint)
     trained = training_data(options.checkpoint, cfg)
-    rig = scale_rig(options.rig, options.image_width or trained.image_size[0])
+    rig = scale_rig(options.rig, options.image_width or trained.width_for(options.rig))
     module = make_module(model, rig)
     print(f"tracing the network of {options.checkpoint}: half a minute or more", file=sys.stderr, flush=True)
     program = export_program(module)

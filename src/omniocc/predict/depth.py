@@ -32,14 +32,14 @@ def predict_panoramas(cfg: DictConfig, overrides: Sequence[str]) -> None:
     rig = load_rig(cfg.rig)
     images = [str(path) for path in cfg.images] if isinstance(cfg.images, ListConfig) else str(cfg.images)
     frames = find_frames(images, rig, [str(name) for name in cfg.exclude_cameras])
-    model, image_width = choose_model(cfg, overrides)
+    model, image_width = choose_model(cfg, overrides, rig)
     device = choose_device(cfg.device)
     for frame in frames:
         folder = Path(cfg.output) / frame.name
         print(predict_frame(frame, folder, model, rig, image_width, cfg.bev_range_m, device), flush=True)
 
 
-def choose_model(cfg: DictConfig, overrides: Sequence[str]) -> tuple[nn.Module, int | None]:
+def choose_model(cfg: DictConfig, overrides: Sequence[str], rig: Rig) -> tuple[nn.Module, int | None]:
     """Return the depth option, and the width of the images that it is applied to (None: the rig's)."""
     if cfg.checkpoint is None:
         check(OmegaConf.create({"depth": OmegaConf.to_container(cfg.depth, resolve=True)}))
@@ -51,7 +51,7 @@ def choose_model(cfg: DictConfig, overrides: Sequence[str]) -> tuple[nn.Module, 
     path = find_checkpoint(cfg.checkpoint)
     model, trained = load_depth(path, [text for text in overrides if text.startswith("depth.")])
     chosen = any(text.startswith("image_width=") for text in overrides)
-    return model, cfg.image_width if chosen else training_data(path, trained).image_size[0]
+    return model, cfg.image_width if chosen else training_data(path, trained).width_for(rig)
 
 
 def predict_frame(

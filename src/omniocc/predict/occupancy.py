@@ -61,7 +61,7 @@ def predict_occupancy(options: Options) -> None:
     trained = training_data(Path(options.checkpoint), cfg)
     sequences, device = sequences_of(options, trained), choose_device(options.device)
     history = choose_history(options, model, sequences)
-    width = trained.image_size[0] if options.image_width is None else options.image_width
+    width = trained.width_for(sequences[0].rig) if options.image_width is None else options.image_width
     write_manifest(Path(options.output), facts_of(options, sequences, history, width), options.force)
     print("\n".join(announcement(options, model, trained, sequences, history)), flush=True)
     scores = scores_of(model, trained, sequences)
@@ -182,6 +182,8 @@ def announcement(
 
 def compare_rig(rig: Rig, trained: TrainingData) -> str:
     """Return in words whether the model was trained with this rig."""
+    if trained.any_rig:
+        return "trained with rigs drawn at random"
     try:
         same = rig.resized(*trained.image_size) == trained.rig
     except ValueError:  # a lens cannot be brought to that size

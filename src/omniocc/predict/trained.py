@@ -6,10 +6,12 @@ from pathlib import Path
 from omegaconf import DictConfig, OmegaConf
 
 from omniocc.camera import Rig
+from omniocc.camera.drawn import RANDOM
 from omniocc.classes import ClassTable
 from omniocc.config import build
 from omniocc.data import OccupancyData
-from omniocc.data.source import SceneSource, Unknown
+from omniocc.data.source import Unknown
+from omniocc.data.source.cameras import training_rig
 from omniocc.errors import UserError
 from omniocc.run.checkpoint import check_parts
 
@@ -19,8 +21,8 @@ class TrainingData:
     """The data that a model was trained on.
 
     Attributes:
-        rig: its cameras, at the size of its images.
-        rig_name: name or file of the rig, or a phrase where scenes are recorded.
+        rig: its cameras, at the size of its images; those of its first frame, if they differ.
+        rig_name: name or file of the rig, `random`, or a phrase where scenes are recorded.
         road_z_m: height of the road in its ego frame.
         classes: table of the model's classes.
         unknown: label of true cells without points.
@@ -31,6 +33,17 @@ class TrainingData:
     road_z_m: float
     classes: ClassTable
     unknown: Unknown
+
+    @property
+    def any_rig(self) -> bool:
+        """Return whether every scene had another rig."""
+        return self.rig_name == RANDOM
+
+    def width_for(self, rig: Rig) -> int:
+        """Return the width, px, at which images of a rig have about as many pixels as those of the training."""
+        width, height = self.image_size
+        camera = rig.cameras[0]
+        return round((width * height * camera.width / camera.height) ** 0.5)
 
     @property
     def image_size(self) -> tuple[int, int]:
@@ -52,18 +65,3 @@ def training_data(path: Path, cfg: DictConfig) -> TrainingData:
     source, spec = data.source, data.source.spec
     name = OmegaConf.select(cfg, "data.source.rig") or "that of recorded scenes"
     return TrainingData(training_rig(source), name, spec.road_z_m, spec.classes, data.unknown)
-
-
-def training_rig(source: SceneSource) -> Rig:
-    """Return the cameras of a source, or those of its first training frame if they may differ.
-
-    Raises:
-        UserError: when there are no training scenes.
-    """
-    rig = getattr(source, "rig", None)  # of sources whose scenes all have the same cameras
-    if rig is not None:
-        return rig
-    scenes = source.scenes("train")
-    if not scenes:
-        raise UserError("the model's training data has no training scenes, whose cameras are needed")
-    return scenes[0].rigs[0]

@@ -3,20 +3,26 @@
 from collections.abc import Sequence
 from typing import Any
 
+import torch
+from jaxtyping import Float
 from torch import Tensor, nn
-from torchmetrics import MeanMetric
+from torchmetrics import CatMetric, MeanMetric
 
 from omniocc.batch import Batch
 from omniocc.data import Appearance
-from omniocc.metric import DepthMetrics
-from omniocc.model.depth import Spheres
+from omniocc.metric import Calibration, DepthMetrics
+from omniocc.model.depth import DepthMap, Spheres
 from omniocc.model.occupancy import to_unit_range
+from omniocc.model.ops.depth.confidence import RIGHT_WITHIN
+from omniocc.model.ops.depth.sphere_net import SphereNet
 from omniocc.task.adamw import AdamW
 from omniocc.task.stage_task import StageTask, step_generator
 from omniocc.task.terms import log_terms
 
 FARTHEST_M = 100.0
 """Largest range in errors in metres; ranges beyond are clamped."""
+SAMPLES = 1000
+"""Rays of a batch to which the confidence is fitted."""
 
 
 class DepthTask(StageTask[nn.Module]):
@@ -44,7 +50,8 @@ class DepthTask(StageTask[nn.Module]):
         super().__init__(model, optimizer, config)
         self.seed, self.appearance = seed, appearance
         self.errors = DepthMetrics(spheres.min_range_m, FARTHEST_M, spheres.count, range_edges_m)
-        self.coverage = MeanMetric()
+        self.coverage, self.calibration, self.judged = MeanMetric(), Calibration(), CatMetric()
+        self.last_judged = torch.empty(0, 3)
 
     def training_step(self, batch: Batch, batch_index: int) -> Tensor:
         """Return the sum of the model's own loss terms; each is logged by name."""
@@ -63,11 +70,29 @@ class DepthTask(StageTask[nn.Module]):
             # every ray is scored, also uncertain ones
             self.errors.update(depth.range_m.float(), batch.erp_range_m)
             self.coverage.update(depth.valid[batch.erp_range_m.isfinite()].float())
+            rows = judged(depth, batch.erp_range_m)
+            self.calibration.update(rows[:, 0], rows[:, 2] > 0)
+            self.judged.update(rows[:: max(1, len(rows) // SAMPLES)])
         return depth.known_range_m()
 
     def log_scores(self, split: str) -> None:
         """Log `<split>/depth/...` and reset the scores."""
-        scores = {**self.errors.compute(), "coverage": self.coverage.compute()}
+        scores = {**self.errors.compute(), **self.calibration.compute(), "coverage": self.coverage.compute()}
         self.log_dict({f"{split}/depth/{key}": value for key, value in scores.items()}, sync_dist=False)
-        self.errors.reset()
-        self.coverage.reset()
+        self.last_judged = torch.as_tensor(self.judged.compute()).reshape(-1, 3)
+        for metric in (self.errors, self.calibration, self.coverage, self.judged):
+            metric.reset()
+
+    def fit_to_validation(self) -> None:
+        """Fit the confidence of a network to the rays of the last validation."""
+        if isinstance(self.model, SphereNet) and len(self.last_judged):
+            confidence, range_m, right = self.last_judged.unbind(1)
+            self.model.confidence.fit(confidence, range_m, right > 0)
+
+
+def judged(depth: DepthMap, true_range_m: Float[Tensor, "B h w"]) -> Float[Tensor, "N 3"]:
+    """Return confidence, range and whether it is right (1 or 0) of every valid range with a known truth."""
+    counted = depth.valid & ~true_range_m.isnan()
+    range_m, true_m = depth.range_m[counted].float(), true_range_m[counted].float()
+    right = (range_m - true_m).abs() <= RIGHT_WITHIN * true_m
+    return torch.stack([depth.confidence[counted].float(), range_m, (right & true_m.isfinite()).float()], 1)

@@ -66,6 +66,9 @@ class StageTask(LightningModule, Generic[Model]):
         """Score a batch and return the prediction."""
         return self.validation_step(batch, batch_index)
 
+    def fit_to_validation(self) -> None:
+        """Fit to the last validation what is not trained; called once, at the end of the training."""
+
     def on_validation_epoch_end(self) -> None:
         """Log the scores of the validation."""
         self.log_scores("val")

@@ -94,6 +94,8 @@ class Stages:
         test = Needs(voxels=False, pixel_labels=False, scores=False, panorama=True)
         train = test._replace(camera_ranges=not isinstance(model, SphereNet))  # which learns from the panorama
         self._finish(task, recipe, (train, test), drawn, "depth", title, learns(type(model)))
+        if self.cfg.stage == "depth":  # nothing follows that reads the ranges
+            return
         read = partial(read_depth_inputs, with_range=cast(Depth, model).NEEDS_TRUE_RANGE)
         self._fill(task, [self.ranges], read, predict_range_m, f"{title}, ranges")
 
@@ -134,6 +136,8 @@ class Stages:
         if trains and recipe.max_steps:
             trainer.fit(task, datamodule=data, ckpt_path=checkpoint and str(checkpoint))
         metrics = dict(trainer.validate(task, datamodule=data, verbose=False)[0])
+        if trains and recipe.max_steps:
+            task.fit_to_validation()
         metrics |= trainer.test(task, datamodule=data, verbose=False)[0]
         trainer.save_checkpoint(last)
         meet()

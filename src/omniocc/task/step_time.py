@@ -12,6 +12,7 @@ from omniocc.batch import Batch
 from omniocc.camera import Rig
 from omniocc.config import build, plain
 from omniocc.data import OccupancyData, SceneSource, SourceSpec, VirtualWorld
+from omniocc.data.source.cameras import training_rig
 from omniocc.model.protocols import Depth
 from omniocc.task.build import build_task
 from omniocc.task.depth import DepthTask
@@ -97,6 +98,5 @@ def random_batch(cfg: DictConfig, rig: Rig, size: int, window: int) -> Batch:
 def planned_scenes(source: SceneSource) -> tuple[Rig, int]:
     """Return cameras and number of training frames of a source; scenes of the virtual world may be missing."""
     if isinstance(source, VirtualWorld):
-        return source.rig_of(source.plans[0]), source.num_scenes["train"] * source.frames_per_scene
-    scenes = source.scenes("train")
-    return scenes[0].rigs[0], sum(map(len, scenes))
+        return training_rig(source), source.num_scenes["train"] * source.frames_per_scene
+    return training_rig(source), sum(map(len, source.scenes("train")))

@@ -20,7 +20,7 @@ class DepthMap(NamedTuple):
         range_m: above 0 and finite everywhere, see `Spheres.farthest_m`.
         index: fractional index of inverse range; 0 is infinity, `spheres - 1` the nearest sphere.
         valid: false where no camera sees anything, in the sky, and where the range is too uncertain.
-        confidence: in [0, 1].
+        confidence: in [0, 1]; of a trained `SphereNet` the probability that the range is within 10 % of the true one.
     """
 
     range_m: Float[Tensor, "B h w"]

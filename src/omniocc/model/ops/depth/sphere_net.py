@@ -8,6 +8,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from omniocc.camera import Equirectangular, Rig
+from omniocc.model.ops.depth.confidence import Confidence
 from omniocc.model.ops.depth.depth_map import SKY_INDEX, DepthMap, from_index, weighted_sum
 from omniocc.model.ops.depth.layers import window_argmax
 from omniocc.model.ops.depth.panorama_depth import DepthBatch, LearnedPanoramaDepth
@@ -79,7 +80,7 @@ class SphereNet(LearnedPanoramaDepth):
 
     Args:
         window: spheres to each side of the peak over which the index is averaged.
-        min_confidence: ranges of lower confidence are not valid, in [0, 1].
+        min_confidence: ranges that are less likely than this to be within 10 % are not valid, in [0, 1].
     """
 
     features: nn.Module
@@ -95,6 +96,7 @@ class SphereNet(LearnedPanoramaDepth):
     ):
         super().__init__(panorama, spheres, mirror)
         self.loss, self.window, self.min_confidence = loss, window, min_confidence
+        self.confidence = Confidence()
 
     def logits(
         self, images: Float[Tensor, "B N 3 H W"], rig: Rig, flip: bool = False
@@ -128,9 +130,10 @@ class SphereNet(LearnedPanoramaDepth):
         logits, seen = self.logits(images, rig)
         index, mass = window_argmax(logits[:, :-1], self.window)
         solid = (-logits[:, -1].float()).sigmoid()
-        confidence = mass * solid
+        spheres = self.rig_spheres(rig)
+        confidence = self.confidence(mass * solid, spheres.range_m(index))
         valid = seen & (solid > 0.5) & (index >= SKY_INDEX) & (confidence >= self.min_confidence)
-        return from_index(index, valid, confidence, self.rig_spheres(rig))
+        return from_index(index, valid, confidence, spheres)
 
     def losses(self, batch: DepthBatch, flip: bool) -> dict[str, Float[Tensor, ""]]:
         """Return the losses of `SphereLoss`, which use only the panorama."""

@@ -1,0 +1,94 @@
+"""Calibration: whether predictions of a confidence are right as often as it says."""
+
+from typing import TYPE_CHECKING
+
+import torch
+from jaxtyping import Bool, Float, Float64
+from torch import Tensor
+from torchmetrics import Metric
+
+from omniocc.metric.checks import check_mask
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+class Calibration(Metric):
+    """Expected calibration error, and a reliability diagram, over a dataset.
+
+    Predictions are sorted by confidence into bins of equal width. Keys: `ece` (mean over the predictions of the
+    difference between mean confidence and fraction right of their bin; Guo et al., On Calibration of Modern Neural
+    Networks, ICML 2017, equation 3), `confidence` (mean) and `right` (fraction). Without predictions they are nan.
+
+    Args:
+        bins: number of bins.
+
+    Raises:
+        ValueError: if there is no bin.
+
+    Example:
+        >>> metric = Calibration()
+        >>> metric.update(torch.tensor([0.9, 0.9, 0.5, 0.5]), torch.tensor([True, True, True, False]))
+        >>> round(metric.compute()["ece"].item(), 3)
+        0.05
+    """
+
+    is_differentiable = False
+    higher_is_better = False
+    full_state_update = False
+    sums: Tensor
+
+    def __init__(self, bins: int = 15):
+        super().__init__()
+        if bins < 1:
+            raise ValueError(f"bins must be at least 1, got {bins}")
+        self.add_state("sums", torch.zeros(bins, 3, dtype=torch.float64), dist_reduce_fx="sum")
+
+    def update(self, confidence: Float[Tensor, "..."], right: Bool[Tensor, "..."]) -> None:
+        """Add confidences, in [0, 1], of predictions that are right or wrong.
+
+        Raises:
+            ValueError: naming a wrong shape, type or value.
+        """
+        check_mask("right", right, confidence.shape)
+        said = confidence.flatten().double()
+        if not bool(((said >= 0) & (said <= 1)).all()):
+            raise ValueError("confidence must be in [0, 1]")
+        bins = len(self.sums)
+        columns = torch.stack([torch.ones_like(said), said, right.flatten().double()], 1)
+        # as in the definition, a bin holds its upper end and not its lower one
+        self.sums.index_add_(0, ((said * bins).ceil().long() - 1).clamp(min=0), columns)
+
+    def compute(self) -> dict[str, Tensor]:
+        """Return the scores over all predictions."""
+        count, said, right = self.sums.sum(0)
+        gaps = (self.sums[:, 1] - self.sums[:, 2]).abs().sum()
+        return {"ece": (gaps / count).float(), "confidence": (said / count).float(), "right": (right / count).float()}
+
+    def reliability(self) -> Float64[Tensor, "bins 3"]:
+        """Return fraction of all predictions, mean confidence and fraction right of each bin; nan where it is empty."""
+        count = self.sums[:, :1]
+        return torch.cat([count / count.sum(), self.sums[:, 1:] / count], 1)
+
+    def plot(self, ax: "Axes | None" = None) -> "tuple[Figure, Axes]":  # type: ignore[override]
+        """Draw the reliability diagram: fraction right over confidence, each dot as large as its bin is full.
+
+        Raises:
+            ImportError: without matplotlib.
+        """
+        try:
+            from matplotlib import pyplot
+        except ImportError as error:
+            raise ImportError("plot() needs matplotlib: pip install matplotlib") from error
+        axes = pyplot.subplots(figsize=(4.0, 4.0), layout="constrained")[1] if ax is None else ax
+        fraction, said, right = self.reliability().cpu().T.numpy()
+        axes.plot([0, 1], [0, 1], color="#999999", linewidth=1, label="calibrated")
+        axes.plot(said, right, color="#4c72b0", linewidth=1)
+        axes.scatter(said, right, s=10 + 400 * fraction, color="#4c72b0", alpha=0.6)
+        axes.set(xlim=(0, 1), ylim=(0, 1), xlabel="confidence", ylabel="fraction right", aspect="equal")
+        axes.text(0.04, 0.92, f"ECE {float(self.compute()['ece']):.3f}")
+        axes.spines[["top", "right"]].set_visible(False)
+        figure = axes.figure
+        assert figure is not None
+        return figure, axes  # pyright: ignore[reportReturnType]

@@ -1,0 +1,36 @@
+"""What a configuration tells of the training data, without any scene on the disk."""
+
+from pathlib import Path
+
+import pytest
+from omegaconf import OmegaConf
+
+from omniocc.camera import Rig
+from omniocc.config import compose_plain
+from omniocc.predict.occupancy import compare_rig
+from omniocc.predict.trained import training_data
+
+CONF = Path(__file__).parents[2] / "conf"
+
+
+def trained_with(*overrides):
+    return training_data(Path("x.ckpt"), OmegaConf.create(compose_plain(CONF, "train", ["preset=smoke", *overrides])))
+
+
+def test_images_get_as_many_pixels_as_those_of_the_training():
+    own, drawn = trained_with(), trained_with("data.source.rig=random")
+    assert own.image_size == (64, 36)
+    assert own.width_for(Rig.load("fisheye6")) == 64
+    other = Rig.load("surround_view").cameras[0]
+    assert (other.width, other.height) == (960, 640)
+    assert own.width_for(Rig.load("surround_view")) == 59  # 58.8 x 39.2 = 64 x 36 px
+    assert drawn.width_for(Rig.load("surround_view")) == pytest.approx(59, abs=3)
+
+
+def test_a_model_of_random_rigs_says_so():
+    drawn, own = trained_with("data.source.rig=random"), trained_with()
+    assert drawn.any_rig
+    width, height = drawn.image_size
+    assert width * height == pytest.approx(64 * 36, rel=0.15)
+    assert compare_rig(Rig.load("surround_view"), drawn) == "trained with rigs drawn at random"
+    assert compare_rig(Rig.load("fisheye6"), own) == "as in training"
