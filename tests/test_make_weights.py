@@ -8,12 +8,13 @@ import torch
 import yaml
 from omegaconf import OmegaConf
 
-from omniocc.config import check_root, compose_plain
+from omniocc.config import build, check_root, compose_plain
 from omniocc.errors import UserError
 from omniocc.report.card import card
 from omniocc.run.checkpoint import load_checkpoint
 from omniocc.run.checkpoint_io import LAST, write_checkpoint
 from omniocc.run.results import save_results
+from omniocc.run.weights import pack_weights
 
 ROOT = Path(__file__).parents[1]
 NAMES = sorted(path.stem for path in (ROOT / "tools" / "weights").glob("*.yaml"))
@@ -47,7 +48,12 @@ def test_a_recipe_may_be_like_another_and_a_wrong_name_is_answered(tool):
         tool.recipe_of("large")
 
 
-def test_a_finished_stage_is_packed_with_its_card(tool, tmp_path):
+def test_a_finished_stage_is_packed_with_its_card(tool, tmp_path, monkeypatch):
+    monkeypatch.setattr(tool, "FRAMES", tmp_path)
+    monkeypatch.setattr(tool, "record_frames", lambda recipe, folder: folder.mkdir())
+    monkeypatch.setattr(
+        tool, "figures_of", lambda weights, frames: {"test/depth/mae": float(frames == tmp_path / "small")}
+    )
     weights = {"model.a": torch.randn(20, 30)}
     config = {"data": {"source": {"train_scenes": 2000}}, "depth": {"_target_": "omniocc.model.depth.OmniMVS"}}
     write_checkpoint({"stage": "depth", "config": config, "state_dict": weights}, tmp_path / "run" / LAST)
@@ -65,6 +71,7 @@ def test_a_finished_stage_is_packed_with_its_card(tool, tmp_path):
     assert "| MAE, m | 1.500 |" in text
     assert "| MAE, m, 0-8.5 m | 0.200 |" in text
     assert "| MAE, m, 8.5-17 m | - |" in text
+    assert "| MAE, m | 1.0000 |" in text.split("On the four frames of the tests")[1]
     tool.LIMIT_MB = 1e-4
     with pytest.raises(UserError, match=r"at most 0\.0001 MB"):
         tool.pack("small", recipe, tmp_path / "run", LAST, "")
@@ -72,19 +79,38 @@ def test_a_finished_stage_is_packed_with_its_card(tool, tmp_path):
 
 def test_the_card_of_a_whole_chain_has_scores_by_distance_and_class():
     metrics = {"test/rayiou": 0.5, "test/rayiou_17-25.6m": 0.3, "test/rayiou/Pole": 0.2, "test/lidar/rayiou": 0.3}
-    text = card(
-        "tiny", {"good_for": "demos"}, {"steps": 3}, metrics | {"val/rayiou": 0.6, "test/lidar/rayiou/Pole": 0.1}
-    )
+    others = {"val/rayiou": 0.6, "test/lidar/rayiou/Pole": 0.1}
+    text = card("tiny", {"good_for": "demos"}, {"steps": 3}, metrics | others, {"test/voxel/miou": 0.123456})
     for row in (
         "| RayIoU | 0.500 |",
         "| RayIoU, 17-25.6 m | 0.300 |",
         "| RayIoU, Pole | 0.200 |",
         "| RayIoU, LiDAR | 0.300 |",
+        "| voxel mIoU | 0.1235 |",
     ):
         assert row in text
     assert "0.600" not in text
     assert "Errors of range" not in text
     assert "Not good" not in text
+
+
+def test_frames_are_recorded_once_and_give_figures(tool, tmp_path):
+    recipe = {"stage": "depth", "overrides": ["preset=smoke", "stage=depth", "data.source.workers=0"]}
+    frames = tmp_path / "frames"
+    tool.record_frames(recipe, frames)
+    scenes = sorted(path.name for path in frames.iterdir() if path.is_dir())
+    assert [name[:9] for name in scenes] == ["test-000-", "test-001-"]
+    (frames / scenes[0] / "frames-000.tar").touch()
+    before = (frames / scenes[0] / "frames-000.tar").stat().st_mtime_ns
+    tool.record_frames(recipe, frames)
+    assert (frames / scenes[0] / "frames-000.tar").stat().st_mtime_ns == before
+    config = tool.config_of(recipe)
+    weights = {f"model.{name}": value for name, value in build(config.depth).state_dict().items()}
+    path = tmp_path / "x.safetensors"
+    pack_weights(path, "depth", OmegaConf.to_container(config, resolve=True), weights, {})
+    figures = tool.figures_of(path, frames)
+    assert 0 < figures["test/depth/mae"] < 100
+    assert figures == tool.figures_of(path, frames)
 
 
 def test_recipes_hold_nothing_else():

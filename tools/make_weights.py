@@ -3,31 +3,45 @@
 The recipes are in `tools/weights`. Training goes on where it was stopped; what is finished is not trained again.
 """
 
+import json
 import shlex
+import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
+import torch
 import yaml
 from omegaconf import DictConfig, OmegaConf
 
 from omniocc.config import build, compose_plain
+from omniocc.data import OccupancyData, VirtualWorld
+from omniocc.data.dataset import read_images
+from omniocc.data.source import SceneFrames
+from omniocc.data.store.reader import SceneReader
 from omniocc.errors import UserError
 from omniocc.io import atomic_write
+from omniocc.metric import DepthMetrics
+from omniocc.model.occupancy import to_unit_range
+from omniocc.predict.network import load_depth
 from omniocc.report.card import card
 from omniocc.run.checkpoint import load_checkpoint
 from omniocc.run.checkpoint_io import BEST, LAST
-from omniocc.run.folder import run_hash
+from omniocc.run.folder import METRICS, run_hash
 from omniocc.run.results import load_results
 from omniocc.run.script import quiet_libraries
 from omniocc.run.weights import SHIPPED, SUFFIX, digest_of, pack_weights, read_weights
+from omniocc.task.depth import FARTHEST_M
 from omniocc.task.stage_keys import stage_keys
 
 ROOT = Path(__file__).parents[1]
 RECIPES = ROOT / "tools" / "weights"
 LIMIT_MB = 12.0
 """Greatest size of a file."""
+FRAMES = ROOT / "tests" / "weights"
+"""Four recorded frames for each file of weights, on which it must always give the figures of its card."""
 
 
 def recipe_of(name: str) -> dict[str, Any]:
@@ -39,10 +53,14 @@ def recipe_of(name: str) -> dict[str, Any]:
     return (recipe_of(own.pop("like")) if "like" in own else {}) | own
 
 
+def config_of(recipe: dict[str, Any]) -> DictConfig:
+    """Return the configuration of a recipe's training."""
+    return cast(DictConfig, OmegaConf.create(compose_plain(ROOT / "conf", "train", recipe["overrides"])))
+
+
 def folder_of(recipe: dict[str, Any], runs: Path) -> tuple[Path, str]:
     """Return the folder of a recipe's finished run or stage, and the name of its checkpoint."""
-    cfg = OmegaConf.create(compose_plain(ROOT / "conf", "train", recipe["overrides"]))
-    assert isinstance(cfg, DictConfig)
+    cfg = config_of(recipe)
     fingerprint = build(cfg.data).source.fingerprint
     if recipe["stage"] == "occupancy":
         config = OmegaConf.to_container(cfg, resolve=True)
@@ -59,6 +77,43 @@ def train(recipe: dict[str, Any]) -> str:
     return shlex.join(command)
 
 
+def record_frames(recipe: dict[str, Any], folder: Path) -> None:
+    """Record two frames of each of two test scenes of a recipe's data, unless they are there."""
+    if folder.is_dir():
+        return
+    counts = {"train_scenes": 0, "val_scenes": 0, "test_scenes": 2, "frames_per_scene": 2}
+    with tempfile.TemporaryDirectory() as place:
+        source: VirtualWorld = build(config_of(recipe).data.source, root=place, **counts)
+        source.prepare()
+        shutil.copytree(source.folder, folder, ignore=shutil.ignore_patterns(".*"))
+
+
+def figures_of(weights: Path, frames: Path) -> dict[str, float]:
+    """Return the scores of a file of weights on recorded frames."""
+    if load_checkpoint(weights).stage == "depth":
+        return range_errors(weights, [SceneReader(meta.parent) for meta in sorted(frames.glob("*/meta.json"))])
+    with tempfile.TemporaryDirectory() as place:
+        command = [sys.executable, str(ROOT / "src" / "predict.py"), "occupancy", f"checkpoint={weights}"]
+        command += [f"recorded={frames}", f"output={place}", "overview=false", "mesh=false", "device=cpu"]
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        return json.loads((Path(place) / METRICS).read_text())["metrics"]
+
+
+@torch.inference_mode()
+def range_errors(weights: Path, scenes: list[SceneFrames]) -> dict[str, float]:
+    """Return the errors of a depth network on all frames of recorded scenes, with the keys of its stage."""
+    model, config = load_depth(weights)
+    data: OccupancyData = build(config.data)
+    spheres = cast(Any, model).rig_spheres(scenes[0].rigs[0])
+    errors = DepthMetrics(spheres.min_range_m, FARTHEST_M, spheres.count, data.source.spec.range_edges_m)
+    for scene in scenes:
+        for frame in range(len(scene)):
+            images = to_unit_range(read_images(scene, frame)).unsqueeze(0)
+            true_m = torch.from_numpy(cast(Any, scene.erp_range_m(frame))).unsqueeze(0)
+            errors.update(model(images, (scene.rigs[frame],)).range_m, true_m)
+    return {f"test/depth/{key}": float(value) for key, value in errors.compute().items()}
+
+
 def pack(name: str, recipe: dict[str, Any], folder: Path, checkpoint: str, command: str) -> Path:
     """Write the file of weights and its card, and return the file."""
     trained, (facts, metrics) = load_checkpoint(folder / checkpoint), load_results(folder)
@@ -73,7 +128,9 @@ def pack(name: str, recipe: dict[str, Any], folder: Path, checkpoint: str, comma
     if size_mb > LIMIT_MB:
         raise UserError(f"{path} has {size_mb:.1f} MB; at most {LIMIT_MB} MB can be shipped")
     made |= {"size": f"{size_mb:.1f} MB", "sha256": digest_of(read_weights(path)[0]["state_dict"])}
-    atomic_write(SHIPPED / f"{name}.md", card(name, recipe, made, metrics))
+    frames = FRAMES / recipe.get("like", name)
+    record_frames(recipe, frames)
+    atomic_write(SHIPPED / f"{name}.md", card(name, recipe, made, metrics, figures_of(path, frames)))
     return path
 
 

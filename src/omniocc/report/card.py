@@ -8,7 +8,10 @@ BANDS = ("0-8.5m", "8.5-17m", "17-25.6m")
 """Distance bands of the figures, as in the keys of metrics."""
 
 
-def card(name: str, purpose: Mapping[str, str], facts: Mapping[str, Any], metrics: Mapping[str, float]) -> str:
+def card(
+    name: str, purpose: Mapping[str, str], facts: Mapping[str, Any], metrics: Mapping[str, float],
+    on_frames: Mapping[str, float],
+) -> str:  # fmt: skip
     """Return the card as Markdown.
 
     Args:
@@ -16,12 +19,15 @@ def card(name: str, purpose: Mapping[str, str], facts: Mapping[str, Any], metric
         purpose: `good_for` and `not_good_for`.
         facts: command, commit, data, steps, file size in MB, ...; listed as they are.
         metrics: of the test, `test/...`; those of voxels, rays and ranges are shown where they exist.
+        on_frames: the same of the four frames that the tests of the weights use.
     """
     lines = [f"# {name}", "", f"Good for {purpose['good_for']}.", ""]
     if purpose.get("not_good_for"):
         lines += [f"Not good for {purpose['not_good_for']}.", ""]
     lines += ["| made by | |", "|---|---|", *(f"| {key} | {_code(key, value)} |" for key, value in facts.items()), ""]
-    for title, rows in (("Scores on unseen scenes", score_rows(metrics)), ("Errors of range", depth_rows(metrics))):
+    sections = {"Scores on unseen scenes": score_rows(metrics), "Errors of range": depth_rows(metrics)}
+    sections["On the four frames of the tests"] = frame_rows(on_frames)
+    for title, rows in sections.items():
         if rows:
             lines += [f"## {title}", "", *rows, ""]
     return "\n".join(lines)
@@ -40,6 +46,12 @@ def depth_rows(metrics: Mapping[str, float]) -> list[str]:
     """Return a table of mean absolute errors, m, by distance; nothing without these figures."""
     keys = ["test/depth/mae", *(f"test/depth/mae_{band}" for band in BANDS), "test/depth/coverage"]
     return _table([(_title(key), metrics[key]) for key in keys if key in metrics], 3)
+
+
+def frame_rows(metrics: Mapping[str, float]) -> list[str]:
+    """Return a table of one score of each kind, with more digits."""
+    keys = ("test/rayiou", "test/voxel/miou", *(f"test/depth/mae{band}" for band in ("", *(f"_{b}" for b in BANDS))))
+    return _table([(_title(key), metrics[key]) for key in keys if key in metrics], 4)
 
 
 def _table(rows: list[tuple[str, float]], digits: int) -> list[str]:

@@ -10,7 +10,15 @@ from torch.nn import functional as F
 from omniocc.camera import Equirectangular, Rig
 from omniocc.model.ops.depth.hints import HINTS, ROAD_HINTS, rig_hints
 from omniocc.model.ops.depth.layers import Conv, FeatureNet, UNet2d
-from omniocc.model.ops.depth.projection import Projection, Sampler, alternate_cameras, samplers, similarity, table
+from omniocc.model.ops.depth.projection import (
+    Projection,
+    Sampler,
+    alternate_cameras,
+    divided_samplers,
+    samplers,
+    similarity,
+    table,
+)  # fmt: skip
 from omniocc.model.ops.depth.sphere_net import SphereLoss, SphereNet
 from omniocc.model.ops.depth.spheres import SphereRange
 from omniocc.model.ops.norm import group_norm
@@ -165,11 +173,11 @@ class OmniMVS(SphereNet):
         self, features: Float[Tensor, "B N C _ _"], rig: Rig, planes: tuple[float, ...]
     ) -> Iterator[tuple[Sampler, Sampler]]:
         size = features.shape[-1], features.shape[-2]
-        spheres, everyone = self.rig_spheres(rig), tuple(range(len(rig.cameras)))
+        spheres = self.rig_spheres(rig)
         if self.pairs == "nearest":
-            sweeps = [Projection(self.swept, spheres, size, everyone, planes, parity) for parity in (0, 1)]
-        else:
-            sweeps = [Projection(self.swept, spheres, size, cameras, planes) for cameras in alternate_cameras(rig)]
+            everyone = Projection(self.swept, spheres, size, tuple(range(len(rig.cameras))), planes)
+            return iter(divided_samplers(rig, everyone, features.device))
+        sweeps = [Projection(self.swept, spheres, size, cameras, planes) for cameras in alternate_cameras(rig)]
         return zip(*(samplers(rig, sweep, features.device) for sweep in sweeps), strict=True)
 
     def _maps(self, points: Float[Tensor, "P B C"]) -> Float[Tensor, "B DC h w"]:

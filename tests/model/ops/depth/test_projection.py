@@ -9,6 +9,7 @@ from omniocc.model.depth import Spheres
 from omniocc.model.ops.depth.projection import (
     Projection,
     alternate_cameras,
+    divided_samplers,
     field_weight,
     present_cameras,
     samplers,
@@ -150,9 +151,7 @@ def test_every_other_camera_in_the_order_of_angles(make_ring):
     toward = F.normalize(points_m - rig.ego_from_camera[:, None, :3, 3], dim=-1)
     cosine = (toward * rig.ego_from_camera[:, None, :3, 2]).sum(-1)
     plane = SPHERES.index(torch.tensor(20.0)).item()
-    pair = [
-        samplers(rig, Projection(PANORAMA, SPHERES, (32, 18), tuple(range(5)), (plane,), k), CPU)[0] for k in (0, 1)
-    ]
+    (pair,) = divided_samplers(rig, Projection(PANORAMA, SPHERES, (32, 18), tuple(range(5)), (plane,)), CPU)
     for point in range(0, len(points_m), 7):
         order = sorted((k for k in range(5) if valid[k, point]), key=lambda k: -float(cosine[k, point]))
         for parity, sampler in enumerate(pair):
@@ -166,9 +165,7 @@ def test_every_other_camera_in_the_order_of_angles(make_ring):
 def test_two_cameras_are_compared_wherever_two_see(count, make_ring):
     rig = make_ring(count)
     planes = (0.0, 2.0)
-    pair = [
-        samplers(rig, Projection(PANORAMA, SPHERES, (32, 18), tuple(range(count)), planes, k), CPU)[0] for k in (0, 1)
-    ]
+    (pair,) = divided_samplers(rig, Projection(PANORAMA, SPHERES, (32, 18), tuple(range(count)), planes), CPU)
     both = (pair[0].seen & pair[1].seen).unflatten(0, (2, -1))
     one = sampler_of(rig, tuple(range(count)), planes).seen.unflatten(0, (2, -1))
     points_m = PANORAMA.rays().double().reshape(-1, 3)

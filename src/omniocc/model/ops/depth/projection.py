@@ -7,14 +7,14 @@ this is several times faster than `grid_sample` for every camera, which also sam
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Float32, Int32, Int64
+from jaxtyping import Bool, Float, Float32, Float64, Int32, Int64
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 from torch.nn import functional as F
@@ -178,8 +178,8 @@ class Projection:
         feature_size: width and height of the feature maps, px; they span the rig's largest image.
         cameras: indices of the cameras that are summed over.
         planes: indices of the spheres, which need not be whole numbers.
-        every_other: 0 or 1: of the cameras that see a point, in the order of its angle from their axes, only the first,
-            third, ... (0) or the second, fourth, ... (1) count; None: all.
+        divided: whether the cameras that see a point are divided, in the order of its angle from their axes: the first,
+            third, ... and the second, fourth, ...
     """
 
     panorama: Equirectangular
@@ -187,7 +187,7 @@ class Projection:
     feature_size: tuple[int, int]
     cameras: tuple[int, ...]
     planes: tuple[float, ...]
-    every_other: int | None = None
+    divided: bool = False
 
 
 @once_per_rig
@@ -218,22 +218,31 @@ def _taps(
     return column, tap
 
 
-def _rows(rig: Rig, projection: Projection, plane: float, rays: Float[Tensor, "P 3"]) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the entries of the rows of one sphere: their number in each row, their columns, their values."""
+Entries = tuple[Tensor, Tensor, Tensor]
+"""Of the rows of a sphere: their number in each row, their columns, their values."""
+
+
+def _rows(rig: Rig, projection: Projection, plane: float, rays: Float[Tensor, "P 3"]) -> list[Entries]:
+    """Return the entries of one sphere, of each of the two sets of cameras if these are divided for every point."""
     points_m = rays * min(1 / (plane * projection.spheres.step_per_m) if plane else FAR_M, FAR_M)
     width, height = projection.feature_size
     if not projection.cameras:
-        return torch.zeros(len(rays), dtype=torch.long), torch.empty(0, dtype=torch.int32), torch.empty(0)
+        none = torch.zeros(len(rays), dtype=torch.long), torch.empty(0, dtype=torch.int32), torch.empty(0)
+        return [none] * (1 + projection.divided)
     projected = [rig.project_into(k, points_m) for k in projection.cameras]
-    if projection.every_other is not None:
-        place = _places(rig, projection.cameras, points_m, [valid for _, valid in projected])
-        parity = place % 2 == projection.every_other
-        projected = [(pixels, valid & own) for (pixels, valid), own in zip(projected, parity, strict=True)]
     taps = [_taps(rig, k, *part, width, height) for k, part in zip(projection.cameras, projected, strict=True)]
-    column = torch.cat([column for column, _ in taps], -1)
-    value = torch.cat([value for _, value in taps], -1)
-    kept = value > 1e-6
-    return kept.sum(-1), column[kept].int(), value[kept].float()
+    columns = torch.cat([column for column, _ in taps], -1).int()
+    values = torch.cat([value for _, value in taps], -1)
+    if not projection.divided:
+        return [_entries(columns, values)]
+    place = _places(rig, projection.cameras, points_m, [valid for _, valid in projected])
+    second = (place % 2 == 1).T.repeat_interleave(4, -1)  # a pixel has four neighbours
+    return [_entries(columns, values * own) for own in (~second, second)]
+
+
+def _entries(columns: Int32[Tensor, "P E"], values: Float64[Tensor, "P E"]) -> Entries:
+    kept = values > 1e-6
+    return kept.sum(-1), columns[kept], values[kept].float()
 
 
 def _places(
@@ -247,10 +256,8 @@ def _places(
     return torch.argsort(order, dim=0)
 
 
-def _sampler(rig: Rig, projection: Projection, planes: tuple[float, ...], device: torch.device) -> Sampler:
-    rays = projection.panorama.rays().double().reshape(-1, 3)
-    parts = [_rows(rig, projection, plane, rays) for plane in planes]
-    counts, columns, values = (torch.cat(part) for part in zip(*parts, strict=True))
+def _sampler(rig: Rig, projection: Projection, rows: Sequence[Entries], device: torch.device) -> Sampler:
+    counts, columns, values = (torch.cat(part) for part in zip(*rows, strict=True))
     row = torch.arange(len(counts)).repeat_interleave(counts)
     values = values / torch.zeros(len(counts)).index_add_(0, row, values)[row]
     crow = torch.cat([counts.new_zeros(1), counts.cumsum(0)]).int()
@@ -262,12 +269,23 @@ def _sampler(rig: Rig, projection: Projection, planes: tuple[float, ...], device
         return Sampler(matrix, crow[:-1].clone(), columns, values)  # columns and values share memory with the matrix
 
 
-@once_per_rig
 def samplers(rig: Rig, projection: Projection, device: torch.device) -> tuple[Sampler, ...]:
     """Return the matrices of a projection, in blocks of about 64k rows, which stay in the processor's cache."""
-    size = max(1, BLOCK_ROWS // (projection.panorama.width * projection.panorama.height))
+    return tuple(side[0] for side in _all_samplers(rig, projection, device))
+
+
+def divided_samplers(rig: Rig, projection: Projection, device: torch.device) -> tuple[tuple[Sampler, Sampler], ...]:
+    """Return the matrices of both sets of cameras, divided for every point, in blocks as `samplers` does."""
+    return tuple((one, two) for one, two in _all_samplers(rig, replace(projection, divided=True), device))
+
+
+@once_per_rig
+def _all_samplers(rig: Rig, projection: Projection, device: torch.device) -> tuple[tuple[Sampler, ...], ...]:
+    rays = projection.panorama.rays().double().reshape(-1, 3)
+    size = max(1, BLOCK_ROWS // len(rays))
     blocks = [projection.planes[first : first + size] for first in range(0, len(projection.planes), size)]
-    return tuple(_sampler(rig, projection, block, device) for block in blocks)
+    rows = [[_rows(rig, projection, plane, rays) for plane in block] for block in blocks]
+    return tuple(tuple(_sampler(rig, projection, side, device) for side in zip(*block, strict=True)) for block in rows)
 
 
 def table(features: Float[Tensor, "B N C H W"], present: Bool[Tensor, "B N"]) -> Float[Tensor, "pixels BC"]:
