@@ -1,6 +1,7 @@
 """Omnidirectional depth by one combined sweep and 2D regularisation (paper, section IV-B; RtHexa-OmniMVS)."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import torch
 from jaxtyping import Bool, Float
@@ -8,7 +9,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from omniocc.camera import Equirectangular, Rig
-from omniocc.model.ops.depth.hints import HINTS, ROAD_HINTS, rig_hints
+from omniocc.model.ops.depth.hints import HINTS, rig_hints
 from omniocc.model.ops.depth.layers import Conv, FeatureNet, UNet2d
 from omniocc.model.ops.depth.projection import (
     Projection,
@@ -97,7 +98,7 @@ class OmniMVS(SphereNet):
         if pairs not in ("alternate", "nearest"):
             raise ValueError(f"pairs is {pairs}; it must be alternate or nearest")
         self.match_channels, self.groups, self.sweep_stride = match_channels, groups, sweep_stride
-        self.pairs, self.hints, self.told = pairs, hints, True
+        self.pairs, self.hints = pairs, hints
         self.swept = panorama.resized(width // sweep_stride, height // sweep_stride)
         self.features = FeatureNet(feature_channels, match_channels + context_channels, stride=feature_stride)
         compared = groups * spheres.count
@@ -137,8 +138,10 @@ class OmniMVS(SphereNet):
         height = self.swept.height
         row = 1 - 2 * (torch.arange(height, device=features.device) + 0.5) / height
         maps = [self._maps(part) for part in (agreement, *self._views(context, present, rig))]
-        told = [self._hints(rig, either)] if self.hints else []
-        return torch.cat([*maps, both, either, row[:, None].expand_as(both), *told], 1), either > 0
+        inputs = [*maps, both, either, row[:, None].expand_as(both)]
+        if self.hints:
+            inputs.append(rig_hints(rig, self.swept, self.rig_spheres(rig)).to(either).expand(len(either), -1, -1, -1))
+        return torch.cat(inputs, 1), either > 0
 
     def training_terms(
         self,
@@ -149,16 +152,9 @@ class OmniMVS(SphereNet):
         generator: torch.Generator,
     ) -> dict[str, Float[Tensor, ""]]:
         """Return weighted losses by name; every other batch is not told the height of the road."""
-        self.told = not self.hints or bool(torch.rand((), generator=generator) >= UNTOLD)
-        terms = super().training_terms(images, rigs, erp_range_m, camera_range_m, generator)
-        self.told = True
-        return terms
-
-    def _hints(self, rig: Rig, like: Float[Tensor, "B 1 h w"]) -> Float[Tensor, "B 5 h w"]:
-        maps = rig_hints(rig, self.swept, self.rig_spheres(rig)).to(like)
-        if not self.told:
-            maps = torch.cat([maps[:-ROAD_HINTS], torch.zeros_like(maps[-ROAD_HINTS:])])
-        return maps.expand(len(like), -1, -1, -1)
+        if self.hints and bool(torch.rand((), generator=generator) < UNTOLD):
+            rigs = tuple(replace(rig, road_z_m=None) for rig in rigs)
+        return super().training_terms(images, rigs, erp_range_m, camera_range_m, generator)
 
     def _views(
         self, context: Float[Tensor, "B N C _ _"], present: Bool[Tensor, "B N"], rig: Rig

@@ -1,3 +1,4 @@
+import math
 from dataclasses import replace
 
 import pytest
@@ -5,7 +6,7 @@ import torch
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.model.depth import Spheres
-from omniocc.model.ops.depth.spheres import SphereRange, nearest_range_m
+from omniocc.model.ops.depth.spheres import SphereRange, nearest_range_m, road_range_m
 
 PANORAMA = Equirectangular(192, 48, 45.0, -45.0)
 
@@ -56,10 +57,21 @@ def test_nearest_sphere_is_where_two_cameras_begin_to_see_nearly_everything():
     assert shared(nearest_m - 0.1) < 0.9
 
 
-def test_where_fields_hardly_overlap_it_is_twice_the_outermost_camera():
-    rig = Rig.load("pinhole6")
-    outermost_m = float(rig.ego_from_camera[:, :3, 3].norm(dim=-1).max())
-    assert nearest_range_m(rig, PANORAMA) == pytest.approx(2 * outermost_m, abs=1e-3)
+@pytest.mark.parametrize("name", ["pinhole6", "surround_view"])
+def test_where_fields_hardly_overlap_it_is_twice_the_innermost_camera(name):
+    rig = replace(Rig.load(name), road_z_m=None)
+    innermost_m = float(rig.ego_from_camera[:, :3, 3].norm(dim=-1).min())
+    assert nearest_range_m(rig, PANORAMA) == pytest.approx(2 * innermost_m, abs=1e-3)
+
+
+def test_it_is_not_beyond_the_road_at_the_lower_edge():
+    low = replace(Rig.load("fisheye6"), road_z_m=-0.9)
+    # at 45 degrees below the horizon
+    assert nearest_range_m(low, Equirectangular(64, 16, 45.0, -45.0)) == pytest.approx(0.9 * math.sqrt(2), abs=1e-3)
+    high = replace(low, road_z_m=-2.2)
+    assert nearest_range_m(high, PANORAMA) == nearest_range_m(replace(low, road_z_m=None), PANORAMA)
+    assert nearest_range_m(replace(low, road_z_m=-0.2), PANORAMA) == 0.5
+    assert road_range_m(-1.0, 10.0) == road_range_m(None, -45.0) == road_range_m(0.5, -45.0) == math.inf
 
 
 def test_a_given_range_goes_before_the_rig(rig):

@@ -11,8 +11,6 @@ from omniocc.model.ops.rig_cache import once_per_rig
 
 HINTS = 5
 """Number of maps."""
-ROAD_HINTS = 2
-"""The last of them, which are about the road."""
 PROBES_M = (3.0, 12.0)
 """Ranges at which the parallax is computed."""
 MANY_CAMERAS = 4

@@ -1,5 +1,6 @@
 """Spheres around the ego origin at equal steps of inverse range, and the radius of the nearest."""
 
+import math
 from dataclasses import dataclass, replace
 
 import torch
@@ -62,20 +63,30 @@ def nearest_range_m(rig: Rig, panorama: Equirectangular) -> float:
     """Return the radius of the nearest sphere of a rig, m.
 
     It is the smallest range, between 1 and 3 times the distance of the outermost camera from the origin, at which two
-    cameras see 90 % of the directions that any camera sees; twice that distance where there is no such range, because
-    fields of view hardly overlap (six pinhole cameras). It is never under 0.5 m. Masks do not count: the own car hides
-    directions below the horizon at every range.
+    cameras see 90 % of the directions that any camera sees. Where there is no such range, because fields of view hardly
+    overlap (pinhole cameras, or four fisheyes around a car), it is twice the distance of the innermost camera. It is
+    not farther than a flat road at the lower edge of the panorama, if the rig says how high the road is, and never
+    under 0.5 m. Masks do not count: the own car hides directions below the horizon at every range.
     """
+    road_m = road_range_m(rig.road_z_m, panorama.bottom_deg)
     rig = replace(rig, masks=None)
-    outermost_m = float(rig.ego_from_camera[:, :3, 3].norm(dim=-1).max())
+    distances_m = rig.ego_from_camera[:, :3, 3].norm(dim=-1)
     rays = panorama.resized(128, 32).rays().double()
-    nearest_m = 2 * outermost_m
+    nearest_m = 2 * float(distances_m.min())
     for factor in torch.linspace(1, 3, 41).tolist():
-        cameras = rig.project(rays * (factor * outermost_m))[1].sum(0)
+        range_m = factor * float(distances_m.max())
+        cameras = rig.project(rays * range_m)[1].sum(0)
         if bool((cameras >= 1).any()) and float((cameras >= 2).sum() / (cameras >= 1).sum()) >= OVERLAP:
-            nearest_m = factor * outermost_m
+            nearest_m = range_m
             break
-    return max(LEAST_M, round(nearest_m, 3))
+    return max(LEAST_M, round(min(nearest_m, road_m), 3))
+
+
+def road_range_m(road_z_m: float | None, elevation_deg: float) -> float:
+    """Return the range, m, of a flat road at an elevation; infinite above the horizon and where it is not known."""
+    if road_z_m is None or road_z_m >= 0 or elevation_deg >= 0:
+        return math.inf
+    return road_z_m / math.sin(math.radians(elevation_deg))
 
 
 @dataclass(frozen=True)
