@@ -19,8 +19,8 @@ $(READY): pyproject.toml constraints.txt
 
 setup: $(READY)  ## Make .venv from pyproject.toml and constraints.txt
 
-demo: $(READY)  ## Render streets, train, test on unseen streets, show table and images (about 25 minutes on 2 cores; PRESET=smoke: one or two)
-	$(BIN)/python src/train.py name=demo model=extended preset=$(PRESET)
+demo: $(READY)  ## Render streets, train, test on unseen streets, show table and images (FULL=1: every stage; PRESET=smoke: a minute or two)
+	$(BIN)/python tools/demo.py $(PRESET) $(if $(FULL),--full)
 
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
 

@@ -1,6 +1,5 @@
 """Train a model, test its best checkpoint on unseen scenes, write figures and images; options: `--help`."""
 
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -21,11 +20,11 @@ from omniocc.run.distributed import is_first
 from omniocc.run.folder import IMAGES, RunFolder, command_line, git_commit, given_checkpoint, open_run, run_hash
 from omniocc.run.memory import keep_freed_memory
 from omniocc.run.plan import hours_line, plan_line, planned_steps, validation_times
-from omniocc.run.results import CANDIDATES, load_results, save_results, show_results
+from omniocc.run.results import CANDIDATES, EARLIER_MINUTES, MINUTES, load_results, save_results, show_results
 from omniocc.run.script import quiet_libraries, script
 from omniocc.run.slots import sketch_learns
 from omniocc.run.wandb.loggers import finish
-from omniocc.task import OccupancyTask, StepProgress
+from omniocc.task import OccupancyTask, StepProgress, TrainingTime
 from omniocc.task.build import build_task
 from omniocc.task.images import OccupancyImages
 from omniocc.task.stage_keys import wanted_stages
@@ -91,14 +90,15 @@ def train_occupancy(
     trainer = build(
         cfg.trainer,
         **validation_times(cfg.trainer),
-        callbacks=callbacks(cfg, run, title, data.source.spec.classes),
+        callbacks=[duration := TrainingTime(), *callbacks(cfg, run, title, data.source.spec.classes)],
         plugins=[AtomicCheckpointIO()],
         logger=files,
         default_root_dir=str(run.path),
     )
     if trainer.is_global_zero:
         announce(run, task, data)
-    minutes = fit(trainer, task, data, run)
+    trainer.fit(task, datamodule=data, ckpt_path=run.checkpoint and str(run.checkpoint))
+    trainer.save_checkpoint(run.path / LAST)
     tested = run.path / (BEST if (run.path / BEST).exists() else LAST)
     metrics = trainer.validate(task, datamodule=data, ckpt_path=str(tested), verbose=False)[0]
     metrics |= trainer.test(task, datamodule=data, ckpt_path=str(tested), verbose=False)[0]
@@ -107,7 +107,7 @@ def train_occupancy(
             logger.log_metrics(figures, trainer.global_step)
         facts = {"run": run.path.name, "checkpoint": tested.name, "seed": cfg.seed, "steps": trainer.global_step}
         facts |= {"preset": cfg.preset.name, "command": command_line()}
-        facts |= {"minutes of training": minutes, PEAK: peak_mib(trainer.strategy.root_device)}
+        facts |= {MINUTES: duration.minutes, PEAK: peak_mib(trainer.strategy.root_device)}
         facts |= cost_of(task.model.eval(), data.dataset("test")[0])
         facts |= facts_of_report(task, data, earlier, trainer.global_step)
         facts |= {"commit": git_commit(), "data": data.source.fingerprint}
@@ -121,24 +121,18 @@ def facts_of_report(task: OccupancyTask, data: OccupancyData, earlier: Stages | 
 
     The fraction is measured here only if the sketch is not learned; else the test of its stage measures it.
     """
-    stages = {} if earlier is None else {name: load_results(path)[0]["steps"] for name, path in earlier.results.items()}
+    before = {} if earlier is None else {name: load_results(path)[0] for name, path in earlier.results.items()}
+    stages = {name: facts["steps"] for name, facts in before.items()}
     rows = data.source.spec.classes.rows
     classes = [{"name": row.name, "rgb": row.rgb} for row in rows if row.id != FREE]
     facts = {"stages": {**stages, "occupancy": steps}, "classes": classes}
+    facts[EARLIER_MINUTES] = round(sum(known.get(MINUTES, 0.0) for known in before.values()), 1)
     if earlier is not None:
         return facts
     sample = data.dataset("test")[0]
     images = to_unit_range(sample.images[-1:].to(task.device))
     candidates = task.model.choose(images, sample.rigs[-1:]).candidates
     return facts | {CANDIDATES: round(float(candidates.float().mean()), 4)}
-
-
-def fit(trainer: Trainer, task: OccupancyTask, data: OccupancyData, run: RunFolder) -> float:
-    """Train to the end and return the minutes spent in this process."""
-    began_s = time.monotonic()
-    trainer.fit(task, datamodule=data, ckpt_path=run.checkpoint and str(run.checkpoint))
-    trainer.save_checkpoint(run.path / LAST)
-    return round((time.monotonic() - began_s) / 60, 1)
 
 
 def callbacks(cfg: DictConfig, run: RunFolder, title: str, classes: ClassTable) -> list[Callback]:

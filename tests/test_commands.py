@@ -24,7 +24,7 @@ TRAIN = [
 ]
 SWEEP = "python src/train.py --multirun +ablation='glob(*)' seed=0,1,2"
 MAKE = {
-    "make demo": ".venv/bin/python src/train.py name=demo model=extended preset=tiny",
+    "make demo": ".venv/bin/python tools/demo.py tiny",
     "make test": "OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n auto --dist worksteal"
     " -m 'not whole_runs and not second_device'",
     "make ablations": f".venv/bin/python src/train.py --multirun +ablation={','.join(ROWS)} seed=0 preset=tiny",
@@ -34,7 +34,7 @@ MAKE = {
 @pytest.fixture
 def checkout(tmp_path, data_root):
     """Return a folder that looks like a fresh checkout that has been set up, with rendered scenes in it."""
-    for name in ("src", "conf", "Makefile", "pyproject.toml", "constraints.txt"):
+    for name in ("src", "conf", "tools", "Makefile", "pyproject.toml", "constraints.txt"):
         (tmp_path / name).symlink_to(ROOT / name)
     data_root.mkdir(exist_ok=True)
     (tmp_path / "data").symlink_to(data_root)

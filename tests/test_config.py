@@ -16,7 +16,7 @@ CONF = Path(__file__).parents[1] / "conf"
 OPTIONS = sorted(
     path
     for path in CONF.rglob("*.yaml")
-    if path.parent != CONF and path.parts[len(CONF.parts)] not in ("preset", "ablation", "trainer", "hydra")
+    if path.parent != CONF and path.parts[len(CONF.parts)] not in ("preset", "ablation", "demo", "trainer", "hydra")
 )
 
 

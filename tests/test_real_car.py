@@ -1,15 +1,10 @@
 """What is known of four real images, and the scores of ranges against it."""
 
-import sys
-from pathlib import Path
-
 import pytest
+import real_car
 import torch
 
 from omniocc.camera import Equirectangular, Rig
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "tools"))
-import real_car
 
 RIG, PANORAMA = Rig.load("surround_view"), Equirectangular(192, 48, 45.0, -45.0)
 

@@ -1,19 +1,14 @@
 """The rigs that training never draws, and their scores."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
+import unseen_rigs
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.camera.drawn import COUNTS, HEIGHT_M, LENSES, RADIUS_M
 from omniocc.model.depth import Spheres
 from omniocc.model.ops.depth.depth_map import from_index
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "tools"))
-import unseen_rigs
 
 NAMES = tuple(unseen_rigs.UNSEEN)
 PANORAMA = Equirectangular(48, 12, 45.0, -45.0)

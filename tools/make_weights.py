@@ -30,7 +30,7 @@ from omniocc.report.card import card
 from omniocc.run.checkpoint import load_checkpoint
 from omniocc.run.checkpoint_io import BEST, LAST
 from omniocc.run.folder import METRICS, run_hash
-from omniocc.run.results import load_results
+from omniocc.run.results import EARLIER_MINUTES, MINUTES, load_results
 from omniocc.run.script import quiet_libraries
 from omniocc.run.weights import SHIPPED, SUFFIX, digest_of, pack_weights, read_weights
 from omniocc.task.depth import FARTHEST_M
@@ -121,7 +121,7 @@ def pack(name: str, recipe: dict[str, Any], folder: Path, checkpoint: str, comma
         OmegaConf.update(trained.config, key, value)
     config = OmegaConf.to_container(trained.config)
     made = {"command": command, "commit": facts["commit"], "data": facts["data"][:12], "steps": facts["steps"]}
-    made |= {key: facts[key] for key in ("seed", "minutes of training") if key in facts}
+    made |= {key: facts[key] for key in ("seed", EARLIER_MINUTES, MINUTES) if key in facts}
     path = SHIPPED / f"{name}{SUFFIX}"
     pack_weights(path, trained.stage, config, trained.weights, made, recipe["half"])  # type: ignore[arg-type]
     size_mb = path.stat().st_size / 1e6

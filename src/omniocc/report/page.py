@@ -25,6 +25,7 @@ from omniocc.report.tables.paper import (
     source_of,
     with_spread,
 )
+from omniocc.run.results import MINUTES
 from omniocc.view.bev import ERRORS
 
 FILES = ("config.yaml", "metrics.json", "table.md")
@@ -78,7 +79,7 @@ def page(
 
 
 def _facts(sweep: Sweep) -> dict[str, str]:
-    minutes = sum(run.facts.get("minutes of training") or 0.0 for run in sweep.runs)
+    minutes = sum(run.facts.get(MINUTES) or 0.0 for run in sweep.runs)
     return {
         "Preset": sweep.runs[0].setting[0],
         "Steps": sweep.runs[0].setting[1],

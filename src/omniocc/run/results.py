@@ -13,6 +13,10 @@ from omniocc.run.table import as_markdown, as_text
 
 CANDIDATES = "fraction of candidates"
 """Fact of runs whose sketch is no stage: the fraction of candidates among all voxels."""
+MINUTES = "minutes of training"
+"""Fact of runs and stages: the time of their training, that before a stop included."""
+EARLIER_MINUTES = "minutes of earlier stages"
+"""Fact of runs: the time of the trainings of depth and sketch, which other runs may share."""
 
 
 def save_results(folder: Path, metrics: Mapping[str, float], facts: Mapping[str, Any]) -> None:

@@ -17,11 +17,19 @@ EXPLANATION = (
 
 def summary(metrics: Mapping[str, float]) -> tuple[list[str], list[list[str]]]:
     """Return head and rows of the overview: RayIoU, by distance and against LiDAR rays, voxel IoU and mIoU."""
-    columns = ["rayiou", *band_keys(metrics), "lidar/rayiou", "voxel/iou", "voxel/miou"]
-    titles = [title for title, _ in _bands(metrics, "test/rayiou_")[1:]]
+    return compared({label: (metrics, row) for row, label in ROWS.items()})
+
+
+def compared(rows: Mapping[str, tuple[Mapping[str, float], str]]) -> tuple[list[str], list[list[str]]]:
+    """Return head and rows of the overview of several results, each given by its figures and their prefix."""
+    first = next(iter(rows.values()))[0]
+    columns = ["rayiou", *band_keys(first), "lidar/rayiou", "voxel/iou", "voxel/miou"]
+    titles = [title for title, _ in _bands(first, "test/rayiou_")[1:]]
     head = ["", "RayIoU", *titles, "RayIoU, LiDAR", "IoU", "mIoU"]
-    rows = [[label, *(number(metrics.get(f"{row}/{column}")) for column in columns)] for row, label in ROWS.items()]
-    return head, rows
+    return head, [
+        [label, *(number(metrics.get(f"{prefix}/{column}")) for column in columns)]
+        for label, (metrics, prefix) in rows.items()
+    ]
 
 
 def band_keys(metrics: Mapping[str, float]) -> list[str]:
@@ -118,7 +126,7 @@ def as_markdown(metrics: Mapping[str, float], caption: str) -> str:
 
 def as_text(metrics: Mapping[str, float]) -> str:
     """Return all tables for a terminal, in columns."""
-    return "\n\n".join(_columns(*table) for table, _ in tables(metrics))
+    return "\n\n".join(in_columns(*table) for table, _ in tables(metrics))
 
 
 def _bands(metrics: Mapping[str, float], prefix: str) -> list[tuple[str, str]]:
@@ -131,7 +139,8 @@ def _lower_edge(band: str) -> float:
     return float(band.split("-")[0])
 
 
-def _columns(head: list[str], rows: list[list[str]]) -> str:
+def in_columns(head: list[str], rows: list[list[str]]) -> str:
+    """Return a table for a terminal; the first column is text, the others are figures."""
     widths = [max(len(line[i]) for line in [head, *rows]) for i in range(len(head))]
     align = [str.ljust, *[str.rjust] * (len(head) - 1)]
     table = [head, *rows]

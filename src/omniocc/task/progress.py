@@ -1,11 +1,40 @@
 """Progress of training and testing."""
 
+import time
 from typing import Any
 
 from lightning.pytorch import LightningModule, Trainer
-from lightning.pytorch.callbacks import ProgressBar
+from lightning.pytorch.callbacks import Callback, ProgressBar
 
 from omniocc.progress import Progress
+
+
+class TrainingTime(Callback):
+    """Measure the time of training with its validations; a run that goes on after a stop adds to what it had."""
+
+    def __init__(self) -> None:
+        self._earlier_s = 0.0
+        self._began_s: float | None = None
+
+    @property
+    def minutes(self) -> float:
+        """Return the time so far, rounded to a tenth of a minute."""
+        return round(self._seconds() / 60, 1)
+
+    def _seconds(self) -> float:
+        return self._earlier_s + (0.0 if self._began_s is None else time.monotonic() - self._began_s)
+
+    def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:  # noqa: D102
+        self._began_s = time.monotonic()
+
+    def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:  # noqa: D102
+        self._earlier_s, self._began_s = self._seconds(), None
+
+    def state_dict(self) -> dict[str, Any]:  # noqa: D102
+        return {"seconds": self._seconds()}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:  # noqa: D102
+        self._earlier_s = float(state_dict["seconds"])
 
 
 class StepProgress(ProgressBar):

@@ -37,12 +37,12 @@ from omniocc.run.checkpoint import load_checkpoint, part_weights
 from omniocc.run.checkpoint_io import LAST, AtomicCheckpointIO, resumable
 from omniocc.run.distributed import is_first, meet, share
 from omniocc.run.folder import IMAGES, METRICS, git_commit
-from omniocc.run.results import load_results, save_results
+from omniocc.run.results import MINUTES, load_results, save_results
 from omniocc.run.wandb.loggers import finish
 from omniocc.run.weights import find_checkpoint
 from omniocc.task.depth import DepthTask
 from omniocc.task.images import DepthImages, SketchImages
-from omniocc.task.progress import StepProgress
+from omniocc.task.progress import StepProgress, TrainingTime
 from omniocc.task.sketch import SketchTask, known
 from omniocc.task.stage_keys import stage_keys
 from omniocc.task.stage_task import Recipe, StageTask
@@ -130,7 +130,8 @@ class Stages:
         say(f"{title} {'goes on' if checkpoint else 'begins'}: {folder}")
         data = build(self.cfg.data, window=1, batch_size=recipe.batch_size, seed=recipe.seed)
         data.read_only(*needs)
-        trainer = self._trainer(recipe, images, folder, stage, title)
+        duration = TrainingTime()
+        trainer = self._trainer(recipe, [duration, images], folder, stage, title)
         if recipe.weights is not None and checkpoint is None:
             start_from(task.model, recipe.weights, stage)
         if trains and recipe.max_steps:
@@ -144,11 +145,12 @@ class Stages:
         if not trainer.is_global_zero:
             return
         facts = {"run": folder.name, "steps": trainer.global_step, "seed": recipe.seed, "commit": git_commit()}
+        facts |= {MINUTES: duration.minutes, "data": self.fingerprint}
         results.mkdir(parents=True, exist_ok=True)
-        save_results(results, metrics, facts | {"data": self.fingerprint})
+        save_results(results, metrics, facts)
         finish(trainer.loggers)
 
-    def _trainer(self, recipe: Recipe, images: Callback, folder: Path, stage: str, title: str) -> Trainer:
+    def _trainer(self, recipe: Recipe, callbacks: Sequence[Callback], folder: Path, stage: str, title: str) -> Trainer:
         if is_first():
             atomic_write(folder / "config.yaml", OmegaConf.to_yaml(self.cfg, resolve=True))
         steps = self.cfg.checkpoint_every_n_steps
@@ -159,7 +161,7 @@ class Stages:
             max_epochs=recipe.max_epochs,
             check_val_every_n_epoch=recipe.validate_every_n_epochs,
             plugins=[AtomicCheckpointIO()],
-            callbacks=[StepProgress(title), images, last],
+            callbacks=[StepProgress(title), *callbacks, last],
             logger=build(self.cfg.logger).build(folder, plain(self.cfg), stage),
             default_root_dir=str(folder),
         )

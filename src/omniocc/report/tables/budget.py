@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from omniocc.report.runs import FinishedRun
 from omniocc.run.cost import GFLOP, PARAMETERS, PEAK
+from omniocc.run.results import MINUTES
 
 STAGES = ("depth", "sketch", "occupancy")
 HEAD = ["row", "M parameters", "GFLOP a frame", "steps of depth", "of the sketch", "of the model", "samples a step"]
@@ -28,7 +29,7 @@ def _budget(runs: Sequence[FinishedRun]) -> Iterator[str]:
     yield _over_seeds(runs, GFLOP, "{:.3g}", max)
     yield from (str(steps.get(stage, "–")) for stage in STAGES)
     yield str(runs[0].config.get("data", {}).get("batch_size", "–"))
-    yield _over_seeds(runs, "minutes of training", "{:.1f}", lambda values: sum(values) / len(values))
+    yield _over_seeds(runs, MINUTES, "{:.1f}", lambda values: sum(values) / len(values))
     yield _over_seeds(runs, PEAK, "{:.0f}", max)
 
 

@@ -8,6 +8,7 @@ from omniocc.errors import UserError
 from omniocc.report.runs import FinishedRun
 from omniocc.report.selection import ABSENT, compared
 from omniocc.report.tables.paper import figure_of, with_spread
+from omniocc.run.results import MINUTES
 from omniocc.run.slots import slots_of
 
 TITLE = "Changes that were tried"
@@ -57,7 +58,7 @@ def tried_cells(runs: Sequence[FinishedRun], reference: str) -> tuple[list[str],
 def _line(members: Sequence[FinishedRun], base: Mapping[str, Any]) -> list[str]:
     first = members[0]
     steps = first.facts.get("stages", {})
-    minutes = [float(run.facts.get("minutes of training") or 0) for run in members]
+    minutes = [float(run.facts.get(MINUTES) or 0) for run in members]
     figures = [with_spread(key, figure_of(members, key)) for key in COLUMNS]
     parts = [members[-1].row, changes(first.config, base) or "the reference"]
     parts += ["/".join(str(steps.get(stage, "–")) for stage in STAGES), str(len(members))]

@@ -45,7 +45,7 @@ class Confidence(nn.Module):
         super().__init__()
         self.register_buffer("weights", torch.tensor([1.0, 0.0, 0.0]))
 
-    def forward(self, probability: Float[Tensor, "B h w"], range_m: Float[Tensor, "B h w"]) -> Float[Tensor, "B h w"]:
+    def forward(self, probability: Float[Tensor, "*at"], range_m: Float[Tensor, "*at"]) -> Float[Tensor, "*at"]:
         """Return the confidence of ranges to which a network gives a probability."""
         return (confidence_features(probability, range_m) @ self.weights).sigmoid()
 
