@@ -25,7 +25,9 @@ class Batch(NamedTuple):
         world_from_ego: pose of every frame of the window.
         frame_ids: `scene/frame` of the newest frame, for messages and saved images.
         voxels: class of every cell, 255 unknown.
-        scored: cells that count in scores. None: all whose class is known.
+        own_voxels: the same on the dataset's own grid, on which it is scored. None: `voxels` are scored.
+        scored: cells of the grid that is scored that count. None: all whose class is known.
+        ray_origins: starts of RayIoU's rays, m, ego frame; nan where a sample has fewer. None: the ego origin.
         pixel_labels: class of every pixel; 0 sky, 255 own car, outside the lens or padded.
         lidar_range_m: true range along the LiDAR's rays, inf where nothing is hit or padded.
         lidar_labels: true class along these rays, 0 where nothing is hit, 255 unknown or padded.
@@ -44,7 +46,9 @@ class Batch(NamedTuple):
     world_from_ego: Float64[Tensor, "B T 4 4"]
     frame_ids: tuple[str, ...]
     voxels: UInt8[Tensor, "B X Y Z"] | None = None
-    scored: Bool[Tensor, "B X Y Z"] | None = None
+    own_voxels: UInt8[Tensor, "B U V W"] | None = None
+    scored: Bool[Tensor, "B U V W"] | None = None
+    ray_origins: Float32[Tensor, "B O 3"] | None = None
     pixel_labels: UInt8[Tensor, "B N H W"] | None = None
     lidar_range_m: Float32[Tensor, "B R"] | None = None
     lidar_labels: UInt8[Tensor, "B R"] | None = None
@@ -81,7 +85,9 @@ class Truth(NamedTuple):
     voxels: UInt8[Tensor, "1 X Y Z"]
     lidar_range_m: Float32[Tensor, "1 R"]
     lidar_labels: UInt8[Tensor, "1 R"]
-    scored: Bool[Tensor, "1 X Y Z"] | None = None
+    own_voxels: UInt8[Tensor, "1 U V W"] | None = None
+    scored: Bool[Tensor, "1 U V W"] | None = None
+    ray_origins: Float32[Tensor, "1 O 3"] | None = None
     lidar_directions: Float32[Tensor, "1 R 3"] | None = None
     lidar_origins: Float32[Tensor, "1 R 3"] | None = None
 

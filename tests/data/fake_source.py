@@ -8,8 +8,8 @@ import torch
 
 from omniocc.camera import Pinhole, Rig
 from omniocc.classes import ClassTable, SemanticClass
-from omniocc.data.labels.voxels import count_classes
-from omniocc.data.source import SPLITS, LidarScan, SourceSpec
+from omniocc.data.labels.counts import all_frames, count_classes
+from omniocc.data.source import SPLITS, Benchmark, BenchmarkFrame, LidarScan, SourceSpec
 from omniocc.geometry import Cuboid, Grid
 
 CLASSES = ClassTable(tuple(SemanticClass(k, f"kind{k}", (10 * k, 255 - 10 * k, k)) for k in range(19)))
@@ -90,11 +90,13 @@ class FakeLabels:
         cells = scene.noise(100 + frame).integers(0, 19, GRID.shape)
         return torch.from_numpy(np.where(scene.noise(frame).random(GRID.shape) < 0.2, cells, 0).astype(np.uint8))
 
-    def scored(self, scene, frame):
-        return torch.from_numpy(scene.noise(200 + frame).random(GRID.shape) < 0.5)
+    def benchmark(self, scene, frame):
+        labels = self.read(scene, frame)
+        mask = torch.from_numpy(scene.noise(200 + frame).random(GRID.shape) < 0.5)
+        return None if labels is None else BenchmarkFrame(labels, mask, torch.zeros(1 + scene.number % 2, 3))
 
     def counts(self, scenes):
-        return count_classes(self, scenes, CLASSES.num_classes, GRID.shape)
+        return count_classes(self, all_frames(scenes), CLASSES.num_classes, GRID.shape)
 
 
 class FakeSource:
@@ -103,7 +105,7 @@ class FakeSource:
     def __init__(self, folder: str, with_lidar: bool = False):
         self.folder, self.with_lidar = Path(folder), with_lidar
         self.fingerprint = "fake"
-        self.spec = SourceSpec(CLASSES, (0.0, 20.0, 40.0), 0.1, 0.0, None)
+        self.spec = SourceSpec(CLASSES, (0.0, 20.0, 40.0), 0.1, 0.0, None, Benchmark(GRID))
 
     def prepare(self) -> None:
         pass

@@ -19,7 +19,9 @@ NAN = float("nan")
 ABSENT: dict[str, float | bool] = {
     "images": 0,
     "voxels": UNKNOWN,
+    "own_voxels": UNKNOWN,
     "scored": True,
+    "ray_origins": NAN,
     "pixel_labels": UNKNOWN,
     "lidar_range_m": float("inf"),
     "lidar_labels": UNKNOWN,
@@ -39,7 +41,9 @@ class Sample(NamedTuple):
     world_from_ego: Float64[Tensor, "T 4 4"]
     frame_id: str
     voxels: UInt8[Tensor, "X Y Z"] | None = None
-    scored: Bool[Tensor, "X Y Z"] | None = None
+    own_voxels: UInt8[Tensor, "U V W"] | None = None
+    scored: Bool[Tensor, "U V W"] | None = None
+    ray_origins: Float32[Tensor, "O 3"] | None = None
     pixel_labels: UInt8[Tensor, "N H W"] | None = None
     lidar_range_m: Float32[Tensor, " R"] | None = None
     lidar_labels: UInt8[Tensor, " R"] | None = None
@@ -60,7 +64,7 @@ class Needs(NamedTuple):
         images: of the window; without them it has no cameras.
         voxels: of the newest frame, as all further parts but candidates and evidence.
         pixel_labels: classes of the pixels.
-        scores: hits of the LiDAR, and which cells count.
+        scores: hits of the LiDAR, and the truth of the dataset's own protocol.
         panorama: true ranges around the ego origin.
         camera_ranges: true range of every pixel.
         depth: panoramas that the depth stage predicted.
@@ -130,7 +134,7 @@ class WindowDataset(Dataset):
             world_from_ego=torch.from_numpy(scene.world_from_ego[frames]),
             frame_id=f"{scene.name}/{newest:06d}",
             voxels=self.voxels.read(scene, newest) if needs.voxels else None,
-            scored=self.voxels.scored(scene, newest) if needs.scores else None,
+            **(self._benchmark(scene, newest) if needs.scores else {}),
             pixel_labels=None if labels is None else stack_cameras(labels, ABSENT["pixel_labels"]),
             **(self._lidar(scene, newest) if needs.scores else {}),
             erp_range_m=None if panorama is None else torch.from_numpy(panorama),
@@ -140,6 +144,12 @@ class WindowDataset(Dataset):
             evidence=needs.evidence and read_frames(needs.evidence, scene, frames),
             exists=torch.arange(newest - self.window + 1, newest + 1) >= 0,
         )
+
+    def _benchmark(self, scene: SceneFrames, frame: int) -> dict[str, Tensor | None]:
+        truth = self.voxels.benchmark(scene, frame)
+        if truth is None:
+            return {}
+        return {"own_voxels": truth.voxels, "scored": truth.scored, "ray_origins": truth.ray_origins}
 
     def _lidar(self, scene: SceneFrames, frame: int) -> dict[str, Tensor]:
         scan = scene.lidar(frame)

@@ -3,14 +3,15 @@
 from functools import partial
 from typing import cast
 
-from jaxtyping import Float, UInt8
+import torch
+from jaxtyping import Bool, Float, UInt8
 from torch import Tensor, nn
-from torchmetrics import SumMetric
+from torchmetrics import Metric, SumMetric
 
 from omniocc.batch import Batch, Truth
 from omniocc.classes import FREE
 from omniocc.data import SourceSpec
-from omniocc.geometry import Cuboid, Cylinder, Grid
+from omniocc.geometry import Cuboid, Cylinder, Grid, look_up
 from omniocc.metric import RayIoU, RayTruth, VoxelIoU
 
 
@@ -32,52 +33,82 @@ def within_reach(
     return labels.masked_fill(distance_m >= reach_m, FREE)
 
 
+def cells_between(grid: Grid, x_m: tuple[float, float], y_m: tuple[float, float]) -> Bool[Tensor, "1 X Y Z"]:
+    """Return the cells of a grid whose middles lie between these ends along x and y."""
+    x, y, _ = grid.centers(torch.float64).unbind(-1)
+    return ((x > x_m[0]) & (x < x_m[1]) & (y > y_m[0]) & (y < y_m[1])).unsqueeze(0)
+
+
 class Scores(nn.Module):
     """RayIoU against the true voxels (as the paper does), RayIoU against the LiDAR's true rays, and voxel IoU.
 
     `compute` uses the metrics' keys: plain for rays against voxels, `lidar/...` for true rays, `voxel/...` for cells.
     LiDAR hits beyond the last band count as free on every grid. Where no batch has voxels or no LiDAR, their keys
-    are absent; cells outside `Batch.scored` count as unknown.
+    are absent.
+
+    Where the source has a `Benchmark`, predictions are brought to the dataset's own grid first and scored there, from
+    the dataset's own origins of rays; `voxel_<part>/...` are its nearer parts. Cells outside of `Batch.scored` count as
+    unknown.
     """
 
     def __init__(self, geometry: Grid, spec: SourceSpec):
         super().__init__()
-        grid = cast(Cylinder | Cuboid, geometry)
+        self.geometry, self.benchmark = geometry, spec.benchmark
+        self.grid = grid = cast(Cylinder | Cuboid, geometry if spec.benchmark is None else spec.benchmark.grid)
+        parts = () if spec.benchmark is None else spec.benchmark.parts
         self.num_classes, self.reach_m = spec.classes.num_classes, spec.reach_m
         names, edges_m = spec.classes.names, spec.range_edges_m
         ray_iou = partial(RayIoU, grid, self.num_classes, range_edges_m=edges_m, class_names=names)
         self.rays, self.lidar = ray_iou(), ray_iou(directions=spec.lidar_directions)
         self.cells = VoxelIoU(self.num_classes, class_names=names)
+        self.parts = nn.ModuleDict({name: VoxelIoU(self.num_classes, class_names=names) for name, _, _ in parts})
+        self.part_cells = {name: cells_between(grid, x_m, y_m) for name, x_m, y_m in parts}
         self.voxel_frames, self.lidar_frames = SumMetric(), SumMetric()
         directions = None if spec.lidar_directions is None else spec.lidar_directions.float()
         self.directions: Tensor | None
         self.register_buffer("directions", directions, persistent=False)
 
     def update(self, labels: UInt8[Tensor, "B X Y Z"], batch: Batch | Truth) -> None:
-        """Add a batch of predicted labels."""
-        self.voxel_frames.update(0 if batch.voxels is None else len(labels))
-        if batch.voxels is not None:
-            self.rays.update(labels, batch.voxels, observed=batch.scored)
-            self.cells.update(labels, batch.voxels, observed=batch.scored)
+        """Add a batch of predicted labels on the grid of the model."""
+        labels = look_up(labels, self.geometry, self.grid)
+        truth = batch.voxels if batch.own_voxels is None and self.benchmark is None else batch.own_voxels
+        self.voxel_frames.update(0 if truth is None else len(labels))
+        if truth is not None:
+            self._add_voxels(labels, truth, batch.scored, batch.ray_origins)
         self.lidar_frames.update(0 if batch.lidar_labels is None else len(labels))
         if batch.lidar_labels is not None:
             self._add_lidar(labels, batch)
 
     def compute(self) -> dict[str, Tensor]:
         """Return all scores, from counts over the dataset and all processes."""
-        parts = {"": self.rays, "lidar/": self.lidar, "voxel/": self.cells}
-        frames = {"": self.voxel_frames, "lidar/": self.lidar_frames, "voxel/": self.voxel_frames}
+        metrics = {"": self.rays, "lidar/": self.lidar, "voxel/": self.cells}
+        metrics |= {f"voxel_{name}/": cast(VoxelIoU, part) for name, part in self.parts.items()}
+        voxels, lidar = (frames.compute() > 0 for frames in (self.voxel_frames, self.lidar_frames))
         return {
             f"{prefix}{key}": value
-            for prefix, metric in parts.items()
-            if frames[prefix].compute() > 0
+            for prefix, metric in metrics.items()
+            if (lidar if prefix == "lidar/" else voxels)
             for key, value in metric.compute().items()
         }
 
     def reset(self) -> None:
         """Reset all metrics."""
-        for metric in (self.rays, self.lidar, self.cells, self.voxel_frames, self.lidar_frames):
+        counted = (self.rays, self.lidar, self.cells, self.voxel_frames, self.lidar_frames)
+        for metric in (*counted, *(cast(Metric, part) for part in self.parts.values())):
             metric.reset()
+
+    def _add_voxels(self, labels: Tensor, truth: Tensor, scored: Tensor | None, origins: Tensor | None) -> None:
+        seen = scored if self.benchmark is None or self.benchmark.masked_rays else None
+        if origins is None:
+            self.rays.update(labels, truth, observed=seen)
+        for sample, starts in enumerate(() if origins is None else origins):  # each has its own number of origins
+            known, one = starts.isfinite().all(-1), slice(sample, sample + 1)
+            if known.any():
+                self.rays.update(labels[one], truth[one], starts[known][None], None if seen is None else seen[one])
+        self.cells.update(labels, truth, observed=scored)
+        for name, part in self.parts.items():
+            near = self.part_cells[name].to(labels.device).expand_as(truth)
+            cast(VoxelIoU, part).update(labels, truth, observed=near if scored is None else near & scored)
 
     def _add_lidar(self, labels: Tensor, batch: Batch | Truth) -> None:
         assert batch.lidar_range_m is not None

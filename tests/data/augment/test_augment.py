@@ -68,7 +68,6 @@ def batch(grid):
         .clone(),
         voxels=torch.randint(0, 12, (size, *grid.shape), dtype=torch.uint8),
         pixel_labels=torch.randint(0, 12, (size, 6, HEIGHT, WIDTH), dtype=torch.uint8),
-        scored=torch.rand(size, *grid.shape) < 0.5,
         lidar_range_m=torch.rand(size, 50) * 50,
         lidar_labels=torch.randint(0, 12, (size, 50), dtype=torch.uint8),
         lidar_directions=torch.nn.functional.normalize(torch.randn(size, 50, 3), dim=-1),
@@ -199,7 +198,7 @@ def test_turns_take_cells_to_cells_and_columns_to_columns(batch, grid):
 
 def test_a_grid_that_is_not_the_same_on_both_sides_is_refused(batch):
     lopsided = Cuboid((8, 8, 4), y_m=(-20.0, 25.6))
-    part = batch._replace(voxels=torch.zeros(3, 8, 8, 4, dtype=torch.uint8), scored=None)
+    part = batch._replace(voxels=torch.zeros(3, 8, 8, 4, dtype=torch.uint8))
     with pytest.raises(ValueError, match=r"symmetric.*Change"):
         change_scenes(part, lopsided, [Change(flip=True)] * 3)
 

@@ -17,7 +17,7 @@ from omniocc.camera.models.mirrored import mirrored
 from omniocc.geometry import Grid
 
 IMAGES = ("images", "pixel_labels", "camera_range_m")
-CELLS = ("voxels", "scored", "candidates", "evidence")
+CELLS = ("voxels", "candidates", "evidence")
 PANORAMAS = ("erp_range_m", "depth_range_m")
 VECTORS = ("lidar_directions", "lidar_origins")
 
@@ -68,11 +68,12 @@ def change_scenes(batch: Batch, geometry: Grid, changes: list[Change]) -> Batch:
     """Change each sample in its own way.
 
     LiDAR rays turn with the scene if the batch holds them. The fixed rays of a source cannot turn, so their ranges and
-    labels are removed; no loss uses them.
+    labels are removed, as are the voxels on the dataset's own grid; no loss uses them.
 
     Raises:
         ValueError: if the grid is not the same on both sides, or after the turn.
     """
+    batch = batch._replace(own_voxels=None, scored=None, ray_origins=None)
     if batch.lidar_directions is None:
         batch = batch._replace(lidar_range_m=None, lidar_labels=None)
     widths = batch.image_sizes()[0]

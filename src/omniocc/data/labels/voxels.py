@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from contextlib import closing
 from functools import partial
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 import torch
@@ -15,20 +14,22 @@ from jaxtyping import Int64, UInt8
 from torch import Tensor
 
 from omniocc.classes import NUM_CLASSES, UNKNOWN
+from omniocc.data.labels.counts import all_frames, count_classes, kept_counts
 from omniocc.data.labels.observed import OBSERVED_VERSION, observed
 from omniocc.data.recording.pool import Report, make_scenes
-from omniocc.data.source import SceneFrames, Unknown, VoxelLabels
+from omniocc.data.source import SceneFrames, Unknown
 from omniocc.data.store.folder import SceneFolder
 from omniocc.data.store.shard import SHARD_LIMIT_BYTES, SceneWriter, digest
 from omniocc.errors import DataError
 from omniocc.geometry import Grid
-from omniocc.io import atomic_write
 from omniocc.progress import Progress
 
 VOTE_VERSION = 1
 """Raise it when the same points would give other voxels."""
 
 MEMBER = "voxels.zst"
+VOTED: tuple[Unknown, ...] = ("free", "unobserved")
+"""The labels that cells without points can have."""
 
 
 def vote(
@@ -46,21 +47,6 @@ def vote(
     if unknown == "unobserved":
         cells[observed(scene, frame, geometry) == 0] = UNKNOWN
     return cells
-
-
-def count_classes(
-    labels: VoxelLabels, scenes: Sequence[SceneFrames], num_classes: int, shape: Sequence[int]
-) -> Int64[Tensor, "C X Y Z"]:
-    """Return the number of frames in which each cell has each class, unknown excluded, for a grid of this shape."""
-    counts = torch.zeros(num_classes, *shape, dtype=torch.int64)
-    for scene in scenes:
-        for frame in range(len(scene)):
-            cells = labels.read(scene, frame)
-            if cells is not None:
-                flat = cells.flatten().long()
-                known = flat < num_classes
-                counts.view(-1)[(flat * len(flat) + torch.arange(len(flat)))[known]] += 1
-    return counts
 
 
 class VoxelCache:
@@ -85,8 +71,8 @@ class VoxelCache:
         num_classes: int = NUM_CLASSES,
         workers: int = 0,
     ):
-        if unknown not in get_args(Unknown):
-            raise ValueError(f"unknown must be one of {', '.join(get_args(Unknown))}, got {unknown!r}")
+        if unknown not in VOTED:
+            raise ValueError(f"unknown must be one of {', '.join(VOTED)}, got {unknown!r}")
         labelling = [] if unknown == "free" else [unknown, OBSERVED_VERSION]
         self.folder = Path(folder) / f"voxels-{digest([repr(geometry), VOTE_VERSION, *labelling])[:12]}"
         self.geometry = geometry
@@ -120,23 +106,15 @@ class VoxelCache:
         cells = np.frombuffer(bytearray(zstandard.ZstdDecompressor().decompress(blob)), dtype=np.uint8)
         return torch.from_numpy(cells).reshape(self.geometry.shape)
 
-    def scored(self, scene: SceneFrames, frame: int) -> None:
-        """Return None: all cells whose class is known count in scores."""
+    def benchmark(self, scene: SceneFrames, frame: int) -> None:
+        """Return None: scores are computed on these voxels."""
 
     def counts(self, scenes: Sequence[SceneFrames]) -> Int64[Tensor, "C X Y Z"]:
         """Return the number of frames in which each cell has each class, unknown excluded; kept on disk."""
         path = self.folder / f"counts-{digest([self.fingerprint, [scene.name for scene in scenes]])[:12]}.zst"
         shape = (self.num_classes, *self.geometry.shape)
-        if path.exists():
-            try:
-                raw = zstandard.ZstdDecompressor().decompress(path.read_bytes())
-                return torch.from_numpy(np.frombuffer(bytearray(raw), dtype="<i8").astype(np.int64)).reshape(shape)
-            except (zstandard.ZstdError, ValueError, RuntimeError) as error:
-                warnings.warn(f"{path} is damaged ({error}); it is counted again", stacklevel=2)
-        counts = count_classes(self, scenes, self.num_classes, self.geometry.shape)
-        compressor = zstandard.ZstdCompressor(level=3, write_checksum=True)
-        atomic_write(path, compressor.compress(counts.numpy().astype("<i8").tobytes()))
-        return counts
+        frames = all_frames(scenes)
+        return kept_counts(path, shape, lambda: count_classes(self, frames, self.num_classes, self.geometry.shape))
 
     def _opens(self, scene: SceneFrames) -> bool:
         folder = self.folder / scene.name

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64, UInt8
+from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 from torch import Tensor
 
 from omniocc.camera import Rig
@@ -17,8 +17,25 @@ from omniocc.geometry import Grid
 Split = Literal["train", "val", "test"]
 SPLITS: tuple[Split, ...] = ("train", "val", "test")
 
-Unknown = Literal["free", "unobserved"]
-"""The label of a cell without points: free, as in the paper, or unknown (255) unless a sensor saw through it."""
+Unknown = Literal["free", "unobserved", "unseen"]
+"""The label of a cell without points: free, as in the paper, or unknown (255) unless a sensor saw through it; with
+`unseen` every cell that no camera sees is unknown, which only some datasets tell."""
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """How a dataset's own protocol scores predictions: on its own voxels, whatever the grid of the model.
+
+    Attributes:
+        grid: of the dataset's labels, in the ego frame.
+        masked_rays: whether cells that do not count are unknown to rays too; False: rays see all cells, and the mask
+            is for the scores of cells alone.
+        parts: nearer parts of the grid in which cells are scored as well: a name, and the ends along x and y, m.
+    """
+
+    grid: Grid
+    masked_rays: bool = True
+    parts: tuple[tuple[str, tuple[float, float], tuple[float, float]], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +50,7 @@ class SourceSpec:
         road_z_m: height of the road in the ego frame, m.
         lidar_directions: unit rays of the LiDAR, which starts in the ego origin. None: every frame has its own rays,
             or there is no LiDAR.
+        benchmark: the dataset's own protocol. None: scores are computed on the grid of the model.
     """
 
     classes: ClassTable
@@ -40,6 +58,7 @@ class SourceSpec:
     frame_interval_s: float
     road_z_m: float
     lidar_directions: Float64[Tensor, "R 3"] | None
+    benchmark: Benchmark | None = None
 
     def __post_init__(self) -> None:
         """Check the bands; raise ValueError if they are fewer than one or do not increase."""
@@ -51,6 +70,20 @@ class SourceSpec:
     def reach_m(self) -> float:
         """Return the horizontal distance beyond which LiDAR hits count as free, m."""
         return self.range_edges_m[-1]
+
+
+class BenchmarkFrame(NamedTuple):
+    """The truth of one frame on the grid of its `Benchmark`.
+
+    Attributes:
+        voxels: class of every cell, 255 unknown.
+        scored: cells that count in scores; None: all whose class is known.
+        ray_origins: starts of RayIoU's rays, m, ego frame; None: the ego origin.
+    """
+
+    voxels: UInt8[Tensor, "X Y Z"]
+    scored: Bool[Tensor, "X Y Z"] | None = None
+    ray_origins: Float32[Tensor, "O 3"] | None = None
 
 
 class LidarScan(NamedTuple):
@@ -144,8 +177,8 @@ class VoxelLabels(Protocol):
         """Return the class of every cell, 255 unknown; None without labels."""
         ...
 
-    def scored(self, scene: SceneFrames, frame: int) -> Bool[Tensor, "X Y Z"] | None:
-        """Return the cells that count in scores; None: all whose class is known."""
+    def benchmark(self, scene: SceneFrames, frame: int) -> BenchmarkFrame | None:
+        """Return the truth on the grid of the source's `Benchmark`; None if it has none, or the frame no labels."""
         ...
 
     def counts(self, scenes: Sequence[SceneFrames]) -> Int64[Tensor, "C X Y Z"]:

@@ -1,0 +1,128 @@
+"""Read files of public datasets; every error names the file and what is wrong with it."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from omniocc.errors import DataError
+
+# Paths are built from tables and opened as they are: nothing here lists a folder, which may hold a million files.
+
+
+def read_bytes(path: Path, remedy: str = "") -> bytes:
+    """Return the content of a file; raise DataError with the remedy if it is missing or cannot be read."""
+    try:
+        return path.read_bytes()
+    except FileNotFoundError as error:
+        raise DataError(f"{path}: the file is missing{remedy and f'; {remedy}'}") from error
+    except OSError as error:
+        raise DataError(f"{path}: the file cannot be read ({error.strerror or error})") from error
+
+
+def read_text(path: Path, remedy: str = "") -> str:
+    """Return the content of a text file; raise DataError if it is missing or no text."""
+    try:
+        return read_bytes(path, remedy).decode()
+    except UnicodeDecodeError as error:
+        raise DataError(f"{path}: the file is damaged: it is no text ({error.reason})") from error
+
+
+def read_array(path: Path, dtype: str, shape: Sequence[int], remedy: str = "") -> np.ndarray:
+    """Return the numbers of a file without header as a writable array.
+
+    Args:
+        path: the file.
+        dtype: of the numbers, with their byte order, such as '<f4'.
+        shape: of the result; -1 in the first place takes as many rows as there are.
+        remedy: what to do when the file is missing.
+
+    Raises:
+        DataError: if the file is missing or of another size.
+    """
+    content = read_bytes(path, remedy)
+    row = int(np.prod(shape[1:], dtype=np.int64)) * np.dtype(dtype).itemsize
+    expected = f"a multiple of {row:,}" if shape[0] < 0 else f"{row * shape[0]:,}"
+    if len(content) % row if shape[0] < 0 else len(content) != row * shape[0]:
+        raise DataError(f"{path}: the file has {len(content):,} bytes instead of {expected}; it is damaged")
+    return np.frombuffer(bytearray(content), dtype).reshape(shape)
+
+
+def read_npz(path: Path, shapes: dict[str, tuple[int, ...]], remedy: str = "") -> dict[str, np.ndarray]:
+    """Return arrays of an npz file by name; raise DataError if one is missing, damaged or of another shape."""
+    if not path.exists():
+        raise DataError(f"{path}: the file is missing{remedy and f'; {remedy}'}")
+    try:
+        with np.load(path, allow_pickle=False) as content:
+            found = {name: content[name] for name in shapes if name in content}
+    except Exception as error:  # zipfile, zlib and numpy have errors of their own
+        raise DataError(f"{path}: the file is damaged ({error})") from error
+    for name, shape in shapes.items():
+        if name not in found:
+            raise DataError(f"{path}: the file has no array '{name}'")
+        if found[name].shape != shape:
+            raise DataError(f"{path}: its array '{name}' has the shape {found[name].shape} instead of {shape}")
+    return found
+
+
+def read_image(path: Path, size: tuple[int, int] | None, scaled: tuple[int, int], remedy: str = "") -> np.ndarray:
+    """Return an image (height, width, 3) uint8 RGB.
+
+    Args:
+        path: the file.
+        size: (width, height), px, that the calibration is for; None: any.
+        scaled: (width, height) of the result, px.
+        remedy: what to do when the file is missing.
+
+    Raises:
+        DataError: if the file is missing, no image, or of another size.
+    """
+    content = np.frombuffer(read_bytes(path, remedy), np.uint8)
+    image = cv2.imdecode(content, cv2.IMREAD_COLOR) if len(content) else None
+    if image is None:
+        raise DataError(f"{path}: the file is no image, or damaged")
+    height, width = image.shape[:2]
+    if size is not None and (width, height) != size:
+        raise DataError(f"{path}: the image has {width}x{height} px, but its calibration is for {size[0]}x{size[1]} px")
+    if (width, height) != scaled:
+        smaller = scaled[0] < width
+        image = cv2.resize(image, scaled, interpolation=cv2.INTER_AREA if smaller else cv2.INTER_LINEAR)
+    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+
+
+def map_classes(ids: np.ndarray, table: np.ndarray, path: Path) -> np.ndarray:
+    """Return classes (uint8) of the ids in a file; raise DataError naming ids that the table does not know (-1)."""
+    classes = table[np.minimum(ids, len(table) - 1)]
+    unknown = (classes < 0) | (ids >= len(table))
+    if unknown.any():
+        raise DataError(f"{path}: the class ids {np.unique(ids[unknown])[:8].tolist()} are not in the dataset's table")
+    return classes.astype(np.uint8)
+
+
+def class_table(known: dict[int, int]) -> np.ndarray:
+    """Return classes by id, (largest id + 1,) int16, -1 for ids that are not known."""
+    table = np.full(max(known) + 1, -1, dtype=np.int16)
+    for raw, class_id in known.items():
+        table[raw] = class_id
+    return table
+
+
+def scaled_size(width: int, height: int, scaled_width: int) -> tuple[int, int]:
+    """Return width and height (px) of an image scaled to a width; the height is a multiple of 8."""
+    return scaled_width, max(8, round(height * scaled_width / width / 8) * 8)
+
+
+def check_root(root: str, expected: Sequence[str], how: str) -> Path:
+    """Return the root of a dataset as a path.
+
+    Raises:
+        DataError: listing what was expected and what was found.
+    """
+    path = Path(root)
+    missing = [name for name in expected if not (path / name).exists()]
+    if missing:
+        found = sorted(entry.name for entry in path.iterdir())[:12] if path.is_dir() else []
+        content = f"it holds {', '.join(found) or 'nothing'}" if path.is_dir() else "it is no folder"
+        raise DataError(f"data.source.root={root}: {', '.join(missing)} not found, {content}; {how}")
+    return path

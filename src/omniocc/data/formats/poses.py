@@ -1,0 +1,69 @@
+"""Poses as the tables of public datasets hold them."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+TOLERANCE = 1e-3
+"""Largest error of a rotation that is taken for rounding, and mended."""
+
+
+def quaternion_pose(rotation: Sequence[float], translation_m: Sequence[float], name: str) -> np.ndarray:
+    """Return `a_from_b`, (4, 4) float64, of a unit quaternion w, x, y, z and a position.
+
+    Raises:
+        ValueError: beginning with `name`, if the quaternion has another length or a value is not finite.
+    """
+    q, t = np.asarray(rotation, np.float64), np.asarray(translation_m, np.float64)
+    length = float(np.linalg.norm(q))
+    if q.shape != (4,) or t.shape != (3,) or not np.isfinite(t).all() or not abs(length - 1) < TOLERANCE:
+        raise ValueError(f"{name}: rotation {list(rotation)}, translation {list(translation_m)} are no pose")
+    w, x, y, z = q / length
+    pose = np.eye(4)
+    pose[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    pose[:3, 3] = t
+    return pose
+
+
+def rigid(matrix: np.ndarray, name: str) -> np.ndarray:
+    """Return poses (..., 3 or 4, 4) as (..., 4, 4) float64 with exact rotations: files round them to a few digits.
+
+    Raises:
+        ValueError: beginning with `name`, if a 3x3 part is farther from a rotation than rounding makes it.
+    """
+    given = np.asarray(matrix, np.float64)
+    if not np.isfinite(given).all():
+        raise ValueError(f"{name}: a value of the pose is not finite")
+    left, _, right = np.linalg.svd(given[..., :3, :3])
+    nearest = left @ right
+    error = float(np.abs(nearest - given[..., :3, :3]).max(initial=0))
+    if error > TOLERANCE or (np.linalg.det(nearest) < 0).any():
+        raise ValueError(f"{name}: the 3x3 part of the pose is no rotation (it is off by {error:.3g})")
+    pose = np.zeros((*given.shape[:-2], 4, 4))
+    pose[..., :3, :3], pose[..., :3, 3], pose[..., 3, 3] = nearest, given[..., :3, 3], 1
+    return pose
+
+
+def inverse(a_from_b: np.ndarray) -> np.ndarray:
+    """Return `b_from_a`, (..., 4, 4), of rigid poses."""
+    turned = a_from_b[..., :3, :3].swapaxes(-1, -2)
+    pose = np.zeros_like(a_from_b)
+    pose[..., :3, :3], pose[..., 3, 3] = turned, 1
+    pose[..., :3, 3] = -np.einsum("...ij,...j->...i", turned, a_from_b[..., :3, 3])
+    return pose
+
+
+def shift(x_m: float, y_m: float, z_m: float) -> np.ndarray:
+    """Return the pose of a frame with parallel axes whose origin is there, (4, 4)."""
+    pose = np.eye(4)
+    pose[:3, 3] = x_m, y_m, z_m
+    return pose
+
+
+def moved(a_from_b: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return points (P, 3) of b in a, in float64."""
+    return points.astype(np.float64) @ a_from_b[:3, :3].T + a_from_b[:3, 3]

@@ -1,0 +1,273 @@
+"""Occ3D-nuScenes as a source: voxel labels of nuScenes' key frames, six cameras, RayIoU as published."""
+
+from collections.abc import Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float32, UInt8
+from torch import Tensor
+
+from omniocc.camera import Camera, Equirectangular, Pinhole, Rig
+from omniocc.classes import FREE, UNKNOWN, ClassTable, SemanticClass
+from omniocc.data.formats.files import (
+    check_root,
+    class_table,
+    map_classes,
+    read_array,
+    read_image,
+    read_npz,
+    scaled_size,
+)
+from omniocc.data.formats.index import Index
+from omniocc.data.formats.nuscenes import CAMERAS, KeyFrames, is_validation, read_key_frames
+from omniocc.data.formats.poses import inverse, moved, shift
+from omniocc.data.formats.scene import Cloud, DatasetScene, without_near
+from omniocc.data.labels.own_grid import OwnGridLabels
+from omniocc.data.source import Benchmark, BenchmarkFrame, SourceSpec, Split, Unknown
+from omniocc.data.store.shard import digest
+from omniocc.errors import DataError
+from omniocc.geometry import Cuboid, Grid
+from omniocc.geometry.directions import eight_origins
+
+SHAPE = (200, 200, 16)
+ORIGIN_M = (0.8, 0.0, 1.8)
+"""Our ego origin in the ego frame of nuScenes (on the ground, amid the rear axle): between the cameras, and such that
+the cells of Occ3D lie between -2.8 and 3.6 m of height, as those of this project's grids."""
+GRID = Cuboid(SHAPE, (-40.8, 39.2), (-40.0, 40.0), (-2.8, 3.6))
+"""The voxels of Occ3D (-40 .. 40, -40 .. 40, -1 .. 5.4 m) in our ego frame."""
+FREE_ID = 17
+"""Free space in the files; every other class has our id less one."""
+NEAREST_M = 1.0
+"""LiDAR points nearer than this are on the own car."""
+GTS = "download the labels of Occ3D-nuScenes ('gts') into data.source.root"
+
+CLASSES = ClassTable(
+    tuple(
+        SemanticClass(number, name, rgb)
+        for number, (name, rgb) in enumerate(
+            (
+                ("free", (255, 255, 255)),
+                ("others", (0, 0, 0)),
+                ("barrier", (112, 128, 144)),
+                ("bicycle", (220, 20, 60)),
+                ("bus", (255, 127, 80)),
+                ("car", (255, 158, 0)),
+                ("construction_vehicle", (233, 150, 70)),
+                ("motorcycle", (255, 61, 99)),
+                ("pedestrian", (0, 0, 230)),
+                ("traffic_cone", (47, 79, 79)),
+                ("trailer", (255, 140, 0)),
+                ("truck", (255, 99, 71)),
+                ("driveable_surface", (0, 207, 191)),
+                ("other_flat", (175, 0, 75)),
+                ("sidewalk", (75, 0, 75)),
+                ("terrain", (112, 180, 60)),
+                ("manmade", (222, 184, 135)),
+                ("vegetation", (0, 175, 0)),
+            )
+        )
+    )
+)
+"""Classes of Occ3D, free first; colours of the nuScenes devkit."""
+
+LIDARSEG = class_table({
+    9: 1, 14: 2, 15: 3, 16: 3, 17: 4, 18: 5, 21: 6, 2: 7, 3: 7, 4: 7, 6: 7, 12: 8, 22: 9, 23: 10, 24: 11, 25: 12,
+    26: 13, 27: 14, 28: 15, 30: 16,
+    **dict.fromkeys((0, 1, 5, 7, 8, 10, 11, 13, 19, 20, 29, 31), 254),
+})  # fmt: skip
+"""Class in the files of Occ3D for each of the 32 classes of nuScenes-lidarseg; 254: none of them, unknown."""
+
+
+class Occ3DNuScenes:
+    """A source (`SceneSource`) of the key frames of nuScenes with the voxel labels of Occ3D.
+
+    The test scenes are the 150 official validation scenes, on which results are published; the labels of the official
+    test scenes are secret. Of the 700 training scenes every `val_every`-th is kept for validation.
+
+    Args:
+        root: folder with `v1.0-trainval` (tables), `samples` (images, LiDAR) and `gts` (labels); `lidarseg` is
+            optional and gives classes of pixels and LiDAR rays.
+        version: folder of the tables: v1.0-trainval or v1.0-mini.
+        image_width: of the images that the model gets, px; the height follows, a multiple of 8.
+        panorama: width and height (px), upper and lower edge (deg) of the panoramas of ranges.
+        ego_motion: whether the cameras are placed where the car was when each of them took its image; False: as
+            mounted, so that all frames of a scene have equal rigs.
+        val_every: every how many-th training scene is for validation.
+        cache: folder for the index and what is derived from the labels; None: `omniocc` in root.
+
+    Raises:
+        ValueError: if a number is too small.
+    """
+
+    def __init__(
+        self, root: str, version: Literal["v1.0-trainval", "v1.0-mini"], image_width: int,
+        panorama: tuple[int, int, float, float], ego_motion: bool, val_every: int, cache: str | None,
+    ):  # fmt: skip
+        if image_width < 8 or val_every < 2:
+            raise ValueError(f"image_width must be at least 8 and val_every 2, got {image_width} and {val_every}")
+        self.root, self.version = root, version
+        self.image_width = image_width
+        self.panorama = Equirectangular(*panorama)
+        self.ego_motion, self.val_every = ego_motion, val_every
+        self.folder = Path(root, "omniocc") if cache is None else Path(cache)
+        self.index = Index(self.folder / f"index-{version}", KeyFrames, self._read_tables)
+
+    @property
+    def spec(self) -> SourceSpec:
+        """Return classes, bands and the protocol: rays see all voxels, cells count where a camera sees them."""
+        return SourceSpec(CLASSES, (0.0, 20.0, 40.0), 0.5, -ORIGIN_M[2], None, Benchmark(GRID, masked_rays=False))
+
+    @property
+    def fingerprint(self) -> str:
+        """Return a hash of the scenes, of the sizes of images and panoramas, and of where the cameras are."""
+        return digest([self.version, self.index.fingerprint, self.image_width, repr(self.panorama), self.ego_motion])
+
+    def prepare(self) -> None:
+        """Build the index from the tables if it is missing: once, some minutes for all of nuScenes.
+
+        Raises:
+            DataError: naming what is missing or wrong.
+        """
+        check_root(self.root, [self.version, "samples", "gts"], "unpack nuScenes and Occ3D's gts into it")
+        self.index.prepare()
+
+    def scenes(self, split: Split) -> Sequence["Occ3DScene"]:
+        """Return the scenes of a split, in order of their names."""
+        return [Occ3DScene(self, name) for name in self.split_names[split]]
+
+    @cached_property
+    def split_names(self) -> dict[Split, list[str]]:
+        """Return the names of the scenes of every split."""
+        training = [name for name in self.index.names if not is_validation(name)]
+        chosen = training[self.val_every - 1 :: self.val_every]
+        test = [name for name in self.index.names if is_validation(name)]
+        return {"train": [name for name in training if name not in chosen], "val": chosen, "test": test}
+
+    def labels(self, geometry: Grid, unknown: Unknown) -> OwnGridLabels:
+        """Return the labels of Occ3D in a grid: `unobserved` cells no LiDAR ray met, `unseen` cells no camera sees."""
+        return OwnGridLabels(self.folder, self.fingerprint, GRID, geometry, CLASSES.num_classes, unknown)
+
+    def _read_tables(self) -> dict[str, KeyFrames]:
+        return read_key_frames(Path(self.root, self.version))
+
+
+class Occ3DScene(DatasetScene):
+    """One scene of 20 s: about 40 key frames."""
+
+    dataset = "Occ3D-nuScenes"
+
+    def __init__(self, source: Occ3DNuScenes, name: str):
+        super().__init__(name, source.panorama)
+        self.root, self.version, self.index = Path(source.root), source.version, source.index
+        self.image_width, self.ego_motion = source.image_width, source.ego_motion
+
+    def __len__(self) -> int:
+        return len(self.frames.tokens)
+
+    @property
+    def frames(self) -> KeyFrames:
+        """Return the scene's part of the index."""
+        return self.index.read(self.name)
+
+    @cached_property
+    def world_from_ego(self) -> np.ndarray:
+        """Return the pose of every frame, (F, 4, 4), at the LiDAR's time."""
+        return self.frames.world_from_ego @ shift(*ORIGIN_M)
+
+    @cached_property
+    def rigs(self) -> tuple[Rig, ...]:
+        """Return the cameras of every frame; equal ones are one object."""
+        poses = shift(*(-value for value in ORIGIN_M)) @ (
+            self.frames.ego_from_camera if self.ego_motion else self.frames.mounted
+        )
+        rigs: dict[bytes, Rig] = {}
+        for matrices, intrinsics, sizes in zip(poses, self.frames.intrinsics, self.frames.size, strict=True):
+            key = matrices.tobytes() + intrinsics.tobytes()
+            if key not in rigs:
+                cameras = tuple(_camera(k, size, self.image_width) for k, size in zip(intrinsics, sizes, strict=True))
+                rigs[key] = Rig(cameras, torch.from_numpy(matrices), CAMERAS, None, -ORIGIN_M[2])
+        return tuple(
+            rigs[matrices.tobytes() + intrinsics.tobytes()]
+            for matrices, intrinsics in zip(poses, self.frames.intrinsics, strict=True)
+        )
+
+    def images(self, frame: int) -> list[np.ndarray]:
+        """Return the six images, scaled."""
+        files, sizes = self.frames.images[frame], self.frames.size[frame].tolist()
+        with self.naming(frame):
+            return [
+                read_image(self.root / file, (width, height), (camera.width, camera.height))
+                for file, (width, height), camera in zip(files, sizes, self.rigs[frame].cameras, strict=True)
+            ]
+
+    def cloud(self, frame: int) -> Cloud:
+        """Return the points of LIDAR_TOP, with classes where nuScenes-lidarseg is there."""
+        ego_from_lidar = shift(*(-value for value in ORIGIN_M)) @ self.frames.ego_from_lidar[frame]
+        with self.naming(frame):
+            points_m = read_array(self.root / str(self.frames.lidar[frame]), "<f4", (-1, 5))[:, :3]
+            labels = self._point_labels(frame, len(points_m))
+        points_m = moved(ego_from_lidar, points_m).astype(np.float32)
+        kept = without_near(points_m, ego_from_lidar[:3, 3], NEAREST_M)
+        return Cloud(points_m[kept], None if labels is None else labels[kept], ego_from_lidar[:3, 3])
+
+    def own_voxels(self, frame: int, unknown: Unknown) -> UInt8[Tensor, "X Y Z"]:
+        """Return the class of every cell of Occ3D's grid."""
+        content = self._content(frame)
+        labels = torch.from_numpy(from_file(content["semantics"]))
+        masks = {"free": None, "unobserved": "mask_lidar", "unseen": "mask_camera"}
+        mask = masks[unknown]
+        return labels if mask is None else labels.masked_fill(torch.from_numpy(content[mask] == 0), UNKNOWN)
+
+    def benchmark(self, frame: int) -> BenchmarkFrame:
+        """Return the labels, the camera mask, and the origins from which the public RayIoU casts its rays."""
+        content = self._content(frame)
+        scored: Bool[Tensor, "X Y Z"] = torch.from_numpy(content["mask_camera"] != 0)
+        labels = torch.from_numpy(from_file(content["semantics"]))
+        return BenchmarkFrame(labels, scored, self.ray_origins(frame))
+
+    def ray_origins(self, frame: int) -> Float32[Tensor, "O 3"]:
+        """Return the positions of the LiDAR in the key frames around this one, at most eight, m, ego frame."""
+        frames = self.frames
+        world_from_lidar = frames.world_from_ego @ frames.ego_from_lidar
+        ego_from_world = inverse(frames.world_from_ego[frame])
+        positions_m = torch.from_numpy(moved(ego_from_world, world_from_lidar[:, :3, 3]))
+        return (eight_origins(positions_m) - torch.tensor(ORIGIN_M, dtype=torch.float64)).float()
+
+    def label_file(self, frame: int) -> Path:
+        """Return the file of a frame's labels."""
+        return self.root / "gts" / self.name / str(self.frames.tokens[frame]) / "labels.npz"
+
+    def _content(self, frame: int) -> dict[str, np.ndarray]:
+        names, path = ("semantics", "mask_lidar", "mask_camera"), self.label_file(frame)
+        with self.naming(frame):
+            content = read_npz(path, dict.fromkeys(names, SHAPE), GTS)
+            if content["semantics"].max() > FREE_ID:
+                raise DataError(f"{path}: the class {content['semantics'].max()} is none of 0 to {FREE_ID}")
+        return content
+
+    def _point_labels(self, frame: int, count: int) -> np.ndarray | None:
+        folder = self.root / "lidarseg" / self.version
+        if not folder.is_dir():
+            return None
+        path = folder / f"{self.frames.lidar_tokens[frame]}_lidarseg.bin"
+        raw = map_classes(read_array(path, "u1", (count,)), LIDARSEG, path)
+        return np.where(raw == 254, UNKNOWN, raw + 1).astype(np.uint8)
+
+
+def from_file(semantics: np.ndarray) -> np.ndarray:
+    """Return our classes (0 free) of those in a file (17 free)."""
+    return np.where(semantics == FREE_ID, FREE, semantics + 1).astype(np.uint8)
+
+
+def to_file(classes: np.ndarray) -> np.ndarray:
+    """Return the classes of a file (17 free) of ours (0 free)."""
+    return np.where(classes == FREE, FREE_ID, classes - 1).astype(np.uint8)
+
+
+def _camera(matrix: np.ndarray, size: np.ndarray, image_width: int) -> Camera:
+    (width, height), k = size.tolist(), matrix
+    camera = Pinhole(width, height, (float(k[0, 0]), float(k[1, 1])), (float(k[0, 2]), float(k[1, 2])))
+    return camera.resized(*scaled_size(width, height, image_width))
