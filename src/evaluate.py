@@ -1,4 +1,8 @@
-"""Test a checkpoint again: `python src/evaluate.py runs/demo-.../best.ckpt [key=value ...]`."""
+"""Test a checkpoint again, or score predictions of any project as files in a benchmark's submission format.
+
+python src/evaluate.py runs/demo-.../best.ckpt [key=value ...]
+python src/evaluate.py predictions=folder data=occ3d_nuscenes data.source.root=...
+"""
 
 import argparse
 from pathlib import Path
@@ -6,7 +10,9 @@ from typing import cast
 
 import torch
 from lightning.pytorch import Trainer
+from omegaconf import OmegaConf
 
+from omniocc.config import build, compose_plain
 from omniocc.data import Needs, OccupancyData
 from omniocc.model.occupancy import to_unit_range
 from omniocc.model.protocols import LearnedSketch, learns
@@ -19,13 +25,14 @@ from omniocc.task import OccupancyTask, StepProgress
 from omniocc.task.audit import Audit
 from omniocc.task.build import load_task
 from omniocc.task.images import OccupancyImages
+from omniocc.task.submission import score_files
 
 
 @lines_not_tracebacks
 def main(arguments: list[str] | None = None) -> None:
     """Rebuild the model from its file, score it on the test scenes, write the results beside the checkpoint."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("checkpoint", type=Path, help="file written by train.py, or a name of shipped weights")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("checkpoint", help="file written by train.py, a name of shipped weights, or predictions=folder")
     parser.add_argument("overrides", nargs="*", help="key=value, such as data.batch_size=1")
     parser.add_argument("--output", type=Path, help="folder of results (default: evaluation-<checkpoint> beside it)")
     parser.add_argument("--images", type=int, default=4, help="test frames to draw")
@@ -35,7 +42,10 @@ def main(arguments: list[str] | None = None) -> None:
         if "=" not in override:
             parser.error(f"'{override}' is not key=value; one checkpoint at a time")
     quiet_libraries()
-    checkpoint = find_checkpoint(options.checkpoint)
+    if options.checkpoint.startswith("predictions="):
+        score_predictions(Path(options.checkpoint.partition("=")[2]), options.overrides, options.output)
+        return
+    checkpoint = find_checkpoint(Path(options.checkpoint))
     task, data = load_task(checkpoint, options.overrides)
     if options.audit:
         print(f"{len(data.source.scenes('val'))} validation scenes of {data.source.folder}")
@@ -57,6 +67,18 @@ def main(arguments: list[str] | None = None) -> None:
     facts = {"checkpoint": str(checkpoint), "commit": git_commit(), "data": data.source.fingerprint}
     save_results(folder, metrics, facts)
     show_results(folder)
+
+
+def score_predictions(folder: Path, overrides: list[str], output: Path | None) -> None:
+    """Score the files in a folder on the test scenes of the data that the overrides choose; write table and figures."""
+    content = compose_plain(Path(__file__).parents[1] / "conf", "train", overrides)
+    source = cast(OccupancyData, build(OmegaConf.create(content["data"]))).source
+    source.prepare()
+    metrics = score_files(source, folder)
+    output = output or folder.with_name(f"{folder.name}-scores")
+    facts = {"predictions": str(folder), "commit": git_commit(), "data": source.fingerprint}
+    save_results(output, metrics, facts)
+    show_results(output)
 
 
 @torch.inference_mode()

@@ -1,15 +1,17 @@
 """Apply a trained model to your own images: `python src/predict.py {depth,occupancy} rig=... images=...`.
 
-`python src/predict.py occupancy --help` lists the options.
+`python src/predict.py submission checkpoint=...` writes what a benchmark takes. `occupancy --help` lists the options.
 """
 
 import sys
+from pathlib import Path
 
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from omniocc.predict.depth import predict_panoramas
 from omniocc.predict.occupancy import options_of, predict_occupancy
+from omniocc.predict.submission import predict_submission
 from omniocc.run.script import quiet_libraries, script
 
 
@@ -26,7 +28,14 @@ def occupancy(cfg: DictConfig) -> None:
     predict_occupancy(options_of(cfg))
 
 
-COMMANDS = {"depth": depth, "occupancy": occupancy}
+@script("predict_submission")
+def submission(cfg: DictConfig) -> None:
+    """Predict every frame of a dataset's split in the benchmark's submission format."""
+    quiet_libraries()
+    predict_submission(cfg.checkpoint, Path(cfg.output), cfg.split, cfg.root, cfg.device)
+
+
+COMMANDS = {"depth": depth, "occupancy": occupancy, "submission": submission}
 
 
 def main() -> None:

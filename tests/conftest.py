@@ -22,7 +22,7 @@ torch.set_num_threads(1)
 ROOT = Path(__file__).parents[1]
 TESTS = Path(__file__).parent
 # folders of helpers: scripts, second_device; offline_file; plain_shading; batches
-sys.path[:0] = [str(TESTS), *(str(TESTS / folder) for folder in ("run/wandb", "world/render", "task"))]
+sys.path[:0] = [str(TESTS), *(str(TESTS / folder) for folder in ("run/wandb", "world/render", "task", "data/formats"))]
 
 
 @pytest.hookimpl(trylast=True)
@@ -48,6 +48,15 @@ def shared_folder(tmp_path_factory) -> Path:
 def data_root(shared_folder) -> Path:
     """Return the folder of rendered data that all test processes share; the dataset's own lock keeps them apart."""
     return shared_folder / "data"
+
+
+@pytest.fixture(scope="session")
+def samples() -> Path:
+    """Return the folder of real samples of public datasets, which may not be copied here; skip the test without it."""
+    folder = os.environ.get("OMNIOCC_SAMPLES")
+    if folder is None:
+        pytest.skip("real samples of public datasets are not in the repository: OMNIOCC_SAMPLES names their folder")
+    return Path(folder)
 
 
 @functools.cache

@@ -33,8 +33,8 @@ def voxel_scores(confusion: Float64[Tensor, "C C"], free_class: int, occupied: M
     """Return the scores of sums (`voxel_confusion`); `occupied` has the names by id of all classes but free.
 
     Returns:
-        `iou`, `precision`, `recall` and `f1` of occupied against free; `iou/<class>` of the occupied classes, and
-        `miou`, their mean over those that occur in truth or prediction. A score without cases is nan.
+        In float64: `iou`, `precision`, `recall` and `f1` of occupied against free; `iou/<class>` of the occupied
+        classes, and `miou`, their mean over those that occur in truth or prediction. A score without cases is nan.
     """
     correct, ids = confusion.diagonal(), list(occupied)
     classes = correct / (confusion.sum(0) + confusion.sum(1) - correct)
@@ -44,7 +44,7 @@ def voxel_scores(confusion: Float64[Tensor, "C C"], free_class: int, occupied: M
     scores |= {"precision": found / (found + hallucinated), "recall": found / (found + missed)}
     scores["f1"] = 2 * found / (2 * found + missed + hallucinated)
     scores |= {f"iou/{name}": classes[c] for c, name in occupied.items()}
-    return {key: value.float() for key, value in scores.items()}
+    return scores
 
 
 class VoxelIoU(Metric):
@@ -112,7 +112,8 @@ class VoxelIoU(Metric):
 
     def compute(self) -> dict[str, Tensor]:
         """Return the scores over all frames: see `voxel_scores` for the keys."""
-        return voxel_scores(self.confusion, self.classes.free, self.classes.occupied)
+        scores = voxel_scores(self.confusion, self.classes.free, self.classes.occupied)
+        return {key: value.float() for key, value in scores.items()}
 
     def plot(self, val: dict[str, Tensor] | None = None, ax: "Axes | None" = None) -> "tuple[Figure, Axes]":
         """Draw the IoU of every class in a result of `compute` (default: now) as bars; needs matplotlib."""

@@ -4,8 +4,8 @@ Format: https://github.com/nutonomy/nuscenes-devkit/blob/master/docs/schema_nusc
 """
 
 import json
-from io import TextIOWrapper
 from collections.abc import Iterator, Sequence
+from io import TextIOWrapper
 from pathlib import Path
 from typing import Any, NamedTuple
 

@@ -99,6 +99,6 @@ class DatasetScene:
         return cloud and onto_panorama(cloud.points_m, None, self.panorama)
 
 
-def without_near(points_m: np.ndarray, origin_m: np.ndarray, nearest_m: float) -> np.ndarray:
-    """Return which points (P, 3) are at least this far from the LiDAR: nearer ones are on the own car."""
-    return np.linalg.norm(points_m - origin_m, axis=1) >= nearest_m
+def outside(points_m: np.ndarray, low_m: Sequence[float], high_m: Sequence[float]) -> np.ndarray:
+    """Return which points (P, 3) are outside of a box, such as that of the own car."""
+    return ((points_m < low_m) | (points_m > high_m)).any(axis=1)

@@ -166,6 +166,23 @@ class SceneFrames(Protocol):
 
 
 @runtime_checkable
+class SubmittedScene(SceneFrames, Protocol):
+    """A scene of a dataset whose benchmark takes predictions as files, one for each frame, on its own grid."""
+
+    def prediction_file(self, frame: int) -> str:
+        """Return the file of a frame's prediction, relative to the folder of a submission."""
+        ...
+
+    def write_prediction(self, path: Path, classes: UInt8[np.ndarray, "X Y Z"]) -> None:
+        """Write our classes (0 free) of one frame in the benchmark's format; raise DataError if the disk refuses."""
+        ...
+
+    def read_prediction(self, path: Path) -> UInt8[np.ndarray, "X Y Z"]:
+        """Return our classes (0 free) of a file in the benchmark's format; raise DataError naming what is wrong."""
+        ...
+
+
+@runtime_checkable
 class VoxelLabels(Protocol):
     """The voxel labels of a source in one grid."""
 

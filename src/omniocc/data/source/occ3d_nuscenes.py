@@ -1,5 +1,6 @@
 """Occ3D-nuScenes as a source: voxel labels of nuScenes' key frames, six cameras, RayIoU as published."""
 
+import io
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
@@ -24,13 +25,14 @@ from omniocc.data.formats.files import (
 from omniocc.data.formats.index import Index
 from omniocc.data.formats.nuscenes import CAMERAS, KeyFrames, is_validation, read_key_frames
 from omniocc.data.formats.poses import inverse, moved, shift
-from omniocc.data.formats.scene import Cloud, DatasetScene, without_near
+from omniocc.data.formats.scene import Cloud, DatasetScene, outside
 from omniocc.data.labels.own_grid import OwnGridLabels
 from omniocc.data.source import Benchmark, BenchmarkFrame, SourceSpec, Split, Unknown
 from omniocc.data.store.shard import digest
 from omniocc.errors import DataError
 from omniocc.geometry import Cuboid, Grid
 from omniocc.geometry.directions import eight_origins
+from omniocc.io import atomic_write
 
 SHAPE = (200, 200, 16)
 ORIGIN_M = (0.8, 0.0, 1.8)
@@ -40,8 +42,8 @@ GRID = Cuboid(SHAPE, (-40.8, 39.2), (-40.0, 40.0), (-2.8, 3.6))
 """The voxels of Occ3D (-40 .. 40, -40 .. 40, -1 .. 5.4 m) in our ego frame."""
 FREE_ID = 17
 """Free space in the files; every other class has our id less one."""
-NEAREST_M = 1.0
-"""LiDAR points nearer than this are on the own car."""
+OWN_CAR_M = ((-1.8, -1.1, -1.8), (2.8, 1.1, 0.5))
+"""Lowest and highest x, y, z of the own car, our ego frame; LiDAR points in it are left out."""
 GTS = "download the labels of Occ3D-nuScenes ('gts') into data.source.root"
 
 CLASSES = ClassTable(
@@ -210,7 +212,7 @@ class Occ3DScene(DatasetScene):
             points_m = read_array(self.root / str(self.frames.lidar[frame]), "<f4", (-1, 5))[:, :3]
             labels = self._point_labels(frame, len(points_m))
         points_m = moved(ego_from_lidar, points_m).astype(np.float32)
-        kept = without_near(points_m, ego_from_lidar[:3, 3], NEAREST_M)
+        kept = outside(points_m, *OWN_CAR_M)
         return Cloud(points_m[kept], None if labels is None else labels[kept], ego_from_lidar[:3, 3])
 
     def own_voxels(self, frame: int, unknown: Unknown) -> UInt8[Tensor, "X Y Z"]:
@@ -239,6 +241,23 @@ class Occ3DScene(DatasetScene):
     def label_file(self, frame: int) -> Path:
         """Return the file of a frame's labels."""
         return self.root / "gts" / self.name / str(self.frames.tokens[frame]) / "labels.npz"
+
+    def prediction_file(self, frame: int) -> str:
+        """Return the name of a frame's file in a submission, as the public script of RayIoU expects it."""
+        return f"{self.frames.tokens[frame]}.npz"
+
+    def write_prediction(self, path: Path, classes: UInt8[np.ndarray, "X Y Z"]) -> None:
+        """Write classes as the array `pred`, 17 free."""
+        content = io.BytesIO()
+        np.savez_compressed(content, pred=to_file(classes))
+        atomic_write(path, content.getvalue())
+
+    def read_prediction(self, path: Path) -> UInt8[np.ndarray, "X Y Z"]:
+        """Return the classes of the array `pred`."""
+        found = read_npz(path, {"pred": SHAPE})["pred"]
+        if found.min() < 0 or found.max() > FREE_ID:
+            raise DataError(f"{path}: classes {found.min()} to {found.max()}, but Occ3D has 0 to {FREE_ID}")
+        return from_file(found)
 
     def _content(self, frame: int) -> dict[str, np.ndarray]:
         names, path = ("semantics", "mask_lidar", "mask_camera"), self.label_file(frame)

@@ -1,0 +1,65 @@
+"""Read a dataset back and list all that is wrong with it: `python src/check.py data=... data.source.root=...`."""
+
+import argparse
+import sys
+from pathlib import Path
+from typing import cast
+
+from omegaconf import OmegaConf
+
+from omniocc.config import build, compose_plain
+from omniocc.data import OccupancyData
+from omniocc.data.check_source import check_source
+from omniocc.data.recording.pool import usable_cores
+from omniocc.data.source import SPLITS
+from omniocc.run.script import lines_not_tracebacks, quiet_libraries
+from omniocc.view import save_png
+from omniocc.view.data_sheet import data_sheet
+
+
+@lines_not_tracebacks
+def main(arguments: list[str] | None = None) -> None:
+    """Build the data that the overrides choose, read its frames, print all problems, and draw some frames."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("overrides", nargs="+", help="those of train.py: data=occ3d_nuscenes data.source.root=...")
+    parser.add_argument("--frames", type=int, default=0, help="frames of each scene to read, evenly spread (0: all)")
+    parser.add_argument("--workers", type=int, default=usable_cores(), help="processes that read; 0: none besides this")
+    parser.add_argument("--draw", type=Path, help="folder for a picture of the first frame of every split")
+    options = parser.parse_intermixed_args(arguments)
+    quiet_libraries()
+    content = compose_plain(Path(__file__).parents[1] / "conf", "train", options.overrides)
+    data = cast(OccupancyData, build(OmegaConf.create(content["data"])))
+    data.source.prepare()
+    data.check_classes()
+    for split in SPLITS:
+        scenes = data.source.scenes(split)
+        print(f"{split:5}  {len(scenes)} scenes, {sum(map(len, scenes))} frames", flush=True)
+    if options.draw is not None:
+        draw(data, options.draw)
+    problems = 0
+    for problem in check_source(data.source, data.geometry, options.frames, options.workers):
+        problems += 1
+        print(problem, flush=True)
+    if problems:
+        sys.exit(f"{problems} problems")
+    print("no problems")
+
+
+def draw(data: OccupancyData, folder: Path) -> None:
+    """Draw the first frame of every split: ranges on the images, voxels."""
+    benchmark, classes = data.source.spec.benchmark, data.source.spec.classes
+    grid = data.geometry if benchmark is None else benchmark.grid
+    labels = data.source.labels(grid, "free")
+    for split in SPLITS:
+        for scene in data.source.scenes(split)[:1]:
+            labels.prepare([scene])
+            parts = scene.images(0), scene.rigs[0], scene.camera_range_m(0), scene.erp_range_m(0)
+            voxels = labels.read(scene, 0)
+            path = folder / f"{split}-{scene.name}.png"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            save_png(path, data_sheet(*parts, voxels, grid, classes, f"{split}: {scene.name}, frame 0"))
+            print(f"picture  {path}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,94 @@
+"""Read a dataset back, all of it or a part, and list everything that is wrong with it."""
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from omniocc.data.labels.class_fractions import spread
+from omniocc.data.recording.pool import limit_threads, process_context, worker_environment
+from omniocc.data.source import SPLITS, SceneFrames, SceneSource, VoxelLabels
+from omniocc.errors import DataError
+from omniocc.geometry import Grid
+from omniocc.progress import Progress
+
+RIGID_TOLERANCE = 1e-6
+
+
+def check_source(source: SceneSource, geometry: Grid, frames: int, workers: int) -> Iterator[str]:
+    """Return the problems of a source that is prepared, one line each, as they are found.
+
+    Args:
+        source: the dataset.
+        geometry: grid in which its labels are asked for.
+        frames: of each scene, evenly spread, the first and the last included; 0: all.
+        workers: processes that read; 0 reads in this one.
+    """
+    labels = source.labels(geometry, "free")
+    scenes = [scene for split in SPLITS for scene in source.scenes(split)]
+    work = partial(check_scene, labels=labels, frames=frames)
+    total = sum(len(scene) if frames == 0 else min(frames, len(scene)) for scene in scenes)
+    with Progress("check", total) as progress:
+        for problems, count in _mapped(work, scenes, workers):
+            for _ in range(count):
+                progress.advance()
+            yield from problems
+
+
+def check_scene(scene: SceneFrames, labels: VoxelLabels, frames: int) -> tuple[list[str], int]:
+    """Return the problems of a scene, each once, and the number of frames that were read."""
+    try:
+        problems = list(_poses(scene))
+        chosen = range(len(scene)) if frames == 0 else spread(len(scene), frames)
+        for frame in chosen:
+            problems += check_frame(scene, labels, frame)
+    except (DataError, ValueError) as error:
+        return [str(error)], 0
+    return list(dict.fromkeys(problems)), len(chosen)
+
+
+def check_frame(scene: SceneFrames, labels: VoxelLabels, frame: int) -> Iterator[str]:
+    """Return the problems of one frame: everything that a batch could ask for is read."""
+    parts: list[Callable[[int], Any]] = [
+        partial(_images, scene), scene.pixel_labels, scene.camera_range_m, scene.erp_range_m, scene.lidar, scene.points,
+        partial(labels.read, scene), partial(labels.benchmark, scene),
+    ]  # fmt: skip
+    for part in parts:
+        try:
+            part(frame)
+        except (DataError, ValueError) as error:
+            yield str(error)
+
+
+def _images(scene: SceneFrames, frame: int) -> None:
+    """Read the images of one frame; raise ValueError if they are not those of its rig."""
+    images, rig = scene.images(frame), scene.rigs[frame]
+    sizes = [(camera.width, camera.height) for camera in rig.cameras]
+    found = [(image.shape[1], image.shape[0]) for image in images]
+    if found and found != sizes:
+        raise ValueError(f"scene '{scene.name}', frame {frame}: images of {found} px, but the rig has {sizes} px")
+
+
+def _poses(scene: SceneFrames) -> Iterator[str]:
+    poses = np.asarray(scene.world_from_ego)
+    if len(poses) != len(scene) or len(scene.rigs) != len(scene):
+        yield f"scene '{scene.name}': {len(scene)} frames, {len(poses)} poses and {len(scene.rigs)} rigs"
+    turn = poses[:, :3, :3]
+    bent = np.abs(turn @ turn.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+    for frame in np.flatnonzero(~(bent < RIGID_TOLERANCE) | ~np.isfinite(poses).all(axis=(1, 2))):
+        yield f"scene '{scene.name}', frame {frame}: its pose is no rotation and shift"
+
+
+def _mapped(
+    work: Callable[[SceneFrames], tuple[list[str], int]], scenes: Sequence[SceneFrames], workers: int
+) -> Iterator[tuple[list[str], int]]:
+    if workers == 0:
+        yield from map(work, scenes)
+        return
+    with (
+        worker_environment(needs_main=False),
+        ProcessPoolExecutor(workers, process_context(), limit_threads, (0,)) as pool,
+    ):
+        yield from pool.map(work, scenes)

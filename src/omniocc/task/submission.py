@@ -1,0 +1,87 @@
+"""Predictions as files in the format of a benchmark: write those of a model, score those of any other project."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import torch
+
+from omniocc.data import OccupancyData, SceneSource
+from omniocc.data.dataset import Needs, WindowDataset, collate
+from omniocc.data.source import SPLITS, SceneFrames, Split, SubmittedScene
+from omniocc.errors import UserError
+from omniocc.geometry import look_up
+from omniocc.progress import Progress
+from omniocc.task.occupancy import OccupancyTask
+from omniocc.task.scores import Scores
+
+
+def score_files(source: SceneSource, folder: Path, split: Split = "test") -> dict[str, float]:
+    """Return the scores of predictions in the benchmark's submission format, with keys as those of a test.
+
+    Args:
+        source: the dataset, prepared.
+        folder: of the files, one for each frame of the split.
+        split: the scenes that are scored.
+
+    Raises:
+        UserError: if the dataset takes no submissions, or files are missing: how many, and the first.
+        DataError: naming a damaged file.
+    """
+    benchmark = source.spec.benchmark
+    scenes = source.scenes(split)
+    files = [(scene, frame, folder / scene.prediction_file(frame)) for scene, frame in submitted(scenes)]
+    if benchmark is None or not files:
+        raise UserError(f"there are no frames of the split '{split}' on which predictions could be scored")
+    missing = [path for _, _, path in files if not path.exists()]
+    if missing:
+        raise UserError(f"{missing[0]}: {len(missing)} of {len(files)} predictions are missing, this is the first")
+    labels = source.labels(benchmark.grid, "free")
+    own_rays = source.spec.lidar_directions is None
+    data = WindowDataset(scenes, labels, 1, Needs(images=False, pixel_labels=False), own_rays)
+    scores = Scores(benchmark.grid, source.spec)
+    with Progress("scores", len(files)) as progress:
+        for index, (scene, _, path) in enumerate(files):
+            classes = torch.from_numpy(scene.read_prediction(path)).unsqueeze(0)
+            scores.update(classes, collate([data[index]]))
+            progress.advance()
+    return {f"test/{key}": float(value) for key, value in scores.compute().items()}
+
+
+def submitted(scenes: Sequence[SceneFrames]) -> Iterator[tuple[SubmittedScene, int]]:
+    """Return all frames of scenes whose benchmark takes predictions; raise UserError for others."""
+    for scene in scenes:
+        if not isinstance(scene, SubmittedScene):
+            raise UserError(f"scene '{scene.name}': this dataset has no format of submissions")
+        for frame in range(len(scene)):
+            yield scene, frame
+
+
+@torch.inference_mode()
+def write_files(task: OccupancyTask, data: OccupancyData, folder: Path, split: Split, device: torch.device) -> int:
+    """Predict all frames of a split, write them in the benchmark's submission format, and return their number.
+
+    Files that exist are kept, so that the same command goes on after a stop.
+
+    Raises:
+        UserError: if the split is none, or the dataset takes no submissions.
+        DataError: when the disk refuses.
+    """
+    if split not in SPLITS:
+        raise UserError(f"split={split}: choose {', '.join(SPLITS)}")
+    needs = Needs(voxels=False, pixel_labels=False, scores=False)
+    data.source.prepare()
+    data.read_only(needs, needs)
+    data.setup()
+    frames = list(submitted(data.source.scenes(split)))
+    benchmark = data.source.spec.benchmark
+    assert benchmark is not None
+    task = task.to(device).eval()
+    with Progress("predictions", len(frames)) as progress:
+        for index, (scene, frame) in enumerate(frames):
+            path = folder / scene.prediction_file(frame)
+            if not path.exists():
+                batch = data.transfer_batch_to_device(collate([data.dataset(split)[index]]), device, 0)
+                classes = look_up(task.evaluate(batch), task.model.geometry, benchmark.grid)
+                scene.write_prediction(path, classes[0].cpu().numpy())
+            progress.advance()
+    return len(frames)
