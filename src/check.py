@@ -41,7 +41,7 @@ def main(arguments: list[str] | None = None) -> None:
         problems += 1
         print(problem, flush=True)
     if problems:
-        sys.exit(f"{problems} problems")
+        sys.exit(f"{problems} problem{'s' * (problems > 1)}")
     print("no problems")
 
 

@@ -3,8 +3,8 @@ import math
 import pytest
 import torch
 
-from omniocc.camera import Equidistant, Rig
-from omniocc.camera.parallax import pixels_per_metre
+from omniocc.camera import Equidistant, Equirectangular, Rig
+from omniocc.camera.parallax import pixels_per_metre, shared_view
 
 
 def rig_of(*places_m):
@@ -50,3 +50,12 @@ def test_the_best_pair_counts():
     all_three = pixels_per_metre(rig_of((0.0, 0.8, 0.0), (0.0, 0.6, 0.0), (0.0, -0.8, 0.0)), points)
     assert (all_three >= wide).all()
     assert (wide > 0).all()
+
+
+def test_the_shared_view_is_the_share_that_two_cameras_see():
+    ring = 10.0 * Equirectangular(72, 4, 10.0, -10.0).rays()
+    assert shared_view(Rig.load("fisheye6"), ring) == 1.0
+    assert shared_view(Rig.load("pinhole6"), ring) == 0.5
+    rig = Rig.load("pinhole6")
+    alone = Rig(rig.cameras[:1], rig.ego_from_camera[:1], rig.names[:1])
+    assert shared_view(alone, ring) == 0.0

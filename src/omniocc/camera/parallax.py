@@ -34,6 +34,12 @@ def pixels_per_metre(rig: Rig, points_ego: Float[Tensor, "*batch 3"]) -> Float64
     return best
 
 
+def shared_view(rig: Rig, points_ego: Float[Tensor, "*batch 3"]) -> float:
+    """Return the share of points (m) seen by two or more cameras among those that any camera sees; 0 if none is."""
+    views = rig.project(points_ego)[1].sum(0)
+    return float((views > 1).sum() / (views > 0).sum().clamp(min=1))
+
+
 def _carried(
     moves: Float64[Tensor, "*batch 3"], start: Float64[Tensor, "*batch 3"], end: Float64[Tensor, "*batch 3"]
 ) -> Float64[Tensor, "*batch 3"]:

@@ -20,6 +20,7 @@ from torch import Tensor, nn
 from torch.utils.data import DataLoader, Dataset
 
 from omniocc.camera import Rig
+from omniocc.camera.parallax import shared_view
 from omniocc.config import build, plain
 from omniocc.data import CandidateCache, EvidenceCache, Needs, OccupancyData, RangeCache
 from omniocc.data.dataset import read_images
@@ -50,6 +51,10 @@ from omniocc.task.stage_task import Recipe, StageTask
 Task = StageTask[nn.Module]
 Read = Callable[[SceneFrames, int], tuple[Tensor | None, ...]]
 Predict = Callable[..., tuple[Tensor, ...]]
+SHARED_AT_M = 10.0
+"""Distance at which the share of the view is stated that two or more cameras have in common."""
+LITTLE_SHARED = 0.05
+"""Share below which it is said that there is little to compare."""
 
 
 class Stages:
@@ -91,6 +96,8 @@ class Stages:
         appearance = None if self.cfg.appearance is None else build(self.cfg.appearance)
         task = DepthTask(model, recipe.optimizer, spheres, edges_m, recipe.seed, plain(self.cfg), appearance)
         drawn = DepthImages(self.results["depth"] / IMAGES, self.cfg.test_images, self.spec.classes)
+        if isinstance(model, SphereNet):
+            say(matching_line(shared_view(self.scenes[0].rigs[0], SHARED_AT_M * model.panorama.rays())))
         test = Needs(voxels=False, pixel_labels=False, scores=False, panorama=True)
         train = test._replace(camera_ranges=not isinstance(model, SphereNet))  # which learns from the panorama
         self._finish(task, recipe, (train, test), drawn, "depth", title, learns(type(model)))
@@ -240,6 +247,13 @@ def frame_loader(scenes: Sequence[SceneFrames], read: Read, num_workers: int) ->
 def to_device(inputs: tuple[Tensor | None, ...], device: torch.device) -> list[Tensor | None]:
     """Return tensors as a batch of one on a device."""
     return [None if value is None else value.unsqueeze(0).to(device) for value in inputs]
+
+
+def matching_line(shared: float) -> str:
+    """Return a line about the share of directions in which ranges can be measured by comparing cameras."""
+    line = f"two or more cameras see {shared:.0%} of what any camera sees, {SHARED_AT_M:g} m away"
+    alone = "; elsewhere ranges come from single images, as with model/sketch=mono"
+    return line + (alone if shared < LITTLE_SHARED else "")
 
 
 def read_depth_inputs(scene: SceneFrames, frame: int, with_range: bool) -> tuple[Tensor, Tensor | None]:
