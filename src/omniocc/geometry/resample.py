@@ -51,7 +51,9 @@ def resample(
     num_classes = int(flat[occupied].max()) + 1 if len(occupied) else 1
     votes = torch.bincount(cells * num_classes + classes, minlength=target.num_cells * num_classes)
     votes = votes.reshape(target.num_cells, num_classes)
-    known = torch.cat([flat != UNKNOWN, torch.zeros(1, dtype=torch.bool)])[places.sources].sum(1)
+    known = places.inside
+    if bool((flat == UNKNOWN).any()):
+        known = torch.cat([flat != UNKNOWN, torch.zeros(1, dtype=torch.bool)])[places.sources].sum(1)
     total = votes.sum(1)
     empty = torch.where(2 * known < places.sources.shape[1], UNKNOWN, FREE)
     chosen = torch.where((total > 0) & (total >= least * known), votes.argmax(1), empty)
@@ -82,12 +84,14 @@ class Places(NamedTuple):
 
     Attributes:
         sources: source cell of every place, `source.num_cells` outside.
+        inside: number of places of each target cell that are inside of the source.
         sorted_cells: target cells of all places in order of their source cells.
         count_of_source: places in every source cell.
         end_of_source: index into `sorted_cells` behind the last place of a source cell.
     """
 
     sources: Int32[Tensor, "cells places"]
+    inside: Int64[Tensor, " cells"]
     sorted_cells: Int32[Tensor, " all"]
     count_of_source: Int64[Tensor, " sources"]
     end_of_source: Int64[Tensor, " sources"]
@@ -112,4 +116,4 @@ def _places(source: Grid, target: Grid) -> Places:
     order = sources.flatten().argsort()
     count = torch.bincount(sources.flatten(), minlength=source.num_cells + 1)
     cells = (order // sources.shape[1]).to(torch.int32)
-    return Places(sources, cells, count[:-1], count.cumsum(0)[:-1])
+    return Places(sources, (sources < source.num_cells).sum(1), cells, count[:-1], count.cumsum(0)[:-1])

@@ -61,8 +61,8 @@ class Scores(nn.Module):
         ray_iou = partial(RayIoU, grid, self.num_classes, range_edges_m=edges_m, class_names=names)
         self.rays, self.lidar = ray_iou(), ray_iou(directions=spec.lidar_directions)
         self.cells = VoxelIoU(self.num_classes, class_names=names)
-        self.parts = nn.ModuleDict({name: VoxelIoU(self.num_classes, class_names=names) for name, _, _ in parts})
-        self.part_cells = {name: cells_between(grid, x_m, y_m) for name, x_m, y_m in parts}
+        self.part_cells = [(name, cells_between(grid, x_m, y_m)) for name, x_m, y_m in parts]
+        self.parts = nn.ModuleList([VoxelIoU(self.num_classes, class_names=names) for _ in parts])
         self.voxel_frames, self.lidar_frames = SumMetric(), SumMetric()
         directions = None if spec.lidar_directions is None else spec.lidar_directions.float()
         self.directions: Tensor | None
@@ -82,7 +82,8 @@ class Scores(nn.Module):
     def compute(self) -> dict[str, Tensor]:
         """Return all scores, from counts over the dataset and all processes."""
         metrics = {"": self.rays, "lidar/": self.lidar, "voxel/": self.cells}
-        metrics |= {f"voxel_{name}/": cast(VoxelIoU, part) for name, part in self.parts.items()}
+        pairs = zip(self.part_cells, self.parts, strict=True)
+        metrics |= {f"voxel_{name}/": cast(VoxelIoU, part) for (name, _), part in pairs}
         voxels, lidar = (frames.compute() > 0 for frames in (self.voxel_frames, self.lidar_frames))
         return {
             f"{prefix}{key}": value
@@ -94,7 +95,7 @@ class Scores(nn.Module):
     def reset(self) -> None:
         """Reset all metrics."""
         counted = (self.rays, self.lidar, self.cells, self.voxel_frames, self.lidar_frames)
-        for metric in (*counted, *(cast(Metric, part) for part in self.parts.values())):
+        for metric in (*counted, *(cast(Metric, part) for part in self.parts)):
             metric.reset()
 
     def _add_voxels(self, labels: Tensor, truth: Tensor, scored: Tensor | None, origins: Tensor | None) -> None:
@@ -106,8 +107,8 @@ class Scores(nn.Module):
             if known.any():
                 self.rays.update(labels[one], truth[one], starts[known][None], None if seen is None else seen[one])
         self.cells.update(labels, truth, observed=scored)
-        for name, part in self.parts.items():
-            near = self.part_cells[name].to(labels.device).expand_as(truth)
+        for (_, cells), part in zip(self.part_cells, self.parts, strict=True):
+            near = cells.to(labels.device).expand_as(truth)
             cast(VoxelIoU, part).update(labels, truth, observed=near if scored is None else near & scored)
 
     def _add_lidar(self, labels: Tensor, batch: Batch | Truth) -> None:

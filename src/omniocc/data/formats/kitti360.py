@@ -1,0 +1,117 @@
+"""KITTI-360: calibration, poses, and frames of SSCBench found among its own.
+
+Formats: https://github.com/autonomousvision/kitti360Scripts
+"""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Float64, Int64, UInt8
+
+from omniocc.data.formats.files import read_bytes, read_text
+from omniocc.data.formats.poses import inverse, rigid
+from omniocc.errors import DataError
+from omniocc.progress import Progress
+
+FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
+"""From the IMU's axes (x forward, y right, z down) to ours (x forward, y left, z up)."""
+MOST_SKIPPED = 3000
+"""Frames of KITTI-360 that SSCBench may have left out one after the other."""
+SAME = 2.0
+"""Mean difference of grey levels of thumbnails up to which two images are the same."""
+
+
+def read_rows(path: Path) -> dict[str, Float64[np.ndarray, " n"]]:
+    """Return the numbers of a calibration file by name: 'name: numbers' lines, or one line of numbers named ''."""
+    rows = {}
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
+        name, _, values = line.rpartition(":")
+        try:
+            if values.strip():
+                rows[name.strip()] = np.array(values.split(), np.float64)
+        except ValueError as error:
+            if name.strip() not in ("calib_time", ""):
+                raise DataError(f"{path}, line {number}: '{name}' are no numbers") from error
+    return rows
+
+
+def matrix(path: Path, name: str, shape: tuple[int, int]) -> Float64[np.ndarray, "rows columns"]:
+    """Return a matrix of a calibration file; raise DataError if it is missing or has another size."""
+    rows = read_rows(path)
+    if name not in rows or rows[name].size != shape[0] * shape[1]:
+        raise DataError(f"{path}: the line '{name}' of {shape[0] * shape[1]} numbers is missing")
+    return rows[name].reshape(shape)
+
+
+def pose_of(path: Path, name: str) -> Float64[np.ndarray, "4 4"]:
+    """Return a pose of a calibration file; raise DataError if it is missing or no rotation."""
+    try:
+        return rigid(matrix(path, name, (3, 4)), f"the line '{name}'")
+    except ValueError as error:
+        raise DataError(f"{path}: {error}") from error
+
+
+def velodyne_pose(calibration: Path) -> Float64[np.ndarray, "4 4"]:
+    """Return imu_from_velodyne: through the unrectified camera 0 (kitti360scripts, helpers/project.py)."""
+    camera = pose_of(calibration / "calib_cam_to_pose.txt", "image_00")
+    return camera @ inverse(pose_of(calibration / "calib_cam_to_velo.txt", ""))
+
+
+def rectified(calibration: Path, name: str) -> tuple[Float64[np.ndarray, "3 3"], Float64[np.ndarray, "4 4"]]:
+    """Return the intrinsics of a rectified camera (image_00, image_01) and its pose imu_from_camera."""
+    number, turn = name[-2:], np.eye(4)
+    intrinsics = matrix(calibration / "perspective.txt", f"P_rect_{number}", (3, 4))[:, :3]
+    turn[:3, :3] = matrix(calibration / "perspective.txt", f"R_rect_{number}", (3, 3))
+    try:
+        return intrinsics, pose_of(calibration / "calib_cam_to_pose.txt", name) @ inverse(rigid(turn, "R_rect"))
+    except ValueError as error:
+        raise DataError(f"{calibration / 'perspective.txt'}: {error}") from error
+
+
+def read_numbered_poses(path: Path) -> tuple[Int64[np.ndarray, " F"], Float64[np.ndarray, "F 4 4"]]:
+    """Return frame numbers and world_from_imu of a `poses.txt`; frames without a line have no pose."""
+    try:
+        rows = np.array([line.split() for line in read_text(path).splitlines() if line.strip()], np.float64)
+        return rows[:, 0].astype(np.int64), rigid(rows[:, 1:].reshape(-1, 3, 4), "a line")
+    except (ValueError, IndexError) as error:
+        raise DataError(f"{path}: {error}") from error
+
+
+def thumbnail(path: Path) -> UInt8[np.ndarray, "12 44"]:
+    """Return a small grey image, by which equal images are found."""
+    image = cv2.imdecode(np.frombuffer(read_bytes(path), np.uint8), cv2.IMREAD_REDUCED_GRAYSCALE_8)
+    if image is None:
+        raise DataError(f"{path}: the file is no image, or damaged")
+    return cv2.resize(image, (44, 12), interpolation=cv2.INTER_AREA)
+
+
+def match_frames(theirs: Sequence[Path], ours: Sequence[Path], title: str) -> list[int]:
+    """Return for each image of `theirs` the index of the same image in `ours`; both are in the order of time.
+
+    Every image is read once at most.
+
+    Raises:
+        DataError: naming the first image that is not found.
+    """
+    found: list[int] = []
+    seen = _thumbnails(ours)
+    with Progress(title, len(theirs), "images") as progress:
+        for path in theirs:
+            wanted = thumbnail(path).astype(np.int16)
+            for skipped, (index, small) in enumerate(seen):
+                if float(np.abs(small - wanted).mean()) < SAME:
+                    found.append(index)
+                    break
+                if skipped >= MOST_SKIPPED:
+                    raise DataError(f"{path}: the same image is not among the next {MOST_SKIPPED} of {ours[0].parent}")
+            else:
+                raise DataError(f"{path}: the same image is not in {ours[0].parent if ours else 'KITTI-360'}")
+            progress.advance()
+    return found
+
+
+def _thumbnails(paths: Sequence[Path]) -> Iterator[tuple[int, UInt8[np.ndarray, "12 44"]]]:
+    for index, path in enumerate(paths):
+        yield index, thumbnail(path)

@@ -1,0 +1,134 @@
+"""SSCBench-KITTI-360, alone and with the fisheyes of KITTI-360 itself: small datasets in their layouts."""
+
+import shutil
+
+import numpy as np
+import pytest
+import torch
+from kitti_files import OTHER_ID, raw_voxels, write_kitti360, write_sscbench
+
+from omniocc.classes import UNKNOWN
+from omniocc.data import SceneSource
+from omniocc.data.source import SceneFrames
+from omniocc.data.source.sscbench_kitti360 import GRID, SEQUENCE, SSCBenchKITTI360
+from omniocc.errors import DataError
+
+SEQUENCES = {"train": ["00"], "val": ["06"], "test": ["09"]}
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory):
+    return write_sscbench(tmp_path_factory.mktemp("sscbench"))
+
+
+@pytest.fixture(scope="module")
+def kitti360(tmp_path_factory):
+    return write_kitti360(tmp_path_factory.mktemp("kitti360"))
+
+
+def source_of(root, **changes):
+    options = {"kitti360": None, "image_width": 64, "panorama": (64, 32, 45.0, -45.0), "cache": None}
+    source = SSCBenchKITTI360(str(root), SEQUENCES, **options | changes)
+    source.prepare()
+    return source
+
+
+def test_it_keeps_the_contracts(root):
+    source = source_of(root)
+    assert isinstance(source, SceneSource)
+    scene = source.scenes("test")[0]
+    assert isinstance(scene, SceneFrames)
+    assert (scene.numbers, len(scene)) == ([0, 5], 2)
+    assert scene.world_from_ego[:, 0, 3].tolist() == [0, 5]
+    assert [image.shape for image in scene.images(0)] == [(16, 64, 3)]
+    assert scene.lidar(0) is scene.erp_range_m(0) is scene.pixel_labels(0) is None
+    assert source.spec.classes.num_classes == 19
+
+
+def test_labels_follow_the_rule_of_the_benchmark(root):
+    labels = source_of(root).scenes("train")[0].own_voxels(0, "free").numpy()
+    raw, invalid = raw_voxels()
+    assert (labels[raw == OTHER_ID] == 18).all()  # labelled cells count although the file calls them invalid
+    assert (labels[invalid & (raw == 0)] == UNKNOWN).all()
+    assert set(np.unique(labels)) == {0, 1, 7, 11, 18, UNKNOWN}
+
+
+def test_preprocessed_labels_are_read_where_there_are_no_voxels(tmp_path):
+    root = write_sscbench(tmp_path, frames=1, poses=False)
+    expected = source_of(root).scenes("train")[0].own_voxels(0, "free")
+    folder = root / "preprocess" / "labels" / SEQUENCE.format("00")
+    folder.mkdir(parents=True)
+    np.save(folder / "000000_1_1.npy", expected.numpy())
+    shutil.rmtree(root / "data_2d_raw" / SEQUENCE.format("00") / "voxels")
+    scene = source_of(root).scenes("train")[0]
+    assert torch.equal(scene.own_voxels(0, "free"), expected)
+    assert (scene.world_from_ego == np.eye(4)).all()  # without poses
+    np.save(folder / "000000_1_1.npy", expected.numpy()[:2])
+    with pytest.raises(DataError, match=r"'00', frame 0: .*_1_1\.npy: it has no classes 0 to 18 or 255"):
+        scene.own_voxels(0, "free")
+
+
+def test_the_fisheyes_of_kitti360_are_found_by_their_images(root, kitti360, tmp_path):
+    source = source_of(root, kitti360=str(kitti360), cache=str(tmp_path))
+    scene = source.scenes("train")[0]
+    assert scene.numbers_of_kitti360 == [100, 105]
+    assert [image.shape for image in scene.images(1)] == [(16, 64, 3), (64, 64, 3), (64, 64, 3)]
+    rig = scene.rigs[0]
+    assert rig.names == ("image_00", "image_02", "image_03")
+    # the fisheyes look left and right
+    assert rig.ego_from_camera[1, :3, 2].tolist() == pytest.approx([0, 1, 0], abs=0.05)
+    assert rig.ego_from_camera[2, :3, 2].tolist() == pytest.approx([0, -1, 0], abs=0.05)
+    assert source.fingerprint != source_of(root).fingerprint
+
+
+def test_points_of_the_velodyne_are_seen_where_the_devkit_projects_them(root, kitti360, tmp_path):
+    rig = source_of(root, kitti360=str(kitti360), cache=str(tmp_path)).scenes("train")[0].rigs[0].resized(1400, 1400)
+    points = torch.tensor([(10, 2, -1), (5, 6, 0), (5, -6, 0), (-8, 5, -1.5)], dtype=torch.float64)
+    pixels, valid = rig.project(points)
+    # u0 = 716.94 px; expected from kitti360scripts with p1, p2
+    for camera, point, pixel in (
+        (1, 0, (1314.270533, 786.921482)), (1, 1, (1037.877169, 722.175870)), (2, 2, (383.667197, 715.291003)),
+        (1, 3, (300.912238, 790.311115)),
+    ):  # fmt: skip
+        assert valid[camera, point]
+        assert pixels[camera, point].tolist() == pytest.approx(pixel, abs=0.02)
+    front = rig.cameras[0].resized(1408, 376)
+    seen, inside = front.project(torch.linalg.inv(rig.ego_from_camera[0])[:3] @ torch.tensor([10.0, 2, -1, 1]).double())
+    assert inside
+    assert seen.tolist() == pytest.approx((605.134797, 237.678658), abs=0.02)
+
+
+def remove_images(root, other):
+    for file in sorted(other.glob("data_2d_raw/*_0000_sync/image_00/data_rect/*.png"))[3:]:
+        file.unlink()
+
+
+def cut_label(root, other):
+    next(root.glob("data_2d_raw/*_0000_sync/voxels/000000.label")).write_bytes(b"1")
+
+
+def read_all(root, other):
+    scene = source_of(root, kitti360=str(other)).scenes("train")[0]
+    return scene.rigs, scene.own_voxels(0, "free")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda root, other: shutil.rmtree(root / "data_2d_raw"), "data_2d_raw not found"),
+        (lambda root, other: shutil.rmtree(other / "calibration"), "calibration not found"),
+        (lambda root, other: (other / "calibration/calib_cam_to_velo.txt").write_text("1 2"), "12 numbers is missing"),
+        (remove_images, r"000005\.png: the same image is not in"),
+        (cut_label, r"SSCBench-KITTI-360, scene '00', frame 0: .*the file has 1 bytes instead of 4,194,304"),
+    ],
+)
+def test_what_is_wrong_is_one_line(tmp_path, change, message):
+    root, other = write_sscbench(tmp_path / "a"), write_kitti360(tmp_path / "b")
+    change(root, other)
+    with pytest.raises(DataError, match=message):
+        read_all(root, other)
+
+
+def test_the_grid_is_that_of_semantic_kitti():
+    assert GRID.shape == (256, 256, 32)
+    assert GRID.x_m == (0.0, 51.2)
