@@ -10,6 +10,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float64, Int64, UInt8
 
+from omniocc.camera import Camera
+from omniocc.camera.calibration.kitti360 import read_kitti360_folder
 from omniocc.data.formats.files import read_bytes, read_text
 from omniocc.data.formats.poses import inverse, rigid
 from omniocc.errors import DataError
@@ -68,6 +70,15 @@ def rectified(calibration: Path, name: str) -> tuple[Float64[np.ndarray, "3 3"],
         return intrinsics, pose_of(calibration / "calib_cam_to_pose.txt", name) @ inverse(rigid(turn, "R_rect"))
     except ValueError as error:
         raise DataError(f"{calibration / 'perspective.txt'}: {error}") from error
+
+
+def fisheyes(calibration: Path) -> dict[str, Camera]:
+    """Return the lenses of the fisheyes by name; raise DataError naming the file and the value that is wrong."""
+    try:
+        cameras, _, names, *_ = read_kitti360_folder(calibration)
+    except (ValueError, OSError) as error:
+        raise DataError(str(error)) from error
+    return dict(zip(names, cameras, strict=True))
 
 
 def read_numbered_poses(path: Path) -> tuple[Int64[np.ndarray, " F"], Float64[np.ndarray, "F 4 4"]]:

@@ -1,20 +1,19 @@
-"""Voxel labels that come with a dataset, on its own grid, for any grid of a model."""
+"""Voxel labels of public datasets: their own voxels in any grid of a model, or votes of their points."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Protocol, cast
+from typing import ClassVar, Protocol, cast
 
 from jaxtyping import Int64, UInt8
 from torch import Tensor
 
 from omniocc.data.labels.counts import all_frames, count_classes, kept_counts
-from omniocc.data.source import BenchmarkFrame, SceneFrames, Unknown
+from omniocc.data.labels.voxels import vote
+from omniocc.data.source import BenchmarkFrame, SceneFrames, Unknown, VoxelLabels
 from omniocc.data.store.shard import digest
 from omniocc.geometry import Grid, resample
 from omniocc.progress import Progress
-
-COUNTED_FRAMES = 1000
-"""Frames, evenly spread over the training scenes, from which class weights and the prior are computed."""
 
 
 class LabelledScene(SceneFrames, Protocol):
@@ -29,30 +28,66 @@ class LabelledScene(SceneFrames, Protocol):
         ...
 
 
-class OwnGridLabels:
-    """Labels read when they are asked for, and resampled if the model has another grid (`omniocc.geometry.resample`).
-
-    Nothing is prepared: the first step of training does not wait for all frames.
+class LazyLabels(ABC):
+    """Labels that are made when they are asked for: the first step of training does not wait for all frames.
 
     Args:
         folder: for the counts of classes.
         fingerprint: of the data.
-        own: grid of the dataset's labels, ego frame.
         geometry: grid of the model.
         num_classes: number of classes, free included.
         unknown: label of cells that nothing has observed.
     """
 
-    def __init__(
-        self, folder: Path, fingerprint: str, own: Grid, geometry: Grid, num_classes: int, unknown: Unknown
-    ):  # fmt: skip
-        self.folder, self.fingerprint = Path(folder), fingerprint
-        self.own, self.geometry = own, geometry
+    COUNTED: ClassVar[int]
+    """Frames, evenly spread over the training scenes, from which class weights and the prior are computed."""
+
+    def __init__(self, folder: Path, fingerprint: str, geometry: Grid, num_classes: int, unknown: Unknown):
+        self.folder, self.fingerprint, self.geometry = Path(folder), fingerprint, geometry
         self.num_classes = num_classes
         self.unknown: Unknown = unknown
 
     def prepare(self, scenes: Sequence[SceneFrames]) -> None:
-        """Do nothing: the labels are there."""
+        """Return at once: nothing is made before it is asked for."""
+        del scenes
+
+    @abstractmethod
+    def read(self, scene: SceneFrames, frame: int) -> UInt8[Tensor, "X Y Z"] | None:
+        """Return the class of every cell of the model's grid, 255 unknown; None without labels."""
+
+    def counts(self, scenes: Sequence[SceneFrames]) -> Int64[Tensor, "C X Y Z"]:
+        """Return in how many of at most `COUNTED` frames each cell has each class; kept on disk."""
+        frames = all_frames(scenes)
+        chosen = frames[:: max(1, -(-len(frames) // self.COUNTED))]
+        key = digest([self.fingerprint, repr(self.geometry), self.unknown, [scene.name for scene in scenes]])[:12]
+        shape = (self.num_classes, *self.geometry.shape)
+
+        def count() -> Int64[Tensor, "C X Y Z"]:
+            with Progress(f"classes of {len(chosen)} of {len(frames)} frames", len(chosen)) as progress:
+                return count_classes(cast(VoxelLabels, self), chosen, self.num_classes, self.geometry.shape, progress)
+
+        return kept_counts(self.folder / f"counts-{key}.zst", shape, count)
+
+
+class OwnGridLabels(LazyLabels):
+    """Labels of the dataset's own grid, resampled if the model has another (`omniocc.geometry.resample`).
+
+    Args:
+        folder: see `LazyLabels`.
+        fingerprint: see `LazyLabels`.
+        own: grid of the dataset's labels, ego frame.
+        geometry: see `LazyLabels`.
+        num_classes: see `LazyLabels`.
+        unknown: see `LazyLabels`.
+    """
+
+    COUNTED = 1000
+
+    def __init__(
+        self, folder: Path, fingerprint: str, own: Grid, geometry: Grid, num_classes: int, unknown: Unknown
+    ):  # fmt: skip
+        super().__init__(folder, fingerprint, geometry, num_classes, unknown)
+        self.own = own
 
     def read(self, scene: SceneFrames, frame: int) -> UInt8[Tensor, "X Y Z"] | None:
         """Return the class of every cell of the model's grid; unknown outside of the dataset's."""
@@ -63,15 +98,15 @@ class OwnGridLabels:
         """Return the truth on the dataset's own grid."""
         return cast(LabelledScene, scene).benchmark(frame)
 
-    def counts(self, scenes: Sequence[SceneFrames]) -> Int64[Tensor, "C X Y Z"]:
-        """Return in how many frames each cell has each class, over at most `COUNTED_FRAMES` frames; kept on disk."""
-        frames = all_frames(scenes)
-        chosen = frames[:: -(-len(frames) // COUNTED_FRAMES) or 1]
-        key = digest([self.fingerprint, repr(self.geometry), self.unknown, [scene.name for scene in scenes]])[:12]
-        shape = (self.num_classes, *self.geometry.shape)
 
-        def count() -> Int64[Tensor, "C X Y Z"]:
-            with Progress(f"classes of {len(chosen)} of {len(frames)} frames", len(chosen)) as progress:
-                return count_classes(self, chosen, self.num_classes, self.geometry.shape, progress)
+class VotedLabels(LazyLabels):
+    """Labels voted by a frame's points in the model's grid, for datasets without voxels of their own."""
 
-        return kept_counts(self.folder / f"counts-{key}.zst", shape, count)
+    COUNTED = 200
+
+    def read(self, scene: SceneFrames, frame: int) -> UInt8[Tensor, "X Y Z"]:
+        """Return the class of every cell, voted by its points."""
+        return vote(scene, frame, self.geometry, self.unknown, self.num_classes)
+
+    def benchmark(self, scene: SceneFrames, frame: int) -> None:
+        """Return None: scores are computed on these voxels."""

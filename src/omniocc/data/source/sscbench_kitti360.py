@@ -12,7 +12,6 @@ from jaxtyping import UInt8
 from torch import Tensor
 
 from omniocc.camera import Camera, Equirectangular, Pinhole, Rig
-from omniocc.camera.calibration.kitti360 import read_kitti360_folder
 from omniocc.classes import UNKNOWN
 from omniocc.data.formats.files import check_root, read_image, scaled_size
 from omniocc.data.formats.kitti import (
@@ -24,7 +23,7 @@ from omniocc.data.formats.kitti import (
     read_voxels,
     write_prediction,
 )
-from omniocc.data.formats.kitti360 import match_frames, pose_of, read_numbered_poses, velodyne_pose
+from omniocc.data.formats.kitti360 import fisheyes, match_frames, pose_of, read_numbered_poses, velodyne_pose
 from omniocc.data.formats.poses import inverse, rigid
 from omniocc.data.formats.scene import DatasetScene
 from omniocc.data.labels.own_grid import OwnGridLabels
@@ -183,7 +182,7 @@ class SSCBenchSequence(DatasetScene):
         if self.kitti360 is not None:
             calibration = self.kitti360 / "calibration"
             velodyne_from_imu = inverse(velodyne_pose(calibration))
-            lenses = dict(zip(*reversed(read_kitti360_folder(calibration)[:3:2]), strict=True))
+            lenses = fisheyes(calibration)
             for name in FISHEYES:
                 lens = lenses[name]
                 cameras.append(lens.resized(*scaled_size(lens.width, lens.height, self.image_width)))

@@ -1,0 +1,230 @@
+"""KITTI-360 as a source: real fisheyes, ranges from the Velodyne for the depth stage, voxels voted by its points."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Bool
+from torch import Tensor
+
+from omniocc.camera import MEI, Camera, Equirectangular, Pinhole, Rig
+from omniocc.classes import ClassTable, SemanticClass
+from omniocc.data.formats.files import check_root, read_array, read_image, scaled_size
+from omniocc.data.formats.index import Index
+from omniocc.data.formats.kitti360 import FLIP, fisheyes, pose_of, read_numbered_poses, rectified, velodyne_pose
+from omniocc.data.formats.poses import inverse, moved, shift
+from omniocc.data.formats.scene import Cloud, DatasetScene, outside
+from omniocc.data.labels.own_grid import VotedLabels
+from omniocc.data.source import SPLITS, Points, SourceSpec, Split, Unknown
+from omniocc.data.store.shard import digest
+from omniocc.errors import DataError
+from omniocc.geometry import Grid
+
+CLASSES = ClassTable((SemanticClass(0, "free", (255, 255, 255)), SemanticClass(1, "occupied", (110, 110, 130))))
+ORIGIN_M = (1.15027, -0.299735, 0.86067)
+"""Our ego origin in the IMU frame with z up: the mean place of the four cameras, whichever of them are used."""
+ROAD_Z_M = -1.75
+OWN_CAR_M = ((-3.2, -1.0, -1.8), (1.8, 1.0, 0.1))
+"""Lowest and highest x, y, z of the own car, our ego frame; points in it are left out."""
+FISHEYES, RECTIFIED = ("image_02", "image_03"), ("image_00", "image_01")
+LENS_DEG = 97.5
+"""Angle off the optical axis at which the image of the fisheyes ends."""
+CAR_ROWS = (890 / 1400, 980 / 1400, 1050 / 1400, 1120 / 1400, 1190 / 1400, 1200 / 1400)
+CAR_FREE = (0.5, 0.37, 0.28, 0.22, 0.04, 0.0)
+"""Half the part of the width of a fisheye's image that does not show the own car, at these parts of its height."""
+PERSPECTIVE_SIZE = (1408, 376)
+SEQUENCE = "2013_05_28_drive_00{}_sync"
+
+
+class Drive(NamedTuple):
+    """The frames of one sequence that have a pose.
+
+    Attributes:
+        numbers: of the frames.
+        world_from_imu: pose of each.
+    """
+
+    numbers: np.ndarray
+    world_from_imu: np.ndarray
+
+
+class KITTI360:
+    """A source (`SceneSource`) of KITTI-360's raw recordings.
+
+    Args:
+        root: folder with `calibration`, `data_2d_raw`, `data_3d_raw` and `data_poses`.
+        sequences: numbers of the sequences of train, val and test.
+        cameras: image_02 (fisheye, left), image_03 (fisheye, right), image_00 and image_01 (ahead, rectified).
+        frame_step: every how many-th frame with a pose is taken; 9.6 are recorded a second.
+        accumulate: frames with a pose before and after each whose points vote for its voxels too; things that move
+            leave traces.
+        image_width: of the images that the model gets, px; the height follows, a multiple of 8.
+        panorama: width and height (px), upper and lower edge (deg) of the panoramas of ranges.
+        cache: folder for the index and class statistics; None: `omniocc` in root.
+
+    Raises:
+        ValueError: naming the argument that is impossible.
+    """
+
+    def __init__(
+        self, root: str, sequences: Mapping[Split, Sequence[str]], cameras: Sequence[str], frame_step: int,
+        accumulate: int, image_width: int, panorama: tuple[int, int, float, float], cache: str | None,
+    ):  # fmt: skip
+        if image_width < 8 or frame_step < 1 or accumulate < 0:
+            given = f"{image_width}, {frame_step} and {accumulate}"
+            raise ValueError(f"image_width must be at least 8, frame_step 1 and accumulate 0, got {given}")
+        if set(sequences) != set(SPLITS):
+            raise ValueError(f"sequences need {', '.join(SPLITS)}, got {dict(sequences)}")
+        if not cameras or not set(cameras) <= {*FISHEYES, *RECTIFIED}:
+            raise ValueError(f"cameras must be of {', '.join((*FISHEYES, *RECTIFIED))}, got {list(cameras)}")
+        self.root, self.sequences, self.cameras = root, sequences, tuple(cameras)
+        self.frame_step, self.accumulate, self.image_width = frame_step, accumulate, image_width
+        self.panorama = Equirectangular(*panorama)
+        self.folder = Path(root, "omniocc") if cache is None else Path(cache)
+        names = sorted({name for split in SPLITS for name in sequences[split]})
+        self.index = Index(self.folder / f"index-kitti360-{digest(names)[:8]}", Drive, self._read_poses)
+
+    @property
+    def spec(self) -> SourceSpec:
+        """Return two classes, free and occupied: the points have no others."""
+        return SourceSpec(CLASSES, (0.0, 8.5, 17.0, 25.6), self.frame_step / 9.6, ROAD_Z_M, None)
+
+    @property
+    def fingerprint(self) -> str:
+        """Return a hash of the frames, of cameras, sizes and steps."""
+        options = [self.cameras, self.frame_step, self.accumulate, self.image_width, repr(self.panorama)]
+        return digest([self.index.fingerprint, {split: list(self.sequences[split]) for split in SPLITS}, options])
+
+    def prepare(self) -> None:
+        """Check the folders and build the index from the poses if it is missing.
+
+        Raises:
+            DataError: naming what is missing or wrong.
+        """
+        folders = ["calibration", "data_2d_raw", "data_3d_raw", "data_poses"]
+        check_root(self.root, folders, "unpack KITTI-360's images, scans, poses and calibration into it")
+        self.index.prepare()
+        _ = self.rig
+
+    def scenes(self, split: Split) -> Sequence["KITTI360Scene"]:
+        """Return the sequences of a split."""
+        return [KITTI360Scene(name, self) for name in self.sequences[split]]
+
+    def labels(self, geometry: Grid, unknown: Unknown) -> VotedLabels:
+        """Return voxels voted by the accumulated points when they are asked for.
+
+        Raises:
+            ValueError: for `unseen`: there is no mask of what the cameras see.
+        """
+        if unknown == "unseen":
+            raise ValueError("data.unknown=unseen: there is no mask of what cameras see; choose free or unobserved")
+        return VotedLabels(self.folder, self.fingerprint, geometry, CLASSES.num_classes, unknown)
+
+    @cached_property
+    def rig(self) -> Rig:
+        """Return the cameras of all frames."""
+        calibration = Path(self.root, "calibration")
+        lenses = fisheyes(calibration)
+        cameras, poses, masks = [], [], []
+        for name in self.cameras:
+            if name in RECTIFIED:
+                k, imu_from_camera = rectified(calibration, name)
+                center = (float(k[0, 2]), float(k[1, 2]))
+                camera: Camera = Pinhole(*PERSPECTIVE_SIZE, (float(k[0, 0]), float(k[1, 1])), center)
+            else:
+                lens = lenses[name]
+                assert isinstance(lens, MEI)
+                camera = replace(lens, max_angle_deg=LENS_DEG)
+                imu_from_camera = pose_of(calibration / "calib_cam_to_pose.txt", name)
+            cameras.append(camera.resized(*scaled_size(camera.width, camera.height, self.image_width)))
+            poses.append(ego_from_imu() @ imu_from_camera)
+            masks.append(None if name in RECTIFIED else above_car(cameras[-1]))
+        return Rig(tuple(cameras), torch.from_numpy(np.stack(poses)), self.cameras, tuple(masks), ROAD_Z_M)
+
+    def _read_poses(self) -> dict[str, Drive]:
+        names = sorted({name for split in SPLITS for name in self.sequences[split]})
+        folder = Path(self.root, "data_poses")
+        return {name: Drive(*read_numbered_poses(folder / SEQUENCE.format(name) / "poses.txt")) for name in names}
+
+
+class KITTI360Scene(DatasetScene):
+    """The frames of one sequence that have a pose, every `frame_step`-th."""
+
+    dataset = "KITTI-360"
+
+    def __init__(self, name: str, source: KITTI360):
+        super().__init__(name, source.panorama)
+        self.root, self.index, self.rig = Path(source.root), source.index, source.rig
+        self.step, self.accumulate = source.frame_step, source.accumulate
+        self.cameras = source.cameras
+
+    def __len__(self) -> int:
+        return -(-len(self.index.read(self.name).numbers) // self.step)
+
+    @property
+    def world_from_ego(self) -> np.ndarray:
+        """Return the pose of every frame."""
+        return (self.index.read(self.name).world_from_imu @ inverse(ego_from_imu()))[:: self.step]
+
+    @property
+    def rigs(self) -> tuple[Rig, ...]:
+        """Return the cameras of every frame: always the same."""
+        return (self.rig,) * len(self)
+
+    def images(self, frame: int) -> list[np.ndarray]:
+        """Return the images, scaled."""
+        number = int(self.index.read(self.name).numbers[frame * self.step])
+        folder = self.root / "data_2d_raw" / SEQUENCE.format(self.name)
+        with self.naming(frame):
+            return [
+                read_image(
+                    folder / name / ("data_rect" if name in RECTIFIED else "data_rgb") / f"{number:010d}.png",
+                    PERSPECTIVE_SIZE if name in RECTIFIED else (1400, 1400), (camera.width, camera.height),
+                )
+                for name, camera in zip(self.cameras, self.rig.cameras, strict=True)
+            ]  # fmt: skip
+
+    def cloud(self, frame: int) -> Cloud:
+        """Return the points of one scan; their classes are not known."""
+        with self.naming(frame):
+            points_m, origin_m = self._scan(frame * self.step)
+        return Cloud(points_m[outside(points_m, *OWN_CAR_M)], None, origin_m)
+
+    def points(self, frame: int) -> Points:
+        """Return the points of this scan and of its neighbours, in the ego frame of this one; all are 'occupied'."""
+        poses, center = self.index.read(self.name).world_from_imu, frame * self.step
+        found = []
+        for other in range(max(0, center - self.accumulate), min(len(poses), center + self.accumulate + 1)):
+            with self.naming(frame):
+                points_m = self._scan(other)[0]
+            kept = points_m[outside(points_m, *OWN_CAR_M)]
+            here = ego_from_imu() @ inverse(poses[center]) @ poses[other] @ inverse(ego_from_imu())
+            found.append(moved(here, kept).astype(np.float32))
+        all_m = np.concatenate(found)
+        return Points(all_m, np.ones(len(all_m), np.uint8))
+
+    def _scan(self, place: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return points and place of the Velodyne in the ego frame, m, of a frame that has a pose."""
+        number = int(self.index.read(self.name).numbers[place])
+        folder = self.root / "data_3d_raw" / SEQUENCE.format(self.name) / "velodyne_points" / "data"
+        ego_from_velodyne = ego_from_imu() @ velodyne_pose(self.root / "calibration")
+        points = read_array(folder / f"{number:010d}.bin", "<f4", (-1, 4))[:, :3]
+        if not np.isfinite(points).all():
+            raise DataError(f"{folder / f'{number:010d}.bin'}: some points are not finite; the file is damaged")
+        return moved(ego_from_velodyne, points).astype(np.float32), ego_from_velodyne[:3, 3]
+
+
+def above_car(camera: Camera) -> Bool[Tensor, "height width"]:
+    """Return the pixels of a fisheye's image that do not show the own car."""
+    rows, columns = np.arange(camera.height) + 0.5, np.arange(camera.width) + 0.5
+    free = np.interp(rows / camera.height, CAR_ROWS, CAR_FREE)
+    return torch.from_numpy(np.abs(columns / camera.width - 0.5) <= free[:, None])
+
+
+def ego_from_imu() -> np.ndarray:
+    """Return the pose of the IMU frame (x forward, y right, z down) in our ego frame, (4, 4)."""
+    return shift(*(-value for value in ORIGIN_M)) @ FLIP
