@@ -28,7 +28,7 @@ def main(arguments: list[str] | None = None) -> None:
     options = parser.parse_intermixed_args(arguments)
     quiet_libraries()
     content = compose_plain(Path(__file__).parents[1] / "conf", "train", options.overrides)
-    data = cast(OccupancyData, build(OmegaConf.create(content["data"])))
+    data = cast(OccupancyData, build(OmegaConf.create({"data": content["data"]}).data))
     data.source.prepare()
     data.check_classes()
     for split in SPLITS:

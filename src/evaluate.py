@@ -72,7 +72,7 @@ def main(arguments: list[str] | None = None) -> None:
 def score_predictions(folder: Path, overrides: list[str], output: Path | None) -> None:
     """Score the files in a folder on the test scenes of the data that the overrides choose; write table and figures."""
     content = compose_plain(Path(__file__).parents[1] / "conf", "train", overrides)
-    source = cast(OccupancyData, build(OmegaConf.create(content["data"]))).source
+    source = cast(OccupancyData, build(OmegaConf.create({"data": content["data"]}).data)).source
     source.prepare()
     metrics = score_files(source, folder)
     output = output or folder.with_name(f"{folder.name}-scores")

@@ -2,12 +2,15 @@
 
 import pytest
 import torch
+from dataset_files import write_carlasc, write_woodscape
+from kitti_files import write_kitti360, write_semantic_kitti, write_sscbench
 from lightning.pytorch import Trainer, seed_everything
 from nuscenes_files import write_nuscenes
 
 from omniocc.config import build, check_root
 from omniocc.errors import UserError
 from omniocc.task.build import build_task
+from omniocc.task.stages import Stages
 from omniocc.task.submission import score_files, write_files
 
 pytestmark = [
@@ -62,6 +65,80 @@ def test_every_system_runs_on_occ3d(smoke, occ3d, system):
     assert 0 <= figures["test/rayiou"] <= 1
     assert figures["label/rayiou"] > 0
     assert {"test/rayiou/driveable_surface", "test/rayiou_0-20m", "test/voxel/miou", "prior/voxel/iou"} <= set(figures)
+
+
+@pytest.fixture(scope="module")
+def kitti(tmp_path_factory):
+    root = write_semantic_kitti(tmp_path_factory.mktemp("kitti"), frames=2)
+    return [
+        "data=semantic_kitti",
+        f"data.source.root={root}",
+        "data.source.sequences={train:['00'],val:['04'],test:['08']}",
+    ]
+
+
+@pytest.fixture(scope="module")
+def sscbench(tmp_path_factory):
+    root = write_sscbench(tmp_path_factory.mktemp("sscbench"))
+    other = write_kitti360(tmp_path_factory.mktemp("kitti360"))
+    splits = "data.source.sequences={train:['00'],val:['06'],test:['09']}"
+    return ["data=sscbench_kitti360", f"data.source.root={root}", f"data.source.kitti360={other}", splits]
+
+
+AHEAD = ["model/geometry=cuboid", "model.geometry.shape=[16,16,4]", "model.geometry.x_m=[0,51.2]"]
+SYSTEMS = [["model=extended"], ["model=voxformer", *AHEAD], ["model/sketch=mono"]]
+
+
+@pytest.mark.parametrize("dataset", ["kitti", "sscbench"])
+@pytest.mark.parametrize(
+    "system", [["model=extended"], ["model=voxformer", *AHEAD], ["model/sketch=mono"]], ids=" ".join
+)
+def test_systems_run_ahead_of_the_car(smoke, request, dataset, system):
+    logged, figures, *_ = train(smoke(*system, *request.getfixturevalue(dataset), "logger.mode=disabled"))
+    assert all(torch.isfinite(value) for key, value in logged.items() if key.startswith("train/"))
+    assert {"test/rayiou/road", "test/voxel_12.8m/miou", "test/voxel/iou/car"} <= set(figures)
+    assert figures["label/voxel/iou"] > 0.2
+    with_head = dataset == "kitti" and system[0] != "model=voxformer"
+    assert ("train/loss/semantics" in logged) == with_head  # classes of pixels come from the labels of points
+
+
+def test_depth_learns_from_the_scans_of_kitti360(smoke, tmp_path_factory):
+    root = write_kitti360(tmp_path_factory.mktemp("raw"))
+    cfg = smoke(
+        "data=kitti360", f"data.source.root={root}", "stage=depth", "data.source.accumulate=1",
+        "data.source.sequences={train:['00'],val:['06'],test:['09']}", "logger.mode=disabled",
+        f"paths.runs={root / 'runs'}", "stages.depth.max_steps=3",
+    )  # fmt: skip
+    check_root(cfg)
+    data = build(cfg.data)
+    data.prepare_data()
+    figures = Stages(cfg, data, False).run("depth", "depth")
+    assert 0 < figures["test/depth/mae"] < 50
+
+
+def test_the_2d_head_learns_from_woodscape(smoke, tmp_path_factory):
+    root = write_woodscape(tmp_path_factory.mktemp("woodscape"))
+    logged, figures, *_ = train(
+        smoke("data=woodscape", f"data.source.root={root}", "model/sketch=dense", "logger.mode=disabled")
+    )
+    assert torch.isfinite(logged["train/loss/semantics"])
+    assert "train/loss/ce" not in logged
+    assert not [key for key in figures if "rayiou" in key]
+
+
+def test_a_sketch_learns_from_the_true_ranges_of_carlasc(smoke, tmp_path_factory):
+    root = write_carlasc(tmp_path_factory.mktemp("carlasc"), frames=2)
+    cfg = smoke(
+        "data=carlasc", f"data.source.root={root}", "stage=sketch", "model/depth=truth", "logger.mode=disabled",
+        f"paths.runs={root / 'runs'}", "stages.sketch.max_steps=3",
+    )  # fmt: skip
+    check_root(cfg)
+    data = build(cfg.data)
+    data.prepare_data()
+    stages = Stages(cfg, data, False)
+    stages.run("depth", "depth")
+    figures = stages.run("sketch", "sketch")
+    assert 0 <= figures["test/sketch/recall"] <= 1
 
 
 def test_predictions_written_as_files_get_the_scores_of_the_test(smoke, occ3d, tmp_path):

@@ -101,4 +101,4 @@ class DatasetScene:
 
 def outside(points_m: np.ndarray, low_m: Sequence[float], high_m: Sequence[float]) -> np.ndarray:
     """Return which points (P, 3) are outside of a box, such as that of the own car."""
-    return ((points_m < low_m) | (points_m > high_m)).any(axis=1)
+    return np.any((points_m < np.asarray(low_m)) | (points_m > np.asarray(high_m)), axis=1)
