@@ -96,6 +96,12 @@ class Stages:
         appearance = None if self.cfg.appearance is None else build(self.cfg.appearance)
         task = DepthTask(model, recipe.optimizer, spheres, edges_m, recipe.seed, plain(self.cfg), appearance)
         drawn = DepthImages(self.results["depth"] / IMAGES, self.cfg.test_images, self.spec.classes)
+        if learns(type(model)) and recipe.max_steps and self.scenes[0].erp_range_m(0) is None:
+            raise UserError(
+                "the training frames have no true ranges, from which depth learns: choose a sketch without depth "
+                "(model/sketch=dense), model/depth=sweep, or depth trained elsewhere (stages.depth.weights=... "
+                "stages.depth.max_steps=0)"
+            )
         if isinstance(model, SphereNet):
             say(matching_line(shared_view(self.scenes[0].rigs[0], SHARED_AT_M * model.panorama.rays())))
         test = Needs(voxels=False, pixel_labels=False, scores=False, panorama=True)

@@ -116,6 +116,16 @@ def test_depth_learns_from_the_scans_of_kitti360(smoke, tmp_path_factory):
     assert 0 < figures["test/depth/mae"] < 50
 
 
+def test_depth_without_true_ranges_is_one_clear_line(smoke, tmp_path):
+    root = write_sscbench(tmp_path)
+    splits = "data.source.sequences={train:['00'],val:['06'],test:['09']}"
+    cfg = smoke("data=sscbench_kitti360", f"data.source.root={root}", splits, f"paths.runs={tmp_path / 'runs'}")
+    data = build(cfg.data)
+    data.prepare_data()
+    with pytest.raises(UserError, match="the training frames have no true ranges, from which depth learns: choose a"):
+        Stages(cfg, data, False).run("depth", "depth")
+
+
 def test_the_2d_head_learns_from_woodscape(smoke, tmp_path_factory):
     root = write_woodscape(tmp_path_factory.mktemp("woodscape"))
     logged, figures, *_ = train(

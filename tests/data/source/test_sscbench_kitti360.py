@@ -79,6 +79,8 @@ def test_the_fisheyes_of_kitti360_are_found_by_their_images(root, kitti360, tmp_
     assert rig.ego_from_camera[1, :3, 2].tolist() == pytest.approx([0, 1, 0], abs=0.05)
     assert rig.ego_from_camera[2, :3, 2].tolist() == pytest.approx([0, -1, 0], abs=0.05)
     assert source.fingerprint != source_of(root).fingerprint
+    assert np.isfinite(scene.erp_range_m(1)).mean() > 0.05
+    assert scene.lidar(1) is None
 
 
 def test_points_of_the_velodyne_are_seen_where_the_devkit_projects_them(root, kitti360, tmp_path):

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from omniocc.camera import Camera, Equirectangular, Pinhole, Rig
 from omniocc.classes import UNKNOWN
-from omniocc.data.formats.files import check_root, read_image, scaled_size
+from omniocc.data.formats.files import check_root, read_array, read_image, scaled_size
 from omniocc.data.formats.kitti import (
     SHAPE,
     SSCBENCH,
@@ -25,7 +25,7 @@ from omniocc.data.formats.kitti import (
 )
 from omniocc.data.formats.kitti360 import fisheyes, match_frames, pose_of, read_numbered_poses, velodyne_pose
 from omniocc.data.formats.poses import inverse, rigid
-from omniocc.data.formats.scene import DatasetScene
+from omniocc.data.formats.scene import Cloud, DatasetScene
 from omniocc.data.labels.own_grid import OwnGridLabels
 from omniocc.data.source import SPLITS, Benchmark, BenchmarkFrame, SourceSpec, Split, Unknown
 from omniocc.data.source.semantic_kitti import PARTS, RANGE_EDGES_M, voxel_grid
@@ -59,8 +59,8 @@ class SSCBenchKITTI360:
         root: folder with `data_2d_raw/2013_05_28_drive_0000_sync` and so on, each with image_00/data_rect and voxels;
             without voxels `preprocess/labels` is read.
         sequences: numbers of the sequences of train, val and test.
-        kitti360: folder of KITTI-360 itself, whose two fisheyes are added; its frames are found by comparing images,
-            once. None: the camera ahead alone.
+        kitti360: folder of KITTI-360 itself, whose two fisheyes and scans are added; its frames are found by comparing
+            images, once. None: the camera ahead alone.
         image_width: of the images that the model gets, px; the height follows, a multiple of 8.
         panorama: width and height (px), upper and lower edge (deg) of the panoramas of ranges.
         cache: folder for class statistics and the frames that were found; None: `omniocc` in root.
@@ -227,6 +227,17 @@ class SSCBenchSequence(DatasetScene):
                 read_image(path, size, (camera.width, camera.height))
                 for path, size, camera in zip(paths, sizes, cameras, strict=False)
             ]
+
+    def cloud(self, frame: int) -> Cloud | None:
+        """Return the points of KITTI-360's scan, whose classes are not known; None without KITTI-360."""
+        if self.kitti360 is None:
+            return None
+        folder = self.kitti360 / "data_3d_raw" / SEQUENCE.format(self.name) / "velodyne_points" / "data"
+        if not folder.is_dir():
+            return None
+        with self.naming(frame):
+            points = read_array(folder / f"{self.numbers_of_kitti360[frame]:010d}.bin", "<f4", (-1, 4))[:, :3]
+        return Cloud(points, None, np.zeros(3))
 
     def own_voxels(self, frame: int, unknown: Unknown) -> UInt8[Tensor, "X Y Z"]:
         """Return the class of every cell; invalid ones are unknown, as the benchmark has it."""
