@@ -20,7 +20,7 @@ MOST_PLACES = 8
 
 def resample(
     labels: UInt8[Tensor, "X Y Z"], source: Grid, target: Grid, least: float = LEAST_OCCUPIED
-) -> UInt8[Tensor, "A B C"]:
+) -> UInt8[Tensor, "U V W"]:
     """Return the classes that the cells of `target` have according to labels of the cells of `source`.
 
     Every target cell is sampled at evenly spread places, two for each length of a source cell (at most 8 along an
@@ -60,7 +60,7 @@ def resample(
     return chosen.to(torch.uint8).reshape(target.shape)
 
 
-def look_up(labels: UInt8[Tensor, "B X Y Z"], source: Grid, target: Grid) -> UInt8[Tensor, "B A B C"]:
+def look_up(labels: UInt8[Tensor, "B X Y Z"], source: Grid, target: Grid) -> UInt8[Tensor, "B U V W"]:
     """Return the class at the middle of every cell of `target`; free outside of `source`.
 
     So predictions are scored: on the cells of the dataset, whatever the grid of the model.
