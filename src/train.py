@@ -25,7 +25,7 @@ from omniocc.run.script import quiet_libraries, script
 from omniocc.run.slots import sketch_learns
 from omniocc.run.wandb.loggers import finish
 from omniocc.task import OccupancyTask, StepProgress, TrainingTime
-from omniocc.task.build import build_task
+from omniocc.task.build import build_task, switch_off_head
 from omniocc.task.images import OccupancyImages
 from omniocc.task.stage_keys import wanted_stages
 from omniocc.task.stages import Stages
@@ -50,8 +50,11 @@ def main(cfg: DictConfig) -> None:
         announce_plan(cfg, stages, frames, (rig, data.source.spec))
         return
     data.prepare_data()
+    without_head = switch_off_head(cfg, data.source.scenes("train"))
     earlier = Stages(cfg, data, with_evidence) if sketch_learns(cfg) else None
     if is_first():
+        if without_head is not None:
+            print(without_head, flush=True)
         announce_plan(cfg, stages, sum(map(len, data.source.scenes("train"))))
     figures: dict[str, float] = {}
     for number, stage in enumerate(stages, start=1):

@@ -3,16 +3,34 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf, open_dict
 
 from omniocc.config import build, plain
 from omniocc.data import OccupancyData, SourceSpec
+from omniocc.data.source import SceneFrames
 from omniocc.errors import UserError
 from omniocc.run.checkpoint import check_parts, load_checkpoint
 from omniocc.task.occupancy import OccupancyTask
 
 PARTS = ("model", "loss", "optimizer", "augment")
 """Root keys from which a task is built."""
+
+
+NO_HEAD = "omniocc.model.semantic_head.NoSemanticHead"
+
+
+def switch_off_head(cfg: DictConfig, scenes: Sequence[SceneFrames]) -> str | None:
+    """Switch the 2D head off if the training frames have no classes of pixels, and what looks its classes up.
+
+    Returns:
+        A line that says so; None if nothing was changed.
+    """
+    if not scenes or cfg.model.semantic_head._target_ == NO_HEAD or scenes[0].pixel_labels(0) is not None:
+        return None
+    with open_dict(cfg):
+        cfg.model.semantic_head = {"_target_": NO_HEAD}
+        cfg.model.pixel_classes = False
+    return "the training frames have no classes of pixels: model/semantic_head=none model.pixel_classes=false"
 
 
 def build_task(cfg: DictConfig, spec: SourceSpec) -> OccupancyTask:

@@ -9,7 +9,7 @@ from nuscenes_files import write_nuscenes
 
 from omniocc.config import build, check_root
 from omniocc.errors import UserError
-from omniocc.task.build import build_task
+from omniocc.task.build import build_task, switch_off_head
 from omniocc.task.stages import Stages
 from omniocc.task.submission import score_files, write_files
 
@@ -34,6 +34,7 @@ def train(cfg):
     seed_everything(0, verbose=False)
     data = build(cfg.data)
     data.prepare_data()
+    switch_off_head(cfg, data.source.scenes("train"))
     data.setup()
     task = build_task(cfg, data.source.spec)
     task.set_training_statistics(data.voxel_counts())
@@ -149,6 +150,23 @@ def test_a_sketch_learns_from_the_true_ranges_of_carlasc(smoke, tmp_path_factory
     stages.run("depth", "depth")
     figures = stages.run("sketch", "sketch")
     assert 0 <= figures["test/sketch/recall"] <= 1
+
+
+def test_without_classes_of_pixels_the_2d_head_is_off(smoke, occ3d, kitti):
+    cfg = smoke("model=extended", *occ3d)
+    data = build(cfg.data)
+    data.prepare_data()
+    line = switch_off_head(cfg, data.source.scenes("train"))
+    assert line == "the training frames have no classes of pixels: model/semantic_head=none model.pixel_classes=false"
+    model = build_task(cfg, data.source.spec).model
+    assert model.seen_classes is None
+    assert not list(model.semantic_head.parameters())
+    assert switch_off_head(cfg, data.source.scenes("train")) is None
+    with_classes = smoke("model=extended", *kitti)
+    scenes = build(with_classes.data).source.scenes("train")
+    assert switch_off_head(with_classes, scenes) is None
+    assert with_classes.model.pixel_classes
+    assert switch_off_head(with_classes, []) is None
 
 
 def test_predictions_written_as_files_get_the_scores_of_the_test(smoke, occ3d, tmp_path):
