@@ -93,7 +93,7 @@ def train_occupancy(
     trainer = build(
         cfg.trainer,
         **validation_times(cfg.trainer),
-        callbacks=[duration := TrainingTime(), *callbacks(cfg, run, title, data.source.spec.classes)],
+        callbacks=[duration := TrainingTime(), *callbacks(cfg, run, title, data.source.spec.classes, score_of(data))],
         plugins=[AtomicCheckpointIO()],
         logger=files,
         default_root_dir=str(run.path),
@@ -138,13 +138,21 @@ def facts_of_report(task: OccupancyTask, data: OccupancyData, earlier: Stages | 
     return facts | {CANDIDATES: round(float(candidates.float().mean()), 4)}
 
 
-def callbacks(cfg: DictConfig, run: RunFolder, title: str, classes: ClassTable) -> list[Callback]:
-    """Return callbacks for progress, the last and the best checkpoint, and images."""
+def score_of(data: OccupancyData) -> str | None:
+    """Return the score by which the best checkpoint is chosen; None (the last one) without voxels and LiDAR."""
+    scene = next(iter(data.source.scenes("val")), None)
+    if scene is None or data.voxels.read(scene, 0) is not None:
+        return "val/rayiou"
+    return None if scene.lidar(0) is None else "val/lidar/rayiou"
+
+
+def callbacks(cfg: DictConfig, run: RunFolder, title: str, classes: ClassTable, score: str | None) -> list[Callback]:
+    """Return callbacks for progress, the last and the best checkpoint by a score, and images."""
     steps = cfg.checkpoint_every_n_steps
     return [
         StepProgress(title),
         ModelCheckpoint(run.path, "last", every_n_train_steps=steps, enable_version_counter=False),
-        ModelCheckpoint(run.path, "best", monitor="val/rayiou", mode="max", enable_version_counter=False),
+        ModelCheckpoint(run.path, "best", monitor=score, mode="max", enable_version_counter=False),
         OccupancyImages(run.path / IMAGES, cfg.test_images, classes),
     ]
 

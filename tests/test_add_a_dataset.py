@@ -45,7 +45,7 @@ def write_drive(folder: Path) -> None:
 
 def test_the_code_of_the_page_reads_checks_and_trains(tmp_path):
     files = dict(FILE.findall(PAGE.read_text()))
-    assert set(files) == {"my_data/__init__.py", "my_data/town.py", "my_data/conf/data/town.yaml"}
+    assert set(files) == {"mylib/__init__.py", "mylib/town.py", "mylib/conf/data/town.yaml"}
     for name, content in files.items():
         path = tmp_path / name
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -62,7 +62,7 @@ def test_the_code_of_the_page_reads_checks_and_trains(tmp_path):
     for script, arguments in commands:
         words = arguments.replace("/data/my_town", str(tmp_path / "my_town")).split()
         result = run_script(
-            script, *words, *more[script], cwd=tmp_path, PYTHONPATH=str(tmp_path), OMNIOCC_PACKAGES="my_data"
+            script, *words, *more[script], cwd=tmp_path, PYTHONPATH=str(tmp_path), OMNIOCC_PACKAGES="mylib"
         )
         assert result.returncode == 0, result.stdout + result.stderr
     assert len(list((tmp_path / "drawn").iterdir())) == 3
