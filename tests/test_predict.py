@@ -139,7 +139,7 @@ def test_help_and_unknown_commands(capsys, monkeypatch):
         with pytest.raises(SystemExit) as caught:
             script.main()
         assert caught.value.code == code
-        assert "usage: python src/predict.py {depth,occupancy}" in capsys.readouterr().out
+        assert "usage: python src/predict.py {depth,occupancy,submission}" in capsys.readouterr().out
 
 
 def test_help_of_occupancy_shows_files_examples_and_options(tmp_path):
