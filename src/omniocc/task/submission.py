@@ -37,7 +37,7 @@ def score_files(source: SceneSource, folder: Path, split: Split = "test") -> dic
         raise UserError(f"{missing[0]}: {len(missing)} of {len(files)} predictions are missing, this is the first")
     labels = source.labels(benchmark.grid, "free")
     own_rays = source.spec.lidar_directions is None
-    data = WindowDataset(scenes, labels, 1, Needs(images=False, pixel_labels=False), own_rays)
+    data = WindowDataset(scenes, labels, 1, Needs(images=False, voxels=False, pixel_labels=False), own_rays)
     scores = Scores(benchmark.grid, source.spec)
     with Progress("scores", len(files)) as progress:
         for index, (scene, _, path) in enumerate(files):

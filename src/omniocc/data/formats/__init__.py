@@ -1,1 +1,1 @@
-"""Files of public datasets: how their own kits write them. One module for each format; `common` is what they share."""
+"""Files of public datasets: how their own kits write them, one module for each format, and what these share."""

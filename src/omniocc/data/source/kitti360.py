@@ -165,15 +165,20 @@ class KITTI360Scene(DatasetScene):
     def __len__(self) -> int:
         return -(-len(self.index.read(self.name).numbers) // self.step)
 
-    @property
+    @cached_property
     def world_from_ego(self) -> np.ndarray:
         """Return the pose of every frame."""
         return (self.index.read(self.name).world_from_imu @ inverse(ego_from_imu()))[:: self.step]
 
-    @property
+    @cached_property
     def rigs(self) -> tuple[Rig, ...]:
         """Return the cameras of every frame: always the same."""
         return (self.rig,) * len(self)
+
+    @cached_property
+    def ego_from_velodyne(self) -> np.ndarray:
+        """Return the pose of the Velodyne, from the calibration."""
+        return ego_from_imu() @ velodyne_pose(self.root / "calibration")
 
     def images(self, frame: int) -> list[np.ndarray]:
         """Return the images, scaled."""
@@ -211,11 +216,10 @@ class KITTI360Scene(DatasetScene):
         """Return points and place of the Velodyne in the ego frame, m, of a frame that has a pose."""
         number = int(self.index.read(self.name).numbers[place])
         folder = self.root / "data_3d_raw" / SEQUENCE.format(self.name) / "velodyne_points" / "data"
-        ego_from_velodyne = ego_from_imu() @ velodyne_pose(self.root / "calibration")
         points = read_array(folder / f"{number:010d}.bin", "<f4", (-1, 4))[:, :3]
         if not np.isfinite(points).all():
             raise DataError(f"{folder / f'{number:010d}.bin'}: some points are not finite; the file is damaged")
-        return moved(ego_from_velodyne, points).astype(np.float32), ego_from_velodyne[:3, 3]
+        return moved(self.ego_from_velodyne, points).astype(np.float32), self.ego_from_velodyne[:3, 3]
 
 
 def above_car(camera: Camera) -> Bool[Tensor, "height width"]:
