@@ -3,11 +3,8 @@
 import argparse
 import sys
 from pathlib import Path
-from typing import cast
 
-from omegaconf import OmegaConf
-
-from omniocc.config import build, compose_plain
+from omniocc.config import build, compose_config
 from omniocc.data import OccupancyData
 from omniocc.data.check_source import check_source
 from omniocc.data.recording.pool import usable_cores
@@ -27,8 +24,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--draw", type=Path, help="folder for a picture of the first frame of every split")
     options = parser.parse_intermixed_args(arguments)
     quiet_libraries()
-    content = compose_plain(Path(__file__).parents[1] / "conf", "train", options.overrides)
-    data = cast(OccupancyData, build(OmegaConf.create({"data": content["data"]}).data))
+    data: OccupancyData = build(compose_config(Path(__file__).parents[1] / "conf", "train", options.overrides).data)
     data.source.prepare()
     data.check_classes()
     for split in SPLITS:

@@ -10,9 +10,8 @@ from typing import cast
 
 import torch
 from lightning.pytorch import Trainer
-from omegaconf import OmegaConf
 
-from omniocc.config import build, compose_plain
+from omniocc.config import build, compose_config
 from omniocc.data import Needs, OccupancyData
 from omniocc.model.occupancy import to_unit_range
 from omniocc.model.protocols import LearnedSketch, learns
@@ -71,8 +70,8 @@ def main(arguments: list[str] | None = None) -> None:
 
 def score_predictions(folder: Path, overrides: list[str], output: Path | None) -> None:
     """Score the files in a folder on the test scenes of the data that the overrides choose; write table and figures."""
-    content = compose_plain(Path(__file__).parents[1] / "conf", "train", overrides)
-    source = cast(OccupancyData, build(OmegaConf.create({"data": content["data"]}).data)).source
+    data: OccupancyData = build(compose_config(Path(__file__).parents[1] / "conf", "train", overrides).data)
+    source = data.source
     source.prepare()
     metrics = score_files(source, folder)
     output = output or folder.with_name(f"{folder.name}-scores")

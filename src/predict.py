@@ -32,7 +32,10 @@ def occupancy(cfg: DictConfig) -> None:
 def submission(cfg: DictConfig) -> None:
     """Predict every frame of a dataset's split in the benchmark's submission format."""
     quiet_libraries()
-    predict_submission(cfg.checkpoint, Path(cfg.output), cfg.split, cfg.root, cfg.device)
+    changes = [] if cfg.root is None else [f"data.source.root={cfg.root}"]
+    if cfg.sequences is not None:
+        changes.append(f"data.source.sequences.{cfg.split}={list(cfg.sequences)}")
+    predict_submission(cfg.checkpoint, Path(cfg.output), cfg.split, changes, cfg.device)
 
 
 COMMANDS = {"depth": depth, "occupancy": occupancy, "submission": submission}

@@ -16,7 +16,7 @@ import torch
 import yaml
 from omegaconf import DictConfig, OmegaConf
 
-from omniocc.config import build, compose_plain
+from omniocc.config import build, compose_config
 from omniocc.data import OccupancyData, VirtualWorld
 from omniocc.data.dataset import read_images
 from omniocc.data.source import SceneFrames
@@ -55,7 +55,7 @@ def recipe_of(name: str) -> dict[str, Any]:
 
 def config_of(recipe: dict[str, Any]) -> DictConfig:
     """Return the configuration of a recipe's training."""
-    return cast(DictConfig, OmegaConf.create(compose_plain(ROOT / "conf", "train", recipe["overrides"])))
+    return compose_config(ROOT / "conf", "train", recipe["overrides"])
 
 
 def folder_of(recipe: dict[str, Any], runs: Path) -> tuple[Path, str]:

@@ -7,7 +7,6 @@ a network for each of the rigs in `OWN`, 800 steps on that rig alone, and scores
 import argparse
 import json
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
@@ -15,15 +14,14 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from make_weights import folder_of, train
-from omegaconf import DictConfig, OmegaConf
 from torch import Tensor, nn
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.camera.drawn import car_places, rig_at, ring_places
-from omniocc.config import build, compose_plain
+from omniocc.config import build, compose_config
 from omniocc.data import OccupancyData
 from omniocc.data.dataset import read_images
-from omniocc.data.source import SceneFrames
+from omniocc.data.labels.counts import all_frames
 from omniocc.errors import UserError
 from omniocc.io import atomic_write
 from omniocc.metric import Calibration, DepthMetrics
@@ -114,17 +112,11 @@ class Scores:
         return values | {"answered": self.answered / max(1, self.asked)}
 
 
-def frames_of(data: OccupancyData) -> Iterator[tuple[SceneFrames, int]]:
-    """Yield scene and number of every test frame."""
-    for scene in data.source.scenes("test"):
-        yield from ((scene, frame) for frame in range(len(scene)))
-
-
 def score(model: nn.Module, data: OccupancyData, without: int | None = None) -> dict[str, float]:
     """Return the scores of a network on the test frames of a rig, or without one of its cameras."""
     panorama, edges_m = cast(Equirectangular, model.panorama), data.source.spec.range_edges_m
     rays, scores = panorama.rays(), None
-    for scene, frame in frames_of(data):
+    for scene, frame in all_frames(data.source.scenes("test")):
         rig, images = scene.rigs[frame], to_unit_range(read_images(scene, frame)).unsqueeze(0)
         seen_by = range(len(rig.cameras))
         if without is not None:
@@ -143,9 +135,7 @@ def score(model: nn.Module, data: OccupancyData, without: int | None = None) -> 
 
 def data_of(overrides: list[str]) -> OccupancyData:
     """Return the data of a configuration, rendered."""
-    cfg = OmegaConf.create(compose_plain(ROOT / "conf", "train", overrides))
-    assert isinstance(cfg, DictConfig)
-    data: OccupancyData = build(cfg.data)
+    data: OccupancyData = build(compose_config(ROOT / "conf", "train", overrides).data)
     data.prepare_data()
     return data
 

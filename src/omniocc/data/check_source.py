@@ -1,20 +1,18 @@
 """Read a dataset back, all of it or a part, and list everything that is wrong with it."""
 
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
 import numpy as np
 
+from omniocc.data.formats.poses import not_rigid
 from omniocc.data.labels.class_fractions import spread
-from omniocc.data.recording.pool import limit_threads, process_context, worker_environment
+from omniocc.data.recording.pool import mapped
 from omniocc.data.source import SPLITS, SceneFrames, SceneSource, VoxelLabels
 from omniocc.errors import DataError
 from omniocc.geometry import Grid
 from omniocc.progress import Progress
-
-RIGID_TOLERANCE = 1e-6
 
 
 def check_source(source: SceneSource, geometry: Grid, frames: int, workers: int) -> Iterator[str]:
@@ -31,7 +29,7 @@ def check_source(source: SceneSource, geometry: Grid, frames: int, workers: int)
     work = partial(check_scene, labels=labels, frames=frames)
     total = sum(len(scene) if frames == 0 else min(frames, len(scene)) for scene in scenes)
     with Progress("check", total) as progress:
-        for problems, count in _mapped(work, scenes, workers):
+        for problems, count in mapped(work, scenes, workers):
             for _ in range(count):
                 progress.advance()
             yield from problems
@@ -39,14 +37,15 @@ def check_source(source: SceneSource, geometry: Grid, frames: int, workers: int)
 
 def check_scene(scene: SceneFrames, labels: VoxelLabels, frames: int) -> tuple[list[str], int]:
     """Return the problems of a scene, each once, and the number of frames that were read."""
+    problems, read = [], 0
     try:
-        problems = list(_poses(scene))
-        chosen = range(len(scene)) if frames == 0 else spread(len(scene), frames)
-        for frame in chosen:
+        problems += _poses(scene)
+        for frame in range(len(scene)) if frames == 0 else spread(len(scene), frames):
             problems += check_frame(scene, labels, frame)
+            read += 1
     except (DataError, ValueError) as error:
-        return [str(error)], 0
-    return list(dict.fromkeys(problems)), len(chosen)
+        problems.append(str(error))
+    return list(dict.fromkeys(problems)), read
 
 
 def check_frame(scene: SceneFrames, labels: VoxelLabels, frame: int) -> Iterator[str]:
@@ -75,20 +74,5 @@ def _poses(scene: SceneFrames) -> Iterator[str]:
     poses = np.asarray(scene.world_from_ego)
     if len(poses) != len(scene) or len(scene.rigs) != len(scene):
         yield f"scene '{scene.name}': {len(scene)} frames, {len(poses)} poses and {len(scene.rigs)} rigs"
-    turn = poses[:, :3, :3]
-    bent = np.abs(turn @ turn.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
-    for frame in np.flatnonzero(~(bent < RIGID_TOLERANCE) | ~np.isfinite(poses).all(axis=(1, 2))):
+    for frame in np.flatnonzero(not_rigid(poses) | ~np.isfinite(poses).all(axis=(1, 2))):
         yield f"scene '{scene.name}', frame {frame}: its pose is no rotation and shift"
-
-
-def _mapped(
-    work: Callable[[SceneFrames], tuple[list[str], int]], scenes: Sequence[SceneFrames], workers: int
-) -> Iterator[tuple[list[str], int]]:
-    if workers == 0:
-        yield from map(work, scenes)
-        return
-    with (
-        worker_environment(needs_main=False),
-        ProcessPoolExecutor(workers, process_context(), limit_threads, (0,)) as pool,
-    ):
-        yield from pool.map(work, scenes)

@@ -71,7 +71,7 @@ class Scores(nn.Module):
     def update(self, labels: UInt8[Tensor, "B X Y Z"], batch: Batch | Truth) -> None:
         """Add a batch of predicted labels on the grid of the model."""
         labels = look_up(labels, self.geometry, self.grid)
-        truth = batch.voxels if batch.own_voxels is None and self.benchmark is None else batch.own_voxels
+        truth = batch.voxels if self.benchmark is None else batch.own_voxels
         self.voxel_frames.update(0 if truth is None else len(labels))
         if truth is not None:
             self._add_voxels(labels, truth, batch.scored, batch.ray_origins)

@@ -24,7 +24,7 @@ def score_files(source: SceneSource, folder: Path, split: Split = "test") -> dic
         split: the scenes that are scored.
 
     Raises:
-        UserError: if the dataset takes no submissions, or files are missing: how many, and the first.
+        UserError: if the dataset takes no submissions, its labels are secret, or files are missing.
         DataError: naming a damaged file.
     """
     benchmark = source.spec.benchmark
@@ -32,10 +32,13 @@ def score_files(source: SceneSource, folder: Path, split: Split = "test") -> dic
     files = [(scene, frame, folder / scene.prediction_file(frame)) for scene, frame in submitted(scenes)]
     if benchmark is None or not files:
         raise UserError(f"there are no frames of the split '{split}' on which predictions could be scored")
+    labels = source.labels(benchmark.grid, "free")
+    for scene in scenes:
+        if labels.benchmark(scene, 0) is None:
+            raise UserError(f"scene '{scene.name}' has no labels here, so that its predictions cannot be scored")
     missing = [path for _, _, path in files if not path.exists()]
     if missing:
         raise UserError(f"{missing[0]}: {len(missing)} of {len(files)} predictions are missing, this is the first")
-    labels = source.labels(benchmark.grid, "free")
     own_rays = source.spec.lidar_directions is None
     data = WindowDataset(scenes, labels, 1, Needs(images=False, voxels=False, pixel_labels=False), own_rays)
     scores = Scores(benchmark.grid, source.spec)

@@ -5,7 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from omniocc.data.source.sscbench_kitti360 import SEQUENCE
+from omniocc.data.formats.kitti360 import SEQUENCE
 
 SHAPE = (256, 256, 32)
 SIZE = (248, 75)

@@ -22,11 +22,13 @@ from omniocc.data.formats.kitti import (
 )
 from omniocc.data.formats.poses import inverse, rigid
 from omniocc.data.source import SceneFrames
-from omniocc.data.source.semantic_kitti import SemanticKITTI, voxel_grid
-from omniocc.errors import DataError
+from omniocc.data.source.completion import voxel_grid
+from omniocc.data.source.semantic_kitti import SemanticKITTI
+from omniocc.errors import DataError, UserError
 from omniocc.geometry import Cylinder
 from omniocc.metric.voxel_iou import voxel_confusion, voxel_scores
 from omniocc.task.scores import Scores
+from omniocc.task.submission import score_files
 
 SEQUENCES = {"train": ["00"], "val": ["04"], "test": ["08"]}
 
@@ -72,8 +74,22 @@ def test_labels_follow_the_rule_of_the_benchmark(root):
     assert ((labels == 0) == ((raw == 0) & ~invalid)).all()
     hidden = scene.own_voxels(0, "unobserved").numpy()
     assert (hidden[labels != 0] == labels[labels != 0]).all()
-    with pytest.raises(ValueError, match="SemanticKITTI has no mask of what cameras see"):
+    with pytest.raises(ValueError, match="there is no mask of what cameras see"):
         source.labels(source.grid, "unseen")
+
+
+def test_sequences_with_secret_labels_can_be_predicted_but_not_scored(tmp_path):
+    root = write_semantic_kitti(tmp_path, frames=2)
+    for path in (root / "sequences" / "08" / "voxels").glob("*.label"):
+        path.unlink()
+    source = source_of(root)
+    scene = source.scenes("test")[0]
+    assert scene.numbers == [0, 5]  # those with occupied voxels
+    assert scene.own_voxels(0, "free") is None
+    assert scene.benchmark(0) is None
+    assert source.labels(source.grid, "free").read(scene, 0) is None
+    with pytest.raises(UserError, match="scene '08' has no labels here"):
+        score_files(source, tmp_path)
 
 
 def test_points_fall_on_the_voxels_and_pixels_that_show_them(root):

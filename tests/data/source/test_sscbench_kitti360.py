@@ -9,8 +9,9 @@ from kitti_files import OTHER_ID, raw_voxels, write_kitti360, write_sscbench
 
 from omniocc.classes import UNKNOWN
 from omniocc.data import SceneSource
+from omniocc.data.formats.kitti360 import SEQUENCE
 from omniocc.data.source import SceneFrames
-from omniocc.data.source.sscbench_kitti360 import GRID, SEQUENCE, SSCBenchKITTI360
+from omniocc.data.source.sscbench_kitti360 import SSCBenchKITTI360
 from omniocc.errors import DataError
 
 SEQUENCES = {"train": ["00"], "val": ["06"], "test": ["09"]}
@@ -78,6 +79,10 @@ def test_the_fisheyes_of_kitti360_are_found_by_their_images(root, kitti360, tmp_
     # the fisheyes look left and right
     assert rig.ego_from_camera[1, :3, 2].tolist() == pytest.approx([0, 1, 0], abs=0.05)
     assert rig.ego_from_camera[2, :3, 2].tolist() == pytest.approx([0, -1, 0], abs=0.05)
+    front, left, _ = rig.masks
+    assert front is None
+    assert [bool(left[row].any()) for row in (0, 32, 60)] == [True, True, False]  # the own car is below
+    assert rig.cameras[1].max_angle_deg == 97.5
     assert source.fingerprint != source_of(root).fingerprint
     assert np.isfinite(scene.erp_range_m(1)).mean() > 0.05
     assert scene.lidar(1) is None
@@ -129,8 +134,3 @@ def test_what_is_wrong_is_one_line(tmp_path, change, message):
     change(root, other)
     with pytest.raises(DataError, match=message):
         read_all(root, other)
-
-
-def test_the_grid_is_that_of_semantic_kitti():
-    assert GRID.shape == (256, 256, 32)
-    assert GRID.x_m == (0.0, 51.2)

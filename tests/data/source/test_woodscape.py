@@ -88,7 +88,7 @@ def test_the_ego_origin_is_above_the_road(root):
         ("calibration/00000_FV.json", json.dumps(FRONT).replace("translation", "translation used in CARLA").encode(),
          "left-handed"),
         ("rgb_images/00000_FV.png", b"no", r"frame 0: .*00000_FV\.png: the file is no image"),
-        ("semantic_annotations/gtLabels/00000_FV.png", b"", r"00000_FV\.png: the file is no image of class ids"),
+        ("semantic_annotations/gtLabels/00000_FV.png", b"", r"00000_FV\.png: the file is no image"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_one_line(tmp_path, file, content, message):

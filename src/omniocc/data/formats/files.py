@@ -66,6 +66,21 @@ def read_npz(path: Path, shapes: dict[str, tuple[int, ...]], remedy: str = "") -
     return found
 
 
+def decode(path: Path, flags: int, remedy: str = "") -> np.ndarray:
+    """Return an image file as OpenCV decodes it (flags: `cv2.IMREAD_...`); raise DataError if there is none."""
+    content = np.frombuffer(read_bytes(path, remedy), np.uint8)
+    image = cv2.imdecode(content, flags) if len(content) else None
+    if image is None:
+        raise DataError(f"{path}: the file is no image, or damaged")
+    return image
+
+
+def image_size(path: Path) -> tuple[int, int]:
+    """Return width and height of an image file, px; raise DataError if it is missing or damaged."""
+    height, width = decode(path, cv2.IMREAD_GRAYSCALE).shape[:2]
+    return width, height
+
+
 def read_image(path: Path, size: tuple[int, int] | None, scaled: tuple[int, int], remedy: str = "") -> np.ndarray:
     """Return an image (height, width, 3) uint8 RGB.
 
@@ -78,10 +93,7 @@ def read_image(path: Path, size: tuple[int, int] | None, scaled: tuple[int, int]
     Raises:
         DataError: if the file is missing, no image, or of another size.
     """
-    content = np.frombuffer(read_bytes(path, remedy), np.uint8)
-    image = cv2.imdecode(content, cv2.IMREAD_COLOR) if len(content) else None
-    if image is None:
-        raise DataError(f"{path}: the file is no image, or damaged")
+    image = decode(path, cv2.IMREAD_COLOR, remedy)
     height, width = image.shape[:2]
     if size is not None and (width, height) != size:
         raise DataError(f"{path}: the image has {width}x{height} px, but its calibration is for {size[0]}x{size[1]} px")

@@ -4,19 +4,32 @@ Formats: https://github.com/autonomousvision/kitti360Scripts
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import Float64, Int64, UInt8
+import torch
+from jaxtyping import Bool, Float64, Int64, UInt8
+from torch import Tensor
 
-from omniocc.camera import Camera
-from omniocc.camera.calibration.kitti360 import read_kitti360_folder
-from omniocc.data.formats.files import read_bytes, read_text
+from omniocc.camera import MEI, Camera, Pinhole
+from omniocc.camera.calibration.fields import parse_yaml
+from omniocc.camera.calibration.kitti360 import read_kitti360
+from omniocc.data.formats.files import decode, read_text
 from omniocc.data.formats.poses import inverse, rigid
 from omniocc.errors import DataError
 from omniocc.progress import Progress
 
+SEQUENCE = "2013_05_28_drive_00{}_sync"
+RECTIFIED, FISHEYES = ("image_00", "image_01"), ("image_02", "image_03")
+SIZE = (1408, 376)
+"""Width and height of the rectified images, px."""
+LENS_DEG = 97.5
+"""Angle off the optical axis at which the image of the fisheyes ends."""
+CAR_ROWS = (890 / 1400, 980 / 1400, 1050 / 1400, 1120 / 1400, 1190 / 1400, 1200 / 1400)
+CAR_FREE = (0.5, 0.37, 0.28, 0.22, 0.04, 0.0)
+"""Half the part of the width of a fisheye's image that does not show the own car, at these parts of its height."""
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 """From the IMU's axes (x forward, y right, z down) to ours (x forward, y left, z up)."""
 MOST_SKIPPED = 3000
@@ -61,6 +74,18 @@ def velodyne_pose(calibration: Path) -> Float64[np.ndarray, "4 4"]:
     return camera @ inverse(pose_of(calibration / "calib_cam_to_velo.txt", ""))
 
 
+def mounted(calibration: Path, name: str) -> tuple[Camera, Float64[np.ndarray, "4 4"]]:
+    """Return a camera (image_00 to image_03) at the size of its files, and its pose imu_from_camera.
+
+    Raises:
+        DataError: naming the file and the value that is missing or wrong.
+    """
+    if name not in RECTIFIED:
+        return fisheye(calibration, name), pose_of(calibration / "calib_cam_to_pose.txt", name)
+    k, imu_from_camera = rectified(calibration, name)
+    return Pinhole(*SIZE, (float(k[0, 0]), float(k[1, 1])), (float(k[0, 2]), float(k[1, 2]))), imu_from_camera
+
+
 def rectified(calibration: Path, name: str) -> tuple[Float64[np.ndarray, "3 3"], Float64[np.ndarray, "4 4"]]:
     """Return the intrinsics of a rectified camera (image_00, image_01) and its pose imu_from_camera."""
     number, turn = name[-2:], np.eye(4)
@@ -72,13 +97,33 @@ def rectified(calibration: Path, name: str) -> tuple[Float64[np.ndarray, "3 3"],
         raise DataError(f"{calibration / 'perspective.txt'}: {error}") from error
 
 
-def fisheyes(calibration: Path) -> dict[str, Camera]:
-    """Return the lenses of the fisheyes by name; raise DataError naming the file and the value that is wrong."""
+def fisheye(calibration: Path, name: str) -> MEI:
+    """Return a fisheye (image_02, image_03) up to the edge of its image circle."""
+    path = calibration / f"{name}.yaml"
     try:
-        cameras, _, names, *_ = read_kitti360_folder(calibration)
-    except (ValueError, OSError) as error:
-        raise DataError(str(error)) from error
-    return dict(zip(names, cameras, strict=True))
+        camera = read_kitti360(parse_yaml(read_text(path)), name).cameras[0]
+    except ValueError as error:
+        raise DataError(f"{path}: {error}") from error
+    assert isinstance(camera, MEI)
+    return replace(camera, max_angle_deg=LENS_DEG)
+
+
+def above_car(camera: Camera) -> Bool[Tensor, "height width"]:
+    """Return the pixels of a fisheye's image, of any size, that do not show the own car."""
+    rows, columns = np.arange(camera.height) + 0.5, np.arange(camera.width) + 0.5
+    free = np.interp(rows / camera.height, CAR_ROWS, CAR_FREE)
+    return torch.from_numpy(np.abs(columns / camera.width - 0.5) <= free[:, None])
+
+
+def image_file(root: Path, sequence: str, name: str, number: int) -> Path:
+    """Return the file of an image."""
+    kind = "data_rect" if name in RECTIFIED else "data_rgb"
+    return root / "data_2d_raw" / SEQUENCE.format(sequence) / name / kind / f"{number:010d}.png"
+
+
+def scan_file(root: Path, sequence: str, number: int) -> Path:
+    """Return the file of a scan of the Velodyne."""
+    return root / "data_3d_raw" / SEQUENCE.format(sequence) / "velodyne_points" / "data" / f"{number:010d}.bin"
 
 
 def read_numbered_poses(path: Path) -> tuple[Int64[np.ndarray, " F"], Float64[np.ndarray, "F 4 4"]]:
@@ -92,10 +137,7 @@ def read_numbered_poses(path: Path) -> tuple[Int64[np.ndarray, " F"], Float64[np
 
 def thumbnail(path: Path) -> UInt8[np.ndarray, "12 44"]:
     """Return a small grey image, by which equal images are found."""
-    image = cv2.imdecode(np.frombuffer(read_bytes(path), np.uint8), cv2.IMREAD_REDUCED_GRAYSCALE_8)
-    if image is None:
-        raise DataError(f"{path}: the file is no image, or damaged")
-    return cv2.resize(image, (44, 12), interpolation=cv2.INTER_AREA)
+    return cv2.resize(decode(path, cv2.IMREAD_REDUCED_GRAYSCALE_8), (44, 12), interpolation=cv2.INTER_AREA)
 
 
 def match_frames(theirs: Sequence[Path], ours: Sequence[Path], title: str) -> list[int]:

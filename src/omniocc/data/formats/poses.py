@@ -6,6 +6,8 @@ import numpy as np
 
 TOLERANCE = 1e-3
 """Largest error of a rotation that is taken for rounding, and mended."""
+RIGID_TOLERANCE = 1e-6
+"""Largest error of the poses of a source."""
 
 
 def quaternion_pose(rotation: Sequence[float], translation_m: Sequence[float], name: str) -> np.ndarray:
@@ -46,6 +48,14 @@ def rigid(matrix: np.ndarray, name: str) -> np.ndarray:
     pose = np.zeros((*given.shape[:-2], 4, 4))
     pose[..., :3, :3], pose[..., :3, 3], pose[..., 3, 3] = nearest, given[..., :3, 3], 1
     return pose
+
+
+def not_rigid(poses: np.ndarray) -> np.ndarray:
+    """Return which poses (F, 4, 4) are no rotation and shift, to 1e-6; (F,) bool."""
+    turn = poses[:, :3, :3]
+    last_row = np.abs(poses[:, 3] - (0, 0, 0, 1)).max(axis=1)
+    bent = np.abs(turn @ turn.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) + last_row
+    return ~((bent < RIGID_TOLERANCE) & (np.linalg.det(turn) > 0))
 
 
 def inverse(a_from_b: np.ndarray) -> np.ndarray:

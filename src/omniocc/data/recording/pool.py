@@ -15,7 +15,7 @@ from multiprocessing.connection import wait
 from pathlib import Path
 from queue import Empty
 from signal import SIG_IGN, SIGINT, signal
-from typing import Any
+from typing import Any, TypeVar
 from unittest.mock import patch
 
 from filelock import FileLock, Timeout
@@ -28,6 +28,10 @@ from omniocc.progress import Progress
 Report = Callable[[int], None]
 Work = Callable[[Path, Report], None]
 """A function that makes one scene folder and reports every frame; reporting raises `Stopped` when work has to end."""
+
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 
 class Stopped(Exception):  # noqa: N818
@@ -70,6 +74,18 @@ def make_scenes(work: Work, folders: Sequence[Path], workers: int, progress: Pro
         finally:
             stop.set()
             pool.shutdown(wait=True, cancel_futures=True)
+
+
+def mapped(work: Callable[[Item], Result], items: Sequence[Item], workers: int) -> Iterator[Result]:
+    """Yield `work` of every item in order, from several processes; 0 or one item: in this one. `work` is picklable."""
+    if workers == 0 or len(items) < 2:
+        yield from map(work, items)
+        return
+    with (
+        worker_environment(needs_main=False),
+        ProcessPoolExecutor(min(workers, len(items)), process_context(), limit_threads) as pool,
+    ):
+        yield from pool.map(work, items)
 
 
 def process_context() -> Any:

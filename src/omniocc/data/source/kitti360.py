@@ -1,21 +1,30 @@
 """KITTI-360 as a source: real fisheyes, ranges from the Velodyne for the depth stage, voxels voted by its points."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Bool
-from torch import Tensor
 
-from omniocc.camera import MEI, Camera, Equirectangular, Pinhole, Rig
+from omniocc.camera import Equirectangular, Rig
 from omniocc.classes import ClassTable, SemanticClass
 from omniocc.data.formats.files import check_root, read_array, read_image, scaled_size
 from omniocc.data.formats.index import Index
-from omniocc.data.formats.kitti360 import FLIP, fisheyes, pose_of, read_numbered_poses, rectified, velodyne_pose
+from omniocc.data.formats.kitti360 import (
+    FISHEYES,
+    FLIP,
+    RECTIFIED,
+    SEQUENCE,
+    SIZE,
+    above_car,
+    image_file,
+    mounted,
+    read_numbered_poses,
+    scan_file,
+    velodyne_pose,
+)
 from omniocc.data.formats.poses import inverse, moved, shift
 from omniocc.data.formats.scene import Cloud, DatasetScene, outside
 from omniocc.data.labels.own_grid import VotedLabels
@@ -30,14 +39,6 @@ ORIGIN_M = (1.15027, -0.299735, 0.86067)
 ROAD_Z_M = -1.75
 OWN_CAR_M = ((-3.2, -1.0, -1.8), (1.8, 1.0, 0.1))
 """Lowest and highest x, y, z of the own car, our ego frame; points in it are left out."""
-FISHEYES, RECTIFIED = ("image_02", "image_03"), ("image_00", "image_01")
-LENS_DEG = 97.5
-"""Angle off the optical axis at which the image of the fisheyes ends."""
-CAR_ROWS = (890 / 1400, 980 / 1400, 1050 / 1400, 1120 / 1400, 1190 / 1400, 1200 / 1400)
-CAR_FREE = (0.5, 0.37, 0.28, 0.22, 0.04, 0.0)
-"""Half the part of the width of a fisheye's image that does not show the own car, at these parts of its height."""
-PERSPECTIVE_SIZE = (1408, 376)
-SEQUENCE = "2013_05_28_drive_00{}_sync"
 
 
 class Drive(NamedTuple):
@@ -79,8 +80,8 @@ class KITTI360:
             raise ValueError(f"image_width must be at least 8, frame_step 1 and accumulate 0, got {given}")
         if set(sequences) != set(SPLITS):
             raise ValueError(f"sequences need {', '.join(SPLITS)}, got {dict(sequences)}")
-        if not cameras or not set(cameras) <= {*FISHEYES, *RECTIFIED}:
-            raise ValueError(f"cameras must be of {', '.join((*FISHEYES, *RECTIFIED))}, got {list(cameras)}")
+        if not cameras or not set(cameras) <= {*RECTIFIED, *FISHEYES}:
+            raise ValueError(f"cameras must be of {', '.join((*RECTIFIED, *FISHEYES))}, got {list(cameras)}")
         self.root, self.sequences, self.cameras = root, sequences, tuple(cameras)
         self.frame_step, self.accumulate, self.image_width = frame_step, accumulate, image_width
         self.panorama = Equirectangular(*panorama)
@@ -127,22 +128,12 @@ class KITTI360:
     @cached_property
     def rig(self) -> Rig:
         """Return the cameras of all frames."""
-        calibration = Path(self.root, "calibration")
-        lenses = fisheyes(calibration)
         cameras, poses, masks = [], [], []
         for name in self.cameras:
-            if name in RECTIFIED:
-                k, imu_from_camera = rectified(calibration, name)
-                center = (float(k[0, 2]), float(k[1, 2]))
-                camera: Camera = Pinhole(*PERSPECTIVE_SIZE, (float(k[0, 0]), float(k[1, 1])), center)
-            else:
-                lens = lenses[name]
-                assert isinstance(lens, MEI)
-                camera = replace(lens, max_angle_deg=LENS_DEG)
-                imu_from_camera = pose_of(calibration / "calib_cam_to_pose.txt", name)
+            camera, imu_from_camera = mounted(Path(self.root, "calibration"), name)
             cameras.append(camera.resized(*scaled_size(camera.width, camera.height, self.image_width)))
             poses.append(ego_from_imu() @ imu_from_camera)
-            masks.append(None if name in RECTIFIED else above_car(cameras[-1]))
+            masks.append(above_car(cameras[-1]) if name in FISHEYES else None)
         return Rig(tuple(cameras), torch.from_numpy(np.stack(poses)), self.cameras, tuple(masks), ROAD_Z_M)
 
     def _read_poses(self) -> dict[str, Drive]:
@@ -183,12 +174,11 @@ class KITTI360Scene(DatasetScene):
     def images(self, frame: int) -> list[np.ndarray]:
         """Return the images, scaled."""
         number = int(self.index.read(self.name).numbers[frame * self.step])
-        folder = self.root / "data_2d_raw" / SEQUENCE.format(self.name)
         with self.naming(frame):
             return [
                 read_image(
-                    folder / name / ("data_rect" if name in RECTIFIED else "data_rgb") / f"{number:010d}.png",
-                    PERSPECTIVE_SIZE if name in RECTIFIED else (1400, 1400), (camera.width, camera.height),
+                    image_file(self.root, self.name, name, number), SIZE if name in RECTIFIED else (1400, 1400),
+                    (camera.width, camera.height),
                 )
                 for name, camera in zip(self.cameras, self.rig.cameras, strict=True)
             ]  # fmt: skip
@@ -215,18 +205,11 @@ class KITTI360Scene(DatasetScene):
     def _scan(self, place: int) -> tuple[np.ndarray, np.ndarray]:
         """Return points and place of the Velodyne in the ego frame, m, of a frame that has a pose."""
         number = int(self.index.read(self.name).numbers[place])
-        folder = self.root / "data_3d_raw" / SEQUENCE.format(self.name) / "velodyne_points" / "data"
-        points = read_array(folder / f"{number:010d}.bin", "<f4", (-1, 4))[:, :3]
+        path = scan_file(self.root, self.name, number)
+        points = read_array(path, "<f4", (-1, 4))[:, :3]
         if not np.isfinite(points).all():
-            raise DataError(f"{folder / f'{number:010d}.bin'}: some points are not finite; the file is damaged")
+            raise DataError(f"{path}: some points are not finite; the file is damaged")
         return moved(self.ego_from_velodyne, points).astype(np.float32), self.ego_from_velodyne[:3, 3]
-
-
-def above_car(camera: Camera) -> Bool[Tensor, "height width"]:
-    """Return the pixels of a fisheye's image that do not show the own car."""
-    rows, columns = np.arange(camera.height) + 0.5, np.arange(camera.width) + 0.5
-    free = np.interp(rows / camera.height, CAR_ROWS, CAR_FREE)
-    return torch.from_numpy(np.abs(columns / camera.width - 0.5) <= free[:, None])
 
 
 def ego_from_imu() -> np.ndarray:

@@ -11,34 +11,31 @@ import torch
 from jaxtyping import UInt8
 from torch import Tensor
 
-from omniocc.camera import Camera, Equirectangular, Pinhole, Rig
+from omniocc.camera import Camera, Pinhole, Rig
 from omniocc.classes import UNKNOWN
 from omniocc.data.formats.files import check_root, read_array, read_image, scaled_size
-from omniocc.data.formats.kitti import (
-    SHAPE,
-    SSCBENCH,
-    SSCBENCH_IDS,
-    classes_by_id,
-    read_mask,
-    read_voxels,
-    write_prediction,
+from omniocc.data.formats.kitti import SHAPE, SSCBENCH, SSCBENCH_IDS, read_mask
+from omniocc.data.formats.kitti360 import (
+    FISHEYES,
+    SEQUENCE,
+    SIZE,
+    above_car,
+    image_file,
+    match_frames,
+    mounted,
+    read_numbered_poses,
+    scan_file,
+    velodyne_pose,
 )
-from omniocc.data.formats.kitti360 import fisheyes, match_frames, pose_of, read_numbered_poses, velodyne_pose
 from omniocc.data.formats.poses import inverse, rigid
-from omniocc.data.formats.scene import Cloud, DatasetScene
-from omniocc.data.labels.own_grid import OwnGridLabels
-from omniocc.data.source import SPLITS, Benchmark, BenchmarkFrame, SourceSpec, Split, Unknown
-from omniocc.data.source.semantic_kitti import PARTS, RANGE_EDGES_M, voxel_grid
+from omniocc.data.formats.scene import Cloud
+from omniocc.data.source import Split, Unknown
+from omniocc.data.source.completion import ROAD_Z_M, CompletionScene, CompletionSource, unknown_where
 from omniocc.data.store.shard import digest
 from omniocc.errors import DataError
-from omniocc.geometry import Grid
 from omniocc.io import atomic_write
 
-ROAD_Z_M = -1.73
-TABLE = classes_by_id(SSCBENCH_IDS)
-GRID = voxel_grid()
-FRONT, FISHEYES = "image_00", ("image_02", "image_03")
-SIZE = (1408, 376)
+FRONT = "image_00"
 FOCAL_PX, CENTER_PX = 552.554261, (682.049453, 238.769549)
 """Rectified camera 0 of KITTI-360 (perspective.txt); SSCBench's download has no calibration."""
 VELODYNE_FROM_CAMERA = (
@@ -49,10 +46,9 @@ VELODYNE_FROM_CAMERA = (
 """calib_cam_to_velo.txt of KITTI-360; of the unrectified camera, as SSCBench's own code takes it."""
 R_RECT = ((0.999974, -0.007141, -0.000089), (0.007141, 0.999969, -0.003247), (0.000112, 0.003247, 0.999995))
 """From the unrectified to the rectified camera (perspective.txt, R_rect_00)."""
-SEQUENCE = "2013_05_28_drive_00{}_sync"
 
 
-class SSCBenchKITTI360:
+class SSCBenchKITTI360(CompletionSource["SSCBenchSequence"]):
     """A source (`SceneSource`) of SSCBench-KITTI-360; the ego frame is that of the velodyne.
 
     Args:
@@ -61,36 +57,27 @@ class SSCBenchKITTI360:
         sequences: numbers of the sequences of train, val and test.
         kitti360: folder of KITTI-360 itself, whose two fisheyes and scans are added; its frames are found by comparing
             images, once. None: the camera ahead alone.
-        image_width: of the images that the model gets, px; the height follows, a multiple of 8.
-        panorama: width and height (px), upper and lower edge (deg) of the panoramas of ranges.
-        cache: folder for class statistics and the frames that were found; None: `omniocc` in root.
+        image_width: see `CompletionSource`.
+        panorama: see `CompletionSource`.
+        cache: see `CompletionSource`.
 
     Raises:
         ValueError: if a split or the width is impossible.
     """
 
+    classes = SSCBENCH
+
     def __init__(
         self, root: str, sequences: Mapping[Split, Sequence[str]], kitti360: str | None, image_width: int,
         panorama: tuple[int, int, float, float], cache: str | None,
     ):  # fmt: skip
-        if image_width < 8 or set(sequences) != set(SPLITS):
-            given = f"{image_width} and {dict(sequences)}"
-            raise ValueError(f"image_width must be at least 8 and sequences need {', '.join(SPLITS)}, got {given}")
-        self.root, self.sequences, self.kitti360 = root, sequences, kitti360
-        self.image_width = image_width
-        self.panorama = Equirectangular(*panorama)
-        self.folder = Path(root, "omniocc") if cache is None else Path(cache)
-
-    @property
-    def spec(self) -> SourceSpec:
-        """Return classes, bands and the protocol: cells that are not invalid, in 12.8, 25.6 and 51.2 m."""
-        return SourceSpec(SSCBENCH, RANGE_EDGES_M, 0.5, ROAD_Z_M, None, Benchmark(GRID, parts=PARTS))
+        super().__init__(root, sequences, image_width, panorama, cache)
+        self.kitti360 = kitti360
 
     @property
     def fingerprint(self) -> str:
         """Return a hash of the frames of every sequence, of cameras and sizes."""
-        frames = [[split, scene.name, scene.numbers] for split in SPLITS for scene in self.scenes(split)]
-        return digest([frames, self.kitti360 is not None, self.image_width, repr(self.panorama)])
+        return digest([self.frames, self.kitti360 is not None, self.image_width, repr(self.panorama)])
 
     def prepare(self) -> None:
         """Check that the sequences are there, and find the frames of KITTI-360 that are not found yet.
@@ -103,35 +90,21 @@ class SSCBenchKITTI360:
             check_root(
                 self.kitti360, ["calibration", "data_2d_raw"], "give data.source.kitti360 KITTI-360's own folder"
             )
-        for scene in self._all:
+        for scene in self.all_scenes.values():
             check_root(str(scene.folder), [FRONT], "unpack SSCBench-KITTI-360 into data.source.root")
             if not len(scene):
                 raise DataError(f"{scene.folder}: there are no voxels/*.label, and no *_1_1.npy in preprocess/labels")
             scene.find_fisheyes()
 
-    def scenes(self, split: Split) -> Sequence["SSCBenchSequence"]:
-        """Return the sequences of a split."""
-        return [scene for scene in self._all if scene.name in self.sequences[split]]
-
-    def labels(self, geometry: Grid, unknown: Unknown) -> OwnGridLabels:
-        """Return the voxels in a grid; most are invalid and so unknown: free only where a ray of a LiDAR passed.
-
-        Raises:
-            ValueError: for `unseen`: there is no mask of what the cameras see.
-        """
-        if unknown == "unseen":
-            raise ValueError("data.unknown=unseen: there is no mask of what cameras see; choose free or unobserved")
-        return OwnGridLabels(self.folder, self.fingerprint, GRID, geometry, SSCBENCH.num_classes, unknown)
-
-    @cached_property
-    def _all(self) -> list["SSCBenchSequence"]:
-        return [SSCBenchSequence(name, self) for split in SPLITS for name in self.sequences[split]]
+    def sequence(self, name: str) -> "SSCBenchSequence":
+        """Return a sequence by its number."""
+        return SSCBenchSequence(name, self)
 
 
-class SSCBenchSequence(DatasetScene):
+class SSCBenchSequence(CompletionScene):
     """The frames of one sequence that have voxels: every fifth."""
 
-    dataset = "SSCBench-KITTI-360"
+    dataset, ids = "SSCBench-KITTI-360", SSCBENCH_IDS
 
     def __init__(self, name: str, source: SSCBenchKITTI360):
         super().__init__(name, source.panorama)
@@ -140,9 +113,6 @@ class SSCBenchSequence(DatasetScene):
         self.image_width = source.image_width
         self.kitti360 = None if source.kitti360 is None else Path(source.kitti360)
         self.found = source.folder / f"kitti360-frames-{name}.json"
-
-    def __len__(self) -> int:
-        return len(self.numbers)
 
     @cached_property
     def numbers(self) -> list[int]:
@@ -171,25 +141,25 @@ class SSCBenchSequence(DatasetScene):
         return poses[[place[number] for number in self.numbers]]
 
     @cached_property
-    def rigs(self) -> tuple[Rig, ...]:
-        """Return the cameras of every frame: always the same."""
+    def rig(self) -> Rig:
+        """Return the cameras, the same in every frame; the fisheyes with what their lenses and the own car cover."""
         front = Pinhole(*SIZE, (FOCAL_PX, FOCAL_PX), CENTER_PX)
         turn = np.eye(4)
         turn[:3, :3] = R_RECT
         pose = rigid(np.array(VELODYNE_FROM_CAMERA), FRONT) @ inverse(rigid(turn, "R_rect_00"))
         cameras: list[Camera] = [front.resized(*scaled_size(*SIZE, self.image_width))]
         poses, names = [pose], [FRONT]
+        masks: list[Tensor | None] = [None]
         if self.kitti360 is not None:
             calibration = self.kitti360 / "calibration"
             velodyne_from_imu = inverse(velodyne_pose(calibration))
-            lenses = fisheyes(calibration)
             for name in FISHEYES:
-                lens = lenses[name]
-                cameras.append(lens.resized(*scaled_size(lens.width, lens.height, self.image_width)))
-                poses.append(velodyne_from_imu @ pose_of(calibration / "calib_cam_to_pose.txt", name))
+                camera, imu_from_camera = mounted(calibration, name)
+                cameras.append(camera.resized(*scaled_size(camera.width, camera.height, self.image_width)))
+                poses.append(velodyne_from_imu @ imu_from_camera)
                 names.append(name)
-        rig = Rig(tuple(cameras), torch.from_numpy(np.stack(poses)), tuple(names), None, ROAD_Z_M)
-        return (rig,) * len(self)
+                masks.append(above_car(cameras[-1]))
+        return Rig(tuple(cameras), torch.from_numpy(np.stack(poses)), tuple(names), tuple(masks), ROAD_Z_M)
 
     def find_fisheyes(self) -> None:
         """Find the frames of KITTI-360 that are those of this sequence, and keep their numbers.
@@ -199,8 +169,7 @@ class SSCBenchSequence(DatasetScene):
         """
         if self.kitti360 is None or self.found.exists():
             return
-        folder = self.kitti360 / "data_2d_raw" / SEQUENCE.format(self.name) / FRONT / "data_rect"
-        ours = sorted(folder.glob("*.png"))
+        ours = sorted(image_file(self.kitti360, self.name, FRONT, 0).parent.glob("*.png"))
         theirs = [self._image(number) for number in self.numbers]
         found = match_frames(theirs, ours, f"frames of KITTI-360, sequence {self.name}")
         atomic_write(self.found, json.dumps([int(ours[index].stem) for index in found]))
@@ -217,26 +186,23 @@ class SSCBenchSequence(DatasetScene):
         """Return the images, scaled."""
         paths = [self._image(self.numbers[frame])]
         if self.kitti360 is not None:
-            raw = self.kitti360 / "data_2d_raw" / SEQUENCE.format(self.name)
             number = self.numbers_of_kitti360[frame]
-            paths += [raw / name / "data_rgb" / f"{number:010d}.png" for name in FISHEYES]
+            paths += [image_file(self.kitti360, self.name, name, number) for name in FISHEYES]
         with self.naming(frame):
-            cameras = self.rigs[frame].cameras
-            sizes = [SIZE, None, None]
             return [
                 read_image(path, size, (camera.width, camera.height))
-                for path, size, camera in zip(paths, sizes, cameras, strict=False)
+                for path, size, camera in zip(paths, [SIZE, None, None], self.rig.cameras, strict=False)
             ]
 
     def cloud(self, frame: int) -> Cloud | None:
         """Return the points of KITTI-360's scan, whose classes are not known; None without KITTI-360."""
         if self.kitti360 is None:
             return None
-        folder = self.kitti360 / "data_3d_raw" / SEQUENCE.format(self.name) / "velodyne_points" / "data"
-        if not folder.is_dir():
-            return None
         with self.naming(frame):
-            points = read_array(folder / f"{self.numbers_of_kitti360[frame]:010d}.bin", "<f4", (-1, 4))[:, :3]
+            path = scan_file(self.kitti360, self.name, self.numbers_of_kitti360[frame])
+            if not path.parent.is_dir():
+                return None
+            points = read_array(path, "<f4", (-1, 4))[:, :3]
         return Cloud(points, None, np.zeros(3))
 
     def own_voxels(self, frame: int, unknown: Unknown) -> UInt8[Tensor, "X Y Z"]:
@@ -246,26 +212,8 @@ class SSCBenchSequence(DatasetScene):
         with self.naming(frame):
             if not path.exists():
                 return torch.from_numpy(read_classes(self.preprocessed / f"{number:06d}_1_1.npy"))
-            labels = read_voxels(path, TABLE)
-            labels[read_mask(path.with_suffix(".invalid")) & (labels == 0)] = UNKNOWN
-        return torch.from_numpy(labels)
-
-    def benchmark(self, frame: int) -> BenchmarkFrame:
-        """Return the voxels; all count that are not unknown."""
-        return BenchmarkFrame(self.own_voxels(frame, "free"))
-
-    def prediction_file(self, frame: int) -> str:
-        """Return the place of a frame's file in a submission."""
-        return f"sequences/{self.name}/predictions/{self.numbers[frame]:06d}.label"
-
-    def write_prediction(self, path: Path, classes: UInt8[np.ndarray, "X Y Z"]) -> None:
-        """Write classes as ids of 16 bits."""
-        write_prediction(path, classes, SSCBENCH_IDS)
-
-    def read_prediction(self, path: Path) -> UInt8[np.ndarray, "X Y Z"]:
-        """Return the classes of a file of ids; those that do not count are empty."""
-        classes = read_voxels(path, TABLE)
-        return np.where(classes == UNKNOWN, 0, classes).astype(np.uint8)
+            labels = self.voxels_of(path)
+            return unknown_where(labels, read_mask(path.with_suffix(".invalid")) & (labels == 0))
 
     def _image(self, number: int) -> Path:
         return self.folder / FRONT / "data_rect" / f"{number:06d}.png"

@@ -16,8 +16,8 @@ from omniocc.classes import UNKNOWN, ClassTable, SemanticClass
 from omniocc.data.formats.files import (
     check_root,
     class_table,
+    decode,
     map_classes,
-    read_bytes,
     read_image,
     read_text,
     scaled_size,
@@ -140,10 +140,9 @@ class WoodScapeImage(DatasetScene):
         camera = self.rigs[frame].cameras[0]
         path = self.root / "semantic_annotations" / "gtLabels" / f"{self.name}.png"
         with self.naming(frame):
-            content = np.frombuffer(read_bytes(path), np.uint8)
-            ids = cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if len(content) else None
-            if ids is None or ids.ndim != 2:
-                raise DataError(f"{path}: the file is no image of class ids, or damaged")
+            ids = decode(path, cv2.IMREAD_UNCHANGED)
+            if ids.ndim != 2:
+                raise DataError(f"{path}: the file is no image of class ids")
             classes = map_classes(ids.astype(np.int64), TABLE, path)
         return [cv2.resize(classes, (camera.width, camera.height), interpolation=cv2.INTER_NEAREST)]
 

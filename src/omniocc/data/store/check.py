@@ -3,14 +3,14 @@
 import hashlib
 import tarfile
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
 
 from omniocc.classes import NUM_CLASSES, UNKNOWN
+from omniocc.data.formats.poses import not_rigid
 from omniocc.data.labels.class_fractions import count_voxels, spread
-from omniocc.data.recording.pool import limit_threads, process_context, worker_environment
+from omniocc.data.recording.pool import mapped
 from omniocc.data.store.codec import decode_frame
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import INDEX, member_name, shard_name
@@ -20,7 +20,6 @@ from omniocc.geometry import Grid
 MAX_SPEED_MPS = 25.0
 MAX_TURN_DEG_PER_S = 120.0
 TIME_TOLERANCE_S = 1e-6
-RIGID_TOLERANCE = 1e-6
 
 
 class Survey(NamedTuple):
@@ -123,10 +122,7 @@ def _times(scene: SceneReader, interval_s: float) -> Iterator[str]:
 
 def _poses(scene: SceneReader) -> Iterator[str]:
     poses = scene.world_from_ego
-    turn = poses[:, :3, :3]
-    last_row = np.abs(poses[:, 3] - (0, 0, 0, 1)).max(axis=1)
-    bent = np.abs(turn @ turn.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) + last_row
-    bad = np.flatnonzero(~((bent < RIGID_TOLERANCE) & (np.linalg.det(turn) > 0)))
+    turn, bad = poses[:, :3, :3], np.flatnonzero(not_rigid(poses))
     if len(bad):
         yield str(scene.damaged(INDEX, "its pose is no rotation and shift", int(bad[0])))
         return
@@ -165,10 +161,4 @@ def _content(scene: SceneReader, frame: int) -> Iterator[str]:
 
 def survey(work: Callable[[SceneReader], Survey], scenes: Sequence[SceneReader], workers: int) -> list[Survey]:
     """Check scenes side by side; `work` must be picklable."""
-    if workers == 0 or len(scenes) < 2:
-        return [work(scene) for scene in scenes]
-    with (
-        worker_environment(needs_main=False),
-        ProcessPoolExecutor(min(workers, len(scenes)), process_context(), limit_threads) as pool,
-    ):
-        return list(pool.map(work, scenes))
+    return list(mapped(work, scenes, workers))
