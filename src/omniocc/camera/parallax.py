@@ -61,7 +61,7 @@ def _pixels_per_radian(
     moved = [points + STEP * distance_m * turn for turn in (right, torch.linalg.cross(directions, right))]
     pixels, seen = rig.project(points)
     sides = [
-        (torch.stack([rig.project(turned[i])[0][i] for i in range(len(rig.cameras))]) - pixels) / STEP
+        (torch.stack([rig.project_into(i, turned[i])[0] for i in range(len(rig.cameras))]) - pixels) / STEP
         for turned in moved
     ]
     area = sides[0][..., 0] * sides[1][..., 1] - sides[0][..., 1] * sides[1][..., 0]

@@ -33,6 +33,7 @@ class RigCache:
     def __init__(self, limit_bytes: int = LIMIT_BYTES):
         self.limit_bytes = limit_bytes
         self._rigs: OrderedDict[Rig, dict[Hashable, Any]] = OrderedDict()
+        self._bytes: dict[Rig, int] = {}
         self._lock = RLock()
 
     def __len__(self) -> int:
@@ -42,34 +43,35 @@ class RigCache:
         """Drop all results."""
         with self._lock:
             self._rigs.clear()
+            self._bytes.clear()
 
     def get(self, rig: Rig, key: Hashable, compute: Callable[[], Any]) -> Any:
         """Return the result for a rig and a key, computed if it is not cached."""
         with self._lock:
+            newest = next(reversed(self._rigs), rig)
             results = self._rigs.setdefault(rig, {})
             self._rigs.move_to_end(rig)
+            if newest != rig:  # its results may have grown since the last was added (`Sampler.transpose`)
+                self._bytes[newest] = self._size_bytes(newest)
             if key not in results:
                 value = compute()  # may get other results of this rig
                 results[key] = value
+                self._bytes[rig] = self._size_bytes(rig)
                 self._shrink()
             return results[key]
 
     def size_bytes(self) -> int:
         """Return the memory that all results take."""
-        return sum(self._sizes())
+        return sum(map(self._size_bytes, self._rigs))
 
-    def _sizes(self) -> list[int]:
-        return [tensor_bytes((rig, results)) + OVERHEAD_BYTES for rig, results in self._rigs.items()]
+    def _size_bytes(self, rig: Rig) -> int:
+        return tensor_bytes((rig, self._rigs[rig])) + OVERHEAD_BYTES
 
     def _shrink(self) -> None:
         """Drop the least recently used rigs until the others fit into the limit."""
-        sizes = self._sizes()  # of all: results may have grown since (`Sampler.transpose`)
-        total = sum(sizes)
-        for size in sizes[:-1]:
-            if total <= self.limit_bytes:
-                break
-            self._rigs.popitem(last=False)
-            total -= size
+        while len(self._rigs) > 1 and sum(self._bytes.values()) > self.limit_bytes:
+            oldest, _ = self._rigs.popitem(last=False)
+            del self._bytes[oldest]
 
 
 RIG_CACHE = RigCache()

@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Float32, Float64, Int32, Int64
+from scipy.sparse import csr_matrix
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 from torch.nn import functional as F
@@ -60,9 +61,9 @@ class Sampler:
         """Return the transpose, (pixels of all cameras, points), compressed rows."""
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", message="Sparse CSR tensor support is in beta")
-            swapped = self.matrix.to_sparse_coo().T.coalesce().to_sparse_csr()
-            crow, col = swapped.crow_indices().int(), swapped.col_indices().int()
-            return torch.sparse_csr_tensor(crow, col, swapped.values(), swapped.shape, check_invariants=False)
+            swapped = self.matrix.to_sparse_csc()
+            parts = swapped.ccol_indices().int(), swapped.row_indices().int(), swapped.values()
+            return torch.sparse_csr_tensor(*parts, self.matrix.shape[::-1], check_invariants=False)
 
     def __call__(self, rows: Float[Tensor, "pixels BC"]) -> Float[Tensor, "points BC"]:
         """Return weighted means of rows, in float32; differentiable."""
@@ -199,13 +200,12 @@ def field_weight(rig: Rig, camera: int) -> Float32[Tensor, "height width"]:
 
 
 def _taps(
-    rig: Rig, camera: int, pixels: Float[Tensor, "P 2"], valid: Bool[Tensor, " P"], width: int, height: int
-) -> tuple[Tensor, Tensor]:
-    """Return columns and weights of the four neighbours of each point in one camera's feature map."""
+    rig: Rig, camera: int, pixels: Float[Tensor, "S 2"], width: int, height: int
+) -> tuple[Int64[Tensor, "S 4"], Float64[Tensor, "S 4"]]:
+    """Return columns and weights of the four neighbours of each pixel in one camera's feature map."""
     model = rig.cameras[camera]
-    pixels = torch.where(valid[:, None], pixels, 0.0)
     u, v = pixels.round().long().unbind(-1)
-    weight = field_weight(rig, camera)[v.clamp(0, model.height - 1), u.clamp(0, model.width - 1)].double() * valid
+    weight = field_weight(rig, camera)[v.clamp(0, model.height - 1), u.clamp(0, model.width - 1)].double()
     frame_width, frame_height = frame_size(rig)
     columns, rows = -(-model.width * width // frame_width), -(-model.height * height // frame_height)
     x = ((pixels[:, 0] + 0.5) * width / frame_width - 0.5).clamp(0, columns - 1)
@@ -219,30 +219,26 @@ def _taps(
 
 
 Entries = tuple[Tensor, Tensor, Tensor]
-"""Of the rows of a sphere: their number in each row, their columns, their values."""
+"""Of a matrix: their rows, their columns, their values."""
 
 
-def _rows(rig: Rig, projection: Projection, plane: float, rays: Float[Tensor, "P 3"]) -> list[Entries]:
-    """Return the entries of one sphere, of each of the two sets of cameras if these are divided for every point."""
-    points_m = rays * min(1 / (plane * projection.spheres.step_per_m) if plane else FAR_M, FAR_M)
-    width, height = projection.feature_size
-    if not projection.cameras:
-        none = torch.zeros(len(rays), dtype=torch.long), torch.empty(0, dtype=torch.int32), torch.empty(0)
-        return [none] * (1 + projection.divided)
+def _entries(rig: Rig, projection: Projection, points_m: Float[Tensor, "P 3"]) -> list[Entries]:
+    """Return the entries of points, of each of the two sets of cameras if these are divided for every point."""
+    none = torch.empty(0, dtype=torch.long), torch.empty(0, dtype=torch.long), torch.empty(0)
+    sides: list[list[Entries]] = [[none] for _ in range(1 + projection.divided)]
     projected = [rig.project_into(k, points_m) for k in projection.cameras]
-    taps = [_taps(rig, k, *part, width, height) for k, part in zip(projection.cameras, projected, strict=True)]
-    columns = torch.cat([column for column, _ in taps], -1).int()
-    values = torch.cat([value for _, value in taps], -1)
-    if not projection.divided:
-        return [_entries(columns, values)]
-    place = _places(rig, projection.cameras, points_m, [valid for _, valid in projected])
-    second = (place % 2 == 1).T.repeat_interleave(4, -1)  # a pixel has four neighbours
-    return [_entries(columns, values * own) for own in (~second, second)]
-
-
-def _entries(columns: Int32[Tensor, "P E"], values: Float64[Tensor, "P E"]) -> Entries:
-    kept = values > 1e-6
-    return kept.sum(-1), columns[kept], values[kept].float()
+    place = (
+        _places(rig, projection.cameras, points_m, [valid for _, valid in projected]) if projection.divided else None
+    )
+    for order, (camera, (pixels, valid)) in enumerate(zip(projection.cameras, projected, strict=True)):
+        seen = valid.nonzero()[:, 0]
+        columns, values = _taps(rig, camera, pixels[seen], *projection.feature_size)
+        kept = values > 1e-6
+        rows = seen[:, None].expand_as(columns)
+        for number, side in enumerate(sides):
+            own = kept if place is None else kept & (place[order, seen] % 2 == number)[:, None]
+            side.append((rows[own], columns[own], values[own].float()))
+    return [tuple(torch.cat(part) for part in zip(*side, strict=True)) for side in sides]  # type: ignore[misc]
 
 
 def _places(
@@ -256,15 +252,15 @@ def _places(
     return torch.argsort(order, dim=0)
 
 
-def _sampler(rig: Rig, projection: Projection, rows: Sequence[Entries], device: torch.device) -> Sampler:
-    counts, columns, values = (torch.cat(part) for part in zip(*rows, strict=True))
-    row = torch.arange(len(counts)).repeat_interleave(counts)
-    values = values / torch.zeros(len(counts)).index_add_(0, row, values)[row]
-    crow = torch.cat([counts.new_zeros(1), counts.cumsum(0)]).int()
-    shape = (len(counts), len(rig.cameras) * projection.feature_size[0] * projection.feature_size[1])
+def _sampler(entries: Entries, shape: tuple[int, int], device: torch.device) -> Sampler:
+    """Return the matrix of these entries and shape, its rows divided by their sums."""
+    rows, columns, values = entries
+    values = values / torch.zeros(shape[0]).index_add_(0, rows, values)[rows]
+    ordered = csr_matrix((values.numpy(), (rows.numpy(), columns.numpy())), shape)
+    parts = (ordered.indptr.astype(np.int32), ordered.indices.astype(np.int32), ordered.data)
+    crow, columns, values = (torch.from_numpy(part).to(device) for part in parts)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Sparse CSR tensor support is in beta")
-        crow, columns, values = (part.to(device) for part in (crow, columns, values))
         matrix = torch.sparse_csr_tensor(crow, columns, values, shape, check_invariants=False)
         return Sampler(matrix, crow[:-1].clone(), columns, values)  # columns and values share memory with the matrix
 
@@ -283,9 +279,14 @@ def divided_samplers(rig: Rig, projection: Projection, device: torch.device) -> 
 def _all_samplers(rig: Rig, projection: Projection, device: torch.device) -> tuple[tuple[Sampler, ...], ...]:
     rays = projection.panorama.rays().double().reshape(-1, 3)
     size = max(1, BLOCK_ROWS // len(rays))
-    blocks = [projection.planes[first : first + size] for first in range(0, len(projection.planes), size)]
-    rows = [[_rows(rig, projection, plane, rays) for plane in block] for block in blocks]
-    return tuple(tuple(_sampler(rig, projection, side, device) for side in zip(*block, strict=True)) for block in rows)
+    inverse_m = torch.tensor(projection.planes, dtype=torch.float64) * projection.spheres.step_per_m
+    blocks = [(block[:, None, None] * rays).flatten(0, 1) for block in (1 / inverse_m).clamp(max=FAR_M).split(size)]
+    width, height = projection.feature_size
+    pixels = len(rig.cameras) * width * height
+    return tuple(
+        tuple(_sampler(side, (len(points_m), pixels), device) for side in _entries(rig, projection, points_m))
+        for points_m in blocks
+    )
 
 
 def table(features: Float[Tensor, "B N C H W"], present: Bool[Tensor, "B N"]) -> Float[Tensor, "pixels BC"]:

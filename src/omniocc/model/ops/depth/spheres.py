@@ -73,11 +73,12 @@ def nearest_range_m(rig: Rig, panorama: Equirectangular) -> float:
     distances_m = rig.ego_from_camera[:, :3, 3].norm(dim=-1)
     rays = panorama.resized(128, 32).rays().double()
     nearest_m = 2 * float(distances_m.min())
-    for factor in torch.linspace(1, 3, 41).tolist():
-        range_m = factor * float(distances_m.max())
-        cameras = rig.project(rays * range_m)[1].sum(0)
-        if bool((cameras >= 1).any()) and float((cameras >= 2).sum() / (cameras >= 1).sum()) >= OVERLAP:
-            nearest_m = range_m
+    for ranges_m in (torch.linspace(1, 3, 41).double() * distances_m.max()).split(8):
+        cameras = rig.project(rays * ranges_m.reshape(-1, 1, 1, 1))[1].sum(0)
+        seen, overlap = (cameras >= 1).sum((1, 2)), (cameras >= 2).sum((1, 2))
+        enough = (seen > 0) & (overlap / seen >= OVERLAP)
+        if bool(enough.any()):
+            nearest_m = float(ranges_m[enough][0])
             break
     return max(LEAST_M, round(min(nearest_m, road_m), 3))
 
