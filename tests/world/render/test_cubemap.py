@@ -62,10 +62,10 @@ def test_weights_and_pixels_reproduce_the_rays(snapshot, ego_car, sensor):
     rig = Rig.load("fisheye6").resized(64, 36)
     _, cube, view = _both(rig, 4, snapshot, ego_car, sensor)
     directions = np.concatenate([face.center for face in cube.faces], axis=1)
-    blended = sum(directions[:, cube.corner[k]] * cube.weight[k] for k in range(4))
+    blended = sum(directions[:, cube.lookup.corner[k]] * cube.lookup.weight[k] for k in range(4))
     blended /= np.linalg.norm(blended, axis=0)
-    np.testing.assert_allclose(cube.weight.sum(axis=0), 1, atol=1e-6)
+    np.testing.assert_allclose(cube.lookup.weight.sum(axis=0), 1, atol=1e-6)
     np.testing.assert_allclose(blended, view.center, atol=2e-3)
-    off = np.arccos(np.clip((directions[:, cube.nearest] * view.center).sum(axis=0), -1, 1))
+    off = np.arccos(np.clip((directions[:, cube.lookup.nearest] * view.center).sum(axis=0), -1, 1))
     assert off.max() < view.pixel_rad
     assert 4 <= len(cube.faces) <= 6

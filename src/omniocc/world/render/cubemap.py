@@ -4,23 +4,17 @@ Simulators that rasterise, such as CARLA, can only render flat images. Here it e
 casting (`tests/world/render/test_cubemap.py` states the error) and to make data with the same resampling blur.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 
 from omniocc.camera import Pinhole, Rig
+from omniocc.camera.cubemap import FACES, CubeLookup, blend_ranges, look_up_rays
 from omniocc.world.render.capture import RenderedPixels, render_pixels
 from omniocc.world.render.caster import Caster
 from omniocc.world.render.snapshot import Snapshot
 from omniocc.world.render.view import View, make_view
-
-_MARGIN_PX = 1  # beyond 90 degrees, so that pixels at a face's edge have neighbours to blend with
-# Columns: a face's right, down and forward in the camera's frame; front, right, left, down, up, back.
-_FACES = np.array([
-    [[1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 0, 1], [0, 1, 0], [-1, 0, 0]], [[0, 0, -1], [0, 1, 0], [1, 0, 0]],
-    [[1, 0, 0], [0, 0, 1], [0, -1, 0]], [[1, 0, 0], [0, 0, -1], [0, 1, 0]], [[-1, 0, 0], [0, 1, 0], [0, 0, -1]],
-], dtype=np.float64)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -30,50 +24,29 @@ class Cube:
     Attributes:
         faces: views of the faces, restricted to the pixels that are needed.
         forward: (Q,) float32 component of each face pixel's ray along the axis of its face, face after face.
-        corner: (4, P) int64 the four face pixels around each pixel, as indices into `forward`.
-        weight: (4, P) float32 bilinear weights.
-        nearest: (P,) int64 the closest face pixel.
-        camera_forward: (P,) float32 component of each camera pixel's ray along the axis of its face.
+        lookup: places of the P pixels among these Q.
     """
 
     faces: tuple[View, ...]
     forward: np.ndarray
-    corner: np.ndarray
-    weight: np.ndarray
-    nearest: np.ndarray
-    camera_forward: np.ndarray
+    lookup: CubeLookup
 
 
 def make_cube(rig: Rig, camera: int, view: View, supersample: int, ego_car: Caster) -> Cube:
     """Return the cube's faces for one camera, as fine as its pixels in their middle, finer elsewhere."""
-    inner = int(np.ceil(2 / view.pixel_rad))
-    side = inner + 2 * _MARGIN_PX
     pose = rig.ego_from_camera[camera].double().numpy()
-    toward = np.einsum("ji,jp->ip", pose[:3, :3], view.center.astype(np.float64))
-    along = np.einsum("fij,ip->fjp", _FACES, toward)
-    face = along[:, 2].argmax(axis=0)
-    x, y, z = np.moveaxis(along[face, :, np.arange(len(face))], -1, 0)
-    column, row = ((part / z + 1) * inner / 2 - 0.5 + _MARGIN_PX for part in (x, y))
-    left, top = np.floor(column).astype(np.int64), np.floor(row).astype(np.int64)
-    right, lower = column - left, row - top
-    corner = np.stack([(face * side + top + a) * side + left + b for a in (0, 1) for b in (0, 1)])
-    weight = np.stack([(lower if a else 1 - lower) * (right if b else 1 - right) for a in (0, 1) for b in (0, 1)])
-    needed = np.zeros((len(_FACES), side, side), dtype=bool)
-    needed.reshape(-1)[corner] = True
-    used = np.flatnonzero(needed.any(axis=(1, 2)))
+    found = look_up_rays(np.einsum("ji,jp->ip", pose[:3, :3], view.center.astype(np.float64)), view.pixel_rad)
+    side, inner, needed, used = found.side, found.inner, found.needed, found.faces
     model = Pinhole(side, side, focal_px=(inner / 2, inner / 2), center_px=((side - 1) / 2, (side - 1) / 2))
     poses = np.tile(pose, (len(used), 1, 1))
-    poses[:, :3, :3] = pose[:3, :3] @ _FACES[used]
+    poses[:, :3, :3] = pose[:3, :3] @ FACES[used]
     names, masks = tuple(f"face{number}" for number in used), tuple(torch.from_numpy(mask) for mask in needed[used])
     face_rig = Rig((model,) * len(used), torch.from_numpy(poses), names, masks)
     views = tuple(make_view(face_rig, number, supersample, ego_car) for number in range(len(used)))
     order = np.cumsum(needed.reshape(-1)) - 1
-    forward = [np.einsum("i,ip->p", pose[:3, :3] @ _FACES[k, :, 2], v.center) for k, v in zip(used, views, strict=True)]
-    nearest = corner[weight.argmax(axis=0), np.arange(len(face))]
-    return Cube(
-        views, np.concatenate(forward).astype(np.float32), order[corner], weight.astype(np.float32), order[nearest],
-        z.astype(np.float32),
-    )  # fmt: skip
+    forward = [np.einsum("i,ip->p", pose[:3, :3] @ FACES[k, :, 2], v.center) for k, v in zip(used, views, strict=True)]
+    lookup = replace(found, corner=order[found.corner], nearest=order[found.nearest])
+    return Cube(views, np.concatenate(forward).astype(np.float32), lookup)
 
 
 def render_through_cube(cube: Cube, snapshot: Snapshot) -> RenderedPixels:
@@ -87,10 +60,8 @@ def render_through_cube(cube: Cube, snapshot: Snapshot) -> RenderedPixels:
     key, label, range_m, ego = (
         np.concatenate([getattr(part, name) for part in seen]) for name in ("key", "label", "range_m", "ego")
     )
-    color = np.einsum("ckp,kp->cp", colors[:, cube.corner], cube.weight)
-    inverse = 1 / (range_m * cube.forward)
-    blended = (inverse[cube.corner] * cube.weight).sum(axis=0)
-    even = (key[cube.corner] == key[cube.nearest]).all(axis=0)
-    with np.errstate(divide="ignore"):
-        distance = 1 / (np.where(even, blended, inverse[cube.nearest]) * cube.camera_forward)
-    return RenderedPixels(color, label[cube.nearest], distance, key[cube.nearest], ego[cube.nearest])
+    corner, nearest = cube.lookup.corner, cube.lookup.nearest
+    color = np.einsum("ckp,kp->cp", colors[:, corner], cube.lookup.weight)
+    even = (key[corner] == key[nearest]).all(axis=0)
+    distance = blend_ranges(cube.lookup, 1 / (range_m * cube.forward), even)
+    return RenderedPixels(color, label[nearest], distance, key[nearest], ego[nearest])
