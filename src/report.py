@@ -12,6 +12,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from omniocc.io import atomic_write
+from omniocc.report.dataset.table import dataset_markdown, load_dataset_table, with_folders
 from omniocc.report.frames import compared_frames
 from omniocc.report.page import page
 from omniocc.report.runs import read_runs
@@ -20,6 +21,7 @@ from omniocc.report.tables.tried import NOTE, TITLE, tried_cells
 from omniocc.run.script import lines_not_tracebacks
 from omniocc.run.table import markdown
 
+DATASETS = "dataset.yaml"
 ROOT = Path(__file__).parents[1]
 GENERATED_TRIED = "<!-- Written by `python src/report.py --tried`; do not edit. -->"
 
@@ -44,7 +46,12 @@ def main(arguments: list[str] | None = None) -> None:
     tried = "write one table of all runs, of any setting, on validation scenes"
     parser.add_argument("--tried", type=Path, metavar="FILE", help=tried)
     parser.add_argument("--reference", default="ours", help="row to which --tried compares the others (default: ours)")
+    recorded = "only print the paper's Table I with a row for each of these folders of recorded scenes"
+    parser.add_argument("--datasets", type=Path, metavar="FOLDER", nargs="+", help=recorded)
     options = parser.parse_args(arguments)
+    if options.datasets is not None:
+        print(dataset_markdown(with_folders(load_dataset_table(options.sweeps / DATASETS), options.datasets)))
+        return
     if options.tried is not None:
         write_tried(options.runs, options.tried, options.reference)
         return

@@ -22,7 +22,8 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).parents[1]
-SCRIPTS = ["train.py", "evaluate.py", "predict.py", "check.py", "export.py", "mask.py", "render.py", "report.py"]
+SCRIPTS = ["train.py", "evaluate.py", "predict.py", "check.py", "export.py", "mask.py", "record.py", "render.py"]
+SCRIPTS += ["report.py"]
 PYTHONPATH = "PYTHONPATH"
 
 

@@ -9,9 +9,9 @@ import yaml
 
 from omniocc.data import VirtualWorld
 from omniocc.data.source import SPLITS
-from omniocc.data.store.files import is_url
+from omniocc.data.store.files import is_url, list_folders
 from omniocc.data.store.reader import SceneReader
-from omniocc.data.store.shard import digest
+from omniocc.data.store.shard import META, digest
 from omniocc.errors import UserError
 from omniocc.report.dataset.facts import own_row, pinhole_twin
 from omniocc.report.runs import FinishedRun
@@ -65,6 +65,18 @@ def with_ours(table: DatasetTable, runs: Sequence[FinishedRun]) -> DatasetTable:
         return table._replace(rows=[*table.rows, ("here: not on this machine", ())])
     name, *cells = own_row(scenes, [pinhole_twin(scenes[0])])
     return table._replace(rows=[*table.rows, (f"{name} (here)", cells)])
+
+
+def with_folders(table: DatasetTable, folders: Sequence[Path]) -> DatasetTable:
+    """Return the table with a row for each folder of recorded scenes; raise UserError for one without scenes."""
+    rows = []
+    for folder in folders:
+        scenes = [SceneReader(folder / name) for name in list_folders(str(folder), META)] if folder.is_dir() else []
+        if not scenes:
+            raise UserError(f"{folder} holds no recorded scenes; give a folder that record.py or render.py wrote")
+        _, *cells = own_row(scenes, [None])
+        rows.append((folder.name, cells))
+    return table._replace(rows=[*table.rows, *rows])
 
 
 def scenes_of(run: FinishedRun) -> list[SceneReader]:

@@ -1,0 +1,125 @@
+"""Compare a server's answers with one another: is what we assume of CARLA's frames, units and tags true there?"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float64, UInt8
+
+from omniocc.record.carla.decode import inverse_depth_of, read_bgra, read_points, tags_in
+from omniocc.record.carla.frames import RawFrame
+from omniocc.record.carla.sensors import Cube, Spec
+from omniocc.record.carla.tags import ROAD, ROADLINE
+from omniocc.record.carla.unreal import SENSOR_FROM_OPTICAL, UnrealPose, pose_of, right_handed, right_handed_points
+
+POSE_M, POSE_RAD = 0.02, np.radians(0.2)
+DEPTH_FRACTION = 0.02
+SAME_TAGS = 0.85
+IN_BOX = 0.9
+TIME_S = 1e-4
+
+
+class Finding(NamedTuple):
+    """One assumption: what it says, whether it holds, and what was measured."""
+
+    name: str
+    holds: bool
+    measured: str
+
+
+def check_frames(
+    frames: Sequence[RawFrame],
+    sensors: Sequence[Spec],
+    cube: Cube,
+    interval_s: float,
+    classes: UInt8[np.ndarray, " 256"],
+) -> list[Finding]:
+    """Return what a few frames say about the assumptions; `cube` is that around the ego origin."""
+    last = frames[-1]
+    depth, same = lidar_against_cameras(last, cube, classes)
+    return [check_times(frames, interval_s), check_poses(last, sensors), depth, same, check_boxes(last)]
+
+
+def check_times(frames: Sequence[RawFrame], interval_s: float) -> Finding:
+    """Return whether frames follow one another at the interval."""
+    steps_s, numbers = np.diff([frame.time_s for frame in frames]), np.diff([frame.number for frame in frames])
+    holds = bool((np.abs(steps_s - interval_s) < TIME_S).all() and (numbers == 1).all())
+    return Finding(
+        "time stamps: one tick is one interval", holds, f"steps of {steps_s.min():.4f} to {steps_s.max():.4f} s"
+    )
+
+
+def check_poses(frame: RawFrame, sensors: Sequence[Spec]) -> Finding:
+    """Return whether the server puts sensors where our left- to right-handed conversion of their mounting says."""
+    world_from_vehicle = right_handed(np.array(frame.world_from_vehicle))
+    off_m, off_rad = [0.0], [0.0]
+    for spec in sensors:
+        expected = world_from_vehicle @ pose_of(UnrealPose(*spec["pose"]))
+        found = right_handed(np.array(frame.matrices[spec["name"]]))
+        off_m.append(float(np.linalg.norm(expected[:3, 3] - found[:3, 3])))
+        cosine = (np.trace(expected[:3, :3].T @ found[:3, :3]) - 1) / 2
+        off_rad.append(float(np.arccos(np.clip(cosine, -1, 1))))
+    holds = max(off_m) < POSE_M and max(off_rad) < POSE_RAD
+    return Finding(
+        "handedness: sensors stand where they were mounted", holds,
+        f"off by at most {100 * max(off_m):.1f} cm and {np.degrees(max(off_rad)):.2f} degrees",
+    )  # fmt: skip
+
+
+def lidar_against_cameras(frame: RawFrame, cube: Cube, classes: UInt8[np.ndarray, " 256"]) -> tuple[Finding, Finding]:
+    """Return whether depth images measure the distances of LiDAR points, and whether both give them equal classes."""
+    ratios, same = [np.empty(0)], [np.empty(0, bool)]
+    for face in cube.lookup.faces:
+        name = cube.face_name(face, "depth")
+        side, inner = cube.lookup.side, cube.lookup.inner
+        optical = right_handed(np.array(frame.matrices[name])) @ SENSOR_FROM_OPTICAL
+        points, tags = static_points(frame, optical)
+        ahead = points[:, 2] > 0.5
+        pixels = np.rint(points[ahead, :2] / points[ahead, 2:] * inner / 2 + (side - 1) / 2).astype(int)
+        inside = ((pixels >= 0) & (pixels < side)).all(axis=1)
+        column, row = pixels[inside].T
+        inverse = inverse_depth_of(read_bgra(frame.raw[name], side, side))[row, column]
+        seen = classes[tags_in(read_bgra(frame.raw[cube.face_name(face, "semantics")], side, side))[row, column]]
+        ratio = inverse * points[ahead, 2][inside]
+        visible = np.abs(ratio - 1) < 0.1  # others are hidden from this camera by something
+        ratios.append(ratio[(ratio > 0.3) & (ratio < 3)])
+        given = classes[np.minimum(tags[ahead][inside], 255)]
+        given, seen = (np.where(part == ROADLINE, ROAD, part) for part in (given, seen))
+        same.append((given == seen)[visible])
+    scale, equal = np.concatenate(ratios), np.concatenate(same)
+    middle = float(np.median(scale)) if len(scale) else np.nan
+    share = float(equal.mean()) if len(equal) else np.nan
+    return (
+        Finding("depth: images and LiDAR agree on distances", abs(middle - 1) < DEPTH_FRACTION,
+                f"median ratio {middle:.3f} over {len(scale)} points"),
+        Finding("tags: images and LiDAR agree on classes", share > SAME_TAGS, f"{share:.1%} of {len(equal)} points"),
+    )  # fmt: skip
+
+
+def static_points(frame: RawFrame, world_from_optical: Float64[np.ndarray, "4 4"]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the points of the first LiDAR that no actor was hit by, in a camera's optical frame, and their tags."""
+    found = read_points(frame.raw["lidar/0"])
+    found = found[found["actor"] != frame.ego_id]
+    points = right_handed_points(np.stack([found["x"], found["y"], found["z"]], axis=1).astype(np.float64))
+    pose = np.linalg.inv(world_from_optical) @ right_handed(np.array(frame.matrices["lidar/0"]))
+    return points @ pose[:3, :3].T + pose[:3, 3], found["tag"]
+
+
+def check_boxes(frame: RawFrame) -> Finding:
+    """Return whether LiDAR points of vehicles lie in the boxes of these vehicles."""
+    inside, count = 0, 0
+    for name, content in frame.raw.items():
+        if not name.startswith("lidar/"):
+            continue
+        found, pose = read_points(content), right_handed(np.array(frame.matrices[name]))
+        for actor in frame.actors:
+            own = found[found["actor"] == actor["id"]]
+            points = right_handed_points(np.stack([own["x"], own["y"], own["z"]], axis=1).astype(np.float64))
+            into = np.linalg.inv(right_handed(np.array(actor["matrix"]))) @ pose
+            points = points @ into[:3, :3].T + into[:3, 3]
+            center = right_handed_points(np.array([actor["center"]], np.float64))
+            inside += int((np.abs(points - center) < np.array(actor["extent"]) + 0.2).all(axis=1).sum())
+            count += len(own)
+    share = inside / count if count else np.nan
+    measured = f"{share:.1%} of {count} points" if count else "no vehicle was hit; try another town or more frames"
+    return Finding("boxes: points of an actor lie in its box", bool(count) and share > IN_BOX, measured)
