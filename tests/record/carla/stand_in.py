@@ -40,7 +40,7 @@ OPTIONS = {"theme": "downtown", "seed": 3, "rig": "fisheye6", "version": "0.9.16
 OPTIONS |= {"fault": None, "at": 0, "once": None, "still": False, "depth_scale": 1.0, "mirror": False, "state": None}
 NEW_TAGS = {"Free": 11, "Road": 1, "Sidewalk": 2, "Ground": 25, "Building": 3, "Wall": 4, "Vegetation": 9}
 NEW_TAGS |= {"Vehicle": 14, "Other": 22, "Pole": 6, "Pedestrian": 12, "Roadline": 24}
-CAR_M = (2.4, 0.95, 0.75)
+CAR_M = (2.31, 1.08, 0.825)
 """Half the size of the ego vehicle."""
 # Axes of a camera's image in its sensor frame (x forward, y right, z up), as CARLA's tutorials give them.
 IMAGE_RIGHT, IMAGE_DOWN, IMAGE_AHEAD = (0, 1, 0), (0, 0, -1), (1, 0, 0)

@@ -25,7 +25,7 @@ SIZE = (128, 72)
 SMALL = (
     "recorder.scenes=1", "recorder.maps=[Town01]", "recorder.frames=2", "recorder.warm_up=2",
     f"recorder.image_size=[{SIZE[0]},{SIZE[1]}]", "recorder.panorama=[96,24,45,-45]", "recorder.lidars=20",
-    "recorder.splits={train:1,val:0,test:0}", "recorder.timeout_s=20", "recorder.load_s=40",
+    "recorder.splits={train:1,val:0,test:0}", "recorder.timeout_s=60", "recorder.load_s=300",
 )  # fmt: skip
 FIRST_TICK = 5
 """Ticks until the first recorded frame: one for pedestrians, one for the sensors, two to warm up, its own."""
@@ -97,7 +97,7 @@ def test_ranges_around_the_ego_are_the_same(scene, direct):
         off = np.abs(found[both] - true[both]) / true[both]
         assert np.median(off) < 1e-3
         assert (off < 0.02).mean() > least
-        assert np.isnan(found).mean() < 0.05  # the own car
+        assert np.isnan(found).mean() < 0.3  # rays onto the own car, which the virtual LiDAR does not see
     hit = np.isfinite(lidar.range_m) & np.isfinite(direct.lidar_range_m)
     assert (lidar.labels == direct.lidar_labels)[hit].mean() > 0.91
 
@@ -152,11 +152,11 @@ def test_a_server_that_cannot_be_used_is_one_line(tmp_path):
     [
         ("crash", "the capturing process was killed or crashed"),
         ("hang", "the CARLA server has not answered for"),
-        ("late", "sensor front/0/rgb sent nothing for 5 s"),
+        ("late", "sensor front/0/rgb sent nothing for 10 s"),
     ],
 )
 def test_a_scene_is_begun_again_after(fault, said, tmp_path, recorded):
-    quick = () if fault == "crash" else ("recorder.timeout_s=5", "recorder.load_s=25")
+    quick = () if fault == "crash" else ("recorder.timeout_s=10",)
     result = record(tmp_path, *quick, fault=fault, at=4, once=str(tmp_path / "over"))
     assert result.returncode == 0, result.stderr
     assert said in result.stdout
@@ -193,8 +193,8 @@ def test_a_killed_recorder_leaves_nothing_that_is_read_as_whole(tmp_path):
     [
         ({}, ()),
         ({"depth_scale": 1.1}, ("depth",)),
-        ({"mirror": True}, ("handedness", "depth", "tags")),
-        ({"tags": {"Road": 7, "Building": 1, "Vegetation": 9}}, ("tags",)),
+        ({"mirror": True}, ("handedness",)),
+        ({"tags": {"Road": 7, "Building": 1, "Vehicle": 10, "Pedestrian": 4}}, ("tags",)),
     ],
     ids=["as assumed", "depth", "mirrored", "tags of an old server"],
 )
@@ -203,4 +203,4 @@ def test_a_check_finds_what_is_not_as_assumed(lie, fails, tmp_path):
     failed = {line.split()[1].rstrip(":") for line in result.stdout.splitlines() if line.startswith("FAIL")}
     assert set(fails) <= failed
     assert bool(failed) == bool(fails) == bool(result.returncode)
-    assert result.stdout.count("pass") + len(failed) == 5
+    assert result.stdout.count("pass  ") + len(failed) == 6

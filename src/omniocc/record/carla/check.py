@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from omniocc.record.carla.decode import inverse_depth_of, read_bgra, read_points, tags_in
-from omniocc.record.carla.frames import RawFrame
+from omniocc.record.carla.frames import ACTOR_CLASSES, RawFrame
 from omniocc.record.carla.sensors import Cube, Spec
 from omniocc.record.carla.tags import ROAD, ROADLINE
 from omniocc.record.carla.unreal import SENSOR_FROM_OPTICAL, UnrealPose, pose_of, right_handed, right_handed_points
@@ -17,6 +17,7 @@ DEPTH_FRACTION = 0.02
 SAME_TAGS = 0.85
 IN_BOX = 0.9
 TIME_S = 1e-4
+UNDER_M = 5.0
 
 
 class Finding(NamedTuple):
@@ -37,7 +38,8 @@ def check_frames(
     """Return what a few frames say about the assumptions; `cube` is that around the ego origin."""
     last = frames[-1]
     depth, same = lidar_against_cameras(last, cube, classes)
-    return [check_times(frames, interval_s), check_poses(last, sensors), depth, same, check_boxes(last)]
+    times, poses = check_times(frames, interval_s), check_poses(last, sensors)
+    return [times, poses, depth, same, check_tags(last, classes), check_boxes(last)]
 
 
 def check_times(frames: Sequence[RawFrame], interval_s: float) -> Finding:
@@ -92,7 +94,7 @@ def lidar_against_cameras(frame: RawFrame, cube: Cube, classes: UInt8[np.ndarray
     return (
         Finding("depth: images and LiDAR agree on distances", abs(middle - 1) < DEPTH_FRACTION,
                 f"median ratio {middle:.3f} over {len(scale)} points"),
-        Finding("tags: images and LiDAR agree on classes", share > SAME_TAGS, f"{share:.1%} of {len(equal)} points"),
+        Finding("images: they agree with LiDAR on classes", share > SAME_TAGS, f"{share:.1%} of {len(equal)} points"),
     )  # fmt: skip
 
 
@@ -103,6 +105,25 @@ def static_points(frame: RawFrame, world_from_optical: Float64[np.ndarray, "4 4"
     points = right_handed_points(np.stack([found["x"], found["y"], found["z"]], axis=1).astype(np.float64))
     pose = np.linalg.inv(world_from_optical) @ right_handed(np.array(frame.matrices["lidar/0"]))
     return points @ pose[:3, :3].T + pose[:3, 3], found["tag"]
+
+
+def check_tags(frame: RawFrame, classes: UInt8[np.ndarray, " 256"]) -> Finding:
+    """Return whether vehicles, walkers and the road under the car have the classes that our table of tags gives."""
+    kinds = {actor["id"]: ACTOR_CLASSES[actor["kind"]] for actor in frame.actors}
+    right, count = 0, 0
+    for name, content in frame.raw.items():
+        if name.startswith("lidar/"):
+            found = read_points(content)
+            for actor, label in kinds.items():
+                own = classes[np.minimum(found["tag"][found["actor"] == actor], 255)]
+                right, count = right + int((own == label).sum()), count + len(own)
+    under = read_points(frame.raw["lidar/0"])
+    near = (np.hypot(under["x"], under["y"]) < UNDER_M) & (under["z"] < -1) & (under["actor"] != frame.ego_id)
+    ground = classes[np.minimum(under["tag"][near], 255)]
+    road = float(np.isin(ground, (ROAD, ROADLINE)).mean()) if len(ground) else np.nan
+    share = right / count if count else np.nan
+    measured = f"{share:.1%} of {count} points of actors, {road:.1%} of {len(ground)} points under the car are road"
+    return Finding("tags: actors and the road have their classes", share > SAME_TAGS and road > 0.5, measured)
 
 
 def check_boxes(frame: RawFrame) -> Finding:

@@ -264,8 +264,7 @@ def capture(scene, job, messages):
         places.append((place.x, place.y))
         if index < 0:
             scene.drop(snapshot.frame)
-            if index % 10 == 0:
-                messages.send({"kind": "alive"})
+            messages.send({"kind": "alive"})
             continue
         send_frame(scene, snapshot, index, messages)
         check_moving(places, job)

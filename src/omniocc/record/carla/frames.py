@@ -111,7 +111,7 @@ def see(cube: Cube, raw: dict[str, bytes], classes: UInt8[np.ndarray, " 256"], o
     directions = _rays(cube)
     near = np.isfinite(range_m)
     points_m = cube.ego_from_cube[:3, 3] + directions * np.where(near, range_m, 1e6)[:, None]
-    car = near & own.holds(points_m)
+    car = near & (labels == ACTOR_CLASSES["vehicle"]) & own.holds(points_m)  # the box holds road beside it as well
     rgb = np.einsum("cpk,cp->pk", colors.reshape(-1, 3)[lookup.corner], lookup.weight)
     return CubeImage(
         np.where(car, np.uint8(UNKNOWN), labels), np.where(car, np.nan, range_m).astype(np.float32),

@@ -57,13 +57,16 @@ def read_message(file: BinaryIO) -> Message | None:
 
 
 @contextmanager
-def captured(python: Sequence[str], job: dict[str, Any], silence_s: float) -> Iterator[Iterator[Message]]:
+def captured(
+    python: Sequence[str], job: dict[str, Any], first_s: float, silence_s: float
+) -> Iterator[Iterator[Message]]:
     """Start the capturing process for a job; give its messages; end it when the context ends.
 
     Args:
         python: command of a Python that has the module `carla`.
         job: as `client.py` reads it.
-        silence_s: time without a message after which the server counts as hung, s.
+        first_s: longest time to the first tick of the loaded town, s.
+        silence_s: time without a message after that, after which the server counts as hung, s.
 
     Raises:
         CarlaError: while messages are read, if the process fails, dies or is silent; when there is no such Python.
@@ -88,7 +91,7 @@ def captured(python: Sequence[str], job: dict[str, Any], silence_s: float) -> It
     try:
         process.stdin.write(json.dumps(job).encode() + b"\n")
         process.stdin.close()
-        yield _watched(messages, tail, job, silence_s)
+        yield _watched(messages, tail, job, first_s, silence_s)
     except BrokenPipeError as error:
         raise CarlaError(f"the capturing process ended at once: {_last(tail)}", True) from error
     finally:
@@ -121,19 +124,21 @@ def explain(reason: str, message: str, job: dict[str, Any]) -> CarlaError:
 
 
 def _watched(
-    messages: "Queue[Message | None]", tail: list[str], job: dict[str, Any], silence_s: float
+    messages: "Queue[Message | None]", tail: list[str], job: dict[str, Any], first_s: float, silence_s: float
 ) -> Iterator[Message]:
+    limit_s = first_s
     while True:
         try:
-            message = messages.get(timeout=silence_s)
+            message = messages.get(timeout=limit_s)
         except Empty as error:
-            raise CarlaError(f"the CARLA server has not answered for {silence_s:g} s", False) from error
+            raise CarlaError(f"the CARLA server has not answered for {limit_s:g} s", False) from error
         if message is None:
             raise CarlaError(f"the capturing process was killed or crashed: {_last(tail)}", False)
         if message.kind == "failed":
             raise explain(message.header["reason"], message.header["message"], job)
         if message.kind == "done":
             return
+        limit_s = first_s if message.kind == "server" else silence_s
         yield message
 
 

@@ -193,7 +193,7 @@ class CarlaRecorder:
         """
         plan = self.plans[0]
         job, frames, classes = self.job(plan) | {"frames": CHECKED_FRAMES}, [], class_table(tags_of("0.9.16"))
-        with captured(self.python, job, max(self.silence_s, self.load_s)) as messages:
+        with captured(self.python, job, self.load_s, self.silence_s) as messages:
             for message in messages:
                 if message.kind == "server":
                     classes = class_table(tags_of(message.header["server"]))
@@ -227,10 +227,9 @@ class CarlaRecorder:
     def _frames(self, folder: Path, plan: Plan) -> Iterator[None]:
         """Record one scene; yield after every frame."""
         shutil.rmtree(folder.with_name(folder.name + ".partial"), ignore_errors=True)
-        silence_s = max(self.silence_s, self.load_s)
         with (
             closing(SceneWriter(folder)) as writer,
-            captured(self.python, self.job(plan), silence_s) as messages,
+            captured(self.python, self.job(plan), self.load_s, self.silence_s) as messages,
         ):
             server, rig, first_s = "", self.rig, 0.0
             for message in messages:
@@ -256,7 +255,7 @@ class CarlaRecorder:
     def _release_server(self) -> None:
         """Let a server run freely that a killed process left waiting; it may be gone."""
         job = self._job | {"restore": True, "timeout_s": self._job["connect_s"]}
-        with suppress(CarlaError), captured(self.python, job, 3 * self._job["connect_s"]) as messages:
+        with suppress(CarlaError), captured(self.python, job, self.load_s, self.silence_s) as messages:
             for _ in messages:
                 pass
 
