@@ -34,8 +34,9 @@ def submission(cfg: DictConfig) -> None:
     quiet_libraries()
     changes = [] if cfg.root is None else [f"data.source.root={cfg.root}"]
     if cfg.sequences is not None:
-        changes.append(f"data.source.sequences.{cfg.split}={list(cfg.sequences)}")
-    predict_submission(cfg.checkpoint, Path(cfg.output), cfg.split, changes, cfg.device)
+        given = [cfg.sequences] if isinstance(cfg.sequences, int | str) else list(cfg.sequences)
+        changes.append(f"data.source.sequences.{cfg.split}={given}")
+    predict_submission(cfg.checkpoint, Path(cfg.output), cfg.split, changes, cfg.device, cfg.force)
 
 
 COMMANDS = {"depth": depth, "occupancy": occupancy, "submission": submission}

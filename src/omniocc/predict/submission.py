@@ -3,14 +3,19 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from omniocc.data.source import Split
+from omniocc.data.source import SPLITS, Split
+from omniocc.data.store.shard import sha256
+from omniocc.errors import UserError
 from omniocc.predict.options import choose_device
+from omniocc.predict.output.manifest import write_manifest
 from omniocc.run.weights import find_checkpoint
 from omniocc.task.build import load_task
-from omniocc.task.submission import write_files
+from omniocc.task.submission import submitted, write_files
 
 
-def predict_submission(checkpoint: str, output: Path, split: Split, changes: Sequence[str], device: str | None) -> None:
+def predict_submission(
+    checkpoint: str, output: Path, split: Split, changes: Sequence[str], device: str | None, force: bool
+) -> None:
     """Write one file for every frame of the split of the data that a checkpoint was trained on.
 
     Args:
@@ -19,11 +24,24 @@ def predict_submission(checkpoint: str, output: Path, split: Split, changes: Seq
         split: train, val or test.
         changes: overrides of the data of training, such as data.source.root=/datasets/kitti.
         device: cpu or cuda; None: cuda if there is one.
+        force: replace predictions of another checkpoint.
 
     Raises:
         UserError: naming what does not exist or does not fit.
         DataError: naming a damaged file, or when the disk refuses.
     """
-    task, data = load_task(find_checkpoint(Path(checkpoint)), list(changes))
+    path = find_checkpoint(Path(checkpoint))
+    task, data = load_task(path, list(changes))
+    if split not in SPLITS:
+        raise UserError(f"split={split}: choose {', '.join(SPLITS)}")
+    data.source.prepare()
+    frames = list(submitted(data.source.scenes(split)))
+    if not frames:
+        raise UserError(f"there are no frames of the split '{split}'")
+    scene, frame = frames[0]
+    kind = Path(scene.prediction_file(frame)).suffix
+    write_manifest(output, {"checkpoint": str(path), "sha256": sha256(path)}, force, f"*{kind}")
+    kept = sum((output / scene.prediction_file(frame)).exists() for scene, frame in frames)
     count = write_files(task, data, output, split, choose_device(device))
-    print(f"{count} frames in {output}; their scores: python src/evaluate.py predictions={output} data=...")
+    print(f"{count} frames in {output}{f', {kept} of them from before' if kept else ''}")
+    print(f"their scores: python src/evaluate.py predictions={output} data=...")

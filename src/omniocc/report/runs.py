@@ -19,6 +19,7 @@ from omniocc.run.results import CANDIDATES, load_results
 from omniocc.run.table import class_names
 
 HASH = re.compile(r"-[0-9a-f]{8}(-\d+)?$")
+RAY_IOU = "test/rayiou"
 FRACTION, RECALL, VOXELS = "test/sketch/fraction", "test/sketch/recall", "voxels"
 
 
@@ -70,11 +71,13 @@ def read_runs(folder: Path) -> list[FinishedRun]:
             print(f"left out: {error}", file=sys.stderr, flush=True)
     if not runs:
         raise UserError(f"{folder} holds no finished run ({METRICS}); train one: python src/train.py")
-    return sorted(runs, key=lambda run: -run.metrics["test/rayiou"])
+    return sorted(runs, key=lambda run: -run.metrics[RAY_IOU])
 
 
 def _read(folder: Path) -> FinishedRun:
     facts, metrics = load_results(folder)
+    if RAY_IOU not in metrics:
+        raise UserError(f"{folder} has no RayIoU: its test frames have no voxel labels")
     config = _read_config(folder / "config.yaml")
     return FinishedRun(folder.name, facts, known_figures(facts, config) | metrics, folder, config)
 

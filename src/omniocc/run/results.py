@@ -51,7 +51,8 @@ def load_results(folder: Path) -> tuple[dict[str, Any], dict[str, float]]:
 
 def show_results(folder: Path) -> None:
     """Print the table of a finished run and where its files are."""
-    print(f"\n{as_text(load_results(folder)[1])}\n")
+    table = as_text(load_results(folder)[1]).strip()
+    print(f"\n{table or 'No test frame has labels, so nothing is scored.'}\n")
     images = sorted(str(path) for path in (folder / IMAGES).glob("test-*.png"))
     lines = [f"table     {folder / 'table.md'}", f"figures   {folder / METRICS}"]
     print("\n".join([*lines, *(f"image     {path}" for path in images)]), flush=True)

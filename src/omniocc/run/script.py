@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 from unittest.mock import patch
 
+import cv2
 import hydra
 from hydra.errors import HydraException
 from omegaconf import DictConfig
@@ -23,6 +24,7 @@ from omniocc.run.overrides import explain
 
 P = ParamSpec("P")
 T = TypeVar("T")
+OPENCV_ERRORS = 2
 FULL_ERROR = "HYDRA_FULL_ERROR"
 """Hydra's environment variable; with `1` it raises its errors instead of printing them."""
 
@@ -108,6 +110,8 @@ def quiet_libraries() -> None:
     for name in ("lightning.pytorch", "lightning.fabric"):
         logging.getLogger(name).setLevel(logging.ERROR)
     os.environ.setdefault("TOKENIZERS_PARALLELISM", "false")
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")  # in processes; damaged images have errors of ours
+    cv2.setLogLevel(OPENCV_ERRORS)
     warnings.filterwarnings("ignore", module="lightning")
     warnings.filterwarnings("ignore", module="torch.utils.data")
     warnings.filterwarnings("ignore", message="Grad strides do not match bucket view strides")

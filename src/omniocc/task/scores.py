@@ -84,7 +84,8 @@ class Scores(nn.Module):
         metrics = {"": self.rays, "lidar/": self.lidar, "voxel/": self.cells}
         pairs = zip(self.part_cells, self.parts, strict=True)
         metrics |= {f"voxel_{name}/": cast(VoxelIoU, part) for (name, _), part in pairs}
-        voxels, lidar = (frames.compute() > 0 for frames in (self.voxel_frames, self.lidar_frames))
+        counted = (self.voxel_frames, self.lidar_frames)
+        voxels, lidar = (frames.update_called and bool(frames.compute() > 0) for frames in counted)
         return {
             f"{prefix}{key}": value
             for prefix, metric in metrics.items()

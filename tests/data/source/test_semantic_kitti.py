@@ -92,6 +92,31 @@ def test_sequences_with_secret_labels_can_be_predicted_but_not_scored(tmp_path):
         score_files(source, tmp_path)
 
 
+def test_what_is_missing_is_listed_at_once_and_labels_are_part_of_the_fingerprint(tmp_path):
+    root = write_semantic_kitti(tmp_path, frames=1)
+    before = source_of(root).fingerprint
+    secret = root / "sequences" / "08" / "voxels" / "000000.label"
+    content = secret.read_bytes()
+    secret.unlink()
+    assert source_of(root).fingerprint != before
+    secret.write_bytes(content)
+    assert source_of(root).fingerprint == before
+    (root / "sequences" / "04" / "poses.txt").unlink()
+    (root / "sequences" / "00" / "voxels" / "000000.label").unlink()
+    with pytest.raises(DataError) as caught:
+        source_of(root)
+    first, second = str(caught.value).splitlines()
+    assert first.endswith("00/voxels: there are no *.label files, from which training and validation learn")
+    assert second.endswith("poses.txt is missing: unpack SemanticKITTI's archive of labels into data.source.root")
+
+
+def test_numbers_of_sequences_may_be_numbers(root):
+    source = SemanticKITTI(
+        str(root), {"train": [0], "val": [4], "test": [8]}, ["image_2"], 64, (64, 32, 45.0, -45.0), None
+    )
+    assert [scene.name for scene in source.scenes("test")] == ["08"]
+
+
 def test_points_fall_on_the_voxels_and_pixels_that_show_them(root):
     source = source_of(root)
     scene = source.scenes("train")[0]
@@ -167,7 +192,7 @@ def test_a_wrong_root_lists_what_it_expected(tmp_path):
         source_of(tmp_path)
     root = write_semantic_kitti(tmp_path, frames=1)
     shutil.rmtree(root / "sequences" / "04" / "image_3")
-    with pytest.raises(DataError, match=r"04: image_3 not found, it holds calib\.txt"):
+    with pytest.raises(DataError, match=r"04/image_3 is missing: unpack KITTI odometry's archive of colour images"):
         source_of(root)
 
 

@@ -88,6 +88,16 @@ def test_the_fisheyes_of_kitti360_are_found_by_their_images(root, kitti360, tmp_
     assert scene.lidar(1) is None
 
 
+def test_frames_are_found_again_when_others_have_labels(kitti360, tmp_path):
+    root = write_sscbench(tmp_path / "a", frames=2)
+    options = {"kitti360": str(kitti360), "cache": str(tmp_path)}
+    assert source_of(root, **options).scenes("train")[0].numbers_of_kitti360 == [100, 105]
+    (root / "data_2d_raw" / SEQUENCE.format("00") / "voxels" / "000000.label").unlink()
+    assert source_of(root, **options).scenes("train")[0].numbers_of_kitti360 == [105]
+    (tmp_path / "kitti360-frames-00.json").write_text("[1, 2")
+    assert source_of(root, **options).scenes("train")[0].numbers_of_kitti360 == [105]
+
+
 def test_points_of_the_velodyne_are_seen_where_the_devkit_projects_them(root, kitti360, tmp_path):
     rig = source_of(root, kitti360=str(kitti360), cache=str(tmp_path)).scenes("train")[0].rigs[0].resized(1400, 1400)
     points = torch.tensor([(10, 2, -1), (5, 6, 0), (5, -6, 0), (-8, 5, -1.5)], dtype=torch.float64)

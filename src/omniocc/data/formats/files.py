@@ -125,8 +125,8 @@ def scaled_size(width: int, height: int, scaled_width: int) -> tuple[int, int]:
     return scaled_width, max(8, round(height * scaled_width / width / 8) * 8)
 
 
-def check_root(root: str, expected: Sequence[str], how: str) -> Path:
-    """Return the root of a dataset as a path.
+def check_root(root: str, expected: Sequence[str], how: str, key: str = "data.source.root=") -> Path:
+    """Return the root of a dataset as a path; `key` stands before it in the message.
 
     Raises:
         DataError: listing what was expected and what was found.
@@ -136,5 +136,5 @@ def check_root(root: str, expected: Sequence[str], how: str) -> Path:
     if missing:
         found = sorted(entry.name for entry in path.iterdir())[:12] if path.is_dir() else []
         content = f"it holds {', '.join(found) or 'nothing'}" if path.is_dir() else "it is no folder"
-        raise DataError(f"data.source.root={root}: {', '.join(missing)} not found, {content}; {how}")
+        raise DataError(f"{key}{root}: {', '.join(missing)} not found, {content}; {how}")
     return path

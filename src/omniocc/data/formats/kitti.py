@@ -106,6 +106,10 @@ def read_calibration(path: Path) -> dict[str, Float64[np.ndarray, "3 4"]]:
             raise DataError(f"{path}, line {number}: '{name}' are not 12 numbers") from error
     if "Tr" not in found:
         raise DataError(f"{path}: the line 'Tr:' is missing; {TR}")
+    try:
+        rigid(found["Tr"], "Tr")
+    except ValueError as error:
+        raise DataError(f"{path}: {error}") from error
     return found
 
 

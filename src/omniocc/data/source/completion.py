@@ -58,7 +58,8 @@ class CompletionSource(ABC, Generic[Scene]):
         if image_width < 8 or set(sequences) != set(SPLITS):
             given = f"{image_width} and {dict(sequences)}"
             raise ValueError(f"image_width must be at least 8 and sequences need {', '.join(SPLITS)}, got {given}")
-        self.root, self.sequences, self.image_width = root, sequences, image_width
+        self.sequences = {split: [str(number).zfill(2) for number in sequences[split]] for split in SPLITS}
+        self.root, self.image_width = root, image_width
         self.panorama = Equirectangular(*panorama)
         self.folder = Path(root, "omniocc") if cache is None else Path(cache)
 
@@ -103,8 +104,8 @@ class CompletionSource(ABC, Generic[Scene]):
 
     @property
     def frames(self) -> list[list[object]]:
-        """Return split, number and frames of every sequence, for fingerprints."""
-        return [[split, scene.name, scene.numbers] for split in SPLITS for scene in self.scenes(split)]
+        """Return split, number and frames of every sequence, and whether labels are there, for fingerprints."""
+        return [[split, scene.name, scene.numbers, scene.labelled] for split in SPLITS for scene in self.scenes(split)]
 
 
 class CompletionScene(DatasetScene):
@@ -117,6 +118,11 @@ class CompletionScene(DatasetScene):
     @abstractmethod
     def numbers(self) -> list[int]:
         """Return the numbers of the frames, as in the names of files."""
+
+    @property
+    @abstractmethod
+    def labelled(self) -> bool:
+        """Return whether voxel labels are there."""
 
     @property
     @abstractmethod

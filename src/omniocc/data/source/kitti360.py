@@ -82,11 +82,12 @@ class KITTI360:
             raise ValueError(f"sequences need {', '.join(SPLITS)}, got {dict(sequences)}")
         if not cameras or not set(cameras) <= {*RECTIFIED, *FISHEYES}:
             raise ValueError(f"cameras must be of {', '.join((*RECTIFIED, *FISHEYES))}, got {list(cameras)}")
-        self.root, self.sequences, self.cameras = root, sequences, tuple(cameras)
+        self.sequences = {split: [str(number).zfill(2) for number in sequences[split]] for split in SPLITS}
+        self.root, self.cameras = root, tuple(cameras)
         self.frame_step, self.accumulate, self.image_width = frame_step, accumulate, image_width
         self.panorama = Equirectangular(*panorama)
         self.folder = Path(root, "omniocc") if cache is None else Path(cache)
-        names = sorted({name for split in SPLITS for name in sequences[split]})
+        names = sorted({name for split in SPLITS for name in self.sequences[split]})
         self.index = Index(self.folder / f"index-kitti360-{digest(names)[:8]}", Drive, self._read_poses)
 
     @property

@@ -2,7 +2,7 @@
 
 import re
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 
@@ -32,7 +32,12 @@ from omniocc.errors import DataError
 from omniocc.geometry import Cuboid
 
 CAMERAS = ("image_2", "image_3")
-LABELS = "unpack SemanticKITTI's voxel archive into data.source.root"
+WHENCE = {
+    "calib.txt": "KITTI odometry's archive of Velodyne scans", "poses.txt": "SemanticKITTI's archive of labels",
+    "voxels": "SemanticKITTI's archive of voxels",
+    **dict.fromkeys(CAMERAS, "KITTI odometry's archive of colour images"),
+}  # fmt: skip
+"""Archive that holds each file or folder of a sequence."""
 
 
 class SemanticKITTI(CompletionSource["KittiSequence"]):
@@ -91,10 +96,18 @@ class SemanticKITTI(CompletionSource["KittiSequence"]):
             DataError: naming what is missing or wrong.
         """
         check_root(self.root, ["sequences"], "give the folder that holds SemanticKITTI's 'sequences'")
-        for scene in self.all_scenes.values():
-            check_root(str(scene.folder), ["calib.txt", "poses.txt", "voxels", *self.cameras], LABELS)
-            if not len(scene):
-                raise DataError(f"{scene.folder / 'voxels'}: there are no *.label or *.bin files; {LABELS}")
+        problems = [line for name, scene in self.all_scenes.items() for line in self._problems(name, scene)]
+        if problems:
+            raise DataError("\n".join(problems))
+
+    def _problems(self, name: str, scene: "KittiSequence") -> Iterator[str]:
+        wanted = ["calib.txt", "poses.txt", "voxels", *self.cameras]
+        for part in (part for part in wanted if not (scene.folder / part).exists()):
+            yield f"{scene.folder / part} is missing: unpack {WHENCE[part]} into data.source.root"
+        if (scene.folder / "voxels").is_dir() and not len(scene):
+            yield f"{scene.folder / 'voxels'}: there are no *.label or *.bin files; unpack {WHENCE['voxels']}"
+        if len(scene) and not scene.labelled and name not in self.sequences["test"]:
+            yield f"{scene.folder / 'voxels'}: there are no *.label files, from which training and validation learn"
 
     def sequence(self, name: str) -> "KittiSequence":
         """Return a sequence by its number."""
@@ -142,7 +155,8 @@ class KittiSequence(CompletionScene):
     @cached_property
     def sizes(self) -> list[tuple[int, int]]:
         """Return width and height of each camera's files, which differ from sequence to sequence."""
-        return [image_size(self.folder / camera / f"{self.numbers[0]:06d}.png") for camera in self.cameras]
+        with self.naming(0):
+            return [image_size(self._file(camera, 0, "png")) for camera in self.cameras]
 
     @cached_property
     def rig(self) -> Rig:

@@ -87,11 +87,10 @@ class SSCBenchKITTI360(CompletionSource["SSCBenchSequence"]):
         """
         check_root(self.root, ["data_2d_raw"], "give the folder that holds SSCBench-KITTI-360's 'data_2d_raw'")
         if self.kitti360 is not None:
-            check_root(
-                self.kitti360, ["calibration", "data_2d_raw"], "give data.source.kitti360 KITTI-360's own folder"
-            )
+            folders = ["calibration", "data_2d_raw"]
+            check_root(self.kitti360, folders, "give KITTI-360's own folder", "data.source.kitti360=")
         for scene in self.all_scenes.values():
-            check_root(str(scene.folder), [FRONT], "unpack SSCBench-KITTI-360 into data.source.root")
+            check_root(str(scene.folder), [FRONT], "unpack SSCBench-KITTI-360 into data.source.root", "")
             if not len(scene):
                 raise DataError(f"{scene.folder}: there are no voxels/*.label, and no *_1_1.npy in preprocess/labels")
             scene.find_fisheyes()
@@ -124,11 +123,16 @@ class SSCBenchSequence(CompletionScene):
                 return found
         return []
 
+    @property
+    def labelled(self) -> bool:
+        """Return true: every frame has voxels."""
+        return True
+
     @cached_property
     def world_from_ego(self) -> np.ndarray:
         """Return the pose of the velodyne in every frame, from pose.txt; without it all are the same.
 
-        The download has no poses now: then history can't be fused (`model.temporal.frames=1`).
+        The download has no poses now: then history can't be fused (`model/temporal=none`).
         """
         path = self.folder / "pose.txt"
         if not path.exists():
@@ -167,20 +171,26 @@ class SSCBenchSequence(CompletionScene):
         Raises:
             DataError: naming the image that is not found.
         """
-        if self.kitti360 is None or self.found.exists():
+        if self.kitti360 is None or list(self._found_frames()) == self.numbers:
             return
         ours = sorted(image_file(self.kitti360, self.name, FRONT, 0).parent.glob("*.png"))
         theirs = [self._image(number) for number in self.numbers]
         found = match_frames(theirs, ours, f"frames of KITTI-360, sequence {self.name}")
-        atomic_write(self.found, json.dumps([int(ours[index].stem) for index in found]))
+        frames = {number: int(ours[index].stem) for number, index in zip(self.numbers, found, strict=True)}
+        atomic_write(self.found, json.dumps(frames))
 
     @cached_property
     def numbers_of_kitti360(self) -> list[int]:
         """Return the number of every frame in KITTI-360, after `find_fisheyes`."""
+        found = self._found_frames()
+        return [found[number] for number in self.numbers]
+
+    def _found_frames(self) -> dict[int, int]:
+        """Return the number in KITTI-360 of the frames that were found; none where the file is missing or damaged."""
         try:
-            return json.loads(self.found.read_text())
-        except (OSError, ValueError) as error:
-            raise DataError(f"{self.found}: the file cannot be read ({error}); remove it") from error
+            return {int(ours): int(theirs) for ours, theirs in json.loads(self.found.read_text()).items()}
+        except (OSError, ValueError, AttributeError):
+            return {}
 
     def images(self, frame: int) -> list[np.ndarray]:
         """Return the images, scaled."""

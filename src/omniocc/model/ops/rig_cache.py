@@ -54,7 +54,8 @@ class RigCache:
             if newest != rig:  # its results may have grown since the last was added (`Sampler.transpose`)
                 self._bytes[newest] = self._size_bytes(newest)
             if key not in results:
-                value = compute()  # may get other results of this rig
+                with torch.inference_mode(False):  # training may use them as well
+                    value = compute()  # may get other results of this rig
                 results[key] = value
                 self._bytes[rig] = self._size_bytes(rig)
                 self._shrink()

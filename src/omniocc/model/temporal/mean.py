@@ -28,7 +28,7 @@ class Mean(nn.Module):
     def __init__(self, geometry: Grid, frames: int, history_gradient: bool):
         super().__init__()
         if frames < 2:
-            raise ValueError(f"frames is {frames}; a window needs at least 2, without past frames use NoTemporal")
+            raise ValueError(f"frames is {frames}; a window needs at least 2; without history: model/temporal=none")
         self.geometry = geometry
         self.frames = frames
         self.history_gradient = history_gradient

@@ -109,7 +109,7 @@ class Recurrent(nn.Module):
     ):
         super().__init__()
         if frames < 2:
-            raise ValueError(f"frames is {frames}; a window needs at least 2, without past frames use NoTemporal")
+            raise ValueError(f"frames is {frames}; a window needs at least 2; without history: model/temporal=none")
         self.view = coarsened(geometry, (1, 1, geometry.shape[2]))
         self.frames = frames
         self.history_gradient = history_gradient

@@ -15,11 +15,11 @@ from omniocc.predict.output.voxel_files import VOXELS
 MANIFEST = "prediction.json"
 
 
-def write_manifest(output: Path, facts: Mapping[str, Any], force: bool) -> None:
+def write_manifest(output: Path, facts: Mapping[str, Any], force: bool, files: str = VOXELS) -> None:
     """Write what the predictions of a folder are made from, so that it never mixes those of two models.
 
     The facts are checkpoint, input and options. `force` replaces a manifest with other facts, after removing its
-    predictions.
+    predictions, which are called `files`.
 
     Raises:
         UserError: when the folder cannot be written, or its predictions were made from other facts.
@@ -35,7 +35,7 @@ def write_manifest(output: Path, facts: Mapping[str, Any], force: bool) -> None:
         )
     try:
         if differs:  # before the new manifest, so that a stop between the two leaves no old prediction under it
-            for prediction in output.rglob(VOXELS):
+            for prediction in output.rglob(files):
                 prediction.unlink()
         atomic_write(path, text)
     except OSError as error:

@@ -59,7 +59,7 @@ class Sampler:
     @cached_property
     def transpose(self) -> Tensor:
         """Return the transpose, (pixels of all cameras, points), compressed rows."""
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), torch.inference_mode(False):  # training may use it as well
             warnings.filterwarnings("ignore", message="Sparse CSR tensor support is in beta")
             swapped = self.matrix.to_sparse_csc()
             parts = swapped.ccol_indices().int(), swapped.row_indices().int(), swapped.values()
