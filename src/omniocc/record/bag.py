@@ -156,10 +156,9 @@ class RosBag:
     def _scans(self, bag: "Bag", tree: FrameTree, options: Mapping[str, Any]) -> Scans:
         topic = bag.topic("lidar.topic", options["topic"], CLOUDS)
         classes = read_point_classes(None if options["classes"] is None else Path(options["classes"]))
-        if options["ego_from_lidar"] is None:
+        ego_from_lidar = options["ego_from_lidar"]
+        if ego_from_lidar is None:
             ego_from_lidar = self.ego_from_base @ tree.fixed(self.base_frame, topic.frame)
-        else:
-            ego_from_lidar = stated_pose("lidar.ego_from_lidar", options["ego_from_lidar"])
 
         def read(number: int) -> Points:
             message, where = bag.message(topic.addresses[number])

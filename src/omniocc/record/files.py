@@ -141,12 +141,11 @@ class LogFiles:
     def _scans(self, options: Mapping[str, Any], table: Mapping[str, float] | None) -> Scans:
         files = self._stamped("lidar.folder", options["folder"], tuple(READERS), table)
         classes = read_point_classes(None if options["classes"] is None else self.folder / options["classes"])
-        ego_from_lidar = stated_pose("lidar.ego_from_lidar", options["ego_from_lidar"])
 
         def read(number: int) -> Points:
             path = files.paths[number]
             cloud = read_cloud(path, options["label_field"], options["columns"])
-            return ego_points(cloud, ego_from_lidar, classes, options["own_car_m"], str(path))
+            return ego_points(cloud, options["ego_from_lidar"], classes, options["own_car_m"], str(path))
 
         return Scans(files.times_s, read, classes.table)
 
@@ -158,6 +157,8 @@ def lidar_options(given: Mapping[str, Any], known: Mapping[str, Any]) -> dict[st
     if missing := [key for key, value in known.items() if value is ... and key not in given]:
         raise ValueError(f"lidar.{missing[0]} is missing")
     options = {**known, **given}
+    if options["ego_from_lidar"] is not None:
+        options["ego_from_lidar"] = stated_pose("lidar.ego_from_lidar", options["ego_from_lidar"])
     box = options["own_car_m"]
     if box is not None and np.shape(box) != (2, 3):
         raise ValueError(f"lidar.own_car_m is {box}; give the lowest and the highest x, y, z: [[x, y, z], [x, y, z]]")

@@ -48,7 +48,10 @@ def read_point_classes(path: Path | None) -> PointClasses:
     if not isinstance(content, dict) or not content:
         raise DataError(f"{path}: it must map ids of the files to names of classes, as '40: road'")
     entries = {_id(path, key): _entry(path, key, value) for key, value in content.items()}
-    colors = {name: rgb for name, rgb in entries.values() if name != UNKNOWN_NAME}
+    colors: dict[str, tuple[int, ...] | None] = {}
+    for name, rgb in entries.values():
+        if name != UNKNOWN_NAME:
+            colors[name] = colors.get(name) or rgb
     table = _world_table(list(colors)) or _own_table(path, colors)
     plain = str.lower if table is WORLD_CLASSES else str
     ids = {plain(name): place for place, name in enumerate(table.names)}

@@ -18,6 +18,10 @@ TimeUnit = Literal["s", "ms", "us", "ns"]
 PER_SECOND: dict[TimeUnit, int] = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
 
 
+EXACT = 1e-9
+"""Largest error of a rotation that is kept as it is given, since it is as exact as float64 allows."""
+
+
 class TimedPoses(NamedTuple):
     """Poses in the order of time.
 
@@ -107,7 +111,9 @@ def _pose(words: Sequence[str], kind: PosesFormat) -> Float64[np.ndarray, "4 4"]
     if len(values) in (12, 16) and kind != "tum":
         if values[12:] not in ([], [0, 0, 0, 1]):
             raise ValueError(f"the last row of the matrix is {values[12:]}; it must be 0, 0, 0, 1")
-        return rigid(np.reshape(values[:12], (3, 4)), "the pose")
+        given = np.array([*values[:12], 0, 0, 0, 1], np.float64).reshape(4, 4)
+        mended = rigid(given, "the pose")
+        return given if np.abs(mended - given).max() < EXACT else mended
     expected = {"csv": "a time and 7, 12 or 16", "tum": "a time and 7", "kitti": "12"}[kind]
     raise ValueError(f"{len(values)} numbers of a pose; poses_format={kind} has {expected} in a line")
 
