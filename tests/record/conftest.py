@@ -17,9 +17,7 @@ from log_files import built, write_log
 def original(composed, data_root) -> SceneReader:
     """Return a rendered scene; tests of other folders use the same."""
     world = build(composed("preset=smoke").data.source)
-    import os
-
-    world.root = os.environ.get("DEV", str(data_root))
+    world.root = str(data_root)
     world.prepare(world.plans[:1])
     return world.reader(world.plans[0])
 
