@@ -34,20 +34,21 @@ def test_a_scene_without_labels_is_predicted(recorder, composed, smoke, spec, tm
 def data_of(smoke, root, classes):
     cfg = smoke(
         "data=recorded", f"data.source.root={root}", f"data.num_classes={classes}", "data.source.workers=0",
-        "data.source.splits={train: [train-*], val: [train-*], test: []}".replace("val: [train-*]", "val: []"),
+        "data.source.splits={train: [train-*], val: [], test: []}",
     )  # fmt: skip
     check_root(cfg)
     return cfg, build(cfg.data)
 
 
 def test_depth_learns_from_the_ranges_of_a_lidar(recorder, smoke, tmp_path):
-    recorder(lidar_option("npz"), "panorama=[48,12,45.0,-45.0]").record(tmp_path)
+    # another road, so another rig: matrices of one that was predicted in this process cannot be trained with
+    recorder(lidar_option("npz"), "panorama=[48,12,45.0,-45.0]", "road_z_m=-2.0").record(tmp_path)
     cfg, data = data_of(smoke, tmp_path, classes=2)
     data.prepare_data()
     assert "no classes of pixels" in switch_off_head(cfg, data.source.scenes("train"))
     data.read_only(data.needs["train"]._replace(panorama=True, camera_ranges=True), data.needs["test"])
     data.setup()
-    (batch,) = (next(iter(data.train_dataloader())),)
+    batch = next(iter(data.train_dataloader()))
     assert set(batch.voxels.unique().tolist()) == {0, 1}
     model = build(cfg.depth)
     recipe = build(cfg.stages.depth)

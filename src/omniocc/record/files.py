@@ -82,8 +82,10 @@ class LogFiles:
         self.timing = check_timing(Timing(reference, limit_s, interval_s, pose_gap_s))
         self.stated = Stated(image_size, panorama, road_z_m, moving)
         panorama_of(self.stated)
-        self.rig_file, self.cameras, self.time_unit, self.times = rig, cameras, time_unit, times
-        self.poses, self.poses_format, self.poses_times = poses, poses_format, poses_times
+        self.rig_file, self.cameras, self.times = rig, cameras, times
+        self.time_unit: TimeUnit = time_unit
+        self.poses, self.poses_times = poses, poses_times
+        self.poses_format: PosesFormat = poses_format
         self.poses_unit: TimeUnit = poses_time_unit or (time_unit if poses_format == "csv" else "s")
         given = ego_from_pose_frame
         self.ego_from_pose_frame = np.eye(4) if given is None else stated_pose("ego_from_pose_frame", given)
