@@ -71,6 +71,8 @@ def unlabelled(scenes: list[SceneReader]) -> tuple[Rig, Masks]:
         for scene in scenes:
             for frame in range(len(scene)):
                 labels = scene.pixel_labels(frame)
+                if labels is None:
+                    raise UserError(f"{scene.folder} has no classes of pixels; use rig=... car=<mesh> instead")
                 never = [old & torch.from_numpy(new == UNKNOWN) for old, new in zip(never, labels, strict=True)]
                 progress.advance()
     return rig, tuple(never)

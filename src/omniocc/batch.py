@@ -83,8 +83,8 @@ class Truth(NamedTuple):
     """The ground truth of one frame, with a batch axis of length 1; fields as in `Batch`."""
 
     voxels: UInt8[Tensor, "1 X Y Z"]
-    lidar_range_m: Float32[Tensor, "1 R"]
-    lidar_labels: UInt8[Tensor, "1 R"]
+    lidar_range_m: Float32[Tensor, "1 R"] | None = None
+    lidar_labels: UInt8[Tensor, "1 R"] | None = None
     own_voxels: UInt8[Tensor, "1 U V W"] | None = None
     scored: Bool[Tensor, "1 U V W"] | None = None
     ray_origins: Float32[Tensor, "1 O 3"] | None = None

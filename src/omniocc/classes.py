@@ -103,5 +103,9 @@ CLASSES: tuple[SemanticClass, ...] = (
 """The classes of the virtual world."""
 WORLD_CLASSES = ClassTable(CLASSES)
 """The same as a table."""
+OCCUPANCY_CLASSES = ClassTable(
+    (SemanticClass(0, "free", (255, 255, 255)), SemanticClass(1, "occupied", (110, 110, 130)))
+)
+"""Two classes, for points of a LiDAR without classes."""
 NUM_CLASSES = WORLD_CLASSES.num_classes
 PALETTE = WORLD_CLASSES.palette

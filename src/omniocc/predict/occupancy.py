@@ -78,12 +78,12 @@ def predict_occupancy(options: Options) -> None:
 
 
 def scores_of(model: OccupancyModel, trained: TrainingData, sequences: Sequence[FrameSequence]) -> Scores | None:
-    """Return the scores of recorded sequences, with their classes and bands; None for a user's own images.
+    """Return the scores of recorded sequences, with their classes and bands; None for what has no ground truth.
 
     Raises:
         UserError: when their classes are not those of the model.
     """
-    recorded = [sequence for sequence in sequences if isinstance(sequence, RecordedSequence)]
+    recorded = [sequence for sequence in sequences if isinstance(sequence, RecordedSequence) and sequence.labelled]
     for sequence in recorded:
         names = sequence.spec.classes.names
         if names != trained.classes.names:

@@ -42,7 +42,10 @@ def vote(
     """
     points = scene.points(frame)
     if points is None:
-        raise DataError(f"scene '{scene.name}', frame {frame}: no points are recorded, so no voxels can be voted")
+        raise DataError(
+            f"scene '{scene.name}', frame {frame}: no points are recorded, so no voxels can be voted: "
+            "the scene serves predict.py, not training"
+        )
     cells = geometry.voxelize(torch.from_numpy(points.points_m), torch.from_numpy(points.labels), num_classes)
     if unknown == "unobserved":
         cells[observed(scene, frame, geometry) == 0] = UNKNOWN

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from omniocc.camera import Equirectangular, Rig
-from omniocc.classes import ClassTable, SemanticClass
+from omniocc.classes import OCCUPANCY_CLASSES
 from omniocc.data.formats.files import check_root, read_array, read_image, scaled_size
 from omniocc.data.formats.index import Index
 from omniocc.data.formats.kitti360 import (
@@ -33,7 +33,6 @@ from omniocc.data.store.shard import digest
 from omniocc.errors import DataError
 from omniocc.geometry import Grid
 
-CLASSES = ClassTable((SemanticClass(0, "free", (255, 255, 255)), SemanticClass(1, "occupied", (110, 110, 130))))
 ORIGIN_M = (1.15027, -0.299735, 0.86067)
 """Our ego origin in the IMU frame with z up: the mean place of the four cameras, whichever of them are used."""
 ROAD_Z_M = -1.75
@@ -93,7 +92,7 @@ class KITTI360:
     @property
     def spec(self) -> SourceSpec:
         """Return two classes, free and occupied: the points have no others."""
-        return SourceSpec(CLASSES, (0.0, 8.5, 17.0, 25.6), self.frame_step / 9.6, ROAD_Z_M, None)
+        return SourceSpec(OCCUPANCY_CLASSES, (0.0, 8.5, 17.0, 25.6), self.frame_step / 9.6, ROAD_Z_M, None)
 
     @property
     def fingerprint(self) -> str:
@@ -124,7 +123,7 @@ class KITTI360:
         """
         if unknown == "unseen":
             raise ValueError("data.unknown=unseen: there is no mask of what cameras see; choose free or unobserved")
-        return VotedLabels(self.folder, self.fingerprint, geometry, CLASSES.num_classes, unknown)
+        return VotedLabels(self.folder, self.fingerprint, geometry, OCCUPANCY_CLASSES.num_classes, unknown)
 
     @cached_property
     def rig(self) -> Rig:

@@ -11,7 +11,7 @@ from omniocc.classes import NUM_CLASSES, UNKNOWN
 from omniocc.data.formats.poses import not_rigid
 from omniocc.data.labels.class_fractions import count_voxels, spread
 from omniocc.data.recording.pool import mapped
-from omniocc.data.store.codec import decode_frame
+from omniocc.data.store.codec import POINTS, decode_frame
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import INDEX, member_name, shard_name
 from omniocc.errors import DataError
@@ -49,7 +49,8 @@ def survey_scene(frames: int, interval_s: float, geometry: Grid, decoded: int, s
     if not problems:
         chosen = spread(len(scene), decoded)
         problems = [line for frame in chosen for line in _content(scene, frame)]
-        voxels += count_voxels(scene, chosen, geometry)
+        if scene.has(POINTS):
+            voxels += count_voxels(scene, chosen, geometry)
     return Survey(problems, voxels)
 
 
@@ -148,11 +149,13 @@ def _content(scene: SceneReader, frame: int) -> Iterator[str]:
     sizes = [(camera.height, camera.width) for camera in scene.rig.cameras]
     arrays = {"images": recorded.images, "semantics": recorded.semantics, "ranges": recorded.range_m}
     for name, array in arrays.items():
+        if array is None:
+            continue
         shape = array.shape[:3]
         if shape != (len(sizes), *sizes[0]):
             yield str(scene.damaged(shard, f"{name} have the shape {shape}, those of the rig are {sizes}", frame))
     for name, labels, least in (("pixels", recorded.semantics, 0), ("points", recorded.point_labels, 1)):
-        wrong = set(np.unique(labels).tolist()) - {*range(least, NUM_CLASSES), UNKNOWN}
+        wrong = set() if labels is None else set(np.unique(labels).tolist()) - {*range(least, NUM_CLASSES), UNKNOWN}
         if wrong:
             yield str(scene.damaged(shard, f"{name} of classes {sorted(wrong)}, which do not exist", frame))
     if not np.array_equal(recorded.world_from_ego, scene.world_from_ego[frame]):

@@ -14,6 +14,8 @@ Points are kept in steps of 1/128 m, since finer ones would only store noise. Th
 1/256 m, so that none is on the boundary between cells of round sizes. A point changes its cell of 0.2 m with a
 probability of 1 % per axis, and only within 4 mm of the boundary. All encoders are deterministic: equal
 frames give equal bytes.
+
+The members after the images may be absent: logs of real cars have no classes of pixels and perhaps no LiDAR.
 """
 
 import json
@@ -24,6 +26,7 @@ import numpy as np
 import zstandard
 
 from omniocc.data.labels.morton import interleave, separate
+from omniocc.data.store.frame import RecordedFrame
 from omniocc.data.store.raster import pack, unpack
 from omniocc.world.frame import Box, Frame
 
@@ -32,40 +35,44 @@ POINT_STEPS_PER_M = 128
 UNMEASURED_CODE = 0
 SKY_CODE = 65535
 JPEG_QUALITY = 95
+PANORAMA, POINTS, LIDAR = "erp_range.zst", "points.zst", "lidar.zst"
 ZSTD_LEVEL = 1
 _CODE_BYTES = 6
 
 
-def encode_frame(frame: Frame) -> dict[str, bytes]:
-    """Return all blobs of a frame by name, in a fixed order."""
+def encode_frame(frame: Frame | RecordedFrame) -> dict[str, bytes]:
+    """Return all blobs of a frame by name, in a fixed order; parts that are None have none."""
     facts = {"time_s": frame.time_s, "world_from_ego": frame.world_from_ego.tolist()}
     facts["boxes"] = [vars(box) for box in frame.boxes]
     blobs = {"frame.json": json.dumps(facts, default=lambda value: value.item()).encode()}
     for k, image in enumerate(frame.images):
         blobs[f"rgb{k}.jpg"] = encode_image(image)
-    for k, labels in enumerate(frame.semantics):
+    for k, labels in enumerate(() if frame.semantics is None else frame.semantics):
         blobs[f"semantic{k}.zst"] = pack(labels)
-    for k, range_m in enumerate(frame.range_m):
+    for k, range_m in enumerate(() if frame.range_m is None else frame.range_m):
         blobs[f"range{k}.zst"] = encode_range(range_m)
-    blobs["erp_range.zst"] = encode_range(frame.erp_range_m)
-    blobs["points.zst"] = encode_points(frame.points_m, frame.point_labels)
-    blobs["lidar.zst"] = encode_lidar(frame.lidar_range_m, frame.lidar_labels)
+    if frame.erp_range_m is not None:
+        blobs[PANORAMA] = encode_range(frame.erp_range_m)
+    if frame.points_m is not None and frame.point_labels is not None:
+        blobs[POINTS] = encode_points(frame.points_m, frame.point_labels)
+    if frame.lidar_range_m is not None and frame.lidar_labels is not None:
+        blobs[LIDAR] = encode_lidar(frame.lidar_range_m, frame.lidar_labels)
     return blobs
 
 
-def decode_frame(blobs: Mapping[str, bytes]) -> Frame:
-    """Return the frame that all its blobs hold, within the errors of the table above."""
+def decode_frame(blobs: Mapping[str, bytes]) -> RecordedFrame:
+    """Return the frame that all its blobs hold, within the errors of the table above; parts without blobs are None."""
     facts = json.loads(blobs["frame.json"])
     cameras = range(sum(name.startswith("rgb") for name in blobs))
-    points_m, point_labels = decode_points(blobs["points.zst"])
-    lidar_range_m, lidar_labels = decode_lidar(blobs["lidar.zst"])
-    return Frame(
+    points_m, point_labels = decode_points(blobs[POINTS]) if POINTS in blobs else (None, None)
+    lidar_range_m, lidar_labels = decode_lidar(blobs[LIDAR]) if LIDAR in blobs else (None, None)
+    return RecordedFrame(
         time_s=facts["time_s"],
         world_from_ego=np.array(facts["world_from_ego"], dtype=np.float64),
         images=np.stack([decode_image(blobs[f"rgb{k}.jpg"]) for k in cameras]),
-        semantics=np.stack([unpack(blobs[f"semantic{k}.zst"]) for k in cameras]),
-        range_m=np.stack([decode_range(blobs[f"range{k}.zst"]) for k in cameras]),
-        erp_range_m=decode_range(blobs["erp_range.zst"]),
+        semantics=np.stack([unpack(blobs[f"semantic{k}.zst"]) for k in cameras]) if "semantic0.zst" in blobs else None,
+        range_m=np.stack([decode_range(blobs[f"range{k}.zst"]) for k in cameras]) if "range0.zst" in blobs else None,
+        erp_range_m=decode_range(blobs[PANORAMA]) if PANORAMA in blobs else None,
         points_m=points_m,
         point_labels=point_labels,
         lidar_range_m=lidar_range_m,

@@ -10,7 +10,7 @@ import numpy as np
 
 from omniocc.camera import Rig
 from omniocc.data.source import LidarScan, Points
-from omniocc.data.store.codec import decode_image, decode_lidar, decode_points, decode_range
+from omniocc.data.store.codec import LIDAR, PANORAMA, POINTS, decode_image, decode_lidar, decode_points, decode_range
 from omniocc.data.store.folder import SceneFolder
 from omniocc.data.store.raster import unpack
 from omniocc.errors import DataError
@@ -26,6 +26,8 @@ def _lidar_directions() -> np.ndarray:
 
 class SceneReader(SceneFolder):
     """A recorded scene (`omniocc.data.source.SceneFrames`); the LiDAR's rays are those of `sparseocc_directions`.
+
+    Methods return None for parts that the scene lacks, which are those without members in its index.
 
     Args:
         folder: as in `SceneFolder`.
@@ -89,26 +91,36 @@ class SceneReader(SceneFolder):
         """Return the image of every camera, (H, W, 3) uint8 RGB each."""
         return [decode_image(blob) for blob in self._of_cameras(frame, "rgb{}.jpg")]
 
-    def pixel_labels(self, frame: int) -> list[np.ndarray]:
+    def pixel_labels(self, frame: int) -> list[np.ndarray] | None:
         """Return the classes of the pixels of every camera, (H, W) uint8 each; 0 sky, 255 unknown."""
+        if not self.has("semantic0.zst"):
+            return None
         return [unpack(blob) for blob in self._of_cameras(frame, "semantic{}.zst")]
 
-    def camera_range_m(self, frame: int) -> list[np.ndarray]:
+    def camera_range_m(self, frame: int) -> list[np.ndarray] | None:
         """Return the true range of the pixels of every camera, (H, W) float32 each, m; inf sky, nan unknown."""
+        if not self.has("range0.zst"):
+            return None
         return [decode_range(blob) for blob in self._of_cameras(frame, "range{}.zst")]
 
-    def erp_range_m(self, frame: int) -> np.ndarray:
-        """Return the true panorama of range around the ego origin, (h, w) float32, m; inf for sky."""
-        return decode_range(self._member(frame, "erp_range.zst"))
+    def erp_range_m(self, frame: int) -> np.ndarray | None:
+        """Return the true panorama of range around the ego origin, (h, w) float32, m; inf for sky, nan unknown."""
+        return decode_range(self._member(frame, PANORAMA)) if self.has(PANORAMA) else None
 
-    def lidar(self, frame: int) -> LidarScan:
+    def lidar(self, frame: int) -> LidarScan | None:
         """Return the hits of the ego LiDAR."""
-        range_m, labels = decode_lidar(self._member(frame, "lidar.zst"))
+        if not self.has(LIDAR):
+            return None
+        range_m, labels = decode_lidar(self._member(frame, LIDAR))
         return LidarScan(range_m, labels, _lidar_directions())
 
-    def points(self, frame: int) -> Points:
+    def points(self, frame: int) -> Points | None:
         """Return the labelled surface points."""
-        return Points(*decode_points(self._member(frame, "points.zst")))
+        return Points(*decode_points(self._member(frame, POINTS))) if self.has(POINTS) else None
+
+    def has(self, member: str) -> bool:
+        """Return whether the frames of the scene have a member of this name."""
+        return member in self.index["members"]
 
     def _member(self, frame: int, name: str) -> bytes:
         return self.read(frame, [name])[name]

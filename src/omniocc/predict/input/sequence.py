@@ -17,6 +17,7 @@ from omniocc.data import SceneReader
 from omniocc.data.labels.voxels import vote
 from omniocc.data.source import SourceSpec, Unknown
 from omniocc.data.source.recorded import spec_of
+from omniocc.data.store.codec import POINTS
 from omniocc.data.store.shard import META
 from omniocc.errors import UserError
 from omniocc.geometry import Grid
@@ -113,15 +114,25 @@ class RecordedSequence:
         """Return (H, W, 3) uint8 RGB of every camera."""
         return self.scene.images(frame)
 
-    def truth(self, frame: int, geometry: Grid, unknown: Unknown) -> Truth:
-        """Return the ground truth of a frame."""
-        scan = self.scene.lidar(frame)
-        voxels = vote(self.scene, frame, geometry, unknown, self.spec.classes.num_classes)
-        return Truth(voxels[None], torch.from_numpy(scan.range_m)[None], torch.from_numpy(scan.labels)[None])
+    @property
+    def labelled(self) -> bool:
+        """Return whether the scene has points, from which the true voxels are voted."""
+        return self.scene.has(POINTS)
 
-    def true_range_m(self, frame: int) -> Float32[Tensor, "1 h w"]:
-        """Return the recorded panorama of range."""
-        return torch.from_numpy(self.scene.erp_range_m(frame)).unsqueeze(0)
+    def truth(self, frame: int, geometry: Grid, unknown: Unknown) -> Truth | None:
+        """Return the ground truth of a frame; None if the scene has no points."""
+        if not self.labelled:
+            return None
+        scan = self.scene.lidar(frame)
+        voxels = vote(self.scene, frame, geometry, unknown, self.spec.classes.num_classes)[None]
+        if scan is None:
+            return Truth(voxels)
+        return Truth(voxels, torch.from_numpy(scan.range_m)[None], torch.from_numpy(scan.labels)[None])
+
+    def true_range_m(self, frame: int) -> Float32[Tensor, "1 h w"] | None:
+        """Return the recorded panorama of range; None without one."""
+        range_m = self.scene.erp_range_m(frame)
+        return None if range_m is None else torch.from_numpy(range_m).unsqueeze(0)
 
 
 FrameSequence = ImageSequence | RecordedSequence

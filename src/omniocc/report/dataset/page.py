@@ -11,7 +11,7 @@ from omniocc.camera import Rig
 from omniocc.classes import FREE, ClassTable
 from omniocc.data.labels.class_fractions import PUBLISHED_PERCENT, count_voxels, occupied_percent, spread
 from omniocc.data.labels.voxels import vote
-from omniocc.data.store.codec import decode_frame, decode_image
+from omniocc.data.store.codec import POINTS, decode_frame, decode_image
 from omniocc.data.store.reader import SceneReader
 from omniocc.geometry import Grid
 from omniocc.io import atomic_write
@@ -31,7 +31,6 @@ from omniocc.view.canvas import fitted
 from omniocc.view.ranges import SKY, range_colors
 from omniocc.view.sheet import HEXAGON_ORDER, NAMES
 from omniocc.view.voxels import render_voxels
-from omniocc.world import Frame
 
 MAX_FRAMES = 64
 MAX_FRAMES_PER_SCENE = 6
@@ -55,7 +54,8 @@ def save_page(path: Path, scenes: Sequence[SceneReader], geometry: Grid, classes
     counts, drawn = [], []
     with Progress("page", len(shown), "scenes") as progress:
         for scene, twin in zip(shown, twins, strict=True):
-            counts.append(count_voxels(scene, spread(len(scene), per_scene), geometry))
+            counted = spread(len(scene), per_scene) if scene.has(POINTS) else []
+            counts.append(count_voxels(scene, counted, geometry))
             drawn.append(_scene(scene, twin, per_scene, geometry, classes))
             progress.advance()
     content = {
@@ -106,21 +106,33 @@ def _pinholes(twin: SceneReader | None, time_s: float) -> dict[str, Any]:
 def _frame(scene: SceneReader, number: int, geometry: Grid, classes: ClassTable) -> dict[str, Any]:
     frame = decode_frame(scene.read(number, scene.index["members"]))
     order, palette = _order(scene.rig), classes.palette
-    voxels = vote(scene, number, geometry)
-    percent = occupied_percent(np.bincount(voxels.numpy().ravel(), minlength=256)[: classes.num_classes])
     return {
         "number": number,
         "time": round(frame.time_s, 3),
         "speed": round(speed_mps(scene, number), 1),
         "actors": len(frame.boxes),
         "rgb": [webp(_smaller(frame.images[k]), WEBP_QUALITY) for k in order],
-        "semantic": [png(_semantics(frame, k, palette)) for k in order],
-        "range": [webp(range_image(frame.range_m[k], CAMERA_PX), WEBP_QUALITY) for k in order],
-        "panorama": webp(range_image(frame.erp_range_m, PANORAMA_PX), WEBP_QUALITY),
+        "semantic": [] if frame.semantics is None else [png(_semantics(frame.semantics[k], palette)) for k in order],
+        "range": [] if frame.range_m is None else [_range(frame.range_m[k], CAMERA_PX) for k in order],
+        "panorama": "" if frame.erp_range_m is None else _range(frame.erp_range_m, PANORAMA_PX),
+        **_voxels(scene, number, geometry, classes),
+    }
+
+
+def _voxels(scene: SceneReader, number: int, geometry: Grid, classes: ClassTable) -> dict[str, Any]:
+    if not scene.has(POINTS):
+        return {"bev": "", "voxels": "", "percent": [0.0] * (classes.num_classes - 1)}
+    voxels = vote(scene, number, geometry)
+    percent = occupied_percent(np.bincount(voxels.numpy().ravel(), minlength=256)[: classes.num_classes])
+    return {
         "bev": png(bev(voxels, geometry, classes, BEV_PX)),
         "voxels": webp(render_voxels(voxels, geometry, classes, *VOXELS_PX), WEBP_QUALITY),
         "percent": [round(value, 2) for value in percent.values()],
     }
+
+
+def _range(range_m: np.ndarray, width: int) -> str:
+    return webp(range_image(range_m, width), WEBP_QUALITY)
 
 
 def range_image(range_m: np.ndarray, width: int) -> np.ndarray:
@@ -133,8 +145,7 @@ def range_image(range_m: np.ndarray, width: int) -> np.ndarray:
     return fitted(image, width, cv2.INTER_NEAREST)
 
 
-def _semantics(frame: Frame, camera: int, palette: np.ndarray) -> np.ndarray:
-    labels = frame.semantics[camera]
+def _semantics(labels: np.ndarray, palette: np.ndarray) -> np.ndarray:
     colors = palette[labels]
     colors[labels == FREE] = SKY
     return fitted(colors, min(CAMERA_PX, labels.shape[1]), cv2.INTER_NEAREST)

@@ -53,7 +53,7 @@ function show() {
     figure.append(image, make("figcaption", names[k]));
     return figure;
   });
-  at("cameras").replaceChildren(...shown.length ? shown : [make("p", "The pinhole dataset has no frame at this time.")]);
+  at("cameras").replaceChildren(...shown.length ? shown : [make("p", "Nothing of this kind is recorded at this time.")]);
   history.replaceState(null, "", `#${state.scene}/${state.frame}/${state.layer}`);
   for (const name of ["panorama", "bev", "voxels"]) { at(name).src = frame[name]; at(name).alt = name; }
   cells.forEach((cell, k) => { cell.textContent = frame.percent[k].toFixed(2); });

@@ -1,0 +1,246 @@
+"""Files of LiDAR points: `.bin` (KITTI), `.pcd`, `.ply` and `.npz`."""
+
+import io
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from jaxtyping import Float32, Int64
+
+from omniocc.data.formats.files import read_array, read_bytes
+from omniocc.errors import DataError
+
+LABEL_FIELDS = ("label", "labels", "semantic", "semantics", "class")
+"""Names of the field of the class id in a file, in the order in which they are looked for."""
+LABEL_SUFFIX = ".label"
+PLY_TYPES = {
+    "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
+    "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4",
+    "float32": "f4", "float64": "f8",
+}  # fmt: skip
+
+
+class RawCloud(NamedTuple):
+    """The points of a file.
+
+    Attributes:
+        points_m: in the frame of the LiDAR, m; points that are not finite are left out.
+        labels: class id of each, as the file numbers classes; None without any.
+    """
+
+    points_m: Float32[np.ndarray, "P 3"]
+    labels: Int64[np.ndarray, " P"] | None
+
+
+def read_cloud(path: Path, label_field: str | None = None, columns: int = 4) -> RawCloud:
+    """Return the points of a file, with the class ids of the file itself or of the `.label` file beside it.
+
+    A `.label` file holds one uint32 for each point, whose lower 16 bits are the class (SemanticKITTI).
+
+    Args:
+        path: the file.
+        columns: float32 numbers of each point in a `.bin` file, x, y, z first: 4 in KITTI, 5 in nuScenes.
+        label_field: name of the field of class ids; None: the first of `LABEL_FIELDS` that there is.
+
+    Raises:
+        DataError: naming the file and what is wrong with it.
+    """
+    reader = READERS.get(path.suffix.lower())
+    if reader is None:
+        raise DataError(f"{path}: points are read from {', '.join(READERS)}")
+    fields = reader(path) if reader is not read_bin else read_bin(path, columns)
+    if missing := [axis for axis in "xyz" if axis not in fields]:
+        raise DataError(f"{path}: the field {missing[0]} is missing; the file has {', '.join(fields) or 'none'}")
+    points = np.stack([fields[axis] for axis in "xyz"], axis=1).astype(np.float32)
+    labels = _labels(path, fields, label_field, len(points))
+    finite = np.isfinite(points).all(axis=1)
+    return RawCloud(points[finite], None if labels is None else labels[finite])
+
+
+def _labels(
+    path: Path, fields: dict[str, np.ndarray], label_field: str | None, count: int
+) -> Int64[np.ndarray, " P"] | None:
+    if label_field is not None and label_field not in fields:
+        raise DataError(f"{path}: there is no field '{label_field}'; the file has {', '.join(fields)}")
+    names = LABEL_FIELDS if label_field is None else (label_field,)
+    name = next((name for name in names if name in fields), None)
+    if name is not None:
+        labels = np.asarray(fields[name])
+        if labels.shape != (count,) or not (np.isfinite(labels).all() and (labels == labels.astype(np.int64)).all()):
+            raise DataError(f"{path}: its field '{name}' is no whole number for each of {count} points")
+        return labels.astype(np.int64)
+    beside = path.with_suffix(LABEL_SUFFIX)
+    return (read_array(beside, "<u4", (count,)) & 0xFFFF).astype(np.int64) if beside.is_file() else None
+
+
+def read_bin(path: Path, columns: int = 4) -> dict[str, np.ndarray]:
+    """Return x, y, z of a file of float32 numbers, `columns` of them for each point."""
+    return dict(zip("xyz", read_array(path, "<f4", (-1, columns)).T, strict=False))
+
+
+def read_npz(path: Path) -> dict[str, np.ndarray]:
+    """Return x, y, z of the array `points` (P, 3 or more), and the other arrays of one number for each point."""
+    try:
+        with np.load(io.BytesIO(read_bytes(path)), allow_pickle=False) as content:
+            arrays = {name: content[name] for name in content.files}
+    except DataError:
+        raise
+    except Exception as error:  # zipfile, zlib and numpy have errors of their own
+        raise DataError(f"{path}: the file is damaged ({error})") from error
+    points = arrays.pop("points", None)
+    if points is None or points.ndim != 2 or points.shape[1] < 3:
+        shape = "is missing" if points is None else f"has the shape {points.shape}"
+        raise DataError(f"{path}: its array 'points' {shape}; it must be (P, 3)")
+    return dict(zip("xyz", points.T, strict=False)) | {k: v for k, v in arrays.items() if v.shape == points.shape[:1]}
+
+
+def read_ply(path: Path) -> dict[str, np.ndarray]:
+    """Return the properties of the vertices of a PLY file, ascii or binary_little_endian."""
+    content = read_bytes(path)
+    found = re.match(rb"ply\r?\n(.*?)end_header\r?\n", content, re.DOTALL)
+    if found is None:
+        raise DataError(f"{path}: the header of a PLY file is missing")
+    lines = [line.split() for line in found[1].decode("ascii", "replace").splitlines() if line.split()]
+    encoding = next((line[1] for line in lines if line[0] == "format" and len(line) > 1), "none")
+    elements = [place for place, line in enumerate(lines) if line[0] == "element"]
+    if not elements or lines[elements[0]][1] != "vertex":
+        raise DataError(f"{path}: the first element of the file must be 'vertex'")
+    rows = lines[elements[0] + 1 : elements[1] if len(elements) > 1 else None]
+    properties = [line for line in rows if line[0] == "property"]
+    if unknown := [" ".join(line) for line in properties if len(line) != 3 or line[1] not in PLY_TYPES]:
+        raise DataError(f"{path}: '{unknown[0]}' of the vertices cannot be read")
+    dtype = np.dtype([(line[2], "<" + PLY_TYPES[line[1]]) for line in properties])
+    count, body = _whole(path, "element vertex", lines[elements[0]][-1]), content[found.end() :]
+    if encoding == "ascii":
+        return _from_text(path, body, dtype, count)
+    if encoding != "binary_little_endian":
+        raise DataError(f"{path}: the format {encoding} cannot be read; write ascii or binary_little_endian")
+    return _from_bytes(path, body, dtype, count)
+
+
+def read_pcd(path: Path) -> dict[str, np.ndarray]:
+    """Return the fields of a PCD file: ascii, binary or binary_compressed."""
+    content = read_bytes(path)
+    found = re.search(rb"^DATA[ \t]+(\w+)[ \t]*\r?\n", content, re.MULTILINE)
+    if found is None:
+        raise DataError(f"{path}: the header of a PCD file is missing, or its line DATA")
+    lines = [line.split() for line in content[: found.start()].decode("ascii", "replace").splitlines()]
+    header = {line[0]: line[1:] for line in lines if line and not line[0].startswith("#")}
+    dtype = _pcd_dtype(path, header)
+    count = _whole(path, "POINTS", " ".join(header.get("POINTS", [])))
+    body, encoding = content[found.end() :], found[1].decode()
+    if encoding == "ascii":
+        return _from_text(path, body, dtype, count)
+    if encoding == "binary":
+        return _from_bytes(path, body, dtype, count)
+    if encoding == "binary_compressed":
+        return _from_columns(path, _decompressed(path, body), dtype, count)
+    raise DataError(f"{path}: DATA {encoding} cannot be read; known are ascii, binary and binary_compressed")
+
+
+def _pcd_dtype(path: Path, header: dict[str, list[str]]) -> np.dtype:
+    columns = [header.get(key, []) for key in ("FIELDS", "SIZE", "TYPE")]
+    counts = header.get("COUNT", ["1"] * len(columns[0]))
+    if not columns[0] or len({*map(len, columns), len(counts)}) != 1:
+        raise DataError(f"{path}: FIELDS, SIZE, TYPE and COUNT of the header do not agree")
+    parts: list[tuple[str, str, tuple[int, ...]]] = []
+    for place, (name, size, kind, count) in enumerate(zip(*columns, counts, strict=True)):
+        if kind not in "FIU" or size not in "1248" or (kind == "F" and size not in "48"):
+            raise DataError(f"{path}: the field {name} of type {kind} and {size} bytes cannot be read")
+        times = _whole(path, "COUNT", count)
+        parts.append((f"_{place}" if name == "_" else name, f"<{kind.lower()}{size}", () if times == 1 else (times,)))
+    return np.dtype(parts)
+
+
+def _from_text(path: Path, body: bytes, dtype: np.dtype, count: int) -> dict[str, np.ndarray]:
+    width = sum(int(np.prod(dtype[name].shape)) for name in dtype.names or ())
+    try:
+        rows = np.array(b" ".join(body.split(b"\n", count)[:count]).split(), np.float64).reshape(count, width)
+    except ValueError as error:
+        raise DataError(f"{path}: the points are not {count} lines of {width} numbers; it is damaged") from error
+    fields, start = {}, 0
+    for name in dtype.names or ():
+        taken = int(np.prod(dtype[name].shape))
+        fields[name] = rows[:, start] if taken == 1 else rows[:, start : start + taken]
+        start += taken
+    return fields
+
+
+def _from_bytes(path: Path, body: bytes, dtype: np.dtype, count: int) -> dict[str, np.ndarray]:
+    if len(body) < count * dtype.itemsize:
+        expected = f"{count * dtype.itemsize:,} for {count} points"
+        raise DataError(f"{path}: {len(body):,} bytes follow the header instead of {expected}; it is damaged")
+    table = np.frombuffer(body, dtype, count)
+    return {name: table[name] for name in dtype.names or ()}
+
+
+def _from_columns(path: Path, body: bytes, dtype: np.dtype, count: int) -> dict[str, np.ndarray]:
+    if len(body) != count * dtype.itemsize:
+        raise DataError(f"{path}: {len(body):,} bytes instead of {count * dtype.itemsize:,}; it is damaged")
+    fields, start = {}, 0
+    for name in dtype.names or ():
+        base, shape = dtype[name].base, dtype[name].shape
+        size = count * dtype[name].itemsize
+        fields[name] = np.frombuffer(body[start : start + size], base).reshape(count, *shape)
+        start += size
+    return fields
+
+
+def _decompressed(path: Path, body: bytes) -> bytes:
+    if len(body) < 8:
+        raise DataError(f"{path}: the file is cut short")
+    packed, whole = np.frombuffer(body[:8], "<u4").tolist()
+    if len(body) < 8 + packed:
+        raise DataError(f"{path}: {len(body) - 8:,} compressed bytes instead of {packed:,}; it is damaged")
+    result = np.empty(whole, np.uint8)
+    if _lzf(np.frombuffer(body, np.uint8, packed, 8), result) != whole:
+        raise DataError(f"{path}: the compressed points are damaged")
+    return result.tobytes()
+
+
+@numba.njit
+def _lzf(packed: np.ndarray, result: np.ndarray) -> int:
+    """Undo LZF compression; return the number of bytes written, -1 if the input makes no sense."""
+    read, written = 0, 0
+    while read < len(packed):
+        control = int(packed[read])
+        read += 1
+        if control < 32:  # a run of literal bytes
+            length = control + 1
+            if read + length > len(packed) or written + length > len(result):
+                return -1
+            result[written : written + length] = packed[read : read + length]
+            read += length
+            written += length
+            continue
+        length = control >> 5
+        if length == 7:
+            if read >= len(packed):
+                return -1
+            length += int(packed[read])
+            read += 1
+        if read >= len(packed):
+            return -1
+        source = written - ((control & 31) << 8) - int(packed[read]) - 1
+        read += 1
+        if source < 0 or written + length + 2 > len(result):
+            return -1
+        for offset in range(length + 2):  # the copy may overlap itself
+            result[written + offset] = result[source + offset]
+        written += length + 2
+    return written
+
+
+def _whole(path: Path, name: str, text: str) -> int:
+    if not text.isdigit():
+        raise DataError(f"{path}: {name} is '{text}'; it must be a whole number")
+    return int(text)
+
+
+READERS: dict[str, Callable[[Path], dict[str, np.ndarray]]] = {
+    ".bin": read_bin, ".pcd": read_pcd, ".ply": read_ply, ".npz": read_npz,
+}  # fmt: skip
+"""Readers by the suffix of the file: each returns the fields of the points by name."""

@@ -1,0 +1,120 @@
+"""Messages of ROS as arrays, cameras and poses; their fields have equal names in ROS 1 and 2 but for CameraInfo."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import Float64, UInt8
+
+from omniocc.camera import MEI, Camera, KannalaBrandt, Pinhole
+from omniocc.data.formats.poses import quaternion_pose
+from omniocc.errors import DataError
+from omniocc.record.clouds import LABEL_FIELDS, RawCloud
+
+CHANNELS = {"rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4, "mono8": 1, "8UC1": 1, "8UC3": 3}
+TO_RGB = {
+    "bgr8": cv2.COLOR_BGR2RGB, "8UC3": cv2.COLOR_BGR2RGB, "rgba8": cv2.COLOR_RGBA2RGB, "bgra8": cv2.COLOR_BGRA2RGB,
+    "mono8": cv2.COLOR_GRAY2RGB, "8UC1": cv2.COLOR_GRAY2RGB,
+    "bayer_rggb8": cv2.COLOR_BayerRGGB2RGB, "bayer_bggr8": cv2.COLOR_BayerBGGR2RGB,
+    "bayer_gbrg8": cv2.COLOR_BayerGBRG2RGB, "bayer_grbg8": cv2.COLOR_BayerGRBG2RGB,
+    "yuv422": cv2.COLOR_YUV2RGB_UYVY, "yuv422_yuy2": cv2.COLOR_YUV2RGB_YUY2,
+}  # fmt: skip
+"""Conversions of the encodings of sensor_msgs that are read; rgb8 needs none."""
+POINT_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+"""Numpy's names of the data types of sensor_msgs/PointField."""
+FISHEYE = ("equidistant", "fisheye", "kannala_brandt")
+
+
+def stamp_s(message: Any) -> float:
+    """Return the time in the header of a message, s; 0 if its sender has set none."""
+    stamp = message.header.stamp
+    return stamp.sec + stamp.nanosec / 1e9
+
+
+def image_of(message: Any, where: str) -> UInt8[np.ndarray, "height width 3"]:
+    """Return the RGB of an Image or CompressedImage; raise DataError for other encodings and damaged images."""
+    if hasattr(message, "format"):
+        image = cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_COLOR) if len(message.data) else None
+        if image is None:
+            raise DataError(f"{where}: the compressed image is damaged ({message.format})")
+        return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+    encoding, height, width = message.encoding, message.height, message.width
+    if encoding != "rgb8" and encoding not in TO_RGB:
+        raise DataError(f"{where}: the encoding {encoding} cannot be read; known are rgb8, {', '.join(TO_RGB)}")
+    channels = 2 if encoding.startswith("yuv") else CHANNELS.get(encoding, 1)
+    content = np.frombuffer(message.data, np.uint8)
+    if message.step < width * channels or len(content) < height * message.step:
+        raise DataError(f"{where}: {len(content)} bytes are too few for {width}x{height} px of {encoding}")
+    rows = content[: height * message.step].reshape(height, message.step)[:, : width * channels]
+    pixels = np.ascontiguousarray(rows).reshape(height, width, channels)
+    return pixels.copy() if encoding == "rgb8" else cv2.cvtColor(pixels, TO_RGB[encoding])
+
+
+def camera_of(message: Any, where: str) -> Camera:
+    """Return the camera of a CameraInfo: matrix K and distortion D of the image as it was taken.
+
+    `plumb_bob` without distortion is a pinhole, with k1, k2, p1 and p2 it is `MEI` with xi = 0, which is the same
+    projection; `equidistant` is `KannalaBrandt`.
+
+    Raises:
+        DataError: for another distortion, a cut-out of the image, or numbers that make no camera.
+    """
+    matrix, distortion = (_field(message, name) for name in ("k", "d"))
+    model, coefficients = str(message.distortion_model).lower(), [float(value) for value in distortion]
+    roi = message.roi
+    if max(message.binning_x, message.binning_y) > 1 or roi.x_offset or roi.y_offset:
+        raise DataError(f"{where}: binning and cut-outs (roi) are not supported; give rig=<file> instead")
+    fx, skew, cx, _, fy, cy, *_ = (float(value) for value in matrix)
+    size, focal_px, center_px = (int(message.width), int(message.height)), (fx, fy), (cx, cy)
+    try:
+        if skew:
+            raise ValueError(f"the skew is {skew}; it must be 0")
+        if model in FISHEYE:
+            return KannalaBrandt(*size, focal_px, center_px, tuple(coefficients), 180.0)
+        if not any(coefficients):
+            return Pinhole(*size, focal_px, center_px)
+        if model in ("plumb_bob", "radtan") and not any(coefficients[4:]) and len(coefficients) >= 4:
+            return MEI(*size, focal_px, center_px, 0.0, tuple(coefficients[:4]), 180.0)
+        raise ValueError(f"the distortion {model} {coefficients} is not supported; give rig=<file> instead")
+    except ValueError as error:
+        raise DataError(f"{where}: {error}") from error
+
+
+def cloud_of(message: Any, label_field: str | None, where: str) -> RawCloud:
+    """Return the points of a PointCloud2, in the frame of its sender, and the class ids in a field of it.
+
+    Raises:
+        DataError: if a field is missing or the message is cut short.
+    """
+    order = ">" if message.is_bigendian else "<"
+    fields = {field.name: field for field in message.fields if field.count <= 1 and field.datatype in POINT_TYPES}
+    labels = (label_field,) if label_field is not None else tuple(name for name in LABEL_FIELDS if name in fields)[:1]
+    wanted = ("x", "y", "z", *labels)
+    if missing := [name for name in wanted if name not in fields]:
+        raise DataError(f"{where}: the field '{missing[0]}' is missing; the points have {', '.join(fields)}")
+    dtype = np.dtype({
+        "names": list(wanted), "formats": [order + POINT_TYPES[fields[name].datatype] for name in wanted],
+        "offsets": [fields[name].offset for name in wanted], "itemsize": message.point_step,
+    })  # fmt: skip
+    content = np.frombuffer(message.data, np.uint8)
+    if message.row_step < message.width * message.point_step or len(content) < message.height * message.row_step:
+        raise DataError(f"{where}: {len(content)} bytes are too few for {message.height}x{message.width} points")
+    rows = content[: message.height * message.row_step].reshape(message.height, message.row_step)
+    table = np.ascontiguousarray(rows[:, : message.width * message.point_step]).reshape(-1).view(dtype)
+    points = np.stack([table[axis] for axis in "xyz"], axis=1).astype(np.float32)
+    finite = np.isfinite(points).all(axis=1)
+    return RawCloud(points[finite], table[labels[0]].astype(np.int64)[finite] if labels else None)
+
+
+def pose_of(position: Any, rotation: Any, where: str) -> Float64[np.ndarray, "4 4"]:
+    """Return the pose of a position (or translation) and a quaternion of geometry_msgs."""
+    quaternion: Sequence[float] = (rotation.w, rotation.x, rotation.y, rotation.z)
+    try:
+        return quaternion_pose(quaternion, (position.x, position.y, position.z), "the pose")
+    except ValueError as error:
+        raise DataError(f"{where}: {error}") from error
+
+
+def _field(message: Any, name: str) -> Any:
+    return getattr(message, name) if hasattr(message, name) else getattr(message, name.upper())  # ROS 2, ROS 1

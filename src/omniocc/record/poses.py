@@ -1,0 +1,137 @@
+"""Files of poses with time stamps, and poses as options state them."""
+
+import csv
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Float64
+
+from omniocc.camera.protocol import numbers
+from omniocc.data.formats.files import read_text
+from omniocc.data.formats.poses import quaternion_pose, rigid
+from omniocc.errors import DataError
+
+PosesFormat = Literal["csv", "tum", "kitti"]
+TimeUnit = Literal["s", "ms", "us", "ns"]
+PER_SECOND: dict[TimeUnit, int] = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
+
+
+EXACT = 1e-9
+"""Largest error of a rotation that is kept as it is given, since it is as exact as float64 allows."""
+
+
+class TimedPoses(NamedTuple):
+    """Poses in the order of time.
+
+    Attributes:
+        times_s: (P,) increasing.
+        poses: (P, 4, 4) world_from_body.
+    """
+
+    times_s: Float64[np.ndarray, " P"]
+    poses: Float64[np.ndarray, "P 4 4"]
+
+
+def seconds(text: str, unit: TimeUnit) -> float:
+    """Return a time stamp in s; whole numbers are divided exactly; raise ValueError if it is no finite number."""
+    text = text.strip()
+    value = int(text) / PER_SECOND[unit] if text.lstrip("-").isdigit() else float(text) / PER_SECOND[unit]
+    if not np.isfinite(value):
+        raise ValueError(f"{text} is not finite")
+    return value
+
+
+def read_timed_poses(path: Path, kind: PosesFormat, unit: TimeUnit, times: Path | None = None) -> TimedPoses:
+    """Return the poses of a file.
+
+    * `csv`: time, x, y, z (m) and quaternion w, x, y, z; or time and the 12 or 16 numbers of a matrix, row by row.
+    * `tum`: time, x, y, z and quaternion x, y, z, w, separated by spaces.
+    * `kitti`: the 12 numbers of a matrix; the times are the lines of the file `times`.
+
+    Lines that begin with `#`, and a first line without numbers, are no poses.
+
+    Raises:
+        DataError: naming file and line.
+    """
+    if (kind == "kitti") != (times is not None):
+        raise DataError(f"{path}: poses_times is for poses_format=kitti, and needed there: a file with a time a line")
+    rows = list(_rows(path, kind))
+    if not rows:
+        raise DataError(f"{path}: the file holds no poses")
+    if times is not None:
+        stamps = [(where, words[0]) for where, words in _rows(times, "tum")]
+        if len(stamps) != len(rows):
+            raise DataError(f"{times}: {len(stamps)} times for the {len(rows)} poses of {path.name}")
+        stamped = [(where, stamp, words) for (where, stamp), (_, words) in zip(stamps, rows, strict=True)]
+    else:
+        stamped = [(where, words[0], words[1:]) for where, words in rows]
+    times_s = np.array([_checked(where, lambda text=stamp: seconds(text, unit)) for where, stamp, _ in stamped])
+    poses = [_checked(where, lambda words=words: _pose(words, kind)) for where, _, words in stamped]
+    order = np.argsort(times_s, kind="stable")
+    if (twice := np.flatnonzero(np.diff(times_s[order]) == 0)).size:
+        raise DataError(f"{stamped[order[twice[0] + 1]][0]}: a pose of this time is there already; keep one")
+    return TimedPoses(times_s[order], np.stack(poses)[order])
+
+
+def _rows(path: Path, kind: PosesFormat) -> list[tuple[str, list[str]]]:
+    lines = read_text(path).lstrip("\ufeff").splitlines()
+    cells = csv.reader(lines) if kind == "csv" else (line.split() for line in lines)
+    found = []
+    for number, words in enumerate(cells, start=1):
+        if not any(word.strip() for word in words) or words[0].lstrip().startswith("#"):
+            continue
+        if not found and not _is_number(words[0]):
+            continue  # the header
+        found.append((f"{path}, line {number}", words))
+    return found
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _checked(where: str, read: Callable[[], Any]) -> Any:
+    try:
+        return read()
+    except ValueError as error:
+        raise DataError(f"{where}: {error}") from error
+
+
+def _pose(words: Sequence[str], kind: PosesFormat) -> Float64[np.ndarray, "4 4"]:
+    values = [float(word) for word in words]
+    if len(values) == 7 and kind != "kitti":
+        quaternion = (values[6], *values[3:6]) if kind == "tum" else values[3:]
+        return quaternion_pose(quaternion, values[:3], "the pose")
+    if len(values) in (12, 16) and kind != "tum":
+        if values[12:] not in ([], [0, 0, 0, 1]):
+            raise ValueError(f"the last row of the matrix is {values[12:]}; it must be 0, 0, 0, 1")
+        given = np.array([*values[:12], 0, 0, 0, 1], np.float64).reshape(4, 4)
+        mended = rigid(given, "the pose")
+        return given if np.abs(mended - given).max() < EXACT else mended
+    expected = {"csv": "a time and 7, 12 or 16", "tum": "a time and 7", "kitti": "12"}[kind]
+    raise ValueError(f"{len(values)} numbers of a pose; poses_format={kind} has {expected} in a line")
+
+
+def stated_pose(name: str, value: Any) -> Float64[np.ndarray, "4 4"]:
+    """Return the pose that an option states: rows of a matrix, or `{position_m: [3], quaternion_wxyz: [4]}`.
+
+    Raises:
+        ValueError: naming the option.
+    """
+    if isinstance(value, Mapping):
+        if set(value) != {"position_m", "quaternion_wxyz"}:
+            raise ValueError(f"{name} has the keys {sorted(value)}; it needs position_m and quaternion_wxyz")
+        position = numbers(f"{name}.position_m", value["position_m"], 3, 3)
+        return quaternion_pose(numbers(f"{name}.quaternion_wxyz", value["quaternion_wxyz"], 4, 4), position, name)
+    if not isinstance(value, list | tuple) or len(value) not in (3, 4):
+        raise ValueError(f"{name} is {value!r}; give rows of a 4x4 matrix, or position_m and quaternion_wxyz")
+    rows = np.array([numbers(f"a row of {name}", row, 4, 4) for row in value])
+    if len(rows) == 4 and rows[3].tolist() != [0, 0, 0, 1]:
+        raise ValueError(f"the last row of {name} is {rows[3].tolist()}; it must be 0, 0, 0, 1")
+    return rigid(rows, name)

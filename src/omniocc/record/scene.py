@@ -1,0 +1,174 @@
+"""A log becomes a scene: the samples that belong together are chosen, then written frame by frame."""
+
+import shutil
+from collections.abc import Sequence
+from contextlib import closing
+from dataclasses import replace
+from functools import partial
+from importlib.metadata import version
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+
+from omniocc.camera import Camera, Equirectangular, Rig
+from omniocc.classes import OCCUPANCY_CLASSES
+from omniocc.data.formats.projected import onto_cameras, onto_panorama
+from omniocc.data.recording.pool import Report, make_scenes
+from omniocc.data.recording.spec import plain_spec
+from omniocc.data.source import SourceSpec
+from omniocc.data.store.codec import encode_frame
+from omniocc.data.store.frame import RecordedFrame
+from omniocc.data.store.reader import SceneReader
+from omniocc.data.store.shard import SceneWriter, digest
+from omniocc.errors import DataError, UserError
+from omniocc.geometry.cylinder import PAPER_RANGE_EDGES_M
+from omniocc.geometry.directions import sparseocc_directions
+from omniocc.progress import Progress
+from omniocc.record.log import Log, Plan, Timing, missing_lines, plan_frames
+
+SHAPE_TOLERANCE = 0.01
+"""Largest relative difference between the aspect ratio of an image and that of its calibration."""
+RECORDERS = ("numpy", "opencv-python-headless", "zstandard")
+
+
+class Stated(NamedTuple):
+    """What no file of a log says.
+
+    Attributes:
+        image_size: width and height of the recorded images, px; None: that of the first camera's calibration.
+        panorama: width and height (px), upper and lower edge (deg) of the panoramas of ranges.
+        road_z_m: height of the road in the ego frame, m; None: that of the rig.
+        moving: whether other things than the car move in the scene; None: not stated.
+    """
+
+    image_size: Sequence[int] | None
+    panorama: Sequence[float]
+    road_z_m: float | None
+    moving: bool | None
+
+
+def record_log(log: Log, folder: Path, timing: Timing, stated: Stated) -> Path:
+    """Write the scene of a log and return its folder; a scene made from the same log is returned as it is.
+
+    Raises:
+        UserError: naming the option that is impossible.
+        DataError: naming the file that is damaged, or the folder that holds another scene.
+    """
+    plan = plan_frames(log, timing)
+    rig = _scaled_rig(log.rig, stated)
+    recipe = _recipe(log, plan, rig, timing, stated)
+    if folder.exists():
+        if SceneReader(folder).meta["facts"].get("recipe") == recipe:
+            return folder
+        raise DataError(f"{folder}: there is a scene made from something else; choose another name, or remove it")
+    with Progress(f"recording {folder}", len(plan.times_s)) as progress:
+        for line in missing_lines(plan):
+            progress.message(line)
+        work = partial(_write, log=log, plan=plan, rig=rig, stated=stated, recipe=recipe)
+        make_scenes(work, [folder], 0, progress)
+    return folder
+
+
+def _recipe(log: Log, plan: Plan, rig: Rig, timing: Timing, stated: Stated) -> str:
+    """Return a hash of all that decides the frames but for the content of images and scans."""
+    parts = [
+        part.tobytes().hex()
+        for part in (plan.times_s, plan.images, plan.world_from_ego, plan.scans)
+        if part is not None
+    ]
+    options = [list(timing), list(stated), rig.fingerprint, dict(log.facts)]
+    return digest([*parts, repr(options), [] if log.scans is None else log.scans.classes.to_dict()])
+
+
+def _scaled_rig(rig: Rig, stated: Stated) -> Rig:
+    road_z_m = rig.road_z_m if stated.road_z_m is None else stated.road_z_m
+    if road_z_m is None:
+        raise UserError("the height of the road is not known: give road_z_m, m, in the ego frame, or in the rig file")
+    first = rig.cameras[0]
+    width, height = (first.width, first.height) if stated.image_size is None else map(int, stated.image_size)
+    try:
+        return replace(rig.resized(width, height), road_z_m=road_z_m)
+    except ValueError as error:
+        raise UserError(f"image_size: the cameras cannot be brought to {width}x{height} px: {error}") from error
+
+
+def panorama_of(stated: Stated) -> Equirectangular:
+    """Return the panorama of ranges; raise ValueError naming what is impossible."""
+    if len(stated.panorama) != 4:
+        raise ValueError(f"panorama is {list(stated.panorama)}; give width and height, px, upper and lower edge, deg")
+    width, height, top_deg, bottom_deg = stated.panorama
+    return Equirectangular(int(width), int(height), float(top_deg), float(bottom_deg))
+
+
+def spec_of_log(log: Log, plan: Plan, road_z_m: float) -> SourceSpec:
+    """Return the classes of the points, the bands of the virtual world, and the median time between frames."""
+    steps_s = np.diff(plan.times_s)
+    interval_s = float(f"{np.median(steps_s):.2g}") if len(steps_s) else 0.0  # equal for scenes of one set of sensors
+    classes = OCCUPANCY_CLASSES if log.scans is None else log.scans.classes
+    return SourceSpec(classes, PAPER_RANGE_EDGES_M, interval_s, road_z_m, sparseocc_directions())
+
+
+def _write(folder: Path, report: Report, log: Log, plan: Plan, rig: Rig, stated: Stated, recipe: str) -> None:
+    shutil.rmtree(folder.with_name(f"{folder.name}.partial"), ignore_errors=True)  # perhaps of other options
+    assert rig.road_z_m is not None
+    panorama = panorama_of(stated)
+    with closing(SceneWriter(folder)) as writer:
+        for number in range(len(plan.times_s)):
+            frame = read_frame(log, plan, number, rig, panorama)
+            entry = {"time_s": frame.time_s, "world_from_ego": frame.world_from_ego.tolist()}
+            writer.append(encode_frame(frame), entry)
+            report(1)
+        writer.attach("rig.yaml", rig.save)
+        facts = {"log": dict(log.facts), "start_s": float(plan.times_s[0]), "moving": stated.moving}
+        facts["missing"] = [{"time_s": time_s, "lacks": names} for time_s, names in plan.missing]
+        software = {name: version(name) for name in RECORDERS}
+        spec = plain_spec(spec_of_log(log, plan, rig.road_z_m))
+        writer.finish(facts | {"recipe": recipe, "spec": spec, "software": software})
+
+
+def read_frame(log: Log, plan: Plan, number: int, rig: Rig, panorama: Equirectangular) -> RecordedFrame:
+    """Return one frame of a log at the size of `rig`; with a LiDAR its points and what they show in every image.
+
+    Raises:
+        DataError: naming the image or scan that is damaged.
+    """
+    images = []
+    for camera, (calibrated, scaled) in enumerate(zip(log.rig.cameras, rig.cameras, strict=True)):
+        image, where = log.read_image(camera, int(plan.images[number, camera]))
+        images.append(fitted(image, calibrated, (scaled.width, scaled.height), where))
+    frame = RecordedFrame(float(plan.times_s[number] - plan.times_s[0]), plan.world_from_ego[number], np.stack(images))
+    if log.scans is None or plan.scans is None:
+        return frame
+    points = log.scans.read(int(plan.scans[number]))
+    return replace(
+        frame,
+        range_m=np.stack([image.range_m for image in onto_cameras(points.points_m, None, rig)]),
+        erp_range_m=onto_panorama(points.points_m, None, panorama).range_m,
+        points_m=points.points_m,
+        point_labels=points.labels,
+    )
+
+
+def fitted(
+    image: UInt8[np.ndarray, "h w 3"], camera: Camera, size: tuple[int, int], where: str
+) -> UInt8[np.ndarray, "height width 3"]:
+    """Return an image scaled to `size` (width, height); raise DataError if it is not of the camera's aspect ratio."""
+    height, width = image.shape[:2]
+    if abs(width / height / (camera.width / camera.height) - 1) > SHAPE_TOLERANCE:
+        raise DataError(
+            f"{where}: the image is {width}x{height} px, but its camera is calibrated for "
+            f"{camera.width}x{camera.height} px: a scaled image can be used, a cropped one needs its own calibration"
+        )
+    if (width, height) == size:
+        return image
+    return cv2.resize(image, size, interpolation=cv2.INTER_AREA if size[0] < width else cv2.INTER_LINEAR)
+
+
+def check_name(name: str) -> str:
+    """Return the name of a scene; raise ValueError if it cannot be that of a folder of scenes."""
+    if not name or set(name) & set("./\\") or name.strip() != name:
+        raise ValueError(f"name is '{name}'; a folder gets it: no point, no slash, such as train-000-town")
+    return name

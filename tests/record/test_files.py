@@ -1,0 +1,310 @@
+"""A rendered scene, exported as a log in folders and imported again, is the same scene; mistakes get one line."""
+
+import shutil
+
+import numpy as np
+import pytest
+import torch
+from log_files import START_NS, lidar_option, rig_of, stamp_ns
+
+from omniocc.camera import Rig
+from omniocc.classes import OCCUPANCY_CLASSES, UNKNOWN, WORLD_CLASSES
+from omniocc.data import DataError, SceneReader
+from omniocc.data.labels.observed import observed
+from omniocc.data.labels.voxels import vote
+from omniocc.data.source.recorded import spec_of
+from omniocc.data.store.check import check_scene
+from omniocc.data.store.codec import decode_frame
+from omniocc.errors import UserError
+from omniocc.geometry import Cylinder
+from omniocc.predict.input.poses import read_poses
+
+GRID = Cylinder()
+CLASSES = "classes: classes.yaml"
+NPZ = lidar_option("npz", CLASSES)
+
+
+def record(recorder, root, *overrides) -> SceneReader:
+    (folder,) = recorder(*overrides).record(root)
+    return SceneReader(folder)
+
+
+def same_rate(ours, theirs) -> float:
+    """Return the fraction of equal voxels among those that are occupied in one of the scenes, over all frames."""
+    ours, theirs = (torch.stack([vote(scene, k, GRID) for k in range(len(scene))]) for scene in (ours, theirs))
+    occupied = (ours > 0) | (theirs > 0)
+    return float((ours == theirs)[occupied].float().mean())
+
+
+@pytest.mark.parametrize("kind", ["npz", "bin", "pcd", "ply"])
+def test_an_imported_scene_is_the_exported_one(recorder, original, tmp_path, kind):
+    scene = record(recorder, tmp_path, lidar_option(kind, CLASSES))
+    assert len(scene) == len(original)
+    assert check_scene(scene, len(original), 0.5) == []
+    assert np.array_equal(scene.world_from_ego, original.world_from_ego)
+    np.testing.assert_allclose(scene.time_s, original.time_s, atol=5e-7)  # float64 seconds since 1970
+    assert scene.rig == Rig.load(tmp_path / "train-000-own" / "rig.yaml") == rig_of(original)
+    assert same_rate(scene, original) > 0.999
+    for frame in range(len(scene)):
+        for ours, theirs in zip(scene.images(frame), original.images(frame), strict=True):
+            assert np.abs(ours.astype(int) - theirs).mean() < 2  # JPEG twice
+    assert spec_of(scene).classes == WORLD_CLASSES
+    assert scene.pixel_labels(0) is scene.lidar(0) is None
+    facts = scene.meta["facts"]
+    assert (facts["moving"], facts["missing"], facts["start_s"]) == (None, [], START_NS / 1e9)
+
+
+def test_ranges_are_those_of_the_points_and_sparse(recorder, original, tmp_path):
+    scene = record(recorder, tmp_path, lidar_option("npz"), "panorama=[90,24,45.0,-45.0]", "moving=false")
+    points, ranges, panorama = scene.points(1), scene.camera_range_m(1), scene.erp_range_m(1)
+    assert set(points.labels.tolist()) == {1}
+    assert spec_of(scene).classes == OCCUPANCY_CLASSES
+    assert scene.meta["facts"]["moving"] is False
+    assert panorama.shape == (24, 90)
+    assert 0.05 < np.isfinite(panorama).mean() < 1
+    # every range of a pixel is that of a point which our own projection puts there
+    camera = 2
+    origin = scene.rig.ego_from_camera[camera, :3, 3]
+    pixels, valid = scene.rig.project_into(camera, torch.from_numpy(points.points_m).double())
+    far_m = np.linalg.norm(points.points_m - origin.numpy(), axis=1)
+    for v, u in np.argwhere(np.isfinite(ranges[camera]))[::50]:
+        here = valid.numpy() & (pixels.round().numpy() == (u, v)).all(1)
+        assert abs(far_m[here].min() - ranges[camera][v, u]) < 0.02  # points are stored in steps of 1/128 m
+    # and is at most that of the surface that was rendered, which hides what is behind
+    dense = original.camera_range_m(1)[camera]
+    both = np.isfinite(dense) & np.isfinite(ranges[camera])
+    assert np.median(np.abs(dense - ranges[camera])[both] / dense[both]) < 0.05
+
+
+def test_a_scene_without_lidar_has_images_and_poses_alone(recorder, original, tmp_path):
+    scene = record(recorder, tmp_path)
+    assert scene.index["members"] == ["frame.json", *(f"rgb{k}.jpg" for k in range(len(original.rig.names)))]
+    parts = scene.points, scene.erp_range_m, scene.camera_range_m, scene.pixel_labels, scene.lidar
+    assert [part(0) for part in parts] == [None] * 5
+    frame = decode_frame(scene.read(0, scene.index["members"]))
+    assert frame.points_m is frame.range_m is frame.semantics is None
+    assert observed(scene, 0, GRID).sum() == 0
+    with pytest.raises(DataError, match=r"no points are recorded.*not training"):
+        vote(scene, 0, GRID)
+
+
+def test_a_scene_is_made_once(recorder, tmp_path):
+    first = recorder().record(tmp_path)[0]
+    before = (first / "meta.json").stat().st_mtime_ns
+    assert recorder().record(tmp_path) == [first]
+    assert (first / "meta.json").stat().st_mtime_ns == before
+    with pytest.raises(DataError, match="made from something else; choose another name, or remove it"):
+        recorder("limit_s=0.02").record(tmp_path)
+
+
+def test_images_of_another_size_and_some_cameras(recorder, original, tmp_path):
+    names = original.rig.names[1], original.rig.names[0]
+    cameras = f"cameras={{{names[0]}: {names[0]}, {names[1]}: {names[1]}/*.png}}"
+    scene = record(recorder, tmp_path, cameras, "image_size=[32,18]", f"reference={names[1]}", "road_z_m=-1.5")
+    assert scene.rig.names == names
+    assert [image.shape for image in scene.images(0)] == [(18, 32, 3)] * 2
+    assert scene.rig.road_z_m == spec_of(scene).road_z_m == -1.5
+
+
+def kitti(log, original):
+    rows = original.world_from_ego[:, :3].reshape(-1, 12)
+    (log / "poses.txt").write_text("\n".join(" ".join(map(repr, row)) for row in rows.tolist()))
+    times = [repr(stamp_ns(original, k) / 1e9) for k in range(len(original))]
+    (log / "times.txt").write_text("\n".join(times))
+    return "poses_format=kitti", "poses=poses.txt", "poses_times=times.txt"
+
+
+def tum(log, original):
+    from scipy.spatial.transform import Rotation
+
+    poses = original.world_from_ego
+    quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat()  # x, y, z, w
+    rows = np.column_stack([poses[:, :3, 3], quaternions]).tolist()
+    stamps = [repr(stamp_ns(original, k) / 1e9) for k in range(len(original))]
+    lines = [" ".join([stamp, *map(repr, row)]) for stamp, row in zip(stamps, rows, strict=True)]
+    (log / "poses.txt").write_text("# time x y z qx qy qz qw\n" + "\n".join(lines))
+    return "poses_format=tum", "poses=poses.txt"
+
+
+@pytest.mark.parametrize("write", [kitti, tum])
+def test_other_formats_of_poses(recorder, original, log_folder, tmp_path, write):
+    log = shutil.copytree(log_folder, tmp_path / "log")
+    options = write(log, original)
+    (folder,) = recorder(*options, log=log).record(tmp_path)
+    np.testing.assert_allclose(SceneReader(folder).world_from_ego, original.world_from_ego, atol=1e-9, rtol=0)
+
+
+def test_poses_of_another_frame_and_between_the_images(recorder, original, log_folder, tmp_path):
+    log = shutil.copytree(log_folder, tmp_path / "log")
+    offset = np.eye(4)
+    offset[:3, 3] = 1.0, -0.5, 0.25  # ego_from_pose_frame
+    poses = original.world_from_ego @ offset
+    rows = [[stamp_ns(original, k) / 1e3, *poses[k].ravel().tolist()] for k in range(len(poses))]
+    (log / "poses.csv").write_text("\n".join(",".join(map(repr, row)) for row in rows))
+    option = "ego_from_pose_frame={position_m: [1.0, -0.5, 0.25], quaternion_wxyz: [1, 0, 0, 0]}"
+    (folder,) = recorder(option, "poses_time_unit=us", log=log).record(tmp_path)
+    # the times of the file are rounded to a quarter of a microsecond
+    np.testing.assert_allclose(SceneReader(folder).world_from_ego, original.world_from_ego, atol=1e-4, rtol=0)
+
+
+def test_times_from_a_table(recorder, original, log_folder, tmp_path):
+    log = shutil.copytree(log_folder, tmp_path / "log")
+    lines = ["time,file"]
+    for name in original.rig.names:
+        for k, path in enumerate(sorted((log / name).iterdir())):
+            path.rename(path.with_name(f"image-{k}.png"))
+            lines.append(f"{stamp_ns(original, k)},{name}/image-{k}.png")
+    (log / "times.csv").write_text("\n".join(lines))
+    (folder,) = recorder("times=times.csv", log=log).record(tmp_path)
+    assert np.array_equal(SceneReader(folder).world_from_ego, original.world_from_ego)
+    (log / "times.csv").write_text("\n".join(lines[:-1]))
+    with pytest.raises(DataError, match=r"image-\d+.png: the CSV of times does not list it"):
+        recorder("times=times.csv", log=log).record(tmp_path / "other")
+
+
+def first_image(log, original, camera=1, frame=1):
+    return sorted((log / original.rig.names[camera]).iterdir())[frame]
+
+
+def test_missing_frames_are_listed(recorder, original, log_folder, tmp_path, capsys):
+    log = shutil.copytree(log_folder, tmp_path / "log")
+    first_image(log, original).unlink()
+    (folder,) = recorder(lidar_option("npz"), log=log).record(tmp_path)
+    scene = SceneReader(folder)
+    assert len(scene) == len(original) - 1
+    (missing,) = scene.meta["facts"]["missing"]
+    assert missing == {"time_s": stamp_ns(original, 1) / 1e9, "lacks": [original.rig.names[1]]}
+    assert np.array_equal(scene.world_from_ego[0], original.world_from_ego[0])
+    told = capsys.readouterr().err
+    assert f"1 of {len(original)} frames are left out" in told
+    assert f"nothing from {original.rig.names[1]}" in told
+
+
+def test_frames_in_gaps_of_poses_and_scans_are_left_out(recorder, original, log_folder, tmp_path):
+    log = shutil.copytree(log_folder, tmp_path / "log")
+    for path in sorted((log / "bin").glob("*.bin"))[1:]:
+        path.unlink()
+    (folder,) = recorder(lidar_option("bin"), log=log).record(tmp_path)
+    assert len(SceneReader(folder)) == 1
+    lines = (log / "poses.csv").read_text().splitlines()
+    (log / "poses.csv").write_text("\n".join(lines[:2]))
+    scene = SceneReader(recorder(log=log, name="val-000-own").record(tmp_path)[0])
+    assert len(scene) == 1
+    assert [entry["lacks"] for entry in scene.meta["facts"]["missing"]] == [["poses"]] * (len(original) - 1)
+
+
+def empty(log, original):
+    for path in (log / original.rig.names[0]).iterdir():
+        path.unlink()
+
+
+def damage(path, content=b"nothing"):
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize(
+    ("options", "harm", "words"),
+    [
+        (["time_unit=us", "poses_time_unit=ns"], None, "comes no nearer than"),
+        (["time_unit=ms", "poses_time_unit=ns"], None, "Are the units of its times right"),
+        (["cameras={frnt: front}"], None, "cameras: the rig has no camera 'frnt'; it has front"),
+        (["cameras={front: nowhere}"], None, "cameras.front=nowhere: there is no folder"),
+        (["cameras={front: front/*.jpeg}"], None, "holds none of .png"),
+        (["reference=middle"], None, "reference=middle is no camera; cameras: front"),
+        ([], empty, "holds none of .png, .jpg"),
+        ([], lambda log, scene: damage(first_image(log, scene)), "the file is no image, or damaged"),
+        ([], lambda log, scene: damage(log / "poses.csv", b"1,2,3\n"), "line 1: 2 numbers of a pose"),
+        ([], lambda log, scene: damage(log / "poses.csv", b"t\n"), "the file holds no poses"),
+        ([], lambda log, scene: damage(log / "poses.csv", b"1,0,0,0,2,0,0,0"), "line 1: the pose: rotation"),
+        ([], lambda log, scene: damage(log / "poses.csv", b"1,0,0,0,1,0,0,0\n" * 2), "line 2: a pose of this time"),
+        ([], lambda log, scene: (log / "poses.csv").unlink(), "poses.csv: the file is missing"),
+        (["poses_format=kitti"], None, "poses_times is for poses_format=kitti, and needed there"),
+        (["rig=nothing.yaml"], None, "no rig file 'nothing.yaml'"),
+        (
+            [NPZ],
+            lambda log, scene: damage(log / "classes.yaml", b"1: Road"),
+            "the class ids [",
+        ),
+        ([NPZ], lambda log, scene: damage(log / "classes.yaml", b"[]"), "it must map ids"),
+        (
+            [NPZ],
+            lambda log, scene: damage(log / "classes.yaml", b"1: free"),
+            "the name 'free'",
+        ),
+        ([lidar_option("bin", CLASSES)], lambda log, scene: unlabel(log), "its points have no class ids"),
+        ([lidar_option("bin", "columns: 7")], None, "it is damaged"),
+        (
+            [lidar_option("ply")],
+            lambda log, scene: damage(sorted((log / "ply").iterdir())[0]),
+            "the header of a PLY file is missing",
+        ),
+        ([lidar_option("empty")], lambda log, scene: (log / "empty").mkdir(), "lidar.folder=empty:"),
+    ],
+)
+def test_mistakes_get_one_line(recorder, original, log_folder, tmp_path, options, harm, words):
+    log = shutil.copytree(log_folder, tmp_path / "log")
+    if harm is not None:
+        harm(log, original)
+    with pytest.raises((UserError, DataError)) as caught:
+        recorder(*options, log=log).record(tmp_path / "scenes")
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "scenes" / "train-000-own").exists()
+
+
+def unlabel(log):
+    for path in (log / "bin").glob("*.label"):
+        path.unlink()
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("limit_s=0", "limit_s is 0; it must be above 0"),
+        ("interval_s=-1", "interval_s is -1; it must be above 0"),
+        ("name=a/b", "name is 'a/b'"),
+        ("lidar={folder: npz}", "lidar.ego_from_lidar is missing"),
+        ("lidar={foldr: npz}", "lidar has no option foldr"),
+        ("lidar={folder: npz, ego_from_lidar: [1, 2]}", "lidar.ego_from_lidar is [1, 2]; give rows"),
+        ("ego_from_pose_frame={position_m: [0, 0, 0]}", "it needs position_m and quaternion_wxyz"),
+        ("panorama=[720,180,-45.0,45.0]", "need -90 <= bottom_deg < top_deg"),
+        ("time_unit=minutes", "time_unit: 'minutes' is not one of 's', 'ms', 'us', 'ns'"),
+    ],
+)
+def test_impossible_options_are_refused_before_anything_is_read(recorder, override, words):
+    with pytest.raises(UserError) as caught:
+        recorder(override)
+    assert words in str(caught.value)
+
+
+def test_the_own_car_is_left_out(recorder, tmp_path):
+    box = "own_car_m: [[-4, -2, -3], [4, 2, 3]]"
+    scene = record(recorder, tmp_path, lidar_option("npz", box))
+    points = scene.points(0).points_m
+    assert len(points)
+    assert not (np.abs(points) < (3.99, 1.99, 2.99)).all(1).any()
+
+
+def test_classes_of_a_logs_own(recorder, log_folder, original, tmp_path):
+    log = shutil.copytree(log_folder, tmp_path / "log")
+    rows = [f"{row.id}: way" if row.id < 4 else f"{row.id}: thing" for row in WORLD_CLASSES.rows if row.id > 1]
+    (log / "classes.yaml").write_text("\n".join(["1: {name: way, rgb: [1, 2, 3]}", *rows, "255: unknown"]))
+    (folder,) = recorder(lidar_option("npz", CLASSES), log=log).record(tmp_path)
+    scene = SceneReader(folder)
+    classes = spec_of(scene).classes
+    assert classes.names == ("free", "way", "thing")
+    assert classes.rows[1].rgb == (1, 2, 3)
+    ours, theirs = np.sort(scene.points(0).labels), original.points(0).labels
+    expected = np.where(theirs == UNKNOWN, UNKNOWN, np.where(theirs < 4, 1, 2))
+    assert np.array_equal(ours, np.sort(expected))
+
+
+def test_exported_poses_of_predict_are_read_back_alike(tmp_path):
+    """The CSV of `predict.py` has names for times; with numbers as names both readers give the same poses."""
+    from omniocc.record.poses import read_timed_poses
+
+    path = tmp_path / "poses.csv"
+    path.write_text("frame,x_m,y_m,z_m,qw,qx,qy,qz\n3,1,2,3,0.6,0,0,0.8\n7,4,5,6,1,0,0,0\n")
+    found = read_timed_poses(path, "csv", "s")
+    assert found.times_s.tolist() == [3, 7]
+    np.testing.assert_allclose(found.poses, read_poses(path, ["3", "7"]).numpy(), atol=1e-15)
