@@ -1,6 +1,7 @@
 """The recipes of the shipped weights, and packing a finished run with its card."""
 
 import importlib.util
+import re
 from pathlib import Path
 
 import pytest
@@ -10,11 +11,11 @@ from omegaconf import OmegaConf
 
 from omniocc.config import build, check_root, compose_plain
 from omniocc.errors import UserError
-from omniocc.report.card import card
+from omniocc.report.card import card, frame_rows
 from omniocc.run.checkpoint import load_checkpoint
 from omniocc.run.checkpoint_io import LAST, write_checkpoint
 from omniocc.run.results import save_results
-from omniocc.run.weights import pack_weights
+from omniocc.run.weights import SHIPPED, SUFFIX, digest_of, pack_weights, read_weights, shipped
 
 ROOT = Path(__file__).parents[1]
 NAMES = sorted(path.stem for path in (ROOT / "tools" / "weights").glob("*.yaml"))
@@ -117,3 +118,21 @@ def test_recipes_hold_nothing_else():
     known = {"like", "stage", "half", "overrides", "shipped", "good_for", "not_good_for"}
     for name in NAMES:
         assert set(yaml.safe_load((ROOT / "tools" / "weights" / f"{name}.yaml").read_text())) <= known
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", shipped())
+def test_each_shipped_file_gives_the_figures_of_its_card(name, tool):
+    """On frames that are stored with the tests, so that later changes of the world do not touch them."""
+    path = SHIPPED / f"{name}{SUFFIX}"
+    text = path.with_suffix(".md").read_text()
+    assert path.stat().st_size <= tool.LIMIT_MB * 1e6
+    assert f"`{digest_of(read_weights(path)[0]['state_dict'])}`" in text
+    recipe = tool.recipe_of(name)
+    found = tool.figures_of(path, tool.FRAMES / recipe.get("like", name))
+    stated = re.findall(r"^\| (.+) \| ([\d.]+) \|$", text.split("On the four frames of the tests")[1], re.MULTILINE)
+    rows = dict(re.findall(r"^\| (.+) \| ([\d.]+) \|$", "\n".join(frame_rows(found)), re.MULTILINE))
+    assert stated
+    assert rows.keys() == dict(stated).keys()
+    for title, value in stated:
+        assert float(rows[title]) == pytest.approx(float(value), rel=2e-3, abs=2e-4), title

@@ -24,7 +24,6 @@ from omniocc.run.overrides import explain
 
 P = ParamSpec("P")
 T = TypeVar("T")
-OPENCV_ERRORS = 2
 FULL_ERROR = "HYDRA_FULL_ERROR"
 """Hydra's environment variable; with `1` it raises its errors instead of printing them."""
 
@@ -111,7 +110,7 @@ def quiet_libraries() -> None:
         logging.getLogger(name).setLevel(logging.ERROR)
     os.environ.setdefault("TOKENIZERS_PARALLELISM", "false")
     os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")  # in processes; damaged images have errors of ours
-    cv2.setLogLevel(OPENCV_ERRORS)
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
     warnings.filterwarnings("ignore", module="lightning")
     warnings.filterwarnings("ignore", module="torch.utils.data")
     warnings.filterwarnings("ignore", message="Grad strides do not match bucket view strides")
