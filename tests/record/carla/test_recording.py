@@ -25,7 +25,7 @@ SIZE = (128, 72)
 SMALL = (
     "recorder.scenes=1", "recorder.maps=[Town01]", "recorder.frames=2", "recorder.warm_up=2",
     f"recorder.image_size=[{SIZE[0]},{SIZE[1]}]", "recorder.panorama=[96,24,45,-45]", "recorder.lidars=20",
-    "recorder.splits={train:1,val:0,test:0}", "recorder.timeout_s=60", "recorder.load_s=300",
+    "recorder.timeout_s=60", "recorder.load_s=300",
 )  # fmt: skip
 FIRST_TICK = 5
 """Ticks until the first recorded frame: one for pedestrians, one for the sensors, two to warm up, its own."""
@@ -49,7 +49,7 @@ def recorded(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def scene(recorded):
-    return SceneReader(recorded / "carla-000-Town01")
+    return SceneReader(recorded / "train-000-Town01")
 
 
 @pytest.fixture(scope="module")
@@ -61,9 +61,9 @@ def direct():
 
 def test_scenes_are_whole_and_read_as_any_others(recorded, scene):
     assert check_scene(scene, 2, 0.1) == []
-    source = Recorded(str(recorded), workers=0)
+    source = Recorded(str(recorded), {"train": ["train-*"], "val": [], "test": []}, workers=0)
     source.prepare()
-    assert [reader.name for reader in source.scenes("train")] == ["carla-000-Town01"]
+    assert [reader.name for reader in source.scenes("train")] == ["train-000-Town01"]
     facts = scene.meta["facts"]
     assert (facts["server"], facts["client"], facts["town"]) == ("0.9.16", "0.9.16", "Town01")
     assert facts["tags"]["Road"] == [1]
@@ -143,7 +143,7 @@ def test_a_server_that_cannot_be_used_is_one_line(tmp_path):
         assert result.returncode == 1
         assert message in result.stderr
         assert "Traceback" not in result.stderr
-        assert list(tmp_path.glob("**/carla-000-Town01")) == []
+        assert list(tmp_path.glob("**/train-000-Town01")) == []
 
 
 @pytest.mark.whole_runs
@@ -161,7 +161,7 @@ def test_a_scene_is_begun_again_after(fault, said, tmp_path, recorded):
     assert result.returncode == 0, result.stderr
     assert said in result.stdout
     assert "it is begun again" in result.stdout
-    assert check_scene(SceneReader(tmp_path / "out" / "carla-000-Town01"), 2, 0.1) == []
+    assert check_scene(SceneReader(tmp_path / "out" / "train-000-Town01"), 2, 0.1) == []
     assert json.loads((tmp_path / "server.json").read_text())["synchronous_mode"] is False
 
 
@@ -169,20 +169,20 @@ def test_a_scene_is_begun_again_after(fault, said, tmp_path, recorded):
 def test_a_scene_that_fails_each_time_ends_the_recording(tmp_path):
     result = record(tmp_path, "recorder.attempts=2", "recorder.stuck_s=0.1", "recorder.frames=8", still=True)
     assert result.returncode == 1
-    assert "scene carla-000-Town01: localhost:2000: the ego vehicle has not moved for 0.1 s" in result.stderr
-    assert not (tmp_path / "out" / "carla-000-Town01").exists()
+    assert "scene train-000-Town01: localhost:2000: the ego vehicle has not moved for 0.1 s" in result.stderr
+    assert not (tmp_path / "out" / "train-000-Town01").exists()
 
 
 @pytest.mark.whole_runs
 def test_a_killed_recorder_leaves_nothing_that_is_read_as_whole(tmp_path):
-    partial = tmp_path / "out" / "carla-000-Town01.partial" / "journal.jsonl"
+    partial = tmp_path / "out" / "train-000-Town01.partial" / "journal.jsonl"
     record(tmp_path, "recorder.frames=40", kill_when=lambda: partial.exists() and partial.read_text().count("\n") > 1)
     assert partial.exists()
-    assert not (tmp_path / "out" / "carla-000-Town01").exists()
+    assert not (tmp_path / "out" / "train-000-Town01").exists()
     assert json.loads((tmp_path / "server.json").read_text())["synchronous_mode"] is True
     result = record(tmp_path)
     assert result.returncode == 0, result.stderr
-    assert len(SceneReader(tmp_path / "out" / "carla-000-Town01")) == 2
+    assert len(SceneReader(tmp_path / "out" / "train-000-Town01")) == 2
     assert not partial.exists()
     assert json.loads((tmp_path / "server.json").read_text())["synchronous_mode"] is False
 

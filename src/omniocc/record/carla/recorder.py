@@ -1,6 +1,5 @@
 """Record a dataset on a CARLA server, whatever server and machine do meanwhile."""
 
-import json
 import shlex
 import shutil
 import subprocess
@@ -20,14 +19,12 @@ from filelock import AcquireReturnProxy, FileLock, Timeout
 from omniocc.camera import Equirectangular, Rig
 from omniocc.classes import WORLD_CLASSES
 from omniocc.data.recording.spec import plain_spec
-from omniocc.data.source import SourceSpec
-from omniocc.data.source.recorded import SPLITS_FILE, by_fraction
+from omniocc.data.source import SPLITS, SourceSpec, Split
 from omniocc.data.store.codec import encode_frame
 from omniocc.data.store.shard import SceneWriter
 from omniocc.errors import UserError
 from omniocc.geometry.cylinder import PAPER_RANGE_EDGES_M
 from omniocc.geometry.directions import sparseocc_directions
-from omniocc.io import atomic_write
 from omniocc.progress import Progress
 from omniocc.record.carla.check import Finding, check_frames
 from omniocc.record.carla.frames import RawFrame, make_frame, vehicle_in_ego
@@ -45,9 +42,10 @@ SETTLE_S = 15.0
 
 
 class Plan(NamedTuple):
-    """One scene: its name, the town, the weather, and the seed of traffic and LiDARs."""
+    """One scene: its name, split, town, weather, and the seed of traffic and LiDARs."""
 
     name: str
+    split: Split
     town: str
     weather: str
     seed: int
@@ -79,7 +77,7 @@ class CarlaRecorder:
         panorama: width and height (px), upper and lower edge (deg) of the panoramas of ranges.
         lidars: semantic LiDARs whose points vote for voxels.
         camera: attributes of the colour cameras, as CARLA calls them.
-        splits: fractions of the scenes for train, val and test, written to `splits.json`.
+        splits: train, val or test, which the scenes take in turn.
         seed: of all scenes.
         timeout_s: longest wait for an answer of the server, s.
         load_s: longest time that loading a town takes, s.
@@ -94,7 +92,7 @@ class CarlaRecorder:
         self, host: str, port: int, traffic_port: int, python: str | None, restart: str | None, maps: Sequence[str],
         scenes: int, frames: int, warm_up: int, interval_s: float, weather: Sequence[str] | None, vehicles: int,
         walkers: int, ego: str, rig: str, image_size: tuple[int, int], panorama: tuple[int, int, float, float],
-        lidars: int, camera: dict[str, Any], splits: dict[str, float], seed: int, timeout_s: float, load_s: float,
+        lidars: int, camera: dict[str, Any], splits: Sequence[Split], seed: int, timeout_s: float, load_s: float,
         stuck_s: float, attempts: int,
     ):  # fmt: skip
         for name, value, least in (
@@ -107,6 +105,8 @@ class CarlaRecorder:
             raise ValueError(f"interval_s is {interval_s}; it must be above 0, and CARLA's physics allows at most .1 s")
         if not maps:
             raise ValueError("maps must name one town or more, such as [Town01,Town02]")
+        if not splits or not set(splits) <= set(SPLITS):
+            raise ValueError(f"splits must be of {', '.join(SPLITS)}, got {list(splits)}")
         self.python = [sys.executable] if python is None else shlex.split(python)
         self.restart = None if restart is None else shlex.split(restart)
         self.maps, self.weather = tuple(maps), tuple(weather or WEATHERS)
@@ -114,7 +114,7 @@ class CarlaRecorder:
         self.rig = show_ego_car(Rig.load(rig).resized(*image_size))  # CARLA has cars of other shapes
         self.vehicle_from_ego = np.linalg.inv(vehicle_in_ego(self.rig))
         self.panorama, self.lidars, self.camera = Equirectangular(*panorama), lidars, dict(camera)
-        self.splits, self.attempts = dict(splits), attempts
+        self.splits, self.attempts = tuple(splits), attempts
         self.load_s, self.silence_s = load_s, 2 * timeout_s
         self._job = {
             "host": host, "port": port, "traffic_port": traffic_port, "connect_s": min(10.0, timeout_s),
@@ -129,7 +129,8 @@ class CarlaRecorder:
         for number in range(self.scenes):
             town = self.maps[number % len(self.maps)]
             weather = self.weather[(number // len(self.maps) + number) % len(self.weather)]
-            found.append(Plan(f"carla-{number:03d}-{town}", town, weather, 1000 * self.seed + number))
+            split = self.splits[number % len(self.splits)]
+            found.append(Plan(f"{split}-{number:03d}-{town}", split, town, weather, 1000 * self.seed + number))
         return found
 
     def record(self, root: Path) -> list[Path]:
@@ -145,8 +146,6 @@ class CarlaRecorder:
         with self._alone(root), Progress(f"recording {root}", len(missing) * self.frames) as progress:
             for plan in missing:
                 self._record_scene(root / plan.name, plan, progress)
-        names = by_fraction(self.splits, [plan.name for plan in plans])
-        atomic_write(root / SPLITS_FILE, json.dumps(names, indent=2) + "\n")
         return [root / plan.name for plan in plans]
 
     def spec(self) -> SourceSpec:
