@@ -25,13 +25,16 @@ demo: $(READY)  ## Render streets, train, test on unseen streets, show table and
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
 
 test: $(READY)  ## Run the tests (COVERAGE=1: and print how many lines they ran)
-	$(PYTEST) -m 'not whole_runs and not second_device' $(if $(COVERAGE),--cov)
+	$(PYTEST) -m 'not whole_runs and not second_device and not faults' $(if $(COVERAGE),--cov)
 
 test-runs: $(READY)  ## Run the tests that train by the scripts, as users start them: killed, resumed, in two processes
 	$(PYTEST) -m whole_runs
 
 test-device: $(READY)  ## Train every row of the tables on a simulated second device, where device mistakes show
 	$(PYTEST) -m second_device
+
+test-faults: $(READY)  ## Record from a stand-in of a CARLA server that crashes, hangs and lies (minutes)
+	$(PYTEST) -m faults
 
 test-typecheck: $(READY)  ## Run four folders of tests again, with every shape annotation checked
 	$(BIN)/python tools/typecheck.py
@@ -83,4 +86,4 @@ wandb-sync: $(READY)  ## Upload new offline W&B runs and the tables of the repor
 dashboard: $(READY)  ## Save the W&B dashboard to the project omniocc (docs/how_to/dashboards.md)
 	@$(BIN)/python -m omniocc.report.wandb.dashboard --runs $(RUNS)
 
-.PHONY: help setup demo test test-runs test-device test-typecheck docs lint types constraints bench ablations wandb-sync weights dashboard
+.PHONY: help setup demo test test-runs test-device test-faults test-typecheck docs lint types constraints bench ablations wandb-sync weights dashboard

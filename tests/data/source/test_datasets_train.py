@@ -87,13 +87,16 @@ def sscbench(tmp_path_factory):
 
 
 AHEAD = ["model/geometry=cuboid", "model.geometry.shape=[16,16,4]", "model.geometry.x_m=[0,51.2]"]
-SYSTEMS = [["model=extended"], ["model=voxformer", *AHEAD], ["model/sketch=mono"]]
 
 
-@pytest.mark.parametrize("dataset", ["kitti", "sscbench"])
 @pytest.mark.parametrize(
-    "system", [["model=extended"], ["model=voxformer", *AHEAD], ["model/sketch=mono"]], ids=" ".join
-)
+    ("dataset", "system"),
+    [
+        ("kitti", ["model=extended"]), ("kitti", ["model=voxformer", *AHEAD]), ("kitti", ["model/sketch=mono"]),
+        ("sscbench", ["model=extended"]),
+    ],
+    ids=str,
+)  # fmt: skip
 def test_systems_run_ahead_of_the_car(smoke, request, dataset, system):
     logged, figures, *_ = train(smoke(*system, *request.getfixturevalue(dataset), "logger.mode=disabled"))
     assert all(torch.isfinite(value) for key, value in logged.items() if key.startswith("train/"))

@@ -146,11 +146,11 @@ def test_a_server_that_cannot_be_used_is_one_line(tmp_path):
         assert list(tmp_path.glob("**/train-000-Town01")) == []
 
 
-@pytest.mark.whole_runs
+@pytest.mark.faults
 @pytest.mark.parametrize(
     ("fault", "said"),
     [
-        ("crash", "the capturing process was killed or crashed"),
+        pytest.param("crash", "the capturing process was killed or crashed", marks=pytest.mark.whole_runs),
         ("hang", "the CARLA server has not answered for"),
         ("late", "sensor front/0/rgb sent nothing for 10 s"),
     ],
@@ -165,7 +165,7 @@ def test_a_scene_is_begun_again_after(fault, said, tmp_path, recorded):
     assert json.loads((tmp_path / "server.json").read_text())["synchronous_mode"] is False
 
 
-@pytest.mark.whole_runs
+@pytest.mark.faults
 def test_a_scene_that_fails_each_time_ends_the_recording(tmp_path):
     result = record(tmp_path, "recorder.attempts=2", "recorder.stuck_s=0.1", "recorder.frames=8", still=True)
     assert result.returncode == 1
@@ -173,7 +173,7 @@ def test_a_scene_that_fails_each_time_ends_the_recording(tmp_path):
     assert not (tmp_path / "out" / "train-000-Town01").exists()
 
 
-@pytest.mark.whole_runs
+@pytest.mark.faults
 def test_a_killed_recorder_leaves_nothing_that_is_read_as_whole(tmp_path):
     partial = tmp_path / "out" / "train-000-Town01.partial" / "journal.jsonl"
     record(tmp_path, "recorder.frames=40", kill_when=lambda: partial.exists() and partial.read_text().count("\n") > 1)
@@ -187,7 +187,7 @@ def test_a_killed_recorder_leaves_nothing_that_is_read_as_whole(tmp_path):
     assert json.loads((tmp_path / "server.json").read_text())["synchronous_mode"] is False
 
 
-@pytest.mark.whole_runs
+@pytest.mark.faults
 @pytest.mark.parametrize(
     ("lie", "fails"),
     [
