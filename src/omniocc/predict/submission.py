@@ -3,14 +3,13 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from omniocc.data.source import SPLITS, Split
+from omniocc.data.source import Split
 from omniocc.data.store.shard import sha256
-from omniocc.errors import UserError
 from omniocc.predict.options import choose_device
 from omniocc.predict.output.manifest import write_manifest
 from omniocc.run.weights import find_checkpoint
 from omniocc.task.build import load_task
-from omniocc.task.submission import submitted, write_files
+from omniocc.task.submission import frames_of, write_files
 
 
 def predict_submission(
@@ -32,12 +31,7 @@ def predict_submission(
     """
     path = find_checkpoint(Path(checkpoint))
     task, data = load_task(path, list(changes))
-    if split not in SPLITS:
-        raise UserError(f"split={split}: choose {', '.join(SPLITS)}")
-    data.source.prepare()
-    frames = list(submitted(data.source.scenes(split)))
-    if not frames:
-        raise UserError(f"there are no frames of the split '{split}'")
+    frames = frames_of(data.source, split)
     scene, frame = frames[0]
     kind = Path(scene.prediction_file(frame)).suffix
     write_manifest(output, {"checkpoint": str(path), "sha256": sha256(path)}, force, f"*{kind}")

@@ -1,6 +1,7 @@
 """Logs as ROS bags, of ROS 1 and 2, read by the package rosbags (extra `bag`) without an installation of ROS."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,10 +15,10 @@ from omniocc.data.source import Points
 from omniocc.errors import DataError, UserError
 from omniocc.record.files import ego_points, lidar_options
 from omniocc.record.labels import read_point_classes
-from omniocc.record.log import Log, Scans, Timing, check_timing, chosen_rig
+from omniocc.record.log import Log, Scans, Timing, chosen_rig
 from omniocc.record.messages import camera_of, cloud_of, image_of, pose_of, stamp_s
 from omniocc.record.poses import TimedPoses, stated_pose
-from omniocc.record.scene import Stated, check_name, panorama_of, record_log
+from omniocc.record.scene import LogRecorder, Stated
 from omniocc.record.transforms import FrameTree, timed
 
 LIDAR_KEYS = {"topic": ..., "ego_from_lidar": None, "classes": None, "label_field": None, "own_car_m": None}
@@ -52,7 +53,7 @@ class Topic(NamedTuple):
     frame: str
 
 
-class RosBag:
+class RosBag(LogRecorder):
     """A recorder of a ROS bag; options are described in `conf/recorder/bag.yaml`.
 
     Args:
@@ -80,7 +81,10 @@ class RosBag:
         image_size: tuple[int, int] | None, panorama: tuple[int, int, float, float], road_z_m: float | None,
         moving: bool | None,
     ):  # fmt: skip
-        self.name, self.bag, self.rig_file = check_name(name), Path(bag), rig
+        super().__init__(
+            name, Timing(reference, limit_s, interval_s, pose_gap_s), Stated(image_size, panorama, road_z_m, moving)
+        )
+        self.bag, self.rig_file = Path(bag), rig
         if not cameras:
             raise ValueError("cameras is empty; give the topic of at least one camera: {front: /front/image_raw}")
         if rig is None and set(camera_info or {}) != set(cameras):
@@ -89,25 +93,18 @@ class RosBag:
         self.poses, self.world_frame, self.base_frame = poses, world_frame, base_frame
         self.ego_from_base = np.eye(4) if ego_from_base is None else stated_pose("ego_from_base", ego_from_base)
         self.lidar = None if lidar is None else lidar_options(lidar, LIDAR_KEYS)
-        self.timing = check_timing(Timing(reference, limit_s, interval_s, pose_gap_s))
-        self.stated = Stated(image_size, panorama, road_z_m, moving)
-        panorama_of(self.stated)
 
-    def record(self, root: Path) -> list[Path]:
-        """Write the scene into a folder of its name under `root` and return that folder, in a list.
+    @contextmanager
+    def open(self) -> Iterator[Log]:
+        """Give the log while its bag is open; images and scans are read when they are asked for.
 
         Raises:
             UserError, DataError: naming the option, topic or message that cannot be used.
         """
         with Bag(self.bag) as bag:
-            return [record_log(self.read_log(bag), Path(root) / self.name, self.timing, self.stated)]
+            yield self._read(bag)
 
-    def read_log(self, bag: "Bag") -> Log:
-        """Return the log in an open bag; images and scans are read when they are asked for.
-
-        Raises:
-            UserError, DataError: naming the option, topic or message that cannot be used.
-        """
+    def _read(self, bag: "Bag") -> Log:
         tree = bag.tree()
         topics = {name: bag.topic(f"cameras.{name}", topic, IMAGES) for name, topic in self.cameras.items()}
         rig = self._rig(bag, tree, topics)

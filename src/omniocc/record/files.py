@@ -2,7 +2,8 @@
 
 import csv
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,18 +12,17 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from omniocc.camera import Rig
-from omniocc.data.formats.files import decode, read_text
+from omniocc.data.formats.files import IMAGE_SUFFIXES, decode, read_text
 from omniocc.data.formats.poses import inverse, moved
 from omniocc.data.formats.scene import outside
 from omniocc.data.source import Points
 from omniocc.errors import DataError, UserError
 from omniocc.record.clouds import LABEL_SUFFIX, READERS, RawCloud, read_cloud
 from omniocc.record.labels import PointClasses, classes_of, read_point_classes
-from omniocc.record.log import Log, Scans, Timing, check_timing, chosen_rig
+from omniocc.record.log import Log, Scans, Timing, chosen_rig
 from omniocc.record.poses import PER_SECOND, PosesFormat, TimeUnit, read_timed_poses, seconds, stated_pose
-from omniocc.record.scene import Stated, check_name, panorama_of, record_log
+from omniocc.record.scene import LogRecorder, Stated
 
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm")
 LIDAR_KEYS = {
     "folder": ...,
     "ego_from_lidar": ...,
@@ -46,7 +46,7 @@ class Stamped(NamedTuple):
     paths: tuple[Path, ...]
 
 
-class LogFiles:
+class LogFiles(LogRecorder):
     """A recorder of a log that lies in folders; options are described in `conf/recorder/files.yaml`.
 
     Args:
@@ -76,12 +76,12 @@ class LogFiles:
         interval_s: float | None, pose_gap_s: float, image_size: tuple[int, int] | None,
         panorama: tuple[int, int, float, float], road_z_m: float | None, moving: bool | None,
     ):  # fmt: skip
-        self.name, self.folder = check_name(name), Path(log)
+        super().__init__(
+            name, Timing(reference, limit_s, interval_s, pose_gap_s), Stated(image_size, panorama, road_z_m, moving)
+        )
+        self.folder = Path(log)
         if time_unit not in PER_SECOND or poses_time_unit not in (None, *PER_SECOND):
             raise ValueError(f"time units are {', '.join(PER_SECOND)}, got {time_unit} and {poses_time_unit}")
-        self.timing = check_timing(Timing(reference, limit_s, interval_s, pose_gap_s))
-        self.stated = Stated(image_size, panorama, road_z_m, moving)
-        panorama_of(self.stated)
         self.rig_file, self.cameras, self.times = rig, cameras, times
         self.time_unit: TimeUnit = time_unit
         self.poses, self.poses_times = poses, poses_times
@@ -91,16 +91,9 @@ class LogFiles:
         self.ego_from_pose_frame = np.eye(4) if given is None else stated_pose("ego_from_pose_frame", given)
         self.lidar = None if lidar is None else lidar_options(lidar, LIDAR_KEYS)
 
-    def record(self, root: Path) -> list[Path]:
-        """Write the scene into a folder of its name under `root` and return that folder, in a list.
-
-        Raises:
-            UserError, DataError: naming the option or file that cannot be used.
-        """
-        return [record_log(self.read_log(), Path(root) / self.name, self.timing, self.stated)]
-
-    def read_log(self) -> Log:
-        """Return the log; images and scans are opened when they are asked for.
+    @contextmanager
+    def open(self) -> Iterator[Log]:
+        """Give the log; images and scans are opened when they are asked for.
 
         Raises:
             UserError, DataError: naming the option or file that cannot be used.
@@ -118,7 +111,7 @@ class LogFiles:
             path = images[camera].paths[number]
             return read_rgb(path), str(path)
 
-        return Log(
+        yield Log(
             place=str(self.folder),
             rig=rig,
             image_times_s=tuple(stream.times_s for stream in images),

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from omniocc.camera import MEI, Camera, KannalaBrandt, Pinhole
+from omniocc.data.formats.files import decode_bytes
 from omniocc.data.formats.poses import quaternion_pose
 from omniocc.errors import DataError
 from omniocc.record.clouds import LABEL_FIELDS, RawCloud
@@ -35,7 +36,7 @@ def stamp_s(message: Any) -> float:
 def image_of(message: Any, where: str) -> UInt8[np.ndarray, "height width 3"]:
     """Return the RGB of an Image or CompressedImage; raise DataError for other encodings and damaged images."""
     if hasattr(message, "format"):
-        image = cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_COLOR) if len(message.data) else None
+        image = decode_bytes(message.data, cv2.IMREAD_COLOR)
         if image is None:
             raise DataError(f"{where}: the compressed image is damaged ({message.format})")
         return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)

@@ -1,37 +1,31 @@
 """A log becomes a scene: the samples that belong together are chosen, then written frame by frame."""
 
 import shutil
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from contextlib import closing
+from contextlib import AbstractContextManager, closing
 from dataclasses import replace
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from jaxtyping import UInt8
 
 from omniocc.camera import Camera, Equirectangular, Rig
 from omniocc.classes import OCCUPANCY_CLASSES
+from omniocc.data.formats.files import check_aspect, scaled_to
 from omniocc.data.formats.projected import onto_cameras, onto_panorama
 from omniocc.data.recording.pool import Report, make_scenes
-from omniocc.data.recording.spec import plain_spec
+from omniocc.data.recording.scene import append_frame, finish_scene
+from omniocc.data.recording.spec import recorded_spec
 from omniocc.data.source import SourceSpec
-from omniocc.data.store.codec import encode_frame
 from omniocc.data.store.frame import RecordedFrame
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import SceneWriter, digest
 from omniocc.errors import DataError, UserError
-from omniocc.geometry.cylinder import PAPER_RANGE_EDGES_M
-from omniocc.geometry.directions import sparseocc_directions
 from omniocc.progress import Progress
-from omniocc.record.log import Log, Plan, Timing, missing_lines, plan_frames
-
-SHAPE_TOLERANCE = 0.01
-"""Largest relative difference between the aspect ratio of an image and that of its calibration."""
-RECORDERS = ("numpy", "opencv-python-headless", "zstandard")
+from omniocc.record.log import Log, Plan, Timing, check_timing, missing_lines, plan_frames
 
 
 class Stated(NamedTuple):
@@ -48,6 +42,40 @@ class Stated(NamedTuple):
     panorama: Sequence[float]
     road_z_m: float | None
     moving: bool | None
+
+
+class LogRecorder(ABC):
+    """What recorders of logs share: the scene's name and how its frames are made.
+
+    Args:
+        name: of the scene, and of its folder.
+        timing: which samples make a frame.
+        stated: what no file of the log says.
+
+    Raises:
+        ValueError: naming the option that is impossible.
+    """
+
+    def __init__(self, name: str, timing: Timing, stated: Stated):
+        self.name, self.timing, self.stated = check_name(name), check_timing(timing), stated
+        panorama_of(stated)
+
+    @abstractmethod
+    def open(self) -> AbstractContextManager[Log]:
+        """Return the log, to be used as a context; images and scans are read when they are asked for.
+
+        Raises:
+            UserError, DataError: naming the option, file or message that cannot be used.
+        """
+
+    def record(self, root: Path) -> list[Path]:
+        """Write the scene into a folder of its name under `root` and return that folder, in a list.
+
+        Raises:
+            UserError, DataError: naming the option, file or message that cannot be used.
+        """
+        with self.open() as log:
+            return [record_log(log, Path(root) / self.name, self.timing, self.stated)]
 
 
 def record_log(log: Log, folder: Path, timing: Timing, stated: Stated) -> Path:
@@ -108,7 +136,7 @@ def spec_of_log(log: Log, plan: Plan, road_z_m: float) -> SourceSpec:
     steps_s = np.diff(plan.times_s)
     interval_s = float(f"{np.median(steps_s):.2g}") if len(steps_s) else 0.0  # equal for scenes of one set of sensors
     classes = OCCUPANCY_CLASSES if log.scans is None else log.scans.classes
-    return SourceSpec(classes, PAPER_RANGE_EDGES_M, interval_s, road_z_m, sparseocc_directions())
+    return recorded_spec(classes, interval_s, road_z_m)
 
 
 def _write(folder: Path, report: Report, log: Log, plan: Plan, rig: Rig, stated: Stated, recipe: str) -> None:
@@ -117,16 +145,11 @@ def _write(folder: Path, report: Report, log: Log, plan: Plan, rig: Rig, stated:
     panorama = panorama_of(stated)
     with closing(SceneWriter(folder)) as writer:
         for number in range(len(plan.times_s)):
-            frame = read_frame(log, plan, number, rig, panorama)
-            entry = {"time_s": frame.time_s, "world_from_ego": frame.world_from_ego.tolist()}
-            writer.append(encode_frame(frame), entry)
+            append_frame(writer, read_frame(log, plan, number, rig, panorama))
             report(1)
-        writer.attach("rig.yaml", rig.save)
         facts = {"log": dict(log.facts), "start_s": float(plan.times_s[0]), "moving": stated.moving}
         facts["missing"] = [{"time_s": time_s, "lacks": names} for time_s, names in plan.missing]
-        software = {name: version(name) for name in RECORDERS}
-        spec = plain_spec(spec_of_log(log, plan, rig.road_z_m))
-        writer.finish(facts | {"recipe": recipe, "spec": spec, "software": software})
+        finish_scene(writer, rig, spec_of_log(log, plan, rig.road_z_m), facts | {"recipe": recipe})
 
 
 def read_frame(log: Log, plan: Plan, number: int, rig: Rig, panorama: Equirectangular) -> RecordedFrame:
@@ -156,15 +179,11 @@ def fitted(
     image: UInt8[np.ndarray, "h w 3"], camera: Camera, size: tuple[int, int], where: str
 ) -> UInt8[np.ndarray, "height width 3"]:
     """Return an image scaled to `size` (width, height); raise DataError if it is not of the camera's aspect ratio."""
-    height, width = image.shape[:2]
-    if abs(width / height / (camera.width / camera.height) - 1) > SHAPE_TOLERANCE:
-        raise DataError(
-            f"{where}: the image is {width}x{height} px, but its camera is calibrated for "
-            f"{camera.width}x{camera.height} px: a scaled image can be used, a cropped one needs its own calibration"
-        )
-    if (width, height) == size:
-        return image
-    return cv2.resize(image, size, interpolation=cv2.INTER_AREA if size[0] < width else cv2.INTER_LINEAR)
+    try:
+        check_aspect(image, camera, where)
+    except ValueError as error:
+        raise DataError(str(error)) from error
+    return scaled_to(image, size)
 
 
 def check_name(name: str) -> str:

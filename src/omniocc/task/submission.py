@@ -59,6 +59,21 @@ def submitted(scenes: Sequence[SceneFrames]) -> Iterator[tuple[SubmittedScene, i
             yield scene, frame
 
 
+def frames_of(source: SceneSource, split: Split) -> list[tuple[SubmittedScene, int]]:
+    """Prepare a dataset and return all frames of a split.
+
+    Raises:
+        UserError: if the split is none or empty, or the dataset takes no submissions.
+    """
+    if split not in SPLITS:
+        raise UserError(f"split={split}: choose {', '.join(SPLITS)}")
+    source.prepare()
+    frames = list(submitted(source.scenes(split)))
+    if not frames:
+        raise UserError(f"there are no frames of the split '{split}'")
+    return frames
+
+
 @torch.inference_mode()
 def write_files(task: OccupancyTask, data: OccupancyData, folder: Path, split: Split, device: torch.device) -> int:
     """Predict all frames of a split, write them in the benchmark's submission format, and return their number.
@@ -66,16 +81,13 @@ def write_files(task: OccupancyTask, data: OccupancyData, folder: Path, split: S
     Files that exist are kept, so that the same command goes on after a stop.
 
     Raises:
-        UserError: if the split is none, or the dataset takes no submissions.
+        UserError: as `frames_of`.
         DataError: when the disk refuses.
     """
-    if split not in SPLITS:
-        raise UserError(f"split={split}: choose {', '.join(SPLITS)}")
+    frames = frames_of(data.source, split)
     needs = Needs(voxels=False, pixel_labels=False, scores=False)
-    data.source.prepare()
     data.read_only(needs, needs)
     data.setup()
-    frames = list(submitted(data.source.scenes(split)))
     benchmark = data.source.spec.benchmark
     assert benchmark is not None
     task = task.to(device).eval()

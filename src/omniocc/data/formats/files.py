@@ -6,7 +6,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from omniocc.camera import Camera
 from omniocc.errors import DataError
+
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm")
+SHAPE_TOLERANCE = 0.01
+"""Largest relative difference between the aspect ratio of an image and that of its calibration: sizes are rounded."""
 
 # Paths are built from tables and opened as they are: nothing here lists a folder, which may hold a million files.
 
@@ -68,11 +73,37 @@ def read_npz(path: Path, shapes: dict[str, tuple[int, ...]], remedy: str = "") -
 
 def decode(path: Path, flags: int, remedy: str = "") -> np.ndarray:
     """Return an image file as OpenCV decodes it (flags: `cv2.IMREAD_...`); raise DataError if there is none."""
-    content = np.frombuffer(read_bytes(path, remedy), np.uint8)
-    image = cv2.imdecode(content, flags) if len(content) else None
+    image = decode_bytes(read_bytes(path, remedy), flags)
     if image is None:
         raise DataError(f"{path}: the file is no image, or damaged")
     return image
+
+
+def decode_bytes(content: bytes | np.ndarray, flags: int) -> np.ndarray | None:
+    """Return an encoded image as OpenCV decodes it (flags: `cv2.IMREAD_...`); None if it is damaged."""
+    return cv2.imdecode(np.frombuffer(content, np.uint8), flags) if len(content) else None
+
+
+def scaled_to(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Return an image at a width and height, px; the image itself if it has them."""
+    height, width = image.shape[:2]
+    if (width, height) == size:
+        return image
+    return cv2.resize(image, size, interpolation=cv2.INTER_AREA if size[0] < width else cv2.INTER_LINEAR)
+
+
+def check_aspect(image: np.ndarray, camera: Camera, where: str, whose: str = "its camera") -> None:
+    """Check that an image has the aspect ratio of its camera's calibration; `whose` names the camera.
+
+    Raises:
+        ValueError: beginning with `where`; a part of an image needs a calibration of its own.
+    """
+    height, width = image.shape[:2]
+    if abs(width / height / (camera.width / camera.height) - 1) > SHAPE_TOLERANCE:
+        raise ValueError(
+            f"{where}: the image is {width}x{height} px, but {whose} is calibrated for "
+            f"{camera.width}x{camera.height} px: a scaled image can be used, a cropped one needs its own calibration"
+        )
 
 
 def image_size(path: Path) -> tuple[int, int]:
@@ -97,10 +128,7 @@ def read_image(path: Path, size: tuple[int, int] | None, scaled: tuple[int, int]
     height, width = image.shape[:2]
     if size is not None and (width, height) != size:
         raise DataError(f"{path}: the image has {width}x{height} px, but its calibration is for {size[0]}x{size[1]} px")
-    if (width, height) != scaled:
-        smaller = scaled[0] < width
-        image = cv2.resize(image, scaled, interpolation=cv2.INTER_AREA if smaller else cv2.INTER_LINEAR)
-    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+    return cv2.cvtColor(scaled_to(image, scaled), cv2.COLOR_BGR2RGB)
 
 
 def map_classes(ids: np.ndarray, table: np.ndarray, path: Path) -> np.ndarray:

@@ -4,23 +4,18 @@ import ast
 import functools
 import hashlib
 from contextlib import closing
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
 
 from omniocc.data.recording.pool import Report, Stopped
-from omniocc.data.recording.spec import plain_spec
+from omniocc.data.recording.scene import SOFTWARE, append_frame, finish_scene
 from omniocc.data.source import Split
-from omniocc.data.store.codec import encode_frame
 from omniocc.data.store.shard import SceneWriter
 from omniocc.errors import DataError
 from omniocc.world import Frame
 
 if TYPE_CHECKING:
     from omniocc.data.source.virtual import VirtualWorld
-
-RECORDERS = ("numpy", "opencv-python-headless", "zstandard", "embreex")
-"""Packages whose versions are written beside the frames."""
 
 
 class ScenePlan(NamedTuple):
@@ -72,10 +67,9 @@ def record_scene(world: "VirtualWorld", folder: Path, report: Report) -> None:
         report(writer.num_frames)
         plan = next(plan for plan in world.plans if plan.name == folder.name)
         _record_frames(world, plan, writer, report)
-        writer.attach("rig.yaml", world.calibration_of(plan).save)
         facts = {"split": plan.split, "theme": plan.theme, "seed": plan.seed, "weather": world.weather_of(plan)}
-        software = {name: version(name) for name in RECORDERS}
-        writer.finish(facts | {"recipe": world.recipe, "spec": plain_spec(world.spec), "software": software})
+        facts["recipe"] = world.recipe
+        finish_scene(writer, world.calibration_of(plan), world.spec, facts, (*SOFTWARE, "embreex"))
 
 
 def _record_frames(world: "VirtualWorld", plan: ScenePlan, writer: SceneWriter, report: Report) -> None:
@@ -84,9 +78,7 @@ def _record_frames(world: "VirtualWorld", plan: ScenePlan, writer: SceneWriter, 
         scene = world.scene(plan) if index < world.frames_per_scene else None
         for index in range(writer.num_frames, world.frames_per_scene):
             assert scene is not None
-            frame = scene.frame(index)
-            entry = {"time_s": float(frame.time_s), "world_from_ego": frame.world_from_ego.tolist()}
-            writer.append(encode_frame(frame), entry)
+            append_frame(writer, scene.frame(index))
             report(1)
     except (DataError, Stopped):
         raise

@@ -4,7 +4,13 @@ from typing import Any
 
 from omniocc.classes import ClassTable
 from omniocc.data.source import SourceSpec
+from omniocc.geometry.cylinder import PAPER_RANGE_EDGES_M
 from omniocc.geometry.directions import sparseocc_directions
+
+
+def recorded_spec(classes: ClassTable, frame_interval_s: float, road_z_m: float) -> SourceSpec:
+    """Return the spec of scenes in our format: the bands of ranges of the paper, and the LiDAR rays of SparseOcc."""
+    return SourceSpec(classes, PAPER_RANGE_EDGES_M, frame_interval_s, road_z_m, sparseocc_directions())
 
 
 def plain_spec(spec: SourceSpec) -> dict[str, Any]:

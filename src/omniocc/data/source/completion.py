@@ -1,4 +1,4 @@
-"""What SemanticKITTI and SSCBench-KITTI-360 share: voxels of .2 m ahead of the velodyne, protocol, submissions."""
+"""Datasets of semantic scene completion: labels are voxels of .2 m ahead of a velodyne (SemanticKITTI, SSCBench)."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence

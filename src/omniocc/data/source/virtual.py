@@ -12,14 +12,13 @@ from omniocc.classes import WORLD_CLASSES
 from omniocc.data.labels.voxels import VoxelCache
 from omniocc.data.recording.job import Recordable, ScenePlan, code_fingerprint, record_scene
 from omniocc.data.recording.pool import make_scenes, usable_cores
+from omniocc.data.recording.spec import recorded_spec
 from omniocc.data.source import SPLITS, SourceSpec, Split, Unknown
 from omniocc.data.store.files import holds, is_url
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import META, SCHEMA, digest
 from omniocc.errors import DataError
 from omniocc.geometry import Grid
-from omniocc.geometry.cylinder import PAPER_RANGE_EDGES_M
-from omniocc.geometry.directions import sparseocc_directions
 from omniocc.progress import Progress
 from omniocc.world import ABSTRACT, THEMES, Scene, seeding
 from omniocc.world.assets.vehicle import EGO_ROAD_M
@@ -265,7 +264,7 @@ class VirtualWorld:
 @cache
 def world_spec(frame_interval_s: float) -> SourceSpec:
     """Return the facts about scenes of the virtual world that are recorded at this interval, s."""
-    return SourceSpec(WORLD_CLASSES, PAPER_RANGE_EDGES_M, frame_interval_s, EGO_ROAD_M, sparseocc_directions())
+    return recorded_spec(WORLD_CLASSES, frame_interval_s, EGO_ROAD_M)
 
 
 def _at_least(name: str, value: int, least: int) -> int:

@@ -14,11 +14,8 @@ from jaxtyping import Float32
 from torch import Tensor
 
 from omniocc.camera import Camera, Rig
+from omniocc.data.formats.files import IMAGE_SUFFIXES, check_aspect, scaled_to
 from omniocc.errors import UserError
-
-SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm")
-SHAPE_TOLERANCE = 0.01
-"""Largest relative difference between an image's aspect ratio and its calibration's: scaled sizes are rounded."""
 
 
 class Frame(NamedTuple):
@@ -115,7 +112,7 @@ def closest(name: str, others: Iterable[str]) -> str:
 
 
 def _image_files(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.iterdir() if path.is_file() and path.suffix.lower() in SUFFIXES)
+    return sorted(path for path in folder.iterdir() if path.is_file() and path.suffix.lower() in IMAGE_SUFFIXES)
 
 
 def read_frame(frame: Frame, rig: Rig) -> list[np.ndarray]:
@@ -137,12 +134,10 @@ def _read(file: Path | None, rig: Rig, k: int) -> np.ndarray:
     image = cv2.imread(str(file), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     if image is None:
         raise UserError(f"{file} is damaged or not an image")
-    height, width = image.shape[:2]
-    if abs(width / height / (camera.width / camera.height) - 1) > SHAPE_TOLERANCE:
-        raise UserError(
-            f"{file} is {width}x{height} px but camera '{rig.names[k]}' is calibrated for "
-            f"{camera.width}x{camera.height} px: a scaled image can be used, a cropped one needs its own calibration"
-        )
+    try:
+        check_aspect(image, camera, str(file), f"camera '{rig.names[k]}'")
+    except ValueError as error:
+        raise UserError(str(error)) from error
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
 
 
@@ -164,7 +159,7 @@ def resized_to_width(
         scaled_rig = rig.resized(*size)
     except ValueError as error:
         raise UserError(f"the rig's cameras cannot be brought to one size: {error}") from error
-    batch = torch.from_numpy(np.stack([_scaled(image, size) for image in images]))
+    batch = torch.from_numpy(np.stack([scaled_to(image, size) for image in images]))
     return batch.permute(0, 3, 1, 2).unsqueeze(0).float() / 255, scaled_rig
 
 
@@ -177,8 +172,3 @@ def even_size(camera: Camera, width: int) -> tuple[int, int]:
     if unit[0] <= width:
         return unit[0] * (width // unit[0]), unit[1] * (width // unit[0])
     return max(2, width // 2 * 2), max(2, 2 * round(width * camera.height / camera.width / 2))
-
-
-def _scaled(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    smaller = size[0] < image.shape[1]
-    return cv2.resize(image, size, interpolation=cv2.INTER_AREA if smaller else cv2.INTER_LINEAR)

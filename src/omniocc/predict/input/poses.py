@@ -19,14 +19,12 @@ import torch
 from jaxtyping import Float64
 from torch import Tensor
 
-from omniocc.camera.pose import rigid_pose
+from omniocc.data.formats.poses import TOLERANCE, quaternion_pose
 from omniocc.errors import UserError
 from omniocc.predict.input.images import closest
 
 QUATERNION = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
 MATRIX = tuple(f"m{row}{column}" for row in range(4) for column in range(4))
-TOLERANCE = 1e-3
-"""Largest difference from 1 of a quaternion's length, and of a rotation times its transpose from the identity."""
 
 
 def read_poses(path: Path, frames: Sequence[str]) -> Float64[Tensor, "F 4 4"]:
@@ -82,16 +80,7 @@ def _from_quaternion(values: Sequence[float], where: str) -> Float64[Tensor, "4 
     length = math.hypot(*values[3:])
     if abs(length - 1) > TOLERANCE:
         raise UserError(f"{where}: the quaternion qw,qx,qy,qz has the length {length:.4g}; it must be 1")
-    w, x, y, z = (value / length for value in values[3:])
-    rotation = torch.tensor(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ],
-        dtype=torch.float64,
-    )
-    return rigid_pose(rotation, torch.tensor(values[:3], dtype=torch.float64))
+    return torch.from_numpy(quaternion_pose(values[3:], values[:3], where))
 
 
 def _from_rows(values: Sequence[float], where: str) -> Float64[Tensor, "4 4"]:

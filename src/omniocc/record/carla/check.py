@@ -4,13 +4,14 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64, UInt8
+from jaxtyping import UInt8
 
-from omniocc.record.carla.decode import inverse_depth_of, read_bgra, read_points, tags_in
-from omniocc.record.carla.frames import ACTOR_CLASSES, RawFrame
+from omniocc.data.formats.poses import inverse, moved
+from omniocc.record.carla.decode import inverse_depth_of, read_bgra, tags_in
+from omniocc.record.carla.frames import ACTOR_CLASSES, RawFrame, actor_of, scans_of
 from omniocc.record.carla.sensors import Cube, Spec
 from omniocc.record.carla.tags import ROAD, ROADLINE
-from omniocc.record.carla.unreal import SENSOR_FROM_OPTICAL, UnrealPose, pose_of, right_handed, right_handed_points
+from omniocc.record.carla.unreal import SENSOR_FROM_OPTICAL, UnrealPose, pose_of, right_handed
 
 POSE_M, POSE_RAD = 0.02, np.radians(0.2)
 DEPTH_FRACTION = 0.02
@@ -39,7 +40,7 @@ def check_frames(
     last = frames[-1]
     depth, same = lidar_against_cameras(last, cube, classes)
     times, poses = check_times(frames, interval_s), check_poses(last, sensors)
-    return [times, poses, depth, same, check_tags(last, classes), check_boxes(last)]
+    return [times, poses, depth, same, check_tags(last, classes), check_boxes(last, classes)]
 
 
 def check_times(frames: Sequence[RawFrame], interval_s: float) -> Finding:
@@ -75,72 +76,55 @@ def lidar_against_cameras(frame: RawFrame, cube: Cube, classes: UInt8[np.ndarray
         name = cube.face_name(face, "depth")
         side, inner = cube.lookup.side, cube.lookup.inner
         optical = right_handed(np.array(frame.matrices[name])) @ SENSOR_FROM_OPTICAL
-        points, tags = static_points(frame, optical)
+        world_from_lidar, scan = next(scans_of(frame, classes))
+        points = moved(inverse(optical) @ world_from_lidar, scan.points_m)
         ahead = points[:, 2] > 0.5
         pixels = np.rint(points[ahead, :2] / points[ahead, 2:] * inner / 2 + (side - 1) / 2).astype(int)
         inside = ((pixels >= 0) & (pixels < side)).all(axis=1)
         column, row = pixels[inside].T
-        inverse = inverse_depth_of(read_bgra(frame.raw[name], side, side))[row, column]
+        nearness = inverse_depth_of(read_bgra(frame.raw[name], side, side))[row, column]
         seen = classes[tags_in(read_bgra(frame.raw[cube.face_name(face, "semantics")], side, side))[row, column]]
-        ratio = inverse * points[ahead, 2][inside]
+        ratio = nearness * points[ahead, 2][inside]
         visible = np.abs(ratio - 1) < 0.1  # others are hidden from this camera by something
         ratios.append(ratio[(ratio > 0.3) & (ratio < 3)])
-        given = classes[np.minimum(tags[ahead][inside], 255)]
-        given, seen = (np.where(part == ROADLINE, ROAD, part) for part in (given, seen))
+        given, seen = (np.where(part == ROADLINE, ROAD, part) for part in (scan.labels[ahead][inside], seen))
         same.append((given == seen)[visible])
     scale, equal = np.concatenate(ratios), np.concatenate(same)
     middle = float(np.median(scale)) if len(scale) else np.nan
-    share = float(equal.mean()) if len(equal) else np.nan
+    fraction = float(equal.mean()) if len(equal) else np.nan
     return (
         Finding("depth: images and LiDAR agree on distances", abs(middle - 1) < DEPTH_FRACTION,
                 f"median ratio {middle:.3f} over {len(scale)} points"),
-        Finding("images: they agree with LiDAR on classes", share > SAME_TAGS, f"{share:.1%} of {len(equal)} points"),
+        Finding("images: they agree with LiDAR on classes", fraction > SAME_TAGS,
+                f"{fraction:.1%} of {len(equal)} points"),
     )  # fmt: skip
-
-
-def static_points(frame: RawFrame, world_from_optical: Float64[np.ndarray, "4 4"]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the points of the first LiDAR that no actor was hit by, in a camera's optical frame, and their tags."""
-    found = read_points(frame.raw["lidar/0"])
-    found = found[found["actor"] != frame.ego_id]
-    points = right_handed_points(np.stack([found["x"], found["y"], found["z"]], axis=1).astype(np.float64))
-    pose = np.linalg.inv(world_from_optical) @ right_handed(np.array(frame.matrices["lidar/0"]))
-    return points @ pose[:3, :3].T + pose[:3, 3], found["tag"]
 
 
 def check_tags(frame: RawFrame, classes: UInt8[np.ndarray, " 256"]) -> Finding:
     """Return whether vehicles, walkers and the road under the car have the classes that our table of tags gives."""
-    kinds = {actor["id"]: ACTOR_CLASSES[actor["kind"]] for actor in frame.actors}
-    right, count = 0, 0
-    for name, content in frame.raw.items():
-        if name.startswith("lidar/"):
-            found = read_points(content)
-            for actor, label in kinds.items():
-                own = classes[np.minimum(found["tag"][found["actor"] == actor], 255)]
-                right, count = right + int((own == label).sum()), count + len(own)
-    under = read_points(frame.raw["lidar/0"])
-    near = (np.hypot(under["x"], under["y"]) < UNDER_M) & (under["z"] < -1) & (under["actor"] != frame.ego_id)
-    ground = classes[np.minimum(under["tag"][near], 255)]
-    road = float(np.isin(ground, (ROAD, ROADLINE)).mean()) if len(ground) else np.nan
-    share = right / count if count else np.nan
-    measured = f"{share:.1%} of {count} points of actors, {road:.1%} of {len(ground)} points under the car are road"
-    return Finding("tags: actors and the road have their classes", share > SAME_TAGS and road > 0.5, measured)
-
-
-def check_boxes(frame: RawFrame) -> Finding:
-    """Return whether LiDAR points of vehicles lie in the boxes of these vehicles."""
-    inside, count = 0, 0
-    for name, content in frame.raw.items():
-        if not name.startswith("lidar/"):
-            continue
-        found, pose = read_points(content), right_handed(np.array(frame.matrices[name]))
+    scans, right, count = [scan for _, scan in scans_of(frame, classes)], 0, 0
+    for scan in scans:
         for actor in frame.actors:
-            own = found[found["actor"] == actor["id"]]
-            points = right_handed_points(np.stack([own["x"], own["y"], own["z"]], axis=1).astype(np.float64))
-            into = np.linalg.inv(right_handed(np.array(actor["matrix"]))) @ pose
-            points = points @ into[:3, :3].T + into[:3, 3]
-            center = right_handed_points(np.array([actor["center"]], np.float64))
-            inside += int((np.abs(points - center) < np.array(actor["extent"]) + 0.2).all(axis=1).sum())
-            count += len(own)
-    share = inside / count if count else np.nan
-    measured = f"{share:.1%} of {count} points" if count else "no vehicle was hit; try another town or more frames"
-    return Finding("boxes: points of an actor lie in its box", bool(count) and share > IN_BOX, measured)
+            own = scan.labels[scan.actors == actor["id"]]
+            right, count = right + int((own == ACTOR_CLASSES[actor["kind"]]).sum()), count + len(own)
+    x, y, z = scans[0].points_m.T
+    ground = scans[0].labels[(np.hypot(x, y) < UNDER_M) & (z < -1)]
+    road = float(np.isin(ground, (ROAD, ROADLINE)).mean()) if len(ground) else np.nan
+    fraction = right / count if count else np.nan
+    measured = f"{fraction:.1%} of {count} points of actors, {road:.1%} of {len(ground)} points under the car are road"
+    return Finding("tags: actors and the road have their classes", fraction > SAME_TAGS and road > 0.5, measured)
+
+
+def check_boxes(frame: RawFrame, classes: UInt8[np.ndarray, " 256"]) -> Finding:
+    """Return whether LiDAR points of vehicles and walkers lie in their boxes."""
+    inside, count = 0, 0
+    for world_from_lidar, scan in scans_of(frame, classes):
+        for sent in frame.actors:
+            actor = actor_of(sent)
+            points = moved(inverse(actor.world_from_actor) @ world_from_lidar, scan.points_m[scan.actors == actor.id])
+            half = np.array(actor.size_m) / 2
+            inside += int((np.abs(points - (0, 0, half[2])) < half + 0.2).all(axis=1).sum())
+            count += len(points)
+    fraction = inside / count if count else np.nan
+    measured = f"{fraction:.1%} of {count} points" if count else "no vehicle was hit; try another town or more frames"
+    return Finding("boxes: points of an actor lie in its box", bool(count) and fraction > IN_BOX, measured)

@@ -71,8 +71,9 @@ def record(carla, job, messages):
     check_alone(world)
     if job.get("restore"):
         return asynchronous(world)
-    if job["town"] not in (world.get_map().name.split("/")[-1],) or job["reload"]:
-        world = client.load_world(job["town"])
+    client.set_timeout(job["load_s"])
+    world = client.load_world(job["town"])
+    client.set_timeout(job["timeout_s"])
     settings = world.get_settings()
     manager = client.get_trafficmanager(job["traffic_port"])
     scene = Scene(carla, world, manager, job)
@@ -227,10 +228,6 @@ class Scene:
         """Return the data of every sensor at a frame; raise RecordingError for a sensor that sends none."""
         return {name: self._data_of(name, frame) for name in self.queues}
 
-    def drop(self, frame):
-        """Throw away what the sensors send up to a frame."""
-        self.data_of(frame)
-
     def _data_of(self, name, frame):
         while True:
             try:
@@ -263,7 +260,7 @@ def capture(scene, job, messages):
         place = scene.ego.get_transform().location
         places.append((place.x, place.y))
         if index < 0:
-            scene.drop(snapshot.frame)
+            scene.data_of(snapshot.frame)
             messages.send({"kind": "alive"})
             continue
         send_frame(scene, snapshot, index, messages)

@@ -1,7 +1,11 @@
 """Raw data of CARLA's sensors (https://carla.readthedocs.io/en/0.9.16/ref_sensors/) as arrays."""
 
+from typing import NamedTuple
+
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Float32, Float64, UInt8, UInt32
+
+from omniocc.record.carla.unreal import right_handed_points
 
 FAR_M = 1000.0
 """Distance that CARLA's depth encoding ends at; nothing but the sky is there."""
@@ -35,6 +39,28 @@ def inverse_depth_of(pixels: UInt8[np.ndarray, "height width 4"]) -> Float32[np.
     depth_m = FAR_M * (red + 256 * green + 65536 * blue) / (2**24 - 1)
     sky = depth_m > FAR_M * (1 - 1e-6)
     return np.where(sky, 0, 1 / np.maximum(depth_m, 1e-3)).astype(np.float32)
+
+
+class Scan(NamedTuple):
+    """Points of a semantic LiDAR.
+
+    Attributes:
+        points_m: (P, 3) in the right-handed frame of the sensor.
+        actors: (P,) that were hit, by number; 0 for none.
+        labels: (P,) our classes of their tags.
+    """
+
+    points_m: Float64[np.ndarray, "P 3"]
+    actors: UInt32[np.ndarray, " P"]
+    labels: UInt8[np.ndarray, " P"]
+
+
+def read_scan(raw: bytes, classes: UInt8[np.ndarray, " 256"], own_actor: int) -> Scan:
+    """Return the points of a semantic LiDAR without those of its own vehicle; raise ValueError if one is cut off."""
+    found = read_points(raw)
+    found = found[found["actor"] != own_actor]
+    points_m = np.stack([found[axis] for axis in "xyz"], axis=1).astype(np.float64)
+    return Scan(right_handed_points(points_m), found["actor"], classes[np.minimum(found["tag"], 255)])
 
 
 def read_points(raw: bytes) -> np.ndarray:

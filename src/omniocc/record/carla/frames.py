@@ -1,5 +1,6 @@
 """A frame of ours from what CARLA's sensors sent in one tick."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -10,14 +11,17 @@ from jaxtyping import Bool, Float, Float32, Float64, UInt8
 from omniocc.camera import Equirectangular, Rig
 from omniocc.camera.cubemap import blend_ranges
 from omniocc.classes import FREE, UNKNOWN, WORLD_CLASSES
-from omniocc.record.carla.decode import inverse_depth_of, read_bgra, read_points, rgb_of, tags_in
+from omniocc.data.formats.poses import inverse, moved, shift
+from omniocc.record.carla.decode import Scan, inverse_depth_of, read_bgra, read_scan, rgb_of, tags_in
 from omniocc.record.carla.sensors import Cube
 from omniocc.record.carla.tags import ROAD, ROADLINE
 from omniocc.record.carla.unreal import right_handed, right_handed_points
 from omniocc.world import Frame
 from omniocc.world.frame import Box
 from omniocc.world.render.own_car import road_of
+from omniocc.world.scene import ego_box
 from omniocc.world.sensors.thinning import SCRATCH, cubes, first_of_each, within_reach
+from omniocc.world.traffic.traffic import Actor
 
 BENT, STEP = 0.02, 0.3
 """Largest deviation from a plane, and largest step, of the four inverse depths that are blended, as fractions."""
@@ -84,7 +88,7 @@ class OwnBox(NamedTuple):
 def own_box(raw: RawFrame, ego_from_vehicle: Float64[np.ndarray, "4 4"]) -> OwnBox:
     """Return the box of the own car, which stands level in the ego frame."""
     center, extent = (np.array(part, np.float64) for part in raw.ego_box)
-    middle = ego_from_vehicle[:3, :3] @ right_handed_points(center[None])[0] + ego_from_vehicle[:3, 3]
+    middle = moved(ego_from_vehicle, right_handed_points(center[None]))[0]
     return OwnBox(middle - extent, middle + extent)
 
 
@@ -137,7 +141,7 @@ def make_frame(
         ValueError: naming the sensor whose data has another size.
     """
     ego_from_vehicle = vehicle_in_ego(rig)
-    world_from_ego = right_handed(np.array(raw.world_from_vehicle)) @ np.linalg.inv(ego_from_vehicle)
+    world_from_ego = right_handed(np.array(raw.world_from_vehicle)) @ inverse(ego_from_vehicle)
     own = own_box(raw, ego_from_vehicle)
     seen = [see(cube, raw.raw, classes, own) for cube in cameras]
     rgb, semantics, range_m, own_car = (
@@ -163,9 +167,7 @@ def make_frame(
 
 def vehicle_in_ego(rig: Rig) -> Float64[np.ndarray, "4 4"]:
     """Return ego_from_vehicle, since CARLA's vehicles have their origin on the road."""
-    pose = np.eye(4)
-    pose[2, 3] = road_of(rig)
-    return pose
+    return shift(0, 0, road_of(rig))
 
 
 def points_of(
@@ -175,22 +177,21 @@ def points_of(
 
     Only those within reach of voxels are kept.
     """
-    ego_from_world = np.linalg.inv(world_from_ego)
     parts: list[np.ndarray] = [np.empty((0, 3), np.float32)]
     labels: list[np.ndarray] = [np.empty(0, np.uint8)]
-    for name, content in raw.raw.items():
-        if not name.startswith("lidar/"):
-            continue
-        found = read_points(content)
-        found = found[found["actor"] != raw.ego_id]
-        points = right_handed_points(np.stack([found["x"], found["y"], found["z"]], axis=1).astype(np.float64))
-        pose = ego_from_world @ right_handed(np.array(raw.matrices[name]))
-        points = (points @ pose[:3, :3].T + pose[:3, 3]).astype(np.float32)
-        given = classes[np.minimum(found["tag"], 255)]
-        keep = within_reach(points) & (given != UNKNOWN) & (given != FREE)
+    for world_from_lidar, scan in scans_of(raw, classes):
+        points = moved(inverse(world_from_ego) @ world_from_lidar, scan.points_m).astype(np.float32)
+        keep = within_reach(points) & (scan.labels != UNKNOWN) & (scan.labels != FREE)
         parts.append(points[keep])
-        labels.append(given[keep])
+        labels.append(scan.labels[keep])
     return np.concatenate(parts), np.concatenate(labels)
+
+
+def scans_of(raw: RawFrame, classes: UInt8[np.ndarray, " 256"]) -> Iterator[tuple[Float64[np.ndarray, "4 4"], Scan]]:
+    """Return `world_from_lidar` (our frames) and the points of every LiDAR, the first one first."""
+    for name, content in raw.raw.items():
+        if name.startswith("lidar/"):
+            yield right_handed(np.array(raw.matrices[name])), read_scan(content, classes, raw.ego_id)
 
 
 def with_road_lines(
@@ -216,21 +217,17 @@ def with_road_lines(
 
 def boxes_of(raw: RawFrame, world_from_ego: Float64[np.ndarray, "4 4"]) -> tuple[Box, ...]:
     """Return the boxes of vehicles and walkers within 80 m, without the ego vehicle."""
-    ego_from_world, boxes = np.linalg.inv(world_from_ego), []
-    for actor in raw.actors:
-        pose = ego_from_world @ right_handed(np.array(actor["matrix"]))
-        center = pose[:3, :3] @ right_handed_points(np.array([actor["center"]], np.float64))[0] + pose[:3, 3]
-        if actor["id"] == raw.ego_id or np.hypot(center[0], center[1]) > NEAR_M:
-            continue
-        velocity = ego_from_world[:3, :3] @ right_handed_points(np.array([actor["velocity"]], np.float64))[0]
-        x, y, z = center.tolist()
-        length, width, height = (2 * float(value) for value in actor["extent"])
-        yaw = float(np.arctan2(pose[1, 0], pose[0, 0]))
-        label = ACTOR_CLASSES[actor["kind"]]
-        boxes.append(
-            Box(actor["id"], label, (x, y, z), (length, width, height), yaw, (float(velocity[0]), float(velocity[1])))
-        )
-    return tuple(boxes)
+    boxes = [ego_box(actor_of(actor), world_from_ego) for actor in raw.actors if actor["id"] != raw.ego_id]
+    return tuple(box for box in boxes if np.hypot(box.center_m[0], box.center_m[1]) <= NEAR_M)
+
+
+def actor_of(sent: dict[str, Any]) -> Actor:
+    """Return a vehicle or walker, as the capturing process sends it, in our frames."""
+    x, y, z = sent["center"]
+    length, width, height = (2 * float(value) for value in sent["extent"])
+    world_from_actor = right_handed(np.array(sent["matrix"])) @ shift(x, -y, z - height / 2)
+    velocity = (float(sent["velocity"][0]), -float(sent["velocity"][1]))
+    return Actor(sent["id"], ACTOR_CLASSES[sent["kind"]], world_from_actor, (length, width, height), velocity)
 
 
 def _pixels(cube: Cube, face: int, kind: str, raw: dict[str, bytes]) -> UInt8[np.ndarray, "side side 4"]:

@@ -8,23 +8,20 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import closing, suppress
 from functools import cached_property
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 import torch
 from filelock import AcquireReturnProxy, FileLock, Timeout
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.classes import WORLD_CLASSES
-from omniocc.data.recording.spec import plain_spec
-from omniocc.data.source import SPLITS, SourceSpec, Split
-from omniocc.data.store.codec import encode_frame
+from omniocc.data.formats.poses import inverse
+from omniocc.data.recording.scene import append_frame, finish_scene
+from omniocc.data.recording.spec import recorded_spec
+from omniocc.data.source import SPLITS, Split
 from omniocc.data.store.shard import SceneWriter
 from omniocc.errors import UserError
-from omniocc.geometry.cylinder import PAPER_RANGE_EDGES_M
-from omniocc.geometry.directions import sparseocc_directions
 from omniocc.progress import Progress
 from omniocc.record.carla.check import Finding, check_frames
 from omniocc.record.carla.frames import RawFrame, make_frame, vehicle_in_ego
@@ -35,7 +32,6 @@ from omniocc.world.render.own_car import grown, masking, road_of, show_ego_car
 
 WEATHERS = ("ClearNoon", "CloudyNoon", "WetNoon", "HardRainNoon", "ClearSunset", "CloudySunset", "WetSunset")
 """Weathers that scenes take in turn where none is given: presets of `carla.WeatherParameters`."""
-SOFTWARE = ("numpy", "opencv-python-headless", "zstandard")
 CHECKED_FRAMES = 5
 SETTLE_S = 15.0
 """Time that a server gets to start again, s."""
@@ -112,14 +108,14 @@ class CarlaRecorder:
         self.maps, self.weather = tuple(maps), tuple(weather or WEATHERS)
         self.scenes, self.frames, self.interval_s, self.seed = scenes, frames, interval_s, seed
         self.rig = show_ego_car(Rig.load(rig).resized(*image_size))  # CARLA has cars of other shapes
-        self.vehicle_from_ego = np.linalg.inv(vehicle_in_ego(self.rig))
+        self.vehicle_from_ego = inverse(vehicle_in_ego(self.rig))
         self.panorama, self.lidars, self.camera = Equirectangular(*panorama), lidars, dict(camera)
         self.splits, self.attempts = tuple(splits), attempts
         self.load_s, self.silence_s = load_s, 2 * timeout_s
         self._job = {
             "host": host, "port": port, "traffic_port": traffic_port, "connect_s": min(10.0, timeout_s),
             "timeout_s": timeout_s, "load_s": load_s, "warm_up": warm_up, "frames": frames, "interval_s": interval_s,
-            "vehicles": vehicles, "walkers": walkers, "ego": ego, "stuck_s": stuck_s, "reload": True,
+            "vehicles": vehicles, "walkers": walkers, "ego": ego, "stuck_s": stuck_s,
         }  # fmt: skip
 
     @property
@@ -147,12 +143,6 @@ class CarlaRecorder:
             for plan in missing:
                 self._record_scene(root / plan.name, plan, progress)
         return [root / plan.name for plan in plans]
-
-    def spec(self) -> SourceSpec:
-        """Return the facts about the scenes."""
-        return SourceSpec(
-            WORLD_CLASSES, PAPER_RANGE_EDGES_M, self.interval_s, road_of(self.rig), sparseocc_directions()
-        )
 
     def sensors(self, seed: int) -> list[Spec]:
         """Return the sensors of a scene."""
@@ -191,14 +181,11 @@ class CarlaRecorder:
             CarlaError: when the server cannot be used.
         """
         plan = self.plans[0]
-        job, frames, classes = self.job(plan) | {"frames": CHECKED_FRAMES}, [], class_table(tags_of("0.9.16"))
+        job: dict[str, Any] = self.job(plan) | {"frames": CHECKED_FRAMES}
         with captured(self.python, job, self.load_s, self.silence_s) as messages:
-            for message in messages:
-                if message.kind == "server":
-                    classes = class_table(tags_of(message.header["server"]))
-                if message.kind == "frame":
-                    frames.append(self.raw_frame(message))
-        return check_frames(frames, self.sensors(plan.seed), self.origin, self.interval_s, classes)
+            classes = class_table(tags_of(next(messages).header["server"]))
+            frames = [self.raw_frame(message) for message in messages if message.kind == "frame"]
+        return check_frames(frames, job["sensors"], self.origin, self.interval_s, classes)
 
     def _alone(self, root: Path) -> AcquireReturnProxy:
         try:
@@ -230,26 +217,21 @@ class CarlaRecorder:
             closing(SceneWriter(folder)) as writer,
             captured(self.python, self.job(plan), self.load_s, self.silence_s) as messages,
         ):
-            server, rig, first_s = "", self.rig, 0.0
-            for message in messages:
-                if message.kind == "server":
-                    server, client = message.header["server"], message.header["client"]
-                    classes = class_table(tags_of(server))
-                if message.kind != "frame":
-                    continue
-                raw = self.raw_frame(message)
+            hello, rig, first_s = next(messages).header, self.rig, 0.0
+            tags = tags_of(hello["server"])
+            classes = class_table(tags)
+            for raw in (self.raw_frame(message) for message in messages if message.kind == "frame"):
                 first_s = first_s if writer.num_frames else raw.time_s
                 frame, own_car = make_frame(raw, first_s, self.rig, self.cameras, self.origin, self.panorama, classes)
                 if writer.num_frames == 0:
                     rig = masking(self.rig, grown(tuple(torch.from_numpy(part) for part in own_car), 1))
-                entry = {"time_s": frame.time_s, "world_from_ego": frame.world_from_ego.tolist()}
-                writer.append(encode_frame(frame), entry)
+                append_frame(writer, frame)
                 yield
-            writer.attach("rig.yaml", rig.save)
-            facts = {"recorder": "carla", "server": server, "client": client, "theme": plan.town, **plan._asdict()}
-            facts |= {"tags": tags_of(server), "lidars": self.lidars, "vehicles": self._job["vehicles"]}
-            facts |= {"walkers": self._job["walkers"], "ego": self._job["ego"], "spec": plain_spec(self.spec())}
-            writer.finish(facts | {"software": {name: version(name) for name in SOFTWARE}})
+            facts = {"recorder": "carla", "theme": plan.town, **plan._asdict(), "tags": tags, "lidars": self.lidars}
+            facts |= {key: hello[key] for key in ("server", "client")}
+            facts |= {key: self._job[key] for key in ("vehicles", "walkers", "ego")}
+            spec = recorded_spec(WORLD_CLASSES, self.interval_s, road_of(self.rig))
+            finish_scene(writer, rig, spec, facts)
 
     def _release_server(self) -> None:
         """Let a server run freely that a killed process left waiting; it may be gone."""
