@@ -14,6 +14,7 @@ from pathlib import Path
 from omniocc.io import atomic_write
 from omniocc.report.dataset.table import dataset_markdown, load_dataset_table, with_folders
 from omniocc.report.frames import compared_frames
+from omniocc.report.keep import keep_records
 from omniocc.report.page import page
 from omniocc.report.runs import read_runs
 from omniocc.report.sweep import Sweep, read_sweeps, report_markdown, write_docs, write_tables
@@ -46,11 +47,16 @@ def main(arguments: list[str] | None = None) -> None:
     tried = "write one table of all runs, of any setting, on validation scenes"
     parser.add_argument("--tried", type=Path, metavar="FILE", help=tried)
     parser.add_argument("--reference", default="ours", help="row to which --tried compares the others (default: ours)")
+    kept = "only copy the figures, configuration and curves of all finished runs there, small enough for a repository"
+    parser.add_argument("--keep", type=Path, metavar="FOLDER", help=kept)
     recorded = "only print the paper's Table I with a row for each of these folders of recorded scenes"
     parser.add_argument("--datasets", type=Path, metavar="FOLDER", nargs="+", help=recorded)
     options = parser.parse_args(arguments)
     if options.datasets is not None:
         print(dataset_markdown(with_folders(load_dataset_table(options.sweeps / DATASETS), options.datasets)))
+        return
+    if options.keep is not None:
+        print(f"{len(keep_records(options.runs, options.keep))} runs kept in {options.keep}")
         return
     if options.tried is not None:
         write_tried(options.runs, options.tried, options.reference)

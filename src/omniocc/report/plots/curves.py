@@ -6,6 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+CURVES = "csv/version_*/metrics.csv"
+"""Files of logged metrics in the folder of a run, one for each start."""
+
 
 class Curve(NamedTuple):
     """Mean, lowest and highest value over seeds, at each step recorded for all seeds."""
@@ -23,7 +26,7 @@ def read_curve(folder: Path, key: str) -> dict[int, float]:
     an earlier checkpoint. Without CSV files in the run's folder the result is empty.
     """
     curve: dict[int, float] = {}
-    for path in sorted(folder.glob("csv/version_*/metrics.csv"), key=lambda path: int(path.parent.name.split("_")[1])):
+    for path in sorted(folder.glob(CURVES), key=lambda path: int(path.parent.name.split("_")[1])):
         with path.open(newline="") as file:
             lines = [line for line in csv.DictReader(file) if line.get("step")]
         began = min((int(line["step"]) for line in lines), default=0)

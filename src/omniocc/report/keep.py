@@ -1,0 +1,38 @@
+"""The records of finished runs without their checkpoints and pictures, small enough for a repository."""
+
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+from omniocc.io import atomic_write
+from omniocc.report.plots.curves import CURVES
+from omniocc.report.runs import FinishedRun, read_runs
+from omniocc.run.folder import METRICS
+
+KEPT = ("config.yaml", METRICS, CURVES)
+"""Files, or patterns of files, of a run from which every table and curve can be written again."""
+
+
+def keep_records(runs: Path, folder: Path) -> list[Path]:
+    """Copy the configuration, figures and curves of finished runs and return their new folders.
+
+    Runs of an earlier call stay, but for those that a newer run replaces: one of the same row, seed and setting.
+
+    Raises:
+        UserError: when there is no finished run.
+        DataError: naming the file that cannot be written.
+    """
+    finished = read_runs(runs)
+    for run in finished:
+        for pattern in KEPT:
+            for path in run.folder.glob(pattern):
+                atomic_write(folder / run.name / path.relative_to(run.folder), path.read_bytes())
+    for path in replaced(read_runs(folder), finished):
+        shutil.rmtree(path)
+    return [folder / run.name for run in finished]
+
+
+def replaced(kept: Sequence[FinishedRun], newer: Sequence[FinishedRun]) -> list[Path]:
+    """Return the folders of kept runs that have the row, seed and setting of a newer run of another name."""
+    names, places = {run.name for run in newer}, {(run.place, run.setting) for run in newer}
+    return [run.folder for run in kept if run.name not in names and (run.place, run.setting) in places]

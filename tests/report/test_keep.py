@@ -1,0 +1,33 @@
+"""Records of finished runs that are kept without checkpoints."""
+
+import shutil
+
+import pytest
+
+from omniocc.errors import UserError
+from omniocc.report.keep import keep_records
+from omniocc.report.plots.curves import read_curve
+from omniocc.report.runs import read_runs
+
+
+def test_every_figure_and_curve_can_be_read_from_what_is_kept(runs, tmp_path):
+    kept = tmp_path / "kept"
+    assert [path.name for path in keep_records(runs, kept)] == [run.name for run in read_runs(runs)]
+    for run, copy in zip(read_runs(runs), read_runs(kept), strict=True):
+        assert (run.facts, run.metrics, run.config) == (copy.facts, copy.metrics, copy.config)
+        assert read_curve(copy.folder, "train/loss") == read_curve(run.folder, "train/loss") != {}
+    assert not [path for path in kept.rglob("*") if path.suffix == ".png"]
+
+
+def test_a_newer_run_replaces_that_of_its_row_and_seed_alone(runs, tmp_path):
+    kept, later = tmp_path / "kept", tmp_path / "later"
+    keep_records(runs, kept)
+    shutil.copytree(runs / "ours-00000001", later / "ours-0000000a")
+    keep_records(later, kept)
+    names = {run.name for run in read_runs(kept)}
+    assert names == {run.name for run in read_runs(runs)} - {"ours-00000001"} | {"ours-0000000a"}
+
+
+def test_without_a_finished_run_nothing_is_kept(tmp_path):
+    with pytest.raises(UserError, match="holds no finished run"):
+        keep_records(tmp_path, tmp_path / "kept")
