@@ -4,6 +4,7 @@ import pytest
 
 from omniocc.errors import UserError
 from omniocc.run.checkpoint_io import LAST, write_checkpoint
+from omniocc.run.distributed import is_first
 from omniocc.run.folder import METRICS, command_line, open_run, run_hash
 
 
@@ -64,6 +65,37 @@ def test_of_processes_that_slurm_starts_only_the_first_claims_the_folder(tmp_pat
     first = open_run(tmp_path, "train", "abc", "auto")
     assert first.lock is not None
     assert first.path == second.path
+
+
+OF_PROCESSES = ("RANK", "WORLD_SIZE", "LOCAL_RANK", "NODE_RANK", "GROUP_RANK", "SLURM_PROCID", "SLURM_NTASKS")
+
+
+@pytest.mark.parametrize(
+    ("given", "first", "several"),
+    [
+        ({}, True, False),
+        ({"LOCAL_RANK": "1", "NODE_RANK": "0"}, False, False),  # a child that Lightning has started
+        ({"LOCAL_RANK": "0", "NODE_RANK": "0"}, True, False),
+        ({"NODE_RANK": "1"}, False, False),  # the first process of another machine
+        ({"RANK": "0", "LOCAL_RANK": "0", "WORLD_SIZE": "4", "GROUP_RANK": "0"}, True, True),
+        ({"RANK": "2", "LOCAL_RANK": "0", "WORLD_SIZE": "4", "GROUP_RANK": "1"}, False, True),  # torchrun --nnodes 2
+        ({"RANK": "0", "LOCAL_RANK": "0", "WORLD_SIZE": "1"}, True, False),
+        ({"SLURM_PROCID": "0", "SLURM_NTASKS": "2"}, True, True),
+        ({"SLURM_PROCID": "1", "SLURM_NTASKS": "2"}, False, True),
+        ({"SLURM_PROCID": "0", "SLURM_NTASKS": "1"}, True, False),
+    ],
+)
+def test_of_all_processes_on_all_machines_one_is_the_first(given, first, several, tmp_path, monkeypatch):
+    for name in OF_PROCESSES:
+        monkeypatch.delenv(name, raising=False)
+    for name, value in given.items():
+        monkeypatch.setenv(name, value)
+    assert is_first() == first
+    if several:
+        with pytest.raises(UserError, match=r"resume=never: .* another name="):
+            open_run(tmp_path, "train", "abc", "never")
+    else:
+        open_run(tmp_path, "train", "abc", "never")
 
 
 def test_a_command_names_no_machine(tmp_path, monkeypatch):

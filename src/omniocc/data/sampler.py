@@ -66,11 +66,14 @@ def shuffled(scenes: Sequence[int], together: int, generator: torch.Generator) -
 
 
 class RankSampler(DistributedSampler):
-    """Validation and test: every sample exactly once over all ranks, in order."""
+    """Validation and test: every sample exactly once over all ranks, in order.
+
+    Each rank has frames that follow one another, so that volumes of the past can be used again.
+    """
 
     def __init__(self, size: int, rank: int = 0, world_size: int = 1):
         super().__init__(range(size), world_size, rank, shuffle=False)  # type: ignore[arg-type]
-        self._samples = range(rank, size, world_size)
+        self._samples = range(rank * size // world_size, (rank + 1) * size // world_size)
 
     def __iter__(self) -> Iterator[int]:
         return iter(self._samples)

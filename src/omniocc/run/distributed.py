@@ -9,9 +9,21 @@ Value = TypeVar("Value")
 
 
 def is_first() -> bool:
-    """Return whether this is the first process of a run, the only one that writes files and prints."""
+    """Return whether this is the first process of a run on all its machines, the only one that writes and prints."""
+    given = os.environ
+    if "RANK" in given:  # torchrun numbers the processes of all machines
+        return given["RANK"] == "0"
     # Lightning sets LOCAL_RANK for its children; Slurm starts all processes itself, at the same time
-    return os.environ.get("LOCAL_RANK", os.environ.get("SLURM_PROCID", "0")) == "0"
+    place = given.get("LOCAL_RANK", given.get("SLURM_PROCID", "0"))
+    return given.get("NODE_RANK", given.get("GROUP_RANK", "0")) == "0" and place == "0"
+
+
+def started_by_others() -> bool:
+    """Return whether torchrun or Slurm has started several processes of this run, so that none has a parent here."""
+    given = os.environ
+    if "RANK" in given:
+        return given.get("WORLD_SIZE", "1") != "1"
+    return "SLURM_PROCID" in given and "LOCAL_RANK" not in given and given.get("SLURM_NTASKS", "1") != "1"
 
 
 def share() -> tuple[int, int]:

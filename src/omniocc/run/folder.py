@@ -14,7 +14,7 @@ from filelock import FileLock, Timeout
 
 from omniocc.errors import UserError
 from omniocc.run.checkpoint_io import LAST, resumable
-from omniocc.run.distributed import from_first, is_first
+from omniocc.run.distributed import from_first, is_first, started_by_others
 from omniocc.run.slots import sketch_learns
 
 METRICS = "metrics.json"
@@ -68,9 +68,15 @@ def open_run(runs: Path, name: str, digest: str, resume: str) -> RunFolder:
             checkpoint to resume from.
 
     Raises:
-        UserError: when another process works in the folder, or its checkpoints are damaged.
+        UserError: when another process works in the folder, its checkpoints are damaged, or the processes of this run
+            cannot agree on a new folder.
         FileNotFoundError: when there is no such checkpoint.
     """
+    if resume == "never" and started_by_others():
+        raise UserError(
+            "resume=never: the processes that torchrun or Slurm starts cannot agree on a new folder; give this run "
+            "another name=... instead"
+        )
     path, lock = runs / f"{name}-{digest}", None
     if is_first():
         path, lock = _claim(path, fresh=resume == "never")
