@@ -30,6 +30,7 @@ from omniocc.task.images import OccupancyImages
 from omniocc.task.stage_keys import wanted_stages
 from omniocc.task.stages import Stages
 from omniocc.task.step_time import planned_scenes, step_seconds
+from omniocc.task.stop import StopAtSignal
 
 
 @script("train")
@@ -151,6 +152,7 @@ def callbacks(cfg: DictConfig, run: RunFolder, title: str, classes: ClassTable, 
     steps = cfg.checkpoint_every_n_steps
     return [
         StepProgress(title),
+        StopAtSignal(run.path / LAST),
         ModelCheckpoint(run.path, "last", every_n_train_steps=steps, enable_version_counter=False),
         ModelCheckpoint(run.path, "best", monitor=score, mode="max", enable_version_counter=False),
         OccupancyImages(run.path / IMAGES, cfg.test_images, classes),

@@ -52,15 +52,9 @@ class ProcessLauncher(Launcher):
     def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
         """Run all jobs; end this process with exit code 1 if any fails, 130 after Ctrl-C."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        varied = varying(job_overrides)
-        jobs, script = [], Path(sys.argv[0]).resolve()
-        for number, overrides in enumerate(job_overrides, start=initial_job_idx):
-            label = label_of([o for o in overrides if o in varied]) or "job"
-            arguments = [*overrides, *(["resume=never"] if self.force else [])]
-            command = [sys.executable, str(script), *arguments]
-            jobs.append(Job(label, command, self.folder / file_name(label, number)))
+        jobs = jobs_of(self.folder, job_overrides, initial_job_idx, ["resume=never"] if self.force else [])
         print(f"{len(jobs)} jobs, {self.n_jobs} at a time; logs in {self.folder}", flush=True)
-        server = ForkServer(script, self.folder / IMPORTS)
+        server = ForkServer(Path(sys.argv[0]).resolve(), self.folder / IMPORTS)
         try:
             # a command is python, the script, and its arguments
             run_all(jobs, self.n_jobs, lambda command, *rest: server.start(command[2:], *rest))
@@ -70,11 +64,26 @@ class ProcessLauncher(Launcher):
             sys.exit(INTERRUPTED)
         finally:
             server.close()
-        failed = [job for job in jobs if job.code != 0]
-        print(summary(jobs, failed), flush=True)
-        if failed:
-            sys.exit(1)
+        report(jobs)
         return [JobReturn(overrides=list(o), status=JobStatus.COMPLETED) for o in job_overrides]
+
+
+def jobs_of(folder: Path, job_overrides: Sequence[Sequence[str]], first: int, more: Sequence[str] = ()) -> list[Job]:
+    """Return the jobs of a multirun, numbered from `first`, with logs in a folder; all get the overrides `more` too."""
+    varied, script = varying(job_overrides), str(Path(sys.argv[0]).resolve())
+    jobs = []
+    for number, overrides in enumerate(job_overrides, start=first):
+        label = label_of([o for o in overrides if o in varied]) or "job"
+        jobs.append(Job(label, [sys.executable, script, *overrides, *more], folder / file_name(label, number)))
+    return jobs
+
+
+def report(jobs: Sequence[Job]) -> None:
+    """Print how many jobs finished, and how the others ended; end this process with exit code 1 if there are any."""
+    failed = [job for job in jobs if job.code != 0]
+    print(summary(jobs, failed), flush=True)
+    if failed:
+        sys.exit(1)
 
 
 def varying(job_overrides: Sequence[Sequence[str]]) -> set[str]:

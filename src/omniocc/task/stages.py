@@ -47,6 +47,7 @@ from omniocc.task.progress import StepProgress, TrainingTime
 from omniocc.task.sketch import SketchTask, known
 from omniocc.task.stage_keys import stage_keys
 from omniocc.task.stage_task import Recipe, StageTask
+from omniocc.task.stop import StopAtSignal
 
 Task = StageTask[nn.Module]
 Read = Callable[[SceneFrames, int], tuple[Tensor | None, ...]]
@@ -174,7 +175,7 @@ class Stages:
             max_epochs=recipe.max_epochs,
             check_val_every_n_epoch=recipe.validate_every_n_epochs,
             plugins=[AtomicCheckpointIO()],
-            callbacks=[StepProgress(title), *callbacks, last],
+            callbacks=[StepProgress(title), StopAtSignal(folder / LAST), *callbacks, last],
             logger=build(self.cfg.logger).build(folder, plain(self.cfg), stage),
             default_root_dir=str(folder),
         )

@@ -1,0 +1,50 @@
+"""Stop a training before a time limit, without a lost step."""
+
+import os
+import signal
+import sys
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from lightning.pytorch import LightningModule, Trainer
+from lightning.pytorch.callbacks import Callback
+
+STOP = signal.SIGUSR2
+"""Signal that comes some time before the limit: `hydra/launcher=slurm` asks for it."""
+
+
+class StopAtSignal(Callback):
+    """After the signal SIGUSR2 save a checkpoint at the end of the step, in all processes at once, and end the script.
+
+    Args:
+        path: file of the checkpoint from which the same command goes on.
+    """
+
+    def __init__(self, path: Path):
+        self.path = path
+        self._told = False
+        self._earlier: Any = None
+
+    def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:  # noqa: D102
+        self._earlier = signal.signal(STOP, self._note)
+
+    def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:  # noqa: D102
+        signal.signal(STOP, self._earlier)
+
+    def on_train_batch_end(  # noqa: D102
+        self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
+    ) -> None:
+        if (batch_idx + 1) % trainer.accumulate_grad_batches == 0 and self._all_told(trainer):
+            trainer.save_checkpoint(self.path)
+            first = trainer.is_global_zero
+            sys.exit(f"stopped by SIGUSR2 at step {trainer.global_step}; the same command goes on" if first else "")
+
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        self._told = True
+
+    def _all_told(self, trainer: Trainer) -> bool:
+        """Return whether the signal has reached any process; outside of Slurm only one process is asked."""
+        if trainer.world_size > 1 and "SLURM_JOB_ID" not in os.environ:
+            return False
+        return trainer.strategy.reduce_boolean_decision(self._told, all=False)
