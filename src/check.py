@@ -6,7 +6,7 @@ from pathlib import Path
 
 from omniocc.config import build, compose_config
 from omniocc.data import OccupancyData
-from omniocc.data.check_source import check_source
+from omniocc.data.check_source import check_source, has_labels
 from omniocc.data.recording.pool import usable_cores
 from omniocc.data.source import SPLITS
 from omniocc.run.script import lines_not_tracebacks, quiet_libraries
@@ -26,10 +26,13 @@ def main(arguments: list[str] | None = None) -> None:
     quiet_libraries()
     data: OccupancyData = build(compose_config(Path(__file__).parents[1] / "conf", "train", options.overrides).data)
     data.source.prepare()
-    data.check_classes()
     for split in SPLITS:
         scenes = data.source.scenes(split)
         print(f"{split:5}  {len(scenes)} scenes, {sum(map(len, scenes))} frames", flush=True)
+    names = data.source.spec.classes.names
+    print(f"{len(names)} classes: {', '.join(names)}; train with data.num_classes={len(names)}")
+    for scene in (scene for split in SPLITS for scene in data.source.scenes(split) if not has_labels(scene)):
+        print(f"{scene.name} has no LiDAR: it serves prediction, not training")
     if options.draw is not None:
         draw(data, options.draw)
     problems = 0
@@ -48,9 +51,11 @@ def draw(data: OccupancyData, folder: Path) -> None:
     labels = data.source.labels(grid, "free")
     for split in SPLITS:
         for scene in data.source.scenes(split)[:1]:
-            labels.prepare([scene])
+            known = has_labels(scene)
+            if known:
+                labels.prepare([scene])
             parts = scene.images(0), scene.rigs[0], scene.camera_range_m(0), scene.erp_range_m(0)
-            voxels = labels.read(scene, 0)
+            voxels = labels.read(scene, 0) if known else None
             path = folder / f"{split}-{scene.name}.png"
             path.parent.mkdir(parents=True, exist_ok=True)
             save_png(path, data_sheet(*parts, voxels, grid, classes, f"{split}: {scene.name}, frame 0"))

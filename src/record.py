@@ -3,18 +3,20 @@
 import sys
 from pathlib import Path
 
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from omniocc.config import build, check
+from omniocc.data.source import SPLITS
 from omniocc.errors import UserError
 from omniocc.record.carla.recorder import CarlaRecorder
-from omniocc.run.script import script
+from omniocc.run.script import quiet_libraries, script
 
 
 @script("record")
 def main(cfg: DictConfig) -> None:
     """Check the configuration and record, or check a CARLA server."""
-    check(cfg.recorder)
+    quiet_libraries()
+    check(OmegaConf.masked_copy(cfg, ["recorder"]))
     recorder = build(cfg.recorder)
     if cfg.check:
         if not isinstance(recorder, CarlaRecorder):
@@ -22,8 +24,17 @@ def main(cfg: DictConfig) -> None:
         report(recorder)
         return
     scenes = recorder.record(Path(cfg.output))
-    count = f"{len(scenes)} scene{'s' * (len(scenes) > 1)}"
-    print(f"{cfg.output}: {count}; python src/train.py data=recorded data.source.root={cfg.output}")
+    few = "" if covers_splits(Path(cfg.output)) else " 'data.source.splits={train:1,val:0,test:0}'"
+    print(f"{len(scenes)} scene{'s' * (len(scenes) > 1)} in {cfg.output}")
+    print(f"look at it  python src/check.py data=recorded data.source.root={cfg.output}{few} --draw drawn")
+    if not few:
+        print(f"train on it  python src/train.py data=recorded data.source.root={cfg.output}")
+
+
+def covers_splits(folder: Path) -> bool:
+    """Return whether a folder has scenes for training, validation and test by their names."""
+    names = [path.name for path in folder.iterdir() if "." not in path.name]
+    return all(any(name.startswith(f"{split}-") for name in names) for split in SPLITS)
 
 
 def report(recorder: CarlaRecorder) -> None:

@@ -70,7 +70,8 @@ def cannot_write(path: Path, error: OSError, needed_bytes: int | None = None) ->
         folder = next(parent for parent in path.absolute().parents if parent.exists())
         free_bytes = shutil.disk_usage(folder).free
         reason += f" ({needed_bytes:,} bytes are needed, {free_bytes:,} are free)"
-    return DataError(f"cannot write {path}: {reason}, then run the same command again; it continues where it stopped")
+    remedy = ", then run the same command again; it continues where it stopped" if error.errno in _REMEDIES else ""
+    return DataError(f"cannot write {path}: {reason}{remedy}")
 
 
 def _flush_folder(folder: Path) -> None:

@@ -95,7 +95,7 @@ def test_a_row_of_two_tasks_trains_one_model(slurm, shared_data, tmp_path):
 
 
 def test_what_the_cluster_does_not_have_is_a_line(slurm, shared_data, tmp_path):
-    for option, reason in (("gpus_per_node=1", "Requested node configuration"), ("partition=gpu", "invalid partition")):
+    for option, reason in (("gpus_per_node=1", "generic resource (gres)"), ("partition=gpu", "Invalid partition")):
         result = multirun(slurm, tmp_path, shared_data, f"hydra.launcher.{option}")
         assert result.returncode == 1
         assert result.stdout == ""

@@ -1,8 +1,6 @@
 """Multiruns as users start them; jobs on one machine in detail: `test_process.py`."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -48,33 +46,6 @@ def test_all_stages_are_trained_by_two_processes(tmp_path, data_root):
     again = run_script("train.py", *arguments, cwd=tmp_path)
     assert again.returncode == 0
     assert log.read_text().count("depth, stage 1 of 3 begins") == 1
-
-
-SCRIPT = """
-import os
-from pathlib import Path
-
-import hydra
-
-
-@hydra.main(version_base="1.3", config_path={conf!r}, config_name="train")
-def main(cfg):
-    Path(f"seed{{cfg.seed}}.txt").write_text(f"{{os.getpid()}} {{cfg.model.sketch._target_}}")
-
-
-main()
-"""
-
-
-def test_submitit_runs_each_local_job_in_its_own_process(tmp_path):
-    script = tmp_path / "script.py"
-    script.write_text(SCRIPT.format(conf=str(ROOT / "conf")))
-    command = [sys.executable, str(script), "--multirun", "hydra/launcher=submitit_local", "seed=1,2"]
-    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=300)
-    assert result.returncode == 0, result.stdout + result.stderr
-    written = [(tmp_path / f"seed{seed}.txt").read_text().split() for seed in (1, 2)]
-    assert written[0][0] != written[1][0]
-    assert {sketch for _, sketch in written} == {"omniocc.model.sketch.Omni"}
 
 
 def test_slurm_jobs_request_four_gpus_with_a_process_each():

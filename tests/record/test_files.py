@@ -18,6 +18,7 @@ from omniocc.data.store.codec import decode_frame
 from omniocc.errors import UserError
 from omniocc.geometry import Cylinder
 from omniocc.predict.input.poses import read_poses
+from omniocc.record.scene import read_frame
 
 GRID = Cylinder()
 CLASSES = "classes: classes.yaml"
@@ -95,6 +96,56 @@ def test_a_scene_is_made_once(recorder, tmp_path):
     assert (first / "meta.json").stat().st_mtime_ns == before
     with pytest.raises(DataError, match="made from something else; choose another name, or remove it"):
         recorder("limit_s=0.02").record(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lidar_option("npz", "own_car_m: [[-1, -1, -3], [1, 1, 3]]"),
+        lidar_option("bin"),
+        "cameras={front: front_left, front_left: front}",
+    ],
+)
+def test_a_corrected_calibration_is_not_taken_for_the_old_one(recorder, original, tmp_path, change):
+    cameras = "cameras={front: front, front_left: front_left}"
+    assert {"front", "front_left"} <= set(original.rig.names)
+    recorder(lidar_option("npz"), cameras).record(tmp_path)
+    changed = [lidar_option("npz"), change] if change.startswith("cameras") else [change, cameras]
+    with pytest.raises(DataError, match="made from something else"):
+        recorder(*changed).record(tmp_path)
+
+
+def test_after_a_damaged_file_only_the_missing_frames_are_made(recorder, original, log_folder, tmp_path, monkeypatch):
+    log = shutil.copytree(log_folder, tmp_path / "log")
+    last = sorted((log / original.rig.names[0]).iterdir())[-1]
+    whole = last.read_bytes()
+    last.write_bytes(bytes(len(whole)))
+    with pytest.raises(DataError, match=f"{last.name}: the file is no image"):
+        recorder(log=log).record(tmp_path)
+    last.write_bytes(whole)
+    read = []
+    monkeypatch.setattr("omniocc.record.scene.read_frame", lambda *given: read.append(given[2]) or read_frame(*given))
+    scene = SceneReader(recorder(log=log).record(tmp_path)[0])
+    assert read == [len(original) - 1]
+    assert len(scene) == len(original)
+    assert sorted(path.name for path in scene.folder.iterdir() if path.suffix == ".tmp") == []
+    last.write_bytes(bytes(len(whole)))
+    with pytest.raises(DataError, match="no image"):
+        recorder("limit_s=0.02", log=log, name="val-000").record(tmp_path)
+    last.write_bytes(whole)
+    read.clear()
+    recorder(log=log, name="val-000").record(tmp_path)  # of other options: from the first frame on
+    assert len(read) == len(original)
+
+
+def test_a_wrong_unit_and_a_name_without_a_split_are_said(recorder, tmp_path, capsys):
+    loose = "time_unit=us", "poses_time_unit=us", "limit_s=100", "pose_gap_s=1000"
+    with pytest.raises(UserError, match=r"frames are 500 s apart.*unit of the times right"):
+        recorder(*loose).record(tmp_path)
+    recorder(name="town").record(tmp_path)
+    said = capsys.readouterr().err
+    assert "'town' has to be named in data.source.splits" in said
+    assert "one each 0.5 s" in said
 
 
 def test_images_of_another_size_and_some_cameras(recorder, original, tmp_path):
@@ -214,7 +265,7 @@ def damage(path, content=b"nothing"):
         ([], empty, "holds none of .png, .jpg"),
         ([], lambda log, scene: damage(first_image(log, scene)), "the file is no image, or damaged"),
         ([], lambda log, scene: damage(log / "poses.csv", b"1,2,3\n"), "line 1: 2 numbers of a pose"),
-        ([], lambda log, scene: damage(log / "poses.csv", b"t\n"), "the file holds no poses"),
+        ([], lambda log, scene: damage(log / "poses.csv", b"t\n"), "holds no poses; is poses_format=csv right?"),
         ([], lambda log, scene: damage(log / "poses.csv", b"1,0,0,0,2,0,0,0"), "line 1: the pose: rotation"),
         ([], lambda log, scene: damage(log / "poses.csv", b"1,0,0,0,1,0,0,0\n" * 2), "line 2: a pose of this time"),
         ([], lambda log, scene: (log / "poses.csv").unlink(), "poses.csv: the file is missing"),

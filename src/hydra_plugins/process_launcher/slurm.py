@@ -6,6 +6,8 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import redirect_stderr
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -108,7 +110,7 @@ class SlurmLauncher(Launcher):
         executor = AutoExecutor(self.folder / "slurm", cluster="slurm", slurm_max_num_timeout=self.requeues)
         executor.update_parameters(name=self.name, **self.parameters)
         try:
-            with executor.batch():
+            with redirect_stderr(StringIO()), executor.batch():  # sbatch's message is in the error
                 submitted = [executor.submit(work) for work in map(self._work, jobs)]
         except FailedJobError as error:
             raise UserError(f"sbatch refuses: {refusal(str(error))}") from error

@@ -10,6 +10,8 @@ from omniocc.data.formats.poses import not_rigid
 from omniocc.data.labels.class_fractions import spread
 from omniocc.data.recording.pool import mapped
 from omniocc.data.source import SPLITS, SceneFrames, SceneSource, VoxelLabels
+from omniocc.data.store.codec import POINTS
+from omniocc.data.store.reader import SceneReader
 from omniocc.errors import DataError
 from omniocc.geometry import Grid
 from omniocc.progress import Progress
@@ -35,6 +37,11 @@ def check_source(source: SceneSource, geometry: Grid, frames: int, workers: int)
             yield from problems
 
 
+def has_labels(scene: SceneFrames) -> bool:
+    """Return whether voxels of a scene can be known: not if it was recorded without a LiDAR."""
+    return not isinstance(scene, SceneReader) or scene.has(POINTS)
+
+
 def check_scene(scene: SceneFrames, labels: VoxelLabels, frames: int) -> tuple[list[str], int]:
     """Return the problems of a scene, each once, and the number of frames that were read."""
     problems, read = [], 0
@@ -52,8 +59,9 @@ def check_frame(scene: SceneFrames, labels: VoxelLabels, frame: int) -> Iterator
     """Return the problems of one frame: everything that a batch could ask for is read."""
     parts: list[Callable[[int], Any]] = [
         partial(_images, scene), scene.pixel_labels, scene.camera_range_m, scene.erp_range_m, scene.lidar, scene.points,
-        partial(labels.read, scene), partial(labels.benchmark, scene),
     ]  # fmt: skip
+    if has_labels(scene):
+        parts += [partial(labels.read, scene), partial(labels.benchmark, scene)]
     for part in parts:
         try:
             part(frame)

@@ -13,7 +13,7 @@ from omniocc.camera import Rig
 from omniocc.data.formats.poses import inverse
 from omniocc.data.source import Points
 from omniocc.errors import DataError, UserError
-from omniocc.record.files import ego_points, lidar_options
+from omniocc.record.files import ego_points, lidar_options, plain_options
 from omniocc.record.labels import read_point_classes
 from omniocc.record.log import Log, Scans, Timing, chosen_rig
 from omniocc.record.messages import camera_of, cloud_of, image_of, pose_of, stamp_s
@@ -115,6 +115,7 @@ class RosBag(LogRecorder):
             message, where = bag.message(images[camera].addresses[number])
             return image_of(message, where), where
 
+        scans, given = (None, []) if self.lidar is None else self._scans(bag, tree, self.lidar)
         return Log(
             place=str(self.bag),
             rig=rig,
@@ -122,8 +123,9 @@ class RosBag(LogRecorder):
             read_image=read_image,
             pose_times_s=poses.times_s,
             world_from_ego=poses.poses @ inverse(self.ego_from_base),
-            scans=None if self.lidar is None else self._scans(bag, tree, self.lidar),
+            scans=scans,
             facts={"recorder": "bag", "poses": self.poses, "limit_s": self.timing.limit_s},
+            inputs=[str(self.bag.absolute()), bag.extent, sorted(self.cameras.items()), *given],
         )
 
     def _rig(self, bag: "Bag", tree: FrameTree, topics: Mapping[str, Topic]) -> Rig:
@@ -150,7 +152,8 @@ class RosBag(LogRecorder):
             samples.append((float(time_s), pose_of(pose.position, pose.orientation, where)))
         return timed(samples)
 
-    def _scans(self, bag: "Bag", tree: FrameTree, options: Mapping[str, Any]) -> Scans:
+    def _scans(self, bag: "Bag", tree: FrameTree, options: Mapping[str, Any]) -> tuple[Scans, list[Any]]:
+        """Return the scans, and plain values that differ when other options would give other points."""
         topic = bag.topic("lidar.topic", options["topic"], CLOUDS)
         classes = read_point_classes(None if options["classes"] is None else Path(options["classes"]))
         ego_from_lidar = options["ego_from_lidar"]
@@ -162,7 +165,7 @@ class RosBag(LogRecorder):
             cloud = cloud_of(message, options["label_field"], where)
             return ego_points(cloud, ego_from_lidar, classes, options["own_car_m"], where)
 
-        return Scans(topic.times_s, read, classes.table)
+        return Scans(topic.times_s, read, classes.table), plain_options({**options, "pose": ego_from_lidar}, classes)
 
 
 class Bag:
@@ -199,6 +202,11 @@ class Bag:
 
     def __exit__(self, *_: object) -> None:
         self.reader.close()
+
+    @property
+    def extent(self) -> tuple[int, int, int]:
+        """Return the number of messages, and the times of receipt of the first and the last, ns."""
+        return self.reader.message_count, self.reader.start_time, self.reader.end_time
 
     def topic(self, option: str, name: str, kinds: Sequence[str]) -> Topic:
         """Return the messages of a topic by the time in their headers, or of receipt where a header has none.
@@ -257,4 +265,5 @@ class Bag:
 
     def _unreadable(self, error: Exception, topic: str = "") -> DataError:
         where = f"{self.path}, {topic}" if topic else str(self.path)
-        return DataError(f"{where}: the bag cannot be read: {type(error).__name__}: {error}")
+        remedy = "'rosbag reindex' or 'ros2 bag reindex' mends bags whose recording was cut off"
+        return DataError(f"{where}: the bag cannot be read: {type(error).__name__}: {error}; {remedy}")

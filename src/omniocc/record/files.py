@@ -111,6 +111,7 @@ class LogFiles(LogRecorder):
             path = images[camera].paths[number]
             return read_rgb(path), str(path)
 
+        scans, given = (None, []) if self.lidar is None else self._scans(self.lidar, table)
         yield Log(
             place=str(self.folder),
             rig=rig,
@@ -118,8 +119,9 @@ class LogFiles(LogRecorder):
             read_image=read_image,
             pose_times_s=poses.times_s,
             world_from_ego=poses.poses @ inverse(self.ego_from_pose_frame),
-            scans=None if self.lidar is None else self._scans(self.lidar, table),
+            scans=scans,
             facts={"recorder": "files", "poses": self.poses, "limit_s": self.timing.limit_s},
+            inputs=[str(self.folder.absolute()), *(listing(stream, self.folder) for stream in images), *given],
         )
 
     def _rig(self) -> Rig:
@@ -133,7 +135,8 @@ class LogFiles(LogRecorder):
     def _stamped(self, option: str, place: str, suffixes: Sequence[str], table: Mapping[str, float] | None) -> Stamped:
         return stamped_files(self.folder, place, suffixes, self.time_unit, table, option)
 
-    def _scans(self, options: Mapping[str, Any], table: Mapping[str, float] | None) -> Scans:
+    def _scans(self, options: Mapping[str, Any], table: Mapping[str, float] | None) -> tuple[Scans, list[Any]]:
+        """Return the scans, and plain values that differ when other files or options would give other points."""
         files = self._stamped("lidar.folder", options["folder"], tuple(READERS), table)
         classes = read_point_classes(None if options["classes"] is None else self.folder / options["classes"])
 
@@ -142,7 +145,10 @@ class LogFiles(LogRecorder):
             cloud = read_cloud(path, options["label_field"], options["columns"])
             return ego_points(cloud, options["ego_from_lidar"], classes, options["own_car_m"], str(path))
 
-        return Scans(files.times_s, read, classes.table)
+        return Scans(files.times_s, read, classes.table), [
+            *plain_options(options, classes),
+            listing(files, self.folder),
+        ]
 
 
 def lidar_options(given: Mapping[str, Any], known: Mapping[str, Any]) -> dict[str, Any]:
@@ -170,6 +176,17 @@ def ego_points(
     points_m = moved(ego_from_lidar, cloud.points_m).astype(np.float32)
     kept = np.ones(len(points_m), bool) if own_car_m is None else outside(points_m, *own_car_m)
     return Points(points_m[kept], labels[kept])
+
+
+def plain_options(options: Mapping[str, Any], classes: PointClasses) -> list[Any]:
+    """Return the options of a LiDAR and the classes of its points as plain values."""
+    plain = {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in options.items()}
+    return [sorted(plain.items()), repr(classes.of_id)]
+
+
+def listing(files: Stamped, folder: Path) -> list[tuple[str, int]]:
+    """Return the path in the log and the size of every file."""
+    return [(path.relative_to(folder).as_posix(), path.stat().st_size) for path in files.paths]
 
 
 def read_times(path: Path, unit: TimeUnit) -> dict[str, float]:

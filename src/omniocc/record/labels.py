@@ -65,7 +65,10 @@ def classes_of(
     if classes.of_id is None:
         return np.full(count, OCCUPANCY_CLASSES.occupied[0], np.uint8)
     if labels is None:
-        raise DataError(f"{where}: its points have no class ids: a field 'label', or a .label file beside")
+        raise DataError(
+            f"{where}: its points have no class ids: a field 'label', or a .label file beside; without them leave "
+            "lidar.classes out"
+        )
     found, places = np.unique(labels, return_inverse=True)
     if unknown := [raw for raw in found.tolist() if raw not in classes.of_id]:
         raise DataError(f"{where}: the class ids {unknown[:8]} are not in the YAML of classes")

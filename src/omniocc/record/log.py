@@ -47,6 +47,7 @@ class Log:
         world_from_ego: (P, 4, 4) at these times.
         scans: of the LiDAR; None without one.
         facts: plain values that say what it is made from.
+        inputs: plain values that differ when other files or options would give other frames.
     """
 
     place: str
@@ -57,6 +58,7 @@ class Log:
     world_from_ego: Float64[np.ndarray, "P 4 4"]
     scans: Scans | None
     facts: Mapping[str, Any]
+    inputs: Sequence[Any] = ()
 
 
 class Timing(NamedTuple):

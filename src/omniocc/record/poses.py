@@ -59,7 +59,7 @@ def read_timed_poses(path: Path, kind: PosesFormat, unit: TimeUnit, times: Path 
         raise DataError(f"{path}: poses_times is for poses_format=kitti, and needed there: a file with a time a line")
     rows = list(_rows(path, kind))
     if not rows:
-        raise DataError(f"{path}: the file holds no poses")
+        raise DataError(f"{path}: the file holds no poses; is poses_format={kind} right?")
     if times is not None:
         stamps = [(where, words[0]) for where, words in _rows(times, "tum")]
         if len(stamps) != len(rows):
@@ -78,12 +78,13 @@ def read_timed_poses(path: Path, kind: PosesFormat, unit: TimeUnit, times: Path 
 def _rows(path: Path, kind: PosesFormat) -> list[tuple[str, list[str]]]:
     lines = read_text(path).lstrip("\ufeff").splitlines()
     cells = csv.reader(lines) if kind == "csv" else (line.split() for line in lines)
-    found = []
+    found, header = [], True
     for number, words in enumerate(cells, start=1):
         if not any(word.strip() for word in words) or words[0].lstrip().startswith("#"):
             continue
-        if not found and not _is_number(words[0]):
-            continue  # the header
+        is_header, header = header and not _is_number(words[0]), False
+        if is_header:
+            continue
         found.append((f"{path}, line {number}", words))
     return found
 

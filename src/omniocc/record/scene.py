@@ -18,14 +18,20 @@ from omniocc.data.formats.files import check_aspect, scaled_to
 from omniocc.data.formats.projected import onto_cameras, onto_panorama
 from omniocc.data.recording.pool import Report, make_scenes
 from omniocc.data.recording.scene import append_frame, finish_scene
-from omniocc.data.recording.spec import recorded_spec
-from omniocc.data.source import SourceSpec
+from omniocc.data.recording.spec import panorama_of, recorded_spec
+from omniocc.data.source import SPLITS, SourceSpec
 from omniocc.data.store.frame import RecordedFrame
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import SceneWriter, digest
 from omniocc.errors import DataError, UserError
+from omniocc.io import atomic_write
 from omniocc.progress import Progress
 from omniocc.record.log import Log, Plan, Timing, check_timing, missing_lines, plan_frames
+
+SHORTEST_S, LONGEST_S = 5e-4, 60.0
+"""Limits of the median time between frames: beyond them the unit of the times is wrong."""
+BEGUN = "recipe.tmp"
+"""File in a scene that is being written: what it is made from."""
 
 
 class Stated(NamedTuple):
@@ -58,7 +64,7 @@ class LogRecorder(ABC):
 
     def __init__(self, name: str, timing: Timing, stated: Stated):
         self.name, self.timing, self.stated = check_name(name), check_timing(timing), stated
-        panorama_of(stated)
+        panorama_of(stated.panorama)
 
     @abstractmethod
     def open(self) -> AbstractContextManager[Log]:
@@ -88,16 +94,56 @@ def record_log(log: Log, folder: Path, timing: Timing, stated: Stated) -> Path:
     plan = plan_frames(log, timing)
     rig = _scaled_rig(log.rig, stated)
     recipe = _recipe(log, plan, rig, timing, stated)
-    if folder.exists():
-        if SceneReader(folder).meta["facts"].get("recipe") == recipe:
-            return folder
-        raise DataError(f"{folder}: there is a scene made from something else; choose another name, or remove it")
+    if _is_made(folder, recipe):
+        print(f"{folder} is there already, made from the same log with the same options")
+        return folder
     with Progress(f"recording {folder}", len(plan.times_s)) as progress:
-        for line in missing_lines(plan):
+        for line in (*name_lines(folder.name), *plan_lines(plan, log.place), *missing_lines(plan)):
             progress.message(line)
         work = partial(_write, log=log, plan=plan, rig=rig, stated=stated, recipe=recipe)
         make_scenes(work, [folder], 0, progress)
+    _is_made(folder, recipe)  # another process may have made one of this name meanwhile
     return folder
+
+
+def _is_made(folder: Path, recipe: str) -> bool:
+    """Return whether the scene exists; raise DataError if it was made from something else."""
+    if not folder.exists():
+        return False
+    if SceneReader(folder).meta["facts"].get("recipe") != recipe:
+        raise DataError(
+            f"{folder}: there is a scene made from something else; choose another name, or remove it (log, calibration "
+            "or options are not the same)"
+        )
+    return True
+
+
+def name_lines(name: str) -> list[str]:
+    """Return a line about a name that `data=recorded` does not read by itself."""
+    if name.startswith(tuple(f"{split}-" for split in SPLITS)):
+        return []
+    starts = ", ".join(f"{split}-" for split in SPLITS)
+    return [
+        f"data=recorded reads names that begin with one of {starts}; '{name}' has to be named in data.source.splits"
+    ]
+
+
+def plan_lines(plan: Plan, place: str) -> list[str]:
+    """Return a line on the number of frames and their times.
+
+    Raises:
+        UserError: if the time between frames is that of no car's cameras.
+    """
+    count = len(plan.times_s)
+    if count < 2:
+        return ["1 frame"]
+    step_s = float(np.median(np.diff(plan.times_s)))
+    if not SHORTEST_S <= step_s <= LONGEST_S:
+        raise UserError(
+            f"{place}: the frames are {step_s:.3g} s apart, which no camera on a car is; is the unit of the times "
+            "right (time_unit, poses_time_unit)?"
+        )
+    return [f"{count} frames, {plan.times_s[-1] - plan.times_s[0]:.1f} s, one each {step_s:.3g} s"]
 
 
 def _recipe(log: Log, plan: Plan, rig: Rig, timing: Timing, stated: Stated) -> str:
@@ -107,7 +153,7 @@ def _recipe(log: Log, plan: Plan, rig: Rig, timing: Timing, stated: Stated) -> s
         for part in (plan.times_s, plan.images, plan.world_from_ego, plan.scans)
         if part is not None
     ]
-    options = [list(timing), list(stated), rig.fingerprint, dict(log.facts)]
+    options = [list(timing), list(stated), rig.fingerprint, dict(log.facts), list(log.inputs)]
     return digest([*parts, repr(options), [] if log.scans is None else log.scans.classes.to_dict()])
 
 
@@ -118,17 +164,13 @@ def _scaled_rig(rig: Rig, stated: Stated) -> Rig:
     first = rig.cameras[0]
     width, height = (first.width, first.height) if stated.image_size is None else map(int, stated.image_size)
     try:
-        return replace(rig.resized(width, height), road_z_m=road_z_m)
+        scaled = rig.resized(width, height)
     except ValueError as error:
         raise UserError(f"image_size: the cameras cannot be brought to {width}x{height} px: {error}") from error
-
-
-def panorama_of(stated: Stated) -> Equirectangular:
-    """Return the panorama of ranges; raise ValueError naming what is impossible."""
-    if len(stated.panorama) != 4:
-        raise ValueError(f"panorama is {list(stated.panorama)}; give width and height, px, upper and lower edge, deg")
-    width, height, top_deg, bottom_deg = stated.panorama
-    return Equirectangular(int(width), int(height), float(top_deg), float(bottom_deg))
+    try:
+        return replace(scaled, road_z_m=road_z_m)
+    except ValueError as error:
+        raise UserError(str(error)) from error
 
 
 def spec_of_log(log: Log, plan: Plan, road_z_m: float) -> SourceSpec:
@@ -140,16 +182,25 @@ def spec_of_log(log: Log, plan: Plan, road_z_m: float) -> SourceSpec:
 
 
 def _write(folder: Path, report: Report, log: Log, plan: Plan, rig: Rig, stated: Stated, recipe: str) -> None:
-    shutil.rmtree(folder.with_name(f"{folder.name}.partial"), ignore_errors=True)  # perhaps of other options
+    if folder.exists():  # another process has made it while this one waited
+        report(len(plan.times_s))
+        return
     assert rig.road_z_m is not None
-    panorama = panorama_of(stated)
+    begun = folder.with_name(f"{folder.name}.partial") / BEGUN
+    if not begun.exists() or begun.read_text() != recipe:
+        shutil.rmtree(begun.parent, ignore_errors=True)  # of other options
+    panorama = panorama_of(stated.panorama)
     with closing(SceneWriter(folder)) as writer:
-        for number in range(len(plan.times_s)):
+        atomic_write(begun, recipe)
+        report(writer.num_frames)
+        for number in range(writer.num_frames, len(plan.times_s)):
             append_frame(writer, read_frame(log, plan, number, rig, panorama))
             report(1)
         facts = {"log": dict(log.facts), "start_s": float(plan.times_s[0]), "moving": stated.moving}
         facts["missing"] = [{"time_s": time_s, "lacks": names} for time_s, names in plan.missing]
-        finish_scene(writer, rig, spec_of_log(log, plan, rig.road_z_m), facts | {"recipe": recipe})
+        begun.unlink()
+        edges_deg = panorama.top_deg, panorama.bottom_deg
+        finish_scene(writer, rig, spec_of_log(log, plan, rig.road_z_m), edges_deg, facts | {"recipe": recipe})
 
 
 def read_frame(log: Log, plan: Plan, number: int, rig: Rig, panorama: Equirectangular) -> RecordedFrame:

@@ -78,7 +78,10 @@ class FrameTree:
                     queue.append(other)
         if source not in ways:
             known = ", ".join(sorted(steps)) or "none"
-            raise UserError(f"tf: there is no chain of poses from '{target}' to '{source}'; frames: {known}")
+            raise UserError(
+                f"tf: there is no chain of poses from '{target}' to '{source}'; frames: {known}. A rig file "
+                "(recorder.rig) and recorder.lidar.ego_from_lidar can state what the bag does not"
+            )
         return ways[source]
 
 

@@ -26,7 +26,7 @@ def explain(error: Exception, conf: str, config_name: str, arguments: Sequence[s
     cause = error.__cause__
     if isinstance(error, OverrideParseException):
         reason = str(error.message).removeprefix(f"Error parsing override '{error.override}'").strip().splitlines()[0]
-        remedy = "quote lists and texts with commas: 'key=[1,2]'"
+        remedy = "quote lists, and texts with commas, spaces or other signs: 'key=[1,2]', 'key=\"a b\"'"
         return f"{error.override}: this cannot be read as key=value ({reason})\n  {remedy}"
     if isinstance(error, MissingConfigException) and error.missing_cfg_file and error.options:
         group, _, option = error.missing_cfg_file.rpartition("/")

@@ -268,7 +268,7 @@ def test_a_scene_held_by_another_process_is_waited_for(tmp_path, capsys, monkeyp
     held.acquire()
     monkeypatch.setattr("omniocc.progress.Progress.wait", lambda _, text: (print(text), held.release()))
     world.prepare()
-    assert "another process (pid 4711 on elsewhere) renders train-000-downtown, waiting" in capsys.readouterr().out
+    assert "another process (pid 4711 on elsewhere) makes train-000-downtown, waiting" in capsys.readouterr().out
     assert world.missing() == []
 
 

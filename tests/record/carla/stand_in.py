@@ -387,8 +387,11 @@ class Client:
         self.world = self.world or World()
         return self.world
 
+    def get_available_maps(self):
+        return [f"/Game/Carla/Maps/{town}" for town in ("Town01", "Town02", "Town03", "Town10HD")]
+
     def load_world(self, town):
-        assert town.startswith("Town")
+        assert f"/Game/Carla/Maps/{town}" in self.get_available_maps()
         return self.get_world()
 
     def get_trafficmanager(self, port):

@@ -43,7 +43,8 @@ def recorded(tmp_path_factory):
     folder = tmp_path_factory.mktemp("carla")
     result = record(folder)
     assert result.returncode == 0, result.stderr
-    assert "1 scene; python src/train.py data=recorded" in result.stdout
+    assert f"1 scene in {folder / 'out'}" in result.stdout
+    assert f"python src/check.py data=recorded data.source.root={folder / 'out'} 'data.source.splits=" in result.stdout
     return folder / "out"
 
 
@@ -138,12 +139,27 @@ def test_a_server_that_cannot_be_used_is_one_line(tmp_path):
             record(tmp_path, version="0.9.15"),
             "the server is CARLA 0.9.15, this client 0.9.16; both must",
         ),
+        (
+            record(tmp_path, "recorder.weather=[Sunny]"),
+            "recorder.weather: there is no weather Sunny; there are ClearNight, ClearNoon",
+        ),
+        (record(tmp_path, "recorder.maps=[Town99]"), "recorder.maps: there is no map Town99; this server has Town01,"),
+        (record(tmp_path, "recorder.port=99999"), "port is 99999; ports are from 1 to 65535"),
         (bare, "this Python has no CARLA client (No module named 'carla'): pip install -e '.[carla]'"),
     ):
         assert result.returncode == 1
         assert message in result.stderr
         assert "Traceback" not in result.stderr
+        assert "begun again" not in result.stdout + result.stderr
         assert list(tmp_path.glob("**/train-000-Town01")) == []
+
+
+def test_a_scene_of_other_options_is_not_taken_for_this_one(recorded):
+    result = record(recorded.parent, "recorder.seed=3")
+    assert result.returncode == 1
+    assert "there is a scene recorded with other options" in result.stderr
+    again = record(recorded.parent)
+    assert (again.returncode, again.stderr) == (0, "")
 
 
 @pytest.mark.faults

@@ -99,7 +99,9 @@ class VoxelCache:
             make_scenes(work, [self.folder / scene.name for scene in missing], self.workers, progress)
 
     def read(self, scene: SceneFrames, frame: int) -> UInt8[Tensor, "X Y Z"]:
-        """Return the labels of one frame; where the cache is damaged, warn and vote again."""
+        """Return the labels of one frame, voted now if they are not kept; where the cache is damaged, warn as well."""
+        if not (self.folder / scene.name).exists():
+            return vote(scene, frame, self.geometry, self.unknown, self.num_classes)
         try:
             cached = self._cached.setdefault(scene.name, SceneFolder(self.folder / scene.name))
             blob = cached.read(frame, [MEMBER])[MEMBER]

@@ -69,7 +69,8 @@ def record_scene(world: "VirtualWorld", folder: Path, report: Report) -> None:
         _record_frames(world, plan, writer, report)
         facts = {"split": plan.split, "theme": plan.theme, "seed": plan.seed, "weather": world.weather_of(plan)}
         facts["recipe"] = world.recipe
-        finish_scene(writer, world.calibration_of(plan), world.spec, facts, (*SOFTWARE, "embreex"))
+        edges_deg = world.erp_top_deg, world.erp_bottom_deg
+        finish_scene(writer, world.calibration_of(plan), world.spec, edges_deg, facts, (*SOFTWARE, "embreex"))
 
 
 def _record_frames(world: "VirtualWorld", plan: ScenePlan, writer: SceneWriter, report: Report) -> None:

@@ -189,7 +189,7 @@ def _lock(folder: Path, report_wait: Callable[[str], Any] | None) -> FileLock:
     except Timeout:
         if report_wait is None:
             raise
-        report_wait(f"another process {_owner(owner)} renders {folder.name}, waiting")
+        report_wait(f"another process {_owner(owner)} makes {folder.name}, waiting")
         lock.acquire()
     owner.write_text(json.dumps({"pid": os.getpid(), "host": socket.gethostname()}))
     return lock

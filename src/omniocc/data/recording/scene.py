@@ -23,9 +23,13 @@ def append_frame(writer: SceneWriter, frame: Frame | RecordedFrame) -> None:
 
 
 def finish_scene(
-    writer: SceneWriter, rig: Rig, spec: SourceSpec, facts: Mapping[str, Any], software: Sequence[str] = SOFTWARE
-) -> None:
-    """Write the calibration, the facts about the scene and the versions of packages, and complete the scene."""
+    writer: SceneWriter, rig: Rig, spec: SourceSpec, edges_deg: tuple[float, float], facts: Mapping[str, Any],
+    software: Sequence[str] = SOFTWARE,
+) -> None:  # fmt: skip
+    """Write the calibration, the facts about the scene and the versions of packages, and complete the scene.
+
+    `edges_deg` are the elevations of the upper and lower edge of its panoramas of ranges.
+    """
     writer.attach("rig.yaml", rig.save)
     versions = {name: version(name) for name in software}
-    writer.finish({**facts, "spec": plain_spec(spec), "software": versions})
+    writer.finish({**facts, "panorama_edges_deg": list(edges_deg), "spec": plain_spec(spec), "software": versions})

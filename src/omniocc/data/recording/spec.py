@@ -1,7 +1,9 @@
 """A source's spec as plain data in the `meta.json` of its scenes."""
 
+from collections.abc import Sequence
 from typing import Any
 
+from omniocc.camera import Equirectangular
 from omniocc.classes import ClassTable
 from omniocc.data.source import SourceSpec
 from omniocc.geometry.cylinder import PAPER_RANGE_EDGES_M
@@ -11,6 +13,14 @@ from omniocc.geometry.directions import sparseocc_directions
 def recorded_spec(classes: ClassTable, frame_interval_s: float, road_z_m: float) -> SourceSpec:
     """Return the spec of scenes in our format: the bands of ranges of the paper, and the LiDAR rays of SparseOcc."""
     return SourceSpec(classes, PAPER_RANGE_EDGES_M, frame_interval_s, road_z_m, sparseocc_directions())
+
+
+def panorama_of(given: Sequence[float]) -> Equirectangular:
+    """Return the panorama of a width and height (px), an upper and a lower edge (deg); raise ValueError for others."""
+    if len(given) != 4:
+        raise ValueError(f"panorama is {list(given)}; give width and height, px, upper and lower edge, deg")
+    width, height, top_deg, bottom_deg = given
+    return Equirectangular(int(width), int(height), float(top_deg), float(bottom_deg))
 
 
 def plain_spec(spec: SourceSpec) -> dict[str, Any]:

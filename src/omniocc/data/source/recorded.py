@@ -12,7 +12,7 @@ from typing import Any
 from omniocc.camera import Rig
 from omniocc.data.labels.voxels import VoxelCache
 from omniocc.data.recording.pool import usable_cores
-from omniocc.data.recording.spec import plain_spec, read_spec
+from omniocc.data.recording.spec import panorama_of, plain_spec, read_spec
 from omniocc.data.source import SPLITS, SourceSpec, Split, Unknown
 from omniocc.data.store.files import is_url, list_folders, read_json
 from omniocc.data.store.folder import SceneFolder
@@ -36,6 +36,7 @@ class Recorded:
         workers: processes that vote for voxels; 0 votes in this process, None takes all usable cores.
         cache: folder for derived data (voxels); None puts it into `root`. A URL as root needs one.
         masks: rig file with the masks of all scenes, as `src/mask.py` writes it; None keeps those that were recorded.
+        panorama: width and height (px), upper and lower edge (deg) of the panoramas of true ranges; None: as recorded.
 
     Raises:
         ValueError: if a URL comes without a cache, `workers` is negative, or `masks` is no rig file.
@@ -43,7 +44,7 @@ class Recorded:
 
     def __init__(
         self, root: str, splits: Splits | None = None, workers: int | None = None, cache: str | None = None,
-        masks: str | None = None,
+        masks: str | None = None, panorama: Sequence[float] | None = None,
     ):  # fmt: skip
         if is_url(root) and cache is None:
             raise ValueError(f"root is a URL ({root}): set cache to a local folder, where voxels are kept")
@@ -53,6 +54,7 @@ class Recorded:
         self.cache = cache
         self.splits = splits
         self.masked = None if masks is None else Rig.load(masks)
+        self.panorama = None if panorama is None else panorama_of(panorama)
         self.workers = usable_cores() if workers is None else workers
 
     @cached_property
@@ -113,7 +115,7 @@ class Recorded:
     def scenes(self, split: Split) -> list[SceneReader]:
         """Return the scenes of a split, in order of their names."""
         locate = f"{self.root}/{{}}".format if is_url(self.root) else Path(self.root).joinpath
-        return [SceneReader(locate(name), self.masked) for name in self.names[split]]
+        return [SceneReader(locate(name), self.masked, self.panorama) for name in self.names[split]]
 
     @cached_property
     def _readers(self) -> list[SceneReader]:
@@ -160,7 +162,10 @@ def matching(pattern: str, available: Sequence[str], split: str) -> list[str]:
     names = [name for name in available if fnmatchcase(name, pattern)]
     if not names:
         close = get_close_matches(pattern, available, n=1) or available[:1]
-        raise DataError(f"data.source.splits.{split}: no scene is called '{pattern}'; there is '{close[0]}'")
+        raise DataError(
+            f"data.source.splits.{split}: no scene is called '{pattern}'; there is '{close[0]}'. "
+            "Record scenes for this split, or say which there are: 'data.source.splits={train:1,val:0,test:0}'"
+        )
     return names
 
 

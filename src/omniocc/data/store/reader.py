@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from omniocc.camera import Rig
+from omniocc.camera import Equirectangular, Rig
 from omniocc.data.source import LidarScan, Points
 from omniocc.data.store.codec import LIDAR, PANORAMA, POINTS, decode_image, decode_lidar, decode_points, decode_range
 from omniocc.data.store.folder import SceneFolder
+from omniocc.data.store.panorama import resampled
 from omniocc.data.store.raster import unpack
 from omniocc.errors import DataError
 from omniocc.geometry.directions import sparseocc_directions
@@ -32,14 +33,15 @@ class SceneReader(SceneFolder):
     Args:
         folder: as in `SceneFolder`.
         masked: rig whose masks are used instead of the recorded ones; None keeps these.
+        panorama: of the true ranges; None: as they were recorded.
     """
 
-    def __init__(self, folder: Path | str, masked: Rig | None = None):
+    def __init__(self, folder: Path | str, masked: Rig | None = None, panorama: Equirectangular | None = None):
         super().__init__(folder)
-        self.masked = masked
+        self.masked, self.panorama = masked, panorama
 
     def __getstate__(self) -> dict[str, Any]:
-        return super().__getstate__() | {"masked": self.masked}
+        return super().__getstate__() | {"masked": self.masked, "panorama": self.panorama}
 
     @property
     def world_from_ego(self) -> np.ndarray:
@@ -105,7 +107,17 @@ class SceneReader(SceneFolder):
 
     def erp_range_m(self, frame: int) -> np.ndarray | None:
         """Return the true panorama of range around the ego origin, (h, w) float32, m; inf for sky, nan unknown."""
-        return decode_range(self._member(frame, PANORAMA)) if self.has(PANORAMA) else None
+        if not self.has(PANORAMA):
+            return None
+        range_m = decode_range(self._member(frame, PANORAMA))
+        return range_m if self.panorama is None else resampled(range_m, self._recorded(range_m), self.panorama)
+
+    def _recorded(self, range_m: np.ndarray) -> Equirectangular:
+        """Return the recorded panorama; where its edges are not stated, they are the wanted ones."""
+        assert self.panorama is not None
+        height, width = range_m.shape
+        edges = self.meta["facts"].get("panorama_edges_deg", (self.panorama.top_deg, self.panorama.bottom_deg))
+        return Equirectangular(width, height, *edges)
 
     def lidar(self, frame: int) -> LidarScan | None:
         """Return the hits of the ego LiDAR."""

@@ -71,6 +71,7 @@ def record(carla, job, messages):
     check_alone(world)
     if job.get("restore"):
         return asynchronous(world)
+    check_names(carla, client, job)
     client.set_timeout(job["load_s"])
     world = client.load_world(job["town"])
     client.set_timeout(job["timeout_s"])
@@ -89,9 +90,9 @@ def record(carla, job, messages):
 
 def connect(carla, job, messages):
     """Return the client; tell the recorder the versions."""
-    client = carla.Client(job["host"], job["port"])
-    client.set_timeout(job["connect_s"])
     try:
+        client = carla.Client(job["host"], job["port"])
+        client.set_timeout(job["connect_s"])
         server = client.get_server_version()
     except RuntimeError as error:
         raise RecordingError("nobody", str(error)) from error
@@ -101,6 +102,18 @@ def connect(carla, job, messages):
         raise RecordingError("version", f"the server is CARLA {server}, this client {own}")
     client.set_timeout(job["timeout_s"])
     return client
+
+
+def check_names(carla, client, job):
+    """Raise RecordingError for a town or a weather that does not exist here."""
+    towns = sorted(name.split("/")[-1] for name in client.get_available_maps())
+    if job["town"] not in towns:
+        raise RecordingError("maps", "there is no map {}; this server has {}".format(job["town"], ", ".join(towns)))
+    weathers = sorted(name for name in dir(carla.WeatherParameters) if name[0].isupper())
+    if job["weather"] not in weathers:
+        raise RecordingError(
+            "weather", "there is no weather {}; there are {}".format(job["weather"], ", ".join(weathers))
+        )
 
 
 def release(version):

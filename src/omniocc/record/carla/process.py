@@ -117,6 +117,8 @@ def explain(reason: str, message: str, job: dict[str, Any]) -> CarlaError:
         "version": (
             f"{place}: {message}; both must be of one version: set recorder.python to a Python with the server's client"
         ),
+        "maps": f"recorder.maps: {message}",
+        "weather": f"recorder.weather: {message}",
         "busy": f"{place}: {message}; use another server, or wait",
         "scene": message,
     }

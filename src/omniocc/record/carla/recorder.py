@@ -14,14 +14,15 @@ from typing import Any, NamedTuple
 import torch
 from filelock import AcquireReturnProxy, FileLock, Timeout
 
-from omniocc.camera import Equirectangular, Rig
+from omniocc.camera import Rig
 from omniocc.classes import WORLD_CLASSES
 from omniocc.data.formats.poses import inverse
 from omniocc.data.recording.scene import append_frame, finish_scene
-from omniocc.data.recording.spec import recorded_spec
+from omniocc.data.recording.spec import panorama_of, recorded_spec
 from omniocc.data.source import SPLITS, Split
-from omniocc.data.store.shard import SceneWriter
-from omniocc.errors import UserError
+from omniocc.data.store.reader import SceneReader
+from omniocc.data.store.shard import SceneWriter, digest
+from omniocc.errors import DataError, UserError
 from omniocc.progress import Progress
 from omniocc.record.carla.check import Finding, check_frames
 from omniocc.record.carla.frames import RawFrame, make_frame, vehicle_in_ego
@@ -33,6 +34,8 @@ from omniocc.world.render.own_car import grown, masking, road_of, show_ego_car
 WEATHERS = ("ClearNoon", "CloudyNoon", "WetNoon", "HardRainNoon", "ClearSunset", "CloudySunset", "WetSunset")
 """Weathers that scenes take in turn where none is given: presets of `carla.WeatherParameters`."""
 CHECKED_FRAMES = 5
+RETRY_SEED = 10**9
+"""Added to the seed of a scene for every time that it is begun again."""
 SETTLE_S = 15.0
 """Time that a server gets to start again, s."""
 
@@ -88,7 +91,7 @@ class CarlaRecorder:
         self, host: str, port: int, traffic_port: int, python: str | None, restart: str | None, maps: Sequence[str],
         scenes: int, frames: int, warm_up: int, interval_s: float, weather: Sequence[str] | None, vehicles: int,
         walkers: int, ego: str, rig: str, image_size: tuple[int, int], panorama: tuple[int, int, float, float],
-        lidars: int, camera: dict[str, Any], splits: Sequence[Split], seed: int, timeout_s: float, load_s: float,
+        lidars: int, camera: dict[str, Any] | None, splits: Sequence[Split], seed: int, timeout_s: float, load_s: float,
         stuck_s: float, attempts: int,
     ):  # fmt: skip
         for name, value, least in (
@@ -97,6 +100,9 @@ class CarlaRecorder:
         ):  # fmt: skip
             if value < least:
                 raise ValueError(f"{name} must be at least {least}, got {value}")
+        for name, value in (("port", port), ("traffic_port", traffic_port)):
+            if not 0 < value < 2**16:
+                raise ValueError(f"{name} is {value}; ports are from 1 to 65535")
         if not 0 < interval_s <= 0.1:
             raise ValueError(f"interval_s is {interval_s}; it must be above 0, and CARLA's physics allows at most .1 s")
         if not maps:
@@ -109,7 +115,7 @@ class CarlaRecorder:
         self.scenes, self.frames, self.interval_s, self.seed = scenes, frames, interval_s, seed
         self.rig = show_ego_car(Rig.load(rig).resized(*image_size))  # CARLA has cars of other shapes
         self.vehicle_from_ego = inverse(vehicle_in_ego(self.rig))
-        self.panorama, self.lidars, self.camera = Equirectangular(*panorama), lidars, dict(camera)
+        self.panorama, self.lidars, self.camera = panorama_of(panorama), lidars, dict(camera or {})
         self.splits, self.attempts = tuple(splits), attempts
         self.load_s, self.silence_s = load_s, 2 * timeout_s
         self._job = {
@@ -138,11 +144,29 @@ class CarlaRecorder:
         """
         root.mkdir(parents=True, exist_ok=True)
         plans = self.plans
-        missing = [plan for plan in plans if not (root / plan.name).is_dir()]
+        missing = [plan for plan in plans if not self._is_made(root / plan.name, plan)]
         with self._alone(root), Progress(f"recording {root}", len(missing) * self.frames) as progress:
             for plan in missing:
                 self._record_scene(root / plan.name, plan, progress)
         return [root / plan.name for plan in plans]
+
+    def recipe(self, plan: Plan) -> str:
+        """Return a hash of everything that decides a scene but for the server."""
+        of_server = ("host", "port", "traffic_port", "connect_s", "timeout_s", "load_s", "stuck_s", "restore")
+        job = {key: value for key, value in self.job(plan).items() if key not in of_server}
+        panorama = [self.panorama.width, self.panorama.height, self.panorama.top_deg, self.panorama.bottom_deg]
+        return digest([job, list(plan), self.rig.fingerprint, panorama])
+
+    def _is_made(self, folder: Path, plan: Plan) -> bool:
+        """Return whether a scene exists; raise DataError if it was recorded with other options."""
+        if not folder.is_dir():
+            return False
+        if SceneReader(folder).meta["facts"].get("recipe") != self.recipe(plan):
+            raise DataError(
+                f"{folder}: there is a scene recorded with other options (rig, sensors, traffic, frames or seed); "
+                "choose another output=..., or remove it"
+            )
+        return True
 
     def sensors(self, seed: int) -> list[Spec]:
         """Return the sensors of a scene."""
@@ -197,7 +221,7 @@ class CarlaRecorder:
         for attempt in range(self.attempts):
             done = 0
             try:
-                tried = plan._replace(seed=plan.seed + 500_000 * attempt)  # other traffic than the one that failed
+                tried = plan._replace(seed=plan.seed + RETRY_SEED * attempt)  # other traffic than the one that failed
                 for _ in self._frames(folder, tried):
                     progress.advance()
                     done += 1
@@ -213,6 +237,7 @@ class CarlaRecorder:
     def _frames(self, folder: Path, plan: Plan) -> Iterator[None]:
         """Record one scene; yield after every frame."""
         shutil.rmtree(folder.with_name(folder.name + ".partial"), ignore_errors=True)
+        recipe = self.recipe(plan._replace(seed=plan.seed % RETRY_SEED))
         with (
             closing(SceneWriter(folder)) as writer,
             captured(self.python, self.job(plan), self.load_s, self.silence_s) as messages,
@@ -228,10 +253,11 @@ class CarlaRecorder:
                 append_frame(writer, frame)
                 yield
             facts = {"recorder": "carla", "theme": plan.town, **plan._asdict(), "tags": tags, "lidars": self.lidars}
-            facts |= {key: hello[key] for key in ("server", "client")}
+            facts |= {"recipe": recipe} | {key: hello[key] for key in ("server", "client")}
             facts |= {key: self._job[key] for key in ("vehicles", "walkers", "ego")}
             spec = recorded_spec(WORLD_CLASSES, self.interval_s, road_of(self.rig))
-            finish_scene(writer, rig, spec, facts)
+            edges_deg = self.panorama.top_deg, self.panorama.bottom_deg
+            finish_scene(writer, rig, spec, edges_deg, facts)
 
     def _release_server(self) -> None:
         """Let a server run freely that a killed process left waiting; it may be gone."""
