@@ -25,7 +25,7 @@ from omniocc.run.script import quiet_libraries, script
 from omniocc.run.slots import sketch_learns
 from omniocc.run.wandb.loggers import finish
 from omniocc.task import OccupancyTask, StepProgress, TrainingTime
-from omniocc.task.build import build_task, switch_off_head
+from omniocc.task.build import build_task, check_devices, switch_off_head
 from omniocc.task.images import OccupancyImages
 from omniocc.task.stage_keys import wanted_stages
 from omniocc.task.stages import Stages
@@ -39,6 +39,7 @@ def main(cfg: DictConfig) -> None:
     check_root(cfg)
     quiet_libraries()
     keep_freed_memory()
+    check_devices(cfg.trainer)
     stages, with_evidence = wanted_stages(cfg), False
     data: OccupancyData = build(cfg.data)
     data.check_classes()

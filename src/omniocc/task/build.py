@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from lightning.fabric.utilities.exceptions import MisconfigurationException
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from omniocc.config import build, plain
@@ -17,6 +18,20 @@ PARTS = ("model", "loss", "optimizer", "augment")
 
 
 NO_HEAD = "omniocc.model.semantic_head.NoSemanticHead"
+
+
+def check_devices(trainer: DictConfig) -> None:
+    """Check that this machine has what the trainer asks for, before anything is made.
+
+    Raises:
+        UserError: naming the option.
+    """
+    try:
+        build(trainer, logger=False, enable_checkpointing=False)
+    except MisconfigurationException as error:
+        reason = str(error).strip().splitlines()[0]
+        asked = " ".join(f"trainer.{key}={trainer[key]}" for key in ("accelerator", "devices", "strategy"))
+        raise UserError(f"{asked}: this machine cannot do that ({reason})") from error
 
 
 def switch_off_head(cfg: DictConfig, scenes: Sequence[SceneFrames]) -> str | None:
