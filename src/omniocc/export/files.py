@@ -60,8 +60,9 @@ def export_files(options: Options) -> str:
     print(f"writing {output}", file=sys.stderr, flush=True)
     write_program(program, contract, output)
     facts = {"program": output.name, "checkpoint": str(options.checkpoint), "torch": torch.__version__}
-    atomic_write(output.with_suffix(".json"), json.dumps(facts | contract, indent=2) + "\n")
-    return f"{output}: {output.stat().st_size / 2**20:.0f} MiB; inputs and outputs: {output.with_suffix('.json')}"
+    described = output.with_name(f"{output.name}.json")
+    atomic_write(described, json.dumps(facts | contract, indent=2) + "\n")
+    return f"{output}: {output.stat().st_size / 2**20:.0f} MiB; inputs and outputs: {described}"
 
 
 def scale_rig(rig: Rig, width: int) -> Rig:
