@@ -1,5 +1,6 @@
 """How often each cell has each class: counted over frames, kept on disk."""
 
+import math
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -7,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import torch
 import zstandard
+from filelock import FileLock
 from jaxtyping import Int64
 from torch import Tensor
 
@@ -20,17 +22,25 @@ Frames = Sequence[tuple[SceneFrames, int]]
 def count_classes(
     labels: VoxelLabels, frames: Frames, num_classes: int, shape: Sequence[int], progress: Progress | None = None
 ) -> Int64[Tensor, "C X Y Z"]:
-    """Return in how many of these frames each cell has each class, unknown excluded, for a grid of this shape."""
-    counts = torch.zeros(num_classes, *shape, dtype=torch.int64)
+    """Return in how many of these frames each cell has each class, unknown excluded, for a grid of this shape.
+
+    Most cells are free (class 0), so the others are counted and the free ones are what is left.
+    """
+    counts = torch.zeros(num_classes, math.prod(shape), dtype=torch.int64)
+    unknown, read = torch.zeros(math.prod(shape), dtype=torch.int64), 0
     for scene, frame in frames:
         cells = labels.read(scene, frame)
         if cells is not None:
-            flat = cells.flatten().long()
-            known = flat < num_classes
-            counts.view(-1)[(flat * len(flat) + torch.arange(len(flat)))[known]] += 1
+            place = cells.flatten().nonzero().squeeze(1)
+            label = cells.flatten()[place].long()
+            known = label < num_classes
+            counts.view(-1)[label[known] * counts.shape[1] + place[known]] += 1
+            unknown[place[~known]] += 1
+            read += 1
         if progress is not None:
             progress.advance()
-    return counts
+    counts[0] = read - counts.sum(dim=0) - unknown
+    return counts.view(num_classes, *shape)
 
 
 def all_frames(scenes: Sequence[SceneFrames]) -> list[tuple[SceneFrames, int]]:
@@ -42,13 +52,21 @@ def kept_counts(
     path: Path, shape: Sequence[int], count: Callable[[], Int64[Tensor, "C X Y Z"]]
 ) -> Int64[Tensor, "C X Y Z"]:
     """Return the counts (C, X, Y, Z) = `shape` in a file; where it is missing or damaged, count and write it."""
-    if path.exists():
-        try:
-            raw = zstandard.ZstdDecompressor().decompress(path.read_bytes())
-            return torch.from_numpy(np.frombuffer(bytearray(raw), dtype="<i8").astype(np.int64)).reshape(tuple(shape))
-        except (zstandard.ZstdError, ValueError, RuntimeError) as error:
-            warnings.warn(f"{path} is damaged ({error}); it is counted again", stacklevel=2)
-    counts = count()
-    compressor = zstandard.ZstdCompressor(level=3, write_checksum=True)
-    atomic_write(path, compressor.compress(counts.numpy().astype("<i8").tobytes()))
+    with FileLock(path.with_suffix(".lock")):  # of the processes of a run the first counts, the others wait
+        counts = _read(path, shape)
+        if counts is None:
+            counts = count()
+            compressor = zstandard.ZstdCompressor(level=3, write_checksum=True)
+            atomic_write(path, compressor.compress(counts.numpy().astype("<i8").tobytes()))
     return counts
+
+
+def _read(path: Path, shape: Sequence[int]) -> Int64[Tensor, "C X Y Z"] | None:
+    if not path.exists():
+        return None
+    try:
+        raw = zstandard.ZstdDecompressor().decompress(path.read_bytes())
+        return torch.from_numpy(np.frombuffer(bytearray(raw), dtype="<i8").astype(np.int64)).reshape(tuple(shape))
+    except (zstandard.ZstdError, ValueError, RuntimeError) as error:
+        warnings.warn(f"{path} is damaged ({error}); it is counted again", stacklevel=2)
+        return None

@@ -14,7 +14,7 @@ from jaxtyping import Int64, UInt8
 from torch import Tensor
 
 from omniocc.classes import NUM_CLASSES, UNKNOWN
-from omniocc.data.labels.counts import all_frames, count_classes, kept_counts
+from omniocc.data.labels.counts import Frames, all_frames, count_classes, kept_counts
 from omniocc.data.labels.observed import OBSERVED_VERSION, observed
 from omniocc.data.recording.pool import Report, make_scenes
 from omniocc.data.source import SceneFrames, Unknown
@@ -118,8 +118,11 @@ class VoxelCache:
         """Return the number of frames in which each cell has each class, unknown excluded; kept on disk."""
         path = self.folder / f"counts-{digest([self.fingerprint, [scene.name for scene in scenes]])[:12]}.zst"
         shape = (self.num_classes, *self.geometry.shape)
-        frames = all_frames(scenes)
-        return kept_counts(path, shape, lambda: count_classes(self, frames, self.num_classes, self.geometry.shape))
+        return kept_counts(path, shape, lambda: self._count(all_frames(scenes)))
+
+    def _count(self, frames: Frames) -> Int64[Tensor, "C X Y Z"]:
+        with Progress("frequencies of the classes", len(frames)) as progress:
+            return count_classes(self, frames, self.num_classes, self.geometry.shape, progress)
 
     def _opens(self, scene: SceneFrames) -> bool:
         folder = self.folder / scene.name
