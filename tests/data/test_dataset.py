@@ -124,7 +124,7 @@ def test_a_damaged_voxel_cache_costs_a_warning_and_gives_the_same_labels(own_wor
 def test_damaged_recordings_are_one_error_naming_scene_frame_and_member(own_world):
     data = dataset(own_world)
     shard = data.scenes[1].folder / "frames-000.tar"
-    offset = data.scenes[1].index["frames"][0]["offset"][1]
+    offset = data.scenes[1].index.offset[0, 1]
     raw = bytearray(shard.read_bytes())
     raw[offset + 100] ^= 255
     shard.write_bytes(raw)

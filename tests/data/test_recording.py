@@ -35,7 +35,7 @@ def test_recorded_frames_equal_those_of_the_world(tmp_path):
     assert check_scene(reader, 2, 0.5) == []
     rig = Rig.load("fisheye6").resized(48, 27)
     frame = Scene("suburb", 1_000_000, rig, 0.5, 2, (32, 8), 45.0, -45.0).frame(1)
-    back = codec.decode_frame(reader.read(1, reader.index["members"]))
+    back = codec.decode_frame(reader.read(1, reader.index.members))
     assert reader.rig == rig
     np.testing.assert_array_equal(back.semantics, frame.semantics)
     np.testing.assert_array_equal(back.lidar_labels, frame.lidar_labels)

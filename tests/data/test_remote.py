@@ -99,7 +99,7 @@ def test_samples_are_the_same_from_a_store(world, url, tmp_path):
 def test_members_side_by_side_are_one_request(world):
     server, url = serve(world.root, RangeHandler)
     reader = SceneReader(f"{url}/{world.name}/train-000-downtown")
-    assert len(reader.index["frames"]) == 4
+    assert len(reader.index.shard) == 4
     RangeHandler.asked.clear()
     names = [f"rgb{k}.jpg" for k in range(6)]
     assert reader.read(2, names) == world.scenes("train")[0].read(2, names)
@@ -123,7 +123,7 @@ def test_damage_in_a_store_is_named(world):
     place = f"/harmed/{world.name}/train-000-downtown"
     reader = SceneReader(f"memory:/{place}")
     raw = bytearray(store.cat(f"{place}/frames-000.tar"))
-    raw[reader.index["frames"][0]["offset"][3] + 9] ^= 1
+    raw[reader.index.offset[0, 3] + 9] ^= 1
     store.pipe(f"{place}/frames-000.tar", bytes(raw))
     with pytest.raises(DataError, match=r"frame 0.*rgb2\.jpg.*checksum.*[Cc]opy"):
         reader.read(0, ["rgb2.jpg"])

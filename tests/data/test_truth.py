@@ -47,7 +47,7 @@ def scene(tmp_path_factory):
 
 def true_rays(scene, frame):
     """Where the rays of the ego LiDAR and of all pixels end, and on what."""
-    recorded = codec.decode_frame(scene.read(frame, scene.index["members"]))
+    recorded = codec.decode_frame(scene.read(frame, scene.index.members))
     ends = [ego_directions() * np.where(np.isfinite(recorded.lidar_range_m), recorded.lidar_range_m, np.nan)[:, None]]
     labels = [recorded.lidar_labels]
     for k in range(len(scene.rig.cameras)):
@@ -103,7 +103,7 @@ def test_most_of_what_rays_pass_is_observed_and_free(scene):
 def test_the_other_ways_to_label_and_to_capture_see_the_same_street(scene, tmp_path):
     other = record(tmp_path, frames=1, label_mode="geometry", capture="cubemap")
     assert check_scene(other, 1, 0.5) == []
-    ours, theirs = (codec.decode_frame(reader.read(0, reader.index["members"])) for reader in (scene, other))
+    ours, theirs = (codec.decode_frame(reader.read(0, reader.index.members)) for reader in (scene, other))
     assert (ours.semantics == theirs.semantics).mean() > 0.95
     voxels, complete = (vote(reader, 0, GRID).numpy() for reader in (scene, other))
     # nearer than 4 m cells of a cylinder are narrower than `geometry` spreads its points: it leaves gaps there
@@ -123,7 +123,7 @@ def test_another_rig_needs_no_code(tmp_path, count):
     Rig((base.cameras[0],) * count, poses @ base.ego_from_camera[0], names).save(tmp_path / "rig.yaml")
     scene = record(tmp_path, str(tmp_path / "rig.yaml"), (48, 27), frames=1)
     assert check_scene(scene, 1, 0.5) == []
-    frame = codec.decode_frame(scene.read(0, scene.index["members"]))
+    frame = codec.decode_frame(scene.read(0, scene.index.members))
     assert frame.images.shape == (count, 27, 48, 3)
     assert scene.rig.names == names
     forward = np.unique(frame.semantics[0])

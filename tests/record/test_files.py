@@ -79,10 +79,10 @@ def test_ranges_are_those_of_the_points_and_sparse(recorder, original, tmp_path)
 
 def test_a_scene_without_lidar_has_images_and_poses_alone(recorder, original, tmp_path):
     scene = record(recorder, tmp_path)
-    assert scene.index["members"] == ["frame.json", *(f"rgb{k}.jpg" for k in range(len(original.rig.names)))]
+    assert scene.index.members == ("frame.json", *(f"rgb{k}.jpg" for k in range(len(original.rig.names))))
     parts = scene.points, scene.erp_range_m, scene.camera_range_m, scene.pixel_labels, scene.lidar
     assert [part(0) for part in parts] == [None] * 5
-    frame = decode_frame(scene.read(0, scene.index["members"]))
+    frame = decode_frame(scene.read(0, scene.index.members))
     assert frame.points_m is frame.range_m is frame.semantics is None
     assert observed(scene, 0, GRID).sum() == 0
     with pytest.raises(DataError, match=r"no points are recorded.*not training"):

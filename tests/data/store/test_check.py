@@ -27,9 +27,9 @@ def test_a_whole_scene_has_no_problem(scene):
 
 def test_a_flipped_byte_anywhere_in_a_shard_is_found(scene):
     shard = scene.folder / "frames-001.tar"
-    frame = next(at for at, record in enumerate(scene.index["frames"]) if record["shard"] == 1)
-    member = scene.index["members"].index("range2.zst")
-    offset = scene.index["frames"][frame]["offset"][member]
+    frame = scene.index.shard.tolist().index(1)
+    member = scene.index.members.index("range2.zst")
+    offset = scene.index.offset[frame, member]
     whole = shard.read_bytes()
     for at, words in (
         (offset + 3, f"frame {frame}, member 'range2.zst': checksum differs"),

@@ -116,9 +116,9 @@ def damaged_read(folder, frame, member="b.bin"):
 def test_a_flipped_byte_is_named(tmp_path):
     write(tmp_path / "scene")
     shard = tmp_path / "scene" / "frames-001.tar"
-    record = SceneReader(tmp_path / "scene").index["frames"][4]
+    offset = SceneReader(tmp_path / "scene").index.offset[4, 1]
     raw = bytearray(shard.read_bytes())
-    raw[record["offset"][1] + 17] ^= 4
+    raw[offset + 17] ^= 4
     shard.write_bytes(raw)
     message = damaged_read(tmp_path / "scene", 4)
     assert str(shard) in message

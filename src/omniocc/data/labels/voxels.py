@@ -130,7 +130,7 @@ class VoxelCache:
         if not folder.exists():
             return False
         try:
-            return len(cached.index["frames"]) == len(scene)
+            return len(cached.index.shard) == len(scene)
         except DataError as error:
             warnings.warn(f"voxels are voted anew: {error}", stacklevel=2)
             shutil.rmtree(folder)

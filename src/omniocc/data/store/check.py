@@ -79,18 +79,18 @@ def _files(scene: SceneReader) -> Iterator[str]:
 
 
 def _frames(scene: SceneReader, num_frames: int) -> Iterator[str]:
-    records, members = scene.index["frames"], scene.index["members"]
-    if not len(scene) == len(records) == num_frames:
-        yield str(scene.damaged(INDEX, f"{len(records)} frames instead of {num_frames}"))
-    shards = sorted({shard_name(record["shard"]) for record in records})
+    numbers, members = scene.index.shard.tolist(), scene.index.members
+    if not len(scene) == len(numbers) == num_frames:
+        yield str(scene.damaged(INDEX, f"{len(numbers)} frames instead of {num_frames}"))
+    shards = sorted({shard_name(number) for number in numbers})
     existing = {name for name in shards if _exists(scene, name)}
-    for frame, record in enumerate(records):
+    for frame, number in enumerate(numbers):
         try:
-            if shard_name(record["shard"]) in existing:
+            if shard_name(number) in existing:
                 scene.read(frame, members)
         except DataError as error:
             yield str(error)
-    names = [member_name(frame, member) for frame in range(len(records)) for member in members]
+    names = [member_name(frame, member) for frame in range(len(numbers)) for member in members]
     try:
         if len(existing) == len(shards) and list(_tar_names(scene, shards)) != names:
             yield str(scene.damaged(shards[0], "the shards do not list all members in order"))
@@ -140,9 +140,9 @@ def _poses(scene: SceneReader) -> Iterator[str]:
 
 
 def _content(scene: SceneReader, frame: int) -> Iterator[str]:
-    shard = shard_name(scene.index["frames"][frame]["shard"])
+    shard = shard_name(int(scene.index.shard[frame]))
     try:
-        recorded = decode_frame(scene.read(frame, scene.index["members"]))
+        recorded = decode_frame(scene.read(frame, scene.index.members))
     except Exception as error:  # decoders raise errors of many kinds
         yield str(scene.damaged(shard, f"it cannot be decoded ({type(error).__name__}: {error})", frame))
         return

@@ -3,14 +3,54 @@
 import hashlib
 import json
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float64, Int32, Int64, UInt32
 
 from omniocc.data.store.files import Files, is_url, read_members
 from omniocc.data.store.shard import INDEX, META, SCHEMA, digest, shard_name
 from omniocc.errors import DataError
+
+
+class Index(NamedTuple):
+    """Where the members of the frames of a scene lie; arrays, since a scene of the paper has 60,000 members.
+
+    Attributes:
+        members: names of the members of a frame.
+        shard: number of the shard of every frame.
+        offset: of every member in its shard, bytes.
+        size: of every member, bytes.
+        crc32: checksum of every member.
+        time_s: of every frame since the scene began; empty for scenes of derived data.
+        world_from_ego: ego poses; empty for scenes of derived data.
+    """
+
+    members: tuple[str, ...]
+    shard: Int32[np.ndarray, " F"]
+    offset: Int64[np.ndarray, "F M"]
+    size: Int32[np.ndarray, "F M"]
+    crc32: UInt32[np.ndarray, "F M"]
+    time_s: Float64[np.ndarray, " T"]
+    world_from_ego: Float64[np.ndarray, "T 4 4"]
+
+
+def read_index(plain: Mapping[str, Any]) -> Index:
+    """Return the index that `index.json` holds; raise KeyError, TypeError or ValueError if something is missing."""
+    frames, members = plain["frames"], tuple(plain["members"])
+    entries = [frame["entry"] for frame in frames if frame["entry"]]
+    offset, size, crc32 = (
+        np.array([frame[key] for frame in frames], dtype).reshape(len(frames), len(members))
+        for key, dtype in (("offset", np.int64), ("size", np.int32), ("crc32", np.uint32))
+    )
+    return Index(
+        members, np.array([frame["shard"] for frame in frames], np.int32), offset, size, crc32,
+        np.array([entry["time_s"] for entry in entries], np.float64),
+        np.array([entry["world_from_ego"] for entry in entries] or np.empty((0, 4, 4)), np.float64),
+    )  # fmt: skip
 
 
 class SceneFolder:
@@ -48,19 +88,22 @@ class SceneFolder:
         return meta
 
     @cached_property
-    def index(self) -> dict[str, Any]:
-        """Return the members' names, and each frame's shard, offsets, sizes, checksums and entry."""
-        return self._json(INDEX, self.checked(INDEX))
+    def index(self) -> Index:
+        """Return where every member of every frame lies."""
+        plain = self._json(INDEX, self.checked(INDEX))
+        try:
+            return read_index(plain)
+        except (KeyError, TypeError, ValueError) as error:
+            raise self.damaged(INDEX, f"it is no index ({error!r})") from error
 
     def __len__(self) -> int:
         return self.meta["frames"]
 
     def read(self, frame: int, members: Sequence[str]) -> dict[str, bytes]:
         """Return the named members of one frame, each compared with its checksum."""
-        record = self.index["frames"][frame]
-        shard = shard_name(record["shard"])
+        index, shard = self.index, shard_name(int(self.index.shard[frame]))
         columns = [self._column(member) for member in members]
-        offsets, sizes = ([record[key][column] for column in columns] for key in ("offset", "size"))
+        offsets, sizes = (part[frame, columns].tolist() for part in (index.offset, index.size))
         try:
             blobs = read_members(self.files, shard, offsets, sizes)
         except FileNotFoundError as error:
@@ -68,9 +111,9 @@ class SceneFolder:
         except Exception as error:  # each kind of store has errors of its own
             raise self.unreadable(shard, error) from error
         for member, column, blob in zip(members, columns, blobs, strict=True):
-            if len(blob) != record["size"][column]:
+            if len(blob) != index.size[frame, column]:
                 raise self.damaged(shard, "the file is cut short", frame, member)
-            if zlib.crc32(blob) != record["crc32"][column]:
+            if zlib.crc32(blob) != index.crc32[frame, column]:
                 raise self.damaged(shard, "checksum differs", frame, member)
         return dict(zip(members, blobs, strict=True))
 
@@ -93,9 +136,9 @@ class SceneFolder:
         return {"folder": self.folder}
 
     def _column(self, member: str) -> int:
-        if member not in self.index["members"]:
-            raise self.damaged(INDEX, f"it has no member '{member}' (it has: {', '.join(self.index['members'])})")
-        return self.index["members"].index(member)
+        if member not in self.index.members:
+            raise self.damaged(INDEX, f"it has no member '{member}' (it has: {', '.join(self.index.members)})")
+        return self.index.members.index(member)
 
     def checked(self, name: str) -> bytes:
         """Return the content of a file of the scene, compared with its checksum."""

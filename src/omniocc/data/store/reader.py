@@ -46,16 +46,12 @@ class SceneReader(SceneFolder):
     @property
     def world_from_ego(self) -> np.ndarray:
         """Return the pose of every frame, (F, 4, 4) float64."""
-        return self._poses
+        return self.index.world_from_ego
 
-    @cached_property
-    def _poses(self) -> np.ndarray:
-        return np.array([frame["entry"]["world_from_ego"] for frame in self.index["frames"]], dtype=np.float64)
-
-    @cached_property
+    @property
     def time_s(self) -> np.ndarray:
         """Return the time of every frame since the scene began, (F,) float64."""
-        return np.array([frame["entry"]["time_s"] for frame in self.index["frames"]], dtype=np.float64)
+        return self.index.time_s
 
     @cached_property
     def rig(self) -> Rig:
@@ -132,7 +128,7 @@ class SceneReader(SceneFolder):
 
     def has(self, member: str) -> bool:
         """Return whether the frames of the scene have a member of this name."""
-        return member in self.index["members"]
+        return member in self.index.members
 
     def _member(self, frame: int, name: str) -> bytes:
         return self.read(frame, [name])[name]

@@ -45,7 +45,7 @@ def facts_of(scenes: Sequence[SceneReader], shown: int, geometry: Grid) -> dict[
 
 def own_row(scenes: Sequence[SceneReader], twins: Sequence[SceneReader | None]) -> tuple[Any, ...]:
     """Return our row of the paper's Table I; voxels of any grid can be voted from recorded points."""
-    members = set.intersection(*(set(scene.index["members"]) for scene in scenes))
+    members = set.intersection(*(set(scene.index.members) for scene in scenes))
     voxels, dense = "points.zst" in members, {"semantic0.zst", "range0.zst"} <= members
     cameras = [camera for scene in (*scenes, *filter(None, twins)) for camera in scene.rig.cameras]
     pinhole = any(isinstance(camera, Pinhole) for camera in cameras)

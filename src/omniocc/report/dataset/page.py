@@ -104,7 +104,7 @@ def _pinholes(twin: SceneReader | None, time_s: float) -> dict[str, Any]:
 
 
 def _frame(scene: SceneReader, number: int, geometry: Grid, classes: ClassTable) -> dict[str, Any]:
-    frame = decode_frame(scene.read(number, scene.index["members"]))
+    frame = decode_frame(scene.read(number, scene.index.members))
     order, palette = _order(scene.rig), classes.palette
     return {
         "number": number,
