@@ -1,11 +1,16 @@
-"""Hydra's command line on Python 3.14; older Pythons get the check of 3.14 here."""
+"""The command line of scripts: help that is cut off, and Python 3.14, whose check older Pythons get here."""
 
 import argparse
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 from hydra._internal.utils import get_args_parser
 
 from omniocc.run.script import accept_lazy_help
+
+SRC = Path(__file__).parents[2] / "src"
 
 
 @pytest.fixture
@@ -52,3 +57,10 @@ def test_hydra_starts_and_strings_are_checked_as_before():
     for wrapped in (mistake, accept_lazy_help(mistake)):
         with pytest.raises(ValueError, match="help string"):
             wrapped()
+
+
+def test_help_may_be_cut_off_by_a_pager():
+    command = [sys.executable, str(SRC / "record.py"), "--help"]
+    script = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    script.stdout.close()
+    assert (script.stderr.read(), script.wait(60)) == ("", 0)

@@ -70,6 +70,8 @@ def script(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callabl
                 run(*args)
             except UserError as error:
                 sys.exit(str(error))
+            except BrokenPipeError:  # `head` or a pager has seen enough
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             except (HydraException, OmegaConfBaseException) as error:
                 sys.exit(explain(error, conf, config_name, sys.argv[1:]))
             finally:
