@@ -28,7 +28,7 @@ from omniocc.report.tables.paper import PaperTable, as_csv, as_latex, as_markdow
 from omniocc.run.folder import METRICS
 from omniocc.run.table import markdown
 
-GENERATED = "<!-- Written by `python src/report.py --docs`; do not edit. -->"
+GENERATED = "<!-- Written by `python src/report.py --runs docs/results/runs --docs docs/results`; do not edit. -->"
 
 
 class Sweep(NamedTuple):
@@ -159,7 +159,7 @@ def write_docs(sweep: Sweep, folder: Path) -> list[Path]:
     written = []
     for name, chapter in chapters(sweep).items():
         written.append(folder / f"{name}.md")
-        atomic_write(written[-1], f"{GENERATED}\n\n{chapter.replace('## ', '# ', 1)}\n{' '.join(sweep.remarks)}\n")
+        atomic_write(written[-1], f"{GENERATED}\n\n{chapter.replace('## ', '# ', 1)}\n{sweep.remark}\n")
     return written
 
 
