@@ -140,7 +140,8 @@ def test_the_tables_are_written_as_pages_of_the_documentation(runs, tmp_path):
         "representation.md", "semantic_temporal.md", "sketch.md",
     }  # fmt: skip
     generated, _, title, *lines = (docs / "sketch.md").read_text("utf-8").splitlines()
-    assert generated == "<!-- Written by `python src/report.py --runs docs/results/runs --docs docs/results`; do not edit. -->"
+    command = "python src/report.py --runs docs/results/runs --docs docs/results"
+    assert generated == f"<!-- Written by `{command}`; do not edit. -->"
     assert title == "# Cylinder sketch module"
     assert "| omni depth | paper | 0.470 | – | – | – | – |" in lines
     assert any(line.startswith("| dense voxels | +0.036 | +0.100 |") for line in lines)
