@@ -21,5 +21,5 @@ def slurm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
 
 @pytest.fixture(scope="session")
 def shared_data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder of datasets that the jobs of all tests share."""
+    """Return a folder of datasets that all tests of this folder use."""
     return tmp_path_factory.mktemp("data")

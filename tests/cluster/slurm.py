@@ -55,7 +55,7 @@ def missing_programs() -> list[str]:
 
 
 def free_port() -> int:
-    """Return a port on which nobody listens."""
+    """Return the number of a TCP port that no program uses."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return probe.getsockname()[1]

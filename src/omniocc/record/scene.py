@@ -51,7 +51,7 @@ class Stated(NamedTuple):
 
 
 class LogRecorder(ABC):
-    """What recorders of logs share: the scene's name and how its frames are made.
+    """Base class of the recorders of logs, which are folders of files or ROS bags.
 
     Args:
         name: of the scene, and of its folder.

@@ -26,11 +26,9 @@ def resampled(
     row, column = np.nonzero(known)
     row, column = _rows(given, wanted)[row], _nearest(given.width, wanted.width)[column]
     held = (row >= 0) & (row < wanted.height)
-    smallest = np.full_like(result, np.inf)
-    np.minimum.at(smallest, (row[held], column[held]), range_m[known][held])
-    hit = np.zeros(result.shape, bool)
-    hit[row[held], column[held]] = True
-    return np.where(np.isnan(result) & hit, smallest, result)
+    smallest = np.full_like(result, np.nan)
+    np.fmin.at(smallest, (row[held], column[held]), range_m[known][held])
+    return np.where(np.isnan(result), smallest, result)
 
 
 def _nearest(count: int, other: int) -> np.ndarray:

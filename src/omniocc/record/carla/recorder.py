@@ -34,8 +34,6 @@ from omniocc.world.render.own_car import grown, masking, road_of, show_ego_car
 WEATHERS = ("ClearNoon", "CloudyNoon", "WetNoon", "HardRainNoon", "ClearSunset", "CloudySunset", "WetSunset")
 """Weathers that scenes take in turn where none is given: presets of `carla.WeatherParameters`."""
 CHECKED_FRAMES = 5
-RETRY_SEED = 10**9
-"""Added to the seed of a scene for every time that it is begun again."""
 SETTLE_S = 15.0
 """Time that a server gets to start again, s."""
 
@@ -221,8 +219,8 @@ class CarlaRecorder:
         for attempt in range(self.attempts):
             done = 0
             try:
-                tried = plan._replace(seed=plan.seed + RETRY_SEED * attempt)  # other traffic than the one that failed
-                for _ in self._frames(folder, tried):
+                tried = plan._replace(seed=plan.seed + 500_000 * attempt)  # other traffic than the one that failed
+                for _ in self._frames(folder, tried, self.recipe(plan)):
                     progress.advance()
                     done += 1
                 return
@@ -234,10 +232,9 @@ class CarlaRecorder:
                 print(f"scene {plan.name}: {error}; it is begun again", flush=True)
                 self._restart_server()
 
-    def _frames(self, folder: Path, plan: Plan) -> Iterator[None]:
+    def _frames(self, folder: Path, plan: Plan, recipe: str) -> Iterator[None]:
         """Record one scene; yield after every frame."""
         shutil.rmtree(folder.with_name(folder.name + ".partial"), ignore_errors=True)
-        recipe = self.recipe(plan._replace(seed=plan.seed % RETRY_SEED))
         with (
             closing(SceneWriter(folder)) as writer,
             captured(self.python, self.job(plan), self.load_s, self.silence_s) as messages,
