@@ -62,6 +62,17 @@ def test_changes_name_exchanged_parts_and_new_values_once(overrides, named, ours
     assert changes(compose_plain(CONF, "train", overrides), ours) == named
 
 
+def test_changes_name_an_added_part_once_and_a_missing_one_as_none(ours):
+    losses = compose_plain(CONF, "train", ["loss=with_first_hits"])
+    assert changes(losses, ours) == "first_hit=FirstHit"
+    assert changes(ours, losses) == "first_hit=none"
+
+
+def test_a_setting_that_the_reference_did_not_know_yet_is_no_change(ours):
+    newer = ours | {"trainer": ours["trainer"] | {"new_option": 1}}
+    assert changes(newer, ours) == changes(ours, newer) == ""
+
+
 def test_a_missing_reference_is_named(more):
     with pytest.raises(UserError, match="no finished run of row ours"):
         tried_cells([run("more", 0, 0.4, more)], "ours")

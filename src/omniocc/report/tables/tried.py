@@ -1,12 +1,12 @@
 """Every change that was tried: what differs from one reference row, and the scores on validation scenes."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 from omniocc.errors import UserError
 from omniocc.report.runs import FinishedRun
-from omniocc.report.selection import ABSENT, compared
+from omniocc.report.selection import compared
 from omniocc.report.tables.paper import figure_of, with_spread
 from omniocc.run.results import MINUTES
 from omniocc.run.slots import slots_of
@@ -68,16 +68,36 @@ def _line(members: Sequence[FinishedRun], base: Mapping[str, Any]) -> list[str]:
 def changes(config: Mapping[str, Any], base: Mapping[str, Any]) -> str:
     """Return what differs from the reference: `model/<slot>=<option>` of other parts, `key=value` of other settings.
 
-    Settings of a part that was exchanged, and those that only the reference has, are left out.
+    A part that only one of the two has is named once, `none` if it is the reference that has it. Left out are settings
+    of a part that was exchanged, and those that the other's commit did not know yet.
     """
     ours, theirs = slots_of(config), slots_of(base)
     swapped = {slot: option for slot, option in ours.items() if theirs.get(slot) != option}
-    left, right = compared(config), compared(base)
-    # a grid or depth network stands in every part that uses it
-    keys = [key for key in sorted(left) if not key.startswith("preset.") and not swapped.keys() & set(key.split("."))]
-    found = {short(key, left[key]): None for key in keys if left[key] != right.get(key, ABSENT)}
+    left, right = _settings(config, swapped.keys()), _settings(base, swapped.keys())
+    added, gone = _parts(left) - _parts(right), _parts(right) - _parts(left)
     swaps = [f"model/{slot}={option}" for slot, option in swapped.items()]
-    return ", ".join([*swaps, *found])
+    parts = [short(f"{part}._target_", left[f"{part}._target_"]) for part in _outermost(added)]
+    parts += [f"{part.rpartition('.')[2]}=none" for part in _outermost(gone)]
+    found = [short(key, left[key]) for key in sorted(left.keys() & right.keys()) if left[key] != right[key]]
+    return ", ".join([*swaps, *dict.fromkeys([*parts, *found])])
+
+
+def _settings(config: Mapping[str, Any], swapped: Collection[str]) -> dict[str, Any]:
+    """Return the settings outside exchanged slots, by dotted key.
+
+    A grid or depth network stands in every part that uses it.
+    """
+    of_parts = {key: value for key, value in compared(config).items() if not key.startswith("preset.")}
+    return {key: value for key, value in of_parts.items() if not set(swapped) & set(key.split("."))}
+
+
+def _parts(settings: Iterable[str]) -> set[str]:
+    return {key.removesuffix("._target_") for key in settings if key.endswith("._target_")}
+
+
+def _outermost(parts: Collection[str]) -> list[str]:
+    """Return the parts that are not inside another of them."""
+    return [part for part in sorted(parts) if not any(part.startswith(f"{other}.") for other in parts)]
 
 
 def short(key: str, value: Any) -> str:
