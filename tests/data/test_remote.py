@@ -14,6 +14,7 @@ from fake_scene import FakeWorld
 from omniocc.data import DataError, SceneReader, VirtualWorld
 from omniocc.data.dataset import WindowDataset
 from omniocc.data.labels.voxels import VoxelCache
+from omniocc.data.store import files
 from omniocc.data.store.check import check_scene
 from omniocc.data.store.files import Files, read_members
 from omniocc.geometry import Cuboid
@@ -58,8 +59,8 @@ def world(tmp_path_factory):
     return world
 
 
-def serve(folder, handler):
-    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(handler, directory=str(folder)))
+def serve(folder, handler, port=0):
+    server = ThreadingHTTPServer(("127.0.0.1", port), partial(handler, directory=str(folder)))
     threading.Thread(target=server.serve_forever, daemon=True).start()
     return server, f"http://127.0.0.1:{server.server_port}"
 
@@ -151,3 +152,85 @@ def test_read_members_against_slices(tmp_path):
     parts = read_members(Files(tmp_path), "file", offsets, sizes)
     assert parts == [content[begin : begin + size] for begin, size in zip(offsets, sizes, strict=True)]
     assert len(parts[-1]) == 10
+
+
+class Store:
+    """A store whose requests fail with the given errors, one after the other, and then answer; and a clock."""
+
+    def __init__(self, errors, monkeypatch):
+        self.errors, self.now_s, self.requests = list(errors), 0.0, 0
+        monkeypatch.setattr(files.time, "monotonic", lambda: self.now_s)
+        monkeypatch.setattr(files.time, "sleep", self.sleep)
+
+    def sleep(self, seconds):
+        self.now_s += seconds
+
+    def request(self):
+        self.requests += 1
+        if self.errors:
+            raise self.errors.pop(0)
+        return b"content"
+
+
+@pytest.fixture
+def answered(monkeypatch):
+    """Stores that answered before."""
+    monkeypatch.setattr(files, "_answered", {"s3://bucket"})
+
+
+@pytest.mark.usefixtures("answered")
+def test_a_store_that_stops_answering_is_asked_again_and_says_so_once(monkeypatch, capsys):
+    store = Store([ConnectionError("cut"), TimeoutError(), OSError(5, "no route")], monkeypatch)
+    assert files.asked(store.request, "s3://bucket/data/scene/meta.json") == b"content"
+    assert store.now_s == 1 + 2 + 4
+    assert capsys.readouterr().err.splitlines() == [
+        "s3://bucket/data/scene/meta.json: no answer (ConnectionError: cut); trying again for 300 s",
+        "s3://bucket/data/scene/meta.json: answers again after 7 s",
+    ]
+
+
+@pytest.mark.usefixtures("answered")
+def test_a_store_that_stays_away_ends_with_its_error_after_some_minutes(monkeypatch):
+    store = Store([ConnectionError(f"cut {number}") for number in range(100)], monkeypatch)
+    with pytest.raises(ConnectionError, match="cut"):
+        files.asked(store.request, "s3://bucket/meta.json")
+    assert store.now_s == files.RETRY_FOR_S
+    assert 20 < store.requests < 30
+
+
+@pytest.mark.usefixtures("answered")
+@pytest.mark.parametrize(
+    ("url", "error"),
+    [
+        ("s3://elsewhere/meta.json", ConnectionError("no such host")),  # it never answered: likely a wrong name
+        ("s3://bucket/meta.json", FileNotFoundError("meta.json")),
+        ("s3://bucket/meta.json", PermissionError("denied")),
+    ],
+)
+def test_what_asking_again_cannot_mend_is_raised_at_once(url, error, monkeypatch):
+    store = Store([error], monkeypatch)
+    with pytest.raises(type(error)):
+        files.asked(store.request, url)
+    assert store.requests == 1
+
+
+def test_a_reader_goes_on_when_a_server_comes_back(world, capsys):
+    server, url = serve(world.root, RangeHandler)
+    reader = SceneReader(f"{url}/{world.name}/train-000-downtown")
+    first = reader.read(0, ["rgb0.jpg"])
+    server.shutdown()
+    server.server_close()
+    there = threading.Timer(0.5, lambda: serve(world.root, RangeHandler, server.server_port))
+    there.start()
+    assert reader.read(1, ["rgb0.jpg"]) != first
+    assert "frames-000.tar: no answer (ClientConnector" in capsys.readouterr().err
+    there.join()
+
+
+def test_a_missing_package_is_named_with_the_line_that_installs_it(monkeypatch):
+    def missing(url):
+        raise ImportError("Install s3fs to access S3")
+
+    monkeypatch.setattr(fsspec.core, "url_to_fs", missing)
+    with pytest.raises(DataError, match=r"s3://bucket/data: .*pip install 'omniocc\[s3\]'"):
+        Files("s3://bucket/data")

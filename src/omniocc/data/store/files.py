@@ -2,30 +2,47 @@
 
 import json
 import os
-from collections.abc import Sequence
+import sys
+import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import fsspec
+from aiohttp import ClientResponseError
 from fsspec.implementations.local import LocalFileSystem
 
 from omniocc.errors import DataError
 
+T = TypeVar("T")
 BLOCK_BYTES = 2**22
 JOINED_GAP_BYTES = 4096
 """Ranges nearer to one another than this are read as one: headers between members cost less than another request."""
+RETRY_FOR_S = 300.0
+"""How long a store that has answered before is asked again when it does not answer."""
+LONGEST_PAUSE_S = 15.0
+LASTING = (FileNotFoundError, PermissionError, NotADirectoryError, IsADirectoryError, ValueError, TypeError)
+"""Errors that another request will not mend."""
+EXTRAS = {"s3": "omniocc[s3]", "s3a": "omniocc[s3]", "gs": "gcsfs", "gcs": "gcsfs", "abfs": "adlfs", "az": "adlfs"}
+"""What to install for a kind of store."""
+_answered: set[str] = set()
+"""Stores that this process has reached."""
 
 
 class Files:
     """The files of a folder: a path on this disk, or a URL; every method raises FileNotFoundError for a missing file.
 
-    The connection to an object store is made by the process that creates the object.
+    The connection to an object store is made by the process that creates the object. A store that answered this process
+    before and does not answer now is asked again for `RETRY_FOR_S`, which a line on stderr says.
+
+    Raises:
+        DataError: when the package for this kind of URL is not installed.
     """
 
     def __init__(self, folder: Path | str):
         self.folder = str(folder)
         local = LocalFileSystem(), str(Path(folder).absolute())
-        self._fs, self._root = fsspec.core.url_to_fs(self.folder) if is_url(folder) else local
+        self._fs, self._root = _file_system(self.folder) if is_url(folder) else local
 
     def where(self, name: str) -> str:
         """Return path or URL of a file, for messages."""
@@ -33,11 +50,15 @@ class Files:
 
     def size(self, name: str) -> int:
         """Return the length in bytes."""
-        return self._fs.info(self._path(name))["size"]
+        return self._asked(lambda: self._fs.info(self._path(name))["size"], name)
 
     def open(self, name: str) -> Any:
         """Return the open file, binary, at its beginning."""
         return self._fs.open(self._path(name), "rb", block_size=BLOCK_BYTES)
+
+    def read(self, name: str) -> bytes:
+        """Return the whole content."""
+        return self._asked(lambda: self._fs.cat_file(self._path(name)), name)
 
     def ranges(self, name: str, spans: Sequence[tuple[int, int]]) -> list[bytes]:
         """Return the bytes from `begin` up to `end` of each (begin, end); fewer where the file ends early.
@@ -48,7 +69,8 @@ class Files:
             OSError: when a server does not support byte ranges and sends more.
         """
         begins, ends = [begin for begin, _ in spans], [end for _, end in spans]
-        parts = self._fs.cat_ranges([self._path(name)] * len(spans), begins, ends, on_error="raise")
+        paths = [self._path(name)] * len(spans)
+        parts = self._asked(lambda: self._fs.cat_ranges(paths, begins, ends, on_error="raise"), name)
         for (begin, end), part in zip(spans, parts, strict=True):
             if len(part) > end - begin:
                 raise OSError(f"the server does not support byte ranges: {len(part)} bytes instead of {end - begin}")
@@ -56,13 +78,68 @@ class Files:
 
     def folders(self) -> list[str]:
         """Return the names of the folders in this one, sorted."""
-        rows = self._fs.ls(self._root, detail=True)
+        rows = self._asked(lambda: self._fs.ls(self._root, detail=True), "")
         links = [row["name"] for row in rows if row.get("islink") and self._fs.isdir(row["name"])]
         found = {row["name"] for row in rows if row["type"] == "directory"}.union(links)
         return sorted(name.rstrip("/").rsplit("/", 1)[-1] for name in found)
 
     def _path(self, name: str) -> str:
         return f"{self._root.rstrip('/')}/{name}"
+
+    def _asked(self, request: Callable[[], T], name: str) -> T:
+        return asked(request, self.where(name)) if is_url(self.folder) else request()
+
+
+def _file_system(url: str) -> tuple[Any, str]:
+    try:
+        return fsspec.core.url_to_fs(url)
+    except ImportError as error:
+        kind = url.partition("://")[0]
+        remedy = f"pip install '{EXTRAS[kind]}'" if kind in EXTRAS else str(error)
+        raise DataError(f"{url}: reading {kind}:// needs a package that is not installed: {remedy}") from error
+
+
+def asked(request: Callable[[], T], url: str) -> T:
+    """Return the answer of a store to a request; ask again for `RETRY_FOR_S` if it answered this process before.
+
+    Args:
+        request: asks once.
+        url: of the file, for the message that says that the store is asked again.
+
+    Raises:
+        Exception: what the last request raised.
+    """
+    store = "/".join(url.split("/")[:3])
+    begin_s, pause_s, told = time.monotonic(), 1.0, False
+    while True:
+        try:
+            answer = request()
+        except Exception as error:  # each kind of store has errors of its own
+            left_s = begin_s + RETRY_FOR_S - time.monotonic()
+            if store not in _answered or lasts(error) or left_s <= 0:
+                raise
+            if not told:
+                print(f"{url}: no answer ({_named(error)}); trying again for {left_s:.0f} s", file=sys.stderr)
+            told = True
+            time.sleep(min(pause_s, left_s))
+            pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
+        else:
+            _answered.add(store)
+            if told:
+                print(f"{url}: answers again after {time.monotonic() - begin_s:.0f} s", file=sys.stderr)
+            return answer
+
+
+def lasts(error: Exception) -> bool:
+    """Return whether asking again cannot help: the file is missing, access is denied, the request is wrong."""
+    if isinstance(error, ClientResponseError):
+        return 400 <= error.status < 500 and error.status not in (408, 429)
+    return isinstance(error, LASTING)
+
+
+def _named(error: Exception) -> str:
+    text = " ".join(str(error).split())
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
 def is_url(place: str | os.PathLike[str]) -> bool:
@@ -96,8 +173,7 @@ def read_json(root: Path | str, name: str, remedy: str) -> Any:
     """Return the content of a JSON file; raise DataError when it cannot be read; the message ends with the remedy."""
     files = Files(root)
     try:
-        with files.open(name) as file:
-            return json.load(file)
+        return json.loads(files.read(name))
     except FileNotFoundError as error:
         raise DataError(f"{files.where(name)}: the file is missing; {remedy}") from error
     except Exception as error:  # each kind of store has errors of its own

@@ -150,8 +150,7 @@ class SceneFolder:
 
     def _content(self, name: str) -> bytes:
         try:
-            with self.files.open(name) as file:
-                return file.read()
+            return self.files.read(name)
         except FileNotFoundError as error:
             raise self.damaged(name, "the file is missing") from error
         except Exception as error:  # each kind of store has errors of its own
