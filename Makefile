@@ -36,7 +36,7 @@ test-device: $(READY)  ## Train every row of the tables on a simulated second de
 test-faults: $(READY)  ## Record from a stand-in of a CARLA server that crashes, hangs and lies (minutes)
 	$(PYTEST) -m faults
 
-test-cluster: $(READY)  ## Run multiruns on a Slurm of one node and training by torchrun (INSTALL_SLURM=1: installs Slurm by apt-get)
+test-cluster: $(READY)  ## Run multiruns on a Slurm of one node, training by torchrun and from S3 (INSTALL_SLURM=1: installs Slurm by apt-get)
 	$(if $(INSTALL_SLURM),apt-get install --yes --quiet slurm-wlm munge)
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m cluster
 
