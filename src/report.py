@@ -4,7 +4,7 @@ Every table of the paper (`sweeps/*.yaml`) is written as Markdown, CSV and LaTeX
 one page has all tables, plots, and the same test frames for all rows. Runs of another preset, number of steps or
 dataset have tables and a page of their own in a subfolder; rows of tables may name them, as `ours@3000`. It works also
 while a sweep is running. A run belongs to the row of its name (`+ablation=mono` gives `mono-<hash>`), or else to the
-row with the same configuration (`make demo`: `extended`).
+row with the same configuration (`make demo FULL=1`: `extended`).
 """
 
 import argparse

@@ -41,7 +41,7 @@ class Files:
 
     def __init__(self, folder: Path | str):
         self.folder = str(folder)
-        local = LocalFileSystem(), str(Path(folder).absolute())
+        local: tuple[Any, str] = LocalFileSystem(), str(Path(folder).absolute())
         self._fs, self._root = _file_system(self.folder) if is_url(folder) else local
 
     def where(self, name: str) -> str:
