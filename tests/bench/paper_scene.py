@@ -95,7 +95,7 @@ def table(done: dict[str, dict[str, float]], frames: int) -> str:
 
 def main() -> None:
     """Measure the steps that are left and print the table; with `--step` take that one in this process."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description="Time and memory of one scene of the paper's length and size.")
     parser.add_argument("out", type=Path)
     parser.add_argument("preset", nargs="?", default="paper")
     parser.add_argument("frames", nargs="?", type=int, default=1800)
