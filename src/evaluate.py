@@ -47,6 +47,7 @@ def main(arguments: list[str] | None = None) -> None:
     checkpoint = find_checkpoint(Path(options.checkpoint))
     task, data = load_task(checkpoint, options.overrides)
     if options.audit:
+        data.prepare_data()
         print(f"{len(data.source.scenes('val'))} validation scenes of {data.source.folder}")
         for name, value in audit(task, data):
             print(f"{name:58} {value}")

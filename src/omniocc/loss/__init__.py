@@ -6,6 +6,7 @@ from omniocc.loss.first_hit import FirstHit
 from omniocc.loss.lovasz import Lovasz
 from omniocc.loss.range_bins import RangeBins
 from omniocc.loss.scal import Scal
+from omniocc.loss.seen_first import SeenFirst
 from omniocc.loss.semantics import Semantics
 from omniocc.loss.silog import SILog
 from omniocc.loss.total import Total
@@ -18,6 +19,7 @@ __all__ = [
     "RangeBins",
     "SILog",
     "Scal",
+    "SeenFirst",
     "Semantics",
     "Total",
 ]
