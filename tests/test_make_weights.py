@@ -45,8 +45,35 @@ def test_every_recipe_is_a_configuration_that_trains(name, tool, tmp_path):
 def test_a_recipe_may_be_like_another_and_a_wrong_name_is_answered(tool):
     assert tool.recipe_of("tiny-depth")["overrides"] == tool.recipe_of("tiny")["overrides"]
     assert tool.recipe_of("tiny-depth")["stage"] == "depth"
-    with pytest.raises(UserError, match=r"NAME=large: choose one of any-rig, tiny, tiny-depth"):
+    with pytest.raises(UserError, match=r"NAME=large: choose one of any-rig, any-rig-480, tiny, tiny-depth"):
         tool.recipe_of("large")
+
+
+def test_a_recipe_that_starts_from_another_trains_that_one_first(tool, tmp_path, monkeypatch):
+    monkeypatch.setattr(tool, "ROOT", tmp_path)
+    monkeypatch.setattr(tool, "RECIPES", tmp_path / "recipes")
+    tool.RECIPES.mkdir()
+    (tool.RECIPES / "first.yaml").write_text("stage: depth\nis_start: true\noverrides: [a=1, b=1]\n")
+    (tool.RECIPES / "second.yaml").write_text(
+        "like: first\nis_start: false\nstarts_from: first\nmore_overrides: [a=2]\n"
+    )
+    assert tool.recipe_of("second")["overrides"] == [
+        "a=1",
+        "b=1",
+        "a=2",
+        "stages.depth.weights=recipes/first.safetensors",
+    ]
+    made = []
+    monkeypatch.setattr(tool, "train", lambda recipe: "command")
+    monkeypatch.setattr(tool, "folder_of", lambda recipe, runs: (tmp_path, LAST))
+    monkeypatch.setattr(tool, "pack", lambda name, *rest: made.append(name))
+    tool.main([])
+    assert made == ["first", "second"]
+    (tool.RECIPES / "first.safetensors").touch()
+    tool.main(["second"])
+    assert made == ["first", "second", "second"]
+    assert tool.file_of("first", True).parent == tool.RECIPES
+    assert tool.file_of("second", False).parent == tool.SHIPPED
 
 
 def test_a_finished_stage_is_packed_with_its_card(tool, tmp_path, monkeypatch):
@@ -116,6 +143,7 @@ def test_frames_are_recorded_once_and_give_figures(tool, tmp_path):
 
 def test_recipes_hold_nothing_else():
     known = {"like", "stage", "half", "overrides", "shipped", "good_for", "not_good_for"}
+    known |= {"is_start", "starts_from", "more_overrides", "frames"}
     for name in NAMES:
         assert set(yaml.safe_load((ROOT / "tools" / "weights" / f"{name}.yaml").read_text())) <= known
 
@@ -129,7 +157,7 @@ def test_each_shipped_file_gives_the_figures_of_its_card(name, tool):
     assert path.stat().st_size <= tool.LIMIT_MB * 1e6
     assert f"`{digest_of(read_weights(path)[0]['state_dict'])}`" in text
     recipe = tool.recipe_of(name)
-    found = tool.figures_of(path, tool.FRAMES / recipe.get("like", name))
+    found = tool.figures_of(path, tool.FRAMES / recipe.get("frames", name))
     stated = re.findall(r"^\| (.+) \| ([\d.]+) \|$", text.split("On the four frames of the tests")[1], re.MULTILINE)
     rows = dict(re.findall(r"^\| (.+) \| ([\d.]+) \|$", "\n".join(frame_rows(found)), re.MULTILINE))
     assert stated

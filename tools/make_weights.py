@@ -50,7 +50,18 @@ def recipe_of(name: str) -> dict[str, Any]:
     if not path.is_file():
         raise UserError(f"NAME={name}: choose one of {', '.join(sorted(file.stem for file in RECIPES.glob('*.yaml')))}")
     own = yaml.safe_load(path.read_text())
-    return (recipe_of(own.pop("like")) if "like" in own else {}) | own
+    recipe = (recipe_of(own["like"]) if "like" in own else {"overrides": []}) | own
+    recipe["overrides"] = [*recipe["overrides"], *recipe.pop("more_overrides", [])]
+    if "starts_from" in own:
+        recipe["overrides"].append(
+            f"stages.{recipe['stage']}.weights={file_of(own['starts_from'], True).relative_to(ROOT)}"
+        )
+    return recipe
+
+
+def file_of(name: str, is_start: bool) -> Path:
+    """Return the place of a file of weights: beside its recipe if others start from it, else in the package."""
+    return (RECIPES if is_start else SHIPPED) / f"{name}{SUFFIX}"
 
 
 def config_of(recipe: dict[str, Any]) -> DictConfig:
@@ -122,23 +133,27 @@ def pack(name: str, recipe: dict[str, Any], folder: Path, checkpoint: str, comma
     config = OmegaConf.to_container(trained.config)
     made = {"command": command, "commit": facts["commit"], "data": facts["data"][:12], "steps": facts["steps"]}
     made |= {key: facts[key] for key in ("seed", EARLIER_MINUTES, MINUTES) if key in facts}
-    path = SHIPPED / f"{name}{SUFFIX}"
+    path = file_of(name, recipe.get("is_start", False))
     pack_weights(path, trained.stage, config, trained.weights, made, recipe["half"])  # type: ignore[arg-type]
     size_mb = path.stat().st_size / 1e6
     if size_mb > LIMIT_MB:
         raise UserError(f"{path} has {size_mb:.1f} MB; at most {LIMIT_MB} MB can be shipped")
     made |= {"size": f"{size_mb:.1f} MB", "sha256": digest_of(read_weights(path)[0]["state_dict"])}
-    frames = FRAMES / recipe.get("like", name)
+    frames = FRAMES / recipe.get("frames", name)
     record_frames(recipe, frames)
-    atomic_write(SHIPPED / f"{name}.md", card(name, recipe, made, metrics, figures_of(path, frames)))
+    atomic_write(path.with_suffix(".md"), card(name, recipe, made, metrics, figures_of(path, frames)))
     return path
 
 
 def main(names: list[str]) -> None:
     """Make the weights of these names, or of all recipes."""
     quiet_libraries()
-    for name in names or sorted(path.stem for path in RECIPES.glob("*.yaml")):
+    for name in names or sorted(
+        path.stem for path in RECIPES.glob("*.yaml") if not recipe_of(path.stem).get("is_start")
+    ):
         recipe = recipe_of(name)
+        if "starts_from" in recipe and not file_of(recipe["starts_from"], True).is_file():
+            main([recipe["starts_from"]])
         command = train(recipe)
         print(pack(name, recipe, *folder_of(recipe, ROOT / "runs"), command))
 
