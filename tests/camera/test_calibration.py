@@ -124,6 +124,7 @@ image_03: -0.9996821702 0.0005703407 -0.0252038325 0.7016842127 -0.0252033830 0.
 """
 OMNIMVS = """
 config: {omnimvs_sweep_min_depth: 1.65}
+# polynomial coefficients for the DIRECT mapping function: the files of the real datasets have OCamCalib's comments
 dataset: {img_fmt: "cam%d/%04d.png"}
 cameras:
   - cam_id: 1

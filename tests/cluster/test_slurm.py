@@ -1,6 +1,7 @@
 """Multiruns on a real Slurm of one node (`make test-cluster`)."""
 
 import json
+import re
 import subprocess
 import sys
 import time
@@ -82,6 +83,23 @@ def test_a_job_that_is_told_to_stop_is_queued_again_and_loses_no_step(slurm, sha
     figures = [json.loads(path.read_text())["metrics"] for path in sorted(tmp_path.glob(f"runs/*/{METRICS}"))]
     assert len(figures) == 2
     assert figures[0] == figures[1]
+
+
+def test_at_its_time_limit_a_job_saves_and_is_queued_again(slurm, shared_data, tmp_path):
+    limit = ["hydra.launcher.timeout_min=2", "hydra.launcher.signal_delay_s=75"]
+    endless = ["trainer.max_steps=1000000", "checkpoint_every_n_steps=1000000", "trainer.limit_val_batches=1"]
+    with (tmp_path / "said").open("w") as said:
+        process = subprocess.Popen(
+            command(shared_data, *limit, *endless), env=slurm, cwd=tmp_path, stdout=said, stderr=said
+        )
+    array = until(lambda: (tmp_path / "said").read_text().partition("number ")[2].partition(" ")[0])
+    log = until(lambda: sorted(tmp_path.glob("runs/sweeps/*/*.log")))[0]
+    until(lambda: "goes on from last.ckpt" in log.read_text())
+    subprocess.run(["scancel", array], env=slurm, check=True)
+    assert process.wait(120) == 1, (tmp_path / "said").read_text()
+    stopped = re.findall(r"stopped by SIGUSR2 at step (\d+)", log.read_text())
+    assert stopped
+    assert int(stopped[0]) > 0
 
 
 def test_a_row_of_two_tasks_trains_one_model(slurm, shared_data, tmp_path):

@@ -7,10 +7,10 @@ LINES = ("polynomial", "inverse polynomial", "centre (row, column)", "affine par
 
 
 def is_ocamcalib(text: str) -> bool:
-    """Return whether a text has OCamCalib's first comment, or only comments and lines of numbers."""
+    """Return whether a text begins with OCamCalib's first comment, or has only comments and lines of numbers."""
     lines = _data(text)
     only_numbers = bool(lines) and all(word[0] in "+-.0123456789" for line in lines for word in line)
-    return only_numbers or "#polynomialcoefficients" in text.replace(" ", "")
+    return only_numbers or text.replace(" ", "").lstrip().startswith("#polynomialcoefficients")
 
 
 def read_ocamcalib(text: str, name: str) -> Calibration:
