@@ -86,7 +86,7 @@ def test_a_job_that_is_told_to_stop_is_queued_again_and_loses_no_step(slurm, sha
 
 
 def test_at_its_time_limit_a_job_saves_and_is_queued_again(slurm, shared_data, tmp_path):
-    limit = ["hydra.launcher.timeout_min=2", "hydra.launcher.signal_delay_s=75"]
+    limit = ["hydra.launcher.timeout_min=3", "hydra.launcher.signal_delay_s=60"]
     endless = ["trainer.max_steps=1000000", "checkpoint_every_n_steps=1000000", "trainer.limit_val_batches=1"]
     with (tmp_path / "said").open("w") as said:
         process = subprocess.Popen(
@@ -94,7 +94,7 @@ def test_at_its_time_limit_a_job_saves_and_is_queued_again(slurm, shared_data, t
         )
     array = until(lambda: (tmp_path / "said").read_text().partition("number ")[2].partition(" ")[0])
     log = until(lambda: sorted(tmp_path.glob("runs/sweeps/*/*.log")))[0]
-    until(lambda: "goes on from last.ckpt" in log.read_text())
+    until(lambda: "goes on from last.ckpt" in log.read_text(), within_s=500)
     subprocess.run(["scancel", array], env=slurm, check=True)
     assert process.wait(120) == 1, (tmp_path / "said").read_text()
     stopped = re.findall(r"stopped by SIGUSR2 at step (\d+)", log.read_text())
