@@ -12,9 +12,9 @@ from omniocc.data.store.reader import SceneReader
 from omniocc.errors import UserError
 from omniocc.metric import RayIoU, VoxelIoU
 from omniocc.task.build import load_task
-from omniocc.viewer import ViewOptions, open_shown
+from omniocc.viewer.collect import open_shown
 from omniocc.viewer.models import mask_labels
-from omniocc.viewer.options import unique_names
+from omniocc.viewer.options import ViewOptions, unique_names
 from omniocc.viewer.scenes import choose
 
 pytestmark = pytest.mark.filterwarnings("ignore:Sparse CSR")

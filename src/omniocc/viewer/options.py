@@ -1,15 +1,21 @@
 """Options of `view.py`."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any, TypeVar
 
+from omegaconf import DictConfig, OmegaConf
+
+from omniocc.config import build, check
 from omniocc.errors import UserError
+
+Options = TypeVar("Options", "ViewOptions", "TargetOptions")
 
 
 @dataclass(frozen=True)
 class ViewOptions:
-    """Options of `view.py` that choose what is shown; see `conf/view.yaml`."""
+    """Options that choose what is shown; see `conf/view.yaml`."""
 
     run: Sequence[str] = ()
     recorded: str | None = None
@@ -30,6 +36,56 @@ class ViewOptions:
             )
         if self.limit is not None and self.limit < 1:
             raise UserError(f"limit={self.limit}: give at least 1 frame, or limit=null for all")
+
+
+@dataclass(frozen=True)
+class TargetOptions:
+    """Options that choose where it is shown; see `conf/view.yaml`."""
+
+    save: str | None = None
+    connect: str | None = None
+    page: bool = False
+    output: str = "view.html"
+    watch: str | None = None
+    port: int = 8080
+
+    def __post_init__(self) -> None:
+        """Check that the options fit together; raise UserError naming those that do not."""
+        given = {"save": self.save, "connect": self.connect, "page": self.page, "watch": self.watch}
+        chosen = [key for key, value in given.items() if value]
+        if len(chosen) > 1:
+            raise UserError(f"{' and '.join(f'{key}=...' for key in chosen)} are different places: give one of them")
+        if self.save is not None and Path(self.save).is_dir():
+            raise UserError(f"save={self.save} is a folder; give a file, {Path(self.save) / 'view.rrd'}")
+        if not 0 <= self.port < 65536:
+            raise UserError(f"port={self.port}: a port is from 1 to 65535")
+
+
+def options_of(cfg: DictConfig) -> tuple[ViewOptions | None, TargetOptions]:
+    """Return the checked options of `conf/view.yaml`: what is shown (None with `watch`), and where.
+
+    Raises:
+        UserError: naming the option that is contradictory, missing or of the wrong type.
+    """
+    values = {str(key): value for key, value in cfg.items()}
+    values["run"] = [cfg.run] if isinstance(cfg.run, str) else cfg.run if cfg.run is not None else []
+    target = _built(TargetOptions, values)
+    if target.watch is None:
+        return _built(ViewOptions, values), target
+    default = ViewOptions(run=("any",))
+    names = [one.name for one in fields(ViewOptions)]
+    others = [name for name in names if values[name] not in ([], getattr(default, name))]
+    if others:
+        raise UserError(f"watch={target.watch} follows runs in progress: leave {', '.join(others)} out")
+    return None, target
+
+
+def _built(kind: type[Options], values: dict[str, Any]) -> Options:
+    """Return the options of a class, compared with its types."""
+    own = {one.name: values[one.name] for one in fields(kind)}
+    node = OmegaConf.create({"view": {"_target_": f"{kind.__module__}.{kind.__name__}", **own}})
+    check(node)
+    return build(node.view)
 
 
 def unique_names(runs: Sequence[str]) -> list[str]:
