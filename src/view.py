@@ -19,17 +19,25 @@ def main(cfg: DictConfig) -> None:
 
         watch(Path(str(target.watch)), target.port)
         return
-    from omniocc.viewer.collect import open_shown
+    from omniocc.viewer.collect import open_shown, with_progress
 
     shown = open_shown(options)
     print(f"{shown.source}: {len(shown)} frames", flush=True)
     if target.page:
-        raise NotImplementedError
+        from omniocc.viewer.page import write_page
+
+        path = Path(target.output)
+        write_page(shown, with_progress(shown), path)
+        print(f"{path}: {path.stat().st_size / 1e6:.1f} MB")
+        return
     try:
         from omniocc.viewer.timeline.show import show
     except ImportError as error:
         raise UserError("the Rerun viewer needs one more package: pip install --editable '.[rerun]'") from error
-    show(shown, None if target.save is None else Path(target.save), target.connect)
+    path = None if target.save is None else Path(target.save)
+    show(shown, path, target.connect)
+    if path is not None:
+        print(f"{path}: {path.stat().st_size / 1e6:.1f} MB; open it by: rerun {path}")
 
 
 if __name__ == "__main__":

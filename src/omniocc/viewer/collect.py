@@ -2,19 +2,17 @@
 
 from collections.abc import Iterator, Sequence
 
-import torch
-from torch import Tensor
-
 from omniocc.batch import Batch
-from omniocc.data.source import SceneFrames
 from omniocc.geometry import Cylinder, Grid
 from omniocc.metric import sparseocc_directions
 from omniocc.predict.predictor import Prediction
+from omniocc.progress import Progress
 from omniocc.task.scores import Scores
 from omniocc.viewer.frames import FramePrediction, Shown, ShownFrame
 from omniocc.viewer.models import PixelLabels, TrainedModel, check_classes, frame_figures, load_models
 from omniocc.viewer.options import ViewOptions, unique_names
-from omniocc.viewer.scenes import ChosenScenes, recorded_scenes, test_scenes, time_of
+from omniocc.viewer.predictions import open_predictions
+from omniocc.viewer.scenes import ChosenScenes, name_of, recorded_frame, recorded_scenes, test_scenes
 
 
 def open_shown(options: ViewOptions) -> Shown:
@@ -25,6 +23,8 @@ def open_shown(options: ViewOptions) -> Shown:
     Raises:
         UserError, OSError: naming the option that cannot be used.
     """
+    if options.predictions is not None:
+        return open_predictions(options)
     models = load_models(options.run, unique_names(options.run), options.device)
     scenes = _scenes(options, models)
     check_classes(models, scenes)
@@ -43,9 +43,12 @@ def open_shown(options: ViewOptions) -> Shown:
     )
 
 
-def name_of(frame: int) -> str:
-    """Return the name of a recorded frame: its number, as in `predict.py`."""
-    return f"{frame:06d}"
+def with_progress(shown: Shown) -> Iterator[ShownFrame]:
+    """Return the frames one by one, and show how many are done and how long the others take."""
+    with Progress("frames", len(shown)) as progress:
+        for frame in shown:
+            yield frame
+            progress.advance(text=f"{frame.scene} {frame.frame}")
 
 
 def _scenes(options: ViewOptions, models: Sequence[TrainedModel]) -> ChosenScenes:
@@ -68,7 +71,7 @@ def _frames(scenes: ChosenScenes, models: Sequence[TrainedModel], grids: Sequenc
                 for model, answer, own in zip(models, answers, scores, strict=True)
             }
             voxels = {grid: batch.voxels[0] for grid, batch in truth.items() if batch and batch.voxels is not None}
-            yield _frame(scenes, scene, frame, voxels, named)
+            yield recorded_frame(scenes, scene, frame, voxels, named)
 
 
 def _prediction(
@@ -83,27 +86,4 @@ def _prediction(
         panorama=None if prediction.range_m is None else model.predictor.panorama,
         pixel_labels=pixels,
         figures={} if truth is None else frame_figures(scores, prediction.labels, truth),
-    )
-
-
-def _frame(
-    scenes: ChosenScenes,
-    scene: SceneFrames,
-    frame: int,
-    voxels: dict[Grid, Tensor],
-    predictions: dict[str, FramePrediction],
-) -> ShownFrame:
-    range_m = scene.erp_range_m(frame)
-    return ShownFrame(
-        scene=scene.name,
-        frame=name_of(frame),
-        time_s=time_of(scene, frame, scenes.spec.frame_interval_s),
-        images=tuple(scene.images(frame)),
-        rig=scene.rigs[frame],
-        world_from_ego=scene.world_from_ego[frame],
-        truth=voxels,
-        range_m=None if range_m is None else torch.from_numpy(range_m),
-        panorama=None if range_m is None else scenes.true_panorama(scene, range_m.shape),
-        lidar=scene.lidar(frame),
-        predictions=predictions,
     )

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float32, UInt8
 from torch import Tensor
 
-from omniocc.batch import Batch
+from omniocc.batch import Batch, Truth
 from omniocc.camera import Rig
 from omniocc.classes import UNKNOWN
 from omniocc.data import OccupancyData
@@ -164,7 +164,7 @@ def check_classes(models: Sequence[TrainedModel], scenes: ChosenScenes) -> None:
             )
 
 
-def frame_figures(scores: Scores, labels: Tensor, truth: Batch) -> Mapping[str, float]:
+def frame_figures(scores: Scores, labels: Tensor, truth: Batch | Truth) -> Mapping[str, float]:
     """Return the scores of one frame alone."""
     scores.reset()
     scores.update(labels[None], truth)

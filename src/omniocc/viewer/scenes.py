@@ -1,14 +1,16 @@
 """Which frames are shown, and what is known of them: the test scenes of a run's data, or recorded scenes."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
 
+import numpy as np
 import torch
+from torch import Tensor
 
 from omniocc.batch import Batch
-from omniocc.camera import Equirectangular
+from omniocc.camera import Equirectangular, Rig
 from omniocc.data import OccupancyData
 from omniocc.data.check_source import has_labels
 from omniocc.data.dataset import Needs, WindowDataset, collate
@@ -21,6 +23,7 @@ from omniocc.data.store.shard import digest
 from omniocc.errors import UserError
 from omniocc.geometry import Grid
 from omniocc.predict.input.sequence import find_scenes
+from omniocc.viewer.frames import FramePrediction, ShownFrame
 
 LABELS_ONLY = Needs(images=False, pixel_labels=False)
 
@@ -123,12 +126,14 @@ def recorded_scenes(
     for other, _ in pairs:
         if spec_of(other).classes != spec.classes:
             raise UserError(f"recorded={folder}: '{other.name}' has other classes than '{pairs[0][0].name}'")
-
-    def labels(grid: Grid) -> VoxelLabels:
-        return VoxelCache(Path(folder), grid, unknown, num_classes=spec.classes.num_classes)
-
+    labels = voxel_votes(Path(folder), unknown, spec)
     checksums = digest(sorted([one.name, one.meta["files"]] for one, _ in pairs))
     return ChosenScenes(spec, pairs, labels, panorama, f"recorded scenes of {folder}", checksums)
+
+
+def voxel_votes(folder: Path, unknown: Unknown, spec: SourceSpec) -> Callable[[Grid], VoxelLabels]:
+    """Return a function that gives the labels of a grid, voted when they are read; nothing is written."""
+    return lambda grid: VoxelCache(folder, grid, unknown, num_classes=spec.classes.num_classes)
 
 
 def choose(
@@ -173,7 +178,49 @@ def _wanted(name: str, length: int, frames: Sequence[int] | None) -> Iterator[in
         yield frame
 
 
-def true_range_m(scene: SceneFrames, frame: int) -> torch.Tensor | None:
+def true_range_m(scene: SceneFrames, frame: int) -> Tensor | None:
     """Return the true panorama of a frame, (1, h, w) float32, m; None without one."""
     range_m = scene.erp_range_m(frame)
     return None if range_m is None else torch.from_numpy(range_m).unsqueeze(0)
+
+
+def rig_at_sizes(rig: Rig | None, images: Sequence[np.ndarray]) -> Rig | None:
+    """Return a rig with each camera, and its mask, at the size of its image; as it is without images."""
+    if rig is None or not images:
+        return rig
+    masks = rig.masks or (None,) * len(rig.cameras)
+    alone = [
+        Rig((camera,), rig.ego_from_camera[:1], ("",), (mask,)).resized(image.shape[1], image.shape[0])
+        for camera, mask, image in zip(rig.cameras, masks, images, strict=True)
+    ]
+    cameras = tuple(one.cameras[0] for one in alone)
+    return replace(rig, cameras=cameras, masks=rig.masks and tuple(one.masks and one.masks[0] for one in alone))
+
+
+def name_of(frame: int) -> str:
+    """Return the name of a recorded frame: its number, as in `predict.py`."""
+    return f"{frame:06d}"
+
+
+def recorded_frame(
+    scenes: ChosenScenes,
+    scene: SceneFrames,
+    frame: int,
+    voxels: Mapping[Grid, Tensor],
+    predictions: Mapping[str, FramePrediction],
+) -> ShownFrame:
+    """Return a recorded frame with its true voxels and predictions."""
+    range_m = scene.erp_range_m(frame)
+    return ShownFrame(
+        scene=scene.name,
+        frame=name_of(frame),
+        time_s=time_of(scene, frame, scenes.spec.frame_interval_s),
+        images=tuple(scene.images(frame)),
+        rig=scene.rigs[frame],
+        world_from_ego=scene.world_from_ego[frame],
+        truth=voxels,
+        range_m=None if range_m is None else torch.from_numpy(range_m),
+        panorama=None if range_m is None else scenes.true_panorama(scene, range_m.shape),
+        lidar=scene.lidar(frame),
+        predictions=predictions,
+    )

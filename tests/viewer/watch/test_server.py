@@ -60,7 +60,7 @@ def test_the_page_and_its_data(ask):
     assert headers["Content-Type"] == "text/html; charset=utf-8"
     assert "default-src 'none'" in headers["Content-Security-Policy"]
     assert b"http" not in page.replace(b"<!doctype html>", b"")  # nothing from elsewhere
-    for path in ("/page.js", "/page.css"):
+    for path in ("/page.js", "/page.css", "/icon.svg"):
         assert ask(path)[0] == 200
     runs = json.loads(ask("/api/runs")[2])["runs"]
     assert {run["id"] for run in runs} == {"ours-1", EVIL}

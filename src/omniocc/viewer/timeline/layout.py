@@ -22,19 +22,20 @@ MODEL_PARTS = {
 """Views of a model, one of which is in front."""
 
 
-def layout(frame: ShownFrame) -> rrb.Blueprint:
-    """Return views for what a frame holds; the same serve the frames after it."""
+def layout(frame: ShownFrame, ranges: Sequence[str] = ()) -> rrb.Blueprint:
+    """Return views for what a frame holds, and for further ranges; the same serve the frames after it."""
     names = [paths.model_name(name) for name in frame.predictions]
     truth = [_space(paths.truth_name(grid), [*paths.VOXELS, paths.truth_name(grid)]) for grid in frame.truth]
     if frame.lidar is not None:
         truth.append(_space("LiDAR", paths.LIDAR))
     if frame.range_m is not None:
         truth.append(_space("true ranges", [*paths.POINTS, paths.TRUTH]))
+    truth += [_space(f"ranges: {name}", [*paths.POINTS, name]) for name in ranges]
     columns = [rrb.Tabs(*truth, name="truth")] if truth else []
     columns += [
         rrb.Tabs(*[_space(f"{name}: {part}", [*path, name]) for part, path in MODEL_PARTS.items()]) for name in names
     ]
-    below = [*_images(frame, names), *_ranges(frame)]
+    below = [*_images(frame, names), *_ranges(frame, ranges)]
     if names:
         below.append(rrb.TimeSeriesView(origin=_text([*paths.FIGURES, "rayiou"]), name="RayIoU of each frame"))
     below.append(rrb.TextDocumentView(origin=_text(paths.DESCRIPTION), name="frame"))
@@ -66,8 +67,9 @@ def _images(frame: ShownFrame, models: Sequence[str]) -> list[rrb.Tabs]:
     return [rrb.Tabs(grid("images", None), *classes)]
 
 
-def _ranges(frame: ShownFrame) -> list[rrb.Vertical]:
-    known = [] if frame.range_m is None else [paths.TRUTH]
+def _ranges(frame: ShownFrame, others: Sequence[str]) -> list[rrb.Vertical]:
+    known = [*others]
+    known += [] if frame.range_m is None else [paths.TRUTH]
     known += [paths.model_name(name) for name, one in frame.predictions.items() if one.range_m is not None]
     views = [rrb.Spatial2DView(origin=_text([*paths.RANGES, name]), name=f"ranges: {name}") for name in known]
     return [rrb.Vertical(*views, name="ranges")] if views else []

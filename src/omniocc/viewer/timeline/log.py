@@ -1,6 +1,7 @@
 """Log frames on a time line, one after the other."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from types import MappingProxyType
 
 import cv2
 import numpy as np
@@ -21,6 +22,8 @@ from omniocc.viewer.timeline.meshes import Mesh, class_meshes, difference_meshes
 from omniocc.viewer.timeline.outlines import camera_outline
 from omniocc.viewer.timeline.rays import ray_outcomes
 
+Ranges = tuple[Float32[Tensor, "h w"], Equirectangular]
+"""A panorama of ranges, m, and its directions."""
 JPEG_QUALITY = 85
 FARTHEST_M = 50.0
 """Range at the end of the colours of depth images."""
@@ -51,14 +54,16 @@ class Timeline:
         self._log([], class_names(classes), static=True)
         self._log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
 
-    def add(self, frame: ShownFrame) -> None:
-        """Log a frame after the ones before; what it lacks and they had is cleared."""
+    def add(self, frame: ShownFrame, ranges: Mapping[str, Ranges] = MappingProxyType({})) -> None:
+        """Log a frame after the ones before, with further panoramas of range by name; what it lacks is cleared."""
         if self.count == 0:
-            self.recording.send_blueprint(layout(frame))
+            self.recording.send_blueprint(layout(frame, tuple(ranges)))
         self._advance(frame)
         self._car(frame)
         self._images(frame)
         self._panorama(paths.TRUTH, frame, frame.range_m, frame.panorama)
+        for name, (range_m, panorama) in ranges.items():
+            self._panorama(name, frame, range_m, panorama)
         if frame.lidar is not None:
             self._log(paths.LIDAR, lidar_points(frame.lidar, self.classes))
         for grid, labels in frame.truth.items():

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import rerun as rr
 
-from omniocc.progress import Progress
+from omniocc.viewer.collect import with_progress
 from omniocc.viewer.frames import Shown
 from omniocc.viewer.timeline.log import Timeline
 from omniocc.viewer.timeline.sinks import to_file, to_own_viewer, to_viewer
@@ -20,10 +20,8 @@ def show(shown: Shown, save: Path | None, connect: str | None) -> None:
     """
     with sink(shown, save, connect) as recording:
         timeline = Timeline(recording, shown.classes, shown.directions, shown.frame_interval_s)
-        with Progress("frames", len(shown)) as progress:
-            for frame in shown:
-                timeline.add(frame)
-                progress.advance(text=f"{frame.scene} {frame.frame}")
+        for frame in with_progress(shown):
+            timeline.add(frame)
 
 
 def sink(shown: Shown, save: Path | None, connect: str | None) -> AbstractContextManager[rr.RecordingStream]:

@@ -5,6 +5,7 @@ import os
 import re
 import socket
 import sys
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -32,20 +33,38 @@ def to_file(path: Path, name: str) -> Iterator[rr.RecordingStream]:
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
+        recording = _begin(temporary, name)
+        yield recording
+        _finish(recording, temporary, path)
+    finally:
+        with contextlib.suppress(OSError):  # the error that counts is the one before
+            temporary.unlink(missing_ok=True)
+
+
+def _begin(path: Path, name: str) -> rr.RecordingStream:
+    """Return a recording that writes to a file."""
+    try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.touch()
-        recording = rr.RecordingStream(APPLICATION)
-        recording.save(temporary)
-        recording.send_recording_name(name)
-        with recording:
-            yield recording
+        path.touch()
+    except OSError as error:
+        raise cannot_write(path, error) from error
+    recording = rr.RecordingStream(APPLICATION)
+    recording.save(path)
+    recording.send_recording_name(name)
+    return recording
+
+
+def _finish(recording: rr.RecordingStream, temporary: Path, path: Path) -> None:
+    """Close a recording's file and give it its name."""
+    try:
+        recording.flush()
         recording.disconnect()
         check_whole(temporary)
         os.replace(temporary, path)
+    except RuntimeError as error:  # of Rerun's thread that writes
+        raise cannot_write(path, OSError(f"{first_line(error)}: is the disk full?")) from error
     except OSError as error:
         raise cannot_write(path, error) from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def check_whole(path: Path) -> None:
@@ -55,9 +74,10 @@ def check_whole(path: Path) -> None:
         OSError: when the end is missing.
     """
     try:
-        RrdReader(path).store()
-    except Exception as error:
-        raise OSError(f"Rerun could not write all of it ({error}): is the disk full?") from error
+        with warnings.catch_warnings(action="ignore"):  # what they warn of is the error
+            RrdReader(path).store()
+    except Exception as error:  # Rerun raises its own types
+        raise OSError(f"Rerun has not written all of it ({first_line(error)}): is the disk full?") from error
 
 
 @contextlib.contextmanager

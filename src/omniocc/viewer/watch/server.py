@@ -1,6 +1,6 @@
 """Serve the page that follows runs, to browsers on this machine alone.
 
-Addresses: `/` and its two files, `/api/runs`, `/api/run?id=...`, `/image?id=...&name=...`. Ids and names are looked up
+Addresses: `/` and its files, `/api/runs`, `/api/run?id=...`, `/image?id=...&name=...`. Ids and names are looked up
 among those that exist, never used as paths.
 """
 
@@ -24,6 +24,7 @@ PAGE = {
     "/": ("page.html", "text/html; charset=utf-8"),
     "/page.js": ("page.js", "text/javascript; charset=utf-8"),
     "/page.css": ("page.css", "text/css; charset=utf-8"),
+    "/icon.svg": ("icon.svg", "image/svg+xml"),
 }
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "

@@ -5,7 +5,7 @@
 const EVERY_MS = 3000;
 const COLORS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c6d31", "#7a7a7a"]; // of Okabe and Ito
 const FIRST_KEYS = ["train/loss", "val/rayiou", "val/lidar/rayiou", "val/depth/mae", "val/sketch/recall"];
-const PLOT = { left: 64, right: 16, top: 12, bottom: 32, width: 800, height: 360 };
+const PLOT = { left: 64, right: 16, top: 12, bottom: 32, height: 360 };
 const SVG = "http://www.w3.org/2000/svg";
 
 const chosen = new Map(); // id of a run: its details
@@ -104,6 +104,8 @@ function shape(name, attributes, text = "") {
 
 function plot() {
   const key = at("key").value, logarithmic = at("log").checked;
+  const width = Math.max(240, at("plot").clientWidth);
+  at("plot").setAttribute("viewBox", `0 0 ${width} ${PLOT.height}`);
   const scale = (value) => (logarithmic ? Math.log10(value) : value);
   const curves = [...chosen].map(([id, run]) => [id, (run?.curves[key] ?? []).filter(([, value]) => !logarithmic || value > 0)]);
   const points = curves.flatMap(([, curve]) => curve);
@@ -113,14 +115,14 @@ function plot() {
     const [first, last] = [Math.min(...steps), Math.max(...steps, Math.min(...steps) + 1)];
     const pad = (Math.max(...values) - Math.min(...values)) * 0.05 || Math.abs(values[0]) * 0.05 || 1;
     const [low, high] = [Math.min(...values) - pad, Math.max(...values) + pad];
-    const x = (step) => PLOT.left + ((step - first) / (last - first)) * (PLOT.width - PLOT.left - PLOT.right);
+    const x = (step) => PLOT.left + ((step - first) / (last - first)) * (width - PLOT.left - PLOT.right);
     const y = (value) => PLOT.height - PLOT.bottom - ((value - low) / (high - low)) * (PLOT.height - PLOT.top - PLOT.bottom);
     for (const value of ticks(low, high, 6)) {
-      parts.push(shape("line", { class: "axis", x1: PLOT.left, x2: PLOT.width - PLOT.right, y1: y(value), y2: y(value) }));
+      parts.push(shape("line", { class: "axis", x1: PLOT.left, x2: width - PLOT.right, y1: y(value), y2: y(value) }));
       const text = (logarithmic ? 10 ** value : value).toPrecision(3).replace(/\.?0+$/, "");
       parts.push(shape("text", { x: PLOT.left - 8, y: y(value) + 4, "text-anchor": "end" }, text));
     }
-    for (const step of ticks(first, last, 8)) {
+    for (const step of ticks(first, last, width / 100)) {
       parts.push(shape("text", { x: x(step), y: PLOT.height - 10, "text-anchor": "middle" }, `${step}`));
     }
     for (const [id, curve] of curves) {
@@ -169,4 +171,5 @@ async function refresh() {
 
 at("key").addEventListener("change", plot);
 at("log").addEventListener("change", plot);
+addEventListener("resize", plot);
 refresh();
