@@ -14,6 +14,7 @@ from omniocc.geometry import Cylinder, Grid
 from omniocc.progress import Progress
 from omniocc.view.canvas import fitted
 from omniocc.view.ranges import range_colors
+from omniocc.view.sheet import HEXAGON_ORDER
 from omniocc.view.voxels import CAR_BOXES
 from omniocc.viewer.frames import FramePrediction, Shown, ShownFrame
 from omniocc.viewer.page.colors import class_colors, kind_colors
@@ -100,7 +101,10 @@ class Packed:
     def _rig(self, rig: Rig) -> int:
         if rig not in self._rigs:
             self._rigs[rig] = len(self._rigs)
-            self.facts["rigs"].append({"cameras": [self._camera(rig, k) for k in range(len(rig.cameras))]})
+            count = len(rig.cameras)
+            order = HEXAGON_ORDER if count == len(HEXAGON_ORDER) else range(count)
+            cameras = [self._camera(rig, k) for k in range(count)]
+            self.facts["rigs"].append({"cameras": cameras, "order": list(order)})
         return self._rigs[rig]
 
     def _camera(self, rig: Rig, camera: int) -> dict[str, Any]:

@@ -51,11 +51,13 @@ export function outline(grid, color) {
   return segments(pairs, color, false);
 }
 
-// The twelve edges of a cell.
-export function cellOutline(grid, cell, color) {
-  const [i, j, k] = grid.indices(cell);
+// A cell: its twelve edges, and its faces translucent, both in front of everything.
+export function cellMark(grid, cell, color) {
+  const [i, j, k] = grid.indices(cell), group = new Group();
   const corners = CORNERS.map(([a, b, c]) => grid.corner(i + a, j + b, k + c));
-  return segments(EDGES.map(edge => edge.map(corner => corners[corner])), color, true);
+  const faces = new Mesh(solid(corners, [255, 255, 255]), new MeshBasicMaterial({ color, depthTest: false, transparent: true, opacity: 0.45 }));
+  faces.renderOrder = 2;
+  return group.add(faces, segments(EDGES.map(edge => edge.map(corner => corners[corner])), color, true));
 }
 
 // A ray from a point to a point as a thin bar, seen faintly also behind voxels.

@@ -24,28 +24,8 @@ export class Grid {
     return this.cylinder ? [first * this.cos[j], first * this.sin[j], height] : [first, this.edges[1][j], height];
   }
 
-  // The flat index of the cell of a point; -1 outside. A point less than 1e-10 sectors below a half-plane is beyond it.
-  cellOf(x, y, z) {
-    const values = this.cylinder ? [Math.hypot(x, y), Math.atan2(y, x), z] : [x, y, z];
-    let flat = 0;
-    for (let axis = 0; axis < 3; axis++) {
-      let index = (values[axis] - this.bounds[axis][0]) / this.size[axis];
-      if (this.cylinder && axis === 1) index = Math.floor(index + 1e-10) % this.shape[1];
-      index = Math.floor(index);
-      if (!(index >= 0 && index < this.shape[axis])) return -1;
-      flat += index * this.strides[axis];
-    }
-    return flat;
-  }
-
   // The indices of a flat cell index along the three axes.
   indices(cell) {
     return [Math.floor(cell / this.strides[0]), Math.floor(cell / this.strides[1]) % this.shape[1], cell % this.shape[2]];
-  }
-
-  // The middle of a cell along each axis, as a point.
-  center(cell) {
-    const middle = this.indices(cell).map((index, axis) => this.bounds[axis][0] + (index + 0.5) * this.size[axis]);
-    return this.cylinder ? [middle[0] * Math.cos(middle[1]), middle[0] * Math.sin(middle[1]), middle[2]] : middle;
   }
 }

@@ -15,9 +15,9 @@ export class Images {
 
   // Show a frame; a chosen pixel stays chosen.
   async show(frame) {
-    const facts = page.frames[frame], cameras = facts.rig === null ? [] : page.rigs[facts.rig].cameras;
+    const facts = page.frames[frame], { cameras, order } = page.rigs[facts.rig] ?? { cameras: [], order: [] };
     const shape = JSON.stringify([facts.rig, facts.panoramas.map(({ of }) => of)]);
-    if (shape !== this.shape) this.build(cameras, facts.panoramas);
+    if (shape !== this.shape) this.build(cameras, order, facts.panoramas);
     this.shape = shape;
     at("cameras").hidden = !this.figures.length;
     const sources = [...facts.images, ...facts.panoramas.map(({ image }) => image)];
@@ -25,10 +25,10 @@ export class Images {
     await this.again();
   }
 
-  build(cameras, panoramas) {
+  build(cameras, order, panoramas) {
     const own = cameras.map((camera, number) => this.camera(camera, number));
     const around = panoramas.map((panorama, place) => this.panorama(panorama, cameras.length + place));
-    at("images").replaceChildren(...own.map(({ figure }) => figure));
+    at("images").replaceChildren(...order.map(number => own[number].figure));
     at("panoramas").replaceChildren(...around.map(({ figure }) => figure));
     this.figures = [...own, ...around];
     this.mark();

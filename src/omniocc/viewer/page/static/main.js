@@ -2,7 +2,7 @@
 
 import { differences, firstSources, grids, page, sources, volume } from "omniocc/data.js";
 import { at, make } from "omniocc/dom.js";
-import { bar, cellOutline } from "omniocc/extras.js";
+import { bar, cellMark } from "omniocc/extras.js";
 import { Images } from "omniocc/images.js";
 import { faces } from "omniocc/mesh.js";
 import { Classes, showFigures, showReadout } from "omniocc/panels.js";
@@ -125,8 +125,8 @@ function rayObjects(ray, rows) {
   const ends = rows.filter(({ hit }) => hit && Number.isFinite(hit.entry)), objects = [];
   const length = Math.max(...ends.map(({ hit }) => hit.entry), 0);
   const end = ray.origin.map((value, axis) => value + length * ray.direction[axis]);
-  if (length > 0 && !ray.hidden) objects.push(bar(ray.origin, end, 0xff3fa4, 0.07 * view3d.scale));
-  for (const { hit, grid, kind } of ends) if (hit.cell >= 0) objects.push(cellOutline(grid, hit.cell, kind === "truth" ? 0xffffff : 0xffd400));
+  if (length > 0 && !ray.hidden) objects.push(bar(ray.origin, end, 0xff3fa4, 0.12 * view3d.scale));
+  for (const { hit, grid, kind } of ends) if (hit.cell >= 0) objects.push(cellMark(grid, hit.cell, kind === "truth" ? 0xffffff : 0xffd400));
   return objects;
 }
 

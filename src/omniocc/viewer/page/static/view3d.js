@@ -90,6 +90,9 @@ export class View3d {
       car: { eye: [-1.2, 0, 0.4], target: [4, 0, -0.4] },
     };
     const { eye, target } = places[where] ?? where;
+    this.controls.enableDamping = false; // drop what is left of a turn
+    this.controls.update();
+    this.controls.enableDamping = true;
     this.camera.position.set(...eye);
     this.controls.target.set(...target);
     this.controls.update();
