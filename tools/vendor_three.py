@@ -53,7 +53,10 @@ def bundle(version: str, folder: Path) -> dict[str, bytes]:
     (folder / "entry.js").write_text(ENTRY)
     npm = ["npm", "install", "--silent", "--no-audit", f"three@{version}", f"esbuild@{ESBUILD}"]
     esbuild = [folder / "node_modules/.bin/esbuild", "entry.js", "--bundle", "--minify", "--format=esm"]
-    for command in (npm, [*esbuild, "--charset=ascii", "--legal-comments=inline", "--log-level=error", "--outfile=three.min.js"]):
+    for command in (
+        npm,
+        [*esbuild, "--charset=ascii", "--legal-comments=inline", "--log-level=error", "--outfile=three.min.js"],
+    ):
         subprocess.run(command, cwd=folder, check=True, stdout=subprocess.DEVNULL)
     code = (folder / "three.min.js").read_bytes()
     digest = hashlib.sha256(code).hexdigest()

@@ -16,7 +16,7 @@ NAMES = ("chromium", "chromium-browser", "google-chrome")
 class Opened(NamedTuple):
     """A page in a browser: `page` is Playwright's, `errors` are messages of its console, `requests` addresses."""
 
-    page: "Page"  # type: ignore[name-defined]  # noqa: F821
+    page: "Page"  # type: ignore[name-defined]
     errors: list[str]
     requests: list[str]
 
@@ -36,7 +36,7 @@ class Opened(NamedTuple):
 
 
 @pytest.fixture(scope="session")
-def browser() -> Iterator["Browser"]:  # type: ignore[name-defined]  # noqa: F821
+def browser() -> Iterator["Browser"]:  # type: ignore[name-defined]
     path = next(filter(None, map(shutil.which, NAMES)), None)
     if path is None:
         pytest.skip("no Chromium: apt-get install chromium")

@@ -341,9 +341,13 @@ def test_controls_have_names_and_the_keyboard_reaches_them(open_page, made):
     reached = set()
     for _ in range(50):
         page.page.keyboard.press("Tab")
-        reached.add(page.js("document.activeElement.id || document.activeElement.className || document.activeElement.tagName"))
+        reached.add(
+            page.js("document.activeElement.id || document.activeElement.className || document.activeElement.tagName")
+        )
     assert {"safe", "theme", "help", "canvas", "before", "play", "after", "frame", "press"} <= reached
-    outline = page.js("document.getElementById('play').focus(), getComputedStyle(document.getElementById('play')).outlineStyle")
+    outline = page.js(
+        "document.getElementById('play').focus(), getComputedStyle(document.getElementById('play')).outlineStyle"
+    )
     assert outline != "none"
 
 

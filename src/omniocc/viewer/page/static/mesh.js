@@ -24,14 +24,15 @@ function facesOf(grid, labels, visible, axis, side, found) {
   const open = new Uint8Array(columns * rows);
   for (let layer = 0; layer < layers; layer++) {
     if (grid.cylinder && axis === 0 && side === 0 && layer === 0 && grid.bounds[0][0] === 0) continue; // no area
-    const next = neighbor(grid, axis, layer, side);
-    let any = false;
+    const next = neighbor(grid, axis, layer, side), ahead = (next - layer) * across;
+    let any = 0;
     for (let i = 0, at = 0; i < columns; i++) {
-      for (let j = 0; j < rows; j++, at++) {
-        const cell = layer * across + i * along + j * up, label = labels[cell];
-        const exposed = visible[label] && !(next >= 0 && visible[labels[cell + (next - layer) * across]]);
-        open[at] = exposed ? label : 0;
-        any ||= exposed;
+      let cell = layer * across + i * along;
+      for (let j = 0; j < rows; j++, at++, cell += up) {
+        const label = labels[cell];
+        if (visible[label] === 0 || (next >= 0 && visible[labels[cell + ahead]] !== 0)) continue;
+        open[at] = label;
+        any = 1;
       }
     }
     if (any) merge(open, columns, rows, merges, (i0, i1, j0, j1, label) => found.add(axis, side, layer, i0, i1, j0, j1, label));
@@ -65,40 +66,70 @@ function same(open, base, from, to, label) {
 }
 
 // Return the vertices of faces, four for each: positions (m), normals, position in their plane in cells, and labels.
-export function vertices(grid, rows) {
+// Faces are larger by `overlap` on all sides, m: where one ends along the side of another, rounding leaves gaps.
+export function vertices(grid, rows, overlap) {
   const count = rows.length / WORDS;
   const mesh = {
     position: new Float32Array(count * 12), normal: new Float32Array(count * 12), place: new Float32Array(count * 8),
     label: new Uint8Array(count * 4), index: new Uint32Array(count * 6),
   };
-  for (let face = 0; face < count; face++) addFace(grid, rows.subarray(face * WORDS, (face + 1) * WORDS), face, mesh);
+  const corners = new Float64Array(12), normal = new Float64Array(3);
+  for (let face = 0; face < count; face++) {
+    const at = face * WORDS;
+    placeCorners(grid, rows, at, corners, mesh.place, face * 8);
+    normalOf(corners, normal);
+    for (let corner = 0; corner < 4; corner++) {
+      const vertex = face * 4 + corner;
+      mesh.position.set(widened(corners, corner, overlap), vertex * 3);
+      mesh.normal.set(normal, vertex * 3);
+      mesh.label[vertex] = rows[at + 7];
+    }
+    for (let k = 0; k < 6; k++) mesh.index[face * 6 + k] = face * 4 + TRIANGLES[k];
+  }
   return mesh;
 }
 
-function addFace(grid, [axis, side, layer, i0, i1, j0, j1, label], face, mesh) {
-  const around = [[i0, j0], [i1, j0], [i1, j1], [i0, j1]]; // counter-clockwise seen from outside
-  if (side === 0) around.reverse();
-  const corners = around.map(([i, j]) => {
-    const at = [0, 0, 0];
-    at[axis] = layer + side;
-    at[(axis + 1) % 3] = i;
-    at[(axis + 2) % 3] = j;
-    return grid.corner(...at);
-  });
-  const normal = cross(minus(corners[2], corners[0]), minus(corners[3], corners[1]));
-  const length = Math.hypot(...normal) || 1;
-  corners.forEach((corner, k) => {
-    const vertex = face * 4 + k;
-    mesh.position.set(corner, vertex * 3);
-    mesh.normal.set(normal.map(value => value / length), vertex * 3);
-    mesh.place.set(around[k], vertex * 2);
-    mesh.label[vertex] = label;
-  });
-  mesh.index.set([0, 1, 2, 0, 2, 3].map(k => face * 4 + k), face * 6);
+const TRIANGLES = [0, 1, 2, 0, 2, 3];
+const AROUND = [[0, 0, 1, 0, 1, 1, 0, 1], [0, 1, 1, 1, 1, 0, 0, 0]]; // corners in turn: of upper faces, of lower ones
+
+// Write the four corners of a face, counter-clockwise seen from outside, and their places in its plane.
+function placeCorners(grid, rows, at, corners, places, to) {
+  const axis = rows[at], side = rows[at + 1], around = AROUND[1 - side], index = [0, 0, 0];
+  index[axis] = rows[at + 2] + side;
+  for (let corner = 0; corner < 4; corner++) {
+    const i = rows[at + 3 + around[corner * 2]], j = rows[at + 5 + around[corner * 2 + 1]];
+    index[(axis + 1) % 3] = i;
+    index[(axis + 2) % 3] = j;
+    corners.set(grid.corner(index[0], index[1], index[2]), corner * 3);
+    places[to + corner * 2] = i;
+    places[to + corner * 2 + 1] = j;
+  }
 }
 
-const minus = (a, b) => a.map((value, axis) => value - b[axis]);
-const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+// Write the unit normal: the cross product of the diagonals.
+function normalOf(c, normal) {
+  const a = c[6] - c[0], b = c[7] - c[1], d = c[8] - c[2], e = c[9] - c[3], f = c[10] - c[4], g = c[11] - c[5];
+  normal[0] = b * g - d * f;
+  normal[1] = d * e - a * g;
+  normal[2] = a * f - b * e;
+  const length = Math.hypot(normal[0], normal[1], normal[2]) || 1;
+  for (let axis = 0; axis < 3; axis++) normal[axis] /= length;
+}
+
+const moved = new Float64Array(3);
+
+// A corner moved outwards along both of its sides.
+function widened(corners, corner, overlap) {
+  for (let axis = 0; axis < 3; axis++) moved[axis] = corners[corner * 3 + axis];
+  for (const other of [(corner + 1) % 4, (corner + 3) % 4]) {
+    const x = corners[corner * 3] - corners[other * 3], y = corners[corner * 3 + 1] - corners[other * 3 + 1], z = corners[corner * 3 + 2] - corners[other * 3 + 2];
+    const scale = overlap / (Math.sqrt(x * x + y * y + z * z) || 1);
+    moved[0] += scale * x;
+    moved[1] += scale * y;
+    moved[2] += scale * z;
+  }
+  return moved;
+}
 
 // An Int32Array that grows.
 class Rows {
@@ -107,14 +138,16 @@ class Rows {
     this.length = 0;
   }
 
-  add(...row) {
+  add(axis, side, layer, i0, i1, j0, j1, label) {
     if (this.length + WORDS > this.data.length) {
       const larger = new Int32Array(this.data.length * 2);
       larger.set(this.data);
       this.data = larger;
     }
-    this.data.set(row, this.length);
-    this.length += WORDS;
+    const { data } = this;
+    let at = this.length;
+    data[at++] = axis; data[at++] = side; data[at++] = layer; data[at++] = i0; data[at++] = i1; data[at++] = j0; data[at++] = j1; data[at++] = label;
+    this.length = at;
   }
 
   done() {

@@ -3,6 +3,8 @@
 import { BufferAttribute, BufferGeometry, Color, DataTexture, ShaderMaterial } from "three";
 import { faces, vertices } from "omniocc/mesh.js";
 
+const OVERLAP_M = 0.005; // a few hundredths of a pixel at the far end of a grid, too little to see nearby
+
 const VERTEX = `
 attribute vec2 place;
 attribute float label;
@@ -58,7 +60,7 @@ export class VoxelMaterial extends ShaderMaterial {
 
 // The geometry of the visible cells of a volume.
 export function voxelGeometry(grid, labels, visible) {
-  const mesh = vertices(grid, faces(grid, labels, visible)), geometry = new BufferGeometry();
+  const mesh = vertices(grid, faces(grid, labels, visible), OVERLAP_M), geometry = new BufferGeometry();
   geometry.setAttribute("position", new BufferAttribute(mesh.position, 3));
   geometry.setAttribute("normal", new BufferAttribute(mesh.normal, 3, true));
   geometry.setAttribute("place", new BufferAttribute(mesh.place, 2));
