@@ -24,11 +24,11 @@ def main(cfg: DictConfig) -> None:
     shown = open_shown(options)
     print(f"{shown.source}: {len(shown)} frames", flush=True)
     if target.page:
-        from omniocc.viewer.page import write_page
+        from omniocc.viewer.page import page_path, write_page
 
-        path = Path(target.output)
+        path = page_path(target.output, options.run)
         write_page(shown, with_progress(shown), path)
-        print(f"{path}: {path.stat().st_size / 1e6:.1f} MB")
+        print(f"{path}: {path.stat().st_size / 1e6:.1f} MB\n{path.resolve().as_uri()}")
         return
     try:
         from omniocc.viewer.timeline.show import show

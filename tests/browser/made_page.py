@@ -11,7 +11,7 @@ from torch import Tensor
 from omniocc.camera import Equirectangular, Rig
 from omniocc.classes import WORLD_CLASSES
 from omniocc.geometry import Cuboid, Cylinder, Grid
-from omniocc.viewer import FramePrediction, Shown, ShownFrame
+from omniocc.viewer.frames import FramePrediction, Shown, ShownFrame
 from omniocc.viewer.page import write_page
 
 HEIGHT_M, REACH_M = (-2.8, 3.6), 25.6

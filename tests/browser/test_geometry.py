@@ -95,7 +95,8 @@ def test_corners_of_faces_are_those_of_the_surface(name, shared):
     found = shared.evaluate(
         """async () => { const { vertices } = await import("omniocc/mesh.js");
            const rows = omniocc.faces(volume.grid, volume.labels, omniocc.stopping(false));
-           const mesh = vertices(volume.grid, rows, 0); return [Array.from(mesh.position), Array.from(mesh.normal)]; }"""
+           const mesh = vertices(volume.grid, rows, 0);
+           return [Array.from(mesh.position), Array.from(mesh.normal)]; }"""
     )
     corners, normals = (np.array(part).reshape(6, 4, 3) for part in found)
     expected = surface(labels == 4, grid).corners_m

@@ -45,7 +45,7 @@ class TargetOptions:
     save: str | None = None
     connect: str | None = None
     page: bool = False
-    output: str = "view.html"
+    output: str | None = None
     watch: str | None = None
     port: int = 8080
 

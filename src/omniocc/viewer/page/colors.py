@@ -1,9 +1,9 @@
 """Colours that colour-blind people can tell apart.
 
-They were chosen one after the other, each as far as possible from those before: the smallest CIELAB distance between two
-of them, as people with normal sight, protanopes, deuteranopes and tritanopes see them (Machado, Oliveira and Fernandes:
-A Physiologically-based Model for Simulation of Color Vision Deficiency, 2009), is at least 27 among the first eleven and
-16 among all.
+They were chosen one after the other, each as far as possible from those before: the smallest CIELAB distance between
+two of them, as people with normal sight, protanopes, deuteranopes and tritanopes see them (Machado, Oliveira and
+Fernandes: A Physiologically-based Model for Simulation of Color Vision Deficiency, 2009), is at least 26 among the
+first eleven and 17 among all.
 """
 
 from omniocc.classes import FREE, ClassTable
@@ -18,9 +18,9 @@ SAFE: tuple[Rgb, ...] = (
 """By class from 1 on; the first eleven are in the order of the virtual world's classes."""
 SAFE_KINDS: dict[str, Rgb] = {
     "right": (214, 219, 224),
-    "wrong class": (255, 210, 0),
+    "wrong class": (255, 180, 0),
     "missed": (0, 90, 200),
-    "hallucinated": (190, 60, 20),
+    "hallucinated": (150, 30, 30),
 }
 """By kind of difference, in the order in which the page numbers them from 1 on."""
 

@@ -11,7 +11,6 @@ import numpy as np
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.geometry import Cylinder, Grid
-from omniocc.progress import Progress
 from omniocc.view.canvas import fitted
 from omniocc.view.ranges import range_colors
 from omniocc.view.sheet import HEXAGON_ORDER
@@ -69,7 +68,7 @@ class Packed:
                 "scene": frame.scene,
                 "frame": frame.frame,
                 "time_s": frame.time_s,
-                "rig": None if frame.rig is None else self._rig(frame.rig),
+                "rig": None if frame.rig is None or not frame.images else self._rig(frame.rig),
                 "images": [self._image(image) for image in frame.images],
                 "truth": {self._grid(grid): self._bytes(labels.numpy()) for grid, labels in frame.truth.items()},
                 "predictions": [self._prediction(frame.predictions.get(name)) for name in self.facts["runs"]],
@@ -152,10 +151,8 @@ class Packed:
 
 
 def pack(shown: Shown, frames: Iterable[ShownFrame]) -> Packed:
-    """Return the content of a page with these frames, at least one of them, with a progress display."""
+    """Return the content of a page with these frames."""
     packed = Packed(shown)
-    with Progress("page", len(shown), "frames") as progress:
-        for frame in frames:
-            packed.add(frame)
-            progress.advance(text=f"{frame.scene} {frame.frame}")
+    for frame in frames:
+        packed.add(frame)
     return packed

@@ -3,7 +3,7 @@
 import base64
 import hashlib
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,15 @@ ENVIRONMENT = Environment(
 )
 THREE = "vendor/three.min.js"
 START = 'import "omniocc/main.js";'
+PAGE = "view.html"
+"""Name of the page in the folder of a run, where the report looks for it."""
+
+
+def page_path(output: str | None, runs: Sequence[str]) -> Path:
+    """Return the file of a page: `output`, else in the folder of the only run, else in the working folder."""
+    if output is not None:
+        return Path(output)
+    return Path(runs[0], PAGE) if len(runs) == 1 and Path(runs[0]).is_dir() else Path(PAGE)
 
 
 def write_page(shown: Shown, frames: Iterable[ShownFrame], path: Path) -> None:
