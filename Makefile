@@ -25,7 +25,7 @@ demo: $(READY)  ## Render streets, train, test on unseen streets, show table and
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
 
 test: $(READY)  ## Run the tests (COVERAGE=1: and print how many lines they ran)
-	$(PYTEST) -m 'not whole_runs and not second_device and not faults and not cluster' $(if $(COVERAGE),--cov)
+	$(PYTEST) -m 'not whole_runs and not second_device and not faults and not cluster and not browser' $(if $(COVERAGE),--cov)
 
 test-runs: $(READY)  ## Run the tests that train by the scripts, as users start them: killed, resumed, in two processes
 	$(PYTEST) -m whole_runs
@@ -39,6 +39,10 @@ test-faults: $(READY)  ## Record from a stand-in of a CARLA server that crashes,
 test-cluster: $(READY)  ## Run multiruns on a Slurm of one node, training by torchrun and from S3 (INSTALL_SLURM=1: installs Slurm by apt-get)
 	$(if $(INSTALL_SLURM),apt-get install --yes --quiet slurm-wlm munge)
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m cluster
+
+test-browser: $(READY)  ## Open the viewer's page in a headless Chromium (INSTALL_CHROMIUM=1: installs it by apt-get)
+	$(if $(INSTALL_CHROMIUM),apt-get install --yes --quiet chromium)
+	$(PYTEST) -m browser
 
 test-typecheck: $(READY)  ## Run four folders of tests again, with every shape annotation checked
 	$(BIN)/python tools/typecheck.py
@@ -90,4 +94,4 @@ wandb-sync: $(READY)  ## Upload new offline W&B runs and the tables of the repor
 dashboard: $(READY)  ## Save the W&B dashboard to the project omniocc (docs/how_to/dashboards.md)
 	@$(BIN)/python -m omniocc.report.wandb.dashboard --runs $(RUNS)
 
-.PHONY: help setup demo test test-runs test-device test-faults test-cluster test-typecheck docs lint types constraints bench ablations wandb-sync weights dashboard
+.PHONY: help setup demo test test-runs test-device test-faults test-cluster test-browser test-typecheck docs lint types constraints bench ablations wandb-sync weights dashboard

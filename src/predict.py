@@ -5,10 +5,12 @@
 
 import sys
 from pathlib import Path
+from types import ModuleType
 
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
+from omniocc.errors import UserError
 from omniocc.predict.depth import predict_panoramas
 from omniocc.predict.occupancy import options_of, predict_occupancy
 from omniocc.predict.submission import predict_submission
@@ -18,14 +20,22 @@ from omniocc.run.script import quiet_libraries, script
 @script("predict_depth")
 def depth(cfg: DictConfig) -> None:
     """Predict a range panorama for every frame."""
-    predict_panoramas(cfg, [str(override) for override in HydraConfig.get().overrides.task])
+    overrides = [str(override) for override in HydraConfig.get().overrides.task]
+    if cfg.viewer is None:
+        return predict_panoramas(cfg, overrides)
+    with timeline().to_viewer(cfg.viewer, f"depth, {cfg.output}") as recording:
+        return predict_panoramas(cfg, overrides, timeline().RangeStream(recording))
 
 
 @script("predict_occupancy")
 def occupancy(cfg: DictConfig) -> None:
     """Predict the voxels of every frame."""
     quiet_libraries()
-    predict_occupancy(options_of(cfg))
+    options = options_of(cfg)
+    if options.viewer is None:
+        return predict_occupancy(options)
+    with timeline().to_viewer(options.viewer, f"occupancy, {options.output}") as recording:
+        return predict_occupancy(options, timeline().VoxelStream(recording))
 
 
 @script("predict_submission")
@@ -37,6 +47,15 @@ def submission(cfg: DictConfig) -> None:
         given = [cfg.sequences] if isinstance(cfg.sequences, int | str) else list(cfg.sequences)
         changes.append(f"data.source.sequences.{cfg.split}={given}")
     predict_submission(cfg.checkpoint, Path(cfg.output), cfg.split, changes, cfg.device, cfg.force)
+
+
+def timeline() -> ModuleType:
+    """Return the module that streams frames into the Rerun viewer; raise UserError without its package."""
+    try:
+        from omniocc.viewer.timeline import stream
+    except ImportError as error:
+        raise UserError("viewer=... needs one more package: pip install --editable '.[rerun]'") from error
+    return stream
 
 
 COMMANDS = {"depth": depth, "occupancy": occupancy, "submission": submission}

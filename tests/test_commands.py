@@ -26,7 +26,7 @@ SWEEP = "python src/train.py --multirun +ablation='glob(*)' seed=0,1,2"
 MAKE = {
     "make demo": ".venv/bin/python tools/demo.py tiny",
     "make test": "OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n auto --dist worksteal"
-    " -m 'not whole_runs and not second_device and not faults and not cluster'",
+    " -m 'not whole_runs and not second_device and not faults and not cluster and not browser'",
     "make ablations": f".venv/bin/python src/train.py --multirun +ablation={','.join(ROWS)} seed=0 preset=tiny",
 }
 

@@ -6,8 +6,8 @@ import pytest
 
 from omniocc.errors import UserError
 from omniocc.report.keep import keep_records
-from omniocc.report.plots.curves import read_curve
 from omniocc.report.runs import read_runs
+from omniocc.run.curves import read_curve
 
 
 def test_every_figure_and_curve_can_be_read_from_what_is_kept(runs, tmp_path):

@@ -11,6 +11,8 @@ from omniocc.geometry.grid import Grid
 
 AROUND = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
 """Corners of a face along the two axes in its plane, in turn."""
+FLAT_M2 = 1e-9
+"""Area of a face that counts as none."""
 
 
 class Surface(NamedTuple):
@@ -43,6 +45,14 @@ def surface(occupied: Bool[Tensor, "X Y Z"], geometry: Grid) -> Surface:
         corners.append(lattice[tuple(np.moveaxis(index, -1, 0))])
         cells.append(exposed)
     return Surface(np.concatenate(corners), np.concatenate(cells))
+
+
+def with_area(found: Surface) -> Surface:
+    """Return the faces that have an area: those at the axis of a cylinder have none."""
+    quads = found.corners_m
+    diagonals = np.cross(quads[:, 2] - quads[:, 0], quads[:, 3] - quads[:, 1])
+    solid = np.linalg.norm(diagonals, axis=-1) > 2 * FLAT_M2
+    return Surface(quads[solid], found.cells[solid])
 
 
 def face_corners(axis: int, upper: int) -> np.ndarray:

@@ -1,12 +1,14 @@
 """The command `predict.py depth`: from a calibrated rig's images to range panoramas in files."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import cast
 
+import numpy as np
 import torch
+from jaxtyping import Float32
 from omegaconf import DictConfig, ListConfig, OmegaConf
-from torch import nn
+from torch import Tensor, nn
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.config import build, check
@@ -21,9 +23,12 @@ from omniocc.predict.trained import training_data
 from omniocc.run.weights import find_checkpoint
 from omniocc.view import predicted_sheet
 
+ShowRanges = Callable[[Frame, Sequence[np.ndarray], Rig, Float32[Tensor, "h w"], Equirectangular], None]
+"""Shows the panorama of one frame: given the frame, its images, their rig, the ranges and their directions."""
 
-def predict_panoramas(cfg: DictConfig, overrides: Sequence[str]) -> None:
-    """Predict every frame and write its folder of files; `cfg` is composed from `conf/predict_depth.yaml`.
+
+def predict_panoramas(cfg: DictConfig, overrides: Sequence[str], show: ShowRanges | None = None) -> None:
+    """Predict every frame, write its folder of files and show it; `cfg` is composed from `conf/predict_depth.yaml`.
 
     Raises:
         UserError, FileNotFoundError: naming the option, file or checkpoint that cannot be used.
@@ -36,7 +41,7 @@ def predict_panoramas(cfg: DictConfig, overrides: Sequence[str]) -> None:
     device = choose_device(cfg.device)
     for frame in frames:
         folder = Path(cfg.output) / frame.name
-        print(predict_frame(frame, folder, model, rig, image_width, cfg.bev_range_m, device), flush=True)
+        print(predict_frame(frame, folder, model, rig, image_width, cfg.bev_range_m, device, show), flush=True)
 
 
 def choose_model(cfg: DictConfig, overrides: Sequence[str], rig: Rig) -> tuple[nn.Module, int | None]:
@@ -62,8 +67,9 @@ def predict_frame(
     image_width: int | None,
     bev_range_m: float,
     device: torch.device,
+    show: ShowRanges | None = None,
 ) -> str:
-    """Predict one frame, write its files and return a line about it."""
+    """Predict one frame, write its files, show it, and return a line about it."""
     watch = Stopwatch(device, ("read", "depth", "write"))
     with watch("read"):
         images = read_frame(frame, rig)
@@ -77,5 +83,7 @@ def predict_frame(
         caption = " ".join([frame.name, f"without {', '.join(missing)}" if missing else ""]).strip()
         overview = predicted_sheet(images, rig, panorama, range_m, cloud.colors, caption, bev_range_m)
         points = write_depth(folder, depth, panorama, cloud, overview)
+    if show is not None:
+        show(frame, images, rig, range_m, panorama)
     answered = float(depth.valid.float().mean())
     return f"{folder}: {panorama.width}x{panorama.height} px, {answered:.0%} with an answer, {points} points; {watch}"

@@ -1,7 +1,7 @@
 """Predict sequences into folders; frames that are finished already are skipped."""
 
 import statistics
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -30,6 +30,9 @@ from omniocc.task.scores import Scores
 from omniocc.view import save_png
 from omniocc.view.voxel_sheet import RangePanorama, occupancy_sheet
 
+ShowFrame = Callable[["Job", FrameSequence, int, Sequence[np.ndarray], Prediction, Truth | None], None]
+"""Shows one frame: given the job, its sequence and index, its images, its prediction, and the truth if there is any."""
+
 
 @dataclass
 class Job:
@@ -39,6 +42,7 @@ class Job:
         history: how frames get their past.
         trained: the data of the training, whose classes and label of cells without points are used.
         scores: against the ground truth; None for a user's own images.
+        show: is called with every prediction after its files are written; None shows nothing.
         seconds: by step, of every frame that was predicted.
     """
 
@@ -47,6 +51,7 @@ class Job:
     trained: TrainingData
     options: Options
     scores: Scores | None
+    show: ShowFrame | None = None
     seconds: list[dict[str, float]] = field(default_factory=list)
 
     @property
@@ -104,6 +109,8 @@ class Job:
         truth = sequence.truth(frame, predictor.model.geometry, self.trained.unknown)
         with watch("write"):
             self._write(sequence, frame, images, prediction, truth)
+        if self.show is not None:
+            self.show(self, sequence, frame, images, prediction, truth)
         scored = "" if truth is None else f"{self._score(prediction.labels, truth)}; "
         self.seconds.append(watch.seconds)
         occupied = int((prediction.labels > 0).sum())

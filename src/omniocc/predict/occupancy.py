@@ -16,10 +16,10 @@ from omniocc.predict.input.images import find_frames
 from omniocc.predict.input.poses import read_poses
 from omniocc.predict.input.schedule import History
 from omniocc.predict.input.sequence import FrameSequence, ImageSequence, RecordedSequence, find_scenes
-from omniocc.predict.job import Job
+from omniocc.predict.job import Job, ShowFrame
 from omniocc.predict.network import load_occupancy
 from omniocc.predict.options import Options, choose_device, load_rig, require
-from omniocc.predict.output.manifest import pose_digest, write_manifest
+from omniocc.predict.output.manifest import OWN_RIG, pose_digest, write_manifest
 from omniocc.predict.predictor import Predictor
 from omniocc.predict.trained import TrainingData, training_data
 from omniocc.run.checkpoint_io import no_checkpoint
@@ -51,8 +51,8 @@ def options_of(cfg: DictConfig) -> Options:
     return replace(options, checkpoint=str(path))
 
 
-def predict_occupancy(options: Options) -> None:
-    """Find the frames, load the model, predict and write; print scores where there is ground truth.
+def predict_occupancy(options: Options, show: ShowFrame | None = None) -> None:
+    """Find the frames, load the model, predict, write and show; print scores where there is ground truth.
 
     Raises:
         UserError, OSError: naming the option or file that cannot be used.
@@ -63,9 +63,11 @@ def predict_occupancy(options: Options) -> None:
     history = choose_history(options, model, sequences)
     width = trained.width_for(sequences[0].rig) if options.image_width is None else options.image_width
     write_manifest(Path(options.output), facts_of(options, sequences, history, width), options.force)
+    if options.images is not None:
+        rig_of(options).save(Path(options.output) / OWN_RIG)
     print("\n".join(announcement(options, model, trained, sequences, history)), flush=True)
     scores = scores_of(model, trained, sequences)
-    job = Job(Predictor(model, width, options.exclude_cameras, device), history, trained, options, scores)
+    job = Job(Predictor(model, width, options.exclude_cameras, device), history, trained, options, scores, show)
     job.run(sequences)
     print("\n".join(job.summary()), flush=True)
     if scores is not None:

@@ -31,6 +31,7 @@ class Options:
     exclude_cameras: Sequence[str]
     image_width: int | None
     device: str | None
+    viewer: str | None = None
 
 
 def require(cfg: DictConfig, keys: Sequence[str], command: str) -> None:

@@ -95,13 +95,28 @@ class Predictor:
                 for image, name in zip(images, rig.names, strict=True)
             ]
             batch, scaled = resized_to_width(shown, rig, self.image_width)
-            batch = batch.to(self.device)
+        return self.step_at_size(batch, scaled, world_from_ego, true_range_m, watch)
+
+    @torch.inference_mode()
+    def step_at_size(
+        self,
+        images: Float32[Tensor, "1 N 3 H W"],
+        rig: Rig,
+        world_from_ego: Float64[Tensor, "4 4"] | None,
+        true_range_m: Float32[Tensor, "1 h w"] | None,
+        watch: Stopwatch,
+    ) -> Prediction:
+        """Return the prediction for the next frame from RGB in [0, 1], padded where the sizes of cameras differ.
+
+        The images are not scaled; else as `step`.
+        """
+        images = images.to(self.device)
         pose = torch.eye(4, dtype=torch.float64) if world_from_ego is None else world_from_ego
         try:
-            sketched, depth = self._choose(batch, scaled, true_range_m, watch)
+            sketched, depth = self._choose(images, rig, true_range_m, watch)
             with watch("occupancy"):
-                seen = mask_cameras(scaled, self.excluded)
-                logits = self.stream.step(batch[0], seen, pose.to(self.device), sketched)
+                seen = mask_cameras(rig, self.excluded)
+                logits = self.stream.step(images[0], seen, pose.to(self.device), sketched)
                 labels = logits.argmax(0).to(torch.uint8).cpu()
         except ValueError as error:
             raise UserError(str(error)) from error

@@ -57,11 +57,21 @@ def training_data(path: Path, cfg: DictConfig) -> TrainingData:
     Raises:
         UserError: when the source cannot be built here, needs scenes that are not there, or has other classes.
     """
+    data = open_data(path, cfg)
+    source, spec = data.source, data.source.spec
+    name = OmegaConf.select(cfg, "data.source.rig") or "that of recorded scenes"
+    return TrainingData(training_rig(source), name, spec.road_z_m, spec.classes, data.unknown)
+
+
+def open_data(path: Path, cfg: DictConfig) -> OccupancyData:
+    """Return the data that `cfg`, the configuration of the checkpoint at `path`, describes; nothing is read or made.
+
+    Raises:
+        UserError: as `training_data`.
+    """
     if "data" not in cfg:
         raise UserError(f"{path} is of another version: its configuration has no data")
     check_parts(path, cfg, ["data"])
     data: OccupancyData = build(cfg.data)
     data.check_classes()
-    source, spec = data.source, data.source.spec
-    name = OmegaConf.select(cfg, "data.source.rig") or "that of recorded scenes"
-    return TrainingData(training_rig(source), name, spec.road_z_m, spec.classes, data.unknown)
+    return data

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from omniocc.io import atomic_write
-from omniocc.report.plots.curves import CURVES
 from omniocc.report.runs import FinishedRun, read_runs
+from omniocc.run.curves import CURVES
 from omniocc.run.folder import METRICS
 
 KEPT = ("config.yaml", METRICS, CURVES)

@@ -17,7 +17,6 @@ from omniocc.report.dataset.table import (
     scenes_of,
     with_ours,
 )
-from omniocc.report.plots.curves import read_curve
 from omniocc.report.rows import assign_rows
 from omniocc.report.runs import FinishedRun, path_between, read_runs
 from omniocc.report.selection import by_row, comparable, settings_of
@@ -25,6 +24,7 @@ from omniocc.report.tables import bounds, budget
 from omniocc.report.tables.claims import claim_cells
 from omniocc.report.tables.overview import table_of_runs
 from omniocc.report.tables.paper import PaperTable, as_csv, as_latex, as_markdown, is_table, load_table
+from omniocc.run.curves import read_curve
 from omniocc.run.folder import METRICS
 from omniocc.run.table import markdown
 

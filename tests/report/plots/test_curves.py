@@ -1,21 +1,6 @@
 """Training curves out of CSV files."""
 
-from omniocc.report.plots.curves import over_seeds, read_curve, smoothed
-
-
-def write(folder, version, *lines):
-    path = folder / "csv" / f"version_{version}"
-    path.mkdir(parents=True)
-    (path / "metrics.csv").write_text("\n".join(lines) + "\n")
-
-
-def test_a_resumed_run_is_one_curve(tmp_path):
-    write(tmp_path, 2, "step,val/rayiou,train/loss", "19,,5", "29,0.3,")
-    write(tmp_path, 10, "train/loss,step", "4,39")
-    write(tmp_path, 0, "step,train/loss,val/rayiou", "9,9,", "19,8,", "19,,0.1", "29,7,")
-    assert read_curve(tmp_path, "train/loss") == {9: 9.0, 19: 5.0, 39: 4.0}
-    assert read_curve(tmp_path, "val/rayiou") == {29: 0.3}
-    assert read_curve(tmp_path / "nothing", "val/rayiou") == {}
+from omniocc.report.plots.curves import over_seeds, smoothed
 
 
 def test_seeds_are_compared_at_the_steps_that_all_have():

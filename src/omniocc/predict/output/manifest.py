@@ -13,6 +13,8 @@ from omniocc.io import atomic_write
 from omniocc.predict.output.voxel_files import VOXELS
 
 MANIFEST = "prediction.json"
+OWN_RIG = "prediction.rig.yaml"
+"""The cameras of a user's own images, beside their predictions."""
 
 
 def write_manifest(output: Path, facts: Mapping[str, Any], force: bool, files: str = VOXELS) -> None:
@@ -41,6 +43,23 @@ def write_manifest(output: Path, facts: Mapping[str, Any], force: bool, files: s
     except OSError as error:
         reason = (error.__cause__ and str(error.__cause__)) or str(error)
         raise UserError(f"output={output} cannot be written: {reason}; choose another folder: output=...") from error
+
+
+def read_manifest(output: Path) -> dict[str, Any]:
+    """Return what the predictions of a folder were made from.
+
+    Raises:
+        UserError: when the folder has no manifest, or a damaged one.
+    """
+    try:
+        facts = json.loads((output / MANIFEST).read_text())
+    except FileNotFoundError as error:
+        raise UserError(f"{output} holds no predictions of predict.py occupancy (no {MANIFEST})") from error
+    except ValueError as error:
+        raise UserError(f"{output / MANIFEST} is damaged: {error}") from error
+    if not isinstance(facts, dict):
+        raise UserError(f"{output / MANIFEST} is damaged: it holds no facts")
+    return facts
 
 
 def _changed(old: str, new: Mapping[str, Any]) -> str:

@@ -3,13 +3,14 @@
 import io
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float64, UInt8
+from jaxtyping import Bool, Float64, UInt8
 from torch import Tensor
 
-from omniocc.classes import ClassTable
+from omniocc.classes import ClassTable, SemanticClass
 from omniocc.errors import UserError
 from omniocc.geometry import Cuboid, Cylinder, Grid
 from omniocc.io import atomic_write
@@ -71,6 +72,39 @@ def write_voxels(folder: Path, arrays: dict[str, np.ndarray]) -> None:
     content = io.BytesIO()
     np.savez_compressed(content, **arrays)  # type: ignore[arg-type]
     atomic_write(folder / VOXELS, content.getvalue())
+
+
+class Voxels(NamedTuple):
+    """The content of `voxels.npz`."""
+
+    labels: UInt8[Tensor, "X Y Z"]
+    candidates: Bool[Tensor, "X Y Z"]
+    geometry: Grid
+    classes: ClassTable
+    world_from_ego: Float64[np.ndarray, "4 4"] | None
+
+
+def read_voxels(path: Path) -> Voxels:
+    """Return what `write_voxels` has written of the arrays of `voxel_arrays`.
+
+    Raises:
+        UserError: when the file is damaged or of another program.
+    """
+    try:
+        with np.load(path) as arrays:
+            given = {name: arrays[name] for name in arrays.files}
+        names, colors = given["class_names"].tolist(), given["class_colors"].tolist()
+        rows = zip(names, colors, strict=True)
+        classes = ClassTable(tuple(SemanticClass(k, str(name), tuple(rgb)) for k, (name, rgb) in enumerate(rows)))
+        ends = list(zip(given["low"].tolist(), given["high"].tolist(), strict=True))
+        kind, shape = str(given["kind"]), given["shape"].tolist()
+        geometry = Cylinder(shape, ends[0], ends[2]) if kind == "cylinder" else Cuboid(shape, *ends)
+        labels, candidates = (torch.from_numpy(given[name]) for name in ("labels", "candidates"))
+        if not labels.shape == candidates.shape == geometry.shape:
+            raise ValueError(f"its labels have the shape {tuple(labels.shape)}, its grid {geometry.shape}")
+    except Exception as error:  # numpy, zipfile and zlib raise their own types
+        raise UserError(f"{path} is damaged or no file of predict.py occupancy: {error!r}") from error
+    return Voxels(labels, candidates.bool(), geometry, classes, given.get("world_from_ego"))
 
 
 def read_labels(folder: Path, geometry: Grid) -> UInt8[Tensor, "X Y Z"]:

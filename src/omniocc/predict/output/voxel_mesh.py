@@ -8,10 +8,7 @@ from torch import Tensor
 
 from omniocc.classes import FREE, UNKNOWN, ClassTable
 from omniocc.geometry import Grid
-from omniocc.geometry.surface import surface
-
-FLAT_M2 = 1e-9
-"""Faces with less area are left out: at the axis of a cylinder they have none."""
+from omniocc.geometry.surface import surface, with_area
 
 
 class VoxelMesh(NamedTuple):
@@ -30,11 +27,8 @@ class VoxelMesh(NamedTuple):
 
 def voxel_mesh(labels: UInt8[Tensor, "X Y Z"], geometry: Grid, classes: ClassTable) -> VoxelMesh:
     """Return the faces of occupied cells towards cells that are not; unknown cells count as empty."""
-    quads, cells = surface((labels != FREE) & (labels != UNKNOWN), geometry)
+    quads, cells = with_area(surface((labels != FREE) & (labels != UNKNOWN), geometry))
     colors = classes.palette[labels.reshape(-1).numpy()[cells]]
-    diagonals = np.cross(quads[:, 2] - quads[:, 0], quads[:, 3] - quads[:, 1])
-    solid = np.linalg.norm(diagonals, axis=-1) > 2 * FLAT_M2
-    quads, colors = quads[solid], colors[solid]
     first = 4 * np.arange(len(quads))[:, None, None]
     triangles = (first + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
     return VoxelMesh(quads.reshape(-1, 3), np.repeat(colors, 4, axis=0), triangles)

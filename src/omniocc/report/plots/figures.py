@@ -12,9 +12,10 @@ from matplotlib import colormaps, rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
-from omniocc.report.plots.curves import over_seeds, read_curve, smoothed
+from omniocc.report.plots.curves import over_seeds, smoothed
 from omniocc.report.runs import FRACTION, FinishedRun, names_of
 from omniocc.report.tables.paper import figure_of
+from omniocc.run.curves import read_curve
 from omniocc.run.table import band_keys
 
 Rows = Mapping[str, Sequence[FinishedRun]]

@@ -1,0 +1,48 @@
+"""Curves of training and validation, read from the CSV files that every run writes."""
+
+import csv
+import io
+import math
+from pathlib import Path
+
+CURVES = "csv/version_*/metrics.csv"
+"""Files of logged metrics in the folder of a run, one for each start."""
+Curve = dict[int, float]
+"""Values of a metric by optimizer step."""
+
+
+def read_curve(folder: Path, key: str) -> Curve:
+    """Return the values of one logged metric; see `read_curves`."""
+    return read_curves(folder).get(key, {})
+
+
+def read_curves(folder: Path) -> dict[str, Curve]:
+    """Return the values of all logged metrics by key; those that are not finite are left out.
+
+    A resumed run has one file for each start; where they overlap, the later file is used, since the run continued from
+    an earlier checkpoint. A line that is being written is left out. Without CSV files in the run's folder the result is
+    empty.
+    """
+    curves: dict[str, Curve] = {}
+    for path in curve_files(folder):
+        rows = read_rows(path)
+        began = min((int(row["step"]) for row in rows), default=math.inf)
+        curves = {key: {step: value for step, value in curve.items() if step < began} for key, curve in curves.items()}
+        for row in rows:
+            step = int(row.pop("step"))
+            for key, value in row.items():
+                if value and math.isfinite(float(value)):
+                    curves.setdefault(key, {})[step] = float(value)
+    return {key: curve for key, curve in curves.items() if curve}
+
+
+def curve_files(folder: Path) -> list[Path]:
+    """Return the CSV files of a run in the order of its starts."""
+    return sorted(folder.glob(CURVES), key=lambda path: int(path.parent.name.split("_")[1]))
+
+
+def read_rows(path: Path) -> list[dict[str, str]]:
+    """Return the complete lines of a CSV file that have a step, as texts by key."""
+    whole, end, _ = path.read_text().rpartition("\n")
+    rows = csv.DictReader(io.StringIO(whole + end, newline=""))
+    return [row for row in rows if (row.get("step") or "").isdigit() and None not in row and None not in row.values()]

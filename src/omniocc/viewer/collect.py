@@ -1,0 +1,89 @@
+"""Collect what a viewer shows: frames of scenes, with the predictions of models that are computed now."""
+
+from collections.abc import Iterator, Sequence
+
+from omniocc.batch import Batch
+from omniocc.geometry import Cylinder, Grid
+from omniocc.metric import sparseocc_directions
+from omniocc.predict.predictor import Prediction
+from omniocc.progress import Progress
+from omniocc.task.scores import Scores
+from omniocc.viewer.frames import FramePrediction, Shown, ShownFrame
+from omniocc.viewer.models import PixelLabels, TrainedModel, check_classes, frame_figures, load_models
+from omniocc.viewer.options import ViewOptions, unique_names
+from omniocc.viewer.predictions import open_predictions
+from omniocc.viewer.scenes import ChosenScenes, name_of, recorded_frame, recorded_scenes, test_scenes
+
+
+def open_shown(options: ViewOptions) -> Shown:
+    """Return what the options choose; models are loaded, frames are computed when they are iterated.
+
+    Frames are those of the first run's test scenes, or of `recorded`; all runs predict the same ones.
+
+    Raises:
+        UserError, OSError: naming the option that cannot be used.
+    """
+    if options.predictions is not None:
+        return open_predictions(options)
+    models = load_models(options.run, unique_names(options.run), options.device)
+    scenes = _scenes(options, models)
+    check_classes(models, scenes)
+    grids = tuple(dict.fromkeys(model.grid for model in models)) or (Cylinder(),)
+    return Shown(
+        classes=scenes.spec.classes,
+        models=tuple(model.name for model in models),
+        grids=grids,
+        road_z_m=scenes.spec.road_z_m,
+        frame_interval_s=scenes.spec.frame_interval_s,
+        directions=sparseocc_directions(),
+        source=scenes.source,
+        fingerprint=scenes.fingerprint,
+        frames=tuple((scene.name, name_of(frame)) for scene, wanted in scenes.scenes for frame in wanted),
+        read=lambda: _frames(scenes, models, grids),
+    )
+
+
+def with_progress(shown: Shown) -> Iterator[ShownFrame]:
+    """Return the frames one by one, and show how many are done and how long the others take."""
+    with Progress("frames", len(shown)) as progress:
+        for frame in shown:
+            yield frame
+            progress.advance(text=f"{frame.scene} {frame.frame}")
+
+
+def _scenes(options: ViewOptions, models: Sequence[TrainedModel]) -> ChosenScenes:
+    panorama = next((model.predictor.panorama for model in models), None)
+    chosen = options.scene, options.frames, options.limit
+    if options.recorded is None:
+        return test_scenes(models[0].data, *chosen, panorama)
+    unknown = models[0].trained.unknown if models else "free"
+    return recorded_scenes(options.recorded, *chosen, unknown, panorama)
+
+
+def _frames(scenes: ChosenScenes, models: Sequence[TrainedModel], grids: Sequence[Grid]) -> Iterator[ShownFrame]:
+    scores = [Scores(model.grid, scenes.spec) for model in models]
+    for scene, wanted in scenes.scenes:
+        predicted = [model.predict(scene, wanted) for model in models]
+        for frame, *answers in zip(wanted, *predicted, strict=True):
+            truth = {grid: scenes.truth(scene, frame, grid) for grid in grids}
+            named = {
+                model.name: _prediction(model, answer, truth[model.grid], own)
+                for model, answer, own in zip(models, answers, scores, strict=True)
+            }
+            voxels = {grid: batch.voxels[0] for grid, batch in truth.items() if batch and batch.voxels is not None}
+            yield recorded_frame(scenes, scene, frame, voxels, named)
+
+
+def _prediction(
+    model: TrainedModel, answer: tuple[Prediction, PixelLabels], truth: Batch | None, scores: Scores
+) -> FramePrediction:
+    prediction, pixels = answer
+    return FramePrediction(
+        labels=prediction.labels,
+        grid=model.grid,
+        candidates=prediction.candidates,
+        range_m=prediction.range_m,
+        panorama=None if prediction.range_m is None else model.predictor.panorama,
+        pixel_labels=pixels,
+        figures={} if truth is None else frame_figures(scores, prediction.labels, truth),
+    )

@@ -1,0 +1,99 @@
+"""Options of `view.py`."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, TypeVar
+
+from omegaconf import DictConfig, OmegaConf
+
+from omniocc.config import build, check
+from omniocc.errors import UserError
+
+Options = TypeVar("Options", "ViewOptions", "TargetOptions")
+
+
+@dataclass(frozen=True)
+class ViewOptions:
+    """Options that choose what is shown; see `conf/view.yaml`."""
+
+    run: Sequence[str] = ()
+    recorded: str | None = None
+    predictions: str | None = None
+    scene: str | None = None
+    frames: Sequence[int] | None = None
+    limit: int | None = 20
+    device: str | None = None
+
+    def __post_init__(self) -> None:
+        """Check that the options fit together; raise UserError naming those that do not."""
+        if self.predictions is not None and (self.run or self.recorded):
+            raise UserError("predictions=... are shown as they are: leave run=... and recorded=... out")
+        if not (self.run or self.recorded or self.predictions):
+            raise UserError(
+                "nothing to show: give run=runs/<run> (or run=tiny), recorded=<scenes> or predictions=<folder>; "
+                "python src/view.py --help explains them"
+            )
+        if self.limit is not None and self.limit < 1:
+            raise UserError(f"limit={self.limit}: give at least 1 frame, or limit=null for all")
+
+
+@dataclass(frozen=True)
+class TargetOptions:
+    """Options that choose where it is shown; see `conf/view.yaml`."""
+
+    save: str | None = None
+    connect: str | None = None
+    page: bool = False
+    output: str | None = None
+    watch: str | None = None
+    port: int = 8080
+
+    def __post_init__(self) -> None:
+        """Check that the options fit together; raise UserError naming those that do not."""
+        given = {"save": self.save, "connect": self.connect, "page": self.page, "watch": self.watch}
+        chosen = [key for key, value in given.items() if value]
+        if len(chosen) > 1:
+            raise UserError(f"{' and '.join(f'{key}=...' for key in chosen)} are different places: give one of them")
+        if self.save is not None and Path(self.save).is_dir():
+            raise UserError(f"save={self.save} is a folder; give a file, {Path(self.save) / 'view.rrd'}")
+        if not 0 <= self.port < 65536:
+            raise UserError(f"port={self.port}: a port is from 1 to 65535")
+
+
+def options_of(cfg: DictConfig) -> tuple[ViewOptions | None, TargetOptions]:
+    """Return the checked options of `conf/view.yaml`: what is shown (None with `watch`), and where.
+
+    Raises:
+        UserError: naming the option that is contradictory, missing or of the wrong type.
+    """
+    values = {str(key): value for key, value in cfg.items()}
+    values["run"] = [cfg.run] if isinstance(cfg.run, str) else cfg.run if cfg.run is not None else []
+    target = _built(TargetOptions, values)
+    if target.watch is None:
+        return _built(ViewOptions, values), target
+    default = ViewOptions(run=("any",))
+    names = [one.name for one in fields(ViewOptions)]
+    others = [name for name in names if values[name] not in ([], getattr(default, name))]
+    if others:
+        raise UserError(f"watch={target.watch} follows runs in progress: leave {', '.join(others)} out")
+    return None, target
+
+
+def _built(kind: type[Options], values: dict[str, Any]) -> Options:
+    """Return the options of a class, compared with its types."""
+    own = {one.name: values[one.name] for one in fields(kind)}
+    node = OmegaConf.create({"view": {"_target_": f"{kind.__module__}.{kind.__name__}", **own}})
+    check(node)
+    return build(node.view)
+
+
+def unique_names(runs: Sequence[str]) -> list[str]:
+    """Return a short name for each run: its folder's, with a number where several have the same."""
+    names: list[str] = []
+    for run in runs:
+        path = Path(run)
+        name = path.parent.name if path.suffix and path.parent.name else path.name
+        same = sum(other == name or other.startswith(f"{name} (") for other in names)
+        names.append(f"{name} ({same + 1})" if same else name)
+    return names

@@ -1,0 +1,158 @@
+"""Frames as the page reads them: facts as plain data, and blocks of text for labels, tables and images."""
+
+import base64
+import gzip
+import math
+from collections.abc import Iterable
+from typing import Any
+
+import cv2
+import numpy as np
+
+from omniocc.camera import Equirectangular, Rig
+from omniocc.geometry import Cylinder, Grid
+from omniocc.view.canvas import fitted
+from omniocc.view.ranges import range_colors
+from omniocc.view.sheet import HEXAGON_ORDER
+from omniocc.view.voxels import CAR_BOXES
+from omniocc.viewer.frames import FramePrediction, Shown, ShownFrame
+from omniocc.viewer.page.colors import class_colors, kind_colors
+from omniocc.viewer.page.lens import direction_table
+
+IMAGE_PX = 1024
+"""Largest width of an image in the page; larger ones are scaled."""
+IMAGE_QUALITY = 80
+"""Of images as JPEG, 1 to 100."""
+CAR_ROAD_Z_M = -2.2
+"""Height of the road that the boxes of the ego car stand on."""
+FIGURES = {
+    "rayiou": "RayIoU",
+    "iou": "IoU",
+    "miou": "mIoU",
+    "rayiou@1": "RayIoU, 1 m",
+    "rayiou@2": "RayIoU, 2 m",
+    "rayiou@4": "RayIoU, 4 m",
+    "lidar/rayiou": "RayIoU, LiDAR",
+}
+"""Figures of a frame that the page shows, and their names."""
+
+
+class Packed:
+    """The content of a page: `facts` are plain data for JSON, `blocks` texts by name, which the facts refer to."""
+
+    def __init__(self, shown: Shown):
+        self.blocks: dict[str, str] = {}
+        self._grids: dict[Grid, int] = {}
+        self._rigs: dict[Rig, int] = {}
+        shift_m = shown.road_z_m - CAR_ROAD_Z_M
+        self.facts: dict[str, Any] = {
+            "classes": class_colors(shown.classes),
+            "kinds": kind_colors(),
+            "figures": [{"key": key, "name": name} for key, name in FIGURES.items()],
+            "runs": list(shown.models),
+            "grids": [],
+            "rigs": [],
+            "frames": [],
+            "road_z_m": shown.road_z_m,
+            "car": [{"bounds": [x, y, [z + shift_m for z in height]], "rgb": rgb} for (x, y, height), rgb in CAR_BOXES],
+        }
+        for grid in shown.grids:
+            self._grid(grid)
+
+    def add(self, frame: ShownFrame) -> None:
+        """Add a frame."""
+        panoramas = [("true", frame.range_m, frame.panorama)]
+        panoramas += [(name, found.range_m, found.panorama) for name, found in frame.predictions.items()]
+        self.facts["frames"].append(
+            {
+                "scene": frame.scene,
+                "frame": frame.frame,
+                "time_s": frame.time_s,
+                "rig": None if frame.rig is None or not frame.images else self._rig(frame.rig),
+                "images": [self._image(image) for image in frame.images],
+                "truth": {self._grid(grid): self._bytes(labels.numpy()) for grid, labels in frame.truth.items()},
+                "predictions": [self._prediction(frame.predictions.get(name)) for name in self.facts["runs"]],
+                "panoramas": [
+                    self._panorama(name, range_m.numpy(), panorama)
+                    for name, range_m, panorama in panoramas
+                    if range_m is not None and panorama is not None
+                ],
+            }
+        )
+
+    def _prediction(self, prediction: FramePrediction | None) -> dict[str, Any] | None:
+        if prediction is None:
+            return None
+        figures = {key: value for key, value in prediction.figures.items() if key in FIGURES and math.isfinite(value)}
+        return {
+            "grid": self._grid(prediction.grid),
+            "labels": self._bytes(prediction.labels.numpy()),
+            "figures": figures,
+        }
+
+    def _grid(self, grid: Grid) -> int:
+        if grid not in self._grids:
+            self._grids[grid] = len(self._grids)
+            kind = "cylinder" if isinstance(grid, Cylinder) else "cuboid"
+            self.facts["grids"].append({"kind": kind, "shape": grid.shape, "bounds": grid.bounds})
+        return self._grids[grid]
+
+    def _rig(self, rig: Rig) -> int:
+        if rig not in self._rigs:
+            self._rigs[rig] = len(self._rigs)
+            count = len(rig.cameras)
+            order = HEXAGON_ORDER if count == len(HEXAGON_ORDER) else range(count)
+            cameras = [self._camera(rig, k) for k in range(count)]
+            self.facts["rigs"].append({"cameras": cameras, "order": list(order)})
+        return self._rigs[rig]
+
+    def _camera(self, rig: Rig, camera: int) -> dict[str, Any]:
+        table, model, pose = direction_table(rig, camera), rig.cameras[camera], rig.ego_from_camera[camera]
+        return {
+            "name": rig.names[camera],
+            "width": model.width,
+            "height": model.height,
+            "origin": pose[:3, 3].tolist(),
+            "forward": pose[:3, 2].tolist(),
+            "step": table.step,
+            "rows": table.directions.shape[0],
+            "columns": table.directions.shape[1],
+            "directions": self._bytes(table.directions.astype("<i2")),
+            "valid": self._bytes(np.packbits(table.valid)),
+        }
+
+    def _panorama(self, name: str, range_m: np.ndarray, panorama: Equirectangular) -> dict[str, Any]:
+        return {
+            "of": name,
+            "width": panorama.width,
+            "height": panorama.height,
+            "top_deg": panorama.top_deg,
+            "bottom_deg": panorama.bottom_deg,
+            "image": self._encoded(range_colors(range_m), "png", []),
+        }
+
+    def _image(self, image: np.ndarray) -> dict[str, str]:
+        smaller = fitted(image, IMAGE_PX) if image.shape[1] > IMAGE_PX else image
+        return self._encoded(smaller, "jpeg", [cv2.IMWRITE_JPEG_QUALITY, IMAGE_QUALITY, cv2.IMWRITE_JPEG_OPTIMIZE, 1])
+
+    def _encoded(self, image: np.ndarray, kind: str, options: list[int]) -> dict[str, str]:
+        done, data = cv2.imencode(f".{kind}", cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2BGR), options)
+        assert done
+        return {"format": kind, "block": self._block(data.tobytes())}
+
+    def _bytes(self, array: np.ndarray) -> str:
+        """Add the bytes of an array, compressed."""
+        return self._block(gzip.compress(np.ascontiguousarray(array).tobytes(), 9, mtime=0))
+
+    def _block(self, data: bytes) -> str:
+        name = f"block-{len(self.blocks)}"
+        self.blocks[name] = base64.b64encode(data).decode()
+        return name
+
+
+def pack(shown: Shown, frames: Iterable[ShownFrame]) -> Packed:
+    """Return the content of a page with these frames."""
+    packed = Packed(shown)
+    for frame in frames:
+        packed.add(frame)
+    return packed

@@ -1,0 +1,146 @@
+"""Where a time line goes: a file, a viewer that is started here, or one that runs elsewhere."""
+
+import contextlib
+import os
+import re
+import socket
+import sys
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+
+import rerun as rr
+from rerun.chunk import RrdReader
+
+from omniocc.errors import UserError
+from omniocc.io import cannot_write
+
+APPLICATION = "omniocc"
+PORT = 9876
+"""The port at which Rerun's viewer listens."""
+ADDRESS = re.compile(r"(?:rerun\+)?(?:https?://)?(?P<host>\[[0-9a-fA-F:]+\]|[^:/\s]+)(?::(?P<port>\d+))?(?:/proxy)?/?")
+CONNECT_S, FLUSH_S = 3.0, 60.0
+
+
+@contextlib.contextmanager
+def to_file(path: Path, name: str) -> Iterator[rr.RecordingStream]:
+    """Give a recording whose content is in a file after the block: whole, or not at all.
+
+    It is written under a temporary name beside it. `name` is the recording's title.
+
+    Raises:
+        DataError: when the file cannot be written.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        recording = _begin(temporary, name)
+        yield recording
+        _finish(recording, temporary, path)
+    finally:
+        with contextlib.suppress(OSError):  # the error that counts is the one before
+            temporary.unlink(missing_ok=True)
+
+
+def _begin(path: Path, name: str) -> rr.RecordingStream:
+    """Return a recording that writes to a file."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+    except OSError as error:
+        raise cannot_write(path, error) from error
+    recording = rr.RecordingStream(APPLICATION)
+    recording.save(path)
+    recording.send_recording_name(name)
+    return recording
+
+
+def _finish(recording: rr.RecordingStream, temporary: Path, path: Path) -> None:
+    """Close a recording's file and give it its name."""
+    try:
+        recording.flush()
+        recording.disconnect()
+        check_whole(temporary)
+        os.replace(temporary, path)
+    except RuntimeError as error:  # of Rerun's thread that writes
+        raise cannot_write(path, OSError(f"{first_line(error)}: is the disk full?")) from error
+    except OSError as error:
+        raise cannot_write(path, error) from error
+
+
+def check_whole(path: Path) -> None:
+    """Check that a file has its end, which Rerun writes last; it reports nothing where the disk was full before.
+
+    Raises:
+        OSError: when the end is missing.
+    """
+    try:
+        with warnings.catch_warnings(action="ignore"):  # what they warn of is the error
+            RrdReader(path).store()
+    except Exception as error:  # Rerun raises its own types
+        raise OSError(f"Rerun has not written all of it ({first_line(error)}): is the disk full?") from error
+
+
+@contextlib.contextmanager
+def to_viewer(address: str, name: str) -> Iterator[rr.RecordingStream]:
+    """Give a recording that a running viewer shows while it grows.
+
+    Args:
+        address: `host:port` (the port may be left out), or the URL that the viewer prints.
+        name: the recording's title.
+
+    Raises:
+        UserError: when nothing listens there, or the connection breaks.
+    """
+    host, port = host_and_port(address)
+    try:
+        socket.create_connection((host.strip("[]"), port), CONNECT_S).close()
+    except OSError as error:
+        raise UserError(
+            f"{address}: no viewer listens at {host}:{port} ({error.strerror or error}); start one with `rerun` there, "
+            "or write a file: save=view.rrd"
+        ) from error
+    recording = rr.RecordingStream(APPLICATION)
+    recording.connect_grpc(f"rerun+http://{host}:{port}/proxy")
+    recording.send_recording_name(name)
+    yield recording
+    try:
+        recording.flush(timeout_sec=FLUSH_S)
+    except Exception as error:  # Rerun raises its own types
+        raise UserError(f"{address}: the viewer took not all frames: {first_line(error)}") from error
+    recording.disconnect()
+
+
+def host_and_port(address: str) -> tuple[str, int]:
+    """Return host and port of an address; raise UserError if it is none."""
+    match = ADDRESS.fullmatch(address)
+    port = int(match["port"] or PORT) if match else 0
+    if match is None or not 0 < port < 65536:
+        raise UserError(f"'{address}' is no address of a viewer; give host:port, such as 127.0.0.1:{PORT}")
+    return match["host"], port
+
+
+@contextlib.contextmanager
+def to_own_viewer(name: str) -> Iterator[rr.RecordingStream]:
+    """Give a recording that a viewer shows, which is started here, or is running here already.
+
+    Raises:
+        UserError: when there is no display to open a window on.
+    """
+    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise UserError(
+            "there is no display to open a viewer on: write a file with save=view.rrd and open it elsewhere by "
+            "`rerun view.rrd`, or show it in a viewer that runs elsewhere: connect=<host>:9876"
+        )
+    recording = rr.RecordingStream(APPLICATION)
+    try:
+        recording.spawn()
+    except Exception as error:  # Rerun raises its own types
+        raise UserError(f"the viewer does not start: {first_line(error)}; write a file: save=view.rrd") from error
+    recording.send_recording_name(name)
+    yield recording
+    recording.flush(timeout_sec=FLUSH_S)
+
+
+def first_line(error: Exception) -> str:
+    """Return the first line of an error's text."""
+    return next(iter(str(error).splitlines()), type(error).__name__)
