@@ -37,6 +37,9 @@ def ran(tmp_path, monkeypatch):
 
     def run(script, arguments):
         calls.append([script, *arguments])
+        if script == "view.py":
+            (root / "runs" / "demo-1" / "view.html").touch()
+            return
         folder = root / "runs" / "demo-1" if script == "train.py" else Path(arguments[-1])
         folder.mkdir(parents=True)
         save_results(folder, METRICS, {MINUTES: 3.2, EARLIER_MINUTES: 0.0})
@@ -48,19 +51,24 @@ def ran(tmp_path, monkeypatch):
 def test_without_weights_every_stage_is_trained(ran, monkeypatch, tmp_path, capsys):
     monkeypatch.setattr("omniocc.run.weights.SHIPPED", tmp_path / "none")
     demo.main("tiny", full=False)
-    assert ran == [["train.py", "name=demo", "model=extended", "preset=tiny"]]
+    folder = tmp_path / "root" / "runs" / "demo-1"
+    view = ["view.py", f"run={folder}", "page=true", "limit=8", f"output={folder}/view.html"]
+    assert ran == [["train.py", "name=demo", "model=extended", "preset=tiny"], view]
     lines = capsys.readouterr().out.strip().splitlines()
     assert [line.split("  ")[0] for line in lines[1:4]] == [
         "prior (baseline)",
         "trained here, 3 min",
         "label (upper bound)",
     ]
-    assert lines[-1] == "pictures  runs/demo-1/images"
+    assert lines[-2] == "pictures  runs/demo-1/images"
+    assert lines[-1].startswith("page      runs/demo-1/view.html")
+    demo.viewed(folder)
+    assert len(ran) == 2  # written before
 
 
 def test_with_weights_only_occupancy_is_trained_and_they_stand_beside_it(weights, ran, capsys):
     demo.main("tiny", full=False)
-    (train, evaluate) = ran
+    (train, evaluate, _) = ran
     assert train[-1] == "+demo=quick"
     assert evaluate[:2] == ["evaluate.py", "tiny"]
     quick = OmegaConf.create(compose_plain(ROOT / "conf", "train", train[1:]))
@@ -69,7 +77,7 @@ def test_with_weights_only_occupancy_is_trained_and_they_stand_beside_it(weights
     assert "weights 'tiny' in the package, 4 h" in out
     assert (demo.ROOT / "runs" / "demo-1" / demo.TABLE).read_text().count("\n") == 6
     demo.evaluated(demo.ROOT / "runs" / "demo-1", train[1:])
-    assert len(ran) == 2  # finished before
+    assert len(ran) == 3  # finished before
 
 
 @pytest.mark.parametrize(("preset", "full"), [("tiny", True), ("smoke", False)])

@@ -18,11 +18,14 @@ from omniocc.run.results import EARLIER_MINUTES, MINUTES, load_results
 from omniocc.run.script import quiet_libraries
 from omniocc.run.table import compared, in_columns, markdown
 from omniocc.run.weights import SHIPPED, SUFFIX, digest_of, read_weights, shipped
+from omniocc.viewer.page import PAGE
 
 ROOT = Path(__file__).parents[1]
 PRESET, WEIGHTS = "tiny", "tiny"
 """The preset that has weights in the package, and their name."""
 TABLE = "demo.md"
+VIEWED_FRAMES = 8
+"""Frames on the page to look at, a second of computing each."""
 
 
 def overrides_of(preset: str, full: bool) -> list[str]:
@@ -46,6 +49,14 @@ def evaluated(folder: Path, overrides: list[str]) -> Path:
         counts = [f"data.source.{key}={source[key]}" for key in ("train_scenes", "val_scenes", "test_scenes")]
         run("evaluate.py", [WEIGHTS, *counts, "--output", str(output)])
     return output
+
+
+def viewed(folder: Path) -> Path:
+    """Return the page on which frames of a run's test can be turned, after writing it if it is missing or older."""
+    page = folder / PAGE
+    if not page.exists() or page.stat().st_mtime < (folder / METRICS).stat().st_mtime:
+        run("view.py", [f"run={folder}", "page=true", f"limit={VIEWED_FRAMES}", f"output={page}"])
+    return page
 
 
 def rows_of(folder: Path, other: Path | None) -> dict[str, tuple[dict[str, float], str]]:
@@ -73,6 +84,7 @@ def main(preset: str, full: bool) -> None:
     for name in (folder, other):
         if name is not None:
             print(f"pictures  {(name / IMAGES).relative_to(ROOT)}")
+    print(f"page      {viewed(folder).relative_to(ROOT)}   open it in a browser: voxels to turn, frame by frame")
 
 
 if __name__ == "__main__":
