@@ -18,7 +18,8 @@ from omniocc.report.keep import keep_records
 from omniocc.report.page import page
 from omniocc.report.runs import read_runs
 from omniocc.report.sweep import Sweep, read_sweeps, report_markdown, write_docs, write_tables
-from omniocc.report.tables.tried import NOTE, TITLE, tried_cells
+from omniocc.report.tables.protocol import protocol_text
+from omniocc.report.tables.tried import COLUMNS, NOTE, TITLE, tried_cells
 from omniocc.run.script import lines_not_tracebacks
 from omniocc.run.table import markdown
 
@@ -79,10 +80,12 @@ def main(arguments: list[str] | None = None) -> None:
     print(f"tables  {output / 'report.md'}\npage    {output / 'index.html'}")
 
 
-def write_tried(runs: Path, path: Path, reference: str) -> None:
+def write_tried(folder: Path, path: Path, reference: str) -> None:
     """Write what was tried as a page of the documentation, with the command that writes it."""
-    cells = tried_cells(read_runs(runs), reference)
+    finished = read_runs(folder)
+    cells = tried_cells(finished, reference)
     text = f"{GENERATED_TRIED}\n\n# {TITLE}\n\n{NOTE}\n\n{markdown(*cells)}"
+    text += protocol_text({run.name: [run] for run in finished}, COLUMNS)
     atomic_write(path, text)
     print(f"{text}\npage    {path}")
 

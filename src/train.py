@@ -20,7 +20,7 @@ from omniocc.run.distributed import is_first
 from omniocc.run.folder import IMAGES, RunFolder, command_line, git_commit, given_checkpoint, open_run, run_hash
 from omniocc.run.memory import keep_freed_memory
 from omniocc.run.plan import hours_line, plan_line, planned_steps, validation_times
-from omniocc.run.results import CANDIDATES, EARLIER_MINUTES, MINUTES, load_results, save_results, show_results
+from omniocc.run.results import CANDIDATES, EARLIER_MINUTES, MINUTES, PROTOCOL, load_results, save_results, show_results
 from omniocc.run.script import quiet_libraries, script
 from omniocc.run.slots import sketch_learns
 from omniocc.run.wandb.loggers import finish
@@ -115,7 +115,7 @@ def train_occupancy(
         facts |= {MINUTES: duration.minutes, PEAK: peak_mib(trainer.strategy.root_device)}
         facts |= cost_of(task.model.eval(), data.dataset("test")[0])
         facts |= facts_of_report(task, data, earlier, trainer.global_step)
-        facts |= {"commit": git_commit(), "data": data.source.fingerprint}
+        facts |= {"commit": git_commit(), "data": data.source.fingerprint, PROTOCOL: task.scores.protocol()}
         save_results(run.path, metrics | figures, facts)
         finish(trainer.loggers)
         show_results(run.path)

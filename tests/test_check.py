@@ -63,8 +63,16 @@ def test_files_of_any_project_are_scored(root, tmp_path):
     command = (f"predictions={folder}", *SMALL, f"data.source.root={root}")
     result = run_script("evaluate.py", *command, cwd=tmp_path)
     assert result.returncode == 0, result.stdout + result.stderr
-    figures = load_results(tmp_path / "theirs-scores")[1]
+    facts, figures = load_results(tmp_path / "theirs-scores")
     assert figures["test/rayiou"] == figures["test/voxel/miou"] == figures["test/rayiou/manmade"] == 1
+    assert figures["test/rayiou_past"] == figures["test/rayiou_now"] == figures["test/rayiou_future"] == 1
+    assert "at most 2 origins a frame (where the car was in past, present and" in facts["protocol"]["rayiou"]
+    ego = run_script("evaluate.py", *command, "--origins", "ego", cwd=tmp_path)
+    facts, figures = load_results(tmp_path / "theirs-scores-ego")
+    assert figures["test/rayiou"] == 1
+    assert "test/rayiou_past" not in figures
+    assert f"RayIoU: {facts['protocol']['rayiou']}.\nIoU, mIoU: cells count" in ego.stdout
+    assert "from the ego origin; " in facts["protocol"]["rayiou"]
     shutil.move(folder / "scene-0003-1.npz", tmp_path / "elsewhere.npz")
     missing = run_script("evaluate.py", *command, cwd=tmp_path)
     assert missing.returncode == 1

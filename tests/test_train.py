@@ -60,6 +60,9 @@ def test_a_run_leaves_figures_images_and_curves(whole):
     assert min(facts[key] for key in ("million parameters", "GFLOP a frame", "peak MiB")) > 0
     assert (facts["stages"], facts["classes"][0]["name"], len(facts["classes"])) == ({"occupancy": 12}, "Road", 11)
     assert facts["fraction of candidates"] == 1
+    assert set(facts["protocol"]) == {"rayiou", "lidar/rayiou", "voxel"}
+    assert "rays (39 elevations x 360 azimuths, as SparseOcc) from the ego origin; " in facts["protocol"]["rayiou"]
+    assert facts["protocol"]["voxel"] in (folder / "table.md").read_text()
     assert list(folder.glob("images/test-00-*.png"))
     assert list(folder.glob("wandb/offline-run-*/*.wandb"))
     assert (folder / "config.yaml").exists()
@@ -176,12 +179,15 @@ def test_stages_run_once_and_are_shared(tmp_path, data_root):
     assert len(fractions) == 2
     assert min(abs(fraction - 0.1) for fraction in fractions) < 1e-3
 
-    evaluated = run_script(
-        "evaluate.py", str(next(tmp_path.glob("runs/whole-*/last.ckpt"))), "--images=0", cwd=tmp_path
-    )
+    checkpoint = str(next(tmp_path.glob("runs/whole-*/last.ckpt")))
+    evaluated = run_script("evaluate.py", checkpoint, "--images=0", "--origins", "trajectory", cwd=tmp_path)
     assert evaluated.returncode == 0, evaluated.stdout + evaluated.stderr
-    (path,) = tmp_path.glob("runs/whole-*/evaluation-*/metrics.json")
-    online = json.loads(path.read_text())["metrics"]["test/voxel/miou"]  # the sketch at work, not its cache
+    (path,) = tmp_path.glob("runs/whole-*/evaluation-last-trajectory/metrics.json")
+    content = json.loads(path.read_text())
+    assert "where the car was in past, present and future frames" in content["protocol"]["rayiou"]
+    assert {"test/rayiou_past", "prior/rayiou_now", "label/rayiou_future"} <= set(content["metrics"])
+    assert content["metrics"]["label/rayiou_now"] == 1
+    online = content["metrics"]["test/voxel/miou"]  # the sketch at work, not its cache
     assert online == pytest.approx(metrics["test/voxel/miou"], abs=2e-3)
     audited = run_script("evaluate.py", str(next(tmp_path.glob("runs/whole-*/last.ckpt"))), "--audit", cwd=tmp_path)
     assert audited.returncode == 0, audited.stdout + audited.stderr

@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float32, Float64, UInt8
+from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 from torch import Tensor
 
 from omniocc.camera import Rig
@@ -28,6 +28,7 @@ class Batch(NamedTuple):
         own_voxels: the same on the dataset's own grid, on which it is scored. None: `voxels` are scored.
         scored: cells of the grid that is scored that count. None: all whose class is known.
         ray_origins: starts of RayIoU's rays, m, ego frame; nan where a sample has fewer. None: the ego origin.
+        ray_times: frames from the scored one to that of each of these origins: below 0 past, above 0 future.
         pixel_labels: class of every pixel; 0 sky, 255 own car, outside the lens or padded.
         lidar_range_m: true range along the LiDAR's rays, inf where nothing is hit or padded.
         lidar_labels: true class along these rays, 0 where nothing is hit, 255 unknown or padded.
@@ -49,6 +50,7 @@ class Batch(NamedTuple):
     own_voxels: UInt8[Tensor, "B U V W"] | None = None
     scored: Bool[Tensor, "B U V W"] | None = None
     ray_origins: Float32[Tensor, "B O 3"] | None = None
+    ray_times: Int64[Tensor, "B O"] | None = None
     pixel_labels: UInt8[Tensor, "B N H W"] | None = None
     lidar_range_m: Float32[Tensor, "B R"] | None = None
     lidar_labels: UInt8[Tensor, "B R"] | None = None
@@ -88,6 +90,7 @@ class Truth(NamedTuple):
     own_voxels: UInt8[Tensor, "1 U V W"] | None = None
     scored: Bool[Tensor, "1 U V W"] | None = None
     ray_origins: Float32[Tensor, "1 O 3"] | None = None
+    ray_times: Int64[Tensor, "1 O"] | None = None
     lidar_directions: Float32[Tensor, "1 R 3"] | None = None
     lidar_origins: Float32[Tensor, "1 R 3"] | None = None
 

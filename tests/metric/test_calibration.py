@@ -40,9 +40,9 @@ def test_wrong_input_is_named():
     metric = Calibration()
     with pytest.raises(ValueError, match="bins must be at least 1, got 0"):
         Calibration(bins=0)
-    with pytest.raises(ValueError, match=r"confidence must be in \[0, 1\]"):
+    with pytest.raises(ValueError, match=r"preds must be confidences in \[0, 1\]"):
         metric.update(torch.tensor([math.nan]), torch.tensor([True]))
-    with pytest.raises(ValueError, match="right must be bool of shape"):
+    with pytest.raises(ValueError, match="target must be bool of shape"):
         metric.update(torch.tensor([0.5]), torch.tensor([1]))
 
 

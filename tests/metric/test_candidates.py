@@ -90,9 +90,9 @@ def test_scores_without_occupied_cells_and_candidates_are_nan():
 def test_error_names_wrong_input():
     metric = Candidates(GRID, EDGES_M)
     voxels = torch.zeros(1, *GRID.shape, dtype=torch.uint8)
-    with pytest.raises(ValueError, match=r"candidates.*bool"):
+    with pytest.raises(ValueError, match=r"preds.*bool"):
         metric.update(voxels, voxels)
-    with pytest.raises(ValueError, match=r"voxels.*\(B, 4, 4, 1\).*\(1, 4, 4\)"):
+    with pytest.raises(ValueError, match=r"target.*\(B, 4, 4, 1\).*\(1, 4, 4\)"):
         metric.update(voxels.bool(), voxels[..., 0])
     with pytest.raises(ValueError, match="range_edges_m"):
         Candidates(GRID, (8.0, 4.0))

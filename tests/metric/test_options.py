@@ -106,7 +106,7 @@ def test_every_number_type_that_can_hold_the_ids(dtype):
     expected = ray_iou(prediction, target, SMALL)
     found = ray_iou(prediction.to(dtype), target.to(dtype), SMALL)
     assert all(torch.equal(found[key], expected[key]) for key in expected)
-    with pytest.raises(ValueError, match=r"prediction.*class ids"):
+    with pytest.raises(ValueError, match=r"preds.*class ids"):
         ray_iou((prediction.float() - 1).to(dtype), target, SMALL)
 
 

@@ -230,26 +230,26 @@ def test_pickle_clone_and_move():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"prediction": torch.zeros(1, 10, 1, 2, dtype=torch.uint8)}, r"prediction.*\(B, 10, 1, 1\)"),
+        ({"preds": torch.zeros(1, 10, 1, 2, dtype=torch.uint8)}, r"preds.*\(B, 10, 1, 1\)"),
         ({"target": torch.zeros(1, 9, 1, 1, dtype=torch.uint8)}, r"target.*\(B, 10, 1, 1\).*\(1, 9"),
         ({"target": torch.zeros(2, 10, 1, 1, dtype=torch.uint8)}, "batch size.* 1.* 2"),
-        ({"prediction": torch.zeros(1, 12, 10, 1, 1)}, r"\(1, 12, 10, 1, 1\).*argmax"),
+        ({"preds": torch.zeros(1, 12, 10, 1, 1)}, r"\(1, 12, 10, 1, 1\).*argmax"),
         (
-            {"prediction": torch.full((1, 10, 1, 1), 0.5)},
-            r"prediction.*\[0\.5\].*float32",
+            {"preds": torch.full((1, 10, 1, 1), 0.5)},
+            r"preds.*\[0\.5\].*float32",
         ),
-        ({"prediction": torch.zeros(1, 10, 1, 1, dtype=torch.bool)}, "integer.*bool"),
+        ({"preds": torch.zeros(1, 10, 1, 1, dtype=torch.bool)}, "integer.*bool"),
         ({"origins": torch.zeros(1, 3)}, r"origins.*\(1, O, 3\).*\(1, 3\)"),
         ({"observed": torch.ones(1, 10, 1, 2, dtype=torch.bool)}, r"observed.*\(1, 10, 1, 1\)"),
         ({"observed": torch.ones(1, 10, 1, 1)}, r"observed.*bool.*float32"),
-        ({"prediction": line(c1=255)}, r"prediction.*0\.\.11.*\[255\]"),
+        ({"preds": line(c1=255)}, r"preds.*0\.\.11.*\[255\]"),
         ({"target": line(c1=12)}, r"target.*0\.\.11.*255.*\[12\]"),
     ],
 )
 def test_error_names_wrong_input(change, message):
     metric = RayIoU(LINE, directions=FORWARD)
     with pytest.raises(ValueError, match=message):
-        metric.update(**{"prediction": line(), "target": line()} | change)
+        metric.update(**{"preds": line(), "target": line()} | change)
 
 
 @pytest.mark.parametrize(
@@ -280,8 +280,13 @@ def test_the_public_rays():
     assert azimuth_deg.tolist() == pytest.approx(list(range(360)), abs=1e-4)
 
 
-def three_metrics():
-    return RayIoU(CUBOID, range_edges_m=(0.0, 4.0, 9.0)), VoxelIoU(), DepthMetrics(range_edges_m=(0.0, 4.0))
+def three_metrics(**kwargs):
+    edges_m = (0.0, 4.0, 9.0)
+    return (
+        RayIoU(CUBOID, range_edges_m=edges_m, **kwargs),
+        VoxelIoU(**kwargs),
+        DepthMetrics(range_edges_m=(0.0, 4.0), **kwargs),
+    )
 
 
 def as_input(metric, prediction, target):
@@ -289,15 +294,22 @@ def as_input(metric, prediction, target):
 
 
 def half_of_the_frames(rank, folder):
-    """Score every second frame in one of two processes, then sum counts with the other."""
+    """Score every second frame; sum counts of two processes at the end, at each step, not at all."""
     torch.distributed.init_process_group("gloo", init_method=f"file://{folder}/rendezvous", rank=rank, world_size=2)
     prediction, target = frames(CUBOID, 5)
     metrics = three_metrics()
     for metric in metrics:
         metric.update(*as_input(metric, prediction[rank::2], target[rank::2]))
     scores = [metric.compute() for metric in metrics]
+    mine = prediction[rank::2][:2], target[rank::2][:2]
+    stepped = [metric(*as_input(metric, *mine)) for metric in three_metrics(dist_sync_on_step=True)]
+    alone = []
+    if rank == 0:  # the other process does not take part
+        for metric in three_metrics(sync_on_compute=False):
+            metric.update(*as_input(metric, *mine))
+            alone.append(metric.compute())
     torch.distributed.destroy_process_group()
-    return scores
+    return scores, stepped, alone
 
 
 def second_process(function, folder):
@@ -316,12 +328,15 @@ def test_two_processes_equal_one(tmp_path):
     scores = half_of_the_frames(0, tmp_path)
     assert other.wait(timeout=120) == 0
     prediction, target = frames(CUBOID, 5)
-    for i, expected in enumerate(three_metrics()):
-        expected.update(*as_input(expected, prediction, target))
-        for theirs in (scores[i], torch.load(tmp_path / "1.pt")[i]):
-            assert expected.compute().keys() == theirs.keys()
-            for key, value in expected.compute().items():
-                torch.testing.assert_close(theirs[key], value, rtol=1e-7, atol=0, equal_nan=True)
+    of_both = [scores, torch.load(tmp_path / "1.pt")]
+    # all frames; the first two of each process, frames 0 to 3; the first two of the first process, 0 and 2
+    for part, chosen in enumerate((slice(0, 5), slice(0, 4), slice(0, 3, 2))):
+        for i, expected in enumerate(three_metrics()):
+            expected.update(*as_input(expected, prediction[chosen], target[chosen]))
+            for theirs in of_both[: 1 if part == 2 else 2]:
+                assert expected.compute().keys() == theirs[part][i].keys()
+                for key, value in expected.compute().items():
+                    torch.testing.assert_close(theirs[part][i][key], value, rtol=1e-7, atol=0, equal_nan=True)
 
 
 def first_process_scores(rank, folder):

@@ -82,7 +82,7 @@ def test_error_names_wrong_input():
     metric = VoxelIoU()
     with pytest.raises(ValueError, match="same shape"):
         metric.update(voxels(1, 1), voxels(1))
-    with pytest.raises(ValueError, match=r"prediction.*0\.\.11.*\[255\]"):
+    with pytest.raises(ValueError, match=r"preds.*0\.\.11.*\[255\]"):
         metric.update(voxels(255), voxels(1))
     with pytest.raises(ValueError, match=r"target.*0\.\.11.*255.*\[77\]"):
         metric.update(voxels(1), voxels(77))

@@ -63,6 +63,8 @@ def write_run(folder: Path, seed: int, rayiou: float, world: FakeWorld, sketch: 
     facts |= {"classes": [{"name": entry.name, "rgb": entry.rgb} for entry in WORLD_CLASSES.rows if entry.id != FREE]}
     facts |= {"stages": {"depth": 8, "sketch": 5, "occupancy": 40}} if sketch == OMNI else {"stages": {"occupancy": 40}}
     facts |= {CANDIDATES: 1.0} if sketch == DENSE else {}
+    origins = "the ego origin" if geometry == CYLINDER else "given origins"
+    facts |= {"protocol": {"rayiou": f"rays from {origins}", "lidar/rayiou": "rays of a LiDAR", "voxel": "all cells"}}
     command = f"python src/train.py '+ablation={folder.name}' seed={seed} <&>"
     save_results(folder, metrics, facts | {"command": command, "commit": "abc", "data": world.fingerprint})
 

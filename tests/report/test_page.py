@@ -103,6 +103,22 @@ def test_figures_lead_to_run_configuration_and_command(outline, runs):
     )] == []  # fmt: skip
 
 
+def test_every_table_says_how_its_scores_were_counted(output, outline):
+    text, markdown = "".join(outline.text), (output / "report.md").read_text("utf-8")
+    sketch = "RayIoU: rays from the ego origin."
+    both, representation = "RayIoU (cuboid): rays from given origins.", "RayIoU: rays from given origins."
+    for line in (sketch, both, representation, "RayIoU, LiDAR: rays of a LiDAR.", "IoU, mIoU: all cells."):
+        assert line in text
+        assert f"\n\n{line}\n" in markdown
+    chapters = markdown.split("\n## ")
+    for title, line in (("Cylinder sketch", sketch), ("Baseline", both), ("Cylindrical", representation)):
+        (chapter,) = (part for part in chapters if part.startswith(title))
+        assert line in chapter
+    budget = next(part for part in chapters if part.startswith("Budget"))
+    assert "RayIoU" not in budget
+    assert f"% Cylinder sketch module: here (paper). {sketch} " in (output / "sketch.tex").read_text("utf-8")
+
+
 def test_tables_and_plots_are_beside_the_page(output, capsys):
     tables = {path.stem for path in output.glob("*.tex")} & {path.stem for path in output.glob("*.csv")}
     assert tables == {

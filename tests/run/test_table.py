@@ -6,8 +6,8 @@ import pytest
 from omniocc.errors import UserError
 from omniocc.report.runs import read_runs
 from omniocc.report.tables.overview import table_of_runs
-from omniocc.run.results import load_results, save_results
-from omniocc.run.table import as_markdown, per_class, summary
+from omniocc.run.results import load_results, save_results, show_results
+from omniocc.run.table import as_markdown, by_origin, per_class, summary
 
 METRICS = {
     "test/rayiou": 0.25, "prior/rayiou": 0.125, "label/rayiou": 1.0,
@@ -42,6 +42,38 @@ def test_results_survive_the_file(tmp_path):
     assert math.isnan(loaded.pop("test/rayiou/Pedestrian"))
     assert loaded == {key: value for key, value in METRICS.items() if key != "test/rayiou/Pedestrian"}
     assert as_markdown(METRICS, "seed 3").startswith("seed 3\n\n|  | RayIoU |")
+
+
+PROTOCOL = {"voxel": "cells", "rayiou": "rays from here", "lidar/rayiou": "LiDAR rays"}
+
+
+def test_the_tables_say_how_scores_were_counted(tmp_path, capsys):
+    save_results(tmp_path, METRICS, {"seed": 3, "protocol": PROTOCOL})
+    lines = ["RayIoU: rays from here.", "RayIoU, LiDAR: LiDAR rays.", "IoU, mIoU: cells."]
+    text = (tmp_path / "table.md").read_text()
+    assert text.startswith("seed 3\n")
+    assert text.endswith("\n\n".join(lines) + "\n")
+    assert load_results(tmp_path)[0]["protocol"] == PROTOCOL
+    show_results(tmp_path)
+    assert "\n".join(lines) in capsys.readouterr().out
+    assert as_markdown(METRICS, "") == as_markdown(METRICS, "", {})
+
+
+def test_scores_by_origin_have_a_table():
+    metrics = METRICS | {"test/rayiou_past": 0.2, "test/rayiou_now": 0.3, "test/rayiou_future": math.nan}
+    metrics |= {"prior/rayiou_past": 0.1, "prior/rayiou_now": 0.15, "prior/rayiou_future": 0.05}
+    assert summary(metrics) == summary(METRICS), "times are no distance bands"
+    assert by_origin(metrics) == (
+        ["RayIoU from", "model", "prior (baseline)", "label (upper bound)"],
+        [
+            ["past frames", "0.200", "0.100", "–"],
+            ["the frame itself", "0.300", "0.150", "–"],
+            ["future frames", "–", "0.050", "–"],
+            ["all", "0.250", "0.125", "1.000"],
+        ],
+    )
+    assert "| past frames | 0.200 |" in as_markdown(metrics, "")
+    assert "past frames" not in as_markdown(METRICS, "")
 
 
 def test_runs_stand_side_by_side_best_first(tmp_path):

@@ -9,7 +9,7 @@ from omniocc.batch import Batch
 from omniocc.camera import Rig
 from omniocc.classes import ClassTable, SemanticClass
 from omniocc.geometry import Cuboid, Cylinder
-from omniocc.metric import sparseocc_directions
+from omniocc.metric import RayIoU, sparseocc_directions
 from omniocc.task.scores import Scores, within_reach
 
 GRID = Cylinder((8, 12, 4))
@@ -127,3 +127,46 @@ def test_rays_start_where_the_frame_says(batch, spec):
     scores.update(wall, batch._replace(lidar_directions=ahead, lidar_origins=origins, **lidar))
     assert scores.lidar.truth.sum() == 2
     assert scores.lidar.correct[:, 0].sum() == 1
+
+
+def test_scores_are_given_apart_for_past_present_and_future_origins(batch, spec):
+    truth, labels = random_voxels(), random_voxels().roll(1, 1)
+    origins = torch.tensor(
+        [[[-3.0, 0.0, 0.0], [0.0, 0.0, 0.0], [4.0, 1.0, 0.0]], [[0.0, 0.0, 0.0], *[[torch.nan] * 3] * 2]]
+    )
+    times = torch.tensor([[-1, 0, 1], [0, 0, 0]])
+    scores = Scores(GRID, spec)
+    scores.update(labels, batch._replace(voxels=truth, ray_origins=origins, ray_times=times))
+    found = scores.compute()
+    for time, name in ((-1, "past"), (0, "now"), (1, "future")):
+        alone = RayIoU(GRID)
+        for sample in range(2):
+            chosen = origins[sample][(times[sample] == time) & origins[sample].isfinite().all(-1)]
+            if len(chosen):
+                alone.update(labels[sample][None], truth[sample][None], chosen[None])
+        assert found[f"rayiou_{name}"] == alone.compute()["rayiou"]
+    assert scores.protocol()["rayiou"].startswith(
+        "14040 rays (39 elevations x 360 azimuths, as SparseOcc) from each of at most 3 origins a frame (where the car "
+    )
+    scores.reset()
+    scores.update(labels, batch._replace(voxels=truth))
+    found = scores.compute()
+    assert not {"rayiou_past", "rayiou_now", "rayiou_future"} & set(found)
+    alone = RayIoU(GRID)
+    alone.update(labels, truth)
+    assert found["rayiou"] == alone.compute()["rayiou"]
+
+
+def test_the_protocol_names_what_was_scored(batch, spec):
+    labels = random_voxels()
+    scores = Scores(GRID, spec)
+    assert scores.protocol() == {}
+    scores.update(labels, batch._replace(voxels=labels, scored=labels > 0))
+    lines = scores.protocol()
+    assert set(lines) == {"rayiou", "voxel"}
+    assert "from the ego origin" in lines["rayiou"]
+    assert "not observed" in lines["rayiou"]
+    assert "that are observed" in lines["voxel"]
+    scores.update(labels, batch._replace(**lidar_hits(sparseocc_directions())))
+    scores.reset()
+    assert "rays measured by a LiDAR" in scores.protocol()["lidar/rayiou"]

@@ -5,15 +5,17 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float32, Float64, UInt8
+from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 from torch import Tensor
 from torch.utils.data import Dataset
 
 from omniocc.batch import Batch
 from omniocc.camera import Rig
 from omniocc.classes import UNKNOWN
+from omniocc.data.origins import Origins, choose_origins
 from omniocc.data.source import SceneFrames, VoxelLabels
 from omniocc.data.store.frame_cache import CandidateCache, EvidenceCache, FrameCache, RangeCache
+from omniocc.geometry import Grid
 
 NAN = float("nan")
 ABSENT: dict[str, float | bool] = {
@@ -22,6 +24,7 @@ ABSENT: dict[str, float | bool] = {
     "own_voxels": UNKNOWN,
     "scored": True,
     "ray_origins": NAN,
+    "ray_times": 0,
     "pixel_labels": UNKNOWN,
     "lidar_range_m": float("inf"),
     "lidar_labels": UNKNOWN,
@@ -44,6 +47,7 @@ class Sample(NamedTuple):
     own_voxels: UInt8[Tensor, "U V W"] | None = None
     scored: Bool[Tensor, "U V W"] | None = None
     ray_origins: Float32[Tensor, "O 3"] | None = None
+    ray_times: Int64[Tensor, " O"] | None = None
     pixel_labels: UInt8[Tensor, "N H W"] | None = None
     lidar_range_m: Float32[Tensor, " R"] | None = None
     lidar_labels: UInt8[Tensor, " R"] | None = None
@@ -93,6 +97,11 @@ class WindowDataset(Dataset):
         window: T.
         needs: parts of the samples to read.
         own_rays: whether every frame's LiDAR has rays of its own, so that samples hold them.
+        origins: from where the rays of RayIoU start.
+        scored_grid: grid of the scores, within which `trajectory` looks for origins.
+
+    Raises:
+        ValueError: if the window is empty, or there are origins to look for and no grid.
     """
 
     def __init__(
@@ -102,14 +111,20 @@ class WindowDataset(Dataset):
         window: int,
         needs: Needs = Needs(),  # noqa: B008 - immutable
         own_rays: bool = False,
+        origins: Origins = "own",
+        scored_grid: Grid | None = None,
     ):
         if window < 1:
             raise ValueError(f"window must be at least 1 frame, got {window}")
+        if origins == "trajectory" and scored_grid is None:
+            raise ValueError("origins='trajectory' needs scored_grid, the grid of the scores")
         self.scenes = tuple(scenes)
         self.voxels = voxels
         self.window = window
         self.needs = needs
         self.own_rays = own_rays
+        self.origins: Origins = origins
+        self.scored_grid = scored_grid
         self._ends = np.cumsum([len(scene) for scene in self.scenes])
 
     def __len__(self) -> int:
@@ -147,9 +162,12 @@ class WindowDataset(Dataset):
 
     def _benchmark(self, scene: SceneFrames, frame: int) -> dict[str, Tensor | None]:
         truth = self.voxels.benchmark(scene, frame)
-        if truth is None:
-            return {}
-        return {"own_voxels": truth.voxels, "scored": truth.scored, "ray_origins": truth.ray_origins}
+        parts = {} if truth is None else {"own_voxels": truth.voxels, "scored": truth.scored}
+        own = None if truth is None else truth.ray_origins
+        origins = choose_origins(self.origins, own, scene, frame, self.scored_grid)
+        if origins is not None:
+            parts |= {"ray_origins": origins.positions_m.float(), "ray_times": origins.times}
+        return parts
 
     def _lidar(self, scene: SceneFrames, frame: int) -> dict[str, Tensor]:
         scan = scene.lidar(frame)

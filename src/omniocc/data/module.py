@@ -11,6 +11,7 @@ from torch.utils.data import DataLoader
 
 from omniocc.batch import Batch
 from omniocc.data.dataset import Needs, WindowDataset, collate
+from omniocc.data.origins import Origins
 from omniocc.data.recording.pool import limit_threads
 from omniocc.data.sampler import EpochSampler, RankSampler
 from omniocc.data.source import SPLITS, SceneSource, Split, Unknown, VoxelLabels
@@ -67,6 +68,7 @@ class OccupancyData(LightningDataModule):
         self.unknown: Unknown = unknown
         self.frames_together = frames_together
         self.needs: dict[Split, Needs] = dict.fromkeys(SPLITS, Needs())
+        self.origins: Origins = "own"
         self._datasets: dict[Split, WindowDataset] = {}
         self._resume = {"epoch": 0, "batches": 0}
 
@@ -96,16 +98,21 @@ class OccupancyData(LightningDataModule):
 
     def setup(self, stage: str | None = None) -> None:
         """Open the three splits; `prepare_data` has been called, here or in another process."""
-        own_rays = self.source.spec.lidar_directions is None
+        spec = self.source.spec
+        own_rays, grid = spec.lidar_directions is None, spec.scored_grid(self.geometry)
         for split in SPLITS:
-            scenes = self.source.scenes(split)
-            self._datasets.setdefault(
-                split, WindowDataset(scenes, self.voxels, self.window, self.needs[split], own_rays)
-            )
+            scenes, needs = self.source.scenes(split), self.needs[split]
+            made = WindowDataset(scenes, self.voxels, self.window, needs, own_rays, self.origins, grid)
+            self._datasets.setdefault(split, made)
 
     def read_only(self, train: Needs, test: Needs) -> None:
         """Set what samples hold from the next `setup` on: those of training, and those of validation and test."""
         self.needs = {"train": train, "val": test, "test": test}
+        self._datasets = {}
+
+    def cast_from(self, origins: Origins) -> None:
+        """Set from where the rays of RayIoU start, from the next `setup` on."""
+        self.origins = origins
         self._datasets = {}
 
     def dataset(self, split: Split) -> WindowDataset:

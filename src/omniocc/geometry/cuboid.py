@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Float64
+from jaxtyping import Bool, Float, Float64
 from torch import Tensor
 
 from omniocc.geometry.grid import Grid, as_axis, as_shape
@@ -71,6 +71,13 @@ class Cuboid(Grid):
         """Return the volume of every cell, which is the same for all."""
         x, y, z = self.cell_m
         return torch.full(self.shape, x * y * z, dtype=torch.float64)
+
+    def within_sides(self, points: Float[Tensor, "... 3"], margin_m: float) -> Bool[Tensor, "..."]:
+        """Return which points are more than a margin inside of the ends along x and y."""
+        x, y, _ = points.unbind(-1)
+        (rear, front), (right, left) = self.x_m, self.y_m
+        lengthwise = (x > rear + margin_m) & (x < front - margin_m)
+        return lengthwise & (y > right + margin_m) & (y < left - margin_m)
 
     def clip(self, origins: Rays, directions: Rays) -> tuple[Distances, Distances]:
         """Return the distances at which rays enter and leave the space between all three pairs of faces."""

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Float64
+from jaxtyping import Bool, Float, Float64
 from torch import Tensor
 
 from omniocc.geometry.grid import Grid, as_axis, as_shape
@@ -89,6 +89,10 @@ class Cylinder(Grid):
         squared = self.edges(0).square().diff()
         cell = squared * (math.pi / self.shape[1]) * self.cell_m[2]
         return cell.reshape(-1, 1, 1).expand(self.shape).contiguous()
+
+    def within_sides(self, points: Float[Tensor, "... 3"], margin_m: float) -> Bool[Tensor, "..."]:
+        """Return which points are more than a margin inside of the outer radius; a hole around the axis is inside."""
+        return torch.hypot(points[..., 0], points[..., 1]) < self.radius_m[1] - margin_m
 
     def clip(self, origins: Rays, directions: Rays) -> tuple[Distances, Distances]:
         """Return the distances at which rays enter and leave the cylinder; a hole around the axis is not cut out."""

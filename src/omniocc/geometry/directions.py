@@ -1,10 +1,31 @@
 """Directions and origins of the LiDAR rays of the public RayIoU."""
 
 import math
+from typing import NamedTuple
 
+import numpy as np
 import torch
-from jaxtyping import Float, Float64
+from jaxtyping import Float, Float64, Int64
 from torch import Tensor
+
+from omniocc.geometry.lattice import Lattice
+
+MARGIN_M = 1.0
+"""Origins are used more than this far inside of a grid's sides: the public rule is 39 m in a grid that ends at 40 m."""
+MOST_ORIGINS = 8
+
+
+class RayOrigins(NamedTuple):
+    """Where the rays of one scored frame start.
+
+    Attributes:
+        positions_m: ego frame of the scored frame, m.
+        times: frames from the scored one to that of each origin: below 0 past, 0 the scored frame itself, above 0
+            future.
+    """
+
+    positions_m: Float[Tensor, "O 3"]
+    times: Int64[Tensor, " O"]
 
 
 def sparseocc_directions() -> Float64[Tensor, "14040 3"]:
@@ -33,7 +54,9 @@ def rays_around(azimuths: int) -> Float64[Tensor, "R 3"]:
     return torch.stack([level[0] * level[1].cos(), level[0] * level[1].sin(), up], -1).reshape(-1, 3)
 
 
-def eight_origins(positions_m: Float[Tensor, "F 3"], reach_m: float = 39.0, most: int = 8) -> Float[Tensor, "O 3"]:
+def eight_origins(
+    positions_m: Float[Tensor, "F 3"], reach_m: float = 39.0, most: int = MOST_ORIGINS
+) -> Float[Tensor, "O 3"]:
     """Return the origins from which the public protocol casts the rays of one frame.
 
     Args:
@@ -52,7 +75,66 @@ def eight_origins(positions_m: Float[Tensor, "F 3"], reach_m: float = 39.0, most
         >>> eight_origins(positions_m)[:, 0].tolist()
         [-35.0, -25.0, -15.0, -5.0, 5.0, 15.0, 25.0, 35.0]
     """
-    near = positions_m[(positions_m[:, :2].abs() < reach_m).all(dim=1)]
-    if len(near) <= most:
-        return near
-    return near[torch.linspace(0, len(near) - 1, most, dtype=torch.float64).round().long().to(near.device)]
+    return positions_m[eight_frames(positions_m, reach_m, most)]
+
+
+def eight_frames(
+    positions_m: Float[Tensor, "F 3"], reach_m: float = 39.0, most: int = MOST_ORIGINS
+) -> Int64[Tensor, " O"]:
+    """Return the numbers of the frames whose positions `eight_origins` returns."""
+    return spread((positions_m[:, :2].abs() < reach_m).all(dim=1).nonzero().flatten(), most)
+
+
+def spread(frames: Int64[Tensor, " F"], most: int) -> Int64[Tensor, " O"]:
+    """Return the frames if they are at most that many, else the first, the last and evenly spaced ones between them."""
+    if len(frames) <= most:
+        return frames
+    return frames[torch.linspace(0, len(frames) - 1, most, dtype=torch.float64).round().long().to(frames.device)]
+
+
+def trajectory_origins(
+    world_from_ego: Float[Tensor, "F 4 4"] | np.ndarray, frame: int, grid: Lattice,
+    ego_from_sensor: Float[Tensor, "F 4 4"] | np.ndarray | None = None, most: int = MOST_ORIGINS,
+) -> RayOrigins:  # fmt: skip
+    """Return where the car was before, at and after a frame, as origins of its rays: the rule of the public RayIoU.
+
+    SparseOcc (Liu et al. 2024; `loaders/ego_pose_dataset.py` of its repository) casts the rays of a frame from where
+    the LiDAR was in all key frames of the scene, past and future ones, brought to the ego frame of the scored frame.
+    Those are used that are more than 1 m inside of the grid's sides, whatever their height. Of more than eight, the
+    first, the last and six evenly spaced by their number between them are taken (`round(linspace(0, n - 1, 8))`), so
+    that the frame's own position may be missing. Here the frame's own position is one of those to choose from even
+    where it is at a side of the grid, as the car's is in a grid that lies ahead of it.
+
+    Args:
+        world_from_ego: poses of all frames of the scene, in order of time, float64.
+        frame: number of the scored frame.
+        grid: that is scored.
+        ego_from_sensor: pose of the LiDAR in the ego frame of each frame; default its origin.
+        most: largest number of origins.
+
+    Returns:
+        In float64: at most `most` origins, in order of time. Those of a standing car repeat, and each counts.
+
+    Raises:
+        ValueError: if a shape is wrong or there is no such frame.
+
+    Example:
+        >>> from omniocc.geometry import Cylinder
+        >>> poses = torch.eye(4, dtype=torch.float64).repeat(5, 1, 1)
+        >>> poses[:, 0, 3] = torch.arange(5) * 10.0  # 10 m ahead from frame to frame
+        >>> origins = trajectory_origins(poses, 1, Cylinder())
+        >>> origins.positions_m[:, 0].tolist(), origins.times.tolist()
+        ([-10.0, 0.0, 10.0, 20.0], [-1, 0, 1, 2])
+    """
+    poses = torch.as_tensor(world_from_ego).double()
+    if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not 0 <= frame < len(poses):
+        raise ValueError(f"frame {frame} of poses (F, 4, 4), got shape {tuple(poses.shape)}")
+    sensor = torch.eye(4, dtype=torch.float64) if ego_from_sensor is None else torch.as_tensor(ego_from_sensor).double()
+    if sensor.shape not in ((4, 4), poses.shape):
+        raise ValueError(f"ego_from_sensor must have shape {tuple(poses.shape)}, got {tuple(sensor.shape)}")
+    turn, place = poses[frame, :3, :3], poses[frame, :3, 3]
+    positions_m = ((poses @ sensor)[:, :3, 3] - place) @ turn
+    near = grid.within_sides(positions_m, MARGIN_M)
+    near[frame] = True
+    frames = spread(near.nonzero().flatten(), most)
+    return RayOrigins(positions_m[frames], frames - frame)

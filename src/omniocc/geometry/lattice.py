@@ -54,6 +54,10 @@ class Lattice(ABC):
     def crossings(self, origins: Rays, directions: Rays, start_m: Distances) -> tuple[Crossings, Crossings, Crossings]:
         """Return the crossings of rays (float64), inside from `start_m` on, with the boundaries of each axis."""
 
+    @abstractmethod
+    def within_sides(self, points: Float[Tensor, "... 3"], margin_m: float) -> Bool[Tensor, "..."]:
+        """Return which ego points are more than a margin inside of the outer sides, whatever their height."""
+
     @property
     def num_cells(self) -> int:
         """Return the number of cells in the grid."""

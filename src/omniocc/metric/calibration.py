@@ -1,6 +1,6 @@
 """Calibration: whether predictions of a confidence are right as often as it says."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 from jaxtyping import Bool, Float, Float64
@@ -8,6 +8,7 @@ from torch import Tensor
 from torchmetrics import Metric
 
 from omniocc.metric.checks import check_mask
+from omniocc.metric.renamed import renamed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,6 +24,7 @@ class Calibration(Metric):
 
     Args:
         bins: number of bins.
+        kwargs: those of every `torchmetrics.Metric`: `dist_sync_on_step`, `sync_on_compute` and so on.
 
     Raises:
         ValueError: if there is no bin.
@@ -37,26 +39,33 @@ class Calibration(Metric):
     is_differentiable = False
     higher_is_better = False
     full_state_update = False
+    plot_lower_bound = 0.0
+    plot_upper_bound = 1.0
     sums: Tensor
 
-    def __init__(self, bins: int = 15):
-        super().__init__()
+    def __init__(self, bins: int = 15, **kwargs: Any):
+        super().__init__(**kwargs)
         if bins < 1:
             raise ValueError(f"bins must be at least 1, got {bins}")
         self.add_state("sums", torch.zeros(bins, 3, dtype=torch.float64), dist_reduce_fx="sum")
 
-    def update(self, confidence: Float[Tensor, "..."], right: Bool[Tensor, "..."]) -> None:
-        """Add confidences, in [0, 1], of predictions that are right or wrong.
+    @renamed({"confidence": "preds", "right": "target"})
+    def update(self, preds: Float[Tensor, "..."], target: Bool[Tensor, "..."]) -> None:
+        """Add the confidences of predictions and whether each is right.
+
+        Args:
+            preds: confidences in [0, 1].
+            target: whether the prediction is right.
 
         Raises:
             ValueError: naming a wrong shape, type or value.
         """
-        check_mask("right", right, confidence.shape)
-        said = confidence.flatten().double()
+        check_mask("target", target, preds.shape)
+        said = preds.flatten().double()
         if not bool(((said >= 0) & (said <= 1)).all()):
-            raise ValueError("confidence must be in [0, 1]")
+            raise ValueError("preds must be confidences in [0, 1]")
         bins = len(self.sums)
-        columns = torch.stack([torch.ones_like(said), said, right.flatten().double()], 1)
+        columns = torch.stack([torch.ones_like(said), said, target.flatten().double()], 1)
         # as in the definition, a bin holds its upper end and not its lower one
         self.sums.index_add_(0, ((said * bins).ceil().long() - 1).clamp(min=0), columns)
 

@@ -1,6 +1,7 @@
 """Recall, precision and number of candidate voxels."""
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import torch
 from jaxtyping import Bool, Float64, UInt8
@@ -12,6 +13,12 @@ from omniocc.geometry import Cuboid, Cylinder
 from omniocc.geometry.cylinder import PAPER_RANGE_EDGES_M
 from omniocc.metric.bands import as_edges, band_of, band_suffixes, num_rows
 from omniocc.metric.checks import check_labels, check_mask
+from omniocc.metric.plot import plot_scores
+from omniocc.metric.renamed import renamed
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 COUNTS = ("found", "occupied", "known_candidates", "candidates", "cells")
 
@@ -41,6 +48,7 @@ class Candidates(Metric):
     Args:
         geometry: the voxel grid.
         range_edges_m: ends of the range bands; a band holds its lower end and not its upper one.
+        kwargs: those of every `torchmetrics.Metric`: `dist_sync_on_step`, `sync_on_compute` and so on.
 
     Raises:
         ValueError: if the ends do not increase.
@@ -60,25 +68,34 @@ class Candidates(Metric):
     is_differentiable = False
     higher_is_better = None
     full_state_update = False
+    plot_lower_bound = 0.0
+    plot_upper_bound = 1.0
     counts: Tensor
 
-    def __init__(self, geometry: Cylinder | Cuboid, range_edges_m: Sequence[float | int] = PAPER_RANGE_EDGES_M):
-        super().__init__()
+    def __init__(
+        self, geometry: Cylinder | Cuboid, range_edges_m: Sequence[float | int] = PAPER_RANGE_EDGES_M, **kwargs: Any
+    ):
+        super().__init__(**kwargs)
         self.geometry = geometry
         self.range_edges_m = as_edges(range_edges_m)
         zeros = torch.zeros(num_rows(self.range_edges_m), len(COUNTS), dtype=torch.float64)
         self.add_state("counts", zeros, dist_reduce_fx="sum")
 
-    def update(self, candidates: Bool[Tensor, "B X Y Z"], voxels: UInt8[Tensor, "B X Y Z"]) -> None:
-        """Add the candidates and the true classes of a batch; 0 is free, 255 is unknown.
+    @renamed({"candidates": "preds", "voxels": "target"})
+    def update(self, preds: Bool[Tensor, "B X Y Z"], target: UInt8[Tensor, "B X Y Z"]) -> None:
+        """Add the candidates and the true classes of a batch.
+
+        Args:
+            preds: whether each cell is a candidate.
+            target: true class of every cell; 0 is free, 255 is unknown.
 
         Raises:
             ValueError: naming a wrong shape, type or value.
         """
-        voxels = check_labels("voxels", voxels, self.geometry.shape, UNKNOWN, UNKNOWN)
-        check_mask("candidates", candidates, voxels.shape)
-        known, occupied = voxels != UNKNOWN, (voxels != FREE) & (voxels != UNKNOWN)
-        parts = [candidates & occupied, occupied, candidates & known, candidates, torch.ones_like(candidates)]
+        target = check_labels("target", target, self.geometry.shape, UNKNOWN, UNKNOWN)
+        check_mask("preds", preds, target.shape)
+        known, occupied = target != UNKNOWN, (target != FREE) & (target != UNKNOWN)
+        parts = [preds & occupied, occupied, preds & known, preds, torch.ones_like(preds)]
         columns = torch.stack([part.sum((0, 3)).flatten() for part in parts], dim=1).double()
         band = band_of(self.geometry.distances_m().flatten(), self.range_edges_m)
         self.counts.index_add_(0, band.to(columns.device), columns)
@@ -86,3 +103,12 @@ class Candidates(Metric):
     def compute(self) -> dict[str, Tensor]:
         """Return the scores over all frames."""
         return candidate_scores(self.counts, self.range_edges_m)
+
+    def plot(
+        self, val: dict[str, Tensor] | Sequence[dict[str, Tensor]] | None = None, ax: "Axes | None" = None
+    ) -> "tuple[Figure, Axes]":
+        """Draw recall, precision and fraction: bars for a result of `compute` (default: now), lines for a list of them.
+
+        It needs matplotlib.
+        """
+        return plot_scores(self, ["recall", "precision", "fraction"], val, ax)

@@ -1,6 +1,7 @@
 """Errors of predicted ranges, in metres and in indices of spheres of inverse range."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float, Float64
@@ -9,6 +10,7 @@ from torchmetrics import Metric
 
 from omniocc.metric.bands import as_edges, band_of, band_suffixes, num_rows
 from omniocc.metric.checks import check_increasing, check_mask, check_same_shape
+from omniocc.metric.renamed import renamed
 
 NAMES = (
     *("mae", "absrel", "rmse", "delta1", "delta2", "delta3"),
@@ -30,15 +32,15 @@ def sphere_index(
 
 
 def depth_sums(
-    prediction_m: Float64[Tensor, " R"], target_m: Float64[Tensor, " R"], nearest_m: float, farthest_m: float,
+    preds: Float64[Tensor, " R"], target: Float64[Tensor, " R"], nearest_m: float, farthest_m: float,
     spheres: int,
 ) -> Float64[Tensor, "R sums"]:  # fmt: skip
-    """Return the errors of every ray, in the order of `NAMES`."""
-    error_m = (prediction_m - target_m).abs()
-    ratio = torch.maximum(prediction_m / target_m, target_m / prediction_m)
-    predicted, true = (sphere_index(range_m, nearest_m, farthest_m, spheres) for range_m in (prediction_m, target_m))
+    """Return the errors of every ray (predicted and true range, m), in the order of `NAMES`."""
+    error_m = (preds - target).abs()
+    ratio = torch.maximum(preds / target, target / preds)
+    predicted, true = (sphere_index(range_m, nearest_m, farthest_m, spheres) for range_m in (preds, target))
     percent = (predicted - true).abs() / spheres * 100
-    parts = [error_m, error_m / target_m, error_m**2, *(ratio < 1.25**k for k in (1, 2, 3))]
+    parts = [error_m, error_m / target, error_m**2, *(ratio < 1.25**k for k in (1, 2, 3))]
     parts += [percent, percent**2, *(percent > k for k in (1, 3, 5))]
     return torch.stack([part.double() for part in parts], dim=-1)
 
@@ -69,6 +71,7 @@ class DepthMetrics(Metric):
         farthest_m: range of the farthest sphere; may be infinite.
         spheres: number of spheres.
         range_edges_m: ends of bands of the true range; None for no bands.
+        kwargs: those of every `torchmetrics.Metric`: `dist_sync_on_step`, `sync_on_compute` and so on.
 
     Raises:
         ValueError: naming the argument that is wrong.
@@ -83,14 +86,15 @@ class DepthMetrics(Metric):
     is_differentiable = False
     higher_is_better = False
     full_state_update = False
+    plot_lower_bound = 0.0
     sums: Tensor
     count: Tensor
 
     def __init__(
         self, nearest_m: float = 0.5, farthest_m: float = float("inf"), spheres: int = 192,
-        range_edges_m: Sequence[float | int] | None = None,
+        range_edges_m: Sequence[float | int] | None = None, **kwargs: Any,
     ):  # fmt: skip
-        super().__init__()
+        super().__init__(**kwargs)
         check_increasing("nearest_m and farthest_m", (float(nearest_m), float(farthest_m)), at_least=2)
         if nearest_m <= 0 or spheres < 2:
             raise ValueError(f"nearest_m must be above 0 and spheres at least 2, got {nearest_m} and {spheres}")
@@ -100,29 +104,29 @@ class DepthMetrics(Metric):
         self.add_state("sums", torch.zeros(rows, len(NAMES), dtype=torch.float64), dist_reduce_fx="sum")
         self.add_state("count", torch.zeros(rows, dtype=torch.float64), dist_reduce_fx="sum")
 
+    @renamed({"prediction_m": "preds", "target_m": "target"})
     def update(
-        self, prediction_m: Float[Tensor, "..."], target_m: Float[Tensor, "..."],
-        observed: Bool[Tensor, "..."] | None = None,
-    ) -> None:  # fmt: skip
+        self, preds: Float[Tensor, "..."], target: Float[Tensor, "..."], observed: Bool[Tensor, "..."] | None = None
+    ) -> None:
         """Add predicted and true ranges along the same rays.
 
         Args:
-            prediction_m: predicted ranges in metres, above 0.
-            target_m: true ranges in metres; inf for the sky, which does not count.
+            preds: predicted ranges in metres, above 0.
+            target: true ranges in metres; inf for the sky, which does not count.
             observed: rays that count; default all with a true range.
 
         Raises:
             ValueError: naming a wrong shape, type or value.
         """
-        check_same_shape("prediction_m", prediction_m, "target_m", target_m)
-        check_mask("observed", observed, target_m.shape)
-        counted = (target_m >= self.nearest_m) & (target_m <= self.farthest_m) & target_m.isfinite()
+        check_same_shape("preds", preds, "target", target)
+        check_mask("observed", observed, target.shape)
+        counted = (target >= self.nearest_m) & (target <= self.farthest_m) & target.isfinite()
         counted = counted if observed is None else counted & observed
-        predicted, true = prediction_m[counted].double(), target_m[counted].double()
+        predicted, true = preds[counted].double(), target[counted].double()
         wrong = ~(predicted > 0) | (predicted.clamp(max=self.farthest_m) == float("inf"))
         if bool(wrong.any()):
             hint = "; give a finite farthest_m to clamp to" if self.farthest_m == float("inf") else ""
-            raise ValueError(f"prediction_m must be ranges above 0, got {predicted[wrong][0].item()}{hint}")
+            raise ValueError(f"preds must be ranges above 0, got {predicted[wrong][0].item()}{hint}")
         predicted = predicted.clamp(self.nearest_m, self.farthest_m)
         errors = depth_sums(predicted, true, self.nearest_m, self.farthest_m, self.spheres)
         band = band_of(true, self.range_edges_m)

@@ -1,9 +1,10 @@
 """Bar charts of scores; the only part of the metrics that needs matplotlib."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from torch import Tensor
+from torchmetrics import Metric
 
 from omniocc.classes import WORLD_CLASSES
 
@@ -45,3 +46,19 @@ def plot_bars(scores: Mapping[str, Tensor], keys: list[str], ax: "Axes | None" =
     figure = axes.figure
     assert figure is not None
     return figure, axes  # pyright: ignore[reportReturnType]
+
+
+def plot_scores(
+    metric: Metric, keys: list[str], val: dict[str, Tensor] | Sequence[dict[str, Tensor]] | None, ax: "Axes | None"
+) -> "tuple[Figure, Axes]":
+    """Draw scores of a metric: bars for one result of `compute` (default: now), lines for a list of results.
+
+    Raises:
+        ImportError: without matplotlib.
+        ValueError: if `keys` is empty.
+    """
+    if val is None or isinstance(val, Mapping):
+        return plot_bars(metric.compute() if val is None else val, keys, ax)
+    # torchmetrics returns no figure for axes that were given
+    figure, axes = metric._plot([{key: result[key] for key in keys} for result in val], ax)
+    return (axes.figure if figure is None else figure), axes  # type: ignore[return-value]

@@ -1,10 +1,11 @@
 """Casting of rays through predicted and true frames, and counting of their hits; nothing is kept between calls."""
 
+import hashlib
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 import torch
-from jaxtyping import Bool, Float, Shaped
+from jaxtyping import Bool, Float, Int64, Shaped, UInt8
 from torch import Tensor
 
 from omniocc.geometry import Cuboid, Cylinder, Hits, RayTable, Scan, ray_table
@@ -12,7 +13,8 @@ from omniocc.geometry.directions import sparseocc_directions
 from omniocc.metric.bands import as_edges, num_rows
 from omniocc.metric.checks import check_increasing, check_mask, check_same_batch
 from omniocc.metric.class_ids import ClassIds
-from omniocc.metric.ray_counts import RayCounts, count_rays, ray_scores
+from omniocc.metric.protocol import RaysSeen, dropped_text, error_text, mean_text, rays_text
+from omniocc.metric.ray_counts import TIMES, RayCounts, count_rays, ray_scores
 
 
 class RayTruth(NamedTuple):
@@ -42,6 +44,7 @@ class RayCounter:
         self, geometry: Cylinder | Cuboid, classes: ClassIds, thresholds_m: Sequence[float | int],
         range_edges_m: Sequence[float | int] | None, directions: Float[Tensor, "D 3"] | None,
         target_geometry: Cylinder | Cuboid | None, hit: Literal["exit", "entry"], count_free_rays: bool,
+        split_origins: bool = False,
     ):  # fmt: skip
         if hit not in ("exit", "entry"):
             raise ValueError(f"hit must be 'exit' or 'entry', got {hit!r}")
@@ -50,81 +53,125 @@ class RayCounter:
         self.thresholds_m = tuple(float(edge) for edge in thresholds_m)
         check_increasing("thresholds_m", self.thresholds_m, at_least=1)
         self.range_edges_m = as_edges(range_edges_m)
-        self.hit, self.count_free_rays = hit, count_free_rays
+        self.hit, self.count_free_rays, self.split_origins = hit, count_free_rays, split_origins
+        self.public_rays = directions is None
         self.scan = Scan(sparseocc_directions() if directions is None else directions)
 
     def zero(self) -> RayCounts:
         """Return the counts of no frames."""
-        zeros = torch.zeros(num_rows(self.range_edges_m), self.classes.num_classes, dtype=torch.int64)
+        rows = num_rows(self.range_edges_m) * (len(TIMES) if self.split_origins else 1)
+        zeros = torch.zeros(rows, self.classes.num_classes, dtype=torch.int64)
         return RayCounts(zeros, zeros.clone(), zeros.unsqueeze(1).repeat(1, len(self.thresholds_m), 1))
 
     def count(
-        self, prediction: Shaped[Tensor, "B *grid"], target: Shaped[Tensor, "Bt *target_grid"] | RayTruth,
+        self, preds: Shaped[Tensor, "B *grid"], target: Shaped[Tensor, "Bt *target_grid"] | RayTruth,
         origins: Float[Tensor, "*origins 3"] | None = None, observed: Shaped[Tensor, "Bo *observed_grid"] | None = None,
+        origin_times: Shaped[Tensor, "*times"] | None = None,
     ) -> RayCounts:  # fmt: skip
         """Return the summed counts of a batch; arguments as in `RayIoU.update`.
 
         Raises:
             ValueError: naming a wrong shape, type or value.
         """
-        prediction = self.classes.check("prediction", prediction, self.geometry.shape, truth=False)
-        if origins is not None and (origins.ndim != 3 or len(origins) != len(prediction) or origins.shape[2] != 3):
-            raise ValueError(f"origins must have shape ({len(prediction)}, O, 3), got {tuple(origins.shape)}")
-        origins = torch.zeros(1, 3).expand(len(prediction), 1, 3) if origins is None else origins
-        origins = origins.to(prediction.device)
-        if isinstance(target, RayTruth):
-            found = self._count_truth(prediction, target, origins)
+        preds = self.classes.check("preds", preds, self.geometry.shape, truth=False)
+        if origins is not None and (origins.ndim != 3 or len(origins) != len(preds) or origins.shape[2] != 3):
+            raise ValueError(f"origins must have shape ({len(preds)}, O, 3), got {tuple(origins.shape)}")
+        times = self._times(origins, origin_times, len(preds))
+        origins = torch.zeros(1, 3).expand(len(preds), 1, 3) if origins is None else origins
+        origins = origins.to(preds.device)
+        if not origins.shape[1]:
+            found = []
+        elif isinstance(target, RayTruth):
+            found = self._count_truth(preds, target, origins, times)
         else:
-            target = self._known(prediction, target, observed)
-            found = [self._count_voxels(*sample) for sample in zip(prediction, target, origins, strict=True)]
-        zero = (part.to(prediction.device) for part in self.zero())
+            target = self._known(preds, target, observed)
+            samples = zip(preds, target, origins, times, strict=True)
+            found = [self._count_voxels(*sample) for sample in samples]
+        zero = (part.to(preds.device) for part in self.zero())
         return RayCounts(*(torch.stack(parts).sum(0) for parts in zip(zero, *found, strict=True)))
 
     def scores(self, counts: RayCounts) -> dict[str, Tensor]:
         """Return the scores of counts: see `omniocc.metric.ray_counts.ray_scores` for the keys."""
         return ray_scores(counts, self.classes.occupied, self.thresholds_m, self.range_edges_m)
 
-    def _known(self, prediction: Tensor, target: Tensor, observed: Tensor | None) -> Tensor:
+    def protocol(self, seen: RaysSeen) -> str:
+        """Return how rays of what was `seen` are counted, in one line."""
+        return "; ".join((
+            rays_text(len(self.scan), self.public_rays, seen),
+            error_text(self.thresholds_m, self.hit, seen),
+            dropped_text(self.classes, self.count_free_rays, seen.masked),
+            mean_text(self.classes),
+        ))  # fmt: skip
+
+    def setting(self) -> UInt8[Tensor, "16"]:
+        """Return a hash of all that decides what is counted: metrics with equal ones may share their counts."""
+        grids, classes = (self.geometry, self.target_geometry), (self.classes.num_classes, self.classes.free)
+        parts = grids, classes, self.classes.ignored, self.thresholds_m, self.range_edges_m, self.hit
+        text = repr((*parts, self.count_free_rays, self.split_origins)).encode()
+        digest = hashlib.sha256(text + self.scan.directions.cpu().numpy().tobytes()).digest()
+        return torch.tensor(list(digest[:16]), dtype=torch.uint8)
+
+    def _times(
+        self, origins: Tensor | None, origin_times: Tensor | None, batch: int
+    ) -> Sequence[Int64[Tensor, " O"] | None]:
+        """Return for each sample the index in `TIMES` of each origin; None where origins are not scored apart."""
+        if origin_times is not None and (origins is None or origin_times.shape != origins.shape[:2]):
+            shape = "None without origins" if origins is None else tuple(origins.shape[:2])
+            raise ValueError(f"origin_times must be {shape}, a time for each origin, got {tuple(origin_times.shape)}")
+        if not self.split_origins:
+            return [None] * batch
+        if origins is not None and origin_times is None:
+            raise ValueError("split_origins needs origin_times: when the car was at each of the origins")
+        now = torch.ones(batch, 1, dtype=torch.int64)
+        return list(now if origin_times is None else origin_times.sign().long() + 1)
+
+    def _known(self, preds: Tensor, target: Tensor, observed: Tensor | None) -> Tensor:
         target = self.classes.check("target", target, self.target_geometry.shape, truth=True)
-        check_same_batch("prediction", prediction, "target", target)
+        check_same_batch("preds", preds, "target", target)
         check_mask("observed", observed, target.shape)
         return target if observed is None else target.masked_fill(~observed, self.classes.ignored)
 
-    def _count_truth(self, prediction: Tensor, target: RayTruth, origins: Tensor) -> list[RayCounts]:
+    def _count_truth(
+        self, preds: Tensor, target: RayTruth, origins: Tensor, times: Sequence[Tensor | None]
+    ) -> list[RayCounts]:
         if target.directions is None:
-            self._check_rays(prediction, target, origins)
-            samples = zip(prediction, target.range_m, target.labels, origins, strict=True)
+            self._check_rays(preds, target, origins)
+            samples = zip(preds, target.range_m, target.labels, origins, times, strict=True)
             return [self._count_rays(*sample) for sample in samples]
         if self.count_free_rays:
             raise ValueError("count_free_rays needs rays that are the same in all frames")
         starts = torch.zeros_like(target.directions) if target.starts is None else target.starts
-        rows = zip(prediction, target.range_m, target.labels, target.directions, starts, strict=True)
+        rows = zip(preds, target.range_m, target.labels, target.directions, starts, strict=True)
         return [self._count_frame_rays(*row) for row in rows]
 
     def _count_frame_rays(
-        self, prediction: Tensor, range_m: Tensor, labels: Tensor, directions: Tensor, starts: Tensor
+        self, preds: Tensor, range_m: Tensor, labels: Tensor, directions: Tensor, starts: Tensor
     ) -> RayCounts:
         """Return the counts of one frame whose R rays have individual directions and starts (R, 3)."""
         kept = (labels != self.classes.free) & (labels != self.classes.ignored) & range_m.isfinite()
         range_m, labels, directions, starts = range_m[kept].double(), labels[kept], directions[kept], starts[kept]
         # uint8 wraps around, as in `_cast`
-        found = self.geometry.cast(prediction - self.classes.free, starts, directions)
+        found = self.geometry.cast(preds - self.classes.free, starts, directions)
         error_m = torch.maximum(found.entry_m - range_m, range_m - found.exit_m).clamp(min=0)
         inside = self.geometry.index(starts.double() + directions.double() * range_m.unsqueeze(-1))[1]
-        return self._count(labels, range_m, found.labels + self.classes.free, error_m, inside)
+        # the LiDAR was there when the frame was taken
+        now = torch.tensor([TIMES.index("now")]) if self.split_origins else None
+        return self._count(labels, range_m, found.labels + self.classes.free, error_m, inside, now)
 
-    def _check_rays(self, prediction: Tensor, target: RayTruth, origins: Tensor) -> None:
+    def _check_rays(self, preds: Tensor, target: RayTruth, origins: Tensor) -> None:
         self.classes.check("labels", target.labels, (len(self.scan) * origins.shape[1],), truth=True)
-        check_same_batch("prediction", prediction, "labels", target.labels)
+        check_same_batch("preds", preds, "labels", target.labels)
         if target.range_m.shape != target.labels.shape:
             shapes = f"{tuple(target.labels.shape)}, got {tuple(target.range_m.shape)}"
             raise ValueError(f"range_m must have shape {shapes}")
 
-    def _count_voxels(self, prediction: Tensor, target: Tensor, origins: Float[Tensor, "O 3"]) -> RayCounts:
+    def _count_voxels(
+        self, preds: Tensor, target: Tensor, origins: Float[Tensor, "O 3"], times: Int64[Tensor, " O"] | None
+    ) -> RayCounts:
         if self.target_geometry == self.geometry:
-            found, truth = self._cast(ray_table(self.geometry, origins, self.scan), prediction, target)
+            found, truth = self._cast(ray_table(self.geometry, origins, self.scan), preds, target)
         else:
-            found = self._cast(ray_table(self.geometry, origins, self.scan), prediction)[0]
+            found = self._cast(ray_table(self.geometry, origins, self.scan), preds)[0]
             truth = self._cast(ray_table(self.target_geometry, origins, self.scan), target)[0]
         free = truth.labels == self.classes.free
         valid = ~free
@@ -133,13 +180,14 @@ class RayCounter:
         true_m, predicted_m = (hits.entry_m if self.hit == "entry" else hits.exit_m for hits in (truth, found))
         if self.count_free_rays:
             valid |= free & self._clear(found, truth.exit_m)
-        return self._count(truth.labels, true_m, found.labels, (true_m - predicted_m).abs(), valid)
+        return self._count(truth.labels, true_m, found.labels, (true_m - predicted_m).abs(), valid, times)
 
     def _count_rays(
-        self, prediction: Tensor, range_m: Tensor, labels: Tensor, origins: Float[Tensor, "O 3"]
-    ) -> RayCounts:
+        self, preds: Tensor, range_m: Tensor, labels: Tensor, origins: Float[Tensor, "O 3"],
+        times: Int64[Tensor, " O"] | None,
+    ) -> RayCounts:  # fmt: skip
         table = ray_table(self.geometry, origins, self.scan)
-        found = self._cast(table, prediction)[0]
+        found = self._cast(table, preds)[0]
         range_m, labels = range_m.double(), labels.to(torch.uint8)
         error_m = torch.maximum(found.entry_m - range_m, range_m - found.exit_m).clamp(min=0)
         valid = (labels != self.classes.free) & self._inside(origins, range_m)
@@ -149,7 +197,7 @@ class RayCounter:
             clear_m = torch.minimum(range_m, leave_m.double())
             valid |= free & self._clear(found, clear_m)
             labels, range_m = labels.masked_fill(free, self.classes.free), torch.where(free, clear_m, range_m)
-        return self._count(labels, range_m, found.labels, error_m, valid)
+        return self._count(labels, range_m, found.labels, error_m, valid, times)
 
     def _cast(self, table: RayTable, *volumes: Tensor) -> list[Hits]:
         # uint8 wraps around: the free class becomes 0, and no other class does
@@ -165,7 +213,13 @@ class RayCounter:
         """Return whether rays with free truth up to these distances count: no truth is available beyond."""
         return clear_m.isfinite() & ((found.labels == self.classes.free) | (found.entry_m < clear_m))
 
-    def _count(self, true_labels: Tensor, true_m: Tensor, labels: Tensor, error_m: Tensor, valid: Tensor) -> RayCounts:
+    def _count(
+        self, true_labels: Tensor, true_m: Tensor, labels: Tensor, error_m: Tensor, valid: Tensor,
+        times: Int64[Tensor, " O"] | None,
+    ) -> RayCounts:  # fmt: skip
+        """Return the counts of all rays from the first origin, then from the next; `times` has the kind of each."""
         valid = valid & (true_labels != self.classes.ignored)
+        if times is not None:
+            times = times.to(labels.device).repeat_interleave(len(labels) // max(1, len(times)))
         num_classes, edges_m = self.classes.num_classes, self.range_edges_m
-        return count_rays(true_labels, true_m, labels, error_m, valid, num_classes, self.thresholds_m, edges_m)
+        return count_rays(true_labels, true_m, labels, error_m, valid, num_classes, self.thresholds_m, edges_m, times)

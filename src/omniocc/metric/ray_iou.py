@@ -1,7 +1,7 @@
 """RayIoU: occupancy scored by the first hits of LiDAR rays (SparseOcc, Liu et al. 2024), on any grid."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
@@ -9,10 +9,13 @@ from torchmetrics import Metric
 
 from omniocc.classes import FREE, NUM_CLASSES, UNKNOWN
 from omniocc.geometry import Cuboid, Cylinder
+from omniocc.metric.bands import band_suffixes
 from omniocc.metric.class_ids import ClassIds
-from omniocc.metric.plot import plot_bars
+from omniocc.metric.plot import plot_scores
+from omniocc.metric.protocol import RaysSeen
 from omniocc.metric.ray_counter import RayCounter, RayTruth
-from omniocc.metric.ray_counts import RayCounts
+from omniocc.metric.ray_counts import TIMES, RayCounts
+from omniocc.metric.renamed import renamed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -46,6 +49,9 @@ class RayIoU(Metric):
         count_free_rays: also count rays whose truth is free, at the distance at which the ray leaves the grid, so that
             a class predicted on them loses IoU. The public protocol drops them: hallucinations cost nothing.
         class_names: names by id, for the keys; default those of the virtual world if it has as many classes, else ids.
+        split_origins: also score the rays from where the car was before, at and after the scored frame apart
+            (`rayiou_past`, `rayiou_now`, `rayiou_future`); `update` then takes the times of its origins.
+        kwargs: those of every `torchmetrics.Metric`: `dist_sync_on_step`, `sync_on_compute`, `process_group` and so on.
 
     Raises:
         ValueError: naming the argument that is wrong.
@@ -65,9 +71,12 @@ class RayIoU(Metric):
     is_differentiable = False
     higher_is_better = True
     full_state_update = False
+    plot_lower_bound = 0.0
+    plot_upper_bound = 1.0
     truth: Tensor
     predicted: Tensor
     correct: Tensor
+    setting: Tensor
 
     def __init__(
         self,
@@ -82,43 +91,58 @@ class RayIoU(Metric):
         hit: Literal["exit", "entry"] = "exit",
         count_free_rays: bool = False,
         class_names: Sequence[str] | None = None,
+        split_origins: bool = False,
+        **kwargs: Any,
     ):
-        super().__init__()
+        super().__init__(**kwargs)
         classes = ClassIds(num_classes, free_class, ignore_class, class_names)
         self.counter = RayCounter(
-            geometry, classes, thresholds_m, range_edges_m, directions, target_geometry, hit, count_free_rays
-        )
+            geometry, classes, thresholds_m, range_edges_m, directions, target_geometry, hit, count_free_rays,
+            split_origins,
+        )  # fmt: skip
         for name, counts in self.counter.zero()._asdict().items():
             self.add_state(name, counts, dist_reduce_fx="sum")
+        # a MetricCollection lets metrics with equal states share them for good, even if they are equal only by chance
+        self.add_state("setting", self.counter.setting(), dist_reduce_fx="max")
+        self.seen = RaysSeen()
 
+    @renamed({"prediction": "preds"})
     def update(
         self,
-        prediction: Shaped[Tensor, "B *grid"],
+        preds: Shaped[Tensor, "B *grid"],
         target: Shaped[Tensor, "Bt *target_grid"] | RayTruth,
         origins: Float[Tensor, "*origins 3"] | None = None,
         observed: Shaped[Tensor, "Bo *observed_grid"] | None = None,
+        origin_times: Shaped[Tensor, "*times"] | None = None,
     ) -> None:
         """Add predicted and true class ids of a batch.
 
         Args:
-            prediction: (B, *geometry.shape) class of every cell; any integer type, or whole numbers in a floating one.
+            preds: (B, *geometry.shape) class of every cell; any integer type, or whole numbers in a floating one.
             target: (B, *target_geometry.shape) true class of every cell, or `ignore_class`; or the measured rays of
                 `update_rays`.
-            origins: (B, O, 3) starts of the rays, ego frame, metres; default the ego origin. `eight_origins` gives
+            origins: (B, O, 3) starts of the rays, ego frame, metres; default the ego origin. `trajectory_origins` gives
                 those of the public protocol.
             observed: bool, shape of the target: cells that count; the others are unknown.
+            origin_times: (B, O) when the car was at the origins: below 0 before the scored frame, 0 at it, above 0
+                after it, in any unit; `split_origins` needs them.
 
         Raises:
             ValueError: naming a wrong shape, type or value.
         """
-        counts = self.counter.count(prediction, target, origins, observed)
+        counts = self.counter.count(preds, target, origins, observed, origin_times)
         self.truth += counts.truth
         self.predicted += counts.predicted
         self.correct += counts.correct
+        measured, number = isinstance(target, RayTruth), 0 if origins is None else origins.shape[1]
+        own_rays = isinstance(target, RayTruth) and target.directions is not None
+        timed, masked = origin_times is not None, observed is not None
+        self.seen = self.seen.joined(RaysSeen(True, measured, own_rays, number, timed, masked))
 
+    @renamed({"prediction": "preds"})
     def update_rays(
         self,
-        prediction: Shaped[Tensor, "B X Y Z"],
+        preds: Shaped[Tensor, "B X Y Z"],
         range_m: Float[Tensor, "B R"],
         labels: Shaped[Tensor, "B R"],
         origins: Float[Tensor, "B O 3"] | None = None,
@@ -131,7 +155,7 @@ class RayIoU(Metric):
         the grid, has free truth and is dropped unless `count_free_rays`; no truth is available behind its point.
 
         Args:
-            prediction: class of every cell.
+            preds: class of every cell.
             range_m: see `RayTruth`.
             labels: see `RayTruth`.
             origins: as in `update`.
@@ -139,32 +163,45 @@ class RayIoU(Metric):
         Raises:
             ValueError: naming a wrong shape, type or value.
         """
-        self.update(prediction, RayTruth(range_m, labels), origins)
+        self.update(preds, RayTruth(range_m, labels), origins)
 
     def compute(self) -> dict[str, Tensor]:
         """Return the scores over all frames: see `omniocc.metric.ray_counts.ray_scores` for the keys."""
         return self.counter.scores(RayCounts(self.truth, self.predicted, self.correct))
 
+    def protocol(self) -> str:
+        """Return how this process counted what it was given: rays, origins, thresholds, masks and classes, in one line.
+
+        Two scores are comparable if these lines are equal; the same network scores .445 from the origin of its own time
+        and .370 from past and future ones too (docs/rayiou.md).
+        """
+        return self.counter.protocol(self.seen)
+
     def plot(
         self,
-        val: dict[str, Tensor] | None = None,
+        val: dict[str, Tensor] | Sequence[dict[str, Tensor]] | None = None,
         ax: "Axes | None" = None,
-        by: Literal["class", "threshold", "range"] = "class",
+        by: Literal["class", "threshold", "range", "origin"] = "class",
     ) -> "tuple[Figure, Axes]":
-        """Draw scores as bars (needs matplotlib).
+        """Draw scores as bars, or those of several steps as lines (needs matplotlib).
 
         Args:
-            val: a result of `compute`; default the current one.
+            val: a result of `compute` or `forward`, or a list of them; default the current one.
             ax: axes to draw on; default a new figure.
-            by: one bar for each class, threshold or range band.
+            by: one bar or line for each class, threshold, range band or kind of origin.
         """
-        scores = self.compute() if val is None else val
-        prefix = {"class": "rayiou/", "threshold": "rayiou@", "range": "rayiou_"}[by]
-        return plot_bars(scores, [key for key in scores if key.startswith(prefix)], ax)
+        ends = {
+            "class": [f"/{name}" for name in self.counter.classes.occupied.values()],
+            "threshold": [f"@{threshold_m:g}" for threshold_m in self.counter.thresholds_m],
+            "range": band_suffixes(self.counter.range_edges_m),
+            "origin": [f"_{name}" for name in TIMES] if self.counter.split_origins else [],
+        }[by]
+        return plot_scores(self, [f"rayiou{end}" for end in ends], val, ax)
 
 
+@renamed({"prediction": "preds"})
 def ray_iou(
-    prediction: Shaped[Tensor, "B X Y Z"],
+    preds: Shaped[Tensor, "B X Y Z"],
     target: Shaped[Tensor, "B Xt Yt Zt"],
     geometry: Cylinder | Cuboid,
     origins: Float[Tensor, "B O 3"] | None = None,
@@ -179,10 +216,13 @@ def ray_iou(
     hit: Literal["exit", "entry"] = "exit",
     count_free_rays: bool = False,
     class_names: Sequence[str] | None = None,
+    split_origins: bool = False,
+    origin_times: Shaped[Tensor, "B O"] | None = None,
 ) -> dict[str, Tensor]:
     """Return the RayIoU of these frames; see `RayIoU` for the definition, the arguments and the keys.
 
-    In a distributed run each process gets the scores of its frames, without communication.
+    In a distributed run each process gets the scores of its frames, without communication; one process may call it
+    alone.
 
     Example:
         >>> import torch
@@ -197,6 +237,6 @@ def ray_iou(
     """
     classes = ClassIds(num_classes, free_class, ignore_class, class_names)
     counter = RayCounter(
-        geometry, classes, thresholds_m, range_edges_m, directions, target_geometry, hit, count_free_rays
+        geometry, classes, thresholds_m, range_edges_m, directions, target_geometry, hit, count_free_rays, split_origins
     )
-    return counter.scores(counter.count(prediction, target, origins, observed))
+    return counter.scores(counter.count(preds, target, origins, observed, origin_times))

@@ -1,7 +1,7 @@
 """IoU, precision and recall of voxels, from sums over the whole dataset."""
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 from jaxtyping import Bool, Float64, Shaped, UInt8
@@ -12,7 +12,9 @@ from omniocc.classes import FREE, NUM_CLASSES, UNKNOWN
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.metric.checks import check_mask, check_same_shape
 from omniocc.metric.class_ids import ClassIds
-from omniocc.metric.plot import plot_bars
+from omniocc.metric.plot import plot_scores
+from omniocc.metric.protocol import cells_text
+from omniocc.metric.renamed import renamed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -59,6 +61,7 @@ class VoxelIoU(Metric):
         geometry: grid whose cell volumes weigh the cells. The cells of a cylinder grow with their distance, so scores
             of a cylinder and of a cuboid are comparable only by volume. Default: every cell counts once.
         class_names: names by id, for the keys; default those of the virtual world if it has as many classes, else ids.
+        kwargs: those of every `torchmetrics.Metric`: `dist_sync_on_step`, `sync_on_compute` and so on.
 
     Raises:
         ValueError: naming the argument that is wrong.
@@ -75,47 +78,61 @@ class VoxelIoU(Metric):
     is_differentiable = False
     higher_is_better = True
     full_state_update = False
+    plot_lower_bound = 0.0
+    plot_upper_bound = 1.0
     confusion: Tensor
 
     def __init__(
         self, num_classes: int = NUM_CLASSES, free_class: int = FREE, ignore_class: int = UNKNOWN,
         geometry: Cylinder | Cuboid | None = None, class_names: Sequence[str] | None = None,
+        **kwargs: Any,
     ):  # fmt: skip
-        super().__init__()
+        super().__init__(**kwargs)
         self.classes = ClassIds(num_classes, free_class, ignore_class, class_names)
         self.geometry = geometry
+        self.masked = False
         self.add_state("confusion", torch.zeros(num_classes, num_classes, dtype=torch.float64), dist_reduce_fx="sum")
 
+    @renamed({"prediction": "preds"})
     def update(
-        self, prediction: Shaped[Tensor, "B X Y Z"], target: Shaped[Tensor, "Bt Xt Yt Zt"],
+        self, preds: Shaped[Tensor, "B X Y Z"], target: Shaped[Tensor, "Bt Xt Yt Zt"],
         observed: Bool[Tensor, "Bt Xt Yt Zt"] | None = None,
     ) -> None:  # fmt: skip
         """Add predicted and true class ids of a batch.
 
         Args:
-            prediction: class of every cell; any integer type, or whole numbers in a floating one.
+            preds: class of every cell; any integer type, or whole numbers in a floating one.
             target: true class of every cell, or `ignore_class`.
             observed: cells that count; default all. Unknown cells never count.
 
         Raises:
             ValueError: naming a wrong shape, type or value.
         """
-        check_same_shape("prediction", prediction, "target", target)
+        check_same_shape("preds", preds, "target", target)
         shape = tuple(target.shape[1:]) if self.geometry is None else self.geometry.shape
-        prediction = self.classes.check("prediction", prediction, shape, truth=False)
+        preds = self.classes.check("preds", preds, shape, truth=False)
         target = self.classes.check("target", target, shape, truth=True)
         check_mask("observed", observed, target.shape)
         known = target != self.classes.ignored
         counted = known if observed is None else observed & known
         weights = None if self.geometry is None else self.geometry.volumes_m3()
-        self.confusion += voxel_confusion(prediction, target, counted, self.classes.num_classes, weights)
+        self.confusion += voxel_confusion(preds, target, counted, self.classes.num_classes, weights)
+        self.masked = self.masked or observed is not None
 
     def compute(self) -> dict[str, Tensor]:
         """Return the scores over all frames: see `voxel_scores` for the keys."""
         scores = voxel_scores(self.confusion, self.classes.free, self.classes.occupied)
         return {key: value.float() for key, value in scores.items()}
 
-    def plot(self, val: dict[str, Tensor] | None = None, ax: "Axes | None" = None) -> "tuple[Figure, Axes]":
-        """Draw the IoU of every class in a result of `compute` (default: now) as bars; needs matplotlib."""
-        scores = self.compute() if val is None else val
-        return plot_bars(scores, [key for key in scores if key.startswith("iou/")], ax)
+    def protocol(self) -> str:
+        """Return which cells of what it was given this process counted, and how, in one line."""
+        return cells_text(self.classes, self.geometry is not None, self.masked)
+
+    def plot(
+        self, val: dict[str, Tensor] | Sequence[dict[str, Tensor]] | None = None, ax: "Axes | None" = None
+    ) -> "tuple[Figure, Axes]":
+        """Draw the IoU of every class: bars for a result of `compute` (default: now), lines for a list of results.
+
+        It needs matplotlib.
+        """
+        return plot_scores(self, [f"iou/{name}" for name in self.classes.occupied.values()], val, ax)

@@ -23,7 +23,7 @@ from omniocc.predict.output.manifest import OWN_RIG, pose_digest, write_manifest
 from omniocc.predict.predictor import Predictor
 from omniocc.predict.trained import TrainingData, training_data
 from omniocc.run.checkpoint_io import no_checkpoint
-from omniocc.run.results import save_results
+from omniocc.run.results import PROTOCOL, save_results
 from omniocc.run.table import summary
 from omniocc.run.weights import find_checkpoint
 from omniocc.task.scores import Scores
@@ -73,9 +73,8 @@ def predict_occupancy(options: Options, show: ShowFrame | None = None) -> None:
     if scores is not None:
         metrics = {f"test/{key}": float(value) for key, value in scores.compute().items()}
         frames = sum(len(sequence.wanted) for sequence in sequences)
-        save_results(
-            job.output, metrics, {"checkpoint": options.checkpoint, "data": options.recorded, "frames": frames}
-        )
+        facts = {"checkpoint": options.checkpoint, "data": options.recorded, "frames": frames}
+        save_results(job.output, metrics, facts | {PROTOCOL: scores.protocol()})
         print(f"{frames} frames: {figures(metrics)}; all figures: {job.output / 'table.md'}")
 
 

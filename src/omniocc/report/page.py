@@ -22,9 +22,11 @@ from omniocc.report.tables.paper import (
     in_cell,
     order_line,
     rows_of,
+    runs_of,
     source_of,
     with_spread,
 )
+from omniocc.report.tables.protocol import protocol_lines
 from omniocc.run.results import MINUTES
 from omniocc.view.bev import ERRORS
 
@@ -50,7 +52,13 @@ def page(
     ]
     sections = [
         *drawn[:1],
-        _text_table("bounds", bounds.TITLE, bounds.NOTE, bounds.bounds_cells(sweep.rows)),
+        _text_table(
+            "bounds",
+            bounds.TITLE,
+            bounds.NOTE,
+            bounds.bounds_cells(sweep.rows),
+            protocol=protocol_lines(sweep.rows, bounds.COLUMNS.values()),
+        ),
         *(
             _text_table(table.name, table.title, table.note, dataset_cells(table), files=True)
             for table in sweep.datasets
@@ -91,9 +99,10 @@ def _facts(sweep: Sweep) -> dict[str, str]:
 
 
 def _text_table(
-    name: str, title: str, note: str, cells: tuple[list[str], list[list[str]]], files: bool = False
-) -> Section:
-    content = {"title": title, "note": note, "head": cells[0], "rows": cells[1], "files": files}
+    name: str, title: str, note: str, cells: tuple[list[str], list[list[str]]], files: bool = False,
+    protocol: Sequence[str] = (),
+) -> Section:  # fmt: skip
+    content = {"title": title, "note": note, "head": cells[0], "rows": cells[1], "files": files, "protocol": protocol}
     return {"kind": "text_table", "name": name, **content}
 
 
@@ -110,6 +119,7 @@ def _paper_table(table: PaperTable, sweep: Sweep) -> Section:
         "order": order_line(table, sweep.table_rows),
         "claims_head": claims_head,
         "claims": claims,
+        "protocol": protocol_lines(runs_of(table, sweep.table_rows), table.columns),
     }
 
 

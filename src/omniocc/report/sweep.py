@@ -22,8 +22,9 @@ from omniocc.report.runs import FinishedRun, path_between, read_runs
 from omniocc.report.selection import by_row, comparable, settings_of
 from omniocc.report.tables import bounds, budget
 from omniocc.report.tables.claims import claim_cells
-from omniocc.report.tables.overview import table_of_runs
+from omniocc.report.tables.overview import overview_keys, table_of_runs
 from omniocc.report.tables.paper import PaperTable, as_csv, as_latex, as_markdown, is_table, load_table
+from omniocc.report.tables.protocol import protocol_text
 from omniocc.run.curves import read_curve
 from omniocc.run.folder import METRICS
 from omniocc.run.table import markdown
@@ -132,6 +133,7 @@ def unfinished(runs: Path) -> list[str]:
 def chapters(sweep: Sweep) -> dict[str, str]:
     """Return every table as Markdown under a heading of level 2, by name."""
     baseline = f"## {bounds.TITLE}\n\n{bounds.NOTE}\n\n{markdown(*bounds.bounds_cells(sweep.rows))}"
+    baseline += protocol_text(sweep.rows, bounds.COLUMNS.values())
     cost = f"## Budget\n\n{budget.NOTE}\n\n{markdown(*budget.budget_cells(sweep.rows))}"
     datasets = {table.name: dataset_markdown(table) for table in sweep.datasets}
     papers = {}
@@ -145,7 +147,8 @@ def chapters(sweep: Sweep) -> dict[str, str]:
 def report_markdown(sweep: Sweep) -> str:
     """Return all tables in one text."""
     remarks = " ".join(sweep.remarks) + "\n"
-    return "\n".join([remarks, markdown(*table_of_runs(sweep.runs)), *chapters(sweep).values()])
+    overview = markdown(*table_of_runs(sweep.runs)) + protocol_text(sweep.rows, overview_keys(sweep.runs))
+    return "\n".join([remarks, overview, *chapters(sweep).values()])
 
 
 def write_docs(sweep: Sweep, folder: Path) -> list[Path]:

@@ -18,6 +18,9 @@ MINUTES = "minutes of training"
 EARLIER_MINUTES = "minutes of earlier stages"
 """Fact of runs: the time of the trainings of depth and sketch, which other runs may share."""
 
+PROTOCOL = "protocol"
+"""Fact of runs: how each kind of score was counted (rays, origins, thresholds, masks, classes), one line for each."""
+
 
 def save_results(folder: Path, metrics: Mapping[str, float], facts: Mapping[str, Any]) -> None:
     """Write `table.md`, then `metrics.json`, which marks the run as finished.
@@ -28,7 +31,7 @@ def save_results(folder: Path, metrics: Mapping[str, float], facts: Mapping[str,
         DataError: naming the file that cannot be written.
     """
     caption = ", ".join(f"{key} {value}" for key, value in facts.items() if not isinstance(value, list | dict))
-    atomic_write(folder / "table.md", as_markdown(metrics, caption))
+    atomic_write(folder / "table.md", as_markdown(metrics, caption, facts.get(PROTOCOL, {})))
     plain = {key: None if math.isnan(value) else value for key, value in metrics.items()}
     atomic_write(folder / METRICS, json.dumps({**facts, "metrics": plain}, indent=1) + "\n")
 
@@ -51,7 +54,8 @@ def load_results(folder: Path) -> tuple[dict[str, Any], dict[str, float]]:
 
 def show_results(folder: Path) -> None:
     """Print the table of a finished run and where its files are."""
-    table = as_text(load_results(folder)[1]).strip()
+    facts, metrics = load_results(folder)
+    table = as_text(metrics, facts.get(PROTOCOL, {})).strip()
     print(f"\n{table or 'No test frame has labels, so nothing is scored.'}\n")
     images = sorted(str(path) for path in (folder / IMAGES).glob("test-*.png"))
     lines = [f"table     {folder / 'table.md'}", f"figures   {folder / METRICS}"]

@@ -3,9 +3,16 @@
 import math
 import re
 from collections.abc import Mapping
+from types import MappingProxyType
 
 BY_CLASS = "test/rayiou/"
 BAND = re.compile(r"_([\d.]+-[\d.]+m)$")
+
+NOT_RECORDED: Mapping[str, str] = MappingProxyType({})
+SCORES = {"rayiou": "RayIoU", "lidar/rayiou": "RayIoU, LiDAR", "voxel": "IoU, mIoU"}
+"""Titles of the kinds of scores whose protocol is recorded, by the beginning of their keys."""
+ORIGINS = {"past": "past frames", "now": "the frame itself", "future": "future frames"}
+"""Titles of the origins of rays that are scored apart, by the end of their keys."""
 
 ROWS = {"test": "model", "prior": "prior (baseline)", "label": "label (upper bound)"}
 EXPLANATION = (
@@ -89,6 +96,24 @@ SKETCH_EXPLANATION = (
 )
 
 
+def by_origin(metrics: Mapping[str, float]) -> tuple[list[str], list[list[str]]]:
+    """Return head and rows of RayIoU by origin of the rays: where the car was before, at and after the frame."""
+    keys = {title: f"rayiou_{time}" for time, title in ORIGINS.items()} | {"all": "rayiou"}
+    rows = [[title, *(number(metrics.get(f"{row}/{key}")) for row in ROWS)] for title, key in keys.items()]
+    return ["RayIoU from", *ROWS.values()], rows
+
+
+def score_of(key: str) -> str | None:
+    """Return the kind of score, of `SCORES`, of a figure; None for other figures."""
+    name = key.partition("/")[2]
+    return next((kind for kind in SCORES if name.startswith(kind)), None)
+
+
+def protocol_lines(protocol: Mapping[str, str]) -> list[str]:
+    """Return how each kind of score was counted, in one line each."""
+    return [f"{SCORES[kind]}: {protocol[kind]}." for kind in SCORES if kind in protocol]
+
+
 def depth_table(metrics: Mapping[str, float]) -> tuple[list[str], list[list[str]]]:
     """Return head and rows by distance band: errors of the panorama of ranges."""
     bands = _bands(metrics, "test/depth/mae_")
@@ -111,6 +136,8 @@ def tables(metrics: Mapping[str, float]) -> list[tuple[tuple[list[str], list[lis
     found = []
     if "test/rayiou" in metrics:
         found += [(summary(metrics), EXPLANATION), (per_class(metrics), "")]
+    if "test/rayiou_now" in metrics:
+        found.append((by_origin(metrics), ""))
     if "test/sketch/recall" in metrics:
         found.append((sketch_table(metrics), SKETCH_EXPLANATION))
     if "test/depth/mae" in metrics:
@@ -118,20 +145,23 @@ def tables(metrics: Mapping[str, float]) -> list[tuple[tuple[list[str], list[lis
     return found
 
 
-def as_markdown(metrics: Mapping[str, float], caption: str) -> str:
-    """Return all tables with their explanations as Markdown, below a caption."""
+def as_markdown(metrics: Mapping[str, float], caption: str, protocol: Mapping[str, str] = NOT_RECORDED) -> str:
+    """Return all tables with their explanations as Markdown, below a caption; then how scores were counted."""
     parts = [part for table, text in tables(metrics) for part in (markdown(*table), text and f"{text}\n")]
+    parts += [f"{line}\n" for line in protocol_lines(protocol)]
     return "\n".join([caption, "", *filter(None, parts)])
 
 
-def as_text(metrics: Mapping[str, float]) -> str:
-    """Return all tables for a terminal, in columns."""
-    return "\n\n".join(in_columns(*table) for table, _ in tables(metrics))
+def as_text(metrics: Mapping[str, float], protocol: Mapping[str, str] = NOT_RECORDED) -> str:
+    """Return all tables for a terminal, in columns; then how scores were counted."""
+    lines = "\n".join(protocol_lines(protocol))
+    return "\n\n".join(filter(None, [*(in_columns(*table) for table, _ in tables(metrics)), lines]))
 
 
 def _bands(metrics: Mapping[str, float], prefix: str) -> list[tuple[str, str]]:
     """Return title and suffix of keys for all distances, then for each band, nearest first."""
-    bands = sorted((key.removeprefix(prefix) for key in metrics if key.startswith(prefix)), key=_lower_edge)
+    found = {match[1] for key in metrics if (match := BAND.search(key)) and key == f"{prefix}{match[1]}"}
+    bands = sorted(found, key=_lower_edge)
     return [("all", ""), *((band.replace("m", " m"), f"_{band}") for band in bands)]
 
 

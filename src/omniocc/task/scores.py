@@ -13,6 +13,10 @@ from omniocc.classes import FREE
 from omniocc.data import SourceSpec
 from omniocc.geometry import Cuboid, Cylinder, Grid, look_up
 from omniocc.metric import RayIoU, RayTruth, VoxelIoU
+from omniocc.metric.ray_counts import TIMES
+
+BY_TIME = tuple(f"rayiou_{name}" for name in TIMES)
+"""Scores of the rays from where the car was before, at and after the scored frame."""
 
 
 def within_reach(
@@ -44,7 +48,8 @@ class Scores(nn.Module):
 
     `compute` uses the metrics' keys: plain for rays against voxels, `lidar/...` for true rays, `voxel/...` for cells.
     LiDAR hits beyond the last band count as free on every grid. Where no batch has voxels or no LiDAR, their keys
-    are absent.
+    are absent. Where rays start from where the car was in past, present and future frames, `rayiou_past`, `rayiou_now`
+    and `rayiou_future` are their scores apart.
 
     Where the source has a `Benchmark`, predictions are brought to the dataset's own grid first and scored there, from
     the dataset's own origins of rays; `voxel_<part>/...` are its nearer parts. Cells outside of `Batch.scored` count as
@@ -54,16 +59,16 @@ class Scores(nn.Module):
     def __init__(self, geometry: Grid, spec: SourceSpec):
         super().__init__()
         self.geometry, self.benchmark = geometry, spec.benchmark
-        self.grid = grid = cast(Cylinder | Cuboid, geometry if spec.benchmark is None else spec.benchmark.grid)
+        self.grid = grid = cast(Cylinder | Cuboid, spec.scored_grid(geometry))
         parts = () if spec.benchmark is None else spec.benchmark.parts
         self.num_classes, self.reach_m = spec.classes.num_classes, spec.reach_m
         names, edges_m = spec.classes.names, spec.range_edges_m
         ray_iou = partial(RayIoU, grid, self.num_classes, range_edges_m=edges_m, class_names=names)
-        self.rays, self.lidar = ray_iou(), ray_iou(directions=spec.lidar_directions)
+        self.rays, self.lidar = ray_iou(split_origins=True), ray_iou(directions=spec.lidar_directions)
         self.cells = VoxelIoU(self.num_classes, class_names=names)
         self.part_cells = [(name, cells_between(grid, x_m, y_m)) for name, x_m, y_m in parts]
         self.parts = nn.ModuleList([VoxelIoU(self.num_classes, class_names=names) for _ in parts])
-        self.voxel_frames, self.lidar_frames = SumMetric(), SumMetric()
+        self.voxel_frames, self.lidar_frames, self.timed_frames = SumMetric(), SumMetric(), SumMetric()
         directions = None if spec.lidar_directions is None else spec.lidar_directions.float()
         self.directions: Tensor | None
         self.register_buffer("directions", directions, persistent=False)
@@ -73,8 +78,9 @@ class Scores(nn.Module):
         labels = look_up(labels, self.geometry, self.grid)
         truth = batch.voxels if self.benchmark is None else batch.own_voxels
         self.voxel_frames.update(0 if truth is None else len(labels))
+        self.timed_frames.update(0 if truth is None or batch.ray_times is None else len(labels))
         if truth is not None:
-            self._add_voxels(labels, truth, batch.scored, batch.ray_origins)
+            self._add_voxels(labels, truth, batch)
         self.lidar_frames.update(0 if batch.lidar_labels is None else len(labels))
         if batch.lidar_labels is not None:
             self._add_lidar(labels, batch)
@@ -84,29 +90,38 @@ class Scores(nn.Module):
         metrics = {"": self.rays, "lidar/": self.lidar, "voxel/": self.cells}
         pairs = zip(self.part_cells, self.parts, strict=True)
         metrics |= {f"voxel_{name}/": cast(VoxelIoU, part) for (name, _), part in pairs}
-        counted = (self.voxel_frames, self.lidar_frames)
-        voxels, lidar = (frames.update_called and bool(frames.compute() > 0) for frames in counted)
+        counted = (self.voxel_frames, self.lidar_frames, self.timed_frames)
+        voxels, lidar, timed = (frames.update_called and bool(frames.compute() > 0) for frames in counted)
         return {
             f"{prefix}{key}": value
             for prefix, metric in metrics.items()
             if (lidar if prefix == "lidar/" else voxels)
             for key, value in metric.compute().items()
+            if timed or key not in BY_TIME
         }
+
+    def protocol(self) -> dict[str, str]:
+        """Return how this process counted each kind of score, in one line each: `rayiou`, `lidar/rayiou`, `voxel`."""
+        voxels = {"rayiou": self.rays.protocol(), "voxel": self.cells.protocol()} if self.rays.seen.given else {}
+        return voxels | ({"lidar/rayiou": self.lidar.protocol()} if self.lidar.seen.given else {})
 
     def reset(self) -> None:
         """Reset all metrics."""
-        counted = (self.rays, self.lidar, self.cells, self.voxel_frames, self.lidar_frames)
-        for metric in (*counted, *(cast(Metric, part) for part in self.parts)):
+        counted = (self.voxel_frames, self.lidar_frames, self.timed_frames)
+        for metric in (self.rays, self.lidar, self.cells, *counted, *(cast(Metric, part) for part in self.parts)):
             metric.reset()
 
-    def _add_voxels(self, labels: Tensor, truth: Tensor, scored: Tensor | None, origins: Tensor | None) -> None:
+    def _add_voxels(self, labels: Tensor, truth: Tensor, batch: Batch | Truth) -> None:
+        scored, origins, times = batch.scored, batch.ray_origins, batch.ray_times
         seen = scored if self.benchmark is None or self.benchmark.masked_rays else None
         if origins is None:
             self.rays.update(labels, truth, observed=seen)
         for sample, starts in enumerate(() if origins is None else origins):  # each has its own number of origins
             known, one = starts.isfinite().all(-1), slice(sample, sample + 1)
             if known.any():
-                self.rays.update(labels[one], truth[one], starts[known][None], None if seen is None else seen[one])
+                assert times is not None
+                one_seen, when = None if seen is None else seen[one], times[one, known]
+                self.rays.update(labels[one], truth[one], starts[known][None], one_seen, when)
         self.cells.update(labels, truth, observed=scored)
         for (_, cells), part in zip(self.part_cells, self.parts, strict=True):
             near = cells.to(labels.device).expand_as(truth)

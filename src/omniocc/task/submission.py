@@ -7,6 +7,7 @@ import torch
 
 from omniocc.data import OccupancyData, SceneSource
 from omniocc.data.dataset import Needs, WindowDataset, collate
+from omniocc.data.origins import Origins
 from omniocc.data.source import SPLITS, SceneFrames, Split, SubmittedScene
 from omniocc.errors import UserError
 from omniocc.geometry import look_up
@@ -15,13 +16,18 @@ from omniocc.task.occupancy import OccupancyTask
 from omniocc.task.scores import Scores
 
 
-def score_files(source: SceneSource, folder: Path, split: Split = "test") -> dict[str, float]:
+def score_files(
+    source: SceneSource, folder: Path, split: Split = "test", origins: Origins = "own"
+) -> tuple[dict[str, float], dict[str, str]]:
     """Return the scores of predictions in the benchmark's submission format, with keys as those of a test.
+
+    Also returns how they were counted; see `Scores.protocol`.
 
     Args:
         source: the dataset, prepared.
         folder: of the files, one for each frame of the split.
         split: the scenes that are scored.
+        origins: from where the rays of RayIoU start.
 
     Raises:
         UserError: if the dataset takes no submissions, its labels are secret, or files are missing.
@@ -40,14 +46,15 @@ def score_files(source: SceneSource, folder: Path, split: Split = "test") -> dic
     if missing:
         raise UserError(f"{missing[0]}: {len(missing)} of {len(files)} predictions are missing, this is the first")
     own_rays = source.spec.lidar_directions is None
-    data = WindowDataset(scenes, labels, 1, Needs(images=False, voxels=False, pixel_labels=False), own_rays)
+    needs = Needs(images=False, voxels=False, pixel_labels=False)
+    data = WindowDataset(scenes, labels, 1, needs, own_rays, origins, benchmark.grid)
     scores = Scores(benchmark.grid, source.spec)
     with Progress("scores", len(files)) as progress:
         for index, (scene, _, path) in enumerate(files):
             classes = torch.from_numpy(scene.read_prediction(path)).unsqueeze(0)
             scores.update(classes, collate([data[index]]))
             progress.advance()
-    return {f"test/{key}": float(value) for key, value in scores.compute().items()}
+    return {f"test/{key}": float(value) for key, value in scores.compute().items()}, scores.protocol()
 
 
 def submitted(scenes: Sequence[SceneFrames]) -> Iterator[tuple[SubmittedScene, int]]:

@@ -121,7 +121,7 @@ def test_masks_make_cells_unknown_or_not_scored(root):
     assert 0.05 < ((unseen == UNKNOWN) & (unobserved != UNKNOWN)).sum() / observed.sum() < 0.15
     truth = scene.benchmark(0)
     assert torch.equal(truth.scored, unseen != UNKNOWN)
-    torch.testing.assert_close(truth.ray_origins[:, 0], torch.tensor([0.0, 4.5, 9.0]) + 0.94 - ORIGIN_M[0])
+    torch.testing.assert_close(truth.ray_origins.positions_m[:, 0], torch.tensor([0.0, 4.5, 9.0]) + 0.94 - ORIGIN_M[0])
 
 
 def test_a_model_on_another_grid_is_scored_on_the_voxels_of_the_dataset(root):
@@ -340,7 +340,7 @@ def test_origins_of_rays_follow_from_real_poses(samples, first, frame, count, so
     none = dict.fromkeys(KeyFrames._fields)
     frames = KeyFrames(**none | {"world_from_ego": poses["ego2global"], "ego_from_lidar": poses["lidar2ego"]})
     real.index = SimpleNamespace(read=lambda name: frames)
-    found = real.ray_origins(frame).double() + torch.tensor(ORIGIN_M, dtype=torch.float64)
+    found = real.ray_origins(frame).positions_m.double() + torch.tensor(ORIGIN_M, dtype=torch.float64)
     assert len(found) == count
     for place, expected in some.items():
         assert found[place].tolist() == pytest.approx(expected, abs=2e-5)

@@ -73,7 +73,7 @@ def change_scenes(batch: Batch, geometry: Grid, changes: list[Change]) -> Batch:
     Raises:
         ValueError: if the grid is not the same on both sides, or after the turn.
     """
-    batch = batch._replace(own_voxels=None, scored=None, ray_origins=None)
+    batch = batch._replace(own_voxels=None, scored=None, ray_origins=None, ray_times=None)
     if batch.lidar_directions is None:
         batch = batch._replace(lidar_range_m=None, lidar_labels=None)
     widths = batch.image_sizes()[0]

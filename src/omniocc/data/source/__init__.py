@@ -7,12 +7,13 @@ from pathlib import Path
 from typing import Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64, UInt8
+from jaxtyping import Bool, Float64, Int64, UInt8
 from torch import Tensor
 
 from omniocc.camera import Rig
 from omniocc.classes import ClassTable
 from omniocc.geometry import Grid
+from omniocc.geometry.directions import RayOrigins
 
 Split = Literal["train", "val", "test"]
 SPLITS: tuple[Split, ...] = ("train", "val", "test")
@@ -71,6 +72,10 @@ class SourceSpec:
         """Return the horizontal distance beyond which LiDAR hits count as free, m."""
         return self.range_edges_m[-1]
 
+    def scored_grid(self, geometry: Grid) -> Grid:
+        """Return the grid on which the predictions of a model with another one are scored."""
+        return geometry if self.benchmark is None else self.benchmark.grid
+
 
 class BenchmarkFrame(NamedTuple):
     """The truth of one frame on the grid of its `Benchmark`.
@@ -78,12 +83,12 @@ class BenchmarkFrame(NamedTuple):
     Attributes:
         voxels: class of every cell, 255 unknown.
         scored: cells that count in scores; None: all whose class is known.
-        ray_origins: starts of RayIoU's rays, m, ego frame; None: the ego origin.
+        ray_origins: where RayIoU's rays start, float32; None: in the ego origin.
     """
 
     voxels: UInt8[Tensor, "X Y Z"]
     scored: Bool[Tensor, "X Y Z"] | None = None
-    ray_origins: Float32[Tensor, "O 3"] | None = None
+    ray_origins: RayOrigins | None = None
 
 
 class LidarScan(NamedTuple):

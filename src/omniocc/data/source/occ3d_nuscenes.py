@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float32, UInt8
+from jaxtyping import Bool, UInt8
 from torch import Tensor
 
 from omniocc.camera import Camera, Equirectangular, Pinhole, Rig
@@ -31,7 +31,7 @@ from omniocc.data.source import Benchmark, BenchmarkFrame, SourceSpec, Split, Un
 from omniocc.data.store.shard import digest
 from omniocc.errors import DataError
 from omniocc.geometry import Cuboid, Grid
-from omniocc.geometry.directions import eight_origins
+from omniocc.geometry.directions import RayOrigins, eight_frames
 from omniocc.io import atomic_write
 
 SHAPE = (200, 200, 16)
@@ -230,13 +230,15 @@ class Occ3DScene(DatasetScene):
         labels = torch.from_numpy(from_file(content["semantics"]))
         return BenchmarkFrame(labels, scored, self.ray_origins(frame))
 
-    def ray_origins(self, frame: int) -> Float32[Tensor, "O 3"]:
-        """Return the positions of the LiDAR in the key frames around this one, at most eight, m, ego frame."""
+    def ray_origins(self, frame: int) -> RayOrigins:
+        """Return the positions (float32) of the LiDAR in the key frames around this one, at most eight."""
         frames = self.frames
         world_from_lidar = frames.world_from_ego @ frames.ego_from_lidar
         ego_from_world = inverse(frames.world_from_ego[frame])
         positions_m = torch.from_numpy(moved(ego_from_world, world_from_lidar[:, :3, 3]))
-        return (eight_origins(positions_m) - torch.tensor(ORIGIN_M, dtype=torch.float64)).float()
+        chosen = eight_frames(positions_m)
+        positions_m = positions_m[chosen] - torch.tensor(ORIGIN_M, dtype=torch.float64)
+        return RayOrigins(positions_m.float(), chosen - frame)
 
     def label_file(self, frame: int) -> Path:
         """Return the file of a frame's labels."""

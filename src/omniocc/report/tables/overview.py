@@ -4,14 +4,19 @@ from omniocc.report.runs import FinishedRun
 from omniocc.run.table import band_keys, number
 
 
+def overview_keys(runs: list[FinishedRun]) -> list[str]:
+    """Return the keys of the figures in `table_of_runs`."""
+    bands = band_keys(runs[0].metrics)
+    return [f"test/{key}" for key in ("rayiou", *bands, "lidar/rayiou", "voxel/miou")]
+
+
 def table_of_runs(runs: list[FinishedRun]) -> tuple[list[str], list[list[str]]]:
     """Return head and rows: run, seed, steps, RayIoU, its distance bands, RayIoU against LiDAR rays, mIoU."""
     bands = band_keys(runs[0].metrics)
     names = [band.removeprefix("rayiou_") for band in bands]
     head = ["run", "seed", "steps", "RayIoU", *names, "RayIoU, LiDAR", "mIoU"]
-    keys = ["rayiou", *bands, "lidar/rayiou", "voxel/miou"]
     rows = []
     for run in runs:
         facts = [str(run.facts.get(key, "–")) for key in ("seed", "steps")]
-        rows.append([run.name, *facts, *(number(run.metrics.get(f"test/{key}")) for key in keys)])
+        rows.append([run.name, *facts, *(number(run.metrics.get(key)) for key in overview_keys(runs))])
     return head, rows

@@ -12,6 +12,7 @@ from scipy import stats
 from omniocc.errors import UserError
 from omniocc.report.runs import VOXELS, FinishedRun
 from omniocc.report.tables.formats import csv_text, tabular
+from omniocc.report.tables.protocol import protocol_lines
 from omniocc.run.table import markdown, number
 
 
@@ -113,7 +114,13 @@ def as_markdown(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) ->
         lines.append([row.title, source_of(figures), *map(with_spread, table.columns, figures)])
     head = ["method", "", *table.columns.values()]
     parts = [f"## {table.title}", table.note, markdown(head, lines).rstrip(), order_line(table, runs)]
+    parts += protocol_lines(runs_of(table, runs), table.columns)
     return "\n\n".join(filter(None, parts)) + "\n"
+
+
+def runs_of(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> dict[str, Sequence[FinishedRun]]:
+    """Return the runs of the rows of a table."""
+    return {row.run: runs[row.run] for row in table.rows if row.run in runs}
 
 
 def has_paper(row: PaperRow) -> bool:
@@ -172,7 +179,8 @@ def as_latex(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> st
             ours = with_spread(key, figure).replace("±", r"$\pm$").replace("–", "--")
             cells.append(ours + ("" if value is None else f" ({in_cell(key, value)})"))
         lines.append([_tex(row.title), *cells])
-    return tabular(f"{table.title}: here (paper)", ["method", *map(_tex, table.columns.values())], lines)
+    comment = " ".join([f"{table.title}: here (paper).", *protocol_lines(runs_of(table, runs), table.columns)])
+    return tabular(comment, ["method", *map(_tex, table.columns.values())], lines)
 
 
 def _tex(text: str) -> str:

@@ -1,0 +1,31 @@
+"""How the runs of a table counted their scores, as lines below it."""
+
+from collections.abc import Iterable, Mapping, Sequence
+
+from omniocc.report.runs import FinishedRun
+from omniocc.run.results import PROTOCOL
+from omniocc.run.table import SCORES, score_of
+
+
+def protocol_text(rows: Mapping[str, Sequence[FinishedRun]], keys: Iterable[str]) -> str:
+    """Return the lines of `protocol_lines` as Markdown that follows a table; empty if there are none."""
+    return "".join(f"\n{line}\n" for line in protocol_lines(rows, keys))
+
+
+def protocol_lines(rows: Mapping[str, Sequence[FinishedRun]], keys: Iterable[str]) -> list[str]:
+    """Return a line for each kind of score among the keys of a table, and for each way in which it was counted.
+
+    A line names its rows where they differ in it. Runs of before this was recorded have none.
+    """
+    kinds = dict.fromkeys(kind for key in keys if (kind := score_of(key)) is not None)
+    lines = []
+    for kind in (kind for kind in SCORES if kind in kinds):
+        rows_by_text: dict[str | None, list[str]] = {}
+        for row, runs in rows.items():
+            for text in dict.fromkeys(run.facts.get(PROTOCOL, {}).get(kind) for run in runs):
+                rows_by_text.setdefault(text, []).append(row)
+        for text, members in rows_by_text.items():
+            where = f" ({', '.join(members)})" if len(rows_by_text) > 1 else ""
+            if text is not None:
+                lines.append(f"{SCORES[kind]}{where}: {text}.")
+    return lines

@@ -1,0 +1,35 @@
+"""Lines below the tables of a report that say how scores were counted."""
+
+from omniocc.report.runs import FinishedRun
+from omniocc.report.tables.protocol import protocol_lines, protocol_text
+
+RAYS = {"rayiou": "rays from the ego origin", "voxel": "cells"}
+OTHER = {"rayiou": "rays from eight origins", "voxel": "cells"}
+KEYS = ["test/rayiou", "test/rayiou_0-8.5m", "test/voxel/miou", "test/depth/mae", "voxels"]
+
+
+def runs(*protocols):
+    return [
+        FinishedRun(f"run-0000000{k}", {} if one is None else {"protocol": one}, {}) for k, one in enumerate(protocols)
+    ]
+
+
+def test_one_line_where_all_rows_agree():
+    rows = {"ours": runs(RAYS, RAYS), "mono": runs(RAYS)}
+    assert protocol_lines(rows, KEYS) == ["RayIoU: rays from the ego origin.", "IoU, mIoU: cells."]
+    assert protocol_lines(rows, ["test/lidar/rayiou", "test/sketch/recall"]) == []
+    assert protocol_text(rows, KEYS[:1]) == "\nRayIoU: rays from the ego origin.\n"
+
+
+def test_rows_are_named_where_they_differ():
+    rows = {"ours": runs(RAYS, OTHER), "mono": runs(RAYS), "old": runs(None)}
+    assert protocol_lines(rows, KEYS) == [
+        "RayIoU (ours, mono): rays from the ego origin.",
+        "RayIoU (ours): rays from eight origins.",
+        "IoU, mIoU (ours, mono): cells.",
+    ]
+
+
+def test_records_of_before_have_no_line():
+    assert protocol_lines({"ours": runs(None, None)}, KEYS) == []
+    assert protocol_text({"ours": runs(None)}, KEYS) == ""
