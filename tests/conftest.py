@@ -26,7 +26,16 @@ sys.path[:0] = [
     str(TESTS),
     *(
         str(TESTS / folder)
-        for folder in ("run/wandb", "world/render", "task", "data/formats", "viewer", "viewer/watch", "viewer/timeline")
+        for folder in (
+            "run/wandb",
+            "world/render",
+            "task",
+            "data/formats",
+            "viewer",
+            "viewer/watch",
+            "viewer/timeline",
+            "browser",
+        )
     ),
 ]
 
