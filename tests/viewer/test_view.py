@@ -37,6 +37,8 @@ def test_one_run_or_several(options):
         (("run=tiny", "limit=few"), "limit: 'few' is not"),
         (("run=tiny", "frames=3"), "frames: 3 is not"),
         (("run=3",), "run: "),
+        (("run=tiny", "wandb=true"), "wandb=true keeps a file"),
+        (("run=tiny", "wandb=true", "save=v.rrd"), "wandb=true keeps the file with a run"),
     ],
 )
 def test_impossible_options_are_a_line(options, overrides, words):
