@@ -6,7 +6,8 @@ from omegaconf import DictConfig
 
 from omniocc.errors import UserError
 from omniocc.run.script import quiet_libraries, script
-from omniocc.viewer.options import options_of
+from omniocc.viewer.options import TargetOptions, ViewOptions, options_of
+from omniocc.viewer.watch.files import config_of
 
 
 @script("view")
@@ -19,6 +20,17 @@ def main(cfg: DictConfig) -> None:
 
         watch(Path(str(target.watch)), target.port)
         return
+    path = written(options, target)
+    if path is not None and target.wandb:
+        from omniocc.run.wandb.artifact import log_file
+
+        folder = Path(options.run[0])
+        log_file(folder, path, config_of(folder / "config.yaml").get("logger", {}).get("project", "omniocc"))
+        print(f"{path} is kept in {folder}/wandb; upload it by: make wandb-sync")
+
+
+def written(options: ViewOptions, target: TargetOptions) -> Path | None:
+    """Show the frames and return the file that they were written to; None for a viewer."""
     from omniocc.viewer.collect import open_shown, with_progress
 
     shown = open_shown(options)
@@ -29,7 +41,7 @@ def main(cfg: DictConfig) -> None:
         path = page_path(target.output, options.run)
         write_page(shown, with_progress(shown), path)
         print(f"{path}: {path.stat().st_size / 1e6:.1f} MB\n{path.resolve().as_uri()}")
-        return
+        return path
     try:
         from omniocc.viewer.timeline.show import show
     except ImportError as error:
@@ -38,6 +50,7 @@ def main(cfg: DictConfig) -> None:
     show(shown, path, target.connect)
     if path is not None:
         print(f"{path}: {path.stat().st_size / 1e6:.1f} MB; open it by: rerun {path}")
+    return path
 
 
 if __name__ == "__main__":

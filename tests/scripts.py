@@ -23,7 +23,7 @@ from typing import Any
 
 ROOT = Path(__file__).parents[1]
 SCRIPTS = ["train.py", "evaluate.py", "predict.py", "check.py", "export.py", "mask.py", "record.py", "render.py"]
-SCRIPTS += ["report.py"]
+SCRIPTS += ["report.py", "view.py"]
 PYTHONPATH = "PYTHONPATH"
 
 

@@ -14,11 +14,14 @@ from omniocc.viewer.options import ViewOptions, unique_names
 from omniocc.viewer.predictions import open_predictions
 from omniocc.viewer.scenes import ChosenScenes, name_of, recorded_frame, recorded_scenes, test_scenes
 
+PAPER_GRID = Cylinder()
 
-def open_shown(options: ViewOptions) -> Shown:
+
+def open_shown(options: ViewOptions, grids: Sequence[Grid] = (PAPER_GRID,)) -> Shown:
     """Return what the options choose; models are loaded, frames are computed when they are iterated.
 
-    Frames are those of the first run's test scenes, or of `recorded`; all runs predict the same ones.
+    Frames are those of the first run's test scenes, or of `recorded`; all runs predict the same ones. `grids` are those
+    of the true voxels where there is no model.
 
     Raises:
         UserError, OSError: naming the option that cannot be used.
@@ -28,7 +31,7 @@ def open_shown(options: ViewOptions) -> Shown:
     models = load_models(options.run, unique_names(options.run), options.device)
     scenes = _scenes(options, models)
     check_classes(models, scenes)
-    grids = tuple(dict.fromkeys(model.grid for model in models)) or (Cylinder(),)
+    grids = tuple(dict.fromkeys(model.grid for model in models)) or tuple(grids)
     return Shown(
         classes=scenes.spec.classes,
         models=tuple(model.name for model in models),

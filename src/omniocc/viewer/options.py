@@ -48,6 +48,7 @@ class TargetOptions:
     output: str | None = None
     watch: str | None = None
     port: int = 8080
+    wandb: bool = False
 
     def __post_init__(self) -> None:
         """Check that the options fit together; raise UserError naming those that do not."""
@@ -55,6 +56,8 @@ class TargetOptions:
         chosen = [key for key, value in given.items() if value]
         if len(chosen) > 1:
             raise UserError(f"{' and '.join(f'{key}=...' for key in chosen)} are different places: give one of them")
+        if self.wandb and not (self.save or self.page):
+            raise UserError("wandb=true keeps a file: give save=view.rrd or page=true")
         if self.save is not None and Path(self.save).is_dir():
             raise UserError(f"save={self.save} is a folder; give a file, {Path(self.save) / 'view.rrd'}")
         if not 0 <= self.port < 65536:
@@ -70,6 +73,8 @@ def options_of(cfg: DictConfig) -> tuple[ViewOptions | None, TargetOptions]:
     values = {str(key): value for key, value in cfg.items()}
     values["run"] = [cfg.run] if isinstance(cfg.run, str) else cfg.run if cfg.run is not None else []
     target = _built(TargetOptions, values)
+    if target.wandb and not (values["run"] and Path(values["run"][0]).is_dir()):
+        raise UserError("wandb=true keeps the file with a run: give run=runs/<run>, the run's folder")
     if target.watch is None:
         return _built(ViewOptions, values), target
     default = ViewOptions(run=("any",))
