@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote, urlencode
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
@@ -49,6 +50,11 @@ def write_page(shown: Shown, frames: Iterable[ShownFrame], path: Path) -> None:
     if not packed.facts["frames"]:
         raise UserError(f"{path}: there are no frames to show")
     atomic_write(path, render(packed, title_of(shown)))
+
+
+def frame_address(scene: str, frame: str | int) -> str:
+    """Return the end of a page's address that opens a frame by its name; a number may have zeros before it."""
+    return f"#{urlencode({'scene': scene, 'frame': frame}, quote_via=quote)}"
 
 
 def title_of(shown: Shown) -> str:
