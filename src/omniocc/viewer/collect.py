@@ -28,7 +28,11 @@ def open_shown(options: ViewOptions) -> Shown:
     models = load_models(options.run, unique_names(options.run), options.device)
     scenes = _scenes(options, models)
     check_classes(models, scenes)
-    grids = tuple(dict.fromkeys(model.grid for model in models)) or (Cylinder(),)
+    return show_scenes(scenes, models, tuple(dict.fromkeys(model.grid for model in models)) or (Cylinder(),))
+
+
+def show_scenes(scenes: ChosenScenes, models: Sequence[TrainedModel], grids: tuple[Grid, ...]) -> Shown:
+    """Return scenes as some models predict them, with the truth on every grid."""
     return Shown(
         classes=scenes.spec.classes,
         models=tuple(model.name for model in models),
