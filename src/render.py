@@ -91,6 +91,7 @@ def read_back(world: VirtualWorld, plans: Sequence[ScenePlan]) -> None:
 def draw_page(world: VirtualWorld, plans: Sequence[ScenePlan]) -> None:
     """Write the page beside the existing scenes."""
     from omniocc.report.dataset.page import save_page  # not needed to render
+    from omniocc.viewer.page import PAGE
 
     missing = world.missing(plans)
     scenes = [world.reader(plan) for plan in plans if plan not in missing]
@@ -100,6 +101,7 @@ def draw_page(world: VirtualWorld, plans: Sequence[ScenePlan]) -> None:
     save_page(path, scenes, Cylinder(), WORLD_CLASSES)
     absent = f", {len(missing)} missing" if missing else ""
     print(f"{path}: {path.stat().st_size / 1e6:.1f} MB, {len(scenes)} scenes{absent}")
+    print(f"{path.with_name(PAGE)}: {path.with_name(PAGE).stat().st_size / 1e6:.1f} MB, their voxels to turn")
 
 
 def amount(world: VirtualWorld, scenes: Sequence[SceneReader]) -> str:

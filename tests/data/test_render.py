@@ -62,6 +62,7 @@ def test_render_check_and_page(run, tmp_path):
     assert code == 0
     assert "2 scenes, 3 missing" in out
     assert 100_000 < (folder / "index.html").stat().st_size < 5_000_000
+    assert re.search(r"view\.html: \d\.\d MB, their voxels to turn\n", out)
 
     shard = folder / "val-000-downtown" / "frames-000.tar"
     raw = bytearray(shard.read_bytes())
@@ -110,6 +111,13 @@ def test_the_page_stands_alone(tmp_path):
     assert [(len(scene["pinholes"]), len(scene["frames"][0]["pinhole"])) for scene in content["scenes"]] == [(0, 0)] * 3
     assert sum(content["ours"].values()) == pytest.approx(100)
     assert content["scenes"][0]["theme"] == "</script>"
+    assert content["viewer"] == "view.html"
+    turned = (tmp_path / "view.html").read_text("utf-8")
+    facts = json.loads(turned.split('id="facts">', 1)[1].split("</script>", 1)[0])
+    assert [(frame["scene"], int(frame["frame"])) for frame in facts["frames"]] == [
+        (scene["name"], frame["number"]) for scene in content["scenes"] for frame in scene["frames"]
+    ]
+    assert all(len(frame["truth"]) == 1 and len(frame["images"]) == 6 for frame in facts["frames"])
 
 
 def test_the_page_shows_the_pinhole_dataset_beside_it(tmp_path):

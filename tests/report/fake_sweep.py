@@ -11,6 +11,7 @@ from omniocc.classes import FREE, WORLD_CLASSES
 from omniocc.geometry import Cuboid, Cylinder, Grid
 from omniocc.run.results import CANDIDATES, save_results
 from omniocc.view import SheetParts, comparison_parts, comparison_sheet, save_png
+from omniocc.viewer.page import PAGE
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "data"))
 from fake_scene import HEIGHT, WIDTH, FakeWorld
@@ -84,4 +85,6 @@ def write_sweep(root: Path) -> Path:
     for name, seed, rayiou, sketch, geometry in rows:
         write_run(runs / name, seed, rayiou, world, sketch, geometry)
         save_parts(runs / name / "images", drawn[geometry is CUBOID])
+    for name in ("ours-00000001", "my <own>-00000001"):
+        (runs / name / PAGE).write_text("a page of view.py")
     return runs

@@ -3,6 +3,7 @@
 import base64
 import importlib.util
 import json
+import re
 import shutil
 from html.parser import HTMLParser
 from pathlib import Path
@@ -70,7 +71,7 @@ def test_the_page_is_complete_and_every_link_has_a_target(output, outline):
     assert outline.open == []
     assert len(outline.ids) == len(set(outline.ids))
     targets = [link[1:] for link in outline.links if link.startswith("#")]
-    files = [output / unquote(link) for link in outline.links if not link.startswith("#")]
+    files = [output / unquote(link.split("#")[0]) for link in outline.links if not link.startswith("#")]
     assert len(targets) > 30
     assert set(map(unquote, targets)) <= set(outline.ids)
     assert len(files) > 30
@@ -117,6 +118,16 @@ def test_every_table_says_how_its_scores_were_counted(output, outline):
     budget = next(part for part in chapters if part.startswith("Budget"))
     assert "RayIoU" not in budget
     assert f"% Cylinder sketch module: here (paper). {sketch} " in (output / "sketch.tex").read_text("utf-8")
+
+
+def test_frames_lead_to_the_viewer_pages_of_runs_that_have_one(outline, runs):
+    frames = sorted(path.name for path in (runs / "ours-00000001" / "images" / "parts").iterdir())
+    found = [unquote(link) for link in outline.links if "view.html" in link]
+    assert len(found) == 2 * len(frames)  # of five runs, two have a page
+    for name, link in zip(frames, found[::2], strict=True):
+        _, scene, frame = re.fullmatch(r"test-(\d+)-(.+)-(\d+)", name).groups()
+        assert link.endswith(f"runs/ours-00000001/view.html#scene={scene}&frame={frame}")
+    assert all("my <own>-00000001/view.html#" in link for link in found[1::2])
 
 
 def test_tables_and_plots_are_beside_the_page(output, capsys):

@@ -29,6 +29,7 @@ from omniocc.report.tables.paper import (
 from omniocc.report.tables.protocol import protocol_lines
 from omniocc.run.results import MINUTES
 from omniocc.view.bev import ERRORS
+from omniocc.viewer.page import PAGE, frame_address
 
 FILES = ("config.yaml", "metrics.json", "table.md")
 WIDE_COLUMNS = 5
@@ -65,7 +66,7 @@ def page(
         ),
         *(_paper_table(table, sweep) for table in sweep.tables),
         *drawn[1:],
-        _frames(frames, sweep.runs) if frames else None,
+        _frames(frames, sweep.runs, folder) if frames else None,
         _text_table("budget", "Budget", budget.NOTE, budget.budget_cells(sweep.rows)),
         {
             "kind": "runs",
@@ -135,7 +136,13 @@ def _method(table: PaperTable, row: PaperRow, figures: Sequence[Figure | None], 
     }
 
 
-def _frames(frames: Sequence[ComparedFrame], runs: Sequence[FinishedRun]) -> Section:
+def viewer_link(folder: Path, run: FinishedRun, frame: ComparedFrame) -> str:
+    """Return the link from a page in `folder` to a frame in the run's viewer page; empty if the run has none."""
+    page = run.folder / PAGE
+    return f"{path_between(folder, page)}{frame_address(frame.scene, frame.frame)}" if page.exists() else ""
+
+
+def _frames(frames: Sequence[ComparedFrame], runs: Sequence[FinishedRun], folder: Path) -> Section:
     errors = [(f"difference: {name}" if k == 0 else name, rgb) for k, (name, rgb) in enumerate(ERRORS)]
     return {
         "kind": "frames",
@@ -145,4 +152,5 @@ def _frames(frames: Sequence[ComparedFrame], runs: Sequence[FinishedRun]) -> Sec
         "legend": [(name, "#{:02x}{:02x}{:02x}".format(*rgb)) for name, rgb in [*colors_of(runs).items(), *errors]],
         "frames": frames,
         "inline": inline,
+        "viewer": partial(viewer_link, folder),
     }

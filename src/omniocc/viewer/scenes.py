@@ -122,11 +122,25 @@ def recorded_scenes(
     sequences = {sequence.name: sequence.scene for sequence in find_scenes(Path(folder), scene, None)}
     chosen = choose({name: len(one) for name, one in sequences.items()}, scene, frames, limit, folder)
     pairs = [(sequences[name], wanted) for name, wanted in chosen.items()]
+    return scenes_of(pairs, Path(folder), unknown, panorama)
+
+
+def scenes_of(
+    pairs: Sequence[tuple[SceneReader, Sequence[int]]],
+    folder: Path,
+    unknown: Unknown = "free",
+    panorama: Equirectangular | None = None,
+) -> ChosenScenes:
+    """Return scenes of a folder with the frames of each that are shown; arguments as in `recorded_scenes`.
+
+    Raises:
+        UserError: naming scenes that do not have the same classes.
+    """
     spec = spec_of(pairs[0][0])
     for other, _ in pairs:
         if spec_of(other).classes != spec.classes:
             raise UserError(f"recorded={folder}: '{other.name}' has other classes than '{pairs[0][0].name}'")
-    labels = voxel_votes(Path(folder), unknown, spec)
+    labels = voxel_votes(folder, unknown, spec)
     checksums = digest(sorted([one.name, one.meta["files"]] for one, _ in pairs))
     return ChosenScenes(spec, pairs, labels, panorama, f"recorded scenes of {folder}", checksums)
 

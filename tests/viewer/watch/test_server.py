@@ -142,10 +142,10 @@ def test_ctrl_c_ends_it_cleanly(runs):
         [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
     )
     assert process.stdout is not None
+    assert "ssh -L" in process.stdout.readline()
     assert "follows" in process.stdout.readline()
     time.sleep(0.1)
     process.send_signal(signal.SIGINT)
-    output, errors = process.communicate(timeout=20)
+    _, errors = process.communicate(timeout=20)
     assert process.returncode == 0
     assert errors == ""
-    assert "ssh -L" in output

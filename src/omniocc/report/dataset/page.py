@@ -25,12 +25,14 @@ from omniocc.report.dataset.facts import (
     speed_mps,
     time_of_day,
 )
+from omniocc.report.dataset.viewer import save_viewer_page
 from omniocc.report.html import png, render, webp
 from omniocc.view.bev import bev
 from omniocc.view.canvas import fitted
 from omniocc.view.ranges import SKY, range_colors
 from omniocc.view.sheet import HEXAGON_ORDER, NAMES
 from omniocc.view.voxels import render_voxels
+from omniocc.viewer.page import PAGE
 
 MAX_FRAMES = 64
 MAX_FRAMES_PER_SCENE = 6
@@ -42,8 +44,9 @@ WEBP_QUALITY = 80
 def save_page(path: Path, scenes: Sequence[SceneReader], geometry: Grid, classes: ClassTable) -> None:
     """Write the page: some frames of each scene, or of evenly spread scenes if there are many.
 
-    Voxels are drawn and counted on the grid `geometry`. If a pinhole dataset of the same scenes is beside this one, its
-    images at the same times are shown too. There must be at least one scene.
+    Voxels are drawn and counted on the grid `geometry`, and can be turned in another page beside it, `view.html`. If a
+    pinhole dataset of the same scenes is beside this one, its images at the same times are shown too. There must be at
+    least one scene.
 
     Raises:
         DataError: when a scene is damaged or the disk refuses.
@@ -66,8 +69,11 @@ def save_page(path: Path, scenes: Sequence[SceneReader], geometry: Grid, classes
         "authors": PUBLISHED_PERCENT,
         "sky": SKY,
         "scenes": drawn,
+        "viewer": PAGE,
     }
     atomic_write(Path(path), render("dataset.html.j2", {"content": content}))
+    frames = [(scene, spread(len(scene), per_scene)) for scene in shown]
+    save_viewer_page(Path(path).with_name(PAGE), frames, geometry, CAMERA_PX)
 
 
 def _scene(

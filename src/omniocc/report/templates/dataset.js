@@ -57,6 +57,7 @@ function show() {
   history.replaceState(null, "", `#${state.scene}/${state.frame}/${state.layer}`);
   for (const name of ["panorama", "bev", "voxels"]) { at(name).src = frame[name]; at(name).alt = name; }
   cells.forEach((cell, k) => { cell.textContent = frame.percent[k].toFixed(2); });
+  at("turn").href = `${content.viewer}#${new URLSearchParams({ scene: scene.name, frame: frame.number })}`;
   for (const tab of at("tabs").children) tab.setAttribute("aria-pressed", tab.dataset.layer === state.layer);
 }
 function move(scenes, frames) {

@@ -20,7 +20,7 @@ from omniocc.viewer.page.colors import class_colors, kind_colors
 from omniocc.viewer.page.lens import direction_table
 
 IMAGE_PX = 1024
-"""Largest width of an image in the page; larger ones are scaled."""
+"""Largest width of an image in the page unless another one is asked for."""
 IMAGE_QUALITY = 80
 """Of images as JPEG, 1 to 100."""
 CAR_ROAD_Z_M = -2.2
@@ -40,7 +40,8 @@ FIGURES = {
 class Packed:
     """The content of a page: `facts` are plain data for JSON, `blocks` texts by name, which the facts refer to."""
 
-    def __init__(self, shown: Shown):
+    def __init__(self, shown: Shown, image_px: int):
+        self.image_px = image_px
         self.blocks: dict[str, str] = {}
         self._grids: dict[Grid, int] = {}
         self._rigs: dict[Rig, int] = {}
@@ -132,7 +133,7 @@ class Packed:
         }
 
     def _image(self, image: np.ndarray) -> dict[str, str]:
-        smaller = fitted(image, IMAGE_PX) if image.shape[1] > IMAGE_PX else image
+        smaller = fitted(image, self.image_px) if image.shape[1] > self.image_px else image
         return self._encoded(smaller, "jpeg", [cv2.IMWRITE_JPEG_QUALITY, IMAGE_QUALITY, cv2.IMWRITE_JPEG_OPTIMIZE, 1])
 
     def _encoded(self, image: np.ndarray, kind: str, options: list[int]) -> dict[str, str]:
@@ -150,9 +151,9 @@ class Packed:
         return name
 
 
-def pack(shown: Shown, frames: Iterable[ShownFrame]) -> Packed:
-    """Return the content of a page with these frames."""
-    packed = Packed(shown)
+def pack(shown: Shown, frames: Iterable[ShownFrame], image_px: int = IMAGE_PX) -> Packed:
+    """Return the content of a page with these frames; wider images are scaled to `image_px`."""
+    packed = Packed(shown, image_px)
     for frame in frames:
         packed.add(frame)
     return packed

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote, urlencode
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
@@ -14,7 +15,7 @@ from markupsafe import Markup
 from omniocc.errors import UserError
 from omniocc.io import atomic_write
 from omniocc.viewer.frames import Shown, ShownFrame
-from omniocc.viewer.page.pack import Packed, pack
+from omniocc.viewer.page.pack import IMAGE_PX, Packed, pack
 
 ENVIRONMENT = Environment(
     loader=PackageLoader("omniocc.viewer.page", "static"),
@@ -36,19 +37,25 @@ def page_path(output: str | None, runs: Sequence[str]) -> Path:
     return Path(runs[0], PAGE) if len(runs) == 1 and Path(runs[0]).is_dir() else Path(PAGE)
 
 
-def write_page(shown: Shown, frames: Iterable[ShownFrame], path: Path) -> None:
+def write_page(shown: Shown, frames: Iterable[ShownFrame], path: Path, image_px: int = IMAGE_PX) -> None:
     """Write a page in which the frames can be turned, compared and played.
 
+    Images that are wider than `image_px` are scaled.
     `#frame=3` at the end of its address opens the fourth frame, `#scene=test-000-oldtown&frame=12` a frame by name.
 
     Raises:
         UserError: when there is no frame.
         DataError: when the file cannot be written.
     """
-    packed = pack(shown, frames)
+    packed = pack(shown, frames, image_px)
     if not packed.facts["frames"]:
         raise UserError(f"{path}: there are no frames to show")
     atomic_write(path, render(packed, title_of(shown)))
+
+
+def frame_address(scene: str, frame: str | int) -> str:
+    """Return the end of a page's address that opens a frame by its name; a number may have zeros before it."""
+    return f"#{urlencode({'scene': scene, 'frame': frame}, quote_via=quote)}"
 
 
 def title_of(shown: Shown) -> str:

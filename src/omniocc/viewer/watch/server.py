@@ -7,6 +7,7 @@ among those that exist, never used as paths.
 import errno
 import json
 import sys
+from contextlib import suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
@@ -150,12 +151,7 @@ def watch(runs: Path, port: int) -> None:
     Raises:
         UserError: as `Server`.
     """
-    with Server(runs, port) as server:
-        print(f"{server.url} follows {runs}, until Ctrl-C", flush=True)
-        print(
-            f"from another machine: ssh -L {server.server_port}:{HOST}:{server.server_port} <this machine>", flush=True
-        )
-        try:
-            server.serve_forever()
-        except KeyboardInterrupt:
-            print()
+    with Server(runs, port) as server, suppress(KeyboardInterrupt):
+        own, tunnel = server.url, f"ssh -L {server.server_port}:{HOST}:{server.server_port} <this machine>"
+        print(f"from another machine: {tunnel}\n{own} follows {runs}, until Ctrl-C", flush=True)
+        server.serve_forever()
