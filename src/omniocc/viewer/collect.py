@@ -31,15 +31,11 @@ def open_shown(options: ViewOptions, grids: Sequence[Grid] = (PAPER_GRID,)) -> S
     models = load_models(options.run, unique_names(options.run), options.device)
     scenes = _scenes(options, models)
     check_classes(models, scenes)
-<<<<<<< HEAD
-    grids = tuple(dict.fromkeys(model.grid for model in models)) or tuple(grids)
-=======
-    return show_scenes(scenes, models, tuple(dict.fromkeys(model.grid for model in models)) or (Cylinder(),))
+    return show_scenes(scenes, models, tuple(dict.fromkeys(model.grid for model in models)) or tuple(grids))
 
 
 def show_scenes(scenes: ChosenScenes, models: Sequence[TrainedModel], grids: tuple[Grid, ...]) -> Shown:
     """Return scenes as some models predict them, with the truth on every grid."""
->>>>>>> c58e64282a02e9ef84b31e2f396037a4a2b02d15
     return Shown(
         classes=scenes.spec.classes,
         models=tuple(model.name for model in models),
