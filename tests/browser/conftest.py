@@ -1,6 +1,5 @@
 """A headless Chromium with software WebGL, and pages opened in it."""
 
-import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -10,10 +9,8 @@ from typing import NamedTuple
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
+from chromium import ARGUMENTS, find_chromium
 from made_page import RUNS, write_made_page
-
-ARGUMENTS = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
-NAMES = ("chromium", "chromium-browser", "google-chrome")
 
 
 class Opened(NamedTuple):
@@ -40,7 +37,7 @@ class Opened(NamedTuple):
 
 @pytest.fixture(scope="session")
 def browser() -> Iterator["Browser"]:  # type: ignore[name-defined]
-    path = next(filter(None, map(shutil.which, NAMES)), None)
+    path = find_chromium()
     if path is None:
         pytest.skip("no Chromium: apt-get install chromium")
     sync_api = pytest.importorskip("playwright.sync_api", reason="no Playwright: pip install 'omniocc[browser]'")

@@ -2,14 +2,17 @@
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
-from made_page import CYLINDER, EVIL, RAYIOU, RUNS, SCENES, rig, street
+from chromium import processor_s
+from made_page import CYLINDER, EVIL, RAYIOU, RUNS, SCENES, made_frames, made_shown, rig, street
 
 from omniocc.classes import FREE, UNKNOWN, WORLD_CLASSES
 from omniocc.view.bev import ERRORS
+from omniocc.viewer.page import write_page
 
 pytestmark = pytest.mark.browser
 LOAD_S = 3.0
@@ -70,10 +73,6 @@ def test_the_page_needs_less_than_three_seconds(browser, made):
         needed_s.append(processor_s(session) - began_s)
         page.close()
     assert min(needed_s) < LOAD_S
-
-
-def processor_s(session) -> float:
-    return sum(process["cpuTime"] for process in session.send("SystemInfo.getProcessInfo")["processInfo"])
 
 
 def test_slider_buttons_and_address_choose_the_frame(open_page, made):
@@ -274,6 +273,22 @@ def test_scenes_without_a_model_have_one_view_and_no_figures(open_page, made):
     assert page.page.locator("#worst button").count() == 0
     assert not page.page.is_visible("#figures")
     assert not page.page.is_visible("#kinds")
+    assert page.page.locator("#classes .score").first.inner_text().endswith("%")
+
+
+def test_predictions_without_truth_and_images_are_shown(open_page, tmp_path):
+    shown = made_shown(RUNS[:1])
+    bare = {"truth": {}, "images": (), "rig": None, "range_m": None}
+    frames = [
+        replace(frame, **bare, predictions={RUNS[0]: replace(frame.predictions[RUNS[0]], range_m=None, figures={})})
+        for frame in made_frames(RUNS[:1])
+    ]
+    write_page(shown, frames, tmp_path / "view.html")
+    page = open_page(tmp_path / "view.html")
+    assert page.js("omniocc.state.views") == ["run-0"]
+    assert page.js("omniocc.view3d.triangles()")[0] > 100
+    hidden = ("#cameras", "#figures", "#kinds", "#bars", "#worst button")
+    assert [each for each in hidden if page.page.is_visible(each)] == []
     assert page.page.locator("#classes .score").first.inner_text().endswith("%")
 
 

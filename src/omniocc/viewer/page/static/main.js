@@ -90,6 +90,7 @@ function heads(keys, volumes) {
     select.addEventListener("change", () => { state.views[NARROW.matches ? state.tab : number] = select.value; show(); });
     return make("div", {}, select, ...(volumes[number] ? [] : [make("span", { class: "none" }, "nothing in this frame")]));
   });
+  at("heads").classList.toggle("single", NARROW.matches && sources.length <= state.views.length); // the tabs are enough
   const focused = [...at("heads").querySelectorAll("select")].indexOf(document.activeElement);
   at("heads").replaceChildren(...children);
   if (focused >= 0) at("heads").querySelectorAll("select")[focused]?.focus();

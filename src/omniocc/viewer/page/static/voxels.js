@@ -38,7 +38,7 @@ void main() {
   float line = 1.0 - clamp(min(pixels.x, pixels.y) - 0.25, 0.0, 1.0);
   float visible = clamp((1.0 / max(per_pixel.x, per_pixel.y) - 2.0) / 8.0, 0.0, 1.0);
   color *= 1.0 - 0.34 * line * visible;
-  float far = clamp((distance(cameraPosition, position_m) - 34.0) / 90.0, 0.0, 0.3);
+  float far = clamp((distance(cameraPosition, position_m) - 50.0) / 120.0, 0.0, 0.3);
   gl_FragColor = vec4(mix(color, haze, far), 1.0);
 }`;
 
