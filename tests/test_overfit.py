@@ -9,9 +9,10 @@ from omniocc.task.scores import Scores
 
 
 @pytest.mark.slow
-def test_one_frame_is_learned_by_heart(data_root, smoke):
+@pytest.mark.parametrize(("model", "steps"), [("default", 200), ("flashocc", 200), ("fosocc", 300)])
+def test_one_frame_is_learned_by_heart(model, steps, data_root, smoke):
     torch.manual_seed(0)
-    cfg = smoke(f"paths.data={data_root}", "preset.channels=16", "data.batch_size=1")
+    cfg = smoke(f"model={model}", f"paths.data={data_root}", "preset.channels=16", "data.batch_size=1")
     data = build(cfg.data)
     data.prepare_data()
     data.setup()
@@ -19,8 +20,8 @@ def test_one_frame_is_learned_by_heart(data_root, smoke):
     task = build_task(cfg, data.source.spec)
     task.set_training_statistics(data.voxel_counts())
     optimizer = torch.optim.AdamW(task.parameters(), lr=1e-2, weight_decay=0.0)
-    for _ in range(200):  # after 150 it is 1
-        terms = task.loss(task.predict(batch), batch.voxels, batch.pixel_labels)
+    for _ in range(steps):  # the default is at 1 after 150
+        terms = task.loss(task.predict(batch), batch.voxels, batch.pixel_labels, batch.camera_range_m)
         optimizer.zero_grad()
         torch.stack(list(terms.values())).sum().backward()
         optimizer.step()

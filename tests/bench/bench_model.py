@@ -88,7 +88,8 @@ def total(output: object) -> Tensor:
     """Return a scalar to call backward on."""
     if isinstance(output, Tensor):
         return output.float().square().mean()
-    return sum((total(part) for part in output if part is not None), torch.zeros(()))  # type: ignore[attr-defined]
+    parts = [part for part in output if isinstance(part, Tensor | tuple | list)]  # type: ignore[attr-defined]
+    return sum((total(part) for part in parts), torch.zeros(()))
 
 
 def count(module: object) -> int:

@@ -23,7 +23,10 @@ from omniocc.model.sketch import Dense, Random
 from omniocc.run.cost import count_gflop
 from omniocc.run.memory import keep_freed_memory
 
-SYSTEMS = {"ours": "default", "VoxFormer": "voxformer", "BEVFormer": "bevformer", "BEVDet": "bevdet"}
+SYSTEMS = {
+    "ours": "default", "VoxFormer": "voxformer", "BEVFormer": "bevformer", "BEVDet": "bevdet", "FlashOcc": "flashocc",
+    "FoSOcc": "fosocc",
+}  # fmt: skip
 FRACTION = 0.1
 COLUMNS = ("M voxels", "M param", "GFLOP", "ms/frame", "MiB", "ms/step", "MiB/step")
 
@@ -85,6 +88,7 @@ def main() -> None:
     parser.add_argument("--device", default="cpu", type=torch.device)
     parser.add_argument("--threads", default=1, type=int)
     parser.add_argument("--repeats", default=3, type=int, help="of the presets but paper, which is measured once")
+    parser.add_argument("--systems", default=",".join(SYSTEMS), help="names of systems, with commas between")
     parser.add_argument("--train", default="tiny", help="presets of which a training step is measured too")
     chosen = parser.parse_args()
     torch.set_num_threads(chosen.threads)
@@ -96,8 +100,13 @@ def main() -> None:
         print(f"\npreset={preset} {' '.join(chosen.overrides)}, {chosen.device}", end=", ")
         print(f"{chosen.threads} thread(s), best of {repeats}")
         print(f"{'system':12} " + " ".join(f"{column:>9}" for column in COLUMNS))
-        for name, model in SYSTEMS.items():
-            overrides = [f"preset={preset}", f"model={model}", "preset.backbone.resnet.weights=null", *chosen.overrides]
+        for name in chosen.systems.split(","):
+            overrides = [
+                f"preset={preset}",
+                f"model={SYSTEMS[name]}",
+                "preset.backbone.resnet.weights=null",
+                *chosen.overrides,
+            ]
             with initialize_config_dir(str(CONF), version_base="1.3"):
                 cfg = compose("train", overrides)
             measure(name, cfg, meter, trains=preset in chosen.train.split(","))

@@ -22,7 +22,11 @@ OPTIONS = [
         "model/refiner=none",
         "preset.backbone.resnet.deformable_stages=[3,4]",
     ],
+    ["model/temporal=none", "model=flashocc"],
+    ["model/temporal=none", "model=fosocc"],
+    ["model/temporal=none", "model=fosocc", "model/geometry=cylinder"],
 ]
+RIVALS = ["flashocc", "fosocc"]
 
 
 @pytest.mark.parametrize("overrides", OPTIONS, ids=lambda overrides: " ".join(overrides[1:]) or "default")
@@ -64,6 +68,17 @@ def test_a_sequence_gives_the_labels_of_the_model(make_model, rig, draw_images, 
         assert torch.equal(labels, expected.to(torch.uint8))
         volumes = torch.cat([volumes[1:], volume[None]])
         exists = torch.cat([exists[1:], torch.tensor([True])])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", RIVALS)
+def test_rivals_run_as_programs(name, make_model, rig, draw_images, tmp_path):
+    module = make_module(make_model(f"model={name}"), rig)
+    write_program(export_program(module), contract_of(module, WORLD_CLASSES), tmp_path / "model.pt2")
+    program = torch.export.load(tmp_path / "model.pt2").module()
+    for seed in (0, 1):
+        images = draw_images(seed)
+        assert torch.equal(program(images), module(images))
 
 
 def test_an_option_that_cannot_be_exported_is_named(make_model, rig):

@@ -3,13 +3,15 @@ from typing import NamedTuple
 import pytest
 import torch
 
-from omniocc.loss import CrossEntropy, Dice, RangeBins, Semantics, Total
+from omniocc.geometry import Cylinder
+from omniocc.loss import CrossEntropy, Dice, RangeBins, RunLengths, Semantics, Total
 
 
 class Prediction(NamedTuple):
     logits: torch.Tensor
     pixel_logits: torch.Tensor | None
     range_logits: torch.Tensor | None = None
+    run_lengths: torch.Tensor | None = None
 
 
 def total(weights):
@@ -57,6 +59,17 @@ def test_terms_of_rays_need_a_lifter_that_estimates_ranges():
     torch.testing.assert_close(terms["ranges"], 3 * RangeBins((1.0, 9.0))(ranges, range_m))
     with pytest.raises(ValueError, match="model/lifter=lift_splat"):
         loss(prediction, voxels, pixels, range_m)
+
+
+def test_terms_of_runs_need_a_refiner_that_predicts_them():
+    prediction, voxels, pixels = batch()
+    lengths, term = torch.rand(2, 6, 4, 3, 2), RunLengths(Cylinder((4, 3, 2)), 1.0, 2.0)
+    loss = Total({"dice": Dice()}, {}, {"dice": 1.0, "runs": 3.0}, run={"runs": term})
+    terms = loss(prediction._replace(run_lengths=lengths), voxels, pixels)
+    torch.testing.assert_close(terms["runs"], 3 * term(lengths, voxels))
+    assert set(loss(prediction, None, pixels)) == set()
+    with pytest.raises(ValueError, match="model/refiner=focus"):
+        loss(prediction, voxels, pixels)
 
 
 def test_absent_labels_give_no_terms():

@@ -11,7 +11,10 @@ PARTS = {
     "bevdet": ("Dense", "LiftSplat", "NoTemporal", "Conv"),
     "bevformer": ("Dense", "Pillar", "Recurrent", "Conv"),
     "voxformer": ("Omni", "CoarseColoring", "NoTemporal", "Attention"),
+    "flashocc": ("Dense", "LiftSplat", "NoTemporal", "ChannelToHeight"),
+    "fosocc": ("Dense", "SplatColoring", "NoTemporal", "Focus"),
 }
+RIVALS = ("flashocc", "fosocc")
 SYSTEMS = pytest.mark.parametrize("name", list(PARTS))
 ON_BOTH_GRIDS = pytest.mark.parametrize("grid", ["cuboid", "cylinder"])
 
@@ -33,7 +36,7 @@ def window(model, batch=2):
 
 @SYSTEMS
 def test_each_is_a_composition_of_slots_on_the_same_backbone(name, smoke):
-    ours, cfg = smoke(), smoke(f"+ablation={name}")
+    ours, cfg = smoke(), smoke(f"+ablation={'rivals/' * (name in RIVALS)}{name}")
     check_root(cfg)
     assert cfg.name == name
     assert cfg.model.backbone == ours.model.backbone

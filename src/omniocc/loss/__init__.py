@@ -5,6 +5,7 @@ from omniocc.loss.dice import Dice
 from omniocc.loss.first_hit import FirstHit
 from omniocc.loss.lovasz import Lovasz
 from omniocc.loss.range_bins import RangeBins
+from omniocc.loss.run_lengths import RunLengths
 from omniocc.loss.scal import Scal
 from omniocc.loss.seen_first import SeenFirst
 from omniocc.loss.semantics import Semantics
@@ -17,6 +18,7 @@ __all__ = [
     "FirstHit",
     "Lovasz",
     "RangeBins",
+    "RunLengths",
     "SILog",
     "Scal",
     "SeenFirst",

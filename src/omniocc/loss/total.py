@@ -28,6 +28,11 @@ class HasLogits(Protocol):
         """Return the logits of range bins of every pixel, or None if the lifter estimates no ranges."""
         ...
 
+    @property
+    def run_lengths(self) -> Float[Tensor, "B 6 X Y Z"] | None:
+        """Return the run lengths of every voxel, or None if the refiner predicts none."""
+        ...
+
 
 class Total(nn.Module):
     """Weighted terms by name; the loss is their sum (paper, eq. 3, where all weights are 1).
@@ -37,6 +42,7 @@ class Total(nn.Module):
         pixel: losses of (pixel logits, pixel labels).
         weights: factor of every term.
         ray: losses of (range logits, true range of every pixel), for lifters that estimate ranges.
+        run: losses of (run lengths, voxel labels), for refiners that predict run lengths.
 
     Raises:
         ValueError: if the names in `weights` are not those of the terms, or a name occurs in two groups.
@@ -44,16 +50,17 @@ class Total(nn.Module):
 
     def __init__(
         self, voxel: Mapping[str, nn.Module], pixel: Mapping[str, nn.Module], weights: Mapping[str, float],
-        ray: Mapping[str, nn.Module] | None = None,
+        ray: Mapping[str, nn.Module] | None = None, run: Mapping[str, nn.Module] | None = None,
     ):  # fmt: skip
         super().__init__()
-        ray = ray or {}
-        names = [*voxel, *pixel, *ray]
+        ray, run = ray or {}, run or {}
+        names = [*voxel, *pixel, *ray, *run]
         if sorted(names) != sorted(weights):
             raise ValueError(f"loss terms {sorted(names)} and weights {sorted(weights)} must have the same names")
         self.voxel = nn.ModuleDict(dict(voxel))
         self.pixel = nn.ModuleDict(dict(pixel))
         self.ray = nn.ModuleDict(dict(ray))
+        self.run = nn.ModuleDict(dict(run))
         self.weights = dict(weights)
 
     def set_class_counts(self, counts: Int64[Tensor, " C"]) -> None:
@@ -72,7 +79,7 @@ class Total(nn.Module):
         `camera_range_m` only if there are terms of rays.
 
         Raises:
-            ValueError: if there are terms of rays, but the lifter estimates no ranges.
+            ValueError: if there are terms of rays or runs, but the model predicts none.
         """
         terms = {}
         if voxels is not None:
@@ -83,4 +90,8 @@ class Total(nn.Module):
             if prediction.range_logits is None:
                 raise ValueError("loss=with_ranges needs a lifter that estimates ranges: model/lifter=lift_splat")
             terms |= {name: loss(prediction.range_logits, camera_range_m) for name, loss in self.ray.items()}
+        if len(self.run) and voxels is not None:
+            if prediction.run_lengths is None:
+                raise ValueError("loss=with_run_lengths needs a refiner that predicts them: model/refiner=focus")
+            terms |= {name: loss(prediction.run_lengths, voxels) for name, loss in self.run.items()}
         return {name: self.weights[name] * term for name, term in terms.items()}

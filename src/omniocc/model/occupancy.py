@@ -15,6 +15,8 @@ from omniocc.model.ops.padding import Pointwise
 from omniocc.model.ops.pixel_classes import classes_at_voxels
 from omniocc.model.protocols import (
     Backbone,
+    CoarseLogits,
+    Extras,
     GuessesRanges,
     Lifter,
     Refiner,
@@ -23,6 +25,7 @@ from omniocc.model.protocols import (
     Sketched,
     Temporal,
     Volumes,
+    volume_and_extras,
 )
 
 
@@ -33,11 +36,15 @@ class Prediction(NamedTuple):
         logits: of the class of every voxel.
         pixel_logits: of the class of every pixel, at the finest feature map's size; None without a semantic head.
         range_logits: of bins of range along the rays, at the coarsest map's size; None if not requested or predicted.
+        coarse_logits: of the classes of coarser cells, where lifter or refiner predict them.
+        run_lengths: see `omniocc.model.protocols.Extras`; None if the refiner does not predict them.
     """
 
     logits: Float[Tensor, "B C X Y Z"]
     pixel_logits: Float[Tensor, "B N C h w"] | None
     range_logits: Float[Tensor, "B N D h w"] | None
+    coarse_logits: tuple[CoarseLogits, ...] = ()
+    run_lengths: Float[Tensor, "B 6 X Y Z"] | None = None
 
 
 class Lifted(NamedTuple):
@@ -47,11 +54,13 @@ class Lifted(NamedTuple):
         volume: features of every voxel, in each frame's own ego frame.
         sketched: the candidates, in the same ego frame.
         features: of the images, finest first.
+        extras: what the lifter predicts for losses besides.
     """
 
     volume: Float[Tensor, "B C X Y Z"]
     sketched: Sketched
     features: FeatureMaps
+    extras: Extras
 
 
 class OccupancyModel(nn.Module):
@@ -135,11 +144,12 @@ class OccupancyModel(nn.Module):
             past = self._lift_past(images, rigs, sketched, exists, newest.volume)
         pixel_logits = self.semantic_head(newest.features)
         seen = self.with_classes(newest, tuple(sample[-1] for sample in rigs), pixel_logits)
-        logits = self.fuse([*past, newest.volume], world_from_ego, exists, seen)
+        logits, extras = self._fuse([*past, newest.volume], world_from_ego, exists, seen)
         ranges = None
         if with_ranges and isinstance(self.lifter, GuessesRanges):
             ranges = self.lifter.range_logits(newest.features)
-        return Prediction(logits, pixel_logits, ranges)
+        coarse_logits = newest.extras.coarse_logits + extras.coarse_logits
+        return Prediction(logits, pixel_logits, ranges, coarse_logits, extras.run_lengths)
 
     def lift(
         self,
@@ -151,7 +161,8 @@ class OccupancyModel(nn.Module):
         images = to_unit_range(images)
         sketched = self.choose(images, rigs) if sketched is None else sketched
         features = by_shape(lambda cropped, _: self.backbone(cropped), images, rigs, self.backbone.levels)
-        return Lifted(self.lifter(features, sketched, rigs), sketched, features)
+        volume, extras = volume_and_extras(self.lifter, features, sketched, rigs)
+        return Lifted(volume, sketched, features, extras)
 
     @property
     def uses_evidence(self) -> bool:
@@ -191,13 +202,23 @@ class OccupancyModel(nn.Module):
 
         `sketched` is that of the newest frame, from `with_classes`.
         """
+        return self._fuse(volumes, world_from_ego, exists, sketched)[0]
+
+    def _fuse(
+        self,
+        volumes: Volumes,
+        world_from_ego: Float[Tensor, "B T 4 4"],
+        exists: Bool[Tensor, "B T"],
+        sketched: Sketched,
+    ) -> tuple[Float[Tensor, "B classes X Y Z"], Extras]:
         volume = self.temporal(volumes, world_from_ego, exists)
         if self.evidence is not None:
             volume = volume + self.evidence(network_inputs(required(sketched.evidence)))
         if self.seen_classes is not None:
             assert sketched.classes is not None
             volume = volume + self.seen_classes(sketched.classes.softmax(1))
-        return self.classifier(self.refiner(volume, sketched), sketched)
+        volume, extras = volume_and_extras(self.refiner, volume, sketched)
+        return self.classifier(volume, sketched), extras
 
     def _lift_past(
         self,

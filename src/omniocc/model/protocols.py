@@ -5,7 +5,7 @@ camera axis, at the right and at the bottom. Its rig gives the true sizes. Paddi
 option, see `omniocc.model.ops.padded`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import torch
@@ -62,6 +62,45 @@ def sketched_blocks(sketched: Sketched, block: Axes) -> Sketched:
     """Return the sketch on the grid of blocks: blocks with a candidate, and means of the evidence."""
     means = None if sketched.evidence is None else block_means(sketched.evidence, block)
     return Sketched(block_any(sketched.candidates, block), means)
+
+
+class CoarseLogits(NamedTuple):
+    """Classes of blocks of cells.
+
+    Attributes:
+        block: cells along each side of a block.
+        logits: of each block's class; blocks at the upper ends of the grid may be smaller.
+    """
+
+    block: int
+    logits: Float[Tensor, "B K _ _ _"]
+
+
+class Extras(NamedTuple):
+    """What a lifter or a refiner predicts besides its volume; only losses read it.
+
+    Attributes:
+        coarse_logits: of coarser grids.
+        run_lengths: fractions of each axis's cells that follow a voxel with the same class, in the order of
+            `omniocc.loss.RunLengths`; None if they are not predicted.
+    """
+
+    coarse_logits: tuple[CoarseLogits, ...] = ()
+    run_lengths: Float[Tensor, "B 6 X Y Z"] | None = None
+
+
+@runtime_checkable
+class PredictsMore(Protocol):
+    """A lifter or refiner with predictions for losses besides its volume; called alone it returns the volume."""
+
+    def with_extras(self, *inputs: Any) -> tuple[Float[Tensor, "B C X Y Z"], Extras]:
+        """Return the volume for the inputs of its slot, and the other predictions."""
+        ...
+
+
+def volume_and_extras(option: Callable[..., Tensor], *inputs: Any) -> tuple[Float[Tensor, "B C X Y Z"], Extras]:
+    """Return the volume of a lifter or refiner, and what else it predicts, if anything."""
+    return option.with_extras(*inputs) if isinstance(option, PredictsMore) else (option(*inputs), Extras())
 
 
 @runtime_checkable

@@ -1,3 +1,4 @@
+import contextlib
 import itertools
 import math
 
@@ -8,6 +9,7 @@ from omniocc.geometry import Cuboid, Cylinder
 from omniocc.model.lifter import Coloring
 from omniocc.model.lifter.coloring import position_features
 from omniocc.model.ops.evidence import network_inputs
+from omniocc.model.ops.static import static_shapes
 from omniocc.model.ops.visible import group_samples, reference_points
 from omniocc.model.sketch import Sketched
 
@@ -74,13 +76,14 @@ def attend(attention, query, features, pixels, seen, rig):
     return attention.output(total / seen.any(1).sum())
 
 
-def color_by_loops(lifter, features, candidates, rig, inputs=None):
-    """The coloring module for one sample, a voxel at a time; `inputs` are those from the evidence, (5, cells)."""
+def color_by_loops(lifter, features, candidates, rig, inputs=None, start=None):
+    """The coloring module for one sample, a voxel at a time; `inputs` of the evidence and `start` are (C, cells)."""
     points_m = torch.stack([cells_at(lifter.geometry, anchor) for anchor in lifter.anchors], dim=1)
     pixels, valid = rig.project(points_m)
-    volume = lifter.empty.expand(candidates.numel(), -1).clone()
+    start = torch.zeros(8, candidates.numel(), dtype=torch.float64) if start is None else start
+    volume = lifter.empty + start.T
     for cell in candidates.flatten().nonzero().flatten().tolist():
-        query = lifter.embedding(lifter.positions[cell])
+        query = lifter.embedding(lifter.positions[cell]) + start[:, cell]
         if inputs is not None:
             query = query + lifter.evidence(inputs[:, cell])
         for layer in lifter.layers if valid[:, cell].any() else []:
@@ -121,6 +124,27 @@ def test_evidence_is_added_to_the_queries_of_each_sample(fisheye):
         torch.testing.assert_close(result[index], expected, rtol=1e-5, atol=1e-5)
     with pytest.raises(ValueError, match="choose model/sketch=omni"):
         lifter(features, Sketched(candidates), (fisheye, fisheye))
+
+
+@torch.no_grad()
+@pytest.mark.parametrize("static", [False, True])
+def test_queries_may_start_from_features_of_each_sample(fisheye, pinhole, static):
+    lifter, features, rigs = make(), make_features(batch=3), (fisheye, pinhole, fisheye)
+    candidates = torch.rand(3, *GRID.shape) < 0.6
+    candidates[2] = candidates[0]
+    start = torch.randn(3, 8, *GRID.shape, dtype=torch.float64)
+    for index in range(3):
+        part = slice(index, index + 1)
+        own = [level[part] for level in features]
+        with static_shapes() if static else contextlib.nullcontext():
+            single = lifter.color(own, Sketched(candidates[part]), rigs[part], start[part])[0]
+        expected = color_by_loops(
+            lifter, [level[0] for level in own], candidates[index], rigs[index], start=start[index].flatten(1)
+        )
+        torch.testing.assert_close(single, expected, rtol=1e-5, atol=1e-5)
+        if not static:
+            together = lifter.color(features, Sketched(candidates), rigs, start)
+            torch.testing.assert_close(together[index], single)
 
 
 @torch.no_grad()

@@ -4,6 +4,7 @@ from omniocc.model.lifter.coarse_coloring import CoarseColoring
 from omniocc.model.lifter.coloring import Coloring
 from omniocc.model.lifter.lift_splat import LiftSplat
 from omniocc.model.lifter.pillar import Pillar
+from omniocc.model.lifter.splat_coloring import SplatColoring
 from omniocc.model.protocols import GuessesRanges, Lifter
 
-__all__ = ["CoarseColoring", "Coloring", "GuessesRanges", "LiftSplat", "Lifter", "Pillar"]
+__all__ = ["CoarseColoring", "Coloring", "GuessesRanges", "LiftSplat", "Lifter", "Pillar", "SplatColoring"]

@@ -91,15 +91,31 @@ class Coloring(nn.Module):
         Raises:
             ValueError: if a rig has more cameras or larger images than there are maps for, or there is no evidence.
         """
+        return self.color(features, sketched, rigs, None)
+
+    def color(
+        self,
+        features: FeatureMaps,
+        sketched: Sketched,
+        rigs: tuple[Rig, ...],
+        start: Float[Tensor, "B C X Y Z"] | None,
+    ) -> Float[Tensor, "B C X Y Z"]:
+        """Do what `forward` does, from queries that know more than their position.
+
+        The features `start` of all voxels are added to the embeddings of the queries, and to the vector of the voxels
+        that are no candidates.
+        """
         marked, evidence = sketched.candidates.flatten(1), None
         if self.evidence is not None:
             evidence = network_inputs(required(sketched.evidence)).flatten(2).transpose(1, 2)
+        rows = None if start is None else start.flatten(2).transpose(1, 2)
         groups = group_samples(rigs, marked, evidence)
         parts = []
         for group in groups:
             maps = features if len(groups) == 1 else [level[group] for level in features]
             first = group[0]
-            parts.append(self._color(maps, marked[first], None if evidence is None else evidence[first], rigs[first]))
+            inputs = None if evidence is None else evidence[first], None if rows is None else rows[group]
+            parts.append(self._color(maps, marked[first], *inputs, rigs[first]))
         volumes = parts[0]
         if len(parts) > 1:
             order = torch.tensor([sample for group in groups for sample in group], device=marked.device)
@@ -108,7 +124,12 @@ class Coloring(nn.Module):
         return volumes.unflatten(1, self.geometry.shape).movedim(-1, 1)
 
     def _color(
-        self, features: FeatureMaps, marked: Bool[Tensor, " cells"], evidence: Float[Tensor, "cells E"] | None, rig: Rig
+        self,
+        features: FeatureMaps,
+        marked: Bool[Tensor, " cells"],
+        evidence: Float[Tensor, "cells E"] | None,
+        start: Float[Tensor, "B cells C"] | None,
+        rig: Rig,
     ) -> Float[Tensor, "B cells C"]:
         features = [crop(level, rig, stride) for level, stride in zip(features, self.strides, strict=True)]
         batch = len(features[0])
@@ -118,14 +139,17 @@ class Coloring(nn.Module):
         embedding = self.embedding(self.positions[cells])
         if self.evidence is not None and evidence is not None:
             embedding = embedding + self.evidence(evidence[cells])
-        queries = embedding[None, seen]
+        others = self.empty[None, None] if start is None else self.empty + start
+        embedding = embedding[None] if start is None else embedding + start[:, cells]
+        queries = embedding[:, seen]
         dtype = torch.promote_types(embedding.dtype, torch.float32)
         levels = [make_level(pairs, level.shape[-2], level.shape[-1], self.points, dtype) for level in features]
         for layer in self.layers:
             queries = layer(queries, features, pairs, levels)
-        volume = self.empty.to(queries.dtype).expand(len(marked), -1).index_copy(0, cells, embedding.to(queries.dtype))
+        others = others.to(queries.dtype).expand(-1, len(marked), -1)
+        volume = others.index_copy(1, cells, embedding.to(queries.dtype))
         volume = volume.expand(batch, -1, -1).index_copy(1, cells[seen], queries)
-        return torch.where(marked[:, None], volume, self.empty.to(volume.dtype)) if whole else volume
+        return torch.where(marked[:, None], volume, others) if whole else volume
 
 
 def position_features(geometry: Grid) -> Float[Tensor, "cells D"]:

@@ -22,6 +22,13 @@ def points_in_cells(geometry: Grid, places: Sequence[Sequence[float]]) -> Float6
     return torch.stack(points)
 
 
+def as_block(cells: Sequence[int]) -> Axes:
+    """Return the cells along each axis of a block; raise ValueError if they are not three positive numbers."""
+    if len(cells) != 3 or min(cells) < 1:
+        raise ValueError(f"block is {list(cells)}; it must be three positive numbers of cells")
+    return cells[0], cells[1], cells[2]
+
+
 def coarsened(geometry: Grid, block: Axes) -> Grid:
     """Return the grid whose cells are blocks of `geometry`'s.
 
