@@ -69,17 +69,21 @@ bench: $(READY)  ## Measure speed and memory (tests/bench)
 comma := ,
 empty :=
 rows_paper = $(basename $(notdir $(wildcard conf/ablation/*.yaml)))
-rows_beyond = ours bevdet $(addprefix beyond/,$(basename $(notdir $(wildcard conf/ablation/beyond/*.yaml))))
-rows_rivals = ours beyond/extended bevdet bevformer voxformer $(addprefix rivals/,$(basename $(notdir $(wildcard conf/ablation/rivals/*.yaml))))
-rows_all = $(rows_paper) $(filter beyond/%,$(rows_beyond))
-rows_tried = ours beyond/extended beyond/pixel_classes $(addprefix tried/,$(basename $(notdir $(wildcard conf/ablation/tried/*.yaml))))
+rows_of = $(addprefix $(1)/,$(basename $(notdir $(wildcard conf/ablation/$(1)/*.yaml))))
+rows_beyond = ours bevdet $(call rows_of,beyond)
+rows_rivals = ours beyond/extended bevdet bevformer voxformer $(call rows_of,rivals)
+rows_all = $(rows_paper) $(call rows_of,beyond)
+rows_tried = ours beyond/extended beyond/pixel_classes $(call rows_of,tried)
+rows_learning_rates = $(call rows_of,learning_rates)
+rows_equal = $(call rows_of,equal)
+rows_interval = $(call rows_of,interval)
 TABLES ?= paper
-ABLATIONS ?= $(subst $(empty) $(empty),$(comma),$(strip $(or $(rows_$(TABLES)),$(error TABLES=$(TABLES): choose paper, beyond, rivals, tried or all))))
+ABLATIONS ?= $(subst $(empty) $(empty),$(comma),$(strip $(or $(rows_$(TABLES)),$(error TABLES=$(TABLES): choose paper, beyond, rivals, tried, learning_rates, equal, interval or all))))
 SEEDS ?= 0
 JOBS ?= 2
 ARGS ?=
 
-ablations: $(READY)  ## Train the rows of the paper's tables (TABLES=beyond|rivals|tried|all ABLATIONS=ours,mono SEEDS=0,1 JOBS=2 PRESET=small ARGS='key=value'), then one table
+ablations: $(READY)  ## Train the rows of the paper's tables (TABLES=beyond|rivals|tried|learning_rates|equal|interval|all ABLATIONS=ours,mono SEEDS=0,1 JOBS=2 PRESET=small ARGS='key=value'), then one table
 	@$(BIN)/python src/train.py --multirun +ablation=$(ABLATIONS) seed=$(SEEDS) preset=$(PRESET) \
 	  hydra.launcher.n_jobs=$(JOBS) logger.group=ablations-$(PRESET) $(ARGS); code=$$?; \
 	  $(BIN)/python src/report.py; [ $$code = 0 ] || echo "Not everything was trained: the reasons stand above the tables"; exit $$code

@@ -8,51 +8,57 @@ row with the same configuration (`make demo FULL=1`: `extended`).
 """
 
 import argparse
+from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
 from omniocc.io import atomic_write
+from omniocc.report.chapters import report_markdown, write_docs, write_tables
 from omniocc.report.dataset.table import dataset_markdown, load_dataset_table, with_folders
 from omniocc.report.frames import compared_frames
 from omniocc.report.keep import keep_records
 from omniocc.report.page import page
 from omniocc.report.runs import read_runs
-from omniocc.report.sweep import Sweep, read_sweeps, report_markdown, write_docs, write_tables
-from omniocc.report.tables.protocol import protocol_text
-from omniocc.report.tables.tried import COLUMNS, NOTE, TITLE, tried_cells
+from omniocc.report.sweep import Sweep, read_sweeps
+from omniocc.report.tables.power import power_chapter, spread_of
+from omniocc.report.tables.tried import tried_chapter
 from omniocc.run.script import lines_not_tracebacks
-from omniocc.run.table import markdown
 
 DATASETS = "dataset.yaml"
 ROOT = Path(__file__).parents[1]
 GENERATED_TRIED = "<!-- Written by `python src/report.py --tried`; do not edit. -->"
 
 
+def parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
+    found = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    found.add_argument("--runs", type=Path, metavar="FOLDER", default=Path("runs"), help="folder of runs")
+    tables = "folder of the paper's tables"
+    found.add_argument("--sweeps", type=Path, metavar="FOLDER", default=ROOT / "sweeps", help=tables)
+    rows = "folder of the configuration"
+    found.add_argument("--conf", type=Path, metavar="FOLDER", default=ROOT / "conf", help=rows)
+    found.add_argument("--preset", help="only runs of this preset (default: that of most runs)")
+    where = "folder of the report (default: report in the folder of runs)"
+    found.add_argument("--output", type=Path, metavar="FOLDER", help=where)
+    docs = "write the tables as Markdown pages too, into this folder"
+    found.add_argument("--docs", type=Path, metavar="FOLDER", help=docs)
+    tried = "only write one table of all runs, of any setting, on validation scenes"
+    found.add_argument("--tried", type=Path, metavar="FILE", help=tried)
+    found.add_argument("--reference", default="ours", help="row to which --tried compares the others (default: ours)")
+    kept = "only copy the figures, configuration and curves of all finished runs there, small enough for a repository"
+    found.add_argument("--keep", type=Path, metavar="FOLDER", help=kept)
+    recorded = "only print the paper's Table I with a row for each of these folders of recorded scenes"
+    found.add_argument("--datasets", type=Path, metavar="FOLDER", nargs="+", help=recorded)
+    seeds = "only print how many seeds the paper's gaps need; two spreads, of parts and of systems (default: those of "
+    seeds += "sweeps/power.yaml), and that of the runs"
+    found.add_argument("--power", type=float, metavar="SPREAD", nargs="*", help=seeds)
+    return found
+
+
 @lines_not_tracebacks
 def main(arguments: list[str] | None = None) -> None:
     """Read the files of the runs, print the tables and write everything."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--runs", type=Path, metavar="FOLDER", default=Path("runs"), help="folder of runs")
-    parser.add_argument(
-        "--sweeps", type=Path, metavar="FOLDER", default=ROOT / "sweeps", help="folder of the paper's tables"
-    )
-    parser.add_argument(
-        "--conf", type=Path, metavar="FOLDER", default=ROOT / "conf", help="folder of the configuration"
-    )
-    parser.add_argument("--preset", help="only runs of this preset (default: that of most runs)")
-    where = "folder of the report (default: report in the folder of runs)"
-    parser.add_argument("--output", type=Path, metavar="FOLDER", help=where)
-    parser.add_argument(
-        "--docs", type=Path, metavar="FOLDER", help="write the tables as Markdown pages too, into this folder"
-    )
-    tried = "write one table of all runs, of any setting, on validation scenes"
-    parser.add_argument("--tried", type=Path, metavar="FILE", help=tried)
-    parser.add_argument("--reference", default="ours", help="row to which --tried compares the others (default: ours)")
-    kept = "only copy the figures, configuration and curves of all finished runs there, small enough for a repository"
-    parser.add_argument("--keep", type=Path, metavar="FOLDER", help=kept)
-    recorded = "only print the paper's Table I with a row for each of these folders of recorded scenes"
-    parser.add_argument("--datasets", type=Path, metavar="FOLDER", nargs="+", help=recorded)
-    options = parser.parse_args(arguments)
+    options = parser().parse_args(arguments)
     if options.datasets is not None:
         print(dataset_markdown(with_folders(load_dataset_table(options.sweeps / DATASETS), options.datasets)))
         return
@@ -62,18 +68,27 @@ def main(arguments: list[str] | None = None) -> None:
     if options.tried is not None:
         write_tried(options.runs, options.tried, options.reference)
         return
-    first, *others = read_sweeps(options.runs, options.sweeps, options.conf, options.preset)
-    output = options.output or options.runs / "report"
+    sweeps = read_sweeps(options.runs, options.sweeps, options.conf, options.preset)
+    if options.power is not None:
+        given = [spread_of(options.power)] if options.power else sweeps[0].spreads
+        print(power_chapter(sweeps[0].tables, sweeps[0].table_rows, given))
+        return
+    if options.docs is not None:
+        write_docs(sweeps, options.docs)
+    write_report(sweeps, options.output or options.runs / "report")
+
+
+def write_report(sweeps: Sequence[Sweep], output: Path) -> None:
+    """Write tables, plots and a page of every setting, and print the tables of the first."""
+    first, *others = sweeps
     folders = {first.setting: output} | {sweep.setting: output / sweep.setting for sweep in others}
     pages = {setting: folder / "index.html" for setting, folder in folders.items()}
-    for sweep in (first, *others):
+    for sweep in sweeps:
         folder = folders[sweep.setting]
         write_tables(sweep, folder)
         links = {setting: path for setting, path in pages.items() if setting != sweep.setting}
         plots, frames = draw(sweep, folder), compared_frames(sweep.rows)
         atomic_write(folder / "index.html", page(sweep, plots, frames, folder, links))
-    if options.docs is not None:
-        write_docs(first, options.docs)
     print(report_markdown(first))
     for setting, path in list(pages.items())[1:]:
         print(f"setting {setting}: {path}")
@@ -82,10 +97,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 def write_tried(folder: Path, path: Path, reference: str) -> None:
     """Write what was tried as a page of the documentation, with the command that writes it."""
-    finished = read_runs(folder)
-    cells = tried_cells(finished, reference)
-    text = f"{GENERATED_TRIED}\n\n# {TITLE}\n\n{NOTE}\n\n{markdown(*cells)}"
-    text += protocol_text({run.name: [run] for run in finished}, COLUMNS)
+    text = f"{GENERATED_TRIED}\n\n{tried_chapter(read_runs(folder), reference).removeprefix('#')}"
     atomic_write(path, text)
     print(f"{text}\npage    {path}")
 

@@ -18,6 +18,7 @@ from omniocc.run.checkpoint_io import BEST, LAST, AtomicCheckpointIO
 from omniocc.run.cost import PEAK, cost_of, peak_mib
 from omniocc.run.distributed import is_first
 from omniocc.run.folder import IMAGES, RunFolder, command_line, git_commit, given_checkpoint, open_run, run_hash
+from omniocc.run.machine import MACHINE, machine
 from omniocc.run.memory import keep_freed_memory
 from omniocc.run.plan import hours_line, plan_line, planned_steps, validation_times
 from omniocc.run.results import CANDIDATES, EARLIER_MINUTES, MINUTES, PROTOCOL, load_results, save_results, show_results
@@ -112,7 +113,8 @@ def train_occupancy(
             logger.log_metrics(figures, trainer.global_step)
         facts = {"run": run.path.name, "checkpoint": tested.name, "seed": cfg.seed, "steps": trainer.global_step}
         facts |= {"preset": cfg.preset.name, "command": command_line()}
-        facts |= {MINUTES: duration.minutes, PEAK: peak_mib(trainer.strategy.root_device)}
+        device = trainer.strategy.root_device
+        facts |= {MINUTES: duration.minutes, PEAK: peak_mib(device), MACHINE: machine(device)}
         facts |= cost_of(task.model.eval(), data.dataset("test")[0])
         facts |= facts_of_report(task, data, earlier, trainer.global_step)
         facts |= {"commit": git_commit(), "data": data.source.fingerprint, PROTOCOL: task.scores.protocol()}

@@ -8,7 +8,9 @@ from scripts import run_script
 
 FOLDER = Path(__file__).parents[1] / "conf" / "ablation"
 FILES = [path.relative_to(FOLDER) for path in FOLDER.rglob("*.yaml")]
-ROWS = sorted(path.with_suffix("").as_posix() for path in FILES if path.parts[0] != "tried")  # those change values only
+VALUES = ("tried", "learning_rates", "equal", "interval")
+"""Folders of rows that change values only."""
+ROWS = sorted(path.with_suffix("").as_posix() for path in FILES if path.parts[0] not in VALUES)
 OPTIONS = ["preset=smoke", "data.num_workers=0", "logger.mode=disabled", "test_images=1"]
 
 

@@ -94,7 +94,7 @@ def test_the_page_needs_no_other_file_and_every_image_decodes(output, outline):
 def test_figures_lead_to_run_configuration_and_command(outline, runs):
     text = "".join(outline.text)
     assert "python src/train.py '+ablation=my <own>-00000001' seed=0 <&>" in text
-    assert "Not run: bevdet, bevformer, voxformer, wo_semantic_head" in text
+    assert "Not run: bevdet, bevformer, voxformer, voxformer_pinhole@1000, wo_semantic_head" in text
     assert "0.320 ± 0.028" in text
     assert "here: not run" in text
     assert "cuboid voxel representation" in text
@@ -133,10 +133,12 @@ def test_frames_lead_to_the_viewer_pages_of_runs_that_have_one(outline, runs):
 def test_tables_and_plots_are_beside_the_page(output, capsys):
     tables = {path.stem for path in output.glob("*.tex")} & {path.stem for path in output.glob("*.csv")}
     assert tables == {
-        "beyond", "comparison", "dataset", "distance", "refine", "representation", "semantic_temporal", "sketch",
+        "beyond", "comparison", "dataset", "distance", "equal_budget", "equal_steps", "interval", "pinhole", "refine",
+        "representation", "semantic_temporal", "sketch",
     }  # fmt: skip
     markdown = (output / "report.md").read_text("utf-8")
-    assert "| dense voxels | +0.036 | +0.100 | same sign (spread unknown) | +0.050" in markdown
+    claim = "| omni depth ahead of dense voxels | +0.036 | own voxels | +0.025 | +0.100 | – | – |"
+    assert claim in markdown
     assert "| This dataset (here) | – | ✓ |" in markdown
     assert markdown.index("## Comparison of datasets") < markdown.index("## Comparison against")
     folder = unquote(markdown.split("- [dense-00000001](")[1].split("/)")[0])
@@ -163,16 +165,20 @@ def test_the_tables_are_written_as_pages_of_the_documentation(runs, tmp_path):
     docs = tmp_path / "docs" / "results"
     report("--runs", str(runs), "--output", str(tmp_path / "report"), "--docs", str(docs))
     assert {path.name for path in docs.iterdir()} == {
-        "beyond.md", "bounds.md", "budget.md", "comparison.md", "dataset.md", "distance.md", "refine.md",
-        "representation.md", "semantic_temporal.md", "sketch.md",
+        "beyond.md", "bounds.md", "budget.md", "comparison.md", "distance.md", "equal_budget.md", "equal_steps.md",
+        "interval.md", "pinhole.md", "power.md", "refine.md", "representation.md", "runs.md", "semantic_temporal.md",
+        "sketch.md",
     }  # fmt: skip
     generated, _, title, *lines = (docs / "sketch.md").read_text("utf-8").splitlines()
     command = "python src/report.py --runs docs/results/runs --docs docs/results"
     assert generated == f"<!-- Written by `{command}`; do not edit. -->"
     assert title == "# Cylinder sketch module"
     assert "| omni depth | paper | 0.470 | – | – | – | – |" in lines
-    assert any(line.startswith("| dense voxels | +0.036 | +0.100 |") for line in lines)
-    assert lines[-1].startswith("preset=tiny, 40 steps, data ")
+    assert any(line.startswith("| omni depth ahead of dense voxels | +0.036 | own voxels |") for line in lines)
+    assert lines[-1].startswith("3 runs, seeds 0, 1; preset=tiny, 40 steps, data ")
+    assert "| my <own>-00000001 | 0 | 40 | 1.5 | – | abc | – | `python src/train.py" in (docs / "runs.md").read_text(
+        "utf-8"
+    )
 
 
 def test_without_runs_the_error_is_one_line(tmp_path):

@@ -16,9 +16,10 @@ from omniocc.report.tables.paper import as_markdown
 ROOT = Path(__file__).parents[2]
 CONF = ROOT / "conf"
 OPTIONS = {
-    path.stem: path.relative_to(CONF / "ablation").with_suffix("") for path in (CONF / "ablation").rglob("*.yaml")
+    yaml.safe_load(path.read_text())["name"]: path.relative_to(CONF / "ablation").with_suffix("")
+    for path in (CONF / "ablation").rglob("*.yaml")
 }
-ROWS = sorted(OPTIONS)
+ROWS = sorted(row for row, path in OPTIONS.items() if path.parts[0] != "learning_rates")  # one has that of its system
 
 
 def run_of(name: str, *overrides: str) -> FinishedRun:

@@ -12,8 +12,8 @@ from omniocc.report.frames import ComparedFrame, inline
 from omniocc.report.html import render
 from omniocc.report.runs import FinishedRun, colors_of, path_between
 from omniocc.report.sweep import Sweep
-from omniocc.report.tables import bounds, budget
-from omniocc.report.tables.claims import claim_cells
+from omniocc.report.tables import bounds, budget, training
+from omniocc.report.tables.claims import Judged, Name, claim_cells
 from omniocc.report.tables.paper import (
     Figure,
     PaperRow,
@@ -33,7 +33,7 @@ from omniocc.viewer.page import PAGE, frame_address
 
 FILES = ("config.yaml", "metrics.json", "table.md")
 WIDE_COLUMNS = 5
-"""Tables with more columns have their claims below instead of beside them."""
+"""Tables with more columns are printed smaller and have their order below, as those with claims have it."""
 
 Section = dict[str, Any]
 """Name, title, kind (which selects the template) and the values for that template."""
@@ -51,6 +51,7 @@ def page(
         {"kind": "plot", "name": f"plot-{name}", "title": title, "svg": Markup(svg)}
         for name, (title, svg) in plots.items()
     ]
+    decided = sweep.claims
     sections = [
         *drawn[:1],
         _text_table(
@@ -64,7 +65,8 @@ def page(
             _text_table(table.name, table.title, table.note, dataset_cells(table), files=True)
             for table in sweep.datasets
         ),
-        *(_paper_table(table, sweep) for table in sweep.tables),
+        *(_paper_table(table, sweep, decided) for table in sweep.tables),
+        _longer(sweep) if sweep.longer else None,
         *drawn[1:],
         _frames(frames, sweep.runs, folder) if frames else None,
         _text_table("budget", "Budget", budget.NOTE, budget.budget_cells(sweep.rows)),
@@ -107,14 +109,21 @@ def _text_table(
     return {"kind": "text_table", "name": name, **content}
 
 
-def _paper_table(table: PaperTable, sweep: Sweep) -> Section:
-    claims_head, claims = claim_cells(table, sweep.rows)
+def _longer(sweep: Sweep) -> Section:
+    sweeps = training.by_steps(sweep)
+    cells = training.claim_cells(list(training.compared(sweeps)), list(sweeps))
+    return _text_table("training", training.TITLE, training.NOTE, cells)
+
+
+def _paper_table(table: PaperTable, sweep: Sweep, decided: Mapping[Name, Judged]) -> Section:
+    claims_head, claims = claim_cells(table, sweep.table_rows, decided)
     return {
         "kind": "paper_table",
         "name": table.name,
         "title": table.title,
         "note": table.note,
         "wide": len(table.columns) > WIDE_COLUMNS,
+        "stacked": len(table.columns) > WIDE_COLUMNS or bool(claims),
         "columns": list(table.columns.values()),
         "methods": [_method(table, row, figures, sweep) for row, figures in rows_of(table, sweep.table_rows)],
         "order": order_line(table, sweep.table_rows),

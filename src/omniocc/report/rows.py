@@ -4,6 +4,8 @@ import functools
 from collections.abc import Sequence
 from pathlib import Path
 
+import yaml
+
 from omniocc.config import compose_plain
 from omniocc.report.runs import FinishedRun
 from omniocc.report.selection import compared
@@ -17,13 +19,14 @@ def assign_rows(runs: Sequence[FinishedRun], conf: Path, rows: Sequence[str]) ->
 
     Args:
         runs: finished runs.
-        conf: folder of the configuration, with the rows in `ablation/`, those beyond the paper in its subfolders.
+        conf: folder of the configuration, with the rows in `ablation/`, those beyond the paper in its subfolders. A
+            row is called as its runs are, by its key `name`.
         rows: names of the tables' rows; rows without a file in `conf` are found only by name.
 
     Raises:
         ConfigError: when a row cannot be composed.
     """
-    options = {path.stem: path.relative_to(conf / "ablation") for path in (conf / "ablation").rglob("*.yaml")}
+    options = {_name(path): path.relative_to(conf / "ablation") for path in sorted((conf / "ablation").rglob("*.yaml"))}
     named = {*rows, *options}
     tried = [row for row in dict.fromkeys([*rows, *sorted(named)]) if row in options]
 
@@ -41,3 +44,7 @@ def assign_rows(runs: Sequence[FinishedRun], conf: Path, rows: Sequence[str]) ->
         return run._replace(same_as=next((row for row in tried if composed(preset, row) == config), None))
 
     return [assigned(run) for run in runs]
+
+
+def _name(path: Path) -> str:
+    return (yaml.safe_load(path.read_text()) or {}).get("name", path.stem)

@@ -1,16 +1,12 @@
-"""The content of a report, and its tables as files."""
+"""The content of a report: comparable runs with the paper's tables, apart by setting."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
 
-from omniocc.io import atomic_write
 from omniocc.report.dataset.table import (
     DatasetTable,
-    dataset_csv,
-    dataset_latex,
-    dataset_markdown,
     facts_of_scenes,
     is_dataset_table,
     load_dataset_table,
@@ -18,18 +14,16 @@ from omniocc.report.dataset.table import (
     with_ours,
 )
 from omniocc.report.rows import assign_rows
-from omniocc.report.runs import FinishedRun, path_between, read_runs
+from omniocc.report.runs import FinishedRun, read_runs
 from omniocc.report.selection import by_row, comparable, settings_of
-from omniocc.report.tables import bounds, budget
-from omniocc.report.tables.claims import claim_cells
-from omniocc.report.tables.overview import overview_keys, table_of_runs
-from omniocc.report.tables.paper import PaperTable, as_csv, as_latex, as_markdown, is_table, load_table
-from omniocc.report.tables.protocol import protocol_text
+from omniocc.report.tables.claims import Judged, Name, judged
+from omniocc.report.tables.paper import PaperTable, is_table, load_table
+from omniocc.report.tables.power import Spread, load_spreads
 from omniocc.run.curves import read_curve
 from omniocc.run.folder import METRICS
-from omniocc.run.table import markdown
 
-GENERATED = "<!-- Written by `python src/report.py --runs docs/results/runs --docs docs/results`; do not edit. -->"
+POWER = "power.yaml"
+"""File of the spreads, beside the tables."""
 
 
 class Sweep(NamedTuple):
@@ -44,6 +38,8 @@ class Sweep(NamedTuple):
         datasets: tables of datasets.
         unfinished: runs that have begun and not finished, with the last step recorded.
         lengths: runs of all settings of the same preset by `row@steps`, which rows of tables may name.
+        longer: the sweeps of the same preset and data with more steps, fewest first.
+        spreads: given differences between seeds, for which power is computed.
     """
 
     runs: list[FinishedRun]
@@ -54,6 +50,8 @@ class Sweep(NamedTuple):
     datasets: Sequence[DatasetTable]
     unfinished: Sequence[str] = ()
     lengths: Mapping[str, Sequence[FinishedRun]] = MappingProxyType({})
+    longer: "Sequence[Sweep]" = ()
+    spreads: Sequence[Spread] = ()
 
     @property
     def setting(self) -> str:
@@ -65,6 +63,11 @@ class Sweep(NamedTuple):
     def table_rows(self) -> Mapping[str, Sequence[FinishedRun]]:
         """Return the runs of everything that a row of a table may name."""
         return {**self.lengths, **self.rows}
+
+    @property
+    def claims(self) -> dict[Name, Judged]:
+        """Return the claims of all tables with their verdicts."""
+        return judged(self.tables, self.table_rows)
 
     @property
     def not_run(self) -> list[str]:
@@ -101,13 +104,35 @@ def read_sweeps(runs: Path, tables: Path, conf: Path, preset: str | None) -> lis
         data = facts_of_scenes(scenes) if scenes else ""
         return Sweep(kept, {row: rows[row] for row in order}, remark, data, found, datasets, unfinished(runs))
 
+    spreads = load_spreads(tables / POWER)
     sweeps = [sweep_of(setting) for setting in settings_of(finished, preset)]
-    return [sweep._replace(lengths=by_length(sweeps, sweep.runs[0].setting[0])) for sweep in sweeps]
+    once = [table for table in found if not table.of_lengths]
+    return [
+        sweep._replace(
+            tables=once if number else found,
+            lengths=by_length(sweeps, sweep.runs[0].setting[0]),
+            longer=sorted(
+                (other._replace(tables=once) for other in sweeps if _is_longer(other, sweep)),
+                key=lambda other: _number(other.runs[0].setting[1]),
+            ),
+            spreads=spreads,
+        )
+        for number, sweep in enumerate(sweeps)
+    ]
 
 
 def read_sweep(runs: Path, tables: Path, conf: Path, preset: str | None) -> Sweep:
     """Return the first of `read_sweeps`: the runs of the setting that most runs have."""
     return read_sweeps(runs, tables, conf, preset)[0]
+
+
+def _is_longer(other: Sweep, sweep: Sweep) -> bool:
+    (preset, steps, data), (other_preset, other_steps, other_data) = sweep.runs[0].setting, other.runs[0].setting
+    return (preset, data) == (other_preset, other_data) and _number(other_steps) > _number(steps)
+
+
+def _number(steps: str) -> int:
+    return int(steps) if steps.isdigit() else 0
 
 
 def by_length(sweeps: Sequence[Sweep], preset: str) -> dict[str, Sequence[FinishedRun]]:
@@ -128,61 +153,3 @@ def unfinished(runs: Path) -> list[str]:
             step = max(read_curve(path.parent, "train/loss"), default=0)
             found.append(f"{path.parent.name} (step {step})")
     return found
-
-
-def chapters(sweep: Sweep) -> dict[str, str]:
-    """Return every table as Markdown under a heading of level 2, by name."""
-    baseline = f"## {bounds.TITLE}\n\n{bounds.NOTE}\n\n{markdown(*bounds.bounds_cells(sweep.rows))}"
-    baseline += protocol_text(sweep.rows, bounds.COLUMNS.values())
-    cost = f"## Budget\n\n{budget.NOTE}\n\n{markdown(*budget.budget_cells(sweep.rows))}"
-    datasets = {table.name: dataset_markdown(table) for table in sweep.datasets}
-    papers = {}
-    for table in sweep.tables:
-        head, claims = claim_cells(table, sweep.rows)
-        text = as_markdown(table, sweep.table_rows)
-        papers[table.name] = "\n".join([text, *([markdown(head, claims)] if claims else [])])
-    return {"bounds": baseline, **datasets, **papers, "budget": cost}
-
-
-def report_markdown(sweep: Sweep) -> str:
-    """Return all tables in one text."""
-    remarks = " ".join(sweep.remarks) + "\n"
-    overview = markdown(*table_of_runs(sweep.runs)) + protocol_text(sweep.rows, overview_keys(sweep.runs))
-    return "\n".join([remarks, overview, *chapters(sweep).values()])
-
-
-def write_docs(sweep: Sweep, folder: Path) -> list[Path]:
-    """Write every table as a page of the documentation, `<table>.md`, and return the files.
-
-    Existing pages are overwritten.
-
-    Raises:
-        DataError: naming the file that cannot be written.
-    """
-    written = []
-    for name, chapter in chapters(sweep).items():
-        written.append(folder / f"{name}.md")
-        atomic_write(written[-1], f"{GENERATED}\n\n{chapter.replace('## ', '# ', 1)}\n{sweep.remark}\n")
-    return written
-
-
-def run_list(sweep: Sweep, folder: Path) -> str:
-    """Return a list of the runs: a link from a folder to each, and the command that made it."""
-    lines = ["## Runs", ""]
-    for run in (run for runs in sweep.rows.values() for run in runs):
-        where = path_between(folder, run.folder)
-        command = str(run.facts.get("command", "command not recorded"))
-        lines.append(f"- [{run.name}]({where}/) ([config.yaml]({where}/config.yaml)): `{command}`")
-    return "\n".join([*lines, ""])
-
-
-def write_tables(sweep: Sweep, output: Path) -> None:
-    """Write `report.md`, and every table as CSV and LaTeX."""
-    output.mkdir(parents=True, exist_ok=True)
-    atomic_write(output / "report.md", f"{report_markdown(sweep)}\n{run_list(sweep, output)}")
-    for table in sweep.tables:
-        atomic_write(output / f"{table.name}.csv", as_csv(table, sweep.table_rows))
-        atomic_write(output / f"{table.name}.tex", as_latex(table, sweep.table_rows))
-    for datasets in sweep.datasets:
-        atomic_write(output / f"{datasets.name}.csv", dataset_csv(datasets))
-        atomic_write(output / f"{datasets.name}.tex", dataset_latex(datasets))

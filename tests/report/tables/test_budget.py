@@ -17,11 +17,12 @@ def cost(minutes, mib):
 
 
 def test_a_row_with_a_learned_sketch_has_two_stages_before():
-    learned = [run(seed, BEFORE, **cost(minutes, 900 + seed)) for seed, minutes in enumerate((8.0, 9.0))]
+    before = {"minutes of earlier stages": 16.8}
+    learned = [run(seed, BEFORE, **cost(minutes, 900 + seed), **before) for seed, minutes in enumerate((8.0, 9.0))]
     head, lines = budget_cells({"ours": learned, "dense": [run(0, {}, **cost(18.84, 1500.0))]})
     assert lines == [
-        ["ours", "1.15", "16.7", "800", "500", "1000", "2", "8.5", "901"],
-        ["dense", "1.15", "16.7", "–", "–", "1000", "2", "18.8", "1500"],
+        ["ours", "1.15", "16.7", "800", "500", "1000", "2300", "2", "8.5", "25.3", "901"],
+        ["dense", "1.15", "16.7", "–", "–", "1000", "1000", "2", "18.8", "18.8", "1500"],
     ]
     assert len(head) == len(lines[0])
 
@@ -30,6 +31,6 @@ def test_what_a_run_did_not_record_is_a_dash():
     first, second = run(0, {}, **{"minutes of training": 7.0}), run(1, {}, **cost(8.0, 1000.0))
     assert budget_cells({"bevdet": [first]})[1][0][1:3] == ["–", "–"]
     assert budget_cells({"bevdet": [first, second]})[1][0] == [
-        "bevdet", "1.15", "16.7", "–", "–", "1000", "2", "7.5", "1000",
+        "bevdet", "1.15", "16.7", "–", "–", "1000", "1000", "2", "7.5", "7.5", "1000",
     ]  # fmt: skip
-    assert budget_cells({"mine": [FinishedRun("mine-00000000", {}, {})]})[1] == [["mine", *["–"] * 8]]
+    assert budget_cells({"mine": [FinishedRun("mine-00000000", {}, {})]})[1] == [["mine", *["–"] * 10]]

@@ -1,108 +1,137 @@
-"""The paper's gaps beside ours."""
+"""The paper's gaps beside ours, and the rule by which a claim is decided."""
 
 import math
-import statistics
 from pathlib import Path
 
 import pytest
 from scipy import stats
 
 from omniocc.report.runs import FinishedRun
-from omniocc.report.tables.claims import Claim, Gaps, claim_cells, claims_of
-from omniocc.report.tables.paper import load_table
+from omniocc.report.tables.claims import HEAD, Claim, Judged, claim_cells, claims_of, judged, metric_of, pairs_of
+from omniocc.report.tables.gaps import Gap
+from omniocc.report.tables.paper import PaperTable, load_table
 
-SKETCH = load_table(Path(__file__).parents[3] / "sweeps" / "sketch.yaml")
-
-
-def row(name: str, *values: float) -> list[FinishedRun]:
-    return [FinishedRun(f"{name}-{k:08x}", {"seed": k}, {"test/rayiou": value}) for k, value in enumerate(values)]
-
-
-def test_two_rows_are_compared_as_in_a_paired_t_test():
-    better, other = [0.30, 0.35, 0.31], [0.22, 0.28, 0.21]
-    gaps = Gaps({"ours": row("ours", *better), "dense": row("dense", *other)}, "test/rayiou")
-    reference = stats.ttest_rel(better, other)
-    gap, error = gaps.between("ours", "dense")
-    assert gap == pytest.approx(statistics.mean(better) - statistics.mean(other))
-    assert gap / error == pytest.approx(reference.statistic)
-    assert gaps.freedom == reference.df
+SWEEPS = Path(__file__).parents[3] / "sweeps"
+SKETCH, COMPARISON = load_table(SWEEPS / "sketch.yaml"), load_table(SWEEPS / "comparison.yaml")
+OWN, LIDAR = "test/rayiou", "test/lidar/rayiou"
 
 
-def test_all_rows_tell_about_the_spread():
-    """Complete rows and seeds: the deviations from row mean and seed mean, as of a two-way analysis of variance."""
-    values = {"a": [0.30, 0.36], "b": [0.20, 0.21], "c": [0.25, 0.29]}
-    gaps = Gaps({name: row(name, *of_row) for name, of_row in values.items()}, "test/rayiou")
-    means = {name: statistics.mean(of_row) for name, of_row in values.items()}
-    seeds = [statistics.mean(of_row[k] for of_row in values.values()) for k in (0, 1)]
-    every = statistics.mean(seeds)
-    left = [of_row[k] - means[name] - seeds[k] + every for name, of_row in values.items() for k in (0, 1)]
-    spread = math.sqrt(sum(value * value for value in left) / 2)
-    assert gaps.freedom == 2
-    assert gaps.between("a", "b") == pytest.approx((means["a"] - means["b"], spread))
-
-
-def test_a_row_that_lacks_a_seed_is_compared_on_those_it_has():
-    """Every figure of the second seed is .04 higher; the row without it owes nothing to that."""
-    runs = {"ours": row("ours", 0.30, 0.34), "mono": row("mono", 0.20, 0.24), "dense": row("dense", 0.25)}
-    gaps = Gaps(runs, "test/rayiou")
-    assert gaps.between("ours", "dense") == pytest.approx((0.05, 0.0))
-    assert gaps.freedom == 1
-    assert [claim.title for claim in claims_of(SKETCH, runs, "test/rayiou")] == ["mono depth", "dense voxels"]
-
-
-def test_nothing_is_said_of_rows_that_no_seed_connects():
-    other = [run._replace(facts={"seed": 7}) for run in row("dense", 0.25)]
-    gaps = Gaps({"ours": row("ours", 0.30, 0.34), "dense": other}, "test/rayiou")
-    assert all(map(math.isnan, gaps.between("ours", "dense")))
-    assert all(map(math.isnan, gaps.between("ours", "mono")))
-    assert claims_of(SKETCH, {}, "test/rayiou") == []
-    claim, *_ = claims_of(SKETCH, {"ours": row("ours", 0.30, 0.34), "dense": other}, "test/rayiou")
-    assert (claim.title, claim.gap, claim.verdict) == ("dense voxels", "–", "no seed in common")
-
-
-def test_gaps_stand_beside_the_papers_with_their_standard_error():
-    runs = {"ours": row("ours", 0.30, 0.34), "dense": row("dense", 0.18, 0.26), "mono": row("mono", 0.33, 0.32)}
-    claims = {claim.title: claim for claim in claims_of(SKETCH, runs, "test/rayiou")}
-    assert set(claims) == {"dense voxels", "mono depth"}
-    assert claims["dense voxels"].paper == pytest.approx(0.470 - 0.434)
-    assert claims["dense voxels"].here == pytest.approx(0.10)
-    assert claims["dense voxels"].verdict == "cannot be told apart (3.1)"
-    assert claims["mono depth"].verdict == "cannot be told apart (0.2)"
-
-
-def test_verdicts():
-    assert Claim("a", 0.1, -0.3, 0.1, 4).verdict == "opposite (3.0)"
-    assert Claim("a", 0.1, -0.3, 0.1, 2).verdict == "cannot be told apart (3.0)"
-    assert Claim("a", 0.1, 0.3, math.nan, 0).verdict == "same sign (spread unknown)"
-    assert Claim("a", 0.1, -0.3, math.nan, 0).verdict == "not the same sign (spread unknown)"
-    assert Claim("a", 0.1, 0.3, 0.0, 40).verdict == "holds (inf)"
-
-
-@pytest.mark.parametrize(("freedom", "errors"), [(1, 12.71), (2, 4.30), (4, 2.78), (10, 2.23), (30, 2.04)])
-def test_a_gap_is_found_from_the_95_percent_point_of_students_t_on(freedom, errors):
-    assert Claim("a", 0.1, errors - 0.02, 1.0, freedom).verdict.startswith("cannot be told apart")
-    assert Claim("a", 0.1, errors + 0.02, 1.0, freedom).verdict.startswith("holds")
-
-
-def test_the_same_claims_are_made_against_lidar_rays():
-    def with_lidar(runs):
-        return [
-            run._replace(metrics=run.metrics | {"test/lidar/rayiou": 1 - run.metrics["test/rayiou"]}) for run in runs
-        ]
-
-    runs = {"ours": with_lidar(row("ours", 0.30, 0.34)), "dense": with_lidar(row("dense", 0.20, 0.20))}
-    head, rows = claim_cells(SKETCH, runs)
-    assert head[-2:] == ["LiDAR", "claim"]
-    assert rows == [
-        [
-            "dense voxels",
-            "+0.036",
-            "+0.120 ± 0.020",
-            "cannot be told apart (6.0)",
-            "-0.120 ± 0.020",
-            "cannot be told apart (6.0)",
-        ],
+def row(name: str, *values: float, lidar: float | None = None) -> list[FinishedRun]:
+    """Return runs of seeds 0, 1, ...; `lidar` times their score against LiDAR rays."""
+    return [
+        FinishedRun(f"{name}-{k:08x}", {"seed": k}, {OWN: value} | ({} if lidar is None else {LIDAR: lidar * value}))
+        for k, value in enumerate(values)
     ]
-    assert claim_cells(SKETCH, {"ours": row("ours", 0.3), "dense": row("dense", 0.2)})[1] == [
-        ["dense voxels", "+0.036", "+0.100", "same sign (spread unknown)"],
+
+
+def titles(table: PaperTable) -> list[tuple[str, str]]:
+    return [(better.run, other.run) for better, other in pairs_of(table)]
+
+
+def test_claimed_are_the_best_over_all_others_and_what_the_table_adds():
+    assert titles(SKETCH) == [("ours", other) for other in ("wo_dilation", "mono", "dense", "random")]
+    systems = ["bevdet", "bevformer", "voxformer"]
+    assert titles(COMPARISON) == [
+        *(("ours", other) for other in systems), ("voxformer", "bevdet"), ("voxformer", "bevformer"),
+    ]  # fmt: skip
+    assert titles(load_table(SWEEPS / "beyond.yaml")) == []
+
+
+def test_the_papers_gap_is_taken_in_proportion_to_the_score_here():
+    runs = {"ours": row("ours", 0.20, 0.27, lidar=0.5), "dense": row("dense", 0.18, 0.26, lidar=0.5)}
+    for judge, score in (("own voxels", 0.235), ("LiDAR rays", 0.1175)):
+        (claim,) = claims_of([SKETCH], runs, judge).values()
+        assert claim.paper == pytest.approx(0.470 - 0.434)
+        assert claim.size == pytest.approx((0.470 - 0.434) / 0.470 * score)
+        assert claim.gap.here == pytest.approx(score - 0.22 * score / 0.235)
+
+
+def test_parts_are_compared_by_seed_and_systems_are_not():
+    """Both tables have the same rows; the second seed is .05 higher in both."""
+    runs = {"ours": row("ours", 0.30, 0.35), "voxformer": row("voxformer", 0.20, 0.26)}
+    (system,) = claims_of([COMPARISON], runs, "own voxels").values()
+    (part,) = claims_of([COMPARISON._replace(compares="parts")], runs, "own voxels").values()
+    scores = [0.30, 0.35], [0.20, 0.26]
+    assert system.p_none == pytest.approx(stats.ttest_ind(*scores).pvalue)
+    assert part.p_none == pytest.approx(stats.ttest_rel(*scores).pvalue)
+
+
+def test_p_values_are_those_of_students_t():
+    claim = Claim(0.1, 0.08, Gap(0.03, 0.02, 6))
+    assert claim.p_none == pytest.approx(2 * stats.t(6).sf(1.5))
+    assert claim.p_size == pytest.approx(stats.t(6).cdf(-2.5))
+    assert Claim(0.1, 0.08, Gap(0.03, 0.0, 6)).p_none == 0.0
+    assert Claim(0.1, 0.08, Gap(0.03, 0.0, 6)).p_size == 0.0
+    assert Claim(0.1, 0.03, Gap(0.03, 0.0, 6)).p_size == 1.0
+    assert Claim(0.1, 0.03, Gap(0.0, 0.0, 6)).p_none == 1.0
+    assert math.isnan(Claim(0.1, 0.03, Gap(0.1, math.nan, 0)).p_none)
+
+
+@pytest.mark.parametrize(
+    ("here", "none", "size", "verdict"),
+    [
+        (0.03, 0.049, 0.001, "holds"),  # smaller than the paper's, and still there
+        (0.03, 0.051, 0.049, "does not hold"),
+        (0.03, 0.051, 0.051, "undecided"),
+        (-0.03, 0.049, 0.2, "does not hold (opposite sign)"),
+        (-0.03, 0.051, 0.001, "does not hold"),
+        (-0.03, 0.2, 0.2, "undecided"),
+    ],
+)
+def test_verdicts(here, none, size, verdict):
+    assert Judged(Claim(0.1, 0.08, Gap(here, 0.02, 6)), none, size).verdict == verdict
+
+
+def test_without_a_spread_nothing_is_decided():
+    assert Judged(Claim(0.1, 0.08, Gap(0.3, math.nan, 0)), math.nan, math.nan).verdict == "undecided (spread unknown)"
+    unknown = Claim(0.1, 0.08, Gap(math.nan, math.nan, 0))
+    assert Judged(unknown, math.nan, math.nan).verdict == "undecided (no seed in common)"
+    assert unknown.measured == "–"
+
+
+def test_the_family_has_every_claim_of_all_tables_once():
+    """`comparison` and a copy of it have the same claims; a claim of one seed is none of the family."""
+    runs = {
+        "ours": row("ours", 0.30, 0.31, lidar=0.7), "voxformer": row("voxformer", 0.21, 0.23, lidar=0.7),
+        "bevdet": row("bevdet", 0.20, 0.24, lidar=0.7), "dense": row("dense", 0.25, 0.24, lidar=0.7),
+    }  # fmt: skip
+    tables = [COMPARISON, COMPARISON._replace(name="again"), SKETCH]
+    found = judged(tables, runs)
+    own = [entry for (*_, key), entry in found.items() if key == OWN]
+    assert len(own) == len(found) / 2 == 4  # over BEVDet, VoxFormer and dense voxels, and VoxFormer over BEVDet
+    least = min(own, key=lambda entry: entry.claim.p_none)
+    assert least.none == pytest.approx(4 * least.claim.p_none)
+    most = max(own, key=lambda entry: entry.claim.p_none)
+    assert most.none == pytest.approx(most.claim.p_none)
+
+
+def test_a_row_under_two_names_is_one_row():
+    runs = {"ours": row("ours", 0.30, 0.31), "dense": row("dense", 0.20, 0.20), "wo_dilation": row("wo", 0.3, 0.32)}
+    runs["ours@1000"] = runs["ours"]
+    names = {"ours": "ours@1000"}
+    renamed = SKETCH._replace(rows=[entry._replace(run=names.get(entry.run, entry.run)) for entry in SKETCH.rows])
+    twice, once = (judged(tables, runs) for tables in ([SKETCH, renamed], [SKETCH]))
+    assert twice == once
+
+
+def test_a_table_has_a_line_for_each_claim_and_judge():
+    better, other = [0.30, 0.34], [0.24, 0.25]
+    runs = {"ours": row("ours", *better, lidar=0.6), "dense": row("dense", *other, lidar=0.6)}
+    head, lines = claim_cells(SKETCH, runs, judged([SKETCH], runs))
+    assert head == HEAD
+    first = ["omni depth ahead of dense voxels", "+0.036", "own voxels", "+0.025", "+0.075 ± 0.015"]
+    p_none, p_size = stats.ttest_rel(better, other).pvalue, stats.t(1).cdf((0.075 - 0.0245106) / 0.015)
+    tests = [f".{100 * p_value:.0f} (.{100 * p_value:.0f})" for p_value in (p_none, p_size)]
+    assert lines[0] == [*first, *tests, "undecided"]
+    assert lines[1][2:5] == ["LiDAR rays", "+0.015", "+0.045 ± 0.009"]
+    single = {"ours": row("ours", 0.3), "dense": row("dense", 0.2)}
+    assert claim_cells(SKETCH, single, judged([SKETCH], single))[1] == [
+        [*first[:3], "+0.023", "+0.100", "–", "–", "undecided (spread unknown)"],
     ]
+    assert claim_cells(SKETCH, {}, {})[1] == []
+
+
+def test_scores_of_bands_have_a_lidar_judge_and_other_metrics_have_none():
+    distance = load_table(SWEEPS / "distance.yaml")
+    assert metric_of(distance, "LiDAR rays") == "test/lidar/rayiou_0-8.5m"
+    assert metric_of(distance._replace(order_by="test/depth/mae"), "LiDAR rays") is None

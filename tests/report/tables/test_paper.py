@@ -10,7 +10,7 @@ from omniocc.classes import CLASSES, FREE
 from omniocc.errors import UserError
 from omniocc.report.runs import VOXELS, FinishedRun
 from omniocc.report.selection import by_row, comparable, settings_of
-from omniocc.report.tables.claims import claims_of
+from omniocc.report.tables.claims import pairs_of
 from omniocc.report.tables.paper import (
     as_csv,
     as_latex,
@@ -39,12 +39,12 @@ RUNS = {
 @pytest.mark.parametrize("path", TABLES, ids=lambda path: path.stem)
 def test_every_table_has_our_row_and_figures_in_0_to_1(path):
     table = load_table(path)
-    assert {row.run for row in table.rows} & {"ours", "cylinder"}
+    rows = {row.run.partition("@")[0] for row in table.rows}
+    assert rows & {"ours", "ours_01s", "cylinder"}
     fractions = [value for row in table.rows for key, value in row.paper.items() if key != VOXELS and value is not None]
     assert all(0 <= value <= 1 for value in fractions)
     assert ("Table " in table.note) == (table.number > 0)
-    runnable = {row.run for row in table.rows} & {path.stem for path in ROWS.rglob("*.yaml")}
-    assert runnable
+    assert rows <= {path.stem for path in ROWS.rglob("*.yaml")}
 
 
 def test_the_papers_class_figures_have_its_mean_but_for_bevdet():
@@ -54,6 +54,8 @@ def test_the_papers_class_figures_have_its_mean_but_for_bevdet():
     for row in table.rows:
         _, first, *classes, lidar = row.paper.values()
         assert lidar is None
+        if first is None:
+            continue
         gap = abs(first - sum(classes) / len(classes))
         assert gap == pytest.approx(0.0275, abs=1e-3) if row.run == "bevdet" else gap < 1e-3
 
@@ -98,6 +100,24 @@ def test_a_broken_table_is_named(tmp_path):
         load_table(path)
 
 
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("order_by: b", "order_by is b, which is no column"),
+        ("order_by: a\ncompares: all", "compares is all; it is one of parts, systems"),
+        ("order_by: a\nclaims: [[mono, ours]]", "claims has mono over ours, which is not so in the paper's a"),
+        ("order_by: a\nclaims: [[ours, gone]]", "claims has ours over gone"),
+        ("order_by: a\nclaims: [ours]", "is not a table of the paper"),
+    ],
+)
+def test_impossible_values_of_a_table_are_named(tmp_path, line, message):
+    path = tmp_path / "bad.yaml"
+    rows = "rows: {ours: {title: o, paper: [0.2]}, mono: {title: m, paper: [0.1]}}"
+    path.write_text(f"title: x\n{line}\ncolumns: {{a: A}}\n{rows}\n")
+    with pytest.raises(UserError, match=rf"bad\.yaml.*{message}"):
+        load_table(path)
+
+
 def test_only_runs_of_one_setting_are_compared():
     runs = [*RUNS["ours"], run("big-01234567", 0, 0.9, preset="small")]
     first, second = settings_of(runs, None)
@@ -125,4 +145,4 @@ def test_an_added_table_needs_no_figures_of_the_paper(tmp_path):
     text = as_markdown(table, RUNS)
     assert "| o | here, 2 seeds | 0.300 ± 0.141 |" in text
     assert "| paper |" not in text
-    assert claims_of(table, RUNS, "test/rayiou") == []
+    assert list(pairs_of(table)) == []

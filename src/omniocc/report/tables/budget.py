@@ -4,14 +4,15 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from omniocc.report.runs import FinishedRun
 from omniocc.run.cost import GFLOP, PARAMETERS, PEAK
-from omniocc.run.results import MINUTES
+from omniocc.run.results import EARLIER_MINUTES, MINUTES
 
 STAGES = ("depth", "sketch", "occupancy")
-HEAD = ["row", "M parameters", "GFLOP a frame", "steps of depth", "of the sketch", "of the model", "samples a step"]
-HEAD += ["minutes", "peak MiB"]
+HEAD = ["row", "M parameters", "GFLOP a frame", "steps of depth", "of the sketch", "of the model", "in all"]
+HEAD += ["samples a step", "minutes", "in all", "peak MiB"]
 NOTE = (
-    "Parameters and operations are those of the whole system, depth and sketch included; minutes and memory are those "
-    "of the last stage, whose steps and samples are the same in all rows. A learned sketch has two stages before it."
+    "Parameters and operations are those of the whole system, depth and sketch included; memory and the first minutes "
+    "are those of the last stage. A learned sketch has two stages before it, which rows share; 'in all' counts them in "
+    "every row."
 )
 
 
@@ -28,9 +29,17 @@ def _budget(runs: Sequence[FinishedRun]) -> Iterator[str]:
     yield _over_seeds(runs, PARAMETERS, "{:.2f}", max)
     yield _over_seeds(runs, GFLOP, "{:.3g}", max)
     yield from (str(steps.get(stage, "–")) for stage in STAGES)
+    yield str(sum(steps.values())) if steps else "–"
     yield str(runs[0].config.get("data", {}).get("batch_size", "–"))
     yield _over_seeds(runs, MINUTES, "{:.1f}", lambda values: sum(values) / len(values))
+    known = [minutes_in_all(run) for run in runs if run.facts.get(MINUTES) is not None]
+    yield f"{sum(known) / len(known):.1f}" if known else "–"
     yield _over_seeds(runs, PEAK, "{:.0f}", max)
+
+
+def minutes_in_all(run: FinishedRun) -> float:
+    """Return the minutes of all stages of a run; 0 for what it did not record."""
+    return float(run.facts.get(MINUTES) or 0.0) + float(run.facts.get(EARLIER_MINUTES) or 0.0)
 
 
 def _over_seeds(runs: Sequence[FinishedRun], key: str, form: str, reduce: Callable[[list[float]], float]) -> str:

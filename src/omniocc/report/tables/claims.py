@@ -1,139 +1,211 @@
-"""The paper's gaps between methods, compared with ours."""
+"""The paper's claims that one method is ahead of another, decided by one rule: see `Judged.verdict`."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
-import numpy as np
 from scipy import stats
 
 from omniocc.report.runs import FinishedRun
-from omniocc.report.tables.paper import PaperTable
+from omniocc.report.tables.gaps import Gap, Gaps, gap_of_systems
+from omniocc.report.tables.holm import holm
+from omniocc.report.tables.paper import PaperRow, PaperTable, figure_of
 
-RAYIOU, LIDAR = "test/rayiou", "test/lidar/rayiou"
-CONFIDENCE = 0.95
-"""Two-sided confidence with which a gap must differ from zero to be reproduced."""
+Rows = Mapping[str, Sequence[FinishedRun]]
+LEVEL = 0.05
+"""Largest probability of one wrong 'holds' or more, and of one wrong 'does not hold' or more, in a family of claims."""
+JUDGES = {"own voxels": "test/", "LiDAR rays": "test/lidar/"}
+"""Beginning of the keys of each judge's scores."""
+HEAD = ["claim", "paper", "judge", "in proportion", "here ± standard error", "no gap: p (Holm)"]
+HEAD += ["paper's gap: p (Holm)", "verdict"]
+HOLDS, AGAINST, UNDECIDED = "holds", "does not hold", "undecided"
+EXACT = 1e-9
+"""Standard error below which all runs agree."""
+
+Name = tuple[tuple[str, ...], tuple[str, ...], str]
+"""What makes two claims of different tables the same: the runs of both rows, and the metric."""
 
 
 class Claim(NamedTuple):
-    """The gap between the paper's best method of a table and another one.
+    """A gap of the paper, and the same here by one judge.
 
     Attributes:
-        paper: gap in the paper.
-        here: gap here, as `Gaps` estimates it; nan if no seed connects the two methods.
-        error: standard error of `here`; nan as long as no method has two seeds.
-        freedom: degrees of freedom of the error.
+        paper: the printed gap; above 0.
+        size: the printed gap in proportion to the better row's score here: printed gap / printed score * score here.
+        gap: as it is measured here.
     """
 
-    title: str
     paper: float
-    here: float
-    error: float
-    freedom: int
+    size: float
+    gap: Gap
 
     @property
-    def gap(self) -> str:
+    def measured(self) -> str:
         """Return the measured gap with its standard error."""
-        if math.isnan(self.here):
+        here, error, _ = self.gap
+        if math.isnan(here):
             return "–"
-        return f"{self.here:+.3f}" + ("" if math.isnan(self.error) else f" ± {self.error:.3f}")
+        return f"{here:+.3f}" + ("" if math.isnan(error) else f" ± {error:.3f}")
+
+    @property
+    def p_none(self) -> float:
+        """Return the two-sided p-value of 'there is no gap'; nan if the spread is not known."""
+        here, error, freedom = self.gap
+        if error < EXACT:
+            return float(abs(here) < EXACT)
+        return 2 * float(stats.t.sf(abs(here) / error, freedom))
+
+    @property
+    def p_size(self) -> float:
+        """Return the one-sided p-value of 'the gap is as large as the paper's, in proportion, or larger'."""
+        here, error, freedom = self.gap
+        if error < EXACT:
+            return float(here > self.size - EXACT)
+        return float(stats.t.cdf((here - self.size) / error, freedom))
+
+
+class Judged(NamedTuple):
+    """A claim, and both of its p-values adjusted by Holm over the family of one judge."""
+
+    claim: Claim
+    none: float
+    size: float
 
     @property
     def verdict(self) -> str:
-        """Return whether the claim holds, with the number of standard errors; only by sign where they are unknown."""
-        if math.isnan(self.here):
-            return "no seed in common"
-        same = self.paper * self.here > 0
-        if math.isnan(self.error):
-            return f"{'same' if same else 'not the same'} sign (spread unknown)"
-        errors = abs(self.here) / self.error if self.error > 1e-9 else math.inf
-        if errors < stats.t.ppf((1 + CONFIDENCE) / 2, self.freedom):
-            return f"cannot be told apart ({errors:.1f})"
-        return f"{'holds' if same else 'opposite'} ({errors:.1f})"
+        """Return whether the claim holds.
 
-
-class Gaps:
-    """Differences between rows in one metric, with the effect of the seed removed.
-
-    A figure is modelled as the sum of an effect of its row, an effect of its seed and noise (least squares over all
-    runs), since rows share depth, sketch and order of samples of a seed. For two rows with the same seeds this is the
-    paired t-test; a row that lacks a seed is compared on those it has. The noise has one variance in all rows, because
-    two or three seeds are too few to estimate it for each.
-
-    Args:
-        rows: the runs of each row.
-        key: key of the metric; runs without it do not count.
-
-    Attributes:
-        freedom: degrees of freedom of the noise; 0 if no row has a second seed.
-    """
-
-    def __init__(self, rows: Mapping[str, Sequence[FinishedRun]], key: str):
-        entries = [
-            (row, str(run.facts.get("seed")), value)
-            for row, runs in rows.items()
-            for run in runs
-            if not math.isnan(value := run.metrics.get(key, math.nan))
-        ]
-        self._place = {name: k for k, name in enumerate(dict.fromkeys(("row", row) for row, *_ in entries))}
-        for _, seed, _ in entries:
-            self._place.setdefault(("seed", seed), len(self._place))
-        self._design = np.zeros((len(entries), len(self._place)))
-        for line, (row, seed, _) in enumerate(entries):
-            self._design[line, [self._place["row", row], self._place["seed", seed]]] = 1
-        values = np.array([value for *_, value in entries])
-        self._inverse = np.linalg.pinv(self._design)
-        self._effects = self._inverse @ values
-        self.freedom = len(entries) - int(np.linalg.matrix_rank(self._design)) if entries else 0
-        left = float(np.square(values - self._design @ self._effects).sum())
-        self._spread = math.sqrt(left / self.freedom) if self.freedom else math.nan
-
-    def has(self, row: str) -> bool:
-        """Return whether the row has a figure."""
-        return ("row", row) in self._place
-
-    def between(self, better: str, other: str) -> tuple[float, float]:
-        """Return the gap between two rows and its standard error, which is nan where no row has two seeds.
-
-        Both are nan if a row has not run, or the rows have no seeds in common, directly or through others.
+        It holds if 'there is no gap' is rejected and the gap has the paper's sign. It does not hold if 'there is no
+        gap' is rejected and the gap has the other sign, or if 'the gap is as large as the paper's' is rejected while
+        'there is no gap' is not. Otherwise it is undecided.
         """
-        if not (self.has(better) and self.has(other)):
-            return math.nan, math.nan
-        contrast = np.zeros(len(self._place))
-        contrast[self._place["row", better]], contrast[self._place["row", other]] = 1, -1
-        weights = contrast @ self._inverse
-        if not np.allclose(weights @ self._design, contrast):
-            return math.nan, math.nan
-        return float(contrast @ self._effects), self._spread * math.sqrt(float(weights @ weights))
+        here, error, _ = self.claim.gap
+        if math.isnan(error):
+            return f"{UNDECIDED} ({'no seed in common' if math.isnan(here) else 'spread unknown'})"
+        if self.none < LEVEL:
+            return HOLDS if here > 0 else f"{AGAINST} (opposite sign)"
+        return AGAINST if self.size < LEVEL else UNDECIDED
 
 
-def claims_of(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]], key: str) -> list[Claim]:
-    """Return the paper's gaps of a table between methods that have run here.
+def metric_of(table: PaperTable, judge: str) -> str | None:
+    """Return the key of a judge's scores in which the claims of a table are decided; None if it has none."""
+    if judge == "own voxels":
+        return table.order_by
+    return table.order_by.replace("test/", JUDGES[judge], 1) if table.order_by.startswith("test/rayiou") else None
 
-    Args:
-        table: table with the paper's gaps, in the metric that it is ordered by.
-        runs: runs of each row; rows that are not in the table improve the estimate of the noise.
-        key: key of the metric that is compared here.
+
+def pairs_of(table: PaperTable) -> Iterator[tuple[PaperRow, PaperRow]]:
+    """Yield the rows of each claim of a table, the better one first.
+
+    Claimed are the paper's best row over every other one, and what the table's `claims` add.
     """
-    gaps = Gaps(runs, key)
-    printed = [(row, value) for row in table.rows if (value := row.paper[table.order_by]) is not None]
-    best, most = max(printed, key=lambda entry: entry[1], default=(None, 0.0))
-    claims = []
-    for row, value in printed:
-        assert best is not None
-        if row is not best and gaps.has(best.run) and gaps.has(row.run):
-            here, error = gaps.between(best.run, row.run)
-            claims.append(Claim(row.title, most - value, here, error, gaps.freedom))
-    return claims
+    printed = {row.run: row for row in table.rows if row.paper[table.order_by] is not None}
+    ranked = sorted(printed.values(), key=lambda row: -(row.paper[table.order_by] or 0.0))
+    yield from ((ranked[0], row) for row in printed.values() if row is not ranked[0])
+    yield from ((printed[better], printed[other]) for better, other in table.claims)
 
 
-def claim_cells(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> tuple[list[str], list[list[str]]]:
-    """Return head and rows of a table of claims; also against LiDAR rays, where the paper's metric is RayIoU."""
-    claims = claims_of(table, runs, table.order_by)
-    lidar = claims_of(table, runs, LIDAR) if table.order_by == RAYIOU else []
-    head = ["best of the paper is ahead of", "paper", "here ± standard error", "claim (standard errors)"]
-    rows = [[claim.title, f"{claim.paper:+.3f}", claim.gap, claim.verdict] for claim in claims]
-    if claims and [claim.title for claim in lidar] == [claim.title for claim in claims]:
-        head += ["LiDAR", "claim"]
-        rows = [[*row, claim.gap, claim.verdict] for row, claim in zip(rows, lidar, strict=True)]
-    return head, rows
+def rows_in(tables: Sequence[PaperTable], rows: Rows) -> Rows:
+    """Return the rows of tables that have run; one that has two names, as `ours` and `ours@1000`, counts once."""
+    found: dict[str, Sequence[FinishedRun]] = {}
+    for row in (row for table in tables for row in table.rows):
+        if row.run in rows and not any(runs is rows[row.run] for runs in found.values()):
+            found[row.run] = rows[row.run]
+    return found
+
+
+def parts_of(tables: Sequence[PaperTable], rows: Rows) -> Rows:
+    """Return the rows of the tables that compare parts of one system."""
+    return rows_in([table for table in tables if table.compares == "parts"], rows)
+
+
+def claims_of(tables: Sequence[PaperTable], rows: Rows, judge: str) -> dict[Name, Claim]:
+    """Return the claims of all tables whose two rows have run, each once.
+
+    The noise of parts of one system is estimated over all rows of `parts_of`, that of systems over both rows.
+    """
+    found: dict[Name, Claim] = {}
+    keys = {key for table in tables if (key := metric_of(table, judge)) is not None}
+    noise = {key: Gaps(parts_of(tables, rows), key) for key in keys}
+    for table in tables:
+        key = metric_of(table, judge)
+        for better, other in pairs_of(table):
+            name = name_of(better, other, rows, key)
+            if name is not None and key is not None:
+                found.setdefault(name, _claim(table, better, other, rows, key, noise[key]))
+    return found
+
+
+def name_of(better: PaperRow, other: PaperRow, rows: Rows, key: str | None) -> Name | None:
+    """Return the name of the claim about two rows in a metric; None without a metric, or a figure of one of them."""
+    runs = rows.get(better.run, ()), rows.get(other.run, ())
+    if key is None or figure_of(runs[0], key) is None or figure_of(runs[1], key) is None:
+        return None
+    return tuple(run.name for run in runs[0]), tuple(run.name for run in runs[1]), key
+
+
+def _claim(table: PaperTable, better: PaperRow, other: PaperRow, rows: Rows, key: str, noise: Gaps) -> Claim:
+    most, less = better.paper[table.order_by], other.paper[table.order_by]
+    score = figure_of(rows[better.run], key)
+    assert most is not None
+    assert less is not None
+    assert score is not None
+    if table.compares == "systems":
+        gap = gap_of_systems(rows[better.run], rows[other.run], key)
+    else:
+        gap = noise.between(_as_in(noise, better.run, rows), _as_in(noise, other.run, rows))
+    return Claim(most - less, (most - less) / most * score.mean, gap)
+
+
+def _as_in(noise: Gaps, row: str, rows: Rows) -> str:
+    """Return the name under which `parts_of` counts the runs of a row."""
+    return row if noise.has(row) else next(name for name, runs in rows.items() if runs is rows[row] and noise.has(name))
+
+
+def judged(tables: Sequence[PaperTable], rows: Rows) -> dict[Name, Judged]:
+    """Return all claims of all judges with their adjusted p-values.
+
+    The family of a judge has every claim whose two rows have run and whose spread is known, each once, though it may
+    stand in several tables.
+    """
+    found: dict[Name, Judged] = {}
+    for judge in JUDGES:
+        claims = claims_of(tables, rows, judge)
+        tested = {name: claim for name, claim in claims.items() if not math.isnan(claim.gap.error)}
+        none, size = (
+            dict(zip(tested, holm([getattr(claim, key) for claim in tested.values()]), strict=True))
+            for key in ("p_none", "p_size")
+        )
+        found |= {
+            name: Judged(claim, none.get(name, math.nan), size.get(name, math.nan)) for name, claim in claims.items()
+        }
+    return found
+
+
+def claim_cells(table: PaperTable, rows: Rows, decided: Mapping[Name, Judged]) -> tuple[list[str], list[list[str]]]:
+    """Return head and lines of a table of claims, a line for each claim and judge; `decided` has all claims."""
+    lines = []
+    for better, other in pairs_of(table):
+        for judge in JUDGES:
+            name = name_of(better, other, rows, metric_of(table, judge))
+            if name is not None:
+                lines.append([f"{better.title} ahead of {other.title}", *line_of(decided[name], judge)])
+    return HEAD, lines
+
+
+def line_of(found: Judged, judge: str) -> list[str]:
+    """Return the cells of a judged claim behind its title."""
+    claim = found.claim
+    tests = [p_cell(claim.p_none, found.none), p_cell(claim.p_size, found.size)]
+    return [f"{claim.paper:+.3f}", judge, f"{claim.size:+.3f}", claim.measured, *tests, found.verdict]
+
+
+def p_cell(p_value: float, adjusted: float) -> str:
+    """Return a p-value and its adjusted one for a table, with two digits that count."""
+    if math.isnan(adjusted):
+        return "–"
+    return f"{_short(p_value)} ({_short(adjusted)})"
+
+
+def _short(p_value: float) -> str:
+    return "<.0001" if p_value < 1e-4 else f"{p_value:.2g}".removeprefix("0") if p_value < 1 else "1"

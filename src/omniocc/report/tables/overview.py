@@ -1,7 +1,13 @@
 """All runs of a report, one line each."""
 
+from collections.abc import Sequence
+
 from omniocc.report.runs import FinishedRun
+from omniocc.run.machine import MACHINE
+from omniocc.run.results import EARLIER_MINUTES, MINUTES
 from omniocc.run.table import band_keys, number
+
+RECORDS = ("seed", "steps", MINUTES, EARLIER_MINUTES, "commit", MACHINE)
 
 
 def overview_keys(runs: list[FinishedRun]) -> list[str]:
@@ -20,3 +26,12 @@ def table_of_runs(runs: list[FinishedRun]) -> tuple[list[str], list[list[str]]]:
         facts = [str(run.facts.get(key, "–")) for key in ("seed", "steps")]
         rows.append([run.name, *facts, *(number(run.metrics.get(key)) for key in overview_keys(runs))])
     return head, rows
+
+
+def records(runs: Sequence[FinishedRun]) -> tuple[list[str], list[list[str]]]:
+    """Return head and rows of how the runs were made, by name: seed, steps, minutes, commit, machine, command."""
+    rows = []
+    for run in sorted(runs, key=lambda run: run.name):
+        command = f"`{run.facts['command']}`" if "command" in run.facts else "–"
+        rows.append([run.name, *(str(run.facts.get(key, "–")) for key in RECORDS), command])
+    return ["run", "seed", "steps", "minutes", "of earlier stages", "commit", MACHINE, "command"], rows

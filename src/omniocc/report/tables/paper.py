@@ -15,6 +15,9 @@ from omniocc.report.tables.formats import csv_text, tabular
 from omniocc.report.tables.protocol import protocol_lines
 from omniocc.run.table import markdown, number
 
+COMPARED = ("parts", "systems")
+"""What the rows of a table may be."""
+
 
 class PaperRow(NamedTuple):
     """A method: its row, its title, the paper's figures by column."""
@@ -35,6 +38,8 @@ class PaperTable(NamedTuple):
         title: of the table on the page of the report.
         note: inconsistencies of the paper's figures.
         number: the table's number in the paper.
+        compares: `parts` of one system, whose rows share depth and sketch of a seed, or `systems`.
+        claims: rows of which the first is ahead of the second in the paper, besides the best one over all others.
     """
 
     name: str
@@ -44,6 +49,13 @@ class PaperTable(NamedTuple):
     rows: Sequence[PaperRow]
     note: str = ""
     number: int = 0
+    compares: str = "parts"
+    claims: Sequence[tuple[str, str]] = ()
+
+    @property
+    def of_lengths(self) -> bool:
+        """Return whether every row names its number of steps, so that the table is the same in every setting."""
+        return all("@" in row.run for row in self.rows)
 
 
 class Figure(NamedTuple):
@@ -58,19 +70,34 @@ def load_table(path: Path) -> PaperTable:
     """Return the table that a file describes.
 
     Raises:
-        UserError: if a key is missing, or a row has another number of figures than there are columns.
+        UserError: if a key is missing or has no possible value, or a row has another number of figures than there are
+            columns.
     """
     content = yaml.safe_load(path.read_text())
     try:
         columns, order_by = content["columns"], content["order_by"]
         rows = [PaperRow(run, row["title"], _by_column(columns, row, run)) for run, row in content["rows"].items()]
         note, number_in_paper = content.get("note", ""), content.get("number", 0)
-        table = PaperTable(path.stem, content["title"], columns, order_by, rows, note, number_in_paper)
+        compares, claims = content.get("compares", "parts"), [(a, b) for a, b in content.get("claims", ())]
+        table = PaperTable(
+            path.stem, content["title"], columns, order_by, rows, note, number_in_paper, compares, claims
+        )
     except (KeyError, TypeError, ValueError) as error:
         raise UserError(f"{path} is not a table of the paper: {error}; see the other files beside it") from error
-    if order_by not in columns:
-        raise UserError(f"{path}: order_by is {order_by}, which is no column")
+    _check(table, path)
     return table
+
+
+def _check(table: PaperTable, path: Path) -> None:
+    order_by = table.order_by
+    if order_by not in table.columns:
+        raise UserError(f"{path}: order_by is {order_by}, which is no column")
+    if table.compares not in COMPARED:
+        raise UserError(f"{path}: compares is {table.compares}; it is one of {', '.join(COMPARED)}")
+    printed = {row.run: row.paper[order_by] for row in table.rows}
+    for better, other in table.claims:
+        if (printed.get(better) or 0.0) <= (printed.get(other) or 1.0):
+            raise UserError(f"{path}: claims has {better} over {other}, which is not so in the paper's {order_by}")
 
 
 def is_table(path: Path) -> bool:

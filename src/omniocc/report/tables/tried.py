@@ -8,8 +8,10 @@ from omniocc.errors import UserError
 from omniocc.report.runs import FinishedRun
 from omniocc.report.selection import compared
 from omniocc.report.tables.paper import figure_of, with_spread
+from omniocc.report.tables.protocol import protocol_text
 from omniocc.run.results import MINUTES
 from omniocc.run.slots import slots_of
+from omniocc.run.table import markdown
 
 TITLE = "Changes that were tried"
 NOTE = (
@@ -26,6 +28,12 @@ COLUMNS = {
     "val/voxel/miou": "mIoU",
 }
 STAGES = ("depth", "sketch", "occupancy")
+
+
+def tried_chapter(runs: Sequence[FinishedRun], reference: str) -> str:
+    """Return the page as Markdown; arguments and errors as those of `tried_cells`."""
+    protocol = protocol_text({run.name: [run] for run in runs}, COLUMNS)
+    return f"## {TITLE}\n\n{NOTE}\n\n{markdown(*tried_cells(runs, reference))}{protocol}"
 
 
 def tried_cells(runs: Sequence[FinishedRun], reference: str) -> tuple[list[str], list[list[str]]]:

@@ -1,0 +1,120 @@
+"""The tables of a report as text and as files."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from omniocc.io import atomic_write
+from omniocc.report.dataset.table import dataset_csv, dataset_latex, dataset_markdown
+from omniocc.report.runs import FinishedRun, path_between
+from omniocc.report.sweep import Sweep
+from omniocc.report.tables import bounds, budget, training
+from omniocc.report.tables.claims import Judged, Name, claim_cells, rows_in
+from omniocc.report.tables.learning_rates import learning_rates
+from omniocc.report.tables.overview import overview_keys, records, table_of_runs
+from omniocc.report.tables.paper import PaperTable, as_csv, as_latex, as_markdown
+from omniocc.report.tables.power import power_chapter
+from omniocc.report.tables.protocol import protocol_text
+from omniocc.report.tables.tried import tried_chapter
+from omniocc.run.table import markdown
+
+GENERATED = "<!-- Written by `python src/report.py --runs docs/results/runs --docs docs/results`; do not edit. -->"
+TRIED_AGAINST = "extended"
+"""Row to which the page `accuracy` compares all others."""
+RULE = (
+    "How a claim is decided: [Read the tables](../how_to/read_the_tables.md#when-a-claim-holds). Commands, commits and "
+    "machines: [the runs](runs.md)."
+)
+
+
+def chapters(sweep: Sweep, listed: Mapping[str, Sequence[FinishedRun]]) -> dict[str, str]:
+    """Return every table of one setting as Markdown under a heading of level 2, by name; the budget is of `listed`."""
+    decided = sweep.claims
+    papers = {table.name: _of_paper(sweep, table, decided) for table in sweep.tables}
+    longer = training.chapter(sweep) if sweep.longer else ""
+    cost = f"## Budget\n\n{budget.NOTE}\n\n{markdown(*budget.budget_cells(listed))}"
+    limits = f"## {bounds.TITLE}\n\n{bounds.NOTE}\n\n{markdown(*bounds.bounds_cells(sweep.rows))}"
+    limits += protocol_text(sweep.rows, bounds.COLUMNS.values())
+    found = {"bounds": limits}
+    found |= {table.name: dataset_markdown(table) for table in sweep.datasets}
+    found |= papers | {"training": longer, "budget": cost}
+    return {name: text for name, text in found.items() if text}
+
+
+def _of_paper(sweep: Sweep, table: PaperTable, decided: Mapping[Name, Judged]) -> str:
+    head, claims = claim_cells(table, sweep.table_rows, decided)
+    text = as_markdown(table, sweep.table_rows)
+    return "\n".join([text, *([markdown(head, claims)] if claims else [])])
+
+
+def report_markdown(sweep: Sweep) -> str:
+    """Return all tables in one text."""
+    remarks = " ".join(sweep.remarks) + "\n"
+    overview = markdown(*table_of_runs(sweep.runs)) + protocol_text(sweep.rows, overview_keys(sweep.runs))
+    return "\n".join([remarks, overview, *chapters(sweep, sweep.rows).values()])
+
+
+def write_docs(sweeps: Sequence[Sweep], folder: Path) -> list[Path]:
+    """Write every table of the first setting as a page of the documentation, `<table>.md`, and return the files.
+
+    The pages depend on the records of the runs and on the tables alone. Existing pages are overwritten.
+
+    Raises:
+        DataError: naming the file that cannot be written.
+    """
+    sweep, every = sweeps[0], [run for sweep in sweeps for run in sweep.runs]
+    listed = rows_in(sweep.tables, sweep.table_rows)
+    tables = {table.name: [table] for table in sweep.tables}
+    pages = {}
+    for name, text in chapters(sweep._replace(datasets=()), listed).items():
+        rows = rows_in(tables.get(name, sweep.tables), sweep.table_rows)
+        pages[name] = f"{text}\n{foot([run for runs in rows.values() for run in runs])}"
+    if any(run.row == TRIED_AGAINST for run in every):
+        pages["accuracy"] = tried_chapter(every, TRIED_AGAINST)
+    pages["learning_rates"] = learning_rates(every)
+    pages["power"] = power_chapter(sweep.tables, sweep.table_rows, sweep.spreads)
+    pages["runs"] = f"## Runs\n\n{markdown(*records(every))}\n{' '.join(sweep.remarks)}"
+    written = []
+    for name, text in pages.items():
+        if text:
+            written.append(folder / f"{name}.md")
+            atomic_write(written[-1], f"{GENERATED}\n\n{text.removeprefix('#').rstrip()}\n")
+    return written
+
+
+def foot(runs: Sequence[FinishedRun]) -> str:
+    """Return sentences on the runs of a page: their number, seeds, settings, commits and hours."""
+    once = {run.name: run for run in runs}.values()
+    settings = sorted(
+        {f"preset={preset}, {steps} steps, data {data[:8]}" for preset, steps, data in map(_setting, once)}
+    )
+    seeds = sorted({str(run.facts.get("seed", "?")) for run in once})
+    commits = sorted({str(run.facts.get("commit", "unknown")) for run in once})
+    hours = sum(map(budget.minutes_in_all, once)) / 60
+    parts = [f"{len(once)} runs, seeds {', '.join(seeds)}", *settings, f"commits {', '.join(commits)}"]
+    return f"{'; '.join(parts)}; {hours:.1f} h of training, stages that runs share counted in each. {RULE}"
+
+
+def _setting(run: FinishedRun) -> tuple[str, ...]:
+    return run.setting
+
+
+def run_list(sweep: Sweep, folder: Path) -> str:
+    """Return a list of the runs: a link from a folder to each, and the command that made it."""
+    lines = ["## Runs", ""]
+    for run in (run for runs in sweep.rows.values() for run in runs):
+        where = path_between(folder, run.folder)
+        command = str(run.facts.get("command", "command not recorded"))
+        lines.append(f"- [{run.name}]({where}/) ([config.yaml]({where}/config.yaml)): `{command}`")
+    return "\n".join([*lines, ""])
+
+
+def write_tables(sweep: Sweep, output: Path) -> None:
+    """Write `report.md`, and every table as CSV and LaTeX."""
+    output.mkdir(parents=True, exist_ok=True)
+    atomic_write(output / "report.md", f"{report_markdown(sweep)}\n{run_list(sweep, output)}")
+    for table in sweep.tables:
+        atomic_write(output / f"{table.name}.csv", as_csv(table, sweep.table_rows))
+        atomic_write(output / f"{table.name}.tex", as_latex(table, sweep.table_rows))
+    for datasets in sweep.datasets:
+        atomic_write(output / f"{datasets.name}.csv", dataset_csv(datasets))
+        atomic_write(output / f"{datasets.name}.tex", dataset_latex(datasets))

@@ -1,0 +1,102 @@
+"""Gaps between rows in one metric, with standard errors over seeds."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from omniocc.report.runs import FinishedRun
+
+
+class Gap(NamedTuple):
+    """A difference between two rows.
+
+    Attributes:
+        here: the difference; nan if it cannot be measured.
+        error: its standard error; nan as long as no row has two seeds.
+        freedom: degrees of freedom of the error.
+    """
+
+    here: float
+    error: float
+    freedom: int
+
+
+UNKNOWN = Gap(math.nan, math.nan, 0)
+
+
+def gap_of_systems(better: Sequence[FinishedRun], other: Sequence[FinishedRun], key: str) -> Gap:
+    """Return the gap between two systems that share no training: Student's t for two samples of equal variance."""
+    samples = [np.array(_values(runs, key)) for runs in (better, other)]
+    if not all(len(sample) for sample in samples):
+        return UNKNOWN
+    here = float(samples[0].mean() - samples[1].mean())
+    freedom = sum(len(sample) - 1 for sample in samples)
+    if not freedom:
+        return Gap(here, math.nan, 0)
+    squares = sum(float(np.square(sample - sample.mean()).sum()) for sample in samples)
+    return Gap(here, math.sqrt(squares / freedom * sum(1 / len(sample) for sample in samples)), freedom)
+
+
+def _values(runs: Sequence[FinishedRun], key: str) -> list[float]:
+    return [value for run in runs if not math.isnan(value := run.metrics.get(key, math.nan))]
+
+
+class Gaps:
+    """Gaps between rows that share the stages of a seed, with the effect of the seed removed.
+
+    A figure is modelled as the sum of an effect of its row, an effect of its seed and noise (least squares over all
+    runs), since rows share depth, sketch and order of samples of a seed. For two rows with the same seeds this is the
+    paired t-test; a row that lacks a seed is compared on those it has. The noise has one variance in all rows, because
+    two or three seeds are too few to estimate it for each. A seed on other data is another seed.
+
+    Args:
+        rows: the runs of each row.
+        key: key of the metric; runs without it do not count.
+
+    Attributes:
+        freedom: degrees of freedom of the noise; 0 if no row has a second seed.
+        spread: standard deviation of the noise; nan if no row has a second seed.
+    """
+
+    def __init__(self, rows: Mapping[str, Sequence[FinishedRun]], key: str):
+        entries = [
+            (row, (run.facts.get("data"), run.facts.get("seed")), value)
+            for row, runs in rows.items()
+            for run in runs
+            if not math.isnan(value := run.metrics.get(key, math.nan))
+        ]
+        self._place: dict[tuple, int] = {}
+        for row, *_ in entries:
+            self._place.setdefault(("row", row), len(self._place))
+        for _, seed, _ in entries:
+            self._place.setdefault(("seed", seed), len(self._place))
+        self._design = np.zeros((len(entries), len(self._place)))
+        for line, (row, seed, _) in enumerate(entries):
+            self._design[line, [self._place["row", row], self._place["seed", seed]]] = 1
+        values = np.array([value for *_, value in entries])
+        self._inverse = np.linalg.pinv(self._design)
+        self._effects = self._inverse @ values
+        self.freedom = len(entries) - int(np.linalg.matrix_rank(self._design)) if entries else 0
+        left = float(np.square(values - self._design @ self._effects).sum())
+        self.spread = math.sqrt(left / self.freedom) if self.freedom else math.nan
+
+    def has(self, row: str) -> bool:
+        """Return whether the row has a figure."""
+        return ("row", row) in self._place
+
+    def between(self, better: str, other: str) -> Gap:
+        """Return the gap between two rows.
+
+        It is unknown if a row has not run, or the rows have no seeds in common, directly or through others.
+        """
+        if not (self.has(better) and self.has(other)):
+            return UNKNOWN
+        contrast = np.zeros(len(self._place))
+        contrast[self._place["row", better]], contrast[self._place["row", other]] = 1, -1
+        weights = contrast @ self._inverse
+        if not np.allclose(weights @ self._design, contrast):
+            return UNKNOWN
+        error = self.spread * math.sqrt(float(weights @ weights))
+        return Gap(float(contrast @ self._effects), error, self.freedom)

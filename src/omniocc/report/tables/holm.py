@@ -1,0 +1,22 @@
+"""Holm's correction for several tests of one family."""
+
+from collections.abc import Sequence
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """Return p-values adjusted for their number, in the same order.
+
+    Rejecting all hypotheses whose adjusted p-value is below alpha keeps the probability of one wrong rejection or more
+    below alpha, whatever the tests have in common. Holm, 'A simple sequentially rejective multiple test procedure',
+    Scandinavian Journal of Statistics 6, 1979.
+
+    Example:
+        >>> [round(p, 3) for p in holm([0.01, 0.04, 0.03])]
+        [0.03, 0.06, 0.06]
+    """
+    adjusted, largest = [0.0] * len(p_values), 0.0
+    order = sorted(range(len(p_values)), key=lambda k: p_values[k])
+    for rank, place in enumerate(order):
+        largest = max(largest, min(1.0, (len(order) - rank) * p_values[place]))
+        adjusted[place] = largest
+    return adjusted

@@ -1,0 +1,184 @@
+"""How many seeds a gap of the paper's size needs before it can be found."""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import yaml
+from scipy import stats
+
+from omniocc.errors import UserError
+from omniocc.report.tables.claims import LEVEL, Rows, pairs_of, parts_of, rows_in
+from omniocc.report.tables.gaps import Gaps
+from omniocc.report.tables.paper import PaperRow, PaperTable, figure_of
+from omniocc.run.table import markdown
+
+WANTED = 0.8
+"""Probability with which a gap of the paper's size is to be found."""
+MOST, OTHERS = 999, 3
+"""Most seeds that are tried, and the seeds of the rows that a claim is not about."""
+TITLE = "Seeds that a gap of the paper's size needs"
+
+
+class Spread(NamedTuple):
+    """Standard deviations of RayIoU between seeds.
+
+    Attributes:
+        source: where the figures come from.
+        parts: of rows that share the stages of a seed, without the effects of row and seed.
+        systems: of a row that shares nothing.
+    """
+
+    source: str
+    parts: float
+    systems: float
+
+
+class Wanted(NamedTuple):
+    """A claim whose power is asked for: the printed gap, and the same in proportion to the score here."""
+
+    title: str
+    table: str
+    compares: str
+    paper: float
+    size: float
+
+
+def load_spreads(path: Path) -> list[Spread]:
+    """Return the spreads of a file such as `sweeps/power.yaml`; none without the file.
+
+    Raises:
+        UserError: if an entry lacks a key, or a spread is not above 0.
+    """
+    if not path.exists():
+        return []
+    try:
+        entries = yaml.safe_load(path.read_text())["spreads"]
+        found = [Spread(str(entry["source"]), float(entry["parts"]), float(entry["systems"])) for entry in entries]
+    except (KeyError, TypeError, ValueError) as error:
+        raise UserError(f"{path}: every entry of spreads has source, parts and systems: {error}") from error
+    if not all(min(entry.parts, entry.systems) > 0 for entry in found):
+        raise UserError(f"{path}: a spread is above 0")
+    return found
+
+
+def spread_of(given: Sequence[float]) -> Spread:
+    """Return the spread that a user gives: of parts, and of systems; raise UserError for other numbers."""
+    if len(given) != 2 or min(given) <= 0:
+        raise UserError("give two spreads above 0: of parts of one system, and of systems alone, such as 0.005 0.015")
+    return Spread("given", *given)
+
+
+def measured(tables: Sequence[PaperTable], rows: Rows, key: str) -> Spread | None:
+    """Return the spreads of the runs themselves; None as long as no part, or no system, has two seeds."""
+    systems = rows_in([table for table in tables if table.compares == "systems"], rows)
+    spreads = [figure.spread for runs in systems.values() if (figure := figure_of(runs, key)) and figure.seeds > 1]
+    parts = Gaps(parts_of(tables, rows), key).spread
+    if math.isnan(parts) or not spreads:
+        return None
+    return Spread("the runs here", parts, math.sqrt(sum(spread * spread for spread in spreads) / len(spreads)))
+
+
+def wanted(tables: Sequence[PaperTable], rows: Rows) -> list[Wanted]:
+    """Return the claims of all tables by the paper's own metric, each once, whether its rows have run or not."""
+    found: dict[tuple[str, str, str], Wanted] = {}
+    for table in tables:
+        for better, other in pairs_of(table):
+            name = better.run.partition("@")[0], other.run.partition("@")[0], table.order_by
+            found.setdefault(name, _wanted(table, better, other, rows))
+    return list(found.values())
+
+
+def _wanted(table: PaperTable, better: PaperRow, other: PaperRow, rows: Rows) -> Wanted:
+    most, less = better.paper[table.order_by] or 0.0, other.paper[table.order_by] or 0.0
+    score = figure_of(rows.get(better.run, ()), table.order_by)
+    size = most - less if score is None else (most - less) / most * score.mean
+    title = f"{better.title} ahead of {other.title}"
+    return Wanted(title, table.title, table.compares, most - less, size)
+
+
+def power_of(size: float, error: float, freedom: int, claims: int) -> float:
+    """Return the probability that Student's t finds a gap of a size, with its sign.
+
+    Args:
+        size: true gap.
+        error: standard error of its estimate.
+        freedom: degrees of freedom of the error.
+        claims: number of claims in the family. Holm's first step is taken, which is the strictest.
+    """
+    bound = stats.t.isf(LEVEL / claims / 2, freedom)
+    return float(stats.nct.sf(bound, freedom, size / error))
+
+
+def freedom_of_systems(seeds: int) -> int:
+    """Return the degrees of freedom of a gap between two systems."""
+    return 2 * seeds - 2
+
+
+def freedom_of_parts(seeds: int, rows: int) -> int:
+    """Return the degrees of freedom of the noise of parts if two rows have these seeds, and the others `OTHERS`."""
+    runs = 2 * seeds + (rows - 2) * OTHERS
+    return runs - (rows + (max(seeds, OTHERS) if rows > 2 else seeds) - 1)
+
+
+def seeds_needed(size: float, spread: float, freedom: Callable[[int], int], claims: int) -> int | None:
+    """Return the smallest number of seeds with which a gap is found in `WANTED` of all cases; None above `MOST`."""
+
+    def enough(seeds: int) -> bool:
+        return power_of(size, spread * math.sqrt(2 / seeds), freedom(seeds), claims) >= WANTED
+
+    low, high = 1, MOST
+    if not enough(high):
+        return None
+    while high - low > 1:  # power grows with the seeds
+        middle = (low + high) // 2
+        low, high = (low, middle) if enough(middle) else (middle, high)
+    return high
+
+
+def power_cells(
+    tables: Sequence[PaperTable], rows: Rows, spreads: Sequence[Spread]
+) -> tuple[list[str], list[list[str]]]:
+    """Return head and a line for each claim: the paper's gap, and the seeds that it needs at every spread."""
+    claims, parts = wanted(tables, rows), _number_of_parts(tables)
+    lines = []
+    for claim in claims:
+        gaps = f"{claim.paper:+.3f}", f"{claim.size:+.3f}"
+        lines.append([claim.title, claim.table, *gaps, *_needed(claim, spreads, parts, len(claims))])
+    head = [f"spread {entry.parts:.4f} / {entry.systems:.4f}" for entry in spreads]
+    return ["claim", "table", "paper", "in proportion", *head], lines
+
+
+def _needed(claim: Wanted, spreads: Sequence[Spread], parts: int, claims: int) -> Iterator[str]:
+    for entry in spreads:
+        if claim.compares == "systems":
+            seeds = seeds_needed(claim.size, entry.systems, freedom_of_systems, claims)
+        else:
+            seeds = seeds_needed(claim.size, entry.parts, lambda n: freedom_of_parts(n, parts), claims)
+        yield f"> {MOST}" if seeds is None else str(seeds)
+
+
+def _number_of_parts(tables: Sequence[PaperTable]) -> int:
+    """Return the number of rows over which the noise of parts is estimated: those of claims on the main data."""
+    named = {row.run for table in tables if table.compares == "parts" for pair in pairs_of(table) for row in pair}
+    return max(2, len({row for row in named if "@" not in row}))
+
+
+def power_chapter(tables: Sequence[PaperTable], rows: Rows, given: Sequence[Spread]) -> str:
+    """Return the page as Markdown; empty if no spread is given or measured."""
+    here = measured(tables, rows, "test/rayiou")
+    spreads = [*given, *([] if here is None else [here])]
+    if not spreads:
+        return ""
+    head, lines = power_cells(tables, rows, spreads)
+    parts, claims = _number_of_parts(tables), len(lines)
+    sources = [f"* {entry.parts:.4f} / {entry.systems:.4f}: {entry.source}" for entry in spreads]
+    note = (
+        f"How many seeds both rows of a claim need, so that a true gap of the paper's size, in proportion to the score "
+        f"here, is found with a probability of {WANTED:.0%}. Student's t at {LEVEL:.0%} / {claims}, the first and "
+        f"strictest step of Holm's correction for {claims} claims; own voxels. A spread is the standard deviation "
+        f"between seeds: of parts of one system, without the effects of row and seed, estimated over {parts} rows of "
+        f"{OTHERS} seeds or more / of a system alone."
+    )
+    return "\n".join([f"## {TITLE}", "", note, "", *sources, "", markdown(head, lines)])

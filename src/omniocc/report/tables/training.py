@@ -1,0 +1,113 @@
+"""The same claims after more steps, side by side, and the learning curves."""
+
+import statistics
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+from omniocc.report.sweep import Sweep
+from omniocc.report.tables.claims import JUDGES, Judged, Name, metric_of, name_of, pairs_of
+from omniocc.report.tables.paper import figure_of, with_spread
+from omniocc.run.curves import read_curve
+from omniocc.run.table import markdown, number
+
+TITLE = "The same claims after more steps"
+NOTE = (
+    "Claims whose two rows have run with several numbers of steps of the last stage; depth and sketch are the same. "
+    "Each number of steps has a family of claims of its own. Last column: whether the verdict is the same."
+)
+CURVES = (
+    "RayIoU on validation scenes on the way, mean over seeds, at the last validation up to each part of the steps. "
+    "The learning rate falls to the end of all steps, so that the beginning of a long run is not a short run."
+)
+PARTS = (0.05, 0.1, 0.25, 0.5, 0.75, 1.0)
+
+
+class Compared(NamedTuple):
+    """A claim in the settings in which it was decided, by steps."""
+
+    title: str
+    judge: str
+    found: Mapping[str, Judged]
+
+
+def chapter(sweep: Sweep) -> str:
+    """Return the page as Markdown: rows, claims and curves of the sweep and of its `longer` ones."""
+    sweeps = by_steps(sweep)
+    rows = [row for row in sweep.rows if any(row in each.rows for each in sweep.longer)]
+    if not rows:
+        return ""
+    parts = [f"## {TITLE}", NOTE, markdown(*score_cells(sweeps, rows)).rstrip()]
+    if claims := list(compared(sweeps)):
+        parts.append(markdown(*claim_cells(claims, list(sweeps))).rstrip())
+    parts += ["### Learning curves", CURVES, markdown(*curve_cells(sweeps, rows))]
+    return "\n\n".join(parts)
+
+
+def by_steps(sweep: Sweep) -> dict[str, Sweep]:
+    """Return a sweep and its longer ones by their number of steps."""
+    return {each.runs[0].setting[1]: each for each in (sweep, *sweep.longer)}
+
+
+def score_cells(sweeps: Mapping[str, Sweep], rows: Sequence[str]) -> tuple[list[str], list[list[str]]]:
+    """Return head and a line for each row: RayIoU by both judges at every number of steps."""
+    head = ["row", *(f"{title}, {steps} steps" for title in ("RayIoU", "LiDAR") for steps in sweeps)]
+    lines = []
+    for row in rows:
+        keys = [
+            (sweep.rows.get(row, ()), key) for key in ("test/rayiou", "test/lidar/rayiou") for sweep in sweeps.values()
+        ]
+        lines.append([row, *(with_spread(key, figure_of(runs, key)) for runs, key in keys)])
+    return head, lines
+
+
+def compared(sweeps: Mapping[str, Sweep]) -> Iterator[Compared]:
+    """Yield the claims that were decided at two numbers of steps or more, each once."""
+    first, decided = next(iter(sweeps.values())), {steps: sweep.claims for steps, sweep in sweeps.items()}
+    seen = set()
+    for table in first.tables:
+        for better, other in pairs_of(table):
+            for judge in JUDGES:
+                key = metric_of(table, judge)
+                names: dict[str, Name | None] = {
+                    steps: name_of(better, other, sweep.rows, key) for steps, sweep in sweeps.items()
+                }
+                found = {steps: decided[steps][name] for steps, name in names.items() if name}
+                known = tuple(names.values())
+                if len(found) > 1 and known not in seen:
+                    seen.add(known)
+                    yield Compared(f"{better.title} ahead of {other.title}", judge, found)
+
+
+def claim_cells(claims: Sequence[Compared], steps: Sequence[str]) -> tuple[list[str], list[list[str]]]:
+    """Return head and a line for each claim: gap and verdict at every number of steps."""
+    head = ["claim", "paper", "judge", *(title for each in steps for title in (f"at {each} steps", "verdict")), "same"]
+    lines = []
+    for claim in claims:
+        verdicts = [found.verdict for found in claim.found.values()]
+        cells = [
+            cell
+            for each in steps
+            for cell in ((claim.found[each].claim.measured, claim.found[each].verdict) if each in claim.found else "––")
+        ]
+        paper = next(iter(claim.found.values())).claim.paper
+        same = "yes" if len(set(verdicts)) == 1 else "no"
+        lines.append([claim.title, f"{paper:+.3f}", claim.judge, *cells, same])
+    return head, lines
+
+
+def curve_cells(sweeps: Mapping[str, Sweep], rows: Sequence[str]) -> tuple[list[str], list[list[str]]]:
+    """Return head and a line for each row and number of steps: RayIoU on validation scenes after parts of the steps."""
+    lines = []
+    for row in rows:
+        for steps, sweep in sweeps.items():
+            ends = [float(steps) * part for part in PARTS]
+            curves = [read_curve(run.folder, "val/rayiou") for run in sweep.rows.get(row, ())]
+            if curves:
+                lines.append([row, steps, *(number(_at(curves, end)) for end in ends)])
+    return ["row", "steps", *(f"{part:.0%}" for part in PARTS)], lines
+
+
+def _at(curves: Sequence[Mapping[int, float]], end: float) -> float | None:
+    """Return the mean of the last values up to a step; None if a curve has none."""
+    values = [[curve[step] for step in sorted(curve) if step <= end][-1:] for curve in curves]
+    return statistics.mean(value for (value,) in values) if all(values) else None

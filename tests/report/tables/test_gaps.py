@@ -1,0 +1,76 @@
+"""Gaps between rows, and their standard errors over seeds."""
+
+import math
+import statistics
+
+import pytest
+from scipy import stats
+
+from omniocc.report.runs import FinishedRun
+from omniocc.report.tables.gaps import UNKNOWN, Gaps, gap_of_systems
+
+KEY = "test/rayiou"
+
+
+def row(name: str, *values: float) -> list[FinishedRun]:
+    return [FinishedRun(f"{name}-{k:08x}", {"seed": k}, {KEY: value}) for k, value in enumerate(values)]
+
+
+def test_two_rows_are_compared_as_in_a_paired_t_test():
+    better, other = [0.30, 0.35, 0.31], [0.22, 0.28, 0.21]
+    gap = Gaps({"ours": row("ours", *better), "dense": row("dense", *other)}, KEY).between("ours", "dense")
+    reference = stats.ttest_rel(better, other)
+    assert gap.here == pytest.approx(statistics.mean(better) - statistics.mean(other))
+    assert gap.here / gap.error == pytest.approx(reference.statistic)
+    assert gap.freedom == reference.df
+
+
+def test_all_rows_tell_about_the_spread():
+    """Complete rows and seeds: the deviations from row mean and seed mean, as of a two-way analysis of variance."""
+    values = {"a": [0.30, 0.36], "b": [0.20, 0.21], "c": [0.25, 0.29]}
+    gaps = Gaps({name: row(name, *of_row) for name, of_row in values.items()}, KEY)
+    means = {name: statistics.mean(of_row) for name, of_row in values.items()}
+    seeds = [statistics.mean(of_row[k] for of_row in values.values()) for k in (0, 1)]
+    every = statistics.mean(seeds)
+    left = [of_row[k] - means[name] - seeds[k] + every for name, of_row in values.items() for k in (0, 1)]
+    spread = math.sqrt(sum(value * value for value in left) / 2)
+    assert gaps.spread == pytest.approx(spread)
+    assert gaps.between("a", "b") == pytest.approx((means["a"] - means["b"], spread, 2))
+
+
+def test_a_row_that_lacks_a_seed_is_compared_on_those_it_has():
+    """Every figure of the second seed is .04 higher; the row without it owes nothing to that."""
+    runs = {"ours": row("ours", 0.30, 0.34), "mono": row("mono", 0.20, 0.24), "dense": row("dense", 0.25)}
+    assert Gaps(runs, KEY).between("ours", "dense") == pytest.approx((0.05, 0.0, 1))
+
+
+def test_nothing_is_said_of_rows_that_no_seed_connects():
+    other = [run._replace(facts={"seed": 7}) for run in row("dense", 0.25)]
+    gaps = Gaps({"ours": row("ours", 0.30, 0.34), "dense": other}, KEY)
+    assert all(map(math.isnan, gaps.between("ours", "dense")[:2]))
+    assert gaps.between("ours", "mono") is UNKNOWN
+    assert not Gaps({}, KEY).has("ours")
+
+
+def test_a_seed_on_other_data_is_another_seed():
+    """The two rows of other data are .1 lower; their gap is measured, one across the data is not."""
+    elsewhere = {
+        name: [run._replace(facts=run.facts | {"data": "d"}) for run in row(name, *values)]
+        for name, values in {"far": (0.20, 0.25), "farther": (0.17, 0.22)}.items()
+    }
+    gaps = Gaps({"a": row("a", 0.30, 0.36), "b": row("b", 0.28, 0.34), **elsewhere}, KEY)
+    assert gaps.between("far", "farther").here == pytest.approx(0.03)
+    assert gaps.freedom == 2
+    assert gaps.between("a", "far") is UNKNOWN
+
+
+def test_systems_are_compared_as_in_a_t_test_of_two_samples():
+    better, other = [0.30, 0.35, 0.31], [0.22, 0.28]
+    reference = stats.ttest_ind(better, other)
+    gap = gap_of_systems(row("ours", *better), row("bevdet", *other), KEY)
+    assert gap.here / gap.error == pytest.approx(reference.statistic)
+    assert gap.freedom == reference.df == 3
+    single = gap_of_systems(row("ours", 0.3), row("bevdet", 0.2), KEY)
+    assert single[0] == pytest.approx(0.1)
+    assert math.isnan(single.error)
+    assert gap_of_systems(row("ours", 0.3), [], KEY) is UNKNOWN

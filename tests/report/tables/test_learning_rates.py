@@ -1,0 +1,60 @@
+"""The learning rate of each system, chosen among equally many tries."""
+
+import pytest
+
+from omniocc.report.runs import FinishedRun
+from omniocc.report.tables.learning_rates import common_name, learning_rates, tried_rates
+
+
+def run(name: str, rate: float, seed: int, score: float, layers: int = 1, data: str = "d") -> FinishedRun:
+    stages = {"occupancy": {"learning_rate": rate}}
+    config = {"name": name, "seed": seed, "model": {"layers": layers}, "optimizer": {"learning_rate": rate}}
+    config |= {"preset": {"stages": stages}}
+    metrics = {"val/rayiou": score, "test/rayiou": 1 - score}
+    return FinishedRun(f"{name}-{seed:08x}", {"seed": seed, "data": data}, metrics, config=config)
+
+
+RUNS = [
+    run("ours_001", 0.001, 0, 0.30), run("ours_003", 0.003, 0, 0.36), run("ours_01", 0.01, 0, 0.35),
+    run("ours", 0.003, 1, 0.10),  # no other rate has this seed
+    run("bevdet_001", 0.001, 0, 0.10, layers=2), run("bevdet_01", 0.01, 0, 0.20, layers=2),
+    run("mono", 0.003, 0, 0.26, layers=3),  # one rate
+    run("ours_far_003", 0.003, 0, 0.2, data="e"), run("ours_far_01", 0.01, 0, 0.2, data="e"),
+]  # fmt: skip
+
+
+def test_systems_are_told_by_everything_but_the_rate():
+    found = {tried.name: tried for tried in tried_rates(RUNS)}
+    assert list(found) == ["bevdet", "ours", "ours_far"]
+    assert {rate: [run.name for run in runs] for rate, runs in found["ours"].runs.items()} == {
+        0.001: ["ours_001-00000000"], 0.003: ["ours_003-00000000"], 0.01: ["ours_01-00000000"],
+    }  # fmt: skip
+    assert {name: tried.chosen for name, tried in found.items()} == {"bevdet": 0.01, "ours": 0.003, "ours_far": 0.003}
+
+
+def test_two_seeds_are_averaged_if_all_rates_have_them():
+    second = [run("ours_001", 0.001, 1, 0.50), run("ours_003", 0.003, 1, 0.40)]
+    (tried,) = tried_rates([*RUNS[:2], *second])
+    assert tried.chosen == 0.001
+    (line,) = (line for line in learning_rates([*RUNS[:2], *second]).splitlines() if line.startswith("| ours"))
+    assert line == "| ours | 0.400 ± 0.141 | 0.380 ± 0.028 | 2 | 2 | 0.001 |"
+
+
+def test_the_page_shows_validation_scores_alone():
+    text = learning_rates(RUNS)
+    assert "| ours | 0.300 | 0.360 | 0.350 | 3 | 1 | 0.003 |" in text
+    assert "| bevdet | 0.100 | – | 0.200 | 2 | 1 | 0.01 |" in text
+    assert "0.640" not in text
+    assert learning_rates(RUNS[-3:-2]) == ""
+
+
+@pytest.mark.parametrize(
+    ("rows", "name"),
+    [
+        (["ours_001", "ours_003", "ours"], "ours"),
+        (["bevdet_ranges_001", "bevdet_ranges_01"], "bevdet_ranges"),
+        (["a", "b"], "a"),
+    ],
+)
+def test_names(rows, name):
+    assert common_name(rows) == name

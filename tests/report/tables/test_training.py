@@ -1,0 +1,65 @@
+"""The same claims after more steps."""
+
+from pathlib import Path
+
+import pytest
+
+from omniocc.report.runs import FinishedRun
+from omniocc.report.sweep import Sweep
+from omniocc.report.tables import training
+from omniocc.report.tables.paper import load_table
+
+SKETCH = load_table(Path(__file__).parents[3] / "sweeps" / "sketch.yaml")
+
+
+def runs(folder: Path, name: str, steps: int, *scores: float) -> list[FinishedRun]:
+    found = []
+    for seed, score in enumerate(scores):
+        place = folder / f"{name}-{steps:08d}-{seed}"
+        (place / "csv" / "version_0").mkdir(parents=True)
+        lines = [
+            "step,val/rayiou",
+            f"{steps // 10},{score / 2}",
+            f"{steps // 2 - 1},{score - 0.02}",
+            f"{steps},{score}",
+        ]
+        (place / "csv" / "version_0" / "metrics.csv").write_text("\n".join(lines) + "\n")
+        facts = {"seed": seed, "preset": "tiny", "steps": steps, "data": "d"}
+        found.append(FinishedRun(place.name, facts, {"test/rayiou": score}, place))
+    return found
+
+
+@pytest.fixture
+def sweep(tmp_path) -> Sweep:
+    """At 100 steps `ours` is behind random voxels, at 1,000 ahead; `dense` has no longer run."""
+    rows = {
+        "ours": runs(tmp_path, "ours", 100, 0.20, 0.21), "dense": runs(tmp_path, "dense", 100, 0.15, 0.16),
+        "random": runs(tmp_path, "random", 100, 0.30, 0.31),
+    }  # fmt: skip
+    longer = {
+        "ours": runs(tmp_path, "ours", 1000, 0.400, 0.412),
+        "random": runs(tmp_path, "random", 1000, 0.350, 0.360),
+    }
+    short, long = (
+        Sweep([run for each in of.values() for run in each], of, "", "", [SKETCH], []) for of in (rows, longer)
+    )
+    return short._replace(longer=[long])
+
+
+def test_a_claim_is_told_for_both_numbers_of_steps(sweep):
+    sweeps = training.by_steps(sweep)
+    (claim,) = training.compared(sweeps)
+    head, (line,) = training.claim_cells([claim], list(sweeps))
+    assert head == ["claim", "paper", "judge", "at 100 steps", "verdict", "at 1000 steps", "verdict", "same"]
+    assert line == [
+        "omni depth ahead of random voxels", "+0.069", "own voxels", "-0.100 ± 0.000", "does not hold (opposite sign)",
+        "+0.051 ± 0.001", "holds", "no",
+    ]  # fmt: skip
+
+
+def test_the_page_has_scores_claims_and_curves(sweep):
+    text = training.chapter(sweep)
+    assert "| ours | 0.205 ± 0.007 | 0.406 ± 0.008 | – | – |" in text
+    assert "| dense |" not in text
+    assert "| ours | 1000 | – | 0.203 | 0.203 | 0.386 | 0.386 | 0.406 |" in text
+    assert training.chapter(sweep._replace(longer=[])) == ""
