@@ -25,10 +25,15 @@ from omniocc.report.tables import bounds, budget
 from omniocc.report.tables.claims import claim_cells
 from omniocc.report.tables.overview import table_of_runs
 from omniocc.report.tables.paper import PaperTable, as_csv, as_latex, as_markdown, is_table, load_table
+from omniocc.report.tables.robustness import robustness_markdown
 from omniocc.run.folder import METRICS
+from omniocc.run.robustness import Robustness, read_robustness
 from omniocc.run.table import markdown
 
 GENERATED = "<!-- Written by `python src/report.py --runs docs/results/runs --docs docs/results`; do not edit. -->"
+
+ROBUSTNESS = "robustness"
+"""Name of the chapter on tests under disturbances."""
 
 
 class Sweep(NamedTuple):
@@ -43,6 +48,7 @@ class Sweep(NamedTuple):
         datasets: tables of datasets.
         unfinished: runs that have begun and not finished, with the last step recorded.
         lengths: runs of all settings of the same preset by `row@steps`, which rows of tables may name.
+        robustness: tests under disturbances of these runs; the first sweep of a report has those of other files too.
     """
 
     runs: list[FinishedRun]
@@ -53,6 +59,7 @@ class Sweep(NamedTuple):
     datasets: Sequence[DatasetTable]
     unfinished: Sequence[str] = ()
     lengths: Mapping[str, Sequence[FinishedRun]] = MappingProxyType({})
+    robustness: Sequence[Robustness] = ()
 
     @property
     def setting(self) -> str:
@@ -91,6 +98,7 @@ def read_sweeps(runs: Path, tables: Path, conf: Path, preset: str | None) -> lis
     found = sorted((load_table(path) for path in paths if is_table(path)), key=lambda table: table.number or len(paths))
     first = list(dict.fromkeys(["ours", *(row.run for table in found for row in table.rows)]))
     finished = assign_rows(read_runs(runs), conf, first)
+    tests, names = read_robustness(runs), {run.name for run in finished}
 
     def sweep_of(setting: tuple[str, ...]) -> Sweep:
         kept, remark = comparable(finished, setting)
@@ -98,9 +106,13 @@ def read_sweeps(runs: Path, tables: Path, conf: Path, preset: str | None) -> lis
         rows, scenes = by_row(kept), scenes_of(kept[0])
         order = [row for row in dict.fromkeys([*first, *rows]) if row in rows]
         data = facts_of_scenes(scenes) if scenes else ""
-        return Sweep(kept, {row: rows[row] for row in order}, remark, data, found, datasets, unfinished(runs))
+        own = [test for test in tests if test.system in {run.name for run in kept}]
+        ordered = {row: rows[row] for row in order}
+        return Sweep(kept, ordered, remark, data, found, datasets, unfinished(runs), robustness=own)
 
     sweeps = [sweep_of(setting) for setting in settings_of(finished, preset)]
+    others = [test for test in tests if test.system not in names]
+    sweeps[0] = sweeps[0]._replace(robustness=[*sweeps[0].robustness, *others])
     return [sweep._replace(lengths=by_length(sweeps, sweep.runs[0].setting[0])) for sweep in sweeps]
 
 
@@ -139,7 +151,8 @@ def chapters(sweep: Sweep) -> dict[str, str]:
         head, claims = claim_cells(table, sweep.rows)
         text = as_markdown(table, sweep.table_rows)
         papers[table.name] = "\n".join([text, *([markdown(head, claims)] if claims else [])])
-    return {"bounds": baseline, **datasets, **papers, "budget": cost}
+    tests = {ROBUSTNESS: robustness_markdown(sweep.robustness)} if sweep.robustness else {}
+    return {"bounds": baseline, **datasets, **papers, **tests, "budget": cost}
 
 
 def report_markdown(sweep: Sweep) -> str:
@@ -159,7 +172,8 @@ def write_docs(sweep: Sweep, folder: Path) -> list[Path]:
     written = []
     for name, chapter in chapters(sweep).items():
         written.append(folder / f"{name}.md")
-        atomic_write(written[-1], f"{GENERATED}\n\n{chapter.replace('## ', '# ', 1)}\n{sweep.remark}\n")
+        remark = "" if name == ROBUSTNESS else f"\n{sweep.remark}\n"  # which tells of the runs of a table
+        atomic_write(written[-1], f"{GENERATED}\n\n{chapter.replace('## ', '# ', 1)}{remark}")
     return written
 
 

@@ -95,9 +95,17 @@ class Scores(nn.Module):
 
     def reset(self) -> None:
         """Reset all metrics."""
-        counted = (self.rays, self.lidar, self.cells, self.voxel_frames, self.lidar_frames)
-        for metric in (*counted, *(cast(Metric, part) for part in self.parts)):
+        for metric in self._metrics():
             metric.reset()
+
+    def merge(self, other: "Scores") -> None:
+        """Add the counts of other frames, which were scored by `other` in the same way."""
+        for metric, more in zip(self._metrics(), other._metrics(), strict=True):
+            metric.merge_state(more)
+
+    def _metrics(self) -> list[Metric]:
+        counted = (self.rays, self.lidar, self.cells, self.voxel_frames, self.lidar_frames)
+        return [*counted, *(cast(Metric, part) for part in self.parts)]
 
     def _add_voxels(self, labels: Tensor, truth: Tensor, scored: Tensor | None, origins: Tensor | None) -> None:
         seen = scored if self.benchmark is None or self.benchmark.masked_rays else None
