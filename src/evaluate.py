@@ -1,60 +1,119 @@
-"""Test a checkpoint again, or score predictions of any project as files in a benchmark's submission format.
+"""Test a checkpoint again, find what breaks it, or score predictions of any project in a benchmark's format.
 
 python src/evaluate.py runs/demo-.../best.ckpt [key=value ...]
+python src/evaluate.py runs/ours-.../best.ckpt runs/bevdet-.../best.ckpt robustness=all
+python src/evaluate.py tiny robustness=[camera_dropped,view_180_deg,extrinsics_deg]
 python src/evaluate.py predictions=folder data=occ3d_nuscenes data.source.root=...
+
+Robustness: the same test scenes are scored with something wrong, part by part; each finished part is kept, so that the
+same command goes on after a stop. A word names one part (view_180_deg) or all of a kind (view):
 """
 
 import argparse
+import textwrap
+from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
-from typing import cast
+from typing import NamedTuple, cast
 
+import cv2
+import numpy as np
 import torch
 from lightning.pytorch import Trainer
 
 from omniocc.config import build, compose_config
 from omniocc.data import Needs, OccupancyData
 from omniocc.data.origins import ORIGINS, Origins
+from omniocc.errors import UserError
+from omniocc.io import atomic_write
 from omniocc.model.occupancy import to_unit_range
 from omniocc.model.protocols import LearnedSketch, learns
 from omniocc.progress import Progress
+from omniocc.report.tables.robustness import robustness_markdown, robustness_text
 from omniocc.run.folder import IMAGES, git_commit
 from omniocc.run.results import PROTOCOL, save_results, show_results
+from omniocc.run.robustness import FOLDER, Robustness, save_robustness
 from omniocc.run.script import lines_not_tracebacks, quiet_libraries
+from omniocc.run.wandb import Loggers
+from omniocc.run.wandb.robustness import log_robustness
 from omniocc.run.weights import SHIPPED, find_checkpoint
 from omniocc.task import OccupancyTask, StepProgress
 from omniocc.task.audit import Audit
 from omniocc.task.build import load_task
 from omniocc.task.images import OccupancyImages
+from omniocc.task.robustness.evaluation import robustness_of, system_of
+from omniocc.task.robustness.parts import UNSEEN, parts_of
 from omniocc.task.submission import score_files
+
+CONF = Path(__file__).parents[1] / "conf"
+
+
+class Words(NamedTuple):
+    """The words of the command line that are no options.
+
+    Attributes:
+        checkpoints: files, those of shipped names included.
+        overrides: of the configuration of the checkpoints.
+        predictions: folder of files to be scored; None: checkpoints are tested.
+        robustness: `all`, or names of parts; None: no robustness test.
+    """
+
+    checkpoints: Sequence[Path]
+    overrides: Sequence[str]
+    predictions: Path | None = None
+    robustness: list[str] | None = None
+
+    @classmethod
+    def of(cls, words: Sequence[str]) -> "Words":
+        """Return the words by their meaning; what is a file or has no `=` is a checkpoint."""
+        files = [word for word in words if "=" not in word or Path(word).is_file()]
+        settings = {key: value for key, _, value in (word.partition("=") for word in words if word not in files)}
+        predictions, robustness = settings.pop("predictions", None), settings.pop("robustness", None)
+        return cls(
+            [find_checkpoint(Path(file)) for file in files],
+            [f"{key}={value}" for key, value in settings.items()],
+            None if predictions is None else Path(predictions),
+            None if robustness is None else robustness.strip("[]").replace(" ", "").split(","),
+        )
+
+
+def parser_of() -> argparse.ArgumentParser:
+    """Return the parser of the command line, whose help lists the kinds of disturbances."""
+    kinds = ", ".join(dict.fromkeys(part.group for part in parts_of(("front", "left", "rear"), (UNSEEN,))[1:]))
+    about = "\n".join([__doc__ or "", *textwrap.wrap(kinds, 110)])
+    parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
+    what = "file written by train.py, name of shipped weights, predictions=folder, robustness=..., or key=value"
+    parser.add_argument("words", nargs="+", metavar="word", help=f"{what} such as data.batch_size=1")
+    where = "folder of results (default: evaluation-<checkpoint>, or robustness-<checkpoint>, beside it)"
+    parser.add_argument("--output", type=Path, help=where)
+    rays = "where rays of RayIoU start: own (the dataset's protocol, else the ego origin: the default), ego, or "
+    rays += "trajectory (where the car was in past, present and future frames, scored apart as well)"
+    parser.add_argument("--origins", choices=ORIGINS, default="own", help=rays)
+    parser.add_argument("--images", type=int, default=4, help="test frames to draw (default: 4)")
+    parser.add_argument("--audit", action="store_true", help="only print where the score is lost, on validation scenes")
+    parser.add_argument("--scenes", type=int, default=8, help="robustness: test scenes, the first ones (default: 8)")
+    parser.add_argument("--seed", type=int, default=0, help="robustness: of what is drawn at random (default: 0)")
+    return parser
 
 
 @lines_not_tracebacks
 def main(arguments: list[str] | None = None) -> None:
     """Rebuild the model from its file, score it on the test scenes, write the results beside the checkpoint."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("checkpoint", help="file written by train.py, a name of shipped weights, or predictions=folder")
-    parser.add_argument("overrides", nargs="*", help="key=value, such as data.batch_size=1")
-    parser.add_argument(
-        "--output",
-        type=Path,
-        help="folder of results (default: evaluation-<checkpoint> beside it, and the origins if they are given)",
-    )
-    parser.add_argument("--images", type=int, default=4, help="test frames to draw")
-    where = "where rays of RayIoU start: own (the dataset's protocol, else the ego origin: the default), ego, or "
-    where += "trajectory (where the car was in past, present and future frames, scored apart as well)"
-    parser.add_argument("--origins", choices=ORIGINS, default="own", help=where)
-    parser.add_argument("--audit", action="store_true", help="only print where the score is lost, on validation scenes")
-    options = parser.parse_intermixed_args(arguments)
-    for override in options.overrides:
-        if "=" not in override:
-            parser.error(f"'{override}' is not key=value; one checkpoint at a time")
+    options = parser_of().parse_intermixed_args(arguments)
+    words = Words.of(options.words)
     quiet_libraries()
-    if options.checkpoint.startswith("predictions="):
-        folder = Path(options.checkpoint.partition("=")[2])
-        score_predictions(folder, options.overrides, options.output, options.origins)
+    if words.predictions is not None:
+        score_predictions(words.predictions, words.overrides, options.output, options.origins)
         return
-    checkpoint = find_checkpoint(Path(options.checkpoint))
-    task, data = load_task(checkpoint, options.overrides)
+    if not words.checkpoints:
+        raise UserError("name a checkpoint, a shipped file of weights, or predictions=folder")
+    if words.robustness is not None:
+        score_robustness(words.checkpoints, words.overrides, words.robustness, options)
+        return
+    if len(words.checkpoints) > 1:
+        raise UserError(f"'{words.checkpoints[1]}' is not key=value; several checkpoints only with robustness=...")
+    checkpoint, overrides = words.checkpoints[0], words.overrides
+    task, data = load_task(checkpoint, overrides)
     data.cast_from(options.origins)
     if options.audit:
         data.prepare_data()
@@ -62,8 +121,7 @@ def main(arguments: list[str] | None = None) -> None:
         for name, value in audit(task, data):
             print(f"{name:58} {value}")
         return
-    beside = Path("runs") if checkpoint.parent == SHIPPED else checkpoint.parent
-    folder = options.output or beside / f"evaluation-{checkpoint.stem}{suffix(options.origins)}"
+    folder = options.output or beside(checkpoint) / f"evaluation-{checkpoint.stem}{suffix(options.origins)}"
     folder.mkdir(parents=True, exist_ok=True)
     images = OccupancyImages(folder / IMAGES, options.images, data.source.spec.classes)
     trainer = Trainer(
@@ -80,9 +138,47 @@ def main(arguments: list[str] | None = None) -> None:
     show_results(folder)
 
 
-def score_predictions(folder: Path, overrides: list[str], output: Path | None, origins: Origins) -> None:
+def score_robustness(
+    checkpoints: Sequence[Path], overrides: Sequence[str], wanted: Sequence[str], options: argparse.Namespace
+) -> None:
+    """Score checkpoints under disturbances, one after the other; write and log the results, print the comparison."""
+    logging = [word for word in overrides if word.startswith("logger.")]
+    others = [word for word in overrides if word not in logging]
+    logger: Loggers = build(compose_config(CONF, "train", logging).logger)
+    records = []
+    for checkpoint in checkpoints:
+        name = f"{FOLDER}{checkpoint.stem}"
+        folder = beside(checkpoint) / name if options.output is None else options.output / system_of(checkpoint) / name
+        task, data = load_task(checkpoint, others)
+        record = robustness_of(task, data, checkpoint, wanted, options.scenes, options.seed, folder)
+        save_robustness(folder, record)
+        atomic_write(folder / "table.md", robustness_markdown([record]))
+        log_robustness(logger.build(folder, task.config, "robustness"), record, draw([record], folder))
+        records.append(record)
+        print(f"table     {folder / 'table.md'}", flush=True)
+    print(f"\n{robustness_text(records)}\n\nall systems: python src/report.py")
+
+
+def draw(records: Sequence[Robustness], folder: Path) -> np.ndarray | None:
+    """Write the plot of a test, and return it as an RGB image; None without matplotlib."""
+    if find_spec("matplotlib") is None:
+        print("No plot: matplotlib is missing (pip install --editable '.[plot]').")
+        return None
+    from omniocc.report.plots.robustness import drops
+
+    path = folder / "robustness.png"
+    drops(records).savefig(path, dpi=150, facecolor="white")
+    return cv2.cvtColor(np.asarray(cv2.imread(str(path))), cv2.COLOR_BGR2RGB)
+
+
+def beside(checkpoint: Path) -> Path:
+    """Return the folder in which the folder of results is made."""
+    return Path("runs") if checkpoint.parent == SHIPPED else checkpoint.parent
+
+
+def score_predictions(folder: Path, overrides: Sequence[str], output: Path | None, origins: Origins) -> None:
     """Score the files in a folder on the test scenes of the data that the overrides choose; write table and figures."""
-    data: OccupancyData = build(compose_config(Path(__file__).parents[1] / "conf", "train", overrides).data)
+    data: OccupancyData = build(compose_config(CONF, "train", overrides).data)
     source = data.source
     source.prepare()
     metrics, protocol = score_files(source, folder, origins=origins)

@@ -20,6 +20,7 @@ from omniocc.report.keep import keep_records
 from omniocc.report.page import page
 from omniocc.report.runs import read_runs
 from omniocc.report.sweep import Sweep, read_sweeps
+from omniocc.report.tables import robustness as disturbed
 from omniocc.report.tables.power import power_chapter, spread_of
 from omniocc.report.tables.tried import tried_chapter
 from omniocc.run.script import lines_not_tracebacks
@@ -107,13 +108,17 @@ def draw(sweep: Sweep, output: Path) -> dict[str, tuple[str, str]]:
     if find_spec("matplotlib") is None:
         print("No plots: matplotlib is missing (pip install --editable '.[plot]').")
         return {}
+    from omniocc.report.plots import robustness
     from omniocc.report.plots.figures import PLOTS
     from omniocc.report.plots.svg import as_svg
 
     (output / "plots").mkdir(exist_ok=True)
     drawn = {}
-    for name, (title, plot) in PLOTS.items():
-        if (figure := plot(sweep.rows)) is not None:
+    figures = {name: (title, plot(sweep.rows)) for name, (title, plot) in PLOTS.items()}
+    if sweep.robustness:
+        figures["robustness"] = (disturbed.TITLE, robustness.drops(disturbed.comparable(sweep.robustness)[0]))
+    for name, (title, figure) in figures.items():
+        if figure is not None:
             figure.savefig(output / "plots" / f"{name}.png", dpi=150, facecolor="white")
             drawn[name] = (title, as_svg(figure, name, title))
     return drawn

@@ -189,7 +189,16 @@ def test_stages_run_once_and_are_shared(tmp_path, data_root):
     assert content["metrics"]["label/rayiou_now"] == 1
     online = content["metrics"]["test/voxel/miou"]  # the sketch at work, not its cache
     assert online == pytest.approx(metrics["test/voxel/miou"], abs=2e-3)
-    audited = run_script("evaluate.py", str(next(tmp_path.glob("runs/whole-*/last.ckpt"))), "--audit", cwd=tmp_path)
+    checkpoint = str(next(tmp_path.glob("runs/whole-*/last.ckpt")))
+    disturbed = [checkpoint, "robustness=[view_90_deg,night]", "--scenes=1", "data.source.workers=0"]
+    broken = run_script("evaluate.py", *disturbed, "logger.mode=disabled", cwd=tmp_path)
+    assert broken.returncode == 0, broken.stdout + broken.stderr
+    assert "loses" in broken.stdout
+    (folder,) = tmp_path.glob("runs/whole-*/robustness-last")
+    parts = json.loads((folder / "robustness.json").read_text())["parts"]
+    assert [part["part"] for part in parts] == ["undisturbed", "view_90_deg", "night"]
+    assert parts[0]["scores"]["rayiou"] > 0
+    audited = run_script("evaluate.py", checkpoint, "--audit", cwd=tmp_path)
     assert audited.returncode == 0, audited.stdout + audited.stderr
     assert "voxel IoU (precision, recall) of the model" in audited.stdout
     assert "error of range, 0-8.5m" in audited.stdout

@@ -155,6 +155,20 @@ def test_range_bands_add_up_to_the_whole():
     assert torch.equal(whole.compute()["rayiou"], binned.compute()["rayiou"])
 
 
+def test_nested_ranges_hold_the_nearer_ones():
+    """The score within 8 m is that of a metric with one band up to 8 m."""
+    prediction, target = frames(CYLINDER, 2)
+    nested = RayIoU(CYLINDER, range_edges_m=(0.0, 5.0, 8.0))
+    nested.update(prediction, target)
+    found = nested.compute_within()
+    assert list(found) == ["rayiou_within_5m", "rayiou_within_8m"]
+    for end_m in (5.0, 8.0):
+        one = RayIoU(CYLINDER, range_edges_m=(0.0, end_m))
+        one.update(prediction, target)
+        assert torch.equal(found[f"rayiou_within_{end_m:g}m"], one.compute()[f"rayiou_0-{end_m:g}m"])
+    assert len(set(map(float, found.values()))) == 2
+
+
 def test_another_free_class_gives_the_same_scores():
     prediction, target = frames(CUBOID, 1)
     turned = [

@@ -10,30 +10,25 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from recorded_scene import RIG, write_scene
 
 from omniocc.camera import Rig
-from omniocc.camera.pose import pose_from_angles
+from omniocc.camera.masks import mask_cameras
 from omniocc.classes import ClassTable, SemanticClass
 from omniocc.config import plain
-from omniocc.data import SceneReader, SourceSpec, WindowDataset, collate
+from omniocc.data import SceneReader, WindowDataset, collate
 from omniocc.data.labels.voxels import VoxelCache
-from omniocc.data.recording.spec import plain_spec
-from omniocc.data.store.codec import encode_frame
-from omniocc.data.store.shard import SceneWriter
 from omniocc.errors import UserError
 from omniocc.predict.export_scene import export_scene
 from omniocc.predict.export_scene import main as export
 from omniocc.predict.input.poses import read_poses, write_poses
 from omniocc.predict.network import load_depth
 from omniocc.predict.occupancy import options_of, predict_occupancy
-from omniocc.predict.predictor import mask_cameras
 from omniocc.run.checkpoint import CONFIG, STAGE
 from omniocc.task.build import build_task, load_task
 from omniocc.task.scores import Scores
-from omniocc.world.frame import Frame
 
 ROOT = Path(__file__).parents[2]
-RIG = Rig.load("fisheye6").resized(64, 36)
 FRAMES = [f"{k:06d}" for k in range(5)]
 MASKS = sorted(f"rig.{name}.png" for name in RIG.names)
 QUICK = ("overview=false", "mesh=false")
@@ -41,40 +36,6 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore:voxels are voted anew"),
     pytest.mark.filterwarnings("ignore:Sparse CSR"),
 ]
-
-
-def make_frame(index: int, num_classes: int) -> Frame:
-    rng = np.random.default_rng(index)
-    range_m = rng.uniform(0.5, 60, (6, 36, 64)).astype(np.float32)
-    # a car that turns; patches instead of noise, which JPEG would blur
-    patches = rng.integers(0, 256, (6, 6, 8, 3), dtype=np.uint8)
-    level = pose_from_angles((0.0, 0.0, 0.0), 0.0, 0.0, 0.0).inverse()
-    pose = pose_from_angles((2.3 * index, 0.4 * index, 0.0), 11.0 * index, 0.0, 0.0) @ level
-    return Frame(
-        time_s=0.5 * index,
-        world_from_ego=pose.numpy(),
-        images=np.stack([cv2.resize(patch, (64, 36), interpolation=cv2.INTER_NEAREST) for patch in patches]),
-        semantics=np.zeros((6, 36, 64), np.uint8),
-        range_m=range_m,
-        erp_range_m=rng.uniform(0.5, 60, (12, 48)).astype(np.float32),
-        points_m=rng.uniform([-20, -20, -2.5], [20, 20, 3], (3000, 3)).astype(np.float32),
-        point_labels=rng.integers(1, num_classes, 3000).astype(np.uint8),
-        lidar_range_m=rng.uniform(1, 50, 14040).astype(np.float32),
-        lidar_labels=rng.integers(1, num_classes, 14040).astype(np.uint8),
-        boxes=(),
-    )
-
-
-def write_scene(folder: Path, spec: SourceSpec, frames: int) -> Path:
-    writer = SceneWriter(folder)
-    for index in range(frames):
-        frame = make_frame(index, spec.classes.num_classes)
-        entry = {"time_s": frame.time_s, "world_from_ego": frame.world_from_ego.tolist()}
-        writer.append(encode_frame(frame), entry)
-    writer.attach("rig.yaml", RIG.save)
-    writer.finish({"split": "test", "spec": plain_spec(spec)})
-    writer.close()
-    return folder
 
 
 @pytest.fixture(scope="module")

@@ -8,6 +8,7 @@ from omniocc.errors import UserError
 from omniocc.report.keep import keep_records
 from omniocc.report.runs import read_runs
 from omniocc.run.curves import read_curve
+from omniocc.run.robustness import UNDISTURBED, PartScores, Robustness, read_robustness, save_robustness
 
 
 def test_every_figure_and_curve_can_be_read_from_what_is_kept(runs, tmp_path):
@@ -26,6 +27,15 @@ def test_a_newer_run_replaces_that_of_its_row_and_seed_alone(runs, tmp_path):
     keep_records(later, kept)
     names = {run.name for run in read_runs(kept)}
     assert names == {run.name for run in read_runs(runs)} - {"ours-00000001"} | {"ours-0000000a"}
+
+
+def test_a_test_of_weights_without_a_run_is_kept(tmp_path):
+    test = Robustness(
+        "tiny", {}, [PartScores(UNDISTURBED, UNDISTURBED, ["a"], 1, 1.0, {"rayiou": 0.5}, {"rayiou": []})]
+    )
+    save_robustness(tmp_path / "runs" / "robustness-tiny", test)
+    assert keep_records(tmp_path / "runs", tmp_path / "kept") == [tmp_path / "kept" / "robustness-tiny"]
+    assert read_robustness(tmp_path / "kept") == [test]
 
 
 def test_without_a_finished_run_nothing_is_kept(tmp_path):

@@ -13,6 +13,8 @@ import cv2
 import numpy as np
 import pytest
 
+from omniocc.run.robustness import UNDISTURBED, PartScores, Robustness, save_robustness
+
 ROOT = Path(__file__).parents[2]
 
 
@@ -179,6 +181,32 @@ def test_the_tables_are_written_as_pages_of_the_documentation(runs, tmp_path):
     assert "| my <own>-00000001 | 0 | 40 | 1.5 | – | abc | – | `python src/train.py" in (docs / "runs.md").read_text(
         "utf-8"
     )
+
+
+def test_tests_under_disturbances_are_gathered_and_kept(runs, tmp_path):
+    """Those of a run, and those of weights that have no run, on the page, as a page of the documentation, and kept."""
+    folder, kept = tmp_path / "runs", tmp_path / "kept"
+    shutil.copytree(runs, folder)
+    places = {"ours-00000001": folder / "ours-00000001" / "robustness-best", "tiny": folder / "robustness-tiny"}
+    for system, place in places.items():
+        found = {UNDISTURBED: (UNDISTURBED, 0.5), "view_90_deg": ("view", 0.2 if system == "tiny" else 0.3)}
+        parts = [
+            PartScores(name, group, ["a", "b"], 2, 1.0, {"rayiou": score}, {"rayiou": [score] * 2})
+            for name, (group, score) in found.items()
+        ]
+        save_robustness(place, Robustness(system, {"setting": "one", "seed": 0}, parts))
+    report("--runs", str(folder), "--keep", str(kept))
+    assert len(list(kept.rglob("robustness.json"))) == 2
+    for source in (folder, kept):
+        docs, output = tmp_path / f"docs-{source.name}", tmp_path / f"report-{source.name}"
+        report("--runs", str(source), "--output", str(output), "--docs", str(docs))
+        text = (docs / "robustness.md").read_text("utf-8")
+        assert "| mean of all kinds | **40.0** | 60.0 |" in text
+        assert "Least of all loses ours." in text
+        page = (output / "index.html").read_text("utf-8")
+        assert 'id="robustness"' in page
+        assert 'id="plot-robustness"' in page
+        assert (output / "plots" / "robustness.png").exists()
 
 
 def test_without_runs_the_error_is_one_line(tmp_path):

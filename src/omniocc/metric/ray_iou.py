@@ -177,6 +177,17 @@ class RayIoU(Metric):
         """
         return self.counter.protocol(self.seen)
 
+    def compute_within(self) -> dict[str, Tensor]:
+        """Return `rayiou_within_<range>m` of the rays from the first end of the bands up to each of the others.
+
+        These are nested ranges: each holds the nearer ones.
+        """
+        ends_m, found = self.counter.range_edges_m[1:], {}
+        for bands, end_m in enumerate(ends_m, start=1):
+            near = RayCounts(*(part[:bands] for part in (self.truth, self.predicted, self.correct)))
+            found[f"rayiou_within_{end_m:g}m"] = self.counter.scores(near)["rayiou"]
+        return found
+
     def plot(
         self,
         val: dict[str, Tensor] | Sequence[dict[str, Tensor]] | None = None,

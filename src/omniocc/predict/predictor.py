@@ -1,8 +1,6 @@
 """Apply an occupancy model to one frame after the other, with or without history."""
 
 from collections.abc import Sequence
-from dataclasses import replace
-from functools import lru_cache
 from typing import NamedTuple, cast
 
 import numpy as np
@@ -11,6 +9,7 @@ from jaxtyping import Bool, Float, Float32, Float64, UInt8
 from torch import Tensor
 
 from omniocc.camera import Equirectangular, Rig
+from omniocc.camera.masks import mask_cameras
 from omniocc.errors import UserError
 from omniocc.model import OccupancyModel, Stream
 from omniocc.model.depth import DepthMap
@@ -142,16 +141,3 @@ class Predictor:
             depth = sketch.depth(images, (rig,), true_range_m)
         with watch("sketch"):
             return sketch.hand_on(depth.range_m, depth.valid), depth
-
-
-@lru_cache(maxsize=8)
-def mask_cameras(rig: Rig, names: tuple[str, ...]) -> Rig:
-    """Return the rig with the named cameras masked entirely."""
-    if not names:
-        return rig
-    masks = rig.masks or (None,) * len(rig.cameras)
-    masked = [
-        torch.zeros(camera.height, camera.width, dtype=torch.bool) if name in names else mask
-        for camera, name, mask in zip(rig.cameras, rig.names, masks, strict=True)
-    ]
-    return replace(rig, masks=tuple(masked))

@@ -14,12 +14,15 @@ from omniocc.report.tables.overview import overview_keys, records, table_of_runs
 from omniocc.report.tables.paper import PaperTable, as_csv, as_latex, as_markdown
 from omniocc.report.tables.power import power_chapter
 from omniocc.report.tables.protocol import protocol_text
+from omniocc.report.tables.robustness import robustness_markdown
 from omniocc.report.tables.tried import tried_chapter
 from omniocc.run.table import markdown
 
 GENERATED = "<!-- Written by `python src/report.py --runs docs/results/runs --docs docs/results`; do not edit. -->"
 TRIED_AGAINST = "extended"
 """Row to which the page `accuracy` compares all others."""
+ROBUSTNESS = "robustness"
+"""Name of the chapter on tests under disturbances."""
 RULE = (
     "How a claim is decided: [Read the tables](../how_to/read_the_tables.md#when-a-claim-holds). Commands, commits and "
     "machines: [the runs](runs.md)."
@@ -36,7 +39,8 @@ def chapters(sweep: Sweep, listed: Mapping[str, Sequence[FinishedRun]]) -> dict[
     limits += protocol_text(sweep.rows, bounds.COLUMNS.values())
     found = {"bounds": limits}
     found |= {table.name: dataset_markdown(table) for table in sweep.datasets}
-    found |= papers | {"training": longer, "budget": cost}
+    tests = robustness_markdown(sweep.robustness) if sweep.robustness else ""
+    found |= papers | {"training": longer, ROBUSTNESS: tests, "budget": cost}
     return {name: text for name, text in found.items() if text}
 
 
@@ -67,7 +71,10 @@ def write_docs(sweeps: Sequence[Sweep], folder: Path) -> list[Path]:
     pages = {}
     for name, text in chapters(sweep._replace(datasets=()), listed).items():
         rows = rows_in(tables.get(name, sweep.tables), sweep.table_rows)
-        pages[name] = f"{text}\n{foot([run for runs in rows.values() for run in runs])}"
+        own = (
+            "" if name == ROBUSTNESS else foot([run for runs in rows.values() for run in runs])
+        )  # tests tell their own
+        pages[name] = f"{text}\n{own}"
     if any(run.row == TRIED_AGAINST for run in every):
         pages["accuracy"] = tried_chapter(every, TRIED_AGAINST)
     pages["learning_rates"] = learning_rates(every)

@@ -8,20 +8,28 @@ from omniocc.io import atomic_write
 from omniocc.report.runs import FinishedRun, read_runs
 from omniocc.run.curves import CURVES
 from omniocc.run.folder import METRICS
+from omniocc.run.robustness import TESTS
 
-KEPT = ("config.yaml", METRICS, CURVES)
+KEPT = ("config.yaml", METRICS, CURVES, TESTS)
 """Files, or patterns of files, of a run from which every table and curve can be written again."""
 
 
 def keep_records(runs: Path, folder: Path) -> list[Path]:
-    """Copy the configuration, figures and curves of finished runs and return their new folders.
+    """Copy the configuration, figures, curves and robustness tests of finished runs and return their new folders.
 
-    Runs of an earlier call stay, but for those that a newer run replaces: one of the same row, seed and setting.
+    Tests of weights that have no run are copied and returned too. Runs of an earlier call stay, but for those that a
+    newer run replaces: one of the same row, seed and setting.
 
     Raises:
-        UserError: when there is no finished run.
+        UserError: when there is neither a finished run nor such a test.
         DataError: naming the file that cannot be written.
     """
+    tests = sorted(runs.glob(TESTS))
+    for path in tests:
+        atomic_write(folder / path.relative_to(runs), path.read_bytes())
+    kept = [folder / path.parent.name for path in tests]
+    if kept and not any(runs.glob(f"*/{METRICS}")):
+        return kept
     finished = read_runs(runs)
     for run in finished:
         for pattern in KEPT:
@@ -29,7 +37,7 @@ def keep_records(runs: Path, folder: Path) -> list[Path]:
                 atomic_write(folder / run.name / path.relative_to(run.folder), path.read_bytes())
     for path in replaced(read_runs(folder), finished):
         shutil.rmtree(path)
-    return [folder / run.name for run in finished]
+    return [*(folder / run.name for run in finished), *kept]
 
 
 def replaced(kept: Sequence[FinishedRun], newer: Sequence[FinishedRun]) -> list[Path]:

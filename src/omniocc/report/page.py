@@ -12,7 +12,7 @@ from omniocc.report.frames import ComparedFrame, inline
 from omniocc.report.html import render
 from omniocc.report.runs import FinishedRun, colors_of, path_between
 from omniocc.report.sweep import Sweep
-from omniocc.report.tables import bounds, budget, training
+from omniocc.report.tables import bounds, budget, robustness, training
 from omniocc.report.tables.claims import Judged, Name, claim_cells
 from omniocc.report.tables.paper import (
     Figure,
@@ -68,6 +68,7 @@ def page(
         *(_paper_table(table, sweep, decided) for table in sweep.tables),
         _longer(sweep) if sweep.longer else None,
         *drawn[1:],
+        *_robustness(sweep),
         _frames(frames, sweep.runs, folder) if frames else None,
         _text_table("budget", "Budget", budget.NOTE, budget.budget_cells(sweep.rows)),
         {
@@ -107,6 +108,19 @@ def _text_table(
 ) -> Section:  # fmt: skip
     content = {"title": title, "note": note, "head": cells[0], "rows": cells[1], "files": files, "protocol": protocol}
     return {"kind": "text_table", "name": name, **content}
+
+
+def _robustness(sweep: Sweep) -> list[Section]:
+    """Return a table of losses and one of drops for each setting of the tests under disturbances."""
+    sections = []
+    for number, tests in enumerate(robustness.comparable(sweep.robustness)):
+        name = f"robustness-{number}" if number else "robustness"
+        remarks = " ".join([robustness.NOTE, robustness.verdict(tests), *map(robustness.facts_line, tests)])
+        sections.append(_text_table(name, robustness.TITLE, remarks, robustness.loss_cells(tests)))
+        sections.append(
+            _text_table(f"{name}-parts", f"{robustness.TITLE}: part by part", "", robustness.part_cells(tests))
+        )
+    return sections
 
 
 def _longer(sweep: Sweep) -> Section:

@@ -21,6 +21,7 @@ from omniocc.report.tables.paper import PaperTable, is_table, load_table
 from omniocc.report.tables.power import Spread, load_spreads
 from omniocc.run.curves import read_curve
 from omniocc.run.folder import METRICS
+from omniocc.run.robustness import Robustness, read_robustness
 
 POWER = "power.yaml"
 """File of the spreads, beside the tables."""
@@ -40,6 +41,7 @@ class Sweep(NamedTuple):
         lengths: runs of all settings of the same preset by `row@steps`, which rows of tables may name.
         longer: the sweeps of the same preset and data with more steps, fewest first.
         spreads: given differences between seeds, for which power is computed.
+        robustness: tests under disturbances of these runs; the first sweep of a report has those of other files too.
     """
 
     runs: list[FinishedRun]
@@ -52,6 +54,7 @@ class Sweep(NamedTuple):
     lengths: Mapping[str, Sequence[FinishedRun]] = MappingProxyType({})
     longer: "Sequence[Sweep]" = ()
     spreads: Sequence[Spread] = ()
+    robustness: Sequence[Robustness] = ()
 
     @property
     def setting(self) -> str:
@@ -95,6 +98,7 @@ def read_sweeps(runs: Path, tables: Path, conf: Path, preset: str | None) -> lis
     found = sorted((load_table(path) for path in paths if is_table(path)), key=lambda table: table.number or len(paths))
     first = list(dict.fromkeys(["ours", *(row.run for table in found for row in table.rows)]))
     finished = assign_rows(read_runs(runs), conf, first)
+    tests, names = read_robustness(runs), {run.name for run in finished}
 
     def sweep_of(setting: tuple[str, ...]) -> Sweep:
         kept, remark = comparable(finished, setting)
@@ -102,10 +106,14 @@ def read_sweeps(runs: Path, tables: Path, conf: Path, preset: str | None) -> lis
         rows, scenes = by_row(kept), scenes_of(kept[0])
         order = [row for row in dict.fromkeys([*first, *rows]) if row in rows]
         data = facts_of_scenes(scenes) if scenes else ""
-        return Sweep(kept, {row: rows[row] for row in order}, remark, data, found, datasets, unfinished(runs))
+        own = [test for test in tests if test.system in {run.name for run in kept}]
+        ordered = {row: rows[row] for row in order}
+        return Sweep(kept, ordered, remark, data, found, datasets, unfinished(runs), robustness=own)
 
     spreads = load_spreads(tables / POWER)
     sweeps = [sweep_of(setting) for setting in settings_of(finished, preset)]
+    others = [test for test in tests if test.system not in names]
+    sweeps[0] = sweeps[0]._replace(robustness=[*sweeps[0].robustness, *others])
     once = [table for table in found if not table.of_lengths]
     return [
         sweep._replace(

@@ -107,9 +107,17 @@ class Scores(nn.Module):
 
     def reset(self) -> None:
         """Reset all metrics."""
-        counted = (self.voxel_frames, self.lidar_frames, self.timed_frames)
-        for metric in (self.rays, self.lidar, self.cells, *counted, *(cast(Metric, part) for part in self.parts)):
+        for metric in self._metrics():
             metric.reset()
+
+    def merge(self, other: "Scores") -> None:
+        """Add the counts of other frames, which were scored by `other` in the same way."""
+        for metric, more in zip(self._metrics(), other._metrics(), strict=True):
+            metric.merge_state(more)
+
+    def _metrics(self) -> list[Metric]:
+        counted = (self.voxel_frames, self.lidar_frames, self.timed_frames)
+        return [self.rays, self.lidar, self.cells, *counted, *(cast(Metric, part) for part in self.parts)]
 
     def _add_voxels(self, labels: Tensor, truth: Tensor, batch: Batch | Truth) -> None:
         scored, origins, times = batch.scored, batch.ray_origins, batch.ray_times

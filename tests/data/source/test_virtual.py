@@ -19,7 +19,7 @@ from omniocc.data.recording.job import code_fingerprint
 from omniocc.data.recording.pool import worker_environment
 from omniocc.data.store.reader import SceneReader
 from omniocc.errors import DataError
-from omniocc.report.dataset.facts import light_of
+from omniocc.report.dataset.facts import light_of, time_of_day
 from omniocc.world import THEMES, Scene, seeding
 from omniocc.world.render.weather import WEATHERS, draw_weather
 
@@ -100,6 +100,66 @@ def test_the_papers_preset_has_four_scenes_of_each_theme(tmp_path):
         other = VirtualWorld(**arguments, **choice)
         assert other.folder != VirtualWorld(**arguments).folder
         assert other.plans == plans
+
+
+def virtual_world(folder, **changes):
+    arguments = {"root": str(folder), "rig": "fisheye6", "image_size": (32, 18), "themes": THEMES, "train_scenes": 16}
+    arguments |= {"val_scenes": 8, "test_scenes": 4, "frames_per_scene": 1, "frame_interval_s": 0.5, "lidars": 1}
+    arguments |= {"supersample": 1, "erp_size": (8, 4), "erp_top_deg": 45.0, "erp_bottom_deg": -45.0}
+    return VirtualWorld(**arguments | changes)
+
+
+def test_places_of_the_test_are_left_out_of_training(tmp_path):
+    world = virtual_world(tmp_path, test_places=("oldtown", "campus"))
+    places = {split: [plan.theme for plan in world.plans if plan.split == split] for split in ("train", "val", "test")}
+    assert set(places["train"]) == set(places["val"]) == set(THEMES) - {"oldtown", "campus"}
+    assert Counter(places["test"]) == {"oldtown": 2, "campus": 2}
+    usual = virtual_world(tmp_path)
+    assert world.folder == usual.folder  # scenes of the same names are the same, and are rendered once
+    assert world.fingerprint != usual.fingerprint
+    mixed = virtual_world(tmp_path, test_places=("oldtown", "campus"), weather="in_turn")
+    assert {mixed.weather_of(plan) for plan in mixed.plans if plan.split == "test"} <= set(WEATHERS)
+    for wrong in (("oldtwon",), THEMES):
+        with pytest.raises(ValueError, match=r"test_places are .*leave others for training"):
+            virtual_world(tmp_path, test_places=wrong)
+
+
+def test_night_and_late_cameras_are_other_data_and_change_no_other_fingerprint(tmp_path):
+    usual = virtual_world(tmp_path)
+    assert {"variations", "late_camera_ms"}.isdisjoint(usual.recipe)
+    worlds = [virtual_world(tmp_path, weather="night"), virtual_world(tmp_path, late_camera_ms=50.0)]
+    worlds.append(virtual_world(tmp_path, late_camera_ms=100.0))
+    assert len({world.name for world in (usual, *worlds)}) == 4
+    assert all(world.plans == usual.plans and "variations" in world.recipe for world in worlds)
+    assert worlds[0].weather_of(usual.plans[0]) == "night"
+    with pytest.raises(ValueError, match="late_camera_ms is 300"):
+        virtual_world(tmp_path, late_camera_ms=300)
+
+
+def test_code_of_variations_does_not_count_for_the_world(tmp_path):
+    (tmp_path / "variations").mkdir()
+    (tmp_path / "scene.py").write_text("x = 1\n")
+    before = code_fingerprint(tmp_path, "variations")
+    (tmp_path / "variations" / "night.py").write_text("y = 2\n")
+    code_fingerprint.cache_clear()
+    assert code_fingerprint(tmp_path, "variations") == before
+    assert code_fingerprint(tmp_path) != before
+
+
+def test_a_late_night_is_recorded(tmp_path):
+    """The cameras take turns to be late; everything else is as in the scenes of another light."""
+    options = {"frames_per_scene": 1, "themes": ("suburb",), "test_scenes": 1, "train_scenes": 0, "val_scenes": 0}
+    late = virtual_world(tmp_path, weather="night", late_camera_ms=200.0, workers=0, **options)
+    dusk = virtual_world(tmp_path, weather="dusk", workers=0, **options)
+    for world in (late, dusk):
+        world.prepare()
+    (shown,), (usual,) = late.scenes("test"), dusk.scenes("test")
+    assert shown.meta["facts"]["weather"] == "night"
+    number = late.plans[0].seed % 6
+    for camera, (new, old) in enumerate(zip(shown.pixel_labels(0), usual.pixel_labels(0), strict=True)):
+        assert (new == old).all() == (camera != number)
+    assert (shown.lidar(0).range_m == usual.lidar(0).range_m).all()
+    assert time_of_day(shown.meta["facts"]) == "night"
 
 
 def test_everything_that_decides_the_data_is_in_the_fingerprint(tmp_path):

@@ -18,3 +18,11 @@ def test_tables_have_the_columns_that_were_measured():
 
 def test_a_run_that_was_not_tested_has_no_tables():
     assert result_tables({"train/loss": 1.0}) == {}
+
+
+def test_a_robustness_test_has_a_line_for_every_disturbance():
+    metrics = {"robustness/undisturbed/rayiou": 0.5, "robustness/view_90_deg/rayiou": 0.2}
+    metrics |= {"robustness/view_90_deg/drop": 0.3, "robustness/view_90_deg/error": nan}
+    table = result_tables(metrics)["tables/robustness"]
+    assert table.columns == ["disturbance", "RayIoU", "drop", "standard error"]
+    assert table.rows == [["undisturbed", 0.5, None, None], ["view_90_deg", 0.2, 0.3, None]]

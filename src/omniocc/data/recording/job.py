@@ -37,12 +37,15 @@ class Recordable(Protocol):
 
 
 @functools.cache
-def code_fingerprint(folder: Path) -> str:
-    """Return a hash of the code in a folder and its subfolders, without comments, docstrings and layout."""
+def code_fingerprint(folder: Path, without: str = "__pycache__") -> str:
+    """Return a hash of the code in a folder and its subfolders, without comments, docstrings and layout.
+
+    Subfolders named `without` do not count.
+    """
     digest = hashlib.sha256()
     modules = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*.py")}
     for name, path in sorted(modules.items()):
-        if "__pycache__" in name.split("/"):
+        if {"__pycache__", without} & set(name.split("/")):
             continue
         tree = ast.parse(path.read_text())
         for node in ast.walk(tree):

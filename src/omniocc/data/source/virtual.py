@@ -26,6 +26,7 @@ from omniocc.world.render.own_car import mask_ego_car
 from omniocc.world.render.weather import WEATHERS, Weather, draw_weather
 from omniocc.world.scene import LabelMode
 from omniocc.world.sensors.recorder import Capture
+from omniocc.world.variations import late, night
 
 SEEDS_PER_SPLIT = 1_000_000
 SETTINGS = (
@@ -34,6 +35,8 @@ SETTINGS = (
 )  # fmt: skip
 """Arguments of `Scene` that are equal for all scenes."""
 IN_TURN = "in_turn"
+VARIATIONS = "variations"
+"""Subfolder of the world's code that counts in the fingerprint only of data that use it."""
 CALIBRATION_ERROR = {"angle_deg": 0.1, "distance_m": 0.003}
 """Standard deviation of the errors in the recorded poses of drawn rigs, about each axis."""
 
@@ -55,11 +58,15 @@ class VirtualWorld:
         erp_size: width and height of the panorama of ranges, px.
         erp_top_deg: elevation of the panorama's upper edge.
         erp_bottom_deg: elevation of its lower edge.
-        weather: of all scenes; None draws one for each by its seed, `in_turn` gives all of them the same share.
+        weather: of all scenes; None draws one for each by its seed, `in_turn` gives all of them the same share. `night`
+            is never drawn.
         label_mode: `lidar20`, points of virtual LiDARs as in the paper, or `geometry`, all surfaces, seen or not.
         lidars: number of virtual LiDARs of `lidar20`.
         capture: `direct`, a ray through every pixel, or `cubemap`, sampled from flat images as in the paper.
         repainted_fraction: fraction of scenes in which all materials and colours are exchanged for others.
+        test_places: those of `themes` that are left out of training and validation; the test consists of them.
+        late_camera_ms: how much older than their time stamps the images of one camera are, ms, at most 200; the cameras
+            take turns from scene to scene.
         seed: of the streets in all splits.
         shard_limit_mib: size at which a new tar shard begins, MiB.
         workers: processes that render; 0 renders in this process, None takes all usable cores.
@@ -81,11 +88,13 @@ class VirtualWorld:
         erp_size: Sequence[int],
         erp_top_deg: float,
         erp_bottom_deg: float,
-        weather: Weather | Literal["in_turn"] | None = None,
+        weather: Weather | Literal["night", "in_turn"] | None = None,
         label_mode: LabelMode = "lidar20",
         lidars: int = 20,
         capture: Capture = "direct",
         repainted_fraction: float = 0.0,
+        test_places: Sequence[str] = (),
+        late_camera_ms: float = 0.0,
         seed: int = 0,
         shard_limit_mib: int = 256,
         workers: int | None = None,
@@ -105,19 +114,28 @@ class VirtualWorld:
         self.erp_size = tuple(erp_size)
         self.erp_top_deg = float(erp_top_deg)
         self.erp_bottom_deg = float(erp_bottom_deg)
-        self.weather = None if weather is None else _one_of("weather", weather, (*WEATHERS, IN_TURN))
+        self.weather = None if weather is None else _one_of("weather", weather, (*WEATHERS, night.NIGHT, IN_TURN))
         self.label_mode: LabelMode = _one_of("label_mode", label_mode, get_args(LabelMode))
         self.lidars = _at_least("lidars", lidars, 1)
         self.capture: Capture = _one_of("capture", capture, get_args(Capture))
         if not 0 <= repainted_fraction <= 1:
             raise ValueError(f"repainted_fraction is {repainted_fraction}; it must be from 0 to 1")
         self.repainted_fraction = float(repainted_fraction)
+        if not 0 <= late_camera_ms <= late.LONGEST_MS:
+            raise ValueError(f"late_camera_ms is {late_camera_ms}; it must be from 0 to {late.LONGEST_MS:g}")
+        self.late_camera_ms = float(late_camera_ms)
         self.seed = _at_least("seed", seed, 0)
         self.shard_limit_bytes = _at_least("shard_limit_mib", shard_limit_mib, 1) * 2**20
         self.workers = usable_cores() if workers is None else _at_least("workers", workers, 0)
         known = (*THEMES, *ABSTRACT)
         if not self.themes or not set(self.themes) <= set(known):
             raise ValueError(f"themes are {list(self.themes)}: choose one or more of {', '.join(known)}")
+        self.test_places = tuple(test_places)
+        if self.test_places and not set(self.test_places) < set(self.themes):
+            raise ValueError(
+                f"test_places are {list(self.test_places)}: choose some of the themes, and leave others for training "
+                f"({', '.join(self.themes)})"
+            )
         for split, count in self.num_scenes.items():
             if not 0 <= count < SEEDS_PER_SPLIT:
                 raise ValueError(f"{split}_scenes must be from 0 to {SEEDS_PER_SPLIT - 1}, got {count}")
@@ -127,13 +145,15 @@ class VirtualWorld:
         """Return everything that decides the content of a scene's frames, except theme and seed."""
         return {
             "schema": SCHEMA,
-            "world": code_fingerprint(Path(inspect.getfile(Scene)).parent),
+            "world": world_code(),
             "rig": f"{RANDOM} {VERSION} {self.pixels}" if self.rig is None else self.rig.fingerprint,
             "frames_per_scene": self.frames_per_scene,
             **self._settings,
             "erp_size": list(self.erp_size),
             "shard_limit_bytes": self.shard_limit_bytes,
             **({"repainted_fraction": self.repainted_fraction} if self.repainted_fraction else {}),
+            **({"late_camera_ms": self.late_camera_ms} if self.late_camera_ms else {}),
+            **({"variations": variations_code()} if self.late_camera_ms or self.weather == night.NIGHT else {}),
         }
 
     @cached_property
@@ -168,9 +188,19 @@ class VirtualWorld:
 
     def scene(self, plan: ScenePlan) -> Recordable:
         """Return the world of one scene."""
-        draw = seeding.generator(plan.theme, plan.seed, "repainted").uniform()
-        settings: dict[str, Any] = {**self._settings, "weather": self.weather_of(plan)}
-        return Scene(plan.theme, plan.seed, self.rig_of(plan), repaint=draw < self.repainted_fraction, **settings)
+        draw, weather = seeding.generator(plan.theme, plan.seed, "repainted").uniform(), self.weather_of(plan)
+        kind, weather = (night.NightScene, night.BASE) if weather == night.NIGHT else (Scene, weather)
+        rig, settings = self.rig_of(plan), {**self._settings, "weather": weather}
+        scene = kind(plan.theme, plan.seed, rig, repaint=draw < self.repainted_fraction, **settings)
+        if not self.late_camera_ms:
+            return scene
+        return late.LateCamera(scene, plan.seed % len(rig.cameras), self.late_camera_ms / 1000, plan.seed)
+
+    def themes_of(self, split: Split) -> tuple[str, ...]:
+        """Return the kinds of places in a split."""
+        if not self.test_places:
+            return self.themes
+        return tuple(theme for theme in self.themes if (theme in self.test_places) == (split == "test"))
 
     def rig_of(self, plan: ScenePlan) -> Rig:
         """Return the cameras of one scene."""
@@ -189,7 +219,7 @@ class VirtualWorld:
             return draw_weather(seeding.generator(plan.theme, plan.seed, "light"))
         if self.weather != IN_TURN:
             return self.weather
-        turn, theme = divmod(plan.seed % SEEDS_PER_SPLIT, len(self.themes))
+        turn, theme = divmod(plan.seed % SEEDS_PER_SPLIT, len(self.themes_of(plan.split)))
         return WEATHERS[(turn + theme) % len(WEATHERS)]
 
     def missing(self, plans: Sequence[ScenePlan] | None = None) -> list[ScenePlan]:
@@ -253,12 +283,27 @@ class VirtualWorld:
 
     def _plan(self, split: Split, number: int) -> ScenePlan:
         # with 24 + 4 + 4 scenes of eight themes, as in the paper, each theme has four
-        first = len(self.themes) // 2 if split == "test" else 0
-        theme = self.themes[(first + number) % len(self.themes)]
+        themes = self.themes_of(split)
+        first = len(themes) // 2 if split == "test" else 0
+        theme = themes[(first + number) % len(themes)]
         # no street is in two splits, for any numbers of scenes
         seed = (self.seed * len(SPLITS) + SPLITS.index(split)) * SEEDS_PER_SPLIT + number
         name = f"{split}-{number:03d}-{theme}" if self.seed == 0 else f"{split}-{number:03d}-{theme}-seed{self.seed}"
         return ScenePlan(name, split, theme, seed)
+
+
+def world_code() -> str:
+    """Return a hash of the code that decides the content of every scene."""
+    return code_fingerprint(_world_folder(), without=VARIATIONS)
+
+
+def variations_code() -> str:
+    """Return a hash of the code of what only some options ask for."""
+    return code_fingerprint(_world_folder() / VARIATIONS)
+
+
+def _world_folder() -> Path:
+    return Path(inspect.getfile(Scene)).parent
 
 
 @cache

@@ -1,19 +1,18 @@
 """Facts on recorded scenes, in words and figures."""
 
-import inspect
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from omniocc.camera import Pinhole
-from omniocc.data.recording.job import code_fingerprint
+from omniocc.data.source.virtual import world_code
 from omniocc.data.store.reader import SceneReader
 from omniocc.geometry import Grid
-from omniocc.world import Scene, seeding
+from omniocc.world import seeding
 from omniocc.world.render.light import Light
 from omniocc.world.render.weather import draw_light, draw_weather
+from omniocc.world.variations.night import NIGHT
 
 LOW_SUN_DEG = 25.0
 
@@ -91,8 +90,10 @@ def light_of(theme: str, seed: int, weather: str) -> Light:
 
 def time_of_day(facts: dict[str, Any]) -> str:
     """Return the time of day in words, with the sun's elevation; empty for scenes of another version of the world."""
-    if facts["recipe"]["world"] != code_fingerprint(Path(inspect.getfile(Scene)).parent):
+    if facts["recipe"]["world"] != world_code():
         return ""
+    if facts["weather"] == NIGHT:
+        return NIGHT
     light = light_of(facts["theme"], facts["seed"], facts["weather"])
     if not light.sun.any():
         return "day, sun hidden"

@@ -21,7 +21,7 @@ from omniocc.run.slots import slots_of
 from omniocc.run.wandb.media import Named, wandb_object
 from omniocc.run.wandb.result_tables import result_tables
 
-JobType = Literal["depth", "sketch", "occupancy"]
+JobType = Literal["depth", "sketch", "occupancy", "robustness"]
 CSV = "csv"
 """Folder of the CSV files, one for every start of the run, in the run's folder."""
 

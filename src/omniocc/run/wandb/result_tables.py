@@ -1,6 +1,7 @@
 """A run's figures as tables, for W&B; classes and distance bands are those of its figures."""
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -33,11 +34,24 @@ BY_RANGE = {
 }
 
 
+PART = re.compile("robustness/(.+)/rayiou")
+BY_PART = {
+    "RayIoU": "robustness/{}/rayiou",
+    "drop": "robustness/{}/drop",
+    "standard error": "robustness/{}/error",
+}
+
+
 def result_tables(metrics: Mapping[str, float]) -> dict[str, ResultTable]:
-    """Return `tables/by_class` and `tables/by_range` of a finished test, with the columns that have a figure."""
+    """Return the tables of a finished test, with the columns that have a figure.
+
+    They are `tables/by_class`, `tables/by_range` and, of a robustness test, `tables/robustness`.
+    """
+    parts = [match[1] for key in metrics if (match := PART.fullmatch(key))]
     found = {
         "tables/by_class": _table("class", class_names(metrics), BY_CLASS, metrics),
         "tables/by_range": _table("range", band_names(metrics), BY_RANGE, metrics),
+        "tables/robustness": _table("disturbance", parts, BY_PART, metrics),
     }
     return {key: table for key, table in found.items() if len(table.columns) > 1}
 

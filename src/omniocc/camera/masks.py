@@ -1,0 +1,47 @@
+"""Rigs of which less is usable: without some cameras, or with a narrower horizontal view."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import lru_cache
+
+import torch
+from jaxtyping import Bool
+from torch import Tensor
+
+from omniocc.camera.rig import Rig
+
+
+@lru_cache(maxsize=8)
+def mask_cameras(rig: Rig, names: tuple[str, ...]) -> Rig:
+    """Return the rig with the named cameras masked entirely."""
+    if not names:
+        return rig
+    masks = rig.masks or (None,) * len(rig.cameras)
+    masked = [
+        torch.zeros(camera.height, camera.width, dtype=torch.bool) if name in names else mask
+        for camera, name, mask in zip(rig.cameras, rig.names, masks, strict=True)
+    ]
+    return replace(rig, masks=tuple(masked))
+
+
+@lru_cache(maxsize=8)
+def mask_view(rig: Rig, view_deg: float) -> Rig:
+    """Return the rig with only the pixels that look at most half of `view_deg` to the left or right of straight ahead.
+
+    What counts is the azimuth of a pixel's ray in the ego frame.
+    """
+    masks = []
+    for camera, usable in enumerate(usable_pixels(rig)):
+        x, y, _ = rig.rays(camera)[0].double().unbind(-1)
+        masks.append(usable & (torch.atan2(y, x).abs() <= math.radians(view_deg / 2)))
+    return replace(rig, masks=tuple(masks))
+
+
+def usable_pixels(rig: Rig) -> Sequence[Bool[Tensor, "height width"]]:
+    """Return the masks of all cameras; everything is usable where a camera has none."""
+    masks = rig.masks or (None,) * len(rig.cameras)
+    return [
+        torch.ones(camera.height, camera.width, dtype=torch.bool) if mask is None else mask
+        for camera, mask in zip(rig.cameras, masks, strict=True)
+    ]

@@ -1,0 +1,1 @@
+"""Disturbances of recorded frames: worse images and calibrations, with the true labels kept."""

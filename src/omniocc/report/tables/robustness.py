@@ -1,0 +1,147 @@
+"""What breaks each system: the loss by kind of disturbance, every part with its standard error, nested ranges."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from omniocc.report.runs import HASH
+from omniocc.run.robustness import WITHIN, PartScores, Robustness, drop_of, group_losses
+from omniocc.run.table import in_columns, markdown, number
+
+TITLE = "What breaks them"
+NOTE = (
+    "RayIoU of the same test scenes with something wrong, part by part. A drop is the score without disturbance minus "
+    "that with it, ± the standard error over scenes (jackknife). A loss is a drop in percent of the system's own "
+    "undisturbed score."
+)
+SCORES = {"rayiou": "RayIoU", "lidar/rayiou": "LiDAR", "voxel/iou": "IoU", "voxel/miou": "mIoU"}
+Cells = tuple[list[str], list[list[str]]]
+
+
+def name_of(record: Robustness) -> str:
+    """Return the name of a system in tables: that of its row."""
+    return HASH.sub("", record.system)
+
+
+def comparable(records: Sequence[Robustness]) -> list[list[Robustness]]:
+    """Return the records of each setting (scenes, data, seed), the setting of most of them first."""
+    settings: dict[str, list[Robustness]] = {}
+    for record in records:
+        settings.setdefault(str(record.facts.get("setting")), []).append(record)
+    return sorted(settings.values(), key=len, reverse=True)
+
+
+def common_parts(records: Sequence[Robustness]) -> list[str]:
+    """Return the disturbances that all systems were tested with, in order."""
+    others = [{part.part for part in record.disturbed} for record in records[1:]]
+    return [part.part for part in records[0].disturbed if all(part.part in names for names in others)]
+
+
+def loss_cells(records: Sequence[Robustness]) -> Cells:
+    """Return head and rows: the mean loss by kind of disturbance, the least of several systems in bold, then the mean.
+
+    The first row is the undisturbed RayIoU.
+    """
+    losses = [group_losses(record, set(common_parts(records))) for record in records]
+    rows = [["undisturbed RayIoU", *(number(record.undisturbed.scores.get("rayiou")) for record in records)]]
+    rows += [[group, *_least_bold([one[group] for one in losses])] for group in losses[0]]
+    if losses[0]:
+        rows.append(["mean of all kinds", *_least_bold([mean_loss(one) for one in losses])])
+    return ["loss of RayIoU, %", *map(name_of, records)], rows
+
+
+def mean_loss(losses: dict[str, float]) -> float:
+    """Return the mean over kinds of disturbances, which count equally."""
+    return float(np.nanmean(list(losses.values()))) if losses else math.nan
+
+
+def verdict(records: Sequence[Robustness]) -> str:
+    """Return in words which system loses least, and to what; nothing if no disturbance is common to all."""
+    losses = {name_of(record): group_losses(record, set(common_parts(records))) for record in records}
+    if not all(losses.values()):
+        return ""
+    order = sorted(losses, key=lambda name: mean_loss(losses[name]))
+    lines = []
+    for name in order:
+        kinds = sorted(losses[name], key=lambda group: -losses[name][group])
+        most = ", ".join(f"{group} ({_percent(losses[name][group])} %)" for group in kinds[:3])
+        lines.append(
+            f"{name} loses {_percent(mean_loss(losses[name]))} % in the mean over kinds, most to {most}, "
+            f"least to {kinds[-1]} ({_percent(losses[name][kinds[-1]])} %)."
+        )
+    if len(order) == 1:
+        return lines[0]
+    wins = {name: [g for g in losses[name] if min(order, key=lambda n: losses[n][g]) == name] for name in order}
+    least = "; ".join(f"{name}: {', '.join(groups)}" for name, groups in wins.items() if groups)
+    return " ".join([f"Least of all loses {order[0]}.", *lines, f"Kinds to which each loses least: {least}."])
+
+
+def part_cells(records: Sequence[Robustness]) -> Cells:
+    """Return head and rows: the drop of RayIoU of every system to every disturbance."""
+    names = list(dict.fromkeys(part.part for record in records for part in record.disturbed))
+    rows = []
+    for name in names:
+        found = [next((part for part in record.disturbed if part.part == name), None) for record in records]
+        rows.append([name, *(_drop(part, record) for part, record in zip(found, records, strict=True))])
+    return ["drop of RayIoU", *map(name_of, records)], rows
+
+
+def score_cells(record: Robustness) -> Cells:
+    """Return head and rows of one system: RayIoU, its loss, drops of all scores and of RayIoU within nested ranges."""
+    base = record.undisturbed
+    within = [key for key in base.scores if key.startswith(WITHIN)]
+    shown = {key: title for key, title in SCORES.items() if key in base.scores}
+    titles = [f"within {key.removeprefix(WITHIN).replace('m', ' m')}" for key in within]
+    head = [name_of(record), "RayIoU", *(f"{title}, drop" for title in shown.values()), *titles, "frames", "s"]
+    rows = []
+    for part in record.parts:
+        drops = [_drop(part, record, key) if part is not base else number(base.scores[key]) for key in shown]
+        near = [
+            number(base.scores[key] if part is base else drop_of(part, base, key).value) for key in within
+        ]  # fmt: skip
+        cells = [number(part.scores.get("rayiou")), *drops, *near, str(part.frames), f"{part.seconds:.0f}"]
+        rows.append([part.part, *cells])
+    return head, rows
+
+
+def facts_line(record: Robustness) -> str:
+    """Return where a record comes from."""
+    facts, base = record.facts, record.undisturbed
+    text = f"{name_of(record)}: {len(base.scenes)} scenes, {base.frames} frames, seed {facts.get('seed')}"
+    text += f"; `{facts.get('command')}`, commit {facts.get('commit')}, {facts.get('machine')}."
+    return text + "".join(f" Left out: {line}." for line in facts.get("left out", []))
+
+
+def robustness_markdown(records: Sequence[Robustness]) -> str:
+    """Return all tables under a heading of level 2."""
+    parts = [f"## {TITLE}", NOTE]
+    for group in comparable(records):
+        parts += [verdict(group), markdown(*loss_cells(group)), markdown(*part_cells(group))]
+        for record in group:
+            parts += [markdown(*score_cells(record)), facts_line(record)]
+    return "\n\n".join(part.strip() for part in parts if part) + "\n"
+
+
+def robustness_text(records: Sequence[Robustness]) -> str:
+    """Return the comparison for a terminal."""
+    groups = comparable(records)
+    tables = [table for group in groups for table in (in_columns(*part_cells(group)), in_columns(*loss_cells(group)))]
+    return "\n\n".join([*tables, *filter(None, map(verdict, groups))])
+
+
+def _drop(part: PartScores | None, record: Robustness, key: str = "rayiou") -> str:
+    if part is None:
+        return "–"
+    drop = drop_of(part, record.undisturbed, key)
+    return number(drop.value) + ("" if math.isnan(drop.error) else f" ± {drop.error:.3f}")
+
+
+def _percent(fraction: float) -> str:
+    return "–" if math.isnan(fraction) else f"{100 * fraction:.1f}"
+
+
+def _least_bold(losses: Sequence[float]) -> list[str]:
+    known = [loss for loss in losses if not math.isnan(loss)]
+    least = min(known, default=math.nan) if len(losses) > 1 else math.nan
+    return [f"**{_percent(loss)}**" if loss == least else _percent(loss) for loss in losses]

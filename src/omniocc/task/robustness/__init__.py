@@ -1,0 +1,1 @@
+"""Test of a trained model under disturbances: what breaks it, and how much it loses."""

@@ -1,0 +1,96 @@
+import math
+
+import pytest
+
+from omniocc.report.tables.robustness import (
+    common_parts,
+    comparable,
+    loss_cells,
+    part_cells,
+    robustness_markdown,
+    robustness_text,
+    score_cells,
+    verdict,
+)
+from omniocc.run.robustness import UNDISTURBED, PartScores, Robustness
+
+
+def part(name, group, score, near):
+    scores = {"rayiou": score, "rayiou_within_8.5m": near, "voxel/miou": score / 2}
+    without = {key: [value - 0.01, value, value + 0.01] for key, value in scores.items()}
+    return PartScores(name, group, ["a", "b", "c"], 6, 12.0, scores, without)
+
+
+def record(system, base, noise, views, setting="same"):
+    parts = [part(UNDISTURBED, UNDISTURBED, base, 0.6), part("noise_5_percent", "noise", noise, 0.5)]
+    parts += [part(f"view_{deg}_deg", "view", score, 0.4) for deg, score in views.items()]
+    facts = {"setting": setting, "seed": 0, "command": "python src/evaluate.py", "commit": "abc", "machine": "here"}
+    return Robustness(system, facts, parts)
+
+
+OURS = record("ours-12345678", 0.5, 0.45, {180: 0.3, 90: 0.2})
+OTHER = record("flashocc-12345678", 0.4, 0.38, {180: 0.12})
+
+
+def test_losses_are_means_by_kind_over_common_disturbances_with_the_least_in_bold():
+    assert common_parts([OURS, OTHER]) == ["noise_5_percent", "view_180_deg"]
+    head, rows = loss_cells([OURS, OTHER])
+    assert head == ["loss of RayIoU, %", "ours", "flashocc"]
+    assert rows == [
+        ["undisturbed RayIoU", "0.500", "0.400"],
+        ["noise", "10.0", "**5.0**"],
+        ["view", "**40.0**", "70.0"],
+        ["mean of all kinds", "**25.0**", "37.5"],
+    ]
+    assert loss_cells([OURS])[1][2] == ["view", "50.0"]  # both views; nothing in bold
+
+
+def test_the_verdict_names_who_loses_least_and_to_what():
+    text = verdict([OURS, OTHER])
+    assert text.startswith("Least of all loses ours. ours loses 25.0 % in the mean over kinds, most to view (40.0 %), ")
+    assert "least to noise (10.0 %)" in text
+    assert text.endswith("Kinds to which each loses least: ours: view; flashocc: noise.")
+    assert verdict([OURS]).startswith("ours loses 30.0 %")
+    assert verdict([OURS, OTHER._replace(parts=OTHER.parts[:1])]) == ""
+
+
+def test_every_disturbance_has_a_line_with_the_standard_error():
+    head, rows = part_cells([OURS, OTHER])
+    assert head == ["drop of RayIoU", "ours", "flashocc"]
+    assert rows[0] == ["noise_5_percent", "0.050 ± 0.000", "0.020 ± 0.000"]
+    assert rows[2] == ["view_90_deg", "0.300 ± 0.000", "–"]
+
+
+def test_one_system_has_all_scores_and_nested_ranges():
+    head, rows = score_cells(OURS)
+    assert head == ["ours", "RayIoU", "RayIoU, drop", "mIoU, drop", "within 8.5 m", "frames", "s"]
+    assert rows[0] == ["undisturbed", "0.500", "0.500", "0.250", "0.600", "6", "12"]
+    assert rows[2] == ["view_180_deg", "0.300", "0.200 ± 0.000", "0.100 ± 0.000", "0.200", "6", "12"]
+
+
+def test_systems_of_other_scenes_are_not_compared():
+    tiny = record("tiny", 0.6, 0.5, {180: 0.4}, setting="another")
+    assert [[one.system for one in group] for group in comparable([tiny, OURS, OTHER])] == [
+        ["ours-12345678", "flashocc-12345678"],
+        ["tiny"],
+    ]
+    page = robustness_markdown([tiny, OURS, OTHER])
+    assert page.count("| undisturbed RayIoU |") == 2
+    assert "| loss of RayIoU, % | ours | flashocc |" in page
+    assert "tiny: 3 scenes, 6 frames, seed 0; `python src/evaluate.py`, commit abc, here." in page
+    assert "mean of all kinds" in robustness_text([tiny, OURS, OTHER])
+
+
+def test_a_part_without_a_score_is_a_dash():
+    blind = OURS.parts[1]._replace(scores={"rayiou": math.nan}, without={"rayiou": [math.nan] * 3})
+    rows = part_cells([OURS._replace(parts=[OURS.parts[0], blind])])[1]
+    assert rows[0][1].startswith("–")
+
+
+def test_the_plot_has_a_bar_for_every_system_and_disturbance():
+    pytest.importorskip("matplotlib")
+    from omniocc.report.plots.robustness import drops
+
+    axes = drops([OURS, OTHER]).axes[0]
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["noise_5_percent", "view_180_deg", "view_90_deg"]
+    assert [bar.get_width() for bar in axes.patches] == pytest.approx([0.05, 0.2, 0.3, 0.02, 0.28])

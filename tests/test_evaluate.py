@@ -1,0 +1,39 @@
+"""The command line of evaluate.py."""
+
+from pathlib import Path
+
+import pytest
+
+from evaluate import Words, main, parser_of
+from omniocc.run.weights import SHIPPED
+
+
+def test_words_are_checkpoints_settings_and_what_is_asked_for(tmp_path):
+    other = tmp_path / "epoch=1-step=2.ckpt"
+    other.touch()
+    words = Words.of(["tiny", "data.batch_size=1", str(other), "robustness=[view, noise_5_percent]", "packages=[a,b]"])
+    assert words.checkpoints == [SHIPPED / "tiny.safetensors", other]
+    assert words.overrides == ["data.batch_size=1", "packages=[a,b]"]
+    assert words.robustness == ["view", "noise_5_percent"]
+    assert words.predictions is None
+    assert Words.of(["robustness=all", "tiny"]).robustness == ["all"]
+    assert Words.of(["predictions=2024", "data=carlasc"]).predictions == Path("2024")
+
+
+def test_help_lists_the_kinds_of_disturbances():
+    text = parser_of().format_help()
+    for kind in ("camera_dropped", "extrinsics_deg", "camera_late", "night", "places_never_trained_on"):
+        assert kind in text
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["tiny", "any-rig"], "is not key=value; several checkpoints only with robustness="),
+        (["data.batch_size=1"], "name a checkpoint"),
+        (["any-rig", "robustness=all"], "of the depth stage; this needs one of the occupancy stage"),
+    ],
+)
+def test_mistakes_are_one_line(words, message):
+    with pytest.raises(SystemExit, match=message):
+        main(words)
