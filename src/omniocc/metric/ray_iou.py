@@ -3,13 +3,14 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
+import torch
 from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 from torchmetrics import Metric
 
 from omniocc.classes import FREE, NUM_CLASSES, UNKNOWN
 from omniocc.geometry import Cuboid, Cylinder
-from omniocc.metric.bands import band_suffixes
+from omniocc.metric.bands import band_suffixes, num_rows
 from omniocc.metric.class_ids import ClassIds
 from omniocc.metric.plot import plot_scores
 from omniocc.metric.protocol import RaysSeen
@@ -182,9 +183,11 @@ class RayIoU(Metric):
 
         These are nested ranges: each holds the nearer ones.
         """
-        ends_m, found = self.counter.range_edges_m[1:], {}
-        for bands, end_m in enumerate(ends_m, start=1):
-            near = RayCounts(*(part[:bands] for part in (self.truth, self.predicted, self.correct)))
+        edges_m, found = self.counter.range_edges_m, {}
+        band = torch.arange(len(self.truth), device=self.truth.device) % num_rows(edges_m)  # apart by origin or not
+        for bands, end_m in enumerate(edges_m[1:], start=1):
+            parts = (self.truth, self.predicted, self.correct)
+            near = RayCounts(*(part * (band < bands).view(-1, *[1] * (part.ndim - 1)) for part in parts))
             found[f"rayiou_within_{end_m:g}m"] = self.counter.scores(near)["rayiou"]
         return found
 
