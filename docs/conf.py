@@ -64,7 +64,14 @@ def skip_fields(app: Any, what: str, name: str, documented: Any, skip: bool, opt
     return True if str(documented.__doc__).startswith("Alias for field number") else None
 
 
+def hide_old_names(app: Any, what: str, name: str, documented: Any, skip: bool, options: Any) -> None:
+    """Show functions without the old names of their arguments (`omniocc.metric.renamed`); leave nothing out."""
+    if hasattr(documented, "__wrapped__"):
+        vars(documented).pop("__signature__", None)
+
+
 def setup(app: Any) -> None:
-    """Register what happens to docstrings."""
+    """Register what happens to docstrings and signatures."""
+    app.connect("autodoc-skip-member", hide_old_names, priority=100)
     app.connect("autodoc-skip-member", skip_fields)
     app.connect("autodoc-process-docstring", escape_markup, priority=900)

@@ -98,12 +98,12 @@ def trajectory_origins(
 ) -> RayOrigins:  # fmt: skip
     """Return where the car was before, at and after a frame, as origins of its rays: the rule of the public RayIoU.
 
-    SparseOcc (Liu et al. 2024; `loaders/ego_pose_dataset.py` of its repository) casts the rays of a frame from where
-    the LiDAR was in all key frames of the scene, past and future ones, brought to the ego frame of the scored frame.
-    Those are used that are more than 1 m inside of the grid's sides, whatever their height. Of more than eight, the
-    first, the last and six evenly spaced by their number between them are taken (`round(linspace(0, n - 1, 8))`), so
-    that the frame's own position may be missing. Here the frame's own position is one of those to choose from even
-    where it is at a side of the grid, as the car's is in a grid that lies ahead of it.
+    SparseOcc (Liu et al. 2024; `EgoPoseDataset` in `loaders/ego_pose_dataset.py` of its repository) casts the rays of a
+    frame from where the LiDAR was in all key frames of the scene, past and future ones, brought to the ego frame of the
+    scored frame. Those are used that are more than 1 m inside of the grid's sides, whatever their height. Of more than
+    eight, the first, the last and six evenly spaced by their number between them are taken
+    (`round(linspace(0, n - 1, 8))`), so that the frame's own position may be missing. Here the frame's own position is
+    one of those to choose from even where it is at a side of the grid, as the car's is in a grid that lies ahead of it.
 
     Args:
         world_from_ego: poses of all frames of the scene, in order of time, float64.
