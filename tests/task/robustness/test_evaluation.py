@@ -167,7 +167,7 @@ def test_scores_without_each_scene_are_those_of_the_others(make_task, spec):
 
     class Labelled:
         voxels = torch.from_numpy(rng.integers(0, 12, (1, *geometry.shape)).astype(np.uint8))
-        scored = ray_origins = lidar_labels = None
+        scored = ray_origins = ray_times = lidar_labels = None
 
     def scores(*seeds):
         found = Scores(geometry, spec)
