@@ -1,6 +1,7 @@
 """Look at scenes and predictions, or follow runs: `python src/view.py run=runs/<run>`, `recorded=...`, `watch=runs`."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig
 
@@ -8,6 +9,9 @@ from omniocc.errors import UserError
 from omniocc.run.script import quiet_libraries, script
 from omniocc.viewer.options import TargetOptions, ViewOptions, options_of
 from omniocc.viewer.watch.files import config_of
+
+if TYPE_CHECKING:
+    from omniocc.viewer.frames import Shown
 
 
 @script("view")
@@ -31,26 +35,39 @@ def main(cfg: DictConfig) -> None:
 
 def written(options: ViewOptions, target: TargetOptions) -> Path | None:
     """Show the frames and return the file that they were written to; None for a viewer."""
-    from omniocc.viewer.collect import open_shown, with_progress
-
-    shown = open_shown(options)
-    print(f"{shown.source}: {len(shown)} frames", flush=True)
     if target.page:
-        from omniocc.viewer.page import page_path, write_page
-
-        path = page_path(target.output, options.run)
-        write_page(shown, with_progress(shown), path)
-        print(f"{path}: {path.stat().st_size / 1e6:.1f} MB\n{path.resolve().as_uri()}")
-        return path
+        return written_page(options, target)
     try:
         from omniocc.viewer.timeline.show import show
+        from omniocc.viewer.timeline.sinks import check_place
     except ImportError as error:
         raise UserError("the Rerun viewer needs one more package: pip install --editable '.[rerun]'") from error
     path = None if target.save is None else Path(target.save)
-    show(shown, path, target.connect)
+    check_place(path, target.connect)
+    show(opened(options), path, target.connect)
     if path is not None:
         print(f"{path}: {path.stat().st_size / 1e6:.1f} MB; open it by: rerun {path}")
     return path
+
+
+def written_page(options: ViewOptions, target: TargetOptions) -> Path:
+    """Write the frames to a page and return its path."""
+    from omniocc.viewer.collect import with_progress
+    from omniocc.viewer.page import page_path, write_page
+
+    path, shown = page_path(target.output, options.run), opened(options)
+    write_page(shown, with_progress(shown), path)
+    print(f"{path}: {path.stat().st_size / 1e6:.1f} MB\n{path.resolve().as_uri()}")
+    return path
+
+
+def opened(options: ViewOptions) -> "Shown":
+    """Return the frames, and print where they come from."""
+    from omniocc.viewer.collect import open_shown
+
+    shown = open_shown(options)
+    print(f"{shown.source}: {len(shown)} frames", flush=True)
+    return shown
 
 
 if __name__ == "__main__":

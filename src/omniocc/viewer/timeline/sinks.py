@@ -91,14 +91,7 @@ def to_viewer(address: str, name: str) -> Iterator[rr.RecordingStream]:
     Raises:
         UserError: when nothing listens there, or the connection breaks.
     """
-    host, port = host_and_port(address)
-    try:
-        socket.create_connection((host.strip("[]"), port), CONNECT_S).close()
-    except OSError as error:
-        raise UserError(
-            f"{address}: no viewer listens at {host}:{port} ({error.strerror or error}); start one with `rerun` there, "
-            "or write a file: save=view.rrd"
-        ) from error
+    host, port = check_listening(address)
     recording = rr.RecordingStream(APPLICATION)
     recording.connect_grpc(f"rerun+http://{host}:{port}/proxy")
     recording.send_recording_name(name)
@@ -108,6 +101,19 @@ def to_viewer(address: str, name: str) -> Iterator[rr.RecordingStream]:
     except Exception as error:  # Rerun raises its own types
         raise UserError(f"{address}: the viewer took not all frames: {first_line(error)}") from error
     recording.disconnect()
+
+
+def check_listening(address: str) -> tuple[str, int]:
+    """Return host and port of a viewer; raise UserError when nothing listens there."""
+    host, port = host_and_port(address)
+    try:
+        socket.create_connection((host.strip("[]"), port), CONNECT_S).close()
+    except OSError as error:
+        raise UserError(
+            f"{address}: no viewer listens at {host}:{port} ({error.strerror or error}); start one with `rerun` there, "
+            "or write a file: save=view.rrd"
+        ) from error
+    return host, port
 
 
 def host_and_port(address: str) -> tuple[str, int]:
@@ -126,11 +132,7 @@ def to_own_viewer(name: str) -> Iterator[rr.RecordingStream]:
     Raises:
         UserError: when there is no display to open a window on.
     """
-    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise UserError(
-            "there is no display to open a viewer on: write a file with save=view.rrd and open it elsewhere by "
-            "`rerun view.rrd`, or show it in a viewer that runs elsewhere: connect=<host>:9876"
-        )
+    check_display()
     recording = rr.RecordingStream(APPLICATION)
     try:
         recording.spawn()
@@ -139,6 +141,27 @@ def to_own_viewer(name: str) -> Iterator[rr.RecordingStream]:
     recording.send_recording_name(name)
     yield recording
     recording.flush(timeout_sec=FLUSH_S)
+
+
+def check_display() -> None:
+    """Check that a window can be opened; raise UserError naming what else there is."""
+    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise UserError(
+            "there is no display to open a viewer on: write a file with save=view.rrd and open it elsewhere by "
+            "`rerun view.rrd`, or show it in a viewer that runs elsewhere: connect=<host>:9876"
+        )
+
+
+def check_place(save: Path | None, connect: str | None) -> None:
+    """Check that frames can be shown, before they are computed: at `connect`, or without both on this machine.
+
+    Raises:
+        UserError: as `to_viewer` and `to_own_viewer`.
+    """
+    if connect is not None:
+        check_listening(connect)
+    elif save is None:
+        check_display()
 
 
 def first_line(error: Exception) -> str:
