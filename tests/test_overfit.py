@@ -9,7 +9,7 @@ from omniocc.task.scores import Scores
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("model", "steps"), [("default", 200), ("flashocc", 200), ("fosocc", 300)])
+@pytest.mark.parametrize(("model", "steps"), [("default", 200), ("flashocc", 200), ("fosocc", 300), ("oneocc", 500)])
 def test_one_frame_is_learned_by_heart(model, steps, data_root, smoke):
     torch.manual_seed(0)
     cfg = smoke(f"model={model}", f"paths.data={data_root}", "preset.channels=16", "data.batch_size=1")

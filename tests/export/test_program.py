@@ -25,8 +25,10 @@ OPTIONS = [
     ["model/temporal=none", "model=flashocc"],
     ["model/temporal=none", "model=fosocc"],
     ["model/temporal=none", "model=fosocc", "model/geometry=cylinder"],
+    ["model/temporal=none", "model=oneocc"],
+    ["model/temporal=none", "model=oneocc", "model/geometry=cylinder"],
 ]
-RIVALS = ["flashocc", "fosocc"]
+RIVALS = ["flashocc", "fosocc", "oneocc"]
 
 
 @pytest.mark.parametrize("overrides", OPTIONS, ids=lambda overrides: " ".join(overrides[1:]) or "default")

@@ -5,6 +5,7 @@ import torch
 
 from omniocc.geometry import Cylinder
 from omniocc.loss import CrossEntropy, Dice, RangeBins, RunLengths, Semantics, Total
+from omniocc.loss.total import labels_of_blocks
 
 
 class Prediction(NamedTuple):
@@ -12,6 +13,7 @@ class Prediction(NamedTuple):
     pixel_logits: torch.Tensor | None
     range_logits: torch.Tensor | None = None
     run_lengths: torch.Tensor | None = None
+    coarse_logits: tuple = ()
 
 
 def total(weights):
@@ -70,6 +72,31 @@ def test_terms_of_runs_need_a_refiner_that_predicts_them():
     assert set(loss(prediction, None, pixels)) == set()
     with pytest.raises(ValueError, match="model/refiner=focus"):
         loss(prediction, voxels, pixels)
+
+
+def test_terms_of_coarser_grids_are_means_over_blocks_of_every_size():
+    prediction, voxels, pixels = batch()
+    coarse = ((4, torch.randn(2, 3, 1, 1, 1)), (2, torch.randn(2, 3, 2, 2, 1)))
+    loss = Total({"dice": Dice()}, {}, {"dice": 1.0, "blocks": 3.0}, coarse={"blocks": CrossEntropy(2.0, 3)})
+    loss.set_class_counts(torch.tensor([8, 1, 1]))
+    terms = loss(prediction._replace(coarse_logits=coarse), voxels, pixels)
+    parts = [loss.coarse["blocks"](logits, labels_of_blocks(voxels, block, 3)) for block, logits in coarse]
+    torch.testing.assert_close(terms["blocks"], 1.5 * (parts[0] + parts[1]))
+    assert loss.coarse["blocks"].weights[0] < loss.coarse["blocks"].weights[1]
+    assert set(loss(prediction, None, pixels)) == set()
+    with pytest.raises(ValueError, match="model=oneocc"):
+        loss(prediction, voxels, pixels)
+
+
+def test_blocks_at_the_ends_have_the_labels_of_their_voxels():
+    voxels = torch.zeros(1, 5, 4, 3, dtype=torch.uint8)
+    voxels[0, 4, 3, 2], voxels[0, 0, 0, 0], voxels[0, 0, 1, 0], voxels[0, 1, 1, 1] = 2, 1, 1, 2
+    expected = torch.zeros(1, 3, 2, 2, dtype=torch.uint8)
+    expected[0, 2, 1, 1], expected[0, 0, 0, 0] = 2, 1
+    found = labels_of_blocks(voxels, 2, 3)
+    # the corner of an odd grid holds one voxel in eight, and is unknown where that one is free
+    expected[0, 2, 0, 1] = 255
+    assert torch.equal(found, expected)
 
 
 def test_absent_labels_give_no_terms():

@@ -7,8 +7,8 @@ import torch
 from omniocc.geometry import Cylinder
 from omniocc.model import OccupancyModel
 from omniocc.model.backbone import Backbone
-from omniocc.model.lifter import CoarseColoring, Coloring, Lifter, LiftSplat, Pillar, SplatColoring
-from omniocc.model.refiner import Attention, ChannelToHeight, Conv, Focus, NoRefiner, Refiner, UNet
+from omniocc.model.lifter import BiGrid, CoarseColoring, Coloring, Lifter, LiftSplat, Pillar, SplatColoring
+from omniocc.model.refiner import Attention, ChannelToHeight, Conv, Experts, Focus, NoRefiner, Refiner, UNet
 from omniocc.model.semantic_head import FCN, NoSemanticHead, SemanticHead
 from omniocc.model.sketch import Dense, Random, Sketch
 from omniocc.model.temporal import Mean, NoTemporal, Recurrent, Temporal
@@ -40,6 +40,7 @@ def test_every_option_keeps_its_slots_contract(make_backbone, make_model, geomet
             CoarseColoring(geometry, 8, [4], 1, 2, 2, 8, block=2),
             LiftSplat(geometry, 8, 8, [4], 4, (0.5, 20.5)),
             Pillar(geometry, 8, 8, [4], 1, 2, 2, 2, 8),
+            BiGrid(geometry, Cylinder((8, 12, 4)), 8, 8, [4]),
             SplatColoring(geometry, 8, 8, [4], 4, (0.5, 20.5), [2, 2, 1], 1, 2, 2, 8),
         ],
         Temporal: [NoTemporal(), Mean(geometry, 4, False), Recurrent(geometry, 8, 8, 1, 2, 2, 8, 4, False)],
@@ -50,6 +51,7 @@ def test_every_option_keeps_its_slots_contract(make_backbone, make_model, geomet
             ChannelToHeight(geometry, 8, 8, [8, 8], [1, 1]),
             Attention(geometry, 8, 1, 2, 2, 8, halved=True),
             Focus(geometry, 8, [8, 8], [1, 1]),
+            Experts(geometry, 8, [8, 8], 2, 12),
         ],
         SemanticHead: [FCN(8, 8, 12), NoSemanticHead()],
     }

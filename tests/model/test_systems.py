@@ -13,8 +13,9 @@ PARTS = {
     "voxformer": ("Omni", "CoarseColoring", "NoTemporal", "Attention"),
     "flashocc": ("Dense", "LiftSplat", "NoTemporal", "ChannelToHeight"),
     "fosocc": ("Dense", "SplatColoring", "NoTemporal", "Focus"),
+    "oneocc": ("Dense", "BiGrid", "NoTemporal", "Experts"),
 }
-RIVALS = ("flashocc", "fosocc")
+RIVALS = ("flashocc", "fosocc", "oneocc")
 SYSTEMS = pytest.mark.parametrize("name", list(PARTS))
 ON_BOTH_GRIDS = pytest.mark.parametrize("grid", ["cuboid", "cylinder"])
 
@@ -79,7 +80,9 @@ def test_batch_of_fisheye_and_pinhole_rig_equals_two_batches_of_one(name, grid, 
 def test_gradients_reach_every_parameter_that_learns(name, grid, fisheye, make):
     model = make(name, grid)
     images, poses, candidates = window(model)
-    model(images, ((fisheye,) * images.shape[1],) * 2, poses, candidates).logits.square().mean().backward()
+    found = model(images, ((fisheye,) * images.shape[1],) * 2, poses, candidates)
+    outputs = [found.logits, *(logits for _, logits in found.coarse_logits)]
+    sum(output.square().mean() for output in outputs).backward()
     for parameter_name, parameter in model.named_parameters():
         if not parameter_name.startswith("sketch."):
             assert parameter.grad is not None, parameter_name

@@ -67,13 +67,13 @@ def look_up(labels: UInt8[Tensor, "B X Y Z"], source: Grid, target: Grid) -> UIn
     """
     if source == target:
         return labels
-    cells = _middles(source, target).to(labels.device).long()
+    cells = cells_of_middles(source, target).to(labels.device).long()
     padded = torch.cat([labels.flatten(1), labels.new_full((len(labels), 1), FREE)], dim=1)
     return padded[:, cells].reshape(len(labels), *target.shape)
 
 
 @lru_cache(maxsize=4)
-def _middles(source: Grid, target: Grid) -> Int32[Tensor, " cells"]:
+def cells_of_middles(source: Grid, target: Grid) -> Int32[Tensor, " cells"]:
     """Return the source cell of every target cell's middle, `source.num_cells` where it is outside."""
     index, inside = source.flat_index(target.centers(torch.float64).reshape(-1, 3))
     return torch.where(inside, index, source.num_cells).to(torch.int32)

@@ -3,6 +3,7 @@
 from omniocc.loss.cross_entropy import CrossEntropy
 from omniocc.loss.dice import Dice
 from omniocc.loss.first_hit import FirstHit
+from omniocc.loss.frustums import Frustums
 from omniocc.loss.lovasz import Lovasz
 from omniocc.loss.range_bins import RangeBins
 from omniocc.loss.run_lengths import RunLengths
@@ -16,6 +17,7 @@ __all__ = [
     "CrossEntropy",
     "Dice",
     "FirstHit",
+    "Frustums",
     "Lovasz",
     "RangeBins",
     "RunLengths",

@@ -1,11 +1,15 @@
 """The training loss: named and weighted terms, which the training step sums."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Protocol, runtime_checkable
 
+import torch
 from jaxtyping import Float, Float32, Int64, UInt8
 from torch import Tensor, nn
+from torch.nn import functional as F
 
+from omniocc.classes import UNKNOWN
+from omniocc.geometry import downsample
 from omniocc.loss.cross_entropy import CrossEntropy
 
 
@@ -29,6 +33,11 @@ class HasLogits(Protocol):
         ...
 
     @property
+    def coarse_logits(self) -> Sequence[tuple[int, Float[Tensor, "B K _ _ _"]]]:
+        """Return cells along each side of a block and logits of blocks, for every coarser grid that is predicted."""
+        ...
+
+    @property
     def run_lengths(self) -> Float[Tensor, "B 6 X Y Z"] | None:
         """Return the run lengths of every voxel, or None if the refiner predicts none."""
         ...
@@ -43,6 +52,8 @@ class Total(nn.Module):
         weights: factor of every term.
         ray: losses of (range logits, true range of every pixel), for lifters that estimate ranges.
         run: losses of (run lengths, voxel labels), for refiners that predict run lengths.
+        coarse: losses of (logits of blocks, labels of blocks), means over the coarser grids that are predicted; the
+            label of a block is the most frequent class of its occupied voxels (`omniocc.geometry.downsample`).
 
     Raises:
         ValueError: if the names in `weights` are not those of the terms, or a name occurs in two groups.
@@ -51,21 +62,23 @@ class Total(nn.Module):
     def __init__(
         self, voxel: Mapping[str, nn.Module], pixel: Mapping[str, nn.Module], weights: Mapping[str, float],
         ray: Mapping[str, nn.Module] | None = None, run: Mapping[str, nn.Module] | None = None,
+        coarse: Mapping[str, nn.Module] | None = None,
     ):  # fmt: skip
         super().__init__()
-        ray, run = ray or {}, run or {}
-        names = [*voxel, *pixel, *ray, *run]
+        ray, run, coarse = ray or {}, run or {}, coarse or {}
+        names = [*voxel, *pixel, *ray, *run, *coarse]
         if sorted(names) != sorted(weights):
             raise ValueError(f"loss terms {sorted(names)} and weights {sorted(weights)} must have the same names")
         self.voxel = nn.ModuleDict(dict(voxel))
         self.pixel = nn.ModuleDict(dict(pixel))
         self.ray = nn.ModuleDict(dict(ray))
         self.run = nn.ModuleDict(dict(run))
+        self.coarse = nn.ModuleDict(dict(coarse))
         self.weights = dict(weights)
 
     def set_class_counts(self, counts: Int64[Tensor, " C"]) -> None:
         """Set the number of training voxels of each class in the losses that weigh classes."""
-        for loss in self.voxel.values():
+        for loss in (*self.voxel.values(), *self.coarse.values()):
             if isinstance(loss, CrossEntropy):
                 loss.set_class_counts(counts)
 
@@ -79,7 +92,7 @@ class Total(nn.Module):
         `camera_range_m` only if there are terms of rays.
 
         Raises:
-            ValueError: if there are terms of rays or runs, but the model predicts none.
+            ValueError: if there are terms of rays, runs or coarser grids, but the model predicts none.
         """
         terms = {}
         if voxels is not None:
@@ -94,4 +107,21 @@ class Total(nn.Module):
             if prediction.run_lengths is None:
                 raise ValueError("loss=with_run_lengths needs a refiner that predicts them: model/refiner=focus")
             terms |= {name: loss(prediction.run_lengths, voxels) for name, loss in self.run.items()}
+        if len(self.coarse) and voxels is not None:
+            terms |= self._coarse_terms(prediction.coarse_logits, voxels)
         return {name: self.weights[name] * term for name, term in terms.items()}
+
+    def _coarse_terms(
+        self, coarse_logits: Sequence[tuple[int, Tensor]], voxels: UInt8[Tensor, "B X Y Z"]
+    ) -> dict[str, Float32[Tensor, ""]]:
+        if not coarse_logits:
+            raise ValueError("loss=with_coarse needs a model that classifies blocks: model=oneocc or model=adaptiveocc")
+        pairs = [(logits, labels_of_blocks(voxels, block, logits.shape[1])) for block, logits in coarse_logits]
+        return {name: torch.stack([loss(*pair) for pair in pairs]).mean() for name, loss in self.coarse.items()}
+
+
+def labels_of_blocks(voxels: UInt8[Tensor, "B X Y Z"], block: int, num_classes: int) -> UInt8[Tensor, "B x y z"]:
+    """Return the classes of blocks of `block` cells along each axis; those at the upper ends may be smaller."""
+    missing = [-size % block for size in reversed(voxels.shape[1:])]
+    padded = F.pad(voxels, [cells for size in missing for cells in (0, size)], value=UNKNOWN)
+    return downsample(padded, block, num_classes)

@@ -12,7 +12,7 @@ from omniocc.model.ops.classifier import Classifier
 from omniocc.model.ops.evidence import INPUTS, network_inputs, required
 from omniocc.model.ops.padded import FeatureMaps, by_shape
 from omniocc.model.ops.padding import Pointwise
-from omniocc.model.ops.pixel_classes import classes_at_voxels
+from omniocc.model.ops.voxel_samples import sample_at_voxels
 from omniocc.model.protocols import (
     Backbone,
     CoarseLogits,
@@ -188,7 +188,8 @@ class OccupancyModel(nn.Module):
         if pixel_logits is None:
             raise ValueError("pixel_classes needs a 2D head: choose model/semantic_head=fcn")
         candidates, stride = lifted.sketched.candidates, self.backbone.levels[0]
-        classes = classes_at_voxels(pixel_logits, candidates, rigs, self.geometry, stride)
+        # zero logits, where no camera sees a candidate, prefer no class
+        classes = sample_at_voxels(pixel_logits, candidates, rigs, self.geometry, stride)
         return lifted.sketched._replace(classes=classes)
 
     def fuse(

@@ -240,6 +240,19 @@ def _backward(
     return grad_table, torch.stack([grad_x, grad_y]), grad_attention
 
 
+def _backward_of_table(
+    offsets: Float[Tensor, "2 Q K"],
+    attention: Float[Tensor, "Q K"],
+    grad: Float[Tensor, "Q C"],
+    pairs: Pairs,
+    level: Level,
+    size: int,
+) -> Float[Tensor, "R C"]:
+    """Return the gradient of the table of one head and level alone."""
+    samples = _locate(level, pairs.query, offsets)
+    return _scatter(grad, samples, attention.index_select(0, pairs.query), pairs.query, level.width, size)
+
+
 class _DeformableSum(torch.autograd.Function):
     """Implement `deformable_sum` by heads and levels; only the inputs are kept for the backward pass."""
 
@@ -263,14 +276,20 @@ class _DeformableSum(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, grad: Tensor) -> Any:
         offsets, attention, *tables = ctx.saved_tensors
-        grad_offsets, grad_attention = torch.empty_like(offsets), torch.empty_like(attention)
+        fixed = not any(ctx.needs_input_grad[:2])  # the samples are not learned
+        grad_offsets, grad_attention = (
+            (None, None) if fixed else (torch.empty_like(offsets), torch.empty_like(attention))
+        )
         grad_tables = [torch.empty_like(table) for table in tables]
         for head in range(len(offsets)):
             head_grad = grad[head].contiguous()
             for index, (level, table) in enumerate(zip(ctx.levels, tables, strict=True)):
-                grad_tables[index][head], grad_offsets[head, index], grad_attention[head, index] = _backward(
-                    table[head], offsets[head, index], attention[head, index], head_grad, ctx.pairs, level
-                )
+                inputs = offsets[head, index], attention[head, index], head_grad, ctx.pairs, level
+                if grad_offsets is None or grad_attention is None:
+                    grad_tables[index][head] = _backward_of_table(*inputs, len(table[head]))
+                else:
+                    grads = _backward(table[head], *inputs)
+                    grad_tables[index][head], grad_offsets[head, index], grad_attention[head, index] = grads
         return grad_offsets, grad_attention, None, None, *grad_tables
 
 

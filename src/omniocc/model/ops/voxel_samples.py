@@ -1,4 +1,4 @@
-"""The 2D head's classes of pixels, looked up at the voxels that see them."""
+"""Maps of the cameras, looked up at the voxels that they see."""
 
 import torch
 from jaxtyping import Bool, Float
@@ -12,31 +12,32 @@ from omniocc.model.ops.static import is_static
 from omniocc.model.ops.visible import CENTRE, every_cell, group_samples, marked_cells
 
 
-def classes_at_voxels(
-    pixel_logits: Float[Tensor, "B N K h w"],
+def sample_at_voxels(
+    maps: Float[Tensor, "B N C h w"],
     candidates: Bool[Tensor, "B X Y Z"],
     rigs: tuple[Rig, ...],
     geometry: Grid,
     stride: int,
-) -> Float[Tensor, "B K X Y Z"]:
-    """Return logits at the middle of every candidate: bilinear samples, their mean over the cameras that see it.
+) -> Float[Tensor, "B C X Y Z"]:
+    """Return values at the middle of every candidate: bilinear samples, their mean over the cameras that see it.
 
-    They are zero, which prefers no class, elsewhere and where no camera sees a candidate. The logits are those of the
-    classes of a map's pixels; `stride` is that of the map, px.
+    They are zero elsewhere and where no camera sees a candidate. `stride` is that of the maps, px.
     """
     marked = candidates.flatten(1)
-    parts, order = [], []
-    for group in group_samples(rigs, marked):
-        maps = crop(pixel_logits[group], rigs[group[0]], stride)
-        parts.append(_at_voxels(maps, marked[group[0]], rigs[group[0]], geometry))
-        order += group
-    volumes = torch.cat(parts)[torch.tensor(order, device=marked.device).argsort()]
+    groups, parts = group_samples(rigs, marked), []
+    for group in groups:
+        own = crop(maps if len(groups) == 1 else maps[group], rigs[group[0]], stride)
+        parts.append(_at_voxels(own, marked[group[0]], rigs[group[0]], geometry))
+    volumes = parts[0]
+    if len(parts) > 1:
+        order = torch.tensor([sample for group in groups for sample in group], device=marked.device)
+        volumes = torch.cat(parts)[order.argsort()]
     return volumes.unflatten(1, geometry.shape).movedim(-1, 1)
 
 
 def _at_voxels(
-    maps: Float[Tensor, "B N K h w"], marked: Bool[Tensor, " cells"], rig: Rig, geometry: Grid
-) -> Float[Tensor, "B cells K"]:
+    maps: Float[Tensor, "B N C h w"], marked: Bool[Tensor, " cells"], rig: Rig, geometry: Grid
+) -> Float[Tensor, "B cells C"]:
     whole = is_static()
     key = rig, geometry, marked.device, CENTRE
     cells, seen, pairs = every_cell(*key) if whole else marked_cells(marked, *key)

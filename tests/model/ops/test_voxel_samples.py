@@ -2,8 +2,8 @@ import torch
 
 from omniocc.camera import normalize_pixels
 from omniocc.geometry import Cylinder
-from omniocc.model.ops.pixel_classes import classes_at_voxels
 from omniocc.model.ops.static import static_shapes
+from omniocc.model.ops.voxel_samples import sample_at_voxels
 
 GRID = Cylinder((6, 8, 3))
 CLASSES = 5
@@ -29,7 +29,7 @@ def by_grid_sample(logits, marked, rig):
 def test_equals_grid_sample_over_mixed_rigs(fisheye, pinhole):
     logits, candidates = make_logits(3), torch.rand(3, *GRID.shape) < 0.6
     rigs = (fisheye, pinhole, fisheye)
-    result = classes_at_voxels(logits, candidates, rigs, GRID, 4)
+    result = sample_at_voxels(logits, candidates, rigs, GRID, 4)
     assert result.shape == (3, CLASSES, *GRID.shape)
     for index, rig in enumerate(rigs):
         # reference points are kept in float32
@@ -38,20 +38,20 @@ def test_equals_grid_sample_over_mixed_rigs(fisheye, pinhole):
 
 
 def test_no_candidates_give_zeros(fisheye):
-    result = classes_at_voxels(make_logits(1), torch.zeros(1, *GRID.shape, dtype=torch.bool), (fisheye,), GRID, 4)
+    result = sample_at_voxels(make_logits(1), torch.zeros(1, *GRID.shape, dtype=torch.bool), (fisheye,), GRID, 4)
     assert not result.any()
 
 
 def test_fixed_shapes_give_the_same(fisheye):
     logits, candidates = make_logits(1), torch.rand(1, *GRID.shape) < 0.4
-    expected = classes_at_voxels(logits, candidates, (fisheye,), GRID, 4)
+    expected = sample_at_voxels(logits, candidates, (fisheye,), GRID, 4)
     with static_shapes():
-        torch.testing.assert_close(classes_at_voxels(logits, candidates, (fisheye,), GRID, 4), expected)
+        torch.testing.assert_close(sample_at_voxels(logits, candidates, (fisheye,), GRID, 4), expected)
 
 
 def test_the_gradient_reaches_the_pixels_that_are_seen(fisheye):
     logits = make_logits(1).requires_grad_()
-    classes_at_voxels(logits, torch.ones(1, *GRID.shape, dtype=torch.bool), (fisheye,), GRID, 4).sum().backward()
+    sample_at_voxels(logits, torch.ones(1, *GRID.shape, dtype=torch.bool), (fisheye,), GRID, 4).sum().backward()
     assert logits.grad is not None
     per_camera = logits.grad.flatten(2).abs().sum((0, 2))
     assert (per_camera > 0).all()
