@@ -93,8 +93,8 @@ def spread(frames: Int64[Tensor, " F"], most: int) -> Int64[Tensor, " O"]:
 
 
 def trajectory_origins(
-    world_from_ego: Float[Tensor, "F 4 4"] | np.ndarray, frame: int, grid: Lattice,
-    ego_from_sensor: Float[Tensor, "F 4 4"] | np.ndarray | None = None, most: int = MOST_ORIGINS,
+    world_from_ego: Float[Tensor, "*poses"] | np.ndarray, frame: int, grid: Lattice,
+    ego_from_sensor: Float[Tensor, "*sensor_poses"] | np.ndarray | None = None, most: int = MOST_ORIGINS,
 ) -> RayOrigins:  # fmt: skip
     """Return where the car was before, at and after a frame, as origins of its rays: the rule of the public RayIoU.
 
@@ -106,10 +106,10 @@ def trajectory_origins(
     one of those to choose from even where it is at a side of the grid, as the car's is in a grid that lies ahead of it.
 
     Args:
-        world_from_ego: poses of all frames of the scene, in order of time, float64.
+        world_from_ego: (F, 4, 4) poses of all frames of the scene, in order of time, float64.
         frame: number of the scored frame.
         grid: that is scored.
-        ego_from_sensor: pose of the LiDAR in the ego frame of each frame; default its origin.
+        ego_from_sensor: (F, 4, 4) or (4, 4) pose of the LiDAR in the ego frame of each frame; default its origin.
         most: largest number of origins.
 
     Returns:
