@@ -15,7 +15,7 @@ def test_a_camera_that_is_left_out_sees_nothing_and_the_others_as_before():
         assert torch.equal(after, torch.zeros_like(before) if name == "rear" else before)
 
 
-@pytest.mark.parametrize("view_deg", [90, 180, 270])
+@pytest.mark.parametrize("view_deg", [90.0, 180.0, 270.0])
 def test_pixels_outside_the_horizontal_sector_are_masked(view_deg):
     """Compared with a loop over pixels in plain float64."""
     rig = mask_view(RIG, view_deg)
@@ -38,4 +38,4 @@ def test_pixels_outside_the_horizontal_sector_are_masked(view_deg):
 
 
 def test_the_whole_view_is_the_rig():
-    assert all(map(torch.equal, usable_pixels(mask_view(RIG, 360)), usable_pixels(RIG)))
+    assert all(map(torch.equal, usable_pixels(mask_view(RIG, 360.0)), usable_pixels(RIG)))

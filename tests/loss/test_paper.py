@@ -16,6 +16,8 @@ class Prediction(NamedTuple):
     logits: torch.Tensor
     pixel_logits: torch.Tensor | None
     range_logits: torch.Tensor | None = None
+    run_lengths: torch.Tensor | None = None
+    coarse_logits: tuple[tuple[int, torch.Tensor], ...] = ()
 
 
 @pytest.fixture(scope="module")

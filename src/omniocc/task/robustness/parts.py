@@ -77,7 +77,7 @@ def camera_parts(cameras: Sequence[str]) -> list[Part]:
         two = Disturbance(partial(kinds.drop_random_cameras, count=2))
         dropped.append(Part("two_cameras_dropped", "two_cameras_dropped", two))
     views = [
-        Part(f"view_{deg}_deg", "view", Disturbance(partial(_rig, change=partial(mask_view, view_deg=deg))))
+        Part(f"view_{deg}_deg", "view", Disturbance(partial(_rig, change=partial(mask_view, view_deg=float(deg)))))
         for deg in VIEW_DEG
     ]
     return [*dropped, *views]
