@@ -18,6 +18,7 @@ export class View3d {
     this.scene = new Scene();
     this.camera = new PerspectiveCamera(40, 1, 0.1, 40 * reach_m);
     this.camera.up.set(0, 0, 1);
+    this.reach = reach_m;
     this.scale = reach_m / 25.6;
     this.materials = { classes: new VoxelMaterial(road_m), kinds: new VoxelMaterial(road_m) };
     this.extras = new Group();
@@ -86,7 +87,7 @@ export class View3d {
     const s = this.scale;
     const places = {
       behind: { eye: [-27 * s, 0, 21 * s], target: [0.5 * s, 0, -3 * s] },
-      above: { eye: [-0.01, 0, 56 * s], target: [0, 0, -2] },
+      above: { eye: [-0.01, 0, 1.06 * this.reach / this.narrowest()], target: [0, 0, -2] },
       car: { eye: [-1.2, 0, 0.4], target: [4, 0, -0.4] },
     };
     const { eye, target } = places[where] ?? where;
@@ -97,6 +98,12 @@ export class View3d {
     this.controls.target.set(...target);
     this.controls.update();
     this.invalidate();
+  }
+
+  // The tangent of half the field of view of one view, horizontally or vertically, whichever is less.
+  narrowest() {
+    this.fit(this.canvas.clientWidth / Math.max(this.views.length, 1), this.canvas.clientHeight || 1);
+    return Math.tan(this.camera.fov * Math.PI / 360) * Math.min(this.camera.aspect, 1);
   }
 
   // Turn by steps to the left and up, and come nearer by steps.
