@@ -6,10 +6,10 @@ import { at, make, number } from "omniocc/dom.js";
 const LISTED = 3;
 
 export class Timeline {
-  // `go(frame)` is called when another frame is asked for.
+  // `go(frame)` is called when another frame is asked for; it returns a promise that the frame is drawn.
   constructor(go) {
     this.go = go;
-    this.timer = null;
+    this.playing = false;
     this.figure = page.figures.findIndex(({ key }) => this.values(key).some(Number.isFinite));
     this.run = 0;
     const slider = at("frame");
@@ -18,7 +18,6 @@ export class Timeline {
     at("before").addEventListener("click", () => this.step(-1));
     at("after").addEventListener("click", () => this.step(1));
     at("play").addEventListener("click", () => this.toggle());
-    at("speed").addEventListener("change", () => { if (this.timer !== null) { this.toggle(); this.toggle(); } });
     at("bars").addEventListener("click", event => { const bar = event.target.closest("[data-frame]"); if (bar) go(Number(bar.dataset.frame)); });
     this.drawBars();
     this.drawWorst();
@@ -50,12 +49,19 @@ export class Timeline {
   }
 
   toggle() {
-    const playing = this.timer === null;
-    if (playing) this.timer = setInterval(() => this.go((this.frame + 1) % page.frames.length), 1000 / Number(at("speed").value));
-    else clearInterval(this.timer);
-    if (!playing) this.timer = null;
-    at("play").setAttribute("aria-pressed", playing);
-    at("play").textContent = playing ? "Pause" : "Play";
+    this.playing = !this.playing;
+    at("play").setAttribute("aria-pressed", this.playing);
+    at("play").textContent = this.playing ? "Pause" : "Play";
+    if (this.playing) this.play((this.session = Symbol("play")));
+  }
+
+  // Go on to the next frame at the chosen speed, or as fast as frames are drawn, until play is toggled.
+  async play(own) {
+    while (this.playing && own === this.session) {
+      const due = performance.now() + 1000 / Number(at("speed").value);
+      await this.go((this.frame + 1) % page.frames.length);
+      await new Promise(done => setTimeout(done, Math.max(due - performance.now(), 20)));
+    }
   }
 
   show(frame) {
@@ -63,7 +69,8 @@ export class Timeline {
     const { scene, frame: name, time_s } = page.frames[frame], slider = at("frame");
     slider.value = frame;
     slider.setAttribute("aria-valuetext", `frame ${frame + 1} of ${page.frames.length}, ${scene}, ${name}`);
-    at("where").replaceChildren(make("b", {}, scene), ` frame ${name}`, make("span", {}, `${time_s.toFixed(1)} s`), make("span", {}, `${frame + 1} of ${page.frames.length}`));
+    at("where").title = scene;
+    at("where").replaceChildren(make("b", {}, scene), make("span", {}, `frame ${name}`), make("span", {}, `${time_s.toFixed(1)} s`), make("span", {}, `${frame + 1} of ${page.frames.length}`));
     for (const marked of at("bars").querySelectorAll(".now")) marked.classList.remove("now");
     at("bars").querySelector(`[data-frame="${frame}"]`)?.classList.add("now");
     for (const button of at("worst").querySelectorAll("[data-frame]")) button.setAttribute("aria-current", Number(button.dataset.frame) === frame);

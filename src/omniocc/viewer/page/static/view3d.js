@@ -144,6 +144,8 @@ export class View3d {
     if (this.renderer.getPixelRatio() !== ratio) this.renderer.setPixelRatio(ratio);
     if (this.canvas.width !== Math.floor(width * ratio) || this.canvas.height !== Math.floor(height * ratio)) this.renderer.setSize(width, height, false);
     this.fit(width / count, height);
+    const clear_m = 1.3 * this.camera.position.distanceTo(this.controls.target) + 5;
+    for (const material of Object.values(this.materials)) material.uniforms.clear_m.value = clear_m;
     this.renderer.setScissorTest(true);
     for (let number = 0; number < count; number++) {
       const place = [Math.round(width * number / count), 0, Math.ceil(width / count), height];

@@ -24,6 +24,7 @@ const FRAGMENT = `
 uniform sampler2D palette;
 uniform vec3 haze;
 uniform float road_m;
+uniform float clear_m;
 varying vec2 cell;
 varying vec3 position_m;
 varying vec3 outward;
@@ -38,16 +39,17 @@ void main() {
   float line = 1.0 - clamp(min(pixels.x, pixels.y) - 0.25, 0.0, 1.0);
   float visible = clamp((1.0 / max(per_pixel.x, per_pixel.y) - 2.0) / 8.0, 0.0, 1.0);
   color *= 1.0 - 0.34 * line * visible;
-  float far = clamp((distance(cameraPosition, position_m) - 50.0) / 120.0, 0.0, 0.3);
+  float far = clamp(distance(cameraPosition, position_m) / clear_m - 1.0, 0.0, 0.25);
   gl_FragColor = vec4(mix(color, haze, far), 1.0);
 }`;
 
-// A material with a colour for each label; `setColors` takes RGB (0 to 255) by label, `haze` is the colour of far away.
+// A material with a colour for each label; `setColors` takes RGB (0 to 255) by label, `haze` is the colour of
+// far away: of what is farther than the uniform `clear_m`.
 export class VoxelMaterial extends ShaderMaterial {
   constructor(road_m) {
     const palette = new DataTexture(new Uint8Array(256 * 4).fill(255), 256, 1);
     palette.needsUpdate = true;
-    super({ vertexShader: VERTEX, fragmentShader: FRAGMENT, uniforms: { palette: { value: palette }, haze: { value: new Color() }, road_m: { value: road_m } } });
+    super({ vertexShader: VERTEX, fragmentShader: FRAGMENT, uniforms: { palette: { value: palette }, haze: { value: new Color() }, road_m: { value: road_m }, clear_m: { value: 50 } } });
   }
 
   setColors(colors, haze) {
