@@ -137,6 +137,18 @@ def test_the_worst_frames_come_first(open_page, made):
     assert "mIoU" not in table  # it is nan in every frame
 
 
+def test_bars_and_counts_are_those_of_the_chosen_run(open_page, made):
+    page = open_page(made[2])
+    before = page.page.locator("#kinds .chip").all_inner_texts()
+    page.page.get_by_label("Run of the bars").select_option(label=RUNS[1])
+    page.drawn()
+    assert page.page.locator("#kinds .chip").all_inner_texts() != before
+    assert f"{RAYIOU[WORST[0]] - 0.1:.3f}" in page.page.inner_text("#worst")
+    page.page.get_by_label("Figure of the bars").select_option(label="IoU")
+    page.drawn()
+    assert "0.500" in page.page.inner_text("#worst")
+
+
 def test_classes_can_be_hidden_by_click_and_by_key(open_page, made):
     page = open_page(made[1])
     all_of_them = page.js("omniocc.view3d.triangles()")

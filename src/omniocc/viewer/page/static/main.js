@@ -15,8 +15,7 @@ const HINT = page.frames.some(frame => frame.images.length) ? "Click an image, o
 const KEYS = {
   "arrow left, right": "frame before, next frame", "space": "play, pause", "w, W": "worst frame first: the next worst, back",
   "1 \u2026 9": "show or hide a class", "0": "all classes", "Shift + arrows": "turn", "+ \u2212": "nearer, farther",
-  "b, a, v": "from behind, from above, from the car", "Tab": "next view (phone width), next control",
-  "c": "colours for colour-blind people", "d": "light or dark", "Esc": "forget the ray", "?": "this list",
+  "b, a, v": "from behind, from above, from the car", "Tab": "next control", "c": "colours for colour-blind people", "d": "light or dark", "Esc": "forget the ray", "?": "this list",
 };
 
 const state = { frame: 0, views: firstSources(), tab: 0, safe: false, theme: null, ray: null, drawn: Promise.resolve() };

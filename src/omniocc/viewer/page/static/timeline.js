@@ -34,6 +34,12 @@ export class Timeline {
     return values.map((value, frame) => ({ value, frame })).filter(({ value }) => Number.isFinite(value)).sort((a, b) => a.value - b.value);
   }
 
+  // The first few of that order: never more than half of the frames.
+  lowest() {
+    const order = this.order();
+    return order.slice(0, Math.min(LISTED, Math.floor(order.length / 2)));
+  }
+
   // Go to the worst frame, or from one of the worst to the next in the order.
   worst(step) {
     const order = this.order(), now = order.findIndex(({ frame }) => frame === this.frame);
@@ -79,7 +85,7 @@ export class Timeline {
   // Bars of the chosen figure; where a scene begins there is a line.
   drawBars() {
     const key = page.figures[this.figure]?.key, values = key === undefined ? page.frames.map(() => NaN) : this.values(key);
-    const worst = new Set(this.order().slice(0, LISTED).map(({ frame }) => frame)), last = Math.max(page.frames.length - 1, 1);
+    const worst = new Set(this.lowest().map(({ frame }) => frame)), last = Math.max(page.frames.length - 1, 1);
     const top = Math.max(...values.filter(Number.isFinite), 1e-9);
     const columns = values.map((value, frame) => {
       const begins = frame > 0 && page.frames[frame].scene !== page.frames[frame - 1].scene;
@@ -93,11 +99,11 @@ export class Timeline {
   }
 
   drawWorst() {
-    const order = this.order();
-    if (!order.length) return at("worst").replaceChildren();
+    const lowest = this.lowest();
+    if (!lowest.length) return at("worst").replaceChildren();
     const jump = make("button", { title: "Worst first: again for the next worst (w), back (W)" }, "Worst first ", make("kbd", {}, "w"));
     jump.addEventListener("click", () => this.worst(1));
-    const listed = order.slice(0, LISTED).map(({ frame, value }) => {
+    const listed = lowest.map(({ frame, value }) => {
       const button = make("button", { class: "chip", "data-frame": frame, title: `${page.frames[frame].scene}, frame ${page.frames[frame].frame}` }, `${frame + 1}`, make("small", {}, number(value)));
       button.addEventListener("click", () => { this.jumped = frame; this.go(frame); });
       return button;
@@ -110,7 +116,7 @@ export class Timeline {
   choices() {
     const pick = (label, entries, chosen, change) => {
       const select = make("select", { "aria-label": label }, ...entries.map((text, value) => make("option", { value, selected: value === chosen }, text)));
-      select.addEventListener("change", () => { change(Number(select.value)); this.drawBars(); this.drawWorst(); this.show(this.frame); });
+      select.addEventListener("change", () => { change(Number(select.value)); this.drawBars(); this.drawWorst(); this.go(this.frame); });
       return select;
     };
     const figures = page.figures.map(({ name }) => name);
