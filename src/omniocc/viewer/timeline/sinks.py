@@ -3,14 +3,14 @@
 import contextlib
 import os
 import re
+import shutil
 import socket
 import sys
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
+from threading import Thread
 
 import rerun as rr
-from rerun.chunk import RrdReader
 
 from omniocc.errors import UserError
 from omniocc.io import cannot_write
@@ -20,6 +20,32 @@ PORT = 9876
 """The port at which Rerun's viewer listens."""
 ADDRESS = re.compile(r"(?:rerun\+)?(?:https?://)?(?P<host>\[[0-9a-fA-F:]+\]|[^:/\s]+)(?::(?P<port>\d+))?(?:/proxy)?/?")
 CONNECT_S, FLUSH_S = 3.0, 60.0
+CHUNK_BYTES = 2**20
+
+
+class FileCopy(Thread):
+    """Copies a pipe to a file until the pipe's other end is closed; an error of the file is kept, and the rest read.
+
+    Rerun writes to the pipe: after an error of its own file (a full disk) it may wait for ever.
+    """
+
+    def __init__(self, source: int, path: Path):
+        super().__init__(daemon=True)
+        self.source, self.path = source, path
+        self.error: OSError | None = None
+
+    def run(self) -> None:
+        """Copy."""
+        with os.fdopen(self.source, "rb") as source:
+            try:
+                with self.path.open("wb") as target:
+                    shutil.copyfileobj(source, target, CHUNK_BYTES)
+                    target.flush()
+                    os.fsync(target.fileno())
+            except OSError as error:
+                self.error = error
+                while source.read(CHUNK_BYTES):
+                    pass
 
 
 @contextlib.contextmanager
@@ -33,51 +59,29 @@ def to_file(path: Path, name: str) -> Iterator[rr.RecordingStream]:
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        recording = _begin(temporary, name)
-        yield recording
-        _finish(recording, temporary, path)
-    finally:
-        with contextlib.suppress(OSError):  # the error that counts is the one before
-            temporary.unlink(missing_ok=True)
-
-
-def _begin(path: Path, name: str) -> rr.RecordingStream:
-    """Return a recording that writes to a file."""
-    try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.touch()
+        temporary.touch()
     except OSError as error:
         raise cannot_write(path, error) from error
+    source, target = os.pipe()
+    copy = FileCopy(source, temporary)
     recording = rr.RecordingStream(APPLICATION)
-    recording.save(path)
-    recording.send_recording_name(name)
-    return recording
-
-
-def _finish(recording: rr.RecordingStream, temporary: Path, path: Path) -> None:
-    """Close a recording's file and give it its name."""
+    recording.save(f"/dev/fd/{target}")
+    os.close(target)  # Rerun has opened it again
+    copy.start()
     try:
-        recording.flush()
-        recording.disconnect()
-        check_whole(temporary)
+        recording.send_recording_name(name)
+        try:
+            yield recording
+            recording.flush()
+        finally:
+            recording.disconnect()
+            copy.join()
+        if copy.error is not None:
+            raise cannot_write(path, copy.error) from copy.error
         os.replace(temporary, path)
-    except RuntimeError as error:  # of Rerun's thread that writes
-        raise cannot_write(path, OSError(f"{first_line(error)}: is the disk full?")) from error
-    except OSError as error:
-        raise cannot_write(path, error) from error
-
-
-def check_whole(path: Path) -> None:
-    """Check that a file has its end, which Rerun writes last; it reports nothing where the disk was full before.
-
-    Raises:
-        OSError: when the end is missing.
-    """
-    try:
-        with warnings.catch_warnings(action="ignore"):  # what they warn of is the error
-            RrdReader(path).store()
-    except Exception as error:  # Rerun raises its own types
-        raise OSError(f"Rerun has not written all of it ({first_line(error)}): is the disk full?") from error
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager
