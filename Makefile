@@ -8,7 +8,7 @@ CONSTRAINTS ?= constraints.txt
 PRESET ?= tiny
 
 help:  ## Show this list
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-15s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 $(READY): pyproject.toml constraints.txt
 	@$(PYTHON) tools/python_version.py
@@ -96,7 +96,10 @@ RUNS ?= runs
 wandb-sync: $(READY)  ## Upload new offline W&B runs and the tables of the report (RUNS=runs)
 	@$(BIN)/python -m omniocc.report.wandb.upload --runs $(RUNS)
 
+dashboard-local: $(READY)  ## Show all W&B runs and stages of this machine in the terminal (RUNS=runs; q ends)
+	@$(BIN)/python -m omniocc.report.wandb.local --runs $(RUNS)
+
 dashboard: $(READY)  ## Save the W&B dashboard to the project omniocc (docs/how_to/dashboards.md)
 	@$(BIN)/python -m omniocc.report.wandb.dashboard --runs $(RUNS)
 
-.PHONY: help setup demo test test-runs test-device test-faults test-cluster test-browser test-typecheck docs lint types constraints bench ablations wandb-sync weights dashboard
+.PHONY: help setup demo test test-runs test-device test-faults test-cluster test-browser test-typecheck docs lint types constraints bench ablations wandb-sync weights dashboard dashboard-local

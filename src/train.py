@@ -24,7 +24,7 @@ from omniocc.run.plan import hours_line, plan_line, planned_steps, validation_ti
 from omniocc.run.results import CANDIDATES, EARLIER_MINUTES, MINUTES, PROTOCOL, load_results, save_results, show_results
 from omniocc.run.script import quiet_libraries, script
 from omniocc.run.slots import sketch_learns
-from omniocc.run.wandb.loggers import finish
+from omniocc.run.wandb.loggers import finish, log_earlier_stages
 from omniocc.task import OccupancyTask, StepProgress, TrainingTime
 from omniocc.task.build import build_task, check_devices, switch_off_head
 from omniocc.task.images import OccupancyImages
@@ -109,8 +109,7 @@ def train_occupancy(
     metrics = trainer.validate(task, datamodule=data, ckpt_path=str(tested), verbose=False)[0]
     metrics |= trainer.test(task, datamodule=data, ckpt_path=str(tested), verbose=False)[0]
     if trainer.is_global_zero:
-        for logger in trainer.loggers:
-            logger.log_metrics(figures, trainer.global_step)
+        log_earlier_stages(trainer.loggers, figures, trainer.global_step)
         facts = {"run": run.path.name, "checkpoint": tested.name, "seed": cfg.seed, "steps": trainer.global_step}
         facts |= {"preset": cfg.preset.name, "command": command_line()}
         device = trainer.strategy.root_device

@@ -28,6 +28,9 @@ MAKE = {
     "make test": "OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n auto --dist worksteal"
     " -m 'not whole_runs and not second_device and not faults and not cluster and not browser'",
     "make ablations": f".venv/bin/python src/train.py --multirun +ablation={','.join(ROWS)} seed=0 preset=tiny",
+    "make dashboard-local": ".venv/bin/python -m omniocc.report.wandb.local --runs runs",
+    "make dashboard": ".venv/bin/python -m omniocc.report.wandb.dashboard --runs runs",
+    "make wandb-sync": ".venv/bin/python -m omniocc.report.wandb.upload --runs runs",
 }
 
 

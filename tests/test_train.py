@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 from filelock import FileLock
-from offline_file import files_of, history, runs_in
+from offline_file import files_of, history, runs_in, summary
 from scripts import run_script
 
 from omniocc.report.wandb.dashboard import sections
@@ -259,7 +259,10 @@ def runs_of_wandb_are_complete(runs: Path) -> None:
         assert (begun.job_type, begun.run_group, list(begun.tags)) == (job_type, "smoke", tags)
         config = {item.key: json.loads(item.value_json) for item in begun.config.update}
         assert config["slots"]["sketch"] == "omni"
-        seen |= {key for row in history(path) for key in row}
+        charts = {key for row in history(path) for key in row}
+        assert not {key for key in charts if key.startswith(("prior/", "label/", "test/rayiou"))}
+        assert not (job_type == "occupancy" and "val/depth/mae" in charts)
+        seen |= charts | set(summary(path))
     (metrics,) = runs.glob("whole-*/metrics.json")
     charts = sections(json.loads(metrics.read_text())["metrics"])
     keys = {key for part in charts.values() for chart in part for key in chart.keys}

@@ -11,6 +11,7 @@ from omniocc.classes import ClassTable, SemanticClass
 from omniocc.data.labels.counts import all_frames, count_classes
 from omniocc.data.source import SPLITS, Benchmark, BenchmarkFrame, LidarScan, SourceSpec
 from omniocc.geometry import Cuboid, Grid
+from omniocc.geometry.directions import RayOrigins
 
 CLASSES = ClassTable(tuple(SemanticClass(k, f"kind{k}", (10 * k, 255 - 10 * k, k)) for k in range(19)))
 GRID = Cuboid((20, 16, 4), (-40.0, 40.0), (-32.0, 32.0), (-1.0, 5.4))
@@ -93,7 +94,8 @@ class FakeLabels:
     def benchmark(self, scene, frame):
         labels = self.read(scene, frame)
         mask = torch.from_numpy(scene.noise(200 + frame).random(GRID.shape) < 0.5)
-        return None if labels is None else BenchmarkFrame(labels, mask, torch.zeros(1 + scene.number % 2, 3))
+        origins = RayOrigins(torch.zeros(1 + scene.number % 2, 3), torch.arange(1 + scene.number % 2))
+        return None if labels is None else BenchmarkFrame(labels, mask, origins)
 
     def counts(self, scenes):
         return count_classes(self, all_frames(scenes), CLASSES.num_classes, GRID.shape)

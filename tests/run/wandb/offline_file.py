@@ -63,6 +63,12 @@ def history(path: Path) -> Iterator[dict[str, Any]]:
         yield row
 
 
+def summary(path: Path) -> dict[str, Any]:
+    """Return the values that a run gave its summary itself, the last of each key."""
+    updates = (record.summary.update for record in records(path) if record.WhichOneof("record_type") == "summary")
+    return {".".join(item.nested_key) or item.key: json.loads(item.value_json) for update in updates for item in update}
+
+
 def files_of(folder: Path) -> list[Path]:
     """Return the files of a run's folder in the order of their start: one for every start of the run."""
     return sorted((folder / "wandb").glob("*run-*/run-*.wandb"), key=lambda path: path.parent.name.split("run-", 1)[1])

@@ -11,12 +11,12 @@ import torch
 import wandb
 from lightning.pytorch import LightningModule, Trainer
 from lightning.pytorch.callbacks import ModelCheckpoint
-from offline_file import STEP, files_of, history, records, runs_in
+from offline_file import STEP, files_of, history, records, runs_in, summary
 from torch.utils.data import DataLoader
 
 from omniocc.errors import UserError
 from omniocc.run.wandb import Loggers
-from omniocc.run.wandb.loggers import finish, rows_in_csv, wandb_of
+from omniocc.run.wandb.loggers import finish, log_earlier_stages, rows_in_csv, wandb_of
 from omniocc.run.wandb.media import Named
 
 CONFIG = {
@@ -49,7 +49,8 @@ class Line(LightningModule):
         self.log("val/rayiou", float(self.global_step))
 
     def test_step(self, batch, batch_index):
-        self.log_dict({"test/rayiou/Road": 0.5, "test/rayiou_0-8.5m": 0.25})
+        self.log_dict({"test/rayiou/Road": 0.5, "test/rayiou_0-8.5m": 0.25, "test/rayiou/Pole": math.nan})
+        self.log_dict({"prior/rayiou": 0.125, "label/rayiou": 1.0})
 
     def configure_optimizers(self):
         return torch.optim.SGD(self.parameters(), lr=0.1)
@@ -113,6 +114,31 @@ def test_a_resumed_run_continues_its_curves(resumed):
     assert loss == [(step, float(step)) for step in range(STEPS)]
     assert [(row[STEP], row["val/rayiou"]) for row in rows if "val/rayiou" in row] == [(2, 3.0), (5, 6.0), (8, 9.0)]
     assert max(Counter(key for row in rows for key in row if key.startswith("test/")).values()) == 1
+
+
+def test_scores_of_a_test_are_a_summary_and_no_charts(resumed):
+    charts = {key for path in files_of(resumed) for row in history(path) for key in row}
+    charts = {key for key in charts if not key.startswith("_")}
+    assert charts == {"train/loss", "val/rayiou", "test/bev", "test/points", "tables/by_class", "tables/by_range",
+                      "epoch", STEP}  # fmt: skip
+    found = summary(files_of(resumed)[1])
+    scores = {"test/rayiou/Road": 0.5, "test/rayiou_0-8.5m": 0.25, "prior/rayiou": 0.125, "label/rayiou": 1.0}
+    assert {key: found[key] for key in scores} == scores
+    assert found["test/rayiou/Pole"] is None, "W&B has no nan"
+
+
+def test_figures_of_earlier_stages_are_a_summary(tmp_path):
+    loggers = Loggers("offline", "p", None, []).build(tmp_path, CONFIG, "occupancy")
+    log_earlier_stages(loggers, {"val/depth/mae": 1.5, "test/depth/mae_0-8.5m": 0.5}, 7)
+    finish(loggers)
+    wandb.teardown()
+    assert rows_in_csv(tmp_path) == {(7, "val/depth/mae"), (7, "test/depth/mae_0-8.5m")}
+    (path,) = files_of(tmp_path)
+    assert summary(path)["val/depth/mae"] == 1.5
+    assert summary(path)["test/depth/mae_0-8.5m"] == 0.5
+    assert {key for row in history(path) for key in row if "depth" in key} == set()
+    (table,) = (row["tables/by_range"] for row in history(path) if "tables/by_range" in row)
+    assert table["nrows"] == 1
 
 
 def test_images_points_and_tables_are_saved_as_files(resumed):

@@ -24,6 +24,8 @@ from omniocc.run.wandb.result_tables import result_tables
 JobType = Literal["depth", "sketch", "occupancy", "robustness"]
 CSV = "csv"
 """Folder of the CSV files, one for every start of the run, in the run's folder."""
+CONSTANT = ("test", "prior", "label")
+"""Phases whose scalars have one value in a run: W&B gets them in its summary, not as charts with a dot each."""
 
 
 @dataclass(frozen=True)
@@ -97,11 +99,22 @@ class WandbCurves(WandbLogger):
 
     @rank_zero_only
     def log_metrics(self, metrics: Mapping[str, Any], step: int | None = None) -> None:
-        """Log the metrics of a step that were not logged before the run was interrupted."""
-        self.scalars |= {key: value for key, value in metrics.items() if isinstance(value, int | float)}
-        new = {key: value for key, value in metrics.items() if (step, key) not in self.earlier}
+        """Log the metrics of a step that were not logged before the run was interrupted; those of a test as summary."""
+        scalars = {key: value for key, value in metrics.items() if isinstance(value, int | float)}
+        self.scalars |= scalars
+        constants = {key: value for key, value in scalars.items() if phase_of(key) in CONSTANT}
+        self.log_constants(constants)
+        curves = {key: value for key, value in metrics.items() if key not in constants}
+        new = {key: value for key, value in curves.items() if (step, key) not in self.earlier}
         if set(new) - {"epoch"}:
             super().log_metrics(new, step)
+
+    @rank_zero_only
+    def log_constants(self, metrics: Mapping[str, float]) -> None:
+        """Add values that do not change to the run's summary; nan arrives as none."""
+        self.scalars |= metrics
+        if metrics:
+            self.experiment.summary.update(dict(metrics))
 
     @rank_zero_only
     def log_media(self, media: Mapping[str, Sequence[Named]], step: int) -> None:
@@ -135,6 +148,15 @@ def logged_in() -> bool:
 def wandb_of(loggers: Sequence[Logger]) -> list[WandbCurves]:
     """Return the loggers that write to W&B."""
     return [logger for logger in loggers if isinstance(logger, WandbCurves)]
+
+
+def log_earlier_stages(loggers: Sequence[Logger], figures: Mapping[str, float], step: int) -> None:
+    """Log the figures of the stages before a run, which do not change in it."""
+    for logger in loggers:
+        if isinstance(logger, WandbCurves):
+            logger.log_constants(figures)
+        else:
+            logger.log_metrics(dict(figures), step)
 
 
 def finish(loggers: Sequence[Logger]) -> None:
