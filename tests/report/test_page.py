@@ -135,8 +135,8 @@ def test_frames_lead_to_the_viewer_pages_of_runs_that_have_one(outline, runs):
 def test_tables_and_plots_are_beside_the_page(output, capsys):
     tables = {path.stem for path in output.glob("*.tex")} & {path.stem for path in output.glob("*.csv")}
     assert tables == {
-        "beyond", "classes", "comparison", "dataset", "distance", "equal_budget", "equal_steps", "interval", "lidar", "moving",
-        "pinhole", "places", "refine", "representation", "semantic_temporal", "sketch", "weather",
+        "beyond", "classes", "comparison", "dataset", "distance", "equal_budget", "equal_steps", "interval", "lidar",
+        "moving", "pinhole", "places", "refine", "representation", "semantic_temporal", "sketch", "weather",
     }  # fmt: skip
     markdown = (output / "report.md").read_text("utf-8")
     claim = "| omni depth ahead of dense voxels | +0.036 | own voxels | +0.025 | +0.100 | – | – |"
