@@ -51,8 +51,8 @@ def scene_figures(folder: Path) -> dict[str, float]:
     """Return the scores of groups of scenes by key; none for runs that kept no counts.
 
     `test/<condition>/<value>/rayiou` and `.../lidar/rayiou` are the RayIoU of the scenes of one weather or kind of
-    place, with counts summed over them. `test/moving/rayiou/<class>` and `test/standing/rayiou/<class>` are RayIoU among
-    LiDAR rays that hit what moves, and among the others, for classes that move; without a class their mean.
+    place, with counts summed over them. `test/moving/rayiou/<class>` and `test/standing/rayiou/<class>` are RayIoU
+    among LiDAR rays that hit what moves, and among the others, for classes that move; without a class their mean.
 
     Raises:
         UserError: naming the file, when it is damaged.
