@@ -43,6 +43,7 @@ from omniocc.task.build import load_task
 from omniocc.task.images import OccupancyImages
 from omniocc.task.robustness.evaluation import robustness_of, system_of
 from omniocc.task.robustness.parts import UNSEEN, parts_of
+from omniocc.task.scene_counts import save_by_scene
 from omniocc.task.submission import score_files
 
 CONF = Path(__file__).parents[1] / "conf"
@@ -134,6 +135,7 @@ def main(arguments: list[str] | None = None) -> None:
     metrics = trainer.test(task, datamodule=data, verbose=False)[0]
     facts = {"checkpoint": str(checkpoint), "commit": git_commit(), "data": data.source.fingerprint}
     facts |= {PROTOCOL: task.scores.protocol()}
+    save_by_scene(folder, task.scores, data.source, task.by_scene.of_all())
     save_results(folder, metrics, facts)
     show_results(folder)
 

@@ -28,6 +28,7 @@ from omniocc.run.wandb.loggers import finish, log_earlier_stages
 from omniocc.task import OccupancyTask, StepProgress, TrainingTime
 from omniocc.task.build import build_task, check_devices, switch_off_head
 from omniocc.task.images import OccupancyImages
+from omniocc.task.scene_counts import save_by_scene
 from omniocc.task.stage_keys import wanted_stages
 from omniocc.task.stages import Stages
 from omniocc.task.step_time import planned_scenes, step_seconds
@@ -108,6 +109,7 @@ def train_occupancy(
     tested = run.path / (BEST if (run.path / BEST).exists() else LAST)
     metrics = trainer.validate(task, datamodule=data, ckpt_path=str(tested), verbose=False)[0]
     metrics |= trainer.test(task, datamodule=data, ckpt_path=str(tested), verbose=False)[0]
+    by_scene = task.by_scene.of_all()
     if trainer.is_global_zero:
         log_earlier_stages(trainer.loggers, figures, trainer.global_step)
         facts = {"run": run.path.name, "checkpoint": tested.name, "seed": cfg.seed, "steps": trainer.global_step}
@@ -117,6 +119,7 @@ def train_occupancy(
         facts |= cost_of(task.model.eval(), data.dataset("test")[0])
         facts |= facts_of_report(task, data, earlier, trainer.global_step)
         facts |= {"commit": git_commit(), "data": data.source.fingerprint, PROTOCOL: task.scores.protocol()}
+        save_by_scene(run.path, task.scores, data.source, by_scene)
         save_results(run.path, metrics | figures, facts)
         finish(trainer.loggers)
         show_results(run.path)

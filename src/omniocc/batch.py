@@ -34,6 +34,7 @@ class Batch(NamedTuple):
         lidar_labels: true class along these rays, 0 where nothing is hit, 255 unknown or padded.
         lidar_directions: unit rays in the ego frame. None: those of the source, `SourceSpec.lidar_directions`.
         lidar_origins: where the rays start, m, ego frame. None: in the ego origin.
+        lidar_moving: whether what these rays hit moves. None: the dataset does not tell.
         erp_range_m: true panorama of range around the ego origin, inf for sky, nan unknown.
         camera_range_m: true range of every pixel; inf for sky, nan for own car, outside the lens or padded.
         depth_range_m: panorama that the depth stage predicted, nan where unknown.
@@ -56,6 +57,7 @@ class Batch(NamedTuple):
     lidar_labels: UInt8[Tensor, "B R"] | None = None
     lidar_directions: Float32[Tensor, "B R 3"] | None = None
     lidar_origins: Float32[Tensor, "B R 3"] | None = None
+    lidar_moving: Bool[Tensor, "B R"] | None = None
     erp_range_m: Float32[Tensor, "B h w"] | None = None
     camera_range_m: Float32[Tensor, "B N H W"] | None = None
     depth_range_m: Float32[Tensor, "B h w"] | None = None

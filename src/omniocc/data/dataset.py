@@ -30,6 +30,7 @@ ABSENT: dict[str, float | bool] = {
     "lidar_labels": UNKNOWN,
     "lidar_directions": 0.0,
     "lidar_origins": 0.0,
+    "lidar_moving": False,
     "erp_range_m": NAN,
     "camera_range_m": NAN,
 }
@@ -53,6 +54,7 @@ class Sample(NamedTuple):
     lidar_labels: UInt8[Tensor, " R"] | None = None
     lidar_directions: Float32[Tensor, "R 3"] | None = None
     lidar_origins: Float32[Tensor, "R 3"] | None = None
+    lidar_moving: Bool[Tensor, " R"] | None = None
     erp_range_m: Float32[Tensor, "h w"] | None = None
     camera_range_m: Float32[Tensor, "N H W"] | None = None
     depth_range_m: Float32[Tensor, "h w"] | None = None
@@ -174,6 +176,7 @@ class WindowDataset(Dataset):
         if scan is None:
             return {}
         parts = {"lidar_range_m": scan.range_m, "lidar_labels": scan.labels}
+        parts |= {} if scan.moving is None else {"lidar_moving": scan.moving}
         if self.own_rays:
             origins = np.zeros_like(scan.directions) if scan.origins is None else scan.origins
             parts |= {"lidar_directions": scan.directions, "lidar_origins": origins}

@@ -9,8 +9,9 @@ from omniocc.report.runs import FinishedRun, read_runs
 from omniocc.run.curves import CURVES
 from omniocc.run.folder import METRICS
 from omniocc.run.robustness import TESTS
+from omniocc.run.scenes import SCENES
 
-KEPT = ("config.yaml", METRICS, CURVES, TESTS)
+KEPT = ("config.yaml", METRICS, SCENES, CURVES, TESTS)
 """Files, or patterns of files, of a run from which every table and curve can be written again."""
 
 

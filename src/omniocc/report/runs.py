@@ -16,6 +16,7 @@ import yaml
 from omniocc.errors import UserError
 from omniocc.run.folder import METRICS
 from omniocc.run.results import CANDIDATES, load_results
+from omniocc.run.scenes import scene_figures
 from omniocc.run.table import class_names
 
 HASH = re.compile(r"-[0-9a-f]{8}(-\d+)?$")
@@ -79,7 +80,8 @@ def _read(folder: Path) -> FinishedRun:
     if RAY_IOU not in metrics:
         raise UserError(f"{folder} has no RayIoU: its test frames have no voxel labels")
     config = _read_config(folder / "config.yaml")
-    return FinishedRun(folder.name, facts, known_figures(facts, config) | metrics, folder, config)
+    figures = known_figures(facts, config) | metrics | scene_figures(folder)
+    return FinishedRun(folder.name, facts, figures, folder, config)
 
 
 def _read_config(path: Path) -> Mapping[str, Any]:

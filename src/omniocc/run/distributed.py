@@ -1,7 +1,7 @@
 """The processes of a run on several devices: who is first, what it tells the others, and where they meet."""
 
 import os
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from torch import distributed
 
@@ -40,6 +40,15 @@ def from_first(value: Value) -> Value:
     values = [value]
     distributed.broadcast_object_list(values, src=0)
     return values[0]
+
+
+def from_all(value: Value) -> list[Value]:
+    """Return the values of all processes, which have to call this together; the own one as long as no others joined."""
+    if not distributed.is_initialized():
+        return [value]
+    values: list[Any] = [None] * distributed.get_world_size()
+    distributed.all_gather_object(values, value)
+    return values
 
 
 def meet() -> None:

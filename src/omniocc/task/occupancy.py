@@ -15,6 +15,7 @@ from omniocc.loss import Total
 from omniocc.model import OccupancyModel, Prediction, Stream
 from omniocc.model.protocols import Sketched, stored
 from omniocc.task.adamw import AdamW
+from omniocc.task.scene_counts import SceneCounts
 from omniocc.task.scores import Scores
 from omniocc.task.stage_task import StageTask, step_generator
 from omniocc.task.terms import log_terms
@@ -52,6 +53,7 @@ class OccupancyTask(StageTask[OccupancyModel]):
         self.scores = Scores(model.geometry, spec)
         self.prior_scores = Scores(model.geometry, spec)
         self.label_scores = Scores(model.geometry, spec)
+        self.by_scene = SceneCounts(self.scores)
         self.prior: Tensor
         self.register_buffer("prior", torch.zeros(model.geometry.shape, dtype=torch.uint8))
 
@@ -98,11 +100,15 @@ class OccupancyTask(StageTask[OccupancyModel]):
         """Drop the volumes of past frames, since the weights have changed."""
         self.stream.reset()
 
-    on_test_epoch_start = on_validation_epoch_start
+    def on_test_epoch_start(self) -> None:
+        """Drop the volumes of past frames, and the counts of scenes of an earlier test."""
+        self.stream.reset()
+        self.by_scene.reset()
 
     def test_step(self, batch: Batch, batch_index: int) -> Tensor:
         """Score a batch with baseline and upper bound on it, and return the predicted labels."""
         labels = self.validation_step(batch, batch_index)
+        self.by_scene.update(labels, batch)
         self.prior_scores.update(self.prior.expand_as(labels), batch)
         # unknown cells are scored as free
         if batch.voxels is not None:

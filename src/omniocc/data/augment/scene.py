@@ -75,7 +75,7 @@ def change_scenes(batch: Batch, geometry: Grid, changes: list[Change]) -> Batch:
     """
     batch = batch._replace(own_voxels=None, scored=None, ray_origins=None, ray_times=None)
     if batch.lidar_directions is None:
-        batch = batch._replace(lidar_range_m=None, lidar_labels=None)
+        batch = batch._replace(lidar_range_m=None, lidar_labels=None, lidar_moving=None)
     widths = batch.image_sizes()[0]
     changed = {}
     for name in (*IMAGES, *CELLS, *PANORAMAS, *VECTORS, "world_from_ego"):

@@ -99,12 +99,14 @@ class LidarScan(NamedTuple):
         labels: (R,) uint8 class that is hit; 0 where nothing is hit, 255 unknown.
         directions: (R, 3) float32 unit rays in the ego frame.
         origins: (R, 3) float32 where the rays start, m, ego frame; None: in the ego origin.
+        moving: (R,) bool whether what is hit moves; None if the dataset does not tell.
     """
 
     range_m: np.ndarray
     labels: np.ndarray
     directions: np.ndarray
     origins: np.ndarray | None = None
+    moving: np.ndarray | None = None
 
 
 class Points(NamedTuple):

@@ -35,7 +35,7 @@ POINT_STEPS_PER_M = 128
 UNMEASURED_CODE = 0
 SKY_CODE = 65535
 JPEG_QUALITY = 95
-PANORAMA, POINTS, LIDAR = "erp_range.zst", "points.zst", "lidar.zst"
+FACTS, PANORAMA, POINTS, LIDAR = "frame.json", "erp_range.zst", "points.zst", "lidar.zst"
 ZSTD_LEVEL = 1
 _CODE_BYTES = 6
 
@@ -44,7 +44,7 @@ def encode_frame(frame: Frame | RecordedFrame) -> dict[str, bytes]:
     """Return all blobs of a frame by name, in a fixed order; parts that are None have none."""
     facts = {"time_s": frame.time_s, "world_from_ego": frame.world_from_ego.tolist()}
     facts["boxes"] = [vars(box) for box in frame.boxes]
-    blobs = {"frame.json": json.dumps(facts, default=lambda value: value.item()).encode()}
+    blobs = {FACTS: json.dumps(facts, default=lambda value: value.item()).encode()}
     for k, image in enumerate(frame.images):
         blobs[f"rgb{k}.jpg"] = encode_image(image)
     for k, labels in enumerate(() if frame.semantics is None else frame.semantics):
@@ -62,7 +62,7 @@ def encode_frame(frame: Frame | RecordedFrame) -> dict[str, bytes]:
 
 def decode_frame(blobs: Mapping[str, bytes]) -> RecordedFrame:
     """Return the frame that all its blobs hold, within the errors of the table above; parts without blobs are None."""
-    facts = json.loads(blobs["frame.json"])
+    facts = json.loads(blobs[FACTS])
     cameras = range(sum(name.startswith("rgb") for name in blobs))
     points_m, point_labels = decode_points(blobs[POINTS]) if POINTS in blobs else (None, None)
     lidar_range_m, lidar_labels = decode_lidar(blobs[LIDAR]) if LIDAR in blobs else (None, None)
@@ -79,6 +79,11 @@ def decode_frame(blobs: Mapping[str, bytes]) -> RecordedFrame:
         lidar_labels=lidar_labels,
         boxes=tuple(_decode_box(box) for box in facts["boxes"]),
     )
+
+
+def decode_boxes(blob: bytes) -> tuple[Box, ...]:
+    """Return the boxes of actors that `frame.json` holds."""
+    return tuple(_decode_box(box) for box in json.loads(blob)["boxes"])
 
 
 def encode_image(image: np.ndarray) -> bytes:

@@ -9,14 +9,29 @@ from typing import Any
 import numpy as np
 
 from omniocc.camera import Equirectangular, Rig
+from omniocc.data.labels.moving import hits_of_moving
 from omniocc.data.source import LidarScan, Points
-from omniocc.data.store.codec import LIDAR, PANORAMA, POINTS, decode_image, decode_lidar, decode_points, decode_range
+from omniocc.data.store.codec import (
+    FACTS,
+    LIDAR,
+    PANORAMA,
+    POINTS,
+    decode_boxes,
+    decode_image,
+    decode_lidar,
+    decode_points,
+    decode_range,
+)
 from omniocc.data.store.folder import SceneFolder
 from omniocc.data.store.panorama import resampled
 from omniocc.data.store.raster import unpack
 from omniocc.errors import DataError
 from omniocc.geometry.directions import sparseocc_directions
 
+FROM_LOG = "log"
+"""Fact of scenes made of a real car's log, which has no boxes of actors."""
+CONDITIONS = {"weather": "weather", "place": "theme"}
+"""Facts by which the scenes of a test are told apart, by title."""
 _RIGS: dict[tuple[str, ...], Rig] = {}
 
 
@@ -119,8 +134,17 @@ class SceneReader(SceneFolder):
         """Return the hits of the ego LiDAR."""
         if not self.has(LIDAR):
             return None
-        range_m, labels = decode_lidar(self._member(frame, LIDAR))
-        return LidarScan(range_m, labels, _lidar_directions())
+        blobs, directions = self.read(frame, [LIDAR, FACTS]), _lidar_directions()
+        range_m, labels = decode_lidar(blobs[LIDAR])
+        known = FROM_LOG not in self.meta["facts"]
+        moving = hits_of_moving(range_m, labels, directions, decode_boxes(blobs[FACTS])) if known else None
+        return LidarScan(range_m, labels, directions, moving=moving)
+
+    @property
+    def conditions(self) -> dict[str, str]:
+        """Return weather and kind of place, as far as they were recorded."""
+        facts = self.meta["facts"]
+        return {title: str(facts[key]) for title, key in CONDITIONS.items() if key in facts}
 
     def points(self, frame: int) -> Points | None:
         """Return the labelled surface points."""

@@ -1,7 +1,7 @@
 """The paper's claims that one method is ahead of another, decided by one rule: see `Judged.verdict`."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 from scipy import stats
@@ -107,26 +107,31 @@ def pairs_of(table: PaperTable) -> Iterator[tuple[PaperRow, PaperRow]]:
 
 def rows_in(tables: Sequence[PaperTable], rows: Rows) -> Rows:
     """Return the rows of tables that have run; one that has two names, as `ours` and `ours@1000`, counts once."""
+    return _once((row.run for table in tables for row in table.rows), rows)
+
+
+def claimed(tables: Sequence[PaperTable], rows: Rows, compares: str) -> Rows:
+    """Return the rows of claims that have run, of the tables that compare `parts` of one system, or `systems`."""
+    chosen = [table for table in tables if table.compares == compares]
+    return _once((row.run for table in chosen for pair in pairs_of(table) for row in pair), rows)
+
+
+def _once(names: Iterable[str], rows: Rows) -> Rows:
     found: dict[str, Sequence[FinishedRun]] = {}
-    for row in (row for table in tables for row in table.rows):
-        if row.run in rows and not any(runs is rows[row.run] for runs in found.values()):
-            found[row.run] = rows[row.run]
+    for name in names:
+        if name in rows and not any(runs is rows[name] for runs in found.values()):
+            found[name] = rows[name]
     return found
-
-
-def parts_of(tables: Sequence[PaperTable], rows: Rows) -> Rows:
-    """Return the rows of the tables that compare parts of one system."""
-    return rows_in([table for table in tables if table.compares == "parts"], rows)
 
 
 def claims_of(tables: Sequence[PaperTable], rows: Rows, judge: str) -> dict[Name, Claim]:
     """Return the claims of all tables whose two rows have run, each once.
 
-    The noise of parts of one system is estimated over all rows of `parts_of`, that of systems over both rows.
+    The noise of parts of one system is estimated over all `claimed` rows, that of systems over both rows.
     """
     found: dict[Name, Claim] = {}
     keys = {key for table in tables if (key := metric_of(table, judge)) is not None}
-    noise = {key: Gaps(parts_of(tables, rows), key) for key in keys}
+    noise = {key: Gaps(claimed(tables, rows, "parts"), key) for key in keys}
     for table in tables:
         key = metric_of(table, judge)
         for better, other in pairs_of(table):
@@ -158,7 +163,7 @@ def _claim(table: PaperTable, better: PaperRow, other: PaperRow, rows: Rows, key
 
 
 def _as_in(noise: Gaps, row: str, rows: Rows) -> str:
-    """Return the name under which `parts_of` counts the runs of a row."""
+    """Return the name under which the runs of a row are counted."""
     return row if noise.has(row) else next(name for name, runs in rows.items() if runs is rows[row] and noise.has(name))
 
 

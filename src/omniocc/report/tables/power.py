@@ -9,7 +9,7 @@ import yaml
 from scipy import stats
 
 from omniocc.errors import UserError
-from omniocc.report.tables.claims import LEVEL, Rows, pairs_of, parts_of, rows_in
+from omniocc.report.tables.claims import LEVEL, Rows, claimed, pairs_of
 from omniocc.report.tables.gaps import Gaps
 from omniocc.report.tables.paper import PaperRow, PaperTable, figure_of
 from omniocc.run.table import markdown
@@ -72,9 +72,9 @@ def spread_of(given: Sequence[float]) -> Spread:
 
 def measured(tables: Sequence[PaperTable], rows: Rows, key: str) -> Spread | None:
     """Return the spreads of the runs themselves; None as long as no part, or no system, has two seeds."""
-    systems = rows_in([table for table in tables if table.compares == "systems"], rows)
+    systems = claimed(tables, rows, "systems")
     spreads = [figure.spread for runs in systems.values() if (figure := figure_of(runs, key)) and figure.seeds > 1]
-    parts = Gaps(parts_of(tables, rows), key).spread
+    parts = Gaps(claimed(tables, rows, "parts"), key).spread
     if math.isnan(parts) or not spreads:
         return None
     return Spread("the runs here", parts, math.sqrt(sum(spread * spread for spread in spreads) / len(spreads)))

@@ -19,7 +19,8 @@ CURVES = (
     "RayIoU on validation scenes on the way, mean over seeds, at the last validation up to each part of the steps. "
     "The learning rate falls to the end of all steps, so that the beginning of a long run is not a short run."
 )
-PARTS = (0.05, 0.1, 0.25, 0.5, 0.75, 1.0)
+PARTS = (0.2, 0.4, 0.6, 0.8, 1.0)
+"""Parts of all steps after which a training is validated by default."""
 
 
 class Compared(NamedTuple):

@@ -1,0 +1,111 @@
+"""Counts of rays of every test scene in a file of the run, and the scores of groups of scenes that follow from them."""
+
+import json
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from omniocc.errors import UserError
+from omniocc.io import atomic_write
+from omniocc.metric.ray_counts import RayCounts, ray_scores
+
+SCENES = "scenes.json"
+RAYS, LIDAR, MOVING = "rays", "lidar", "moving"
+"""Kinds of rays: against true voxels, LiDAR rays, and those of them that hit what moves."""
+Lines = list[list[int]]
+"""Numbers of rays by class: true, predicted, and correct at each threshold."""
+Counted = dict[str, Lines]
+"""Counts of a scene by kind of rays."""
+
+
+def save_scenes(
+    folder: Path, counted: Mapping[str, Counted], conditions: Mapping[str, Mapping[str, str]], classes: Sequence[str],
+    thresholds_m: Sequence[float],
+) -> None:  # fmt: skip
+    """Write the counts of every scene, a line each, with its conditions (weather, place).
+
+    Args:
+        folder: of the run.
+        counted: counts by scene.
+        conditions: by scene; a scene may have none.
+        classes: names by id, free included.
+        thresholds_m: distances within which hits are correct.
+
+    Raises:
+        DataError: naming the file that cannot be written.
+    """
+    head = (
+        f'{{"classes": {json.dumps(list(classes))},\n "thresholds_m": {json.dumps(list(thresholds_m))},\n "scenes": {{'
+    )
+    lines = [f"  {json.dumps(name)}: {_line(conditions.get(name, {}), scene)}" for name, scene in counted.items()]
+    atomic_write(folder / SCENES, head + "\n" + ",\n".join(lines) + "\n}}\n")
+
+
+def _line(conditions: Mapping[str, str], scene: Counted) -> str:
+    return json.dumps({"conditions": dict(conditions), **scene}, separators=(",", ":"))
+
+
+def scene_figures(folder: Path) -> dict[str, float]:
+    """Return the scores of groups of scenes by key; none for runs that kept no counts.
+
+    `test/<condition>/<value>/rayiou` and `.../lidar/rayiou` are the RayIoU of the scenes of one weather or kind of
+    place, with counts summed over them. `test/moving/rayiou/<class>` and `test/standing/rayiou/<class>` are RayIoU
+    among LiDAR rays that hit what moves, and among the others, for classes that move; without a class their mean.
+
+    Raises:
+        UserError: naming the file, when it is damaged.
+    """
+    path = folder / SCENES
+    if not path.exists():
+        return {}
+    try:
+        content = json.loads(path.read_text())
+        return _by_conditions(content) | _of_moving(content)
+    except (ValueError, TypeError, KeyError, AttributeError, IndexError, RuntimeError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise UserError(f"{path} is damaged ({reason}); without it the run has no scores by scene") from error
+
+
+def _by_conditions(content: Mapping[str, Any]) -> dict[str, float]:
+    scenes = content["scenes"].values()
+    groups = dict.fromkeys(entry for scene in scenes for entry in sorted(scene["conditions"].items()))
+    figures = {}
+    for condition, value in groups:
+        members = [scene for scene in scenes if scene["conditions"].get(condition) == value]
+        for kind, prefix in ((RAYS, ""), (LIDAR, "lidar/")):
+            if (lines := summed(members, kind)) is not None:
+                scores = _scores(lines, content, range(1, len(content["classes"])))
+                figures[f"test/{condition}/{value}/{prefix}rayiou"] = scores["rayiou"]
+    return figures
+
+
+def _of_moving(content: Mapping[str, Any]) -> dict[str, float]:
+    told = [scene for scene in content["scenes"].values() if MOVING in scene]
+    moving, every = summed(told, MOVING), summed(told, LIDAR)
+    if moving is None or every is None:
+        return {}
+    standing = every - moving
+    classes = [k for k in range(1, len(content["classes"])) if moving[0, k] > 0]
+    if not classes:
+        return {}
+    parts = {"moving": moving, "standing": standing}
+    return {
+        f"test/{name}/{key}": value
+        for name, lines in parts.items()
+        for key, value in _scores(lines, content, classes).items()
+        if "@" not in key
+    }
+
+
+def summed(scenes: Collection[Mapping[str, Any]], kind: str) -> torch.Tensor | None:
+    """Return the counts of one kind of rays over scenes, (2 + thresholds, classes); None if no scene has them."""
+    found = [torch.tensor(scene[kind]) for scene in scenes if kind in scene]
+    return torch.stack(found).sum(0) if found else None
+
+
+def _scores(lines: torch.Tensor, content: Mapping[str, Any], classes: Sequence[int]) -> dict[str, float]:
+    counts = RayCounts(lines[None, 0], lines[None, 1], lines[None, 2:])
+    names = {k: content["classes"][k] for k in classes}
+    return {key: float(value) for key, value in ray_scores(counts, names, content["thresholds_m"], ()).items()}

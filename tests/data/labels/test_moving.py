@@ -1,0 +1,66 @@
+"""Rays that hit things that move."""
+
+import numpy as np
+from fake_scene import FakeWorld, fake_frame
+
+from omniocc.data.dataset import WindowDataset, collate
+from omniocc.data.labels.moving import hits_of_moving
+from omniocc.geometry import Cylinder
+from omniocc.world.frame import Box
+
+CAR = Box(1, 7, (10.0, 0.0, -1.4), (4.0, 2.0, 1.6), 0.0, (8.0, 0.0))
+
+
+def rays(*points_m) -> tuple[np.ndarray, np.ndarray]:
+    """Return ranges and directions of these points."""
+    points = np.array(points_m, dtype=np.float32)
+    range_m = np.linalg.norm(points, axis=1)
+    return range_m, points / range_m[:, None]
+
+
+def moved(box: Box, *points_m, label: int = 7) -> list[bool]:
+    range_m, directions = rays(*points_m)
+    labels = np.full(len(range_m), label, dtype=np.uint8)
+    return hits_of_moving(range_m, labels, directions, [box]).tolist()
+
+
+def test_hits_in_the_box_of_a_moving_actor_move():
+    assert moved(CAR, (8.1, 0.9, -1), (11.9, -0.9, -1), (7.6, 0, -1), (10, 1.4, -1)) == [True, True, False, False]
+
+
+def test_the_box_is_turned_with_the_actor():
+    """Turned by 90 degrees, the car is 2 m long along x and 4 m along y."""
+    turned = CAR.__class__(**{**vars(CAR), "yaw_rad": np.pi / 2})
+    assert moved(turned, (8.1, 0.9, -1), (10, 1.9, -1), (10.9, -1.9, -1)) == [False, True, True]
+    oblique = CAR.__class__(**{**vars(CAR), "yaw_rad": np.pi / 4})
+    end = 1.9 / np.sqrt(2)  # along the diagonal
+    assert moved(oblique, (10 + end, end, -1), (10 + end, -end, -1)) == [True, False]
+
+
+def test_other_classes_and_actors_that_stand_do_not_move():
+    assert moved(CAR, (10, 0, -1), label=6) == [False]
+    assert moved(CAR.__class__(**{**vars(CAR), "velocity_mps": (0.1, 0.1)}), (10, 0, -1)) == [False]
+
+
+def test_rays_without_a_hit_do_not_move():
+    range_m, directions = rays((10, 0, -1), (10, 0, -1))
+    range_m[1] = np.inf
+    labels = np.array([7, 0], dtype=np.uint8)
+    assert hits_of_moving(range_m, labels, directions, [CAR]).tolist() == [True, False]
+    assert hits_of_moving(range_m, labels, directions, []).tolist() == [False, False]
+
+
+def test_scenes_of_the_world_tell_what_moves_and_where_it_was_recorded(tmp_path):
+    world = FakeWorld(str(tmp_path))
+    world.prepare()
+    scene, plan = world.scenes("test")[0], next(plan for plan in world.plans if plan.split == "test")
+    assert scene.conditions == {"weather": world.weather_of(plan), "place": plan.theme}
+    frame, scan = fake_frame(plan.seed, 1), scene.lidar(1)
+    assert scan is not None
+    moving = hits_of_moving(scan.range_m, scan.labels, scan.directions, frame.boxes)
+    assert np.array_equal(scan.moving, moving)
+    dataset = WindowDataset([scene], world.labels(Cylinder((8, 12, 4)), "free"), 1)
+    world.labels(Cylinder((8, 12, 4)), "free").prepare([scene])
+    batch = collate([dataset[1], dataset[2]])
+    assert batch.lidar_moving is not None
+    assert np.array_equal(batch.lidar_moving[0].numpy(), moving)

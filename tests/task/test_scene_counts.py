@@ -1,0 +1,96 @@
+"""Counts of rays by scene, and the file in which they are kept."""
+
+import pytest
+import torch
+from batches import make_batch
+
+from omniocc.classes import UNKNOWN
+from omniocc.run.scenes import LIDAR, MOVING, RAYS, save_scenes, scene_figures
+from omniocc.task.scene_counts import SceneCounts
+from omniocc.task.scores import Scores
+
+SAMPLES = [[(0, 0), (1, 0)], [(1, 1), (2, 0)]]
+
+
+@pytest.fixture(scope="module")
+def task(make_task):
+    return make_task("model/sketch=dense")
+
+
+def drawn_batch(task, samples):
+    """Return a batch whose LiDAR hits classes 1 to 11 at 3 to 20 m, a quarter of them moving."""
+    generator = torch.Generator().manual_seed(samples[0][1] + 7 * samples[0][0])
+    batch = make_batch(task, samples)
+    size = batch.lidar_range_m.shape
+    labels = torch.randint(1, 12, size, generator=generator, dtype=torch.uint8)
+    range_m = torch.empty(size).uniform_(3, 20, generator=generator)
+    return batch._replace(
+        lidar_labels=labels, lidar_range_m=range_m, lidar_moving=torch.rand(size, generator=generator) < 0.25
+    )
+
+
+def predicted(batch):
+    return batch.voxels.roll(1, dims=1)
+
+
+def test_the_scenes_together_have_the_counts_of_the_scores(task, spec):
+    scores = Scores(task.model.geometry, spec)
+    by_scene = SceneCounts(scores)
+    for samples in SAMPLES:
+        batch = drawn_batch(task, samples)
+        scores.update(predicted(batch), batch)
+        by_scene.update(predicted(batch), batch)
+    found = by_scene.of_all()
+    assert list(found) == ["0", "1", "2"]
+    for kind, metric in ((RAYS, scores.rays), (LIDAR, scores.lidar)):
+        lines = torch.stack([torch.tensor(scene[kind]) for scene in found.values()]).sum(0)
+        assert torch.equal(lines[0], metric.truth.sum(0))
+        assert torch.equal(lines[1], metric.predicted.sum(0))
+        assert torch.equal(lines[2:], metric.correct.sum(0))
+        assert lines[0].sum() > 1000
+
+
+def test_a_scene_has_the_counts_of_its_frames_alone(task, spec):
+    """Scene 1 has a frame in both batches."""
+    by_scene, alone = (SceneCounts(Scores(task.model.geometry, spec)) for _ in range(2))
+    for samples in SAMPLES:
+        batch = drawn_batch(task, samples)
+        by_scene.update(predicted(batch), batch)
+        kept = [k for k, (scene, _) in enumerate(samples) if scene == 1]
+        parts = {
+            name: getattr(batch, name)[kept] for name in ("voxels", "lidar_range_m", "lidar_labels", "lidar_moving")
+        }
+        alone.update(predicted(batch)[kept], batch._replace(frame_ids=tuple(batch.frame_ids[k] for k in kept), **parts))
+    assert by_scene.of_all()["1"] == alone.of_all()["1"]
+    alone.reset()
+    assert alone.of_all() == {}
+
+
+def test_moving_rays_are_scored_as_if_all_others_were_unknown(task, spec):
+    scores = Scores(task.model.geometry, spec)
+    by_scene, batch = SceneCounts(scores), drawn_batch(task, SAMPLES[0])
+    by_scene.update(predicted(batch), batch)
+    masked = batch.lidar_labels.masked_fill(~batch.lidar_moving, UNKNOWN)
+    scores.update(predicted(batch), batch._replace(lidar_labels=masked))
+    lines = torch.stack([torch.tensor(scene[MOVING]) for scene in by_scene.of_all().values()]).sum(0)
+    assert torch.equal(lines[2:], scores.lidar.correct.sum(0))
+    assert 0.2 < lines[0].sum() / batch.lidar_labels.numel() < 0.3
+
+
+def test_scores_of_groups_are_those_of_their_frames(task, spec, tmp_path):
+    """Scenes 0 and 2 in rain, 1 in fog: each group has the score of `Scores` over its frames."""
+    by_scene = SceneCounts(Scores(task.model.geometry, spec))
+    rain, fog = (Scores(task.model.geometry, spec) for _ in range(2))
+    for samples in [[(0, 0)], [(1, 0)], [(1, 1)], [(2, 0)]]:
+        batch = drawn_batch(task, samples)
+        by_scene.update(predicted(batch), batch)
+        (fog if samples[0][0] == 1 else rain).update(predicted(batch), batch)
+    conditions = {"0": {"weather": "rain"}, "1": {"weather": "fog", "place": "campus"}, "2": {"weather": "rain"}}
+    save_scenes(tmp_path, by_scene.of_all(), conditions, spec.classes.names, (1.0, 2.0, 4.0))
+    found = scene_figures(tmp_path)
+    for weather, scores in (("rain", rain), ("fog", fog)):
+        expected = scores.compute()
+        assert found[f"test/weather/{weather}/rayiou"] == pytest.approx(float(expected["rayiou"]))
+        assert found[f"test/weather/{weather}/lidar/rayiou"] == pytest.approx(float(expected["lidar/rayiou"]))
+    assert found["test/place/campus/rayiou"] == found["test/weather/fog/rayiou"]
+    assert len((tmp_path / "scenes.json").read_text().splitlines()) == 7
