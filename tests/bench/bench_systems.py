@@ -25,7 +25,7 @@ from omniocc.run.memory import keep_freed_memory
 
 SYSTEMS = {
     "ours": "default", "VoxFormer": "voxformer", "BEVFormer": "bevformer", "BEVDet": "bevdet", "FlashOcc": "flashocc",
-    "FoSOcc": "fosocc", "OneOcc": "oneocc",
+    "FoSOcc": "fosocc", "OneOcc": "oneocc", "AdaptiveOcc": "adaptiveocc",
 }  # fmt: skip
 FRACTION = 0.1
 COLUMNS = ("M voxels", "M param", "GFLOP", "ms/frame", "MiB", "ms/step", "MiB/step")

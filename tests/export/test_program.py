@@ -27,8 +27,10 @@ OPTIONS = [
     ["model/temporal=none", "model=fosocc", "model/geometry=cylinder"],
     ["model/temporal=none", "model=oneocc"],
     ["model/temporal=none", "model=oneocc", "model/geometry=cylinder"],
+    ["model/temporal=none", "model=adaptiveocc"],
+    ["model/temporal=none", "model=adaptiveocc", "model/geometry=cylinder"],
 ]
-RIVALS = ["flashocc", "fosocc", "oneocc"]
+RIVALS = ["flashocc", "fosocc", "oneocc", "adaptiveocc"]
 
 
 @pytest.mark.parametrize("overrides", OPTIONS, ids=lambda overrides: " ".join(overrides[1:]) or "default")

@@ -7,7 +7,16 @@ import torch
 from omniocc.geometry import Cylinder
 from omniocc.model import OccupancyModel
 from omniocc.model.backbone import Backbone
-from omniocc.model.lifter import BiGrid, CoarseColoring, Coloring, Lifter, LiftSplat, Pillar, SplatColoring
+from omniocc.model.lifter import (
+    BiGrid,
+    CoarseColoring,
+    CoarseToFine,
+    Coloring,
+    Lifter,
+    LiftSplat,
+    Pillar,
+    SplatColoring,
+)
 from omniocc.model.refiner import Attention, ChannelToHeight, Conv, Experts, Focus, NoRefiner, Refiner, UNet
 from omniocc.model.semantic_head import FCN, NoSemanticHead, SemanticHead
 from omniocc.model.sketch import Dense, Random, Sketch
@@ -41,6 +50,7 @@ def test_every_option_keeps_its_slots_contract(make_backbone, make_model, geomet
             LiftSplat(geometry, 8, 8, [4], 4, (0.5, 20.5)),
             Pillar(geometry, 8, 8, [4], 1, 2, 2, 2, 8),
             BiGrid(geometry, Cylinder((8, 12, 4)), 8, 8, [4]),
+            CoarseToFine(geometry, 8, 8, [4], 4, (0.5, 20.5), [1, 1], 2, [2, 2], 8, 0.1, [0.5], 12),
             SplatColoring(geometry, 8, 8, [4], 4, (0.5, 20.5), [2, 2, 1], 1, 2, 2, 8),
         ],
         Temporal: [NoTemporal(), Mean(geometry, 4, False), Recurrent(geometry, 8, 8, 1, 2, 2, 8, 4, False)],

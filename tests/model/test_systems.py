@@ -14,8 +14,9 @@ PARTS = {
     "flashocc": ("Dense", "LiftSplat", "NoTemporal", "ChannelToHeight"),
     "fosocc": ("Dense", "SplatColoring", "NoTemporal", "Focus"),
     "oneocc": ("Dense", "BiGrid", "NoTemporal", "Experts"),
+    "adaptiveocc": ("Dense", "CoarseToFine", "NoTemporal", "Conv"),
 }
-RIVALS = ("flashocc", "fosocc", "oneocc")
+RIVALS = ("flashocc", "fosocc", "oneocc", "adaptiveocc")
 SYSTEMS = pytest.mark.parametrize("name", list(PARTS))
 ON_BOTH_GRIDS = pytest.mark.parametrize("grid", ["cuboid", "cylinder"])
 
@@ -44,7 +45,7 @@ def test_each_is_a_composition_of_slots_on_the_same_backbone(name, smoke):
     parts = tuple(cfg.model[slot]._target_.rsplit(".", 1)[-1] for slot in ("sketch", "lifter", "temporal", "refiner"))
     assert parts == PARTS[name]
     assert cfg.model.geometry._target_.endswith("Cuboid")
-    assert cfg.model.semantic_head._target_.endswith("NoSemanticHead")
+    assert cfg.model.semantic_head._target_.endswith("FCN" if name == "adaptiveocc" else "NoSemanticHead")
 
 
 def test_voxformer_uses_monocular_depth(smoke):
@@ -81,11 +82,15 @@ def test_gradients_reach_every_parameter_that_learns(name, grid, fisheye, make):
     model = make(name, grid)
     images, poses, candidates = window(model)
     found = model(images, ((fisheye,) * images.shape[1],) * 2, poses, candidates)
-    outputs = [found.logits, *(logits for _, logits in found.coarse_logits)]
+    outputs = [
+        found.logits,
+        *([] if found.pixel_logits is None else [found.pixel_logits]),
+        *(logits for _, logits in found.coarse_logits),
+    ]
     sum(output.square().mean() for output in outputs).backward()
     for parameter_name, parameter in model.named_parameters():
         if not parameter_name.startswith("sketch."):
             assert parameter.grad is not None, parameter_name
             assert torch.isfinite(parameter.grad).all(), parameter_name
-            # the vector for voxels without a query is not used, since every voxel has one
-            assert parameter.grad.abs().sum() > 0 or parameter_name.endswith("coloring.empty"), parameter_name
+            # the vector for voxels without a query is not used where every voxel has one
+            assert parameter.grad.abs().sum() > 0 or parameter_name.endswith(".empty"), parameter_name

@@ -2,10 +2,21 @@
 
 from omniocc.model.lifter.bi_grid import BiGrid
 from omniocc.model.lifter.coarse_coloring import CoarseColoring
+from omniocc.model.lifter.coarse_to_fine import CoarseToFine
 from omniocc.model.lifter.coloring import Coloring
 from omniocc.model.lifter.lift_splat import LiftSplat
 from omniocc.model.lifter.pillar import Pillar
 from omniocc.model.lifter.splat_coloring import SplatColoring
 from omniocc.model.protocols import GuessesRanges, Lifter
 
-__all__ = ["BiGrid", "CoarseColoring", "Coloring", "GuessesRanges", "LiftSplat", "Lifter", "Pillar", "SplatColoring"]
+__all__ = [
+    "BiGrid",
+    "CoarseColoring",
+    "CoarseToFine",
+    "Coloring",
+    "GuessesRanges",
+    "LiftSplat",
+    "Lifter",
+    "Pillar",
+    "SplatColoring",
+]
