@@ -68,7 +68,9 @@ SINGLES = [[f"model/{slot}={name}"] for slot in ("backbone", "geometry", "lifter
     "overrides", [*PAIRS, *SINGLES, ["model/temporal=mean", "model.temporal.history_gradient=true"]]
 )
 def test_every_combination_trains_all_its_parameters(overrides, make_task):
-    task = make_task("model/sketch=dense", *overrides)
+    classifies_blocks = {"model/refiner=experts", "model/lifter=coarse_to_fine"} & set(overrides)
+    loss = ["loss=with_coarse"] if classifies_blocks else []
+    task = make_task("model/sketch=dense", *overrides, *loss)
     counts = torch.randint(1, 100, (12, *task.model.geometry.shape))
     task.set_training_statistics(counts)
     batch = make_batch(task, [(0, 1), (1, 2)])

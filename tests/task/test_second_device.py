@@ -25,7 +25,10 @@ from omniocc.task.stages import Stages, predict_range_m
 MODEL = Path(__file__).parents[2] / "conf" / "model"
 CUDA = torch.device("cuda", 0)
 SLOTS = ("backbone", "geometry", "lifter", "sketch", "temporal", "refiner", "semantic_head")
-OPTIONS = [f"model/{slot}={path.stem}" for slot in SLOTS for path in sorted((MODEL / slot).glob("*.yaml"))]
+LOSSES = {"model/refiner=experts": " loss=with_coarse", "model/lifter=coarse_to_fine": " loss=with_coarse"}
+"""Losses of all that an option predicts, where the paper's are not enough."""
+NAMES = [f"model/{slot}={path.stem}" for slot in SLOTS for path in sorted((MODEL / slot).glob("*.yaml"))]
+OPTIONS = [name + LOSSES.get(name, "") for name in NAMES]
 DEPTHS = [path.stem for path in sorted((MODEL / "depth").glob("*.yaml"))]
 
 
