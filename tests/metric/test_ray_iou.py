@@ -75,6 +75,25 @@ def test_counting_agrees_with_the_public_definition(grid):
     assert len(scores) == 1 + 3 + 11 + 2
 
 
+@pytest.mark.parametrize("grid", [CYLINDER, CUBOID])
+def test_fine_thresholds_are_scored_from_the_same_rays(grid):
+    prediction, target = frames(grid, 2)
+    directions = sparseocc_directions()[::23]
+    origins = torch.zeros(2, 1, 3)
+    options = {"directions": directions, "range_edges_m": (0.0, 4.0, 9.0)}
+    scores = ray_iou(prediction, target, grid, thresholds_m=(1, 2), fine_thresholds_m=(0.25, 0.5, 1), **options)
+    alone = ray_iou(prediction, target, grid, thresholds_m=(1, 2), **options)
+    assert {key: value for key, value in scores.items() if not key.startswith("fine/")} == alone
+    iou = public_counting(grid, prediction, target, origins, directions, (0.25, 0.5, 1))
+    expected = {"fine/rayiou": np.nanmean(iou)}
+    expected |= {f"fine/rayiou@{t}": np.nanmean(row) for t, row in zip(("0.25", "0.5", "1"), iou, strict=True)}
+    assert {key for key in scores if key.startswith("fine/")} == set(expected)
+    for key, value in expected.items():
+        assert scores[key].item() == pytest.approx(value, abs=1e-6)
+    assert scores["fine/rayiou@1"] == scores["rayiou@1"]
+    assert scores["fine/rayiou"] < scores["rayiou"]
+
+
 def line(**cells):
     labels = torch.zeros(1, 10, 1, 1, dtype=torch.uint8)
     for place, label in cells.items():

@@ -4,6 +4,7 @@ import pickle
 import pytest
 import torch
 
+from omniocc.camera.pinholes import as_pinholes
 from omniocc.geometry import Cylinder
 from omniocc.model import OccupancyModel
 from omniocc.model.backbone import Backbone
@@ -79,6 +80,19 @@ def test_gradients_reach_every_parameter_with_a_subset_of_candidates(make_model,
         assert parameter.grad is not None, name
         assert torch.isfinite(parameter.grad).all(), name
         assert parameter.grad.abs().sum() > 0, name
+
+
+@torch.no_grad()
+def test_the_lifter_alone_may_take_cameras_for_pinholes(make_model, images, poses, fisheye, pinhole):
+    model = make_model(Cylinder((8, 12, 4)), Random(Cylinder((8, 12, 4)), 0.5)).eval()
+    own = model(images, every_frame((fisheye, pinhole)), poses)
+    flat = model(images, every_frame((as_pinholes(fisheye), pinhole)), poses)
+    model.lens = "pinhole"
+    pretended = model(images, every_frame((fisheye, pinhole)), poses)
+    torch.testing.assert_close(pretended.logits, flat.logits)
+    assert torch.equal(pretended.pixel_logits, own.pixel_logits)
+    assert not torch.allclose(pretended.logits[0], own.logits[0])
+    torch.testing.assert_close(pretended.logits[1], own.logits[1])  # true pinholes stay what they are
 
 
 def test_batch_of_two_rigs_equals_two_batches_of_one(make_model, images, poses, fisheye, pinhole):

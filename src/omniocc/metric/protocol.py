@@ -44,12 +44,13 @@ def rays_text(rays: int, public: bool, seen: RaysSeen) -> str:
     return f"{kind} from each of {number} a frame ({where})"
 
 
-def error_text(thresholds_m: Sequence[float], hit: str, seen: RaysSeen) -> str:
-    """Return when a ray is correct."""
-    thresholds = ", ".join(f"{threshold_m:g}" for threshold_m in thresholds_m)
+def error_text(thresholds_m: Sequence[float], fine_m: Sequence[float], hit: str, seen: RaysSeen) -> str:
+    """Return when a ray is correct, for the mean and for the scores called fine."""
+    thresholds, fine = (", ".join(f"{threshold_m:g}" for threshold_m in part) for part in (thresholds_m, fine_m))
     side = "leaves" if hit == "exit" else "enters"
     between = "from the measured point to the predicted cell" if seen.measured else f"where the ray {side} its cell"
-    return f"correct: same class, error below {thresholds} m {between}"
+    extra = f" (fine: {fine} m)" if fine else ""
+    return f"correct: same class, error below {thresholds} m{extra} {between}"
 
 
 def dropped_text(classes: ClassIds, count_free_rays: bool, masked: bool) -> str:

@@ -44,14 +44,17 @@ class RayCounter:
         self, geometry: Cylinder | Cuboid, classes: ClassIds, thresholds_m: Sequence[float | int],
         range_edges_m: Sequence[float | int] | None, directions: Float[Tensor, "D 3"] | None,
         target_geometry: Cylinder | Cuboid | None, hit: Literal["exit", "entry"], count_free_rays: bool,
-        split_origins: bool = False,
+        split_origins: bool = False, fine_thresholds_m: Sequence[float | int] = (),
     ):  # fmt: skip
         if hit not in ("exit", "entry"):
             raise ValueError(f"hit must be 'exit' or 'entry', got {hit!r}")
         self.geometry, self.target_geometry = geometry, target_geometry or geometry
         self.classes = classes
         self.thresholds_m = tuple(float(edge) for edge in thresholds_m)
+        self.fine_m = tuple(float(edge) for edge in fine_thresholds_m)
         check_increasing("thresholds_m", self.thresholds_m, at_least=1)
+        check_increasing("fine_thresholds_m", self.fine_m, at_least=0)
+        self.counted_m = tuple(sorted({*self.thresholds_m, *self.fine_m}))
         self.range_edges_m = as_edges(range_edges_m)
         self.hit, self.count_free_rays, self.split_origins = hit, count_free_rays, split_origins
         self.public_rays = directions is None
@@ -61,7 +64,7 @@ class RayCounter:
         """Return the counts of no frames."""
         rows = num_rows(self.range_edges_m) * (len(TIMES) if self.split_origins else 1)
         zeros = torch.zeros(rows, self.classes.num_classes, dtype=torch.int64)
-        return RayCounts(zeros, zeros.clone(), zeros.unsqueeze(1).repeat(1, len(self.thresholds_m), 1))
+        return RayCounts(zeros, zeros.clone(), zeros.unsqueeze(1).repeat(1, len(self.counted_m), 1))
 
     def count(
         self, preds: Shaped[Tensor, "B *grid"], target: Shaped[Tensor, "Bt *target_grid"] | RayTruth,
@@ -91,14 +94,25 @@ class RayCounter:
         return RayCounts(*(torch.stack(parts).sum(0) for parts in zip(zero, *found, strict=True)))
 
     def scores(self, counts: RayCounts) -> dict[str, Tensor]:
-        """Return the scores of counts: see `omniocc.metric.ray_counts.ray_scores` for the keys."""
-        return ray_scores(counts, self.classes.occupied, self.thresholds_m, self.range_edges_m)
+        """Return the scores of counts: see `omniocc.metric.ray_counts.ray_scores` for the keys.
+
+        Those of the fine thresholds, if there are any, are `fine/rayiou` and `fine/rayiou@<threshold>`.
+        """
+        scores = self._scores_at(counts, self.thresholds_m)
+        fine = self._scores_at(counts, self.fine_m) if self.fine_m else {}
+        kept = ("rayiou", *(f"rayiou@{threshold_m:g}" for threshold_m in self.fine_m))
+        return scores | {f"fine/{key}": fine[key] for key in kept if fine}
+
+    def _scores_at(self, counts: RayCounts, thresholds_m: Sequence[float]) -> dict[str, Tensor]:
+        places = [self.counted_m.index(threshold_m) for threshold_m in thresholds_m]
+        counts = counts._replace(correct=counts.correct[:, places])
+        return ray_scores(counts, self.classes.occupied, thresholds_m, self.range_edges_m)
 
     def protocol(self, seen: RaysSeen) -> str:
         """Return how rays of what was `seen` are counted, in one line."""
         return "; ".join((
             rays_text(len(self.scan), self.public_rays, seen),
-            error_text(self.thresholds_m, self.hit, seen),
+            error_text(self.thresholds_m, self.fine_m, self.hit, seen),
             dropped_text(self.classes, self.count_free_rays, seen.masked),
             mean_text(self.classes),
         ))  # fmt: skip
@@ -106,7 +120,7 @@ class RayCounter:
     def setting(self) -> UInt8[Tensor, "16"]:
         """Return a hash of all that decides what is counted: metrics with equal ones may share their counts."""
         grids, classes = (self.geometry, self.target_geometry), (self.classes.num_classes, self.classes.free)
-        parts = grids, classes, self.classes.ignored, self.thresholds_m, self.range_edges_m, self.hit
+        parts = grids, classes, self.classes.ignored, self.thresholds_m, self.fine_m, self.range_edges_m, self.hit
         text = repr((*parts, self.count_free_rays, self.split_origins)).encode()
         digest = hashlib.sha256(text + self.scan.directions.cpu().numpy().tobytes()).digest()
         return torch.tensor(list(digest[:16]), dtype=torch.uint8)
@@ -222,4 +236,4 @@ class RayCounter:
         if times is not None:
             times = times.to(labels.device).repeat_interleave(len(labels) // max(1, len(times)))
         num_classes, edges_m = self.classes.num_classes, self.range_edges_m
-        return count_rays(true_labels, true_m, labels, error_m, valid, num_classes, self.thresholds_m, edges_m, times)
+        return count_rays(true_labels, true_m, labels, error_m, valid, num_classes, self.counted_m, edges_m, times)

@@ -52,6 +52,8 @@ class RayIoU(Metric):
         class_names: names by id, for the keys; default those of the virtual world if it has as many classes, else ids.
         split_origins: also score the rays from where the car was before, at and after the scored frame apart
             (`rayiou_past`, `rayiou_now`, `rayiou_future`); `update` then takes the times of its origins.
+        fine_thresholds_m: a second set of distance errors, scored apart from the same rays as `fine/rayiou` (its mean)
+            and `fine/rayiou@<threshold>`; empty for none. ParkOcc's are .25, .5 and 1 m.
         kwargs: those of every `torchmetrics.Metric`: `dist_sync_on_step`, `sync_on_compute`, `process_group` and so on.
 
     Raises:
@@ -93,13 +95,14 @@ class RayIoU(Metric):
         count_free_rays: bool = False,
         class_names: Sequence[str] | None = None,
         split_origins: bool = False,
+        fine_thresholds_m: Sequence[float | int] = (),
         **kwargs: Any,
     ):
         super().__init__(**kwargs)
         classes = ClassIds(num_classes, free_class, ignore_class, class_names)
         self.counter = RayCounter(
             geometry, classes, thresholds_m, range_edges_m, directions, target_geometry, hit, count_free_rays,
-            split_origins,
+            split_origins, fine_thresholds_m,
         )  # fmt: skip
         for name, counts in self.counter.zero()._asdict().items():
             self.add_state(name, counts, dist_reduce_fx="sum")
@@ -232,6 +235,7 @@ def ray_iou(
     class_names: Sequence[str] | None = None,
     split_origins: bool = False,
     origin_times: Shaped[Tensor, "B O"] | None = None,
+    fine_thresholds_m: Sequence[float | int] = (),
 ) -> dict[str, Tensor]:
     """Return the RayIoU of these frames; see `RayIoU` for the definition, the arguments and the keys.
 
@@ -251,6 +255,7 @@ def ray_iou(
     """
     classes = ClassIds(num_classes, free_class, ignore_class, class_names)
     counter = RayCounter(
-        geometry, classes, thresholds_m, range_edges_m, directions, target_geometry, hit, count_free_rays, split_origins
-    )
+        geometry, classes, thresholds_m, range_edges_m, directions, target_geometry, hit, count_free_rays,
+        split_origins, fine_thresholds_m,
+    )  # fmt: skip
     return counter.scores(counter.count(preds, target, origins, observed, origin_times))

@@ -1,17 +1,19 @@
 """The chain: images -> backbone -> lifter -> temporal -> refiner -> classifier -> class of every voxel."""
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor, nn
 
 from omniocc.camera import Rig
+from omniocc.camera.pinholes import as_pinholes
 from omniocc.geometry import Grid
 from omniocc.model.ops.classifier import Classifier
 from omniocc.model.ops.evidence import INPUTS, network_inputs, required
 from omniocc.model.ops.padded import FeatureMaps, by_shape
 from omniocc.model.ops.padding import Pointwise
+from omniocc.model.ops.rig_cache import once_per_rig
 from omniocc.model.ops.voxel_samples import sample_at_voxels
 from omniocc.model.protocols import (
     Backbone,
@@ -27,6 +29,15 @@ from omniocc.model.protocols import (
     Volumes,
     volume_and_extras,
 )
+
+
+def as_they_are(rig: Rig) -> Rig:
+    """Return the rig itself."""
+    return rig
+
+
+LENSES = {"own": as_they_are, "pinhole": once_per_rig(as_pinholes)}
+"""What the lifter takes the cameras for."""
 
 
 class Prediction(NamedTuple):
@@ -76,6 +87,8 @@ class OccupancyModel(nn.Module):
         evidence_in_logits: whether the logits start from the sketch's probabilities.
         pixel_classes: whether the 2D head's classes at the voxels are added to the volume, and the logits start from
             them.
+        lens: what the lifter takes the cameras for: `own`, what they are, or `pinhole`, which is wrong for others; to
+            measure what the true lens model is worth.
     """
 
     def __init__(
@@ -91,9 +104,11 @@ class OccupancyModel(nn.Module):
         evidence_in_volume: bool = False,
         evidence_in_logits: bool = False,
         pixel_classes: bool = False,
+        lens: Literal["own", "pinhole"] = "own",
     ):
         super().__init__()
         self.geometry = geometry
+        self.lens = lens
         self.backbone = backbone
         self.sketch = sketch.requires_grad_(False) if isinstance(sketch, nn.Module) else sketch
         self.lifter = lifter
@@ -161,7 +176,7 @@ class OccupancyModel(nn.Module):
         images = to_unit_range(images)
         sketched = self.choose(images, rigs) if sketched is None else sketched
         features = by_shape(lambda cropped, _: self.backbone(cropped), images, rigs, self.backbone.levels)
-        volume, extras = volume_and_extras(self.lifter, features, sketched, rigs)
+        volume, extras = volume_and_extras(self.lifter, features, sketched, tuple(map(LENSES[self.lens], rigs)))
         return Lifted(volume, sketched, features, extras)
 
     @property

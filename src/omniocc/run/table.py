@@ -105,7 +105,7 @@ def by_origin(metrics: Mapping[str, float]) -> tuple[list[str], list[list[str]]]
 
 def score_of(key: str) -> str | None:
     """Return the kind of score, of `SCORES`, of a figure; None for other figures."""
-    name = key.partition("/")[2]
+    name = key.partition("/")[2].replace("fine/", "")  # of the same rays
     return next((kind for kind in SCORES if name.startswith(kind)), None)
 
 

@@ -15,6 +15,8 @@ from omniocc.geometry import Cuboid, Cylinder, Grid, look_up
 from omniocc.metric import RayIoU, RayTruth, VoxelIoU
 from omniocc.metric.ray_counts import TIMES
 
+FINE_M = (0.25, 0.5, 1.0)
+"""A second set of thresholds of RayIoU, ParkOcc's; m."""
 BY_TIME = tuple(f"rayiou_{name}" for name in TIMES)
 """Scores of the rays from where the car was before, at and after the scored frame."""
 
@@ -47,6 +49,7 @@ class Scores(nn.Module):
     """RayIoU against the true voxels (as the paper does), RayIoU against the LiDAR's true rays, and voxel IoU.
 
     `compute` uses the metrics' keys: plain for rays against voxels, `lidar/...` for true rays, `voxel/...` for cells.
+    `fine/rayiou...` and `lidar/fine/rayiou...` score the same rays at `FINE_M` instead of 1, 2 and 4 m.
     LiDAR hits beyond the last band count as free on every grid. Where no batch has voxels or no LiDAR, their keys
     are absent. Where rays start from where the car was in past, present and future frames, `rayiou_past`, `rayiou_now`
     and `rayiou_future` are their scores apart.
@@ -63,7 +66,8 @@ class Scores(nn.Module):
         parts = () if spec.benchmark is None else spec.benchmark.parts
         self.num_classes, self.reach_m = spec.classes.num_classes, spec.reach_m
         names, edges_m = spec.classes.names, spec.range_edges_m
-        ray_iou = partial(RayIoU, grid, self.num_classes, range_edges_m=edges_m, class_names=names)
+        shared = {"range_edges_m": edges_m, "class_names": names, "fine_thresholds_m": FINE_M}
+        ray_iou = partial(RayIoU, grid, self.num_classes, **shared)
         self.rays, self.lidar = ray_iou(split_origins=True), ray_iou(directions=spec.lidar_directions)
         self.cells = VoxelIoU(self.num_classes, class_names=names)
         self.part_cells = [(name, cells_between(grid, x_m, y_m)) for name, x_m, y_m in parts]

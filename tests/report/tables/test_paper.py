@@ -44,7 +44,8 @@ def test_every_table_has_our_row_and_figures_in_0_to_1(path):
     fractions = [value for row in table.rows for key, value in row.paper.items() if key != VOXELS and value is not None]
     assert all(0 <= value <= 1 for value in fractions)
     assert ("Table " in table.note) == (table.number > 0)
-    assert rows <= {path.stem for path in ROWS.rglob("*.yaml")}
+    # changes that were tried have names that begin so
+    assert rows <= {f"{'tried_' * (path.parent.name == 'tried')}{path.stem}" for path in ROWS.rglob("*.yaml")}
 
 
 def test_the_papers_class_figures_have_its_mean_but_for_bevdet():
