@@ -23,6 +23,7 @@ TRIED_AGAINST = "extended"
 """Row to which the page `accuracy` compares all others."""
 ROBUSTNESS = "robustness"
 """Name of the chapter on tests under disturbances."""
+DISTURBANCES = "What each disturbance is: [What breaks a model](../how_to/robustness.md)."
 RULE = (
     "How a claim is decided: [Read the tables](../how_to/read_the_tables.md#when-a-claim-holds). Commands, commits and "
     "machines: [the runs](runs.md)."
@@ -39,7 +40,7 @@ def chapters(sweep: Sweep, listed: Mapping[str, Sequence[FinishedRun]]) -> dict[
     limits += protocol_text(sweep.rows, bounds.COLUMNS.values())
     found = {"bounds": limits}
     found |= {table.name: dataset_markdown(table) for table in sweep.datasets}
-    tests = robustness_markdown(sweep.robustness) if sweep.robustness else ""
+    tests = f"{robustness_markdown(sweep.robustness)}\n{DISTURBANCES}" if sweep.robustness else ""
     found |= papers | {"training": longer, ROBUSTNESS: tests, "budget": cost}
     return {name: text for name, text in found.items() if text}
 
