@@ -137,7 +137,7 @@ class Handler(BaseHTTPRequestHandler):
             content = self.rfile.read(int(self.headers.get("Content-Length") or 0))
         return gzip.decompress(content) if self.headers.get("Content-Encoding") == "gzip" else content
 
-    def do_POST(self) -> None:  # noqa: N802
+    def do_POST(self) -> None:
         """Answer a request."""
         content, answer = self.body(), {}
         if self.path == "/graphql":
