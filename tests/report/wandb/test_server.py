@@ -16,7 +16,7 @@ from wandb_server import API_KEY, wandb_server
 from omniocc.errors import UserError
 from omniocc.report.wandb import dashboard, upload
 from omniocc.run.wandb import Loggers
-from omniocc.run.wandb.loggers import finish, run_id, wandb_of
+from omniocc.run.wandb.loggers import check_login, finish, run_id, wandb_of
 from omniocc.run.wandb.media import Named
 
 CONFIG = {"name": "mono", "seed": 3, "model": {"sketch": {"_target_": "omniocc.model.sketch.Dense"}}}
@@ -128,6 +128,13 @@ def test_what_was_not_uploaded_waits_and_says_why(server, tmp_path, capfd):
     upload.main(["--runs", str(tmp_path)])
     assert server.history(run_id(killed))[-1][STEP] == 2
     assert upload.waiting(tmp_path) == []
+
+
+def test_a_setting_that_is_no_address_is_one_line(address):
+    address("here")
+    with pytest.raises(UserError, match="x: no W&B server accepts .*WANDB_BASE_URL.*: .*valid URL.*'here'") as error:
+        check_login("x")
+    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("status", [401, 500, None])

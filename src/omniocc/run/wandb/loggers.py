@@ -150,9 +150,9 @@ def check_login(purpose: str) -> None:
 
     try:
         found = wandb.login(prompt=False, verify=True)
-    except wandb.Error as error:
-        remedy = "see network, WANDB_BASE_URL, `wandb login --relogin`"
-        raise UserError(f"{purpose}: no W&B server accepts the login or answers ({remedy}): {error}") from error
+    except (wandb.Error, ValueError) as error:  # the latter for settings that are no URL, ...
+        reason, remedy = " ".join(str(error).split()), "see network, WANDB_BASE_URL, `wandb login --relogin`"
+        raise UserError(f"{purpose}: no W&B server accepts the login or answers ({remedy}): {reason}") from error
     if not found:
         raise UserError(f"{purpose}: run `wandb login` or set WANDB_API_KEY first")
 
