@@ -4,7 +4,6 @@ import json
 import os
 import socket
 import struct
-import time
 from importlib.util import find_spec
 
 import numpy as np
@@ -124,7 +123,7 @@ def test_what_was_not_uploaded_waits_and_says_why(server, tmp_path, capfd):
     assert line == f"1 of 2 files still wait, for the reasons above; the first is {path}", "it may be in progress"
     assert "incomplete record" in capfd.readouterr().err
     assert_arrived(server, whole)
-    os.utime(path, (time.time() - 100,) * 2)
+    os.utime(path, (0, 0))  # an old file
     upload.main(["--runs", str(tmp_path)])
     assert server.history(run_id(killed))[-1][STEP] == 2
     assert upload.waiting(tmp_path) == []
@@ -132,7 +131,7 @@ def test_what_was_not_uploaded_waits_and_says_why(server, tmp_path, capfd):
 
 def test_a_setting_that_is_no_address_is_one_line(address):
     address("here")
-    with pytest.raises(UserError, match="x: no W&B server accepts .*WANDB_BASE_URL.*: .*valid URL.*'here'") as error:
+    with pytest.raises(UserError, match=r"x: no W&B server accepts .*WANDB_BASE_URL.*: .*valid URL.*'here'") as error:
         check_login("x")
     assert "\n" not in str(error.value)
 
