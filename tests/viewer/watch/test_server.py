@@ -125,7 +125,7 @@ def test_a_taken_port_and_a_missing_folder_are_a_line(runs, tmp_path):
     with Server(runs, 0) as server, pytest.raises(UserError, match=r"port=\d+ is taken by another program") as caught:
         Server(runs, server.server_port)
     assert "\n" not in str(caught.value)
-    with pytest.raises(UserError, match="there is no such folder"):
+    with pytest.raises(UserError, match=r"there is no such folder; .*python src/train\.py"):
         Server(tmp_path / "nothing", 0)
 
 

@@ -52,7 +52,10 @@ class Server(ThreadingHTTPServer):
 
     def __init__(self, runs: Path, port: int):
         if not runs.is_dir():
-            raise UserError(f"watch={runs}: there is no such folder; give the folder of runs, watch=runs")
+            raise UserError(
+                f"watch={runs}: there is no such folder; the first training makes runs (python src/train.py), "
+                "or give the folder that holds your runs"
+            )
         self.runs = runs
         try:
             super().__init__((HOST, port), Handler)
