@@ -215,6 +215,40 @@ def test_a_click_on_a_pixel_shows_what_its_ray_hits(open_page, made):
     assert page.js("omniocc.view3d.ray.children.length") == 0
 
 
+def test_a_ray_says_where_its_cells_are(open_page, made):
+    page = open_page(made[1])
+    page.page.locator("#images .press").nth(1).press("Enter")
+    page.page.wait_for_selector("#readout .place")
+    ray = page.js("omniocc.state.ray")
+    origin, direction = (torch.tensor([ray[key]], dtype=torch.float64) for key in ("origin", "direction"))
+    labels = street(CYLINDER, 0)
+    entry_m, _ = CYLINDER.trace(labels.masked_fill(labels == UNKNOWN, FREE), origin, direction, hit="entry")
+    inside = (origin + (entry_m + 1e-6) * direction)[0]
+    x, y, z = CYLINDER.centers(torch.float64)[tuple(CYLINDER.index(inside)[0].tolist())].tolist()
+    sides = f"{abs(x):.2f} m {'behind' if x < 0 else 'ahead'}, {abs(y):.2f} m {'right' if y < 0 else 'left'}"
+    height = f"z {z:.2f} m".replace("-", "\u2212")
+    assert page.page.locator("#readout .place").first.inner_text() == f"truth: {sides}, {height}"
+
+
+def test_colours_of_differences_and_ranges_are_explained(open_page, made):
+    page = open_page(made[1])
+    legends = page.page.locator("#heads .legend")
+    assert legends.all_inner_texts() == ["right\nwrong class\nmissed\nhallucinated"]
+    swatch, chip = (
+        f"getComputedStyle(document.querySelectorAll('{where} .swatch')[2]).backgroundColor"
+        for where in ("#heads", "#kinds")
+    )
+    assert page.js(swatch) == page.js(chip)
+    page.page.click("#safe")
+    assert page.js(swatch) == page.js(chip)
+    page.page.locator("#heads select").nth(2).select_option(label="truth")
+    page.drawn()
+    assert legends.count() == 0
+    ticks = page.page.locator(".scale span")
+    assert ticks.all_inner_texts() == ["1 m", "2 m", "4 m", "8 m", "16 m", "32 m", "64 m"]
+    assert f"mean of {len(RAYIOU)} frames" in page.page.inner_text("#figures")
+
+
 def test_pixels_without_a_ray_and_the_panorama(open_page, made):
     page = open_page(made[1])
     box = page.page.locator("#images .press").nth(1).bounding_box()
@@ -355,6 +389,15 @@ def test_a_phone_shows_one_view_at_a_time_without_scrolling_sideways(open_page, 
     assert page.js("omniocc.view3d.triangles()") != truth
     assert tabs.nth(1).get_attribute("aria-selected") == "true"
     assert screen(page).std() > 15
+    worst = page.page.locator("#worst button").evaluate_all(
+        "all => all.map(each => each.getBoundingClientRect().right)"
+    )
+    assert max(worst) <= 382  # no frame is cut off
+    box = page.page.locator("#canvas").bounding_box()
+    page.page.touchscreen.tap(box["x"] + 120, box["y"] + 180)
+    page.page.wait_for_selector("#readout table")
+    read = page.page.locator("#readout table").bounding_box()
+    assert read["y"] + read["height"] <= 844  # what the ray hits is seen without scrolling
 
 
 def test_controls_have_names_and_the_keyboard_reaches_them(open_page, made):
@@ -382,6 +425,9 @@ def test_the_list_of_keys_opens_and_closes(open_page, made):
     page = open_page(made[1])
     page.page.keyboard.press("?")
     assert page.page.is_visible("#keylist >> text=worst frame first")
+    listed = page.page.locator("#keylist dt").all_inner_texts()
+    assert listed[:2] == ["arrow left, right", "space"]
+    assert listed.index("0") == listed.index("1 \u2026 9") + 1
     page.page.keyboard.press("ArrowRight")
     assert frame_of(page) == 0
     page.page.keyboard.press("Escape")

@@ -10,6 +10,7 @@ from omniocc.view.ranges import (
     error_colors,
     range_bar,
     range_colors,
+    range_scale,
 )
 
 
@@ -29,6 +30,13 @@ def test_the_bar_shows_the_colour_of_its_ticks():
         at = round(k / (len(RANGE_TICKS_M) - 1) * (width - 1))
         assert np.abs(bar[2, at].astype(int) - range_colors(np.array([float(tick)]))[0]).max() <= 4
     assert (bar == INK).all(2).any()
+
+
+def test_the_scale_is_logarithmic_from_1_to_64_m():
+    colors, ticks = range_scale(7)
+    assert [range_m for range_m, _ in ticks] == [1, 2, 4, 8, 16, 32, 64]
+    assert np.allclose([place for _, place in ticks], [0, 1 / 6, 2 / 6, 3 / 6, 4 / 6, 5 / 6, 1])
+    assert colors.tolist() == range_colors(np.array([1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0])).tolist()
 
 
 def test_errors_have_a_side_and_a_size():

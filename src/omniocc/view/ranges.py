@@ -44,9 +44,14 @@ def error_colors(predicted_m: np.ndarray, true_m: np.ndarray) -> np.ndarray:
 
 def range_bar(width: int) -> np.ndarray:
     """Return a bar with the colours of `range_colors` and their ranges."""
-    span = np.geomspace(NEAR_M, FAR_M, width)
-    places = [np.log(tick / NEAR_M) / np.log(FAR_M / NEAR_M) for tick in RANGE_TICKS_M]
-    return _bar(range_colors(span), places, [f"{tick:g} m" for tick in RANGE_TICKS_M])
+    colors, ticks = range_scale(width)
+    return _bar(colors, [place for _, place in ticks], [f"{tick:g} m" for tick, _ in ticks])
+
+
+def range_scale(count: int) -> tuple[np.ndarray, list[tuple[int, float]]]:
+    """Return `count` colours (count, 3) from near to far, and the ticks: range in m and its place from 0 to 1."""
+    places = [float(np.log(tick / NEAR_M) / np.log(FAR_M / NEAR_M)) for tick in RANGE_TICKS_M]
+    return range_colors(np.geomspace(NEAR_M, FAR_M, count)), list(zip(RANGE_TICKS_M, places, strict=True))
 
 
 def error_bar(width: int) -> np.ndarray:

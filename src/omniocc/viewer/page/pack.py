@@ -12,7 +12,7 @@ import numpy as np
 from omniocc.camera import Equirectangular, Rig
 from omniocc.geometry import Cylinder, Grid
 from omniocc.view.canvas import fitted
-from omniocc.view.ranges import range_colors
+from omniocc.view.ranges import NOT_PREDICTED, SKY, range_colors, range_scale
 from omniocc.view.sheet import HEXAGON_ORDER
 from omniocc.view.voxels import CAR_BOXES
 from omniocc.viewer.frames import FramePrediction, Shown, ShownFrame
@@ -23,6 +23,8 @@ IMAGE_PX = 1024
 """Largest width of an image in the page unless another one is asked for."""
 IMAGE_QUALITY = 80
 """Of images as JPEG, 1 to 100."""
+RANGE_COLORS = 25
+"""Number of colours in the bar that explains ranges; the browser interpolates."""
 CAR_ROAD_Z_M = -2.2
 """Height of the road that the boxes of the ego car stand on."""
 FIGURES = {
@@ -49,6 +51,7 @@ class Packed:
         self.facts: dict[str, Any] = {
             "classes": class_colors(shown.classes),
             "kinds": kind_colors(),
+            "ranges": _ranges(),
             "figures": [{"key": key, "name": name} for key, name in FIGURES.items()],
             "runs": list(shown.models),
             "grids": [],
@@ -149,6 +152,17 @@ class Packed:
         name = f"block-{len(self.blocks)}"
         self.blocks[name] = base64.b64encode(data).decode()
         return name
+
+
+def _ranges() -> dict[str, Any]:
+    """Return what explains the colours of ranges."""
+    colors, ticks = range_scale(RANGE_COLORS)
+    return {
+        "colors": colors.tolist(),
+        "ticks": [{"range_m": range_m, "place": place} for range_m, place in ticks],
+        "sky": SKY,
+        "unknown": NOT_PREDICTED,
+    }
 
 
 def pack(shown: Shown, frames: Iterable[ShownFrame], image_px: int = IMAGE_PX) -> Packed:

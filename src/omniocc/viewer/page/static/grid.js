@@ -24,6 +24,12 @@ export class Grid {
     return this.cylinder ? [first * this.cos[j], first * this.sin[j], height] : [first, this.edges[1][j], height];
   }
 
+  // The centre of a cell, by its flat index.
+  center(cell) {
+    const [first, second, height] = this.indices(cell).map((index, axis) => this.edges[axis][index] + this.size[axis] / 2);
+    return this.cylinder ? [first * Math.cos(second), first * Math.sin(second), height] : [first, second, height];
+  }
+
   // The indices of a flat cell index along the three axes.
   indices(cell) {
     return [Math.floor(cell / this.strides[0]), Math.floor(cell / this.strides[1]) % this.shape[1], cell % this.shape[2]];

@@ -1,7 +1,7 @@
 // The camera images and the panorama, in which a pixel is chosen by the pointer or by the arrow keys.
 
 import { imageUrl, page } from "omniocc/data.js";
-import { at, css, make } from "omniocc/dom.js";
+import { at, css, make, swatch } from "omniocc/dom.js";
 import { panoramaDirection, rayOf } from "omniocc/lens.js";
 
 const KEYS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
@@ -29,7 +29,7 @@ export class Images {
     const own = cameras.map((camera, number) => this.camera(camera, number));
     const around = panoramas.map((panorama, place) => this.panorama(panorama, cameras.length + place));
     at("images").replaceChildren(...order.map(number => own[number].figure));
-    at("panoramas").replaceChildren(...around.map(({ figure }) => figure));
+    at("panoramas").replaceChildren(...around.map(({ figure }) => figure), ...(around.length ? [rangeBar()] : []));
     this.figures = [...own, ...around];
     this.mark();
   }
@@ -53,7 +53,7 @@ export class Images {
   }
 
   panorama(facts, number) {
-    const name = facts.of === "true" ? "true range" : `range, ${page.runs.length > 1 ? facts.of : "predicted"}`;
+    const name = `range, ${facts.of !== "true" && page.runs.length === 1 ? "predicted" : facts.of}`;
     const picture = this.picture(`${name}: rear, left, front, right, rear`, (across, down) => this.at({ number, across, down }), [facts.width, facts.height]);
     picture.image.classList.add("pixels");
     return { ...picture, facts };
@@ -106,4 +106,12 @@ export class Images {
   tint(rgb) {
     document.documentElement.style.setProperty("--cross", rgb ? css(rgb) : "#fff");
   }
+}
+
+// The colours of ranges, with the ranges at their places, and those of pixels without a range.
+function rangeBar() {
+  const { colors, ticks, sky, unknown } = page.ranges;
+  const marks = ticks.map(({ range_m, place }) => make("span", { style: { left: `${100 * place}%` } }, `${range_m} m`));
+  const bar = make("div", { class: "bar", style: { background: `linear-gradient(to right, ${colors.map(css).join(", ")})` } });
+  return make("div", { class: "ranges" }, make("div", { class: "scale" }, bar, ...marks), make("span", {}, swatch(sky), "sky"), make("span", {}, swatch(unknown), "unknown"));
 }

@@ -5,18 +5,19 @@ import { at, make } from "omniocc/dom.js";
 import { bar, cellMark } from "omniocc/extras.js";
 import { Images } from "omniocc/images.js";
 import { faces } from "omniocc/mesh.js";
-import { Classes, showFigures, showReadout } from "omniocc/panels.js";
+import { Classes, legend, showFigures, showReadout } from "omniocc/panels.js";
 import { Timeline } from "omniocc/timeline.js";
 import { stopping, trace } from "omniocc/trace.js";
 import { View3d } from "omniocc/view3d.js";
 
 const NARROW = window.matchMedia("(max-width: 720px)"), DARK = window.matchMedia("(prefers-color-scheme: dark)");
 const HINT = page.frames.some(frame => frame.images.length) ? "Click an image, or voxels." : "Click voxels.";
-const KEYS = {
-  "arrow left, right": "frame before, next frame", "space": "play, pause", "w, W": "worst frame first: the next worst, back",
-  "1 \u2026 9": "show or hide a class", "0": "all classes", "Shift + arrows": "turn", "+ \u2212": "nearer, farther",
-  "b, a, v": "from behind, from above, from the car", "Tab": "next control", "c": "colours for colour-blind people", "d": "light or dark", "Esc": "forget the ray", "?": "this list",
-};
+const KEYS = [
+  ["arrow left, right", "frame before, next frame"], ["space", "play, pause"], ["w, W", "worst frame first: the next worst, back"],
+  ["1 \u2026 9", "show or hide a class"], ["0", "all classes"], ["Shift + arrows", "turn"], ["+ \u2212", "nearer, farther"],
+  ["b, a, v", "from behind, from above, from the car"], ["Tab", "next control"], ["c", "colours for colour-blind people"],
+  ["d", "light or dark"], ["Esc", "forget the ray"], ["?", "this list"],
+];
 
 const state = { frame: 0, views: firstSources(), tab: 0, safe: false, theme: null, ray: null, drawn: Promise.resolve() };
 const shown = new Uint8Array(256), kinds = new Uint8Array(256);
@@ -87,7 +88,8 @@ function heads(keys, volumes) {
   const children = keys.map((key, number) => {
     const select = make("select", { "aria-label": `View ${number + 1} shows` }, ...sources.map(each => make("option", { value: each.key, selected: each.key === key }, each.title)));
     select.addEventListener("change", () => { state.views[NARROW.matches ? state.tab : number] = select.value; show(); });
-    return make("div", {}, select, ...(volumes[number] ? [] : [make("span", { class: "none" }, "nothing in this frame")]));
+    const explained = source(key).kind === "differences" ? [legend()] : [];
+    return make("div", {}, select, ...explained, ...(volumes[number] ? [] : [make("span", { class: "none" }, "nothing in this frame")]));
   });
   at("heads").classList.toggle("single", NARROW.matches && sources.length <= state.views.length); // the tabs are enough
   const focused = [...at("heads").querySelectorAll("select")].indexOf(document.activeElement);
@@ -199,7 +201,7 @@ function listen() {
   at("canvas").addEventListener("click", event => { if (down && Math.hypot(event.clientX - down[0], event.clientY - down[1]) < 4) pick(event); });
 }
 
-at("keylist").append(...Object.entries(KEYS).flatMap(([key, text]) => [make("dt", {}, key), make("dd", {}, text)]));
+at("keylist").append(...KEYS.flatMap(([key, text]) => [make("dt", {}, key), make("dd", {}, text)]));
 listen();
 recolor();
 fromAddress();

@@ -11,7 +11,8 @@ export class Classes {
   constructor(shown, kinds, changed) {
     Object.assign(this, { shown, kinds, changed });
     this.rows = page.classes.map((facts, label) => (label === 0 ? null : this.row(facts, label)));
-    at("classes").append(...this.rows.filter(Boolean).map(({ row }) => row));
+    this.unit = make("span", { class: "unit" });
+    at("classes").append(make("div", { class: "columnheads" }, this.unit, make("span", {}, "cells")), ...this.rows.filter(Boolean).map(({ row }) => row));
     this.chips = page.kinds.map((facts, kind) => (kind === 0 ? null : this.chip(facts, kind)));
     if (page.runs.length) at("kinds").append(...this.chips.filter(Boolean).map(({ chip }) => chip));
     at("kinds").hidden = !page.runs.length || !page.frames.some(frame => Object.keys(frame.truth).length);
@@ -61,6 +62,7 @@ export class Classes {
   }
 
   compare(counts) {
+    this.unit.textContent = "IoU";
     const most = Math.max(...counts.map(count => count.right + count.wrong + count.missed + count.hallucinated), 1);
     this.rows.forEach((row, label) => {
       if (!row) return;
@@ -76,6 +78,7 @@ export class Classes {
   }
 
   list(counts) {
+    this.unit.textContent = "fraction";
     const most = Math.max(...counts.slice(1), 1), total = counts.slice(1).reduce((sum, count) => sum + count, 0) || 1;
     this.rows.forEach((row, label) => {
       if (!row) return;
@@ -86,12 +89,18 @@ export class Classes {
   }
 }
 
+// What the colours of differences say.
+export function legend() {
+  const names = COUNTED.map((kind, place) => make("span", {}, make("i", { class: `swatch ${kind}` }), page.kinds[place + 1].name));
+  return make("p", { class: "legend" }, ...names);
+}
+
 // The figures of a frame: a row for each figure, for each run its value in this frame and the mean of all frames.
 export function showFigures(frame) {
   const { predictions } = page.frames[frame], figures = page.figures.filter(({ key }) => predictions.some(found => Number.isFinite(found?.figures[key])));
   at("figures").closest("section").hidden = !figures.length;
   const several = page.runs.length > 1;
-  const head = make("tr", {}, make("th", {}), ...page.runs.flatMap(run => [make("th", {}, several ? run : "this frame"), make("th", {}, several ? "mean" : "mean of all frames")]));
+  const head = make("tr", {}, make("th", {}), ...page.runs.flatMap(run => [make("th", {}, several ? run : "this frame"), make("th", {}, several ? "mean" : `mean of ${page.frames.length} frames`)]));
   const rows = figures.map(({ key, name }) => make("tr", {}, make("td", {}, name), ...page.runs.flatMap((_, run) => [
     make("td", {}, number(predictions[run]?.figures[key])), make("td", { class: "mean" }, number(meanOf(key, run))),
   ])));
@@ -114,11 +123,18 @@ export function showReadout(name, rows, message) {
   const lines = rows.map(({ title, hit, color }, place) => {
     if (!hit) return make("tr", {}, make("td", {}, title), make("td", { colSpan: 3 }, "no voxels"));
     const found = hit.label ? [swatch(color), page.classes[hit.label]?.name ?? `class ${hit.label}`] : ["nothing"];
-    const off = place && first && hit.label ? `${hit.entry >= first.entry ? "+" : "\u2212"}${Math.abs(hit.entry - first.entry).toFixed(2)}` : "";
-    return make("tr", {}, make("td", {}, title), make("td", {}, ...found), make("td", {}, hit.label ? meters(hit.entry) : ""), make("td", {}, off));
+    const off = place && first && hit.label ? `${hit.entry >= first.entry ? "+" : "\u2212"}${Math.abs(hit.entry - first.entry).toFixed(2)} m` : "";
+    return make("tr", {}, make("td", {}, title), make("td", {}, ...found), make("td", {}, hit.label ? meters(hit.entry) : ""), make("td", { title: "Farther (+) or nearer (\u2212) than the first true cell" }, off));
   });
+  const places = rows.filter(({ hit }) => hit?.label && hit.cell >= 0).map(({ title, hit, grid }) => make("p", { class: "note place" }, `${title}: ${placeOf(grid.center(hit.cell))}`));
   at("readout").replaceChildren(
     make("p", { class: "from" }, name), ...(message ? [make("p", { class: "note" }, message)] : []),
-    ...(lines.length ? [make("table", {}, make("tbody", {}, ...lines))] : []),
+    ...(lines.length ? [make("table", {}, make("tbody", {}, ...lines))] : []), ...places,
   );
+}
+
+// Where a point of the ego frame is, seen from the car.
+function placeOf([x, y, z]) {
+  const signed = z < 0 ? `\u2212${meters(-z)}` : meters(z);
+  return `${meters(Math.abs(x))} ${x < 0 ? "behind" : "ahead"}, ${meters(Math.abs(y))} ${y < 0 ? "right" : "left"}, z ${signed}`;
 }
