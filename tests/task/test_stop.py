@@ -14,12 +14,17 @@ pytestmark = pytest.mark.filterwarnings("ignore")
 
 
 class SignalAt(Callback):
-    def __init__(self, step: int):
-        self.step = step
+    def __init__(self, step: int, number: int = STOP):
+        self.step, self.number = step, number
 
     def on_train_batch_start(self, trainer, *_):
         if trainer.global_step == self.step:
-            os.kill(os.getpid(), STOP)
+            os.kill(os.getpid(), self.number)
+
+
+class SignalInValidation(Callback):
+    def on_validation_batch_start(self, *_):
+        os.kill(os.getpid(), signal.SIGTERM)
 
 
 def trainer_of(folder: Path, *callbacks: Callback) -> Trainer:
@@ -30,12 +35,25 @@ def trainer_of(folder: Path, *callbacks: Callback) -> Trainer:
     )  # fmt: skip
 
 
-def test_training_saves_stops_and_goes_on(tmp_path):
+@pytest.mark.parametrize(("number", "name"), [(STOP, "SIGUSR2"), (signal.SIGTERM, "SIGTERM")])
+def test_training_saves_stops_and_goes_on(tmp_path, number, name):
     before = signal.getsignal(STOP)
-    with pytest.raises(SystemExit, match="stopped by SIGUSR2 at step 4; the same command goes on"):
-        trainer_of(tmp_path, SignalAt(3)).fit(BoringModel())
+    with pytest.raises(SystemExit, match=f"stopped by {name} at step 4; the same command goes on"):
+        trainer_of(tmp_path, SignalAt(3, number)).fit(BoringModel())
     signal.signal(STOP, before)
     trainer = trainer_of(tmp_path)
     trainer.fit(BoringModel(), ckpt_path=str(tmp_path / "last.ckpt"))
     assert trainer.global_step == 8
     assert signal.getsignal(STOP) == before
+
+
+def test_a_training_that_is_ended_between_steps_does_not_pass_for_finished(tmp_path):
+    trainer = Trainer(
+        max_steps=8, default_root_dir=str(tmp_path),
+        callbacks=[StopAtSignal(tmp_path / "last.ckpt"), SignalInValidation()],
+        logger=False, enable_checkpointing=False, enable_progress_bar=False, enable_model_summary=False,
+        limit_val_batches=2, limit_train_batches=3, num_sanity_val_steps=0, accelerator="cpu",
+    )  # fmt: skip
+    with pytest.raises(SystemExit) as ended:
+        trainer.fit(BoringModel())
+    assert ended.value.code == "ended by SIGTERM after step 3; the same command goes on from its checkpoint"

@@ -9,13 +9,16 @@ from typing import Any
 
 from lightning.pytorch import LightningModule, Trainer
 from lightning.pytorch.callbacks import Callback
+from lightning.pytorch.utilities.exceptions import SIGTERMException
 
 STOP = signal.SIGUSR2
 """Signal that comes some time before the limit: `hydra/launcher=slurm` asks for it."""
 
 
 class StopAtSignal(Callback):
-    """After the signal SIGUSR2 save a checkpoint at the end of the step, in all processes at once, and end the script.
+    """After SIGUSR2 or SIGTERM save a checkpoint at the end of the step, in all processes at once, and end the script.
+
+    The script ends with an error code: what started it must not take the training for finished.
 
     Args:
         path: file of the checkpoint from which the same command goes on.
@@ -37,14 +40,22 @@ class StopAtSignal(Callback):
     ) -> None:
         if (batch_idx + 1) % trainer.accumulate_grad_batches == 0 and self._all_told(trainer):
             trainer.save_checkpoint(self.path)
+            name = "SIGUSR2" if self._told else "SIGTERM"
             first = trainer.is_global_zero
-            sys.exit(f"stopped by SIGUSR2 at step {trainer.global_step}; the same command goes on" if first else "")
+            sys.exit(f"stopped by {name} at step {trainer.global_step}; the same command goes on" if first else "")
+
+    def on_exception(  # noqa: D102
+        self, trainer: Trainer, pl_module: LightningModule, exception: BaseException
+    ) -> None:
+        if isinstance(exception, SIGTERMException):  # between steps, or in one process of several
+            message = f"ended by SIGTERM after step {trainer.global_step}; the same command goes on from its checkpoint"
+            exception.code = message if trainer.is_global_zero else ""
 
     def _note(self, number: int, frame: FrameType | None) -> None:
         self._told = True
 
     def _all_told(self, trainer: Trainer) -> bool:
-        """Return whether the signal has reached any process; outside of Slurm only one process is asked."""
+        """Return whether a signal has reached any process; outside of Slurm only one process is asked."""
         if trainer.world_size > 1 and "SLURM_JOB_ID" not in os.environ:
             return False
-        return trainer.strategy.reduce_boolean_decision(self._told, all=False)
+        return trainer.strategy.reduce_boolean_decision(self._told or trainer.received_sigterm, all=False)
