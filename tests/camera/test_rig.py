@@ -152,6 +152,7 @@ POSE = "{position_m: [0.9, 0, 0], yaw_deg: 0, pitch_deg: -10, roll_deg: 0}"
     ("old", "new", "message"),
     [
         ("model: equidistant", "model: equidistnat", "equidistnat.*equidistant"),
+        ("    model: equidistant\n", "", "neither a model.*equidistant.*nor a calibration"),
         ("focal_px: 12.0", "focal_px: .nan", "focal_px is nan"),
         ("    focal_px: 12.0\n", "", "focal_px is missing"),
         ("focal_px: 12.0", "focal_px: twelve", "focal_px is 'twelve'"),
@@ -173,6 +174,12 @@ def test_error_names_file_camera_and_value(tmp_path, old, new, message):
     file.write_text(GOOD.replace(old, new))
     with pytest.raises(ValueError, match=rf"car\.yaml: camera 'front': .*{message}"):
         Rig.load(file)
+
+
+def test_error_names_a_calibration_that_is_missing(tmp_path):
+    (tmp_path / "car.yaml").write_text(f"cameras: {{left: {{calibration: left_lens.yaml, ego_from_camera: {POSE}}}}}")
+    with pytest.raises(ValueError, match=r"car\.yaml: camera 'left': calibration .*left_lens\.yaml does not exist$"):
+        Rig.load(tmp_path / "car.yaml")
 
 
 def test_error_names_unreadable_files(tmp_path):

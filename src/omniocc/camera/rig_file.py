@@ -124,11 +124,16 @@ def _find(path: str | PathLike[str]) -> Path:
 def _read_camera(folder: Path, entry: dict[str, Any]) -> Camera:
     if "calibration" in entry:
         _check_keys(entry, ["calibration", "ego_from_camera"], ["mask"])
-        cameras = read_rig(folder / str(entry["calibration"])).cameras
+        file = folder / str(entry["calibration"])
+        if not file.exists():
+            raise ValueError(f"calibration {file} does not exist")
+        cameras = read_rig(file).cameras
         if len(cameras) != 1:
             raise ValueError(f"calibration {entry['calibration']} holds {len(cameras)} cameras; it must be one")
         return cameras[0]
-    name = entry.get("model")
+    if "model" not in entry:
+        raise ValueError(f"it has neither a model ({', '.join(MODELS)}) nor a calibration, the file of another tool")
+    name = entry["model"]
     if name not in MODELS:
         raise ValueError(f"unknown model '{name}'{_did_you_mean(str(name), list(MODELS))}; models: {', '.join(MODELS)}")
     model = MODELS[name]

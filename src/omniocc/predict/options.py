@@ -54,7 +54,8 @@ def load_rig(source: str) -> Rig:
     try:
         return Rig.load(source)
     except ValueError as error:
-        raise UserError(f"rig={source}: {error}") from error
+        text = str(error)
+        raise UserError(f"rig={text}" if text.startswith(f"{source}: ") else f"rig={source}: {text}") from error
 
 
 def choose_device(name: str | None) -> torch.device:

@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterator, Sequence
 from difflib import SequenceMatcher, get_close_matches
 from itertools import accumulate
+from pathlib import Path
 from typing import cast
 
 import hydra
@@ -29,16 +30,29 @@ def explain(error: Exception, conf: str, config_name: str, arguments: Sequence[s
         remedy = "quote lists, and texts with commas, spaces or other signs: 'key=[1,2]', 'key=\"a b\"'"
         return f"{error.override}: this cannot be read as key=value ({reason})\n  {remedy}"
     if isinstance(error, MissingConfigException) and error.missing_cfg_file and error.options:
-        group, _, option = error.missing_cfg_file.rpartition("/")
-        close = get_close_matches(option, error.options, n=1)
-        hint = f"; did you mean '{close[0]}'?" if close else ""
-        return f"{group}={option}: there is no such option{hint}\n  options: {', '.join(sorted(error.options))}"
+        return _unknown_option(error.missing_cfg_file, error.options, conf)
     if isinstance(error, InstantiationException) and cause is not None:
         return f"{refused_key(error)}: {cause}"
     if isinstance(cause, ConfigAttributeError | ConfigKeyError) and cause.full_key:
         return _unknown_key(str(cause.full_key), *_names(conf, config_name, cause.full_key, arguments))
     lines = [*str(error).split("Config search path")[0].splitlines(), *str(cause or "").splitlines()[:1]]
     return "\n  ".join([line.strip() for line in lines if line.strip()])
+
+
+def _unknown_option(missing: str, options: Sequence[str], conf: str) -> str:
+    """Return the lines about a missing option such as 'model/sketch/onmi', given the options that Hydra lists.
+
+    Of an option in a folder of its group, such as ablation=rivals/fosoc, Hydra lists those of the group without
+    the folder; those in the folder are listed instead.
+    """
+    group, _, option = missing.rpartition("/")
+    beside = {file.stem for file in Path(conf, group).glob("*.yaml")}
+    if not beside <= set(options):
+        group, _, folder = group.rpartition("/")
+        option, options = f"{folder}/{option}", [f"{folder}/{name}" for name in beside]
+    close = get_close_matches(option, options, n=1)
+    hint = f"; did you mean '{close[0]}'?" if close else ""
+    return f"{group}={option}: there is no such option{hint}\n  options: {', '.join(sorted(options))}"
 
 
 def _unknown_key(key: str, keys: Sequence[str], groups: Sequence[str]) -> str:

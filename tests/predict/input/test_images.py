@@ -84,11 +84,21 @@ def test_wrong_lists_and_folders(tmp_path):
 def test_damaged_and_cropped_images_are_named(tmp_path):
     front, back = tmp_path / "front.png", save(tmp_path / "back.png", 96, 54)
     front.write_bytes(b"not an image")
-    with pytest.raises(UserError, match=r"front\.png.*damaged"):
+    with pytest.raises(UserError, match=r"front\.png.*damaged.*exclude_cameras=\[front\]"):
         read_frame(Frame("", (front, back)), RIG)
     save(front, 64, 48)
     with pytest.raises(UserError, match=r"64x48 px.*front.*64x36 px"):
         read_frame(Frame("", (front, back)), RIG)
+
+
+def test_an_image_that_is_cut_off_is_named(tmp_path):
+    path = tmp_path / "front.jpg"
+    whole = cv2.imencode(".jpg", np.random.default_rng(0).integers(0, 255, (36, 64, 3), np.uint8))[1].tobytes()
+    path.write_bytes(whole)
+    assert read_frame(Frame("", (path, None)), RIG)[0].shape == (36, 64, 3)
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(UserError, match=r"front\.jpg.*incomplete"):
+        read_frame(Frame("", (path, None)), RIG)
 
 
 def test_the_order_of_colours_is_rgb(tmp_path):

@@ -14,7 +14,7 @@ from jaxtyping import Float32
 from torch import Tensor
 
 from omniocc.camera import Camera, Rig
-from omniocc.data.formats.files import IMAGE_SUFFIXES, check_aspect, scaled_to
+from omniocc.data.formats.files import IMAGE_SUFFIXES, check_aspect, decode_bytes, read_bytes, scaled_to
 from omniocc.errors import UserError
 
 
@@ -131,9 +131,14 @@ def _read(file: Path | None, rig: Rig, k: int) -> np.ndarray:
     if file is None:
         return np.zeros((camera.height, camera.width, 3), np.uint8)
     # as the sensor recorded it: the calibration does not include the orientation tag
-    image = cv2.imread(str(file), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    # from memory: cv2.imread fills the missing half of a JPEG file that is cut off with grey
+    image = decode_bytes(read_bytes(file), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     if image is None:
-        raise UserError(f"{file} is damaged or not an image")
+        name = rig.names[k]
+        raise UserError(
+            f"{file} (camera '{name}') is not an image, damaged or incomplete; copy it again, or leave the camera out: "
+            f"exclude_cameras=[{name}]"
+        )
     try:
         check_aspect(image, camera, str(file), f"camera '{rig.names[k]}'")
     except ValueError as error:
