@@ -6,7 +6,7 @@ import torch
 from omniocc.camera import Equidistant, KannalaBrandt, Rig
 from omniocc.errors import UserError
 from omniocc.predict import Frame, find_frames, read_frame, resized_to_width
-from omniocc.predict.input.images import even_size
+from omniocc.predict.input.images import even_size, ignored_images
 
 CAMERAS = (Equidistant(64, 36, 19.0, (31.5, 17.5), 95.0), Equidistant(96, 54, 28.0, (47.5, 26.5), 95.0))
 RIG = Rig(CAMERAS, torch.eye(4, dtype=torch.float64).expand(2, 4, 4), ("front", "back"))
@@ -38,6 +38,15 @@ def test_a_list_has_the_order_of_the_rig(tmp_path):
     paths = [save(tmp_path / "x.png"), save(tmp_path / "y.png")]
     assert find_frames([str(path) for path in paths], RIG) == [Frame("", tuple(paths))]
     assert find_frames([str(paths[0]), "nothing.png"], RIG, ["back"]) == [Frame("", (paths[0], None))]
+
+
+def test_an_image_of_no_camera_of_the_rig_is_told(tmp_path):
+    paths = [save(tmp_path / name) for name in ("front.png", "back.png")]
+    assert ignored_images(find_frames(str(tmp_path), RIG), RIG) == ""
+    save(tmp_path / "left.png")
+    assert "left.png" in ignored_images(find_frames(str(tmp_path), RIG, ["back"]), RIG)
+    listed = find_frames([str(tmp_path / "left.png"), str(paths[1])], RIG)
+    assert ignored_images(listed, RIG) == ""
 
 
 def test_a_camera_that_is_left_out_is_black(tmp_path):

@@ -115,6 +115,16 @@ def _image_files(folder: Path) -> list[Path]:
     return sorted(path for path in folder.iterdir() if path.is_file() and path.suffix.lower() in IMAGE_SUFFIXES)
 
 
+def ignored_images(frames: Sequence[Frame], rig: Rig) -> str:
+    """Return a line about images in the folder of the first frame that belong to no camera of the rig, or nothing."""
+    files = {file.stem: file for file in frames[0].files if file is not None}
+    if not set(files) <= set(rig.names):  # listed files, whose names say nothing
+        return ""
+    folder = next(iter(files.values())).parent
+    others = [file.name for file in _image_files(folder) if file.stem not in rig.names]
+    return f"{folder}: not used, no camera of the rig has this name: {', '.join(others[:8])}" if others else ""
+
+
 def read_frame(frame: Frame, rig: Rig) -> list[np.ndarray]:
     """Return (H, W, 3) uint8 RGB of every camera, at the size of its file.
 
