@@ -1,0 +1,83 @@
+"""Write small datasets in the layouts that rivals' code reads: ParkOcc, H3O, QuadOcc, Fisheye3DOD.
+
+No real file of these was at hand: the layouts are those of their readers.
+"""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import yaml
+
+FOCAL_PX = 560.0
+"""Of lenses with rho = focal length x angle, px per radian."""
+
+
+def ocam_text(width: int, height: int, focal_px: float) -> str:
+    """Return a file of OCamCalib: its inverse polynomial is equidistant, the other one the series of x cot x."""
+    f = focal_px
+    forward = [-f, 0.0, 1 / (3 * f), 0.0, 1 / (45 * f**3), 0.0, 2 / (945 * f**5)]
+    inverse = [f * np.pi / 2, f]
+    parts = [
+        ("polynomial coefficients for the DIRECT mapping function", [len(forward), *forward]),
+        ("polynomial coefficients for the inverse mapping function", [len(inverse), *inverse]),
+        ('center: "row" and "column"', [(height - 1) / 2, (width - 1) / 2]),
+        ('affine parameters "c", "d", "e"', [1.0, 0.0, 0.0]),
+        ('image size: "height" and "width"', [height, width]),
+    ]
+    return "".join(f"#{title}\n\n{' '.join(map(repr, map(_plain, values)))}\n\n" for title, values in parts)
+
+
+def _plain(value):
+    return int(value) if float(value).is_integer() else float(value)
+
+
+def turned(yaw_deg: float, place_m: tuple[float, float, float]) -> np.ndarray:
+    """Return `a_from_b`, (4, 4), of a frame that is turned about z and shifted."""
+    c, s = np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg))
+    pose = np.eye(4)
+    pose[:2, :2] = (c, -s), (s, c)
+    pose[:3, 3] = place_m
+    return pose
+
+
+PARKOCC_YAW_DEG = {"front": 0.0, "left": 90.0, "right": -90.0, "back": 180.0}
+PARKOCC_PLACES_M = {"front": (2.0, 0.0, -1.3), "left": (0.5, 1.0, -1.0), "right": (0.5, -1.0, -1.0),
+                    "back": (-2.0, 0.0, -1.2)}  # fmt: skip
+
+
+def parkocc_rows() -> np.ndarray:
+    """Return rows: road (3) below, a wall (2) 5 m to the left, a car (1) ahead, and a cell that is said to be free."""
+    x, y = np.meshgrid(np.arange(60, 140), np.arange(60, 140), indexing="ij")
+    road = np.stack([x, y, np.full_like(x, 6), np.full_like(x, 3)], -1).reshape(-1, 4)
+    x, z = np.meshgrid(np.arange(60, 140), np.arange(6, 26), indexing="ij")
+    wall = np.stack([x, np.full_like(x, 150), z, np.full_like(x, 2)], -1).reshape(-1, 4)
+    return np.concatenate([road, wall, [[170, 100, 10, 1]], [[0, 199, 31, 0]]]).astype(np.int32)
+
+
+def write_parkocc(root: Path, scenes=("8",), frames=(9, 10, 11)) -> Path:
+    """Write scenes whose car drives ahead by .5 m a frame; frame 12 has a folder and no pose."""
+    for name, yaw_deg in PARKOCC_YAW_DEG.items():
+        folder = root / "calib" / name
+        folder.mkdir(parents=True)
+        (folder / f"calib_results_{name}.txt").write_text(ocam_text(1920, 1080, FOCAL_PX))
+        camera_from_lidar = np.linalg.inv(turned(yaw_deg, PARKOCC_PLACES_M[name]))
+        (folder / f"results_{name}.csv").write_text("\n".join(",".join(map(str, row)) for row in camera_from_lidar))
+    x, z = np.meshgrid(np.linspace(-3.9, 3.9, 40), np.linspace(-1.9, -0.2, 18))
+    points = np.stack([x, np.full_like(x, 5.05), z, np.ones_like(x)], -1).reshape(-1, 4).astype("<f4")  # the wall
+    for scene in scenes:
+        for number in (*frames, 12):
+            folder = root / "sequences" / scene / str(number)
+            folder.mkdir(parents=True)
+            for name in PARKOCC_YAW_DEG:
+                cv2.imwrite(str(folder / f"{name}_{number}.jpg"), np.full((1080, 1920, 3), 10 * number, np.uint8))
+            np.save(folder / f"occ_{number}.npy", parkocc_rows())
+            scans = root / "velodyne" / scene / str(number)
+            scans.mkdir(parents=True)
+            (scans / f"pc_{number}.bin").write_bytes(points.tobytes())
+        poses = {
+            number: {"headstamp": 0.1 * number, "matrix": turned(0, (0.5 * number, 0, 0)).ravel().tolist()}
+            for number in frames
+        }
+        (root / "sequences" / f"dataset_sence_{scene}.yaml").write_text(yaml.safe_dump(poses))
+    return root
