@@ -107,7 +107,7 @@ class ParkOcc(OwnGridSource["ParkOccScene"]):
         seen = set(self.sequences["train"]) & {*self.sequences["val"], *self.sequences["test"]}
         if seen:
             warnings.warn(
-                f"ParkOcc: scene {', '.join(sorted(seen))} is for training and for scores, which say nothing about other "
+                f"ParkOcc: scene {', '.join(sorted(seen))} is for training and for scores, which say nothing of other "
                 "places then. One scene is public, so no split exists",
                 stacklevel=2,
             )
