@@ -3,6 +3,7 @@
 No real file of these was at hand: the layouts are those of their readers.
 """
 
+import json
 from pathlib import Path
 
 import cv2
@@ -81,3 +82,41 @@ def write_parkocc(root: Path, scenes=("8",), frames=(9, 10, 11)) -> Path:
         }
         (root / "sequences" / f"dataset_sence_{scene}.yaml").write_text(yaml.safe_dump(poses))
     return root
+
+
+H3O_SIZE = (96, 48)
+"""Width and height of the panoramas, px."""
+
+
+def write_h3o(root: Path, frames=2, fine=True) -> Path:
+    """Write sequences in CARLA's axes (y right): road below, a wall at y = +5, things of every tag in a row."""
+    lists = {"train": ["sequences/Town01_a"], "val": ["sequences/Town02_a"], "test": ["sequences/Town02_b"]}
+    for name in ("homo", "heter"):
+        (root / f"splits_{name}.json").parent.mkdir(parents=True, exist_ok=True)
+        (root / f"splits_{name}.json").write_text(json.dumps(lists))
+    width, height = H3O_SIZE
+    image = np.zeros((height, width, 3), np.uint8)
+    image[:, width // 2 :] = (0, 0, 200)  # red on the right
+    for sequence in (name for names in lists.values() for name in names):
+        for folder, shape in (("occupancy_gt", (64, 64, 8)), ("occupancy_gt_128x128x16", (128, 128, 16))):
+            (root / sequence / folder).mkdir(parents=True)
+            tags = np.zeros(shape, np.uint8)
+            per_m = shape[0] / 25.6
+            tags[:, :, int(0.7 * per_m)] = 1
+            tags[:, int(17.8 * per_m), int(0.7 * per_m) :] = 3
+            tags[20 : 20 + 29, 2, 7] = np.arange(29)
+            for frame in range(frames):
+                np.save(root / sequence / folder / f"{frame:06d}.npy", tags)
+        for folder in ("panorama_rgb", "panorama_depth_m"):
+            (root / sequence / folder).mkdir()
+        for frame in range(frames):
+            cv2.imwrite(str(root / sequence / "panorama_rgb" / f"{frame:06d}.png"), image)
+            np.save(root / sequence / "panorama_depth_m" / f"{frame:06d}.npy", cube_depth(width, height))
+    return root
+
+
+def cube_depth(width: int, height: int) -> np.ndarray:
+    """Return planar depth of a room whose walls are 4 m away: 4 on every face of the cube; sky in the upper rows."""
+    depth_m = np.full((height, width), 4.0, np.float32)
+    depth_m[:4] = 1000.0
+    return depth_m

@@ -83,11 +83,7 @@ def read_npy(path: Path, shape: Sequence[int], remedy: str = "") -> np.ndarray:
     Raises:
         DataError: if the file is missing, damaged, of another shape, or holds other numbers.
     """
-    content = read_bytes(path, remedy)
-    try:
-        numbers = np.load(io.BytesIO(content), allow_pickle=False)
-    except Exception as error:  # numpy has errors of its own
-        raise DataError(f"{path}: the file is damaged ({error})") from error
+    numbers = load_npy(path, remedy)
     wanted = tuple(shape)
     fits = numbers.ndim == len(wanted) and all(
         want in (-1, have) for want, have in zip(wanted, numbers.shape, strict=True)
@@ -99,6 +95,15 @@ def read_npy(path: Path, shape: Sequence[int], remedy: str = "") -> np.ndarray:
     if whole is None or not np.array_equal(whole, numbers):
         raise DataError(f"{path}: the array of {numbers.dtype} holds values that are no whole numbers")
     return whole
+
+
+def load_npy(path: Path, remedy: str = "") -> np.ndarray:
+    """Return the array of an npy file; raise DataError if it is missing or damaged."""
+    content = read_bytes(path, remedy)
+    try:
+        return np.load(io.BytesIO(content), allow_pickle=False)
+    except Exception as error:  # numpy has errors of its own
+        raise DataError(f"{path}: the file is damaged ({error})") from error
 
 
 def decode(path: Path, flags: int, remedy: str = "") -> np.ndarray:

@@ -62,7 +62,19 @@ class OwnGridSource(ABC, Generic[Scene]):
     @property
     def fingerprint(self) -> str:
         """Return a hash of the frames of every sequence, of the rigs and of the size of the panorama."""
-        return digest([self.frames, [scene.rig.fingerprint for scene in self.all_scenes.values()], repr(self.panorama)])
+        return digest(
+            [
+                self.frames,
+                [scene.rig.fingerprint for scene in self.all_scenes.values()],
+                repr(self.panorama),
+                self.options,
+            ]
+        )
+
+    @property
+    def options(self) -> list[object]:
+        """Return what else the labels and images depend on, for the fingerprint."""
+        return []
 
     @abstractmethod
     def sequence(self, name: str) -> Scene:
@@ -70,7 +82,11 @@ class OwnGridSource(ABC, Generic[Scene]):
 
     def scenes(self, split: Split) -> Sequence[Scene]:
         """Return the sequences of a split."""
-        return [self.all_scenes[name] for name in self.sequences[split]]
+        return [self.all_scenes[name] for name in self.names(split)]
+
+    def names(self, split: Split) -> Sequence[str]:
+        """Return the names of the sequences of a split."""
+        return self.sequences[split]
 
     def labels(self, geometry: Grid, unknown: Unknown) -> OwnGridLabels:
         """Return the voxels in a grid; what `unobserved` adds to the benchmark's unknown cells, the scenes tell.
@@ -85,7 +101,7 @@ class OwnGridSource(ABC, Generic[Scene]):
     @cached_property
     def all_scenes(self) -> dict[str, Scene]:
         """Return the sequences of all splits by name."""
-        return {name: self.sequence(name) for split in SPLITS for name in self.sequences[split]}
+        return {name: self.sequence(name) for split in SPLITS for name in self.names(split)}
 
     @property
     def frames(self) -> list[list[object]]:
@@ -122,6 +138,11 @@ class OwnGridScene(DatasetScene):
         """Return the voxels; all count that are not unknown. None where labels are secret."""
         voxels = self.own_voxels(frame, "free")
         return None if voxels is None else BenchmarkFrame(voxels)
+
+
+def mirrored(cells: np.ndarray) -> np.ndarray:
+    """Return cells with y turned from right to left, or back; azimuths of a cylinder turn as y does."""
+    return np.ascontiguousarray(cells[:, ::-1])
 
 
 def standing(frames: int) -> np.ndarray:
