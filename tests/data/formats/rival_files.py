@@ -120,3 +120,36 @@ def cube_depth(width: int, height: int) -> np.ndarray:
     depth_m = np.full((height, width), 4.0, np.float32)
     depth_m[:4] = 1000.0
     return depth_m
+
+
+QUADOCC_FOCAL_PX = 120.0
+"""Of the annular lens in a raw image of 480 x 480 px, px per radian."""
+
+
+def write_quadocc(root: Path, sequences=("a", "b", "c"), frames=6) -> Path:
+    """Write sequences with a building ahead, something without label to its left, and empty cells as 255."""
+    ids = np.full((64, 64, 8), 255, np.uint8)
+    ids[:, :, 0] = 5
+    ids[48, 24:40, 1:6] = 8
+    ids[48, 40:44, 1:6] = 0
+    ids[10:25, 2, 7] = np.arange(15)
+    z, y = np.meshgrid(np.linspace(-0.7, 1.1, 10), np.linspace(-3.1, 3.1, 30))
+    wall = np.stack([np.full_like(y, 6.6), y, z], -1).reshape(-1, 3)
+    points = np.concatenate([wall, np.zeros((7, 3))]).astype("<f4")
+    header = (
+        f"VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH {len(points)}\nHEIGHT 1\n"
+        f"VIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(points)}\nDATA binary\n"
+    )
+    root.mkdir(parents=True, exist_ok=True)
+    (root / "PAL_intrinsic_calib_results.txt").write_text(ocam_text(480, 480, QUADOCC_FOCAL_PX))
+    for sequence in sequences:
+        folder = root / "sequences" / sequence
+        for name in ("images_unfold", "images_raw", "voxel_final", "lidar"):
+            (folder / name).mkdir(parents=True)
+        for frame in range(frames):
+            stem = f"{frame:06d}"
+            cv2.imwrite(str(folder / "images_unfold" / f"{stem}.jpg"), np.full((96, 576, 3), 20 * frame, np.uint8))
+            cv2.imwrite(str(folder / "images_raw" / f"{stem}.jpg"), np.full((480, 480, 3), 20 * frame, np.uint8))
+            np.save(folder / "voxel_final" / f"{stem}.npy", ids)
+            (folder / "lidar" / f"{stem}.pcd").write_bytes(header.encode() + points.tobytes())
+    return root
