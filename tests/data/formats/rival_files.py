@@ -153,3 +153,57 @@ def write_quadocc(root: Path, sequences=("a", "b", "c"), frames=6) -> Path:
             np.save(folder / "voxel_final" / f"{stem}.npy", ids)
             (folder / "lidar" / f"{stem}.pcd").write_bytes(header.encode() + points.tobytes())
     return root
+
+
+FISHEYE3DOD_FOCAL_PX = 200.0
+FISHEYE3DOD_SENSORS = {  # yaw in CARLA (clockwise) and place on the car, x forward, y RIGHT, z up
+    "semantic_lidar": (0.0, (0.0, 0.0, 2.4)), "fisheye_camera_front": (0.0, (2.0, 0.0, 0.8)),
+    "fisheye_camera_left": (-90.0, (0.5, -1.0, 1.0)), "fisheye_camera_right": (90.0, (0.5, 1.0, 1.0)),
+    "fisheye_camera_rear": (180.0, (-2.0, 0.0, 0.9)), "nu_rgb_camera_front": (0.0, (1.5, 0.0, 1.5)),
+    "nu_rgb_camera_front_left": (-55.0, (1.3, -0.5, 1.5)), "nu_rgb_camera_front_right": (55.0, (1.3, 0.5, 1.5)),
+    "nu_rgb_camera_rear": (180.0, (0.0, 0.0, 1.5)), "nu_rgb_camera_rear_left": (-110.0, (1.0, -0.5, 1.5)),
+    "nu_rgb_camera_rear_right": (110.0, (1.0, 0.5, 1.5)),
+}  # fmt: skip
+WALL_M = 6.1
+
+
+def fisheye3dod_points() -> tuple[np.ndarray, np.ndarray]:
+    """Return points, y to the left, and tags from 0.9.14 on: road, a wall to the left, a car, the own car, no tag."""
+    x, y = np.meshgrid(np.arange(-9, 9, 0.5), np.arange(-5, 5, 0.5))
+    road = np.stack([x, y, np.full_like(x, -2.35)], -1).reshape(-1, 3)
+    x, z = np.meshgrid(np.arange(-9, 9, 0.25), np.arange(-2, 1, 0.25))
+    wall = np.stack([x, np.full_like(x, WALL_M), z], -1).reshape(-1, 3)
+    points = np.concatenate([road, wall, [[7.0, -2.0, -1.5], [0.0, 0.0, -0.5], [8.0, 2.0, 1.9]]])
+    return points, np.repeat([1, 4, 14, 14, 0], [len(road), len(wall), 1, 1, 1])
+
+
+def write_fisheye3dod(root: Path, towns=("Town01_Opt", "Town02_Opt", "Town03"), frames=6, floats=False) -> Path:
+    """Write a recording a town, whose car heads 30 degrees to the right in CARLA and drives .5 m a frame."""
+    root.mkdir(parents=True, exist_ok=True)
+    (root / "calib_results.txt").write_text(ocam_text(800, 800, FISHEYE3DOD_FOCAL_PX))
+    points, tags = fisheye3dod_points()
+    rows = np.zeros((len(points), 6), "<f4")
+    rows[:, :3] = points
+    rows[:, 5] = tags if floats else tags.astype("<u4").view("<f4")
+    for town in towns:
+        folder = root / f"train-{town}-ClearNoon-2024_09_23_11_44_45" / "ego0"
+        for name, (yaw_deg, (x, y, z)) in FISHEYE3DOD_SENSORS.items():
+            (folder / name).mkdir(parents=True)
+            lines = []
+            for k in range(frames):
+                number, along = 26981 + k, x + 0.5 * k
+                c, s = np.cos(np.radians(30)), np.sin(np.radians(30))  # left-handed: a turn to the right is positive
+                place = (100 + c * along - s * y, 50 + s * along + c * y, z)
+                lines.append(
+                    f"Data(frame={number}, timestamp={0.1 * k:.6f}, transform=Transform(Location(x={place[0]:.6f}, "
+                    f"y={place[1]:.6f}, z={place[2]:.6f}), Rotation(pitch=0.000000, yaw={30 + yaw_deg:.6f}, "
+                    "roll=0.000000)))"
+                )
+                stem = folder / name / f"{number:08d}"
+                if name == "semantic_lidar":
+                    stem.with_suffix(".bin").write_bytes(rows.tobytes())
+                elif k % 5 == 0:
+                    size = (720, 1280) if name.startswith("nu_") else (800, 800)
+                    cv2.imwrite(str(stem.with_suffix(".png")), np.full((*size, 3), 20 * k, np.uint8))
+            (folder / name / "sensor_metadata.txt").write_text("\n".join(lines))
+    return root

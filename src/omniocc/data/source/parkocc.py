@@ -6,7 +6,6 @@ file of it has been read here.
 
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,6 @@ from torch import Tensor
 
 from omniocc.camera import OCam, Rig
 from omniocc.camera.calibration.fields import parse_yaml
-from omniocc.camera.calibration.ocamcalib import read_ocamcalib
 from omniocc.camera.pose import LEVEL_FORWARD
 from omniocc.classes import ClassTable, SemanticClass
 from omniocc.data.formats.files import (
@@ -31,6 +29,7 @@ from omniocc.data.formats.files import (
     read_text,
     scaled_size,
 )
+from omniocc.data.formats.ocam import read_ocam
 from omniocc.data.formats.poses import inverse, rigid
 from omniocc.data.formats.scene import Cloud
 from omniocc.data.source import Benchmark, SourceSpec, Split, Unknown
@@ -217,13 +216,7 @@ def read_camera(folder: Path, name: str) -> tuple[OCam, Float64[np.ndarray, "4 4
         DataError: naming the file and what is wrong.
     """
     lens, place = folder / f"calib_results_{name}.txt", folder / f"results_{name}.csv"
-    try:
-        camera = read_ocamcalib(read_text(lens), name).cameras[0]
-    except ValueError as error:
-        raise DataError(f"{lens}: {error}") from error
-    assert isinstance(camera, OCam)
-    if (camera.width, camera.height) != SIZE:
-        raise DataError(f"{lens}: the size is {camera.width}x{camera.height} px instead of {SIZE[0]}x{SIZE[1]} px")
+    camera = read_ocam(lens, SIZE, LENS_DEG)
     try:
         rows = [line.split(",") for line in read_text(place).splitlines() if line.strip()]
         camera_from_lidar = rigid(as_pose(rows), "the matrix")
@@ -231,7 +224,7 @@ def read_camera(folder: Path, name: str) -> tuple[OCam, Float64[np.ndarray, "4 4
         raise DataError(f"{place}: {error}") from error
     turn = np.eye(4)
     turn[:3, :3] = LEVEL_FORWARD
-    return replace(camera, max_angle_deg=LENS_DEG), inverse(camera_from_lidar) @ turn
+    return camera, inverse(camera_from_lidar) @ turn
 
 
 def as_pose(values: Any) -> Float64[np.ndarray, "4 4"]:

@@ -5,7 +5,6 @@ https://github.com/MasterHow/OccFormer. No real file of it has been read here.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
@@ -15,12 +14,12 @@ import torch
 from jaxtyping import Bool, Float64, UInt8
 from torch import Tensor
 
-from omniocc.camera import Camera, OCam, Panoramic, Rig
-from omniocc.camera.calibration.ocamcalib import read_ocamcalib
+from omniocc.camera import Camera, Panoramic, Rig
 from omniocc.camera.ops.pixels import pixel_centers
 from omniocc.classes import UNKNOWN, ClassTable, SemanticClass
 from omniocc.data.formats.clouds import read_cloud
-from omniocc.data.formats.files import check_root, map_classes, read_image, read_npy, read_text, scaled_size
+from omniocc.data.formats.files import check_root, map_classes, read_image, read_npy, scaled_size
+from omniocc.data.formats.ocam import read_ocam
 from omniocc.data.formats.poses import inverse, moved, rigid
 from omniocc.data.formats.scene import Cloud
 from omniocc.data.source import Benchmark, SourceSpec, Split, Unknown
@@ -128,7 +127,7 @@ class QuadOcc(OwnGridSource["QuadOccScene"]):
             camera: Camera = Panoramic(*scaled_size(6, 1, self.image_width), TOP_DEG, BOTTOM_DEG)
             pose, masks = ego_from_camera @ rigid(np.array(CAMERA_FROM_PANORAMA), "CAMERA_FROM_PANORAMA"), None
         else:
-            camera, pose = read_lens(Path(self.root, CALIBRATION)), ego_from_camera
+            camera, pose = read_ocam(Path(self.root, CALIBRATION), None, 90.0 - BOTTOM_DEG), ego_from_camera
             camera = camera.resized(*scaled_size(camera.width, camera.height, self.image_width))
             masks = (on_ring(camera),)
         return Rig((camera,), torch.from_numpy(pose)[None], (self.images,), masks, self.road_z_m)
@@ -188,20 +187,6 @@ def looking_down(pitch_deg: float) -> Float64[np.ndarray, "4 4"]:
     pose = np.eye(4)
     pose[0, [0, 2]], pose[2, [0, 2]] = (cos, sin), (-sin, cos)
     return pose
-
-
-def read_lens(path: Path) -> OCam:
-    """Return the annular lens of OCamCalib's file, up to the lowest elevation that it sees.
-
-    Raises:
-        DataError: naming the file and what is wrong with it.
-    """
-    try:
-        camera = read_ocamcalib(read_text(path), "raw").cameras[0]
-    except ValueError as error:
-        raise DataError(f"{path}: {error}") from error
-    assert isinstance(camera, OCam)
-    return replace(camera, max_angle_deg=90.0 - BOTTOM_DEG)
 
 
 def on_ring(camera: Camera) -> Bool[Tensor, "height width"]:
