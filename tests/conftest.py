@@ -21,13 +21,15 @@ torch.set_num_threads(1)
 
 ROOT = Path(__file__).parents[1]
 TESTS = Path(__file__).parent
-# folders of helpers: scripts, second_device; offline_file; plain_shading; batches; made_scenes; made_runs; recordings
+# folders of helpers: scripts, second_device; offline_file; wandb_server; plain_shading; batches; made_scenes;
+# made_runs; recordings
 sys.path[:0] = [
     str(TESTS),
     *(
         str(TESTS / folder)
         for folder in (
             "run/wandb",
+            "report/wandb",
             "world/render",
             "task",
             "data/formats",

@@ -3,15 +3,14 @@
     python tests/bench/paper_scene.py out [preset=paper frames=1800]
 
 Renders 1,800 frames, votes for the voxels and counts classes on the way, then does what a second run does before its
-first step, and reads every training sample of the occupancy stage once. Each step is a process of its own; those that
-are done are skipped (`out/steps.json`), so an interrupted measurement goes on. The last column is what 32 such scenes,
-the 57,600 frames of the paper's dataset, would take in the same way.
+first step, and reads every training sample of the occupancy stage once. Each step is a command of its own, whose
+processes are measured together; steps that are done are skipped (`out/steps.json`), so an interrupted measurement goes
+on. The last column is what 32 such scenes, the 57,600 frames of the paper's dataset, would take in the same way.
 """
 
 import argparse
 import json
 import os
-import resource
 import subprocess
 import sys
 import time
@@ -58,25 +57,47 @@ def used(folder: Path) -> int:
 
 
 def measure(step: str, chosen: argparse.Namespace) -> dict[str, float]:
-    """Return seconds, processor seconds and peak memory of the largest process of a step, and the bytes it wrote."""
+    """Return seconds, processor seconds and peak memory of all processes of a step, and the bytes it wrote."""
     disk, start = used(chosen.out), time.monotonic()
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
     command = [sys.executable, __file__, str(chosen.out), chosen.preset, str(chosen.frames), "--step", step]
-    subprocess.run(command, check=True)
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    seconds: dict[int, float] = {}
+    peak_mib = 0.0
+    with subprocess.Popen(command, start_new_session=True) as process:
+        while process.poll() is None:
+            memory_mib = 0.0
+            for pid, (cpu_s, mib) in session(process.pid).items():
+                seconds[pid] = max(cpu_s, seconds.get(pid, 0.0))
+                memory_mib += mib
+            peak_mib = max(peak_mib, memory_mib)
+            time.sleep(0.25)
+    if process.returncode:
+        raise subprocess.CalledProcessError(process.returncode, command)
     return {
         "wall_s": time.monotonic() - start,
-        "cpu_s": after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime,
-        "peak_mib": peak_mib(chosen.out / "peak"),
+        "cpu_s": sum(seconds.values()),
+        "peak_mib": peak_mib,
         "disk_mib": (used(chosen.out) - disk) / 2**20,
     }
 
 
-def peak_mib(path: Path) -> float:
-    """Return what a step wrote as its peak memory, and remove the file."""
-    peak = float(path.read_text())
-    path.unlink()
-    return peak
+def session(leader: int) -> dict[int, tuple[float, float]]:
+    """Return processor seconds and memory, MiB, of every process of a session, from Linux's /proc.
+
+    Memory is what a process has alone and its part of what it shares with others.
+    """
+    found = {}
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            fields = (folder / "stat").read_text().rpartition(")")[2].split()
+            if int(fields[3]) != leader:
+                continue
+            ticks = int(fields[11]) + int(fields[12])
+            rollup = (folder / "smaps_rollup").read_text()
+        except OSError:  # it has ended
+            continue
+        kib = sum(int(line.split()[1]) for line in rollup.splitlines() if line.startswith("Pss:"))
+        found[int(folder.name)] = ticks / os.sysconf("SC_CLK_TCK"), kib / 1024
+    return found
 
 
 def table(done: dict[str, dict[str, float]], frames: int) -> str:
@@ -104,9 +125,6 @@ def main() -> None:
     chosen.out.mkdir(parents=True, exist_ok=True)
     if chosen.step:
         take(chosen.step, data_of(chosen.preset, chosen.out, chosen.frames))
-        kinds = resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN
-        peak = max(resource.getrusage(kind).ru_maxrss for kind in kinds) / 1024
-        atomic_write(chosen.out / "peak", str(peak))
         return
     path = chosen.out / "steps.json"
     done = json.loads(path.read_text()) if path.exists() else {}

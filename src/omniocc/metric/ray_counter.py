@@ -103,9 +103,13 @@ class RayCounter:
         kept = ("rayiou", *(f"rayiou@{threshold_m:g}" for threshold_m in self.fine_m))
         return scores | {f"fine/{key}": fine[key] for key in kept if fine}
 
-    def _scores_at(self, counts: RayCounts, thresholds_m: Sequence[float]) -> dict[str, Tensor]:
+    def counts_at(self, counts: RayCounts, thresholds_m: Sequence[float]) -> RayCounts:
+        """Return the counts at some of the thresholds alone, in their order."""
         places = [self.counted_m.index(threshold_m) for threshold_m in thresholds_m]
-        counts = counts._replace(correct=counts.correct[:, places])
+        return counts._replace(correct=counts.correct[:, places])
+
+    def _scores_at(self, counts: RayCounts, thresholds_m: Sequence[float]) -> dict[str, Tensor]:
+        counts = self.counts_at(counts, thresholds_m)
         return ray_scores(counts, self.classes.occupied, thresholds_m, self.range_edges_m)
 
     def protocol(self, seen: RaysSeen) -> str:

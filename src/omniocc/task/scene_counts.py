@@ -39,6 +39,7 @@ class SceneCounts:
         for sample, frame_id in enumerate(batch.frame_ids):
             scene = self.counted.setdefault(frame_id.rpartition("/")[0], {})
             for kind, counts in self._counts(labels[sample : sample + 1], batch, sample):
+                counts = self.scores.rays.counter.counts_at(counts, self.scores.rays.counter.thresholds_m)
                 lines = torch.cat([counts.truth.sum(0)[None], counts.predicted.sum(0)[None], counts.correct.sum(0)])
                 scene[kind] = added(scene.get(kind), lines.tolist())
 

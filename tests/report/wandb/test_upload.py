@@ -1,10 +1,11 @@
 import json
-import subprocess
+import os
 
 import pytest
 from filelock import FileLock
 from offline_file import files_of, history, runs_in
 
+from omniocc.report.wandb.killed import remove_half_record, whole_bytes
 from omniocc.report.wandb.upload import log_report, main, waiting
 
 
@@ -31,24 +32,41 @@ def test_a_run_in_progress_is_left_alone(tmp_path):
 
 
 def test_without_a_login_there_is_one_clear_line(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("omniocc.report.wandb.upload.logged_in", lambda: False)
+    monkeypatch.delenv("WANDB_API_KEY", raising=False)
+    monkeypatch.setenv("NETRC", str(tmp_path / "netrc"))
+    killed_at_once = offline_run(tmp_path / "mono-0")
     main(["--runs", str(tmp_path)])
     assert "nothing waits for upload" in capsys.readouterr().out
-    offline_run(tmp_path / "mono-1")
-    with pytest.raises(SystemExit, match=r"1 files.*wandb login"):
+    offline_run(tmp_path / "mono-1").write_bytes(HEADER + record(20))
+    with pytest.raises(SystemExit, match=r"1 files wait in .*: run `wandb login`"):
         main(["--runs", str(tmp_path)])
+    assert killed_at_once.read_bytes() == b""
 
 
-def test_all_files_go_to_wandb_in_one_command(tmp_path, monkeypatch):
-    monkeypatch.setattr("omniocc.report.wandb.upload.logged_in", lambda: True)
-    calls = []
-    run = lambda command, check: calls.append(command) or subprocess.CompletedProcess(command, 3)  # noqa: E731
-    monkeypatch.setattr("omniocc.report.wandb.upload.subprocess.run", run)
-    files = [offline_run(tmp_path / "a-1"), offline_run(tmp_path / "b-2")]
-    with pytest.raises(SystemExit) as error:
-        main(["--runs", str(tmp_path)])
-    assert error.value.code == 3
-    assert calls[0][1:] == ["-m", "wandb", "sync", *map(str, files)]
+HEADER, BLOCK = b":W&B" + bytes(3), 32768
+
+
+def record(length, kind=1):
+    """A record in LevelDB's log format: checksum, length, kind, content."""
+    return bytes(4) + length.to_bytes(2, "little") + bytes([kind]) + b"x" * length
+
+
+def test_half_a_record_at_the_end_is_cut_off(tmp_path):
+    short = HEADER + record(20)
+    first = record(BLOCK - len(short) - 7, kind=2)
+    parted = short + first + record(100, kind=4)
+    padded = parted + record(BLOCK - 107 - 7 - 3) + bytes(3)  # too little of the block is left for a record
+    content = padded + record(50)
+    ends = {len(short), len(parted), len(padded) - 3, len(content)}
+    for cut in {5, 7, 20, *(end + more for end in ends for more in (-1, 0, 1, 8))}:
+        assert whole_bytes(content[:cut]) == max((end for end in ends if end <= cut), default=0), cut
+    path = tmp_path / "run-x.wandb"
+    path.write_bytes(content[:-1])
+    remove_half_record(path)
+    assert path.read_bytes() == content[:-1], "written a moment ago"
+    os.utime(path, (0, 0))  # an old file
+    remove_half_record(path)
+    assert path.read_bytes() == padded[:-3]
 
 
 def test_the_tables_of_a_report_are_a_run_of_their_own(tmp_path):

@@ -22,6 +22,7 @@ class WandbServer(ThreadingHTTPServer):
         artifacts: tables that were committed, by id.
         views: saved dashboards.
         unknown: operations that have no answer here.
+        refused: HTTP status of operations that are to fail, by the operation's name.
     """
 
     daemon_threads = True
@@ -35,6 +36,7 @@ class WandbServer(ThreadingHTTPServer):
         self.committed: list[str] = []
         self.views: list[dict[str, Any]] = []
         self.unknown: list[str] = []
+        self.refused: dict[str, int] = {}
 
     @property
     def url(self) -> str:
@@ -52,22 +54,26 @@ class WandbServer(ThreadingHTTPServer):
         """Return the last summary of a run."""
         return self.streams[run]["wandb-summary.json"][-1]
 
-    def answer(self, query: str, given: dict[str, Any]) -> dict[str, Any]:
-        """Return the data of an answer to a GraphQL operation."""
+    def answer(self, query: str, given: dict[str, Any]) -> tuple[int, dict[str, Any]]:
+        """Return HTTP status and answer to a GraphQL operation."""
         match = re.search(r"(query|mutation)\s+(\w+)", query)
         assert match is not None
+        if status := self.refused.get(match[2]):
+            return status, {"errors": [{"message": "refused here"}]}
         method = getattr(self, f"on_{match[2]}", None)
         if method is not None:
-            return method(given.get("input", given))
+            return 200, {"data": method(given.get("input", given))}
         field = re.search(r"{\s*(\w+)", query)
         assert field is not None
         if match[1] == "mutation":
             self.unknown.append(match[2])
-        return {field[1]: None}
+        return 200, {"data": {field[1]: None}}
 
     def on_Viewer(self, given):  # noqa: N802
         names = {"id": "u1", "username": "me", "name": "me", "entity": "me", "email": None}
         return {"viewer": {**names, "flags": "{}", "teams": {"edges": []}, "admin": False}}
+
+    on_GetDefaultEntity = on_Viewer  # noqa: N815
 
     def on_ServerFeaturesQuery(self, given):  # noqa: N802
         return {"serverInfo": {"features": []}}
@@ -114,6 +120,10 @@ class WandbServer(ThreadingHTTPServer):
         self.committed.append(given["artifactID"])
         return {"commitArtifact": {"artifact": {"id": given["artifactID"], "digest": "d"}}}
 
+    def on_UpsertView2(self, given):  # noqa: N802
+        self.views.append(given)
+        return {"upsertView": {"view": {"id": "v1", "name": given["name"]}, "inserted": True}}
+
 
 class Handler(BaseHTTPRequestHandler):
     """Requests of W&B: GraphQL, streams of rows, uploads; anything else, such as telemetry, gets an empty answer."""
@@ -139,10 +149,10 @@ class Handler(BaseHTTPRequestHandler):
 
     def do_POST(self) -> None:
         """Answer a request."""
-        content, answer = self.body(), {}
+        content, status, answer = self.body(), 200, {}
         if self.path == "/graphql":
             asked = json.loads(content)
-            answer = {"data": self.server.answer(asked["query"], asked.get("variables") or {})}
+            status, answer = self.server.answer(asked["query"], asked.get("variables") or {})
         elif self.path.endswith("/file_stream"):
             streams = self.server.streams.setdefault(self.path.split("/")[-2], {})
             for name, part in (json.loads(content).get("files") or {}).items():
@@ -152,7 +162,7 @@ class Handler(BaseHTTPRequestHandler):
         elif self.path.startswith("/upload/"):
             self.server.files[self.path.removeprefix("/upload/")] = content
         encoded = json.dumps(answer).encode()
-        self.send_response(200)
+        self.send_response(status)
         self.send_header("Content-Type", "application/json")
         self.send_header("Content-Length", str(len(encoded)))
         self.end_headers()

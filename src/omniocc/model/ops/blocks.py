@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
-from jaxtyping import Bool, Float, Float64
+from jaxtyping import Bool, Float, Float64, Shaped
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -53,7 +53,7 @@ def block_means(volume: Float[Tensor, "B C X Y Z"], block: Axes) -> Float[Tensor
     return F.avg_pool3d(volume, block, block)
 
 
-def repeat_blocks(volume: Float[Tensor, "B C x y z"], block: Axes) -> Float[Tensor, "B C X Y Z"]:
+def repeat_blocks(volume: Shaped[Tensor, "B C x y z"], block: Axes) -> Shaped[Tensor, "B C X Y Z"]:
     """Copy the value of every block to its cells."""
     voxels = volume.movedim(1, -1)  # channels last in memory, which is fast in 3D convolutions
     for axis, count in enumerate(block, start=1):

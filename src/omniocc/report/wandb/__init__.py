@@ -1,1 +1,1 @@
-"""The W&B dashboard and the upload of offline runs."""
+"""The W&B dashboard, the upload of offline runs, and the viewer of all runs in the terminal."""

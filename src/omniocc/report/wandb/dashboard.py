@@ -12,7 +12,7 @@ from omniocc.errors import UserError
 from omniocc.report.runs import read_runs
 from omniocc.run.script import lines_not_tracebacks
 from omniocc.run.table import band_names, class_names
-from omniocc.run.wandb.loggers import logged_in
+from omniocc.run.wandb.loggers import check_login
 
 if TYPE_CHECKING:
     from wandb_workspaces.workspaces import Workspace
@@ -146,8 +146,7 @@ def main(arguments: list[str] | None = None) -> None:
         "--runs", type=Path, default=Path("runs"), help="folder of runs, whose classes and bands are shown"
     )
     options = parser.parse_args(arguments)
-    if not logged_in():
-        raise UserError("not saved, since the dashboard lives on a W&B server: run `wandb login` or set WANDB_API_KEY")
+    check_login("not saved, since the dashboard lives on a W&B server")
     import wandb
 
     entity = options.entity or wandb.Api().default_entity
@@ -155,7 +154,10 @@ def main(arguments: list[str] | None = None) -> None:
         raise UserError("this login has no default entity: name the W&B user or team with --entity")
     best, *_ = read_runs(options.runs)
     board = workspace(entity, options.project, sections(best.metrics))
-    board.save()
+    try:
+        board.save()
+    except Exception as error:  # the kinds of W&B's errors are no part of its public interface
+        raise UserError(f"the W&B server did not save the dashboard to {entity}/{options.project}: {error}") from error
     print(f"dashboard {board.url}")
 
 

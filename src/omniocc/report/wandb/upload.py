@@ -3,7 +3,6 @@
 import argparse
 import csv
 import hashlib
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -11,8 +10,9 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from omniocc.errors import UserError
+from omniocc.report.wandb.killed import remove_half_record, whole_bytes
 from omniocc.run.script import lines_not_tracebacks
-from omniocc.run.wandb.loggers import logged_in
+from omniocc.run.wandb.loggers import check_login
 
 OFFLINE = "wandb/offline-run-*/run-*.wandb"
 MARK = ".synced"
@@ -22,7 +22,7 @@ MARK = ".synced"
 def waiting(runs: Path) -> list[Path]:
     """Return files of offline runs that have not been uploaded, without runs in progress."""
     files = sorted(runs.glob(f"**/{OFFLINE}"))
-    left = [path for path in files if not path.with_name(path.name + MARK).exists()]
+    left = [path for path in files if not _is_marked(path)]
     busy = {folder for folder in {path.parents[2] for path in left} if in_use(folder)}  # folders of runs
     return [path for path in left if path.parents[2] not in busy]
 
@@ -48,15 +48,35 @@ def log_report(report: Path, project: str) -> bool:
     name = hashlib.sha256(f"{report.resolve()}\n{text}".encode()).hexdigest()[:16]
     if not files or list(report.glob(f"wandb/*-{name}")):
         return False
-    os.environ.setdefault("WANDB_SILENT", "true")
     import wandb
 
-    with wandb.init(dir=report, id=name, name="report", project=project, job_type="report", mode="offline") as run:
+    quiet = wandb.Settings(silent=True)  # not by the environment, which `wandb sync` inherits
+    with wandb.init(
+        dir=report, id=name, name="report", project=project, job_type="report", mode="offline", settings=quiet
+    ) as run:
         for path in files:
             head, *rows = csv.reader(path.read_text().splitlines())
             run.log({f"paper/{path.stem}": wandb.Table(columns=[*head], data=rows)})
     wandb.teardown()  # `finish` alone may return before the file is whole
     return True
+
+
+def upload(files: list[Path]) -> None:
+    """Upload files of offline runs.
+
+    Raises:
+        UserError: when one has not been uploaded to its end.
+    """
+    for path in files:
+        remove_half_record(path)
+    subprocess.run([sys.executable, "-m", "wandb", "sync", *map(str, files)], check=False)
+    left = [path for path in files if not _is_marked(path)]  # `wandb sync` ends with 0 whatever fails
+    if left:
+        raise UserError(f"{len(left)} of {len(files)} files still wait, for the reasons above; the first is {left[0]}")
+
+
+def _is_marked(path: Path) -> bool:
+    return path.with_name(path.name + MARK).exists()
 
 
 @lines_not_tracebacks
@@ -67,14 +87,12 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--project", default="omniocc", help="W&B project of the report; runs name their own")
     options = parser.parse_args(arguments)
     log_report(options.runs / "report", options.project)
-    files = waiting(options.runs)
+    files = [path for path in waiting(options.runs) if whole_bytes(path.read_bytes())]  # killed at once: nothing in it
     if not files:
         print(f"{options.runs}: nothing waits for upload")
         return
-    if not logged_in():
-        raise UserError(f"{len(files)} files wait in {options.runs}: run `wandb login` or set WANDB_API_KEY first")
-    done = subprocess.run([sys.executable, "-m", "wandb", "sync", *map(str, files)], check=False)
-    sys.exit(done.returncode)
+    check_login(f"{len(files)} files wait in {options.runs}")
+    upload(files)
 
 
 if __name__ == "__main__":

@@ -50,7 +50,7 @@ class Loggers:
         one with `row` and `slots.<slot>`, the option in every slot, to group runs by.
 
         Raises:
-            UserError: for `mode=online` without W&B credentials (W&B itself would stop and ask).
+            UserError: for `mode=online` without a W&B server that accepts the credentials of this machine.
         """
         earlier = rows_in_csv(folder) if rank_zero_only.rank == 0 else set()
         loggers: list[Logger] = [CSVLogger(folder, name=CSV, flush_logs_every_n_steps=1)]
@@ -58,8 +58,8 @@ class Loggers:
         wanted = "WANDB_SWEEP_ID" not in os.environ or job_type == (config.get("stage") or "occupancy")
         if self.mode != "disabled" and wanted:
             os.environ.setdefault("WANDB_SILENT", "true")
-            if self.mode == "online" and not logged_in():
-                raise UserError("logger.mode=online needs W&B credentials: run `wandb login` or set WANDB_API_KEY")
+            if self.mode == "online":
+                check_login("logger.mode=online needs a W&B server")
             loggers.append(WandbCurves(self, folder, config, job_type, earlier))
         return loggers
 
@@ -138,11 +138,23 @@ class WandbCurves(WandbLogger):
         self.experiment.finish()
 
 
-def logged_in() -> bool:
-    """Return whether there are W&B credentials, without a prompt and without contacting the server."""
+def check_login(purpose: str) -> None:
+    """Ask the W&B server whether it accepts this machine's credentials, for 10 s or `WANDB_HTTP_TIMEOUT`.
+
+    W&B itself would ask for an API key, and would try for minutes to reach a server that does not answer.
+
+    Raises:
+        UserError: without credentials, and if the server refuses them or does not answer.
+    """
     import wandb  # seconds of import that CSV-only runs do not pay
 
-    return wandb.login(prompt=False, verify=False)
+    try:
+        found = wandb.login(prompt=False, verify=True)
+    except (wandb.Error, ValueError) as error:  # the latter for settings that are no URL, ...
+        reason, remedy = " ".join(str(error).split()), "see network, WANDB_BASE_URL, `wandb login --relogin`"
+        raise UserError(f"{purpose}: no W&B server accepts the login or answers ({remedy}): {reason}") from error
+    if not found:
+        raise UserError(f"{purpose}: run `wandb login` or set WANDB_API_KEY first")
 
 
 def wandb_of(loggers: Sequence[Logger]) -> list[WandbCurves]:
