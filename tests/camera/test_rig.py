@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from omniocc.camera import Equidistant, Pinhole, Rig
+from omniocc.camera import Equidistant, Panoramic, Pinhole, Rig
 from omniocc.camera.pose import pose_from_angles
 from omniocc.camera.rig_file import MODELS
 
@@ -211,7 +211,8 @@ def test_rig_of_every_model_is_saved_and_loaded(tmp_path, known, build_camera):
     names = ("svs_front", "basalt_test_ds", "euroc_eucm", "kitti360_image_03", "woodscape_like")
     cameras = [build_camera(known["cameras"][name], max_angle_deg=80.5) for name in names]
     sunny = known["cameras"]["omnimvs_sunny_single_cam1"]
-    cameras += [build_camera(sunny), build_camera(sunny, exact=True), *two_cameras().cameras]
+    cameras += [build_camera(sunny), build_camera(sunny, exact=True), Panoramic(64, 32, 50.0, -10.5)]
+    cameras += [*two_cameras().cameras]
     masks = [torch.rand(camera.height, camera.width) > 0.5 if i % 2 else None for i, camera in enumerate(cameras)]
     poses = [pose_from_angles((0.1 * i, 0.2, -0.3), 40.0 * i, -5.0, 1.0) for i in range(len(cameras))]
     rig = Rig(tuple(cameras), torch.stack(poses), tuple(f"c{i}" for i in range(len(cameras))), tuple(masks))
@@ -221,5 +222,5 @@ def test_rig_of_every_model_is_saved_and_loaded(tmp_path, known, build_camera):
     assert loaded == rig
     assert loaded.cameras == rig.cameras
     pixels, valid = loaded.project(torch.tensor([[9.0, 1, 0], [-5, 4, -1]]))
-    assert pixels.shape == (9, 2, 2)
+    assert pixels.shape == (10, 2, 2)
     assert valid.any()

@@ -5,7 +5,7 @@ import pytest
 from log_files import write_bin, write_pcd, write_ply
 
 from omniocc.data import DataError
-from omniocc.record.clouds import _lzf, read_cloud
+from omniocc.data.formats.clouds import _lzf, read_cloud
 
 RNG = np.random.default_rng(0)
 POINTS = RNG.uniform(-50, 50, (401, 3)).astype(np.float32)  # odd: a quarter of it is no whole number

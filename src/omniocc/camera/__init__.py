@@ -7,6 +7,7 @@ from omniocc.camera.models.eucm import EUCM
 from omniocc.camera.models.kannala_brandt import KannalaBrandt
 from omniocc.camera.models.mei import MEI
 from omniocc.camera.models.ocam import OCam
+from omniocc.camera.models.panoramic import Panoramic
 from omniocc.camera.models.pinhole import Pinhole
 from omniocc.camera.models.radial_polynomial import RadialPolynomial
 from omniocc.camera.ops.pixels import normalize_pixels
@@ -14,6 +15,6 @@ from omniocc.camera.protocol import Camera
 from omniocc.camera.rig import Rig
 
 __all__ = [
-    "EUCM", "MEI", "Camera", "DoubleSphere", "Equidistant", "Equirectangular", "KannalaBrandt", "OCam", "Pinhole",
-    "RadialPolynomial", "Rig", "normalize_pixels",
+    "EUCM", "MEI", "Camera", "DoubleSphere", "Equidistant", "Equirectangular", "KannalaBrandt", "OCam", "Panoramic",
+    "Pinhole", "RadialPolynomial", "Rig", "normalize_pixels",
 ]  # fmt: skip

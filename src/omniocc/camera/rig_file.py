@@ -40,6 +40,7 @@ from omniocc.camera.models.eucm import EUCM
 from omniocc.camera.models.kannala_brandt import KannalaBrandt
 from omniocc.camera.models.mei import MEI
 from omniocc.camera.models.ocam import OCam
+from omniocc.camera.models.panoramic import Panoramic
 from omniocc.camera.models.pinhole import Pinhole
 from omniocc.camera.models.radial_polynomial import RadialPolynomial
 from omniocc.camera.pose import check_rigid, pose_from_angles
@@ -48,6 +49,7 @@ from omniocc.camera.protocol import Camera, finite, numbers
 MODELS = {
     "equidistant": Equidistant, "pinhole": Pinhole, "kannala_brandt": KannalaBrandt, "mei": MEI, "ocam": OCam,
     "double_sphere": DoubleSphere, "eucm": EUCM, "radial_polynomial": RadialPolynomial,
+    "panoramic": Panoramic,
 }  # fmt: skip
 BUILT_IN = Path(__file__).parent / "rigs"
 ANGLES = ("yaw_deg", "pitch_deg", "roll_deg")

@@ -12,12 +12,12 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from omniocc.camera import Rig
+from omniocc.data.formats.clouds import LABEL_SUFFIX, READERS, RawCloud, read_cloud
 from omniocc.data.formats.files import IMAGE_SUFFIXES, decode, read_text
 from omniocc.data.formats.poses import inverse, moved
 from omniocc.data.formats.scene import outside
 from omniocc.data.source import Points
 from omniocc.errors import DataError, UserError
-from omniocc.record.clouds import LABEL_SUFFIX, READERS, RawCloud, read_cloud
 from omniocc.record.labels import PointClasses, classes_of, read_point_classes
 from omniocc.record.log import Log, Scans, Timing, chosen_rig
 from omniocc.record.poses import PER_SECOND, PosesFormat, TimeUnit, read_timed_poses, seconds, stated_pose

@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from omniocc.camera import MEI, Camera, KannalaBrandt, Pinhole
+from omniocc.data.formats.clouds import LABEL_FIELDS, RawCloud
 from omniocc.data.formats.files import decode_bytes
 from omniocc.data.formats.poses import quaternion_pose
 from omniocc.errors import DataError
-from omniocc.record.clouds import LABEL_FIELDS, RawCloud
 
 CHANNELS = {"rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4, "mono8": 1, "8UC1": 1, "8UC3": 3}
 TO_RGB = {

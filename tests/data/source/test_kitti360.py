@@ -10,7 +10,7 @@ from omniocc.camera import Rig
 from omniocc.data import SceneSource
 from omniocc.data.formats.kitti360 import FLIP, rectified, velodyne_pose
 from omniocc.data.source import SceneFrames
-from omniocc.data.source.kitti360 import KITTI360, ORIGIN_M
+from omniocc.data.source.kitti360 import KITTI360, ORIGIN_M, centered
 from omniocc.errors import DataError
 from omniocc.geometry import Cuboid
 
@@ -23,7 +23,8 @@ def root(tmp_path_factory):
 
 
 def source_of(root, **changes):
-    options = {"cameras": ["image_02", "image_03"], "frame_step": 5, "accumulate": 2, "image_width": 64,
+    options = {"cameras": ["image_02", "image_03"], "frame_step": 5, "accumulate": 2, "volume": None, "masks": [],
+               "image_width": 64,
                "panorama": (64, 32, 45.0, -45.0), "cache": None}  # fmt: skip
     source = KITTI360(str(root), SEQUENCES, **options | changes)
     source.prepare()
@@ -154,3 +155,48 @@ def test_real_ranges_lie_in_the_real_lens(samples):
     outside = np.load(samples / "kitti360_fisheye" / "mask_left_fisheye.npy")
     assert (ranges > 0).sum() == 50_789
     assert (ranges[outside] > 0).sum() < 50
+
+
+VOLUME = {"shape": [40, 40, 8], "cell_m": 0.8}
+
+
+def test_the_volume_of_occtrack360_is_centred_and_its_masks_leave_cells_out(root):
+    whole = centered([256, 256, 32], 0.2)
+    assert np.array(whole.bounds) == pytest.approx(np.array([[-25.6, 25.6], [-25.6, 25.6], [-3.2, 3.2]]))
+    source = source_of(root, volume=VOLUME, masks=["field_of_view", "ray_traced"])
+    grid = source.spec.benchmark.grid
+    assert grid.centers()[20, 20, 4].tolist() == pytest.approx([0.4, 0.4, 0.4])  # half of the cells are behind
+    scene = source.scenes("train")[0]
+    truth = scene.benchmark(1)
+    votes = source_of(root).labels(grid, "free").read(scene, 1)
+    assert torch.equal(truth.voxels, votes)
+    assert truth.scored.any()
+    left = votes[28].nonzero()[:, 0].max()  # the wall to the left, seen; what is beyond it, hidden
+    assert truth.scored[28, left].any()
+    assert not truth.scored[28, left + 2, 3]
+    unseen = source.labels(grid, "unseen").read(scene, 1)
+    assert torch.equal(unseen == 255, ~truth.scored)
+    assert torch.equal(unseen[truth.scored], votes[truth.scored])
+
+
+def test_each_mask_counts_alone(root):
+    scored = {
+        masks: source_of(root, volume=VOLUME, masks=list(masks)).scenes("train")[0].benchmark(1).scored
+        for masks in [("field_of_view",), ("ray_traced",), ("field_of_view", "ray_traced"), ()]
+    }
+    view, rays, both, none = scored.values()
+    assert torch.equal(both, view & rays)
+    assert none.all()
+    assert (view & ~rays).any()
+    assert (rays & ~view).any()
+    source = source_of(root, volume=VOLUME, masks=["field_of_view"])
+    assert source.fingerprint not in {source_of(root).fingerprint, source_of(root, volume=VOLUME).fingerprint}
+
+
+def test_unseen_needs_a_volume_and_masks_have_names(root):
+    for options in ({}, {"volume": VOLUME}, {"masks": ["ray_traced"]}):
+        source = source_of(root, **options)
+        with pytest.raises(ValueError, match=r"unseen: there is no mask of what .* or a volume with masks"):
+            source.labels(Cuboid((4, 4, 4)), "unseen")
+    with pytest.raises(ValueError, match="masks must be of field_of_view, ray_traced, got"):
+        source_of(root, masks=["lidar"])

@@ -1,5 +1,6 @@
 """Read files of public datasets; every error names the file and what is wrong with it."""
 
+import io
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -71,6 +72,40 @@ def read_npz(path: Path, shapes: dict[str, tuple[int, ...]], remedy: str = "") -
     return found
 
 
+def read_npy(path: Path, shape: Sequence[int], remedy: str = "") -> np.ndarray:
+    """Return the whole numbers of an npy file as int64, of whatever type they are stored.
+
+    Args:
+        path: the file.
+        shape: of the result; -1 stands for any length.
+        remedy: what to do when the file is missing.
+
+    Raises:
+        DataError: if the file is missing, damaged, of another shape, or holds other numbers.
+    """
+    numbers = load_npy(path, remedy)
+    wanted = tuple(shape)
+    fits = numbers.ndim == len(wanted) and all(
+        want in (-1, have) for want, have in zip(wanted, numbers.shape, strict=True)
+    )
+    if not fits:
+        raise DataError(f"{path}: the array has the shape {numbers.shape} instead of {wanted}")
+    with np.errstate(invalid="ignore"):
+        whole = numbers.astype(np.int64) if numbers.dtype.kind in "biuf" else None
+    if whole is None or not np.array_equal(whole, numbers):
+        raise DataError(f"{path}: the array of {numbers.dtype} holds values that are no whole numbers")
+    return whole
+
+
+def load_npy(path: Path, remedy: str = "") -> np.ndarray:
+    """Return the array of an npy file; raise DataError if it is missing or damaged."""
+    content = read_bytes(path, remedy)
+    try:
+        return np.load(io.BytesIO(content), allow_pickle=False)
+    except Exception as error:  # numpy has errors of its own
+        raise DataError(f"{path}: the file is damaged ({error})") from error
+
+
 def decode(path: Path, flags: int, remedy: str = "") -> np.ndarray:
     """Return an image file as OpenCV decodes it (flags: `cv2.IMREAD_...`); raise DataError if there is none."""
     image = decode_bytes(read_bytes(path, remedy), flags)
@@ -133,8 +168,8 @@ def read_image(path: Path, size: tuple[int, int] | None, scaled: tuple[int, int]
 
 def map_classes(ids: np.ndarray, table: np.ndarray, path: Path) -> np.ndarray:
     """Return classes (uint8) of the ids in a file; raise DataError naming ids that the table does not know (-1)."""
-    classes = table[np.minimum(ids, len(table) - 1)]
-    unknown = (classes < 0) | (ids >= len(table))
+    classes = table[np.clip(ids, 0, len(table) - 1)]
+    unknown = (classes < 0) | (ids < 0) | (ids >= len(table))
     if unknown.any():
         raise DataError(f"{path}: the class ids {np.unique(ids[unknown])[:8].tolist()} are not in the dataset's table")
     return classes.astype(np.uint8)

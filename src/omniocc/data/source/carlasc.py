@@ -19,6 +19,7 @@ from omniocc.data.formats.poses import rigid
 from omniocc.data.formats.scene import Cloud, DatasetScene
 from omniocc.data.labels.own_grid import OwnGridLabels
 from omniocc.data.source import SPLITS, Benchmark, BenchmarkFrame, SourceSpec, Split, Unknown
+from omniocc.data.source.own_grid import mirrored
 from omniocc.data.store.shard import digest
 from omniocc.errors import DataError
 from omniocc.geometry import Cuboid, Cylinder, Grid
@@ -217,8 +218,3 @@ class CarlaSCScene(DatasetScene):
             labels = map_classes(read_array(path, "<u4", SHAPE), TABLE, path)
             seen = read_array(stem.with_suffix(".bin"), "<f4", SHAPE) > 0
         return mirrored(labels), mirrored(seen)
-
-
-def mirrored(cells: np.ndarray) -> np.ndarray:
-    """Return cells with y turned from right to left, or back; azimuths of a cylinder turn as y does."""
-    return np.ascontiguousarray(cells[:, ::-1])

@@ -3,13 +3,15 @@
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import torch
+from jaxtyping import Bool, UInt8
+from torch import Tensor
 
 from omniocc.camera import Equirectangular, Rig
-from omniocc.classes import OCCUPANCY_CLASSES
+from omniocc.classes import OCCUPANCY_CLASSES, UNKNOWN
 from omniocc.data.formats.files import check_root, read_array, read_image, scaled_size
 from omniocc.data.formats.index import Index
 from omniocc.data.formats.kitti360 import (
@@ -27,11 +29,13 @@ from omniocc.data.formats.kitti360 import (
 )
 from omniocc.data.formats.poses import inverse, moved, shift
 from omniocc.data.formats.scene import Cloud, DatasetScene, outside
-from omniocc.data.labels.own_grid import VotedLabels
-from omniocc.data.source import SPLITS, Points, SourceSpec, Split, Unknown
+from omniocc.data.labels.own_grid import OwnGridLabels, VotedLabels
+from omniocc.data.labels.visible import MASKS, MaskKind, field_of_view, ray_traced
+from omniocc.data.labels.voxels import vote
+from omniocc.data.source import SPLITS, Benchmark, BenchmarkFrame, Points, SceneFrames, SourceSpec, Split, Unknown
 from omniocc.data.store.shard import digest
 from omniocc.errors import DataError
-from omniocc.geometry import Grid
+from omniocc.geometry import Cuboid, Grid
 
 ORIGIN_M = (1.15027, -0.299735, 0.86067)
 """Our ego origin in the IMU frame with z up: the mean place of the four cameras, whichever of them are used."""
@@ -62,6 +66,10 @@ class KITTI360:
         frame_step: every how many-th frame with a pose is taken; 9.6 are recorded a second.
         accumulate: frames with a pose before and after each whose points vote for its voxels too; things that move
             leave traces.
+        volume: `shape` (cells along x, y, z) and `cell_m` of a volume with the ego origin in its middle, as OccTrack360
+            has: labels are voted and scored in it. None: in the grid of the model.
+        masks: which cells of the volume count in scores, and are known with `unknown=unseen`: those in the
+            field_of_view of the cameras, those that are ray_traced, or both (`omniocc.data.labels.visible`).
         image_width: of the images that the model gets, px; the height follows, a multiple of 8.
         panorama: width and height (px), upper and lower edge (deg) of the panoramas of ranges.
         cache: folder for the index and class statistics; None: `omniocc` in root.
@@ -72,7 +80,8 @@ class KITTI360:
 
     def __init__(
         self, root: str, sequences: Mapping[Split, Sequence[str]], cameras: Sequence[str], frame_step: int,
-        accumulate: int, image_width: int, panorama: tuple[int, int, float, float], cache: str | None,
+        accumulate: int, volume: Mapping[str, Any] | None, masks: Sequence[MaskKind], image_width: int,
+        panorama: tuple[int, int, float, float], cache: str | None,
     ):  # fmt: skip
         if image_width < 8 or frame_step < 1 or accumulate < 0:
             given = f"{image_width}, {frame_step} and {accumulate}"
@@ -81,6 +90,10 @@ class KITTI360:
             raise ValueError(f"sequences need {', '.join(SPLITS)}, got {dict(sequences)}")
         if not cameras or not set(cameras) <= {*RECTIFIED, *FISHEYES}:
             raise ValueError(f"cameras must be of {', '.join((*RECTIFIED, *FISHEYES))}, got {list(cameras)}")
+        if not set(masks) <= set(MASKS):
+            raise ValueError(f"masks must be of {', '.join(MASKS)}, got {list(masks)}")
+        self.volume = None if volume is None else centered(volume["shape"], volume["cell_m"])
+        self.masks = tuple(masks)
         self.sequences = {split: [str(number).zfill(2) for number in sequences[split]] for split in SPLITS}
         self.root, self.cameras = root, tuple(cameras)
         self.frame_step, self.accumulate, self.image_width = frame_step, accumulate, image_width
@@ -92,12 +105,14 @@ class KITTI360:
     @property
     def spec(self) -> SourceSpec:
         """Return two classes, free and occupied: the points have no others."""
-        return SourceSpec(OCCUPANCY_CLASSES, (0.0, 8.5, 17.0, 25.6), self.frame_step / 9.6, ROAD_Z_M, None)
+        benchmark = None if self.volume is None else Benchmark(self.volume)
+        return SourceSpec(OCCUPANCY_CLASSES, (0.0, 8.5, 17.0, 25.6), self.frame_step / 9.6, ROAD_Z_M, None, benchmark)
 
     @property
     def fingerprint(self) -> str:
         """Return a hash of the frames, of cameras, sizes and steps."""
         options = [self.cameras, self.frame_step, self.accumulate, self.image_width, repr(self.panorama)]
+        options += [] if self.volume is None else [repr(self.volume), self.masks]
         return digest([self.index.fingerprint, {split: list(self.sequences[split]) for split in SPLITS}, options])
 
     def prepare(self) -> None:
@@ -115,15 +130,27 @@ class KITTI360:
         """Return the sequences of a split."""
         return [KITTI360Scene(name, self) for name in self.sequences[split]]
 
-    def labels(self, geometry: Grid, unknown: Unknown) -> VotedLabels:
-        """Return voxels voted by the accumulated points when they are asked for.
+    def labels(self, geometry: Grid, unknown: Unknown) -> VotedLabels | OwnGridLabels:
+        """Return voxels voted by the accumulated points when they are asked for; with a volume first in its grid.
 
         Raises:
-            ValueError: for `unseen`: there is no mask of what the cameras see.
+            ValueError: for `unseen` without a volume and masks.
         """
-        if unknown == "unseen":
-            raise ValueError("data.unknown=unseen: there is no mask of what cameras see; choose free or unobserved")
-        return VotedLabels(self.folder, self.fingerprint, geometry, OCCUPANCY_CLASSES.num_classes, unknown)
+        if unknown == "unseen" and (self.volume is None or not self.masks):
+            raise ValueError(
+                "data.unknown=unseen: there is no mask of what cameras see; choose free or unobserved, or a volume "
+                "with masks, such as data.source.volume='{shape:[256,256,32],cell_m:0.2}'"
+            )
+        classes = OCCUPANCY_CLASSES.num_classes
+        if self.volume is None:
+            return VotedLabels(self.folder, self.fingerprint, geometry, classes, unknown)
+        return OwnGridLabels(self.folder, self.fingerprint, self.volume, geometry, classes, unknown)
+
+    @cached_property
+    def in_view(self) -> Bool[Tensor, "X Y Z"]:
+        """Return the cells of the volume in the field of view, the same in every frame."""
+        assert self.volume is not None
+        return field_of_view(self.volume, self.rig)
 
     @cached_property
     def rig(self) -> Rig:
@@ -151,7 +178,7 @@ class KITTI360Scene(DatasetScene):
         super().__init__(name, source.panorama)
         self.root, self.index, self.rig = Path(source.root), source.index, source.rig
         self.step, self.accumulate = source.frame_step, source.accumulate
-        self.cameras = source.cameras
+        self.cameras, self.source = source.cameras, source
 
     def __len__(self) -> int:
         return -(-len(self.index.read(self.name).numbers) // self.step)
@@ -202,6 +229,27 @@ class KITTI360Scene(DatasetScene):
         all_m = np.concatenate(found)
         return Points(all_m, np.ones(len(all_m), np.uint8))
 
+    def own_voxels(self, frame: int, unknown: Unknown) -> UInt8[Tensor, "X Y Z"]:
+        """Return the class of every cell of the volume; with `unseen` unknown where a mask leaves it out."""
+        assert self.source.volume is not None
+        voxels = vote(cast(SceneFrames, self), frame, self.source.volume, "free" if unknown == "unseen" else unknown, 2)
+        return voxels.masked_fill(~self.seen(voxels), UNKNOWN) if unknown == "unseen" else voxels
+
+    def benchmark(self, frame: int) -> BenchmarkFrame:
+        """Return the voxels of the volume, of which those count that no mask leaves out."""
+        voxels = self.own_voxels(frame, "free")
+        return BenchmarkFrame(voxels, self.seen(voxels))
+
+    def seen(self, voxels: UInt8[Tensor, "X Y Z"]) -> Bool[Tensor, "X Y Z"]:
+        """Return the cells of the volume that no mask leaves out, given the classes of all."""
+        source, kept = self.source, torch.ones(voxels.shape, dtype=torch.bool)
+        assert source.volume is not None
+        if "field_of_view" in source.masks:
+            kept &= source.in_view
+        if "ray_traced" in source.masks:
+            kept &= ray_traced(source.volume, voxels, self.rig)
+        return kept
+
     def _scan(self, place: int) -> tuple[np.ndarray, np.ndarray]:
         """Return points and place of the Velodyne in the ego frame, m, of a frame that has a pose."""
         number = int(self.index.read(self.name).numbers[place])
@@ -210,6 +258,12 @@ class KITTI360Scene(DatasetScene):
         if not np.isfinite(points).all():
             raise DataError(f"{path}: some points are not finite; the file is damaged")
         return moved(self.ego_from_velodyne, points).astype(np.float32), self.ego_from_velodyne[:3, 3]
+
+
+def centered(shape: Sequence[int], cell_m: float) -> Cuboid:
+    """Return a volume with the ego origin in its middle: place (128, 128, 16) of 256 x 256 x 32 begins there."""
+    half = [cells * cell_m / 2 for cells in shape]
+    return Cuboid(shape, *[(-length, length) for length in half])
 
 
 def ego_from_imu() -> np.ndarray:

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from omniocc.camera import Camera, Pinhole, Rig
 from omniocc.classes import UNKNOWN
-from omniocc.data.formats.files import check_root, read_array, read_image, scaled_size
+from omniocc.data.formats.files import check_root, read_array, read_image, read_npy, scaled_size
 from omniocc.data.formats.kitti import SHAPE, SSCBENCH, SSCBENCH_IDS, read_mask
 from omniocc.data.formats.kitti360 import (
     FISHEYES,
@@ -231,12 +231,7 @@ class SSCBenchSequence(CompletionScene):
 
 def read_classes(path: Path) -> UInt8[np.ndarray, "256 256 32"]:
     """Return the classes of a preprocessed file, 255 unknown; raise DataError if it is missing or damaged."""
-    try:
-        classes = np.load(path, allow_pickle=False)
-    except FileNotFoundError as error:
-        raise DataError(f"{path}: the file is missing") from error
-    except Exception as error:  # numpy has errors of its own
-        raise DataError(f"{path}: the file is damaged ({error})") from error
-    if classes.shape != SHAPE or set(np.unique(classes)) - {*range(SSCBENCH.num_classes), UNKNOWN}:
-        raise DataError(f"{path}: it has no classes 0 to {SSCBENCH.num_classes - 1} or 255 of the shape {SHAPE}")
+    classes = read_npy(path, SHAPE)
+    if set(np.unique(classes)) - {*range(SSCBENCH.num_classes), UNKNOWN}:
+        raise DataError(f"{path}: it has classes other than 0 to {SSCBENCH.num_classes - 1} and 255")
     return classes.astype(np.uint8)

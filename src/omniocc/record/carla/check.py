@@ -6,12 +6,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import UInt8
 
+from omniocc.data.formats.carla_tags import ROAD, ROADLINE
 from omniocc.data.formats.poses import inverse, moved
+from omniocc.data.formats.unreal import SENSOR_FROM_OPTICAL, UnrealPose, pose_of, right_handed
 from omniocc.record.carla.decode import inverse_depth_of, read_bgra, tags_in
 from omniocc.record.carla.frames import ACTOR_CLASSES, RawFrame, actor_of, scans_of
 from omniocc.record.carla.sensors import Cube, Spec
-from omniocc.record.carla.tags import ROAD, ROADLINE
-from omniocc.record.carla.unreal import SENSOR_FROM_OPTICAL, UnrealPose, pose_of, right_handed
 
 POSE_M, POSE_RAD = 0.02, np.radians(0.2)
 DEPTH_FRACTION = 0.02

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8, UInt32
 
-from omniocc.record.carla.unreal import right_handed_points
+from omniocc.data.formats.unreal import right_handed_points
 
 FAR_M = 1000.0
 """Distance that CARLA's depth encoding ends at; nothing but the sky is there."""

@@ -11,11 +11,11 @@ from jaxtyping import Bool, Float, Float32, Float64, UInt8
 from omniocc.camera import Equirectangular, Rig
 from omniocc.camera.cubemap import blend_ranges
 from omniocc.classes import FREE, UNKNOWN, WORLD_CLASSES
+from omniocc.data.formats.carla_tags import ROAD, ROADLINE
 from omniocc.data.formats.poses import inverse, moved, shift
+from omniocc.data.formats.unreal import right_handed, right_handed_points
 from omniocc.record.carla.decode import Scan, inverse_depth_of, read_bgra, read_scan, rgb_of, tags_in
 from omniocc.record.carla.sensors import Cube
-from omniocc.record.carla.tags import ROAD, ROADLINE
-from omniocc.record.carla.unreal import right_handed, right_handed_points
 from omniocc.world import Frame
 from omniocc.world.frame import Box
 from omniocc.world.render.own_car import road_of

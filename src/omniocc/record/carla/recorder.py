@@ -16,6 +16,7 @@ from filelock import AcquireReturnProxy, FileLock, Timeout
 
 from omniocc.camera import Rig
 from omniocc.classes import WORLD_CLASSES
+from omniocc.data.formats.carla_tags import class_table, tags_of
 from omniocc.data.formats.poses import inverse
 from omniocc.data.recording.scene import append_frame, finish_scene
 from omniocc.data.recording.spec import panorama_of, recorded_spec
@@ -28,7 +29,6 @@ from omniocc.record.carla.check import Finding, check_frames
 from omniocc.record.carla.frames import RawFrame, make_frame, vehicle_in_ego
 from omniocc.record.carla.process import CarlaError, Message, captured
 from omniocc.record.carla.sensors import Cube, Spec, camera_cubes, cube_sensors, lidar_sensors, origin_cube
-from omniocc.record.carla.tags import class_table, tags_of
 from omniocc.world.render.own_car import grown, masking, road_of, show_ego_car
 
 WEATHERS = ("ClearNoon", "CloudyNoon", "WetNoon", "HardRainNoon", "ClearSunset", "CloudySunset", "WetSunset")

@@ -9,8 +9,8 @@ from jaxtyping import Float64, Int64
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.camera.cubemap import FACES, CubeLookup, look_up_rays
+from omniocc.data.formats.unreal import SENSOR_FROM_OPTICAL, unreal_pose
 from omniocc.geometry.directions import sparseocc_directions
-from omniocc.record.carla.unreal import SENSOR_FROM_OPTICAL, unreal_pose
 
 CAMERAS = {
     "rgb": "sensor.camera.rgb",

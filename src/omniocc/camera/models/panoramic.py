@@ -1,0 +1,54 @@
+"""A camera whose images are panoramas around its own place."""
+
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from omniocc.camera.models.equirectangular import Equirectangular
+from omniocc.camera.protocol import check_fields, finite
+
+
+@dataclass(frozen=True)
+class Panoramic:
+    """Camera that sees all around: columns are azimuths over the full turn, rows elevations.
+
+    Its image is that of `Equirectangular` in the frame of a camera (x right, y down, z forward): forward is the middle
+    of the image, and the seam between first and last column is behind. There is no optical axis at which the image
+    ends.
+
+    Attributes:
+        width: of the image, px.
+        height: of the image, px.
+        top_deg: elevation of the image's upper edge, against the camera's y axis.
+        bottom_deg: elevation of the image's lower edge.
+    """
+
+    width: int
+    height: int
+    top_deg: float
+    bottom_deg: float
+
+    def __post_init__(self) -> None:
+        check_fields(self, {"top_deg": finite, "bottom_deg": finite})
+        _ = self._panorama
+
+    @property
+    def _panorama(self) -> Equirectangular:
+        return Equirectangular(self.width, self.height, self.top_deg, self.bottom_deg)
+
+    def project(self, points: Float[Tensor, "*batch 3"]) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"]]:
+        """See `Camera.project`."""
+        right, down, forward = points.unbind(-1)
+        return self._panorama.project(torch.stack([forward, -right, -down], dim=-1))
+
+    def unproject(self, pixels: Float[Tensor, "*batch 2"]) -> tuple[Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
+        """See `Camera.unproject`."""
+        rays, valid = self._panorama.unproject(pixels)
+        forward, left, up = rays.unbind(-1)
+        return torch.stack([-left, -up, forward], dim=-1), valid
+
+    def resized(self, width: int, height: int) -> "Panoramic":
+        """See `Camera.resized`."""
+        return replace(self, width=width, height=height)
