@@ -9,7 +9,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "src" / "omniocc"
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
-PAGES = [page for page in PAGES if "_build" not in page.parts]
+PAGES = [page for page in PAGES if "_build" not in page.parts and "runs" not in page.parts]
 
 EXAMPLES = {
     "src/omniocc/model/sketch/low.py", "conf/model/sketch/low.yaml", "tests/model/sketch/test_low.py",
