@@ -204,7 +204,7 @@ def test_tests_under_disturbances_are_gathered_and_kept(runs, tmp_path):
         report("--runs", str(source), "--output", str(output), "--docs", str(docs))
         text = (docs / "robustness.md").read_text("utf-8")
         assert "| mean of all kinds | **40.0** | 60.0 |" in text
-        assert "Least of all loses ours." in text
+        assert "ours loses least of all." in text
         page = (output / "index.html").read_text("utf-8")
         assert 'id="robustness"' in page
         assert 'id="plot-robustness"' in page

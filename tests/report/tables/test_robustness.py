@@ -47,7 +47,7 @@ def test_losses_are_means_by_kind_over_common_disturbances_with_the_least_in_bol
 
 def test_the_verdict_names_who_loses_least_and_to_what():
     text = verdict([OURS, OTHER])
-    assert text.startswith("Least of all loses ours. ours loses 25.0 % in the mean over kinds, most to view (40.0 %), ")
+    assert text.startswith("ours loses least of all. ours loses 25.0 % in the mean over kinds, most to view (40.0 %), ")
     assert "least to noise (10.0 %)" in text
     assert text.endswith("Kinds to which each loses least: ours: view; flashocc: noise.")
     assert verdict([OURS]).startswith("ours loses 30.0 %")

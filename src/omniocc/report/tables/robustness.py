@@ -13,8 +13,9 @@ TITLE = "What breaks them"
 NOTE = (
     "RayIoU of the same test scenes with something wrong, part by part. A drop is the score without disturbance minus "
     "that with it, ± the standard error over scenes (jackknife). A loss is a drop in percent of the system's own "
-    "undisturbed score. In the table of one system the row 'undisturbed' has scores where all others have drops; the "
-    "columns 'within' are of RayIoU up to this distance. s: wall-clock seconds of prediction and scores."
+    "undisturbed score; a system that scores little has little to lose. In the table of one system the row "
+    "'undisturbed' has scores where all others have drops; the columns 'within' are of RayIoU up to this distance. "
+    "s: wall-clock seconds of prediction and scores."
 )
 SCORES = {"rayiou": "RayIoU", "lidar/rayiou": "LiDAR", "voxel/iou": "IoU", "voxel/miou": "mIoU"}
 Cells = tuple[list[str], list[list[str]]]
@@ -75,7 +76,7 @@ def verdict(records: Sequence[Robustness]) -> str:
         return lines[0]
     wins = {name: [g for g in losses[name] if min(order, key=lambda n: losses[n][g]) == name] for name in order}
     least = "; ".join(f"{name}: {', '.join(groups)}" for name, groups in wins.items() if groups)
-    return " ".join([f"Least of all loses {order[0]}.", *lines, f"Kinds to which each loses least: {least}."])
+    return " ".join([f"{order[0]} loses least of all.", *lines, f"Kinds to which each loses least: {least}."])
 
 
 def part_cells(records: Sequence[Robustness]) -> Cells:
