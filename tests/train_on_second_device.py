@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import torch
 from lightning.pytorch import Trainer
 from lightning.pytorch.accelerators import CPUAccelerator
 from lightning.pytorch.strategies import SingleDeviceStrategy
@@ -36,6 +37,7 @@ def create_there(self: Trainer, *args: Any, **options: Any) -> None:
 
 if __name__ == "__main__":
     Trainer.__init__ = create_there  # type: ignore[method-assign]
+    torch.cuda.get_device_name = lambda device=None: "simulated second device"
     sys.argv[0] = str(SCRIPT)
     with SecondDevice():
         runpy.run_path(sys.argv[0], run_name="__main__")
