@@ -6,6 +6,8 @@ from omniocc.batch import Batch
 from omniocc.camera import Rig
 
 RIG = Rig.load("fisheye6").resized(64, 36)
+LOSSES = {"model/refiner=experts": "loss=with_coarse", "model/lifter=coarse_to_fine": "loss=with_coarse"}
+"""Losses of all that an option predicts, where the paper's are not enough."""
 
 
 def make_batch(task, samples, with_candidates=True):

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from batches import RIG, make_batch
+from batches import LOSSES, RIG, make_batch
 from second_device import MixedDevicesError, SecondDevice, tagged
 from torch import nn
 
@@ -25,10 +25,8 @@ from omniocc.task.stages import Stages, predict_range_m
 MODEL = Path(__file__).parents[2] / "conf" / "model"
 CUDA = torch.device("cuda", 0)
 SLOTS = ("backbone", "geometry", "lifter", "sketch", "temporal", "refiner", "semantic_head")
-LOSSES = {"model/refiner=experts": " loss=with_coarse", "model/lifter=coarse_to_fine": " loss=with_coarse"}
-"""Losses of all that an option predicts, where the paper's are not enough."""
 NAMES = [f"model/{slot}={path.stem}" for slot in SLOTS for path in sorted((MODEL / slot).glob("*.yaml"))]
-OPTIONS = [name + LOSSES.get(name, "") for name in NAMES]
+OPTIONS = [f"{name} {LOSSES.get(name, '')}".strip() for name in NAMES]
 DEPTHS = [path.stem for path in sorted((MODEL / "depth").glob("*.yaml"))]
 
 

@@ -3,6 +3,7 @@ import math
 
 import pytest
 import torch
+from by_hand import bilinear, middle_of
 
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.model.lifter import BiGrid
@@ -27,17 +28,6 @@ def candidates(grid, batch=1):
     return Sketched(torch.zeros(batch, *grid.shape, dtype=torch.bool))
 
 
-def middle_of(grid, cell):
-    """Ego point of a cell, by hand."""
-    first, second, third = (
-        low + (index + 0.5) * (high - low) / cells
-        for index, cells, (low, high) in zip(cell, grid.shape, grid.bounds, strict=True)
-    )
-    if isinstance(grid, Cylinder):
-        first, second = first * math.cos(second), first * math.sin(second)
-    return torch.tensor([first, second, third], dtype=torch.float64)
-
-
 def cell_at(grid, point):
     """The cell that holds a point, or None outside, by hand."""
     x, y, z = point.tolist()
@@ -49,15 +39,6 @@ def cell_at(grid, point):
     return tuple(cell) if all(0 <= k < cells for k, cells in zip(cell, grid.shape, strict=True)) else None
 
 
-def bilinear(values, u, v):
-    """(C, h, w) at pixel (u, v), zeros outside, by hand."""
-    total = torch.zeros(len(values), dtype=values.dtype)
-    for row, column in itertools.product((math.floor(v), math.floor(v) + 1), (math.floor(u), math.floor(u) + 1)):
-        if 0 <= row < values.shape[1] and 0 <= column < values.shape[2]:
-            total += (1 - abs(u - column)) * (1 - abs(v - row)) * values[:, row, column]
-    return total
-
-
 def sample_by_hand(grid, cell, features, maps, rig):
     """The feature of one cell of a grid: mean over the cameras that see its middle, sum over levels."""
     pixels, valid = rig.project(middle_of(grid, cell))
@@ -67,7 +48,7 @@ def sample_by_hand(grid, cell, features, maps, rig):
         height, width = level.shape[-2:]
         column = (u + 0.5) * width / rig.cameras[camera].width - 0.5
         row = (v + 0.5) * height / rig.cameras[camera].height - 0.5
-        total += linear.weight @ bilinear(level[camera], column, row)
+        total += linear.weight @ bilinear(level[camera].permute(1, 2, 0), column, row)
     return total / max(len(seen), 1)
 
 

@@ -3,6 +3,7 @@ import math
 
 import pytest
 import torch
+from by_hand import bilinear, middle_of
 
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.model.lifter import CoarseToFine
@@ -38,26 +39,6 @@ def make_features(batch=1):
 
 def nothing(geometry, batch=1):
     return Sketched(torch.zeros(batch, *geometry.shape, dtype=torch.bool))
-
-
-def middle_of(grid, cell):
-    """Ego point of a cell, by hand."""
-    first, second, third = (
-        low + (index + 0.5) * (high - low) / cells
-        for index, cells, (low, high) in zip(cell, grid.shape, grid.bounds, strict=True)
-    )
-    if isinstance(grid, Cylinder):
-        first, second = first * math.cos(second), first * math.sin(second)
-    return torch.tensor([first, second, third], dtype=torch.float64)
-
-
-def bilinear(values, u, v):
-    """(h, w, C) at pixel (u, v), zeros outside, by hand."""
-    total = torch.zeros(values.shape[-1], dtype=values.dtype)
-    for row, column in itertools.product((math.floor(v), math.floor(v) + 1), (math.floor(u), math.floor(u) + 1)):
-        if 0 <= row < values.shape[0] and 0 <= column < values.shape[1]:
-            total += (1 - abs(u - column)) * (1 - abs(v - row)) * values[row, column]
-    return total
 
 
 def attend(attention, query, features, pixels, seen, rig):

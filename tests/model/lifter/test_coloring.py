@@ -1,9 +1,9 @@
 import contextlib
 import itertools
-import math
 
 import pytest
 import torch
+from by_hand import bilinear
 
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.model.lifter import Coloring
@@ -29,16 +29,6 @@ def make(geometry=GRID, layers=2, **options):
 
 def make_features(batch=2):
     return [torch.randn(batch, 6, 8, *size, dtype=torch.float64) for size in SIZES]
-
-
-def bilinear(values, u, v):
-    """(h, w, C) at pixel (u, v), zeros outside, by hand."""
-    total = torch.zeros(values.shape[-1], dtype=values.dtype)
-    for row in (math.floor(v), math.floor(v) + 1):
-        for column in (math.floor(u), math.floor(u) + 1):
-            if 0 <= row < values.shape[0] and 0 <= column < values.shape[1]:
-                total += (1 - abs(u - column)) * (1 - abs(v - row)) * values[row, column]
-    return total
 
 
 def cells_at(grid, anchor):

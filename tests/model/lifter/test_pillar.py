@@ -3,6 +3,7 @@ import math
 
 import pytest
 import torch
+from by_hand import bilinear
 
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.model.lifter import Pillar
@@ -24,15 +25,6 @@ def make(geometry):
 
 def everywhere(geometry, batch=1):
     return torch.ones(batch, *geometry.shape, dtype=torch.bool)
-
-
-def bilinear(values, u, v):
-    """(h, w, C) at pixel (u, v), zeros outside, by hand."""
-    total = torch.zeros(values.shape[-1], dtype=values.dtype)
-    for row, column in itertools.product((math.floor(v), math.floor(v) + 1), (math.floor(u), math.floor(u) + 1)):
-        if 0 <= row < values.shape[0] and 0 <= column < values.shape[1]:
-            total += (1 - abs(u - column)) * (1 - abs(v - row)) * values[row, column]
-    return total
 
 
 def attend(attention, query, features, pixels, seen, rig):
