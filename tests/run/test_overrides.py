@@ -38,6 +38,11 @@ def explained(*overrides: str) -> list[str]:
             "ablation=rivals/fosoc: there is no such option; did you mean 'rivals/fosocc'?",
             "options: rivals/adaptiveocc, rivals/flashocc",
         ),
+        (
+            ["+ablation=fosocc"],
+            "ablation=fosocc: there is no such option; did you mean 'rivals/fosocc'?",
+            "options: bevdet, bevformer",
+        ),
         (["preset=huge"], "preset=huge: there is no such option", "paper, small, smoke, tiny"),
         (["ablation=mono"], "ablation", "+ablation=mono"),
         (["seed=[1"], "seed=[1: this cannot be read as key=value", "key=[1,2]"),

@@ -16,6 +16,8 @@ from omniocc.config import VERSION_BASE, refused_key
 
 NEAREST_KEYS = 3
 NEAR_ENOUGH = 0.6
+ROWS = "ablation"
+"""The group whose options lie in folders as well; folders of other groups are groups of their own."""
 
 
 def explain(error: Exception, conf: str, config_name: str, arguments: Sequence[str]) -> str:
@@ -43,14 +45,16 @@ def _unknown_option(missing: str, options: Sequence[str], conf: str) -> str:
     """Return the lines about a missing option such as 'model/sketch/onmi', given the options that Hydra lists.
 
     Of an option in a folder of its group, such as ablation=rivals/fosoc, Hydra lists those of the group without
-    the folder; those in the folder are listed instead.
+    the folder; those in the folder are listed instead. Of a row without its folder, such as ablation=fosocc, the folder
+    is named.
     """
     group, _, option = missing.rpartition("/")
     beside = {file.stem for file in Path(conf, group).glob("*.yaml")}
     if not beside <= set(options):
         group, _, folder = group.rpartition("/")
         option, options = f"{folder}/{option}", [f"{folder}/{name}" for name in beside]
-    close = get_close_matches(option, options, n=1)
+    below = [f"{file.parent.name}/{file.stem}" for file in sorted(Path(conf, group).glob(f"*/{option}.yaml"))]
+    close = (below if group == ROWS else []) or get_close_matches(option, options, n=1)
     hint = f"; did you mean '{close[0]}'?" if close else ""
     return f"{group}={option}: there is no such option{hint}\n  options: {', '.join(sorted(options))}"
 
