@@ -23,7 +23,7 @@ from omniocc.run.memory import keep_freed_memory
 from omniocc.run.plan import hours_line, plan_line, planned_steps, validation_times
 from omniocc.run.results import CANDIDATES, EARLIER_MINUTES, MINUTES, PROTOCOL, load_results, save_results, show_results
 from omniocc.run.script import quiet_libraries, script
-from omniocc.run.slots import sketch_learns
+from omniocc.run.slots import sketch_learns, slots_line
 from omniocc.run.wandb.loggers import finish, log_earlier_stages
 from omniocc.task import OccupancyTask, StepProgress, TrainingTime
 from omniocc.task.build import build_task, check_devices, switch_off_head
@@ -51,6 +51,7 @@ def main(cfg: DictConfig) -> None:
         with_evidence = build_task(cfg, data.source.spec).model.uses_evidence
     if cfg.plan:
         rig, frames = planned_scenes(data.source)
+        print(f"{'model':10}{slots_line(plain(cfg))}")
         announce_plan(cfg, stages, frames, (rig, data.source.spec))
         return
     data.prepare_data()

@@ -1,6 +1,6 @@
 import pytest
 
-from omniocc.run.slots import option_of, slots_of
+from omniocc.run.slots import option_of, slots_line, slots_of
 
 
 @pytest.mark.parametrize(
@@ -27,3 +27,11 @@ def test_slots_are_the_parts_of_the_model():
     assert slots_of({"model": model, "depth": depth}) == {"geometry": "cuboid", "sketch": "omni", "depth": "sweep"}
     model["sketch"] = {"_target_": "omniocc.model.sketch.Dense"}
     assert slots_of({"model": model, "depth": depth}) == {"geometry": "cuboid", "sketch": "dense"}
+
+
+def test_a_line_names_the_parts_and_the_voxels():
+    model = {
+        "geometry": {"_target_": "omniocc.geometry.Cylinder", "shape": [4, 6, 2]},
+        "sketch": {"_target_": "omniocc.model.sketch.Dense"},
+    }
+    assert slots_line({"model": model}) == "geometry=cylinder, sketch=dense; 4x6x2 voxels"

@@ -23,3 +23,9 @@ def slots_of(config: Mapping[str, Any]) -> dict[str, str]:
     if sketch_learns(config):
         nodes["depth"] = config["depth"]
     return {slot: option_of(node) for slot, node in nodes.items()}
+
+
+def slots_line(config: Mapping[str, Any]) -> str:
+    """Return the options of all slots and the voxels: `geometry=cylinder, sketch=omni; 64x100x8 voxels`."""
+    slots = ", ".join(f"{slot}={option}" for slot, option in slots_of(config).items())
+    return f"{slots}; {'x'.join(map(str, config['model']['geometry']['shape']))} voxels"
