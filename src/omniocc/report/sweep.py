@@ -41,7 +41,8 @@ class Sweep(NamedTuple):
         lengths: runs of all settings of the same preset by `row@steps`, which rows of tables may name.
         longer: the sweeps of the same preset and data with more steps, fewest first.
         spreads: given differences between seeds, for which power is computed.
-        robustness: tests under disturbances of these runs; the first sweep of a report has those of other files too.
+        robustness: tests under disturbances of these runs; the first sweep of a report has those of all sweeps, and
+            of files that are no runs.
     """
 
     runs: list[FinishedRun]
@@ -98,7 +99,7 @@ def read_sweeps(runs: Path, tables: Path, conf: Path, preset: str | None) -> lis
     found = sorted((load_table(path) for path in paths if is_table(path)), key=lambda table: table.number or len(paths))
     first = list(dict.fromkeys(["ours", *(row.run for table in found for row in table.rows)]))
     finished = assign_rows(read_runs(runs), conf, first)
-    tests, names = read_robustness(runs), {run.name for run in finished}
+    tests = read_robustness(runs)
 
     def sweep_of(setting: tuple[str, ...]) -> Sweep:
         kept, remark = comparable(finished, setting)
@@ -112,8 +113,8 @@ def read_sweeps(runs: Path, tables: Path, conf: Path, preset: str | None) -> lis
 
     spreads = load_spreads(tables / POWER)
     sweeps = [sweep_of(setting) for setting in settings_of(finished, preset)]
-    others = [test for test in tests if test.system not in names]
-    sweeps[0] = sweeps[0]._replace(robustness=[*sweeps[0].robustness, *others])
+    left_out = {run.name for run in finished} - {run.name for sweep in sweeps for run in sweep.runs}
+    sweeps[0] = sweeps[0]._replace(robustness=[test for test in tests if test.system not in left_out])
     once = [table for table in found if not table.of_lengths]
     return [
         sweep._replace(

@@ -41,6 +41,7 @@ def test_losses_are_means_by_kind_over_common_disturbances_with_the_least_in_bol
         ["noise", "10.0", "**5.0**"],
         ["view", "**40.0**", "70.0"],
         ["mean of all kinds", "**25.0**", "37.5"],
+        ["RayIoU that is left", "0.375", "0.250"],
     ]
     assert loss_cells([OURS])[1][2] == ["view", "50.0"]  # both views; nothing in bold
 

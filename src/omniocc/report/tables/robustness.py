@@ -43,13 +43,16 @@ def common_parts(records: Sequence[Robustness]) -> list[str]:
 def loss_cells(records: Sequence[Robustness]) -> Cells:
     """Return head and rows: the mean loss by kind of disturbance, the least of several systems in bold, then the mean.
 
-    The first row is the undisturbed RayIoU.
+    The first row is the undisturbed RayIoU, the last the RayIoU that the mean loss leaves of it.
     """
     losses = [group_losses(record, set(common_parts(records))) for record in records]
-    rows = [["undisturbed RayIoU", *(number(record.undisturbed.scores.get("rayiou")) for record in records)]]
+    undisturbed = [record.undisturbed.scores.get("rayiou", math.nan) for record in records]
+    rows = [["undisturbed RayIoU", *map(number, undisturbed)]]
     rows += [[group, *_least_bold([one[group] for one in losses])] for group in losses[0]]
     if losses[0]:
-        rows.append(["mean of all kinds", *_least_bold([mean_loss(one) for one in losses])])
+        means = [mean_loss(one) for one in losses]
+        left = [score * (1 - mean) for score, mean in zip(undisturbed, means, strict=True)]
+        rows += [["mean of all kinds", *_least_bold(means)], ["RayIoU that is left", *map(number, left)]]
     return ["loss of RayIoU, %", *map(name_of, records)], rows
 
 
