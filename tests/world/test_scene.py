@@ -59,7 +59,8 @@ def test_a_frame_is_the_same_in_another_process_with_other_threads(frame):
     threads = "1" if os.environ.get("OMP_NUM_THREADS", "2") != "1" else "2"
     code = f"import runpy; m = runpy.run_path({__file__!r}); print(m['_digest'](m['_make']().frame(3)))"
     given = {"PYTHONPATH": ":".join(sys.path), "OMP_NUM_THREADS": threads, "OPENBLAS_NUM_THREADS": threads}
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=os.environ | given)
+    environment = os.environ | given  # which may name the kernels of BLAS
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
     assert result.stdout.strip() == _digest(frame)
 
 
