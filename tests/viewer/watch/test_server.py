@@ -136,11 +136,13 @@ def test_a_damaged_run_is_said(ask, runs):
 
 
 def test_ctrl_c_ends_it_cleanly(runs):
+    heard = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"  # ignored if tests run behind a shell
     code = f"from pathlib import Path; from omniocc.viewer.watch.server import watch; watch(Path({str(runs)!r}), 0)"
     environment = {**os.environ, "PYTHONPATH": str(ROOT / "src")}
     process = subprocess.Popen(
-        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
-    )
+        [sys.executable, "-c", f"{heard}; {code}"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment,
+    )  # fmt: skip
     assert process.stdout is not None
     assert "ssh -L" in process.stdout.readline()
     assert "follows" in process.stdout.readline()
