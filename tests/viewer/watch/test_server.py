@@ -136,7 +136,7 @@ def test_a_damaged_run_is_said(ask, runs):
 
 
 def test_ctrl_c_ends_it_cleanly(runs):
-    heard = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"  # ignored if tests run behind a shell
+    heard = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"  # may be ignored behind a shell
     code = f"from pathlib import Path; from omniocc.viewer.watch.server import watch; watch(Path({str(runs)!r}), 0)"
     environment = {**os.environ, "PYTHONPATH": str(ROOT / "src")}
     process = subprocess.Popen(
