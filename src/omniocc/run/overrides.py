@@ -53,8 +53,8 @@ def _unknown_option(missing: str, options: Sequence[str], conf: str) -> str:
     if not beside <= set(options):
         group, _, folder = group.rpartition("/")
         option, options = f"{folder}/{option}", [f"{folder}/{name}" for name in beside]
-    below = [f"{file.parent.name}/{file.stem}" for file in sorted(Path(conf, group).glob(f"*/{option}.yaml"))]
-    close = (below if group == ROWS else []) or get_close_matches(option, options, n=1)
+    below = sorted(Path(conf, group).glob(f"*/{option}.yaml")) if group == ROWS else []
+    close = [f"{file.parent.name}/{file.stem}" for file in below] or get_close_matches(option, options, n=1)
     hint = f"; did you mean '{close[0]}'?" if close else ""
     return f"{group}={option}: there is no such option{hint}\n  options: {', '.join(sorted(options))}"
 

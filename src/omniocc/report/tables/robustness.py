@@ -13,8 +13,8 @@ TITLE = "What breaks them"
 NOTE = (
     "RayIoU of the same test scenes with something wrong, part by part. A drop is the score without disturbance minus "
     "that with it, ± the standard error over scenes (jackknife). A loss is a drop in percent of the system's own "
-    "undisturbed score; a system that scores little has little to lose, so the last row says which RayIoU the mean loss "
-    "leaves. In the table of one system the row "
+    "undisturbed score; a system that scores little has little to lose, so the last row says which RayIoU the mean "
+    "loss leaves. In the table of one system the row "
     "'undisturbed' has scores where all others have drops; the columns 'within' are of RayIoU up to this distance. "
     "s: wall-clock seconds of prediction and scores."
 )
