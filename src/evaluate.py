@@ -1,6 +1,7 @@
 """Test a checkpoint again, find what breaks it, or score predictions of any project in a benchmark's format.
 
 python src/evaluate.py runs/demo-.../best.ckpt [key=value ...]
+python src/evaluate.py runs/*/best.ckpt --origins trajectory
 python src/evaluate.py runs/ours-.../best.ckpt runs/bevdet-.../best.ckpt robustness=all
 python src/evaluate.py tiny robustness=[camera_dropped,view_180_deg,extrinsics_deg]
 python src/evaluate.py predictions=folder data=occ3d_nuscenes data.source.root=...
@@ -31,7 +32,7 @@ from omniocc.model.protocols import LearnedSketch, learns
 from omniocc.progress import Progress
 from omniocc.report.tables.robustness import robustness_markdown, robustness_text
 from omniocc.run.folder import IMAGES, git_commit
-from omniocc.run.results import PROTOCOL, save_results, show_results
+from omniocc.run.results import EVALUATION, OVERRIDES, PROTOCOL, save_results, show_results
 from omniocc.run.robustness import FOLDER, Robustness, save_robustness
 from omniocc.run.script import lines_not_tracebacks, quiet_libraries
 from omniocc.run.wandb import Loggers
@@ -111,20 +112,32 @@ def main(arguments: list[str] | None = None) -> None:
     if words.robustness is not None:
         score_robustness(words.checkpoints, words.overrides, words.robustness, options)
         return
-    if len(words.checkpoints) > 1:
-        raise UserError(f"'{words.checkpoints[1]}' is not key=value; several checkpoints only with robustness=...")
-    checkpoint, overrides = words.checkpoints[0], words.overrides
+    for checkpoint in words.checkpoints:
+        if len(words.checkpoints) > 1:
+            print(f"\nsystem    {system_of(checkpoint)}", flush=True)
+        if options.audit:
+            print_audit(checkpoint, words.overrides)
+            continue
+        name = f"{EVALUATION}{checkpoint.stem}{suffix(options.origins)}"
+        folder = folder_of(checkpoint, name, options.output, len(words.checkpoints) > 1)
+        test_again(checkpoint, words.overrides, folder, options.origins, options.images)
+
+
+def print_audit(checkpoint: Path, overrides: Sequence[str]) -> None:
+    """Print what each part of a checkpoint costs on validation scenes."""
     task, data = load_task(checkpoint, overrides)
-    data.cast_from(options.origins)
-    if options.audit:
-        data.prepare_data()
-        print(f"{len(data.source.scenes('val'))} validation scenes of {data.source.folder}")
-        for name, value in audit(task, data):
-            print(f"{name:58} {value}")
-        return
-    folder = options.output or beside(checkpoint) / f"evaluation-{checkpoint.stem}{suffix(options.origins)}"
+    data.prepare_data()
+    print(f"{len(data.source.scenes('val'))} validation scenes of {data.source.folder}")
+    for name, value in audit(task, data):
+        print(f"{name:58} {value}")
+
+
+def test_again(checkpoint: Path, overrides: Sequence[str], folder: Path, origins: Origins, drawn: int) -> None:
+    """Score a checkpoint on the test scenes, with rays from these origins; write figures, table and `drawn` images."""
+    task, data = load_task(checkpoint, overrides)
+    data.cast_from(origins)
     folder.mkdir(parents=True, exist_ok=True)
-    images = OccupancyImages(folder / IMAGES, options.images, data.source.spec.classes)
+    images = OccupancyImages(folder / IMAGES, drawn, data.source.spec.classes)
     trainer = Trainer(
         callbacks=[StepProgress("occupancy"), images],
         logger=False,
@@ -134,7 +147,7 @@ def main(arguments: list[str] | None = None) -> None:
     )
     metrics = trainer.test(task, datamodule=data, verbose=False)[0]
     facts = {"checkpoint": str(checkpoint), "commit": git_commit(), "data": data.source.fingerprint}
-    facts |= {PROTOCOL: task.scores.protocol()}
+    facts |= {OVERRIDES: list(overrides), PROTOCOL: task.scores.protocol()}
     save_by_scene(folder, task.scores, data.source, task.by_scene.of_all())
     save_results(folder, metrics, facts)
     show_results(folder)
@@ -150,7 +163,7 @@ def score_robustness(
     records = []
     for checkpoint in checkpoints:
         name = f"{FOLDER}{checkpoint.stem}"
-        folder = beside(checkpoint) / name if options.output is None else options.output / system_of(checkpoint) / name
+        folder = folder_of(checkpoint, name, options.output, True)
         task, data = load_task(checkpoint, others)
         record = robustness_of(task, data, checkpoint, wanted, options.scenes, options.seed, folder)
         save_robustness(folder, record)
@@ -173,9 +186,11 @@ def draw(records: Sequence[Robustness], folder: Path) -> np.ndarray | None:
     return cv2.cvtColor(np.asarray(cv2.imread(str(path))), cv2.COLOR_BGR2RGB)
 
 
-def beside(checkpoint: Path) -> Path:
-    """Return the folder in which the folder of results is made."""
-    return Path("runs") if checkpoint.parent == SHIPPED else checkpoint.parent
+def folder_of(checkpoint: Path, name: str, output: Path | None, by_system: bool) -> Path:
+    """Return the folder of results: `name` beside the checkpoint, or in `output`, where systems may have their own."""
+    if output is not None:
+        return output / system_of(checkpoint) / name if by_system else output
+    return (Path("runs") if checkpoint.parent == SHIPPED else checkpoint.parent) / name
 
 
 def score_predictions(folder: Path, overrides: Sequence[str], output: Path | None, origins: Origins) -> None:

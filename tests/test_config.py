@@ -13,10 +13,10 @@ from omegaconf import OmegaConf
 from omniocc.config import ConfigError, build, check, check_root, fits, parameters_of
 
 CONF = Path(__file__).parents[1] / "conf"
+OTHERS = ("preset", "ablation", "demo", "trainer", "hydra", "learning_rate")
+"""Folders whose files are no options of a slot."""
 OPTIONS = sorted(
-    path
-    for path in CONF.rglob("*.yaml")
-    if path.parent != CONF and path.parts[len(CONF.parts)] not in ("preset", "ablation", "demo", "trainer", "hydra")
+    path for path in CONF.rglob("*.yaml") if path.parent != CONF and path.parts[len(CONF.parts)] not in OTHERS
 )
 
 
@@ -190,3 +190,9 @@ def test_all_presets_have_the_same_keys():
     trees = [OmegaConf.to_container(OmegaConf.load(path)) for path in CONF.glob("preset/*.yaml")]
     assert len({tuple(keys(tree)) for tree in trees}) == 1
     assert len(trees) == 4
+
+
+def test_a_value_for_one_preset_leaves_the_others_theirs():
+    text = "preset: {{name: {}, rate: 0.5}}\nrate: ${{by_preset:{{tiny:0.01}},${{preset.rate}}}}"
+    assert OmegaConf.create(text.format("tiny")).rate == 0.01
+    assert OmegaConf.create(text.format("paper")).rate == 0.5

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from evaluate import Words, main, parser_of
+from evaluate import Words, folder_of, main, parser_of
 from omniocc.run.weights import SHIPPED
 
 
@@ -26,10 +26,17 @@ def test_help_lists_the_kinds_of_disturbances():
         assert kind in text
 
 
+def test_results_are_beside_the_checkpoint_or_in_the_folder_that_is_named():
+    best = Path("runs/ours-1/best.ckpt")
+    assert folder_of(best, "evaluation-best", None, True) == Path("runs/ours-1/evaluation-best")
+    assert folder_of(SHIPPED / "tiny.safetensors", "evaluation-tiny", None, False) == Path("runs/evaluation-tiny")
+    assert folder_of(best, "evaluation-best", Path("out"), False) == Path("out")
+    assert folder_of(best, "evaluation-best", Path("out"), True) == Path("out/ours-1/evaluation-best")
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["tiny", "any-rig"], "is not key=value; several checkpoints only with robustness="),
         (["data.batch_size=1"], "name a checkpoint"),
         (["any-rig", "robustness=all"], "of the depth stage; this needs one of the occupancy stage"),
     ],

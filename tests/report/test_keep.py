@@ -8,6 +8,7 @@ from omniocc.errors import UserError
 from omniocc.report.keep import keep_records
 from omniocc.report.runs import read_runs
 from omniocc.run.curves import read_curve
+from omniocc.run.results import FROM_TRAJECTORY, OVERRIDES, save_results
 from omniocc.run.robustness import UNDISTURBED, PartScores, Robustness, read_robustness, save_robustness
 from omniocc.run.scenes import save_scenes
 
@@ -17,10 +18,14 @@ def test_every_figure_and_curve_can_be_read_from_what_is_kept(runs, tmp_path):
     runs = shutil.copytree(runs, tmp_path / "runs")
     counts = {"a": {"rays": [[0, 2], [0, 2], [0, 1]]}}
     save_scenes(runs / "ours-00000001", counts, {"a": {"weather": "rain"}}, ("Free", "Road"), (1.0,))
+    data = read_runs(runs)[0].facts["data"]
+    tested = {"test/rayiou": 0.2, "test/rayiou_past": 0.1, "test/voxel/iou": 0.5}
+    save_results(runs / "dense-00000001" / FROM_TRAJECTORY, tested, {"data": data, OVERRIDES: []})
     assert [path.name for path in keep_records(runs, kept)] == [run.name for run in read_runs(runs)]
     for run, copy in zip(read_runs(runs), read_runs(kept), strict=True):
         assert (run.facts, run.metrics, run.config) == (copy.facts, copy.metrics, copy.config)
         assert ("test/weather/rain/rayiou" in copy.metrics) == (run.name == "ours-00000001")
+        assert ("test/trajectory/rayiou_past" in copy.metrics) == (run.name == "dense-00000001")
         assert read_curve(copy.folder, "train/loss") == read_curve(run.folder, "train/loss") != {}
     assert not [path for path in kept.rglob("*") if path.suffix == ".png"]
 

@@ -8,18 +8,20 @@ from omniocc.io import atomic_write
 from omniocc.report.runs import FinishedRun, read_runs
 from omniocc.run.curves import CURVES
 from omniocc.run.folder import METRICS
+from omniocc.run.results import FROM_TRAJECTORY
 from omniocc.run.robustness import TESTS
 from omniocc.run.scenes import SCENES
 
-KEPT = ("config.yaml", METRICS, SCENES, CURVES, TESTS)
+KEPT = ("config.yaml", METRICS, SCENES, CURVES, TESTS, f"{FROM_TRAJECTORY}/{METRICS}")
 """Files, or patterns of files, of a run from which every table and curve can be written again."""
 
 
 def keep_records(runs: Path, folder: Path) -> list[Path]:
-    """Copy the configuration, figures, curves and robustness tests of finished runs and return their new folders.
+    """Copy the configuration, figures, curves and later tests of finished runs and return their new folders.
 
-    Tests of weights that have no run are copied and returned too. Runs of an earlier call stay, but for those that a
-    newer run replaces: one of the same row, seed and setting.
+    Later tests are those from other origins of rays and those under disturbances; tests of weights that have no run are
+    copied and returned too. Runs of an earlier call stay, but for those that a newer run replaces: one of the same row,
+    seed and setting.
 
     Raises:
         UserError: when there is neither a finished run nor such a test.

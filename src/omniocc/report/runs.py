@@ -15,7 +15,7 @@ import yaml
 
 from omniocc.errors import UserError
 from omniocc.run.folder import METRICS
-from omniocc.run.results import CANDIDATES, load_results
+from omniocc.run.results import CANDIDATES, load_results, trajectory_figures
 from omniocc.run.scenes import scene_figures
 from omniocc.run.table import class_names
 
@@ -81,6 +81,7 @@ def _read(folder: Path) -> FinishedRun:
         raise UserError(f"{folder} has no RayIoU: its test frames have no voxel labels")
     config = _read_config(folder / "config.yaml")
     figures = known_figures(facts, config) | metrics | scene_figures(folder)
+    figures |= trajectory_figures(folder, facts.get("data"))
     return FinishedRun(folder.name, facts, figures, folder, config)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 from omniocc.errors import UserError
 from omniocc.io import atomic_write
 from omniocc.run.folder import IMAGES, METRICS
-from omniocc.run.table import as_markdown, as_text
+from omniocc.run.table import ORIGINS, as_markdown, as_text
 
 CANDIDATES = "fraction of candidates"
 """Fact of runs whose sketch is no stage: the fraction of candidates among all voxels."""
@@ -20,6 +20,12 @@ EARLIER_MINUTES = "minutes of earlier stages"
 
 PROTOCOL = "protocol"
 """Fact of runs: how each kind of score was counted (rays, origins, thresholds, masks, classes), one line for each."""
+EVALUATION = "evaluation-"
+"""Beginning of the name of the folder in which a checkpoint's later test is, inside the folder of its run."""
+FROM_TRAJECTORY = f"{EVALUATION}best-trajectory"
+"""Folder of the test with rays from where the car was in past, present and future frames."""
+OVERRIDES = "overrides"
+"""Fact of later tests: what they change in the configuration of the checkpoint."""
 
 
 def save_results(folder: Path, metrics: Mapping[str, float], facts: Mapping[str, Any]) -> None:
@@ -50,6 +56,25 @@ def load_results(folder: Path) -> tuple[dict[str, Any], dict[str, float]]:
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         reason = str(error).splitlines()[0]
         raise UserError(f"{path} is damaged ({reason}); remove it, and the command that made it tests again") from error
+
+
+def trajectory_figures(folder: Path, data: Any) -> dict[str, float]:
+    """Return the scores of a run's best checkpoint by the origins of its rays; none if that was not tested.
+
+    `test/trajectory/rayiou` is over all rays, `test/trajectory/rayiou_past`, `..._now` and `..._future` are over those
+    from where the car was before, at and after the scored frame. A test that changed the configuration, or was on other
+    data than the run's, does not count.
+
+    Raises:
+        UserError: naming the file, when it is damaged.
+    """
+    if not (folder / FROM_TRAJECTORY / METRICS).exists():
+        return {}
+    facts, metrics = load_results(folder / FROM_TRAJECTORY)
+    if facts.get("data") != data or facts.get(OVERRIDES) != []:
+        return {}
+    keys = ["rayiou", *(f"rayiou_{name}" for name in ORIGINS)]
+    return {f"test/trajectory/{key}": metrics[f"test/{key}"] for key in keys if f"test/{key}" in metrics}
 
 
 def show_results(folder: Path) -> None:

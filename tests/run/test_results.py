@@ -1,0 +1,24 @@
+"""Figures of later tests of a run."""
+
+import pytest
+
+from omniocc.run.results import FROM_TRAJECTORY, OVERRIDES, save_results, trajectory_figures
+
+METRICS = {"test/rayiou": 0.2, "test/rayiou_past": 0.25, "test/rayiou_now": 0.3, "prior/rayiou": 0.1}
+
+
+def test_scores_by_origin_are_those_of_the_later_test(tmp_path):
+    assert trajectory_figures(tmp_path, "abc") == {}
+    save_results(tmp_path / FROM_TRAJECTORY, METRICS, {"data": "abc", OVERRIDES: []})
+    assert trajectory_figures(tmp_path, "abc") == {
+        "test/trajectory/rayiou": 0.2, "test/trajectory/rayiou_past": 0.25, "test/trajectory/rayiou_now": 0.3,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "facts",
+    [{"data": "other", OVERRIDES: []}, {"data": "abc", OVERRIDES: ["model.sketch.threshold=0.5"]}, {"data": "abc"}],
+)
+def test_a_test_of_another_model_or_on_other_data_does_not_count(tmp_path, facts):
+    save_results(tmp_path / FROM_TRAJECTORY, METRICS, facts)
+    assert trajectory_figures(tmp_path, "abc") == {}
