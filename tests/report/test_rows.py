@@ -62,11 +62,11 @@ def test_a_row_that_cannot_be_composed_is_named(tmp_path):
         assign_rows([run_of("demo")], tmp_path / "conf", ["broken"])
 
 
-def test_the_demo_is_the_row_ours(runs, tmp_path):
+def test_a_run_of_another_name_counts_in_the_row_whose_configuration_it_has(runs, tmp_path):
     shutil.copytree(runs / "dense-00000001", tmp_path / "demo-0123abcd")
     facts = json.loads((tmp_path / "demo-0123abcd" / "metrics.json").read_text())
     (tmp_path / "demo-0123abcd" / "metrics.json").write_text(json.dumps(facts | {"run": "demo-0123abcd"}))
-    config = compose_plain(CONF, "train", ["name=demo", "preset=tiny"])
+    config = compose_plain(CONF, "train", ["name=demo", "preset=tiny", "+learning_rate=chain"])
     (tmp_path / "demo-0123abcd" / "config.yaml").write_text(yaml.safe_dump(config))
     sweep = read_sweep(tmp_path, ROOT / "sweeps", CONF, None)
     assert list(sweep.rows) == ["ours"]
