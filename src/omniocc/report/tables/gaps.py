@@ -27,14 +27,17 @@ UNKNOWN = Gap(math.nan, math.nan, 0)
 
 
 def gap_of_systems(better: Sequence[FinishedRun], other: Sequence[FinishedRun], key: str) -> Gap:
-    """Return the gap between two systems that share no training: Student's t for two samples of equal variance."""
+    """Return the gap between two systems that share no training: Student's t for two samples of equal variance.
+
+    The error is unknown if one of them has a single seed: the other's spread says nothing about it.
+    """
     samples = [np.array(_values(runs, key)) for runs in (better, other)]
     if not all(len(sample) for sample in samples):
         return UNKNOWN
     here = float(samples[0].mean() - samples[1].mean())
-    freedom = sum(len(sample) - 1 for sample in samples)
-    if not freedom:
+    if min(map(len, samples)) < 2:
         return Gap(here, math.nan, 0)
+    freedom = sum(len(sample) - 1 for sample in samples)
     squares = sum(float(np.square(sample - sample.mean()).sum()) for sample in samples)
     return Gap(here, math.sqrt(squares / freedom * sum(1 / len(sample) for sample in samples)), freedom)
 
