@@ -93,13 +93,21 @@ def foot(runs: Sequence[FinishedRun]) -> str:
     """Return sentences on the runs of a page: their number, seeds, settings, commits and hours."""
     once = {run.name: run for run in runs}.values()
     settings = sorted(
-        {f"preset={preset}, {steps} steps, data of hash {data[:8]}" for preset, steps, data in map(_setting, once)}
+        {
+            f"preset={preset}, {steps} steps, data with the fingerprint {data[:8]}"
+            for preset, steps, data in map(_setting, once)
+        }
     )
     seeds = sorted({str(run.facts.get("seed", "?")) for run in once})
     commits = sorted({str(run.facts.get("commit", "unknown")) for run in once})
     hours = sum(map(budget.minutes_in_all, once)) / 60
-    trained = f"{hours:.1f} h of training, where a stage that several runs share counts in each of them"
-    parts = [f"{len(once)} runs, seeds {', '.join(seeds)}", *settings, f"commits {', '.join(commits)}", trained]
+    trained = f"{hours:.1f} hours of training (depth and sketch count in every run that uses them)"
+    parts = [
+        f"{len(once)} runs, seeds {', '.join(seeds)}",
+        *settings,
+        f"code of commits {', '.join(commits)}",
+        trained,
+    ]
     return f"{'; '.join(parts)}. {RULE}"
 
 
