@@ -4,11 +4,12 @@ import pytest
 import torch
 
 from omniocc.config import build
+from omniocc.task import Muon
 from omniocc.task.build import build_task
 from omniocc.task.scores import Scores
 
 MOST_STEPS = 600
-CHECK_EVERY = 50
+CHECK_EVERY = 25
 
 
 def ray_iou_of(task, spec, batch) -> float:
@@ -29,7 +30,7 @@ def test_one_frame_is_learned_by_heart(model, data_root, smoke):
     batch = next(iter(data.val_dataloader()))
     task = build_task(cfg, data.source.spec)
     task.set_training_statistics(data.voxel_counts())
-    optimizer = torch.optim.AdamW(task.parameters(), lr=1e-2, weight_decay=0.0)
+    optimizer = Muon(1e-2, 0, 0.0, 1.0).configure(task.model, MOST_STEPS)["optimizer"]
     scores = []
     for step in range(MOST_STEPS):
         terms = task.loss(task.predict(batch), batch.voxels, batch.pixel_labels, batch.camera_range_m)

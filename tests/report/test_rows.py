@@ -27,7 +27,7 @@ def run_of(name: str, *overrides: str) -> FinishedRun:
     return FinishedRun(f"{name}-0123abcd", {"seed": 3}, {}, config=yaml.safe_load(yaml.safe_dump(config)))
 
 
-def test_every_row_is_told_by_its_configuration():
+def test_runs_are_told_by_their_configuration_unless_their_name_is_that_of_a_row():
     mine = (
         "name=mine",
         "seed=3",
@@ -37,11 +37,7 @@ def test_every_row_is_told_by_its_configuration():
         "logger.mode=disabled",
     )
     runs = [run_of("mine", f"+ablation={OPTIONS[row]}", *mine) for row in ROWS]
-    assert [run.row for run in assign_rows(runs, CONF, ["ours"])] == ROWS
-
-
-def test_other_configurations_and_the_names_of_rows_stay():
-    runs = [
+    others = [
         run_of("deep", "preset.lifter.coloring.layers=2"),
         run_of("mono"),
         run_of("of_a_table"),
@@ -49,8 +45,8 @@ def test_other_configurations_and_the_names_of_rows_stay():
         FinishedRun("nothing saved-0123abcd", {}, {}),
         run_of("lost", "preset.name=gone"),
     ]
-    found = assign_rows(runs, CONF, ["of_a_table"])
-    assert [run.row for run in found] == ["deep", "mono", "of_a_table", "ours", "nothing saved", "lost"]
+    found = [run.row for run in assign_rows([*runs, *others], CONF, ["ours", "of_a_table"])]
+    assert found == [*ROWS, "deep", "mono", "of_a_table", "ours", "nothing saved", "lost"]
 
 
 def test_a_row_that_cannot_be_composed_is_named(tmp_path):

@@ -6,8 +6,12 @@ from omniocc.batch import Batch
 from omniocc.camera import Rig
 
 RIG = Rig.load("fisheye6").resized(64, 36)
-LOSSES = {"model/refiner=experts": "loss=with_coarse", "model/lifter=coarse_to_fine": "loss=with_coarse"}
-"""Losses of all that an option predicts, where the paper's are not enough."""
+BESIDE = {
+    "model/refiner=experts": "loss=with_coarse",
+    "model/lifter=coarse_to_fine": "loss=with_coarse",
+    "model/geometry=occ3d": "model.geometry.shape=[50,50,8]",
+}
+"""What stands beside an option here: losses of all that it predicts, where the paper's are not enough; fewer voxels."""
 
 
 def make_batch(task, samples, with_candidates=True):

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from batches import LOSSES, make_batch
+from batches import BESIDE, make_batch
 from lightning.pytorch import Callback, LightningDataModule, Trainer
 from lightning.pytorch.callbacks import ModelCheckpoint
 
@@ -68,8 +68,8 @@ SINGLES = [[f"model/{slot}={name}"] for slot in ("backbone", "geometry", "lifter
     "overrides", [*PAIRS, *SINGLES, ["model/temporal=mean", "model.temporal.history_gradient=true"]]
 )
 def test_every_combination_trains_all_its_parameters(overrides, make_task):
-    losses = [LOSSES[option] for option in overrides if option in LOSSES]
-    task = make_task("model/sketch=dense", *overrides, *losses)
+    beside = [BESIDE[option] for option in overrides if option in BESIDE]
+    task = make_task("model/sketch=dense", *overrides, *beside)
     counts = torch.randint(1, 100, (12, *task.model.geometry.shape))
     task.set_training_statistics(counts)
     batch = make_batch(task, [(0, 1), (1, 2)])

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from batches import LOSSES, RIG, make_batch
+from batches import BESIDE, RIG, make_batch
 from second_device import MixedDevicesError, SecondDevice, tagged
 from torch import nn
 
@@ -26,7 +26,7 @@ MODEL = Path(__file__).parents[2] / "conf" / "model"
 CUDA = torch.device("cuda", 0)
 SLOTS = ("backbone", "geometry", "lifter", "sketch", "temporal", "refiner", "semantic_head")
 NAMES = [f"model/{slot}={path.stem}" for slot in SLOTS for path in sorted((MODEL / slot).glob("*.yaml"))]
-OPTIONS = [f"{name} {LOSSES.get(name, '')}".strip() for name in NAMES]
+OPTIONS = [f"{name} {BESIDE.get(name, '')}".strip() for name in NAMES]
 DEPTHS = [path.stem for path in sorted((MODEL / "depth").glob("*.yaml"))]
 
 
