@@ -112,14 +112,15 @@ def main(arguments: list[str] | None = None) -> None:
     if words.robustness is not None:
         score_robustness(words.checkpoints, words.overrides, words.robustness, options)
         return
+    several = len(words.checkpoints) > 1
     for checkpoint in words.checkpoints:
-        if len(words.checkpoints) > 1:
+        if several:
             print(f"\nsystem    {system_of(checkpoint)}", flush=True)
         if options.audit:
             print_audit(checkpoint, words.overrides)
             continue
         name = f"{EVALUATION}{checkpoint.stem}{suffix(options.origins)}"
-        folder = folder_of(checkpoint, name, options.output, len(words.checkpoints) > 1)
+        folder = folder_of(checkpoint, name, options.output, several)
         test_again(checkpoint, words.overrides, folder, options.origins, options.images)
 
 

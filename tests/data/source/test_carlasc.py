@@ -37,7 +37,7 @@ def test_it_keeps_the_contracts_and_turns_right_into_left(tmp_path, coordinates)
     unobserved = scene.own_voxels(0, "unobserved")
     assert (unobserved[:, :28] == UNKNOWN).all()
     assert torch.equal(unobserved[:, 28:], labels[:, 28:])
-    with pytest.raises(ValueError, match="unseen: CarlaSC has no cameras"):
+    with pytest.raises(ValueError, match="unseen: there is no mask of what cameras see"):
         source.labels(source.grid, "unseen")
 
 

@@ -23,6 +23,12 @@ Unknown = Literal["free", "unobserved", "unseen"]
 `unseen` every cell that no camera sees is unknown, which only some datasets tell."""
 
 
+def refuse_unseen(unknown: Unknown, remedy: str = "choose free or unobserved") -> None:
+    """Raise ValueError for `unseen`, where a dataset has no mask of what the cameras see."""
+    if unknown == "unseen":
+        raise ValueError(f"data.unknown=unseen: there is no mask of what cameras see; {remedy}")
+
+
 @dataclass(frozen=True)
 class Benchmark:
     """How a dataset's own protocol scores predictions: on its own voxels, whatever the grid of the model.

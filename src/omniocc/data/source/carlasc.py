@@ -18,7 +18,7 @@ from omniocc.data.formats.files import check_root, class_table, map_classes, rea
 from omniocc.data.formats.poses import rigid
 from omniocc.data.formats.scene import Cloud, DatasetScene
 from omniocc.data.labels.own_grid import OwnGridLabels
-from omniocc.data.source import SPLITS, Benchmark, BenchmarkFrame, SourceSpec, Split, Unknown
+from omniocc.data.source import SPLITS, Benchmark, BenchmarkFrame, SourceSpec, Split, Unknown, refuse_unseen
 from omniocc.data.source.own_grid import mirrored
 from omniocc.data.store.shard import digest
 from omniocc.errors import DataError
@@ -106,10 +106,9 @@ class CarlaSC:
         """Return the voxels in a grid; with `unobserved` cells are unknown that no ray has met.
 
         Raises:
-            ValueError: for `unseen`: there are no cameras.
+            ValueError: for `unseen`: there is no mask of what the cameras see.
         """
-        if unknown == "unseen":
-            raise ValueError("data.unknown=unseen: CarlaSC has no cameras; choose free or unobserved")
+        refuse_unseen(unknown)
         return OwnGridLabels(self.folder, self.fingerprint, self.grid, geometry, CLASSES.num_classes, unknown)
 
 

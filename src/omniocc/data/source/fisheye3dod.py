@@ -23,7 +23,7 @@ from omniocc.data.formats.poses import inverse, moved
 from omniocc.data.formats.scene import Cloud, DatasetScene, outside
 from omniocc.data.formats.unreal import SENSOR_FROM_OPTICAL, right_handed_points
 from omniocc.data.labels.own_grid import VotedLabels
-from omniocc.data.source import SPLITS, Points, SourceSpec, Split, Unknown
+from omniocc.data.source import SPLITS, Points, SourceSpec, Split, Unknown, refuse_unseen
 from omniocc.data.store.shard import digest
 from omniocc.errors import DataError
 from omniocc.geometry import Grid
@@ -139,8 +139,7 @@ class Fisheye3DOD:
         Raises:
             ValueError: for `unseen`: there is no mask of what the cameras see.
         """
-        if unknown == "unseen":
-            raise ValueError("data.unknown=unseen: there is no mask of what cameras see; choose free or unobserved")
+        refuse_unseen(unknown)
         return VotedLabels(self.folder, self.fingerprint, geometry, WORLD_CLASSES.num_classes, unknown)
 
     @cached_property

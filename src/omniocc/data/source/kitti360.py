@@ -32,7 +32,17 @@ from omniocc.data.formats.scene import Cloud, DatasetScene, outside
 from omniocc.data.labels.own_grid import OwnGridLabels, VotedLabels
 from omniocc.data.labels.visible import MASKS, MaskKind, field_of_view, ray_traced
 from omniocc.data.labels.voxels import vote
-from omniocc.data.source import SPLITS, Benchmark, BenchmarkFrame, Points, SceneFrames, SourceSpec, Split, Unknown
+from omniocc.data.source import (
+    SPLITS,
+    Benchmark,
+    BenchmarkFrame,
+    Points,
+    SceneFrames,
+    SourceSpec,
+    Split,
+    Unknown,
+    refuse_unseen,
+)
 from omniocc.data.store.shard import digest
 from omniocc.errors import DataError
 from omniocc.geometry import Cuboid, Grid
@@ -136,11 +146,9 @@ class KITTI360:
         Raises:
             ValueError: for `unseen` without a volume and masks.
         """
-        if unknown == "unseen" and (self.volume is None or not self.masks):
-            raise ValueError(
-                "data.unknown=unseen: there is no mask of what cameras see; choose free or unobserved, or a volume "
-                "with masks, such as data.source.volume='{shape:[256,256,32],cell_m:0.2}'"
-            )
+        if self.volume is None or not self.masks:
+            volume = "data.source.volume='{shape:[256,256,32],cell_m:0.2}'"
+            refuse_unseen(unknown, f"choose free or unobserved, or a volume with masks, such as {volume}")
         classes = OCCUPANCY_CLASSES.num_classes
         if self.volume is None:
             return VotedLabels(self.folder, self.fingerprint, geometry, classes, unknown)

@@ -14,7 +14,7 @@ from omniocc.camera import Equirectangular, Rig
 from omniocc.classes import ClassTable
 from omniocc.data.formats.scene import DatasetScene
 from omniocc.data.labels.own_grid import OwnGridLabels
-from omniocc.data.source import SPLITS, BenchmarkFrame, SourceSpec, Split, Unknown
+from omniocc.data.source import SPLITS, BenchmarkFrame, SourceSpec, Split, Unknown, refuse_unseen
 from omniocc.data.store.shard import digest
 from omniocc.geometry import Cuboid, Grid
 
@@ -94,8 +94,7 @@ class OwnGridSource(ABC, Generic[Scene]):
         Raises:
             ValueError: for `unseen`: there is no mask of what the cameras see.
         """
-        if unknown == "unseen":
-            raise ValueError("data.unknown=unseen: there is no mask of what cameras see; choose free or unobserved")
+        refuse_unseen(unknown)
         return OwnGridLabels(self.folder, self.fingerprint, self.grid, geometry, self.classes.num_classes, unknown)
 
     @cached_property
