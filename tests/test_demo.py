@@ -58,7 +58,7 @@ def test_without_weights_every_stage_is_trained(ran, monkeypatch, tmp_path, caps
     assert [line.split("  ")[0] for line in lines[1:4]] == [
         "prior (baseline)",
         "trained here, 3 min",
-        "label (upper bound)",
+        "label (true voxels)",
     ]
     assert lines[-2] == "pictures  runs/demo-1/images"
     assert lines[-1].startswith("page      runs/demo-1/view.html")

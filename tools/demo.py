@@ -1,4 +1,4 @@
-"""Train on rendered streets and show the result beside a baseline, the weights in the package and the upper bound.
+"""Train on rendered streets and show the result beside a baseline, the weights in the package and the true voxels.
 
 `python tools/demo.py [preset] [--full]` is what `make demo` runs. Depth and sketch come from the weights in the package
 and the occupancy stage is trained for some minutes; with `--full`, and for other presets than tiny, all are trained.
@@ -60,7 +60,7 @@ def viewed(folder: Path) -> Path:
 
 
 def rows_of(folder: Path, other: Path | None) -> dict[str, tuple[dict[str, float], str]]:
-    """Return the rows of the table: baseline, trained here, weights in the package, upper bound."""
+    """Return the rows of the table: baseline, trained here, weights in the package, true voxels."""
     facts, metrics = load_results(folder)
     minutes = facts[MINUTES] + facts.get(EARLIER_MINUTES, 0)
     rows = {"prior (baseline)": (metrics, "prior"), f"trained here, {minutes:.0f} min": (metrics, "test")}
@@ -68,7 +68,7 @@ def rows_of(folder: Path, other: Path | None) -> dict[str, tuple[dict[str, float
         made = read_weights(SHIPPED / f"{WEIGHTS}{SUFFIX}")[1]
         hours = (made.get(MINUTES, 0) + made.get(EARLIER_MINUTES, 0)) / 60
         rows[f"weights '{WEIGHTS}' in the package, {hours:.0f} h"] = (load_results(other)[1], "test")
-    return {**rows, "label (upper bound)": (metrics, "label")}
+    return {**rows, "label (true voxels)": (metrics, "label")}
 
 
 def main(preset: str, full: bool) -> None:

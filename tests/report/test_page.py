@@ -96,7 +96,7 @@ def test_the_page_needs_no_other_file_and_every_image_decodes(output, outline):
 def test_figures_lead_to_run_configuration_and_command(outline, runs):
     text = "".join(outline.text)
     assert "python src/train.py '+ablation=my <own>-00000001' seed=0 <&>" in text
-    assert "Not run: bevdet, bevformer, voxformer, voxformer_pinhole@1000, wo_semantic_head" in text
+    assert "Not run: bevdet, bevformer, voxformer_pinhole@40, voxformer, wo_semantic_head" in text
     assert "0.320 ± 0.028" in text
     assert "here: not run" in text
     assert "cuboid voxel representation" in text
@@ -136,11 +136,11 @@ def test_tables_and_plots_are_beside_the_page(output, capsys):
     tables = {path.stem for path in output.glob("*.tex")} & {path.stem for path in output.glob("*.csv")}
     assert tables == {
         "bets", "beyond", "classes", "comparison", "dataset", "distance", "equal_budget", "equal_steps", "interval",
-        "lidar", "moving", "origins", "pinhole", "places", "refine", "representation", "rivals", "rivals_budget",
+        "lidar", "moving", "origins", "places", "refine", "representation", "rivals", "rivals_budget",
         "semantic_temporal", "sketch", "weather",
     }  # fmt: skip
     markdown = (output / "report.md").read_text("utf-8")
-    claim = "| omni depth ahead of dense voxels | +0.036 | own voxels | +0.025 | +0.100 | – | – |"
+    claim = "| omni depth ahead of dense voxels | +0.036 | own voxels | +0.025 | +0.120 | – | – | – |"
     assert claim in markdown
     assert "| This dataset (here) | – | ✓ |" in markdown
     assert markdown.index("## Comparison of datasets") < markdown.index("## Comparison against")
@@ -169,7 +169,7 @@ def test_the_tables_are_written_as_pages_of_the_documentation(runs, tmp_path):
     report("--runs", str(runs), "--output", str(tmp_path / "report"), "--docs", str(docs))
     assert {path.name for path in docs.iterdir()} == {
         "bets.md", "beyond.md", "bounds.md", "budget.md", "classes.md", "comparison.md", "distance.md",
-        "equal_budget.md", "equal_steps.md", "interval.md", "lidar.md", "moving.md", "origins.md", "pinhole.md",
+        "equal_budget.md", "equal_steps.md", "interval.md", "lidar.md", "moving.md", "origins.md",
         "places.md", "power.md", "refine.md", "representation.md", "rivals.md", "rivals_budget.md", "runs.md",
         "semantic_temporal.md", "sketch.md", "weather.md",
     }  # fmt: skip

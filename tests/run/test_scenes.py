@@ -6,7 +6,7 @@ import math
 import pytest
 
 from omniocc.errors import UserError
-from omniocc.run.scenes import LIDAR, MOVING, RAYS, save_scenes, scene_figures
+from omniocc.run.scenes import LIDAR, MOVING, RAYS, save_scenes, scene_figures, without_each_scene
 
 CLASSES = ("Free", "Road", "Vehicle")
 THRESHOLDS_M = (1.0, 2.0)
@@ -43,12 +43,21 @@ def test_counts_of_a_group_are_summed(folder):
 
 
 def test_what_stands_is_all_that_does_not_move(folder):
-    """Of the ten rays on cars four move and all are found within 2 m; of the other six one is."""
+    """Of the ten rays on cars four move and all are found within 2 m; of the other six one is, of ten predicted."""
     found = scene_figures(folder)
-    assert found["test/moving/rayiou/Vehicle"] == pytest.approx((0 + 4 / 4) / 2)
-    assert found["test/standing/rayiou/Vehicle"] == pytest.approx((0 + 1 / 11) / 2)
-    assert found["test/moving/rayiou"] == found["test/moving/rayiou/Vehicle"]
-    assert "test/standing/rayiou/Road" not in found
+    assert found["test/moving/recall/Vehicle"] == pytest.approx((0 + 4 / 4) / 2)
+    assert found["test/standing/recall/Vehicle"] == pytest.approx((0 + 1 / 6) / 2)
+    assert found["test/false_alarms/Vehicle"] == pytest.approx((10 - 5) / 10)
+    for kind in ("moving/recall", "standing/recall", "false_alarms"):
+        assert found[f"test/{kind}"] == found[f"test/{kind}/Vehicle"]
+        assert f"test/{kind}/Road" not in found
+
+
+def test_each_scene_is_left_out_in_turn(folder):
+    without = without_each_scene(folder, RAYS)
+    assert without == {"a": pytest.approx((1 + 1 + 0 + 1 / 3) / 4), "b": pytest.approx((4 / 14 + 8 / 10) / 2)}
+    assert without_each_scene(folder, LIDAR) == {}  # of one scene alone
+    assert without_each_scene(folder.parent, RAYS) == {}
 
 
 def test_a_run_without_counts_has_no_such_scores(tmp_path):

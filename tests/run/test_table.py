@@ -20,7 +20,7 @@ def test_bands_stand_in_order_of_distance():
     head, rows = summary(METRICS)
     assert head == ["", "RayIoU", "0-8.5 m", "8.5-17 m", "17-25.6 m", "RayIoU, LiDAR", "IoU", "mIoU"]
     assert rows[0] == ["model", "0.250", "0.400", "0.200", "0.100", "–", "–", "–"]
-    assert rows[2][:2] == ["label (upper bound)", "1.000"]
+    assert rows[2][:2] == ["label (true voxels)", "1.000"]
     assert rows[2][5] == "0.600"
 
 
@@ -64,7 +64,7 @@ def test_scores_by_origin_have_a_table():
     metrics |= {"prior/rayiou_past": 0.1, "prior/rayiou_now": 0.15, "prior/rayiou_future": 0.05}
     assert summary(metrics) == summary(METRICS), "times are no distance bands"
     assert by_origin(metrics) == (
-        ["RayIoU from", "model", "prior (baseline)", "label (upper bound)"],
+        ["RayIoU from", "model", "prior (baseline)", "label (true voxels)"],
         [
             ["past frames", "0.200", "0.100", "–"],
             ["the frame itself", "0.300", "0.150", "–"],

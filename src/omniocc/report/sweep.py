@@ -115,13 +115,17 @@ def read_sweeps(runs: Path, tables: Path, conf: Path, preset: str | None) -> lis
     sweeps = [sweep_of(setting) for setting in settings_of(finished, preset)]
     left_out = {run.name for run in finished} - {run.name for sweep in sweeps for run in sweep.runs}
     sweeps[0] = sweeps[0]._replace(robustness=[test for test in tests if test.system not in left_out])
+    lengths = {sweep.runs[0].setting[0]: by_length(sweeps, sweep.runs[0].setting[0]) for sweep in sweeps}
     once = [table for table in found if not table.of_lengths]
+
+    def placed(sweep: Sweep, of_sweep: Sequence[PaperTable]) -> Sweep:
+        preset, steps, _ = sweep.runs[0].setting
+        return sweep._replace(tables=[table.of_steps(steps) for table in of_sweep], lengths=lengths[preset])
+
     return [
-        sweep._replace(
-            tables=once if number else found,
-            lengths=by_length(sweeps, sweep.runs[0].setting[0]),
+        placed(sweep, once if number else found)._replace(
             longer=sorted(
-                (other._replace(tables=once) for other in sweeps if _is_longer(other, sweep)),
+                (placed(other, once) for other in sweeps if _is_longer(other, sweep)),
                 key=lambda other: _number(other.runs[0].setting[1]),
             ),
             spreads=spreads,

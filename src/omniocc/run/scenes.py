@@ -1,9 +1,9 @@
 """Counts of rays of every test scene in a file of the run, and the scores of groups of scenes that follow from them."""
 
 import json
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 
@@ -14,6 +14,7 @@ from omniocc.metric.ray_counts import RayCounts, ray_scores
 SCENES = "scenes.json"
 RAYS, LIDAR, MOVING = "rays", "lidar", "moving"
 """Kinds of rays: against true voxels, LiDAR rays, and those of them that hit what moves."""
+T = TypeVar("T")
 Lines = list[list[int]]
 """Numbers of rays by class: true, predicted, and correct at each threshold."""
 Counted = dict[str, Lines]
@@ -51,21 +52,52 @@ def scene_figures(folder: Path) -> dict[str, float]:
     """Return the scores of groups of scenes by key; none for runs that kept no counts.
 
     `test/<condition>/<value>/rayiou` and `.../lidar/rayiou` are the RayIoU of the scenes of one weather or kind of
-    place, with counts summed over them. `test/moving/rayiou/<class>` and `test/standing/rayiou/<class>` are RayIoU
-    among LiDAR rays that hit what moves, and among the others, for classes that move; without a class their mean.
+    place, with counts summed over them. For classes that move, `test/moving/recall/<class>` and
+    `test/standing/recall/<class>` are the correct share of the LiDAR rays that hit what moves, and what stands (mean
+    over thresholds); `test/false_alarms/<class>` is the number of rays on which the class is predicted and not found
+    within the largest threshold, for each ray that hits it. Without a class: their mean.
 
     Raises:
         UserError: naming the file, when it is damaged.
     """
+    content = _read(folder)
+    return {} if content is None else _named(folder, lambda: _by_conditions(content) | _of_moving(content))
+
+
+def without_each_scene(folder: Path, kind: str) -> dict[str, float]:
+    """Return by scene the RayIoU of all other scenes together, by one kind of rays; none for runs without such counts.
+
+    Raises:
+        UserError: naming the file, when it is damaged.
+    """
+    content = _read(folder)
+    return {} if content is None else _named(folder, lambda: _without_each(content, kind))
+
+
+def _read(folder: Path) -> Any:
     path = folder / SCENES
-    if not path.exists():
-        return {}
+    return _named(folder, lambda: json.loads(path.read_text())) if path.exists() else None
+
+
+def _named(folder: Path, found: Callable[[], T]) -> T:
+    """Return what is found in the file of a folder; raise UserError naming the file if that fails."""
     try:
-        content = json.loads(path.read_text())
-        return _by_conditions(content) | _of_moving(content)
+        return found()
     except (ValueError, TypeError, KeyError, AttributeError, IndexError, RuntimeError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        path = folder / SCENES
         raise UserError(f"{path} is damaged ({reason}); without it the run has no scores by scene") from error
+
+
+def _without_each(content: Mapping[str, Any], kind: str) -> dict[str, float]:
+    counted = {name: scene for name, scene in content["scenes"].items() if kind in scene}
+    every = summed(counted.values(), kind)
+    if every is None or len(counted) < 2:
+        return {}
+    occupied = range(1, len(content["classes"]))
+    return {
+        name: _scores(every - torch.tensor(scene[kind]), content, occupied)["rayiou"] for name, scene in counted.items()
+    }
 
 
 def _by_conditions(content: Mapping[str, Any]) -> dict[str, float]:
@@ -86,17 +118,28 @@ def _of_moving(content: Mapping[str, Any]) -> dict[str, float]:
     moving, every = summed(told, MOVING), summed(told, LIDAR)
     if moving is None or every is None:
         return {}
-    standing = every - moving
-    classes = [k for k in range(1, len(content["classes"])) if moving[0, k] > 0]
-    if not classes:
+    occur = (moving[0] > 0).nonzero().flatten().tolist()
+    classes = {k: content["classes"][k] for k in occur if k}
+    recalls = _recalls("moving", moving, classes) | _recalls("standing", every - moving, classes)
+    return recalls | _false_alarms(every, classes)
+
+
+def _recalls(name: str, lines: torch.Tensor, classes: Mapping[int, str]) -> dict[str, float]:
+    return _with_mean(f"test/{name}/recall", {
+        title: float(lines[2:, k].double().mean() / lines[0, k]) for k, title in classes.items() if lines[0, k] > 0
+    })  # fmt: skip
+
+
+def _false_alarms(lines: torch.Tensor, classes: Mapping[int, str]) -> dict[str, float]:
+    return _with_mean("test/false_alarms", {
+        title: float((lines[1, k] - lines[2:, k].max()) / lines[0, k]) for k, title in classes.items()
+    })  # fmt: skip
+
+
+def _with_mean(key: str, by_class: Mapping[str, float]) -> dict[str, float]:
+    if not by_class:
         return {}
-    parts = {"moving": moving, "standing": standing}
-    return {
-        f"test/{name}/{key}": value
-        for name, lines in parts.items()
-        for key, value in _scores(lines, content, classes).items()
-        if "@" not in key
-    }
+    return {key: sum(by_class.values()) / len(by_class)} | {f"{key}/{name}": part for name, part in by_class.items()}
 
 
 def summed(scenes: Collection[Mapping[str, Any]], kind: str) -> torch.Tensor | None:

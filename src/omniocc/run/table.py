@@ -1,4 +1,4 @@
-"""Tables of one run: the model between its baseline and its upper bound."""
+"""Tables of one run: the model between a baseline and the true voxels."""
 
 import math
 import re
@@ -14,11 +14,11 @@ SCORES = {"rayiou": "RayIoU", "lidar/rayiou": "RayIoU, LiDAR", "voxel": "IoU, mI
 ORIGINS = {"past": "past frames", "now": "the frame itself", "future": "future frames"}
 """Titles of the origins of rays that are scored apart, by the end of their keys."""
 
-ROWS = {"test": "model", "prior": "prior (baseline)", "label": "label (upper bound)"}
+ROWS = {"test": "model", "prior": "prior (baseline)", "label": "label (true voxels)"}
 EXPLANATION = (
     "RayIoU compares rays through the predicted and the true voxels as in the paper (mean over 1, 2, 4 m); 'LiDAR' "
     "compares the same voxels with true LiDAR rays. prior: the most frequent training class of every voxel. label: the "
-    "true voxels themselves, so its LiDAR column is the upper bound of the grid."
+    "true voxels themselves, so its LiDAR column shows what the cells of the grid lose."
 )
 
 
@@ -56,7 +56,7 @@ def band_names(metrics: Mapping[str, float]) -> list[str]:
 
 
 def per_class(metrics: Mapping[str, float]) -> tuple[list[str], list[list[str]]]:
-    """Return head and rows of RayIoU by class: model and baseline, and both with the upper bound on LiDAR rays."""
+    """Return head and rows of RayIoU by class: model and baseline, and both with the true voxels on LiDAR rays."""
     columns = [
         ("model", "test/rayiou"),
         ("prior", "prior/rayiou"),

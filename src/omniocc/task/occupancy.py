@@ -1,4 +1,4 @@
-"""The occupancy stage: train the model, validate by RayIoU, test between a baseline and an upper bound."""
+"""The occupancy stage: train the model, validate by RayIoU, test it beside a baseline and the true voxels."""
 
 from typing import Any
 
@@ -22,10 +22,10 @@ from omniocc.task.terms import log_terms
 
 
 class OccupancyTask(StageTask[OccupancyModel]):
-    """Train `model` with `loss`; baseline and upper bound of the test are scored in the same pass.
+    """Train `model` with `loss`; baseline and true voxels of the test are scored in the same pass.
 
     * `prior`, the baseline: the most frequent training class of every voxel, which needs no images.
-    * `label`, the upper bound: the true voxels themselves, scored against the true LiDAR rays.
+    * `label`: the true voxels themselves, scored against the true LiDAR rays.
 
     Args:
         augment: random changes of training batches.
@@ -106,7 +106,7 @@ class OccupancyTask(StageTask[OccupancyModel]):
         self.by_scene.reset()
 
     def test_step(self, batch: Batch, batch_index: int) -> Tensor:
-        """Score a batch with baseline and upper bound on it, and return the predicted labels."""
+        """Score a batch with baseline and true voxels on it, and return the predicted labels."""
         labels = self.validation_step(batch, batch_index)
         self.by_scene.update(labels, batch)
         self.prior_scores.update(self.prior.expand_as(labels), batch)

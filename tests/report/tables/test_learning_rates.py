@@ -48,6 +48,11 @@ def test_the_page_shows_validation_scores_alone():
     assert learning_rates(RUNS[-3:-2]) == ""
 
 
+def test_a_choice_at_an_end_of_three_rates_is_told():
+    text = learning_rates([*RUNS[:2], run("ours_01", 0.01, 0, 0.37)])
+    assert "| ours | 0.300 | 0.360 | 0.370 | 3 | 1 | 0.01, an end of those tried |" in text
+
+
 @pytest.mark.parametrize(
     ("rows", "name"),
     [

@@ -147,3 +147,20 @@ def test_an_added_table_needs_no_figures_of_the_paper(tmp_path):
     assert "| o | here, 2 seeds | 0.300 ± 0.141 |" in text
     assert "| paper |" not in text
     assert list(pairs_of(table)) == []
+
+
+def test_rows_on_other_data_have_as_many_steps_as_the_others():
+    table = load_table(SWEEPS / "comparison.yaml")
+    assert "voxformer_pinhole@same" in [row.run for row in table.rows]
+    named = table.of_steps("250")
+    assert "voxformer_pinhole@250" in [row.run for row in named.rows]
+    assert named.claims[0] == ("voxformer_pinhole@250", "bevdet")
+    assert [row.title for row in named.rows] == [row.title for row in table.rows]
+
+
+def test_rows_share_stages_unless_they_stand_alone():
+    table = load_table(SWEEPS / "sketch.yaml")
+    rows = {row.run: row for row in table.rows}
+    assert table.shares_stages(rows["ours"], rows["wo_dilation"])
+    assert not table.shares_stages(rows["ours"], rows["mono"])
+    assert not table._replace(compares="systems").shares_stages(rows["ours"], rows["wo_dilation"])

@@ -63,10 +63,10 @@ def runs(name: str, *values: float) -> list[FinishedRun]:
 
 
 def test_the_spreads_of_the_runs_are_measured_where_rows_have_two_seeds():
-    rows = {"ours": runs("ours", 0.30, 0.34), "dense": runs("dense", 0.20, 0.22), "bevdet": runs("bevdet", 0.1, 0.1)}
+    rows = {"ours": runs("ours", 0.30, 0.34), "wo_dilation": runs("wo", 0.20, 0.22), "dense": runs("dense", 0.1, 0.1)}
     found = power.measured(TABLES, rows, KEY)
     assert found is not None
-    # of `ours` and `bevdet`; and of ours - dense, which is .1 and .12, for one of the two
+    # of `ours` and `dense`; and of ours - wo_dilation, which is .1 and .12, for one of the two
     assert found.systems == pytest.approx(np.sqrt((0.0008 + 0) / 2))
     assert found.parts == pytest.approx(np.std([0.10, 0.12], ddof=1) / np.sqrt(2))
     assert power.measured(TABLES, {"ours": runs("ours", 0.3)}, KEY) is None
@@ -77,9 +77,11 @@ def test_the_page_has_every_claim_and_spread():
     text = power.power_chapter(TABLES, rows, [Spread("notes", 0.002, 0.01), Spread("other notes", 0.0001, 0.0001)])
     assert "* 0.0020 / 0.0100: notes\n" in text
     assert "for 9 claims" in text
-    (line,) = (line for line in text.splitlines() if line.startswith("| omni depth ahead of dense voxels"))
-    needed = seeds_needed(0.018, 0.002, lambda seeds: freedom_of_parts(seeds, 5), 9)
-    assert line == f"| omni depth ahead of dense voxels | Cylinder sketch module | +0.036 | +0.018 | {needed} | 2 |"
+    lines = {line.split(" | ")[0]: line.split(" | ")[-2:] for line in text.splitlines()}
+    part = seeds_needed(0.235 * 0.005 / 0.470, 0.002, lambda seeds: freedom_of_parts(seeds, 2), 9)
+    assert lines["| omni depth ahead of omni depth w/o dilation"] == [str(part), "3 |"]
+    alone = seeds_needed(0.018, 0.01, freedom_of_systems, 9)
+    assert lines["| omni depth ahead of dense voxels"] == [str(alone), "2 |"]
     assert power.power_chapter(TABLES, rows, []) == ""
 
 

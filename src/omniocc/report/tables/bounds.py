@@ -1,14 +1,15 @@
-"""Limits of scores on each grid: a baseline that needs no image, and the upper bound of the grid."""
+"""What scores on each grid are measured by: a baseline that needs no image, and the true voxels."""
 
 from collections.abc import Mapping, Sequence
 
 from omniocc.report.runs import FinishedRun, grid_name
 from omniocc.run.table import number
 
-TITLE = "Baseline and upper bound"
+TITLE = "Baseline and true voxels"
 NOTE = (
-    "prior, the baseline: the most frequent training class of every voxel, which needs no image. label, the upper "
-    "bound: the true voxels; against LiDAR rays no prediction on this grid can score more."
+    "prior, the baseline: the most frequent training class of every voxel, which needs no image. label: the true "
+    "voxels, scored as if predicted; against LiDAR rays they show what the cells of the grid lose. A prediction can "
+    "score a little more in a class, since the class with the most points in a cell is not what every ray meets there."
 )
 COLUMNS = {
     "prior: RayIoU": "prior/rayiou",
@@ -19,7 +20,7 @@ COLUMNS = {
 
 
 def bounds_cells(rows: Mapping[str, Sequence[FinishedRun]]) -> tuple[list[str], list[list[str]]]:
-    """Return the head and a line for each grid, with RayIoU of its baseline and its upper bound."""
+    """Return the head and a line for each grid, with RayIoU of the baseline and of the true voxels."""
     grids = {grid_name(run.config): run for runs in rows.values() for run in runs[:1]}
     lines = [[grid, *(number(run.metrics.get(key)) for key in COLUMNS.values())] for grid, run in grids.items()]
     return ["grid", *COLUMNS], lines

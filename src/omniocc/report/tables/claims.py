@@ -10,13 +10,14 @@ from omniocc.report.runs import FinishedRun
 from omniocc.report.tables.gaps import Gap, Gaps, gap_of_systems
 from omniocc.report.tables.holm import holm
 from omniocc.report.tables.paper import PaperRow, PaperTable, figure_of
+from omniocc.report.tables.streets import error_over_streets
 
 Rows = Mapping[str, Sequence[FinishedRun]]
 LEVEL = 0.05
 """Largest probability of one wrong 'holds' or more, and of one wrong 'does not hold' or more, in a family of claims."""
 JUDGES = {"own voxels": "test/", "LiDAR rays": "test/lidar/"}
 """Beginning of the keys of each judge's scores."""
-HEAD = ["claim", "paper", "judge", "in proportion", "here ± standard error", "no gap: p (Holm)"]
+HEAD = ["claim", "paper", "judge", "in proportion", "here ± over seeds", "± over streets", "no gap: p (Holm)"]
 HEAD += ["paper's gap: p (Holm)", "verdict"]
 HOLDS, AGAINST, UNDECIDED = "holds", "does not hold", "undecided"
 EXACT = 1e-9
@@ -33,11 +34,13 @@ class Claim(NamedTuple):
         paper: the printed gap; above 0.
         size: the printed gap in proportion to the better row's score here: printed gap / printed score * score here.
         gap: as it is measured here.
+        streets: standard error of the gap over the streets of the test, without that over seeds; nan if unknown.
     """
 
     paper: float
     size: float
     gap: Gap
+    streets: float = math.nan
 
     @property
     def measured(self) -> str:
@@ -76,15 +79,15 @@ class Judged(NamedTuple):
         """Return whether the claim holds.
 
         It holds if 'there is no gap' is rejected and the gap has the paper's sign. It does not hold if 'there is no
-        gap' is rejected and the gap has the other sign, or if 'the gap is as large as the paper's' is rejected while
-        'there is no gap' is not. Otherwise it is undecided.
+        gap' is rejected and the gap has the other sign, or, 'smaller', if 'the gap is as large as the paper's' is
+        rejected while 'there is no gap' is not. Otherwise it is undecided.
         """
         here, error, _ = self.claim.gap
         if math.isnan(error):
             return f"{UNDECIDED} ({'no seed in common' if math.isnan(here) else 'spread unknown'})"
         if self.none < LEVEL:
             return HOLDS if here > 0 else f"{AGAINST} (opposite sign)"
-        return AGAINST if self.size < LEVEL else UNDECIDED
+        return f"{AGAINST} (smaller)" if self.size < LEVEL else UNDECIDED
 
 
 def metric_of(table: PaperTable, judge: str) -> str | None:
@@ -110,10 +113,20 @@ def rows_in(tables: Sequence[PaperTable], rows: Rows) -> Rows:
     return _once((row.run for table in tables for row in table.rows), rows)
 
 
-def claimed(tables: Sequence[PaperTable], rows: Rows, compares: str) -> Rows:
-    """Return the rows of claims that have run, of the tables that compare `parts` of one system, or `systems`."""
-    chosen = [table for table in tables if table.compares == compares]
-    return _once((row.run for table in chosen for pair in pairs_of(table) for row in pair), rows)
+def claimed(tables: Sequence[PaperTable], rows: Rows, share_stages: bool) -> Rows:
+    """Return the rows of claims that have run, of those about two rows that share stages, or of the others."""
+    pairs = ((table, pair) for table in tables for pair in pairs_of(table))
+    return _once((row.run for table, pair in pairs if table.shares_stages(*pair) == share_stages for row in pair), rows)
+
+
+def planned(tables: Sequence[PaperTable], judge: str) -> set[tuple[str, str, str]]:
+    """Return the claims of all tables that a judge decides, each once, whether their rows have run or not."""
+    return {
+        (better.run.partition("@")[0], other.run.partition("@")[0], key)
+        for table in tables
+        if (key := metric_of(table, judge)) is not None
+        for better, other in pairs_of(table)
+    }
 
 
 def _once(names: Iterable[str], rows: Rows) -> Rows:
@@ -127,11 +140,11 @@ def _once(names: Iterable[str], rows: Rows) -> Rows:
 def claims_of(tables: Sequence[PaperTable], rows: Rows, judge: str) -> dict[Name, Claim]:
     """Return the claims of all tables whose two rows have run, each once.
 
-    The noise of parts of one system is estimated over all `claimed` rows, that of systems over both rows.
+    The noise of rows that share stages is estimated over all such rows of claims, that of others over both rows.
     """
     found: dict[Name, Claim] = {}
     keys = {key for table in tables if (key := metric_of(table, judge)) is not None}
-    noise = {key: Gaps(claimed(tables, rows, "parts"), key) for key in keys}
+    noise = {key: Gaps(claimed(tables, rows, True), key) for key in keys}
     for table in tables:
         key = metric_of(table, judge)
         for better, other in pairs_of(table):
@@ -155,11 +168,12 @@ def _claim(table: PaperTable, better: PaperRow, other: PaperRow, rows: Rows, key
     assert most is not None
     assert less is not None
     assert score is not None
-    if table.compares == "systems":
-        gap = gap_of_systems(rows[better.run], rows[other.run], key)
-    else:
+    if table.shares_stages(better, other):
         gap = noise.between(_as_in(noise, better.run, rows), _as_in(noise, other.run, rows))
-    return Claim(most - less, (most - less) / most * score.mean, gap)
+    else:
+        gap = gap_of_systems(rows[better.run], rows[other.run], key)
+    streets = error_over_streets(rows[better.run], rows[other.run], key)
+    return Claim(most - less, (most - less) / most * score.mean, gap, streets)
 
 
 def _as_in(noise: Gaps, row: str, rows: Rows) -> str:
@@ -170,15 +184,16 @@ def _as_in(noise: Gaps, row: str, rows: Rows) -> str:
 def judged(tables: Sequence[PaperTable], rows: Rows) -> dict[Name, Judged]:
     """Return all claims of all judges with their adjusted p-values.
 
-    The family of a judge has every claim whose two rows have run and whose spread is known, each once, though it may
-    stand in several tables.
+    The family of a judge has every claim of the tables once, though it may stand in several, and also those whose rows
+    have not run yet, so that no later run changes how strictly a claim is tested.
     """
     found: dict[Name, Judged] = {}
     for judge in JUDGES:
         claims = claims_of(tables, rows, judge)
         tested = {name: claim for name, claim in claims.items() if not math.isnan(claim.gap.error)}
+        tests = len(planned(tables, judge))
         none, size = (
-            dict(zip(tested, holm([getattr(claim, key) for claim in tested.values()]), strict=True))
+            dict(zip(tested, holm([getattr(claim, key) for claim in tested.values()], tests), strict=True))
             for key in ("p_none", "p_size")
         )
         found |= {
@@ -202,7 +217,8 @@ def line_of(found: Judged, judge: str) -> list[str]:
     """Return the cells of a judged claim behind its title."""
     claim = found.claim
     tests = [p_cell(claim.p_none, found.none), p_cell(claim.p_size, found.size)]
-    return [f"{claim.paper:+.3f}", judge, f"{claim.size:+.3f}", claim.measured, *tests, found.verdict]
+    streets = "–" if math.isnan(claim.streets) else f"± {claim.streets:.3f}"
+    return [f"{claim.paper:+.3f}", judge, f"{claim.size:+.3f}", claim.measured, streets, *tests, found.verdict]
 
 
 def p_cell(p_value: float, adjusted: float) -> str:

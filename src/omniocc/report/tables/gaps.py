@@ -20,14 +20,14 @@ class Gap(NamedTuple):
 
     here: float
     error: float
-    freedom: int
+    freedom: float
 
 
 UNKNOWN = Gap(math.nan, math.nan, 0)
 
 
 def gap_of_systems(better: Sequence[FinishedRun], other: Sequence[FinishedRun], key: str) -> Gap:
-    """Return the gap between two systems that share no training: Student's t for two samples of equal variance.
+    """Return the gap between two rows that share no training: Welch's t, for two samples of unequal variance.
 
     The error is unknown if one of them has a single seed: the other's spread says nothing about it.
     """
@@ -37,9 +37,10 @@ def gap_of_systems(better: Sequence[FinishedRun], other: Sequence[FinishedRun], 
     here = float(samples[0].mean() - samples[1].mean())
     if min(map(len, samples)) < 2:
         return Gap(here, math.nan, 0)
-    freedom = sum(len(sample) - 1 for sample in samples)
-    squares = sum(float(np.square(sample - sample.mean()).sum()) for sample in samples)
-    return Gap(here, math.sqrt(squares / freedom * sum(1 / len(sample) for sample in samples)), freedom)
+    shares = [float(sample.var(ddof=1)) / len(sample) for sample in samples]
+    square = sum(shares)
+    parts = sum(share * share / (len(sample) - 1) for share, sample in zip(shares, samples, strict=True))
+    return Gap(here, math.sqrt(square), square * square / parts if parts else sum(map(len, samples)) - 2)
 
 
 def _values(runs: Sequence[FinishedRun], key: str) -> list[float]:

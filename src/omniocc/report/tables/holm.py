@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 
 
-def holm(p_values: Sequence[float]) -> list[float]:
-    """Return p-values adjusted for their number, in the same order.
+def holm(p_values: Sequence[float], tests: int = 0) -> list[float]:
+    """Return p-values adjusted for their number, or for `tests` where more are planned than done, in the same order.
 
     Rejecting all hypotheses whose adjusted p-value is below alpha keeps the probability of one wrong rejection or more
     below alpha, whatever the tests have in common. Holm, 'A simple sequentially rejective multiple test procedure',
@@ -16,7 +16,8 @@ def holm(p_values: Sequence[float]) -> list[float]:
     """
     adjusted, largest = [0.0] * len(p_values), 0.0
     order = sorted(range(len(p_values)), key=lambda k: p_values[k])
+    tests = max(tests, len(order))
     for rank, place in enumerate(order):
-        largest = max(largest, min(1.0, (len(order) - rank) * p_values[place]))
+        largest = max(largest, min(1.0, (tests - rank) * p_values[place]))
         adjusted[place] = largest
     return adjusted

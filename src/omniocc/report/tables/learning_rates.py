@@ -71,6 +71,8 @@ def learning_rates(runs: Sequence[FinishedRun]) -> str:
     for system in tried:
         cells = [with_spread(SCORE, figure_of(system.runs.get(rate, ()), SCORE)) for rate in rates]
         seeds = len(next(iter(system.runs.values())))
-        lines.append([system.name, *cells, str(len(system.runs)), str(seeds), f"{system.chosen:g}"])
+        inner = sorted(system.runs)[1:-1]
+        end = "" if not inner or system.chosen in inner else ", an end of those tried"
+        lines.append([system.name, *cells, str(len(system.runs)), str(seeds), f"{system.chosen:g}{end}"])
     head = ["system", *(f"{rate:g}" for rate in rates), "rates", "seeds of each", "chosen"]
     return f"## {TITLE}\n\n{NOTE}\n\n{markdown(head, lines)}"

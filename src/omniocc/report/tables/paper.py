@@ -20,11 +20,19 @@ COMPARED = ("parts", "systems")
 
 
 class PaperRow(NamedTuple):
-    """A method: its row, its title, the paper's figures by column."""
+    """A method of a table.
+
+    Attributes:
+        run: its row. `row@same` is a row on other data with as many steps as the others, `row@1000` one of 1,000 steps.
+        title: as the table has it.
+        paper: the paper's figures by column.
+        alone: whether it shares neither depth nor sketch with the other rows of a table of parts.
+    """
 
     run: str
     title: str
     paper: Mapping[str, float | None]
+    alone: bool = False
 
 
 class PaperTable(NamedTuple):
@@ -57,6 +65,19 @@ class PaperTable(NamedTuple):
         """Return whether every row names its number of steps, so that the table is the same in every setting."""
         return all("@" in row.run for row in self.rows)
 
+    def shares_stages(self, better: PaperRow, other: PaperRow) -> bool:
+        """Return whether two rows share depth and sketch of a seed."""
+        return self.compares == "parts" and not (better.alone or other.alone)
+
+    def of_steps(self, steps: str) -> "PaperTable":
+        """Return the table of runs of a number of steps, in which `@same` is replaced by it."""
+
+        def named(run: str) -> str:
+            return run.replace("@same", f"@{steps}")
+
+        rows = [row._replace(run=named(row.run)) for row in self.rows]
+        return self._replace(rows=rows, claims=[(named(better), named(other)) for better, other in self.claims])
+
 
 class Figure(NamedTuple):
     """Mean and sample standard deviation over seeds; the latter is nan for one seed."""
@@ -76,7 +97,10 @@ def load_table(path: Path) -> PaperTable:
     content = yaml.safe_load(path.read_text())
     try:
         columns, order_by = content["columns"], content["order_by"]
-        rows = [PaperRow(run, row["title"], _by_column(columns, row, run)) for run, row in content["rows"].items()]
+        rows = [
+            PaperRow(run, row["title"], _by_column(columns, row, run), row.get("alone", False))
+            for run, row in content["rows"].items()
+        ]
         note, number_in_paper = content.get("note", ""), content.get("number", 0)
         compares, claims = content.get("compares", "parts"), [(a, b) for a, b in content.get("claims", ())]
         table = PaperTable(
@@ -156,9 +180,11 @@ def has_paper(row: PaperRow) -> bool:
 
 
 def source_of(figures: Sequence[Figure | None]) -> str:
-    """Return the number of seeds of our line of a method in words."""
-    seeds = max((figure.seeds for figure in figures if figure is not None), default=0)
-    return f"here, {seeds} seed{'s' * (seeds > 1)}" if seeds else "here: not run"
+    """Return the number of seeds of our line of a method in words; of some columns it may be smaller."""
+    seeds = sorted({figure.seeds for figure in figures if figure is not None})
+    if not seeds:
+        return "here: not run"
+    return f"here, {'-'.join(map(str, dict.fromkeys((seeds[0], seeds[-1]))))} seed{'s' * (seeds[-1] > 1)}"
 
 
 def order_line(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> str:

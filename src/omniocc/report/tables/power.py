@@ -36,11 +36,17 @@ class Spread(NamedTuple):
 
 
 class Wanted(NamedTuple):
-    """A claim whose power is asked for: the printed gap, and the same in proportion to the score here."""
+    """A claim whose power is asked for.
+
+    Attributes:
+        shares_stages: whether its rows share depth and sketch of a seed.
+        paper: the printed gap.
+        size: the same in proportion to the score here.
+    """
 
     title: str
     table: str
-    compares: str
+    shares_stages: bool
     paper: float
     size: float
 
@@ -72,9 +78,9 @@ def spread_of(given: Sequence[float]) -> Spread:
 
 def measured(tables: Sequence[PaperTable], rows: Rows, key: str) -> Spread | None:
     """Return the spreads of the runs themselves; None as long as no part, or no system, has two seeds."""
-    systems = claimed(tables, rows, "systems")
+    systems = claimed(tables, rows, False)
     spreads = [figure.spread for runs in systems.values() if (figure := figure_of(runs, key)) and figure.seeds > 1]
-    parts = Gaps(claimed(tables, rows, "parts"), key).spread
+    parts = Gaps(claimed(tables, rows, True), key).spread
     if math.isnan(parts) or not spreads:
         return None
     return Spread("the runs here", parts, math.sqrt(sum(spread * spread for spread in spreads) / len(spreads)))
@@ -95,7 +101,7 @@ def _wanted(table: PaperTable, better: PaperRow, other: PaperRow, rows: Rows) ->
     score = figure_of(rows.get(better.run, ()), table.order_by)
     size = most - less if score is None else (most - less) / most * score.mean
     title = f"{better.title} ahead of {other.title}"
-    return Wanted(title, table.title, table.compares, most - less, size)
+    return Wanted(title, table.title, table.shares_stages(better, other), most - less, size)
 
 
 def power_of(size: float, error: float, freedom: int, claims: int) -> float:
@@ -152,16 +158,17 @@ def power_cells(
 
 def _needed(claim: Wanted, spreads: Sequence[Spread], parts: int, claims: int) -> Iterator[str]:
     for entry in spreads:
-        if claim.compares == "systems":
-            seeds = seeds_needed(claim.size, entry.systems, freedom_of_systems, claims)
-        else:
+        if claim.shares_stages:
             seeds = seeds_needed(claim.size, entry.parts, lambda n: freedom_of_parts(n, parts), claims)
+        else:
+            seeds = seeds_needed(claim.size, entry.systems, freedom_of_systems, claims)
         yield f"> {MOST}" if seeds is None else str(seeds)
 
 
 def _number_of_parts(tables: Sequence[PaperTable]) -> int:
     """Return the number of rows over which the noise of parts is estimated: those of claims on the main data."""
-    named = {row.run for table in tables if table.compares == "parts" for pair in pairs_of(table) for row in pair}
+    pairs = ((table, pair) for table in tables for pair in pairs_of(table))
+    named = {row.run for table, pair in pairs if table.shares_stages(*pair) for row in pair}
     return max(2, len({row for row in named if "@" not in row}))
 
 
@@ -176,9 +183,10 @@ def power_chapter(tables: Sequence[PaperTable], rows: Rows, given: Sequence[Spre
     sources = [f"* {entry.parts:.4f} / {entry.systems:.4f}: {entry.source}" for entry in spreads]
     note = (
         f"How many seeds both rows of a claim need, so that a true gap of the paper's size, in proportion to the score "
-        f"here, is found with a probability of {WANTED:.0%}. Student's t at {LEVEL:.0%} / {claims}, the first and "
-        f"strictest step of Holm's correction for {claims} claims; own voxels. A spread is the standard deviation "
-        f"between seeds: of parts of one system, without the effects of row and seed, estimated over {parts} rows of "
-        f"{OTHERS} seeds or more / of a system alone."
+        f"here, is found with a probability of {WANTED:.0%}, so that the claim 'holds'; for 'does not hold' nothing is "
+        f"asked. Student's t at {LEVEL:.0%} / {claims}, the first and strictest step of Holm's correction for {claims} "
+        f"claims; own voxels. A spread is the standard deviation between seeds: of rows that share depth and sketch, "
+        f"without the effects of row and seed, estimated over {parts} rows of {OTHERS} seeds or more / of a row that "
+        f"shares nothing with the other."
     )
     return "\n".join([f"## {TITLE}", "", note, "", *sources, "", markdown(head, lines)])

@@ -66,6 +66,8 @@ def compared(sweeps: Mapping[str, Sweep]) -> Iterator[Compared]:
     first, decided = next(iter(sweeps.values())), {steps: sweep.claims for steps, sweep in sweeps.items()}
     seen = set()
     for table in first.tables:
+        if table.of_lengths:
+            continue
         for better, other in pairs_of(table):
             for judge in JUDGES:
                 key = metric_of(table, judge)

@@ -47,7 +47,7 @@ def sections(metrics: Mapping[str, float]) -> dict[str, tuple[Chart, ...]]:
             Chart("bars", "RayIoU by threshold", each("test/rayiou@{}", ("1", "2", "4"))),
             Chart("bars", "RayIoU against LiDAR rays", ("test/lidar/rayiou",)),
             Chart("bars", "voxel IoU and mIoU", ("test/voxel/iou", "test/voxel/miou")),
-            Chart("bars", "baseline: prior; upper bound on LiDAR rays: label", ("prior/rayiou", "label/lidar/rayiou")),
+            Chart("bars", "baseline: prior; true voxels on LiDAR rays: label", ("prior/rayiou", "label/lidar/rayiou")),
             Chart("lines", "RayIoU of validation", ("val/rayiou",)),
             Chart("lines", "loss", ("train/loss",)),
         ),
