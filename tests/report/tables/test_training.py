@@ -9,7 +9,8 @@ from omniocc.report.sweep import Sweep
 from omniocc.report.tables import training
 from omniocc.report.tables.paper import load_table
 
-SKETCH = load_table(Path(__file__).parents[3] / "sweeps" / "sketch.yaml")
+SWEEPS = Path(__file__).parents[3] / "sweeps"
+SKETCH = load_table(SWEEPS / "sketch.yaml")
 
 
 def runs(folder: Path, name: str, steps: int, *scores: float) -> list[FinishedRun]:
@@ -55,6 +56,22 @@ def test_a_claim_is_told_for_both_numbers_of_steps(sweep):
         "omni depth ahead of omni depth w/o dilation", "+0.005", "own voxels", "-0.100 ± 0.000",
         "does not hold (opposite sign)", "+0.051 ± 0.001", "holds", "no",
     ]  # fmt: skip
+
+
+def test_rows_on_other_data_are_compared_at_the_same_steps(sweep, tmp_path):
+    rows = {f"voxformer_pinhole@{steps}": runs(tmp_path, "pinhole", steps, 0.1, 0.12) for steps in (100, 1000)}
+    comparison = load_table(SWEEPS / "comparison.yaml")
+    short, long = (
+        each._replace(tables=[comparison.of_steps(steps)], lengths=rows)
+        for each, steps in ((sweep, "100"), (sweep.longer[0], "1000"))
+    )
+    both = short._replace(longer=[long])
+    (claim,) = training.compared(training.by_steps(both))
+    assert claim.title == "OmniDepth-Occ ahead of VoxFormer"
+    assert [round(found.claim.gap.here, 3) for found in claim.found.values()] == [0.095, 0.296]
+    text = training.chapter(both)
+    assert "| voxformer_pinhole | 0.110 ± 0.014 | 0.110 ± 0.014 | – | – |" in text
+    assert "| voxformer_pinhole | 1000 | 0.055 | 0.055 | 0.090 | 0.090 | 0.110 |" in text
 
 
 def test_the_page_has_scores_claims_and_curves(sweep):

@@ -4,9 +4,10 @@ import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
+from omniocc.report.runs import FinishedRun
 from omniocc.report.sweep import Sweep
 from omniocc.report.tables.claims import JUDGES, Judged, Name, metric_of, name_of, pairs_of
-from omniocc.report.tables.paper import figure_of, with_spread
+from omniocc.report.tables.paper import PaperTable, figure_of, with_spread
 from omniocc.run.curves import read_curve
 from omniocc.run.table import markdown, number
 
@@ -34,7 +35,7 @@ class Compared(NamedTuple):
 def chapter(sweep: Sweep) -> str:
     """Return the page as Markdown: rows, claims and curves of the sweep and of its `longer` ones."""
     sweeps = by_steps(sweep)
-    rows = [row for row in sweep.rows if any(row in each.rows for each in sweep.longer)]
+    rows = [row for row in rows_of(sweep) if any(of_row(each, row) for each in sweep.longer)]
     if not rows:
         return ""
     parts = [f"## {TITLE}", NOTE, markdown(*score_cells(sweeps, rows)).rstrip()]
@@ -49,36 +50,49 @@ def by_steps(sweep: Sweep) -> dict[str, Sweep]:
     return {each.runs[0].setting[1]: each for each in (sweep, *sweep.longer)}
 
 
+def rows_of(sweep: Sweep) -> list[str]:
+    """Return the names of the rows of a sweep, and of those on other data with as many steps."""
+    end = f"@{sweep.runs[0].setting[1]}"
+    return list(dict.fromkeys([*sweep.rows, *(row.removesuffix(end) for row in sweep.lengths if row.endswith(end))]))
+
+
+def of_row(sweep: Sweep, row: str) -> Sequence[FinishedRun]:
+    """Return the runs of a row in a sweep; of a row on other data, those with as many steps."""
+    return sweep.rows.get(row) or sweep.lengths.get(f"{row}@{sweep.runs[0].setting[1]}", ())
+
+
 def score_cells(sweeps: Mapping[str, Sweep], rows: Sequence[str]) -> tuple[list[str], list[list[str]]]:
     """Return head and a line for each row: RayIoU by both judges at every number of steps."""
     head = ["row", *(f"{title}, {steps} steps" for title in ("RayIoU", "LiDAR") for steps in sweeps)]
     lines = []
     for row in rows:
-        keys = [
-            (sweep.rows.get(row, ()), key) for key in ("test/rayiou", "test/lidar/rayiou") for sweep in sweeps.values()
-        ]
+        keys = [(of_row(sweep, row), key) for key in ("test/rayiou", "test/lidar/rayiou") for sweep in sweeps.values()]
         lines.append([row, *(with_spread(key, figure_of(runs, key)) for runs, key in keys)])
     return head, lines
 
 
 def compared(sweeps: Mapping[str, Sweep]) -> Iterator[Compared]:
     """Yield the claims that were decided at two numbers of steps or more, each once."""
-    first, decided = next(iter(sweeps.values())), {steps: sweep.claims for steps, sweep in sweeps.items()}
+    decided = {steps: sweep.claims for steps, sweep in sweeps.items()}
+    tables = {steps: {table.name: table for table in sweep.tables} for steps, sweep in sweeps.items()}
     seen = set()
-    for table in first.tables:
+    for table in next(iter(sweeps.values())).tables:
         if table.of_lengths:
             continue
-        for better, other in pairs_of(table):
+        for place, (better, other) in enumerate(pairs_of(table)):
             for judge in JUDGES:
-                key = metric_of(table, judge)
                 names: dict[str, Name | None] = {
-                    steps: name_of(better, other, sweep.rows, key) for steps, sweep in sweeps.items()
+                    steps: _name(tables[steps][table.name], place, sweep, judge) for steps, sweep in sweeps.items()
                 }
                 found = {steps: decided[steps][name] for steps, name in names.items() if name}
                 known = tuple(names.values())
                 if len(found) > 1 and known not in seen:
                     seen.add(known)
                     yield Compared(f"{better.title} ahead of {other.title}", judge, found)
+
+
+def _name(table: PaperTable, place: int, sweep: Sweep, judge: str) -> Name | None:
+    return name_of(*list(pairs_of(table))[place], sweep.table_rows, metric_of(table, judge))
 
 
 def claim_cells(claims: Sequence[Compared], steps: Sequence[str]) -> tuple[list[str], list[list[str]]]:
@@ -104,7 +118,7 @@ def curve_cells(sweeps: Mapping[str, Sweep], rows: Sequence[str]) -> tuple[list[
     for row in rows:
         for steps, sweep in sweeps.items():
             ends = [float(steps) * part for part in PARTS]
-            curves = [read_curve(run.folder, "val/rayiou") for run in sweep.rows.get(row, ())]
+            curves = [read_curve(run.folder, "val/rayiou") for run in of_row(sweep, row)]
             if curves:
                 lines.append([row, steps, *(number(_at(curves, end)) for end in ends)])
     return ["row", "steps", *(f"{part:.0%}" for part in PARTS)], lines
