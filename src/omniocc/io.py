@@ -1,4 +1,4 @@
-"""Write files atomically: whole or not at all."""
+"""Write files atomically: whole or not at all; read YAML fast."""
 
 import contextlib
 import errno
@@ -6,7 +6,12 @@ import os
 import shutil
 from pathlib import Path
 
+import yaml
+
 from omniocc.errors import DataError
+
+YAML = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+"""Loader of YAML of plain data: that of the C library where it is there, which takes an eighth of the time."""
 
 _REMEDIES = {
     errno.ENOSPC: "the disk is full: free some space",

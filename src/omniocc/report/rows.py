@@ -7,6 +7,7 @@ from pathlib import Path
 import yaml
 
 from omniocc.config import compose_plain
+from omniocc.io import YAML
 from omniocc.report.runs import FinishedRun
 from omniocc.report.selection import compared
 
@@ -47,4 +48,4 @@ def assign_rows(runs: Sequence[FinishedRun], conf: Path, rows: Sequence[str]) ->
 
 
 def _name(path: Path) -> str:
-    return (yaml.safe_load(path.read_text()) or {}).get("name", path.stem)
+    return (yaml.load(path.read_text(), YAML) or {}).get("name", path.stem)

@@ -14,6 +14,7 @@ from urllib.parse import quote
 import yaml
 
 from omniocc.errors import UserError
+from omniocc.io import YAML
 from omniocc.run.folder import METRICS
 from omniocc.run.results import CANDIDATES, load_results, trajectory_figures
 from omniocc.run.scenes import scene_figures
@@ -89,7 +90,7 @@ def _read_config(path: Path) -> Mapping[str, Any]:
     if not path.exists():
         return {}
     try:
-        config = yaml.safe_load(path.read_text())
+        config = yaml.load(path.read_text(), YAML)
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise UserError(f"{path} is damaged: {str(error).splitlines()[0]}") from error
     if not isinstance(config, dict):

@@ -13,6 +13,7 @@ from omniocc.data.store.files import is_url, list_folders
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import META, digest
 from omniocc.errors import UserError
+from omniocc.io import YAML
 from omniocc.report.dataset.facts import own_row, pinhole_twin
 from omniocc.report.runs import FinishedRun
 from omniocc.report.tables.formats import csv_text, tabular
@@ -40,7 +41,7 @@ class DatasetTable(NamedTuple):
 
 def is_dataset_table(path: Path) -> bool:
     """Return whether a file of `sweeps/` is a table of datasets."""
-    return (yaml.safe_load(path.read_text()) or {}).get("kind") == "datasets"
+    return (yaml.load(path.read_text(), YAML) or {}).get("kind") == "datasets"
 
 
 def load_dataset_table(path: Path) -> DatasetTable:
@@ -49,7 +50,7 @@ def load_dataset_table(path: Path) -> DatasetTable:
     Raises:
         UserError: if a row has another number of cells than there are columns.
     """
-    content = yaml.safe_load(path.read_text())
+    content = yaml.load(path.read_text(), YAML)
     columns = content["columns"]
     for key, row in content["rows"].items():
         if len(row["paper"]) != len(columns):

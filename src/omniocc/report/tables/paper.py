@@ -10,6 +10,7 @@ import yaml
 from scipy import stats
 
 from omniocc.errors import UserError
+from omniocc.io import YAML
 from omniocc.report.runs import VOXELS, FinishedRun
 from omniocc.report.tables.formats import csv_text, tabular
 from omniocc.report.tables.protocol import protocol_lines
@@ -94,7 +95,7 @@ def load_table(path: Path) -> PaperTable:
         UserError: if a key is missing or has no possible value, or a row has another number of figures than there are
             columns.
     """
-    content = yaml.safe_load(path.read_text())
+    content = yaml.load(path.read_text(), YAML)
     try:
         columns, order_by = content["columns"], content["order_by"]
         rows = [
@@ -126,7 +127,7 @@ def _check(table: PaperTable, path: Path) -> None:
 
 def is_table(path: Path) -> bool:
     """Return whether a file of `sweeps/` is a table of methods."""
-    return "order_by" in (yaml.safe_load(path.read_text()) or {})
+    return "order_by" in (yaml.load(path.read_text(), YAML) or {})
 
 
 def _by_column(columns: Mapping[str, str], row: Mapping[str, Any], run: str) -> dict[str, float | None]:

@@ -8,6 +8,7 @@ from typing import Any
 
 import yaml
 
+from omniocc.io import YAML
 from omniocc.run.curves import Curve, curve_files, read_curves
 
 LOCKS = Path("/proc/locks")
@@ -44,7 +45,7 @@ def config_of(path: Path) -> Mapping[str, Any]:
 def _config(path: Path, modified: float) -> Mapping[str, Any]:
     del modified
     try:
-        config = yaml.load(path.read_text(), getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+        config = yaml.load(path.read_text(), YAML)
     except (OSError, UnicodeDecodeError, yaml.YAMLError):
         return {}
     return config if isinstance(config, dict) else {}
