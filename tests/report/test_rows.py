@@ -1,13 +1,17 @@
 """Runs find their row by name, or by configuration."""
 
+import functools
 import json
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 import yaml
+from omegaconf import OmegaConf
 
-from omniocc.config import ConfigError, compose_plain
+from omniocc.config import ConfigError, compose_plain, plain
+from omniocc.report import rows
 from omniocc.report.rows import assign_rows
 from omniocc.report.runs import FinishedRun
 from omniocc.report.sweep import read_sweep
@@ -22,22 +26,27 @@ OPTIONS = {
 ROWS = sorted(row for row, path in OPTIONS.items() if path.parts[0] != "learning_rates")  # one has that of its system
 
 
+MINE = ("name=mine", "seed=3", "paths.data=elsewhere", "data.num_workers=0", "test_images=0", "logger.mode=disabled")
+
+
 def run_of(name: str, *overrides: str) -> FinishedRun:
-    config = compose_plain(CONF, "train", ["preset=smoke", *overrides])
+    return finished(name, compose_plain(CONF, "train", ["preset=smoke", *overrides]))
+
+
+def finished(name: str, config: dict) -> FinishedRun:
     return FinishedRun(f"{name}-0123abcd", {"seed": 3}, {}, config=yaml.safe_load(yaml.safe_dump(config)))
 
 
-def test_runs_are_told_by_their_configuration_unless_their_name_is_that_of_a_row():
-    mine = (
-        "name=mine",
-        "seed=3",
-        "paths.data=elsewhere",
-        "data.num_workers=0",
-        "test_images=0",
-        "logger.mode=disabled",
-    )
-    runs = [run_of("mine", f"+ablation={OPTIONS[row]}", *mine) for row in ROWS]
+def test_runs_are_told_by_their_configuration_unless_their_name_is_that_of_a_row(monkeypatch):
+    """Every row is composed once: a run of it has the same values, but for those of `MINE`."""
+    composed = functools.cache(lambda *overrides: compose_plain(CONF, "train", overrides))
+    monkeypatch.setattr(rows, "compose_plain", lambda conf, name, overrides: composed(*overrides))
+    runs = [
+        finished("mine", with_values(composed("preset=smoke", f"+ablation={OPTIONS[row].as_posix()}"), MINE))
+        for row in ROWS
+    ]
     others = [
+        run_of("mine", "+ablation=wo_dilation", *MINE),
         run_of("deep", "preset.lifter.coloring.layers=2"),
         run_of("mono"),
         run_of("of_a_table"),
@@ -46,7 +55,13 @@ def test_runs_are_told_by_their_configuration_unless_their_name_is_that_of_a_row
         run_of("lost", "preset.name=gone"),
     ]
     found = [run.row for run in assign_rows([*runs, *others], CONF, ["ours", "of_a_table"])]
-    assert found == [*ROWS, "deep", "mono", "of_a_table", "ours", "nothing saved", "lost"]
+    assert found == [*ROWS, "wo_dilation", "deep", "mono", "of_a_table", "ours", "nothing saved", "lost"]
+
+
+def with_values(config: dict, overrides: Sequence[str]) -> dict:
+    tree = OmegaConf.create(config)
+    tree.merge_with_dotlist(list(overrides))
+    return plain(tree)
 
 
 def test_a_row_that_cannot_be_composed_is_named(tmp_path):
