@@ -78,13 +78,14 @@ rows_tried = ours beyond/extended beyond/pixel_classes $(call rows_of,tried)
 rows_learning_rates = $(call rows_of,learning_rates)
 rows_equal = $(call rows_of,equal)
 rows_interval = $(call rows_of,interval)
+rows_reasons = $(call rows_of,reasons)
 TABLES ?= paper
-ABLATIONS ?= $(subst $(empty) $(empty),$(comma),$(strip $(or $(rows_$(TABLES)),$(error TABLES=$(TABLES): choose paper, beyond, rivals, tried, learning_rates, equal, interval or all))))
+ABLATIONS ?= $(subst $(empty) $(empty),$(comma),$(strip $(or $(rows_$(TABLES)),$(error TABLES=$(TABLES): choose paper, beyond, rivals, tried, learning_rates, equal, interval, reasons or all))))
 SEEDS ?= 0
 JOBS ?= 2
 ARGS ?=
 
-ablations: $(READY)  ## Train the rows of the paper's tables (TABLES=beyond|rivals|tried|learning_rates|equal|interval|all ABLATIONS=ours,mono SEEDS=0,1 JOBS=2 PRESET=small ARGS='key=value'), then one table
+ablations: $(READY)  ## Train the rows of the paper's tables (TABLES=beyond|rivals|tried|learning_rates|equal|interval|reasons|all ABLATIONS=ours,mono SEEDS=0,1 JOBS=2 PRESET=small ARGS='key=value'), then one table
 	@$(BIN)/python src/train.py --multirun +ablation=$(ABLATIONS) seed=$(SEEDS) preset=$(PRESET) \
 	  hydra.launcher.n_jobs=$(JOBS) logger.group=ablations-$(PRESET) $(ARGS); code=$$?; \
 	  $(BIN)/python src/report.py; [ $$code = 0 ] || echo "Not everything was trained: the reasons stand above the tables"; exit $$code

@@ -14,6 +14,7 @@ from omniocc.config import build, check_root, plain
 from omniocc.data import Needs, OccupancyData, SourceSpec
 from omniocc.io import atomic_write
 from omniocc.model.occupancy import to_unit_range
+from omniocc.model.protocols import learns
 from omniocc.run.checkpoint_io import BEST, LAST, AtomicCheckpointIO
 from omniocc.run.cost import PEAK, cost_of, peak_mib
 from omniocc.run.distributed import is_first
@@ -175,6 +176,9 @@ def announce_plan(
     trainer: Trainer = build(cfg.trainer, logger=False, enable_checkpointing=False)
     devices = trainer.num_devices * trainer.num_nodes
     for stage in stages:
+        if stage == "depth" and not learns(type(build(cfg.depth))):
+            print(f"{stage:10}nothing to train", flush=True)
+            continue
         length = cfg.trainer if stage == "occupancy" else cfg.stages[stage]
         size = cfg.data.batch_size if stage == "occupancy" else length.batch_size
         batches = trainer.accumulate_grad_batches

@@ -136,7 +136,7 @@ def test_tables_and_plots_are_beside_the_page(output, capsys):
     tables = {path.stem for path in output.glob("*.tex")} & {path.stem for path in output.glob("*.csv")}
     assert tables == {
         "bets", "beyond", "classes", "comparison", "dataset", "distance", "equal_budget", "equal_steps", "interval",
-        "lidar", "moving", "origins", "places", "refine", "representation", "rivals", "rivals_budget",
+        "lidar", "moving", "origins", "places", "reasons", "refine", "representation", "rivals", "rivals_budget",
         "semantic_temporal", "sketch", "weather",
     }  # fmt: skip
     markdown = (output / "report.md").read_text("utf-8")
@@ -170,8 +170,8 @@ def test_the_tables_are_written_as_pages_of_the_documentation(runs, tmp_path):
     assert {path.name for path in docs.iterdir()} == {
         "bets.md", "beyond.md", "bounds.md", "budget.md", "classes.md", "comparison.md", "distance.md",
         "equal_budget.md", "equal_steps.md", "interval.md", "lidar.md", "moving.md", "origins.md",
-        "places.md", "power.md", "refine.md", "representation.md", "rivals.md", "rivals_budget.md", "runs.md",
-        "semantic_temporal.md", "sketch.md", "weather.md",
+        "places.md", "power.md", "reasons.md", "refine.md", "representation.md", "rivals.md", "rivals_budget.md",
+        "runs.md", "semantic_temporal.md", "sketch.md", "weather.md",
     }  # fmt: skip
     generated, _, title, *lines = (docs / "sketch.md").read_text("utf-8").splitlines()
     command = "python src/report.py --runs docs/results/runs --docs docs/results"
