@@ -7,7 +7,17 @@ import pytest
 from scipy import stats
 
 from omniocc.report.runs import FinishedRun
-from omniocc.report.tables.claims import HEAD, Claim, Judged, claim_cells, claims_of, judged, metric_of, pairs_of
+from omniocc.report.tables.claims import (
+    HEAD,
+    Claim,
+    Judged,
+    claim_cells,
+    claims_of,
+    judged,
+    metric_of,
+    pairs_of,
+    planned,
+)
 from omniocc.report.tables.gaps import Gap
 from omniocc.report.tables.paper import PaperTable, load_table
 
@@ -152,3 +162,12 @@ def test_scores_of_bands_have_a_lidar_judge_and_other_metrics_have_none():
     distance = load_table(SWEEPS / "distance.yaml")
     assert metric_of(distance, "LiDAR rays") == "test/lidar/rayiou_0-8.5m"
     assert metric_of(distance._replace(order_by="test/depth/mae"), "LiDAR rays") is None
+
+
+def test_rows_of_other_steps_are_other_claims():
+    """`ours@1000` is `ours`, which stands in the table too; `dense@1000` and `dense@3000` are two rows."""
+    printed = {row.run: row for row in SKETCH.rows}
+    ours, dense = printed["ours"], printed["dense"]
+    rows = [ours, ours._replace(run="ours@1000"), dense._replace(run="dense@1000"), dense._replace(run="dense@3000")]
+    found = planned([SKETCH._replace(rows=rows)], "own voxels")
+    assert {pair[1] for pair in found} == {"ours", "dense@1000", "dense@3000"}

@@ -121,8 +121,9 @@ def claimed(tables: Sequence[PaperTable], rows: Rows, share_stages: bool) -> Row
 
 def planned(tables: Sequence[PaperTable], judge: str) -> set[tuple[str, str, str]]:
     """Return the claims of all tables that a judge decides, each once, whether their rows have run or not."""
+    names = names_in(tables)
     return {
-        (better.run.partition("@")[0], other.run.partition("@")[0], key)
+        (names[better.run], names[other.run], key)
         for table in tables
         if (key := metric_of(table, judge)) is not None
         for better, other in pairs_of(table)
@@ -135,6 +136,12 @@ def _once(names: Iterable[str], rows: Rows) -> Rows:
         if name in rows and not any(runs is rows[name] for runs in found.values()):
             found[name] = rows[name]
     return found
+
+
+def names_in(tables: Sequence[PaperTable]) -> dict[str, str]:
+    """Return the rows of tables with their names: that of `ours@1000` is `ours` where a table has that row too."""
+    rows = {row.run for table in tables for row in table.rows}
+    return {row: base if (base := row.partition("@")[0]) in rows else row for row in rows}
 
 
 def claims_of(tables: Sequence[PaperTable], rows: Rows, judge: str) -> dict[Name, Claim]:
@@ -185,7 +192,7 @@ def judged(tables: Sequence[PaperTable], rows: Rows) -> dict[Name, Judged]:
     """Return all claims of all judges with their adjusted p-values.
 
     The family of a judge has every claim of the tables once, though it may stand in several, and also those whose rows
-    have not run yet, so that no later run changes how strictly a claim is tested.
+    have not run yet, which count as not rejected.
     """
     found: dict[Name, Judged] = {}
     for judge in JUDGES:

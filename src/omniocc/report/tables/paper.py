@@ -49,6 +49,7 @@ class PaperTable(NamedTuple):
         number: the table's number in the paper.
         compares: `parts` of one system, whose rows share depth and sketch of a seed, or `systems`.
         claims: rows of which the first is ahead of the second in the paper, besides the best one over all others.
+        of_lengths: whether every row names its own number of steps, so that the table is the same in every setting.
     """
 
     name: str
@@ -60,11 +61,7 @@ class PaperTable(NamedTuple):
     number: int = 0
     compares: str = "parts"
     claims: Sequence[tuple[str, str]] = ()
-
-    @property
-    def of_lengths(self) -> bool:
-        """Return whether every row names its number of steps, so that the table is the same in every setting."""
-        return all("@" in row.run for row in self.rows)
+    of_lengths: bool = False
 
     def shares_stages(self, better: PaperRow, other: PaperRow) -> bool:
         """Return whether two rows share depth and sketch of a seed."""
@@ -104,8 +101,9 @@ def load_table(path: Path) -> PaperTable:
         ]
         note, number_in_paper = content.get("note", ""), content.get("number", 0)
         compares, claims = content.get("compares", "parts"), [(a, b) for a, b in content.get("claims", ())]
+        of_lengths = all("@" in row.run and not row.run.endswith("@same") for row in rows)
         table = PaperTable(
-            path.stem, content["title"], columns, order_by, rows, note, number_in_paper, compares, claims
+            path.stem, content["title"], columns, order_by, rows, note, number_in_paper, compares, claims, of_lengths
         )
     except (KeyError, TypeError, ValueError) as error:
         raise UserError(f"{path} is not a table of the paper: {error}; see the other files beside it") from error

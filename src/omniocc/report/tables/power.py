@@ -9,7 +9,7 @@ import yaml
 from scipy import stats
 
 from omniocc.errors import UserError
-from omniocc.report.tables.claims import LEVEL, Rows, claimed, pairs_of
+from omniocc.report.tables.claims import LEVEL, Rows, claimed, names_in, pairs_of
 from omniocc.report.tables.gaps import Gaps
 from omniocc.report.tables.paper import PaperRow, PaperTable, figure_of
 from omniocc.run.table import markdown
@@ -89,9 +89,10 @@ def measured(tables: Sequence[PaperTable], rows: Rows, key: str) -> Spread | Non
 def wanted(tables: Sequence[PaperTable], rows: Rows) -> list[Wanted]:
     """Return the claims of all tables by the paper's own metric, each once, whether its rows have run or not."""
     found: dict[tuple[str, str, str], Wanted] = {}
+    names = names_in(tables)
     for table in tables:
         for better, other in pairs_of(table):
-            name = better.run.partition("@")[0], other.run.partition("@")[0], table.order_by
+            name = names[better.run], names[other.run], table.order_by
             found.setdefault(name, _wanted(table, better, other, rows))
     return list(found.values())
 
@@ -187,6 +188,7 @@ def power_chapter(tables: Sequence[PaperTable], rows: Rows, given: Sequence[Spre
         f"asked. Student's t at {LEVEL:.0%} / {claims}, the first and strictest step of Holm's correction for {claims} "
         f"claims; own voxels. A spread is the standard deviation between seeds: of rows that share depth and sketch, "
         f"without the effects of row and seed, estimated over {parts} rows of {OTHERS} seeds or more / of a row that "
-        f"shares nothing with the other."
+        f"shares nothing with the other. Two such rows are given equal spreads here, the best case of Welch's test: "
+        f"where they differ, it needs more seeds."
     )
     return "\n".join([f"## {TITLE}", "", note, "", *sources, "", markdown(head, lines)])
