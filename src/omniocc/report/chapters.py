@@ -16,6 +16,7 @@ from omniocc.report.tables.power import power_chapter
 from omniocc.report.tables.protocol import protocol_text
 from omniocc.report.tables.robustness import robustness_markdown
 from omniocc.report.tables.tried import tried_chapter
+from omniocc.report.tables.verdicts import verdicts_chapter
 from omniocc.run.table import markdown
 
 GENERATED = "<!-- Written by `python src/report.py --runs docs/results/runs --docs docs/results`; do not edit. -->"
@@ -38,7 +39,7 @@ def chapters(sweep: Sweep, listed: Mapping[str, Sequence[FinishedRun]]) -> dict[
     cost = f"## Budget\n\n{budget.NOTE}\n\n{markdown(*budget.budget_cells(listed))}"
     limits = f"## {bounds.TITLE}\n\n{bounds.NOTE}\n\n{markdown(*bounds.bounds_cells(sweep.rows))}"
     limits += protocol_text(sweep.rows, bounds.COLUMNS.values())
-    found = {"bounds": limits}
+    found = {"claims": verdicts_chapter(sweep.tables, sweep.table_rows, decided), "bounds": limits}
     found |= {table.name: dataset_markdown(table) for table in sweep.datasets}
     tests = f"{robustness_markdown(sweep.robustness)}\n{DISTURBANCES}" if sweep.robustness else ""
     found |= papers | {"training": longer, ROBUSTNESS: tests, "budget": cost}

@@ -224,8 +224,13 @@ def line_of(found: Judged, judge: str) -> list[str]:
     """Return the cells of a judged claim behind its title."""
     claim = found.claim
     tests = [p_cell(claim.p_none, found.none), p_cell(claim.p_size, found.size)]
-    streets = "–" if math.isnan(claim.streets) else f"± {claim.streets:.3f}"
-    return [f"{claim.paper:+.3f}", judge, f"{claim.size:+.3f}", claim.measured, streets, *tests, found.verdict]
+    sizes = f"{claim.size:+.3f}", claim.measured, streets_cell(claim)
+    return [f"{claim.paper:+.3f}", judge, *sizes, *tests, found.verdict]
+
+
+def streets_cell(claim: Claim) -> str:
+    """Return the standard error of a claim's gap over streets for a table."""
+    return "–" if math.isnan(claim.streets) else f"± {claim.streets:.3f}"
 
 
 def p_cell(p_value: float, adjusted: float) -> str:

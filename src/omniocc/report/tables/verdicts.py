@@ -1,0 +1,72 @@
+"""All claims of all tables in one list, by verdict."""
+
+from collections.abc import Iterator, Mapping, Sequence
+
+from omniocc.report.tables.claims import (
+    AGAINST,
+    HOLDS,
+    JUDGES,
+    UNDECIDED,
+    Judged,
+    Name,
+    Rows,
+    metric_of,
+    name_of,
+    names_in,
+    pairs_of,
+    streets_cell,
+)  # fmt: skip
+from omniocc.report.tables.paper import PaperRow, PaperTable
+from omniocc.run.table import markdown
+
+TITLE = "All claims"
+NOTE = (
+    "Every claim of every table once, by the verdict of the paper's own metric, own voxels: here ± standard error over "
+    "seeds, ± over streets. 'In proportion' is the paper's gap where scores are as here. Seeds: of both rows."
+)
+NOT_RUN = "not run"
+ORDER = (HOLDS, AGAINST, UNDECIDED, NOT_RUN)
+
+
+def verdicts_chapter(tables: Sequence[PaperTable], rows: Rows, decided: Mapping[Name, Judged]) -> str:
+    """Return the page as Markdown; empty if no table has a claim."""
+    lines = sorted(_lines(tables, rows, decided), key=lambda line: _place(line[5]))
+    if not lines:
+        return ""
+    head = ["claim", "table", "paper", "in proportion", "seeds", "verdict", *JUDGES, "verdict by LiDAR rays"]
+    return f"## {TITLE}\n\n{NOTE}\n\n{markdown(head, lines)}"
+
+
+def _place(verdict: str) -> int:
+    return next(place for place, start in enumerate(ORDER) if verdict.startswith(start))
+
+
+def _lines(tables: Sequence[PaperTable], rows: Rows, decided: Mapping[Name, Judged]) -> Iterator[list[str]]:
+    names, seen = names_in(tables), set()
+    for table in tables:
+        for better, other in pairs_of(table):
+            name = names[better.run], names[other.run], table.order_by
+            if name not in seen:
+                seen.add(name)
+                yield _line(table, better, other, rows, decided)
+
+
+def _line(
+    table: PaperTable, better: PaperRow, other: PaperRow, rows: Rows, decided: Mapping[Name, Judged]
+) -> list[str]:
+    found = {}
+    for judge in JUDGES:
+        name = name_of(better, other, rows, metric_of(table, judge))
+        found[judge] = None if name is None else decided[name]
+    own, lidar = found.values()
+    title = f"{better.title} ahead of {other.title}"
+    if own is None:
+        gap = (better.paper[table.order_by] or 0.0) - (other.paper[table.order_by] or 0.0)
+        return [title, table.title, f"{gap:+.3f}", "–", "–", NOT_RUN, *"–" * len(JUDGES), "–"]
+    seeds = " and ".join(str(len(rows[row.run])) for row in (better, other))
+    gaps = [
+        "–" if each is None else f"{each.claim.measured} {streets_cell(each.claim)}".removesuffix(" –")
+        for each in found.values()
+    ]
+    sizes = f"{own.claim.paper:+.3f}", f"{own.claim.size:+.3f}"
+    return [title, table.title, *sizes, seeds, own.verdict, *gaps, "–" if lidar is None else lidar.verdict]
