@@ -10,7 +10,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from omniocc.camera import Rig
 from omniocc.classes import FREE, ClassTable
-from omniocc.config import build, check_root, plain
+from omniocc.config import build, check_root, plain, target_of
 from omniocc.data import Needs, OccupancyData, SourceSpec
 from omniocc.io import atomic_write
 from omniocc.model.occupancy import to_unit_range
@@ -176,7 +176,7 @@ def announce_plan(
     trainer: Trainer = build(cfg.trainer, logger=False, enable_checkpointing=False)
     devices = trainer.num_devices * trainer.num_nodes
     for stage in stages:
-        if stage == "depth" and not learns(type(build(cfg.depth))):
+        if stage == "depth" and not learns(target_of(cfg.depth)):
             print(f"{stage:10}nothing to train", flush=True)
             continue
         length = cfg.trainer if stage == "occupancy" else cfg.stages[stage]

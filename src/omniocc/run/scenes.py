@@ -1,9 +1,10 @@
 """Counts of rays of every test scene in a file of the run, and the scores of groups of scenes that follow from them."""
 
 import json
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import torch
 
@@ -14,7 +15,6 @@ from omniocc.metric.ray_counts import RayCounts, ray_scores
 SCENES = "scenes.json"
 RAYS, LIDAR, MOVING = "rays", "lidar", "moving"
 """Kinds of rays: against true voxels, LiDAR rays, and those of them that hit what moves."""
-T = TypeVar("T")
 Lines = list[list[int]]
 """Numbers of rays by class: true, predicted, and correct at each threshold."""
 Counted = dict[str, Lines]
@@ -60,8 +60,9 @@ def scene_figures(folder: Path) -> dict[str, float]:
     Raises:
         UserError: naming the file, when it is damaged.
     """
-    content = _read(folder)
-    return {} if content is None else _named(folder, lambda: _by_conditions(content) | _of_moving(content))
+    with _naming(folder):
+        content = _read(folder)
+        return {} if content is None else _by_conditions(content) | _of_moving(content)
 
 
 def without_each_scene(folder: Path, kind: str) -> dict[str, float]:
@@ -70,19 +71,21 @@ def without_each_scene(folder: Path, kind: str) -> dict[str, float]:
     Raises:
         UserError: naming the file, when it is damaged.
     """
-    content = _read(folder)
-    return {} if content is None else _named(folder, lambda: _without_each(content, kind))
+    with _naming(folder):
+        content = _read(folder)
+        return {} if content is None else _without_each(content, kind)
 
 
 def _read(folder: Path) -> Any:
     path = folder / SCENES
-    return _named(folder, lambda: json.loads(path.read_text())) if path.exists() else None
+    return json.loads(path.read_text()) if path.exists() else None
 
 
-def _named(folder: Path, found: Callable[[], T]) -> T:
-    """Return what is found in the file of a folder; raise UserError naming the file if that fails."""
+@contextmanager
+def _naming(folder: Path) -> Iterator[None]:
+    """Raise UserError naming the file of a folder if what is done with its content fails."""
     try:
-        return found()
+        yield
     except (ValueError, TypeError, KeyError, AttributeError, IndexError, RuntimeError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         path = folder / SCENES

@@ -15,6 +15,7 @@ from omniocc.report.tables.claims import (
     claims_of,
     judged,
     metric_of,
+    names_in,
     pairs_of,
     planned,
 )
@@ -169,5 +170,6 @@ def test_rows_of_other_steps_are_other_claims():
     printed = {row.run: row for row in SKETCH.rows}
     ours, dense = printed["ours"], printed["dense"]
     rows = [ours, ours._replace(run="ours@1000"), dense._replace(run="dense@1000"), dense._replace(run="dense@3000")]
-    found = planned([SKETCH._replace(rows=rows)], "own voxels")
-    assert {pair[1] for pair in found} == {"ours", "dense@1000", "dense@3000"}
+    tables = [SKETCH._replace(rows=rows)]
+    names = names_in(tables)
+    assert {names[other.run] for _, _, other in planned(tables, "own voxels")} == {"ours", "dense@1000", "dense@3000"}

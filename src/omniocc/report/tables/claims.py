@@ -119,15 +119,14 @@ def claimed(tables: Sequence[PaperTable], rows: Rows, share_stages: bool) -> Row
     return _once((row.run for table, pair in pairs if table.shares_stages(*pair) == share_stages for row in pair), rows)
 
 
-def planned(tables: Sequence[PaperTable], judge: str) -> set[tuple[str, str, str]]:
-    """Return the claims of all tables that a judge decides, each once, whether their rows have run or not."""
-    names = names_in(tables)
-    return {
-        (names[better.run], names[other.run], key)
-        for table in tables
-        if (key := metric_of(table, judge)) is not None
-        for better, other in pairs_of(table)
-    }
+def planned(tables: Sequence[PaperTable], judge: str) -> list[tuple[PaperTable, PaperRow, PaperRow]]:
+    """Return the claims that a judge decides, each once, in its first table, whether its rows have run or not."""
+    names, found = names_in(tables), {}
+    for table in tables:
+        key = metric_of(table, judge)
+        for better, other in pairs_of(table) if key is not None else ():
+            found.setdefault((names[better.run], names[other.run], key), (table, better, other))
+    return list(found.values())
 
 
 def _once(names: Iterable[str], rows: Rows) -> Rows:

@@ -9,7 +9,7 @@ import yaml
 from scipy import stats
 
 from omniocc.errors import UserError
-from omniocc.report.tables.claims import LEVEL, Rows, claimed, names_in, pairs_of
+from omniocc.report.tables.claims import LEVEL, Rows, claimed, pairs_of, planned
 from omniocc.report.tables.gaps import Gaps
 from omniocc.report.tables.paper import PaperRow, PaperTable, figure_of
 from omniocc.run.table import markdown
@@ -88,13 +88,7 @@ def measured(tables: Sequence[PaperTable], rows: Rows, key: str) -> Spread | Non
 
 def wanted(tables: Sequence[PaperTable], rows: Rows) -> list[Wanted]:
     """Return the claims of all tables by the paper's own metric, each once, whether its rows have run or not."""
-    found: dict[tuple[str, str, str], Wanted] = {}
-    names = names_in(tables)
-    for table in tables:
-        for better, other in pairs_of(table):
-            name = names[better.run], names[other.run], table.order_by
-            found.setdefault(name, _wanted(table, better, other, rows))
-    return list(found.values())
+    return [_wanted(*claim, rows) for claim in planned(tables, "own voxels")]
 
 
 def _wanted(table: PaperTable, better: PaperRow, other: PaperRow, rows: Rows) -> Wanted:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from omniocc.report.runs import FinishedRun
 from omniocc.report.sweep import Sweep
 from omniocc.report.tables.claims import JUDGES, Judged, Name, metric_of, name_of, pairs_of
-from omniocc.report.tables.paper import PaperTable, figure_of, with_spread
+from omniocc.report.tables.paper import figure_of, with_spread
 from omniocc.run.curves import read_curve
 from omniocc.run.table import markdown, number
 
@@ -74,25 +74,23 @@ def score_cells(sweeps: Mapping[str, Sweep], rows: Sequence[str]) -> tuple[list[
 def compared(sweeps: Mapping[str, Sweep]) -> Iterator[Compared]:
     """Yield the claims that were decided at two numbers of steps or more, each once."""
     decided = {steps: sweep.claims for steps, sweep in sweeps.items()}
-    tables = {steps: {table.name: table for table in sweep.tables} for steps, sweep in sweeps.items()}
+    tables = [{table.name: table for table in sweep.tables} for sweep in sweeps.values()]
     seen = set()
     for table in next(iter(sweeps.values())).tables:
         if table.of_lengths:
             continue
-        for place, (better, other) in enumerate(pairs_of(table)):
+        for pairs in zip(*(pairs_of(of_steps[table.name]) for of_steps in tables), strict=True):
+            better, other = pairs[0]
             for judge in JUDGES:
                 names: dict[str, Name | None] = {
-                    steps: _name(tables[steps][table.name], place, sweep, judge) for steps, sweep in sweeps.items()
+                    steps: name_of(ahead, behind, sweep.table_rows, metric_of(table, judge))
+                    for (steps, sweep), (ahead, behind) in zip(sweeps.items(), pairs, strict=True)
                 }
                 found = {steps: decided[steps][name] for steps, name in names.items() if name}
                 known = tuple(names.values())
                 if len(found) > 1 and known not in seen:
                     seen.add(known)
                     yield Compared(f"{better.title} ahead of {other.title}", judge, found)
-
-
-def _name(table: PaperTable, place: int, sweep: Sweep, judge: str) -> Name | None:
-    return name_of(*list(pairs_of(table))[place], sweep.table_rows, metric_of(table, judge))
 
 
 def claim_cells(claims: Sequence[Compared], steps: Sequence[str]) -> tuple[list[str], list[list[str]]]:

@@ -1,6 +1,6 @@
 """All claims of all tables in one list, by verdict."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 from omniocc.report.tables.claims import (
     AGAINST,
@@ -12,10 +12,9 @@ from omniocc.report.tables.claims import (
     Rows,
     metric_of,
     name_of,
-    names_in,
-    pairs_of,
+    planned,
     streets_cell,
-)  # fmt: skip
+)
 from omniocc.report.tables.paper import PaperRow, PaperTable
 from omniocc.run.table import markdown
 
@@ -30,7 +29,8 @@ ORDER = (HOLDS, AGAINST, UNDECIDED, NOT_RUN)
 
 def verdicts_chapter(tables: Sequence[PaperTable], rows: Rows, decided: Mapping[Name, Judged]) -> str:
     """Return the page as Markdown; empty if no table has a claim."""
-    lines = sorted(_lines(tables, rows, decided), key=lambda line: _place(line[5]))
+    claims = planned(tables, "own voxels")
+    lines = sorted((_line(*claim, rows, decided) for claim in claims), key=lambda line: _place(line[5]))
     if not lines:
         return ""
     head = ["claim", "table", "paper", "in proportion", "seeds", "verdict", *JUDGES, "verdict by LiDAR rays"]
@@ -39,16 +39,6 @@ def verdicts_chapter(tables: Sequence[PaperTable], rows: Rows, decided: Mapping[
 
 def _place(verdict: str) -> int:
     return next(place for place, start in enumerate(ORDER) if verdict.startswith(start))
-
-
-def _lines(tables: Sequence[PaperTable], rows: Rows, decided: Mapping[Name, Judged]) -> Iterator[list[str]]:
-    names, seen = names_in(tables), set()
-    for table in tables:
-        for better, other in pairs_of(table):
-            name = names[better.run], names[other.run], table.order_by
-            if name not in seen:
-                seen.add(name)
-                yield _line(table, better, other, rows, decided)
 
 
 def _line(
