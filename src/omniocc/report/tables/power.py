@@ -177,10 +177,11 @@ def power_chapter(tables: Sequence[PaperTable], rows: Rows, given: Sequence[Spre
     parts, claims = _number_of_parts(tables), len(lines)
     sources = [f"* {entry.parts:.4f} / {entry.systems:.4f}: {entry.source}" for entry in spreads]
     note = (
-        f"How many seeds both rows of a claim need, so that a true gap of the paper's size, in proportion to the score "
-        f"here, is found with a probability of {WANTED:.0%}, so that the claim 'holds'; for 'does not hold' nothing is "
-        f"asked. Student's t at {LEVEL:.0%} / {claims}, the first and strictest step of Holm's correction for {claims} "
-        f"claims; own voxels. A spread is the standard deviation between seeds: of rows that share depth and sketch, "
+        f"How many training seeds each row of a claim needs, so that the claim 'holds' with a probability of "
+        f"{WANTED:.0%} if the true gap is as large as the paper's, in proportion to the score here; what 'does not "
+        f"hold' needs is not computed. Student's t at {LEVEL:.0%} / {claims}, the first and strictest step of Holm's "
+        f"correction for {claims} claims; own voxels. A spread is the standard deviation between seeds: of rows that "
+        f"use the same trained depth and sketch, "
         f"without the effects of row and seed, estimated over {parts} rows of {OTHERS} seeds or more / of a row that "
         f"shares nothing with the other. Two such rows are given equal spreads here, the best case of Welch's test: "
         f"where they differ, it needs more seeds."
