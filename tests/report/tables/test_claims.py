@@ -69,25 +69,25 @@ def test_parts_are_compared_by_seed_and_systems_are_not():
         (parts, stats.ttest_rel(*scores)),
     ):
         (claim,) = claims_of([table], runs, "own voxels").values()
-        assert claim.p_none == pytest.approx(reference.pvalue)
+        assert claim.gap.p_none == pytest.approx(reference.pvalue)
 
 
 def test_rows_that_stand_alone_tell_nothing_about_the_noise_of_the_others():
     runs = {"ours": row("ours", 0.30, 0.35), "wo_dilation": row("wo", 0.29, 0.35), "dense": row("dense", 0.1, 0.9)}
     (first, second) = claims_of([SKETCH], runs, "own voxels").values()
-    assert first.p_none == pytest.approx(stats.ttest_rel([0.30, 0.35], [0.29, 0.35]).pvalue)
-    assert second.p_none == pytest.approx(stats.ttest_ind([0.30, 0.35], [0.1, 0.9], equal_var=False).pvalue)
+    assert first.gap.p_none == pytest.approx(stats.ttest_rel([0.30, 0.35], [0.29, 0.35]).pvalue)
+    assert second.gap.p_none == pytest.approx(stats.ttest_ind([0.30, 0.35], [0.1, 0.9], equal_var=False).pvalue)
 
 
 def test_p_values_are_those_of_students_t():
     claim = Claim(0.1, 0.08, Gap(0.03, 0.02, 6))
-    assert claim.p_none == pytest.approx(2 * stats.t(6).sf(1.5))
+    assert claim.gap.p_none == pytest.approx(2 * stats.t(6).sf(1.5))
     assert claim.p_size == pytest.approx(stats.t(6).cdf(-2.5))
-    assert Claim(0.1, 0.08, Gap(0.03, 0.0, 6)).p_none == 0.0
+    assert Claim(0.1, 0.08, Gap(0.03, 0.0, 6)).gap.p_none == 0.0
     assert Claim(0.1, 0.08, Gap(0.03, 0.0, 6)).p_size == 0.0
     assert Claim(0.1, 0.03, Gap(0.03, 0.0, 6)).p_size == 1.0
-    assert Claim(0.1, 0.03, Gap(0.0, 0.0, 6)).p_none == 1.0
-    assert math.isnan(Claim(0.1, 0.03, Gap(0.1, math.nan, 0)).p_none)
+    assert Claim(0.1, 0.03, Gap(0.0, 0.0, 6)).gap.p_none == 1.0
+    assert math.isnan(Claim(0.1, 0.03, Gap(0.1, math.nan, 0)).gap.p_none)
 
 
 @pytest.mark.parametrize(
@@ -109,7 +109,7 @@ def test_without_a_spread_nothing_is_decided():
     assert Judged(Claim(0.1, 0.08, Gap(0.3, math.nan, 0)), math.nan, math.nan).verdict == "undecided (spread unknown)"
     unknown = Claim(0.1, 0.08, Gap(math.nan, math.nan, 0))
     assert Judged(unknown, math.nan, math.nan).verdict == "undecided (no seed in common)"
-    assert unknown.measured == "–"
+    assert unknown.gap.written == "–"
 
 
 def test_the_family_has_every_claim_of_all_tables_once():
@@ -122,8 +122,8 @@ def test_the_family_has_every_claim_of_all_tables_once():
     found = judged(tables, runs)
     own = [entry for (*_, key), entry in found.items() if key == OWN]
     assert len(own) == len(found) / 2 == 4  # over BEVDet, VoxFormer and dense voxels, and VoxFormer over BEVDet
-    least = min(own, key=lambda entry: entry.claim.p_none)
-    assert least.none == pytest.approx(9 * least.claim.p_none)
+    least = min(own, key=lambda entry: entry.claim.gap.p_none)
+    assert least.none == pytest.approx(9 * least.claim.gap.p_none)
     assert min(own, key=lambda entry: entry.claim.p_size).size == pytest.approx(min(1, 9 * least_size(own)))
 
 

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from omniocc.report.runs import FinishedRun
-from omniocc.report.tables.gaps import UNKNOWN, Gaps, gap_of_systems
+from omniocc.report.tables.gaps import UNKNOWN, Gap, Gaps, change, gap_of_systems
 
 KEY = "test/rayiou"
 
@@ -76,3 +76,20 @@ def test_systems_are_compared_as_in_welchs_t_test():
         assert single.here == pytest.approx(0.1)
         assert math.isnan(single.error)
     assert gap_of_systems(row("ours", 0.3), [], KEY) is UNKNOWN
+
+
+def test_a_change_has_the_noise_of_both_gaps():
+    """Two gaps that rest on two samples each: Welch's t for the contrast of the four means."""
+    samples = [0.30, 0.35, 0.31], [0.22, 0.28, 0.21, 0.20], [0.5, 0.51], [0.30, 0.32, 0.35]
+    first, last = (
+        gap_of_systems(row("a", *better), row("b", *other), KEY) for better, other in (samples[:2], samples[2:])
+    )
+    moved = change(first, last)
+    means = [statistics.mean(sample) for sample in samples]
+    squares = [statistics.variance(sample) / len(sample) for sample in samples]
+    freedom = sum(squares) ** 2 / sum(
+        square * square / (len(sample) - 1) for square, sample in zip(squares, samples, strict=True)
+    )
+    assert moved == pytest.approx((means[2] - means[3] - means[0] + means[1], math.sqrt(sum(squares)), freedom))
+    assert change(Gap(0.1, 0.0, 4), Gap(0.3, 0.0, 2)) == pytest.approx((0.2, 0.0, 6))
+    assert math.isnan(change(first, UNKNOWN).here)

@@ -1,12 +1,16 @@
 """The same claims after more steps."""
 
+import math
 from pathlib import Path
 
 import pytest
+from scipy import stats
 
 from omniocc.report.runs import FinishedRun
 from omniocc.report.sweep import Sweep
 from omniocc.report.tables import training
+from omniocc.report.tables.claims import Claim, Judged
+from omniocc.report.tables.gaps import Gap
 from omniocc.report.tables.paper import load_table
 
 SWEEPS = Path(__file__).parents[3] / "sweeps"
@@ -51,10 +55,33 @@ def test_a_claim_is_told_for_both_numbers_of_steps(sweep):
     sweeps = training.by_steps(sweep)
     (claim,) = training.compared(sweeps)
     head, (line,) = training.claim_cells([claim], list(sweeps))
-    assert head == ["claim", "paper", "judge", "at 100 steps", "verdict", "at 1000 steps", "verdict", "same"]
+    assert head == [
+        "claim", "paper", "judge", "at 100 steps", "verdict", "at 1000 steps", "verdict", "change",
+        "no change: p (Holm)", "changes",
+    ]  # fmt: skip
     assert line == [
         "omni depth ahead of omni depth w/o dilation", "+0.005", "own voxels", "-0.100 ± 0.000",
-        "does not hold (opposite sign)", "+0.051 ± 0.001", "holds", "no",
+        "does not hold (opposite sign)", "+0.051 ± 0.001", "holds", "+0.151 ± 0.001", ".0042 (.0042)", "yes",
+    ]  # fmt: skip
+
+
+def compared(judge: str, *gaps: Gap) -> training.Compared:
+    found = {str(place): Judged(Claim(0.1, 0.1, gap), 0.0, 1.0) for place, gap in enumerate(gaps)}
+    return training.Compared("a ahead of b", judge, found)
+
+
+def test_changes_are_adjusted_within_a_judge():
+    """The first is as certain as in a family of two, the third alone in its own, the last has one seed."""
+    moved, stayed = (Gap(0.1, 0.01, 4), Gap(0.2, 0.01, 4)), (Gap(0.1, 0.01, 4), Gap(0.1, 0.01, 4))
+    unknown = Gap(0.1, 0.01, 4), Gap(0.2, math.nan, 0)
+    claims = [compared("own voxels", *moved), compared("own voxels", *stayed), compared("LiDAR rays", *moved)]
+    first, second, alone, none = training.adjusted_changes([*claims, compared("LiDAR rays", *unknown)])
+    p_value = 2 * stats.t.sf(0.1 / math.hypot(0.01, 0.01), 8)
+    assert (first, second, alone) == (pytest.approx(2 * p_value), 1.0, pytest.approx(p_value))
+    assert math.isnan(none)
+    _, lines = training.claim_cells([claims[1], compared("LiDAR rays", *unknown)], ["0", "1"])
+    assert [line[-3:] for line in lines] == [
+        ["+0.000 ± 0.014", "1 (1)", "not found"], ["+0.100", "–", "unknown"],
     ]  # fmt: skip
 
 

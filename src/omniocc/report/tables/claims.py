@@ -7,7 +7,7 @@ from typing import NamedTuple
 from scipy import stats
 
 from omniocc.report.runs import FinishedRun
-from omniocc.report.tables.gaps import Gap, Gaps, gap_of_systems
+from omniocc.report.tables.gaps import EXACT, Gap, Gaps, gap_of_systems
 from omniocc.report.tables.holm import holm
 from omniocc.report.tables.paper import PaperRow, PaperTable, figure_of
 from omniocc.report.tables.streets import error_over_streets
@@ -20,8 +20,6 @@ JUDGES = {"own voxels": "test/", "LiDAR rays": "test/lidar/"}
 HEAD = ["claim", "paper", "judge", "in proportion", "here ± over seeds", "± over streets", "no gap: p (Holm)"]
 HEAD += ["paper's gap: p (Holm)", "verdict"]
 HOLDS, AGAINST, UNDECIDED = "holds", "does not hold", "undecided"
-EXACT = 1e-9
-"""Standard error below which all runs agree."""
 
 Name = tuple[tuple[str, ...], tuple[str, ...], str]
 """What makes two claims of different tables the same: the runs of both rows, and the metric."""
@@ -41,22 +39,6 @@ class Claim(NamedTuple):
     size: float
     gap: Gap
     streets: float = math.nan
-
-    @property
-    def measured(self) -> str:
-        """Return the measured gap with its standard error."""
-        here, error, _ = self.gap
-        if math.isnan(here):
-            return "–"
-        return f"{here:+.3f}" + ("" if math.isnan(error) else f" ± {error:.3f}")
-
-    @property
-    def p_none(self) -> float:
-        """Return the two-sided p-value of 'there is no gap'; nan if the spread is not known."""
-        here, error, freedom = self.gap
-        if error < EXACT:
-            return float(abs(here) < EXACT)
-        return 2 * float(stats.t.sf(abs(here) / error, freedom))
 
     @property
     def p_size(self) -> float:
@@ -198,10 +180,8 @@ def judged(tables: Sequence[PaperTable], rows: Rows) -> dict[Name, Judged]:
         claims = claims_of(tables, rows, judge)
         tested = {name: claim for name, claim in claims.items() if not math.isnan(claim.gap.error)}
         tests = len(planned(tables, judge))
-        none, size = (
-            dict(zip(tested, holm([getattr(claim, key) for claim in tested.values()], tests), strict=True))
-            for key in ("p_none", "p_size")
-        )
+        none = dict(zip(tested, holm([claim.gap.p_none for claim in tested.values()], tests), strict=True))
+        size = dict(zip(tested, holm([claim.p_size for claim in tested.values()], tests), strict=True))
         found |= {
             name: Judged(claim, none.get(name, math.nan), size.get(name, math.nan)) for name, claim in claims.items()
         }
@@ -215,15 +195,15 @@ def claim_cells(table: PaperTable, rows: Rows, decided: Mapping[Name, Judged]) -
         for judge in JUDGES:
             name = name_of(better, other, rows, metric_of(table, judge))
             if name is not None:
-                lines.append([f"{better.title} ahead of {other.title}", *line_of(decided[name], judge)])
+                lines.append([better.ahead_of(other), *line_of(decided[name], judge)])
     return HEAD, lines
 
 
 def line_of(found: Judged, judge: str) -> list[str]:
     """Return the cells of a judged claim behind its title."""
     claim = found.claim
-    tests = [p_cell(claim.p_none, found.none), p_cell(claim.p_size, found.size)]
-    sizes = f"{claim.size:+.3f}", claim.measured, streets_cell(claim)
+    tests = [p_cell(claim.gap.p_none, found.none), p_cell(claim.p_size, found.size)]
+    sizes = f"{claim.size:+.3f}", claim.gap.written, streets_cell(claim)
     return [f"{claim.paper:+.3f}", judge, *sizes, *tests, found.verdict]
 
 

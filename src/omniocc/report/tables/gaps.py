@@ -5,8 +5,12 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy import stats
 
 from omniocc.report.runs import FinishedRun
+
+EXACT = 1e-9
+"""Standard error below which all runs agree."""
 
 
 class Gap(NamedTuple):
@@ -21,6 +25,20 @@ class Gap(NamedTuple):
     here: float
     error: float
     freedom: float
+
+    @property
+    def written(self) -> str:
+        """Return the gap with its standard error for a table."""
+        if math.isnan(self.here):
+            return "–"
+        return f"{self.here:+.3f}" + ("" if math.isnan(self.error) else f" ± {self.error:.3f}")
+
+    @property
+    def p_none(self) -> float:
+        """Return the two-sided p-value of 'there is no gap'; nan if the error is not known."""
+        if self.error < EXACT:
+            return float(abs(self.here) < EXACT)
+        return 2 * float(stats.t.sf(abs(self.here) / self.error, self.freedom))
 
 
 UNKNOWN = Gap(math.nan, math.nan, 0)
@@ -41,6 +59,15 @@ def gap_of_systems(better: Sequence[FinishedRun], other: Sequence[FinishedRun], 
     square = sum(shares)
     parts = sum(share * share / (len(sample) - 1) for share, sample in zip(shares, samples, strict=True))
     return Gap(here, math.sqrt(square), square * square / parts if parts else sum(map(len, samples)) - 2)
+
+
+def change(first: Gap, last: Gap) -> Gap:
+    """Return how far a gap has moved, as if the two had no noise in common; degrees of freedom by Satterthwaite."""
+    squares = [gap.error * gap.error for gap in (first, last)]
+    square = sum(squares)
+    parts = sum(each * each / gap.freedom for each, gap in zip(squares, (first, last), strict=True) if gap.freedom)
+    freedom = square * square / parts if parts else first.freedom + last.freedom
+    return Gap(last.here - first.here, math.sqrt(square), freedom)
 
 
 def _values(runs: Sequence[FinishedRun], key: str) -> list[float]:

@@ -35,6 +35,10 @@ class PaperRow(NamedTuple):
     paper: Mapping[str, float | None]
     alone: bool = False
 
+    def ahead_of(self, other: "PaperRow") -> str:
+        """Return the claim that this method is better than another one, in words."""
+        return f"{self.title} ahead of {other.title}"
+
 
 class PaperTable(NamedTuple):
     """A table of the paper, as `sweeps/<table>.yaml` describes it.

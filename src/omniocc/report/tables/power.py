@@ -95,8 +95,7 @@ def _wanted(table: PaperTable, better: PaperRow, other: PaperRow, rows: Rows) ->
     most, less = better.paper[table.order_by] or 0.0, other.paper[table.order_by] or 0.0
     score = figure_of(rows.get(better.run, ()), table.order_by)
     size = most - less if score is None else (most - less) / most * score.mean
-    title = f"{better.title} ahead of {other.title}"
-    return Wanted(title, table.title, table.shares_stages(better, other), most - less, size)
+    return Wanted(better.ahead_of(other), table.title, table.shares_stages(better, other), most - less, size)
 
 
 def power_of(size: float, error: float, freedom: int, claims: int) -> float:

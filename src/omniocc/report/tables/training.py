@@ -1,12 +1,15 @@
 """The same claims after more steps, side by side, and the learning curves."""
 
+import math
 import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 from omniocc.report.runs import FinishedRun
 from omniocc.report.sweep import Sweep
-from omniocc.report.tables.claims import JUDGES, Judged, Name, metric_of, name_of, pairs_of
+from omniocc.report.tables.claims import JUDGES, LEVEL, Judged, Name, metric_of, name_of, p_cell, pairs_of
+from omniocc.report.tables.gaps import Gap, change
+from omniocc.report.tables.holm import holm
 from omniocc.report.tables.paper import figure_of, with_spread
 from omniocc.run.curves import read_curve
 from omniocc.run.table import markdown, number
@@ -14,7 +17,9 @@ from omniocc.run.table import markdown, number
 TITLE = "The same claims after more steps"
 NOTE = (
     "Claims whose two rows have run with several numbers of steps of the last stage; depth and sketch are the same. "
-    "Each number of steps has a family of claims of its own. Last column: whether the verdict is the same."
+    "Each number of steps has a family of claims of its own. Verdicts also differ where one had more seeds. Therefore "
+    "the change of the gap from the fewest to the most steps is tested itself, with Holm's correction over all lines "
+    "of a judge."
 )
 CURVES = (
     "RayIoU on validation scenes on the way, mean over seeds, at the last validation up to each part of the steps. "
@@ -30,6 +35,12 @@ class Compared(NamedTuple):
     title: str
     judge: str
     found: Mapping[str, Judged]
+
+    @property
+    def change(self) -> Gap:
+        """Return how far the gap moves from the fewest to the most steps."""
+        first, *_, last = self.found.values()
+        return change(first.claim.gap, last.claim.gap)
 
 
 def chapter(sweep: Sweep) -> str:
@@ -90,24 +101,41 @@ def compared(sweeps: Mapping[str, Sweep]) -> Iterator[Compared]:
                 known = tuple(names.values())
                 if len(found) > 1 and known not in seen:
                     seen.add(known)
-                    yield Compared(f"{better.title} ahead of {other.title}", judge, found)
+                    yield Compared(better.ahead_of(other), judge, found)
 
 
 def claim_cells(claims: Sequence[Compared], steps: Sequence[str]) -> tuple[list[str], list[list[str]]]:
-    """Return head and a line for each claim: gap and verdict at every number of steps."""
-    head = ["claim", "paper", "judge", *(title for each in steps for title in (f"at {each} steps", "verdict")), "same"]
+    """Return head and a line for each claim: gap and verdict at every number of steps, and how far the gap moved."""
+    head = ["claim", "paper", "judge", *(title for each in steps for title in (f"at {each} steps", "verdict"))]
+    head += ["change", "no change: p (Holm)", "changes"]
+    adjusted = adjusted_changes(claims)
     lines = []
-    for claim in claims:
-        verdicts = [found.verdict for found in claim.found.values()]
+    for claim, p_value in zip(claims, adjusted, strict=True):
         cells = [
             cell
             for each in steps
-            for cell in ((claim.found[each].claim.measured, claim.found[each].verdict) if each in claim.found else "––")
+            for cell in (
+                (claim.found[each].claim.gap.written, claim.found[each].verdict) if each in claim.found else "––"
+            )
         ]
         paper = next(iter(claim.found.values())).claim.paper
-        same = "yes" if len(set(verdicts)) == 1 else "no"
-        lines.append([claim.title, f"{paper:+.3f}", claim.judge, *cells, same])
+        changes = "unknown" if math.isnan(p_value) else "yes" if p_value < LEVEL else "not found"
+        last = [claim.change.written, p_cell(claim.change.p_none, p_value), changes]
+        lines.append([claim.title, f"{paper:+.3f}", claim.judge, *cells, *last])
     return head, lines
+
+
+def adjusted_changes(claims: Sequence[Compared]) -> list[float]:
+    """Return the p-value of 'the gap does not change' of each claim, adjusted by Holm over the claims of its judge."""
+    found = [math.nan] * len(claims)
+    for judge in JUDGES:
+        places = [
+            place for place, claim in enumerate(claims) if claim.judge == judge and not math.isnan(claim.change.error)
+        ]
+        p_values = holm([claims[place].change.p_none for place in places], len(places))
+        for place, p_value in zip(places, p_values, strict=True):
+            found[place] = p_value
+    return found
 
 
 def curve_cells(sweeps: Mapping[str, Sweep], rows: Sequence[str]) -> tuple[list[str], list[list[str]]]:

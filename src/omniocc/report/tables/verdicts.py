@@ -49,13 +49,13 @@ def _line(
         name = name_of(better, other, rows, metric_of(table, judge))
         found[judge] = None if name is None else decided[name]
     own, lidar = found.values()
-    title = f"{better.title} ahead of {other.title}"
+    title = better.ahead_of(other)
     if own is None:
         gap = (better.paper[table.order_by] or 0.0) - (other.paper[table.order_by] or 0.0)
         return [title, table.title, f"{gap:+.3f}", "–", "–", NOT_RUN, *"–" * len(JUDGES), "–"]
     seeds = " and ".join(str(len(rows[row.run])) for row in (better, other))
     gaps = [
-        "–" if each is None else f"{each.claim.measured} {streets_cell(each.claim)}".removesuffix(" –")
+        "–" if each is None else f"{each.claim.gap.written} {streets_cell(each.claim)}".removesuffix(" –")
         for each in found.values()
     ]
     sizes = f"{own.claim.paper:+.3f}", f"{own.claim.size:+.3f}"
