@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from time import time
 from typing import Any
 
 from lightning.pytorch import Trainer, seed_everything
@@ -22,7 +23,17 @@ from omniocc.run.folder import IMAGES, RunFolder, command_line, git_commit, give
 from omniocc.run.machine import MACHINE, machine
 from omniocc.run.memory import keep_freed_memory
 from omniocc.run.plan import hours_line, plan_line, planned_steps, validation_times
-from omniocc.run.results import CANDIDATES, EARLIER_MINUTES, MINUTES, PROTOCOL, load_results, save_results, show_results
+from omniocc.run.results import (
+    CANDIDATES,
+    EARLIER_MINUTES,
+    FINISHED,
+    MINUTES,
+    PROTOCOL,
+    load_results,
+    save_results,
+    show_results,
+    utc_text,
+)
 from omniocc.run.script import quiet_libraries, script
 from omniocc.run.slots import sketch_learns, slots_line
 from omniocc.run.wandb.loggers import finish, log_earlier_stages
@@ -121,6 +132,7 @@ def train_occupancy(
         facts |= cost_of(task.model.eval(), data.dataset("test")[0])
         facts |= facts_of_report(task, data, earlier, trainer.global_step)
         facts |= {"commit": git_commit(), "data": data.source.fingerprint, PROTOCOL: task.scores.protocol()}
+        facts |= {FINISHED: utc_text(time())}
         save_by_scene(run.path, task.scores, data.source, by_scene)
         save_results(run.path, metrics | figures, facts)
         finish(trainer.loggers)

@@ -1,5 +1,7 @@
 """Records of finished runs that are kept without checkpoints."""
 
+import json
+import os
 import shutil
 
 import pytest
@@ -8,7 +10,7 @@ from omniocc.errors import UserError
 from omniocc.report.keep import keep_records
 from omniocc.report.runs import read_runs
 from omniocc.run.curves import read_curve
-from omniocc.run.results import FROM_TRAJECTORY, OVERRIDES, save_results
+from omniocc.run.results import FINISHED, FROM_TRAJECTORY, OVERRIDES, save_results, utc_text
 from omniocc.run.robustness import UNDISTURBED, PartScores, Robustness, read_robustness, save_robustness
 from omniocc.run.scenes import save_scenes
 
@@ -37,6 +39,18 @@ def test_a_newer_run_replaces_that_of_its_row_and_seed_alone(runs, tmp_path):
     keep_records(later, kept)
     names = {run.name for run in read_runs(kept)}
     assert names == {run.name for run in read_runs(runs)} - {"ours-00000001"} | {"ours-0000000a"}
+
+
+def test_of_two_runs_of_a_row_and_seed_the_newest_is_kept(runs, tmp_path):
+    """The one that finished last, whatever the time of its file."""
+    shutil.copytree(runs, tmp_path / "runs")
+    newer = shutil.copytree(runs / "ours-00000001", tmp_path / "runs" / "ours-0000000a") / "metrics.json"
+    newer.write_text(json.dumps(json.loads(newer.read_text()) | {FINISHED: utc_text(4e9)}))
+    os.utime(newer, (1, 1))
+    kept = keep_records(tmp_path / "runs", tmp_path / "kept")
+    assert "ours-0000000a" in {path.name for path in kept}
+    assert "ours-00000001" not in {path.name for path in (tmp_path / "kept").iterdir()}
+    assert utc_text(4e9) == "2096-10-02T07:06:40Z"
 
 
 def test_a_test_of_weights_without_a_run_is_kept(tmp_path):

@@ -12,7 +12,9 @@ from urllib.parse import unquote
 import cv2
 import numpy as np
 import pytest
+import yaml
 
+from omniocc.report.sweep import read_sweeps
 from omniocc.run.robustness import UNDISTURBED, PartScores, Robustness, save_robustness
 
 ROOT = Path(__file__).parents[2]
@@ -239,3 +241,26 @@ def test_runs_of_other_lengths_have_pages_of_their_own_and_can_be_named_in_table
     for text in (capsys.readouterr().out, (other / "report.md").read_text()):
         (line,) = (line for line in text.splitlines() if line.startswith("| four times the steps"))
         assert "here, 1 seed" in line
+
+
+def test_runs_on_other_data_are_not_taken_for_rows_of_a_table(runs, tmp_path):
+    """The data of most runs have `@same` rows; on other data the row is not run, and seeds that differ are told."""
+    folder, tables = tmp_path / "runs", tmp_path / "sweeps"
+    for name in ("ours-00000001", "ours-00000002", "dense-00000001"):
+        shutil.copytree(runs / name, folder / name)
+    for name in ("ours-00000001", "ours-00000002"):
+        other = shutil.copytree(runs / name, folder / name.replace("ours-0", "pinhole-1"))
+        facts = json.loads((other / "metrics.json").read_text()) | {"data": "other", "run": other.name}
+        (other / "metrics.json").write_text(json.dumps(facts))
+    config = yaml.safe_load((other / "config.yaml").read_text())
+    (other / "config.yaml").write_text(yaml.safe_dump(config | {"lr": 0.7}))
+    tables.mkdir()
+    rows = "{ours: {title: ours}, dense@same: {title: dense}, pinhole@same: {title: pinhole}}"
+    (tables / "same.yaml").write_text(
+        f"title: Same\norder_by: test/rayiou\ncolumns: {{test/rayiou: RayIoU}}\nrows: {rows}\n"
+    )
+    first, second = read_sweeps(folder, tables, ROOT / "conf", None)
+    assert {"pinhole@40", "dense@40"} <= first.table_rows.keys()
+    assert "Warning: the runs of row pinhole@40 differ in lr;" in " ".join(first.remarks)
+    assert list(second.table_rows) == ["pinhole"]
+    assert second.not_run == ["ours", "dense@40", "pinhole@40"]

@@ -14,7 +14,7 @@ from omniocc.config import ConfigError, compose_plain, plain
 from omniocc.report import rows
 from omniocc.report.rows import assign_rows
 from omniocc.report.runs import FinishedRun
-from omniocc.report.sweep import read_sweep
+from omniocc.report.sweep import read_sweeps
 from omniocc.report.tables.paper import as_markdown
 
 ROOT = Path(__file__).parents[2]
@@ -79,7 +79,7 @@ def test_a_run_of_another_name_counts_in_the_row_whose_configuration_it_has(runs
     (tmp_path / "demo-0123abcd" / "metrics.json").write_text(json.dumps(facts | {"run": "demo-0123abcd"}))
     config = compose_plain(CONF, "train", ["name=demo", "preset=tiny", "+learning_rate=chain"])
     (tmp_path / "demo-0123abcd" / "config.yaml").write_text(yaml.safe_dump(config))
-    sweep = read_sweep(tmp_path, ROOT / "sweeps", CONF, None)
+    sweep, *_ = read_sweeps(tmp_path, ROOT / "sweeps", CONF, None)
     assert list(sweep.rows) == ["ours"]
     assert "ours" not in sweep.not_run
     assert "Counted in the row whose configuration they have: demo-0123abcd (ours)." in sweep.remark

@@ -7,7 +7,7 @@ import shutil
 import yaml
 
 from omniocc.report.runs import known_figures, read_runs
-from omniocc.report.selection import by_row, comparable, settings_of
+from omniocc.report.selection import by_row, comparable, mixtures, settings_of
 from omniocc.run.results import CANDIDATES
 
 
@@ -46,18 +46,17 @@ def test_of_two_runs_with_one_seed_the_newest_counts(runs, tmp_path):
 def test_seeds_of_one_row_with_other_settings_are_named(runs, tmp_path):
     folder = tmp_path / "runs"
     shutil.copytree(runs, folder)
-    assert "Warning" not in comparable_of(folder)[1]
+    assert not list(mixtures(by_row(read_runs(folder))))
     path = folder / "ours-00000002" / "config.yaml"
     config = yaml.safe_load(path.read_text())
     config["data"]["source"]["root"], config["lr"], config["new key"] = "elsewhere", 0.2, 1
     path.write_text(yaml.safe_dump(config))
-    assert comparable_of(folder)[1].endswith(
-        "Warning: the runs of row ours differ in lr, new key; another name=... makes a row of its own."
-    )
+    (warning,) = mixtures(by_row(read_runs(folder)))
+    assert warning == "Warning: the runs of row ours differ in lr, new key; another name=... makes a row of its own."
     facts = yaml.safe_load((path.parent / "metrics.json").read_text())
     (path.parent / "metrics.json").write_text(json.dumps(facts | {"commit": "0123abc"}))
-    remark = comparable_of(folder)[1]
-    assert "of row ours differ in lr;" in remark  # of another version, which had a new option
+    (warning,) = mixtures(by_row(read_runs(folder)))
+    assert "of row ours differ in lr;" in warning  # of another version, which had a new option
 
 
 def test_a_damaged_file_is_named_and_its_run_left_out(runs, tmp_path, capsys):

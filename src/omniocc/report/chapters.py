@@ -8,7 +8,7 @@ from omniocc.report.dataset.table import dataset_csv, dataset_latex, dataset_mar
 from omniocc.report.runs import FinishedRun, path_between
 from omniocc.report.sweep import Sweep
 from omniocc.report.tables import bounds, budget, training
-from omniocc.report.tables.claims import Judged, Name, claim_cells, rows_in
+from omniocc.report.tables.claims import Judged, Name, claim_cells, rows_in, rows_of_claims
 from omniocc.report.tables.learning_rates import learning_rates
 from omniocc.report.tables.overview import overview_keys, records, table_of_runs
 from omniocc.report.tables.paper import PaperTable, as_csv, as_latex, as_markdown
@@ -35,14 +35,13 @@ def chapters(sweep: Sweep, listed: Mapping[str, Sequence[FinishedRun]]) -> dict[
     """Return every table of one setting as Markdown under a heading of level 2, by name; the budget is of `listed`."""
     decided = sweep.claims
     papers = {table.name: _of_paper(sweep, table, decided) for table in sweep.tables}
-    longer = training.chapter(sweep) if sweep.longer else ""
     cost = f"## Budget\n\n{budget.NOTE}\n\n{markdown(*budget.budget_cells(listed))}"
     limits = f"## {bounds.TITLE}\n\n{bounds.NOTE}\n\n{markdown(*bounds.bounds_cells(sweep.rows))}"
     limits += protocol_text(sweep.rows, bounds.COLUMNS.values())
     found = {"claims": verdicts_chapter(sweep.tables, sweep.table_rows, decided), "bounds": limits}
     found |= {table.name: dataset_markdown(table) for table in sweep.datasets}
     tests = f"{robustness_markdown(sweep.robustness)}\n{DISTURBANCES}" if sweep.robustness else ""
-    found |= papers | {"training": longer, ROBUSTNESS: tests, "budget": cost}
+    found |= papers | {"training": training.chapter(sweep), ROBUSTNESS: tests, "budget": cost}
     return {name: text for name, text in found.items() if text}
 
 
@@ -69,14 +68,9 @@ def write_docs(sweeps: Sequence[Sweep], folder: Path) -> list[Path]:
     """
     sweep, every = sweeps[0], [run for sweep in sweeps for run in sweep.runs]
     listed = rows_in(sweep.tables, sweep.table_rows)
-    tables = {table.name: [table] for table in sweep.tables}
     pages = {}
     for name, text in chapters(sweep._replace(datasets=()), listed).items():
-        rows = rows_in(tables.get(name, sweep.tables), sweep.table_rows)
-        own = (
-            "" if name == ROBUSTNESS else foot([run for runs in rows.values() for run in runs])
-        )  # tests tell their own
-        pages[name] = f"{text}\n{own}"
+        pages[name] = text if name == ROBUSTNESS else f"{text}\n{foot(runs_on(name, sweep))}"  # tests tell their own
     if any(run.row == TRIED_AGAINST for run in every):
         pages["accuracy"] = tried_chapter(every, TRIED_AGAINST)
     pages["learning_rates"] = learning_rates(every)
@@ -90,15 +84,31 @@ def write_docs(sweeps: Sequence[Sweep], folder: Path) -> list[Path]:
     return written
 
 
+def runs_on(page: str, sweep: Sweep) -> list[FinishedRun]:
+    """Return the runs of which a page of the first setting tells."""
+    if page == "training":
+        sweeps = training.by_steps(sweep)
+        return [
+            run
+            for row in training.rows_on_page(sweep)
+            for each in sweeps.values()
+            for run in training.of_row(each, row)
+        ]
+    own = [table for table in sweep.tables if table.name == page]
+    if page == "claims":
+        rows = [rows_of_claims(sweep.tables, sweep.table_rows, shared) for shared in (True, False)]
+    else:
+        rows = [rows_in(own or sweep.tables, sweep.table_rows)]
+    return [run for each in rows for runs in each.values() for run in runs]
+
+
 def foot(runs: Sequence[FinishedRun]) -> str:
     """Return sentences on the runs of a page: their number, seeds, settings, commits and hours."""
     once = {run.name: run for run in runs}.values()
-    settings = sorted(
-        {
-            f"preset={preset}, {steps} steps, data with the fingerprint {data[:8]}"
-            for preset, steps, data in map(_setting, once)
-        }
-    )
+    kinds = {run.setting for run in once}
+    settings = [
+        f"preset={preset}, {steps} steps, data with the fingerprint {data[:8]}" for preset, steps, data in sorted(kinds)
+    ]
     seeds = sorted({str(run.facts.get("seed", "?")) for run in once})
     commits = sorted({str(run.facts.get("commit", "unknown")) for run in once})
     hours = sum(map(budget.minutes_in_all, once)) / 60
@@ -110,10 +120,6 @@ def foot(runs: Sequence[FinishedRun]) -> str:
         trained,
     ]
     return f"{'; '.join(parts)}. {RULE}"
-
-
-def _setting(run: FinishedRun) -> tuple[str, ...]:
-    return run.setting
 
 
 def run_list(sweep: Sweep, folder: Path) -> str:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from omniocc.io import atomic_write
 from omniocc.report.runs import FinishedRun, read_runs
+from omniocc.report.selection import newest_of
 from omniocc.run.curves import CURVES
 from omniocc.run.folder import METRICS
 from omniocc.run.results import FROM_TRAJECTORY
@@ -19,9 +20,9 @@ KEPT = ("config.yaml", METRICS, SCENES, CURVES, TESTS, f"{FROM_TRAJECTORY}/{METR
 def keep_records(runs: Path, folder: Path) -> list[Path]:
     """Copy the configuration, figures, curves and later tests of finished runs and return their new folders.
 
-    Later tests are those from other origins of rays and those under disturbances; tests of weights that have no run are
-    copied and returned too. Runs of an earlier call stay, but for those that a newer run replaces: one of the same row,
-    seed and setting.
+    Of several runs of one row, seed and setting the newest is copied. Later tests are those from other origins of rays
+    and those under disturbances; tests of weights that have no run are copied and returned too. Runs of an earlier call
+    stay, but for those that a newer run replaces: one of the same row, seed and setting.
 
     Raises:
         UserError: when there is neither a finished run nor such a test.
@@ -33,7 +34,7 @@ def keep_records(runs: Path, folder: Path) -> list[Path]:
     kept = [folder / path.parent.name for path in tests]
     if kept and not any(runs.glob(f"*/{METRICS}")):
         return kept
-    finished = read_runs(runs)
+    finished = newest_of_settings(read_runs(runs))
     for run in finished:
         for pattern in KEPT:
             for path in run.folder.glob(pattern):
@@ -41,6 +42,13 @@ def keep_records(runs: Path, folder: Path) -> list[Path]:
     for path in replaced(read_runs(folder), finished):
         shutil.rmtree(path)
     return [*(folder / run.name for run in finished), *kept]
+
+
+def newest_of_settings(runs: Sequence[FinishedRun]) -> list[FinishedRun]:
+    """Return the newest run of each row, seed and setting, in the order given."""
+    newest = [newest_of([run for run in runs if run.setting == setting]) for setting in {run.setting for run in runs}]
+    names = {run.name for of_setting in newest for run in of_setting.values()}
+    return [run for run in runs if run.name in names]
 
 
 def replaced(kept: Sequence[FinishedRun], newer: Sequence[FinishedRun]) -> list[Path]:

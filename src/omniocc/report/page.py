@@ -12,7 +12,7 @@ from omniocc.report.frames import ComparedFrame, inline
 from omniocc.report.html import render
 from omniocc.report.runs import FinishedRun, colors_of, path_between
 from omniocc.report.sweep import Sweep
-from omniocc.report.tables import bounds, budget, robustness, training
+from omniocc.report.tables import bounds, budget, robustness, training, verdicts
 from omniocc.report.tables.claims import Judged, Name, claim_cells
 from omniocc.report.tables.paper import (
     Figure,
@@ -28,6 +28,7 @@ from omniocc.report.tables.paper import (
 )
 from omniocc.report.tables.protocol import protocol_lines
 from omniocc.run.results import MINUTES
+from omniocc.run.table import Cells
 from omniocc.view.bev import ERRORS
 from omniocc.viewer.page import PAGE, frame_address
 
@@ -66,7 +67,8 @@ def page(
             for table in sweep.datasets
         ),
         *(_paper_table(table, sweep, decided) for table in sweep.tables),
-        _longer(sweep) if sweep.longer else None,
+        *_all_claims(sweep, decided),
+        *(_text_table(*part) for part in training.parts_of(sweep)),
         *drawn[1:],
         *_robustness(sweep),
         _frames(frames, sweep.runs, folder) if frames else None,
@@ -103,7 +105,7 @@ def _facts(sweep: Sweep) -> dict[str, str]:
 
 
 def _text_table(
-    name: str, title: str, note: str, cells: tuple[list[str], list[list[str]]], files: bool = False,
+    name: str, title: str, note: str, cells: Cells, files: bool = False,
     protocol: Sequence[str] = (),
 ) -> Section:  # fmt: skip
     content = {"title": title, "note": note, "head": cells[0], "rows": cells[1], "files": files, "protocol": protocol}
@@ -123,10 +125,9 @@ def _robustness(sweep: Sweep) -> list[Section]:
     return sections
 
 
-def _longer(sweep: Sweep) -> Section:
-    sweeps = training.by_steps(sweep)
-    cells = training.claim_cells(list(training.compared(sweeps)), list(sweeps))
-    return _text_table("training", training.TITLE, training.NOTE, cells)
+def _all_claims(sweep: Sweep, decided: Mapping[Name, Judged]) -> list[Section]:
+    cells = verdicts.verdict_cells(sweep.tables, sweep.table_rows, decided)
+    return [_text_table("claims", verdicts.TITLE, verdicts.NOTE, cells)] if decided else []
 
 
 def _paper_table(table: PaperTable, sweep: Sweep, decided: Mapping[Name, Judged]) -> Section:

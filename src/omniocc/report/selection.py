@@ -8,6 +8,7 @@ from typing import Any
 from omniocc.errors import UserError
 from omniocc.report.runs import FinishedRun
 from omniocc.run.folder import METRICS, VOLATILE
+from omniocc.run.results import FINISHED, utc_text
 
 ABSENT = object()
 OF_MACHINES = ("root", "cache", "workers", "num_workers", "accelerator", "seed")
@@ -37,23 +38,30 @@ def comparable(runs: Sequence[FinishedRun], setting: tuple[str, ...]) -> tuple[l
     Of several runs of a row with one seed the newest is taken.
     """
     chosen, same = setting, [run for run in runs if run.setting == setting]
-    newest = {run.place: run for run in sorted(same, key=_age)}
+    newest = newest_of(same)
     kept = [run for run in same if newest[run.place] is run]
     commits = sorted({str(run.facts.get("commit", "unknown")) for run in kept})
     name, steps, data = chosen
     text = f"preset={name}, {steps} steps, data {data[:8]}, commit {', '.join(commits)}."
     if others := sorted(run.name for run in runs if run.setting != chosen):
-        text += f" In sections of their own, of another setting: {', '.join(others)}."
+        text += f" Of another preset, number of steps or dataset: {', '.join(others)}."
     if alike := sorted(f"{run.name} ({run.same_as})" for run in kept if run.same_as):
         text += f" Counted in the row whose configuration they have: {', '.join(alike)}."
     if older := sorted(_replaced(same, newest)):
         text += f" Left out, older runs of the same row and seed: {', '.join(older)}."
-    return kept, text + "".join(f" {line}" for line in _mixtures(by_row(kept)))
+    return kept, text
 
 
-def _age(run: FinishedRun) -> tuple[float, str]:
+def newest_of(runs: Sequence[FinishedRun]) -> dict[tuple[str, Any], FinishedRun]:
+    """Return the newest run of each row and seed: the last that finished."""
+    return {run.place: run for run in sorted(runs, key=_finished)}
+
+
+def _finished(run: FinishedRun) -> tuple[str, str]:
+    """Return when a run finished, and its name; runs that did not record it have the time of their file."""
     path = run.folder / METRICS
-    return (path.stat().st_mtime if path.exists() else 0.0, run.name)
+    written = path.stat().st_mtime if path.exists() else 0.0
+    return run.facts.get(FINISHED) or utc_text(written), run.name
 
 
 def _replaced(runs: Sequence[FinishedRun], newest: Mapping[tuple[str, Any], FinishedRun]) -> Iterator[str]:
@@ -64,7 +72,7 @@ def _replaced(runs: Sequence[FinishedRun], newest: Mapping[tuple[str, Any], Fini
             yield run.name + (f" (of another {keys} than {newer.name})" if keys else "")
 
 
-def _mixtures(rows: Mapping[str, Sequence[FinishedRun]]) -> Iterator[str]:
+def mixtures(rows: Mapping[str, Sequence[FinishedRun]]) -> Iterator[str]:
     """Yield a warning for each row whose seeds were trained with different configurations."""
     for row, runs in rows.items():
         if keys := differences(runs):

@@ -15,7 +15,7 @@ from omniocc.report.dataset.table import (
 )
 from omniocc.report.rows import assign_rows
 from omniocc.report.runs import FinishedRun, read_runs
-from omniocc.report.selection import by_row, comparable, settings_of
+from omniocc.report.selection import by_row, comparable, mixtures, settings_of
 from omniocc.report.tables.claims import Judged, Name, judged
 from omniocc.report.tables.paper import PaperTable, is_table, load_table
 from omniocc.report.tables.power import Spread, load_spreads
@@ -38,7 +38,8 @@ class Sweep(NamedTuple):
         tables: tables of methods.
         datasets: tables of datasets.
         unfinished: runs that have begun and not finished, with the last step recorded.
-        lengths: runs of all settings of the same preset by `row@steps`, which rows of tables may name.
+        lengths: runs of all settings of the same preset by `row@steps`, which rows of tables may name; none where
+            another dataset of the preset has more runs.
         longer: the sweeps of the same preset and data with more steps, fewest first.
         spreads: given differences between seeds, for which power is computed.
         robustness: tests under disturbances of these runs; the first sweep of a report has those of all sweeps, and
@@ -82,9 +83,11 @@ class Sweep(NamedTuple):
     @property
     def remarks(self) -> list[str]:
         """Return sentences on the runs of the report, and on those left out, missing or unfinished."""
+        own = list(self.rows.values())
+        others = {name: runs for name, runs in self.lengths.items() if not any(runs is rows for rows in own)}
         missing = [f"Not run: {', '.join(self.not_run)}."] if self.not_run else []
         begun = [f"Begun, not finished: {', '.join(self.unfinished)}."] if self.unfinished else []
-        return [self.remark, *missing, *begun]
+        return [self.remark, *mixtures(dict(self.rows) | others), *missing, *begun]
 
 
 def read_sweeps(runs: Path, tables: Path, conf: Path, preset: str | None) -> list[Sweep]:
@@ -115,12 +118,12 @@ def read_sweeps(runs: Path, tables: Path, conf: Path, preset: str | None) -> lis
     sweeps = [sweep_of(setting) for setting in settings_of(finished, preset)]
     left_out = {run.name for run in finished} - {run.name for sweep in sweeps for run in sweep.runs}
     sweeps[0] = sweeps[0]._replace(robustness=[test for test in tests if test.system not in left_out])
-    lengths = {sweep.runs[0].setting[0]: by_length(sweeps, sweep.runs[0].setting[0]) for sweep in sweeps}
     once = [table for table in found if not table.of_lengths]
 
     def placed(sweep: Sweep, of_sweep: Sequence[PaperTable]) -> Sweep:
-        preset, steps, _ = sweep.runs[0].setting
-        return sweep._replace(tables=[table.of_steps(steps) for table in of_sweep], lengths=lengths[preset])
+        setting = sweep.runs[0].setting
+        of_steps = [table.of_steps(setting[1]) for table in of_sweep]
+        return sweep._replace(tables=of_steps, lengths=by_length(sweeps, setting))
 
     return [
         placed(sweep, once if number else found)._replace(
@@ -134,11 +137,6 @@ def read_sweeps(runs: Path, tables: Path, conf: Path, preset: str | None) -> lis
     ]
 
 
-def read_sweep(runs: Path, tables: Path, conf: Path, preset: str | None) -> Sweep:
-    """Return the first of `read_sweeps`: the runs of the setting that most runs have."""
-    return read_sweeps(runs, tables, conf, preset)[0]
-
-
 def _is_longer(other: Sweep, sweep: Sweep) -> bool:
     (preset, steps, data), (other_preset, other_steps, other_data) = sweep.runs[0].setting, other.runs[0].setting
     return (preset, data) == (other_preset, other_data) and _number(other_steps) > _number(steps)
@@ -148,13 +146,22 @@ def _number(steps: str) -> int:
     return int(steps) if steps.isdigit() else 0
 
 
-def by_length(sweeps: Sequence[Sweep], preset: str) -> dict[str, Sequence[FinishedRun]]:
-    """Return the runs of a preset by `row@steps`; of two datasets, those of the one with more runs."""
+def by_length(sweeps: Sequence[Sweep], setting: tuple[str, ...]) -> dict[str, Sequence[FinishedRun]]:
+    """Return the runs of a setting's preset by `row@steps`; of two datasets, those of the one with more runs.
+
+    Args:
+        sweeps: of all settings, that with most runs first.
+        setting: preset, steps and data. With other data than the first sweep of the preset nothing is returned, so that
+            models trained on different streets are not compared.
+    """
+    preset, _, data = setting
+    alike = [sweep for sweep in sweeps if sweep.runs[0].setting[0] == preset]
+    if alike[0].runs[0].setting[2] != data:
+        return {}
     found: dict[str, Sequence[FinishedRun]] = {}
-    for sweep in sweeps:
-        if sweep.runs[0].setting[0] == preset:
-            for row, runs in sweep.rows.items():
-                found.setdefault(f"{row}@{runs[0].setting[1]}", runs)
+    for sweep in alike:
+        for row, runs in sweep.rows.items():
+            found.setdefault(f"{row}@{runs[0].setting[1]}", runs)
     return found
 
 

@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Mapping
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,8 @@ MINUTES = "minutes of training"
 """Fact of runs and stages: the time of their training, that before a stop included."""
 EARLIER_MINUTES = "minutes of earlier stages"
 """Fact of runs: the time of the trainings of depth and sketch, which other runs may share."""
+FINISHED = "finished"
+"""Fact of runs: when their test ended, in UTC, as text whose order is that of time."""
 
 PROTOCOL = "protocol"
 """Fact of runs: how each kind of score was counted (rays, origins, thresholds, masks, classes), one line for each."""
@@ -26,6 +29,11 @@ FROM_TRAJECTORY = f"{EVALUATION}best-trajectory"
 """Folder of the test with rays from where the car was in past, present and future frames."""
 OVERRIDES = "overrides"
 """Fact of later tests: what they change in the configuration of the checkpoint."""
+
+
+def utc_text(time: float) -> str:
+    """Return seconds since 1970 as a date and time in UTC, such as `2026-11-25T16:30:00Z`."""
+    return datetime.fromtimestamp(time, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
 def save_results(folder: Path, metrics: Mapping[str, float], facts: Mapping[str, Any]) -> None:

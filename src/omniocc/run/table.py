@@ -5,6 +5,8 @@ import re
 from collections.abc import Mapping
 from types import MappingProxyType
 
+Cells = tuple[list[str], list[list[str]]]
+"""Head and lines of a table."""
 BY_CLASS = "test/rayiou/"
 BAND = re.compile(r"_([\d.]+-[\d.]+m)$")
 
@@ -22,12 +24,12 @@ EXPLANATION = (
 )
 
 
-def summary(metrics: Mapping[str, float]) -> tuple[list[str], list[list[str]]]:
+def summary(metrics: Mapping[str, float]) -> Cells:
     """Return head and rows of the overview: RayIoU, by distance and against LiDAR rays, voxel IoU and mIoU."""
     return compared({label: (metrics, row) for row, label in ROWS.items()})
 
 
-def compared(rows: Mapping[str, tuple[Mapping[str, float], str]]) -> tuple[list[str], list[list[str]]]:
+def compared(rows: Mapping[str, tuple[Mapping[str, float], str]]) -> Cells:
     """Return head and rows of the overview of several results, each given by its figures and their prefix."""
     first = next(iter(rows.values()))[0]
     columns = ["rayiou", *band_keys(first), "lidar/rayiou", "voxel/iou", "voxel/miou"]
@@ -55,7 +57,7 @@ def band_names(metrics: Mapping[str, float]) -> list[str]:
     return sorted(found, key=_lower_edge)
 
 
-def per_class(metrics: Mapping[str, float]) -> tuple[list[str], list[list[str]]]:
+def per_class(metrics: Mapping[str, float]) -> Cells:
     """Return head and rows of RayIoU by class: model and baseline, and both with the true voxels on LiDAR rays."""
     columns = [
         ("model", "test/rayiou"),
@@ -96,7 +98,7 @@ SKETCH_EXPLANATION = (
 )
 
 
-def by_origin(metrics: Mapping[str, float]) -> tuple[list[str], list[list[str]]]:
+def by_origin(metrics: Mapping[str, float]) -> Cells:
     """Return head and rows of RayIoU by origin of the rays: where the car was before, at and after the frame."""
     keys = {title: f"rayiou_{time}" for time, title in ORIGINS.items()} | {"all": "rayiou"}
     rows = [[title, *(number(metrics.get(f"{row}/{key}")) for row in ROWS)] for title, key in keys.items()]
@@ -114,7 +116,7 @@ def protocol_lines(protocol: Mapping[str, str]) -> list[str]:
     return [f"{SCORES[kind]}: {protocol[kind]}." for kind in SCORES if kind in protocol]
 
 
-def depth_table(metrics: Mapping[str, float]) -> tuple[list[str], list[list[str]]]:
+def depth_table(metrics: Mapping[str, float]) -> Cells:
     """Return head and rows by distance band: errors of the panorama of ranges."""
     bands = _bands(metrics, "test/depth/mae_")
     rows = [
@@ -123,7 +125,7 @@ def depth_table(metrics: Mapping[str, float]) -> tuple[list[str], list[list[str]
     return ["range", *DEPTH_COLUMNS.values()], rows
 
 
-def sketch_table(metrics: Mapping[str, float]) -> tuple[list[str], list[list[str]]]:
+def sketch_table(metrics: Mapping[str, float]) -> Cells:
     """Return head and rows by distance band: candidates after dilation, then before."""
     head = ["candidates", *SKETCH_COLUMNS.values(), *(f"{title}, raw" for title in SKETCH_COLUMNS.values())]
     keys = [f"test/sketch/{raw}{key}" for raw in ("", "raw/") for key in SKETCH_COLUMNS]
@@ -131,7 +133,7 @@ def sketch_table(metrics: Mapping[str, float]) -> tuple[list[str], list[list[str
     return head, [[title, *(number(metrics.get(f"{key}{band}")) for key in keys)] for title, band in bands]
 
 
-def tables(metrics: Mapping[str, float]) -> list[tuple[tuple[list[str], list[list[str]]], str]]:
+def tables(metrics: Mapping[str, float]) -> list[tuple[Cells, str]]:
     """Return the tables that the figures of a run or stage allow, each with an explanation."""
     found = []
     if "test/rayiou" in metrics:

@@ -17,7 +17,7 @@ from omniocc.report.tables.claims import (
     metric_of,
     names_in,
     pairs_of,
-    planned,
+    planned_claims,
 )
 from omniocc.report.tables.gaps import Gap
 from omniocc.report.tables.paper import PaperTable, load_table
@@ -171,5 +171,10 @@ def test_rows_of_other_steps_are_other_claims():
     ours, dense = printed["ours"], printed["dense"]
     rows = [ours, ours._replace(run="ours@1000"), dense._replace(run="dense@1000"), dense._replace(run="dense@3000")]
     tables = [SKETCH._replace(rows=rows)]
+    assert set(names_in([tables[0]._replace(steps="3000")]).values()) == {row.run for row in rows}
     names = names_in(tables)
-    assert {names[other.run] for _, _, other in planned(tables, "own voxels")} == {"ours", "dense@1000", "dense@3000"}
+    assert {names[other.run] for _, _, other in planned_claims(tables, "own voxels")} == {
+        "ours",
+        "dense@1000",
+        "dense@3000",
+    }

@@ -124,7 +124,7 @@ def test_only_runs_of_one_setting_are_compared():
     first, second = settings_of(runs, None)
     kept, text = comparable(runs, first)
     assert [r.name for r in kept] == ["ours-01234567", "ours-01234568"]
-    assert "In sections of their own, of another setting: big-01234567" in text
+    assert "Of another preset, number of steps or dataset: big-01234567" in text
     assert [r.name for r in comparable(runs, second)[0]] == ["big-01234567"]
     assert settings_of(runs, "small") == [second]
     with pytest.raises(UserError, match=r"paper.*small, tiny"):

@@ -17,7 +17,7 @@ from omniocc.io import YAML
 from omniocc.report.dataset.facts import own_row, pinhole_twin
 from omniocc.report.runs import FinishedRun
 from omniocc.report.tables.formats import csv_text, tabular
-from omniocc.run.table import markdown
+from omniocc.run.table import Cells, markdown
 
 Row = tuple[str, Sequence[bool | int]]
 
@@ -112,7 +112,7 @@ def facts_of_scenes(scenes: Sequence[SceneReader]) -> str:
     return f"{', '.join(parts)}; {places} kinds of places."
 
 
-def dataset_cells(table: DatasetTable) -> tuple[list[str], list[list[str]]]:
+def dataset_cells(table: DatasetTable) -> Cells:
     """Return head and rows as text."""
     head = ["dataset", *table.columns.values()]
     return head, [[name, *(_cell(cells, k) for k in range(len(table.columns)))] for name, cells in table.rows]

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from omniocc.report.runs import FinishedRun, grid_name
-from omniocc.run.table import number
+from omniocc.run.table import Cells, number
 
 TITLE = "Baseline and true voxels"
 NOTE = (
@@ -19,7 +19,7 @@ COLUMNS = {
 }
 
 
-def bounds_cells(rows: Mapping[str, Sequence[FinishedRun]]) -> tuple[list[str], list[list[str]]]:
+def bounds_cells(rows: Mapping[str, Sequence[FinishedRun]]) -> Cells:
     """Return the head and a line for each grid, with RayIoU of the baseline and of the true voxels."""
     grids = {grid_name(run.config): run for runs in rows.values() for run in runs[:1]}
     lines = [[grid, *(number(run.metrics.get(key)) for key in COLUMNS.values())] for grid, run in grids.items()]

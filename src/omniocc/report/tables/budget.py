@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from omniocc.report.runs import FinishedRun
 from omniocc.run.cost import GFLOP, PARAMETERS, PEAK
 from omniocc.run.results import EARLIER_MINUTES, MINUTES
+from omniocc.run.table import Cells
 
 STAGES = ("depth", "sketch", "occupancy")
 HEAD = ["row", "M parameters", "GFLOP a frame", "steps of depth", "of the sketch", "of the model", "in all"]
@@ -16,7 +17,7 @@ NOTE = (
 )
 
 
-def budget_cells(rows: Mapping[str, Sequence[FinishedRun]]) -> tuple[list[str], list[list[str]]]:
+def budget_cells(rows: Mapping[str, Sequence[FinishedRun]]) -> Cells:
     """Return the head and a line for each row; a dash where its runs have no record.
 
     Minutes are means over seeds, parameters, operations and memory maxima.

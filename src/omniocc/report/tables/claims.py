@@ -11,10 +11,11 @@ from omniocc.report.tables.gaps import EXACT, Gap, Gaps, gap_of_systems
 from omniocc.report.tables.holm import holm
 from omniocc.report.tables.paper import PaperRow, PaperTable, figure_of
 from omniocc.report.tables.streets import error_over_streets
+from omniocc.run.table import Cells
 
 Rows = Mapping[str, Sequence[FinishedRun]]
 LEVEL = 0.05
-"""Largest probability of one wrong 'holds' or more, and of one wrong 'does not hold' or more, in a family of claims."""
+"""Largest probability in a family of a wrong 'holds' or 'opposite sign', and of a wrong 'smaller'."""
 JUDGES = {"own voxels": "test/", "LiDAR rays": "test/lidar/"}
 """Beginning of the keys of each judge's scores."""
 HEAD = ["claim", "paper", "judge", "in proportion", "here ± over seeds", "± over streets", "no gap: p (Holm)"]
@@ -95,13 +96,13 @@ def rows_in(tables: Sequence[PaperTable], rows: Rows) -> Rows:
     return _once((row.run for table in tables for row in table.rows), rows)
 
 
-def claimed(tables: Sequence[PaperTable], rows: Rows, share_stages: bool) -> Rows:
+def rows_of_claims(tables: Sequence[PaperTable], rows: Rows, share_stages: bool) -> Rows:
     """Return the rows of claims that have run, of those about two rows that share stages, or of the others."""
     pairs = ((table, pair) for table in tables for pair in pairs_of(table))
     return _once((row.run for table, pair in pairs if table.shares_stages(*pair) == share_stages for row in pair), rows)
 
 
-def planned(tables: Sequence[PaperTable], judge: str) -> list[tuple[PaperTable, PaperRow, PaperRow]]:
+def planned_claims(tables: Sequence[PaperTable], judge: str) -> list[tuple[PaperTable, PaperRow, PaperRow]]:
     """Return the claims that a judge decides, each once, in its first table, whether its rows have run or not."""
     names, found = names_in(tables), {}
     for table in tables:
@@ -120,9 +121,13 @@ def _once(names: Iterable[str], rows: Rows) -> Rows:
 
 
 def names_in(tables: Sequence[PaperTable]) -> dict[str, str]:
-    """Return the rows of tables with their names: that of `ours@1000` is `ours` where a table has that row too."""
-    rows = {row.run for table in tables for row in table.rows}
-    return {row: base if (base := row.partition("@")[0]) in rows else row for row in rows}
+    """Return the rows of tables with their names.
+
+    In runs of 1,000 steps the name of `ours@1000` is `ours`, if a table has that row too.
+    """
+    rows = {row.run: table.steps for table in tables for row in table.rows}
+    plain = {row: row.removesuffix(f"@{steps}") for row, steps in rows.items()}
+    return {row: plain[row] if plain[row] in rows else row for row in rows}
 
 
 def claims_of(tables: Sequence[PaperTable], rows: Rows, judge: str) -> dict[Name, Claim]:
@@ -132,7 +137,7 @@ def claims_of(tables: Sequence[PaperTable], rows: Rows, judge: str) -> dict[Name
     """
     found: dict[Name, Claim] = {}
     keys = {key for table in tables if (key := metric_of(table, judge)) is not None}
-    noise = {key: Gaps(claimed(tables, rows, True), key) for key in keys}
+    noise = {key: Gaps(rows_of_claims(tables, rows, True), key) for key in keys}
     for table in tables:
         key = metric_of(table, judge)
         for better, other in pairs_of(table):
@@ -151,17 +156,15 @@ def name_of(better: PaperRow, other: PaperRow, rows: Rows, key: str | None) -> N
 
 
 def _claim(table: PaperTable, better: PaperRow, other: PaperRow, rows: Rows, key: str, noise: Gaps) -> Claim:
-    most, less = better.paper[table.order_by], other.paper[table.order_by]
     score = figure_of(rows[better.run], key)
-    assert most is not None
-    assert less is not None
     assert score is not None
     if table.shares_stages(better, other):
         gap = noise.between(_as_in(noise, better.run, rows), _as_in(noise, other.run, rows))
     else:
         gap = gap_of_systems(rows[better.run], rows[other.run], key)
     streets = error_over_streets(rows[better.run], rows[other.run], key)
-    return Claim(most - less, (most - less) / most * score.mean, gap, streets)
+    size = table.in_proportion(better, other, score.mean)
+    return Claim(table.printed_gap(better, other), size, gap, streets)
 
 
 def _as_in(noise: Gaps, row: str, rows: Rows) -> str:
@@ -179,7 +182,7 @@ def judged(tables: Sequence[PaperTable], rows: Rows) -> dict[Name, Judged]:
     for judge in JUDGES:
         claims = claims_of(tables, rows, judge)
         tested = {name: claim for name, claim in claims.items() if not math.isnan(claim.gap.error)}
-        tests = len(planned(tables, judge))
+        tests = len(planned_claims(tables, judge))
         none = dict(zip(tested, holm([claim.gap.p_none for claim in tested.values()], tests), strict=True))
         size = dict(zip(tested, holm([claim.p_size for claim in tested.values()], tests), strict=True))
         found |= {
@@ -188,7 +191,7 @@ def judged(tables: Sequence[PaperTable], rows: Rows) -> dict[Name, Judged]:
     return found
 
 
-def claim_cells(table: PaperTable, rows: Rows, decided: Mapping[Name, Judged]) -> tuple[list[str], list[list[str]]]:
+def claim_cells(table: PaperTable, rows: Rows, decided: Mapping[Name, Judged]) -> Cells:
     """Return head and lines of a table of claims, a line for each claim and judge; `decided` has all claims."""
     lines = []
     for better, other in pairs_of(table):

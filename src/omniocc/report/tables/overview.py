@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from omniocc.report.runs import FinishedRun
 from omniocc.run.machine import MACHINE
 from omniocc.run.results import EARLIER_MINUTES, MINUTES
-from omniocc.run.table import band_keys, number
+from omniocc.run.table import Cells, band_keys, number
 
 RECORDS = ("seed", "steps", MINUTES, EARLIER_MINUTES, "commit", MACHINE)
 
@@ -16,7 +16,7 @@ def overview_keys(runs: list[FinishedRun]) -> list[str]:
     return [f"test/{key}" for key in ("rayiou", *bands, "lidar/rayiou", "voxel/miou")]
 
 
-def table_of_runs(runs: list[FinishedRun]) -> tuple[list[str], list[list[str]]]:
+def table_of_runs(runs: list[FinishedRun]) -> Cells:
     """Return head and rows: run, seed, steps, RayIoU, its distance bands, RayIoU against LiDAR rays, mIoU."""
     bands = band_keys(runs[0].metrics)
     names = [band.removeprefix("rayiou_") for band in bands]
@@ -28,7 +28,7 @@ def table_of_runs(runs: list[FinishedRun]) -> tuple[list[str], list[list[str]]]:
     return head, rows
 
 
-def records(runs: Sequence[FinishedRun]) -> tuple[list[str], list[list[str]]]:
+def records(runs: Sequence[FinishedRun]) -> Cells:
     """Return head and rows of how the runs were made, by name: seed, steps, minutes, commit, machine, command."""
     rows = []
     for run in sorted(runs, key=lambda run: run.name):

@@ -52,8 +52,10 @@ class PaperTable(NamedTuple):
         note: inconsistencies of the paper's figures.
         number: the table's number in the paper.
         compares: `parts` of one system, whose rows share depth and sketch of a seed, or `systems`.
-        claims: rows of which the first is ahead of the second in the paper, besides the best one over all others.
+        claims: pairs of rows; the paper has the first ahead of the second. Its best row over every other one is always
+            claimed.
         of_lengths: whether every row names its own number of steps, so that the table is the same in every setting.
+        steps: number of steps of the runs in the table; empty before `of_steps`.
     """
 
     name: str
@@ -66,10 +68,23 @@ class PaperTable(NamedTuple):
     compares: str = "parts"
     claims: Sequence[tuple[str, str]] = ()
     of_lengths: bool = False
+    steps: str = ""
 
     def shares_stages(self, better: PaperRow, other: PaperRow) -> bool:
         """Return whether two rows share depth and sketch of a seed."""
         return self.compares == "parts" and not (better.alone or other.alone)
+
+    def printed_gap(self, better: PaperRow, other: PaperRow) -> float:
+        """Return the paper's gap between two rows of a claim.
+
+        Raises:
+            ValueError: if the paper has no figure of one of them.
+        """
+        return _printed(better, self.order_by) - _printed(other, self.order_by)
+
+    def in_proportion(self, better: PaperRow, other: PaperRow, score: float) -> float:
+        """Return the paper's gap where the better row scores as here: printed gap / printed score * score."""
+        return self.printed_gap(better, other) / _printed(better, self.order_by) * score
 
     def of_steps(self, steps: str) -> "PaperTable":
         """Return the table of runs of a number of steps, in which `@same` is replaced by it."""
@@ -78,7 +93,15 @@ class PaperTable(NamedTuple):
             return run.replace("@same", f"@{steps}")
 
         rows = [row._replace(run=named(row.run)) for row in self.rows]
-        return self._replace(rows=rows, claims=[(named(better), named(other)) for better, other in self.claims])
+        claims = [(named(better), named(other)) for better, other in self.claims]
+        return self._replace(rows=rows, claims=claims, steps=steps)
+
+
+def _printed(row: PaperRow, column: str) -> float:
+    figure = row.paper[column]
+    if figure is None:
+        raise ValueError(f"the paper has no {column} of {row.run}")
+    return figure
 
 
 class Figure(NamedTuple):

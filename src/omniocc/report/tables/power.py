@@ -1,7 +1,7 @@
 """How many seeds a gap of the paper's size needs before it can be found."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -9,10 +9,11 @@ import yaml
 from scipy import stats
 
 from omniocc.errors import UserError
-from omniocc.report.tables.claims import LEVEL, Rows, claimed, pairs_of, planned
+from omniocc.report.runs import RAY_IOU
+from omniocc.report.tables.claims import LEVEL, Rows, pairs_of, planned_claims, rows_of_claims
 from omniocc.report.tables.gaps import Gaps
 from omniocc.report.tables.paper import PaperRow, PaperTable, figure_of
-from omniocc.run.table import markdown
+from omniocc.run.table import Cells, markdown
 
 WANTED = 0.8
 """Probability with which a gap of the paper's size is to be found."""
@@ -39,13 +40,15 @@ class Wanted(NamedTuple):
     """A claim whose power is asked for.
 
     Attributes:
+        key: of the metric that decides it.
         shares_stages: whether its rows share depth and sketch of a seed.
         paper: the printed gap.
-        size: the same in proportion to the score here.
+        size: the same in proportion to the score here; nan if the better row has not run.
     """
 
     title: str
     table: str
+    key: str
     shares_stages: bool
     paper: float
     size: float
@@ -78,9 +81,9 @@ def spread_of(given: Sequence[float]) -> Spread:
 
 def measured(tables: Sequence[PaperTable], rows: Rows, key: str) -> Spread | None:
     """Return the spreads of the runs themselves; None as long as no part, or no system, has two seeds."""
-    systems = claimed(tables, rows, False)
+    systems = rows_of_claims(tables, rows, False)
     spreads = [figure.spread for runs in systems.values() if (figure := figure_of(runs, key)) and figure.seeds > 1]
-    parts = Gaps(claimed(tables, rows, True), key).spread
+    parts = Gaps(rows_of_claims(tables, rows, True), key).spread
     if math.isnan(parts) or not spreads:
         return None
     return Spread("the runs here", parts, math.sqrt(sum(spread * spread for spread in spreads) / len(spreads)))
@@ -88,14 +91,16 @@ def measured(tables: Sequence[PaperTable], rows: Rows, key: str) -> Spread | Non
 
 def wanted(tables: Sequence[PaperTable], rows: Rows) -> list[Wanted]:
     """Return the claims of all tables by the paper's own metric, each once, whether its rows have run or not."""
-    return [_wanted(*claim, rows) for claim in planned(tables, "own voxels")]
+    return [_wanted(*claim, rows) for claim in planned_claims(tables, "own voxels")]
 
 
 def _wanted(table: PaperTable, better: PaperRow, other: PaperRow, rows: Rows) -> Wanted:
-    most, less = better.paper[table.order_by] or 0.0, other.paper[table.order_by] or 0.0
     score = figure_of(rows.get(better.run, ()), table.order_by)
-    size = most - less if score is None else (most - less) / most * score.mean
-    return Wanted(better.ahead_of(other), table.title, table.shares_stages(better, other), most - less, size)
+    return Wanted(
+        better.ahead_of(other), table.title, table.order_by, table.shares_stages(better, other),
+        table.printed_gap(better, other),
+        math.nan if score is None else table.in_proportion(better, other, score.mean),
+    )  # fmt: skip
 
 
 def power_of(size: float, error: float, freedom: int, claims: int) -> float:
@@ -137,21 +142,28 @@ def seeds_needed(size: float, spread: float, freedom: Callable[[int], int], clai
     return high
 
 
-def power_cells(
-    tables: Sequence[PaperTable], rows: Rows, spreads: Sequence[Spread]
-) -> tuple[list[str], list[list[str]]]:
-    """Return head and a line for each claim: the paper's gap, and the seeds that it needs at every spread."""
+def power_cells(tables: Sequence[PaperTable], rows: Rows, spreads: Sequence[Mapping[str, Spread]]) -> Cells:
+    """Return head and a line for each claim: the paper's gap, and the seeds that it needs at every spread.
+
+    Args:
+        tables: the paper's tables.
+        rows: runs of each row.
+        spreads: spreads by metric; each has that of RayIoU. Where one lacks the metric of a claim, a dash stands.
+    """
     claims, parts = wanted(tables, rows), _number_of_parts(tables)
     lines = []
     for claim in claims:
-        gaps = f"{claim.paper:+.3f}", f"{claim.size:+.3f}"
+        gaps = f"{claim.paper:+.3f}", "–" if math.isnan(claim.size) else f"{claim.size:+.3f}"
         lines.append([claim.title, claim.table, *gaps, *_needed(claim, spreads, parts, len(claims))])
-    head = [f"spread {entry.parts:.4f} / {entry.systems:.4f}" for entry in spreads]
+    head = [f"spread {entry[RAY_IOU].parts:.4f} / {entry[RAY_IOU].systems:.4f}" for entry in spreads]
     return ["claim", "table", "paper", "in proportion", *head], lines
 
 
-def _needed(claim: Wanted, spreads: Sequence[Spread], parts: int, claims: int) -> Iterator[str]:
-    for entry in spreads:
+def _needed(claim: Wanted, spreads: Sequence[Mapping[str, Spread]], parts: int, claims: int) -> Iterator[str]:
+    for entry in (by_metric.get(claim.key) for by_metric in spreads):
+        if entry is None or math.isnan(claim.size):
+            yield "–"
+            continue
         if claim.shares_stages:
             seeds = seeds_needed(claim.size, entry.parts, lambda n: freedom_of_parts(n, parts), claims)
         else:
@@ -168,13 +180,17 @@ def _number_of_parts(tables: Sequence[PaperTable]) -> int:
 
 def power_chapter(tables: Sequence[PaperTable], rows: Rows, given: Sequence[Spread]) -> str:
     """Return the page as Markdown; empty if no spread is given or measured."""
-    here = measured(tables, rows, "test/rayiou")
-    spreads = [*given, *([] if here is None else [here])]
+    keys = {claim.key for claim in wanted(tables, rows)}
+    here = {key: spread for key in sorted(keys) if (spread := measured(tables, rows, key)) is not None}
+    spreads: list[Mapping[str, Spread]] = [{RAY_IOU: spread} for spread in given]
+    if RAY_IOU in here:
+        spreads.append(here)
     if not spreads:
         return ""
     head, lines = power_cells(tables, rows, spreads)
     parts, claims = _number_of_parts(tables), len(lines)
-    sources = [f"* {entry.parts:.4f} / {entry.systems:.4f}: {entry.source}" for entry in spreads]
+    sources = [f"* {entry.parts:.4f} / {entry.systems:.4f}: {entry.source}" for entry in given]
+    sources += [f"* {entry.parts:.4f} / {entry.systems:.4f}: {entry.source}, `{key}`" for key, entry in here.items()]
     note = (
         f"How many training seeds each row of a claim needs, so that the claim 'holds' with a probability of "
         f"{WANTED:.0%} if the true gap is as large as the paper's, in proportion to the score here; what 'does not "
@@ -183,6 +199,7 @@ def power_chapter(tables: Sequence[PaperTable], rows: Rows, given: Sequence[Spre
         f"use the same trained depth and sketch, "
         f"without the effects of row and seed, estimated over {parts} rows of {OTHERS} seeds or more / of a row that "
         f"shares nothing with the other. Two such rows are given equal spreads here, the best case of Welch's test: "
-        f"where they differ, it needs more seeds."
+        f"where they differ, it needs more seeds. The runs here have a spread of each claim's own metric; the others "
+        f"are of RayIoU. A dash: the better row has not run, or the spread of the metric is not known."
     )
     return "\n".join([f"## {TITLE}", "", note, "", *sources, "", markdown(head, lines)])

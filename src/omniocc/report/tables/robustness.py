@@ -7,7 +7,7 @@ import numpy as np
 
 from omniocc.report.runs import HASH
 from omniocc.run.robustness import WITHIN, PartScores, Robustness, drop_of, group_losses
-from omniocc.run.table import in_columns, markdown, number
+from omniocc.run.table import Cells, in_columns, markdown, number
 
 TITLE = "What breaks them"
 NOTE = (
@@ -19,7 +19,6 @@ NOTE = (
     "s: wall-clock seconds of prediction and scores."
 )
 SCORES = {"rayiou": "RayIoU", "lidar/rayiou": "LiDAR", "voxel/iou": "IoU", "voxel/miou": "mIoU"}
-Cells = tuple[list[str], list[list[str]]]
 
 
 def name_of(record: Robustness) -> str:

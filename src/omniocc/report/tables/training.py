@@ -7,19 +7,31 @@ from typing import NamedTuple
 
 from omniocc.report.runs import FinishedRun
 from omniocc.report.sweep import Sweep
-from omniocc.report.tables.claims import JUDGES, LEVEL, Judged, Name, metric_of, name_of, p_cell, pairs_of
+from omniocc.report.tables.claims import (
+    JUDGES,
+    LEVEL,
+    Judged,
+    Name,
+    metric_of,
+    name_of,
+    p_cell,
+    pairs_of,
+    planned_claims,
+)
 from omniocc.report.tables.gaps import Gap, change
 from omniocc.report.tables.holm import holm
-from omniocc.report.tables.paper import figure_of, with_spread
+from omniocc.report.tables.paper import PaperTable, figure_of, with_spread
 from omniocc.run.curves import read_curve
-from omniocc.run.table import markdown, number
+from omniocc.run.table import Cells, markdown, number
 
-TITLE = "The same claims after more steps"
-NOTE = (
-    "Claims whose two rows have run with several numbers of steps of the last stage; depth and sketch are the same. "
-    "Each number of steps has a family of claims of its own. Verdicts also differ where one had more seeds. Therefore "
-    "the change of the gap from the fewest to the most steps is tested itself, with Holm's correction over all lines "
-    "of a judge."
+TITLE = "The same rows and claims after more steps"
+NOTE = "Rows that have run with several numbers of steps of the last stage; depth and sketch are the same."
+CHANGES = (
+    "Claims whose two rows have run with several numbers of steps, of which each has a family of claims of its own. A "
+    "verdict can also differ because one number of steps has more seeds. Therefore the change of the gap, from the "
+    "fewest to the most steps, is tested itself: as if the runs of both had no noise in common, with Holm's correction "
+    "over as many claims as a family has. All scores rise with training, and gaps with them: a change is not yet one "
+    "in proportion."
 )
 CURVES = (
     "RayIoU on validation scenes on the way, mean over seeds, at the last validation up to each part of the steps. "
@@ -43,22 +55,44 @@ class Compared(NamedTuple):
         return change(first.claim.gap, last.claim.gap)
 
 
+class Part(NamedTuple):
+    """A table of the page, with the name of its place and a remark above it."""
+
+    name: str
+    title: str
+    note: str
+    cells: Cells
+
+
 def chapter(sweep: Sweep) -> str:
-    """Return the page as Markdown: rows, claims and curves of the sweep and of its `longer` ones."""
+    """Return the page as Markdown; empty without a row that has run with several numbers of steps."""
+    parts = parts_of(sweep)
+    heads = [f"{'###' if number else '##'} {part.title}" for number, part in enumerate(parts)]
+    texts = [text for head, part in zip(heads, parts, strict=True) for text in (head, part.note, markdown(*part.cells))]
+    return "\n\n".join(text.rstrip() for text in texts)
+
+
+def parts_of(sweep: Sweep) -> list[Part]:
+    """Return the tables of scores, claims and learning curves of a sweep and of its `longer` ones."""
     sweeps = by_steps(sweep)
-    rows = [row for row in rows_of(sweep) if any(of_row(each, row) for each in sweep.longer)]
+    rows = rows_on_page(sweep)
     if not rows:
-        return ""
-    parts = [f"## {TITLE}", NOTE, markdown(*score_cells(sweeps, rows)).rstrip()]
+        return []
+    parts = [Part("training", TITLE, NOTE, score_cells(sweeps, rows))]
     if claims := list(compared(sweeps)):
-        parts.append(markdown(*claim_cells(claims, list(sweeps))).rstrip())
-    parts += ["### Learning curves", CURVES, markdown(*curve_cells(sweeps, rows))]
-    return "\n\n".join(parts)
+        parts.append(Part("training-claims", "What changes with training", CHANGES, change_cells(claims, sweeps)))
+    return [*parts, Part("learning-curves", "Learning curves", CURVES, curve_cells(sweeps, rows))]
+
+
+def rows_on_page(sweep: Sweep) -> list[str]:
+    """Return the rows that have run with more steps too."""
+    return [row for row in rows_of(sweep) if any(of_row(each, row) for each in sweep.longer)]
 
 
 def by_steps(sweep: Sweep) -> dict[str, Sweep]:
-    """Return a sweep and its longer ones by their number of steps."""
-    return {each.runs[0].setting[1]: each for each in (sweep, *sweep.longer)}
+    """Return a sweep, and its longer ones that have a row in common with it, by their number of steps."""
+    alike = [each for each in sweep.longer if any(of_row(each, row) for row in rows_of(sweep))]
+    return {each.runs[0].setting[1]: each for each in (sweep, *alike)}
 
 
 def rows_of(sweep: Sweep) -> list[str]:
@@ -72,7 +106,7 @@ def of_row(sweep: Sweep, row: str) -> Sequence[FinishedRun]:
     return sweep.rows.get(row) or sweep.lengths.get(f"{row}@{sweep.runs[0].setting[1]}", ())
 
 
-def score_cells(sweeps: Mapping[str, Sweep], rows: Sequence[str]) -> tuple[list[str], list[list[str]]]:
+def score_cells(sweeps: Mapping[str, Sweep], rows: Sequence[str]) -> Cells:
     """Return head and a line for each row: RayIoU by both judges at every number of steps."""
     head = ["row", *(f"{title}, {steps} steps" for title in ("RayIoU", "LiDAR") for steps in sweeps)]
     lines = []
@@ -87,9 +121,7 @@ def compared(sweeps: Mapping[str, Sweep]) -> Iterator[Compared]:
     decided = {steps: sweep.claims for steps, sweep in sweeps.items()}
     tables = [{table.name: table for table in sweep.tables} for sweep in sweeps.values()]
     seen = set()
-    for table in next(iter(sweeps.values())).tables:
-        if table.of_lengths:
-            continue
+    for table in _once(next(iter(sweeps.values())).tables):
         for pairs in zip(*(pairs_of(of_steps[table.name]) for of_steps in tables), strict=True):
             better, other = pairs[0]
             for judge in JUDGES:
@@ -104,16 +136,16 @@ def compared(sweeps: Mapping[str, Sweep]) -> Iterator[Compared]:
                     yield Compared(better.ahead_of(other), judge, found)
 
 
-def claim_cells(claims: Sequence[Compared], steps: Sequence[str]) -> tuple[list[str], list[list[str]]]:
+def change_cells(claims: Sequence[Compared], sweeps: Mapping[str, Sweep]) -> Cells:
     """Return head and a line for each claim: gap and verdict at every number of steps, and how far the gap moved."""
-    head = ["claim", "paper", "judge", *(title for each in steps for title in (f"at {each} steps", "verdict"))]
+    head = ["claim", "paper", "judge", *(title for each in sweeps for title in (f"at {each} steps", "verdict"))]
     head += ["change", "no change: p (Holm)", "changes"]
-    adjusted = adjusted_changes(claims)
+    adjusted = adjusted_changes(claims, _once(next(iter(sweeps.values())).tables))
     lines = []
     for claim, p_value in zip(claims, adjusted, strict=True):
         cells = [
             cell
-            for each in steps
+            for each in sweeps
             for cell in (
                 (claim.found[each].claim.gap.written, claim.found[each].verdict) if each in claim.found else "––"
             )
@@ -125,20 +157,23 @@ def claim_cells(claims: Sequence[Compared], steps: Sequence[str]) -> tuple[list[
     return head, lines
 
 
-def adjusted_changes(claims: Sequence[Compared]) -> list[float]:
-    """Return the p-value of 'the gap does not change' of each claim, adjusted by Holm over the claims of its judge."""
+def adjusted_changes(claims: Sequence[Compared], tables: Sequence[PaperTable]) -> list[float]:
+    """Return the p-value of 'the gap does not change' of each claim, adjusted by Holm.
+
+    The family of a judge has the claims of all tables, as that of verdicts, whether their rows have run or not.
+    """
     found = [math.nan] * len(claims)
     for judge in JUDGES:
         places = [
             place for place, claim in enumerate(claims) if claim.judge == judge and not math.isnan(claim.change.error)
         ]
-        p_values = holm([claims[place].change.p_none for place in places], len(places))
+        p_values = holm([claims[place].change.p_none for place in places], len(planned_claims(tables, judge)))
         for place, p_value in zip(places, p_values, strict=True):
             found[place] = p_value
     return found
 
 
-def curve_cells(sweeps: Mapping[str, Sweep], rows: Sequence[str]) -> tuple[list[str], list[list[str]]]:
+def curve_cells(sweeps: Mapping[str, Sweep], rows: Sequence[str]) -> Cells:
     """Return head and a line for each row and number of steps: RayIoU on validation scenes after parts of the steps."""
     lines = []
     for row in rows:
@@ -154,3 +189,8 @@ def _at(curves: Sequence[Mapping[int, float]], end: float) -> float | None:
     """Return the mean of the last values up to a step; None if a curve has none."""
     values = [[curve[step] for step in sorted(curve) if step <= end][-1:] for curve in curves]
     return statistics.mean(value for (value,) in values) if all(values) else None
+
+
+def _once(tables: Sequence[PaperTable]) -> list[PaperTable]:
+    """Return the tables that have other runs for every number of steps."""
+    return [table for table in tables if not table.of_lengths]

@@ -11,7 +11,7 @@ from omniocc.report.tables.paper import figure_of, with_spread
 from omniocc.report.tables.protocol import protocol_text
 from omniocc.run.results import MINUTES
 from omniocc.run.slots import slots_of
-from omniocc.run.table import markdown
+from omniocc.run.table import Cells, markdown
 
 TITLE = "Changes that were tried"
 NOTE = (
@@ -36,7 +36,7 @@ def tried_chapter(runs: Sequence[FinishedRun], reference: str) -> str:
     return f"## {TITLE}\n\n{NOTE}\n\n{markdown(*tried_cells(runs, reference))}{protocol}"
 
 
-def tried_cells(runs: Sequence[FinishedRun], reference: str) -> tuple[list[str], list[list[str]]]:
+def tried_cells(runs: Sequence[FinishedRun], reference: str) -> Cells:
     """Return the head and a line for each configuration, seeds together, by falling RayIoU on validation scenes.
 
     Args:

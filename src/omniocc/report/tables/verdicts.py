@@ -12,16 +12,17 @@ from omniocc.report.tables.claims import (
     Rows,
     metric_of,
     name_of,
-    planned,
+    planned_claims,
     streets_cell,
 )
 from omniocc.report.tables.paper import PaperRow, PaperTable
-from omniocc.run.table import markdown
+from omniocc.run.table import Cells, markdown
 
 TITLE = "All claims"
 NOTE = (
-    "Every claim of every table once, by the verdict of the paper's own metric, own voxels: here ± standard error over "
-    "seeds, ± over streets. 'In proportion' is the paper's gap where scores are as here. Seeds: of both rows."
+    "Every claim of every table once, in the order of its verdict by the paper's own metric, own voxels. 'In "
+    "proportion': the printed gap / the printed score of the better method x its score here. 'Seeds': how many the "
+    "first and the second row have. A gap has its standard error over seeds, then over streets."
 )
 NOT_RUN = "not run"
 ORDER = (HOLDS, AGAINST, UNDECIDED, NOT_RUN)
@@ -29,12 +30,15 @@ ORDER = (HOLDS, AGAINST, UNDECIDED, NOT_RUN)
 
 def verdicts_chapter(tables: Sequence[PaperTable], rows: Rows, decided: Mapping[Name, Judged]) -> str:
     """Return the page as Markdown; empty if no table has a claim."""
-    claims = planned(tables, "own voxels")
+    head, lines = verdict_cells(tables, rows, decided)
+    return f"## {TITLE}\n\n{NOTE}\n\n{markdown(head, lines)}" if lines else ""
+
+
+def verdict_cells(tables: Sequence[PaperTable], rows: Rows, decided: Mapping[Name, Judged]) -> Cells:
+    """Return head and a line for each claim of all tables, by verdict."""
+    claims = planned_claims(tables, "own voxels")
     lines = sorted((_line(*claim, rows, decided) for claim in claims), key=lambda line: _place(line[5]))
-    if not lines:
-        return ""
-    head = ["claim", "table", "paper", "in proportion", "seeds", "verdict", *JUDGES, "verdict by LiDAR rays"]
-    return f"## {TITLE}\n\n{NOTE}\n\n{markdown(head, lines)}"
+    return ["claim", "table", "paper", "in proportion", "seeds", "verdict", *JUDGES, "verdict by LiDAR rays"], lines
 
 
 def _place(verdict: str) -> int:
@@ -51,8 +55,16 @@ def _line(
     own, lidar = found.values()
     title = better.ahead_of(other)
     if own is None:
-        gap = (better.paper[table.order_by] or 0.0) - (other.paper[table.order_by] or 0.0)
-        return [title, table.title, f"{gap:+.3f}", "–", "–", NOT_RUN, *"–" * len(JUDGES), "–"]
+        return [
+            title,
+            table.title,
+            f"{table.printed_gap(better, other):+.3f}",
+            "–",
+            "–",
+            NOT_RUN,
+            *"–" * len(JUDGES),
+            "–",
+        ]
     seeds = " and ".join(str(len(rows[row.run])) for row in (better, other))
     gaps = [
         "–" if each is None else f"{each.claim.gap.written} {streets_cell(each.claim)}".removesuffix(" –")
