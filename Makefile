@@ -80,7 +80,7 @@ rows_equal = $(call rows_of,equal)
 rows_interval = $(call rows_of,interval)
 rows_reasons = $(call rows_of,reasons)
 TABLES ?= paper
-ABLATIONS ?= $(subst $(empty) $(empty),$(comma),$(strip $(or $(rows_$(TABLES)),$(error TABLES=$(TABLES): choose paper, beyond, rivals, tried, learning_rates, equal, interval, reasons or all))))
+ABLATIONS ?= $(subst $(empty) $(empty),$(comma),$(strip $(or $(rows_$(TABLES)),$(error TABLES=$(TABLES): choose paper, beyond, rivals, bets, tried, learning_rates, equal, interval, reasons or all))))
 SEEDS ?= 0
 JOBS ?= 2
 ARGS ?=
