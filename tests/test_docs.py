@@ -2,6 +2,7 @@
 
 import importlib
 import re
+import shlex
 from pathlib import Path
 
 import pytest
@@ -100,7 +101,7 @@ def commands() -> list[str]:
 
 @pytest.mark.parametrize("overrides", commands())
 def test_commands_compose(overrides, composed):
-    assert composed(*overrides.split()).model
+    assert composed(*shlex.split(overrides)).model
 
 
 def test_where_is_it_names_what_the_file_holds():
