@@ -40,6 +40,7 @@ from omniocc.run.wandb.loggers import finish, log_earlier_stages
 from omniocc.task import OccupancyTask, StepProgress, TrainingTime
 from omniocc.task.build import build_task, check_devices, switch_off_head
 from omniocc.task.images import OccupancyImages
+from omniocc.task.last import LastCheckpoint
 from omniocc.task.scene_counts import save_by_scene
 from omniocc.task.stage_keys import wanted_stages
 from omniocc.task.stages import Stages
@@ -118,6 +119,7 @@ def train_occupancy(
     if trainer.is_global_zero:
         announce(run, task, data)
     trainer.fit(task, datamodule=data, ckpt_path=run.checkpoint and str(run.checkpoint))
+    minutes = duration.minutes  # the best checkpoint, which is tested, has its own
     trainer.save_checkpoint(run.path / LAST)
     tested = run.path / (BEST if (run.path / BEST).exists() else LAST)
     metrics = trainer.validate(task, datamodule=data, ckpt_path=str(tested), verbose=False)[0]
@@ -128,7 +130,7 @@ def train_occupancy(
         facts = {"run": run.path.name, "checkpoint": tested.name, "seed": cfg.seed, "steps": trainer.global_step}
         facts |= {"preset": cfg.preset.name, "command": command_line()}
         device = trainer.strategy.root_device
-        facts |= {MINUTES: duration.minutes, PEAK: peak_mib(device), MACHINE: machine(device)}
+        facts |= {MINUTES: minutes, PEAK: peak_mib(device), MACHINE: machine(device)}
         facts |= cost_of(task.model.eval(), data.dataset("test")[0])
         facts |= facts_of_report(task, data, earlier, trainer.global_step)
         facts |= {"commit": git_commit(), "data": data.source.fingerprint, PROTOCOL: task.scores.protocol()}
@@ -171,9 +173,9 @@ def callbacks(cfg: DictConfig, run: RunFolder, title: str, classes: ClassTable, 
     steps = cfg.checkpoint_every_n_steps
     return [
         StepProgress(title),
-        StopAtSignal(run.path / LAST),
-        ModelCheckpoint(run.path, "last", every_n_train_steps=steps, enable_version_counter=False),
         ModelCheckpoint(run.path, "best", monitor=score, mode="max", enable_version_counter=False),
+        LastCheckpoint(run.path / LAST, steps),
+        StopAtSignal(run.path / LAST),
         OccupancyImages(run.path / IMAGES, cfg.test_images, classes),
     ]
 

@@ -30,7 +30,7 @@ class SignalInValidation(Callback):
 def trainer_of(folder: Path, *callbacks: Callback) -> Trainer:
     return Trainer(
         max_steps=8, default_root_dir=str(folder), callbacks=[StopAtSignal(folder / "last.ckpt"), *callbacks],
-        logger=False, enable_checkpointing=False, enable_progress_bar=False, enable_model_summary=False,
+        logger=False, enable_progress_bar=False, enable_model_summary=False,
         limit_val_batches=0, accelerator="cpu",
     )  # fmt: skip
 
@@ -51,9 +51,32 @@ def test_a_training_that_is_ended_between_steps_does_not_pass_for_finished(tmp_p
     trainer = Trainer(
         max_steps=8, default_root_dir=str(tmp_path),
         callbacks=[StopAtSignal(tmp_path / "last.ckpt"), SignalInValidation()],
-        logger=False, enable_checkpointing=False, enable_progress_bar=False, enable_model_summary=False,
+        logger=False, enable_progress_bar=False, enable_model_summary=False,
         limit_val_batches=2, limit_train_batches=3, num_sanity_val_steps=0, accelerator="cpu",
     )  # fmt: skip
     with pytest.raises(SystemExit) as ended:
         trainer.fit(BoringModel())
     assert ended.value.code == "ended by SIGTERM after step 3; the same command goes on from its checkpoint"
+
+
+@pytest.mark.parametrize("number", [STOP, signal.SIGTERM])
+def test_a_stop_waits_for_the_validation_of_its_step(tmp_path, number):
+    validated = []
+    trainer = Trainer(
+        max_steps=8, default_root_dir=str(tmp_path),
+        callbacks=[Validated(validated), SignalAt(3, number), StopAtSignal(tmp_path / "last.ckpt")],
+        logger=False, enable_progress_bar=False, enable_model_summary=False,
+        limit_val_batches=1, val_check_interval=4, check_val_every_n_epoch=None, num_sanity_val_steps=0,
+        accelerator="cpu",
+    )  # fmt: skip
+    with pytest.raises(SystemExit, match="at step 4"):
+        trainer.fit(BoringModel())
+    assert validated == [4]
+
+
+class Validated(Callback):
+    def __init__(self, steps: list[int]):
+        self.steps = steps
+
+    def on_validation_end(self, trainer, *_):
+        self.steps.append(trainer.global_step)

@@ -22,9 +22,9 @@ INTERRUPTED = 130  # exit code of a process that Ctrl-C has ended, as in shells
 LINE_EVERY_S = 60.0
 GRACE_S = 20.0
 IMPORTS = "imports.log"
+"""Log file of the process that imports the script for all jobs."""
 RESTED = 0.1
 """Fraction of the longest job's time below which a finished job had nothing to do, such as a run that was finished."""
-"""Log file of the process that imports the script for all jobs."""
 
 
 class ProcessLauncher(Launcher):

@@ -153,12 +153,15 @@ class Submitted:
         self.queue, self.number, self.log = queue, number, log
         self.codes = [code_file(log, task) for task in range(tasks)]
         self.ended_s: float | None = None
+        self.lost = False
 
     def poll(self) -> int | None:
         """Return the exit code, that of a task which failed if any; None before the end."""
         if all(path.exists() for path in self.codes):
             codes = [int(path.read_text() or LOST) for path in self.codes]
             return next((code for code in codes if code), 0)
+        if self.lost:
+            return LOST
         state = self.queue.state(self.number)
         if state and state not in ENDED:
             self.ended_s = None
@@ -166,6 +169,7 @@ class Submitted:
         self.ended_s = self.ended_s or time.monotonic()
         if time.monotonic() - self.ended_s < GONE_S:
             return None
+        self.lost = True
         with self.log.open("a") as file:
             file.write(f"Slurm ended job {self.number}: {state or 'it is not listed any more'}\n")
         return LOST

@@ -25,7 +25,7 @@ class AdamW:
         learning_rate: at the end of the warm-up.
         warmup_steps: steps of linear growth.
         weight_decay: on tensors of two dimensions and more, not on norms and biases.
-        min_lr_ratio: learning rate at the last step as a fraction of `learning_rate`.
+        min_lr_ratio: learning rate as a fraction of `learning_rate` towards which the last steps fall.
     """
 
     learning_rate: float

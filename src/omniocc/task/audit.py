@@ -149,12 +149,15 @@ def with_true_classes(labels: UInt8[Tensor, "B X Y Z"], truth: UInt8[Tensor, "B 
 
 
 def pairs_without_label(rig: Rig, geometry: Grid, pixel_labels: UInt8[Tensor, "N H W"]) -> Float32[Tensor, " pairs"]:
-    """Return 1 for every visible (voxel, camera) pair whose pixel has no class, such as the own car's, 0 for others."""
+    """Return 1 for every visible (voxel, camera) pair whose pixel has no class, such as the own car's, 0 for others.
+
+    `pixel_labels` may have more cameras than the rig: a batch is padded to its largest rig.
+    """
     centers = geometry.centers(torch.float64).reshape(-1, 3)
     pixels, valid = rig.project(centers)
     found: Sequence[Tensor] = [
         labels[place[seen][:, 1].round().long(), place[seen][:, 0].round().long()] == UNKNOWN
-        for labels, place, seen in zip(pixel_labels.cpu(), pixels, valid, strict=True)
+        for labels, place, seen in zip(pixel_labels[: len(rig.cameras)].cpu(), pixels, valid, strict=True)
     ]
     return torch.cat(list(found)).float()
 

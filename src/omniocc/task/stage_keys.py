@@ -49,6 +49,8 @@ def stage_keys(cfg: DictConfig, data_fingerprint: str) -> Keys:
     """Return the hashes for a configuration with a learned sketch."""
     config = plain(cfg)
     trainer = _without(config["trainer"], OVERRULED)
+    together = config["data"].get("frames_together", 1)  # decides the order of the samples
+    trainer |= {} if together == 1 else {"frames_together": together}
     stages = {stage: with_digest(recipe) for stage, recipe in config["stages"].items()}
     sketch = config["model"]["sketch"]
     selection = cast(type[LearnedSketch], target_of(sketch)).SELECTION

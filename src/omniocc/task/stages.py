@@ -14,7 +14,7 @@ from typing import cast
 import torch
 from filelock import FileLock, Timeout
 from lightning.pytorch import Trainer, seed_everything
-from lightning.pytorch.callbacks import Callback, ModelCheckpoint
+from lightning.pytorch.callbacks import Callback
 from omegaconf import DictConfig, OmegaConf
 from torch import Tensor, nn
 from torch.utils.data import DataLoader, Dataset
@@ -43,6 +43,7 @@ from omniocc.run.wandb.loggers import finish
 from omniocc.run.weights import find_checkpoint
 from omniocc.task.depth import DepthTask
 from omniocc.task.images import DepthImages, SketchImages
+from omniocc.task.last import LastCheckpoint
 from omniocc.task.progress import StepProgress, TrainingTime
 from omniocc.task.sketch import SketchTask, known
 from omniocc.task.stage_keys import stage_keys
@@ -146,7 +147,9 @@ class Stages:
         data.read_only(*needs)
         duration = TrainingTime()
         trainer = self._trainer(recipe, [duration, images], folder, stage, title)
-        if recipe.weights is not None and checkpoint is None:
+        if checkpoint is not None and not recipe.max_steps:  # with training, the trainer loads it
+            task.model.load_state_dict(load_checkpoint(checkpoint).model_weights)
+        elif recipe.weights is not None and checkpoint is None:
             start_from(task.model, recipe.weights, stage)
         if trains and recipe.max_steps:
             trainer.fit(task, datamodule=data, ckpt_path=checkpoint and str(checkpoint))
@@ -168,14 +171,18 @@ class Stages:
         if is_first():
             atomic_write(folder / "config.yaml", OmegaConf.to_yaml(self.cfg, resolve=True))
         steps = self.cfg.checkpoint_every_n_steps
-        last = ModelCheckpoint(folder, "last", every_n_train_steps=steps, enable_version_counter=False)
         return build(
             self.cfg.trainer,
             max_steps=recipe.max_steps,
             max_epochs=recipe.max_epochs,
             check_val_every_n_epoch=recipe.validate_every_n_epochs,
             plugins=[AtomicCheckpointIO()],
-            callbacks=[StepProgress(title), StopAtSignal(folder / LAST), *callbacks, last],
+            callbacks=[
+                StepProgress(title),
+                *callbacks,
+                LastCheckpoint(folder / LAST, steps),
+                StopAtSignal(folder / LAST),
+            ],
             logger=build(self.cfg.logger).build(folder, plain(self.cfg), stage),
             default_root_dir=str(folder),
         )

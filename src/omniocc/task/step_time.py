@@ -43,7 +43,7 @@ def step_seconds(
     batch = random_batch(cfg, rig, size, cfg.data.window if stage == "occupancy" else 1)
     batch = OccupancyData.transfer_batch_to_device(None, batch, device, 0)  # type: ignore[arg-type]
     optimizer = task.optimizer.configure(task.model, WARM_UP + steps)["optimizer"]
-    low = cfg.trainer.precision.startswith("bf16")
+    low = str(cfg.trainer.precision).startswith("bf16")
     best = float("inf")
     for number in range(WARM_UP + steps):
         start_s = time.perf_counter()

@@ -8,15 +8,20 @@ from types import FrameType
 from typing import Any
 
 from lightning.pytorch import LightningModule, Trainer
-from lightning.pytorch.callbacks import Callback
+from lightning.pytorch.callbacks import Checkpoint
 from lightning.pytorch.utilities.exceptions import SIGTERMException
+
+from omniocc.task.last import validation_follows
 
 STOP = signal.SIGUSR2
 """Signal that comes some time before the limit: `hydra/launcher=slurm` asks for it."""
 
 
-class StopAtSignal(Callback):
+class StopAtSignal(Checkpoint):
     """After SIGUSR2 or SIGTERM save a checkpoint at the end of the step, in all processes at once, and end the script.
+
+    A validation that follows the step is done first. It is a checkpoint callback, since Lightning calls these after all
+    others, so that averages of weights have seen the step.
 
     The script ends with an error code: what started it must not take the training for finished.
 
@@ -38,11 +43,19 @@ class StopAtSignal(Callback):
     def on_train_batch_end(  # noqa: D102
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
     ) -> None:
-        if (batch_idx + 1) % trainer.accumulate_grad_batches == 0 and self._all_told(trainer):
-            trainer.save_checkpoint(self.path)
-            name = "SIGUSR2" if self._told else "SIGTERM"
-            first = trainer.is_global_zero
-            sys.exit(f"stopped by {name} at step {trainer.global_step}; the same command goes on" if first else "")
+        stepped = (batch_idx + 1) % trainer.accumulate_grad_batches == 0
+        if stepped and not validation_follows(trainer, batch_idx) and self._all_told(trainer):
+            self._stop(trainer)
+
+    def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:  # noqa: D102
+        if trainer.state.fn == "fit" and not trainer.sanity_checking and self._all_told(trainer):
+            self._stop(trainer)
+
+    def _stop(self, trainer: Trainer) -> None:
+        trainer.save_checkpoint(self.path)
+        name = "SIGUSR2" if self._told else "SIGTERM"
+        first = trainer.is_global_zero
+        sys.exit(f"stopped by {name} at step {trainer.global_step}; the same command goes on" if first else "")
 
     def on_exception(  # noqa: D102
         self, trainer: Trainer, pl_module: LightningModule, exception: BaseException

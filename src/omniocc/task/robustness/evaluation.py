@@ -190,7 +190,13 @@ class RobustnessTest:
     def key(self, part: Part, weights: str) -> str:
         """Return a hash of everything that decides the figures of a part; `weights` is that of the model's."""
         model, data = self.task.config["model"], self.source(part.source).fingerprint
-        return short_hash([VERSION, weights, model, data, self.scenes, part.name, self.seed])
+        return short_hash([VERSION, weights, model, data, self.scenes, part.name, self.seed, *self.not_usual()])
+
+    def not_usual(self) -> list[Any]:
+        """Return what is overridden besides the source and changes scores: cells that count as unknown, the history."""
+        kept = ("free", self.task.model.temporal.frames)
+        found = (self.data.unknown, self.data.window)
+        return [] if found == kept else list(found)
 
     @torch.inference_mode()
     def score(self, part: Part, source: SceneSource, advance: Callable[[], None]) -> PartScores:

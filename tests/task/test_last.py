@@ -1,0 +1,77 @@
+"""A killed training goes on from its last checkpoint with every validation, and with the best one so far."""
+
+from pathlib import Path
+
+import pytest
+import torch
+from lightning.pytorch import Callback, Trainer
+from lightning.pytorch.callbacks import ModelCheckpoint
+from lightning.pytorch.demos.boring_classes import BoringModel
+
+from omniocc.task.last import LastCheckpoint
+
+pytestmark = pytest.mark.filterwarnings("ignore")
+SCORES = {2: 0.3, 4: 0.9, 6: 0.5, 8: 0.6}
+"""Of the validation after each step: the second is the best."""
+
+
+class Scored(BoringModel):
+    """A model that notes at which steps it was validated."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.validated: list[int] = []
+
+    def validation_step(self, batch, batch_idx):
+        self.log("score", torch.tensor(SCORES[self.trainer.global_step]))
+        self.validated.append(self.trainer.global_step)
+
+
+class Killed(Callback):
+    """Ends the training without a further checkpoint, when a hook is called at a step."""
+
+    def __init__(self, hook: str, step: int):
+        setattr(self, hook, lambda trainer, *_: self.end(trainer.global_step == step))
+
+    def end(self, now: bool) -> None:
+        if now:
+            raise KeyboardInterrupt
+
+
+def fit(folder: Path, *callbacks: Callback) -> Scored:
+    model, last = Scored(), folder / "last.ckpt"
+    best = ModelCheckpoint(folder, "best", monitor="score", mode="max", enable_version_counter=False)
+    trainer = Trainer(
+        max_steps=8, default_root_dir=str(folder), callbacks=[best, LastCheckpoint(last, 1), *callbacks], logger=False,
+        enable_progress_bar=False, enable_model_summary=False, limit_val_batches=1, val_check_interval=2,
+        check_val_every_n_epoch=None, num_sanity_val_steps=0, accelerator="cpu",
+    )  # fmt: skip
+    try:
+        trainer.fit(model, ckpt_path=str(last) if last.exists() else None)
+    except (KeyboardInterrupt, SystemExit):
+        assert trainer.global_step < 8
+    return model
+
+
+def best_step(folder: Path) -> int:
+    return torch.load(folder / "best.ckpt", weights_only=False)["global_step"]
+
+
+@pytest.mark.parametrize(
+    ("hook", "step", "again"),
+    [
+        ("on_validation_batch_end", 4, [4, 6, 8]),  # before the best one was saved
+        ("on_train_batch_start", 4, [6, 8]),  # after it
+        ("on_train_batch_end", 3, [4, 6, 8]),
+    ],
+)
+def test_no_validation_and_no_best_checkpoint_is_lost(tmp_path, hook, step, again):
+    fit(tmp_path, Killed(hook, step))
+    assert fit(tmp_path).validated == again
+    assert best_step(tmp_path) == 4
+
+
+def test_without_an_interruption_every_validation_is_done_once(tmp_path):
+    assert fit(tmp_path).validated == [2, 4, 6, 8]
+    assert best_step(tmp_path) == 4
+    assert torch.load(tmp_path / "last.ckpt", weights_only=False)["global_step"] == 8
