@@ -28,7 +28,7 @@ from omniocc.data.origins import ORIGINS, Origins
 from omniocc.errors import UserError
 from omniocc.io import atomic_write
 from omniocc.model.occupancy import to_unit_range
-from omniocc.model.protocols import LearnedSketch, learns
+from omniocc.model.protocols import LearnedSketch, learns, takes_true_range
 from omniocc.progress import Progress
 from omniocc.report.tables.robustness import robustness_markdown, robustness_text
 from omniocc.run.folder import IMAGES, git_commit
@@ -112,7 +112,7 @@ def main(arguments: list[str] | None = None) -> None:
     if words.robustness is not None:
         score_robustness(words.checkpoints, words.overrides, words.robustness, options)
         return
-    several = len(words.checkpoints) > 1
+    several, refused = len(words.checkpoints) > 1, []
     for checkpoint in words.checkpoints:
         if several:
             print(f"\nsystem    {system_of(checkpoint)}", flush=True)
@@ -121,12 +121,27 @@ def main(arguments: list[str] | None = None) -> None:
             continue
         name = f"{EVALUATION}{checkpoint.stem}{suffix(options.origins)}"
         folder = folder_of(checkpoint, name, options.output, several)
-        test_again(checkpoint, words.overrides, folder, options.origins, options.images)
+        try:
+            test_again(checkpoint, words.overrides, folder, options.origins, options.images)
+        except UserError as error:  # the others are tested first
+            refused.append(str(error))
+    if refused:
+        raise UserError("\n".join(refused))
+
+
+def refuse_true_range(checkpoint: Path, task: OccupancyTask) -> None:
+    """Raise UserError for a checkpoint whose candidates are chosen by recorded ranges."""
+    if takes_true_range(task.model.sketch):
+        raise UserError(
+            f"{checkpoint} takes recorded ranges (model/depth=truth), which only train.py hands to it: its test is in "
+            "table.md of its folder"
+        )
 
 
 def print_audit(checkpoint: Path, overrides: Sequence[str]) -> None:
     """Print what each part of a checkpoint costs on validation scenes."""
     task, data = load_task(checkpoint, overrides)
+    refuse_true_range(checkpoint, task)
     data.prepare_data()
     print(f"{len(data.source.scenes('val'))} validation scenes of {data.source.folder}")
     for name, value in audit(task, data):
@@ -134,8 +149,13 @@ def print_audit(checkpoint: Path, overrides: Sequence[str]) -> None:
 
 
 def test_again(checkpoint: Path, overrides: Sequence[str], folder: Path, origins: Origins, drawn: int) -> None:
-    """Score a checkpoint on the test scenes, with rays from these origins; write figures, table and `drawn` images."""
+    """Score a checkpoint on the test scenes, with rays from these origins; write figures, table and `drawn` images.
+
+    Raises:
+        UserError: when the checkpoint takes recorded ranges, which only the training command hands to it.
+    """
     task, data = load_task(checkpoint, overrides)
+    refuse_true_range(checkpoint, task)
     data.cast_from(origins)
     folder.mkdir(parents=True, exist_ok=True)
     images = OccupancyImages(folder / IMAGES, drawn, data.source.spec.classes)

@@ -107,13 +107,21 @@ def check_root(cfg: DictConfig) -> None:
     """
     problems = [problem for key, hint in ROOT.items() for problem in _check_value(cfg, key, "", hint)]
     more = [] if problems else list(cfg.packages)
-    problems += [f"packages: {name} {NOT_THERE}" for name in more if find_spec(name) is None]
+    problems += [f"packages: {name} {NOT_THERE}" for name in more if not installed(name)]
     try:
         check(cfg, (*ROOT, *GROUPS), allowed(PACKAGES, more))
     except ConfigError as error:
         problems += error.problems
     if problems:
         raise ConfigError([problem.lstrip(".") for problem in problems])
+
+
+def installed(package: str) -> bool:
+    """Return whether a package, or a part of one as `package.part`, can be found."""
+    try:
+        return find_spec(package) is not None
+    except ModuleNotFoundError:
+        return False
 
 
 def target_of(node: Mapping[Any, Any]) -> type:
@@ -227,7 +235,7 @@ def _trusted_target(name: str, packages: Sequence[str]) -> tuple[type | None, st
     try:
         target = get_object(name)
     except Exception as error:  # a user's module may raise anything
-        reason, module = str(error).splitlines()[0], name.rpartition(".")[0]
+        reason, module = " ".join(str(error).split()), name.rpartition(".")[0]
         return None, f"{name} cannot be imported: {reason} (is it exported by {module}?)"
     # a module's own imports are its attributes too: omniocc.io.os.system is not of omniocc
     if not inspect.isclass(target) or target.__module__.split(".")[0] not in packages:

@@ -36,6 +36,8 @@ def test_pairs_on_pixels_without_a_label_are_found(make_task):
     assert pairs.sum() == seen[2]
     assert len(pairs) == seen.sum()
     assert pairs_without_label(Rig.load("fisheye6").resized(64, 36), geometry, labels).mean() < 1 / 3
+    padded = torch.cat([labels, torch.full_like(labels[:2], UNKNOWN)])  # beside a rig of eight cameras
+    assert torch.equal(pairs_without_label(RIG, geometry, padded), pairs)
 
 
 def test_a_perfect_prediction_loses_nothing(make_task, spec):

@@ -6,7 +6,7 @@ option, see `omniocc.model.ops.padded`.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
+from typing import Any, ClassVar, NamedTuple, Protocol, cast, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float, UInt8
@@ -305,3 +305,8 @@ class SemanticHead(Protocol):
     def __call__(self, features: FeatureMaps) -> Float[Tensor, "B N K h w"] | None:
         """Return logits at the finest map's size, or None, from feature maps, finest first."""
         ...
+
+
+def takes_true_range(sketch: Sketch) -> bool:
+    """Return whether a sketch chooses candidates by recorded ranges (model/depth=truth) instead of estimated ones."""
+    return learns(type(sketch)) and cast(LearnedSketch, sketch).depth.NEEDS_TRUE_RANGE

@@ -2,7 +2,7 @@
 
 import resource
 from collections.abc import Callable
-from typing import Any, cast
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -11,7 +11,7 @@ from torch.utils.flop_counter import FlopCounterMode
 from omniocc.data.dataset import Sample
 from omniocc.model import OccupancyModel, Stream
 from omniocc.model.occupancy import to_unit_range
-from omniocc.model.protocols import LearnedSketch, learns, stored
+from omniocc.model.protocols import learns, stored, takes_true_range
 
 PARAMETERS, GFLOP, PEAK = "million parameters", "GFLOP a frame", "peak MiB"
 
@@ -70,7 +70,7 @@ def cost_of(model: OccupancyModel, sample: Sample) -> dict[str, float]:
 
 def estimates_range(model: OccupancyModel) -> bool:
     """Return whether the sketch uses ranges that a depth option estimates, rather than recorded ones."""
-    return learns(type(model.sketch)) and not cast(LearnedSketch, model.sketch).depth.NEEDS_TRUE_RANGE
+    return learns(type(model.sketch)) and not takes_true_range(model.sketch)
 
 
 def peak_mib(device: torch.device) -> float:

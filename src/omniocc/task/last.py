@@ -12,12 +12,13 @@ def validation_follows(trainer: Trainer, batch_idx: int) -> bool:
 
     A checkpoint written before that validation would lose it: Lightning counts it as done when it goes on from there.
     """
-    if not trainer.enable_validation:
+    every = trainer.val_check_batch  # None: by minutes
+    if not trainer.enable_validation or every is None:
         return False
     if trainer.check_val_every_n_epoch is None:
-        return (trainer.fit_loop.total_batch_idx + 1) % trainer.val_check_batch == 0
+        return (trainer.fit_loop.total_batch_idx + 1) % every == 0
     of_epoch = (trainer.current_epoch + 1) % trainer.check_val_every_n_epoch == 0
-    return of_epoch and (batch_idx + 1) % trainer.val_check_batch == 0
+    return of_epoch and (batch_idx + 1) % every == 0
 
 
 class LastCheckpoint(Checkpoint):

@@ -147,10 +147,7 @@ class Stages:
         data.read_only(*needs)
         duration = TrainingTime()
         trainer = self._trainer(recipe, [duration, images], folder, stage, title)
-        if checkpoint is not None and not recipe.max_steps:  # with training, the trainer loads it
-            task.model.load_state_dict(load_checkpoint(checkpoint).model_weights)
-        elif recipe.weights is not None and checkpoint is None:
-            start_from(task.model, recipe.weights, stage)
+        load_first_weights(task.model, recipe, stage, checkpoint)
         if trains and recipe.max_steps:
             trainer.fit(task, datamodule=data, ckpt_path=checkpoint and str(checkpoint))
         metrics = dict(trainer.validate(task, datamodule=data, verbose=False)[0])
@@ -212,6 +209,18 @@ class Stages:
                 for cache, arrays in zip(caches, zip(*frames, strict=True), strict=True):
                     cache.write(scene.name, arrays)
         task.cpu()
+
+
+def load_first_weights(model: nn.Module, recipe: Recipe, stage: str, checkpoint: Path | None) -> None:
+    """Load the weights with which a stage begins: those that are given, or of its checkpoint where nothing is trained.
+
+    A checkpoint that training goes on from is left to the trainer.
+    """
+    if checkpoint is None:
+        if recipe.weights is not None:
+            start_from(model, recipe.weights, stage)
+    elif not recipe.max_steps:
+        model.load_state_dict(load_checkpoint(checkpoint).model_weights)
 
 
 def start_from(model: nn.Module, weights: str, stage: str) -> None:

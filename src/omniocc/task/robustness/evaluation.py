@@ -7,7 +7,7 @@ from copy import deepcopy
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import torch
 from omegaconf import OmegaConf
@@ -20,7 +20,7 @@ from omniocc.data.module import worker_options
 from omniocc.data.source import SceneFrames
 from omniocc.data.store.files import is_url
 from omniocc.errors import UserError
-from omniocc.model.protocols import LearnedSketch, learns
+from omniocc.model.protocols import takes_true_range
 from omniocc.progress import Progress
 from omniocc.run.checkpoint import load_checkpoint
 from omniocc.run.folder import command_line, git_commit, short_hash
@@ -229,8 +229,7 @@ class RobustnessTest:
 
 def check_depth(task: OccupancyTask) -> None:
     """Raise UserError if a model's ranges are the recorded ones, which no disturbance would change."""
-    sketch = task.model.sketch
-    if learns(type(sketch)) and cast(LearnedSketch, sketch).depth.NEEDS_TRUE_RANGE:
+    if takes_true_range(task.model.sketch):
         raise UserError(
             "the ranges of this checkpoint are the recorded ones (model/depth=truth): nothing disturbs them"
         )
