@@ -15,7 +15,11 @@ def main(cfg: DictConfig) -> None:
     """Check the options, export, print a line about the files."""
     quiet_libraries()
     require(cfg, ("checkpoint", "rig"), "export.py")
-    print(export_files(Options(find_checkpoint(cfg.checkpoint), load_rig(cfg.rig), Path(cfg.output), cfg.image_width)))
+    print(
+        export_files(
+            Options(find_checkpoint(cfg.checkpoint), load_rig(cfg.rig), Path(cfg.output), cfg.image_width, cfg.road_z_m)
+        )
+    )
 
 
 if __name__ == "__main__":

@@ -208,9 +208,27 @@ def test_times_from_a_table(recorder, original, log_folder, tmp_path):
     (log / "times.csv").write_text("\n".join(lines))
     (folder,) = recorder("times=times.csv", log=log).record(tmp_path)
     assert np.array_equal(SceneReader(folder).world_from_ego, original.world_from_ego)
+    names = ", ".join(f"{name}: {log / name}/*.png" for name in original.rig.names)
+    (again,) = recorder("times=times.csv", f"cameras={{{names}}}", log=log).record(tmp_path / "absolute")
+    assert np.array_equal(SceneReader(again).images(0), SceneReader(folder).images(0))
     (log / "times.csv").write_text("\n".join(lines[:-1]))
     with pytest.raises(DataError, match=r"image-\d+.png: the CSV of times does not list it"):
         recorder("times=times.csv", log=log).record(tmp_path / "other")
+
+
+def test_a_stop_while_files_are_hashed_loses_no_frame(recorder, original, log_folder, tmp_path, monkeypatch):
+    def stopped(*given):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("omniocc.record.scene.finish_scene", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            recorder().record(tmp_path)
+    read = []
+    monkeypatch.setattr("omniocc.record.scene.read_frame", lambda *given: read.append(given[2]) or read_frame(*given))
+    (folder,) = recorder().record(tmp_path)
+    assert read == []
+    assert len(SceneReader(folder)) == len(original)
 
 
 def first_image(log, original, camera=1, frame=1):

@@ -10,7 +10,8 @@ MEANINGS = {
     "past_volumes": "output `volume` of each past frame, oldest first; zeros where there is none",
     "past_exists": "whether the past frame exists",
     "world_from_ego": "poses of the past frames and, last, of this one: p_world = world_from_ego @ p_ego, metres; "
-    "ego x forward, y left, z up; any rigid pose where a past frame does not exist",
+    "ego x forward, y left, z up, origin rig.ego_origin_z_m above that of the rig file; any rigid pose where a past "
+    "frame does not exist",
     "labels": "class of every cell, see classes; axes as in grid.axes",
     "volume": "features of this frame, an entry of past_volumes for the next frames",
 }
@@ -20,10 +21,12 @@ AXES = {
 }
 
 
-def contract_of(module: Frame | Step, classes: ClassTable) -> dict[str, Any]:
+def contract_of(module: Frame | Step, classes: ClassTable, height_m: float = 0.0) -> dict[str, Any]:
     """Return names, shapes, types and units of inputs and outputs, the grid, the classes and the rig, as plain data.
 
     Along each axis of the grid, cell i spans low + (high - low) * [i, i + 1] / shape, with (low, high) from `bounds`.
+    The grid and the poses are in an ego frame whose origin is `height_m` above that of the rig file
+    (`ego_origin_z_m`).
     """
     model, rig = module.model, module.rig
     grid, kind = model.geometry, type(model.geometry).__name__
@@ -44,6 +47,7 @@ def contract_of(module: Frame | Step, classes: ClassTable) -> dict[str, Any]:
             "cameras": list(rig.names),
             "image_size_px": [camera.width, camera.height],
             "fingerprint": rig.fingerprint,
+            "ego_origin_z_m": height_m,
         },
         "grid": {
             "kind": kind,

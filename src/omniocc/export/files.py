@@ -18,6 +18,7 @@ from omniocc.export.onnx import onnx_bytes
 from omniocc.export.program import export_program, make_module
 from omniocc.io import atomic_write
 from omniocc.predict.input.images import even_size
+from omniocc.predict.input.sequence import raise_rig, with_road
 from omniocc.predict.network import load_occupancy
 from omniocc.predict.trained import training_data
 
@@ -33,12 +34,14 @@ class Options:
         rig: cameras that the program is for.
         output: file to write, .pt2 or .onnx.
         image_width: width of the images that the program takes, px; None: as many pixels as in training.
+        road_z_m: height of the road in the frame of the rig, m; None: that of the rig file, or unknown.
     """
 
     checkpoint: Path
     rig: Rig
     output: Path
     image_width: int | None
+    road_z_m: float | None = None
 
 
 def export_files(options: Options) -> str:
@@ -52,17 +55,31 @@ def export_files(options: Options) -> str:
         raise UserError(f"output={output}: its name must end with one of {', '.join(SUFFIXES)}")
     model, cfg = load_occupancy(options.checkpoint)
     trained = training_data(options.checkpoint, cfg)
-    rig = scale_rig(options.rig, options.image_width or trained.width_for(options.rig))
+    rig, height_m = on_road(with_road(options.rig, options.road_z_m), trained.road_z_m)
+    rig = scale_rig(rig, options.image_width or trained.width_for(rig))
     module = make_module(model, rig)
     print(f"tracing the network of {options.checkpoint}: half a minute or more", file=sys.stderr, flush=True)
     program = export_program(module)
-    contract = contract_of(module, trained.classes)
+    contract = contract_of(module, trained.classes, height_m)
     print(f"writing {output}", file=sys.stderr, flush=True)
     write_program(program, contract, output)
     facts = {"program": output.name, "checkpoint": str(options.checkpoint), "torch": torch.__version__}
     described = output.with_name(f"{output.name}.json")
     atomic_write(described, json.dumps(facts | contract, indent=2) + "\n")
     return f"{output}: {output.stat().st_size / 2**20:.0f} MiB; inputs and outputs: {described}"
+
+
+def on_road(rig: Rig, trained_z_m: float) -> tuple[Rig, float]:
+    """Return the rig with its origin as high above the road as in training, and by how much that is higher, m.
+
+    Where the height of the road is not known, a line says so and the rig stays.
+    """
+    if rig.road_z_m is None:
+        line = f"the height of the road is not known (road_z_m): taken for {trained_z_m:g} m, as in training"
+        print(line, file=sys.stderr, flush=True)
+        return rig, 0.0
+    height_m = rig.road_z_m - trained_z_m
+    return raise_rig(rig, height_m), height_m
 
 
 def scale_rig(rig: Rig, width: int) -> Rig:

@@ -15,7 +15,7 @@ from omniocc.predict.export_scene import RIG
 from omniocc.predict.input.images import find_frames, ignored_images
 from omniocc.predict.input.poses import read_poses
 from omniocc.predict.input.schedule import History
-from omniocc.predict.input.sequence import FrameSequence, ImageSequence, RecordedSequence, find_scenes
+from omniocc.predict.input.sequence import FrameSequence, ImageSequence, RecordedSequence, find_scenes, with_road
 from omniocc.predict.job import Job, ShowFrame
 from omniocc.predict.network import load_occupancy
 from omniocc.predict.options import Options, choose_device, load_rig, require
@@ -122,17 +122,16 @@ def sequences_of(options: Options, trained: TrainingData) -> Sequence[FrameSeque
             raise UserError(f"poses={options.poses}: a single frame has no past; leave poses=... out")
         poses = read_poses(Path(options.poses), [frame.name for frame in frames])
     sequence = ImageSequence(rig, frames, poses)
-    road_z_m = rig.road_z_m if options.road_z_m is None else options.road_z_m
-    return [sequence if road_z_m is None else sequence.raise_origin(road_z_m - trained.road_z_m)]
+    return [sequence if rig.road_z_m is None else sequence.raise_origin(rig.road_z_m - trained.road_z_m)]
 
 
 def rig_of(options: Options) -> Rig:
-    """Return the calibrated cameras of the user's images."""
+    """Return the calibrated cameras of the user's images, with the height of the road that is given beside them."""
     if options.rig is None:
         beside = Path(options.images) / RIG if isinstance(options.images, str) else Path(RIG)
         hint = f"; there is {beside}" if beside.is_file() else ""
         raise UserError(f"rig=... is needed: a rig file, a calibration or a built-in rig{hint}")
-    return load_rig(options.rig)
+    return with_road(load_rig(options.rig), options.road_z_m)
 
 
 def choose_history(options: Options, model: OccupancyModel, sequences: Sequence[FrameSequence]) -> History:

@@ -4,6 +4,7 @@ import csv
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from glob import glob
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -186,7 +187,12 @@ def plain_options(options: Mapping[str, Any], classes: PointClasses) -> list[Any
 
 def listing(files: Stamped, folder: Path) -> list[tuple[str, int]]:
     """Return the path in the log and the size of every file."""
-    return [(path.relative_to(folder).as_posix(), path.stat().st_size) for path in files.paths]
+    return [(path_in(folder, path), path.stat().st_size) for path in files.paths]
+
+
+def path_in(folder: Path, path: Path) -> str:
+    """Return the path of a file in a log; of one elsewhere, its own path."""
+    return (path.relative_to(folder) if path.is_relative_to(folder) else path).as_posix()
 
 
 def read_times(path: Path, unit: TimeUnit) -> dict[str, float]:
@@ -216,7 +222,7 @@ def stamped_files(
 
     Args:
         folder: of the log.
-        place: folder or glob, relative to it.
+        place: folder or glob, relative to it or absolute.
         suffixes: of the files that count.
         unit: of numbers in names.
         table: times by path in the log or by name; None: the last number in the name.
@@ -229,7 +235,7 @@ def stamped_files(
     is_glob = any(mark in place for mark in "*?[")
     if not is_glob and not (folder / place).is_dir():
         raise UserError(f"{option}={place}: there is no folder {folder / place}")
-    entries = folder.glob(place) if is_glob else (folder / place).iterdir()
+    entries = map(Path, glob(str(folder / place))) if is_glob else (folder / place).iterdir()
     paths = sorted(path for path in entries if path.suffix.lower() in suffixes and path.suffix != LABEL_SUFFIX)
     if not paths:
         raise UserError(f"{option}={place}: {folder / place} holds none of {', '.join(suffixes)}")
@@ -243,7 +249,7 @@ def stamped_files(
 
 def _time_of(path: Path, folder: Path, unit: TimeUnit, table: Mapping[str, float] | None) -> float:
     if table is not None:
-        for key in (path.relative_to(folder).as_posix(), path.name):
+        for key in (path_in(folder, path), path.name):
             if key in table:
                 return table[key]
         raise DataError(f"{path}: the CSV of times does not list it")

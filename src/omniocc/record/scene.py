@@ -198,9 +198,9 @@ def _write(folder: Path, report: Report, log: Log, plan: Plan, rig: Rig, stated:
             report(1)
         facts = {"log": dict(log.facts), "start_s": float(plan.times_s[0]), "moving": stated.moving}
         facts["missing"] = [{"time_s": time_s, "lacks": names} for time_s, names in plan.missing]
-        begun.unlink()
         edges_deg = panorama.top_deg, panorama.bottom_deg
         finish_scene(writer, rig, spec_of_log(log, plan, rig.road_z_m), edges_deg, facts | {"recipe": recipe})
+        (folder / BEGUN).unlink()  # until then a stop goes on from the frames that are there
 
 
 def read_frame(log: Log, plan: Plan, number: int, rig: Rig, panorama: Equirectangular) -> RecordedFrame:

@@ -2,7 +2,8 @@ import pytest
 import torch
 
 from omniocc.data import Appearance
-from omniocc.data.augment.appearance import missing_ones
+from omniocc.data.augment.appearance import _jpeg, missing_ones
+from omniocc.data.disturb.images import compressed
 
 OFF = dict.fromkeys(
     ("exposure", "gamma", "white_balance", "grey", "blur_px", "noise", "vignette", "glare", "jpeg", "missing"), 0.0
@@ -76,3 +77,14 @@ def test_padding_and_black_pictures_stay_black():
 def test_impossible_values_are_named(name, value):
     with pytest.raises(ValueError, match=f"{name} is {value}"):
         Appearance(**(OFF | {name: value}))
+
+
+def test_jpeg_treats_red_and_blue_as_cameras_do():
+    """Its chroma is not symmetric: the error of a red pattern is another than that of a blue one."""
+    pattern = torch.rand(16, 16, generator=torch.Generator().manual_seed(0))
+    for channel in (0, 2):
+        image = torch.zeros(1, 3, 16, 16)
+        image[:, channel] = pattern
+        pixels = (image[0].permute(1, 2, 0) * 255).round().byte().numpy()
+        expected = torch.from_numpy(compressed(pixels, 30)).permute(2, 0, 1)[None] / 255
+        torch.testing.assert_close(_jpeg(image, 30), expected)

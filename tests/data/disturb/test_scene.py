@@ -9,7 +9,7 @@ from fake_source import FRAMES, FakeFrames
 from omniocc.camera.masks import usable_pixels
 from omniocc.data.disturb import disturbance as kinds
 from omniocc.data.disturb.disturbance import Disturbance
-from omniocc.data.disturb.scene import disturbed
+from omniocc.data.disturb.scene import disturbed, recorded
 from omniocc.data.source import SceneFrames
 
 NOISE = Disturbance(images=partial(kinds.noise, percent=5), each_frame=True)
@@ -101,3 +101,9 @@ def test_cameras_are_moved_by_this_distance(scene):
     wrong = disturbed(scene, Disturbance(partial(kinds.move_cameras, distance_m=0.1)), "moved", 0)
     shift = wrong.rigs[1].ego_from_camera[:, :3, 3] - scene.rigs[1].ego_from_camera[:, :3, 3]
     torch.testing.assert_close(shift.norm(dim=1), torch.full((4,), 0.1, dtype=torch.float64))
+
+
+def test_the_recorded_scene_is_behind_the_disturbed_one(scene):
+    frames = disturbed(scene, TWO, "two", 0)
+    assert recorded(frames) is scene
+    assert recorded(scene) is scene

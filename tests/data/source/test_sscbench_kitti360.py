@@ -2,6 +2,7 @@
 
 import shutil
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -9,7 +10,7 @@ from kitti_files import OTHER_ID, raw_voxels, write_kitti360, write_sscbench
 
 from omniocc.classes import UNKNOWN
 from omniocc.data import SceneSource
-from omniocc.data.formats.kitti360 import SEQUENCE
+from omniocc.data.formats.kitti360 import SEQUENCE, match_frames
 from omniocc.data.source import SceneFrames
 from omniocc.data.source.sscbench_kitti360 import SSCBenchKITTI360
 from omniocc.errors import DataError
@@ -94,7 +95,7 @@ def test_frames_are_found_again_when_others_have_labels(kitti360, tmp_path):
     assert source_of(root, **options).scenes("train")[0].numbers_of_kitti360 == [100, 105]
     (root / "data_2d_raw" / SEQUENCE.format("00") / "voxels" / "000000.label").unlink()
     assert source_of(root, **options).scenes("train")[0].numbers_of_kitti360 == [105]
-    (tmp_path / "kitti360-frames-00.json").write_text("[1, 2")
+    (tmp_path / "kitti360-frames-2-00.json").write_text("[1, 2")
     assert source_of(root, **options).scenes("train")[0].numbers_of_kitti360 == [105]
 
 
@@ -144,3 +145,14 @@ def test_what_is_wrong_is_one_line(tmp_path, change, message):
     change(root, other)
     with pytest.raises(DataError, match=message):
         read_all(root, other)
+
+
+def test_frames_of_a_slow_car_are_not_taken_for_earlier_ones(tmp_path):
+    """A smooth picture that moves little from frame to frame; theirs are copies of every fifth."""
+    columns = np.arange(1600) / 1600
+    for number in range(31):
+        grey = (120 + 100 * np.sin(9 * (columns[2 * number : 2 * number + 1408])))[None].repeat(376, 0)
+        cv2.imwrite(str(tmp_path / f"{number:04d}.png"), grey.astype(np.uint8))
+    ours = sorted(tmp_path.glob("*.png"))
+    assert match_frames(ours[::5], ours, "frames") == list(range(0, 31, 5))
+    assert match_frames([ours[3], ours[30]], ours, "frames") == [3, 30]

@@ -153,6 +153,6 @@ def compressed(images: Images, probability: float, generator: torch.Generator) -
 def _jpeg(images: Float[Tensor, "N 3 H W"], quality: int) -> Float[Tensor, "N 3 H W"]:
     pixels = (images.detach().cpu() * 255).round().byte().permute(0, 2, 3, 1).numpy()
     options = [cv2.IMWRITE_JPEG_QUALITY, quality]
-    files = [cv2.imencode(".jpg", np.ascontiguousarray(one), options)[1] for one in pixels]
-    decoded = np.stack([np.asarray(cv2.imdecode(file, cv2.IMREAD_COLOR)) for file in files])
+    files = [cv2.imencode(".jpg", np.ascontiguousarray(one[..., ::-1]), options)[1] for one in pixels]
+    decoded = np.stack([np.asarray(cv2.imdecode(file, cv2.IMREAD_COLOR))[..., ::-1] for file in files])
     return torch.from_numpy(decoded).permute(0, 3, 1, 2).to(images) / 255

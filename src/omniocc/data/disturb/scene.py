@@ -58,6 +58,11 @@ class DisturbedScene:
         return seeding.generator(self.scene.name, self.seed, f"{self.disturbance_name} {purpose}")
 
 
+def recorded(scene: SceneFrames) -> SceneFrames:
+    """Return a scene as it was recorded: its own cameras decide which cells were observed, not the disturbed ones."""
+    return scene.scene if isinstance(scene, DisturbedScene) else scene
+
+
 def blackened(images: Sequence[Image], rig: Rig, masked: Rig) -> list[Image]:
     """Return images that are black where `masked` allows no pixel and `rig` does."""
     triples = zip(images, usable_pixels(rig), usable_pixels(masked), strict=True)

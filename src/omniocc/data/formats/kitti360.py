@@ -3,6 +3,7 @@
 Formats: https://github.com/autonomousvision/kitti360Scripts
 """
 
+from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -149,20 +150,41 @@ def match_frames(theirs: Sequence[Path], ours: Sequence[Path], title: str) -> li
         DataError: naming the first image that is not found.
     """
     found: list[int] = []
-    seen = _thumbnails(ours)
+    window: deque[tuple[int, UInt8[np.ndarray, "12 44"]]] = deque()
+    ahead = _thumbnails(ours)
     with Progress(title, len(theirs), "images") as progress:
         for path in theirs:
-            wanted = thumbnail(path).astype(np.int16)
-            for skipped, (index, small) in enumerate(seen):
-                if float(np.abs(small - wanted).mean()) < SAME:
-                    found.append(index)
-                    break
-                if skipped >= MOST_SKIPPED:
-                    raise DataError(f"{path}: the same image is not among the next {MOST_SKIPPED} of {ours[0].parent}")
-            else:
-                raise DataError(f"{path}: the same image is not in {ours[0].parent if ours else 'KITTI-360'}")
+            place = _nearest(thumbnail(path), window, ahead)
+            if place is None:
+                where = ours[0].parent if ours else "KITTI-360"
+                raise DataError(f"{path}: the same image is not in {where}, or not among its next {MOST_SKIPPED}")
+            found.append(window[place][0])
+            for _ in range(place + 1):
+                window.popleft()
             progress.advance()
     return found
+
+
+def _nearest(
+    wanted: UInt8[np.ndarray, "12 44"], window: deque[tuple[int, np.ndarray]], ahead: Iterator[tuple[int, np.ndarray]]
+) -> int | None:
+    """Return the place in the window of the image that is wanted, None if it is not near.
+
+    Neighbours of a car that hardly moves look the same too: the search ends where the difference grows again. The
+    window is filled from the images `ahead` as far as it is looked at.
+    """
+    best, place = SAME, None
+    for number in range(MOST_SKIPPED + 1):
+        if number == len(window):
+            if (image := next(ahead, None)) is None:
+                break
+            window.append(image)
+        difference = float(np.abs(window[number][1] - wanted.astype(np.int16)).mean())
+        if difference < best:
+            best, place = difference, number
+        elif place is not None:
+            break
+    return place
 
 
 def _thumbnails(paths: Sequence[Path]) -> Iterator[tuple[int, UInt8[np.ndarray, "12 44"]]]:

@@ -60,6 +60,7 @@ class VoxelCache:
         unknown: label of cells without points.
         fingerprint: of the data; the counts of classes are kept under it.
         workers: processes that vote; 0 votes in this one.
+        masks: fingerprints of masks that the cameras have besides the recorded ones, which limit what they observe.
 
     Raises:
         ValueError: if `unknown` is no way of labelling.
@@ -73,10 +74,11 @@ class VoxelCache:
         fingerprint: str = "",
         num_classes: int = NUM_CLASSES,
         workers: int = 0,
+        masks: Sequence[str] = (),
     ):
         if unknown not in VOTED:
             raise ValueError(f"unknown must be one of {', '.join(VOTED)}, got {unknown!r}")
-        labelling = [] if unknown == "free" else [unknown, OBSERVED_VERSION]
+        labelling = [] if unknown == "free" else [unknown, OBSERVED_VERSION, *masks]
         self.folder = Path(folder) / f"voxels-{digest([repr(geometry), VOTE_VERSION, *labelling])[:12]}"
         self.geometry = geometry
         self.unknown: Unknown = unknown

@@ -77,7 +77,11 @@ def make_scenes(work: Work, folders: Sequence[Path], workers: int, progress: Pro
 
 
 def mapped(work: Callable[[Item], Result], items: Sequence[Item], workers: int) -> Iterator[Result]:
-    """Yield `work` of every item in order, from several processes; 0 or one item: in this one. `work` is picklable."""
+    """Yield `work` of every item in order, from several processes; 0 or one item: in this one. `work` is picklable.
+
+    Raises:
+        DataError: when a process is killed.
+    """
     if workers == 0 or len(items) < 2:
         yield from map(work, items)
         return
@@ -85,7 +89,10 @@ def mapped(work: Callable[[Item], Result], items: Sequence[Item], workers: int) 
         worker_environment(needs_main=False),
         ProcessPoolExecutor(min(workers, len(items)), process_context(), limit_threads) as pool,
     ):
-        yield from pool.map(work, items)
+        try:
+            yield from pool.map(work, items)
+        except BrokenProcessPool as error:
+            raise DataError("a process was killed (out of memory?). Run the same command with fewer workers") from error
 
 
 def process_context() -> Any:

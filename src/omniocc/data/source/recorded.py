@@ -82,9 +82,13 @@ class Recorded:
 
     @property
     def fingerprint(self) -> str:
-        """Return a hash of the splits, of the checksums of all files, and of other masks than the recorded ones."""
-        masks = [] if self.masked is None else [self.masked.fingerprint]
-        return digest([self.names, self._checksums, *masks])
+        """Return a hash of the splits, the checksums of all files, the panorama, and masks if others are given."""
+        panorama = [] if self.panorama is None else [repr(self.panorama)]
+        return digest([self.names, self._checksums, *self._masks, *panorama])
+
+    @property
+    def _masks(self) -> list[str]:
+        return [] if self.masked is None else [self.masked.fingerprint]
 
     @property
     def folder(self) -> Path:
@@ -110,7 +114,7 @@ class Recorded:
     def labels(self, geometry: Grid, unknown: Unknown) -> VoxelCache:
         """Return the voxel labels of a grid, voted from the recorded points."""
         classes = self.spec.classes.num_classes
-        return VoxelCache(self.folder, geometry, unknown, self.fingerprint, classes, self.workers)
+        return VoxelCache(self.folder, geometry, unknown, self.fingerprint, classes, self.workers, self._masks)
 
     def scenes(self, split: Split) -> list[SceneReader]:
         """Return the scenes of a split, in order of their names."""

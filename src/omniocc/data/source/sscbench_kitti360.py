@@ -111,7 +111,7 @@ class SSCBenchSequence(CompletionScene):
         self.preprocessed = Path(source.root, "preprocess", "labels", SEQUENCE.format(name))
         self.image_width = source.image_width
         self.kitti360 = None if source.kitti360 is None else Path(source.kitti360)
-        self.found = source.folder / f"kitti360-frames-{name}.json"
+        self.found = source.folder / f"kitti360-frames-2-{name}.json"
 
     @cached_property
     def numbers(self) -> list[int]:

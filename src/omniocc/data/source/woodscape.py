@@ -144,7 +144,7 @@ class WoodScapeImage(DatasetScene):
             if ids.ndim != 2:
                 raise DataError(f"{path}: the file is no image of class ids")
             classes = map_classes(ids.astype(np.int64), TABLE, path)
-        return [cv2.resize(classes, (camera.width, camera.height), interpolation=cv2.INTER_NEAREST)]
+        return [cv2.resize(classes, (camera.width, camera.height), interpolation=cv2.INTER_NEAREST_EXACT)]
 
     def own_voxels(self, frame: int, unknown: Unknown) -> None:
         """Return None: there are no voxels."""
