@@ -189,6 +189,10 @@ def announce_plan(
     """
     trainer: Trainer = build(cfg.trainer, logger=False, enable_checkpointing=False)
     devices = trainer.num_devices * trainer.num_nodes
+    if hours is not None:
+        print(
+            "some steps of every stage are timed: seconds at preset=tiny, minutes for large sizes on a CPU", flush=True
+        )
     for stage in stages:
         if stage == "depth" and not learns(target_of(cfg.depth)):
             print(f"{stage:10}nothing to train", flush=True)

@@ -14,7 +14,7 @@ from omniocc.predict.input.sequence import with_road
 
 
 def test_each_program_has_its_own_description(rig, tmp_path, monkeypatch):
-    trained = SimpleNamespace(width_for=lambda rig: 64, classes=None, road_z_m=-2.2)
+    trained = SimpleNamespace(width_for=lambda rig: 64, classes=None, road_z_m=-2.2, frame_interval_s=0.5)
     instead = {
         "load_occupancy": lambda path: (None, None), "training_data": lambda *_: trained,
         "make_module": lambda *_: None, "export_program": lambda _: None, "contract_of": lambda *_: {"inputs": []},

@@ -64,6 +64,7 @@ def export_files(options: Options) -> str:
     print(f"writing {output}", file=sys.stderr, flush=True)
     write_program(program, contract, output)
     facts = {"program": output.name, "checkpoint": str(options.checkpoint), "torch": torch.__version__}
+    facts["frame_interval_s"] = trained.frame_interval_s
     described = output.with_name(f"{output.name}.json")
     atomic_write(described, json.dumps(facts | contract, indent=2) + "\n")
     return f"{output}: {output.stat().st_size / 2**20:.0f} MiB; inputs and outputs: {described}"
@@ -78,7 +79,7 @@ def on_road(rig: Rig, trained_z_m: float) -> tuple[Rig, float]:
         line = f"the height of the road is not known (road_z_m): taken for {trained_z_m:g} m, as in training"
         print(line, file=sys.stderr, flush=True)
         return rig, 0.0
-    height_m = rig.road_z_m - trained_z_m
+    height_m = round(rig.road_z_m - trained_z_m, 6)
     return raise_rig(rig, height_m), height_m
 
 

@@ -26,6 +26,7 @@ class TrainingData:
         road_z_m: height of the road in its ego frame.
         classes: table of the model's classes.
         unknown: label of true cells without points.
+        frame_interval_s: time between frames, and so the age of the newest past one, s.
     """
 
     rig: Rig
@@ -33,6 +34,7 @@ class TrainingData:
     road_z_m: float
     classes: ClassTable
     unknown: Unknown
+    frame_interval_s: float
 
     @property
     def any_rig(self) -> bool:
@@ -60,7 +62,7 @@ def training_data(path: Path, cfg: DictConfig) -> TrainingData:
     data = open_data(path, cfg)
     source, spec = data.source, data.source.spec
     name = OmegaConf.select(cfg, "data.source.rig") or "that of recorded scenes"
-    return TrainingData(training_rig(source), name, spec.road_z_m, spec.classes, data.unknown)
+    return TrainingData(training_rig(source), name, spec.road_z_m, spec.classes, data.unknown, spec.frame_interval_s)
 
 
 def open_data(path: Path, cfg: DictConfig) -> OccupancyData:

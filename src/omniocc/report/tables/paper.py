@@ -226,8 +226,8 @@ def order_line(table: PaperTable, runs: Mapping[str, Sequence[FinishedRun]]) -> 
         figure, paper = figure_of(runs.get(row.run, []), table.order_by), row.paper[table.order_by]
         if figure is not None and paper is not None:
             both.append((row.title, paper, figure.mean))
-    if len(both) < 2:
-        return "No order to compare: fewer than two methods have run."
+    if len(both) < 3:
+        return "No order to compare: fewer than three methods have run."
     orders = [" > ".join(entry[0] for entry in sorted(both, key=lambda entry: -entry[place])) for place in (1, 2)]
     result: Any = stats.kendalltau([entry[1] for entry in both], [entry[2] for entry in both])
     tau = float(result.statistic)

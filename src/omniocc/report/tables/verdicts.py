@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
+from omniocc.report.runs import RAY_IOU
 from omniocc.report.tables.claims import (
     AGAINST,
     HOLDS,
@@ -22,7 +23,8 @@ TITLE = "All claims"
 NOTE = (
     "Every claim of every table once, in the order of its verdict by the paper's own metric, own voxels. 'In "
     "proportion': the printed gap / the printed score of the better method x its score here. 'Seeds': how many the "
-    "first and the second row have. A gap has its standard error over seeds, then over streets."
+    "first and the second row have. A gap has its standard error over seeds, then over streets, which is not known for "
+    "bands of distance."
 )
 NOT_RUN = "not run"
 ORDER = (HOLDS, AGAINST, UNDECIDED, NOT_RUN)
@@ -53,7 +55,7 @@ def _line(
         name = name_of(better, other, rows, metric_of(table, judge))
         found[judge] = None if name is None else decided[name]
     own, lidar = found.values()
-    title = better.ahead_of(other)
+    title = better.ahead_of(other) + ("" if table.order_by == RAY_IOU else f", {table.columns[table.order_by]}")
     if own is None:
         return [
             title,
