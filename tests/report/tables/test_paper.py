@@ -81,7 +81,10 @@ def test_markdown_shows_both_and_whether_the_order_holds():
 
 def test_equal_figures_have_no_order():
     same = {"ours": RUNS["ours"][:1], "mono": [run("mono-01234567", 0, 0.2)]}
-    assert "(Kendall's tau not defined: all are equal)" in as_markdown(load_table(SWEEPS / "sketch.yaml"), same)
+    table = load_table(SWEEPS / "sketch.yaml")
+    assert "No order to compare: fewer than three methods have run." in as_markdown(table, same)
+    same["dense"] = [run("dense-01234567", 0, 0.2)]
+    assert "(Kendall's tau not defined: all are equal)" in as_markdown(table, same)
 
 
 def test_csv_and_latex_hold_the_same_figures():
