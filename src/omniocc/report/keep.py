@@ -34,7 +34,9 @@ def keep_records(runs: Path, folder: Path) -> list[Path]:
     kept = [folder / path.parent.name for path in tests]
     if kept and not any(runs.glob(f"*/{METRICS}")):
         return kept
-    finished = newest_of_settings(read_runs(runs))
+    found = read_runs(runs)
+    newest = newest_of(found)
+    finished = [run for run in found if newest[run.place, run.setting] is run]
     for run in finished:
         for pattern in KEPT:
             for path in run.folder.glob(pattern):
@@ -42,13 +44,6 @@ def keep_records(runs: Path, folder: Path) -> list[Path]:
     for path in replaced(read_runs(folder), finished):
         shutil.rmtree(path)
     return [*(folder / run.name for run in finished), *kept]
-
-
-def newest_of_settings(runs: Sequence[FinishedRun]) -> list[FinishedRun]:
-    """Return the newest run of each row, seed and setting, in the order given."""
-    newest = [newest_of([run for run in runs if run.setting == setting]) for setting in {run.setting for run in runs}]
-    names = {run.name for of_setting in newest for run in of_setting.values()}
-    return [run for run in runs if run.name in names]
 
 
 def replaced(kept: Sequence[FinishedRun], newer: Sequence[FinishedRun]) -> list[Path]:

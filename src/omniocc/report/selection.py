@@ -11,6 +11,8 @@ from omniocc.run.folder import METRICS, VOLATILE
 from omniocc.run.results import FINISHED, utc_text
 
 ABSENT = object()
+Place = tuple[tuple[str, Any], tuple[str, ...]]
+"""Row and seed, and setting, of a run."""
 OF_MACHINES = ("root", "cache", "workers", "num_workers", "accelerator", "seed")
 """Keys at any depth that may differ between runs of one row."""
 
@@ -39,7 +41,7 @@ def comparable(runs: Sequence[FinishedRun], setting: tuple[str, ...]) -> tuple[l
     """
     chosen, same = setting, [run for run in runs if run.setting == setting]
     newest = newest_of(same)
-    kept = [run for run in same if newest[run.place] is run]
+    kept = [run for run in same if newest[run.place, setting] is run]
     commits = sorted({str(run.facts.get("commit", "unknown")) for run in kept})
     name, steps, data = chosen
     text = f"preset={name}, {steps} steps, data {data[:8]}, commit {', '.join(commits)}."
@@ -52,9 +54,9 @@ def comparable(runs: Sequence[FinishedRun], setting: tuple[str, ...]) -> tuple[l
     return kept, text
 
 
-def newest_of(runs: Sequence[FinishedRun]) -> dict[tuple[str, Any], FinishedRun]:
-    """Return the newest run of each row and seed: the last that finished."""
-    return {run.place: run for run in sorted(runs, key=_finished)}
+def newest_of(runs: Sequence[FinishedRun]) -> dict[Place, FinishedRun]:
+    """Return the newest run of each row, seed and setting: the last that finished."""
+    return {(run.place, run.setting): run for run in sorted(runs, key=_finished)}
 
 
 def _finished(run: FinishedRun) -> tuple[str, str]:
@@ -64,10 +66,10 @@ def _finished(run: FinishedRun) -> tuple[str, str]:
     return run.facts.get(FINISHED) or utc_text(written), run.name
 
 
-def _replaced(runs: Sequence[FinishedRun], newest: Mapping[tuple[str, Any], FinishedRun]) -> Iterator[str]:
+def _replaced(runs: Sequence[FinishedRun], newest: Mapping[Place, FinishedRun]) -> Iterator[str]:
     """Yield the names of runs that are not the newest of their place, and the keys in which they differ from it."""
     for run in runs:
-        if (newer := newest[run.place]) is not run:
+        if (newer := newest[run.place, run.setting]) is not run:
             keys = differences([run, newer])
             yield run.name + (f" (of another {keys} than {newer.name})" if keys else "")
 

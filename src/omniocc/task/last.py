@@ -21,6 +21,11 @@ def validation_follows(trainer: Trainer, batch_idx: int) -> bool:
     return of_epoch and (batch_idx + 1) % every == 0
 
 
+def in_training(trainer: Trainer) -> bool:
+    """Return whether a validation is one on the way of a training."""
+    return trainer.state.fn == "fit" and not trainer.sanity_checking
+
+
 class LastCheckpoint(Checkpoint):
     """Save the newest state every few steps and after every validation.
 
@@ -44,7 +49,7 @@ class LastCheckpoint(Checkpoint):
             self._save(trainer)
 
     def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:  # noqa: D102
-        if trainer.state.fn == "fit" and not trainer.sanity_checking:
+        if in_training(trainer):
             self._save(trainer)
 
     def _save(self, trainer: Trainer) -> None:

@@ -11,7 +11,7 @@ from lightning.pytorch import LightningModule, Trainer
 from lightning.pytorch.callbacks import Checkpoint
 from lightning.pytorch.utilities.exceptions import SIGTERMException
 
-from omniocc.task.last import validation_follows
+from omniocc.task.last import in_training, validation_follows
 
 STOP = signal.SIGUSR2
 """Signal that comes some time before the limit: `hydra/launcher=slurm` asks for it."""
@@ -48,7 +48,7 @@ class StopAtSignal(Checkpoint):
             self._stop(trainer)
 
     def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:  # noqa: D102
-        if trainer.state.fn == "fit" and not trainer.sanity_checking and self._all_told(trainer):
+        if in_training(trainer) and self._all_told(trainer):
             self._stop(trainer)
 
     def _stop(self, trainer: Trainer) -> None:

@@ -5,7 +5,6 @@ What looks different is still as far away, so that a network for any camera lear
 
 from collections.abc import Mapping
 
-import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
@@ -13,6 +12,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from omniocc.data.augment.image import LUMINANCE, uniform
+from omniocc.data.disturb import images as disturb
 
 Images = Float[Tensor, "B N 3 H W"]
 
@@ -152,7 +152,5 @@ def compressed(images: Images, probability: float, generator: torch.Generator) -
 
 def _jpeg(images: Float[Tensor, "N 3 H W"], quality: int) -> Float[Tensor, "N 3 H W"]:
     pixels = (images.detach().cpu() * 255).round().byte().permute(0, 2, 3, 1).numpy()
-    options = [cv2.IMWRITE_JPEG_QUALITY, quality]
-    files = [cv2.imencode(".jpg", np.ascontiguousarray(one[..., ::-1]), options)[1] for one in pixels]
-    decoded = np.stack([np.asarray(cv2.imdecode(file, cv2.IMREAD_COLOR))[..., ::-1] for file in files])
+    decoded = np.stack([disturb.compressed(one, quality) for one in pixels])
     return torch.from_numpy(decoded).permute(0, 3, 1, 2).to(images) / 255
