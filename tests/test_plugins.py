@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from scripts import run_script
 
-from omniocc.config import installed
+from omniocc.config import spec_of
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "how_to" / "own_modules.md"
@@ -68,7 +68,7 @@ def test_a_package_that_is_not_there_and_an_option_of_a_name_in_use_are_one_line
         assert [words in line for line in result.stderr.splitlines()] == [True]
     result = run("train.py", "preset=smoke", "packages=[mylbi]", package=package, cwd=tmp_path, allowed="")
     assert "packages: mylbi cannot be imported" in result.stderr
-    assert not installed("mylbi.part")
+    assert spec_of("mylbi.part") is None
 
 
 def test_a_class_of_a_package_that_is_not_allowed_is_one_problem(package, tmp_path):

@@ -6,6 +6,7 @@ import re
 import types
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
+from importlib.machinery import ModuleSpec
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal, Union, cast, get_args, get_origin, get_type_hints
@@ -107,7 +108,7 @@ def check_root(cfg: DictConfig) -> None:
     """
     problems = [problem for key, hint in ROOT.items() for problem in _check_value(cfg, key, "", hint)]
     more = [] if problems else list(cfg.packages)
-    problems += [f"packages: {name} {NOT_THERE}" for name in more if not installed(name)]
+    problems += [f"packages: {name} {NOT_THERE}" for name in more if spec_of(name) is None]
     try:
         check(cfg, (*ROOT, *GROUPS), allowed(PACKAGES, more))
     except ConfigError as error:
@@ -116,12 +117,12 @@ def check_root(cfg: DictConfig) -> None:
         raise ConfigError([problem.lstrip(".") for problem in problems])
 
 
-def installed(package: str) -> bool:
-    """Return whether a package, or a part of one as `package.part`, can be found."""
+def spec_of(package: str) -> ModuleSpec | None:
+    """Return where a package, or a part of one as `package.part`, is installed; None if it cannot be found."""
     try:
-        return find_spec(package) is not None
-    except ModuleNotFoundError:
-        return False
+        return find_spec(package)
+    except ModuleNotFoundError:  # of the package that should have the part
+        return None
 
 
 def target_of(node: Mapping[Any, Any]) -> type:

@@ -1,12 +1,11 @@
 """Hydra plug-in: the folders `conf` of the packages in `OMNIOCC_PACKAGES` are searched for options too."""
 
-from importlib.util import find_spec
 from pathlib import Path
 
 from hydra.core.config_search_path import ConfigSearchPath
 from hydra.plugins.search_path_plugin import SearchPathPlugin
 
-from omniocc.config import NOT_THERE, PACKAGES_VARIABLE, allowed, installed
+from omniocc.config import NOT_THERE, PACKAGES_VARIABLE, allowed, spec_of
 from omniocc.errors import UserError
 
 
@@ -24,7 +23,7 @@ class OwnPackages(SearchPathPlugin):
             Path(item.path.removeprefix("file://")) for item in search_path.get_path() if item.provider == "main"
         ]
         for package in allowed(()):
-            if not installed(package) or (spec := find_spec(package)) is None:
+            if (spec := spec_of(package)) is None:
                 raise UserError(f"{package}, which {PACKAGES_VARIABLE} names, {NOT_THERE}")
             for folder in (Path(place) / "conf" for place in spec.submodule_search_locations or ()):
                 for option in sorted(folder.rglob("*.yaml")):
