@@ -13,7 +13,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from omniocc.io import atomic_write
-from omniocc.report.chapters import report_markdown, write_docs, write_tables
+from omniocc.report.chapters import CURVES_PICTURE, report_markdown, write_docs, write_tables
 from omniocc.report.dataset.table import dataset_markdown, load_dataset_table, with_folders
 from omniocc.report.frames import compared_frames
 from omniocc.report.keep import keep_records
@@ -21,11 +21,13 @@ from omniocc.report.page import page
 from omniocc.report.runs import read_runs
 from omniocc.report.sweep import Sweep, read_sweeps
 from omniocc.report.tables import robustness as disturbed
+from omniocc.report.tables import training
 from omniocc.report.tables.power import power_chapter, spread_of
 from omniocc.report.tables.tried import tried_chapter
 from omniocc.run.script import lines_not_tracebacks
 
 DATASETS = "dataset.yaml"
+NO_MATPLOTLIB = "matplotlib is missing (pip install --editable '.[plot]')."
 ROOT = Path(__file__).parents[1]
 GENERATED_TRIED = "<!-- Written by `python src/report.py --tried`; do not edit. -->"
 
@@ -76,7 +78,23 @@ def main(arguments: list[str] | None = None) -> None:
         return
     if options.docs is not None:
         write_docs(sweeps, options.docs)
+        draw_curves(sweeps[0], options.docs)
     write_report(sweeps, options.output or options.runs / "report")
+
+
+def draw_curves(sweep: Sweep, folder: Path) -> None:
+    """Draw the picture of the page on more steps into a folder of documentation, if there are such runs."""
+    rows = training.runs_by_row(sweep)
+    if not rows:
+        return
+    if find_spec("matplotlib") is None:
+        print(f"{CURVES_PICTURE} is not drawn again: {NO_MATPLOTLIB}")
+        return
+    from omniocc.report.plots.figures import learning_curves
+    from omniocc.report.plots.svg import save_svg
+
+    if figure := learning_curves(rows):
+        save_svg(figure, folder / CURVES_PICTURE)
 
 
 def write_report(sweeps: Sequence[Sweep], output: Path) -> None:
@@ -106,15 +124,17 @@ def write_tried(folder: Path, path: Path, reference: str) -> None:
 def draw(sweep: Sweep, output: Path) -> dict[str, tuple[str, str]]:
     """Write every plot as PNG below `output`, and return title and SVG of each by name."""
     if find_spec("matplotlib") is None:
-        print("No plots: matplotlib is missing (pip install --editable '.[plot]').")
+        print(f"No plots: {NO_MATPLOTLIB}")
         return {}
     from omniocc.report.plots import robustness
-    from omniocc.report.plots.figures import PLOTS
+    from omniocc.report.plots.figures import PLOTS, learning_curves
     from omniocc.report.plots.svg import as_svg
 
     (output / "plots").mkdir(exist_ok=True)
     drawn = {}
     figures = {name: (title, plot(sweep.rows)) for name, (title, plot) in PLOTS.items()}
+    if rows := training.runs_by_row(sweep):
+        figures["learning-curves"] = (training.CURVES_TITLE, learning_curves(rows))
     if sweep.robustness:
         figures["robustness"] = (disturbed.TITLE, robustness.drops(disturbed.comparable(sweep.robustness)[0]))
     for name, (title, figure) in figures.items():

@@ -22,6 +22,8 @@ from omniocc.run.table import markdown
 GENERATED = "<!-- Written by `python src/report.py --runs docs/results/runs --docs docs/results`; do not edit. -->"
 TRIED_AGAINST = "extended"
 """Row to which the page `accuracy` compares all others."""
+CURVES_PICTURE = "learning_curves.svg"
+"""Picture of the page on more steps, beside it."""
 ROBUSTNESS = "robustness"
 """Name of the chapter on tests under disturbances."""
 DISTURBANCES = "What each disturbance is: [What breaks a model](../how_to/robustness.md)."
@@ -71,6 +73,8 @@ def write_docs(sweeps: Sequence[Sweep], folder: Path) -> list[Path]:
     pages = {}
     for name, text in chapters(sweep._replace(datasets=()), listed).items():
         pages[name] = text if name == ROBUSTNESS else f"{text}\n{foot(runs_on(name, sweep))}"  # tests tell their own
+    if "training" in pages:
+        pages["training"] += f"\n\n![Validation RayIoU over the steps]({CURVES_PICTURE})"
     if any(run.row == TRIED_AGAINST for run in every):
         pages["accuracy"] = tried_chapter(every, TRIED_AGAINST)
     pages["learning_rates"] = learning_rates(every)
@@ -87,13 +91,8 @@ def write_docs(sweeps: Sequence[Sweep], folder: Path) -> list[Path]:
 def runs_on(page: str, sweep: Sweep) -> list[FinishedRun]:
     """Return the runs of which a page of the first setting tells."""
     if page == "training":
-        sweeps = training.by_steps(sweep)
-        return [
-            run
-            for row in training.rows_on_page(sweep)
-            for each in sweeps.values()
-            for run in training.of_row(each, row)
-        ]
+        of_rows = training.runs_by_row(sweep).values()
+        return [run for of_steps in of_rows for runs in of_steps.values() for run in runs]
     own = [table for table in sweep.tables if table.name == page]
     if page == "claims":
         rows = [rows_of_claims(sweep.tables, sweep.table_rows, shared) for shared in (True, False)]

@@ -6,12 +6,15 @@ from pathlib import Path
 import pytest
 from scipy import stats
 
+from omniocc.report.chapters import CURVES_PICTURE, write_docs
+from omniocc.report.plots.figures import learning_curves
 from omniocc.report.runs import FinishedRun
 from omniocc.report.sweep import Sweep
 from omniocc.report.tables import training
 from omniocc.report.tables.claims import Claim, Judged
 from omniocc.report.tables.gaps import Gap
 from omniocc.report.tables.paper import load_table
+from report import draw_curves
 
 SWEEPS = Path(__file__).parents[3] / "sweeps"
 SKETCH = load_table(SWEEPS / "sketch.yaml")
@@ -116,3 +119,28 @@ def test_runs_of_other_rows_with_more_steps_have_no_columns(sweep, tmp_path):
     both = sweep._replace(longer=[other, *sweep.longer])
     assert training.chapter(both) == training.chapter(sweep)
     assert training.parts_of(sweep._replace(longer=[other])) == []
+
+
+def test_the_picture_has_a_line_for_each_row_and_number_of_steps(sweep):
+    """The curves of `runs` reach half of the score, the score less .02, and the score."""
+    (axes,) = learning_curves(training.runs_by_row(sweep)).axes
+    drawn = {(line.get_linestyle(), *line.get_xdata()): list(line.get_ydata()) for line in axes.lines}
+    assert [line.get_label() for line in axes.lines if line.get_linestyle() == "-"] == ["ours", "wo_dilation"]
+    assert len(axes.lines) == 4
+    assert drawn["--", 10, 49, 100] == pytest.approx([0.1525, 0.285, 0.305])
+    assert drawn["-", 100, 499, 1000] == pytest.approx([0.1775, 0.335, 0.355])
+
+
+def test_the_page_of_the_documentation_has_the_picture_beside_it(sweep, tmp_path):
+    (page,) = (path for path in write_docs([sweep], tmp_path) if path.name == "training.md")
+    assert page.read_text().rstrip().endswith(f"({CURVES_PICTURE})")
+    draw_curves(sweep, tmp_path)
+    first = (tmp_path / CURVES_PICTURE).read_bytes()
+    draw_curves(sweep, tmp_path)
+    assert first.startswith(b"<?xml")
+    assert (tmp_path / CURVES_PICTURE).read_bytes() == first
+
+
+def test_without_longer_runs_there_is_no_picture(sweep, tmp_path):
+    draw_curves(sweep._replace(longer=[]), tmp_path)
+    assert not (tmp_path / CURVES_PICTURE).exists()

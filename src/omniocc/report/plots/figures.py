@@ -15,6 +15,7 @@ from matplotlib.figure import Figure as Canvas
 from omniocc.report.plots.curves import over_seeds, smoothed
 from omniocc.report.runs import FRACTION, FinishedRun, names_of
 from omniocc.report.tables.paper import figure_of
+from omniocc.report.tables.training import RunsByRow
 from omniocc.run.curves import read_curve
 from omniocc.run.table import band_keys
 
@@ -42,7 +43,7 @@ STYLE: dict[Any, Any] = {
 WHISKER = {"ecolor": INK, "elinewidth": 1.0, "capsize": 2.0}
 
 
-def colors_of(rows: Rows) -> dict[str, tuple[float, ...]]:
+def colors_of(rows: Mapping[str, Any]) -> dict[str, tuple[float, ...]]:
     """Return a colour for each row; the first ten are easy to distinguish."""
     palette = [*colormaps["tab10"].colors, *colormaps["Dark2"].colors, *colormaps["Set2"].colors]  # type: ignore[attr-defined]
     return {row: palette[k % len(palette)] for k, row in enumerate(rows)}
@@ -132,6 +133,28 @@ def training(rows: Rows) -> Canvas | None:
     return canvas if drawn else None
 
 
+@rc_context(STYLE)
+def learning_curves(rows: RunsByRow) -> Canvas | None:
+    """Draw validation RayIoU of rows that have run with several numbers of steps; dashed: with fewer than the most."""
+    colors = colors_of(rows)
+    canvas = Canvas(figsize=(8.6, 4.2), layout="constrained")
+    axes = canvas.subplots()
+    drawn = 0
+    for row, of_steps in rows.items():
+        most = max(of_steps, key=float)
+        for steps, runs in of_steps.items():
+            mean = over_seeds([curve for run in runs if (curve := read_curve(run.folder, "val/rayiou"))])
+            drawn += len(mean.steps)
+            style, label = ("-", row) if steps == most else ("--", None)
+            axes.plot(mean.steps, mean.mean, style, color=colors[row], marker=".", linewidth=1.6, label=label)
+            axes.fill_between(mean.steps, mean.low, mean.high, color=colors[row], alpha=0.18, linewidth=0)
+    axes.set_xscale("log")
+    axes.set_xlabel("optimizer step")
+    axes.set_ylabel("RayIoU, validation")
+    canvas.legend(loc="outside right upper", title="band: lowest\nto highest seed", fontsize=9)
+    return canvas if drawn else None
+
+
 PLOTS = {
     "ranking": ("Every row", ranking),
     "range": ("By distance", by_range),
@@ -174,4 +197,4 @@ def _grouped(axes: Axes, rows: Rows, keys: Mapping[str, str]) -> None:
 
 def _legend(canvas: Canvas, axes: Axes, rows: Rows) -> None:
     handles, labels = axes.get_legend_handles_labels()
-    canvas.legend(handles, labels, loc="outside upper left", ncols=min(6, max(len(rows), 1)), fontsize=9)
+    canvas.legend(handles, labels, loc="outside upper left", ncols=min(5, max(len(rows), 1)), fontsize=9)

@@ -1,15 +1,25 @@
-"""matplotlib's figures as SVG inside a page: with the page's fonts, its light and dark colours, and unique ids."""
+"""matplotlib's figures as SVG: in a file, or in a page with its fonts, its light and dark colours, and unique ids."""
 
 import io
 import re
+from pathlib import Path
 
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
+from omniocc.io import atomic_write
 from omniocc.report.plots.figures import INK, LINE, STYLE
 
 SMALLEST, LARGEST = 0.65, 1.5
 """Scales between which a page may resize a plot; on narrower pages it scrolls."""
+
+
+def save_svg(figure: Figure, path: Path) -> None:
+    """Write a figure on white to a file, the same bytes for the same figure."""
+    buffer = io.BytesIO()
+    with rc_context(STYLE):
+        figure.savefig(buffer, format="svg", facecolor="white", metadata={"Date": None, "Creator": None})
+    atomic_write(path, buffer.getvalue())
 
 
 def as_svg(figure: Figure, name: str, title: str) -> str:

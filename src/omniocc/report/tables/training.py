@@ -33,10 +33,13 @@ CHANGES = (
     "over as many claims as a family has. All scores rise with training, and gaps with them: a change is not yet one "
     "in proportion."
 )
+CURVES_TITLE = "Learning curves"
 CURVES = (
     "RayIoU on validation scenes on the way, mean over seeds, at the last validation up to each part of the steps. "
     "The learning rate falls to the end of all steps, so that the beginning of a long run is not a short run."
 )
+RunsByRow = Mapping[str, Mapping[str, Sequence[FinishedRun]]]
+"""Runs by row and number of steps."""
 PARTS = (0.2, 0.4, 0.6, 0.8, 1.0)
 """Parts of all steps after which a training is validated by default."""
 
@@ -74,19 +77,22 @@ def chapter(sweep: Sweep) -> str:
 
 def parts_of(sweep: Sweep) -> list[Part]:
     """Return the tables of scores, claims and learning curves of a sweep and of its `longer` ones."""
-    sweeps = by_steps(sweep)
-    rows = rows_on_page(sweep)
+    sweeps, rows = by_steps(sweep), runs_by_row(sweep)
     if not rows:
         return []
-    parts = [Part("training", TITLE, NOTE, score_cells(sweeps, rows))]
+    parts = [Part("training", TITLE, NOTE, score_cells(list(sweeps), rows))]
     if claims := list(compared(sweeps)):
         parts.append(Part("training-claims", "What changes with training", CHANGES, change_cells(claims, sweeps)))
-    return [*parts, Part("learning-curves", "Learning curves", CURVES, curve_cells(sweeps, rows))]
+    return [*parts, Part("learning-curves", CURVES_TITLE, CURVES, curve_cells(rows))]
 
 
-def rows_on_page(sweep: Sweep) -> list[str]:
-    """Return the rows that have run with more steps too."""
-    return [row for row in rows_of(sweep) if any(of_row(each, row) for each in sweep.longer)]
+def runs_by_row(sweep: Sweep) -> RunsByRow:
+    """Return the runs, by number of steps, of every row that has run with several."""
+    found = {
+        row: {steps: runs for steps, each in by_steps(sweep).items() if (runs := of_row(each, row))}
+        for row in rows_of(sweep)
+    }
+    return {row: of_steps for row, of_steps in found.items() if len(of_steps) > 1}
 
 
 def by_steps(sweep: Sweep) -> dict[str, Sweep]:
@@ -106,13 +112,14 @@ def of_row(sweep: Sweep, row: str) -> Sequence[FinishedRun]:
     return sweep.rows.get(row) or sweep.lengths.get(f"{row}@{sweep.runs[0].setting[1]}", ())
 
 
-def score_cells(sweeps: Mapping[str, Sweep], rows: Sequence[str]) -> Cells:
+def score_cells(numbers: Sequence[str], rows: RunsByRow) -> Cells:
     """Return head and a line for each row: RayIoU by both judges at every number of steps."""
-    head = ["row", *(f"{title}, {steps} steps" for title in ("RayIoU", "LiDAR") for steps in sweeps)]
-    lines = []
-    for row in rows:
-        keys = [(of_row(sweep, row), key) for key in ("test/rayiou", "test/lidar/rayiou") for sweep in sweeps.values()]
-        lines.append([row, *(with_spread(key, figure_of(runs, key)) for runs, key in keys)])
+    head = ["row", *(f"{title}, {steps} steps" for title in ("RayIoU", "LiDAR") for steps in numbers)]
+    keys = [(key, steps) for key in ("test/rayiou", "test/lidar/rayiou") for steps in numbers]
+    lines = [
+        [row, *(with_spread(key, figure_of(runs.get(steps, ()), key)) for key, steps in keys)]
+        for row, runs in rows.items()
+    ]
     return head, lines
 
 
@@ -173,15 +180,14 @@ def adjusted_changes(claims: Sequence[Compared], tables: Sequence[PaperTable]) -
     return found
 
 
-def curve_cells(sweeps: Mapping[str, Sweep], rows: Sequence[str]) -> Cells:
+def curve_cells(rows: RunsByRow) -> Cells:
     """Return head and a line for each row and number of steps: RayIoU on validation scenes after parts of the steps."""
     lines = []
-    for row in rows:
-        for steps, sweep in sweeps.items():
+    for row, of_steps in rows.items():
+        for steps, runs in of_steps.items():
             ends = [float(steps) * part for part in PARTS]
-            curves = [read_curve(run.folder, "val/rayiou") for run in of_row(sweep, row)]
-            if curves:
-                lines.append([row, steps, *(number(_at(curves, end)) for end in ends)])
+            curves = [read_curve(run.folder, "val/rayiou") for run in runs]
+            lines.append([row, steps, *(number(_at(curves, end)) for end in ends)])
     return ["row", "steps", *(f"{part:.0%}" for part in PARTS)], lines
 
 
