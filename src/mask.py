@@ -17,8 +17,8 @@ from omniocc.progress import Progress
 from omniocc.run.script import script
 from omniocc.view import save_png
 from omniocc.view.sheet import camera_rows, inner_width, stack
-from omniocc.world.assets.vehicle import ego_car
-from omniocc.world.render.own_car import Masks, grown, masking, own_car_pixels, read_obj
+from omniocc.world.mesh.mesh import Mesh
+from omniocc.world.render.own_car import Masks, car_under, grown, masking, own_car_pixels, read_obj
 
 WIDTH = 1280
 SEEN, MASKED = 225, 60
@@ -29,11 +29,13 @@ SEEN, MASKED = 225, 60
 def main(cfg: DictConfig) -> None:
     """Find the pixels, write the masked rig and an image, print how much of each camera is masked."""
     require(cfg, ("output",), "mask.py")
+    if not isinstance(cfg.grow_px, int) or cfg.grow_px < 0:
+        raise UserError(f"grow_px={cfg.grow_px}: give whole pixels, 0 or more")
     if (cfg.rig is None) == (cfg.scenes is None):
         raise UserError("give either rig=... or scenes=...; see python src/mask.py --help")
     if cfg.scenes is None:
         rig = load_rig(cfg.rig)
-        pixels = own_car_pixels(rig, ego_car() if cfg.car is None else read_obj(Path(cfg.car)))
+        pixels = own_car_pixels(rig, car_of(rig) if cfg.car is None else read_obj(Path(cfg.car)))
     else:
         rig, pixels = unlabelled(open_scenes(cfg.scenes))
     masked = masking(rig, grown(pixels, cfg.grow_px))
@@ -48,6 +50,16 @@ def main(cfg: DictConfig) -> None:
     if rig.masks is not None:
         print("the rig was masked already: 'own car' is what is masked now in addition")
     print(f"rig       {output}\nimage     {picture}")
+
+
+def car_of(rig: Rig) -> Mesh:
+    """Return the virtual world's car as it stands under a rig; raise UserError if a camera would be inside of it."""
+    car = car_under(rig)
+    if not len(car.faces):
+        raise UserError(
+            "a camera of this rig would be inside of the virtual world's car: give the mesh of yours, car=<file>.obj"
+        )
+    return car
 
 
 def open_scenes(root: str) -> list[SceneReader]:

@@ -1,6 +1,7 @@
 """The script `mask.py`."""
 
 import re
+from dataclasses import replace
 
 import cv2
 import pytest
@@ -10,6 +11,7 @@ from scripts import run_script
 from omniocc.camera import Rig
 from omniocc.classes import UNKNOWN
 from omniocc.config import build
+from omniocc.world.render.own_car import mask_ego_car
 
 
 @pytest.fixture(scope="module")
@@ -32,6 +34,16 @@ def test_a_rig_is_masked_and_drawn(tmp_path):
     assert re.search(r"^rear +own car +1[0-9]\.\d%   usable +8\d\.\d%$", result.stdout, re.M)
     assert rig.masks[rig.names.index("front")] is None
     assert rig.rays(rig.names.index("rear"))[1].sum() < Rig.load("pinhole6").rays(rig.names.index("rear"))[1].sum()
+
+
+def test_the_car_stands_on_the_road_of_the_rig(tmp_path):
+    """A road that is .3 m higher brings the car nearer to the cameras, as in scenes of the virtual world."""
+    rig = replace(Rig.load("pinhole6"), road_z_m=-1.9)
+    rig.save(tmp_path / "higher.yaml")
+    result = run_script("mask.py", f"rig={tmp_path / 'higher.yaml'}", f"output={tmp_path / 'masked.yaml'}", "grow_px=0")
+    assert result.returncode == 0, result.stderr
+    assert Rig.load(tmp_path / "masked.yaml").masks[rig.names.index("rear")].float().mean() < 0.75
+    assert Rig.load(tmp_path / "masked.yaml") == mask_ego_car(rig)
 
 
 @pytest.mark.slow
@@ -57,6 +69,9 @@ def test_masks_are_found_from_the_labels_of_recorded_scenes(scene, tmp_path):
         (["rig=pinhole7"], "did you mean 'pinhole6'?"),
         (["rig=pinhole6", "car=none.obj"], "none.obj cannot be read"),
         (["scenes=."], "there are no recorded scenes"),
+        (["rig=surround_view"], "a camera of this rig would be inside of the virtual world's car"),
+        (["rig=pinhole6", "grow_px=-1"], "grow_px=-1: give whole pixels"),
+        (["rig=pinhole6", "grow_px=1.5"], "grow_px=1.5: give whole pixels"),
     ],
 )
 def test_mistakes_are_named_in_a_line(arguments, message, tmp_path):

@@ -2,9 +2,11 @@
 
 import pickle
 
+import numpy as np
 import pytest
 import real_lidar
 import torch
+from numpy.testing._private.utils import runstring
 
 from omniocc.errors import UserError
 
@@ -25,10 +27,20 @@ def test_a_folder_without_a_key_frame_is_named(tmp_path):
         real_lidar.read_key_frame(tmp_path)
 
 
-def test_pickles_that_name_code_are_refused(tmp_path):
-    (tmp_path / "a.pkl").write_bytes(pickle.dumps(pytest.raises))
+@pytest.mark.parametrize("code", [pytest.raises, runstring], ids=["any", "in numpy"])
+def test_pickles_that_name_code_are_refused(code, tmp_path):
+    (tmp_path / "a.pkl").write_bytes(pickle.dumps(code))
     with pytest.raises(UserError, match="which is not read"):
         real_lidar.read_key_frame(tmp_path)
+
+
+def test_arrays_and_numbers_are_read(tmp_path):
+    kept = {"pose": np.eye(4), "time": np.float64(0.5), "name": "a"}
+    (tmp_path / "a.pkl").write_bytes(pickle.dumps(kept, protocol=2))
+    with (tmp_path / "a.pkl").open("rb") as file:
+        found = real_lidar.PlainUnpickler(file).load()
+    assert (found["pose"] == np.eye(4)).all()
+    assert (found["time"], found["name"]) == (0.5, "a")
 
 
 def test_a_flat_road_is_near_most_points_of_a_real_road(samples):

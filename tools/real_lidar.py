@@ -32,6 +32,11 @@ NEAREST_M = 2.5
 """Points nearer than this, which may be of the own car, are left out."""
 BODY_M = 0.5
 """Height above the road from which points count as standing things."""
+ARRAYS = {
+    "numpy.ndarray", "numpy.dtype", "_codecs.encode",
+    *(f"{core}.multiarray.{name}" for core in ("numpy.core", "numpy._core") for name in ("_reconstruct", "scalar")),
+}  # fmt: skip
+"""Names by which pickles of arrays and numbers of numpy are read."""
 EDGES_M = (8.5, 17.0, 25.6)
 
 
@@ -51,8 +56,8 @@ class PlainUnpickler(pickle.Unpickler):
     """Reads builtin types and arrays of numpy; whatever else a pickle names is refused."""
 
     def find_class(self, module: str, name: str) -> Any:
-        """Return a class of numpy or a builtin type."""
-        if module.split(".")[0] in ("numpy", "_codecs") or (module == "builtins" and name in ("set", "complex")):
+        """Return what arrays are made of."""
+        if f"{module}.{name}" in ARRAYS:
             return super().find_class(module, name)
         raise UserError(f"the .pkl names {module}.{name}, which is not read")
 

@@ -108,6 +108,30 @@ def test_another_frame_has_other_voxels_and_images(open_page, made):
     assert (np.abs(screen(page).astype(int) - before).max(-1) > 30).mean() > 0.02
 
 
+@pytest.mark.parametrize("width", [400, 1200])
+def test_images_alone_go_on_from_frame_to_frame(open_page, tmp_path, width):
+    """A log without LiDAR, without a model: no voxels, no truth."""
+    frames = [replace(frame, truth={}) for frame in made_frames(())]
+    write_page(
+        shown := replace(made_shown(()), grids=(CYLINDER,), read=lambda: iter(frames)), shown, tmp_path / "v.html"
+    )
+    page = open_page(tmp_path / "v.html", width=width)
+    first = page.js("document.querySelector('#images img').src")
+    page.page.keyboard.press("ArrowRight")
+    assert frame_of(page) == 1
+    assert page.js("document.querySelector('#images img').src") != first
+    assert page.errors == []
+
+
+def test_only_figures_that_occur_can_be_chosen(open_page, made):
+    """Frames have RayIoU and IoU; their mIoU is unknown."""
+    page = open_page(made[1])
+    figures = "[...document.querySelector('#worst select').options].map(option => option.text)"
+    assert page.js(figures) == ["RayIoU", "IoU"]
+    page.page.locator("#worst select").first.select_option("IoU")
+    assert page.js(figures) == ["RayIoU", "IoU"]
+
+
 def test_play_goes_on_by_itself_and_stops(open_page, made):
     page = open_page(made[1])
     page.page.select_option("#speed", "10")

@@ -18,6 +18,7 @@ from omniocc.data.store.codec import decode_frame
 from omniocc.errors import UserError
 from omniocc.geometry import Cylinder
 from omniocc.predict.input.poses import read_poses
+from omniocc.record.labels import read_point_classes
 from omniocc.record.scene import read_frame
 
 GRID = Cylinder()
@@ -366,6 +367,13 @@ def test_classes_of_a_logs_own(recorder, log_folder, original, tmp_path):
     ours, theirs = np.sort(scene.points(0).labels), original.points(0).labels
     expected = np.where(theirs == UNKNOWN, UNKNOWN, np.where(theirs < 4, 1, 2))
     assert np.array_equal(ours, np.sort(expected))
+
+
+@pytest.mark.parametrize("rgb", ["5", "[1, 2]", "[1, 2, 300]", "[1, 2, 0.5]"])
+def test_a_colour_is_three_numbers(rgb, tmp_path):
+    (tmp_path / "classes.yaml").write_text(f"1: {{name: way, rgb: {rgb}}}\n")
+    with pytest.raises(DataError, match=r"id 1 has rgb: .*; give three whole numbers from 0 to 255"):
+        read_point_classes(tmp_path / "classes.yaml")
 
 
 def test_exported_poses_of_predict_are_read_back_alike(tmp_path):

@@ -18,6 +18,13 @@ def test_a_resumed_run_is_one_curve(tmp_path):
     assert read_curve(tmp_path / "nothing", "val/rayiou") == {}
 
 
+def test_copies_of_folders_are_left_out(tmp_path):
+    write(tmp_path, 0, "step,train/loss", "9,9")
+    write(tmp_path, "0 (copy)", "step,train/loss", "9,7")
+    write(tmp_path, "old", "step,train/loss", "9,8")
+    assert read_curve(tmp_path, "train/loss") == {9: 9.0}
+
+
 def test_a_file_that_is_being_written_gives_its_complete_lines(tmp_path):
     write(tmp_path, 0, "step,train/loss,val/rayiou", "9,9.5,", "19,8.25,", "19,nan,0.5")
     path = tmp_path / "csv" / "version_0" / "metrics.csv"

@@ -141,6 +141,7 @@ def test_the_first_frames_up_to_the_limit_are_chosen(capsys):
 def test_names_of_runs_are_short_and_unique():
     runs = ["runs/a-1", "runs/b-2/best.ckpt", "tiny", "elsewhere/a-1/last.ckpt", "best.ckpt"]
     assert unique_names(runs) == ["a-1", "b-2", "tiny", "a-1 (2)", "best.ckpt"]
+    assert unique_names(["x/a (2)", "y/a", "z/a"]) == ["a (2)", "a", "a (3)"]
 
 
 def test_pixels_outside_of_the_mask_are_unknown():

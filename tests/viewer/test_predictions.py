@@ -9,6 +9,7 @@ import torch
 from made_scenes import FRAMES, RIG, SCENES
 from recordings import read
 
+from omniocc.classes import UNKNOWN
 from omniocc.data.store.reader import SceneReader
 from omniocc.errors import UserError
 from omniocc.predict.depth import predict_panoramas
@@ -65,6 +66,26 @@ def test_predictions_for_recorded_scenes_come_with_truth_and_figures(of_scene, c
         assert torch.equal(one.truth[shown.grids[0]], other.truth[shown.grids[0]])
         assert np.array_equal(one.images[0], other.images[0])
         assert one.time_s == other.time_s
+
+
+def test_the_truth_is_that_of_the_training(make_run, dataset, predict, tmp_path):
+    run = make_run("unobserved-0a1b2c3d", "data.unknown=unobserved")
+    source = f"checkpoint={run / 'best.ckpt'}", f"recorded={dataset}", f"scene={SCENES[1]}", "frames=[0]"
+    predict(*source, f"output={tmp_path / 'out'}")
+    (kept,) = open_shown(ViewOptions(predictions=str(tmp_path / "out")))
+    (computed,) = open_shown(ViewOptions(run=[str(run)], frames=[0]))
+    for one in (kept, computed):
+        (truth,) = one.truth.values()
+        assert (truth == UNKNOWN).any()
+    assert [one.figures for one in kept.predictions.values()] == [one.figures for one in computed.predictions.values()]
+
+
+def test_scenes_that_are_gone_are_shown_without_images(of_scene, dataset, tmp_path):
+    shutil.copytree(of_scene, tmp_path / "out")
+    (tmp_path / "out" / SCENES[1]).rename(tmp_path / "out" / "test-999-gone")
+    frames = list(open_shown(ViewOptions(predictions=str(tmp_path / "out"))))
+    assert [frame.scene for frame in frames] == ["test-999-gone"] * FRAMES
+    assert all(frame.images == () and frame.truth == {} for frame in frames)
 
 
 def test_predictions_for_own_images_come_with_images_and_cameras(of_images, dataset):

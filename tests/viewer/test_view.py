@@ -39,6 +39,7 @@ def test_one_run_or_several(options):
         (("run=3",), "run: "),
         (("run=tiny", "wandb=true"), "wandb=true keeps a file"),
         (("run=tiny", "wandb=true", "save=v.rrd"), "wandb=true keeps the file with a run"),
+        (("run=tiny", "output=x.html"), "output=x.html is the file of a page: give page=true too"),
     ],
 )
 def test_impossible_options_are_a_line(options, overrides, words):

@@ -8,6 +8,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from omniocc.camera import Rig
 from omniocc.config import build, check
+from omniocc.data.source import Unknown
 from omniocc.data.store.shard import sha256
 from omniocc.errors import UserError
 from omniocc.model import OccupancyModel
@@ -62,7 +63,8 @@ def predict_occupancy(options: Options, show: ShowFrame | None = None) -> None:
     sequences, device = sequences_of(options, trained), choose_device(options.device)
     history = choose_history(options, model, sequences)
     width = trained.width_for(sequences[0].rig) if options.image_width is None else options.image_width
-    write_manifest(Path(options.output), facts_of(options, sequences, history, width), options.force)
+    facts = facts_of(options, sequences, history, width, trained.unknown)
+    write_manifest(Path(options.output), facts, options.force)
     if options.images is not None:
         rig_of(options).save(Path(options.output) / OWN_RIG)
     print("\n".join(announcement(options, model, trained, sequences, history)), flush=True)
@@ -145,9 +147,9 @@ def choose_history(options: Options, model: OccupancyModel, sequences: Sequence[
 
 
 def facts_of(
-    options: Options, sequences: Sequence[FrameSequence], history: History, width: int | None
+    options: Options, sequences: Sequence[FrameSequence], history: History, width: int | None, unknown: Unknown
 ) -> dict[str, str | int | Sequence[str] | None]:
-    """Return what the predictions are made from, for the manifest of their folder."""
+    """Return what the predictions are made from and how they are scored, for the manifest of their folder."""
     own = sequences[0] if options.recorded is None else None
     return {
         "checkpoint": sha256(Path(options.checkpoint))[:16],
@@ -157,6 +159,7 @@ def facts_of(
         "history": history,
         "image_width": width,
         "exclude_cameras": list(options.exclude_cameras),
+        "unknown": None if own is not None else unknown,
     }
 
 

@@ -85,7 +85,13 @@ def _entry(path: Path, key: Any, value: Any) -> tuple[str, tuple[int, ...] | Non
     name, rgb = (value.get("name"), value.get("rgb")) if isinstance(value, Mapping) else (value, None)
     if not isinstance(name, str) or not name or name.lower() == FREE_NAME:
         raise DataError(f"{path}: id {key} has the name {name!r}; points are of a class, or '{UNKNOWN_NAME}'")
+    if rgb is not None and not _is_color(rgb):
+        raise DataError(f"{path}: id {key} has rgb: {rgb}; give three whole numbers from 0 to 255")
     return name if name.lower() != UNKNOWN_NAME else UNKNOWN_NAME, None if rgb is None else tuple(rgb)
+
+
+def _is_color(value: Any) -> bool:
+    return isinstance(value, list) and len(value) == 3 and all(type(v) is int and 0 <= v <= 255 for v in value)
 
 
 def _world_table(names: list[str]) -> ClassTable | None:
@@ -97,7 +103,7 @@ def _own_table(path: Path, colors: Mapping[str, tuple[int, ...] | None]) -> Clas
     rows = [SemanticClass(FREE, FREE_NAME, (255, 255, 255))]
     for place, (name, rgb) in enumerate(colors.items(), start=1):
         drawn = tuple(round(255 * part) for part in colorsys.hsv_to_rgb(place * GOLDEN % 1, 0.7, 0.9))
-        red, green, blue = drawn if rgb is None or len(rgb) != 3 else rgb
+        red, green, blue = drawn if rgb is None else rgb
         rows.append(SemanticClass(place, name, (red, green, blue)))
     try:
         return ClassTable(tuple(rows))

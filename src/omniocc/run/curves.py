@@ -37,8 +37,9 @@ def read_curves(folder: Path) -> dict[str, Curve]:
 
 
 def curve_files(folder: Path) -> list[Path]:
-    """Return the CSV files of a run in the order of its starts."""
-    return sorted(folder.glob(CURVES), key=lambda path: int(path.parent.name.split("_")[1]))
+    """Return the CSV files of a run in the order of its starts; copies in folders of other names are left out."""
+    starts = {path: path.parent.name.removeprefix("version_") for path in folder.glob(CURVES)}
+    return sorted((path for path, start in starts.items() if start.isdecimal()), key=lambda path: int(starts[path]))
 
 
 def read_rows(path: Path) -> list[dict[str, str]]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from itertools import count
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -58,6 +59,8 @@ class TargetOptions:
             raise UserError(f"{' and '.join(f'{key}=...' for key in chosen)} are different places: give one of them")
         if self.wandb and not (self.save or self.page):
             raise UserError("wandb=true keeps a file: give save=view.rrd or page=true")
+        if self.output is not None and not self.page:
+            raise UserError(f"output={self.output} is the file of a page: give page=true too")
         if self.save is not None and Path(self.save).is_dir():
             raise UserError(f"save={self.save} is a folder; give a file, {Path(self.save) / 'view.rrd'}")
         if not 0 <= self.port < 65536:
@@ -99,6 +102,6 @@ def unique_names(runs: Sequence[str]) -> list[str]:
     for run in runs:
         path = Path(run)
         name = path.parent.name if path.suffix and path.parent.name else path.name
-        same = sum(other == name or other.startswith(f"{name} (") for other in names)
-        names.append(f"{name} ({same + 1})" if same else name)
+        candidates = (name if number == 1 else f"{name} ({number})" for number in count(1))
+        names.append(next(candidate for candidate in candidates if candidate not in names))
     return names

@@ -6,8 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from omniocc.camera import Rig
+from omniocc.data.source import Unknown
 from omniocc.data.source.recorded import spec_of
 from omniocc.data.store.reader import SceneReader
+from omniocc.data.store.shard import META
 from omniocc.errors import UserError
 from omniocc.metric import sparseocc_directions
 from omniocc.predict.input.images import Frame, find_frames, read_frame
@@ -40,7 +42,8 @@ def open_predictions(options: ViewOptions) -> Shown:
     rig = Rig.load(folder / OWN_RIG) if (folder / OWN_RIG).is_file() else None
     road_z_m = next((spec_of(scene).road_z_m for scene in recorded.values()), rig and rig.road_z_m)
     interval_s = next((spec_of(scene).frame_interval_s for scene in recorded.values()), OWN_INTERVAL_S)
-    read = partial(_frames, folder, frames, first, recorded, rig, own_frames(facts, rig))
+    unknown: Unknown = facts.get("unknown") or "free"
+    read = partial(_frames, folder, frames, first, recorded, unknown, rig, own_frames(facts, rig))
     return Shown(
         classes=first.classes,
         models=(folder.resolve().name,),
@@ -71,7 +74,7 @@ def recorded_of(facts: Mapping[str, Any], names: Sequence[str]) -> dict[str, Sce
     data = Path(str(facts.get("images")))
     if facts.get("rig") is not None or not data.is_dir():
         return {}
-    scenes = [find_scenes(data, name, None)[0].scene for name in names if name]
+    scenes = [find_scenes(data, name, None)[0].scene for name in names if name and (data / name / META).is_file()]
     return {scene.name: scene for scene in scenes}
 
 
@@ -88,6 +91,7 @@ def _frames(
     frames: Sequence[tuple[str, str]],
     first: Voxels,
     recorded: Mapping[str, SceneReader],
+    unknown: Unknown,
     rig: Rig | None,
     own: Mapping[str, Frame],
 ) -> Iterator[ShownFrame]:
@@ -98,7 +102,7 @@ def _frames(
         if voxels.geometry != first.geometry or voxels.classes != first.classes:
             raise UserError(f"{path} has another grid or other classes than the first frame")
         if scene in recorded:
-            yield _recorded(recorded[scene], int(name), voxels, model)
+            yield _recorded(recorded[scene], int(name), voxels, model, unknown)
         else:
             images = read_frame(own[name], rig) if rig is not None and name in own else []
             yield ShownFrame(
@@ -116,10 +120,10 @@ def _frames(
             )
 
 
-def _recorded(scene: SceneReader, frame: int, voxels: Voxels, model: str) -> ShownFrame:
-    """Return a predicted frame of a recorded scene, scored where there is truth."""
+def _recorded(scene: SceneReader, frame: int, voxels: Voxels, model: str, unknown: Unknown) -> ShownFrame:
+    """Return a predicted frame of a recorded scene, scored where there is truth; `unknown` as in its training."""
     spec, grid = spec_of(scene), voxels.geometry
-    labels = voxel_votes(Path(scene.folder).parent, "free", spec)
+    labels = voxel_votes(Path(scene.folder).parent, unknown, spec)
     scenes = ChosenScenes(spec, [(scene, [frame])], labels, None, scene.name, "")
     truth = scenes.truth(scene, frame, grid)
     figures = {} if truth is None else frame_figures(Scores(grid, spec), voxels.labels, truth)

@@ -45,7 +45,7 @@ class Scene:
         label_mode: lidar20 (virtual semantic LiDARs, as in the paper) or geometry (all surfaces, visible or not).
         lidars: number of virtual LiDARs of `lidar20`, the ego's included.
         capture: direct (a ray through every pixel) or cubemap (pixels looked up in six flat images, as in the paper).
-        repaint: whether all materials and colours are exchanged for others.
+        repaint: whether materials and colours of all that stands still are exchanged for others.
 
     Raises:
         ValueError: the theme does not exist, or an option is out of range.

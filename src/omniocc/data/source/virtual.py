@@ -63,7 +63,8 @@ class VirtualWorld:
         label_mode: `lidar20`, points of virtual LiDARs as in the paper, or `geometry`, all surfaces, seen or not.
         lidars: number of virtual LiDARs of `lidar20`.
         capture: `direct`, a ray through every pixel, or `cubemap`, sampled from flat images as in the paper.
-        repainted_fraction: fraction of scenes in which all materials and colours are exchanged for others.
+        repainted_fraction: fraction of scenes in which materials and colours of all that stands still are exchanged for
+            others.
         test_places: those of `themes` that are left out of training and validation; the test consists of them.
         late_camera_ms: how much older than their time stamps the images of one camera are, ms, at most 200; the cameras
             take turns from scene to scene.

@@ -40,15 +40,16 @@ function start3d() {
 }
 
 const source = key => sources.find(each => each.key === key);
-const visibleViews = () => (NARROW.matches ? [state.views[state.tab]] : state.views);
+const visibleViews = () => (NARROW.matches ? state.views.slice(state.tab, state.tab + 1) : state.views);
 
-// Draw a frame; drawing is one after the other, and frames that are no longer asked for are left out.
+// Draw a frame; drawing is one after the other, and frames that are no longer asked for are left out. A frame that
+// cannot be drawn is an error on the console, not the end of the page.
 function show(frame = state.frame) {
   state.frame = Math.min(Math.max(Math.trunc(frame) || 0, 0), page.frames.length - 1);
   timeline.show(state.frame);
   history.replaceState(null, "", `#frame=${state.frame}`);
   const asked = (state.asked = Symbol("asked"));
-  state.drawn = state.drawn.then(() => (asked === state.asked ? draw() : undefined));
+  state.drawn = state.drawn.catch(() => {}).then(() => (asked === state.asked ? draw() : undefined));
   return state.drawn;
 }
 
@@ -75,7 +76,7 @@ async function countFrame(frame) {
   const compared = find("differences") && (await volume(frame, find("differences")));
   const alone = find("run") ?? find("truth");
   if (compared) classes.count(compared.truth, compared.predicted);
-  else classes.count((await volume(frame, alone))?.labels, null);
+  else classes.count(alone && (await volume(frame, alone))?.labels, null);
 }
 
 // Above each view what it shows, to be chosen; at phone width tabs instead.

@@ -55,10 +55,10 @@ export class Classes {
     COUNTED.forEach((name, kind) => document.documentElement.style.setProperty(`--${name}`, css(kinds[kind + 1])));
   }
 
-  // Count a frame: truth and prediction, or one of them alone.
+  // Count a frame: truth and prediction, one of them alone, or nothing.
   count(truth, predicted) {
     if (truth && predicted) this.compare(countByClass(truth, predicted));
-    else if (truth ?? predicted) this.list(countCells(truth ?? predicted));
+    else this.list(countCells(truth ?? predicted ?? []));
   }
 
   compare(counts) {

@@ -23,6 +23,11 @@ export class Timeline {
     this.drawWorst();
   }
 
+  // Whether any frame of any run has a figure.
+  occurs(figure) {
+    return page.runs.some((_, run) => this.values(page.figures[figure].key, run).some(Number.isFinite));
+  }
+
   values(key, run = this.run ?? 0) {
     return page.frames.map(({ predictions }) => predictions[run]?.figures[key] ?? NaN);
   }
@@ -100,7 +105,7 @@ export class Timeline {
 
   drawWorst() {
     const lowest = this.lowest();
-    if (!lowest.length) return at("worst").replaceChildren();
+    if (!lowest.length) return at("worst").replaceChildren(...(this.figure < 0 ? [] : this.choices()));
     const jump = make("button", { title: "Worst first: again for the next worst (w), back (W)" }, "Worst first ", make("kbd", {}, "w"));
     jump.addEventListener("click", () => this.worst(1));
     const listed = lowest.map(({ frame, value }) => {
@@ -115,13 +120,13 @@ export class Timeline {
   // Which figure and, of several runs, whose.
   choices() {
     const pick = (label, entries, chosen, change) => {
-      const select = make("select", { "aria-label": label }, ...entries.map((text, value) => make("option", { value, selected: value === chosen }, text)));
+      const select = make("select", { "aria-label": label }, ...entries.map(([text, value]) => make("option", { value, selected: value === chosen }, text)));
       select.addEventListener("change", () => { change(Number(select.value)); this.drawBars(); this.drawWorst(); this.go(this.frame); });
       return select;
     };
-    const figures = page.figures.map(({ name }) => name);
+    const figures = page.figures.map(({ name }, value) => [name, value]).filter(([, value]) => this.occurs(value));
     const found = [pick("Figure of the bars", figures, this.figure, value => { this.figure = value; })];
-    if (page.runs.length > 1) found.push(pick("Run of the bars", page.runs, this.run, value => { this.run = value; }));
+    if (page.runs.length > 1) found.push(pick("Run of the bars", page.runs.map((run, value) => [run, value]), this.run, value => { this.run = value; }));
     return found;
   }
 }
