@@ -43,6 +43,18 @@ def test_shares_are_counts_drawn_towards_ring_height_and_grid():
             assert float(shares[label, r, theta, z]) == pytest.approx(share, rel=1e-5)
 
 
+def test_without_rings_the_surroundings_of_a_voxel_are_its_height():
+    counts = torch.randint(0, 9, (3, 4, 4, 2))
+    shares = smoothed_shares(counts, [])
+    for x, y, z in [(0, 0, 0), (3, 2, 1)]:
+        for label in range(3):
+            share = 1 / 3
+            for part in (counts, counts[..., z], counts[:, x, y, z]):
+                part = part.reshape(3, -1).sum(1).tolist()
+                share = (part[label] + 20 * share) / (sum(part) + 20)
+            assert float(shares[label, x, y, z]) == pytest.approx(share, rel=1e-5)
+
+
 @pytest.mark.parametrize("geometry", [GRID, Cuboid((4, 4, 2))])
 def test_the_first_logits_are_the_frequencies_of_the_training_frames(geometry):
     counts = torch.zeros(CLASSES, *geometry.shape, dtype=torch.int64)

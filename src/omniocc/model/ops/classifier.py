@@ -77,14 +77,15 @@ def smoothed_shares(counts: Int64[Tensor, "K X Y Z"], rings: Sequence[int]) -> F
     """Return the share of each class in each voxel, drawn towards that of its surroundings where frames are few.
 
     The surroundings of a voxel are its ring along the periodic axes, those of a ring its height, those of a height the
-    whole grid, those of the grid equal shares. Each is worth 20 frames.
+    whole grid, those of the grid equal shares. Each is worth 20 frames. In a grid without periodic axes those of a voxel
+    are its height.
 
     Args:
         counts: frames with each class in each voxel.
         rings: periodic axes of the grid.
     """
     shares = torch.full((len(counts), 1, 1, 1), 1 / len(counts), dtype=torch.float64)
-    wholes = [(1, 2, 3), (1, 2), tuple(axis + 1 for axis in rings), ()]
+    wholes = [(1, 2, 3), (1, 2), *([tuple(axis + 1 for axis in rings)] if rings else []), ()]
     for axes in wholes:
         summed = counts.double().sum(axes, keepdim=True) if axes else counts.double()
         shares = (summed + SMOOTHING * shares) / (summed.sum(0, keepdim=True) + SMOOTHING)
