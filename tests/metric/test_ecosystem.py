@@ -148,6 +148,19 @@ def test_a_collection_never_merges_metrics_of_other_settings():
     assert sorted(map(sorted, metrics.compute_groups.values())) == [["again", "exit"], ["entry"]]
 
 
+def test_bands_that_are_equal_by_chance_stay_apart():
+    """In the first batch everything is in the nearest band of both."""
+    near, far = torch.tensor([4.0]), torch.tensor([12.0])
+    depth = {edge: DepthMetrics(1.0, 50.0, range_edges_m=(0.0, edge, 20.0)) for edge in (10.0, 15.0)}
+    metrics = MetricCollection({f"{edge:g}": metric for edge, metric in depth.items()})
+    metrics.update(near + 1, near)
+    metrics.update(far + 2, far)
+    assert metrics["10"].compute()["mae_0-10m"] == pytest.approx(1.0)
+    assert metrics["15"].compute()["mae_0-15m"] == pytest.approx(1.5)
+    wide = MetricCollection({f"to_{edge}_m": Candidates(LINE, (0, edge, 20)) for edge in (2, 3)})
+    assert len({tuple(metric.setting.tolist()) for metric in wide.values()}) == 2
+
+
 def test_bounds_of_plots(name):
     metric = made(name)
     assert metric.plot_lower_bound == 0.0

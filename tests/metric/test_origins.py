@@ -1,6 +1,7 @@
 """Scores split by origin of the rays, and the line that says how scores were counted."""
 
 import pickle
+import re
 
 import pytest
 import torch
@@ -143,3 +144,28 @@ def test_the_line_of_voxels():
     metric = VoxelIoU(geometry=GRID)
     metric.update(preds, target, target > 0)
     assert metric.protocol() == f"{known} and that are observed, weighed by volume; {mean}"
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"labels": torch.tensor([[1, 5]])}, "labels must hold class ids 0..2 or 255, got [5]"),
+        ({"labels": torch.tensor([[1]])}, "labels must have shape (B, 2), got (1, 1)"),
+        ({"labels": torch.tensor([[1, 2], [1, 2]])}, "preds and labels must have the same batch size, got 1 and 2"),
+        ({"range_m": torch.ones(1, 3)}, "range_m must have shape (1, 2), got (1, 3)"),
+        ({"directions": 2 * torch.eye(3)[None, :2]}, "directions must be unit vectors, got lengths 2 to 2"),
+        ({"starts": torch.zeros(1, 3, 3)}, "starts must have shape (1, 2, 3), a vector for each ray, got (1, 3, 3)"),
+    ],
+)
+def test_mistakes_in_the_rays_of_single_frames_are_named(changed, words):
+    metric = RayIoU(Cuboid((2, 2, 2), (-2, 2), (-2, 2), (-2, 2)), num_classes=3)
+    directions = torch.tensor([[[1.0, 0, 0], [0, 1.0, 0]]])
+    right = RayTruth(torch.ones(1, 2), torch.tensor([[1, 2]]), directions, torch.zeros(1, 2, 3))
+    preds = torch.ones(1, 2, 2, 2, dtype=torch.uint8)
+    metric.update(preds, right)
+    padded = directions * torch.tensor([1, 0])[:, None]
+    metric.update(preds, right._replace(labels=torch.tensor([[1, 255]]), directions=padded))
+    with pytest.raises(ValueError, match=re.escape(words)):
+        metric.update(preds, right._replace(**changed))
+    with pytest.raises(ValueError, match="observed is for true voxels"):
+        metric.update(preds, right, observed=torch.ones(1, 2, 2, 2, dtype=torch.bool))

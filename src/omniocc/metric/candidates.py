@@ -15,6 +15,7 @@ from omniocc.metric.bands import as_edges, band_of, band_suffixes, num_rows
 from omniocc.metric.checks import check_labels, check_mask
 from omniocc.metric.plot import plot_scores
 from omniocc.metric.renamed import renamed
+from omniocc.metric.setting import hash_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -71,6 +72,7 @@ class Candidates(Metric):
     plot_lower_bound = 0.0
     plot_upper_bound = 1.0
     counts: Tensor
+    setting: Tensor
 
     def __init__(
         self, geometry: Cylinder | Cuboid, range_edges_m: Sequence[float | int] = PAPER_RANGE_EDGES_M, **kwargs: Any
@@ -80,6 +82,7 @@ class Candidates(Metric):
         self.range_edges_m = as_edges(range_edges_m)
         zeros = torch.zeros(num_rows(self.range_edges_m), len(COUNTS), dtype=torch.float64)
         self.add_state("counts", zeros, dist_reduce_fx="sum")
+        self.add_state("setting", hash_of(repr((geometry, self.range_edges_m)).encode()), dist_reduce_fx="max")
 
     @renamed({"candidates": "preds", "voxels": "target"})
     def update(self, preds: Bool[Tensor, "B X Y Z"], target: UInt8[Tensor, "B X Y Z"]) -> None:

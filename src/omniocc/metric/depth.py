@@ -11,6 +11,7 @@ from torchmetrics import Metric
 from omniocc.metric.bands import as_edges, band_of, band_suffixes, num_rows
 from omniocc.metric.checks import check_increasing, check_mask, check_same_shape
 from omniocc.metric.renamed import renamed
+from omniocc.metric.setting import hash_of
 
 NAMES = (
     *("mae", "absrel", "rmse", "delta1", "delta2", "delta3"),
@@ -89,6 +90,7 @@ class DepthMetrics(Metric):
     plot_lower_bound = 0.0
     sums: Tensor
     count: Tensor
+    setting: Tensor
 
     def __init__(
         self, nearest_m: float = 0.5, farthest_m: float = float("inf"), spheres: int = 192,
@@ -102,6 +104,8 @@ class DepthMetrics(Metric):
         self.range_edges_m = as_edges(range_edges_m)
         rows = num_rows(self.range_edges_m)
         self.add_state("sums", torch.zeros(rows, len(NAMES), dtype=torch.float64), dist_reduce_fx="sum")
+        setting = repr((nearest_m, farthest_m, spheres, self.range_edges_m))
+        self.add_state("setting", hash_of(setting.encode()), dist_reduce_fx="max")
         self.add_state("count", torch.zeros(rows, dtype=torch.float64), dist_reduce_fx="sum")
 
     @renamed({"prediction_m": "preds", "target_m": "target"})

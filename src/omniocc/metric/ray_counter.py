@@ -1,6 +1,5 @@
 """Casting of rays through predicted and true frames, and counting of their hits; nothing is kept between calls."""
 
-import hashlib
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
@@ -15,6 +14,10 @@ from omniocc.metric.checks import check_increasing, check_mask, check_same_batch
 from omniocc.metric.class_ids import ClassIds
 from omniocc.metric.protocol import RaysSeen, dropped_text, error_text, mean_text, rays_text
 from omniocc.metric.ray_counts import TIMES, RayCounts, count_rays, ray_scores
+from omniocc.metric.setting import hash_of
+
+UNIT_TOLERANCE = 1e-3
+"""By how much the length of a ray's direction may differ from 1."""
 
 
 class RayTruth(NamedTuple):
@@ -85,6 +88,8 @@ class RayCounter:
         if not origins.shape[1]:
             found = []
         elif isinstance(target, RayTruth):
+            if observed is not None:
+                raise ValueError("observed is for true voxels; give measured rays that do not count the ignored class")
             found = self._count_truth(preds, target, origins, times)
         else:
             target = self._known(preds, target, observed)
@@ -126,8 +131,7 @@ class RayCounter:
         grids, classes = (self.geometry, self.target_geometry), (self.classes.num_classes, self.classes.free)
         parts = grids, classes, self.classes.ignored, self.thresholds_m, self.fine_m, self.range_edges_m, self.hit
         text = repr((*parts, self.count_free_rays, self.split_origins)).encode()
-        digest = hashlib.sha256(text + self.scan.directions.cpu().numpy().tobytes()).digest()
-        return torch.tensor(list(digest[:16]), dtype=torch.uint8)
+        return hash_of(text + self.scan.directions.cpu().numpy().tobytes())
 
     def _times(
         self, origins: Tensor | None, origin_times: Tensor | None, batch: int
@@ -152,8 +156,8 @@ class RayCounter:
     def _count_truth(
         self, preds: Tensor, target: RayTruth, origins: Tensor, times: Sequence[Tensor | None]
     ) -> list[RayCounts]:
+        self._check_rays(preds, target, origins)
         if target.directions is None:
-            self._check_rays(preds, target, origins)
             samples = zip(preds, target.range_m, target.labels, origins, times, strict=True)
             return [self._count_rays(*sample) for sample in samples]
         if self.count_free_rays:
@@ -177,11 +181,21 @@ class RayCounter:
         return self._count(labels, range_m, found.labels + self.classes.free, error_m, inside, now)
 
     def _check_rays(self, preds: Tensor, target: RayTruth, origins: Tensor) -> None:
-        self.classes.check("labels", target.labels, (len(self.scan) * origins.shape[1],), truth=True)
+        rays = len(self.scan) * origins.shape[1] if target.directions is None else target.directions.shape[1]
+        self.classes.check("labels", target.labels, (rays,), truth=True)
         check_same_batch("preds", preds, "labels", target.labels)
         if target.range_m.shape != target.labels.shape:
             shapes = f"{tuple(target.labels.shape)}, got {tuple(target.range_m.shape)}"
             raise ValueError(f"range_m must have shape {shapes}")
+        shape = (*target.labels.shape, 3)
+        for name, vectors in (("directions", target.directions), ("starts", target.starts)):
+            if vectors is not None and vectors.shape != shape:
+                raise ValueError(f"{name} must have shape {shape}, a vector for each ray, got {tuple(vectors.shape)}")
+        if target.directions is None:
+            return
+        lengths = target.directions.norm(dim=-1)[target.labels != self.classes.ignored]
+        if not bool(((lengths - 1).abs() < UNIT_TOLERANCE).all()):
+            raise ValueError(f"directions must be unit vectors, got lengths {lengths.min():.4g} to {lengths.max():.4g}")
 
     def _count_voxels(
         self, preds: Tensor, target: Tensor, origins: Float[Tensor, "O 3"], times: Int64[Tensor, " O"] | None

@@ -106,7 +106,6 @@ class RayIoU(Metric):
         )  # fmt: skip
         for name, counts in self.counter.zero()._asdict().items():
             self.add_state(name, counts, dist_reduce_fx="sum")
-        # a MetricCollection lets metrics with equal states share them for good, even if they are equal only by chance
         self.add_state("setting", self.counter.setting(), dist_reduce_fx="max")
         self.seen = RaysSeen()
 
@@ -176,8 +175,8 @@ class RayIoU(Metric):
     def protocol(self) -> str:
         """Return how this process counted what it was given: rays, origins, thresholds, masks and classes, in one line.
 
-        Two scores are comparable if these lines are equal; the same network scores .445 from the origin of its own time
-        and .370 from past and future ones too (docs/rayiou.md).
+        Two scores on the same grid and rays are comparable if these lines are equal; the same network scores .445 from
+        the origin of its own time and .370 from past and future ones too (docs/rayiou.md).
         """
         return self.counter.protocol(self.seen)
 

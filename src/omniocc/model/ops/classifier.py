@@ -77,8 +77,8 @@ def smoothed_shares(counts: Int64[Tensor, "K X Y Z"], rings: Sequence[int]) -> F
     """Return the share of each class in each voxel, drawn towards that of its surroundings where frames are few.
 
     The surroundings of a voxel are its ring along the periodic axes, those of a ring its height, those of a height the
-    whole grid, those of the grid equal shares. Each is worth 20 frames. In a grid without periodic axes those of a voxel
-    are its height.
+    whole grid, those of the grid equal shares. Each is worth 20 frames. In a grid without periodic axes those of a
+    voxel are its height.
 
     Args:
         counts: frames with each class in each voxel.
