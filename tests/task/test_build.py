@@ -15,3 +15,15 @@ def test_a_machine_that_lacks_what_is_asked_for_is_a_line(smoke):
         check_devices(smoke("trainer.accelerator=gpu").trainer)
     assert str(caught.value).startswith("trainer.accelerator=gpu trainer.devices=1 trainer.strategy=auto: this machine")
     assert "\n" not in str(caught.value)
+
+
+def test_classes_of_pixels_without_a_head_are_named_before_anything_is_trained(make_task):
+    with pytest.raises(UserError, match="model.pixel_classes=true needs a 2D head"):
+        make_task("model/semantic_head=none", "model.pixel_classes=true")
+
+
+@pytest.mark.parametrize("lifter", ["coloring", "coarse_coloring", "pillar"])
+def test_evidence_in_the_queries_is_stored_for_every_lifter_that_has_it(make_task, lifter):
+    for used in (True, False):
+        task = make_task(f"model/lifter={lifter}", f"model.lifter.evidence={used}")
+        assert task.model.uses_evidence == used

@@ -2,7 +2,8 @@
 
 Images of a batch are padded: a sample with fewer cameras or smaller images than others has zeros at the end of the
 camera axis, at the right and at the bottom. Its rig gives the true sizes. Padding does not change the result of any
-option, see `omniocc.model.ops.padded`.
+option, see `omniocc.model.ops.padded`; only the statistics of the batch norm in the 2D head (`FCN`) count it, in
+training on rigs of several sizes.
 """
 
 from collections.abc import Callable, Sequence

@@ -49,7 +49,13 @@ def switch_off_head(cfg: DictConfig, scenes: Sequence[SceneFrames]) -> str | Non
 
 
 def build_task(cfg: DictConfig, spec: SourceSpec) -> OccupancyTask:
-    """Return the task that a configuration describes for data with this spec, with fresh weights."""
+    """Return the task that a configuration describes for data with this spec, with fresh weights.
+
+    Raises:
+        UserError: when parts do not fit together.
+    """
+    if cfg.model.pixel_classes and cfg.model.semantic_head._target_ == NO_HEAD:
+        raise UserError("model.pixel_classes=true needs a 2D head: choose model/semantic_head=fcn")
     model, loss, optimizer, augment = (build(cfg[part]) for part in PARTS)
     return OccupancyTask(model, loss, optimizer, augment, cfg.ema_decay, spec, plain(cfg))
 

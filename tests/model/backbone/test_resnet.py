@@ -20,7 +20,7 @@ def test_maps_are_finest_first_at_the_given_levels(height):
     maps = build()(torch.rand(2, 3, 3, height, 64))
     assert [level.shape[:3] for level in maps] == [(2, 3, 5)] * 4
     assert [level.shape[-1] for level in maps] == [16, 8, 4, 2]
-    assert [level.shape for level in build(levels=[16, 8])(torch.rand(1, 1, 3, 32, 64))] == [
+    assert [level.shape for level in build(levels=[8, 16])(torch.rand(1, 1, 3, 32, 64))] == [
         (1, 1, 5, 4, 8),
         (1, 1, 5, 2, 4),
     ]
@@ -38,6 +38,12 @@ def test_images_are_normalised_with_the_statistics_of_imagenet():
 def test_unknown_levels_are_named():
     with pytest.raises(ValueError, match=r"levels are \[4, 6\]"):
         build(levels=[4, 6])
+
+
+@pytest.mark.parametrize("levels", [[16, 8], [8, 8]])
+def test_levels_in_another_order_are_named(levels):
+    with pytest.raises(ValueError, match=r"give each stride once, finest first: \[8"):
+        build(levels=levels)
 
 
 def test_weights_from_a_folder_are_loaded(tmp_path):

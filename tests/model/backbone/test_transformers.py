@@ -21,7 +21,7 @@ def test_maps_are_finest_first_at_the_given_levels(architecture, sizes):
     images = torch.rand(2, 3, 3, 36, 64)
     maps = build(architecture, sizes)(images)
     assert [level.shape for level in maps] == [(2, 3, 5, 9, 16), (2, 3, 5, 5, 8), (2, 3, 5, 3, 4), (2, 3, 5, 2, 2)]
-    assert [level.shape[-1] for level in build(architecture, sizes, levels=[16, 8])(images)] == [8, 4]
+    assert [level.shape[-1] for level in build(architecture, sizes, levels=[8, 16])(images)] == [8, 4]
 
 
 def test_a_network_of_one_stride_gives_its_deepest_map():

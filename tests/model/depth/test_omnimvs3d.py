@@ -26,3 +26,10 @@ def test_resizing_keeps_directions():
 def test_sizes_that_do_not_fit_are_named(small):
     with pytest.raises(ValueError, match="multiples of 4"):
         small("OmniMVS3D", width=46)
+
+
+def test_equal_features_have_no_variance_in_half_precision_either(small, fisheye):
+    net, present = small("OmniMVS3D"), torch.ones(1, 6, dtype=torch.bool)
+    features = torch.randn(1, 1, 4, 1, 1).expand(1, 6, 4, 16, 32).bfloat16()
+    variance = net.sweep(features, present, fisheye)[0][:, 4:]
+    assert variance.abs().max() < 1e-5

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from transformers import ResNetConfig
 
-from omniocc.model.ops.backbone.fpn import FPN
+from omniocc.model.ops.backbone.fpn import FPN, check_finest_first
 from omniocc.model.ops.backbone.pretrained import Normalize, build_resnet
 from omniocc.model.ops.deformable_conv import DeformableConv2d
 from omniocc.model.ops.padded import FeatureMaps
@@ -46,6 +46,7 @@ class ResNet(nn.Module):
         super().__init__()
         if not levels or any(level not in STRIDES for level in levels):
             raise ValueError(f"levels are {levels}; they must be some of the strides {STRIDES}")
+        check_finest_first(list(levels))
         if any(stage not in (1, 2, 3, 4) for stage in deformable_stages):
             raise ValueError(f"deformable_stages are {list(deformable_stages)}; they must be some of 1, 2, 3, 4")
         self.channels, self.levels = channels, list(levels)

@@ -9,7 +9,7 @@ from torch.nn import functional as F
 from transformers import AutoBackbone, AutoConfig, PretrainedConfig
 from transformers.models.auto.modeling_auto import MODEL_FOR_BACKBONE_MAPPING, MODEL_FOR_BACKBONE_MAPPING_NAMES
 
-from omniocc.model.ops.backbone.fpn import FPN
+from omniocc.model.ops.backbone.fpn import FPN, check_finest_first
 from omniocc.model.ops.backbone.pretrained import Normalize, load_or_random, require_equal
 from omniocc.model.ops.padded import FeatureMaps
 
@@ -44,6 +44,7 @@ class Transformers(nn.Module):
         self.strides = sorted(deepest)
         if not levels or any(level not in deepest for level in levels):
             raise ValueError(f"levels are {levels}; {architecture} has the strides {self.strides}")
+        check_finest_first(list(levels))
         self.stages = [deepest[stride] for stride in self.strides]
         in_channels = [maps[stage].shape[1] for stage in self.stages]
         self.fpn = FPN(in_channels, channels, [self.strides.index(level) for level in levels])

@@ -69,6 +69,7 @@ class OmniMVS3D(SphereNet):
         self, features: Float[Tensor, "B N C _ _"], present: Bool[Tensor, "B N"], rig: Rig
     ) -> tuple[Float[Tensor, "B E D h w"], Bool[Tensor, "B 1 h w"]]:
         """Return mean and variance on all spheres, and the mask of directions that any camera sees."""
+        features = features.float()  # in half precision the variance, a difference of squares, would be rounding noise
         rows = table(torch.cat([features, features.square()], 2), present)
         size = features.shape[-1], features.shape[-2]
         cameras = tuple(range(len(rig.cameras)))

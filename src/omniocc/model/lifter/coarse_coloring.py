@@ -50,6 +50,11 @@ class CoarseColoring(nn.Module):
         grid = coarsened(geometry, self.block)
         self.coloring = Coloring(grid, channels, levels, layers, heads, points, feedforward_channels, anchors, evidence)
 
+    @property
+    def evidence(self) -> nn.Module | None:
+        """Return the map of the sketch's evidence into the queries; None if they do not use it."""
+        return self.coloring.evidence
+
     def forward(self, features: FeatureMaps, sketched: Sketched, rigs: tuple[Rig, ...]) -> Float[Tensor, "B C X Y Z"]:
         """Colour the blocks that hold candidates."""
         return repeat_blocks(self.coloring(features, sketched_blocks(sketched, self.block), rigs), self.block)

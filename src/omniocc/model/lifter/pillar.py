@@ -64,6 +64,11 @@ class Pillar(nn.Module):
         )
         self.raise_up = nn.Linear(in_channels, cells * channels)
 
+    @property
+    def evidence(self) -> nn.Module | None:
+        """Return the map of the sketch's evidence into the queries; None if they do not use it."""
+        return self.coloring.evidence
+
     def forward(self, features: FeatureMaps, sketched: Sketched, rigs: tuple[Rig, ...]) -> Float[Tensor, "B D X Y Z"]:
         """Lift each sample through its own rig."""
         view = self.coloring(features, sketched_blocks(sketched, self.block), rigs)[..., 0]

@@ -52,3 +52,10 @@ def test_weights_from_before_the_calibration_can_be_loaded():
     confidence.weights.mul_(2)
     confidence.load_state_dict({})
     assert confidence.weights.tolist() == [2.0, 0.0, 0.0]
+
+
+def test_it_is_in_single_precision_under_autocast():
+    confidence, probability = Confidence(), torch.tensor([0.9, 0.99, 0.999])
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        found = confidence(probability, torch.ones(3))
+    torch.testing.assert_close(found, probability)

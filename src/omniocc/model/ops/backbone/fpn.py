@@ -5,6 +5,12 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 
+def check_finest_first(levels: list[int]) -> None:
+    """Raise ValueError unless the strides of maps increase, as those of the maps that `FPN` returns."""
+    if sorted(set(levels)) != levels:
+        raise ValueError(f"levels are {levels}; give each stride once, finest first: {sorted(set(levels))}")
+
+
 class FPN(nn.Module):
     """Map features of several strides to the same channels and add coarser maps to finer ones.
 

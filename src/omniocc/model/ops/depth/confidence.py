@@ -47,7 +47,8 @@ class Confidence(nn.Module):
 
     def forward(self, probability: Float[Tensor, "*at"], range_m: Float[Tensor, "*at"]) -> Float[Tensor, "*at"]:
         """Return the confidence of ranges to which a network gives a probability."""
-        return (confidence_features(probability, range_m) @ self.weights).sigmoid()
+        # no matrix product, which autocast would compute in half precision
+        return (confidence_features(probability, range_m) * self.weights).sum(-1).sigmoid()
 
     def fit(self, confidence: Float[Tensor, " N"], range_m: Float[Tensor, " N"], right: Bool[Tensor, " N"]) -> None:
         """Fit to ranges of validation scenes that are right or wrong, and to the present confidence in them."""
