@@ -18,7 +18,7 @@ def test_a_machine_that_lacks_what_is_asked_for_is_a_line(smoke):
 
 
 def test_classes_of_pixels_without_a_head_are_named_before_anything_is_trained(make_task):
-    with pytest.raises(UserError, match="model.pixel_classes=true needs a 2D head"):
+    with pytest.raises(UserError, match=r"model.pixel_classes=true needs a 2D head"):
         make_task("model/semantic_head=none", "model.pixel_classes=true")
 
 
