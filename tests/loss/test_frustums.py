@@ -106,3 +106,14 @@ def test_descent_finds_the_shares():
 def test_impossible_numbers_are_named():
     with pytest.raises(ValueError, match=r"azimuths is 4, elevations 0"):
         Frustums(GRIDS[0], 4, 0)
+
+
+@pytest.mark.parametrize(
+    ("cells", "height_m", "expected"),
+    [(6, 12.0, [0, 0, 1, 1, 2, 2]), (2, 6.5, [0, 2])],
+    ids=["-45 -31 -11 11 31 45 degrees", "-18 and 18 degrees"],
+)
+def test_cells_are_in_the_row_of_their_elevation(cells, height_m, expected):
+    """Cells 10 m ahead, and three rows: below -15 degrees, up to 15 degrees, above."""
+    grid = Cuboid((1, 1, cells), (9.0, 11.0), (-1.0, 1.0), (-height_m, height_m))
+    assert frustum_of_cells(grid, 1, 3).tolist() == expected

@@ -1,6 +1,7 @@
 """A killed training goes on from its last checkpoint with every validation, and with the best one so far."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -8,7 +9,7 @@ from lightning.pytorch import Callback, Trainer
 from lightning.pytorch.callbacks import ModelCheckpoint
 from lightning.pytorch.demos.boring_classes import BoringModel
 
-from omniocc.task.last import LastCheckpoint
+from omniocc.task.last import LastCheckpoint, validation_follows
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 SCORES = {2: 0.3, 4: 0.9, 6: 0.5, 8: 0.6}
@@ -75,3 +76,21 @@ def test_without_an_interruption_every_validation_is_done_once(tmp_path):
     assert fit(tmp_path).validated == [2, 4, 6, 8]
     assert best_step(tmp_path) == 4
     assert torch.load(tmp_path / "last.ckpt", weights_only=False)["global_step"] == 8
+
+
+@pytest.mark.parametrize(
+    ("every", "epoch", "batch", "follows"),
+    [(1, 0, 9, True), (1, 0, 8, False), (2, 0, 9, False), (2, 1, 9, True), (2, 1, 10, False)],
+)
+def test_a_validation_follows_at_the_end_of_every_chosen_epoch(every, epoch, batch, follows):
+    trainer = SimpleNamespace(
+        val_check_batch=10, enable_validation=True, check_val_every_n_epoch=every, current_epoch=epoch
+    )
+    assert validation_follows(trainer, batch) is follows
+
+
+@pytest.mark.parametrize(("total", "follows"), [(19, True), (20, False)])
+def test_without_epochs_a_validation_follows_every_so_many_batches(total, follows):
+    loop = SimpleNamespace(total_batch_idx=total)
+    trainer = SimpleNamespace(val_check_batch=10, enable_validation=True, check_val_every_n_epoch=None, fit_loop=loop)
+    assert validation_follows(trainer, 3) is follows

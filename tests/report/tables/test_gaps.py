@@ -93,3 +93,11 @@ def test_a_change_has_the_noise_of_both_gaps():
     assert moved == pytest.approx((means[2] - means[3] - means[0] + means[1], math.sqrt(sum(squares)), freedom))
     assert change(Gap(0.1, 0.0, 4), Gap(0.3, 0.0, 2)) == pytest.approx((0.2, 0.0, 6))
     assert math.isnan(change(first, UNKNOWN).here)
+
+
+def test_seeds_without_a_figure_are_left_out():
+    """Means .32 and .25; variances .0007 of three seeds and .0018 of two."""
+    ours, other = row("a", 0.3, 0.35, math.nan, 0.31), row("b", 0.22, math.nan, 0.28)
+    assert gap_of_systems(ours, other, KEY)[:2] == pytest.approx((0.07, math.sqrt(0.0007 / 3 + 0.0018 / 2)))
+    ours, other = row("a", 0.30, 0.36, math.nan), row("b", 0.20, 0.24, 0.5)
+    assert Gaps({"a": ours, "b": other}, KEY).between("a", "b") == pytest.approx((0.11, 0.01, 1))

@@ -144,3 +144,8 @@ def test_the_page_of_the_documentation_has_the_picture_beside_it(sweep, tmp_path
 def test_without_longer_runs_there_is_no_picture(sweep, tmp_path):
     draw_curves(sweep._replace(longer=[]), tmp_path)
     assert not (tmp_path / CURVES_PICTURE).exists()
+
+
+def test_the_change_is_from_the_fewest_to_the_most_steps():
+    claim = compared("own voxels", Gap(0.1, 0.0, 4), Gap(0.5, 0.0, 4), Gap(0.2, 0.0, 4))
+    assert claim.change.here == pytest.approx(0.1)
