@@ -80,3 +80,14 @@ def test_without_known_voxels_it_is_zero():
 def test_impossible_arguments_are_refused(values):
     with pytest.raises(ValueError, match=r"azimuths is .*hidden_weight is"):
         SeenFirst(2.0, 5, CYLINDER, *values)
+
+
+def test_hidden_cells_count_by_their_weight():
+    """Of four cells the first two are seen; the hidden two are right, the seen ones have equal logits."""
+    line = Cuboid((4, 1, 1), (-1.0, 7.0), (-1.0, 1.0), (-1.0, 1.0))
+    loss = SeenFirst(2.0, 3, line, 1, 0.5)
+    loss.cells, loss.entry_m = torch.tensor([[0, 1, 2, 4]]), torch.tensor([[0.0, 1.0, 2.0, math.inf]])
+    target = torch.tensor([0, 2, 0, 1], dtype=torch.uint8).view(1, 4, 1, 1)
+    logits = torch.zeros(1, 3, 4, 1, 1)
+    logits[0, 1, 3] = logits[0, 0, 2] = 60.0
+    assert loss(logits, target).item() == pytest.approx(2 * math.log(3) / (2 + 2 * 0.5), rel=1e-5)

@@ -8,6 +8,7 @@ import torch
 from omniocc.batch import Batch
 from omniocc.camera import Rig
 from omniocc.classes import ClassTable, SemanticClass
+from omniocc.data.source import Benchmark
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.metric import RayIoU, sparseocc_directions
 from omniocc.task.scores import Scores, within_reach
@@ -170,3 +171,28 @@ def test_the_protocol_names_what_was_scored(batch, spec):
     scores.update(labels, batch._replace(**lidar_hits(sparseocc_directions())))
     scores.reset()
     assert "rays measured by a LiDAR" in scores.protocol()["lidar/rayiou"]
+
+
+SMALL = Cuboid((4, 2, 1), (0.0, 8.0), (-4.0, 4.0), (-1.0, 1.0))
+
+
+def test_parts_of_a_benchmark_are_scored_and_merged(batch, spec):
+    """The near part has the cells (0, 0) and (1, 0), of which the second is missed."""
+    own = dataclasses.replace(spec, benchmark=Benchmark(SMALL, parts=(("near", (0.0, 4.0), (-4.0, 0.0)),)))
+    truth = torch.ones(2, 4, 2, 1, dtype=torch.uint8)
+    labels = truth.clone()
+    labels[:, 1, 0] = 0
+    given = batch._replace(voxels=truth, own_voxels=truth)
+    one, two = Scores(SMALL, own), Scores(SMALL, own)
+    one.update(labels, given)
+    assert one.compute()["voxel/iou"] == 7 / 8
+    assert one.compute()["voxel_near/iou"] == 1 / 2
+    two.update(truth, given)
+    two.merge(one)
+    assert two.compute()["voxel_near/iou"] == 3 / 4
+
+
+def test_points_at_the_end_of_the_reach_are_beyond_it():
+    ahead = torch.tensor([[1.0, 0.0, 0.0]])
+    label = torch.tensor([[4]], dtype=torch.uint8)
+    assert within_reach(label, torch.tensor([[25.0]]), ahead, 25.0).tolist() == [[0]]
