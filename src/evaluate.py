@@ -116,14 +116,14 @@ def main(arguments: list[str] | None = None) -> None:
     for checkpoint in words.checkpoints:
         if several:
             print(f"\nsystem    {system_of(checkpoint)}", flush=True)
-        if options.audit:
-            print_audit(checkpoint, words.overrides)
-            continue
         name = f"{EVALUATION}{checkpoint.stem}{suffix(options.origins)}"
         folder = folder_of(checkpoint, name, options.output, several)
         try:
-            test_again(checkpoint, words.overrides, folder, options.origins, options.images)
-        except UserError as error:  # the others are tested first
+            if options.audit:
+                print_audit(checkpoint, words.overrides)
+            else:
+                test_again(checkpoint, words.overrides, folder, options.origins, options.images)
+        except UserError as error:  # the others come first
             refused.append(str(error))
     if refused:
         raise UserError("\n".join(refused))

@@ -1,4 +1,5 @@
 import json
+from pathlib import Path
 
 import pytest
 
@@ -53,6 +54,28 @@ def test_two_processes_do_not_share_a_folder(tmp_path):
 def test_a_missing_checkpoint_is_named(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"gone\.ckpt"):
         open_run(tmp_path, "train", "abc", str(tmp_path / "gone.ckpt"))
+
+
+def test_a_run_started_from_a_checkpoint_and_stopped_goes_on_from_its_own(tmp_path):
+    given, other = (tmp_path / name for name in ("given.ckpt", "other.ckpt"))
+    content = {"config": {}, "state_dict": {}}
+    for path in (given, other):
+        write_checkpoint(content, path)
+    last = tmp_path / "train-abc" / LAST
+    last.parent.mkdir()
+    write_checkpoint(content, last)
+
+    def start_of(resume: Path) -> Path | None:
+        run = open_run(tmp_path, "train", "abc", str(resume))
+        run.lock.release()
+        return run.checkpoint
+
+    assert start_of(given) == given, "what an earlier run left is older than the wish"
+    assert start_of(given) == given, "stopped before it had saved anything"
+    write_checkpoint(content, last)
+    assert start_of(given) == last
+    assert start_of(given) == last
+    assert start_of(other) == other, "another checkpoint is another wish"
 
 
 def test_of_processes_that_slurm_starts_only_the_first_claims_the_folder(tmp_path, monkeypatch):

@@ -13,11 +13,14 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from omniocc.errors import UserError
+from omniocc.io import atomic_write
 from omniocc.run.checkpoint_io import LAST, resumable
 from omniocc.run.distributed import from_first, is_first, started_by_others
 from omniocc.run.slots import sketch_learns
 
 METRICS = "metrics.json"
+STARTED_FROM = "started_from.txt"
+"""File with the checkpoint that `resume=` named, written when the run starts from it."""
 IMAGES, PARTS = "images", "parts"
 """Folder of the sheets that a run draws, and its subfolder of their parts."""
 VOLATILE = ("resume", "stage", "paths", "packages", "logger", "test_images", "checkpoint_every_n_steps", "plan")
@@ -65,7 +68,7 @@ def open_run(runs: Path, name: str, digest: str, resume: str) -> RunFolder:
         name: readable part of the folder's name.
         digest: `run_hash` of the run.
         resume: `auto` continues the folder of the same hash; `never` makes a new one beside it; anything else is the
-            checkpoint to resume from.
+            checkpoint to start from. A run that was started so and stopped goes on from what it has saved since.
 
     Raises:
         UserError: when another process works in the folder, its checkpoints are damaged, or the processes of this run
@@ -88,10 +91,22 @@ def open_run(runs: Path, name: str, digest: str, resume: str) -> RunFolder:
     given = given_checkpoint(resume)
     if (path / METRICS).exists():
         return RunFolder(path, None, lock)
-    checkpoint, message = resumable(given or path / LAST)
+    start = path / LAST if given is None or _has_gone_on_from(path, given) else given
+    if start == given and lock is not None:
+        atomic_write(path / STARTED_FROM, str(given.resolve()))
+    checkpoint, message = resumable(start)
     if message and lock is not None:
         print(message, flush=True)
     return RunFolder(path, checkpoint, lock)
+
+
+def _has_gone_on_from(path: Path, given: Path) -> bool:
+    """Return whether the run in this folder was started from the checkpoint `given` and has saved one since."""
+    started, saved = path / STARTED_FROM, path / LAST
+    if not (started.is_file() and saved.is_file()):
+        return False
+    same = started.read_text() == str(given.resolve())
+    return same and saved.stat().st_mtime_ns > started.stat().st_mtime_ns
 
 
 def given_checkpoint(resume: str) -> Path | None:
