@@ -43,6 +43,17 @@ def test_a_cuboid_widens_along_the_ray():
     assert sorted(marked) == sorted(diagonal + ahead + right)
 
 
+def test_a_step_along_the_ray_is_the_shorter_side_of_a_cell():
+    """Cells of 1 m by 0.5 m: no cell to the left of the car is left out, and none is counted twice ahead of it."""
+    grid = Cuboid(shape=(21, 41, 1), x_m=(-10.5, 10.5), y_m=(-10.25, 10.25), height_m=(0.0, 1.0))
+    left, ahead = torch.zeros(grid.shape, dtype=torch.bool), torch.zeros(grid.shape, dtype=torch.bool)
+    left[10, 20 + 10] = ahead[10 + 5, 20] = True
+    marked = grid.dilate(left, (2,), ()).nonzero() - torch.tensor([10, 20, 0])
+    assert marked.tolist() == [[0, d, 0] for d in (8, 9, 10, 11, 12)]
+    marked = grid.dilate(ahead, (2,), ()).nonzero() - torch.tensor([10, 20, 0])
+    assert marked.tolist() == [[d, 0, 0] for d in (4, 5, 6)]
+
+
 def test_marks_are_near_the_ray_and_within_the_window():
     mask = torch.zeros(CUBOID.shape, dtype=torch.bool)
     mask[33, 27, 1] = True

@@ -168,3 +168,14 @@ def test_neighbors_are_the_cells_one_step_along_each_axis(grid):
             inside = 0 <= other[axis] < grid.shape[axis]
             expected.append((other[0] * grid.shape[1] + other[1]) * grid.shape[2] + other[2] if inside else -1)
         assert found[cell].tolist() == expected
+
+
+def test_points_within_the_sides_are_more_than_the_margin_inside_of_all_of_them():
+    cuboid = Cuboid((8, 4, 4), (-40.0, 40.0), (-20.0, 20.0), (-2.0, 2.0))
+    along = torch.tensor([[38.9, 0, 9], [39, 0, 0], [-38.9, 0, 0], [-39.5, 0, 0]])
+    across = torch.tensor([[0, 18.9, 9], [0, 19, 0], [0, -18.9, 0], [0, -19.5, 0]])
+    for points in (along, across):
+        assert cuboid.within_sides(points, 1.0).tolist() == [True, False, True, False]
+    cylinder = Cylinder((8, 4, 4), (10.0, 40.0), (-2.0, 2.0))
+    points = torch.tensor([[38.9, 0, 9], [28, 28, 0], [0, -39, 0], [1, 0, 0]])  # 39.6 m on the diagonal
+    assert cylinder.within_sides(points, 1.0).tolist() == [True, False, False, True]

@@ -53,6 +53,14 @@ def test_what_stands_is_all_that_does_not_move(folder):
         assert f"test/{kind}/Road" not in found
 
 
+def test_scenes_that_do_not_tell_what_moves_have_nothing_that_stands(tmp_path):
+    """In the first scene six of ten rays hit what stands, and are right; the second, all wrong, does not tell."""
+    right, wrong = counts([0, 0, 10], [0, 0, 10], [0, 0, 10]), counts([0, 0, 10], [0, 0, 0], [0, 0, 0])
+    moving = counts([0, 0, 4], [0, 0, 4], [0, 0, 4])
+    save_scenes(tmp_path, {"a": {LIDAR: right, MOVING: moving}, "b": {LIDAR: wrong}}, {}, CLASSES, (1.0,))
+    assert scene_figures(tmp_path)["test/standing/recall/Vehicle"] == 1.0
+
+
 def test_each_scene_is_left_out_in_turn(folder):
     without = without_each_scene(folder, RAYS)
     assert without == {"a": pytest.approx((1 + 1 + 0 + 1 / 3) / 4), "b": pytest.approx((4 / 14 + 8 / 10) / 2)}

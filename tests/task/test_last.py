@@ -78,6 +78,29 @@ def test_without_an_interruption_every_validation_is_done_once(tmp_path):
     assert torch.load(tmp_path / "last.ckpt", weights_only=False)["global_step"] == 8
 
 
+def test_the_newest_state_is_saved_every_so_many_steps(tmp_path):
+    last = tmp_path / "last.ckpt"
+    quiet_trainer(LastCheckpoint(last, 3), max_steps=7, limit_val_batches=0).fit(BoringModel())
+    assert torch.load(last, weights_only=False)["global_step"] == 6
+
+
+def test_validations_outside_of_the_training_save_nothing(tmp_path):
+    """One before its first step, to see whether it runs, and one alone."""
+    last = tmp_path / "last.ckpt"
+    trainer = quiet_trainer(LastCheckpoint(last, 1), Killed("on_train_start", 0), num_sanity_val_steps=1)
+    with pytest.raises(SystemExit):
+        trainer.fit(BoringModel())
+    quiet_trainer(LastCheckpoint(last, 1)).validate(BoringModel(), verbose=False)
+    assert not last.exists()
+
+
+def quiet_trainer(*callbacks: Callback, **options) -> Trainer:
+    return Trainer(
+        callbacks=list(callbacks), logger=False, enable_progress_bar=False, enable_model_summary=False,
+        accelerator="cpu", **{"limit_val_batches": 1, **options},
+    )  # fmt: skip
+
+
 @pytest.mark.parametrize(
     ("every", "epoch", "batch", "follows"),
     [(1, 0, 9, True), (1, 0, 8, False), (2, 0, 9, False), (2, 1, 9, True), (2, 1, 10, False)],

@@ -1,10 +1,13 @@
 """Counts of rays by scene, and the file in which they are kept."""
 
+import dataclasses
+
 import pytest
 import torch
 from batches import make_batch
 
 from omniocc.classes import UNKNOWN
+from omniocc.geometry import Cuboid
 from omniocc.run.scenes import LIDAR, MOVING, RAYS, save_scenes, scene_figures
 from omniocc.task.scene_counts import SceneCounts
 from omniocc.task.scores import Scores
@@ -44,12 +47,46 @@ def test_the_scenes_together_have_the_counts_of_the_scores(task, spec):
         by_scene.update(predicted(batch), batch)
     found = by_scene.of_all()
     assert list(found) == ["0", "1", "2"]
+    assert_sums(found, scores)
+
+
+def assert_sums(found, scores):
+    """Compare the counts of all scenes together with those of the scores."""
     for kind, metric in ((RAYS, scores.rays), (LIDAR, scores.lidar)):
         lines = torch.stack([torch.tensor(scene[kind]) for scene in found.values()]).sum(0)
         assert torch.equal(lines[0], metric.truth.sum(0))
         assert torch.equal(lines[1], metric.predicted.sum(0))
         assert torch.equal(lines[2:], metric.correct.sum(0)[COARSE])
         assert lines[0].sum() > 1000
+
+
+def test_masks_and_rays_of_the_frames_count_as_in_the_scores(task, spec):
+    """In the corners of a cuboid hits are beyond the reach; rays start up to 3 m from the ego origin."""
+    grid = Cuboid((16, 16, 4))
+    scores = Scores(grid, dataclasses.replace(spec, lidar_directions=None))
+    by_scene, generator = SceneCounts(scores), torch.Generator().manual_seed(0)
+    for samples in SAMPLES:
+        batch = drawn_batch(task, samples)
+        cells, rays = (len(samples), *grid.shape), (*batch.lidar_range_m.shape, 3)
+        voxels = torch.randint(1, 12, cells, generator=generator) * (torch.rand(cells, generator=generator) < 0.2)
+        ways = torch.randn(rays, generator=generator) * torch.tensor([1.0, 1.0, 0.1])
+        batch = batch._replace(
+            voxels=voxels.to(torch.uint8),
+            scored=torch.rand(cells, generator=generator) < 0.9,
+            lidar_range_m=torch.empty(rays[:2]).uniform_(3, 36, generator=generator),
+            lidar_directions=torch.nn.functional.normalize(ways, dim=-1),
+            lidar_origins=torch.empty(rays).uniform_(-3, 3, generator=generator),
+        )
+        scores.update(predicted(batch), batch)
+        by_scene.update(predicted(batch), batch)
+    assert_sums(by_scene.of_all(), scores)
+
+
+def test_rays_from_other_origins_than_the_egos_are_not_counted(task, spec):
+    by_scene, batch = SceneCounts(Scores(task.model.geometry, spec)), drawn_batch(task, SAMPLES[0])
+    origins, times = torch.zeros(2, 1, 3), torch.zeros(2, 1, dtype=torch.int64)
+    by_scene.update(predicted(batch), batch._replace(ray_origins=origins, ray_times=times))
+    assert [set(scene) for scene in by_scene.of_all().values()] == [{LIDAR, MOVING}] * 2
 
 
 def test_a_scene_has_the_counts_of_its_frames_alone(task, spec):

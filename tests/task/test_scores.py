@@ -176,14 +176,24 @@ def test_the_protocol_names_what_was_scored(batch, spec):
 SMALL = Cuboid((4, 2, 1), (0.0, 8.0), (-4.0, 4.0), (-1.0, 1.0))
 
 
-def test_parts_of_a_benchmark_are_scored_and_merged(batch, spec):
-    """The near part has the cells (0, 0) and (1, 0), of which the second is missed."""
-    own = dataclasses.replace(spec, benchmark=Benchmark(SMALL, parts=(("near", (0.0, 4.0), (-4.0, 0.0)),)))
-    truth = torch.ones(2, 4, 2, 1, dtype=torch.uint8)
+@pytest.fixture
+def with_part(spec):
+    """A source whose benchmark has a near part, the cells (0, 0) and (1, 0)."""
+    return dataclasses.replace(spec, benchmark=Benchmark(SMALL, parts=(("near", (0.0, 4.0), (-4.0, 0.0)),)))
+
+
+def all_but_one() -> tuple[torch.Tensor, torch.Tensor]:
+    """Return occupied cells, and predictions that miss (1, 0)."""
+    truth = torch.ones(2, *SMALL.shape, dtype=torch.uint8)
     labels = truth.clone()
     labels[:, 1, 0] = 0
+    return truth, labels
+
+
+def test_parts_of_a_benchmark_are_scored_and_merged(batch, with_part):
+    truth, labels = all_but_one()
     given = batch._replace(voxels=truth, own_voxels=truth)
-    one, two = Scores(SMALL, own), Scores(SMALL, own)
+    one, two = Scores(SMALL, with_part), Scores(SMALL, with_part)
     one.update(labels, given)
     assert one.compute()["voxel/iou"] == 7 / 8
     assert one.compute()["voxel_near/iou"] == 1 / 2
@@ -192,7 +202,42 @@ def test_parts_of_a_benchmark_are_scored_and_merged(batch, spec):
     assert two.compute()["voxel_near/iou"] == 3 / 4
 
 
+def test_cells_outside_the_mask_do_not_count_in_parts_either(batch, with_part):
+    """The cell that is missed is outside of the mask, the other one of the part is left in both samples."""
+    truth, labels = all_but_one()
+    scores = Scores(SMALL, with_part)
+    scores.update(labels, batch._replace(voxels=truth, own_voxels=truth, scored=labels > 0))
+    found = scores.compute()
+    assert found["voxel/iou"] == found["voxel_near/iou"] == 1.0
+    assert scores.parts[0].confusion.sum() == 2
+
+
 def test_points_at_the_end_of_the_reach_are_beyond_it():
     ahead = torch.tensor([[1.0, 0.0, 0.0]])
     label = torch.tensor([[4]], dtype=torch.uint8)
     assert within_reach(label, torch.tensor([[25.0]]), ahead, 25.0).tolist() == [[0]]
+
+
+@pytest.mark.parametrize("origins", [False, True], ids=["ego origin", "given origins"])
+@pytest.mark.parametrize(
+    ("benchmark", "counted"),
+    [(None, 1), (Benchmark(GRID), 1), (Benchmark(GRID, masked_rays=False), 2)],
+    ids=["own voxels", "masked rays", "rays see all cells"],
+)
+def test_rays_to_cells_outside_the_mask_count_if_rays_see_all_cells(batch, spec, origins, benchmark, counted):
+    """Of two round walls the near one is outside of the first sample's mask, 48 cells.
+
+    All rays that meet a wall meet the near one, so that they count in one sample or in both.
+    """
+    truth = torch.zeros(2, *GRID.shape, dtype=torch.uint8)
+    truth[:, 3], truth[:, 6] = 5, 4
+    mask = torch.ones(2, *GRID.shape, dtype=torch.bool)
+    mask[0, 3] = False
+    given = {"voxels": truth, "own_voxels": truth, "scored": mask}
+    if origins:
+        given |= {"ray_origins": torch.zeros(2, 1, 3), "ray_times": torch.zeros(2, 1, dtype=torch.int64)}
+    scores, one = Scores(GRID, dataclasses.replace(spec, benchmark=benchmark)), RayIoU(GRID)
+    scores.update(truth, batch._replace(**given))
+    one.update(truth[:1], truth[:1])
+    assert scores.rays.truth.sum() == counted * one.truth.sum() > 0
+    assert scores.cells.confusion.sum() == 2 * GRID.num_cells - 48

@@ -1,6 +1,9 @@
 """Rays that hit things that move."""
 
+import dataclasses
+
 import numpy as np
+import pytest
 from fake_scene import FakeWorld, fake_frame
 
 from omniocc.data.dataset import WindowDataset, collate
@@ -26,6 +29,19 @@ def moved(box: Box, *points_m, label: int = 7) -> list[bool]:
 
 def test_hits_in_the_box_of_a_moving_actor_move():
     assert moved(CAR, (8.1, 0.9, -1), (11.9, -0.9, -1), (7.6, 0, -1), (10, 1.4, -1)) == [True, True, False, False]
+
+
+def test_a_hit_may_lie_a_little_outside_of_the_box():
+    """Of the car's 4 m half are 2 m, and .3 m more."""
+    assert moved(CAR, (12.29, 0, -1), (12.31, 0, -1)) == [True, False]
+
+
+@pytest.mark.parametrize(
+    ("velocity", "moves"),
+    [((-8.0, 0.0), True), ((0.0, 1.4), True), ((0.0, -0.31), True), ((0.31, 0.0), True), ((0.2, -0.2), False)],
+)
+def test_what_is_faster_than_a_creep_in_any_direction_moves(velocity, moves):
+    assert moved(dataclasses.replace(CAR, velocity_mps=velocity), (10, 0, -1)) == [moves]
 
 
 def test_the_box_is_turned_with_the_actor():

@@ -2,9 +2,11 @@ import numpy as np
 import pytest
 import torch
 from fake_scene import FakeWorld, fake_frame
+from fake_source import FakeFrames
 
 from omniocc.data.labels import observed
 from omniocc.data.labels.voxels import VoxelCache, vote
+from omniocc.data.source import LidarScan
 from omniocc.data.store import codec, reader
 from omniocc.geometry import Cuboid, Cylinder
 
@@ -77,3 +79,32 @@ def test_unobserved_cells_are_unknown_and_kept_apart(scene, tmp_path):
     assert torch.equal(strict[~unseen], free[~unseen])
     with pytest.raises(ValueError, match=r"unknown.*free, unobserved.*void"):
         VoxelCache(tmp_path, GRIDS[0], "void")
+
+
+class OneRay(FakeFrames):
+    """A scene without cameras, seen by one LiDAR ray along x."""
+
+    def __init__(self, range_m: float, start_m: float | None = None):
+        super().__init__("one ray", 0)
+        origins = None if start_m is None else np.array([[start_m, 0, 0]], dtype=np.float32)
+        ahead = np.array([[1, 0, 0]], dtype=np.float32)
+        self.scan = LidarScan(np.array([range_m], dtype=np.float32), np.array([1], dtype=np.uint8), ahead, origins)
+
+    def lidar(self, frame):
+        return self.scan
+
+
+def seen_by(scene: OneRay) -> list[int]:
+    """Return which cells of 1 m along x were seen."""
+    line = Cuboid((4, 1, 1), (0.0, 4.0), (-0.5, 0.5), (-0.5, 0.5))
+    return observed.observed(scene, 0, line).flatten().tolist()
+
+
+def test_rays_of_equal_directions_are_told_apart_by_where_they_start():
+    assert seen_by(OneRay(2.5)) == [1, 1, 0, 0]
+    assert seen_by(OneRay(1.5, start_m=2.0)) == [0, 0, 1, 0]
+
+
+def test_a_cell_in_which_the_hit_may_be_was_not_crossed():
+    """Ranges are stored in steps of 4 mm: a hit at the end of the second cell may be inside of it."""
+    assert seen_by(OneRay(2.0)) == [1, 0, 0, 0]

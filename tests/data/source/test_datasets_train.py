@@ -1,5 +1,7 @@
 """Every system trains and is tested on public datasets, in small copies of their layout."""
 
+import copy
+
 import pytest
 import torch
 from dataset_files import write_carlasc, write_woodscape
@@ -9,6 +11,8 @@ from nuscenes_files import write_nuscenes
 
 from omniocc.config import build, check_root
 from omniocc.errors import UserError
+from omniocc.run.checkpoint import load_checkpoint
+from omniocc.run.checkpoint_io import LAST
 from omniocc.task.build import build_task, switch_off_head
 from omniocc.task.stages import Stages
 from omniocc.task.submission import score_files, write_files
@@ -106,18 +110,39 @@ def test_systems_run_ahead_of_the_car(smoke, request, dataset, system):
     assert ("train/loss/semantics" in logged) == with_head  # classes of pixels come from the labels of points
 
 
-def test_depth_learns_from_the_scans_of_kitti360(smoke, tmp_path_factory):
-    root = write_kitti360(tmp_path_factory.mktemp("raw"))
+@pytest.fixture(scope="module")
+def depth_of_kitti360(smoke, tmp_path_factory):
+    """Return a function that makes the stages which learn depth from scans, of a changed recipe."""
+    folder = tmp_path_factory.mktemp("raw")
     cfg = smoke(
-        "data=kitti360", f"data.source.root={root}", "stage=depth", "data.source.accumulate=1",
+        "data=kitti360", f"data.source.root={write_kitti360(folder)}", "stage=depth", "data.source.accumulate=1",
         "data.source.sequences={train:['00'],val:['06'],test:['09']}", "logger.mode=disabled",
-        f"paths.runs={root / 'runs'}", "stages.depth.max_steps=3",
+        f"paths.runs={folder / 'runs'}",
     )  # fmt: skip
     check_root(cfg)
     data = build(cfg.data)
     data.prepare_data()
-    figures = Stages(cfg, data, False).run("depth", "depth")
+
+    def make(**recipe):
+        changed = copy.deepcopy(cfg)
+        changed.stages.depth.update(recipe)
+        return Stages(changed, data, False)
+
+    return make
+
+
+def test_depth_learns_from_the_scans_of_kitti360(depth_of_kitti360):
+    figures = depth_of_kitti360(max_steps=3).run("depth", "depth")
     assert 0 < figures["test/depth/mae"] < 50
+
+
+def test_the_first_weights_of_a_stage_follow_from_its_own_seed(depth_of_kitti360):
+    stages = depth_of_kitti360(max_steps=0, seed=3)
+    stages.run("depth", "depth")
+    found = load_checkpoint(stages.folders["depth"] / LAST).model_weights
+    torch.manual_seed(3)
+    expected = build(stages.cfg.depth).state_dict()
+    assert all(torch.equal(found[name], value) for name, value in expected.items())
 
 
 def test_depth_without_true_ranges_is_one_clear_line(smoke, tmp_path):

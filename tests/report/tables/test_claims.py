@@ -21,6 +21,8 @@ from omniocc.report.tables.claims import (
 )
 from omniocc.report.tables.gaps import Gap
 from omniocc.report.tables.paper import PaperTable, load_table
+from omniocc.run.scenes import LIDAR as LIDAR_RAYS
+from omniocc.run.scenes import RAYS, save_scenes
 
 SWEEPS = Path(__file__).parents[3] / "sweeps"
 SKETCH, COMPARISON = (load_table(SWEEPS / f"{name}.yaml").of_steps("1000") for name in ("sketch", "comparison"))
@@ -129,6 +131,38 @@ def test_the_family_has_every_claim_of_all_tables_once():
 
 def least_size(found: list[Judged]) -> float:
     return min(entry.claim.p_size for entry in found)
+
+
+def test_a_judge_decides_only_the_claims_in_its_scores():
+    """A copy of the table in mIoU has four claims more, of own voxels alone."""
+    printed = [entry._replace(paper={"test/voxel/miou": entry.paper[OWN]}) for entry in SKETCH.rows]
+    cells = SKETCH._replace(name="cells", order_by="test/voxel/miou", columns={"test/voxel/miou": "mIoU"}, rows=printed)
+    runs = {"ours": row("ours", 0.30, 0.34, lidar=0.7), "wo_dilation": row("wo", 0.20, 0.25, lidar=0.7)}
+    found = judged([SKETCH, cells], runs)
+    families = {key: entry.none / entry.claim.gap.p_none for (*_, key), entry in found.items()}
+    assert families == pytest.approx({OWN: 8, LIDAR: 4})
+
+
+def test_a_claim_has_the_standard_error_over_streets_by_each_judge(tmp_path):
+    """By street the gap is .1, 0, .4 of own voxels, and .3, .1, .5 of LiDAR rays."""
+    better = [on_streets(tmp_path, "ours", seed, [0.5, 0.6, 0.9], [0.4, 0.4, 0.7]) for seed in range(2)]
+    other = [on_streets(tmp_path, "dense", seed, [0.4, 0.6, 0.5], [0.1, 0.3, 0.2]) for seed in range(2)]
+    for judge, gaps in (("own voxels", [0.1, 0.0, 0.4]), ("LiDAR rays", [0.3, 0.1, 0.5])):
+        (claim,) = claims_of([SKETCH], {"ours": better, "dense": other}, judge).values()
+        assert claim.streets == pytest.approx(stats.sem(gaps), abs=1e-6)
+
+
+def on_streets(folder: Path, name: str, seed: int, own: list[float], lidar: list[float]) -> FinishedRun:
+    """Return a run that finds these shares of the 100 rays of each street, and predicts nothing wrong."""
+
+    def lines(share: float) -> list[list[int]]:
+        return [[0, 100], [0, round(100 * share)], [0, round(100 * share)]]
+
+    scenes = {f"street-{k}": {RAYS: lines(own[k]), LIDAR_RAYS: lines(lidar[k])} for k in range(len(own))}
+    place = folder / f"{name}-{seed:08x}"
+    save_scenes(place, scenes, {}, ("Free", "Road"), (1.0,))
+    scores = {OWN: sum(own) / len(own), LIDAR: sum(lidar) / len(lidar)}
+    return FinishedRun(place.name, {"seed": seed}, scores, place)
 
 
 def test_a_row_under_two_names_is_one_row():

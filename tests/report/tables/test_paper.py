@@ -70,6 +70,11 @@ def test_mean_spread_and_number_of_seeds():
     assert math.isnan(figure_of(RUNS["mono"], "test/rayiou").spread)
 
 
+def test_seeds_without_a_figure_do_not_count():
+    figure = figure_of([run("ours", seed, value) for seed, value in enumerate((0.2, math.nan, 0.4))], "test/rayiou")
+    assert (figure.mean, figure.seeds) == (pytest.approx(0.3), 2)
+
+
 def test_markdown_shows_both_and_whether_the_order_holds():
     text = as_markdown(load_table(SWEEPS / "sketch.yaml"), RUNS)
     assert "| omni depth | paper | 0.470 |" in text

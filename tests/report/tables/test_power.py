@@ -85,6 +85,13 @@ def test_the_page_has_every_claim_and_spread():
     assert power.power_chapter(TABLES, rows, []) == ""
 
 
+def test_the_noise_of_parts_is_that_of_the_rows_on_the_main_data():
+    """Of a table and a copy of it on other data, the five rows of the first."""
+    table = TABLES[1]._replace(rows=[row._replace(alone=False) for row in TABLES[1].rows])
+    other = table._replace(name="other", rows=[row._replace(run=f"{row.run}@1000") for row in table.rows])
+    assert "estimated over 5 rows" in power.power_chapter([table, other], {}, [Spread("notes", 0.002, 0.01)])
+
+
 def test_spreads_are_read_and_wrong_ones_are_named(tmp_path):
     assert [entry.parts for entry in load_spreads(SWEEPS / "power.yaml")] == [0.0018, 0.005]
     assert load_spreads(tmp_path / "power.yaml") == []

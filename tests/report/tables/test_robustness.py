@@ -69,6 +69,17 @@ def test_one_system_has_all_scores_and_nested_ranges():
     assert rows[2] == ["view_180_deg", "0.300", "0.200 ± 0.000", "0.100 ± 0.000", "0.200", "6", "12"]
 
 
+def test_each_score_has_its_own_standard_error():
+    """Without each scene in turn RayIoU drops by .1, .2, .3, mIoU by twice that; jackknife: root of 2/3 (.1² + .1²)."""
+    noise = part("noise_5_percent", "noise", 0.3, 0.5)
+    base = part(UNDISTURBED, UNDISTURBED, 0.5, 0.6)
+    base = base._replace(without=base.without | {"rayiou": [0.4, 0.5, 0.6], "voxel/miou": [0.8, 1.0, 1.2]})
+    noise = noise._replace(without=noise.without | {"rayiou": [0.3, 0.3, 0.3], "voxel/miou": [0.6, 0.6, 0.6]})
+    system = OURS._replace(parts=[base, noise])
+    assert part_cells([system])[1] == [["noise_5_percent", "0.200 ± 0.115"]]
+    assert score_cells(system)[1][1][2:4] == ["0.200 ± 0.115", "0.100 ± 0.231"]
+
+
 def test_systems_of_other_scenes_are_not_compared():
     tiny = record("tiny", 0.6, 0.5, {180: 0.4}, setting="another")
     assert [[one.system for one in group] for group in comparable([tiny, OURS, OTHER])] == [

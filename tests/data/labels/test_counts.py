@@ -1,0 +1,45 @@
+"""Counts of classes: over frames that have labels, evenly spread over all scenes."""
+
+import pytest
+import torch
+from fake_source import FRAMES, FakeFrames, FakeLabels
+
+from omniocc.data.labels.own_grid import LazyLabels
+from omniocc.geometry import Cuboid
+
+SCENES = [FakeFrames(f"scene{k}", k) for k in range(3)]
+ONE_CELL = Cuboid((1, 1, 1), (0.0, 1.0), (0.0, 1.0), (0.0, 1.0))
+
+
+class CellLabels(LazyLabels):
+    """Labels of one cell, which no ray has crossed; it is noted which frames are read."""
+
+    COUNTED = 4
+
+    def __init__(self, folder, unknown):
+        super().__init__(folder, "fingerprint", ONE_CELL, 2, unknown)
+        self.frames: list[tuple[str, int]] = []
+
+    def read(self, scene, frame):
+        self.frames.append((scene.name, frame))
+        return torch.full(ONE_CELL.shape, 255 if self.unknown == "unobserved" else 0, dtype=torch.uint8)
+
+
+def test_frames_without_labels_do_not_count_as_free():
+    """The last frame of each scene has no labels."""
+    counts = FakeLabels().counts(SCENES)
+    assert (counts.sum(0) == len(SCENES) * (FRAMES - 1)).all()
+
+
+def test_the_counted_frames_are_spread_over_all_scenes(tmp_path):
+    """Of nine frames every third one, since every second would be five, one too many."""
+    labels = CellLabels(tmp_path, "free")
+    assert labels.counts(SCENES).flatten().tolist() == [3, 0]
+    assert labels.frames == [("scene0", 0), ("scene1", 0), ("scene2", 0)]
+
+
+@pytest.mark.parametrize("first", ["free", "unobserved"])
+def test_counts_are_kept_apart_by_what_unobserved_cells_are(tmp_path, first):
+    for unknown in (first, {"free": "unobserved", "unobserved": "free"}[first]):
+        counts = CellLabels(tmp_path, unknown).counts(SCENES)
+        assert counts.flatten().tolist() == ([3, 0] if unknown == "free" else [0, 0])
