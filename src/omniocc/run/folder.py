@@ -92,7 +92,7 @@ def open_run(runs: Path, name: str, digest: str, resume: str) -> RunFolder:
     if (path / METRICS).exists():
         return RunFolder(path, None, lock)
     start = path / LAST if given is None or _has_gone_on_from(path, given) else given
-    if start == given and lock is not None:
+    if given is not None and start == given and lock is not None:
         atomic_write(path / STARTED_FROM, str(given.resolve()))
     checkpoint, message = resumable(start)
     if message and lock is not None:
