@@ -11,6 +11,7 @@ import yaml
 from omegaconf import OmegaConf
 
 from omniocc.config import ConfigError, compose_plain, plain
+from omniocc.io import YAML
 from omniocc.report import rows
 from omniocc.report.rows import assign_rows
 from omniocc.report.runs import FinishedRun
@@ -34,7 +35,9 @@ def run_of(name: str, *overrides: str) -> FinishedRun:
 
 
 def finished(name: str, config: dict) -> FinishedRun:
-    return FinishedRun(f"{name}-0123abcd", {"seed": 3}, {}, config=yaml.safe_load(yaml.safe_dump(config)))
+    """Return a run with this configuration as it is after it was written to a file and read."""
+    written = yaml.dump(config, Dumper=yaml.CSafeDumper)
+    return FinishedRun(f"{name}-0123abcd", {"seed": 3}, {}, config=yaml.load(written, YAML))
 
 
 def test_runs_are_told_by_their_configuration_unless_their_name_is_that_of_a_row(monkeypatch):
