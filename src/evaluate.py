@@ -116,12 +116,12 @@ def main(arguments: list[str] | None = None) -> None:
     for checkpoint in words.checkpoints:
         if several:
             print(f"\nsystem    {system_of(checkpoint)}", flush=True)
-        name = f"{EVALUATION}{checkpoint.stem}{suffix(options.origins)}"
-        folder = folder_of(checkpoint, name, options.output, several)
         try:
             if options.audit:
                 print_audit(checkpoint, words.overrides)
             else:
+                name = f"{EVALUATION}{checkpoint.stem}{suffix(options.origins)}"
+                folder = folder_of(checkpoint, name, options.output, several)
                 test_again(checkpoint, words.overrides, folder, options.origins, options.images)
         except UserError as error:  # the others come first
             refused.append(str(error))

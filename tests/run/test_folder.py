@@ -70,12 +70,12 @@ def test_a_run_started_from_a_checkpoint_and_stopped_goes_on_from_its_own(tmp_pa
         run.lock.release()
         return run.checkpoint
 
-    assert start_of(given) == given, "what an earlier run left is older than the wish"
+    assert start_of(given) == given, "the folder's checkpoint is from before this start"
     assert start_of(given) == given, "stopped before it had saved anything"
     write_checkpoint(content, last)
     assert start_of(given) == last
     assert start_of(given) == last
-    assert start_of(other) == other, "another checkpoint is another wish"
+    assert start_of(other) == other, "it was started from another checkpoint"
 
 
 def test_of_processes_that_slurm_starts_only_the_first_claims_the_folder(tmp_path, monkeypatch):

@@ -28,10 +28,11 @@ def assign_rows(runs: Sequence[FinishedRun], conf: Path, rows: Sequence[str]) ->
     Raises:
         ConfigError: when a row cannot be composed.
     """
-    options = {_name(path): path.relative_to(conf / "ablation") for path in sorted((conf / "ablation").rglob("*.yaml"))}
+    files = {path: yaml.load(path.read_text(), YAML) or {} for path in sorted((conf / "ablation").rglob("*.yaml"))}
+    options = {file.get("name", path.stem): path.relative_to(conf / "ablation") for path, file in files.items()}
     named = {*rows, *options}
     tried = [row for row in dict.fromkeys([*rows, *sorted(named)]) if row in options]
-    stated = {row: _stated(_read(conf / "ablation" / options[row])) for row in tried}
+    stated = {row: _stated(files[conf / "ablation" / options[row]]) for row in tried}
 
     @functools.cache
     def composed(preset: str, row: str) -> dict:
@@ -49,14 +50,6 @@ def assign_rows(runs: Sequence[FinishedRun], conf: Path, rows: Sequence[str]) ->
         return run._replace(same_as=next((row for row in likely if composed(preset, row) == config), None))
 
     return [assigned(run) for run in runs]
-
-
-def _name(path: Path) -> str:
-    return _read(path).get("name", path.stem)
-
-
-def _read(path: Path) -> dict:
-    return yaml.load(path.read_text(), YAML) or {}
 
 
 def _stated(file: Mapping[str, Any]) -> dict[str, Any]:

@@ -91,9 +91,11 @@ def open_run(runs: Path, name: str, digest: str, resume: str) -> RunFolder:
     given = given_checkpoint(resume)
     if (path / METRICS).exists():
         return RunFolder(path, None, lock)
-    start = path / LAST if given is None or _has_gone_on_from(path, given) else given
-    if given is not None and start == given and lock is not None:
-        atomic_write(path / STARTED_FROM, str(given.resolve()))
+    start = path / LAST
+    if given is not None and not _has_gone_on_from(path, given):
+        start = given
+        if lock is not None:
+            atomic_write(path / STARTED_FROM, str(given.resolve()))
     checkpoint, message = resumable(start)
     if message and lock is not None:
         print(message, flush=True)

@@ -155,10 +155,11 @@ def test_a_claim_has_the_standard_error_over_streets_by_each_judge(tmp_path):
 def on_streets(folder: Path, name: str, seed: int, own: list[float], lidar: list[float]) -> FinishedRun:
     """Return a run that finds these shares of the 100 rays of each street, and predicts nothing wrong."""
 
-    def lines(share: float) -> list[list[int]]:
+    def ray_counts(share: float) -> list[list[int]]:
+        """Return for free and road the rays of the truth, those predicted, and those predicted right."""
         return [[0, 100], [0, round(100 * share)], [0, round(100 * share)]]
 
-    scenes = {f"street-{k}": {RAYS: lines(own[k]), LIDAR_RAYS: lines(lidar[k])} for k in range(len(own))}
+    scenes = {f"street-{k}": {RAYS: ray_counts(own[k]), LIDAR_RAYS: ray_counts(lidar[k])} for k in range(len(own))}
     place = folder / f"{name}-{seed:08x}"
     save_scenes(place, scenes, {}, ("Free", "Road"), (1.0,))
     scores = {OWN: sum(own) / len(own), LIDAR: sum(lidar) / len(lidar)}
