@@ -1,5 +1,6 @@
 """The tables of a report as text and as files."""
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -26,6 +27,8 @@ CURVES_PICTURE = "learning_curves.svg"
 """Picture of the page on more steps, beside it."""
 ROBUSTNESS = "robustness"
 """Name of the chapter on tests under disturbances."""
+HEADING = re.compile("^#(?=#)", re.MULTILINE)
+"""The first mark of a heading, which a page of its own does not have: its headings are one level higher."""
 DISTURBANCES = "What each disturbance is: [What breaks a model](../how_to/robustness.md)."
 RULE = (
     "How a claim is decided: [Read the tables](../how_to/read_the_tables.md#when-a-claim-holds). Commands, commits and "
@@ -84,7 +87,7 @@ def write_docs(sweeps: Sequence[Sweep], folder: Path) -> list[Path]:
     for name, text in pages.items():
         if text:
             written.append(folder / f"{name}.md")
-            atomic_write(written[-1], f"{GENERATED}\n\n{text.removeprefix('#').rstrip()}\n")
+            atomic_write(written[-1], f"{GENERATED}\n\n{HEADING.sub('', text).rstrip()}\n")
     return written
 
 

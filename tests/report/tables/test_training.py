@@ -1,6 +1,7 @@
 """The same claims after more steps."""
 
 import math
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -134,6 +135,10 @@ def test_the_picture_has_a_line_for_each_row_and_number_of_steps(sweep):
 def test_the_page_of_the_documentation_has_the_picture_beside_it(sweep, tmp_path):
     (page,) = (path for path in write_docs([sweep], tmp_path) if path.name == "training.md")
     assert page.read_text().rstrip().endswith(f"({CURVES_PICTURE})")
+    lines = page.read_text().splitlines()
+    headings = [line.split(" ")[0] for line in lines if line.startswith("#")]
+    assert headings == ["#", "##", "##"]
+    assert [line for line, after in pairwise(lines) if line.startswith("|") and after[:1] not in ("|", "")] == []
     draw_curves(sweep, tmp_path)
     first = (tmp_path / CURVES_PICTURE).read_bytes()
     draw_curves(sweep, tmp_path)

@@ -72,7 +72,7 @@ def chapter(sweep: Sweep) -> str:
     parts = parts_of(sweep)
     heads = [f"{'###' if number else '##'} {part.title}" for number, part in enumerate(parts)]
     texts = [text for head, part in zip(heads, parts, strict=True) for text in (head, part.note, markdown(*part.cells))]
-    return "\n\n".join(text.rstrip() for text in texts)
+    return "".join(f"{text.rstrip()}\n\n" for text in texts)
 
 
 def parts_of(sweep: Sweep) -> list[Part]:
