@@ -34,7 +34,7 @@ def runs(folder: Path, name: str, steps: int, *scores: float) -> list[FinishedRu
         ]
         (place / "csv" / "version_0" / "metrics.csv").write_text("\n".join(lines) + "\n")
         facts = {"seed": seed, "preset": "tiny", "steps": steps, "data": "d"}
-        found.append(FinishedRun(place.name, facts, {"test/rayiou": score}, place))
+        found.append(FinishedRun(place.name, facts, {"test/rayiou": score, "test/rayiou_0-8.5m": score}, place))
     return found
 
 
@@ -104,6 +104,17 @@ def test_rows_on_other_data_are_compared_at_the_same_steps(sweep, tmp_path):
     text = training.chapter(both)
     assert "| voxformer_pinhole | 0.110 ± 0.014 | 0.110 ± 0.014 | – | – |" in text
     assert "| voxformer_pinhole | 1000 | 0.055 | 0.055 | 0.090 | 0.090 | 0.110 |" in text
+
+
+def test_claims_on_a_band_of_distance_name_it(sweep, tmp_path):
+    systems = {steps: {"bevdet": runs(tmp_path, "bevdet", steps, 0.1, 0.12)} for steps in (100, 1000)}
+    distance = load_table(SWEEPS / "distance.yaml")
+    short, long = (
+        each._replace(tables=[distance.of_steps(str(steps))], rows={**each.rows, **systems[steps]})
+        for each, steps in ((sweep, 100), (sweep.longer[0], 1000))
+    )
+    (claim,) = training.compared(training.by_steps(short._replace(longer=[long])))
+    assert claim.title == "OmniDepth-Occ ahead of BEVDet, 0-8.5 m"
 
 
 def test_the_page_has_scores_claims_and_curves(sweep):

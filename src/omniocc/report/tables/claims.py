@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from scipy import stats
 
-from omniocc.report.runs import FinishedRun
+from omniocc.report.runs import RAY_IOU, FinishedRun
 from omniocc.report.tables.gaps import EXACT, Gap, Gaps, gap_of_systems
 from omniocc.report.tables.holm import holm
 from omniocc.report.tables.paper import PaperRow, PaperTable, figure_of
@@ -78,6 +78,12 @@ def metric_of(table: PaperTable, judge: str) -> str | None:
     if judge == "own voxels":
         return table.order_by
     return table.order_by.replace("test/", JUDGES[judge], 1) if table.order_by.startswith("test/rayiou") else None
+
+
+def title_of(table: PaperTable, better: PaperRow, other: PaperRow) -> str:
+    """Return a claim in words, with the band of distance where the table is about one."""
+    band = "" if table.order_by == RAY_IOU else f", {table.columns[table.order_by]}"
+    return better.ahead_of(other) + band
 
 
 def pairs_of(table: PaperTable) -> Iterator[tuple[PaperRow, PaperRow]]:

@@ -17,6 +17,7 @@ from omniocc.report.tables.claims import (
     p_cell,
     pairs_of,
     planned_claims,
+    title_of,
 )
 from omniocc.report.tables.gaps import Gap, change
 from omniocc.report.tables.holm import holm
@@ -140,7 +141,7 @@ def compared(sweeps: Mapping[str, Sweep]) -> Iterator[Compared]:
                 known = tuple(names.values())
                 if len(found) > 1 and known not in seen:
                     seen.add(known)
-                    yield Compared(better.ahead_of(other), judge, found)
+                    yield Compared(title_of(table, better, other), judge, found)
 
 
 def change_cells(claims: Sequence[Compared], sweeps: Mapping[str, Sweep]) -> Cells:

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 
-from omniocc.report.runs import RAY_IOU
 from omniocc.report.tables.claims import (
     AGAINST,
     HOLDS,
@@ -15,6 +14,7 @@ from omniocc.report.tables.claims import (
     name_of,
     planned_claims,
     streets_cell,
+    title_of,
 )
 from omniocc.report.tables.paper import PaperRow, PaperTable
 from omniocc.run.table import Cells, markdown
@@ -55,7 +55,7 @@ def _line(
         name = name_of(better, other, rows, metric_of(table, judge))
         found[judge] = None if name is None else decided[name]
     own, lidar = found.values()
-    title = better.ahead_of(other) + ("" if table.order_by == RAY_IOU else f", {table.columns[table.order_by]}")
+    title = title_of(table, better, other)
     if own is None:
         return [
             title,
