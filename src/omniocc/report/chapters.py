@@ -10,6 +10,7 @@ from omniocc.report.runs import FinishedRun, path_between
 from omniocc.report.sweep import Sweep
 from omniocc.report.tables import bounds, budget, training
 from omniocc.report.tables.claims import Judged, Name, claim_cells, rows_in, rows_of_claims
+from omniocc.report.tables.formats import parts_text
 from omniocc.report.tables.learning_rates import learning_rates
 from omniocc.report.tables.overview import overview_keys, records, table_of_runs
 from omniocc.report.tables.paper import PaperTable, as_csv, as_latex, as_markdown
@@ -17,7 +18,7 @@ from omniocc.report.tables.power import power_chapter
 from omniocc.report.tables.protocol import protocol_text
 from omniocc.report.tables.robustness import robustness_markdown
 from omniocc.report.tables.tried import tried_chapter
-from omniocc.report.tables.verdicts import verdicts_chapter
+from omniocc.report.tables.verdicts import verdicts_parts
 from omniocc.run.table import markdown
 
 GENERATED = "<!-- Written by `python src/report.py --runs docs/results/runs --docs docs/results`; do not edit. -->"
@@ -43,7 +44,7 @@ def chapters(sweep: Sweep, listed: Mapping[str, Sequence[FinishedRun]]) -> dict[
     cost = f"## Budget\n\n{budget.NOTE}\n\n{markdown(*budget.budget_cells(listed))}"
     limits = f"## {bounds.TITLE}\n\n{bounds.NOTE}\n\n{markdown(*bounds.bounds_cells(sweep.rows))}"
     limits += protocol_text(sweep.rows, bounds.COLUMNS.values())
-    found = {"claims": verdicts_chapter(sweep.tables, sweep.table_rows, decided), "bounds": limits}
+    found = {"claims": parts_text(verdicts_parts(sweep.tables, sweep.table_rows, decided)), "bounds": limits}
     found |= {table.name: dataset_markdown(table) for table in sweep.datasets}
     tests = f"{robustness_markdown(sweep.robustness)}\n{DISTURBANCES}" if sweep.robustness else ""
     found |= papers | {"training": training.chapter(sweep), ROBUSTNESS: tests, "budget": cost}

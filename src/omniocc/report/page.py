@@ -67,8 +67,13 @@ def page(
             for table in sweep.datasets
         ),
         *(_paper_table(table, sweep, decided) for table in sweep.tables),
-        *_all_claims(sweep, decided),
-        *(_text_table(*part) for part in training.parts_of(sweep)),
+        *(
+            _text_table(*part)
+            for part in [
+                *verdicts.verdicts_parts(sweep.tables, sweep.table_rows, decided),
+                *training.parts_of(sweep),
+            ]
+        ),
         *drawn[1:],
         *_robustness(sweep),
         _frames(frames, sweep.runs, folder) if frames else None,
@@ -123,11 +128,6 @@ def _robustness(sweep: Sweep) -> list[Section]:
             _text_table(f"{name}-parts", f"{robustness.TITLE}: part by part", "", robustness.part_cells(tests))
         )
     return sections
-
-
-def _all_claims(sweep: Sweep, decided: Mapping[Name, Judged]) -> list[Section]:
-    cells = verdicts.verdict_cells(sweep.tables, sweep.table_rows, decided)
-    return [_text_table("claims", verdicts.TITLE, verdicts.NOTE, cells)] if decided else []
 
 
 def _paper_table(table: PaperTable, sweep: Sweep, decided: Mapping[Name, Judged]) -> Section:

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from omniocc.report.runs import FinishedRun
-from omniocc.report.tables.gaps import UNKNOWN, Gap, Gaps, change, gap_of_systems
+from omniocc.report.tables.gaps import UNKNOWN, Gap, Gaps, change, gap_of_systems, paired_gap
 
 KEY = "test/rayiou"
 
@@ -23,6 +23,20 @@ def test_two_rows_are_compared_as_in_a_paired_t_test():
     assert gap.here == pytest.approx(statistics.mean(better) - statistics.mean(other))
     assert gap.here / gap.error == pytest.approx(reference.statistic)
     assert gap.freedom == reference.df
+
+
+def test_paired_differences_are_those_of_the_seeds_that_both_have():
+    better, other = [0.30, 0.35, 0.31, 0.90], [0.22, 0.28, 0.21]
+    gap = paired_gap(row("ours", *better), row("dense", *other), KEY)
+    reference = stats.ttest_rel(better[:3], other)
+    assert gap.here / gap.error == pytest.approx(reference.statistic)
+    assert gap.p_none == pytest.approx(reference.pvalue)
+    assert gap.freedom == 2
+    single = paired_gap(row("ours", *better), row("dense", 0.25), KEY)
+    assert single.here == pytest.approx(0.05)
+    assert math.isnan(single.error)
+    elsewhere = [run._replace(facts=run.facts | {"data": "d"}) for run in row("dense", *other)]
+    assert paired_gap(row("ours", *better), elsewhere, KEY) is UNKNOWN
 
 
 def test_all_rows_tell_about_the_spread():

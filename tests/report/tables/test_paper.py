@@ -113,7 +113,7 @@ def test_a_broken_table_is_named(tmp_path):
     ("line", "message"),
     [
         ("order_by: b", "order_by is b, which is no column"),
-        ("order_by: a\ncompares: all", "compares is all; it is one of parts, systems"),
+        ("order_by: a\ncompares: all", "compares is all; it is one of parts, grids, systems"),
         ("order_by: a\nclaims: [[mono, ours]]", "claims has mono over ours, which is not so in the paper's a"),
         ("order_by: a\nclaims: [[ours, gone]]", "claims has ours over gone"),
         ("order_by: a\nclaims: [ours]", "is not a table of the paper"),
@@ -172,3 +172,10 @@ def test_rows_share_stages_unless_they_stand_alone():
     assert table.shares_stages(rows["ours"], rows["wo_dilation"])
     assert not table.shares_stages(rows["ours"], rows["mono"])
     assert not table._replace(compares="systems").shares_stages(rows["ours"], rows["wo_dilation"])
+    shares_depth = {
+        compares: table._replace(compares=compares).shares_depth(rows["ours"], rows["wo_dilation"])
+        for compares in ("parts", "grids", "systems")
+    }
+    assert shares_depth == {"parts": True, "grids": True, "systems": False}
+    assert not table._replace(compares="grids").shares_stages(rows["ours"], rows["wo_dilation"])
+    assert not table.shares_depth(rows["ours"], rows["mono"])

@@ -89,7 +89,7 @@ def test_the_noise_of_parts_is_that_of_the_rows_on_the_main_data():
     """Of a table and a copy of it on other data, the five rows of the first."""
     table = TABLES[1]._replace(rows=[row._replace(alone=False) for row in TABLES[1].rows])
     other = table._replace(name="other", rows=[row._replace(run=f"{row.run}@1000") for row in table.rows])
-    assert "estimated over 5 rows" in power.power_chapter([table, other], {}, [Spread("notes", 0.002, 0.01)])
+    assert "known as well as from 5 rows" in power.power_chapter([table, other], {}, [Spread("notes", 0.002, 0.01)])
 
 
 def test_spreads_are_read_and_wrong_ones_are_named(tmp_path):

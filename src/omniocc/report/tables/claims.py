@@ -7,7 +7,7 @@ from typing import NamedTuple
 from scipy import stats
 
 from omniocc.report.runs import RAY_IOU, FinishedRun
-from omniocc.report.tables.gaps import EXACT, Gap, Gaps, gap_of_systems
+from omniocc.report.tables.gaps import EXACT, Gap, Gaps, gap_of_systems, paired_gap
 from omniocc.report.tables.holm import holm
 from omniocc.report.tables.paper import PaperRow, PaperTable, figure_of
 from omniocc.report.tables.streets import error_over_streets
@@ -136,14 +136,15 @@ def names_in(tables: Sequence[PaperTable]) -> dict[str, str]:
     return {row: plain[row] if plain[row] in rows else row for row in rows}
 
 
-def claims_of(tables: Sequence[PaperTable], rows: Rows, judge: str) -> dict[Name, Claim]:
+def claims_of(tables: Sequence[PaperTable], rows: Rows, judge: str, paired: bool = False) -> dict[Name, Claim]:
     """Return the claims of all tables whose two rows have run, each once.
 
-    The noise of rows that share stages is estimated over all such rows of claims, that of others over both rows.
+    The noise of rows that share stages is estimated over all such rows of claims, that of others over both rows. If
+    `paired`, rows that share the depth network are compared on the seeds that both have, with the noise of these alone.
     """
     found: dict[Name, Claim] = {}
     keys = {key for table in tables if (key := metric_of(table, judge)) is not None}
-    noise = {key: Gaps(rows_of_claims(tables, rows, True), key) for key in keys}
+    noise = {key: None if paired else Gaps(rows_of_claims(tables, rows, True), key) for key in keys}
     for table in tables:
         key = metric_of(table, judge)
         for better, other in pairs_of(table):
@@ -161,10 +162,12 @@ def name_of(better: PaperRow, other: PaperRow, rows: Rows, key: str | None) -> N
     return tuple(run.name for run in runs[0]), tuple(run.name for run in runs[1]), key
 
 
-def _claim(table: PaperTable, better: PaperRow, other: PaperRow, rows: Rows, key: str, noise: Gaps) -> Claim:
+def _claim(table: PaperTable, better: PaperRow, other: PaperRow, rows: Rows, key: str, noise: Gaps | None) -> Claim:
     score = figure_of(rows[better.run], key)
     assert score is not None
-    if table.shares_stages(better, other):
+    if noise is None and table.shares_depth(better, other):
+        gap = paired_gap(rows[better.run], rows[other.run], key)
+    elif noise is not None and table.shares_stages(better, other):
         gap = noise.between(_as_in(noise, better.run, rows), _as_in(noise, other.run, rows))
     else:
         gap = gap_of_systems(rows[better.run], rows[other.run], key)
@@ -178,15 +181,15 @@ def _as_in(noise: Gaps, row: str, rows: Rows) -> str:
     return row if noise.has(row) else next(name for name, runs in rows.items() if runs is rows[row] and noise.has(name))
 
 
-def judged(tables: Sequence[PaperTable], rows: Rows) -> dict[Name, Judged]:
-    """Return all claims of all judges with their adjusted p-values.
+def judged(tables: Sequence[PaperTable], rows: Rows, paired: bool = False) -> dict[Name, Judged]:
+    """Return all claims of all judges with their adjusted p-values; `paired` as in `claims_of`.
 
     The family of a judge has every claim of the tables once, though it may stand in several, and also those whose rows
     have not run yet, which count as not rejected.
     """
     found: dict[Name, Judged] = {}
     for judge in JUDGES:
-        claims = claims_of(tables, rows, judge)
+        claims = claims_of(tables, rows, judge, paired)
         tested = {name: claim for name, claim in claims.items() if not math.isnan(claim.gap.error)}
         tests = len(planned_claims(tables, judge))
         none = dict(zip(tested, holm([claim.gap.p_none for claim in tested.values()], tests), strict=True))
@@ -214,6 +217,14 @@ def line_of(found: Judged, judge: str) -> list[str]:
     tests = [p_cell(claim.gap.p_none, found.none), p_cell(claim.p_size, found.size)]
     sizes = f"{claim.size:+.3f}", claim.gap.written, streets_cell(claim)
     return [f"{claim.paper:+.3f}", judge, *sizes, *tests, found.verdict]
+
+
+def both_errors(claim: Claim) -> str:
+    """Return a gap with its standard error over seeds, then over streets; the last is left out where it is unknown."""
+    if math.isnan(claim.streets):
+        return claim.gap.written
+    seeds = " ± –" if math.isnan(claim.gap.error) else ""
+    return f"{claim.gap.written}{seeds} {streets_cell(claim)}"
 
 
 def streets_cell(claim: Claim) -> str:

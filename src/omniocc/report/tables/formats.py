@@ -1,9 +1,11 @@
-"""Tables as LaTeX and as CSV."""
+"""Tables as LaTeX, as CSV and as parts of a page."""
 
 import csv
 import io
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
+
+from omniocc.run.table import Cells, markdown
 
 
 def tabular(comment: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -18,3 +20,19 @@ def csv_text(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
     out = io.StringIO()
     csv.writer(out, lineterminator="\n").writerows([head, *rows])
     return out.getvalue()
+
+
+class Part(NamedTuple):
+    """A table of a page, with the name of its place and a remark above it."""
+
+    name: str
+    title: str
+    note: str
+    cells: Cells
+
+
+def parts_text(parts: Sequence[Part]) -> str:
+    """Return tables as Markdown, the first below a heading of level 2, the others of level 3."""
+    heads = [f"{'###' if number else '##'} {part.title}" for number, part in enumerate(parts)]
+    texts = [text for head, part in zip(heads, parts, strict=True) for text in (head, part.note, markdown(*part.cells))]
+    return "\n\n".join(text.rstrip() for text in texts) + "\n" * bool(texts)

@@ -49,7 +49,7 @@ def gap_of_systems(better: Sequence[FinishedRun], other: Sequence[FinishedRun], 
 
     The error is unknown if one of them has a single seed: the other's spread says nothing about it.
     """
-    samples = [np.array(_values(runs, key)) for runs in (better, other)]
+    samples = [np.array([value for _, value in _figures(runs, key)]) for runs in (better, other)]
     if not all(len(sample) for sample in samples):
         return UNKNOWN
     here = float(samples[0].mean() - samples[1].mean())
@@ -61,6 +61,19 @@ def gap_of_systems(better: Sequence[FinishedRun], other: Sequence[FinishedRun], 
     return Gap(here, math.sqrt(square), square * square / parts if parts else sum(map(len, samples)) - 2)
 
 
+def paired_gap(better: Sequence[FinishedRun], other: Sequence[FinishedRun], key: str) -> Gap:
+    """Return the mean difference over the seeds that two rows have in common: the paired t-test.
+
+    A seed on other data is another seed. The error is unknown with a single seed, the gap too without one.
+    """
+    first, second = ({_seed_of(run): value for run, value in _figures(runs, key)} for runs in (better, other))
+    differences = np.array([value - second[seed] for seed, value in first.items() if seed in second])
+    if not len(differences):
+        return UNKNOWN
+    error = float(differences.std(ddof=1)) / math.sqrt(len(differences)) if len(differences) > 1 else math.nan
+    return Gap(float(differences.mean()), error, len(differences) - 1)
+
+
 def change(first: Gap, last: Gap) -> Gap:
     """Return how far a gap has moved, as if the two had no noise in common; degrees of freedom by Satterthwaite."""
     squares = [gap.error * gap.error for gap in (first, last)]
@@ -70,8 +83,12 @@ def change(first: Gap, last: Gap) -> Gap:
     return Gap(last.here - first.here, math.sqrt(square), freedom)
 
 
-def _values(runs: Sequence[FinishedRun], key: str) -> list[float]:
-    return [value for run in runs if not math.isnan(value := run.metrics.get(key, math.nan))]
+def _figures(runs: Sequence[FinishedRun], key: str) -> list[tuple[FinishedRun, float]]:
+    return [(run, value) for run in runs if not math.isnan(value := run.metrics.get(key, math.nan))]
+
+
+def _seed_of(run: FinishedRun) -> tuple:
+    return run.facts.get("data"), run.facts.get("seed")
 
 
 class Gaps:
@@ -92,12 +109,7 @@ class Gaps:
     """
 
     def __init__(self, rows: Mapping[str, Sequence[FinishedRun]], key: str):
-        entries = [
-            (row, (run.facts.get("data"), run.facts.get("seed")), value)
-            for row, runs in rows.items()
-            for run in runs
-            if not math.isnan(value := run.metrics.get(key, math.nan))
-        ]
+        entries = [(row, _seed_of(run), value) for row, runs in rows.items() for run, value in _figures(runs, key)]
         self._place: dict[tuple, int] = {}
         for row, *_ in entries:
             self._place.setdefault(("row", row), len(self._place))

@@ -16,7 +16,7 @@ from omniocc.report.tables.formats import csv_text, tabular
 from omniocc.report.tables.protocol import protocol_lines
 from omniocc.run.table import markdown, number
 
-COMPARED = ("parts", "systems")
+COMPARED = ("parts", "grids", "systems")
 """What the rows of a table may be."""
 
 
@@ -51,7 +51,8 @@ class PaperTable(NamedTuple):
         title: of the table on the page of the report.
         note: inconsistencies of the paper's figures.
         number: the table's number in the paper.
-        compares: `parts` of one system, whose rows share depth and sketch of a seed, or `systems`.
+        compares: `parts` of one system, whose rows share depth and sketch of a seed; `grids`, whose rows share the
+            depth alone and are compared as systems; or `systems`.
         claims: pairs of rows; the paper has the first ahead of the second. Its best row over every other one is always
             claimed.
         of_lengths: whether every row names its own number of steps, so that the table is the same in every setting.
@@ -73,6 +74,10 @@ class PaperTable(NamedTuple):
     def shares_stages(self, better: PaperRow, other: PaperRow) -> bool:
         """Return whether two rows share depth and sketch of a seed."""
         return self.compares == "parts" and not (better.alone or other.alone)
+
+    def shares_depth(self, better: PaperRow, other: PaperRow) -> bool:
+        """Return whether two rows share the depth network of a seed, and perhaps the sketch."""
+        return self.compares != "systems" and not (better.alone or other.alone)
 
     def printed_gap(self, better: PaperRow, other: PaperRow) -> float:
         """Return the paper's gap between two rows of a claim.

@@ -196,10 +196,10 @@ def power_chapter(tables: Sequence[PaperTable], rows: Rows, given: Sequence[Spre
         f"{WANTED:.0%} if the true gap is as large as the paper's, in proportion to the score here; what 'does not "
         f"hold' needs is not computed. Student's t at {LEVEL:.0%} / {claims}, the first and strictest step of Holm's "
         f"correction for {claims} claims; own voxels. A spread is the standard deviation between seeds: of rows that "
-        f"use the same trained depth and sketch, "
-        f"without the effects of row and seed, estimated over {parts} rows of {OTHERS} seeds or more / of a row that "
-        f"shares nothing with the other. Two such rows are given equal spreads here, the best case of Welch's test: "
-        f"where they differ, it needs more seeds. The runs here have a spread of each claim's own metric; the others "
-        f"are of RayIoU. A dash: the better row has not run, or the spread of the metric is not known."
+        f"use the same trained depth and sketch, without the effects of row and seed, known as well as from {parts} "
+        f"rows of {OTHERS} seeds or more / of a row that shares nothing with the other. Two such rows are given equal "
+        f"spreads here, the best case of Welch's test: where they differ, it needs more seeds. The runs here have a "
+        f"spread of each claim's own metric; the others are of RayIoU. A dash: the better row has not run, or the "
+        f"spread of the metric is not known."
     )
     return "\n".join([f"## {TITLE}", "", note, "", *sources, "", markdown(head, lines)])

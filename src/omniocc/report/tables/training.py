@@ -19,11 +19,12 @@ from omniocc.report.tables.claims import (
     planned_claims,
     title_of,
 )
+from omniocc.report.tables.formats import Part, parts_text
 from omniocc.report.tables.gaps import Gap, change
 from omniocc.report.tables.holm import holm
 from omniocc.report.tables.paper import PaperTable, figure_of, with_spread
 from omniocc.run.curves import read_curve
-from omniocc.run.table import Cells, markdown, number
+from omniocc.run.table import Cells, number
 
 TITLE = "The same rows and claims after more steps"
 NOTE = "Rows that have run with several numbers of steps of the last stage; depth and sketch are the same."
@@ -59,21 +60,9 @@ class Compared(NamedTuple):
         return change(first.claim.gap, last.claim.gap)
 
 
-class Part(NamedTuple):
-    """A table of the page, with the name of its place and a remark above it."""
-
-    name: str
-    title: str
-    note: str
-    cells: Cells
-
-
 def chapter(sweep: Sweep) -> str:
     """Return the page as Markdown; empty without a row that has run with several numbers of steps."""
-    parts = parts_of(sweep)
-    heads = [f"{'###' if number else '##'} {part.title}" for number, part in enumerate(parts)]
-    texts = [text for head, part in zip(heads, parts, strict=True) for text in (head, part.note, markdown(*part.cells))]
-    return "".join(f"{text.rstrip()}\n\n" for text in texts)
+    return parts_text(parts_of(sweep))
 
 
 def parts_of(sweep: Sweep) -> list[Part]:
