@@ -6,9 +6,10 @@ from pathlib import Path
 
 from omniocc.config import build, compose_config
 from omniocc.data import OccupancyData
-from omniocc.data.check_source import check_source, has_labels
+from omniocc.data.check_source import check_source, frames_of, has_labels
 from omniocc.data.recording.pool import usable_cores
 from omniocc.data.source import SPLITS
+from omniocc.errors import DataError
 from omniocc.run.script import lines_not_tracebacks, quiet_libraries
 from omniocc.view import save_png
 from omniocc.view.data_sheet import data_sheet
@@ -28,7 +29,7 @@ def main(arguments: list[str] | None = None) -> None:
     data.source.prepare()
     for split in SPLITS:
         scenes = data.source.scenes(split)
-        print(f"{split:5}  {len(scenes)} scenes, {sum(map(len, scenes))} frames", flush=True)
+        print(f"{split:5}  {len(scenes)} scenes, {sum(map(frames_of, scenes))} frames", flush=True)
     names = data.source.spec.classes.names
     print(f"{len(names)} classes: {', '.join(names)}; train with data.num_classes={len(names)}")
     for scene in (scene for split in SPLITS for scene in data.source.scenes(split) if not has_labels(scene)):
@@ -45,17 +46,21 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def draw(data: OccupancyData, folder: Path) -> None:
-    """Draw the first frame of every split: ranges on the images, voxels."""
+    """Draw the first frame of every split: ranges on the images, voxels; name the one that cannot be read."""
     benchmark, classes = data.source.spec.benchmark, data.source.spec.classes
     grid = data.geometry if benchmark is None else benchmark.grid
     labels = data.source.labels(grid, "free")
     for split in SPLITS:
         for scene in data.source.scenes(split)[:1]:
             known = has_labels(scene)
-            if known:
-                labels.prepare([scene])
-            parts = scene.images(0), scene.rigs[0], scene.camera_range_m(0), scene.erp_range_m(0)
-            voxels = labels.read(scene, 0) if known else None
+            try:
+                if known:
+                    labels.prepare([scene])
+                parts = scene.images(0), scene.rigs[0], scene.camera_range_m(0), scene.erp_range_m(0)
+                voxels = labels.read(scene, 0) if known else None
+            except (DataError, ValueError) as error:
+                print(f"no picture of {split}: {error}", flush=True)
+                continue
             path = folder / f"{split}-{scene.name}.png"
             path.parent.mkdir(parents=True, exist_ok=True)
             save_png(path, data_sheet(*parts, voxels, grid, classes, f"{split}: {scene.name}, frame 0"))

@@ -7,6 +7,8 @@ from omegaconf import DictConfig, OmegaConf
 
 from omniocc.config import build, check
 from omniocc.data.source import SPLITS
+from omniocc.data.source.recorded import spec_of
+from omniocc.data.store.folder import SceneFolder
 from omniocc.errors import UserError
 from omniocc.record.carla.recorder import CarlaRecorder
 from omniocc.run.script import quiet_libraries, script
@@ -28,7 +30,9 @@ def main(cfg: DictConfig) -> None:
     print(f"{len(scenes)} scene{'s' * (len(scenes) > 1)} in {cfg.output}")
     print(f"look at it  python src/check.py data=recorded data.source.root={cfg.output}{few} --draw drawn")
     if not few:
-        print(f"train on it  python src/train.py data=recorded data.source.root={cfg.output}")
+        classes = spec_of(SceneFolder(scenes[0])).classes.num_classes
+        data = f"data=recorded data.source.root={cfg.output} data.num_classes={classes}"
+        print(f"train on it  python src/train.py {data}")
 
 
 def covers_splits(folder: Path) -> bool:

@@ -22,6 +22,12 @@ class SemanticClass(NamedTuple):
     rgb: tuple[int, int, int]
 
 
+def ids_beyond(labels: np.ndarray, num_classes: int) -> list[int]:
+    """Return the ids in labels (uint8, any shape) that are neither a class nor 255 (unknown), in order."""
+    present = np.flatnonzero(np.bincount(labels.reshape(-1), minlength=UNKNOWN + 1))
+    return [number for number in present.tolist() if num_classes <= number < UNKNOWN]
+
+
 @dataclass(frozen=True)
 class ClassTable:
     """The classes of a dataset, with ids 0 .. N-1 in order; 0 is free space, 255 (unknown) is no class.

@@ -1,7 +1,7 @@
-"""Rigs of which less is usable: without some cameras, or with a narrower horizontal view."""
+"""What of a rig is usable, and rigs of which less is: without some cameras, or with a narrower horizontal view."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
 
@@ -10,6 +10,9 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from omniocc.camera.rig import Rig
+
+FITTING_SHARE = 0.25
+"""Share of the pixels with a ray below which a lens model is not that of its images."""
 
 
 @lru_cache(maxsize=8)
@@ -36,6 +39,21 @@ def mask_view(rig: Rig, view_deg: float) -> Rig:
         x, y, _ = rig.rays(camera)[0].double().unbind(-1)
         masks.append(usable & (torch.atan2(y, x).abs() <= math.radians(view_deg / 2)))
     return replace(rig, masks=tuple(masks))
+
+
+def lenses_that_do_not_fit(rig: Rig) -> Iterator[str]:
+    """Yield a line for every camera whose lens model has no ray for most of its pixels, masks aside.
+
+    Real lenses have one for two thirds of the image or more; wrong coefficients often end a few degrees off the axis.
+    """
+    unmasked = replace(rig, masks=None)
+    for index, (camera, name) in enumerate(zip(rig.cameras, rig.names, strict=True)):
+        share = float(unmasked.rays(index)[1].float().mean())
+        if share < FITTING_SHARE:
+            yield (
+                f"camera '{name}': only {share:.0%} of its pixels have a ray; are the {type(camera).__name__} "
+                "coefficients and the focal length those of its images?"
+            )
 
 
 def usable_pixels(rig: Rig) -> Sequence[Bool[Tensor, "height width"]]:

@@ -1,20 +1,53 @@
 """Read a dataset back, all of it or a part, and list everything that is wrong with it."""
 
-from collections.abc import Callable, Iterator
+import math
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import torch
+from torch import Tensor
 
-from omniocc.data.formats.poses import not_rigid
+from omniocc.camera.masks import lenses_that_do_not_fit
+from omniocc.classes import FREE, UNKNOWN, ids_beyond
+from omniocc.data.formats.poses import jumps, not_rigid
 from omniocc.data.labels.class_fractions import spread
 from omniocc.data.recording.pool import mapped
-from omniocc.data.source import SPLITS, SceneFrames, SceneSource, VoxelLabels
+from omniocc.data.source import SPLITS, Points, SceneFrames, SceneSource, SourceSpec, VoxelLabels
 from omniocc.data.store.codec import POINTS
 from omniocc.data.store.reader import SceneReader
 from omniocc.errors import DataError
 from omniocc.geometry import Grid
 from omniocc.progress import Progress
+
+MAX_SPEED_MPS, MAX_TURN_DEG_PER_S = 70.0, 360.0
+"""Beyond these the poses of a recorded log are wrong, or in another unit."""
+DIRECTIONS, STEP_M = 16, 1e-3
+"""Rays from the ego origin begin in the cells that lie around it: in as many directions, this far."""
+LABELS: dict[str, Callable[[Any], Iterable[np.ndarray | Tensor]]] = {
+    "pixels": lambda found: found,
+    "LiDAR": lambda found: [found.labels],
+    "points": lambda found: [found.labels],
+    "voxels": lambda found: [found],
+    "benchmark": lambda found: [found.voxels],
+}
+"""The classes in each part of a frame."""
+
+
+class Expected(NamedTuple):
+    """What scenes are compared with.
+
+    Attributes:
+        spec: facts about all scenes.
+        labels: voxels of the model's grid.
+        geometry: this grid.
+    """
+
+    spec: SourceSpec
+    labels: VoxelLabels
+    geometry: Grid
 
 
 def check_source(source: SceneSource, geometry: Grid, frames: int, workers: int) -> Iterator[str]:
@@ -26,10 +59,11 @@ def check_source(source: SceneSource, geometry: Grid, frames: int, workers: int)
         frames: of each scene, evenly spread, the first and the last included; 0: all.
         workers: processes that read; 0 reads in this one.
     """
-    labels = source.labels(geometry, "free")
     scenes = [scene for split in SPLITS for scene in source.scenes(split)]
-    work = partial(check_scene, labels=labels, frames=frames)
-    total = sum(len(scene) if frames == 0 else min(frames, len(scene)) for scene in scenes)
+    work = partial(
+        check_scene, expected=Expected(source.spec, source.labels(geometry, "free"), geometry), frames=frames
+    )
+    total = sum(count if frames == 0 else min(frames, count) for count in map(frames_of, scenes))
     with Progress("check", total) as progress:
         for problems, count in mapped(work, scenes, workers):
             for _ in range(count):
@@ -37,36 +71,73 @@ def check_source(source: SceneSource, geometry: Grid, frames: int, workers: int)
             yield from problems
 
 
+def frames_of(scene: SceneFrames) -> int:
+    """Return the number of frames; 0 if the scene cannot even tell that, which `check_scene` reports."""
+    try:
+        return len(scene)
+    except (DataError, ValueError):
+        return 0
+
+
 def has_labels(scene: SceneFrames) -> bool:
     """Return whether voxels of a scene can be known: not if it was recorded without a LiDAR."""
     return not isinstance(scene, SceneReader) or scene.has(POINTS)
 
 
-def check_scene(scene: SceneFrames, labels: VoxelLabels, frames: int) -> tuple[list[str], int]:
+def check_scene(scene: SceneFrames, expected: Expected, frames: int) -> tuple[list[str], int]:
     """Return the problems of a scene, each once, and the number of frames that were read."""
-    problems, read = [], 0
+    problems, voxels, read = [], [], 0
     try:
         problems += _poses(scene)
+        problems += [f"scene '{scene.name}', {line}" for line in lenses_that_do_not_fit(scene.rigs[0])]
         for frame in range(len(scene)) if frames == 0 else spread(len(scene), frames):
-            problems += check_frame(scene, labels, frame)
+            found, labels = check_frame(scene, expected, frame)
+            problems += found
+            voxels += [] if labels is None else [start_of_rays(labels, expected.geometry)]
             read += 1
     except (DataError, ValueError) as error:
         problems.append(str(error))
-    return list(dict.fromkeys(problems)), read
+    return list(dict.fromkeys([*problems, *_grid(scene, expected.spec, voxels)])), read
 
 
-def check_frame(scene: SceneFrames, labels: VoxelLabels, frame: int) -> Iterator[str]:
-    """Return the problems of one frame: everything that a batch could ask for is read."""
-    parts: list[Callable[[int], Any]] = [
-        partial(_images, scene), scene.pixel_labels, scene.camera_range_m, scene.erp_range_m, scene.lidar, scene.points,
-    ]  # fmt: skip
+def check_frame(scene: SceneFrames, expected: Expected, frame: int) -> tuple[list[str], Tensor | None]:
+    """Return the problems of one frame, and its voxels: everything that a batch could ask for is read."""
+    parts: dict[str, Callable[[int], Any]] = {
+        "images": partial(_images, scene), "pixels": scene.pixel_labels, "camera ranges": scene.camera_range_m,
+        "panorama": scene.erp_range_m, "LiDAR": scene.lidar, "points": scene.points,
+    }  # fmt: skip
     if has_labels(scene):
-        parts += [partial(labels.read, scene), partial(labels.benchmark, scene)]
-    for part in parts:
+        parts |= {
+            "voxels": partial(expected.labels.read, scene), "benchmark": partial(expected.labels.benchmark, scene),
+        }  # fmt: skip
+    problems, found = [], {}
+    for name, part in parts.items():
         try:
-            part(frame)
+            found[name] = part(frame)
         except (DataError, ValueError) as error:
-            yield str(error)
+            problems.append(str(error))
+    where = f"scene '{scene.name}', frame {frame}"
+    for name, arrays_of in LABELS.items():
+        if found.get(name) is not None:
+            lines = _classes(arrays_of(found[name]), expected.spec.classes.num_classes)
+            problems += [f"{where}: {name}: {line}" for line in lines]
+    if found.get("points") is not None:
+        problems += [f"{where}: {line}" for line in _points(found["points"], expected.spec.reach_m)]
+    return problems, found.get("voxels")
+
+
+def start_of_rays(voxels: Tensor, geometry: Grid) -> int | None:
+    """Return the class of the occupied cells in which most rays from the ego origin begin.
+
+    It is 0 (free) if they begin in free or unknown cells or outside of the grid, and None if no cell is occupied.
+    """
+    if not ((voxels != FREE) & (voxels != UNKNOWN)).any():
+        return None
+    angles = torch.arange(DIRECTIONS, dtype=torch.float64) * (2 * math.pi / DIRECTIONS)
+    around_m = STEP_M * torch.stack([angles.cos(), angles.sin(), torch.zeros_like(angles)], dim=-1)
+    cells, inside = geometry.flat_index(around_m)
+    ((label, count),) = Counter(voxels.flatten()[cells[inside]].tolist()).most_common(1) or [(FREE, 0)]
+    return label if 2 * count > DIRECTIONS and label != UNKNOWN else FREE
 
 
 def _images(scene: SceneFrames, frame: int) -> None:
@@ -78,9 +149,46 @@ def _images(scene: SceneFrames, frame: int) -> None:
         raise ValueError(f"scene '{scene.name}', frame {frame}: images of {found} px, but the rig has {sizes} px")
 
 
+def _classes(labels: Iterable[np.ndarray | Tensor], num_classes: int) -> Iterator[str]:
+    arrays = [np.asarray(part) for part in labels]
+    if types := sorted({str(array.dtype) for array in arrays} - {"uint8"}):
+        yield f"classes are {', '.join(types)} instead of uint8"
+    elif wrong := sorted({number for array in arrays for number in ids_beyond(array, num_classes)}):
+        yield f"classes {wrong} do not exist; the source has 0 to {num_classes - 1}, and 255 for unknown"
+
+
+def _points(points: Points, reach_m: float) -> Iterator[str]:
+    distance_m = np.linalg.norm(points.points_m[:, :2], axis=1)
+    if not (distance_m < reach_m).any():
+        yield (
+            f"none of its {len(distance_m)} points lies within {reach_m:g} m; are the points of the LiDAR float32, in "
+            "metres, with as many numbers each as stated?"
+        )
+
+
+def _grid(scene: SceneFrames, spec: SourceSpec, starts: Sequence[int | None]) -> Iterator[str]:
+    if starts and all(label is None for label in starts):
+        yield (
+            f"scene '{scene.name}': no cell of the model's grid is occupied in {len(starts)} frames; its cells are too "
+            "large for these labels, or the labels lie elsewhere"
+        )
+    inside = [label for label in starts if label]
+    if spec.benchmark is None and len(inside) * 2 > len(starts):
+        names = ", ".join(sorted({spec.classes.names[label] for label in inside if label < spec.classes.num_classes}))
+        yield (
+            f"scene '{scene.name}': the ego origin lies in an occupied cell ({names}) in {len(inside)} of "
+            f"{len(starts)} frames, so that all rays of RayIoU end at once and every model scores the same; put the "
+            "origin higher above the road, or choose smaller cells"
+        )
+
+
 def _poses(scene: SceneFrames) -> Iterator[str]:
     poses = np.asarray(scene.world_from_ego)
     if len(poses) != len(scene) or len(scene.rigs) != len(scene):
         yield f"scene '{scene.name}': {len(scene)} frames, {len(poses)} poses and {len(scene.rigs)} rigs"
-    for frame in np.flatnonzero(not_rigid(poses) | ~np.isfinite(poses).all(axis=(1, 2))):
+    wrong = np.flatnonzero(not_rigid(poses) | ~np.isfinite(poses).all(axis=(1, 2)))
+    for frame in wrong:
         yield f"scene '{scene.name}', frame {frame}: its pose is no rotation and shift"
+    if isinstance(scene, SceneReader) and not len(wrong):
+        for frame, problem in jumps(poses, scene.time_s, MAX_SPEED_MPS, MAX_TURN_DEG_PER_S):
+            yield f"scene '{scene.name}', frame {frame}: {problem}"

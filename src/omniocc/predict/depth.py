@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from omniocc.camera import Equirectangular, Rig
 from omniocc.config import build, check
 from omniocc.errors import UserError
-from omniocc.predict.input.images import Frame, find_frames, ignored_images, read_frame, resized_to_width
+from omniocc.predict.input.images import Frame, find_frames, read_frame, remarks, resized_to_width
 from omniocc.predict.network import load_depth, predict_depth
 from omniocc.predict.options import choose_device, load_rig, require
 from omniocc.predict.output.panorama_files import write_depth
@@ -37,8 +37,8 @@ def predict_panoramas(cfg: DictConfig, overrides: Sequence[str], show: ShowRange
     rig = load_rig(cfg.rig)
     images = [str(path) for path in cfg.images] if isinstance(cfg.images, ListConfig) else str(cfg.images)
     frames = find_frames(images, rig, [str(name) for name in cfg.exclude_cameras])
-    if ignored := ignored_images(frames, rig):
-        print(ignored, flush=True)
+    for line in remarks(frames, rig):
+        print(line, flush=True)
     model, image_width = choose_model(cfg, overrides, rig)
     device = choose_device(cfg.device)
     for frame in frames:

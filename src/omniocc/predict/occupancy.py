@@ -13,7 +13,7 @@ from omniocc.data.store.shard import sha256
 from omniocc.errors import UserError
 from omniocc.model import OccupancyModel
 from omniocc.predict.export_scene import RIG
-from omniocc.predict.input.images import find_frames, ignored_images
+from omniocc.predict.input.images import find_frames, remarks
 from omniocc.predict.input.poses import read_poses
 from omniocc.predict.input.schedule import History
 from omniocc.predict.input.sequence import FrameSequence, ImageSequence, RecordedSequence, find_scenes, with_road
@@ -116,8 +116,8 @@ def sequences_of(options: Options, trained: TrainingData) -> Sequence[FrameSeque
     rig = rig_of(options)
     images = options.images if isinstance(options.images, str) else list(options.images)
     frames = tuple(find_frames(images, rig, options.exclude_cameras))
-    if ignored := ignored_images(frames, rig):
-        print(ignored, flush=True)
+    for line in remarks(frames, rig):
+        print(line, flush=True)
     poses = None
     if options.poses is not None:
         if frames[0].name == "":

@@ -71,7 +71,7 @@ def classes_of(
         )
     found, places = np.unique(labels, return_inverse=True)
     if unknown := [raw for raw in found.tolist() if raw not in classes.of_id]:
-        raise DataError(f"{where}: the class ids {unknown[:8]} are not in the YAML of classes")
+        raise DataError(f"{where}: the class ids {unknown[:8]} are not in the YAML of lidar.classes; add them to it")
     return np.array([classes.of_id[raw] for raw in found.tolist()], np.uint8)[places.reshape(-1)]
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from omniocc.camera import Camera, Equirectangular, Rig
+from omniocc.camera.masks import lenses_that_do_not_fit
 from omniocc.classes import OCCUPANCY_CLASSES
 from omniocc.data.formats.files import check_aspect, scaled_to
 from omniocc.data.formats.projected import onto_cameras, onto_panorama
@@ -98,7 +99,8 @@ def record_log(log: Log, folder: Path, timing: Timing, stated: Stated) -> Path:
         print(f"{folder} is there already, made from the same log with the same options")
         return folder
     with Progress(f"recording {folder}", len(plan.times_s)) as progress:
-        for line in (*name_lines(folder.name), *plan_lines(plan, log.place), *missing_lines(plan)):
+        lenses = lenses_that_do_not_fit(rig)
+        for line in (*name_lines(folder.name), *plan_lines(plan, log.place), *missing_lines(plan), *lenses):
             progress.message(line)
         work = partial(_write, log=log, plan=plan, rig=rig, stated=stated, recipe=recipe)
         make_scenes(work, [folder], 0, progress)

@@ -4,7 +4,9 @@ import pytest
 import torch
 from fake_source import FRAMES, FakeFrames, FakeLabels
 
+from omniocc.data.labels.counts import all_frames, count_classes
 from omniocc.data.labels.own_grid import LazyLabels
+from omniocc.errors import DataError
 from omniocc.geometry import Cuboid
 
 SCENES = [FakeFrames(f"scene{k}", k) for k in range(3)]
@@ -29,6 +31,16 @@ def test_frames_without_labels_do_not_count_as_free():
     """The last frame of each scene has no labels."""
     counts = FakeLabels().counts(SCENES)
     assert (counts.sum(0) == len(SCENES) * (FRAMES - 1)).all()
+
+
+def test_a_label_that_is_no_class_is_named():
+    class Wrong(FakeLabels):
+        def read(self, scene, frame):
+            return torch.tensor([[[0, 4, 255, 9, 9]]], dtype=torch.uint8)
+
+    with pytest.raises(DataError, match=r"scene 'scene0', frame 0: its voxels have the classes \[9\].* 0 to 4,"):
+        count_classes(Wrong(), all_frames(SCENES), 5, (1, 1, 5))
+    assert count_classes(Wrong(), all_frames(SCENES), 10, (1, 1, 5)).sum() == len(SCENES) * FRAMES * 4
 
 
 def test_the_counted_frames_are_spread_over_all_scenes(tmp_path):

@@ -123,7 +123,7 @@ def test_a_flipped_byte_is_named(tmp_path):
     message = damaged_read(tmp_path / "scene", 4)
     assert str(shard) in message
     assert "scene 'scene', frame 4, member 'b.bin': checksum differs" in message
-    assert f"Delete the folder {tmp_path / 'scene'}" in message
+    assert f"Make the scene again (delete the folder {tmp_path / 'scene'}, then" in message
     assert SceneReader(tmp_path / "scene").read(4, ["a.bin"]) == {"a.bin": blobs(4)["a.bin"]}
 
 

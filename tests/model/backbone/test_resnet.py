@@ -35,6 +35,17 @@ def test_images_are_normalised_with_the_statistics_of_imagenet():
     torch.testing.assert_close(seen[0], torch.zeros_like(seen[0]))
 
 
+@pytest.mark.parametrize(("narrowest", "layout"), [(8, torch.contiguous_format), (16, torch.channels_last)])
+def test_images_of_narrow_networks_are_not_channels_last(narrowest, layout):
+    """Gradients of maps this large end the process where they are, on a CPU with AVX-512 and torch 2.13."""
+    sizes = SIZES | {"embedding_size": narrowest, "hidden_sizes": [narrowest, 16, 16, 16]}
+    backbone = ResNet(**sizes, weights=None, channels=5, levels=[4, 8])
+    seen = []
+    backbone.encoder.register_forward_pre_hook(lambda _, arguments: seen.append(arguments[0]))
+    sum(level.sum() for level in backbone(torch.rand(1, 2, 3, 144, 256))).backward()
+    assert seen[0].is_contiguous(memory_format=layout)
+
+
 def test_unknown_levels_are_named():
     with pytest.raises(ValueError, match=r"levels are \[4, 6\]"):
         build(levels=[4, 6])

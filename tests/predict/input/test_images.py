@@ -6,7 +6,7 @@ import torch
 from omniocc.camera import Equidistant, KannalaBrandt, Rig
 from omniocc.errors import UserError
 from omniocc.predict import Frame, find_frames, read_frame, resized_to_width
-from omniocc.predict.input.images import even_size, ignored_images
+from omniocc.predict.input.images import even_size, ignored_images, remarks
 
 CAMERAS = (Equidistant(64, 36, 19.0, (31.5, 17.5), 95.0), Equidistant(96, 54, 28.0, (47.5, 26.5), 95.0))
 RIG = Rig(CAMERAS, torch.eye(4, dtype=torch.float64).expand(2, 4, 4), ("front", "back"))
@@ -47,6 +47,17 @@ def test_an_image_of_no_camera_of_the_rig_is_told(tmp_path):
     assert "left.png" in ignored_images(find_frames(str(tmp_path), RIG, ["back"]), RIG)
     listed = find_frames([str(tmp_path / "left.png"), str(paths[1])], RIG)
     assert ignored_images(listed, RIG) == ""
+
+
+def test_a_lens_that_ends_near_its_axis_is_told_beside_images_that_are_not_used(tmp_path):
+    for name in ("front.png", "back.png", "left.png"):
+        save(tmp_path / name)
+    frames = find_frames(str(tmp_path), RIG)
+    assert len(list(remarks(frames, RIG))) == 1
+    narrow = KannalaBrandt(64, 36, (19.0, 19.0), (31.5, 17.5), (-0.9, 0.1, 0, 0), 100.0)
+    ignored, lens = remarks(frames, Rig((narrow, CAMERAS[1]), RIG.ego_from_camera, RIG.names))
+    assert "left.png" in ignored
+    assert lens.startswith("camera 'front': only ")
 
 
 def test_a_camera_that_is_left_out_is_black(tmp_path):

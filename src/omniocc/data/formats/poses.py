@@ -1,6 +1,6 @@
 """Poses as the tables of public datasets hold them."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -8,6 +8,8 @@ TOLERANCE = 1e-3
 """Largest error of a rotation that is taken for rounding, and mended."""
 RIGID_TOLERANCE = 1e-6
 """Largest error of the poses of a source."""
+SHORTEST_STEP_S = 1e-6
+"""Time between two frames below which it is taken as this long."""
 
 
 def quaternion_pose(rotation: Sequence[float], translation_m: Sequence[float], name: str) -> np.ndarray:
@@ -57,6 +59,30 @@ def not_rigid(poses: np.ndarray) -> np.ndarray:
     last_row = np.abs(poses[:, 3] - (0, 0, 0, 1)).max(axis=1)
     bent = np.abs(turn @ turn.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) + last_row
     return ~((bent < RIGID_TOLERANCE) & (np.linalg.det(turn) > 0))
+
+
+def jumps(
+    poses: np.ndarray, time_s: np.ndarray, max_speed_mps: float, max_turn_deg_per_s: float
+) -> Iterator[tuple[int, str]]:
+    """Yield the first frame that a car cannot have reached from the one before, by speed and by turn, and why.
+
+    Args:
+        poses: world_from_ego (F, 4, 4), rotations and shifts.
+        time_s: of the frames, (F,).
+        max_speed_mps: largest speed.
+        max_turn_deg_per_s: largest speed of turning.
+    """
+    turn = poses[:, :3, :3]
+    steps_s = np.maximum(np.diff(time_s), SHORTEST_STEP_S)
+    speed_mps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1) / steps_s
+    between = turn[:-1].transpose(0, 2, 1) @ turn[1:]
+    cosine = np.clip((np.trace(between, axis1=1, axis2=2) - 1) / 2, -1, 1)
+    turn_deg_per_s = np.degrees(np.arccos(cosine)) / steps_s
+    limits = (speed_mps, max_speed_mps, "m/s"), (turn_deg_per_s, max_turn_deg_per_s, "degrees/s")
+    for values, limit, unit in limits:
+        far = np.flatnonzero(~(values <= limit))  # nan is an error too
+        if len(far):
+            yield int(far[0]) + 1, f"its pose jumps: {values[far[0]]:.0f} {unit} since the frame before"
 
 
 def inverse(a_from_b: np.ndarray) -> np.ndarray:

@@ -12,7 +12,9 @@ from filelock import FileLock
 from jaxtyping import Int64
 from torch import Tensor
 
+from omniocc.classes import ids_beyond
 from omniocc.data.source import SceneFrames, VoxelLabels
+from omniocc.errors import DataError
 from omniocc.io import atomic_write
 from omniocc.progress import Progress
 
@@ -25,6 +27,9 @@ def count_classes(
     """Return in how many of these frames each cell has each class, unknown excluded, for a grid of this shape.
 
     Most cells are free (class 0), so the others are counted and the free ones are what is left.
+
+    Raises:
+        DataError: naming the frame with a label that is no class.
     """
     counts = torch.zeros(num_classes, math.prod(shape), dtype=torch.int64)
     unknown, read = torch.zeros(math.prod(shape), dtype=torch.int64), 0
@@ -36,6 +41,11 @@ def count_classes(
             known = label < num_classes
             counts.view(-1)[label[known] * counts.shape[1] + place[known]] += 1
             unknown[place[~known]] += 1
+            if wrong := ids_beyond(label[~known].numpy(), num_classes):
+                raise DataError(
+                    f"scene '{scene.name}', frame {frame}: its voxels have the classes {wrong}, but the source has "
+                    f"0 to {num_classes - 1}, and 255 for unknown"
+                )
             read += 1
         if progress is not None:
             progress.advance()

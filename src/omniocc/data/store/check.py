@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from omniocc.classes import NUM_CLASSES, UNKNOWN
-from omniocc.data.formats.poses import not_rigid
+from omniocc.data.formats.poses import jumps, not_rigid
 from omniocc.data.labels.class_fractions import count_voxels, spread
 from omniocc.data.recording.pool import mapped
 from omniocc.data.store.codec import POINTS, decode_frame
@@ -123,20 +123,12 @@ def _times(scene: SceneReader, interval_s: float) -> Iterator[str]:
 
 def _poses(scene: SceneReader) -> Iterator[str]:
     poses = scene.world_from_ego
-    turn, bad = poses[:, :3, :3], np.flatnonzero(not_rigid(poses))
+    bad = np.flatnonzero(not_rigid(poses))
     if len(bad):
         yield str(scene.damaged(INDEX, "its pose is no rotation and shift", int(bad[0])))
         return
-    steps_s = np.maximum(np.diff(scene.time_s), TIME_TOLERANCE_S)
-    speed_mps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1) / steps_s
-    between = turn[:-1].transpose(0, 2, 1) @ turn[1:]
-    cosine = np.clip((np.trace(between, axis1=1, axis2=2) - 1) / 2, -1, 1)
-    turn_deg_per_s = np.degrees(np.arccos(cosine)) / steps_s
-    for values, limit, unit in ((speed_mps, MAX_SPEED_MPS, "m/s"), (turn_deg_per_s, MAX_TURN_DEG_PER_S, "degrees/s")):
-        far = np.flatnonzero(~(values <= limit))  # nan is an error too
-        if len(far):
-            problem = f"its pose jumps: {values[far[0]]:.0f} {unit} since the frame before"
-            yield str(scene.damaged(INDEX, problem, int(far[0]) + 1))
+    for frame, problem in jumps(poses, scene.time_s, MAX_SPEED_MPS, MAX_TURN_DEG_PER_S):
+        yield str(scene.damaged(INDEX, problem, frame))
 
 
 def _content(scene: SceneReader, frame: int) -> Iterator[str]:

@@ -121,11 +121,8 @@ class SceneFolder:
         """Return the error for a damaged file of the scene; it names file, scene, frame, member and remedy."""
         where = f", frame {frame}" if frame is not None else ""
         where += f", member '{member}'" if member is not None else ""
-        remedy = (
-            "Copy the scene again"
-            if is_url(self.folder)
-            else f"Delete the folder {self.folder} and run the same command again: only this scene is made again"
-        )
+        again = f"Make the scene again (delete the folder {self.folder}, then run the command that made it), or copy it"
+        remedy = "Copy the scene again" if is_url(self.folder) else again
         return DataError(f"{self.files.where(name)}: scene '{self.name}'{where}: {problem}. {remedy}")
 
     def unreadable(self, name: str, error: Exception) -> DataError:

@@ -79,7 +79,8 @@ class SceneReader(SceneFolder):
             return self._recorded_rig
         if replace(self.masked, masks=None) != replace(self._recorded_rig, masks=None):
             raise DataError(
-                f"{self.folder}: its cameras are not those of the rig with masks; make masks of its own rig"
+                f"{self.folder}: its cameras are not those of the rig with masks; make masks of the rig as it was "
+                f"recorded: python src/mask.py rig={self.folder}/rig.yaml output=masked.yaml"
             )
         return self.masked
 

@@ -50,11 +50,11 @@ class ResNet(nn.Module):
         if any(stage not in (1, 2, 3, 4) for stage in deformable_stages):
             raise ValueError(f"deformable_stages are {list(deformable_stages)}; they must be some of 1, 2, 3, 4")
         self.channels, self.levels = channels, list(levels)
-        self.normalize = Normalize()
         config = ResNetConfig(
             layer_type=layer_type, embedding_size=embedding_size, hidden_sizes=hidden_sizes, depths=depths
         )
         self.encoder = build_resnet(config, weights)
+        self.normalize = Normalize(self.encoder)
         for stage in deformable_stages:
             make_deformable(self.encoder.encoder.stages[stage - 1])
         self.fpn = FPN(hidden_sizes, channels, [STRIDES.index(level) for level in levels])

@@ -37,8 +37,8 @@ class Transformers(nn.Module):
     def __init__(self, architecture: str, sizes: dict[str, Any], weights: str | None, channels: int, levels: list[int]):
         super().__init__()
         self.channels, self.levels = channels, list(levels)
-        self.normalize = Normalize()
         self.encoder = build(make_config(architecture, sizes), list(sizes), weights)
+        self.normalize = Normalize(self.encoder)
         maps = probe(self.encoder)
         deepest = {round(PROBE_PX / level.shape[-1]): index for index, level in enumerate(maps)}
         self.strides = sorted(deepest)

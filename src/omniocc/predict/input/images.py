@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import NamedTuple
@@ -14,6 +14,7 @@ from jaxtyping import Float32
 from torch import Tensor
 
 from omniocc.camera import Camera, Rig
+from omniocc.camera.masks import lenses_that_do_not_fit
 from omniocc.data.formats.files import IMAGE_SUFFIXES, check_aspect, decode_bytes, read_bytes, scaled_to
 from omniocc.errors import UserError
 
@@ -113,6 +114,13 @@ def closest(name: str, others: Iterable[str]) -> str:
 
 def _image_files(folder: Path) -> list[Path]:
     return sorted(path for path in folder.iterdir() if path.is_file() and path.suffix.lower() in IMAGE_SUFFIXES)
+
+
+def remarks(frames: Sequence[Frame], rig: Rig) -> Iterator[str]:
+    """Yield lines about images that are not used, and about cameras whose lens model cannot be that of their images."""
+    if line := ignored_images(frames, rig):
+        yield line
+    yield from lenses_that_do_not_fit(rig)
 
 
 def ignored_images(frames: Sequence[Frame], rig: Rig) -> str:

@@ -16,6 +16,8 @@ log = logging.getLogger(__name__)
 
 PROBE_TIMEOUT_S = 3.0
 COMPARED = ("layer_type", "embedding_size", "hidden_sizes", "depths")
+ONEDNN_BLOCK = 16
+"""Channels that oneDNN computes at once on CPUs with AVX-512."""
 MEAN = (0.485, 0.456, 0.406)
 STD = (0.229, 0.224, 0.225)
 
@@ -23,19 +25,39 @@ Network = TypeVar("Network", bound=nn.Module)
 
 
 class Normalize(nn.Module):
-    """Normalise RGB in [0, 1] to the mean 0 and deviation 1 of ImageNet."""
+    """Normalise RGB in [0, 1] to the mean 0 and deviation 1 of ImageNet.
+
+    Args:
+        encoder: the network that gets the images. Channels last in memory are faster, but not safe for all networks.
+    """
 
     mean: Tensor
     std: Tensor
 
-    def __init__(self):
+    def __init__(self, encoder: nn.Module):
         super().__init__()
+        self.memory_format = torch.channels_last if survives_channels_last(encoder) else torch.contiguous_format
         self.register_buffer("mean", torch.tensor(MEAN).view(3, 1, 1), persistent=False)
         self.register_buffer("std", torch.tensor(STD).view(3, 1, 1), persistent=False)
 
     def forward(self, images: Float[Tensor, "B N 3 H W"]) -> Float[Tensor, "BN 3 H W"]:
-        """Return images of all cameras as one batch, channels last in memory."""
-        return ((images - self.mean) / self.std).flatten(0, 1).contiguous(memory_format=torch.channels_last)
+        """Return images of all cameras as one batch."""
+        return ((images - self.mean) / self.std).flatten(0, 1).contiguous(memory_format=self.memory_format)
+
+
+def survives_channels_last(network: nn.Module) -> bool:
+    """Return whether the gradients of a network are safe with channels last in memory.
+
+    For 1x1 convolutions with a stride and fewer than 16 input channels oneDNN writes past its buffer, which ends the
+    process without a message (https://github.com/uxlfoundation/oneDNN/issues/6035, seen with torch 2.13 and AVX-512).
+    """
+    return not any(
+        isinstance(layer, nn.Conv2d)
+        and layer.kernel_size == (1, 1)
+        and layer.stride != (1, 1)
+        and layer.in_channels < ONEDNN_BLOCK
+        for layer in network.modules()
+    )
 
 
 def load_or_random(weights: str | None, load: Callable[[str, bool], Network], random: Callable[[], Network]) -> Network:
