@@ -33,6 +33,19 @@ def test_bin_with_labels_beside(tmp_path):
     assert np.array_equal(read_cloud(tmp_path / "2.bin", columns=3).points_m, POINTS)
 
 
+@pytest.mark.parametrize("numbers", [POINTS.astype(np.float64), np.float64(POINTS) + 1 / 3, POINTS * 1000])
+def test_bin_of_another_type_or_unit_is_named(tmp_path, numbers):
+    """Of the first the lower halves are those of float32, mostly zeros; the last is in millimetres."""
+    numbers[:400].tofile(tmp_path / "1.bin")
+    with pytest.raises(DataError, match=r"1.bin: \d+% of its coordinates are no distances in metres"):
+        read_cloud(tmp_path / "1.bin", columns=3)
+
+
+def test_an_empty_bin_has_no_points(tmp_path):
+    (tmp_path / "1.bin").write_bytes(b"")
+    assert read_cloud(tmp_path / "1.bin").points_m.shape == (0, 3)
+
+
 def test_npz(tmp_path):
     np.savez(tmp_path / "1.npz", points=POINTS, labels=LABELS)
     same(tmp_path / "1.npz")
