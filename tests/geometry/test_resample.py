@@ -29,14 +29,18 @@ def by_definition(labels, source, target, cell, least):
         min(8, math.ceil(2 * size / step - 1e-9))
         for size, step in zip(target.cell_m, (across, across, source.cell_m[2]), strict=True)
     ]
-    found = []
+    places = []
     for part in itertools.product(*map(range, counts)):
         place = []
         for axis, (index, share, count) in enumerate(zip(cell, part, counts, strict=True)):
             low, high = target.bounds[axis]
-            place.append(torch.tensor(low + (index + (share + 0.5) / count) * (high - low) / target.shape[axis]))
-        where, inside = source.index(target.from_axes(*(value.double() for value in place)))
-        found.append(int(labels[tuple(where.tolist())]) if inside else 255)
+            place.append(low + (index + (share + 0.5) / count) * (high - low) / target.shape[axis])
+        places.append(place)
+    cells, inside = source.index(target.from_axes(*torch.tensor(places, dtype=torch.float64).unbind(-1)))
+    found = [
+        int(labels[tuple(where)]) if known else 255
+        for where, known in zip(cells.tolist(), inside.tolist(), strict=True)
+    ]
     known = [label for label in found if label != 255]
     occupied = [label for label in known if label]
     if occupied and len(occupied) >= least * len(known):
