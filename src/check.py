@@ -59,7 +59,7 @@ def draw(data: OccupancyData, folder: Path) -> None:
                 parts = scene.images(0), scene.rigs[0], scene.camera_range_m(0), scene.erp_range_m(0)
                 voxels = labels.read(scene, 0) if known else None
             except (DataError, ValueError) as error:
-                print(f"no picture of {split}: {error}", flush=True)
+                print(f"the first frame of {split} cannot be drawn: {error}", flush=True)
                 continue
             path = folder / f"{split}-{scene.name}.png"
             path.parent.mkdir(parents=True, exist_ok=True)

@@ -22,10 +22,10 @@ class SemanticClass(NamedTuple):
     rgb: tuple[int, int, int]
 
 
-def ids_beyond(labels: np.ndarray, num_classes: int) -> list[int]:
-    """Return the ids in labels (uint8, any shape) that are neither a class nor 255 (unknown), in order."""
+def ids_beyond(labels: np.ndarray, num_classes: int, first: int = FREE) -> list[int]:
+    """Return the ids in labels (uint8, any shape) that are neither 255 (unknown) nor from `first` to the last class."""
     present = np.flatnonzero(np.bincount(labels.reshape(-1), minlength=UNKNOWN + 1))
-    return [number for number in present.tolist() if num_classes <= number < UNKNOWN]
+    return [number for number in present.tolist() if number != UNKNOWN and not first <= number < num_classes]
 
 
 @dataclass(frozen=True)

@@ -139,6 +139,24 @@ def test_a_scene_that_cannot_tell_its_length_is_a_problem_among_others(tmp_path)
     assert problems == ["poses.txt: a value of the pose is not finite"] * 3
 
 
+def test_a_scene_without_frames_has_no_problem():
+    class Empty(FakeFrames):
+        rigs = ()
+        world_from_ego = np.zeros((0, 4, 4))
+
+        def __len__(self):
+            return 0
+
+    assert check_scene(Empty("town", 0), expected(), frames=0) == ([], 0)
+
+
+def test_classes_of_another_type_around_the_origin_are_only_told():
+    around = [(x, y, 0) for x in (9, 10) for y in (7, 8)]
+    problems, _ = check_scene(scene(), expected(voxels(4, *around).float()), frames=1)
+    assert "voxels: classes are float32 instead of uint8" in problems[0]
+    assert "occupied cell (kind4)" in problems[-1]
+
+
 def test_recorded_poses_that_no_car_has_driven_are_named(tmp_path):
     world = FakeWorld(tmp_path, scenes=(1, 0, 0))
     world.prepare()

@@ -1,7 +1,7 @@
 """What of a rig is usable, and rigs of which less is: without some cameras, or with a narrower horizontal view."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 
@@ -9,10 +9,11 @@ import torch
 from jaxtyping import Bool
 from torch import Tensor
 
+from omniocc.camera.ops.pixels import pixel_centers
 from omniocc.camera.rig import Rig
 
-FITTING_SHARE = 0.25
-"""Share of the pixels with a ray below which a lens model is not that of its images."""
+LEAST_FRACTION_WITH_RAY = 0.25
+"""Smallest fraction of the pixels of an image for which the model of its lens has a ray, if it is the right model."""
 
 
 @lru_cache(maxsize=8)
@@ -41,19 +42,22 @@ def mask_view(rig: Rig, view_deg: float) -> Rig:
     return replace(rig, masks=tuple(masks))
 
 
-def lenses_that_do_not_fit(rig: Rig) -> Iterator[str]:
-    """Yield a line for every camera whose lens model has no ray for most of its pixels, masks aside.
+@lru_cache(maxsize=8)
+def lenses_that_do_not_fit(rig: Rig) -> tuple[str, ...]:
+    """Return a line for every camera whose lens model has no ray for most of its pixels; masks do not matter.
 
     Real lenses have one for two thirds of the image or more; wrong coefficients often end a few degrees off the axis.
     """
-    unmasked = replace(rig, masks=None)
-    for index, (camera, name) in enumerate(zip(rig.cameras, rig.names, strict=True)):
-        share = float(unmasked.rays(index)[1].float().mean())
-        if share < FITTING_SHARE:
-            yield (
-                f"camera '{name}': only {share:.0%} of its pixels have a ray; are the {type(camera).__name__} "
+    lines = []
+    for camera, name in zip(rig.cameras, rig.names, strict=True):
+        _, has_ray = camera.unproject(pixel_centers(camera.width, camera.height, torch.float64))
+        fraction = float(has_ray.float().mean())
+        if fraction < LEAST_FRACTION_WITH_RAY:
+            lines.append(
+                f"camera '{name}': only {fraction:.0%} of its pixels have a ray; are the {type(camera).__name__} "
                 "coefficients and the focal length those of its images?"
             )
+    return tuple(lines)
 
 
 def usable_pixels(rig: Rig) -> Sequence[Bool[Tensor, "height width"]]:

@@ -89,7 +89,8 @@ def check_scene(scene: SceneFrames, expected: Expected, frames: int) -> tuple[li
     problems, voxels, read = [], [], 0
     try:
         problems += _poses(scene)
-        problems += [f"scene '{scene.name}', {line}" for line in lenses_that_do_not_fit(scene.rigs[0])]
+        rigs = scene.rigs[:1]
+        problems += [f"scene '{scene.name}', {line}" for rig in rigs for line in lenses_that_do_not_fit(rig)]
         for frame in range(len(scene)) if frames == 0 else spread(len(scene), frames):
             found, labels = check_frame(scene, expected, frame)
             problems += found
@@ -136,7 +137,7 @@ def start_of_rays(voxels: Tensor, geometry: Grid) -> int | None:
     angles = torch.arange(DIRECTIONS, dtype=torch.float64) * (2 * math.pi / DIRECTIONS)
     around_m = STEP_M * torch.stack([angles.cos(), angles.sin(), torch.zeros_like(angles)], dim=-1)
     cells, inside = geometry.flat_index(around_m)
-    ((label, count),) = Counter(voxels.flatten()[cells[inside]].tolist()).most_common(1) or [(FREE, 0)]
+    ((label, count),) = Counter(map(int, voxels.flatten()[cells[inside]].tolist())).most_common(1) or [(FREE, 0)]
     return label if 2 * count > DIRECTIONS and label != UNKNOWN else FREE
 
 

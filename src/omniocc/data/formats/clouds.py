@@ -18,8 +18,8 @@ LABEL_FIELDS = ("label", "labels", "semantic", "semantics", "class")
 LABEL_SUFFIX = ".label"
 TINIEST_M, FARTHEST_M = 1e-6, 1e4
 """Coordinates that a LiDAR measures, in absolute value."""
-STRANGE_SHARE = 0.01
-"""Share of other coordinates above which the numbers are of another type or unit."""
+MOST_OTHERS = 0.01
+"""Largest fraction of other coordinates in a file whose numbers are of the right type and unit."""
 PLY_TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
     "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4",
@@ -90,10 +90,10 @@ def read_bin(path: Path, columns: int = 4) -> dict[str, np.ndarray]:
     axes = read_array(path, "<f4", (-1, columns)).T[:3]
     size = np.abs(axes)
     strange = np.isfinite(axes) & (size != 0) & ((size < TINIEST_M) | (size > FARTHEST_M))
-    share = strange.sum() / max(strange.size, 1)
-    if share > STRANGE_SHARE:
+    fraction = strange.sum() / max(strange.size, 1)
+    if fraction > MOST_OTHERS:
         raise DataError(
-            f"{path}: {share:.0%} of its coordinates are no distances in metres; it must hold {columns} numbers for "
+            f"{path}: {fraction:.0%} of its coordinates are no distances in metres; it must hold {columns} numbers for "
             "each point (columns), of type float32, not float64, and in metres"
         )
     return dict(zip("xyz", axes, strict=False))

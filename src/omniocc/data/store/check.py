@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from omniocc.classes import NUM_CLASSES, UNKNOWN
+from omniocc.classes import NUM_CLASSES, ids_beyond
 from omniocc.data.formats.poses import jumps, not_rigid
 from omniocc.data.labels.class_fractions import count_voxels, spread
 from omniocc.data.recording.pool import mapped
@@ -147,9 +147,9 @@ def _content(scene: SceneReader, frame: int) -> Iterator[str]:
         if shape != (len(sizes), *sizes[0]):
             yield str(scene.damaged(shard, f"{name} have the shape {shape}, those of the rig are {sizes}", frame))
     for name, labels, least in (("pixels", recorded.semantics, 0), ("points", recorded.point_labels, 1)):
-        wrong = set() if labels is None else set(np.unique(labels).tolist()) - {*range(least, NUM_CLASSES), UNKNOWN}
+        wrong = [] if labels is None else ids_beyond(labels, NUM_CLASSES, least)
         if wrong:
-            yield str(scene.damaged(shard, f"{name} of classes {sorted(wrong)}, which do not exist", frame))
+            yield str(scene.damaged(shard, f"{name} of classes {wrong}, which do not exist", frame))
     if not np.array_equal(recorded.world_from_ego, scene.world_from_ego[frame]):
         yield str(scene.damaged(shard, "frame.json and the index give different poses", frame))
 

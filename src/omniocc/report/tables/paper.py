@@ -76,7 +76,7 @@ class PaperTable(NamedTuple):
         return self.compares == "parts" and not (better.alone or other.alone)
 
     def shares_depth(self, better: PaperRow, other: PaperRow) -> bool:
-        """Return whether two rows share the depth network of a seed, and perhaps the sketch."""
+        """Return whether two rows use the same depth network in every seed, with or without the same sketch."""
         return self.compares != "systems" and not (better.alone or other.alone)
 
     def printed_gap(self, better: PaperRow, other: PaperRow) -> float:

@@ -31,11 +31,12 @@ NOTE = (
 )
 PAIRED_TITLE = "The same by paired differences"
 PAIRED_NOTE = (
-    "The claims about rows that share the depth network of a seed once more, by the differences of the seeds that both "
-    "have, and their spread alone (paired t-test), with Holm's correction over the same family. This assumes neither "
-    "that the noise of all parts is the same, nor that two grids are independent of each other. The rule, which was "
-    "fixed before the runs, is that of the table above: with the noise of a single pair two to four degrees of freedom "
-    "are left, which finds less. Where the verdicts differ, that above rests on its assumption."
+    "The claims about rows that use the same depth network in every seed once more, tested by the difference of both "
+    "scores in each seed and the standard deviation of these differences alone (paired t-test), with Holm's correction "
+    "over the same family. This assumes neither that the differences of all pairs of rows vary alike, nor that two "
+    "grids are independent of each other. The rule, which was fixed before the runs, is that of the table above: a "
+    "single pair leaves two to four degrees of freedom, with which fewer gaps are found. Where the verdicts differ, "
+    "that above depends on its assumption."
 )
 NOT_RUN = "not run"
 ORDER = (HOLDS, AGAINST, UNDECIDED, NOT_RUN)
