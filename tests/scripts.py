@@ -5,6 +5,7 @@ started from a shell: arguments, working folder, environment, output and exit co
 """
 
 import atexit
+import contextlib
 import functools
 import gc
 import json
@@ -42,7 +43,7 @@ def run_script(
         arguments: of its command line.
         cwd: folder in which it runs; None: the current one.
         timeout_s: after which it is killed, s.
-        kill_when: is called again and again; once it returns true, the script and its processes get a SIGKILL.
+        kill_when: is called again and again until it returns true; then the script and its processes get a SIGKILL.
         environment: further variables; folders in `PYTHONPATH` are searched for packages.
 
     Raises:
@@ -59,26 +60,40 @@ def run_script(
 def _ask(request: dict[str, Any], files: list[int], timeout_s: float, kill_when: Callable[[], bool]) -> int:
     """Let the server run a script; return its exit code."""
     server = _server()
+    assert server.stdin is not None
+    assert server.stdout is not None
     request["files"] = [f"/proc/{os.getpid()}/fd/{number}" for number in files]
-    server.stdin.write(json.dumps(request) + "\n")  # type: ignore[union-attr]
-    server.stdin.flush()  # type: ignore[union-attr]
-    group = int(server.stdout.readline())  # type: ignore[union-attr]
+    server.stdin.write(json.dumps(request).encode() + b"\n")
+    group = int(server.stdout.readline())
     deadline = time.monotonic() + timeout_s
-    while not select.select([server.stdout], [], [], 0.02)[0]:
-        late = time.monotonic() > deadline
-        if late or kill_when():
-            os.killpg(group, signal.SIGKILL)
-        if late:
-            raise subprocess.TimeoutExpired(request["argv"], timeout_s)
-    return int(server.stdout.readline())  # type: ignore[union-attr]
+    ended = False
+    try:
+        while not (ended := bool(select.select([server.stdout], [], [], 0.02)[0])) and not kill_when():
+            if time.monotonic() > deadline:
+                raise subprocess.TimeoutExpired(request["argv"], timeout_s)
+    finally:
+        if not ended:
+            _kill(group)
+        code = int(server.stdout.readline())  # in any case, else the next script would get it
+    return code
+
+
+def _kill(group: int) -> None:
+    """Kill the processes of a group, which may have ended in this moment."""
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(group, signal.SIGKILL)
 
 
 @functools.cache
-def _server() -> "subprocess.Popen[str]":
+def _server() -> "subprocess.Popen[bytes]":
     """Start the process from which scripts are forked; it ends with this one."""
+    return start(sys.executable, __file__)
+
+
+def start(*command: str) -> "subprocess.Popen[bytes]":
+    """Start a process that is asked by lines, without buffers: `select` sees every line that was not read yet."""
     environment = {**os.environ, "OMP_NUM_THREADS": "1", PYTHONPATH: str(ROOT / "src")}
-    command = [sys.executable, __file__]
-    return subprocess.Popen(command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    return subprocess.Popen(command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0)
 
 
 def _serve() -> dict[str, Any]:
@@ -94,6 +109,7 @@ def _serve() -> dict[str, Any]:
         if process == 0:
             os.setpgid(0, 0)
             return json.loads(line)
+        os.setpgid(process, process)  # by both, since either may be the first
         print(process, flush=True)
         print(os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]), flush=True)
     sys.exit()
