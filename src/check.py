@@ -22,7 +22,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("overrides", nargs="+", help="those of train.py: data=occ3d_nuscenes data.source.root=...")
     parser.add_argument("--frames", type=int, default=0, help="frames of each scene to read, evenly spread (0: all)")
     parser.add_argument("--workers", type=int, default=usable_cores(), help="processes that read; 0: none besides this")
-    parser.add_argument("--draw", type=Path, help="folder for a picture of the first frame of every split")
+    parser.add_argument("--draw", type=Path, help="folder for an image of the first frame of every split")
     options = parser.parse_intermixed_args(arguments)
     quiet_libraries()
     data: OccupancyData = build(compose_config(Path(__file__).parents[1] / "conf", "train", options.overrides).data)
@@ -64,7 +64,7 @@ def draw(data: OccupancyData, folder: Path) -> None:
             path = folder / f"{split}-{scene.name}.png"
             path.parent.mkdir(parents=True, exist_ok=True)
             save_png(path, data_sheet(*parts, voxels, grid, classes, f"{split}: {scene.name}, frame 0"))
-            print(f"picture  {path}", flush=True)
+            print(f"image    {path}", flush=True)
 
 
 if __name__ == "__main__":

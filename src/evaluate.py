@@ -25,7 +25,7 @@ from lightning.pytorch import Trainer
 from omniocc.config import build, compose_config
 from omniocc.data import Needs, OccupancyData
 from omniocc.data.origins import ORIGINS, Origins
-from omniocc.errors import UserError
+from omniocc.errors import UserError, installing
 from omniocc.io import atomic_write
 from omniocc.model.occupancy import to_unit_range
 from omniocc.model.protocols import LearnedSketch, learns, takes_true_range
@@ -198,7 +198,7 @@ def score_robustness(
 def draw(records: Sequence[Robustness], folder: Path) -> np.ndarray | None:
     """Write the plot of a test, and return it as an RGB image; None without matplotlib."""
     if find_spec("matplotlib") is None:
-        print("No plot: matplotlib is missing (pip install --editable '.[plot]').")
+        print(f"No plot: matplotlib is missing: {installing('plot')}")
         return None
     from omniocc.report.plots.robustness import drops
 

@@ -42,14 +42,14 @@ def main(cfg: DictConfig) -> None:
     output = Path(cfg.output)
     masked.save(output)
     masks = [masked.rays(camera)[1] for camera in range(len(rig.cameras))]
-    picture = output.with_name(f"{output.stem}.masks.png")
+    drawing = output.with_name(f"{output.stem}.masks.png")
     greys = [np.where(mask.numpy()[..., None], SEEN, MASKED).repeat(3, -1).astype(np.uint8) for mask in masks]
-    save_png(picture, stack(camera_rows(greys, inner_width(WIDTH), names=rig.names), WIDTH))
+    save_png(drawing, stack(camera_rows(greys, inner_width(WIDTH), names=rig.names), WIDTH))
     for name, before, after in zip(rig.names, pixels, masks, strict=True):
         print(f"{name:12} own car {float(before.float().mean()):6.1%}   usable {float(after.float().mean()):6.1%}")
     if rig.masks is not None:
         print("the rig was masked already: 'own car' is what is masked now in addition")
-    print(f"rig       {output}\nimage     {picture}")
+    print(f"rig       {output}\nimage     {drawing}")
 
 
 def car_of(rig: Rig) -> Mesh:

@@ -10,7 +10,7 @@ from types import ModuleType
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from omniocc.errors import UserError
+from omniocc.errors import UserError, installing
 from omniocc.predict.depth import predict_panoramas
 from omniocc.predict.occupancy import options_of, predict_occupancy
 from omniocc.predict.submission import predict_submission
@@ -54,7 +54,7 @@ def timeline() -> ModuleType:
     try:
         from omniocc.viewer.timeline import stream
     except ImportError as error:
-        raise UserError("viewer=... needs one more package: pip install --editable '.[rerun]'") from error
+        raise UserError(f"viewer=... needs one more package: {installing('rerun')}") from error
     return stream
 
 
@@ -66,7 +66,7 @@ def main() -> None:
     if len(sys.argv) < 2 or sys.argv[1] not in COMMANDS:
         asked = len(sys.argv) > 1 and sys.argv[1] in ("-h", "--help")
         print(
-            f"usage: python src/predict.py {{{','.join(COMMANDS)}}} key=value ...    (occupancy --help lists the keys)"
+            f"usage: python src/predict.py {{{','.join(COMMANDS)}}} key=value ...    (<command> --help lists its keys)"
         )
         sys.exit(0 if asked else 2)
     COMMANDS[sys.argv.pop(1)]()

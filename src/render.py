@@ -85,7 +85,7 @@ def read_back(world: VirtualWorld, plans: Sequence[ScenePlan]) -> None:
     if problems:
         print("\n".join(problems))
         sys.exit(1)
-    print(f"{amount(world, scenes)}: everything is whole")
+    print(f"{amount(world, scenes)}: no problems found")
 
 
 def draw_page(world: VirtualWorld, plans: Sequence[ScenePlan]) -> None:

@@ -12,8 +12,9 @@ from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
+from omniocc.errors import installing
 from omniocc.io import atomic_write
-from omniocc.report.chapters import CURVES_PICTURE, report_markdown, write_docs, write_tables
+from omniocc.report.chapters import CURVES_IMAGE, report_markdown, write_docs, write_tables
 from omniocc.report.dataset.table import dataset_markdown, load_dataset_table, with_folders
 from omniocc.report.frames import compared_frames
 from omniocc.report.keep import keep_records
@@ -22,12 +23,12 @@ from omniocc.report.runs import read_runs
 from omniocc.report.sweep import Sweep, read_sweeps
 from omniocc.report.tables import robustness as disturbed
 from omniocc.report.tables import training
-from omniocc.report.tables.power import power_chapter, spread_of
+from omniocc.report.tables.power import power_chapter, seed_std_of
 from omniocc.report.tables.tried import tried_chapter
 from omniocc.run.script import lines_not_tracebacks
 
 DATASETS = "dataset.yaml"
-NO_MATPLOTLIB = "matplotlib is missing (pip install --editable '.[plot]')."
+NO_MATPLOTLIB = f"matplotlib is missing: {installing('plot')}"
 ROOT = Path(__file__).parents[1]
 GENERATED_TRIED = "<!-- Written by `python src/report.py --tried`; do not edit. -->"
 
@@ -52,9 +53,11 @@ def parser() -> argparse.ArgumentParser:
     found.add_argument("--keep", type=Path, metavar="FOLDER", help=kept)
     recorded = "only print the paper's Table I with a row for each of these folders of recorded scenes"
     found.add_argument("--datasets", type=Path, metavar="FOLDER", nargs="+", help=recorded)
-    seeds = "only print how many seeds the paper's gaps need; two spreads, of parts and of systems (default: those of "
-    seeds += "sweeps/power.yaml), and that of the runs"
-    found.add_argument("--power", type=float, metavar="SPREAD", nargs="*", help=seeds)
+    seeds = (
+        "only print how many seeds the paper's gaps need, at two standard deviations between seeds, of parts and of "
+    )
+    seeds += "systems, such as 0.004 0.01 (default: those of sweeps/power.yaml), and at those of the runs"
+    found.add_argument("--power", type=float, metavar="STD", nargs="*", help=seeds)
     return found
 
 
@@ -73,7 +76,7 @@ def main(arguments: list[str] | None = None) -> None:
         return
     sweeps = read_sweeps(options.runs, options.sweeps, options.conf, options.preset)
     if options.power is not None:
-        given = [spread_of(options.power)] if options.power else sweeps[0].spreads
+        given = [seed_std_of(options.power)] if options.power else sweeps[0].seed_stds
         print(power_chapter(sweeps[0].tables, sweeps[0].table_rows, given))
         return
     if options.docs is not None:
@@ -83,18 +86,18 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def draw_curves(sweep: Sweep, folder: Path) -> None:
-    """Draw the picture of the page on more steps into a folder of documentation, if there are such runs."""
+    """Draw the image of the page on more steps into a folder of documentation, if there are such runs."""
     rows = training.runs_by_row(sweep)
     if not rows:
         return
     if find_spec("matplotlib") is None:
-        print(f"{CURVES_PICTURE} is not drawn again: {NO_MATPLOTLIB}")
+        print(f"{CURVES_IMAGE} is not drawn again: {NO_MATPLOTLIB}")
         return
     from omniocc.report.plots.figures import learning_curves
     from omniocc.report.plots.svg import save_svg
 
     if figure := learning_curves(rows):
-        save_svg(figure, folder / CURVES_PICTURE)
+        save_svg(figure, folder / CURVES_IMAGE)
 
 
 def write_report(sweeps: Sequence[Sweep], output: Path) -> None:

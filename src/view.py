@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig
 
-from omniocc.errors import UserError
+from omniocc.errors import UserError, installing
 from omniocc.run.script import quiet_libraries, script
 from omniocc.viewer.options import TargetOptions, ViewOptions, options_of
 from omniocc.viewer.watch.files import config_of
@@ -41,7 +41,7 @@ def written(options: ViewOptions, target: TargetOptions) -> Path | None:
         from omniocc.viewer.timeline.show import show
         from omniocc.viewer.timeline.sinks import check_place
     except ImportError as error:
-        raise UserError("the Rerun viewer needs one more package: pip install --editable '.[rerun]'") from error
+        raise UserError(f"the Rerun viewer needs one more package: {installing('rerun')}") from error
     path = None if target.save is None else Path(target.save)
     check_place(path, target.connect)
     show(opened(options), path, target.connect)

@@ -114,7 +114,7 @@ def test_missing_argument_and_broken_interpolation_are_named():
     with pytest.raises(ConfigError) as caught:
         check(cfg)
     assert any(
-        line == "part.learning_rate: takes nowhere, which is not in this choice of options"
+        line == "part.learning_rate: refers to nowhere, which does not exist with the chosen options"
         for line in caught.value.problems
     )
     assert any(line == "part.min_lr_ratio: omniocc.task.AdamW needs it" for line in caught.value.problems)

@@ -6,6 +6,9 @@ import shlex
 from pathlib import Path
 
 import pytest
+import yaml
+
+from omniocc.classes import CLASSES
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "src" / "omniocc"
@@ -122,3 +125,20 @@ def test_every_package_with_public_names_is_in_the_reference():
     names = [".".join(path.relative_to(PACKAGE.parent).parts) for path in public]
     assert len(names) > 10
     assert [name for name in sorted(names) if f"automodule:: {name}\n" not in reference] == []
+
+
+def size_row(preset: str) -> str:
+    """Return the row of a preset in the table of sizes of `docs/dataset.md`."""
+    sizes = yaml.safe_load((ROOT / "conf" / "preset" / f"{preset}.yaml").read_text())
+    data, grids = sizes["data"]["virtual"], sizes["geometry"]
+    shapes = [" x ".join(map(str, grids[grid]["shape"])) for grid in ("cylinder", "cuboid")]
+    image = " x ".join(map(str, data["image_size"]))
+    streets = ", ".join(str(data[f"{split}_scenes"]) for split in ("train", "val", "test"))
+    cells = [f"`{preset}`", *shapes, image, streets, data["frames_per_scene"], data["frame_interval_s"]]
+    return f"| {' | '.join(map(str, cells))} |"
+
+
+def test_the_sizes_and_classes_of_the_data_page_are_those_of_the_code():
+    text = (ROOT / "docs" / "dataset.md").read_text()
+    assert [row for row in map(size_row, ("smoke", "tiny", "small", "paper")) if row not in text] == []
+    assert [row for row in CLASSES if f"| {row.id} | {row.name} |" not in text] == []

@@ -83,7 +83,7 @@ def main(preset: str, full: bool) -> None:
     print("\n" + in_columns(*table))
     for name in (folder, other):
         if name is not None:
-            print(f"pictures  {(name / IMAGES).relative_to(ROOT)}")
+            print(f"images    {(name / IMAGES).relative_to(ROOT)}")
     print(f"page      {viewed(folder).relative_to(ROOT)}   open it in a browser: voxels to turn, frame by frame")
 
 

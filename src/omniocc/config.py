@@ -260,7 +260,7 @@ def _check_value(node: DictConfig, key: str, path: str, hint: Any) -> Iterator[s
         plain = OmegaConf.to_container(value, resolve=True) if isinstance(value, DictConfig | ListConfig) else value
     except InterpolationKeyError as error:
         absent = re.search("'(.+)'", str(error))
-        yield f"{path}.{key}: takes {absent[1] if absent else error}, which is not in this choice of options"
+        yield f"{path}.{key}: refers to {absent[1] if absent else error}, which does not exist with the chosen options"
         return
     except OmegaConfBaseException as error:
         yield f"{path}.{key}: {str(error).splitlines()[0]}"

@@ -7,3 +7,8 @@ class UserError(ValueError):
 
 class DataError(OSError):
     """Recorded data is missing, damaged or cannot be written. The message names the path and the remedy."""
+
+
+def installing(extra: str) -> str:
+    """Return the command that installs a group of optional packages, with the folder in which it works."""
+    return f"pip install --constraint constraints.txt --editable '.[{extra}]' (in the folder of this repository)"

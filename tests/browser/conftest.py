@@ -12,6 +12,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 from chromium import ARGUMENTS, find_chromium
 from made_page import RUNS, write_made_page
 
+from omniocc.errors import installing
+
 
 class Opened(NamedTuple):
     """A page in a browser: `page` is Playwright's, `errors` are messages of its console, `requests` addresses."""
@@ -40,7 +42,7 @@ def browser() -> Iterator["Browser"]:  # type: ignore[name-defined]
     path = find_chromium()
     if path is None:
         pytest.skip("no Chromium: apt-get install chromium")
-    sync_api = pytest.importorskip("playwright.sync_api", reason="no Playwright: pip install 'omniocc[browser]'")
+    sync_api = pytest.importorskip("playwright.sync_api", reason=f"no Playwright: {installing('browser')}")
     with sync_api.sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=path, args=ARGUMENTS)
         yield browser

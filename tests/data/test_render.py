@@ -57,7 +57,7 @@ def test_render_check_and_page(run, tmp_path):
     assert code == 0
     assert re.search(r"Road +\d\d\.\d\d +57\.03", out)
     assert "2 scenes, 4 frames" in out
-    assert "everything is whole" in out
+    assert "no problems found" in out
     code, out = run("page=true")
     assert code == 0
     assert "2 scenes, 3 missing" in out

@@ -89,7 +89,7 @@ def test_a_damaged_bag_is_named(tmp_path):
 
 def test_a_missing_package_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
-    with pytest.raises(UserError, match=r"pip install 'omniocc\[bag\]'"):
+    with pytest.raises(UserError, match=r"pip install .*'\.\[bag\]'"):
         Bag(tmp_path)
 
 

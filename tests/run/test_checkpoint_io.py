@@ -210,11 +210,11 @@ def test_when_no_checkpoint_can_be_read_one_error_says_what_to_do(tmp_path):
     cut(last)
     cut(previous_of(last))
     with pytest.raises(
-        UserError, match=r"neither .*last\.ckpt nor last\.previous\.ckpt can be read.*Remove the folder"
+        UserError, match=r"neither .*last\.ckpt nor last\.previous\.ckpt can be read.*move .* elsewhere"
     ):
         resumable(last)
     previous_of(last).unlink()
-    with pytest.raises(UserError, match=r"last\.ckpt is not a checkpoint .* damaged \(.*remove its folder"):
+    with pytest.raises(UserError, match=r"last\.ckpt is not a checkpoint .* damaged \(.*move .* elsewhere"):
         resumable(last)
 
 

@@ -9,12 +9,12 @@ from omniocc.run.robustness import (
     PartScores,
     Robustness,
     drop_of,
-    group_losses,
+    drops_by_kind,
     jackknife_error,
     load_part,
     load_robustness,
-    loss_fraction,
     read_robustness,
+    relative_drop,
     save_part,
     save_robustness,
 )
@@ -40,7 +40,7 @@ def test_a_drop_on_the_same_scenes_has_the_error_of_the_difference():
     assert drop.value == pytest.approx(0.2)
     differences = [0.19, 0.2, 0.21]
     assert drop.error == pytest.approx(math.sqrt(2 / 3 * sum((d - 0.2) ** 2 for d in differences)))
-    assert loss_fraction(WORSE, BASE) == pytest.approx(0.4)
+    assert relative_drop(WORSE, BASE) == pytest.approx(0.4)
 
 
 def test_a_drop_on_other_scenes_has_the_errors_of_both_sides():
@@ -52,15 +52,15 @@ def test_a_drop_on_other_scenes_has_the_errors_of_both_sides():
 def test_what_was_not_scored_has_no_drop():
     assert all(map(math.isnan, drop_of(WORSE, BASE, "lidar/rayiou")))
     nothing = BASE._replace(scores={"rayiou": 0.0})
-    assert math.isnan(loss_fraction(WORSE, nothing))
+    assert math.isnan(relative_drop(WORSE, nothing))
 
 
 def test_losses_of_a_kind_are_means_over_its_parts():
     milder = part("noise_2_percent", 0.4, [0.4, 0.4, 0.4])
     blur = part("blur_1_px", 0.45, [0.4, 0.4, 0.4], "blur")
     record = Robustness("some", {}, [BASE, milder, WORSE, blur])
-    assert group_losses(record) == {"kind": pytest.approx(0.3), "blur": pytest.approx(0.1)}
-    assert group_losses(record, {"noise_5_percent"}) == {"kind": pytest.approx(0.4)}
+    assert drops_by_kind(record) == {"kind": pytest.approx(0.3), "blur": pytest.approx(0.1)}
+    assert drops_by_kind(record, {"noise_5_percent"}) == {"kind": pytest.approx(0.4)}
 
 
 def test_parts_and_records_survive_their_files(tmp_path):

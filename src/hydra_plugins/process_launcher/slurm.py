@@ -19,7 +19,7 @@ from omegaconf import DictConfig
 from hydra_plugins.process_launcher.job import Job
 from hydra_plugins.process_launcher.launcher import INTERRUPTED, jobs_of, report, run_all
 from hydra_plugins.process_launcher.slurm_job import SlurmJob, code_file
-from omniocc.errors import UserError
+from omniocc.errors import UserError, installing
 from omniocc.progress import STATUS_FILE
 
 ASK_EVERY_S = 10.0
@@ -106,7 +106,7 @@ class SlurmLauncher(Launcher):
             from submitit import AutoExecutor
             from submitit.core.utils import FailedJobError
         except ImportError as error:
-            raise UserError("hydra/launcher=slurm needs submitit: pip install 'omniocc[cluster]'") from error
+            raise UserError(f"hydra/launcher=slurm needs submitit: {installing('cluster')}") from error
         executor = AutoExecutor(self.folder / "slurm", cluster="slurm", slurm_max_num_timeout=self.requeues)
         executor.update_parameters(name=self.name, **self.parameters)
         try:

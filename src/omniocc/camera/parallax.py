@@ -35,7 +35,7 @@ def pixels_per_metre(rig: Rig, points_ego: Float[Tensor, "*batch 3"]) -> Float64
 
 
 def shared_view(rig: Rig, points_ego: Float[Tensor, "*batch 3"]) -> float:
-    """Return the share of points (m) seen by two or more cameras among those that any camera sees; 0 if none is."""
+    """Return the fraction of points (m) seen by two or more cameras among those that any camera sees; 0 if none is."""
     views = rig.project(points_ego)[1].sum(0)
     return float((views > 1).sum() / (views > 0).sum().clamp(min=1))
 

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.export import ExportedProgram
 
-from omniocc.errors import UserError
+from omniocc.errors import UserError, installing
 
 
 def onnx_bytes(program: ExportedProgram, inputs: list[str], outputs: list[str]) -> bytes:
@@ -22,7 +22,7 @@ def onnx_bytes(program: ExportedProgram, inputs: list[str], outputs: list[str]) 
     try:
         import onnxscript  # noqa: F401
     except ImportError as error:
-        raise UserError("ONNX needs more packages: pip install --editable '.[export]'; .pt2 does not") from error
+        raise UserError(f"ONNX needs more packages, which .pt2 does not: {installing('export')}") from error
     program = program.run_decompositions(DECOMPOSITIONS)
     try:
         with without_notices():

@@ -32,7 +32,7 @@ def resample(
         labels: class of every cell, 255 unknown.
         source: grid of the labels.
         target: grid of the result.
-        least: share of the known places of a cell that must be occupied.
+        least: fraction of the known places of a cell that must be occupied.
 
     Raises:
         ValueError: if the labels are not of the source's shape.
@@ -108,7 +108,7 @@ def _places(source: Grid, target: Grid) -> Places:
     parts = []
     for shift in itertools.product(*((torch.arange(n, dtype=torch.float64) + 0.5) / n for n in counts)):
         edges = [target.edges(axis) for axis in range(3)]
-        axes = [low[:-1] + share * low.diff() for low, share in zip(edges, shift, strict=True)]
+        axes = [low[:-1] + fraction * low.diff() for low, fraction in zip(edges, shift, strict=True)]
         points = target.from_axes(*torch.meshgrid(*axes, indexing="ij")).reshape(-1, 3)
         index, inside = source.flat_index(points)
         parts.append(torch.where(inside, index, source.num_cells).to(torch.int32))

@@ -24,11 +24,11 @@ def frustum_of_cells(grid: Grid, azimuths: int, elevations: int) -> Int64[Tensor
 
 
 class Frustums(nn.Module):
-    """Divergence of the true shares of classes from the predicted ones, in each frustum seen from the ego origin.
+    """Divergence of the true fractions of classes from the predicted ones, in each frustum seen from the ego origin.
 
-    A frustum is all that a patch of the panorama can show, so its shares are known to a camera even where the range is
-    not. Mean over frustums with known cells, and samples. MonoScene's frustums are those of one camera's image; those
-    of a panorama's patches are the same for any rig.
+    A frustum is all that a patch of the panorama can show, so its fractions are known to a camera even where the range
+    is not. Mean over frustums with known cells, and samples. MonoScene's frustums are those of one camera's image;
+    those of a panorama's patches are the same for any rig.
 
     Args:
         azimuths: frustums around the car.
@@ -56,9 +56,9 @@ class Frustums(nn.Module):
             probability = F.softmax(logits.float().flatten(2), dim=1) * (labels != UNKNOWN)[:, None]
             predicted, counted = (self._sums(part) for part in (probability, true))
             size = counted.sum(1, keepdim=True).clamp(min=1)
-            shares, guesses = counted / size, predicted / size
+            fractions, guesses = counted / size, predicted / size
             tiny = torch.finfo(torch.float32).tiny
-            divergence = (shares * (shares.clamp(min=tiny).log() - guesses.clamp(min=tiny).log())).sum(1)
+            divergence = (fractions * (fractions.clamp(min=tiny).log() - guesses.clamp(min=tiny).log())).sum(1)
             filled = counted.sum(1) > 0.5
             return (divergence * filled).sum() / filled.sum().clamp(min=1)
 

@@ -12,7 +12,7 @@ from jaxtyping import Float64, UInt8
 from omniocc.camera import Rig
 from omniocc.data.formats.poses import inverse
 from omniocc.data.source import Points
-from omniocc.errors import DataError, UserError
+from omniocc.errors import DataError, UserError, installing
 from omniocc.record.files import ego_points, lidar_options, plain_options
 from omniocc.record.labels import read_point_classes
 from omniocc.record.log import Log, Scans, Timing, chosen_rig
@@ -184,7 +184,7 @@ class Bag:
             from rosbags.highlevel import AnyReader
             from rosbags.typesys import Stores, get_typestore
         except ImportError as error:
-            raise UserError("ROS bags are read by the package rosbags: pip install 'omniocc[bag]'") from error
+            raise UserError(f"ROS bags are read by the package rosbags: {installing('bag')}") from error
         if not path.exists():
             raise UserError(f"bag={path}: there is no such file or folder")
         self.path = path

@@ -24,8 +24,8 @@ from omniocc.run.table import markdown
 GENERATED = "<!-- Written by `python src/report.py --runs docs/results/runs --docs docs/results`; do not edit. -->"
 TRIED_AGAINST = "extended"
 """Row to which the page `accuracy` compares all others."""
-CURVES_PICTURE = "learning_curves.svg"
-"""Picture of the page on more steps, beside it."""
+CURVES_IMAGE = "learning_curves.svg"
+"""Image of the page on more steps, beside it."""
 ROBUSTNESS = "robustness"
 """Name of the chapter on tests under disturbances."""
 HEADING = re.compile("^#(?=#)", re.MULTILINE)
@@ -78,11 +78,11 @@ def write_docs(sweeps: Sequence[Sweep], folder: Path) -> list[Path]:
     for name, text in chapters(sweep._replace(datasets=()), listed).items():
         pages[name] = text if name == ROBUSTNESS else f"{text}\n{foot(runs_on(name, sweep))}"  # tests tell their own
     if "training" in pages:
-        pages["training"] += f"\n\n![Validation RayIoU over the steps]({CURVES_PICTURE})"
+        pages["training"] += f"\n\n![Validation RayIoU over the steps]({CURVES_IMAGE})"
     if any(run.row == TRIED_AGAINST for run in every):
         pages["accuracy"] = tried_chapter(every, TRIED_AGAINST)
     pages["learning_rates"] = learning_rates(every)
-    pages["power"] = power_chapter(sweep.tables, sweep.table_rows, sweep.spreads)
+    pages["power"] = power_chapter(sweep.tables, sweep.table_rows, sweep.seed_stds)
     pages["runs"] = f"## Runs\n\n{markdown(*records(every))}\n{' '.join(sweep.remarks)}"
     written = []
     for name, text in pages.items():

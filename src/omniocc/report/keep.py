@@ -1,4 +1,4 @@
-"""The records of finished runs without their checkpoints and pictures, small enough for a repository."""
+"""The records of finished runs without their checkpoints and images, small enough for a repository."""
 
 import shutil
 from collections.abc import Sequence

@@ -123,7 +123,7 @@ def _robustness(sweep: Sweep) -> list[Section]:
     for number, tests in enumerate(robustness.comparable(sweep.robustness)):
         name = f"robustness-{number}" if number else "robustness"
         remarks = " ".join([robustness.NOTE, robustness.verdict(tests), *map(robustness.facts_line, tests)])
-        sections.append(_text_table(name, robustness.TITLE, remarks, robustness.loss_cells(tests)))
+        sections.append(_text_table(name, robustness.TITLE, remarks, robustness.relative_cells(tests)))
         sections.append(
             _text_table(f"{name}-parts", f"{robustness.TITLE}: part by part", "", robustness.part_cells(tests))
         )
@@ -149,14 +149,14 @@ def _paper_table(table: PaperTable, sweep: Sweep, decided: Mapping[Name, Judged]
 
 
 def _method(table: PaperTable, row: PaperRow, figures: Sequence[Figure | None], sweep: Sweep) -> dict[str, Any]:
-    """Return the paper's figures, and ours as mean and spread; `row` is the anchor of links to its runs."""
+    """Return the paper's figures, and ours as mean and standard deviation; `row` is the anchor of links to its runs."""
     ours = [with_spread(key, figure).partition(" ± ") for key, figure in zip(table.columns, figures, strict=True)]
     return {
         "title": row.title,
         "row": row.run if row.run in sweep.rows else "",
         "paper": [in_cell(key, value) for key, value in row.paper.items()] if has_paper(row) else [],
         "source": source_of(figures),
-        "ours": [(mean, spread) for mean, _, spread in ours],
+        "ours": [(mean, std) for mean, _, std in ours],
     }
 
 

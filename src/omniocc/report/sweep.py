@@ -18,13 +18,13 @@ from omniocc.report.runs import FinishedRun, read_runs
 from omniocc.report.selection import by_row, comparable, mixtures, settings_of
 from omniocc.report.tables.claims import Judged, Name, judged
 from omniocc.report.tables.paper import PaperTable, is_table, load_table
-from omniocc.report.tables.power import Spread, load_spreads
+from omniocc.report.tables.power import SeedStd, load_seed_stds
 from omniocc.run.curves import read_curve
 from omniocc.run.folder import METRICS
 from omniocc.run.robustness import Robustness, read_robustness
 
 POWER = "power.yaml"
-"""File of the spreads, beside the tables."""
+"""File of standard deviations between seeds, beside the tables."""
 
 
 class Sweep(NamedTuple):
@@ -41,7 +41,7 @@ class Sweep(NamedTuple):
         lengths: runs of all settings of the same preset by `row@steps`, which rows of tables may name; none where
             another dataset of the preset has more runs.
         longer: the sweeps of the same preset and data with more steps, fewest first.
-        spreads: given differences between seeds, for which power is computed.
+        seed_stds: given standard deviations between seeds, for which power is computed.
         robustness: tests under disturbances of these runs; the first sweep of a report has those of all sweeps, and
             of files that are no runs.
     """
@@ -55,7 +55,7 @@ class Sweep(NamedTuple):
     unfinished: Sequence[str] = ()
     lengths: Mapping[str, Sequence[FinishedRun]] = MappingProxyType({})
     longer: "Sequence[Sweep]" = ()
-    spreads: Sequence[Spread] = ()
+    seed_stds: Sequence[SeedStd] = ()
     robustness: Sequence[Robustness] = ()
 
     @property
@@ -114,7 +114,7 @@ def read_sweeps(runs: Path, tables: Path, conf: Path, preset: str | None) -> lis
         ordered = {row: rows[row] for row in order}
         return Sweep(kept, ordered, remark, data, found, datasets, unfinished(runs), robustness=own)
 
-    spreads = load_spreads(tables / POWER)
+    seed_stds = load_seed_stds(tables / POWER)
     sweeps = [sweep_of(setting) for setting in settings_of(finished, preset)]
     left_out = {run.name for run in finished} - {run.name for sweep in sweeps for run in sweep.runs}
     sweeps[0] = sweeps[0]._replace(robustness=[test for test in tests if test.system not in left_out])
@@ -131,7 +131,7 @@ def read_sweeps(runs: Path, tables: Path, conf: Path, preset: str | None) -> lis
                 (placed(other, once) for other in sweeps if _is_longer(other, sweep)),
                 key=lambda other: _number(other.runs[0].setting[1]),
             ),
-            spreads=spreads,
+            seed_stds=seed_stds,
         )
         for number, sweep in enumerate(sweeps)
     ]

@@ -69,10 +69,10 @@ def read_checkpoint(path: Path, map_location: Any = "cpu", weights_only: bool = 
         if not isinstance(content, dict) or not {"config", "state_dict"} <= content.keys():
             raise ValueError("it has no config or no state_dict")
     except UNREADABLE as error:
-        remedy = "the file" if path.name == BEST else "its folder"
+        remedy = f"move {path if path.name == BEST else path.parent} elsewhere"
         raise UserError(
             f"{path} is not a checkpoint of this platform, or it is damaged ({_brief(error)}). "
-            f"If it is one of a run here, remove {remedy} and give the run's command again"
+            f"If it is one of a run here, {remedy} and give the run's command again"
         ) from error
     return content
 
@@ -102,7 +102,8 @@ def resumable(path: Path) -> tuple[Path | None, str | None]:
     except UserError as error:
         raise UserError(
             f"neither {path} nor {previous.name} can be read, the last save was cut off and the one before is damaged "
-            f"({_brief(reason)}). Remove the folder and give the run's command again: it begins anew"
+            f"({_brief(reason)}). To train again from the first step, move {path.parent} elsewhere and give the run's "
+            "command again"
         ) from error
     return previous, f"{path} cannot be read ({_brief(reason)}); goes on from the one before, {previous.name}"
 

@@ -102,16 +102,16 @@ def jackknife_error(without: Float[np.ndarray, " scenes"]) -> float:
     return math.sqrt((count - 1) / count * float(np.square(without - without.mean()).sum()))
 
 
-def loss_fraction(part: PartScores, undisturbed: PartScores, key: str = RAY_IOU) -> float:
-    """Return the fraction of the undisturbed score that is lost; nan where nothing could be lost."""
+def relative_drop(part: PartScores, undisturbed: PartScores, key: str = RAY_IOU) -> float:
+    """Return the drop divided by the undisturbed score; nan where that is 0 or not known."""
     base = undisturbed.scores.get(key, math.nan)
     return drop_of(part, undisturbed, key).value / base if base > 0 else math.nan
 
 
-def group_losses(record: Robustness, parts: set[str] | None = None) -> dict[str, float]:
-    """Return the mean fraction of RayIoU lost by kind of disturbance, over all parts of it, or those named."""
+def drops_by_kind(record: Robustness, parts: set[str] | None = None) -> dict[str, float]:
+    """Return the mean relative drop of RayIoU by kind of disturbance, over all parts of it, or those named."""
     return {
-        group: float(np.mean([loss_fraction(part, record.undisturbed) for part in chosen]))
+        group: float(np.mean([relative_drop(part, record.undisturbed) for part in chosen]))
         for group, members in record.groups.items()
         if (chosen := [part for part in members if parts is None or part.part in parts])
     }

@@ -53,7 +53,7 @@ def scene_figures(folder: Path) -> dict[str, float]:
 
     `test/<condition>/<value>/rayiou` and `.../lidar/rayiou` are the RayIoU of the scenes of one weather or kind of
     place, with counts summed over them. For classes that move, `test/moving/recall/<class>` and
-    `test/standing/recall/<class>` are the correct share of the LiDAR rays that hit what moves, and what stands (mean
+    `test/standing/recall/<class>` are the correct fraction of the LiDAR rays that hit what moves, and what stands (mean
     over thresholds); `test/false_alarms/<class>` is the number of rays on which the class is predicted and not found
     within the largest threshold, for each ray that hits it. Without a class: their mean.
 

@@ -45,7 +45,8 @@ def switch_off_head(cfg: DictConfig, scenes: Sequence[SceneFrames]) -> str | Non
     with open_dict(cfg):
         cfg.model.semantic_head = {"_target_": NO_HEAD}
         cfg.model.pixel_classes = False
-    return "the training frames have no classes of pixels: model/semantic_head=none model.pixel_classes=false"
+    off = "model/semantic_head=none model.pixel_classes=false"
+    return f"the training frames have no classes of pixels, so the 2D head is left out: {off}"
 
 
 def build_task(cfg: DictConfig, spec: SourceSpec) -> OccupancyTask:

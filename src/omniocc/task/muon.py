@@ -24,7 +24,7 @@ class Muon(AdamW):
     """Describe Muon for matrices and kernels (Jordan, 2024), AdamW for all other parameters, and the schedule.
 
     Attributes:
-        momentum: share of the last steps' mean gradient that is kept.
+        momentum: fraction of the running mean of gradients that is kept in each step.
     """
 
     momentum: float = 0.95

@@ -33,7 +33,7 @@ def wanted_stages(cfg: DictConfig) -> tuple[str, ...]:
         raise UserError(f"stage={stage}: choose one of {', '.join(STAGES)}; leave it out to run all missing ones")
     present = STAGES if sketch_learns(cfg) else STAGES[-1:]
     if stage not in present:
-        raise UserError(f"stage={stage}: this model/sketch is not learned and has no such stage; choose one that is")
+        raise UserError(f"stage={stage}: this model/sketch has no such stage; choose model/sketch=omni or mono")
     return present[: present.index(stage) + 1]
 
 

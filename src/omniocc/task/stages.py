@@ -54,9 +54,9 @@ Task = StageTask[nn.Module]
 Read = Callable[[SceneFrames, int], tuple[Tensor | None, ...]]
 Predict = Callable[..., tuple[Tensor, ...]]
 SHARED_AT_M = 10.0
-"""Distance at which the share of the view is stated that two or more cameras have in common."""
+"""Distance at which the fraction of the view is stated that two or more cameras have in common."""
 LITTLE_SHARED = 0.05
-"""Share below which it is said that there is little to compare."""
+"""Fraction below which it is said that there is little to compare."""
 
 
 class Stages:
@@ -273,7 +273,7 @@ def to_device(inputs: tuple[Tensor | None, ...], device: torch.device) -> list[T
 
 
 def matching_line(shared: float) -> str:
-    """Return a line about the share of directions in which ranges can be measured by comparing cameras."""
+    """Return a line about the fraction of directions in which ranges can be measured by comparing cameras."""
     line = f"two or more cameras see {shared:.0%} of what any camera sees, {SHARED_AT_M:g} m away"
     alone = "; elsewhere ranges come from single images, as with model/sketch=mono"
     return line + (alone if shared < LITTLE_SHARED else "")

@@ -64,7 +64,7 @@ class TargetOptions:
         if self.save is not None and Path(self.save).is_dir():
             raise UserError(f"save={self.save} is a folder; give a file, {Path(self.save) / 'view.rrd'}")
         if not 0 <= self.port < 65536:
-            raise UserError(f"port={self.port}: a port is from 1 to 65535")
+            raise UserError(f"port={self.port}: give a port from 0 (any that is free) to 65535")
 
 
 def options_of(cfg: DictConfig) -> tuple[ViewOptions | None, TargetOptions]:

@@ -110,7 +110,7 @@ def test_scenes_are_read_from_a_store(root, tmp_path):
         ({"train": ["*"], "val": []}, r"splits has \['train', 'val'\].*train, val, test"),
         ({"train": 0.5, "val": ["night-a"], "test": 0.1}, "fractions for all splits or for none"),
         ({"train": 0.9, "val": 0.2, "test": 0.1}, "at most 1"),
-        ({"train": 0.9, "val": 0.02, "test": 0.02}, r"splits\.val=0\.02: that is none of 4 scenes"),
+        ({"train": 0.9, "val": 0.02, "test": 0.02}, r"splits\.val=0\.02: less than one of 4 scenes"),
     ],
 )
 def test_splits_that_make_no_sense_are_named(splits, message):

@@ -2,7 +2,7 @@ import pytest
 import torch
 
 from omniocc.geometry import Cuboid, Cylinder
-from omniocc.model.ops.classifier import Classifier, smoothed_shares
+from omniocc.model.ops.classifier import Classifier, smoothed_fractions
 from omniocc.model.protocols import Sketched
 
 GRID = Cylinder((4, 6, 2))
@@ -31,7 +31,7 @@ def volume(batch=2, geometry=GRID):
 
 def test_shares_are_counts_drawn_towards_ring_height_and_grid():
     counts = torch.randint(0, 9, (3, *GRID.shape))
-    shares = smoothed_shares(counts, [1])
+    shares = smoothed_fractions(counts, [1])
     assert torch.allclose(shares.sum(0), torch.ones(GRID.shape))
     equal = 1 / 3
     for r, theta, z in [(0, 0, 0), (3, 5, 1), (2, 1, 0)]:
@@ -45,7 +45,7 @@ def test_shares_are_counts_drawn_towards_ring_height_and_grid():
 
 def test_without_rings_the_surroundings_of_a_voxel_are_its_height():
     counts = torch.randint(0, 9, (3, 4, 4, 2))
-    shares = smoothed_shares(counts, [])
+    shares = smoothed_fractions(counts, [])
     for x, y, z in [(0, 0, 0), (3, 2, 1)]:
         for label in range(3):
             share = 1 / 3

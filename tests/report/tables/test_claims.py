@@ -107,8 +107,8 @@ def test_verdicts(here, none, size, verdict):
     assert Judged(Claim(0.1, 0.08, Gap(here, 0.02, 6)), none, size).verdict == verdict
 
 
-def test_without_a_spread_nothing_is_decided():
-    assert Judged(Claim(0.1, 0.08, Gap(0.3, math.nan, 0)), math.nan, math.nan).verdict == "undecided (spread unknown)"
+def test_with_one_seed_nothing_is_decided():
+    assert Judged(Claim(0.1, 0.08, Gap(0.3, math.nan, 0)), math.nan, math.nan).verdict == "undecided (one seed only)"
     unknown = Claim(0.1, 0.08, Gap(math.nan, math.nan, 0))
     assert Judged(unknown, math.nan, math.nan).verdict == "undecided (no seed in common)"
     assert unknown.gap.written == "–"
@@ -189,7 +189,7 @@ def test_a_table_has_a_line_for_each_claim_and_judge():
     assert lines[1][2:5] == ["LiDAR rays", "+0.015", "+0.045 ± 0.012"]
     single = {"ours": row("ours", 0.3), "dense": row("dense", 0.2)}
     assert claim_cells(SKETCH, single, judged([SKETCH], single))[1] == [
-        [*first[:3], "+0.023", "+0.100", "–", "–", "–", "undecided (spread unknown)"],
+        [*first[:3], "+0.023", "+0.100", "–", "–", "–", "undecided (one seed only)"],
     ]
     assert claim_cells(SKETCH, {}, {})[1] == []
 

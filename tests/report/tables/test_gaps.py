@@ -39,7 +39,7 @@ def test_paired_differences_are_those_of_the_seeds_that_both_have():
     assert paired_gap(row("ours", *better), elsewhere, KEY) is UNKNOWN
 
 
-def test_all_rows_tell_about_the_spread():
+def test_all_rows_tell_about_the_noise():
     """Complete rows and seeds: the deviations from row mean and seed mean, as of a two-way analysis of variance."""
     values = {"a": [0.30, 0.36], "b": [0.20, 0.21], "c": [0.25, 0.29]}
     gaps = Gaps({name: row(name, *of_row) for name, of_row in values.items()}, KEY)
@@ -47,9 +47,9 @@ def test_all_rows_tell_about_the_spread():
     seeds = [statistics.mean(of_row[k] for of_row in values.values()) for k in (0, 1)]
     every = statistics.mean(seeds)
     left = [of_row[k] - means[name] - seeds[k] + every for name, of_row in values.items() for k in (0, 1)]
-    spread = math.sqrt(sum(value * value for value in left) / 2)
-    assert gaps.spread == pytest.approx(spread)
-    assert gaps.between("a", "b") == pytest.approx((means["a"] - means["b"], spread, 2))
+    std = math.sqrt(sum(value * value for value in left) / 2)
+    assert gaps.std == pytest.approx(std)
+    assert gaps.between("a", "b") == pytest.approx((means["a"] - means["b"], std, 2))
 
 
 def test_a_row_that_lacks_a_seed_is_compared_on_those_it_has():
@@ -85,7 +85,7 @@ def test_systems_are_compared_as_in_welchs_t_test():
     assert gap.here / gap.error == pytest.approx(reference.statistic)
     assert gap.freedom == pytest.approx(reference.df)
     assert gap_of_systems(row("ours", 0.3, 0.3, 0.3), row("bevdet", 0.2, 0.2), KEY) == pytest.approx((0.1, 0.0, 3))
-    for ours in ([0.3], [0.29, 0.3, 0.31]):  # three seeds of one system say nothing of the other's spread
+    for ours in ([0.3], [0.29, 0.3, 0.31]):  # three seeds of one system say nothing of the other's standard deviation
         single = gap_of_systems(row("ours", *ours), row("bevdet", 0.2), KEY)
         assert single.here == pytest.approx(0.1)
         assert math.isnan(single.error)

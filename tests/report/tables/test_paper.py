@@ -61,13 +61,13 @@ def test_the_papers_class_figures_have_its_mean_but_for_bevdet():
         assert gap == pytest.approx(0.0275, abs=1e-3) if row.run == "bevdet" else gap < 1e-3
 
 
-def test_mean_spread_and_number_of_seeds():
+def test_mean_standard_deviation_and_number_of_seeds():
     figure = figure_of(RUNS["ours"], "test/rayiou")
     assert figure.mean == pytest.approx(0.3)
-    assert figure.spread == pytest.approx(math.sqrt(0.02))
+    assert figure.std == pytest.approx(math.sqrt(0.02))
     assert figure.seeds == 2
     assert figure_of(RUNS["ours"], "test/absent") is None
-    assert math.isnan(figure_of(RUNS["mono"], "test/rayiou").spread)
+    assert math.isnan(figure_of(RUNS["mono"], "test/rayiou").std)
 
 
 def test_seeds_without_a_figure_do_not_count():

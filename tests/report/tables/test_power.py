@@ -10,7 +10,7 @@ from omniocc.errors import UserError
 from omniocc.report.runs import FinishedRun
 from omniocc.report.tables import power
 from omniocc.report.tables.paper import load_table
-from omniocc.report.tables.power import Spread, freedom_of_parts, freedom_of_systems, load_spreads, seeds_needed
+from omniocc.report.tables.power import SeedStd, freedom_of_parts, freedom_of_systems, load_seed_stds, seeds_needed
 
 SWEEPS = Path(__file__).parents[3] / "sweeps"
 TABLES = [load_table(SWEEPS / f"{name}.yaml") for name in ("comparison", "sketch")]
@@ -25,8 +25,8 @@ def test_two_samples_need_what_cohen_says(size, seeds):
 
 def test_pairs_need_what_gpower_says():
     """G*Power, difference of two dependent means: 34 pairs for .5 standard deviations of the difference."""
-    spread = 1 / np.sqrt(2)  # of one of the two
-    assert seeds_needed(0.5, spread, lambda seeds: freedom_of_parts(seeds, 2), 1) == 34
+    std = 1 / np.sqrt(2)  # of one of the two
+    assert seeds_needed(0.5, std, lambda seeds: freedom_of_parts(seeds, 2), 1) == 34
     assert freedom_of_parts(7, 2) == 6
 
 
@@ -50,7 +50,7 @@ def test_the_power_is_that_of_simulated_runs():
     assert rate == pytest.approx(expected, abs=4 * np.sqrt(expected * (1 - expected) / 4000))
 
 
-def test_more_claims_and_wider_spreads_need_more_seeds():
+def test_more_claims_and_larger_standard_deviations_need_more_seeds():
     few, many = (seeds_needed(1.0, 1.0, freedom_of_systems, claims) for claims in (1, 20))
     assert few is not None
     assert many is not None
@@ -62,7 +62,7 @@ def runs(name: str, *values: float) -> list[FinishedRun]:
     return [FinishedRun(f"{name}-{k:08x}", {"seed": k}, {KEY: value}) for k, value in enumerate(values)]
 
 
-def test_the_spreads_of_the_runs_are_measured_where_rows_have_two_seeds():
+def test_the_standard_deviations_of_the_runs_are_measured_where_rows_have_two_seeds():
     rows = {"ours": runs("ours", 0.30, 0.34), "wo_dilation": runs("wo", 0.20, 0.22), "dense": runs("dense", 0.1, 0.1)}
     found = power.measured(TABLES, rows, KEY)
     assert found is not None
@@ -72,9 +72,9 @@ def test_the_spreads_of_the_runs_are_measured_where_rows_have_two_seeds():
     assert power.measured(TABLES, {"ours": runs("ours", 0.3)}, KEY) is None
 
 
-def test_the_page_has_every_claim_and_spread():
+def test_the_page_has_every_claim_and_standard_deviation():
     rows = {"ours": runs("ours", 0.235)}
-    text = power.power_chapter(TABLES, rows, [Spread("notes", 0.002, 0.01), Spread("other notes", 0.0001, 0.0001)])
+    text = power.power_chapter(TABLES, rows, [SeedStd("notes", 0.002, 0.01), SeedStd("other notes", 0.0001, 0.0001)])
     assert "* 0.0020 / 0.0100: notes\n" in text
     assert "for 9 claims" in text
     lines = {line.split(" | ")[0]: line.split(" | ")[-2:] for line in text.splitlines()}
@@ -89,17 +89,21 @@ def test_the_noise_of_parts_is_that_of_the_rows_on_the_main_data():
     """Of a table and a copy of it on other data, the five rows of the first."""
     table = TABLES[1]._replace(rows=[row._replace(alone=False) for row in TABLES[1].rows])
     other = table._replace(name="other", rows=[row._replace(run=f"{row.run}@1000") for row in table.rows])
-    assert "known as well as from 5 rows" in power.power_chapter([table, other], {}, [Spread("notes", 0.002, 0.01)])
+    assert "known as well as from 5 rows" in power.power_chapter([table, other], {}, [SeedStd("notes", 0.002, 0.01)])
 
 
-def test_spreads_are_read_and_wrong_ones_are_named(tmp_path):
-    assert [entry.parts for entry in load_spreads(SWEEPS / "power.yaml")] == [0.0018, 0.005]
-    assert load_spreads(tmp_path / "power.yaml") == []
+def test_standard_deviations_are_read_and_wrong_ones_are_named(tmp_path):
+    assert [entry.parts for entry in load_seed_stds(SWEEPS / "power.yaml")] == [0.0018, 0.005]
+    assert load_seed_stds(tmp_path / "power.yaml") == []
     path = tmp_path / "power.yaml"
-    for text in ("spreads: [{source: a, parts: 0.1}]", "spreads: [{source: a, parts: 0.1, systems: b}]", "kind: power"):
+    for text in (
+        "seed_stds: [{source: a, parts: 0.1}]",
+        "seed_stds: [{source: a, parts: 0.1, systems: b}]",
+        "kind: power",
+    ):
         path.write_text(text)
         with pytest.raises(UserError, match=r"power\.yaml: every entry"):
-            load_spreads(path)
-    path.write_text("spreads: [{source: a, parts: 0, systems: 1}]")
+            load_seed_stds(path)
+    path.write_text("seed_stds: [{source: a, parts: 0, systems: 1}]")
     with pytest.raises(UserError, match="above 0"):
-        load_spreads(path)
+        load_seed_stds(path)

@@ -24,9 +24,13 @@ def test_one_line_where_all_rows_agree():
 def test_rows_are_named_where_they_differ():
     rows = {"ours": runs(RAYS, OTHER), "mono": runs(RAYS), "old": runs(None)}
     assert protocol_lines(rows, KEYS) == [
-        "RayIoU (ours, mono): rays from the ego origin.",
+        "RayIoU (all rows but old): rays from the ego origin.",
         "RayIoU (ours): rays from eight origins.",
-        "IoU, mIoU (ours, mono): cells.",
+        "IoU, mIoU (all rows but old): cells.",
+    ]
+    assert protocol_lines({"ours": runs(RAYS, OTHER)}, KEYS[:1]) == [
+        "RayIoU (all rows): rays from the ego origin.",
+        "RayIoU (all rows): rays from eight origins.",
     ]
 
 

@@ -5,8 +5,8 @@ import pytest
 from omniocc.report.tables.robustness import (
     common_parts,
     comparable,
-    loss_cells,
     part_cells,
+    relative_cells,
     robustness_markdown,
     robustness_text,
     score_cells,
@@ -32,18 +32,18 @@ OURS = record("ours-12345678", 0.5, 0.45, {180: 0.3, 90: 0.2})
 OTHER = record("flashocc-12345678", 0.4, 0.38, {180: 0.12})
 
 
-def test_losses_are_means_by_kind_over_common_disturbances_with_the_least_in_bold():
+def test_relative_drops_are_means_by_kind_over_common_disturbances_with_the_least_in_bold():
     assert common_parts([OURS, OTHER]) == ["noise_5_percent", "view_180_deg"]
-    head, rows = loss_cells([OURS, OTHER])
-    assert head == ["loss of RayIoU, %", "ours", "flashocc"]
+    head, rows = relative_cells([OURS, OTHER])
+    assert head == ["relative drop of RayIoU, %", "ours", "flashocc"]
     assert rows == [
         ["undisturbed RayIoU", "0.500", "0.400"],
         ["noise", "10.0", "**5.0**"],
         ["view", "**40.0**", "70.0"],
         ["mean of all kinds", "**25.0**", "37.5"],
-        ["RayIoU that is left", "0.375", "0.250"],
+        ["RayIoU after it", "0.375", "0.250"],
     ]
-    assert loss_cells([OURS])[1][2] == ["view", "50.0"]  # both views; nothing in bold
+    assert relative_cells([OURS])[1][2] == ["view", "50.0"]  # both views; nothing in bold
 
 
 def test_the_verdict_names_who_loses_least_and_to_what():
@@ -88,7 +88,7 @@ def test_systems_of_other_scenes_are_not_compared():
     ]
     page = robustness_markdown([tiny, OURS, OTHER])
     assert page.count("| undisturbed RayIoU |") == 2
-    assert "| loss of RayIoU, % | ours | flashocc |" in page
+    assert "| relative drop of RayIoU, % | ours | flashocc |" in page
     assert "tiny: 3 scenes, 6 frames, seed 0; `python src/evaluate.py`, commit abc, here." in page
     assert "mean of all kinds" in robustness_text([tiny, OURS, OTHER])
 

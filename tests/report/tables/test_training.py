@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from scipy import stats
 
-from omniocc.report.chapters import CURVES_PICTURE, write_docs
+from omniocc.report.chapters import CURVES_IMAGE, write_docs
 from omniocc.report.plots.figures import learning_curves
 from omniocc.report.runs import FinishedRun
 from omniocc.report.sweep import Sweep
@@ -145,21 +145,21 @@ def test_the_picture_has_a_line_for_each_row_and_number_of_steps(sweep):
 
 def test_the_page_of_the_documentation_has_the_picture_beside_it(sweep, tmp_path):
     (page,) = (path for path in write_docs([sweep], tmp_path) if path.name == "training.md")
-    assert page.read_text().rstrip().endswith(f"({CURVES_PICTURE})")
+    assert page.read_text().rstrip().endswith(f"({CURVES_IMAGE})")
     lines = page.read_text().splitlines()
     headings = [line.split(" ")[0] for line in lines if line.startswith("#")]
     assert headings == ["#", "##", "##"]
     assert [line for line, after in pairwise(lines) if line.startswith("|") and after[:1] not in ("|", "")] == []
     draw_curves(sweep, tmp_path)
-    first = (tmp_path / CURVES_PICTURE).read_bytes()
+    first = (tmp_path / CURVES_IMAGE).read_bytes()
     draw_curves(sweep, tmp_path)
     assert first.startswith(b"<?xml")
-    assert (tmp_path / CURVES_PICTURE).read_bytes() == first
+    assert (tmp_path / CURVES_IMAGE).read_bytes() == first
 
 
 def test_without_longer_runs_there_is_no_picture(sweep, tmp_path):
     draw_curves(sweep._replace(longer=[]), tmp_path)
-    assert not (tmp_path / CURVES_PICTURE).exists()
+    assert not (tmp_path / CURVES_IMAGE).exists()
 
 
 def test_the_change_is_from_the_fewest_to_the_most_steps():

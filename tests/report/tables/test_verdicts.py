@@ -33,7 +33,7 @@ def test_claims_stand_once_and_by_verdict():
 
 
 def test_rows_that_share_the_depth_are_judged_again_by_paired_differences():
-    """The spread of the row without dilation hides the gap to random voxels, whose own differences hardly vary."""
+    """The noise of the row without dilation hides the gap to random voxels, whose own differences hardly vary."""
     part = SKETCH._replace(rows=[each._replace(alone=False) for each in SKETCH.rows])
     runs = {
         "ours": row("ours", 0.300, 0.301, 0.302), "wo_dilation": row("wo", 0.26, 0.36, 0.30),

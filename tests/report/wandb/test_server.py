@@ -147,7 +147,7 @@ def test_without_a_server_that_answers_there_is_one_line(status, address, tmp_pa
         url = server.url if status else f"http://127.0.0.1:{unused.getsockname()[1]}"
         server.refused["Viewer"] = status or 0
         address(url)
-        reason = f"no W&B server accepts the login or answers .*{url}"
+        reason = f"the W&B server refused the login or gave no answer .*{url}"
         with pytest.raises(SystemExit, match=f"1 files wait in {tmp_path / 'runs'}: {reason}"):
             upload.main(["--runs", str(tmp_path / "runs")])
         if status == 401:  # the other two wait for the time limit

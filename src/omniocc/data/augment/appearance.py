@@ -1,4 +1,4 @@
-"""Other cameras for the same images: exposure, colours, blur, noise, vignette, glare, JPEG, a camera without a picture.
+"""Other cameras for the same images: exposure, colours, blur, noise, vignette, glare, JPEG, a camera without an image.
 
 What looks different is still as far away, so that a network for any camera learns to look at something else.
 """
@@ -30,7 +30,7 @@ class Appearance:
         vignette: greatest fraction of light that is lost in the corners.
         glare: greatest light that is added around a random point and, half of it, everywhere.
         jpeg: probability that images are compressed, with a quality from 25 to 90.
-        missing: probability that a rig of three cameras or more loses the picture of one.
+        missing: probability that a rig of three cameras or more loses the image of one.
 
     Raises:
         ValueError: if a value is negative, or a probability above 1.
@@ -58,7 +58,7 @@ class Appearance:
                 raise ValueError(f"{name} is {value}; it must be from 0 (off) to {most:g}")
 
     def __call__(self, images: Images, mask: Bool[Tensor, "B N H W"], generator: torch.Generator) -> Images:
-        """Return changed images in [0, 1]; padding (where `mask` is false) and pictures that are missing stay black.
+        """Return changed images in [0, 1]; padding (where `mask` is false) and images that are missing stay black.
 
         All draws are from `generator`, on the CPU.
         """

@@ -188,5 +188,7 @@ def by_fraction(fractions: Mapping[str, float], available: Sequence[str]) -> dic
         first, total = round(total * len(order)), total + fractions[split]
         names[split] = sorted(order[first : round(total * len(order))])
         if fractions[split] and not names[split]:
-            raise DataError(f"data.source.splits.{split}={fractions[split]}: that is none of {len(order)} scenes")
+            raise DataError(
+                f"data.source.splits.{split}={fractions[split]}: less than one of {len(order)} scenes; give more, or 0"
+            )
     return names

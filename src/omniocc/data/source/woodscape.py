@@ -98,7 +98,7 @@ class WoodScape:
     def scenes(self, split: Split) -> Sequence["WoodScapeImage"]:
         """Return the images of a split."""
         before = sum(self.fractions[other] for other in SPLITS[: SPLITS.index(split)])
-        first, last = (round(share * len(self.names)) for share in (before, before + self.fractions[split]))
+        first, last = (round(part * len(self.names)) for part in (before, before + self.fractions[split]))
         return [WoodScapeImage(name, self) for name in self.names[first:last]]
 
     def labels(self, geometry: Grid, unknown: Unknown) -> OwnGridLabels:

@@ -12,7 +12,7 @@ import fsspec
 from aiohttp import ClientResponseError
 from fsspec.implementations.local import LocalFileSystem
 
-from omniocc.errors import DataError
+from omniocc.errors import DataError, installing
 
 T = TypeVar("T")
 BLOCK_BYTES = 2**22
@@ -23,8 +23,9 @@ RETRY_FOR_S = 300.0
 LONGEST_PAUSE_S = 15.0
 LASTING = (FileNotFoundError, PermissionError, NotADirectoryError, IsADirectoryError, ValueError, TypeError)
 """Errors that another request will not mend."""
-EXTRAS = {"s3": "omniocc[s3]", "s3a": "omniocc[s3]", "gs": "gcsfs", "gcs": "gcsfs", "abfs": "adlfs", "az": "adlfs"}
-"""What to install for a kind of store."""
+S3 = ("s3", "s3a")
+PACKAGES = {"gs": "gcsfs", "gcs": "gcsfs", "abfs": "adlfs", "az": "adlfs"}
+"""What to install for other kinds of store."""
 _answered: set[str] = set()
 """Stores that this process has reached."""
 
@@ -95,7 +96,8 @@ def _file_system(url: str) -> tuple[Any, str]:
         return fsspec.core.url_to_fs(url)
     except ImportError as error:
         kind = url.partition("://")[0]
-        remedy = f"pip install '{EXTRAS[kind]}'" if kind in EXTRAS else str(error)
+        other = f"pip install {PACKAGES[kind]}" if kind in PACKAGES else str(error)
+        remedy = installing("s3") if kind in S3 else other
         raise DataError(f"{url}: reading {kind}:// needs a package that is not installed: {remedy}") from error
 
 

@@ -52,9 +52,9 @@ class Classifier(nn.Module):
     def set_class_counts(self, counts: Int64[Tensor, "K X Y Z"]) -> None:
         """Set the start from the number of training frames with each class in each voxel."""
         rings = [axis for axis in range(3) if self.geometry.periodic[axis]]
-        occupied = smoothed_shares(torch.stack([counts[FREE], counts[FREE + 1 :].sum(0)]), rings)
+        occupied = smoothed_fractions(torch.stack([counts[FREE], counts[FREE + 1 :].sum(0)]), rings)
         self.prior_log_odds.copy_(torch.log(occupied[1] / occupied[0]))
-        self.prior_shares.copy_(smoothed_shares(counts[FREE + 1 :], rings).log().movedim(0, -1))
+        self.prior_shares.copy_(smoothed_fractions(counts[FREE + 1 :], rings).log().movedim(0, -1))
 
     def forward(self, volume: Float[Tensor, "B C X Y Z"], sketched: Sketched) -> Float[Tensor, "B K X Y Z"]:
         """Return logits; raise ValueError if evidence is used and the sketch has none."""
@@ -73,20 +73,20 @@ class Classifier(nn.Module):
         return torch.cat([free.expand(*occupied.shape[:-1], 1), occupied], dim=-1)
 
 
-def smoothed_shares(counts: Int64[Tensor, "K X Y Z"], rings: Sequence[int]) -> Float[Tensor, "K X Y Z"]:
-    """Return the share of each class in each voxel, drawn towards that of its surroundings where frames are few.
+def smoothed_fractions(counts: Int64[Tensor, "K X Y Z"], rings: Sequence[int]) -> Float[Tensor, "K X Y Z"]:
+    """Return the fraction of each class in each voxel, drawn towards that of its surroundings where frames are few.
 
     The surroundings of a voxel are its ring along the periodic axes, those of a ring its height, those of a height the
-    whole grid, those of the grid equal shares. Each is worth 20 frames. In a grid without periodic axes those of a
+    whole grid, those of the grid equal fractions. Each is worth 20 frames. In a grid without periodic axes those of a
     voxel are its height.
 
     Args:
         counts: frames with each class in each voxel.
         rings: periodic axes of the grid.
     """
-    shares = torch.full((len(counts), 1, 1, 1), 1 / len(counts), dtype=torch.float64)
+    fractions = torch.full((len(counts), 1, 1, 1), 1 / len(counts), dtype=torch.float64)
     wholes = [(1, 2, 3), (1, 2), *([tuple(axis + 1 for axis in rings)] if rings else []), ()]
     for axes in wholes:
         summed = counts.double().sum(axes, keepdim=True) if axes else counts.double()
-        shares = (summed + SMOOTHING * shares) / (summed.sum(0, keepdim=True) + SMOOTHING)
-    return shares.float()
+        fractions = (summed + SMOOTHING * fractions) / (summed.sum(0, keepdim=True) + SMOOTHING)
+    return fractions.float()

@@ -11,7 +11,7 @@ from pathlib import Path
 from queue import Empty, Full, Queue
 from typing import Any, BinaryIO
 
-from omniocc.errors import UserError
+from omniocc.errors import UserError, installing
 
 CLIENT = Path(__file__).with_name("client.py")
 GRACE_S = 10.0
@@ -106,7 +106,7 @@ def explain(reason: str, message: str, job: dict[str, Any]) -> CarlaError:
     place = f"{job['host']}:{job['port']}"
     remedies = {
         "import": (
-            f"this Python has no CARLA client ({message}): pip install -e '.[carla]' for a server 0.9.16 and Python "
+            f"this Python has no CARLA client ({message}): {installing('carla')} for a server 0.9.16 and Python "
             "3.11 or 3.12, or set recorder.python to a Python that has the client of your server (its wheel is in the "
             "server's PythonAPI/carla/dist)"
         ),

@@ -100,7 +100,7 @@ def by_candidates(rows: Rows) -> Canvas | None:
     axes = canvas.subplots()
     for row, (fraction, score) in points.items():
         if fraction and score:
-            xerr, yerr = (0.0 if math.isnan(figure.spread) else figure.spread for figure in (fraction, score))
+            xerr, yerr = (0.0 if math.isnan(figure.std) else figure.std for figure in (fraction, score))
             label = f"{row} ({100 * fraction.mean:.0f} %, {score.mean:.3f})"
             axes.errorbar(fraction.mean, score.mean, yerr, xerr, fmt="none", **WHISKER)
             axes.plot(fraction.mean, score.mean, "o", markersize=8, color=colors[row], label=label)
@@ -185,10 +185,10 @@ def _grouped(axes: Axes, rows: Rows, keys: Mapping[str, str]) -> None:
         places = [group - 0.42 + (k + 0.5) * width for group in range(len(keys))]
         figures = [figure_of(runs, key) for key in keys.values()]
         means = [figure.mean if figure else math.nan for figure in figures]
-        spreads = [figure.spread if figure and not math.isnan(figure.spread) else 0.0 for figure in figures]
+        whiskers = [figure.std if figure and not math.isnan(figure.std) else 0.0 for figure in figures]
         axes.bar(places, means, width * 0.92, color=colors[row], label=row)
-        if any(spreads):
-            axes.errorbar(places, means, spreads, fmt="none", **WHISKER)
+        if any(whiskers):
+            axes.errorbar(places, means, whiskers, fmt="none", **WHISKER)
     axes.set_xticks(range(len(keys)), list(keys))
     axes.set_ylim(bottom=0)
     axes.tick_params(axis="x", length=0)

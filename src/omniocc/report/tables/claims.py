@@ -67,7 +67,7 @@ class Judged(NamedTuple):
         """
         here, error, _ = self.claim.gap
         if math.isnan(error):
-            return f"{UNDECIDED} ({'no seed in common' if math.isnan(here) else 'spread unknown'})"
+            return f"{UNDECIDED} ({'no seed in common' if math.isnan(here) else 'one seed only'})"
         if self.none < LEVEL:
             return HOLDS if here > 0 else f"{AGAINST} (opposite sign)"
         return f"{AGAINST} (smaller)" if self.size < LEVEL else UNDECIDED

@@ -47,7 +47,7 @@ UNKNOWN = Gap(math.nan, math.nan, 0)
 def gap_of_systems(better: Sequence[FinishedRun], other: Sequence[FinishedRun], key: str) -> Gap:
     """Return the gap between two rows that share no training: Welch's t, for two samples of unequal variance.
 
-    The error is unknown if one of them has a single seed: the other's spread says nothing about it.
+    The error is unknown if one of them has a single seed: the other's standard deviation says nothing about it.
     """
     samples = [np.array([value for _, value in _figures(runs, key)]) for runs in (better, other)]
     if not all(len(sample) for sample in samples):
@@ -55,9 +55,9 @@ def gap_of_systems(better: Sequence[FinishedRun], other: Sequence[FinishedRun], 
     here = float(samples[0].mean() - samples[1].mean())
     if min(map(len, samples)) < 2:
         return Gap(here, math.nan, 0)
-    shares = [float(sample.var(ddof=1)) / len(sample) for sample in samples]
-    square = sum(shares)
-    parts = sum(share * share / (len(sample) - 1) for share, sample in zip(shares, samples, strict=True))
+    squares = [float(sample.var(ddof=1)) / len(sample) for sample in samples]
+    square = sum(squares)
+    parts = sum(one * one / (len(sample) - 1) for one, sample in zip(squares, samples, strict=True))
     return Gap(here, math.sqrt(square), square * square / parts if parts else sum(map(len, samples)) - 2)
 
 
@@ -105,7 +105,7 @@ class Gaps:
 
     Attributes:
         freedom: degrees of freedom of the noise; 0 if no row has a second seed.
-        spread: standard deviation of the noise; nan if no row has a second seed.
+        std: standard deviation of the noise; nan if no row has a second seed.
     """
 
     def __init__(self, rows: Mapping[str, Sequence[FinishedRun]], key: str):
@@ -123,7 +123,7 @@ class Gaps:
         self._effects = self._inverse @ values
         self.freedom = len(entries) - int(np.linalg.matrix_rank(self._design)) if entries else 0
         left = float(np.square(values - self._design @ self._effects).sum())
-        self.spread = math.sqrt(left / self.freedom) if self.freedom else math.nan
+        self.std = math.sqrt(left / self.freedom) if self.freedom else math.nan
 
     def has(self, row: str) -> bool:
         """Return whether the row has a figure."""
@@ -141,5 +141,5 @@ class Gaps:
         weights = contrast @ self._inverse
         if not np.allclose(weights @ self._design, contrast):
             return UNKNOWN
-        error = self.spread * math.sqrt(float(weights @ weights))
+        error = self.std * math.sqrt(float(weights @ weights))
         return Gap(float(contrast @ self._effects), error, self.freedom)

@@ -1,4 +1,4 @@
-"""Tables of the paper: its figures beside those of the runs here, mean and spread over seeds."""
+"""Tables of the paper: its figures beside those of the runs here, mean and standard deviation over seeds."""
 
 import math
 import statistics
@@ -113,7 +113,7 @@ class Figure(NamedTuple):
     """Mean and sample standard deviation over seeds; the latter is nan for one seed."""
 
     mean: float
-    spread: float
+    std: float
     seeds: int
 
 
@@ -168,7 +168,7 @@ def _by_column(columns: Mapping[str, str], row: Mapping[str, Any], run: str) -> 
 
 
 def figure_of(runs: Sequence[FinishedRun], key: str) -> Figure | None:
-    """Return mean and spread of a metric over the seeds of a method; None where it was not measured."""
+    """Return mean and standard deviation of a metric over the seeds of a method; None where it was not measured."""
     values = [value for run in runs if (value := run.metrics.get(key)) is not None and not math.isnan(value)]
     if not values:
         return None
@@ -275,5 +275,5 @@ def with_spread(key: str, figure: Figure | None) -> str:
     """Return our figure for a table: mean ± standard deviation over seeds, which numbers of voxels do not have."""
     if figure is None:
         return in_cell(key, None)
-    no_spread = math.isnan(figure.spread) or key == VOXELS
-    return in_cell(key, figure.mean) + ("" if no_spread else f" ± {figure.spread:.3f}")
+    no_std = math.isnan(figure.std) or key == VOXELS
+    return in_cell(key, figure.mean) + ("" if no_std else f" ± {figure.std:.3f}")

@@ -22,7 +22,7 @@ MOST, OTHERS = 999, 3
 TITLE = "Seeds that a gap of the paper's size needs"
 
 
-class Spread(NamedTuple):
+class SeedStd(NamedTuple):
     """Standard deviations of RayIoU between seeds.
 
     Attributes:
@@ -54,39 +54,45 @@ class Wanted(NamedTuple):
     size: float
 
 
-def load_spreads(path: Path) -> list[Spread]:
-    """Return the spreads of a file such as `sweeps/power.yaml`; none without the file.
+def load_seed_stds(path: Path) -> list[SeedStd]:
+    """Return the standard deviations between seeds of a file such as `sweeps/power.yaml`; none without the file.
 
     Raises:
-        UserError: if an entry lacks a key, or a spread is not above 0.
+        UserError: if an entry lacks a key, or a standard deviation is not above 0.
     """
     if not path.exists():
         return []
     try:
-        entries = yaml.safe_load(path.read_text())["spreads"]
-        found = [Spread(str(entry["source"]), float(entry["parts"]), float(entry["systems"])) for entry in entries]
+        entries = yaml.safe_load(path.read_text())["seed_stds"]
+        found = [SeedStd(str(entry["source"]), float(entry["parts"]), float(entry["systems"])) for entry in entries]
     except (KeyError, TypeError, ValueError) as error:
-        raise UserError(f"{path}: every entry of spreads has source, parts and systems: {error}") from error
+        raise UserError(f"{path}: every entry of seed_stds has source, parts and systems: {error}") from error
     if not all(min(entry.parts, entry.systems) > 0 for entry in found):
-        raise UserError(f"{path}: a spread is above 0")
+        raise UserError(f"{path}: standard deviations must be above 0")
     return found
 
 
-def spread_of(given: Sequence[float]) -> Spread:
-    """Return the spread that a user gives: of parts, and of systems; raise UserError for other numbers."""
+def seed_std_of(given: Sequence[float]) -> SeedStd:
+    """Return the standard deviations that a user gives: of parts, and of systems.
+
+    Raises:
+        UserError: for other numbers.
+    """
     if len(given) != 2 or min(given) <= 0:
-        raise UserError("give two spreads above 0: of parts of one system, and of systems alone, such as 0.005 0.015")
-    return Spread("given", *given)
+        raise UserError(
+            "give two standard deviations above 0: of parts of one system, and of systems alone, such as 0.005 0.015"
+        )
+    return SeedStd("given", *given)
 
 
-def measured(tables: Sequence[PaperTable], rows: Rows, key: str) -> Spread | None:
-    """Return the spreads of the runs themselves; None as long as no part, or no system, has two seeds."""
+def measured(tables: Sequence[PaperTable], rows: Rows, key: str) -> SeedStd | None:
+    """Return the standard deviations of the runs themselves; None as long as no part, or no system, has two seeds."""
     systems = rows_of_claims(tables, rows, False)
-    spreads = [figure.spread for runs in systems.values() if (figure := figure_of(runs, key)) and figure.seeds > 1]
-    parts = Gaps(rows_of_claims(tables, rows, True), key).spread
-    if math.isnan(parts) or not spreads:
+    stds = [figure.std for runs in systems.values() if (figure := figure_of(runs, key)) and figure.seeds > 1]
+    parts = Gaps(rows_of_claims(tables, rows, True), key).std
+    if math.isnan(parts) or not stds:
         return None
-    return Spread("the runs here", parts, math.sqrt(sum(spread * spread for spread in spreads) / len(spreads)))
+    return SeedStd("the runs here", parts, math.sqrt(sum(std * std for std in stds) / len(stds)))
 
 
 def wanted(tables: Sequence[PaperTable], rows: Rows) -> list[Wanted]:
@@ -127,11 +133,11 @@ def freedom_of_parts(seeds: int, rows: int) -> int:
     return runs - (rows + (max(seeds, OTHERS) if rows > 2 else seeds) - 1)
 
 
-def seeds_needed(size: float, spread: float, freedom: Callable[[int], int], claims: int) -> int | None:
+def seeds_needed(size: float, std: float, freedom: Callable[[int], int], claims: int) -> int | None:
     """Return the smallest number of seeds with which a gap is found in `WANTED` of all cases; None above `MOST`."""
 
     def enough(seeds: int) -> bool:
-        return power_of(size, spread * math.sqrt(2 / seeds), freedom(seeds), claims) >= WANTED
+        return power_of(size, std * math.sqrt(2 / seeds), freedom(seeds), claims) >= WANTED
 
     low, high = 1, MOST
     if not enough(high):
@@ -142,25 +148,25 @@ def seeds_needed(size: float, spread: float, freedom: Callable[[int], int], clai
     return high
 
 
-def power_cells(tables: Sequence[PaperTable], rows: Rows, spreads: Sequence[Mapping[str, Spread]]) -> Cells:
-    """Return head and a line for each claim: the paper's gap, and the seeds that it needs at every spread.
+def power_cells(tables: Sequence[PaperTable], rows: Rows, stds: Sequence[Mapping[str, SeedStd]]) -> Cells:
+    """Return head and a line for each claim: the paper's gap, and the seeds that it needs at every standard deviation.
 
     Args:
         tables: the paper's tables.
         rows: runs of each row.
-        spreads: spreads by metric; each has that of RayIoU. Where one lacks the metric of a claim, a dash stands.
+        stds: standard deviations by metric; each has that of RayIoU. A dash stands where a claim's metric is lacking.
     """
     claims, parts = wanted(tables, rows), _number_of_parts(tables)
     lines = []
     for claim in claims:
         gaps = f"{claim.paper:+.3f}", "–" if math.isnan(claim.size) else f"{claim.size:+.3f}"
-        lines.append([claim.title, claim.table, *gaps, *_needed(claim, spreads, parts, len(claims))])
-    head = [f"spread {entry[RAY_IOU].parts:.4f} / {entry[RAY_IOU].systems:.4f}" for entry in spreads]
+        lines.append([claim.title, claim.table, *gaps, *_needed(claim, stds, parts, len(claims))])
+    head = [f"std. dev. {entry[RAY_IOU].parts:.4f} / {entry[RAY_IOU].systems:.4f}" for entry in stds]
     return ["claim", "table", "paper", "in proportion", *head], lines
 
 
-def _needed(claim: Wanted, spreads: Sequence[Mapping[str, Spread]], parts: int, claims: int) -> Iterator[str]:
-    for entry in (by_metric.get(claim.key) for by_metric in spreads):
+def _needed(claim: Wanted, stds: Sequence[Mapping[str, SeedStd]], parts: int, claims: int) -> Iterator[str]:
+    for entry in (by_metric.get(claim.key) for by_metric in stds):
         if entry is None or math.isnan(claim.size):
             yield "–"
             continue
@@ -178,16 +184,16 @@ def _number_of_parts(tables: Sequence[PaperTable]) -> int:
     return max(2, len({row for row in named if "@" not in row}))
 
 
-def power_chapter(tables: Sequence[PaperTable], rows: Rows, given: Sequence[Spread]) -> str:
-    """Return the page as Markdown; empty if no spread is given or measured."""
+def power_chapter(tables: Sequence[PaperTable], rows: Rows, given: Sequence[SeedStd]) -> str:
+    """Return the page as Markdown; empty if no standard deviation is given or measured."""
     keys = {claim.key for claim in wanted(tables, rows)}
-    here = {key: spread for key in sorted(keys) if (spread := measured(tables, rows, key)) is not None}
-    spreads: list[Mapping[str, Spread]] = [{RAY_IOU: spread} for spread in given]
+    here = {key: std for key in sorted(keys) if (std := measured(tables, rows, key)) is not None}
+    stds: list[Mapping[str, SeedStd]] = [{RAY_IOU: std} for std in given]
     if RAY_IOU in here:
-        spreads.append(here)
-    if not spreads:
+        stds.append(here)
+    if not stds:
         return ""
-    head, lines = power_cells(tables, rows, spreads)
+    head, lines = power_cells(tables, rows, stds)
     parts, claims = _number_of_parts(tables), len(lines)
     sources = [f"* {entry.parts:.4f} / {entry.systems:.4f}: {entry.source}" for entry in given]
     sources += [f"* {entry.parts:.4f} / {entry.systems:.4f}: {entry.source}, `{key}`" for key, entry in here.items()]
@@ -195,11 +201,11 @@ def power_chapter(tables: Sequence[PaperTable], rows: Rows, given: Sequence[Spre
         f"How many training seeds each row of a claim needs, so that the claim 'holds' with a probability of "
         f"{WANTED:.0%} if the true gap is as large as the paper's, in proportion to the score here; what 'does not "
         f"hold' needs is not computed. Student's t at {LEVEL:.0%} / {claims}, the first and strictest step of Holm's "
-        f"correction for {claims} claims; own voxels. A spread is the standard deviation between seeds: of rows that "
+        f"correction for {claims} claims; own voxels. The standard deviations are those between seeds: of rows that "
         f"use the same trained depth and sketch, without the effects of row and seed, known as well as from {parts} "
-        f"rows of {OTHERS} seeds or more / of a row that shares nothing with the other. Two such rows are given equal "
-        f"spreads here, the best case of Welch's test: where they differ, it needs more seeds. The runs here have a "
-        f"spread of each claim's own metric; the others are of RayIoU. A dash: the better row has not run, or the "
-        f"spread of the metric is not known."
+        f"rows of {OTHERS} seeds or more / of a row that has nothing in common with the other. Two such rows are given "
+        f"equal ones here, the best case of Welch's test: where they differ, it needs more seeds. Those of the runs "
+        f"here are of each claim's own metric, the others of RayIoU. A dash: the better row has not run, or the "
+        f"standard deviation of the metric is not known."
     )
     return "\n".join([f"## {TITLE}", "", note, "", *sources, "", markdown(head, lines)])

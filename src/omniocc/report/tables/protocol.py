@@ -15,7 +15,8 @@ def protocol_text(rows: Mapping[str, Sequence[FinishedRun]], keys: Iterable[str]
 def protocol_lines(rows: Mapping[str, Sequence[FinishedRun]], keys: Iterable[str]) -> list[str]:
     """Return a line for each kind of score among the keys of a table, and for each way in which it was counted.
 
-    A line names its rows where they differ in it. Runs of before this was recorded have none.
+    A line names its rows, or those that it does not hold for, where they differ in it. Runs of before this was
+    recorded have none.
     """
     kinds = dict.fromkeys(kind for key in keys if (kind := score_of(key)) is not None)
     lines = []
@@ -25,7 +26,15 @@ def protocol_lines(rows: Mapping[str, Sequence[FinishedRun]], keys: Iterable[str
             for text in dict.fromkeys(run.facts.get(PROTOCOL, {}).get(kind) for run in runs):
                 rows_by_text.setdefault(text, []).append(row)
         for text, members in rows_by_text.items():
-            where = f" ({', '.join(members)})" if len(rows_by_text) > 1 else ""
+            where = f" ({_named(members, rows)})" if len(rows_by_text) > 1 else ""
             if text is not None:
                 lines.append(f"{SCORES[kind]}{where}: {text}.")
     return lines
+
+
+def _named(members: Sequence[str], rows: Iterable[str]) -> str:
+    """Return the names of some of the rows, or those of the others where these are fewer."""
+    others = [row for row in rows if row not in members]
+    if len(others) < len(members):
+        return f"all rows but {', '.join(others)}" if others else "all rows"
+    return ", ".join(members)

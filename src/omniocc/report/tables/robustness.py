@@ -1,4 +1,4 @@
-"""What breaks each system: the loss by kind of disturbance, every part with its standard error, nested ranges."""
+"""What breaks each system: relative drops by kind of disturbance, every part with its standard error, nested ranges."""
 
 import math
 from collections.abc import Sequence
@@ -6,15 +6,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from omniocc.report.runs import HASH
-from omniocc.run.robustness import WITHIN, PartScores, Robustness, drop_of, group_losses
+from omniocc.run.robustness import WITHIN, PartScores, Robustness, drop_of, drops_by_kind
 from omniocc.run.table import Cells, in_columns, markdown, number
 
 TITLE = "What breaks them"
 NOTE = (
     "RayIoU of the same test scenes with something wrong, part by part. A drop is the score without disturbance minus "
-    "that with it, ± the standard error over scenes (jackknife). A loss is a drop in percent of the system's own "
-    "undisturbed score; a system that scores little has little to lose, so the last row says which RayIoU the mean "
-    "loss leaves. In the table of one system the row "
+    "that with it, ± the standard error over scenes (jackknife). A relative drop is in percent of the system's own "
+    "undisturbed score; a system that scores little has little to lose, so the last row has the RayIoU after the mean "
+    "relative drop. In the table of one system the row "
     "'undisturbed' has scores where all others have drops; the columns 'within' are of RayIoU up to this distance. "
     "s: wall-clock seconds of prediction and scores."
 )
@@ -40,44 +40,44 @@ def common_parts(records: Sequence[Robustness]) -> list[str]:
     return [part.part for part in records[0].disturbed if all(part.part in names for names in others)]
 
 
-def loss_cells(records: Sequence[Robustness]) -> Cells:
-    """Return head and rows: the mean loss by kind of disturbance, the least of several systems in bold, then the mean.
+def relative_cells(records: Sequence[Robustness]) -> Cells:
+    """Return head and rows: the mean relative drop by kind of disturbance, the least in bold, then their mean.
 
-    The first row is the undisturbed RayIoU, the last the RayIoU that the mean loss leaves of it.
+    The first row is the undisturbed RayIoU, the last the RayIoU after the mean relative drop.
     """
-    losses = [group_losses(record, set(common_parts(records))) for record in records]
+    drops = [drops_by_kind(record, set(common_parts(records))) for record in records]
     undisturbed = [record.undisturbed.scores.get("rayiou", math.nan) for record in records]
     rows = [["undisturbed RayIoU", *map(number, undisturbed)]]
-    rows += [[group, *_least_bold([one[group] for one in losses])] for group in losses[0]]
-    if losses[0]:
-        means = [mean_loss(one) for one in losses]
+    rows += [[group, *_least_bold([one[group] for one in drops])] for group in drops[0]]
+    if drops[0]:
+        means = [mean_drop(one) for one in drops]
         left = [score * (1 - mean) for score, mean in zip(undisturbed, means, strict=True)]
-        rows += [["mean of all kinds", *_least_bold(means)], ["RayIoU that is left", *map(number, left)]]
-    return ["loss of RayIoU, %", *map(name_of, records)], rows
+        rows += [["mean of all kinds", *_least_bold(means)], ["RayIoU after it", *map(number, left)]]
+    return ["relative drop of RayIoU, %", *map(name_of, records)], rows
 
 
-def mean_loss(losses: dict[str, float]) -> float:
+def mean_drop(drops: dict[str, float]) -> float:
     """Return the mean over kinds of disturbances, which count equally."""
-    return float(np.nanmean(list(losses.values()))) if losses else math.nan
+    return float(np.nanmean(list(drops.values()))) if drops else math.nan
 
 
 def verdict(records: Sequence[Robustness]) -> str:
     """Return in words which system loses least, and to what; nothing if no disturbance is common to all."""
-    losses = {name_of(record): group_losses(record, set(common_parts(records))) for record in records}
-    if not all(losses.values()):
+    drops = {name_of(record): drops_by_kind(record, set(common_parts(records))) for record in records}
+    if not all(drops.values()):
         return ""
-    order = sorted(losses, key=lambda name: mean_loss(losses[name]))
+    order = sorted(drops, key=lambda name: mean_drop(drops[name]))
     lines = []
     for name in order:
-        kinds = sorted(losses[name], key=lambda group: -losses[name][group])
-        most = ", ".join(f"{group} ({_percent(losses[name][group])} %)" for group in kinds[:3])
+        kinds = sorted(drops[name], key=lambda group: -drops[name][group])
+        most = ", ".join(f"{group} ({_percent(drops[name][group])} %)" for group in kinds[:3])
         lines.append(
-            f"{name} loses {_percent(mean_loss(losses[name]))} % in the mean over kinds, most to {most}, "
-            f"least to {kinds[-1]} ({_percent(losses[name][kinds[-1]])} %)."
+            f"{name} loses {_percent(mean_drop(drops[name]))} % in the mean over kinds, most to {most}, "
+            f"least to {kinds[-1]} ({_percent(drops[name][kinds[-1]])} %)."
         )
     if len(order) == 1:
         return lines[0]
-    wins = {name: [g for g in losses[name] if min(order, key=lambda n: losses[n][g]) == name] for name in order}
+    wins = {name: [g for g in drops[name] if min(order, key=lambda n: drops[n][g]) == name] for name in order}
     least = "; ".join(f"{name}: {', '.join(groups)}" for name, groups in wins.items() if groups)
     return " ".join([f"{order[0]} loses least of all.", *lines, f"Kinds to which each loses least: {least}."])
 
@@ -93,7 +93,7 @@ def part_cells(records: Sequence[Robustness]) -> Cells:
 
 
 def score_cells(record: Robustness) -> Cells:
-    """Return head and rows of one system: RayIoU, its loss, drops of all scores and of RayIoU within nested ranges."""
+    """Return head and rows of one system: RayIoU, drops of all scores and of RayIoU within nested ranges."""
     base = record.undisturbed
     within = [key for key in base.scores if key.startswith(WITHIN)]
     shown = {key: title for key, title in SCORES.items() if key in base.scores}
@@ -122,7 +122,7 @@ def robustness_markdown(records: Sequence[Robustness]) -> str:
     """Return all tables under a heading of level 2."""
     parts = [f"## {TITLE}", NOTE]
     for group in comparable(records):
-        parts += [verdict(group), markdown(*loss_cells(group)), markdown(*part_cells(group))]
+        parts += [verdict(group), markdown(*relative_cells(group)), markdown(*part_cells(group))]
         for record in group:
             parts += [markdown(*score_cells(record)), facts_line(record)]
     return "\n\n".join(part.strip() for part in parts if part) + "\n"
@@ -131,7 +131,9 @@ def robustness_markdown(records: Sequence[Robustness]) -> str:
 def robustness_text(records: Sequence[Robustness]) -> str:
     """Return the comparison for a terminal."""
     groups = comparable(records)
-    tables = [table for group in groups for table in (in_columns(*part_cells(group)), in_columns(*loss_cells(group)))]
+    tables = [
+        table for group in groups for table in (in_columns(*part_cells(group)), in_columns(*relative_cells(group)))
+    ]
     return "\n\n".join([*tables, *filter(None, map(verdict, groups))])
 
 
@@ -146,7 +148,7 @@ def _percent(fraction: float) -> str:
     return "–" if math.isnan(fraction) else f"{100 * fraction:.1f}"
 
 
-def _least_bold(losses: Sequence[float]) -> list[str]:
-    known = [loss for loss in losses if not math.isnan(loss)]
-    least = min(known, default=math.nan) if len(losses) > 1 else math.nan
-    return [f"**{_percent(loss)}**" if loss == least else _percent(loss) for loss in losses]
+def _least_bold(drops: Sequence[float]) -> list[str]:
+    known = [drop for drop in drops if not math.isnan(drop)]
+    least = min(known, default=math.nan) if len(drops) > 1 else math.nan
+    return [f"**{_percent(drop)}**" if drop == least else _percent(drop) for drop in drops]

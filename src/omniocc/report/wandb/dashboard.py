@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
-from omniocc.errors import UserError
+from omniocc.errors import UserError, installing
 from omniocc.report.runs import read_runs
 from omniocc.run.script import lines_not_tracebacks
 from omniocc.run.table import band_names, class_names
@@ -97,7 +97,7 @@ def workspace(entity: str, project: str, charts: Mapping[str, Sequence[Chart]]) 
     try:
         from wandb_workspaces import workspaces as ws
     except ImportError as error:
-        raise UserError("the dashboard needs wandb-workspaces: pip install --editable '.[dashboard]'") from error
+        raise UserError(f"the dashboard needs wandb-workspaces: {installing('dashboard')}") from error
     return ws.Workspace(
         entity=entity,
         project=project,

@@ -152,7 +152,9 @@ def check_login(purpose: str) -> None:
         found = wandb.login(prompt=False, verify=True)
     except (wandb.Error, ValueError) as error:  # the latter for settings that are no URL, ...
         reason, remedy = " ".join(str(error).split()), "see network, WANDB_BASE_URL, `wandb login --relogin`"
-        raise UserError(f"{purpose}: no W&B server accepts the login or answers ({remedy}): {reason}") from error
+        raise UserError(
+            f"{purpose}: the W&B server refused the login or gave no answer ({remedy}): {reason}"
+        ) from error
     if not found:
         raise UserError(f"{purpose}: run `wandb login` or set WANDB_API_KEY first")
 

@@ -103,7 +103,7 @@ def to_viewer(address: str, name: str) -> Iterator[rr.RecordingStream]:
     try:
         recording.flush(timeout_sec=FLUSH_S)
     except Exception as error:  # Rerun raises its own types
-        raise UserError(f"{address}: the viewer took not all frames: {first_line(error)}") from error
+        raise UserError(f"{address}: the viewer did not receive all frames: {first_line(error)}") from error
     recording.disconnect()
 
 
