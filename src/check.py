@@ -24,6 +24,8 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--workers", type=int, default=usable_cores(), help="processes that read; 0: none besides this")
     parser.add_argument("--draw", type=Path, help="folder for an image of the first frame of every split")
     options = parser.parse_intermixed_args(arguments)
+    if min(options.frames, options.workers) < 0:
+        parser.error("--frames and --workers must be 0 or more")
     quiet_libraries()
     data: OccupancyData = build(compose_config(Path(__file__).parents[1] / "conf", "train", options.overrides).data)
     data.source.prepare()

@@ -101,8 +101,13 @@ def parser_of() -> argparse.ArgumentParser:
 @lines_not_tracebacks
 def main(arguments: list[str] | None = None) -> None:
     """Rebuild the model from its file, score it on the test scenes, write the results beside the checkpoint."""
-    options = parser_of().parse_intermixed_args(arguments)
+    parser = parser_of()
+    options = parser.parse_intermixed_args(arguments)
     words = Words.of(options.words)
+    if words.predictions is not None and (words.checkpoints or words.robustness is not None or options.audit):
+        parser.error("predictions=... scores files alone: leave checkpoints, robustness=... and --audit out")
+    if words.robustness is not None and (options.audit or options.origins != "own"):
+        parser.error("robustness=... is a test of its own: leave --audit and --origins out")
     quiet_libraries()
     if words.predictions is not None:
         score_predictions(words.predictions, words.overrides, options.output, options.origins)
@@ -123,10 +128,10 @@ def main(arguments: list[str] | None = None) -> None:
                 name = f"{EVALUATION}{checkpoint.stem}{suffix(options.origins)}"
                 folder = folder_of(checkpoint, name, options.output, several)
                 test_again(checkpoint, words.overrides, folder, options.origins, options.images)
-        except UserError as error:  # the others come first
+        except (UserError, OSError) as error:  # the others come first
             refused.append(str(error))
     if refused:
-        raise UserError("\n".join(refused))
+        raise UserError("\n".join(dict.fromkeys(refused)))
 
 
 def refuse_true_range(checkpoint: Path, task: OccupancyTask) -> None:
@@ -143,7 +148,10 @@ def print_audit(checkpoint: Path, overrides: Sequence[str]) -> None:
     task, data = load_task(checkpoint, overrides)
     refuse_true_range(checkpoint, task)
     data.prepare_data()
-    print(f"{len(data.source.scenes('val'))} validation scenes of {data.source.folder}")
+    scenes = data.source.scenes("val")
+    if not scenes or data.voxels.read(scenes[0], 0) is None:
+        raise UserError(f"{data.source.folder} has no true voxels of validation scenes, with which an audit compares")
+    print(f"{len(scenes)} validation scenes of {data.source.folder}")
     for name, value in audit(task, data):
         print(f"{name:58} {value}")
 
@@ -181,18 +189,24 @@ def score_robustness(
     logging = [word for word in overrides if word.startswith("logger.")]
     others = [word for word in overrides if word not in logging]
     logger: Loggers = build(compose_config(CONF, "train", logging).logger)
-    records = []
+    records, refused = [], []
     for checkpoint in checkpoints:
-        name = f"{FOLDER}{checkpoint.stem}"
-        folder = folder_of(checkpoint, name, options.output, True)
-        task, data = load_task(checkpoint, others)
-        record = robustness_of(task, data, checkpoint, wanted, options.scenes, options.seed, folder)
+        folder = folder_of(checkpoint, f"{FOLDER}{checkpoint.stem}", options.output, True)
+        try:
+            task, data = load_task(checkpoint, others)
+            record = robustness_of(task, data, checkpoint, wanted, options.scenes, options.seed, folder)
+        except (UserError, OSError) as error:  # the others come first
+            refused.append(str(error))
+            continue
         save_robustness(folder, record)
         atomic_write(folder / "table.md", robustness_markdown([record]))
         log_robustness(logger.build(folder, task.config, "robustness"), record, draw([record], folder))
         records.append(record)
         print(f"table     {folder / 'table.md'}", flush=True)
-    print(f"\n{robustness_text(records)}\n\nall systems: python src/report.py")
+    if records:
+        print(f"\n{robustness_text(records)}\n\nall systems: python src/report.py")
+    if refused:
+        raise UserError("\n".join(dict.fromkeys(refused)))
 
 
 def draw(records: Sequence[Robustness], folder: Path) -> np.ndarray | None:

@@ -46,8 +46,8 @@ def main(cfg: DictConfig) -> None:
 def selected(plans: Sequence[ScenePlan], first: int, count: int | None) -> Sequence[ScenePlan]:
     """Return the scenes to work on; raise UserError when there are none."""
     end = len(plans) if count is None else first + count
-    if first < 0 or not plans[first:end]:
-        raise UserError(f"first_scene={first} scenes={count}: there are {len(plans)} scenes in this preset")
+    if first < 0 or end <= first or not plans[first:end]:
+        raise UserError(f"first_scene={first} scenes={count}: choose some of the {len(plans)} scenes of this preset")
     return plans[first:end]
 
 

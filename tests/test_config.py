@@ -11,6 +11,7 @@ from lightning.pytorch import seed_everything
 from omegaconf import OmegaConf
 
 from omniocc.config import ConfigError, build, check, check_root, fits, parameters_of
+from omniocc.geometry import Cylinder
 
 CONF = Path(__file__).parents[1] / "conf"
 OTHERS = ("preset", "ablation", "demo", "trainer", "hydra", "learning_rate")
@@ -196,3 +197,15 @@ def test_a_value_for_one_preset_leaves_the_others_theirs():
     text = "preset: {{name: {}, rate: 0.5}}\nrate: ${{by_preset:{{tiny:0.01}},${{preset.rate}}}}"
     assert OmegaConf.create(text.format("tiny")).rate == 0.01
     assert OmegaConf.create(text.format("paper")).rate == 0.5
+
+
+class Narrow(Cylinder):
+    """Inherits its constructor."""
+
+
+def test_values_of_an_inherited_constructor_are_checked(monkeypatch):
+    monkeypatch.setattr("omniocc.geometry.Narrow", Narrow, raising=False)
+    Narrow.__module__ = "omniocc.geometry"
+    arguments = {"shape": "wide", "radius_m": [0.0, 1.0], "height_m": [0.0, 1.0]}
+    with pytest.raises(ConfigError, match="shape: 'wide' is not"):
+        check(OmegaConf.create({"x": {"_target_": "omniocc.geometry.Narrow", **arguments}}))

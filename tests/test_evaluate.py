@@ -39,8 +39,25 @@ def test_results_are_beside_the_checkpoint_or_in_the_folder_that_is_named():
     [
         (["data.batch_size=1"], "name a checkpoint"),
         (["any-rig", "robustness=all"], "of the depth stage; this needs one of the occupancy stage"),
+        (["any-rig", "nowhere.ckpt"], r"of the depth stage.*\n.*nowhere\.ckpt"),
+        (["any-rig", "nowhere.ckpt", "robustness=all"], r"of the depth stage.*\n.*nowhere\.ckpt"),
     ],
 )
 def test_mistakes_are_one_line(words, message):
     with pytest.raises(SystemExit, match=message):
         main(words)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["predictions=folder", "tiny"], "scores files alone"),
+        (["predictions=folder", "robustness=all"], "scores files alone"),
+        (["tiny", "robustness=all", "--audit"], "leave --audit and --origins out"),
+        (["tiny", "robustness=all", "--origins", "ego"], "leave --audit and --origins out"),
+    ],
+)
+def test_what_does_not_go_together_is_refused(words, message, capsys):
+    with pytest.raises(SystemExit):
+        main(words)
+    assert message in capsys.readouterr().err

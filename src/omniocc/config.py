@@ -17,7 +17,7 @@ from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import InterpolationKeyError, OmegaConfBaseException
 
-from omniocc.errors import UserError
+from omniocc.errors import UserError, first_line
 
 MAX_SEED = 2**32 - 1
 """The largest seed that numpy and Lightning take."""
@@ -263,7 +263,7 @@ def _check_value(node: DictConfig, key: str, path: str, hint: Any) -> Iterator[s
         yield f"{path}.{key}: refers to {absent[1] if absent else error}, which does not exist with the chosen options"
         return
     except OmegaConfBaseException as error:
-        yield f"{path}.{key}: {str(error).splitlines()[0]}"
+        yield f"{path}.{key}: {first_line(error)}"
         return
     wrong_seed = key == "seed" and isinstance(plain, int) and not 0 <= plain <= MAX_SEED
     if not fits(plain, hint):
@@ -279,7 +279,7 @@ def _unknown(path: str, owner: str, known: Sequence[str]) -> str:
 
 
 def _hints(target: Any) -> dict[str, Any]:
-    function = target.__init__ if inspect.isclass(target) and "__init__" in vars(target) else target
+    function = target.__init__ if inspect.isclass(target) and target.__init__ is not object.__init__ else target
     try:
         return get_type_hints(function)
     except (NameError, TypeError):  # annotations of other libraries that only a type checker can resolve

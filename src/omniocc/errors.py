@@ -12,3 +12,8 @@ class DataError(OSError):
 def installing(extra: str) -> str:
     """Return the command that installs a group of optional packages, with the folder in which it works."""
     return f"pip install --constraint constraints.txt --editable '.[{extra}]' (in the folder of this repository)"
+
+
+def first_line(error: BaseException) -> str:
+    """Return the first line of an error's text, or the name of its type if it has none."""
+    return next(iter(str(error).strip().splitlines()), type(error).__name__)

@@ -77,7 +77,9 @@ def test_render_check_and_page(run, tmp_path):
 
 def test_no_scene_is_a_line(run):
     code, _ = run("first_scene=5")
-    assert code == "first_scene=5 scenes=None: there are 5 scenes in this preset"
+    assert code == "first_scene=5 scenes=None: choose some of the 5 scenes of this preset"
+    code, _ = run("scenes=-1")
+    assert code == "first_scene=0 scenes=-1: choose some of the 5 scenes of this preset"
     code, _ = run("page=true")
     assert re.search(r"none of .* scenes.* without page=true", str(code))
 

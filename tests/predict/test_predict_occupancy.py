@@ -291,7 +291,7 @@ def test_mistakes_are_named_in_a_line(images, scene, checkpoint, tmp_path, capsy
             assert word in str(caught.value), arguments
         assert len(str(caught.value).splitlines()) <= 2, arguments
     for path, arguments in (("nowhere.ckpt", [own, rig]), ("no.csv", [own, rig, trained, "poses=no.csv"])):
-        with pytest.raises(FileNotFoundError, match=path):
+        with pytest.raises(OSError, match=path):
             run(
                 f"output={tmp_path / 'out'}",
                 *(arguments if trained in arguments else [f"checkpoint={path}", *arguments]),

@@ -12,6 +12,7 @@ from omniocc.run.plan import hours_line, plan_line, planned_steps, validation_ti
         ((-1, 2, 7, 2, 1, 2), "4 steps of 2 x 2 batches samples: 2.3 epochs of 7 frames"),
         ((100, 1, 400, 2, 1, 1), "100 steps of 2 samples: 0.5 epochs of 400 frames"),
         ((-1, -1, 9, 1, 1, 1), "without end, over 9 frames"),
+        ((-1, None, 9, 1, 1, 1), "9000 steps of 1 samples: 1000.0 epochs of 9 frames"),
     ],
 )
 def test_steps_samples_and_epochs(arguments, line):

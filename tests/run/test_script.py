@@ -59,8 +59,9 @@ def test_hydra_starts_and_strings_are_checked_as_before():
             wrapped()
 
 
-def test_help_may_be_cut_off_by_a_pager():
-    command = [sys.executable, str(SRC / "record.py"), "--help"]
+@pytest.mark.parametrize("words", [("record.py", "--help"), ("report.py", "--help")])
+def test_output_may_be_cut_off_by_a_pager(words):
+    command = [sys.executable, str(SRC / words[0]), *words[1:]]
     script = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     script.stdout.close()
     assert (script.stderr.read(), script.wait(60)) == ("", 0)

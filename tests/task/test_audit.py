@@ -56,6 +56,7 @@ def test_a_perfect_prediction_loses_nothing(make_task, spec):
     assert lines["voxel IoU (precision, recall) of the sketch at 0.08"].endswith("1.000)")
     top, accuracy = map(float, lines["mean top probability, accuracy"].split(", "))
     assert accuracy == 1
+    assert "(voxel, camera) pairs on pixels without a label" in lines
     assert top == pytest.approx(1, abs=2e-3)
 
 
@@ -74,3 +75,12 @@ def test_errors_of_range_are_in_metres_and_in_pixels_of_parallax():
         share, pixels = seen.double().mean(), (px_per_m * error_m).sum() / seen.sum()
         text = f"{error_m:.3f} m; seen by two cameras {share:.0%}, there {error_m:.3f} m or {pixels:.2f} px"
         assert lines[f"error of range, {name}"] == text
+
+
+def test_without_classes_of_pixels_nothing_is_said_about_them(make_task, spec):
+    task = make_task("model/sketch=dense")
+    batch = make_batch(task, ((0, 1), (1, 0)))
+    audit = Audit(task.model.geometry, spec)
+    logits = torch.zeros(len(batch.voxels), 12, *task.model.geometry.shape)
+    audit.update(logits, Sketched(torch.ones_like(batch.voxels, dtype=torch.bool)), batch._replace(pixel_labels=None))
+    assert not [name for name, _ in audit.lines() if "pixels" in name]

@@ -7,6 +7,7 @@ import torch
 from omniocc.batch import Batch
 from omniocc.camera import Equirectangular, Rig
 from omniocc.classes import WORLD_CLASSES
+from omniocc.errors import UserError
 from omniocc.geometry import Cylinder
 from omniocc.task.images import DepthImages, OccupancyImages, SketchImages
 from omniocc.view import SheetParts
@@ -56,7 +57,7 @@ OUTPUTS = {
 
 def run(callback, root=True):
     """Passes all frames through the callback, as a test and as a validation."""
-    loader = SimpleNamespace(batch_size=BATCH, dataset=range(FRAMES))
+    loader = SimpleNamespace(batch_size=BATCH, dataset=range(2 * FRAMES), sampler=range(FRAMES))  # of two processes
     trainer = SimpleNamespace(is_global_zero=root, loggers=[], global_step=30, test_dataloaders=loader)
     task = SimpleNamespace(model=FakeModel(), sketch=FakeModel())
     for number, first in enumerate(range(0, FRAMES, BATCH)):
@@ -94,3 +95,8 @@ def test_parts_of_test_sheets_are_files_of_their_own(tmp_path):
         assert found <= 1e-6 * part.size * 255**2, name
     run(DepthImages(tmp_path / "depth", 3, WORLD_CLASSES))
     assert not (tmp_path / "depth" / "parts").exists()
+
+
+def test_a_negative_number_of_images_is_refused(tmp_path):
+    with pytest.raises(UserError, match="-1 test images: give 0"):
+        OccupancyImages(tmp_path, -1, WORLD_CLASSES)

@@ -168,3 +168,12 @@ def test_ranges_are_streamed_as_they_come(of_images, composed, tmp_path):
         known = np.isfinite(range_m)
         assert np.allclose(codes[known] / 256, range_m[known], atol=1 / 256)
     assert len(found["/world/ego/points/prediction"]) == FRAMES
+
+
+def test_predictions_for_one_scene_folder_come_with_truth_too(of_scene, cylinder_run, dataset, predict, tmp_path):
+    predict(f"checkpoint={cylinder_run / 'best.ckpt'}", f"recorded={dataset / SCENES[1]}", f"output={tmp_path / 'out'}")
+    shown, of_dataset = (open_shown(ViewOptions(predictions=str(path))) for path in (tmp_path / "out", of_scene))
+    assert shown.frame_interval_s == of_dataset.frame_interval_s
+    for one, other in zip(shown, of_dataset, strict=True):
+        assert one.predictions["out"].figures == other.predictions["occupancy"].figures
+        assert np.array_equal(one.images[0], other.images[0])

@@ -131,9 +131,9 @@ class OccupancyData(LightningDataModule):
         resume = self._resume["epoch"], done
         sampler = EpochSampler(len(dataset), self.seed, *self._rank(), *resume, sizes, self.frames_together)
         if len(sampler) < self.batch_size:
-            raise ValueError(
+            raise UserError(
                 f"{len(sampler)} training samples per process are less than one batch of {self.batch_size}: "
-                "use more scenes or lower batch_size"
+                "use more scenes or a lower data.batch_size"
             )
         return self._loader(dataset, sampler, drop_last=True)
 

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.export import ExportedProgram
 
-from omniocc.errors import UserError, installing
+from omniocc.errors import UserError, first_line, installing
 
 
 def onnx_bytes(program: ExportedProgram, inputs: list[str], outputs: list[str]) -> bytes:
@@ -28,7 +28,7 @@ def onnx_bytes(program: ExportedProgram, inputs: list[str], outputs: list[str]) 
         with without_notices():
             written = torch.onnx.export(program, dynamo=True, input_names=inputs, output_names=outputs, verbose=False)
     except torch.onnx.OnnxExporterError as error:
-        raise UserError(f"ONNX lacks an operator: {str(error).splitlines()[0]}") from error
+        raise UserError(f"ONNX lacks an operator: {first_line(error)}") from error
     assert written is not None
     model = written.model_proto
     use_float32_arctangents(model)

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from torch.export import ExportedProgram
 
 from omniocc.camera import Rig
-from omniocc.errors import UserError
+from omniocc.errors import UserError, first_line
 from omniocc.model import OccupancyModel
 from omniocc.model.ops.static import static_shapes
 from omniocc.model.protocols import LearnedSketch, learns
@@ -99,8 +99,7 @@ def export_program(module: Frame | Step) -> ExportedProgram:
             module(*inputs)  # fills the caches of rig and grid, which become constants of the program
             return torch.export.export(module, inputs, strict=False)
     except Exception as error:  # operators and torch.export raise many types; the traceback tells the option
-        reason = str(error).splitlines()[0]
-        raise UserError(f"{option_of(error, module.model)} cannot be exported: {reason}") from error
+        raise UserError(f"{option_of(error, module.model)} cannot be exported: {first_line(error)}") from error
 
 
 def option_of(error: BaseException, model: OccupancyModel) -> str:

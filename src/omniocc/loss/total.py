@@ -9,6 +9,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from omniocc.classes import UNKNOWN
+from omniocc.errors import UserError
 from omniocc.geometry import downsample
 from omniocc.loss.cross_entropy import CrossEntropy
 
@@ -92,7 +93,7 @@ class Total(nn.Module):
         `camera_range_m` only if there are terms of rays.
 
         Raises:
-            ValueError: if there are terms of rays, runs or coarser grids, but the model predicts none.
+            UserError: if there are terms of rays, runs or coarser grids, but the model predicts none.
         """
         terms = {}
         if voxels is not None:
@@ -101,11 +102,11 @@ class Total(nn.Module):
             terms |= {name: loss(prediction.pixel_logits, pixel_labels) for name, loss in self.pixel.items()}
         if len(self.ray) and camera_range_m is not None:
             if prediction.range_logits is None:
-                raise ValueError("loss=with_ranges needs a lifter that estimates ranges: model/lifter=lift_splat")
+                raise UserError("loss=with_ranges needs a lifter that estimates ranges: model/lifter=lift_splat")
             terms |= {name: loss(prediction.range_logits, camera_range_m) for name, loss in self.ray.items()}
         if len(self.run) and voxels is not None:
             if prediction.run_lengths is None:
-                raise ValueError("loss=with_run_lengths needs a refiner that predicts them: model/refiner=focus")
+                raise UserError("loss=with_run_lengths needs a refiner that predicts them: model/refiner=focus")
             terms |= {name: loss(prediction.run_lengths, voxels) for name, loss in self.run.items()}
         if len(self.coarse) and voxels is not None:
             terms |= self._coarse_terms(prediction.coarse_logits, voxels)
@@ -115,7 +116,7 @@ class Total(nn.Module):
         self, coarse_logits: Sequence[tuple[int, Tensor]], voxels: UInt8[Tensor, "B X Y Z"]
     ) -> dict[str, Float32[Tensor, ""]]:
         if not coarse_logits:
-            raise ValueError("loss=with_coarse needs a model that classifies blocks: model=oneocc or model=adaptiveocc")
+            raise UserError("loss=with_coarse needs a model that classifies blocks: model=oneocc or model=adaptiveocc")
         pairs = [(logits, labels_of_blocks(voxels, block, logits.shape[1])) for block, logits in coarse_logits]
         return {name: torch.stack([loss(*pair) for pair in pairs]).mean() for name, loss in self.coarse.items()}
 

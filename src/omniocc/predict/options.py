@@ -7,7 +7,7 @@ import torch
 from omegaconf import DictConfig, OmegaConf
 
 from omniocc.camera import Rig
-from omniocc.errors import UserError
+from omniocc.errors import UserError, first_line
 from omniocc.predict.input.schedule import History
 
 
@@ -68,5 +68,5 @@ def choose_device(name: str | None) -> torch.device:
         device = torch.device(name or ("cuda" if torch.cuda.is_available() else "cpu"))
         torch.zeros(1, device=device)
     except (RuntimeError, AssertionError) as error:
-        raise UserError(f"device={name}: {str(error).splitlines()[0]}; use cpu or cuda") from error
+        raise UserError(f"device={name}: {first_line(error)}; use cpu or cuda") from error
     return device

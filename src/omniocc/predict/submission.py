@@ -34,8 +34,9 @@ def predict_submission(
     frames = frames_of(data.source, split)
     scene, frame = frames[0]
     kind = Path(scene.prediction_file(frame)).suffix
-    write_manifest(output, {"checkpoint": str(path), "sha256": sha256(path)}, force, f"*{kind}")
+    facts = {"sha256": sha256(path), "data": data.source.fingerprint, "split": split, "changes": list(changes)}
+    write_manifest(output, {"checkpoint": str(path.resolve()), **facts}, force, f"*{kind}")
     kept = sum((output / scene.prediction_file(frame)).exists() for scene, frame in frames)
-    count = write_files(task, data, output, split, choose_device(device))
+    count = write_files(task, data, frames, output, split, choose_device(device))
     print(f"{count} frames in {output}{f', {kept} of them from before' if kept else ''}")
     print(f"their scores: python src/evaluate.py predictions={output} data=...")

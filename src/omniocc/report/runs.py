@@ -13,7 +13,7 @@ from urllib.parse import quote
 
 import yaml
 
-from omniocc.errors import UserError
+from omniocc.errors import UserError, first_line
 from omniocc.io import YAML
 from omniocc.run.folder import METRICS
 from omniocc.run.results import CANDIDATES, load_results, trajectory_figures
@@ -80,22 +80,25 @@ def _read(folder: Path) -> FinishedRun:
     facts, metrics = load_results(folder)
     if RAY_IOU not in metrics:
         raise UserError(f"{folder} has no RayIoU: its test frames have no voxel labels")
-    config = _read_config(folder / "config.yaml")
+    config = read_mapping(path) if (path := folder / "config.yaml").exists() else {}
     figures = known_figures(facts, config) | metrics | scene_figures(folder)
     figures |= trajectory_figures(folder, facts.get("data"))
     return FinishedRun(folder.name, facts, figures, folder, config)
 
 
-def _read_config(path: Path) -> Mapping[str, Any]:
-    if not path.exists():
-        return {}
+def read_mapping(path: Path) -> dict[str, Any]:
+    """Return the keys and values of a YAML file; none where it is empty.
+
+    Raises:
+        UserError: when it is no YAML, or holds something else.
+    """
     try:
-        config = yaml.load(path.read_text(), YAML)
+        content = yaml.load(path.read_text(), YAML) or {}
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise UserError(f"{path} is damaged: {str(error).splitlines()[0]}") from error
-    if not isinstance(config, dict):
-        raise UserError(f"{path} is damaged: it holds no configuration")
-    return config
+        raise UserError(f"{path} is damaged: {first_line(error)}") from error
+    if not isinstance(content, dict):
+        raise UserError(f"{path} is damaged: it holds no keys and values")
+    return content
 
 
 def known_figures(facts: Mapping[str, Any], config: Mapping[str, Any]) -> dict[str, float]:

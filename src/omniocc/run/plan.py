@@ -8,6 +8,8 @@ from omniocc.progress import clock
 
 VALIDATIONS = 5
 """Most of a training that is limited by steps."""
+LIGHTNING_EPOCHS = 1000
+"""Epochs that Lightning trains when neither steps nor epochs are given."""
 
 
 def planned_steps(
@@ -17,12 +19,14 @@ def planned_steps(
 
     Args:
         max_steps: optimiser steps; -1: as many as `max_epochs` are.
-        max_epochs: passes over the frames; None or -1: as many as `max_steps` are.
+        max_epochs: passes over the frames; None or -1: as many as `max_steps` are; None without `max_steps`: 1,000.
         frames: of the training scenes.
         batch_size: samples per device and step.
         devices: in all machines.
         accumulated: batches per optimiser step.
     """
+    if max_steps < 0 and max_epochs is None:
+        max_epochs = LIGHTNING_EPOCHS
     batches = frames // devices // batch_size
     per_epoch = max(1, math.ceil(batches / accumulated))
     limits = [max_steps] if max_steps >= 0 else []

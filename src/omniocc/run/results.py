@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from omniocc.errors import UserError
+from omniocc.errors import UserError, first_line
 from omniocc.io import atomic_write
 from omniocc.run.folder import IMAGES, METRICS
 from omniocc.run.table import ORIGINS, as_markdown, as_text
@@ -62,7 +62,7 @@ def load_results(folder: Path) -> tuple[dict[str, Any], dict[str, float]]:
         metrics = facts.pop("metrics")
         return facts, {key: math.nan if value is None else float(value) for key, value in metrics.items()}
     except (ValueError, TypeError, KeyError, AttributeError) as error:
-        reason = str(error).splitlines()[0]
+        reason = first_line(error)
         raise UserError(f"{path} is damaged ({reason}); remove it, and the command that made it tests again") from error
 
 

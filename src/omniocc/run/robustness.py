@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from omniocc.errors import UserError
+from omniocc.errors import UserError, first_line
 from omniocc.io import atomic_write
 
 UNDISTURBED = "undisturbed"
@@ -134,7 +134,7 @@ def load_part(path: Path, key: str) -> PartScores | None:
         content = json.loads(path.read_text())
         return _part(content) if content.pop("key") == key else None
     except (ValueError, TypeError, KeyError, AttributeError) as error:
-        raise UserError(f"{path} is damaged ({_first_line(error)}); remove it, and it is computed again") from error
+        raise UserError(f"{path} is damaged ({first_line(error)}); remove it, and it is computed again") from error
 
 
 def save_robustness(folder: Path, record: Robustness) -> Path:
@@ -156,7 +156,7 @@ def load_robustness(path: Path) -> Robustness:
         return Robustness(content["system"], content["facts"], [_part(part) for part in content["parts"]])
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise UserError(
-            f"{path} is damaged ({_first_line(error)}); the command that made it writes it again from its parts"
+            f"{path} is damaged ({first_line(error)}); the command that made it writes it again from its parts"
         ) from error
 
 
@@ -193,7 +193,3 @@ def _number(value: float) -> float | None:
 
 def _float(value: float | None) -> float:
     return math.nan if value is None else float(value)
-
-
-def _first_line(error: Exception) -> str:
-    return next(iter(str(error).splitlines()), type(error).__name__)

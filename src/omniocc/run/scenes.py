@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 
-from omniocc.errors import UserError
+from omniocc.errors import UserError, first_line
 from omniocc.io import atomic_write
 from omniocc.metric.ray_counts import RayCounts, ray_scores
 
@@ -87,7 +87,7 @@ def _naming(folder: Path) -> Iterator[None]:
     try:
         yield
     except (ValueError, TypeError, KeyError, AttributeError, IndexError, RuntimeError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        reason = first_line(error)
         path = folder / SCENES
         raise UserError(f"{path} is damaged ({reason}); without it the run has no scores by scene") from error
 

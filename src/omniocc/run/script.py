@@ -4,6 +4,7 @@ import functools
 import inspect
 import logging
 import os
+import select
 import sys
 import warnings
 from argparse import Action, ArgumentParser
@@ -24,6 +25,8 @@ from omniocc.run.overrides import explain
 
 P = ParamSpec("P")
 T = TypeVar("T")
+OUTPUT = 1
+"""File descriptor of what is printed."""
 FULL_ERROR = "HYDRA_FULL_ERROR"
 """Hydra's environment variable; with `1` it raises its errors instead of printing them."""
 
@@ -36,9 +39,22 @@ def lines_not_tracebacks(main: Callable[..., None]) -> Callable[..., None]:
         try:
             main(*args)
         except (UserError, OSError) as error:
-            sys.exit(str(error))
+            if not (isinstance(error, BrokenPipeError) and output_is_closed()):
+                sys.exit(str(error))
+        finally:
+            output_is_closed()
 
     return wrapped
+
+
+def output_is_closed() -> bool:
+    """Return whether nothing reads the output any more, since `head` or a pager has seen enough; then write nowhere."""
+    output = select.poll()
+    output.register(OUTPUT, 0)
+    if not output.poll(0):
+        return False
+    os.dup2(os.open(os.devnull, os.O_WRONLY), OUTPUT)
+    return True
 
 
 def script(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callable[..., None]]:
@@ -70,8 +86,9 @@ def script(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callabl
                 run(*args)
             except UserError as error:
                 sys.exit(str(error))
-            except BrokenPipeError:  # `head` or a pager has seen enough
-                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            except BrokenPipeError:
+                if not output_is_closed():
+                    raise
             except (HydraException, OmegaConfBaseException) as error:
                 sys.exit(explain(error, conf, config_name, sys.argv[1:]))
             finally:

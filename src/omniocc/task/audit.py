@@ -73,7 +73,8 @@ class Audit(nn.Module):
         overlaps += [(f"the sketch at {cut}", one) for cut, one in zip(THRESHOLDS, self.sketch_overlaps, strict=True)]
         lines += [(f"voxel IoU (precision, recall) of {name}", one.text()) for name, one in overlaps if one.filled]
         lines += [("mean top probability, accuracy", f"{_mean(self.confidence):.3f}, {_mean(self.accuracy):.3f}")]
-        lines += [("(voxel, camera) pairs on pixels without a label", f"{_mean(self.on_own_car):.2%}")]
+        if self.on_own_car.update_called:
+            lines += [("(voxel, camera) pairs on pixels without a label", f"{_mean(self.on_own_car):.2%}")]
         return lines + self.range_errors.lines()
 
 

@@ -9,7 +9,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 from omniocc.config import build, plain
 from omniocc.data import OccupancyData, SourceSpec
 from omniocc.data.source import SceneFrames
-from omniocc.errors import UserError
+from omniocc.errors import UserError, first_line
 from omniocc.run.checkpoint import check_parts, load_checkpoint
 from omniocc.task.occupancy import OccupancyTask
 
@@ -29,7 +29,7 @@ def check_devices(trainer: DictConfig) -> None:
     try:
         build(trainer, logger=False, enable_checkpointing=False)
     except MisconfigurationException as error:
-        reason = str(error).strip().splitlines()[0]
+        reason = first_line(error)
         asked = " ".join(f"trainer.{key}={trainer[key]}" for key in ("accelerator", "devices", "strategy"))
         raise UserError(f"{asked}: this machine cannot do that ({reason})") from error
 

@@ -14,6 +14,7 @@ from torch import Tensor
 from omniocc.batch import Batch
 from omniocc.classes import UNKNOWN, ClassTable
 from omniocc.data.labels.class_fractions import spread
+from omniocc.errors import UserError
 from omniocc.run.folder import PARTS
 from omniocc.run.wandb.loggers import wandb_of
 from omniocc.run.wandb.media import Named, range_media, voxel_media
@@ -31,17 +32,23 @@ class Drawn(NamedTuple):
 class FrameImages(Callback, ABC):
     """Draw `count` frames spread evenly over the test set, and the first validation frame after each validation.
 
+    Of several processes the first draws, which sees its part of the frames.
     Sheets go to `folder` (`test-00-<scene>-<frame>.png`), parts of test frames' sheets, which
     the report shows, to its `parts/test-00-<scene>-<frame>/<part>.png`. W&B gets the sheets (`val/<key>`, `test/<key>`)
     and for test frames also `media` (`test/<key of the medium>`).
 
     Args:
         count: number of test frames; 0 draws nothing.
+
+    Raises:
+        UserError: if the number is negative.
     """
 
     key: ClassVar[str]
 
     def __init__(self, folder: Path, count: int, classes: ClassTable):
+        if count < 0:
+            raise UserError(f"{count} test images: give 0 (none) or more")
         self.folder = folder
         self.count = count
         self.classes = classes
@@ -70,7 +77,7 @@ class FrameImages(Callback, ABC):
         if not trainer.is_global_zero or not self.count:
             return
         size = trainer.test_dataloaders.batch_size  # type: ignore[union-attr]
-        total = len(trainer.test_dataloaders.dataset)  # type: ignore[union-attr, arg-type]
+        total = len(trainer.test_dataloaders.sampler)  # type: ignore[union-attr, arg-type]
         drawn_indices = spread(total, self.count)
         for sample, frame_id in enumerate(batch.frame_ids):
             index = batch_idx * size + sample

@@ -51,7 +51,7 @@ def stage_keys(cfg: DictConfig, data_fingerprint: str) -> Keys:
     trainer = _without(config["trainer"], OVERRULED)
     together = config["data"].get("frames_together", 1)  # decides the order of the samples
     trainer |= {} if together == 1 else {"frames_together": together}
-    stages = {stage: with_digest(recipe) for stage, recipe in config["stages"].items()}
+    stages = {stage: with_digest(stage, recipe) for stage, recipe in config["stages"].items()}
     sketch = config["model"]["sketch"]
     selection = cast(type[LearnedSketch], target_of(sketch)).SELECTION
     appearance = [config["appearance"]] if config.get("appearance") else []
@@ -65,7 +65,7 @@ def stage_keys(cfg: DictConfig, data_fingerprint: str) -> Keys:
     return Keys(depth_key, sketch_key, short_hash([VERSIONS["candidates"], sketch_key, arguments]))
 
 
-def with_digest(recipe: Mapping[str, Any]) -> dict[str, Any]:
+def with_digest(stage: str, recipe: Mapping[str, Any]) -> dict[str, Any]:
     """Return a stage's recipe with a hash of the file of weights that it starts from instead of the file's name.
 
     Raises:
@@ -75,7 +75,7 @@ def with_digest(recipe: Mapping[str, Any]) -> dict[str, Any]:
         return {key: value for key, value in recipe.items() if key != "weights"}
     path = find_checkpoint(recipe["weights"])
     if not path.is_file():
-        raise UserError(f"weights={recipe['weights']}: {no_checkpoint(path)}")
+        raise UserError(f"stages.{stage}.weights={recipe['weights']}: {no_checkpoint(path)}")
     return {**recipe, "weights": sha256(path)}
 
 

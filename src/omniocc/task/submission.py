@@ -82,27 +82,32 @@ def frames_of(source: SceneSource, split: Split) -> list[tuple[SubmittedScene, i
 
 
 @torch.inference_mode()
-def write_files(task: OccupancyTask, data: OccupancyData, folder: Path, split: Split, device: torch.device) -> int:
+def write_files(
+    task: OccupancyTask,
+    data: OccupancyData,
+    frames: Sequence[tuple[SubmittedScene, int]],
+    folder: Path,
+    split: Split,
+    device: torch.device,
+) -> int:
     """Predict all frames of a split, write them in the benchmark's submission format, and return their number.
 
-    Files that exist are kept, so that the same command goes on after a stop.
+    `frames` are those of `frames_of`. Files that exist are kept, so that the same command goes on after a stop.
 
     Raises:
-        UserError: as `frames_of`.
         DataError: when the disk refuses.
     """
-    frames = frames_of(data.source, split)
     needs = Needs(voxels=False, pixel_labels=False, scores=False)
     data.read_only(needs, needs)
     data.setup()
     benchmark = data.source.spec.benchmark
     assert benchmark is not None
-    task = task.to(device).eval()
+    task, samples = task.to(device).eval(), data.dataset(split)
     with Progress("predictions", len(frames)) as progress:
         for index, (scene, frame) in enumerate(frames):
             path = folder / scene.prediction_file(frame)
             if not path.exists():
-                batch = data.transfer_batch_to_device(collate([data.dataset(split)[index]]), device, 0)
+                batch = data.transfer_batch_to_device(collate([samples[index]]), device, 0)
                 classes = look_up(task.evaluate(batch), task.model.geometry, benchmark.grid)
                 scene.write_prediction(path, classes[0].cpu().numpy())
             progress.advance()

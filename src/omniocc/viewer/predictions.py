@@ -13,7 +13,7 @@ from omniocc.data.store.shard import META
 from omniocc.errors import UserError
 from omniocc.metric import sparseocc_directions
 from omniocc.predict.input.images import Frame, find_frames, read_frame
-from omniocc.predict.input.sequence import find_scenes
+from omniocc.predict.options import load_rig
 from omniocc.predict.output.manifest import OWN_RIG, read_manifest
 from omniocc.predict.output.voxel_files import VOXELS, Voxels, read_voxels
 from omniocc.task.scores import Scores
@@ -39,7 +39,7 @@ def open_predictions(options: ViewOptions) -> Shown:
     frames = [(scene, found[scene][k]) for scene, wanted in chosen.items() for k in wanted]
     first = read_voxels(folder / frames[0][0] / frames[0][1] / VOXELS)
     recorded = recorded_of(facts, list(chosen))
-    rig = Rig.load(folder / OWN_RIG) if (folder / OWN_RIG).is_file() else None
+    rig = load_rig(str(folder / OWN_RIG)) if (folder / OWN_RIG).is_file() else None
     road_z_m = next((spec_of(scene).road_z_m for scene in recorded.values()), rig and rig.road_z_m)
     interval_s = next((spec_of(scene).frame_interval_s for scene in recorded.values()), OWN_INTERVAL_S)
     unknown: Unknown = facts.get("unknown") or "free"
@@ -74,8 +74,9 @@ def recorded_of(facts: Mapping[str, Any], names: Sequence[str]) -> dict[str, Sce
     data = Path(str(facts.get("images")))
     if facts.get("rig") is not None or not data.is_dir():
         return {}
-    scenes = [find_scenes(data, name, None)[0].scene for name in names if name and (data / name / META).is_file()]
-    return {scene.name: scene for scene in scenes}
+    one = (data / META).is_file()  # `recorded=` named a single scene, not a dataset
+    folders = [data] if one else [data / name for name in names if name and (data / name / META).is_file()]
+    return {scene.name: scene for scene in map(SceneReader, folders)}
 
 
 def own_frames(facts: Mapping[str, Any], rig: Rig | None) -> dict[str, Frame]:

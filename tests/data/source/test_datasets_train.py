@@ -1,6 +1,7 @@
 """Every system trains and is tested on public datasets, in small copies of their layout."""
 
 import copy
+from collections.abc import Sequence
 
 import pytest
 import torch
@@ -9,13 +10,14 @@ from kitti_files import write_kitti360, write_semantic_kitti, write_sscbench
 from lightning.pytorch import Trainer, seed_everything
 from nuscenes_files import write_nuscenes
 
-from omniocc.config import build, check_root
+from omniocc.config import build, check_root, plain
 from omniocc.errors import UserError
-from omniocc.run.checkpoint import load_checkpoint
+from omniocc.predict.submission import predict_submission
+from omniocc.run.checkpoint import CONFIG, STAGE, load_checkpoint
 from omniocc.run.checkpoint_io import LAST
 from omniocc.task.build import build_task, switch_off_head
 from omniocc.task.stages import Stages
-from omniocc.task.submission import score_files, write_files
+from omniocc.task.submission import frames_of, score_files, write_files
 
 pytestmark = [
     pytest.mark.slow,
@@ -200,7 +202,8 @@ def test_without_classes_of_pixels_the_2d_head_is_off(smoke, occ3d, kitti):
 def test_predictions_written_as_files_get_the_scores_of_the_test(smoke, occ3d, tmp_path):
     _, figures, task, data = train(smoke("model/sketch=dense", *occ3d, "logger.mode=disabled"))
     device = torch.device("cpu")
-    assert write_files(task, data, tmp_path, "test", device) == 2
+    frames = frames_of(data.source, "test")
+    assert write_files(task, data, frames, tmp_path, "test", device) == 2
     assert sorted(path.name for path in tmp_path.iterdir()) == ["scene-0003-0.npz", "scene-0003-1.npz"]
     scores, protocol = score_files(data.source, tmp_path)
     assert protocol == task.scores.protocol()
@@ -209,7 +212,31 @@ def test_predictions_written_as_files_get_the_scores_of_the_test(smoke, occ3d, t
     for key, value in scores.items():
         assert value == pytest.approx(figures[key], abs=1e-6, nan_ok=True)
     (tmp_path / "scene-0003-0.npz").write_bytes(b"kept")
-    write_files(task, data, tmp_path, "test", device)  # what is there is not predicted again
+    write_files(
+        task, data, frames_of(data.source, "test"), tmp_path, "test", device
+    )  # what is there is not predicted again
     assert (tmp_path / "scene-0003-0.npz").read_bytes() == b"kept"
     with pytest.raises(UserError, match="split=all: choose train, val, test"):
-        write_files(task, data, tmp_path, "all", device)
+        frames_of(data.source, "all")
+
+
+def test_files_of_one_folder_are_of_one_checkpoint_split_and_dataset(smoke, occ3d, tmp_path):
+    cfg = smoke("model/sketch=dense", *occ3d)
+    task = build_task(cfg, build(cfg.data).source.spec)
+    path, output = tmp_path / "best.ckpt", tmp_path / "out"
+    torch.save({STAGE: "occupancy", CONFIG: plain(cfg), "state_dict": task.state_dict()}, path)
+
+    def predict(split: str = "test", force: bool = False, changes: Sequence[str] = ()) -> None:
+        predict_submission(str(path), output, split, changes, "cpu", force)
+
+    predict()
+    first = {file.name: file.stat().st_mtime_ns for file in output.glob("*.npz")}
+    predict()
+    assert len(first) == 2
+    assert {file.name: file.stat().st_mtime_ns for file in output.glob("*.npz")} == first
+    with pytest.raises(UserError, match=r"other options \(split was 'test'\)"):
+        predict("val")
+    with pytest.raises(UserError, match=r"other options .*changes was \[\]"):
+        predict(changes=["data.source.val_every=3"])
+    predict("val", force=True)
+    assert not first.keys() & {file.name for file in output.glob("*.npz")}

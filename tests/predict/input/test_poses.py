@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from omniocc.camera.pose import invert_pose
-from omniocc.errors import UserError
+from omniocc.errors import DataError, UserError
 from omniocc.predict.input.poses import read_poses, write_poses
 
 HEAD = "frame,x_m,y_m,z_m,qw,qx,qy,qz\n"
@@ -63,3 +63,10 @@ def test_mistakes_are_named(tmp_path, line, words):
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(OSError, match=r"nowhere\.csv"):
         read_poses(tmp_path / "nowhere.csv", ["a"])
+
+
+def test_a_file_that_is_no_text_is_named(tmp_path):
+    path = tmp_path / "poses.csv"
+    path.write_bytes(b"a,0,0,0,1,0,0,0\n\xff\xfe")
+    with pytest.raises(DataError, match=r"poses\.csv: the file is damaged: it is no text"):
+        read_poses(path, ["a"])

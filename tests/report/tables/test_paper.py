@@ -179,3 +179,18 @@ def test_rows_share_stages_unless_they_stand_alone():
     assert shares_depth == {"parts": True, "grids": True, "systems": False}
     assert not table._replace(compares="grids").shares_stages(rows["ours"], rows["wo_dilation"])
     assert not table.shares_depth(rows["ours"], rows["mono"])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("order_by: [a", "is damaged: while parsing"),
+        ("- order_by", "it holds no keys and values"),
+        ("order_by: a\ncolumns: {a: A}\nrows: [ours]", "is not a table of the paper"),
+    ],
+)
+def test_a_file_that_is_no_table_is_named(tmp_path, text, message):
+    path = tmp_path / "bad.yaml"
+    path.write_text(text)
+    with pytest.raises(UserError, match=rf"bad\.yaml {message}|bad\.yaml.*{message}"):
+        load_table(path) if is_table(path) else None

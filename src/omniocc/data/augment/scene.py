@@ -14,6 +14,7 @@ from torch import Tensor
 from omniocc.batch import Batch
 from omniocc.camera import Rig
 from omniocc.camera.models.mirrored import mirrored
+from omniocc.errors import UserError
 from omniocc.geometry import Grid
 
 IMAGES = ("images", "pixel_labels", "camera_range_m")
@@ -135,14 +136,14 @@ def cell_sources(geometry: Grid, change: Change) -> Tensor:
     """Return for every cell the row-major number of the cell from which its content comes, (cells,).
 
     Raises:
-        ValueError: if the change does not take every cell centre to another cell's centre.
+        UserError: if the change does not take every cell centre to another cell's centre.
     """
     to_old = (change.turn @ change.mirror).T[:3, :3]
     centers_m = geometry.centers(torch.float64).reshape(-1, 3)
     origins_m = centers_m @ to_old.T
     sources, inside = geometry.flat_index(origins_m)
     if not inside.all() or float((centers_m[sources] - origins_m).abs().max()) > 1e-6:
-        raise ValueError(f"{geometry} is not symmetric under {change}; switch flips or turns off, or centre the grid")
+        raise UserError(f"{geometry} is not symmetric under {change}; switch flips or turns off, or centre the grid")
     return sources
 
 

@@ -20,7 +20,7 @@ from omniocc.data.recording.pool import Report, make_scenes
 from omniocc.data.source import SceneFrames, Unknown
 from omniocc.data.store.folder import SceneFolder
 from omniocc.data.store.shard import SHARD_LIMIT_BYTES, SceneWriter, digest
-from omniocc.errors import DataError
+from omniocc.errors import DataError, UserError
 from omniocc.geometry import Grid
 from omniocc.progress import Progress
 
@@ -77,7 +77,7 @@ class VoxelCache:
         masks: Sequence[str] = (),
     ):
         if unknown not in VOTED:
-            raise ValueError(f"unknown must be one of {', '.join(VOTED)}, got {unknown!r}")
+            raise UserError(f"data.unknown={unknown}: choose {' or '.join(VOTED)}")
         labelling = [] if unknown == "free" else [unknown, OBSERVED_VERSION, *masks]
         self.folder = Path(folder) / f"voxels-{digest([repr(geometry), VOTE_VERSION, *labelling])[:12]}"
         self.geometry = geometry

@@ -68,7 +68,7 @@ def make_scenes(work: Work, folders: Sequence[Path], workers: int, progress: Pro
                 folders = [folder for folder, job in jobs.items() if not job.result()]
         except BrokenProcessPool as error:
             raise DataError(
-                f"{folders[0].parent}: a render process was killed (out of memory?). Run the same command again, "
+                f"{folders[0].parent}: a process was killed (out of memory?). Run the same command again, "
                 "perhaps with fewer workers; it continues where it stopped"
             ) from error
         finally:

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from omniocc.camera import Rig
 from omniocc.classes import ClassTable
+from omniocc.errors import UserError
 from omniocc.geometry import Grid
 from omniocc.geometry.directions import RayOrigins
 
@@ -24,9 +25,9 @@ Unknown = Literal["free", "unobserved", "unseen"]
 
 
 def refuse_unseen(unknown: Unknown, remedy: str = "choose free or unobserved") -> None:
-    """Raise ValueError for `unseen`, where a dataset has no mask of what the cameras see."""
+    """Raise UserError for `unseen`, where a dataset has no mask of what the cameras see."""
     if unknown == "unseen":
-        raise ValueError(f"data.unknown=unseen: there is no mask of what cameras see; {remedy}")
+        raise UserError(f"data.unknown=unseen: there is no mask of what cameras see; {remedy}")
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from torch.nn import functional as F
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.camera.ops.pixels import pixel_centers
+from omniocc.errors import UserError
 from omniocc.loss import SILog
 from omniocc.model.ops.depth.depth_map import DepthMap, from_index
 from omniocc.model.ops.depth.layers import FeatureNet
@@ -86,10 +87,10 @@ class Mono(LearnedPanoramaDepth):
         """Return the losses `silog` and `sky`, which use only the ranges of single cameras.
 
         Raises:
-            ValueError: if there are no ranges of cameras.
+            UserError: if there are no ranges of cameras.
         """
         if batch.camera_range_m is None:
-            raise ValueError("model/depth=mono learns from the range of every camera; this data has none")
+            raise UserError("model/depth=mono learns from the range of every camera; this data has none")
         log_range, sky = self.camera_ranges(batch.images, batch.rigs, flip)
         true_m = range_of_four(batch.camera_range_m)
         known = ~true_m.isnan()

@@ -6,6 +6,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from omniocc.camera import Rig
+from omniocc.errors import UserError
 from omniocc.model.ops.depth.depth_map import DepthMap, from_index, per_rig
 from omniocc.model.ops.depth.panorama_depth import PanoramaDepth
 from omniocc.model.ops.padded import Rigs
@@ -22,10 +23,11 @@ class Truth(PanoramaDepth):
         """Return the true range; it is not valid in the sky (inf) or where it is nan.
 
         Raises:
-            ValueError: if there is no true range, or one of another size than the panorama.
+            UserError: if there is no true range.
+            ValueError: if it has another size than the panorama.
         """
         if true_range_m is None:
-            raise ValueError("model/depth=truth needs recorded ranges; this data has none: choose another model/depth")
+            raise UserError("model/depth=truth needs recorded ranges; this data has none: choose another model/depth")
         size = (self.panorama.height, self.panorama.width)
         if true_range_m.shape[1:] != size:
             given = tuple(true_range_m.shape[1:])

@@ -19,6 +19,7 @@ import torch
 from jaxtyping import Float64
 from torch import Tensor
 
+from omniocc.data.formats.files import read_text
 from omniocc.data.formats.poses import TOLERANCE, quaternion_pose
 from omniocc.errors import UserError
 from omniocc.predict.input.images import closest
@@ -32,18 +33,18 @@ def read_poses(path: Path, frames: Sequence[str]) -> Float64[Tensor, "F 4 4"]:
 
     Raises:
         UserError: naming the line that is not a pose, or the frame without one.
-        OSError: naming the file that cannot be read.
+        DataError: naming the file that cannot be read, or is no text.
     """
     poses: dict[str, Tensor] = {}
-    with path.open(newline="", encoding="utf-8-sig") as file:
-        for number, cells in enumerate(csv.reader(file), start=1):
-            words = [cell.strip() for cell in cells]
-            if not any(words) or words[0].startswith("#") or (not poses and words[0] == "frame"):
-                continue
-            where = f"{path}, line {number}"
-            if words[0] in poses:
-                raise UserError(f"{where}: frame '{words[0]}' already has a pose; keep one")
-            poses[words[0]] = _pose(words[1:], f"{where}, frame '{words[0]}'")
+    lines = read_text(path).removeprefix("\ufeff").splitlines()
+    for number, cells in enumerate(csv.reader(lines), start=1):
+        words = [cell.strip() for cell in cells]
+        if not any(words) or words[0].startswith("#") or (not poses and words[0] == "frame"):
+            continue
+        where = f"{path}, line {number}"
+        if words[0] in poses:
+            raise UserError(f"{where}: frame '{words[0]}' already has a pose; keep one")
+        poses[words[0]] = _pose(words[1:], f"{where}, frame '{words[0]}'")
     for name in frames:
         if name not in poses:
             hint = closest(name, poses) or f"; its first frames are {', '.join(list(poses)[:3])}"

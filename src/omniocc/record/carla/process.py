@@ -1,5 +1,6 @@
 """The capturing process, watched: its messages, its time-outs, and what its failures mean."""
 
+import contextlib
 import json
 import struct
 import subprocess
@@ -89,11 +90,12 @@ def captured(
     for reader in readers:
         reader.start()
     try:
-        process.stdin.write(json.dumps(job).encode() + b"\n")
-        process.stdin.close()
+        try:
+            process.stdin.write(json.dumps(job).encode() + b"\n")
+            process.stdin.close()
+        except BrokenPipeError as error:
+            raise CarlaError(f"the capturing process ended at once: {_last(tail)}", True) from error
         yield _watched(messages, tail, job, first_s, silence_s)
-    except BrokenPipeError as error:
-        raise CarlaError(f"the capturing process ended at once: {_last(tail)}", True) from error
     finally:
         leaving.set()
         _stop(process)
@@ -176,6 +178,7 @@ def _stop(process: subprocess.Popen) -> None:
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
-    for file in (process.stdout, process.stderr):
+    for file in (process.stdin, process.stdout, process.stderr):
         if file is not None:
-            file.close()
+            with contextlib.suppress(BrokenPipeError):  # the request that the process has not read
+                file.close()

@@ -5,17 +5,14 @@ from inspect import signature
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import yaml
-
 from omniocc.data import VirtualWorld
 from omniocc.data.source import SPLITS
 from omniocc.data.store.files import is_url, list_folders
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import META, digest
 from omniocc.errors import UserError
-from omniocc.io import YAML
 from omniocc.report.dataset.facts import own_row, pinhole_twin
-from omniocc.report.runs import FinishedRun
+from omniocc.report.runs import FinishedRun, read_mapping
 from omniocc.report.tables.formats import csv_text, tabular
 from omniocc.run.table import Cells, markdown
 
@@ -41,22 +38,26 @@ class DatasetTable(NamedTuple):
 
 def is_dataset_table(path: Path) -> bool:
     """Return whether a file of `sweeps/` is a table of datasets."""
-    return (yaml.load(path.read_text(), YAML) or {}).get("kind") == "datasets"
+    return read_mapping(path).get("kind") == "datasets"
 
 
 def load_dataset_table(path: Path) -> DatasetTable:
     """Return the table that a file describes.
 
     Raises:
-        UserError: if a row has another number of cells than there are columns.
+        UserError: if a key is missing, or a row has another number of cells than there are columns.
     """
-    content = yaml.load(path.read_text(), YAML)
-    columns = content["columns"]
-    for key, row in content["rows"].items():
-        if len(row["paper"]) != len(columns):
-            raise UserError(f"{path}: row {key} has {len(row['paper'])} cells for {len(columns)} columns")
-    rows = [(f"{row['title']} (paper)", row["paper"]) for row in content["rows"].values()]
-    return DatasetTable(path.stem, content["title"], content["note"], columns, rows)
+    content = read_mapping(path)
+    try:
+        columns = content["columns"]
+        rows = [(f"{row['title']} (paper)", row["paper"]) for row in content["rows"].values()]
+        table = DatasetTable(path.stem, content["title"], content["note"], columns, rows)
+    except (AttributeError, KeyError, TypeError) as error:
+        raise UserError(f"{path} is not a table of datasets: {error}; see sweeps/dataset.yaml") from error
+    for name, cells in rows:
+        if len(cells) != len(columns):
+            raise UserError(f"{path}: row {name} has {len(cells)} cells for {len(columns)} columns")
+    return table
 
 
 def with_ours(table: DatasetTable, runs: Sequence[FinishedRun]) -> DatasetTable:

@@ -6,12 +6,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import yaml
 from scipy import stats
 
 from omniocc.errors import UserError
-from omniocc.io import YAML
-from omniocc.report.runs import VOXELS, FinishedRun
+from omniocc.report.runs import VOXELS, FinishedRun, read_mapping
 from omniocc.report.tables.formats import csv_text, tabular
 from omniocc.report.tables.protocol import protocol_lines
 from omniocc.run.table import markdown, number
@@ -124,7 +122,7 @@ def load_table(path: Path) -> PaperTable:
         UserError: if a key is missing or has no possible value, or a row has another number of figures than there are
             columns.
     """
-    content = yaml.load(path.read_text(), YAML)
+    content = read_mapping(path)
     try:
         columns, order_by = content["columns"], content["order_by"]
         rows = [
@@ -137,7 +135,7 @@ def load_table(path: Path) -> PaperTable:
         table = PaperTable(
             path.stem, content["title"], columns, order_by, rows, note, number_in_paper, compares, claims, of_lengths
         )
-    except (KeyError, TypeError, ValueError) as error:
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise UserError(f"{path} is not a table of the paper: {error}; see the other files beside it") from error
     _check(table, path)
     return table
@@ -157,7 +155,7 @@ def _check(table: PaperTable, path: Path) -> None:
 
 def is_table(path: Path) -> bool:
     """Return whether a file of `sweeps/` is a table of methods."""
-    return "order_by" in (yaml.load(path.read_text(), YAML) or {})
+    return "order_by" in read_mapping(path)
 
 
 def _by_column(columns: Mapping[str, str], row: Mapping[str, Any], run: str) -> dict[str, float | None]:

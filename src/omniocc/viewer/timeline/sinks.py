@@ -12,7 +12,7 @@ from threading import Thread
 
 import rerun as rr
 
-from omniocc.errors import UserError
+from omniocc.errors import UserError, first_line
 from omniocc.io import cannot_write
 
 APPLICATION = "omniocc"
@@ -98,13 +98,9 @@ def to_viewer(address: str, name: str) -> Iterator[rr.RecordingStream]:
     host, port = check_listening(address)
     recording = rr.RecordingStream(APPLICATION)
     recording.connect_grpc(f"rerun+http://{host}:{port}/proxy")
-    recording.send_recording_name(name)
-    yield recording
-    try:
-        recording.flush(timeout_sec=FLUSH_S)
-    except Exception as error:  # Rerun raises its own types
-        raise UserError(f"{address}: the viewer did not receive all frames: {first_line(error)}") from error
-    recording.disconnect()
+    with _flushed(recording, f"the viewer at {address}"):
+        recording.send_recording_name(name)
+        yield recording
 
 
 def check_listening(address: str) -> tuple[str, int]:
@@ -134,7 +130,7 @@ def to_own_viewer(name: str) -> Iterator[rr.RecordingStream]:
     """Give a recording that a viewer shows, which is started here, or is running here already.
 
     Raises:
-        UserError: when there is no display to open a window on.
+        UserError: when there is no display to open a window on, or the viewer is closed before it has all frames.
     """
     check_display()
     recording = rr.RecordingStream(APPLICATION)
@@ -142,9 +138,22 @@ def to_own_viewer(name: str) -> Iterator[rr.RecordingStream]:
         recording.spawn()
     except Exception as error:  # Rerun raises its own types
         raise UserError(f"the viewer does not start: {first_line(error)}; write a file: save=view.rrd") from error
-    recording.send_recording_name(name)
-    yield recording
-    recording.flush(timeout_sec=FLUSH_S)
+    with _flushed(recording, "the viewer"):
+        recording.send_recording_name(name)
+        yield recording
+
+
+@contextlib.contextmanager
+def _flushed(recording: rr.RecordingStream, viewer: str) -> Iterator[None]:
+    """Send all frames to a viewer when the context ends, and disconnect in any case."""
+    try:
+        yield
+        try:
+            recording.flush(timeout_sec=FLUSH_S)
+        except Exception as error:  # Rerun raises its own types
+            raise UserError(f"{viewer} did not receive all frames: {first_line(error)}") from error
+    finally:
+        recording.disconnect()
 
 
 def check_display() -> None:
@@ -166,8 +175,3 @@ def check_place(save: Path | None, connect: str | None) -> None:
         check_listening(connect)
     elif save is None:
         check_display()
-
-
-def first_line(error: Exception) -> str:
-    """Return the first line of an error's text."""
-    return next(iter(str(error).splitlines()), type(error).__name__)

@@ -12,6 +12,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from transformers import PretrainedConfig, ResNetConfig, ResNetModel
 
+from omniocc.errors import first_line
+
 log = logging.getLogger(__name__)
 
 PROBE_TIMEOUT_S = 3.0
@@ -73,7 +75,7 @@ def load_or_random(weights: str | None, load: Callable[[str, bool], Network], ra
     try:
         return load(weights, not _hub_reachable(weights))
     except OSError as error:
-        reason = str(error).strip().splitlines()[0]
+        reason = first_line(error)
         log.warning("no pretrained weights '%s', training from random ones: %s", weights, reason)
         return random()
 
