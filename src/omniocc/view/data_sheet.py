@@ -47,7 +47,8 @@ def with_dots(image: np.ndarray, range_m: np.ndarray | None, least_width: int = 
     large = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR)
     if range_m is None:
         return large
+    colors = range_colors(range_m)
     for row, column in np.argwhere(np.isfinite(range_m)):
         place = (round((column + 0.5) * scale - 0.5), round((row + 0.5) * scale - 0.5))
-        cv2.circle(large, place, DOT_PX, range_colors(range_m[row, column]).tolist(), -1)
+        cv2.circle(large, place, DOT_PX, colors[row, column].tolist(), -1)
     return large
