@@ -59,7 +59,15 @@ def training_data(path: Path, cfg: DictConfig) -> TrainingData:
     Raises:
         UserError: when the source cannot be built here, needs scenes that are not there, or has other classes.
     """
-    data = open_data(path, cfg)
+    return facts_of(open_data(path, cfg), cfg)
+
+
+def facts_of(data: OccupancyData, cfg: DictConfig) -> TrainingData:
+    """Return what data tells about itself; `cfg` is the configuration that it was built from.
+
+    Raises:
+        UserError: when its source needs scenes that are not there.
+    """
     source, spec = data.source, data.source.spec
     name = OmegaConf.select(cfg, "data.source.rig") or "that of recorded scenes"
     return TrainingData(training_rig(source), name, spec.road_z_m, spec.classes, data.unknown, spec.frame_interval_s)

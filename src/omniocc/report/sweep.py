@@ -102,17 +102,18 @@ def read_sweeps(runs: Path, tables: Path, conf: Path, preset: str | None) -> lis
     found = sorted((load_table(path) for path in paths if is_table(path)), key=lambda table: table.number or len(paths))
     first = list(dict.fromkeys(["ours", *(row.run for table in found for row in table.rows)]))
     finished = assign_rows(read_runs(runs), conf, first)
-    tests = read_robustness(runs)
+    tests, begun = read_robustness(runs), unfinished(runs)
+    of_datasets = [load_dataset_table(path) for path in paths if is_dataset_table(path)]
 
     def sweep_of(setting: tuple[str, ...]) -> Sweep:
         kept, remark = comparable(finished, setting)
-        datasets = [with_ours(load_dataset_table(path), kept) for path in paths if is_dataset_table(path)]
         rows, scenes = by_row(kept), scenes_of(kept[0])
+        datasets = [with_ours(table, scenes) for table in of_datasets]
         order = [row for row in dict.fromkeys([*first, *rows]) if row in rows]
         data = facts_of_scenes(scenes) if scenes else ""
         own = [test for test in tests if test.system in {run.name for run in kept}]
         ordered = {row: rows[row] for row in order}
-        return Sweep(kept, ordered, remark, data, found, datasets, unfinished(runs), robustness=own)
+        return Sweep(kept, ordered, remark, data, found, datasets, begun, robustness=own)
 
     seed_stds = load_seed_stds(tables / POWER)
     sweeps = [sweep_of(setting) for setting in settings_of(finished, preset)]

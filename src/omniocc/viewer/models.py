@@ -15,6 +15,8 @@ from omniocc.classes import UNKNOWN
 from omniocc.data import OccupancyData
 from omniocc.data.dataset import read_images
 from omniocc.data.source import SceneFrames
+from omniocc.data.source.recorded import spec_of
+from omniocc.data.store.reader import SceneReader
 from omniocc.errors import UserError
 from omniocc.geometry import Grid
 from omniocc.model.occupancy import to_unit_range
@@ -24,7 +26,7 @@ from omniocc.predict.network import load_occupancy
 from omniocc.predict.options import choose_device
 from omniocc.predict.predictor import STEPS, Prediction, Predictor
 from omniocc.predict.stopwatch import Stopwatch
-from omniocc.predict.trained import TrainingData, open_data, training_data
+from omniocc.predict.trained import TrainingData, facts_of, open_data
 from omniocc.run.checkpoint_io import BEST, LAST, no_checkpoint
 from omniocc.run.weights import find_checkpoint
 from omniocc.task.scores import Scores
@@ -147,8 +149,8 @@ def load_models(runs: Sequence[str], names: Sequence[str], device: str | None) -
     for run, name in zip(runs, names, strict=True):
         path = find_run(run)
         model, cfg = load_occupancy(path)
-        data, trained = open_data(path, cfg), training_data(path, cfg)
-        models.append(TrainedModel(name, data, trained, Predictor(model, None, (), choose_device(device))))
+        data = open_data(path, cfg)
+        models.append(TrainedModel(name, data, facts_of(data, cfg), Predictor(model, None, (), choose_device(device))))
     return models
 
 
@@ -162,6 +164,11 @@ def check_classes(models: Sequence[TrainedModel], scenes: ChosenScenes) -> None:
                 f"'{model.name}' was trained with {len(own)} classes ({', '.join(own)}), the {scenes.source} have "
                 f"{len(names)} ({', '.join(names)}): show them one after the other"
             )
+
+
+def scene_scores(grid: Grid, scene: SceneReader) -> Scores:
+    """Return empty scores of predictions on a grid for the frames of a recorded scene."""
+    return Scores(grid, spec_of(scene))
 
 
 def frame_figures(scores: Scores, labels: Tensor, truth: Batch | Truth) -> Mapping[str, float]:

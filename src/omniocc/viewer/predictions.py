@@ -1,7 +1,7 @@
 """Folders that `predict.py occupancy` has written, with the images, and the truth where they are recorded scenes."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from functools import partial
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ from omniocc.data.source.recorded import spec_of
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import META
 from omniocc.errors import UserError
+from omniocc.geometry import Grid
 from omniocc.metric import sparseocc_directions
 from omniocc.predict.input.images import Frame, find_frames, read_frame
 from omniocc.predict.options import load_rig
@@ -18,7 +19,7 @@ from omniocc.predict.output.manifest import OWN_RIG, read_manifest
 from omniocc.predict.output.voxel_files import VOXELS, Voxels, read_voxels
 from omniocc.task.scores import Scores
 from omniocc.viewer.frames import FramePrediction, Shown, ShownFrame
-from omniocc.viewer.models import frame_figures
+from omniocc.viewer.models import frame_figures, scene_scores
 from omniocc.viewer.options import ViewOptions
 from omniocc.viewer.scenes import ChosenScenes, choose, recorded_frame, rig_at_sizes, voxel_votes
 
@@ -96,14 +97,14 @@ def _frames(
     rig: Rig | None,
     own: Mapping[str, Frame],
 ) -> Iterator[ShownFrame]:
-    model = folder.resolve().name
+    model, scores = folder.resolve().name, lru_cache(maxsize=1)(scene_scores)
     for number, (scene, name) in enumerate(frames):
         path = folder / scene / name / VOXELS
         voxels = read_voxels(path)
         if voxels.geometry != first.geometry or voxels.classes != first.classes:
             raise UserError(f"{path} has another grid or other classes than the first frame")
         if scene in recorded:
-            yield _recorded(recorded[scene], int(name), voxels, model, unknown)
+            yield _recorded(recorded[scene], int(name), voxels, model, unknown, scores)
         else:
             images = read_frame(own[name], rig) if rig is not None and name in own else []
             yield ShownFrame(
@@ -121,13 +122,20 @@ def _frames(
             )
 
 
-def _recorded(scene: SceneReader, frame: int, voxels: Voxels, model: str, unknown: Unknown) -> ShownFrame:
+def _recorded(
+    scene: SceneReader,
+    frame: int,
+    voxels: Voxels,
+    model: str,
+    unknown: Unknown,
+    scores: Callable[[Grid, SceneReader], Scores],
+) -> ShownFrame:
     """Return a predicted frame of a recorded scene, scored where there is truth; `unknown` as in its training."""
     spec, grid = spec_of(scene), voxels.geometry
     labels = voxel_votes(Path(scene.folder).parent, unknown, spec)
     scenes = ChosenScenes(spec, [(scene, [frame])], labels, None, scene.name, "")
     truth = scenes.truth(scene, frame, grid)
-    figures = {} if truth is None else frame_figures(Scores(grid, spec), voxels.labels, truth)
+    figures = {} if truth is None else frame_figures(scores(grid, scene), voxels.labels, truth)
     known = {} if truth is None or truth.voxels is None else {grid: truth.voxels[0]}
     return recorded_frame(scenes, scene, frame, known, {model: _prediction(voxels, figures)})
 

@@ -31,7 +31,7 @@ def test_the_papers_rows_are_those_on_the_page_of_a_dataset():
 
 def test_our_row_is_read_from_the_scenes_that_the_runs_used(runs):
     run = read_runs(runs)[0]
-    table = with_ours(load_dataset_table(PATH), [run])
+    table = with_ours(load_dataset_table(PATH), scenes_of(run))
     assert dataset_cells(table)[1][-1] == ["This dataset (here)", "–", "✓", "✓", "✓", "✓", "16"]
     assert dataset_csv(table).splitlines()[-1] == "This dataset (here),False,True,True,True,True,16"
     assert r"OmniDepth-Occ (paper) & \checkmark & \checkmark" in dataset_latex(table)
@@ -48,7 +48,7 @@ def test_data_that_is_elsewhere_or_other_than_the_runs_is_not_shown(runs):
         run._replace(config={}),
     ):
         assert scenes_of(other) == []
-        assert dataset_cells(with_ours(load_dataset_table(PATH), [other]))[1][-1][0] == "here: not on this machine"
+    assert dataset_cells(with_ours(load_dataset_table(PATH), []))[1][-1][0] == "here: not on this machine"
 
 
 def test_a_row_with_too_few_cells_is_named(tmp_path):

@@ -218,7 +218,8 @@ def test_rendered_parts_are_other_data_with_the_same_scenes(smoke, spec):
             other = test.source(part.source)
             assert other.plans == base.plans
             assert other.name != base.name
-            assert test.key(part, "w") != test.key(parts_of(("front",), ())[0], "w")
+            undisturbed = parts_of(("front",), ())[0]
+            assert test.key(part, "w", other.fingerprint) != test.key(undisturbed, "w", base.fingerprint)
 
 
 def test_facts_can_be_written_as_json(tested):

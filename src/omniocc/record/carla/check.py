@@ -72,11 +72,11 @@ def check_poses(frame: RawFrame, sensors: Sequence[Spec]) -> Finding:
 def lidar_against_cameras(frame: RawFrame, cube: Cube, classes: UInt8[np.ndarray, " 256"]) -> tuple[Finding, Finding]:
     """Return whether depth images measure the distances of LiDAR points, and whether both give them equal classes."""
     ratios, same = [np.empty(0)], [np.empty(0, bool)]
+    world_from_lidar, scan = next(scans_of(frame, classes))
     for face in cube.lookup.faces:
         name = cube.face_name(face, "depth")
         side, inner = cube.lookup.side, cube.lookup.inner
         optical = right_handed(np.array(frame.matrices[name])) @ SENSOR_FROM_OPTICAL
-        world_from_lidar, scan = next(scans_of(frame, classes))
         points = moved(inverse(optical) @ world_from_lidar, scan.points_m)
         ahead = points[:, 2] > 0.5
         pixels = np.rint(points[ahead, :2] / points[ahead, 2:] * inner / 2 + (side - 1) / 2).astype(int)

@@ -60,9 +60,8 @@ def load_dataset_table(path: Path) -> DatasetTable:
     return table
 
 
-def with_ours(table: DatasetTable, runs: Sequence[FinishedRun]) -> DatasetTable:
-    """Return the table with a row for the dataset that the runs used, if it is on this machine."""
-    scenes = scenes_of(runs[0])
+def with_ours(table: DatasetTable, scenes: Sequence[SceneReader]) -> DatasetTable:
+    """Return the table with a row for the dataset that runs used; `scenes` are all of it, none if it is elsewhere."""
     if not scenes:
         return table._replace(rows=[*table.rows, ("here: not on this machine", ())])
     name, *cells = own_row(scenes, [pinhole_twin(scenes[0])])

@@ -172,12 +172,14 @@ class RobustnessTest:
             DataError: when scenes cannot be made or the disk refuses.
         """
         weights = digest_of({name: value.cpu() for name, value in self.task.state_dict().items()})
-        keys = {part.name: self.key(part, weights) for part in every}
+        sources = {part.options: part.source for part in every}
+        data = {options: self.source(changes).fingerprint for options, changes in sources.items()}
+        keys = {part.name: self.key(part, weights, data[part.options]) for part in every}
         found = {part.name: load_part(folder / f"{part.name}.json", keys[part.name]) for part in every}
         missing = [part for part in parts if found[part.name] is None]
-        sources = {short_hash(dict(part.source)): part.source for part in missing}
-        ready = {options: self.prepared(changes) for options, changes in sources.items()}
-        work = [(part, ready[short_hash(dict(part.source))]) for part in missing]
+        rendered = {part.options: part.source for part in missing}
+        ready = {options: self.prepared(changes) for options, changes in rendered.items()}
+        work = [(part, ready[part.options]) for part in missing]
         frames = sum(len(scene) for _, source in work for scene in self._scenes(source))
         with Progress("robustness", frames) as progress:
             for number, (part, source) in enumerate(work, start=1):
@@ -187,9 +189,12 @@ class RobustnessTest:
                 found[part.name] = scored
         return [scored for part in every if (scored := found[part.name]) is not None]
 
-    def key(self, part: Part, weights: str) -> str:
-        """Return a hash of everything that decides the figures of a part; `weights` is that of the model's."""
-        model, data = self.task.config["model"], self.source(part.source).fingerprint
+    def key(self, part: Part, weights: str, data: str) -> str:
+        """Return a hash of everything that decides the figures of a part; `weights` is that of the model's.
+
+        `data` is the fingerprint of the frames that it is tested on.
+        """
+        model = self.task.config["model"]
         return short_hash([VERSION, weights, model, data, self.scenes, part.name, self.seed, *self.not_usual()])
 
     def not_usual(self) -> list[Any]:

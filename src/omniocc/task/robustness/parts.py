@@ -14,6 +14,7 @@ from omniocc.data.disturb import disturbance as kinds
 from omniocc.data.disturb.disturbance import Disturbance
 from omniocc.data.disturb.images import Image, blurred, compressed, exposed
 from omniocc.errors import UserError
+from omniocc.run.folder import short_hash
 from omniocc.run.robustness import UNDISTURBED
 from omniocc.world.render.weather import WEATHERS
 from omniocc.world.variations.night import NIGHT
@@ -48,6 +49,11 @@ class Part(NamedTuple):
     group: str
     disturbance: Disturbance = Disturbance()
     source: Mapping[str, Any] = MappingProxyType({})
+
+    @property
+    def options(self) -> str:
+        """Return a hash of the other options of the source: equal for parts that are tested on the same frames."""
+        return short_hash(dict(self.source))
 
 
 def parts_of(cameras: Sequence[str], unseen: Sequence[str]) -> list[Part]:

@@ -1,6 +1,7 @@
 """Show the predictions of `predict.py` in a running viewer as they come."""
 
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +17,8 @@ from omniocc.predict.input.images import Frame
 from omniocc.predict.input.sequence import FrameSequence, RecordedSequence
 from omniocc.predict.job import Job
 from omniocc.predict.predictor import Prediction
-from omniocc.task.scores import Scores
 from omniocc.viewer.frames import FramePrediction, ShownFrame
-from omniocc.viewer.models import frame_figures
+from omniocc.viewer.models import frame_figures, scene_scores
 from omniocc.viewer.predictions import OWN_INTERVAL_S
 from omniocc.viewer.scenes import rig_at_sizes, time_of
 from omniocc.viewer.timeline.log import Timeline
@@ -35,6 +35,7 @@ class VoxelStream:
     def __init__(self, recording: rr.RecordingStream):
         self.recording = recording
         self.timeline: Timeline | None = None
+        self.scores = lru_cache(maxsize=1)(scene_scores)
 
     def __call__(
         self,
@@ -54,7 +55,7 @@ class VoxelStream:
         ranges = None if prediction.range_m is None else panorama
         figures = {}
         if truth is not None and recorded:
-            figures = frame_figures(Scores(grid, sequence.spec), prediction.labels, truth)
+            figures = frame_figures(self.scores(grid, sequence.scene), prediction.labels, truth)
         poses = sequence.world_from_ego
         shown = ShownFrame(
             scene=sequence.name or Path(job.options.output).name,
