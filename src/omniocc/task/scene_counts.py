@@ -15,7 +15,7 @@ from omniocc.metric import RayTruth
 from omniocc.metric.ray_counts import RayCounts
 from omniocc.run.distributed import from_all
 from omniocc.run.scenes import LIDAR, MOVING, RAYS, Counted, save_scenes
-from omniocc.task.scores import Scores, within_reach
+from omniocc.task.scores import Scores
 
 
 class SceneCounts:
@@ -36,9 +36,11 @@ class SceneCounts:
         """Add a batch of predicted labels on the grid of the model."""
         if self.scores.benchmark is not None:
             return
+        lidar = None if batch.lidar_labels is None else self.scores.lidar_truth(batch)
         for sample, frame_id in enumerate(batch.frame_ids):
+            one = slice(sample, sample + 1)
             scene = self.counted.setdefault(frame_id.rpartition("/")[0], {})
-            for kind, counts in self._counts(labels[sample : sample + 1], batch, sample):
+            for kind, counts in self._counts(labels[one], batch, lidar, one):
                 counts = self.scores.rays.counter.counts_at(counts, self.scores.rays.counter.thresholds_m)
                 lines = torch.cat([counts.truth.sum(0)[None], counts.predicted.sum(0)[None], counts.correct.sum(0)])
                 scene[kind] = added(scene.get(kind), lines.tolist())
@@ -57,23 +59,21 @@ class SceneCounts:
                     scene[kind] = added(scene.get(kind), lines)
         return dict(sorted(found.items()))
 
-    def _counts(self, labels: Tensor, batch: Batch, sample: int) -> Iterator[tuple[str, RayCounts]]:
-        one = slice(sample, sample + 1)
+    def _counts(
+        self, labels: Tensor, batch: Batch, lidar: RayTruth | None, one: slice
+    ) -> Iterator[tuple[str, RayCounts]]:
         if batch.voxels is not None and batch.ray_origins is None:
             seen = None if batch.scored is None else batch.scored[one]
             yield RAYS, self.scores.rays.counter.count(labels, batch.voxels[one], observed=seen)
-        if batch.lidar_labels is None or batch.lidar_range_m is None:
+        if lidar is None:
             return
-        directions = self.scores.directions if batch.lidar_directions is None else batch.lidar_directions[one]
-        own = None if batch.lidar_directions is None else directions
-        origins = None if batch.lidar_origins is None else batch.lidar_origins[one]
-        assert directions is not None
-        range_m = batch.lidar_range_m[one]
-        hits = within_reach(batch.lidar_labels[one], range_m, directions, self.scores.reach_m, origins)
-        yield LIDAR, self.scores.lidar.counter.count(labels, RayTruth(range_m, hits, own, origins))
+        directions = None if lidar.directions is None else lidar.directions[one]
+        starts = None if lidar.starts is None else lidar.starts[one]
+        truth = RayTruth(lidar.range_m[one], lidar.labels[one], directions, starts)
+        yield LIDAR, self.scores.lidar.counter.count(labels, truth)
         if batch.lidar_moving is not None:
-            moving = hits.masked_fill(~batch.lidar_moving[one], UNKNOWN)
-            yield MOVING, self.scores.lidar.counter.count(labels, RayTruth(range_m, moving, own, origins))
+            moving = truth.labels.masked_fill(~batch.lidar_moving[one], UNKNOWN)
+            yield MOVING, self.scores.lidar.counter.count(labels, truth._replace(labels=moving))
 
 
 def save_by_scene(folder: Path, scores: Scores, source: SceneSource, counted: Mapping[str, Counted]) -> None:

@@ -87,7 +87,17 @@ class Scores(nn.Module):
             self._add_voxels(labels, truth, batch)
         self.lidar_frames.update(0 if batch.lidar_labels is None else len(labels))
         if batch.lidar_labels is not None:
-            self._add_lidar(labels, batch)
+            self.lidar.update(labels, self.lidar_truth(batch))
+
+    def lidar_truth(self, batch: Batch | Truth) -> RayTruth:
+        """Return the LiDAR rays of a batch that has them; hits beyond the last band are free."""
+        assert batch.lidar_range_m is not None
+        assert batch.lidar_labels is not None
+        directions = self.directions if batch.lidar_directions is None else batch.lidar_directions
+        assert directions is not None
+        range_m, origins = batch.lidar_range_m, batch.lidar_origins
+        hits = within_reach(batch.lidar_labels, range_m, directions, self.reach_m, origins)
+        return RayTruth(range_m, hits, batch.lidar_directions, origins)
 
     def compute(self) -> dict[str, Tensor]:
         """Return all scores, from counts over the dataset and all processes."""
@@ -138,12 +148,3 @@ class Scores(nn.Module):
         for (_, cells), part in zip(self.part_cells, self.parts, strict=True):
             near = cells.to(labels.device).expand_as(truth)
             cast(VoxelIoU, part).update(labels, truth, observed=near if scored is None else near & scored)
-
-    def _add_lidar(self, labels: Tensor, batch: Batch | Truth) -> None:
-        assert batch.lidar_range_m is not None
-        assert batch.lidar_labels is not None
-        directions = self.directions if batch.lidar_directions is None else batch.lidar_directions
-        assert directions is not None
-        range_m, origins = batch.lidar_range_m, batch.lidar_origins
-        hits = within_reach(batch.lidar_labels, range_m, directions, self.reach_m, origins)
-        self.lidar.update(labels, RayTruth(range_m, hits, batch.lidar_directions, origins))
