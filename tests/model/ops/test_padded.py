@@ -8,7 +8,7 @@ from omniocc.camera import Rig
 from omniocc.geometry import Cuboid
 from omniocc.model.lifter.lift_splat import find_entries
 from omniocc.model.ops.depth.zbuffer import camera_rays
-from omniocc.model.ops.padded import ImageShape, by_shape, crop, image_shape
+from omniocc.model.ops.padded import ImageShape, by_shape, crop, grouped, image_shape, in_batch_order
 from omniocc.model.ops.visible import reference_points
 
 CPU = torch.device("cpu")
@@ -55,6 +55,13 @@ def test_a_network_sees_no_padding_and_its_maps_are_padded_by_zeros(rigs):
 def test_a_batch_without_any_full_sample_keeps_the_size_of_its_maps(rigs):
     (maps,) = by_shape(lambda images, _: [images], torch.rand(2, 6, 3, 36, 64), (rigs[1], rigs[1]), [1])
     assert maps.shape == (2, 6, 3, 36, 64)
+
+
+def test_results_of_groups_return_to_the_order_of_the_batch():
+    values = torch.arange(10.0).view(5, 2)
+    for keys in ("ababc", "aaaaa", "edcba"):
+        groups = grouped(keys).values()
+        assert torch.equal(in_batch_order([values[group] for group in groups], groups), values)
 
 
 def mixed(rig: Rig) -> tuple[Rig, Rig]:

@@ -19,7 +19,7 @@ from omniocc.model.ops.deformable_attention import (
 )
 from omniocc.model.ops.evidence import INPUTS, network_inputs, required
 from omniocc.model.ops.feedforward import AttentionLayer
-from omniocc.model.ops.padded import FeatureMaps, crop
+from omniocc.model.ops.padded import FeatureMaps, crop, in_batch_order
 from omniocc.model.ops.static import is_static
 from omniocc.model.ops.visible import CENTRE, Pairs, every_cell, group_samples, marked_cells
 from omniocc.model.protocols import Sketched
@@ -116,12 +116,8 @@ class Coloring(nn.Module):
             first = group[0]
             inputs = None if evidence is None else evidence[first], None if rows is None else rows[group]
             parts.append(self._color(maps, marked[first], *inputs, rigs[first]))
-        volumes = parts[0]
-        if len(parts) > 1:
-            order = torch.tensor([sample for group in groups for sample in group], device=marked.device)
-            volumes = torch.cat(parts)[order.argsort()]
         # channels last in memory, which is fast in 3D convolutions
-        return volumes.unflatten(1, self.geometry.shape).movedim(-1, 1)
+        return in_batch_order(parts, groups).unflatten(1, self.geometry.shape).movedim(-1, 1)
 
     def _color(
         self,

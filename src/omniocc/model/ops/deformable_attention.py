@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 from torch.nn import functional as F
 
-from omniocc.model.ops.multilinear import bag_sum, corners, inner_products, sum_samples
+from omniocc.model.ops.multilinear import add_to_corners, bag_sum, corners, inner_products, sum_samples
 from omniocc.model.ops.visible import Pairs
 
 
@@ -180,8 +180,8 @@ def _gather(
 ) -> Float[Tensor, "Q C"]:
     """Return the weighted sum of the samples of each query."""
     bags = (first * weight.shape[1]).int()
-    corners = zip(_corner_steps(width), _corner_weights(samples, weight), strict=True)
-    sums = [bag_sum((samples.row + step).flatten(), table, bags, weights.flatten()) for step, weights in corners]
+    weighted = zip(_corner_steps(width), _corner_weights(samples, weight), strict=True)
+    sums = [bag_sum((samples.row + step).flatten(), table, bags, weights.flatten()) for step, weights in weighted]
     return torch.stack(sums).sum(0)
 
 
@@ -197,13 +197,8 @@ def _scatter(
     rows = samples.row.flatten()
     order = (rows.short() if size < 2**15 else rows).argsort()
     sources = query.int().index_select(0, order // weight.shape[1])
-    counts = torch.bincount(rows, minlength=size)
-    first = (counts.cumsum(0) - counts).int()
-    total = torch.zeros(size, grad.shape[1], dtype=grad.dtype, device=grad.device)
-    for step, weights in zip(_corner_steps(width), _corner_weights(samples, weight), strict=True):
-        corner = bag_sum(sources, grad, first, weights.flatten().index_select(0, order))
-        total[step:] += corner[: size - step]
-    return total
+    by_corner = (corner.flatten().index_select(0, order) for corner in _corner_weights(samples, weight))
+    return add_to_corners(grad, rows, sources, zip(_corner_steps(width), by_corner, strict=True), size)
 
 
 def _products(
@@ -212,8 +207,8 @@ def _products(
     """Return the inner product of each corner's row with the gradient of its sample's query."""
     shape = samples.row.shape
     ends = torch.cat([first * shape[1], first.new_tensor([samples.row.numel()])]).int()
-    corners = [(samples.row + step).flatten() for step in _corner_steps(width)]
-    return [inner_products(grad, table, ends, rows).reshape(shape) for rows in corners]
+    rows = [(samples.row + step).flatten() for step in _corner_steps(width)]
+    return [inner_products(grad, table, ends, corner).reshape(shape) for corner in rows]
 
 
 def _backward(

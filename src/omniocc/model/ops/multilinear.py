@@ -6,7 +6,7 @@ a CPU than scattering every corner.
 """
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -31,6 +31,31 @@ def inner_products(
         warnings.filterwarnings("ignore", message="Sparse")  # CSR is marked beta
         pattern = torch.sparse_csr_tensor(ends, rows, left.new_zeros(len(rows)), (len(left), len(right)))
         return torch.sparse.sampled_addmm(pattern, left, right.T, beta=0.0).values()
+
+
+def add_to_corners(
+    grad: Float[Tensor, "N C"],
+    rows: Int32[Tensor, " S"],
+    sources: Int32[Tensor, " S"],
+    weighted: Iterable[tuple[int, Float[Tensor, " S"]]],
+    size: int,
+) -> Float[Tensor, "R C"]:
+    """Add weighted gradients to the rows of the corners of samples.
+
+    Args:
+        grad: of each sum.
+        rows: lowest corner of each sample, in any order.
+        sources: sum of each sample, in the order of their lowest corners.
+        weighted: rows from the lowest corner to each corner, and the samples' weights in the order of `sources`.
+        size: number of rows, R.
+    """
+    counts = torch.bincount(rows, minlength=size)
+    first = (counts.cumsum(0) - counts).int()
+    total = torch.zeros(size, grad.shape[1], dtype=grad.dtype, device=grad.device)
+    for step, weights in weighted:
+        corner = bag_sum(sources, grad, first, weights)
+        total[step:] += corner[: size - step]
+    return total
 
 
 class Corners(NamedTuple):
@@ -109,13 +134,8 @@ def _scatter(
     order = rows.argsort()
     sources = torch.div(order, row.shape[1], rounding_mode="floor").int()
     sorted_weights = weights.flatten(0, 1).index_select(0, order)
-    counts = torch.bincount(rows, minlength=size)
-    first = (counts.cumsum(0) - counts).int()
-    total = torch.zeros(size, grad.shape[1], dtype=grad.dtype, device=grad.device)
-    for step, step_weights in zip(steps, sorted_weights.unbind(1), strict=True):
-        corner = bag_sum(sources, grad, first, step_weights.contiguous())
-        total[step:] += corner[: size - step]
-    return total
+    by_corner = (corner.contiguous() for corner in sorted_weights.unbind(1))
+    return add_to_corners(grad, rows, sources, zip(steps, by_corner, strict=True), size)
 
 
 def _products(

@@ -9,7 +9,7 @@ from collections.abc import Callable, Hashable, Iterable, Sequence
 from typing import NamedTuple, TypeVar
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -76,6 +76,14 @@ def grouped(keys: Iterable[Key]) -> dict[Key, list[int]]:
     for position, key in enumerate(keys):
         groups.setdefault(key, []).append(position)
     return groups
+
+
+def in_batch_order(parts: Sequence[Shaped[Tensor, "_ *S"]], groups: Iterable[Sequence[int]]) -> Shaped[Tensor, "B *S"]:
+    """Return the results of groups of samples together, in the order of the samples in the batch."""
+    if len(parts) == 1:
+        return parts[0]
+    order = torch.tensor([sample for group in groups for sample in group]).argsort()
+    return torch.cat(list(parts))[order.to(parts[0].device)]
 
 
 def by_shape(

@@ -7,7 +7,7 @@ from torch import Tensor
 from omniocc.camera import Rig
 from omniocc.geometry import Grid
 from omniocc.model.ops.deformable_attention import deformable_sum, make_level, make_table
-from omniocc.model.ops.padded import crop
+from omniocc.model.ops.padded import crop, in_batch_order
 from omniocc.model.ops.static import is_static
 from omniocc.model.ops.visible import CENTRE, every_cell, group_samples, marked_cells
 
@@ -28,11 +28,7 @@ def sample_at_voxels(
     for group in groups:
         own = crop(maps if len(groups) == 1 else maps[group], rigs[group[0]], stride)
         parts.append(_at_voxels(own, marked[group[0]], rigs[group[0]], geometry))
-    volumes = parts[0]
-    if len(parts) > 1:
-        order = torch.tensor([sample for group in groups for sample in group], device=marked.device)
-        volumes = torch.cat(parts)[order.argsort()]
-    return volumes.unflatten(1, geometry.shape).movedim(-1, 1)
+    return in_batch_order(parts, groups).unflatten(1, geometry.shape).movedim(-1, 1)
 
 
 def _at_voxels(

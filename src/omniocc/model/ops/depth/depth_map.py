@@ -9,7 +9,7 @@ from torch import Tensor
 
 from omniocc.camera import Rig
 from omniocc.model.ops.depth.spheres import Spheres
-from omniocc.model.ops.padded import crop, grouped
+from omniocc.model.ops.padded import crop, grouped, in_batch_order
 from omniocc.model.ops.static import is_static
 
 
@@ -62,10 +62,7 @@ def per_rig(rigs: Sequence[Rig], run: Callable[[Rig, list[int]], DepthMap]) -> D
     """Run samples of equal rig together and return the results in the order of samples."""
     groups = grouped(rigs)
     parts = [run(rig, samples) for rig, samples in groups.items()]
-    if len(parts) == 1:
-        return parts[0]
-    order = torch.tensor([sample for samples in groups.values() for sample in samples]).argsort()
-    return DepthMap(*(torch.cat(field)[order.to(field[0].device)] for field in zip(*parts, strict=True)))
+    return DepthMap(*(in_batch_order(field, groups.values()) for field in zip(*parts, strict=True)))
 
 
 def weighted_sum(parts: Sequence[tuple[float, dict[str, Tensor]]]) -> dict[str, Tensor]:
