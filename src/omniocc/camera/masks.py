@@ -21,10 +21,9 @@ def mask_cameras(rig: Rig, names: tuple[str, ...]) -> Rig:
     """Return the rig with the named cameras masked entirely."""
     if not names:
         return rig
-    masks = rig.masks or (None,) * len(rig.cameras)
     masked = [
         torch.zeros(camera.height, camera.width, dtype=torch.bool) if name in names else mask
-        for camera, name, mask in zip(rig.cameras, rig.names, masks, strict=True)
+        for camera, name, mask in zip(rig.cameras, rig.names, rig.each_mask, strict=True)
     ]
     return replace(rig, masks=tuple(masked))
 
@@ -62,8 +61,7 @@ def lenses_that_do_not_fit(rig: Rig) -> tuple[str, ...]:
 
 def usable_pixels(rig: Rig) -> Sequence[Bool[Tensor, "height width"]]:
     """Return the masks of all cameras; everything is usable where a camera has none."""
-    masks = rig.masks or (None,) * len(rig.cameras)
     return [
         torch.ones(camera.height, camera.width, dtype=torch.bool) if mask is None else mask
-        for camera, mask in zip(rig.cameras, masks, strict=True)
+        for camera, mask in zip(rig.cameras, rig.each_mask, strict=True)
     ]

@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Bool, Float, Float32, Float64
 from torch import Tensor
 
-from omniocc.camera.ops.pixels import pixel_centers
+from omniocc.camera.ops.pixels import pixel_centers, usable
 from omniocc.camera.pose import check_rigid, invert_pose
 from omniocc.camera.protocol import Camera
 from omniocc.camera.rig_file import Calibration, read_rig, write_rig
@@ -51,9 +51,8 @@ class Rig:
             )
         if self.road_z_m is not None and not -100 < self.road_z_m < 0:
             raise ValueError(f"road_z_m is {self.road_z_m}; it must be below 0, in metres: the road is below the rig")
-        for index, name in enumerate(self.names):
+        for index, (name, camera, mask) in enumerate(zip(self.names, self.cameras, self.each_mask, strict=True)):
             check_rigid(self.ego_from_camera[index], f"camera '{name}'")
-            mask, camera = self._mask(index), self.cameras[index]
             if mask is not None and mask.shape != (camera.height, camera.width):
                 size = f"{mask.shape[1]}x{mask.shape[0]}"
                 raise ValueError(
@@ -76,6 +75,11 @@ class Rig:
         """Write a rig file, and masks as PNG files beside it; loading it gives an equal rig."""
         write_rig(path, Calibration(self.cameras, self.ego_from_camera, self.names, self.masks, self.road_z_m))
 
+    @property
+    def each_mask(self) -> tuple[Bool[Tensor, "_ _"] | None, ...]:
+        """Return the mask of every camera, None for one without."""
+        return self.masks or (None,) * len(self.cameras)
+
     def project(
         self, points_ego: Float[Tensor, "*batch 3"]
     ) -> tuple[Float[Tensor, "N *batch 2"], Bool[Tensor, "N *batch"]]:
@@ -87,24 +91,23 @@ class Rig:
         """Return the unit ray, ego frame, of every pixel of one camera, and whether lens and mask allow it."""
         model = self.cameras[camera]
         rays, valid = model.unproject(pixel_centers(model.width, model.height, torch.float64))
-        mask = self._mask(camera)
+        mask = self.each_mask[camera]
         rays = rays @ self.ego_from_camera[camera, :3, :3].T
         return rays.float(), valid if mask is None else valid & mask
 
     def resized(self, width: int, height: int) -> "Rig":
         """Return the same rig with every image scaled to `width` x `height` px."""
         cameras = tuple(camera.resized(width, height) for camera in self.cameras)
-        masks = _each_mask(self.masks, lambda mask: _resized_mask(mask, width, height))
+        masks = _changed(self.masks, lambda mask: _resized_mask(mask, width, height))
         return replace(self, cameras=cameras, masks=masks)
 
     @cached_property
     def fingerprint(self) -> str:
         """Return a hash of models, poses, names, masks and road: equal for equal rigs, in every process."""
         digest = hashlib.sha256()
-        for index, (name, camera) in enumerate(zip(self.names, self.cameras, strict=True)):
+        for index, (name, camera, mask) in enumerate(zip(self.names, self.cameras, self.each_mask, strict=True)):
             digest.update(f"{name}\n{camera!r}\n".encode())
             digest.update((self.ego_from_camera[index] + 0.0).numpy().tobytes())
-            mask = self._mask(index)
             digest.update(b"-" if mask is None else mask.numpy().tobytes())
         if self.road_z_m is not None:
             digest.update(repr(self.road_z_m).encode())
@@ -118,15 +121,12 @@ class Rig:
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the state with arrays for tensors: between processes each tensor would need an open file."""
-        masks = _each_mask(self.masks, Tensor.numpy)
+        masks = _changed(self.masks, Tensor.numpy)
         return self.__dict__ | {"ego_from_camera": self.ego_from_camera.numpy(), "masks": masks}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        poses, masks = torch.from_numpy(state["ego_from_camera"]), _each_mask(state["masks"], torch.from_numpy)
+        poses, masks = torch.from_numpy(state["ego_from_camera"]), _changed(state["masks"], torch.from_numpy)
         self.__dict__.update(state | {"ego_from_camera": poses, "masks": masks})
-
-    def _mask(self, camera: int) -> Bool[Tensor, "height width"] | None:
-        return None if self.masks is None else self.masks[camera]
 
     def project_into(
         self, camera: int, points_ego: Float[Tensor, "*batch 3"]
@@ -137,16 +137,10 @@ class Rig:
         # Sums instead of a matrix product, which autocast or TF32 would round.
         right, down, forward, origin = camera_from_ego[:3].unbind(-1)
         pixels, valid = self.cameras[camera].project(x * right + y * down + z * forward + origin)
-        mask = self._mask(camera)
-        if mask is None:
-            return pixels, valid
-        nearest = torch.where(valid[..., None], pixels, 0).round().long()
-        u = nearest[..., 0].clamp(0, mask.shape[1] - 1)
-        v = nearest[..., 1].clamp(0, mask.shape[0] - 1)
-        return pixels, valid & mask.to(points_ego.device)[v, u]
+        return pixels, usable(self.each_mask[camera], pixels, valid)
 
 
-def _each_mask(masks: Sequence[Any] | None, change: Callable[[Any], Any]) -> tuple[Any, ...] | None:
+def _changed(masks: Sequence[Any] | None, change: Callable[[Any], Any]) -> tuple[Any, ...] | None:
     return None if masks is None else tuple(None if mask is None else change(mask) for mask in masks)
 
 

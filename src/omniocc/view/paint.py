@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from omniocc.camera import Equirectangular, Rig
-from omniocc.camera.ops.pixels import pixel_centers
+from omniocc.camera.ops.pixels import pixel_centers, usable
 from omniocc.classes import FREE, UNKNOWN, ClassTable
 from omniocc.geometry import Grid
 from omniocc.geometry.raycast.fans import Fans
@@ -75,12 +75,8 @@ def camera_view(geometry: Grid, rig: Rig, camera: int, columns: int, rows: int) 
     size, parts = torch.tensor([model.width, model.height]), torch.tensor([columns, rows])
     pixels = (pixel_centers(columns, rows, torch.float64) + 0.5) * size / parts - 0.5
     rays, valid = model.unproject(pixels)
-    mask = None if rig.masks is None else rig.masks[camera]
-    if mask is not None:
-        nearest = pixels.round().long()
-        valid = valid & mask[nearest[..., 1], nearest[..., 0]]
-    pose = rig.ego_from_camera[camera]
-    return _view(geometry, pose[:3, 3], rays @ pose[:3, :3].T, valid)
+    pose, seen = rig.ego_from_camera[camera], usable(rig.each_mask[camera], pixels, valid)
+    return _view(geometry, pose[:3, 3], rays @ pose[:3, :3].T, seen)
 
 
 @lru_cache(maxsize=4)

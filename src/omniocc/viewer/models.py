@@ -119,10 +119,9 @@ class TrainedModel:
         if logits is None:
             return None
         stride, labels = model.backbone.levels[0], logits[0].argmax(1).to(torch.uint8).cpu().numpy()
-        masks = rig.masks or (None,) * len(rig.cameras)
         return tuple(
             mask_labels(one[: -(-camera.height // stride), : -(-camera.width // stride)], mask, stride)
-            for one, camera, mask in zip(labels, rig.cameras, masks, strict=True)
+            for one, camera, mask in zip(labels, rig.cameras, rig.each_mask, strict=True)
         )
 
 

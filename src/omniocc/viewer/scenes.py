@@ -202,13 +202,12 @@ def rig_at_sizes(rig: Rig | None, images: Sequence[np.ndarray]) -> Rig | None:
     """Return a rig with each camera, and its mask, at the size of its image; as it is without images."""
     if rig is None or not images:
         return rig
-    masks = rig.masks or (None,) * len(rig.cameras)
     alone = [
         Rig((camera,), rig.ego_from_camera[:1], ("",), (mask,)).resized(image.shape[1], image.shape[0])
-        for camera, mask, image in zip(rig.cameras, masks, images, strict=True)
+        for camera, mask, image in zip(rig.cameras, rig.each_mask, images, strict=True)
     ]
     cameras = tuple(one.cameras[0] for one in alone)
-    return replace(rig, cameras=cameras, masks=rig.masks and tuple(one.masks and one.masks[0] for one in alone))
+    return replace(rig, cameras=cameras, masks=rig.masks and tuple(one.each_mask[0] for one in alone))
 
 
 def name_of(frame: int) -> str:

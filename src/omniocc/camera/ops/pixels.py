@@ -27,3 +27,15 @@ def in_image(pixels: Float[Tensor, "*batch 2"], width: int, height: int) -> Bool
     """Return whether a pixel is in the image, its border included; false for NaN."""
     u, v = pixels.unbind(-1)
     return (u >= -0.5) & (u <= width - 0.5) & (v >= -0.5) & (v <= height - 0.5)
+
+
+def usable(
+    mask: Bool[Tensor, "height width"] | None, pixels: Float[Tensor, "*batch 2"], valid: Bool[Tensor, "*batch"]
+) -> Bool[Tensor, "*batch"]:
+    """Return which valid pixels are usable: true in a mask at the nearest pixel; all of them where there is no mask."""
+    if mask is None:
+        return valid
+    nearest = torch.where(valid[..., None], pixels, 0).round().long()
+    u = nearest[..., 0].clamp(0, mask.shape[1] - 1)
+    v = nearest[..., 1].clamp(0, mask.shape[0] - 1)
+    return valid & mask.to(pixels.device)[v, u]

@@ -10,6 +10,7 @@ from torch.autograd.function import once_differentiable
 from torch.nn import functional as F
 
 from omniocc.camera import Rig
+from omniocc.camera.ops.pixels import usable
 from omniocc.geometry import Grid
 from omniocc.model.ops.multilinear import bag_sum, inner_products
 from omniocc.model.ops.padded import FeatureMaps, crop, frame_size, shape_groups
@@ -126,12 +127,7 @@ def bin_points(
         pose = rig.ego_from_camera[index]
         directions = torch.where(valid[:, None], rays, 0.0) @ pose[:3, :3].T
         points.append(pose[:3, 3] + directions[:, None] * ranges_m[:, None])
-        mask = None if rig.masks is None else rig.masks[index]
-        if mask is not None:
-            nearest = pixels.round().long()
-            u, v = nearest[:, 0].clamp(0, camera.width - 1), nearest[:, 1].clamp(0, camera.height - 1)
-            valid = valid & mask[v, u]
-        seen.append(valid)
+        seen.append(usable(rig.each_mask[index], pixels, valid))
     return torch.cat(points), torch.cat(seen)
 
 
