@@ -5,7 +5,6 @@ its whole group the curves lack the rows of at most the last 15 s (measured with
 row, 12 rows at 1 s per row). A resumed run does not log rows again that the CSV files have.
 """
 
-import csv
 import hashlib
 import os
 from collections.abc import Mapping, Sequence
@@ -17,6 +16,7 @@ from lightning.pytorch.loggers import CSVLogger, Logger, WandbLogger
 from lightning.pytorch.utilities.rank_zero import rank_zero_only
 
 from omniocc.errors import UserError
+from omniocc.run.curves import curve_files, read_rows
 from omniocc.run.slots import slots_of
 from omniocc.run.wandb.media import Named, wandb_object
 from omniocc.run.wandb.result_tables import result_tables
@@ -190,11 +190,10 @@ def phase_of(key: str) -> str:
 
 
 def rows_in_csv(folder: Path) -> set[tuple[int, str]]:
-    """Return step and key of every value in the CSV files of a run's earlier starts."""
+    """Return step and key of every value in the complete lines of the CSV files of a run's earlier starts."""
     found = set()
-    for path in folder.glob(f"{CSV}/version_*/metrics.csv"):
-        with path.open(newline="") as file:
-            for row in csv.DictReader(file):
-                if (step := row.pop("step") or "").isdigit():
-                    found |= {(int(step), key) for key, value in row.items() if value}
+    for path in curve_files(folder):
+        for row in read_rows(path):
+            step = int(row.pop("step"))
+            found |= {(step, key) for key, value in row.items() if value}
     return found
