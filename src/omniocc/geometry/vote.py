@@ -4,7 +4,7 @@ import torch
 from jaxtyping import Int64, UInt8
 from torch import Tensor
 
-from omniocc.classes import FREE, NUM_CLASSES, UNKNOWN
+from omniocc.classes import FREE, NUM_CLASSES, UNKNOWN, ids_beyond
 
 
 def majority(
@@ -20,9 +20,7 @@ def majority(
     Raises:
         ValueError: if a label is free or not a class.
     """
-    present = torch.bincount(labels, minlength=256).nonzero().flatten().tolist()
-    wrong = [label for label in present if label == FREE or num_classes <= label != UNKNOWN]
-    if wrong:
+    if wrong := ids_beyond(labels.cpu().numpy(), num_classes, FREE + 1):
         raise ValueError(f"points must have a class 1..{num_classes - 1} or {UNKNOWN} (unknown), got labels {wrong}")
     key_type = torch.int32 if num_cells < 2**23 else torch.int64
     keys, counts = torch.unique_consecutive((cells.to(key_type) * 256 + labels).sort().values, return_counts=True)

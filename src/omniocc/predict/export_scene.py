@@ -3,7 +3,6 @@
 import argparse
 from pathlib import Path
 
-import cv2
 import torch
 
 from omniocc.data import SceneReader
@@ -12,6 +11,7 @@ from omniocc.errors import UserError
 from omniocc.predict.input.poses import write_poses
 from omniocc.predict.input.sequence import RecordedSequence
 from omniocc.run.script import lines_not_tracebacks
+from omniocc.view.canvas import encoded
 
 RIG, POSES = "rig.yaml", "poses.csv"
 
@@ -35,9 +35,7 @@ def export_scene(scene: Path, folder: Path) -> int:
     for k, frame in enumerate(sequence.frame_names):
         (folder / frame).mkdir(exist_ok=True)
         for name, image in zip(sequence.rig.names, sequence.images(k), strict=True):
-            encoded, content = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
-            assert encoded
-            (folder / frame / f"{name}.png").write_bytes(content.tobytes())
+            (folder / frame / f"{name}.png").write_bytes(encoded(image, "png"))
     return len(sequence.frame_names)
 
 

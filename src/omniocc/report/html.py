@@ -8,7 +8,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from omniocc.run.table import number
-from omniocc.view.canvas import PNG_OPTIONS
+from omniocc.view.canvas import PNG_OPTIONS, encoded
 
 ENVIRONMENT = Environment(
     loader=PackageLoader("omniocc.report"),
@@ -41,6 +41,4 @@ def png(image: np.ndarray) -> str:
 
 
 def _data_url(kind: str, image: np.ndarray, options: list[int]) -> str:
-    done, data = cv2.imencode(f".{kind}", cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2BGR), options)
-    assert done
-    return f"data:image/{kind};base64,{base64.b64encode(data.tobytes()).decode()}"
+    return f"data:image/{kind};base64,{base64.b64encode(encoded(image, kind, options)).decode()}"

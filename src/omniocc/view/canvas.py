@@ -29,9 +29,14 @@ PAPER: Rgb = (255, 255, 255)
 
 def save_png(path: str | PathLike[str], image: np.ndarray) -> None:
     """Write an image as PNG; raise DataError naming the path that cannot be written."""
-    done, data = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), PNG_OPTIONS)
+    atomic_write(Path(path), encoded(image, "png", PNG_OPTIONS))
+
+
+def encoded(image: np.ndarray, kind: str, options: Sequence[int] = ()) -> bytes:
+    """Return the file of an image; `kind` is its suffix without a dot, the options are those of `cv2.imwrite`."""
+    done, data = cv2.imencode(f".{kind}", cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2BGR), options)
     assert done
-    atomic_write(Path(path), data.tobytes())
+    return data.tobytes()
 
 
 def blank(width: int, height: int, rgb: Rgb = PAPER) -> np.ndarray:

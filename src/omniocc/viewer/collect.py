@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 from omniocc.batch import Batch
 from omniocc.geometry import Cylinder, Grid
 from omniocc.metric import sparseocc_directions
+from omniocc.predict.input.sequence import frame_name
 from omniocc.predict.predictor import Prediction
 from omniocc.progress import Progress
 from omniocc.task.scores import Scores
@@ -12,7 +13,7 @@ from omniocc.viewer.frames import FramePrediction, Shown, ShownFrame
 from omniocc.viewer.models import PixelLabels, TrainedModel, check_classes, frame_figures, load_models
 from omniocc.viewer.options import ViewOptions, unique_names
 from omniocc.viewer.predictions import open_predictions
-from omniocc.viewer.scenes import ChosenScenes, name_of, recorded_frame, recorded_scenes, test_scenes
+from omniocc.viewer.scenes import ChosenScenes, recorded_frame, recorded_scenes, test_scenes
 
 PAPER_GRID = Cylinder()
 
@@ -45,7 +46,7 @@ def show_scenes(scenes: ChosenScenes, models: Sequence[TrainedModel], grids: tup
         directions=sparseocc_directions(),
         source=scenes.source,
         fingerprint=scenes.fingerprint,
-        frames=tuple((scene.name, name_of(frame)) for scene, wanted in scenes.scenes for frame in wanted),
+        frames=tuple((scene.name, frame_name(frame)) for scene, wanted in scenes.scenes for frame in wanted),
         read=lambda: _frames(scenes, models, grids),
     )
 

@@ -22,6 +22,7 @@ from omniocc.geometry import Grid
 from omniocc.model.occupancy import to_unit_range
 from omniocc.predict.input.images import resized_to_width
 from omniocc.predict.input.schedule import schedule
+from omniocc.predict.input.sequence import true_range_m
 from omniocc.predict.network import load_occupancy
 from omniocc.predict.options import choose_device
 from omniocc.predict.predictor import STEPS, Prediction, Predictor
@@ -30,7 +31,7 @@ from omniocc.predict.trained import TrainingData, facts_of, open_data
 from omniocc.run.checkpoint_io import BEST, LAST, no_checkpoint
 from omniocc.run.weights import find_checkpoint
 from omniocc.task.scores import Scores
-from omniocc.viewer.scenes import ChosenScenes, true_range_m
+from omniocc.viewer.scenes import ChosenScenes
 
 PixelLabels = tuple[np.ndarray, ...] | None
 SAME_PIXELS = 0.25

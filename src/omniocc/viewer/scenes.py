@@ -1,8 +1,7 @@
 """Which frames are shown, and what is known of them: the test scenes of a run's data, or recorded scenes."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +21,7 @@ from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import digest
 from omniocc.errors import UserError
 from omniocc.geometry import Grid
-from omniocc.predict.input.sequence import find_scenes
+from omniocc.predict.input.sequence import check_scene, chosen_frames, find_scenes, frame_name
 from omniocc.viewer.frames import FramePrediction, ShownFrame
 
 LABELS_ONLY = Needs(images=False, pixel_labels=False)
@@ -167,14 +166,11 @@ def choose(
     """
     if not lengths:
         raise UserError(f"{where} has no test scenes to show")
-    if scene is not None and scene not in lengths:
-        close = get_close_matches(scene, lengths, n=1)
-        hint = (
-            f"did you mean '{close[0]}'?" if close else f"there are {len(lengths)}, such as {', '.join([*lengths][:3])}"
-        )
-        raise UserError(f"scene={scene}: there is no such scene in {where}; {hint}")
-    names = list(lengths) if scene is None else [scene]
-    pairs = [(name, frame) for name in names for frame in _wanted(name, lengths[name], frames)]
+    names = list(lengths)
+    if scene is not None:
+        check_scene(scene, names, where)
+        names = [scene]
+    pairs = [(name, frame) for name in names for frame in chosen_frames(name, lengths[name], frames)]
     if not pairs:
         raise UserError(f"frames={list(frames or [])}: no frames are chosen")
     chosen: dict[str, list[int]] = {}
@@ -183,19 +179,6 @@ def choose(
     if limit is not None and len(pairs) > limit:
         print(f"the first {limit} of {len(pairs)} frames; limit=null shows all", flush=True)
     return {name: tuple(wanted) for name, wanted in chosen.items()}
-
-
-def _wanted(name: str, length: int, frames: Sequence[int] | None) -> Iterator[int]:
-    for frame in range(length) if frames is None else sorted(set(frames)):
-        if not 0 <= frame < length:
-            raise UserError(f"frames={list(frames or [])}: scene '{name}' has the frames 0 to {length - 1}")
-        yield frame
-
-
-def true_range_m(scene: SceneFrames, frame: int) -> Tensor | None:
-    """Return the true panorama of a frame, (1, h, w) float32, m; None without one."""
-    range_m = scene.erp_range_m(frame)
-    return None if range_m is None else torch.from_numpy(range_m).unsqueeze(0)
 
 
 def rig_at_sizes(rig: Rig | None, images: Sequence[np.ndarray]) -> Rig | None:
@@ -210,11 +193,6 @@ def rig_at_sizes(rig: Rig | None, images: Sequence[np.ndarray]) -> Rig | None:
     return replace(rig, cameras=cameras, masks=rig.masks and tuple(one.each_mask[0] for one in alone))
 
 
-def name_of(frame: int) -> str:
-    """Return the name of a recorded frame: its number, as in `predict.py`."""
-    return f"{frame:06d}"
-
-
 def recorded_frame(
     scenes: ChosenScenes,
     scene: SceneFrames,
@@ -226,7 +204,7 @@ def recorded_frame(
     range_m = scene.erp_range_m(frame)
     return ShownFrame(
         scene=scene.name,
-        frame=name_of(frame),
+        frame=frame_name(frame),
         time_s=time_of(scene, frame, scenes.spec.frame_interval_s),
         images=tuple(scene.images(frame)),
         rig=scene.rigs[frame],

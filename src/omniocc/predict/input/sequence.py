@@ -15,7 +15,7 @@ from omniocc.batch import Truth
 from omniocc.camera import Rig
 from omniocc.data import SceneReader
 from omniocc.data.labels.voxels import vote
-from omniocc.data.source import SourceSpec, Unknown
+from omniocc.data.source import SceneFrames, SourceSpec, Unknown
 from omniocc.data.source.recorded import spec_of
 from omniocc.data.store.codec import POINTS
 from omniocc.data.store.shard import META
@@ -100,7 +100,7 @@ class RecordedSequence:
     @property
     def frame_names(self) -> tuple[str, ...]:
         """Return the name of every frame: its number."""
-        return tuple(f"{frame:06d}" for frame in range(len(self.scene)))
+        return tuple(map(frame_name, range(len(self.scene))))
 
     @property
     def world_from_ego(self) -> Float64[Tensor, "F 4 4"]:
@@ -128,12 +128,22 @@ class RecordedSequence:
 
     def true_range_m(self, frame: int) -> Float32[Tensor, "1 h w"] | None:
         """Return the recorded panorama of range; None without one."""
-        range_m = self.scene.erp_range_m(frame)
-        return None if range_m is None else torch.from_numpy(range_m).unsqueeze(0)
+        return true_range_m(self.scene, frame)
 
 
 FrameSequence = ImageSequence | RecordedSequence
 """Frames of one rig in the order of time."""
+
+
+def frame_name(frame: int) -> str:
+    """Return the name of a recorded frame: its number."""
+    return f"{frame:06d}"
+
+
+def true_range_m(scene: SceneFrames, frame: int) -> Float32[Tensor, "1 h w"] | None:
+    """Return the recorded panorama of range of a frame, m; None without one."""
+    range_m = scene.erp_range_m(frame)
+    return None if range_m is None else torch.from_numpy(range_m).unsqueeze(0)
 
 
 def with_road(rig: Rig, road_z_m: float | None) -> Rig:
@@ -184,7 +194,8 @@ def find_scenes(
         folders = (path.parent for path in data.glob(f"*/{META}"))
         names = sorted(folder.name for folder in folders if folder.suffix != ".partial")
         found = [data / name for name in _chosen(data, names, scene)]
-    sequences = [_sequence(SceneReader(folder), frames) for folder in found]
+    scenes = [SceneReader(folder) for folder in found]
+    sequences = [RecordedSequence(one, chosen_frames(one.name, len(one), frames)) for one in scenes]
     for sequence in sequences:
         check_excluded(excluded, sequence.rig)
     return sequences
@@ -199,16 +210,25 @@ def _chosen(data: Path, names: list[str], scene: str | None) -> list[str]:
         if not test:
             raise UserError(f"recorded={data} holds no test scenes; choose one scene: scene={names[0]}")
         return test
-    if scene not in names:
-        close = get_close_matches(scene, names, n=1)
-        hint = f"did you mean '{close[0]}'?" if close else f"there are {len(names)}, such as {', '.join(names[:3])}"
-        raise UserError(f"scene={scene}: there is no such scene in {data}; {hint}")
+    check_scene(scene, names, str(data))
     return [scene]
 
 
-def _sequence(scene: SceneReader, frames: Sequence[int] | None) -> RecordedSequence:
-    wanted = range(len(scene)) if frames is None else sorted(set(frames))
-    for frame in wanted:
-        if not 0 <= frame < len(scene):
-            raise UserError(f"frames={list(wanted)}: scene '{scene.name}' has the frames 0 to {len(scene) - 1}")
-    return RecordedSequence(scene, tuple(wanted))
+def check_scene(scene: str, names: Sequence[str], where: str) -> None:
+    """Raise UserError, which says where scenes were sought and what is there, unless a scene is one of `names`."""
+    if scene not in names:
+        close = get_close_matches(scene, names, n=1)
+        hint = f"did you mean '{close[0]}'?" if close else f"there are {len(names)}, such as {', '.join(names[:3])}"
+        raise UserError(f"scene={scene}: there is no such scene in {where}; {hint}")
+
+
+def chosen_frames(scene: str, length: int, frames: Sequence[int] | None) -> tuple[int, ...]:
+    """Return the indices of the wanted frames of a scene, each once and in order; None: of all.
+
+    Raises:
+        UserError: naming the scene and its frames when one of them does not exist.
+    """
+    wanted = range(length) if frames is None else sorted(set(frames))
+    if any(not 0 <= frame < length for frame in wanted):
+        raise UserError(f"frames={list(wanted)}: scene '{scene}' has the frames 0 to {length - 1}")
+    return tuple(wanted)

@@ -11,7 +11,7 @@ import numpy as np
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.geometry import Cylinder, Grid
-from omniocc.view.canvas import fitted
+from omniocc.view.canvas import encoded, fitted
 from omniocc.view.ranges import NOT_PREDICTED, SKY, range_colors, range_scale
 from omniocc.view.sheet import HEXAGON_ORDER
 from omniocc.view.voxels import CAR_BOXES
@@ -140,9 +140,7 @@ class Packed:
         return self._encoded(smaller, "jpeg", [cv2.IMWRITE_JPEG_QUALITY, IMAGE_QUALITY, cv2.IMWRITE_JPEG_OPTIMIZE, 1])
 
     def _encoded(self, image: np.ndarray, kind: str, options: list[int]) -> dict[str, str]:
-        done, data = cv2.imencode(f".{kind}", cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2BGR), options)
-        assert done
-        return {"format": kind, "block": self._block(data.tobytes())}
+        return {"format": kind, "block": self._block(encoded(image, kind, options))}
 
     def _bytes(self, array: np.ndarray) -> str:
         """Add the bytes of an array, compressed."""
