@@ -3,7 +3,7 @@ import json
 import numpy as np
 import pytest
 
-from omniocc.classes import CLASSES, NUM_CLASSES, PALETTE, WORLD_CLASSES, ClassTable, SemanticClass
+from omniocc.classes import CLASSES, NUM_CLASSES, WORLD_CLASSES, ClassTable, SemanticClass
 
 ROWS = (SemanticClass(0, "free", (255, 255, 255)), SemanticClass(1, "car", (0, 0, 142)))
 
@@ -12,10 +12,11 @@ def test_world_table_has_the_rows_of_the_world():
     assert WORLD_CLASSES.num_classes == NUM_CLASSES == len(CLASSES) == 12
     assert WORLD_CLASSES.names[1] == "Road"
     assert WORLD_CLASSES.occupied == tuple(range(1, 12))
-    assert PALETTE.shape == (256, 3)
-    assert PALETTE.dtype == np.uint8
-    assert PALETTE[1].tolist() == [128, 64, 128]
-    assert not PALETTE[12:].any()
+    palette = WORLD_CLASSES.palette
+    assert palette.shape == (256, 3)
+    assert palette.dtype == np.uint8
+    assert palette[1].tolist() == [128, 64, 128]
+    assert not palette[12:].any()
 
 
 def test_dictionary_survives_json():

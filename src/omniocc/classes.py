@@ -114,4 +114,3 @@ OCCUPANCY_CLASSES = ClassTable(
 )
 """Two classes, for points of a LiDAR without classes."""
 NUM_CLASSES = WORLD_CLASSES.num_classes
-PALETTE = WORLD_CLASSES.palette

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from omniocc.classes import PALETTE, WORLD_CLASSES
+from omniocc.classes import WORLD_CLASSES
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.view import bev, error_bev
 from omniocc.view.bev import EMPTY, HALLUCINATED, MISSED, OUTSIDE, RIGHT, SHIFTED, WRONG
@@ -40,7 +40,7 @@ def test_every_pixel_shows_the_column_it_lies_in(geometry, half_m):
                 expected = OUTSIDE
             else:
                 known = [c for c in labels[cell].tolist() if c not in (0, 255)]
-                expected = PALETTE[known[-1]] if known else EMPTY
+                expected = WORLD_CLASSES.palette[known[-1]] if known else EMPTY
             assert tuple(image[row, column]) == tuple(expected), (x, y)
 
 
@@ -49,7 +49,7 @@ def test_forward_is_up_and_left_is_left():
     labels = torch.zeros(geometry.shape, dtype=torch.uint8)
     index, _ = geometry.index(torch.tensor([12.5, 7.5, 0.0]))
     labels[tuple(index.tolist())] = 10
-    rows, columns = np.nonzero((bev(labels, geometry, WORLD_CLASSES, 64) == PALETTE[10]).all(2))
+    rows, columns = np.nonzero((bev(labels, geometry, WORLD_CLASSES, 64) == WORLD_CLASSES.palette[10]).all(2))
     assert rows.max() < 32 * (1 - 12 / 16) + 1
     assert columns.max() < 32 * (1 - 6 / 16) + 1
 

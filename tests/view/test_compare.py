@@ -5,14 +5,15 @@ import torch
 
 from omniocc.classes import WORLD_CLASSES
 from omniocc.geometry import Cuboid, Cylinder
-from omniocc.view import comparison, save_png
+from omniocc.view import comparison_parts, comparison_sheet, save_png
 from omniocc.view.sheet import HEXAGON_ORDER, NAMES, panorama_row
 
 
 def sheet(count, geometry, width_px=900, caption="street/0003"):
     images = np.stack([np.full((36, 64, 3), 20 * (k + 1), dtype=np.uint8) for k in range(count)])
     truth = torch.randint(0, 12, geometry.shape, dtype=torch.uint8)
-    return comparison(images, truth, truth.flip(0), geometry, WORLD_CLASSES, caption, width_px)
+    parts = comparison_parts(images, truth, truth.flip(0), geometry, WORLD_CLASSES, width_px)
+    return comparison_sheet(parts, WORLD_CLASSES, caption, width_px)
 
 
 def test_cameras_are_placed_by_direction():

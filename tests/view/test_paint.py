@@ -3,7 +3,7 @@ import torch
 
 from omniocc.camera import Equidistant, Equirectangular, Rig
 from omniocc.camera.pose import pose_from_angles
-from omniocc.classes import PALETTE, WORLD_CLASSES
+from omniocc.classes import WORLD_CLASSES
 from omniocc.geometry import Cuboid
 from omniocc.view.paint import BACKGROUND, paint_voxels, voxel_panorama
 
@@ -74,7 +74,7 @@ def test_the_panorama_has_the_class_of_the_first_voxel():
     labels = one_voxel(0.5, 6.5, 0.5)  # to the left: a quarter from the left edge
     image = voxel_panorama(labels, GRID, WORLD_CLASSES, Equirectangular(48, 12, 45.0, -45.0), 480)
     assert image.shape == (60, 240, 3)
-    rows, columns = np.nonzero((image == PALETTE[7]).all(2))
+    rows, columns = np.nonzero((image == WORLD_CLASSES.palette[7]).all(2))
     # x from 0 to 1 m, y from 6 to 7 m: from straight left to atan(1 / 6) ahead of it
     assert columns.min() == 60
     assert 64 <= columns.max() <= 66

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from omniocc.classes import PALETTE, WORLD_CLASSES
+from omniocc.classes import WORLD_CLASSES
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.view import render_voxels, voxels
 
@@ -43,8 +43,9 @@ def test_every_pixel_shows_the_first_cell_along_its_ray(geometry, monkeypatch):
     origins = torch.tensor(EYE, dtype=torch.float64).expand_as(directions)
     _, first = geometry.trace(labels, origins, directions, hit="entry")
     first = first.numpy().reshape(height, width)
-    shown = np.where((image[:, :, None] == PALETTE[1:12]).all(3).any(2), image.astype(int) @ [1, 256, 65536], -1)
-    expected = np.where(first > 0, PALETTE[first].astype(int) @ [1, 256, 65536], -1)
+    palette = WORLD_CLASSES.palette
+    shown = np.where((image[:, :, None] == palette[1:12]).all(3).any(2), image.astype(int) @ [1, 256, 65536], -1)
+    expected = np.where(first > 0, palette[first].astype(int) @ [1, 256, 65536], -1)
     windows = np.lib.stride_tricks.sliding_window_view(first, (5, 5))
     inner = np.zeros_like(first, dtype=bool)
     inner[2:-2, 2:-2] = (windows == first[2:-2, 2:-2, None, None]).all((2, 3))  # outlines are up to 2 px wide

@@ -3,7 +3,6 @@
 import io
 import json
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -112,8 +111,3 @@ def write_program(program: ExportedProgram, contract: dict[str, Any], output: Pa
         buffer = io.BytesIO()
         torch.export.save(program, buffer)
         atomic_write(output, buffer.getbuffer())
-
-
-def load_program(path: Path) -> Callable[..., Any]:
-    """Return a .pt2 file as a function; torch alone suffices: `torch.export.load(path).module()`."""
-    return torch.export.load(path).module()

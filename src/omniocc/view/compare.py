@@ -23,23 +23,13 @@ class SheetParts(NamedTuple):
     differences: np.ndarray
 
 
-def comparison(
-    images: np.ndarray, truth: Labels, prediction: Labels, geometry: Grid, classes: ClassTable, caption: str = "",
-    width_px: int = 1280,
-) -> np.ndarray:  # fmt: skip
-    """Return the sheet as one image.
-
-    `images` are (N, H, W, 3) uint8 RGB; six are those of the hexagon (0 front, then clockwise). `caption` is
-    the line at the top.
-    """
-    parts = comparison_parts(images, truth, prediction, geometry, classes, width_px)
-    return comparison_sheet(parts, classes, caption, width_px)
-
-
 def comparison_parts(
     images: np.ndarray, truth: Labels, prediction: Labels, geometry: Grid, classes: ClassTable, width_px: int = 1280,
 ) -> SheetParts:  # fmt: skip
-    """Return the parts of a sheet; arguments as in `comparison`."""
+    """Return the parts of a sheet of a width, px.
+
+    `images` are (N, H, W, 3) uint8 RGB; six are those of the hexagon (0 front, then clockwise).
+    """
     inner = inner_width(width_px)
     views, maps = views_and_maps(truth, prediction, geometry, classes, inner)
     names = ("truth", "prediction", "truth from above", "prediction from above", "differences")
@@ -58,7 +48,7 @@ def views_and_maps(
 
 
 def comparison_sheet(parts: SheetParts, classes: ClassTable, caption: str = "", width_px: int = 1280) -> np.ndarray:
-    """Return the sheet made of these parts, drawn for its width."""
+    """Return the sheet made of these parts, drawn for its width; `caption` is the line at the top."""
     inner = inner_width(width_px)
     rows = [
         parts.cameras,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from omniocc.classes import PALETTE, WORLD_CLASSES
+from omniocc.classes import WORLD_CLASSES
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.predict.output.ply import ply_bytes
 from omniocc.predict.output.voxel_mesh import voxel_mesh
@@ -33,7 +33,7 @@ def test_one_box():
     assert mesh.points_m.min(0).tolist() == [2.0, 1.0, -1.0]
     assert mesh.points_m.max(0).tolist() == [4.0, 3.0, 0.0]
     assert volume_m3(mesh) == pytest.approx(4.0)
-    assert {tuple(color) for color in mesh.colors.tolist()} == {tuple(PALETTE[7].tolist())}
+    assert {tuple(color) for color in mesh.colors.tolist()} == {tuple(WORLD_CLASSES.palette[7].tolist())}
 
 
 def test_faces_between_occupied_cells_are_left_out():
