@@ -13,9 +13,9 @@ from torch import Tensor
 from omniocc.camera.masks import lenses_that_do_not_fit
 from omniocc.classes import FREE, UNKNOWN, ids_beyond
 from omniocc.data.formats.poses import jumps, not_rigid
-from omniocc.data.labels.class_fractions import spread
 from omniocc.data.recording.pool import mapped
 from omniocc.data.source import SPLITS, Points, SceneFrames, SceneSource, SourceSpec, VoxelLabels
+from omniocc.data.spacing import evenly_spaced
 from omniocc.data.store.codec import POINTS
 from omniocc.data.store.reader import SceneReader
 from omniocc.errors import DataError
@@ -91,7 +91,7 @@ def check_scene(scene: SceneFrames, expected: Expected, frames: int) -> tuple[li
         problems += _poses(scene)
         rigs = scene.rigs[:1]
         problems += [f"scene '{scene.name}', {line}" for rig in rigs for line in lenses_that_do_not_fit(rig)]
-        for frame in range(len(scene)) if frames == 0 else spread(len(scene), frames):
+        for frame in range(len(scene)) if frames == 0 else evenly_spaced(len(scene), frames):
             found, labels = check_frame(scene, expected, frame)
             problems += found
             voxels += [] if labels is None else [start_of_rays(labels, expected.geometry)]

@@ -82,10 +82,10 @@ def eight_frames(
     positions_m: Float[Tensor, "F 3"], reach_m: float = 39.0, most: int = MOST_ORIGINS
 ) -> Int64[Tensor, " O"]:
     """Return the numbers of the frames whose positions `eight_origins` returns."""
-    return spread((positions_m[:, :2].abs() < reach_m).all(dim=1).nonzero().flatten(), most)
+    return thin_frames((positions_m[:, :2].abs() < reach_m).all(dim=1).nonzero().flatten(), most)
 
 
-def spread(frames: Int64[Tensor, " F"], most: int) -> Int64[Tensor, " O"]:
+def thin_frames(frames: Int64[Tensor, " F"], most: int) -> Int64[Tensor, " O"]:
     """Return the frames if they are at most that many, else the first, the last and evenly spaced ones between them."""
     if len(frames) <= most:
         return frames
@@ -136,5 +136,5 @@ def trajectory_origins(
     positions_m = ((poses @ sensor)[:, :3, 3] - place) @ turn
     near = grid.within_sides(positions_m, MARGIN_M)
     near[frame] = True
-    frames = spread(near.nonzero().flatten(), most)
+    frames = thin_frames(near.nonzero().flatten(), most)
     return RayOrigins(positions_m[frames], frames - frame)

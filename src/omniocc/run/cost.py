@@ -27,8 +27,8 @@ def product_flops(*operands: Tensor, **options: Any) -> int:
     Of a sparse matrix only stored entries count.
     """
     left, right = operands[-2:]
-    stored = left._nnz() if left.layout != torch.strided else left.numel()
-    return 2 * stored * right.shape[1]
+    entries = left._nnz() if left.layout != torch.strided else left.numel()
+    return 2 * entries * right.shape[1]
 
 
 for formula in (bag_flops, product_flops):

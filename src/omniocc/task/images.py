@@ -13,7 +13,7 @@ from torch import Tensor
 
 from omniocc.batch import Batch
 from omniocc.classes import UNKNOWN, ClassTable
-from omniocc.data.labels.class_fractions import spread
+from omniocc.data.spacing import evenly_spaced
 from omniocc.errors import UserError
 from omniocc.run.folder import PARTS
 from omniocc.run.wandb.loggers import wandb_of
@@ -78,7 +78,7 @@ class FrameImages(Callback, ABC):
             return
         size = trainer.test_dataloaders.batch_size  # type: ignore[union-attr]
         total = len(trainer.test_dataloaders.sampler)  # type: ignore[union-attr, arg-type]
-        drawn_indices = spread(total, self.count)
+        drawn_indices = evenly_spaced(total, self.count)
         for sample, frame_id in enumerate(batch.frame_ids):
             index = batch_idx * size + sample
             if index in drawn_indices:

@@ -16,19 +16,14 @@ PUBLISHED_PERCENT: dict[str, float] = {
 """Percent of occupied voxels, from the legend on the authors' page; they add up to 103, so one is a misprint."""
 
 
-def spread(count: int, most: int) -> list[int]:
-    """Return at most `most` of the numbers 0 to `count` - 1, evenly spread, the first and the last included."""
-    return sorted({round(value) for value in np.linspace(0, count - 1, min(count, most)).tolist()})
-
-
-def count_classes(voxels: np.ndarray) -> np.ndarray:
+def cells_per_class(voxels: np.ndarray) -> np.ndarray:
     """Return the (12,) int64 number of cells of each class in labels (...) uint8; unknown is not counted."""
     return np.bincount(np.asarray(voxels, np.uint8).ravel(), minlength=256)[:NUM_CLASSES]
 
 
 def count_voxels(scene: SceneReader, frames: Sequence[int], geometry: Grid) -> np.ndarray:
     """Return the (12,) int64 number of cells of each class over some frames of a scene; unknown is not counted."""
-    counts = (count_classes(vote(scene, frame, geometry).numpy()) for frame in frames)
+    counts = (cells_per_class(vote(scene, frame, geometry).numpy()) for frame in frames)
     return sum(counts, np.zeros(NUM_CLASSES, dtype=np.int64))
 
 

@@ -28,7 +28,7 @@ _PIXELS = (slice(PIXEL_STEP // 2, None, PIXEL_STEP),) * 2
 _CHUNK_RAYS = 8192
 
 
-class Sight(NamedTuple):
+class RayPaths(NamedTuple):
     """Fixed rays and the cells they cross.
 
     Attributes:
@@ -53,10 +53,10 @@ def observed(scene: SceneFrames, frame: int, geometry: Grid) -> UInt8[Tensor, "X
     scan, points, num_cells = scene.lidar(frame), scene.points(frame), geometry.num_cells
     mask = torch.zeros(num_cells, dtype=torch.bool)
     if scan is not None:
-        mask |= _lidar_sight(geometry, scan).crossed(torch.from_numpy(scan.range_m), num_cells)
+        mask |= _lidar_paths(geometry, scan).crossed(torch.from_numpy(scan.range_m), num_cells)
     for camera, pixels_m in enumerate(scene.camera_range_m(frame) or ()):
-        sight, valid = _camera_sight(geometry, scene.rigs[frame], camera)
-        mask |= sight.crossed(torch.from_numpy(pixels_m[_PIXELS].ravel()).where(valid, torch.nan), num_cells)
+        paths, valid = _camera_paths(geometry, scene.rigs[frame], camera)
+        mask |= paths.crossed(torch.from_numpy(pixels_m[_PIXELS].ravel()).where(valid, torch.nan), num_cells)
     if points is not None:
         cells, inside = geometry.flat_index(torch.from_numpy(points.points_m))
         mask[cells[inside]] = True
@@ -64,28 +64,28 @@ def observed(scene: SceneFrames, frame: int, geometry: Grid) -> UInt8[Tensor, "X
 
 
 @functools.lru_cache(maxsize=16)
-def _camera_sight(geometry: Grid, rig: Rig, camera: int) -> tuple[Sight, Bool[Tensor, " R"]]:
+def _camera_paths(geometry: Grid, rig: Rig, camera: int) -> tuple[RayPaths, Bool[Tensor, " R"]]:
     """Return the cells along the rays of some pixels, and the pixels that lens and mask allow."""
     rays, valid = rig.rays(camera)
     rays = torch.where(valid.unsqueeze(-1), rays, rays.new_tensor([0.0, 0.0, 1.0]))[_PIXELS].reshape(-1, 3)
     pose = torch.as_tensor(rig.ego_from_camera)[camera]
-    return _sight(geometry, pose[:3, 3].to(rays).expand_as(rays), rays), valid[_PIXELS].flatten()
+    return _ray_paths(geometry, pose[:3, 3].to(rays).expand_as(rays), rays), valid[_PIXELS].flatten()
 
 
-_lidar_sights: dict[tuple[Grid, bytes], Sight] = {}
+_last_lidar: dict[tuple[Grid, bytes], RayPaths] = {}
 
 
-def _lidar_sight(geometry: Grid, scan: LidarScan) -> Sight:
+def _lidar_paths(geometry: Grid, scan: LidarScan) -> RayPaths:
     """Return the cells along the LiDAR's rays; those of the last scan are kept, since many LiDARs repeat them."""
     directions = torch.from_numpy(scan.directions)
     origins = torch.zeros_like(directions) if scan.origins is None else torch.from_numpy(scan.origins)
     key = geometry, directions.numpy().tobytes() + origins.numpy().tobytes()
-    if key not in _lidar_sights:
-        _lidar_sights.clear()
-        _lidar_sights[key] = _sight(geometry, origins, directions)
-    return _lidar_sights[key]
+    if key not in _last_lidar:
+        _last_lidar.clear()
+        _last_lidar[key] = _ray_paths(geometry, origins, directions)
+    return _last_lidar[key]
 
 
-def _sight(geometry: Grid, origins: Float32[Tensor, "R 3"], directions: Float32[Tensor, "R 3"]) -> Sight:
+def _ray_paths(geometry: Grid, origins: Float32[Tensor, "R 3"], directions: Float32[Tensor, "R 3"]) -> RayPaths:
     paths = geometry.paths(origins, directions)
-    return Sight(torch.where(paths.cells < 0, geometry.num_cells, paths.cells), paths.exit_m.contiguous())
+    return RayPaths(torch.where(paths.cells < 0, geometry.num_cells, paths.cells), paths.exit_m.contiguous())

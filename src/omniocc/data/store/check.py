@@ -9,8 +9,9 @@ import numpy as np
 
 from omniocc.classes import NUM_CLASSES, ids_beyond
 from omniocc.data.formats.poses import jumps, not_rigid
-from omniocc.data.labels.class_fractions import count_voxels, spread
+from omniocc.data.labels.class_fractions import count_voxels
 from omniocc.data.recording.pool import mapped
+from omniocc.data.spacing import evenly_spaced
 from omniocc.data.store.codec import POINTS, decode_frame
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import INDEX, member_name, shard_name
@@ -47,7 +48,7 @@ def survey_scene(frames: int, interval_s: float, geometry: Grid, decoded: int, s
     problems = check_scene(scene, frames, interval_s)
     voxels = np.zeros(NUM_CLASSES, dtype=np.int64)
     if not problems:
-        chosen = spread(len(scene), decoded)
+        chosen = evenly_spaced(len(scene), decoded)
         problems = [line for frame in chosen for line in _content(scene, frame)]
         if scene.has(POINTS):
             voxels += count_voxels(scene, chosen, geometry)

@@ -14,8 +14,8 @@ from omniocc.loss import Lovasz
 from omniocc.model.ops.evidence import pack_evidence, sight_of, unpack_evidence
 from omniocc.model.ops.padded import Rigs
 from omniocc.model.ops.sketch.cylinder3d import Cylinder3D
-from omniocc.model.ops.sketch.evidence import EVIDENCE_CHANNELS, Evidence
 from omniocc.model.ops.sketch.points import PointEncoder, pseudo_points, still_axes
+from omniocc.model.ops.sketch.range_gaps import GAP_CHANNELS, RangeGaps
 from omniocc.model.protocols import Depth, Sketched
 
 
@@ -47,7 +47,7 @@ def likeliest(probability: Float[Tensor, "B X Y Z"], fraction: float) -> Bool[Te
 class Omni(nn.Module):
     """Choose the voxels that a panorama of ranges makes likely to be occupied.
 
-    Ranges -> points and evidence of every cell -> probability of being occupied -> candidates. The depth network is
+    Ranges -> points and range gaps of every cell -> probability of being occupied -> candidates. The depth network is
     frozen and in evaluation mode.
 
     Args:
@@ -100,9 +100,9 @@ class Omni(nn.Module):
         self.panorama = depth.panorama
         self.depth = depth.requires_grad_(False).eval()
         self.points = PointEncoder(geometry, point_channels)
-        self.evidence = Evidence(geometry, self.panorama, samples)
+        self.evidence = RangeGaps(geometry, self.panorama, samples)
         self.register_buffer("place", place_of_cells(geometry), persistent=False)
-        inputs = point_channels + 1 + EVIDENCE_CHANNELS + len(self.place)
+        inputs = point_channels + 1 + GAP_CHANNELS + len(self.place)
         self.network = Cylinder3D(geometry, inputs, channels, 2)
         self.lovasz = Lovasz()
 
@@ -134,10 +134,10 @@ class Omni(nn.Module):
         self, range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"]
     ) -> tuple[Float[Tensor, "B 2 X Y Z"], UInt8[Tensor, "B X Y Z"]]:
         encoded, hit = self.points(pseudo_points(range_m, valid, self.panorama))
-        evidence = self.evidence(range_m, valid)
+        gaps = self.evidence(range_m, valid)
         place = self.place.expand(len(range_m), *self.place.shape)
-        logits = self.network(torch.cat([encoded, hit, evidence, place], dim=1))
-        return logits, sight_of(hit[:, 0] > 0, known=evidence[:, 0], gap=evidence[:, 2])
+        logits = self.network(torch.cat([encoded, hit, gaps, place], dim=1))
+        return logits, sight_of(hit[:, 0] > 0, known=gaps[:, 0], gap=gaps[:, 2])
 
     def choose(self, logits: Float[Tensor, "B 2 X Y Z"]) -> Bool[Tensor, "B X Y Z"]:
         """Return the candidates before they are dilated."""

@@ -99,16 +99,16 @@ def see(cube: Cube, raw: dict[str, bytes], classes: UInt8[np.ndarray, " 256"], o
         ValueError: naming the camera whose data has another size.
     """
     lookup, side = cube.lookup, cube.lookup.side
-    inverse = np.zeros((6, side, side), np.float32)
+    inverse_depth = np.zeros((6, side, side), np.float32)
     tags = np.zeros((6, side, side), np.uint8)
     colors = np.zeros((6, side, side, 3), np.uint8)
     colored = cube.face_name(lookup.faces[0], "rgb") in raw
     for face in lookup.faces:
-        inverse[face] = inverse_depth_of(_pixels(cube, face, "depth", raw))
+        inverse_depth[face] = inverse_depth_of(_pixels(cube, face, "depth", raw))
         tags[face] = tags_in(_pixels(cube, face, "semantics", raw))
         if colored:
             colors[face] = rgb_of(_pixels(cube, face, "rgb", raw))
-    flat, found = inverse.reshape(-1), classes[tags.reshape(-1)]
+    flat, found = inverse_depth.reshape(-1), classes[tags.reshape(-1)]
     labels = found[lookup.nearest]
     range_m = blend_ranges(lookup, flat, smooth(flat[lookup.corner], tags.reshape(-1)[lookup.corner]))
     range_m = np.where(labels == FREE, np.inf, range_m)
@@ -123,12 +123,12 @@ def see(cube: Cube, raw: dict[str, bytes], classes: UInt8[np.ndarray, " 256"], o
     )  # fmt: skip
 
 
-def smooth(inverse: Float32[np.ndarray, "4 P"], tags: UInt8[np.ndarray, "4 P"]) -> Bool[np.ndarray, " P"]:
+def smooth(inverse_depth: Float32[np.ndarray, "4 P"], tags: UInt8[np.ndarray, "4 P"]) -> Bool[np.ndarray, " P"]:
     """Return where four pixels see one surface: inverse depths of a plane are linear in the image."""
-    largest = inverse.max(axis=0)
-    bent = np.abs(inverse[0] - inverse[1] - inverse[2] + inverse[3])
+    largest = inverse_depth.max(axis=0)
+    bent = np.abs(inverse_depth[0] - inverse_depth[1] - inverse_depth[2] + inverse_depth[3])
     alike = (tags == tags[0]).all(axis=0)
-    return alike & (bent <= BENT * largest) & (largest - inverse.min(axis=0) <= STEP * largest)
+    return alike & (bent <= BENT * largest) & (largest - inverse_depth.min(axis=0) <= STEP * largest)
 
 
 def make_frame(

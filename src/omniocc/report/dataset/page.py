@@ -9,8 +9,9 @@ import numpy as np
 
 from omniocc.camera import Rig
 from omniocc.classes import FREE, ClassTable
-from omniocc.data.labels.class_fractions import PUBLISHED_PERCENT, count_voxels, occupied_percent, spread
+from omniocc.data.labels.class_fractions import PUBLISHED_PERCENT, count_voxels, occupied_percent
 from omniocc.data.labels.voxels import vote
+from omniocc.data.spacing import evenly_spaced
 from omniocc.data.store.codec import POINTS, decode_frame, decode_image
 from omniocc.data.store.reader import SceneReader
 from omniocc.geometry import Grid
@@ -51,13 +52,13 @@ def save_page(path: Path, scenes: Sequence[SceneReader], geometry: Grid, classes
     Raises:
         DataError: when a scene is damaged or the disk refuses.
     """
-    shown = [scenes[at] for at in spread(len(scenes), MAX_FRAMES)]
+    shown = [scenes[at] for at in evenly_spaced(len(scenes), MAX_FRAMES)]
     per_scene = max(1, min(MAX_FRAMES_PER_SCENE, MAX_FRAMES // len(shown)))
     twins = [pinhole_twin(scene) for scene in shown]
     counts, drawn = [], []
     with Progress("page", len(shown), "scenes") as progress:
         for scene, twin in zip(shown, twins, strict=True):
-            counted = spread(len(scene), per_scene) if scene.has(POINTS) else []
+            counted = evenly_spaced(len(scene), per_scene) if scene.has(POINTS) else []
             counts.append(count_voxels(scene, counted, geometry))
             drawn.append(_scene(scene, twin, per_scene, geometry, classes))
             progress.advance()
@@ -72,7 +73,7 @@ def save_page(path: Path, scenes: Sequence[SceneReader], geometry: Grid, classes
         "viewer": PAGE,
     }
     atomic_write(Path(path), render("dataset.html.j2", {"content": content}))
-    frames = [(scene, spread(len(scene), per_scene)) for scene in shown]
+    frames = [(scene, evenly_spaced(len(scene), per_scene)) for scene in shown]
     save_viewer_page(Path(path).with_name(PAGE), frames, geometry, CAMERA_PX)
 
 
@@ -80,7 +81,7 @@ def _scene(
     scene: SceneReader, twin: SceneReader | None, per_scene: int, geometry: Grid, classes: ClassTable
 ) -> dict[str, Any]:
     facts = scene.meta["facts"]
-    frames = spread(len(scene), per_scene)
+    frames = evenly_spaced(len(scene), per_scene)
     return {
         "name": scene.name,
         "theme": facts["theme"],

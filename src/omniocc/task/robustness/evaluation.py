@@ -71,7 +71,7 @@ def robustness_of(
         print(f"left out: {line}", flush=True)
     scored = test.run(parts, every, folder)
     setting = short_hash([test.source({}).fingerprint, list(scored[0].scenes), seed])
-    facts = {"command": command_line(), "commit": git_commit(), "machine": machine(device), "checkpoint": path.name}
+    facts = {"command": command_line(), "commit": git_commit(), "machine": computed_on(device), "checkpoint": path.name}
     facts |= {"seed": seed, "setting": setting, "left out": left_out}
     return Robustness(system_of(path), facts, scored)
 
@@ -86,7 +86,7 @@ def system_of(checkpoint: Path) -> str:
     return checkpoint.stem if checkpoint.parent == SHIPPED else checkpoint.absolute().parent.name
 
 
-def machine(device: torch.device) -> str:
+def computed_on(device: torch.device) -> str:
     """Return what the test was computed on, in words."""
     if device.type == "cuda":
         return torch.cuda.get_device_name(device)

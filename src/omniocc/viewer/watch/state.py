@@ -80,7 +80,7 @@ def run_state(name: str, folder: Path, now_s: float, held: Collection[Identity])
         curves = curves_of(folder)
     except (OSError, ValueError):  # removed meanwhile, or damaged
         return RunState(name, stage, "unreadable", changed_s=changed_s)
-    last, steps = max((max(curve) for curve in curves.values()), default=-1), planned_steps(folder, stage)
+    last, steps = max((max(curve) for curve in curves.values()), default=-1), configured_steps(folder, stage)
     key = next((key for key in SCORES[stage] if key in curves), None)
     state = state_of(folder, changed_s, held)
     return RunState(
@@ -118,7 +118,7 @@ def changed_at_s(folder: Path) -> float:
     return max(map(modified_s, paths))
 
 
-def planned_steps(folder: Path, stage: str) -> int | None:
+def configured_steps(folder: Path, stage: str) -> int | None:
     """Return the optimiser steps that a run's configuration asks for; None if it limits epochs alone."""
     config = config_of(folder / CONFIG)
     part = config.get("trainer") if stage == "occupancy" else (config.get("stages") or {}).get(stage)

@@ -1,4 +1,4 @@
-"""Evidence from a panorama of ranges for each cell: in front of the seen surface, at it, or behind it."""
+"""Gaps between distances of cells and ranges seen in their directions: in front of a surface, at it, or behind it."""
 
 from collections.abc import Sequence
 from itertools import product
@@ -12,8 +12,8 @@ from omniocc.camera import Equirectangular
 from omniocc.geometry import Grid
 from omniocc.model.ops.blocks import points_in_cells
 
-EVIDENCE_CHANNELS = 4
-"""Channels of the evidence: known fraction, and the gap at three scales."""
+GAP_CHANNELS = 4
+"""Channels of range gaps: known fraction, and the gap at three scales."""
 
 
 def cell_samples(geometry: Grid, per_axis: Sequence[int]) -> Float64[Tensor, "K X Y Z 3"]:
@@ -22,7 +22,7 @@ def cell_samples(geometry: Grid, per_axis: Sequence[int]) -> Float64[Tensor, "K 
     return points_in_cells(geometry, list(product(*fractions)))
 
 
-class Sight(NamedTuple):
+class SamplePixels(NamedTuple):
     """Row-major pixels in the directions of cells' samples, their distances, and whether the panorama covers them."""
 
     pixel: Int64[Tensor, "K cells"]
@@ -30,17 +30,17 @@ class Sight(NamedTuple):
     inside: Bool[Tensor, "K cells"]
 
 
-def sight(geometry: Grid, panorama: Equirectangular, per_axis: Sequence[int]) -> Sight:
-    """Look up the direction of every sample."""
+def sample_pixels(geometry: Grid, panorama: Equirectangular, per_axis: Sequence[int]) -> SamplePixels:
+    """Look up the pixel in the direction of every sample."""
     points = cell_samples(geometry, per_axis).flatten(1, 3)
     pixels, inside = panorama.project(points)
     column = pixels[..., 0].round().long().remainder(panorama.width)
     row = pixels[..., 1].round().long().clamp(0, panorama.height - 1)
-    return Sight(row * panorama.width + column, points.norm(dim=-1).float(), inside)
+    return SamplePixels(row * panorama.width + column, points.norm(dim=-1).float(), inside)
 
 
-def sight_evidence(
-    range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"], where: Sight, step_m: float
+def range_gaps(
+    range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"], samples: SamplePixels, step_m: float
 ) -> Float[Tensor, "B 4 cells"]:
     """Compare the distance of each cell's samples with the range seen in their direction.
 
@@ -49,16 +49,16 @@ def sight_evidence(
         the gap range - distance cut off at one step and at four, and of log(range / distance) cut off at 1. Positive is
         in front of the seen surface: free. Around 0 is the surface. Negative is hidden behind it: unknown.
     """
-    seen = range_m.float().flatten(1)[:, where.pixel]
-    known = valid.flatten(1)[:, where.pixel] & where.inside
-    gap = torch.where(known, (seen - where.distance_m) / step_m, 0)
-    ratio = torch.where(known, seen.clamp(min=1e-3) / where.distance_m.clamp(min=1e-3), 1)
+    seen = range_m.float().flatten(1)[:, samples.pixel]
+    known = valid.flatten(1)[:, samples.pixel] & samples.inside
+    gap = torch.where(known, (seen - samples.distance_m) / step_m, 0)
+    ratio = torch.where(known, seen.clamp(min=1e-3) / samples.distance_m.clamp(min=1e-3), 1)
     parts = [known.float(), gap.clamp(-1, 1), (gap / 4).clamp(-1, 1), ratio.log().clamp(-1, 1)]
     return torch.stack([part.mean(1) for part in parts], dim=1)
 
 
-class Evidence(nn.Module):
-    """Compute evidence of free and hidden space (see `sight_evidence`) for every cell of a grid; no parameters.
+class RangeGaps(nn.Module):
+    """Compute the range gaps (see `range_gaps`) of every cell of a grid; no parameters.
 
     Args:
         panorama: of the ranges, around the ego origin.
@@ -72,12 +72,12 @@ class Evidence(nn.Module):
     def __init__(self, geometry: Grid, panorama: Equirectangular, samples: Sequence[int]):
         super().__init__()
         self.geometry = geometry
-        where = sight(geometry, panorama, samples)
-        for name, tensor in where._asdict().items():
+        pixels = sample_pixels(geometry, panorama, samples)
+        for name, tensor in pixels._asdict().items():
             self.register_buffer(name, tensor, persistent=False)
 
     def forward(self, range_m: Float[Tensor, "B h w"], valid: Bool[Tensor, "B h w"]) -> Float[Tensor, "B 4 X Y Z"]:
-        """Return the evidence from finite ranges (m) and where they are valid."""
-        where = Sight(self.pixel, self.distance_m, self.inside)
-        evidence = sight_evidence(range_m, valid, where, self.geometry.cell_m[0])
-        return evidence.unflatten(2, self.geometry.shape)
+        """Return the gaps from finite ranges (m) and where they are valid."""
+        pixels = SamplePixels(self.pixel, self.distance_m, self.inside)
+        gaps = range_gaps(range_m, valid, pixels, self.geometry.cell_m[0])
+        return gaps.unflatten(2, self.geometry.shape)

@@ -5,7 +5,7 @@ import torch
 
 from omniocc.camera import Equirectangular
 from omniocc.geometry import Cuboid, Cylinder
-from omniocc.model.ops.sketch.evidence import Evidence, cell_samples
+from omniocc.model.ops.sketch.range_gaps import RangeGaps, cell_samples
 
 GRID = Cylinder((8, 12, 4), (0.0, 8.0), (-2.0, 2.0))
 PANORAMA = Equirectangular(24, 8, 45.0, -45.0)
@@ -31,7 +31,7 @@ def test_against_loops(grid):
     per_axis = [1, 2, 2]
     range_m = torch.rand(2, 8, 24) * 8 + 0.5
     valid = torch.rand(2, 8, 24) < 0.8
-    result = Evidence(grid, PANORAMA, per_axis)(range_m, valid)
+    result = RangeGaps(grid, PANORAMA, per_axis)(range_m, valid)
     points = cell_samples(grid, per_axis)
     for sample, x, y, z in [(0, 0, 0, 0), (1, 5, 4, 3), (0, 3, 2, 1), (1, 2, 3, 2), (1, 4, 1, 2)]:
         sums = [0.0] * 4
@@ -49,7 +49,7 @@ def test_against_loops(grid):
 
 
 def test_in_front_at_and_behind_a_wall_all_around():
-    walls = Evidence(GRID, PANORAMA, [1, 1, 1])(torch.full((1, 8, 24), 4.5), torch.ones(1, 8, 24, dtype=torch.bool))
+    walls = RangeGaps(GRID, PANORAMA, [1, 1, 1])(torch.full((1, 8, 24), 4.5), torch.ones(1, 8, 24, dtype=torch.bool))
     outwards = walls[0, 1, :, 0, 2]  # z 0.5 m: the elevation of the first cell is 45 degrees
     assert (outwards[1:3] == 1).all()
     assert (outwards[5:] == -1).all()
@@ -57,13 +57,13 @@ def test_in_front_at_and_behind_a_wall_all_around():
 
 
 def test_without_a_valid_range_nothing_is_known():
-    evidence = Evidence(GRID, PANORAMA, [1, 2, 2])
-    assert not evidence(torch.full((2, 8, 24), 3.0), torch.zeros(2, 8, 24, dtype=torch.bool)).any()
-    steep = evidence(torch.full((1, 8, 24), 3.0), torch.ones(1, 8, 24, dtype=torch.bool))[0, :, 0, :, 0]
+    gaps = RangeGaps(GRID, PANORAMA, [1, 2, 2])
+    assert not gaps(torch.full((2, 8, 24), 3.0), torch.zeros(2, 8, 24, dtype=torch.bool)).any()
+    steep = gaps(torch.full((1, 8, 24), 3.0), torch.ones(1, 8, 24, dtype=torch.bool))[0, :, 0, :, 0]
     assert not steep.any()  # all samples of the innermost lowest cells are below the panorama
 
 
 def test_not_finite_where_invalid_does_no_harm():
     range_m = torch.full((1, 8, 24), torch.nan)
     range_m[:, :, 12:] = math.inf
-    assert Evidence(GRID, PANORAMA, [1, 1, 1])(range_m, torch.zeros(1, 8, 24, dtype=torch.bool)).isfinite().all()
+    assert RangeGaps(GRID, PANORAMA, [1, 1, 1])(range_m, torch.zeros(1, 8, 24, dtype=torch.bool)).isfinite().all()
