@@ -64,7 +64,6 @@ def draw(data: OccupancyData, folder: Path) -> None:
                 print(f"the first frame of {split} cannot be drawn: {error}", flush=True)
                 continue
             path = folder / f"{split}-{scene.name}.png"
-            path.parent.mkdir(parents=True, exist_ok=True)
             save_png(path, data_sheet(*parts, voxels, grid, classes, f"{split}: {scene.name}, frame 0"))
             print(f"image    {path}", flush=True)
 

@@ -83,6 +83,12 @@ class Batch(NamedTuple):
         return (rows[:, None] < height) & (columns < width)
 
 
+def to_device(batch: Batch, device: torch.device) -> Batch:
+    """Return a batch with its tensors on a device; rigs and names stay."""
+    tensors = {name: item for name, item in batch._asdict().items() if isinstance(item, Tensor)}
+    return batch._replace(**{name: item.to(device, non_blocking=True) for name, item in tensors.items()})
+
+
 class Truth(NamedTuple):
     """The ground truth of one frame, with a batch axis of length 1; fields as in `Batch`."""
 

@@ -120,12 +120,18 @@ def test_recorded_frames_give_labels_and_scores_of_evaluation(evaluated, scene, 
     assert f"5 frames: RayIoU {figures['test/rayiou']:.3f}" in capsys.readouterr().out
 
 
-def test_a_few_frames_have_the_history_of_all(evaluated, scene, checkpoint, tmp_path, run):
-    run(f"checkpoint={checkpoint}", f"recorded={scene}", "frames=[4,2]", *QUICK, f"output={tmp_path}")
+def test_a_few_frames_have_the_history_of_all(evaluated, scene, checkpoint, tmp_path, capsys, run):
+    arguments = (f"checkpoint={checkpoint}", f"recorded={scene}", "frames=[4,2]", *QUICK, f"output={tmp_path}")
+    run(*arguments)
     folder = tmp_path / scene.name
     assert sorted(path.name for path in folder.iterdir()) == ["000002", "000004"]
     for k in (2, 4):
         assert np.array_equal(np.load(folder / FRAMES[k] / "voxels.npz")["labels"], evaluated[0][k])
+    capsys.readouterr()
+    run(*arguments)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-2].startswith("2 frames are finished")
+    assert "" not in lines
 
 
 def test_a_stopped_run_continues(evaluated, scene, checkpoint, tmp_path, capsys, run):

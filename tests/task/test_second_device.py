@@ -10,9 +10,9 @@ from batches import BESIDE, RIG, make_batch
 from second_device import MixedDevicesError, SecondDevice, tagged
 from torch import nn
 
-from omniocc.batch import Batch
+from omniocc.batch import Batch, to_device
 from omniocc.config import build
-from omniocc.data import OccupancyData, RangeCache
+from omniocc.data import RangeCache
 from omniocc.export.program import make_module
 from omniocc.model.ops.static import static_shapes
 from omniocc.predict.network import predict_depth
@@ -39,7 +39,7 @@ def device():
 def on_device(task, samples) -> Batch:
     batch = make_batch(task, samples)
     ranges = torch.rand(len(samples), 6, 36, 64) * 30
-    return OccupancyData.transfer_batch_to_device(None, batch._replace(camera_range_m=ranges), CUDA, 0)
+    return to_device(batch._replace(camera_range_m=ranges), CUDA)
 
 
 def train_and_test(task, samples=((0, 1), (1, 2))) -> None:

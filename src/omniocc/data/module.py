@@ -9,7 +9,7 @@ from lightning.pytorch import LightningDataModule
 from torch import Tensor, device
 from torch.utils.data import DataLoader
 
-from omniocc.batch import Batch
+from omniocc.batch import Batch, to_device
 from omniocc.data.dataset import Needs, WindowDataset, collate
 from omniocc.data.origins import Origins
 from omniocc.data.recording.pool import limit_threads
@@ -164,8 +164,7 @@ class OccupancyData(LightningDataModule):
 
     def transfer_batch_to_device(self, batch: Batch, device: device, dataloader_idx: int) -> Batch:
         """Return the batch with its tensors on a device; rigs and names stay."""
-        tensors = {name: item for name, item in batch._asdict().items() if isinstance(item, Tensor)}
-        return batch._replace(**{name: item.to(device, non_blocking=True) for name, item in tensors.items()})
+        return to_device(batch, device)
 
     def _in_order(self, split: Split) -> DataLoader[Batch]:
         dataset = self.dataset(split)

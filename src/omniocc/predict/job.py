@@ -125,7 +125,6 @@ class Job:
         truth: Truth | None,
     ) -> None:
         folder = self._folder(sequence, frame)
-        folder.mkdir(parents=True, exist_ok=True)
         predictor, classes = self.predictor, self.trained.classes
         geometry, labels = predictor.model.geometry, prediction.labels
         grid = raise_grid(geometry, sequence.origin_z_m)

@@ -63,20 +63,21 @@ def predict_occupancy(options: Options, show: ShowFrame | None = None) -> None:
     sequences, device = sequences_of(options, trained), choose_device(options.device)
     history = choose_history(options, model, sequences)
     width = trained.width_for(sequences[0].rig) if options.image_width is None else options.image_width
-    facts = facts_of(options, sequences, history, width, trained.unknown)
-    write_manifest(Path(options.output), facts, options.force)
+    made_from = facts_of(options, sequences, history, width, trained.unknown)
+    write_manifest(Path(options.output), made_from, options.force)
     if options.images is not None:
         rig_of(options).save(Path(options.output) / OWN_RIG)
     print("\n".join(announcement(options, model, trained, sequences, history)), flush=True)
     scores = scores_of(model, trained, sequences)
     job = Job(Predictor(model, width, options.exclude_cameras, device), history, trained, options, scores, show)
     job.run(sequences)
-    print("\n".join(job.summary()), flush=True)
+    for line in job.summary():
+        print(line, flush=True)
     if scores is not None:
         metrics = {f"test/{key}": float(value) for key, value in scores.compute().items()}
         frames = sum(len(sequence.wanted) for sequence in sequences)
-        facts = {"checkpoint": options.checkpoint, "data": options.recorded, "frames": frames}
-        save_results(job.output, metrics, facts | {PROTOCOL: scores.protocol()})
+        about = {"checkpoint": options.checkpoint, "data": options.recorded, "frames": frames}
+        save_results(job.output, metrics, about | {PROTOCOL: scores.protocol()})
         print(f"{frames} frames: {figures(metrics)}; all figures: {job.output / 'table.md'}")
 
 

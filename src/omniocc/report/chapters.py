@@ -137,7 +137,6 @@ def run_list(sweep: Sweep, folder: Path) -> str:
 
 def write_tables(sweep: Sweep, output: Path) -> None:
     """Write `report.md`, and every table as CSV and LaTeX."""
-    output.mkdir(parents=True, exist_ok=True)
     atomic_write(output / "report.md", f"{report_markdown(sweep)}\n{run_list(sweep, output)}")
     for table in sweep.tables:
         atomic_write(output / f"{table.name}.csv", as_csv(table, sweep.table_rows))

@@ -55,7 +55,6 @@ def pack_weights(
     """
     kept = {name: _kept(value, half) for name, value in weights.items()}
     about = {"stage": stage, "config": config, "facts": facts, "sha256": digest_of(kept)}
-    path.parent.mkdir(parents=True, exist_ok=True)
     atomic_write(path, save(kept, {FORMAT: json.dumps(about, sort_keys=True)}))
 
 

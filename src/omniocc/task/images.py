@@ -103,9 +103,7 @@ class FrameImages(Callback, ABC):
             self.shown.setdefault(f"test/{key}", []).extend(named)
 
     def _save(self, name: str, image: np.ndarray) -> None:
-        path = self.folder / f"{name}.png"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        save_png(path, image)
+        save_png(self.folder / f"{name}.png", image)
 
 
 class OccupancyImages(FrameImages):

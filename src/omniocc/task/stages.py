@@ -87,7 +87,10 @@ class Stages:
         with claimed(self.folders[stage], title) if is_first() else nullcontext():
             recipe: Recipe = build(self.cfg.stages[stage])
             seed_everything(recipe.seed, workers=True, verbose=False)
-            {"depth": self._run_depth, "sketch": self._run_sketch}[stage](recipe, title)
+            if stage == "depth":
+                self._run_depth(recipe, title)
+            else:
+                self._run_sketch(recipe, title)
         meet()
         return load_results(self.results[stage])[1]
 
@@ -148,21 +151,18 @@ class Stages:
         duration = TrainingTime()
         trainer = self._trainer(recipe, [duration, images], folder, stage, title)
         load_first_weights(task.model, recipe, stage, checkpoint)
-        if trains and recipe.max_steps:
-            trainer.fit(task, datamodule=data, ckpt_path=checkpoint and str(checkpoint))
-        metrics = dict(trainer.validate(task, datamodule=data, verbose=False)[0])
-        if trains and recipe.max_steps:
-            task.fit_to_validation()
-        metrics |= trainer.test(task, datamodule=data, verbose=False)[0]
+        metrics = train_and_test(trainer, task, data, checkpoint, trains and recipe.max_steps != 0)
         trainer.save_checkpoint(last)
         meet()
-        if not trainer.is_global_zero:
-            return
-        facts = {"run": folder.name, "steps": trainer.global_step, "seed": recipe.seed, "commit": git_commit()}
-        facts |= {MINUTES: duration.minutes, "data": self.fingerprint}
-        results.mkdir(parents=True, exist_ok=True)
-        save_results(results, metrics, facts)
-        finish(trainer.loggers)
+        if trainer.is_global_zero:
+            self._save_figures(stage, metrics, trainer, recipe.seed, duration.minutes)
+            finish(trainer.loggers)
+
+    def _save_figures(self, stage: str, metrics: dict[str, float], trainer: Trainer, seed: int, minutes: float) -> None:
+        """Write the figures of a stage with facts about its training; they mark it as finished."""
+        facts = {"run": self.folders[stage].name, "steps": trainer.global_step, "seed": seed, "commit": git_commit()}
+        facts |= {MINUTES: minutes, "data": self.fingerprint}
+        save_results(self.results[stage], metrics, facts)
 
     def _trainer(self, recipe: Recipe, callbacks: Sequence[Callback], folder: Path, stage: str, title: str) -> Trainer:
         if is_first():
@@ -203,12 +203,28 @@ class Stages:
             for scene in missing:
                 frames = []
                 for frame in range(len(scene)):
-                    predicted = predict(task, scene.rigs[frame], *to_device(next(inputs), device))
+                    predicted = predict(task, scene.rigs[frame], *batch_of_one(next(inputs), device))
                     frames.append([array.cpu() for array in predicted[: len(caches)]])
                     progress.advance()
                 for cache, arrays in zip(caches, zip(*frames, strict=True), strict=True):
                     cache.write(scene.name, arrays)
         task.cpu()
+
+
+def train_and_test(
+    trainer: Trainer, task: Task, data: OccupancyData, checkpoint: Path | None, trains: bool
+) -> dict[str, float]:
+    """Train a task, from a checkpoint if there is one, and return its figures of validation and test.
+
+    Without `trains` it is scored as it is.
+    """
+    if trains:
+        trainer.fit(task, datamodule=data, ckpt_path=checkpoint and str(checkpoint))
+    metrics = dict(trainer.validate(task, datamodule=data, verbose=False)[0])
+    if trains:
+        task.fit_to_validation()
+    metrics |= trainer.test(task, datamodule=data, verbose=False)[0]
+    return metrics
 
 
 def load_first_weights(model: nn.Module, recipe: Recipe, stage: str, checkpoint: Path | None) -> None:
@@ -267,7 +283,7 @@ def frame_loader(scenes: Sequence[SceneFrames], read: Read, num_workers: int) ->
     return DataLoader(Frames(scenes, read), batch_size=None, **worker_options(num_workers))
 
 
-def to_device(inputs: tuple[Tensor | None, ...], device: torch.device) -> list[Tensor | None]:
+def batch_of_one(inputs: tuple[Tensor | None, ...], device: torch.device) -> list[Tensor | None]:
     """Return tensors as a batch of one on a device."""
     return [None if value is None else value.unsqueeze(0).to(device) for value in inputs]
 

@@ -8,10 +8,10 @@ import torch
 from omegaconf import DictConfig
 from torch import Tensor
 
-from omniocc.batch import Batch
+from omniocc.batch import Batch, to_device
 from omniocc.camera import Rig
 from omniocc.config import build, plain
-from omniocc.data import OccupancyData, SceneSource, SourceSpec, VirtualWorld
+from omniocc.data import SceneSource, SourceSpec, VirtualWorld
 from omniocc.data.source.cameras import training_rig
 from omniocc.model.protocols import Depth
 from omniocc.task.build import build_task
@@ -40,8 +40,7 @@ def step_seconds(
     """
     task = make_task(cfg, stage, rig, spec).to(device).train()
     size = cfg.data.batch_size if stage == "occupancy" else cfg.stages[stage].batch_size
-    batch = random_batch(cfg, rig, size, cfg.data.window if stage == "occupancy" else 1)
-    batch = OccupancyData.transfer_batch_to_device(None, batch, device, 0)  # type: ignore[arg-type]
+    batch = to_device(random_batch(cfg, rig, size, cfg.data.window if stage == "occupancy" else 1), device)
     optimizer = task.optimizer.configure(task.model, WARM_UP + steps)["optimizer"]
     low = str(cfg.trainer.precision).startswith("bf16")
     best = float("inf")

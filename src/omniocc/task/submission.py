@@ -5,6 +5,7 @@ from pathlib import Path
 
 import torch
 
+from omniocc.batch import to_device
 from omniocc.data import OccupancyData, SceneSource
 from omniocc.data.dataset import Needs, WindowDataset, collate
 from omniocc.data.origins import Origins
@@ -107,7 +108,7 @@ def write_files(
         for index, (scene, frame) in enumerate(frames):
             path = folder / scene.prediction_file(frame)
             if not path.exists():
-                batch = data.transfer_batch_to_device(collate([samples[index]]), device, 0)
+                batch = to_device(collate([samples[index]]), device)
                 classes = look_up(task.evaluate(batch), task.model.geometry, benchmark.grid)
                 scene.write_prediction(path, classes[0].cpu().numpy())
             progress.advance()

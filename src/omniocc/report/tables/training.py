@@ -144,7 +144,7 @@ def change_cells(claims: Sequence[Compared], sweeps: Mapping[str, Sweep]) -> Cel
             cell
             for each in sweeps
             for cell in (
-                (claim.found[each].claim.gap.written, claim.found[each].verdict) if each in claim.found else "––"
+                (claim.found[each].claim.gap.written, claim.found[each].verdict) if each in claim.found else ("–", "–")
             )
         ]
         paper = next(iter(claim.found.values())).claim.paper

@@ -90,16 +90,8 @@ def _line(
     own, lidar = found.values()
     title = title_of(table, better, other)
     if own is None:
-        return [
-            title,
-            table.title,
-            f"{table.printed_gap(better, other):+.3f}",
-            "–",
-            "–",
-            NOT_RUN,
-            *"–" * len(JUDGES),
-            "–",
-        ]
+        printed = f"{table.printed_gap(better, other):+.3f}"
+        return [title, table.title, printed, "–", "–", NOT_RUN, *["–"] * len(JUDGES), "–"]
     seeds = " and ".join(str(len(rows[row.run])) for row in (better, other))
     gaps = ["–" if each is None else both_errors(each.claim) for each in found.values()]
     sizes = f"{own.claim.paper:+.3f}", f"{own.claim.size:+.3f}"

@@ -13,6 +13,7 @@ import torch
 from omegaconf import OmegaConf
 from torch.utils.data import DataLoader
 
+from omniocc.batch import to_device
 from omniocc.config import build, plain
 from omniocc.data import Needs, OccupancyData, SceneSource, VirtualWorld, WindowDataset, collate
 from omniocc.data.disturb.scene import disturbed
@@ -220,7 +221,7 @@ class RobustnessTest:
         by_scene = {scene.name: Scores(task.model.geometry, spec).to(self.device) for scene in recorded}
         task.stream.reset()
         for batch in loader:
-            batch = data.transfer_batch_to_device(batch, self.device, 0)
+            batch = to_device(batch, self.device)
             by_scene[batch.frame_ids[0].rsplit("/", 1)[0]].update(task.evaluate(batch), batch)
             advance()
         task.stream.reset()
