@@ -16,7 +16,7 @@ def scene_origins(scene: SceneFrames, frame: int, grid: Grid) -> RayOrigins:
     """Return where the ego origin was before, at and after a frame, by the rule of the public RayIoU.
 
     Of all recorded frames of the scene, at most eight whose ego origin lies more than 1 m inside of the grid's sides;
-    see `omniocc.metric.trajectory_origins` for the rule and its source.
+    see `omniocc.geometry.directions.trajectory_origins` for the rule and its source.
 
     Args:
         scene: with the pose of every frame.

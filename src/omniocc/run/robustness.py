@@ -32,6 +32,7 @@ class PartScores(NamedTuple):
         part: name of the disturbance, with its strength and unit.
         group: kind of disturbance.
         scenes: names of the scenes that were scored.
+        frames: number of frames that were scored.
         seconds: wall-clock time of prediction and scores; rendering is not counted.
         scores: over all scenes, by key: `rayiou`, `rayiou_within_<range>m`, `lidar/rayiou`, `voxel/iou`, `voxel/miou`.
         without: the same scores over all scenes but one, by key, in the order of the scenes.

@@ -25,7 +25,9 @@ class Recipe:
         max_steps: optimiser steps; -1: as many as `max_epochs` are.
         max_epochs: passes over the training frames; None: as many as `max_steps` are.
         batch_size: samples per process and step.
+        validate_every_n_epochs: passes over the training frames from one validation to the next.
         seed: of weights and order of samples.
+        optimizer: settings of AdamW.
         weights: checkpoint, or name of shipped weights, from which the stage starts; None: from random ones. With
             `max_steps` 0 it is used as it is.
     """

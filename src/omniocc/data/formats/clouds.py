@@ -46,8 +46,8 @@ def read_cloud(path: Path, label_field: str | None = None, columns: int = 4) -> 
 
     Args:
         path: the file.
-        columns: float32 numbers of each point in a `.bin` file, x, y, z first: 4 in KITTI, 5 in nuScenes.
         label_field: name of the field of class ids; None: the first of `LABEL_FIELDS` that there is.
+        columns: float32 numbers of each point in a `.bin` file, x, y, z first: 4 in KITTI, 5 in nuScenes.
 
     Raises:
         DataError: naming the file and what is wrong with it.

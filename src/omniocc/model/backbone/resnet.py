@@ -19,10 +19,12 @@ class ResNet(nn.Module):
     """Extract features by a residual network of transformers and a feature pyramid.
 
     Args:
+        layer_type: blocks of two 3x3 convolutions (`basic`), or of a 3x3 convolution between two 1x1 (`bottleneck`).
         embedding_size: channels after the stem.
         hidden_sizes: channels of the four stages.
         depths: blocks of the four stages.
         weights: pretrained weights on the Hugging Face hub, or None; if not available, warn and use random ones.
+        channels: of the output maps.
         levels: strides of the output maps, some of 4, 8, 16, 32 px.
         deformable_stages: stages, of 1 to 4, whose 3x3 convolutions become deformable with the same weights.
 

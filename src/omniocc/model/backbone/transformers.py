@@ -26,6 +26,7 @@ class Transformers(nn.Module):
         architecture: the library's name of the network, such as convnext, swin or dinov2.
         sizes: entries of the configuration that differ from the library's default.
         weights: pretrained weights on the Hugging Face hub, or None; if not available, warn and use random ones.
+        channels: of the output maps.
         levels: strides of the output maps, some of the network's, px.
 
     Raises:

@@ -61,7 +61,7 @@ class OmniMVS(SphereNet):
         hints: whether the network is told what the rig alone says of a direction: parallax, number of cameras, road.
 
     Raises:
-        ValueError: if groups, stride or panorama do not fit together.
+        ValueError: if `pairs` is neither of the two, or groups, stride or panorama do not fit together.
     """
 
     def __init__(
@@ -151,7 +151,7 @@ class OmniMVS(SphereNet):
         camera_range_m: Float[Tensor, "B N H W"] | None,
         generator: torch.Generator,
     ) -> dict[str, Float[Tensor, ""]]:
-        """Return weighted losses by name; every other batch is not told the height of the road."""
+        """Return weighted losses by name; with `hints`, half of the batches at random do not tell the road's height."""
         if self.hints and bool(torch.rand((), generator=generator) < UNTOLD):
             rigs = tuple(replace(rig, road_z_m=None) for rig in rigs)
         return super().training_terms(images, rigs, erp_range_m, camera_range_m, generator)

@@ -5,6 +5,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from omniocc.geometry import Grid
 from omniocc.model.ops.norm import group_norm
 
 Axes = tuple[int, int, int]
@@ -108,6 +109,19 @@ class Downsample(nn.Conv3d):
         if any(odd):
             volume = F.pad(volume, [cells for size in reversed(odd) for cells in (0, size)])
         return super().forward(volume)
+
+
+def check_halvings(geometry: Grid, levels: int) -> None:
+    """Check that periodic axes can be halved from level to level.
+
+    Raises:
+        ValueError: naming the axis's cells and the multiple they need.
+    """
+    factor = 2 ** (levels - 1)
+    for cells, wraps in zip(geometry.shape, geometry.periodic, strict=True):
+        if wraps and cells % factor:
+            need = f"{levels} levels need a periodic axis in multiples of {factor} cells, not {cells}"
+            raise ValueError(f"{need}; change the grid or give fewer channels")
 
 
 def upsample(volume: Float[Tensor, "B C X Y Z"], shape: Axes, periodic: Periodic) -> Float[Tensor, "B C _ _ _"]:

@@ -8,8 +8,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from omniocc.geometry import Grid
-from omniocc.model.ops.norm import check_halvings
-from omniocc.model.ops.padding import Downsample, Periodic, Pointwise, upsample
+from omniocc.model.ops.padding import Downsample, Periodic, Pointwise, check_halvings, upsample
 
 Block = Callable[[int, Periodic], nn.Module]
 """Makes a network that keeps the size of a volume, from its channels and the axes that wrap around."""

@@ -21,6 +21,8 @@ class Pairs(NamedTuple):
     """All pairs of a query and a camera that sees an anchor of the query's voxel, sorted by query.
 
     Attributes:
+        query: number of each pair's query.
+        camera: number of its camera.
         points: projected anchors in `grid_sample` coordinates; far outside if not visible.
         counts: cameras that see each query.
         first: index of each query's first pair.

@@ -7,8 +7,8 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from omniocc.geometry import Grid
-from omniocc.model.ops.norm import check_halvings, group_norm
-from omniocc.model.ops.padding import Periodic, ResidualPair, pad3d, upsample_view
+from omniocc.model.ops.norm import group_norm
+from omniocc.model.ops.padding import Periodic, ResidualPair, check_halvings, pad3d, upsample_view
 from omniocc.model.protocols import Sketched
 
 

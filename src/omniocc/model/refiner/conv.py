@@ -8,8 +8,8 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from omniocc.geometry import Grid
-from omniocc.model.ops.norm import check_halvings, group_norm
-from omniocc.model.ops.padding import Conv3d, Downsample, Periodic, Pointwise, ResidualPair, upsample
+from omniocc.model.ops.norm import group_norm
+from omniocc.model.ops.padding import Conv3d, Downsample, Periodic, Pointwise, ResidualPair, check_halvings, upsample
 from omniocc.model.protocols import Sketched
 
 

@@ -33,6 +33,7 @@ class RunState:
     Attributes:
         id: path of its folder relative to the folder of runs.
         stage: `depth`, `sketch` or `occupancy`.
+        state: whether it goes on, has finished or was stopped; `unreadable` where its curves are damaged or gone.
         step: optimiser steps so far.
         steps: in all; None where the configuration limits epochs alone.
         left: time left at the rate since the last start, in words; empty where unknown.

@@ -12,8 +12,8 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from omniocc.geometry import Grid
-from omniocc.model.ops.norm import check_halvings, group_norm
-from omniocc.model.ops.padding import Axes, Conv3d, Downsample, Periodic, Pointwise, upsample
+from omniocc.model.ops.norm import group_norm
+from omniocc.model.ops.padding import Axes, Conv3d, Downsample, Periodic, Pointwise, check_halvings, upsample
 
 ACROSS_SECOND: Axes = (3, 1, 3)
 ACROSS_FIRST: Axes = (1, 3, 3)
