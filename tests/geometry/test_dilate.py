@@ -94,7 +94,7 @@ def test_many_marks_on_one_cell_do_not_overflow():
         ((2, 20, 12, 4), (0,), (), r"mask.*\(20, 12, 3\).*\(2, 20, 12, 4\)"),
         ((20, 12, 3), (0, 1), (), r"one more window.*\(0, 1\).*edges_m \(\)"),
         ((20, 12, 3), (0, -1), (5.0,), "none negative"),
-        ((20, 12, 3), (0, 1, 2), (5.0, 4.0), "increasing.*edges_m"),
+        ((20, 12, 3), (0, 1, 2), (5.0, 4.0), "must increase.*edges_m"),
     ],
 )
 def test_error_names_wrong_input(mask, windows, edges_m, message):

@@ -62,7 +62,7 @@ class Grid(Lattice):
         rising = all(low < high for low, high in itertools.pairwise(edges_m))
         if len(windows) != len(edges_m) + 1 or not rising or min(*windows, behind) < 0:
             sizes = f"windows {tuple(windows)}, behind {behind} and edges_m {tuple(edges_m)}"
-            raise ValueError(f"edges_m must increase, with one window more than edges, none negative; got {sizes}")
+            raise ValueError(f"edges_m must increase, with one more window than edges, none negative; got {sizes}")
         moves = _moves(self, tuple(windows), tuple(map(float, edges_m)), behind)
         origin, target = (side.to(mask.device) for side in moves)
         columns = mask.reshape(-1, self.shape[0] * self.shape[1], self.shape[2])
