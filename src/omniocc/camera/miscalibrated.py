@@ -43,6 +43,9 @@ def with_focal_factor(camera: Camera, factor: float) -> Camera:
     """Return a camera whose pixels are `factor` times as far from its optical centre, for every lens model.
 
     The image keeps its size and centre: the camera is scaled on a canvas so large that its size stays whole.
+
+    Raises:
+        ValueError: naming the camera model whose images have no centre.
     """
     if "center_px" not in {field.name for field in fields(cast(Any, camera))}:
         raise ValueError(f"{type(camera).__name__} has no centre, so that no focal length could be wrong")

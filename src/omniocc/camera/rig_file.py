@@ -80,7 +80,7 @@ def read_rig(path: str | PathLike[str]) -> Calibration:
 
 
 def write_rig(path: str | PathLike[str], rig: Calibration) -> None:
-    """Write a rig file; see `Rig.save`."""
+    """Write a rig file; see `Rig.save`; raise OSError naming the mask that cannot be written."""
     file = Path(path)
     file.parent.mkdir(parents=True, exist_ok=True)
     model_names = {model: name for name, model in MODELS.items()}

@@ -96,6 +96,7 @@ class WindowDataset(Dataset):
     Frames before a scene's first are replaced by the first, and marked as missing in `exists`.
 
     Args:
+        scenes: whose frames are the samples, in order.
         voxels: labels of the grid.
         window: T.
         needs: parts of the samples to read.
@@ -134,7 +135,7 @@ class WindowDataset(Dataset):
         return int(self._ends[-1]) if len(self._ends) else 0
 
     def locate(self, index: int) -> tuple[SceneFrames, int]:
-        """Return scene and frame number of a sample's newest frame."""
+        """Return scene and frame number of a sample's newest frame; raise IndexError beyond the last sample."""
         if not 0 <= index < len(self):
             raise IndexError(f"sample {index} of {len(self)}")
         scene = int(np.searchsorted(self._ends, index, side="right"))

@@ -124,7 +124,11 @@ class OccupancyData(LightningDataModule):
         return self.voxels.counts(self.dataset("train").scenes)
 
     def train_dataloader(self) -> DataLoader[Batch]:
-        """Return the shuffled loader; the last incomplete batch of an epoch is left out."""
+        """Return the shuffled loader; the last incomplete batch of an epoch is left out.
+
+        Raises:
+            ValueError: if a process has fewer samples than a batch.
+        """
         dataset = self.dataset("train")
         done = self._resume["batches"] * self.batch_size
         sizes = [len(scene) for scene in dataset.scenes]

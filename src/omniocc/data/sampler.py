@@ -16,6 +16,10 @@ class EpochSampler(DistributedSampler):
     of a whole epoch.
 
     Args:
+        size: number of samples.
+        seed: of the order.
+        rank: number of this process.
+        world_size: number of processes.
         resume_epoch: epoch that was interrupted.
         resume_samples: samples this rank has already seen in it; other epochs are whole.
         scenes: number of samples of each scene, in order; None: all are of one.

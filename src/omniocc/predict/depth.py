@@ -47,7 +47,11 @@ def predict_panoramas(cfg: DictConfig, overrides: Sequence[str], show: ShowRange
 
 
 def choose_model(cfg: DictConfig, overrides: Sequence[str], rig: Rig) -> tuple[nn.Module, int | None]:
-    """Return the depth option, and the width of the images that it is applied to (None: the rig's)."""
+    """Return the depth option, and the width of the images that it is applied to (None: the rig's).
+
+    Raises:
+        UserError: naming the override that the checkpoint sets, or what does not fit.
+    """
     if cfg.checkpoint is None:
         check(OmegaConf.create({"depth": OmegaConf.to_container(cfg.depth, resolve=True)}))
         return build(cfg.depth).eval(), cfg.image_width

@@ -35,6 +35,7 @@ def options_of(cfg: DictConfig) -> Options:
 
     Raises:
         UserError: naming the option that is missing, contradictory or of the wrong type.
+        FileNotFoundError: when there is no such checkpoint.
     """
     require(cfg, ("checkpoint",), "predict.py occupancy")
     node = OmegaConf.create({"occupancy": {"_target_": f"{Options.__module__}.Options", **cfg}})
@@ -129,7 +130,11 @@ def sequences_of(options: Options, trained: TrainingData) -> Sequence[FrameSeque
 
 
 def rig_of(options: Options) -> Rig:
-    """Return the calibrated cameras of the user's images, with the height of the road that is given beside them."""
+    """Return the calibrated cameras of the user's images, with the height of the road that is given beside them.
+
+    Raises:
+        UserError: when no rig is given, or it cannot be used.
+    """
     if options.rig is None:
         beside = Path(options.images) / RIG if isinstance(options.images, str) else Path(RIG)
         hint = f"; there is {beside}" if beside.is_file() else ""
@@ -138,7 +143,11 @@ def rig_of(options: Options) -> Rig:
 
 
 def choose_history(options: Options, model: OccupancyModel, sequences: Sequence[FrameSequence]) -> History:
-    """Return `history=...`; by default `stream` where the model fuses past frames and poses are known."""
+    """Return `history=...`; by default `stream` where the model fuses past frames and poses are known.
+
+    Raises:
+        UserError: when a history is asked for and poses are missing.
+    """
     known = all(sequence.world_from_ego is not None for sequence in sequences)
     if options.history in ("stream", "window") and not known:
         raise UserError(f"history={options.history} needs the pose of every frame: poses=..., see --help")

@@ -107,7 +107,7 @@ class Predictor:
     ) -> Prediction:
         """Return the prediction for the next frame from RGB in [0, 1], padded where the sizes of cameras differ.
 
-        The images are not scaled; else as `step`.
+        The images are not scaled; else as `step`, errors included.
         """
         images = images.to(self.device)
         pose = torch.eye(4, dtype=torch.float64) if world_from_ego is None else world_from_ego

@@ -109,7 +109,7 @@ def cloud_of(message: Any, label_field: str | None, where: str) -> RawCloud:
 
 
 def pose_of(position: Any, rotation: Any, where: str) -> Float64[np.ndarray, "4 4"]:
-    """Return the pose of a position (or translation) and a quaternion of geometry_msgs."""
+    """Return the pose of a position (or translation) and a quaternion of geometry_msgs; raise DataError if none."""
     quaternion: Sequence[float] = (rotation.w, rotation.x, rotation.y, rotation.z)
     try:
         return quaternion_pose(quaternion, (position.x, position.y, position.z), "the pose")

@@ -23,6 +23,7 @@ class Shown(NamedTuple):
     """One row's prediction of a frame.
 
     Attributes:
+        row: name of the row.
         run: its first seed.
         parts: images of the sheet.
         grid: kind of the row's grid, empty if an earlier row has the same grid.

@@ -26,6 +26,7 @@ class Checkpoint(NamedTuple):
     """Content of a checkpoint.
 
     Attributes:
+        path: the file.
         stage: `depth`, `sketch` or `occupancy`.
         config: of the run that wrote it, without interpolations.
         weights: of the whole task, named as in the task.

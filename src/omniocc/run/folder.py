@@ -34,6 +34,7 @@ class RunFolder:
     """The folder of a run, its checkpoint and its lock.
 
     Attributes:
+        path: the folder.
         checkpoint: file to resume from; None at the start, and when the run is finished.
         lock: held by the run's first process, None in the others.
     """

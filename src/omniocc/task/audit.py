@@ -26,6 +26,7 @@ class Audit(nn.Module):
     """Score variants of a model's predictions, to see what each part of it costs.
 
     Args:
+        geometry: grid of the predictions.
         spec: of the data: classes, bands and LiDAR rays of the scores.
     """
 

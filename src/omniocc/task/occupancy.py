@@ -27,6 +27,8 @@ class OccupancyTask(StageTask[OccupancyModel]):
     * `prior`, the baseline: the most frequent training class of every voxel, which needs no images.
     * `label`: the true voxels themselves, scored against the true LiDAR rays.
 
+    Other arguments as in `StageTask`.
+
     Args:
         augment: random changes of training batches.
         ema_decay: of the moving average of weights that is validated, tested and saved, such as 0.999; None: none.

@@ -80,7 +80,11 @@ def whole(entry: dict[str, Any], key: str) -> int:
 
 
 def row(entry: dict[str, Any], count: int | None, *keys: str) -> list[float]:
-    """Return `count` finite numbers (None: any count) from a list or an OpenCV matrix under the first of `keys`."""
+    """Return `count` finite numbers (None: any count) from a list or an OpenCV matrix under the first of `keys`.
+
+    Raises:
+        ValueError: naming the key that is missing or holds something else.
+    """
     value = required(entry, *keys)
     key = next(key for key in keys if key in entry)
     if isinstance(value, dict):
@@ -97,7 +101,11 @@ def size(entry: dict[str, Any], key: str) -> tuple[int, int]:
 
 
 def pose(rows: Any, name: str) -> Float64[Tensor, "4 4"]:
-    """Return the rigid pose of 3 or 4 rows of 4 numbers, with the nearest rotation to the rounded one."""
+    """Return the rigid pose of 3 or 4 rows of 4 numbers, with the nearest rotation to the rounded one.
+
+    Raises:
+        ValueError: naming the entry that is no pose.
+    """
     if not isinstance(rows, list) or len(rows) not in (3, 4):
         raise ValueError(f"{name} is {rows!r}; it must be 3 or 4 rows of 4 numbers")
     if not all(isinstance(line, list) and len(line) == 4 for line in rows):

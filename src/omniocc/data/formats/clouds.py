@@ -100,7 +100,11 @@ def read_bin(path: Path, columns: int = 4) -> dict[str, np.ndarray]:
 
 
 def read_npz(path: Path) -> dict[str, np.ndarray]:
-    """Return x, y, z of the array `points` (P, 3 or more), and the other arrays of one number for each point."""
+    """Return x, y, z of the array `points` (P, 3 or more), and the other arrays of one number for each point.
+
+    Raises:
+        DataError: naming the file and what is wrong with it.
+    """
     try:
         with np.load(io.BytesIO(read_bytes(path)), allow_pickle=False) as content:
             arrays = {name: content[name] for name in content.files}
@@ -116,7 +120,11 @@ def read_npz(path: Path) -> dict[str, np.ndarray]:
 
 
 def read_ply(path: Path) -> dict[str, np.ndarray]:
-    """Return the properties of the vertices of a PLY file, ascii or binary_little_endian."""
+    """Return the properties of the vertices of a PLY file, ascii or binary_little_endian.
+
+    Raises:
+        DataError: naming the file and what is wrong with it.
+    """
     content = read_bytes(path)
     found = re.match(rb"ply\r?\n(.*?)end_header\r?\n", content, re.DOTALL)
     if found is None:
@@ -140,7 +148,11 @@ def read_ply(path: Path) -> dict[str, np.ndarray]:
 
 
 def read_pcd(path: Path) -> dict[str, np.ndarray]:
-    """Return the fields of a PCD file: ascii, binary or binary_compressed."""
+    """Return the fields of a PCD file: ascii, binary or binary_compressed.
+
+    Raises:
+        DataError: naming the file and what is wrong with it.
+    """
     content = read_bytes(path)
     found = re.search(rb"^DATA[ \t]+(\w+)[ \t]*\r?\n", content, re.MULTILINE)
     if found is None:

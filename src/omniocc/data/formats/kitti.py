@@ -63,7 +63,11 @@ def classes_by_id(ids: dict[int, tuple[int, ...]]) -> np.ndarray:
 
 
 def read_mask(path: Path) -> Bool[np.ndarray, "256 256 32"]:
-    """Return a mask of voxels: one bit each, most significant first (SemanticKITTI), or one byte each (SSCBench)."""
+    """Return a mask of voxels: one bit each, most significant first (SemanticKITTI), or one byte each (SSCBench).
+
+    Raises:
+        DataError: when the file cannot be read or has another size.
+    """
     content = np.frombuffer(read_bytes(path), np.uint8)
     if len(content) == CELLS // 8:
         return np.unpackbits(content).reshape(SHAPE).astype(bool)

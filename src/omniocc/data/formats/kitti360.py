@@ -40,7 +40,11 @@ SAME = 2.0
 
 
 def read_rows(path: Path) -> dict[str, Float64[np.ndarray, " n"]]:
-    """Return the numbers of a calibration file by name: 'name: numbers' lines, or one line of numbers named ''."""
+    """Return the numbers of a calibration file by name: 'name: numbers' lines, or one line of numbers named ''.
+
+    Raises:
+        DataError: naming the line that holds no numbers.
+    """
     rows = {}
     for number, line in enumerate(read_text(path).splitlines(), start=1):
         name, _, values = line.rpartition(":")
@@ -88,7 +92,11 @@ def mounted(calibration: Path, name: str) -> tuple[Camera, Float64[np.ndarray, "
 
 
 def rectified(calibration: Path, name: str) -> tuple[Float64[np.ndarray, "3 3"], Float64[np.ndarray, "4 4"]]:
-    """Return the intrinsics of a rectified camera (image_00, image_01) and its pose imu_from_camera."""
+    """Return the intrinsics of a rectified camera (image_00, image_01) and its pose imu_from_camera.
+
+    Raises:
+        DataError: naming the file and the value that is missing or wrong.
+    """
     number, turn = name[-2:], np.eye(4)
     intrinsics = matrix(calibration / "perspective.txt", f"P_rect_{number}", (3, 4))[:, :3]
     turn[:3, :3] = matrix(calibration / "perspective.txt", f"R_rect_{number}", (3, 3))
@@ -99,7 +107,11 @@ def rectified(calibration: Path, name: str) -> tuple[Float64[np.ndarray, "3 3"],
 
 
 def fisheye(calibration: Path, name: str) -> MEI:
-    """Return a fisheye (image_02, image_03) up to the edge of its image circle."""
+    """Return a fisheye (image_02, image_03) up to the edge of its image circle.
+
+    Raises:
+        DataError: naming the file that is missing or wrong.
+    """
     path = calibration / f"{name}.yaml"
     try:
         camera = read_kitti360(parse_yaml(read_text(path)), name).cameras[0]
@@ -128,7 +140,11 @@ def scan_file(root: Path, sequence: str, number: int) -> Path:
 
 
 def read_numbered_poses(path: Path) -> tuple[Int64[np.ndarray, " F"], Float64[np.ndarray, "F 4 4"]]:
-    """Return frame numbers and world_from_imu of a `poses.txt`; frames without a line have no pose."""
+    """Return frame numbers and world_from_imu of a `poses.txt`; frames without a line have no pose.
+
+    Raises:
+        DataError: naming the file and what is wrong with it.
+    """
     try:
         rows = np.array([line.split() for line in read_text(path).splitlines() if line.strip()], np.float64)
         return rows[:, 0].astype(np.int64), rigid(rows[:, 1:].reshape(-1, 3, 4), "a line")

@@ -57,8 +57,10 @@ class VoxelCache:
 
     Args:
         folder: of the dataset, in which the cache is the subfolder `voxels-<hash of grid and labelling>`.
+        geometry: grid whose cells the points vote in.
         unknown: label of cells without points.
         fingerprint: of the data; the counts of classes are kept under it.
+        num_classes: number of classes, free included.
         workers: processes that vote; 0 votes in this one.
         masks: fingerprints of masks that the cameras have besides the recorded ones, which limit what they observe.
 

@@ -52,6 +52,9 @@ class VirtualWorld:
         rig: built-in rig by name, or a rig file; `random` draws another for each scene, see `omniocc.camera.drawn`.
         image_size: width and height of every camera image, px; those of drawn rigs have about as many pixels.
         themes: kinds of places; the scenes of a split take them in turn, those of the test split from the middle on.
+        train_scenes: number of scenes of the training split.
+        val_scenes: of the validation split.
+        test_scenes: of the test split.
         frames_per_scene: recorded frames of each scene.
         frame_interval_s: time between recorded frames.
         supersample: camera rays per pixel along each side.
@@ -72,6 +75,9 @@ class VirtualWorld:
         shard_limit_mib: size at which a new tar shard begins, MiB.
         workers: processes that render; 0 renders in this process, None takes all usable cores.
         cache: folder for derived data (voxels); None puts it beside the scenes. A URL as root needs one.
+
+    Raises:
+        ValueError: naming the option that is impossible.
     """
 
     def __init__(

@@ -42,7 +42,11 @@ class RayTable:
         return self.cast_all([labels])[0]
 
     def cast_all(self, volumes: Sequence[UInt8[Tensor, "X Y Z"]]) -> list[Hits]:
-        """Return the results of `cast` for several label volumes, at less cost than one after the other."""
+        """Return the results of `cast` for several label volumes, at less cost than one after the other.
+
+        Raises:
+            ValueError: when labels do not have the shape of the grid.
+        """
         for labels in volumes:
             if labels.shape != self.shape:
                 raise ValueError(f"labels must have the grid's shape {self.shape}, got {tuple(labels.shape)}")

@@ -89,6 +89,7 @@ class VolumeNet(nn.Module):
     The sky's score is a mean over spheres.
 
     Args:
+        in_channels: of the input volume.
         channels: of each level, finest first; multiples of 8.
     """
 

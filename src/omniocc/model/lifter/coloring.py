@@ -38,6 +38,7 @@ class Coloring(nn.Module):
     Args:
         channels: of image features, queries and volume.
         levels: strides of the feature maps, px.
+        layers: of cross-attention, each followed by a feed-forward part.
         heads: of attention, a divisor of the channels.
         points: samples per head and level.
         feedforward_channels: hidden channels of the feed-forward part.

@@ -30,6 +30,7 @@ class LiftSplat(nn.Module):
 
     Args:
         in_channels: of image features.
+        channels: of the volume.
         levels: strides of the feature maps, px, finest first.
         bins: of range, of equal size.
         range_m: beginning of the first bin and end of the last one, along the ray.

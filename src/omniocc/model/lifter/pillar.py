@@ -32,6 +32,7 @@ class Pillar(nn.Module):
 
     Args:
         in_channels: of image features and queries.
+        channels: of the volume.
         heads: of attention, a divisor of `in_channels`.
         points: samples per head and level, a multiple of the heights, among which they are split.
         heights: reference points of each pillar.

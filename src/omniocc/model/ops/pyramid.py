@@ -18,6 +18,7 @@ class Pyramid(nn.Module):
     """Hold the layers of an encoder-decoder; the finest level has a block only on the way up.
 
     Args:
+        in_channels: of the input volume.
         channels: of each level, finest first; multiples of 8. The finest is that of the output.
         block: makes the block of a level.
 

@@ -55,8 +55,10 @@ class SelfAttention(SampledAttention):
     """Sum samples around every voxel, with offsets and weights computed from its feature.
 
     Args:
+        channels: of the voxels' features.
         heads: a divisor of the channels.
         points: samples per head.
+        layout: arrangement of the voxels.
     """
 
     def __init__(self, channels: int, heads: int, points: int, layout: Layout):
@@ -110,6 +112,8 @@ class Attention(nn.Module):
     rolling the input along a periodic axis rolls the output. Samples beyond an end that does not wrap around are zero.
 
     Args:
+        channels: of the volume.
+        layers: of attention, each followed by a feed-forward part.
         heads: of attention, a divisor of the channels.
         points: samples per head.
         feedforward_channels: hidden channels of the feed-forward part.

@@ -36,6 +36,8 @@ class ChannelToHeight(nn.Module):
     maps at both ends depend on the height. Levels are merged as in `Conv`.
 
     Args:
+        in_channels: of the input volume.
+        channels: of the output volume.
         view_channels: of each level, finest first; multiples of 8.
         blocks: of each level.
 

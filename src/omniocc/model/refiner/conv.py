@@ -26,6 +26,7 @@ class Conv(nn.Module):
     convolutions, as in the occupancy head of BEVFormer (Li et al., 2022).
 
     Args:
+        in_channels: of the input volume.
         channels: of each level, finest first; multiples of 8. The finest is that of the output.
         blocks: of each level.
 

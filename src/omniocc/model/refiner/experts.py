@@ -23,6 +23,7 @@ class Experts(Pyramid):
     rolls the output.
 
     Args:
+        in_channels: of the input volume.
         channels: of each level, finest first; multiples of 8. The finest is that of the output.
         experts: linear maps that every voxel's features are mixed from.
         num_classes: of the blocks of the coarser levels, free included.

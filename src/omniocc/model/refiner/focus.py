@@ -29,6 +29,7 @@ class Focus(nn.Module):
     attention. `omniocc.loss.RunLengths` trains the lengths.
 
     Args:
+        in_channels: of the input volume.
         channels: of each level of the pyramid, finest first; multiples of 8. The finest is that of the output.
         blocks: of each level.
 

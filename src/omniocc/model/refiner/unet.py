@@ -16,6 +16,7 @@ class UNet(Pyramid):
     along a periodic axis by a multiple of 2**(levels-1) cells rolls the output.
 
     Args:
+        in_channels: of the input volume.
         channels: of each level, finest first; multiples of 8. The finest is that of the output.
 
     Raises:

@@ -10,6 +10,8 @@ class FCN(nn.Module):
     """Classify pixels by 3x3 convolution, batch norm, ReLU and 1x1 convolution of the finest feature map.
 
     Args:
+        in_channels: of the feature map.
+        hidden_channels: of the 3x3 convolution.
         num_classes: logits per pixel; class 0 is the sky.
     """
 

@@ -22,6 +22,10 @@ class Random(nn.Module):
 
     Args:
         fraction: of the cells, above 0 and at most 1.
+        seed: of the choice.
+
+    Raises:
+        ValueError: if the fraction is out of range.
     """
 
     candidates: Tensor

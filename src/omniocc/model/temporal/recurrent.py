@@ -26,6 +26,7 @@ class TemporalAttention(SampledAttention):
     Offsets and weights are computed from the cell's features in both (Li et al., 2022, 'BEVFormer', eq. 5).
 
     Args:
+        channels: of the views.
         heads: a divisor of the channels.
         points: samples per head and view.
     """
@@ -85,6 +86,9 @@ class Recurrent(nn.Module):
     mapped back and added to the newest volume.
 
     Args:
+        channels: of the volumes.
+        view_channels: of the views.
+        layers: of attention, each followed by a feed-forward part.
         heads: of attention, a divisor of `view_channels`.
         points: samples per head and view.
         feedforward_channels: hidden channels of the feed-forward part.

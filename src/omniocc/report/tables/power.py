@@ -40,6 +40,8 @@ class Wanted(NamedTuple):
     """A claim whose power is asked for.
 
     Attributes:
+        title: the claim in words.
+        table: title of its table.
         key: of the metric that decides it.
         shares_stages: whether its rows share depth and sketch of a seed.
         paper: the printed gap.

@@ -25,6 +25,7 @@ class Chart(NamedTuple):
 
     Attributes:
         kind: bars and scatter show test figures, lines training curves.
+        title: above the panel.
         keys: keys of what is drawn; of a scatter first x, then y.
     """
 

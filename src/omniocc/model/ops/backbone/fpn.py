@@ -16,6 +16,7 @@ class FPN(nn.Module):
 
     Args:
         in_channels: of the input maps, finest first.
+        channels: of the output maps.
         keep: indices of the output maps.
     """
 

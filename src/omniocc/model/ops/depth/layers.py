@@ -83,6 +83,7 @@ class FeatureNet(nn.Module):
 
     Args:
         channels: of each level, finest first, the first at half the image size; multiples of 8.
+        out_channels: of the features.
         extra_channels: of input maps besides the colours.
         stride: image pixels per feature along each side, 1 or 2; at 1 each pixel of the finest level gives four.
 

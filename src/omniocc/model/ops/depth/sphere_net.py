@@ -79,6 +79,7 @@ class SphereNet(LearnedPanoramaDepth):
     more likely than a surface, the range is not valid. Other arguments as in `LearnedPanoramaDepth`.
 
     Args:
+        loss: of scores and index against the true panorama.
         window: spheres to each side of the peak over which the index is averaged.
         min_confidence: ranges that are less likely than this to be within 10 % are not valid, in [0, 1].
     """

@@ -73,7 +73,9 @@ class Cylinder3D(nn.Module):
     Rolling the input along a periodic axis by a multiple of 2**(levels-1) cells rolls the output.
 
     Args:
+        in_channels: of the input volume.
         channels: of each level, finest first; multiples of 8.
+        out_channels: of the output volume.
 
     Raises:
         ValueError: if a periodic axis cannot be halved often enough, or the channels do not split into groups.
