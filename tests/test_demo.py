@@ -60,7 +60,7 @@ def test_without_weights_every_stage_is_trained(ran, monkeypatch, tmp_path, caps
         "trained here, 3 min",
         "label (true voxels)",
     ]
-    assert lines[-2] == "pictures  runs/demo-1/images"
+    assert lines[-2] == "images    runs/demo-1/images"
     assert lines[-1].startswith("page      runs/demo-1/view.html")
     demo.viewed(folder)
     assert len(ran) == 2  # written before

@@ -20,7 +20,7 @@ def test_a_truncated_checkpoint_is_named(fraction, tmp_path):
     assert load_checkpoint(path).config["seed"] == 1
     content = path.read_bytes()
     path.write_bytes(content[: int(fraction * len(content))])
-    with pytest.raises(UserError, match=r"best\.ckpt.*damaged.*remove"):
+    with pytest.raises(UserError, match=r"best\.ckpt.*damaged.*move .*best\.ckpt elsewhere"):
         load_checkpoint(path)
 
 

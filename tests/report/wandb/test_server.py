@@ -131,7 +131,7 @@ def test_what_was_not_uploaded_waits_and_says_why(server, tmp_path, capfd):
 
 def test_a_setting_that_is_no_address_is_one_line(address):
     address("here")
-    with pytest.raises(UserError, match=r"x: no W&B server accepts .*WANDB_BASE_URL.*: .*valid URL.*'here'") as error:
+    with pytest.raises(UserError, match=r"x: the W&B server refused .*WANDB_BASE_URL.*: .*valid URL.*'here'") as error:
         check_login("x")
     assert "\n" not in str(error.value)
 

@@ -54,9 +54,9 @@ def load_dataset_table(path: Path) -> DatasetTable:
         table = DatasetTable(path.stem, content["title"], content["note"], columns, rows)
     except (AttributeError, KeyError, TypeError) as error:
         raise UserError(f"{path} is not a table of datasets: {error}; see sweeps/dataset.yaml") from error
-    for name, cells in rows:
+    for key, (_, cells) in zip(content["rows"], rows, strict=True):
         if len(cells) != len(columns):
-            raise UserError(f"{path}: row {name} has {len(cells)} cells for {len(columns)} columns")
+            raise UserError(f"{path}: row {key} has {len(cells)} cells for {len(columns)} columns")
     return table
 
 
