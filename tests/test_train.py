@@ -125,7 +125,7 @@ def test_a_damaged_checkpoint_costs_the_steps_since_the_one_before(tmp_path, dat
     assert refused.returncode == 1
     (line,) = refused.stderr.strip().splitlines()
     assert "neither" in line
-    assert "Remove the folder" in line
+    assert "To train again from the first step, move" in line
 
 
 def test_a_loss_that_is_not_finite_is_one_line(tmp_path, data_root):
