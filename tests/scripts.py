@@ -79,7 +79,7 @@ def _ask(request: dict[str, Any], files: list[int], timeout_s: float, kill_when:
 
 
 def _kill(group: int) -> None:
-    """Kill the processes of a group, which may have ended in this moment."""
+    """Kill the processes of a group; do nothing if they have just ended."""
     with contextlib.suppress(ProcessLookupError):
         os.killpg(group, signal.SIGKILL)
 

@@ -127,7 +127,7 @@ class OccupancyData(LightningDataModule):
         """Return the shuffled loader; the last incomplete batch of an epoch is left out.
 
         Raises:
-            ValueError: if a process has fewer samples than a batch.
+            UserError: if a process has fewer samples than a batch.
         """
         dataset = self.dataset("train")
         done = self._resume["batches"] * self.batch_size

@@ -192,5 +192,5 @@ def test_rows_share_stages_unless_they_stand_alone():
 def test_a_file_that_is_no_table_is_named(tmp_path, text, message):
     path = tmp_path / "bad.yaml"
     path.write_text(text)
-    with pytest.raises(UserError, match=rf"bad\.yaml {message}|bad\.yaml.*{message}"):
+    with pytest.raises(UserError, match=rf"bad\.yaml.*{message}"):
         load_table(path) if is_table(path) else None

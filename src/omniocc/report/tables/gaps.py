@@ -45,7 +45,7 @@ UNKNOWN = Gap(math.nan, math.nan, 0)
 
 
 def gap_of_systems(better: Sequence[FinishedRun], other: Sequence[FinishedRun], key: str) -> Gap:
-    """Return the gap between two rows that share no training: Welch's t, for two samples of unequal variance.
+    """Return the gap between two rows that are trained on their own: Welch's t, for two samples of unequal variance.
 
     The error is unknown if one of them has a single seed: the other's standard deviation says nothing about it.
     """
