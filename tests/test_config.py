@@ -209,3 +209,9 @@ def test_values_of_an_inherited_constructor_are_checked(monkeypatch):
     arguments = {"shape": "wide", "radius_m": [0.0, 1.0], "height_m": [0.0, 1.0]}
     with pytest.raises(ConfigError, match="shape: 'wide' is not"):
         check(OmegaConf.create({"x": {"_target_": "omniocc.geometry.Narrow", **arguments}}))
+
+
+def test_arguments_of_the_trainer_that_would_do_nothing_are_refused(composed):
+    with pytest.raises(ConfigError, match=r"trainer\.callbacks: .*\n.*trainer\.val_check_interval: "):
+        check_root(composed("+trainer.val_check_interval=4", "+trainer.callbacks=[]"))
+    check_root(composed("+trainer.detect_anomaly=true"))

@@ -100,6 +100,19 @@ GROUPS = (
 )
 
 
+NOT_OF_TRAINER = {
+    "callbacks": "train.py makes the callbacks; it has no key for more",
+    "logger": "train.py makes the loggers: choose by logger.mode=...",
+    "plugins": "train.py makes the plugins",
+    "default_root_dir": "a run lives in <paths.runs>/<name>-<hash>",
+    "enable_progress_bar": "progress is printed in any case",
+    "enable_checkpointing": "a run goes on from its checkpoints",
+    "fast_dev_run": "preset=smoke trains a few steps of everything",
+    "val_check_interval": "trainer.check_val_every_n_epoch says when to validate",
+}
+"""Arguments of Lightning's trainer that would have no effect or break a run, and what there is instead."""
+
+
 def check_root(cfg: DictConfig) -> None:
     """Check the whole tree of `train.yaml`, with its root keys and their types.
 
@@ -109,6 +122,7 @@ def check_root(cfg: DictConfig) -> None:
     problems = [problem for key, hint in ROOT.items() for problem in _check_value(cfg, key, "", hint)]
     more = [] if problems else list(cfg.packages)
     problems += [f"packages: {name} {NOT_THERE}" for name in more if spec_of(name) is None]
+    problems += [f"trainer.{key}: {reason}" for key, reason in NOT_OF_TRAINER.items() if key in cfg.get("trainer", ())]
     try:
         check(cfg, (*ROOT, *GROUPS), allowed(PACKAGES, more))
     except ConfigError as error:

@@ -107,3 +107,13 @@ def test_absent_labels_give_no_terms():
     assert loss(prediction, None, None) == {}
     rays = Total({"dice": Dice()}, {}, {"dice": 1.0, "ranges": 3.0}, {"ranges": RangeBins((1.0, 9.0))})
     assert set(rays(prediction, voxels, pixels)) == {"dice"}
+
+
+def test_class_counts_reach_every_loss_that_weighs_classes():
+    class Weighing(Dice):
+        def set_class_counts(self, counts):
+            self.counts = counts
+
+    loss = Total({"mine": Weighing()}, {}, {"mine": 1.0})
+    loss.set_class_counts(torch.tensor([8, 1, 1]))
+    assert loss.voxel["mine"].counts.tolist() == [8, 1, 1]

@@ -4,6 +4,7 @@ import dataclasses
 
 import pytest
 import torch
+from torchmetrics import SumMetric
 
 from omniocc.batch import Batch
 from omniocc.camera import Rig
@@ -241,3 +242,14 @@ def test_rays_to_cells_outside_the_mask_count_if_rays_see_all_cells(batch, spec,
     one.update(truth[:1], truth[:1])
     assert scores.rays.truth.sum() == counted * one.truth.sum() > 0
     assert scores.cells.confusion.sum() == 2 * GRID.num_cells - 48
+
+
+def test_a_metric_that_is_added_is_reset_and_merged_with_the_others(spec):
+    ours, theirs = (Scores(GRID, spec) for _ in range(2))
+    for scores, value in ((ours, 1.0), (theirs, 3.0)):
+        scores.mine = SumMetric()
+        scores.mine.update(value)
+    ours.merge(theirs)
+    assert float(ours.mine.compute()) == 4
+    ours.reset()
+    assert float(ours.mine.compute()) == 0

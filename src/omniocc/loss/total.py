@@ -11,7 +11,6 @@ from torch.nn import functional as F
 from omniocc.classes import UNKNOWN
 from omniocc.errors import UserError
 from omniocc.geometry import downsample
-from omniocc.loss.cross_entropy import CrossEntropy
 
 
 @runtime_checkable
@@ -41,6 +40,15 @@ class HasLogits(Protocol):
     @property
     def run_lengths(self) -> Float[Tensor, "B 6 X Y Z"] | None:
         """Return the run lengths of every voxel, or None if the refiner predicts none."""
+        ...
+
+
+@runtime_checkable
+class WeighsClasses(Protocol):
+    """A loss of voxels that weighs classes by how frequent they are."""
+
+    def set_class_counts(self, counts: Int64[Tensor, " C"]) -> None:
+        """Set the number of training voxels of each class."""
         ...
 
 
@@ -80,7 +88,7 @@ class Total(nn.Module):
     def set_class_counts(self, counts: Int64[Tensor, " C"]) -> None:
         """Set the number of training voxels of each class in the losses that weigh classes."""
         for loss in (*self.voxel.values(), *self.coarse.values()):
-            if isinstance(loss, CrossEntropy):
+            if isinstance(loss, WeighsClasses):
                 loss.set_class_counts(counts)
 
     def forward(

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TypeVar, cast
+from typing import TypeVar
 
 import torch
 from jaxtyping import Float32
@@ -10,12 +10,11 @@ from omegaconf import DictConfig, OmegaConf
 from torch import Tensor, nn
 
 from omniocc.camera import Rig
-from omniocc.config import build, target_of
+from omniocc.config import build
 from omniocc.errors import UserError
 from omniocc.model import OccupancyModel
 from omniocc.model.depth import DepthMap
-from omniocc.model.protocols import Backbone
-from omniocc.run.checkpoint import check_parts, load_checkpoint, part_weights
+from omniocc.run.checkpoint import check_parts, load_checkpoint, part_weights, without_pretrained
 
 Network = TypeVar("Network", bound=nn.Module)
 
@@ -59,11 +58,8 @@ def load_occupancy(path: Path) -> tuple[OccupancyModel, DictConfig]:
             "such as runs/<name>-<hash>/best.ckpt"
         )
     check_parts(path, cfg, ["model"])
-    pretrained = cast(type[Backbone], target_of(cfg.model.backbone)).PRETRAINED
-    # the weights of the checkpoint replace pretrained ones, so that none are downloaded
-    offline = OmegaConf.merge(cfg.model, {"backbone": dict.fromkeys(pretrained)})
-    assert isinstance(offline, DictConfig)
-    return _with_weights(build(offline), own, path, "was it written by another version?"), cfg
+    model = build(without_pretrained(cfg.model))
+    return _with_weights(model, own, path, "was it written by another version?"), cfg
 
 
 def _with_weights(model: Network, weights: Mapping[str, Tensor], path: Path, question: str) -> Network:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from omegaconf import DictConfig, OmegaConf
 from torch import Tensor
 
-from omniocc.config import OWN_PACKAGE, PACKAGES_VARIABLE, allowed, check, foreign_packages
+from omniocc.config import OWN_PACKAGE, PACKAGES_VARIABLE, allowed, check, foreign_packages, target_of
 from omniocc.errors import UserError
 from omniocc.run.checkpoint_io import read_checkpoint
 from omniocc.run.weights import SUFFIX, read_weights
@@ -93,3 +93,14 @@ def check_parts(path: Path, config: DictConfig, parts: Sequence[str], packages: 
             f"allow them by {PACKAGES_VARIABLE}={names} or, for train.py and evaluate.py, packages=[{names}]"
         )
     check(chosen, packages=trusted)
+
+
+def without_pretrained(model: DictConfig) -> DictConfig:
+    """Return the configuration of a model that loads no pretrained weights, since those of a checkpoint replace them.
+
+    A backbone names the arguments that only load weights in `PRETRAINED`; one without it is built as it is.
+    """
+    changed = model.copy()
+    for name in getattr(target_of(model.backbone), "PRETRAINED", ()):
+        changed.backbone[name] = None
+    return changed

@@ -10,7 +10,7 @@ from omniocc.config import build, plain
 from omniocc.data import OccupancyData, SourceSpec
 from omniocc.data.source import SceneFrames
 from omniocc.errors import UserError, first_line
-from omniocc.run.checkpoint import check_parts, load_checkpoint
+from omniocc.run.checkpoint import check_parts, load_checkpoint, without_pretrained
 from omniocc.task.occupancy import OccupancyTask
 
 PARTS = ("model", "loss", "optimizer", "augment")
@@ -80,6 +80,7 @@ def load_task(path: Path, overrides: Sequence[str]) -> tuple[OccupancyTask, Occu
     if absent := [key for key in (*PARTS, "data", "ema_decay") if key not in cfg]:
         raise UserError(f"{path} is of another version: its configuration has no {', '.join(absent)}")
     check_parts(path, cfg, (*PARTS, "data"), packages)
+    cfg.model = without_pretrained(cfg.model)
     data: OccupancyData = build(cfg.data)
     data.check_classes()
     task = build_task(cfg, data.source.spec)

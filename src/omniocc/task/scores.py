@@ -130,8 +130,8 @@ class Scores(nn.Module):
             metric.merge_state(more)
 
     def _metrics(self) -> list[Metric]:
-        counted = (self.voxel_frames, self.lidar_frames, self.timed_frames)
-        return [self.rays, self.lidar, self.cells, *counted, *(cast(Metric, part) for part in self.parts)]
+        groups = (child if isinstance(child, nn.ModuleList) else [child] for child in self.children())
+        return [metric for group in groups for metric in group if isinstance(metric, Metric)]
 
     def _add_voxels(self, labels: Tensor, truth: Tensor, batch: Batch | Truth) -> None:
         scored, origins, times = batch.scored, batch.ray_origins, batch.ray_times

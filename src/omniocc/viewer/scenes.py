@@ -85,7 +85,7 @@ def test_scenes(
         DataError: when scenes are missing or damaged.
     """
     source = data.source
-    if isinstance(source, VirtualWorld):
+    if isinstance(source, VirtualWorld) and type(source).scenes is VirtualWorld.scenes:
         plans = {plan.name: plan for plan in source.plans if plan.split == "test"}
         chosen = choose(dict.fromkeys(plans, source.frames_per_scene), scene, frames, limit, source.name)
         source.prepare([plans[name] for name in chosen])

@@ -5,6 +5,7 @@ import pytest
 import torch
 from transformers import ResNetConfig, ResNetModel
 
+from omniocc.errors import UserError
 from omniocc.model.backbone import ResNet
 from omniocc.model.ops.backbone import pretrained
 
@@ -91,3 +92,10 @@ def test_building_without_weights_never_asks_the_network(monkeypatch):
 
     monkeypatch.setattr("socket.socket.connect", refuse)
     build()
+
+
+@pytest.mark.parametrize("name", ["weights.pt", "folder"])
+def test_a_file_or_folder_that_cannot_be_loaded_is_no_reason_for_random_weights(name, tmp_path):
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(UserError, match=rf"weights=.*{name} cannot be loaded; give a folder that"):
+        build(str(tmp_path / name))

@@ -12,11 +12,12 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from transformers import PretrainedConfig, ResNetConfig, ResNetModel
 
-from omniocc.errors import first_line
+from omniocc.errors import UserError, first_line
 
 log = logging.getLogger(__name__)
 
 PROBE_TIMEOUT_S = 3.0
+FILES = (".pt", ".pth", ".bin", ".ckpt", ".safetensors")
 COMPARED = ("layer_type", "embedding_size", "hidden_sizes", "depths")
 ONEDNN_BLOCK = 16
 """Channels that oneDNN computes at once on CPUs with AVX-512."""
@@ -63,12 +64,15 @@ def survives_channels_last(network: nn.Module) -> bool:
 
 
 def load_or_random(weights: str | None, load: Callable[[str, bool], Network], random: Callable[[], Network]) -> Network:
-    """Return the network with the named weights; if they are not available, warn once and use random ones.
+    """Return the network with the named weights; if the hub does not have them, warn once and use random ones.
 
     Args:
         weights: name on the hub or a folder; None for random weights without network access.
         load: builds it from this name, and whether to use local files only.
         random: builds it with random weights.
+
+    Raises:
+        UserError: when they are a file or folder that cannot be loaded.
     """
     if weights is None:
         return random()
@@ -76,6 +80,9 @@ def load_or_random(weights: str | None, load: Callable[[str, bool], Network], ra
         return load(weights, not _hub_reachable(weights))
     except OSError as error:
         reason = first_line(error)
+        if _is_path(weights):
+            remedy = "give a folder that `save_pretrained` of transformers has written, or a name on the hub"
+            raise UserError(f"weights={weights} cannot be loaded; {remedy} ({reason})") from error
         log.warning("no pretrained weights '%s', training from random ones: %s", weights, reason)
         return random()
 
@@ -101,6 +108,11 @@ def build_resnet(config: ResNetConfig, weights: str | None) -> ResNetModel:
         return model
 
     return load_or_random(weights, load, lambda: ResNetModel(config))
+
+
+def _is_path(weights: str) -> bool:
+    """Return whether a name is that of a file or folder, not of a repository `owner/name` of the hub."""
+    return os.path.exists(weights) or weights.startswith(("/", ".", "~")) or weights.endswith(FILES)
 
 
 def _hub_reachable(weights: str) -> bool:
