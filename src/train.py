@@ -44,6 +44,7 @@ from omniocc.task.last import LastCheckpoint
 from omniocc.task.scene_counts import save_by_scene
 from omniocc.task.stage_keys import wanted_stages
 from omniocc.task.stages import Stages
+from omniocc.task.start import check_resumed, check_weights, load_fitting
 from omniocc.task.step_time import planned_scenes, step_seconds
 from omniocc.task.stop import StopAtSignal
 
@@ -61,6 +62,8 @@ def main(cfg: DictConfig) -> None:
     if "occupancy" in stages:
         # mistakes in the last stage are reported before the earlier stages are trained
         given_checkpoint(cfg.resume)
+        if cfg.weights is not None:
+            check_weights(cfg.weights, cfg.resume)
         with_evidence = build_task(cfg, data.source.spec).model.uses_evidence
     if cfg.plan:
         rig, frames = planned_scenes(data.source)
@@ -69,11 +72,14 @@ def main(cfg: DictConfig) -> None:
         return
     data.prepare_data()
     without_head = switch_off_head(cfg, data.source.scenes("train"))
+    frames = sum(map(len, data.source.scenes("train")))
+    if "occupancy" in stages and (given := given_checkpoint(cfg.resume)) is not None:
+        check_resumed(given, plain(cfg), planned_steps(*training_amount(cfg, "occupancy", frames, bare_trainer(cfg))))
     earlier = Stages(cfg, data, with_evidence) if sketch_learns(cfg) else None
     if is_first():
         if without_head is not None:
             print(without_head, flush=True)
-        announce_plan(cfg, stages, sum(map(len, data.source.scenes("train"))))
+        announce_plan(cfg, stages, frames)
     figures: dict[str, float] = {}
     for number, stage in enumerate(stages, start=1):
         title = f"{stage}, stage {number} of {len(stages)}"
@@ -107,6 +113,9 @@ def train_occupancy(
     data.read_only(test._replace(scores=False, **learned), test)
     data.setup("fit")
     task.set_training_statistics(data.voxel_counts())
+    begun_with = None
+    if cfg.weights is not None and run.checkpoint is None:
+        begun_with = load_fitting(task.model, cfg.weights)
     files = build(cfg.logger).build(run.path, config, "occupancy")
     trainer = build(
         cfg.trainer,
@@ -117,7 +126,7 @@ def train_occupancy(
         default_root_dir=str(run.path),
     )
     if trainer.is_global_zero:
-        announce(run, task, data)
+        announce(run, task, data, begun_with)
     trainer.fit(task, datamodule=data, ckpt_path=run.checkpoint and str(run.checkpoint))
     minutes = duration.minutes  # the best checkpoint, which is tested, has its own
     trainer.save_checkpoint(run.path / LAST)
@@ -187,8 +196,7 @@ def announce_plan(
 
     `hours` are the source's rig and classes, with which the duration is measured as well.
     """
-    trainer: Trainer = build(cfg.trainer, logger=False, enable_checkpointing=False)
-    devices = trainer.num_devices * trainer.num_nodes
+    trainer = bare_trainer(cfg)
     if hours is not None:
         print(
             "some steps of every stage are timed: seconds at preset=tiny, minutes for large sizes on a CPU", flush=True
@@ -197,22 +205,36 @@ def announce_plan(
         if stage == "depth" and not learns(target_of(cfg.depth)):
             print(f"{stage:10}nothing to train", flush=True)
             continue
-        length = cfg.trainer if stage == "occupancy" else cfg.stages[stage]
-        size = cfg.data.batch_size if stage == "occupancy" else length.batch_size
-        batches = trainer.accumulate_grad_batches
-        amount = length.max_steps, length.max_epochs, frames, size, devices, batches
+        amount = training_amount(cfg, stage, frames, trainer)
         print(f"{stage:10}{plan_line(*amount)}", flush=True)
         if hours is not None:
-            step_s = batches * step_seconds(cfg, stage, *hours, trainer.strategy.root_device)
+            step_s = trainer.accumulate_grad_batches * step_seconds(cfg, stage, *hours, trainer.strategy.root_device)
             print(f"{'':10}{hours_line(planned_steps(*amount), step_s)}", flush=True)
 
 
-def announce(run: RunFolder, task: OccupancyTask, data: OccupancyData) -> None:
-    """Print a line each on run, model and data."""
+def bare_trainer(cfg: DictConfig) -> Trainer:
+    """Return the configured trainer without logger and checkpoints, to ask for its devices."""
+    return build(cfg.trainer, logger=False, enable_checkpointing=False)
+
+
+def training_amount(
+    cfg: DictConfig, stage: str, frames: int, trainer: Trainer
+) -> tuple[int, int | None, int, int, int, int]:
+    """Return the arguments of `planned_steps` for a stage that is trained on this many frames."""
+    length = cfg.trainer if stage == "occupancy" else cfg.stages[stage]
+    size = cfg.data.batch_size if stage == "occupancy" else length.batch_size
+    devices = trainer.num_devices * trainer.num_nodes
+    return length.max_steps, length.max_epochs, frames, size, devices, trainer.accumulate_grad_batches
+
+
+def announce(run: RunFolder, task: OccupancyTask, data: OccupancyData, weights: str | None) -> None:
+    """Print a line each on run, model, the weights that it starts from (None: random ones), and data."""
     parameters = sum(p.numel() for p in task.model.parameters()) / 1e6
     print(f"run       {run.path}" + (f", goes on from {run.checkpoint.name}" if run.checkpoint else ""))
     grid = task.model.geometry
     print(f"model     {parameters:.2f} M parameters, {type(grid).__name__} {'x'.join(map(str, grid.shape))}")
+    if weights is not None:
+        print(f"weights   {weights}")
     print(f"data      {data.source.folder}", flush=True)
 
 

@@ -76,10 +76,12 @@ ROOT: dict[str, Any] = {
     "name": str,
     "seed": int,
     "resume": str,
+    "weights": str | None,
     "stage": str | None,
     "checkpoint_every_n_steps": int,
     "test_images": int,
     "ema_decay": float | None,
+    "rate_factors": dict[str, float] | None,
     "packages": list[str],
     "plan": bool,
 }
@@ -184,6 +186,14 @@ def refused_key(error: InstantiationException) -> str:
 def plain(cfg: DictConfig) -> dict[str, Any]:
     """Return the whole tree, resolved, as plain dicts and lists."""
     return {str(key): value for key, value in cast(dict, OmegaConf.to_container(cfg, resolve=True)).items()}
+
+
+def dotted(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return the values of a plain tree by their keys as on the command line: `{"a": {"b": 1}}` is `{"a.b": 1}`."""
+    found: dict[str, Any] = {}
+    for key, value in tree.items():
+        found |= dotted(value, f"{prefix}{key}.") if isinstance(value, Mapping) else {f"{prefix}{key}": value}
+    return found
 
 
 def compose_plain(folder: Path, name: str, overrides: Sequence[str]) -> dict[str, Any]:
@@ -319,6 +329,8 @@ def fits(value: Any, hint: Any) -> bool:
     if origin is tuple and isinstance(value, list | tuple):
         items = arguments[:1] * len(value) if arguments[1:] == (...,) else arguments
         return len(items) == len(value) and all(map(fits, value, items))
+    if origin is dict:
+        return isinstance(value, Mapping) and all(fits(item, arguments[1]) for item in value.values())
     if inspect.isclass(origin) and issubclass(origin, Sequence):
         return isinstance(value, list | tuple) and all(fits(item, arguments[0]) for item in value)
     return True

@@ -25,6 +25,25 @@ def test_the_hash_depends_only_on_what_decides_the_result():
     assert run_hash(learned, "data") != run_hash({**learned, "depth": {"spheres": 9}}, "data")
 
 
+def test_the_file_of_weights_that_a_run_starts_from_is_part_of_its_hash(tmp_path):
+    config = {"seed": 0, "model": {"sketch": {"_target_": "omniocc.model.sketch.Dense"}}}
+    files = [tmp_path / name for name in ("a.ckpt", "b.ckpt", "c.ckpt")]
+    for path, content in zip(files, ("one", "one", "two"), strict=True):
+        path.write_text(content)
+    none, *given = [run_hash({**config, "weights": path and str(path)}, "data") for path in (None, *files)]
+    assert none == run_hash(config, "data"), "runs from before there was this key keep their folders"
+    assert given[0] == given[1] != given[2]
+    assert none not in given
+    with pytest.raises(FileNotFoundError, match=r"weights=gone\.ckpt: .*no such checkpoint"):
+        run_hash({**config, "weights": "gone.ckpt"}, "data")
+
+
+def test_factors_of_the_learning_rate_are_part_of_the_hash_where_they_are_given():
+    config = {"seed": 0, "model": {"sketch": {"_target_": "omniocc.model.sketch.Dense"}}}
+    assert run_hash(config, "data") == run_hash({**config, "rate_factors": None}, "data")
+    assert run_hash(config, "data") != run_hash({**config, "rate_factors": {"backbone": 0.1}}, "data")
+
+
 def test_same_command_finds_its_folder_and_checkpoint(tmp_path):
     first = open_run(tmp_path, "train", "abc", "auto")
     assert first.checkpoint is None

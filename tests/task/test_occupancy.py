@@ -9,6 +9,7 @@ from batches import BESIDE, make_batch
 from lightning.pytorch import Callback, LightningDataModule, Trainer
 from lightning.pytorch.callbacks import ModelCheckpoint
 
+from omniocc.errors import UserError
 from omniocc.task.build import load_task
 from omniocc.task.scores import Scores
 from omniocc.task.stage_task import step_generator
@@ -81,6 +82,33 @@ def test_every_combination_trains_all_its_parameters(overrides, make_task):
     assert [name for name, grad in trained.items() if not grad.isfinite().all()] == []
     frozen = [p.grad for p in task.model.sketch.parameters()] if hasattr(task.model.sketch, "parameters") else []
     assert all(grad is None for grad in frozen)
+
+
+def test_a_part_with_factor_0_keeps_weights_and_statistics(make_task, tmp_path):
+    task = make_task("model/sketch=dense", "model/temporal=mean", "rate_factors={backbone: 0, refiner: 0.5}")
+    before = {name: value.clone() for name, value in task.model.state_dict().items()}
+    train(tmp_path, task, 2)
+    changed = {name.split(".")[0] for name, value in task.model.state_dict().items() if not value.equal(before[name])}
+    assert "backbone" not in changed
+    assert {"refiner", "lifter", "classifier"} <= changed
+    assert task.model.lifter.training
+    assert not any(part.training for part in task.model.backbone.modules())
+
+
+@pytest.mark.parametrize(
+    ("factors", "message"),
+    [
+        ("{backbon: 0}", "rate_factors.backbon: the model has no such part; it has backbone, "),
+        ("{backbone: -1}", "rate_factors.backbone=-1: give 0"),
+        (
+            "{backbone: 0, lifter: 0, temporal: 0, refiner: 0, semantic_head: 0, classifier: 0}",
+            "nothing of the model is left to train",
+        ),
+    ],
+)
+def test_factors_that_cannot_be_are_refused(factors, message, make_task):
+    with pytest.raises(UserError, match=message):
+        make_task("model/sketch=dense", f"rate_factors={factors}")
 
 
 class Batches(LightningDataModule):

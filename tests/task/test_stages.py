@@ -2,18 +2,13 @@
 
 import threading
 import time
-from dataclasses import replace
 
 import pytest
-import torch
-from torch import nn
 
 from omniocc.errors import UserError
 from omniocc.progress import STATUS_FILE, read_status
-from omniocc.task import AdamW
 from omniocc.task.stage_keys import stage_keys, wanted_stages
-from omniocc.task.stage_task import Recipe
-from omniocc.task.stages import claimed, load_first_weights
+from omniocc.task.stages import claimed
 
 
 @pytest.fixture
@@ -95,21 +90,3 @@ def test_a_second_process_waits_and_reports_it(tmp_path, monkeypatch, capsys):
         events.append("first")
     thread.join(timeout=10)
     assert events == ["first", "second"]
-
-
-def test_given_weights_stay_when_a_stage_without_training_is_entered_again(tmp_path):
-    """As for candidates of another threshold: the stage has a checkpoint, and no figures for this selection."""
-    given, last = nn.Linear(1, 1), tmp_path / "last.ckpt"
-    weights = {f"model.{name}": value for name, value in given.state_dict().items()}
-    torch.save({"config": {"seed": 1}, "state_dict": weights, "stage": "depth"}, last)
-    fixed = Recipe(0, None, 1, 1, 0, AdamW(0.1, 1, 0.0, 0.0), weights=str(last))
-    for recipe, checkpoint, kept in (
-        (fixed, None, True),
-        (fixed, last, True),
-        (replace(fixed, weights=None), None, False),
-        (replace(fixed, max_steps=5), last, False),  # the trainer loads it
-        (replace(fixed, max_steps=5), None, True),
-    ):
-        model = nn.Linear(1, 1)
-        load_first_weights(model, recipe, "depth", checkpoint)
-        assert torch.equal(model.weight, given.weight) == kept

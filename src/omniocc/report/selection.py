@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
 from typing import Any
 
+from omniocc.config import dotted
 from omniocc.errors import UserError
 from omniocc.report.runs import FinishedRun
 from omniocc.run.folder import METRICS, VOLATILE
@@ -97,17 +98,8 @@ def differences(runs: Sequence[FinishedRun]) -> str:
 
 def compared(config: Mapping[str, Any]) -> dict[str, Any]:
     """Return the configuration without name, seed, machine and `VOLATILE`, by dotted key; equal for runs of one row."""
-    return dict(_flat({key: value for key, value in config.items() if key not in ("name", *VOLATILE)}))
-
-
-def _flat(config: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for key, value in config.items():
-        if key in OF_MACHINES:
-            continue
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", value
+    values = dotted({key: value for key, value in config.items() if key not in ("name", *VOLATILE)})
+    return {key: value for key, value in values.items() if not set(key.split(".")) & set(OF_MACHINES)}
 
 
 def by_row(runs: Sequence[FinishedRun]) -> dict[str, list[FinishedRun]]:

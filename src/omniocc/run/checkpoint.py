@@ -30,12 +30,14 @@ class Checkpoint(NamedTuple):
         stage: `depth`, `sketch` or `occupancy`.
         config: of the run that wrote it, without interpolations.
         weights: of the whole task, named as in the task.
+        step: optimiser steps that were done; None for a file of weights alone.
     """
 
     path: Path
     stage: str
     config: DictConfig
     weights: dict[str, Tensor]
+    step: int | None
 
     @property
     def model_weights(self) -> dict[str, Tensor]:
@@ -72,7 +74,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
     config = DictConfig(content[CONFIG])
     OmegaConf.resolve(config)
     config.pop("packages", None)
-    return Checkpoint(path, content[STAGE], config, content["state_dict"])
+    return Checkpoint(path, content[STAGE], config, content["state_dict"], content.get("global_step"))
 
 
 def check_parts(path: Path, config: DictConfig, parts: Sequence[str], packages: Sequence[str] = ()) -> None:

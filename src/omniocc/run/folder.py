@@ -6,17 +6,20 @@ import os
 import shlex
 import subprocess
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from filelock import FileLock, Timeout
 
+from omniocc.data.store.shard import sha256
 from omniocc.errors import UserError
 from omniocc.io import atomic_write
-from omniocc.run.checkpoint_io import LAST, resumable
+from omniocc.run.checkpoint_io import LAST, no_checkpoint, resumable
 from omniocc.run.distributed import from_first, is_first, started_by_others
 from omniocc.run.slots import sketch_learns
+from omniocc.run.weights import find_checkpoint
 
 METRICS = "metrics.json"
 STARTED_FROM = "started_from.txt"
@@ -25,6 +28,8 @@ IMAGES, PARTS = "images", "parts"
 """Folder of the sheets that a run draws, and its subfolder of their parts."""
 VOLATILE = ("resume", "stage", "paths", "packages", "logger", "test_images", "checkpoint_every_n_steps", "plan")
 """Root keys that do not change what a run computes."""
+OPTIONAL = ("weights", "rate_factors")
+"""Root keys that decide a result only where they are given."""
 RANK_FOLDER = "OMNIOCC_RUN_FOLDER"
 """Environment variable with the folder, set by the first process of a distributed run for its children."""
 
@@ -52,8 +57,25 @@ class RunFolder:
 def run_hash(config: dict[str, Any], data_fingerprint: str) -> str:
     """Return eight hex digits of everything that decides a run's result."""
     unused = () if sketch_learns(config) else ("depth", "stages", "appearance")
+    unused += tuple(key for key in OPTIONAL if not config.get(key))
     kept = {key: value for key, value in config.items() if key not in (*VOLATILE, *unused)}
-    return short_hash([kept, data_fingerprint])
+    return short_hash([with_digest("weights", kept), data_fingerprint])
+
+
+def with_digest(key: str, config: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a configuration with the hash of the file of weights that it starts from instead of the file's name.
+
+    Without such a file it has no `weights`. `key` is where they are given, for the message.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+    """
+    if config.get("weights") is None:
+        return {key: value for key, value in config.items() if key != "weights"}
+    path = find_checkpoint(config["weights"])
+    if not path.is_file():
+        raise FileNotFoundError(f"{key}={config['weights']}: {no_checkpoint(path)}")
+    return {**config, "weights": sha256(path)}
 
 
 def short_hash(content: Any) -> str:

@@ -1,6 +1,7 @@
 """AdamW with a linear warm-up and a cosine decay by steps."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +16,12 @@ def warmup_cosine(step: int, warmup_steps: int, total_steps: int, min_lr_ratio: 
         return (step + 1) / (warmup_steps + 1)
     progress = min(1.0, (step - warmup_steps) / max(1, total_steps - warmup_steps))
     return min_lr_ratio + (1 - min_lr_ratio) * 0.5 * (1 + math.cos(math.pi * progress))
+
+
+def factor_of(name: str, factors: Mapping[str, float]) -> float:
+    """Return the factor of the longest part that a parameter's name begins with; 1 if there is none."""
+    parts = [part for part in factors if f"{name}.".startswith(f"{part}.")]
+    return factors[max(parts, key=len)] if parts else 1.0
 
 
 @dataclass(frozen=True)
@@ -33,13 +40,27 @@ class AdamW:
     weight_decay: float
     min_lr_ratio: float
 
-    def configure(self, model: nn.Module, total_steps: int) -> OptimizerLRSchedulerConfig:
-        """Return optimiser and schedule by steps for the parameters of `model` that require gradients."""
-        parameters = [p for p in model.parameters() if p.requires_grad]
-        groups = [
-            {"params": [p for p in parameters if p.ndim >= 2], "weight_decay": self.weight_decay},
-            {"params": [p for p in parameters if p.ndim < 2], "weight_decay": 0.0},
-        ]
+    def configure(
+        self, model: nn.Module, total_steps: int, factors: Mapping[str, float] | None = None
+    ) -> OptimizerLRSchedulerConfig:
+        """Return optimiser and schedule by steps for the parameters of `model` that require gradients.
+
+        Args:
+            model: has the parameters.
+            total_steps: at which the schedule ends.
+            factors: of the learning rate, by parts of the model (`backbone`, `refiner.down`); the longest name counts.
+        """
+        by_factor: dict[float, list[nn.Parameter]] = {1.0: []}
+        for name, parameter in model.named_parameters():
+            if parameter.requires_grad:
+                by_factor.setdefault(factor_of(name, factors or {}), []).append(parameter)
+        groups = []
+        for factor, parameters in by_factor.items():
+            rate = {} if factor == 1.0 else {"lr": factor * self.learning_rate}
+            groups += [
+                {"params": [p for p in parameters if p.ndim >= 2], "weight_decay": self.weight_decay, **rate},
+                {"params": [p for p in parameters if p.ndim < 2], "weight_decay": 0.0, **rate},
+            ]
         optimizer = self.optimizer(groups)
         schedule = torch.optim.lr_scheduler.LambdaLR(
             optimizer, lambda step: warmup_cosine(step, self.warmup_steps, total_steps, self.min_lr_ratio)

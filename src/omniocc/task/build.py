@@ -58,7 +58,9 @@ def build_task(cfg: DictConfig, spec: SourceSpec) -> OccupancyTask:
     if cfg.model.pixel_classes and cfg.model.semantic_head._target_ == NO_HEAD:
         raise UserError("model.pixel_classes=true needs a 2D head: choose model/semantic_head=fcn")
     model, loss, optimizer, augment = (build(cfg[part]) for part in PARTS)
-    return OccupancyTask(model, loss, optimizer, augment, cfg.ema_decay, spec, plain(cfg))
+    config = plain(cfg)
+    factors = config.get("rate_factors") or {}  # checkpoints of older versions have none
+    return OccupancyTask(model, loss, optimizer, augment, cfg.ema_decay, spec, config, factors)
 
 
 def load_task(path: Path, overrides: Sequence[str]) -> tuple[OccupancyTask, OccupancyData]:

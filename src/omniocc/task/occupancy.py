@@ -1,20 +1,23 @@
 """The occupancy stage: train the model, validate by RayIoU, test it beside a baseline and the true voxels."""
 
-from typing import Any
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, Self
 
 import torch
 from lightning.pytorch import Callback
 from lightning.pytorch.callbacks import EMAWeightAveraging
-from torch import Tensor
+from torch import Tensor, nn
 
 from omniocc.batch import Batch
 from omniocc.camera import Rig
 from omniocc.classes import FREE, UNKNOWN
 from omniocc.data import Augment, SourceSpec
+from omniocc.errors import UserError
 from omniocc.loss import Total
 from omniocc.model import OccupancyModel, Prediction, Stream
 from omniocc.model.protocols import Sketched, stored
-from omniocc.task.adamw import AdamW
+from omniocc.task.adamw import AdamW, factor_of
 from omniocc.task.scene_counts import SceneCounts
 from omniocc.task.scores import Scores
 from omniocc.task.stage_task import StageTask, step_generator
@@ -33,6 +36,11 @@ class OccupancyTask(StageTask[OccupancyModel]):
         augment: random changes of training batches.
         ema_decay: of the moving average of weights that is validated, tested and saved, such as 0.999; None: none.
         spec: of the data: classes, bands and LiDAR rays of the scores.
+        rate_factors: of the learning rate, by parts of the model, such as `{"backbone": 0.1}`; a part with 0 keeps its
+            weights and its statistics of batch norm.
+
+    Raises:
+        UserError: when the model has no such part, a factor is negative, or nothing is left to train.
     """
 
     STAGE = "occupancy"
@@ -46,8 +54,12 @@ class OccupancyTask(StageTask[OccupancyModel]):
         ema_decay: float | None,
         spec: SourceSpec,
         config: dict[str, Any],
+        rate_factors: Mapping[str, float] = MappingProxyType({}),
     ):
         super().__init__(model, optimizer, config)
+        self.rate_factors = rate_factors
+        self.fixed = fixed_parts(model, rate_factors)
+        self.train()
         self.loss = loss
         self.augment = augment
         self.ema_decay = ema_decay
@@ -58,6 +70,13 @@ class OccupancyTask(StageTask[OccupancyModel]):
         self.by_scene = SceneCounts(self.scores)
         self.prior: Tensor
         self.register_buffer("prior", torch.zeros(model.geometry.shape, dtype=torch.uint8))
+
+    def train(self, mode: bool = True) -> Self:
+        """Set the mode, but that of fixed parts, which stay in evaluation."""
+        super().train(mode)
+        for part in self.fixed:
+            part.training = False
+        return self
 
     def set_training_statistics(self, voxel_counts: Tensor) -> None:
         """Set class weights, prior and first logits from the number of training frames with each class in each cell.
@@ -126,6 +145,27 @@ class OccupancyTask(StageTask[OccupancyModel]):
         for name, scores in rows.items():
             self.log_dict({f"{name}/{key}": value for key, value in scores.compute().items()}, sync_dist=False)
             scores.reset()
+
+
+def fixed_parts(model: nn.Module, factors: Mapping[str, float]) -> tuple[nn.Module, ...]:
+    """Return the parts of a model whose factor of the learning rate is 0; their parameters get no gradients.
+
+    Raises:
+        UserError: when the model has no such part, a factor is negative, or nothing is left to train.
+    """
+    parts = dict(model.named_modules())
+    for name, factor in factors.items():
+        if name not in parts or not name:
+            known = ", ".join(part for part, _ in model.named_children())
+            raise UserError(f"rate_factors.{name}: the model has no such part; it has {known}, and their parts")
+        if factor < 0:
+            raise UserError(f"rate_factors.{name}={factor}: give 0 (the part stays as it is) or more")
+    for name, parameter in model.named_parameters():
+        if factor_of(name, factors) == 0:
+            parameter.requires_grad_(False)
+    if not any(parameter.requires_grad for parameter in model.parameters()):
+        raise UserError("rate_factors: nothing of the model is left to train")
+    return tuple(part for name, part in parts.items() if name and factor_of(name, factors) == 0)
 
 
 def model_inputs(batch: Batch) -> tuple[Tensor, tuple[tuple[Rig, ...], ...], Tensor, Sketched | None]:

@@ -6,13 +6,10 @@ from typing import Any, NamedTuple, cast
 from omegaconf import DictConfig
 
 from omniocc.config import plain, target_of
-from omniocc.data.store.shard import sha256
 from omniocc.errors import UserError
 from omniocc.model.protocols import LearnedSketch
-from omniocc.run.checkpoint_io import no_checkpoint
-from omniocc.run.folder import short_hash
+from omniocc.run.folder import short_hash, with_digest
 from omniocc.run.slots import sketch_learns
-from omniocc.run.weights import find_checkpoint
 
 STAGES = ("depth", "sketch", "occupancy")
 VERSIONS = {"depth": 4, "sketch": 1, "candidates": 1}
@@ -51,7 +48,7 @@ def stage_keys(cfg: DictConfig, data_fingerprint: str) -> Keys:
     trainer = _without(config["trainer"], OVERRULED)
     together = config["data"].get("frames_together", 1)  # decides the order of the samples
     trainer |= {} if together == 1 else {"frames_together": together}
-    stages = {stage: with_digest(stage, recipe) for stage, recipe in config["stages"].items()}
+    stages = {stage: with_digest(f"stages.{stage}.weights", recipe) for stage, recipe in config["stages"].items()}
     sketch = config["model"]["sketch"]
     selection = cast(type[LearnedSketch], target_of(sketch)).SELECTION
     appearance = [config["appearance"]] if config.get("appearance") else []
@@ -63,20 +60,6 @@ def stage_keys(cfg: DictConfig, data_fingerprint: str) -> Keys:
     sketch_key = short_hash([VERSIONS["sketch"], depth_key, network, stages["sketch"], trainer, labels])
     arguments = {name: sketch[name] for name in selection}
     return Keys(depth_key, sketch_key, short_hash([VERSIONS["candidates"], sketch_key, arguments]))
-
-
-def with_digest(stage: str, recipe: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a stage's recipe with a hash of the file of weights that it starts from instead of the file's name.
-
-    Raises:
-        UserError: when there is no such file.
-    """
-    if recipe.get("weights") is None:
-        return {key: value for key, value in recipe.items() if key != "weights"}
-    path = find_checkpoint(recipe["weights"])
-    if not path.is_file():
-        raise UserError(f"stages.{stage}.weights={recipe['weights']}: {no_checkpoint(path)}")
-    return {**recipe, "weights": sha256(path)}
 
 
 def _without(arguments: Mapping[str, Any], names: tuple[str, ...]) -> dict[str, Any]:

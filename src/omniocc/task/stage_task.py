@@ -1,7 +1,9 @@
 """Base of the tasks of all stages: steps that score, optimiser, random draws, and content of checkpoints."""
 
 from abc import abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
@@ -46,9 +48,13 @@ class StageTask(LightningModule, Generic[Model]):
 
     Args:
         config: the run's resolved configuration as plain data; with it the checkpoint suffices to rebuild the model.
+
+    Attributes:
+        rate_factors: of the learning rate, by parts of the model.
     """
 
     STAGE: ClassVar[str]
+    rate_factors: Mapping[str, float] = MappingProxyType({})
 
     def __init__(self, model: Model, optimizer: AdamW, config: dict[str, Any]):
         super().__init__()
@@ -81,7 +87,11 @@ class StageTask(LightningModule, Generic[Model]):
 
     def configure_optimizers(self) -> OptimizerLRSchedulerConfig:
         """Return optimiser and schedule over all steps that the trainer will take."""
-        return self.optimizer.configure(self.model, int(self.trainer.estimated_stepping_batches))
+        return self.optimizer.configure(self.model, int(self.trainer.estimated_stepping_batches), self.rate_factors)
+
+    def on_before_optimizer_step(self, optimizer: torch.optim.Optimizer) -> None:
+        """Log the learning rate of the parts of the model that have no factor."""
+        self.log("train/learning_rate", optimizer.param_groups[0]["lr"])
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Add stage and configuration to the weights."""

@@ -34,13 +34,12 @@ from omniocc.model.ops.depth.sphere_net import SphereNet
 from omniocc.model.ops.evidence import repack_evidence
 from omniocc.model.protocols import Depth, learns
 from omniocc.progress import Progress, waiting
-from omniocc.run.checkpoint import load_checkpoint, part_weights
+from omniocc.run.checkpoint import load_checkpoint
 from omniocc.run.checkpoint_io import LAST, AtomicCheckpointIO, resumable
 from omniocc.run.distributed import is_first, meet, share
 from omniocc.run.folder import IMAGES, METRICS, git_commit
 from omniocc.run.results import MINUTES, load_results, save_results
 from omniocc.run.wandb.loggers import finish
-from omniocc.run.weights import find_checkpoint
 from omniocc.task.depth import DepthTask
 from omniocc.task.images import DepthImages, SketchImages
 from omniocc.task.last import LastCheckpoint
@@ -48,6 +47,7 @@ from omniocc.task.progress import StepProgress, TrainingTime
 from omniocc.task.sketch import SketchTask, known
 from omniocc.task.stage_keys import stage_keys
 from omniocc.task.stage_task import Recipe, StageTask
+from omniocc.task.start import load_first_weights
 from omniocc.task.stop import StopAtSignal
 
 Task = StageTask[nn.Module]
@@ -225,37 +225,6 @@ def train_and_test(
         task.fit_to_validation()
     metrics |= trainer.test(task, datamodule=data, verbose=False)[0]
     return metrics
-
-
-def load_first_weights(model: nn.Module, recipe: Recipe, stage: str, checkpoint: Path | None) -> None:
-    """Load the weights with which a stage begins: those that are given, or of its checkpoint where nothing is trained.
-
-    A checkpoint that training goes on from is left to the trainer.
-    """
-    if checkpoint is None:
-        if recipe.weights is not None:
-            start_from(model, recipe.weights, stage)
-    elif not recipe.max_steps:
-        model.load_state_dict(load_checkpoint(checkpoint).model_weights)
-
-
-def start_from(model: nn.Module, weights: str, stage: str) -> None:
-    """Load a stage's weights from a checkpoint of any later stage; the depth in a sketch keeps those that it has.
-
-    Raises:
-        UserError: when the checkpoint does not hold the stage, or its weights do not fit.
-    """
-    path = find_checkpoint(weights)
-    own = part_weights(load_checkpoint(path), stage)
-    inner = model.state_dict() if stage == "sketch" else {}
-    own |= {name: value for name, value in inner.items() if name.startswith("depth.")}
-    try:
-        model.load_state_dict(own)
-    except RuntimeError as error:
-        first = str(error).splitlines()[1:2] or [str(error)]
-        raise UserError(
-            f"stages.{stage}.weights={weights} do not fit this {stage} network: {first[0].strip()}"
-        ) from error
 
 
 def say(text: str) -> None:

@@ -1,0 +1,140 @@
+"""What a training starts from: another run with its optimiser, or weights alone."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from torch import nn
+
+from omniocc.config import dotted, plain
+from omniocc.errors import UserError
+from omniocc.model import OccupancyModel
+from omniocc.run.checkpoint import Checkpoint, load_checkpoint, part_weights
+from omniocc.run.folder import given_checkpoint
+from omniocc.run.weights import find_checkpoint
+from omniocc.task.occupancy import OccupancyTask
+from omniocc.task.stage_task import Recipe
+
+CONTINUED = ("model", "optimizer", "ema_decay", "rate_factors")
+"""Root keys that a training cannot change when it goes on from a checkpoint."""
+NAMED = 3
+"""Names listed in a message, at most."""
+
+
+def load_first_weights(model: nn.Module, recipe: Recipe, stage: str, checkpoint: Path | None) -> None:
+    """Load the weights with which a stage begins: those that are given, or of its checkpoint where nothing is trained.
+
+    A checkpoint that training goes on from is left to the trainer.
+    """
+    if checkpoint is None:
+        if recipe.weights is not None:
+            start_from(model, recipe.weights, stage)
+    elif not recipe.max_steps:
+        model.load_state_dict(load_checkpoint(checkpoint).model_weights)
+
+
+def start_from(model: nn.Module, weights: str, stage: str) -> None:
+    """Load a stage's weights from a checkpoint of any later stage; the depth in a sketch keeps those that it has.
+
+    Raises:
+        UserError: when the checkpoint does not hold the stage, or its weights do not fit.
+    """
+    path = find_checkpoint(weights)
+    own = part_weights(load_checkpoint(path), stage)
+    inner = model.state_dict() if stage == "sketch" else {}
+    own |= {name: value for name, value in inner.items() if name.startswith("depth.")}
+    try:
+        model.load_state_dict(own)
+    except RuntimeError as error:
+        first = str(error).splitlines()[1:2] or [str(error)]
+        raise UserError(
+            f"stages.{stage}.weights={weights} do not fit this {stage} network: {first[0].strip()}"
+        ) from error
+
+
+def check_resumed(path: Path, config: Mapping[str, Any], steps: int | None) -> None:
+    """Check that a training can go on from a checkpoint, with its optimiser and step, as `resume=<checkpoint>` asks.
+
+    Args:
+        path: of the checkpoint.
+        config: the resolved configuration of the training.
+        steps: optimiser steps after which it ends; None: nothing ends it.
+
+    Raises:
+        UserError: when the file holds weights alone or another stage, network or optimiser differ, or no step is left.
+    """
+    trained = _occupancy_checkpoint(path, "resume")
+    instead = f"weights={path} takes its weights and begins at step 0"
+    if trained.step is None:
+        raise UserError(f"resume={path}: it holds weights alone, without optimiser; {instead}")
+    if changed := list(_changed(trained, config)):
+        raise UserError(
+            f"resume={path} goes on with the network and the optimiser of that run, which differ here: "
+            f"{_some(changed)}. Give its values, or start anew: {instead}"
+        )
+    if steps is not None and trained.step >= steps:
+        raise UserError(
+            f"resume={path}: {trained.step} steps are done and the training ends after {steps}; "
+            "give a larger trainer.max_steps"
+        )
+
+
+def check_weights(weights: str, resume: str) -> None:
+    """Check that weights from which the occupancy model is to start (`weights=...`) exist and are of that stage.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        UserError: when they are damaged or of another stage, or `resume` names a checkpoint as well.
+    """
+    if given_checkpoint(resume) is not None:
+        raise UserError(f"resume={resume} has weights of its own: leave it out, or leave out weights={weights}")
+    _occupancy_checkpoint(find_checkpoint(weights), "weights")
+
+
+def load_fitting(model: OccupancyModel, weights: str) -> str:
+    """Load the weights of another model that have the name and shape of this one's; return a line that says which.
+
+    The sketch keeps its own, those of its stage.
+
+    Args:
+        model: gets the weights.
+        weights: checkpoint of the occupancy stage, or name of shipped weights.
+
+    Raises:
+        UserError: when none fits.
+    """
+    given = _occupancy_checkpoint(find_checkpoint(weights), "weights").model_weights
+    own = {name: value for name, value in model.state_dict().items() if not name.startswith("sketch.")}
+    fitting = {name: given[name] for name in own if name in given and given[name].shape == own[name].shape}
+    if not fitting:
+        raise UserError(f"weights={weights}: none of its weights has the name and shape of one of this model")
+    model.load_state_dict(fitting, strict=False)
+    line = f"{len(fitting)} of {len(own)} tensors from {weights}"
+    missing = [name for name in own if name not in fitting]
+    return f"{line}; new are {_some(missing)}" if missing else line
+
+
+def _occupancy_checkpoint(path: Path, key: str) -> Checkpoint:
+    trained = load_checkpoint(path)
+    if trained.stage != OccupancyTask.STAGE:
+        raise UserError(
+            f"{key}={path} is a checkpoint of the {trained.stage} stage, and this needs one of the occupancy stage; "
+            f"the {trained.stage} stage starts from it by stages.{trained.stage}.weights=..."
+        )
+    return trained
+
+
+def _changed(trained: Checkpoint, config: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the keys, with both values, in which the network or the optimiser of two configurations differ.
+
+    Keys that only one of them has are those of another version or option, and an option's class is named.
+    """
+    theirs = dotted(plain(trained.config))
+    for key, value in dotted({key: config[key] for key in CONTINUED if key in config}).items():
+        if theirs.get(key, value) != value:
+            yield f"{key}={value} (there {theirs[key]})"
+
+
+def _some(names: list[str]) -> str:
+    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    return ", ".join(names[:NAMED]) + more
