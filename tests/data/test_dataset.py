@@ -48,6 +48,25 @@ def votes(points_m, labels):
     return grid
 
 
+def test_cells_beyond_the_recorded_points_are_unknown(world, tmp_path):
+    scene, reach_m = world.scenes("train")[0], (26.0, 26.0, 6.0)
+    far = Cuboid((20, 10, 4), (-40.0, 40.0), (-25.0, 25.0), (-2.8, 7.6))
+    whole, limited = (VoxelCache(tmp_path, far, reach_m=reach) for reach in (None, reach_m))
+    limited.prepare([scene])
+    labels, kept = whole.read(scene, 0), limited.read(scene, 0)
+    unknown = kept == 255
+    # centres are at 2, 6, ... 26, 30, 34, 38 m along x and at -1.5, 1.1, 3.7, 6.3 m along z
+    along_x, along_z = unknown.all((1, 2)), unknown.all((0, 1))
+    assert along_x.tolist() == [True] * 3 + [False] * 14 + [True] * 3
+    assert along_z.tolist() == [False] * 3 + [True]
+    assert torch.equal(unknown, along_x[:, None, None] | along_z.expand(20, 10, 4))
+    assert torch.equal(kept[~unknown], labels[~unknown])
+    assert (labels[~unknown] > 0).any()
+    assert (labels[unknown] == 0).all()
+    assert whole.folder != limited.folder
+    assert VoxelCache(tmp_path, GRID).folder == VoxelCache(tmp_path, GRID, reach_m=reach_m).folder, "voted before"
+
+
 def test_a_sample_holds_what_was_recorded(world):
     data = dataset(world)
     assert len(data) == 8

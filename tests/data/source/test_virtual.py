@@ -8,6 +8,7 @@ import time
 from collections import Counter
 from pathlib import Path
 
+import numpy as np
 import pytest
 from fake_scene import FakeWorld
 from filelock import FileLock
@@ -17,8 +18,10 @@ from omniocc.camera import Rig
 from omniocc.data import VirtualWorld
 from omniocc.data.recording.job import code_fingerprint
 from omniocc.data.recording.pool import worker_environment
+from omniocc.data.source.virtual import LABELS_REACH_M
 from omniocc.data.store.reader import SceneReader
 from omniocc.errors import DataError
+from omniocc.geometry import Cuboid, Cylinder
 from omniocc.report.dataset.facts import light_of, time_of_day
 from omniocc.world import THEMES, Scene, seeding
 from omniocc.world.render.weather import WEATHERS, draw_weather
@@ -160,6 +163,21 @@ def test_a_late_night_is_recorded(tmp_path):
         assert (new == old).all() == (camera != number)
     assert (shown.lidar(0).range_m == usual.lidar(0).range_m).all()
     assert time_of_day(shown.meta["facts"]) == "night"
+
+
+def test_labels_end_where_the_recorded_points_do(tmp_path):
+    world = virtual_world(tmp_path, train_scenes=1, val_scenes=0, test_scenes=0, workers=0)
+    world.prepare()
+    scene = world.scenes("train")[0]
+    farthest = np.abs(scene.points(0).points_m).max(0)
+    assert np.all(farthest < LABELS_REACH_M)
+    assert np.all(farthest[:2] > 25.5), "otherwise it ends earlier"
+    far = Cuboid((100, 100, 4), (-40.0, 40.0), (-40.0, 40.0), (-2.8, 3.6))
+    unknown = world.labels(far, "free").read(scene, 0) == 255
+    assert unknown[0].all()
+    assert not unknown[20:80, 20:80].any()
+    near = Cylinder((8, 10, 4), (0.0, 25.6), (-2.8, 3.6))
+    assert not (world.labels(near, "free").read(scene, 0) == 255).any()
 
 
 def test_everything_that_decides_the_data_is_in_the_fingerprint(tmp_path):

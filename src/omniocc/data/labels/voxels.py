@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import torch
 import zstandard
-from jaxtyping import Int64, UInt8
+from jaxtyping import Bool, Int64, UInt8
 from torch import Tensor
 
 from omniocc.classes import NUM_CLASSES, UNKNOWN
@@ -52,6 +52,12 @@ def vote(
     return cells
 
 
+def cells_beyond(geometry: Grid, reach_m: tuple[float, float, float]) -> Bool[Tensor, "X Y Z"] | None:
+    """Return the cells whose centre is farther from the ego origin along x, y or z; None if there are none."""
+    beyond = (geometry.centers().abs() > torch.tensor(reach_m)).any(-1)
+    return beyond if beyond.any() else None
+
+
 class VoxelCache:
     """Voxels of many scenes in one geometry, as scene folders of their own with one member per frame.
 
@@ -63,6 +69,8 @@ class VoxelCache:
         num_classes: number of classes, free included.
         workers: processes that vote; 0 votes in this one.
         masks: fingerprints of masks that the cameras have besides the recorded ones, which limit what they observe.
+        reach_m: distances from the ego origin along x, y and z at which the recorded points end; cells whose centre is
+            farther off are unknown. None: nowhere.
 
     Raises:
         ValueError: if `unknown` is no way of labelling.
@@ -77,10 +85,13 @@ class VoxelCache:
         num_classes: int = NUM_CLASSES,
         workers: int = 0,
         masks: Sequence[str] = (),
+        reach_m: tuple[float, float, float] | None = None,
     ):
         if unknown not in VOTED:
             raise UserError(f"data.unknown={unknown}: choose {' or '.join(VOTED)}")
+        self.beyond = None if reach_m is None else cells_beyond(geometry, reach_m)
         labelling = [] if unknown == "free" else [unknown, OBSERVED_VERSION, *masks]
+        labelling += [] if self.beyond is None else [list(reach_m or ())]
         self.folder = Path(folder) / f"voxels-{digest([repr(geometry), VOTE_VERSION, *labelling])[:12]}"
         self.geometry = geometry
         self.unknown: Unknown = unknown
@@ -105,13 +116,13 @@ class VoxelCache:
     def read(self, scene: SceneFrames, frame: int) -> UInt8[Tensor, "X Y Z"]:
         """Return the labels of one frame, voted now if they are not kept; where the cache is damaged, warn as well."""
         if not (self.folder / scene.name).exists():
-            return vote(scene, frame, self.geometry, self.unknown, self.num_classes)
+            return self._vote(scene, frame)
         try:
             cached = self._cached.setdefault(scene.name, SceneFolder(self.folder / scene.name))
             blob = cached.read(frame, [MEMBER])[MEMBER]
         except DataError as error:
             warnings.warn(f"voxels are voted anew: {error}", stacklevel=2)
-            return vote(scene, frame, self.geometry, self.unknown, self.num_classes)
+            return self._vote(scene, frame)
         cells = np.frombuffer(bytearray(zstandard.ZstdDecompressor().decompress(blob)), dtype=np.uint8)
         return torch.from_numpy(cells).reshape(self.geometry.shape)
 
@@ -140,6 +151,10 @@ class VoxelCache:
             shutil.rmtree(folder)
             return False
 
+    def _vote(self, scene: SceneFrames, frame: int) -> UInt8[Tensor, "X Y Z"]:
+        cells = vote(scene, frame, self.geometry, self.unknown, self.num_classes)
+        return cells if self.beyond is None else cells.masked_fill(self.beyond, UNKNOWN)
+
     def _vote_scene(self, scenes: dict[str, SceneFrames], folder: Path, report: Report) -> None:
         scene = scenes[folder.name]
         with closing(SceneWriter(folder, SHARD_LIMIT_BYTES)) as writer:
@@ -147,7 +162,7 @@ class VoxelCache:
             if writer.finished:
                 return
             for frame in range(writer.num_frames, len(scene)):
-                cells = vote(scene, frame, self.geometry, self.unknown, self.num_classes).contiguous().numpy()
+                cells = self._vote(scene, frame).contiguous().numpy()
                 writer.append({MEMBER: zstandard.ZstdCompressor(level=3).compress(cells.tobytes())}, {})
                 report(1)
             writer.finish({"geometry": repr(self.geometry), "vote": VOTE_VERSION, "unknown": self.unknown})

@@ -26,6 +26,7 @@ from omniocc.world.render.own_car import mask_ego_car
 from omniocc.world.render.weather import WEATHERS, Weather, draw_weather
 from omniocc.world.scene import LabelMode
 from omniocc.world.sensors.recorder import Capture
+from omniocc.world.sensors.thinning import HEIGHT_M, REACH_M
 from omniocc.world.variations import late, night
 
 SEEDS_PER_SPLIT = 1_000_000
@@ -35,6 +36,8 @@ SETTINGS = (
 )  # fmt: skip
 """Arguments of `Scene` that are equal for all scenes."""
 IN_TURN = "in_turn"
+LABELS_REACH_M = (REACH_M, REACH_M, HEIGHT_M)
+"""Distances from the ego origin along x, y and z at which points of the surfaces, and so the voxels, end."""
 VARIATIONS = "variations"
 """Subfolder of the world's code that counts in the fingerprint only of data that use it."""
 CALIBRATION_ERROR = {"angle_deg": 0.1, "distance_m": 0.003}
@@ -260,7 +263,9 @@ class VirtualWorld:
     def labels(self, geometry: Grid, unknown: Unknown) -> VoxelCache:
         """Return the voxel labels of a grid, voted from the recorded points."""
         classes = self.spec.classes.num_classes
-        return VoxelCache(self.folder, geometry, unknown, self.fingerprint, classes, self.workers)
+        return VoxelCache(
+            self.folder, geometry, unknown, self.fingerprint, classes, self.workers, reach_m=LABELS_REACH_M
+        )
 
     def scenes(self, split: Split) -> list[SceneReader]:
         """Return the scenes of a split, in order; raise DataError when one is missing."""
