@@ -30,6 +30,7 @@ from omniocc.run.results import (
     MINUTES,
     PROTOCOL,
     load_results,
+    made_by_other_code,
     save_results,
     show_results,
     utc_text,
@@ -99,7 +100,7 @@ def train_occupancy(
     config = plain(cfg)
     run = open_run(Path(cfg.paths.runs), cfg.name, run_hash(config, data.source.fingerprint), cfg.resume)
     if run.finished:
-        print(f"{run.path} is finished; resume=never trains again beside it")
+        print(f"{run.path} is finished{made_by_other_code(run.path)}; resume=never trains again beside it")
         show_results(run.path)
         return
     if run.lock is not None:

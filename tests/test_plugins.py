@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from scripts import run_script
 
-from omniocc.config import spec_of
+from omniocc.code import spec_of
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "how_to" / "own_modules.md"

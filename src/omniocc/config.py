@@ -6,8 +6,6 @@ import re
 import types
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
-from importlib.machinery import ModuleSpec
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal, Union, cast, get_args, get_origin, get_type_hints
 
@@ -17,6 +15,7 @@ from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import InterpolationKeyError, OmegaConfBaseException
 
+from omniocc.code import code_of_classes, spec_of
 from omniocc.errors import UserError, first_line
 
 MAX_SEED = 2**32 - 1
@@ -133,14 +132,6 @@ def check_root(cfg: DictConfig) -> None:
         raise ConfigError([problem.lstrip(".") for problem in problems])
 
 
-def spec_of(package: str) -> ModuleSpec | None:
-    """Return where a package, or a part of one as `package.part`, is installed; None if it cannot be found."""
-    try:
-        return find_spec(package)
-    except ModuleNotFoundError:  # of the package that should have the part
-        return None
-
-
 def target_of(node: Mapping[Any, Any]) -> type:
     """Return the class that a node of a configuration names; nothing is built.
 
@@ -154,13 +145,25 @@ def target_of(node: Mapping[Any, Any]) -> type:
         raise ConfigError([f"{name} cannot be imported: {error}"]) from error
 
 
-def foreign_packages(node: Any, packages: Sequence[str]) -> list[str]:
-    """Return, sorted, the packages of the classes in a tree that are not among `packages`."""
-    children = node.values() if isinstance(node, Mapping) else node if isinstance(node, list) else ()
-    found = {package for child in children for package in foreign_packages(child, packages)}
-    if isinstance(node, Mapping) and "_target_" in node:
-        found |= {str(node["_target_"]).split(".")[0]} - set(packages)
-    return sorted(found)
+def foreign_packages(tree: Any, packages: Sequence[str]) -> list[str]:
+    """Return, sorted, the packages of the classes in a plain tree that are not among `packages`."""
+    return sorted({name.split(".")[0] for name in classes_in(tree)} - set(packages))
+
+
+def own_code(tree: Any) -> list[str]:
+    """Return a hash of the code of the classes in a plain tree that are of other packages; an empty list without any.
+
+    See `omniocc.code.code_of_classes`. A list, to be added to what is hashed.
+    """
+    code = code_of_classes(name for name in classes_in(tree) if name.split(".")[0] not in PACKAGES)
+    return [code] if code else []
+
+
+def classes_in(tree: Any) -> set[str]:
+    """Return the names of the classes (`_target_`) in a plain tree."""
+    children = tree.values() if isinstance(tree, Mapping) else tree if isinstance(tree, list) else ()
+    found = {name for child in children for name in classes_in(child)}
+    return found | ({str(tree["_target_"])} if isinstance(tree, Mapping) and "_target_" in tree else set())
 
 
 def build(cfg: DictConfig, **extra: Any) -> Any:

@@ -2,7 +2,8 @@
 
 import pytest
 
-from omniocc.run.results import FROM_TRAJECTORY, OVERRIDES, save_results, trajectory_figures
+from omniocc.run.folder import git_commit
+from omniocc.run.results import FROM_TRAJECTORY, OVERRIDES, made_by_other_code, save_results, trajectory_figures
 
 METRICS = {"test/rayiou": 0.2, "test/rayiou_past": 0.25, "test/rayiou_now": 0.3, "prior/rayiou": 0.1}
 
@@ -22,3 +23,10 @@ def test_scores_by_origin_are_those_of_the_later_test(tmp_path):
 def test_a_test_of_another_model_or_on_other_data_does_not_count(tmp_path, facts):
     save_results(tmp_path / FROM_TRAJECTORY, METRICS, facts)
     assert trajectory_figures(tmp_path, "abc") == {}
+
+
+def test_a_run_of_another_commit_is_named(tmp_path):
+    save_results(tmp_path, {"test/rayiou": 0.5}, {"commit": git_commit()})
+    assert made_by_other_code(tmp_path) == ""
+    save_results(tmp_path, {"test/rayiou": 0.5}, {"commit": "abc1234"})
+    assert made_by_other_code(tmp_path) == f" (trained by the code of commit abc1234; this is {git_commit()})"

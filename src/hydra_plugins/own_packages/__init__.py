@@ -5,7 +5,8 @@ from pathlib import Path
 from hydra.core.config_search_path import ConfigSearchPath
 from hydra.plugins.search_path_plugin import SearchPathPlugin
 
-from omniocc.config import NOT_THERE, PACKAGES_VARIABLE, allowed, spec_of
+from omniocc.code import spec_of
+from omniocc.config import NOT_THERE, PACKAGES_VARIABLE, allowed
 from omniocc.errors import UserError
 
 

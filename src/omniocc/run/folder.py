@@ -13,6 +13,7 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
+from omniocc.config import own_code
 from omniocc.data.store.shard import sha256
 from omniocc.errors import UserError
 from omniocc.io import atomic_write
@@ -55,11 +56,11 @@ class RunFolder:
 
 
 def run_hash(config: dict[str, Any], data_fingerprint: str) -> str:
-    """Return eight hex digits of everything that decides a run's result."""
+    """Return eight hex digits of everything that decides a run's result, code of other packages included."""
     unused = () if sketch_learns(config) else ("depth", "stages", "appearance")
     unused += tuple(key for key in OPTIONAL if not config.get(key))
     kept = {key: value for key, value in config.items() if key not in (*VOLATILE, *unused)}
-    return short_hash([with_digest("weights", kept), data_fingerprint])
+    return short_hash([with_digest("weights", kept), data_fingerprint, *own_code(kept)])
 
 
 def with_digest(key: str, config: Mapping[str, Any]) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from typing import Any
 
 from omniocc.errors import UserError, first_line
 from omniocc.io import atomic_write
-from omniocc.run.folder import IMAGES, METRICS
+from omniocc.run.folder import IMAGES, METRICS, git_commit
 from omniocc.run.table import ORIGINS, as_markdown, as_text
 
 CANDIDATES = "fraction of candidates"
@@ -64,6 +64,12 @@ def load_results(folder: Path) -> tuple[dict[str, Any], dict[str, float]]:
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         reason = first_line(error)
         raise UserError(f"{path} is damaged ({reason}); remove it, and the command that made it tests again") from error
+
+
+def made_by_other_code(folder: Path) -> str:
+    """Return a phrase that names the commit that trained a finished run; empty if it is that of this code."""
+    trained, own = load_results(folder)[0].get("commit", "unknown"), git_commit()
+    return "" if trained == own else f" (trained by the code of commit {trained}; this is {own})"
 
 
 def trajectory_figures(folder: Path, data: Any) -> dict[str, float]:

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple, cast
 
 from omegaconf import DictConfig
 
-from omniocc.config import plain, target_of
+from omniocc.config import own_code, plain, target_of
 from omniocc.errors import UserError
 from omniocc.model.protocols import LearnedSketch
 from omniocc.run.folder import short_hash, with_digest
@@ -53,11 +53,15 @@ def stage_keys(cfg: DictConfig, data_fingerprint: str) -> Keys:
     selection = cast(type[LearnedSketch], target_of(sketch)).SELECTION
     appearance = [config["appearance"]] if config.get("appearance") else []
     depth_key = short_hash(
-        [VERSIONS["depth"], config["depth"], stages["depth"], trainer, data_fingerprint, *appearance]
+        [
+            *(VERSIONS["depth"], config["depth"], stages["depth"], trainer, data_fingerprint, *appearance),
+            *own_code([config["depth"], stages["depth"], *appearance]),
+        ]
     )
     network = _without(sketch, selection)
     labels = config["data"]["unknown"]
-    sketch_key = short_hash([VERSIONS["sketch"], depth_key, network, stages["sketch"], trainer, labels])
+    code = own_code([network, stages["sketch"]])
+    sketch_key = short_hash([VERSIONS["sketch"], depth_key, network, stages["sketch"], trainer, labels, *code])
     arguments = {name: sketch[name] for name in selection}
     return Keys(depth_key, sketch_key, short_hash([VERSIONS["candidates"], sketch_key, arguments]))
 

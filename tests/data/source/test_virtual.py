@@ -15,8 +15,8 @@ from filelock import FileLock
 
 import omniocc
 from omniocc.camera import Rig
+from omniocc.code import code_fingerprint
 from omniocc.data import VirtualWorld
-from omniocc.data.recording.job import code_fingerprint
 from omniocc.data.recording.pool import worker_environment
 from omniocc.data.source.virtual import LABELS_REACH_M
 from omniocc.data.store.reader import SceneReader
@@ -357,34 +357,6 @@ def test_missing_scenes_and_a_folder_that_cannot_be_written(tmp_path):
     (tmp_path / "data").write_text("a file where the folder should be")
     with pytest.raises(DataError, match=r"cannot write .*data"):
         world.prepare()
-
-
-def test_code_fingerprint_ignores_comments_and_docstrings(tmp_path):
-    prints = []
-    for number, (says, comment, value) in enumerate([("A", "", 1), ("B", "  # why", 1), ("A", "", 2)]):
-        folder = tmp_path / str(number)
-        folder.mkdir()
-        (folder / "a.py").write_text(f'"""{says}."""\ndef f():\n    """{says}."""\n    return {value}{comment}\n')
-        prints.append(code_fingerprint(folder))
-    assert prints[0] == prints[1] != prints[2]
-
-
-def test_code_fingerprint_covers_subfolders_and_paths_of_modules(tmp_path):
-    def fingerprint(**files: str) -> str:
-        folder = tmp_path / str(len(list(tmp_path.iterdir())))
-        for name, text in files.items():
-            path = folder / f"{name.replace('_in_', '/')}.py"
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(text)
-        cache = folder / "town" / "__pycache__" / "left_over.py"
-        cache.parent.mkdir(parents=True)
-        cache.write_text(f"number = {len(list(tmp_path.iterdir()))}\n")
-        return code_fingerprint(folder)
-
-    one = fingerprint(a="x = 1\n", town_in_b="y = 1\n")
-    assert one == fingerprint(a="x = 1\n", town_in_b="y = 1  # why\n")
-    assert one != fingerprint(a="x = 1\n", town_in_b="y = 2\n")
-    assert one != fingerprint(a="x = 1\n", traffic_in_b="y = 1\n")
 
 
 def test_drawn_rigs_are_recorded_with_errors_and_share_weathers_evenly(tmp_path):

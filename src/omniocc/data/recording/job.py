@@ -1,8 +1,5 @@
 """Rendering of planned scenes, each into a folder of its own."""
 
-import ast
-import functools
-import hashlib
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
@@ -34,27 +31,6 @@ class Recordable(Protocol):
     def frame(self, index: int) -> Frame:
         """Return the frame with this number; it depends on nothing but the scene and the number."""
         ...
-
-
-@functools.cache
-def code_fingerprint(folder: Path, without: str = "__pycache__") -> str:
-    """Return a hash of the code in a folder and its subfolders, without comments, docstrings and layout.
-
-    Subfolders named `without` do not count.
-    """
-    digest = hashlib.sha256()
-    modules = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*.py")}
-    for name, path in sorted(modules.items()):
-        if {"__pycache__", without} & set(name.split("/")):
-            continue
-        tree = ast.parse(path.read_text())
-        for node in ast.walk(tree):
-            body = getattr(node, "body", None)
-            first = body[0] if isinstance(body, list) and body else None
-            if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant):
-                first.value.value = ""
-        digest.update(f"{name}\n{ast.dump(tree)}\n".encode())
-    return digest.hexdigest()[:16]
 
 
 def record_scene(world: "VirtualWorld", folder: Path, report: Report) -> None:

@@ -9,8 +9,9 @@ from typing import Any, Literal, get_args
 from omniocc.camera import Rig
 from omniocc.camera.drawn import RANDOM, VERSION, disturbed, draw_rig
 from omniocc.classes import WORLD_CLASSES
+from omniocc.code import code_fingerprint
 from omniocc.data.labels.voxels import VoxelCache
-from omniocc.data.recording.job import Recordable, ScenePlan, code_fingerprint, record_scene
+from omniocc.data.recording.job import Recordable, ScenePlan, record_scene
 from omniocc.data.recording.pool import make_scenes, usable_cores
 from omniocc.data.recording.spec import recorded_spec
 from omniocc.data.source import SPLITS, SourceSpec, Split, Unknown

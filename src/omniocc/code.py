@@ -1,0 +1,92 @@
+"""Hashes of code, so that data and runs that other code has made are not taken for one's own."""
+
+import ast
+import functools
+import hashlib
+import sysconfig
+from collections.abc import Iterable, Iterator
+from importlib.machinery import ModuleSpec
+from importlib.util import find_spec, resolve_name
+from pathlib import Path
+
+
+@functools.cache
+def code_fingerprint(folder: Path, without: str = "__pycache__") -> str:
+    """Return a hash of the code in a folder and its subfolders, without comments, docstrings and layout.
+
+    Subfolders named `without` do not count.
+    """
+    digest = hashlib.sha256()
+    modules = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*.py")}
+    for name, path in sorted(modules.items()):
+        if {"__pycache__", without} & set(name.split("/")):
+            continue
+        digest.update(f"{name}\n{_bare(path.read_text())}\n".encode())
+    return digest.hexdigest()[:16]
+
+
+def code_of_classes(names: Iterable[str]) -> str:
+    """Return a hash of the modules of classes, and of those of the same packages that they import; empty without any.
+
+    Installed packages (in `site-packages`) do not count, nor do comments, docstrings and layout.
+
+    Args:
+        names: of the classes, such as `mylib.sketch.Bottom`.
+    """
+    found: dict[str, Path] = {}
+    waiting = list(names)
+    while waiting:
+        name = waiting.pop()
+        path = _own_file(name)
+        if path is None and "." in name:
+            waiting.append(name.rpartition(".")[0])  # of a class or function: the module that has it
+        elif path is not None and found.setdefault(name, path) is path:
+            waiting += _imports(name, path)
+    if not found:
+        return ""
+    digest = hashlib.sha256()
+    for name, path in sorted(found.items()):
+        digest.update(f"{name}\n{_bare(path.read_text())}\n".encode())
+    return digest.hexdigest()[:16]
+
+
+def spec_of(module: str) -> ModuleSpec | None:
+    """Return where a package, or a part of one as `package.part`, is installed; None if it cannot be found."""
+    try:
+        return find_spec(module)
+    except ModuleNotFoundError:  # of the package that should have the part
+        return None
+
+
+def _own_file(module: str) -> Path | None:
+    """Return the file of a module that is not an installed one; None if there is no such module."""
+    spec = spec_of(module)
+    if spec is None or spec.origin is None or not spec.origin.endswith(".py"):
+        return None
+    installed = (sysconfig.get_path("purelib"), sysconfig.get_path("platlib"), sysconfig.get_path("stdlib"))
+    return None if any(Path(spec.origin).is_relative_to(folder) for folder in installed) else Path(spec.origin)
+
+
+def _imports(module: str, path: Path) -> Iterator[str]:
+    """Yield the modules of its own package, and what is taken from them, that a module imports."""
+    package = module if path.name == "__init__.py" else module.rpartition(".")[0]
+    top = f"{module.partition('.')[0]}."
+    for node in ast.walk(ast.parse(path.read_text())):
+        names: list[str] = []
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = resolve_name("." * node.level + (node.module or ""), package) if node.level else node.module
+            names = [f"{base}.{alias.name}" for alias in node.names]
+        yield from (name for name in names if f"{name}.".startswith(top))
+
+
+def _bare(code: str) -> str:
+    """Return what code does, as text, without its comments, docstrings and layout."""
+    tree = ast.parse(code)
+    for node in ast.walk(tree):
+        body = getattr(node, "body", None)
+        first = body[0] if isinstance(body, list) and body else None
+        if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant):
+            first.value.value = ""
+    return ast.dump(tree)

@@ -1,0 +1,86 @@
+"""Hashes of code: what counts and what does not."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from omniocc.code import code_fingerprint, code_of_classes
+
+
+def test_code_fingerprint_ignores_comments_and_docstrings(tmp_path):
+    prints = []
+    for number, (says, comment, value) in enumerate([("A", "", 1), ("B", "  # why", 1), ("A", "", 2)]):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        (folder / "a.py").write_text(f'"""{says}."""\ndef f():\n    """{says}."""\n    return {value}{comment}\n')
+        prints.append(code_fingerprint(folder))
+    assert prints[0] == prints[1] != prints[2]
+
+
+def test_code_fingerprint_covers_subfolders_and_paths_of_modules(tmp_path):
+    def fingerprint(**files: str) -> str:
+        folder = tmp_path / str(len(list(tmp_path.iterdir())))
+        for name, text in files.items():
+            path = folder / f"{name.replace('_in_', '/')}.py"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text)
+        cache = folder / "town" / "__pycache__" / "left_over.py"
+        cache.parent.mkdir(parents=True)
+        cache.write_text(f"number = {len(list(tmp_path.iterdir()))}\n")
+        return code_fingerprint(folder)
+
+    one = fingerprint(a="x = 1\n", town_in_b="y = 1\n")
+    assert one == fingerprint(a="x = 1\n", town_in_b="y = 1  # why\n")
+    assert one != fingerprint(a="x = 1\n", town_in_b="y = 2\n")
+    assert one != fingerprint(a="x = 1\n", traffic_in_b="y = 1\n")
+
+
+FILES = {
+    "__init__": "",
+    "lifter": "from ownlib.ops import blend\nimport torch\nfrom . import tools\n\n\nclass Nearest:\n    pass\n",
+    "ops": "def blend():\n    return 1\n",
+    "tools": "import ownlib.deep.er\n",
+    "deep/__init__": "",
+    "deep/er": "number = 1\n",
+    "sketch": "class Bottom:\n    pass\n",
+}
+
+
+@pytest.fixture
+def own(tmp_path, monkeypatch):
+    """Write the package `ownlib`; return a function that changes a file and gives the hashes of its two classes."""
+    monkeypatch.syspath_prepend(str(tmp_path))
+    for name in [name for name in sys.modules if name.split(".")[0] == "ownlib"]:
+        monkeypatch.delitem(sys.modules, name)
+
+    def hashes(**changed: str) -> tuple[str, str]:
+        for name, text in (FILES | {name.replace("_in_", "/"): text for name, text in changed.items()}).items():
+            path = tmp_path / "ownlib" / f"{name}.py"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text)
+        return code_of_classes(["ownlib.lifter.Nearest"]), code_of_classes(["ownlib.sketch.Bottom"])
+
+    return hashes
+
+
+def test_code_that_a_class_imports_counts_and_other_code_of_its_package_does_not(own):
+    lifter, sketch = own()
+    assert lifter != sketch
+    assert own(lifter=FILES["lifter"] + "# why\n") == (lifter, sketch)
+    for changed in ({"ops": "def blend():\n    return 2\n"}, {"deep_in_er": "number = 2\n"}, {"tools": "x = 1\n"}):
+        other, same = own(**changed)
+        assert other != lifter
+        assert same == sketch
+    assert own(sketch="class Bottom:\n    depth = 2\n")[0] == lifter
+
+
+def test_installed_packages_do_not_count():
+    assert code_of_classes(["torch.nn.Linear", "lightning.pytorch.Trainer", "no_such_package.Thing"]) == ""
+    assert code_of_classes([]) == ""
+
+
+def test_a_hash_does_not_depend_on_the_order_of_classes():
+    names = ["omniocc.geometry.Cuboid", "omniocc.batch.Batch"]
+    assert code_of_classes(names) == code_of_classes(names[::-1]) != code_of_classes(names[:1])
+    assert Path(sys.modules["omniocc.geometry"].__file__).exists()
