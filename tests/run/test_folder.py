@@ -44,6 +44,15 @@ def test_factors_of_the_learning_rate_are_part_of_the_hash_where_they_are_given(
     assert run_hash(config, "data") != run_hash({**config, "rate_factors": {"backbone": 0.1}}, "data")
 
 
+def test_code_of_own_classes_is_part_of_the_hash(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(tmp_path))
+    hashes = []
+    for number in (1, 1, 2):
+        (tmp_path / "ownpart.py").write_text(f"class Bottom:\n    layers = {number}\n")
+        hashes.append(run_hash({"model": {"sketch": {"_target_": "ownpart.Bottom"}}}, "data"))
+    assert hashes[0] == hashes[1] != hashes[2]
+
+
 def test_same_command_finds_its_folder_and_checkpoint(tmp_path):
     first = open_run(tmp_path, "train", "abc", "auto")
     assert first.checkpoint is None

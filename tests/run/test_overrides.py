@@ -25,6 +25,11 @@ def explained(*overrides: str) -> list[str]:
         (["model.channelz=3"], "model.channelz: there is no such key", "model.lifter.channels"),
         (["n_jobs=0"], "n_jobs: there is no such key", "hydra.launcher.n_jobs"),
         (["trainer.max_step=3"], "trainer.max_step: there is no such key", "trainer.max_steps"),
+        (
+            ["trainer.detect_anomaly=true"],
+            "trainer.detect_anomaly: there is no such key",
+            "a plus: +trainer.detect_anomaly=",
+        ),
         (["model.lifter.qqqqqq=3"], "model.lifter.qqqqqq: there is no such key", "model.lifter: geometry, channels"),
         (["model/skecth=omni"], "model/skecth: there is no such key", "model/sketch"),
         (["sketch=omni"], "sketch: there is no such key", "model/sketch"),

@@ -10,6 +10,7 @@ from omniocc.run.slots import option_of, slots_line, slots_of
         ("omniocc.model.refiner.NoRefiner", "none"),
         ("omniocc.model.lifter.LiftSplat", "lift_splat"),
         ("omniocc.geometry.Cylinder", "cylinder"),
+        ("torch.nn.Linear", "Linear"),
     ],
 )
 def test_an_option_has_the_name_of_its_file(target, option):

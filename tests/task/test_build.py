@@ -17,6 +17,11 @@ def test_a_machine_that_lacks_what_is_asked_for_is_a_line(smoke):
     assert "\n" not in str(caught.value)
 
 
+def test_a_value_that_the_trainer_does_not_take_is_named(smoke):
+    with pytest.raises(UserError, match=r"^trainer.limit_val_batches=-3.0: the trainer cannot do that"):
+        check_devices(smoke("trainer.limit_val_batches=-3.0").trainer)
+
+
 def test_classes_of_pixels_without_a_head_are_named_before_anything_is_trained(make_task):
     with pytest.raises(UserError, match=r"model.pixel_classes=true needs a 2D head"):
         make_task("model/semantic_head=none", "model.pixel_classes=true")

@@ -70,6 +70,8 @@ def _unknown_key(key: str, keys: Sequence[str], groups: Sequence[str]) -> str:
         within = [k.removeprefix(f"{parent}.") for k in keys if not parent or k.startswith(f"{parent}.")]
         children = groups if "/" in key else [child for child in within if "." not in child]
         hint = f"\n  {'groups' if '/' in key else parent or 'keys'}: {', '.join(children)}"
+    if key.startswith("trainer."):
+        hint += f"\n  other arguments of Lightning's Trainer are added with a plus: +{key}=..."
     return f"{key}: there is no such key{hint}"
 
 

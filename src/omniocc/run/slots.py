@@ -13,8 +13,12 @@ def sketch_learns(config: Mapping[Any, Any]) -> bool:
 
 
 def option_of(node: Mapping[Any, Any]) -> str:
-    """Return the option of a node: the name of the file that its class is in, as in `conf/`."""
-    return target_of(node).__module__.rpartition(".")[2]
+    """Return the option of a node: the name of the file that its class is in, as in `conf/`.
+
+    Of a class of another package, whose files may have any names, it is the name of the class.
+    """
+    target = target_of(node)
+    return target.__module__.rpartition(".")[2] if target.__module__.startswith("omniocc.") else target.__name__
 
 
 def slots_of(config: Mapping[str, Any]) -> dict[str, str]:

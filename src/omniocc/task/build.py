@@ -17,11 +17,13 @@ PARTS = ("model", "loss", "optimizer", "augment")
 """Root keys from which a task is built."""
 
 
+MACHINE = ("accelerator", "devices", "strategy")
+"""Arguments of the trainer that a machine may not have."""
 NO_HEAD = "omniocc.model.semantic_head.NoSemanticHead"
 
 
 def check_devices(trainer: DictConfig) -> None:
-    """Check that this machine has what the trainer asks for, before anything is made.
+    """Check that the trainer takes its values and this machine has what they ask for, before anything is made.
 
     Raises:
         UserError: naming the option.
@@ -30,8 +32,10 @@ def check_devices(trainer: DictConfig) -> None:
         build(trainer, logger=False, enable_checkpointing=False)
     except MisconfigurationException as error:
         reason = first_line(error)
-        asked = " ".join(f"trainer.{key}={trainer[key]}" for key in ("accelerator", "devices", "strategy"))
-        raise UserError(f"{asked}: this machine cannot do that ({reason})") from error
+        named = [key for key in trainer if str(key) in reason and key not in MACHINE]
+        asked = " ".join(f"trainer.{key}={trainer[key]}" for key in named or MACHINE)
+        who = "the trainer" if named else "this machine"
+        raise UserError(f"{asked}: {who} cannot do that ({reason})") from error
 
 
 def switch_off_head(cfg: DictConfig, scenes: Sequence[SceneFrames]) -> str | None:

@@ -10,6 +10,8 @@ import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
+from omniocc.errors import UserError
+
 LOG_ODDS = 0
 """Channel of the evidence with the log-odds of being occupied."""
 CHANNELS = 4
@@ -70,7 +72,7 @@ def network_inputs(evidence: Float[Tensor, "B 4 X Y Z"]) -> Float[Tensor, "B 5 X
 
 
 def required(evidence: Tensor | None) -> Tensor:
-    """Return the evidence; raise ValueError if the sketch hands none on."""
+    """Return the evidence; raise UserError if the sketch hands none on."""
     if evidence is None:
-        raise ValueError("this model uses the sketch's evidence, and its sketch has none: choose model/sketch=omni")
+        raise UserError("this model uses the sketch's evidence, and its sketch has none: choose model/sketch=omni")
     return evidence
