@@ -9,6 +9,7 @@ import yaml
 
 from omniocc.config import compose_plain
 from omniocc.io import YAML
+from omniocc.progress import Progress
 from omniocc.report.runs import FinishedRun
 from omniocc.report.selection import compared
 
@@ -40,16 +41,29 @@ def assign_rows(runs: Sequence[FinishedRun], conf: Path, rows: Sequence[str]) ->
             compose_plain(conf, "train", [f"preset={preset}", f"+ablation={options[row].with_suffix('').as_posix()}"])
         )
 
-    def assigned(run: FinishedRun) -> FinishedRun:
-        preset = run.config.get("preset", {}).get("name")
-        if run.row in named or not (conf / "preset" / f"{preset}.yaml").exists():
-            return run
+    def unnamed(run: FinishedRun) -> bool:
+        return run.row not in named and (conf / "preset" / f"{_preset(run)}.yaml").exists()
+
+    def with_row(run: FinishedRun) -> FinishedRun:
+        preset = _preset(run)
         config = compared(run.config)
         # composing a row takes .2 s, so those that state another value are left out first
         likely = (row for row in tried if all(config.get(key, value) == value for key, value in stated[row].items()))
         return run._replace(same_as=next((row for row in likely if composed(preset, row) == config), None))
 
-    return [assigned(run) for run in runs]
+    if not (count := sum(map(unnamed, runs))):
+        return list(runs)
+    found = []
+    with Progress("comparing runs of other names with the rows", count, unit="runs") as progress:
+        for run in runs:
+            found.append(with_row(run) if unnamed(run) else run)
+            if unnamed(run):
+                progress.advance()
+    return found
+
+
+def _preset(run: FinishedRun) -> str:
+    return str(run.config.get("preset", {}).get("name"))
 
 
 def _stated(file: Mapping[str, Any]) -> dict[str, Any]:
