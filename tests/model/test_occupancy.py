@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from omniocc.camera.pinholes import as_pinholes
+from omniocc.errors import UserError
 from omniocc.geometry import Cylinder
 from omniocc.model import OccupancyModel
 from omniocc.model.backbone import Backbone
@@ -216,3 +217,16 @@ def test_no_semantic_head_predicts_no_pixels(make_backbone, geometry, images, po
     prediction = model(images, every_frame((fisheye, fisheye)), poses)
     assert prediction.pixel_logits is None
     assert prediction.logits.shape == (2, 3, *geometry.shape)
+
+
+@pytest.mark.parametrize("slot", ["lifter", "temporal", "refiner"])
+def test_a_part_that_returns_another_shape_is_named(slot, make_model, geometry, images, poses, fisheye, monkeypatch):
+    model = make_model(geometry)
+    part = getattr(model, slot)
+    right = part.forward
+    monkeypatch.setattr(part, "forward", lambda *given: right(*given)[..., :-1])
+    shape = ", ".join(map(str, geometry.shape))
+    with pytest.raises(
+        UserError, match=rf"model\.{slot}\.\S+ returned features of shape .* needs .samples, 8, {shape}"
+    ):
+        model(images, every_frame((fisheye, fisheye)), poses)

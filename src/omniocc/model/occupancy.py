@@ -8,6 +8,7 @@ from torch import Tensor, nn
 
 from omniocc.camera import Rig
 from omniocc.camera.pinholes import as_pinholes
+from omniocc.errors import UserError
 from omniocc.geometry import Grid
 from omniocc.model.ops.classifier import Classifier
 from omniocc.model.ops.evidence import INPUTS, network_inputs, required
@@ -177,6 +178,7 @@ class OccupancyModel(nn.Module):
         sketched = self.choose(images, rigs) if sketched is None else sketched
         features = by_shape(lambda cropped, _: self.backbone(cropped), images, rigs, self.backbone.levels)
         volume, extras = volume_and_extras(self.lifter, features, sketched, tuple(map(LENSES[self.lens], rigs)))
+        check_volume(volume, self.lifter, self.lifter.channels, self.geometry)
         return Lifted(volume, sketched, features, extras)
 
     @property
@@ -228,12 +230,14 @@ class OccupancyModel(nn.Module):
         sketched: Sketched,
     ) -> tuple[Float[Tensor, "B classes X Y Z"], Extras]:
         volume = self.temporal(volumes, world_from_ego, exists)
+        check_volume(volume, self.temporal, self.lifter.channels, self.geometry)
         if self.evidence is not None:
             volume = volume + self.evidence(network_inputs(required(sketched.evidence)))
         if self.seen_classes is not None:
             assert sketched.classes is not None
             volume = volume + self.seen_classes(sketched.classes.softmax(1))
         volume, extras = volume_and_extras(self.refiner, volume, sketched)
+        check_volume(volume, self.refiner, self.refiner.channels, self.geometry)
         return self.classifier(volume, sketched), extras
 
     def _lift_past(
@@ -259,6 +263,16 @@ class OccupancyModel(nn.Module):
             part if len(part) == len(like) else torch.zeros_like(like).index_copy(0, sample, part)
             for part, sample in parts
         ]
+
+
+def check_volume(volume: Tensor, part: object, channels: int, geometry: Grid) -> None:
+    """Raise UserError, naming the part of the model, unless its output has these channels and the grid's cells."""
+    if volume.shape[1:] != (channels, *geometry.shape):
+        name = f"{type(part).__module__}.{type(part).__name__}"
+        raise UserError(
+            f"{name} returned features of shape {tuple(volume.shape)}; the model needs "
+            f"(samples, {channels}, {', '.join(map(str, geometry.shape))}): channels, and the cells of the grid"
+        )
 
 
 def to_unit_range(images: UInt8[Tensor, "..."] | Float[Tensor, "..."]) -> Float[Tensor, "..."]:
