@@ -15,8 +15,6 @@ from omniocc.run.weights import find_checkpoint
 from omniocc.task.occupancy import OccupancyTask
 from omniocc.task.stage_task import Recipe
 
-CONTINUED = ("model", "optimizer", "ema_decay", "rate_factors")
-"""Root keys that a training cannot change when it goes on from a checkpoint."""
 NAMED = 3
 """Names listed in a message, at most."""
 
@@ -129,10 +127,16 @@ def _changed(trained: Checkpoint, config: Mapping[str, Any]) -> Iterator[str]:
 
     Keys that only one of them has are those of another version or option, and an option's class is named.
     """
-    theirs = dotted(plain(trained.config))
-    for key, value in dotted({key: config[key] for key in CONTINUED if key in config}).items():
+    theirs = _continued(plain(trained.config))
+    for key, value in _continued(config).items():
         if theirs.get(key, value) != value:
             yield f"{key}={value} (there {theirs[key]})"
+
+
+def _continued(config: Mapping[str, Any]) -> dict[str, Any]:
+    """Return by dotted key what a training cannot change when it goes on from a checkpoint."""
+    parts = dotted({key: config[key] for key in ("model", "optimizer")})
+    return parts | {key: config.get(key) for key in ("ema_decay", "rate_factors")}
 
 
 def _some(names: list[str]) -> str:
