@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any, Self
+from typing import Any
 
 import torch
 from lightning.pytorch import Callback
@@ -71,7 +71,7 @@ class OccupancyTask(StageTask[OccupancyModel]):
         self.prior: Tensor
         self.register_buffer("prior", torch.zeros(model.geometry.shape, dtype=torch.uint8))
 
-    def train(self, mode: bool = True) -> Self:
+    def train(self, mode: bool = True) -> "OccupancyTask":
         """Set the mode, but that of fixed parts, which stay in evaluation."""
         super().train(mode)
         for part in self.fixed:
