@@ -109,7 +109,6 @@ NOT_OF_TRAINER = {
     "enable_progress_bar": "progress is printed in any case",
     "enable_checkpointing": "a run goes on from its checkpoints",
     "fast_dev_run": "preset=smoke trains a few steps of everything",
-    "val_check_interval": "trainer.check_val_every_n_epoch says when to validate",
 }
 """Arguments of Lightning's trainer that would have no effect or break a run, and what there is instead."""
 
