@@ -39,7 +39,7 @@ from omniocc.run.script import quiet_libraries, script
 from omniocc.run.slots import sketch_learns, slots_line
 from omniocc.run.wandb.loggers import finish, log_earlier_stages
 from omniocc.task import OccupancyTask, StepProgress, TrainingTime
-from omniocc.task.build import build_task, check_devices, switch_off_head
+from omniocc.task.build import bare_trainer, build_task, check_devices, switch_off_head
 from omniocc.task.images import OccupancyImages
 from omniocc.task.last import LastCheckpoint
 from omniocc.task.scene_counts import save_by_scene
@@ -75,7 +75,9 @@ def main(cfg: DictConfig) -> None:
     without_head = switch_off_head(cfg, data.source.scenes("train"))
     frames = sum(map(len, data.source.scenes("train")))
     if "occupancy" in stages and (given := given_checkpoint(cfg.resume)) is not None:
-        check_resumed(given, plain(cfg), planned_steps(*training_amount(cfg, "occupancy", frames, bare_trainer(cfg))))
+        check_resumed(
+            given, plain(cfg), planned_steps(*training_amount(cfg, "occupancy", frames, bare_trainer(cfg.trainer)))
+        )
     earlier = Stages(cfg, data, with_evidence) if sketch_learns(cfg) else None
     if is_first():
         if without_head is not None:
@@ -197,7 +199,7 @@ def announce_plan(
 
     `hours` are the source's rig and classes, with which the duration is measured as well.
     """
-    trainer = bare_trainer(cfg)
+    trainer = bare_trainer(cfg.trainer)
     if hours is not None:
         print(
             "some steps of every stage are timed: seconds at preset=tiny, minutes for large sizes on a CPU", flush=True
@@ -211,11 +213,6 @@ def announce_plan(
         if hours is not None:
             step_s = trainer.accumulate_grad_batches * step_seconds(cfg, stage, *hours, trainer.strategy.root_device)
             print(f"{'':10}{hours_line(planned_steps(*amount), step_s)}", flush=True)
-
-
-def bare_trainer(cfg: DictConfig) -> Trainer:
-    """Return the configured trainer without logger and checkpoints, to ask for its devices."""
-    return build(cfg.trainer, logger=False, enable_checkpointing=False)
 
 
 def training_amount(

@@ -4,7 +4,7 @@ import ast
 import functools
 import hashlib
 import sysconfig
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from importlib.machinery import ModuleSpec
 from importlib.util import find_spec, resolve_name
 from pathlib import Path
@@ -16,13 +16,9 @@ def code_fingerprint(folder: Path, without: str = "__pycache__") -> str:
 
     Subfolders named `without` do not count.
     """
-    digest = hashlib.sha256()
     modules = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*.py")}
-    for name, path in sorted(modules.items()):
-        if {"__pycache__", without} & set(name.split("/")):
-            continue
-        digest.update(f"{name}\n{_bare(path.read_text())}\n".encode())
-    return digest.hexdigest()[:16]
+    left_out = {"__pycache__", without}
+    return _digest({name: path for name, path in modules.items() if not left_out & set(name.split("/"))})
 
 
 def code_of_classes(names: Iterable[str]) -> str:
@@ -42,12 +38,7 @@ def code_of_classes(names: Iterable[str]) -> str:
             waiting.append(name.rpartition(".")[0])  # of a class or function: the module that has it
         elif path is not None and found.setdefault(name, path) is path:
             waiting += _imports(name, path)
-    if not found:
-        return ""
-    digest = hashlib.sha256()
-    for name, path in sorted(found.items()):
-        digest.update(f"{name}\n{_bare(path.read_text())}\n".encode())
-    return digest.hexdigest()[:16]
+    return _digest(found) if found else ""
 
 
 def spec_of(module: str) -> ModuleSpec | None:
@@ -79,6 +70,14 @@ def _imports(module: str, path: Path) -> Iterator[str]:
             base = resolve_name("." * node.level + (node.module or ""), package) if node.level else node.module
             names = [f"{base}.{alias.name}" for alias in node.names]
         yield from (name for name in names if f"{name}.".startswith(top))
+
+
+def _digest(modules: Mapping[str, Path]) -> str:
+    """Return a hash of modules by name: what their code does, and what they are called."""
+    digest = hashlib.sha256()
+    for name, path in sorted(modules.items()):
+        digest.update(f"{name}\n{_bare(path.read_text())}\n".encode())
+    return digest.hexdigest()[:16]
 
 
 def _bare(code: str) -> str:

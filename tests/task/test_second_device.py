@@ -148,7 +148,7 @@ def test_predictions_for_all_frames_are_made_where_training_was(smoke, tmp_path,
     stages = Stages.__new__(Stages)
     stages.cfg, stages.scenes = cfg, [Scene()]
     trainer = SimpleNamespace(strategy=SimpleNamespace(root_device=CUDA))
-    monkeypatch.setattr("omniocc.task.stages.build", lambda *_, **__: trainer)
+    monkeypatch.setattr("omniocc.task.stages.bare_trainer", lambda _: trainer)
     task = DepthTask(
         build(cfg.depth), build(cfg.stages.depth).optimizer, build(cfg.depth).rig_spheres(RIG), (0.0, 9.0), 0, {}
     )

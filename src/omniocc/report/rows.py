@@ -41,9 +41,6 @@ def assign_rows(runs: Sequence[FinishedRun], conf: Path, rows: Sequence[str]) ->
             compose_plain(conf, "train", [f"preset={preset}", f"+ablation={options[row].with_suffix('').as_posix()}"])
         )
 
-    def unnamed(run: FinishedRun) -> bool:
-        return run.row not in named and (conf / "preset" / f"{_preset(run)}.yaml").exists()
-
     def with_row(run: FinishedRun) -> FinishedRun:
         preset = _preset(run)
         config = compared(run.config)
@@ -51,14 +48,15 @@ def assign_rows(runs: Sequence[FinishedRun], conf: Path, rows: Sequence[str]) ->
         likely = (row for row in tried if all(config.get(key, value) == value for key, value in stated[row].items()))
         return run._replace(same_as=next((row for row in likely if composed(preset, row) == config), None))
 
-    if not (count := sum(map(unnamed, runs))):
-        return list(runs)
-    found = []
-    with Progress("comparing runs of other names with the rows", count, unit="runs") as progress:
-        for run in runs:
-            found.append(with_row(run) if unnamed(run) else run)
-            if unnamed(run):
-                progress.advance()
+    found = list(runs)
+    presets = {path.stem for path in (conf / "preset").glob("*.yaml")}
+    unnamed = [index for index, run in enumerate(runs) if run.row not in named and _preset(run) in presets]
+    if not unnamed:
+        return found
+    with Progress("comparing runs of other names with the rows", len(unnamed), unit="runs") as progress:
+        for index in unnamed:
+            found[index] = with_row(runs[index])
+            progress.advance()
     return found
 
 

@@ -29,8 +29,6 @@ IMAGES, PARTS = "images", "parts"
 """Folder of the sheets that a run draws, and its subfolder of their parts."""
 VOLATILE = ("resume", "stage", "paths", "packages", "logger", "test_images", "checkpoint_every_n_steps", "plan")
 """Root keys that do not change what a run computes."""
-OPTIONAL = ("weights", "rate_factors")
-"""Root keys that decide a result only where they are given."""
 RANK_FOLDER = "OMNIOCC_RUN_FOLDER"
 """Environment variable with the folder, set by the first process of a distributed run for its children."""
 
@@ -58,7 +56,7 @@ class RunFolder:
 def run_hash(config: dict[str, Any], data_fingerprint: str) -> str:
     """Return eight hex digits of everything that decides a run's result, code of other packages included."""
     unused = () if sketch_learns(config) else ("depth", "stages", "appearance")
-    unused += tuple(key for key in OPTIONAL if not config.get(key))
+    unused += () if config.get("rate_factors") else ("rate_factors",)
     kept = {key: value for key, value in config.items() if key not in (*VOLATILE, *unused)}
     return short_hash([with_digest("weights", kept), data_fingerprint, *own_code(kept)])
 

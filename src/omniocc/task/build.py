@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from lightning.fabric.utilities.exceptions import MisconfigurationException
+from lightning.pytorch import Trainer
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from omniocc.config import build, plain
@@ -22,6 +23,11 @@ MACHINE = ("accelerator", "devices", "strategy")
 NO_HEAD = "omniocc.model.semantic_head.NoSemanticHead"
 
 
+def bare_trainer(trainer: DictConfig) -> Trainer:
+    """Return the configured trainer without logger and checkpoints, to ask for its devices."""
+    return build(trainer, logger=False, enable_checkpointing=False)
+
+
 def check_devices(trainer: DictConfig) -> None:
     """Check that the trainer takes its values and this machine has what they ask for, before anything is made.
 
@@ -29,7 +35,7 @@ def check_devices(trainer: DictConfig) -> None:
         UserError: naming the option.
     """
     try:
-        build(trainer, logger=False, enable_checkpointing=False)
+        bare_trainer(trainer)
     except MisconfigurationException as error:
         reason = first_line(error)
         named = [key for key in trainer if str(key) in reason and key not in MACHINE]

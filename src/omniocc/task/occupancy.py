@@ -1,7 +1,6 @@
 """The occupancy stage: train the model, validate by RayIoU, test it beside a baseline and the true voxels."""
 
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Any
 
 import torch
@@ -54,7 +53,7 @@ class OccupancyTask(StageTask[OccupancyModel]):
         ema_decay: float | None,
         spec: SourceSpec,
         config: dict[str, Any],
-        rate_factors: Mapping[str, float] = MappingProxyType({}),
+        rate_factors: Mapping[str, float],
     ):
         super().__init__(model, optimizer, config)
         self.rate_factors = rate_factors

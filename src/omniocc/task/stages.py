@@ -40,6 +40,7 @@ from omniocc.run.distributed import is_first, meet, share
 from omniocc.run.folder import IMAGES, METRICS, git_commit
 from omniocc.run.results import MINUTES, load_results, save_results
 from omniocc.run.wandb.loggers import finish
+from omniocc.task.build import bare_trainer
 from omniocc.task.depth import DepthTask
 from omniocc.task.images import DepthImages, SketchImages
 from omniocc.task.last import LastCheckpoint
@@ -196,7 +197,7 @@ class Stages:
         missing = [scene for scene in own if scene.name in absent]
         if not missing:
             return
-        trainer = build(self.cfg.trainer, logger=False, enable_checkpointing=False)
+        trainer = bare_trainer(self.cfg.trainer)
         device = task.to(trainer.strategy.root_device).eval().device
         inputs = iter(frame_loader(missing, read, self.cfg.data.num_workers))
         with Progress(title, sum(map(len, missing))) as progress, torch.inference_mode():
