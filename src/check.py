@@ -32,7 +32,7 @@ def main(arguments: list[str] | None = None) -> None:
     for split in SPLITS:
         scenes = data.source.scenes(split)
         print(f"{split:5}  {len(scenes)} scenes, {sum(map(frames_of, scenes))} frames", flush=True)
-    names = data.source.spec.classes.names
+    names = data.spec.classes.names
     print(f"{len(names)} classes: {', '.join(names)}; train with data.num_classes={len(names)}")
     for scene in (scene for split in SPLITS for scene in data.source.scenes(split) if not has_labels(scene)):
         print(f"{scene.name} has no LiDAR: it serves prediction, not training")
@@ -49,7 +49,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 def draw(data: OccupancyData, folder: Path) -> None:
     """Draw the first frame of every split: ranges on the images, voxels; name the one that cannot be read."""
-    benchmark, classes = data.source.spec.benchmark, data.source.spec.classes
+    benchmark, classes = data.spec.benchmark, data.spec.classes
     grid = data.geometry if benchmark is None else benchmark.grid
     labels = data.source.labels(grid, "free")
     for split in SPLITS:

@@ -166,7 +166,7 @@ def test_again(checkpoint: Path, overrides: Sequence[str], folder: Path, origins
     refuse_true_range(checkpoint, task)
     data.cast_from(origins)
     folder.mkdir(parents=True, exist_ok=True)
-    images = OccupancyImages(folder / IMAGES, drawn, data.source.spec.classes)
+    images = OccupancyImages(folder / IMAGES, drawn, data.spec.classes)
     trainer = Trainer(
         callbacks=[StepProgress("occupancy"), images],
         logger=False,
@@ -252,7 +252,7 @@ def audit(task: OccupancyTask, data: OccupancyData) -> list[tuple[str, str]]:
     data.read_only(needs, needs)
     data.setup()
     loader, task = data.val_dataloader(), task.eval()
-    found = Audit(task.model.geometry, data.source.spec)
+    found = Audit(task.model.geometry, data.spec)
     with Progress("audit", len(loader), "batches") as progress:
         for batch in loader:
             logits = task.predict(batch).logits

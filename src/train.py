@@ -65,11 +65,11 @@ def main(cfg: DictConfig) -> None:
         given_checkpoint(cfg.resume)
         if cfg.weights is not None:
             check_weights(cfg.weights, cfg.resume)
-        with_evidence = build_task(cfg, data.source.spec).model.uses_evidence
+        with_evidence = build_task(cfg, data.spec).model.uses_evidence
     if cfg.plan:
         rig, frames = planned_scenes(data.source)
         print(f"{'model':10}{slots_line(plain(cfg))}")
-        announce_plan(cfg, stages, frames, (rig, data.source.spec))
+        announce_plan(cfg, stages, frames, (rig, data.spec))
         return
     data.prepare_data()
     without_head = switch_off_head(cfg, data.source.scenes("train"))
@@ -80,8 +80,8 @@ def main(cfg: DictConfig) -> None:
         )
     earlier = Stages(cfg, data, with_evidence) if sketch_learns(cfg) else None
     if is_first():
-        if without_head is not None:
-            print(without_head, flush=True)
+        for line in filter(None, (without_head, data.line_on_reach())):
+            print(line, flush=True)
         announce_plan(cfg, stages, frames)
     figures: dict[str, float] = {}
     for number, stage in enumerate(stages, start=1):
@@ -107,7 +107,7 @@ def train_occupancy(
         return
     if run.lock is not None:
         atomic_write(run.path / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True))
-    task = build_task(cfg, data.source.spec)
+    task = build_task(cfg, data.spec)
     if earlier is not None:
         task.model.sketch.load_state_dict(earlier.sketch_weights())  # type: ignore[union-attr]
     evidence = earlier and earlier.evidence
@@ -123,7 +123,7 @@ def train_occupancy(
     trainer = build(
         cfg.trainer,
         **validation_times(cfg.trainer),
-        callbacks=[duration := TrainingTime(), *callbacks(cfg, run, title, data.source.spec.classes, score_of(data))],
+        callbacks=[duration := TrainingTime(), *callbacks(cfg, run, title, data.spec.classes, score_of(data))],
         plugins=[AtomicCheckpointIO()],
         logger=files,
         default_root_dir=str(run.path),
@@ -160,7 +160,7 @@ def facts_of_report(task: OccupancyTask, data: OccupancyData, earlier: Stages | 
     """
     before = {} if earlier is None else {name: load_results(path)[0] for name, path in earlier.results.items()}
     stages = {name: facts["steps"] for name, facts in before.items()}
-    rows = data.source.spec.classes.rows
+    rows = data.spec.classes.rows
     classes = [{"name": row.name, "rgb": row.rgb} for row in rows if row.id != FREE]
     facts = {"stages": {**stages, "occupancy": steps}, "classes": classes}
     facts[EARLIER_MINUTES] = round(sum(known.get(MINUTES, 0.0) for known in before.values()), 1)

@@ -5,7 +5,9 @@ from lightning.pytorch import LightningModule, Trainer
 from lightning.pytorch.callbacks import Callback
 
 from omniocc.data import OccupancyData
+from omniocc.errors import UserError
 from omniocc.geometry import Cylinder
+from omniocc.task.scores import Scores, within_reach
 
 GRID = Cylinder(shape=(4, 6, 2), radius_m=(0.0, 25.6), height_m=(-2.8, 3.6))
 pytestmark = [
@@ -63,8 +65,8 @@ def root(tmp_path_factory):
     return root
 
 
-def make(root, num_workers=0, batch_size=2, seed=0):
-    return OccupancyData(FakeWorld(root), 12, GRID, window=1, batch_size=batch_size, num_workers=num_workers, seed=seed)
+def make(root, num_workers=0, batch_size=2, seed=0, grid=GRID, **options):
+    return OccupancyData(FakeWorld(root), 12, grid, 1, batch_size, num_workers, seed, **options)
 
 
 def run(root, length, checkpoint=None, callbacks=(), num_workers=0):
@@ -141,3 +143,34 @@ def test_more_than_a_batch_is_needed(root):
         make(root, batch_size=0)
     with pytest.raises(ValueError, match="got 2, 0 and 0"):
         OccupancyData(FakeWorld(root), 12, GRID, window=1, batch_size=2, num_workers=0, seed=0, frames_together=0)
+
+
+def test_scores_have_the_bands_that_were_asked_for(root):
+    own, far = make(root), make(root, range_edges_m=[0, 20, 50.0])
+    assert own.spec.range_edges_m == (0.0, 8.5, 17.0, 25.6)
+    assert far.spec.range_edges_m == (0.0, 20.0, 50.0)
+    assert far.spec.reach_m == 50
+    scores = Scores(GRID, far.spec)
+    assert [metric.counter.range_edges_m for metric in (scores.rays, scores.lidar)] == [(0, 20, 50)] * 2
+
+
+def test_lidar_hits_count_up_to_the_last_band(root):
+    grid = Cylinder(shape=(100, 4, 2), radius_m=(0.0, 50.0), height_m=(-2.8, 3.6))
+    hits = [make(root, grid=grid, range_edges_m=edges).spec for edges in (None, [0, 50])]
+    labels, range_m = torch.full((1, 2), 7, dtype=torch.uint8), torch.tensor([[20.0, 40.0]])
+    ahead = torch.tensor([[1.0, 0.0, 0.0]]).expand(2, 3)
+    counted = [within_reach(labels, range_m, ahead, spec.reach_m, None).tolist() for spec in hits]
+    assert counted == [[[7, 0]], [[7, 7]]]
+
+
+@pytest.mark.parametrize("edges", [[0], [0, 20, 20], [20, 0]])
+def test_bands_that_make_no_sense_are_an_error(root, edges):
+    with pytest.raises(UserError, match=r"data\.range_edges_m=.*two or more increasing"):
+        make(root, range_edges_m=edges).check_classes()
+
+
+def test_it_is_said_where_the_scores_end_before_the_grid_does(root):
+    far = Cylinder(shape=(4, 6, 2), radius_m=(0.0, 40.0), height_m=(-2.8, 3.6))
+    assert make(root).line_on_reach() is None
+    assert "from 25.6 m on" in make(root, grid=far).line_on_reach()
+    assert make(root, grid=far, range_edges_m=[0, 40]).line_on_reach() is None

@@ -13,6 +13,7 @@ def test_the_hash_depends_only_on_what_decides_the_result():
     config = {
         "seed": 0,
         "model": {"sketch": {"_target_": "omniocc.model.sketch.Dense"}},
+        "data": {},
         "depth": {"spheres": 8},
         "paths": {"runs": "a"},
         "resume": "auto",
@@ -26,7 +27,7 @@ def test_the_hash_depends_only_on_what_decides_the_result():
 
 
 def test_the_file_of_weights_that_a_run_starts_from_is_part_of_its_hash(tmp_path):
-    config = {"seed": 0, "model": {"sketch": {"_target_": "omniocc.model.sketch.Dense"}}}
+    config = {"seed": 0, "model": {"sketch": {"_target_": "omniocc.model.sketch.Dense"}}, "data": {}}
     files = [tmp_path / name for name in ("a.ckpt", "b.ckpt", "c.ckpt")]
     for path, content in zip(files, ("one", "one", "two"), strict=True):
         path.write_text(content)
@@ -39,9 +40,19 @@ def test_the_file_of_weights_that_a_run_starts_from_is_part_of_its_hash(tmp_path
 
 
 def test_factors_of_the_learning_rate_are_part_of_the_hash_where_they_are_given():
-    config = {"seed": 0, "model": {"sketch": {"_target_": "omniocc.model.sketch.Dense"}}}
+    config = {"seed": 0, "model": {"sketch": {"_target_": "omniocc.model.sketch.Dense"}}, "data": {}}
     assert run_hash(config, "data") == run_hash({**config, "rate_factors": None}, "data")
     assert run_hash(config, "data") != run_hash({**config, "rate_factors": {"backbone": 0.1}}, "data")
+
+
+def test_the_bands_of_the_scores_are_part_of_the_hash_where_they_are_given():
+    config = {"seed": 0, "model": {"sketch": {"_target_": "omniocc.model.sketch.Dense"}}, "data": {"window": 2}}
+    none, *given = [
+        run_hash({**config, "data": {"window": 2, "range_edges_m": edges}}, "data")
+        for edges in (None, [0, 20], [0, 20, 40])
+    ]
+    assert none == run_hash(config, "data"), "runs from before there was this key keep their folders"
+    assert len({none, *given}) == 3
 
 
 def test_code_of_own_classes_is_part_of_the_hash(tmp_path, monkeypatch):
@@ -49,7 +60,7 @@ def test_code_of_own_classes_is_part_of_the_hash(tmp_path, monkeypatch):
     hashes = []
     for number in (1, 1, 2):
         (tmp_path / "ownpart.py").write_text(f"class Bottom:\n    layers = {number}\n")
-        hashes.append(run_hash({"model": {"sketch": {"_target_": "ownpart.Bottom"}}}, "data"))
+        hashes.append(run_hash({"model": {"sketch": {"_target_": "ownpart.Bottom"}}, "data": {}}, "data"))
     assert hashes[0] == hashes[1] != hashes[2]
 
 

@@ -1,5 +1,7 @@
 """Datasets and loaders for training, validation and test."""
 
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -14,7 +16,7 @@ from omniocc.data.dataset import Needs, WindowDataset, collate
 from omniocc.data.origins import Origins
 from omniocc.data.recording.pool import limit_threads
 from omniocc.data.sampler import EpochSampler, RankSampler
-from omniocc.data.source import SPLITS, SceneSource, Split, Unknown, VoxelLabels
+from omniocc.data.source import SPLITS, SceneSource, SourceSpec, Split, Unknown, VoxelLabels
 from omniocc.errors import UserError
 from omniocc.geometry import Grid
 
@@ -37,9 +39,12 @@ class OccupancyData(LightningDataModule):
         unknown: label of cells without points: `free` (the paper) or `unobserved` (255 unless a sensor saw through).
         frames_together: training frames of a scene that follow one another; where every scene has a rig of its own,
             two or more save time.
+        range_edges_m: ends of the distance bands of scores; LiDAR hits at the last of them or beyond count as free.
+            None: those of the source.
 
     Raises:
         ValueError: if a number is too small.
+        UserError: if the bands are fewer than one or do not increase.
     """
 
     def __init__(
@@ -53,6 +58,7 @@ class OccupancyData(LightningDataModule):
         seed: int,
         unknown: Unknown = "free",
         frames_together: int = 1,
+        range_edges_m: Sequence[float] | None = None,
     ):
         super().__init__()
         if min(batch_size, frames_together) < 1 or num_workers < 0:
@@ -67,6 +73,7 @@ class OccupancyData(LightningDataModule):
         self.seed = seed
         self.unknown: Unknown = unknown
         self.frames_together = frames_together
+        self.range_edges_m = range_edges_m
         self.needs: dict[Split, Needs] = dict.fromkeys(SPLITS, Needs())
         self.origins: Origins = "own"
         self._datasets: dict[Split, WindowDataset] = {}
@@ -83,13 +90,38 @@ class OccupancyData(LightningDataModule):
         self.voxels.prepare([scene for split in SPLITS for scene in self.source.scenes(split)])
 
     @cached_property
+    def spec(self) -> SourceSpec:
+        """Return the facts about the source, with the distance bands that were asked for.
+
+        Raises:
+            UserError: if the bands are fewer than one or do not increase.
+        """
+        spec = self.source.spec
+        if self.range_edges_m is None:
+            return spec
+        try:
+            return replace(spec, range_edges_m=tuple(map(float, self.range_edges_m)))
+        except ValueError as error:
+            raise UserError(f"data.range_edges_m={list(self.range_edges_m)}: {error}") from error
+
+    @cached_property
     def voxels(self) -> VoxelLabels:
         """Return the source's labels of the grid."""
         return self.source.labels(self.geometry, self.unknown)
 
+    def line_on_reach(self) -> str | None:
+        """Return a line that says where scores end before the grid does; None where they do not."""
+        reach_m, axes = self.spec.reach_m, torch.eye(3)[:2]
+        if self.spec.benchmark is not None or not self.geometry.within_sides(reach_m * axes, 0.0).any():
+            return None
+        return (
+            f"LiDAR hits count as free from {reach_m:g} m on, but the grid reaches farther: "
+            f"data.range_edges_m=[0,{reach_m:g},<end of the grid>] scores all of it"
+        )
+
     def check_classes(self) -> None:
         """Compare the number of classes with the source's; raise UserError if they differ."""
-        names = self.source.spec.classes.names
+        names = self.spec.classes.names
         if len(names) != self.num_classes:
             raise UserError(
                 f"data.num_classes={self.num_classes}, but this source has {len(names)} classes "
@@ -98,7 +130,7 @@ class OccupancyData(LightningDataModule):
 
     def setup(self, stage: str | None = None) -> None:
         """Open the three splits; `prepare_data` has been called, here or in another process."""
-        spec = self.source.spec
+        spec = self.spec
         own_rays, grid = spec.lidar_directions is None, spec.scored_grid(self.geometry)
         for split in SPLITS:
             scenes, needs = self.source.scenes(split), self.needs[split]

@@ -68,7 +68,7 @@ def facts_of(data: OccupancyData, cfg: DictConfig) -> TrainingData:
     Raises:
         UserError: when its source needs scenes that are not there.
     """
-    source, spec = data.source, data.source.spec
+    source, spec = data.source, data.spec
     name = OmegaConf.select(cfg, "data.source.rig") or "that of recorded scenes"
     return TrainingData(training_rig(source), name, spec.road_z_m, spec.classes, data.unknown, spec.frame_interval_s)
 

@@ -58,6 +58,8 @@ def run_hash(config: dict[str, Any], data_fingerprint: str) -> str:
     unused = () if sketch_learns(config) else ("depth", "stages", "appearance")
     unused += () if config.get("rate_factors") else ("rate_factors",)
     kept = {key: value for key, value in config.items() if key not in (*VOLATILE, *unused)}
+    if config["data"].get("range_edges_m") is None:
+        kept["data"] = {key: value for key, value in config["data"].items() if key != "range_edges_m"}
     return short_hash([with_digest("weights", kept), data_fingerprint, *own_code(kept)])
 
 

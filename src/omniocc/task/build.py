@@ -95,6 +95,6 @@ def load_task(path: Path, overrides: Sequence[str]) -> tuple[OccupancyTask, Occu
     cfg.model = without_pretrained(cfg.model)
     data: OccupancyData = build(cfg.data)
     data.check_classes()
-    task = build_task(cfg, data.source.spec)
+    task = build_task(cfg, data.spec)
     task.load_state_dict(trained.weights, strict=True)
     return task, data

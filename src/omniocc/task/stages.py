@@ -71,7 +71,7 @@ class Stages:
 
     def __init__(self, cfg: DictConfig, data: OccupancyData, with_evidence: bool):
         self.cfg = cfg
-        self.fingerprint, self.spec = data.source.fingerprint, data.source.spec
+        self.fingerprint, self.spec = data.source.fingerprint, data.spec
         self.scenes = [scene for split in SPLITS for scene in data.source.scenes(split)]
         keys = stage_keys(cfg, self.fingerprint)
         stages = Path(cfg.paths.runs) / "stages"

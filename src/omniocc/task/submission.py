@@ -101,7 +101,7 @@ def write_files(
     needs = Needs(voxels=False, pixel_labels=False, scores=False)
     data.read_only(needs, needs)
     data.setup()
-    benchmark = data.source.spec.benchmark
+    benchmark = data.spec.benchmark
     assert benchmark is not None
     task, samples = task.to(device).eval(), data.dataset(split)
     with Progress("predictions", len(frames)) as progress:

@@ -99,7 +99,7 @@ def test_scenes(
         return source.labels(grid, data.unknown)
 
     pairs = [(found[name], wanted) for name, wanted in chosen.items()]
-    return ChosenScenes(source.spec, pairs, labels, panorama, f"test scenes of {source.folder}", source.fingerprint)
+    return ChosenScenes(data.spec, pairs, labels, panorama, f"test scenes of {source.folder}", source.fingerprint)
 
 
 def recorded_scenes(

@@ -199,9 +199,9 @@ class RobustnessTest:
         return short_hash([VERSION, weights, model, data, self.scenes, part.name, self.seed, *self.not_usual()])
 
     def not_usual(self) -> list[Any]:
-        """Return what is overridden besides the source and changes scores: cells that count as unknown, the history."""
-        kept = ("free", self.task.model.temporal.frames)
-        found = (self.data.unknown, self.data.window)
+        """Return what is overridden besides the source and changes scores: unknown cells, the history, the bands."""
+        kept = ("free", self.task.model.temporal.frames, None)
+        found = (self.data.unknown, self.data.window, self.data.range_edges_m)
         return [] if found == kept else list(found)
 
     @torch.inference_mode()
@@ -213,7 +213,7 @@ class RobustnessTest:
         task, started = self.task.to(self.device).eval(), time.monotonic()
         recorded = self._scenes(source)
         scenes = [disturbed(scene, part.disturbance, part.name, self.seed) for scene in recorded]
-        data, spec = self.data, source.spec
+        data, spec = self.data, self.data.spec
         labels = source.labels(data.geometry, data.unknown)
         needs = Needs(pixel_labels=False)
         windows = WindowDataset(scenes, labels, data.window, needs, spec.lidar_directions is None)
