@@ -130,6 +130,11 @@ def main(arguments: list[str] | None = None) -> None:
                 test_again(checkpoint, words.overrides, folder, options.origins, options.images)
         except (UserError, OSError) as error:  # the others come first
             refused.append(str(error))
+    raise_all(refused)
+
+
+def raise_all(refused: Sequence[str]) -> None:
+    """Raise UserError with all different messages; nothing without one."""
     if refused:
         raise UserError("\n".join(dict.fromkeys(refused)))
 
@@ -205,8 +210,7 @@ def score_robustness(
         print(f"table     {folder / 'table.md'}", flush=True)
     if records:
         print(f"\n{robustness_text(records)}\n\nall systems: python src/report.py")
-    if refused:
-        raise UserError("\n".join(dict.fromkeys(refused)))
+    raise_all(refused)
 
 
 def draw(records: Sequence[Robustness], folder: Path) -> np.ndarray | None:

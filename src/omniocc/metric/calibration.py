@@ -8,6 +8,7 @@ from torch import Tensor
 from torchmetrics import Metric
 
 from omniocc.metric.checks import check_mask
+from omniocc.metric.plot import new_axes
 from omniocc.metric.renamed import renamed
 
 if TYPE_CHECKING:
@@ -86,11 +87,7 @@ class Calibration(Metric):
         Raises:
             ImportError: without matplotlib.
         """
-        try:
-            from matplotlib import pyplot
-        except ImportError as error:
-            raise ImportError("plot() needs matplotlib: pip install matplotlib") from error
-        axes = pyplot.subplots(figsize=(4.0, 4.0), layout="constrained")[1] if ax is None else ax
+        axes = new_axes(4.0, 4.0) if ax is None else ax
         fraction, said, right = self.reliability().cpu().T.numpy()
         axes.plot([0, 1], [0, 1], color="#999999", linewidth=1, label="calibrated")
         axes.plot(said, right, color="#4c72b0", linewidth=1)

@@ -12,7 +12,7 @@ from omniocc.classes import FREE, UNKNOWN
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.geometry.cylinder import PAPER_RANGE_EDGES_M
 from omniocc.metric.bands import as_edges, band_of, band_suffixes, num_rows
-from omniocc.metric.checks import check_labels, check_mask
+from omniocc.metric.checks import check_grid, check_labels, check_mask
 from omniocc.metric.plot import plot_scores
 from omniocc.metric.renamed import renamed
 from omniocc.metric.setting import hash_of
@@ -78,6 +78,7 @@ class Candidates(Metric):
         self, geometry: Cylinder | Cuboid, range_edges_m: Sequence[float | int] = PAPER_RANGE_EDGES_M, **kwargs: Any
     ):
         super().__init__(**kwargs)
+        check_grid("geometry", geometry)
         self.geometry = geometry
         self.range_edges_m = as_edges(range_edges_m)
         zeros = torch.zeros(num_rows(self.range_edges_m), len(COUNTS), dtype=torch.float64)

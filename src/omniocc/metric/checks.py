@@ -5,6 +5,17 @@ import itertools
 import torch
 from torch import Tensor
 
+from omniocc.geometry import Cuboid, Cylinder
+
+
+def check_grid(name: str, grid: object) -> None:
+    """Raise ValueError with `name` unless it is a grid; a shape alone does not say how large the cells are."""
+    if not isinstance(grid, Cylinder | Cuboid):
+        raise ValueError(
+            f"{name} must be a grid, omniocc.geometry.Cuboid(shape, x_m, y_m, height_m) or "
+            f"Cylinder(shape, radius_m, height_m), got {type(grid).__name__}"
+        )
+
 
 def check_labels(
     name: str, labels: Tensor, shape: tuple[int, ...], num_classes: int, ignore_class: int | None = None

@@ -30,11 +30,7 @@ def plot_bars(scores: Mapping[str, Tensor], keys: list[str], ax: "Axes | None" =
     """
     if not keys:
         raise ValueError(f"no scores with these keys; available: {', '.join(scores)}")
-    try:
-        from matplotlib import pyplot
-    except ImportError as error:
-        raise ImportError("plot() needs matplotlib: pip install matplotlib") from error
-    axes = pyplot.subplots(figsize=(max(4.0, 0.6 * len(keys)), 3.5), layout="constrained")[1] if ax is None else ax
+    axes = new_axes(max(4.0, 0.6 * len(keys)), 3.5) if ax is None else ax
     colors = {row.name: tuple(part / 255 for part in row.rgb) for row in WORLD_CLASSES.rows}
     names = [key.rsplit("/", 1)[-1] for key in keys]
     values = [float(scores[key]) for key in keys]
@@ -46,6 +42,19 @@ def plot_bars(scores: Mapping[str, Tensor], keys: list[str], ax: "Axes | None" =
     figure = axes.figure
     assert figure is not None
     return figure, axes  # pyright: ignore[reportReturnType]
+
+
+def new_axes(width: float, height: float) -> "Axes":
+    """Return the axes of a new figure of this size, inches.
+
+    Raises:
+        ImportError: without matplotlib.
+    """
+    try:
+        from matplotlib import pyplot
+    except ImportError as error:
+        raise ImportError("plot() needs matplotlib: pip install matplotlib") from error
+    return pyplot.subplots(figsize=(width, height), layout="constrained")[1]
 
 
 def plot_scores(

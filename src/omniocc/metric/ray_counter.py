@@ -10,7 +10,7 @@ from torch import Tensor
 from omniocc.geometry import Cuboid, Cylinder, Hits, RayTable, Scan, ray_table
 from omniocc.geometry.directions import sparseocc_directions
 from omniocc.metric.bands import as_edges, num_rows
-from omniocc.metric.checks import check_increasing, check_mask, check_same_batch
+from omniocc.metric.checks import check_grid, check_increasing, check_mask, check_same_batch
 from omniocc.metric.class_ids import ClassIds
 from omniocc.metric.protocol import RaysSeen, dropped_text, error_text, mean_text, rays_text
 from omniocc.metric.ray_counts import TIMES, RayCounts, count_rays, ray_scores
@@ -52,6 +52,8 @@ class RayCounter:
         if hit not in ("exit", "entry"):
             raise ValueError(f"hit must be 'exit' or 'entry', got {hit!r}")
         self.geometry, self.target_geometry = geometry, target_geometry or geometry
+        check_grid("geometry", self.geometry)
+        check_grid("target_geometry", self.target_geometry)
         self.classes = classes
         self.thresholds_m = tuple(float(edge) for edge in thresholds_m)
         self.fine_m = tuple(float(edge) for edge in fine_thresholds_m)
