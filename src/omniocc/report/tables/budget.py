@@ -13,7 +13,8 @@ HEAD += ["samples a step", "minutes", "in all", "peak MiB"]
 NOTE = (
     "Parameters and operations are those of the whole system, depth and sketch included; memory and the first minutes "
     "are those of the last stage. A learned sketch has two stages before it, which rows share; 'in all' counts them in "
-    "every row."
+    "every row. Minutes are means over seeds that ran beside other work, so that they differ by more than their rows "
+    "do: compare operations."
 )
 
 

@@ -203,11 +203,11 @@ def power_chapter(tables: Sequence[PaperTable], rows: Rows, given: Sequence[Seed
         f"How many training seeds each row of a claim needs, so that the claim 'holds' with a probability of "
         f"{WANTED:.0%} if the true gap is as large as the paper's, in proportion to the score here; what 'does not "
         f"hold' needs is not computed. Student's t at {LEVEL:.0%} / {claims}, the first and strictest step of Holm's "
-        f"correction for {claims} claims; own voxels. The standard deviations are those between seeds: of rows that "
-        f"use the same trained depth and sketch, without the effects of row and seed, known as well as from {parts} "
-        f"rows of {OTHERS} seeds or more / of a row that has nothing in common with the other. Two such rows are given "
-        f"equal ones here, the best case of Welch's test: where they differ, it needs more seeds. Those of the runs "
-        f"here are of each claim's own metric, the others of RayIoU. A dash: the better row has not run, or the "
-        f"standard deviation of the metric is not known."
+        f"correction for {claims} claims; own voxels. Each column is headed by two standard deviations between seeds. "
+        f"The first is for rows that use the same trained depth and sketch: what remains without the effects of row "
+        f"and seed, known as well as from {parts} rows of {OTHERS} seeds or more. The second is for rows that share "
+        f"nothing, and equal for both, the best case of Welch's test: where they differ, it needs more seeds. Those "
+        f"of the runs here are of each claim's own metric, the others of RayIoU. A dash: the better row has not run, "
+        f"or the standard deviation of the metric is not known."
     )
     return "\n".join([f"## {TITLE}", "", note, "", *sources, "", markdown(head, lines)])
