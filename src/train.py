@@ -118,7 +118,7 @@ def train_occupancy(
     task.set_training_statistics(data.voxel_counts())
     begun_with = None
     if cfg.weights is not None and run.checkpoint is None:
-        begun_with = load_fitting(task.model, cfg.weights)
+        begun_with = load_fitting(task.model, cfg.weights, config)
     files = build(cfg.logger).build(run.path, config, "occupancy")
     trainer = build(
         cfg.trainer,

@@ -34,3 +34,8 @@ def test_a_model_of_random_rigs_says_so():
     assert width * height == pytest.approx(64 * 36, rel=0.15)
     assert compare_rig(Rig.load("surround_view"), drawn) == "trained with rigs drawn at random"
     assert compare_rig(Rig.load("fisheye6"), own) == "as in training"
+
+
+def test_the_road_is_where_the_rig_of_the_training_had_it():
+    assert trained_with("data.source.rig=surround_view").road_z_m == Rig.load("surround_view").road_z_m
+    assert trained_with().road_z_m == -2.2

@@ -6,12 +6,12 @@ import pytest
 import torch
 from torch import nn
 
-from omniocc.config import plain
+from omniocc.config import build, plain
 from omniocc.errors import UserError
 from omniocc.run.checkpoint_io import write_checkpoint
 from omniocc.task import AdamW
 from omniocc.task.stage_task import Recipe
-from omniocc.task.start import check_resumed, check_weights, load_first_weights, load_fitting
+from omniocc.task.start import check_resumed, check_weights, load_first_weights, load_fitting, start_from
 
 
 @pytest.fixture
@@ -40,7 +40,7 @@ def test_given_weights_stay_when_a_stage_without_training_is_entered_again(tmp_p
         (replace(fixed, max_steps=5), None, True),
     ):
         model = nn.Linear(1, 1)
-        load_first_weights(model, recipe, "depth", checkpoint)
+        load_first_weights(model, recipe, "depth", checkpoint, {"seed": 1})
         assert torch.equal(model.weight, given.weight) == kept
 
 
@@ -102,17 +102,18 @@ def test_weights_that_fit_are_taken_and_the_others_are_named(make_task, saved):
         nn.init.constant_(parameter, 0.125)
     path = str(saved(trained))
     same = make_task("model/sketch=dense")
-    line = load_fitting(same.model, path)
-    tensors = [name for name in same.model.state_dict() if not name.startswith("sketch.")]
+    line = load_fitting(same.model, path, same.config)
+    counted = "sketch.", "classifier.prior_log_odds", "classifier.prior_shares"
+    tensors = [name for name in same.model.state_dict() if not name.startswith(counted)]
     assert line == f"{len(tensors)} of {len(tensors)} tensors from {path}"
     assert all((parameter == 0.125).all() for parameter in same.model.parameters())
-    other = make_task("model/sketch=dense", "model/refiner=attention").model
+    other = make_task("model/sketch=dense", "model/refiner=attention")
     known = {name: value.shape for name, value in trained.model.state_dict().items()}
-    before = {name: value.clone() for name, value in other.named_parameters()}
+    before = {name: value.clone() for name, value in other.model.named_parameters()}
     new = [name for name, value in before.items() if known.get(name) != value.shape]
-    assert f"; new are {new[0]}" in load_fitting(other, path)
+    assert f"; new are {new[0]}" in load_fitting(other.model, path, other.config)
     assert {name.split(".")[0] for name in new} == {"refiner"}
-    for name, value in other.named_parameters():
+    for name, value in other.model.named_parameters():
         assert value.equal(before[name] if name in new else torch.full_like(value, 0.125)), name
 
 
@@ -120,4 +121,39 @@ def test_weights_of_which_none_fits_are_an_error(make_task, saved):
     task = make_task("model/sketch=dense")
     path = saved(task, state_dict={"model.other.weight": torch.ones(2)})
     with pytest.raises(UserError, match="none of its weights has the name and shape"):
-        load_fitting(task.model, str(path))
+        load_fitting(task.model, str(path), task.config)
+
+
+def test_the_frequencies_of_the_classes_are_those_of_the_own_data(make_task, saved):
+    trained, task = make_task("model/sketch=dense"), make_task("model/sketch=dense")
+    trained.set_training_statistics(torch.full((12, *trained.model.geometry.shape), 3))
+    task.set_training_statistics(torch.arange(12).view(12, 1, 1, 1).expand(12, *task.model.geometry.shape))
+    before = {name: value.clone() for name, value in task.model.classifier.named_buffers()}
+    assert set(before) == set(task.model.classifier.COUNTED)
+    load_fitting(task.model, str(saved(trained)), task.config)
+    for name, value in task.model.classifier.named_buffers():
+        assert value.equal(before[name]), name
+        assert not value.equal(getattr(trained.model.classifier, name)), name
+
+
+def test_it_is_said_that_the_weights_are_of_another_grid(make_task, saved):
+    trained, far = make_task("model/sketch=dense"), make_task("model/sketch=dense", "model.geometry.radius_m=[0,50]")
+    line = load_fitting(far.model, str(saved(trained)), far.config)
+    assert line.endswith("another grid: model.geometry.radius_m=[0, 50] (there [0.0, 25.6])")
+
+
+def test_weights_of_a_depth_network_that_fit_another_one_are_told(smoke):
+    def given(*overrides):
+        cfg = smoke("preset=tiny", *overrides)
+        return build(cfg.depth), plain(cfg)
+
+    for overrides, told in (
+        (("depth.hints=true", "depth.pairs=nearest"), None),
+        (("depth.hints=true",), "of another network: depth.pairs=alternate (there nearest)"),
+    ):
+        model, config = given(*overrides)
+        line = start_from(model, "any-rig", "depth", config)
+        assert line == (told and f"stages.depth.weights=any-rig are {told}")
+    model, config = given()
+    with pytest.raises(UserError, match=r"size mismatch.*values that it has there: .*depth\.hints=False \(there True\)"):
+        start_from(model, "any-rig", "depth", config)

@@ -151,7 +151,8 @@ class Stages:
         data.read_only(*needs)
         duration = TrainingTime()
         trainer = self._trainer(recipe, [duration, images], folder, stage, title)
-        load_first_weights(task.model, recipe, stage, checkpoint)
+        if line := load_first_weights(task.model, recipe, stage, checkpoint, task.config):
+            say(line)
         metrics = train_and_test(trainer, task, data, checkpoint, trains and recipe.max_steps != 0)
         trainer.save_checkpoint(last)
         meet()

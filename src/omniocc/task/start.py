@@ -2,52 +2,67 @@
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from torch import nn
 
-from omniocc.config import dotted, plain
+from omniocc.config import dotted, plain, target_of
 from omniocc.errors import UserError
 from omniocc.model import OccupancyModel
+from omniocc.model.protocols import LearnedSketch
 from omniocc.run.checkpoint import Checkpoint, load_checkpoint, part_weights
 from omniocc.run.folder import given_checkpoint
 from omniocc.run.weights import find_checkpoint
 from omniocc.task.occupancy import OccupancyTask
+from omniocc.task.stage_keys import without
 from omniocc.task.stage_task import Recipe
 
 NAMED = 3
 """Names listed in a message, at most."""
 
 
-def load_first_weights(model: nn.Module, recipe: Recipe, stage: str, checkpoint: Path | None) -> None:
+def load_first_weights(
+    model: nn.Module, recipe: Recipe, stage: str, checkpoint: Path | None, config: Mapping[str, Any]
+) -> str | None:
     """Load the weights with which a stage begins: those that are given, or of its checkpoint where nothing is trained.
 
-    A checkpoint that training goes on from is left to the trainer.
+    A checkpoint that training goes on from is left to the trainer. `config` is the resolved configuration.
+
+    Returns:
+        A line on how the network that the given weights are from differs; None where it does not.
     """
     if checkpoint is None:
-        if recipe.weights is not None:
-            start_from(model, recipe.weights, stage)
-    elif not recipe.max_steps:
+        return None if recipe.weights is None else start_from(model, recipe.weights, stage, config)
+    if not recipe.max_steps:
         model.load_state_dict(load_checkpoint(checkpoint).model_weights)
+    return None
 
 
-def start_from(model: nn.Module, weights: str, stage: str) -> None:
+def start_from(model: nn.Module, weights: str, stage: str, config: Mapping[str, Any]) -> str | None:
     """Load a stage's weights from a checkpoint of any later stage; the depth in a sketch keeps those that it has.
+
+    Weights can fit a network that computes something else from them, because it pairs other cameras, for example.
+
+    Returns:
+        A line with the keys in which the two networks differ; None without any.
 
     Raises:
         UserError: when the checkpoint does not hold the stage, or its weights do not fit.
     """
-    path = find_checkpoint(weights)
-    own = part_weights(load_checkpoint(path), stage)
+    trained = load_checkpoint(find_checkpoint(weights))
+    own = part_weights(trained, stage)
+    other = list(_differing(_network(stage, plain(trained.config)), _network(stage, config)))
     inner = model.state_dict() if stage == "sketch" else {}
     own |= {name: value for name, value in inner.items() if name.startswith("depth.")}
     try:
         model.load_state_dict(own)
     except RuntimeError as error:
         first = str(error).splitlines()[1:2] or [str(error)]
+        keys = f" Give the values that it has there: {'; '.join(other)}" if other else ""
         raise UserError(
-            f"stages.{stage}.weights={weights} do not fit this {stage} network: {first[0].strip()}"
+            f"stages.{stage}.weights={weights} do not fit this {stage} network: {first[0].strip()}{keys}"
         ) from error
+    return f"stages.{stage}.weights={weights} are of another network: {'; '.join(other)}" if other else None
 
 
 def check_resumed(path: Path, config: Mapping[str, Any], steps: int | None) -> None:
@@ -89,27 +104,32 @@ def check_weights(weights: str, resume: str) -> None:
     _occupancy_checkpoint(find_checkpoint(weights), "weights")
 
 
-def load_fitting(model: OccupancyModel, weights: str) -> str:
+def load_fitting(model: OccupancyModel, weights: str, config: Mapping[str, Any]) -> str:
     """Load the weights of another model that have the name and shape of this one's; return a line that says which.
 
-    The sketch keeps its own, those of its stage.
+    The sketch keeps its own, those of its stage, and the classifier the frequencies of the classes in its own data.
 
     Args:
         model: gets the weights.
         weights: checkpoint of the occupancy stage, or name of shipped weights.
+        config: the resolved configuration; the line says in which keys its grid differs.
 
     Raises:
         UserError: when none fits.
     """
-    given = _occupancy_checkpoint(find_checkpoint(weights), "weights").model_weights
-    own = {name: value for name, value in model.state_dict().items() if not name.startswith("sketch.")}
+    trained = _occupancy_checkpoint(find_checkpoint(weights), "weights")
+    given, counted = trained.model_weights, [f"classifier.{name}" for name in model.classifier.COUNTED]
+    own = {name: value for name, value in model.state_dict().items() if not name.startswith(("sketch.", *counted))}
     fitting = {name: given[name] for name in own if name in given and given[name].shape == own[name].shape}
     if not fitting:
         raise UserError(f"weights={weights}: none of its weights has the name and shape of one of this model")
     model.load_state_dict(fitting, strict=False)
     line = f"{len(fitting)} of {len(own)} tensors from {weights}"
-    missing = [name for name in own if name not in fitting]
-    return f"{line}; new are {_some(missing)}" if missing else line
+    if missing := [name for name in own if name not in fitting]:
+        line += f"; new are {_some(missing)}"
+    theirs, ours = (dotted(one["model"]["geometry"], "model.geometry.") for one in (plain(trained.config), config))
+    other = list(_differing(theirs, ours))
+    return f"{line}; another grid: {'; '.join(other)}" if other else line
 
 
 def _occupancy_checkpoint(path: Path, key: str) -> Checkpoint:
@@ -127,10 +147,23 @@ def _changed(trained: Checkpoint, config: Mapping[str, Any]) -> Iterator[str]:
 
     Keys that only one of them has are those of another version or option, and an option's class is named.
     """
-    theirs = _continued(plain(trained.config))
-    for key, value in _continued(config).items():
+    return _differing(_continued(plain(trained.config)), _continued(config))
+
+
+def _differing(theirs: Mapping[str, Any], ours: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the keys that both have and in which they differ, with both values."""
+    for key, value in ours.items():
         if theirs.get(key, value) != value:
             yield f"{key}={value} (there {theirs[key]})"
+
+
+def _network(stage: str, config: Mapping[str, Any]) -> dict[str, Any]:
+    """Return by dotted key what decides the network of a stage."""
+    if stage == "depth":
+        return dotted(without(config.get("depth", {}), ("loss",)), "depth.")
+    sketch = config.get("model", {}).get("sketch", {})
+    selection = cast(type[LearnedSketch], target_of(sketch)).SELECTION if sketch else ()
+    return dotted(without(sketch, (*selection, "depth", "loss")), "model.sketch.")
 
 
 def _continued(config: Mapping[str, Any]) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from omniocc.geometry import Grid
 from omniocc.progress import Progress
 from omniocc.world import ABSTRACT, THEMES, Scene, seeding
 from omniocc.world.assets.vehicle import EGO_ROAD_M
-from omniocc.world.render.own_car import mask_ego_car
+from omniocc.world.render.own_car import mask_ego_car, road_of
 from omniocc.world.render.weather import WEATHERS, Weather, draw_weather
 from omniocc.world.scene import LabelMode
 from omniocc.world.sensors.recorder import Capture
@@ -179,8 +179,8 @@ class VirtualWorld:
 
     @property
     def spec(self) -> SourceSpec:
-        """Return the classes, bands and rays of the virtual world."""
-        return world_spec(self.frame_interval_s)
+        """Return the classes, bands and rays of the virtual world, and the height of the road that the rig states."""
+        return world_spec(self.frame_interval_s, EGO_ROAD_M if self.rig is None else road_of(self.rig))
 
     @property
     def name(self) -> str:
@@ -320,9 +320,9 @@ def _world_folder() -> Path:
 
 
 @cache
-def world_spec(frame_interval_s: float) -> SourceSpec:
-    """Return the facts about scenes of the virtual world that are recorded at this interval, s."""
-    return recorded_spec(WORLD_CLASSES, frame_interval_s, EGO_ROAD_M)
+def world_spec(frame_interval_s: float, road_z_m: float = EGO_ROAD_M) -> SourceSpec:
+    """Return the facts about scenes of the virtual world at this interval, s, and height of the road, m, ego frame."""
+    return recorded_spec(WORLD_CLASSES, frame_interval_s, road_z_m)
 
 
 def _at_least(name: str, value: int, least: int) -> int:

@@ -1,6 +1,7 @@
 """The last layer: logits of every voxel, which start from what is known before training."""
 
 from collections.abc import Sequence
+from typing import ClassVar
 
 import torch
 from jaxtyping import Float, Int64
@@ -32,8 +33,12 @@ class Classifier(nn.Module):
         num_classes: of voxels, free included.
         evidence: whether the sketch's evidence is used.
         pixel_classes: whether the 2D head's classes at the voxels are used.
+
+    Attributes:
+        COUNTED: names of the buffers that are counted in the training frames, not learned.
     """
 
+    COUNTED: ClassVar = ("prior_log_odds", "prior_shares")
     prior_log_odds: Tensor
     prior_shares: Tensor
 
