@@ -1,10 +1,12 @@
 """What is checked before anything is made."""
 
+from pathlib import Path
+
 import pytest
 import torch
 
 from omniocc.errors import UserError
-from omniocc.task.build import check_devices
+from omniocc.task.build import check_changes, check_devices
 
 
 def test_a_machine_that_lacks_what_is_asked_for_is_a_line(smoke):
@@ -32,3 +34,18 @@ def test_evidence_in_the_queries_is_stored_for_every_lifter_that_has_it(make_tas
     for used in (True, False):
         task = make_task(f"model/lifter={lifter}", f"model.lifter.evidence={used}")
         assert task.model.uses_evidence == used
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("dta.source.root=/x", r"dta.source.root: this has no effect on a.ckpt; only keys of data, model"),
+        ("trainer.limit_test_batches=1", "trainer.limit_test_batches: this has no effect"),
+        ("data=recorded", r"data: a.ckpt keeps its data, .*predict.py occupancy"),
+        ("model.geometry.radius_m=[0,50]", "model.geometry.radius_m: a.ckpt was trained on its grid"),
+    ],
+)
+def test_overrides_of_a_checkpoint_that_do_not_what_they_say_are_refused(override, message):
+    check_changes(Path("a.ckpt"), ["data.source.root=/x", "model.temporal.frames=1"])
+    with pytest.raises(UserError, match=message):
+        check_changes(Path("a.ckpt"), ["data.source.root=/x", override])

@@ -155,5 +155,5 @@ def test_weights_of_a_depth_network_that_fit_another_one_are_told(smoke):
         line = start_from(model, "any-rig", "depth", config)
         assert line == (told and f"stages.depth.weights=any-rig are {told}")
     model, config = given()
-    with pytest.raises(UserError, match=r"size mismatch.*values that it has there: .*depth\.hints=False \(there True\)"):
+    with pytest.raises(UserError, match=r"size mismatch.*that it has there: .*depth\.hints=False \(there True\)"):
         start_from(model, "any-rig", "depth", config)

@@ -29,6 +29,9 @@ from omniocc.run.table import summary
 from omniocc.run.weights import find_checkpoint
 from omniocc.task.scores import Scores
 
+SAME_HEIGHT_M = 0.1
+"""Heights of the road that differ by less, about a quarter of a cell, are taken for the same."""
+
 
 def options_of(cfg: DictConfig) -> Options:
     """Return the checked options.
@@ -191,7 +194,19 @@ def announcement(
     return [
         f"model     {options.checkpoint}, {parameters:.2f} M parameters, {grid}",
         f"cameras   {', '.join(sequences[0].rig.names)}: {compare_rig(sequences[0].rig, trained)}",
+        *other_heights(sequences, trained),
         f"history   {used}",
+    ]
+
+
+def other_heights(sequences: Sequence[FrameSequence], trained: TrainingData) -> list[str]:
+    """Return a line where recorded scenes have the road at another height than the model had in its training."""
+    stated = [one.spec.road_z_m for one in sequences if isinstance(one, RecordedSequence) and one.labelled]
+    if trained.any_rig or all(abs(road_z_m - trained.road_z_m) < SAME_HEIGHT_M for road_z_m in stated):
+        return []
+    return [
+        f"road      {-stated[0]:g} m below the origin of these scenes, {-trained.road_z_m:g} m in the training: expect "
+        "wrong voxels; record them with an origin as high as that (recorder.ego_from_base, recorder.road_z_m)"
     ]
 
 

@@ -87,6 +87,7 @@ def load_task(path: Path, overrides: Sequence[str]) -> tuple[OccupancyTask, Occu
     if trained.stage != OccupancyTask.STAGE:
         raise UserError(f"{path} is a checkpoint of the {trained.stage} stage; this needs one of the occupancy stage")
     packages = changes.pop("packages", ())
+    check_changes(path, [word for word in overrides if not word.startswith("packages=")])
     cfg = OmegaConf.merge(trained.config, changes)
     assert isinstance(cfg, DictConfig)
     if absent := [key for key in (*PARTS, "data", "ema_decay") if key not in cfg]:
@@ -98,3 +99,25 @@ def load_task(path: Path, overrides: Sequence[str]) -> tuple[OccupancyTask, Occu
     task = build_task(cfg, data.spec)
     task.load_state_dict(trained.weights, strict=True)
     return task, data
+
+
+def check_changes(path: Path, overrides: Sequence[str]) -> None:
+    """Check that overrides of a checkpoint's configuration have an effect, and only the one that is meant.
+
+    Raises:
+        UserError: naming the override, and what to do instead.
+    """
+    for key in (word.partition("=")[0] for word in overrides):
+        part = key.partition(".")[0]
+        if part not in (*PARTS, "data"):
+            raise UserError(
+                f"{key}: this has no effect on {path}; only keys of {', '.join(('data', *PARTS))} can be changed, such "
+                "as data.source.root=..."
+            )
+        if key == part:
+            raise UserError(
+                f"{key}: {path} keeps its {part}, of which single keys can be changed, such as data.source.root=...; "
+                "scenes of another source are scored by python src/predict.py occupancy checkpoint=... recorded=..."
+            )
+        if key.startswith("model.geometry"):
+            raise UserError(f"{key}: {path} was trained on its grid and can have no other")

@@ -7,7 +7,7 @@ from typing import Any
 
 from omniocc.camera import Rig
 from omniocc.data.source import Unknown
-from omniocc.data.source.recorded import spec_of
+from omniocc.data.source.recorded import spec_of, votes_of
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import META
 from omniocc.errors import UserError
@@ -21,7 +21,7 @@ from omniocc.task.scores import Scores
 from omniocc.viewer.frames import FramePrediction, Shown, ShownFrame
 from omniocc.viewer.models import frame_figures, scene_scores
 from omniocc.viewer.options import ViewOptions
-from omniocc.viewer.scenes import ChosenScenes, choose, recorded_frame, rig_at_sizes, voxel_votes
+from omniocc.viewer.scenes import ChosenScenes, choose, recorded_frame, rig_at_sizes
 
 OWN_INTERVAL_S = 1.0
 """Time between frames of a user's own images, of which none is known, s."""
@@ -132,7 +132,7 @@ def _recorded(
 ) -> ShownFrame:
     """Return a predicted frame of a recorded scene, scored where there is truth; `unknown` as in its training."""
     spec, grid = spec_of(scene), voxels.geometry
-    labels = voxel_votes(Path(scene.folder).parent, unknown, spec)
+    labels = partial(votes_of, scene, unknown=unknown)
     scenes = ChosenScenes(spec, [(scene, [frame])], labels, None, scene.name, "")
     truth = scenes.truth(scene, frame, grid)
     figures = {} if truth is None else frame_figures(scores(grid, scene), voxels.labels, truth)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +14,8 @@ from omniocc.camera import Equirectangular, Rig
 from omniocc.data import OccupancyData
 from omniocc.data.check_source import has_labels
 from omniocc.data.dataset import Needs, WindowDataset, collate
-from omniocc.data.labels.voxels import VoxelCache
 from omniocc.data.source import SceneFrames, SourceSpec, Unknown, VoxelLabels
-from omniocc.data.source.recorded import spec_of
+from omniocc.data.source.recorded import spec_of, votes_of
 from omniocc.data.source.virtual import VirtualWorld
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import digest
@@ -139,14 +139,9 @@ def scenes_of(
     for other, _ in pairs:
         if spec_of(other).classes != spec.classes:
             raise UserError(f"recorded={folder}: '{other.name}' has other classes than '{pairs[0][0].name}'")
-    labels = voxel_votes(folder, unknown, spec)
     checksums = digest(sorted([one.name, one.meta["files"]] for one, _ in pairs))
+    labels = partial(votes_of, pairs[0][0], unknown=unknown)
     return ChosenScenes(spec, pairs, labels, panorama, f"recorded scenes of {folder}", checksums)
-
-
-def voxel_votes(folder: Path, unknown: Unknown, spec: SourceSpec) -> Callable[[Grid], VoxelLabels]:
-    """Return a function that gives the labels of a grid, voted when they are read; nothing is written."""
-    return lambda grid: VoxelCache(folder, grid, unknown, num_classes=spec.classes.num_classes)
 
 
 def choose(

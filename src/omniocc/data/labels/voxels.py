@@ -27,6 +27,8 @@ from omniocc.progress import Progress
 VOTE_VERSION = 1
 """Raise it when the same points would give other voxels."""
 
+Reach = tuple[float, float, float]
+"""Distances from the ego origin along x, y and z, m."""
 MEMBER = "voxels.zst"
 VOTED: tuple[Unknown, ...] = ("free", "unobserved")
 """The labels that cells without points can have."""
@@ -52,7 +54,7 @@ def vote(
     return cells
 
 
-def cells_beyond(geometry: Grid, reach_m: tuple[float, float, float]) -> Bool[Tensor, "X Y Z"] | None:
+def cells_beyond(geometry: Grid, reach_m: Reach) -> Bool[Tensor, "X Y Z"] | None:
     """Return the cells whose centre is farther from the ego origin along x, y or z; None if there are none."""
     beyond = (geometry.centers().abs() > torch.tensor(reach_m)).any(-1)
     return beyond if beyond.any() else None
@@ -85,7 +87,7 @@ class VoxelCache:
         num_classes: int = NUM_CLASSES,
         workers: int = 0,
         masks: Sequence[str] = (),
-        reach_m: tuple[float, float, float] | None = None,
+        reach_m: Reach | None = None,
     ):
         if unknown not in VOTED:
             raise UserError(f"data.unknown={unknown}: choose {' or '.join(VOTED)}")

@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from omniocc.camera import Rig
-from omniocc.data.labels.voxels import VoxelCache
+from omniocc.data.labels.voxels import Reach, VoxelCache
 from omniocc.data.recording.pool import usable_cores
 from omniocc.data.recording.spec import panorama_of, plain_spec, read_spec
 from omniocc.data.source import SPLITS, SourceSpec, Split, Unknown
+from omniocc.data.source.virtual import LABELS_REACH_M
 from omniocc.data.store.files import is_url, list_folders, read_json
 from omniocc.data.store.folder import SceneFolder
 from omniocc.data.store.reader import SceneReader
@@ -113,8 +114,9 @@ class Recorded:
 
     def labels(self, geometry: Grid, unknown: Unknown) -> VoxelCache:
         """Return the voxel labels of a grid, voted from the recorded points."""
-        classes = self.spec.classes.num_classes
-        return VoxelCache(self.folder, geometry, unknown, self.fingerprint, classes, self.workers, self._masks)
+        classes, known = self.spec.classes.num_classes, [reach_of(scene) for scene in self._readers]
+        reach_m = min((reach for reach in known if reach is not None), default=None)
+        return VoxelCache(self.folder, geometry, unknown, self.fingerprint, classes, self.workers, self._masks, reach_m)
 
     def scenes(self, split: Split) -> list[SceneReader]:
         """Return the scenes of a split, in order of their names."""
@@ -136,6 +138,20 @@ def spec_of(scene: SceneFolder) -> SourceSpec:
         return read_spec(scene.meta["facts"]["spec"])
     except (KeyError, TypeError, ValueError) as error:
         raise scene.damaged(META, f"its classes and frame rate cannot be read ({error!r})") from error
+
+
+def reach_of(scene: SceneFolder) -> Reach | None:
+    """Return the distances along x, y and z, m, at which a scene's points end; None: as far as the sensor sees.
+
+    Recorders of the virtual world and of CARLA, which state the kind of place, leave farther points out.
+    """
+    return LABELS_REACH_M if "theme" in scene.meta.get("facts", {}) else None
+
+
+def votes_of(scene: SceneReader, geometry: Grid, unknown: Unknown) -> VoxelCache:
+    """Return the labels of a recorded scene in a grid; those that are not kept beside it are voted, and not kept."""
+    classes = spec_of(scene).classes.num_classes
+    return VoxelCache(Path(scene.folder).parent, geometry, unknown, num_classes=classes, reach_m=reach_of(scene))
 
 
 def split_scenes(splits: Splits, available: Sequence[str], root: str) -> dict[Split, list[str]]:

@@ -14,9 +14,8 @@ from torch import Tensor
 from omniocc.batch import Truth
 from omniocc.camera import Rig
 from omniocc.data import SceneReader
-from omniocc.data.labels.voxels import vote
 from omniocc.data.source import SceneFrames, SourceSpec, Unknown
-from omniocc.data.source.recorded import spec_of
+from omniocc.data.source.recorded import spec_of, votes_of
 from omniocc.data.store.codec import POINTS
 from omniocc.data.store.shard import META
 from omniocc.errors import UserError
@@ -121,7 +120,7 @@ class RecordedSequence:
         if not self.labelled:
             return None
         scan = self.scene.lidar(frame)
-        voxels = vote(self.scene, frame, geometry, unknown, self.spec.classes.num_classes)[None]
+        voxels = votes_of(self.scene, geometry, unknown).read(self.scene, frame)[None]
         if scan is None:
             return Truth(voxels)
         return Truth(voxels, torch.from_numpy(scan.range_m)[None], torch.from_numpy(scan.labels)[None])
