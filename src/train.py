@@ -80,7 +80,7 @@ def main(cfg: DictConfig) -> None:
         )
     earlier = Stages(cfg, data, with_evidence) if sketch_learns(cfg) else None
     if is_first():
-        for line in filter(None, (without_head, data.line_on_reach())):
+        for line in filter(None, (without_head, *data.remarks())):
             print(line, flush=True)
         announce_plan(cfg, stages, frames)
     figures: dict[str, float] = {}

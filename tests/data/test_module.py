@@ -4,7 +4,7 @@ from fake_scene import FakeWorld
 from lightning.pytorch import LightningModule, Trainer
 from lightning.pytorch.callbacks import Callback
 
-from omniocc.data import OccupancyData
+from omniocc.data import OccupancyData, SceneReader
 from omniocc.errors import UserError
 from omniocc.geometry import Cylinder
 from omniocc.task.scores import Scores, within_reach
@@ -171,6 +171,16 @@ def test_bands_that_make_no_sense_are_an_error(root, edges):
 
 def test_it_is_said_where_the_scores_end_before_the_grid_does(root):
     far = Cylinder(shape=(4, 6, 2), radius_m=(0.0, 40.0), height_m=(-2.8, 3.6))
-    assert make(root).line_on_reach() is None
-    assert "from 25.6 m on" in make(root, grid=far).line_on_reach()
-    assert make(root, grid=far, range_edges_m=[0, 40]).line_on_reach() is None
+    assert list(make(root).remarks()) == []
+    (line,) = make(root, grid=far).remarks()
+    assert "from 25.6 m on" in line
+    assert list(make(root, grid=far, range_edges_m=[0, 40]).remarks()) == []
+
+
+def test_it_is_said_that_a_log_does_not_see_all_free_cells(root, monkeypatch):
+    real = SceneReader.meta.func
+    log = property(lambda scene: real(scene) | {"facts": real(scene)["facts"] | {"log": {}}})
+    monkeypatch.setattr(SceneReader, "meta", log)
+    (line,) = make(root).remarks()
+    assert "data.unknown=unobserved" in line
+    assert list(make(root, unknown="unobserved").remarks()) == []

@@ -90,7 +90,7 @@ def write_bag(scene: SceneReader, path: Path, ros: int) -> Path:
             write_odometry(bag, now, world_from_base)
             for name, image in zip(scene.rig.names, scene.images(frame), strict=True):
                 write_image(bag, name, now, image)
-            write_points(bag, now + 5_000_000, *lidar_points(scene, frame))
+            write_points(bag, now, *lidar_points(scene, frame))
     return path
 
 

@@ -64,7 +64,7 @@ def write_log(scene: SceneReader, folder: Path) -> Path:
             assert cv2.imwrite(str(path), cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
         rows.append([stamp_ns(scene, frame), *scene.world_from_ego[frame].ravel().tolist()])
         points, labels = lidar_points(scene, frame)
-        stem = str(stamp_ns(scene, frame, 5_000_000))
+        stem = str(stamp_ns(scene, frame))
         np.savez(folder / "npz" / f"{stem}.npz", points=points, labels=labels)
         write_bin(folder / "bin" / f"{stem}.bin", points, labels)
         write_pcd(folder / "pcd" / f"{stem}.pcd", points, labels)

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 import torch
 from log_files import START_NS, lidar_option, rig_of, stamp_ns
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation, Slerp
 
 from omniocc.camera import Rig
 from omniocc.classes import OCCUPANCY_CLASSES, UNKNOWN, WORLD_CLASSES
@@ -76,6 +78,30 @@ def test_ranges_are_those_of_the_points_and_sparse(recorder, original, tmp_path)
     dense = original.camera_range_m(1)[camera]
     both = np.isfinite(dense) & np.isfinite(ranges[camera])
     assert np.median(np.abs(dense - ranges[camera])[both] / dense[both]) < 0.05
+
+
+def test_points_of_a_scan_at_another_time_are_moved_by_the_motion_between(recorder, original, log_folder, tmp_path):
+    log = shutil.copytree(log_folder, tmp_path / "log")
+    late_ns, step_s = 100_000_000, original.time_s[1] - original.time_s[0]
+    for frame in range(len(original)):
+        (log / "npz" / f"{stamp_ns(original, frame)}.npz").rename(
+            log / "npz" / f"{stamp_ns(original, frame, late_ns)}.npz"
+        )
+    at_once = SceneReader(recorder(lidar_option("npz")).record(tmp_path / "same")[0])
+    options = lidar_option("npz"), "limit_s=0.2"
+    later = SceneReader(recorder(*options, log=log).record(tmp_path / "later")[0])
+    begin, end = original.world_from_ego[:2]
+    part = late_ns / 1e9 / step_s
+    at_scan = np.eye(4)
+    at_scan[:3, :3] = Slerp([0, 1], Rotation.from_matrix([begin[:3, :3], end[:3, :3]]))(part).as_matrix()
+    at_scan[:3, 3] = begin[:3, 3] + part * (end[:3, 3] - begin[:3, 3])
+    motion = np.linalg.inv(begin) @ at_scan
+    assert np.linalg.norm(motion[:3, 3]) > 0.3
+    expected = at_once.points(0).points_m @ motion[:3, :3].T + motion[:3, 3]
+    apart_m, _ = cKDTree(later.points(0).points_m).query(expected)  # stored in another order, in steps of 1/128 m
+    assert len(later.points(0).points_m) == len(expected)
+    assert apart_m.max() < 0.02
+    assert not np.array_equal(later.camera_range_m(0), at_once.camera_range_m(0))
 
 
 def test_a_scene_without_lidar_has_images_and_poses_alone(recorder, original, tmp_path):

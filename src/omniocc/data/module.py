@@ -1,6 +1,6 @@
 """Datasets and loaders for training, validation and test."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -17,6 +17,7 @@ from omniocc.data.origins import Origins
 from omniocc.data.recording.pool import limit_threads
 from omniocc.data.sampler import EpochSampler, RankSampler
 from omniocc.data.source import SPLITS, SceneSource, SourceSpec, Split, Unknown, VoxelLabels
+from omniocc.data.store.reader import SceneReader
 from omniocc.errors import UserError
 from omniocc.geometry import Grid
 
@@ -109,15 +110,20 @@ class OccupancyData(LightningDataModule):
         """Return the source's labels of the grid."""
         return self.source.labels(self.geometry, self.unknown)
 
-    def line_on_reach(self) -> str | None:
-        """Return a line that says where scores end before the grid does; None where they do not."""
+    def remarks(self) -> Iterator[str]:
+        """Yield a line where scores end before the grid does, and where a real LiDAR leaves cells unseen; prepared."""
         reach_m, axes = self.spec.reach_m, torch.eye(3)[:2]
-        if self.spec.benchmark is not None or not self.geometry.within_sides(reach_m * axes, 0.0).any():
-            return None
-        return (
-            f"LiDAR hits count as free from {reach_m:g} m on, but the grid reaches farther: "
-            f"data.range_edges_m=[0,{reach_m:g},<end of the grid>] scores all of it"
-        )
+        if self.spec.benchmark is None and self.geometry.within_sides(reach_m * axes, 0.0).any():
+            yield (
+                f"LiDAR hits count as free from {reach_m:g} m on, but the grid reaches farther: "
+                f"data.range_edges_m=[0,{reach_m:g},<end of the grid>] scores all of it"
+            )
+        scenes = [scene for scene in self.source.scenes("train")[:1] if isinstance(scene, SceneReader)]
+        if self.unknown == "free" and any("log" in scene.meta.get("facts", {}) for scene in scenes):
+            yield (
+                "cells without points count as free, but a single LiDAR does not see all of them: "
+                "data.unknown=unobserved leaves those out that no ray has crossed"
+            )
 
     def check_classes(self) -> None:
         """Compare the number of classes with the source's; raise UserError if they differ."""

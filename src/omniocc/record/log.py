@@ -6,10 +6,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float64, Int64, UInt8
+from jaxtyping import Bool, Float64, Int64, UInt8
 
 from omniocc.camera import Rig
 from omniocc.classes import ClassTable
+from omniocc.data.formats.poses import inverse
 from omniocc.data.source import Points
 from omniocc.errors import UserError
 from omniocc.record.streams import MISSING, gap_s, interpolate, lacking, nearest, paced
@@ -85,6 +86,8 @@ class Plan(NamedTuple):
         images: (F, N) number of the image of each camera.
         scans: (F,) number of the scan; None without a LiDAR.
         world_from_ego: (F, 4, 4).
+        ego_from_scan: (F, 4, 4) pose of the car when the scan was taken, in the frame's ego frame; None where every
+            scan has the time of its frame.
         missing: time of each frame that is left out, and the streams that lack a sample.
     """
 
@@ -92,6 +95,7 @@ class Plan(NamedTuple):
     images: Int64[np.ndarray, "F N"]
     scans: Int64[np.ndarray, " F"] | None
     world_from_ego: Float64[np.ndarray, "F 4 4"]
+    ego_from_scan: Float64[np.ndarray, "F 4 4"] | None
     missing: list[tuple[float, list[str]]]
 
 
@@ -110,7 +114,11 @@ def plan_frames(log: Log, timing: Timing) -> Plan:
     matches = {name: nearest(s, at_s, timing.limit_s) for name, s in zip(names, log.image_times_s, strict=True)}
     if log.scans is not None:
         matches[LIDAR] = nearest(log.scans.times_s, at_s, timing.limit_s)
-    poses, known = interpolate(log.pose_times_s, log.world_from_ego, at_s, timing.limit_s, timing.pose_gap_s)
+    poses, known = _poses(log, timing, at_s)
+    scan_s = at_s if log.scans is None or not len(log.scans.times_s) else log.scans.times_s[matches[LIDAR]]
+    scan_s = np.where(matches.get(LIDAR, at_s) == MISSING, at_s, scan_s)
+    scan_poses, scan_known = _poses(log, timing, scan_s)
+    known &= scan_known
     lacks = lacking(matches | {POSES: np.where(known, 0, MISSING)})
     kept = np.array([not names for names in lacks], bool)
     if not kept.any():
@@ -118,7 +126,16 @@ def plan_frames(log: Log, timing: Timing) -> Plan:
     images = np.stack([matches[name] for name in names], axis=1)[kept]
     missing = [(float(time_s), names) for time_s, names in zip(at_s, lacks, strict=True) if names]
     scans = matches[LIDAR][kept] if log.scans is not None else None
-    return Plan(at_s[kept], images, scans, poses[kept], missing)
+    same = np.array_equal(scan_s[kept], at_s[kept])
+    from_scan = None if same else inverse(poses[kept]) @ scan_poses[kept]
+    return Plan(at_s[kept], images, scans, poses[kept], from_scan, missing)
+
+
+def _poses(
+    log: Log, timing: Timing, at_s: Float64[np.ndarray, " F"]
+) -> tuple[Float64[np.ndarray, "F 4 4"], Bool[np.ndarray, " F"]]:
+    """Return the poses of the car at these times, and which of them are known."""
+    return interpolate(log.pose_times_s, log.world_from_ego, at_s, timing.limit_s, timing.pose_gap_s)
 
 
 def _nothing(log: Log, reference: str, at_s: np.ndarray, lacks: list[list[str]], limit_s: float) -> str:

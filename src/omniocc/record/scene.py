@@ -16,6 +16,7 @@ from omniocc.camera import Camera, Equirectangular, Rig
 from omniocc.camera.masks import lenses_that_do_not_fit
 from omniocc.classes import OCCUPANCY_CLASSES
 from omniocc.data.formats.files import check_aspect, scaled_to
+from omniocc.data.formats.poses import moved
 from omniocc.data.formats.projected import onto_cameras, onto_panorama
 from omniocc.data.recording.pool import Report, make_scenes
 from omniocc.data.recording.scene import append_frame, finish_scene
@@ -152,7 +153,7 @@ def _recipe(log: Log, plan: Plan, rig: Rig, timing: Timing, stated: Stated) -> s
     """Return a hash of all that decides the frames but for the content of images and scans."""
     parts = [
         part.tobytes().hex()
-        for part in (plan.times_s, plan.images, plan.world_from_ego, plan.scans)
+        for part in (plan.times_s, plan.images, plan.world_from_ego, plan.scans, plan.ego_from_scan)
         if part is not None
     ]
     options = [list(timing), list(stated), rig.fingerprint, dict(log.facts), list(log.inputs)]
@@ -172,7 +173,9 @@ def _scaled_rig(rig: Rig, stated: Stated) -> Rig:
     try:
         return replace(scaled, road_z_m=road_z_m)
     except ValueError as error:
-        raise UserError(str(error)) from error
+        raise UserError(
+            f"{error}; put the ego frame above it (ego_from_base of bags, or the poses of the rig)"
+        ) from error
 
 
 def spec_of_log(log: Log, plan: Plan, road_z_m: float) -> SourceSpec:
@@ -219,11 +222,14 @@ def read_frame(log: Log, plan: Plan, number: int, rig: Rig, panorama: Equirectan
     if log.scans is None or plan.scans is None:
         return frame
     points = log.scans.read(int(plan.scans[number]))
+    points_m = points.points_m
+    if plan.ego_from_scan is not None:  # the car has moved since the scan, or had not yet
+        points_m = moved(plan.ego_from_scan[number], points_m).astype(np.float32)
     return replace(
         frame,
-        range_m=np.stack([image.range_m for image in onto_cameras(points.points_m, None, rig)]),
-        erp_range_m=onto_panorama(points.points_m, None, panorama).range_m,
-        points_m=points.points_m,
+        range_m=np.stack([image.range_m for image in onto_cameras(points_m, None, rig)]),
+        erp_range_m=onto_panorama(points_m, None, panorama).range_m,
+        points_m=points_m,
         point_labels=points.labels,
     )
 

@@ -115,7 +115,7 @@ class VirtualWorld:
             raise ValueError(f"root is a URL ({root}): set cache to a local folder, where voxels are kept")
         self.root = root
         self.cache = cache
-        self.rig = None if rig == RANDOM else Rig.load(rig).resized(*image_size)
+        self.rig = None if rig == RANDOM else _resized(rig, image_size)
         self.pixels = image_size[0] * image_size[1]
         self.themes = tuple(themes)
         self.num_scenes = {"train": train_scenes, "val": val_scenes, "test": test_scenes}
@@ -323,6 +323,13 @@ def _world_folder() -> Path:
 def world_spec(frame_interval_s: float, road_z_m: float = EGO_ROAD_M) -> SourceSpec:
     """Return the facts about scenes of the virtual world at this interval, s, and height of the road, m, ego frame."""
     return recorded_spec(WORLD_CLASSES, frame_interval_s, road_z_m)
+
+
+def _resized(rig: str, image_size: Sequence[int]) -> Rig:
+    try:
+        return Rig.load(rig).resized(*image_size)
+    except ValueError as error:
+        raise ValueError(f"rig={rig}, image_size={list(image_size)}: {error}") from error
 
 
 def _at_least(name: str, value: int, least: int) -> int:
