@@ -5,6 +5,7 @@ import json
 import re
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -22,8 +23,9 @@ from omniocc.errors import UserError
 from omniocc.predict.export_scene import export_scene
 from omniocc.predict.export_scene import main as export
 from omniocc.predict.input.poses import read_poses, write_poses
+from omniocc.predict.input.sequence import find_scenes
 from omniocc.predict.network import load_depth
-from omniocc.predict.occupancy import options_of, predict_occupancy
+from omniocc.predict.occupancy import options_of, other_heights, predict_occupancy
 from omniocc.run.checkpoint import CONFIG, STAGE
 from omniocc.task.build import build_task, load_task
 from omniocc.task.scores import Scores
@@ -350,3 +352,12 @@ def test_a_model_of_nineteen_classes_scores_its_own(scene, checkpoint, images, s
 
     with pytest.raises(UserError, match=r"has 12 classes .*trained with 19"):
         run(f"checkpoint={trained}", f"recorded={scene}", f"output={tmp_path / 'other'}")
+
+
+def test_a_road_at_another_height_than_in_training_is_told(scene, spec):
+    sequences = find_scenes(scene, None, None)
+    same, low = (SimpleNamespace(any_rig=False, road_z_m=height_m) for height_m in (spec.road_z_m, -0.9))
+    assert other_heights(sequences, same) == []
+    assert other_heights(sequences, SimpleNamespace(any_rig=True, road_z_m=-0.9)) == []
+    (line,) = other_heights(sequences, low)
+    assert "2.2 m below the origin of these scenes, 0.9 m in the training" in line
