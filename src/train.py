@@ -39,7 +39,7 @@ from omniocc.run.script import quiet_libraries, script
 from omniocc.run.slots import sketch_learns, slots_line
 from omniocc.run.wandb.loggers import finish, log_earlier_stages
 from omniocc.task import OccupancyTask, StepProgress, TrainingTime
-from omniocc.task.build import bare_trainer, build_task, check_devices, switch_off_head
+from omniocc.task.build import bare_trainer, build_task, check_devices, line_on_lifter, switch_off_head
 from omniocc.task.images import OccupancyImages
 from omniocc.task.last import LastCheckpoint
 from omniocc.task.scene_counts import save_by_scene
@@ -80,7 +80,7 @@ def main(cfg: DictConfig) -> None:
         )
     earlier = Stages(cfg, data, with_evidence) if sketch_learns(cfg) else None
     if is_first():
-        for line in filter(None, (without_head, *data.remarks())):
+        for line in filter(None, (without_head, line_on_lifter(cfg.model.lifter, data.geometry), *data.remarks())):
             print(line, flush=True)
         announce_plan(cfg, stages, frames)
     figures: dict[str, float] = {}

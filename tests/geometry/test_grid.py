@@ -179,3 +179,10 @@ def test_points_within_the_sides_are_more_than_the_margin_inside_of_all_of_them(
     cylinder = Cylinder((8, 4, 4), (10.0, 40.0), (-2.0, 2.0))
     points = torch.tensor([[38.9, 0, 9], [28, 28, 0], [0, -39, 0], [1, 0, 0]])  # 39.6 m on the diagonal
     assert cylinder.within_sides(points, 1.0).tolist() == [True, False, False, True]
+
+
+def test_a_grid_reaches_beyond_a_distance_if_it_does_so_ahead_or_to_the_left():
+    assert [Cylinder().reaches_beyond(distance_m) for distance_m in (25.5, 25.6)] == [True, False]
+    ahead = Cuboid((8, 8, 2), (0.0, 51.2), (-25.6, 25.6), (-2.0, 4.4))
+    assert [ahead.reaches_beyond(distance_m) for distance_m in (51.1, 51.2)] == [True, False]
+    assert not Cuboid().reaches_beyond(25.6), "corners do not count"

@@ -5,8 +5,9 @@ from pathlib import Path
 import pytest
 import torch
 
+from omniocc.config import build
 from omniocc.errors import UserError
-from omniocc.task.build import check_changes, check_devices
+from omniocc.task.build import check_changes, check_devices, line_on_lifter
 
 
 def test_a_machine_that_lacks_what_is_asked_for_is_a_line(smoke):
@@ -49,3 +50,15 @@ def test_overrides_of_a_checkpoint_that_do_not_what_they_say_are_refused(overrid
     check_changes(Path("a.ckpt"), ["data.source.root=/x", "model.temporal.frames=1"])
     with pytest.raises(UserError, match=message):
         check_changes(Path("a.ckpt"), ["data.source.root=/x", override])
+
+
+def test_it_is_said_that_a_lifter_ends_before_the_grid_does(smoke):
+    def line(*overrides):
+        cfg = smoke("model=flashocc", *overrides)
+        return line_on_lifter(cfg.model.lifter, build(cfg.model.geometry))
+
+    far = "model.geometry.x_m=[-50,50]", "model.geometry.y_m=[-50,50]"
+    assert line() is None
+    assert line(*far).startswith("model.lifter.range_m ends at 37 m")
+    assert line(*far, "model.lifter.range_m=[1,71]") is None
+    assert line(*far, "model/lifter=coloring") is None

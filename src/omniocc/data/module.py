@@ -112,8 +112,8 @@ class OccupancyData(LightningDataModule):
 
     def remarks(self) -> Iterator[str]:
         """Yield a line where scores end before the grid does, and where a real LiDAR leaves cells unseen; prepared."""
-        reach_m, axes = self.spec.reach_m, torch.eye(3)[:2]
-        if self.spec.benchmark is None and self.geometry.within_sides(reach_m * axes, 0.0).any():
+        reach_m = self.spec.reach_m
+        if self.spec.benchmark is None and self.geometry.reaches_beyond(reach_m):
             yield (
                 f"LiDAR hits count as free from {reach_m:g} m on, but the grid reaches farther: "
                 f"data.range_edges_m=[0,{reach_m:g},<end of the grid>] scores all of it"

@@ -58,6 +58,10 @@ class Lattice(ABC):
     def within_sides(self, points: Float[Tensor, "... 3"], margin_m: float) -> Bool[Tensor, "..."]:
         """Return which ego points are more than a margin inside of the outer sides, whatever their height."""
 
+    def reaches_beyond(self, distance_m: float) -> bool:
+        """Return whether the grid reaches farther than a distance from the ego origin ahead or to the left."""
+        return bool(self.within_sides(distance_m * torch.eye(3)[:2], 0.0).any())
+
     @property
     def num_cells(self) -> int:
         """Return the number of cells in the grid."""

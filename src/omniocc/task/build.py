@@ -11,6 +11,7 @@ from omniocc.config import build, plain
 from omniocc.data import OccupancyData, SourceSpec
 from omniocc.data.source import SceneFrames
 from omniocc.errors import UserError, first_line
+from omniocc.geometry import Grid
 from omniocc.run.checkpoint import check_parts, load_checkpoint, without_pretrained
 from omniocc.task.occupancy import OccupancyTask
 
@@ -57,6 +58,16 @@ def switch_off_head(cfg: DictConfig, scenes: Sequence[SceneFrames]) -> str | Non
         cfg.model.pixel_classes = False
     off = "model/semantic_head=none model.pixel_classes=false"
     return f"the training frames have no classes of pixels, so the 2D head is left out: {off}"
+
+
+def line_on_lifter(lifter: DictConfig, geometry: Grid) -> str | None:
+    """Return a line where a lifter along rays ends before the grid does; None where it does not."""
+    if "range_m" not in lifter or not geometry.reaches_beyond(lifter.range_m[1]):
+        return None
+    return (
+        f"model.lifter.range_m ends at {lifter.range_m[1]:g} m, but the grid reaches farther, where cells get no "
+        "image features: give a larger range, and more model.lifter.bins"
+    )
 
 
 def build_task(cfg: DictConfig, spec: SourceSpec) -> OccupancyTask:
