@@ -1,6 +1,7 @@
 """A rendered scene, exported as a log in folders and imported again, is the same scene; mistakes get one line."""
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from omniocc.errors import UserError
 from omniocc.geometry import Cylinder
 from omniocc.predict.input.poses import read_poses
 from omniocc.record.labels import read_point_classes
-from omniocc.record.scene import read_frame
+from omniocc.record.scene import origin_lines, read_frame
 
 GRID = Cylinder()
 CLASSES = "classes: classes.yaml"
@@ -411,3 +412,12 @@ def test_exported_poses_of_predict_are_read_back_alike(tmp_path):
     found = read_timed_poses(path, "csv", "s")
     assert found.times_s.tolist() == [3, 7]
     np.testing.assert_allclose(found.poses, read_poses(path, ["3", "7"]).numpy(), atol=1e-15)
+
+
+def test_an_origin_beside_the_cameras_is_told():
+    rig = Rig.load("fisheye6")
+    assert origin_lines(rig) == []
+    rear_axle = rig.ego_from_camera.clone()
+    rear_axle[:, 0, 3] += 1.4
+    (line,) = origin_lines(replace(rig, ego_from_camera=rear_axle))
+    assert line.startswith("the middle of the cameras is 1.4 m ahead of the ego origin and 0.0 m to its left")

@@ -1,5 +1,6 @@
 """A log becomes a scene: the samples that belong together are chosen, then written frame by frame."""
 
+import itertools
 import shutil
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -32,6 +33,8 @@ from omniocc.record.log import Log, Plan, Timing, check_timing, missing_lines, p
 
 SHORTEST_S, LONGEST_S = 5e-4, 60.0
 """Limits of the median time between frames: beyond them the unit of the times is wrong."""
+OFF_CENTRE_M = 0.5
+"""Horizontal distance of the ego origin from the middle of the cameras from which it is said."""
 BEGUN = "recipe.tmp"
 """File in a scene that is being written: what it is made from."""
 
@@ -101,7 +104,8 @@ def record_log(log: Log, folder: Path, timing: Timing, stated: Stated) -> Path:
         return folder
     with Progress(f"recording {folder}", len(plan.times_s)) as progress:
         lenses = lenses_that_do_not_fit(rig)
-        for line in (*name_lines(folder.name), *plan_lines(plan, log.place), *missing_lines(plan), *lenses):
+        told = name_lines(folder.name), plan_lines(plan, log.place), missing_lines(plan), lenses, origin_lines(rig)
+        for line in itertools.chain(*told):
             progress.message(line)
         work = partial(_write, log=log, plan=plan, rig=rig, stated=stated, recipe=recipe)
         make_scenes(work, [folder], 0, progress)
@@ -128,6 +132,18 @@ def name_lines(name: str) -> list[str]:
     starts = ", ".join(f"{split}-" for split in SPLITS)
     return [
         f"data=recorded reads names that begin with one of {starts}; '{name}' has to be named in data.source.splits"
+    ]
+
+
+def origin_lines(rig: Rig) -> list[str]:
+    """Return a line on an ego origin that is not between the cameras: depth is searched on spheres around it."""
+    middle_m = rig.ego_from_camera[:, :2, 3].mean(0)
+    if middle_m.norm() <= OFF_CENTRE_M:
+        return []
+    x_m, y_m = middle_m.tolist()
+    return [
+        f"the middle of the cameras is {x_m:.1f} m ahead of the ego origin and {y_m:.1f} m to its left; depth is "
+        "searched on spheres around the origin, so put it there: by the poses of the rig, or ego_from_base of bags"
     ]
 
 
