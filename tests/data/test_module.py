@@ -169,9 +169,12 @@ def test_bands_that_make_no_sense_are_an_error(root, edges):
         make(root, range_edges_m=edges).check_classes()
 
 
-def test_it_is_said_where_the_scores_end_before_the_grid_does(root):
+def test_it_is_said_where_the_scores_end_before_the_grid_does(root, monkeypatch):
     far = Cylinder(shape=(4, 6, 2), radius_m=(0.0, 40.0), height_m=(-2.8, 3.6))
     assert list(make(root).remarks()) == []
+    (line,) = make(root, grid=far).remarks()
+    assert "neither trained nor scored" in line, "the points of the virtual world end at 26 m"
+    monkeypatch.setattr("omniocc.data.source.virtual.LABELS_REACH_M", None)
     (line,) = make(root, grid=far).remarks()
     assert "from 25.6 m on" in line
     assert list(make(root, grid=far, range_edges_m=[0, 40]).remarks()) == []

@@ -360,4 +360,4 @@ def test_a_road_at_another_height_than_in_training_is_told(scene, spec):
     assert other_heights(sequences, same) == []
     assert other_heights(sequences, SimpleNamespace(any_rig=True, road_z_m=-0.9)) == []
     (line,) = other_heights(sequences, low)
-    assert "2.2 m below the origin of these scenes, 0.9 m in the training" in line
+    assert "2.2 m below the origin of test-000-nowhere, 0.9 m in the training" in line

@@ -10,9 +10,11 @@ from log_files import START_NS, lidar_option, rig_of, stamp_ns
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation, Slerp
 
-from omniocc.camera import Rig
+from omniocc.camera import Equirectangular, Rig
 from omniocc.classes import OCCUPANCY_CLASSES, UNKNOWN, WORLD_CLASSES
 from omniocc.data import DataError, SceneReader
+from omniocc.data.formats.poses import shift
+from omniocc.data.formats.projected import onto_cameras, onto_panorama
 from omniocc.data.labels.observed import observed
 from omniocc.data.labels.voxels import vote
 from omniocc.data.source.recorded import spec_of
@@ -22,6 +24,7 @@ from omniocc.errors import UserError
 from omniocc.geometry import Cylinder
 from omniocc.predict.input.poses import read_poses
 from omniocc.record.labels import read_point_classes
+from omniocc.record.log import Log, Scans, Timing, plan_frames
 from omniocc.record.scene import origin_lines, read_frame
 
 GRID = Cylinder()
@@ -102,7 +105,26 @@ def test_points_of_a_scan_at_another_time_are_moved_by_the_motion_between(record
     apart_m, _ = cKDTree(later.points(0).points_m).query(expected)  # stored in another order, in steps of 1/128 m
     assert len(later.points(0).points_m) == len(expected)
     assert apart_m.max() < 0.02
-    assert not np.array_equal(later.camera_range_m(0), at_once.camera_range_m(0))
+    points_m, rig = later.points(0).points_m, later.rig
+    panorama = Equirectangular(later.erp_range_m(0).shape[1], later.erp_range_m(0).shape[0], 45.0, -45.0)
+    shown = np.stack([image.range_m for image in onto_cameras(points_m, None, rig)]), later.camera_range_m(0)
+    around = onto_panorama(points_m, None, panorama).range_m, later.erp_range_m(0)
+    for projected, stored in (shown, around):
+        both = np.isfinite(projected) & np.isfinite(stored)
+        assert both.sum() > 0.9 * np.isfinite(stored).sum()
+        assert (np.abs(projected - stored)[both] < 0.1).mean() > 0.95
+
+
+def test_scans_beside_sparse_poses_lose_no_frame():
+    """Frames on the stamps of poses that are farther apart than `pose_gap_s`, scans a little later."""
+    at_s = 2.0 * np.arange(3)
+    poses = np.stack([shift(10.0 * k, 0.0, 0.0) for k in range(3)])
+    scans = Scans(at_s + 0.005, lambda number: None, OCCUPANCY_CLASSES)
+    rig = Rig.load("fisheye6")
+    log = Log("here", rig, (at_s,) * len(rig.names), lambda camera, number: None, at_s, poses, scans, {})
+    plan = plan_frames(log, Timing(None, 0.05, None, 1.0))
+    assert len(plan.times_s) == 3
+    np.testing.assert_allclose(plan.ego_from_scan[:, 0, 3], 0.025, atol=1e-9)  # at 5 m/s, beyond the last pose too
 
 
 def test_a_scene_without_lidar_has_images_and_poses_alone(recorder, original, tmp_path):

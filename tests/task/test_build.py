@@ -4,9 +4,11 @@ from pathlib import Path
 
 import pytest
 import torch
+from omegaconf import OmegaConf
 
 from omniocc.config import build
 from omniocc.errors import UserError
+from omniocc.geometry import Cuboid
 from omniocc.task.build import check_changes, check_devices, line_on_lifter
 
 
@@ -62,3 +64,5 @@ def test_it_is_said_that_a_lifter_ends_before_the_grid_does(smoke):
     assert line(*far).startswith("model.lifter.range_m ends at 37 m")
     assert line(*far, "model.lifter.range_m=[1,71]") is None
     assert line(*far, "model/lifter=coloring") is None
+    own = OmegaConf.create({"_target_": "mylib.lifter.Lifter", "range_m": 30.0})
+    assert line_on_lifter(own, Cuboid(x_m=(-50.0, 50.0))) is None

@@ -157,3 +157,13 @@ def test_weights_of_a_depth_network_that_fit_another_one_are_told(smoke):
     model, config = given()
     with pytest.raises(UserError, match=r"size mismatch.*that it has there: .*depth\.hints=False \(there True\)"):
         start_from(model, "any-rig", "depth", config)
+
+
+def test_nothing_that_a_checkpoint_names_is_imported_to_compare_networks(smoke, tmp_path):
+    cfg = smoke()
+    model, config = build(cfg.model.sketch), plain(cfg)
+    foreign = {**config, "model": {**config["model"], "sketch": {"_target_": "gone.Sketch", "threshold": 0.5}}}
+    weights = {f"model.{name}": value for name, value in model.state_dict().items()}
+    write_checkpoint({"config": foreign, "state_dict": weights, "stage": "sketch"}, tmp_path / "theirs.ckpt")
+    line = start_from(model, str(tmp_path / "theirs.ckpt"), "sketch", config)
+    assert line.endswith("model.sketch._target_=omniocc.model.sketch.Omni (there gone.Sketch)")

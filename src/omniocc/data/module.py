@@ -13,6 +13,7 @@ from torch.utils.data import DataLoader
 
 from omniocc.batch import Batch, to_device
 from omniocc.data.dataset import Needs, WindowDataset, collate
+from omniocc.data.labels.voxels import VoxelCache
 from omniocc.data.origins import Origins
 from omniocc.data.recording.pool import limit_threads
 from omniocc.data.sampler import EpochSampler, RankSampler
@@ -113,7 +114,12 @@ class OccupancyData(LightningDataModule):
     def remarks(self) -> Iterator[str]:
         """Yield a line where scores end before the grid does, and where a real LiDAR leaves cells unseen; prepared."""
         reach_m = self.spec.reach_m
-        if self.spec.benchmark is None and self.geometry.reaches_beyond(reach_m):
+        if isinstance(self.voxels, VoxelCache) and self.voxels.beyond is not None:
+            yield (
+                "the grid reaches farther than the recorded points of these scenes: cells beyond are unknown, neither "
+                "trained nor scored"
+            )
+        elif self.spec.benchmark is None and self.geometry.reaches_beyond(reach_m):
             yield (
                 f"LiDAR hits count as free from {reach_m:g} m on, but the grid reaches farther: "
                 f"data.range_edges_m=[0,{reach_m:g},<end of the grid>] scores all of it"

@@ -201,13 +201,22 @@ def announcement(
 
 def other_heights(sequences: Sequence[FrameSequence], trained: TrainingData) -> list[str]:
     """Return a line where recorded scenes have the road at another height than the model had in its training."""
-    stated = [one.spec.road_z_m for one in sequences if isinstance(one, RecordedSequence) and one.labelled]
-    if trained.any_rig or all(abs(road_z_m - trained.road_z_m) < SAME_HEIGHT_M for road_z_m in stated):
-        return []
-    return [
-        f"road      {-stated[0]:g} m below the origin of these scenes, {-trained.road_z_m:g} m in the training: expect "
-        "wrong voxels; record them with an origin as high as that (recorder.ego_from_base, recorder.road_z_m)"
-    ]
+    for one in (sequence for sequence in sequences if isinstance(sequence, RecordedSequence)):
+        road_z_m = _road_z_m(one)
+        if road_z_m is not None and not trained.any_rig and abs(road_z_m - trained.road_z_m) >= SAME_HEIGHT_M:
+            remedy = "; record it with an origin as high" if "log" in one.scene.meta.get("facts", {}) else ""
+            return [
+                f"road      {-road_z_m:g} m below the origin of {one.name}, {-trained.road_z_m:g} m in the training: "
+                f"expect wrong voxels{remedy}"
+            ]
+    return []
+
+
+def _road_z_m(recorded: RecordedSequence) -> float | None:
+    """Return the height of the road that a scene's rig states, or the scene with its classes; None without both."""
+    if recorded.rig.road_z_m is not None or not recorded.labelled:
+        return recorded.rig.road_z_m
+    return recorded.spec.road_z_m
 
 
 def compare_rig(rig: Rig, trained: TrainingData) -> str:

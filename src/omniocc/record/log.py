@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float64, Int64, UInt8
+from jaxtyping import Float64, Int64, UInt8
 
 from omniocc.camera import Rig
 from omniocc.classes import ClassTable
@@ -114,11 +114,7 @@ def plan_frames(log: Log, timing: Timing) -> Plan:
     matches = {name: nearest(s, at_s, timing.limit_s) for name, s in zip(names, log.image_times_s, strict=True)}
     if log.scans is not None:
         matches[LIDAR] = nearest(log.scans.times_s, at_s, timing.limit_s)
-    poses, known = _poses(log, timing, at_s)
-    scan_s = at_s if log.scans is None or not len(log.scans.times_s) else log.scans.times_s[matches[LIDAR]]
-    scan_s = np.where(matches.get(LIDAR, at_s) == MISSING, at_s, scan_s)
-    scan_poses, scan_known = _poses(log, timing, scan_s)
-    known &= scan_known
+    poses, known = interpolate(log.pose_times_s, log.world_from_ego, at_s, timing.limit_s, timing.pose_gap_s)
     lacks = lacking(matches | {POSES: np.where(known, 0, MISSING)})
     kept = np.array([not names for names in lacks], bool)
     if not kept.any():
@@ -126,16 +122,27 @@ def plan_frames(log: Log, timing: Timing) -> Plan:
     images = np.stack([matches[name] for name in names], axis=1)[kept]
     missing = [(float(time_s), names) for time_s, names in zip(at_s, lacks, strict=True) if names]
     scans = matches[LIDAR][kept] if log.scans is not None else None
-    same = np.array_equal(scan_s[kept], at_s[kept])
-    from_scan = None if same else inverse(poses[kept]) @ scan_poses[kept]
+    from_scan = None if scans is None else _motion(log, timing, at_s[kept], scans, poses[kept])
     return Plan(at_s[kept], images, scans, poses[kept], from_scan, missing)
 
 
-def _poses(
-    log: Log, timing: Timing, at_s: Float64[np.ndarray, " F"]
-) -> tuple[Float64[np.ndarray, "F 4 4"], Bool[np.ndarray, " F"]]:
-    """Return the poses of the car at these times, and which of them are known."""
-    return interpolate(log.pose_times_s, log.world_from_ego, at_s, timing.limit_s, timing.pose_gap_s)
+def _motion(
+    log: Log,
+    timing: Timing,
+    at_s: Float64[np.ndarray, " F"],
+    scans: Int64[np.ndarray, " F"],
+    poses: Float64[np.ndarray, "F 4 4"],
+) -> Float64[np.ndarray, "F 4 4"] | None:
+    """Return the poses of the car at the times of scans in its frames at `at_s`; None where all times are the same.
+
+    The frames have poses and the scans are near, so that gaps of the poses do not matter, nor their ends.
+    """
+    assert log.scans is not None
+    scan_s = log.scans.times_s[scans]
+    if np.array_equal(scan_s, at_s):
+        return None
+    there, _ = interpolate(log.pose_times_s, log.world_from_ego, scan_s, 2 * timing.limit_s)
+    return inverse(poses) @ there
 
 
 def _nothing(log: Log, reference: str, at_s: np.ndarray, lacks: list[list[str]], limit_s: float) -> str:

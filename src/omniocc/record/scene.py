@@ -120,7 +120,7 @@ def _is_made(folder: Path, recipe: str) -> bool:
     if SceneReader(folder).meta["facts"].get("recipe") != recipe:
         raise DataError(
             f"{folder}: there is a scene made from something else; choose another name, or remove it (log, calibration "
-            "or options are not the same)"
+            "or options are not the same, or an older version recorded it)"
         )
     return True
 

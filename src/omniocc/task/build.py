@@ -7,7 +7,7 @@ from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch import Trainer
 from omegaconf import DictConfig, OmegaConf, open_dict
 
-from omniocc.config import build, plain
+from omniocc.config import OWN_PACKAGE, build, plain
 from omniocc.data import OccupancyData, SourceSpec
 from omniocc.data.source import SceneFrames
 from omniocc.errors import UserError, first_line
@@ -62,11 +62,12 @@ def switch_off_head(cfg: DictConfig, scenes: Sequence[SceneFrames]) -> str | Non
 
 def line_on_lifter(lifter: DictConfig, geometry: Grid) -> str | None:
     """Return a line where a lifter along rays ends before the grid does; None where it does not."""
-    if "range_m" not in lifter or not geometry.reaches_beyond(lifter.range_m[1]):
+    own = lifter._target_.partition(".")[0] in OWN_PACKAGE  # a lifter of another package may mean something else
+    if not own or "range_m" not in lifter or not geometry.reaches_beyond(lifter.range_m[1]):
         return None
     return (
-        f"model.lifter.range_m ends at {lifter.range_m[1]:g} m, but the grid reaches farther, where cells get no "
-        "image features: give a larger range, and more model.lifter.bins"
+        f"model.lifter.range_m ends at {lifter.range_m[1]:g} m, but the grid reaches farther: nothing is lifted along "
+        "the rays there; give a larger range, and more model.lifter.bins"
     )
 
 

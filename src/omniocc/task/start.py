@@ -51,7 +51,8 @@ def start_from(model: nn.Module, weights: str, stage: str, config: Mapping[str, 
     """
     trained = load_checkpoint(find_checkpoint(weights))
     own = part_weights(trained, stage)
-    other = list(_differing(_network(stage, plain(trained.config)), _network(stage, config)))
+    left_out = _not_network(stage, config)
+    other = list(_differing(*(_network(stage, one, left_out) for one in (plain(trained.config), config))))
     inner = model.state_dict() if stage == "sketch" else {}
     own |= {name: value for name, value in inner.items() if name.startswith("depth.")}
     try:
@@ -157,13 +158,18 @@ def _differing(theirs: Mapping[str, Any], ours: Mapping[str, Any]) -> Iterator[s
             yield f"{key}={value} (there {theirs[key]})"
 
 
-def _network(stage: str, config: Mapping[str, Any]) -> dict[str, Any]:
+def _network(stage: str, config: Mapping[str, Any], left_out: tuple[str, ...]) -> dict[str, Any]:
     """Return by dotted key what decides the network of a stage."""
     if stage == "depth":
-        return dotted(without(config.get("depth", {}), ("loss",)), "depth.")
-    sketch = config.get("model", {}).get("sketch", {})
-    selection = cast(type[LearnedSketch], target_of(sketch)).SELECTION if sketch else ()
-    return dotted(without(sketch, (*selection, "depth", "loss")), "model.sketch.")
+        return dotted(without(config.get("depth", {}), left_out), "depth.")
+    return dotted(without(config.get("model", {}).get("sketch", {}), left_out), "model.sketch.")
+
+
+def _not_network(stage: str, config: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the arguments of a stage's network that its weights do not depend on."""
+    if stage == "depth":
+        return ("loss",)
+    return ("loss", "depth", *cast(type[LearnedSketch], target_of(config["model"]["sketch"])).SELECTION)
 
 
 def _continued(config: Mapping[str, Any]) -> dict[str, Any]:

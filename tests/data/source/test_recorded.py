@@ -190,3 +190,12 @@ def test_cells_beyond_the_recorded_points_are_unknown_and_not_free(world, root):
     scene.meta["facts"].pop("theme")  # as the scenes of a log, whose sensor ends nowhere
     assert reach_of(scene) is None
     assert not (votes_of(scene, far, "free").read(scene, 0) == UNKNOWN).any()
+
+
+def test_rendered_scenes_and_logs_do_not_share_a_grid_beyond_the_rendered_points(root):
+    far = Cylinder((20, 8, 2), (0.0, 50.0), (-2.8, 3.6))
+    source = Recorded(str(root), PATTERNS)
+    source._readers[0].meta["facts"].pop("theme")
+    with pytest.raises(DataError, match=r"end at 26 m, those of logs do not.*data\.source\.splits"):
+        source.labels(far, "free")
+    assert source.labels(GRID, "free").beyond is None

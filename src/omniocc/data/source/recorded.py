@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from omniocc.camera import Rig
-from omniocc.data.labels.voxels import Reach, VoxelCache
+from omniocc.data.labels.voxels import Reach, VoxelCache, cells_beyond
 from omniocc.data.recording.pool import usable_cores
 from omniocc.data.recording.spec import panorama_of, plain_spec, read_spec
 from omniocc.data.source import SPLITS, SourceSpec, Split, Unknown
@@ -114,8 +114,13 @@ class Recorded:
 
     def labels(self, geometry: Grid, unknown: Unknown) -> VoxelCache:
         """Return the voxel labels of a grid, voted from the recorded points."""
-        classes, known = self.spec.classes.num_classes, [reach_of(scene) for scene in self._readers]
-        reach_m = min((reach for reach in known if reach is not None), default=None)
+        classes, known = self.spec.classes.num_classes, {reach_of(scene) for scene in self._readers}
+        reach_m = next((reach for reach in known if reach is not None), None)
+        if len(known) > 1 and reach_m is not None and cells_beyond(geometry, reach_m) is not None:
+            raise DataError(
+                f"{self.root}: points of rendered scenes end at {reach_m[0]:g} m, those of logs do not, and this grid "
+                "reaches farther: choose scenes of one kind by data.source.splits, or a smaller grid"
+            )
         return VoxelCache(self.folder, geometry, unknown, self.fingerprint, classes, self.workers, self._masks, reach_m)
 
     def scenes(self, split: Split) -> list[SceneReader]:

@@ -200,9 +200,9 @@ class RobustnessTest:
 
     def not_usual(self) -> list[Any]:
         """Return what is overridden besides the source and changes scores: unknown cells, the history, the bands."""
-        kept = ("free", self.task.model.temporal.frames, None)
-        found = (self.data.unknown, self.data.window, self.data.range_edges_m)
-        return [] if found == kept else list(found)
+        found, bands = [self.data.unknown, self.data.window], self.data.range_edges_m
+        usual = found == ["free", self.task.model.temporal.frames]
+        return ([] if usual and bands is None else found) + ([] if bands is None else [list(bands)])
 
     @torch.inference_mode()
     def score(self, part: Part, source: SceneSource, advance: Callable[[], None]) -> PartScores:
