@@ -30,7 +30,7 @@ from omniocc.run.weights import find_checkpoint
 from omniocc.task.scores import Scores
 
 SAME_HEIGHT_M = 0.1
-"""Heights of the road that differ by less, about a quarter of a cell, are taken for the same."""
+"""Heights of the road that differ by less are taken for the same."""
 
 
 def options_of(cfg: DictConfig) -> Options:

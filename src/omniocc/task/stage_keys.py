@@ -45,7 +45,7 @@ class Keys(NamedTuple):
 def stage_keys(cfg: DictConfig, data_fingerprint: str) -> Keys:
     """Return the hashes for a configuration with a learned sketch."""
     config = plain(cfg)
-    trainer = without(config["trainer"], OVERRULED)
+    trainer = _without(config["trainer"], OVERRULED)
     together = config["data"].get("frames_together", 1)  # decides the order of the samples
     trainer |= {} if together == 1 else {"frames_together": together}
     stages = {stage: with_digest(f"stages.{stage}.weights", recipe) for stage, recipe in config["stages"].items()}
@@ -58,7 +58,7 @@ def stage_keys(cfg: DictConfig, data_fingerprint: str) -> Keys:
             *own_code([config["depth"], stages["depth"], *appearance]),
         ]
     )
-    network = without(sketch, selection)
+    network = _without(sketch, selection)
     labels = config["data"]["unknown"]
     code = own_code([network, stages["sketch"]])
     sketch_key = short_hash([VERSIONS["sketch"], depth_key, network, stages["sketch"], trainer, labels, *code])
@@ -66,6 +66,5 @@ def stage_keys(cfg: DictConfig, data_fingerprint: str) -> Keys:
     return Keys(depth_key, sketch_key, short_hash([VERSIONS["candidates"], sketch_key, arguments]))
 
 
-def without(arguments: Mapping[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
-    """Return the arguments but those with these names."""
+def _without(arguments: Mapping[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
     return {key: value for key, value in arguments.items() if key not in names}

@@ -14,7 +14,6 @@ from omniocc.run.checkpoint import Checkpoint, load_checkpoint, part_weights
 from omniocc.run.folder import given_checkpoint
 from omniocc.run.weights import find_checkpoint
 from omniocc.task.occupancy import OccupancyTask
-from omniocc.task.stage_keys import without
 from omniocc.task.stage_task import Recipe
 
 NAMED = 3
@@ -51,8 +50,8 @@ def start_from(model: nn.Module, weights: str, stage: str, config: Mapping[str, 
     """
     trained = load_checkpoint(find_checkpoint(weights))
     own = part_weights(trained, stage)
-    left_out = _not_network(stage, config)
-    other = list(_differing(*(_network(stage, one, left_out) for one in (plain(trained.config), config))))
+    place, left_out = _network(stage, config)
+    other = list(_differing(*(_part(one, place, left_out) for one in (plain(trained.config), config))))
     inner = model.state_dict() if stage == "sketch" else {}
     own |= {name: value for name, value in inner.items() if name.startswith("depth.")}
     try:
@@ -128,8 +127,7 @@ def load_fitting(model: OccupancyModel, weights: str, config: Mapping[str, Any])
     line = f"{len(fitting)} of {len(own)} tensors from {weights}"
     if missing := [name for name in own if name not in fitting]:
         line += f"; new are {_some(missing)}"
-    theirs, ours = (dotted(one["model"]["geometry"], "model.geometry.") for one in (plain(trained.config), config))
-    other = list(_differing(theirs, ours))
+    other = list(_differing(*(_part(one, "model.geometry") for one in (plain(trained.config), config))))
     return f"{line}; another grid: {'; '.join(other)}" if other else line
 
 
@@ -158,18 +156,18 @@ def _differing(theirs: Mapping[str, Any], ours: Mapping[str, Any]) -> Iterator[s
             yield f"{key}={value} (there {theirs[key]})"
 
 
-def _network(stage: str, config: Mapping[str, Any], left_out: tuple[str, ...]) -> dict[str, Any]:
-    """Return by dotted key what decides the network of a stage."""
+def _network(stage: str, config: Mapping[str, Any]) -> tuple[str, tuple[str, ...]]:
+    """Return where a configuration has a stage's network, and the arguments there on which no weight depends."""
     if stage == "depth":
-        return dotted(without(config.get("depth", {}), left_out), "depth.")
-    return dotted(without(config.get("model", {}).get("sketch", {}), left_out), "model.sketch.")
+        return "depth", ("loss",)
+    selection = cast(type[LearnedSketch], target_of(config["model"]["sketch"])).SELECTION
+    return "model.sketch", ("loss", "depth", *selection)
 
 
-def _not_network(stage: str, config: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the arguments of a stage's network that its weights do not depend on."""
-    if stage == "depth":
-        return ("loss",)
-    return ("loss", "depth", *cast(type[LearnedSketch], target_of(config["model"]["sketch"])).SELECTION)
+def _part(config: Mapping[str, Any], place: str, left_out: tuple[str, ...] = ()) -> dict[str, Any]:
+    """Return by dotted key what a configuration has at a place, without some of the arguments there."""
+    found = {key: value for key, value in dotted(config).items() if key.startswith(f"{place}.")}
+    return {key: found[key] for key in found if key.removeprefix(f"{place}.").partition(".")[0] not in left_out}
 
 
 def _continued(config: Mapping[str, Any]) -> dict[str, Any]:

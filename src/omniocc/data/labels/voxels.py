@@ -4,7 +4,7 @@ import shutil
 import warnings
 from collections.abc import Sequence
 from contextlib import closing
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -54,6 +54,7 @@ def vote(
     return cells
 
 
+@lru_cache(maxsize=4)
 def cells_beyond(geometry: Grid, reach_m: Reach) -> Bool[Tensor, "X Y Z"] | None:
     """Return the cells whose centre is farther from the ego origin along x, y or z; None if there are none."""
     beyond = (geometry.centers().abs() > torch.tensor(reach_m)).any(-1)

@@ -11,10 +11,10 @@ STAGES = ("depth", "sketch", "occupancy")
 HEAD = ["row", "M parameters", "GFLOP a frame", "steps of depth", "of the sketch", "of the model", "in all"]
 HEAD += ["samples a step", "minutes", "in all", "peak MiB"]
 NOTE = (
-    "Parameters and operations are those of the whole system, depth and sketch included; memory and the first minutes "
-    "are those of the last stage. A learned sketch has two stages before it, which rows share; 'in all' counts them in "
-    "every row. Minutes are means over seeds that ran beside other work, so that they differ by more than their rows "
-    "do: compare operations."
+    "Parameters and operations count all networks of a row: the last one, which gives every voxel its class, and those "
+    "of depth and sketch before it. Memory and the first column of minutes are of training the last one alone. Rows "
+    "with a learned sketch share the training of depth and sketch; 'in all' counts it in every row. Minutes are means "
+    "over seeds that ran beside other work, so that they differ by more than their rows do: compare operations."
 )
 
 

@@ -200,14 +200,15 @@ def power_chapter(tables: Sequence[PaperTable], rows: Rows, given: Sequence[Seed
     sources = [f"* {entry.parts:.4f} / {entry.systems:.4f}: {entry.source}" for entry in given]
     sources += [f"* {entry.parts:.4f} / {entry.systems:.4f}: {entry.source}, `{key}`" for key, entry in here.items()]
     note = (
-        f"How many training seeds each row of a claim needs, so that the claim 'holds' with a probability of "
-        f"{WANTED:.0%} if the true gap is as large as the paper's, in proportion to the score here; what 'does not "
-        f"hold' needs is not computed. Student's t at {LEVEL:.0%} / {claims}, the first and strictest step of Holm's "
-        f"correction for {claims} claims; own voxels. Each column is headed by two standard deviations between seeds. "
-        f"The first is for rows that use the same trained depth and sketch: what remains without the effects of row "
-        f"and seed, known as well as from {parts} rows of {OTHERS} seeds or more. The second is for rows that share "
-        f"nothing, and equal for both, the best case of Welch's test: where they differ, it needs more seeds. Those "
-        f"of the runs here are of each claim's own metric, the others of RayIoU. A dash: the better row has not run, "
-        f"or the standard deviation of the metric is not known."
+        f"A claim says that one row scores more than another. The table has the number of trainings, each from "
+        f"another seed, that both rows need, so that the claim 'holds' in {WANTED:.0%} of all repetitions if the true "
+        f"gap is as large as the paper's, in proportion to the score here; what 'does not hold' needs is not "
+        f"computed. Student's t at {LEVEL:.0%} / {claims}, the first and strictest step of Holm's correction for "
+        f"{claims} claims; own voxels. Each column is headed by two standard deviations between seeds. The first is "
+        f"for rows that use the same trained networks of depth and sketch: what remains without the effects of row "
+        f"and seed, known as well as from {parts} rows of {OTHERS} seeds or more. The second is for rows of which "
+        f"each trains all of its networks itself, and equal for both, the best case of Welch's test: where they "
+        f"differ, it needs more seeds. Those of the runs here are of each claim's own metric, the others of RayIoU. A "
+        f"dash: the better row has not run, or the standard deviation of the metric is not known."
     )
     return "\n".join([f"## {TITLE}", "", note, "", *sources, "", markdown(head, lines)])
