@@ -53,6 +53,22 @@ def test_of_two_runs_of_a_row_and_seed_the_newest_is_kept(runs, tmp_path):
     assert utc_text(4e9) == "2096-10-02T07:06:40Z"
 
 
+def test_a_run_that_was_trained_again_loses_the_later_tests_of_its_former_weights(runs, tmp_path):
+    kept, again = tmp_path / "kept", shutil.copytree(runs, tmp_path / "again")
+    data = read_runs(runs)[0].facts["data"]
+    for name in ("ours-00000001", "dense-00000001"):
+        save_results(again / name / FROM_TRAJECTORY, {"test/rayiou_past": 0.1}, {"data": data, OVERRIDES: []})
+    keep_records(again, kept)
+    for name in ("ours-00000001", "dense-00000001"):
+        shutil.rmtree(again / name / FROM_TRAJECTORY)
+    metrics = again / "ours-00000001" / "metrics.json"
+    metrics.write_text(json.dumps(json.loads(metrics.read_text()) | {FINISHED: utc_text(4e9)}))
+    keep_records(again, kept)
+    assert not (kept / "ours-00000001" / FROM_TRAJECTORY).exists()
+    assert (kept / "dense-00000001" / FROM_TRAJECTORY / "metrics.json").exists()
+    assert {run.name for run in read_runs(kept)} == {run.name for run in read_runs(runs)}
+
+
 def test_a_test_of_weights_without_a_run_is_kept(tmp_path):
     test = Robustness(
         "tiny", {}, [PartScores(UNDISTURBED, UNDISTURBED, ["a"], 1, 1.0, {"rayiou": 0.5}, {"rayiou": []})]

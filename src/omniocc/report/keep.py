@@ -22,7 +22,8 @@ def keep_records(runs: Path, folder: Path) -> list[Path]:
 
     Of several runs of one row, seed and setting the newest is copied. Later tests are those from other origins of rays
     and those under disturbances; tests of weights that have no run are copied and returned too. Runs of an earlier call
-    stay, but for those that a newer run replaces: one of the same row, seed and setting.
+    stay, but for those that a newer run replaces: one of the same row, seed and setting. Where a run has been trained
+    again since, the later tests of its former weights go as well.
 
     Raises:
         UserError: when there is neither a finished run nor such a test.
@@ -38,12 +39,21 @@ def keep_records(runs: Path, folder: Path) -> list[Path]:
     newest = newest_of(found)
     finished = [run for run in found if newest[run.place, run.setting] is run]
     for run in finished:
+        copy = folder / run.name
+        if copy.exists() and _figures(copy) != _figures(run.folder):
+            shutil.rmtree(copy)
         for pattern in KEPT:
             for path in run.folder.glob(pattern):
-                atomic_write(folder / run.name / path.relative_to(run.folder), path.read_bytes())
+                atomic_write(copy / path.relative_to(run.folder), path.read_bytes())
     for path in replaced(read_runs(folder), finished):
         shutil.rmtree(path)
     return [*(folder / run.name for run in finished), *kept]
+
+
+def _figures(run: Path) -> bytes:
+    """Return the file with the figures of a run, which no two trainings have in common; empty if there is none."""
+    path = run / METRICS
+    return path.read_bytes() if path.exists() else b""
 
 
 def replaced(kept: Sequence[FinishedRun], newer: Sequence[FinishedRun]) -> list[Path]:
