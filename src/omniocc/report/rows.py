@@ -11,7 +11,7 @@ from omniocc.config import compose_plain
 from omniocc.io import YAML
 from omniocc.progress import Progress
 from omniocc.report.runs import FinishedRun
-from omniocc.report.selection import compared
+from omniocc.report.selection import given
 
 
 def assign_rows(runs: Sequence[FinishedRun], conf: Path, rows: Sequence[str]) -> list[FinishedRun]:
@@ -37,13 +37,13 @@ def assign_rows(runs: Sequence[FinishedRun], conf: Path, rows: Sequence[str]) ->
 
     @functools.cache
     def composed(preset: str, row: str) -> dict:
-        return compared(
+        return given(
             compose_plain(conf, "train", [f"preset={preset}", f"+ablation={options[row].with_suffix('').as_posix()}"])
         )
 
     def with_row(run: FinishedRun) -> FinishedRun:
         preset = _preset(run)
-        config = compared(run.config)
+        config = given(run.config)
         # composing a row takes .2 s, so those that state another value are left out first
         likely = (row for row in tried if all(config.get(key, value) == value for key, value in stated[row].items()))
         return run._replace(same_as=next((row for row in likely if composed(preset, row) == config), None))
@@ -66,5 +66,5 @@ def _preset(run: FinishedRun) -> str:
 
 def _stated(file: Mapping[str, Any]) -> dict[str, Any]:
     """Return numbers and words that the file of a row states itself, by dotted key."""
-    plain = {key: value for key, value in compared(file).items() if isinstance(value, bool | int | float | str)}
+    plain = {key: value for key, value in given(file).items() if isinstance(value, bool | int | float | str)}
     return {key: value for key, value in plain.items() if "${" not in str(value)}

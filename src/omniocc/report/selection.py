@@ -102,6 +102,14 @@ def compared(config: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in values.items() if not set(key.split(".")) & set(OF_MACHINES)}
 
 
+def given(config: Mapping[str, Any]) -> dict[str, Any]:
+    """Return `compared` without keys that are null.
+
+    A key that a later commit added and that is null then tells no runs apart.
+    """
+    return {key: value for key, value in compared(config).items() if value is not None}
+
+
 def by_row(runs: Sequence[FinishedRun]) -> dict[str, list[FinishedRun]]:
     """Return the runs of each row of the tables, by seed.
 

@@ -32,6 +32,14 @@ def test_systems_are_told_by_everything_but_the_rate():
     assert {name: tried.chosen for name, tried in found.items()} == {"bevdet": 0.01, "ours": 0.003, "ours_far": 0.003}
 
 
+def test_a_later_key_that_is_null_tells_no_runs_apart_and_one_that_is_set_does():
+    later = [run("ours_01", 0.01, 0, 0.35), run("ours_01", 0.01, 0, 0.35)]
+    for member, value in zip(later, (None, 2), strict=True):
+        member.config["model"]["heads"] = value
+    assert [[*tried.runs] for tried in tried_rates([*RUNS[:2], later[0]])] == [[0.001, 0.003, 0.01]]
+    assert [[*tried.runs] for tried in tried_rates([*RUNS[:2], later[1]])] == [[0.001, 0.003]]
+
+
 def test_two_seeds_are_averaged_if_all_rates_have_them():
     second = [run("ours_001", 0.001, 1, 0.50), run("ours_003", 0.003, 1, 0.40)]
     (tried,) = tried_rates([*RUNS[:2], *second])

@@ -43,6 +43,13 @@ def test_equal_runs_of_a_seed_count_once_by_the_name_of_the_reference(ours):
     ]
 
 
+def test_runs_before_and_after_a_key_that_is_null_are_one_line(ours):
+    former = {key: value for key, value in ours.items() if key != "rate_factors"}
+    assert ours["rate_factors"] is None
+    (line,) = tried_cells([run("ours", 0, 0.2, ours), run("ours", 1, 0.4, former)], "ours")[1]
+    assert line[3] == "2"
+
+
 def test_other_data_is_a_line_of_its_own(ours):
     lines = tried_cells([run("ours", 0, 0.2, ours), run("ours", 0, 0.3, ours, data="larger")], "ours")[1]
     assert [line[5] for line in lines] == ["0.300", "0.200"]

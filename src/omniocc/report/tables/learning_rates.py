@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from omniocc.report.runs import FinishedRun
-from omniocc.report.selection import compared
+from omniocc.report.selection import given
 from omniocc.report.tables.paper import figure_of, with_spread
 from omniocc.run.table import markdown
 
@@ -39,7 +39,7 @@ def tried_rates(runs: Sequence[FinishedRun]) -> list[Tried]:
     """
     groups: dict[str, dict[float, dict[Any, FinishedRun]]] = {}
     for run in sorted(runs, key=lambda run: run.name):
-        settings = compared(run.config)
+        settings = given(run.config)
         rate = settings.get(KEYS[0])
         if rate is not None and SCORE in run.metrics:
             rest = {key: value for key, value in settings.items() if key not in KEYS}

@@ -6,7 +6,7 @@ from typing import Any
 
 from omniocc.errors import UserError
 from omniocc.report.runs import FinishedRun
-from omniocc.report.selection import compared
+from omniocc.report.selection import compared, given
 from omniocc.report.tables.paper import figure_of, with_spread
 from omniocc.report.tables.protocol import protocol_text
 from omniocc.run.results import MINUTES
@@ -50,7 +50,7 @@ def tried_cells(runs: Sequence[FinishedRun], reference: str) -> Cells:
     for run in sorted(
         runs, key=lambda run: run.row == reference
     ):  # of equal runs of a seed, that of the reference counts
-        key = json.dumps([compared(run.config), run.facts.get("data")], sort_keys=True)
+        key = json.dumps([given(run.config), run.facts.get("data")], sort_keys=True)
         groups.setdefault(key, {})[run.facts.get("seed")] = run
     own = [run for members in groups.values() for run in members.values() if run.row == reference]
     if not own:
