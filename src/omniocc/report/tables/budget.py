@@ -11,10 +11,12 @@ STAGES = ("depth", "sketch", "occupancy")
 HEAD = ["row", "M parameters", "GFLOP a frame", "steps of depth", "of the sketch", "of the model", "in all"]
 HEAD += ["samples a step", "minutes", "in all", "peak MiB"]
 NOTE = (
-    "Parameters and operations count all networks of a row: the last one, which gives every voxel its class, and those "
-    "of depth and sketch before it. Memory and the first column of minutes are of training the last one alone. Rows "
-    "with a learned sketch share the training of depth and sketch; 'in all' counts it in every row. Minutes are means "
-    "over seeds that ran beside other work, so that they differ by more than their rows do: compare operations."
+    "Each row is one model. Some models have a network that estimates depth and one that estimates which voxels are "
+    "occupied (the sketch); both are trained before the main network, which gives every voxel its class. Parameters "
+    "and operations are the sum over all networks of the model. 'minutes' and 'peak MiB' are of training the main "
+    "network alone; the 'in all' beside 'minutes' adds the training of depth and sketch, also where several models "
+    "use the same trained ones. Minutes are means over seeds. Other programs ran on the machine at the same time, so "
+    "compare operations rather than minutes."
 )
 
 
