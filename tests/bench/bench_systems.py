@@ -15,10 +15,12 @@ import torch
 from bench_model import CONF, Meter, total
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig
+from torch import Tensor
 
 from omniocc.camera import Rig
 from omniocc.config import build
 from omniocc.model import OccupancyModel, Stream
+from omniocc.model.occupancy import Prediction
 from omniocc.model.sketch import Dense, Random
 from omniocc.run.cost import count_gflop
 from omniocc.run.memory import keep_freed_memory
@@ -60,7 +62,14 @@ class Sequence:
 
     def step(self) -> None:
         """Go forward and backward on a batch of windows."""
-        total(self.model(self.images, ((self.rig,) * self.frames,) * self.batch, self.poses)).backward()
+        total(self._predict()).backward()
+
+    def logits(self) -> Tensor:
+        """Return the logits of a batch of windows."""
+        return self._predict().logits
+
+    def _predict(self) -> Prediction:
+        return self.model(self.images, ((self.rig,) * self.frames,) * self.batch, self.poses)
 
 
 def measure(name: str, cfg: DictConfig, meter: Meter, trains: bool) -> None:

@@ -6,6 +6,7 @@ what was held before, as in `bench_model.py`; 'plain' is the same by `grid_sampl
 """
 
 import argparse
+import copy
 import json
 import platform
 import subprocess
@@ -18,6 +19,7 @@ from typing import Any
 
 import torch
 from bench_model import CONF, Inputs, Meter, slot_runs, total
+from bench_systems import SYSTEMS, Sequence, make_model
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig
 from torch import Tensor
@@ -32,6 +34,7 @@ from omniocc.model.ops.deformable_attention import deformable_sum, make_level, m
 from omniocc.model.ops.depth.projection import Projection, alternate_cameras, field_weight, samplers, table
 from omniocc.model.ops.padding import pad3d
 from omniocc.model.ops.visible import every_cell
+from omniocc.model.sketch import Dense
 from omniocc.run.folder import git_commit
 from omniocc.run.memory import keep_freed_memory
 
@@ -80,6 +83,36 @@ def slots(preset: str, meter: Meter) -> Iterator[Row]:
                     return run()
 
             yield {"name": name, "precision": precision} | measured(meter, under, trains)
+
+
+def agreement(preset: str, meter: Meter) -> Iterator[Row]:
+    """Compare logits and gradients of every system with those of the CPU, from equal weights, images and candidates."""
+    torch.backends.cudnn.allow_tf32 = False
+    for name, model_name in SYSTEMS.items():
+        cfg = compose_preset(preset, f"model={model_name}")
+        here = make_model(cfg, torch.device("cpu"))
+        here.sketch, images = Dense(here.geometry), Sequence(cfg, here, torch.device("cpu"))
+        there = copy.deepcopy(here).to(meter.device)
+        images_there = copy.copy(images)
+        images_there.model, images_there.images = there, images.images.to(meter.device)
+        images_there.poses = images.poses.to(meter.device)
+        logits, other_logits = images.logits(), images_there.logits()
+        logits.square().mean().backward()
+        other_logits.square().mean().backward()
+        pairs = [(p.grad, q.grad) for p, q in zip(here.parameters(), there.parameters(), strict=True)]
+        gradients = [(p.flatten(), q.flatten()) for p, q in pairs if p is not None and q is not None]
+        yield {
+            "name": name,
+            "of_logits": relative_difference(other_logits, logits),
+            "of_gradients": relative_difference(
+                torch.cat([q for _, q in gradients]), torch.cat([p for p, _ in gradients])
+            ),
+        }
+
+
+def relative_difference(values: Tensor, reference: Tensor) -> float:
+    """Return the norm of the difference over that of the reference."""
+    return float((values.detach().cpu() - reference.detach()).norm() / reference.detach().norm())
 
 
 def compiled(preset: str, meter: Meter) -> Iterator[Row]:
@@ -283,6 +316,7 @@ def training(preset: str, meter: Meter) -> Iterator[Row]:
 
 
 PARTS = {
+    "agreement": agreement,
     "slots": slots,
     "compiled": compiled,
     "operations": operations,

@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
-# What a first GPU is asked, in parts of nine minutes at most, about 25 minutes in all: ms and MiB of every slot, forward
-# and backward, float32 and bfloat16; torch.compile; own operations beside plain ones; RayIoU; a drive; training.
+# What a first GPU is asked, in parts of nine minutes at most, about 25 minutes in all: logits and gradients beside
+# those of the CPU; ms and MiB of every slot, forward and backward, float32 and bfloat16; torch.compile; own operations
+# beside plain ones; RayIoU; a drive; training.
 #
 #   bash tests/bench/gpu_campaign.sh out                          # writes out/campaign.json and out/campaign.md
 #   PRESETS=smoke DEVICE=cpu REPEATS=1 PARTS="slots rayiou" bash tests/bench/gpu_campaign.sh out
@@ -19,7 +20,7 @@ run() {
         --device "${DEVICE:-cuda}" --repeats "${REPEATS:-10}" >"$log" 2>&1 || { failed=1; echo "  failed: $log"; tail -n 3 "$log"; }
 }
 for preset in ${PRESETS:-small paper}; do
-    for part in ${PARTS:-slots operations rayiou streaming compiled}; do run "$part" "$preset"; done
+    for part in ${PARTS:-agreement slots operations rayiou streaming compiled}; do run "$part" "$preset"; done
 done
 if [ -z "${PARTS:-}" ]; then run training "${TRAIN:-small}"; fi
 exit $failed
