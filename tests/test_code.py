@@ -18,6 +18,13 @@ def test_code_fingerprint_ignores_comments_and_docstrings(tmp_path):
     assert prints[0] == prints[1] != prints[2]
 
 
+def test_code_fingerprint_is_the_same_in_every_version_of_python(tmp_path):
+    (tmp_path / "a.py").write_text(
+        "class A:\n    def f(self, *x, y=None):\n        return [], f'{x!r:>{y}} {y}', lambda: self\n"
+    )
+    assert code_fingerprint(tmp_path) == "6102c8b8ccd2d57d"
+
+
 def test_code_fingerprint_covers_subfolders_and_paths_of_modules(tmp_path):
     def fingerprint(**files: str) -> str:
         folder = tmp_path / str(len(list(tmp_path.iterdir())))
