@@ -15,6 +15,7 @@ from omniocc.report.tables.learning_rates import learning_rates
 from omniocc.report.tables.overview import overview_keys, records, table_of_runs
 from omniocc.report.tables.paper import PaperTable, as_csv, as_latex, as_markdown
 from omniocc.report.tables.power import power_chapter
+from omniocc.report.tables.presets import presets_chapter
 from omniocc.report.tables.protocol import protocol_text
 from omniocc.report.tables.robustness import robustness_markdown
 from omniocc.report.tables.tried import tried_chapter
@@ -67,6 +68,8 @@ def report_markdown(sweep: Sweep) -> str:
 def write_docs(sweeps: Sequence[Sweep], folder: Path) -> list[Path]:
     """Write every table of the first setting as a page of the documentation, `<table>.md`, and return the files.
 
+    Runs of other presets have one page together.
+
     The pages depend on the records of the runs and on the tables alone. Existing pages are overwritten.
 
     Raises:
@@ -81,6 +84,8 @@ def write_docs(sweeps: Sequence[Sweep], folder: Path) -> list[Path]:
         pages["training"] += f"\n\n![Validation RayIoU over the steps]({CURVES_IMAGE})"
     if any(run.row == TRIED_AGAINST for run in every):
         pages["accuracy"] = tried_chapter(every, TRIED_AGAINST)
+    of_others = [other.runs for other in sweeps if other.runs[0].setting[0] != sweep.runs[0].setting[0]]
+    pages["presets"] = presets_chapter(of_others)
     pages["learning_rates"] = learning_rates(every)
     pages["power"] = power_chapter(sweep.tables, sweep.table_rows, sweep.seed_stds)
     pages["runs"] = f"## Runs\n\n{markdown(*records(every))}\n{' '.join(sweep.remarks)}"

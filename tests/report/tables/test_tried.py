@@ -55,6 +55,12 @@ def test_other_data_is_a_line_of_its_own(ours):
     assert [line[5] for line in lines] == ["0.300", "0.200"]
 
 
+def test_runs_of_another_preset_are_left_out(ours):
+    runs = [run("ours", 0, 0.3, ours, data="large", preset="small")]
+    runs += [run("ours", seed, rayiou, ours, preset="tiny") for seed, rayiou in ((0, 0.2), (1, 0.4))]
+    assert [line[5] for line in tried_cells(runs, "ours")[1]] == ["0.300 ± 0.141"]
+
+
 @pytest.mark.parametrize(
     ("overrides", "named"),
     [

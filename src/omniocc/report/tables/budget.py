@@ -15,8 +15,8 @@ NOTE = (
     "occupied (the sketch); both are trained before the main network, which gives every voxel its class. Parameters "
     "and operations are the sum over all networks of the model. 'minutes' and 'peak MiB' are of training the main "
     "network alone; the 'in all' beside 'minutes' adds the training of depth and sketch, also where several models "
-    "use the same trained ones. Minutes are means over seeds. Other programs ran on the machine at the same time, so "
-    "compare operations rather than minutes."
+    "use the same trained ones. Minutes are means over seeds. Runs were made on several machines, few of them with a "
+    "GPU, and beside other programs, so compare operations rather than minutes or MiB."
 )
 
 

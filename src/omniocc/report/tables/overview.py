@@ -10,13 +10,13 @@ from omniocc.run.table import Cells, band_keys, number
 RECORDS = ("seed", "steps", MINUTES, EARLIER_MINUTES, "commit", MACHINE)
 
 
-def overview_keys(runs: list[FinishedRun]) -> list[str]:
+def overview_keys(runs: Sequence[FinishedRun]) -> list[str]:
     """Return the keys of the figures in `table_of_runs`."""
     bands = band_keys(runs[0].metrics)
     return [f"test/{key}" for key in ("rayiou", *bands, "lidar/rayiou", "voxel/miou")]
 
 
-def table_of_runs(runs: list[FinishedRun]) -> Cells:
+def table_of_runs(runs: Sequence[FinishedRun]) -> Cells:
     """Return head and rows: run, seed, steps, RayIoU, its distance bands, RayIoU against LiDAR rays, mIoU."""
     bands = band_keys(runs[0].metrics)
     names = [band.removeprefix("rayiou_") for band in bands]

@@ -40,7 +40,7 @@ def tried_cells(runs: Sequence[FinishedRun], reference: str) -> Cells:
     """Return the head and a line for each configuration, seeds together, by falling RayIoU on validation scenes.
 
     Args:
-        runs: of any settings.
+        runs: of any settings; those of another preset than the reference are left out.
         reference: row to which the others are compared; its newest configuration if it has several.
 
     Raises:
@@ -55,8 +55,9 @@ def tried_cells(runs: Sequence[FinishedRun], reference: str) -> Cells:
     own = [run for members in groups.values() for run in members.values() if run.row == reference]
     if not own:
         raise UserError(f"no finished run of row {reference}, to which the others could be compared")
-    base = own[-1].config
-    scored = [(figure_of(list(found.values()), "val/rayiou"), list(found.values())) for found in groups.values()]
+    base, preset = own[-1].config, own[-1].setting[0]
+    kept = [list(found.values()) for found in groups.values() if next(iter(found.values())).setting[0] == preset]
+    scored = [(figure_of(members, "val/rayiou"), members) for members in kept]
     ordered = sorted(scored, key=lambda pair: -pair[0].mean if pair[0] else 1.0)
     return ["run", "change", "steps", "seeds", "minutes", *COLUMNS.values()], [
         _line(members, base) for _, members in ordered
