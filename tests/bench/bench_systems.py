@@ -15,12 +15,10 @@ import torch
 from bench_model import CONF, Meter, total
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig
-from torch import Tensor
 
 from omniocc.camera import Rig
 from omniocc.config import build
 from omniocc.model import OccupancyModel, Stream
-from omniocc.model.occupancy import Prediction
 from omniocc.model.sketch import Dense, Random
 from omniocc.run.cost import count_gflop
 from omniocc.run.memory import keep_freed_memory
@@ -49,6 +47,7 @@ class Sequence:
         width, height = cfg.preset.data.virtual.image_size
         self.model, self.frames, self.batch = model, model.temporal.frames, cfg.preset.stages.occupancy.batch_size
         self.rig = Rig.load("fisheye6").resized(width, height)
+        self.rigs = ((self.rig,) * self.frames,) * self.batch
         shape = (self.batch, self.frames, 6, 3, height, width)
         self.images = torch.randint(0, 256, shape, dtype=torch.uint8, device=device)
         self.poses = torch.eye(4, dtype=torch.float64, device=device).repeat(self.batch, self.frames, 1, 1)
@@ -62,14 +61,7 @@ class Sequence:
 
     def step(self) -> None:
         """Go forward and backward on a batch of windows."""
-        total(self._predict()).backward()
-
-    def logits(self) -> Tensor:
-        """Return the logits of a batch of windows."""
-        return self._predict().logits
-
-    def _predict(self) -> Prediction:
-        return self.model(self.images, ((self.rig,) * self.frames,) * self.batch, self.poses)
+        total(self.model(self.images, self.rigs, self.poses)).backward()
 
 
 def measure(name: str, cfg: DictConfig, meter: Meter, trains: bool) -> None:

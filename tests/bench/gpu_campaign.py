@@ -88,31 +88,29 @@ def slots(preset: str, meter: Meter) -> Iterator[Row]:
 def agreement(preset: str, meter: Meter) -> Iterator[Row]:
     """Compare logits and gradients of every system with those of the CPU, from equal weights, images and candidates."""
     torch.backends.cudnn.allow_tf32 = False
+    cpu = torch.device("cpu")
     for name, model_name in SYSTEMS.items():
         cfg = compose_preset(preset, f"model={model_name}")
-        here = make_model(cfg, torch.device("cpu"))
-        here.sketch, images = Dense(here.geometry), Sequence(cfg, here, torch.device("cpu"))
-        there = copy.deepcopy(here).to(meter.device)
-        images_there = copy.copy(images)
-        images_there.model, images_there.images = there, images.images.to(meter.device)
-        images_there.poses = images.poses.to(meter.device)
-        logits, other_logits = images.logits(), images_there.logits()
-        logits.square().mean().backward()
-        other_logits.square().mean().backward()
-        pairs = [(p.grad, q.grad) for p, q in zip(here.parameters(), there.parameters(), strict=True)]
-        gradients = [(p.flatten(), q.flatten()) for p, q in pairs if p is not None and q is not None]
-        yield {
-            "name": name,
-            "of_logits": relative_difference(other_logits, logits),
-            "of_gradients": relative_difference(
-                torch.cat([q for _, q in gradients]), torch.cat([p for p, _ in gradients])
-            ),
-        }
+        model = make_model(cfg, cpu)
+        model.sketch = Dense(model.geometry)
+        inputs = Sequence(cfg, model, cpu)
+        expected, found = (logits_and_gradients(inputs, device) for device in (cpu, meter.device))
+        of_logits, of_gradients = map(relative_difference, found, expected)
+        yield {"name": name, "of_logits": of_logits, "of_gradients": of_gradients}
+
+
+def logits_and_gradients(inputs: Sequence, device: torch.device) -> tuple[Tensor, Tensor]:
+    """Return the logits of a copy of the model on a device, and the gradients of its parameters."""
+    model = copy.deepcopy(inputs.model).to(device)
+    logits = model(inputs.images.to(device), inputs.rigs, inputs.poses.to(device)).logits
+    logits.square().mean().backward()
+    gradients = [parameter.grad.flatten() for parameter in model.parameters() if parameter.grad is not None]
+    return logits.detach().cpu(), torch.cat(gradients).cpu()
 
 
 def relative_difference(values: Tensor, reference: Tensor) -> float:
     """Return the norm of the difference over that of the reference."""
-    return float((values.detach().cpu() - reference.detach()).norm() / reference.detach().norm())
+    return float((values - reference).norm() / reference.norm())
 
 
 def compiled(preset: str, meter: Meter) -> Iterator[Row]:

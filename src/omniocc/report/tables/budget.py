@@ -46,6 +46,12 @@ def minutes_in_all(run: FinishedRun) -> float:
     return float(run.facts.get(MINUTES) or 0.0) + float(run.facts.get(EARLIER_MINUTES) or 0.0)
 
 
+def steps_of_stages(run: FinishedRun) -> str:
+    """Return the steps of depth, sketch and occupancy, for example `1600/500/1000`; a dash for a stage it lacks."""
+    steps = run.facts.get("stages", {})
+    return "/".join(str(steps.get(stage, "–")) for stage in STAGES)
+
+
 def _over_seeds(runs: Sequence[FinishedRun], key: str, form: str, reduce: Callable[[list[float]], float]) -> str:
     values = [float(run.facts[key]) for run in runs if run.facts.get(key) is not None]
     return form.format(reduce(values)) if values else "–"

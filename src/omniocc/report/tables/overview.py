@@ -16,11 +16,15 @@ def overview_keys(runs: Sequence[FinishedRun]) -> list[str]:
     return [f"test/{key}" for key in ("rayiou", *bands, "lidar/rayiou", "voxel/miou")]
 
 
+def overview_titles(runs: Sequence[FinishedRun]) -> list[str]:
+    """Return the titles of `overview_keys`."""
+    names = [band.removeprefix("rayiou_") for band in band_keys(runs[0].metrics)]
+    return ["RayIoU", *names, "RayIoU, LiDAR", "mIoU"]
+
+
 def table_of_runs(runs: Sequence[FinishedRun]) -> Cells:
     """Return head and rows: run, seed, steps, RayIoU, its distance bands, RayIoU against LiDAR rays, mIoU."""
-    bands = band_keys(runs[0].metrics)
-    names = [band.removeprefix("rayiou_") for band in bands]
-    head = ["run", "seed", "steps", "RayIoU", *names, "RayIoU, LiDAR", "mIoU"]
+    head = ["run", "seed", "steps", *overview_titles(runs)]
     rows = []
     for run in runs:
         facts = [str(run.facts.get(key, "–")) for key in ("seed", "steps")]

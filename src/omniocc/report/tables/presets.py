@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 
 from omniocc.report.runs import FinishedRun
-from omniocc.report.tables.overview import overview_keys
+from omniocc.report.tables.budget import minutes_in_all, steps_of_stages
+from omniocc.report.tables.overview import overview_keys, overview_titles
 from omniocc.run.cost import PEAK
-from omniocc.run.results import EARLIER_MINUTES, MINUTES
 from omniocc.run.table import markdown, number
 
 TITLE = "Other presets"
@@ -14,7 +14,6 @@ NOTE = (
     "Minutes: of training, all stages. What a preset is: [the data](../dataset.md#at-a-glance); how these runs came to "
     "be: [a GPU](../how_to/gpu.md); their commands: [the runs](runs.md)."
 )
-STAGES = ("depth", "sketch", "occupancy")
 
 
 def presets_chapter(settings: Sequence[Sequence[FinishedRun]]) -> str:
@@ -31,15 +30,12 @@ def presets_chapter(settings: Sequence[Sequence[FinishedRun]]) -> str:
 def _of_setting(runs: Sequence[FinishedRun]) -> str:
     preset, _, data = runs[0].setting
     keys = [*overview_keys(runs), "test/voxel/iou"]
-    titles = ["RayIoU", *(key.rpartition("_")[2] for key in keys[1:-3]), "RayIoU, LiDAR", "mIoU", "IoU"]
     lines = [[run.name, *_facts(run), *(number(run.metrics.get(key)) for key in keys)] for run in runs]
-    head = ["run", "seed", "steps", "minutes", "MiB, peak", *titles]
+    head = ["run", "seed", "steps", "minutes", "MiB, peak", *overview_titles(runs), "IoU"]
     return f"### preset={preset}, data {data[:8]}\n\n{markdown(head, lines).rstrip()}"
 
 
 def _facts(run: FinishedRun) -> list[str]:
     """Return seed, steps of all stages, minutes of training and the most memory held, in words."""
-    steps = run.facts.get("stages", {})
-    minutes = float(run.facts.get(MINUTES) or 0) + float(run.facts.get(EARLIER_MINUTES) or 0)
-    of_stages = "/".join(str(steps.get(stage, "–")) for stage in STAGES)
-    return [str(run.facts.get("seed", "–")), of_stages, f"{minutes:.1f}", str(run.facts.get(PEAK, "–"))]
+    seed, peak = (str(run.facts.get(key, "–")) for key in ("seed", PEAK))
+    return [seed, steps_of_stages(run), f"{minutes_in_all(run):.1f}", peak]

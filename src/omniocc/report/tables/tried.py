@@ -7,6 +7,7 @@ from typing import Any
 from omniocc.errors import UserError
 from omniocc.report.runs import FinishedRun
 from omniocc.report.selection import compared, given
+from omniocc.report.tables.budget import steps_of_stages
 from omniocc.report.tables.paper import figure_of, with_spread
 from omniocc.report.tables.protocol import protocol_text
 from omniocc.run.results import MINUTES
@@ -27,7 +28,6 @@ COLUMNS = {
     "val/voxel/iou": "IoU",
     "val/voxel/miou": "mIoU",
 }
-STAGES = ("depth", "sketch", "occupancy")
 
 
 def tried_chapter(runs: Sequence[FinishedRun], reference: str) -> str:
@@ -66,11 +66,10 @@ def tried_cells(runs: Sequence[FinishedRun], reference: str) -> Cells:
 
 def _line(members: Sequence[FinishedRun], base: Mapping[str, Any]) -> list[str]:
     first = members[0]
-    steps = first.facts.get("stages", {})
     minutes = [float(run.facts.get(MINUTES) or 0) for run in members]
     figures = [with_spread(key, figure_of(members, key)) for key in COLUMNS]
     parts = [members[-1].row, changes(first.config, base) or "the reference"]
-    parts += ["/".join(str(steps.get(stage, "–")) for stage in STAGES), str(len(members))]
+    parts += [steps_of_stages(first), str(len(members))]
     return [*parts, f"{sum(minutes) / len(minutes):.0f}", *figures]
 
 
