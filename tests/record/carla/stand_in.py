@@ -38,9 +38,10 @@ class Settings:
 
 
 class Idle:
-    """The server before a town is loaded, when it knows its settings alone."""
+    """The server before a town is loaded, when it knows its settings and the time alone."""
 
     def __init__(self):
+        self.frame, self.time_s, self.ticks = 1000, 50.0, 0
         state = options()["state"]
         self.settings_file = None if state is None else Path(state)
 
@@ -52,6 +53,10 @@ class Idle:
     def apply_settings(self, settings):
         if self.settings_file is not None:
             self.settings_file.write_text(json.dumps(vars(settings)))
+
+    def get_snapshot(self):
+        stamp = types.SimpleNamespace(elapsed_seconds=self.time_s)
+        return types.SimpleNamespace(frame=self.frame, timestamp=stamp)
 
 
 class Manager:

@@ -225,7 +225,6 @@ class World(Idle):
         self.rig = Rig.load(given["rig"])
         self.scene = Scene(given["theme"], given["seed"], self.rig, supersample=1, weather="clear", lidars=1)
         self.road_z_m = -2.2 if self.rig.road_z_m is None else self.rig.road_z_m
-        self.frame, self.time_s, self.ticks = 1000, 50.0, 0
         self.tags = np.zeros(256, np.uint8)
         for name, tag in (given["tags"] or NEW_TAGS).items():
             self.tags[WORLD_CLASSES.names.index(name)] = tag
@@ -319,7 +318,3 @@ class World(Idle):
             os.kill(os.getpid(), signal.SIGKILL)
         if self.fault_now("hang"):
             time.sleep(3600)
-
-    def get_snapshot(self):
-        stamp = types.SimpleNamespace(elapsed_seconds=self.time_s)
-        return types.SimpleNamespace(frame=self.frame, timestamp=stamp)
