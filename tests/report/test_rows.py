@@ -22,10 +22,9 @@ def test_a_row_that_cannot_be_composed_is_named(tmp_path):
     (tmp_path / "conf" / "ablation" / "broken.yaml").write_text(
         "# @package _global_\ndefaults: [override /model: gone]\n"
     )
+    demo = FinishedRun("demo-0123abcd", {}, {}, config={"preset": {"name": "smoke"}})
     with pytest.raises(ConfigError, match=r"\+ablation=broken"):
-        assign_rows(
-            [FinishedRun("demo-0123abcd", {}, {}, config={"preset": {"name": "smoke"}})], tmp_path / "conf", ["broken"]
-        )
+        assign_rows([demo], tmp_path / "conf", ["broken"])
 
 
 def test_a_run_of_another_name_counts_in_the_row_whose_configuration_it_has(runs, tmp_path):

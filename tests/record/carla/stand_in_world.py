@@ -237,11 +237,11 @@ class World(Idle):
         self.images = {}
 
     def numbers_of(self, instances):
-        """Actor numbers of the traffic's own ids: 100 more, 0 for what was not spawned."""
+        """Return the numbers of actors in CARLA: their numbers in the virtual world + 100; 0 for those not spawned."""
         return np.where(np.isin(instances, list(self.others)), instances + 100, 0)
 
     def rendered(self, sensor):
-        """A flat camera's pixels; its three kinds share one rendering."""
+        """Return view and pixels of a pinhole camera; its color, depth and class images come from one rendering."""
         side, field = int(sensor.attributes["image_size_x"]), np.radians(float(sensor.attributes["fov"]))
         mounted = sensor.mounted()
         key = side, mounted.round(6).tobytes()
