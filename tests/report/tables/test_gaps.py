@@ -78,6 +78,29 @@ def test_a_seed_on_other_data_is_another_seed():
     assert gaps.between("a", "far") is UNKNOWN
 
 
+def test_a_seed_with_another_depth_network_is_another_seed():
+    """Depth was trained again for the second seed of b, and for all of c; the last digits may differ by measurement."""
+
+    def with_depth(name: str, values: list[float], errors_m: list[float]) -> list[FinishedRun]:
+        runs = row(name, *values)
+        return [
+            run._replace(metrics=run.metrics | {"test/depth/mae": error_m})
+            for run, error_m in zip(runs, errors_m, strict=True)
+        ]
+
+    rows = {
+        "a": with_depth("a", [0.30, 0.36, 0.32], [1.51054263, 1.51045752, 1.52]),
+        "b": with_depth("b", [0.28, 0.50, 0.31], [1.51054265, 1.5140866, 1.52]),
+        "c": with_depth("c", [0.20, 0.22], [1.51761591, 1.52752591]),
+    }
+    shared = paired_gap(rows["a"], rows["b"], KEY)
+    assert shared[:2] == pytest.approx((0.015, 0.005))
+    gaps = Gaps(rows, KEY)
+    assert gaps.between("a", "b") == pytest.approx(shared)
+    assert gaps.between("a", "c") is UNKNOWN
+    assert paired_gap(rows["a"], rows["c"], KEY) is UNKNOWN
+
+
 def test_systems_are_compared_as_in_welchs_t_test():
     better, other = [0.30, 0.35, 0.31], [0.22, 0.28]
     reference = stats.ttest_ind(better, other, equal_var=False)

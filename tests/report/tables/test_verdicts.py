@@ -48,6 +48,14 @@ def test_rows_that_share_the_depth_are_judged_again_by_paired_differences():
     assert random[6:] == ["holds", "undecided", "yes"]
 
 
+def test_rows_with_other_depth_networks_are_not_paired():
+    again = [run._replace(metrics=run.metrics | {"test/depth/mae": 1.5}) for run in row("wo", 0.26, 0.36, 0.30)]
+    runs = {"ours": row("ours", 0.300, 0.301, 0.302), "wo_dilation": again}
+    decided = judged([SKETCH], runs)
+    assert [part.name for part in verdicts_parts([SKETCH], runs, decided)] == ["claims"]
+    assert judged([SKETCH], runs, paired=True) == decided
+
+
 def test_systems_are_not_paired():
     runs = {"ours": row("ours", 0.3, 0.31, 0.32), "random": row("random", 0.2, 0.22, 0.21)}
     decided = judged([SKETCH], runs)

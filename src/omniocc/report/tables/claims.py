@@ -7,7 +7,7 @@ from typing import NamedTuple
 from scipy import stats
 
 from omniocc.report.runs import RAY_IOU, FinishedRun
-from omniocc.report.tables.gaps import EXACT, Gap, Gaps, gap_of_systems, paired_gap
+from omniocc.report.tables.gaps import EXACT, UNKNOWN, Gap, Gaps, gap_of_systems, paired_gap
 from omniocc.report.tables.holm import holm
 from omniocc.report.tables.paper import PaperRow, PaperTable, figure_of
 from omniocc.report.tables.streets import error_over_streets
@@ -67,7 +67,7 @@ class Judged(NamedTuple):
         """
         here, error, _ = self.claim.gap
         if math.isnan(error):
-            return f"{UNDECIDED} ({'no seed in common' if math.isnan(here) else 'one seed only'})"
+            return f"{UNDECIDED} (one seed only)"
         if self.none < LEVEL:
             return HOLDS if here > 0 else f"{AGAINST} (opposite sign)"
         return f"{AGAINST} (smaller)" if self.size < LEVEL else UNDECIDED
@@ -141,6 +141,7 @@ def claims_of(tables: Sequence[PaperTable], rows: Rows, judge: str, paired: bool
 
     The noise of rows that share stages is estimated over all such rows of claims, that of others over both rows. If
     `paired`, rows that share the depth network are compared on the seeds that both have, with the noise of these alone.
+    Rows of which no seed has the same depth network are compared as systems.
     """
     found: dict[Name, Claim] = {}
     keys = {key for table in tables if (key := metric_of(table, judge)) is not None}
@@ -165,15 +166,28 @@ def name_of(better: PaperRow, other: PaperRow, rows: Rows, key: str | None) -> N
 def _claim(table: PaperTable, better: PaperRow, other: PaperRow, rows: Rows, key: str, noise: Gaps | None) -> Claim:
     score = figure_of(rows[better.run], key)
     assert score is not None
-    if noise is None and table.shares_depth(better, other):
-        gap = paired_gap(rows[better.run], rows[other.run], key)
-    elif noise is not None and table.shares_stages(better, other):
-        gap = noise.between(_as_in(noise, better.run, rows), _as_in(noise, other.run, rows))
-    else:
+    gap = gap_by_seed(table, better, other, rows, key, noise)
+    if math.isnan(gap.here):
         gap = gap_of_systems(rows[better.run], rows[other.run], key)
     streets = error_over_streets(rows[better.run], rows[other.run], key)
     size = table.in_proportion(better, other, score.mean)
     return Claim(table.printed_gap(better, other), size, gap, streets)
+
+
+def gap_by_seed(
+    table: PaperTable, better: PaperRow, other: PaperRow, rows: Rows, key: str, noise: Gaps | None = None
+) -> Gap:
+    """Return the gap between two rows over the seeds in which they use the same networks; unknown without such a seed.
+
+    With `noise`, these are depth and sketch, and the standard error is that of `noise`. Without, it is the depth
+    network, and a paired t-test.
+    """
+    if noise is None:
+        shares = table.shares_depth(better, other)
+        return paired_gap(rows[better.run], rows[other.run], key) if shares else UNKNOWN
+    if not table.shares_stages(better, other):
+        return UNKNOWN
+    return noise.between(_as_in(noise, better.run, rows), _as_in(noise, other.run, rows))
 
 
 def _as_in(noise: Gaps, row: str, rows: Rows) -> str:

@@ -11,6 +11,8 @@ from omniocc.report.runs import FinishedRun
 
 EXACT = 1e-9
 """Standard error below which all runs agree."""
+RANGE_ERROR = "test/depth/mae"
+"""Mean range error: two runs of a seed have the same one only if they use the same depth network."""
 
 
 class Gap(NamedTuple):
@@ -64,7 +66,8 @@ def gap_of_systems(better: Sequence[FinishedRun], other: Sequence[FinishedRun], 
 def paired_gap(better: Sequence[FinishedRun], other: Sequence[FinishedRun], key: str) -> Gap:
     """Return the mean difference over the seeds that two rows have in common: the paired t-test.
 
-    A seed on other data is another seed. The error is unknown with a single seed, the gap too without one.
+    A seed on other data, or with another depth network, is another seed. The error is unknown with a single seed, the
+    gap too without one.
     """
     first, second = ({_seed_of(run): value for run, value in _figures(runs, key)} for runs in (better, other))
     differences = np.array([value - second[seed] for seed, value in first.items() if seed in second])
@@ -88,7 +91,9 @@ def _figures(runs: Sequence[FinishedRun], key: str) -> list[tuple[FinishedRun, f
 
 
 def _seed_of(run: FinishedRun) -> tuple:
-    return run.facts.get("data"), run.facts.get("seed")
+    """Return data, seed and range error, to six digits; None for a run without a depth network."""
+    error_m = run.metrics.get(RANGE_ERROR)
+    return run.facts.get("data"), run.facts.get("seed"), None if error_m is None else f"{error_m:.6g}"
 
 
 class Gaps:
@@ -97,7 +102,8 @@ class Gaps:
     A figure is modelled as the sum of an effect of its row, an effect of its seed and noise (least squares over all
     runs), since rows share depth, sketch and order of samples of a seed. For two rows with the same seeds this is the
     paired t-test; a row that lacks a seed is compared on those it has. The noise has one variance in all rows, because
-    two or three seeds are too few to estimate it for each. A seed on other data is another seed.
+    two or three seeds are too few to estimate it for each. A seed on other data is another seed, and so is one
+    whose depth network was trained again elsewhere, to other bits.
 
     Args:
         rows: the runs of each row.

@@ -70,11 +70,11 @@ class PaperTable(NamedTuple):
     steps: str = ""
 
     def shares_stages(self, better: PaperRow, other: PaperRow) -> bool:
-        """Return whether two rows share depth and sketch of a seed."""
+        """Return whether two rows can use the same depth and sketch networks in a seed."""
         return self.compares == "parts" and not (better.alone or other.alone)
 
     def shares_depth(self, better: PaperRow, other: PaperRow) -> bool:
-        """Return whether two rows use the same depth network in every seed, with or without the same sketch."""
+        """Return whether two rows can use the same depth network in a seed, with the same sketch or another one."""
         return self.compares != "systems" and not (better.alone or other.alone)
 
     def printed_gap(self, better: PaperRow, other: PaperRow) -> float:

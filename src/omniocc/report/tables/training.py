@@ -29,8 +29,8 @@ from omniocc.run.table import Cells, number
 TITLE = "The same rows and claims after more steps"
 NOTE = (
     "Rows that have run with several numbers of steps of the last stage. Depth and sketch are trained by the same "
-    "recipe. Rows of one number of steps use the same networks in each seed, except for those that the "
-    "[protocol](protocol.md#changes) names; rows of another number can have others."
+    "recipe, for some rows again on another machine ([protocol](protocol.md#changes)), so that rows can have other "
+    "networks in the same seed."
 )
 CHANGES = (
     "Claims whose two rows have both run with several numbers of steps. Each number of steps is a family of its own "

@@ -1,5 +1,6 @@
 """All claims of all tables in one list, by verdict."""
 
+import math
 from collections.abc import Mapping, Sequence
 
 from omniocc.report.tables.claims import (
@@ -11,6 +12,7 @@ from omniocc.report.tables.claims import (
     Name,
     Rows,
     both_errors,
+    gap_by_seed,
     judged,
     metric_of,
     name_of,
@@ -31,12 +33,12 @@ NOTE = (
 )
 PAIRED_TITLE = "The same by paired differences"
 PAIRED_NOTE = (
-    "The claims about rows that use the same depth network in every seed once more, tested by the difference of both "
-    "scores in each seed and the standard deviation of these differences alone (paired t-test), with Holm's correction "
-    "over the same family. This assumes neither that the differences of all pairs of rows vary alike, nor that two "
-    "grids are independent of each other. The rule, which was fixed before the runs, is that of the table above: a "
-    "single pair leaves two to four degrees of freedom, with which fewer gaps are found. Where the verdicts differ, "
-    "that above depends on its assumption."
+    "The claims about rows that use the same depth network in a seed once more, tested by the difference of both "
+    "scores in each such seed and the standard deviation of these differences alone (paired t-test), with Holm's "
+    "correction over the same family. This assumes neither that the differences of all pairs of rows vary alike, nor "
+    "that two grids are independent of each other. The rule, which was fixed before the runs, is that of the table "
+    "above: a single pair leaves two to four degrees of freedom, with which fewer gaps are found. Where the verdicts "
+    "differ, that above depends on its assumption."
 )
 NOT_RUN = "not run"
 ORDER = (HOLDS, AGAINST, UNDECIDED, NOT_RUN)
@@ -66,7 +68,7 @@ def paired_cells(tables: Sequence[PaperTable], rows: Rows, decided: Mapping[Name
     for table, better, other in planned_claims(tables, "own voxels"):
         for judge in JUDGES:
             name = name_of(better, other, rows, metric_of(table, judge))
-            if name is None or not table.shares_depth(better, other):
+            if name is None or math.isnan(gap_by_seed(table, better, other, rows, name[-1]).here):
                 continue
             alone, above = paired[name], decided[name]
             cells = [title_of(table, better, other), table.title, judge, f"{alone.claim.gap.freedom + 1}"]
