@@ -91,7 +91,7 @@ def _figures(runs: Sequence[FinishedRun], key: str) -> list[tuple[FinishedRun, f
 
 
 def _seed_of(run: FinishedRun) -> tuple:
-    """Return data, seed and range error, to six digits; None for a run without a depth network."""
+    """Return data, seed and mean range error (six digits; None without a depth network), equal for runs of one seed."""
     error_m = run.metrics.get(RANGE_ERROR)
     return run.facts.get("data"), run.facts.get("seed"), None if error_m is None else f"{error_m:.6g}"
 
@@ -103,7 +103,7 @@ class Gaps:
     runs), since rows share depth, sketch and order of samples of a seed. For two rows with the same seeds this is the
     paired t-test; a row that lacks a seed is compared on those it has. The noise has one variance in all rows, because
     two or three seeds are too few to estimate it for each. A seed on other data is another seed, and so is one
-    whose depth network was trained again elsewhere, to other bits.
+    whose depth network was trained again on another machine, which gives slightly different weights.
 
     Args:
         rows: the runs of each row.
