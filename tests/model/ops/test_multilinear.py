@@ -1,8 +1,10 @@
 import itertools
 import math
 
+import pytest
 import torch
 
+from omniocc.model.ops import multilinear
 from omniocc.model.ops.multilinear import corners, sum_samples
 
 SHAPE, PERIODIC = (3, 5, 2), (False, True, False)
@@ -33,7 +35,9 @@ def inputs():
     return [tensor.requires_grad_() for tensor in tensors]
 
 
-def test_values_and_gradients_are_those_of_loops(assert_same_gradients):
+@pytest.mark.parametrize("sums", [20, 8], ids=["at once", "in three chunks"])
+def test_values_and_gradients_are_those_of_loops(assert_same_gradients, monkeypatch, sums):
+    monkeypatch.setattr(multilinear, "CHUNK_SUMS", sums)
     volume, positions, weights = tensors = inputs()
     expected = torch.stack(
         [sum(weights[n, k] * sample(volume, positions[:, n, k]) for k in range(3)) for n in range(20)]

@@ -15,6 +15,8 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 from torch.nn import functional as F
 
+CHUNK_SUMS = 2**15  # whose inner products are computed at a time: what is written for them then stays in the cache
+
 
 def bag_sum(
     rows: Int32[Tensor, "..."], table: Tensor, first: Int32[Tensor, " bags"] | None, weights: Float[Tensor, "..."]
@@ -141,7 +143,10 @@ def _scatter(
 def _products(
     table: Float[Tensor, "R C"], row: Int32[Tensor, "N K"], grad: Float[Tensor, "N C"], steps: tuple[int, ...]
 ) -> Float[Tensor, "N K E"]:
-    """Return the inner product of each corner's row with the gradient of its sum."""
-    columns = _all_rows(row, steps)
-    ends = torch.arange(0, columns.numel() + 1, columns.shape[1], dtype=torch.int32, device=row.device)
-    return inner_products(grad, table, ends, columns.flatten()).reshape(*row.shape, len(steps))
+    """Return the inner product of each corner's row with the gradient of its sum, `CHUNK_SUMS` sums at a time."""
+    parts = []
+    for rows, grads in zip(row.split(CHUNK_SUMS), grad.split(CHUNK_SUMS), strict=True):
+        columns = _all_rows(rows, steps)
+        ends = torch.arange(0, columns.numel() + 1, columns.shape[1], dtype=torch.int32, device=row.device)
+        parts.append(inner_products(grads, table, ends, columns.flatten()))
+    return torch.cat(parts).reshape(*row.shape, len(steps))
