@@ -122,7 +122,9 @@ def _robustness(sweep: Sweep) -> list[Section]:
     sections = []
     for number, tests in enumerate(robustness.comparable(sweep.robustness)):
         name = f"robustness-{number}" if number else "robustness"
-        remarks = " ".join([robustness.NOTE, robustness.verdict(tests), *map(robustness.facts_line, tests)])
+        remarks = " ".join(
+            [robustness.NOTE, robustness.verdict(tests), *map(robustness.facts_line, tests, robustness.names_of(tests))]
+        )
         sections.append(_text_table(name, robustness.TITLE, remarks, robustness.relative_cells(tests)))
         sections.append(
             _text_table(f"{name}-parts", f"{robustness.TITLE}: part by part", "", robustness.part_cells(tests))

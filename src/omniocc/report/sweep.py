@@ -14,7 +14,7 @@ from omniocc.report.dataset.table import (
     with_ours,
 )
 from omniocc.report.rows import assign_rows
-from omniocc.report.runs import FinishedRun, read_runs
+from omniocc.report.runs import HASH, FinishedRun, read_runs
 from omniocc.report.selection import by_row, comparable, mixtures, settings_of
 from omniocc.report.tables.claims import Judged, Name, judged
 from omniocc.report.tables.paper import PaperTable, is_table, load_table
@@ -102,7 +102,7 @@ def read_sweeps(runs: Path, tables: Path, conf: Path, preset: str | None) -> lis
     found = sorted((load_table(path) for path in paths if is_table(path)), key=lambda table: table.number or len(paths))
     first = list(dict.fromkeys(["ours", *(row.run for table in found for row in table.rows)]))
     finished = assign_rows(read_runs(runs), conf, first)
-    tests, begun = read_robustness(runs), unfinished(runs)
+    tests, begun = with_training(read_robustness(runs), finished), unfinished(runs)
     of_datasets = [load_dataset_table(path) for path in paths if is_dataset_table(path)]
 
     def sweep_of(setting: tuple[str, ...]) -> Sweep:
@@ -164,6 +164,20 @@ def by_length(sweeps: Sequence[Sweep], setting: tuple[str, ...]) -> dict[str, Se
         for row, runs in sweep.rows.items():
             found.setdefault(f"{row}@{runs[0].setting[1]}", runs)
     return found
+
+
+def with_training(tests: Sequence[Robustness], runs: Sequence[FinishedRun]) -> list[Robustness]:
+    """Return the tests with steps and seed of the runs they belong to, in the order of row, steps and seed."""
+    known = {run.name: (run.setting[1], str(run.facts.get("seed", "unknown"))) for run in runs}
+
+    def place(test: Robustness) -> tuple[str, int, str]:
+        steps, seed = known.get(test.system, ("", ""))
+        return HASH.sub("", test.system), _number(steps), seed
+
+    return [
+        test._replace(training="{} steps, seed {}".format(*known[test.system])) if test.system in known else test
+        for test in sorted(tests, key=place)
+    ]
 
 
 def unfinished(runs: Path) -> list[str]:

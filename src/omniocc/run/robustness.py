@@ -48,11 +48,19 @@ class PartScores(NamedTuple):
 
 
 class Robustness(NamedTuple):
-    """The parts of one checkpoint, the undisturbed one first, and facts about the test."""
+    """The parts of one checkpoint, and facts about the test.
+
+    Attributes:
+        system: name of the folder of its run, or of shipped weights.
+        facts: about the test.
+        parts: its scores, the undisturbed ones first.
+        training: steps and seed of its training in words; empty if they are not known.
+    """
 
     system: str
     facts: Mapping[str, Any]
     parts: Sequence[PartScores]
+    training: str = ""
 
     @property
     def undisturbed(self) -> PartScores:

@@ -2,9 +2,12 @@ import math
 
 import pytest
 
+from omniocc.report.runs import FinishedRun
+from omniocc.report.sweep import with_training
 from omniocc.report.tables.robustness import (
     common_parts,
     comparable,
+    names_of,
     part_cells,
     relative_cells,
     robustness_markdown,
@@ -63,7 +66,7 @@ def test_every_disturbance_has_a_line_with_the_standard_error():
 
 
 def test_one_system_has_all_scores_and_nested_ranges():
-    head, rows = score_cells(OURS)
+    head, rows = score_cells(OURS, "ours")
     assert head == ["ours", "RayIoU", "RayIoU, drop", "mIoU, drop", "within 8.5 m", "frames", "s"]
     assert rows[0] == ["undisturbed", "0.500", "0.500", "0.250", "0.600", "6", "12"]
     assert rows[2] == ["view_180_deg", "0.300", "0.200 ± 0.000", "0.100 ± 0.000", "0.200", "6", "12"]
@@ -77,7 +80,7 @@ def test_each_score_has_its_own_standard_error():
     noise = noise._replace(without=noise.without | {"rayiou": [0.3, 0.3, 0.3], "voxel/miou": [0.6, 0.6, 0.6]})
     system = OURS._replace(parts=[base, noise])
     assert part_cells([system])[1] == [["noise_5_percent", "0.200 ± 0.115"]]
-    assert score_cells(system)[1][1][2:4] == ["0.200 ± 0.115", "0.100 ± 0.231"]
+    assert score_cells(system, "ours")[1][1][2:4] == ["0.200 ± 0.115", "0.100 ± 0.231"]
 
 
 def test_systems_of_other_scenes_are_not_compared():
@@ -89,8 +92,36 @@ def test_systems_of_other_scenes_are_not_compared():
     page = robustness_markdown([tiny, OURS, OTHER])
     assert page.count("| undisturbed RayIoU |") == 2
     assert "| relative drop of RayIoU, % | ours | flashocc |" in page
-    assert "tiny: 3 scenes, 6 frames, seed 0; `python src/evaluate.py`, commit abc, here." in page
+    assert "tiny: 3 scenes, 6 frames, disturbances of seed 0; `python src/evaluate.py`, commit abc, here." in page
     assert "mean of all kinds" in robustness_text([tiny, OURS, OTHER])
+
+
+def test_systems_of_one_row_are_told_apart_in_every_table_and_in_the_verdict():
+    long = record("flashocc-87654321", 0.5, 0.4, {180: 0.4})
+    assert names_of([OTHER, long]) == ["flashocc-12345678", "flashocc-87654321"]
+    group = [OURS, OTHER._replace(training="1000 steps, seed 0"), long._replace(training="10000 steps, seed 1")]
+    names = ["ours", "flashocc, 1000 steps, seed 0", "flashocc, 10000 steps, seed 1"]
+    assert names_of(group) == relative_cells(group)[0][1:] == part_cells(group)[0][1:] == names
+    text = verdict(group)
+    assert text.startswith("flashocc, 10000 steps, seed 1 loses least of all. ")  # 20 and 20 %; 10 and 40; 5 and 70
+    assert "flashocc, 1000 steps, seed 0 loses 37.5 % in the mean over kinds" in text
+    page = robustness_markdown(group)
+    assert "| flashocc, 10000 steps, seed 1 | RayIoU |" in page
+    assert "flashocc, 1000 steps, seed 0: 3 scenes" in page
+
+
+def test_tests_of_runs_know_their_training_and_stand_in_its_order():
+    runs = [
+        FinishedRun(f"flashocc-0000000{number}", {"steps": steps, "seed": seed}, {})
+        for number, (steps, seed) in enumerate([(10000, 1), (1000, 0), (10000, 0)])
+    ]
+    tests = [record(name, 0.5, 0.4, {}) for name in ["tiny", *(run.name for run in runs)]]
+    assert [(test.system, test.training) for test in with_training(tests, runs)] == [
+        ("flashocc-00000001", "1000 steps, seed 0"),
+        ("flashocc-00000002", "10000 steps, seed 0"),
+        ("flashocc-00000000", "10000 steps, seed 1"),
+        ("tiny", ""),
+    ]
 
 
 def test_a_part_without_a_score_is_a_dash():

@@ -7,7 +7,7 @@ from matplotlib import colormaps, rc_context
 from matplotlib.figure import Figure as Canvas
 
 from omniocc.report.plots.figures import STYLE, WHISKER
-from omniocc.report.tables.robustness import name_of
+from omniocc.report.tables.robustness import names_of
 from omniocc.run.robustness import Robustness, drop_of
 
 
@@ -18,13 +18,13 @@ def drops(records: Sequence[Robustness]) -> Canvas:
     height = 0.84 / len(records)
     canvas = Canvas(figsize=(8.6, 1.0 + max(0.2, 0.13 * len(records)) * len(names)), layout="constrained")
     axes = canvas.subplots()
-    for number, record in enumerate(records):
+    for number, (record, label) in enumerate(zip(records, names_of(records), strict=True)):
         found = {part.part: drop_of(part, record.undisturbed) for part in record.disturbed}
         places = [names.index(name) - 0.42 + (number + 0.5) * height for name in found]
         errors = [0.0 if math.isnan(drop.error) else drop.error for drop in found.values()]
         color = colormaps["tab10"].colors[number % 10]  # type: ignore[attr-defined]
         values = [drop.value for drop in found.values()]
-        axes.barh(places, values, height * 0.92, color=color, label=name_of(record))
+        axes.barh(places, values, height * 0.92, color=color, label=label)
         axes.errorbar(values, places, xerr=errors, fmt="none", **WHISKER)
     axes.set_yticks(range(len(names)), names)
     axes.invert_yaxis()

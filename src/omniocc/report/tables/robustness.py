@@ -21,9 +21,14 @@ NOTE = (
 SCORES = {"rayiou": "RayIoU", "lidar/rayiou": "LiDAR", "voxel/iou": "IoU", "voxel/miou": "mIoU"}
 
 
-def name_of(record: Robustness) -> str:
-    """Return the name of a system in tables: that of its row."""
-    return HASH.sub("", record.system)
+def names_of(records: Sequence[Robustness]) -> list[str]:
+    """Return the names of systems in tables: their rows.
+
+    Systems of the same row are told apart by steps and seed of their training, or by their folders if it is unknown.
+    """
+    rows = [HASH.sub("", record.system) for record in records]
+    apart = [f"{row}, {one.training}" if one.training else one.system for row, one in zip(rows, records, strict=True)]
+    return [name if rows.count(row) > 1 else row for row, name in zip(rows, apart, strict=True)]
 
 
 def comparable(records: Sequence[Robustness]) -> list[list[Robustness]]:
@@ -53,7 +58,7 @@ def relative_cells(records: Sequence[Robustness]) -> Cells:
         means = [mean_drop(one) for one in drops]
         left = [score * (1 - mean) for score, mean in zip(undisturbed, means, strict=True)]
         rows += [["mean of all kinds", *_least_bold(means)], ["RayIoU after it", *map(number, left)]]
-    return ["relative drop of RayIoU, %", *map(name_of, records)], rows
+    return ["relative drop of RayIoU, %", *names_of(records)], rows
 
 
 def mean_drop(drops: dict[str, float]) -> float:
@@ -63,7 +68,8 @@ def mean_drop(drops: dict[str, float]) -> float:
 
 def verdict(records: Sequence[Robustness]) -> str:
     """Return in words which system loses least, and to what; nothing if no disturbance is common to all."""
-    drops = {name_of(record): drops_by_kind(record, set(common_parts(records))) for record in records}
+    parts = set(common_parts(records))
+    drops = {name: drops_by_kind(one, parts) for name, one in zip(names_of(records), records, strict=True)}
     if not all(drops.values()):
         return ""
     order = sorted(drops, key=lambda name: mean_drop(drops[name]))
@@ -89,16 +95,16 @@ def part_cells(records: Sequence[Robustness]) -> Cells:
     for name in names:
         found = [next((part for part in record.disturbed if part.part == name), None) for record in records]
         rows.append([name, *(_drop(part, record) for part, record in zip(found, records, strict=True))])
-    return ["drop of RayIoU", *map(name_of, records)], rows
+    return ["drop of RayIoU", *names_of(records)], rows
 
 
-def score_cells(record: Robustness) -> Cells:
-    """Return head and rows of one system: RayIoU, drops of all scores and of RayIoU within nested ranges."""
+def score_cells(record: Robustness, name: str) -> Cells:
+    """Return head and rows of a system of this name: RayIoU, drops of all scores and of RayIoU within nested ranges."""
     base = record.undisturbed
     within = [key for key in base.scores if key.startswith(WITHIN)]
     shown = {key: title for key, title in SCORES.items() if key in base.scores}
     titles = [f"within {key.removeprefix(WITHIN).replace('m', ' m')}" for key in within]
-    head = [name_of(record), "RayIoU", *(f"{title}, drop" for title in shown.values()), *titles, "frames", "s"]
+    head = [name, "RayIoU", *(f"{title}, drop" for title in shown.values()), *titles, "frames", "s"]
     rows = []
     for part in record.parts:
         drops = [_drop(part, record, key) if part is not base else number(base.scores[key]) for key in shown]
@@ -110,10 +116,10 @@ def score_cells(record: Robustness) -> Cells:
     return head, rows
 
 
-def facts_line(record: Robustness) -> str:
-    """Return where a record comes from."""
+def facts_line(record: Robustness, name: str) -> str:
+    """Return where the record of a system of this name comes from."""
     facts, base = record.facts, record.undisturbed
-    text = f"{name_of(record)}: {len(base.scenes)} scenes, {base.frames} frames, seed {facts.get('seed')}"
+    text = f"{name}: {len(base.scenes)} scenes, {base.frames} frames, disturbances of seed {facts.get('seed')}"
     text += f"; `{facts.get('command')}`, commit {facts.get('commit')}, {facts.get('machine')}."
     return text + "".join(f" Left out: {line}." for line in facts.get("left out", []))
 
@@ -123,8 +129,8 @@ def robustness_markdown(records: Sequence[Robustness]) -> str:
     parts = [f"## {TITLE}", NOTE]
     for group in comparable(records):
         parts += [verdict(group), markdown(*relative_cells(group)), markdown(*part_cells(group))]
-        for record in group:
-            parts += [markdown(*score_cells(record)), facts_line(record)]
+        for record, name in zip(group, names_of(group), strict=True):
+            parts += [markdown(*score_cells(record, name)), facts_line(record, name)]
     return "\n\n".join(part.strip() for part in parts if part) + "\n"
 
 
