@@ -99,6 +99,8 @@ def test_systems_of_other_scenes_are_not_compared():
 def test_systems_of_one_row_are_told_apart_in_every_table_and_in_the_verdict():
     long = record("flashocc-87654321", 0.5, 0.4, {180: 0.4})
     assert names_of([OTHER, long]) == ["flashocc-12345678", "flashocc-87654321"]
+    alike = [one._replace(training="1000 steps, seed 0") for one in (OTHER, long)]
+    assert names_of(alike) == ["flashocc-12345678", "flashocc-87654321"]
     group = [OURS, OTHER._replace(training="1000 steps, seed 0"), long._replace(training="10000 steps, seed 1")]
     names = ["ours", "flashocc, 1000 steps, seed 0", "flashocc, 10000 steps, seed 1"]
     assert names_of(group) == relative_cells(group)[0][1:] == part_cells(group)[0][1:] == names

@@ -24,11 +24,15 @@ SCORES = {"rayiou": "RayIoU", "lidar/rayiou": "LiDAR", "voxel/iou": "IoU", "voxe
 def names_of(records: Sequence[Robustness]) -> list[str]:
     """Return the names of systems in tables: their rows.
 
-    Systems of the same row are told apart by steps and seed of their training, or by their folders if it is unknown.
+    Systems of the same row are told apart by steps and seed of their training, or by their folders if these are unknown
+    or the same.
     """
     rows = [HASH.sub("", record.system) for record in records]
     apart = [f"{row}, {one.training}" if one.training else one.system for row, one in zip(rows, records, strict=True)]
-    return [name if rows.count(row) > 1 else row for row, name in zip(rows, apart, strict=True)]
+    return [
+        next((names[place] for names in (rows, apart) if names.count(names[place]) == 1), one.system)
+        for place, one in enumerate(records)
+    ]
 
 
 def comparable(records: Sequence[Robustness]) -> list[list[Robustness]]:
