@@ -9,7 +9,7 @@ from omniocc.report.dataset.table import dataset_csv, dataset_latex, dataset_mar
 from omniocc.report.runs import FinishedRun, path_between
 from omniocc.report.sweep import Sweep
 from omniocc.report.tables import bounds, budget, training
-from omniocc.report.tables.claims import Judged, Name, claim_cells, rows_in, rows_of_claims
+from omniocc.report.tables.claims import Judged, Name, Rows, claim_cells, rows_in, rows_of_claims
 from omniocc.report.tables.formats import parts_text
 from omniocc.report.tables.learning_rates import learning_rates
 from omniocc.report.tables.overview import overview_keys, records, table_of_runs
@@ -31,6 +31,17 @@ ROBUSTNESS = "robustness"
 """Name of the chapter on tests under disturbances."""
 HEADING = re.compile("^#(?=#)", re.MULTILINE)
 """The first mark of a heading, which a page of its own does not have: its headings are one level higher."""
+LOWER = re.compile("^(?=##)", re.MULTILINE)
+"""Place of the mark that makes a heading one level lower."""
+LONGER = (
+    "The tables of which two rows or more have run with this number of steps of the last stage; learning rates are "
+    "those chosen at {fewest} steps. Beside the tables at {fewest} steps, and what changes between both: "
+    "[The same rows and claims after more steps](training.md). Tests under disturbances: [robustness](robustness.md)."
+)
+RECORDS = (
+    "`machine` is where a run ended: some were begun on another one, a GPU too ([protocol](protocol.md#changes)), and "
+    "their minutes are those of both."
+)
 DISTURBANCES = "What each disturbance is: [What breaks a model](../how_to/robustness.md)."
 RULE = (
     "How a claim is decided: [Read the tables](../how_to/read_the_tables.md#when-a-claim-holds). Commands, commits and "
@@ -52,9 +63,32 @@ def chapters(sweep: Sweep, listed: Mapping[str, Sequence[FinishedRun]]) -> dict[
     return {name: text for name, text in found.items() if text}
 
 
+def longer_chapter(longer: Sweep, fewest: str) -> str:
+    """Return the claims of a sweep with more steps than the `fewest`, and its tables without rows that have not run."""
+    decided, rows = longer.claims, runs_of_steps(longer)
+    shown = [table._replace(rows=[row for row in table.rows if row.run in rows]) for table in longer.tables]
+    parts = [parts_text(verdicts_parts(longer.tables, longer.table_rows, decided))]
+    parts += [
+        _with_claims(as_markdown(ran, rows), table, longer.table_rows, decided)
+        for table, ran in zip(longer.tables, shown, strict=True)
+        if len(ran.rows) > 1
+    ]
+    title = f"## The tables at {longer.runs[0].setting[1]} steps\n\n{LONGER.format(fewest=fewest)}\n"
+    return "\n".join([title, *(LOWER.sub("#", part) for part in parts)])
+
+
+def runs_of_steps(sweep: Sweep) -> Rows:
+    """Return the runs of all rows that have a sweep's number of steps, on other data too."""
+    steps = sweep.runs[0].setting[1]
+    return {row: runs for row, runs in sweep.table_rows.items() if runs[0].setting[1] == steps}
+
+
 def _of_paper(sweep: Sweep, table: PaperTable, decided: Mapping[Name, Judged]) -> str:
-    head, claims = claim_cells(table, sweep.table_rows, decided)
-    text = as_markdown(table, sweep.table_rows)
+    return _with_claims(as_markdown(table, sweep.table_rows), table, sweep.table_rows, decided)
+
+
+def _with_claims(text: str, table: PaperTable, rows: Rows, decided: Mapping[Name, Judged]) -> str:
+    head, claims = claim_cells(table, rows, decided)
     return "\n".join([text, *([markdown(head, claims)] if claims else [])])
 
 
@@ -68,7 +102,7 @@ def report_markdown(sweep: Sweep) -> str:
 def write_docs(sweeps: Sequence[Sweep], folder: Path) -> list[Path]:
     """Write every table of the first setting as a page of the documentation, `<table>.md`, and return the files.
 
-    Runs of other presets have one page together.
+    Runs with more steps have a page of all their tables, `steps_<number>.md`; those of other presets one together.
 
     The pages depend on the records of the runs and on the tables alone. Existing pages are overwritten.
 
@@ -82,13 +116,16 @@ def write_docs(sweeps: Sequence[Sweep], folder: Path) -> list[Path]:
         pages[name] = text if name == ROBUSTNESS else f"{text}\n{foot(runs_on(name, sweep))}"  # tests tell their own
     if "training" in pages:
         pages["training"] += f"\n\n![Validation RayIoU over the steps]({CURVES_IMAGE})"
+    for steps, longer in list(training.by_steps(sweep).items())[1:]:
+        of_tables = [run for runs in runs_of_steps(longer).values() for run in runs]
+        pages[f"steps_{steps}"] = f"{longer_chapter(longer, sweep.runs[0].setting[1])}\n{foot(of_tables)}"
     if any(run.row == TRIED_AGAINST for run in every):
         pages["accuracy"] = tried_chapter(every, TRIED_AGAINST)
     of_others = [other.runs for other in sweeps if other.runs[0].setting[0] != sweep.runs[0].setting[0]]
     pages["presets"] = presets_chapter(of_others)
     pages["learning_rates"] = learning_rates(every)
     pages["power"] = power_chapter(sweep.tables, sweep.table_rows, sweep.seed_stds)
-    pages["runs"] = f"## Runs\n\n{markdown(*records(every))}\n{' '.join(sweep.remarks)}"
+    pages["runs"] = f"## Runs\n\n{RECORDS}\n\n{markdown(*records(every))}\n{' '.join(sweep.remarks)}"
     written = []
     for name, text in pages.items():
         if text:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from scipy import stats
 
-from omniocc.report.chapters import CURVES_IMAGE, write_docs
+from omniocc.report.chapters import CURVES_IMAGE, longer_chapter, write_docs
 from omniocc.report.plots.figures import learning_curves
 from omniocc.report.runs import FinishedRun
 from omniocc.report.sweep import Sweep
@@ -157,9 +157,31 @@ def test_the_page_of_the_documentation_has_the_picture_beside_it(sweep, tmp_path
     assert (tmp_path / CURVES_IMAGE).read_bytes() == first
 
 
+def test_more_steps_have_a_page_of_their_tables_without_rows_that_have_not_run(sweep, tmp_path):
+    (page,) = (path for path in write_docs([sweep], tmp_path) if path.name.startswith("steps_"))
+    lines = page.read_text().splitlines()
+    assert page.name == "steps_1000.md"
+    headings = [line for line in lines if line.startswith("#")]
+    assert headings[:2] == ["# The tables at 1000 steps", "## All claims"]
+    assert f"## {SKETCH.title}" in headings
+    begin = lines.index(f"## {SKETCH.title}")
+    figures = [line.split(" | ")[0] for line in lines[begin:] if "| here, 2 seeds |" in line]
+    assert figures == ["| omni depth", "| omni depth w/o dilation"]
+    assert not any("here: not run" in line for line in lines)
+    assert any(line.startswith("4 runs, seeds 0, 1; preset=tiny, 1000 steps") for line in lines)
+
+
+def test_a_table_of_one_row_with_more_steps_is_left_out(sweep, tmp_path):
+    (longer,) = sweep.longer
+    alone = longer._replace(rows={"ours": longer.rows["ours"]}, runs=[*longer.rows["ours"]])
+    assert f"## {SKETCH.title}" not in longer_chapter(alone, "100")
+    assert f"## {SKETCH.title}" in longer_chapter(longer, "100")
+
+
 def test_without_longer_runs_there_is_no_picture(sweep, tmp_path):
     draw_curves(sweep._replace(longer=[]), tmp_path)
     assert not (tmp_path / CURVES_IMAGE).exists()
+    assert not [path for path in write_docs([sweep._replace(longer=[])], tmp_path) if path.name.startswith("steps_")]
 
 
 def test_the_change_is_from_the_fewest_to_the_most_steps():

@@ -30,7 +30,8 @@ TITLE = "The same rows and claims after more steps"
 NOTE = (
     "Rows that have run with several numbers of steps of the last stage. Depth and sketch are trained by the same "
     "recipe, for some rows again on another machine ([protocol](protocol.md#changes)), so that rows can have other "
-    "networks in the same seed."
+    "networks in the same seed. Learning rates are those chosen at the fewest steps. Other tables of the rows with "
+    "more steps are on pages named `steps_<number>.md`."
 )
 CHANGES = (
     "Claims whose two rows have both run with several numbers of steps. Each number of steps is a family of its own "
