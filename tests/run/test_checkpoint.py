@@ -27,8 +27,9 @@ def test_a_truncated_checkpoint_is_named(fraction, tmp_path):
 def test_a_file_of_another_kind_is_refused(tmp_path):
     path = tmp_path / "weights.pt"
     torch.save({"weights": torch.rand(3)}, path)
-    with pytest.raises(UserError, match=r"weights\.pt.*checkpoint"):
+    with pytest.raises(UserError, match=r"weights\.pt.*checkpoint.*runs/<run>/best\.ckpt") as told:
         load_checkpoint(path)
+    assert "elsewhere" not in str(told.value)
     with pytest.raises(FileNotFoundError, match="there is no such checkpoint"):
         load_checkpoint(tmp_path / "none.ckpt")
 

@@ -69,6 +69,10 @@ def test_keys_are_those_of_the_options_chosen_beside_the_mistake():
     assert "model.sketch.threshold" in explained("model.sketch.threshhold=0.1", "nonsense=2")[0]
 
 
+def test_a_name_that_is_a_key_and_a_group_is_offered_once():
+    assert explained("presett=tiny")[0].split().count("preset") == 1
+
+
 def test_nearest_names_come_best_first_and_far_ones_not_at_all():
     assert nearest("sed", ["data.seed", "seed", "model.lifter"]) == ["seed", "data.seed"]
     assert nearest("zzz", ["seed"]) == []

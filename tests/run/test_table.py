@@ -55,7 +55,10 @@ def test_the_tables_say_how_scores_were_counted(tmp_path, capsys):
     assert text.endswith("\n\n".join(lines) + "\n")
     assert load_results(tmp_path)[0]["protocol"] == PROTOCOL
     show_results(tmp_path)
-    assert "\n".join(lines) in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "\n".join(lines) in printed
+    head, first = printed.split("\n\n")[0].strip("\n").splitlines()[:2]
+    assert len(head) == len(first), "the head stands above its columns"
     assert as_markdown(METRICS, "") == as_markdown(METRICS, "", {})
 
 

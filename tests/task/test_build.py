@@ -44,6 +44,7 @@ def test_evidence_in_the_queries_is_stored_for_every_lifter_that_has_it(make_tas
     [
         ("dta.source.root=/x", r"dta.source.root: this has no effect on a.ckpt; only keys of data, model"),
         ("trainer.limit_test_batches=1", "trainer.limit_test_batches: this has no effect"),
+        ("model/sketch=mono", "model/sketch: a.ckpt keeps the options that it was trained with; single keys of data"),
         ("data=recorded", r"data: a.ckpt keeps its data, .*predict.py occupancy"),
         ("model.geometry.radius_m=[0,50]", "model.geometry.radius_m: a.ckpt was trained on its grid"),
     ],

@@ -69,12 +69,18 @@ def read_checkpoint(path: Path, map_location: Any = "cpu", weights_only: bool = 
         if not isinstance(content, dict) or not {"config", "state_dict"} <= content.keys():
             raise ValueError("it has no config or no state_dict")
     except UNREADABLE as error:
-        remedy = f"move {path if path.name == BEST else path.parent} elsewhere"
         raise UserError(
-            f"{path} is not a checkpoint of this platform, or it is damaged ({_brief(error)}). "
-            f"If it is one of a run here, {remedy} and give the run's command again"
+            f"{path} is not a checkpoint of this platform, or it is damaged ({_brief(error)}). {_remedy(path)}"
         ) from error
     return content
+
+
+def _remedy(path: Path) -> str:
+    """Return what to do about an unreadable checkpoint; only files named as those of a run are to be moved."""
+    if path.name not in (BEST, LAST, previous_of(Path(LAST)).name):
+        return "Those of a run are runs/<run>/best.ckpt and last.ckpt"
+    moved = path if path.name == BEST else path.parent
+    return f"If it is one of a run here, move {moved} elsewhere and give the run's command again"
 
 
 def resumable(path: Path) -> tuple[Path | None, str | None]:

@@ -61,7 +61,7 @@ def _unknown_option(missing: str, options: Sequence[str], conf: str) -> str:
 
 def _unknown_key(key: str, keys: Sequence[str], groups: Sequence[str]) -> str:
     """Return the lines about an unknown key; one with a slash is taken for a group."""
-    close = nearest(key, groups if "/" in key else [*keys, *groups])
+    close = nearest(key, groups if "/" in key else list(dict.fromkeys([*keys, *groups])))
     if close:
         hint = f"; did you mean {' or '.join(close)}?"
     else:

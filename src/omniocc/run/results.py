@@ -94,7 +94,7 @@ def trajectory_figures(folder: Path, data: Any) -> dict[str, float]:
 def show_results(folder: Path) -> None:
     """Print the table of a finished run and where its files are."""
     facts, metrics = load_results(folder)
-    table = as_text(metrics, facts.get(PROTOCOL, {})).strip()
+    table = as_text(metrics, facts.get(PROTOCOL, {})).strip("\n")
     print(f"\n{table or 'No test frame has labels, so nothing is scored.'}\n")
     images = sorted(str(path) for path in (folder / IMAGES).glob("test-*.png"))
     lines = [f"table     {folder / 'table.md'}", f"figures   {folder / METRICS}"]

@@ -121,6 +121,11 @@ def check_changes(path: Path, overrides: Sequence[str]) -> None:
     """
     for key in (word.partition("=")[0] for word in overrides):
         part = key.partition(".")[0]
+        if "/" in key:
+            raise UserError(
+                f"{key}: {path} keeps the options that it was trained with; single keys of "
+                f"{', '.join(('data', *PARTS))} can be changed, such as data.source.root=..."
+            )
         if part not in (*PARTS, "data"):
             raise UserError(
                 f"{key}: this has no effect on {path}; only keys of {', '.join(('data', *PARTS))} can be changed, such "

@@ -80,7 +80,8 @@ def verdict(records: Sequence[Robustness]) -> str:
     lines = []
     for name in order:
         kinds = sorted(drops[name], key=lambda group: -drops[name][group])
-        most = ", ".join(f"{group} ({_percent(drops[name][group])} %)" for group in kinds[:3])
+        worst = kinds[:-1][:3] or kinds
+        most = ", ".join(f"{group} ({_percent(drops[name][group])} %)" for group in worst)
         lines.append(
             f"{name} loses {_percent(mean_drop(drops[name]))} % in the mean over kinds, most to {most}, "
             f"least to {kinds[-1]} ({_percent(drops[name][kinds[-1]])} %)."
