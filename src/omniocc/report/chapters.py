@@ -32,7 +32,7 @@ ROBUSTNESS = "robustness"
 HEADING = re.compile("^#(?=#)", re.MULTILINE)
 """The first mark of a heading, which a page of its own does not have: its headings are one level higher."""
 LOWER = re.compile("^(?=##)", re.MULTILINE)
-"""Place of the mark that makes a heading one level lower."""
+"""Start of a Markdown heading of level 2 or more, where one more `#` makes it a heading of the next level."""
 LONGER = (
     "The tables of which two rows or more have run with this number of steps of the last stage; learning rates are "
     "those chosen at {fewest} steps. Beside the tables at {fewest} steps, and what changes between both: "

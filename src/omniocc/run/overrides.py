@@ -61,7 +61,7 @@ def _unknown_option(missing: str, options: Sequence[str], conf: str) -> str:
 
 def _unknown_key(key: str, keys: Sequence[str], groups: Sequence[str]) -> str:
     """Return the lines about an unknown key; one with a slash is taken for a group."""
-    close = nearest(key, groups if "/" in key else list(dict.fromkeys([*keys, *groups])))
+    close = nearest(key, groups if "/" in key else [*keys, *groups])
     if close:
         hint = f"; did you mean {' or '.join(close)}?"
     else:
@@ -82,7 +82,9 @@ def nearest(name: str, known: Sequence[str]) -> list[str]:
         last = SequenceMatcher(None, _last(name), _last(candidate)).ratio()
         return (SequenceMatcher(None, name, candidate).ratio() + last) / 2
 
-    scored = sorted(((similarity(candidate), candidate) for candidate in known), key=lambda item: -item[0])
+    scored = sorted(
+        ((similarity(candidate), candidate) for candidate in dict.fromkeys(known)), key=lambda item: -item[0]
+    )
     return [candidate for score, candidate in scored[:NEAREST_KEYS] if score >= NEAR_ENOUGH]
 
 
