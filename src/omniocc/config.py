@@ -38,12 +38,12 @@ OmegaConf.register_new_resolver("by_preset", by_preset, replace=True)
 
 
 class ConfigError(UserError):
-    """All problems of a configuration, one line each."""
+    """All problems of a configuration, one line each; `path` is the file that it is from, if it is from one."""
 
-    def __init__(self, problems: Sequence[str]):
+    def __init__(self, problems: Sequence[str], path: Path | None = None):
         self.problems = tuple(problems)
-        noun = "problem" if len(problems) == 1 else "problems"
-        super().__init__("\n  ".join([f"{len(problems)} {noun} in the configuration:", *problems]))
+        noun, of = "problem" if len(problems) == 1 else "problems", "" if path is None else f" of {path}"
+        super().__init__("\n  ".join([f"{len(problems)} {noun} in the configuration{of}:", *problems]))
 
 
 def allowed(packages: Sequence[str], more: Sequence[str] = ()) -> tuple[str, ...]:
