@@ -123,6 +123,12 @@ class KittiSequence(CompletionScene):
     def __init__(self, folder: Path, source: SemanticKITTI):
         super().__init__(folder.name, source.panorama)
         self.folder, self.cameras, self.image_width = folder, source.cameras, source.image_width
+        self.source = source
+
+    @property
+    def cells_up(self) -> int:
+        """Return 1 if this copy is of the first release, whose voxels lie one cell too high."""
+        return int(self.source.grid != voxel_grid())
 
     @cached_property
     def numbers(self) -> list[int]:
