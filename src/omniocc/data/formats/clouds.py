@@ -72,13 +72,14 @@ def out_of_reach(points_m: Float[np.ndarray, "P 3"], reach_m: float) -> str:
 
     World coordinates lie close together and far away; in another unit points still lie around the car.
     """
-    distance_m = np.linalg.norm(points_m[:, :2].astype(np.float64), axis=1)
+    points_m = points_m[np.isfinite(points_m).all(axis=1), :2].astype(np.float64)
+    distance_m = np.linalg.norm(points_m, axis=1)
     if (distance_m < reach_m).any():
         return ""
     if not len(distance_m):
-        return "there are no points: in no row of the scan did the ray come back"
+        return "there are no points but those that are left out: rays that did not come back, and the own car"
     median_m = float(np.median(distance_m))
-    spread_m = np.median(np.linalg.norm(points_m[:, :2] - np.median(points_m[:, :2], axis=0), axis=1))
+    spread_m = np.median(np.linalg.norm(points_m - np.median(points_m, axis=0), axis=1))
     if median_m < FAR_M:
         likely = "beyond all scores: are the unit (m) and the pose of the LiDAR right?"
     elif spread_m < median_m * CLUSTERED:
