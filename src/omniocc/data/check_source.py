@@ -162,8 +162,7 @@ def _classes(labels: Iterable[np.ndarray | Tensor], num_classes: int) -> Iterato
 def _points(points: Points, reach_m: float) -> Iterator[str]:
     if lost := int((~np.isfinite(points.points_m)).any(axis=1).sum()):
         yield f"{lost} of its {len(points.points_m)} points are not finite; leave out rays that did not come back"
-    if why := out_of_reach(points.points_m, reach_m):
-        yield f"none of its {len(points.points_m)} points lies within {reach_m:g} m: {why}"
+    yield from filter(None, [out_of_reach(points.points_m, reach_m)])
 
 
 def _grid(scene: SceneFrames, spec: SourceSpec, starts: Sequence[int | None]) -> Iterator[str]:

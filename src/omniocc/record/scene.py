@@ -114,8 +114,9 @@ def record_log(log: Log, folder: Path, timing: Timing, stated: Stated) -> Path:
         whys: list[str] = []
         work = partial(_write, log=log, plan=plan, rig=rig, stated=stated, recipe=recipe, whys=whys)
         make_scenes(work, [folder], 0, progress)
-        for line in empty_lines(folder.name, whys, len(plan.times_s), reach_m):
-            progress.message(line)
+        if whys:
+            frames = f"{len(whys)} of {len(plan.times_s)} frames have hardly any points, in the first of them"
+            progress.message(f"scene '{folder.name}': {frames} {whys[0]}")
     _is_made(folder, recipe)  # another process may have made one of this name meanwhile
     return folder
 
@@ -173,7 +174,7 @@ def plan_lines(plan: Plan, place: str) -> list[str]:
 
 
 def check_points(log: Log, plan: Plan, reach_m: float) -> None:
-    """Check that some frame has a point within a horizontal distance; mostly the first one has.
+    """Check that some frame has points within a horizontal distance; mostly the first one has.
 
     Raises:
         DataError: naming the likely reason, before anything is written.
@@ -186,14 +187,7 @@ def check_points(log: Log, plan: Plan, reach_m: float) -> None:
             return
         why = why or found
     if why:
-        raise DataError(f"{log.place}: none of {count} frames has a point within {reach_m:g} m of the car: {why}")
-
-
-def empty_lines(name: str, whys: Sequence[str], frames: int, reach_m: float) -> list[str]:
-    """Return a line on the frames of a scene without a point within reach, given the reason of each of them."""
-    if not whys:
-        return []
-    return [f"scene '{name}': {len(whys)} of {frames} frames have no point within {reach_m:g} m: {whys[0]}"]
+        raise DataError(f"{log.place}: all {count} frames have hardly any points, in the first of them {why}")
 
 
 def _recipe(log: Log, plan: Plan, rig: Rig, timing: Timing, stated: Stated) -> str:
@@ -236,7 +230,7 @@ def spec_of_log(log: Log, plan: Plan, road_z_m: float) -> SourceSpec:
 def _write(
     folder: Path, report: Report, log: Log, plan: Plan, rig: Rig, stated: Stated, recipe: str, whys: list[str]
 ) -> None:
-    """Write the frames that are missing; add to `whys` why each of those without a point within reach has none."""
+    """Write the frames that are missing; add to `whys` why those with hardly any points have none within reach."""
     if folder.exists():  # another process has made it while this one waited
         report(len(plan.times_s))
         return

@@ -20,6 +20,8 @@ TINIEST_M, FARTHEST_M = 1e-6, 1e4
 """Coordinates that a LiDAR measures, in absolute value."""
 MOST_OTHERS = 0.01
 """Largest fraction of other coordinates in a file whose numbers are of the right type and unit."""
+LEAST_NEAR = 1e-3
+"""Fraction of the points of a scan, at least, that lies within the reach of the scores."""
 FAR_M = 300.0
 """Median distance of points that no LiDAR on a car measures."""
 CLUSTERED = 0.2
@@ -68,25 +70,27 @@ def read_scan(path: Path, columns: int) -> tuple[Float32[np.ndarray, "P 3"], Boo
 
 
 def out_of_reach(points_m: Float[np.ndarray, "P 3"], reach_m: float) -> str:
-    """Return why none of the points of a scan, ego frame, lies within a horizontal distance; '' if one does.
+    """Return a line if hardly any point of a scan, ego frame, lies within a horizontal distance, and why; else ''.
 
     World coordinates lie close together and far away; in another unit points still lie around the car.
     """
-    points_m = points_m[np.isfinite(points_m).all(axis=1), :2].astype(np.float64)
-    distance_m = np.linalg.norm(points_m, axis=1)
-    if (distance_m < reach_m).any():
+    places_m = points_m[np.isfinite(points_m).all(axis=1), :2].astype(np.float64)
+    distance_m = np.linalg.norm(places_m, axis=1)
+    near, total = int((distance_m < reach_m).sum()), len(distance_m)
+    if near and near >= LEAST_NEAR * total:
         return ""
-    if not len(distance_m):
-        return "there are no points but those that are left out: rays that did not come back, and the own car"
-    median_m = float(np.median(distance_m))
-    spread_m = np.median(np.linalg.norm(points_m - np.median(points_m, axis=0), axis=1))
-    if median_m < FAR_M:
-        likely = "beyond all scores: are the unit (m) and the pose of the LiDAR right?"
-    elif spread_m < median_m * CLUSTERED:
-        likely = "which looks like world coordinates (UTM, map): give them in the frame of the LiDAR"
+    found = f"{near:,} of its {total:,} points lie" if near else f"none of its {total:,} points lies"
+    median_m = float(np.median(distance_m)) if total else 0.0
+    if not total:
+        likely = "rays that did not come back and points on the own car are left out"
+    elif median_m < FAR_M:
+        likely = f"their median distance is {median_m:,.0f} m; are the unit (m) and the pose of the LiDAR right?"
     else:
-        likely = "which looks like millimetres or another unit: give them in metres"
-    return f"the median distance of {len(distance_m)} points is {median_m:,.0f} m, {likely}"
+        spread_m = np.median(np.linalg.norm(places_m - np.median(places_m, axis=0), axis=1))
+        world = "world coordinates (UTM, map): give them in the frame of the LiDAR"
+        looks = world if spread_m < median_m * CLUSTERED else "millimetres or another unit: give them in metres"
+        likely = f"their median distance is {median_m:,.0f} m, which looks like {looks}"
+    return f"{found} within {reach_m:g} m: {likely}"
 
 
 def read_cloud(path: Path, label_field: str | None = None, columns: int = 4) -> RawCloud:
