@@ -10,7 +10,7 @@ from torch import Tensor
 from omniocc.geometry import Cuboid, Cylinder, Hits, RayTable, Scan, ray_table
 from omniocc.geometry.directions import sparseocc_directions
 from omniocc.metric.bands import as_edges, num_rows
-from omniocc.metric.checks import check_grid, check_increasing, check_mask, check_same_batch
+from omniocc.metric.checks import check_grid, check_increasing, check_mask, check_origins, check_same_batch
 from omniocc.metric.class_ids import ClassIds
 from omniocc.metric.protocol import RaysSeen, dropped_text, error_text, mean_text, rays_text
 from omniocc.metric.ray_counts import TIMES, RayCounts, count_rays, ray_scores
@@ -85,6 +85,8 @@ class RayCounter:
         preds = self.classes.check("preds", preds, self.geometry.shape, truth=False)
         if origins is not None and (origins.ndim != 3 or len(origins) != len(preds) or origins.shape[2] != 3):
             raise ValueError(f"origins must have shape ({len(preds)}, O, 3), got {tuple(origins.shape)}")
+        if origins is not None:
+            check_origins("origins", origins)
         times = self._times(origins, origin_times, len(preds))
         origins = torch.zeros(1, 3).expand(len(preds), 1, 3) if origins is None else origins
         origins = origins.to(preds.device)
@@ -199,6 +201,8 @@ class RayCounter:
                 raise ValueError(f"{name} must have shape {shape}, a vector for each ray, got {tuple(vectors.shape)}")
         if target.directions is None:
             return target
+        if target.starts is not None:
+            check_origins("starts", target.starts[target.labels != self.classes.ignored])
         lengths = target.directions.norm(dim=-1)[target.labels != self.classes.ignored]
         if not bool(((lengths - 1).abs() < UNIT_TOLERANCE).all()):
             raise ValueError(f"directions must be unit vectors, got lengths {lengths.min():.4g} to {lengths.max():.4g}")

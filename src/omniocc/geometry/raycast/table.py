@@ -24,15 +24,12 @@ class RayTable:
     On a CPU the rays are cast by compiled kernels, elsewhere by tensor operations; cells and distances are the same.
 
     Raises:
-        ValueError: if the grid has more than 48 levels, or an origin is not finite.
+        ValueError: if the grid has more than 48 levels.
     """
 
     def __init__(self, grid: Lattice, fans: Fans):
         if grid.shape[2] > MAX_LEVELS:
             raise ValueError(f"rays are cast through at most {MAX_LEVELS} levels, got shape {grid.shape}; use paths()")
-        if not bool(fans.origins.isfinite().all()):
-            row = int((~fans.origins.isfinite()).any(dim=1).nonzero()[0])
-            raise ValueError(f"origins of rays must be finite, got {fans.origins[row].tolist()} as number {row}")
         self.shape, self.device = grid.shape, fans.origins.device
         self.table = KernelTable(grid, fans) if self.device.type == "cpu" else TensorTable(grid, fans)
 
