@@ -477,6 +477,13 @@ def test_a_log_without_a_point_within_reach_is_refused_before_anything_is_writte
     assert not list((tmp_path / "scenes").glob("*"))
 
 
+def test_a_lidar_that_looks_far_ahead_alone_is_recorded(recorder, log_folder, tmp_path, capsys):
+    log = shutil.copytree(log_folder, tmp_path / "log")
+    rewrite(log, lambda points, labels: (points + np.float32([0, 90, 0]), labels))
+    assert len(SceneReader(recorder(NPZ, log=log).record(tmp_path / "scenes")[0])) == 2
+    assert "2 of 2 frames have hardly any points, in the first of them none of its" in capsys.readouterr().err
+
+
 def test_frames_without_a_point_within_reach_are_said(recorder, log_folder, tmp_path, capsys):
     log = shutil.copytree(log_folder, tmp_path / "log")
     rewrite(log, lambda points, labels: (points * 1000, labels), frames=1)

@@ -16,7 +16,7 @@ from jaxtyping import UInt8
 from omniocc.camera import Camera, Equirectangular, Rig
 from omniocc.camera.masks import lenses_that_do_not_fit
 from omniocc.classes import OCCUPANCY_CLASSES
-from omniocc.data.formats.clouds import out_of_reach
+from omniocc.data.formats.clouds import FAR_M, distances_m, out_of_reach
 from omniocc.data.formats.files import check_aspect, scaled_to
 from omniocc.data.formats.poses import moved
 from omniocc.data.formats.projected import onto_cameras, onto_panorama
@@ -174,7 +174,7 @@ def plan_lines(plan: Plan, place: str) -> list[str]:
 
 
 def check_points(log: Log, plan: Plan, reach_m: float) -> None:
-    """Check that some frame has points within a horizontal distance; mostly the first one has.
+    """Check that some frame has points that can be used; mostly the first one has. A LiDAR may look far ahead alone.
 
     Raises:
         DataError: naming the likely reason, before anything is written.
@@ -183,7 +183,8 @@ def check_points(log: Log, plan: Plan, reach_m: float) -> None:
     for number in range(count):
         points = frame_points(log, plan, number)
         assert points is not None
-        if not (found := out_of_reach(points.points_m, reach_m)):
+        found, distance_m = out_of_reach(points.points_m, reach_m), distances_m(points.points_m)
+        if not found or (len(distance_m) and np.median(distance_m) < FAR_M):
             return
         why = why or found
     if why:
