@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from omniocc.camera import MEI, Camera, KannalaBrandt, Pinhole
-from omniocc.data.formats.clouds import LABEL_FIELDS, RawCloud
-from omniocc.data.formats.files import decode_bytes
+from omniocc.data.formats.clouds import LABEL_FIELDS, RawCloud, came_back
+from omniocc.data.formats.files import decode_bytes, named_once, whole_numbers
 from omniocc.data.formats.poses import quaternion_pose
 from omniocc.errors import DataError
 
@@ -86,14 +86,18 @@ def cloud_of(message: Any, label_field: str | None, where: str) -> RawCloud:
     """Return the points of a PointCloud2, in the frame of its sender, and the class ids in a field of it.
 
     Raises:
-        DataError: if a field is missing or the message is cut short.
+        DataError: if a field is missing, stands twice or is none of whole numbers, or the message is cut short.
     """
     order = ">" if message.is_bigendian else "<"
+    named_once([field.name for field in message.fields if field.name.strip("_")], f"{where}: the field")
     fields = {field.name: field for field in message.fields if field.count <= 1 and field.datatype in POINT_TYPES}
     labels = (label_field,) if label_field is not None else tuple(name for name in LABEL_FIELDS if name in fields)[:1]
     wanted = ("x", "y", "z", *labels)
     if missing := [name for name in wanted if name not in fields]:
         raise DataError(f"{where}: the field '{missing[0]}' is missing; the points have {', '.join(fields)}")
+    sizes = {name: fields[name].offset + np.dtype(POINT_TYPES[fields[name].datatype]).itemsize for name in wanted}
+    if beyond := [name for name, end in sizes.items() if end > message.point_step]:
+        raise DataError(f"{where}: the field '{beyond[0]}' ends beyond the {message.point_step} bytes of a point")
     dtype = np.dtype({
         "names": list(wanted), "formats": [order + POINT_TYPES[fields[name].datatype] for name in wanted],
         "offsets": [fields[name].offset for name in wanted], "itemsize": message.point_step,
@@ -104,8 +108,9 @@ def cloud_of(message: Any, label_field: str | None, where: str) -> RawCloud:
     rows = content[: message.height * message.row_step].reshape(message.height, message.row_step)
     table = np.ascontiguousarray(rows[:, : message.width * message.point_step]).reshape(-1).view(dtype)
     points = np.stack([table[axis] for axis in "xyz"], axis=1).astype(np.float32)
-    finite = np.isfinite(points).all(axis=1)
-    return RawCloud(points[finite], table[labels[0]].astype(np.int64)[finite] if labels else None)
+    kept = came_back(points)
+    ids = [whole_numbers(table[name][kept], f"{where}: its field '{name}'") for name in labels]
+    return RawCloud(points[kept], ids[0] if ids else None)
 
 
 def pose_of(position: Any, rotation: Any, where: str) -> Float64[np.ndarray, "4 4"]:

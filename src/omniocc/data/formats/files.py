@@ -13,6 +13,10 @@ from omniocc.errors import DataError
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm")
 SHAPE_TOLERANCE = 0.01
 """Largest relative difference between the aspect ratio of an image and that of its calibration: sizes are rounded."""
+SHOWN = 8
+"""Wrong values that a message names."""
+LARGEST_WHOLE = 2.0**53
+"""From here on float64 holds no fractions, and does not tell neighbouring whole numbers apart."""
 
 # Paths are built from tables and opened as they are: nothing here lists a folder, which may hold a million files.
 
@@ -61,7 +65,10 @@ def read_npz(path: Path, shapes: dict[str, tuple[int, ...]], remedy: str = "") -
         raise DataError(f"{path}: the file is missing{remedy and f'; {remedy}'}")
     try:
         with np.load(path, allow_pickle=False) as content:
+            named_once(content.files, f"{path}: the array")
             found = {name: content[name] for name in shapes if name in content}
+    except DataError:
+        raise
     except Exception as error:  # zipfile, zlib and numpy have errors of their own
         raise DataError(f"{path}: the file is damaged ({error})") from error
     for name, shape in shapes.items():
@@ -70,6 +77,12 @@ def read_npz(path: Path, shapes: dict[str, tuple[int, ...]], remedy: str = "") -
         if found[name].shape != shape:
             raise DataError(f"{path}: its array '{name}' has the shape {found[name].shape} instead of {shape}")
     return found
+
+
+def named_once(names: Sequence[str], where: str) -> None:
+    """Raise DataError beginning with `where` if a name of fields, properties or arrays stands twice."""
+    if twice := [name for place, name in enumerate(names) if name in names[:place]]:
+        raise DataError(f"{where} '{twice[0]}' stands twice, and it is not clear which of them is meant; rename one")
 
 
 def read_npy(path: Path, shape: Sequence[int], remedy: str = "") -> np.ndarray:
@@ -90,11 +103,24 @@ def read_npy(path: Path, shape: Sequence[int], remedy: str = "") -> np.ndarray:
     )
     if not fits:
         raise DataError(f"{path}: the array has the shape {numbers.shape} instead of {wanted}")
-    with np.errstate(invalid="ignore"):
-        whole = numbers.astype(np.int64) if numbers.dtype.kind in "biuf" else None
-    if whole is None or not np.array_equal(whole, numbers):
-        raise DataError(f"{path}: the array of {numbers.dtype} holds values that are no whole numbers")
-    return whole
+    return whole_numbers(numbers, str(path))
+
+
+def whole_numbers(numbers: np.ndarray, where: str) -> np.ndarray:
+    """Return numbers of whatever type as int64; a fraction, nan or inf is never a label, nor a place of a cell.
+
+    Raises:
+        DataError: beginning with `where`, naming the first values that are no whole numbers.
+    """
+    kind = numbers.dtype.kind
+    if kind == "f":
+        wrong = numbers[~((numbers == np.round(numbers)) & (np.abs(numbers) < LARGEST_WHOLE))]
+    else:
+        wrong = numbers[:0] if kind in "biu" else numbers
+    if wrong.size:
+        found = ", ".join(map(str, dict.fromkeys(wrong.reshape(-1)[:SHOWN].tolist())))
+        raise DataError(f"{where}: the array of {numbers.dtype} holds values that are no whole numbers: {found}")
+    return numbers.astype(np.int64)
 
 
 def load_npy(path: Path, remedy: str = "") -> np.ndarray:
@@ -167,11 +193,19 @@ def read_image(path: Path, size: tuple[int, int] | None, scaled: tuple[int, int]
 
 
 def map_classes(ids: np.ndarray, table: np.ndarray, path: Path) -> np.ndarray:
-    """Return classes (uint8) of the ids in a file; raise DataError naming ids that the table does not know (-1)."""
+    """Return classes (uint8) of the ids in a file, which may be of any type.
+
+    Raises:
+        DataError: naming ids that are no whole numbers, or that the table does not know (-1).
+    """
+    ids = ids if ids.dtype.kind in "iu" else whole_numbers(ids, str(path))
     classes = table[np.clip(ids, 0, len(table) - 1)]
     unknown = (classes < 0) | (ids < 0) | (ids >= len(table))
     if unknown.any():
-        raise DataError(f"{path}: the class ids {np.unique(ids[unknown])[:8].tolist()} are not in the dataset's table")
+        found, known = np.unique(ids[unknown])[:SHOWN].tolist(), np.flatnonzero(table >= 0).tolist()
+        gaps = known[-1] - known[0] >= len(known)
+        has = ", ".join(map(str, known)) if gaps else f"{known[0]} to {known[-1]}"
+        raise DataError(f"{path}: the class ids {found} are not in the dataset's table, which has {has}")
     return classes.astype(np.uint8)
 
 
