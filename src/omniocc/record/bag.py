@@ -127,8 +127,13 @@ class RosBag(LogRecorder):
             world_from_ego=poses.poses @ inverse(self.ego_from_base),
             scans=scans,
             facts={"recorder": "bag", "poses": self.poses, "limit_s": self.timing.limit_s},
-            inputs=[str(self.bag.absolute()), bag.extent, sorted(self.cameras.items()), *given]
-            + stated_depth(self.depth),
+            inputs=[
+                str(self.bag.absolute()),
+                bag.extent,
+                sorted(self.cameras.items()),
+                *given,
+                *stated_depth(self.depth),
+            ],
         )
 
     def _rig(self, bag: "Bag", tree: FrameTree, topics: Mapping[str, Topic]) -> Rig:

@@ -124,8 +124,12 @@ class LogFiles(LogRecorder):
             world_from_ego=poses.poses @ inverse(self.ego_from_pose_frame),
             scans=scans,
             facts={"recorder": "files", "poses": self.poses, "limit_s": self.timing.limit_s},
-            inputs=[str(self.folder.absolute()), *(listing(stream, self.folder) for stream in images), *given]
-            + stated_depth(self.depth),
+            inputs=[
+                str(self.folder.absolute()),
+                *(listing(stream, self.folder) for stream in images),
+                *given,
+                *stated_depth(self.depth),
+            ],
         )
 
     def _rig(self) -> Rig:

@@ -9,7 +9,7 @@ import numpy as np
 
 from omniocc.camera import Camera
 from omniocc.errors import DataError
-from omniocc.images import UNKNOWN_DEPTH, Depth, content_of, decoded, rgb_of, size_of
+from omniocc.images import Depth, content_of, decoded, rgb_of, size_of
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm")
 SHAPE_TOLERANCE = 0.01
@@ -120,13 +120,13 @@ def scaled_to(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     return cv2.resize(image, size, interpolation=cv2.INTER_AREA if size[0] < width else cv2.INTER_LINEAR)
 
 
-def rgb_of_camera(content: bytes, where: str, camera: Camera, depth: Depth = UNKNOWN_DEPTH) -> np.ndarray:
+def rgb_of_camera(content: bytes, where: str, camera: Camera, depth: Depth, whose: str = "its camera") -> np.ndarray:
     """Return an encoded image of a camera, (H, W, 3) uint8 RGB; raise DataError as `rgb_of` and `check_aspect`."""
-    return rgb_of(content, where, depth, lambda size: check_aspect(size, camera, where))
+    return rgb_of(content, where, depth, lambda size: check_aspect(size, camera, where, whose))
 
 
-def check_aspect(size: tuple[int, int], camera: Camera, where: str) -> None:
-    """Check that an image of a width and height has the aspect ratio of its camera's calibration.
+def check_aspect(size: tuple[int, int], camera: Camera, where: str, whose: str = "its camera") -> None:
+    """Check that an image of a width and height has the aspect ratio of its camera's calibration; `whose` names it.
 
     Raises:
         DataError: beginning with `where`; a part of an image needs a calibration of its own.
@@ -134,7 +134,7 @@ def check_aspect(size: tuple[int, int], camera: Camera, where: str) -> None:
     width, height = size
     if abs(width / height / (camera.width / camera.height) - 1) > SHAPE_TOLERANCE:
         raise DataError(
-            f"{where}: the image is {width}x{height} px, but its camera is calibrated for "
+            f"{where}: the image is {width}x{height} px, but {whose} is calibrated for "
             f"{camera.width}x{camera.height} px: a scaled image can be used, a cropped one needs its own calibration"
         )
 

@@ -16,7 +16,7 @@ from omniocc.camera import Camera, Rig
 from omniocc.camera.masks import lenses_that_do_not_fit
 from omniocc.data.formats.files import IMAGE_SUFFIXES, rgb_of_camera, scaled_to
 from omniocc.errors import DataError, UserError
-from omniocc.images import UNKNOWN_DEPTH, Depth, content_of
+from omniocc.images import Depth, content_of
 
 
 class Frame(NamedTuple):
@@ -30,7 +30,7 @@ class Frame(NamedTuple):
 
     name: str
     files: tuple[Path | None, ...]
-    depth: Depth = UNKNOWN_DEPTH
+    depth: Depth = Depth(key="image_bits")
 
 
 def find_frames(
@@ -162,9 +162,9 @@ def _read(file: Path | None, rig: Rig, k: int, depth: Depth) -> np.ndarray:
     if file is None:
         return np.zeros((camera.height, camera.width, 3), np.uint8)
     try:
-        return rgb_of_camera(content_of(file), str(file), camera, depth)
+        return rgb_of_camera(content_of(file), str(file), camera, depth, f"camera '{name}'")
     except DataError as error:
-        raise UserError(f"camera '{name}': {error}; exclude_cameras=[{name}] leaves the camera out") from error
+        raise UserError(f"{error}; exclude_cameras=[{name}] leaves the camera out") from error
 
 
 def resized_to_width(
