@@ -7,20 +7,21 @@ import io
 import re
 import stat
 import warnings
+from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import cv2
 import numpy as np
 from jaxtyping import Bool, UInt8
 from PIL import Image
-from PIL.TiffImagePlugin import BITSPERSAMPLE, TiffImageFile
 
 from omniocc.errors import DataError
 
-KINDS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP", "PPM", "JPEG2000")
+KINDS = ("PNG", "JPEG", "BMP", "WEBP", "PPM", "JPEG2000")
+"""Formats beside TIFF, by their names in Pillow, which reads their headers."""
 LOSSLESS = ("PNG", "TIFF", "BMP", "PPM")
 MOST_PIXELS = 150_000_000
 """Most pixels of an image; its header is read before it is decoded, so that a small file cannot fill the memory."""
@@ -28,14 +29,32 @@ MOST_BYTES = 8 * MOST_PIXELS
 OPEN_BELOW = 2**14
 """Values that stay below leave open how deep the samples of 16 bits are: sensors have 10, 12, 14 or 16 bits."""
 WHITE_16 = 2**16 - 1
-ORIENTATION = 274
 TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+TIFF_WIDTH, TIFF_HEIGHT, TIFF_BITS, TIFF_ORIENTATION, TIFF_SAMPLES, TIFF_EXTRA = 256, 257, 258, 274, 277, 338
+TIFF_LENGTHS = {1: 1, 3: 2, 4: 4, 16: 8}
+"""Bytes of a whole number by its type."""
 PPM_HEADER = re.compile(rb"P[2356]" + rb"(?:\s|#[^\n]*\n)+(\d+)" * 3)
 """Width, height and the value of white of a PPM or PGM file."""
 Fits = Callable[[tuple[int, int]], object]
 """Raises an error if an image may not have a width and height, px; it is asked before the image is decoded."""
 
 warnings.filterwarnings("ignore", category=Image.DecompressionBombWarning)  # MOST_PIXELS decides
+
+
+class Header(NamedTuple):
+    """What the header of an image file states.
+
+    Attributes:
+        kind: format.
+        size: width and height as stored, px.
+        bits: of the samples of a TIFF file; 0 for other files.
+        samples: of each pixel of a TIFF file; 0 for other files.
+    """
+
+    kind: str
+    size: tuple[int, int]
+    bits: int = 0
+    samples: int = 0
 
 
 @dataclass(frozen=True)
@@ -94,7 +113,7 @@ def size_of(content: bytes, where: str) -> tuple[int, int]:
     Raises:
         DataError: beginning with `where`, if this is no image, or a larger one than is read.
     """
-    return _header(_upright(content), where).size
+    return _opened(content, where)[1].size
 
 
 def rgb_of(
@@ -108,18 +127,17 @@ def rgb_of(
         DataError: beginning with `where`, if the image is damaged, too large, of floats or of unknown depth.
         Exception: of `fits`, which is asked before the image is decoded.
     """
-    content = _upright(content)
-    image = _header(content, where)
+    content, header = _opened(content, where)
     if fits is not None:
-        fits(image.size)
-    pixels = _decoded(content, image, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH, where)
+        fits(header.size)
+    pixels = _decoded(content, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH, where)
     if pixels.dtype not in (np.uint8, np.uint16):
         raise DataError(f"{where}: its values are of {pixels.dtype}; save it with 8 or 16 bits a channel")
-    white = _stated_white(content, image, pixels)
+    white = _stated_white(content, header, pixels)
     if white is None:
         white = 255 if pixels.dtype == np.uint8 else depth.white(int(pixels.max()), where)
-    if white == WHITE_16:
-        pixels = _decoded(content, image, cv2.IMREAD_COLOR, where)  # OpenCV's own rounding
+    if white == WHITE_16 and header.samples < 3:  # as libpng and OpenCV; libtiff rounds colours
+        pixels = (pixels >> 8).astype(np.uint8)
     elif white != 255 or pixels.dtype != np.uint8:
         pixels = eight_bits(pixels, white)
     return cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB)
@@ -131,8 +149,7 @@ def decoded(content: bytes, flags: int, where: str) -> np.ndarray:
     Raises:
         DataError: beginning with `where`, if it is damaged or too large.
     """
-    content = _upright(content)
-    return _decoded(content, _header(content, where), flags, where)
+    return _decoded(_opened(content, where)[0], flags, where)
 
 
 def eight_bits(pixels: np.ndarray, white: int) -> np.ndarray:
@@ -153,13 +170,12 @@ def read_mask(path: Path, size: tuple[int, int]) -> Bool[np.ndarray, "height wid
     """
     if path.suffix.lower() == ".npy":
         return _mask_of_array(path, size)
-    content = _upright(content_of(path))
-    image = _header(content, str(path))
-    _check_size(image.size, size, path)
-    if image.format not in LOSSLESS:
-        grey = _decoded(content, image, cv2.IMREAD_GRAYSCALE, str(path))
+    content, header = _opened(content_of(path), str(path))
+    _check_size(header.size, size, path)
+    if header.kind not in LOSSLESS:
+        grey = _decoded(content, cv2.IMREAD_GRAYSCALE, str(path))
         return grey > grey.max() // 2
-    pixels = _decoded(content, image, cv2.IMREAD_UNCHANGED, str(path))
+    pixels = _decoded(content, cv2.IMREAD_UNCHANGED, str(path))
     pixels = pixels.reshape(*pixels.shape[:2], -1) != 0
     if pixels.shape[-1] < 4:
         return pixels.any(-1)
@@ -189,75 +205,80 @@ def _check_size(found: tuple[int, int], wanted: tuple[int, int], path: Path) -> 
         raise DataError(f"{path} is {found[0]}x{found[1]} px but the image is {wanted[0]}x{wanted[1]} px")
 
 
-def _header(content: bytes, where: str) -> Image.Image:
-    """Return an image of which only the header has been read."""
+def _opened(content: bytes, where: str) -> tuple[bytes, Header]:
+    """Return an encoded image as it is to be decoded, and its header; raise DataError if it is none, or too large."""
     try:
-        image = Image.open(io.BytesIO(content), formats=KINDS)
-        large = image.width * image.height > MOST_PIXELS
+        if content[:4] in TIFF:
+            content, header = _tiff(content)
+        else:
+            image = Image.open(io.BytesIO(content), formats=KINDS)  # reads no pixels
+            header = Header(str(image.format), image.size)
+        pixels = header.size[0] * header.size[1]
     except Image.DecompressionBombError:
-        large = True
+        header, pixels = None, MOST_PIXELS + 1
     except Exception as error:  # Pillow's formats have errors of their own
-        kinds = ", ".join(KINDS)
-        raise DataError(f"{where}: the file is no image, or damaged or incomplete; {kinds} are read") from error
-    if large:
+        raise _damaged(where) from error
+    if pixels > MOST_PIXELS:
         raise DataError(f"{where}: its header claims more than {MOST_PIXELS // 10**6} megapixels; it is not decoded")
-    return image
+    if header is None or not pixels:
+        raise _damaged(where)
+    return content, header
 
 
-def _decoded(content: bytes, image: Image.Image, flags: int, where: str) -> np.ndarray:
+def _decoded(content: bytes, flags: int, where: str) -> np.ndarray:
     try:
-        if flags & cv2.IMREAD_COLOR and image.mode == "RGBA" and _tiff_bits(image) == 8:
-            pixels = cv2.cvtColor(np.asarray(image), cv2.COLOR_RGBA2BGRA)  # OpenCV darkens colours by their alpha
-            return pixels if flags == cv2.IMREAD_UNCHANGED else np.ascontiguousarray(pixels[..., :3])
         pixels = cv2.imdecode(np.frombuffer(content, np.uint8), flags | cv2.IMREAD_IGNORE_ORIENTATION)
-    except Exception as error:  # OpenCV and the formats of Pillow have errors of their own
-        raise DataError(f"{where}: the file is no image, or damaged or incomplete") from error
+    except cv2.error as error:
+        raise _damaged(where) from error
     if pixels is None:
-        raise DataError(f"{where}: the file is no image, or damaged or incomplete")
+        raise _damaged(where)
     return pixels
 
 
-def _upright(content: bytes) -> bytes:
-    """Return a TIFF file whose orientation tag says 'as stored', for OpenCV turns it even when told not to; others."""
-    if content[:4] not in TIFF:
-        return content
+def _damaged(where: str) -> DataError:
+    return DataError(f"{where}: the file is no image, or damaged or incomplete ({', '.join(KINDS)} and TIFF are read)")
+
+
+def _tiff(content: bytes) -> tuple[bytes, Header]:
+    """Return a TIFF file that says 'not turned, colours not to be multiplied by alpha', and its header.
+
+    OpenCV follows these tags even when it is told not to. https://www.itu.int/itudoc/itu-t/com16/tiff-fx/docs/tiff6.pdf
+    """
     order: Literal["little", "big"] = "little" if content[:2] == b"II" else "big"
+    word, count = (8, 8) if b"+" in content[:4] else (4, 2)  # BigTIFF has longer numbers
+    step = 4 + 2 * word  # of an entry: tag, type, number of values, values or where they are
 
     def number(start: int, length: int) -> int:
         return int.from_bytes(content[start : start + length], order)
 
-    word, count = (8, 8) if b"+" in content[:4] else (4, 2)  # BigTIFF has longer numbers
-    step = 4 + 2 * word  # of an entry: tag, type, number of values, values
+    changed, values = bytearray(content), defaultdict[int, int](int)
     first = number(word, word) + count
-    stop = min(first + number(first - count, count) * step, len(content))
-    for entry in range(first, stop, step):
-        if number(entry, 2) == ORIENTATION:
-            value = (3).to_bytes(2, order) + (1).to_bytes(word, order) + (1).to_bytes(2, order) + bytes(word - 2)
-            return content[: entry + 2] + value + content[entry + step :]
-    return content
+    for entry in range(first, min(first + number(first - count, count) * step, len(content)), step):
+        tag, kind, at = number(entry, 2), number(entry + 2, 2), entry + 4 + word
+        length, values_count = TIFF_LENGTHS.get(kind, 2), number(entry + 4, word)
+        values[tag] = number(number(at, word) if values_count * length > word else at, length)
+        if tag == TIFF_ORIENTATION or (tag == TIFF_EXTRA and values_count == 1):
+            changed[at : at + length] = (1).to_bytes(length, order)  # as stored; colours are multiplied already
+    size = values[TIFF_WIDTH], values[TIFF_HEIGHT]
+    return bytes(changed), Header("TIFF", size, values[TIFF_BITS], values[TIFF_SAMPLES])
 
 
-def _stated_white(content: bytes, image: Image.Image, pixels: np.ndarray) -> int | None:
+def _stated_white(content: bytes, header: Header, pixels: np.ndarray) -> int | None:
     """Return the value of white that a file states for its samples; None if it does not, or they are of 8 bits."""
-    if header := PPM_HEADER.match(content):
-        white = int(header[3])
+    if match := PPM_HEADER.match(content):
+        white = int(match[3])
         scaled = content[:2] in (b"P2", b"P3") and white < 256  # by OpenCV
         return None if scaled or white in (255, WHITE_16) else white
     if pixels.dtype != np.uint16:
         return None
-    if 8 < _tiff_bits(image) < 16:
+    if 8 < header.bits < 16:
         return WHITE_16  # OpenCV shifts packed samples up
-    bits = _significant_bits(content) if image.format == "PNG" else None
+    bits = _significant_bits(content) if header.kind == "PNG" else None
     if bits is None or not 0 < bits <= 16:
         return None
     # By the standard a writer scales samples up to 16 bits, whose lower bits then hold next to nothing; some do not.
     scaled_up = pixels.max() >= 2**bits or (pixels & (2 ** (16 - bits) - 1)).max() <= 1
     return WHITE_16 if scaled_up else 2**bits - 1
-
-
-def _tiff_bits(image: Image.Image) -> int:
-    """Return the number of bits of the samples of a TIFF file; 0 for other files."""
-    return max(image.tag_v2.get(BITSPERSAMPLE, (1,))) if isinstance(image, TiffImageFile) else 0
 
 
 def _significant_bits(content: bytes) -> int | None:
