@@ -3,10 +3,12 @@
 import shutil
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 import torch
 from log_files import START_NS, lidar_option, rig_of, stamp_ns
+from PIL import Image
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation, Slerp
 
@@ -510,3 +512,27 @@ def test_rays_that_did_not_come_back_are_nowhere_in_a_recording(recorder, log_fo
             np.testing.assert_array_equal(ours, theirs)
         np.testing.assert_array_equal(found.erp_range_m(frame), whole.erp_range_m(frame))
         np.testing.assert_array_equal(found.camera_range_m(frame), whole.camera_range_m(frame))
+
+
+def test_images_are_what_the_sensor_saw(recorder, original, log_folder, tmp_path):
+    log = tmp_path / "log"
+    shutil.copytree(log_folder, log)
+    path = sorted((log / original.rig.names[0]).iterdir())[0]
+    image, exif = original.images(0)[0], Image.Exif()
+    exif[0x0112] = 6
+    Image.fromarray(image).save(path, exif=exif)
+    with recorder(log=log).open() as opened:
+        plain = opened.inputs
+        assert np.array_equal(opened.read_image(0, 0)[0], image)
+    ramp = np.linspace(0, 4095, image[..., 0].size).round().astype(np.uint16).reshape(image.shape[:2])
+    cv2.imwrite(str(path), ramp)
+    with (
+        recorder(log=log).open() as opened,
+        pytest.raises(DataError, match=rf"{path.name}: .* reach 4095.*set recorder\.image_bits=12"),
+    ):
+        opened.read_image(0, 0)
+    with recorder("image_bits=12", log=log).open() as opened:
+        assert np.array_equal(opened.read_image(0, 0)[0][..., 1], (ramp * (255 / 4095)).round())
+        assert set(map(str, opened.inputs)) - set(map(str, plain)) >= {"recorder.image_bits=12"}
+    with pytest.raises(ValueError, match=r"recorder\.image_bits is 7; it must be 8 to 16"):
+        recorder("image_bits=7", log=log)

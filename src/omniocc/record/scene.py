@@ -295,10 +295,7 @@ def fitted(
     image: UInt8[np.ndarray, "h w 3"], camera: Camera, size: tuple[int, int], where: str
 ) -> UInt8[np.ndarray, "height width 3"]:
     """Return an image scaled to `size` (width, height); raise DataError if it is not of the camera's aspect ratio."""
-    try:
-        check_aspect(image, camera, where)
-    except ValueError as error:
-        raise DataError(str(error)) from error
+    check_aspect((image.shape[1], image.shape[0]), camera, where)
     return scaled_to(image, size)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from omniocc.camera import Camera
 from omniocc.errors import DataError
+from omniocc.images import Depth, content_of, decoded, rgb_of, size_of
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm")
 SHAPE_TOLERANCE = 0.01
@@ -134,15 +135,7 @@ def load_npy(path: Path, remedy: str = "") -> np.ndarray:
 
 def decode(path: Path, flags: int, remedy: str = "") -> np.ndarray:
     """Return an image file as OpenCV decodes it (flags: `cv2.IMREAD_...`); raise DataError if there is none."""
-    image = decode_bytes(read_bytes(path, remedy), flags)
-    if image is None:
-        raise DataError(f"{path}: the file is no image, or damaged")
-    return image
-
-
-def decode_bytes(content: bytes | np.ndarray, flags: int) -> np.ndarray | None:
-    """Return an encoded image as OpenCV decodes it (flags: `cv2.IMREAD_...`); None if it is damaged."""
-    return cv2.imdecode(np.frombuffer(content, np.uint8), flags) if len(content) else None
+    return decoded(content_of(path, remedy), flags, str(path))
 
 
 def scaled_to(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
@@ -153,24 +146,28 @@ def scaled_to(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     return cv2.resize(image, size, interpolation=cv2.INTER_AREA if size[0] < width else cv2.INTER_LINEAR)
 
 
-def check_aspect(image: np.ndarray, camera: Camera, where: str, whose: str = "its camera") -> None:
-    """Check that an image has the aspect ratio of its camera's calibration; `whose` names the camera.
+def rgb_of_camera(content: bytes, where: str, camera: Camera, depth: Depth, whose: str = "its camera") -> np.ndarray:
+    """Return an encoded image of a camera, (H, W, 3) uint8 RGB; raise DataError as `rgb_of` and `check_aspect`."""
+    return rgb_of(content, where, depth, lambda size: check_aspect(size, camera, where, whose))
+
+
+def check_aspect(size: tuple[int, int], camera: Camera, where: str, whose: str = "its camera") -> None:
+    """Check that an image of a width and height has the aspect ratio of its camera's calibration; `whose` names it.
 
     Raises:
-        ValueError: beginning with `where`; a part of an image needs a calibration of its own.
+        DataError: beginning with `where`; a part of an image needs a calibration of its own.
     """
-    height, width = image.shape[:2]
+    width, height = size
     if abs(width / height / (camera.width / camera.height) - 1) > SHAPE_TOLERANCE:
-        raise ValueError(
+        raise DataError(
             f"{where}: the image is {width}x{height} px, but {whose} is calibrated for "
             f"{camera.width}x{camera.height} px: a scaled image can be used, a cropped one needs its own calibration"
         )
 
 
 def image_size(path: Path) -> tuple[int, int]:
-    """Return width and height of an image file, px; raise DataError if it is missing or damaged."""
-    height, width = decode(path, cv2.IMREAD_GRAYSCALE).shape[:2]
-    return width, height
+    """Return width and height of an image file, px, as its header states; raise DataError if there is none."""
+    return size_of(content_of(path), str(path))
 
 
 def read_image(path: Path, size: tuple[int, int] | None, scaled: tuple[int, int], remedy: str = "") -> np.ndarray:
@@ -185,11 +182,13 @@ def read_image(path: Path, size: tuple[int, int] | None, scaled: tuple[int, int]
     Raises:
         DataError: if the file is missing, no image, or of another size.
     """
-    image = decode(path, cv2.IMREAD_COLOR, remedy)
-    height, width = image.shape[:2]
-    if size is not None and (width, height) != size:
-        raise DataError(f"{path}: the image has {width}x{height} px, but its calibration is for {size[0]}x{size[1]} px")
-    return cv2.cvtColor(scaled_to(image, scaled), cv2.COLOR_BGR2RGB)
+
+    def check_size(found: tuple[int, int]) -> None:
+        if size is not None and found != size:
+            found_px, wanted_px = ("x".join(map(str, one)) for one in (found, size))
+            raise DataError(f"{path}: the image has {found_px} px, but its calibration is for {wanted_px} px")
+
+    return scaled_to(rgb_of(content_of(path, remedy), str(path), fits=check_size), scaled)
 
 
 def map_classes(ids: np.ndarray, table: np.ndarray, path: Path) -> np.ndarray:
