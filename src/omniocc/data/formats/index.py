@@ -1,6 +1,7 @@
 """An index of a dataset's scenes: built once, one small file for each scene, read when the scene is."""
 
 import hashlib
+import io
 import json
 import shutil
 from collections.abc import Callable, Mapping
@@ -84,12 +85,15 @@ class Index(Generic[Arrays]):
         try:
             partial.mkdir(parents=True)
             for name, arrays in sorted(found.items()):
-                with (partial / f"{name}.npz").open("wb") as file:
-                    np.savez(file, **dict(zip(self.kind._fields, arrays, strict=True)))
+                stored = io.BytesIO()
+                np.savez(stored, **dict(zip(self.kind._fields, arrays, strict=True)))
+                atomic_write(partial / f"{name}.npz", stored.getvalue())
                 content = b"".join(np.ascontiguousarray(part).tobytes() for part in arrays)
                 listed.append([name, hashlib.sha256(content).hexdigest()[:16]])
             shutil.rmtree(self.folder, ignore_errors=True)
             partial.rename(self.folder)
+        except DataError:
+            raise
         except OSError as error:
             raise cannot_write(self.folder, error) from error
         atomic_write(self.folder / NAMES, json.dumps(listed))
