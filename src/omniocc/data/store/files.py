@@ -1,18 +1,22 @@
-"""The files of one folder, on this disk or in an object store (any URL that fsspec understands), read by byte range."""
+"""The files of one folder, on this disk or in an object store (a URL, see `omniocc.urls`), read by byte range."""
 
 import json
 import os
 import sys
 import time
+from base64 import b64encode
 from collections.abc import Callable, Sequence
+from netrc import NetrcParseError, netrc
 from pathlib import Path
 from typing import Any, TypeVar
+from urllib.parse import urlsplit
 
 import fsspec
 from aiohttp import ClientResponseError
 from fsspec.implementations.local import LocalFileSystem
 
 from omniocc.errors import DataError, installing
+from omniocc.urls import check_url
 
 T = TypeVar("T")
 BLOCK_BYTES = 2**22
@@ -38,6 +42,7 @@ class Files:
 
     Raises:
         DataError: when the package for this kind of URL is not installed.
+        UserError: as `is_url`.
     """
 
     def __init__(self, folder: Path | str):
@@ -93,12 +98,27 @@ class Files:
 
 def _file_system(url: str) -> tuple[Any, str]:
     try:
-        return fsspec.core.url_to_fs(url)
+        return fsspec.core.url_to_fs(url, **_login(url))
     except ImportError as error:
         kind = url.partition("://")[0]
         other = f"pip install {PACKAGES[kind]}" if kind in PACKAGES else str(error)
         remedy = installing("s3") if kind in S3 else other
         raise DataError(f"{url}: reading {kind}:// needs a package that is not installed: {remedy}") from error
+
+
+def _login(url: str) -> dict[str, Any]:
+    """Return the options with user and password of an http server from the user's netrc file, if it has them."""
+    parts, path = urlsplit(url), Path(os.environ.get("NETRC") or Path.home() / ".netrc")
+    if parts.scheme not in ("http", "https") or not path.is_file():
+        return {}
+    try:
+        found = netrc(path).authenticators(parts.hostname or "")
+    except (NetrcParseError, OSError, UnicodeDecodeError) as error:
+        raise DataError(f"{path}: the file with passwords for {parts.hostname} cannot be read ({error})") from error
+    if found is None:
+        return {}
+    login = b64encode(f"{found[0]}:{found[2]}".encode()).decode()
+    return {"headers": {"Authorization": f"Basic {login}"}}  # of requests: not sent on to another host
 
 
 def asked(request: Callable[[], T], url: str) -> T:
@@ -145,8 +165,15 @@ def _named(error: Exception) -> str:
 
 
 def is_url(place: str | os.PathLike[str]) -> bool:
-    """Return whether a place is a URL and not a path."""
-    return isinstance(place, str) and "://" in place
+    """Return whether a place is a URL and not a path.
+
+    Raises:
+        UserError: for a URL with credentials, or of a protocol that is not read.
+    """
+    if not isinstance(place, str) or "://" not in place:
+        return False
+    check_url(place)
+    return True
 
 
 def list_folders(root: Path | str, member: str) -> list[str]:
@@ -154,9 +181,11 @@ def list_folders(root: Path | str, member: str) -> list[str]:
 
     Raises:
         DataError: when the folder does not exist or cannot be listed.
+        UserError: as `is_url`.
     """
+    files = Files(root)
     try:
-        return [name for name in Files(root).folders() if "." not in name and holds(f"{root}/{name}", member)]
+        return [name for name in files.folders() if "." not in name and holds(f"{root}/{name}", member)]
     except FileNotFoundError as error:
         raise DataError(f"{root}: there is no such folder") from error
     except Exception as error:  # each kind of store has errors of its own
