@@ -24,7 +24,7 @@ from omniocc.predict.output.point_cloud import PointCloud, write_ply
 SRC = Path(__file__).parents[1] / "src"
 WRITERS = re.compile(
     r"(.*\.)?(write_text|write_bytes|imwrite|savefig|savez|savez_compressed|savetxt|tofile|touch|copyfile|copy2|copytree|"
-    r"to_csv|NamedTemporaryFile|mkstemp|memmap|VideoWriter|ZipFile|GzipFile|save_file)"
+    r"to_csv|NamedTemporaryFile|mkstemp|memmap|VideoWriter|save_file)"
     r"|(np|numpy|torch|torch\.export|pickle|json|yaml|csv)\.(save|dump|safe_dump|writer)|shutil\.(copy|move)"
 )
 """Calls that write files, whatever their arguments."""
@@ -33,17 +33,25 @@ IN_MEMORY = {"buffer", "content", "stored", "out"}
 DIRECT = {
     ("omniocc/io.py", "os.open(temporary"): "the atomic writer itself",
     ("omniocc/io.py", "os.fdopen(descriptor"): "the atomic writer itself",
-    ("omniocc/data/store/shard.py", "(self.work / shard_name(shard)).open("): "frames are appended; a journal keeps account",
+    (
+        "omniocc/data/store/shard.py",
+        "(self.work / shard_name(shard)).open(",
+    ): "a journal says which frames are whole",
     ("omniocc/data/store/shard.py", "path.open('r+b')"): "what a kill left beyond the journal is cut off",
-    ("omniocc/data/store/shard.py", "(self.work / JOURNAL).open("): "the journal is appended to, with a checksum each line",
+    (
+        "omniocc/data/store/shard.py",
+        "(self.work / JOURNAL).open(",
+    ): "its lines are appended, each with a checksum",
     ("omniocc/data/store/shard.py", "journal.open('r+b')"): "what a kill left of its last line is cut off",
-    ("omniocc/data/store/reader.py", "(Path(folder) / name).write_bytes("): "in a temporary folder that is removed at once",
+    (
+        "omniocc/data/store/reader.py",
+        "(Path(folder) / name).write_bytes(",
+    ): "a temporary folder, removed at once",
     ("omniocc/record/carla/client.py", "os.fdopen(os.dup(1)"): "the output of this process",
     ("omniocc/run/fork_server.py", "os.fdopen(os.dup(1)"): "the output of this process",
     ("omniocc/run/fork_server.py", "os.open(request['log']"): "the output of a process",
     ("omniocc/run/fork_server.py", "log.open('wb')"): "the output of a process",
     ("omniocc/run/script.py", "os.open(os.devnull"): "nothing is kept",
-    ("omniocc/run/checkpoint_io.py", "zipfile.ZipFile(path)"): "it reads",
     ("hydra_plugins/process_launcher/job.py", "log.open('wb')"): "the output of a process",
     ("hydra_plugins/process_launcher/slurm.py", "self.log.open('a')"): "the output of a process",
     ("hydra_plugins/process_launcher/slurm_job.py", "log_of(self.log, task).open("): "the output of a process",
@@ -54,7 +62,7 @@ DIRECT = {
 def writes(call: ast.Call) -> bool:
     """Return whether a call writes a file: by its name, or `open` by its mode or flags."""
     name, given = ast.unparse(call.func), [*call.args, *(word.value for word in call.keywords)]
-    if name.rpartition(".")[2] in ("open", "fdopen"):
+    if name.rpartition(".")[2] in ("open", "fdopen", "ZipFile", "GzipFile"):
         modes = [part.value for part in given if isinstance(part, ast.Constant) and isinstance(part.value, str)]
         flags = {part.attr for part in ast.walk(call) if isinstance(part, ast.Attribute)}
         return any(re.fullmatch(r"[rwaxbt+]*[wax+][rwaxbt+]*", mode) for mode in modes) or bool(
@@ -137,11 +145,11 @@ def test_what_is_no_file_is_named(tmp_path):
     (tmp_path / "link").symlink_to("file")
     check_regular(tmp_path / "link")
     for path, kind in ((tmp_path / "pipe", "pipe"), (tmp_path, "folder"), (Path("/dev/zero"), "device")):
-        with pytest.raises(DataError, match=rf"^{path}: this is a {kind}, not a file$"):
+        with pytest.raises(DataError, match=rf"^{path} cannot be read: it is a {kind}, not a file$"):
             check_regular(path)
     with pytest.raises(FileNotFoundError):
         check_regular(tmp_path / "dangling")
-    with pytest.raises(OSError, match="symbolic links"):
+    with pytest.raises(DataError, match="loop cannot be read: .*symbolic links"):
         check_regular(tmp_path / "loop")
 
 

@@ -163,7 +163,7 @@ def test_a_server_gets_the_login_of_the_netrc_file(tmp_path, monkeypatch):
             Files(url).read("file")
         netrc.write_text("machine 127.0.0.1 login user password s3crét\n", encoding="utf-8")
         assert Files(url).read("file") == b"content"
-        netrc.write_text("machine 127.0.0.1 login\n")
+        netrc.write_text("machine\n127.0.0.1 x y\n")
         with pytest.raises(OSError, match=f"{netrc}: the file with passwords for 127.0.0.1 cannot be read"):
             Files(url)
     finally:

@@ -104,12 +104,17 @@ def check_regular(path: Path) -> None:
 
     Raises:
         FileNotFoundError: when there is nothing, or a link to nothing.
-        DataError: for anything else, such as a pipe or a folder.
+        DataError: for anything else, such as a pipe, a folder, or links that lead in a circle.
     """
-    mode = path.stat().st_mode
+    try:
+        mode = path.stat().st_mode
+    except FileNotFoundError:
+        raise
+    except OSError as error:
+        raise DataError(f"{path} cannot be read: {error.strerror or error}") from error
     if not stat.S_ISREG(mode):
         kind = next((name for test, name in _KINDS if test(mode)), "special file")
-        raise DataError(f"{path}: this is a {kind}, not a file")
+        raise DataError(f"{path} cannot be read: it is a {kind}, not a file")
 
 
 _KINDS = ((stat.S_ISDIR, "folder"), (stat.S_ISFIFO, "pipe"), (stat.S_ISCHR, "device"), (stat.S_ISBLK, "device"))

@@ -55,6 +55,10 @@ def check_url(url: str) -> None:
         raise UserError(problem)
     protocol = url.partition("://")[0]
     if "::" in url:
-        raise UserError(f"{url}: URLs with '::' (chains of fsspec, IPv6 addresses) are not read; name the folder itself")
+        raise UserError(
+            f"{url}: URLs with '::' (chains of fsspec, IPv6 addresses) are not read; name the folder itself"
+        )
     if protocol not in CREDENTIALS:
-        raise UserError(f"{url}: {protocol}:// is not read; known are {', '.join(f'{known}://' for known in CREDENTIALS)}")
+        raise UserError(
+            f"{url}: {protocol}:// is not read; known are {', '.join(f'{known}://' for known in CREDENTIALS)}"
+        )

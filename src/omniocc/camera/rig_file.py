@@ -53,6 +53,7 @@ MODELS = {
     "panoramic": Panoramic,
 }  # fmt: skip
 BUILT_IN = Path(__file__).parent / "rigs"
+MAX_CAMERAS = 100
 ANGLES = ("yaw_deg", "pitch_deg", "roll_deg")
 
 Mask = Bool[Tensor, "_ _"]
@@ -73,6 +74,8 @@ def read_rig(path: str | PathLike[str]) -> Calibration:
         _check_keys(content, ["cameras"], ["road_z_m"])
         road_z_m = None if content.get("road_z_m") is None else finite("road_z_m", content["road_z_m"])
         entries = mapping(content["cameras"], "'cameras'")
+        if len(entries) > MAX_CAMERAS:
+            raise ValueError(f"'cameras' has {len(entries):,} entries; at most {MAX_CAMERAS} are read")
     names = tuple(map(str, entries))
     read = [_read_entry(file, name, entry) for name, entry in zip(names, entries.values(), strict=True)]
     cameras, poses, masks = zip(*read, strict=True)

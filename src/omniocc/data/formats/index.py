@@ -12,6 +12,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from filelock import FileLock
 
+from omniocc.data.formats.arrays import npz_arrays
 from omniocc.errors import DataError
 from omniocc.io import atomic_write, cannot_write
 
@@ -102,7 +103,6 @@ class Index(Generic[Arrays]):
 @lru_cache(maxsize=64)
 def _read(path: Path, kind: type[Any]) -> Any:
     try:
-        with np.load(path, allow_pickle=False) as content:
-            return kind(**{name: content[name] for name in kind._fields})
+        return kind(**npz_arrays(path, kind._fields))
     except Exception as error:  # zipfile and numpy have errors of their own
         raise DataError(f"{path}: the index is damaged ({error}); remove the folder {path.parent}") from error

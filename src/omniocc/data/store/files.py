@@ -16,10 +16,13 @@ from aiohttp import ClientResponseError
 from fsspec.implementations.local import LocalFileSystem
 
 from omniocc.errors import DataError, installing
+from omniocc.io import check_regular
 from omniocc.urls import check_url
 
 T = TypeVar("T")
 BLOCK_BYTES = 2**22
+LIMIT_BYTES = 2**27
+"""Largest size of files that are read whole; an index of a scene of three hours at 10 Hz has half of it."""
 JOINED_GAP_BYTES = 4096
 """Ranges nearer to one another than this are read as one: headers between members cost less than another request."""
 RETRY_FOR_S = 300.0
@@ -35,9 +38,10 @@ _answered: set[str] = set()
 
 
 class Files:
-    """The files of a folder: a path on this disk, or a URL; every method raises FileNotFoundError for a missing file.
+    """The files of a folder: a path on this disk, or a URL.
 
-    The connection to an object store is made by the process that creates the object. A store that answered this process
+    Every method raises FileNotFoundError for a missing file, and DataError for what is no file, such as a pipe. The
+    connection to an object store is made by the process that creates the object. A store that answered this process
     before and does not answer now is asked again for `RETRY_FOR_S`, which a line on stderr says.
 
     Raises:
@@ -56,15 +60,22 @@ class Files:
 
     def size(self, name: str) -> int:
         """Return the length in bytes."""
-        return self._asked(lambda: self._fs.info(self._path(name))["size"], name)
+        path = self._path(name)
+        return self._asked(lambda: self._fs.info(path)["size"], name)
 
     def open(self, name: str) -> Any:
         """Return the open file, binary, at its beginning."""
         return self._fs.open(self._path(name), "rb", block_size=BLOCK_BYTES)
 
-    def read(self, name: str) -> bytes:
-        """Return the whole content."""
-        return self._asked(lambda: self._fs.cat_file(self._path(name)), name)
+    def read(self, name: str, limit_bytes: int = LIMIT_BYTES) -> bytes:
+        """Return the whole content; raise DataError if it is longer than the limit."""
+        path = self._path(name)
+        content = self._asked(lambda: self._fs.cat_file(path, 0, limit_bytes + 1), name)
+        if len(content) > limit_bytes:
+            raise DataError(
+                f"{self.where(name)}: the file has more than {limit_bytes:,} bytes, which are expected at most"
+            )
+        return content
 
     def ranges(self, name: str, spans: Sequence[tuple[int, int]]) -> list[bytes]:
         """Return the bytes from `begin` up to `end` of each (begin, end); fewer where the file ends early.
@@ -90,7 +101,10 @@ class Files:
         return sorted(name.rstrip("/").rsplit("/", 1)[-1] for name in found)
 
     def _path(self, name: str) -> str:
-        return f"{self._root.rstrip('/')}/{name}"
+        path = f"{self._root.rstrip('/')}/{name}"
+        if isinstance(self._fs, LocalFileSystem):
+            check_regular(Path(path))
+        return path
 
     def _asked(self, request: Callable[[], T], name: str) -> T:
         return asked(request, self.where(name)) if is_url(self.folder) else request()
@@ -141,7 +155,7 @@ def asked(request: Callable[[], T], url: str) -> T:
             if store not in _answered or lasts(error) or left_s <= 0:
                 raise
             if not told:
-                print(f"{url}: no answer ({_named(error)}); trying again for {left_s:.0f} s", file=sys.stderr)
+                print(f"{url}: no answer ({named(error)}); trying again for {left_s:.0f} s", file=sys.stderr)
             told = True
             time.sleep(min(pause_s, left_s))
             pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
@@ -159,7 +173,8 @@ def lasts(error: Exception) -> bool:
     return isinstance(error, LASTING)
 
 
-def _named(error: Exception) -> str:
+def named(error: Exception) -> str:
+    """Return kind and text of an error in one line."""
     text = " ".join(str(error).split())
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
@@ -189,7 +204,7 @@ def list_folders(root: Path | str, member: str) -> list[str]:
     except FileNotFoundError as error:
         raise DataError(f"{root}: there is no such folder") from error
     except Exception as error:  # each kind of store has errors of its own
-        raise DataError(f"{root}: its folders cannot be listed: {type(error).__name__}: {error}") from error
+        raise DataError(f"{root}: its folders cannot be listed: {named(error)}") from error
 
 
 def holds(folder: Path | str, name: str) -> bool:
@@ -208,7 +223,7 @@ def read_json(root: Path | str, name: str, remedy: str) -> Any:
     except FileNotFoundError as error:
         raise DataError(f"{files.where(name)}: the file is missing; {remedy}") from error
     except Exception as error:  # each kind of store has errors of its own
-        raise DataError(f"{files.where(name)}: cannot be read: {type(error).__name__}: {error}; {remedy}") from error
+        raise DataError(f"{files.where(name)}: cannot be read: {named(error)}; {remedy}") from error
 
 
 def read_members(files: Files, name: str, offsets: Sequence[int], sizes: Sequence[int]) -> list[bytes]:
