@@ -149,7 +149,7 @@ def test_what_is_no_file_is_named(tmp_path):
             check_regular(path)
     with pytest.raises(FileNotFoundError):
         check_regular(tmp_path / "dangling")
-    with pytest.raises(DataError, match="loop cannot be read: .*symbolic links"):
+    with pytest.raises(DataError, match=r"loop cannot be read: .*symbolic links"):
         check_regular(tmp_path / "loop")
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 import zstandard
 
 from omniocc.camera import Rig
@@ -167,9 +168,7 @@ def test_members_outside_of_their_shard(key, value, said, tmp_path):
 def test_facts_of_files_that_make_no_sense(files, tmp_path):
     scene_of(tmp_path / "scene", {})
     changed_meta(tmp_path / "scene", files=files)
-    with pytest.raises(
-        DataError, match=r"meta\.json: scene 'scene': ('files' has an impossible entry|it has no 'files')"
-    ):
+    with pytest.raises(DataError, match=r"meta\.json: .*('files' has an impossible entry|it has no 'files')"):
         len(SceneReader(tmp_path / "scene"))
 
 
@@ -213,15 +212,11 @@ def test_what_is_no_file_is_not_opened(kind, name, tmp_path):
     (tmp_path / "scene" / name).unlink()
     NO_FILES[kind](tmp_path / "scene" / name)
     words = {"loop": "symbolic links", "dangling": "the file is missing"}
-    for read in (lambda: scene.read(0, ["frame.json"]), lambda: scene.rig):
-        try:
-            read()
-        except DataError as error:
-            assert f"{tmp_path}/scene/{name}" in str(error)
-            assert words.get(kind, f"it is a {kind}, not a file") in str(error)
-            break
-    else:
-        pytest.fail("nothing was said")
+    with pytest.raises(DataError) as error:  # noqa: PT012 - one of them reads the file
+        scene.read(0, ["frame.json"])
+        assert scene.rig is None
+    assert f"{tmp_path}/scene/{name}" in str(error.value)
+    assert words.get(kind, f"it is a {kind}, not a file") in str(error.value)
     assert any(f"{tmp_path}/scene/{name}" in line for line in check_scene(SceneReader(tmp_path / "scene"), 1, 0.5))
 
 
@@ -244,6 +239,5 @@ def test_kept_voxels_and_counts_are_made_anew(tmp_path, bomb):
         assert cache.read(scene, 0) == "voted"  # type: ignore[arg-type]
     (tmp_path / "counts.zst").write_bytes(bomb)
     with pytest.warns(UserWarning, match="at most 64 are expected"):
-        assert (
-            kept_counts(tmp_path / "counts.zst", (1, 2, 2, 2), lambda: grid.centers()[..., 0][None].long()).sum() == 0
-        )
+        counts = kept_counts(tmp_path / "counts.zst", (1, 2, 2, 2), lambda: torch.ones(1, 2, 2, 2).long())
+    assert counts.sum() == 8
