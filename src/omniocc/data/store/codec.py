@@ -109,9 +109,9 @@ def encode_range(range_m: np.ndarray) -> bytes:
     return pack(quantize_range(range_m))
 
 
-def decode_range(blob: bytes, pixels: int = MAX_PIXELS) -> np.ndarray:
+def decode_range(blob: bytes, limit_px: int = MAX_PIXELS) -> np.ndarray:
     """Return the ranges, (H, W) float32, m; raise ValueError for more than this many."""
-    return restore_range(unpack(blob, pixels))
+    return restore_range(unpack(blob, limit_px))
 
 
 def quantize_range(range_m: np.ndarray) -> np.ndarray:

@@ -25,14 +25,14 @@ def pack(pixels: np.ndarray) -> bytes:
     return zstandard.ZstdCompressor(level=_LEVEL).compress(header + np.ascontiguousarray(body).tobytes())
 
 
-def unpack(blob: bytes, pixels: int = MAX_PIXELS) -> np.ndarray:
+def unpack(blob: bytes, limit_px: int = MAX_PIXELS) -> np.ndarray:
     """Return the image that bytes hold, the inverse of `pack`; it may have at most this many pixels.
 
     Raises:
         ValueError: if it has more, or the bytes hold neither 8 nor 16 bits per pixel.
         zstandard.ZstdError: if they are no zstd frame.
     """
-    content = np.frombuffer(decompress(blob, 2 * min(pixels, MAX_PIXELS) + _HEADER_BYTES), dtype=np.uint8)
+    content = np.frombuffer(decompress(blob, 2 * min(limit_px, MAX_PIXELS) + _HEADER_BYTES), dtype=np.uint8)
     height, width = content[:4].view(_HEADER).tolist()
     body = content[4:]
     if len(body) == height * width:
