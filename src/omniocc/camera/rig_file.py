@@ -45,6 +45,7 @@ from omniocc.camera.models.pinhole import Pinhole
 from omniocc.camera.models.radial_polynomial import RadialPolynomial
 from omniocc.camera.pose import check_rigid, pose_from_angles
 from omniocc.camera.protocol import Camera, finite, numbers
+from omniocc.io import atomic_write
 
 MODELS = {
     "equidistant": Equidistant, "pinhole": Pinhole, "kannala_brandt": KannalaBrandt, "mei": MEI, "ocam": OCam,
@@ -52,6 +53,7 @@ MODELS = {
     "panoramic": Panoramic,
 }  # fmt: skip
 BUILT_IN = Path(__file__).parent / "rigs"
+MAX_CAMERAS = 100
 ANGLES = ("yaw_deg", "pitch_deg", "roll_deg")
 
 Mask = Bool[Tensor, "_ _"]
@@ -72,6 +74,8 @@ def read_rig(path: str | PathLike[str]) -> Calibration:
         _check_keys(content, ["cameras"], ["road_z_m"])
         road_z_m = None if content.get("road_z_m") is None else finite("road_z_m", content["road_z_m"])
         entries = mapping(content["cameras"], "'cameras'")
+        if len(entries) > MAX_CAMERAS:
+            raise ValueError(f"'cameras' has {len(entries):,} entries; at most {MAX_CAMERAS} are read")
     names = tuple(map(str, entries))
     read = [_read_entry(file, name, entry) for name, entry in zip(names, entries.values(), strict=True)]
     cameras, poses, masks = zip(*read, strict=True)
@@ -80,9 +84,8 @@ def read_rig(path: str | PathLike[str]) -> Calibration:
 
 
 def write_rig(path: str | PathLike[str], rig: Calibration) -> None:
-    """Write a rig file; see `Rig.save`; raise OSError naming the mask that cannot be written."""
+    """Write a rig file; see `Rig.save`; raise DataError naming the file that cannot be written."""
     file = Path(path)
-    file.parent.mkdir(parents=True, exist_ok=True)
     model_names = {model: name for name, model in MODELS.items()}
     entries = {}
     for index, (name, camera) in enumerate(zip(rig.names, rig.cameras, strict=True)):
@@ -95,13 +98,11 @@ def write_rig(path: str | PathLike[str], rig: Calibration) -> None:
         mask = None if rig.masks is None else rig.masks[index]
         if mask is not None:
             entry["mask"] = f"{file.stem}.{name}.png"
-            if not cv2.imwrite(str(file.parent / entry["mask"]), mask.numpy().astype(np.uint8) * 255):
-                raise OSError(f"cannot write {file.parent / entry['mask']}")
+            _, png = cv2.imencode(".png", mask.numpy().astype(np.uint8) * 255)
+            atomic_write(file.parent / entry["mask"], png.tobytes())
         entries[name] = entry
     road = {} if rig.road_z_m is None else {"road_z_m": rig.road_z_m}
-    file.write_text(
-        yaml.safe_dump(road | {"cameras": entries}, sort_keys=False, default_flow_style=None), encoding="utf-8"
-    )
+    atomic_write(file, yaml.safe_dump(road | {"cameras": entries}, sort_keys=False, default_flow_style=None))
 
 
 def _read_entry(file: Path, name: str, entry: Any) -> tuple[Camera, Float64[Tensor, "4 4"], Mask | None]:

@@ -22,6 +22,7 @@ from torch import Tensor
 from omniocc.data.formats.files import read_text
 from omniocc.data.formats.poses import TOLERANCE, quaternion_pose
 from omniocc.errors import UserError
+from omniocc.io import atomic_write
 from omniocc.predict.input.images import closest
 
 QUATERNION = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
@@ -53,11 +54,15 @@ def read_poses(path: Path, frames: Sequence[str]) -> Float64[Tensor, "F 4 4"]:
 
 
 def write_poses(path: Path, frames: Sequence[str], world_from_ego: Float64[Tensor, "F 4 4"]) -> None:
-    """Write poses as matrices without rounding: `read_poses` returns equal values."""
+    """Write poses as matrices without rounding: `read_poses` returns equal values.
+
+    Raises:
+        DataError: naming the file that cannot be written.
+    """
     lines = [",".join(("frame", *MATRIX))]
     for name, pose in zip(frames, world_from_ego, strict=True):
         lines.append(",".join((name, *(repr(value) for value in pose.flatten().tolist()))))
-    path.write_text("\n".join([*lines, ""]), encoding="utf-8")
+    atomic_write(path, "\n".join([*lines, ""]))
 
 
 def _pose(words: Sequence[str], where: str) -> Float64[Tensor, "4 4"]:
