@@ -176,7 +176,7 @@ def test_results_of_several_steps_are_lines(name):
     steps = [metric(*batch(name, seed)) for seed in range(3)]
     figure, axes = metric.plot(steps)
     lines = {line.get_label(): line.get_ydata() for line in axes.lines}
-    key = {"rays": "rayiou/Road", "voxels": "iou/Road", "candidates": "recall"}[name]
+    key = {"rays": "rayiou/1", "voxels": "iou/1", "candidates": "recall"}[name]
     assert list(lines[key]) == pytest.approx([float(step[key]) for step in steps])
     low, high = axes.get_ylim()
     assert low < 0 < 1 < high

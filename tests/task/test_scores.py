@@ -170,8 +170,13 @@ def test_the_protocol_names_what_was_scored(batch, spec):
     assert "not observed" in lines["rayiou"]
     assert "that are observed" in lines["voxel"]
     scores.update(labels, batch._replace(**lidar_hits(sparseocc_directions())))
-    scores.reset()
     assert "rays measured by a LiDAR" in scores.protocol()["lidar/rayiou"]
+    assert scores.protocol()["lidar/rayiou"].endswith(
+        "; rays without a return or with a point outside of the grid are free, and so are hits 25.6 m or more from the "
+        "ego z axis"
+    )
+    scores.reset()
+    assert scores.protocol() == {}
 
 
 SMALL = Cuboid((4, 2, 1), (0.0, 8.0), (-4.0, 4.0), (-1.0, 1.0))
