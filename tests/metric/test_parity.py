@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import torch
 
-from omniocc.classes import CLASSES
 from omniocc.geometry import Cuboid
 from omniocc.metric import RayIoU, ray_hits, sparseocc_directions
 

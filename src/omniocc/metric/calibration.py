@@ -1,5 +1,6 @@
 """Calibration: whether predictions of a confidence are right as often as it says."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -82,12 +83,18 @@ class Calibration(CountMetric):
         count = self.sums[:, :1]
         return torch.cat([count / count.sum(), self.sums[:, 1:] / count], 1)
 
-    def plot(self, ax: "Axes | None" = None) -> "tuple[Figure, Axes]":  # type: ignore[override]
+    def plot(
+        self, val: dict[str, Tensor] | Sequence[dict[str, Tensor]] | None = None, ax: "Axes | None" = None
+    ) -> "tuple[Figure, Axes]":
         """Draw the reliability diagram: fraction right over confidence, each dot as large as its bin is full.
+
+        A result of `compute` is drawn as bars instead, a list of results as lines.
 
         Raises:
             ImportError: without matplotlib.
         """
+        if val is not None:
+            return plot_scores(self, ["ece", "confidence", "right"], val, ax)
         axes = new_axes(4.0, 4.0) if ax is None else ax
         fraction, said, right = self.reliability().cpu().T.numpy()
         axes.plot([0, 1], [0, 1], color="#999999", linewidth=1, label="calibrated")

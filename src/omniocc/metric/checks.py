@@ -9,8 +9,8 @@ from torch import Tensor
 
 from omniocc.geometry import Cuboid, Cylinder
 
-Array = Tensor | np.ndarray
-"""What metrics take as inputs."""
+Array = Any
+"""What metrics take as inputs: a tensor, an array of numpy, or nested lists of numbers."""
 NO_ORDER = (torch.uint16, torch.uint32, torch.uint64)
 """Types in which torch does not compare."""
 

@@ -1,7 +1,7 @@
 """Errors of predicted ranges, in metres and in indices of spheres of inverse range."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from jaxtyping import Bool, Float, Float64
@@ -9,8 +9,13 @@ from torch import Tensor
 
 from omniocc.metric.bands import as_edges, band_of, band_suffixes, num_rows
 from omniocc.metric.checks import Array, as_tensors, check_increasing, check_mask, check_real, check_same_shape
+from omniocc.metric.plot import plot_scores
 from omniocc.metric.renamed import renamed
 from omniocc.metric.setting import CountMetric, hash_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 NAMES = (
     *("mae", "absrel", "rmse", "delta1", "delta2", "delta3"),
@@ -137,3 +142,12 @@ class DepthMetrics(CountMetric):
     def compute(self) -> dict[str, Tensor]:
         """Return the scores over all rays."""
         return depth_scores(self.sums, self.count, self.range_edges_m)
+
+    def plot(
+        self, val: dict[str, Tensor] | Sequence[dict[str, Tensor]] | None = None, ax: "Axes | None" = None
+    ) -> "tuple[Figure, Axes]":
+        """Draw the scores that are fractions of rays: bars for a result of `compute` (default: now), lines for a list.
+
+        It needs matplotlib.
+        """
+        return plot_scores(self, [name for name in NAMES if "delta" in name or ">" in name], val, ax)

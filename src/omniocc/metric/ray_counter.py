@@ -55,7 +55,10 @@ def tensors_of(
 
 def scan_of(directions: Float[Array, "D 3"] | None) -> Scan:
     """Return these rays, ready to be cast from any origin; those of the public RayIoU for None."""
-    return Scan(sparseocc_directions() if directions is None else as_tensors("cpu", directions=directions)[0])
+    if directions is None:
+        return Scan(sparseocc_directions())
+    (given,) = as_tensors("cpu", directions=directions)
+    return Scan(given if given.is_floating_point() else given.double())
 
 
 class RayCounter:

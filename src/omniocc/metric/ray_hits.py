@@ -44,6 +44,6 @@ def ray_hits(
     classes = ClassIds(num_classes, free_class, ignore_class)
     labels, origins = as_tensors("cpu", labels=labels, origins=origins)
     checked = classes.check("labels", labels.unsqueeze(0), geometry.shape, truth=True)[0]
-    origins = torch.zeros(1, 3) if origins is None else origins
-    hits = ray_table(geometry, origins.to(labels.device), scan_of(directions)).cast(checked - free_class)
+    starts = torch.zeros(1, 3) if origins is None else origins
+    hits = ray_table(geometry, starts.to(labels.device), scan_of(directions)).cast(checked - free_class)
     return hits._replace(labels=hits.labels + free_class)

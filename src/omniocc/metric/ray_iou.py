@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import astuple
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import torch
 from jaxtyping import Bool, Float, Int64, Shaped
@@ -73,7 +73,7 @@ class RayIoU(CountMetric):
         [0.77, 0.44, 0.93, 0.65]
     """
 
-    __jit_unused_properties__ = [*CountMetric.__jit_unused_properties__, "seen"]
+    __jit_unused_properties__: ClassVar[list[str]] = [*CountMetric.__jit_unused_properties__, "seen"]
     higher_is_better = True
     plot_upper_bound = 1.0
     truth: Tensor
@@ -186,7 +186,7 @@ class RayIoU(CountMetric):
     def left_out(self) -> dict[str, Tensor]:
         """Return the fraction of the measured rays that do not count, over all frames and processes.
 
-        Keys: `left_out`, of which are `left_out_unknown`, those to surfaces of unknown class, and `left_out_free`, those
+        Keys: `left_out`, of which `left_out_unknown` are those to surfaces of unknown class, and `left_out_free` those
         whose truth is free: rays without a return or with a point outside of the grid. Without measured rays: nan.
         """
         synced = self._is_synced

@@ -7,6 +7,7 @@ from typing import Any
 import torch
 from jaxtyping import UInt8
 from torch import Tensor
+from torch.nn import Module
 from torchmetrics import Metric
 from torchmetrics.utilities import dim_zero_sum
 
@@ -70,12 +71,12 @@ class CountMetric(Metric):
 
     def _check(self, states: dict[str, Any]) -> None:
         """Raise ValueError unless states are those of a metric of this setting."""
-        own = {name: value for name, value in self._defaults.items() if name in states}
-        setting = torch.equal(states["setting"].to(self.setting), self.setting) if "setting" in states else True
-        if not setting or any(states[name].shape != value.shape for name, value in own.items()):
+        own = self.metric_state
+        fits = all(value.shape == torch.as_tensor(own[name]).shape for name, value in states.items() if name in own)
+        if not fits or not torch.equal(states.get("setting", self.setting).to(self.setting), self.setting):
             raise ValueError(f"these counts cannot be taken into {type(self).__name__}: they {OTHER_SETTING}")
 
-    def _apply(self, fn: Callable[[Tensor], Tensor], *args: Any, **kwargs: Any) -> "CountMetric":
+    def _apply(self, fn: Callable[[Tensor], Tensor], *args: Any, **kwargs: Any) -> Module:
         """Move the states to a device without a change of their type, in which counts would no longer be exact."""
 
         def moved(tensor: Tensor) -> Tensor:

@@ -116,7 +116,7 @@ def score_of(key: str) -> str | None:
 def protocol_lines(protocol: Mapping[str, str], metrics: Mapping[str, float]) -> list[str]:
     """Return how each kind of score was counted, in one line each; then which fraction of the LiDAR's rays was not."""
     lines = [f"{SCORES[kind]}: {protocol[kind]}." for kind in SCORES if kind in protocol]
-    if LEFT_OUT in metrics:
+    if not math.isnan(metrics.get(LEFT_OUT, math.nan)):
         all_of_them, unknown, free = (100 * metrics[f"{LEFT_OUT}{part}"] for part in ("", "_unknown", "_free"))
         lines.append(f"LiDAR rays that do not count: {all_of_them:.1f} % ({unknown:.1f} % unknown, {free:.1f} % free).")
     return lines

@@ -26,13 +26,18 @@ def protocol_lines(rows: Mapping[str, Sequence[FinishedRun]], keys: Iterable[str
         known = list(filter(None, itertools.chain(*texts.values())))
         rows_by_text: dict[str | None, list[str]] = {}
         for row, found in texts.items():
-            for text in dict.fromkeys(next((more for more in known if more.startswith(f"{text}; ")), text) for text in found):
+            for text in dict.fromkeys(_fullest(text, known) for text in found):
                 rows_by_text.setdefault(text, []).append(row)
         for text, members in rows_by_text.items():
             where = f" ({_named(members, rows)})" if len(rows_by_text) > 1 else ""
             if text is not None:
                 lines.append(f"{SCORES[kind]}{where}: {text}.")
     return lines
+
+
+def _fullest(text: str | None, known: Iterable[str]) -> str | None:
+    """Return the longest of the texts that begin with this one and say more after it; itself if none does."""
+    return max((more for more in known if more.startswith(f"{text}; ")), key=len, default=text)
 
 
 def _named(members: Sequence[str], rows: Iterable[str]) -> str:
