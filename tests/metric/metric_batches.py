@@ -35,3 +35,10 @@ def same(left, right):
 def made(name, **kwargs):
     kind, arguments = METRICS[name]
     return kind(**arguments, **kwargs)
+
+
+def counted(name, *seeds):
+    metric = made(name)
+    for seed in seeds:
+        metric.update(*batch(name, seed))
+    return metric
