@@ -181,7 +181,7 @@ def test_again(checkpoint: Path, overrides: Sequence[str], folder: Path, origins
     )
     metrics = trainer.test(task, datamodule=data, verbose=False)[0]
     facts = {"checkpoint": str(checkpoint), "commit": git_commit(), "data": data.source.fingerprint}
-    facts |= {OVERRIDES: list(overrides), PROTOCOL: task.scores.protocol()}
+    facts |= {OVERRIDES: list(overrides), PROTOCOL: task.protocol}
     save_by_scene(folder, task.scores, data.source, task.by_scene.of_all())
     save_results(folder, metrics, facts)
     show_results(folder)
