@@ -45,6 +45,7 @@ from omniocc.camera.models.pinhole import Pinhole
 from omniocc.camera.models.radial_polynomial import RadialPolynomial
 from omniocc.camera.pose import check_rigid, pose_from_angles
 from omniocc.camera.protocol import Camera, finite, numbers
+from omniocc.io import read_short_text, twice
 
 MODELS = {
     "equidistant": Equidistant, "pinhole": Pinhole, "kannala_brandt": KannalaBrandt, "mei": MEI, "ocam": OCam,
@@ -65,14 +66,16 @@ def read_rig(path: str | PathLike[str]) -> Calibration:
     if isinstance(file, Calibration):
         return file
     with naming(str(file)):
-        text = file.read_text(encoding="utf-8")
+        text = read_short_text(file)
         content = parse(text)
         if not isinstance(content, dict) or isinstance(content.get("cameras", []), list):
             return read_calibration(file, text, content)
         _check_keys(content, ["cameras"], ["road_z_m"])
         road_z_m = None if content.get("road_z_m") is None else finite("road_z_m", content["road_z_m"])
         entries = mapping(content["cameras"], "'cameras'")
-    names = tuple(map(str, entries))
+        names = tuple(map(str, entries))
+        if name := twice(names):
+            raise ValueError(f"camera '{name}' stands twice; keep one")
     read = [_read_entry(file, name, entry) for name, entry in zip(names, entries.values(), strict=True)]
     cameras, poses, masks = zip(*read, strict=True)
     known = None if all(mask is None for mask in masks) else masks

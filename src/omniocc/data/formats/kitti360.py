@@ -15,11 +15,11 @@ from jaxtyping import Bool, Float64, Int64, UInt8
 from torch import Tensor
 
 from omniocc.camera import MEI, Camera, Pinhole
-from omniocc.camera.calibration.fields import parse_yaml
 from omniocc.camera.calibration.kitti360 import read_kitti360
 from omniocc.data.formats.files import decode, read_text
 from omniocc.data.formats.poses import inverse, rigid
 from omniocc.errors import DataError
+from omniocc.io import parse_yaml
 from omniocc.progress import Progress
 
 SEQUENCE = "2013_05_28_drive_00{}_sync"

@@ -1,6 +1,5 @@
 """CarlaSC as a source: voxels, poses and LiDAR of CARLA's towns; it has no images."""
 
-import json
 import re
 from collections.abc import Mapping, Sequence
 from functools import cached_property
@@ -23,7 +22,7 @@ from omniocc.data.source.own_grid import mirrored
 from omniocc.data.store.shard import digest
 from omniocc.errors import DataError
 from omniocc.geometry import Cuboid, Cylinder, Grid
-from omniocc.io import atomic_write
+from omniocc.io import atomic_write, parse_json
 
 ROAD_Z_M = -1.8
 REMAP = (0, 1, 2, 3, 4, 5, 6, 6, 8, 9, 10, 2, 5, 3, 7, 3, 3, 2, 5, 3, 3, 3, 7)
@@ -134,7 +133,7 @@ class CarlaSCScene(DatasetScene):
         """Raise DataError unless the files say that they hold the expected grid."""
         path = self.folder / "evaluation" / "params.json"
         try:
-            params: dict[str, Any] = json.loads(read_text(path))
+            params: dict[str, Any] = parse_json(read_text(path))
             shape = tuple(int(value) for value in params["grid_size"])
         except (KeyError, TypeError, ValueError) as error:
             raise DataError(f"{path}: the file is damaged ({error!r})") from error

@@ -4,7 +4,6 @@ Format: h3o_lss_dataset.py, lidar2depth.py and h3o-remap-v4.yaml of https://gith
 file of it has been read here.
 """
 
-import json
 import re
 from collections.abc import Mapping, Sequence
 from functools import cached_property
@@ -24,6 +23,7 @@ from omniocc.data.source import SPLITS, Benchmark, SourceSpec, Split, Unknown
 from omniocc.data.source.own_grid import OwnGridScene, OwnGridSource, mirrored, standing
 from omniocc.errors import DataError
 from omniocc.geometry import Cuboid
+from omniocc.io import parse_json, twice
 
 NAMES = (
     ("empty", (255, 255, 255)), ("road", (128, 64, 128)), ("sidewalk", (244, 35, 232)), ("building", (70, 70, 70)),
@@ -132,10 +132,12 @@ class H3O(OwnGridSource["H3OScene"]):
     def listed(self) -> dict[str, list[str]]:
         """Return the folders of each split of the file."""
         try:
-            content = json.loads(read_text(self.file, "give H3O's own folder in data.source.root"))
+            content = parse_json(read_text(self.file, "give H3O's own folder in data.source.root"))
             listed = {str(name): [str(folder) for folder in folders] for name, folders in content.items()}
         except (AttributeError, TypeError, ValueError) as error:
             raise DataError(f"{self.file}: it must hold lists of folders by split ({error})") from error
+        if folder := twice(folder for folders in listed.values() for folder in folders):
+            raise DataError(f"{self.file}: the folder '{folder}' stands twice; keep one")
         missing = sorted(set(self.splits.values()) - set(listed))
         if missing:
             raise DataError(

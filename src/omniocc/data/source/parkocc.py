@@ -16,7 +16,6 @@ from jaxtyping import Float64, UInt8
 from torch import Tensor
 
 from omniocc.camera import OCam, Rig
-from omniocc.camera.calibration.fields import parse_yaml
 from omniocc.camera.pose import LEVEL_FORWARD
 from omniocc.classes import ClassTable, SemanticClass
 from omniocc.data.formats.files import (
@@ -36,6 +35,7 @@ from omniocc.data.source import Benchmark, SourceSpec, Split, Unknown
 from omniocc.data.source.own_grid import OwnGridScene, OwnGridSource
 from omniocc.errors import DataError
 from omniocc.geometry import Cuboid
+from omniocc.io import parse_yaml
 
 CAMERAS = ("front", "left", "right", "back")
 SIZE = (1920, 1080)

@@ -1,6 +1,5 @@
 """The files of one folder, on this disk or in an object store (any URL that fsspec understands), read by byte range."""
 
-import json
 import os
 import sys
 import time
@@ -13,6 +12,7 @@ from aiohttp import ClientResponseError
 from fsspec.implementations.local import LocalFileSystem
 
 from omniocc.errors import DataError, installing
+from omniocc.io import parse_json
 
 T = TypeVar("T")
 BLOCK_BYTES = 2**22
@@ -175,7 +175,7 @@ def read_json(root: Path | str, name: str, remedy: str) -> Any:
     """Return the content of a JSON file; raise DataError when it cannot be read; the message ends with the remedy."""
     files = Files(root)
     try:
-        return json.loads(files.read(name))
+        return parse_json(files.read(name))
     except FileNotFoundError as error:
         raise DataError(f"{files.where(name)}: the file is missing; {remedy}") from error
     except Exception as error:  # each kind of store has errors of its own
