@@ -15,11 +15,11 @@ from yaml.constructor import ConstructorError
 from omniocc.errors import DataError, first_line
 
 MOST_BYTES = 16 << 20
-"""Largest file of YAML that is read: its content takes a hundred times as much memory."""
+"""Largest file of YAML that is read: its content takes many times as much memory."""
 MOST_LEVELS = 100
 """Deepest nesting of YAML that is read; the parser in C has no limit of its own and overflows its stack."""
-MOST_REPEATED = 100_000
-"""Most values that aliases of YAML (`*name`) may repeat; a few lines of them can stand for billions."""
+MOST_VALUES = 500_000
+"""Most values in a file of YAML, with those that aliases (`*name`) repeat: a few lines can stand for billions."""
 
 YAML: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 """Loader of YAML of our own: that of the C library where it is there, which takes an eighth of the time."""
@@ -186,8 +186,8 @@ def _reason(error: yaml.YAMLError) -> str:
 
 
 def _check_extent(text: str) -> None:
-    """Raise YAMLError where a text of YAML is nested too deeply, or its aliases repeat too much or themselves."""
-    values, repeated = 0, 0  # both with all that aliases stand for
+    """Raise YAMLError where a text of YAML is nested too deeply or holds too much, or an alias repeats itself."""
+    values = 0  # with all that aliases stand for
     begun: list[tuple[str | None, int]] = []
     sizes: dict[str | None, int] = {}  # by anchor
     for event in yaml.parse(text, YAML):
@@ -195,7 +195,6 @@ def _check_extent(text: str) -> None:
         if isinstance(event, yaml.AliasEvent):
             problem = f"'*{event.anchor}' stands in itself" if event.anchor in dict(begun) else None
             values += sizes.get(event.anchor, 0)
-            repeated += sizes.get(event.anchor, 0)
         elif isinstance(event, yaml.CollectionStartEvent):
             begun.append((event.anchor, values))
             values += 1
@@ -205,8 +204,8 @@ def _check_extent(text: str) -> None:
         elif isinstance(event, yaml.ScalarEvent):
             values += 1
             sizes[event.anchor] = 1
-        if repeated > MOST_REPEATED:
-            problem = f"aliases (*name) repeat more than {MOST_REPEATED:,} values"
+        if values > MOST_VALUES:
+            problem = f"it holds more than {MOST_VALUES:,} values, with those that aliases (*name) repeat"
         if len(begun) > MOST_LEVELS:
             problem = f"it is nested in more than {MOST_LEVELS} levels"
         if problem is not None:

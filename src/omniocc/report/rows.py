@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-
 from omniocc.config import compose_plain
 from omniocc.io import read_yaml
 from omniocc.progress import Progress

@@ -11,7 +11,6 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 from urllib.parse import quote
 
-
 from omniocc.errors import UserError
 from omniocc.io import parse_yaml, read_short_text
 from omniocc.run.folder import METRICS

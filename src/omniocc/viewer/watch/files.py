@@ -6,7 +6,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-
 from omniocc.io import read_yaml
 from omniocc.run.curves import Curve, curve_files, read_curves
 
