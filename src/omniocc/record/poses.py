@@ -48,7 +48,7 @@ def read_timed_poses(path: Path, kind: PosesFormat, unit: TimeUnit, times: Path 
     * `tum`: time, x, y, z and quaternion x, y, z, w.
     * `kitti`: the 12 numbers of a matrix; the times are the lines of the file `times`.
 
-    A header may name these columns, see `omniocc.data.formats.pose_table`: its order and its unit of the time then rule.
+    A header may name the columns, see `omniocc.data.formats.pose_table`: its order and unit of the time then rule.
 
     Raises:
         DataError: naming file and line.

@@ -12,7 +12,11 @@ from itertools import takewhile
 from pathlib import Path
 from typing import Literal, NamedTuple
 
+import numpy as np
+from jaxtyping import Float64
+
 from omniocc.data.formats.files import read_text
+from omniocc.data.formats.poses import rigid
 from omniocc.errors import DataError
 from omniocc.io import twice
 
@@ -23,7 +27,7 @@ W_FIRST = ("x", "y", "z", "qw", "qx", "qy", "qz")
 W_LAST = ("x", "y", "z", "qx", "qy", "qz", "qw")
 """The order in files of TUM."""
 
-_UNITS: Mapping[TimeUnit, str] = {
+_UNITS: dict[TimeUnit, str] = {
     "s": "s|secs?|seconds?", "ms": "ms|msecs?|milliseconds?", "us": "us|usecs?|microseconds?",
     "ns": "ns|nsecs?|nanosecs?|nanoseconds?",
 }  # fmt: skip
@@ -67,7 +71,7 @@ class _Columns(NamedTuple):
 
     Attributes:
         keys: places of the keys.
-        pose: places of the numbers of a pose, in the order of `Row.pose`; None: they are all that follows `count` cells.
+        pose: places of the numbers of a pose, in the order of `Row.pose`; None: all that follows `count` cells.
         count: number of cells of a line.
         unit: of the time; None if it is not stated.
     """
@@ -179,7 +183,9 @@ def _columns(where: str, header: Sequence[str], keys: Sequence[Key], order: Sequ
     for name in set("xyz") & set(units):
         if not re.fullmatch("(m|met(er|re)s?)?", units[name]):
             raise DataError(f"{where}: the column '{header[places[name]]}' is in {units[name]}; positions are in m")
-    unit = next((known for known, names in _UNITS.items() if re.fullmatch(names, units.get("time", ""))), None)
+    unit: TimeUnit | None = None
+    for known, names in _UNITS.items():
+        unit = known if re.fullmatch(names, units.get("time", "")) else unit
     if "time" in chosen and units["time"] and unit is None:
         raise DataError(f"{where}: the time is in {units['time']}; its units are {', '.join(_UNITS)}")
     keyed, posed = [places[name] for name in chosen], [places[name] for name in pose]
@@ -200,3 +206,20 @@ def _pose_names(places: Mapping[str, int]) -> list[str]:
     for row, axis in zip(rows, "xyz", strict=False):
         row[3] = row[3] if row[3] in places else axis
     return [name for row in rows[: 4 if set(rows[3]) <= set(places) else 3] for name in row]
+
+
+def read_matrices(path: Path, keys: Sequence[Key] = ()) -> tuple[list[Row], Float64[np.ndarray, "F 4 4"]]:
+    """Return the lines of a table of 3x4 matrices, and these as poses whose rotations are mended, see `rigid`.
+
+    Raises:
+        DataError: naming the line that is no pose.
+    """
+    rows = read_table(path, keys, W_FIRST)
+    for row in rows:
+        try:
+            if len(row.pose) != 12:
+                raise ValueError(f"it has {len(row.pose)} numbers of a pose instead of the 12 of a matrix")
+            rigid(np.array(row.pose, np.float64).reshape(3, 4), "the pose")
+        except ValueError as error:
+            raise DataError(f"{row.where}: {error}") from error
+    return rows, rigid(np.array([row.pose for row in rows], np.float64).reshape(-1, 3, 4), str(path))

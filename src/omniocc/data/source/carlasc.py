@@ -14,7 +14,7 @@ from torch import Tensor
 from omniocc.camera import Equirectangular, Pinhole, Rig
 from omniocc.classes import UNKNOWN, ClassTable, SemanticClass
 from omniocc.data.formats.files import check_root, class_table, map_classes, read_array, read_text
-from omniocc.data.formats.poses import rigid
+from omniocc.data.formats.pose_table import read_matrices
 from omniocc.data.formats.scene import Cloud, DatasetScene
 from omniocc.data.labels.own_grid import OwnGridLabels
 from omniocc.data.source import SPLITS, Benchmark, BenchmarkFrame, SourceSpec, Split, Unknown, refuse_unseen
@@ -144,11 +144,7 @@ class CarlaSCScene(DatasetScene):
     def world_from_ego(self) -> np.ndarray:
         """Return the pose of every frame; y is turned from right to left."""
         path = self.folder / "poses.txt"
-        try:
-            rows = np.array([line.split() for line in read_text(path).splitlines() if line.strip()], np.float64)
-            theirs = rigid(rows.reshape(-1, 3, 4), "a line")
-        except ValueError as error:
-            raise DataError(f"{path}: {error}") from error
+        _, theirs = read_matrices(path)
         if self.numbers and self.numbers[-1] >= len(theirs):
             raise DataError(f"{path}: it has {len(theirs)} poses, but there are voxels of frame {self.numbers[-1]}")
         poses = theirs[self.numbers].copy()
