@@ -120,8 +120,11 @@ class H3O(OwnGridSource["H3OScene"]):
                 raise DataError(f"{scene.folder}: there are no {self.voxels}/*.npy; unpack the sequence again")
 
     def names(self, split: Split) -> Sequence[str]:
-        """Return the folders of the sequences of a split."""
-        return self.listed[self.splits[split]]
+        """Return the folders of the sequences of a split; raise DataError if one stands there twice."""
+        folders = self.listed[self.splits[split]]
+        if (folder := twice(folders)) is not None:
+            raise DataError(f"{self.file}: the folder '{folder}' stands twice in {self.splits[split]}; keep one")
+        return folders
 
     @property
     def file(self) -> Path:
@@ -136,8 +139,6 @@ class H3O(OwnGridSource["H3OScene"]):
             listed = {str(name): [str(folder) for folder in folders] for name, folders in content.items()}
         except (AttributeError, TypeError, ValueError) as error:
             raise DataError(f"{self.file}: it must hold lists of folders by split ({error})") from error
-        if folder := twice(folder for folders in listed.values() for folder in folders):
-            raise DataError(f"{self.file}: the folder '{folder}' stands twice; keep one")
         missing = sorted(set(self.splits.values()) - set(listed))
         if missing:
             raise DataError(
