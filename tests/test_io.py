@@ -87,7 +87,7 @@ def test_bytes_that_are_no_text_are_named(content, message):
 
 def test_json_has_every_key_once():
     assert parse_json('{"a": [{"b": 1}, {"b": 2}]}') == {"a": [{"b": 1}, {"b": 2}]}
-    with pytest.raises(ValueError, match="^the key 'b' stands twice in one object; keep one$"):
+    with pytest.raises(ValueError, match=r"^the key 'b' stands twice in one object; keep one$"):
         parse_json('{"a": [{"b": 1, "c": 2, "b": 1}]}')
     with pytest.raises(ValueError, match="nested too deeply"):
         parse_json("[" * 200_000)

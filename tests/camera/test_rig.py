@@ -191,6 +191,17 @@ def test_error_names_unreadable_files(tmp_path):
             Rig.load(tmp_path / "bad.yaml")
 
 
+def test_a_camera_that_stands_twice_is_named(tmp_path):
+    entry = GOOD.partition("front:")[2]
+    for name, message in (
+        ("front", "line 11: the key 'front' is in line 3 already"),
+        ("'1'", "camera '1' stands twice"),
+    ):
+        (tmp_path / "car.yaml").write_text(GOOD.replace("front", name.strip("'")) + f"  {name}:{entry}")
+        with pytest.raises(ValueError, match=rf"car\.yaml: .*{message}; keep one$"):
+            Rig.load(tmp_path / "car.yaml")
+
+
 def test_error_names_wrong_arguments():
     rig = two_cameras()
     with pytest.raises(ValueError, match="not unique"):

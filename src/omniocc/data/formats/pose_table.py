@@ -180,8 +180,8 @@ def _columns(where: str, header: Sequence[str], keys: Sequence[Key], order: Sequ
     if name := twice(name.lower() for name in header if name) or twice(used):
         raise DataError(f"{where}: the header '{','.join(header)}' names the column '{name}' twice; keep one")
     units = {name: meanings[places[name]][1] for name in used}
-    for name in set("xyz") & set(units):
-        if not re.fullmatch("(m|met(er|re)s?)?", units[name]):
+    for name in "xyz":
+        if not re.fullmatch("(m|met(er|re)s?)?", units.get(name, "")):
             raise DataError(f"{where}: the column '{header[places[name]]}' is in {units[name]}; positions are in m")
     unit: TimeUnit | None = None
     for known, names in _UNITS.items():
