@@ -21,6 +21,7 @@ Angles are those of `omniocc.camera.pose.pose_from_angles`. `ego_from_camera` ma
 
 import dataclasses
 import difflib
+from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -58,8 +59,12 @@ ANGLES = ("yaw_deg", "pitch_deg", "roll_deg")
 Mask = Bool[Tensor, "_ _"]
 
 
-def read_rig(path: str | PathLike[str]) -> Calibration:
-    """Return the arguments of `Rig`; raise ValueError naming the file, the camera and the wrong value."""
+def read_rig(path: str | PathLike[str], within: Sequence[Path] = ()) -> Calibration:
+    """Return the arguments of `Rig`; `within` are the rig files that name this one as a calibration.
+
+    Raises:
+        ValueError: naming the file, the camera and the wrong value.
+    """
     file: Path | Calibration = _find(path)
     if file.is_dir():
         file = read_calibration_folder(file)
@@ -76,7 +81,7 @@ def read_rig(path: str | PathLike[str]) -> Calibration:
         names = tuple(map(str, entries))
         if name := twice(names):
             raise ValueError(f"camera '{name}' stands twice; keep one")
-    read = [_read_entry(file, name, entry) for name, entry in zip(names, entries.values(), strict=True)]
+    read = [_read_entry([*within, file], name, entry) for name, entry in zip(names, entries.values(), strict=True)]
     cameras, poses, masks = zip(*read, strict=True)
     known = None if all(mask is None for mask in masks) else masks
     return Calibration(cameras, torch.stack(poses), names, known, road_z_m)
@@ -107,9 +112,10 @@ def write_rig(path: str | PathLike[str], rig: Calibration) -> None:
     )
 
 
-def _read_entry(file: Path, name: str, entry: Any) -> tuple[Camera, Float64[Tensor, "4 4"], Mask | None]:
+def _read_entry(files: Sequence[Path], name: str, entry: Any) -> tuple[Camera, Float64[Tensor, "4 4"], Mask | None]:
+    file = files[-1]
     with naming(f"{file}: camera '{name}'"):
-        camera = _read_camera(file.parent, mapping(entry, "its entry"))
+        camera = _read_camera(files, mapping(entry, "its entry"))
         pose = _read_pose(entry["ego_from_camera"])
         if "mask" not in entry:
             return camera, pose, None
@@ -126,13 +132,15 @@ def _find(path: str | PathLike[str]) -> Path:
     return Path(path)
 
 
-def _read_camera(folder: Path, entry: dict[str, Any]) -> Camera:
+def _read_camera(files: Sequence[Path], entry: dict[str, Any]) -> Camera:
     if "calibration" in entry:
         _check_keys(entry, ["calibration", "ego_from_camera"], ["mask"])
-        file = folder / str(entry["calibration"])
+        file = files[-1].parent / str(entry["calibration"])
         if not file.exists():
             raise ValueError(f"calibration {file} does not exist")
-        cameras = read_rig(file).cameras
+        if file.resolve() in [other.resolve() for other in files]:
+            raise ValueError(f"calibration {file} leads back to itself; name a file with lens and size of the image")
+        cameras = read_rig(file, files).cameras
         if len(cameras) != 1:
             raise ValueError(f"calibration {entry['calibration']} holds {len(cameras)} cameras; it must be one")
         return cameras[0]

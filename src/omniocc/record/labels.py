@@ -47,6 +47,8 @@ def read_point_classes(path: Path | None) -> PointClasses:
     colors: dict[str, tuple[int, ...] | None] = {}
     for name, rgb in entries.values():
         if name != UNKNOWN_NAME:
+            if rgb is not None and colors.get(name) not in (None, rgb):
+                raise DataError(f"{path}: the class '{name}' has the colours {colors[name]} and {rgb}; keep one")
             colors[name] = colors.get(name) or rgb
     table = _world_table(list(colors)) or _own_table(path, colors)
     plain = str.lower if table is WORLD_CLASSES else str

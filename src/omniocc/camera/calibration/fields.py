@@ -14,6 +14,8 @@ from torch import Tensor
 from omniocc.camera.pose import LEVEL_FORWARD, invert_pose, rigid_pose
 from omniocc.camera.protocol import Camera, finite
 
+LONGEST = 1000
+"""Characters of a message that are shown: it may hold a value of a thousand lines."""
 ROTATION_TOLERANCE = 1e-3  # largest difference of singular values from 1, for files with few digits
 
 
@@ -33,7 +35,9 @@ def naming(place: str) -> Iterator[None]:
     try:
         yield
     except ValueError as error:
-        raise ValueError(f"{place}: {error}") from error
+        text = str(error)
+        shown = text if len(text) <= LONGEST else f"{text[: LONGEST // 2]} ... {text[-LONGEST // 2 :]}"
+        raise ValueError(f"{place}: {shown}") from error
 
 
 def mapping(value: Any, what: str) -> dict[str, Any]:
