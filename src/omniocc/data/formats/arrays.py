@@ -8,7 +8,7 @@ from typing import IO, BinaryIO
 
 import numpy as np
 
-from omniocc.io import check_regular
+from omniocc.io import check_regular, twice
 
 LIMIT_BYTES = 2**29
 """Largest size of the arrays that are read from one npz file: a compressed one may be a thousand times smaller."""
@@ -25,9 +25,8 @@ def npz_arrays(file: Path | BinaryIO, names: Iterable[str] | None = None) -> dic
         check_regular(file)
     with zipfile.ZipFile(file) as archive:
         found = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
-        if len(found) < len(archive.infolist()):
-            stored = [info.filename.removesuffix(".npy") for info in archive.infolist()]
-            raise ValueError(f"the array '{next(name for name in stored if stored.count(name) > 1)}' stands twice")
+        if name := twice(info.filename.removesuffix(".npy") for info in archive.infolist()):
+            raise ValueError(f"the array '{name}' stands twice")
         wanted = {name: found[name] for name in (found if names is None else names) if name in found}
         total = sum(info.file_size for info in wanted.values())
         if total > LIMIT_BYTES:

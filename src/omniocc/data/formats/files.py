@@ -11,7 +11,7 @@ from omniocc.camera import Camera
 from omniocc.data.formats.arrays import npy_array, npz_arrays
 from omniocc.errors import DataError
 from omniocc.images import Depth, content_of, decoded, rgb_of, size_of
-from omniocc.io import check_regular
+from omniocc.io import check_regular, text_of
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm")
 SHAPE_TOLERANCE = 0.01
@@ -40,11 +40,11 @@ def read_bytes(path: Path, remedy: str = "") -> bytes:
 
 
 def read_text(path: Path, remedy: str = "") -> str:
-    """Return the content of a text file; raise DataError if it is missing or no text."""
+    """Return the content of a text file, without byte-order mark; raise DataError if it is missing or no text."""
     try:
-        return read_bytes(path, remedy).decode()
-    except UnicodeDecodeError as error:
-        raise DataError(f"{path}: the file is damaged: it is no text ({error.reason})") from error
+        return text_of(read_bytes(path, remedy))
+    except ValueError as error:
+        raise DataError(f"{path}: the file is damaged: {error}") from error
 
 
 def read_array(path: Path, dtype: str, shape: Sequence[int], remedy: str = "") -> np.ndarray:

@@ -1,6 +1,5 @@
 """The files of one folder, on this disk or in an object store (a URL, see `omniocc.urls`), read by byte range."""
 
-import json
 import os
 import sys
 import time
@@ -16,7 +15,7 @@ from aiohttp import ClientResponseError
 from fsspec.implementations.local import LocalFileSystem
 
 from omniocc.errors import DataError, installing
-from omniocc.io import check_regular
+from omniocc.io import check_regular, parse_json
 from omniocc.urls import check_url
 
 T = TypeVar("T")
@@ -219,7 +218,7 @@ def read_json(root: Path | str, name: str, remedy: str) -> Any:
     """Return the content of a JSON file; raise DataError when it cannot be read; the message ends with the remedy."""
     files = Files(root)
     try:
-        return json.loads(files.read(name))
+        return parse_json(files.read(name))
     except FileNotFoundError as error:
         raise DataError(f"{files.where(name)}: the file is missing; {remedy}") from error
     except Exception as error:  # each kind of store has errors of its own

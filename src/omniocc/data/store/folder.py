@@ -1,7 +1,6 @@
 """Reading scene folders: any member of any frame by byte offset, every byte checked."""
 
 import hashlib
-import json
 import zlib
 from collections.abc import Mapping, Sequence
 from functools import cached_property
@@ -14,6 +13,7 @@ from jaxtyping import Float64, Int32, Int64, UInt32
 from omniocc.data.store.files import LIMIT_BYTES, Files, is_url, named, read_members
 from omniocc.data.store.shard import INDEX, META, SCHEMA, digest, shard_name
 from omniocc.errors import DataError
+from omniocc.io import parse_json
 
 LEAST_FRAME_BYTES = 50
 """Smallest size of a frame's lines in an index."""
@@ -203,9 +203,9 @@ class SceneFolder:
 
     def _json(self, name: str, content: bytes) -> dict[str, Any]:
         try:
-            plain = json.loads(content)
-        except (ValueError, RecursionError) as error:
-            raise self.damaged(name, "it is not valid JSON") from error
+            plain = parse_json(content)
+        except ValueError as error:
+            raise self.damaged(name, f"it is not valid JSON: {error}") from error
         if not isinstance(plain, dict):
             raise self.damaged(name, "it is not a JSON object")
         return plain
