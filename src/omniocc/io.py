@@ -1,4 +1,4 @@
-"""Write files atomically: whole or not at all; read YAML fast."""
+"""Write files atomically: whole or not at all; check names that become those of files; read YAML fast."""
 
 import contextlib
 import errno
@@ -8,10 +8,15 @@ from pathlib import Path
 
 import yaml
 
-from omniocc.errors import DataError
+from omniocc.errors import DataError, UserError
 
 YAML = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 """Loader of YAML of plain data: that of the C library where it is there, which takes an eighth of the time."""
+
+NAME_BYTES = 100
+"""Most bytes of a name; those of files and folders, which add to it, may have 255."""
+NOT_IN_NAMES = frozenset('/\\<>:"|?*')
+"""Characters that separate folders, or that some file system, HTML or a Markdown table takes for its own."""
 
 _REMEDIES = {
     errno.ENOSPC: "the disk is full: free some space",
@@ -22,6 +27,22 @@ _REMEDIES = {
     errno.EPERM: "the folder may not be written to: choose another one (paths.data=... or paths.runs=...)",
     errno.EMFILE: "too many open files: raise the limit (ulimit -n)",
 }
+
+
+def checked_name(what: str, name: object) -> str:
+    """Return a name that becomes a part of the path of a file or folder.
+
+    Raises:
+        UserError: naming `what` has the name, if it could lead out of its folder, be hidden, or not be written.
+    """
+    good = isinstance(name, str) and name.isprintable() and 0 < len(name.encode()) <= NAME_BYTES
+    if good and not set(name) & NOT_IN_NAMES and name.strip() == name and not name.startswith("."):
+        return name
+    shown = repr(name) if len(repr(name)) <= NAME_BYTES else f"{repr(name)[:NAME_BYTES]}..."
+    raise UserError(
+        f"{what} is {shown}; files are called by it: 1 to {NAME_BYTES} printable characters, none of "
+        f"{' '.join(sorted(NOT_IN_NAMES))}, no point first, no space first or last"
+    )
 
 
 def atomic_write(path: Path, content: bytes | memoryview | str, previous: Path | None = None) -> None:

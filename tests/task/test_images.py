@@ -58,7 +58,8 @@ OUTPUTS = {
 def run(callback, root=True):
     """Passes all frames through the callback, as a test and as a validation."""
     loader = SimpleNamespace(batch_size=BATCH, dataset=range(2 * FRAMES), sampler=range(FRAMES))  # of two processes
-    trainer = SimpleNamespace(is_global_zero=root, loggers=[], global_step=30, test_dataloaders=loader)
+    trainer = SimpleNamespace(is_global_zero=root, loggers=[], global_step=31, test_dataloaders=loader)
+    trainer.fit_loop = SimpleNamespace(epoch_loop=SimpleNamespace(_batches_that_stepped=30))
     task = SimpleNamespace(model=FakeModel(), sketch=FakeModel())
     for number, first in enumerate(range(0, FRAMES, BATCH)):
         batch = batch_of(tuple(f"scene/{k:04d}" for k in range(first, min(first + BATCH, FRAMES))))

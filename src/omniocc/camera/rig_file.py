@@ -45,6 +45,7 @@ from omniocc.camera.models.pinhole import Pinhole
 from omniocc.camera.models.radial_polynomial import RadialPolynomial
 from omniocc.camera.pose import check_rigid, pose_from_angles
 from omniocc.camera.protocol import Camera, finite, numbers
+from omniocc.io import checked_name
 
 MODELS = {
     "equidistant": Equidistant, "pinhole": Pinhole, "kannala_brandt": KannalaBrandt, "mei": MEI, "ocam": OCam,
@@ -72,7 +73,7 @@ def read_rig(path: str | PathLike[str]) -> Calibration:
         _check_keys(content, ["cameras"], ["road_z_m"])
         road_z_m = None if content.get("road_z_m") is None else finite("road_z_m", content["road_z_m"])
         entries = mapping(content["cameras"], "'cameras'")
-    names = tuple(map(str, entries))
+    names = tuple(checked_name(f"{file}: the name of a camera", str(name)) for name in entries)
     read = [_read_entry(file, name, entry) for name, entry in zip(names, entries.values(), strict=True)]
     cameras, poses, masks = zip(*read, strict=True)
     known = None if all(mask is None for mask in masks) else masks

@@ -13,6 +13,7 @@ import numpy as np
 
 from omniocc.data.formats.poses import inverse, quaternion_pose
 from omniocc.errors import DataError
+from omniocc.io import checked_name
 from omniocc.progress import Progress
 
 CAMERAS = ("CAM_FRONT", "CAM_FRONT_RIGHT", "CAM_FRONT_LEFT", "CAM_BACK", "CAM_BACK_LEFT", "CAM_BACK_RIGHT")
@@ -123,6 +124,7 @@ def read_key_frames(tables: Path, keep: Sequence[str] | None = None) -> dict[str
 
     Raises:
         DataError: naming the table and the record that is missing or wrong.
+        UserError: when no file of a submission can be called by the token of a sample.
     """
     names = ("sample", "calibrated_sensor", "sample_data", "ego_pose")
     files = [tables / f"{name}.json" for name in names]
@@ -130,7 +132,7 @@ def read_key_frames(tables: Path, keep: Sequence[str] | None = None) -> dict[str
     with Progress(f"index of {tables.name}", max(mib, 1), "MiB") as progress:
         scenes = {r["token"]: r["name"] for r in records(tables / "scene.json") if keep is None or r["name"] in keep}
         samples = {
-            r["token"]: (scenes[r["scene_token"]], int(r["timestamp"]))
+            checked_name(f"{files[0]}: token", r["token"]): (scenes[r["scene_token"]], int(r["timestamp"]))
             for r in records(tables / "sample.json", progress)
             if r["scene_token"] in scenes
         }

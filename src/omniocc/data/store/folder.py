@@ -13,7 +13,8 @@ from jaxtyping import Float64, Int32, Int64, UInt32
 
 from omniocc.data.store.files import Files, is_url, read_members
 from omniocc.data.store.shard import INDEX, META, SCHEMA, digest, shard_name
-from omniocc.errors import DataError
+from omniocc.errors import DataError, UserError
+from omniocc.io import checked_name
 
 
 class Index(NamedTuple):
@@ -85,6 +86,11 @@ class SceneFolder:
             raise self.damaged(META, "its checksum differs")
         if meta["schema"] != SCHEMA:
             raise self.damaged(META, f"schema {meta['schema']}, this version reads {SCHEMA}")
+        for name in meta["files"]:
+            try:
+                checked_name("the name of a file", name)
+            except UserError as error:
+                raise self.damaged(META, str(error)) from error
         return meta
 
     @cached_property

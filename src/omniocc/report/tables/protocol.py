@@ -32,6 +32,12 @@ def protocol_lines(rows: Mapping[str, Sequence[FinishedRun]], keys: Iterable[str
     return lines
 
 
+def counted_alike(runs: Iterable[FinishedRun], key: str) -> bool:
+    """Return whether all runs that tell how they counted the score of a key did so in one way."""
+    kind = score_of(key)
+    return len({text for run in runs if (text := run.facts.get(PROTOCOL, {}).get(kind)) is not None}) <= 1
+
+
 def _named(members: Sequence[str], rows: Iterable[str]) -> str:
     """Return the names of some of the rows, or those of the others where these are fewer."""
     others = [row for row in rows if row not in members]

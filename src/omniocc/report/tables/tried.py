@@ -6,7 +6,7 @@ from typing import Any
 
 from omniocc.errors import UserError
 from omniocc.report.runs import FinishedRun
-from omniocc.report.selection import compared, given
+from omniocc.report.selection import compared, counted_otherwise, given, otherwise_text, preference
 from omniocc.report.tables.budget import steps_of_stages
 from omniocc.report.tables.paper import figure_of, with_spread
 from omniocc.report.tables.protocol import protocol_text
@@ -32,8 +32,12 @@ COLUMNS = {
 
 def tried_chapter(runs: Sequence[FinishedRun], reference: str) -> str:
     """Return the page as Markdown; arguments and errors as those of `tried_cells`."""
-    protocol = protocol_text({run.name: [run] for run in runs}, COLUMNS)
-    return f"## {TITLE}\n\n{NOTE}\n\n{markdown(*tried_cells(runs, reference))}{protocol}"
+    own = [run for run in runs if run.row == reference]
+    otherwise = counted_otherwise(runs, own)
+    kept = [run for run in runs if run.name not in otherwise]
+    left = otherwise_text(runs, otherwise).strip()
+    protocol = protocol_text({run.name: [run] for run in kept}, COLUMNS) + (f"\n{left}\n" if left else "")
+    return f"## {TITLE}\n\n{NOTE}\n\n{markdown(*tried_cells(kept, reference))}{protocol}"
 
 
 def tried_cells(runs: Sequence[FinishedRun], reference: str) -> Cells:
@@ -47,9 +51,8 @@ def tried_cells(runs: Sequence[FinishedRun], reference: str) -> Cells:
         UserError: when no run belongs to that row.
     """
     groups: dict[str, dict[Any, FinishedRun]] = {}
-    for run in sorted(
-        runs, key=lambda run: run.row == reference
-    ):  # of equal runs of a seed, that of the reference counts
+    # of equal runs of a seed, that of the reference counts, and of its own that of `preference`
+    for run in sorted(runs, key=lambda run: (run.row == reference, *preference(run))):
         key = json.dumps([given(run.config), run.facts.get("data")], sort_keys=True)
         groups.setdefault(key, {})[run.facts.get("seed")] = run
     own = [run for members in groups.values() for run in members.values() if run.row == reference]

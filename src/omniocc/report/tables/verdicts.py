@@ -40,8 +40,8 @@ PAIRED_NOTE = (
     "above: a single pair leaves two to four degrees of freedom, with which fewer gaps are found. Where the verdicts "
     "differ, that above depends on its assumption."
 )
-NOT_RUN = "not run"
-ORDER = (HOLDS, AGAINST, UNDECIDED, NOT_RUN)
+NOT_RUN, OTHERWISE = "not run", "not compared: other protocols"
+ORDER = (HOLDS, AGAINST, UNDECIDED, OTHERWISE, NOT_RUN)
 
 
 def verdicts_parts(tables: Sequence[PaperTable], rows: Rows, decided: Mapping[Name, Judged]) -> list[Part]:
@@ -93,7 +93,8 @@ def _line(
     title = title_of(table, better, other)
     if own is None:
         printed = f"{table.printed_gap(better, other):+.3f}"
-        return [title, table.title, printed, "–", "–", NOT_RUN, *["–"] * len(JUDGES), "–"]
+        ran = better.run in rows and other.run in rows
+        return [title, table.title, printed, "–", "–", OTHERWISE if ran else NOT_RUN, *["–"] * len(JUDGES), "–"]
     seeds = " and ".join(str(len(rows[row.run])) for row in (better, other))
     gaps = ["–" if each is None else both_errors(each.claim) for each in found.values()]
     sizes = f"{own.claim.paper:+.3f}", f"{own.claim.size:+.3f}"
