@@ -35,14 +35,18 @@ def checked_name(what: str, name: object) -> str:
     Raises:
         UserError: naming `what` has the name, if it could lead out of its folder, be hidden, or not be written.
     """
-    good = isinstance(name, str) and name.isprintable() and 0 < len(name.encode()) <= NAME_BYTES
-    if good and not set(name) & NOT_IN_NAMES and name.strip() == name and not name.startswith("."):
+    if isinstance(name, str) and _can_be_in_paths(name):
         return name
     shown = repr(name) if len(repr(name)) <= NAME_BYTES else f"{repr(name)[:NAME_BYTES]}..."
     raise UserError(
         f"{what} is {shown}; files are called by it: 1 to {NAME_BYTES} printable characters, none of "
         f"{' '.join(sorted(NOT_IN_NAMES))}, no point first, no space first or last"
     )
+
+
+def _can_be_in_paths(name: str) -> bool:
+    sized = name.isprintable() and 0 < len(name.encode()) <= NAME_BYTES
+    return sized and not set(name) & NOT_IN_NAMES and name.strip() == name and not name.startswith(".")
 
 
 def atomic_write(path: Path, content: bytes | memoryview | str, previous: Path | None = None) -> None:

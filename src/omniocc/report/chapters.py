@@ -44,8 +44,8 @@ RECORDS = (
 )
 TRAINED = (
     "Depth and sketch are trained by the same recipe, for some rows again on another machine "
-    "([protocol](protocol.md#changes)), so that rows can have other networks in the same seed. Learning rates are those "
-    "chosen at the fewest steps. Other tables of the rows with more steps are on pages named `steps_<number>.md`."
+    "([protocol](protocol.md#changes)), so that rows can have other networks in the same seed. Learning rates are "
+    "those chosen at the fewest steps. Other tables of the rows with more steps are on pages named `steps_<number>.md`."
 )
 BESIDE = "Other programs ran on the same machines."
 DISTURBANCES = "What each disturbance is: [What breaks a model](../how_to/robustness.md)."
@@ -185,7 +185,7 @@ def run_list(sweep: Sweep, folder: Path) -> str:
     lines = ["## Runs", ""]
     for run in (run for runs in sweep.rows.values() for run in runs):
         where = path_between(folder, run.folder)
-        command = str(run.facts.get("command", "command not recorded"))
+        command = run.command or "command not recorded"
         lines.append(f"- [{run.name}]({where}/) ([config.yaml]({where}/config.yaml)): `{command}`")
     return "\n".join([*lines, ""])
 

@@ -15,7 +15,7 @@ import yaml
 
 from omniocc.errors import UserError, first_line
 from omniocc.io import YAML, checked_name
-from omniocc.run.folder import METRICS
+from omniocc.run.folder import METRICS, command_of
 from omniocc.run.results import CANDIDATES, load_results, trajectory_figures
 from omniocc.run.scenes import scene_figures
 from omniocc.run.table import class_names
@@ -51,6 +51,11 @@ class FinishedRun(NamedTuple):
     def row(self) -> str:
         """Return its row in the tables: the one whose configuration it has, or the name it was given."""
         return self.same_as or HASH.sub("", self.name)
+
+    @property
+    def command(self) -> str | None:
+        """Return the command that made it, with the packages that it needs; None if it was not recorded."""
+        return command_of(self.facts, self.config)
 
     @property
     def place(self) -> tuple[str, Any]:

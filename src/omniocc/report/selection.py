@@ -43,8 +43,8 @@ def comparable(
 ) -> tuple[list[FinishedRun], str]:
     """Return the runs of one preset, number of steps and dataset, and a remark on them and on what is left out.
 
-    Of several runs of a row with one seed that of `best_of` is taken. Runs whose scores were counted by another protocol
-    than those of most runs on the same grid are left out, so that no table compares them.
+    Of several runs of a row with one seed that of `best_of` is taken. Runs whose scores were counted by another
+    protocol than those of most runs on the same grid are left out, so that no table compares them.
 
     Args:
         runs: finished runs.
@@ -118,11 +118,10 @@ def counted_otherwise(
 
 def otherwise_text(runs: Sequence[FinishedRun], found: Mapping[str, Sequence[str]]) -> str:
     """Return a sentence that names the runs that `counted_otherwise` found, and how they counted; empty without any."""
-    names = [
-        f"{run.name} ({'; '.join(f'{SCORES.get(kind, kind)}: {run.facts[PROTOCOL][kind]}' for kind in found[run.name])})"
-        for run in sorted(runs, key=lambda run: run.name)
-        if run.name in found
-    ]
+    names = []
+    for run in sorted((run for run in runs if run.name in found), key=lambda run: run.name):
+        ways = [f"{SCORES.get(kind, kind)}: {run.facts[PROTOCOL][kind]}" for kind in found[run.name]]
+        names.append(f"{run.name} ({'; '.join(ways)})")
     return f" Left out, since their scores are counted by another protocol: {', '.join(names)}." if names else ""
 
 

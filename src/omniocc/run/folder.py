@@ -13,7 +13,7 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from omniocc.config import own_code
+from omniocc.config import PACKAGES, PACKAGES_VARIABLE, foreign_packages, own_code
 from omniocc.data.store.shard import sha256
 from omniocc.errors import UserError
 from omniocc.io import atomic_write, checked_name
@@ -29,6 +29,8 @@ IMAGES, PARTS = "images", "parts"
 """Folder of the sheets that a run draws, and its subfolder of their parts."""
 VOLATILE = ("resume", "stage", "paths", "packages", "logger", "test_images", "checkpoint_every_n_steps", "plan")
 """Root keys that do not change what a run computes."""
+DECIDING = (PACKAGES_VARIABLE, "OMNIOCC_PRESET")
+"""Environment variables by which the same command composes another configuration."""
 CHANGED, NO_COMMIT = "+", "unknown"
 """End of the commit of a source tree with changes, and what stands for a commit outside a repository."""
 RANK_FOLDER = "OMNIOCC_RUN_FOLDER"
@@ -162,12 +164,28 @@ def _claim(path: Path, fresh: bool) -> tuple[Path, FileLock]:
 
 
 def command_line() -> str:
-    """Return the command that started this process, with paths relative to the working folder."""
+    """Return the command that started this process, with paths relative to the working folder.
+
+    Environment variables that decide what it composes stand before it.
+    """
     script, *arguments = sys.argv
     path = Path(script)
     if path.is_absolute() and path.is_relative_to(Path.cwd()):
         script = str(path.relative_to(Path.cwd()))
-    return shlex.join(["python", script, *arguments])
+    return " ".join([*_assigned(os.environ), shlex.join(["python", script, *arguments])])
+
+
+def command_of(facts: Mapping[str, Any], config: Mapping[str, Any]) -> str | None:
+    """Return the recorded command of a run with the packages that it needs; None if it was not recorded."""
+    command = facts.get("command")
+    given = [*PACKAGES, *(config.get("packages") or ())]
+    if command is None or f"{PACKAGES_VARIABLE}=" in str(command) or not (own := foreign_packages(config, given)):
+        return command
+    return " ".join([*_assigned({PACKAGES_VARIABLE: ",".join(own)}), str(command)])
+
+
+def _assigned(environment: Mapping[str, str]) -> list[str]:
+    return [f"{name}={shlex.quote(environment[name])}" for name in DECIDING if environment.get(name)]
 
 
 def git_commit() -> str:

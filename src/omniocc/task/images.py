@@ -33,9 +33,9 @@ class FrameImages(Callback, ABC):
     """Draw `count` frames spread evenly over the test set, and the first validation frame after each validation.
 
     Of several processes the first draws, which sees its part of the frames.
-    Sheets go to `folder` (`test-00-<scene>-<frame>.png`, and `val-step000999.png` with the step of the curves), parts of
-    test frames' sheets, which the report shows, to its `parts/test-00-<scene>-<frame>/<part>.png`. W&B gets the sheets (`val/<key>`, `test/<key>`)
-    and for test frames also `media` (`test/<key of the medium>`).
+    Sheets go to `folder` (`test-00-<scene>-<frame>.png`, and `val-step000999.png` with the step of the curves), parts
+    of test frames' sheets, which the report shows, to its `parts/test-00-<scene>-<frame>/<part>.png`. W&B gets the
+    sheets (`val/<key>`, `test/<key>`) and for test frames also `media` (`test/<key of the medium>`).
 
     Args:
         count: number of test frames; 0 draws nothing.

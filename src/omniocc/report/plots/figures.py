@@ -35,13 +35,17 @@ STYLE: dict[Any, Any] = {
     "legend.frameon": False,
     "legend.labelcolor": INK,
     "text.color": INK,
-    "text.parse_math": False,
     "xtick.color": INK,
     "ytick.color": INK,
     "svg.fonttype": "none",
     "svg.hashsalt": "omniocc",
 }
 WHISKER = {"ecolor": INK, "elinewidth": 1.0, "capsize": 2.0}
+
+
+def without_math(rows: Mapping[str, Any]) -> dict[str, Any]:
+    """Return rows with names in which matplotlib takes no `$` for the beginning of a formula."""
+    return {row.replace("$", r"\$"): value for row, value in rows.items()}
 
 
 def colors_of(rows: Mapping[str, Any]) -> dict[str, tuple[float, ...]]:

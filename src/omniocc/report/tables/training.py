@@ -32,8 +32,8 @@ CHANGES = (
     "Claims whose two rows have both run with several numbers of steps. Each number of steps is a family of its own "
     "for Holm's correction. A verdict can also differ because one number of steps has more seeds. Therefore the "
     "change of the gap, from the fewest to the most steps, is tested itself: as if the runs of both had no noise in "
-    "common, with Holm's correction over as many claims as a family has. Where scores rise with training, gaps rise with "
-    "them: a change is not yet one in proportion."
+    "common, with Holm's correction over as many claims as a family has. Where scores rise with training, gaps "
+    "rise with them: a change is not yet one in proportion."
 )
 CURVES_TITLE = "Learning curves"
 CURVES = (

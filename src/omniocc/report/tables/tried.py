@@ -16,8 +16,8 @@ from omniocc.run.table import Cells, markdown
 
 TITLE = "Changes that were tried"
 NOTE = (
-    "Scores on validation scenes, mean ± standard deviation over seeds; test scenes were not looked at. A change names "
-    "the settings that differ from the reference."
+    "Scores on validation scenes, mean ± standard deviation over seeds; none is of test scenes. A change names the "
+    "settings that differ from the reference."
 )
 COLUMNS = {
     "val/rayiou": "RayIoU",
