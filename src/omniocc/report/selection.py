@@ -90,7 +90,8 @@ def protocol_of(runs: Sequence[FinishedRun], rows: Collection[str] = ()) -> Mapp
     """
     told = [run for run in runs if run.facts.get(PROTOCOL)]
     ranks = [(run.row in rows, *preference(run)[:2]) for run in told]
-    first = [run for run, rank in zip(told, ranks, strict=True) if rank == max(ranks)]
+    highest = max(ranks, default=())
+    first = [run for run, rank in zip(told, ranks, strict=True) if rank == highest]
     ways = Counter(tuple(sorted(run.facts[PROTOCOL].items())) for run in sorted(first, key=preference, reverse=True))
     return dict(ways.most_common(1)[0][0]) if ways else {}
 
