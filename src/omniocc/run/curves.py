@@ -5,6 +5,8 @@ import io
 import math
 from pathlib import Path
 
+from omniocc.io import check_regular
+
 CURVES = "csv/version_*/metrics.csv"
 """Files of logged metrics in the folder of a run, one for each start."""
 Curve = dict[int, float]
@@ -44,6 +46,7 @@ def curve_files(folder: Path) -> list[Path]:
 
 def read_rows(path: Path) -> list[dict[str, str]]:
     """Return the complete lines of a CSV file that have a step, as texts by key."""
+    check_regular(path)
     whole, end, _ = path.read_text().rpartition("\n")
     rows = csv.DictReader(io.StringIO(whole + end, newline=""))
     return [row for row in rows if (row.get("step") or "").isdigit() and None not in row and None not in row.values()]
