@@ -12,6 +12,7 @@ from omniocc.data import SceneReader
 from omniocc.data.store.files import list_folders
 from omniocc.data.store.shard import META
 from omniocc.errors import UserError
+from omniocc.io import check_regular
 from omniocc.predict.options import load_rig, require
 from omniocc.progress import Progress
 from omniocc.run.script import script
@@ -35,7 +36,7 @@ def main(cfg: DictConfig) -> None:
         raise UserError("give either rig=... or scenes=...; see python src/mask.py --help")
     if cfg.scenes is None:
         rig = load_rig(cfg.rig)
-        pixels = own_car_pixels(rig, car_of(rig) if cfg.car is None else read_obj(Path(cfg.car)))
+        pixels = own_car_pixels(rig, car_of(rig) if cfg.car is None else read_car(Path(cfg.car)))
     else:
         rig, pixels = unlabelled(open_scenes(cfg.scenes))
     masked = masking(rig, grown(pixels, cfg.grow_px))
@@ -50,6 +51,16 @@ def main(cfg: DictConfig) -> None:
     if rig.masks is not None:
         print("the rig was masked already: 'own car' is what is masked now in addition")
     print(f"rig       {output}\nimage     {drawing}")
+
+
+def read_car(path: Path) -> Mesh:
+    """Return the mesh of an OBJ file; raise UserError if a vertex is not within 100 m of the ego origin."""
+    if path.exists():
+        check_regular(path)
+    car = read_obj(path)
+    if not bool((np.abs(car.vertices) < 100).all()):  # false for nan too
+        raise UserError(f"{path}: a vertex is not within 100 m of the ego origin; vertices are in m, in the ego frame")
+    return car
 
 
 def car_of(rig: Rig) -> Mesh:

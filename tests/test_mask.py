@@ -8,9 +8,11 @@ import pytest
 import torch
 from scripts import run_script
 
+from mask import read_car
 from omniocc.camera import Rig
 from omniocc.classes import UNKNOWN
 from omniocc.config import build
+from omniocc.errors import UserError
 from omniocc.world.render.own_car import mask_ego_car
 
 
@@ -34,6 +36,14 @@ def test_a_rig_is_masked_and_drawn(tmp_path):
     assert re.search(r"^rear +own car +1[0-9]\.\d%   usable +8\d\.\d%$", result.stdout, re.M)
     assert rig.masks[rig.names.index("front")] is None
     assert rig.rays(rig.names.index("rear"))[1].sum() < Rig.load("pinhole6").rays(rig.names.index("rear"))[1].sum()
+
+
+@pytest.mark.parametrize("x", ["nan", "inf", "1e6"])
+def test_corners_of_a_car_are_near_the_ego_origin(x, tmp_path):
+    path = tmp_path / "car.obj"
+    path.write_text(f"v 0 0 0\nv 1 0 0\nv {x} 1 0\nf 1 2 3\n")
+    with pytest.raises(UserError, match=r"car\.obj: a vertex is not within 100 m of the ego origin"):
+        read_car(path)
 
 
 def test_the_car_stands_on_the_road_of_the_rig(tmp_path):

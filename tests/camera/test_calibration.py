@@ -291,6 +291,8 @@ def test_calibration_is_saved_as_rig_file(text, load, tmp_path):
         (OCAMCALIB, "5 -1.966560e+02", "6 -1.966560e+02", "polynomial.* 6 coefficients.* 5"),
         (OCAMCALIB, "5 -1.966560e+02", "5 nan", "polynomial is nan"),
         (OCAMCALIB, "\n768 800\n", "", "4 lines.* 5"),
+        (OCAMCALIB, "\n768 800\n", "\n768.7 800\n", r"size is '768\.7 800'; it must be whole numbers"),
+        (OCAMCALIB, "\n768 800\n", "\n768 8e9\n", "more than 150 megapixels are not read"),
         (OCAMCALIB, "-1.966560e+02", "1.966560e+02", r"polynomial\[0\] is 196.656.*negative"),
         (KITTI360, "model_type: MEI", "model_type: SCARAMUZZA", "model_type.*SCARAMUZZA.*MEI"),
         (KITTI360, "   xi: 2.5535139132482758e+00\n", "   x: 0\n", "xi is missing"),

@@ -153,6 +153,8 @@ POSE = "{position_m: [0.9, 0, 0], yaw_deg: 0, pitch_deg: -10, roll_deg: 0}"
     ("old", "new", "message"),
     [
         ("model: equidistant", "model: equidistnat", "equidistnat.*equidistant"),
+        ("model: equidistant", "model: [equidistant]", r"unknown model '\['equidistant'\]'"),
+        ("width: 40", "width: 400000000", "400000000x20 px; images of more than 150 megapixels"),
         ("    model: equidistant\n", "", "neither a model.*equidistant.*nor a calibration"),
         ("focal_px: 12.0", "focal_px: .nan", "focal_px is nan"),
         ("    focal_px: 12.0\n", "", "focal_px is missing"),
@@ -271,3 +273,17 @@ def test_a_mask_is_what_is_not_0_in_any_format(tmp_path):
         file.write_text(GOOD.replace(POSE, f"{POSE}\n    mask: {name}"))
         with pytest.raises(ValueError, match=rf"car\.yaml: camera 'front': mask .*{words}"):
             Rig.load(file)
+
+
+@pytest.mark.parametrize(("name", "read_as"), [("007", "7"), ("on", "True"), ("null", "None"), ("1e3:", None)])
+def test_names_of_cameras_that_yaml_reads_as_something_else_are_refused(name, read_as, tmp_path):
+    file = tmp_path / "rig.yaml"
+    file.write_text(GOOD.replace("front:", f"{name}:"))
+    if read_as is None:
+        with pytest.raises(ValueError, match="the name of a camera"):
+            Rig.load(file)
+        return
+    with pytest.raises(ValueError, match=rf"rig\.yaml: the name of a camera reads as {read_as}; write it in quotes"):
+        Rig.load(file)
+    file.write_text(GOOD.replace("front:", f"'{name}':"))
+    assert Rig.load(file).names[0] == name

@@ -21,6 +21,7 @@ Angles are those of `omniocc.camera.pose.pose_from_angles`. `ego_from_camera` ma
 
 import dataclasses
 import difflib
+import re
 from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
@@ -82,7 +83,9 @@ def read_rig(path: str | PathLike[str], within: Sequence[Path] = ()) -> Calibrat
         if len(entries) > MAX_CAMERAS:
             raise ValueError(f"'cameras' has {len(entries):,} entries; at most {MAX_CAMERAS} are read")
         for name in entries:
-            if not isinstance(name, str) and f"{name}:" not in text:  # YAML reads 007 as 7 and on as True
+            if not isinstance(name, str) and not re.search(
+                rf"(?<![\w.+-]){name}\s*:", text
+            ):  # YAML reads 007 as 7 and on as True
                 raise ValueError(f"the name of a camera reads as {name!r}; write it in quotes")
         names = tuple(checked_name("the name of a camera", str(name)) for name in entries)
         if name := twice(names):

@@ -27,6 +27,8 @@ def read_ocamcalib(text: str, name: str) -> Calibration:
     center = _numbers(LINES[2], lines[2], 2)
     affine = _numbers(LINES[3], lines[3], 3)
     height, width = _numbers(LINES[4], lines[4], 2)
+    if not (height.is_integer() and width.is_integer()):
+        raise ValueError(f"{LINES[4]} is '{' '.join(lines[4])}'; it must be whole numbers of pixels")
     center_px = (center[1], center[0])
     return single(OCam(int(width), int(height), center_px, polynomial, inverse, tuple(affine), 180.0), name)
 
