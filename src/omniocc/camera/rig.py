@@ -15,6 +15,7 @@ from omniocc.camera.ops.pixels import pixel_centers, usable
 from omniocc.camera.pose import check_rigid, invert_pose
 from omniocc.camera.protocol import Camera
 from omniocc.camera.rig_file import Calibration, read_rig, write_rig
+from omniocc.images import MOST_PIXELS
 from omniocc.io import checked_name
 
 
@@ -56,6 +57,9 @@ class Rig:
             raise ValueError(f"road_z_m is {self.road_z_m}; it must be below 0, in metres: the road is below the rig")
         for index, (name, camera, mask) in enumerate(zip(self.names, self.cameras, self.each_mask, strict=True)):
             check_rigid(self.ego_from_camera[index], f"camera '{name}'")
+            if camera.width * camera.height > MOST_PIXELS:
+                size, most = f"{camera.width}x{camera.height} px", f"{MOST_PIXELS // 10**6} megapixels"
+                raise ValueError(f"camera '{name}' has {size}; images of more than {most} are not read")
             if mask is not None and mask.shape != (camera.height, camera.width):
                 size = f"{mask.shape[1]}x{mask.shape[0]}"
                 raise ValueError(

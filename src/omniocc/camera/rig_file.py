@@ -82,10 +82,8 @@ def read_rig(path: str | PathLike[str], within: Sequence[Path] = ()) -> Calibrat
         entries = mapping(content["cameras"], "'cameras'")
         if len(entries) > MAX_CAMERAS:
             raise ValueError(f"'cameras' has {len(entries):,} entries; at most {MAX_CAMERAS} are read")
-        for name in entries:
-            if not isinstance(name, str) and not re.search(
-                rf"(?<![\w.+-]){name}\s*:", text
-            ):  # YAML reads 007 as 7 and on as True
+        for name in entries:  # YAML reads 007 as 7 and on as True
+            if not isinstance(name, str) and not re.search(rf"(?<![\w.+-]){name}\s*:", text):
                 raise ValueError(f"the name of a camera reads as {name!r}; write it in quotes")
         names = tuple(checked_name("the name of a camera", str(name)) for name in entries)
         if name := twice(names):
