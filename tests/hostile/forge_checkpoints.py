@@ -16,7 +16,7 @@ from typing import Any
 import torch
 from mutate import BROKEN, DAMAGED
 from safetensors.torch import save
-from sandbox import Box, Case, Opening
+from sandbox import Box, Case, Opening, some
 
 from omniocc.run.weights import FORMAT, digest_of
 
@@ -31,6 +31,8 @@ BUILT = {
     "view": ("model", "loss", "data"), "export": ("model", "data"), "weights": (), "resume": (),
 }  # fmt: skip
 """Parts of a checkpoint's configuration that a command builds."""
+COMMANDS = 3
+"""Commands that open a hostile checkpoint, drawn at random: all of them read it by the same function."""
 Tree = dict[str, Any]
 
 
@@ -44,7 +46,11 @@ def commands(box: Box, path: Path) -> dict[str, tuple[str, ...]]:
     """Return every command that opens a checkpoint, by name."""
     images, out, base = f"images={box.base / 'frame'}", f"output={box.out / 'result'}", box.base
     rig = f"rig={base / 'rig.yaml'}"
-    data = ("data=recorded", f"data.source.root={base / 'scenes'}", "data.source.splits={train:[test-*],val:[],test:[]}")
+    data = (
+        "data=recorded",
+        f"data.source.root={base / 'scenes'}",
+        "data.source.splits={train:[test-*],val:[],test:[]}",
+    )
     paths = (f"paths.runs={box.out / 'runs'}", f"paths.data={box.out / 'data'}", f"data.source.cache={box.out / 'c'}")
     train = ("train.py", "preset=smoke", *data, *paths, "logger.mode=disabled")
     return {
@@ -316,7 +322,9 @@ def value_cases(rng: random.Random) -> Iterator[Case]:
 
 def _changed(tensors: Mapping[str, torch.Tensor], change: Callable[[torch.Tensor], torch.Tensor]) -> Tree:
     """Return weights whose largest floating tensor is changed."""
-    largest = max((name for name in tensors if tensors[name].is_floating_point()), key=lambda name: tensors[name].numel())
+    largest = max(
+        (name for name in tensors if tensors[name].is_floating_point()), key=lambda name: tensors[name].numel()
+    )
     return {**tensors, largest: change(tensors[largest])}
 
 
@@ -536,8 +544,11 @@ def control_cases() -> Iterator[Case]:
 
 
 def cases(seed: int) -> list[Case]:
-    """Return all cases of a seed."""
+    """Return all cases of a seed; a hostile file is opened by some of the commands."""
     rng = random.Random(f"{KIND} {seed}")
-    return [
-        *control_cases(), *config_cases(rng), *value_cases(rng), *tensor_cases(rng), *file_cases(rng),
-    ]  # fmt: skip
+    found = [*config_cases(rng), *value_cases(rng), *tensor_cases(rng), *file_cases(rng)]
+    return [*control_cases(), *(_less(case, rng.random()) for case in found)]
+
+
+def _less(case: Case, seed: float) -> Case:
+    return case._replace(make=lambda box: some(case.make(box), COMMANDS, random.Random(seed)))

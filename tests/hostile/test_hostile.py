@@ -1,8 +1,8 @@
 """Open hostile files of every kind by every command that reads them; `make test-hostile`, HOSTILE_SEED=0.
 
 A command must refuse such a file in one error that names it, or read what is right in it. It must not run code, write
-outside its folder, end with a traceback, hang, take all memory, or succeed with a wrong value. A test is a file; its name
-is the mutation.
+outside its folder, end with a traceback, hang, take all memory, or succeed with a wrong value. A test is a file; its
+name is the mutation.
 """
 
 import importlib
@@ -16,7 +16,7 @@ import pytest
 from sandbox import Box, Case
 
 SEED = int(os.environ.get("HOSTILE_SEED", "0"))
-FORGES = ("forge_checkpoints",)
+FORGES = ("forge_checkpoints", "forge_rigs", "forge_poses", "forge_clouds", "forge_scenes", "forge_datasets")
 CASES: list[Case] = [case for name in FORGES for case in importlib.import_module(name).cases(SEED)]
 pytestmark = pytest.mark.hostile
 
