@@ -12,7 +12,11 @@ from filelock import FileLock
 from scripts import run_script
 
 HERE = Path(__file__).parent
-sys.path[:0] = [str(HERE), str(HERE.parent / "record")]  # the modules beside; log_files
+sys.path[:0] = [
+    str(HERE),
+    str(HERE.parent / "record"),
+    str(HERE.parent / "report"),
+]  # the modules beside; log_files; fake_sweep
 
 COUNTED: dict[str, list[int]] = {}
 """Files, openings and files with a fault of every kind, in the process that reports."""
@@ -21,6 +25,7 @@ COUNTED: dict[str, list[int]] = {}
 @pytest.fixture(scope="session")
 def base(shared_folder, smoke, spec) -> Path:
     """Return the folder of sound files, which is made once: scenes, a checkpoint, a rig, images of a frame."""
+    from fake_sweep import write_sweep
     from forge_datasets import write_all
     from made_scenes import SCENES, write_scene
 
@@ -49,6 +54,7 @@ def base(shared_folder, smoke, spec) -> Path:
         torch.save(content, folder / "run" / "best.ckpt")
         write_logs(folder)
         write_all(folder / "datasets")
+        write_sweep(folder)
         run = ("predict.py", "occupancy", f"checkpoint={folder / 'run' / 'best.ckpt'}", f"rig={folder / 'rig.yaml'}")
         sequence = f"images={folder / 'sequence'}", f"poses={folder / 'sequence' / 'poses.csv'}"
         succeed(*run, *sequence, f"output={folder / 'answer'}", "overview=false", "mesh=false")

@@ -128,7 +128,7 @@ def nodes(box: Box, path: Path) -> dict[str, Any]:
         "torch.serialization": call("torch.serialization.load", str(evil.with_suffix(".pt")), weights_only=False),
         "torch.save": call("torch.save", {}, mark), "torch.jit": call("torch.jit.load", str(evil.with_suffix(".pt"))),
         "torch.utils.download": call("torch.hub.download_url_to_file", evil.as_uri(), mark),
-        "cpp-extension": call("torch.utils.cpp_extension.load_inline", name="evil", cpp_sources="", build_directory=mark),
+        "cpp-extension": call("torch.utils.cpp_extension.load_inline", name="evil", cpp_sources=""),
         "trainer": call("lightning.pytorch.Trainer", default_root_dir=mark, logger=False),
         "csv-logger": call("lightning.pytorch.loggers.CSVLogger", mark),
         "wandb-logger": call("lightning.pytorch.loggers.WandbLogger", save_dir=mark, offline=True),
@@ -154,8 +154,8 @@ def nodes(box: Box, path: Path) -> dict[str, Any]:
             "_target_": "omniocc.data.store.files.Files",
             "folder": f"filecache::{evil.as_uri()}?cache_storage={mark}",
         },
-        "files-object": {"_target_": "omniocc.data.store.files.Files", "folder": f"simplecache::{box.given.as_uri()}"},
-        "loggers": {"_target_": "omniocc.run.wandb.Loggers", "project": "x", "group": "x", "mode": "online", "tags": []},
+        "files-object": call("omniocc.data.store.files.Files", folder=f"simplecache::{box.given.as_uri()}"),
+        "loggers": call("omniocc.run.wandb.Loggers", project="x", group="x", mode="online", tags=[]),
         "curves": {"_target_": "omniocc.run.wandb.loggers.WandbCurves", "save_dir": mark},
         "carla": {"_target_": "omniocc.record.carla.recorder.CarlaRecorder", "restart": shell, "python": str(evil)},
         "log-files": {"_target_": "omniocc.record.files.LogFiles", "name": "train-0", "log": str(box.given)},
@@ -313,9 +313,10 @@ def value_cases(rng: random.Random) -> Iterator[Case]:
         suffix = rng.choice((".ckpt", ".safetensors"))
         case = of_config(name, place, lambda box, path, value=value: value(box), suffix)
 
-        def make(box: Box, case: Case = case, refused: bool = refused) -> list[Opening]:
+        def make(box: Box, case: Case = case, refused: bool = refused, value: Any = value) -> list[Opening]:
             found = list(case.make(box))
-            return found if refused else [Opening(one.command, "either", (*one.names, "a\\x00b")) for one in found]
+            named = (*found[0].names, str(value(box)), repr(value(box)))  # a path that is not there is named instead
+            return found if refused else [Opening(one.command, "either", named) for one in found]
 
         yield Case(KIND, case.name, make)
 
@@ -383,7 +384,7 @@ SAFETENSORS: dict[str, Callable[[Path, Path], Any]] = {
         path, json.dumps({"a": {"dtype": "F32", "shape": [2**40], "data_offsets": [0, 2**42]}}).encode()
     ),
     "shape-overflows": lambda path, base: _header(
-        path, json.dumps({"a": {"dtype": "F32", "shape": [2**63, 2**63], "data_offsets": [0, 4]}}).encode(), None, b"0000"
+        path, json.dumps({"a": {"dtype": "F32", "shape": [2**63] * 2, "data_offsets": [0, 4]}}).encode(), None, b"0000"
     ),
     "header-doubled-keys": lambda path, base: _header(path, b'{"__metadata__":{"a":"b"},"__metadata__":{"a":"c"}}'),
     "header-not-utf8": lambda path, base: _header(path, b'{"__metadata__":{"\xff":"\xfe"}}'),
@@ -394,7 +395,7 @@ SAFETENSORS: dict[str, Callable[[Path, Path], Any]] = {
     "metadata-a-number": lambda path, base: write_weights(path, "NaN", _weights(base)),
     "metadata-deep-lists": lambda path, base: write_weights(path, "[" * 200_000, _weights(base)),
     "metadata-deep-mappings": lambda path, base: write_weights(
-        path, json.dumps(_about(base, config=0)).replace('"config": 0', '"config": ' + '{"a":' * 9000 + "1" + "}" * 9000),
+        path, json.dumps(_about(base, config=0)).replace(": 0,", ": " + '{"a":' * 9000 + "1" + "}" * 9000 + ",", 1),
         _weights(base),
     ),
     "metadata-without-hash": lambda path, base: write_weights(
@@ -511,7 +512,8 @@ def file_cases(rng: random.Random) -> Iterator[Case]:
             forge(path, box)
             if name == "old-format":
                 return openings(box, path, "", only=("depth", "occupancy"))
-            return openings(box, path, only=("depth", "occupancy", "evaluate", "view", "export", "weights", "resume"))
+            only = ("depth", "occupancy", "evaluate", "view", "export", "resume")  # a plan loads no weights
+            return openings(box, path, only=only if name.startswith("weights") else (*only, "weights"))
 
         yield Case(KIND, f"{name}.ckpt", make_pickle)
     for name, mutation in (BROKEN | DAMAGED).items():

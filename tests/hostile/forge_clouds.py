@@ -193,10 +193,8 @@ SPECIFIC: dict[str, tuple[str, str, Callable[[Path, Box], Any]]] = {
     "npy-sound": ("npy", "either", lambda path, box: None), "npy-pickle": ("npy", "refused", _pickled),
     "npy-of-text": ("npy", "refused", lambda path, box: np.save(path, np.array(["a"]))),
     "npy-flat": ("npy", "refused", lambda path, box: np.save(path, np.ones(30, np.float32))),
-    "bin-float64": ("bin", "refused", lambda path, box: path.write_bytes(np.random.default_rng(0).normal(0, 9, 24000).tobytes())),
-    "bin-big-endian": (
-        "bin", "refused", lambda path, box: path.write_bytes(np.fromfile(path, "<f4").astype(">f4").tobytes())
-    ),
+    "bin-float64": ("bin", "refused", lambda path, box: np.fromfile(path, "<f4").astype("<f8").tofile(path)),
+    "bin-big-endian": ("bin", "refused", lambda path, box: np.fromfile(path, "<f4").astype(">f4").tofile(path)),
     "bin-five-columns": (
         "bin", "refused", lambda path, box: np.c_[_points(path)[0], np.ones((6000, 2))].astype("<f4").tofile(path)
     ),

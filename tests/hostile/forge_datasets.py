@@ -18,24 +18,24 @@ from rival_files import write_fisheye3dod, write_h3o, write_parkocc, write_quado
 from sandbox import Box, Case, Opening
 
 KIND = "dataset files"
-SAME = "{{train:[{0}],val:[{0}],test:[{0}]}}"
+FIRST = "sequences={train:['00'],val:['00'],test:['00']}"
 SOURCES: dict[str, tuple[Callable[[Path], Any], tuple[str, ...]]] = {
     "occ3d_nuscenes": (
         lambda root: write_nuscenes(root, frames=1, version="v1.0-mini"), ("version=v1.0-mini", "val_every=2")
     ),
     "semantic_kitti": (
-        lambda root: write_semantic_kitti(root, ("00",), frames=1), (f"sequences={SAME.format(chr(39) + '00' + chr(39))}",)
+        lambda root: write_semantic_kitti(root, ("00",), frames=1), (FIRST,)
     ),
-    "sscbench_kitti360": (lambda root: write_sscbench(root, ("00",), frames=1), ("sequences={train:['00'],val:['00'],test:['00']}",)),
+    "sscbench_kitti360": (lambda root: write_sscbench(root, ("00",), frames=1), (FIRST,)),
     "kitti360": (
         lambda root: write_kitti360(root, ("00",), frames=3),
-        ("sequences={train:['00'],val:['00'],test:['00']}", "frame_step=2", "accumulate=1"),
+        (FIRST, "frame_step=2", "accumulate=1"),
     ),
     "carlasc": (lambda root: write_carlasc(root, frames=2), ()),
     "woodscape": (lambda root: write_woodscape(root, images=6), ("fractions={train:0.34,val:0.33,test:0.33}",)),
     "parkocc": (lambda root: write_parkocc(root, frames=(9,)), ()),
     "h3o": (lambda root: write_h3o(root, frames=1), ()),
-    "quadocc": (lambda root: write_quadocc(root, ("a", "b", "c"), frames=1), ("sequences={train:[a],val:[b],test:[c]}",)),
+    "quadocc": (lambda root: write_quadocc(root, frames=1), ("sequences={train:[a],val:[b],test:[c]}",)),
     "fisheye3dod": (
         lambda root: write_fisheye3dod(root, frames=2),
         ("towns={train:[Town01],val:[Town02],test:[Town03]}", "accumulate=1"),
@@ -121,6 +121,10 @@ def _text(change: Callable[[str], str]) -> Callable[[Path, Box], None]:
 def _write(path: Path, content: bytes) -> None:
     path.unlink()
     path.write_bytes(content)
+
+
+def _bytes(old: bytes, new: bytes) -> Callable[[Path, Box], None]:
+    return lambda path, box: _write(path, path.read_bytes().replace(old, new))
 
 
 def _first_number(new: str) -> Callable[[str], str]:
@@ -214,7 +218,8 @@ def _yaml_code(path: Path, box: Box) -> None:
 LAUGHS = "a0: &a0 [x, x]\n" + "".join(f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]\n" for k in range(1, 12))
 SPECIFIC: dict[str, dict[str, tuple[str, Callable[[Path, Box], None]]]] = {
     ".txt": {
-        "number-nan": ("refused", _text(_first_number("nan"))), "number-infinite": ("refused", _text(_first_number("inf"))),
+        "number-nan": ("refused", _text(_first_number("nan"))),
+        "number-infinite": ("refused", _text(_first_number("inf"))),
         "number-overflows": ("refused", _text(_first_number("1e400"))),
         "number-a-word": ("refused", _text(_first_number("left"))),
         "number-with-underscore": ("refused", _text(_first_number("1_0"))),
@@ -240,7 +245,8 @@ SPECIFIC: dict[str, dict[str, tuple[str, Callable[[Path, Box], None]]]] = {
         "python-object": ("refused", _yaml_code),
         "billion-laughs": ("refused", lambda path, box: _write(path, LAUGHS.encode())),
         "deep": ("refused", lambda path, box: _write(path, b"[" * 20_000)),
-        "number-nan": ("refused", _text(_first_number(".nan"))), "a-list": ("refused", lambda path, box: _write(path, b"[1]")),
+        "number-nan": ("refused", _text(_first_number(".nan"))),
+        "a-list": ("refused", lambda path, box: _write(path, b"[1]")),
         "a-number": ("refused", lambda path, box: _write(path, b"7")),
         "twice": ("refused", _text(lambda text: text + "\n" + text.partition("---\n")[2])),
     },
@@ -276,8 +282,8 @@ SPECIFIC: dict[str, dict[str, tuple[str, Callable[[Path, Box], None]]]] = {
     },
     ".invalid": {"ones": ("either", lambda path, box: _write(path, b"\xff" * path.stat().st_size))},
     ".pcd": {
-        "points-huge": ("refused", lambda path, box: _write(path, path.read_bytes().replace(b"POINTS ", b"POINTS 99999999"))),
-        "twice-x": ("refused", lambda path, box: _write(path, path.read_bytes().replace(b"x y z", b"x x z"))),
+        "points-huge": ("refused", _bytes(b"POINTS ", b"POINTS 99999999")),
+        "twice-x": ("refused", _bytes(b"x y z", b"x x z")),
     },
     ".png": {
         "of-gigabytes": ("refused", _png_of_gigabytes), "one-pixel": ("refused", _image(lambda image: image[:1, :1])),
@@ -308,8 +314,8 @@ def cases(seed: int) -> list[Case]:
             suffix = Path(file).suffix
             general = [*rng.sample(sorted(BROKEN), PER_FILE - 1), rng.choice(sorted(DAMAGED))]
             own = SPECIFIC.get(suffix, {})
-            for name in (*general, *rng.sample(sorted(own), min(PER_FILE, len(own)))):
-                found.append(_case(source, file, name, rng.random()))
+            names = (*general, *rng.sample(sorted(own), min(PER_FILE, len(own))))
+            found += [_case(source, file, name, rng.random()) for name in names]
     return found
 
 

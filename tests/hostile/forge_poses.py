@@ -31,30 +31,49 @@ def _cell(number: int, column: int, value: str) -> Change:
 
 
 RIGHT: dict[str, Change] = {
-    "sound": lambda lines: lines, "no-header": lambda lines: lines[1:],
-    "byte-order-mark": _line(0, lambda line: f"\ufeff{line}"), "comments": lambda lines: ["# of a car", *lines, "# end"],
-    "carriage-returns": lambda lines: [f"{line}\r" for line in lines], "blank-lines": lambda lines: [*lines, "", "  ", ""],
+    "sound": lambda lines: lines,
+    "no-header": lambda lines: lines[1:],
+    "byte-order-mark": _line(0, lambda line: f"\ufeff{line}"),
+    "comments": lambda lines: ["# of a car", *lines, "# end"],
+    "carriage-returns": lambda lines: [f"{line}\r" for line in lines],
+    "blank-lines": lambda lines: [*lines, "", "  ", ""],
     "quoted": _line(1, lambda line: ",".join(f'"{cell}"' for cell in line.split(","))),
     "spaces": lambda lines: [line.replace(",", " , ") for line in lines],
     "other-order": lambda lines: [lines[0], *lines[:0:-1]],
     "frames-added": lambda lines: [*lines, f"9{lines[-1]}"],
-}  # fmt: skip
+}
 """Changes that leave the poses as they are."""
 WRONG: dict[str, Change] = {
-    "cell-nan": _cell(2, 4, "nan"), "cell-infinite": _cell(2, 4, "inf"), "cell-overflows": _cell(2, 4, "1e400"),
-    "cell-empty": _cell(2, 4, ""), "cell-text": _cell(2, 4, "left"), "cell-hexadecimal": _cell(2, 4, "0x10"),
-    "cell-with-underscore": _cell(2, 4, "1_0"), "cell-of-other-digits": _cell(2, 4, "١٢"),
-    "cell-turns": _cell(2, 1, "7.5"), "cell-far": _cell(2, 4, "1e300"), "cell-decimal-comma": _cell(2, 4, "1,5"),
-    "cell-of-a-megabyte": _cell(2, 4, "1" * 2**20), "cell-of-5000-digits": _cell(2, 4, "1" * 5000),
-    "mirrored": _line(2, lambda line: ",".join([line.split(",")[0], *["1", "0", "0", "0", "0", "1", "0", "0", "0", "0", "-1", "0", "0", "0", "0", "1"]])),
-    "last-row": _line(2, lambda line: line.rsplit(",", 1)[0] + ",2"), "frame-twice": lambda lines: [*lines, lines[2]],
+    "cell-nan": _cell(2, 4, "nan"),
+    "cell-infinite": _cell(2, 4, "inf"),
+    "cell-overflows": _cell(2, 4, "1e400"),
+    "cell-empty": _cell(2, 4, ""),
+    "cell-text": _cell(2, 4, "left"),
+    "cell-hexadecimal": _cell(2, 4, "0x10"),
+    "cell-with-underscore": _cell(2, 4, "1_0"),
+    "cell-of-other-digits": _cell(2, 4, "١٢"),
+    "cell-turns": _cell(2, 1, "7.5"),
+    "cell-far": _cell(2, 4, "1e300"),
+    "cell-decimal-comma": _cell(2, 4, "1,5"),
+    "cell-of-a-megabyte": _cell(2, 4, "1" * 2**20),
+    "cell-of-5000-digits": _cell(2, 4, "1" * 5000),
+    "mirrored": _line(
+        2,
+        lambda line: ",".join(
+            [line.split(",")[0], *["1", "0", "0", "0", "0", "1", "0", "0", "0", "0", "-1", "0", "0", "0", "0", "1"]]
+        ),
+    ),
+    "last-row": _line(2, lambda line: line.rsplit(",", 1)[0] + ",2"),
+    "frame-twice": lambda lines: [*lines, lines[2]],
     "frame-left-out": lambda lines: [line for place, line in enumerate(lines) if place != 2],
-    "header-alone": lambda lines: lines[:1], "semicolons": lambda lines: [line.replace(",", ";") for line in lines],
-    "quote-unclosed": _line(2, lambda line: f'"{line}'), "nul": _line(2, lambda line: f"{line[:20]}\0{line[20:]}"),
+    "header-alone": lambda lines: lines[:1],
+    "semicolons": lambda lines: [line.replace(",", ";") for line in lines],
+    "quote-unclosed": _line(2, lambda line: f'"{line}'),
+    "nul": _line(2, lambda line: f"{line[:20]}\0{line[20:]}"),
     "quaternion-of-nothing": _line(2, lambda line: line.split(",")[0] + ",1,2,3,0,0,0,0"),
     "quaternion-long": _line(2, lambda line: line.split(",")[0] + ",1,2,3,2,0,0,0"),
     "six-numbers": _line(2, lambda line: line.split(",")[0] + ",1,2,3,1,0,0"),
-}  # fmt: skip
+}
 """Changes that leave a pose without a meaning."""
 
 

@@ -168,15 +168,29 @@ TEXTS: dict[str, tuple[str, str, str, str, Callable | None]] = {
     "mask-a-list": ("rig", "mask: front.png", "mask: [front.png]", "refused", None),
     "mask-nul": ("rig", "mask: front.png", 'mask: "a\\0b"', "refused", None),
     "calibration-itself": (
-        "rig", RIG[RIG.index("    model") : RIG.index("    ego_from")], "    calibration: rig.yaml\n", "refused", None
+        "rig",
+        RIG[RIG.index("    model") : RIG.index("    ego_from")],
+        "    calibration: rig.yaml\n",
+        "refused",
+        None,
     ),
     "calibration-device": (
-        "rig", RIG[RIG.index("    model") : RIG.index("    ego_from")], "    calibration: /dev/zero\n", "refused", None
+        "rig",
+        RIG[RIG.index("    model") : RIG.index("    ego_from")],
+        "    calibration: /dev/zero\n",
+        "refused",
+        None,
     ),
     "cameras-empty": ("rig", RIG[RIG.index("cameras:") :], "cameras: {}\n", "refused", None),
     "cameras-a-text": ("rig", RIG[RIG.index("cameras:") :], "cameras: front\n", "refused", None),
     "cameras-of-null": ("rig", RIG[RIG.index("cameras:") :], "cameras: {front: , rear: }\n", "refused", None),
-    "python-object": ("rig", "road_z_m: -2.2", "road_z_m: !!python/object/apply:os.system ['{touch}']", "refused", None),
+    "python-object": (
+        "rig",
+        "road_z_m: -2.2",
+        "road_z_m: !!python/object/apply:os.system ['{touch}']",
+        "refused",
+        None,
+    ),
     "python-name": ("rig", "road_z_m: -2.2", "road_z_m: !!python/name:os.system ''", "refused", None),
     "binary-tag": ("rig", "road_z_m: -2.2", "road_z_m: !!binary LTIuMg==", "refused", None),
     "set-tag": ("rig", "center_px: [31.5, 17.5]", "center_px: !!set {31.5, 17.5}", "refused", None),
@@ -184,7 +198,13 @@ TEXTS: dict[str, tuple[str, str, str, str, Callable | None]] = {
     "billion-laughs": ("rig", "road_z_m: -2.2\n", f"a0: &a0 [x, x]\n{LAUGHS}road_z_m: *a11\n", "refused", None),
     "deep-yaml": ("rig", "center_px: [31.5, 17.5]", f"center_px: {'[' * 5000}{']' * 5000}", "refused", None),
     "two-documents": ("rig", "  rear:\n", "---\n  rear:\n", "refused", None),
-    "merge-key": ("rig", "    mask: front.png\n", "    mask: front.png\n    <<: {width: 32}\n", "either", saved(width=64)),
+    "merge-key": (
+        "rig",
+        "    mask: front.png\n",
+        "    mask: front.png\n    <<: {width: 32}\n",
+        "either",
+        saved(width=64),
+    ),
     "byte-order-mark": ("rig", "road_z_m", "\ufeffroad_z_m", "either", saved(64, BOTH)),
     "carriage-returns": ("rig", "\n", "\r\n", "either", saved(64, BOTH)),
     "tabs": ("rig", "    width: 64", "\twidth: 64", "refused", None),
@@ -209,7 +229,11 @@ TEXTS: dict[str, tuple[str, str, str, str, Callable | None]] = {
     "ocam-count-wrong": ("ocamcalib", "5 -1.966560e+02", "9 -1.966560e+02", "refused", None),
     "ocam-count-nan": ("ocamcalib", "5 -1.966560e+02", "nan -1.966560e+02", "refused", None),
     "ocam-polynomial-of-nothing": (
-        "ocamcalib", "5 -1.966560e+02 0.000000e+00 3.053428e-03 -9.784996e-06 2.278718e-08", "1 0.0", "refused", None
+        "ocamcalib",
+        "5 -1.966560e+02 0.000000e+00 3.053428e-03 -9.784996e-06 2.278718e-08",
+        "1 0.0",
+        "refused",
+        None,
     ),
     "ocam-center-nan": ("ocamcalib", "383.000000 399.000000", "nan 399.0", "refused", None),
     "ocam-size-fraction": ("ocamcalib", "768 800", "768.7 800.2", "refused", None),
@@ -229,7 +253,7 @@ TEXTS: dict[str, tuple[str, str, str, str, Callable | None]] = {
     "omnimvs-pose-nan": ("omnimvs", "pose: [0.0, 0.0, 0.0,", "pose: [.nan, 0.0, 0.0,", "refused", None),
     "omnimvs-pose-huge": ("omnimvs", "pose: [0.0, 0.0, 0.0,", "pose: [1e300, 0.0, 0.0,", "refused", None),
     "omnimvs-angle-nan": ("omnimvs", "max_fov: 220.0\n", "max_fov: .nan\n", "refused", None),
-}  # fmt: skip
+}
 """Changes of sound texts. YAML reads 0100, yes, 1:04 and names such as on as something else than is written."""
 MESHES = {
     "faces-beyond": CAR + "f 1 2 99\n", "faces-nothing": CAR + "f 0 1 2\n", "faces-far-below": CAR + "f -9 -8 -7\n",

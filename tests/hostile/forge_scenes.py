@@ -43,7 +43,7 @@ def openings(box: Box, names: tuple[str, ...], expect: str, seed: float) -> list
         ("mask.py", f"scenes={root}", f"{out}.yaml"),
         ("report.py", "--datasets", str(root)),
         ("train.py", *own, "plan=true", f"paths.runs={box.out / 'runs'}", f"paths.data={box.out / 'data'}"),
-        ("evaluate.py", checkpoint, data, f"data.source.cache={box.out / 'cache'}", "--output", str(box.out / "result")),
+        ("evaluate.py", checkpoint, data, own[3], "--output", str(box.out / "result")),
     ]  # fmt: skip
     # a folder whose meta.json is no file is no scene, which several commands pass over
     names = (*names, SCENE, "no recorded scenes", str(root))
@@ -193,13 +193,19 @@ SEALED: dict[str, tuple[str, Callable[[Path], None]]] = {
     "schema-missing": ("refused", of_meta(lambda meta: meta.pop("schema"))),
     "files-missing": ("refused", of_meta(lambda meta: meta.pop("files"))),
     "files-a-list": ("refused", of_meta(_put("files", value=[1]))),
-    "files-outward": ("refused", of_meta(_put("files", "../../../neighbour/notes.txt", value={"size": 1, "sha256": "0"}))),
+    "files-outward": (
+        "refused",
+        of_meta(_put("files", "../../../neighbour/notes.txt", value={"size": 1, "sha256": "0"})),
+    ),
     "facts-missing": ("refused", of_meta(lambda meta: meta.pop("facts"))),
     "spec-missing": ("refused", of_meta(lambda meta: meta["facts"].pop("spec"))),
     "spec-a-text": ("refused", of_meta(_put("facts", "spec", value="virtual"))),
     "classes-a-list": ("refused", of_meta(_put("facts", "spec", "classes", value=[1, 2]))),
     "classes-few": ("refused", of_meta(lambda meta: meta["facts"]["spec"]["classes"].pop("3"))),
-    "class-id-huge": ("refused", of_meta(_put("facts", "spec", "classes", "999999999", value={"name": "a", "rgb": [1, 1, 1]}))),
+    "class-id-huge": (
+        "refused",
+        of_meta(_put("facts", "spec", "classes", "999999999", value={"name": "a", "rgb": [1, 1, 1]})),
+    ),
     "class-id-text": ("refused", of_meta(_put("facts", "spec", "classes", "a", value={"name": "a", "rgb": [1, 1, 1]}))),
     "class-name-a-number": ("refused", of_meta(_put("facts", "spec", "classes", "1", "name", value=7))),
     "class-name-twice": ("refused", of_meta(_put("facts", "spec", "classes", "1", "name", value="Wall"))),
@@ -262,21 +268,41 @@ SEALED: dict[str, tuple[str, Callable[[Path], None]]] = {
     "points-bomb": ("refused", of_blob(POINTS, _zeros_of_gigabytes)),
     "points-odd": ("refused", of_blob(POINTS, lambda blob: zstandard.ZstdCompressor().compress(bytes(10)))),
     "points-unknown-class": (
-        "refused", of_blob(POINTS, lambda blob: zstandard.ZstdCompressor().compress(bytes(60) + b"\xc8" * 10))
+        "refused",
+        of_blob(POINTS, lambda blob: zstandard.ZstdCompressor().compress(bytes(60) + b"\xc8" * 10)),
     ),
     "points-none": ("either", of_blob(POINTS, lambda blob: zstandard.ZstdCompressor().compress(b""))),
     "lidar-few": ("refused", of_blob(LIDAR, lambda blob: zstandard.ZstdCompressor().compress(bytes(9)))),
     "lidar-unknown-class": (
-        "refused", of_blob(LIDAR, lambda blob: zstandard.ZstdCompressor().compress(b"\x01" * 28080 + b"\xc8" * 14040))
+        "refused",
+        of_blob(LIDAR, lambda blob: zstandard.ZstdCompressor().compress(b"\x01" * 28080 + b"\xc8" * 14040)),
     ),
     "frame-no-json": ("either", of_blob(FACTS, lambda blob: b"{")),
     "frame-deep": ("either", of_blob(FACTS, lambda blob: b"[" * 100_000)),
     "boxes-a-number": ("either", of_blob(FACTS, _facts(_put("boxes", value=7)))),
     "boxes-of-nothing": ("either", of_blob(FACTS, _facts(_put("boxes", value=[{}])))),
-    "boxes-nan": ("either", of_blob(FACTS, _facts(_put("boxes", value=[
-        {"id": 1, "label": 7, "center_m": [float("nan")] * 3, "size_m": [1, 1, 1], "yaw_rad": 0, "velocity_mps": [0, 0, 0]}
-    ])))),
-}  # fmt: skip
+    "boxes-nan": (
+        "either",
+        of_blob(
+            FACTS,
+            _facts(
+                _put(
+                    "boxes",
+                    value=[
+                        {
+                            "id": 1,
+                            "label": 7,
+                            "center_m": [float("nan")] * 3,
+                            "size_m": [1, 1, 1],
+                            "yaw_rad": 0,
+                            "velocity_mps": [0, 0, 0],
+                        }
+                    ],
+                )
+            ),
+        ),
+    ),
+}
 """What the check must say, and the change; checksums are right, as a hostile writer would have them."""
 TEXTS = {
     "meta-deep": (META, b'{"a":' * 100_000), "meta-a-list": (META, b"[]"), "meta-number": (META, b"NaN"),

@@ -7,6 +7,7 @@ a file leaves something in `marks`.
 
 import os
 import random
+import re
 import stat
 import subprocess
 from collections.abc import Callable, Iterable, Sequence
@@ -35,13 +36,16 @@ class Opening:
         expect: `refused`: it must end with an error; `right`: it must succeed; `either`.
         names: texts of which the error must hold one; empty: the base names of the file.
         check: returns what is wrong with the result of a success, given the folder of output and what was printed.
+        stop_when: returns true when a command that does not end by itself may be stopped.
+        found: what that function found to be wrong.
     """
 
     command: tuple[str, ...]
     expect: Literal["refused", "right", "either"] = "refused"
     names: tuple[str, ...] = ()
     check: Callable[[Path, str], str | None] | None = None
-    stop_when: Callable[[], bool] = lambda: False
+    stop_when: Callable[[], bool] | None = None
+    found: Sequence[str] = ()
 
 
 class Case(NamedTuple):
@@ -90,7 +94,7 @@ class Box:
         """Run a command with this box as its surroundings."""
         script, *arguments = opening.command
         return run_script(
-            script, *arguments, cwd=self.work, timeout_s=timeout_s, kill_when=opening.stop_when,
+            script, *arguments, cwd=self.work, timeout_s=timeout_s, kill_when=opening.stop_when or (lambda: False),
             memory_bytes=MEMORY_BYTES, HOME=str(self.home), TMPDIR=str(self.temporary), OMNIOCC_PACKAGES="",
             HOSTILE_SECRET=SECRET, MPLCONFIGDIR=str(self.shared), XDG_CACHE_HOME=str(self.home / "cache"),
             WANDB_MODE="disabled", HF_HUB_OFFLINE="1", PYTHONPATH=str(self.work), COLUMNS="200",
@@ -123,10 +127,11 @@ def _of_end(done: "subprocess.CompletedProcess[str]", opening: Opening, out: Pat
     if SECRET in text:
         yield "prints a variable of the environment"
     if "Traceback (most recent call last)" in text:
-        yield f"traceback: {last_line(text)}"
+        yield f"traceback: {raised(text)}"
         return
+    yield from opening.found
     if done.returncode < 0:
-        if not opening.stop_when():
+        if opening.stop_when is None:
             yield f"killed by signal {-done.returncode}: {last_line(text)}"
     elif done.returncode:
         if not any(name in text for name in opening.names):
@@ -144,6 +149,12 @@ def _of_end(done: "subprocess.CompletedProcess[str]", opening: Opening, out: Pat
 def some(openings: Sequence[Opening], count: int, rng: random.Random) -> list[Opening]:
     """Return some of the openings; those that must refuse the file first."""
     return sorted(rng.sample(list(openings), len(openings)), key=lambda one: one.expect == "either")[:count]
+
+
+def raised(text: str) -> str:
+    """Return the line that names the exception of the last traceback."""
+    lines = re.findall(r"^\w[\w.]*(?:Error|Exception|Interrupt|Exit|Warning|Iteration)\b.*", text, re.MULTILINE)
+    return lines[-1][:300] if lines else last_line(text)
 
 
 def last_line(text: str) -> str:

@@ -10,13 +10,22 @@ import json
 import os
 import shlex
 import shutil
+from collections import Counter
 from pathlib import Path
 
 import pytest
 from sandbox import Box, Case
 
 SEED = int(os.environ.get("HOSTILE_SEED", "0"))
-FORGES = ("forge_checkpoints", "forge_rigs", "forge_poses", "forge_clouds", "forge_scenes", "forge_datasets")
+FORGES = (
+    "forge_checkpoints",
+    "forge_rigs",
+    "forge_poses",
+    "forge_clouds",
+    "forge_scenes",
+    "forge_datasets",
+    "forge_reports",
+)
 CASES: list[Case] = [case for name in FORGES for case in importlib.import_module(name).cases(SEED)]
 pytestmark = pytest.mark.hostile
 
@@ -41,7 +50,10 @@ def test_file(case: Case, base: Path, tmp_path: Path, record_property) -> None:
 
 
 def test_there_are_enough_files() -> None:
-    wanted = {"checkpoints": 40}
-    assert {kind: sum(case.kind == kind for case in CASES) >= least for kind, least in wanted.items()} == dict.fromkeys(
-        wanted, True
-    )
+    wanted = {
+        "checkpoints": 40, "scenes and shards": 60, "point clouds": 70, "rigs and calibrations": 50,
+        "files of poses and times": 20, "dataset files": 150, "folders of runs": 40,
+    }  # fmt: skip
+    found = Counter(case.kind for case in CASES)
+    assert found.keys() == wanted.keys()
+    assert all(found[kind] >= least for kind, least in wanted.items()), found
