@@ -171,7 +171,7 @@ def _array(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Path, Box], 
         if path.suffix == ".npz":
             arrays = {name: change(found[name]) for name in found.files}
             path.unlink()
-            np.savez(path, **arrays)
+            np.savez(path, allow_pickle=False, **arrays)
         else:
             changed = change(found)
             path.unlink()
@@ -185,7 +185,7 @@ def _pickled(path: Path, box: Box) -> None:
     names = np.load(path).files if path.suffix == ".npz" else []
     path.unlink()
     if names:
-        np.savez(path, **dict.fromkeys(names, evil))
+        np.savez(path, allow_pickle=True, **dict.fromkeys(names, evil))
     else:
         np.save(path, evil, allow_pickle=True)
 
@@ -198,6 +198,7 @@ def _numbers(dtype: str, value: float) -> Callable[[Path, Box], None]:
 def _image(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Path, Box], None]:
     def make(path: Path, box: Box) -> None:
         pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        assert pixels is not None
         path.unlink()
         cv2.imwrite(str(path), change(pixels))
 
@@ -332,6 +333,6 @@ def _case(source: str, file: str, name: str, seed: float) -> Case:
             (BROKEN | DAMAGED)[name](path, random.Random(seed))
         if any(part in file for part in OPTIONAL):
             expect = "either"
-        return [Opening(check_command(box, source, root), expect, (path.name,))]  # type: ignore[arg-type]
+        return [Opening(check_command(box, source, root), expect, (path.name,))]
 
     return Case(KIND, f"{source}-{file.replace('/', '.')}-{name}", make)
