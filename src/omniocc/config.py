@@ -3,6 +3,7 @@
 import inspect
 import os
 import re
+import sys
 import types
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
@@ -38,12 +39,12 @@ OmegaConf.register_new_resolver("by_preset", by_preset, replace=True)
 
 
 class ConfigError(UserError):
-    """All problems of a configuration, one line each."""
+    """All problems of a configuration, one line each; `path` is the file that it is from, if it is from one."""
 
-    def __init__(self, problems: Sequence[str]):
+    def __init__(self, problems: Sequence[str], path: Path | None = None):
         self.problems = tuple(problems)
-        noun = "problem" if len(problems) == 1 else "problems"
-        super().__init__("\n  ".join([f"{len(problems)} {noun} in the configuration:", *problems]))
+        noun, of = "problem" if len(problems) == 1 else "problems", "" if path is None else f" of {path}"
+        super().__init__("\n  ".join([f"{len(problems)} {noun} in the configuration{of}:", *problems]))
 
 
 def allowed(packages: Sequence[str], more: Sequence[str] = ()) -> tuple[str, ...]:
@@ -134,10 +135,16 @@ def check_root(cfg: DictConfig) -> None:
 def target_of(node: Mapping[Any, Any]) -> type:
     """Return the class that a node of a configuration names; nothing is built.
 
+    The node may be from a file of somebody else, and importing a module runs it: of other packages than the allowed
+    ones only modules are taken that are imported already, since they were checked.
+
     Raises:
-        ConfigError: when it cannot be imported.
+        ConfigError: when it cannot be imported, or is of a package that is not allowed.
     """
     name = str(node["_target_"])
+    package, module = name.partition(".")[0], name.rpartition(".")[0]
+    if package not in allowed(OWN_PACKAGE) and module not in sys.modules:
+        raise ConfigError([f"{name} is of the package {package}; allow it by {PACKAGES_VARIABLE}={package}"])
     try:
         return get_object(name)
     except Exception as error:  # a user's module may raise anything

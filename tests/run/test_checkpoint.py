@@ -1,11 +1,19 @@
 """Checkpoints as files: what damaged, foreign and malicious ones may do."""
 
+import os
+import resource
+import zipfile
+from pathlib import Path
+
+import numpy as np
 import pytest
 import torch
+from torch import nn
 
-from omniocc.config import ConfigError
+from omniocc.config import ConfigError, compose_plain
 from omniocc.errors import UserError
 from omniocc.run.checkpoint import check_parts, load_checkpoint
+from omniocc.run.trust import CONF, GROUPS, building, fault_of, not_offered
 
 
 def write(path, config, stage="occupancy", weights=None):
@@ -70,11 +78,135 @@ def test_the_environment_and_the_caller_can(tmp_path, monkeypatch):
         checked(tmp_path / "a.ckpt", FOREIGN)
 
 
+EVIL = {"_target_": "pathlib.Path.write_text", "self": {"_target_": "pathlib.Path", "_args_": ["mark"]}, "data": "x"}
+FORK = {"_target_": "omniocc.run.fork_server.ForkServer", "script": "mark"}
+SKETCH = {"_target_": "omniocc.model.sketch.Dense", "geometry": {"_target_": "omniocc.geometry.Cylinder"}}
+
+
+def model(**parts):
+    return {"model": {"_target_": "omniocc.model.OccupancyModel", **parts}}
+
+
 @pytest.mark.parametrize(
-    "target",
-    ["os.system", "omniocc.io.os.system", "omniocc.config.build", "omniocc.run.checkpoint_io.read_checkpoint"],
+    ("config", "message"),
+    [
+        (model(sketch={"_target_": "os.system"}), "names classes of os, not of this platform"),
+        (model(sketch={"_target_": "builtins.eval"}), "names classes of builtins"),
+        (model(sketch={"_target_": "hydra.utils.get_method"}), "names classes of hydra"),
+        (model(sketch={"_target_": "torch.load"}), "names classes of torch"),
+        (model(sketch=EVIL), "has the key model.sketch.self._args_"),
+        (
+            model(sketch={"_target_": "omniocc.io.os.system"}),
+            "model.sketch names 'omniocc.io.os.system', and conf offers",
+        ),
+        (model(sketch={"_target_": "omniocc.config.build"}), "model.sketch names"),
+        (
+            model(sketch=FORK),
+            r"model.sketch names '.*ForkServer', and conf offers omniocc.model.sketch.Dense, .*Omni, .*Random",
+        ),
+        (model(sketch={**SKETCH, "geometry": FORK}), "model.sketch.geometry names"),
+        (model(sketch={**SKETCH, "names": [[FORK]]}), r"model.sketch.names.0.0 names .* offers no class there"),
+        (model(sketch={**SKETCH, "names": {"a": {"b": FORK}}}), r"model.sketch.names.a.b names .* no class there"),
+        (model(refiner={"_target_": "omniocc.model.lifter.Coloring"}), "model.refiner names"),
+        (model(refiner={"_target_": "omniocc.data.store.files.Files"}), "model.refiner names"),
+        (model(refiner={"_target_": "omniocc.viewer.watch.server.Server"}), "model.refiner names"),
+        ({"model": FORK}, r"model names .* conf offers omniocc.model.OccupancyModel there"),
+        ({"model": {"sketch": FORK}}, "model.sketch names"),
+        ({"model": [FORK]}, "model.0 names"),
+        (model(sketch={**SKETCH, "_partial_": True}), "has the key model.sketch._partial_"),
+        (model(sketch={**SKETCH, "_recursive_": False}), "has the key model.sketch._recursive_"),
+        (model(sketch={"_target_": SKETCH}), "has the key model.sketch._target_, which only Hydra may read"),
+        ({"model": "${evil}", "evil": FORK}, "at model has an interpolation"),
+        (model(name="${oc.env:HOME}"), "at model.name has an interpolation"),
+        (model(name=["a ${oc.decode:1}"]), "at model.name.0 has an interpolation"),
+        (model(name=r"\${oc.create:{_target_:pathlib.Path.write_text}}"), "at model.name has an interpolation"),
+        (model(name=r"\\\${a}"), "at model.name has an interpolation"),
+        (model(**{"${oc.env:HOME}": 1}), "a key of its configuration below 'model' is no plain name"),
+        (model(name="x" * 5000), "has more than 4096 letters"),
+        (model(names=[0] * 30_000), "more than 20000 values"),
+        (model(name=torch.ones(1)), "at model.name is no plain value"),
+        ("model", "its configuration is no mapping"),
+    ],
 )
-def test_nothing_but_classes_of_the_platform_is_built(target, tmp_path):
-    for config in ({"model": {"_target_": target}}, {"model": "${evil}", "evil": {"_target_": target}}):
-        with pytest.raises(UserError, match=r"os|not a class"):
-            checked(tmp_path / "a.ckpt", config)
+def test_a_checkpoint_may_name_options_of_the_slots_alone(config, message, tmp_path):
+    with pytest.raises(UserError, match=message) as told:
+        checked(tmp_path / "a.ckpt", config)
+    assert str(told.value).startswith(str(tmp_path / "a.ckpt"))
+    assert "\n" not in str(told.value)
+
+
+def test_nesting_without_end_is_refused(tmp_path):
+    deep = {}
+    for _ in range(200):
+        deep = {"a": deep}
+    with pytest.raises(UserError, match="more than 20000 values or 30 levels"):
+        checked(tmp_path / "a.ckpt", {"model": deep})
+
+
+def test_classes_of_an_allowed_package_may_hold_options_of_a_model_and_nothing_else(tmp_path, monkeypatch):
+    monkeypatch.setenv("OMNIOCC_PACKAGES", "mylib")
+    own = {"_target_": "mylib.Sketch", "inner": SKETCH}
+    with pytest.raises(ConfigError, match=r"mylib\.Sketch cannot be imported"):
+        checked(tmp_path / "a.ckpt", model(sketch=own))
+    with pytest.raises(UserError, match=r"model\.sketch\.inner names"):
+        checked(tmp_path / "a.ckpt", model(sketch={**own, "inner": FORK}))
+
+
+CHOICES = [
+    "model=extended",
+    "model=voxformer",
+    "model=oneocc",
+    "model=adaptiveocc",
+    "model=fosocc",
+    "model/lifter=lift_splat loss=with_coarse_ranges",
+    "model/backbone=transformers",
+    "model/depth=mono optimizer=adamw loss=with_frustums",
+    "data=recorded data.source.root=x",
+    "data=occ3d_nuscenes data.source.root=x",
+    "+ablation=tried/hidden_less",
+    "+ablation=rivals/fosocc",
+]
+
+
+@pytest.mark.parametrize("choice", CHOICES)
+def test_whatever_conf_offers_may_stand_in_a_file(choice):
+    tree = compose_plain(CONF, "train", ["preset=smoke", *choice.split()])
+    assert fault_of(tree) is None
+    assert list(not_offered({root: tree[root] for root in GROUPS}, ["omniocc"])) == []
+
+
+def test_building_from_a_file_has_bounds(tmp_path):
+    path, weights = tmp_path / "a.ckpt", {"a": torch.ones(3)}
+    with (
+        pytest.raises(UserError, match=r"a.ckpt names sizes of a model that need far more memory"),
+        building(path, weights),
+    ):
+        nn.Linear(1_000_000, 1_000_000)
+    with pytest.raises(UserError, match=r"a.ckpt names sizes"), building(path, weights):
+        np.zeros(10**12)
+    with pytest.raises(UserError, match=r"a.ckpt .* cannot be built: ZeroDivisionError"), building(path, weights):
+        print(1 // 0)
+    assert resource.getrlimit(resource.RLIMIT_AS)[0] == resource.RLIM_INFINITY
+
+
+def test_members_that_would_grow_are_refused(tmp_path):
+    path = tmp_path / "a.ckpt"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as members:
+        members.writestr("archive/data.pkl", bytes(10_000_000))
+    with pytest.raises(UserError, match="its members are compressed"):
+        load_checkpoint(path)
+
+
+class Evil:
+    def __reduce__(self):
+        return os.mkdir, ("mark",)
+
+
+@pytest.mark.parametrize("new_format", [True, False])
+def test_a_pickle_in_a_checkpoint_runs_nothing(new_format, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    content = {"config": {}, "state_dict": {}, "stage": "depth", "evil": Evil()}
+    torch.save(content, "a.ckpt", _use_new_zipfile_serialization=new_format)
+    with pytest.raises(UserError, match="is not a checkpoint of this platform, or it is damaged"):
+        load_checkpoint(Path("a.ckpt"))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.ckpt"]

@@ -1,6 +1,7 @@
 """What is checked before anything is made."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -9,7 +10,7 @@ from omegaconf import OmegaConf
 from omniocc.config import build
 from omniocc.errors import UserError
 from omniocc.geometry import Cuboid
-from omniocc.task.build import check_changes, check_devices, line_on_lifter
+from omniocc.task.build import check_changes, check_devices, check_places, line_on_lifter
 
 
 def test_a_machine_that_lacks_what_is_asked_for_is_a_line(smoke):
@@ -67,3 +68,21 @@ def test_it_is_said_that_a_lifter_ends_before_the_grid_does(smoke):
     assert line(*far, "model/lifter=coloring") is None
     own = OmegaConf.create({"_target_": "mylib.lifter.Lifter", "range_m": 30.0})
     assert line_on_lifter(own, Cuboid(x_m=(-50.0, 50.0))) is None
+
+
+def test_a_file_does_not_choose_where_data_are_made(tmp_path, monkeypatch):
+    def refused(*given, **places):
+        source = SimpleNamespace(**{"root": "data", "cache": None, "folder": tmp_path / "there"} | places)
+        check_places(Path("a.ckpt"), source, given)
+
+    monkeypatch.chdir(tmp_path)
+    refused()
+    refused(root=str(tmp_path / "data"), cache="cache")
+    refused("data.source.root", root="/elsewhere")
+    for key, place in [("root", "/elsewhere"), ("root", "../x"), ("cache", "/elsewhere"), ("root", "s3://bucket/x")]:
+        with pytest.raises(UserError, match=rf"^a.ckpt names {place} .*name it yourself: data.source.{key}={place}$"):
+            refused(**{key: place})
+    (tmp_path / "there").mkdir()
+    refused(root="/elsewhere")
+    with pytest.raises(UserError, match="http://"):
+        refused(root="http://example.org/x")

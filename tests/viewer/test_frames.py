@@ -22,7 +22,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:Sparse CSR")
 
 def evaluated(run, scene):
     """Return the labels that `evaluate.py` computes for a scene, with the true voxels."""
-    task, _ = load_task(run / "best.ckpt", [])
+    task, _ = load_task(run / "best.ckpt", [f"data.source.root={scene.parent}"])
     task.eval()
     geometry = task.model.geometry
     labels = VoxelCache(scene.parent / "none", geometry)

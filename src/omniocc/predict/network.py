@@ -1,12 +1,11 @@
 """Load a depth option or a whole occupancy model from its checkpoint; apply a depth option to any rig."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TypeVar
 
 import torch
 from jaxtyping import Float32
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 from torch import Tensor, nn
 
 from omniocc.camera import Rig
@@ -14,9 +13,15 @@ from omniocc.config import build
 from omniocc.errors import UserError
 from omniocc.model import OccupancyModel
 from omniocc.model.depth import DepthMap
-from omniocc.run.checkpoint import check_parts, load_checkpoint, part_weights, without_pretrained
-
-Network = TypeVar("Network", bound=nn.Module)
+from omniocc.run.checkpoint import (
+    check_parts,
+    load_checkpoint,
+    load_weights,
+    part_weights,
+    with_overrides,
+    without_pretrained,
+)
+from omniocc.run.trust import building
 
 
 def load_depth(path: Path, overrides: Sequence[str] = ()) -> tuple[nn.Module, DictConfig]:
@@ -33,11 +38,12 @@ def load_depth(path: Path, overrides: Sequence[str] = ()) -> tuple[nn.Module, Di
     """
     trained = load_checkpoint(path)
     own = part_weights(trained, "depth")
-    merged = OmegaConf.merge(trained.config, OmegaConf.from_dotlist(list(overrides)))
-    assert isinstance(merged, DictConfig)
+    merged = with_overrides(trained.config, overrides)
     check_parts(path, merged, ["depth"])
     question = "is it a checkpoint of the depth stage, are overrides needed?"
-    return _with_weights(build(merged.depth), own, path, question), merged
+    with building(path, own):
+        depth = build(merged.depth)
+    return load_weights(depth, own, path, question).eval(), merged
 
 
 def load_occupancy(path: Path) -> tuple[OccupancyModel, DictConfig]:
@@ -58,19 +64,9 @@ def load_occupancy(path: Path) -> tuple[OccupancyModel, DictConfig]:
             "such as runs/<name>-<hash>/best.ckpt"
         )
     check_parts(path, cfg, ["model"])
-    model = build(without_pretrained(cfg.model))
-    return _with_weights(model, own, path, "was it written by another version?"), cfg
-
-
-def _with_weights(model: Network, weights: Mapping[str, Tensor], path: Path, question: str) -> Network:
-    try:
-        model.load_state_dict(weights)
-    except RuntimeError as error:
-        first = str(error).splitlines()[1:2] or [str(error)]
-        raise UserError(f"{path}: its weights do not fit: {first[0].strip()}; {question}") from error
-    if not all(bool(value.isfinite().all()) for value in weights.values()):
-        raise UserError(f"{path} holds weights that are not finite (NaN): its training failed, use another checkpoint")
-    return model.eval()
+    with building(path, own):
+        model = build(without_pretrained(cfg.model))
+    return load_weights(model, own, path).eval(), cfg
 
 
 def predict_depth(model: nn.Module, images: Float32[Tensor, "1 N 3 H W"], rig: Rig, device: torch.device) -> DepthMap:

@@ -1,19 +1,31 @@
-"""Read checkpoints, and check that their configurations name only classes that may be built."""
+"""Read checkpoints, which may come from anybody: they may name options of the slots and nothing else."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 from omegaconf import DictConfig, OmegaConf
-from torch import Tensor
+from torch import Tensor, nn
 
-from omniocc.config import OWN_PACKAGE, PACKAGES_VARIABLE, allowed, check, foreign_packages, target_of
+from omniocc.config import (
+    OWN_PACKAGE,
+    ConfigError,
+    PACKAGES_VARIABLE,
+    allowed,
+    check,
+    foreign_packages,
+    plain,
+    target_of,
+)
 from omniocc.errors import UserError
 from omniocc.run.checkpoint_io import read_checkpoint
+from omniocc.run.trust import fault_of, not_offered
 from omniocc.run.weights import SUFFIX, read_weights
 
 STAGE, CONFIG = "stage", "config"
+STAGES = ("depth", "sketch", "occupancy")
 """Keys of a checkpoint beside Lightning's own."""
+Network = TypeVar("Network", bound=nn.Module)
 MODEL = "model."
 PREFIXES = {
     "depth": {"occupancy": "sketch.depth.", "sketch": "depth.", "depth": ""},
@@ -70,31 +82,71 @@ def load_checkpoint(path: Path) -> Checkpoint:
     content = read_weights(path)[0] if path.suffix == SUFFIX else read_checkpoint(path)
     if STAGE not in content:
         raise UserError(f"{path} names no stage: it is of an older version; train again")
-    # resolved, so that `check_parts` sees everything that would be built
-    config = DictConfig(content[CONFIG])
-    OmegaConf.resolve(config)
-    config.pop("packages", None)
-    return Checkpoint(path, content[STAGE], config, content["state_dict"], content.get("global_step"))
+    stage, config, weights = content[STAGE], content[CONFIG], content["state_dict"]
+    if stage not in STAGES:
+        raise UserError(f"{path} names a stage that does not exist; there are {', '.join(STAGES)}")
+    if not isinstance(weights, dict) or not all(isinstance(value, Tensor) for value in weights.values()):
+        raise UserError(f"{path} is damaged: its weights are no tensors by name")
+    step = content.get("global_step")
+    if not isinstance(step, int | None):
+        raise UserError(f"{path} is damaged: its number of steps is no whole number")
+    if (fault := fault_of(config)) is not None:
+        raise UserError(f"{path} cannot be trusted: {fault}")
+    tree = OmegaConf.create({key: value for key, value in config.items() if key != "packages"})
+    return Checkpoint(path, stage, tree, weights, step)
+
+
+def load_weights(
+    network: Network, weights: Mapping[str, Tensor], path: Path, question: str = "was it written by another version?"
+) -> Network:
+    """Load the weights of the checkpoint at `path` into a network, and return it.
+
+    Raises:
+        UserError: when they do not fit (the line ends with the question) or are not finite.
+    """
+    try:
+        network.load_state_dict(weights)
+    except RuntimeError as error:
+        first = str(error).splitlines()[1:2] or [str(error)]
+        raise UserError(f"{path}: its weights do not fit: {first[0].strip()}; {question}") from error
+    if not all(bool(value.isfinite().all()) for value in weights.values()):
+        raise UserError(f"{path} holds weights that are not finite (NaN): its training failed, use another checkpoint")
+    return network
 
 
 def check_parts(path: Path, config: DictConfig, parts: Sequence[str], packages: Sequence[str] = ()) -> None:
     """Check root keys (`parts`) of a checkpoint's configuration, with overrides, before anything is built from them.
 
-    Classes of further `packages` may be built; these are never taken from the checkpoint itself.
+    Each class has to be one that `conf` offers for its place (`omniocc.run.trust`). Classes of further `packages`
+    may be built; these are never taken from the checkpoint itself.
 
     Raises:
-        UserError: when they name classes of other packages.
+        UserError: when they name classes of other packages, or classes that are not offered at their place.
         ConfigError: when they do not fit this version.
     """
     trusted = allowed(OWN_PACKAGE, packages)
     chosen = OmegaConf.create({part: config[part] for part in parts})
-    if foreign := foreign_packages(OmegaConf.to_container(chosen), trusted):
+    tree = plain(chosen)
+    if (fault := fault_of(tree)) is not None:
+        raise UserError(f"{path} cannot be trusted: {fault}")
+    if foreign := foreign_packages(tree, trusted):
         names = ",".join(foreign)
         raise UserError(
             f"{path} names classes of {names}, not of this platform; if you trust them, "
             f"allow them by {PACKAGES_VARIABLE}={names} or, for train.py and evaluate.py, packages=[{names}]"
         )
-    check(chosen, packages=trusted)
+    if refused := next(not_offered(tree, trusted), None):
+        raise UserError(f"{path} cannot be trusted: {refused}")
+    try:
+        check(chosen, packages=trusted)
+    except ConfigError as error:
+        raise ConfigError(error.problems, path) from error
+
+
+def with_overrides(config: DictConfig, overrides: Sequence[str]) -> DictConfig:
+    """Return the configuration of a checkpoint with changes (`key=value`) from the command line, resolved."""
+    merged = OmegaConf.merge(config, OmegaConf.from_dotlist(list(overrides)))
+    return OmegaConf.create(OmegaConf.to_container(merged, resolve=True))  # type: ignore[return-value]
 
 
 def without_pretrained(model: DictConfig) -> DictConfig:

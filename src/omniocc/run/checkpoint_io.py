@@ -63,6 +63,8 @@ def read_checkpoint(path: Path, map_location: Any = "cpu", weights_only: bool = 
         raise FileNotFoundError(no_checkpoint(path))
     try:
         with zipfile.ZipFile(path) as members:
+            if any(member.compress_type != zipfile.ZIP_STORED for member in members.infolist()):
+                raise zipfile.BadZipFile("its members are compressed, which torch.save never does")
             if (damaged := members.testzip()) is not None:
                 raise zipfile.BadZipFile(f"the checksum of {damaged} differs")
         content = torch.load(path, map_location=map_location, weights_only=weights_only)

@@ -12,7 +12,7 @@ from safetensors.torch import save
 from torch import Tensor
 
 import omniocc
-from omniocc.errors import UserError
+from omniocc.errors import UserError, first_line
 from omniocc.io import atomic_write
 
 SHIPPED = Path(omniocc.__file__).parent / "weights"
@@ -75,11 +75,28 @@ def read_weights(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
         raise UserError(f"{path} is damaged or not a file of weights: {error}") from error
     if FORMAT not in metadata:
         raise UserError(f"{path} is not a file of weights of this platform: it has no '{FORMAT}' in its header")
-    about = json.loads(metadata[FORMAT])
+    about = _about(path, metadata[FORMAT])
     if digest_of(weights) != about["sha256"]:
         raise UserError(f"{path} is damaged: its weights do not have the hash that it states; install or copy it again")
     full = {name: value.float() if value.dtype == torch.float16 else value for name, value in weights.items()}
     return {"stage": about["stage"], "config": about["config"], "state_dict": full}, about["facts"]
+
+
+def _about(path: Path, text: str) -> dict[str, Any]:
+    """Return what the header of a file of weights tells; raise UserError when it is cut, or has a key twice."""
+
+    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        if len(found := dict(pairs)) < len(pairs):
+            raise ValueError("a key stands twice")
+        return found
+
+    try:
+        about = json.loads(text, object_pairs_hook=once)
+        if not isinstance(about, dict) or not about.keys() >= {"stage", "config", "facts", "sha256"}:
+            raise ValueError("stage, config, facts or sha256 is missing")
+    except (ValueError, RecursionError) as error:
+        raise UserError(f"{path} is damaged: its header cannot be read ({first_line(error)})") from error
+    return about
 
 
 def _kept(value: Tensor, half: bool) -> Tensor:

@@ -1,6 +1,6 @@
 """Build the occupancy task from a configuration, or from only a checkpoint."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from lightning.fabric.utilities.exceptions import MisconfigurationException
@@ -9,16 +9,21 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 
 from omniocc.config import OWN_PACKAGE, build, plain
 from omniocc.data import OccupancyData, SourceSpec
-from omniocc.data.source import SceneFrames
+from omniocc.data.recording.pool import usable_cores
+from omniocc.data.source import SceneFrames, SceneSource
+from omniocc.data.store.files import is_url
 from omniocc.errors import UserError, first_line
 from omniocc.geometry import Grid
-from omniocc.run.checkpoint import check_parts, load_checkpoint, without_pretrained
+from omniocc.run.checkpoint import check_parts, load_checkpoint, load_weights, with_overrides, without_pretrained
+from omniocc.run.trust import building
 from omniocc.task.occupancy import OccupancyTask
 
 PARTS = ("model", "loss", "optimizer", "augment")
 """Root keys from which a task is built."""
 
 
+PLACES = ("root", "cache")
+"""Arguments of a data source that name folders or URLs."""
 MACHINE = ("accelerator", "devices", "strategy")
 """Arguments of the trainer that a machine may not have."""
 NO_HEAD = "omniocc.model.semantic_head.NoSemanticHead"
@@ -95,22 +100,51 @@ def load_task(path: Path, overrides: Sequence[str]) -> tuple[OccupancyTask, Occu
         FileNotFoundError: when there is no such file.
         UserError: when it is damaged, of another stage or version, or names classes that are not allowed.
     """
-    trained, changes = load_checkpoint(path), OmegaConf.from_dotlist(list(overrides))
+    trained = load_checkpoint(path)
     if trained.stage != OccupancyTask.STAGE:
         raise UserError(f"{path} is a checkpoint of the {trained.stage} stage; this needs one of the occupancy stage")
-    packages = changes.pop("packages", ())
-    check_changes(path, [word for word in overrides if not word.startswith("packages=")])
-    cfg = OmegaConf.merge(trained.config, changes)
-    assert isinstance(cfg, DictConfig)
+    changes = [word for word in overrides if not word.startswith("packages=")]
+    packages = OmegaConf.from_dotlist(list(overrides)).get("packages", ())
+    check_changes(path, changes)
+    cfg = with_overrides(trained.config, changes)
     if absent := [key for key in (*PARTS, "data", "ema_decay") if key not in cfg]:
         raise UserError(f"{path} is of another version: its configuration has no {', '.join(absent)}")
     check_parts(path, cfg, (*PARTS, "data"), packages)
     cfg.model = without_pretrained(cfg.model)
+    given = {key.partition("=")[0] for key in changes}
+    if "data.num_workers" not in given:
+        cfg.data.num_workers = min(cfg.data.num_workers, usable_cores())  # another machine's number
     data: OccupancyData = build(cfg.data)
+    check_places(path, data.source, given)
     data.check_classes()
-    task = build_task(cfg, data.spec)
-    task.load_state_dict(trained.weights, strict=True)
-    return task, data
+    with building(path, trained.weights):
+        task = build_task(cfg, data.spec)
+    return load_weights(task, trained.weights, path), data
+
+
+def check_places(path: Path, source: SceneSource, given: Collection[str]) -> None:
+    """Check that a file does not choose where data are fetched from or made, except below the working folder.
+
+    Folders that exist are taken as they are, so that runs of this machine find their data again.
+
+    Args:
+        path: of the checkpoint.
+        source: built from its configuration.
+        given: keys that the command line sets, which may be anywhere.
+
+    Raises:
+        UserError: naming the place and the key that allows it.
+    """
+    for key in PLACES:
+        place = getattr(source, key, None)
+        if place is None or f"data.source.{key}" in given:
+            continue
+        inside = not is_url(str(place)) and Path(place).resolve().is_relative_to(Path.cwd())
+        if not inside and (is_url(str(place)) or not source.folder.exists()):
+            raise UserError(
+                f"{path} names {place} for its data, which is not below this folder and holds no such data; to use "
+                f"it, name it yourself: data.source.{key}={place}"
+            )
 
 
 def check_changes(path: Path, overrides: Sequence[str]) -> None:
