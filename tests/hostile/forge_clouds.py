@@ -53,7 +53,8 @@ def opened(box: Box, kind: str, change: Callable[[Path], Any], right: str, label
     change(path)
     command = record(box, log, f"recorder.{lidar_option(folder)}")
     check = same_points(box.base) if right == "right" else None
-    return [Opening(command, right, (path.name, f"lidar.folder={folder}") if kind == "npy" else (path.name,), check)]
+    names = (path.name, path.with_suffix(".label").name, f"lidar.folder={folder}")  # of a folder without scans
+    return [Opening(command, right, names if kind in ("bin", "npy") else names[:1], check)]
 
 
 def _text(*changes: tuple[bytes, bytes]) -> Callable[[Path, Box], None]:

@@ -317,6 +317,48 @@ def cases(seed: int) -> list[Case]:
             own = SPECIFIC.get(suffix, {})
             names = (*general, *rng.sample(sorted(own), min(PER_FILE, len(own))))
             found += [_case(source, file, name, rng.random()) for name in names]
+    return [*found, *prediction_cases(rng)]
+
+
+PREDICTIONS = {
+    "occ3d_nuscenes": tuple(f"scene-000{number}-0.npz" for number in (1, 2, 3)),
+    "semantic_kitti": ("sequences/00/predictions/000000.label",),
+}
+"""Files of predictions of the sources whose benchmark takes them."""
+
+
+def _prediction(source: str, name: str, seed: float) -> Case:
+    """Return the case of predictions of another project, whose first file is changed; `sound` changes none."""
+
+    def make(box: Box) -> list[Opening]:
+        folder = box.given / "predictions"
+        for file in PREDICTIONS[source]:
+            path = folder / file
+            path.parent.mkdir(parents=True, exist_ok=True)
+            if path.suffix == ".npz":
+                np.savez(path, pred=np.full((200, 200, 16), 11, np.uint8))
+            else:
+                np.full((256, 256, 32), 40, "<u2").tofile(path)
+            expect, change = SPECIFIC[path.suffix].get(name, ("refused" if name in BROKEN else "either", None))
+            if change is not None:
+                change(path, box)
+            elif name != "sound":
+                (BROKEN | DAMAGED)[name](path, random.Random(seed))
+        _, *dataset = check_command(box, source, sound(box.base, source))
+        command = ("evaluate.py", f"predictions={folder}", *dataset[:-2], "--output", str(box.out / "scores"))
+        names = tuple(Path(file).name for file in PREDICTIONS[source])
+        return [Opening(command, "right" if name == "sound" else expect, names)]
+
+    return Case(KIND, f"predictions-of-{source}-{name}", make)
+
+
+def prediction_cases(rng: random.Random) -> list[Case]:
+    """Return the cases of predictions that are scored."""
+    found = []
+    for source, files in PREDICTIONS.items():
+        own = sorted(SPECIFIC[Path(files[0]).suffix])
+        for name in ("sound", *own, *rng.sample(sorted(BROKEN), 4), *rng.sample(sorted(DAMAGED), 2)):
+            found.append(_prediction(source, name, rng.random()))
     return found
 
 

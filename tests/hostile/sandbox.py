@@ -93,11 +93,14 @@ class Box:
     def run(self, opening: Opening, timeout_s: float) -> "subprocess.CompletedProcess[str]":
         """Run a command with this box as its surroundings."""
         script, *arguments = opening.command
+        variables = {
+            "HOME": self.home, "TMPDIR": self.temporary, "XDG_CACHE_HOME": self.home / "cache",
+            "MPLCONFIGDIR": self.shared, "TORCHINDUCTOR_CACHE_DIR": self.shared, "PYTHONPATH": self.work,
+            "HOSTILE_SECRET": SECRET, "OMNIOCC_PACKAGES": "", "WANDB_MODE": "disabled", "HF_HUB_OFFLINE": "1",
+        }  # fmt: skip
         return run_script(
-            script, *arguments, cwd=self.work, timeout_s=timeout_s, kill_when=opening.stop_when or (lambda: False),
-            memory_bytes=MEMORY_BYTES, HOME=str(self.home), TMPDIR=str(self.temporary), OMNIOCC_PACKAGES="",
-            HOSTILE_SECRET=SECRET, MPLCONFIGDIR=str(self.shared), XDG_CACHE_HOME=str(self.home / "cache"),
-            WANDB_MODE="disabled", HF_HUB_OFFLINE="1", PYTHONPATH=str(self.work), COLUMNS="200",
+            script, *arguments, cwd=self.work, timeout_s=timeout_s, memory_bytes=MEMORY_BYTES,
+            kill_when=opening.stop_when or (lambda: False), **{key: str(value) for key, value in variables.items()},
         )  # fmt: skip
 
     def problems(self, opening: Opening) -> list[str]:
