@@ -357,8 +357,8 @@ def prediction_cases(rng: random.Random) -> list[Case]:
     found = []
     for source, files in PREDICTIONS.items():
         own = sorted(SPECIFIC[Path(files[0]).suffix])
-        for name in ("sound", *own, *rng.sample(sorted(BROKEN), 4), *rng.sample(sorted(DAMAGED), 2)):
-            found.append(_prediction(source, name, rng.random()))
+        names = ("sound", *own, *rng.sample(sorted(BROKEN), 4), *rng.sample(sorted(DAMAGED), 2))
+        found += [_prediction(source, name, rng.random()) for name in names]
     return found
 
 
