@@ -79,4 +79,4 @@ def test_files_of_any_project_are_scored(root, tmp_path):
     assert "scene-0003-1.npz: 1 of 2 predictions are missing" in missing.stderr
     np.savez_compressed(folder / "scene-0003-1.npz", pred=np.full((200, 200, 16), 40, np.uint8))
     wrong = run_script("evaluate.py", *command, cwd=tmp_path)
-    assert "scene-0003-1.npz: classes 40 to 40, but Occ3D has 0 to 17" in wrong.stderr
+    assert "scene-0003-1.npz: the class ids [40] are not in the dataset's table, which has 0 to 17" in wrong.stderr

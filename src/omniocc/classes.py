@@ -12,6 +12,8 @@ FREE = 0
 """Id of free space in every table."""
 UNKNOWN = 255
 """Id of unlabelled cells and pixels; in no table."""
+MOST_SHOWN = 8
+"""Wrong ids that messages name."""
 
 
 class SemanticClass(NamedTuple):
@@ -23,9 +25,14 @@ class SemanticClass(NamedTuple):
 
 
 def ids_beyond(labels: np.ndarray, num_classes: int, first: int = FREE) -> list[int]:
-    """Return the ids in labels (uint8, any shape) that are neither 255 (unknown) nor from `first` to the last class."""
-    present = np.flatnonzero(np.bincount(labels.reshape(-1), minlength=UNKNOWN + 1))
-    return [number for number in present.tolist() if number != UNKNOWN and not first <= number < num_classes]
+    """Return some of the ids in labels that are neither 255 (unknown) nor whole numbers from `first` to the last class.
+
+    Labels are of any shape and type: negative numbers, fractions and nan are no ids either.
+    """
+    wrong = ~((labels >= first) & (labels < num_classes)) & (labels != UNKNOWN)
+    if labels.dtype.kind == "f":
+        wrong |= labels != np.floor(labels)
+    return np.unique(labels[wrong])[:MOST_SHOWN].tolist() if wrong.any() else []
 
 
 @dataclass(frozen=True)

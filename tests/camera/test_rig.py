@@ -1,4 +1,5 @@
 import math
+import os
 import pickle
 
 import cv2
@@ -224,3 +225,23 @@ def test_rig_of_every_model_is_saved_and_loaded(tmp_path, known, build_camera):
     pixels, valid = loaded.project(torch.tensor([[9.0, 1, 0], [-5, 4, -1]]))
     assert pixels.shape == (10, 2, 2)
     assert valid.any()
+
+
+def test_a_mask_is_what_is_not_0_in_any_format(tmp_path):
+    seen = np.zeros((20, 40), bool)
+    seen[3:9, 5:30] = True
+    file = tmp_path / "car.yaml"
+    cv2.imwrite(str(tmp_path / "ones.png"), seen.astype(np.uint8))
+    cv2.imwrite(str(tmp_path / "words.png"), seen.astype(np.uint16))
+    np.save(tmp_path / "bits.npy", seen)
+    for name in ("ones.png", "words.png", "bits.npy"):
+        file.write_text(GOOD.replace(POSE, f"{POSE}\n    mask: {name}"))
+        masks = Rig.load(file).masks
+        assert masks is not None
+        assert torch.equal(masks[0], torch.from_numpy(seen))
+    os.mkfifo(tmp_path / "fifo.png")
+    (tmp_path / "text.png").write_text("no image")
+    for name, words in (("fifo.png", "no regular file"), ("text.png", "no image"), (".", "no regular file")):
+        file.write_text(GOOD.replace(POSE, f"{POSE}\n    mask: {name}"))
+        with pytest.raises(ValueError, match=rf"car\.yaml: camera 'front': mask .*{words}"):
+            Rig.load(file)

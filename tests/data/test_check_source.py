@@ -170,3 +170,24 @@ def test_recorded_poses_that_no_car_has_driven_are_named(tmp_path):
     assert not any("jumps" in line for line in problems())
     recorded.world_from_ego[:, :3, 3] *= 1000
     assert "scene 'train-000-downtown', frame 1: its pose jumps: 6000 m/s since the frame before" in problems()
+
+
+@pytest.mark.parametrize("part", ["pixel_labels", "lidar", "points"])
+def test_recorded_labels_beyond_the_classes_of_the_scene_are_refused(tmp_path, part):
+    world = FakeWorld(tmp_path, scenes=(1, 0, 0))
+    world.prepare()
+    (recorded,) = world.scenes("train")
+    assert getattr(recorded, part)(0) is not None
+    classes = recorded.meta["facts"]["spec"]["classes"]
+    for number in list(classes)[2:]:
+        del classes[number]
+    words = r"scene 'train-000-downtown', frame 0: .* of classes \[.*\]; the scene has [01] to 1, and 255 for unknown"
+    with pytest.raises(DataError, match=words):
+        getattr(recorded, part)(0)
+
+
+def test_points_that_are_not_finite_are_told():
+    problems, _ = check_frame(scene(points=points((np.nan, 0, 0), (3, 0, 0))), expected(), 1)
+    assert problems == [
+        "scene 'town', frame 1: 1 of its 2 points are not finite; leave out rays that did not come back"
+    ]

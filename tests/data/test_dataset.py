@@ -6,7 +6,7 @@ import pytest
 import torch
 from fake_scene import FakeWorld, fake_frame
 
-from omniocc.data.dataset import WindowDataset, collate, window_frames
+from omniocc.data.dataset import Needs, WindowDataset, collate, window_frames
 from omniocc.data.labels.voxels import VoxelCache
 from omniocc.data.store import codec
 from omniocc.errors import DataError
@@ -82,6 +82,20 @@ def test_a_sample_holds_what_was_recorded(world):
     np.testing.assert_array_equal(sample.lidar_labels, frame.lidar_labels)
     points_m, labels = codec.decode_points(codec.encode_points(frame.points_m, frame.point_labels))
     np.testing.assert_array_equal(sample.voxels, votes(points_m, labels))
+
+
+def test_ranges_of_0_and_below_are_no_measurements(world, monkeypatch):
+    data = dataset(world)
+    scene = data.scenes[0]
+    panorama, (first, *others) = scene.erp_range_m(0), scene.camera_range_m(0)
+    panorama[0, :3], first[0, :3] = (0, -1, 2), (-1, 3, 0)
+    monkeypatch.setattr(type(scene), "erp_range_m", lambda scene, frame: panorama)
+    monkeypatch.setattr(type(scene), "camera_range_m", lambda scene, frame: [first, *others])
+    data.needs = Needs(panorama=True, camera_ranges=True)
+    sample = data[0]
+    torch.testing.assert_close(sample.erp_range_m[0, :3], torch.tensor([torch.nan, torch.nan, 2]), equal_nan=True)
+    torch.testing.assert_close(sample.camera_range_m[0, 0, :3], torch.tensor([torch.nan, 3, torch.nan]), equal_nan=True)
+    np.testing.assert_array_equal(sample.erp_range_m[1:], panorama[1:])
 
 
 def test_a_window_never_crosses_the_beginning_of_its_scene(world):

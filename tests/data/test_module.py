@@ -1,15 +1,19 @@
 import pytest
 import torch
 from fake_scene import FakeWorld
+from fake_source import FakeLabels, FakeSource
 from lightning.pytorch import LightningModule, Trainer
 from lightning.pytorch.callbacks import Callback
 
 from omniocc.data import OccupancyData, SceneReader
+from omniocc.data.labels.survival import lost_line
+from omniocc.data.source import BenchmarkFrame
 from omniocc.errors import UserError
-from omniocc.geometry import Cylinder
+from omniocc.geometry import Cylinder, resample
 from omniocc.task.scores import Scores, within_reach
 
 GRID = Cylinder(shape=(4, 6, 2), radius_m=(0.0, 25.6), height_m=(-2.8, 3.6))
+HIGH = Cylinder(shape=(4, 6, 1), radius_m=(0.0, 25.6), height_m=(-1.0, 5.4))
 pytestmark = [
     pytest.mark.filterwarnings("ignore::UserWarning:lightning.*"),
     pytest.mark.filterwarnings("ignore:`isinstance:FutureWarning"),
@@ -178,6 +182,37 @@ def test_it_is_said_where_the_scores_end_before_the_grid_does(root, monkeypatch)
     (line,) = make(root, grid=far).remarks()
     assert "from 25.6 m on" in line
     assert list(make(root, grid=far, range_edges_m=[0, 40]).remarks()) == []
+
+
+def test_it_is_said_that_hardly_any_label_is_left_in_the_grid(root):
+    data = make(root, grid=Cylinder(shape=(4, 6, 2), radius_m=(60.0, 70.0), height_m=(-2.8, 3.6)))
+    lines = [line for line in data.remarks() if "hardly anything to learn" in line]
+    assert len(lines) == 1
+    assert lines[0].startswith("the model's grid keeps 0 of ")
+    assert "points in the first training frame" in lines[0]
+
+
+def test_it_is_said_that_hardly_any_voxel_of_a_dataset_is_left_in_the_grid(tmp_path):
+    """A road 1.6 m thick fills a quarter of cells that are 6.4 m high; two fifths are needed."""
+    source = FakeSource(str(tmp_path))
+    (scene,) = source.scenes("train")[:1]
+    own = source.spec.benchmark.grid
+
+    class Thin(FakeLabels):
+        def __init__(self, grid):
+            self.grid = grid
+
+        def benchmark(self, scene, frame):
+            voxels = torch.zeros(own.shape, dtype=torch.uint8)
+            voxels[:, :, 0] = 1
+            return BenchmarkFrame(voxels)
+
+        def read(self, scene, frame):
+            return resample(self.benchmark(scene, frame).voxels, own, self.grid)
+
+    line = lost_line(scene, Thin(HIGH), HIGH)
+    assert line.startswith(f"the model's grid keeps 0 of {own.shape[0] * own.shape[1]:,} occupied cells of the dataset")
+    assert lost_line(scene, Thin(own), own) is None
 
 
 def test_it_is_said_that_a_log_does_not_see_all_free_cells(root, monkeypatch):

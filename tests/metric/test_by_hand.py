@@ -7,7 +7,7 @@ import torch
 from torchmetrics import MetricCollection
 
 from omniocc.geometry import Cuboid
-from omniocc.metric import Calibration, DepthMetrics, RayIoU, RayTruth, VoxelIoU
+from omniocc.metric import Calibration, DepthMetrics, RayIoU, RayTruth, VoxelIoU, ray_hits
 
 LINE = Cuboid((10, 1, 1), (0.0, 10.0), (-0.5, 0.5), (-0.5, 0.5))
 AHEAD = torch.tensor([[1.0, 0.0, 0.0]])
@@ -92,3 +92,38 @@ def test_f1_of_unequal_precision_and_recall():
     rows = ([1, 1, 1, 1, 0], [1, 0, 0, 0, 0])
     metric.update(*(torch.tensor(row, dtype=torch.uint8).reshape(1, -1, 1, 1) for row in rows))
     assert metric.compute()["f1"].item() == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize(("own_rays", "count_free_rays"), [(False, False), (False, True), (True, False)])
+@pytest.mark.parametrize("range_m", [0.0, -1.0, math.nan, -math.inf])
+def test_rays_that_did_not_come_back_are_left_out_whatever_their_label(range_m, count_free_rays, own_rays):
+    """LiDARs write 0, -1 or nan where nothing came back; the second ray ends in the cell that is predicted."""
+    metric = RayIoU(LINE, directions=AHEAD.expand(2, 3), count_free_rays=count_free_rays)
+    ranges = torch.tensor([[range_m, 3.5]])
+    for label in (4.0, 0.0, math.nan, 3.6):
+        labels = torch.tensor([[label, 4.0]])
+        if own_rays:
+            rays = torch.stack([torch.full((3,), math.nan), AHEAD[0]])[None]
+            metric.update(car_at(3), RayTruth(ranges, labels, rays, torch.tensor([[[math.nan] * 3, [0.0] * 3]])))
+        else:
+            metric.update_rays(car_at(3), ranges, labels)
+    assert metric.truth.sum() == metric.truth[:, 4].sum() == 4
+    assert metric.predicted.sum() == 4
+    assert metric.compute()["rayiou"] == 1
+    with pytest.raises(ValueError, match=r"labels must hold class ids 0..11 or 255, got \[3.5"):
+        RayIoU(LINE, directions=AHEAD).update_rays(car_at(3), torch.tensor([[3.5]]), torch.tensor([[3.5]]))
+
+
+@pytest.mark.parametrize("wrong", [math.nan, math.inf])
+def test_origins_that_are_not_finite_are_refused(wrong):
+    origins, metric = torch.tensor([[[0.0, 0.0, 0.0], [1.0, wrong, 0.0]]]), RayIoU(LINE, directions=AHEAD)
+    words = rf"must be finite, got \[1.0, {wrong}, 0.0\] among 1 that are not"
+    with pytest.raises(ValueError, match="origins " + words):
+        metric.update(car_at(3), car_at(3), origins)
+    with pytest.raises(ValueError, match="origins " + words):
+        metric.update_rays(car_at(3), torch.tensor([[3.5, 2.5]]), torch.tensor([[4, 4]]), origins)
+    with pytest.raises(ValueError, match="origins " + words):
+        ray_hits(car_at(3)[0], LINE, origins[0], AHEAD)
+    rays = RayTruth(torch.tensor([[3.5, 2.5]]), torch.tensor([[4, 4]]), AHEAD.expand(1, 2, 3), origins)
+    with pytest.raises(ValueError, match="starts " + words):
+        metric.update(car_at(3), rays)

@@ -1,6 +1,8 @@
 """A rendered scene, written as a bag of ROS 1 and 2 and imported again, is the same scene."""
 
+import re
 import sys
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -17,7 +19,7 @@ from omniocc.data import DataError, SceneReader
 from omniocc.data.source.recorded import spec_of
 from omniocc.errors import UserError
 from omniocc.record.bag import Bag
-from omniocc.record.messages import camera_of
+from omniocc.record.messages import camera_of, cloud_of
 
 CLASSES = "classes: {classes}"
 
@@ -125,6 +127,41 @@ def info(model, d, **more):
     roi = type("Roi", (), {"x_offset": 0, "y_offset": 0})()
     fields = {"k": K, "d": d, "distortion_model": model, "width": 64, "height": 36, "binning_x": 0, "binning_y": 0}
     return type("Info", (), fields | {"roi": roi} | more)()
+
+
+FLOATS = [("x", 0, 7), ("y", 4, 7), ("z", 8, 7), ("label", 12, 7)]
+
+
+def cloud(fields, rows):
+    """Return a PointCloud2 of float32 fields: name, offset and type of each."""
+    made = [SimpleNamespace(name=name, offset=at, datatype=kind, count=1) for name, at, kind in fields]
+    data = np.array(rows, "<f4")
+    return SimpleNamespace(
+        fields=made, is_bigendian=False, point_step=data.strides[0], row_step=data.nbytes, width=len(data), height=1,
+        data=data.tobytes(),
+    )  # fmt: skip
+
+
+def test_rays_of_a_bag_that_did_not_come_back_are_no_points():
+    rows = [[1, 2, 3, 40], [0, 0, 0, 3.6], [np.nan, 1, 1, np.nan], [0, 0, 2, 7]]
+    found = cloud_of(cloud(FLOATS, rows), None, "here")
+    assert found.points_m.tolist() == [[1, 2, 3], [0, 0, 2]]
+    assert found.labels.tolist() == [40, 7]
+    turned = cloud_of(cloud([("label", 12, 7), ("z", 0, 7), ("y", 4, 7), ("x", 8, 7)], rows), None, "here")
+    assert turned.points_m.tolist() == [[3, 2, 1], [2, 0, 0]]
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        (FLOATS, "here: its field 'label': the array of float32 holds values that are no whole numbers: 3.5"),
+        ([*FLOATS, ("x", 12, 7)], "here: the field 'x' stands twice"),
+        ([*FLOATS[:3], ("label", 14, 7)], "here: the field 'label' ends beyond the 16 bytes of a point"),
+    ],
+)
+def test_points_of_a_bag_that_are_ambiguous_are_refused(fields, words):
+    with pytest.raises(DataError, match=re.escape(words)):
+        cloud_of(cloud(fields, [[1, 2, 3, 3.5]]), None, "here")
 
 
 def test_plumb_bob_is_that_of_opencv():

@@ -1,11 +1,13 @@
 """Readers of point clouds: every format gives the same points, and damage is named."""
 
+import zipfile
+
 import numpy as np
 import pytest
 from log_files import write_bin, write_pcd, write_ply
 
 from omniocc.data import DataError
-from omniocc.data.formats.clouds import _lzf, read_cloud
+from omniocc.data.formats.clouds import _lzf, out_of_reach, read_cloud, read_scan
 
 RNG = np.random.default_rng(0)
 POINTS = RNG.uniform(-50, 50, (401, 3)).astype(np.float32)  # odd: a quarter of it is no whole number
@@ -116,3 +118,98 @@ def same(path):
     cloud = read_cloud(path)
     assert np.array_equal(cloud.points_m, POINTS)
     assert np.array_equal(cloud.labels, LABELS)
+
+
+PCD = "FIELDS label z intensity y x\nSIZE 4 4 4 4 4\nTYPE U F F F F\nCOUNT 1 1 1 1 1\nPOINTS 2\nDATA "
+ORDERS = {
+    "ascii.pcd": PCD + "ascii\n",
+    "binary.pcd": PCD + "binary\n",
+    "ascii.ply": "ply\nformat ascii 1.0\nelement vertex 2\nproperty uint label\nproperty float z\nproperty float "
+    "intensity\nproperty float y\nproperty float x\nend_header\n",
+    "binary.ply": "ply\nformat binary_little_endian 1.0\nelement vertex 2\nproperty uint label\nproperty float z\n"
+    "property float intensity\nproperty float y\nproperty float x\nend_header\n",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ORDERS)
+def test_fields_are_read_by_their_names_in_any_order(tmp_path, name):
+    rows = [(40, 3.0, 0.5, 2.0, 1.0), (70, 6.0, 0.5, 5.0, 4.0)]
+    if name.startswith("ascii"):
+        body = "".join(" ".join(map(str, row)) + "\n" for row in rows).encode()
+    else:
+        body = np.array(rows, "<u4,<f4,<f4,<f4,<f4").tobytes()
+    (tmp_path / name).write_bytes(ORDERS[name].encode() + body)
+    cloud = read_cloud(tmp_path / name)
+    assert cloud.points_m.tolist() == [[1, 2, 3], [4, 5, 6]]
+    assert cloud.labels.tolist() == [40, 70]
+
+
+@pytest.mark.parametrize(
+    ("name", "harm", "words"),
+    [
+        ("1.pcd", lambda path: swap(path, b"z intensity", b"x intensity"), "the field 'x' stands twice"),
+        ("1.pcd", lambda path: swap(path, b"HEIGHT 1\n", b"SIZE 4 4 4 4 2\n"), "the line of its header 'SIZE' stands"),
+        ("1.ply", lambda path: swap(path, b"float intensity", b"float y"), "the property 'y' stands twice"),
+        ("1.npz", lambda path: np.savez(path, points=POINTS, x=LABELS), "and the arrays 'x' stands twice"),
+        ("1.npz", lambda path: doubled(path), "the array 'labels' stands twice"),
+        ("1.npz", lambda path: np.savez(path, points=POINTS, label=LABELS + 0.6), "its field 'label': the array of"),
+        ("1.npz", lambda path: np.savez(path, points=POINTS, label=LABELS * np.nan), "no whole numbers: nan"),
+    ],
+)
+def test_doubled_fields_and_fractions_as_labels_are_refused(tmp_path, name, harm, words):
+    write_pcd(tmp_path / "1.pcd", POINTS, LABELS)
+    write_ply(tmp_path / "1.ply", POINTS, LABELS)
+    np.savez(tmp_path / "1.npz", points=POINTS, labels=LABELS)
+    harm(tmp_path / name)
+    with pytest.raises(DataError) as caught:
+        read_cloud(tmp_path / name)
+    assert str(caught.value).startswith(f"{tmp_path / name}: ")
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def doubled(path):
+    with zipfile.ZipFile(path, "a") as file, file.open("labels", "w") as entry:
+        np.lib.format.write_array(entry, LABELS)
+
+
+@pytest.mark.parametrize("kind", ["npz", "bin", "pcd", "ply"])
+def test_rays_that_did_not_come_back_are_no_points_whatever_their_label(tmp_path, kind):
+    lost = np.array([[0, 0, 0], [np.nan, 1, 1], [np.inf, 0, 0], [-0.0, 0, 0]], np.float32)
+    points, labels = np.insert(POINTS, [0, 3, 3, 401], lost, axis=0), np.insert(LABELS, [0, 3, 3, 401], 9999)
+    path = tmp_path / f"1.{kind}"
+    if kind == "npz":
+        np.savez(path, points=points, labels=np.where(labels == 9999, np.nan, labels))
+    else:
+        {"bin": write_bin, "pcd": write_pcd, "ply": write_ply}[kind](path, points, labels)
+    same(path)
+
+
+def test_scans_of_datasets_hold_what_came_back(tmp_path):
+    rows = np.array([[1, 2, 3, 9, 9], [0, 0, 0, 9, 9], [0, 0, -2, 9, 9], [1, np.nan, 0, 9, 9]], "<f4")
+    rows.tofile(tmp_path / "1.pcd.bin")
+    points_m, kept = read_scan(tmp_path / "1.pcd.bin", 5)
+    assert points_m.tolist() == [[1, 2, 3], [0, 0, -2]]
+    assert kept.tolist() == [True, False, True, False]
+
+
+@pytest.mark.parametrize(
+    ("scale", "shift", "words"),
+    [
+        (1.0, (0, 0, 0), ""),
+        (1000.0, (0, 0, 0), "which looks like millimetres or another unit"),
+        (1.0, (5e5, 5e6, 400), "which looks like world coordinates (UTM, map)"),
+        (1.0, (3000, 0, 0), "which looks like world coordinates (UTM, map)"),
+        (1.0, (200, 0, 0), "are the unit (m) and the pose of the LiDAR right?"),
+    ],
+)
+def test_why_no_point_is_within_reach(scale, shift, words):
+    found = out_of_reach(np.float64(POINTS) * scale + shift, 25.6)
+    assert words in found
+    assert bool(found) == bool(words)
+
+
+def test_a_stray_point_near_the_car_makes_no_scan_of_points_in_millimetres():
+    many = np.concatenate([np.tile(POINTS, (10, 1)) * 1000, np.zeros((1, 3), np.float32)])
+    assert out_of_reach(many, 25.6).startswith("1 of its 4,011 points lie within 25.6 m: their median distance is 3")
+    assert out_of_reach(many[-500:], 25.6) == ""

@@ -3,10 +3,12 @@
 import shutil
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 import torch
 from log_files import START_NS, lidar_option, rig_of, stamp_ns
+from PIL import Image
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation, Slerp
 
@@ -443,3 +445,94 @@ def test_an_origin_beside_the_cameras_is_told():
     rear_axle[:, 0, 3] += 1.4
     (line,) = origin_lines(replace(rig, ego_from_camera=rear_axle))
     assert line.startswith("the middle of the cameras is 1.4 m ahead of the ego origin and 0.0 m to its left")
+
+
+def rewrite(log, change, frames=None):
+    """Replace the points of the scans `npz` of a log, all or the first ones, by a function of points and labels."""
+    for path in sorted((log / "npz").iterdir())[:frames]:
+        with np.load(path) as content:
+            points, labels = change(content["points"], content["labels"])
+        np.savez(path, points=points, labels=labels)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda points, labels: (points * 1000, labels), "looks like millimetres"),
+        (lambda points, labels: (points + np.float64([5e5, 5e6, 400]), labels), "looks like world coordinates (UTM"),
+        (
+            lambda points, labels: (points * 0, labels),
+            "none of its 0 points lies within 25.6 m: rays",
+        ),
+    ],
+)
+def test_a_log_without_a_point_within_reach_is_refused_before_anything_is_written(
+    recorder, log_folder, tmp_path, change, words
+):
+    log = shutil.copytree(log_folder, tmp_path / "log")
+    rewrite(log, change)
+    with pytest.raises(DataError) as caught:
+        recorder(NPZ, log=log).record(tmp_path / "scenes")
+    assert "all 2 frames have hardly any points, in the first of them " in str(caught.value)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert not list((tmp_path / "scenes").glob("*"))
+
+
+def test_a_lidar_that_looks_far_ahead_alone_is_recorded(recorder, log_folder, tmp_path, capsys):
+    log = shutil.copytree(log_folder, tmp_path / "log")
+    rewrite(log, lambda points, labels: (points + np.float32([0, 90, 0]), labels))
+    assert len(SceneReader(recorder(NPZ, log=log).record(tmp_path / "scenes")[0])) == 2
+    assert "2 of 2 frames have hardly any points, in the first of them none of its" in capsys.readouterr().err
+
+
+def test_frames_without_a_point_within_reach_are_said(recorder, log_folder, tmp_path, capsys):
+    log = shutil.copytree(log_folder, tmp_path / "log")
+    rewrite(log, lambda points, labels: (points * 1000, labels), frames=1)
+    scene = SceneReader(recorder(NPZ, log=log).record(tmp_path / "scenes")[0])
+    assert len(scene) == 2
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if "hardly any" in line]
+    assert line.startswith("scene 'train-000-own': 1 of 2 frames have hardly any points, in the first of them ")
+    assert "looks like millimetres" in line
+
+
+def test_rays_that_did_not_come_back_are_nowhere_in_a_recording(recorder, log_folder, tmp_path):
+    """The LiDAR is 0.93 m from the ego origin: there (0, 0, 0) of its frame would be a point."""
+    log = shutil.copytree(log_folder, tmp_path / "log")
+
+    def with_lost(points, labels):
+        lost = np.array([[0, 0, 0], [np.nan, 0, 1], [np.inf, 0, 0]], np.float32)
+        return np.concatenate([lost, points]), np.concatenate([[np.nan, np.nan, 3.6], labels])
+
+    rewrite(log, with_lost)
+    whole = record(recorder, tmp_path / "whole", NPZ)
+    found = SceneReader(recorder(NPZ, log=log).record(tmp_path / "lost")[0])
+    for frame in range(len(whole)):
+        for ours, theirs in zip(found.points(frame), whole.points(frame), strict=True):
+            np.testing.assert_array_equal(ours, theirs)
+        np.testing.assert_array_equal(found.erp_range_m(frame), whole.erp_range_m(frame))
+        np.testing.assert_array_equal(found.camera_range_m(frame), whole.camera_range_m(frame))
+
+
+def test_images_are_what_the_sensor_saw(recorder, original, log_folder, tmp_path):
+    log = tmp_path / "log"
+    shutil.copytree(log_folder, log)
+    path = sorted((log / original.rig.names[0]).iterdir())[0]
+    image, exif = original.images(0)[0], Image.Exif()
+    exif[0x0112] = 6
+    Image.fromarray(image).save(path, exif=exif)
+    with recorder(log=log).open() as opened:
+        plain = opened.inputs
+        assert np.array_equal(opened.read_image(0, 0)[0], image)
+    ramp = np.linspace(0, 4095, image[..., 0].size).round().astype(np.uint16).reshape(image.shape[:2])
+    cv2.imwrite(str(path), ramp)
+    with (
+        recorder(log=log).open() as opened,
+        pytest.raises(DataError, match=rf"{path.name}: .* reach 4095.*set recorder\.image_bits=12"),
+    ):
+        opened.read_image(0, 0)
+    with recorder("image_bits=12", log=log).open() as opened:
+        assert np.array_equal(opened.read_image(0, 0)[0][..., 1], (ramp * (255 / 4095)).round())
+        assert set(map(str, opened.inputs)) - set(map(str, plain)) >= {"recorder.image_bits=12"}
+    with pytest.raises(ValueError, match=r"recorder\.image_bits is 7; it must be 8 to 16"):
+        recorder("image_bits=7", log=log)

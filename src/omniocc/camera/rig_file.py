@@ -10,7 +10,7 @@
         center_px: [255.5, 143.5]
         max_angle_deg: 95.0
         ego_from_camera: {position_m: [0.9, 0, 0], yaw_deg: 0, pitch_deg: -10, roll_deg: 0}
-        mask: front.png                       # optional, relative to this file; white where the image is usable
+        mask: front.png                       # optional, relative to this file; not 0 where the image is usable
       rear:
         calibration: rear_opencv.yaml         # or, in place of model and parameters, a calibration file of one camera
         ego_from_camera: {position_m: [-0.9, 0, 0], yaw_deg: 180, pitch_deg: -10, roll_deg: 0}
@@ -33,7 +33,7 @@ from jaxtyping import Bool, Float64
 from torch import Tensor
 
 from omniocc.camera.calibration import Calibration, parse, read_calibration, read_calibration_folder
-from omniocc.camera.calibration.fields import mapping, naming, read_mask_pixels
+from omniocc.camera.calibration.fields import mapping, naming, read_mask_of
 from omniocc.camera.models.double_sphere import DoubleSphere
 from omniocc.camera.models.equidistant import Equidistant
 from omniocc.camera.models.eucm import EUCM
@@ -110,7 +110,7 @@ def _read_entry(file: Path, name: str, entry: Any) -> tuple[Camera, Float64[Tens
         pose = _read_pose(entry["ego_from_camera"])
         if "mask" not in entry:
             return camera, pose, None
-        return camera, pose, torch.from_numpy(read_mask_pixels("mask", file.parent / entry["mask"], camera) > 127)
+        return camera, pose, read_mask_of("mask", file.parent / str(entry["mask"]), camera)
 
 
 def _find(path: str | PathLike[str]) -> Path:

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from omniocc.camera.masks import lenses_that_do_not_fit
 from omniocc.classes import FREE, UNKNOWN, ids_beyond
+from omniocc.data.formats.clouds import out_of_reach
 from omniocc.data.formats.poses import jumps, not_rigid
 from omniocc.data.recording.pool import mapped
 from omniocc.data.source import SPLITS, Points, SceneFrames, SceneSource, SourceSpec, VoxelLabels
@@ -154,17 +155,14 @@ def _classes(labels: Iterable[np.ndarray | Tensor], num_classes: int) -> Iterato
     arrays = [np.asarray(part) for part in labels]
     if types := sorted({str(array.dtype) for array in arrays} - {"uint8"}):
         yield f"classes are {', '.join(types)} instead of uint8"
-    elif wrong := sorted({number for array in arrays for number in ids_beyond(array, num_classes)}):
+    if wrong := sorted({number for array in arrays for number in ids_beyond(array, num_classes)}):
         yield f"classes {wrong} do not exist; the source has 0 to {num_classes - 1}, and 255 for unknown"
 
 
 def _points(points: Points, reach_m: float) -> Iterator[str]:
-    distance_m = np.linalg.norm(points.points_m[:, :2], axis=1)
-    if not (distance_m < reach_m).any():
-        yield (
-            f"none of its {len(distance_m)} points lies within {reach_m:g} m; are the points of the LiDAR float32, in "
-            "metres, with as many numbers each as stated?"
-        )
+    if lost := int((~np.isfinite(points.points_m)).any(axis=1).sum()):
+        yield f"{lost} of its {len(points.points_m)} points are not finite; leave out rays that did not come back"
+    yield from filter(None, [out_of_reach(points.points_m, reach_m)])
 
 
 def _grid(scene: SceneFrames, spec: SourceSpec, starts: Sequence[int | None]) -> Iterator[str]:

@@ -147,6 +147,7 @@ class WindowDataset(Dataset):
         labels = scene.pixel_labels(newest) if needs.pixel_labels else None
         panorama = scene.erp_range_m(newest) if needs.panorama else None
         ranges = scene.camera_range_m(newest) if needs.camera_ranges else None
+        ranges = ranges and [measured(range_m) for range_m in ranges]
         return Sample(
             images=read_window(scene, frames) if needs.images else torch.zeros(self.window, 0, 3, 1, 1).byte(),
             rigs=tuple(scene.rigs[frame] for frame in frames),
@@ -156,7 +157,7 @@ class WindowDataset(Dataset):
             **(self._benchmark(scene, newest) if needs.scores else {}),
             pixel_labels=None if labels is None else stack_cameras(labels, ABSENT["pixel_labels"]),
             **(self._lidar(scene, newest) if needs.scores else {}),
-            erp_range_m=None if panorama is None else torch.from_numpy(panorama),
+            erp_range_m=None if panorama is None else torch.from_numpy(measured(panorama)),
             camera_range_m=None if ranges is None else stack_cameras(ranges, ABSENT["camera_range_m"]),
             depth_range_m=needs.depth and needs.depth.read(scene.name, newest),
             candidates=needs.candidates and read_frames(needs.candidates, scene, frames),
@@ -183,6 +184,11 @@ class WindowDataset(Dataset):
             origins = np.zeros_like(scan.directions) if scan.origins is None else scan.origins
             parts |= {"lidar_directions": scan.directions, "lidar_origins": origins}
         return {name: torch.from_numpy(part) for name, part in parts.items()}
+
+
+def measured(range_m: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
+    """Return ranges, m, with nan where nothing came back, which some sources write as 0 or -1."""
+    return np.where(range_m > 0, range_m, np.float32(np.nan)) if (range_m <= 0).any() else range_m
 
 
 def window_frames(newest: int, window: int) -> list[int]:

@@ -13,6 +13,7 @@ from torch.utils.data import DataLoader
 
 from omniocc.batch import Batch, to_device
 from omniocc.data.dataset import Needs, WindowDataset, collate
+from omniocc.data.labels.survival import lost_line
 from omniocc.data.labels.voxels import VoxelCache
 from omniocc.data.origins import Origins
 from omniocc.data.recording.pool import limit_threads
@@ -112,7 +113,13 @@ class OccupancyData(LightningDataModule):
         return self.source.labels(self.geometry, self.unknown)
 
     def remarks(self) -> Iterator[str]:
-        """Yield a line where scores end before the grid does, and where a real LiDAR leaves cells unseen; prepared."""
+        """Yield a line where scores end before the grid does, labels are lost or a real LiDAR leaves cells unseen.
+
+        The data is prepared.
+
+        Raises:
+            DataError: naming a damaged file of the first training frame.
+        """
         reach_m = self.spec.reach_m
         if isinstance(self.voxels, VoxelCache) and self.voxels.beyond is not None:
             yield (
@@ -124,7 +131,9 @@ class OccupancyData(LightningDataModule):
                 f"LiDAR hits count as free from {reach_m:g} m on, but the grid reaches farther: "
                 f"data.range_edges_m=[0,{reach_m:g},<end of the grid>] scores all of it"
             )
-        scenes = [scene for scene in self.source.scenes("train")[:1] if isinstance(scene, SceneReader)]
+        first = [scene for scene in self.source.scenes("train") if len(scene)][:1]
+        yield from filter(None, (lost_line(scene, self.voxels, self.geometry) for scene in first))
+        scenes = [scene for scene in first if isinstance(scene, SceneReader)]
         if self.unknown == "free" and any("log" in scene.meta.get("facts", {}) for scene in scenes):
             yield (
                 "cells without points count as free, but a single LiDAR does not see all of them: "

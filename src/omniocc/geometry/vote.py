@@ -22,6 +22,7 @@ def majority(
     """
     if wrong := ids_beyond(labels.cpu().numpy(), num_classes, FREE + 1):
         raise ValueError(f"points must have a class 1..{num_classes - 1} or {UNKNOWN} (unknown), got labels {wrong}")
+    labels = labels.to(torch.uint8)
     key_type = torch.int32 if num_cells < 2**23 else torch.int64
     keys, counts = torch.unique_consecutive((cells.to(key_type) * 256 + labels).sort().values, return_counts=True)
     label = (keys % 256).long()
@@ -45,8 +46,10 @@ def downsample(
         num_classes: number of classes, free included.
 
     Raises:
-        ValueError: if an axis is not a multiple of the factor.
+        ValueError: if an axis is not a multiple of the factor, or a label is not a class.
     """
+    if wrong := ids_beyond(labels.cpu().numpy(), num_classes):
+        raise ValueError(f"labels must be classes 0..{num_classes - 1} or {UNKNOWN} (unknown), got {wrong}")
     if factor < 1 or any(size % factor for size in labels.shape[-3:]):
         raise ValueError(f"the last three axes must be multiples of factor {factor}, got shape {tuple(labels.shape)}")
     x, y, z = (size // factor for size in labels.shape[-3:])

@@ -50,6 +50,13 @@ def check_mask(name: str, mask: Tensor | None, shape: torch.Size) -> None:
         raise ValueError(f"{name} must be bool of shape {tuple(shape)}, got {mask.dtype} of shape {tuple(mask.shape)}")
 
 
+def check_origins(name: str, origins_m: Tensor) -> None:
+    """Raise ValueError with `name` unless all starts of rays (..., 3) are finite: other rays would just hit nothing."""
+    if not bool(origins_m.isfinite().all()):
+        wrong = origins_m.reshape(-1, 3)[~origins_m.reshape(-1, 3).isfinite().all(dim=1)]
+        raise ValueError(f"{name} must be finite, got {wrong[0].tolist()} among {len(wrong)} that are not")
+
+
 def check_same_shape(first: str, left: Tensor, second: str, right: Tensor) -> None:
     """Raise ValueError unless both tensors have the same shape."""
     if left.shape != right.shape:

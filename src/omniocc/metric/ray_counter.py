@@ -10,7 +10,7 @@ from torch import Tensor
 from omniocc.geometry import Cuboid, Cylinder, Hits, RayTable, Scan, ray_table
 from omniocc.geometry.directions import sparseocc_directions
 from omniocc.metric.bands import as_edges, num_rows
-from omniocc.metric.checks import check_grid, check_increasing, check_mask, check_same_batch
+from omniocc.metric.checks import check_grid, check_increasing, check_mask, check_origins, check_same_batch
 from omniocc.metric.class_ids import ClassIds
 from omniocc.metric.protocol import RaysSeen, dropped_text, error_text, mean_text, rays_text
 from omniocc.metric.ray_counts import TIMES, RayCounts, count_rays, ray_scores
@@ -25,7 +25,8 @@ class RayTruth(NamedTuple):
 
     Attributes:
         range_m: distance along each ray, inf for no hit; the rays are all directions of the metric from the first
-            origin, then from the next.
+            origin, then from the next. A ray whose range is nan or not above 0 did not come back: it is left out,
+            whatever its label.
         labels: class of the surface hit; free for no hit.
         directions: unit rays of each frame, ego frame, in place of the metric's directions and origins.
         starts: where these rays start, m, ego frame; None: in the ego origin.
@@ -84,6 +85,8 @@ class RayCounter:
         preds = self.classes.check("preds", preds, self.geometry.shape, truth=False)
         if origins is not None and (origins.ndim != 3 or len(origins) != len(preds) or origins.shape[2] != 3):
             raise ValueError(f"origins must have shape ({len(preds)}, O, 3), got {tuple(origins.shape)}")
+        if origins is not None:
+            check_origins("origins", origins)
         times = self._times(origins, origin_times, len(preds))
         origins = torch.zeros(1, 3).expand(len(preds), 1, 3) if origins is None else origins
         origins = origins.to(preds.device)
@@ -158,7 +161,7 @@ class RayCounter:
     def _count_truth(
         self, preds: Tensor, target: RayTruth, origins: Tensor, times: Sequence[Tensor | None]
     ) -> list[RayCounts]:
-        self._check_rays(preds, target, origins)
+        target = self._checked_rays(preds, target, origins)
         if target.directions is None:
             samples = zip(preds, target.range_m, target.labels, origins, times, strict=True)
             return [self._count_rays(*sample) for sample in samples]
@@ -182,22 +185,28 @@ class RayCounter:
         now = torch.tensor([TIMES.index("now")]) if self.split_origins else None
         return self._count(labels, range_m, found.labels + self.classes.free, error_m, inside, now)
 
-    def _check_rays(self, preds: Tensor, target: RayTruth, origins: Tensor) -> None:
+    def _checked_rays(self, preds: Tensor, target: RayTruth, origins: Tensor) -> RayTruth:
+        """Return the measurements; rays that did not come back get the ignored class, whatever their label was."""
         rays = len(self.scan) * origins.shape[1] if target.directions is None else target.directions.shape[1]
-        self.classes.check("labels", target.labels, (rays,), truth=True)
-        check_same_batch("preds", preds, "labels", target.labels)
-        if target.range_m.shape != target.labels.shape:
-            shapes = f"{tuple(target.labels.shape)}, got {tuple(target.range_m.shape)}"
-            raise ValueError(f"range_m must have shape {shapes}")
+        lost, labels = ~(target.range_m > 0), target.labels
+        measured = labels.masked_fill(lost, self.classes.free) if lost.shape == labels.shape else labels
+        known = self.classes.check("labels", measured, (rays,), truth=True)
+        check_same_batch("preds", preds, "labels", labels)
+        if lost.shape != labels.shape:
+            raise ValueError(f"range_m must have shape {tuple(labels.shape)}, got {tuple(lost.shape)}")
+        target = target._replace(labels=known.masked_fill(lost, self.classes.ignored))
         shape = (*target.labels.shape, 3)
         for name, vectors in (("directions", target.directions), ("starts", target.starts)):
             if vectors is not None and vectors.shape != shape:
                 raise ValueError(f"{name} must have shape {shape}, a vector for each ray, got {tuple(vectors.shape)}")
         if target.directions is None:
-            return
+            return target
+        if target.starts is not None:
+            check_origins("starts", target.starts[target.labels != self.classes.ignored])
         lengths = target.directions.norm(dim=-1)[target.labels != self.classes.ignored]
         if not bool(((lengths - 1).abs() < UNIT_TOLERANCE).all()):
             raise ValueError(f"directions must be unit vectors, got lengths {lengths.min():.4g} to {lengths.max():.4g}")
+        return target
 
     def _count_voxels(
         self, preds: Tensor, target: Tensor, origins: Float[Tensor, "O 3"], times: Int64[Tensor, " O"] | None

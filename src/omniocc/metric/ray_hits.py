@@ -7,6 +7,7 @@ from torch import Tensor
 from omniocc.classes import FREE, NUM_CLASSES, UNKNOWN
 from omniocc.geometry import Cuboid, Cylinder, Hits, Scan, ray_table
 from omniocc.geometry.directions import sparseocc_directions
+from omniocc.metric.checks import check_origins
 from omniocc.metric.class_ids import ClassIds
 
 
@@ -44,6 +45,7 @@ def ray_hits(
     classes = ClassIds(num_classes, free_class, ignore_class)
     checked = classes.check("labels", labels.unsqueeze(0), geometry.shape, truth=True)[0]
     origins = torch.zeros(1, 3) if origins is None else origins
+    check_origins("origins", origins)
     scan = Scan(sparseocc_directions() if directions is None else directions)
     hits = ray_table(geometry, origins.to(labels.device), scan).cast(checked - free_class)
     return hits._replace(labels=hits.labels + free_class)

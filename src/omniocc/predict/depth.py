@@ -36,7 +36,7 @@ def predict_panoramas(cfg: DictConfig, overrides: Sequence[str], show: ShowRange
     require(cfg, ("rig", "images"), "predict.py depth")
     rig = load_rig(cfg.rig)
     images = [str(path) for path in cfg.images] if isinstance(cfg.images, ListConfig) else str(cfg.images)
-    frames = find_frames(images, rig, [str(name) for name in cfg.exclude_cameras])
+    frames = find_frames(images, rig, [str(name) for name in cfg.exclude_cameras], cfg.image_bits)
     for line in remarks(frames, rig):
         print(line, flush=True)
     model, image_width = choose_model(cfg, overrides, rig)

@@ -120,7 +120,7 @@ def sequences_of(options: Options, trained: TrainingData) -> Sequence[FrameSeque
     assert options.images is not None
     rig = rig_of(options)
     images = options.images if isinstance(options.images, str) else list(options.images)
-    frames = tuple(find_frames(images, rig, options.exclude_cameras))
+    frames = tuple(find_frames(images, rig, options.exclude_cameras, options.image_bits))
     for line in remarks(frames, rig):
         print(line, flush=True)
     poses = None
@@ -173,7 +173,7 @@ def facts_of(
         "image_width": width,
         "exclude_cameras": list(options.exclude_cameras),
         "unknown": None if own is not None else unknown,
-    }
+    } | ({} if options.image_bits is None else {"image_bits": options.image_bits})
 
 
 def announcement(

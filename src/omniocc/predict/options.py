@@ -32,6 +32,7 @@ class Options:
     image_width: int | None
     device: str | None
     viewer: str | None = None
+    image_bits: int | None = None
 
 
 def require(cfg: DictConfig, keys: Sequence[str], command: str) -> None:

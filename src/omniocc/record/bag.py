@@ -13,7 +13,8 @@ from omniocc.camera import Rig
 from omniocc.data.formats.poses import inverse
 from omniocc.data.source import Points
 from omniocc.errors import DataError, UserError, installing
-from omniocc.record.files import ego_points, lidar_options, plain_options
+from omniocc.images import Depth
+from omniocc.record.files import ego_points, lidar_options, plain_options, stated_depth
 from omniocc.record.labels import read_point_classes
 from omniocc.record.log import Log, Scans, Timing, chosen_rig
 from omniocc.record.messages import camera_of, cloud_of, image_of, pose_of, stamp_s
@@ -69,6 +70,7 @@ class RosBag(LogRecorder):
         lidar: None, or a mapping with the keys of `LIDAR_KEYS`.
         reference: see `Timing`, as `limit_s`, `interval_s` and `pose_gap_s`.
         image_size: see `Stated`, as `panorama`, `road_z_m` and `moving`.
+        image_bits: how many of the bits of images of 16 are used; None: not known.
 
     Raises:
         ValueError: naming the option that is impossible.
@@ -79,12 +81,12 @@ class RosBag(LogRecorder):
         poses: str, world_frame: str, base_frame: str, ego_from_base: Any, lidar: Mapping[str, Any] | None,
         reference: str | None, limit_s: float, interval_s: float | None, pose_gap_s: float,
         image_size: tuple[int, int] | None, panorama: tuple[int, int, float, float], road_z_m: float | None,
-        moving: bool | None,
+        moving: bool | None, image_bits: int | None = None,
     ):  # fmt: skip
         super().__init__(
             name, Timing(reference, limit_s, interval_s, pose_gap_s), Stated(image_size, panorama, road_z_m, moving)
         )
-        self.bag, self.rig_file = Path(bag), rig
+        self.bag, self.rig_file, self.depth = Path(bag), rig, Depth(image_bits, "recorder.image_bits")
         if not cameras:
             raise ValueError("cameras is empty; give the topic of at least one camera: {front: /front/image_raw}")
         if rig is None and set(camera_info or {}) != set(cameras):
@@ -113,7 +115,7 @@ class RosBag(LogRecorder):
 
         def read_image(camera: int, number: int) -> tuple[UInt8[np.ndarray, "height width 3"], str]:
             message, where = bag.message(images[camera].addresses[number])
-            return image_of(message, where), where
+            return image_of(message, where, rig.cameras[camera], self.depth), where
 
         scans, given = (None, []) if self.lidar is None else self._scans(bag, tree, self.lidar)
         return Log(
@@ -125,7 +127,13 @@ class RosBag(LogRecorder):
             world_from_ego=poses.poses @ inverse(self.ego_from_base),
             scans=scans,
             facts={"recorder": "bag", "poses": self.poses, "limit_s": self.timing.limit_s},
-            inputs=[str(self.bag.absolute()), bag.extent, sorted(self.cameras.items()), *given],
+            inputs=[
+                str(self.bag.absolute()),
+                bag.extent,
+                sorted(self.cameras.items()),
+                *given,
+                *stated_depth(self.depth),
+            ],
         )
 
     def _rig(self, bag: "Bag", tree: FrameTree, topics: Mapping[str, Topic]) -> Rig:

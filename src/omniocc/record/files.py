@@ -8,17 +8,17 @@ from glob import glob
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 from jaxtyping import Float64, UInt8
 
 from omniocc.camera import Rig
 from omniocc.data.formats.clouds import LABEL_SUFFIX, READERS, RawCloud, read_cloud
-from omniocc.data.formats.files import IMAGE_SUFFIXES, decode, read_text
+from omniocc.data.formats.files import IMAGE_SUFFIXES, read_text, rgb_of_camera
 from omniocc.data.formats.poses import inverse, moved
 from omniocc.data.formats.scene import outside
 from omniocc.data.source import Points
 from omniocc.errors import DataError, UserError
+from omniocc.images import Depth, content_of
 from omniocc.record.labels import PointClasses, classes_of, read_point_classes
 from omniocc.record.log import Log, Scans, Timing, chosen_rig
 from omniocc.record.poses import PER_SECOND, PosesFormat, TimeUnit, read_timed_poses, seconds, stated_pose
@@ -65,6 +65,7 @@ class LogFiles(LogRecorder):
         lidar: None, or a mapping with the keys of `LIDAR_KEYS`.
         reference: see `Timing`, as `limit_s`, `interval_s` and `pose_gap_s`.
         image_size: see `Stated`, as `panorama`, `road_z_m` and `moving`.
+        image_bits: how many of the bits of images of 16 are used; None: not known.
 
     Raises:
         ValueError: naming the option that is impossible.
@@ -76,11 +77,12 @@ class LogFiles(LogRecorder):
         ego_from_pose_frame: Any, lidar: Mapping[str, Any] | None, reference: str | None, limit_s: float,
         interval_s: float | None, pose_gap_s: float, image_size: tuple[int, int] | None,
         panorama: tuple[int, int, float, float], road_z_m: float | None, moving: bool | None,
+        image_bits: int | None = None,
     ):  # fmt: skip
         super().__init__(
             name, Timing(reference, limit_s, interval_s, pose_gap_s), Stated(image_size, panorama, road_z_m, moving)
         )
-        self.folder = Path(log)
+        self.folder, self.depth = Path(log), Depth(image_bits, "recorder.image_bits")
         if time_unit not in PER_SECOND or poses_time_unit not in (None, *PER_SECOND):
             raise ValueError(f"time units are {', '.join(PER_SECOND)}, got {time_unit} and {poses_time_unit}")
         self.rig_file, self.cameras, self.times = rig, cameras, times
@@ -110,7 +112,7 @@ class LogFiles(LogRecorder):
 
         def read_image(camera: int, number: int) -> tuple[UInt8[np.ndarray, "height width 3"], str]:
             path = images[camera].paths[number]
-            return read_rgb(path), str(path)
+            return rgb_of_camera(content_of(path), str(path), rig.cameras[camera], self.depth), str(path)
 
         scans, given = (None, []) if self.lidar is None else self._scans(self.lidar, table)
         yield Log(
@@ -122,7 +124,12 @@ class LogFiles(LogRecorder):
             world_from_ego=poses.poses @ inverse(self.ego_from_pose_frame),
             scans=scans,
             facts={"recorder": "files", "poses": self.poses, "limit_s": self.timing.limit_s},
-            inputs=[str(self.folder.absolute()), *(listing(stream, self.folder) for stream in images), *given],
+            inputs=[
+                str(self.folder.absolute()),
+                *(listing(stream, self.folder) for stream in images),
+                *given,
+                *stated_depth(self.depth),
+            ],
         )
 
     def _rig(self) -> Rig:
@@ -259,6 +266,6 @@ def _time_of(path: Path, folder: Path, unit: TimeUnit, table: Mapping[str, float
     return seconds(numbers[-1], unit)
 
 
-def read_rgb(path: Path) -> UInt8[np.ndarray, "height width 3"]:
-    """Return an image as RGB, as the sensor recorded it; raise DataError if the file is no image."""
-    return cv2.cvtColor(decode(path, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION), cv2.COLOR_BGR2RGB)
+def stated_depth(depth: Depth) -> list[Any]:
+    """Return plain values that differ when images of 16 bits are read otherwise; none where nothing is stated."""
+    return [] if depth.bits is None else [f"{depth.key}={depth.bits}"]

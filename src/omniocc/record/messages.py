@@ -1,5 +1,6 @@
 """Messages of ROS as arrays, cameras and poses; their fields have equal names in ROS 1 and 2 but for CameraInfo."""
 
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -8,10 +9,11 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from omniocc.camera import MEI, Camera, KannalaBrandt, Pinhole
-from omniocc.data.formats.clouds import LABEL_FIELDS, RawCloud
-from omniocc.data.formats.files import decode_bytes
+from omniocc.data.formats.clouds import LABEL_FIELDS, RawCloud, came_back
+from omniocc.data.formats.files import named_once, rgb_of_camera, whole_numbers
 from omniocc.data.formats.poses import quaternion_pose
 from omniocc.errors import DataError
+from omniocc.images import Depth, eight_bits
 
 CHANNELS = {"rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4, "mono8": 1, "8UC1": 1, "8UC3": 3}
 TO_RGB = {
@@ -22,6 +24,8 @@ TO_RGB = {
     "yuv422": cv2.COLOR_YUV2RGB_UYVY, "yuv422_yuy2": cv2.COLOR_YUV2RGB_YUY2,
 }  # fmt: skip
 """Conversions of the encodings of sensor_msgs that are read; rgb8 needs none."""
+WORDS = re.compile(r"(mono|rgb|bgr|rgba|bgra|bayer_(?:rggb|bggr|gbrg|grbg))(10|12|14|16)")
+"""Encodings of samples in words of 16 bits: the same channels, and how many of the bits are used; 16 may be fewer."""
 POINT_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """Numpy's names of the data types of sensor_msgs/PointField."""
 FISHEYE = ("equidistant", "fisheye", "kannala_brandt")
@@ -33,23 +37,38 @@ def stamp_s(message: Any) -> float:
     return stamp.sec + stamp.nanosec / 1e9
 
 
-def image_of(message: Any, where: str) -> UInt8[np.ndarray, "height width 3"]:
-    """Return the RGB of an Image or CompressedImage; raise DataError for other encodings and damaged images."""
+def image_of(message: Any, where: str, camera: Camera, depth: Depth) -> UInt8[np.ndarray, "height width 3"]:
+    """Return the RGB of an Image or CompressedImage of a camera; `depth` is that of samples in words of 16 bits.
+
+    Raises:
+        DataError: for other encodings, damaged images, and compressed ones of another aspect ratio than the camera's.
+    """
     if hasattr(message, "format"):
-        image = decode_bytes(message.data, cv2.IMREAD_COLOR)
-        if image is None:
-            raise DataError(f"{where}: the compressed image is damaged ({message.format})")
-        return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
-    encoding, height, width = message.encoding, message.height, message.width
+        return rgb_of_camera(bytes(message.data), f"{where} ({message.format})", camera, depth)
+    words = WORDS.fullmatch(message.encoding)
+    encoding = f"{words[1]}8" if words else message.encoding
     if encoding != "rgb8" and encoding not in TO_RGB:
-        raise DataError(f"{where}: the encoding {encoding} cannot be read; known are rgb8, {', '.join(TO_RGB)}")
+        known = f"rgb8, {', '.join(TO_RGB)}, and those of 10 to 16 bits in words"
+        raise DataError(f"{where}: the encoding {encoding} cannot be read; known are {known}")
     channels = 2 if encoding.startswith("yuv") else CHANNELS.get(encoding, 1)
-    content = np.frombuffer(message.data, np.uint8)
-    if message.step < width * channels or len(content) < height * message.step:
-        raise DataError(f"{where}: {len(content)} bytes are too few for {width}x{height} px of {encoding}")
-    rows = content[: height * message.step].reshape(height, message.step)[:, : width * channels]
-    pixels = np.ascontiguousarray(rows).reshape(height, width, channels)
+    if words is None:
+        pixels = _pixels(message, channels, np.dtype(np.uint8), where)
+    else:
+        pixels = _pixels(message, channels, np.dtype(">u2" if message.is_bigendian else "<u2"), where)
+        stated = depth if words[2] == "16" else Depth(int(words[2]), message.encoding)
+        pixels = eight_bits(pixels, stated.white(int(pixels.max()), where))
     return pixels.copy() if encoding == "rgb8" else cv2.cvtColor(pixels, TO_RGB[encoding])
+
+
+def _pixels(message: Any, channels: int, dtype: np.dtype, where: str) -> np.ndarray:
+    """Return the samples of an Image, (height, width, channels); raise DataError if it has none, or too few bytes."""
+    height, width, content = message.height, message.width, np.frombuffer(message.data, np.uint8)
+    row_bytes = width * channels * dtype.itemsize
+    if not height * width or message.step < row_bytes or len(content) < height * message.step:
+        size = f"{width}x{height} px of {message.encoding}"
+        raise DataError(f"{where}: {len(content)} bytes are too few, or too short in a row, for {size}")
+    rows = content[: height * message.step].reshape(height, message.step)[:, :row_bytes]
+    return np.ascontiguousarray(rows).view(dtype).reshape(height, width, channels)
 
 
 def camera_of(message: Any, where: str) -> Camera:
@@ -86,14 +105,18 @@ def cloud_of(message: Any, label_field: str | None, where: str) -> RawCloud:
     """Return the points of a PointCloud2, in the frame of its sender, and the class ids in a field of it.
 
     Raises:
-        DataError: if a field is missing or the message is cut short.
+        DataError: if a field is missing, stands twice or is none of whole numbers, or the message is cut short.
     """
     order = ">" if message.is_bigendian else "<"
+    named_once([field.name for field in message.fields if field.name.strip("_")], f"{where}: the field")
     fields = {field.name: field for field in message.fields if field.count <= 1 and field.datatype in POINT_TYPES}
     labels = (label_field,) if label_field is not None else tuple(name for name in LABEL_FIELDS if name in fields)[:1]
     wanted = ("x", "y", "z", *labels)
     if missing := [name for name in wanted if name not in fields]:
         raise DataError(f"{where}: the field '{missing[0]}' is missing; the points have {', '.join(fields)}")
+    sizes = {name: fields[name].offset + np.dtype(POINT_TYPES[fields[name].datatype]).itemsize for name in wanted}
+    if beyond := [name for name, end in sizes.items() if end > message.point_step]:
+        raise DataError(f"{where}: the field '{beyond[0]}' ends beyond the {message.point_step} bytes of a point")
     dtype = np.dtype({
         "names": list(wanted), "formats": [order + POINT_TYPES[fields[name].datatype] for name in wanted],
         "offsets": [fields[name].offset for name in wanted], "itemsize": message.point_step,
@@ -104,8 +127,9 @@ def cloud_of(message: Any, label_field: str | None, where: str) -> RawCloud:
     rows = content[: message.height * message.row_step].reshape(message.height, message.row_step)
     table = np.ascontiguousarray(rows[:, : message.width * message.point_step]).reshape(-1).view(dtype)
     points = np.stack([table[axis] for axis in "xyz"], axis=1).astype(np.float32)
-    finite = np.isfinite(points).all(axis=1)
-    return RawCloud(points[finite], table[labels[0]].astype(np.int64)[finite] if labels else None)
+    kept = came_back(points)
+    ids = [whole_numbers(table[name][kept], f"{where}: its field '{name}'") for name in labels]
+    return RawCloud(points[kept], ids[0] if ids else None)
 
 
 def pose_of(position: Any, rotation: Any, where: str) -> Float64[np.ndarray, "4 4"]:

@@ -16,13 +16,14 @@ from jaxtyping import UInt8
 from omniocc.camera import Camera, Equirectangular, Rig
 from omniocc.camera.masks import lenses_that_do_not_fit
 from omniocc.classes import OCCUPANCY_CLASSES
+from omniocc.data.formats.clouds import FAR_M, distances_m, out_of_reach
 from omniocc.data.formats.files import check_aspect, scaled_to
 from omniocc.data.formats.poses import moved
 from omniocc.data.formats.projected import onto_cameras, onto_panorama
 from omniocc.data.recording.pool import Report, make_scenes
 from omniocc.data.recording.scene import append_frame, finish_scene
 from omniocc.data.recording.spec import panorama_of, recorded_spec
-from omniocc.data.source import SPLITS, SourceSpec
+from omniocc.data.source import SPLITS, Points, SourceSpec
 from omniocc.data.store.frame import RecordedFrame
 from omniocc.data.store.reader import SceneReader
 from omniocc.data.store.shard import SceneWriter, digest
@@ -107,8 +108,15 @@ def record_log(log: Log, folder: Path, timing: Timing, stated: Stated) -> Path:
         told = name_lines(folder.name), plan_lines(plan, log.place), missing_lines(plan), lenses, origin_lines(rig)
         for line in itertools.chain(*told):
             progress.message(line)
-        work = partial(_write, log=log, plan=plan, rig=rig, stated=stated, recipe=recipe)
+        assert rig.road_z_m is not None
+        reach_m = spec_of_log(log, plan, rig.road_z_m).reach_m
+        check_points(log, plan, reach_m)
+        whys: list[str] = []
+        work = partial(_write, log=log, plan=plan, rig=rig, stated=stated, recipe=recipe, whys=whys)
         make_scenes(work, [folder], 0, progress)
+        if whys:
+            frames = f"{len(whys)} of {len(plan.times_s)} frames have hardly any points, in the first of them"
+            progress.message(f"scene '{folder.name}': {frames} {whys[0]}")
     _is_made(folder, recipe)  # another process may have made one of this name meanwhile
     return folder
 
@@ -165,6 +173,24 @@ def plan_lines(plan: Plan, place: str) -> list[str]:
     return [f"{count} frames, {plan.times_s[-1] - plan.times_s[0]:.1f} s, one each {step_s:.3g} s"]
 
 
+def check_points(log: Log, plan: Plan, reach_m: float) -> None:
+    """Check that some frame has points that can be used; mostly the first one has. A LiDAR may look far ahead alone.
+
+    Raises:
+        DataError: naming the likely reason, before anything is written.
+    """
+    why, count = "", 0 if plan.scans is None else len(plan.scans)
+    for number in range(count):
+        points = frame_points(log, plan, number)
+        assert points is not None
+        found, distance_m = out_of_reach(points.points_m, reach_m), distances_m(points.points_m)
+        if not found or (len(distance_m) and np.median(distance_m) < FAR_M):
+            return
+        why = why or found
+    if why:
+        raise DataError(f"{log.place}: all {count} frames have hardly any points, in the first of them {why}")
+
+
 def _recipe(log: Log, plan: Plan, rig: Rig, timing: Timing, stated: Stated) -> str:
     """Return a hash of all that decides the frames but for the content of images and scans."""
     parts = [
@@ -202,7 +228,10 @@ def spec_of_log(log: Log, plan: Plan, road_z_m: float) -> SourceSpec:
     return recorded_spec(classes, interval_s, road_z_m)
 
 
-def _write(folder: Path, report: Report, log: Log, plan: Plan, rig: Rig, stated: Stated, recipe: str) -> None:
+def _write(
+    folder: Path, report: Report, log: Log, plan: Plan, rig: Rig, stated: Stated, recipe: str, whys: list[str]
+) -> None:
+    """Write the frames that are missing; add to `whys` why those with hardly any points have none within reach."""
     if folder.exists():  # another process has made it while this one waited
         report(len(plan.times_s))
         return
@@ -214,13 +243,17 @@ def _write(folder: Path, report: Report, log: Log, plan: Plan, rig: Rig, stated:
     with closing(SceneWriter(folder)) as writer:
         atomic_write(begun, recipe)
         report(writer.num_frames)
+        spec = spec_of_log(log, plan, rig.road_z_m)
         for number in range(writer.num_frames, len(plan.times_s)):
-            append_frame(writer, read_frame(log, plan, number, rig, panorama))
+            frame = read_frame(log, plan, number, rig, panorama)
+            if frame.points_m is not None and (why := out_of_reach(frame.points_m, spec.reach_m)):
+                whys.append(why)
+            append_frame(writer, frame)
             report(1)
         facts = {"log": dict(log.facts), "start_s": float(plan.times_s[0]), "moving": stated.moving}
         facts["missing"] = [{"time_s": time_s, "lacks": names} for time_s, names in plan.missing]
         edges_deg = panorama.top_deg, panorama.bottom_deg
-        finish_scene(writer, rig, spec_of_log(log, plan, rig.road_z_m), edges_deg, facts | {"recipe": recipe})
+        finish_scene(writer, rig, spec, edges_deg, facts | {"recipe": recipe})
         (folder / BEGUN).unlink()  # until then a stop goes on from the frames that are there
 
 
@@ -235,29 +268,34 @@ def read_frame(log: Log, plan: Plan, number: int, rig: Rig, panorama: Equirectan
         image, where = log.read_image(camera, int(plan.images[number, camera]))
         images.append(fitted(image, calibrated, (scaled.width, scaled.height), where))
     frame = RecordedFrame(float(plan.times_s[number] - plan.times_s[0]), plan.world_from_ego[number], np.stack(images))
-    if log.scans is None or plan.scans is None:
+    points = frame_points(log, plan, number)
+    if points is None:
         return frame
-    points = log.scans.read(int(plan.scans[number]))
-    points_m = points.points_m
-    if plan.ego_from_scan is not None:  # the car has moved since the scan, or had not yet
-        points_m = moved(plan.ego_from_scan[number], points_m).astype(np.float32)
     return replace(
         frame,
-        range_m=np.stack([image.range_m for image in onto_cameras(points_m, None, rig)]),
-        erp_range_m=onto_panorama(points_m, None, panorama).range_m,
-        points_m=points_m,
+        range_m=np.stack([image.range_m for image in onto_cameras(points.points_m, None, rig)]),
+        erp_range_m=onto_panorama(points.points_m, None, panorama).range_m,
+        points_m=points.points_m,
         point_labels=points.labels,
     )
+
+
+def frame_points(log: Log, plan: Plan, number: int) -> Points | None:
+    """Return the points of a frame's scan in its ego frame; None without a LiDAR, DataError for a damaged scan."""
+    if log.scans is None or plan.scans is None:
+        return None
+    points = log.scans.read(int(plan.scans[number]))
+    if plan.ego_from_scan is None:
+        return points
+    # the car has moved since the scan, or had not yet
+    return points._replace(points_m=moved(plan.ego_from_scan[number], points.points_m).astype(np.float32))
 
 
 def fitted(
     image: UInt8[np.ndarray, "h w 3"], camera: Camera, size: tuple[int, int], where: str
 ) -> UInt8[np.ndarray, "height width 3"]:
     """Return an image scaled to `size` (width, height); raise DataError if it is not of the camera's aspect ratio."""
-    try:
-        check_aspect(image, camera, where)
-    except ValueError as error:
-        raise DataError(str(error)) from error
+    check_aspect((image.shape[1], image.shape[0]), camera, where)
     return scaled_to(image, size)
 
 

@@ -9,7 +9,7 @@ from omniocc.batch import to_device
 from omniocc.data import OccupancyData, SceneSource
 from omniocc.data.dataset import Needs, WindowDataset, collate
 from omniocc.data.origins import Origins
-from omniocc.data.source import SPLITS, SceneFrames, Split, SubmittedScene
+from omniocc.data.source import SPLITS, NumberedSubmissions, PredictionReader, SceneFrames, Split, SubmittedScene
 from omniocc.errors import UserError
 from omniocc.geometry import look_up
 from omniocc.progress import Progress
@@ -50,9 +50,13 @@ def score_files(
     needs = Needs(images=False, voxels=False, pixel_labels=False)
     data = WindowDataset(scenes, labels, 1, needs, own_rays, origins, benchmark.grid)
     scores = Scores(benchmark.grid, source.spec)
+    read: PredictionReader = lambda scene, path: scene.read_prediction(path)  # noqa: E731
+    if isinstance(source, NumberedSubmissions):
+        read, line = source.prediction_reader(files)
+        print(line, flush=True)
     with Progress("scores", len(files)) as progress:
         for index, (scene, _, path) in enumerate(files):
-            classes = torch.from_numpy(scene.read_prediction(path)).unsqueeze(0)
+            classes = torch.from_numpy(read(scene, path)).unsqueeze(0)
             scores.update(classes, collate([data[index]]))
             progress.advance()
     return {f"test/{key}": float(value) for key, value in scores.compute().items()}, scores.protocol()

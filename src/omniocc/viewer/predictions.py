@@ -85,7 +85,8 @@ def own_frames(facts: Mapping[str, Any], rig: Rig | None) -> dict[str, Frame]:
     images = facts.get("images")
     if rig is None or not isinstance(images, str) or not Path(images).is_dir():
         return {}
-    return {frame.name: frame for frame in find_frames(images, rig, facts.get("exclude_cameras") or ())}
+    frames = find_frames(images, rig, facts.get("exclude_cameras") or (), facts.get("image_bits"))
+    return {frame.name: frame for frame in frames}
 
 
 def _frames(

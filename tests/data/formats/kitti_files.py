@@ -56,8 +56,8 @@ def write_bits(path, mask):
 
 
 def write_semantic_kitti(root: Path, sequences=("00", "04", "08"), frames=2, first_release=False) -> Path:
-    """Write sequences whose every fifth frame has voxels; all drive ahead by 1 m a frame."""
-    raw, invalid = raw_voxels()
+    """Write sequences whose every fifth frame has voxels, one cell too high in the first release; 1 m a frame."""
+    raw, invalid = (np.roll(cells, int(first_release), axis=2) for cells in raw_voxels())
     cloud, ids = points()
     for sequence in sequences:
         folder = root / "sequences" / sequence
@@ -75,8 +75,7 @@ def write_semantic_kitti(root: Path, sequences=("00", "04", "08"), frames=2, fir
             (folder / "labels" / f"{number:06d}.label").write_bytes(ids.tobytes())
             stem = folder / "voxels" / f"{number:06d}"
             stem.with_suffix(".label").write_bytes(raw.tobytes())
-            hit = np.roll(raw > 0, 1, axis=2) if first_release else raw > 0
-            write_bits(stem.with_suffix(".bin"), hit)
+            write_bits(stem.with_suffix(".bin"), raw > 0)
             write_bits(stem.with_suffix(".invalid"), invalid)
             write_bits(stem.with_suffix(".occluded"), invalid | (raw > 0))
     return root

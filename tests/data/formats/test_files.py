@@ -1,10 +1,13 @@
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from omniocc.data.formats.files import (
     check_root,
     class_table,
+    decode,
+    image_size,
     map_classes,
     read_array,
     read_image,
@@ -72,6 +75,20 @@ def test_images_are_scaled_and_must_be_those_of_the_calibration(tmp_path):
             read_image(path, None, (40, 24))
     assert scaled_size(1600, 900, 256) == (256, 144)
     assert scaled_size(1241, 376, 256) == scaled_size(1226, 370, 256) == (256, 80)
+
+
+def test_images_of_datasets_are_not_turned_and_never_too_dark(tmp_path):
+    path, exif = tmp_path / "front.png", Image.Exif()
+    image = np.zeros((40, 80, 3), np.uint8)
+    image[:20, :40] = 200
+    exif[0x0112] = 6
+    Image.fromarray(image).save(path, exif=exif)
+    assert image_size(path) == (80, 40)
+    assert np.array_equal(read_image(path, (80, 40), (80, 40)), image)
+    assert np.array_equal(decode(path, cv2.IMREAD_UNCHANGED)[..., 2], image[..., 0])
+    cv2.imwrite(str(path), np.full((40, 80), 4000, np.uint16))
+    with pytest.raises(DataError, match=r"front\.png: its samples of 16 bits reach 4000.*save it with 8 bits"):
+        read_image(path, (80, 40), (80, 40))
 
 
 def test_class_ids_outside_of_the_table_are_named(tmp_path):

@@ -64,7 +64,7 @@ def test_predictions_come_back(tmp_path):
     scene.write_prediction(path, classes.astype(np.uint8))
     np.testing.assert_array_equal(scene.read_prediction(path), classes)
     path.write_bytes(np.full((128, 128, 8), 30, "<u4").tobytes())
-    with pytest.raises(DataError, match="class 30 is none of 0 to 10"):
+    with pytest.raises(DataError, match=r"the class ids \[30\] are not in the dataset's table, which has 0 to 10"):
         scene.read_prediction(path)
 
 

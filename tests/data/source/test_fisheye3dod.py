@@ -126,6 +126,14 @@ def test_tags_are_read_as_carla_writes_them_or_as_floats(root, tmp_path):
     path.write_bytes(np.full((3, 6), 0.5, "<f4").tobytes())
     with pytest.raises(DataError, match=r"points\.bin: the last of the six numbers of a point is no tag"):
         read_points(path)
+    ways = np.array(
+        [[0, 0, 0], [np.nan, 1, 1], [5, 4, 3]], "<f4"
+    )  # two rays that did not come back, whatever their tag
+    rows = np.column_stack([ways, np.zeros((3, 2), "<f4"), np.array([3.5, np.nan, 14], "<f4")]).astype("<f4")
+    path.write_bytes(rows.tobytes())
+    points_m, tags = read_points(path)
+    assert points_m.tolist() == [[5, 4, 3]]
+    assert tags.tolist() == [14]
 
 
 FOLDER = "train-Town01_Opt-ClearNoon-2024_09_23_11_44_45/ego0"

@@ -77,7 +77,10 @@ def test_the_right_of_the_image_is_the_right_of_the_voxels(root):
 
 def test_depth_is_planar_on_the_faces_of_a_cube(root):
     depth_m = np.full((180, 360), 4.0, np.float32)
+    depth_m[0, :3] = 0, -1, np.nan  # nothing was measured
     range_m = range_of_cube_depth(depth_m)
+    assert np.isnan(range_m[0, :3]).all()
+    assert np.isfinite(range_m[1:]).all()
     ray = np.array([math.cos(math.radians(44.5)), math.sin(math.radians(44.5))]) * math.cos(math.radians(0.5))
     assert range_m[89, 224] == pytest.approx(4 / ray[0])  # beside the edge of two faces: 5.6 m, not 4
     assert range_m[89, 224] > 5.6

@@ -189,6 +189,36 @@ def test_a_damaged_file_is_one_line(tmp_path, file, change, message):
         scene.own_voxels(0, "free"), scene.images(0), scene.cloud(0)
 
 
+@pytest.mark.parametrize("key", ["semantics", "pred"])
+@pytest.mark.parametrize(
+    ("wrong", "dtype"), [(-1, "i8"), (-1, "f4"), (18, "u1"), (255, "u1"), (3.5, "f4"), (np.nan, "f8")]
+)
+def test_labels_and_predictions_are_whole_numbers_from_0_to_17(tmp_path, key, wrong, dtype):
+    root = write_nuscenes(tmp_path, ("scene-0001", "scene-0002", "scene-0003"), frames=1)
+    scene = source_of(root).scenes("test")[0]
+    path = scene.label_file(0)
+    content = dict(np.load(path))
+    changed = content["semantics"].astype(dtype)
+    np.savez(path, **content | {key: changed})
+    right = scene.own_voxels(0, "free").numpy() if key == "semantics" else scene.read_prediction(path)
+    np.testing.assert_array_equal(right, from_file(content["semantics"]))
+    changed[3, 4, 5] = wrong
+    np.savez(path, **content | {key: changed})
+    shown = "the class ids" if float(wrong).is_integer() else "values that are no whole numbers"
+    with pytest.raises(DataError, match=rf"labels\.npz: .*{shown}.*{wrong}"):
+        scene.own_voxels(0, "free") if key == "semantics" else scene.read_prediction(path)
+
+
+def test_rays_that_did_not_come_back_are_no_points(tmp_path):
+    root = write_nuscenes(tmp_path, ("scene-0001", "scene-0002", "scene-0003"), frames=1)
+    scene = source_of(root).scenes("train")[0]
+    before, path = scene.cloud(0), root / str(scene.frames.lidar[0])
+    rows = np.fromfile(path, "<f4").reshape(-1, 5)
+    np.insert(rows, [0, 3], [[0, 0, 0, 7, 1], [np.nan, 0, 0, 7, 1]], axis=0).astype("<f4").tofile(path)
+    after = scene.cloud(0)
+    np.testing.assert_array_equal(after.points_m, before.points_m)
+
+
 @pytest.mark.parametrize(
     ("table", "change", "message"),
     [

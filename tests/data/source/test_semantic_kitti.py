@@ -205,6 +205,63 @@ def test_the_first_release_is_found_and_moved_down(tmp_path):
     assert voxel_grid().height_m == pytest.approx((-2.0, 4.4))
 
 
+@pytest.mark.filterwarnings("ignore:.*first release")
+def test_on_the_first_release_submissions_of_both_releases_are_read_and_todays_is_written(tmp_path, capsys):
+    """The voxels of the first release lie one cell too high: what is compared with today's is written one lower."""
+    source = source_of(write_semantic_kitti(tmp_path / "kitti", frames=2, first_release=True))
+    todays = raw_voxels()[0]
+    todays[todays == OTHER_ID] = 0
+    (scene,) = source.scenes("test")
+    scores = {}
+    for name, cells in (("today", todays), ("first", np.roll(todays, 1, axis=2))):
+        for frame in range(2):
+            path = tmp_path / name / scene.prediction_file(frame)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(cells.tobytes())
+        scores[name] = score_files(source, tmp_path / name)[0]
+        release = {"today": "today's release", "first": "the first release"}[name]
+        assert capsys.readouterr().out.startswith(
+            f"predictions: class 10 is car, as in the dataset's files; cells lie as in {release} of the voxels\n"
+        )
+    assert {found["test/voxel/iou"] for found in scores.values()} == {1.0}
+    mine = scene.own_voxels(0, "free").numpy()
+    scene.write_prediction(tmp_path / "mine.label", np.where(mine == UNKNOWN, 0, mine))
+    written = np.fromfile(tmp_path / "mine.label", "<u2").reshape(todays.shape)
+    assert (written > 0)[50:70, 120:130, 3:9].all()
+    assert not written[50:70, 120:130, 9].any()
+    np.testing.assert_array_equal(scene.read_prediction(tmp_path / "mine.label"), np.where(mine == UNKNOWN, 0, mine))
+
+
+def test_submissions_in_the_numbers_of_training_are_read_too(root, tmp_path, capsys):
+    source = source_of(root)
+    (scene,) = source.scenes("test")
+    for frame in range(2):
+        path = tmp_path / scene.prediction_file(frame)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        truth = scene.own_voxels(frame, "free").numpy()
+        np.where(truth == UNKNOWN, 0, truth).astype("<u2").tofile(path)
+    assert score_files(source, tmp_path)[0]["test/voxel/miou"] == 1
+    assert capsys.readouterr().out.startswith("predictions: class 1 is car, as in training\n")
+    np.full(2_097_152, 20, "<u2").tofile(path)  # a class after the last of training, and 'other vehicle' in the files
+    with pytest.raises(DataError, match=r"000000\.label: the class ids \[9\] are not in .* has 0, 1, 10, 11"):
+        score_files(source, tmp_path)
+
+
+def test_rays_that_did_not_come_back_are_no_points_whatever_their_label(tmp_path):
+    root = write_semantic_kitti(tmp_path, frames=1)
+    whole = source_of(root).scenes("train")[0]
+    before, folder = whole.cloud(0), root / "sequences" / "00"
+    rows = np.fromfile(folder / "velodyne" / "000000.bin", "<f4").reshape(-1, 4)
+    ids = np.fromfile(folder / "labels" / "000000.label", "<u4")
+    lost = np.array([[0, 0, 0, 0.5], [np.nan, 1, 1, 0], [np.inf, 0, 0, 0]], "<f4")
+    np.insert(rows, [0, 5, 7], lost, axis=0).tofile(folder / "velodyne" / "000000.bin")
+    np.insert(ids, [0, 5, 7], [9999, 9999, 0]).astype("<u4").tofile(folder / "labels" / "000000.label")
+    after = whole.cloud(0)
+    np.testing.assert_array_equal(after.points_m, before.points_m)
+    np.testing.assert_array_equal(after.labels, before.labels)
+    assert np.isfinite(whole.lidar(0).directions).all()
+
+
 def test_bits_are_read_as_the_devkit_does(tmp_path):
     path = tmp_path / "a.bin"
     path.write_bytes(bytes([0x80, 0x01, 0xD0]) + bytes(262_141))

@@ -2,6 +2,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 from omniocc.camera import Equidistant, KannalaBrandt, Rig
 from omniocc.errors import UserError
@@ -159,3 +160,21 @@ def test_lenses_that_cannot_be_stretched_are_named():
     rig = Rig((CAMERAS[0], square), RIG.ego_from_camera, RIG.names)
     with pytest.raises(UserError, match="one size"):
         resized_to_width([np.zeros((36, 64, 3), np.uint8)] * 2, rig, 64)
+
+
+def test_images_are_not_turned_and_have_their_true_depth(tmp_path):
+    image, exif = np.zeros((36, 64, 3), np.uint8), Image.Exif()
+    image[:18, :32] = 200
+    exif[0x0112] = 3
+    Image.fromarray(image).save(tmp_path / "front.png", exif=exif)
+    ramp = np.linspace(0, 4095, 54 * 96).round().astype(np.uint16).reshape(54, 96)
+    cv2.imwrite(str(tmp_path / "back.png"), ramp)
+    (frame,) = find_frames(str(tmp_path), RIG, image_bits=12)
+    front, back = read_frame(frame, RIG)
+    assert np.array_equal(front, image)
+    assert np.array_equal(back[..., 2], (ramp * (255 / 4095)).round())
+    (frame,) = find_frames(str(tmp_path), RIG)
+    with pytest.raises(UserError, match=r"back\.png: .* reach 4095.*set image_bits=12"):
+        read_frame(frame, RIG)
+    with pytest.raises(UserError, match=r"image_bits is 99; it must be 8 to 16"):
+        find_frames(str(tmp_path), RIG, image_bits=99)

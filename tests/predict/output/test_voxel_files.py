@@ -9,7 +9,7 @@ from omniocc.errors import UserError
 from omniocc.geometry import Cuboid
 from omniocc.predict import Prediction
 from omniocc.predict.output.ply import VERTEX
-from omniocc.predict.output.voxel_files import read_labels, voxel_arrays, write_mesh, write_voxels
+from omniocc.predict.output.voxel_files import read_labels, read_voxels, voxel_arrays, write_mesh, write_voxels
 
 GRID = Cuboid((4, 3, 2), (0.0, 8.0), (-3.0, 3.0), (-1.0, 1.0))
 CLASSES = ClassTable(tuple(SemanticClass(k, f"kind{k}", (k, 2 * k, 255 - k)) for k in range(19)))
@@ -41,3 +41,15 @@ def test_labels_are_read_back_and_other_files_refused(tmp_path):
     (tmp_path / "voxels.npz").write_bytes(b"not an archive")
     with pytest.raises(UserError, match=r"voxels\.npz.*damaged"):
         read_labels(tmp_path, GRID)
+
+
+@pytest.mark.parametrize("wrong", [-1, 19, 3.5, np.nan])
+def test_labels_that_are_no_classes_are_refused(tmp_path, wrong):
+    arrays = voxel_arrays(prediction(), GRID, CLASSES, None)
+    write_voxels(tmp_path, arrays)
+    assert torch.equal(read_voxels(tmp_path / "voxels.npz").labels, prediction().labels)
+    labels = arrays["labels"].astype(np.float64)
+    labels[0, 0, 0] = wrong
+    np.savez(tmp_path / "voxels.npz", **arrays | {"labels": labels})
+    with pytest.raises(UserError, match=rf"voxels\.npz is damaged .*its labels hold \[{float(wrong)}\]"):
+        read_voxels(tmp_path / "voxels.npz")

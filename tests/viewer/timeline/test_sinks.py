@@ -1,6 +1,8 @@
 """Files that are whole or not there, viewers that are there or not."""
 
 import contextlib
+import os
+import signal
 import socket
 import subprocess
 import sys
@@ -13,6 +15,7 @@ from recordings import read
 from rerun.chunk import RrdReader
 
 from omniocc.errors import DataError, UserError
+from omniocc.viewer.timeline import sinks
 from omniocc.viewer.timeline.sinks import host_and_port, to_file, to_own_viewer, to_viewer
 
 VIEWER = Path(sys.executable).with_name("rerun")
@@ -99,8 +102,9 @@ def test_without_a_display_it_is_a_line(monkeypatch):
 def listening(path):
     """Run a viewer without a window, which writes what it gets to a file; give its address."""
     port = free_port()
-    command = [str(VIEWER), "--save", str(path), "--port", str(port)]
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+    command = [str(VIEWER), *sinks.OWN_ARGUMENTS, "--save", str(path), "--port", str(port)]
+    quiet = subprocess.DEVNULL
+    with subprocess.Popen(command, stdout=quiet, stderr=quiet, start_new_session=True) as process:
         try:
             for _ in range(200):
                 with contextlib.suppress(OSError):
@@ -110,7 +114,7 @@ def listening(path):
             yield f"127.0.0.1:{port}"
             time.sleep(0.5)
         finally:
-            process.terminate()
+            os.killpg(process.pid, signal.SIGTERM)  # the viewer is a process of the command
 
 
 def test_a_running_viewer_gets_the_frames(tmp_path):
@@ -120,3 +124,32 @@ def test_a_running_viewer_gets_the_frames(tmp_path):
     content = (tmp_path / "v.rrd").read_bytes()
     assert content.startswith(b"RRF")
     assert content.count(b"/values") >= 1
+
+
+def listening_addresses(port):
+    """Return the addresses of this machine at which something listens, as the kernel lists them (hexadecimal)."""
+    rows = [line.split() for table in ("tcp", "tcp6") for line in Path(f"/proc/net/{table}").read_text().splitlines()]
+    places = [row[1].split(":") for row in rows[1:] if row[3] == "0A"]
+    return [address for address, number in places if int(number, 16) == port]
+
+
+def test_a_viewer_that_is_started_here_is_reached_from_here_alone(tmp_path, monkeypatch):
+    started, port, spawn = [], free_port(), sinks.rerun_bindings.spawn
+
+    def spawn_without_a_window(extra_args, **options):
+        started.append(spawn(extra_args=[*extra_args, "--save", str(tmp_path / "v.rrd")], **options))
+
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setenv("PATH", str(VIEWER.parent), prepend=":")
+    monkeypatch.setattr(sinks, "PORT", port)
+    monkeypatch.setattr(sinks.rerun_bindings, "spawn", spawn_without_a_window)
+    try:
+        with to_own_viewer("title") as recording:
+            assert listening_addresses(port) == ["0100007F"]  # 127.0.0.1
+            fill(recording, 3)
+        time.sleep(1)
+    finally:
+        for process in started:
+            assert os.getpgid(process) != os.getpgrp()
+            os.killpg(os.getpgid(process), signal.SIGTERM)
+    assert (tmp_path / "v.rrd").stat().st_size > 0

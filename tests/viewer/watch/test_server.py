@@ -98,6 +98,15 @@ def test_nothing_else_can_be_read(ask, path):
     assert headers["Content-Type"].startswith("text/plain")
 
 
+def test_links_to_other_places_are_not_followed(ask, runs):
+    run = make_run(runs / "linked")
+    (run / "images").symlink_to(runs.parent)
+    (runs / "ours-1" / "images" / "link.png").symlink_to(runs.parent / "secret.png")
+    for path in ("/image?id=linked&name=secret.png", "/image?id=ours-1&name=link.png"):
+        assert ask(path)[0] == 404
+    assert json.loads(ask("/api/run?id=linked")[2])["images"] == []
+
+
 @pytest.mark.parametrize(
     ("host", "status"),
     [

@@ -5,15 +5,16 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 import torch
 import yaml
-from jaxtyping import Bool, Float64, UInt8
+from jaxtyping import Bool, Float64
 from torch import Tensor
 
 from omniocc.camera.pose import LEVEL_FORWARD, invert_pose, rigid_pose
 from omniocc.camera.protocol import Camera, finite
+from omniocc.errors import DataError
+from omniocc.images import read_mask
 
 ROTATION_TOLERANCE = 1e-3  # largest difference of singular values from 1, for files with few digits
 
@@ -135,17 +136,14 @@ def single(camera: Camera, name: str) -> Calibration:
     return Calibration((camera,), ego_from_first(torch.eye(4, dtype=torch.float64)[None]), (name,), None)
 
 
-def read_mask_pixels(name: str, file: Path, camera: Camera) -> UInt8[np.ndarray, "height width"]:
-    """Return the grey values of a mask; raise ValueError, with `name`, if missing, unreadable or of another size."""
-    if not file.is_file():
+def read_mask_of(name: str, file: Path, camera: Camera) -> Bool[Tensor, "height width"]:
+    """Return where a mask is not 0; raise ValueError, with `name`, if missing, unreadable or of another size."""
+    if not file.exists():
         raise ValueError(f"{name} {file} does not exist")
-    pixels = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
-    if pixels is None:
-        raise ValueError(f"{name} {file} is not a readable image")
-    if pixels.shape != (camera.height, camera.width):
-        size = f"{pixels.shape[1]}x{pixels.shape[0]}"
-        raise ValueError(f"{name} {file} is {size} px but the image is {camera.width}x{camera.height} px")
-    return pixels.astype(np.uint8, copy=False)
+    try:
+        return torch.from_numpy(read_mask(file, (camera.width, camera.height)))
+    except DataError as error:
+        raise ValueError(f"{name} {error}") from error
 
 
 def _number(key: str, value: Any) -> float:

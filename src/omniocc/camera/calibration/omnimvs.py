@@ -14,7 +14,7 @@ from omniocc.camera.calibration.fields import (
     mapping,
     naming,
     number,
-    read_mask_pixels,
+    read_mask_of,
     required,
     row,
     size,
@@ -67,4 +67,4 @@ def _pose(values: list[float]) -> Float64[Tensor, "4 4"]:
 def _mask(file: Path, camera: OCam) -> Bool[Tensor, "_ _"] | None:
     if not file.is_file():
         return None
-    return torch.from_numpy(read_mask_pixels("invalid_mask", file, camera) == 0)
+    return ~read_mask_of("invalid_mask", file, camera)

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from jaxtyping import Float32, Int64
+from jaxtyping import Bool, Float, Float32, Int64
 
-from omniocc.data.formats.files import read_array, read_bytes
+from omniocc.data.formats.files import named_once, read_array, read_bytes, whole_numbers
 from omniocc.errors import DataError
 
 LABEL_FIELDS = ("label", "labels", "semantic", "semantics", "class")
@@ -20,6 +20,12 @@ TINIEST_M, FARTHEST_M = 1e-6, 1e4
 """Coordinates that a LiDAR measures, in absolute value."""
 MOST_OTHERS = 0.01
 """Largest fraction of other coordinates in a file whose numbers are of the right type and unit."""
+LEAST_NEAR = 1e-3
+"""Fraction of the points of a scan, at least, that lies within the reach of the scores."""
+FAR_M = 256.0
+"""Median distance of points that no LiDAR on a car measures; points beyond are not even stored."""
+CLUSTERED = 0.2
+"""Spread of points in world coordinates about their middle as a fraction of their distance, at most."""
 PLY_TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
     "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4",
@@ -31,12 +37,65 @@ class RawCloud(NamedTuple):
     """The points of a file.
 
     Attributes:
-        points_m: in the frame of the LiDAR, m; points that are not finite are left out.
+        points_m: in the frame of the LiDAR, m; rays that did not come back (`came_back`) are left out.
         labels: class id of each, as the file numbers classes; None without any.
     """
 
     points_m: Float32[np.ndarray, "P 3"]
     labels: Int64[np.ndarray, " P"] | None
+
+
+def came_back(points_m: Float[np.ndarray, "R 3"]) -> Bool[np.ndarray, " R"]:
+    """Return which rows of a scan, in the frame of its LiDAR, are points.
+
+    Where nothing came back, LiDARs and their drivers write (0, 0, 0), nan or inf. Only in the frame of the LiDAR do
+    these stand for no place.
+    """
+    return np.isfinite(points_m).all(axis=1) & (points_m != 0).any(axis=1)
+
+
+def read_scan(path: Path, columns: int) -> tuple[Float32[np.ndarray, "P 3"], Bool[np.ndarray, " R"]]:
+    """Return the points of a file of float32 numbers, and which of its rows they are: labels are stored for all rows.
+
+    Args:
+        path: the file, in the frame of the LiDAR.
+        columns: numbers of each row, x, y, z (m) first: 4 in KITTI, 5 in nuScenes.
+
+    Raises:
+        DataError: if the file is missing or of another size.
+    """
+    rows = read_array(path, "<f4", (-1, columns))[:, :3]
+    kept = came_back(rows)
+    return rows[kept], kept
+
+
+def distances_m(points_m: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, " F"]:
+    """Return the horizontal distance of the points that are finite from the origin of their frame, m."""
+    return np.linalg.norm(points_m[np.isfinite(points_m).all(axis=1), :2].astype(np.float64), axis=1)
+
+
+def out_of_reach(points_m: Float[np.ndarray, "P 3"], reach_m: float) -> str:
+    """Return a line if hardly any point of a scan, ego frame, lies within a horizontal distance, and why; else ''.
+
+    World coordinates lie close together and far away; in another unit points still lie around the car.
+    """
+    distance_m = distances_m(points_m)
+    near, total = int((distance_m < reach_m).sum()), len(distance_m)
+    if near and near >= LEAST_NEAR * total:
+        return ""
+    found = f"{near:,} of its {total:,} points lie" if near else f"none of its {total:,} points lies"
+    median_m = float(np.median(distance_m)) if total else np.nan
+    if not total:
+        likely = "rays that did not come back and points on the own car are left out"
+    elif median_m < FAR_M:
+        likely = f"their median distance is {median_m:,.0f} m; are the unit (m) and the pose of the LiDAR right?"
+    else:
+        middle_m = np.nanmedian(points_m.astype(np.float64), axis=0)
+        spread_m = np.median(distances_m(points_m - middle_m))
+        world = "world coordinates (UTM, map): give them in the frame of the LiDAR"
+        looks = world if spread_m < median_m * CLUSTERED else "millimetres or another unit: give them in metres"
+        likely = f"their median distance is {median_m:,.0f} m, which looks like {looks}"
+    return f"{found} within {reach_m:g} m: {likely}"
 
 
 def read_cloud(path: Path, label_field: str | None = None, columns: int = 4) -> RawCloud:
@@ -58,26 +117,28 @@ def read_cloud(path: Path, label_field: str | None = None, columns: int = 4) -> 
     fields = reader(path) if reader is not read_bin else read_bin(path, columns)
     if missing := [axis for axis in "xyz" if axis not in fields]:
         raise DataError(f"{path}: the field {missing[0]} is missing; the file has {', '.join(fields) or 'none'}")
-    points = np.stack([fields[axis] for axis in "xyz"], axis=1).astype(np.float32)
-    labels = _labels(path, fields, label_field, len(points))
-    finite = np.isfinite(points).all(axis=1)
-    return RawCloud(points[finite], None if labels is None else labels[finite])
+    if several := [axis for axis in "xyz" if fields[axis].ndim != 1]:
+        raise DataError(f"{path}: the field {several[0]} has several numbers for each point; it must have one")
+    with np.errstate(over="ignore"):  # beyond float32: not finite, as no point is
+        points = np.stack([fields[axis] for axis in "xyz"], axis=1).astype(np.float32)
+    kept = came_back(points)
+    return RawCloud(points[kept], _labels(path, fields, label_field, kept))
 
 
 def _labels(
-    path: Path, fields: dict[str, np.ndarray], label_field: str | None, count: int
+    path: Path, fields: dict[str, np.ndarray], label_field: str | None, kept: Bool[np.ndarray, " R"]
 ) -> Int64[np.ndarray, " P"] | None:
+    """Return the class ids of the points: those of other rows may be anything."""
     if label_field is not None and label_field not in fields:
         raise DataError(f"{path}: there is no field '{label_field}'; the file has {', '.join(fields)}")
     names = LABEL_FIELDS if label_field is None else (label_field,)
     name = next((name for name in names if name in fields), None)
     if name is not None:
-        labels = np.asarray(fields[name])
-        if labels.shape != (count,) or not (np.isfinite(labels).all() and (labels == labels.astype(np.int64)).all()):
-            raise DataError(f"{path}: its field '{name}' is no whole number for each of {count} points")
-        return labels.astype(np.int64)
+        if fields[name].shape != kept.shape:
+            raise DataError(f"{path}: its field '{name}' is no whole number for each of {len(kept)} points")
+        return whole_numbers(fields[name][kept], f"{path}: its field '{name}'")
     beside = path.with_suffix(LABEL_SUFFIX)
-    return (read_array(beside, "<u4", (count,)) & 0xFFFF).astype(np.int64) if beside.is_file() else None
+    return (read_array(beside, "<u4", kept.shape)[kept] & 0xFFFF).astype(np.int64) if beside.is_file() else None
 
 
 def read_bin(path: Path, columns: int = 4) -> dict[str, np.ndarray]:
@@ -107,6 +168,7 @@ def read_npz(path: Path) -> dict[str, np.ndarray]:
     """
     try:
         with np.load(io.BytesIO(read_bytes(path)), allow_pickle=False) as content:
+            named_once(content.files, f"{path}: the array")
             arrays = {name: content[name] for name in content.files}
     except DataError:
         raise
@@ -116,7 +178,9 @@ def read_npz(path: Path) -> dict[str, np.ndarray]:
     if points is None or points.ndim != 2 or points.shape[1] < 3:
         shape = "is missing" if points is None else f"has the shape {points.shape}"
         raise DataError(f"{path}: its array 'points' {shape}; it must be (P, 3)")
-    return dict(zip("xyz", points.T, strict=False)) | {k: v for k, v in arrays.items() if v.shape == points.shape[:1]}
+    others = {name: values for name, values in arrays.items() if values.shape == points.shape[:1]}
+    named_once((*"xyz", *others), f"{path}: among the columns of 'points' and the arrays")
+    return dict(zip("xyz", points.T, strict=False)) | others
 
 
 def read_ply(path: Path) -> dict[str, np.ndarray]:
@@ -138,6 +202,7 @@ def read_ply(path: Path) -> dict[str, np.ndarray]:
     properties = [line for line in rows if line[0] == "property"]
     if unknown := [" ".join(line) for line in properties if len(line) != 3 or line[1] not in PLY_TYPES]:
         raise DataError(f"{path}: '{unknown[0]}' of the vertices cannot be read")
+    named_once([line[2] for line in properties], f"{path}: the property")
     dtype = np.dtype([(line[2], "<" + PLY_TYPES[line[1]]) for line in properties])
     count, body = _whole(path, "element vertex", lines[elements[0]][-1]), content[found.end() :]
     if encoding == "ascii":
@@ -158,7 +223,9 @@ def read_pcd(path: Path) -> dict[str, np.ndarray]:
     if found is None:
         raise DataError(f"{path}: the header of a PCD file is missing, or its line DATA")
     lines = [line.split() for line in content[: found.start()].decode("ascii", "replace").splitlines()]
-    header = {line[0]: line[1:] for line in lines if line and not line[0].startswith("#")}
+    lines = [line for line in lines if line and not line[0].startswith("#")]
+    named_once([line[0] for line in lines], f"{path}: the line of its header")
+    header = {line[0]: line[1:] for line in lines}
     dtype = _pcd_dtype(path, header)
     count = _whole(path, "POINTS", " ".join(header.get("POINTS", [])))
     body, encoding = content[found.end() :], found[1].decode()
@@ -182,6 +249,7 @@ def _pcd_dtype(path: Path, header: dict[str, list[str]]) -> np.dtype:
             raise DataError(f"{path}: the field {name} of type {kind} and {size} bytes cannot be read")
         times = _whole(path, "COUNT", count)
         parts.append((f"_{place}" if name == "_" else name, f"<{kind.lower()}{size}", () if times == 1 else (times,)))
+    named_once([name for name, _, _ in parts], f"{path}: the field")
     return np.dtype(parts)
 
 

@@ -9,10 +9,15 @@ import numpy as np
 
 from omniocc.camera import Camera
 from omniocc.errors import DataError
+from omniocc.images import Depth, content_of, decoded, rgb_of, size_of
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm")
 SHAPE_TOLERANCE = 0.01
 """Largest relative difference between the aspect ratio of an image and that of its calibration: sizes are rounded."""
+SHOWN = 8
+"""Wrong values that a message names."""
+LARGEST_WHOLE = 2.0**53
+"""From here on float64 holds no fractions, and does not tell neighbouring whole numbers apart."""
 
 # Paths are built from tables and opened as they are: nothing here lists a folder, which may hold a million files.
 
@@ -61,7 +66,10 @@ def read_npz(path: Path, shapes: dict[str, tuple[int, ...]], remedy: str = "") -
         raise DataError(f"{path}: the file is missing{remedy and f'; {remedy}'}")
     try:
         with np.load(path, allow_pickle=False) as content:
+            named_once(content.files, f"{path}: the array")
             found = {name: content[name] for name in shapes if name in content}
+    except DataError:
+        raise
     except Exception as error:  # zipfile, zlib and numpy have errors of their own
         raise DataError(f"{path}: the file is damaged ({error})") from error
     for name, shape in shapes.items():
@@ -70,6 +78,12 @@ def read_npz(path: Path, shapes: dict[str, tuple[int, ...]], remedy: str = "") -
         if found[name].shape != shape:
             raise DataError(f"{path}: its array '{name}' has the shape {found[name].shape} instead of {shape}")
     return found
+
+
+def named_once(names: Sequence[str], where: str) -> None:
+    """Raise DataError beginning with `where` if a name of fields, properties or arrays stands twice."""
+    if twice := [name for place, name in enumerate(names) if name in names[:place]]:
+        raise DataError(f"{where} '{twice[0]}' stands twice, and it is not clear which of them is meant; rename one")
 
 
 def read_npy(path: Path, shape: Sequence[int], remedy: str = "") -> np.ndarray:
@@ -90,11 +104,24 @@ def read_npy(path: Path, shape: Sequence[int], remedy: str = "") -> np.ndarray:
     )
     if not fits:
         raise DataError(f"{path}: the array has the shape {numbers.shape} instead of {wanted}")
-    with np.errstate(invalid="ignore"):
-        whole = numbers.astype(np.int64) if numbers.dtype.kind in "biuf" else None
-    if whole is None or not np.array_equal(whole, numbers):
-        raise DataError(f"{path}: the array of {numbers.dtype} holds values that are no whole numbers")
-    return whole
+    return whole_numbers(numbers, str(path))
+
+
+def whole_numbers(numbers: np.ndarray, where: str) -> np.ndarray:
+    """Return numbers of whatever type as int64; a fraction, nan or inf is never a label, nor a place of a cell.
+
+    Raises:
+        DataError: beginning with `where`, naming the first values that are no whole numbers.
+    """
+    kind = numbers.dtype.kind
+    if kind == "f":
+        wrong = numbers[~((numbers == np.round(numbers)) & (np.abs(numbers) < LARGEST_WHOLE))]
+    else:
+        wrong = numbers[:0] if kind in "biu" else numbers
+    if wrong.size:
+        found = ", ".join(map(str, dict.fromkeys(wrong.reshape(-1)[:SHOWN].tolist())))
+        raise DataError(f"{where}: the array of {numbers.dtype} holds values that are no whole numbers: {found}")
+    return numbers.astype(np.int64)
 
 
 def load_npy(path: Path, remedy: str = "") -> np.ndarray:
@@ -108,15 +135,7 @@ def load_npy(path: Path, remedy: str = "") -> np.ndarray:
 
 def decode(path: Path, flags: int, remedy: str = "") -> np.ndarray:
     """Return an image file as OpenCV decodes it (flags: `cv2.IMREAD_...`); raise DataError if there is none."""
-    image = decode_bytes(read_bytes(path, remedy), flags)
-    if image is None:
-        raise DataError(f"{path}: the file is no image, or damaged")
-    return image
-
-
-def decode_bytes(content: bytes | np.ndarray, flags: int) -> np.ndarray | None:
-    """Return an encoded image as OpenCV decodes it (flags: `cv2.IMREAD_...`); None if it is damaged."""
-    return cv2.imdecode(np.frombuffer(content, np.uint8), flags) if len(content) else None
+    return decoded(content_of(path, remedy), flags, str(path))
 
 
 def scaled_to(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
@@ -127,24 +146,28 @@ def scaled_to(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     return cv2.resize(image, size, interpolation=cv2.INTER_AREA if size[0] < width else cv2.INTER_LINEAR)
 
 
-def check_aspect(image: np.ndarray, camera: Camera, where: str, whose: str = "its camera") -> None:
-    """Check that an image has the aspect ratio of its camera's calibration; `whose` names the camera.
+def rgb_of_camera(content: bytes, where: str, camera: Camera, depth: Depth, whose: str = "its camera") -> np.ndarray:
+    """Return an encoded image of a camera, (H, W, 3) uint8 RGB; raise DataError as `rgb_of` and `check_aspect`."""
+    return rgb_of(content, where, depth, lambda size: check_aspect(size, camera, where, whose))
+
+
+def check_aspect(size: tuple[int, int], camera: Camera, where: str, whose: str = "its camera") -> None:
+    """Check that an image of a width and height has the aspect ratio of its camera's calibration; `whose` names it.
 
     Raises:
-        ValueError: beginning with `where`; a part of an image needs a calibration of its own.
+        DataError: beginning with `where`; a part of an image needs a calibration of its own.
     """
-    height, width = image.shape[:2]
+    width, height = size
     if abs(width / height / (camera.width / camera.height) - 1) > SHAPE_TOLERANCE:
-        raise ValueError(
+        raise DataError(
             f"{where}: the image is {width}x{height} px, but {whose} is calibrated for "
             f"{camera.width}x{camera.height} px: a scaled image can be used, a cropped one needs its own calibration"
         )
 
 
 def image_size(path: Path) -> tuple[int, int]:
-    """Return width and height of an image file, px; raise DataError if it is missing or damaged."""
-    height, width = decode(path, cv2.IMREAD_GRAYSCALE).shape[:2]
-    return width, height
+    """Return width and height of an image file, px, as its header states; raise DataError if there is none."""
+    return size_of(content_of(path), str(path))
 
 
 def read_image(path: Path, size: tuple[int, int] | None, scaled: tuple[int, int], remedy: str = "") -> np.ndarray:
@@ -159,19 +182,29 @@ def read_image(path: Path, size: tuple[int, int] | None, scaled: tuple[int, int]
     Raises:
         DataError: if the file is missing, no image, or of another size.
     """
-    image = decode(path, cv2.IMREAD_COLOR, remedy)
-    height, width = image.shape[:2]
-    if size is not None and (width, height) != size:
-        raise DataError(f"{path}: the image has {width}x{height} px, but its calibration is for {size[0]}x{size[1]} px")
-    return cv2.cvtColor(scaled_to(image, scaled), cv2.COLOR_BGR2RGB)
+
+    def check_size(found: tuple[int, int]) -> None:
+        if size is not None and found != size:
+            found_px, wanted_px = ("x".join(map(str, one)) for one in (found, size))
+            raise DataError(f"{path}: the image has {found_px} px, but its calibration is for {wanted_px} px")
+
+    return scaled_to(rgb_of(content_of(path, remedy), str(path), fits=check_size), scaled)
 
 
 def map_classes(ids: np.ndarray, table: np.ndarray, path: Path) -> np.ndarray:
-    """Return classes (uint8) of the ids in a file; raise DataError naming ids that the table does not know (-1)."""
+    """Return classes (uint8) of the ids in a file, which may be of any type.
+
+    Raises:
+        DataError: naming ids that are no whole numbers, or that the table does not know (-1).
+    """
+    ids = ids if ids.dtype.kind in "iu" else whole_numbers(ids, str(path))
     classes = table[np.clip(ids, 0, len(table) - 1)]
     unknown = (classes < 0) | (ids < 0) | (ids >= len(table))
     if unknown.any():
-        raise DataError(f"{path}: the class ids {np.unique(ids[unknown])[:8].tolist()} are not in the dataset's table")
+        found, known = np.unique(ids[unknown])[:SHOWN].tolist(), np.flatnonzero(table >= 0).tolist()
+        gaps = known[-1] - known[0] >= len(known)
+        has = ", ".join(map(str, known)) if gaps else f"{known[0]} to {known[-1]}"
+        raise DataError(f"{path}: the class ids {found} are not in the dataset's table, which has {has}")
     return classes.astype(np.uint8)
 
 

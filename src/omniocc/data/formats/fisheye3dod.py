@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
+from omniocc.data.formats.clouds import came_back
 from omniocc.data.formats.files import read_array, read_text
 from omniocc.data.formats.unreal import UnrealPose, pose_of
 from omniocc.errors import DataError
@@ -43,8 +44,9 @@ def read_poses(folder: Path) -> dict[int, Float64[np.ndarray, "4 4"]]:
 
 
 def read_points(path: Path) -> tuple[Float32[np.ndarray, "P 3"], UInt8[np.ndarray, " P"]]:
-    """Return points (m) and CARLA's tags of a file with six numbers for each point: x, y, z, cosine, object, tag.
+    """Return points (m) and CARLA's tags of a file with six numbers for each ray: x, y, z, cosine, object, tag.
 
+    Rays that did not come back are left out.
     The dataset's code does not say how these are stored. Tags are read as CARLA writes them (uint32) or as float32,
     whichever the file can be.
 
@@ -52,11 +54,10 @@ def read_points(path: Path) -> tuple[Float32[np.ndarray, "P 3"], UInt8[np.ndarra
         DataError: if the file is missing or damaged, or its last numbers are no tags.
     """
     rows = read_array(path, "<f4", (-1, 6))
+    rows = rows[came_back(rows[:, :3])]
     tags, floats = rows[:, 5].copy().view("<u4"), rows[:, 5]
     if tags.max(initial=0) > 255:
         if not ((floats >= 0) & (floats <= 255) & (floats == np.round(floats))).all():
             raise DataError(f"{path}: the last of the six numbers of a point is no tag of 0 to 255 for all points")
         tags = floats
-    if not np.isfinite(rows[:, :3]).all():
-        raise DataError(f"{path}: some points are not finite; the file is damaged")
     return rows[:, :3], tags.astype(np.uint8)

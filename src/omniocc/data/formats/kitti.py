@@ -77,14 +77,9 @@ def read_mask(path: Path) -> Bool[np.ndarray, "256 256 32"]:
     raise DataError(f"{path}: the file has {len(content):,} bytes instead of {expected}; it is damaged")
 
 
-def read_voxels(path: Path, table: np.ndarray) -> UInt8[np.ndarray, "256 256 32"]:
-    """Return the classes of a `.label` file of voxels, 0 empty, 255 those that do not count."""
-    return map_classes(read_array(path, "<u2", SHAPE), table, path)
-
-
-def read_point_classes(path: Path, table: np.ndarray, count: int) -> UInt8[np.ndarray, " P"]:
-    """Return the classes of the points of a scan from its `.label` file; 255 for unlabelled ones."""
-    raw = read_array(path, "<u4", (count,)) & 0xFFFF  # the upper half numbers instances
+def read_point_classes(path: Path, table: np.ndarray, kept: Bool[np.ndarray, " R"]) -> UInt8[np.ndarray, " P"]:
+    """Return the classes of the points of a scan, the rows that are `kept`, from its `.label` file; 255 unlabelled."""
+    raw = read_array(path, "<u4", kept.shape)[kept] & 0xFFFF  # the upper half numbers instances
     classes = map_classes(raw, table, path)
     return np.where(classes == 0, UNKNOWN, classes).astype(np.uint8)
 

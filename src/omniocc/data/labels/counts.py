@@ -37,15 +37,16 @@ def count_classes(
         cells = labels.read(scene, frame)
         if cells is not None:
             place = cells.flatten().nonzero().squeeze(1)
-            label = cells.flatten()[place].long()
-            known = label < num_classes
-            counts.view(-1)[label[known] * counts.shape[1] + place[known]] += 1
-            unknown[place[~known]] += 1
-            if wrong := ids_beyond(label[~known].numpy(), num_classes):
+            found = cells.flatten()[place]
+            if wrong := ids_beyond(found.numpy(), num_classes):
                 raise DataError(
                     f"scene '{scene.name}', frame {frame}: its voxels have the classes {wrong}, but the source has "
                     f"0 to {num_classes - 1}, and 255 for unknown"
                 )
+            label = found.long()
+            known = label < num_classes
+            counts.view(-1)[label[known] * counts.shape[1] + place[known]] += 1
+            unknown[place[~known]] += 1
             read += 1
         if progress is not None:
             progress.advance()

@@ -1,7 +1,7 @@
 """Sources of scenes: what they promise, and one file for each option."""
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple, Protocol, runtime_checkable
@@ -193,6 +193,19 @@ class SubmittedScene(SceneFrames, Protocol):
 
     def read_prediction(self, path: Path) -> UInt8[np.ndarray, "X Y Z"]:
         """Return our classes (0 free) of a file in the benchmark's format; raise DataError naming what is wrong."""
+        ...
+
+
+PredictionReader = Callable[[SubmittedScene, Path], UInt8[np.ndarray, "X Y Z"]]
+"""A function that returns our classes (0 free) of a scene's file in the benchmark's format."""
+
+
+@runtime_checkable
+class NumberedSubmissions(Protocol):
+    """A source in whose submissions classes or cells are numbered in several ways, which their values tell apart."""
+
+    def prediction_reader(self, files: Sequence[tuple[SubmittedScene, int, Path]]) -> tuple[PredictionReader, str]:
+        """Return what reads the files (scene, frame, path) of a submission, and a line on how they are numbered."""
         ...
 
 

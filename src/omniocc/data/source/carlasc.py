@@ -14,6 +14,7 @@ from torch import Tensor
 
 from omniocc.camera import Equirectangular, Pinhole, Rig
 from omniocc.classes import UNKNOWN, ClassTable, SemanticClass
+from omniocc.data.formats.clouds import read_scan
 from omniocc.data.formats.files import check_root, class_table, map_classes, read_array, read_text
 from omniocc.data.formats.poses import rigid
 from omniocc.data.formats.scene import Cloud, DatasetScene
@@ -35,6 +36,8 @@ NAMES = (
     ("Sidewalk", (244, 35, 232)), ("Vegetation", (107, 142, 35)), ("Vehicle", (0, 0, 142)),
 )  # fmt: skip
 CLASSES = ClassTable(tuple(SemanticClass(number, name, rgb) for number, (name, rgb) in enumerate(NAMES)))
+PREDICTED = class_table({row.id: row.id for row in CLASSES.rows})
+"""Class of each id in files of predictions, which have our ids."""
 SHAPE = (128, 128, 8)
 GRIDS: dict[str, Cuboid | Cylinder] = {
     "cartesian": Cuboid(SHAPE, (-25.6, 25.6), (-25.6, 25.6), (-2.0, 1.0)),
@@ -173,9 +176,9 @@ class CarlaSCScene(DatasetScene):
             return None
         number = self.numbers[frame]
         with self.naming(frame):
-            points = read_array(self.folder / "velodyne" / f"{number:06d}.bin", "<f4", (-1, 4))[:, :3]
+            points, kept = read_scan(self.folder / "velodyne" / f"{number:06d}.bin", 4)
             path = self.folder / "labels" / f"{number:06d}.label"
-            classes = map_classes(read_array(path, "<u4", (len(points),)), TABLE, path)
+            classes = map_classes(read_array(path, "<u4", kept.shape)[kept], TABLE, path)
         labels = np.where(classes == 0, UNKNOWN, classes).astype(np.uint8)
         return Cloud(points @ FLIP.astype(np.float32), labels, np.zeros(3))
 
@@ -205,10 +208,7 @@ class CarlaSCScene(DatasetScene):
 
     def read_prediction(self, path: Path) -> UInt8[np.ndarray, "X Y Z"]:
         """Return the classes of a file that `write_prediction` wrote."""
-        classes = read_array(path, "<u4", SHAPE)
-        if classes.max() >= CLASSES.num_classes:
-            raise DataError(f"{path}: class {classes.max()} is none of 0 to {CLASSES.num_classes - 1}")
-        return mirrored(classes).astype(np.uint8)
+        return mirrored(map_classes(read_array(path, "<u4", SHAPE), PREDICTED, path))
 
     def _voxels(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
         stem = self.folder / "evaluation" / f"{self.numbers[frame]:06d}"

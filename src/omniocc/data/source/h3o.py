@@ -233,9 +233,10 @@ def read_range(path: Path) -> Float32[np.ndarray, "h w"]:
 def range_of_cube_depth(depth_m: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
     """Return the range (m) of depth along the axis of that face of a cube which a pixel of a panorama is seen in.
 
-    Depth is planar, as CARLA's cameras measure it; on the unit ray n of the pixel the range is depth / max(|n|).
+    Depth is planar, as CARLA's cameras measure it; on the unit ray n of the pixel the range is depth / max(|n|). Depth
+    that is not above 0 is none: nan.
     """
     height, width = depth_m.shape
     rays = Equirectangular(width, height, 90.0, -90.0).rays().numpy()
     range_m = depth_m / np.abs(rays).max(axis=-1)
-    return np.where(depth_m >= FAR_M, np.inf, range_m).astype(np.float32)
+    return np.where(depth_m >= FAR_M, np.inf, np.where(depth_m > 0, range_m, np.nan)).astype(np.float32)

@@ -12,7 +12,8 @@ from torch import Tensor
 
 from omniocc.camera import Equirectangular, Rig
 from omniocc.classes import OCCUPANCY_CLASSES, UNKNOWN
-from omniocc.data.formats.files import check_root, read_array, read_image, scaled_size
+from omniocc.data.formats.clouds import read_scan
+from omniocc.data.formats.files import check_root, read_image, scaled_size
 from omniocc.data.formats.index import Index
 from omniocc.data.formats.kitti360 import (
     FISHEYES,
@@ -44,7 +45,6 @@ from omniocc.data.source import (
     refuse_unseen,
 )
 from omniocc.data.store.shard import digest
-from omniocc.errors import DataError
 from omniocc.geometry import Cuboid, Grid
 
 ORIGIN_M = (1.15027, -0.299735, 0.86067)
@@ -262,9 +262,7 @@ class KITTI360Scene(DatasetScene):
         """Return points and place of the Velodyne in the ego frame, m, of a frame that has a pose."""
         number = int(self.index.read(self.name).numbers[place])
         path = scan_file(self.root, self.name, number)
-        points = read_array(path, "<f4", (-1, 4))[:, :3]
-        if not np.isfinite(points).all():
-            raise DataError(f"{path}: some points are not finite; the file is damaged")
+        points, _ = read_scan(path, 4)
         return moved(self.ego_from_velodyne, points).astype(np.float32), self.ego_from_velodyne[:3, 3]
 
 

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from omniocc.camera import Camera, Equirectangular, Pinhole, Rig
 from omniocc.classes import FREE, UNKNOWN, ClassTable, SemanticClass
+from omniocc.data.formats.clouds import read_scan
 from omniocc.data.formats.files import (
     check_root,
     class_table,
@@ -29,7 +30,6 @@ from omniocc.data.formats.scene import Cloud, DatasetScene, outside
 from omniocc.data.labels.own_grid import OwnGridLabels
 from omniocc.data.source import Benchmark, BenchmarkFrame, SourceSpec, Split, Unknown
 from omniocc.data.store.shard import digest
-from omniocc.errors import DataError
 from omniocc.geometry import Cuboid, Grid
 from omniocc.geometry.directions import RayOrigins, eight_frames
 from omniocc.io import atomic_write
@@ -42,6 +42,7 @@ GRID = Cuboid(SHAPE, (-40.8, 39.2), (-40.0, 40.0), (-2.8, 3.6))
 """The voxels of Occ3D (-40 .. 40, -40 .. 40, -1 .. 5.4 m) in our ego frame."""
 FREE_ID = 17
 """Free space in the files; every other class has our id less one."""
+TABLE = class_table({number: (number + 1) % (FREE_ID + 1) for number in range(FREE_ID + 1)})
 OWN_CAR_M = ((-1.8, -1.1, -1.8), (2.8, 1.1, 0.5))
 """Lowest and highest x, y, z of the own car, our ego frame; LiDAR points in it are left out."""
 GTS = "download the labels of Occ3D-nuScenes ('gts') into data.source.root"
@@ -209,8 +210,8 @@ class Occ3DScene(DatasetScene):
         """Return the points of LIDAR_TOP, with classes where nuScenes-lidarseg is there."""
         ego_from_lidar = shift(*(-value for value in ORIGIN_M)) @ self.frames.ego_from_lidar[frame]
         with self.naming(frame):
-            points_m = read_array(self.root / str(self.frames.lidar[frame]), "<f4", (-1, 5))[:, :3]
-            labels = self._point_labels(frame, len(points_m))
+            points_m, came_back = read_scan(self.root / str(self.frames.lidar[frame]), 5)
+            labels = self._point_labels(frame, came_back)
         points_m = moved(ego_from_lidar, points_m).astype(np.float32)
         kept = outside(points_m, *OWN_CAR_M)
         return Cloud(points_m[kept], None if labels is None else labels[kept], ego_from_lidar[:3, 3])
@@ -218,7 +219,7 @@ class Occ3DScene(DatasetScene):
     def own_voxels(self, frame: int, unknown: Unknown) -> UInt8[Tensor, "X Y Z"]:
         """Return the class of every cell of Occ3D's grid."""
         content = self._content(frame)
-        labels = torch.from_numpy(from_file(content["semantics"]))
+        labels = torch.from_numpy(content["semantics"])
         masks = {"free": None, "unobserved": "mask_lidar", "unseen": "mask_camera"}
         mask = masks[unknown]
         return labels if mask is None else labels.masked_fill(torch.from_numpy(content[mask] == 0), UNKNOWN)
@@ -227,7 +228,7 @@ class Occ3DScene(DatasetScene):
         """Return the labels, the camera mask, and the origins from which the public RayIoU casts its rays."""
         content = self._content(frame)
         scored: Bool[Tensor, "X Y Z"] = torch.from_numpy(content["mask_camera"] != 0)
-        labels = torch.from_numpy(from_file(content["semantics"]))
+        labels = torch.from_numpy(content["semantics"])
         return BenchmarkFrame(labels, scored, self.ray_origins(frame))
 
     def ray_origins(self, frame: int) -> RayOrigins:
@@ -256,31 +257,26 @@ class Occ3DScene(DatasetScene):
 
     def read_prediction(self, path: Path) -> UInt8[np.ndarray, "X Y Z"]:
         """Return the classes of the array `pred`."""
-        found = read_npz(path, {"pred": SHAPE})["pred"]
-        if found.min() < 0 or found.max() > FREE_ID:
-            raise DataError(f"{path}: classes {found.min()} to {found.max()}, but Occ3D has 0 to {FREE_ID}")
-        return from_file(found)
+        return from_file(read_npz(path, {"pred": SHAPE})["pred"], path)
 
     def _content(self, frame: int) -> dict[str, np.ndarray]:
         names, path = ("semantics", "mask_lidar", "mask_camera"), self.label_file(frame)
         with self.naming(frame):
             content = read_npz(path, dict.fromkeys(names, SHAPE), GTS)
-            if content["semantics"].max() > FREE_ID:
-                raise DataError(f"{path}: the class {content['semantics'].max()} is none of 0 to {FREE_ID}")
-        return content
+            return content | {"semantics": from_file(content["semantics"], path)}
 
-    def _point_labels(self, frame: int, count: int) -> np.ndarray | None:
+    def _point_labels(self, frame: int, kept: Bool[np.ndarray, " R"]) -> np.ndarray | None:
         folder = self.root / "lidarseg" / self.version
         if not folder.is_dir():
             return None
         path = folder / f"{self.frames.lidar_tokens[frame]}_lidarseg.bin"
-        raw = map_classes(read_array(path, "u1", (count,)), LIDARSEG, path)
+        raw = map_classes(read_array(path, "u1", kept.shape)[kept], LIDARSEG, path)
         return np.where(raw == 254, UNKNOWN, raw + 1).astype(np.uint8)
 
 
-def from_file(semantics: np.ndarray) -> np.ndarray:
-    """Return our classes (0 free) of those in a file (17 free)."""
-    return np.where(semantics == FREE_ID, FREE, semantics + 1).astype(np.uint8)
+def from_file(semantics: np.ndarray, path: Path = Path("labels.npz")) -> np.ndarray:
+    """Return our classes (0 free) of those in a file (17 free); raise DataError for others, naming the file."""
+    return map_classes(semantics, TABLE, path)
 
 
 def to_file(classes: np.ndarray) -> np.ndarray:

@@ -19,11 +19,11 @@ from omniocc.camera import OCam, Rig
 from omniocc.camera.calibration.fields import parse_yaml
 from omniocc.camera.pose import LEVEL_FORWARD
 from omniocc.classes import ClassTable, SemanticClass
+from omniocc.data.formats.clouds import read_scan
 from omniocc.data.formats.files import (
     check_root,
     class_table,
     map_classes,
-    read_array,
     read_image,
     read_npy,
     read_text,
@@ -179,7 +179,7 @@ class ParkOccScene(OwnGridScene):
             return None
         name = self.numbers[frame]
         with self.naming(frame):
-            points = read_array(self.scans / name / f"pc_{name}.bin", "<f4", (-1, 4))[:, :3]
+            points, _ = read_scan(self.scans / name / f"pc_{name}.bin", 4)
         return Cloud(points, None, np.zeros(3))
 
     def own_voxels(self, frame: int, unknown: Unknown) -> UInt8[Tensor, "200 200 32"]:

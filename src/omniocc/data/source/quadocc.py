@@ -170,8 +170,7 @@ class QuadOccScene(OwnGridScene):
             return None
         with self.naming(frame):
             points_m = read_cloud(self.folder / "lidar" / f"{self.numbers[frame]}.pcd").points_m
-        hits_m = points_m[(points_m != 0).any(axis=1)]  # rays without a hit are at 0
-        return Cloud(moved(self.source.ego_from_lidar, hits_m).astype(np.float32), None, np.zeros(3))
+        return Cloud(moved(self.source.ego_from_lidar, points_m).astype(np.float32), None, np.zeros(3))
 
     def own_voxels(self, frame: int, unknown: Unknown) -> UInt8[Tensor, "64 64 8"]:
         """Return the class of every cell; 255 is what has no label that counts. There is no mask for `unknown`."""

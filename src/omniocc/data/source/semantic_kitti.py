@@ -12,7 +12,8 @@ from jaxtyping import UInt8
 from torch import Tensor
 
 from omniocc.camera import Pinhole, Rig
-from omniocc.data.formats.files import check_root, image_size, read_array, read_image, scaled_size
+from omniocc.data.formats.clouds import read_scan
+from omniocc.data.formats.files import check_root, image_size, read_image, scaled_size
 from omniocc.data.formats.kitti import (
     SEMANTIC_KITTI,
     SEMANTIC_KITTI_IDS,
@@ -122,6 +123,12 @@ class KittiSequence(CompletionScene):
     def __init__(self, folder: Path, source: SemanticKITTI):
         super().__init__(folder.name, source.panorama)
         self.folder, self.cameras, self.image_width = folder, source.cameras, source.image_width
+        self.source = source
+
+    @property
+    def cells_up(self) -> int:
+        """Return 1 if this copy is of the first release, whose voxels lie one cell too high."""
+        return int(self.source.grid != voxel_grid())
 
     @cached_property
     def numbers(self) -> list[int]:
@@ -182,10 +189,10 @@ class KittiSequence(CompletionScene):
         if not (self.folder / "velodyne").is_dir():
             return None
         with self.naming(frame):
-            points = read_array(self._file("velodyne", frame, "bin"), "<f4", (-1, 4))[:, :3]
+            points, kept = read_scan(self._file("velodyne", frame, "bin"), 4)
             labels = None
             if (self.folder / "labels").is_dir():
-                labels = read_point_classes(self._file("labels", frame, "label"), self.table, len(points))
+                labels = read_point_classes(self._file("labels", frame, "label"), self.table, kept)
         return Cloud(points, labels, np.zeros(3))
 
     def own_voxels(self, frame: int, unknown: Unknown) -> UInt8[Tensor, "X Y Z"] | None:

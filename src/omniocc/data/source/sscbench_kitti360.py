@@ -13,7 +13,8 @@ from torch import Tensor
 
 from omniocc.camera import Camera, Pinhole, Rig
 from omniocc.classes import UNKNOWN
-from omniocc.data.formats.files import check_root, read_array, read_image, read_npy, scaled_size
+from omniocc.data.formats.clouds import read_scan
+from omniocc.data.formats.files import check_root, class_table, map_classes, read_image, read_npy, scaled_size
 from omniocc.data.formats.kitti import SHAPE, SSCBENCH, SSCBENCH_IDS, read_mask
 from omniocc.data.formats.kitti360 import (
     FISHEYES,
@@ -46,6 +47,8 @@ VELODYNE_FROM_CAMERA = (
 """calib_cam_to_velo.txt of KITTI-360; of the unrectified camera, as SSCBench's own code takes it."""
 R_RECT = ((0.999974, -0.007141, -0.000089), (0.007141, 0.999969, -0.003247), (0.000112, 0.003247, 0.999995))
 """From the unrectified to the rectified camera (perspective.txt, R_rect_00)."""
+PREPROCESSED = class_table({number: number for number in (*range(SSCBENCH.num_classes), UNKNOWN)})
+"""Class of each id in preprocessed files, which have our ids."""
 
 
 class SSCBenchKITTI360(CompletionSource["SSCBenchSequence"]):
@@ -212,7 +215,7 @@ class SSCBenchSequence(CompletionScene):
             path = scan_file(self.kitti360, self.name, self.numbers_of_kitti360[frame])
             if not path.parent.is_dir():
                 return None
-            points = read_array(path, "<f4", (-1, 4))[:, :3]
+            points, _ = read_scan(path, 4)
         return Cloud(points, None, np.zeros(3))
 
     def own_voxels(self, frame: int, unknown: Unknown) -> UInt8[Tensor, "X Y Z"]:
@@ -231,7 +234,4 @@ class SSCBenchSequence(CompletionScene):
 
 def read_classes(path: Path) -> UInt8[np.ndarray, "256 256 32"]:
     """Return the classes of a preprocessed file, 255 unknown; raise DataError if it is missing or damaged."""
-    classes = read_npy(path, SHAPE)
-    if set(np.unique(classes)) - {*range(SSCBENCH.num_classes), UNKNOWN}:
-        raise DataError(f"{path}: it has classes other than 0 to {SSCBENCH.num_classes - 1} and 255")
-    return classes.astype(np.uint8)
+    return map_classes(read_npy(path, SHAPE), PREPROCESSED, path)

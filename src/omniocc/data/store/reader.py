@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from omniocc.camera import Equirectangular, Rig
+from omniocc.classes import FREE, UNKNOWN, ids_beyond
 from omniocc.data.labels.moving import hits_of_moving
 from omniocc.data.source import LidarScan, Points
 from omniocc.data.store.codec import (
@@ -25,6 +26,7 @@ from omniocc.data.store.codec import (
 from omniocc.data.store.folder import SceneFolder
 from omniocc.data.store.panorama import resampled
 from omniocc.data.store.raster import unpack
+from omniocc.data.store.shard import shard_name
 from omniocc.errors import DataError
 from omniocc.geometry.directions import sparseocc_directions
 
@@ -109,7 +111,7 @@ class SceneReader(SceneFolder):
         """Return the classes of the pixels of every camera, (H, W) uint8 each; 0 sky, 255 unknown."""
         if not self.has("semantic0.zst"):
             return None
-        return [unpack(blob) for blob in self._of_cameras(frame, "semantic{}.zst")]
+        return [self._known(unpack(blob), frame, "pixels") for blob in self._of_cameras(frame, "semantic{}.zst")]
 
     def camera_range_m(self, frame: int) -> list[np.ndarray] | None:
         """Return the true range of the pixels of every camera, (H, W) float32 each, m; inf sky, nan unknown."""
@@ -137,6 +139,7 @@ class SceneReader(SceneFolder):
             return None
         blobs, directions = self.read(frame, [LIDAR, FACTS]), _lidar_directions()
         range_m, labels = decode_lidar(blobs[LIDAR])
+        self._known(labels, frame, "LiDAR hits")
         known = FROM_LOG not in self.meta["facts"]
         moving = hits_of_moving(range_m, labels, directions, decode_boxes(blobs[FACTS])) if known else None
         return LidarScan(range_m, labels, directions, moving=moving)
@@ -149,11 +152,22 @@ class SceneReader(SceneFolder):
 
     def points(self, frame: int) -> Points | None:
         """Return the labelled surface points."""
-        return Points(*decode_points(self._member(frame, POINTS))) if self.has(POINTS) else None
+        if not self.has(POINTS):
+            return None
+        points_m, labels = decode_points(self._member(frame, POINTS))
+        return Points(points_m, self._known(labels, frame, "points", FREE + 1))
 
     def has(self, member: str) -> bool:
         """Return whether the frames of the scene have a member of this name."""
         return member in self.index.members
+
+    def _known(self, labels: np.ndarray, frame: int, kind: str, first: int = FREE) -> np.ndarray:
+        """Return labels; raise DataError if some are none of the classes that were recorded with the scene."""
+        num_classes = len(self.meta["facts"].get("spec", {}).get("classes", range(UNKNOWN)))
+        if wrong := ids_beyond(labels, num_classes, first):
+            has = f"the scene has {first} to {num_classes - 1}, and {UNKNOWN} for unknown"
+            raise self.damaged(shard_name(int(self.index.shard[frame])), f"{kind} of classes {wrong}; {has}", frame)
+        return labels
 
     def _member(self, frame: int, name: str) -> bytes:
         return self.read(frame, [name])[name]

@@ -7,7 +7,6 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 import torch
 from jaxtyping import Float32
@@ -15,8 +14,9 @@ from torch import Tensor
 
 from omniocc.camera import Camera, Rig
 from omniocc.camera.masks import lenses_that_do_not_fit
-from omniocc.data.formats.files import IMAGE_SUFFIXES, check_aspect, decode_bytes, read_bytes, scaled_to
-from omniocc.errors import UserError
+from omniocc.data.formats.files import IMAGE_SUFFIXES, rgb_of_camera, scaled_to
+from omniocc.errors import DataError, UserError
+from omniocc.images import Depth, content_of
 
 
 class Frame(NamedTuple):
@@ -25,13 +25,17 @@ class Frame(NamedTuple):
     Attributes:
         name: of its folder; empty for a single frame.
         files: image of every camera, None for the cameras that are left out.
+        depth: of images of 16 bits.
     """
 
     name: str
     files: tuple[Path | None, ...]
+    depth: Depth = Depth(key="image_bits")
 
 
-def find_frames(images: str | Sequence[str], rig: Rig, excluded: Sequence[str] = ()) -> list[Frame]:
+def find_frames(
+    images: str | Sequence[str], rig: Rig, excluded: Sequence[str] = (), image_bits: int | None = None
+) -> list[Frame]:
     """Return the frames in the order of time, with the files of every camera of the rig.
 
     Args:
@@ -39,11 +43,20 @@ def find_frames(images: str | Sequence[str], rig: Rig, excluded: Sequence[str] =
             or one file per camera, in the rig's order.
         rig: the cameras.
         excluded: names of the cameras to leave out; their files may be missing.
+        image_bits: how many of the bits of images of 16 are used; None: not known.
 
     Raises:
-        UserError: naming the file or camera that is missing, superfluous or misspelt.
+        UserError: naming the file or camera that is missing, superfluous or misspelt, or the impossible number of bits.
     """
     check_excluded(excluded, rig)
+    try:
+        depth = Depth(image_bits, "image_bits")
+    except ValueError as error:
+        raise UserError(str(error)) from error
+    return [frame._replace(depth=depth) for frame in _found(images, rig, excluded)]
+
+
+def _found(images: str | Sequence[str], rig: Rig, excluded: Sequence[str]) -> list[Frame]:
     if not isinstance(images, str):
         return [_listed([Path(path) for path in images], rig, excluded)]
     folder = Path(images)
@@ -141,27 +154,17 @@ def read_frame(frame: Frame, rig: Rig) -> list[np.ndarray]:
     Raises:
         UserError: naming the file that cannot be read or has another aspect ratio than its camera's calibration.
     """
-    return [_read(file, rig, k) for k, file in enumerate(frame.files)]
+    return [_read(file, rig, k, frame.depth) for k, file in enumerate(frame.files)]
 
 
-def _read(file: Path | None, rig: Rig, k: int) -> np.ndarray:
-    camera = rig.cameras[k]
+def _read(file: Path | None, rig: Rig, k: int, depth: Depth) -> np.ndarray:
+    camera, name = rig.cameras[k], rig.names[k]
     if file is None:
         return np.zeros((camera.height, camera.width, 3), np.uint8)
-    # as the sensor recorded it: the calibration does not include the orientation tag
-    # from memory: cv2.imread fills the missing half of a JPEG file that is cut off with grey
-    image = decode_bytes(read_bytes(file), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-    if image is None:
-        name = rig.names[k]
-        raise UserError(
-            f"{file} (camera '{name}') is not an image, damaged or incomplete; copy it again, or leave the camera out: "
-            f"exclude_cameras=[{name}]"
-        )
     try:
-        check_aspect(image, camera, str(file), f"camera '{rig.names[k]}'")
-    except ValueError as error:
-        raise UserError(str(error)) from error
-    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+        return rgb_of_camera(content_of(file), str(file), camera, depth, f"camera '{name}'")
+    except DataError as error:
+        raise UserError(f"{error}; exclude_cameras=[{name}] leaves the camera out") from error
 
 
 def resized_to_width(

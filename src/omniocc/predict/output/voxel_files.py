@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float64, UInt8
 from torch import Tensor
 
-from omniocc.classes import ClassTable, SemanticClass
+from omniocc.classes import ClassTable, SemanticClass, ids_beyond
 from omniocc.errors import UserError
 from omniocc.geometry import Cuboid, Cylinder, Grid
 from omniocc.io import atomic_write
@@ -99,7 +99,9 @@ def read_voxels(path: Path) -> Voxels:
         ends = list(zip(given["low"].tolist(), given["high"].tolist(), strict=True))
         kind, shape = str(given["kind"]), given["shape"].tolist()
         geometry = Cylinder(shape, ends[0], ends[2]) if kind == "cylinder" else Cuboid(shape, *ends)
-        labels, candidates = (torch.from_numpy(given[name]) for name in ("labels", "candidates"))
+        if wrong := ids_beyond(given["labels"], classes.num_classes):
+            raise ValueError(f"its labels hold {wrong}, but it has {classes.num_classes} classes")
+        labels, candidates = torch.from_numpy(given["labels"].astype(np.uint8)), torch.from_numpy(given["candidates"])
         if not labels.shape == candidates.shape == geometry.shape:
             raise ValueError(f"its labels have the shape {tuple(labels.shape)}, its grid {geometry.shape}")
     except Exception as error:  # numpy, zipfile and zlib raise their own types

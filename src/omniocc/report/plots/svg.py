@@ -2,6 +2,7 @@
 
 import io
 import re
+from html import escape
 from pathlib import Path
 
 from matplotlib import rc_context
@@ -28,7 +29,7 @@ def as_svg(figure: Figure, name: str, title: str) -> str:
     Args:
         figure: a figure with text in `INK` and lines in `LINE`.
         name: prefix of every id, so that several figures can be in one page.
-        title: description for screen readers; it is not escaped.
+        title: description for screen readers.
     """
     buffer = io.StringIO()
     with rc_context(STYLE):
@@ -43,4 +44,5 @@ def as_svg(figure: Figure, name: str, title: str) -> str:
     svg = svg.replace(INK, "currentColor").replace(LINE, "var(--line)")
     width_px = figure.get_figwidth() * 96
     size = f"min-width: {SMALLEST * width_px:.0f}px; max-width: {LARGEST * width_px:.0f}px"
-    return re.sub(r"<svg[^>]*?viewBox", f'<svg role="img" aria-label="{title}" style="{size}" viewBox', svg, count=1)
+    head = f'<svg role="img" aria-label="{escape(title)}" style="{size}" viewBox'
+    return re.sub(r"<svg[^>]*?viewBox", lambda _: head, svg, count=1)

@@ -11,6 +11,7 @@ from pathlib import Path
 from threading import Thread
 
 import rerun as rr
+import rerun_bindings
 
 from omniocc.errors import UserError, first_line
 from omniocc.io import cannot_write
@@ -18,6 +19,9 @@ from omniocc.io import cannot_write
 APPLICATION = "omniocc"
 PORT = 9876
 """The port at which Rerun's viewer listens."""
+OWN_HOST = "127.0.0.1"
+OWN_ARGUMENTS = ["--bind", OWN_HOST]
+"""Of a viewer that is started here: it asks for no password, and listens on all interfaces unless it is told."""
 ADDRESS = re.compile(r"(?:rerun\+)?(?:https?://)?(?P<host>\[[0-9a-fA-F:]+\]|[^:/\s]+)(?::(?P<port>\d+))?(?:/proxy)?/?")
 CONNECT_S, FLUSH_S = 3.0, 60.0
 CHUNK_BYTES = 2**20
@@ -135,7 +139,9 @@ def to_own_viewer(name: str) -> Iterator[rr.RecordingStream]:
     check_display()
     recording = rr.RecordingStream(APPLICATION)
     try:
-        recording.spawn()
+        # as rr.spawn, which has no argument for the address
+        rerun_bindings.spawn(port=PORT, extra_args=OWN_ARGUMENTS, extra_env=[("RERUN_APP_ONLY", "true")])
+        recording.connect_grpc(f"rerun+http://{OWN_HOST}:{PORT}/proxy")
     except Exception as error:  # Rerun raises its own types
         raise UserError(f"the viewer does not start: {first_line(error)}; write a file: save=view.rrd") from error
     with _flushed(recording, "the viewer"):

@@ -156,7 +156,10 @@ def thinned(curve: Curve) -> list[tuple[int, float]]:
 
 def last_images(folder: Path) -> list[str]:
     """Return the names of the images that a run has drawn last, the newest first."""
-    paths = [path for path in (folder / IMAGES).glob("*.png") if path.is_file() and not path.is_symlink()]
+    own = folder.resolve() / IMAGES
+    paths = [
+        path for path in own.glob("*.png") if path.is_file() and path.resolve().parent == own
+    ]  # no links elsewhere
     return [path.name for path in sorted(paths, key=modified_s, reverse=True)[:LAST_IMAGES]]
 
 
