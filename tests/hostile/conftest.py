@@ -54,7 +54,8 @@ def base(shared_folder, smoke, spec) -> Path:
         torch.save(content, folder / "run" / "best.ckpt")
         write_logs(folder)
         write_all(folder / "datasets")
-        write_sweep(folder)
+        for path in write_sweep(folder).glob("*/config.yaml"):
+            path.write_text(path.read_text() + "depth: {_target_: omniocc.model.depth.OmniMVS}\n")
         run = ("predict.py", "occupancy", f"checkpoint={folder / 'run' / 'best.ckpt'}", f"rig={folder / 'rig.yaml'}")
         sequence = f"images={folder / 'sequence'}", f"poses={folder / 'sequence' / 'poses.csv'}"
         succeed(*run, *sequence, f"output={folder / 'answer'}", "overview=false", "mesh=false")

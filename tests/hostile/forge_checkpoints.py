@@ -337,7 +337,7 @@ TENSORS: dict[str, Callable[[Tree], Tree]] = {
     "other-shape": lambda w: _changed(w, lambda t: torch.zeros(3, 3)),
     "no-weights": lambda w: {},
     "nul-in-name": lambda w: {**w, "model.\0evil": torch.ones(3)},
-    "path-as-name": lambda w: {**w, "../../evil": torch.ones(3)},
+    "path-as-name": lambda w: {**w, "model.../../evil": torch.ones(3)},
 }
 
 

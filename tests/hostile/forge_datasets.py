@@ -89,8 +89,10 @@ FILES = {
     ),
 }  # fmt: skip
 """One file of every kind that a source reads."""
-OPTIONAL = ("voxels/000000.occluded", "voxels/000000.bin")
+OPTIONAL = ("voxels/000000.occluded", "voxels/000000.bin", "PAL_intrinsic_calib_results.txt")
 """Files of which only some options make use."""
+GRID = ("preset=smoke", "model.geometry.shape=[64,100,8]")
+"""So fine that the few voxels of small datasets are seen."""
 PER_FILE = 3
 """Mutations of each file of a dataset that know nothing of its format."""
 Tree = Any
@@ -111,7 +113,7 @@ def check_command(box: Box, source: str, root: Path) -> tuple[str, ...]:
     """Return the command that reads all frames of a dataset."""
     more = [f"data.source.{option}" for option in SOURCES[source][1]]
     cache = f"data.source.cache={box.out / 'cache'}"
-    return ("check.py", f"data={source}", f"data.source.root={root}", *more, cache, "preset=smoke", "--workers", "0")
+    return ("check.py", f"data={source}", f"data.source.root={root}", *more, cache, *GRID, "--workers", "0")
 
 
 def _text(change: Callable[[str], str]) -> Callable[[Path, Box], None]:

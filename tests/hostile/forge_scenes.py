@@ -194,7 +194,7 @@ SEALED: dict[str, tuple[str, Callable[[Path], None]]] = {
     "files-missing": ("refused", of_meta(lambda meta: meta.pop("files"))),
     "files-a-list": ("refused", of_meta(_put("files", value=[1]))),
     "files-outward": (
-        "refused",
+        "either",
         of_meta(_put("files", "../../../neighbour/notes.txt", value={"size": 1, "sha256": "0"})),
     ),
     "facts-missing": ("refused", of_meta(lambda meta: meta.pop("facts"))),
