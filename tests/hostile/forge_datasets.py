@@ -19,6 +19,15 @@ from sandbox import Box, Case, Opening
 
 KIND = "dataset files"
 FIRST = "sequences={train:['00'],val:['00'],test:['00']}"
+
+
+def _parkocc(root: Path) -> None:
+    """Write a scene of one frame, with a layer of road that cells of metres see."""
+    write_parkocc(root, frames=(9,))
+    cells = np.stack(np.meshgrid(*map(np.arange, (200, 200, 16)), indexing="ij"), -1).reshape(-1, 3)
+    np.save(root / "sequences" / "8" / "9" / "occ_9.npy", np.c_[cells, np.full(len(cells), 3)].astype(np.int32))
+
+
 SOURCES: dict[str, tuple[Callable[[Path], Any], tuple[str, ...]]] = {
     "occ3d_nuscenes": (
         lambda root: write_nuscenes(root, frames=1, version="v1.0-mini"), ("version=v1.0-mini", "val_every=2")
@@ -33,7 +42,7 @@ SOURCES: dict[str, tuple[Callable[[Path], Any], tuple[str, ...]]] = {
     ),
     "carlasc": (lambda root: write_carlasc(root, frames=2), ()),
     "woodscape": (lambda root: write_woodscape(root, images=6), ("fractions={train:0.34,val:0.33,test:0.33}",)),
-    "parkocc": (lambda root: write_parkocc(root, frames=(9,)), ()),
+    "parkocc": (_parkocc, ()),
     "h3o": (lambda root: write_h3o(root, frames=1), ()),
     "quadocc": (lambda root: write_quadocc(root, frames=1), ("sequences={train:[a],val:[b],test:[c]}",)),
     "fisheye3dod": (
@@ -91,8 +100,6 @@ FILES = {
 """One file of every kind that a source reads."""
 OPTIONAL = ("voxels/000000.occluded", "voxels/000000.bin", "PAL_intrinsic_calib_results.txt")
 """Files of which only some options make use."""
-GRID = ("preset=smoke", "model.geometry.shape=[64,100,8]")
-"""So fine that the few voxels of small datasets are seen."""
 PER_FILE = 3
 """Mutations of each file of a dataset that know nothing of its format."""
 Tree = Any
@@ -113,7 +120,7 @@ def check_command(box: Box, source: str, root: Path) -> tuple[str, ...]:
     """Return the command that reads all frames of a dataset."""
     more = [f"data.source.{option}" for option in SOURCES[source][1]]
     cache = f"data.source.cache={box.out / 'cache'}"
-    return ("check.py", f"data={source}", f"data.source.root={root}", *more, cache, *GRID, "--workers", "0")
+    return ("check.py", f"data={source}", f"data.source.root={root}", *more, cache, "preset=smoke", "--workers", "0")
 
 
 def _text(change: Callable[[str], str]) -> Callable[[Path, Box], None]:

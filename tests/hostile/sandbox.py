@@ -156,7 +156,7 @@ def some(openings: Sequence[Opening], count: int, rng: random.Random) -> list[Op
 
 def raised(text: str) -> str:
     """Return the line that names the exception of the last traceback."""
-    lines = re.findall(r"^\w[\w.]*(?:Error|Exception|Interrupt|Exit|Warning|Iteration)\b.*", text, re.MULTILINE)
+    lines = re.findall(r"^\w[\w.]*(?:Error|Exception|Interrupt|Iteration|\.error)\b.*", text, re.MULTILINE)
     return lines[-1][:300] if lines else last_line(text)
 
 
