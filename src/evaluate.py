@@ -181,7 +181,7 @@ def test_again(checkpoint: Path, overrides: Sequence[str], folder: Path, origins
     )
     metrics = trainer.test(task, datamodule=data, verbose=False)[0]
     facts = {"checkpoint": str(checkpoint), "commit": git_commit(), "data": data.source.fingerprint}
-    facts |= {OVERRIDES: list(overrides), PROTOCOL: task.scores.protocol()}
+    facts |= {OVERRIDES: list(overrides), PROTOCOL: task.protocol}
     save_by_scene(folder, task.scores, data.source, task.by_scene.of_all())
     save_results(folder, metrics, facts)
     show_results(folder)
@@ -219,10 +219,11 @@ def draw(records: Sequence[Robustness], folder: Path) -> np.ndarray | None:
         print(f"No plot: matplotlib is missing: {installing('plot')}")
         return None
     from omniocc.report.plots.robustness import drops
+    from omniocc.report.plots.svg import as_png
 
     path = folder / "robustness.png"
-    drops(records).savefig(path, dpi=150, facecolor="white")
-    return cv2.cvtColor(np.asarray(cv2.imread(str(path))), cv2.COLOR_BGR2RGB)
+    atomic_write(path, png := as_png(drops(records)))
+    return cv2.cvtColor(np.asarray(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)), cv2.COLOR_BGR2RGB)
 
 
 def folder_of(checkpoint: Path, name: str, output: Path | None, by_system: bool) -> Path:

@@ -131,9 +131,8 @@ def draw(sweep: Sweep, output: Path) -> dict[str, tuple[str, str]]:
         return {}
     from omniocc.report.plots import robustness
     from omniocc.report.plots.figures import PLOTS, learning_curves
-    from omniocc.report.plots.svg import as_svg
+    from omniocc.report.plots.svg import as_png, as_svg
 
-    (output / "plots").mkdir(exist_ok=True)
     drawn = {}
     figures = {name: (title, plot(sweep.rows)) for name, (title, plot) in PLOTS.items()}
     if rows := training.runs_by_row(sweep):
@@ -142,7 +141,7 @@ def draw(sweep: Sweep, output: Path) -> dict[str, tuple[str, str]]:
         figures["robustness"] = (disturbed.TITLE, robustness.drops(disturbed.comparable(sweep.robustness)[0]))
     for name, (title, figure) in figures.items():
         if figure is not None:
-            figure.savefig(output / "plots" / f"{name}.png", dpi=150, facecolor="white")
+            atomic_write(output / "plots" / f"{name}.png", as_png(figure))
             drawn[name] = (title, as_svg(figure, name, title))
     return drawn
 

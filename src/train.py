@@ -145,7 +145,7 @@ def train_occupancy(
         facts |= {MINUTES: minutes, PEAK: peak_mib(device), MACHINE: machine(device)}
         facts |= cost_of(task.model.eval(), data.dataset("test")[0])
         facts |= facts_of_report(task, data, earlier, trainer.global_step)
-        facts |= {"commit": git_commit(), "data": data.source.fingerprint, PROTOCOL: task.scores.protocol()}
+        facts |= {"commit": git_commit(), "data": data.source.fingerprint, PROTOCOL: task.protocol}
         facts |= {FINISHED: utc_text(time())}
         save_by_scene(run.path, task.scores, data.source, by_scene)
         save_results(run.path, metrics | figures, facts)

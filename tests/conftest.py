@@ -21,8 +21,8 @@ torch.set_num_threads(1)
 
 ROOT = Path(__file__).parents[1]
 TESTS = Path(__file__).parent
-# folders of helpers: scripts, second_device; offline_file; wandb_server; plain_shading; batches; by_hand;
-# made_scenes; made_runs; recordings
+# folders of helpers: scripts, second_device; offline_file; wandb_server; plain_shading; batches; metric_batches;
+# by_hand; made_scenes; made_runs; recordings
 sys.path[:0] = [
     str(TESTS),
     *(
@@ -32,6 +32,7 @@ sys.path[:0] = [
             "report/wandb",
             "world/render",
             "task",
+            "metric",
             "model/lifter",
             "data/formats",
             "viewer",

@@ -1,11 +1,12 @@
 """Compose the configuration, check it, and build objects from it; the only caller of Hydra's `instantiate`."""
 
+import contextlib
 import inspect
 import os
 import re
 import sys
 import types
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Literal, Union, cast, get_args, get_origin, get_type_hints
@@ -18,6 +19,7 @@ from omegaconf.errors import InterpolationKeyError, OmegaConfBaseException
 
 from omniocc.code import code_of_classes, spec_of
 from omniocc.errors import UserError, first_line
+from omniocc.urls import credentials_problem
 
 MAX_SEED = 2**32 - 1
 """The largest seed that numpy and Lightning take."""
@@ -70,6 +72,40 @@ def check(cfg: DictConfig, root_keys: Sequence[str] | None = None, packages: Seq
     problems += _walk(cfg, "", allowed(PACKAGES) if packages is None else packages)
     if problems:
         raise ConfigError([problem.lstrip(".") for problem in problems])
+
+
+def refuse_credentials(tree: Any) -> None:
+    """Check that no text of a tree, or of a list of overrides, is a URL with a password or another secret.
+
+    Configurations and commands are written into results, tables, checkpoints and W&B.
+
+    Raises:
+        ConfigError: naming the key, but not the secret.
+    """
+    told = [(key, credentials_problem(text)) for key, text in _texts(tree, "")]
+    if problems := [f"{key}={problem}" if key else problem for key, problem in told if problem]:
+        raise ConfigError(problems)
+
+
+def _texts(node: Any, path: str) -> Iterator[tuple[str, str]]:
+    """Yield the texts of a tree with their keys, those of interpolations too; keys of mappings count as texts."""
+    if isinstance(node, str):
+        yield path, node
+    if isinstance(node, ListConfig | list | tuple):
+        yield from (found for item in _resolved(node, range(len(node))).values() for found in _texts(item, path))
+    if isinstance(node, DictConfig | Mapping):
+        yield from ((path, str(key)) for key in node)
+        for key, value in _resolved(node, node).items():
+            yield from _texts(value, f"{path}.{key}".lstrip("."))
+
+
+def _resolved(node: Any, keys: Iterable[Any]) -> dict[Any, Any]:
+    """Return the values of a node by their keys, without those that are missing or refer to nothing."""
+    found = {}
+    for key in keys:
+        with contextlib.suppress(OmegaConfBaseException):  # `check` names it
+            found[key] = node[key]
+    return found
 
 
 ROOT: dict[str, Any] = {
@@ -211,12 +247,15 @@ def compose_plain(folder: Path, name: str, overrides: Sequence[str]) -> dict[str
     Raises:
         ConfigError: when it cannot be composed.
     """
+    refuse_credentials(overrides)
     try:
         with initialize_config_dir(str(folder.resolve()), version_base=VERSION_BASE):
-            return plain(compose(name, list(overrides)))
+            tree = plain(compose(name, list(overrides)))
     except (HydraException, OmegaConfBaseException) as error:
         first = next(iter(str(error).splitlines()), type(error).__name__)
         raise ConfigError([f"{folder / name}.yaml with {' '.join(overrides)}: {first}"]) from error
+    refuse_credentials(tree)
+    return tree
 
 
 def compose_config(folder: Path, name: str, overrides: Sequence[str]) -> DictConfig:

@@ -1,8 +1,8 @@
 """Progress of long work: a bar on a terminal, plain lines elsewhere, and a status file for the parent process.
 
 A process that starts others names a file in the environment variable `STATUS_FILE` of each; they write their status to
-it as one line of JSON (`Status`). This module imports the standard library alone: Hydra loads the launcher, and so this
-module, at every start of a script.
+it as one line of JSON (`Status`). This module imports nothing large: Hydra loads the launcher, and so this module, at
+every start of a script.
 """
 
 import contextlib
@@ -15,6 +15,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Literal
+
+from omniocc.io import atomic_file
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
@@ -173,10 +175,9 @@ def write_status(status: Status) -> None:
     if STATUS_FILE not in os.environ:
         return
     path = Path(os.environ[STATUS_FILE])
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    with contextlib.suppress(OSError):
-        temporary.write_text(json.dumps(asdict(status)))
-        temporary.replace(path)
+    if path.parent.is_dir():
+        with contextlib.suppress(OSError), atomic_file(path, flush=False) as file:
+            file.write(json.dumps(asdict(status)).encode())
 
 
 def read_status(path: Path) -> Status | None:

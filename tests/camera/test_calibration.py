@@ -301,6 +301,12 @@ def test_calibration_is_saved_as_rig_file(text, load, tmp_path):
         (OMNIMVS, "max_fov: 220.0", "max_fov: 400.0", "cam1: max_angle_deg is 200.0"),
         (OMNIMVS, 'model: "ocam"', 'model: "pinhole"', "cam1: model is 'pinhole'"),
         (OMNIMVS, OMNIMVS[OMNIMVS.index("cameras:") :], "cameras: []", "cameras.*empty"),
+        (OMNIMVS, "cam_id: 2", "cam_id: 1", "cam1 stands twice in cameras"),
+        (OPENCV, "resolution:", "camera_matrix: 1\nresolution:", "the key 'camera_matrix' is in line 3 already"),
+        (ROS, "cols: 3, data", "cols: 3, cols: 3, data", "line 5: the key 'cols' is in line 5 already"),
+        (KALIBR, "cam2:", "cam1:", "the key 'cam1' is in line 10 already"),
+        (KITTI360, "   k2: 4", "   k1: 4", "line 11: the key 'k1' is in line 10 already"),
+        (KITTI360, "image_width: 1400", "image_width: !!python/name:os.system", "line 5: the tag .* is none of plain"),
     ],
 )
 def test_broken_files_name_file_key_and_value(text, old, new, message, load):
@@ -315,9 +321,33 @@ def test_error_for_other_files_lists_known_formats(text, load):
         load(text)
 
 
+def test_a_byte_order_mark_is_no_content(load):
+    for text in (OPENCV, KALIBR, OCAMCALIB, KITTI360):
+        assert load("\ufeff" + text) == load(text)
+
+
+def test_other_keys_may_stand_beside_the_cameras_of_kalibr(load):
+    assert load("calibration_date: 2024-01-01\n" + KALIBR + "imu0: {rate_hz: 200}\n") == load(KALIBR)
+
+
+def test_matrices_may_be_nested_lists(load):
+    rows = "camera_matrix: [[40., 0, 32], [0, 40., 24], [0, 0, 1]]\ndist_coeffs: [[0.1], [0], [0], [0]]\n"
+    (camera,) = load(rows + "resolution: [64, 48]").cameras
+    assert camera == KannalaBrandt(64, 48, (40.0, 40.0), (32.0, 24.0), (0.1, 0.0, 0.0, 0.0), 180.0)
+    with pytest.raises(ValueError, match=r"camera_matrix is .*its rows differ in length"):
+        load(rows.replace("[0, 0, 1]", "[0, 0]") + "resolution: [64, 48]")
+
+
+def test_a_pose_that_stands_twice_is_named(tmp_path, load):
+    load(KITTI360, "image_03.yaml")
+    (tmp_path / "calib_cam_to_pose.txt").write_text(KITTI360_POSES + KITTI360_POSES.splitlines()[0])
+    with pytest.raises(ValueError, match=r"calib_cam_to_pose\.txt: the pose of image_00 stands twice"):
+        Rig.load(tmp_path)
+
+
 def test_folder_without_calibration_and_binary_file(tmp_path):
     with pytest.raises(ValueError, match="calibration file"):
         Rig.load(tmp_path)
     (tmp_path / "image.png").write_bytes(b"\x89PNG\r\n\x1a\n\xff\xfe")
-    with pytest.raises(ValueError, match=r"image\.png: "):
+    with pytest.raises(ValueError, match=r"image\.png: it is no text in UTF-8: line 1 holds the byte 0x89$"):
         Rig.load(tmp_path / "image.png")

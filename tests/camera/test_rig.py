@@ -192,6 +192,32 @@ def test_error_names_unreadable_files(tmp_path):
             Rig.load(tmp_path / "bad.yaml")
 
 
+def test_a_camera_that_stands_twice_is_named(tmp_path):
+    entry = GOOD.partition("front:")[2]
+    for name, message in (
+        ("front", "line 11: the key 'front' is in line 3 already"),
+        ("'1'", "camera '1' stands twice"),
+    ):
+        (tmp_path / "car.yaml").write_text(GOOD.replace("front", name.strip("'")) + f"  {name}:{entry}")
+        with pytest.raises(ValueError, match=rf"car\.yaml: .*{message}; keep one$"):
+            Rig.load(tmp_path / "car.yaml")
+
+
+def test_files_that_refer_to_each_other_are_named(tmp_path):
+    for name, other in (("a", "b"), ("b", "a")):
+        text = f"cameras: {{left: {{calibration: {other}.yaml, ego_from_camera: {POSE}}}}}"
+        (tmp_path / f"{name}.yaml").write_text(text)
+    with pytest.raises(ValueError, match=r"a\.yaml: camera 'left': .*b\.yaml: camera 'left': .*a\.yaml leads back"):
+        Rig.load(tmp_path / "a.yaml")
+
+
+def test_a_value_of_many_lines_is_shown_in_part(tmp_path):
+    (tmp_path / "car.yaml").write_text(GOOD.replace(POSE, f"[{'1, ' * 50_000}]"))
+    with pytest.raises(ValueError, match=r"ego_from_camera is \[1, 1, .* \.\.\. .*1\]; give position_m") as caught:
+        Rig.load(tmp_path / "car.yaml")
+    assert len(str(caught.value)) < 2000
+
+
 def test_error_names_wrong_arguments():
     rig = two_cameras()
     with pytest.raises(ValueError, match="not unique"):

@@ -12,47 +12,17 @@ from pathlib import Path
 
 import pytest
 import torch
+from metric_batches import FORWARD, GRID, LINE, METRICS, batch, made, same
 from torchmetrics import MetricCollection
 
 import omniocc
-from omniocc.geometry import Cuboid, Cylinder
-from omniocc.metric import Calibration, Candidates, DepthMetrics, RayIoU, VoxelIoU, ray_iou
-
-GRID = Cylinder((8, 12, 4), (0.0, 12.0), (-2.8, 3.2))
-LINE = Cuboid((10, 1, 1), (0.0, 10.0), (-0.5, 0.5), (-0.5, 0.5))
-FORWARD = torch.tensor([[1.0, 0.0, 0.0]])
-METRICS = {
-    "rays": (RayIoU, {"geometry": GRID}), "voxels": (VoxelIoU, {}), "depth": (DepthMetrics, {}),
-    "calibration": (Calibration, {}), "candidates": (Candidates, {"geometry": GRID}),
-}  # fmt: skip
-
-
-def batch(name, seed=0):
-    """Return predictions and truth of two samples as one of the metrics takes them."""
-    generator = torch.Generator().manual_seed(seed)
-    target = torch.randint(0, 12, (2, *GRID.shape), generator=generator, dtype=torch.uint8)
-    target[torch.rand(target.shape, generator=generator) < 0.8] = 0
-    preds, fraction = target.roll(1, 1), torch.rand(target.shape, generator=generator)
-    return {
-        "rays": (preds, target), "voxels": (preds, target), "depth": (fraction + 2, fraction * 9 + 1),
-        "calibration": (fraction, fraction > 0.4), "candidates": (preds > 0, target),
-    }[name]  # fmt: skip
-
-
-def same(left, right):
-    assert left.keys() == right.keys()
-    for key, value in left.items():
-        torch.testing.assert_close(value, right[key], rtol=0, atol=0, equal_nan=True)
+from omniocc.geometry import Cuboid
+from omniocc.metric import Candidates, DepthMetrics, RayIoU, VoxelIoU, ray_iou
 
 
 @pytest.fixture(params=METRICS)
 def name(request):
     return request.param
-
-
-def made(name, **kwargs):
-    kind, arguments = METRICS[name]
-    return kind(**arguments, **kwargs)
 
 
 def test_the_keyword_arguments_of_every_metric(name):
@@ -176,7 +146,7 @@ def test_results_of_several_steps_are_lines(name):
     steps = [metric(*batch(name, seed)) for seed in range(3)]
     figure, axes = metric.plot(steps)
     lines = {line.get_label(): line.get_ydata() for line in axes.lines}
-    key = {"rays": "rayiou/Road", "voxels": "iou/Road", "candidates": "recall"}[name]
+    key = {"rays": "rayiou/1", "voxels": "iou/1", "candidates": "recall"}[name]
     assert list(lines[key]) == pytest.approx([float(step[key]) for step in steps])
     low, high = axes.get_ylim()
     assert low < 0 < 1 < high

@@ -118,9 +118,11 @@ def test_the_line_says_what_was_given():
     assert "from each of at most 4 origins a frame (given origins); " in metric.protocol()
     assert "truth is not unknown (99) or in a cell that is not observed; " in metric.protocol()
     metric.update(preds, target, ORIGINS[:, :1], origin_times=TIMES[:, :1])
-    metric.reset()
     twin = pickle.loads(pickle.dumps(metric))
     assert "4 origins a frame (where the car was in past, present and future frames)" in twin.protocol()
+    metric.reset()
+    assert "rays from the ego origin; " in metric.protocol()
+    assert "not observed" not in metric.protocol()
 
 
 def test_the_line_of_measured_rays():
@@ -132,6 +134,7 @@ def test_the_line_of_measured_rays():
     assert "m from the measured point to the predicted cell; " in metric.protocol()
     metric.update(preds, RayTruth(ranges, labels, DIRECTIONS.float().expand(2, -1, -1)))
     assert metric.protocol().startswith("rays measured by a LiDAR, from where it was; ")
+    assert metric.protocol().endswith("; rays without a return or with a point outside of the grid are free")
 
 
 def test_the_line_of_voxels():
@@ -144,6 +147,8 @@ def test_the_line_of_voxels():
     metric = VoxelIoU(geometry=GRID)
     metric.update(preds, target, target > 0)
     assert metric.protocol() == f"{known} and that are observed, weighed by volume; {mean}"
+    metric.reset()
+    assert metric.protocol() == f"{known}, weighed by volume; {mean}"
 
 
 @pytest.mark.parametrize(

@@ -67,8 +67,8 @@ def test_counting_agrees_with_the_public_definition(grid):
     assert scores["rayiou"].item() == pytest.approx(np.nanmean(iou), abs=1e-6)
     for t, threshold in enumerate(("0.5", "1", "3")):
         assert scores[f"rayiou@{threshold}"].item() == pytest.approx(np.nanmean(iou[t]), abs=1e-6)
-    for c, row in enumerate(omniocc.classes.CLASSES[1:]):
-        assert scores[f"rayiou/{row.name}"].item() == pytest.approx(np.nanmean(iou[:, c]), abs=1e-6)
+    for c in range(11):
+        assert scores[f"rayiou/{c + 1}"].item() == pytest.approx(np.nanmean(iou[:, c]), abs=1e-6)
     for low_m, high_m in itertools.pairwise(edges_m):
         part = public_counting(grid, prediction, target, origins, directions, (0.5, 1, 3), low_m, high_m)
         assert scores[f"rayiou_{low_m:g}-{high_m:g}m"].item() == pytest.approx(np.nanmean(part), abs=1e-6)
@@ -126,9 +126,9 @@ def test_two_frames_by_hand():
     metric.update(line(c3=4), line(c3=4))
     metric.update(line(c3=5), line(c3=4))
     scores = metric.compute()
-    assert scores["rayiou/Building"].item() == 0.5
-    assert scores["rayiou/Wall"].item() == 0.0
-    assert math.isnan(scores["rayiou/Road"].item())
+    assert scores["rayiou/4"].item() == 0.5
+    assert scores["rayiou/5"].item() == 0.0
+    assert math.isnan(scores["rayiou/1"].item())
     assert scores["rayiou"].item() == 0.25
 
 
@@ -214,7 +214,7 @@ def test_real_rays():
     for range_m, label, expected in cases:
         metric = RayIoU(LINE, directions=FORWARD, thresholds_m=(1,))
         metric.update_rays(prediction, torch.tensor([[range_m]]), torch.tensor([[label]], dtype=torch.uint8))
-        found = metric.compute()[f"rayiou/{'Building' if label == 4 else 'Wall'}"].item()
+        found = metric.compute()[f"rayiou/{4 if label == 4 else 5}"].item()
         assert math.isnan(found) if expected is None else found == expected, (range_m, label)
 
 
@@ -244,7 +244,7 @@ def test_compute_after_more_rays_is_not_stale():
     metric.update_rays(line(c3=4), *rays)
     assert metric.compute()["rayiou"].item() == 1.0
     metric.update_rays(line(), *rays)
-    assert metric.compute()["rayiou/Building"].item() == 0.5
+    assert metric.compute()["rayiou/4"].item() == 0.5
     metric.reset()
     assert metric.truth.sum() == 0
 

@@ -427,6 +427,28 @@ def test_a_colour_is_three_numbers(rgb, tmp_path):
         read_point_classes(tmp_path / "classes.yaml")
 
 
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("1: way\n2: car\n1: car", "line 3: the key 1 is in line 1 already; keep one"),
+        ("1: {name: way, rgb: [1, 2, 3], name: car}", "line 1: the key 'name' is in line 1 already"),
+        ("1: {name: way, rgb: [1, 2, 3]}\n2: {name: way, rgb: [1, 2, 4]}", "the class 'way' has the colours"),
+        (
+            "1: !!python/name:os.system",
+            "line 1: the tag 'tag:yaml.org,2002:python/name:os.system' is none",
+        ),
+        ("[" * 1000, "line 1: it is nested in more than 100 levels"),
+        ("1: way\0", "it is no text in UTF-8: line 1 holds the byte 0x00"),
+    ],
+)
+def test_a_class_has_one_name_and_colour(tmp_path, text, message):
+    (tmp_path / "classes.yaml").write_text(text)
+    with pytest.raises(DataError, match=r"classes\.yaml: ") as caught:
+        read_point_classes(tmp_path / "classes.yaml")
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
 def test_exported_poses_of_predict_are_read_back_alike(tmp_path):
     """The CSV of `predict.py` has names for times; with numbers as names both readers give the same poses."""
     from omniocc.record.poses import read_timed_poses

@@ -62,6 +62,13 @@ def test_the_tables_say_how_scores_were_counted(tmp_path, capsys):
     assert as_markdown(METRICS, "") == as_markdown(METRICS, "", {})
 
 
+def test_the_tables_say_how_many_lidar_rays_do_not_count():
+    parts = {"": 0.54, "_unknown": 0.1, "_free": 0.44}
+    found = as_markdown(METRICS | {f"test/lidar/left_out{end}": value for end, value in parts.items()}, "", PROTOCOL)
+    assert found.endswith("IoU, mIoU: cells.\n\nLiDAR rays that do not count: 54.0 % (10.0 % unknown, 44.0 % free).\n")
+    assert "do not count" not in as_markdown(METRICS | {"test/lidar/left_out": math.nan}, "", PROTOCOL)
+
+
 def test_scores_by_origin_have_a_table():
     metrics = METRICS | {"test/rayiou_past": 0.2, "test/rayiou_now": 0.3, "test/rayiou_future": math.nan}
     metrics |= {"prior/rayiou_past": 0.1, "prior/rayiou_now": 0.15, "prior/rayiou_future": 0.05}

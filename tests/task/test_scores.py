@@ -60,6 +60,21 @@ def test_cuboid_and_cylinder_are_judged_on_the_same_rays(batch, spec):
     assert torch.equal(counts[0], counts[1])
 
 
+def test_the_fraction_of_lidar_rays_that_do_not_count(batch, spec):
+    """Of four rays of a frame one counts; the fifth, of unknown class and without a range, only fills the batch."""
+    ahead = torch.tensor([1.0, 0.0, 0.0]).expand(2, 5, 3)
+    range_m = torch.tensor([[7.0, 26.0, 7.0, torch.inf, torch.inf]] * 2)
+    hits = torch.tensor([[4, 4, 255, 0, 255]] * 2, dtype=torch.uint8)
+    scores = Scores(GRID, dataclasses.replace(spec, lidar_directions=None))
+    lidar = {"lidar_range_m": range_m, "lidar_labels": hits, "lidar_directions": ahead}
+    scores.update(random_voxels(), batch._replace(lidar_origins=torch.zeros_like(ahead), **lidar))
+    found = scores.compute()
+    ends = {"": 0.75, "_unknown": 0.25, "_free": 0.5}
+    assert {key: value for key, value in found.items() if "left_out" in key} == {
+        f"lidar/left_out{end}": value for end, value in ends.items()
+    }
+
+
 def test_absent_labels_have_no_keys(batch, spec):
     labels = random_voxels()
     for given, expected in (
@@ -170,8 +185,13 @@ def test_the_protocol_names_what_was_scored(batch, spec):
     assert "not observed" in lines["rayiou"]
     assert "that are observed" in lines["voxel"]
     scores.update(labels, batch._replace(**lidar_hits(sparseocc_directions())))
-    scores.reset()
     assert "rays measured by a LiDAR" in scores.protocol()["lidar/rayiou"]
+    assert scores.protocol()["lidar/rayiou"].endswith(
+        "; rays without a return or with a point outside of the grid are free, and so are hits 25.6 m or more from the "
+        "ego z axis"
+    )
+    scores.reset()
+    assert scores.protocol() == {}
 
 
 SMALL = Cuboid((4, 2, 1), (0.0, 8.0), (-4.0, 4.0), (-1.0, 1.0))

@@ -11,6 +11,8 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from omniocc.io import atomic_write
+
 STOP = signal.SIGUSR2
 """Signal that Slurm sends some time before the limit, and that training answers with a checkpoint (`StopAtSignal`)."""
 MARGIN_S = 30.0
@@ -51,7 +53,7 @@ class SlurmJob:
         if self.signalled_s is not None and code != 0 and callable(requeue):
             code = self._queue_again(requeue, task)
         if code is not None:
-            code_file(self.log, task).write_text(f"{code}\n")
+            atomic_write(code_file(self.log, task), f"{code}\n")
         sys.exit(code or 0)  # so that Slurm knows too
 
     def checkpoint(self) -> Any:

@@ -21,6 +21,7 @@ Angles are those of `omniocc.camera.pose.pose_from_angles`. `ego_from_camera` ma
 
 import dataclasses
 import difflib
+from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -45,6 +46,7 @@ from omniocc.camera.models.pinhole import Pinhole
 from omniocc.camera.models.radial_polynomial import RadialPolynomial
 from omniocc.camera.pose import check_rigid, pose_from_angles
 from omniocc.camera.protocol import Camera, finite, numbers
+from omniocc.io import atomic_write, read_short_text, twice
 
 MODELS = {
     "equidistant": Equidistant, "pinhole": Pinhole, "kannala_brandt": KannalaBrandt, "mei": MEI, "ocam": OCam,
@@ -52,37 +54,45 @@ MODELS = {
     "panoramic": Panoramic,
 }  # fmt: skip
 BUILT_IN = Path(__file__).parent / "rigs"
+MAX_CAMERAS = 100
 ANGLES = ("yaw_deg", "pitch_deg", "roll_deg")
 
 Mask = Bool[Tensor, "_ _"]
 
 
-def read_rig(path: str | PathLike[str]) -> Calibration:
-    """Return the arguments of `Rig`; raise ValueError naming the file, the camera and the wrong value."""
+def read_rig(path: str | PathLike[str], within: Sequence[Path] = ()) -> Calibration:
+    """Return the arguments of `Rig`; `within` are the rig files that name this one as a calibration.
+
+    Raises:
+        ValueError: naming the file, the camera and the wrong value.
+    """
     file: Path | Calibration = _find(path)
     if file.is_dir():
         file = read_calibration_folder(file)
     if isinstance(file, Calibration):
         return file
     with naming(str(file)):
-        text = file.read_text(encoding="utf-8")
+        text = read_short_text(file)
         content = parse(text)
         if not isinstance(content, dict) or isinstance(content.get("cameras", []), list):
             return read_calibration(file, text, content)
         _check_keys(content, ["cameras"], ["road_z_m"])
         road_z_m = None if content.get("road_z_m") is None else finite("road_z_m", content["road_z_m"])
         entries = mapping(content["cameras"], "'cameras'")
-    names = tuple(map(str, entries))
-    read = [_read_entry(file, name, entry) for name, entry in zip(names, entries.values(), strict=True)]
+        if len(entries) > MAX_CAMERAS:
+            raise ValueError(f"'cameras' has {len(entries):,} entries; at most {MAX_CAMERAS} are read")
+        names = tuple(map(str, entries))
+        if name := twice(names):
+            raise ValueError(f"camera '{name}' stands twice; keep one")
+    read = [_read_entry([*within, file], name, entry) for name, entry in zip(names, entries.values(), strict=True)]
     cameras, poses, masks = zip(*read, strict=True)
     known = None if all(mask is None for mask in masks) else masks
     return Calibration(cameras, torch.stack(poses), names, known, road_z_m)
 
 
 def write_rig(path: str | PathLike[str], rig: Calibration) -> None:
-    """Write a rig file; see `Rig.save`; raise OSError naming the mask that cannot be written."""
+    """Write a rig file; see `Rig.save`; raise DataError naming the file that cannot be written."""
     file = Path(path)
-    file.parent.mkdir(parents=True, exist_ok=True)
     model_names = {model: name for name, model in MODELS.items()}
     entries = {}
     for index, (name, camera) in enumerate(zip(rig.names, rig.cameras, strict=True)):
@@ -95,18 +105,17 @@ def write_rig(path: str | PathLike[str], rig: Calibration) -> None:
         mask = None if rig.masks is None else rig.masks[index]
         if mask is not None:
             entry["mask"] = f"{file.stem}.{name}.png"
-            if not cv2.imwrite(str(file.parent / entry["mask"]), mask.numpy().astype(np.uint8) * 255):
-                raise OSError(f"cannot write {file.parent / entry['mask']}")
+            _, png = cv2.imencode(".png", mask.numpy().astype(np.uint8) * 255)
+            atomic_write(file.parent / entry["mask"], png.tobytes())
         entries[name] = entry
     road = {} if rig.road_z_m is None else {"road_z_m": rig.road_z_m}
-    file.write_text(
-        yaml.safe_dump(road | {"cameras": entries}, sort_keys=False, default_flow_style=None), encoding="utf-8"
-    )
+    atomic_write(file, yaml.safe_dump(road | {"cameras": entries}, sort_keys=False, default_flow_style=None))
 
 
-def _read_entry(file: Path, name: str, entry: Any) -> tuple[Camera, Float64[Tensor, "4 4"], Mask | None]:
+def _read_entry(files: Sequence[Path], name: str, entry: Any) -> tuple[Camera, Float64[Tensor, "4 4"], Mask | None]:
+    file = files[-1]
     with naming(f"{file}: camera '{name}'"):
-        camera = _read_camera(file.parent, mapping(entry, "its entry"))
+        camera = _read_camera(files, mapping(entry, "its entry"))
         pose = _read_pose(entry["ego_from_camera"])
         if "mask" not in entry:
             return camera, pose, None
@@ -123,13 +132,15 @@ def _find(path: str | PathLike[str]) -> Path:
     return Path(path)
 
 
-def _read_camera(folder: Path, entry: dict[str, Any]) -> Camera:
+def _read_camera(files: Sequence[Path], entry: dict[str, Any]) -> Camera:
     if "calibration" in entry:
         _check_keys(entry, ["calibration", "ego_from_camera"], ["mask"])
-        file = folder / str(entry["calibration"])
+        file = files[-1].parent / str(entry["calibration"])
         if not file.exists():
             raise ValueError(f"calibration {file} does not exist")
-        cameras = read_rig(file).cameras
+        if file.resolve() in [other.resolve() for other in files]:
+            raise ValueError(f"calibration {file} leads back to itself; name a file with lens and size of the image")
+        cameras = read_rig(file, files).cameras
         if len(cameras) != 1:
             raise ValueError(f"calibration {entry['calibration']} holds {len(cameras)} cameras; it must be one")
         return cameras[0]

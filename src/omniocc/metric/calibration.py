@@ -1,22 +1,23 @@
 """Calibration: whether predictions of a confidence are right as often as it says."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import torch
 from jaxtyping import Bool, Float, Float64
 from torch import Tensor
-from torchmetrics import Metric
 
-from omniocc.metric.checks import check_mask
-from omniocc.metric.plot import new_axes
+from omniocc.metric.checks import Array, as_tensors, check_mask, check_real
+from omniocc.metric.plot import new_axes, plot_scores
 from omniocc.metric.renamed import renamed
+from omniocc.metric.setting import CountMetric, hash_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
-class Calibration(Metric):
+class Calibration(CountMetric):
     """Expected calibration error, and a reliability diagram, over a dataset.
 
     Predictions are sorted by confidence into bins of equal width. Keys: `ece` (mean over the predictions of the
@@ -37,10 +38,7 @@ class Calibration(Metric):
         0.05
     """
 
-    is_differentiable = False
     higher_is_better = False
-    full_state_update = False
-    plot_lower_bound = 0.0
     plot_upper_bound = 1.0
     sums: Tensor
 
@@ -48,10 +46,11 @@ class Calibration(Metric):
         super().__init__(**kwargs)
         if bins < 1:
             raise ValueError(f"bins must be at least 1, got {bins}")
+        self.add_setting(hash_of(repr(bins).encode()))
         self.add_state("sums", torch.zeros(bins, 3, dtype=torch.float64), dist_reduce_fx="sum")
 
     @renamed({"confidence": "preds", "right": "target"})
-    def update(self, preds: Float[Tensor, "..."], target: Bool[Tensor, "..."]) -> None:
+    def update(self, preds: Float[Array, "..."], target: Bool[Array, "..."]) -> None:
         """Add the confidences of predictions and whether each is right.
 
         Args:
@@ -61,14 +60,17 @@ class Calibration(Metric):
         Raises:
             ValueError: naming a wrong shape, type or value.
         """
+        preds, target = as_tensors(self.device, preds=preds, target=target)
+        check_real("preds", preds)
         check_mask("target", target, preds.shape)
         said = preds.flatten().double()
-        if not bool(((said >= 0) & (said <= 1)).all()):
-            raise ValueError("preds must be confidences in [0, 1]")
+        wrong = ~((said >= 0) & (said <= 1))
+        if bool(wrong.any()):
+            raise ValueError(f"preds must be confidences in [0, 1], got {said[wrong][0].item():g}")
         bins = len(self.sums)
         columns = torch.stack([torch.ones_like(said), said, target.flatten().double()], 1)
         # as in the definition, a bin holds its upper end and not its lower one
-        self.sums.index_add_(0, ((said * bins).ceil().long() - 1).clamp(min=0), columns)
+        self.sums = self.sums.index_add(0, ((said * bins).ceil().long() - 1).clamp(min=0), columns)
 
     def compute(self) -> dict[str, Tensor]:
         """Return the scores over all predictions."""
@@ -81,12 +83,18 @@ class Calibration(Metric):
         count = self.sums[:, :1]
         return torch.cat([count / count.sum(), self.sums[:, 1:] / count], 1)
 
-    def plot(self, ax: "Axes | None" = None) -> "tuple[Figure, Axes]":  # type: ignore[override]
+    def plot(
+        self, val: dict[str, Tensor] | Sequence[dict[str, Tensor]] | None = None, ax: "Axes | None" = None
+    ) -> "tuple[Figure, Axes]":
         """Draw the reliability diagram: fraction right over confidence, each dot as large as its bin is full.
+
+        A result of `compute` is drawn as bars instead, a list of results as lines.
 
         Raises:
             ImportError: without matplotlib.
         """
+        if val is not None:
+            return plot_scores(self, ["ece", "confidence", "right"], val, ax)
         axes = new_axes(4.0, 4.0) if ax is None else ax
         fraction, said, right = self.reliability().cpu().T.numpy()
         axes.plot([0, 1], [0, 1], color="#999999", linewidth=1, label="calibrated")

@@ -6,16 +6,15 @@ from typing import TYPE_CHECKING, Any
 import torch
 from jaxtyping import Bool, Float64, UInt8
 from torch import Tensor
-from torchmetrics import Metric
 
 from omniocc.classes import FREE, UNKNOWN
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.geometry.cylinder import PAPER_RANGE_EDGES_M
 from omniocc.metric.bands import as_edges, band_of, band_suffixes, num_rows
-from omniocc.metric.checks import check_grid, check_labels, check_mask
+from omniocc.metric.checks import Array, as_tensors, check_grid, check_labels, check_mask
 from omniocc.metric.plot import plot_scores
 from omniocc.metric.renamed import renamed
-from omniocc.metric.setting import hash_of
+from omniocc.metric.setting import CountMetric, hash_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,7 +37,7 @@ def candidate_scores(counts: Float64[Tensor, "bands 5"], edges_m: Sequence[float
     return {key: value.float() for key, value in scores.items()}
 
 
-class Candidates(Metric):
+class Candidates(CountMetric):
     """Recall, precision and fraction of candidate voxels over a dataset.
 
     Keys: `recall` (candidates among the occupied cells), `precision` (occupied cells among the candidates whose label
@@ -66,13 +65,9 @@ class Candidates(Metric):
         {'recall': 0.75, 'precision': 0.5, 'fraction': 0.75}
     """
 
-    is_differentiable = False
     higher_is_better = None
-    full_state_update = False
-    plot_lower_bound = 0.0
     plot_upper_bound = 1.0
     counts: Tensor
-    setting: Tensor
 
     def __init__(
         self, geometry: Cylinder | Cuboid, range_edges_m: Sequence[float | int] = PAPER_RANGE_EDGES_M, **kwargs: Any
@@ -81,12 +76,12 @@ class Candidates(Metric):
         check_grid("geometry", geometry)
         self.geometry = geometry
         self.range_edges_m = as_edges(range_edges_m)
+        self.add_setting(hash_of(repr((geometry, self.range_edges_m)).encode()))
         zeros = torch.zeros(num_rows(self.range_edges_m), len(COUNTS), dtype=torch.float64)
         self.add_state("counts", zeros, dist_reduce_fx="sum")
-        self.add_state("setting", hash_of(repr((geometry, self.range_edges_m)).encode()), dist_reduce_fx="max")
 
     @renamed({"candidates": "preds", "voxels": "target"})
-    def update(self, preds: Bool[Tensor, "B X Y Z"], target: UInt8[Tensor, "B X Y Z"]) -> None:
+    def update(self, preds: Bool[Array, "B X Y Z"], target: UInt8[Array, "B X Y Z"]) -> None:
         """Add the candidates and the true classes of a batch.
 
         Args:
@@ -96,13 +91,14 @@ class Candidates(Metric):
         Raises:
             ValueError: naming a wrong shape, type or value.
         """
+        preds, target = as_tensors(self.device, preds=preds, target=target)
         target = check_labels("target", target, self.geometry.shape, UNKNOWN, UNKNOWN)
         check_mask("preds", preds, target.shape)
         known, occupied = target != UNKNOWN, (target != FREE) & (target != UNKNOWN)
         parts = [preds & occupied, occupied, preds & known, preds, torch.ones_like(preds)]
         columns = torch.stack([part.sum((0, 3)).flatten() for part in parts], dim=1).double()
         band = band_of(self.geometry.distances_m().flatten(), self.range_edges_m)
-        self.counts.index_add_(0, band.to(columns.device), columns)
+        self.counts = self.counts.index_add(0, band.to(columns.device), columns)
 
     def compute(self) -> dict[str, Tensor]:
         """Return the scores over all frames."""

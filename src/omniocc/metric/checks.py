@@ -1,11 +1,45 @@
 """Checks of the arguments of metrics."""
 
 import itertools
+from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from omniocc.geometry import Cuboid, Cylinder
+
+Array = Any
+"""What metrics take as inputs: a tensor, an array of numpy, or nested lists of numbers."""
+NO_ORDER = (torch.uint16, torch.uint32, torch.uint64)
+"""Types in which torch does not compare."""
+
+
+def as_tensors(device: torch.device | str, **values: Any) -> tuple[Any, ...]:
+    """Return tensors of arrays, by name: tensors and None as they are, numpy arrays and lists copied to the device.
+
+    Raises:
+        ValueError: with the name, for what is no array of numbers.
+    """
+    return tuple(
+        value if value is None or isinstance(value, Tensor) else _as_tensor(name, value).to(device)
+        for name, value in values.items()
+    )
+
+
+def _as_tensor(name: str, value: object) -> Tensor:
+    try:
+        # a copy in this machine's byte order: torch takes no other order, no backward steps and no array to read only
+        array = np.asarray(value)
+        return torch.from_numpy(array.astype(array.dtype.newbyteorder("="), order="C"))
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name} must be a tensor or a numpy array of numbers, got {type(value).__name__}") from error
+
+
+def check_real(name: str, values: Tensor) -> None:
+    """Raise ValueError with `name` for complex numbers and masks."""
+    if values.is_complex() or values.dtype == torch.bool:
+        raise ValueError(f"{name} must hold real numbers, got {values.dtype}")
 
 
 def check_grid(name: str, grid: object) -> None:
@@ -31,6 +65,7 @@ def check_labels(
         raise ValueError(f"{name} must have shape ({expected}), got {tuple(labels.shape)}{hint}")
     if labels.is_complex() or labels.dtype == torch.bool:
         raise ValueError(f"{name} must hold class ids in an integer type, got {labels.dtype}")
+    labels = labels.long() if labels.dtype in NO_ORDER else labels
     whole = not labels.is_floating_point() or bool((labels == labels.floor()).all())
     if not labels.numel() or (whole and labels.amin() >= 0 and labels.amax() < num_classes):
         return labels.to(torch.uint8)

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from jaxtyping import Shaped, UInt8
 from torch import Tensor
 
-from omniocc.classes import WORLD_CLASSES
 from omniocc.metric.checks import check_labels
 
 
@@ -18,7 +17,7 @@ class ClassIds:
         num_classes: number of classes, free included.
         free: id of free space.
         ignored: id of unknown cells in the truth, beyond the classes.
-        names: of the classes by id; None for those of the virtual world if it has as many classes, else the ids.
+        names: of the classes by id; None for the ids.
 
     Raises:
         ValueError: if the ids do not fit into uint8, the ignored one is a class, or names are missing or repeated.
@@ -43,10 +42,7 @@ class ClassIds:
     @property
     def occupied(self) -> dict[int, str]:
         """Return the names of all classes but free by id."""
-        names = self.names
-        if names is None:
-            known = self.num_classes == WORLD_CLASSES.num_classes
-            names = WORLD_CLASSES.names if known else [str(label) for label in range(self.num_classes)]
+        names = list(map(str, range(self.num_classes))) if self.names is None else self.names
         return {label: name for label, name in enumerate(names) if label != self.free}
 
     def check(

@@ -1,17 +1,21 @@
 """Errors of predicted ranges, in metres and in indices of spheres of inverse range."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from jaxtyping import Bool, Float, Float64
 from torch import Tensor
-from torchmetrics import Metric
 
 from omniocc.metric.bands import as_edges, band_of, band_suffixes, num_rows
-from omniocc.metric.checks import check_increasing, check_mask, check_same_shape
+from omniocc.metric.checks import Array, as_tensors, check_increasing, check_mask, check_real, check_same_shape
+from omniocc.metric.plot import plot_scores
 from omniocc.metric.renamed import renamed
-from omniocc.metric.setting import hash_of
+from omniocc.metric.setting import CountMetric, hash_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 NAMES = (
     *("mae", "absrel", "rmse", "delta1", "delta2", "delta3"),
@@ -58,7 +62,7 @@ def depth_scores(
     return {key: value.float() for key, value in scores.items()}
 
 
-class DepthMetrics(Metric):
+class DepthMetrics(CountMetric):
     """Errors of predicted ranges over a dataset.
 
     Rays count whose true range is between the nearest and the farthest sphere; those of the sky do not. Predictions
@@ -84,13 +88,9 @@ class DepthMetrics(Metric):
         (1.0, 0.05)
     """
 
-    is_differentiable = False
     higher_is_better = False
-    full_state_update = False
-    plot_lower_bound = 0.0
     sums: Tensor
     count: Tensor
-    setting: Tensor
 
     def __init__(
         self, nearest_m: float = 0.5, farthest_m: float = float("inf"), spheres: int = 192,
@@ -100,17 +100,16 @@ class DepthMetrics(Metric):
         check_increasing("nearest_m and farthest_m", (float(nearest_m), float(farthest_m)), at_least=2)
         if nearest_m <= 0 or spheres < 2:
             raise ValueError(f"nearest_m must be above 0 and spheres at least 2, got {nearest_m} and {spheres}")
-        self.nearest_m, self.farthest_m, self.spheres = nearest_m, farthest_m, spheres
+        self.nearest_m, self.farthest_m, self.spheres = float(nearest_m), float(farthest_m), spheres
         self.range_edges_m = as_edges(range_edges_m)
         rows = num_rows(self.range_edges_m)
+        self.add_setting(hash_of(repr((self.nearest_m, self.farthest_m, spheres, self.range_edges_m)).encode()))
         self.add_state("sums", torch.zeros(rows, len(NAMES), dtype=torch.float64), dist_reduce_fx="sum")
-        setting = repr((nearest_m, farthest_m, spheres, self.range_edges_m))
-        self.add_state("setting", hash_of(setting.encode()), dist_reduce_fx="max")
         self.add_state("count", torch.zeros(rows, dtype=torch.float64), dist_reduce_fx="sum")
 
     @renamed({"prediction_m": "preds", "target_m": "target"})
     def update(
-        self, preds: Float[Tensor, "..."], target: Float[Tensor, "..."], observed: Bool[Tensor, "..."] | None = None
+        self, preds: Float[Array, "..."], target: Float[Array, "..."], observed: Bool[Array, "..."] | None = None
     ) -> None:
         """Add predicted and true ranges along the same rays.
 
@@ -122,6 +121,9 @@ class DepthMetrics(Metric):
         Raises:
             ValueError: naming a wrong shape, type or value.
         """
+        preds, target, observed = as_tensors(self.device, preds=preds, target=target, observed=observed)
+        check_real("preds", preds)
+        check_real("target", target)
         check_same_shape("preds", preds, "target", target)
         check_mask("observed", observed, target.shape)
         counted = (target >= self.nearest_m) & (target <= self.farthest_m) & target.isfinite()
@@ -134,9 +136,18 @@ class DepthMetrics(Metric):
         predicted = predicted.clamp(self.nearest_m, self.farthest_m)
         errors = depth_sums(predicted, true, self.nearest_m, self.farthest_m, self.spheres)
         band = band_of(true, self.range_edges_m)
-        self.sums.index_add_(0, band, errors)
-        self.count.index_add_(0, band, torch.ones_like(true))
+        self.sums = self.sums.index_add(0, band, errors)
+        self.count = self.count.index_add(0, band, torch.ones_like(true))
 
     def compute(self) -> dict[str, Tensor]:
         """Return the scores over all rays."""
         return depth_scores(self.sums, self.count, self.range_edges_m)
+
+    def plot(
+        self, val: dict[str, Tensor] | Sequence[dict[str, Tensor]] | None = None, ax: "Axes | None" = None
+    ) -> "tuple[Figure, Axes]":
+        """Draw the scores that are fractions of rays: bars for a result of `compute` (default: now), lines for a list.
+
+        It needs matplotlib.
+        """
+        return plot_scores(self, [name for name in NAMES if "delta" in name or ">" in name], val, ax)

@@ -1,7 +1,7 @@
 """How scores were counted, in one line that stands under every table: rays, origins, thresholds, masks, classes."""
 
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 
 from omniocc.metric.class_ids import ClassIds
 
@@ -25,10 +25,6 @@ class RaysSeen:
     origins: int = 0
     timed: bool = False
     masked: bool = False
-
-    def joined(self, other: "RaysSeen") -> "RaysSeen":
-        """Return what both were given."""
-        return RaysSeen(*(max(pair) for pair in zip(astuple(self), astuple(other), strict=True)))
 
 
 def rays_text(rays: int, public: bool, seen: RaysSeen) -> str:
@@ -57,6 +53,11 @@ def dropped_text(classes: ClassIds, count_free_rays: bool, masked: bool) -> str:
     """Return which rays do not count."""
     unknown = f"unknown ({classes.ignored})" + (" or in a cell that is not observed" if masked else "")
     return f"rays count whose truth is not {unknown}" + ("" if count_free_rays else " or free")
+
+
+def free_text(seen: RaysSeen) -> list[str]:
+    """Return which rays are free, where the truth was measured; this part is last, as records of before lack it."""
+    return ["rays without a return or with a point outside of the grid are free"] if seen.measured else []
 
 
 def mean_text(classes: ClassIds) -> str:

@@ -1,7 +1,7 @@
 """Casting of rays through predicted and true frames, and counting of their hits; nothing is kept between calls."""
 
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, Int64, Shaped, UInt8
@@ -10,9 +10,17 @@ from torch import Tensor
 from omniocc.geometry import Cuboid, Cylinder, Hits, RayTable, Scan, ray_table
 from omniocc.geometry.directions import sparseocc_directions
 from omniocc.metric.bands import as_edges, num_rows
-from omniocc.metric.checks import check_grid, check_increasing, check_mask, check_origins, check_same_batch
+from omniocc.metric.checks import (
+    Array,
+    as_tensors,
+    check_grid,
+    check_increasing,
+    check_mask,
+    check_origins,
+    check_same_batch,
+)
 from omniocc.metric.class_ids import ClassIds
-from omniocc.metric.protocol import RaysSeen, dropped_text, error_text, mean_text, rays_text
+from omniocc.metric.protocol import RaysSeen, dropped_text, error_text, free_text, mean_text, rays_text
 from omniocc.metric.ray_counts import TIMES, RayCounts, count_rays, ray_scores
 from omniocc.metric.setting import hash_of
 
@@ -38,6 +46,30 @@ class RayTruth(NamedTuple):
     starts: Float[Tensor, "B R 3"] | None = None
 
 
+def tensors_of(
+    device: torch.device | str, preds: Array, target: Array | RayTruth, origins: Array | None, observed: Array | None,
+    origin_times: Array | None,
+) -> tuple[Any, ...]:  # fmt: skip
+    """Return the arguments of `RayCounter.count` as tensors; numpy arrays are copied to the device.
+
+    Raises:
+        ValueError: with the name, for what is no array of numbers.
+    """
+    preds, origins, observed = as_tensors(device, preds=preds, origins=origins, observed=observed)
+    (times,) = as_tensors(device, origin_times=origin_times)
+    if isinstance(target, RayTruth):
+        return preds, RayTruth(*as_tensors(device, **target._asdict())), origins, observed, times
+    return preds, *as_tensors(device, target=target), origins, observed, times
+
+
+def scan_of(directions: Float[Array, "D 3"] | None) -> Scan:
+    """Return these rays, ready to be cast from any origin; those of the public RayIoU for None."""
+    if directions is None:
+        return Scan(sparseocc_directions())
+    (given,) = as_tensors("cpu", directions=directions)
+    return Scan(given if given.is_floating_point() else given.double())
+
+
 class RayCounter:
     """The counting of RayIoU as a function of frames: it has no state and does not communicate with other processes.
 
@@ -46,7 +78,7 @@ class RayCounter:
 
     def __init__(
         self, geometry: Cylinder | Cuboid, classes: ClassIds, thresholds_m: Sequence[float | int],
-        range_edges_m: Sequence[float | int] | None, directions: Float[Tensor, "D 3"] | None,
+        range_edges_m: Sequence[float | int] | None, directions: Float[Array, "D 3"] | None,
         target_geometry: Cylinder | Cuboid | None, hit: Literal["exit", "entry"], count_free_rays: bool,
         split_origins: bool = False, fine_thresholds_m: Sequence[float | int] = (),
     ):  # fmt: skip
@@ -64,7 +96,7 @@ class RayCounter:
         self.range_edges_m = as_edges(range_edges_m)
         self.hit, self.count_free_rays, self.split_origins = hit, count_free_rays, split_origins
         self.public_rays = directions is None
-        self.scan = Scan(sparseocc_directions() if directions is None else directions)
+        self.scan = scan_of(directions)
 
     def zero(self) -> RayCounts:
         """Return the counts of no frames."""
@@ -129,6 +161,7 @@ class RayCounter:
             error_text(self.thresholds_m, self.fine_m, self.hit, seen),
             dropped_text(self.classes, self.count_free_rays, seen.masked),
             mean_text(self.classes),
+            *free_text(seen),
         ))  # fmt: skip
 
     def setting(self) -> UInt8[Tensor, "16"]:

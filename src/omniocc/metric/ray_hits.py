@@ -2,18 +2,17 @@
 
 import torch
 from jaxtyping import Float, Shaped
-from torch import Tensor
 
 from omniocc.classes import FREE, NUM_CLASSES, UNKNOWN
-from omniocc.geometry import Cuboid, Cylinder, Hits, Scan, ray_table
-from omniocc.geometry.directions import sparseocc_directions
-from omniocc.metric.checks import check_origins
+from omniocc.geometry import Cuboid, Cylinder, Hits, ray_table
+from omniocc.metric.checks import Array, as_tensors, check_origins
 from omniocc.metric.class_ids import ClassIds
+from omniocc.metric.ray_counter import scan_of
 
 
 def ray_hits(
-    labels: Shaped[Tensor, "X Y Z"], geometry: Cylinder | Cuboid, origins: Float[Tensor, "O 3"] | None = None,
-    directions: Float[Tensor, "D 3"] | None = None, num_classes: int = NUM_CLASSES, free_class: int = FREE,
+    labels: Shaped[Array, "X Y Z"], geometry: Cylinder | Cuboid, origins: Float[Array, "O 3"] | None = None,
+    directions: Float[Array, "D 3"] | None = None, num_classes: int = NUM_CLASSES, free_class: int = FREE,
     ignore_class: int = UNKNOWN,
 ) -> Hits:  # fmt: skip
     """Return range, class and cell of the first hit of each ray in one label volume, as RayPQ needs them.
@@ -43,9 +42,9 @@ def ray_hits(
         (4, 3, 3.0, 4.0)
     """
     classes = ClassIds(num_classes, free_class, ignore_class)
+    labels, origins = as_tensors("cpu", labels=labels, origins=origins)
     checked = classes.check("labels", labels.unsqueeze(0), geometry.shape, truth=True)[0]
-    origins = torch.zeros(1, 3) if origins is None else origins
-    check_origins("origins", origins)
-    scan = Scan(sparseocc_directions() if directions is None else directions)
-    hits = ray_table(geometry, origins.to(labels.device), scan).cast(checked - free_class)
+    starts = torch.zeros(1, 3) if origins is None else origins
+    check_origins("origins", starts)
+    hits = ray_table(geometry, starts.to(labels.device), scan_of(directions)).cast(checked - free_class)
     return hits._replace(labels=hits.labels + free_class)

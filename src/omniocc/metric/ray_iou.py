@@ -1,29 +1,31 @@
 """RayIoU: occupancy scored by the first hits of LiDAR rays (SparseOcc, Liu et al. 2024), on any grid."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from dataclasses import astuple
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import torch
-from jaxtyping import Bool, Float, Shaped
+from jaxtyping import Bool, Float, Int64, Shaped
 from torch import Tensor
-from torchmetrics import Metric
 
 from omniocc.classes import FREE, NUM_CLASSES, UNKNOWN
 from omniocc.geometry import Cuboid, Cylinder
 from omniocc.metric.bands import band_suffixes, num_rows
+from omniocc.metric.checks import Array
 from omniocc.metric.class_ids import ClassIds
 from omniocc.metric.plot import plot_scores
 from omniocc.metric.protocol import RaysSeen
-from omniocc.metric.ray_counter import RayCounter, RayTruth
+from omniocc.metric.ray_counter import RayCounter, RayTruth, tensors_of
 from omniocc.metric.ray_counts import TIMES, RayCounts
 from omniocc.metric.renamed import renamed
+from omniocc.metric.setting import CountMetric
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
-class RayIoU(Metric):
+class RayIoU(CountMetric):
     """RayIoU over a dataset, counted as in the public protocol.
 
     A ray counts if its true first hit is of a class other than free and unknown. It is correct at a threshold if the
@@ -49,7 +51,7 @@ class RayIoU(Metric):
         hit: distance of a hit: where the ray leaves the cell hit (the public protocol) or where it enters it.
         count_free_rays: also count rays whose truth is free, at the distance at which the ray leaves the grid, so that
             a class predicted on them loses IoU. The public protocol drops them: hallucinations cost nothing.
-        class_names: names by id, for the keys; default those of the virtual world if it has as many classes, else ids.
+        class_names: names by id, for the keys; default the ids.
         split_origins: also score the rays from where the car was before, at and after the scored frame apart
             (`rayiou_past`, `rayiou_now`, `rayiou_future`); `update` then takes the times of its origins.
         fine_thresholds_m: a second set of distance errors, scored apart from the same rays as `fine/rayiou` (its mean)
@@ -67,19 +69,18 @@ class RayIoU(Metric):
         >>> target[:, 26] = 4  # a round building, 10.4 to 10.8 m away
         >>> metric = RayIoU(grid)
         >>> metric.update(target.roll(3, dims=1), target)  # found 1.2 m too far
-        >>> [round(metric.compute()[key].item(), 2) for key in ("rayiou", "rayiou@1", "rayiou@2", "rayiou/Building")]
+        >>> [round(metric.compute()[key].item(), 2) for key in ("rayiou", "rayiou@1", "rayiou@2", "rayiou/4")]
         [0.77, 0.44, 0.93, 0.65]
     """
 
-    is_differentiable = False
+    __jit_unused_properties__: ClassVar[list[str]] = [*CountMetric.__jit_unused_properties__, "seen"]
     higher_is_better = True
-    full_state_update = False
-    plot_lower_bound = 0.0
     plot_upper_bound = 1.0
     truth: Tensor
     predicted: Tensor
     correct: Tensor
-    setting: Tensor
+    inputs: Tensor
+    measured: Tensor
 
     def __init__(
         self,
@@ -89,7 +90,7 @@ class RayIoU(Metric):
         ignore_class: int = UNKNOWN,
         thresholds_m: Sequence[float | int] = (1.0, 2.0, 4.0),
         range_edges_m: Sequence[float | int] | None = None,
-        directions: Float[Tensor, "D 3"] | None = None,
+        directions: Float[Array, "D 3"] | None = None,
         target_geometry: Cylinder | Cuboid | None = None,
         hit: Literal["exit", "entry"] = "exit",
         count_free_rays: bool = False,
@@ -104,19 +105,20 @@ class RayIoU(Metric):
             geometry, classes, thresholds_m, range_edges_m, directions, target_geometry, hit, count_free_rays,
             split_origins, fine_thresholds_m,
         )  # fmt: skip
+        self.add_setting(self.counter.setting())
         for name, counts in self.counter.zero()._asdict().items():
             self.add_state(name, counts, dist_reduce_fx="sum")
-        self.add_state("setting", self.counter.setting(), dist_reduce_fx="max")
-        self.seen = RaysSeen()
+        self.add_state("inputs", torch.tensor(astuple(RaysSeen()), dtype=torch.int64), dist_reduce_fx="max")
+        self.add_state("measured", torch.zeros(3, dtype=torch.int64), dist_reduce_fx="sum")
 
     @renamed({"prediction": "preds"})
     def update(
         self,
-        preds: Shaped[Tensor, "B *grid"],
-        target: Shaped[Tensor, "Bt *target_grid"] | RayTruth,
-        origins: Float[Tensor, "*origins 3"] | None = None,
-        observed: Shaped[Tensor, "Bo *observed_grid"] | None = None,
-        origin_times: Shaped[Tensor, "*times"] | None = None,
+        preds: Shaped[Array, "B *grid"],
+        target: Shaped[Array, "Bt *target_grid"] | RayTruth,
+        origins: Float[Array, "*origins 3"] | None = None,
+        observed: Shaped[Array, "Bo *observed_grid"] | None = None,
+        origin_times: Shaped[Array, "*times"] | None = None,
     ) -> None:
         """Add predicted and true class ids of a batch.
 
@@ -133,22 +135,26 @@ class RayIoU(Metric):
         Raises:
             ValueError: naming a wrong shape, type or value.
         """
-        counts = self.counter.count(preds, target, origins, observed, origin_times)
-        self.truth += counts.truth
-        self.predicted += counts.predicted
-        self.correct += counts.correct
+        inputs = tensors_of(self.device, preds, target, origins, observed, origin_times)
+        preds, target, origins, observed, origin_times = inputs
+        counts = self.counter.count(*inputs)
+        self.truth = self.truth + counts.truth
+        self.predicted = self.predicted + counts.predicted
+        self.correct = self.correct + counts.correct
         measured, number = isinstance(target, RayTruth), 0 if origins is None else origins.shape[1]
-        own_rays = isinstance(target, RayTruth) and target.directions is not None
-        timed, masked = origin_times is not None, observed is not None
-        self.seen = self.seen.joined(RaysSeen(True, measured, own_rays, number, timed, masked))
+        if measured:
+            self.measured = self.measured + _measured(target, self.counter.classes.ignored, counts)
+        own_rays = measured and target.directions is not None
+        seen = RaysSeen(True, measured, own_rays, number, origin_times is not None, observed is not None)
+        self.inputs = torch.maximum(self.inputs, self.inputs.new_tensor(astuple(seen)))
 
     @renamed({"prediction": "preds"})
     def update_rays(
         self,
-        preds: Shaped[Tensor, "B X Y Z"],
-        range_m: Float[Tensor, "B R"],
-        labels: Shaped[Tensor, "B R"],
-        origins: Float[Tensor, "B O 3"] | None = None,
+        preds: Shaped[Array, "B X Y Z"],
+        range_m: Float[Array, "B R"],
+        labels: Shaped[Array, "B R"],
+        origins: Float[Array, "B O 3"] | None = None,
     ) -> None:
         """Add predicted class ids of a batch against the measurements of a real LiDAR, whose truth has no grid.
 
@@ -171,6 +177,23 @@ class RayIoU(Metric):
     def compute(self) -> dict[str, Tensor]:
         """Return the scores over all frames: see `omniocc.metric.ray_counts.ray_scores` for the keys."""
         return self.counter.scores(RayCounts(self.truth, self.predicted, self.correct))
+
+    @property
+    def seen(self) -> RaysSeen:
+        """Return what this process was given since it was made or reset."""
+        return RaysSeen(*self.inputs.tolist())
+
+    def left_out(self) -> dict[str, Tensor]:
+        """Return the fraction of the measured rays that do not count, over all frames and processes.
+
+        Keys: `left_out`, of which `left_out_unknown` are those to surfaces of unknown class, and `left_out_free` those
+        whose truth is free: rays without a return or with a point outside of the grid. Without measured rays: nan.
+        """
+        synced = self._is_synced
+        with self.sync_context(self.dist_sync_fn, should_sync=self._to_sync and not synced, should_unsync=not synced):
+            rays, unknown, counted = self.measured.double()
+        parts = {"": rays - counted, "_unknown": unknown, "_free": rays - counted - unknown}
+        return {f"left_out{end}": (part / rays).float() for end, part in parts.items()}
 
     def protocol(self) -> str:
         """Return how this process counted what it was given: rays, origins, thresholds, masks and classes, in one line.
@@ -215,25 +238,32 @@ class RayIoU(Metric):
         return plot_scores(self, [f"rayiou{end}" for end in ends], val, ax)
 
 
+def _measured(target: RayTruth, ignored: int, counts: RayCounts) -> Int64[Tensor, "3"]:
+    """Return the numbers of measured rays: all, those to unknown surfaces, and those that count."""
+    unknown = target.labels == ignored
+    absent = unknown & ~target.range_m.isfinite()  # fills the places of frames with fewer rays
+    return torch.stack([(~absent).sum(), (unknown & ~absent).sum(), counts.truth.sum()])
+
+
 @renamed({"prediction": "preds"})
 def ray_iou(
-    preds: Shaped[Tensor, "B X Y Z"],
-    target: Shaped[Tensor, "B Xt Yt Zt"],
+    preds: Shaped[Array, "B X Y Z"],
+    target: Shaped[Array, "B Xt Yt Zt"] | RayTruth,
     geometry: Cylinder | Cuboid,
-    origins: Float[Tensor, "B O 3"] | None = None,
-    observed: Bool[Tensor, "B Xt Yt Zt"] | None = None,
+    origins: Float[Array, "B O 3"] | None = None,
+    observed: Bool[Array, "B Xt Yt Zt"] | None = None,
     num_classes: int = NUM_CLASSES,
     free_class: int = FREE,
     ignore_class: int = UNKNOWN,
     thresholds_m: Sequence[float | int] = (1.0, 2.0, 4.0),
     range_edges_m: Sequence[float | int] | None = None,
-    directions: Float[Tensor, "D 3"] | None = None,
+    directions: Float[Array, "D 3"] | None = None,
     target_geometry: Cylinder | Cuboid | None = None,
     hit: Literal["exit", "entry"] = "exit",
     count_free_rays: bool = False,
     class_names: Sequence[str] | None = None,
     split_origins: bool = False,
-    origin_times: Shaped[Tensor, "B O"] | None = None,
+    origin_times: Shaped[Array, "B O"] | None = None,
     fine_thresholds_m: Sequence[float | int] = (),
 ) -> dict[str, Tensor]:
     """Return the RayIoU of these frames; see `RayIoU` for the definition, the arguments and the keys.
@@ -257,4 +287,4 @@ def ray_iou(
         geometry, classes, thresholds_m, range_edges_m, directions, target_geometry, hit, count_free_rays,
         split_origins, fine_thresholds_m,
     )  # fmt: skip
-    return counter.scores(counter.count(preds, target, origins, observed, origin_times))
+    return counter.scores(counter.count(*tensors_of("cpu", preds, target, origins, observed, origin_times)))

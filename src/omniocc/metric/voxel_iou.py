@@ -6,15 +6,15 @@ from typing import TYPE_CHECKING, Any
 import torch
 from jaxtyping import Bool, Float64, Shaped, UInt8
 from torch import Tensor
-from torchmetrics import Metric
 
 from omniocc.classes import FREE, NUM_CLASSES, UNKNOWN
 from omniocc.geometry import Cuboid, Cylinder
-from omniocc.metric.checks import check_mask, check_same_shape
+from omniocc.metric.checks import Array, as_tensors, check_grid, check_mask, check_same_shape
 from omniocc.metric.class_ids import ClassIds
 from omniocc.metric.plot import plot_scores
 from omniocc.metric.protocol import cells_text
 from omniocc.metric.renamed import renamed
+from omniocc.metric.setting import CountMetric, hash_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -49,7 +49,7 @@ def voxel_scores(confusion: Float64[Tensor, "C C"], free_class: int, occupied: M
     return scores
 
 
-class VoxelIoU(Metric):
+class VoxelIoU(CountMetric):
     """IoU of classes, and IoU, precision, recall and F1 of occupancy; see `voxel_scores` for the keys.
 
     Scores are ratios of sums over the dataset and all processes.
@@ -60,7 +60,7 @@ class VoxelIoU(Metric):
         ignore_class: id of unknown cells in the target, which do not count.
         geometry: grid whose cell volumes weigh the cells. The cells of a cylinder grow with their distance, so scores
             of a cylinder and of a cuboid are comparable only by volume. Default: every cell counts once.
-        class_names: names by id, for the keys; default those of the virtual world if it has as many classes, else ids.
+        class_names: names by id, for the keys; default the ids.
         kwargs: those of every `torchmetrics.Metric`: `dist_sync_on_step`, `sync_on_compute` and so on.
 
     Raises:
@@ -72,15 +72,13 @@ class VoxelIoU(Metric):
         >>> metric = VoxelIoU()
         >>> metric.update(target.roll(1, dims=1), target)
         >>> {key: round(value.item(), 2) for key, value in metric.compute().items() if not value.isnan()}
-        {'iou': 0.33, 'miou': 0.33, 'precision': 0.5, 'recall': 0.5, 'f1': 0.5, 'iou/Road': 0.33}
+        {'iou': 0.33, 'miou': 0.33, 'precision': 0.5, 'recall': 0.5, 'f1': 0.5, 'iou/1': 0.33}
     """
 
-    is_differentiable = False
     higher_is_better = True
-    full_state_update = False
-    plot_lower_bound = 0.0
     plot_upper_bound = 1.0
     confusion: Tensor
+    masked: Tensor
 
     def __init__(
         self, num_classes: int = NUM_CLASSES, free_class: int = FREE, ignore_class: int = UNKNOWN,
@@ -89,14 +87,17 @@ class VoxelIoU(Metric):
     ):  # fmt: skip
         super().__init__(**kwargs)
         self.classes = ClassIds(num_classes, free_class, ignore_class, class_names)
+        if geometry is not None:
+            check_grid("geometry", geometry)
         self.geometry = geometry
-        self.masked = False
+        self.add_setting(hash_of(repr((num_classes, free_class, ignore_class, geometry)).encode()))
         self.add_state("confusion", torch.zeros(num_classes, num_classes, dtype=torch.float64), dist_reduce_fx="sum")
+        self.add_state("masked", torch.zeros((), dtype=torch.uint8), dist_reduce_fx="max")
 
     @renamed({"prediction": "preds"})
     def update(
-        self, preds: Shaped[Tensor, "B X Y Z"], target: Shaped[Tensor, "Bt Xt Yt Zt"],
-        observed: Bool[Tensor, "Bt Xt Yt Zt"] | None = None,
+        self, preds: Shaped[Array, "B X Y Z"], target: Shaped[Array, "Bt Xt Yt Zt"],
+        observed: Bool[Array, "Bt Xt Yt Zt"] | None = None,
     ) -> None:  # fmt: skip
         """Add predicted and true class ids of a batch.
 
@@ -108,6 +109,7 @@ class VoxelIoU(Metric):
         Raises:
             ValueError: naming a wrong shape, type or value.
         """
+        preds, target, observed = as_tensors(self.device, preds=preds, target=target, observed=observed)
         check_same_shape("preds", preds, "target", target)
         shape = tuple(target.shape[1:]) if self.geometry is None else self.geometry.shape
         preds = self.classes.check("preds", preds, shape, truth=False)
@@ -116,8 +118,9 @@ class VoxelIoU(Metric):
         known = target != self.classes.ignored
         counted = known if observed is None else observed & known
         weights = None if self.geometry is None else self.geometry.volumes_m3()
-        self.confusion += voxel_confusion(preds, target, counted, self.classes.num_classes, weights)
-        self.masked = self.masked or observed is not None
+        self.confusion = self.confusion + voxel_confusion(preds, target, counted, self.classes.num_classes, weights)
+        if observed is not None:
+            self.masked = torch.ones_like(self.masked)
 
     def compute(self) -> dict[str, Tensor]:
         """Return the scores over all frames: see `voxel_scores` for the keys."""
@@ -126,7 +129,7 @@ class VoxelIoU(Metric):
 
     def protocol(self) -> str:
         """Return which cells of what it was given this process counted, and how, in one line."""
-        return cells_text(self.classes, self.geometry is not None, self.masked)
+        return cells_text(self.classes, self.geometry is not None, bool(self.masked))
 
     def plot(
         self, val: dict[str, Tensor] | Sequence[dict[str, Tensor]] | None = None, ax: "Axes | None" = None

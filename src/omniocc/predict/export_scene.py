@@ -8,6 +8,7 @@ import torch
 from omniocc.data import SceneReader
 from omniocc.data.store.shard import META
 from omniocc.errors import UserError
+from omniocc.io import atomic_write
 from omniocc.predict.input.poses import write_poses
 from omniocc.predict.input.sequence import RecordedSequence
 from omniocc.run.script import lines_not_tracebacks
@@ -29,13 +30,11 @@ def export_scene(scene: Path, folder: Path) -> int:
         raise UserError(f"{scene} is not a recorded scene; give one such as data/virtual-<hash>/test-000-downtown")
     reader = SceneReader(scene)
     sequence = RecordedSequence(reader, tuple(range(len(reader))))
-    folder.mkdir(parents=True, exist_ok=True)
     sequence.rig.save(folder / RIG)
     write_poses(folder / POSES, sequence.frame_names, torch.as_tensor(sequence.world_from_ego))
     for k, frame in enumerate(sequence.frame_names):
-        (folder / frame).mkdir(exist_ok=True)
         for name, image in zip(sequence.rig.names, sequence.images(k), strict=True):
-            (folder / frame / f"{name}.png").write_bytes(encoded(image, "png"))
+            atomic_write(folder / frame / f"{name}.png", encoded(image, "png"))
     return len(sequence.frame_names)
 
 

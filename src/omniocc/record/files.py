@@ -1,6 +1,5 @@
 """Logs as folders of files: images of each camera, poses, and perhaps scans of a LiDAR, all with time stamps."""
 
-import csv
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -13,7 +12,8 @@ from jaxtyping import Float64, UInt8
 
 from omniocc.camera import Rig
 from omniocc.data.formats.clouds import LABEL_SUFFIX, READERS, RawCloud, read_cloud
-from omniocc.data.formats.files import IMAGE_SUFFIXES, read_text, rgb_of_camera
+from omniocc.data.formats.files import IMAGE_SUFFIXES, rgb_of_camera
+from omniocc.data.formats.pose_table import TimeUnit, read_table
 from omniocc.data.formats.poses import inverse, moved
 from omniocc.data.formats.scene import outside
 from omniocc.data.source import Points
@@ -21,7 +21,7 @@ from omniocc.errors import DataError, UserError
 from omniocc.images import Depth, content_of
 from omniocc.record.labels import PointClasses, classes_of, read_point_classes
 from omniocc.record.log import Log, Scans, Timing, chosen_rig
-from omniocc.record.poses import PER_SECOND, PosesFormat, TimeUnit, read_timed_poses, seconds, stated_pose
+from omniocc.record.poses import PER_SECOND, PosesFormat, read_timed_poses, seconds, stated_pose
 from omniocc.record.scene import LogRecorder, Stated
 
 LIDAR_KEYS = {
@@ -203,22 +203,20 @@ def path_in(folder: Path, path: Path) -> str:
 
 
 def read_times(path: Path, unit: TimeUnit) -> dict[str, float]:
-    """Return the time, s, of every file that a CSV of time, file lists; a first line without a number is a header.
+    """Return the time, s, of every file that a table of time, file lists; a header may name them in any order.
 
     Raises:
-        DataError: naming the line that is wrong.
+        DataError: naming the line that is wrong, or the file that stands twice.
     """
     found: dict[str, float] = {}
-    for number, words in enumerate(csv.reader(read_text(path).lstrip("\ufeff").splitlines()), start=1):
-        if not any(word.strip() for word in words) or words[0].lstrip().startswith("#"):
-            continue
+    for row in read_table(path, ("time", "file")):
+        stamp, name = row.keys
+        if name in found:
+            raise DataError(f"{row.where}: the file '{name}' has a time already; keep one")
         try:
-            if len(words) < 2:
-                raise ValueError("give time,file")
-            found[words[1].strip()] = seconds(words[0], unit)
+            found[name] = seconds(stamp, row.unit or unit)
         except ValueError as error:
-            if found or number > 1:
-                raise DataError(f"{path}, line {number}: {error}") from error
+            raise DataError(f"{row.where}: {error}") from error
     return found
 
 

@@ -6,12 +6,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import yaml
 from jaxtyping import Int64, UInt8
 
 from omniocc.classes import FREE, OCCUPANCY_CLASSES, UNKNOWN, WORLD_CLASSES, ClassTable, SemanticClass
-from omniocc.data.formats.files import read_text
 from omniocc.errors import DataError
+from omniocc.io import read_yaml
 
 UNKNOWN_NAME = "unknown"
 FREE_NAME = "free"
@@ -41,16 +40,15 @@ def read_point_classes(path: Path | None) -> PointClasses:
     """
     if path is None:
         return PointClasses(OCCUPANCY_CLASSES, None)
-    try:
-        content = yaml.safe_load(read_text(path))
-    except yaml.YAMLError as error:
-        raise DataError(f"{path}: the file is not valid YAML: {error}") from error
+    content = read_yaml(path)
     if not isinstance(content, dict) or not content:
         raise DataError(f"{path}: it must map ids of the files to names of classes, as '40: road'")
     entries = {_id(path, key): _entry(path, key, value) for key, value in content.items()}
     colors: dict[str, tuple[int, ...] | None] = {}
     for name, rgb in entries.values():
         if name != UNKNOWN_NAME:
+            if rgb is not None and colors.get(name) not in (None, rgb):
+                raise DataError(f"{path}: the class '{name}' has the colours {colors[name]} and {rgb}; keep one")
             colors[name] = colors.get(name) or rgb
     table = _world_table(list(colors)) or _own_table(path, colors)
     plain = str.lower if table is WORLD_CLASSES else str

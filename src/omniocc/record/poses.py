@@ -1,6 +1,5 @@
 """Files of poses with time stamps, and poses as options state them."""
 
-import csv
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -9,12 +8,11 @@ import numpy as np
 from jaxtyping import Float64
 
 from omniocc.camera.protocol import numbers
-from omniocc.data.formats.files import read_text
+from omniocc.data.formats.pose_table import W_FIRST, W_LAST, TimeUnit, read_table
 from omniocc.data.formats.poses import quaternion_pose, rigid
 from omniocc.errors import DataError
 
 PosesFormat = Literal["csv", "tum", "kitti"]
-TimeUnit = Literal["s", "ms", "us", "ns"]
 PER_SECOND: dict[TimeUnit, int] = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
 
 
@@ -47,54 +45,31 @@ def read_timed_poses(path: Path, kind: PosesFormat, unit: TimeUnit, times: Path 
     """Return the poses of a file.
 
     * `csv`: time, x, y, z (m) and quaternion w, x, y, z; or time and the 12 or 16 numbers of a matrix, row by row.
-    * `tum`: time, x, y, z and quaternion x, y, z, w, separated by spaces.
+    * `tum`: time, x, y, z and quaternion x, y, z, w.
     * `kitti`: the 12 numbers of a matrix; the times are the lines of the file `times`.
 
-    Lines that begin with `#`, and a first line without numbers, are no poses.
+    A header may name the columns, see `omniocc.data.formats.pose_table`: its order and unit of the time then rule.
 
     Raises:
         DataError: naming file and line.
     """
     if (kind == "kitti") != (times is not None):
         raise DataError(f"{path}: poses_times is for poses_format=kitti, and needed there: a file with a time a line")
-    rows = list(_rows(path, kind))
+    rows = read_table(path, () if kind == "kitti" else ("time",), W_LAST if kind == "tum" else W_FIRST)
     if not rows:
         raise DataError(f"{path}: the file holds no poses; is poses_format={kind} right?")
     if times is not None:
-        stamps = [(where, words[0]) for where, words in _rows(times, "tum")]
+        stamps = read_table(times, ("time",))
         if len(stamps) != len(rows):
             raise DataError(f"{times}: {len(stamps)} times for the {len(rows)} poses of {path.name}")
-        stamped = [(where, stamp, words) for (where, stamp), (_, words) in zip(stamps, rows, strict=True)]
     else:
-        stamped = [(where, words[0], words[1:]) for where, words in rows]
-    times_s = np.array([_checked(where, lambda text=stamp: seconds(text, unit)) for where, stamp, _ in stamped])
-    poses = [_checked(where, lambda words=words: _pose(words, kind)) for where, _, words in stamped]
+        stamps = rows
+    times_s = np.array([_checked(row.where, lambda row=row: seconds(row.keys[0], row.unit or unit)) for row in stamps])
+    poses = [_checked(row.where, lambda row=row: _pose(row.pose, kind)) for row in rows]
     order = np.argsort(times_s, kind="stable")
-    if (twice := np.flatnonzero(np.diff(times_s[order]) == 0)).size:
-        raise DataError(f"{stamped[order[twice[0] + 1]][0]}: a pose of this time is there already; keep one")
+    if (same := np.flatnonzero(np.diff(times_s[order]) == 0)).size:
+        raise DataError(f"{stamps[order[same[0] + 1]].where}: a pose of this time is there already; keep one")
     return TimedPoses(times_s[order], np.stack(poses)[order])
-
-
-def _rows(path: Path, kind: PosesFormat) -> list[tuple[str, list[str]]]:
-    lines = read_text(path).lstrip("\ufeff").splitlines()
-    cells = csv.reader(lines) if kind == "csv" else (line.split() for line in lines)
-    found, header = [], True
-    for number, words in enumerate(cells, start=1):
-        if not any(word.strip() for word in words) or words[0].lstrip().startswith("#"):
-            continue
-        is_header, header = header and not _is_number(words[0]), False
-        if is_header:
-            continue
-        found.append((f"{path}, line {number}", words))
-    return found
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _checked(where: str, read: Callable[[], Any]) -> Any:
@@ -107,8 +82,7 @@ def _checked(where: str, read: Callable[[], Any]) -> Any:
 def _pose(words: Sequence[str], kind: PosesFormat) -> Float64[np.ndarray, "4 4"]:
     values = [float(word) for word in words]
     if len(values) == 7 and kind != "kitti":
-        quaternion = (values[6], *values[3:6]) if kind == "tum" else values[3:]
-        return quaternion_pose(quaternion, values[:3], "the pose")
+        return quaternion_pose(values[3:], values[:3], "the pose")
     if len(values) in (12, 16) and kind != "tum":
         if values[12:] not in ([], [0, 0, 0, 1]):
             raise ValueError(f"the last row of the matrix is {values[12:]}; it must be 0, 0, 0, 1")

@@ -5,10 +5,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from omniocc.config import compose_plain
-from omniocc.io import YAML
+from omniocc.io import read_yaml
 from omniocc.progress import Progress
 from omniocc.report.runs import FinishedRun
 from omniocc.report.selection import given
@@ -29,7 +27,7 @@ def assign_rows(runs: Sequence[FinishedRun], conf: Path, rows: Sequence[str]) ->
     Raises:
         ConfigError: when a row cannot be composed.
     """
-    files = {path: yaml.load(path.read_text(), YAML) or {} for path in sorted((conf / "ablation").rglob("*.yaml"))}
+    files = {path: read_yaml(path) or {} for path in sorted((conf / "ablation").rglob("*.yaml"))}
     options = {file.get("name", path.stem): path.relative_to(conf / "ablation") for path, file in files.items()}
     named = {*rows, *options}
     tried = [row for row in dict.fromkeys([*rows, *sorted(named)]) if row in options]

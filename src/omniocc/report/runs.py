@@ -11,10 +11,8 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 from urllib.parse import quote
 
-import yaml
-
-from omniocc.errors import UserError, first_line
-from omniocc.io import YAML
+from omniocc.errors import UserError
+from omniocc.io import parse_yaml, read_short_text
 from omniocc.run.folder import METRICS
 from omniocc.run.results import CANDIDATES, load_results, trajectory_figures
 from omniocc.run.scenes import scene_figures
@@ -93,9 +91,9 @@ def read_mapping(path: Path) -> dict[str, Any]:
         UserError: when it is no YAML, or holds something else.
     """
     try:
-        content = yaml.load(path.read_text(), YAML) or {}
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise UserError(f"{path} is damaged: {first_line(error)}") from error
+        content = parse_yaml(read_short_text(path)) or {}
+    except ValueError as error:
+        raise UserError(f"{path} is damaged: {error}") from error
     if not isinstance(content, dict):
         raise UserError(f"{path} is damaged: it holds no keys and values")
     return content

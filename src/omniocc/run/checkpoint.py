@@ -9,8 +9,8 @@ from torch import Tensor, nn
 
 from omniocc.config import (
     OWN_PACKAGE,
-    ConfigError,
     PACKAGES_VARIABLE,
+    ConfigError,
     allowed,
     check,
     foreign_packages,

@@ -14,7 +14,9 @@ from omniocc.io import atomic_write, remove_leftovers
 from omniocc.run.weights import shipped
 
 LAST, BEST = "last.ckpt", "best.ckpt"
-UNREADABLE = (zipfile.BadZipFile, pickle.UnpicklingError, RuntimeError, OSError, EOFError, LookupError, ValueError)
+UNREADABLE = (
+    zipfile.BadZipFile, pickle.UnpicklingError, RuntimeError, OSError, EOFError, LookupError, ValueError, MemoryError
+)  # fmt: skip
 """Errors of `zipfile` and `torch.load` for files that are damaged or of another kind."""
 
 
@@ -63,8 +65,9 @@ def read_checkpoint(path: Path, map_location: Any = "cpu", weights_only: bool = 
         raise FileNotFoundError(no_checkpoint(path))
     try:
         with zipfile.ZipFile(path) as members:
-            if any(member.compress_type != zipfile.ZIP_STORED for member in members.infolist()):
-                raise zipfile.BadZipFile("its members are compressed, which torch.save never does")
+            whole, size = sum(member.file_size for member in members.infolist()), path.stat().st_size
+            if whole > size:  # torch.save compresses nothing
+                raise zipfile.BadZipFile(f"it has {size:,} bytes, but its parts state {whole:,}")
             if (damaged := members.testzip()) is not None:
                 raise zipfile.BadZipFile(f"the checksum of {damaged} differs")
         content = torch.load(path, map_location=map_location, weights_only=weights_only)

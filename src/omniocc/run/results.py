@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from omniocc.errors import UserError, first_line
-from omniocc.io import atomic_write
+from omniocc.io import atomic_write, parse_json
 from omniocc.run.folder import IMAGES, METRICS, git_commit
 from omniocc.run.table import ORIGINS, as_markdown, as_text
 
@@ -58,7 +58,7 @@ def load_results(folder: Path) -> tuple[dict[str, Any], dict[str, float]]:
     """
     path = folder / METRICS
     try:
-        facts = json.loads(path.read_text())
+        facts = parse_json(path.read_text())
         metrics = facts.pop("metrics")
         return facts, {key: math.nan if value is None else float(value) for key, value in metrics.items()}
     except (ValueError, TypeError, KeyError, AttributeError) as error:

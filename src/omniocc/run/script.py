@@ -19,7 +19,7 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
-from omniocc.config import VERSION_BASE
+from omniocc.config import VERSION_BASE, refuse_credentials
 from omniocc.errors import UserError
 from omniocc.run.overrides import explain
 
@@ -32,11 +32,15 @@ FULL_ERROR = "HYDRA_FULL_ERROR"
 
 
 def lines_not_tracebacks(main: Callable[..., None]) -> Callable[..., None]:
-    """Decorate a script's main: users' mistakes end it with only the message and exit code 1."""
+    """Decorate a script's main: users' mistakes end it with only the message and exit code 1.
+
+    Credentials in the configuration or command line are refused before it runs, see `refuse_credentials`.
+    """
 
     @functools.wraps(main)
     def wrapped(*args: Any) -> None:
         try:
+            refuse_credentials([*args, sys.argv[1:]])
             main(*args)
         except (UserError, OSError) as error:
             if not (isinstance(error, BrokenPipeError) and output_is_closed()):
@@ -78,17 +82,13 @@ def script(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callabl
         setting = os.environ.get(FULL_ERROR)
 
         @functools.wraps(main)
+        @lines_not_tracebacks  # around Hydra too, which writes the command line of a multirun
         def wrapped(*args: Any) -> None:
             if setting is not None:
                 return run(*args)
             os.environ[FULL_ERROR] = "1"
             try:
                 run(*args)
-            except UserError as error:
-                sys.exit(str(error))
-            except BrokenPipeError:
-                if not output_is_closed():
-                    raise
             except (HydraException, OmegaConfBaseException) as error:
                 sys.exit(explain(error, conf, config_name, sys.argv[1:]))
             finally:

@@ -8,6 +8,8 @@ from types import MappingProxyType
 Cells = tuple[list[str], list[list[str]]]
 """Head and lines of a table."""
 BY_CLASS = "test/rayiou/"
+LEFT_OUT = "test/lidar/left_out"
+"""Fraction of the LiDAR's rays that do not count."""
 BAND = re.compile(r"_([\d.]+-[\d.]+m)$")
 
 NOT_RECORDED: Mapping[str, str] = MappingProxyType({})
@@ -111,9 +113,13 @@ def score_of(key: str) -> str | None:
     return next((kind for kind in SCORES if name.startswith(kind)), None)
 
 
-def protocol_lines(protocol: Mapping[str, str]) -> list[str]:
-    """Return how each kind of score was counted, in one line each."""
-    return [f"{SCORES[kind]}: {protocol[kind]}." for kind in SCORES if kind in protocol]
+def protocol_lines(protocol: Mapping[str, str], metrics: Mapping[str, float]) -> list[str]:
+    """Return how each kind of score was counted, in one line each; then which fraction of the LiDAR's rays was not."""
+    lines = [f"{SCORES[kind]}: {protocol[kind]}." for kind in SCORES if kind in protocol]
+    if not math.isnan(metrics.get(LEFT_OUT, math.nan)):
+        all_of_them, unknown, free = (100 * metrics[f"{LEFT_OUT}{part}"] for part in ("", "_unknown", "_free"))
+        lines.append(f"LiDAR rays that do not count: {all_of_them:.1f} % ({unknown:.1f} % unknown, {free:.1f} % free).")
+    return lines
 
 
 def depth_table(metrics: Mapping[str, float]) -> Cells:
@@ -150,13 +156,13 @@ def tables(metrics: Mapping[str, float]) -> list[tuple[Cells, str]]:
 def as_markdown(metrics: Mapping[str, float], caption: str, protocol: Mapping[str, str] = NOT_RECORDED) -> str:
     """Return all tables with their explanations as Markdown, below a caption; then how scores were counted."""
     parts = [part for table, text in tables(metrics) for part in (markdown(*table), text and f"{text}\n")]
-    parts += [f"{line}\n" for line in protocol_lines(protocol)]
+    parts += [f"{line}\n" for line in protocol_lines(protocol, metrics)]
     return "\n".join([caption, "", *filter(None, parts)])
 
 
 def as_text(metrics: Mapping[str, float], protocol: Mapping[str, str] = NOT_RECORDED) -> str:
     """Return all tables for a terminal, in columns; then how scores were counted."""
-    lines = "\n".join(protocol_lines(protocol))
+    lines = "\n".join(protocol_lines(protocol, metrics))
     return "\n\n".join(filter(None, [*(in_columns(*table) for table, _ in tables(metrics)), lines]))
 
 

@@ -13,7 +13,7 @@ from torch import Tensor
 
 import omniocc
 from omniocc.errors import UserError, first_line
-from omniocc.io import atomic_write
+from omniocc.io import atomic_write, parse_json
 
 SHIPPED = Path(omniocc.__file__).parent / "weights"
 """Folder of the weights that come with the package; beside each a card (`<name>.md`) says what it is good for."""
@@ -84,14 +84,8 @@ def read_weights(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
 
 def _about(path: Path, text: str) -> dict[str, Any]:
     """Return what the header of a file of weights tells; raise UserError when it is cut, or has a key twice."""
-
-    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        if len(found := dict(pairs)) < len(pairs):
-            raise ValueError("a key stands twice")
-        return found
-
     try:
-        about = json.loads(text, object_pairs_hook=once)
+        about = parse_json(text)
         if not isinstance(about, dict) or not about.keys() >= {"stage", "config", "facts", "sha256"}:
             raise ValueError("stage, config, facts or sha256 is missing")
     except (ValueError, RecursionError) as error:

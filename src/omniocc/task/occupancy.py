@@ -67,6 +67,8 @@ class OccupancyTask(StageTask[OccupancyModel]):
         self.prior_scores = Scores(model.geometry, spec)
         self.label_scores = Scores(model.geometry, spec)
         self.by_scene = SceneCounts(self.scores)
+        self.protocol: dict[str, str] = {}
+        """How the scores that were logged last were counted; see `Scores.protocol`."""
         self.prior: Tensor
         self.register_buffer("prior", torch.zeros(model.geometry.shape, dtype=torch.uint8))
 
@@ -138,6 +140,7 @@ class OccupancyTask(StageTask[OccupancyModel]):
     def log_scores(self, split: str) -> None:
         """Log `<split>/...`, and after a test `prior/...` and `label/...`; drop the volumes of past frames."""
         self.stream.reset()
+        self.protocol = self.scores.protocol()
         rows = {split: self.scores}
         if split == "test":
             rows |= {"prior": self.prior_scores, "label": self.label_scores}

@@ -50,7 +50,8 @@ class Scores(nn.Module):
 
     `compute` uses the metrics' keys: plain for rays against voxels, `lidar/...` for true rays, `voxel/...` for cells.
     `fine/rayiou...` and `lidar/fine/rayiou...` score the same rays at `FINE_M` instead of 1, 2 and 4 m.
-    LiDAR hits beyond the last band count as free on every grid. Where no batch has voxels or no LiDAR, their keys
+    LiDAR hits beyond the last band count as free on every grid; `lidar/left_out...` are the fractions of the LiDAR's
+    rays that do not count (`omniocc.metric.RayIoU.left_out`). Where no batch has voxels or no LiDAR, their keys
     are absent. Where rays start from where the car was in past, present and future frames, `rayiou_past`, `rayiou_now`
     and `rayiou_future` are their scores apart.
 
@@ -106,7 +107,8 @@ class Scores(nn.Module):
         metrics |= {f"voxel_{name}/": cast(VoxelIoU, part) for (name, _), part in pairs}
         counted = (self.voxel_frames, self.lidar_frames, self.timed_frames)
         voxels, lidar, timed = (frames.update_called and bool(frames.compute() > 0) for frames in counted)
-        return {
+        found = {f"lidar/{key}": value for key, value in self.lidar.left_out().items()} if lidar else {}
+        return found | {
             f"{prefix}{key}": value
             for prefix, metric in metrics.items()
             if (lidar if prefix == "lidar/" else voxels)
@@ -117,7 +119,8 @@ class Scores(nn.Module):
     def protocol(self) -> dict[str, str]:
         """Return how this process counted each kind of score, in one line each: `rayiou`, `lidar/rayiou`, `voxel`."""
         voxels = {"rayiou": self.rays.protocol(), "voxel": self.cells.protocol()} if self.rays.seen.given else {}
-        return voxels | ({"lidar/rayiou": self.lidar.protocol()} if self.lidar.seen.given else {})
+        beyond = f", and so are hits {self.reach_m:g} m or more from the ego z axis"
+        return voxels | ({"lidar/rayiou": f"{self.lidar.protocol()}{beyond}"} if self.lidar.seen.given else {})
 
     def reset(self) -> None:
         """Reset all metrics."""

@@ -76,7 +76,7 @@ def test_predictions_come_back(tmp_path):
         ("evaluation/000000.label", b"12", r"CarlaSC, scene 'train-Town01_Light', frame 0: .*the file has 2 bytes"),
         ("evaluation/000000.label", np.full(131072, 40, "<u4").tobytes(), r"class ids \[40\] are not in"),
         ("velodyne/000000.bin", b"12", r"frame 0: .*000000\.bin: the file has 2 bytes"),
-        ("poses.txt", b"1 0 0", r"poses\.txt: "),
+        ("poses.txt", b"1 0 0", r"poses\.txt, line 1: it has 3 numbers"),
     ],
 )
 def test_what_is_wrong_is_one_line(tmp_path, file, content, message):

@@ -206,7 +206,7 @@ def test_predictions_written_as_files_get_the_scores_of_the_test(smoke, occ3d, t
     assert write_files(task, data, frames, tmp_path, "test", device) == 2
     assert sorted(path.name for path in tmp_path.iterdir()) == ["scene-0003-0.npz", "scene-0003-1.npz"]
     scores, protocol = score_files(data.source, tmp_path)
-    assert protocol == task.scores.protocol()
+    assert protocol == task.protocol
     assert "at most 2 origins a frame (where the car was in past, present and future frames)" in protocol["rayiou"]
     assert scores["test/rayiou"] > 0
     for key, value in scores.items():

@@ -70,6 +70,13 @@ def test_poses_are_the_mirror_image_of_carlas(root, tmp_path):
     )  # fmt: skip
 
 
+def test_a_frame_has_one_pose(tmp_path):
+    line = "frame=7, x transform=Transform(Location(x=1.5, y=-0.7, z=1.6), Rotation(pitch=-10, yaw=35, roll=5))\n"
+    (tmp_path / "sensor_metadata.txt").write_text(2 * line)
+    with pytest.raises(DataError, match=r"sensor_metadata\.txt: frame 7 stands twice"):
+        read_poses(tmp_path)
+
+
 def test_a_point_has_the_pixels_of_both_kinds_of_cameras(root):
     fisheyes = source_of(root, width=800).scenes("train")[0].rigs[0]
     assert fisheyes.ego_from_camera[1, :3, 3].tolist() == pytest.approx([0.5, 1.0, -1.4], abs=1e-5)  # left is +y

@@ -100,6 +100,12 @@ def test_depth_is_planar_on_the_faces_of_a_cube(root):
     [
         ("splits_homo.json", b"[1]", r"splits_homo\.json: it must hold lists of folders by split"),
         ("splits_homo.json", json.dumps({"train": [], "val": []}).encode(), "no split test, only train, val; set data"),
+        (
+            "splits_homo.json",
+            json.dumps({"train": ["sequences/Town01_a"] * 2, "val": [], "test": []}).encode(),
+            "the folder 'sequences/Town01_a' stands twice in train",
+        ),
+        ("splits_homo.json", b'{"train": [], "train": []}', r"splits_homo\.json: .*the key 'train' stands twice"),
         ("splits_homo.json", json.dumps(SAME | {"train": ["gone"]}).encode(), "gone.* not found"),
         ("sequences/Town01_a/occupancy_gt/000000.npy", b"no", r"H3O, scene 'sequences-Town01_a', frame 0: .*damaged"),
         ("sequences/Town01_a/panorama_depth_m/000000.npy", b"no", r"frame 0: .*000000\.npy: the file is damaged"),

@@ -219,6 +219,12 @@ def test_rays_that_did_not_come_back_are_no_points(tmp_path):
     np.testing.assert_array_equal(after.points_m, before.points_m)
 
 
+def twofold(text, **other):
+    """Return a table with its first record once more, where `other` values may stand in it."""
+    rows = json.loads(text)
+    return json.dumps([*rows, rows[0] | other])
+
+
 @pytest.mark.parametrize(
     ("table", "change", "message"),
     [
@@ -227,6 +233,18 @@ def test_rays_that_did_not_come_back_are_no_points(tmp_path):
         ("ego_pose", lambda text: "[]", r"ego_pose\.json: the record pose-.* is missing"),
         ("sample_data", lambda text: "[]", r"sample scene-0001-0 has no CAM_FRONT, "),
         ("scene", lambda text: "[]", r"the dataset has no scenes"),
+        ("scene", lambda text: twofold(text), r"scene\.json: there are two records of "),
+        (
+            "scene",
+            lambda text: twofold(text, token="other"),
+            r"scene\.json: there are two records of scene 'scene-0001'",
+        ),
+        ("sample", lambda text: twofold(text), r"sample\.json: there are two records of scene-0001-0"),
+        ("ego_pose", lambda text: twofold(text), r"ego_pose\.json: there are two records of pose-"),
+        ("sample_data", lambda text: twofold(text, token="other"), r"two records of \('scene-0001-0', 'CAM_FRONT'\)"),
+        ("sensor", lambda text: text.replace('"token"', '"token": "a", "token"'), "the key 'token' stands twice"),
+        ("sensor", lambda text: text.replace("channel", "chanel"), r"sensor\.json: a record lacks .*'channel'"),
+        ("sample", lambda text: "[" * 100_000, r"sample\.json: the table is damaged"),
     ],
 )
 def test_a_damaged_table_is_one_line(tmp_path, table, change, message):

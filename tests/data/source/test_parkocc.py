@@ -113,6 +113,8 @@ def test_impossible_rows_are_named(tmp_path, rows, message):
         ("calib/left/results_left.csv", ",".join(["2"] * 16), r"results_left\.csv: the matrix: the 3x3 part"),
         ("sequences/dataset_sence_8.yaml", "9: {headstamp: 1}", r"dataset_sence_8\.yaml: a frame has no 'matrix'"),
         ("sequences/dataset_sence_8.yaml", "[", r"dataset_sence_8\.yaml: "),
+        ("sequences/dataset_sence_8.yaml", "9: {}\n9: {}", r"dataset_sence_8\.yaml: .*line 2: the key 9 is in line 1"),
+        ("sequences/dataset_sence_8.yaml", "9: {}\n'9': {}", r"dataset_sence_8\.yaml: frame 9 stands twice"),
         ("sequences/8/9/front_9.jpg", "no", r"ParkOcc, scene '8', frame 0: .*front_9\.jpg: the file is no image"),
         ("velodyne/8/9/pc_9.bin", "12345", r"frame 0: .*pc_9\.bin: the file has 5 bytes"),
         ("sequences/8/9/occ_9.npy", "no", r"frame 0: .*occ_9\.npy: the file is damaged"),

@@ -60,6 +60,22 @@ def test_mistakes_are_named(tmp_path, line, words):
         assert word in str(caught.value)
 
 
+@pytest.mark.parametrize("header", ["frame,x,y,z,qx,qy,qz,qw", "# Frame; tx; ty; tz; q_x; q_y; q_z; q_w"])
+def test_the_header_rules_the_order(tmp_path, header):
+    mark = "; " if ";" in header else ","
+    path = written(tmp_path, f"{header}\r\na,1,2,3,0,0,0.6,0.8\r\n".replace(",", mark))
+    expected = tmp_path / "expected.csv"
+    expected.write_text(f"{HEAD}a,1,2,3,0.8,0,0,0.6\n")
+    assert torch.equal(read_poses(path, ["a"]), read_poses(expected, ["a"]))
+
+
+def test_a_header_that_names_no_pose_is_named(tmp_path):
+    with pytest.raises(
+        DataError, match=r"poses\.csv, line 1: the header 'frame,a,b' names no column x, .*give frame,x,"
+    ):
+        read_poses(written(tmp_path, "frame,a,b\na,1,2\n"), ["a"])
+
+
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(OSError, match=r"nowhere\.csv"):
         read_poses(tmp_path / "nowhere.csv", ["a"])

@@ -184,7 +184,7 @@ def test_rows_share_stages_unless_they_stand_alone():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("order_by: [a", "is damaged: while parsing"),
+        ("order_by: [a", "is damaged: the file is not valid YAML: line 2: while parsing"),
         ("- order_by", "it holds no keys and values"),
         ("order_by: a\ncolumns: {a: A}\nrows: [ours]", "is not a table of the paper"),
     ],

@@ -34,6 +34,17 @@ def test_rows_are_named_where_they_differ():
     ]
 
 
+def test_a_line_that_says_more_at_its_end_holds_for_both():
+    before, now = "rays; mean over classes", "rays; mean over classes; rays without a return are free"
+    rows = {"old": runs({"lidar/rayiou": before}), "new": runs({"lidar/rayiou": now}, {"lidar/rayiou": before})}
+    assert protocol_lines(rows, ["test/lidar/rayiou"]) == [f"RayIoU, LiDAR: {now}."]
+    rows["other"] = runs({"lidar/rayiou": "rays; mean over classes and more"})
+    assert protocol_lines(rows, ["test/lidar/rayiou"]) == [
+        f"RayIoU, LiDAR (all rows but other): {now}.",
+        "RayIoU, LiDAR (other): rays; mean over classes and more.",
+    ]
+
+
 def test_records_of_before_have_no_line():
     assert protocol_lines({"ours": runs(None, None)}, KEYS) == []
     assert protocol_text({"ours": runs(None)}, KEYS) == ""

@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-import yaml
 from jaxtyping import Bool, Float64
 from torch import Tensor
 
@@ -16,6 +15,8 @@ from omniocc.camera.protocol import Camera, finite
 from omniocc.errors import DataError
 from omniocc.images import read_mask
 
+LONGEST = 1000
+"""Characters of a message that are shown: it may hold a value of a thousand lines."""
 ROTATION_TOLERANCE = 1e-3  # largest difference of singular values from 1, for files with few digits
 
 
@@ -29,20 +30,15 @@ class Calibration(NamedTuple):
     road_z_m: float | None = None
 
 
-class _Loader(yaml.SafeLoader):
-    """Loader of YAML with OpenCV's matrices, which are mappings of rows, cols, dt and data."""
-
-
-_Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", yaml.SafeLoader.construct_yaml_map)
-
-
 @contextmanager
 def naming(place: str) -> Iterator[None]:
     """Put the name of a file or camera in front of the message of a ValueError that is raised in the block."""
     try:
         yield
     except ValueError as error:
-        raise ValueError(f"{place}: {error}") from error
+        text = str(error)
+        shown = text if len(text) <= LONGEST else f"{text[: LONGEST // 2]} ... {text[-LONGEST // 2 :]}"
+        raise ValueError(f"{place}: {shown}") from error
 
 
 def mapping(value: Any, what: str) -> dict[str, Any]:
@@ -50,16 +46,6 @@ def mapping(value: Any, what: str) -> dict[str, Any]:
     if not isinstance(value, dict) or not value:
         raise ValueError(f"{what} is {value!r}; it must be a mapping with entries")
     return value
-
-
-def parse_yaml(text: str) -> Any:
-    """Return the content of a YAML text, also of OpenCV's dialect; raise ValueError if it is broken."""
-    if text.startswith("%YAML:"):  # OpenCV's header is not valid YAML
-        text = text.partition("\n")[2]
-    try:
-        return yaml.load(text, _Loader)
-    except yaml.YAMLError as error:
-        raise ValueError(f"the file is not valid YAML: {error}") from error
 
 
 def required(entry: dict[str, Any], *keys: str) -> Any:
@@ -81,7 +67,7 @@ def whole(entry: dict[str, Any], key: str) -> int:
 
 
 def row(entry: dict[str, Any], count: int | None, *keys: str) -> list[float]:
-    """Return `count` finite numbers (None: any count) from a list or an OpenCV matrix under the first of `keys`.
+    """Return `count` finite numbers (None: any count) from a list, its rows or OpenCV's matrix under the first key.
 
     Raises:
         ValueError: naming the key that is missing or holds something else.
@@ -90,6 +76,10 @@ def row(entry: dict[str, Any], count: int | None, *keys: str) -> list[float]:
     key = next(key for key in keys if key in entry)
     if isinstance(value, dict):
         value = _matrix_data(key, value)
+    elif isinstance(value, list) and value and all(isinstance(line, list) for line in value):
+        if len({len(line) for line in value}) > 1:
+            raise ValueError(f"{key} is {value!r}; its rows differ in length; is the file whole?")
+        value = [item for line in value for item in line]
     if not isinstance(value, list) or (count is not None and len(value) != count):
         raise ValueError(f"{key} is {value!r}; it must be {count or 'a list of'} numbers; is the file whole?")
     return [_number(key, item) for item in value]

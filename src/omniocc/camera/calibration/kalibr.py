@@ -1,5 +1,6 @@
 """Reader of Kalibr's camchain YAML."""
 
+import re
 from typing import Any
 
 import torch
@@ -23,7 +24,7 @@ def read_kalibr(content: dict[str, Any]) -> Calibration:
     Raises:
         ValueError: naming the camera and the key.
     """
-    names = [f"cam{index}" for index in range(len(content))]
+    names = [f"cam{index}" for index in range(sum(is_camera(*item) for item in content.items()))]
     cameras, poses, cam0 = [], [], torch.eye(4, dtype=torch.float64)
     for name in names:
         entry = required(content, name)
@@ -32,6 +33,11 @@ def read_kalibr(content: dict[str, Any]) -> Calibration:
             previous_from_this = invert_pose(pose(required(entry, "T_cn_cnm1"), "T_cn_cnm1")) if poses else cam0
             poses.append(poses[-1] @ previous_from_this if poses else cam0)
     return Calibration(tuple(cameras), ego_from_first(torch.stack(poses)), tuple(names), None)
+
+
+def is_camera(key: Any, entry: Any) -> bool:
+    """Return whether an entry of a file of Kalibr is a camera; others may stand beside them, such as a date."""
+    return bool(re.fullmatch(r"cam\d+", str(key))) or (isinstance(entry, dict) and "camera_model" in entry)
 
 
 def _camera(entry: dict[str, Any]) -> Camera:

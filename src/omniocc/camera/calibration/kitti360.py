@@ -11,13 +11,13 @@ from omniocc.camera.calibration.fields import (
     mapping,
     naming,
     number,
-    parse_yaml,
     pose,
     required,
     single,
     whole,
 )  # fmt: skip
 from omniocc.camera.models.mei import MEI
+from omniocc.io import parse_yaml, read_short_text, twice
 
 POSES = "calib_cam_to_pose.txt"
 
@@ -57,7 +57,7 @@ def read_kitti360_folder(folder: Path) -> Calibration:
     cameras, poses = [], []
     for file in files:
         with naming(str(file)):
-            cameras.append(read_kitti360(parse_yaml(file.read_text(encoding="utf-8")), file.stem).cameras[0])
+            cameras.append(read_kitti360(parse_yaml(read_short_text(file)), file.stem).cameras[0])
         if file.stem not in imu_from_camera:
             raise ValueError(f"{folder / POSES}: {file.stem} is missing; it holds {', '.join(imu_from_camera)}")
         poses.append(ego_from_imu @ imu_from_camera[file.stem])
@@ -66,10 +66,9 @@ def read_kitti360_folder(folder: Path) -> Calibration:
 
 
 def _poses(file: Path) -> dict[str, torch.Tensor]:
-    poses = {}
-    for line in file.read_text(encoding="utf-8").splitlines():
-        name, _, values = line.partition(":")
-        if values:
-            words = values.split()
-            poses[name.strip()] = pose([words[i : i + 4] for i in range(0, len(words), 4)], f"{file}: {name}")
-    return poses
+    with naming(str(file)):
+        lines = [line.partition(":") for line in read_short_text(file).splitlines()]
+        named = [(name.strip(), values.split()) for name, _, values in lines if values]
+        if name := twice(name for name, _ in named):
+            raise ValueError(f"the pose of {name} stands twice; keep one")
+        return {name: pose([words[i : i + 4] for i in range(0, len(words), 4)], name) for name, words in named}

@@ -10,6 +10,7 @@ import numba
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int64
 
+from omniocc.data.formats.arrays import npz_arrays
 from omniocc.data.formats.files import named_once, read_array, read_bytes, whole_numbers
 from omniocc.errors import DataError
 
@@ -26,6 +27,8 @@ FAR_M = 256.0
 """Median distance of points that no LiDAR on a car measures; points beyond are not even stored."""
 CLUSTERED = 0.2
 """Spread of points in world coordinates about their middle as a fraction of their distance, at most."""
+LZF_RATIO = 88
+"""Largest ratio of LZF, in which three bytes stand for up to 264."""
 PLY_TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
     "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4",
@@ -167,9 +170,7 @@ def read_npz(path: Path) -> dict[str, np.ndarray]:
         DataError: naming the file and what is wrong with it.
     """
     try:
-        with np.load(io.BytesIO(read_bytes(path)), allow_pickle=False) as content:
-            named_once(content.files, f"{path}: the array")
-            arrays = {name: content[name] for name in content.files}
+        arrays = npz_arrays(io.BytesIO(read_bytes(path)))
     except DataError:
         raise
     except Exception as error:  # zipfile, zlib and numpy have errors of their own
@@ -203,6 +204,8 @@ def read_ply(path: Path) -> dict[str, np.ndarray]:
     if unknown := [" ".join(line) for line in properties if len(line) != 3 or line[1] not in PLY_TYPES]:
         raise DataError(f"{path}: '{unknown[0]}' of the vertices cannot be read")
     named_once([line[2] for line in properties], f"{path}: the property")
+    if not properties:
+        raise DataError(f"{path}: its vertices have no properties")
     dtype = np.dtype([(line[2], "<" + PLY_TYPES[line[1]]) for line in properties])
     count, body = _whole(path, "element vertex", lines[elements[0]][-1]), content[found.end() :]
     if encoding == "ascii":
@@ -234,7 +237,7 @@ def read_pcd(path: Path) -> dict[str, np.ndarray]:
     if encoding == "binary":
         return _from_bytes(path, body, dtype, count)
     if encoding == "binary_compressed":
-        return _from_columns(path, _decompressed(path, body), dtype, count)
+        return _from_columns(path, _decompressed(path, body, count * dtype.itemsize), dtype, count)
     raise DataError(f"{path}: DATA {encoding} cannot be read; known are ascii, binary and binary_compressed")
 
 
@@ -250,11 +253,16 @@ def _pcd_dtype(path: Path, header: dict[str, list[str]]) -> np.dtype:
         times = _whole(path, "COUNT", count)
         parts.append((f"_{place}" if name == "_" else name, f"<{kind.lower()}{size}", () if times == 1 else (times,)))
     named_once([name for name, _, _ in parts], f"{path}: the field")
-    return np.dtype(parts)
+    try:
+        return np.dtype(parts)
+    except ValueError as error:
+        raise DataError(f"{path}: FIELDS, SIZE, TYPE and COUNT of the header are impossible ({error})") from error
 
 
 def _from_text(path: Path, body: bytes, dtype: np.dtype, count: int) -> dict[str, np.ndarray]:
     width = sum(int(np.prod(dtype[name].shape)) for name in dtype.names or ())
+    if len(body) + 1 < 2 * width * count:  # a digit and what separates it from the next
+        raise DataError(f"{path}: {len(body):,} bytes cannot hold the {count:,} points that the header names")
     try:
         rows = np.array(b" ".join(body.split(b"\n", count)[:count]).split(), np.float64).reshape(count, width)
     except ValueError as error:
@@ -287,10 +295,15 @@ def _from_columns(path: Path, body: bytes, dtype: np.dtype, count: int) -> dict[
     return fields
 
 
-def _decompressed(path: Path, body: bytes) -> bytes:
+def _decompressed(path: Path, body: bytes, expected: int) -> bytes:
     if len(body) < 8:
         raise DataError(f"{path}: the file is cut short")
     packed, whole = np.frombuffer(body[:8], "<u4").tolist()
+    if whole != expected or whole > LZF_RATIO * packed:
+        raise DataError(
+            f"{path}: {packed:,} compressed bytes state {whole:,} bytes; the header's points take {expected:,}, and "
+            f"nothing shrinks by more than {LZF_RATIO}; it is damaged"
+        )
     if len(body) < 8 + packed:
         raise DataError(f"{path}: {len(body) - 8:,} compressed bytes instead of {packed:,}; it is damaged")
     result = np.empty(whole, np.uint8)
@@ -333,8 +346,8 @@ def _lzf(packed: np.ndarray, result: np.ndarray) -> int:
 
 
 def _whole(path: Path, name: str, text: str) -> int:
-    if not text.isdigit():
-        raise DataError(f"{path}: {name} is '{text}'; it must be a whole number")
+    if not re.fullmatch("[0-9]{1,15}", text):
+        raise DataError(f"{path}: {name} is '{text[:80]}'; it must be a whole number")
     return int(text)
 
 

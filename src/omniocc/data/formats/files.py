@@ -8,8 +8,10 @@ import cv2
 import numpy as np
 
 from omniocc.camera import Camera
+from omniocc.data.formats.arrays import npy_array, npz_arrays
 from omniocc.errors import DataError
 from omniocc.images import Depth, content_of, decoded, rgb_of, size_of
+from omniocc.io import check_regular, text_of
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm")
 SHAPE_TOLERANCE = 0.01
@@ -25,19 +27,24 @@ LARGEST_WHOLE = 2.0**53
 def read_bytes(path: Path, remedy: str = "") -> bytes:
     """Return the content of a file; raise DataError with the remedy if it is missing or cannot be read."""
     try:
+        check_regular(path)
         return path.read_bytes()
     except FileNotFoundError as error:
         raise DataError(f"{path}: the file is missing{remedy and f'; {remedy}'}") from error
+    except DataError:
+        raise
+    except MemoryError as error:
+        raise DataError(f"{path}: the file has {path.stat().st_size:,} bytes, more than the memory holds") from error
     except OSError as error:
         raise DataError(f"{path}: the file cannot be read ({error.strerror or error})") from error
 
 
 def read_text(path: Path, remedy: str = "") -> str:
-    """Return the content of a text file; raise DataError if it is missing or no text."""
+    """Return the content of a text file, without byte-order mark; raise DataError if it is missing or no text."""
     try:
-        return read_bytes(path, remedy).decode()
-    except UnicodeDecodeError as error:
-        raise DataError(f"{path}: the file is damaged: it is no text ({error.reason})") from error
+        return text_of(read_bytes(path, remedy))
+    except ValueError as error:
+        raise DataError(f"{path}: the file is damaged: {error}") from error
 
 
 def read_array(path: Path, dtype: str, shape: Sequence[int], remedy: str = "") -> np.ndarray:
@@ -62,14 +69,9 @@ def read_array(path: Path, dtype: str, shape: Sequence[int], remedy: str = "") -
 
 def read_npz(path: Path, shapes: dict[str, tuple[int, ...]], remedy: str = "") -> dict[str, np.ndarray]:
     """Return arrays of an npz file by name; raise DataError if one is missing, damaged or of another shape."""
-    if not path.exists():
-        raise DataError(f"{path}: the file is missing{remedy and f'; {remedy}'}")
+    content = io.BytesIO(read_bytes(path, remedy))
     try:
-        with np.load(path, allow_pickle=False) as content:
-            named_once(content.files, f"{path}: the array")
-            found = {name: content[name] for name in shapes if name in content}
-    except DataError:
-        raise
+        found = npz_arrays(content, shapes)
     except Exception as error:  # zipfile, zlib and numpy have errors of their own
         raise DataError(f"{path}: the file is damaged ({error})") from error
     for name, shape in shapes.items():
@@ -128,7 +130,7 @@ def load_npy(path: Path, remedy: str = "") -> np.ndarray:
     """Return the array of an npy file; raise DataError if it is missing or damaged."""
     content = read_bytes(path, remedy)
     try:
-        return np.load(io.BytesIO(content), allow_pickle=False)
+        return npy_array(io.BytesIO(content), len(content))
     except Exception as error:  # numpy has errors of its own
         raise DataError(f"{path}: the file is damaged ({error})") from error
 

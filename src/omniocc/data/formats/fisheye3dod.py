@@ -32,8 +32,10 @@ def read_poses(folder: Path) -> dict[int, Float64[np.ndarray, "4 4"]]:
         DataError: if the file is missing or has no pose.
     """
     path = folder / METADATA
-    poses = {}
+    poses: dict[int, Float64[np.ndarray, "4 4"]] = {}
     for frame, *values in TRANSFORM.findall(read_text(path, "unpack the whole recording")):
+        if int(frame) in poses:
+            raise DataError(f"{path}: frame {frame} stands twice; keep one")
         try:
             poses[int(frame)] = pose_of(UnrealPose(*map(float, values)))
         except ValueError as error:

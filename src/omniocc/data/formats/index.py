@@ -1,6 +1,7 @@
 """An index of a dataset's scenes: built once, one small file for each scene, read when the scene is."""
 
 import hashlib
+import io
 import json
 import shutil
 from collections.abc import Callable, Mapping
@@ -11,6 +12,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from filelock import FileLock
 
+from omniocc.data.formats.arrays import npz_arrays
 from omniocc.errors import DataError
 from omniocc.io import atomic_write, cannot_write
 
@@ -84,12 +86,15 @@ class Index(Generic[Arrays]):
         try:
             partial.mkdir(parents=True)
             for name, arrays in sorted(found.items()):
-                with (partial / f"{name}.npz").open("wb") as file:
-                    np.savez(file, **dict(zip(self.kind._fields, arrays, strict=True)))
+                stored = io.BytesIO()
+                np.savez(stored, **dict(zip(self.kind._fields, arrays, strict=True)))
+                atomic_write(partial / f"{name}.npz", stored.getvalue())
                 content = b"".join(np.ascontiguousarray(part).tobytes() for part in arrays)
                 listed.append([name, hashlib.sha256(content).hexdigest()[:16]])
             shutil.rmtree(self.folder, ignore_errors=True)
             partial.rename(self.folder)
+        except DataError:
+            raise
         except OSError as error:
             raise cannot_write(self.folder, error) from error
         atomic_write(self.folder / NAMES, json.dumps(listed))
@@ -98,7 +103,6 @@ class Index(Generic[Arrays]):
 @lru_cache(maxsize=64)
 def _read(path: Path, kind: type[Any]) -> Any:
     try:
-        with np.load(path, allow_pickle=False) as content:
-            return kind(**{name: content[name] for name in kind._fields})
+        return kind(**npz_arrays(path, kind._fields))
     except Exception as error:  # zipfile and numpy have errors of their own
         raise DataError(f"{path}: the index is damaged ({error}); remove the folder {path.parent}") from error

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float64, UInt8
 
 from omniocc.classes import UNKNOWN, ClassTable, SemanticClass
 from omniocc.data.formats.files import class_table, map_classes, read_array, read_bytes, read_text
+from omniocc.data.formats.pose_table import read_matrices
 from omniocc.data.formats.poses import inverse, rigid
 from omniocc.errors import DataError
 from omniocc.io import atomic_write
@@ -99,6 +100,8 @@ def read_calibration(path: Path) -> dict[str, Float64[np.ndarray, "3 4"]]:
         name, _, values = line.partition(":")
         if not values.strip():
             continue
+        if name.strip() in found:
+            raise DataError(f"{path}, line {number}: '{name.strip()}:' stands twice; keep one")
         try:
             found[name.strip()] = np.array(values.split(), np.float64).reshape(3, 4)
         except ValueError as error:
@@ -137,14 +140,9 @@ def read_poses(path: Path, first_from_velodyne: Float64[np.ndarray, "4 4"]) -> F
     The world is the velodyne frame of the first scan. `first_from_velodyne` is the pose `Tr` of the calibration.
 
     Raises:
-        DataError: if a line is no pose.
+        DataError: naming the line that is no pose.
     """
-    lines = read_text(path).split("\n")
-    try:
-        cameras = np.array([line.split() for line in lines if line.strip()], np.float64).reshape(-1, 3, 4)
-        poses = rigid(cameras, "a line")
-    except ValueError as error:
-        raise DataError(f"{path}: {error}") from error
+    _, poses = read_matrices(path)
     return inverse(first_from_velodyne) @ poses @ first_from_velodyne
 
 

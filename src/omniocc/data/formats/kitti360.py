@@ -15,11 +15,12 @@ from jaxtyping import Bool, Float64, Int64, UInt8
 from torch import Tensor
 
 from omniocc.camera import MEI, Camera, Pinhole
-from omniocc.camera.calibration.fields import parse_yaml
 from omniocc.camera.calibration.kitti360 import read_kitti360
 from omniocc.data.formats.files import decode, read_text
+from omniocc.data.formats.pose_table import read_matrices
 from omniocc.data.formats.poses import inverse, rigid
 from omniocc.errors import DataError
+from omniocc.io import parse_yaml
 from omniocc.progress import Progress
 
 SEQUENCE = "2013_05_28_drive_00{}_sync"
@@ -45,12 +46,15 @@ def read_rows(path: Path) -> dict[str, Float64[np.ndarray, " n"]]:
     Raises:
         DataError: naming the line that holds no numbers.
     """
-    rows = {}
+    rows: dict[str, Float64[np.ndarray, " n"]] = {}
     for number, line in enumerate(read_text(path).splitlines(), start=1):
         name, _, values = line.rpartition(":")
         try:
             if values.strip():
-                rows[name.strip()] = np.array(values.split(), np.float64)
+                row = np.array(values.split(), np.float64)
+                if name.strip() in rows:
+                    raise DataError(f"{path}, line {number}: the line '{name.strip()}' stands twice; keep one")
+                rows[name.strip()] = row
         except ValueError as error:
             if name.strip() not in ("calib_time", ""):
                 raise DataError(f"{path}, line {number}: '{name}' are no numbers") from error
@@ -143,13 +147,15 @@ def read_numbered_poses(path: Path) -> tuple[Int64[np.ndarray, " F"], Float64[np
     """Return frame numbers and world_from_imu of a `poses.txt`; frames without a line have no pose.
 
     Raises:
-        DataError: naming the file and what is wrong with it.
+        DataError: naming the file and the line that is no pose, or has the number of another.
     """
-    try:
-        rows = np.array([line.split() for line in read_text(path).splitlines() if line.strip()], np.float64)
-        return rows[:, 0].astype(np.int64), rigid(rows[:, 1:].reshape(-1, 3, 4), "a line")
-    except (ValueError, IndexError) as error:
-        raise DataError(f"{path}: {error}") from error
+    rows, poses = read_matrices(path, ("frame",))
+    numbers: dict[int, str] = {}
+    for row in rows:
+        if not row.keys[0].isdigit() or int(row.keys[0]) in numbers:
+            raise DataError(f"{row.where}: '{row.keys[0]}' is no number of a frame, or that of another line")
+        numbers[int(row.keys[0])] = row.where
+    return np.array(list(numbers), np.int64), poses
 
 
 def thumbnail(path: Path) -> UInt8[np.ndarray, "12 44"]:

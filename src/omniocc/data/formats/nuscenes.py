@@ -4,19 +4,23 @@ Format: https://github.com/nutonomy/nuscenes-devkit/blob/master/docs/schema_nusc
 """
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Sequence
 from io import TextIOWrapper
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from omniocc.data.formats.poses import inverse, quaternion_pose
-from omniocc.errors import DataError
+from omniocc.errors import DataError, first_line
+from omniocc.io import object_of_pairs, twice
 from omniocc.progress import Progress
 
 CAMERAS = ("CAM_FRONT", "CAM_FRONT_RIGHT", "CAM_FRONT_LEFT", "CAM_BACK", "CAM_BACK_LEFT", "CAM_BACK_RIGHT")
 LIDAR = "LIDAR_TOP"
+Rows = dict[str, dict[str, Any]]
+Key = TypeVar("Key", bound=Hashable)
+Value = TypeVar("Value")
 CHUNK_BYTES = 1 << 22
 MIB = 1 << 20
 
@@ -72,9 +76,9 @@ def records(path: Path, progress: Progress | None = None) -> Iterator[dict[str, 
         progress: advances by MiB read.
 
     Raises:
-        DataError: naming the file that is missing, cut off or no list.
+        DataError: naming the file that is missing, cut off, no list, or has a key twice in a record.
     """
-    decoder, text, started, whole_mib = json.JSONDecoder(), "", False, 0
+    decoder, text, started, whole_mib = json.JSONDecoder(object_pairs_hook=object_of_pairs), "", False, 0
     try:
         with path.open("rb") as binary, TextIOWrapper(binary, "utf-8") as file:
             while chunk := file.read(CHUNK_BYTES):
@@ -100,7 +104,26 @@ def records(path: Path, progress: Progress | None = None) -> Iterator[dict[str, 
                 text = text[place:]
     except FileNotFoundError as error:
         raise DataError(f"{path}: the table is missing; download the metadata of nuScenes") from error
+    except (ValueError, RecursionError) as error:  # UnicodeDecodeError is one
+        raise DataError(f"{path}: the table is damaged: {first_line(error)}") from error
     raise DataError(f"{path}: the table is cut off or no list of records")
+
+
+def once(path: Path, rows: Iterable[tuple[Key, Value]]) -> dict[Key, Value]:
+    """Return what is taken from the records of a table, by what tells them apart.
+
+    Raises:
+        DataError: naming the table, and the key that stands twice or the value that a record lacks.
+    """
+    found: dict[Key, Value] = {}
+    try:
+        for key, value in rows:
+            if key in found:
+                raise DataError(f"{path}: there are two records of {key}; keep one")
+            found[key] = value
+    except (KeyError, TypeError, ValueError) as error:
+        raise DataError(f"{path}: a record lacks a value, or names one that is not there: {error}") from error
+    return found
 
 
 def _next(text: str, place: int, started: bool) -> int | None:
@@ -128,43 +151,43 @@ def read_key_frames(tables: Path, keep: Sequence[str] | None = None) -> dict[str
     files = [tables / f"{name}.json" for name in names]
     mib = sum(file.stat().st_size // MIB for file in files if file.exists())
     with Progress(f"index of {tables.name}", max(mib, 1), "MiB") as progress:
-        scenes = {r["token"]: r["name"] for r in records(tables / "scene.json") if keep is None or r["name"] in keep}
-        samples = {
-            r["token"]: (scenes[r["scene_token"]], int(r["timestamp"]))
-            for r in records(tables / "sample.json", progress)
-            if r["scene_token"] in scenes
-        }
-        channels = {r["token"]: r["channel"] for r in records(tables / "sensor.json")}
-        calibrated = {r["token"]: r for r in records(tables / "calibrated_sensor.json", progress)}
-        wanted = {*CAMERAS, LIDAR}
-        taken: dict[str, Rows] = {token: {} for token in samples}
-        for r in records(tables / "sample_data.json", progress):
-            if r["is_key_frame"] and r["sample_token"] in taken:
-                channel = channels[calibrated[r["calibrated_sensor_token"]]["sensor_token"]]
-                if channel in wanted:
-                    taken[r["sample_token"]][channel] = r
-        tokens = {r["ego_pose_token"] for channel in taken.values() for r in channel.values()}
-        poses = {r["token"]: r for r in records(tables / "ego_pose.json", progress) if r["token"] in tokens}
+        path = tables / "scene.json"
+        scenes = once(path, ((r["token"], r["name"]) for r in records(path) if keep is None or r["name"] in keep))
+        if (name := twice(scenes.values())) is not None:
+            raise DataError(f"{path}: there are two records of scene '{name}'; keep one")
+        path = tables / "sample.json"
+        rows = (r for r in records(path, progress) if r["scene_token"] in scenes)
+        samples = once(path, ((r["token"], (scenes[r["scene_token"]], int(r["timestamp"]))) for r in rows))
+        path = tables / "sensor.json"
+        channels = once(path, ((r["token"], r["channel"]) for r in records(path)))
+        path = tables / "calibrated_sensor.json"
+        calibrated = once(path, ((r["token"], r) for r in records(path, progress)))
+        path, wanted = tables / "sample_data.json", {*CAMERAS, LIDAR}
+        rows = (r for r in records(path, progress) if r["is_key_frame"] and r["sample_token"] in samples)
+        of_sensors = ((channels[calibrated[r["calibrated_sensor_token"]]["sensor_token"]], r) for r in rows)
+        taken = once(path, (((r["sample_token"], name), r) for name, r in of_sensors if name in wanted))
+        path, tokens = tables / "ego_pose.json", {r["ego_pose_token"] for r in taken.values()}
+        poses = once(path, ((r["token"], r) for r in records(path, progress) if r["token"] in tokens))
     ordered: dict[str, list[str]] = {}
     for token, (scene, _) in sorted(samples.items(), key=lambda item: item[1][1]):
         ordered.setdefault(scene, []).append(token)
-    return {scene: _scene(tables, scene, found, taken, calibrated, poses) for scene, found in sorted(ordered.items())}
-
-
-Rows = dict[str, dict[str, Any]]
+    try:
+        return {name: _scene(tables, name, found, taken, calibrated, poses) for name, found in sorted(ordered.items())}
+    except (KeyError, TypeError, ValueError) as error:
+        raise DataError(f"{tables}: a record lacks a value: {error}") from error
 
 
 def _scene(
-    tables: Path, scene: str, tokens: list[str], taken: dict[str, Rows], calibrated: Rows, poses: Rows
+    tables: Path, scene: str, tokens: list[str], taken: dict[tuple[str, str], Any], calibrated: Rows, poses: Rows
 ) -> KeyFrames:  # fmt: skip
     columns: dict[str, list[Any]] = {name: [] for name in KeyFrames._fields}
     for token in tokens:
-        absent = [channel for channel in (*CAMERAS, LIDAR) if channel not in taken[token]]
+        absent = [channel for channel in (*CAMERAS, LIDAR) if (token, channel) not in taken]
         if absent:
             raise DataError(
                 f"{tables / 'sample_data.json'}: scene '{scene}', sample {token} has no {', '.join(absent)}"
             )
-        lidar, cameras = taken[token][LIDAR], [taken[token][channel] for channel in CAMERAS]
+        lidar, cameras = taken[token, LIDAR], [taken[token, channel] for channel in CAMERAS]
         world_from_ego = _pose(tables, "ego_pose", poses, lidar["ego_pose_token"])
         mounted = [_pose(tables, "calibrated_sensor", calibrated, r["calibrated_sensor_token"]) for r in cameras]
         world_from_then = [_pose(tables, "ego_pose", poses, r["ego_pose_token"]) for r in cameras]

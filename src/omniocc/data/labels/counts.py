@@ -14,6 +14,7 @@ from torch import Tensor
 
 from omniocc.classes import ids_beyond
 from omniocc.data.source import SceneFrames, VoxelLabels
+from omniocc.data.store.zstd import decompress
 from omniocc.errors import DataError
 from omniocc.io import atomic_write
 from omniocc.progress import Progress
@@ -73,10 +74,10 @@ def kept_counts(
 
 
 def _read(path: Path, shape: Sequence[int]) -> Int64[Tensor, "C X Y Z"] | None:
-    if not path.exists():
+    if not path.is_file():
         return None
     try:
-        raw = zstandard.ZstdDecompressor().decompress(path.read_bytes())
+        raw = decompress(path.read_bytes(), 8 * math.prod(shape))
         return torch.from_numpy(np.frombuffer(bytearray(raw), dtype="<i8").astype(np.int64)).reshape(tuple(shape))
     except (zstandard.ZstdError, ValueError, RuntimeError) as error:
         warnings.warn(f"{path} is damaged ({error}); it is counted again", stacklevel=2)

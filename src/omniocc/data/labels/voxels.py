@@ -1,5 +1,6 @@
 """Voxel labels of a geometry, voted once from the recorded points and kept beside the scenes."""
 
+import math
 import shutil
 import warnings
 from collections.abc import Sequence
@@ -20,6 +21,7 @@ from omniocc.data.recording.pool import Report, make_scenes
 from omniocc.data.source import SceneFrames, Unknown
 from omniocc.data.store.folder import SceneFolder
 from omniocc.data.store.shard import SHARD_LIMIT_BYTES, SceneWriter, digest
+from omniocc.data.store.zstd import decompress
 from omniocc.errors import DataError, UserError
 from omniocc.geometry import Grid
 from omniocc.progress import Progress
@@ -123,11 +125,11 @@ class VoxelCache:
         try:
             cached = self._cached.setdefault(scene.name, SceneFolder(self.folder / scene.name))
             blob = cached.read(frame, [MEMBER])[MEMBER]
-        except DataError as error:
+            cells = np.frombuffer(bytearray(decompress(blob, math.prod(self.geometry.shape))), dtype=np.uint8)
+            return torch.from_numpy(cells).reshape(self.geometry.shape)
+        except (DataError, ValueError, RuntimeError, zstandard.ZstdError) as error:
             warnings.warn(f"voxels are voted anew: {error}", stacklevel=2)
             return self._vote(scene, frame)
-        cells = np.frombuffer(bytearray(zstandard.ZstdDecompressor().decompress(blob)), dtype=np.uint8)
-        return torch.from_numpy(cells).reshape(self.geometry.shape)
 
     def benchmark(self, scene: SceneFrames, frame: int) -> None:
         """Return None: scores are computed on these voxels."""

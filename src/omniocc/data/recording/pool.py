@@ -22,7 +22,7 @@ from filelock import FileLock, Timeout
 
 import omniocc
 from omniocc.errors import DataError
-from omniocc.io import cannot_write
+from omniocc.io import atomic_write, cannot_write
 from omniocc.progress import Progress
 
 Report = Callable[[int], None]
@@ -176,6 +176,8 @@ def _make(work: Work, report: Report, folder: Path, report_wait: Callable[[str],
         lock = _lock(folder, report_wait)
     except Timeout:
         return False
+    except DataError:
+        raise
     except OSError as error:
         raise cannot_write(folder, error) from error
     try:
@@ -198,7 +200,7 @@ def _lock(folder: Path, report_wait: Callable[[str], Any] | None) -> FileLock:
             raise
         report_wait(f"another process {_owner(owner)} makes {folder.name}, waiting")
         lock.acquire()
-    owner.write_text(json.dumps({"pid": os.getpid(), "host": socket.gethostname()}))
+    atomic_write(owner, json.dumps({"pid": os.getpid(), "host": socket.gethostname()}))
     return lock
 
 

@@ -1,6 +1,5 @@
 """CarlaSC as a source: voxels, poses and LiDAR of CARLA's towns; it has no images."""
 
-import json
 import re
 from collections.abc import Mapping, Sequence
 from functools import cached_property
@@ -16,7 +15,7 @@ from omniocc.camera import Equirectangular, Pinhole, Rig
 from omniocc.classes import UNKNOWN, ClassTable, SemanticClass
 from omniocc.data.formats.clouds import read_scan
 from omniocc.data.formats.files import check_root, class_table, map_classes, read_array, read_text
-from omniocc.data.formats.poses import rigid
+from omniocc.data.formats.pose_table import read_matrices
 from omniocc.data.formats.scene import Cloud, DatasetScene
 from omniocc.data.labels.own_grid import OwnGridLabels
 from omniocc.data.source import SPLITS, Benchmark, BenchmarkFrame, SourceSpec, Split, Unknown, refuse_unseen
@@ -24,7 +23,7 @@ from omniocc.data.source.own_grid import mirrored
 from omniocc.data.store.shard import digest
 from omniocc.errors import DataError
 from omniocc.geometry import Cuboid, Cylinder, Grid
-from omniocc.io import atomic_write
+from omniocc.io import atomic_write, parse_json
 
 ROAD_Z_M = -1.8
 REMAP = (0, 1, 2, 3, 4, 5, 6, 6, 8, 9, 10, 2, 5, 3, 7, 3, 3, 2, 5, 3, 3, 3, 7)
@@ -137,7 +136,7 @@ class CarlaSCScene(DatasetScene):
         """Raise DataError unless the files say that they hold the expected grid."""
         path = self.folder / "evaluation" / "params.json"
         try:
-            params: dict[str, Any] = json.loads(read_text(path))
+            params: dict[str, Any] = parse_json(read_text(path))
             shape = tuple(int(value) for value in params["grid_size"])
         except (KeyError, TypeError, ValueError) as error:
             raise DataError(f"{path}: the file is damaged ({error!r})") from error
@@ -148,11 +147,7 @@ class CarlaSCScene(DatasetScene):
     def world_from_ego(self) -> np.ndarray:
         """Return the pose of every frame; y is turned from right to left."""
         path = self.folder / "poses.txt"
-        try:
-            rows = np.array([line.split() for line in read_text(path).splitlines() if line.strip()], np.float64)
-            theirs = rigid(rows.reshape(-1, 3, 4), "a line")
-        except ValueError as error:
-            raise DataError(f"{path}: {error}") from error
+        _, theirs = read_matrices(path)
         if self.numbers and self.numbers[-1] >= len(theirs):
             raise DataError(f"{path}: it has {len(theirs)} poses, but there are voxels of frame {self.numbers[-1]}")
         poses = theirs[self.numbers].copy()

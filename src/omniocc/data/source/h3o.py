@@ -4,7 +4,6 @@ Format: h3o_lss_dataset.py, lidar2depth.py and h3o-remap-v4.yaml of https://gith
 file of it has been read here.
 """
 
-import json
 import re
 from collections.abc import Mapping, Sequence
 from functools import cached_property
@@ -24,6 +23,7 @@ from omniocc.data.source import SPLITS, Benchmark, SourceSpec, Split, Unknown
 from omniocc.data.source.own_grid import OwnGridScene, OwnGridSource, mirrored, standing
 from omniocc.errors import DataError
 from omniocc.geometry import Cuboid
+from omniocc.io import parse_json, twice
 
 NAMES = (
     ("empty", (255, 255, 255)), ("road", (128, 64, 128)), ("sidewalk", (244, 35, 232)), ("building", (70, 70, 70)),
@@ -120,8 +120,11 @@ class H3O(OwnGridSource["H3OScene"]):
                 raise DataError(f"{scene.folder}: there are no {self.voxels}/*.npy; unpack the sequence again")
 
     def names(self, split: Split) -> Sequence[str]:
-        """Return the folders of the sequences of a split."""
-        return self.listed[self.splits[split]]
+        """Return the folders of the sequences of a split; raise DataError if one stands there twice."""
+        folders = self.listed[self.splits[split]]
+        if (folder := twice(folders)) is not None:
+            raise DataError(f"{self.file}: the folder '{folder}' stands twice in {self.splits[split]}; keep one")
+        return folders
 
     @property
     def file(self) -> Path:
@@ -132,7 +135,7 @@ class H3O(OwnGridSource["H3OScene"]):
     def listed(self) -> dict[str, list[str]]:
         """Return the folders of each split of the file."""
         try:
-            content = json.loads(read_text(self.file, "give H3O's own folder in data.source.root"))
+            content = parse_json(read_text(self.file, "give H3O's own folder in data.source.root"))
             listed = {str(name): [str(folder) for folder in folders] for name, folders in content.items()}
         except (AttributeError, TypeError, ValueError) as error:
             raise DataError(f"{self.file}: it must hold lists of folders by split ({error})") from error

@@ -16,7 +16,6 @@ from jaxtyping import Float64, UInt8
 from torch import Tensor
 
 from omniocc.camera import OCam, Rig
-from omniocc.camera.calibration.fields import parse_yaml
 from omniocc.camera.pose import LEVEL_FORWARD
 from omniocc.classes import ClassTable, SemanticClass
 from omniocc.data.formats.clouds import read_scan
@@ -36,6 +35,7 @@ from omniocc.data.source import Benchmark, SourceSpec, Split, Unknown
 from omniocc.data.source.own_grid import OwnGridScene, OwnGridSource
 from omniocc.errors import DataError
 from omniocc.geometry import Cuboid
+from omniocc.io import parse_yaml, twice
 
 CAMERAS = ("front", "left", "right", "back")
 SIZE = (1920, 1080)
@@ -154,6 +154,8 @@ class ParkOccScene(OwnGridScene):
         path = self.folder.parent / f"dataset_sence_{self.name}.yaml"  # so in the dataset
         try:
             content: Any = parse_yaml(read_text(path, "unpack the scene's poses beside its folder"))
+            if (number := twice(int(key) for key in content)) is not None:
+                raise ValueError(f"frame {number} stands twice")
             return {int(key): rigid(as_pose(entry["matrix"]), f"frame {key}") for key, entry in content.items()}
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             reason = f"a frame has no '{error.args[0]}'" if isinstance(error, KeyError) else str(error)

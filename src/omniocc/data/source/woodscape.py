@@ -1,6 +1,5 @@
 """WoodScape as a source: real fisheye images with the classes of their pixels, one camera at a time."""
 
-import json
 import re
 from collections.abc import Mapping, Sequence
 from functools import cached_property
@@ -29,6 +28,7 @@ from omniocc.data.source import SPLITS, SourceSpec, Split, Unknown
 from omniocc.data.store.shard import digest
 from omniocc.errors import DataError
 from omniocc.geometry import Grid
+from omniocc.io import parse_json
 
 VIEWS = ("FV", "RV", "MVL", "MVR")
 ORIGIN_M = (1.6, 0.0, 1.2)
@@ -161,7 +161,7 @@ def read_calibration(path: Path) -> tuple[RadialPolynomial, np.ndarray]:
     """
     content = read_text(path)
     try:
-        plain: dict[str, Any] = json.loads(content)
+        plain: dict[str, Any] = parse_json(content)
         lens, place = plain["intrinsic"], plain["extrinsic"]
         if "translation" not in place:
             raise ValueError("extrinsic has no translation; SynWoodScape's left-handed calibrations are not supported")

@@ -27,7 +27,8 @@ import zstandard
 
 from omniocc.data.labels.morton import interleave, separate
 from omniocc.data.store.frame import RecordedFrame
-from omniocc.data.store.raster import pack, unpack
+from omniocc.data.store.raster import MAX_PIXELS, pack, unpack
+from omniocc.data.store.zstd import decompress
 from omniocc.world.frame import Box, Frame
 
 STEPS_PER_M = 256
@@ -37,6 +38,8 @@ SKY_CODE = 65535
 JPEG_QUALITY = 95
 FACTS, PANORAMA, POINTS, LIDAR = "frame.json", "erp_range.zst", "points.zst", "lidar.zst"
 ZSTD_LEVEL = 1
+MAX_POINTS = 2**25
+"""More than all LiDARs of a car measure in a frame."""
 _CODE_BYTES = 6
 
 
@@ -106,9 +109,9 @@ def encode_range(range_m: np.ndarray) -> bytes:
     return pack(quantize_range(range_m))
 
 
-def decode_range(blob: bytes) -> np.ndarray:
-    """Return the ranges, (H, W) float32, m."""
-    return restore_range(unpack(blob))
+def decode_range(blob: bytes, limit_px: int = MAX_PIXELS) -> np.ndarray:
+    """Return the ranges, (H, W) float32, m; raise ValueError for more than this many."""
+    return restore_range(unpack(blob, limit_px))
 
 
 def quantize_range(range_m: np.ndarray) -> np.ndarray:
@@ -149,8 +152,12 @@ def encode_points(points_m: np.ndarray, labels: np.ndarray) -> bytes:
 
 
 def decode_points(blob: bytes) -> tuple[np.ndarray, np.ndarray]:
-    """Return points (P, 3) float32, m, and classes (P,) uint8, in the order of the Morton curve."""
-    planes = _decompress(blob, _CODE_BYTES + 1)
+    """Return points (P, 3) float32, m, and classes (P,) uint8, in the order of the Morton curve.
+
+    Raises:
+        ValueError: for more than `MAX_POINTS`.
+    """
+    planes = _decompress(blob, _CODE_BYTES + 1, MAX_POINTS)
     padded = np.zeros((8, planes.shape[1]), dtype=np.uint8)
     padded[:_CODE_BYTES] = planes[:_CODE_BYTES]
     codes = np.cumsum(_join(padded, "<u8"), dtype=np.uint64)
@@ -162,9 +169,9 @@ def encode_lidar(range_m: np.ndarray, labels: np.ndarray) -> bytes:
     return _compress([quantize_range(range_m).astype("<u2"), labels])
 
 
-def decode_lidar(blob: bytes) -> tuple[np.ndarray, np.ndarray]:
-    """Return ranges (R,) float32, m, and classes (R,) uint8."""
-    planes = _decompress(blob, 3)
+def decode_lidar(blob: bytes, rays: int = MAX_POINTS) -> tuple[np.ndarray, np.ndarray]:
+    """Return ranges (R,) float32, m, and classes (R,) uint8; raise ValueError for more than this many."""
+    planes = _decompress(blob, 3, rays)
     return restore_range(_join(planes[:2], "<u2")), planes[2].copy()
 
 
@@ -178,8 +185,8 @@ def _byte_planes(column: np.ndarray) -> np.ndarray:
     return column.view(np.uint8).reshape(len(column), column.itemsize).T
 
 
-def _decompress(blob: bytes, planes: int) -> np.ndarray:
-    return np.frombuffer(zstandard.ZstdDecompressor().decompress(blob), dtype=np.uint8).reshape(planes, -1)
+def _decompress(blob: bytes, planes: int, columns: int) -> np.ndarray:
+    return np.frombuffer(decompress(blob, planes * columns), dtype=np.uint8).reshape(planes, -1)
 
 
 def _join(planes: np.ndarray, dtype: str) -> np.ndarray:

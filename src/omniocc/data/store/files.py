@@ -1,21 +1,27 @@
-"""The files of one folder, on this disk or in an object store (any URL that fsspec understands), read by byte range."""
+"""The files of one folder, on this disk or in an object store (a URL, see `omniocc.urls`), read by byte range."""
 
-import json
 import os
 import sys
 import time
+from base64 import b64encode
 from collections.abc import Callable, Sequence
+from netrc import NetrcParseError, netrc
 from pathlib import Path
 from typing import Any, TypeVar
+from urllib.parse import urlsplit
 
 import fsspec
 from aiohttp import ClientResponseError
 from fsspec.implementations.local import LocalFileSystem
 
 from omniocc.errors import DataError, installing
+from omniocc.io import check_regular, parse_json
+from omniocc.urls import check_url
 
 T = TypeVar("T")
 BLOCK_BYTES = 2**22
+LIMIT_BYTES = 2**27
+"""Largest size of files that are read whole; an index of a scene of three hours at 10 Hz has half of it."""
 JOINED_GAP_BYTES = 4096
 """Ranges nearer to one another than this are read as one: headers between members cost less than another request."""
 RETRY_FOR_S = 300.0
@@ -31,13 +37,15 @@ _answered: set[str] = set()
 
 
 class Files:
-    """The files of a folder: a path on this disk, or a URL; every method raises FileNotFoundError for a missing file.
+    """The files of a folder: a path on this disk, or a URL.
 
-    The connection to an object store is made by the process that creates the object. A store that answered this process
+    Every method raises FileNotFoundError for a missing file, and DataError for what is no file, such as a pipe. The
+    connection to an object store is made by the process that creates the object. A store that answered this process
     before and does not answer now is asked again for `RETRY_FOR_S`, which a line on stderr says.
 
     Raises:
         DataError: when the package for this kind of URL is not installed.
+        UserError: as `is_url`.
     """
 
     def __init__(self, folder: Path | str):
@@ -51,15 +59,22 @@ class Files:
 
     def size(self, name: str) -> int:
         """Return the length in bytes."""
-        return self._asked(lambda: self._fs.info(self._path(name))["size"], name)
+        path = self._path(name)
+        return self._asked(lambda: self._fs.info(path)["size"], name)
 
     def open(self, name: str) -> Any:
         """Return the open file, binary, at its beginning."""
         return self._fs.open(self._path(name), "rb", block_size=BLOCK_BYTES)
 
-    def read(self, name: str) -> bytes:
-        """Return the whole content."""
-        return self._asked(lambda: self._fs.cat_file(self._path(name)), name)
+    def read(self, name: str, limit_bytes: int = LIMIT_BYTES) -> bytes:
+        """Return the whole content; raise DataError if it is longer than the limit."""
+        path = self._path(name)
+        content = self._asked(lambda: self._fs.cat_file(path, 0, limit_bytes + 1), name)
+        if len(content) > limit_bytes:
+            raise DataError(
+                f"{self.where(name)}: the file has more than {limit_bytes:,} bytes, which are expected at most"
+            )
+        return content
 
     def ranges(self, name: str, spans: Sequence[tuple[int, int]]) -> list[bytes]:
         """Return the bytes from `begin` up to `end` of each (begin, end); fewer where the file ends early.
@@ -85,7 +100,10 @@ class Files:
         return sorted(name.rstrip("/").rsplit("/", 1)[-1] for name in found)
 
     def _path(self, name: str) -> str:
-        return f"{self._root.rstrip('/')}/{name}"
+        path = f"{self._root.rstrip('/')}/{name}"
+        if isinstance(self._fs, LocalFileSystem):
+            check_regular(Path(path))
+        return path
 
     def _asked(self, request: Callable[[], T], name: str) -> T:
         return asked(request, self.where(name)) if is_url(self.folder) else request()
@@ -93,12 +111,27 @@ class Files:
 
 def _file_system(url: str) -> tuple[Any, str]:
     try:
-        return fsspec.core.url_to_fs(url)
+        return fsspec.core.url_to_fs(url, **_login(url))
     except ImportError as error:
         kind = url.partition("://")[0]
         other = f"pip install {PACKAGES[kind]}" if kind in PACKAGES else str(error)
         remedy = installing("s3") if kind in S3 else other
         raise DataError(f"{url}: reading {kind}:// needs a package that is not installed: {remedy}") from error
+
+
+def _login(url: str) -> dict[str, Any]:
+    """Return the options with user and password of an http server from the user's netrc file, if it has them."""
+    parts, path = urlsplit(url), Path(os.environ.get("NETRC") or Path.home() / ".netrc")
+    if parts.scheme not in ("http", "https") or not path.is_file():
+        return {}
+    try:
+        found = netrc(path).authenticators(parts.hostname or "")
+    except (NetrcParseError, OSError, UnicodeDecodeError) as error:
+        raise DataError(f"{path}: the file with passwords for {parts.hostname} cannot be read ({error})") from error
+    if found is None:
+        return {}
+    login = b64encode(f"{found[0]}:{found[2]}".encode()).decode()
+    return {"headers": {"Authorization": f"Basic {login}"}}  # of requests: not sent on to another host
 
 
 def asked(request: Callable[[], T], url: str) -> T:
@@ -121,7 +154,7 @@ def asked(request: Callable[[], T], url: str) -> T:
             if store not in _answered or lasts(error) or left_s <= 0:
                 raise
             if not told:
-                print(f"{url}: no answer ({_named(error)}); trying again for {left_s:.0f} s", file=sys.stderr)
+                print(f"{url}: no answer ({named(error)}); trying again for {left_s:.0f} s", file=sys.stderr)
             told = True
             time.sleep(min(pause_s, left_s))
             pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
@@ -139,14 +172,22 @@ def lasts(error: Exception) -> bool:
     return isinstance(error, LASTING)
 
 
-def _named(error: Exception) -> str:
+def named(error: Exception) -> str:
+    """Return kind and text of an error in one line."""
     text = " ".join(str(error).split())
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
 def is_url(place: str | os.PathLike[str]) -> bool:
-    """Return whether a place is a URL and not a path."""
-    return isinstance(place, str) and "://" in place
+    """Return whether a place is a URL and not a path.
+
+    Raises:
+        UserError: for a URL with credentials, or of a protocol that is not read.
+    """
+    if not isinstance(place, str) or "://" not in place:
+        return False
+    check_url(place)
+    return True
 
 
 def list_folders(root: Path | str, member: str) -> list[str]:
@@ -154,13 +195,15 @@ def list_folders(root: Path | str, member: str) -> list[str]:
 
     Raises:
         DataError: when the folder does not exist or cannot be listed.
+        UserError: as `is_url`.
     """
+    files = Files(root)
     try:
-        return [name for name in Files(root).folders() if "." not in name and holds(f"{root}/{name}", member)]
+        return [name for name in files.folders() if "." not in name and holds(f"{root}/{name}", member)]
     except FileNotFoundError as error:
         raise DataError(f"{root}: there is no such folder") from error
     except Exception as error:  # each kind of store has errors of its own
-        raise DataError(f"{root}: its folders cannot be listed: {type(error).__name__}: {error}") from error
+        raise DataError(f"{root}: its folders cannot be listed: {named(error)}") from error
 
 
 def holds(folder: Path | str, name: str) -> bool:
@@ -175,11 +218,11 @@ def read_json(root: Path | str, name: str, remedy: str) -> Any:
     """Return the content of a JSON file; raise DataError when it cannot be read; the message ends with the remedy."""
     files = Files(root)
     try:
-        return json.loads(files.read(name))
+        return parse_json(files.read(name))
     except FileNotFoundError as error:
         raise DataError(f"{files.where(name)}: the file is missing; {remedy}") from error
     except Exception as error:  # each kind of store has errors of its own
-        raise DataError(f"{files.where(name)}: cannot be read: {type(error).__name__}: {error}; {remedy}") from error
+        raise DataError(f"{files.where(name)}: cannot be read: {named(error)}; {remedy}") from error
 
 
 def read_members(files: Files, name: str, offsets: Sequence[int], sizes: Sequence[int]) -> list[bytes]:

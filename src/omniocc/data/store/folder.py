@@ -1,7 +1,6 @@
 """Reading scene folders: any member of any frame by byte offset, every byte checked."""
 
 import hashlib
-import json
 import zlib
 from collections.abc import Mapping, Sequence
 from functools import cached_property
@@ -11,9 +10,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float64, Int32, Int64, UInt32
 
-from omniocc.data.store.files import Files, is_url, read_members
+from omniocc.data.store.files import LIMIT_BYTES, Files, is_url, named, read_members
 from omniocc.data.store.shard import INDEX, META, SCHEMA, digest, shard_name
 from omniocc.errors import DataError
+from omniocc.io import parse_json
+
+LEAST_FRAME_BYTES = 50
+"""Smallest size of a frame's lines in an index."""
 
 
 class Index(NamedTuple):
@@ -39,7 +42,11 @@ class Index(NamedTuple):
 
 
 def read_index(plain: Mapping[str, Any]) -> Index:
-    """Return the index that `index.json` holds; raise KeyError, TypeError or ValueError if something is missing."""
+    """Return the index that `index.json` holds.
+
+    Raises:
+        KeyError, TypeError, ValueError, OverflowError: if something is missing or impossible.
+    """
     frames, members = plain["frames"], tuple(plain["members"])
     entries = [frame["entry"] for frame in frames if frame["entry"]]
     offset, size, crc32 = (
@@ -51,6 +58,40 @@ def read_index(plain: Mapping[str, Any]) -> Index:
         np.array([entry["time_s"] for entry in entries], np.float64),
         np.array([entry["world_from_ego"] for entry in entries] or np.empty((0, 4, 4)), np.float64),
     )  # fmt: skip
+
+
+def check_meta(meta: Mapping[str, Any]) -> None:
+    """Check the facts of a scene on which reading depends.
+
+    Raises:
+        ValueError: naming the fact and its value: more frames than the index can list, or a file without size or sum.
+    """
+    files, frames = meta.get("files"), meta.get("frames")
+    if not isinstance(files, dict) or not isinstance(meta.get("facts"), dict):
+        raise ValueError("it has no 'files' or no 'facts'")
+    for name, facts in files.items():
+        known = isinstance(facts, dict) and isinstance(facts.get("size"), int) and isinstance(facts.get("sha256"), str)
+        if not known or "/" in name:
+            raise ValueError(f"'files' has an impossible entry '{name}': {str(facts)[:80]}")
+    listed = min(files.get(INDEX, {"size": 0})["size"], LIMIT_BYTES)
+    if not isinstance(frames, int) or isinstance(frames, bool) or not 0 <= frames <= listed // LEAST_FRAME_BYTES:
+        most = f"its {INDEX} of {listed:,} bytes can list at most {listed // LEAST_FRAME_BYTES:,}"
+        raise ValueError(f"'frames' is {str(frames)[:80]}, but {most}")
+
+
+def check_index(index: Index, meta: Mapping[str, Any]) -> None:
+    """Check an index against the facts of its scene.
+
+    Raises:
+        ValueError: if it lists another number of frames, or members outside of their shards.
+    """
+    if len(index.shard) != meta["frames"]:
+        raise ValueError(f"{len(index.shard)} frames instead of {meta['frames']}")
+    sizes = {int(number): meta["files"].get(shard_name(number), {"size": 0})["size"] for number in set(index.shard)}
+    for frame, number in enumerate(index.shard.tolist()):
+        offset, size = index.offset[frame], index.size[frame]
+        if min(offset.min(initial=0), size.min(initial=0)) < 0 or (offset + size).max(initial=0) > sizes[number]:
+            raise ValueError(f"frame {frame} has members outside of {shard_name(number)}, of {sizes[number]:,} bytes")
 
 
 class SceneFolder:
@@ -83,8 +124,12 @@ class SceneFolder:
         claimed = meta.pop("digest", None)
         if digest(meta) != claimed:
             raise self.damaged(META, "its checksum differs")
-        if meta["schema"] != SCHEMA:
-            raise self.damaged(META, f"schema {meta['schema']}, this version reads {SCHEMA}")
+        if meta.get("schema") != SCHEMA:
+            raise self.damaged(META, f"schema {meta.get('schema')}, this version reads {SCHEMA}")
+        try:
+            check_meta(meta)
+        except ValueError as error:
+            raise self.damaged(META, str(error)) from error
         return meta
 
     @cached_property
@@ -92,9 +137,11 @@ class SceneFolder:
         """Return where every member of every frame lies."""
         plain = self._json(INDEX, self.checked(INDEX))
         try:
-            return read_index(plain)
-        except (KeyError, TypeError, ValueError) as error:
-            raise self.damaged(INDEX, f"it is no index ({error!r})") from error
+            index = read_index(plain)
+            check_index(index, self.meta)
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            raise self.damaged(INDEX, f"it is no index of this scene ({error!r})") from error
+        return index
 
     def __len__(self) -> int:
         return self.meta["frames"]
@@ -127,7 +174,8 @@ class SceneFolder:
 
     def unreadable(self, name: str, error: Exception) -> DataError:
         """Return the error for a file that the disk or the store cannot read."""
-        return DataError(f"{self.files.where(name)}: cannot be read: {type(error).__name__}: {error}")
+        says_where = isinstance(error, DataError)
+        return DataError(str(error) if says_where else f"{self.files.where(name)}: cannot be read: {named(error)}")
 
     def __getstate__(self) -> dict[str, Any]:
         return {"folder": self.folder}
@@ -137,17 +185,17 @@ class SceneFolder:
             raise self.damaged(INDEX, f"it has no member '{member}' (it has: {', '.join(self.index.members)})")
         return self.index.members.index(member)
 
-    def checked(self, name: str) -> bytes:
-        """Return the content of a file of the scene, compared with its checksum."""
+    def checked(self, name: str, limit_bytes: int = LIMIT_BYTES) -> bytes:
+        """Return the content of a file of the scene, not longer than the limit, compared with its checksum."""
         facts = self.meta["files"].get(name)
-        content = self._content(name)
+        content = self._content(name, limit_bytes)
         if facts is None or hashlib.sha256(content).hexdigest() != facts["sha256"]:
             raise self.damaged(name, "its checksum differs")
         return content
 
-    def _content(self, name: str) -> bytes:
+    def _content(self, name: str, limit_bytes: int = LIMIT_BYTES) -> bytes:
         try:
-            return self.files.read(name)
+            return self.files.read(name, limit_bytes)
         except FileNotFoundError as error:
             raise self.damaged(name, "the file is missing") from error
         except Exception as error:  # each kind of store has errors of its own
@@ -155,9 +203,9 @@ class SceneFolder:
 
     def _json(self, name: str, content: bytes) -> dict[str, Any]:
         try:
-            plain = json.loads(content)
+            plain = parse_json(content)
         except ValueError as error:
-            raise self.damaged(name, "it is not valid JSON") from error
+            raise self.damaged(name, f"it is not valid JSON: {error}") from error
         if not isinstance(plain, dict):
             raise self.damaged(name, "it is not a JSON object")
         return plain

@@ -9,8 +9,13 @@ from itertools import pairwise
 import numpy as np
 import zstandard
 
+from omniocc.data.store.zstd import decompress
+
 _LEVEL = 1
 _HEADER = np.dtype("<u2")
+_HEADER_BYTES = 4
+MAX_PIXELS = 2**26
+"""More than any camera or panorama has; 8192 x 8192."""
 
 
 def pack(pixels: np.ndarray) -> bytes:
@@ -20,14 +25,14 @@ def pack(pixels: np.ndarray) -> bytes:
     return zstandard.ZstdCompressor(level=_LEVEL).compress(header + np.ascontiguousarray(body).tobytes())
 
 
-def unpack(blob: bytes) -> np.ndarray:
-    """Return the image that bytes hold, the inverse of `pack`.
+def unpack(blob: bytes, limit_px: int = MAX_PIXELS) -> np.ndarray:
+    """Return the image that bytes hold, the inverse of `pack`; it may have at most this many pixels.
 
     Raises:
-        ValueError: if the bytes hold neither 8 nor 16 bits per pixel.
+        ValueError: if it has more, or the bytes hold neither 8 nor 16 bits per pixel.
         zstandard.ZstdError: if they are no zstd frame.
     """
-    content = np.frombuffer(zstandard.ZstdDecompressor().decompress(blob), dtype=np.uint8)
+    content = np.frombuffer(decompress(blob, 2 * min(limit_px, MAX_PIXELS) + _HEADER_BYTES), dtype=np.uint8)
     height, width = content[:4].view(_HEADER).tolist()
     body = content[4:]
     if len(body) == height * width:

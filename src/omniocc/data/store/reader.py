@@ -1,10 +1,12 @@
 """Recorded scenes: the decoded arrays of any frame."""
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache, cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -23,6 +25,7 @@ from omniocc.data.store.codec import (
     decode_points,
     decode_range,
 )
+from omniocc.data.store.files import LIMIT_BYTES
 from omniocc.data.store.folder import SceneFolder
 from omniocc.data.store.panorama import resampled
 from omniocc.data.store.raster import unpack
@@ -30,10 +33,13 @@ from omniocc.data.store.shard import shard_name
 from omniocc.errors import DataError
 from omniocc.geometry.directions import sparseocc_directions
 
+T = TypeVar("T")
 FROM_LOG = "log"
 """Fact of scenes made of a real car's log, which has no boxes of actors."""
 CONDITIONS = {"weather": "weather", "place": "theme"}
 """Facts by which the scenes of a test are told apart, by title."""
+RIG_LIMIT_BYTES = 2**22
+"""Largest size of a rig file, which is read in seconds."""
 _RIGS: dict[tuple[str, ...], Rig] = {}
 
 
@@ -89,7 +95,7 @@ class SceneReader(SceneFolder):
     @cached_property
     def _recorded_rig(self) -> Rig:
         names = sorted({"rig.yaml", *(name for name in self.meta["files"] if name.startswith("rig."))})
-        contents = [self.checked(name) for name in names]
+        contents = [self.checked(name, RIG_LIMIT_BYTES if name == "rig.yaml" else LIMIT_BYTES) for name in names]
         key = tuple(self.meta["files"][name]["sha256"] for name in names)
         if key not in _RIGS:
             with TemporaryDirectory() as folder:
@@ -105,25 +111,26 @@ class SceneReader(SceneFolder):
 
     def images(self, frame: int) -> list[np.ndarray]:
         """Return the image of every camera, (H, W, 3) uint8 RGB each."""
-        return [decode_image(blob) for blob in self._of_cameras(frame, "rgb{}.jpg")]
+        return self._of_cameras(frame, "rgb{}.jpg", lambda blob, _: decode_image(blob))
 
     def pixel_labels(self, frame: int) -> list[np.ndarray] | None:
         """Return the classes of the pixels of every camera, (H, W) uint8 each; 0 sky, 255 unknown."""
         if not self.has("semantic0.zst"):
             return None
-        return [self._known(unpack(blob), frame, "pixels") for blob in self._of_cameras(frame, "semantic{}.zst")]
+        labels = self._of_cameras(frame, "semantic{}.zst", unpack)
+        return [self._known(one, frame, "pixels") for one in labels]
 
     def camera_range_m(self, frame: int) -> list[np.ndarray] | None:
         """Return the true range of the pixels of every camera, (H, W) float32 each, m; inf sky, nan unknown."""
         if not self.has("range0.zst"):
             return None
-        return [decode_range(blob) for blob in self._of_cameras(frame, "range{}.zst")]
+        return self._of_cameras(frame, "range{}.zst", decode_range)
 
     def erp_range_m(self, frame: int) -> np.ndarray | None:
         """Return the true panorama of range around the ego origin, (h, w) float32, m; inf for sky, nan unknown."""
         if not self.has(PANORAMA):
             return None
-        range_m = decode_range(self._member(frame, PANORAMA))
+        range_m = self._decoded(frame, PANORAMA, decode_range)
         return range_m if self.panorama is None else resampled(range_m, self._recorded(range_m), self.panorama)
 
     def _recorded(self, range_m: np.ndarray) -> Equirectangular:
@@ -138,10 +145,13 @@ class SceneReader(SceneFolder):
         if not self.has(LIDAR):
             return None
         blobs, directions = self.read(frame, [LIDAR, FACTS]), _lidar_directions()
-        range_m, labels = decode_lidar(blobs[LIDAR])
+        with self._decoding(frame, LIDAR):
+            range_m, labels = decode_lidar(blobs[LIDAR], len(directions))
+        with self._decoding(frame, FACTS):
+            boxes = decode_boxes(blobs[FACTS])
         self._known(labels, frame, "LiDAR hits")
         known = FROM_LOG not in self.meta["facts"]
-        moving = hits_of_moving(range_m, labels, directions, decode_boxes(blobs[FACTS])) if known else None
+        moving = hits_of_moving(range_m, labels, directions, boxes) if known else None
         return LidarScan(range_m, labels, directions, moving=moving)
 
     @property
@@ -154,7 +164,7 @@ class SceneReader(SceneFolder):
         """Return the labelled surface points."""
         if not self.has(POINTS):
             return None
-        points_m, labels = decode_points(self._member(frame, POINTS))
+        points_m, labels = self._decoded(frame, POINTS, decode_points)
         return Points(points_m, self._known(labels, frame, "points", FREE + 1))
 
     def has(self, member: str) -> bool:
@@ -169,10 +179,25 @@ class SceneReader(SceneFolder):
             raise self.damaged(shard_name(int(self.index.shard[frame])), f"{kind} of classes {wrong}; {has}", frame)
         return labels
 
-    def _member(self, frame: int, name: str) -> bytes:
-        return self.read(frame, [name])[name]
+    def _decoded(self, frame: int, name: str, decode: Callable[[bytes], T]) -> T:
+        blob = self.read(frame, [name])[name]
+        with self._decoding(frame, name):
+            return decode(blob)
 
-    def _of_cameras(self, frame: int, pattern: str) -> list[bytes]:
-        names = [pattern.format(camera) for camera in range(len(self.rig.cameras))]
-        blobs = self.read(frame, names)
-        return [blobs[name] for name in names]
+    def _of_cameras(self, frame: int, pattern: str, decode: Callable[[bytes, int], np.ndarray]) -> list[np.ndarray]:
+        """Return a member of every camera, decoded; it may have as many pixels as the camera's image."""
+        cameras = {pattern.format(k): camera for k, camera in enumerate(self.rig.cameras)}
+        images = []
+        for name, blob in self.read(frame, list(cameras)).items():
+            with self._decoding(frame, name):
+                images.append(decode(blob, cameras[name].width * cameras[name].height))
+        return images
+
+    @contextmanager
+    def _decoding(self, frame: int, name: str) -> Iterator[None]:
+        try:
+            yield
+        except Exception as error:  # decoders raise errors of many kinds
+            shard = shard_name(int(self.index.shard[frame]))
+            reason = f"it cannot be decoded ({type(error).__name__}: {error})"
+            raise self.damaged(shard, reason, frame, name) from error

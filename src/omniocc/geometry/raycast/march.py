@@ -250,7 +250,7 @@ def find_turns(height, slope, edges, ends, count, turns):
     if slope == 0:
         start = np.searchsorted(edges, height, side="right") - 1
         for edge in range(levels + 1):
-            turns[edge] = 2 * count if 0 <= start < edge and start < levels else 0
+            turns[edge] = 2 * count if levels - edge <= start < levels else 0  # in the order of falling rays
         return
     for edge in range(levels + 1):
         param = (edges[edge if slope > 0 else levels - edge] - height) / slope

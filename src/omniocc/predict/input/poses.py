@@ -1,7 +1,8 @@
 """Files with the ego pose of every frame of a sequence.
 
 A text file with one line per frame: the frame's name (that of its folder) and `world_from_ego`, either as a position
-and a unit quaternion or as the rows of a 4x4 matrix. A first line that begins with `frame` is a header:
+and a unit quaternion or as the rows of a 4x4 matrix. A header may name these columns in another order, see
+`omniocc.data.formats.pose_table`:
 
     frame,x_m,y_m,z_m,qw,qx,qy,qz
     0000,0.0,0.0,0.0,1,0,0,0
@@ -10,7 +11,6 @@ and a unit quaternion or as the rows of a 4x4 matrix. A first line that begins w
 Ego: x forward, y left, z up, origin as in the rig file. World: any fixed coordinate frame in metres.
 """
 
-import csv
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,9 +19,10 @@ import torch
 from jaxtyping import Float64
 from torch import Tensor
 
-from omniocc.data.formats.files import read_text
+from omniocc.data.formats.pose_table import W_FIRST, read_table
 from omniocc.data.formats.poses import TOLERANCE, quaternion_pose
 from omniocc.errors import UserError
+from omniocc.io import atomic_write
 from omniocc.predict.input.images import closest
 
 QUATERNION = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
@@ -33,18 +34,14 @@ def read_poses(path: Path, frames: Sequence[str]) -> Float64[Tensor, "F 4 4"]:
 
     Raises:
         UserError: naming the line that is not a pose, or the frame without one.
-        DataError: naming the file that cannot be read, or is no text.
+        DataError: naming the file that cannot be read, or is no text, or the header that does not name a pose.
     """
     poses: dict[str, Tensor] = {}
-    lines = read_text(path).removeprefix("\ufeff").splitlines()
-    for number, cells in enumerate(csv.reader(lines), start=1):
-        words = [cell.strip() for cell in cells]
-        if not any(words) or words[0].startswith("#") or (not poses and words[0] == "frame"):
-            continue
-        where = f"{path}, line {number}"
-        if words[0] in poses:
-            raise UserError(f"{where}: frame '{words[0]}' already has a pose; keep one")
-        poses[words[0]] = _pose(words[1:], f"{where}, frame '{words[0]}'")
+    for row in read_table(path, ("frame",), W_FIRST):
+        (name,) = row.keys
+        if name in poses:
+            raise UserError(f"{row.where}: frame '{name}' already has a pose; keep one")
+        poses[name] = _pose(row.pose, f"{row.where}, frame '{name}'")
     for name in frames:
         if name not in poses:
             hint = closest(name, poses) or f"; its first frames are {', '.join(list(poses)[:3])}"
@@ -53,11 +50,15 @@ def read_poses(path: Path, frames: Sequence[str]) -> Float64[Tensor, "F 4 4"]:
 
 
 def write_poses(path: Path, frames: Sequence[str], world_from_ego: Float64[Tensor, "F 4 4"]) -> None:
-    """Write poses as matrices without rounding: `read_poses` returns equal values."""
+    """Write poses as matrices without rounding: `read_poses` returns equal values.
+
+    Raises:
+        DataError: naming the file that cannot be written.
+    """
     lines = [",".join(("frame", *MATRIX))]
     for name, pose in zip(frames, world_from_ego, strict=True):
         lines.append(",".join((name, *(repr(value) for value in pose.flatten().tolist()))))
-    path.write_text("\n".join([*lines, ""]), encoding="utf-8")
+    atomic_write(path, "\n".join([*lines, ""]))
 
 
 def _pose(words: Sequence[str], where: str) -> Float64[Tensor, "4 4"]:

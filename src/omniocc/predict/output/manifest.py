@@ -9,7 +9,7 @@ from typing import Any
 from torch import Tensor
 
 from omniocc.errors import UserError
-from omniocc.io import atomic_write
+from omniocc.io import atomic_write, parse_json
 from omniocc.predict.output.voxel_files import VOXELS
 
 MANIFEST = "prediction.json"
@@ -52,7 +52,7 @@ def read_manifest(output: Path) -> dict[str, Any]:
         UserError: when the folder has no manifest, or a damaged one.
     """
     try:
-        facts = json.loads((output / MANIFEST).read_text())
+        facts = parse_json((output / MANIFEST).read_text())
     except FileNotFoundError as error:
         raise UserError(f"{output} holds no predictions of predict.py occupancy (no {MANIFEST})") from error
     except ValueError as error:
@@ -64,7 +64,7 @@ def read_manifest(output: Path) -> dict[str, Any]:
 
 def _changed(old: str, new: Mapping[str, Any]) -> str:
     try:
-        before = json.loads(old)
+        before = parse_json(old)
     except ValueError:
         return f"{MANIFEST} is damaged"
     changes = [f"{key} was {before.get(key)!r}" for key in new if before.get(key) != new[key]]

@@ -1,5 +1,6 @@
 """Files of a predicted range panorama."""
 
+import io
 from pathlib import Path
 
 import cv2
@@ -7,6 +8,7 @@ import numpy as np
 
 from omniocc.camera import Equirectangular
 from omniocc.data.store.codec import quantize_range
+from omniocc.io import atomic_write
 from omniocc.model.depth import DepthMap
 from omniocc.predict.output.point_cloud import PointCloud, write_ply
 from omniocc.view import save_png
@@ -25,18 +27,19 @@ def write_depth(
     RGB.
 
     Raises:
-        OSError: naming the path that cannot be written.
+        DataError: naming the path that cannot be written.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     range_m = depth.known_range_m()[0]
     _, data = cv2.imencode(".png", quantize_range(range_m.numpy()))
-    (folder / "range.png").write_bytes(data.tobytes())
+    atomic_write(folder / "range.png", data.tobytes())
+    content = io.BytesIO()
     np.savez_compressed(
-        folder / "range.npz",
+        content,
         range_m=range_m.numpy(),
         confidence=depth.confidence[0].float().numpy(),
         top_deg=panorama.top_deg,
         bottom_deg=panorama.bottom_deg,
     )
+    atomic_write(folder / "range.npz", content.getvalue())
     save_png(folder / "overview.png", overview)
     return write_ply(folder / "points.ply", cloud)

@@ -11,6 +11,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from omniocc.camera import Camera, Equirectangular, Rig, normalize_pixels
+from omniocc.io import atomic_write
 from omniocc.predict.output.ply import ply_bytes
 
 
@@ -74,9 +75,9 @@ def write_ply(path: Path, cloud: PointCloud) -> int:
     """Write the finite points as a PLY file (see `ply_bytes`) and return their number.
 
     Raises:
-        OSError: naming the path that cannot be written.
+        DataError: naming the path that cannot be written.
     """
     known = cloud.points_m.isfinite().all(-1)
     points = cloud.points_m[known].numpy()
-    path.write_bytes(ply_bytes(points, cloud.colors[known].numpy()))
+    atomic_write(path, ply_bytes(points, cloud.colors[known].numpy()))
     return len(points)

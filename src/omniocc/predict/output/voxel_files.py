@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float64, UInt8
 from torch import Tensor
 
 from omniocc.classes import ClassTable, SemanticClass, ids_beyond
+from omniocc.data.formats.arrays import npz_arrays
 from omniocc.errors import UserError
 from omniocc.geometry import Cuboid, Cylinder, Grid
 from omniocc.io import atomic_write
@@ -91,8 +92,7 @@ def read_voxels(path: Path) -> Voxels:
         UserError: when the file is damaged or of another program.
     """
     try:
-        with np.load(path) as arrays:
-            given = {name: arrays[name] for name in arrays.files}
+        given = npz_arrays(path)
         names, colors = given["class_names"].tolist(), given["class_colors"].tolist()
         rows = zip(names, colors, strict=True)
         classes = ClassTable(tuple(SemanticClass(k, str(name), tuple(rgb)) for k, (name, rgb) in enumerate(rows)))
@@ -117,8 +117,7 @@ def read_labels(folder: Path, geometry: Grid) -> UInt8[Tensor, "X Y Z"]:
     """
     path = folder / VOXELS
     try:
-        with np.load(path) as arrays:
-            labels = arrays["labels"]
+        labels = npz_arrays(path, ["labels"])["labels"]
     except Exception as error:  # numpy, zipfile and zlib raise their own types
         raise UserError(f"{path} is damaged: {error}; force=true predicts all frames again") from error
     if labels.shape != geometry.shape:

@@ -1,4 +1,4 @@
-"""matplotlib's figures as SVG: in a file, or in a page with its fonts, its light and dark colours, and unique ids."""
+"""matplotlib's figures as PNG, and as SVG: in a file, or in a page with its fonts, light and dark colours, own ids."""
 
 import io
 import re
@@ -21,6 +21,13 @@ def save_svg(figure: Figure, path: Path) -> None:
     with rc_context(STYLE):
         figure.savefig(buffer, format="svg", facecolor="white", metadata={"Date": None, "Creator": None})
     atomic_write(path, buffer.getvalue())
+
+
+def as_png(figure: Figure) -> bytes:
+    """Return the PNG file of a figure on white."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=150, facecolor="white")
+    return buffer.getvalue()
 
 
 def as_svg(figure: Figure, name: str, title: str) -> str:

@@ -5,10 +5,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-import yaml
 from scipy import stats
 
 from omniocc.errors import UserError
+from omniocc.io import read_yaml
 from omniocc.report.runs import RAY_IOU
 from omniocc.report.tables.claims import LEVEL, Rows, pairs_of, planned_claims, rows_of_claims
 from omniocc.report.tables.gaps import Gaps
@@ -65,7 +65,7 @@ def load_seed_stds(path: Path) -> list[SeedStd]:
     if not path.exists():
         return []
     try:
-        entries = yaml.safe_load(path.read_text())["seed_stds"]
+        entries = read_yaml(path)["seed_stds"]
         found = [SeedStd(str(entry["source"]), float(entry["parts"]), float(entry["systems"])) for entry in entries]
     except (KeyError, TypeError, ValueError) as error:
         raise UserError(f"{path}: every entry of seed_stds has source, parts and systems: {error}") from error

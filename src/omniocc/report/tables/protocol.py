@@ -1,5 +1,6 @@
 """How the runs of a table counted their scores, as lines below it."""
 
+import itertools
 from collections.abc import Iterable, Mapping, Sequence
 
 from omniocc.report.runs import FinishedRun
@@ -16,20 +17,27 @@ def protocol_lines(rows: Mapping[str, Sequence[FinishedRun]], keys: Iterable[str
     """Return a line for each kind of score among the keys of a table, and for each way in which it was counted.
 
     A line names its rows, or those that it does not hold for, where they differ in it. Runs of before this was
-    recorded have none.
+    recorded have none. A text that says more at its end than another holds for both: newer runs record more.
     """
     kinds = dict.fromkeys(kind for key in keys if (kind := score_of(key)) is not None)
     lines = []
     for kind in (kind for kind in SCORES if kind in kinds):
+        texts = {row: [run.facts.get(PROTOCOL, {}).get(kind) for run in runs] for row, runs in rows.items()}
+        known = list(filter(None, itertools.chain(*texts.values())))
         rows_by_text: dict[str | None, list[str]] = {}
-        for row, runs in rows.items():
-            for text in dict.fromkeys(run.facts.get(PROTOCOL, {}).get(kind) for run in runs):
+        for row, found in texts.items():
+            for text in dict.fromkeys(_fullest(text, known) for text in found):
                 rows_by_text.setdefault(text, []).append(row)
         for text, members in rows_by_text.items():
             where = f" ({_named(members, rows)})" if len(rows_by_text) > 1 else ""
             if text is not None:
                 lines.append(f"{SCORES[kind]}{where}: {text}.")
     return lines
+
+
+def _fullest(text: str | None, known: Iterable[str]) -> str | None:
+    """Return the longest of the texts that begin with this one and say more after it; itself if none does."""
+    return max((more for more in known if more.startswith(f"{text}; ")), key=len, default=text)
 
 
 def _named(members: Sequence[str], rows: Iterable[str]) -> str:

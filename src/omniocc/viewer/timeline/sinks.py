@@ -9,12 +9,13 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 from threading import Thread
+from typing import BinaryIO
 
 import rerun as rr
 import rerun_bindings
 
 from omniocc.errors import UserError, first_line
-from omniocc.io import cannot_write
+from omniocc.io import atomic_file
 
 APPLICATION = "omniocc"
 PORT = 9876
@@ -33,19 +34,17 @@ class FileCopy(Thread):
     Rerun writes to the pipe: after an error of its own file (a full disk) it may wait for ever.
     """
 
-    def __init__(self, source: int, path: Path):
+    def __init__(self, source: int, target: BinaryIO):
         super().__init__(daemon=True)
-        self.source, self.path = source, path
+        self.source, self.target = source, target
         self.error: OSError | None = None
 
     def run(self) -> None:
         """Copy."""
         with os.fdopen(self.source, "rb") as source:
             try:
-                with self.path.open("wb") as target:
-                    shutil.copyfileobj(source, target, CHUNK_BYTES)
-                    target.flush()
-                    os.fsync(target.fileno())
+                shutil.copyfileobj(source, self.target, CHUNK_BYTES)
+                self.target.flush()
             except OSError as error:
                 self.error = error
                 while source.read(CHUNK_BYTES):
@@ -56,36 +55,27 @@ class FileCopy(Thread):
 def to_file(path: Path, name: str) -> Iterator[rr.RecordingStream]:
     """Give a recording whose content is in a file after the block: whole, or not at all.
 
-    It is written under a temporary name beside it. `name` is the recording's title.
+    `name` is the recording's title.
 
     Raises:
         DataError: when the file cannot be written.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.touch()
-    except OSError as error:
-        raise cannot_write(path, error) from error
-    source, target = os.pipe()
-    copy = FileCopy(source, temporary)
-    recording = rr.RecordingStream(APPLICATION)
-    recording.save(f"/dev/fd/{target}")
-    os.close(target)  # Rerun has opened it again
-    copy.start()
-    try:
-        recording.send_recording_name(name)
+    with atomic_file(path) as file:
+        source, target = os.pipe()
+        copy = FileCopy(source, file)
+        recording = rr.RecordingStream(APPLICATION)
+        recording.save(f"/dev/fd/{target}")
+        os.close(target)  # Rerun has opened it again
+        copy.start()
         try:
+            recording.send_recording_name(name)
             yield recording
             recording.flush()
         finally:
             recording.disconnect()
             copy.join()
         if copy.error is not None:
-            raise cannot_write(path, copy.error) from copy.error
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+            raise copy.error
 
 
 @contextlib.contextmanager

@@ -6,9 +6,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import yaml
-
-from omniocc.io import YAML
+from omniocc.io import read_yaml
 from omniocc.run.curves import Curve, curve_files, read_curves
 
 LOCKS = Path("/proc/locks")
@@ -45,8 +43,8 @@ def config_of(path: Path) -> Mapping[str, Any]:
 def _config(path: Path, modified: float) -> Mapping[str, Any]:
     del modified
     try:
-        config = yaml.load(path.read_text(), YAML)
-    except (OSError, UnicodeDecodeError, yaml.YAMLError):
+        config = read_yaml(path)
+    except OSError:
         return {}
     return config if isinstance(config, dict) else {}
 
