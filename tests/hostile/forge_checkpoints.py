@@ -31,7 +31,7 @@ BUILT = {
     "view": ("model", "loss", "data"), "export": ("model", "data"), "weights": (), "resume": (),
 }  # fmt: skip
 """Parts of a checkpoint's configuration that a command builds."""
-COMMANDS = 3
+COMMANDS = 2
 """Commands that open a hostile checkpoint, drawn at random: all of them read it by the same function."""
 Tree = dict[str, Any]
 

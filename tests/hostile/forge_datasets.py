@@ -2,6 +2,7 @@
 
 import json
 import random
+import re
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -98,9 +99,9 @@ FILES = {
     ),
 }  # fmt: skip
 """One file of every kind that a source reads."""
-OPTIONAL = ("voxels/000000.occluded", "voxels/000000.bin", "PAL_intrinsic_calib_results.txt")
+OPTIONAL = ("voxels/000000.occluded", "voxels/000000.bin", "PAL_intrinsic_calib_results.txt", "perspective.txt")
 """Files of which only some options make use."""
-PER_FILE = 3
+PER_FILE = 2
 """Mutations of each file of a dataset that know nothing of its format."""
 Tree = Any
 
@@ -137,14 +138,10 @@ def _bytes(old: bytes, new: bytes) -> Callable[[Path, Box], None]:
 
 
 def _first_number(new: str) -> Callable[[str], str]:
-    """Return a change of the first number after the first letter or line of a text."""
-
-    def change(text: str) -> str:
-        words = text.split(" ")
-        place = next((k for k, word in enumerate(words) if k and word.lstrip("-").replace(".", "")[:1].isdigit()), 0)
-        return " ".join([*words[:place], new, *words[place + 1 :]])
-
-    return change
+    """Return a change of the first number of every line that something stands before."""
+    return lambda text: re.sub(
+        r"(?<=[\s,:=(\[])-?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?(?=[\s,)\]])(?P<rest>.*)", rf"{new}\g<rest>", text
+    )
 
 
 def _tree(change: Callable[[Tree], Any]) -> Callable[[Path, Box], None]:
@@ -382,8 +379,9 @@ def _case(source: str, file: str, name: str, seed: float) -> Case:
         else:
             expect = "refused" if name in BROKEN else "either"
             (BROKEN | DAMAGED)[name](path, random.Random(seed))
-        if any(part in file for part in OPTIONAL):
+        if any(part in file for part in OPTIONAL) or (path.suffix, name) == (".bin", "empty"):  # a scan of nothing
             expect = "either"
-        return [Opening(check_command(box, source, root), expect, (path.name,))]
+        tables = [other.name for other in path.parent.glob("*.json")]  # which refer to one another
+        return [Opening(check_command(box, source, root), expect, (path.name, *tables))]
 
     return Case(KIND, f"{source}-{file.replace('/', '.')}-{name}", make)

@@ -35,7 +35,7 @@ cameras:
     max_angle_deg: 95.0
     ego_from_camera: {position_m: [-0.9, 0, 0], yaw_deg: 180, pitch_deg: -10, roll_deg: 0}
 """
-COMMANDS = 2
+COMMANDS = 1
 """Commands beside that which masks, drawn at random: all of them read a rig by the same function."""
 CAR = "v 9 9 -2\nv 9 10 -2\nv 10 9 -2\nv 9 9 -1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n"
 
